@@ -21,14 +21,14 @@ Handle = Callable[[Any, bpy.types.Context, bpy.types.Event], set[str]]
 
 
 def panel_of(context: bpy.types.Context) -> Any | None:
-    """The settings of the panel that a button stands in, for `poll`; None for a script, whose arguments count."""
+    """The settings of the panel that a button is in, for `poll`; None in a script, whose arguments decide."""
     return getattr(context, "plgs_panel", None)
 
 
 def reporting(execute: Execute) -> Execute:
     """Decorates an operator's `execute`: an expected error becomes one line for the user and "cancelled".
 
-    Blender counts the arguments, hence the two of them.
+    Blender checks the number of arguments, so the wrapper has the same two.
     """
 
     @wraps(execute)
@@ -53,14 +53,14 @@ def reporting_events(handle: Handle) -> Handle:
 
 
 class Explained:
-    """An operator whose grey button says why."""
+    """An operator whose grey button says why it is grey."""
 
     poll_message_set: Callable[[str], None]
     report: Callable[[set[str], str], None]
 
     @classmethod
     def why_not(cls, context: bpy.types.Context) -> str | None:
-        """Why it cannot be called now; None when it can. Looks at no disk."""
+        """Why it cannot be called now; None when it can. Never reads the disk."""
         return None
 
     @classmethod
@@ -72,20 +72,20 @@ class Explained:
 
 
 class StartsTask(Explained):
-    """An operator that starts a task. From a button it returns at once, and the panel shows how far the task is. A
-    script, which calls it with EXEC_DEFAULT or in a Blender without a window, waits for the end.
+    """An operator that starts a task. Called from a button, it returns at once, and the panel shows the progress.
+    Called from a script, with EXEC_DEFAULT or in a Blender without a window, it waits for the end.
     """
 
     bl_label: str
     has_undo_step = False
-    """Whether a button's click is worth an undo step of its own: later undo then keeps what it set."""
+    """Whether a click on the button gets its own undo step, so that a later undo keeps what it set."""
 
     def begin(self, context: bpy.types.Context) -> Task | None:
-        """Start the task; None when nothing is left to wait for. Raises PlgsError, OSError."""
+        """Start the task; return None when there is nothing to wait for. Raises PlgsError, OSError."""
         raise NotImplementedError
 
     def tell(self, context: bpy.types.Context, task: Task | None) -> set[str]:
-        """Report what became of it, or that it goes on, and answer Blender. Raises PlgsError, OSError."""
+        """Report the outcome, or that the task still runs, and return Blender's status. Raises PlgsError, OSError."""
         if task is None or task.is_running:
             return FINISHED
         if task.error is not None:
@@ -104,7 +104,7 @@ class StartsTask(Explained):
         return self.run(context, waits=True)
 
     def run(self, context: bpy.types.Context, *, waits: bool) -> set[str]:
-        """Begin, wait if asked to, and tell."""
+        """Begin the task, wait for it if asked to, and report the outcome."""
         task = self.begin(context)
         if waits and task is not None:
             registry.wait_for(task, context.scene, self.tell_step)
@@ -113,17 +113,17 @@ class StartsTask(Explained):
         return self.tell(context, task)
 
     def tell_step(self, line: str) -> None:
-        """Called for each new step of a task that is waited for."""
+        """Called for each new step while a script waits for the task."""
 
 
 class CancelsTask(Explained):
-    """An operator that cancels the running tasks of a kind. A script waits until they have ended, within a second."""
+    """An operator that cancels the running tasks of one kind. A script waits until they have ended, within a second."""
 
     cancelled_kind: type[Task]
 
     @classmethod
     def why_not(cls, context: bpy.types.Context) -> str | None:
-        return None if registry.running(cls.cancelled_kind) else "Nothing is running that could be cancelled"
+        return None if registry.running(cls.cancelled_kind) else "Nothing is running that can be cancelled"
 
     @reporting
     def execute(self, context: bpy.types.Context) -> set[str]:
@@ -138,5 +138,5 @@ class OnLiftFolder:
     """An operator on a lift that is named by its folder."""
 
     lift_folder: StringProperty(  # type: ignore[valid-type]
-        name="Lift folder", subtype="DIR_PATH", options={"SKIP_SAVE"}, description="Empty: the one of the panel"
+        name="Lift folder", subtype="DIR_PATH", options={"SKIP_SAVE"}, description="Empty: the panel's"
     )

@@ -1,4 +1,4 @@
-"""Mending what a lift got wrong: names, classes, and which points belong to which object."""
+"""Correcting what a lift got wrong: names, classes, and which points belong to which object."""
 
 from __future__ import annotations
 
@@ -23,28 +23,28 @@ from .inspect import OnInstance, OnInstances, OnLift
 
 _UNDOABLE = {"REGISTER", "UNDO"}
 _STEP = 1.2
-"""Factor by which the wheel changes the brush."""
+"""Factor by which one step of the wheel changes the brush."""
 
 
 def _class_choices(self: Any, context: bpy.types.Context, _text: str) -> list[str]:
-    """The classes for a field of a dialog."""
+    """The classes that a dialog's field offers."""
     try:
         root = find_lift(context.scene, self.lift, context.active_object)
         row = chosen_row(context.scene, context.active_object)
         return corrections.class_choices(root, 0 if row is None else row.instance_id)
-    except EXPECTED:  # while it is typed: the operator itself tells what is wrong
+    except EXPECTED:  # while the user types: the operator itself reports what is wrong
         return []
 
 
 def _class_field() -> Any:
     return StringProperty(
         name="Class", search=_class_choices, options={"SKIP_SAVE"},
-        description="Name of the class; those that the object's masks voted for come first",
+        description="Name of the class; the classes that the object's masks voted for come first",
     )  # fmt: skip
 
 
 class AsksForOne:
-    """An operator whose dialog asks for the property ``asked`` alone, ready to be typed. The others are for scripts."""
+    """An operator whose dialog asks only for the property ``asked``, ready for typing. The others are for scripts."""
 
     asked: str
     layout: bpy.types.UILayout
@@ -56,7 +56,7 @@ class AsksForOne:
 
 
 class PLGS_OT_rename_instance(AsksForOne, OnInstance, bpy.types.Operator):
-    """Give the object another name"""
+    """Rename the object"""
 
     bl_idname, bl_label, bl_options = "plgs.rename_instance", "Rename Object", _UNDOABLE
     asked = "name"
@@ -76,7 +76,7 @@ class PLGS_OT_rename_instance(AsksForOne, OnInstance, bpy.types.Operator):
 
 
 class PLGS_OT_reclass_instances(AsksForOne, OnInstances, bpy.types.Operator):
-    """Give objects another class. With a class of stuff, which has no objects, their points become that stuff"""
+    """Change the class of objects. Stuff has no objects: with a stuff class, the points simply become that stuff"""
 
     bl_idname, bl_label, bl_options = "plgs.reclass_instances", "Change Class", _UNDOABLE
     asked = "class_name"
@@ -96,7 +96,7 @@ class PLGS_OT_reclass_instances(AsksForOne, OnInstances, bpy.types.Operator):
 
 
 class PLGS_OT_merge_instances(OnInstances, bpy.types.Operator):
-    """Let the selected objects be one, with the name and the class of the active one"""
+    """Merge the selected objects into one, with the name and the class of the active object"""
 
     bl_idname, bl_label, bl_options = "plgs.merge_instances", "Merge Selected", _UNDOABLE
 
@@ -108,15 +108,15 @@ class PLGS_OT_merge_instances(OnInstances, bpy.types.Operator):
 
 
 class PLGS_OT_delete_instance(OnInstance, bpy.types.Operator):
-    """Delete an object that is none"""
+    """Delete an object that was found by mistake"""
 
     bl_idname, bl_label, bl_options = "plgs.delete_instance", "Delete Object", _UNDOABLE
 
     becomes: EnumProperty(  # type: ignore[valid-type]
         name="Points become",
         items=[
-            ("AROUND", "What Lies Around", "Each point takes the label of the nearest one of something else"),
-            ("NO_OBJECT", "No Object", "They keep their class, without an object"),
+            ("AROUND", "Surroundings", "Each point takes the label of the nearest point outside the object"),
+            ("NO_OBJECT", "No Object", "The points keep their class but belong to no object"),
         ],
     )
 
@@ -128,7 +128,7 @@ class PLGS_OT_delete_instance(OnInstance, bpy.types.Operator):
 
 
 class PLGS_OT_split_instance(OnInstance, bpy.types.Operator):
-    """Let an object be several"""
+    """Split the object into several"""
 
     bl_idname, bl_label, bl_options = "plgs.split_instance", "Split", _UNDOABLE
 
@@ -136,15 +136,15 @@ class PLGS_OT_split_instance(OnInstance, bpy.types.Operator):
         name="By",
         options={"SKIP_SAVE"},
         items=[
-            ("PARTS", "Connected Parts", "What does not touch; the largest part keeps the name"),
-            ("CUT", "Cutting Plane", "The plane that Add Cutting Plane placed, where it was dragged to"),
-            ("PLANE", "Plane", "The plane through a point, across a normal"),
+            ("PARTS", "Connected Parts", "Separate the parts that do not touch; the largest part keeps the name"),
+            ("CUT", "Cutting Plane", "Cut along the plane that Add Cutting Plane placed, wherever you have moved it"),
+            ("PLANE", "Plane", "Cut along the plane through a point, perpendicular to a normal"),
         ],
     )
-    point: FloatVectorProperty(name="Point", subtype="XYZ", options={"SKIP_SAVE"}, description="In the plane, metres")  # type: ignore[valid-type]
+    point: FloatVectorProperty(name="Point", subtype="XYZ", options={"SKIP_SAVE"}, description="On the plane, metres")  # type: ignore[valid-type]
     normal: FloatVectorProperty(  # type: ignore[valid-type]
         name="Normal", subtype="XYZ", default=(1, 0, 0), options={"SKIP_SAVE"},
-        description="Points to the side that becomes a new object",
+        description="Points towards the side that becomes a new object",
     )  # fmt: skip
 
     @reporting
@@ -162,14 +162,14 @@ class PLGS_OT_split_instance(OnInstance, bpy.types.Operator):
 
 
 class PLGS_OT_split_by_views(OnInstance, StartsTask, bpy.types.Operator):
-    """Split the object into what the masks of at least two frames show apart, each part of the class that they say"""
+    """Split the object into the parts that masks of at least two frames separate, each with the class that they give"""
 
     bl_idname, bl_label = "plgs.split_by_views", "Split by Views"
 
     @classmethod
     def why_not(cls, context: bpy.types.Context) -> str | None:
         if registry.running(SplitByViews):
-            return "The engine is asking the masks already"
+            return "The engine is already reading the masks"
         # A script waits for the engine's answer; a button is grey until there is one.
         return super().why_not(context) or (why_no_engine() if panel_of(context) is not None else None)
 
@@ -179,7 +179,7 @@ class PLGS_OT_split_by_views(OnInstance, StartsTask, bpy.types.Operator):
 
 
 class PLGS_OT_place_cut(OnInstance, bpy.types.Operator):
-    """Add a plane through the object, to be moved and turned to where it shall be split"""
+    """Add a plane through the object. Move and rotate it to where the object should be split"""
 
     bl_idname, bl_label, bl_options = "plgs.place_cut", "Add Cutting Plane", _UNDOABLE
 
@@ -191,7 +191,7 @@ class PLGS_OT_place_cut(OnInstance, bpy.types.Operator):
 
 
 class PLGS_OT_crop_instance(OnInstance, bpy.types.Operator):
-    """Take the object's points anew from where its box was moved or scaled to: those of its class that the box holds"""
+    """After you have moved or scaled the object's box: give the object the points of its class inside the box"""
 
     bl_idname, bl_label, bl_options = "plgs.crop_instance", "Crop to Its Box", _UNDOABLE
 
@@ -203,7 +203,7 @@ class PLGS_OT_crop_instance(OnInstance, bpy.types.Operator):
 
 
 class PLGS_OT_accept_instances(OnInstances, bpy.types.Operator):
-    """These objects are right: nothing proposes to change them again"""
+    """Mark these objects as correct: no change to them is proposed again"""
 
     bl_idname, bl_label, bl_options = "plgs.accept_instances", "Accept", _UNDOABLE
 
@@ -215,7 +215,7 @@ class PLGS_OT_accept_instances(OnInstances, bpy.types.Operator):
 
 
 class PLGS_OT_undo_correction(OnLift, bpy.types.Operator):
-    """Undo the last correction of this lift, also one from an earlier session or of another program"""
+    """Undo the last correction of this lift, even one from an earlier session or another program"""
 
     bl_idname, bl_label, bl_options = "plgs.undo_correction", "Undo Last Correction", _UNDOABLE
 
@@ -227,7 +227,7 @@ class PLGS_OT_undo_correction(OnLift, bpy.types.Operator):
 
 
 class PLGS_OT_assign_points(OnLift, bpy.types.Operator):
-    """Paint points, or name an object whose box holds them, and give them to an object, a new object or a class"""
+    """Paint points, or name an object whose box contains them, and assign them to an object, a new object or a class"""
 
     bl_idname, bl_label, bl_options = "plgs.assign_points", "Paint Points", _UNDOABLE
 
@@ -236,13 +236,13 @@ class PLGS_OT_assign_points(OnLift, bpy.types.Operator):
         items=[
             ("INSTANCE", "Object", "The object that is selected in the list"),
             ("NEW", "New Object", "A new object of a class"),
-            ("CLASS", "Class", "A class, without an object"),
+            ("CLASS", "Class", "A class, but no object"),
         ],
     )
-    instance: IntProperty(name="Instance", min=0, options={"SKIP_SAVE"}, description="Id; 0: the selected one")  # type: ignore[valid-type]
+    instance: IntProperty(name="Instance", min=0, options={"SKIP_SAVE"}, description="Id; 0: the selected object")  # type: ignore[valid-type]
     class_name: _class_field()  # type: ignore[valid-type]
     region: StringProperty(  # type: ignore[valid-type]
-        name="Region", options={"SKIP_SAVE"}, description="Name of an object whose box holds the points; empty: paint"
+        name="Region", options={"SKIP_SAVE"}, description="An object whose box contains the points; empty: paint them"
     )
 
     @reporting_events
@@ -252,7 +252,7 @@ class PLGS_OT_assign_points(OnLift, bpy.types.Operator):
         if context.area is None or context.area.type != "VIEW_3D":
             raise PlgsError("points are painted in a 3D view", "", "Press the button in a 3D view's sidebar.")
         root = self.root(context)
-        if self.to == "INSTANCE":  # what is missing is told before anything is painted
+        if self.to == "INSTANCE":  # report what is missing before anything is painted
             row_of(root, self.instance)
         else:
             corrections.class_named(root, self.class_name)
@@ -290,11 +290,11 @@ class PLGS_OT_assign_points(OnLift, bpy.types.Operator):
             self.cancel(context)
             return CANCELLED
         else:
-            return PASSED_ON  # the view may be turned meanwhile, and the panel be used
+            return PASSED_ON  # meanwhile the user may turn the view and use the panel
         return RUNNING
 
     def cancel(self, context: bpy.types.Context) -> None:
-        """Blender calls this, too, where it ends the painting itself."""
+        """Blender also calls this when it ends the painting itself."""
         painting.now.clear()
         if context.window is not None:
             context.window.cursor_modal_restore()
@@ -302,7 +302,7 @@ class PLGS_OT_assign_points(OnLift, bpy.types.Operator):
             context.area.header_text_set(None)
 
     def _say(self, context: bpy.types.Context) -> None:
-        line = "Drag: paint points; Shift: rectangle; Ctrl: take away; Ctrl wheel: brush; Enter: assign; Esc: leave"
+        line = "Drag: paint points; Shift: rectangle; Ctrl: erase; Ctrl wheel: brush size; Enter: assign; Esc: cancel"
         context.area.header_text_set(line)
 
     @reporting
@@ -327,7 +327,7 @@ def _is_over(area: bpy.types.Area, event: bpy.types.Event) -> bool:
 
 
 class PLGS_OT_propose_corrections(OnLift, bpy.types.Operator):
-    """Look for objects that are perhaps wrong: views disagree on the class, parts do not touch, few frames saw it"""
+    """Find objects that may be wrong: views disagree on the class, parts do not touch, or few frames saw the object"""
 
     bl_idname, bl_label, bl_options = "plgs.propose_corrections", "What May Be Wrong?", _UNDOABLE
 
@@ -339,15 +339,15 @@ class PLGS_OT_propose_corrections(OnLift, bpy.types.Operator):
 
 
 class OnProposal(OnLift):
-    """An operator on what is proposed for an instance."""
+    """An operator on the proposal for an instance."""
 
     instance: IntProperty(  # type: ignore[valid-type]
-        name="Instance", min=0, options={"SKIP_SAVE"}, description="Id of the instance; 0: the most doubtful"
+        name="Instance", min=0, options={"SKIP_SAVE"}, description="Id of the instance; 0: the most doubtful one"
     )
 
 
 class PLGS_OT_go_to_proposal(OnProposal, bpy.types.Operator):
-    """Select the object, and look at it from the frame that sees it best"""
+    """Select the object, and look through the camera of the frame that sees it best"""
 
     bl_idname, bl_label, bl_options = "plgs.go_to_proposal", "Look at It", _UNDOABLE
 
@@ -363,11 +363,11 @@ class PLGS_OT_go_to_proposal(OnProposal, bpy.types.Operator):
 
 
 class PLGS_OT_answer_proposal(OnProposal, StartsTask, bpy.types.Operator):
-    """Do what is proposed, or keep the object as it is"""
+    """Apply the proposal, or keep the object as it is"""
 
     bl_idname, bl_label, bl_options = "plgs.answer_proposal", "Answer", _UNDOABLE
 
-    keep: BoolProperty(name="Keep", options={"SKIP_SAVE"}, description="It is right as it is")  # type: ignore[valid-type]
+    keep: BoolProperty(name="Keep", options={"SKIP_SAVE"}, description="The object is correct as it is")  # type: ignore[valid-type]
 
     def begin(self, context: bpy.types.Context) -> Task | None:
         root = self.root(context)
@@ -379,7 +379,7 @@ class PLGS_OT_answer_proposal(OnProposal, StartsTask, bpy.types.Operator):
 
 
 class PLGS_OT_next_uncertain_frame(OnLift, bpy.types.Operator):
-    """Look from the frame in which the lift is the least sure of the classes, then from the next one"""
+    """Go to the frame in which the lift is least sure of the classes; press again for the next one"""
 
     bl_idname, bl_label, bl_options = "plgs.next_uncertain_frame", "Next Uncertain Frame", _UNDOABLE
 

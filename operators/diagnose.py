@@ -1,4 +1,4 @@
-"""What is wrong with the panel's scene, and a mended one."""
+"""Diagnosing the panel's scene, and writing a fixed copy of it."""
 
 from __future__ import annotations
 
@@ -15,24 +15,24 @@ from ..plgs_blender.tasks.registry import Task
 from ..plgs_blender.viewport import show_finding
 from .base import CANCELLED, FINISHED, CancelsTask, Explained, StartsTask, panel_of, reporting
 
-_NOTHING = "Nothing was found that can be mended without a doubt"
+_NOTHING = "Nothing was found that can safely be fixed"
 
 
 class Measures(StartsTask):
-    """An engine measures the panel's scene."""
+    """An operator that has an engine measure the panel's scene."""
 
     @classmethod
     def why_not(cls, context: bpy.types.Context) -> str | None:
         if not context.scene.plgs.scene_folder:
             return "Choose the scene's folder first"
         if registry.running(Diagnosis):
-            return "The engine is measuring already"
+            return "The engine is already measuring"
         # A script waits for the engine's answer; a button is grey until there is one.
         return None if panel_of(context) is None else why_no_engine()
 
 
 class PLGS_OT_diagnose(Measures, bpy.types.Operator):
-    """Measure what is wrong with the scene: axes, poses, depth, intrinsics, order, drift, pictures and labels"""
+    """Check the scene for problems: axes, poses, depth, intrinsics, order, drift, pictures and labels"""
 
     bl_idname, bl_label, bl_options = "plgs.diagnose", "Diagnose", {"INTERNAL"}
 
@@ -47,13 +47,13 @@ class PLGS_OT_diagnose(Measures, bpy.types.Operator):
 
 
 class PLGS_OT_fix_scene(Measures, bpy.types.Operator):
-    """Write the scene with what is safe mended into a new folder, and take that; your files stay as they are"""
+    """Write a copy of the scene with all safe fixes into a new folder, and use that copy; your files do not change"""
 
     bl_idname, bl_label, bl_options = "plgs.fix_scene", "Fix", {"INTERNAL"}
 
     folder: StringProperty(  # type: ignore[valid-type]
         name="Folder", subtype="DIR_PATH", options={"SKIP_SAVE"},
-        description="Where the mended scene goes, a folder that is not there yet; empty: beside the scene's",
+        description="Where the fixed scene goes: a folder that does not exist yet; empty: beside the scene's folder",
     )  # fmt: skip
 
     @classmethod
@@ -70,7 +70,7 @@ class PLGS_OT_fix_scene(Measures, bpy.types.Operator):
     def tell(self, context: bpy.types.Context, task: Task | None) -> set[str]:
         assert isinstance(task, Diagnosis)
         if task.is_running:
-            self.report({"INFO"}, f"An engine writes {task.mended}")
+            self.report({"INFO"}, f"An engine is writing {task.mended}")
             return FINISHED
         if not task.is_mended:
             self.report({"ERROR"}, _NOTHING if task.error is None else with_field_names(task.error))
@@ -84,7 +84,7 @@ class PLGS_OT_show_finding(Explained, bpy.types.Operator):
 
     bl_idname, bl_label, bl_options = "plgs.show_finding", "Show Picture", {"INTERNAL", "UNDO"}
 
-    number: IntProperty(name="Number", min=0, options={"SKIP_SAVE"}, description="Of the finding, from 0")  # type: ignore[valid-type]
+    number: IntProperty(name="Number", min=0, options={"SKIP_SAVE"}, description="Number of the finding, from 0")  # type: ignore[valid-type]
 
     @classmethod
     def why_not(cls, context: bpy.types.Context) -> str | None:
@@ -105,14 +105,14 @@ class PLGS_OT_show_finding(Explained, bpy.types.Operator):
 
 
 class PLGS_OT_cancel_diagnosis(CancelsTask, bpy.types.Operator):
-    """Stop measuring; your files stay as they are"""
+    """Stop measuring; your files do not change"""
 
     bl_idname, bl_label, bl_options = "plgs.cancel_diagnosis", "Cancel", {"INTERNAL"}
     cancelled_kind = Diagnosis
 
 
 def _findings(context: bpy.types.Context) -> tuple[Finding, ...]:
-    """What is known of the panel's scene."""
+    """What is known about the panel's scene."""
     settings = context.scene.plgs
     known = diagnosis_of(chosen_scene(settings)) if settings.scene_folder else None
     return () if known is None else known.findings

@@ -1,4 +1,4 @@
-"""Getting the engine: setting it up, choosing its Python, asking it, removing it."""
+"""Setting up the engine, choosing its Python, checking it, and removing it."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class AsksEngine(StartsTask):
 
 
 class PLGS_OT_set_up_engine(AsksEngine, bpy.types.Operator):
-    """Download what the engine needs into an environment of its own, about 1.8 GB. What was begun is gone on with"""
+    """Download what the engine needs, about 1.8 GB, into its own environment. An interrupted set-up continues"""
 
     bl_idname, bl_label = "plgs.set_up_engine", "Set up engine"
 
@@ -71,19 +71,19 @@ class PLGS_OT_set_up_engine(AsksEngine, bpy.types.Operator):
 
 
 class PLGS_OT_cancel_engine_set_up(CancelsTask, bpy.types.Operator):
-    """Stop setting the engine up. What was downloaded is kept, and the next time goes on with it"""
+    """Stop setting up the engine. Finished downloads are kept, and the next set-up continues from there"""
 
     bl_idname, bl_label = "plgs.cancel_engine_set_up", "Cancel"
     cancelled_kind = tasks.SetUp
 
 
 class PLGS_OT_add_to_engine(StartsTask, bpy.types.Operator):
-    """Download packages that not everybody needs and add them to the engine. Cancel leaves the engine as it was"""
+    """Download optional packages and add them to the engine. Cancelling leaves the engine as it was"""
 
     bl_idname, bl_label = "plgs.add_to_engine", "Add to Engine"
 
     capability: EnumProperty(  # type: ignore[valid-type]
-        name="What for", items=adding.ITEMS, options={"SKIP_SAVE"}, description="What the packages are for"
+        name="Purpose", items=adding.ITEMS, options={"SKIP_SAVE"}, description="What the packages are for"
     )
     index_url: StringProperty(  # type: ignore[valid-type]
         name="Package index",
@@ -100,14 +100,14 @@ class PLGS_OT_add_to_engine(StartsTask, bpy.types.Operator):
 
 
 class PLGS_OT_cancel_adding(CancelsTask, bpy.types.Operator):
-    """Stop adding to the engine, which is as it was then"""
+    """Stop adding packages; the engine stays as it was"""
 
     bl_idname, bl_label = "plgs.cancel_adding", "Cancel"
     cancelled_kind = adding.Adding
 
 
 class PLGS_OT_use_this_python(AsksEngine, bpy.types.Operator):
-    """Let this Python run the engine. It needs torch and the other packages that the engine is pinned to"""
+    """Run the engine with this Python. It needs torch and the engine's other pinned packages"""
 
     bl_idname, bl_label = "plgs.use_this_python", "Use this Python"
 
@@ -124,7 +124,7 @@ class PLGS_OT_use_this_python(AsksEngine, bpy.types.Operator):
 
 
 class PLGS_OT_check_engine(AsksEngine, bpy.types.Operator):
-    """Ask the engine what it is and what it lacks"""
+    """Check which version the engine has, and what it lacks"""
 
     bl_idname, bl_label = "plgs.check_engine", "Check"
 
@@ -133,7 +133,7 @@ class PLGS_OT_check_engine(AsksEngine, bpy.types.Operator):
 
 
 class PLGS_OT_open_set_up_log(bpy.types.Operator):
-    """Open the log of the last set-up, with all that pip said"""
+    """Open the log of the last set-up, with all of pip's output"""
 
     bl_idname, bl_label = "plgs.open_set_up_log", "Open log"
 
@@ -141,14 +141,14 @@ class PLGS_OT_open_set_up_log(bpy.types.Operator):
     def execute(self, context: bpy.types.Context) -> set[str]:
         log = tasks.log_path()
         if not log.is_file():
-            self.report({"ERROR"}, f"There is no log: {log}. The engine was not set up here yet.")
+            self.report({"ERROR"}, f"There is no log at {log}: the engine has not been set up here yet")
             return CANCELLED
         self.report({"INFO"}, str(log))
         return FINISHED if bpy.app.background else bpy.ops.wm.path_open(filepath=str(log))
 
 
 class PLGS_OT_remove_engine(StartsTask, bpy.types.Operator):
-    """Delete the environments that "Set up engine" made, and nothing else. A lift that runs in one would end"""
+    """Delete the environments that "Set up engine" made, and nothing else. A lift running in one would end"""
 
     bl_idname, bl_label = "plgs.remove_engine", "Remove engine"
     is_confirmed = False
@@ -177,7 +177,7 @@ class PLGS_OT_show_preferences(Explained, bpy.types.Operator):
 
     @classmethod
     def why_not(cls, context: bpy.types.Context) -> str | None:
-        missing = "PLGS runs without being installed as an extension: it has no preferences"
+        missing = "PLGS is running without being installed as an extension, so it has no preferences"
         return None if choices.are_in_preferences() else missing
 
     @reporting

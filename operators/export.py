@@ -34,7 +34,7 @@ class Exports(OnLiftFolder, StartsTask):
         return "Wait for the export that is running" if registry.running(exports.Export) else why_no_engine()
 
     def lift_of(self, context: bpy.types.Context) -> str:
-        """The folder of the lift that is named, else of the panel's, else of the one that is placed; "" for none."""
+        """The folder of the named lift, else of the panel's lift, else of the placed one; "" for none."""
         if self.lift_folder or chosen_lift(context.scene.plgs) is not None:
             return str(self.lift_folder)
         root = active_lift(context.scene, context.active_object)
@@ -42,11 +42,11 @@ class Exports(OnLiftFolder, StartsTask):
 
 
 class PLGS_OT_export_lift(Exports, bpy.types.Operator):
-    """Write a finished lift into a folder, in a form that other programs read"""
+    """Write a finished lift to a folder, in a format that other programs can read"""
 
     bl_idname, bl_label = "plgs.export_lift", "Export"
 
-    form: EnumProperty(name="Form", items=_FORMS, default="coco", options={"SKIP_SAVE"})  # type: ignore[valid-type]
+    form: EnumProperty(name="Format", items=_FORMS, default="coco", options={"SKIP_SAVE"})  # type: ignore[valid-type]
     directory: StringProperty(  # type: ignore[valid-type]
         name="Folder", subtype="DIR_PATH", options={"SKIP_SAVE"}, description="Where the files go"
     )
@@ -68,8 +68,8 @@ class PLGS_OT_export_lift(Exports, bpy.types.Operator):
 
 
 class PLGS_OT_make_meshes(Exports, bpy.types.Operator):
-    """Fuse what the lifted model shows into meshes, one for each instance and each stuff class, and put them into the
-    scene: for shadows, holdouts, collisions and measuring"""
+    """Make meshes of what the lifted model shows, one for each instance and each stuff class, and put them into the
+    scene, for shadows, holdouts, collisions and measuring"""
 
     bl_idname, bl_label = "plgs.make_meshes", "Make Meshes"
 
@@ -78,7 +78,7 @@ class PLGS_OT_make_meshes(Exports, bpy.types.Operator):
 
 
 class PLGS_OT_make_depth_cloud(Exports, bpy.types.Operator):
-    """Put what the active camera sees of the lift into the scene as points, one a pixel, with class and instance"""
+    """Put what the active camera sees of the lift into the scene as points, one per pixel, with class and instance"""
 
     bl_idname, bl_label = "plgs.make_depth_cloud", "Depth Cloud"
 
@@ -89,7 +89,7 @@ class PLGS_OT_make_depth_cloud(Exports, bpy.types.Operator):
 
 
 class PLGS_OT_cancel_export(CancelsTask, bpy.types.Operator):
-    """Stop the export; what was written so far stays"""
+    """Stop the export; files that are already written stay"""
 
     bl_idname, bl_label = "plgs.cancel_export", "Cancel"
     cancelled_kind = exports.Export

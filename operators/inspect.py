@@ -25,7 +25,7 @@ class OnLift(Explained):
     @classmethod
     def why_not(cls, context: bpy.types.Context) -> str | None:
         has_result = any(len(root.plgs.classes) for root in lifts_in(context.scene))
-        return None if has_result else "This scene has no result of a lift yet"
+        return None if has_result else "This scene has no lift result yet"
 
     def root(self, context: bpy.types.Context) -> bpy.types.Collection:
         """The lift's collection. Raises PlgsError."""
@@ -51,7 +51,7 @@ class OnInstances(OnLift):
 
     instances: StringProperty(  # type: ignore[valid-type]
         name="Instances", options={"SKIP_SAVE"},
-        description="Ids such as 3 5, or all; empty: the selected boxes, the active first, else the row of the list",
+        description="Ids such as 3 5, or all; empty: the selected boxes, the active one first, else the list's row",
     )  # fmt: skip
 
 
@@ -116,7 +116,7 @@ class PLGS_OT_toggle_class_visibility(OnClass, bpy.types.Operator):
 
 
 class PLGS_OT_isolate_instance(OnInstance, bpy.types.Operator):
-    """Show only this instance; again, show what was shown before"""
+    """Show only this instance; press again to show what was shown before"""
 
     bl_idname, bl_label, bl_options = "plgs.isolate_instance", "Isolate", {"REGISTER", "UNDO"}
 
@@ -147,7 +147,7 @@ class PLGS_OT_colour_by(OnLift, bpy.types.Operator):
         items=[
             (looks.PHOTO, "Photo", "The colours of the photos"),
             (looks.CLASSES, "Classes", "The colours of the classes"),
-            (looks.INSTANCES, "Instances", "Each instance in a colour of its own"),
+            (looks.INSTANCES, "Instances", "Each instance in its own colour"),
             (looks.UNCERTAINTY, "Uncertainty", "Bright where the frames were not sure of the class"),
         ],
     )
@@ -168,7 +168,7 @@ class PLGS_OT_show_as(OnLift, bpy.types.Operator):
         items=[
             (looks.POINTS, "Points", "The semantic points"),
             (looks.SPLATS, "Splats", "The Gaussians of the lifted model"),
-            (looks.SURFACE, "Surface", "The meshes, once they were made"),
+            (looks.SURFACE, "Surface", "The meshes, once they have been made"),
         ],
     )
 
@@ -179,7 +179,7 @@ class PLGS_OT_show_as(OnLift, bpy.types.Operator):
 
 
 class PLGS_OT_show_colours(Explained, bpy.types.Operator):
-    """Let this view show the lift's colours in Solid shading: points by class, boxes by instance"""
+    """Show the lift's colours in this view's Solid shading: points by class, boxes by instance"""
 
     bl_idname, bl_label = "plgs.show_colours", "Show Colours in This View"
 
@@ -223,7 +223,7 @@ class PLGS_OT_go_to_best_view(OnInstance, bpy.types.Operator):
 
 
 class PLGS_OT_go_to_mask(OnInstance, bpy.types.Operator):
-    """Look through the camera of the frame in which this mask of the instance lies"""
+    """Look through the camera of the frame that this mask of the instance belongs to"""
 
     bl_idname, bl_label, bl_options = "plgs.go_to_mask", "Go to Mask", {"REGISTER", "UNDO"}
 
@@ -233,7 +233,7 @@ class PLGS_OT_go_to_mask(OnInstance, bpy.types.Operator):
     )  # fmt: skip
     segment: IntProperty(  # type: ignore[valid-type]
         name="Segment", min=0, options={"SKIP_SAVE"},
-        description="Id of the segment in the frame's mask; 0: the first that made the instance",
+        description="Id of the segment in the frame's mask; 0: the first one that made the instance",
     )  # fmt: skip
 
     @reporting
@@ -258,7 +258,7 @@ class PLGS_OT_go_to_frame(OnLift, bpy.types.Operator):
 
 
 class PLGS_OT_toggle_overlay(OnLift, bpy.types.Operator):
-    """Draw names, a legend or the selected points over the 3D views, or stop it"""
+    """Draw names, a legend or the selected points over the 3D views, or stop drawing them"""
 
     bl_idname, bl_label, bl_options = "plgs.toggle_overlay", "Toggle Overlay", {"REGISTER", "UNDO"}
 

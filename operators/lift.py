@@ -24,11 +24,11 @@ from .base import (
 )
 
 _PART_S = 0.02
-"""Pause between two parts of a lift that is placed."""
+"""Seconds to pause between two parts while a lift is placed."""
 
 
 class PLGS_OT_lift_scene(LiftOptions, StartsTask, bpy.types.Operator):
-    """Lift the scene: an engine starts in the background. What is not given is as in the panel"""
+    """Lift the scene: an engine starts in the background. Options that are not given are as in the panel"""
 
     bl_idname, bl_label = "plgs.lift_scene", "Start"
     has_undo_step = True
@@ -53,7 +53,7 @@ class PLGS_OT_lift_scene(LiftOptions, StartsTask, bpy.types.Operator):
 
 
 class PLGS_OT_resume_lift(OnLiftFolder, StartsTask, bpy.types.Operator):
-    """Go on with a lift that was cancelled or broke off"""
+    """Continue a lift that was cancelled or interrupted"""
 
     bl_idname, bl_label = "plgs.resume_lift", "Resume"
     has_undo_step = True
@@ -63,7 +63,7 @@ class PLGS_OT_resume_lift(OnLiftFolder, StartsTask, bpy.types.Operator):
 
 
 class PLGS_OT_find_scene(OnLiftFolder, StartsTask, bpy.types.Operator):
-    """Tell a lift where its scene now is, after it was moved. The frames there are compared with those of the lift"""
+    """Tell a lift where its scene is after it was moved. The frames there are compared with those of the lift"""
 
     bl_idname, bl_label, bl_options = "plgs.find_scene", "Find Scene", {"UNDO"}
     was_invoked = False
@@ -133,7 +133,7 @@ class PLGS_OT_cancel_lift(OnLiftFolder, bpy.types.Operator):
 
 
 class PLGS_OT_refresh_lifts(bpy.types.Operator):
-    """Look again which lifts run or have ended, of this Blender and others"""
+    """Update the list of running and finished lifts, of this Blender and others"""
 
     bl_idname, bl_label, bl_options = "plgs.refresh_lifts", "Look Again", {"INTERNAL"}
 
@@ -148,7 +148,7 @@ class PLGS_OT_place_lift(OnLiftFolder, bpy.types.Operator):
     bl_idname, bl_label, bl_options = "plgs.place_lift", "Show Result", {"UNDO"}
 
     _at_work = False
-    """Whether one places a lift at the ticks of its timer: a second one would place between its parts."""
+    """Whether a lift is being placed part by part on a timer: a second one would be mixed in between the parts."""
 
     @reporting
     def execute(self, context: bpy.types.Context) -> set[str]:
@@ -159,7 +159,7 @@ class PLGS_OT_place_lift(OnLiftFolder, bpy.types.Operator):
 
     @reporting_events
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        """The first part at once, the others at the ticks of a timer, so that the window never waits long."""
+        """Place the first part at once and the others on a timer, so that the window never waits long."""
         if bpy.app.background:
             return self.execute(context)
         if PLGS_OT_place_lift._at_work:
@@ -186,24 +186,24 @@ class PLGS_OT_place_lift(OnLiftFolder, bpy.types.Operator):
         return PASSED_ON if goes_on else FINISHED
 
     def has_more(self) -> bool:
-        """Place the next part; whether there may be others."""
+        """Place the next part. Returns whether there may be more."""
         try:
             next(self._placing)
         except StopIteration as end:
             found = end.value.find() if end.value is not None else None
-            told = f"{one_line(found[0].name)} is placed" if found is not None else "It was removed while it was placed"
+            told = f"{one_line(found[0].name)} was placed" if found is not None else "The lift was removed meanwhile"
             self.report({"INFO"}, told)
             return False
         return True
 
     def cancel(self, context: bpy.types.Context) -> None:
-        """Blender calls it, too, when another file is opened."""
+        """Blender also calls this when another file is opened."""
         PLGS_OT_place_lift._at_work = False
         context.window_manager.event_timer_remove(self._timer)
 
 
 class PLGS_OT_open_log(OnLiftFolder, bpy.types.Operator):
-    """Show the engine's log in a text editor of the system"""
+    """Open the engine's log in the system's text editor"""
 
     bl_idname, bl_label, bl_options = "plgs.open_log", "Open Log", {"INTERNAL"}
 

@@ -1,4 +1,4 @@
-"""Poses for photos that have none, masks for a scene that has none, and the classes of those that it has."""
+"""Finding poses for photos, making masks for a scene that has none, and editing the classes of its masks."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from .base import CancelsTask, StartsTask, panel_of
 
 
 class PLGS_OT_make_masks(StartsTask, bpy.types.Operator):
-    """Let a network make a panoptic mask of every frame. It is downloaded only where Blender may go online"""
+    """Have a network make a panoptic mask of every frame. It is downloaded only if Blender may go online"""
 
     bl_idname, bl_label = "plgs.make_masks", "Make Masks"
 
@@ -28,7 +28,7 @@ class PLGS_OT_make_masks(StartsTask, bpy.types.Operator):
     @classmethod
     def why_not(cls, context: bpy.types.Context) -> str | None:
         if registry.running(MaskMaking):
-            return "The engine makes masks already"
+            return "The engine is already making masks"
         if panel_of(context) is None:
             return None
         if not context.scene.plgs.scene_folder:
@@ -38,20 +38,20 @@ class PLGS_OT_make_masks(StartsTask, bpy.types.Operator):
     def begin(self, context: bpy.types.Context) -> Task:
         model = self.model or context.scene.plgs_masks.model
         if context.scene.plgs.masks:
-            self.report({"WARNING"}, "The panel names other masks: the new ones count when Masks is empty")
+            self.report({"WARNING"}, "The panel names other masks: the new ones are used once Masks is empty")
         # Blender's own setting is the user's consent to downloads.
         return make_masks(chosen_scene(context.scene.plgs), usable_python(), model, download=bpy.app.online_access)
 
 
 class PLGS_OT_make_poses(StartsTask, bpy.types.Operator):
-    """Let COLMAP find the poses of the scene's photos, or of the sharpest pictures of a film, and write them beside"""
+    """Have COLMAP find the poses of the scene's photos, or of a film's sharpest pictures, and write them beside it"""
 
     bl_idname, bl_label = "plgs.make_poses", "Find Poses"
 
     @classmethod
     def why_not(cls, context: bpy.types.Context) -> str | None:
         if registry.running(PoseMaking):
-            return "The engine finds poses already"
+            return "The engine is already finding poses"
         if not context.scene.plgs.scene_folder:
             return "Choose the scene's folder first"
         return why_no_engine() or why_lacking("colmap")
@@ -68,7 +68,7 @@ class PLGS_OT_cancel_poses(CancelsTask, bpy.types.Operator):
 
 
 class PLGS_OT_cancel_masks(CancelsTask, bpy.types.Operator):
-    """Stop making masks; those that are made are kept, and the next time goes on"""
+    """Stop making masks; finished masks are kept, and the next run continues"""
 
     bl_idname, bl_label = "plgs.cancel_masks", "Cancel"
     cancelled_kind = MaskMaking
@@ -81,7 +81,7 @@ class PLGS_OT_read_classes(StartsTask, bpy.types.Operator):
 
     table: EnumProperty(  # type: ignore[valid-type]
         name="Table", options={"SKIP_SAVE"}, default=OWN_TABLE, items=TABLE_ITEMS,
-        description="Begin with a public table, for masks whose files do not tell their classes",
+        description="Start from a public table, for masks whose files do not name their classes",
     )  # fmt: skip
 
     @classmethod
@@ -95,7 +95,7 @@ class PLGS_OT_read_classes(StartsTask, bpy.types.Operator):
 
 
 class PLGS_OT_write_classes(StartsTask, bpy.types.Operator):
-    """Write the list into classes.toml beside the masks, where every later lift reads it"""
+    """Write the list to classes.toml beside the masks, where every later lift reads it"""
 
     bl_idname, bl_label = "plgs.write_classes", "Write Classes"
 

@@ -35,11 +35,11 @@ _FRAMES = [
     ("active", "Active camera", "Bake the frame whose camera is the scene's active one"),
 ]
 _READ_S, _READ_EVERY_S = 0.04, 0.06
-"""Seconds that a camera is read at a time while Blender waits, and seconds between two such times."""
+"""Seconds for which Blender waits while part of a camera is read, and seconds between two such parts."""
 
 
 class BakesFinishedLift(OnLiftFolder, StartsTask):
-    """An operator that needs an engine, and a lift that is finished. It bakes the layers that the panel says."""
+    """An operator that needs an engine and a finished lift. It bakes the layers that the panel chooses."""
 
     has_undo_step = True
 
@@ -63,8 +63,8 @@ class PLGS_OT_bake_passes(BakesFinishedLift, bpy.types.Operator):
 
 
 class PLGS_OT_bake_camera(BakesFinishedLift, bpy.types.Operator):
-    """Render the passes of a finished lift as the active camera sees it over the frame range, as it is animated, in the
-    background. Frames that are baked already, from the same camera, are kept: so what was cancelled goes on"""
+    """Render the passes of a finished lift as the animated active camera sees it over the frame range, in the
+    background. Frames already baked from the same camera are kept, so a cancelled bake continues"""
 
     bl_idname, bl_label = "plgs.bake_camera", "Bake Active Camera, Frame Range"
 
@@ -90,7 +90,7 @@ class PLGS_OT_bake_camera(BakesFinishedLift, bpy.types.Operator):
         return lifting.bake_shot(context.scene, shot, self.lift_folder)
 
     def _begin_reading(self, context: bpy.types.Context) -> ShotReader:
-        # Now: by the time that it is read another scene may be shown.
+        # Now, because another scene may be shown by the time the camera is read.
         self.lift_folder = str(lifting.lift_at(context.scene.plgs, self.lift_folder).path)
         names = ("frame_start", "frame_end", "frame_step")
         first, last, step = (getattr(self, name) if self.properties.is_property_set(name) else None for name in names)
@@ -120,7 +120,7 @@ class PLGS_OT_bake_camera(BakesFinishedLift, bpy.types.Operator):
 
     def _read_on(self, context: bpy.types.Context, event: bpy.types.Event, shot: ShotReader) -> set[str]:
         if event.type == "ESC" and event.value == "PRESS":
-            self.report({"INFO"}, "The camera is not read any further, and nothing is baked")
+            self.report({"INFO"}, "Reading the camera was cancelled, and nothing is baked")
             return CANCELLED
         if event.type != "TIMER":
             return PASSED_ON
@@ -131,7 +131,7 @@ class PLGS_OT_bake_camera(BakesFinishedLift, bpy.types.Operator):
         return RUNNING
 
     def cancel(self, context: bpy.types.Context) -> None:
-        """Another file was opened, or the camera is read."""
+        """Clean up when another file is opened, or the camera has been read."""
         _show_progress(context, None)
         if self._timer is not None:
             context.window_manager.event_timer_remove(self._timer)
@@ -140,7 +140,7 @@ class PLGS_OT_bake_camera(BakesFinishedLift, bpy.types.Operator):
 
 class PLGS_OT_bake_on_farm(OnLiftFolder, Explained, bpy.types.Operator):
     """Write a job for Flamenco that bakes the active camera over the frame range on a render farm. The lift and this
-    file have to lie where the farm sees them"""
+    file must be where the farm can read them"""
 
     bl_idname, bl_label = "plgs.bake_on_farm", "Bake on Farm"
 
@@ -152,18 +152,18 @@ class PLGS_OT_bake_on_farm(OnLiftFolder, Explained, bpy.types.Operator):
     @reporting
     def execute(self, context: bpy.types.Context) -> set[str]:
         job = lifting.bake_on_farm(context.scene, self.lift_folder)
-        self.report({"INFO"}, f"Written for the farm, which bakes this file as it was saved: {job}")
+        self.report({"INFO"}, f"Job written for the farm, which bakes this file as it was last saved: {job}")
         return FINISHED
 
 
 def _show_progress(context: bpy.types.Context, text: str | None) -> None:
-    """Show a text in the status bar; None: what Blender shows there."""
+    """Show a text in the status bar; None: show Blender's own text again."""
     if context.workspace is not None:
         context.workspace.status_text_set(text)
 
 
 class PLGS_OT_show_passes(Explained, bpy.types.Operator):
-    """Go to the workspace Compositing with the passes of the active camera, or else those of the lift's frames"""
+    """Open the Compositing workspace with the passes of the active camera, or else those of the lift's frames"""
 
     bl_idname, bl_label, bl_options = "plgs.show_passes", "Open in Compositor", {"UNDO"}
 
@@ -181,7 +181,7 @@ class PLGS_OT_show_passes(Explained, bpy.types.Operator):
 
 
 class PLGS_OT_matte_instance(OnInstance, bpy.types.Operator):
-    """Let the matte of the passes' compositor be this instance"""
+    """Use this instance as the matte in the passes' compositor"""
 
     bl_idname, bl_label, bl_options = "plgs.matte_instance", "Matte", {"REGISTER", "UNDO"}
 
@@ -193,7 +193,7 @@ class PLGS_OT_matte_instance(OnInstance, bpy.types.Operator):
 
 
 class PLGS_OT_matte_class(OnClass, bpy.types.Operator):
-    """Let the matte of the passes' compositor be all of this class"""
+    """Use everything of this class as the matte in the passes' compositor"""
 
     bl_idname, bl_label, bl_options = "plgs.matte_class", "Matte", {"REGISTER", "UNDO"}
 

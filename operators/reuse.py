@@ -1,4 +1,4 @@
-"""Objects of a lift for other uses: as collections and assets, and keyed visible where frames show them."""
+"""Reusing a lift's objects: as collections and assets, and keyed visible in the frames that show them."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from .inspect import OnInstances
 
 
 class PLGS_OT_make_objects(OnInstances, bpy.types.Operator):
-    """Make the selected objects collections of their own, with points, mesh and box, to be moved and used elsewhere.
-    Where they stood a hole is left"""
+    """Turn each selected object into its own collection, with points, mesh and box, to be moved and used elsewhere. A
+    hole is left where it stood"""
 
     bl_idname, bl_label, bl_options = "plgs.make_objects", "Make Objects", {"REGISTER", "UNDO"}
 
@@ -31,7 +31,7 @@ class PLGS_OT_make_objects(OnInstances, bpy.types.Operator):
 
 
 class PLGS_OT_key_visibility(OnInstances, bpy.types.Operator):
-    """Let the selected objects be visible in those frames of the timeline alone whose masks show them"""
+    """Key the selected objects to be visible only in the timeline's frames whose masks show them"""
 
     bl_idname, bl_label, bl_options = "plgs.key_visibility", "Key Visibility", {"REGISTER", "UNDO"}
 

@@ -1,4 +1,4 @@
-"""Frames into Blender before anything is lifted: cameras, pictures and coloured points."""
+"""Importing frames into Blender before anything is lifted: cameras, pictures and coloured points."""
 
 from __future__ import annotations
 
@@ -35,25 +35,25 @@ from .base import (
 
 _PICTURES = [
     (PHOTO, "Photo", "What the frame's camera saw, half transparent"),
-    (DEPTH, "Depth", "How far surfaces are: light is near, dark is far, a line at each whole metre"),
+    (DEPTH, "Depth", "Distance to the surfaces: light is near, dark is far, with a line at each whole metre"),
     (MASKS, "Masks", "The frame's panoptic mask in its classes' colours"),
 ]
 
 
 class ImportsScene(SceneOptions, StartsTask):
-    """An operator that imports the panel's scene, with an engine for what Blender cannot make of it. What is not given
-    is as in the panel.
+    """An operator that imports the panel's scene, with an engine for what Blender cannot read. Options that are not
+    given are as in the panel.
     """
 
     cloud: BoolProperty(  # type: ignore[valid-type]
         name="Coloured Cloud", default=True, options={"SKIP_SAVE"},
-        description="Let an engine make a coloured cloud of the scene's depth",
+        description="Have an engine make a coloured cloud from the scene's depth",
     )  # fmt: skip
 
     properties: Any
 
     def into_settings(self, settings: Any) -> None:
-        """Let the panel say what was given."""
+        """Copy the given options to the panel."""
         for name in option_names(SceneOptions):
             if self.properties.is_property_set(name):
                 setattr(settings, name, getattr(self, name))
@@ -68,7 +68,7 @@ class ImportsScene(SceneOptions, StartsTask):
         if root is None:
             if error is not None:
                 raise error
-            self.report({"INFO"}, "An engine reads the scene: its cameras come when it is done")
+            self.report({"INFO"}, "An engine is reading the scene: its cameras appear when it is done")
             return FINISHED if is_making else CANCELLED
         cameras = sum("frame" in ob for ob in root.all_objects)
         lacking = "" if is_making else what_is_missing(root) if error is None else with_field_names(error)
@@ -79,18 +79,18 @@ class ImportsScene(SceneOptions, StartsTask):
 
 def _forget_other_scene(settings: Any) -> None:
     """Clear the panel's masks, depth, up and format before another scene is chosen: they belong to the earlier one."""
-    settings.scene_folder = ""  # otherwise each change would look at the earlier one
+    settings.scene_folder = ""  # otherwise each change would look at the earlier scene
     settings.masks, settings.depth, settings.up, settings.format = "", "", "z", AUTOMATIC
 
 
 class PLGS_OT_import_scene(ImportsScene, bpy.types.Operator):
-    """Put a camera with its picture into the scene for each frame, and coloured points. Nothing is lifted"""
+    """Add a camera with its picture for each frame, and coloured points. Nothing is lifted"""
 
     bl_idname, bl_label, bl_options = "plgs.import_scene", "Import Cameras and Images", {"UNDO"}
 
     scene_folder: StringProperty(  # type: ignore[valid-type]
         name="Scene", subtype="DIR_PATH", options={"SKIP_SAVE"},
-        description="The scene's folder or file; empty: the one of the panel",
+        description="The scene's folder or file; empty: the panel's",
     )  # fmt: skip
 
     @classmethod
@@ -113,7 +113,7 @@ class PLGS_OT_browse_scene(ImportsScene, bpy.types.Operator):
 
     filepath: StringProperty(  # type: ignore[valid-type]
         name="File", subtype="FILE_PATH", options={"SKIP_SAVE"},
-        description="The scene's file, any file out of its folder, or the folder itself",
+        description="The scene's file, any file in its folder, or the folder itself",
     )  # fmt: skip
     filter_glob: StringProperty(  # type: ignore[valid-type]
         default=";".join(f"*{suffix}" for suffix in FILE_SUFFIXES), options={"HIDDEN", "SKIP_SAVE"}
@@ -140,7 +140,7 @@ class PLGS_OT_browse_scene(ImportsScene, bpy.types.Operator):
 
 
 class PLGS_OT_show_picture(StartsTask, bpy.types.Operator):
-    """Show the photo, the depth or the masks of the active camera's frame before what it sees"""
+    """Show the photo, the depth or the masks of the active camera's frame in front of its view"""
 
     bl_idname, bl_label, bl_options = "plgs.show_picture", "Show Picture", {"UNDO"}
 
@@ -155,7 +155,7 @@ class PLGS_OT_show_picture(StartsTask, bpy.types.Operator):
     @classmethod
     def why_not(cls, context: bpy.types.Context) -> str | None:
         if registry.running(FrameMaking):
-            return "An engine makes frames just now: wait until it is done, or cancel it"
+            return "An engine is making frames: wait until it is done, or cancel it"
         return why_no_picture(context.scene)
 
     @reporting_events
@@ -171,12 +171,12 @@ class PLGS_OT_show_picture(StartsTask, bpy.types.Operator):
     def tell(self, context: bpy.types.Context, task: Task | None) -> set[str]:
         span = range_shown(context.scene.camera)
         if (task is None or task.has_finished) and span is not None:
-            self.report({"INFO"}, f"Depth from {span[0]:.2f} to {span[1]:.2f} m, a line at each whole metre")
+            self.report({"INFO"}, f"Depth from {span[0]:.2f} to {span[1]:.2f} m, with a line at each whole metre")
         return super().tell(context, task)
 
 
 class PLGS_OT_cancel_frames(CancelsTask, bpy.types.Operator):
-    """Stop making pictures and the cloud. What is made already is kept: importing again goes on"""
+    """Stop making pictures and the cloud. Finished ones are kept: importing again continues"""
 
     bl_idname, bl_label, bl_options = "plgs.cancel_frames", "Cancel", {"INTERNAL"}
     cancelled_kind = FrameMaking
@@ -203,7 +203,7 @@ class PLGS_OT_open_dropped(bpy.types.Operator):
 
     filepath: StringProperty(  # type: ignore[valid-type]
         name="File", subtype="FILE_PATH", options={"SKIP_SAVE"},
-        description="Any file out of a scene's or a lift's folder, or the folder itself",
+        description="Any file in a scene's or a lift's folder, or the folder itself",
     )  # fmt: skip
 
     @reporting
@@ -221,7 +221,7 @@ class PLGS_OT_open_dropped(bpy.types.Operator):
 
 
 class PLGS_FH_scene(bpy.types.FileHandler):
-    """A file of a scene or a lift, dropped on a 3D view, opens what it is part of"""
+    """Opens the scene or the lift that a file dropped on a 3D view belongs to"""
 
     bl_idname, bl_label = "PLGS_FH_scene", "PLGS scene or lift"
     bl_import_operator, bl_file_extensions = "plgs.open_dropped", ";".join(FILE_SUFFIXES)

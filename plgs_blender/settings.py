@@ -1,4 +1,4 @@
-"""What the user chose in the panel: kept with the scene in the .blend, undone with it."""
+"""What the user chose in the panel, which is saved with the scene in the .blend and undone with it."""
 
 from __future__ import annotations
 
@@ -27,19 +27,19 @@ from .paths import absolute
 from .scene_formats import AUTOMATIC, FORMAT_ITEMS, MASK_FORMAT_ITEMS
 
 _PRESETS = [
-    ("preview", "Preview", "Minutes: to see whether frames, poses and masks fit together"),
-    ("standard", "Standard", "The best result, in a few times the minutes"),
-    ("paper", "Paper", "The paper's own way and number of steps: hours"),
+    ("preview", "Preview", "Takes minutes: to see whether frames, poses and masks fit together"),
+    ("standard", "Standard", "The best result, in a few times as many minutes"),
+    ("paper", "Paper", "The paper's own method and number of steps: takes hours"),
 ]
 UPS = [
-    ("z", "Automatic", "What the capture's format says, else the poses' z axis"),
+    ("z", "Automatic", "The axis that the capture's format says, else the poses' z axis"),
     ("+z", "Z", "The poses' z axis points up, whatever the capture's format says"),
     ("y", "Y", "The poses' y axis points up"),
     ("-y", "-Y", "The poses' y axis points down, as in a camera"),
 ]
 _LAYERS = [
-    ("normal", "Normal", "The surface's normal, a third more on the disk"),
-    ("position", "Position", "The surface's place in the world, more than as much again on the disk"),
+    ("normal", "Normal", "The surface's normal; takes a third more disk space"),
+    ("position", "Position", "The surface's position in the world; more than doubles the disk space"),
 ]
 _BAKES = [
     ("test", "Held-out frames", "Bake the passes of the frames that are held out of training"),
@@ -47,19 +47,19 @@ _BAKES = [
     ("none", "None", "Bake no passes; they can be baked later"),
 ]
 _DEVICES = [
-    ("cpu", "CPU", "Draw the Gaussians on the processor"),
-    ("cuda", "CUDA", "Draw them on an NVIDIA GPU, with gsplat in the engine's Python. Untested: no GPU was at hand"),
+    ("cpu", "CPU", "Render the Gaussians on the processor"),
+    ("cuda", "CUDA", "Render them on an NVIDIA GPU, with gsplat in the engine's Python. Untested: we had no GPU"),
 ]
 
 _FORMATS = {name for name, *_ in FORMAT_ITEMS}
 _MASK_FORMATS = {name for name, *_ in MASK_FORMAT_ITEMS}
 _PATHS = ("lift_folder", "scene_folder", "masks", "depth")
 _SKIP_SAVE = {"SKIP_SAVE"}
-"""So that an operator does not remember what a script once gave it."""
+"""So that an operator does not remember what a script once passed to it."""
 
 Listener = Callable[["PLGS_PG_settings"], None]
 on_scene_chosen: list[Listener] = []
-"""Called with the settings when what they say of a scene has changed."""
+"""Called with the settings when what they say about a scene has changed."""
 on_lift_chosen: list[Listener] = []
 """Called with the settings when their lift folder has changed."""
 
@@ -81,11 +81,11 @@ class SceneOptions:
 
     format: EnumProperty(  # type: ignore[valid-type]
         options=_SKIP_SAVE, name="Format", items=FORMAT_ITEMS, default=AUTOMATIC, update=_tell_of_scene,
-        description="How the scene is laid out, where its looks do not tell",
+        description="How the scene is laid out, if its files do not tell",
     )  # fmt: skip
     masks: StringProperty(  # type: ignore[valid-type]
         options=_SKIP_SAVE, name="Masks", subtype="FILE_PATH", update=_tell_of_scene,
-        description="Panoptic masks that lie elsewhere than in the scene's folder",
+        description="Panoptic masks that are not in the scene's folder",
     )  # fmt: skip
     mask_format: EnumProperty(  # type: ignore[valid-type]
         options=_SKIP_SAVE, name="Mask format", items=MASK_FORMAT_ITEMS, default=AUTOMATIC, update=_tell_of_scene,
@@ -98,7 +98,7 @@ class SceneOptions:
     )  # fmt: skip
     depth: StringProperty(  # type: ignore[valid-type]
         options=_SKIP_SAVE, name="Depth maps", subtype="DIR_PATH", update=_tell_of_scene,
-        description="Folder of a network's depth maps, one a frame, fitted to the sparse points where there are some",
+        description="Folder of a network's depth maps, one per frame; they are fitted to the sparse points, if any",
     )  # fmt: skip
     up: EnumProperty(  # type: ignore[valid-type]
         options=_SKIP_SAVE, name="Up", items=UPS, default="z", update=_tell_of_scene,
@@ -107,9 +107,9 @@ class SceneOptions:
 
 
 class LiftOptions(SceneOptions):
-    """What a lift is asked for: properties of the settings and of the operator that starts one.
+    """The options of a lift: properties of the settings and of the operator that starts one.
 
-    Zero for steps, width, height and frames leaves them to the preset.
+    Zero for steps, width, height or frames means the preset's value.
     """
 
     scene_folder: StringProperty(  # type: ignore[valid-type]
@@ -120,36 +120,36 @@ class LiftOptions(SceneOptions):
         options=_SKIP_SAVE, name="Preset", items=_PRESETS, default="preview", description="How much work to spend"
     )
     steps: IntProperty(  # type: ignore[valid-type]
-        options=_SKIP_SAVE, name="Steps", min=0, max=10_000_000, description="Training steps; 0 takes the preset's"
+        options=_SKIP_SAVE, name="Steps", min=0, max=10_000_000, description="Training steps; 0 uses the preset's"
     )
     width: IntProperty(  # type: ignore[valid-type]
         options=_SKIP_SAVE, name="Width", min=0, max=LONGEST_SIDE, subtype="PIXEL",
-        description=f"Frames are brought within this width, at least {SHORTEST_SIDE}; 0 takes the preset's",
+        description=f"Frames are scaled to fit this width, at least {SHORTEST_SIDE}; 0 uses the preset's",
     )  # fmt: skip
     height: IntProperty(  # type: ignore[valid-type]
         options=_SKIP_SAVE, name="Height", min=0, max=LONGEST_SIDE, subtype="PIXEL",
-        description=f"Frames are brought within this height, at least {SHORTEST_SIDE}; 0 takes the preset's",
+        description=f"Frames are scaled to fit this height, at least {SHORTEST_SIDE}; 0 uses the preset's",
     )  # fmt: skip
     frames: IntProperty(  # type: ignore[valid-type]
         options=_SKIP_SAVE, name="Frames", min=-1, max=1_000_000,
-        description="Train on at most so many frames, the sharpest of each stretch; 0 takes the preset's, -1 all",
+        description="Train on at most this many frames, the sharpest of each stretch; 0 uses the preset's, -1 all",
     )  # fmt: skip
     fit: BoolProperty(  # type: ignore[valid-type]
-        options=_SKIP_SAVE, name="Fit memory", description="Train on fewer frames where memory would not do otherwise"
+        options=_SKIP_SAVE, name="Fit memory", description="Train on fewer frames if memory would run out otherwise"
     )
     seed: IntProperty(  # type: ignore[valid-type]
-        options=_SKIP_SAVE, name="Seed", min=0, max=2**31 - 1, description="Start of all chance: same seed, same result"
+        options=_SKIP_SAVE, name="Seed", min=0, max=2**31 - 1, description="The same seed gives the same result"
     )
     bake: EnumProperty(  # type: ignore[valid-type]
         options=_SKIP_SAVE, name="Bake", items=_BAKES, default="test",
         description="Which frames become compositor passes",
     )  # fmt: skip
     device: EnumProperty(  # type: ignore[valid-type]
-        options=_SKIP_SAVE, name="Device", items=_DEVICES, default="cpu", description="Where the Gaussians are drawn"
+        options=_SKIP_SAVE, name="Device", items=_DEVICES, default="cpu", description="Where the Gaussians are rendered"
     )
     preset_options: StringProperty(  # type: ignore[valid-type]
         options=_SKIP_SAVE, name="Changed",
-        description="Any options of the preset, such as: weights.depth=0 objects=boxes; empty takes the preset's",
+        description="Any options of the preset, such as: weights.depth=0 objects=boxes; empty uses the preset's",
     )  # fmt: skip
     lift_folder: StringProperty(  # type: ignore[valid-type]
         options=_SKIP_SAVE, name="Lift folder", subtype="DIR_PATH", update=_tell_of_lift,
@@ -157,7 +157,7 @@ class LiftOptions(SceneOptions):
     )  # fmt: skip
     keep_names: BoolProperty(  # type: ignore[valid-type]
         options=_SKIP_SAVE, name="Keep names", default=True,
-        description="Objects that the lift shown in this scene has found already keep their names and ids",
+        description="Objects that the lift shown in this scene already found keep their names and ids",
     )  # fmt: skip
     keep_running: BoolProperty(  # type: ignore[valid-type]
         options=_SKIP_SAVE,
@@ -171,19 +171,19 @@ class PLGS_PG_settings(LiftOptions, bpy.types.PropertyGroup):
 
     live_preview: BoolProperty(  # type: ignore[valid-type]
         name="Live preview", default=True,
-        description="While it lifts, show what the scene's active camera sees in the model, when looking through it",
+        description="During a lift, show what the scene's active camera sees of the model, when looking through it",
     )  # fmt: skip
     layers: EnumProperty(  # type: ignore[valid-type]
         name="Layers", items=_LAYERS, options={"ENUM_FLAG"},
-        description="Layers that passes get beside colour, depth, class, instance, confidence and Cryptomatte",
+        description="Layers that passes get in addition to colour, depth, class, instance, confidence and Cryptomatte",
     )  # fmt: skip
     place_when_done: BoolProperty(  # type: ignore[valid-type]
-        name="Show when done", default=True, description="Put the result into this scene as soon as it is there"
+        name="Show when done", default=True, description="Put the result into this scene as soon as it is finished"
     )
 
 
 def option_names(options: type) -> list[str]:
-    """The names of the properties of such a class and of those below it."""
+    """The names of the properties of such a class and of its base classes."""
     return [name for each in reversed(options.__mro__) for name in each.__dict__.get("__annotations__", ())]
 
 
@@ -215,8 +215,8 @@ def request_of(settings: PLGS_PG_settings) -> LiftRequest:
 
 
 def asked_of_preset(settings: PLGS_PG_settings) -> tuple[Any, dict[str, Any]]:
-    """The name of the preset and its changed options. Fields win over the same among all options. Raises PlgsError for
-    an unknown name or a bad value."""
+    """The name of the preset and its changed options. A field wins over the same option in the text. Raises PlgsError
+    for an unknown name or a bad value."""
     changed = parsed_options(settings.preset_options.split())
     if settings.steps:
         changed["steps"] = settings.steps
@@ -229,7 +229,7 @@ def asked_of_preset(settings: PLGS_PG_settings) -> tuple[Any, dict[str, Any]]:
 
 
 def why_no_options(settings: PLGS_PG_settings) -> str | None:
-    """What is wrong with the options that the settings change; None when they can be."""
+    """What is wrong with the options that the settings change; None when nothing is."""
     try:
         asked_of_preset(settings)
     except PlgsError as error:
@@ -248,7 +248,7 @@ def shown_preset(settings: PLGS_PG_settings) -> list[tuple[str, str, bool]]:
 
 
 def adopt(settings: PLGS_PG_settings, request: LiftRequest, folder: Path) -> None:
-    """Let the settings say what the lift in `folder` was asked for."""
+    """Set the settings to what the lift in `folder` was asked for."""
     options: dict[str, Any] = dict(request.options)
     steps, (width, height), frames = options.pop("steps", 0), options.pop("size", (0, 0)), options.pop("frames", None)
     asked: dict[str, str | int] = {
@@ -274,7 +274,7 @@ def adopt(settings: PLGS_PG_settings, request: LiftRequest, folder: Path) -> Non
     for name, value in asked.items():
         now = getattr(settings, name)
         is_same_path = name in _PATHS and now and value and absolute(now) == Path(str(value))
-        if now != value and not is_same_path:  # each assignment lets the folder be looked at anew
+        if now != value and not is_same_path:  # each assignment makes us look at the folder again
             setattr(settings, name, value)
 
 

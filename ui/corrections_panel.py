@@ -1,4 +1,4 @@
-"""Correct: what mends the objects of a lift, under its list."""
+"""Correct: buttons that correct a lift's objects, below its list."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from .result_panel import OfResult
 from .sidebar import draw_task, from_panel, tell
 
 _SHOWN = 4
-"""Proposals that the panel shows at a time."""
+"""How many proposals the panel shows at a time."""
 
 
 class PLGS_PT_corrections(OfResult, bpy.types.Panel):
@@ -99,7 +99,7 @@ class PLGS_MT_paint_new(OfClasses, bpy.types.Menu):
 
 
 class PLGS_MT_paint_class(OfClasses, bpy.types.Menu):
-    """Paint points of a class that are no object's"""
+    """Paint points of a class that belong to no object"""
 
     bl_idname, bl_label, to = "PLGS_MT_paint_class", "Class", "CLASS"
 

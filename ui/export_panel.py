@@ -1,4 +1,4 @@
-"""5 Export: the lift in forms that other programs read, and its meshes in the scene; also in File > Export."""
+"""5 Export: the lift in formats that other programs read, and its meshes in the scene; also in File > Export."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""2 Lift: how much work to spend, what it will cost, and how far it is."""
+"""2 Lift: how much work to spend, what it will cost, and its progress."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ class PLGS_PT_lift(Step, bpy.types.Panel):
         elif folder is not None and (refusal := lifts.refusal_of(folder)) is not None:
             tell(layout, context, refusal if isinstance(refusal, PlgsError) else str(refusal), "ERROR")
         elif folder is not None and not lifts.is_nothing_there(folder):
-            # A file that was opened names it: nothing there is looked at unasked.
+            # The opened file names it: nothing there is read unless the user asks.
             from_panel(layout.row(), context).operator("plgs.watch_lift", text="Look at the Lift", icon="VIEWZOOM")
 
 
@@ -69,14 +69,14 @@ class PLGS_PT_lift_options(Sidebar, bpy.types.Panel):
         fixed = layout.column()
         fixed.enabled = not is_running
         if is_running:
-            tell(fixed, context, "A lift that runs keeps its options", "INFO")
+            tell(fixed, context, "A running lift keeps its options", "INFO")
         column = fixed.column(align=True)
         for name in NAMES:
             _draw_used(column, context, name)
         column.prop(settings, "seed")
         for name in ("fit", "bake", "keep_names"):
             fixed.prop(settings, name)
-        column = layout.column(heading="While it lifts")
+        column = layout.column(heading="During the lift")
         if not is_running:  # else it is above
             column.prop(settings, "live_preview")
         column.prop(settings, "place_when_done")
@@ -155,7 +155,7 @@ def _draw_other(layout: bpy.types.UILayout, other: Lift) -> None:
 
 
 def _draw_engine(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
-    """Draw what is wrong with the engine and the way to the button that mends it; nothing when it answers."""
+    """Draw what is wrong with the engine and a button to where it is fixed; nothing when the engine answers."""
     engine = engine_environment.status()
     if engine.is_usable:
         return
@@ -165,16 +165,16 @@ def _draw_engine(layout: bpy.types.UILayout, context: bpy.types.Context) -> None
 
 
 def _draw_preview_hint(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
-    """Say what is missing to see the live preview."""
+    """Say what is needed to see the live preview."""
     view = getattr(context.space_data, "region_3d", None)
     if camera_seen(context.scene) is None:
-        tell(layout, context, "To see it grow, give the scene a camera in perspective", "INFO")
+        tell(layout, context, "To see it grow, give the scene a perspective camera", "INFO")
     elif view is None or view.view_perspective != "CAMERA":
         tell(layout, context, "To see it grow, look through the scene's camera (numpad 0)", "INFO")
 
 
 def _draw_ending(layout: bpy.types.UILayout, context: bpy.types.Context, followed: Lift) -> None:
-    """Draw how the lift of the panel ended, and the buttons for what can be done now."""
+    """Draw how the panel's lift ended, and buttons for what can be done now."""
     path, error = str(followed.folder.path), followed.error
     if error is None:
         box = layout.box()

@@ -11,9 +11,9 @@ from ..plgs_blender.errors import one_line
 from ..plgs_blender.inspecting.looks import CLASSES as BY_CLASS
 
 _SORTS = [
-    ("NAME", "Name", "In the order of the alphabet"),
-    ("COUNT", "Points", "Those with most points first"),
-    ("SCORE", "Score", "The surest first"),
+    ("NAME", "Name", "In alphabetical order"),
+    ("COUNT", "Points", "Those with the most points first"),
+    ("SCORE", "Score", "The highest score first"),
 ]
 
 
@@ -22,7 +22,7 @@ class Searchable:
 
     order: Any
     bitflag_filter_item: int
-    """Blender's mark of a row that is shown."""
+    """Blender's flag for a row that is shown."""
 
     def draw_filter(self, _context: bpy.types.Context, layout: bpy.types.UILayout) -> None:
         row = layout.row(align=True)
@@ -36,7 +36,7 @@ class Searchable:
 
 
 def shown_rows(names: list[str], search: str, flag: int) -> list[int]:
-    """`flag` for each name that holds all words of `search`, in any case, and 0 for the others."""
+    """`flag` for each name that contains all words of `search`, ignoring case, and 0 for the others."""
     words = search.casefold().split()
     return [flag if all(word in name.casefold() for word in words) else 0 for name in names]
 
@@ -64,8 +64,8 @@ def short_count(number: int) -> str:
 
 
 def _swatch_name_numbers(layout: Any, row: Any, coloured: Any) -> Any:
-    """Draw the beginning of a row of instances or of classes, with the colour of `coloured`, the row itself or its
-    class's; the layout for the rest.
+    """Draw the beginning of an instance's or a class's row, with the colour of `coloured`: the row itself or its
+    class's. Returns the layout for the rest.
     """
     line = layout.row(align=True)
     swatch = line.row()

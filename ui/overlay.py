@@ -1,7 +1,7 @@
-"""What is drawn over the 3D views: the growing model before the camera, the way of the frames' cameras, the selected
-instance's points, the outline of a mask, what is painted, labels and a legend.
+"""What is drawn over the 3D views: the growing model in front of the camera, the path of the frames' cameras, the
+selected instance's points, the outline of a mask, what is painted, labels and a legend.
 
-Each view is drawn many times a second, so everything is read from Blender's data: nothing from disk, nothing written.
+Each view is drawn many times a second, so everything is read from Blender's data: no disk access, no writing.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ def _draw_in_space() -> None:
         row = next((row for row in lists.instances if row.instance_id == number), None)
         if row is None or not lists.show_selected:
             continue
-        # A mask's outline tells more than points, and leaves the photo to see.
+        # A mask's outline shows more than points do, and leaves the photo visible.
         is_outlined = row == _outlined(context, root)
         # The points lie on the surface and among the splats, so they mark these too.
         seen = highlight.NOTHING if is_outlined else highlight.highlight_of(
@@ -71,7 +71,7 @@ def _draw_in_space() -> None:
 
 
 def _draw_cameras_path(context: bpy.types.Context, root: bpy.types.Collection) -> None:
-    """Draw the way of the frames' cameras that are seen, unless somebody looks through a camera."""
+    """Draw the path of the visible frames' cameras, unless the view looks through a camera."""
     if context.region_data.view_perspective == "CAMERA":
         return
     frames = [ob for key, ob in objects_by_key(root).items() if key.startswith("frame:")]
@@ -105,7 +105,7 @@ def _draw_on_top() -> None:
 
 
 def shows_classes(context: bpy.types.Context) -> bool:
-    """Whether somebody looks at masks, or at the live preview, through the scene's camera."""
+    """Whether the view looks at masks, or at the live preview, through the scene's camera."""
     camera = context.scene.camera
     if camera is None or context.region_data.view_perspective != "CAMERA":
         return False
@@ -119,7 +119,7 @@ def classes_of_scene(scene: bpy.types.Scene) -> tuple[tuple[str, Colour], ...]:
 
 
 def _draw_preview(context: bpy.types.Context) -> None:
-    """Draw the live preview over the frame of the scene's camera while somebody looks through it."""
+    """Draw the live preview over the frame of the scene's camera while the view looks through it."""
     space, scene = context.space_data, context.scene
     looks = space.camera if space.use_local_camera else scene.camera
     if context.region_data.view_perspective != "CAMERA" or looks != scene.camera:
@@ -133,7 +133,7 @@ def _draw_preview(context: bpy.types.Context) -> None:
 
 
 def _draw_mask(context: bpy.types.Context, root: bpy.types.Collection, region: ViewRegion) -> None:
-    """Draw the outline of the chosen mask while somebody looks through the camera of its frame."""
+    """Draw the outline of the chosen mask while the view looks through the camera of its frame."""
     camera, row = context.scene.camera, _outlined(context, root)
     if camera is None or row is None:
         return
@@ -145,7 +145,7 @@ def _draw_mask(context: bpy.types.Context, root: bpy.types.Collection, region: V
 
 
 def _outlined(context: bpy.types.Context, root: bpy.types.Collection) -> Any:
-    """The chosen instance's row, if somebody looks through the camera of its chosen mask's frame."""
+    """The chosen instance's row, if the view looks through the camera of its chosen mask's frame."""
     lists, camera = root.plgs, context.scene.camera
     if context.region_data.view_perspective != "CAMERA" or not 0 <= lists.instance_index < len(lists.instances):
         return None

@@ -1,4 +1,4 @@
-"""The add-on's preferences: whether an engine answers, and the buttons that get one."""
+"""The add-on's preferences: whether an engine answers, and the buttons that set one up."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class PLGS_AP_preferences(bpy.types.AddonPreferences):
     )
     index_url: StringProperty(  # type: ignore[valid-type]
         name="Package index",
-        description="URL of the package index to download from. Empty: where pip looks by itself, "
+        description="URL of the package index to download from. Empty: where pip is configured to look, "
         "and PyTorch's public index for its CPU build",
     )
 
@@ -84,7 +84,7 @@ class PLGS_AP_preferences(bpy.types.AddonPreferences):
 def _draw_status(layout: bpy.types.UILayout, context: bpy.types.Context, is_set_up_running: bool) -> None:
     engine = status()
     tell(layout, context, engine.message, _ICONS[engine.state])
-    # The reason why the button is grey, where somebody needs it.
+    # Say why the button is grey, if the user needs that button.
     obstacle = None if engine.is_usable or is_set_up_running else tasks.why_no_set_up()
     for text in (engine.fix, engine.note, obstacle):
         if text:

@@ -13,7 +13,7 @@ from .sidebar import Sidebar, Step, from_panel, tell
 
 
 def _lift(context: bpy.types.Context) -> bpy.types.Collection | None:
-    """The lift that the panels show, None when nothing was lifted yet."""
+    """The lift that the panels show, None when nothing has been lifted yet."""
     root = active_lift(context.scene, context.active_object)
     return root if root is not None and len(root.plgs.classes) else None
 
@@ -29,7 +29,7 @@ class PLGS_PT_result(Step, bpy.types.Panel):
     def draw(self, context: bpy.types.Context) -> None:
         layout, root = self.layout, _lift(context)
         if root is None:
-            tell(layout, context, "Nothing is lifted yet. Start a lift above, or open a finished one.", "INFO")
+            tell(layout, context, "Nothing has been lifted yet. Start a lift above, or open a finished one.", "INFO")
             layout.operator("plgs.open_lift", text="Open Lift…", icon="FILE_FOLDER")
             return
         lists, row = root.plgs, _chosen(context)
@@ -61,7 +61,7 @@ def _draw_heads(layout: bpy.types.UILayout, left: str, right: str) -> None:
 
 
 def _draw_look(column: bpy.types.UILayout, root: bpy.types.Collection) -> None:
-    """What the colours mean, and as what the lift is shown: a button makes what is not there yet."""
+    """Draw what the colours mean, and how the lift is shown: a button makes what is not there yet."""
     column.grid_flow(row_major=True, columns=2, even_columns=True, align=True).prop(root.plgs, "look", expand=True)
     row = column.row(align=True)
     for kind, label in ((POINTS, "Points"), (SPLATS, "Splats"), (SURFACE, "Surface")):
@@ -73,7 +73,7 @@ def _draw_look(column: bpy.types.UILayout, root: bpy.types.Collection) -> None:
 
 
 class OfResult(Sidebar):
-    """A closed part of the result's panel, shown once something was lifted."""
+    """A part of the result's panel, closed at first, and shown once something has been lifted."""
 
     bl_parent_id, bl_options = "PLGS_PT_result", {"DEFAULT_CLOSED"}
 
@@ -121,7 +121,7 @@ class PLGS_PT_classes(OfResult, bpy.types.Panel):
 
 
 class PLGS_PT_not_shown(OfResult, bpy.types.Panel):
-    """What the masks show well from near, and the lift does not: no lift is silently worse than its masks."""
+    """What the masks show well from close up and the lift does not: no lift is silently worse than its masks."""
 
     bl_idname, bl_label = "PLGS_PT_not_shown", "Not Shown"
 

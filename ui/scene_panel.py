@@ -1,4 +1,4 @@
-"""1 Scene: which folder, what is in it and what is wrong with it, its masks, its cameras and images into Blender."""
+"""1 Scene: which folder, what is in it and what is wrong with it, its masks, and importing its cameras and images."""
 
 from __future__ import annotations
 
@@ -114,7 +114,7 @@ class PLGS_PT_diagnosis(Sidebar, bpy.types.Panel):
         row.operator("plgs.diagnose", icon="VIEWZOOM")
         row.operator("plgs.fix_scene", icon="TOOL_SETTINGS")
         if known is None:
-            tell(layout, context, "Measures whether poses, depth and lens fit together", "INFO")
+            tell(layout, context, "Checks whether poses, depth and lens fit together", "INFO")
             return
         draw_task(layout, context, known)
         if not known.is_running:
@@ -147,7 +147,7 @@ class PLGS_PT_frames(Sidebar, bpy.types.Panel):
 
 
 def _draw_poses(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
-    """Draw the button that finds poses and what the engine lacks for it, or how far that is."""
+    """Draw the button that finds poses and what the engine lacks for it, or the progress."""
     making = registry.latest(PoseMaking)
     if making is not None and making.is_running:
         layout.alert = False
@@ -160,7 +160,7 @@ def _draw_poses(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
 
 
 def _survey(context: bpy.types.Context) -> Survey | None:
-    """What is known of the panel's scene."""
+    """What is known about the panel's scene."""
     settings = context.scene.plgs
     return survey_of(chosen_scene(settings)) if settings.scene_folder else None
 
@@ -193,7 +193,7 @@ def _depth(survey: Survey) -> str:
 
 def _draw_findings(layout: bpy.types.UILayout, context: bpy.types.Context, known: Diagnosis) -> None:
     if not known.findings and known.error is None:
-        tell(layout, context, f"Nothing is wrong in {known.looked} of {known.frames} frames", "CHECKMARK")
+        tell(layout, context, f"No problem found; checked {known.looked} of {known.frames} frames", "CHECKMARK")
     for number, finding in enumerate(known.findings):
         box = layout.box()
         row = box.row()
@@ -205,7 +205,7 @@ def _draw_findings(layout: bpy.types.UILayout, context: bpy.types.Context, known
 
 
 def _frame_making(context: bpy.types.Context) -> FrameMaking | None:
-    """The task that makes frames, or that failed with frames of the panel's scene or of the active camera's."""
+    """The task that makes frames, or that failed to make those of the panel's scene or of the active camera's."""
     making, settings, ob = registry.latest(FrameMaking), context.scene.plgs, context.scene.camera
     if making is None or making.is_running:
         return making

@@ -1,4 +1,4 @@
-"""The panel Lift Panoptic Masks in the tab PLGS of the 3D view's sidebar, and what its parts share."""
+"""The Lift Panoptic Masks panel in the PLGS tab of the 3D view's sidebar, and what its parts share."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ from ..plgs_blender.tasks import registry
 from ..plgs_blender.tasks.registry import Task
 
 _PIXELS_A_LETTER = 7.0
-"""Mean width in pixels of a letter of the interface's font at scale 1."""
+"""Mean width in pixels of a letter in the interface's font at scale 1."""
 _MENDING_OPERATORS = {
     ErrorCode.NO_ENGINE: "plgs.show_preferences",
     ErrorCode.NO_MASKS: "plgs.make_masks",
     ErrorCode.NOT_FINISHED: "plgs.resume_lift",
     ErrorCode.DAMAGED: "plgs.resume_lift",
 }
-"""The operator whose button mends an error of this code."""
+"""The operator whose button fixes an error with this code."""
 
 
 class Sidebar:
-    """The place of our panels."""
+    """Where our panels are."""
 
     bl_space_type, bl_region_type, bl_category = "VIEW_3D", "UI", "PLGS"
 
@@ -54,7 +54,7 @@ def tell(
 
 
 def draw_task(layout: bpy.types.UILayout, context: bpy.types.Context, task: Task) -> None:
-    """Draw any task: its progress with Cancel while it runs, its error with what mends it afterwards."""
+    """Draw any task: its progress and Cancel while it runs; afterwards its error and what fixes it."""
     if task.is_running:
         _draw_progress(layout, context, task)
     elif task.error is not None:
@@ -62,7 +62,7 @@ def draw_task(layout: bpy.types.UILayout, context: bpy.types.Context, task: Task
 
 
 def draw_error(layout: bpy.types.UILayout, context: bpy.types.Context, error: PlgsError) -> bpy.types.UILayout:
-    """Draw an error with the fields that it names and the button that mends it, and return their box."""
+    """Draw an error with the fields that it names and the button that fixes it, and return their box."""
     box = layout.box()
     box.alert = True
     tell(box, context, error, "ERROR")
@@ -85,7 +85,7 @@ def draw_lacking(layout: bpy.types.UILayout, context: bpy.types.Context, name: s
 
 
 def draw_adding(layout: bpy.types.UILayout, context: bpy.types.Context, name: str) -> None:
-    """Draw the button that adds a part to the engine, or how far that is, and why it failed."""
+    """Draw the button that adds a part to the engine, or the progress, and why it failed."""
     adding = registry.latest(Adding)
     if adding is not None and adding.name == name:
         draw_task(layout, context, adding)
@@ -104,7 +104,7 @@ def _draw_progress(layout: bpy.types.UILayout, context: bpy.types.Context, task:
     counted = f"{progress.step} of {progress.steps}" if task.counts_steps else f"{100 * share:.0f} %"
     layout.progress(factor=share, type="BAR", text=counted if progress.steps else "...")
     if progress.stage == "train" and not progress.step:
-        tell(layout, context, "The first step compiles kernels, once on each computer: up to two minutes", "INFO")
+        tell(layout, context, "The first step compiles kernels, once per computer: up to two minutes", "INFO")
     about = [] if progress.loss is None else [f"Loss {progress.loss:.4f}"]
     took = time.monotonic() - task.began
     about.append(duration(took) if progress.eta_s is None else f"{duration(progress.eta_s)} left")
@@ -126,13 +126,13 @@ def _draw_progress(layout: bpy.types.UILayout, context: bpy.types.Context, task:
 
 
 def from_panel(layout: bpy.types.UILayout, context: bpy.types.Context) -> bpy.types.UILayout:
-    """Let the panel's settings decide whether buttons in a layout are grey. For a script its arguments decide."""
+    """Let the panel's settings decide whether buttons in a layout are grey. In a script, its arguments decide."""
     layout.context_pointer_set("plgs_panel", context.scene.plgs)
     return layout
 
 
 def draw_log(layout: bpy.types.UILayout, lines: tuple[str, ...]) -> None:
-    """Draw the end of a log, in small lines."""
+    """Draw the end of a log in small text."""
     column = layout.column(align=True)
     column.scale_y = 0.7
     column.active = False

@@ -31,7 +31,7 @@ def root(lift: Path) -> bpy.types.Collection:
 
 @pytest.mark.parametrize("name", NAMES)
 def test_without_a_lift_each_says_why_it_is_grey(name: str) -> None:
-    with pytest.raises(RuntimeError, match="no result of a lift yet"):
+    with pytest.raises(RuntimeError, match="no lift result yet"):
         getattr(bpy.ops.plgs, name)()
 
 
