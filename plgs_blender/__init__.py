@@ -10,8 +10,8 @@ from types import ModuleType
 
 
 def _modules() -> tuple[ModuleType, ...]:
-    """The modules that Blender has to know, in order. They are imported late: a script that only reads a result needs
-    none of them."""
+    """The modules that Blender has to know about, in order. They are imported late: a script that only reads a result
+    needs none of them."""
     from . import corrections, mask_classes, settings, timeline
     from .engine_environment import tasks
     from .inspecting import lists, selection

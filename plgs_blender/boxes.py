@@ -26,8 +26,8 @@ _BAR = 0.018
 def place_boxes(
     owned: OwnedDataBlocks, parent: bpy.types.Collection, instances: Iterable[Instance]
 ) -> list[bpy.types.Object]:
-    """One mesh object an instance, named as the engine named it, of its true size (object scale 1). Where an object is
-    as it was, its box stays where the user moved it, under the name that the user gave it."""
+    """One mesh object per instance, with the engine's name and its true size (object scale 1). If an object has not
+    changed, its box keeps the place and the name that the user gave it."""
     return [_place(owned, parent, instance) for instance in instances]
 
 
@@ -56,7 +56,7 @@ def _place(owned: OwnedDataBlocks, parent: bpy.types.Collection, instance: Insta
     # Only meshes with faces have lines in the object's colour. Renders ignore the display type, so they show bars;
     # views that render show nothing of the clear faces.
     ob.display_type, ob.show_name = "WIRE", False  # the labels over the view are readable, Blender's names are not
-    ob.show_in_front = True  # it is seen and picked through the points that fill it
+    ob.show_in_front = True  # it stays visible and selectable through the points that fill it
     # The bars lie outside the box, where its points do not cover them.
     bars = ob.modifiers.get("Bars") or ob.modifiers.new("Bars", "WIREFRAME")
     bars.thickness, bars.offset, bars.show_viewport, bars.show_render = _BAR, 1.0, False, True
@@ -66,7 +66,7 @@ def _place(owned: OwnedDataBlocks, parent: bpy.types.Collection, instance: Insta
 
 
 def _numbers(ob: bpy.types.Object, name: str) -> list[float]:
-    """A custom property; empty when there is none, or when it is no list of numbers."""
+    """A custom property; empty when there is none, or when it is not a list of numbers."""
     value = ob.get(name)
     return [*value] if getattr(value, "typecode", "") == "d" else []
 
@@ -81,6 +81,6 @@ def _describe(ob: bpy.types.Object, instance: Instance) -> None:
     ob["views"], ob["score"], ob["points"] = instance.views, instance.score, instance.points
     ob["size"], ob["colour"] = list(instance.size), [channel / 255.0 for channel in instance.colour]
     ob.id_properties_ui("score").update(min=0.0, max=1.0, description="How sure the masks were of it")
-    ob.id_properties_ui("views").update(min=0, description="In how many frames a mask saw it")
+    ob.id_properties_ui("views").update(min=0, description="Number of frames in which a mask saw it")
     ob.id_properties_ui("size").update(subtype="XYZ", description="Metres along the box's own axes")
     ob.id_properties_ui("colour").update(subtype="COLOR_GAMMA", min=0.0, max=1.0)

@@ -1,6 +1,6 @@
 """The engine's cameras in Blender's terms, and a camera that overlooks a room. NumPy only: `frames` makes data-blocks.
 
-Blender's camera looks along -z with y up, so its axes are OpenCV's with y and z turned round. Its picture is given by
+Blender's camera looks along -z with y up, so its axes are OpenCV's with y and z reversed. Its picture is given by
 the focal length on a sensor, in millimetres, and by a shift of the sensor, in widths of the picture. We always fit the
 width (sensor_fit HORIZONTAL): then portrait pictures and off-centre principal points need no special case. Where fx and
 fy differ, pixels are not square. In Blender that is a setting of the scene, its pixel aspect.
@@ -33,7 +33,7 @@ _DIRECTIONS = 16
 _STRAY = 0.05
 """Percent of the points that may lie outside the picture."""
 _ENOUGH = 100_000
-"""Points from which the place is found; of more, every n-th is taken."""
+"""At most this many points determine the place; of more points, every n-th is used."""
 _DEFAULT_ROOM = np.array([[-2.0, -2.0, 0.0], [2.0, 2.0, 2.5]])
 
 
@@ -48,7 +48,7 @@ class Lens:
 
 
 def lens_of(camera: Camera) -> Lens:
-    """The lens that gives exactly the camera's picture, also off-centre and with fx != fy."""
+    """The lens that gives exactly the camera's picture, even off-centre and with fx != fy."""
     aspect = camera.fx / camera.fy
     return Lens(
         focal_length=camera.fx * SENSOR_WIDTH / camera.width,
@@ -59,7 +59,7 @@ def lens_of(camera: Camera) -> Lens:
 
 
 def pixel_aspect(fx: float, fy: float) -> tuple[float, float]:
-    """The scene's pixel aspect for focal lengths in pixels. Blender takes none below 1."""
+    """The scene's pixel aspect for focal lengths in pixels. Blender accepts none below 1."""
     return (1.0, fx / fy) if fx >= fy else (fy / fx, 1.0)
 
 
@@ -104,7 +104,7 @@ def _axes(azimuth: float) -> NDArray[np.float64]:
 
 
 def _framed(axes: NDArray[np.float64], xyz: NDArray[np.float64]) -> Camera:
-    """A camera with these axes, as far back that the points just fit, and centred on them."""
+    """A camera with these axes, just far enough back for the points to fit, and centred on them."""
     width, height = OVERVIEW_SIZE
     focal = _FOCAL_WIDTHS * width
     half = np.array([width, height]) / 2.0 * _MARGIN / focal

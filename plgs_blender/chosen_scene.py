@@ -30,7 +30,7 @@ class ChosenScene(SceneSource):
         )
 
     def as_texts(self) -> dict[str, str]:
-        """What `of` takes beside the folder."""
+        """What `of` takes in addition to the folder."""
         return {
             "masks": "" if self.masks is None else str(self.masks),
             "up": self.up,
@@ -42,7 +42,7 @@ class ChosenScene(SceneSource):
 
     @property
     def is_plain(self) -> bool:
-        """Whether it is in plain folders, whose cameras and pictures Blender reads by itself. Looks at the disk."""
+        """Whether it is in plain folders, whose cameras and pictures Blender can read alone. Reads the disk."""
         return self.scene_format in (None, NAME) and recognises(self.scene)
 
     def open_plain(self) -> PosedScene:
@@ -63,6 +63,6 @@ class ChosenScene(SceneSource):
 
 
 def needs_engine(chosen: ChosenScene) -> PlgsError:
-    """The error of a scene that Blender cannot read by itself."""
-    what = "Blender alone reads the folders color, pose and intrinsic, and this is another layout"
-    return PlgsError(what, chosen.scene, "Set the engine up, which reads it.")
+    """The error for a scene that Blender cannot read alone."""
+    what = "Blender alone can read only the folders color, pose and intrinsic, and this is another layout"
+    return PlgsError(what, chosen.scene, "Set up the engine, which can read it.")

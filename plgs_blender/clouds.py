@@ -73,7 +73,7 @@ def cloud_folder(lift: Path) -> Path:
 
 
 def place_depth_clouds(owned: OwnedDataBlocks, root: bpy.types.Collection, lift: Path) -> int:
-    """Place the depth clouds that were made of the lift, one object a frame. Returns the number of points. Raises
+    """Place the depth clouds that were made of the lift, one object per frame. Returns the number of points. Raises
     PlgsError for a damaged file."""
     count = 0
     for path in sorted(cloud_folder(lift).glob("*.npz")):

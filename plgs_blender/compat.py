@@ -1,4 +1,4 @@
-"""What differs between Blender 4.2 and 5.2, and nothing else: the rest of the extension reads one way."""
+"""What differs between Blender 4.2 and 5.2, and nothing else: the rest of the extension works one way."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def new_point_cloud(name: str, xyz: NDArray[np.float32]) -> bpy.types.PointCloud
 
 
 def _cloud_by_nodes(count: int) -> bpy.types.PointCloud:
-    """A cloud that geometry nodes make of a mesh's vertices, in a scene of its own."""
+    """A cloud that geometry nodes make from a mesh's vertices, in a scene of its own."""
     if not count:
         return bpy.data.pointclouds.new("empty")
     scene = bpy.data.scenes.new("PLGS conversion")
@@ -91,7 +91,7 @@ COMPOSITE_OUTPUT = "NodeGroupOutput" if _COMPOSITOR_IS_A_GROUP else "CompositorN
 
 
 def new_node(tree: bpy.types.NodeTree, *kinds: str) -> bpy.types.Node:
-    """A node of the first kind that this Blender knows, of kinds with the newest first. RuntimeError for none."""
+    """A node of the first of these kinds (newest first) that this Blender knows. RuntimeError if it knows none."""
     # Before 4.5 a compositor refuses the new kinds, and writes a line to the terminal for each that is tried.
     for kind in kinds if bpy.app.version >= (4, 5) else kinds[::-1]:
         try:
@@ -148,7 +148,7 @@ def new_palette_lookup(tree: bpy.types.NodeTree) -> bpy.types.Node:
 
 
 def constant_keys(tree: bpy.types.NodeTree, path: str, values: list[int]) -> None:
-    """Give a property of the tree one value a frame, from frame 1, without interpolation, in place of earlier keys."""
+    """Give a property of the tree one value per frame, from frame 1, uninterpolated, in place of earlier keys."""
     action = tree.animation_data_create().action or bpy.data.actions.new(f"{tree.name} frames")
     add_keys(tree, action, path, np.arange(1.0, len(values) + 1.0), np.array(values), "CONSTANT")
 

@@ -1,4 +1,4 @@
-"""The window as one composites in it: the Compositing workspace, the passes behind the nodes, the group selected."""
+"""Preparing the window for compositing: the Compositing workspace, the passes behind the nodes, the group selected."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ from .pass_nodes import PANOPTIC
 
 _TREE = "CompositorNodeTree"
 _SHARE, _ASIDE = (0.45, 0.42), (-0.05, 0.09)
-"""Of the window's width and height: what the picture behind the nodes fills at most, and how far it stands to the left
-of the middle and above it, where neither nodes nor the sidebar cover it.
+"""Shares of the window's width and height: what the picture behind the nodes fills at most, and how far it is placed
+left of the middle and above it, where neither nodes nor the sidebar cover it.
 """
 _LARGEST = 3.0
-"""The picture is not enlarged more."""
+"""The picture is enlarged at most this much."""
 
 
 def show_compositor(window: bpy.types.Window, passes: bpy.types.Scene) -> None:
-    """Let a window show a passes scene in a compositor: that of the Compositing workspace, or of another one that has a
-    compositor. Where there is none, the largest area of the window becomes one."""
+    """Show a passes scene in a compositor of a window: that of the Compositing workspace, or of another one that has a
+    compositor. If there is none, the largest area of the window becomes one."""
     workspace = compositing_workspace()
     if workspace is not None:
         window.workspace = workspace
@@ -49,7 +49,7 @@ def compositing_workspace() -> bpy.types.WorkSpace | None:
 
 
 def select_group(passes: bpy.types.Scene) -> None:
-    """Let the node with the group be the one that is selected, where the user has not removed it."""
+    """Select only the node with the group, unless the user has removed it."""
     tree = compat.compositor_tree(passes)
     group = None if tree is None else next((node for node in tree.nodes if node.get(KEY) == PANOPTIC), None)
     if tree is None or group is None:

@@ -1,7 +1,7 @@
-"""Corrections of a lift that is placed: made on disk, seen at once in the scene, and undone with Blender's own undo.
+"""Corrections of a placed lift: saved on disk, shown in the scene at once, and undone with Blender's own undo.
 
-The lift's collection carries which edits the scene shows. Undo and redo take that back and forth with all else, and the
-handlers here tell the file. Edits of other programs are never touched by that.
+The lift's collection stores which edits the scene shows. Undo and redo change that along with everything else, and the
+handlers here update the file. They never touch the edits of other programs.
 """
 
 from __future__ import annotations
@@ -56,11 +56,11 @@ EDITS = "plgs_edits"
 PROPOSALS = "plgs_proposals"
 """Property of a lift's collection: what may be wrong with it, JSON."""
 VISITED = "plgs_visited"
-"""Property of a lift's collection: the uncertain frames that were looked at, a line each."""
+"""Property of a lift's collection: the uncertain frames that were viewed, one per line."""
 CUT = "cut"
 """Key of the plane that splits an object."""
 _CUT_LARGER = 1.2
-"""The plane is that much larger than the object."""
+"""How many times larger than the object the plane is."""
 
 _mine: dict[str, set[str]] = {}
 """By lift folder: the uids of the edits that this Blender made since it was started."""
@@ -69,11 +69,11 @@ failed: list[str] = []
 
 Make = Callable[[Replay, int], Edit]
 Choose = Callable[[NDArray[np.float32]], NDArray[np.bool_]]
-"""From points [N, 3] to which are chosen, bool [N]."""
+"""Maps points [N, 3] to whether each is chosen, bool [N]."""
 
 
 def folder_of(root: bpy.types.Collection) -> Path:
-    """The folder of a lift that is placed."""
+    """The folder of a placed lift."""
     return absolute(text_of(root, FOLDER))
 
 
@@ -91,7 +91,7 @@ def show_edit(root: bpy.types.Collection, uid: str, result: CorrectedResult) -> 
 
 
 def undo_last(root: bpy.types.Collection) -> Edit:
-    """Undo the last edit in the file, whoever made it and whenever, and show that. Raises PlgsError, OSError."""
+    """Undo the last edit in the file, no matter who made it or when, and show the result. Raises PlgsError, OSError."""
     undone, result = undo(folder_of(root))
     show_corrections(root, result)
     return undone
@@ -137,7 +137,7 @@ def _keep_proposals(root: bpy.types.Collection, result: CorrectedResult) -> Prop
 
 
 def kept_proposals(root: bpy.types.Collection) -> tuple[list[Proposal], str]:
-    """What `propose` found, less what was answered since, and how far the user is; without it, an empty text."""
+    """What `propose` found, less what was answered since, and the user's progress ("" before `propose`)."""
     try:
         content = json.loads(text_of(root, PROPOSALS) or "{}")
         return [Proposal(**one) for one in content.get("open", ())], str(content.get("progress", ""))
@@ -154,7 +154,7 @@ def proposal_of(root: bpy.types.Collection, instance: int) -> Proposal:
 
 
 def answer(root: bpy.types.Collection, instance: int, *, keep: bool) -> Edit:
-    """Do what is proposed for an object, or accept the object as it is. Raises PlgsError, also for ``BY_VIEWS``,
+    """Apply the proposal for an object, or accept the object as it is. Raises PlgsError, also for ``BY_VIEWS``,
     which an engine does, and OSError."""
     one = proposal_of(root, instance)
     if keep:
@@ -167,13 +167,13 @@ def answer(root: bpy.types.Collection, instance: int, *, keep: bool) -> Edit:
         case "split":
             return split_parts(root, one.instance)
     if one.answer == BY_VIEWS:
-        raise PlgsError("an engine has to ask the masks", root.name, "Press Split by Views.")
+        raise PlgsError("an engine has to read the masks", root.name, "Press Split by Views.")
     return delete(root, one.instance, around=True)
 
 
 def next_uncertain(root: bpy.types.Collection) -> tuple[str, int, int]:
-    """The frame of the highest entropy of those not visited, how many are visited then, and of how many. After the last
-    it begins anew. Raises PlgsError."""
+    """The unvisited frame of the highest entropy, how many frames are then visited, and of how many. After the last
+    frame it starts again. Raises PlgsError."""
     folder = LiftFolder.open(folder_of(root))
     frames = known_scene(folder).frames
     drawn = entropy_of_frames(read_metrics(folder)) if (folder.result_path / "metrics.json").is_file() else {}
@@ -190,20 +190,20 @@ def next_uncertain(root: bpy.types.Collection) -> tuple[str, int, int]:
 
 
 def remember(root: bpy.types.Collection, edits: tuple[Edit, ...]) -> None:
-    """Let the collection say which edits the scene shows."""
+    """Store in the collection which edits the scene shows."""
     root[EDITS] = " ".join(each.uid for each in edits if not each.undone)
 
 
 def chosen_instances(root: bpy.types.Collection, named: str, context: bpy.types.Context) -> list[int]:
-    """The ids in a text such as "3 5"; those of all for "all"; without one those of the selected boxes, the active one
-    first; else that of the list's active row. Raises PlgsError."""
+    """The ids in a text such as "3 5"; those of all for "all"; for an empty text those of the selected boxes, the
+    active one first, or else of the list's active row. Raises PlgsError."""
     if named.strip() == "all":
         return [row.instance_id for row in root.plgs.instances]
     if named.strip():
         try:
             return [int(each) for each in named.replace(",", " ").split()]
         except ValueError as error:
-            raise PlgsError(f"{named!r} names no objects", root.name, "Give their ids, such as 3 5.") from error
+            raise PlgsError(f"{named!r} does not name objects", root.name, "Give their ids, such as 3 5.") from error
     selected = [number for number, box in boxes_of(root).items() if box.select_get(view_layer=context.view_layer)]
     active = context.view_layer.objects.active
     selected.sort(key=lambda number: boxes_of(root)[number] != active)
@@ -237,7 +237,7 @@ def _classes_of(root: bpy.types.Collection) -> ClassTable:
 
 
 def place_cut(root: bpy.types.Collection, instance: int) -> bpy.types.Object:
-    """Put an upright plane through the middle of an object's box, across its longest side, to be dragged. Raises
+    """Put an upright plane through the middle of an object's box, across its longest side, for the user to drag. Raises
     PlgsError."""
     box = boxes_of(root).get(row_of(root, instance).instance_id)
     if box is None:
@@ -263,7 +263,7 @@ def split_by_cut(root: bpy.types.Collection, instance: int) -> Edit:
     """Split an object by the plane that `place_cut` placed, which is then taken away. Raises PlgsError."""
     plane = objects_by_key(root).get(CUT)
     if plane is None:
-        raise PlgsError("there is no cutting plane", root.name, "Press Add Cutting Plane, and drag it.")
+        raise PlgsError("there is no cutting plane", root.name, "Press Add Cutting Plane, then drag the plane.")
     normal = (plane.matrix_world.to_3x3() @ Vector((0.0, 0.0, 1.0))).normalized()
     made = split_plane(root, instance, plane.matrix_world.translation[:], normal[:])
     bpy.data.objects.remove(objects_by_key(root)[CUT])
@@ -271,33 +271,33 @@ def split_by_cut(root: bpy.types.Collection, instance: int) -> Edit:
 
 
 def rename(root: bpy.types.Collection, instance: int, name: str) -> Edit:
-    """Another name for an object. Raises PlgsError, OSError, as all edits here do."""
+    """Rename an object. Raises PlgsError, OSError, as all edits here do."""
     return edit(root, lambda state, _: making.rename(state, instance, name))
 
 
 def reclass(root: bpy.types.Collection, instances: Sequence[int], class_name: str) -> Edit:
-    """Another class for objects."""
+    """Change the class of objects."""
     class_id = class_named(root, class_name)
     return edit(root, lambda state, _: making.reclass(state, instances, class_id))
 
 
 def merge(root: bpy.types.Collection, instances: Sequence[int]) -> Edit:
-    """Let all be the first."""
+    """Merge all into the first."""
     return edit(root, lambda state, _: making.merge(state, instances))
 
 
 def delete(root: bpy.types.Collection, instance: int, *, around: bool) -> Edit:
-    """Let an object's points be what lies around, or no object's."""
+    """Delete an object: its points become what is around them, or belong to no object."""
     return edit(root, lambda state, _: making.delete(state, instance, around=around))
 
 
 def accept(root: bpy.types.Collection, instances: Sequence[int]) -> Edit:
-    """Let objects be right."""
+    """Mark objects as correct."""
     return edit(root, lambda state, _: making.accept(state, instances))
 
 
 def split_parts(root: bpy.types.Collection, instance: int) -> Edit:
-    """Split an object into what is connected."""
+    """Split an object into its connected parts."""
     return _split(root, instance, making.parts_of)
 
 
@@ -319,7 +319,7 @@ def _split(
 
 
 def crop(root: bpy.types.Collection, instance: int) -> Edit:
-    """Give an object the points of its class that its box holds as it stands now."""
+    """Give an object the points of its class that are inside its box as it is now."""
     box = boxes_of(root).get(instance)
     if box is None:
         raise PlgsError("its box is gone", root.name, "Show the lift's result again.")
@@ -344,12 +344,12 @@ def in_region(name: str) -> Choose:
     """Chooses the points in the box of the object of this name. Raises PlgsError."""
     region = bpy.data.objects.get(name)
     if region is None:
-        raise PlgsError("there is no such object", name, "Name an object whose box holds the points.")
+        raise PlgsError("there is no such object", name, "Name an object whose box contains the points.")
     return partial(inside_box, region)
 
 
 def inside_box(box: bpy.types.Object, xyz: NDArray[np.float32]) -> NDArray[np.bool_]:
-    """Which points [N, 3] lie within an object's bounding box as it stands, bool [N]."""
+    """Which points [N, 3] lie within an object's bounding box as it is now, bool [N]."""
     corners = np.array([corner[:] for corner in box.bound_box])
     local = np.c_[xyz, np.ones(len(xyz))] @ np.array(box.matrix_world.inverted_safe()).T
     return ((local[:, :3] >= corners.min(axis=0)) & (local[:, :3] <= corners.max(axis=0))).all(axis=1)

@@ -7,13 +7,13 @@ from pathlib import Path
 from ..engine.errors import PlgsError
 
 _SCENE_FILES = (".sens", ".r3d")
-"""Endings of files that are scenes by themselves."""
+"""Suffixes of files that are whole scenes."""
 _PARTS = {
     "color", "depth", "pose", "intrinsic", "rgb", "image", "images", "input", "results", "panoptic", "semantic",
     "instance", "masks", "keyframes", "cameras", "corrected_cameras", "corrected_images", "corrected_depth",
     "confidence", "iphone", "rgbd", "sparse", "0", "model", "colmap", "_detail", "m2f_semantics", "m2f_instance",
 }  # fmt: skip
-"""Names of folders that lie inside a scene. The engine tells the format; this only finds the scene's own folder."""
+"""Names of folders that lie inside a scene. The engine tells formats apart; this only finds the scene's folder."""
 _HIGHEST = 3
 """At most this many folders up are searched: result/passes/0001.exr lies two below its lift."""
 

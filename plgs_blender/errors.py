@@ -1,4 +1,4 @@
-"""Errors by the user's input or the computer, with the names of the panel's fields in place of a command's options."""
+"""Errors caused by the user or the computer, with the names of the panel's fields in place of a command's options."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ __all__ = ["EXPECTED", "ErrorCode", "PlgsError", "field_of_option", "one_line", 
 EXPECTED = (PlgsError, OSError)
 """The errors that an operator reports in one line. Anything else is a defect of ours and shows its traceback."""
 _FIELD_OF_OPTION = {"classes": "classes_table", "set": "preset_options", "size": "width", "names-from": "keep_names"}
-"""The fields that are called otherwise than the engine's option."""
+"""The fields whose names differ from the engine's option."""
 _OTHER_NAMES = {
     "size": "Width and Height",
     "fix": "Fix",
@@ -30,7 +30,7 @@ def with_field_names(said: PlgsError | OSError | str) -> str:
     """What the engine said, with the names of the panel's fields in place of the options of a command line, in one
     printable line.
 
-    Paths stay as they are. The placeholder of an option, such as OUT, goes with it.
+    Paths stay as they are. The placeholder of an option, such as OUT, is removed with it.
     """
     where = said.where if isinstance(said, PlgsError) else ""
     before, where, after = str(said).partition(where) if where else ("", "", str(said))

@@ -1,4 +1,4 @@
-"""A camera's bake as a job for a render farm: what Flamenco's manager takes for the job type of farm/plgs.js."""
+"""A camera's bake as a job for a render farm: what Flamenco's manager accepts for the job type of farm/plgs.js."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ _PLATFORMS = {"win32": "windows", "darwin": "darwin"}
 
 def write_farm_job(scene: bpy.types.Scene, lift: LiftFolder, shot: Shot) -> Path:
     """Write the job that bakes a shot of the scene, of a finished lift, into the lift's folder, and return the file.
-    The farm reads the camera from this .blend, as it was saved. Raises PlgsError where it never was, OSError.
+    The farm reads the camera from this .blend, as last saved. Raises PlgsError if it never was, OSError.
     """
     blend = bpy.data.filepath
     if not blend:
-        fix = "Save it where the farm sees it, then try again."
+        fix = "Save it where the farm can read it, then try again."
         raise PlgsError("the farm reads the camera from a file, and this one has no name", scene.name, fix)
     frames = shot.frames
     settings = {

@@ -1,4 +1,4 @@
-"""A frame's photo, depth or masks before what its camera sees, on demand.
+"""A frame's photo, depth or masks in front of its camera's view, on demand.
 
 Blender's Python decodes neither depth nor masks: an engine draws them as image files.
 """
@@ -28,7 +28,7 @@ _NEAR, _FAR = "near_metres", "far_metres"
 
 
 def why_no_picture(scene: bpy.types.Scene) -> str | None:
-    """Why nothing can be shown before the active camera; None when something can. Reads no disk."""
+    """Why nothing can be shown in front of the active camera; None when something can. Never reads the disk."""
     ob = scene.camera
     if ob is None or "frame" not in ob or LIFT not in ob:
         return "Look through a frame's camera first: select it and press Ctrl+Numpad 0"
@@ -39,7 +39,7 @@ def root_of(scene: bpy.types.Scene, ob: bpy.types.Object) -> bpy.types.Collectio
     """The collection of the import or lift that a frame's camera belongs to. Raises PlgsError."""
     root = next((each for each in lifts_in(scene) if each[LIFT] == ob.get(LIFT)), None)
     if root is None:
-        raise PlgsError("belongs to no scene that is here", ob.name, "Import the scene again.")
+        raise PlgsError("does not belong to any scene that is here", ob.name, "Import the scene again.")
     return root
 
 
@@ -76,7 +76,7 @@ def show_made(scene: bpy.types.Scene, ob: bpy.types.Object, what: str, made: Mad
 
 
 def range_shown(ob: bpy.types.Object) -> tuple[float, float] | None:
-    """The metres that the lightest and the darkest colour of the depth before a camera mean; None without depth."""
+    """The metres that the lightest and darkest colour of the depth in front of a camera mean; None without depth."""
     if ob.get(SHOWN) != DEPTH or not ob.data.background_images:
         return None
     image = ob.data.background_images[0].image

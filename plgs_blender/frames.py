@@ -1,4 +1,4 @@
-"""A scene's frames as camera objects with their photos before the view, and as one moving camera."""
+"""A scene's frames as camera objects with their photos in front of the view, and as one moving camera."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from .compat import add_keys
 from .owned import OwnedDataBlocks
 
 SHOWN, PHOTO = "plgs_shown", "PHOTO"
-"""Property of a frame's camera that says what is before its view, and its value for the photo."""
+"""Property of a frame's camera that says what is in front of its view, and its value for the photo."""
 PATH = "camera_path"
 """Key of the moving camera in its lift."""
 
@@ -44,8 +44,8 @@ def place_camera(
 
 
 def set_lens(data: bpy.types.Camera, camera: Camera) -> None:
-    """Give a Blender camera the engine camera's intrinsics. Sizes of pictures and pixels are the scene's, and the
-    user's.
+    """Give a Blender camera the engine camera's intrinsics. Sizes of pictures and pixels belong to the scene, and so to
+    the user.
     """
     lens = lens_of(camera)
     data.type, data.lens_unit, data.sensor_fit = "PERSP", "MILLIMETERS", "HORIZONTAL"
@@ -60,8 +60,8 @@ def place_frames(
     frames: Sequence[PosedFrame],
     made: Mapping[str, Path] | None = None,
 ) -> list[bpy.types.Object]:
-    """One camera a frame in `parent`, with the frame's photo before its view and what is known as properties. `made`
-    are pictures by frame name that an engine made for frames without an image file.
+    """One camera per frame in `parent`, with the frame's photo in front of its view and what is known as properties.
+    `made`: pictures by frame name that an engine made for frames without an image file.
     """
     cameras = []
     for frame in frames:
@@ -123,7 +123,7 @@ def place_camera_path(
 
 
 def _new_action(owned: OwnedDataBlocks, part: str) -> bpy.types.Action:
-    """An empty action in place of an earlier placement's."""
+    """An empty action, in place of the one from an earlier placement."""
     key = f"{PATH}:{part}"
     owned.drop("actions", key)
     action: bpy.types.Action = owned.block("actions", key, lambda: bpy.data.actions.new(f"Camera path {part}"))
@@ -144,7 +144,7 @@ def picture_of(frame: PosedFrame, made: Mapping[str, Path] | None = None) -> Pat
 
 
 def show_photo(ob: bpy.types.Object, owned: OwnedDataBlocks, picture: Path) -> None:
-    """Put a frame's photo, half transparent, before what its camera sees: it shows whether the scene fits it."""
+    """Put a frame's photo, half transparent, in front of its camera's view: it shows whether the scene fits it."""
     # Blender reads the pixels when somebody looks through the camera.
     load = bpy.data.images.load
     image = owned.block("images", f"picture:{ob['frame']}", lambda: load(str(picture), check_existing=False))
@@ -153,7 +153,7 @@ def show_photo(ob: bpy.types.Object, owned: OwnedDataBlocks, picture: Path) -> N
 
 
 def put_before(ob: bpy.types.Object, image: bpy.types.Image, what: str, alpha: float) -> None:
-    """Put an image before what the camera of a frame sees, in place of the one that is there, and note `what` it is."""
+    """Put an image in front of the view of a frame's camera, replacing the one there, and note `what` it is."""
     ob[SHOWN] = what
     data = ob.data
     for old in data.background_images:

@@ -24,15 +24,15 @@ from .timeline import mark_timeline
 from .viewport import areas_of, areas_that_show, frame_room, show_room
 
 MISSING = "plgs_missing"
-"""Property of an imported scene's collection: what an engine has still to make of it, "colour" and "cloud" as its
+"""Property of an imported scene's collection: what an engine still has to make of it, "colour" and "cloud" as its
 command calls them."""
 
 _CLOUDS, _CLOUD, _SPARSE = "Coloured points", "cloud", "sparse_points"
 """The collection of the clouds, and their keys."""
 _AHEAD = 2.0
-"""Metres that a room reaches before its cameras, where no points say more."""
+"""How many metres a room extends in front of its cameras, if no points tell."""
 _INNER = (0.2, 99.8)
-"""Percentiles of a cloud's places between which the room is."""
+"""Percentiles of a cloud's places between which the room lies."""
 
 
 def place_scene(
@@ -40,8 +40,8 @@ def place_scene(
 ) -> bpy.types.Collection:
     """Put the frames of a scene into Blender's scene: one camera for each frame, with its picture and timeline marker,
     a camera that moves along them, the points of the reconstruction, and what an engine ``made`` of the scene before.
-    Blender reads plain folders itself; of other layouts the engine has made the list of cameras. With ``cloud`` a cloud
-    is wanted too, where the scene has depth. Returns the collection, whose property MISSING says what is left to an
+    Blender reads plain folders itself; for other layouts the engine has made the list of cameras. With ``cloud`` a
+    cloud is wanted too, if the scene has depth. Returns the collection, whose property MISSING says what is left to an
     engine.
 
     A lift of the same frames later fills the same collection. A lift that is there already keeps all else. Raises
@@ -66,13 +66,13 @@ def place_scene(
 
 
 def look_at_imported(root: bpy.types.Collection, scene: bpy.types.Scene) -> None:
-    """Let the 3D views that show the scene look down at the frames' cameras and the points before them."""
+    """Point the 3D views that show the scene down at the frames' cameras and the points in front of them."""
     show_room(areas_of(scene), *_room(root, scene))
 
 
 def _room(root: bpy.types.Collection, scene: bpy.types.Scene) -> tuple[Quaternion, NDArray[np.float64]]:
-    """The rotation of a camera that overlooks the frames' cameras and the points before them, and the corners [8, 3] of
-    the box around these, metres."""
+    """The rotation of a camera that overlooks the frames' cameras and the points in front of them, and the corners [8,
+    3] of the box around these, metres."""
     scene.view_layers[0].update()
     matrices = np.array([ob.matrix_world for ob in root.all_objects if "frame" in ob])
     eyes, ahead = matrices[:, :3, 3], -matrices[:, :3, 2]
@@ -85,8 +85,8 @@ def _room(root: bpy.types.Collection, scene: bpy.types.Scene) -> tuple[Quaternio
 
 
 def add_made(scene: bpy.types.Scene, root: bpy.types.Collection, made: MadeFrames) -> None:
-    """Add what an engine made since the import: photos before the cameras, and the cloud. The 3D views that nobody has
-    moved since the import then look at all of it. Raises PlgsError."""
+    """Add what an engine made since the import: photos in front of the cameras, and the cloud. The 3D views that nobody
+    has moved since the import then look at all of it. Raises PlgsError."""
     owned = OwnedDataBlocks(root[LIFT], scene)
     cameras = {ob["frame"]: ob for key, ob in objects_by_key(root).items() if key.startswith("frame:")}
     for name, picture in photos(made).items():
@@ -107,7 +107,7 @@ def add_made(scene: bpy.types.Scene, root: bpy.types.Collection, made: MadeFrame
 def _place_clouds(
     owned: OwnedDataBlocks, root: bpy.types.Collection, opened: PosedScene, made: MadeFrames | None, cloud: bool
 ) -> list[str]:
-    """Place the points of the reconstruction and the cloud, as far as there are some. Returns what is left to an
+    """Place the points of the reconstruction and the cloud, if there are any. Returns what is left to an
     engine.
     """
     eyes = np.array([frame.camera.centre for frame in opened.frames])

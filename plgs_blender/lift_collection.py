@@ -50,7 +50,7 @@ def root_of_placed(lift: Path, scene: bpy.types.Scene) -> bpy.types.Collection:
 
 @dataclass(frozen=True)
 class Placed:
-    """Where a lift was placed, in words that outlive undo and the opening of another file."""
+    """Where a lift was placed, in words that stay valid after undo and after opening another file."""
 
     lift: str
     scene: str

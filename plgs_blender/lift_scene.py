@@ -48,13 +48,13 @@ from .timeline import mark_timeline
 from .viewport import all_views, areas_of, colour_views, show_room, start_file
 
 _VIEWPOINTS = 200
-"""Cameras that decide which side of a surface was seen; of more, every n-th is taken."""
+"""At most this many cameras decide which side of a surface was seen; of more, every n-th is used."""
 _OVERVIEW_SIZE = 0.4
 """Display size of the overview camera, metres."""
 
 
 def place_lift(lift: Path, scene: bpy.types.Scene) -> bpy.types.Collection:
-    """Put a finished lift into a scene, or put it there anew, and return its collection.
+    """Put a finished lift into a scene, or update the one there, and return its collection.
 
     The collection is found again by the folder of the lift or of its scene. When `scene` holds passes, the scene with
     their lift is filled. Raises PlgsError, before anything is changed, when the lift is not finished or cannot be read.
@@ -78,8 +78,8 @@ def result_of(parts: Generator[None, None, Result]) -> Result:
 
 @dataclass(frozen=True, eq=False)
 class ReadLift:
-    """A result, and what is computed of its points [N]: their grid, their normals float32 [N, 3], and a camera outside
-    the room. ``gaussians`` are the rows of its splats, None where Blender reads them itself or there are none.
+    """A result, and what is computed from its points [N]: their grid, their normals float32 [N, 3], and a camera
+    outside the room. ``gaussians`` are the rows of its splats, None where Blender reads them itself or there are none.
     """
 
     result: LiftResult
@@ -141,7 +141,7 @@ def _placing_passes(read: ReadLift, root: bpy.types.Collection, scene: bpy.types
     owned = OwnedDataBlocks(root[LIFT], scene)
     place_passes(owned, read.result)
     place_shots(owned, read.result, scene)
-    owned.sweep_data()  # images of views that are no more
+    owned.sweep_data()  # images of views that no longer exist
     if bpy.data.filepath:
         relate_paths(root, Path(bpy.data.filepath).parent)
     yield
@@ -166,7 +166,7 @@ def place_room(read: ReadLift, scene: bpy.types.Scene) -> PlacedRoom:
     place_depth_clouds(owned, root, result.folder)
     splats = owned.known(GAUSSIANS)
     if splats is not None and read.gaussians is not None:
-        owned.keep(splats)  # until they are filled anew
+        owned.keep(splats)  # until they are filled again
     # A new lift moves the overview back, where a user moved it.
     overview = place_camera(owned, root, "overview", "Overview", read.overview, _OVERVIEW_SIZE)
     first = mark_timeline(scene, root, overview, cameras)
@@ -183,7 +183,7 @@ def place_room(read: ReadLift, scene: bpy.types.Scene) -> PlacedRoom:
 
 
 def place_passes_anew(lift: Path, scene: bpy.types.Scene) -> None:
-    """After more frames were baked: refill the passes scenes of a lift that is placed in ``scene``, and leave all else.
+    """After more frames were baked: refill the passes scenes of a lift that is placed in ``scene``, and nothing else.
 
     Raises PlgsError when the lift cannot be read, or is not in the scene.
     """
@@ -239,7 +239,7 @@ def save_lift(lift: Path, blend: Path) -> None:
         _dress(scene, root)
     _save(blend)
     if is_new:
-        # Relative paths lead somewhere only now.
+        # Only now do relative paths lead anywhere.
         relate_paths(root, blend.parent)
         _save(blend, keep_backup=False)
 
@@ -262,7 +262,7 @@ def relate_paths(root: bpy.types.Collection, base: Path) -> None:
     """Write the paths of a lift's images and folder relative to the .blend's folder, where one drive holds both."""
     for image in bpy.data.images:
         if key_of(image, root[LIFT]) is not None and image.filepath:
-            image.filepath_raw = _relative(image.filepath, base)  # to set `filepath` would read the file
+            image.filepath_raw = _relative(image.filepath, base)  # setting `filepath` would read the file
     root[FOLDER] = _relative(text_of(root, FOLDER), base)
 
 
@@ -294,7 +294,7 @@ def open_blend(blend: Path, lift: Path, named_by: str = "--save") -> bpy.types.S
 
 
 def _dress(scene: bpy.types.Scene, root: bpy.types.Collection) -> None:
-    """Let a file that we started show the whole room from the overview camera, at frame 0."""
+    """Show the whole room of a file that we started from the overview camera, at frame 0."""
     overview = overview_of(root)
     assert overview is not None
     scene.frame_start, scene.frame_end = 0, max(marker.frame for marker in scene.timeline_markers)
@@ -306,7 +306,7 @@ def _dress(scene: bpy.types.Scene, root: bpy.types.Collection) -> None:
 
 
 def _choose_what_is_shown(root: bpy.types.Collection) -> None:
-    """What was chosen before; the surface, splats or points, of which the first is there, where nothing was."""
+    """What was chosen before, or else the first of the surface, the splats and the points that is there."""
     with registered():
         lists = root.plgs
         wanted = [lists.show_as] if lists.is_property_set("show_as") else []
@@ -314,7 +314,7 @@ def _choose_what_is_shown(root: bpy.types.Collection) -> None:
 
 
 def show_lift_as(root: bpy.types.Collection, scene: bpy.types.Scene, kind: str) -> None:
-    """Show a lift as POINTS, SPLATS or SURFACE, in the views too that a lift has coloured. Splats are placed when they
+    """Show a lift as POINTS, SPLATS or SURFACE, also in the views that a lift has coloured. Splats are placed when they
     are not there. Raises PlgsError when they cannot be, or when no meshes were made.
     """
     if kind == SPLATS and not has(root, SPLATS):
@@ -328,7 +328,7 @@ def show_lift_as(root: bpy.types.Collection, scene: bpy.types.Scene, kind: str) 
 
 
 def look_at_placed(root: bpy.types.Collection, scene: bpy.types.Scene) -> None:
-    """Let the 3D views that show the scene look at its lift, in the colours of what it is shown as."""
+    """Point the 3D views that show the scene at its lift, in the colours of what it is shown as."""
     overview = overview_of(root)
     if overview is not None and len(root.plgs.classes):
         scene.view_layers[0].update()
@@ -340,7 +340,7 @@ def _look_at(root: bpy.types.Collection, overview: bpy.types.Object, areas: Iter
 
 
 def _corners(root: bpy.types.Collection) -> NDArray[np.float64]:
-    """The corners of the box [8, 3] that the semantic points fill but for a few stray ones, metres."""
+    """The corners [8, 3], metres, of the box around all semantic points except a few stray ones."""
     # A hidden cloud has no bounding box.
     clouds = [ob for ob in root.all_objects if ob.type == "POINTCLOUD" and "class_id" in ob]
     low, high = np.percentile(np.concatenate([places(ob.data) for ob in clouds]), (0.2, 99.8), axis=0)

@@ -34,7 +34,7 @@ def frames_folder(source: SceneSource) -> Path:
         except PlgsError:
             continue
         return folder
-    fix = "Delete the folders of frames beside the scene that nobody needs."
+    fix = "Delete the folders of frames beside the scene that are no longer needed."
     raise PlgsError("there are too many folders of frames", source.scene.parent, fix)
 
 

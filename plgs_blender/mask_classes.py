@@ -15,7 +15,7 @@ from .paths import absolute
 OWN_TABLE = "OWN"
 TABLE_ITEMS = [
     (OWN_TABLE, "The masks' own", "As their files say"),
-    *((name, name, f"Begin with the classes of {name}") for name in TABLES),
+    *((name, name, f"Start from the classes of {name}") for name in TABLES),
 ]
 
 
@@ -39,7 +39,7 @@ class PLGS_PG_masks(bpy.types.PropertyGroup):
     path: StringProperty()
     void: StringProperty()
     model: StringProperty(
-        name="Model", description="A folder with a Mask2Former, or its name on Hugging Face's hub; empty: the usual one"
+        name="Model", description="A folder with a Mask2Former, or its name on the Hugging Face Hub; empty: the default"
     )
 
 

@@ -27,8 +27,8 @@ SHADE, SHADE_CONTRAST = 0.74, 0.3
 """Lightness of a point: SHADE + SHADE_CONTRAST * (LIGHT · normal)."""
 
 _DENSER = 4.0
-"""How much more of a splat is seen than its opacity says. Blender draws by chance what is half clear, with few samples:
-what is nearly opaque looks smooth.
+"""How much more of a splat is seen than its opacity says. Blender draws half-transparent things at random, with few
+samples: nearly opaque ones look smooth.
 """
 _BYTES = np.arange(256) / 255.0
 _LINEAR = np.where(_BYTES <= 0.04045, _BYTES / 12.92, ((_BYTES + 0.055) / 1.055) ** 2.4).astype(np.float32)
@@ -72,7 +72,7 @@ def box_material(owned: OwnedDataBlocks) -> bpy.types.Material:
 
 
 def clear_material(owned: OwnedDataBlocks) -> bpy.types.Material:
-    """The material of the boxes' faces: nothing is seen of them."""
+    """The material of the boxes' faces, which are invisible."""
     material = owned.block("materials", "clear", lambda: bpy.data.materials.new("PLGS clear"))
     tree = use_nodes(material)
     if not any(node.bl_idname == "ShaderNodeBsdfTransparent" for node in tree.nodes):

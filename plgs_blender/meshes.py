@@ -34,7 +34,7 @@ def place_meshes(owned: OwnedDataBlocks, root: bpy.types.Collection, result: Lif
         name, colour = kind.name, kind.colour
         if instance_id:
             name, colour = instances[instance_id].name, instances[instance_id].colour
-        name = f"{name} mesh"  # boxes and points have the names alone
+        name = f"{name} mesh"  # boxes and points have just the names
         key = f"mesh:{class_id}:{instance_id}"
         mesh = _fill(owned, key, name, surface.cut(triangles))
         ob = owned.object(key, name, mesh, child_collection(top, f"{kind.name} meshes"))

@@ -1,7 +1,7 @@
 """Which data-blocks are ours.
 
 Each block we make carries two custom properties: the lift it belongs to and its key there ("frame:0012", "instance:3").
-Names serve people only, who may change them. A second placement finds the blocks by these properties and fills them
+Names are only for people, who may change them. A second placement finds the blocks by these properties and fills them
 anew. So whatever points at them (the active camera, a constraint, a marker) keeps pointing. `sweep` removes what the
 new result no longer has. Blocks without our properties are never touched.
 """
@@ -41,7 +41,7 @@ def key_of(block: Any, lift: str) -> str | None:
 
 
 def text_of(block: Any, name: str) -> str:
-    """A custom property; empty when there is none, or when it is no text."""
+    """A custom property; empty when there is none, or when it is not text."""
     value = block.get(name)
     return value if isinstance(value, str) else ""
 

@@ -1,4 +1,4 @@
-"""Which points somebody paints in a 3D view, with a brush or a rectangle, and what the view shows of it meanwhile."""
+"""Which points the user paints in a 3D view, with a brush or a rectangle, and what the view shows of it meanwhile."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _CELL = 8
 _BEHIND = 0.15
 """Metres that a point may lie behind the nearest one and still be painted."""
 _RADIUS = 24.0
-"""Pixels of the brush, at first."""
+"""The brush's initial radius in pixels."""
 _COLOUR = (1.0, 0.55, 0.1)
 _POINT = 0.01
 """Radius in metres of a painted point as it is shown."""
@@ -64,9 +64,9 @@ class Painting:
             self.places, self._shown = [], None
 
     def choose(self, xyz: NDArray[np.float32]) -> NDArray[np.bool_]:
-        """What was chosen of a result's points [N, 3], bool [N]. Raises PlgsError when these are others."""
+        """What was chosen of a result's points [N, 3], bool [N]. Raises PlgsError when the points have changed."""
         if xyz.shape != self.xyz.shape:
-            raise PlgsError("the lift has other points now", "Paint Points", "Show its result again, then paint.")
+            raise PlgsError("the lift's points have changed", "Paint Points", "Show its result again, then paint.")
         return self.chosen
 
     def draw(self, view: bpy.types.RegionView3D, size: tuple[int, int]) -> None:
@@ -89,7 +89,7 @@ class Painting:
 
 
 now: list[Painting] = []
-"""The painting that goes on, for the overlay; at most one."""
+"""The painting in progress, for the overlay; at most one."""
 
 
 def visible(

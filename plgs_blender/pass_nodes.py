@@ -16,7 +16,7 @@ PASSES, INSTANCES, CLASSES, PANOPTIC = "passes", "CryptoInstance", "CryptoClass"
 _STRENGTH = 0.55
 """Opacity of the instances' colours over the picture."""
 _LOWER = 240.0
-"""Units that the nodes stand lower than Blender's own would, so that they leave the picture behind them to see."""
+"""How many units lower the nodes stand than Blender's own would, so that the picture behind them stays visible."""
 
 
 _OUTPUTS = {
@@ -28,7 +28,7 @@ _OUTPUTS = {
     "Matte": (PANOPTIC, "Matte"),
     "Outline": (PANOPTIC, "Outline"),
 }
-"""Node and socket of the outputs that are no layers."""
+"""Node and socket of the outputs that are not layers."""
 
 
 def node_of(tree: bpy.types.NodeTree, key: str) -> bpy.types.Node:

@@ -44,7 +44,7 @@ _NEEDED = {"PLGS.Combined.R", "PLGS.Depth.V", "PLGS.Semantic.V", "PLGS.Instance.
 
 
 def check_layers(files: Iterable[Path]) -> None:
-    """Raise PlgsError when one of the passes' files is no EXR or lacks a layer that the compositor reads.
+    """Raise PlgsError when one of the passes' files is not an EXR or lacks a layer that the compositor reads.
 
     Blender itself only says that the image of a damaged file has no size, and its nodes then get no layer.
     """
@@ -58,7 +58,7 @@ def check_layers(files: Iterable[Path]) -> None:
 
 
 def size_of(path: Path) -> tuple[int, int]:
-    """Width and height in pixels of a passes' file; 0, 0 when it is no EXR, or too large for a picture."""
+    """Width and height in pixels of a passes' file; 0, 0 when it is not an EXR, or too large for a picture."""
     try:
         size = read_exr_header(path).size
     except PlgsError:
@@ -168,7 +168,7 @@ def _one_pixel_of(image: bpy.types.Image) -> Iterator[None]:
     with tempfile.TemporaryDirectory(prefix="plgs-", dir=bpy.app.tempdir) as folder:
         pixel = Path(folder) / "0001.exr"
         pixel.write_bytes(one_pixel_of(Path(path)))
-        image.filepath_raw = str(pixel)  # to set `source` reads the file
+        image.filepath_raw = str(pixel)  # setting `source` reads the file
         image.source, image.filepath = "FILE", str(pixel)
         try:
             yield
@@ -183,7 +183,7 @@ def _count_through(views: int, offsets: list[int], scene: bpy.types.Scene, tree:
         node.frame_start, node.frame_duration = 1, views
         path = f'nodes["{bpy.utils.escape_identifier(node.name)}"].frame_offset'
         compat.constant_keys(tree, path, offsets)
-        if offsets:  # keys are only looked at when the frame changes
+        if offsets:  # keys are evaluated only when the frame changes
             node.frame_offset = offsets[min(max(scene.frame_current, 1), views) - 1]
     node_of(tree, PASSES).use_auto_refresh = True
 
@@ -256,7 +256,7 @@ def open_passes(scene: bpy.types.Scene) -> bpy.types.Scene:
     """The passes scene, brought to the view of the active camera where that was baked. Raises PlgsError."""
     passes = passes_scene_of(scene)
     if passes is None:
-        raise PlgsError("has no passes", scene.name, "Bake them in the panel Passes.")
+        raise PlgsError("has no passes", scene.name, "Bake them in the Passes panel.")
     camera = scene.camera
     frame = text_of(camera, "frame") if camera is not None else ""
     if frame in {marker.name for marker in passes.timeline_markers}:
@@ -301,7 +301,7 @@ def show_view(scene: bpy.types.Scene, name: str) -> None:
             use_image(tree, image)
     number = numbered([name])
     if number is not None and node_of(tree, PASSES).image.source == "SEQUENCE":
-        for node in reading_nodes(tree):  # Blender looks at keys of the scene that its window shows alone
+        for node in reading_nodes(tree):  # Blender evaluates only the keys of the scene that its window shows
             node.frame_offset = number.numbers[0] - frames[name]
 
 
@@ -316,7 +316,7 @@ class NumberedNames:
 
 
 def numbered(names: Sequence[str]) -> NumberedNames | None:
-    """The names as one numbered sequence, gaps allowed; None when they are none.
+    """The names as one numbered sequence, gaps allowed; None when they are not one.
 
     Blender replaces the last number in a name, and pads it to the width that it has in the opened file. So all names
     must have the same text around that number, and the padding of the shortest must give all the others.

@@ -11,7 +11,7 @@ import bpy
 def register_modules(modules: Sequence[ModuleType]) -> None:
     """Register each module's classes, then call its `register` where it has one.
 
-    Properties on Blender's types, handlers, timers and draw handlers are a module's own affair.
+    Properties on Blender's types, handlers, timers and draw handlers are up to each module.
     """
     for module in modules:
         for each in getattr(module, "CLASSES", ()):

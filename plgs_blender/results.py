@@ -1,4 +1,4 @@
-"""Reading a finished lift folder: what it holds is checked before anything of it is used."""
+"""Reading a finished lift folder: what it holds is checked before any of it is used."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ from ..engine.result_files import (
 
 _READ = (SEMANTIC_POINTS, ANCHORS, INSTANCES)
 _MOST_HASHED = 1 << 26
-"""Bytes that are compared with the manifest's checksums: a tenth of a second, as a rule."""
+"""At most this many bytes are compared with the manifest's checksums, usually in a tenth of a second."""
 
 
 @dataclass(frozen=True, eq=False)
 class LiftResult:
-    """A finished lift as it is corrected: the frames it was made from and what came out. `passes` are the EXR files of
-    frames, by frame name; `shots` are those of other cameras, by camera name. `not_shown`: what the masks show well
+    """A finished lift with its corrections: the frames it was made from and what came out. `passes` are the EXR files
+    of frames, by frame name; `shots` are those of other cameras, by camera name. `not_shown`: what the masks show well
     and the lift does not, in words, and the frame that shows it best."""
 
     folder: Path

@@ -1,7 +1,7 @@
-"""Objects of a lift to be used elsewhere: each in a collection of its own, which can be moved, and be an asset.
+"""Objects of a lift for use elsewhere: each in its own collection, which can be moved and be an asset.
 
 A collection has a pivot at the foot of the object's box, and under it the object's points, its surface where meshes
-were made, and its box. All of it is the user's: no lift touches it again, and making it again keeps where it stands.
+were made, and its box. All of it is the user's: no lift touches it again, and making it again keeps its place.
 What the lift shows of the object is hidden, so a hole is left where it stood.
 """
 
@@ -33,13 +33,13 @@ OBJECTS, INSTANCE, PLACED = "plgs_objects_of", "plgs_instance", "plgs_placed"
 instance; of each pivot, the pose that it was placed with."""
 _COLUMNS = {"FLOAT": ("value", 1), "INT": ("value", 1), "FLOAT_VECTOR": ("vector", 3), "FLOAT_COLOR": ("color", 4)}
 _PICTURE = 128
-"""Pixels of a side of an asset's preview picture."""
+"""Side of an asset's preview picture in pixels."""
 _DOT = 2
 """Pixels around a point that its colour fills there."""
 
 
 def make_objects(root: bpy.types.Collection, numbers: Sequence[int], *, as_assets: bool) -> list[bpy.types.Collection]:
-    """Make these instances of a placed lift, or make them anew, as collections. With ``as_assets`` they are marked as
+    """Make these instances of a placed lift, or make them again, as collections. With ``as_assets`` they are marked as
     assets with a preview picture. Raises PlgsError when one is not there."""
     known = {one.id: one for one in read_corrected(folder_of(root)).instances}
     lost = [number for number in numbers if number not in known]
@@ -66,8 +66,8 @@ def leave_holes(root: bpy.types.Collection) -> None:
 
 
 def key_visibility(root: bpy.types.Collection, numbers: Sequence[int], scene: bpy.types.Scene) -> int:
-    """Let instances be visible, in views and renders, in those frames of the timeline alone whose masks show them: what
-    was made of them, else their boxes. Returns how many objects have keys. Raises PlgsError without frames."""
+    """Key instances to be visible, in views and renders, only in the timeline's frames whose masks show them: what was
+    made of them, else their boxes. Returns how many objects have keys. Raises PlgsError without frames."""
     place_of = {text_of(ob, "frame") or ob.name: place for ob, place in places_of(root, scene).items()}
     showing = {row.instance_id: {mask.frame for mask in row.masks} for row in root.plgs.instances}
     objects = {number: [box] for number, box in boxes_of(root).items()}

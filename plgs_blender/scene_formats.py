@@ -5,7 +5,7 @@ from __future__ import annotations
 from ..engine.posed.format_names import MASK_FORMAT_NAMES, SCENE_FORMAT_NAMES
 
 AUTOMATIC = "auto"
-"""What the user chooses to leave the format to the scene's looks."""
+"""The choice that lets the format be recognised by the scene's files."""
 
 FORMAT_ITEMS = [
     (AUTOMATIC, "Automatic", "Recognised by the names of the files"),
@@ -28,5 +28,5 @@ def label_of(name: str) -> str:
 
 
 def chosen_format(choice: str) -> str | None:
-    """The format that a choice of FORMAT_ITEMS or MASK_FORMAT_ITEMS names; None leaves it to its looks."""
+    """The format that a choice of FORMAT_ITEMS or MASK_FORMAT_ITEMS names; None: it is recognised."""
     return None if choice in ("", AUTOMATIC) else choice

@@ -1,4 +1,4 @@
-"""A camera of the user's over a range of frames, as the engine bakes it: each frame is a camera of its own.
+"""A camera of the user's over a range of frames, as the engine bakes it: each frame is a separate camera.
 
 The lift's world is Blender's: a camera sees the lifted scene from its place among the lift's objects.
 """
@@ -61,7 +61,7 @@ def shot_of(
         scene.frame_end if last is None else last,
         scene.frame_step if step is None else step,
     )
-    fix = "Set the range in the Output properties: from 0 on, its end not before its start."
+    fix = "Set the range in the Output properties: it must start at 0 or later, and end no earlier than it starts."
     if not shot.frames or shot.first < 0:
         raise PlgsError(f"cannot be baked: {shot.first} to {shot.last} is not a range of frames", scene.name, fix)
     return shot
@@ -108,7 +108,7 @@ class ShotReader:
 
     It reads some frames at a time: Blender evaluates the scene at each frame, and a long range would freeze its window.
     Between two calls the scene stands where it stood. The scene and the camera are found again by their names, because
-    an undo meanwhile makes other objects of them.
+    an undo meanwhile replaces them.
     """
 
     def __init__(self, scene: bpy.types.Scene, shot: Shot) -> None:
@@ -131,8 +131,8 @@ class ShotReader:
         return [replace(self._read[0], name=self._name(self._first))] if self._stands_still else self._read
 
     def read_for(self, seconds: float) -> bool:
-        """Read on for at least a frame and about ``seconds``. Returns whether all frames are read. Raises PlgsError for
-        a camera that is no pinhole camera, or is gone.
+        """Continue reading for at least a frame and about ``seconds``. Returns whether all frames are read. Raises
+        PlgsError for a camera that is no pinhole camera, or is gone.
         """
         end = time.monotonic() + seconds
         scene = bpy.data.scenes.get(self._scene)
@@ -183,9 +183,9 @@ def _check_pinhole(ob: bpy.types.Object, frame: int) -> None:
         raise PlgsError("is not a camera", at, "Make a camera the scene's active one.")
     if ob.data.type != "PERSP":
         kind = {"ORTHO": "orthographic", "PANO": "panoramic"}.get(ob.data.type, ob.data.type.lower())
-        raise PlgsError(f"is {kind}; only cameras in perspective can be baked", at, "Set its type to Perspective.")
+        raise PlgsError(f"is {kind}; only perspective cameras can be baked", at, "Set its type to Perspective.")
     if ob.matrix_world.is_negative:
-        raise PlgsError("shows the world mirrored", at, "Give it and its parents a scale above 0.")
+        raise PlgsError("shows the world mirrored", at, "Give it and its parents a positive scale.")
 
 
 def _camera_at(scene: bpy.types.Scene, ob: bpy.types.Object, frame: int, name: str) -> BakeCamera:
@@ -197,7 +197,7 @@ def _camera_now(scene: bpy.types.Scene, ob: bpy.types.Object, frame: int, name: 
     _check_pinhole(ob, frame)
     camera = seen_by(ob, scene.render)
     if max(camera.width, camera.height) > LARGEST_SIDE:
-        fix = f"Set its resolution to at most {LARGEST_SIDE} pixels a side."
+        fix = f"Set its resolution to at most {LARGEST_SIDE} pixels per side."
         raise PlgsError(f"renders {camera.width}x{camera.height} pixels", scene.name, fix)
     return BakeCamera(name, _pinhole(camera), float(ob.data.clip_start), float(ob.data.clip_end))
 
@@ -234,7 +234,7 @@ def bake_shot_in_terminal(
     if follower.error is not None:
         print(f"error: {follower.error}", file=sys.stderr)
     elif follower.state is TaskState.CANCELLED:
-        print(f"Cancelled. Give the same command to go on: {lift.path}", file=sys.stderr)
+        print(f"Cancelled. Give the same command again to continue: {lift.path}", file=sys.stderr)
     else:
         print(f"Baked: {lift.passes_path}", file=sys.stderr)
     return follower.exit_code

@@ -1,4 +1,4 @@
-"""The lift's Gaussians as splats: Blender's own from 5.3 on, and before that one square a Gaussian.
+"""The lift's Gaussians as splats: Blender's own from 5.3 on, and before that one square per Gaussian.
 
 A Gaussian of a lifted surface is flat, so a square across its two longest axes shows it from all sides but its edge.
 The squares are one mesh with the attributes Col, opacity and corner (places on the square in standard deviations). The
@@ -41,7 +41,7 @@ _LARGEST = 0.2
 _AT_ONCE = 50_000
 """Gaussians whose squares are computed while the window waits."""
 MOST_SQUARES = 600_000
-"""Gaussians that are shown; of more, those that cover most."""
+"""At most this many Gaussians are shown; of more, those that cover most."""
 _COLOUR_SCALE = 0.28209479177387814
 """The constant spherical harmonic: colour = 0.5 + this * f_dc."""
 _CORNERS = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]], np.float32)

@@ -1,6 +1,6 @@
-"""Points without classes as one mesh: in Solid shading its points have a colour each, those of a point cloud have not.
+"""Points without classes as one mesh: in Solid shading each point has its own colour, unlike a point cloud's points.
 
-The mesh has nothing but vertices: the points. A modifier makes a square of each, so squares take no room in the file.
+The mesh has nothing but vertices: the points. A modifier makes each into a square, so squares take no room in the file.
 """
 
 from __future__ import annotations

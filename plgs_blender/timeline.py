@@ -1,8 +1,8 @@
 """The lift's markers on the timeline: each is bound to a camera of ours, so scrubbing walks through the frames.
 
 Blender makes the camera of a bound marker the active one at each change of the frame. Our markers must not take over a
-camera of the user's: they are on the timeline only while one of their own cameras is active, and wait as a property of
-these cameras while another is.
+camera of the user's: they are on the timeline only while one of their own cameras is active, and are kept as a property
+of these cameras while another is active.
 """
 
 from __future__ import annotations

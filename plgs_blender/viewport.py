@@ -1,6 +1,6 @@
 """What editors show: the first look of a file that we start, 3D views that show a lift, a picture in an image editor.
 
-Files of the user's keep their looks.
+The user's own files keep their look.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ def all_views() -> list[bpy.types.Area]:
 
 
 def set_ground(world: bpy.types.World) -> None:
-    """Give the world a dark, neutral ground on which all colours stand out."""
+    """Give the world a dark, neutral background on which all colours stand out."""
     background = next(node for node in use_nodes(world).nodes if node.bl_idname == "ShaderNodeBackground")
     background.inputs["Color"].default_value = (0.016, 0.018, 0.022, 1.0)
 
@@ -67,7 +67,7 @@ def show_object_colours(shading: Any) -> None:
 
 def show_lift_colours(view: bpy.types.SpaceView3D) -> None:
     """Let a 3D view show a lift's colours in Solid shading: the attribute Col of splats and meshes, with their backs
-    open, the classes' colours of points, which have no others there, and boxes in coloured lines.
+    open, points in their classes' colours, as they have no others there, and boxes in coloured lines.
     """
     view.shading.type = "SOLID"
     show_object_colours(view.shading)
@@ -77,7 +77,7 @@ def show_lift_colours(view: bpy.types.SpaceView3D) -> None:
 
 def colour_views(scene: bpy.types.Scene, *, points: bool, were_points: bool = False) -> None:
     """Let 3D views of this scene that a lift has coloured, or that are as Blender starts them, show a lift's colours:
-    of ``points`` in Material Preview. Where there ``were_points``, they turn back from it.
+    of ``points`` in Material Preview. Where there ``were_points``, they return from it.
     """
     for area in areas_of(scene):
         space = area.spaces.active
@@ -89,7 +89,7 @@ def colour_views(scene: bpy.types.Scene, *, points: bool, were_points: bool = Fa
 
 def show_room(areas: Iterable[bpy.types.Area], rotation: Quaternion, corners: NDArray[np.float64]) -> None:
     """Let these 3D views look at the room with these corners [N, 3], in metres, turned as a camera with this rotation
-    is, beside what the sidebar covers. Views through a camera stay.
+    is, in the part that the sidebar leaves free. Views through a camera stay.
 
     Views that are still as Blender starts them get the lift's colours.
     """
@@ -174,7 +174,7 @@ def _is_ours(view: bpy.types.SpaceView3D, has_points: bool) -> bool:
 
 def show_lift_colours_at_first(view: bpy.types.SpaceView3D) -> None:
     """`show_lift_colours` in a view that is still as Blender starts it, where a lift would be nothing but grey. Other
-    views keep their looks.
+    views keep their look.
     """
     if _is_as_started(view):
         show_lift_colours(view)
@@ -187,7 +187,7 @@ def show_lift_colours_in(scene: bpy.types.Scene) -> None:
 
 
 def view_of(context: bpy.types.Context) -> tuple[bpy.types.SpaceView3D | None, float]:
-    """The 3D view that somebody works in, else the largest of the screen, else None; and its width by its height."""
+    """The 3D view that the user works in, else the largest of the screen, else None; and its width by its height."""
     areas = [area for area in context.screen.areas if area.type == "VIEW_3D"] if context.screen is not None else []
     if context.area is not None and context.area.type == "VIEW_3D":
         areas = [context.area]

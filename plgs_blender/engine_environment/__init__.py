@@ -22,7 +22,7 @@ __all__ = ["EngineState", "EngineStatus", "engine_python", "status", "usable_pyt
 
 
 def why_no_engine() -> str | None:
-    """Why no engine can be started now; None when one can. Looks at no disk."""
+    """Why no engine can be started now; None when one can. Never reads the disk."""
     engine = status()
     return None if engine.is_usable else f"{engine.message}. {engine.fix}"
 
@@ -30,7 +30,7 @@ def why_no_engine() -> str | None:
 def usable_python() -> Path:
     """The Python to run the engine with. Raises PlgsError when it is known, or found, that none has what it needs.
 
-    In a window this answers at once, by what the engine answered; a script without one waits 0.1 s for a look at it.
+    In a window this returns at once what the engine last answered; a script without one waits 0.1 s to ask it.
     """
     known = status()
     if known.state is EngineState.READY and known.python is not None:
@@ -46,7 +46,7 @@ def engine_python() -> Path | None:
     """The same, or None when no engine can be used; `status` then says why."""
     known = status()
     try:
-        if known.state is EngineState.CHECKING:  # the answer comes in a moment; who needs it now may try
+        if known.state is EngineState.CHECKING:  # the answer comes in a moment; a caller that needs it now may try
             return _python_to_be_asked()
         return usable_python() if known.is_usable else None
     except PlgsError:

@@ -10,11 +10,11 @@ from typing import Any
 import bpy
 
 EXTENSION = __package__.rsplit(".", 2)[0]
-"""The name under which Blender knows the extension: its preferences go by it."""
+"""The name under which Blender knows the extension, which its preferences use."""
 
 TORCH_BUILDS = [
     ("cpu", "CPU", "The small build, which is all that a lift uses"),
-    ("cuda", "CUDA", "Several GB more; only a lift from the command line draws on it, with --device cuda"),
+    ("cuda", "CUDA", "Several GB more; only a lift from the command line uses it, with --device cuda"),
 ]
 
 
@@ -32,8 +32,8 @@ class SetUpChoice:
         return arguments if self.base_python is None else [*arguments, "--base-python", self.base_python]
 
     def variables(self) -> dict[str, str]:
-        """The command's variables. A password in the index's URL would stand in the list of processes as an
-        argument."""
+        """The command's variables. As an argument, a password in the index's URL would show in the list of
+        processes."""
         return {"PLGS_INDEX_URL": self.index_url} if self.index_url else {}
 
 
@@ -71,7 +71,7 @@ def set_up_choice(base_python: str = "", torch_build: str = "", index_url: str =
 
 
 def own_python() -> Path:
-    """The Python that this Blender brings."""
+    """The Python that comes with this Blender."""
     return Path(sys.executable)
 
 

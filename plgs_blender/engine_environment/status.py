@@ -1,4 +1,4 @@
-"""What is known of the engine, in words for people."""
+"""What is known about the engine, in words for the user."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _OTHER_PYTHON = "Choose another Python, or set the engine up."
 
 
 class EngineState(Enum):
-    """How much is known of the engine."""
+    """How much is known about the engine."""
 
     UNKNOWN = "unknown"
     CHECKING = "checking"
@@ -28,7 +28,7 @@ class EngineState(Enum):
 
 @dataclass(frozen=True)
 class EngineStatus:
-    """One line for people, and what to do where the engine cannot be used. ``note`` says what is odd but may work."""
+    """One line for the user, and what to do if the engine cannot be used. ``note`` says what is odd but may work."""
 
     state: EngineState
     message: str = ""
@@ -39,37 +39,37 @@ class EngineStatus:
 
     @property
     def is_usable(self) -> bool:
-        """Whether nothing is known that speaks against it."""
+        """Whether nothing is known that prevents its use."""
         return self.state not in (EngineState.MISSING, EngineState.FAILED)
 
 
-UNKNOWN = EngineStatus(EngineState.UNKNOWN, "The engine was not asked yet", "Check the engine.")
+UNKNOWN = EngineStatus(EngineState.UNKNOWN, "The engine has not been checked yet", "Check the engine.")
 
 
 def checking(choice: ChosenPython) -> EngineStatus:
-    """While a Python is asked."""
+    """The status while a Python is asked."""
     return EngineStatus(EngineState.CHECKING, "Asking the engine", python=choice.python)
 
 
 def without_python(error: PlgsError) -> EngineStatus:
-    """No Python is there that could run it."""
+    """There is no Python that could run it."""
     return EngineStatus(EngineState.MISSING, _capital(error.what), _SET_UP)
 
 
 def of_answer(choice: ChosenPython, answer: Mapping[str, Any] | None) -> EngineStatus:
-    """A Python ran to its end with this answer, None when it gave none."""
+    """A Python ended with this answer; None when it gave none."""
     engine = EngineAnswer.from_json(answer or {})
     if engine is None:
-        message = f"{choice.python} answers, but not as a Python with this engine does"
+        message = f"{choice.python} answers, but not as a Python with this engine should"
         return failed(choice, message, "Choose another Python.")
     if engine.engine != VERSION:
-        message = f"engine {engine.engine} does not belong to this PLGS, which is {VERSION}"
-        return failed(choice, message, "Restart Blender: PLGS was updated while it ran.")
+        message = f"engine {engine.engine} does not match this PLGS, which is {VERSION}"
+        return failed(choice, message, "Restart Blender: PLGS was updated while Blender was running.")
     if engine.missing:
         message = f"{choice.python} ({choice.origin}) lacks {', '.join(engine.missing)}"
         fix = choice.fix if choice.origin is Origin.VARIABLE else _SET_UP
         return EngineStatus(EngineState.MISSING, message, fix, "", choice.python, engine)
-    note = f"Other versions than the tested ones: {', '.join(engine.others)}" if engine.others else ""
+    note = f"Versions that differ from the tested ones: {', '.join(engine.others)}" if engine.others else ""
     return EngineStatus(EngineState.READY, _describe(engine), "", note, choice.python, engine)
 
 

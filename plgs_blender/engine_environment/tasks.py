@@ -21,7 +21,7 @@ from .choices import SetUpChoice, choose, chosen_python, own_python
 from .status import EngineStatus
 
 PATIENCE_S = 10.0
-"""Seconds that a Python has to answer. An answer takes some tenths of a second, the first from a cold disk a few
+"""Seconds within which a Python must answer. An answer takes some tenths of a second, the first from a cold disk a few
 seconds."""
 OFFLINE_FIX = "Allow online access in Preferences > System."
 _FIRST_CHECK_S = 0.5
@@ -33,12 +33,12 @@ _status = states.UNKNOWN
 
 
 def status() -> EngineStatus:
-    """What is known of the engine. Looks at no disk."""
+    """What is known about the engine. Never reads the disk."""
     return _status
 
 
 class EngineCheck(Task):
-    """A Python is asked what engine it has."""
+    """Asks a Python what engine it has."""
 
     kind, label = "check", "Asking the engine"
 
@@ -64,7 +64,7 @@ class EngineCheck(Task):
 
 
 class SetUp(Task):
-    """The engine's environment is made. When it is cancelled the next set-up goes on where this one was."""
+    """Makes the engine's environment. When it is cancelled, the next set-up continues where this one stopped."""
 
     kind, label, cancel_operator = "set-up", "Setting the engine up", "plgs.cancel_engine_set_up"
     counts_steps = False
@@ -87,7 +87,7 @@ class SetUp(Task):
 
     def done(self, scene: Any) -> None:
         if self.has_finished:
-            choose(None)  # who sets the engine up wants that one
+            choose(None)  # whoever sets up the engine wants to use that one
         check()
         if self._is_offline:
             raise PlgsError("online access was switched off", "Set up engine", OFFLINE_FIX)
@@ -98,7 +98,7 @@ class SetUp(Task):
 
 
 class Removal(Task):
-    """The environments that set-ups made are deleted."""
+    """Deletes the environments that set-ups made."""
 
     kind, label = "removal", "Removing the engine"
 
@@ -107,7 +107,7 @@ class Removal(Task):
 
 
 def check() -> EngineCheck | None:
-    """Ask the Python that is chosen now, and know the answer in `status` a moment later; None when there is none."""
+    """Ask the chosen Python; `status` knows the answer a moment later. None when no Python is chosen."""
     global _status
     registry.forget(EngineCheck.kind)
     try:
@@ -126,7 +126,7 @@ def check() -> EngineCheck | None:
 
 
 def running_set_up() -> SetUp | None:
-    """The set-up that goes on; None when none does."""
+    """The running set-up; None when there is none."""
     return next(iter(registry.running(SetUp)), None)
 
 
@@ -136,14 +136,14 @@ def log_path() -> Path:
 
 
 def why_no_set_up() -> str | None:
-    """Why the engine cannot be set up now; None when it can. Looks at no disk."""
+    """Why the engine cannot be set up now; None when it can. Never reads the disk."""
     if running_set_up() is not None:
-        return "The engine is being set up already"
+        return "The engine is already being set up"
     return None if bpy.app.online_access else f"Packages have to be downloaded. {OFFLINE_FIX}"
 
 
 def set_up(choice: SetUpChoice) -> SetUp:
-    """Begin to make the engine's environment, or go on with it. Raises PlgsError, OSError."""
+    """Begin to make the engine's environment, or continue it. Raises PlgsError, OSError."""
     reason = why_no_set_up()
     if reason is not None:
         raise PlgsError("the engine cannot be set up now", "Set up engine", reason)

@@ -25,7 +25,7 @@ _SMALLEST, _LARGEST = 2.5, 14.0
 """Limits to the size of a highlighted point, pixels."""
 _PATH_COLOUR = (1.0, 0.78, 0.3, 0.9)
 _JUMP = 6.0
-"""Times the usual distance of two frames beyond which a path is broken."""
+"""A path breaks where two frames are farther apart than this many times the usual distance."""
 _EDGES = (0, 1, 1, 2, 2, 3, 3, 0, 4, 5, 5, 6, 6, 7, 7, 4, 0, 4, 1, 5, 2, 6, 3, 7)
 """Pairs of corners of an object's `bound_box`."""
 
@@ -77,7 +77,7 @@ def draw_outline(corners: Sequence[tuple[float, float]], colour: Colour) -> None
 
 def draw_path(points: Sequence[Vector]) -> None:
     """A line through points in metres, one after the other, behind what is nearer. A step that is much longer than
-    usual is a jump to another part of a recording: there is no line.
+    usual is a jump to another part of a recording, and gets no line.
     """
     steps = [(end - start).length for start, end in pairwise(points)]
     longest = _JUMP * float(np.median(steps)) if steps else 0.0
@@ -124,7 +124,7 @@ def _texture_of(pixels: NDArray[np.float32]) -> gpu.types.GPUTexture:
 
 
 def draw_text_boxes(text_boxes: Sequence[TextBox]) -> None:
-    """Draw all grounds, then all texts on them."""
+    """Draw all backgrounds, then all texts on them."""
     if not text_boxes:
         return
     corners: list[tuple[float, float]] = []
@@ -176,14 +176,14 @@ def _darken() -> None:
 
 
 def _nearer(view: bpy.types.RegionView3D, distance: float, by: float) -> Matrix:
-    """The change of view space that brings things at `distance` metres nearer `by` metres, at the same pixels."""
+    """The transform of view space that brings things at `distance` metres `by` metres nearer, at the same pixels."""
     if view.is_perspective:
         return Matrix.Diagonal([max(1.0 - by / distance, 0.5)] * 3).to_4x4()
     return Matrix.Translation((0.0, 0.0, by))
 
 
 def _draw_points(seen: Highlight, colour: Colour, pixels: float) -> None:
-    """Draw all points faintly, then those that nothing covers in full."""
+    """Draw all points faintly, then those that nothing covers at full strength."""
     shader = point_shader()
     gpu.state.point_size_set(pixels)
     for test, opacity in (("NONE", _BEHIND), ("LESS_EQUAL", 1.0)):

@@ -19,7 +19,7 @@ from .lookup import clouds_of, ids_of
 
 @dataclass(frozen=True, eq=False)
 class Highlight:
-    """Points `xyz` float32 [N, 3] in world metres, their lightness `shade` float32 [N], which lets shapes be seen, and
+    """Points `xyz` float32 [N, 3] in world metres, their lightness `shade` float32 [N], which makes shapes visible, and
     their mean `radius` in metres. `key` says which instance and clouds they were read from.
     """
 
@@ -39,7 +39,7 @@ _last: list[Highlight] = []
 
 
 def highlight_of(root: bpy.types.Collection, instance: int, visible: Any) -> Highlight:
-    """The points of an instance in the clouds that `visible(object)` says are seen."""
+    """The points of an instance in the clouds that are seen, as `visible(object)` says."""
     clouds = [cloud for cloud in clouds_of(root) if visible(cloud)]
     key = (root.session_uid, instance, *map(_state_of, clouds))
     if not _last or _last[0].key != key:
@@ -80,9 +80,9 @@ def _points_of(cloud: bpy.types.Object, instance: int) -> _Points:
 def outline_in_space(
     camera: bpy.types.Object, outline: str, rectangle: tuple[float, float, float, float]
 ) -> list[list[Vector]]:
-    """The polygons of a mask's outline in the picture of a frame's camera, as world points one metre before the camera;
-    the rectangle around the mask where a lift has no outlines. Both are as `MatchedSegment` has them. Empty when the
-    user removed the camera's properties of its lens.
+    """The polygons of a mask's outline in the picture of a frame's camera, as world points one metre in front of the
+    camera; the rectangle around the mask where a lift has no outlines. Both are as `MatchedSegment` has them. Empty
+    when the user removed the lens properties from the camera.
     """
     if any(name not in camera for name in ("width", "height", "fx", "fy", "cx", "cy")):
         return []

@@ -83,7 +83,7 @@ class PLGS_PG_mask(bpy.types.PropertyGroup):
     frame: StringProperty(name="Frame")
     segment: IntProperty(name="Segment", description="Id of the segment in the frame's mask")
     class_id: IntProperty(name="Class id")
-    class_name: StringProperty(name="Class", description="What this mask took it for")
+    class_name: StringProperty(name="Class", description="The class that this mask gave it")
     score: FloatProperty(name="Score", description="How sure the mask was, 0 to 1")
     cost: FloatProperty(
         name="Cost", default=NO_COST,
@@ -136,14 +136,14 @@ class PLGS_PG_class(bpy.types.PropertyGroup):
     )  # fmt: skip
     points: IntProperty(name="Points")
     score: FloatProperty(name="Score", description="Mean confidence of its points, 0 to 1")
-    is_thing: BoolProperty(name="Thing", description="Comes in instances")
+    is_thing: BoolProperty(name="Thing", description="Whether it has instances")
     visible: BoolProperty(
         name="Visible", default=True, update=_update_visibility, description="Show its points, anchors and boxes"
     )
 
 
 class PLGS_PG_unshown(bpy.types.PropertyGroup):
-    """What the masks show well from near, and the lift does not."""
+    """What the masks show well from close up and the lift does not."""
 
     name: StringProperty(name="What")
     frame: StringProperty(name="Frame", description="The frame that shows it best")
@@ -158,26 +158,26 @@ class PLGS_PG_lift(bpy.types.PropertyGroup):
     class_index: IntProperty(name="Class", default=-1)
     not_shown: CollectionProperty(type=PLGS_PG_unshown)
     instances_search: StringProperty(
-        name="Search", options={"TEXTEDIT_UPDATE"}, description="Show only instances whose names hold these words"
+        name="Search", options={"TEXTEDIT_UPDATE"}, description="Show only instances whose names contain these words"
     )
     classes_search: StringProperty(
-        name="Search", options={"TEXTEDIT_UPDATE"}, description="Show only classes whose names hold these words"
+        name="Search", options={"TEXTEDIT_UPDATE"}, description="Show only classes whose names contain these words"
     )
     isolated: IntProperty(
         name="Shown alone", default=0, update=_update_visibility,
-        description="Id of the only instance that is shown; 0 = all are",
+        description="Id of the only instance that is shown; 0: all are shown",
     )  # fmt: skip
     look: EnumProperty(
         name="Colours", update=_update_look, description="What the colours in the view mean",
         items=[
             (PHOTO, "Photo", "The colours of the photos; boxes in the colours of their instances"),
             (BY_CLASS, "Classes", "The colours of the classes, boxes too"),
-            (INSTANCES, "Instances", "Each instance in a colour of its own, all else grey"),
+            (INSTANCES, "Instances", "Each instance in its own colour, everything else grey"),
             (UNCERTAINTY, "Uncertainty", "Bright where the frames were not sure of the class"),
         ],
     )  # fmt: skip
     show_as: EnumProperty(
-        name="Show As", update=_update_show_as, description="As what the lift is shown",
+        name="Show As", update=_update_show_as, description="How the lift is shown",
         items=[
             (POINTS, "Points", "The semantic points"),
             (SPLATS, "Splats", "The Gaussians of the lifted model"),
@@ -212,8 +212,8 @@ def unregister() -> None:
 
 @contextmanager
 def registered() -> Iterator[None]:
-    """Make `collection.plgs` known where the extension is switched off, as in scripts. What is written stays in the
-    file either way.
+    """Register `collection.plgs` where the extension is switched off, as in scripts. What is written stays in the file
+    either way.
     """
     if hasattr(bpy.types.Collection, "plgs"):
         yield
@@ -226,7 +226,7 @@ def registered() -> Iterator[None]:
 
 
 def fill_lists(root: bpy.types.Collection, result: LiftResult | CorrectedResult) -> None:
-    """Let the lift's collection list the instances, with their masks, and the classes. All of them are shown then."""
+    """List the instances, with their masks, and the classes in the lift's collection. All of them are then shown."""
     with registered(), apply_colours.at_once(root), apply_visibility.at_once(root):
         lists = root.plgs
         lists.instances.clear()
@@ -247,7 +247,7 @@ def fill_lists(root: bpy.types.Collection, result: LiftResult | CorrectedResult)
 
 
 def fill_not_shown(root: bpy.types.Collection, result: LiftResult) -> None:
-    """Let the lift's collection list what the masks show and the lift does not."""
+    """List in the lift's collection what the masks show and the lift does not."""
     with registered():
         root.plgs.not_shown.clear()
         for text, frame in result.not_shown:
@@ -274,7 +274,7 @@ def _reason(mask: MatchedSegment) -> str:
         return f"{100 * mask.agreement:.0f} % agreement"
     if mask.cost is not None:
         return f"cost {mask.cost:.2f}"
-    return "founded it" if mask.share > 0.0 else ""
+    return "first mask" if mask.share > 0.0 else ""
 
 
 def _fill_instance(row: Any, instance: Instance, classes: ClassTable) -> None:

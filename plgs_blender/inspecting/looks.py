@@ -1,7 +1,7 @@
-"""Which colours a lift has in the view, and as what it is shown.
+"""Which colours a lift has in the view, and how it is shown.
 
-All of it is drawn in the attribute Col. The photo's colours wait in the attribute `photo` while Col shows something
-else, so materials, Solid shading and renders need to know of one attribute only.
+Everything is drawn with the attribute Col. The photo's colours are kept in the attribute `photo` while Col shows
+something else, so materials, Solid shading and renders need to know only one attribute.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ SHOWN_IN = {POINTS: "Semantic points", SPLATS: "Gaussians", SURFACE: "Meshes"}
 COLOUR, KEPT = "Col", "photo"
 
 _GREY = np.array([0.3, 0.6, 0.1], np.float32)
-"""Weights of the channels in the grey of what is no instance."""
+"""Weights of the channels in the grey of what is not an instance."""
 _RAMP = np.array([[0.02, 0.03, 0.09], [0.45, 0.05, 0.25], [1.0, 0.75, 0.15]], np.float32)
 """Linear colours of confidence 1, 0.5 and 0."""
 _CELL = 0.1
@@ -80,7 +80,7 @@ def _photo(data: Any) -> NDArray[np.float32]:
     if KEPT in data.attributes:
         return _read(data, KEPT)
     colours = _read(data, COLOUR)
-    if data.id_type == "MESH":  # a colour attribute, which a new one must not become the active one of
+    if data.id_type == "MESH":  # a new colour attribute must not become the active one
         layer = data.attributes.new(KEPT, "FLOAT_COLOR", "POINT")
         data.color_attributes.active_color = data.color_attributes[COLOUR]
     else:

@@ -76,7 +76,7 @@ def instance_of(box: bpy.types.Object) -> int:
 
 
 def clouds_of(root: bpy.types.Collection) -> list[bpy.types.Object]:
-    """The semantic points, one object a class, and the anchors."""
+    """The semantic points, one object per class, and the anchors."""
     return [ob for ob in objects_by_key(root).values() if ob.type == "POINTCLOUD"]
 
 

@@ -1,6 +1,6 @@
 """One selection everywhere: the box that is active in the view and the row that is active in the list.
 
-The truth is Blender's own selection of boxes. `follow_active` moves the list's active row to it, `select_row` selects
+Blender's own selection of boxes decides. `follow_active` moves the list's active row to it, `select_row` selects
 the box of the list's active row. Each does nothing when both agree, so they cannot chase each other. What the view
 highlights is read from the selection while drawing.
 

@@ -21,7 +21,7 @@ _MOST_LABELS = 120
 _STEP = 0.25
 """Share of a label's height by which a label moves up that would cover another."""
 _FARTHEST = 4.0
-"""Heights of a label that it may move up. A label farther from its box names another."""
+"""Heights of a label that it may move up. Farther from its box, it would seem to name another."""
 _DARK = (0.09, 0.095, 0.105)
 
 
@@ -132,7 +132,7 @@ def shown_classes(rows: Any) -> list[tuple[str, Colour]]:
 
 
 def legend_text_boxes(shown: Sequence[tuple[str, Colour]], region: ViewRegion) -> list[TextBox]:
-    """As many of the classes, names and colours, as fit into the lower left corner, the first first."""
+    """As many of the classes, names and colours, as fit into the lower left corner, in order."""
     size, padding = _TEXT * region.scale, _PADDING * region.scale
     line = size + 1.2 * padding
     room = max(1, int((0.7 * region.height) / line))

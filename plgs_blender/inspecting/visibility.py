@@ -1,6 +1,6 @@
-"""What of a lift is shown, and in which colours.
+"""Which parts of a lift are shown, and in which colours.
 
-Boxes and the points of a class are objects, which have eyes and colours of their own. The points of an instance are
+Boxes and the points of a class are objects, each with its own eye and colour. The points of an instance are
 part of its class's cloud: they carry the attribute `plgs_hidden`, and a modifier leaves them out, in the view and in
 renders. The modifier is there only while something is hidden.
 """
@@ -26,7 +26,7 @@ HIDDEN = "plgs_hidden"
 MODIFIER = "Hidden instances"
 _GROUP = "hidden instances"
 _WIRES, _DOTS = 0.15, 0.03
-"""Display sizes of the frames' cameras in metres: such that each can be told, and such that their path can."""
+"""Display sizes of the frames' cameras in metres: to tell each one apart, and to show their path."""
 
 
 class _OnceForMany:
@@ -112,7 +112,7 @@ def isolate(root: bpy.types.Collection, instance: int = 0) -> None:
 
 
 def show_all(root: bpy.types.Collection) -> None:
-    """Open all eyes of the lift's lists."""
+    """Show everything in the lift's lists."""
     with apply_visibility.at_once(root):
         for row in (*root.plgs.instances, *root.plgs.classes):
             row.visible = True

@@ -1,1 +1,1 @@
-"""What engines do for the panel, a kind of task in each module. `lifting` starts from what the panel says."""
+"""What engines do for the panel, one kind of task per module. `lifting` starts from the panel's settings."""

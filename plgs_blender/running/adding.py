@@ -22,7 +22,7 @@ ITEMS = [(name, CAPABILITIES[name].label, ", ".join(CAPABILITIES[name].packages)
 
 
 class Adding(Task):
-    """Packages are added to the engine. When it is cancelled or fails the engine is as it was."""
+    """Adds packages to the engine. When it is cancelled or fails, the engine stays as it was."""
 
     kind, label, cancel_operator = "add", "Adding to the engine", "plgs.cancel_adding"
     counts_steps = False
@@ -42,7 +42,7 @@ class Adding(Task):
 
 
 def lacking(name: str) -> tuple[str, ...]:
-    """The packages that one of `CAPABILITIES` lacks, as far as the engine has answered. Looks at no disk."""
+    """The packages that one of `CAPABILITIES` lacks, as far as the engine has answered. Never reads the disk."""
     answer = status().answer
     return () if answer is None else answer.capabilities.get(name, ())
 
@@ -55,13 +55,13 @@ def why_lacking(name: str) -> str | None:
 
 
 def size_of(name: str) -> int:
-    """Bytes on the disk that adding it takes, about."""
+    """About how many bytes on the disk adding it takes."""
     return CAPABILITIES[name].size
 
 
 def why_not_added() -> str | None:
-    """Why nothing can be added now; None when it can. Looks at no disk."""
-    return "Something is added to the engine already" if registry.running(Adding) else tasks.why_no_set_up()
+    """Why nothing can be added now; None when something can. Never reads the disk."""
+    return "Something is already being added to the engine" if registry.running(Adding) else tasks.why_no_set_up()
 
 
 def add(name: str, python: Path, index_url: str = "") -> Adding:

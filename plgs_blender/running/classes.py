@@ -20,7 +20,7 @@ from . import looking
 
 
 class ClassListing(Task):
-    """The list goes into the rows of the scene called ``target``; after writing, the panel looks at the masks anew."""
+    """The list goes into the rows of the scene called ``target``; after writing, the panel looks at the masks again."""
 
     kind, label = "classes", "Reading the classes"
     undo_step = "PLGS Read Classes"

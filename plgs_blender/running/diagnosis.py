@@ -1,4 +1,4 @@
-"""What is wrong with a scene, as an engine measures it, and the mended scene that it writes.
+"""What is wrong with a scene, as an engine measures it, and the fixed scene that it writes.
 
 The panel draws from here.
 """
@@ -26,9 +26,9 @@ from ..tasks.registry import Task, start_engine
 
 @dataclass(frozen=True)
 class Finding:
-    """One finding: its ``cause`` in a word or two, what is wrong with its figures, what mends it, and its picture.
+    """One finding: its ``cause`` in a word or two, what is wrong, with figures, what fixes it, and its picture.
 
-    When it ``is_wrong`` it should be mended before a lift; else it is a note. When it ``is_mended`` "Fix" mends it.
+    When it ``is_wrong`` it should be fixed before a lift; else it is a note. When it ``is_mended``, "Fix" fixes it.
     """
 
     cause: str
@@ -40,8 +40,8 @@ class Finding:
 
 
 class Diagnosis(Task):
-    """An engine measures what is wrong with a scene. Before its end there are no findings; its error says why there
-    are none later. ``mended`` is the folder that "Fix" writes, and whether it is there says `is_mended`.
+    """Measures what is wrong with a scene. There are no findings before its end; if there are none afterwards, its
+    error says why. ``mended`` is the folder that "Fix" writes, and `is_mended` says whether it did.
     """
 
     kind, label, cancel_operator = "diagnosis", "Measuring", "plgs.cancel_diagnosis"
@@ -56,7 +56,7 @@ class Diagnosis(Task):
 
     @property
     def is_mended(self) -> bool:
-        """Whether the mended scene was written."""
+        """Whether the fixed scene was written."""
         return self.is_taken and self.mended is not None and self.mended.is_dir()
 
     def done(self, scene: Any) -> None:
@@ -87,13 +87,13 @@ class Diagnosis(Task):
 
 
 def diagnosis_of(chosen: ChosenScene) -> Diagnosis | None:
-    """What is known of this scene; None when nobody has measured it, or that was cancelled."""
+    """What is known about this scene; None when it was not measured, or measuring was cancelled."""
     known = registry.latest(Diagnosis)
     return known if known is not None and known.chosen == chosen and not known.was_cancelled else None
 
 
 def diagnose(settings: PLGS_PG_settings, mended: Path | None = None) -> Diagnosis:
-    """Let an engine measure the panel's scene, and with ``mended`` write it there with what is safe mended.
+    """Let an engine measure the panel's scene, and with ``mended`` write it there with all safe fixes.
 
     Raises PlgsError when no engine can be started, OSError.
     """
@@ -111,9 +111,9 @@ def diagnose(settings: PLGS_PG_settings, mended: Path | None = None) -> Diagnosi
 
 
 def _choose_mended(settings: PLGS_PG_settings, mended: Path) -> None:
-    """Let the panel show the mended scene, which has its masks in it and its z axis up.
+    """Let the panel show the fixed scene, which contains its masks and has its z axis up.
 
-    Each assignment lets the folder be looked at: so only what differs is assigned, and the folder last.
+    Each assignment makes us look at the folder, so only what differs is assigned, and the folder last.
     """
     values = {"masks": "", "depth": "", "up": "z", "format": AUTOMATIC, "scene_folder": str(mended)}
     for name, value in values.items():

@@ -29,7 +29,7 @@ def bake_estimate(frames: int, size: tuple[int, int], layers: Collection[str]) -
 
 def estimate_of(settings: PLGS_PG_settings) -> Prediction | None:
     """Time and memory of the lift that the settings ask for; None while the scene is not known, or the settings are
-    wrong. Looks at no disk: panels call it.
+    wrong. Never reads the disk: panels call it.
     """
     survey = survey_of(chosen_scene(settings)) if settings.scene_folder else None
     if survey is None or survey.error is not None or not survey.sizes or why_no_options(settings):

@@ -16,15 +16,15 @@ from ..tasks.registry import Task, start_engine
 
 FORMS = {
     "coco": ("COCO panoptic", "panoptic.json and PNGs of segments"),
-    "instances": ("Label images", "16-bit PNGs of classes and instances, and in colours"),
+    "instances": ("Label images", "16-bit PNGs of classes and instances, and coloured PNGs"),
     "scannet": ("ScanNet labels", "label-filt, instance-filt and their table"),
     "points": ("Labelled points", "PLY of the semantic points, and of the Gaussians"),
     "boxes": ("Boxes", "The objects' oriented boxes as JSON and CSV"),
     "mesh": ("Meshes", "The surface as PLY, and a GLB for each instance and each stuff class"),
-    "depth": ("Depth maps", "The lifted surface's depth in metres, one NPY a frame"),
-    "clouds": ("Depth clouds", "Each frame's pixels as labelled points in the world, one NPZ a frame"),
+    "depth": ("Depth maps", "The lifted surface's depth in metres, one NPY per frame"),
+    "clouds": ("Depth clouds", "Each frame's pixels as labelled points in the world, one NPZ per frame"),
 }
-"""Label and description of each form that the engine exports to."""
+"""Label and description of each format that the engine exports to."""
 
 
 class Export(Task):
@@ -42,7 +42,7 @@ class Export(Task):
 
     @property
     def message(self) -> str:
-        """One line about how it ended well, or was cancelled."""
+        """One line about its success, or that it was cancelled."""
         if self.was_cancelled:
             return "The export was cancelled"
         if self._shown_in:

@@ -1,4 +1,4 @@
-"""The panel's scene into Blender, and an engine that makes what Blender cannot read of its frames.
+"""Importing the panel's scene into Blender, with an engine that makes what Blender cannot read of its frames.
 
 An engine's files are shown when it is done, in the import or lift with the same key: so undo, another file or a removed
 camera do no harm. Where these are gone, nothing is shown.
@@ -39,11 +39,11 @@ _NAMES = {"colour": "pictures", "cloud": "a coloured cloud"}
 
 @dataclass(frozen=True)
 class FrameOrder:
-    """The files that an engine shall make of a scene, and where they are shown.
+    """The files that an engine is to make of a scene, and where they are shown.
 
     ``kinds`` are as the engine's command calls them. ``lift`` is the key of the import or lift that they belong to;
     without one the whole import waits for the engine, and ``scene`` names Blender's scene that it goes into. With
-    ``frame`` only that frame is made, and its picture ``shown_kind`` is shown before its camera's view.
+    ``frame`` only that frame is made, and its picture ``shown_kind`` is shown in front of its camera's view.
     """
 
     chosen: ChosenScene
@@ -81,7 +81,7 @@ class FrameMaking(Task):
 
     def done(self, scene: Any) -> None:
         is_of_bad_input = self.error is not None and self.error.code is ErrorCode.BAD_INPUT
-        if not self.has_finished and not is_of_bad_input:  # of bad depth the pictures are made all the same
+        if not self.has_finished and not is_of_bad_input:  # with bad depth, the pictures are made all the same
             return
         self.undo_step = "PLGS Frames"
         if not self._folder.is_dir() or (not self.order.lift and not self._place_cameras()):
@@ -99,13 +99,13 @@ class FrameMaking(Task):
                     show_made(each, ob, order.shown_kind, made.frames[order.frame])
 
     def error_for(self, chosen: ChosenScene | None, lift: str) -> PlgsError | None:
-        """Its error, where it is of this scene, or of the import or lift with this key."""
+        """Its error, if it concerns this scene, or the import or lift with this key."""
         is_of_it = self.order.chosen == chosen or (lift and self.order.lift == lift)
         return self.error if is_of_it else None
 
 
 def make_frames(order: FrameOrder, python: Path) -> FrameMaking:
-    """Start an engine. Raises PlgsError when one is at it already or cannot be started, OSError."""
+    """Start an engine. Raises PlgsError when one is already running or cannot be started, OSError."""
     registry.refuse_second(FrameMaking)
     folder = frames_folder(order.chosen.resolved)
     command: list[str | Path] = [*order.chosen.arguments(), "-o", folder, "--make", *order.kinds]
@@ -165,8 +165,8 @@ def what_is_missing(root: bpy.types.Collection) -> str:
 
 
 def show_picture(scene: bpy.types.Scene, shown_kind: str) -> FrameMaking | None:
-    """Show the photo, depth or masks of the active camera's frame before its view. Where that takes an engine its task
-    is returned, which shows it a moment later. Raises PlgsError, OSError.
+    """Show the photo, depth or masks of the active camera's frame in front of its view. If that takes an engine, its
+    task is returned, which shows it a moment later. Raises PlgsError, OSError.
     """
     reason = why_no_picture(scene)
     if reason is not None:

@@ -1,4 +1,4 @@
-"""From what the panel says to a lift, a bake or an export, and from a finished lift to objects in the scene."""
+"""From the panel's settings to a lift, a bake or an export, and from a finished lift to objects in the scene."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def followed_lift(settings: PLGS_PG_settings) -> Lift | None:
 
 
 def why_no_scene(settings: PLGS_PG_settings) -> str | None:
-    """Why the panel's scene cannot be used; None when it can, or nobody knows yet. Looks at no disk."""
+    """Why the panel's scene cannot be used; None when it can, or it is not known yet. Never reads the disk."""
     if not settings.scene_folder:
         return "Choose the scene's folder first"
     survey = survey_of(chosen_scene(settings))
@@ -46,10 +46,10 @@ def why_no_scene(settings: PLGS_PG_settings) -> str | None:
 
 
 def why_no_lift(settings: PLGS_PG_settings) -> str | None:
-    """Why the panel's lift cannot be started now; None when it can. Looks at no disk."""
+    """Why the panel's lift cannot be started now; None when it can. Never reads the disk."""
     followed = followed_lift(settings)
     if followed is not None and followed.is_running:
-        return "This lift is running already"
+        return "This lift is already running"
     survey = survey_of(chosen_scene(settings)) if settings.scene_folder else None
     return (
         why_no_engine()
@@ -93,7 +93,7 @@ def start_lift(settings: PLGS_PG_settings, *, in_that_folder: bool = False, name
 
 
 def resume_lift(settings: PLGS_PG_settings, folder: str = "") -> Lift:
-    """Go on with the lift in `folder`, or in that of the settings, which then say what it was asked for.
+    """Continue the lift in `folder`, or in that of the settings, which then say what it was asked for.
 
     Raises PlgsError when there is none, it is running, or it is finished; OSError.
     """
@@ -165,7 +165,7 @@ def cancel_lift(settings: PLGS_PG_settings, folder: str = "") -> None:
 
 
 def why_no_bake(settings: PLGS_PG_settings) -> str | None:
-    """Why no passes can be baked from the panel now; None when they can. Looks at no disk."""
+    """Why no passes can be baked from the panel now; None when they can. Never reads the disk."""
     followed = followed_lift(settings)
     if followed is None or not (followed.is_finished or followed.is_running):
         return "Passes are baked from a finished lift: lift the scene first, or choose the folder of a lift"
@@ -218,7 +218,7 @@ def export_lift(settings: PLGS_PG_settings, form: str, output: str, frames: str,
     """Let an engine export a finished lift into the folder ``output``. Raises PlgsError, OSError."""
     lift = lift_at(settings, folder)
     if not output:
-        raise PlgsError("needs a folder", f"Export of {form}", "Choose where the files shall go.")
+        raise PlgsError("needs a folder", f"Export of {form}", "Choose where the files should go.")
     return exports.export(lift.path, form, absolute(output), engine_environment.usable_python(), [frames])
 
 
@@ -227,7 +227,7 @@ def make_meshes(scene: bpy.types.Scene, frames: str, folder: str = "") -> export
     PlgsError, OSError.
     """
     lift = lift_at(scene.plgs, folder).path
-    root_of_placed(lift, scene)  # raises now what would else be raised when the meshes are made
+    root_of_placed(lift, scene)  # raises now what would otherwise be raised when the meshes are made
     python = engine_environment.usable_python()
     return exports.export(lift, "mesh", mesh_folder(lift), python, [frames], shown_in=scene.name)
 
@@ -238,7 +238,7 @@ def make_depth_cloud(scene: bpy.types.Scene, frame: str, folder: str = "") -> ex
     lift = lift_at(scene.plgs, folder).path
     root, python = root_of_placed(lift, scene), engine_environment.usable_python()
     if not frame and scene.camera is not None:
-        named = text_of(scene.camera, "frame")  # a copy has it, too
+        named = text_of(scene.camera, "frame")  # a copy has it too
         frame = named if objects_by_key(root).get(f"frame:{named}") == scene.camera else ""
     cameras = None if frame else write_view(lift, scene)
     return exports.export(lift, "clouds", cloud_folder(lift), python, [frame], cameras=cameras, shown_in=scene.name)
@@ -246,7 +246,7 @@ def make_depth_cloud(scene: bpy.types.Scene, frame: str, folder: str = "") -> ex
 
 def showing_lift(scene: bpy.types.Scene, folder: str = "") -> Generator[None, None, Placed | None]:
     """Put the finished lift in `folder`, or in that of the scene's settings, into the scene, part by part. Returns
-    where it is, None when the scene is gone meanwhile. Raises PlgsError.
+    where it is, None when the scene is gone by then. Raises PlgsError.
     """
     lift = lift_at(scene.plgs, folder)
     try:
@@ -262,7 +262,7 @@ def log_of(settings: PLGS_PG_settings, folder: str = "") -> Path:
     """The engine's log of the lift in `folder`, or in that of the settings. Raises PlgsError when there is none."""
     log = lift_at(settings, folder).log_path
     if not log.is_file():
-        raise PlgsError("is not there: the engine never began", log, "Start it anew.")
+        raise PlgsError("is not there: the engine never began", log, "Start it again.")
     return log
 
 

@@ -67,7 +67,7 @@ class Lift(Task):
 
     @property
     def message(self) -> str:
-        """One line about how it ended well, or was cancelled."""
+        """One line about its success, or that it was cancelled."""
         if self.is_baking:
             return "The passes are baked" if self.state is TaskState.FINISHED else "Baking was cancelled"
         if self.is_finished:
@@ -85,7 +85,7 @@ class Lift(Task):
         except (PlgsError, OSError):  # its disk is gone, or the folder was deleted
             self.lift_state = LiftState.INTERRUPTED
         if self._is_new and self.error is not None and self.folder.came_to_nothing():
-            self.folder.discard()  # so that the lift can be started anew once the scene is mended
+            self.folder.discard()  # so that the lift can be started again once the scene is fixed
         refresh_recent()
         if not self.has_finished:
             return
@@ -108,7 +108,7 @@ class Lift(Task):
         return live_preview.show(self.folder, progress.live_preview, progress.live_preview_camera)
 
     def let_go(self) -> None:
-        """An engine of our own ends within a second, unless it was started to go on. The lift can be resumed."""
+        """An engine of our own ends within a second, unless it outlives Blender. The lift can be resumed."""
         self.follower.close()
 
 
@@ -129,7 +129,7 @@ def refusal_of(folder: Path) -> PlgsError | OSError | ValueError | None:
 
 
 def is_nothing_there(folder: Path) -> bool:
-    """Whether there was no lift folder when it was chosen. Looks at no disk."""
+    """Whether there was no lift folder when it was chosen. Never reads the disk."""
     return folder in _nothing_there
 
 
@@ -139,18 +139,18 @@ def forget_refusals() -> None:
 
 
 def running() -> list[Lift]:
-    """All followed lifts that go on."""
+    """All followed lifts that are still running."""
     return registry.running(Lift)
 
 
 def refresh_recent() -> None:
-    """Look at the user's list of lifts: takes some milliseconds."""
+    """Read the user's list of lifts, which takes some milliseconds."""
     global _recent
     _recent = tuple(recent_lifts(most=_SHOWN_RECENT))
 
 
 def recent() -> tuple[RecentLift, ...]:
-    """The recent lifts as they were at the last `refresh_recent`, the newest first. Looks at no disk."""
+    """The recent lifts as they were at the last `refresh_recent`, the newest first. Never reads the disk."""
     return _recent
 
 
@@ -181,7 +181,7 @@ def bake(
     known = lift_of(lift.path)
     if known is not None and known.is_running and known.follower.is_own:
         fix = "Wait for it, or cancel it first."
-        raise PlgsError("this Blender bakes or lifts here already", lift.path, fix, code=ErrorCode.BUSY)
+        raise PlgsError("this Blender is already baking or lifting here", lift.path, fix, code=ErrorCode.BUSY)
     if known is not None and known.is_being_taken:
         raise PlgsError("its result is being placed", lift.path, "Wait a moment.", code=ErrorCode.BUSY)
     if not lift.manifest_path.is_file():
@@ -191,7 +191,8 @@ def bake(
 
 
 def attach(folder: Path) -> Lift:
-    """Follow a lift that somebody else started, or look at one that has ended. Raises PlgsError when it is no lift."""
+    """Follow a lift that somebody else started, or look at one that has ended. Raises PlgsError for any other
+    folder."""
     known = lift_of(folder)
     if known is not None and known.is_running:
         return known
@@ -237,7 +238,7 @@ def showing_lift(
     scene: Any, lift: LiftFolder, is_wanted: Callable[[Any], bool] = lambda scene: True
 ) -> Generator[None, None, Placed | None]:
     """`show_lift` in parts, for a window that must not wait. Returns where it is; None when the scene is gone once the
-    lift is read, or does not want it any more. Raises PlgsError.
+    lift is read, or no longer wants it. Raises PlgsError.
     """
     name = scene.name
     read = yield from reading_lift(lift.path)

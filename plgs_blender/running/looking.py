@@ -1,4 +1,4 @@
-"""What is looked at without being asked for: the chosen scene, the chosen lift, the lifts of a file that is opened."""
+"""What is read without the user asking: the chosen scene, the chosen lift, the lifts of a file that is opened."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from . import estimate, lifts, live_preview, survey
 def look_at_scene(chosen: ChosenScene) -> None:
     """Look at what is in a scene's folder. `survey.survey_of` knows it then; in a window a moment later."""
     estimate.learn_slowness()
-    # Without a window nothing polls an engine, and nobody is kept waiting by a look from here.
+    # Without a window nothing polls an engine, and reading it here keeps nobody waiting.
     survey.look(chosen, None if bpy.app.background else engine_python())
 
 

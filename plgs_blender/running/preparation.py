@@ -29,15 +29,15 @@ class Preparation(Task):
             looking.look_at_scene(chosen_scene(settings))
 
     def take_scene(self, settings: Any) -> None:
-        """Let the settings name the scene that it made, if it made one."""
+        """Put the scene that it made, if it made one, into the settings."""
 
     def error_for(self, chosen: ChosenScene) -> PlgsError | None:
-        """Its error, where it is of this scene."""
+        """Its error, if it concerns this scene."""
         return self.error if chosen == self.chosen else None
 
 
 class MaskMaking(Preparation):
-    """What it made is kept when it is cancelled, and the next one goes on."""
+    """What it made is kept when it is cancelled, and the next one continues."""
 
     kind, label, cancel_operator = "masks", "Making masks", "plgs.cancel_masks"
 
@@ -59,7 +59,7 @@ class PoseMaking(Preparation):
 
 def make_masks(chosen: ChosenScene, python: Path, model: str, *, download: bool) -> MaskMaking:
     """Start an engine. ``model`` is a folder or a name on Hugging Face's hub; empty leaves it to the engine.
-    ``download`` lets it fetch that. Raises PlgsError when one is at it already or cannot be started, OSError.
+    ``download`` lets it fetch that. Raises PlgsError when one is already running or cannot be started, OSError.
     """
     registry.refuse_second(MaskMaking)
     if model and absolute(model).is_dir():  # the engine's working folder is not Blender's
@@ -71,6 +71,6 @@ def make_masks(chosen: ChosenScene, python: Path, model: str, *, download: bool)
 
 
 def make_poses(chosen: ChosenScene, python: Path) -> PoseMaking:
-    """Start an engine. Raises PlgsError when one is at it already or cannot be started, OSError."""
+    """Start an engine. Raises PlgsError when one is already running or cannot be started, OSError."""
     registry.refuse_second(PoseMaking)
     return timer.begin(PoseMaking(chosen, start_engine("poses", python, chosen.scene)))

@@ -18,7 +18,7 @@ from ..tasks.registry import Task, start_engine
 class SplitByViews(Task):
     """The split of one object of a placed lift. The edit is in the lift's file when it is done, and then shown."""
 
-    kind, label = "split", "Asking the masks"
+    kind, label = "split", "Reading the masks"
 
     def __init__(self, lift: Path, follower: TaskFollower) -> None:
         super().__init__(follower)
@@ -43,7 +43,7 @@ class SplitByViews(Task):
 
 
 def split_by_views(root: bpy.types.Collection, instance: int) -> SplitByViews:
-    """Start to split an object of a placed lift into what the masks show apart. Raises PlgsError, OSError."""
+    """Start to split an object of a placed lift into the parts that the masks separate. Raises PlgsError, OSError."""
     registry.refuse_second(SplitByViews)
     lift, python = corrections.folder_of(root), engine_environment.usable_python()
     follower = start_engine("correct", python, lift, "split", str(instance), "--views")

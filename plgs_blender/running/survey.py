@@ -1,6 +1,6 @@
 """What is in the scene that the panel is set to, and what can be done with it.
 
-An engine looks into the pixels meanwhile; where there is none, the headers of plain folders tell. The panel draws from
+An engine reads the pixels meanwhile; without one, the headers of plain folders are read. The panel draws from
 here and reads nothing while it draws.
 """
 
@@ -22,17 +22,17 @@ from ..inspecting.text_boxes import Colour
 from ..tasks import registry, timer
 from ..tasks.registry import Task, start_engine
 
-_ENGINE_MAKES_THEM = "set the engine up, which makes them"
+_ENGINE_MAKES_THEM = "set up the engine, which makes them"
 _NAMES = {"depth": "depth maps", "masks": "masks"}
 
 
 @dataclass(frozen=True)
 class Survey:
-    """What is known of a scene. ``error`` says why it cannot be lifted; None when it can.
+    """What is known about a scene. ``error`` says why it cannot be lifted; None when it can.
 
     ``classes`` are names with their colours in sRGB, 0..1, the commonest first where an engine has counted. ``sizes``
     holds the sizes of the colour images with how many have each, the commonest first. ``depth_range`` is the
-    nearest, middle and farthest depth in metres, None where no engine has looked into the pixels. ``picture_files``
+    nearest, middle and farthest depth in metres, None where no engine has read the pixels. ``picture_files``
     counts the frames whose picture is an image file that Blender can show as it is. While an engine looks
     (``is_looking``), nothing else is known. ``has_masks`` is None where no engine has looked for them.
     """
@@ -58,7 +58,7 @@ class Survey:
 
 
 class SceneLook(Task):
-    """An engine looks into a scene's pixels."""
+    """Reads a scene's pixels, with an engine."""
 
     kind, label = "survey", "Looking at the frames"
 
@@ -76,7 +76,7 @@ _latest: Survey | None = None
 
 
 def survey_of(chosen: ChosenScene) -> Survey | None:
-    """What is known of this scene; None when nobody has looked yet."""
+    """What is known about this scene; None when nobody has looked yet."""
     return _latest if _latest is not None and _latest.chosen == chosen else None
 
 
@@ -97,7 +97,7 @@ def look(chosen: ChosenScene, python: Path | None) -> Survey:
 
 
 def _look_alone(chosen: ChosenScene) -> Survey | None:
-    """What Blender sees by itself; None where only an engine can look, and there is one. Raises PlgsError."""
+    """What Blender sees alone; None where only an engine can look, and there is one. Raises PlgsError."""
     for path in (chosen.scene, chosen.masks, chosen.depth):
         if path is not None and not os.path.exists(path):
             raise PlgsError("there is no such file or folder", path, "Choose another one.")
@@ -196,7 +196,7 @@ def possibilities(survey: Survey, has_engine: bool) -> tuple[Possibility, ...]:
 
 
 def why_not_liftable(survey: Survey) -> str | None:
-    """Why a scene without an error cannot be lifted; None when it can, or nobody knows yet."""
+    """Why a scene without an error cannot be lifted; None when it can, or it is not known yet."""
     if survey.is_looking or survey.error is not None:
         return None
     lift = _lift(survey)
@@ -218,7 +218,7 @@ def _cloud(survey: Survey, has_engine: bool) -> Possibility:
     if survey.sparse_points:
         return Possibility("Coloured cloud", True, f"{survey.sparse_points} points of the reconstruction")
     if survey.has_depth:
-        return Possibility("Coloured cloud", False, "of the depth: set the engine up, which makes it")
+        return Possibility("Coloured cloud", False, "of the depth: set up the engine, which makes it")
     return Possibility("Coloured cloud", False, "there is neither depth nor a reconstruction's points")
 
 

@@ -29,7 +29,7 @@ class UsedOptions:
 
 
 def used_options(settings: PLGS_PG_settings) -> UsedOptions:
-    """What the lift will use, as far as it is known: without a survey, the preset's values. Looks at no disk."""
+    """What the lift will use, as far as it is known: without a survey, the preset's values. Never reads the disk."""
     try:
         name, options = asked_of_preset(settings)
     except PlgsError:
@@ -60,10 +60,10 @@ class PLGS_PG_used_options(bpy.types.PropertyGroup):
     """`scene.plgs_used`: the real values behind the zeros of `scene.plgs`."""
 
     steps: _used("steps", "Training steps")  # type: ignore[valid-type]
-    width: _used("width", "Frames are brought within this width", subtype="PIXEL")  # type: ignore[valid-type]
-    height: _used("height", "Frames are brought within this height", subtype="PIXEL")  # type: ignore[valid-type]
+    width: _used("width", "Frames are scaled to fit this width", subtype="PIXEL")  # type: ignore[valid-type]
+    height: _used("height", "Frames are scaled to fit this height", subtype="PIXEL")  # type: ignore[valid-type]
     frames: _used(  # type: ignore[valid-type]
-        "frames", "Train on at most so many frames, the sharpest of each stretch; -1: on all", least=-1
+        "frames", "Train on at most this many frames, the sharpest of each stretch; -1: on all", least=-1
     )
 
 

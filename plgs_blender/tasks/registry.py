@@ -21,20 +21,20 @@ _POLL_S = 0.05
 
 
 class Task:
-    """A followed task, and what came of it after its end. A subclass says what its answer is for."""
+    """A followed task, and its outcome after its end. A subclass says what its answer is for."""
 
     kind: ClassVar[str]
     """The name of the kind. Tasks of one kind run one at a time, unless their `key` differs."""
     label = ""
     """The work in words, such as "Making masks"."""
     cancel_operator: ClassVar[str] = ""
-    """The operator that cancels it; empty where nobody needs one."""
+    """The operator that cancels it; empty where none is needed."""
     counts_steps: ClassVar[bool] = True
     """Whether its steps mean something to people. If not, they are shown in percent."""
     lift_folder: Path | None = None
     """The lift folder that it works in, where it does in one."""
     undo_step = ""
-    """The name of the undo step for what `done` changed in the file; empty where it changed nothing."""
+    """The name of the undo step for what `done` changed in the file; empty if it changed nothing."""
 
     def __init__(self, follower: TaskFollower) -> None:
         self.follower = follower
@@ -85,7 +85,7 @@ class Task:
         return self.follower.error or self._problem
 
     def poll(self, scene: Any) -> bool:
-        """Take in what happened, `done` included; whether there is news."""
+        """Process what happened, including `done`. Returns whether there is news."""
         has_news = self.follower.poll()
         if not self.is_running and not self.is_taken:
             self.is_taken = True
@@ -157,7 +157,7 @@ def task_of(key: Hashable) -> Task | None:
 
 
 def running(kind: type[Kind]) -> list[Kind]:
-    """The tasks of a kind that go on. `Task` stands for every kind."""
+    """The tasks of a kind that are still running. `Task` stands for every kind."""
     return [task for task in _tasks.values() if isinstance(task, kind) and task.is_running]
 
 
@@ -169,16 +169,16 @@ def is_any_left() -> bool:
 def refuse_second(kind: type[Task]) -> None:
     """Raise PlgsError when a task of this kind is running."""
     for task in running(kind):
-        raise PlgsError("an engine is at work already", task.label, "Wait until it is done, or cancel it.")
+        raise PlgsError("an engine is already running", task.label, "Wait until it is done, or cancel it.")
 
 
 def poll_all(scene: Any) -> list[Task]:
-    """Poll all tasks once; those with news."""
+    """Poll all tasks once. Returns those with news."""
     return [task for task in list(_tasks.values()) if (task.is_running or not task.is_taken) and task.poll(scene)]
 
 
 def wait_for(task: Task, scene: Any, tell: Callable[[str], object] = lambda line: None) -> None:
-    """Block until a task has ended and its answer is taken. Each new step is told. Ctrl-C cancels it."""
+    """Block until a task has ended and its answer is taken. Each new step is reported. Ctrl-C cancels it."""
     told = ""
     try:
         while task.is_running or not task.is_taken:
@@ -199,13 +199,13 @@ def wait_for(task: Task, scene: Any, tell: Callable[[str], object] = lambda line
 
 
 def forget(key: Hashable) -> None:
-    """Let go of a task, and of what it found."""
+    """Forget a task and what it found."""
     task = _tasks.pop(key, None)
     if task is not None:
         task.let_go()
 
 
 def forget_all() -> None:
-    """Let go of all tasks. Engines of our own end, unless they were started to go on."""
+    """Forget all tasks. Engines of our own end, unless they were started to outlive Blender."""
     for key in list(_tasks):
         forget(key)

@@ -1,7 +1,7 @@
-"""The one timer of Blender's that polls all followed tasks and draws anew what shows them.
+"""The one timer of Blender's that polls all followed tasks and redraws what shows them.
 
 It survives undo, the opening of another file and the end of the operator that started a task. Blender runs it in its
-main thread between redraws, so it may never wait.
+main thread between redraws, so it must never wait.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ def go_on() -> None:
 
 
 def tick() -> float | None:
-    """Poll once; the seconds until the next time, None when nothing is left to follow."""
+    """Poll once. Returns the seconds until the next poll, None when nothing is left to follow."""
     try:
         _poll()
     except Exception:  # a defect of ours: the tasks are followed all the same
@@ -56,7 +56,7 @@ def _poll() -> None:
 
 
 def redraw_panels(*, views_too: bool = False) -> None:
-    """Draw the sidebars of 3D views and the preferences anew. The views themselves take far longer: only if asked."""
+    """Redraw the sidebars of 3D views and the preferences. The views themselves take far longer: only if asked."""
     for window in bpy.context.window_manager.windows:
         for area in window.screen.areas:
             if area.type == "PREFERENCES":
@@ -68,7 +68,7 @@ def redraw_panels(*, views_too: bool = False) -> None:
 
 
 def _push_undo(step: str) -> None:
-    """Let undo take back what a task put into the file, and nothing before it."""
+    """Let undo remove what a task put into the file, and nothing before it."""
     if not bpy.app.background:
         bpy.ops.ed.undo_push(message=step)
 
@@ -90,12 +90,12 @@ def _scenes() -> list[bpy.types.Scene]:
 
 
 def register() -> None:
-    """Engines of our own end with Blender, too, which calls nothing else when it ends."""
+    """Engines of our own end with Blender too, which calls nothing else when it ends."""
     atexit.register(registry.forget_all)
 
 
 def unregister() -> None:
-    """Stop, and let go of all tasks: their engines end, unless they were started to go on."""
+    """Stop, and forget all tasks: their engines end, unless they were started to outlive Blender."""
     atexit.unregister(registry.forget_all)
     if bpy.app.timers.is_registered(tick):
         bpy.app.timers.unregister(tick)

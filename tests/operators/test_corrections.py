@@ -157,7 +157,7 @@ def test_what_cannot_be_done_is_a_line(root: bpy.types.Collection, mine: Path) -
         (lambda: bpy.ops.plgs.rename_instance(instance=77, name="x"), "no instance 77"),
         (lambda: bpy.ops.plgs.reclass_instances(instances="1", class_name="ghost"), "no class 'ghost'"),
         (lambda: bpy.ops.plgs.merge_instances(instances="1"), "merged with itself"),
-        (lambda: bpy.ops.plgs.merge_instances(instances="a b"), "names no objects"),
+        (lambda: bpy.ops.plgs.merge_instances(instances="a b"), "does not name objects"),
         (lambda: bpy.ops.plgs.assign_points(to="CLASS", class_name="chair", region="none"), "no such object"),
     ]
     for call, line in calls:
@@ -194,7 +194,7 @@ def test_strokes_rectangles_and_what_is_taken_away_again() -> None:
     one.move((150.0, 50.0))  # without the button
     one.release(to_view, (200, 100))
     assert one.choose(xyz).tolist() == [True, False, True]
-    with pytest.raises(PlgsError, match="other points now"):
+    with pytest.raises(PlgsError, match="points have changed"):
         one.choose(xyz[:2])
 
 

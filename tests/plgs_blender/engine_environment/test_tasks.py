@@ -193,7 +193,7 @@ def test_after_a_set_up_its_python_is_asked(online: None, python: Python, monkey
     pretend(monkeypatch, "")
     choices.choose(python())  # which is why somebody sets it up
     set_up = tasks.set_up(SetUpChoice())
-    assert tasks.why_no_set_up() == "The engine is being set up already"
+    assert tasks.why_no_set_up() == "The engine is already being set up"
     wait_for(set_up)
     assert set_up.has_finished and choices.chosen_python() is None
     assert engine_environment.status().state is EngineState.CHECKING

@@ -56,7 +56,7 @@ def begin(program: str) -> Pretended:
 def test_an_answer_is_taken_once() -> None:
     task, told = begin(ANSWERING), list[str]()
     assert registry.running(Pretended) == [task] and registry.latest(Pretended) is task
-    with pytest.raises(PlgsError, match="at work already: Pretending"):
+    with pytest.raises(PlgsError, match="already running: Pretending"):
         registry.refuse_second(Pretended)
     registry.wait_for(task, "scene", told.append)
     assert task.taken == ("scene", {"number": 7}) and task.has_finished and told == ["1/2 Half"]
