@@ -3,14 +3,14 @@
     blender -b --python-exit-code 1 --python run_plgs.py -- SCENE -o OUT
     python run_plgs.py SCENE -o OUT          (a Python that has the bpy module, or with `make set-up` done)
 
-Passes of a finished lift from a camera of a .blend, frame by frame (the lift's own .blend and its active camera unless
-named otherwise; frames that are baked are kept):
+Bake passes of a finished lift from a camera of a .blend, frame by frame (by default the lift's own .blend and its
+active camera; frames that are already baked are kept):
 
     python run_plgs.py -o OUT --bake camera [--blend FILE.blend] [--camera NAME] [--range FIRST-LAST] [--scene SCENE]
 
-Exit codes: 0 finished, 1 internal error (see the log), 2 bad input, 3 cancelled, 75 another engine is at work there
-(try again), 129 the terminal was closed, 130 Ctrl-C, 141 finished, but nobody read the output to its end. What was
-cancelled or interrupted goes on with --resume.
+Exit codes: 0 finished, 1 internal error (see the log), 2 bad input, 3 cancelled, 75 another engine is running there
+(try again), 129 the terminal was closed, 130 Ctrl-C, 141 finished, but nobody read the output to its end. --resume
+continues what was cancelled or interrupted.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ if sys.version_info < (3, 11):  # noqa: UP036 - said here, because the imports t
     sys.exit(2)
 
 if __name__ == "__main__" and signal.getsignal(signal.SIGINT) is signal.default_int_handler:
-    signal.signal(signal.SIGINT, signal.SIG_DFL)  # until `Interrupts` is there, Ctrl-C just ends it
+    signal.signal(signal.SIGINT, signal.SIG_DFL)  # until `Interrupts` is in place, Ctrl-C just ends it
 
 ROOT = Path(__file__).resolve().parent
 BLEND_S = 600.0
@@ -46,8 +46,8 @@ READER_GONE = 141
 def load_package() -> None:
     """Make the folder of this script importable as ``plgs``, whatever it is called.
 
-    The extension's own __init__ is for Blender's window: it registers operators and imports bpy, for which a typing
-    error in the command line should not have to wait.
+    The extension's own __init__ is for Blender's window: it registers operators and imports bpy, which a typing error
+    in the command line should not have to wait for.
     """
     package = ModuleType("plgs")
     package.__path__ = [str(ROOT)]
@@ -55,7 +55,7 @@ def load_package() -> None:
 
 
 load_package()
-# ruff: noqa: E402 - what follows is found only now
+# ruff: noqa: E402 - what follows can be imported only now
 from plgs.engine.errors import ExitCode, PlgsError
 from plgs.engine.gates import open_plain, open_to_append
 from plgs.engine.job import FURTHER_LAYERS, LiftFolder, read_manifest
@@ -68,7 +68,7 @@ from plgs.engine.job.terminal import Interrupted, Interrupts, stdout_for_events
 
 
 def script_arguments(argv: Sequence[str]) -> list[str]:
-    """The arguments for this script: all after ``--``. Without one they are all arguments, but only outside Blender."""
+    """The arguments for this script: all after ``--``. Without it, all of them, but only outside Blender."""
     if "--" in argv:
         return list(argv[argv.index("--") + 1 :])
     blender = sys.modules.get("bpy")
@@ -88,19 +88,19 @@ def main(arguments: Sequence[str]) -> int:
         print(f"error: {error}", file=sys.stderr)
         return error.exit_code
     except BrokenPipeError:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # Python flushes what is left at its end
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # Python flushes the rest when it ends
         return READER_GONE
     except Interrupted as interrupted:
-        again = "with --resume to go on" if options.scene is not None else "to go on"
-        print(f"Stopped. Give the same command {again}: {options.output}", file=sys.stderr)
+        again = "with --resume to continue" if options.scene is not None else "to continue"
+        print(f"Stopped. Give the same command again {again}: {options.output}", file=sys.stderr)
         return interrupted.exit_code
 
 
 class Parser(argparse.ArgumentParser):
-    """One whose errors are a line, without the usage."""
+    """A parser whose errors are one line, without the usage."""
 
     def error(self, message: str) -> NoReturn:
-        self.exit(2, f"error: {message}. --help tells all options.\n")
+        self.exit(2, f"error: {message}. --help lists all options.\n")
 
 
 def parse(arguments: Sequence[str]) -> argparse.Namespace:
@@ -108,12 +108,12 @@ def parse(arguments: Sequence[str]) -> argparse.Namespace:
     parser = Parser(prog="run_plgs.py", description="Lift a scene and put the result into a .blend.")
     parser.add_argument(
         "scene", type=Path, nargs="?", metavar="SCENE",
-        help="folder or file of a capture, in one of the layouts of --format; needed but to bake a camera",
+        help="folder or file of a capture, in one of the layouts of --format; needed except to bake a camera",
     )  # fmt: skip
     parser.add_argument(
         "-o", "--output", type=Path, required=True, metavar="OUT", help="the lift folder to make; all results go there"
     )
-    add_lift_options(parser, {"camera": "what a camera of a .blend sees, frame by frame, of the finished lift"})
+    add_lift_options(parser, {"camera": "bake what a camera of a .blend sees of the finished lift, frame by frame"})
     shot = parser.add_argument_group("with --bake camera", "Several processes may bake one lift, each its own frames.")
     shot.add_argument("--blend", type=Path, metavar="FILE.blend", help="has the camera (default: the lift's own)")
     shot.add_argument("--camera", default="", metavar="NAME", help="the camera (default: the file's active one)")
@@ -123,17 +123,17 @@ def parse(arguments: Sequence[str]) -> argparse.Namespace:
     )  # fmt: skip
     shot.add_argument(
         "--layers", nargs="+", choices=FURTHER_LAYERS, default=(), metavar="LAYER",
-        help=f"layers beside those that are always there: {', '.join(FURTHER_LAYERS)}",
+        help=f"layers in addition to those that are always there: {', '.join(FURTHER_LAYERS)}",
     )  # fmt: skip
     shot.add_argument(
         "--scene", type=Path, metavar="SCENE", dest="relink",
-        help="where the scene of the lift in OUT now is, if it was moved; the lift remembers it",
+        help="where the scene of the lift in OUT is now, if it was moved; the lift remembers it",
     )  # fmt: skip
     parser.add_argument("--save", type=Path, metavar="FILE.blend", help="the .blend (default: OUT/lift.blend)")
     parser.add_argument(
         "--resume",
         action="store_true",
-        help="go on with the lift in OUT that was stopped or killed; start it when there is none",
+        help="continue the lift in OUT that was stopped or killed; start it if there is none",
     )
     add_progress_option(parser)
     options = parser.parse_args(readable(arguments))
@@ -141,12 +141,12 @@ def parse(arguments: Sequence[str]) -> argparse.Namespace:
     if options.relink is not None and (not options.bakes_camera or options.scene is not None):
         parser.error("--scene belongs to --bake camera without SCENE")
     if options.bakes_camera:
-        options.bake = None  # of the lift itself, that is as it was, or the default
+        options.bake = None  # of the lift itself: those are as they were, or the defaults
         given = given_lift_options(options)
         if options.scene is None and given:
             parser.error(f"without SCENE nothing is lifted: leave out {', '.join(given)}, or name SCENE")
     elif options.scene is None:
-        parser.error("SCENE is needed, unless --bake camera bakes from a lift that is finished")
+        parser.error("SCENE is needed, unless --bake camera bakes from a finished lift")
     elif options.blend or options.camera or options.layers or options.camera_frames != (None, None, None):
         parser.error("--blend, --camera, --range and --layers belong to --bake camera")
     return options
@@ -158,7 +158,7 @@ def frame_range(text: str) -> tuple[int, int, int]:
     if found is None:
         raise argparse.ArgumentTypeError(f"{text!r} is not a range of frames from 0 on, such as 1-250 or 1-250x2")
     if int(found[2]) < int(found[1]):
-        raise argparse.ArgumentTypeError(f"{text!r} ends before it begins; a range is such as 1-250")
+        raise argparse.ArgumentTypeError(f"{text!r} ends before it begins; a range looks like 1-250")
     return int(found[1]), int(found[2]), int(found[3] or 1)
 
 
@@ -225,22 +225,22 @@ def bake_camera(lift: LiftFolder, blend: Path, options: argparse.Namespace, inte
 
 
 def blend_path(options: argparse.Namespace) -> Path:
-    """Where the .blend goes. Raises PlgsError when it could not be written at the end."""
+    """Where the .blend goes. Raises PlgsError if it could not be written at the end."""
     if options.save is None:
         return Path(options.output).absolute() / "lift.blend"
     blend: Path = options.save.absolute()
-    is_in_lift = blend.parent == options.output.absolute()  # which need not be there yet
+    is_in_lift = blend.parent == options.output.absolute()  # which need not exist yet
     if blend.suffix != ".blend" or blend.is_dir():
         raise PlgsError("is not a name for a .blend", blend, "Give --save a file name that ends in .blend.")
     if not is_in_lift and not os.access(blend.parent, os.W_OK):
-        raise PlgsError("cannot be written to, or is not there", blend.parent, "Give --save another folder.")
+        raise PlgsError("cannot be written to, or does not exist", blend.parent, "Give --save another folder.")
     if blend.exists() and not is_blend(blend):
-        raise PlgsError("is there already and is not a Blender file", blend, "Give --save another file name.")
+        raise PlgsError("already exists and is not a Blender file", blend, "Give --save another file name.")
     return blend
 
 
 def refuse_no_blend(named: Path | None) -> None:
-    """Raises PlgsError for what --blend names and is no .blend: before anything is lifted."""
+    """Raises PlgsError, before anything is lifted, if --blend does not name a .blend."""
     if named is None:
         return
     what = "is not a Blender file" if named.is_file() else "is not there"
@@ -249,7 +249,7 @@ def refuse_no_blend(named: Path | None) -> None:
 
 
 def is_blend(path: Path) -> bool:
-    """Whether a file begins as a .blend does, which may be compressed by zstd or gzip."""
+    """Whether a file begins like a .blend, which may be compressed with zstd or gzip."""
     with open_plain(path) as file:
         return file.read(7).startswith((b"BLENDER", b"\x28\xb5\x2f\xfd", b"\x1f\x8b"))
 
@@ -264,13 +264,13 @@ def build_blend(lift: LiftFolder, blend: Path) -> ExitCode:
         from plgs.plgs_blender.lift_scene import save_lift  # brings bpy
 
         (lift.path / "bake").mkdir(exist_ok=True)
-        with lock_on(lift.path / "bake" / "blend.lock", BLEND_S):  # commands that were given at once end at once, too
+        with lock_on(lift.path / "bake" / "blend.lock", BLEND_S):  # commands that were given together also end together
             save_lift(lift.path, blend)
     except PlgsError:
         raise
     except Exception as error:
         with suppress(OSError), os.fdopen(open_to_append(lift.log_path), "a", encoding="utf-8") as log:
-            traceback.print_exc(file=log)  # which fails with the .blend where the disk is full
+            traceback.print_exc(file=log)  # which fails along with the .blend if the disk is full
         what = f"the .blend could not be made ({type(error).__name__}: {error})"
         print(f"error: {what}: {lift.log_path}. --resume tries again; the lift is done.", file=sys.stderr)
         return ExitCode.INTERNAL_ERROR

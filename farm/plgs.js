@@ -1,5 +1,5 @@
 // A job type for Flamenco 3: lift a scene, bake a camera or frames of it in parallel, and collect the result.
-// Put this file into the folder "scripts" beside flamenco-manager. docs/farms.md tells which variables it needs:
+// Put this file into the folder "scripts" beside flamenco-manager. docs/farms.md says which variables it needs:
 // {plgs} is the folder of PLGS, {plgsPython} the Python of its engine. Paths may hold two-way variables.
 
 const JOB_TYPE = {
@@ -9,25 +9,25 @@ const JOB_TYPE = {
         { key: "scene", type: "string", subtype: "dir_path", required: true, visible: "submission",
           description: "The capture, as 'lift' takes it" },
         { key: "output", type: "string", subtype: "dir_path", required: true, visible: "submission",
-          description: "The lift folder: made, or gone on with" },
+          description: "The lift folder, which is made or continued" },
         { key: "preset", type: "string", choices: ["preview", "standard", "paper"], default: "standard",
           description: "How much work to spend" },
         { key: "lift_options", type: "string", default: "", visible: "submission",
-          description: "Further options of 'lift', separated by blanks, such as --masks MASKS" },
+          description: "Further options of 'lift', separated by spaces, such as --masks MASKS" },
         { key: "lifted", type: "bool", default: false, visible: "submission",
-          description: "The lift folder holds the lift already: preset and options are those that it has" },
+          description: "The lift folder already holds the lift, with its own preset and options" },
         { key: "bake", type: "string", choices: ["camera", "frames"], default: "camera",
           description: "A camera of a .blend, or frames of the capture" },
         { key: "blend", type: "string", subtype: "file_path", default: "", eval: "bpy.data.filepath",
           description: "The .blend that has the camera" },
         { key: "camera", type: "string", default: "", eval: "C.scene.camera.name if C.scene.camera else ''",
-          description: "The camera's name; the .blend's active one where empty" },
+          description: "The camera's name; empty: the .blend's active one" },
         { key: "frames", type: "string", required: true, eval: "f'{C.scene.frame_start}-{C.scene.frame_end}'",
           description: "The camera's frames, or the last numbers in the frames' names: '1-250' or '1-9,20'" },
         { key: "chunk_size", type: "int32", default: 50, propargs: { min: 1 },
           description: "Frames that one task bakes" },
         { key: "layers", type: "string", default: "", visible: "submission",
-          description: "Further layers, separated by blanks: normal position" },
+          description: "Further layers, separated by spaces: normal position" },
     ],
 };
 
@@ -48,7 +48,7 @@ function compileJob(job) {
         collect.addDependency(bake);
     }
 
-    // Finished as it is, the lift is checked, and its own .blend shows all passes.
+    // The lift is finished by now: it is only checked, and its own .blend shows all passes.
     const again = [settings.scene, "-o", settings.output, "--resume"].concat(liftOptions(settings));
     collect.addCommand(python(["{plgs}/run_plgs.py"].concat(again)));
     job.addTask(collect);

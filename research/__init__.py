@@ -1,1 +1,1 @@
-"""What measures PLGS and is not it: baselines, experiments and benches. It imports the engine; nothing imports it."""
+"""What measures PLGS from outside: baselines, experiments and benches. It imports the engine; nothing imports it."""

@@ -1,6 +1,6 @@
 """``python -m research``: experiments and benches, and the engine's own commands on lifts of baselines.
 
-What a command runs is imported when it is wanted, so that --help and a typing error need no torch.
+What a command runs is imported when it is needed, so that --help and a typing error need no torch.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ FEWEST_OF_A_CAPTURE = 10
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Run a command and return its exit code. Bad arguments end with SystemExit(2), as argparse has it."""
+    """Run a command and return its exit code. Bad arguments end with SystemExit(2), as with argparse."""
     if arguments[:1] and arguments[0] in OF_THE_ENGINE:
         with_baseline_options()
         return run_command(arguments, _parser_of_the_engine)
@@ -45,8 +45,8 @@ def main(arguments: Sequence[str]) -> int:
 
 
 def _parser_of_the_engine() -> argparse.ArgumentParser:
-    """With lifts done by a process of this program, in the baselines' ways."""
-    from .baselines.method import lift_baseline  # which makes the baselines' kinds of decoders known
+    """With lifts done by a process of this program, as the baselines do them."""
+    from .baselines.method import lift_baseline  # which registers the baselines' kinds of decoders
 
     parser = parser_of_the_engine()
     parser.set_defaults(program="research", lift=lift_baseline)
@@ -62,14 +62,14 @@ def make_parser() -> argparse.ArgumentParser:
     known = parser.add_subparsers(required=True, metavar="COMMAND")
     _add_experiments(known.add_parser("experiments", help="lift many scenes and show their figures in one table"))
     _add_bench(known.add_parser("bench", help="measure this machine"))
-    weighing = known.add_parser("evidence", help="what a view's word should count, measured without training")
+    weighing = known.add_parser("evidence", help="how much a view's evidence should count, measured without training")
     weighing.add_argument("scenes", nargs="+", metavar="SCENE[:up=AXIS]", help="scenes' folders, with ground truth")
     weighing.set_defaults(run=run_evidence)
     correcting = known.add_parser("correct", help="correct a lift as its scene's ground truth says, and score it")
     correcting.add_argument("lift", type=Path, metavar="LIFT", help="the folder of a finished lift; it is corrected")
     correcting.add_argument("--film", type=Path, metavar="FOLDER", help="write five pictures of it there, from above")
     correcting.set_defaults(run=run_correct)
-    surfaces = known.add_parser("meshes", help="how whole the meshes of a lift are, before and after they are mended")
+    surfaces = known.add_parser("meshes", help="how complete a lift's meshes are, before and after they are mended")
     surfaces.add_argument("lift", type=Path, metavar="LIFT", help="the folder of a finished lift")
     surfaces.set_defaults(run=run_meshes)
     return parser
@@ -77,14 +77,14 @@ def make_parser() -> argparse.ArgumentParser:
 
 def _add_experiments(parser: argparse.ArgumentParser) -> None:
     parser.description = (
-        "Lift every scene in the ways of the rows, each in a process of its own and without passes, and print the "
+        "Lift every scene in the ways of the rows, each in its own process and without passes, and print the "
         "paper's tables in Markdown: baselines, ablations, departures. What is finished in FOLDER is not lifted again, "
-        "what was stopped goes on."
+        "what was stopped continues."
     )
     about = f"a scene's folder; AXIS is one of {', '.join(UP_OPTIONS)}"
     parser.add_argument("scenes", nargs="*", metavar="SCENE[:up=AXIS]", help=f"{about} (default: {SAMPLE})")
     parser.add_argument("--scenes", nargs="+", dest="named_scenes", metavar="SCENE[:up=AXIS]", help="the same")
-    parser.add_argument("--names", type=_names, metavar="A,B,..", help="what to call them (default: as their folders)")
+    parser.add_argument("--names", type=_names, metavar="A,B,..", help="their names (default: those of their folders)")
     parser.add_argument("--only", nargs="+", default=[], metavar="ROW|TABLE", help="these rows, or the rows of a table")
     parser.add_argument("--list", action="store_true", help="list the tables and rows")
     parser.add_argument(
@@ -99,13 +99,13 @@ def _add_experiments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--depth", metavar="FOLDER", help="depth maps of a network, as for lift: 'depths/{scene}'")
     add_options(parser, "mask_format", "classes", "scene_format", "device")
     add_amount_options(parser)
-    parser.add_argument("--seeds", type=_seeds, default=[0], metavar="0,1,..", help="seeds of chance (default: 0)")
+    parser.add_argument("--seeds", type=_seeds, default=[0], metavar="0,1,..", help="random seeds (default: 0)")
     parser.add_argument(
         "-o", "--output", type=Path, default=Path("lifts/experiments"), metavar="FOLDER",
         help="where lifts, results.json, .csv and .md, plots and sheets go (default: lifts/experiments)",
     )  # fmt: skip
-    parser.add_argument("--report", type=Path, metavar="FILE.md", help="a page whose tables are brought up to date")
-    parser.add_argument("--finished", action="store_true", help="lift nothing more: the tables of what is finished")
+    parser.add_argument("--report", type=Path, metavar="FILE.md", help="a page whose tables are updated")
+    parser.add_argument("--finished", action="store_true", help="lift nothing more: only tables of what is finished")
     parser.add_argument("--against", type=Path, metavar="FILE.json", help="an earlier results.json: before -> after")
     parser.set_defaults(run=run_experiments)
 
@@ -113,8 +113,8 @@ def _add_experiments(parser: argparse.ArgumentParser) -> None:
 def _add_bench(parser: argparse.ArgumentParser) -> None:
     parser.description = (
         "raster: the rasteriser on a furnished room, by stage. "
-        "step: a training step of a lift of the sample, by part, and the drawing of what was lifted. "
-        "long: lifts of long captures made of the sample, by stage, with their memory. "
+        "step: a training step of a lift of the sample, by part, and drawing what was lifted. "
+        "long: lifts of long captures made from the sample, by stage, with their memory. "
         "farm: what a batch takes on 1, 2, 10 and 100 workers, of the times of its pieces."
     )
     parser.add_argument("what", choices=("raster", "step", "long", "farm"))
@@ -213,7 +213,7 @@ def run_experiments(options: argparse.Namespace) -> int:
         with Interrupts() as interrupts:
             return run_experiment(experiment, interrupts)
     except Interrupted as error:
-        print("Stopped. The same command goes on.", file=sys.stderr)
+        print("Stopped. The same command continues.", file=sys.stderr)
         return error.exit_code
 
 
@@ -238,13 +238,13 @@ def run_bench(options: argparse.Namespace) -> ExitCode:
 
 
 def _refuse_unwritable(file: Path) -> None:
-    """Before minutes of work: raise PlgsError when ``file`` could not be written."""
+    """Before minutes of work: raise PlgsError if ``file`` could not be written."""
     if file.is_dir():
-        raise PlgsError("the figures need a file, this is a folder", file, "Name a file in it.")
+        raise PlgsError("the figures need a file, but this is a folder", file, "Name a file in it.")
     if not file.parent.is_dir():
         raise PlgsError("there is no such folder for the figures", file.parent, "Make it, or name another file.")
     if not os.access(file if file.exists() else file.parent, os.W_OK):
-        raise PlgsError("this cannot be written", file, "Name a file in a folder of yours.")
+        raise PlgsError("this file cannot be written", file, "Name a file in a folder that you may write to.")
 
 
 def _names(text: str) -> list[str]:

@@ -1,8 +1,8 @@
-"""How much an artist who sees what is wrong mends with few corrections: edits that the truth suggests, scored.
+"""How much an artist who sees what is wrong fixes with few corrections: edits that the truth suggests, scored.
 
 The true label of each point is what most frames that are not held out show there. The held-out frames score. Objects
-are corrected as a person would, the largest mistake first: another class, one object out of several, several out of one
-by the views, back into the stuff that it is of, and points painted. The truth paints better than a hand does.
+are corrected as a person would, the largest mistake first: another class, one object made of several, several of one by
+the views, back into its stuff, and points painted. The truth paints better than a hand.
 """
 
 from __future__ import annotations
@@ -28,24 +28,24 @@ from engine.scene_of_lift import scene_of_lift
 
 MOST_EDITS = 19
 SEEN_WITHIN = 0.05
-"""Metres between a point and a frame's depth there within which the frame speaks of it."""
+"""Metres between a point and a frame's depth there within which the frame counts for it."""
 EVERY = 4
-"""Every n-th frame speaks."""
+"""Every n-th frame counts."""
 LEAST_SHARE = 0.5
 """Share of an object's points that have one true label: below it a person would not say what the object is."""
 MIXED = 0.15
-"""Share of an object's points of a second true thing from which a person sees that it is several."""
+"""Share of an object's points of a second true thing above which a person sees that it is several."""
 WORTH_PAINTING = 100
-"""Points of an object that nobody has, from which somebody would paint them."""
+"""How many unassigned points of an object there must be for somebody to paint them."""
 MANY = 1 << 16
-"""Factor of the class in a true label, which is class * this + instance."""
+"""Factor of the class in a true label, which is class * this factor + instance."""
 
 Make = Callable[[Replay, int], Edit]
 
 
 @dataclass(frozen=True)
 class Mistake:
-    """What is wrong with how many points, and the edit that mends it."""
+    """What is wrong, with how many points, and the edit that fixes it."""
 
     points: int
     said: str
@@ -78,7 +78,7 @@ def true_labels(scene: Scene, xyz: NDArray[np.float32]) -> NDArray[np.int64]:
 
 def mistakes(folder: LiftFolder, corrected: CorrectedResult, truth: NDArray[np.int64]) -> list[Mistake]:
     """What is wrong with objects, the most points first: their class, two that are one, one that is two which the views
-    show apart, and points of an object that something else has, as somebody would paint them."""
+    separate, and points of an object that something else has, as somebody would paint them."""
     found, holders = [], dict[int, Instance]()
     things, points = corrected.classes.thing_ids, corrected.points
     for one in sorted(corrected.instances, key=lambda each: -each.points):
@@ -105,13 +105,13 @@ def mistakes(folder: LiftFolder, corrected: CorrectedResult, truth: NDArray[np.i
     for label, one in holders.items():
         astray = (truth == label) & (points.instance_id == 0)
         if astray.sum() >= WORTH_PAINTING:
-            said = f"points of {one.name} are nobody's"
+            said = f"points of {one.name} are unassigned"
             found.append(Mistake(int(astray.sum()), said, _paint(one.id, astray)))
     return sorted(found, key=lambda each: -each.points)
 
 
 def _split(folder: LiftFolder, number: int, truth: NDArray[np.int64]) -> Make:
-    """A split by views, which is not made where the parts are no purer than the whole."""
+    """A split by views, which is not made if the parts are no purer than the whole."""
 
     def make(state: Replay, first_id: int) -> Edit:
         edit = split_by_views(folder, state, number, first_id)
@@ -145,8 +145,8 @@ def _merge(kept: int, other: int) -> Make:
 def correct_by_truth(
     lift: Path, most: int = MOST_EDITS, after_each: Callable[[list[str]], object] = lambda said: None
 ) -> list[str]:
-    """Make at most ``most`` edits of a finished lift; ``after_each`` is called with what all of them say, at
-    first with nothing. Returns what each says. Raises PlgsError, OSError."""
+    """Make at most ``most`` edits of a finished lift; ``after_each`` is called with the descriptions of all so far, at
+    first with none. Returns the descriptions. Raises PlgsError, OSError."""
     folder = LiftFolder.open(lift)
     corrected = read_corrected(folder.path)
     truth = true_labels(open_asked(folder.request), corrected.points.xyz)
@@ -159,7 +159,7 @@ def correct_by_truth(
             break
         try:
             _, corrected = correct(folder.path, left[0].make)
-        except PlgsError:  # what the views do not show apart stays together
+        except PlgsError:  # what the views do not separate stays together
             left_alone.add(left[0].said)
         else:
             said.append(left[0].said)
@@ -168,7 +168,7 @@ def correct_by_truth(
 
 
 def before_and_after(lift: Path) -> tuple[float, float]:
-    """Strict PQ of the lift as the engine made it, and as it is corrected, on the held-out frames."""
+    """Strict PQ of the lift as the engine made it, and as corrected, on the held-out frames."""
     folder = LiftFolder.open(lift)
     corrected = score_corrected(folder, read_corrected(lift), lambda _done, _steps: None)
     tables: list[Mapping[str, Any]] = [read_metrics(folder), corrected]

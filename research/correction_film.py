@@ -49,8 +49,8 @@ class Film:
 
 
 def seen_from_above(result: CorrectedResult) -> Picture:
-    """The points below `CUT`, the longer side of the room across: objects in their colours with their names, red
-    where they were edited, all else in the photos' grey. uint8 [H, W, 3]."""
+    """The points below `CUT`, with the longer side of the room across: objects in their colours with their names, red
+    where they were edited, everything else in the photos' grey. uint8 [H, W, 3]."""
     points = result.points
     floor = np.percentile(points.xyz[:, 2], 2)
     low = np.flatnonzero(points.xyz[:, 2] < floor + CUT)

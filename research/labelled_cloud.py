@@ -1,7 +1,7 @@
-"""What a view's word should count, measured on the labelled cloud: it takes seconds, as nothing is trained.
+"""How much a view's evidence should count, measured on the labelled cloud: it takes seconds, as nothing is trained.
 
 The points get their classes and objects as in a lift. Then the held-out frames read them with their own depth, which a
-lifted model is not given. So these figures are for comparing ways with each other.
+lifted model is not given. So these figures are only for comparing ways with each other.
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ from engine.train.progress import StageProgress
 from .experiments.scenes import SceneToLift
 
 PLACES = ("objects", "segments", "masks")
-"""The places of a view's word that the cloud shows. Its points take their classes from the segments' votes, and there
-are Gaussians only in a lift."""
+"""The places of a view's evidence that the cloud shows. Its points take their classes from the segments' votes, and
+there are Gaussians only in a lift."""
 REACH = 1.0
 """Metres within which a pixel reads its nearest point."""
 
@@ -59,7 +59,7 @@ def ways(shipped: ViewEvidence) -> Iterator[tuple[str, ViewEvidence]]:
 
 
 def evidence_table(scenes: Sequence[SceneToLift], preset: Preset) -> Iterator[str]:
-    """The lines of a Markdown table: a row for each way, a column for each scene, and the mean. Raises PlgsError."""
+    """The lines of a Markdown table: one row per way, one column per scene, and the mean. Raises PlgsError."""
     names = [name for name, _ in ways(preset.evidence)]
     columns = [list(scene_scores(scene, preset)) for scene in scenes]
     yield f"| | {' | '.join(markdown_cell(scene.name) for scene in scenes)} | mean |"
@@ -86,8 +86,8 @@ def scene_scores(place: SceneToLift, preset: Preset) -> Iterator[CloudScore]:
 
 
 def score(scene: Scene, matching: Matching) -> CloudScore:
-    """What the held-out frames read. A pixel without a labelled point takes the labels of the nearest one that has.
-    Raises PlgsError."""
+    """What the held-out frames read. A pixel without a labelled point takes the labels of the nearest one that has
+    some. Raises PlgsError."""
     index, evaluation = matching.cloud.index(), PanopticEvaluation(scene.classes, "strict")
     class_id, instance = np.append(matching.cloud.class_id, VOID), np.append(matching.instance_of_point, 0)
     for frame in scene.test_frames:

@@ -1,4 +1,4 @@
-"""How whole the meshes of a lift are, as `engine export --to mesh` writes them and before it mends them."""
+"""How complete the meshes of a lift are, as `engine export --to mesh` writes them and before it mends them."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from engine.posed.labelled_surface import LEAST_TRIANGLES, triangles_by_label
 from engine.result_files import Instance
 
 FAR = 1.5
-"""Times the diagonal of its object's box that a mesh's own may have."""
+"""A mesh's diagonal may be this many times that of its object's box."""
 
 
 def mesh_table(lift: Path) -> Iterator[str]:
@@ -48,6 +48,6 @@ def mesh_row(name: str, surface: Surface, label: NDArray[np.int64], boxes: Mappi
 
 
 def _diagonal(xyz: NDArray[np.float32], yaw: float) -> float:
-    """Of the box around points [N, 3] that is turned by ``yaw`` radians about z, in metres."""
+    """Diagonal in metres of the box around points [N, 3] that is turned by ``yaw`` radians about z."""
     turned = xyz[:, :2] @ np.array([[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]])
     return float(np.linalg.norm(np.concatenate([np.ptp(turned, axis=0), np.ptp(xyz[:, 2:], axis=0)])))

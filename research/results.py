@@ -1,4 +1,4 @@
-"""What was measured of lifts: read out of a finished lift, and kept in results.json and results.csv."""
+"""What was measured of lifts: read from finished lifts, and kept in results.json and results.csv."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ _TEXTS = ("scene", "row", "preset", "engine_version")
 
 
 class Figures(NamedTuple):
-    """What was measured of a row: shares in [0, 1], decibels, metres, seconds; None where something was not.
+    """What was measured of a row: shares in [0, 1], decibels, metres, seconds; None if something was not measured.
 
     ``miou``, ``miou_true`` (over the classes that the ground truth has) and ``pq`` are of the mode ``strict``;
     ``pq_frame`` is PQ frame by frame, ``id_changes`` how often an object changes its id over the held-out frames;
-    ``psnr_fitted`` is PSNR after a fit of the colours; ``fps`` panoptic frames a second, drawn and decided at the
+    ``psnr_fitted`` is PSNR after a fit of the colours; ``fps`` panoptic frames per second, drawn and decided at the
     frames' own size.
     """
 
@@ -48,7 +48,7 @@ class Figures(NamedTuple):
 
 @dataclass(frozen=True)
 class Result:
-    """What was measured of one row on one scene; ``steps`` 0 where nothing was trained. ``failed`` says why there is
+    """What was measured of one row on one scene; ``steps`` is 0 if nothing was trained. ``failed`` says why there is
     nothing."""
 
     scene: str
@@ -69,7 +69,7 @@ class Result:
 def read_result(scene: str, row: str, preset: str, lift: LiftFolder) -> Result:
     """The figures of a finished lift. Raises PlgsError when its files cannot be read."""
     manifest = read_manifest(lift.result_path)
-    content = read_object(lift.result_path / "metrics.json", "Delete it: the same command then makes it anew.")
+    content = read_object(lift.result_path / "metrics.json", "Delete it: the same command then makes it again.")
     tables = content.get("tables")
     found = scores_by_method([table for table in tables if isinstance(table, dict)] if isinstance(tables, list) else [])
     events = EventReader(lift.events_path).poll()
@@ -96,7 +96,7 @@ def scores_by_method(tables: Sequence[Mapping[str, Json]]) -> dict[str, Figures]
 
 
 def run_figures(events: Sequence[Event]) -> dict[str, float | None]:
-    """Frames a second of a lift's last run, and the most memory of all its runs."""
+    """Frames per second of a lift's last run, and the most memory of all its runs."""
     told = [event.data["values"] for event in events if event.kind == "metric" and event.data.get("name") == "run"]
     values = [each for each in told if isinstance(each, dict)]
     peaks = [peak for each in values if (peak := number(each.get("peak_bytes"))) is not None]
@@ -124,18 +124,18 @@ def _seconds_of_run(run: Sequence[Event]) -> float:
 
 
 def number(value: Json) -> float | None:
-    """None for what is none."""
+    """None for what is not a number."""
     return float(value) if isinstance(value, int | float) and not isinstance(value, bool) else None
 
 
 def results_text(results: Sequence[Result]) -> str:
-    """The text of results.json: shares in [0, 1], decibels, metres, seconds, null where nothing was measured."""
+    """The text of results.json: shares in [0, 1], decibels, metres, seconds, null if nothing was measured."""
     entries = [{**vars(result), "figures": result.figures._asdict()} for result in results]
     return to_text({"format": FORMAT, "results": entries})
 
 
 def csv_text(results: Sequence[Result]) -> str:
-    """The text of results.csv: a line a result, with the same figures; empty where nothing was measured."""
+    """The text of results.csv: one line per result, with the same figures; empty where nothing was measured."""
     out = io.StringIO()
     writer = csv.writer(out, lineterminator="\n")
     writer.writerow([*(name for name in vars(results[0]) if name != "figures"), *Figures._fields] if results else [])

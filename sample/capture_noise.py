@@ -51,7 +51,7 @@ class CaptureNoise:
     disparity_step: float = 0.125
     """Pixels, the sensor's resolution."""
     dark: tuple[float, float] = (0.006, 0.03)
-    """Linear luminance up to which nearly nothing, and from which everything comes back."""
+    """Linear luminance up to which almost nothing, and from which everything comes back."""
     highlight: tuple[float, float] = (0.5, 0.15)
     """Linear luminance of a highlight, and how far it is above what surrounds it."""
     polished: float = 0.02
@@ -73,7 +73,7 @@ class CaptureNoise:
 
 
 def drift(count: int, channels: int, length: float, random: np.random.Generator) -> Floats:
-    """Smooth random functions of the frame number, float64 [count, channels], about normal with deviation 1.
+    """Smooth random functions of the frame number, float64 [count, channels], roughly normal with deviation 1.
 
     They are random Fourier features of a Gaussian kernel. Hands, auto exposure and trackers err slowly.
     """

@@ -1,7 +1,7 @@
 """The class that a network believes a region to be. It is mostly right, and wrong as networks are wrong.
 
-A network does not toss a coin for every frame. It takes a sofa for a bed from one side, while it is small, over a
-stretch of neighbouring views, and then sees it right again. So the belief in each class is a smooth random function of
+A network does not toss a coin for every frame. It mistakes a sofa for a bed from one side, while it is small, over a
+stretch of neighbouring views, and then gets it right again. So the belief in each class is a smooth random function of
 the direction of view, the size in the picture and the place. The seed fixes it for each object. Flicker is added.
 """
 
@@ -33,7 +33,7 @@ CONFUSIONS: dict[str, dict[str, float]] = {
     "appliance": {"cabinet": 1.2, "door": 0.8},
     "object": {"lamp": 0.6, "bin": 0.5, "picture": 0.3, "chair": 0.3},
 }
-"""For each true class the classes it is taken for, with their weights. 1 is the ordinary weight."""
+"""For each true class, the classes it is mistaken for, with their weights. 1 is the ordinary weight."""
 
 
 @dataclass(frozen=True)
@@ -49,15 +49,15 @@ class BeliefNoise:
     ordinary_area: float = 0.02
     """Share of the picture."""
     size_gain_limit: float = 0.5
-    """Most that size adds or takes away."""
+    """The most that size adds or takes away."""
     hardness: float = 0.4
     """Standard deviation over objects. Some are hard from everywhere."""
     swing: float = 1.6
     """Standard deviation over views of the belief in each wrong class, as direction, size and place change."""
     flicker: float = 0.6
-    """Standard deviation of the part that is drawn anew for each frame."""
+    """Standard deviation of the part that is drawn independently for each frame."""
     direction_scale: float = 0.5
-    """Change of the direction of view (a unit vector) after which the swing is another one."""
+    """Change of the direction of view (a unit vector) after which the swing is a different one."""
     size_scale: float = 1.2
     """The same for size, in doublings of the area."""
     place_scale: float = 2.0

@@ -21,7 +21,7 @@ LUMINANCE = np.array([0.2126, 0.7152, 0.0722], np.float32)
 def half_size(depth: Floats, noise: CaptureNoise) -> Floats:
     """Depth at half the size, as the sensor has fewer pixels than the camera.
 
-    Pixels of one surface are averaged in 1 / z, in which planes are linear. In a block with two surfaces the nearest
+    Pixels of one surface are averaged in 1 / z, in which planes are linear. In a block with two surfaces, the nearest
     one counts. Holes do not count.
     """
     height, width = depth.shape
@@ -74,7 +74,7 @@ def quantised(depth: Floats, noise: CaptureNoise) -> Floats:
 
 
 def holes(chance: Floats, noise: CaptureNoise, random: np.random.Generator) -> Bools:
-    """Where nothing comes back, bool [H, W], for a chance float64 [H, W]. Holes are blots, not single pixels."""
+    """Where nothing comes back, bool [H, W], for a chance float64 [H, W]. Holes are blobs, not single pixels."""
     field = smooth_field(chance.shape, noise.hole_grain, random)
     uniform = 1.0 / (1.0 + np.exp(-1.702 * field))  # the logistic curve is within 0.01 of the normal distribution's
     return uniform < chance

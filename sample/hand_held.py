@@ -2,7 +2,7 @@
 
 SCENE is a rendered scene, exact in colour, depth and poses. OUT is its twin from a hand-held camera with a
 structured-light sensor: exposure and white balance drift, some frames are blurred, undistortion leaves black borders,
-poses are a little wrong, depth is coarse, noisy, quantised and full of holes. Ground truth, masks, split and intrinsics
+poses are slightly wrong, depth is coarse, noisy, quantised and full of holes. Ground truth, masks, split and intrinsics
 are copied. ``hand_held.json`` says what was done to each frame. ``capture_noise.CaptureNoise`` says how much.
 """
 
@@ -45,7 +45,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("scene", type=Path, help="scene folder, rendered or otherwise exact")
     parser.add_argument("out", type=Path, help="scene folder to make; an existing one is refused")
-    parser.add_argument("--seed", type=int, default=0, help="other seeds, other faults (default 0)")
+    parser.add_argument("--seed", type=int, default=0, help="different seeds give different faults (default 0)")
     options = parser.parse_args()
     return run(lambda: write_hand_held(options.scene, options.out, options.seed))
 
@@ -116,20 +116,20 @@ def lines_of_sight(camera: Camera) -> Floats:
 
 
 def _copy(scene: Path, out: Path) -> None:
-    """Copy the folder, with frames that nothing reads (without a pose, or in neither split)."""
+    """Copy the folder, including frames that nothing reads (without a pose, or in neither split)."""
     if out.exists():
-        raise PlgsError("this exists already", out, "Name a folder that is not there yet.")
+        raise PlgsError("this exists already", out, "Name a folder that does not exist yet.")
     if out.resolve().is_relative_to(scene.resolve()):
         raise PlgsError("this lies within the scene itself", out, "Name a folder elsewhere.")
     try:
         # Depth is written for the colour's lens, so it needs no lens of its own.
         shutil.copytree(scene, out, copy_function=shutil.copyfile, ignore=shutil.ignore_patterns("intrinsic_depth.txt"))
     except OSError as error:
-        raise PlgsError(f"the scene cannot be copied ({error})", out, "See that the folder can be written.") from error
+        raise PlgsError(f"the scene cannot be copied ({error})", out, "Make it writable.") from error
 
 
 def _write_faults(path: Path, seed: int, noise: CaptureNoise, faults: list[dict[str, object]]) -> None:
-    """JSON with one frame a line."""
+    """JSON with one frame per line."""
     frames = ",\n".join(" " + json.dumps(fault) for fault in faults)
     path.write_text(
         f'{{"seed": {seed},\n"noise": {json.dumps(asdict(noise))},\n"frames": [\n{frames}\n]}}\n', encoding="utf-8"

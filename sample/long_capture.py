@@ -1,10 +1,10 @@
-"""Make a long capture out of the sample: ``python sample/long_capture.py OUT --frames N [--seed N]``.
+"""Make a long capture from the sample: ``python sample/long_capture.py OUT --frames N [--seed N]``.
 
 The 72 frames of the bundled room are fused into a mesh (a truncated signed distance volume). Each corner gets the class
-and the object that the ground truth shows there. Then a camera walks the sample's way again, lap after lap, each lap a
-little aside of the last, and photographs the mesh N times. So a long capture needs nothing but this repository. It is
-no better than its source: what no frame of the sample sees is a hole, and colour is that of the fused corners. It
-measures time and memory. Its quality can be compared with its own only.
+and the object that the ground truth shows there. Then a camera follows the sample's path again, lap after lap, each lap
+slightly to the side of the last, and photographs the mesh N times. So a long capture needs nothing but this repository.
+It is no better than its source: what no frame of the sample sees is a hole, and colour is that of the fused corners. It
+measures time and memory. Its quality can only be compared with itself.
 
 Pictures are cast at 324x242 and enlarged: colour and masks to 1296x968, depth to 648x484, as a phone's are. The masks
 are those of ``network_masks``. Ground truth stays in ``gt/`` at 324x242. ``splits.json`` holds HELD_OUT frames out.
@@ -45,7 +45,7 @@ VOXEL = 0.03
 REACH = 9.0
 """Metres. Depth beyond is left out."""
 LAP = 300
-"""Frames a lap."""
+"""Frames per lap."""
 ASIDE = 0.15
 """Metres between laps, root mean square."""
 HELD_OUT = 8
@@ -80,7 +80,7 @@ def main() -> int:
 def write_long_capture(out: Path, frames: int, seed: int) -> str:
     """Write the folder ``out`` as a whole, and return a line about it. Raises PlgsError, OSError."""
     if out.exists():
-        raise PlgsError("this exists already", out, "Name a folder that is not there yet.")
+        raise PlgsError("this exists already", out, "Name a folder that does not exist yet.")
     poses, intrinsic = room_cameras()
     mesh = fuse(poses, intrinsic)
     focal = intrinsic[0, 0] * WIDTH / 320
@@ -155,7 +155,7 @@ def corner_labels(corners: Floats, poses: list[Floats], intrinsic: Floats) -> ND
 
 
 def laps(poses: list[Floats], frames: int, seed: int) -> list[Floats]:
-    """``frames`` poses along the sample's way and back, lap after lap, each lap aside of the others."""
+    """``frames`` poses along the sample's path and back, lap after lap, each lap to the side of the others."""
     random = np.random.default_rng(seed)
     centres = np.array([pose[:3, 3] for pose in poses])
     looks = np.array([pose[:3, 2] for pose in poses])

@@ -21,13 +21,13 @@ class MaskNoise:
 
     belief: BeliefNoise = field(default_factory=BeliefNoise)
     smallest_segment: int = 60
-    """Least pixels of a thing that is found. Smaller ones become part of what surrounds them."""
+    """The fewest pixels of a thing that is found. Smaller ones become part of what surrounds them."""
     missed: float = 0.07
     """Chance that a thing of ordinary size is missed. It is up to three times as high for small ones."""
     missed_as_void: float = 0.6
     """Share of the missed things that leave a hole. The neighbour with the longest border swallows the others."""
     split: float = 0.10
-    """Chance that a segment falls in two."""
+    """Chance that a segment breaks in two."""
     split_disagrees: float = 0.4
     """Chance that the second part gets its own class, as if it were another thing."""
     merged: float = 0.35
@@ -47,7 +47,7 @@ class MaskNoise:
     unsure_below: float = 0.42
     """Least share of a segment in a pixel. Pixels without such a segment become void."""
     stuff_void: float = 0.06
-    """Share of stuff that is left void, in blots."""
+    """Share of stuff that is left void, in blobs."""
     stuff_void_length: int = 24
 
 
@@ -74,7 +74,7 @@ def detect(
 ) -> tuple[Ids, list[Region]]:
     """Segment ids, int32 [H, W], and the regions that the network sees. 0 is void, k + 1 is the k-th of them.
 
-    ``is_thing`` has all classes that the network knows.
+    ``is_thing`` contains all classes that the network knows.
     """
     random = stream(seed, "frame", frame)
     height, width = regions[0].pixels.shape

@@ -1,9 +1,9 @@
 """Make masks as a network would: ``python sample/network_masks.py SCENE [--seed N] [--out FOLDER] [--name NAME]``.
 
-SCENE holds ``gt/semantic``, ``gt/instance``, ``gt/classes.json``, ``depth``, ``pose`` and ``intrinsic``. Written are
-``panoptic.json`` (COCO panoptic, own categories, a score for each segment) and ``panoptic/*.png`` (segment id =
-R + 256 G + 65536 B, 0 = void). No other program uses the ground truth for anything but evaluation.
-``class_belief.BeliefNoise`` and ``mask_noise.MaskNoise`` say what a network gets wrong, and how often.
+SCENE holds ``gt/semantic``, ``gt/instance``, ``gt/classes.json``, ``depth``, ``pose`` and ``intrinsic``. It writes
+``panoptic.json`` (COCO panoptic, own categories, a score for each segment) and ``panoptic/*.png`` (segment id = R + 256
+G + 65536 B, 0 = void). All other programs use the ground truth only for evaluation. ``class_belief.BeliefNoise``
+and ``mask_noise.MaskNoise`` say what a network gets wrong, and how often.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ SMALLEST_STUFF = 40
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("scene", type=Path, help="scene folder with gt/")
-    parser.add_argument("--seed", type=int, default=0, help="other seeds, other faults (default 0)")
+    parser.add_argument("--seed", type=int, default=0, help="different seeds give different faults (default 0)")
     parser.add_argument("--out", type=Path, help="where panoptic.json and panoptic/ go (default: the scene folder)")
     parser.add_argument("--name", default="panoptic", help="NAME.json and NAME/ are written (default panoptic)")
     options = parser.parse_args()
@@ -96,7 +96,7 @@ def _pieces(pixels: NDArray[np.bool_]) -> list[NDArray[np.bool_]]:
 def _world_points(
     depth: NDArray[np.float64], intrinsic: NDArray[np.float64], pose: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """World points [H, W, 3] of planar depth in metres; pixel centres at integers, as the scene's files have it."""
+    """World points [H, W, 3] of planar depth in metres; pixel centres at integers, as in the scene's files."""
     y, x = np.mgrid[0 : depth.shape[0], 0 : depth.shape[1]]
     across = (x - intrinsic[0, 2]) / intrinsic[0, 0] * depth
     down = (y - intrinsic[1, 2]) / intrinsic[1, 1] * depth

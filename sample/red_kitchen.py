@@ -1,11 +1,11 @@
-"""Make a scene of 7-Scenes' red kitchen: ``python sample/red_kitchen.py DATA OUT [--every 10]``.
+"""Make a scene from 7-Scenes' red kitchen: ``python sample/red_kitchen.py DATA OUT [--every 10]``.
 
 DATA is the folder ``data`` of a checkout of the public repository tsdf-fusion-python: 1000 frames of a real hand-held
 RGB-D camera (auto exposure, motion blur, holes in the depth). Lift OUT with ``--up -y``. There are no labels. One
-segment of stuff covers each picture, so a lift has figures for colour and depth alone.
+segment of stuff covers each picture, so a lift has figures only for colour and depth.
 
 Poses and intrinsics are those of the depth camera. The colour camera has another lens and stands beside it. Its photos
-stay as they are, while depth and poses are brought to it (``ColourCamera``).
+stay as they are, while depth and poses are converted to it (``ColourCamera``).
 
 7-Scenes belongs to Microsoft (Shotton et al. 2013). Its licence is for research only: never commit its pictures, nor
 anything made of them.
@@ -111,7 +111,7 @@ def read_matrix(path: Path, side: int) -> NDArray[np.float64]:
     except (OSError, ValueError) as error:
         raise PlgsError("there are no numbers that can be read", path, FIX) from error
     if matrix.shape != (side, side) or not np.isfinite(matrix).all():
-        raise PlgsError(f"this is no matrix of {side} x {side} numbers", path, FIX)
+        raise PlgsError(f"this is not a matrix of {side} x {side} numbers", path, FIX)
     return matrix
 
 

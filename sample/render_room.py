@@ -1,9 +1,9 @@
 """Render the sample room: ``python sample/render_room.py HOUSE.glb OUT [--samples N] [--every N]``.
 
 HOUSE.glb is the AWS RoboMaker "small house" as one glTF file: one node for each object, with a property "category".
-Written are posed RGB-D frames with ground truth: ``color/ depth/ pose/ intrinsic/ splits.json gt/``. Cycles path-traces
+It writes posed RGB-D frames with ground truth: ``color/ depth/ pose/ intrinsic/ splits.json gt/``. Cycles path-traces
 colour. Open3D casts depth and ids against the same triangles, so they are exact. The result is part of the repository:
-nobody has to run this program to use the sample. It needs bpy, open3d and cv2.
+nobody needs to run this program to use the sample. It needs bpy, open3d and cv2.
 """
 
 from __future__ import annotations
@@ -47,9 +47,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("house", type=Path, help="small_house.glb")
     parser.add_argument("out", type=Path, help="scene folder to write")
-    parser.add_argument("--samples", type=int, default=16, help="path-tracing samples a pixel (default 16)")
+    parser.add_argument("--samples", type=int, default=16, help="path-tracing samples per pixel (default 16)")
     parser.add_argument("--every", type=int, default=1, help="render only every N-th frame, to look at the walk")
-    parser.add_argument("--seed", type=int, default=0, help="seed of the walk's unrest and of the path tracer")
+    parser.add_argument("--seed", type=int, default=0, help="seed of the walk's tremor and of the path tracer")
     options = parser.parse_args()
     load_house(options.house)
     furnish()

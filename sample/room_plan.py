@@ -32,7 +32,7 @@ CATEGORIES: tuple[tuple[int, str, bool], ...] = (
     (17, "appliance", True),
     (18, "object", True),
 )
-"""(id, name, is thing). No frame shows the bed, but networks have such a class and see it at times."""
+"""(id, name, is thing). No frame shows the bed, but networks have such a class and sometimes see it."""
 
 CLASS_OF_MODEL: dict[str, str] = {
     "HouseWallB": "wall", "RoomWall": "wall", "FloorB": "floor", "RoomCeiling": "ceiling", "RoomWindow": "window",
@@ -103,7 +103,7 @@ WALK: tuple[tuple[tuple[float, float, float], tuple[float, float, float]], ...] 
     ((-1.8, -2.0, 1.60), (2.3, -2.0, 0.4)),
     ((-1.6, 0.0, 1.60), (1.9, -2.3, 0.4)),
     ((-0.2, 1.2, 1.55), (2.2, -2.2, 0.5)),
-    # ... then through the middle, looking around.
+    # ... then through the middle, looking around
     ((1.5, 0.9, 1.50), (3.6, -2.3, 0.7)),
     ((2.9, -0.6, 1.45), (4.3, -3.2, 0.7)),
     ((3.0, -1.7, 1.45), (2.9, -5.0, 0.8)),

@@ -25,7 +25,7 @@ Segments = list[dict[str, Any]]
 
 
 def run(make: Callable[[], str]) -> int:
-    """Make something, print the line that ``make`` returns, and return the exit code. A refusal is one line, too."""
+    """Make something, print the line that ``make`` returns, and return the exit code. A refusal is one line too."""
     try:
         print(make())
     except (PlgsError, OSError) as error:
@@ -35,7 +35,7 @@ def run(make: Callable[[], str]) -> int:
 
 
 def run_on_data(make_scene: Callable[[Path, Path, int], int], about: str, data: str, every: int, closing: str) -> int:
-    """The command line DATA OUT [--every N] of a program that makes a scene of public data; returns the exit code.
+    """The command line DATA OUT [--every N] of a program that makes a scene from public data; returns the exit code.
 
     ``make_scene`` takes these three and returns the number of frames. ``about`` is the program's docstring, ``data``
     says what DATA is, ``every`` is the default, and ``closing`` ends the last line.
@@ -43,10 +43,10 @@ def run_on_data(make_scene: Callable[[Path, Path, int], int], about: str, data: 
     parser = argparse.ArgumentParser(description=about.splitlines()[0])
     parser.add_argument("data", type=Path, metavar="DATA", help=data)
     parser.add_argument("out", type=Path, metavar="OUT", help="scene folder to make")
-    parser.add_argument("--every", type=int, default=every, metavar="N", help=f"take each N-th frame (default {every})")
+    parser.add_argument("--every", type=int, default=every, metavar="N", help=f"every N-th frame (default {every})")
     options = parser.parse_args()
     if options.every < 1:
-        parser.error("--every takes a whole number from 1")
+        parser.error("--every takes a whole number of at least 1")
     return run(lambda: f"{make_scene(options.data, options.out, options.every)} frames in {options.out}; {closing}")
 
 
@@ -54,10 +54,10 @@ def run_on_data(make_scene: Callable[[Path, Path, int], int], about: str, data: 
 def new_scene(out: Path, folders: Iterable[str] = FOLDERS) -> Iterator[None]:
     """Make the folders of a scene. If what is done within fails, the scene is deleted.
 
-    Raises PlgsError when OUT holds something already, OSError when the folders cannot be made.
+    Raises PlgsError when OUT already holds something, OSError when the folders cannot be made.
     """
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
-        raise PlgsError("this exists already", out, "Give a folder that is new or empty.")
+        raise PlgsError("this exists already", out, "Give a new or empty folder.")
     try:
         for folder in folders:
             (out / folder).mkdir(parents=True, exist_ok=True)
@@ -72,15 +72,15 @@ def read_image(path: Path, kind: type[np.generic], size: tuple[int, int], fix: s
     how = cv2.IMREAD_COLOR if channels == 3 else cv2.IMREAD_UNCHANGED
     pixels = cv2.imread(str(path), how) if path.is_file() else None
     if pixels is None:
-        raise PlgsError("there is no picture that can be read", path, fix)
+        raise PlgsError("there is no readable picture", path, fix)
     if pixels.dtype != kind or pixels.shape != (size[1], size[0], *((3,) if channels == 3 else ())):
         bits = 8 * np.dtype(kind).itemsize
-        raise PlgsError(f"this is no picture of {size[0]}x{size[1]} pixels, {channels} x {bits} bits each", path, fix)
+        raise PlgsError(f"not a picture of {size[0]}x{size[1]} pixels, {channels} x {bits} bits each", path, fix)
     return pixels
 
 
 def write_image(path: Path, pixels: NDArray[np.generic], how: Sequence[int] = ()) -> None:
-    """Write pixels, [H, W] or B, G, R [H, W, 3]. ``how`` has OpenCV's parameters and values. Raises OSError."""
+    """Write pixels, [H, W] or B, G, R [H, W, 3]. ``how`` holds OpenCV's parameters and values. Raises OSError."""
     if not cv2.imwrite(str(path), np.ascontiguousarray(pixels), how):
         raise OSError(f"cannot be written: {path}. Choose a folder that you may write to, on a disk with space.")
 
@@ -116,7 +116,7 @@ def mask_pixels(ids: NDArray[np.integer]) -> NDArray[np.uint8]:
 def write_mask_table(
     path: Path, masks: Mapping[str, Segments], categories: Segments, images: Segments | None = None
 ) -> None:
-    """COCO panoptic's table, one entry a line. ``masks`` is by the names of the frames."""
+    """COCO panoptic's table, one entry per line. ``masks`` is keyed by the frames' names."""
     annotations = [
         {"image_id": name, "file_name": f"{name}.png", "segments_info": segments} for name, segments in masks.items()
     ]

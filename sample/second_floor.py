@@ -1,4 +1,4 @@
-"""Make a scene of Replica's apartment_0, second floor: ``python sample/second_floor.py DATA OUT [--every 2]``.
+"""Make a scene from Replica's apartment_0, second floor: ``python sample/second_floor.py DATA OUT [--every 2]``.
 
 DATA is a checkout of the public repository Robot-Indoor-Navigation-System by Chialiang86. Its folder
 Semantic-Segmentation has 239 rendered RGB-D frames, and the classes that a real network saw in each. The network is
@@ -66,9 +66,9 @@ STUFF = frozenset(
 FIX = "Give a checkout of Robot-Indoor-Navigation-System."
 
 Z_UP = np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
-"""Turns a world whose y points up."""
+"""Rotates a world whose y points up."""
 OPENGL = np.diag([1.0, -1, -1, 1])
-"""Between the axes of OpenCV's cameras and OpenGL's."""
+"""Converts between the axes of OpenCV's cameras and OpenGL's."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,7 +90,7 @@ class Objects:
     def stored_classes(self) -> Ints:
         """The class that DATA's pictures of classes have for each object, int64 [N].
 
-        Ids were cut to 8 bits when these were written. So the class is that of the object whose id is the remainder.
+        Ids were cut to 8 bits when these were written, so the class is that of the object whose id is the remainder.
         """
         return self.class_of[self.ids % 256]
 
@@ -203,7 +203,7 @@ def read_info(path: Path) -> tuple[dict[int, str], Objects]:
         boxes = [entry["oriented_bbox"] for entry in entries]
         objects = Objects(
             np.array([int(entry["id"]) for entry in entries]),
-            np.maximum(np.array(info["id_to_label"], np.int64), 0),  # -1 and -2 are no classes either
+            np.maximum(np.array(info["id_to_label"], np.int64), 0),  # -1 and -2 are not classes either
             rows_of([box["orientation"]["translation"] for box in boxes], 3),
             Rotation.from_quat(rows_of([box["orientation"]["rotation"] for box in boxes], 4)).as_matrix(),
             rows_of([box["abb"]["center"] for box in boxes], 3),
@@ -212,9 +212,9 @@ def read_info(path: Path) -> tuple[dict[int, str], Objects]:
         if not 0 < objects.ids.min() <= objects.ids.max() < len(objects.class_of):
             raise ValueError("an object without a class")
     except OSError as error:
-        raise PlgsError("there is no list of classes and objects that can be read", path, FIX) from error
+        raise PlgsError("there is no readable list of classes and objects", path, FIX) from error
     except (ValueError, KeyError, TypeError, IndexError) as error:
-        raise PlgsError("this is no list of classes and objects as it was expected", path, FIX) from error
+        raise PlgsError("this is not the expected list of classes and objects", path, FIX) from error
     return names, objects
 
 
@@ -235,7 +235,7 @@ def read_poses(path: Path) -> list[Floats]:
         rows = np.loadtxt(path, ndmin=2)
         turns = Rotation.from_quat(rows[:, [4, 5, 6, 3]]).as_matrix()
     except (OSError, ValueError, IndexError) as error:
-        raise PlgsError("there are no poses that can be read", path, FIX) from error
+        raise PlgsError("there are no readable poses", path, FIX) from error
     if rows.shape[1] != 7 or not np.isfinite(rows).all():
         raise PlgsError("this is not a table of 7 numbers per frame", path, FIX)
     poses = []

@@ -4,7 +4,7 @@
     python set_up/blender_window.py sid         # Blender 5.2, in build/blender-sid
 
 Run it as root on a Debian. Packages come from the machine's own sources. A tree is complete when its stamp, which is
-written last, names the present packages. Any other one is made anew.
+written last, names the present packages. Any other tree is made again.
 """
 
 from __future__ import annotations
@@ -22,10 +22,10 @@ SUITES = ("trixie", "sid")
 PACKAGES = (
     "blender",
     "python3-numpy",
-    "python3-cattr",  # Blender 5.2 needs it for extensions; Debian's package does not say so
+    "python3-cattr",  # Blender 5.2 needs it for extensions, though Debian's package does not say so
     "xvfb",
     "xdotool",
-    "python3-xlib",  # drops files on the window
+    "python3-xlib",  # to drop files on the window
     "libgl1-mesa-dri",
     *LIBRARIES.values(),  # the engine runs in the tree too, with this machine's environment
 )
@@ -47,7 +47,7 @@ def stamp_text(suite: str) -> str:
 
 
 def is_complete(suite: str) -> bool:
-    """Whether the tree was made to its end, with the present packages."""
+    """Whether the tree was completed, with the present packages."""
     stamp = tree_of(suite) / STAMP
     return stamp.is_file() and stamp.read_text() == stamp_text(suite)
 
@@ -69,7 +69,7 @@ def make(suite: str) -> None:
     if os.geteuid() != 0 or shutil.which("apt-get") is None:
         stop("the window tests need root on a Debian, to make a tree with Debian's Blender and a virtual screen in it")
     if tree.exists():
-        say(f"{tree.name} is incomplete or of other packages: making it anew")
+        say(f"{tree.name} is incomplete or has other packages: making it again")
         shutil.rmtree(tree)
     missing = sorted({package for tool, package in TOOLS.items() if shutil.which(tool) is None})
     # This also refreshes the lists that name the mirror, so it runs even if nothing is missing.
@@ -111,5 +111,5 @@ if __name__ == "__main__":
     try:
         raise SystemExit(main(sys.argv[1:]))
     except KeyboardInterrupt:
-        print("\nset-up: cut off; the next make starts it anew", file=sys.stderr)
+        print("\nset-up: interrupted; the next make starts it again", file=sys.stderr)
         raise SystemExit(130) from None

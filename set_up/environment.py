@@ -1,11 +1,11 @@
-"""Make one of the project's Python environments, or see that it is there already. Standard library only.
+"""Make one of the project's Python environments, or check that it already exists. Standard library only.
 
     python set_up/environment.py check .venv       # exit code 0: complete and up to date
-    python set_up/environment.py make .venv        # with the Python that the environment shall have
+    python set_up/environment.py make .venv        # with the Python that the environment is to have
 
 `.venv` runs everything. `.venv-next` is for tests of the Blender side on the next Blender; it has no torch, because the
 engine runs in an environment of its own. An environment is complete when its stamp, which is written last, names the
-present requirements. Any other one is made anew.
+present requirements. Any other environment is made again.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ _USER = re.compile(r"(?<=://)[^/@\s]+@")
 
 
 class Recipe(NamedTuple):
-    """What an environment holds: requirement files for each call of pip, and modules that must import in the end."""
+    """What an environment holds: requirement files for each call of pip, and modules that must import at the end."""
 
     pip_calls: tuple[tuple[str, ...], ...]
     modules: tuple[str, ...]
@@ -82,7 +82,7 @@ def stamp_text(environment: str, version: tuple[int, int], requirements: Path) -
 
 
 def is_complete(folder: Path, version: tuple[int, int], requirements: Path) -> bool:
-    """Whether the environment in `folder` was made to its end from these requirements."""
+    """Whether the environment in `folder` was completed from these requirements."""
     stamp = folder / STAMP
     return stamp.is_file() and stamp.read_text() == stamp_text(folder.name, version, requirements)
 
@@ -92,7 +92,7 @@ def missing_packages() -> list[str]:
     if not sys.platform.startswith("linux"):
         return []
     python = f"python{sys.version_info[0]}.{sys.version_info[1]}"
-    if importlib.util.find_spec("ctypes") is None:  # python3-minimal: it cannot even look
+    if importlib.util.find_spec("ctypes") is None:  # python3-minimal: it cannot even check
         return [f"{python}-venv", *LIBRARIES.values()]
     import ctypes
 
@@ -106,7 +106,7 @@ def missing_packages() -> list[str]:
 
 
 def install_packages(packages: list[str]) -> None:
-    """Install Debian packages when root; else say in one line how, and stop."""
+    """Install Debian packages if we are root; else say in one line how to, and stop."""
     apt = shutil.which("apt-get")
     line = f"apt-get install --no-install-recommends {' '.join(packages)}"
     if apt is None:
@@ -149,7 +149,7 @@ def make(folder: Path) -> None:
     if packages:
         install_packages(packages)
     if folder.exists():
-        say(f"{folder.name} is incomplete or of older requirements: making it anew")
+        say(f"{folder.name} is incomplete or has older requirements: making it again")
         shutil.rmtree(folder)
     say(f"making {folder.name} for Python {sys.version_info[0]}.{sys.version_info[1]} ({sys.executable})")
     # In a process of its own, as ensurepip may have been installed after this one started.
@@ -159,9 +159,9 @@ def make(folder: Path) -> None:
         say(f"installing {', '.join(file.removesuffix('.txt') for file in files)} (this takes a minute or more)")
         run([python, "-m", "pip", "install", *pip_options(files)], "pip could not install the requirements")
     # This finds a missing system library now, and not in the middle of a lift.
-    run([python, "-c", f"import {', '.join(wanted.modules)}"], "an installed module does not import")
+    run([python, "-c", f"import {', '.join(wanted.modules)}"], "an installed module cannot be imported")
     if folder.name == ".venv":
-        say("compiling the engine's kernels for this machine (half a minute; a lift would do it otherwise)")
+        say("compiling the engine's kernels for this machine (half a minute; otherwise a lift would do it)")
         run([python, "-m", "engine", "warm-up"], "the kernels could not be compiled", cwd=ROOT, strict=False)
     write_stamp(folder)
     say(f"{folder.name} is ready after {time.monotonic() - started:.0f} s")
@@ -195,7 +195,7 @@ def run(command: list[str], failure: str, *, cwd: Path = ROOT / "requirements", 
     print("\n".join(tail), file=sys.stderr)
     if strict:
         stop(f"{failure} (exit code {code}). The whole output: build/set-up.log. Run make again to retry.")
-    say(f"{failure} (exit code {code}); going on without")
+    say(f"{failure} (exit code {code}); continuing without it")
 
 
 @contextmanager
@@ -238,5 +238,5 @@ if __name__ == "__main__":
     try:
         raise SystemExit(main(sys.argv[1:]))
     except KeyboardInterrupt:
-        print("\nset-up: cut off; the next make starts it anew", file=sys.stderr)
+        print("\nset-up: interrupted; the next make starts it again", file=sys.stderr)
         raise SystemExit(130) from None

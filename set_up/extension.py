@@ -21,7 +21,7 @@ def tool() -> list[str]:
     blender = shutil.which("blender")
     if blender:
         return [blender, "--command", "extension"]
-    # bpy is found and not imported: importing takes a second, and the tool is a script.
+    # bpy is located but not imported: importing takes a second, and the tool is a script.
     module = importlib.util.find_spec("bpy")
     if module is None or module.origin is None:
         raise SystemExit("extension: no blender on PATH, and this Python has no bpy module: run make set-up")

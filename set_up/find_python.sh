@@ -3,7 +3,7 @@
 #
 #   sh set_up/find_python.sh 3.11
 #
-# A name on PATH may be a version manager's shim for a Python that is not switched on. So each candidate is started, first
+# A name on PATH may be a version manager's shim for a Python that is not enabled. So each candidate is started, first
 # those on PATH, then those of pyenv and uv. A Python that can make an environment (ensurepip) is preferred. Debian's cannot
 # until python3-venv is installed.
 version=$1

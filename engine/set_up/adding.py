@@ -1,4 +1,4 @@
-"""Adding packages to an engine that is there, for an ability that not everybody needs.
+"""Adding packages to an existing engine, for a capability that not everybody needs.
 
 They go into a folder of their own in the environment, and one file in site-packages names that folder. Until this file
 is there, which is the last step, the environment is as it was.
@@ -22,7 +22,7 @@ from . import programs
 from .environments import bytes_in
 
 STAGE = "add"
-LABELS = ("Downloading and unpacking", "Looking whether they are found")
+LABELS = ("Downloading and unpacking", "Checking that they are found")
 _LOG, _LOCK = "add.log", "add.lock"
 _FOLDER = "added"
 _PARTS = 1000
@@ -32,7 +32,7 @@ _SPARE_BYTES = 200_000_000
 
 
 class Addition:
-    """The packages of one ability for an environment. `run` adds them."""
+    """The packages of one capability for an environment. `run` adds them."""
 
     def __init__(
         self,
@@ -44,8 +44,8 @@ class Addition:
         environment: Path = Path(sys.prefix),
         index_url: str = "",
     ) -> None:
-        """``environment``: by default that of the Python that runs this; another one's has the same version. Raises
-        PlgsError for a name that is not known.
+        """``environment``: by default that of the Python that runs this; another environment's has the same version.
+        Raises PlgsError for an unknown name.
         """
         refuse_unknown(name)
         self.name, self.size = name, CAPABILITIES[name].size
@@ -76,7 +76,7 @@ class Addition:
                 write_atomically(self._site_packages / f"plgs-{self.name}.pth", f"{folder}\n")
             self._look()
         except OSError as error:
-            fix = "Make room on the disk, or let PLGS write there, then add it again. The engine is as it was."
+            fix = "Make room on the disk, or let PLGS write there, then add it again. The engine is unchanged."
             where = error.filename or self.environment
             raise PlgsError(f"nothing could be added ({error.strerror})", where, fix) from error
         return folder
@@ -84,13 +84,13 @@ class Addition:
     def _refuse_foreign(self) -> None:
         """Only an environment gets packages: other Pythons belong to the system or to Blender."""
         if not (self.environment / "pyvenv.cfg").is_file():
-            fix = "Set the engine up, or let your own Python install the packages that requirements/ pins."
-            raise PlgsError("packages are added to environments only, and this is none", self.environment, fix)
+            fix = "Set up the engine, or let your own Python install the packages that requirements/ pins."
+            raise PlgsError("packages are only added to environments, and this is not one", self.environment, fix)
 
     def _refuse_full_disk(self) -> None:
         needed, free = 2 * self.size + _SPARE_BYTES, shutil.disk_usage(self.environment).free
         if free < needed:
-            what = f"the disk has {free / 1e9:.1f} GB free, adding this needs {needed / 1e9:.1f} GB"
+            what = f"the disk has {free / 1e9:.1f} GB free, but adding this needs {needed / 1e9:.1f} GB"
             raise PlgsError(what, self.environment, "Make room, then add it again.")
 
     def _download(self, lock: FileLock) -> None:
@@ -100,14 +100,14 @@ class Addition:
         temporary.mkdir(parents=True)
         command = programs.add_command(self._python, addition_hashes_path(self._root, self.name), packages)
         variables = programs.pip_environment(temporary, self._index_url)
-        variables["PIP_CONSTRAINT"] = str(requirements_path(self._root, self.name))  # also for what compiles it
+        variables["PIP_CONSTRAINT"] = str(requirements_path(self._root, self.name))  # also for whatever compiles it
         self.log_path.write_bytes(b"")
         output, code = programs.run(
             command, self.log_path, variables, self._pause, cwd=self._part,
             read_line=self._tell, keep_open=[lock.descriptor], limit_s=None,
         )  # fmt: skip
         if code != 0:
-            fix = "See to the connection or the disk, then add it again. The engine is as it was."
+            fix = "Check the connection and the disk, then add it again. The engine is unchanged."
             raise PlgsError(f"pip could not add it ({programs.complaint(output)})", self.log_path, fix)
         shutil.rmtree(temporary)
         for path in packages.iterdir():
@@ -127,7 +127,7 @@ class Addition:
             self._events.stage(STAGE, 1, len(LABELS), f"{LABELS[0]}: {news}")
 
     def _pause(self) -> None:
-        """Wait a moment. Raises Cancelled when this shall stop."""
+        """Wait a moment. Raises Cancelled when this is asked to stop."""
         self._stop.check()
         time.sleep(_POLL_S)
         if time.monotonic() - self._measured_at > _MEASURE_S:

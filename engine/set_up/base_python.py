@@ -1,4 +1,4 @@
-"""A Python that can make the engine's environment: the one that runs this, or another one of this computer."""
+"""A Python that can make the engine's environment: the one that runs this, or another one on this computer."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ PROBE = (
     "lacking = [name for name in ('venv', 'ensurepip') if not importlib.util.find_spec(name)]; "
     "print(json.dumps([sys.version_info[:2], sys.executable, lacking]))"
 )
-"""The program that a Python is asked with. It prints what `judge` reads."""
+"""The program that a Python is checked with. It prints what `judge` reads."""
 _MORE_FOLDERS = ("/opt/homebrew/bin", "/usr/local/bin", "/usr/bin")
-"""Folders that are searched beside those of PATH: a Blender that was started from a dock has a short PATH."""
+"""Folders that are searched in addition to PATH: a Blender that was started from a dock has a short PATH."""
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""The folder of environments: what is known of an unfinished one, how large one is, and how one is deleted."""
+"""The folder of environments: what is known about an unfinished one, how large one is, and how one is deleted."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _TRASH = "trash-"
 
 @dataclass
 class Notes:
-    """The progress of an environment, kept in its folder for the set-up that goes on with it.
+    """The progress of an environment, kept in its folder for the set-up that continues it.
 
     ``done`` names the finished steps. ``installing`` says that pip has begun to write packages: after a kill these can
     be half-written.
@@ -46,7 +46,7 @@ class Notes:
 
 
 def bytes_in(folder: Path) -> int:
-    """Bytes of all files in a folder. Files that vanish meanwhile or cannot be looked at count nothing."""
+    """Bytes of all files in a folder. Files that vanish meanwhile or cannot be read count as nothing."""
     total, waiting = 0, [str(folder)]
     while waiting:
         with suppress(OSError), os.scandir(waiting.pop()) as entries:
@@ -60,7 +60,7 @@ def bytes_in(folder: Path) -> int:
 
 
 def throw_away(path: Path, folder: Path) -> None:
-    """Move a file or folder aside in ``folder``, on the same disk, to be deleted by `empty_trash`. This takes no time.
+    """Move a file or folder aside in ``folder``, on the same disk, to be deleted by `empty_trash`. This is instant.
 
     Nothing happens when it is not there. Raises OSError, on Windows also while a program in it still runs.
     """
@@ -73,7 +73,7 @@ def throw_away(path: Path, folder: Path) -> None:
 
 
 def empty_trash(folder: Path) -> None:
-    """Delete what was thrown away, as far as it can be deleted. This takes seconds."""
+    """Delete what was thrown away, as far as possible. This takes seconds."""
     for path in sorted(folder.glob(f"{_TRASH}*")):
         shutil.rmtree(path, ignore_errors=True)
 
@@ -81,7 +81,7 @@ def empty_trash(folder: Path) -> None:
 def remove_environments(folder: Path) -> None:
     """Delete all environments in ``folder`` that a set-up made, and nothing else.
 
-    Raises PlgsError while a set-up is at work there, OSError.
+    Raises PlgsError while a set-up is running there, OSError.
     """
     if is_locked(folder / LOCK):
         raise PlgsError("the engine is being set up", folder, "Wait until it is done, or cancel it.")

@@ -17,7 +17,7 @@ CPU_BUILDS = "https://download.pytorch.org/whl/cpu"
 INSTALLING = "Installing collected packages"
 """The line of pip's output after which it writes into the environment."""
 _ELSEWHERE = ("PIP_TARGET", "PIP_PREFIX", "PIP_ROOT", "PIP_CONSTRAINT", "PIP_REQUIREMENT", "VIRTUAL_ENV")
-"""Variables that would send packages elsewhere than into the environment."""
+"""Variables that would send packages somewhere other than into the environment."""
 _NEWS = re.compile(r"^\s*(Collecting|Downloading|Using cached|Installing collected packages)[: ]+(\S+)(?:.*(\(.*\)))?")
 _MOST_BYTES = 200_000
 """Bytes of a program's output that are kept, counted from its end."""
@@ -49,7 +49,7 @@ def run(
         output = line = ""
         try:
             while True:
-                code = process.exit_code()  # before the look at its output, so that the last lines are in it
+                code = process.exit_code()  # before its output is read, so that the last lines are in it
                 new = reader.read(_MOST_BYTES).decode(errors="replace")
                 output = (output + new)[-_MOST_BYTES:]
                 *whole, line = (line + new).split("\n")
@@ -68,8 +68,8 @@ def pip_environment(temporary: Path, index_url: str = "") -> dict[str, str]:
     """This process's environment for pip. The user's indexes, proxies, certificates and hash policy stay; downloads go
     to ``temporary``, where they are measured and cleaned up.
 
-    ``index_url`` takes the place of PyPI; empty leaves it to pip's configuration. It is no argument of pip's, since
-    its password would then stand in the log and in the list of processes.
+    ``index_url`` takes the place of PyPI; empty leaves it to pip's configuration. It is not passed to pip as an
+    argument, since its password would then show in the log and in the list of processes.
     """
     kept = {name: value for name, value in clean_environment().items() if name not in _ELSEWHERE}
     ours = {"PIP_USER": "0", "PIP_DISABLE_PIP_VERSION_CHECK": "1", "PIP_NO_INPUT": "1"}
@@ -101,7 +101,7 @@ def add_command(python: Path, hashes: Path, target: Path) -> list[str | Path]:
 
 
 def torch_options(index_url: str, torch_build: str) -> list[str]:
-    """Options for torch, which is installed without what it needs: only torch shall come from the index of CPU
+    """Options for torch, which is installed without its dependencies: only torch should come from the index of CPU
     builds."""
     if not index_url and torch_build == "cpu" and sys.platform == "linux":
         return ["--no-deps", "--extra-index-url", CPU_BUILDS]
@@ -109,7 +109,7 @@ def torch_options(index_url: str, torch_build: str) -> list[str]:
 
 
 def news_of_pip(line: str) -> str | None:
-    """The progress that a line of pip's output tells, shortened; None when it tells none."""
+    """The progress that a line of pip's output reports, shortened; None when it reports none."""
     match = _NEWS.match(line)
     if match is None:
         return None

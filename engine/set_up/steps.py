@@ -1,6 +1,6 @@
 """The steps of a set-up, from a base Python to an engine that answers.
 
-What a step finished is noted in the environment. A set-up that was cancelled, killed or cut off goes on there.
+What a step finished is noted in the environment. A set-up that was cancelled, killed or cut off continues there.
 """
 
 from __future__ import annotations
@@ -33,9 +33,9 @@ LABELS = (
     "Asking the engine",
 )
 PARTS = 1000
-"""Parts of the whole set-up that its progress is counted in."""
+"""How many parts the progress of the whole set-up is counted in."""
 _ANSWER_S = 10.0
-"""Seconds that a Python has to answer. The first answer from a cold disk takes a few."""
+"""Seconds within which a Python must answer. The first answer from a cold disk takes a few."""
 _POLL_S = 0.05
 _MEASURE_S = 1.0
 _GIGABYTE = 10**9
@@ -86,19 +86,19 @@ class SetUp:
         return self.folder / LOG
 
     def run(self) -> Path:
-        """Do all steps; the environment's Python. Raises PlgsError; Cancelled when it was asked to stop."""
+        """Do all steps and return the environment's Python. Raises PlgsError; Cancelled when it was asked to stop."""
         try:
             self.folder.mkdir(parents=True, exist_ok=True)
             while is_locked(self.folder / LOCK):
-                self._tell(1, "Another set-up is at work")
+                self._tell(1, "Another set-up is running")
                 self._pause()
             with FileLock(self.folder / LOCK) as self._lock:
                 self.log_path.write_bytes(b"")
                 return self._do_steps()
         except OSError as error:
-            fix = "Make room on the disk, or let PLGS write there, then set the engine up again."
+            fix = "Make room on the disk, or let PLGS write there, then set up the engine again."
             where = error.filename or self.folder
-            raise PlgsError(f"the set-up stopped ({error.strerror})", where, fix) from error
+            raise PlgsError(f"the set-up was stopped ({error.strerror})", where, fix) from error
 
     def _do_steps(self) -> Path:
         base = self._find_base_python()
@@ -115,7 +115,7 @@ class SetUp:
     def _find_base_python(self) -> BasePython:
         versions = pinned_versions(self.root)
         if not versions:
-            raise PlgsError("there are no requirements", self.root / "requirements", "Install PLGS again.")
+            raise PlgsError("the requirements are missing", self.root / "requirements", "Install PLGS again.")
         refused = []
         for python in candidates(self.request.base_python, versions):
             self._tell(1, str(python))
@@ -148,8 +148,8 @@ class SetUp:
     def _check_disk(self) -> None:
         needed, free = NEEDED_BYTES[self.request.torch_build], shutil.disk_usage(self.folder).free
         if free < needed:
-            what = f"the disk has {free / _GIGABYTE:.1f} GB free, the engine needs {needed / _GIGABYTE:.0f} GB"
-            raise PlgsError(what, self.folder, "Make room, then set the engine up again.")
+            what = f"the disk has {free / _GIGABYTE:.1f} GB free, but the engine needs {needed / _GIGABYTE:.0f} GB"
+            raise PlgsError(what, self.folder, "Make room, then set up the engine again.")
 
     def _make_environment(self, environment: Path, base: BasePython) -> Notes:
         self._tell(2, f"Python {base.version[0]}.{base.version[1]}")
@@ -157,7 +157,7 @@ class SetUp:
         notes = Notes.read(environment)
         is_sound = notes is not None and not notes.installing and python_in(environment).exists()
         if notes is not None and is_sound and notes.torch_build == self.request.torch_build:
-            self._log(f"Going on with {environment}, which has: {', '.join(notes.done)}")
+            self._log(f"Continuing {environment}, which has: {', '.join(notes.done)}")
             return notes
         throw_away(environment, self.folder)
         output, code = self._run([base.python, "-I", "-m", "venv", environment])
@@ -169,8 +169,8 @@ class SetUp:
         return notes
 
     def _install_packages(self, environment: Path, base: BasePython, notes: Notes) -> None:
-        """Install torch alone, then the packages that have hashes, then all. The last call finds these there and adds
-        what torch needs of CUDA.
+        """Install torch alone, then the packages that have hashes, then all. The last call finds these installed and
+        adds what torch needs of CUDA.
         """
         needed = needed_packages(self.root, base.version)
         pins = {name: f"{name}=={pin}" if pin else name for name, pin in needed.items()}
@@ -204,7 +204,7 @@ class SetUp:
         variables = programs.pip_environment(temporary, self.request.index_url)
         output, code = self._run(command, environment=variables, read_line=read_line)
         if code != 0:
-            fix = "See to the connection or the disk, then set the engine up again: it goes on there."
+            fix = "Check the connection and the disk, then set up the engine again: it continues there."
             raise PlgsError(f"pip could not install {step} ({programs.complaint(output)})", self.log_path, fix)
         throw_away(temporary, self.folder)
         notes.done.append(step)
@@ -218,14 +218,14 @@ class SetUp:
         output, code = self._run([*engine_call(python_in(environment), self.root), "warm-up"], cwd=self.root)
         if code != 0:
             what = f"the engine does not work in its new environment ({programs.complaint(output)})"
-            raise PlgsError(what, self.log_path, "Remove the engine, then set it up again. The log tells more.")
+            raise PlgsError(what, self.log_path, "Remove the engine, then set it up again. The log has the details.")
 
     def _finish(self, environment: Path) -> None:
         answer = self._ask(python_in(environment))
         if answer.missing:
             fix = "Remove the engine, then set it up again."
             raise PlgsError(f"the new environment lacks {', '.join(answer.missing)}", environment, fix)
-        # The packages reach the disk before the mark: after a power cut no environment is called complete that is not.
+        # The packages reach the disk before the mark: after a power cut no incomplete environment is marked complete.
         self._run([python_in(environment), "-I", "-c", _SYNC])
         write_atomically(environment / COMPLETE, f"{answer.python}\n")
 
@@ -251,8 +251,8 @@ class SetUp:
     ) -> tuple[str, int]:
         """Run a program and return its output and its exit code. When this stops, the program ends with its children.
 
-        The program holds the lock, too. Should this process be killed, no other set-up begins before the program has
-        ended. Raises PlgsError when it cannot be started or does not end within ``limit_s`` seconds; Cancelled.
+        The program holds the lock too. If this process is killed, no other set-up begins before the program has ended.
+        Raises PlgsError when it cannot be started or does not end within ``limit_s`` seconds; Cancelled.
         """
         assert self._lock is not None
         return programs.run(
@@ -265,7 +265,7 @@ class SetUp:
             log.write(f"{text}\n")
 
     def _tell(self, step: int, detail: str = "") -> None:
-        """Begin a step, or tell more of it."""
+        """Begin a step, or report more about it."""
         label = f"{LABELS[step - 1]}: {detail}" if detail else LABELS[step - 1]
         if (step, label) != (self._step, self._label):
             self._step, self._label = step, label
@@ -273,7 +273,7 @@ class SetUp:
             self._tell_progress()
 
     def _pause(self) -> None:
-        """Wait a moment. Raises Cancelled when this shall stop."""
+        """Wait a moment. Raises Cancelled when this is asked to stop."""
         self._stop.check()
         time.sleep(_POLL_S)
         if time.monotonic() - self._measured_at > _MEASURE_S:

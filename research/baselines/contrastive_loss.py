@@ -1,8 +1,8 @@
 """Contrastive Lift's loss: pixels of one segment of the input masks have like embeddings, those of two segments of a
 view differ.
 
-It is not known which segments of different views are one object. Embeddings are blended twice: as the instance decoder
-gives them ("fast"), and as a decoder that follows it slowly does ("slow"), which the fast ones are compared with.
+It is not known which segments of different views are the same object. Embeddings are blended twice: as the instance
+decoder gives them ("fast"), and as a decoder that follows it slowly does ("slow"), to compare with.
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ def contrastive_loss(
     """The loss of at most PIXELS pixels of thing segments: half of them by their fast embeddings, the others by their
     slow ones.
 
-    ``blended`` [H, W, 2 E], fast, then slow, up to ``alpha`` [H, W]; gradients reach the fast ones alone. 0 without two
-    pixels.
+    ``blended`` [H, W, 2 E], fast, then slow, up to ``alpha`` [H, W]; gradients reach only the fast ones. 0 with fewer
+    than two pixels.
     """
     inside = np.flatnonzero(things.row.reshape(-1) >= 0)
     if len(inside) < 2:

@@ -14,8 +14,8 @@ NOISE = -1
 def density_clusters(points: NDArray[np.floating], least: int) -> NDArray[np.int64]:
     """The cluster of each of ``points`` [N, D], int64 [N], from 0, or ``NOISE``; each has at least ``least`` points.
 
-    Of the branches of the hierarchy those are clusters that last longest, point by point, among the ones they lie in
-    and the ones within them ("excess of mass"); all points may be one. Takes memory for N^2 / 2 distances.
+    Those branches of the hierarchy are clusters that last longest, point by point, among the ones they lie in and the
+    ones within them ("excess of mass"); all points may be one cluster. Takes memory for N^2 / 2 distances.
     """
     label = np.full(len(points), NOISE, np.int64)
     if len(points) < max(least, 2):
@@ -29,7 +29,7 @@ def density_clusters(points: NDArray[np.floating], least: int) -> NDArray[np.int
 
 class _Branches:
     """The hierarchy from the top: a branch begins where both sides of a split have ``least`` points, and lasts while it
-    loses fewer. ``tree`` [N - 1, 4] as scipy's ``linkage`` has it."""
+    loses fewer. ``tree`` [N - 1, 4] as scipy's ``linkage`` returns it."""
 
     def __init__(self, tree: NDArray[np.float64], least: int) -> None:
         self.tree, self.least = tree, least
@@ -66,7 +66,7 @@ class _Branches:
     def lasting(self) -> list[int]:
         """The nodes of the branches that are clusters."""
         best, is_best = [0.0] * len(self.node), [False] * len(self.node)
-        for branch in reversed(range(len(self.node))):  # those within it come after it
+        for branch in reversed(range(len(self.node))):  # the branches within it come after it
             within = sum(best[child] for child in self.children[branch])
             is_best[branch] = self.mass[branch] >= within
             best[branch] = max(self.mass[branch], within)

@@ -1,5 +1,5 @@
 """After contrastive training: the embeddings that the training views show of things are clustered, and each cluster is
-an instance (Contrastive Lift). A pixel is of the instance whose cluster's centre is nearest."""
+an instance (Contrastive Lift). A pixel belongs to the instance whose cluster's centre is nearest."""
 
 from __future__ import annotations
 
@@ -22,20 +22,20 @@ from .encodings import EncodedDecoders, EncodedLabels, EncodedShape
 Progress = Callable[[int, int], object]
 """Called with (done, total) after each view."""
 CLUSTERED = 5000
-"""Pixels whose embeddings are clustered, and at most as many of one view."""
+"""How many pixels' embeddings are clustered, and at most how many from one view."""
 LEAST_SHARE = 0.01
 """A cluster has at least this share of them."""
 
 OPAQUE = 0.5
-"""Pixels that less is drawn of say nothing."""
+"""Pixels of which less than this is drawn say nothing."""
 FARTHEST = 3.0
 """Standard deviations from the mean, beyond which an embedding is left out."""
 SHARPNESS = 200.0
-"""How surely a pixel is of the nearest centre: exp(-SHARPNESS d^2), where the embeddings lie within 0..1."""
+"""How surely a pixel belongs to the nearest centre: exp(-SHARPNESS d^2), where the embeddings lie within 0..1."""
 NEVER = -1e5
-"""Logit of "no object": a thing's pixel always has an instance."""
+"""Logit of "no object": a pixel of a thing always has an instance."""
 LEAST_WIDTH = 1e-2
-"""A channel narrower than this is stretched no further when channels are brought to a width of 1."""
+"""A channel narrower than this is not stretched further when channels are scaled to a width of 1."""
 
 
 class Centres(NamedTuple):
@@ -52,7 +52,7 @@ def with_clusters(
     seed: int,
     progress: Progress = lambda done, total: None,
 ) -> StructuredScene:
-    """The scene with an instance for each cluster, and a classifier that finds it; the slow decoder stays behind."""
+    """The scene with an instance for each cluster, and a classifier that finds it, without the slow decoder."""
     found = cluster_centres(thing_embeddings(scene, views, thing_ids, seed, progress))
     slots = (*range(1, len(found.centre) + 1), NO_OBJECT)
     shape = EncodedShape(**{**vars(scene.decoders.shape), "instance_slots": len(slots)})
@@ -74,7 +74,7 @@ def classifier_of(found: Centres) -> dict[str, torch.Tensor]:
 
 
 def cluster_centres(embedding: NDArray[np.float64]) -> Centres:
-    """The clusters of embeddings [N, E], without outliers and with each channel brought to a width of 1."""
+    """The clusters of embeddings [N, E], without outliers and with each channel scaled to a width of 1."""
     none = Centres(np.zeros((0, embedding.shape[1])), np.ones(embedding.shape[1]))
     if not len(embedding):
         return none

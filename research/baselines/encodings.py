@@ -1,7 +1,7 @@
 """Instances told apart by an encoding: the instance decoder gives each Gaussian a few numbers that are blended like a
-colour, and a linear classifier says which slot a pixel's blend is.
+colour, and a linear classifier says which slot a pixel's blend belongs to.
 
-In Gaussian Grouping the classifier is learnt with the encoding; in Contrastive Lift it is made of the encodings'
+In Gaussian Grouping the classifier is learnt with the encoding; in Contrastive Lift it is made from the encodings'
 clusters at the end.
 """
 
@@ -21,7 +21,7 @@ from engine.model.structured import LabelChannels
 
 TINY = 1e-8
 LARGEST_ENCODING = 256
-"""Channels of an encoding in a model that is read."""
+"""At most this many channels has an encoding in a model that is read."""
 
 
 @dataclass(frozen=True)
@@ -68,7 +68,7 @@ class EncodedDecoders(Decoders):
         if shape.encoding > LARGEST_ENCODING:
             raise ValueError(f"the encoding has more than {LARGEST_ENCODING} channels")
         if shape.label_view_input:
-            raise ValueError("an encoding is the same from everywhere")
+            raise ValueError("an encoding is the same from every direction")
 
     def learnt(self) -> Iterator[tuple[str, list[nn.Parameter]]]:
         """As ``Decoders.learnt``; the classifier is learnt as fast as the encodings."""
@@ -105,7 +105,7 @@ class EncodedDecoders(Decoders):
 
 class FollowedDecoders(EncodedDecoders):
     """``EncodedDecoders`` with a slow copy of the instance decoder, which is not learnt but follows it (a momentum
-    teacher). Nor is the classifier learnt: until the end there is none that says anything."""
+    teacher). Nor is the classifier learnt: until the end it says nothing."""
 
     kind = "contrastive"
     shape_type = TwiceEncodedShape
@@ -130,7 +130,7 @@ class FollowedDecoders(EncodedDecoders):
 
     @torch.no_grad()
     def follow(self, momentum: float) -> None:
-        """Move the slow decoder towards the instance decoder; ``momentum`` of it stays."""
+        """Move the slow decoder towards the instance decoder; it keeps ``momentum`` of itself."""
         for slow, fast in zip(self.slow.parameters(), self.instance.parameters(), strict=True):
             slow.lerp_(fast, 1.0 - momentum)
 

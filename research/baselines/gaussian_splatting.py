@@ -1,8 +1,8 @@
 """3D Gaussian Splatting (3DGS): every Gaussian has its own shape, colour and labels, and no decoder makes them smooth.
 
-It lives in the same tensors as the structured scene, so that all else can be the same: an anchor is one Gaussian, its
-offset is how far it has moved, in metres, and its feature holds what else is learnt, column by column, in units of its
-rate.
+It uses the same tensors as the structured scene, so that everything else can be the same: an anchor is one Gaussian,
+its offset is how far it has moved, in metres, and its feature holds what else is learnt, column by column, in units of
+its rate.
 """
 
 from __future__ import annotations
@@ -38,9 +38,9 @@ class PlainRules:
     """When Gaussians are cloned, split and pruned (3DGS, section 5.2).
 
     ``gradient`` of the projected centre in NDC units beyond which one is cloned, or split where it is larger than
-    ``dense_share`` of the scene's extent; below ``opacity`` it goes. Opacities are set back to at most ``reset_to``
-    every ``reset_share`` of all steps, where these are at least ``reset_steps``: a shorter lift has no time to bring
-    them back."""
+    ``dense_share`` of the scene's extent; below ``opacity`` it is removed. Opacities are reset to at most ``reset_to``
+    every ``reset_share`` of all steps, if these are at least ``reset_steps``: a shorter lift has no time to recover
+    them."""
 
     gradient: float = 2e-4
     dense_share: float = 0.01
@@ -54,10 +54,10 @@ class PlainDecoders(Decoders):
     """What stands in for the decoders: nothing is learnt here, labels are columns of the features."""
 
     kind = "3dgs"
-    decodes_all_anchors = True  # they have moved away from where they began
+    decodes_all_anchors = True  # they have moved away from where they started
 
     def __init__(self, shape: DecoderShape, seed: int = 0) -> None:
-        nn.Module.__init__(self)  # none of the networks
+        nn.Module.__init__(self)  # there are no networks
         self.shape = shape
 
     @classmethod
@@ -90,7 +90,7 @@ class PlainDecoders(Decoders):
         channels: torch.Tensor | None,
         known_labels: torch.Tensor | None,
     ) -> NeuralGaussians:
-        """The Gaussians look the same from everywhere."""
+        """The Gaussians look the same from every direction."""
         feature = anchors.feature.index_select(0, visible)
         opacity = torch.sigmoid(OPACITY_RATE * feature[:, OPACITY])
         cluster = feature.new_zeros(())
@@ -122,7 +122,7 @@ def plain_gaussians(
     positions: NDArray[np.float32], classes: NDArray[np.integer], rgb: NDArray[np.uint8], shape: DecoderShape
 ) -> Anchors:
     """Gaussians at ``positions`` [M, 3] metres of colours ``rgb`` uint8 [M, 3], without labels; ``classes`` [M], class
-    ids of the cloud (0 unknown), serve the cluster loss alone."""
+    ids of the cloud (0 unknown), are only for the cluster loss."""
     count = len(positions)
     feature = np.zeros((count, shape.features), np.float32)
     feature[:, OPACITY] = _logit(0.1) / OPACITY_RATE
@@ -148,9 +148,9 @@ def clone_split_prune(
     random: np.random.Generator,
     most: int,
 ) -> GrowthRound:
-    """One round of 3DGS's densification; the statistics are set back to zero in place. ``extent`` in metres.
+    """One round of 3DGS's densification; the statistics are reset to zero in place. ``extent`` in metres.
 
-    A small Gaussian with a large gradient is cloned, a large one gives way to two of 1/1.6 its size, drawn from it.
+    A small Gaussian with a large gradient is cloned; a large one is replaced by two of 1/1.6 its size, drawn from it.
     """
     feature = anchors.feature.detach()
     gradient = (statistics.gradient / statistics.drawn.clamp_min(1)).squeeze(1)
@@ -191,7 +191,7 @@ def _rotated(quats: torch.Tensor, vectors: torch.Tensor) -> torch.Tensor:
 
 
 def reset_opacities(anchors: Anchors, rules: PlainRules) -> None:
-    """Bring all opacities down to at most ``reset_to``, in place."""
+    """Reduce all opacities to at most ``reset_to``, in place."""
     with torch.no_grad():
         anchors.feature[:, OPACITY].clamp_(max=_logit(rules.reset_to) / OPACITY_RATE)
 

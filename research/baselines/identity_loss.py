@@ -15,15 +15,15 @@ from .encodings import EncodedDecoders
 
 TINY = 1e-10
 MOST_POINTS = 200_000
-"""Gaussians that neighbours are looked for among."""
+"""How many Gaussians neighbours are searched among."""
 
 
 CHANNELS = 16
 """Numbers of an encoding."""
 NEIGHBOURS, SAMPLES = 5, 1000
-"""This many Gaussians are compared with their nearest, themselves among them."""
+"""Each Gaussian is compared with this many nearest ones, itself included."""
 NEIGHBOUR_WEIGHT = 2.0
-"""How often the difference counts."""
+"""Weight of the difference."""
 NEIGHBOUR_EVERY = 5
 """They are compared in each step that trains labels whose number, among those, this divides."""
 
@@ -34,8 +34,8 @@ def identity_loss(
     """Cross-entropy of the classified encodings, over the logarithm of the number of slots: mean over the pixels that
     have a slot.
 
-    ``blended`` [H, W, E] up to ``alpha`` [H, W], which only divides: no gradient reaches it. ``slot`` int [H, W], -1 =
-    unknown. 0 without any.
+    ``blended`` [H, W, E] up to ``alpha`` [H, W], which is only a divisor: no gradient reaches it. ``slot`` int [H, W],
+    -1 = unknown. 0 without any.
     """
     known = slot >= 0
     if not bool(known.any()):
@@ -47,8 +47,8 @@ def identity_loss(
 def neighbour_loss(
     means: torch.Tensor, encodings: torch.Tensor, decoders: EncodedDecoders, random: np.random.Generator
 ) -> torch.Tensor:
-    """KL divergence of what the classifier says of a Gaussian from what it says of its nearest: mean over a sample, by
-    the number of slots. ``means`` [N, 3] metres (no gradient), ``encodings`` [N, E]."""
+    """KL divergence of what the classifier says about a Gaussian from what it says about its nearest: mean over a
+    sample, divided by the number of slots. ``means`` [N, 3] metres (no gradient), ``encodings`` [N, E]."""
     if not len(means):
         return encodings.sum() * 0.0
     rows = np.sort(random.permutation(len(means))[:MOST_POINTS])

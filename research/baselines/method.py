@@ -1,4 +1,4 @@
-"""Lifts of baselines: PLGS's way, but for what the options of ``BaselinePreset`` say."""
+"""Lifts of baselines: as in PLGS, except for what the options of ``BaselinePreset`` say."""
 
 from __future__ import annotations
 
@@ -35,8 +35,8 @@ from .trainer import EncodingTrainer, SegmentTrainer, SplattingTrainer
 
 
 def lift_baseline(folder: LiftFolder, events: EventWriter, stop: StopSignal, *, resume: bool) -> None:
-    """`run_lift` by whichever baseline the preset's options name; with none of them PLGS itself. Raises as it, and
-    PlgsError for options that clash."""
+    """`run_lift` by whichever baseline the preset's options name; without any, PLGS itself. Raises what that raises,
+    and PlgsError for options that clash."""
     preset = cast(BaselinePreset, folder.request.chosen_preset)
     refuse_clashing_options(preset)
     run_lift(

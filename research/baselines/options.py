@@ -12,22 +12,22 @@ from engine.presets.preset import PRESETS, Preset
 
 @dataclass(frozen=True)
 class BaselinePreset(Preset):
-    """A preset with these options beside the engine's; their defaults leave it as it is."""
+    """A preset with these options in addition to the engine's; their defaults leave it as it is."""
 
     representation: Literal["structured", "plain"] = "structured"
     """With "plain" it is 3DGS with labels on each Gaussian (``gaussian_splatting``)."""
     semantic_targets: Literal["projected", "masks", "none"] = "projected"
     """Classes are learnt from the projected cloud, or the votes; from the input masks; or by L_cluster alone."""
     labelled_start: bool = True
-    """Without it anchors and decoders begin with the cloud's colours alone."""
+    """Without it anchors and decoders start with only the cloud's colours."""
     vote_from: Literal["objects", "masks"] = "objects"
     """The labels that are voted onto Gaussians come from the voted objects, or straight from the masks."""
     instances: Literal["slots", "identity", "contrastive"] = "slots"
     """What tells instances apart: probabilities of slots; an encoding that the matched masks teach (Gaussian
-    Grouping's); or one that needs nothing matched, whose clusters are the instances (Contrastive Lift's). The finished
+    Grouping's); or one that needs no matching, whose clusters are the instances (Contrastive Lift's). The finished
     scene then shows these, not the votes."""
     segment_consistency: bool = False
-    """All pixels of a segment should be of one class, whichever (Panoptic Lifting; see ``segment_loss``)."""
+    """All pixels of a segment should have the same class, whichever it is (Panoptic Lifting; see ``segment_loss``)."""
 
     @property
     def can_vote(self) -> bool:
@@ -47,7 +47,7 @@ def refuse_clashing_options(preset: BaselinePreset) -> None:
 
 
 def _needed(preset: BaselinePreset) -> Iterator[str]:
-    """What an encoding needs and does not have."""
+    """What an encoding needs but does not have."""
     if preset.instances == "slots":
         return
     if preset.representation != "structured":

@@ -1,4 +1,4 @@
-"""Panoptic Lifting's segment consistency: all of a segment should be of one class, whichever."""
+"""Panoptic Lifting's segment consistency: all of a segment should have one class, whichever it is."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from engine.train.label_losses import TINY
 WEIGHT = 1.2
 """The weight of this loss within L_sem."""
 FROM = 0.6
-"""The share of all steps before which it has no weight: earlier it teaches what is not learned yet, and all classes
-become one. Panoptic Lifting begins it at its sixth epoch."""
+"""The share of all steps before which it has no weight: earlier it teaches what is not learnt yet, and all classes
+become one. Panoptic Lifting starts it at its sixth epoch."""
 
 
 def segment_targets(coverage: torch.Tensor, alpha: torch.Tensor, classes: int, segments: ThingSegments) -> torch.Tensor:

@@ -1,4 +1,4 @@
-"""The training of baselines: what they do otherwise than ``Trainer``, by the options of ``BaselinePreset``."""
+"""The training of baselines: where they differ from ``Trainer``, by the options of ``BaselinePreset``."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class EncodingTrainer(Trainer):
     def _columns_to_draw(self, target: ViewTargets) -> torch.Tensor:
         """The classes of the view's targets, and the whole encoding."""
         classes, total = self._channel_counts()
-        used = torch.zeros(total + 1, dtype=torch.bool)  # the last is that of no target
+        used = torch.zeros(total + 1, dtype=torch.bool)  # the last one has no target
         used[target.semantic.long()] = True
         used[classes:total] = True
         return torch.nonzero(used[:-1]).reshape(-1)
@@ -68,7 +68,7 @@ class EncodingTrainer(Trainer):
 
 
 class SegmentTrainer(Trainer):
-    """Beside all else the segments of the input masks are kept consistent, once ``segment_loss.FROM`` of the steps are
+    """In addition, the segments of the input masks are kept consistent, once ``segment_loss.FROM`` of the steps are
     done."""
 
     def _keeps_segments(self) -> bool:
@@ -111,7 +111,7 @@ class SplattingTrainer(SegmentTrainer):
         return clone_split_prune(anchors, self.statistics, self.rules, extent=extent, random=random, most=most)
 
     def _after_step(self, with_labels: bool) -> None:
-        """Growth and, as long as Gaussians grow, opacities set back."""
+        """Growth and, as long as Gaussians grow, resets of opacities."""
         super()._after_step(with_labels)
         steps, every = self.preset.steps, round(self.rules.reset_share * self.preset.steps)
         is_due = every >= self.rules.reset_steps and self.step_number % every == 0

@@ -1,7 +1,7 @@
 """A baseline without a lift: a majority vote in voxels over the input masks.
 
-Every labelled pixel of the training views votes for its class in the 5 cm voxel it falls in. A test view is
-read back with its own depth, which a lifted model is not given: this baseline needs depth wherever it is asked.
+Every labelled pixel of the training views votes for its class in the 5 cm voxel it falls in. A test view is read back
+with its own depth, which a lifted model is not given: this baseline needs depth everywhere.
 """
 
 from __future__ import annotations
@@ -45,11 +45,11 @@ class VoxelVote:
 
     @property
     def is_empty(self) -> bool:
-        """Whether nobody voted yet."""
+        """Whether nothing has voted yet."""
         return not any(len(votes) for votes in self._votes)
 
     def result(self) -> VoxelMap:
-        """The winners; ties go to the lower class id. Raises ValueError when nobody voted."""
+        """The winners; ties go to the lower class id. Raises ValueError when nothing has voted."""
         if self.is_empty:
             raise ValueError("no training view has a labelled pixel with depth")
         voxel, class_id, votes = np.concatenate(self._votes).T
@@ -65,7 +65,7 @@ class VoxelVote:
 class VoxelMap:
     """Occupied voxels: packed indices int64 [N], ascending; class ids and instance ids int32 [N].
 
-    Masks name objects anew in every view, so ids cannot be voted on. An instance is a connected component (26
+    Masks give objects new names in every view, so ids cannot be voted on. An instance is a connected component (26
     neighbours) of voxels of one thing class.
     """
 
@@ -121,7 +121,7 @@ def vote(scene: Scene) -> VoxelMap | None:
 
 
 def _pack(points: NDArray[np.float64]) -> NDArray[np.int64]:
-    """World points [N, 3] metres to one int64 a voxel, in lexical order of the voxel's indices."""
+    """World points [N, 3] metres to one int64 per voxel, in lexical order of the voxel's indices."""
     index = np.floor(points / VOXEL_SIZE).astype(np.int64) + _HALF
     return (index[:, 0] << 2 * _BITS) | (index[:, 1] << _BITS) | index[:, 2]
 

@@ -27,7 +27,7 @@ FORMAT = 3
 
 
 class _WithoutObjects(Report):
-    """Scores each answer of the voxels a second time, with no object told from another of its class."""
+    """Scores each answer of the voxels a second time, with no object distinguished from others of its class."""
 
     def add_labels(self, method: str, frame: str, view: PredictedView, truth: GroundTruth) -> None:
         super().add_labels(method, frame, view, truth)
@@ -41,8 +41,8 @@ WITH_IDS = (VOXEL_VOTE,)
 
 
 def files_fingerprint(scene: Scene, source: SceneSource, results: Path) -> str:
-    """A hash of the names, sizes and times of change of all files of the scene, and of masks and depth that lie
-    elsewhere; of what is one file, of those beside it too. ``results``: a folder that is left out, as it may lie within
+    """A hash of the names, sizes and modification times of all files of the scene, and of masks and depth that lie
+    elsewhere; for a single file, also of those beside it. ``results``: a folder that is left out, as it may lie within
     the scene's. Raises PlgsError."""
     digest = hashlib.sha256(scene.format.encode())
     for place in (scene.folder, source.masks, source.depth):
@@ -63,12 +63,12 @@ def _add_files(digest: hashlib._Hash, place: Path, results: Path) -> None:
                 line = f"{name}\0{facts.st_size}\0{facts.st_mtime_ns}\n"
                 digest.update(line.encode(errors="surrogateescape"))
     except OSError as error:
-        raise PlgsError(f"its files cannot be looked at ({error.strerror})", place, fix) from error
+        raise PlgsError(f"its files cannot be read ({error.strerror})", place, fix) from error
 
 
 def scores_without_a_lift(source: SceneSource, cache: Path) -> dict[str, Figures]:
-    """Figures by method (WITHOUT_A_LIFT). Empty without ground truth. They are kept in ``cache`` and measured anew when
-    the engine has changed, a file of the scene, or the format or classes that its masks are read by.
+    """Figures by method (WITHOUT_A_LIFT). Empty without ground truth. They are kept in ``cache`` and measured again
+    when the engine, a file of the scene, or the format or classes by which its masks are read have changed.
 
     Raises PlgsError when a file or the cache is bad.
     """
@@ -80,7 +80,7 @@ def scores_without_a_lift(source: SceneSource, cache: Path) -> dict[str, Figures
         "mask_format": source.mask_format,
         "classes": sha256(Path(classes)) if classes and classes.endswith(".toml") else classes,
     }
-    content = read_object(cache, "Delete it: the same command then makes it anew.") if cache.is_file() else {}
+    content = read_object(cache, "Delete it: the same command then makes it again.") if cache.is_file() else {}
     if any(content.get(key) != value for key, value in made_of.items()):
         began, report = time.monotonic(), _WithoutObjects(scene.classes)
         add_input_masks(report, scene)

@@ -9,7 +9,7 @@ from dataclasses import asdict, dataclass
 @dataclass(frozen=True)
 class BatchTimes:
     """Seconds of one scene's lift, of each of its ``bakes``, and of its score; ``overhead_s`` is what each piece takes
-    besides, until the next one begins."""
+    in addition, until the next one begins."""
 
     lift_s: float
     bake_s: float
@@ -36,7 +36,7 @@ def expected_s(times: BatchTimes, scenes: int, workers: int) -> float:
 
 
 def simulated_s(times: BatchTimes, scenes: int, workers: int) -> float:
-    """A worker that is free takes the piece that comes first: what was begun before what was not."""
+    """A free worker takes the next piece: scenes that were begun come before those that were not."""
     now, free = 0.0, workers
     ready = [(0, scene, "lift") for scene in range(scenes)]
     running: list[tuple[float, int, str]] = []
@@ -59,7 +59,7 @@ def simulated_s(times: BatchTimes, scenes: int, workers: int) -> float:
 
 
 def bench_farm(times: BatchTimes, scenes: int, workers: tuple[int, ...] = (1, 2, 10, 100)) -> dict[str, object]:
-    """Print and return what so many scenes take, by arithmetic and as simulated."""
+    """Print and return what this many scenes take, by arithmetic and as simulated."""
     print(f"{scenes} scenes; one takes {times.work_s:.0f} s of work, {times.longest_s:.0f} s at least")
     rows = []
     for number in workers:

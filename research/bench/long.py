@@ -1,8 +1,8 @@
 """``python -m research bench long``: what a long capture takes, stage by stage: seconds and peak memory.
 
 The captures are made by the program ``sample/long_capture.py`` out of the bundled sample, and kept. Each is lifted in a
-process of its own, as a user's would be. Its memory is what the system says it holds, looked at many times a second;
-the stages are those of its events.
+process of its own, as a user's would be. Its memory is what the system says it holds, sampled many times a second; the
+stages are those of its events.
 """
 
 from __future__ import annotations
@@ -38,8 +38,8 @@ MB = 1_000_000
 
 @dataclass(frozen=True)
 class StageCost:
-    """``seconds`` of a stage, those that processors worked on it (in all: two cores give two a second; what other
-    programs take is not in it), and the most main memory that the process held in it."""
+    """``seconds`` of a stage, those that processors worked on it (in total: two cores give two per second; other
+    programs do not count), and the most main memory that the process held in it."""
 
     seconds: float
     busy: float
@@ -47,7 +47,7 @@ class StageCost:
 
 
 class Sample(NamedTuple):
-    """When (Unix seconds) a process was looked at, the bytes of main memory it held, and how many seconds processors
+    """When (Unix seconds) a process was sampled, the bytes of main memory it held, and how many seconds processors
     had worked on it by then."""
 
     time: float
@@ -58,7 +58,7 @@ class Sample(NamedTuple):
 @dataclass(frozen=True)
 class LongLift:
     """A lift of ``frames`` frames: the cost of each stage, "start" first, in their order, how good it is on the frames
-    held out (mIoU and PQ over the scene, in [0, 1]), and what was ``predicted`` for a usual machine."""
+    held out (mIoU and PQ over the scene, in [0, 1]), and what was ``predicted`` for a typical machine."""
 
     frames: int
     stages: dict[str, StageCost]
@@ -80,18 +80,18 @@ class LongLift:
 
     @property
     def predicted_seconds(self) -> float:
-        """At the pace of this machine as its training steps show it, which a lift remembers for the next one."""
+        """At the pace of this machine, as its training steps show it, which a lift remembers for the next one."""
         return self.predicted.seconds * self.stages["train"].seconds / self.predicted.stages["train"]
 
 
 def bench_long(frames: Sequence[int], folder: Path, preset: PresetName = "preview") -> list[dict[str, object]]:
     """Lift a capture of each number of ``frames``, print and return what it took. Captures lie in ``folder``.
 
-    Raises PlgsError where the sample is not, where memory cannot be measured, and when a lift fails.
+    Raises PlgsError if the sample is missing, memory cannot be measured, or a lift fails.
     """
     if not CAPTURE_PROGRAM.exists():
         fix = "Run this in a clone of the repository: the extension comes without the sample."
-        raise PlgsError("there is nothing to make a long capture of", CAPTURE_PROGRAM, fix)
+        raise PlgsError("there is nothing to make a long capture from", CAPTURE_PROGRAM, fix)
     if not Path("/proc/self/status").exists():
         raise PlgsError("a process's memory cannot be measured here", sys.platform, "Run this on Linux.")
     print(f"{processor_name()}; preset {preset}", flush=True)
@@ -113,7 +113,7 @@ def long_capture(frames: int, folder: Path) -> Path:
         print(f"making a capture of {frames} frames ...", flush=True)
         made = subprocess.run([sys.executable, str(CAPTURE_PROGRAM), str(scene), "--frames", str(frames)], check=False)
         if made.returncode:
-            raise PlgsError("the capture could not be made", scene, "See what is printed above.")
+            raise PlgsError("the capture could not be made", scene, "See the output above.")
     return scene
 
 
@@ -125,7 +125,7 @@ def measured_lift(request: LiftRequest, out: Path, frames: int) -> LongLift:
     with subprocess.Popen(command, cwd=REPOSITORY, stdout=subprocess.DEVNULL) as process:
         samples = samples_of(process)
     if process.returncode:
-        raise PlgsError(f"the lift failed (exit code {process.returncode})", out, "See what is printed above.")
+        raise PlgsError(f"the lift failed (exit code {process.returncode})", out, "See the output above.")
     stages = [(event.time, str(event.data["name"])) for event in last_run(lift.events_path) if event.kind == "stage"]
     costs = stage_costs(stages, began, time.time(), samples)
     tables = json.loads((lift.result_path / "metrics.json").read_text(encoding="utf-8"))["tables"]
@@ -142,7 +142,7 @@ def samples_of(process: subprocess.Popen[bytes]) -> list[Sample]:
     samples = []
     while process.poll() is None:
         held = [line for line in (folder / "status").read_text().splitlines() if line.startswith("VmRSS:")]
-        if held:  # a process that has ended, but was not waited for, holds nothing
+        if held:  # a process that has ended but was not waited for holds nothing
             fields = (folder / "stat").read_text().rpartition(")")[2].split()  # its name may have spaces
             busy = (int(fields[11]) + int(fields[12])) / ticks
             samples.append(Sample(time.time(), 1024 * int(held[0].split()[1]), busy))
@@ -167,7 +167,7 @@ def stage_costs(
 
 
 def print_table(lifts: Sequence[LongLift]) -> None:
-    """A column for each lift, with what was predicted; time a frame is compared with that of the first."""
+    """A column for each lift, with what was predicted; the time per frame is compared with that of the first."""
     names = list(dict.fromkeys(name for lift in lifts for name in lift.stages))
     print("".join(["stage".ljust(14), *(f"{lift.frames:>13} frames: time, busy, peak" for lift in lifts)]))
     for name in [*names, "all"]:

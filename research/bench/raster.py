@@ -33,7 +33,7 @@ def bench_raster(repeats: int = 9) -> dict[str, Any]:
     All times are milliseconds of wall time, whole passes from 3D parameters, except ``processor``, which is the
     processor time of a whole step (least of the repeats). ``GFLOP/s`` counts two operations for every label of every
     blended pair of Gaussian and pixel, over the time of the two blending stages. ``efficiency`` is how much of a
-    thread's speed is left when all run: the least time with one thread over ``threads`` times the least with all.
+    thread's speed remains when all run: the least time with one thread over ``threads`` times the least with all.
     """
     threads = torch.get_num_threads()
     print(f"{processor_name()}, {threads} threads")
@@ -123,7 +123,7 @@ PAIRS_COUNTED = 128
 
 
 def processor_name() -> str:
-    """The processor's name, as the system has it."""
+    """The processor's name, as the system gives it."""
     information = Path("/proc/cpuinfo")
     if information.exists():
         for line in information.read_text(encoding="utf-8").splitlines():

@@ -1,5 +1,5 @@
-"""A furnished room as Gaussians on its surfaces: what the benchmark draws. The same numbers for the same
-count, always."""
+"""A furnished room as Gaussians on its surfaces: what the benchmark draws. The same count always gives the same
+numbers."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ class Workload:
 
     @property
     def view(self) -> tuple[NDArray[np.float64], NDArray[np.float64], int, int]:
-        """Its last arguments: who looks."""
+        """Its last arguments: the camera's."""
         return self.camera_to_world, self.intrinsics, self.width, self.height
 
 
@@ -89,7 +89,7 @@ def _quaternions(
     axes: NDArray[np.float64], turn: NDArray[np.float64], tilt: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     """The local z axis along ``axes``, turned about it by ``turn`` radians, then tilted a little."""
-    # half-way rotation from z to the axis, then the turn
+    # halfway rotation from z to the axis, then the turn
     w = 1.0 + axes[:, 2]
     onto = np.stack([w, -axes[:, 1], axes[:, 0], np.zeros(len(axes))], 1)
     onto /= np.linalg.norm(onto, axis=1, keepdims=True)

@@ -30,7 +30,7 @@ SAMPLE = Path(__file__).resolve().parents[2] / "sample" / "room"
 SIZE = (640, 480)
 """The sample's frames are enlarged to this: what is measured is time, not what is seen."""
 EVERY = 4
-"""Each fourth training frame is lifted: enough to see all of the room."""
+"""Every fourth training frame is lifted: enough to see all of the room."""
 VOXEL_SIZE = 0.09
 """Metres; makes about 50 000 anchors of the sample."""
 WARM_UP_STEPS = 3
@@ -44,7 +44,7 @@ OPTIMISE = ("growth statistics", "optimiser")
 
 
 class MeasuringClock(StepClock):
-    """Keeps the wall seconds of each part of each step in ``steps``. A part told twice in a step adds up."""
+    """Keeps the wall seconds of each part of each step in ``steps``. A part reported twice in a step adds up."""
 
     def __init__(self) -> None:
         self.steps: list[dict[str, float]] = []
@@ -61,7 +61,7 @@ class MeasuringClock(StepClock):
         self._last = now
 
     def lap_on_way_back(self, tensors: Sequence[torch.Tensor], part: str) -> None:
-        # Nodes run back in the order in which they were made, so all of what came after goes before.
+        # The backward pass runs nodes in reverse order, so everything that came after runs before.
         register_multi_grad_hook(tensors, lambda gradient: self.lap(part), mode="any")
 
 
@@ -88,7 +88,7 @@ class StepProfile:
         return sum(self.parts.values())
 
     def ratio(self, names: Sequence[str]) -> float:
-        """Time of these parts over the rasteriser's."""
+        """Time of these parts divided by the rasteriser's."""
         return sum(self.parts.get(name, 0.0) for name in names) / sum(self.parts[name] for name in RASTERISE)
 
     def facts(self) -> dict[str, object]:
@@ -110,7 +110,7 @@ class StepProfile:
 
 def bench_step() -> dict[str, object]:
     """Prepare a lift of the bundled sample, measure its steps and its pictures, print and return what they took. Raises
-    PlgsError where the sample is not."""
+    PlgsError if the sample is missing."""
     preset = replace(PRESETS["standard"], size=SIZE, voxel_size=VOXEL_SIZE)
     scene = open_scene(SAMPLE, None, "z")
     views = [load_view(frame, SIZE) for frame in scene.train_frames[::EVERY]]
@@ -160,7 +160,7 @@ def _prepared(views: Sequence[View], classes: ClassTable, preset: Preset) -> Pre
 def typical(steps: Sequence[Mapping[str, float]]) -> dict[str, float]:
     """Mean milliseconds of each part over the middle half of the steps by their whole time.
 
-    As little moved by a disturbed step as a median, and the parts add up to the whole. Raises ValueError for no steps.
+    As robust against a disturbed step as a median, and the parts add up to the whole. Raises ValueError for no steps.
     """
     if not steps:
         raise ValueError("there is no step to report")

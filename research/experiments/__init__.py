@@ -1,1 +1,1 @@
-"""Lifts scenes in many ways, one after the other, and writes tables of what they are worth."""
+"""Lifts scenes in many ways, one after the other, and writes tables of how good the results are."""

@@ -1,4 +1,4 @@
-"""An experiment, and the lifts that it needs: which row on which scene, into which folder, by which options."""
+"""An experiment, and the lifts that it needs: which row on which scene, into which folder, with which options."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from .scenes import SceneToLift
 from .table import Tables
 
 PROGRAM = "research"
-"""It knows the options of the baselines."""
+"""This program knows the options of the baselines."""
 FIRST = "ours"
-"""The row whose lift is the preset itself: its folder has no name of a row."""
+"""The row whose lift is the preset itself: its folder's name contains no row."""
 SCENE = "{scene}"
 """Stands for the scene's name in --masks and --depth."""
 
@@ -29,8 +29,8 @@ class Experiment:
     ``preset`` (a name, or a file) with ``steps`` and the options ``sets`` (name=value); all scenes are read by
     ``scene_format``, ``mask_format`` and ``classes``, from at most ``frames``, with ``fit`` and ``device``, as a
     LiftRequest has them. ``masks`` and ``depth`` are paths in which SCENE stands for the scene's name. ``earlier``:
-    results to compare with; ``page``: a Markdown file whose tables are brought up to date; ``only_finished``: nothing
-    more is lifted."""
+    results to compare with; ``page``: a Markdown file whose tables are updated; ``only_finished``: nothing more is
+    lifted."""
 
     scenes: tuple[SceneToLift, ...]
     folder: Path
@@ -73,7 +73,7 @@ class Experiment:
 
 @dataclass(frozen=True)
 class Task:
-    """One row on one scene with one seed; ``options``: what the command ``lift`` would have been given; ``depth_of``:
+    """One row on one scene with one seed; ``options``: as the command ``lift`` would have been given; ``depth_of``:
     the folder of the lift whose rendered depth it takes."""
 
     scene: SceneToLift
@@ -103,12 +103,12 @@ def tasks_of(experiment: Experiment) -> Iterator[Task]:
 
 
 def has_files(row: Row, scene: SceneToLift) -> bool:
-    """Whether a scene has the files that a row takes in place of the usual ones."""
+    """Whether a scene has the files that a row uses in place of the usual ones."""
     return row.masks is None or (scene.folder / row.masks).exists()
 
 
 def lift_folder(experiment: Experiment, scene: SceneToLift, row: Row, seed: int) -> Path:
-    """Where a row is lifted into."""
+    """The folder that a row is lifted into."""
     parts = [scene.name, experiment.preset_name, "" if row.name == FIRST else row.slug, f"seed{seed}" if seed else ""]
     return experiment.folder / "-".join(part for part in parts if part)
 
@@ -121,7 +121,7 @@ def lift_options(experiment: Experiment, scene: SceneToLift, row: Row, seed: int
         scene=scene.folder,
         output=output,
         preset=experiment.preset,
-        set=[*experiment.sets, *shown_options(row.options)],  # the later one holds: a row is what its name says
+        set=[*experiment.sets, *shown_options(row.options)],  # the later one wins: a row is what its name says
         steps=experiment.steps,
         size=None,
         frames=experiment.frames,

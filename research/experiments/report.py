@@ -1,5 +1,5 @@
-"""What an experiment leaves: results.json and .csv, tables in Markdown, plots, contact sheets, a page brought up to
-date."""
+"""What an experiment leaves behind: results.json and .csv, tables in Markdown, plots, contact sheets, an updated
+page."""
 
 from __future__ import annotations
 
@@ -67,11 +67,11 @@ def _bring_up_to_date(page: Path, tables: Tables) -> None:
 
 
 def refuse_unwritable(page: Path) -> None:
-    """Before hours of work: raise PlgsError when the tables of ``page`` could not be brought up to date at the end."""
+    """Before hours of work: raise PlgsError if the tables of ``page`` could not be updated at the end."""
     text_of(page)
-    folder = next(each for each in page.absolute().parents if each.exists())  # what is missing below it is made
+    folder = next(each for each in page.absolute().parents if each.exists())  # missing folders below it are made
     if not folder.is_dir() or not os.access(folder, os.W_OK):
-        raise PlgsError("the report's page cannot be written", page, "Name a file in a folder of yours.")
+        raise PlgsError("the report's page cannot be written", page, "Name a file in a folder that you may write to.")
 
 
 def text_of(page: Path) -> str:
@@ -83,15 +83,15 @@ def text_of(page: Path) -> str:
 
 
 def with_tables(page: str, tables: str) -> str:
-    """The page with these scenes' sections between its marks, in place of those that stand there of the same scenes; at
-    its end where it has no marks."""
+    """The page with these scenes' sections between its marks, in place of the ones of the same scenes there; at its end
+    if it has no marks."""
     if BEGIN not in page or END not in page:
         page = f"{page or _SKELETON}\n{BEGIN}\n{END}\n"
     before, _, rest = page.partition(BEGIN)
     old, _, after = rest.partition(END)
     sections = {**_sections(old), **_sections(tables)}
     if means := sections.pop(MEANS, ""):
-        sections[MEANS] = means  # the last one, after scenes that are new
+        sections[MEANS] = means  # the last section, after new scenes
     return f"{before}{BEGIN}\n\n{chr(10).join(sections.values())}\n{END}{after}"
 
 
@@ -120,7 +120,7 @@ class Bars(NamedTuple):
 
 
 def write_plots(folder: Path, tables: Tables) -> bool:
-    """folder/<scene>-<table>.png; False where matplotlib is not installed. Raises OSError."""
+    """folder/<scene>-<table>.png; False if matplotlib is not installed. Raises OSError."""
     if find_spec("matplotlib") is None:
         return False
     for scene in dict.fromkeys(result.scene for result in tables.results):

@@ -15,7 +15,7 @@ from engine.json_file import Json
 from engine.presets.options import checked_options
 
 ROWS = Path(__file__).with_suffix(".toml")
-_FIX = "Mend rows.toml."
+_FIX = "Fix rows.toml."
 
 
 @dataclass(frozen=True)
@@ -31,9 +31,9 @@ class Cited:
 
 @dataclass(frozen=True)
 class Row:
-    """A row of a table: a lift with ``options`` changed, with the scene's file ``masks`` in place of the usual ones,
-    with the depth that the lift of the row ``depth_from`` renders in place of the sensor's. Or ``method``, which needs
-    no lift; or ``same_as``, the lift of another row; or, ``is_cited``, the paper's figures alone."""
+    """A row of a table: a lift with ``options`` changed, with the scene's file ``masks`` in place of the usual ones, or
+    with the depth that the lift of the row ``depth_from`` renders, not the sensor's. Or ``method``, which needs no
+    lift; or ``same_as``, the lift of another row; or, ``is_cited``, the paper's figures alone."""
 
     name: str
     table: str
@@ -68,7 +68,7 @@ class Rows:
     tables: Mapping[str, str]
 
     def named(self, name: str) -> Row:
-        """Raises KeyError when there is none."""
+        """Raises KeyError if there is none."""
         return next(row for row in self.rows if row.name == name)
 
     def lift_of(self, row: Row) -> Row:
@@ -83,7 +83,7 @@ class Rows:
 
     def chosen(self, only: Sequence[str]) -> tuple[Row, ...]:
         """The rows of these names, or of the tables of these names; all of them without any. Raises PlgsError, which
-        tells the nearest name."""
+        suggests the nearest name."""
         known = {name.casefold(): name for name in (*self.tables, *(row.name for row in self.rows))}
         for wanted in only:
             if wanted.casefold() not in known:

@@ -1,4 +1,4 @@
-"""Experiments: each row of the tables on each scene, a lift in a process of its own, one after the other."""
+"""Experiments: each row of the tables on each scene, each lift in its own process, one after the other."""
 
 from __future__ import annotations
 
@@ -27,18 +27,17 @@ _NO_MATCH = "Compare with results of these scenes, rows and this preset."
 
 
 def run_experiment(experiment: Experiment, interrupts: Interrupts) -> ExitCode:
-    """Lift what is not lifted yet, print the tables of the chosen rows, and write the report of all that is finished in
-    the folder, which grows lift by lift. Scenes of earlier calls stay in it.
+    """Lift what has not been lifted yet, print the tables of the chosen rows, and write the report of all that is
+    finished in the folder, which grows lift by lift. Scenes of earlier calls stay in it.
 
-    What fails is a row of the tables with its reason, and does not keep the others from being tried; the first one's
-    exit code is returned. Raises PlgsError before any lift begins for what concerns all, Interrupted on Ctrl-C; the
-    same call goes on then.
+    What fails is a row of the tables with its reason, and the others are still tried; returns the first failure's exit
+    code. Raises PlgsError before any lift for what concerns all; Interrupted on Ctrl-C: the same call continues.
     """
     tasks = list(tasks_of(experiment))
     if experiment.only_finished:
         tasks = [task for task in tasks if has_manifest(task.options.output)]
     errors = refuse_bad_input(experiment, tasks)
-    whole = replace(experiment, only=())  # what is finished of other rows stays in the report
+    whole = replace(experiment, only=())  # finished lifts of other rows stay in the report
     others = [task for task in tasks_of(whole) if task.name not in {one.name for one in tasks}]
     finished_before = dict(results_before(experiment, others))
     results = [*results_without_a_lift(experiment, errors), *finished_before.values()]
@@ -71,7 +70,7 @@ def run_experiment(experiment: Experiment, interrupts: Interrupts) -> ExitCode:
 
 
 def lifted(experiment: Experiment, task: Task, interrupts: Interrupts) -> Result:
-    """The figures of a task, which is lifted where it is not finished. Raises PlgsError, Cancelled, Interrupted."""
+    """The figures of a task, which is lifted if it is not finished. Raises PlgsError, Cancelled, Interrupted."""
     if experiment.only_finished:
         return result_of(experiment, task)
     if task.depth_of is not None:
@@ -102,14 +101,14 @@ def results_before(experiment: Experiment, others: list[Task]) -> Iterator[tuple
 
 
 def is_finished(task: Task) -> bool:
-    """Whether its lift, by these very options, is finished already. Raises PlgsError when its folder cannot be read."""
+    """Whether its lift, with exactly these options, is finished. Raises PlgsError when its folder cannot be read."""
     if not has_manifest(task.options.output):
         return False
     return not request_from(task.options).differences(LiftFolder.open(task.options.output).request)
 
 
 def results_kept(experiment: Experiment) -> Iterator[Result]:
-    """What an earlier report in the folder has of other scenes, as far as its lifts were made by these options; and
+    """What an earlier report in the folder has of other scenes, as far as its lifts were made with these options; and
     what failed."""
     path = experiment.folder / "results.json"
     try:
@@ -124,7 +123,7 @@ def results_kept(experiment: Experiment) -> Iterator[Result]:
 
 
 def _still_holds(experiment: Experiment, result: Result) -> bool:
-    """Whether the lift of a result is there, made by these options, or none was needed. Raises PlgsError."""
+    """Whether the lift of a result is there, made with these options, or none was needed. Raises PlgsError."""
     row = next((row for row in experiment.rows.rows if row.is_lift and row.name == result.row), None)
     if row is None:
         return result.preset == "-"
@@ -139,7 +138,7 @@ def _still_holds(experiment: Experiment, result: Result) -> bool:
 def make_depth_maps(lift: Path, maps: Path) -> None:
     """The rendered depth of all frames of a lift, written once. Raises PlgsError, as where the lift did not finish."""
     if not has_manifest(lift):
-        raise PlgsError("the lift whose depth it takes is not finished", lift, "See why that one failed.")
+        raise PlgsError("the lift whose depth it takes is not finished", lift, "Find out why that lift failed.")
     if not (maps / "complete").is_file():
         from engine.export.run import export
 
@@ -148,8 +147,8 @@ def make_depth_maps(lift: Path, maps: Path) -> None:
 
 
 def results_without_a_lift(experiment: Experiment, errors: dict[str, PlgsError]) -> Iterator[Result]:
-    """What needs no lift, where rows ask for it or it was measured before. Where that fails, the rows that ask for it
-    have the reason, and ``errors`` gets it."""
+    """What needs no lift, if rows ask for it or it was measured before. If that fails, the rows that ask for it have
+    the reason, and ``errors`` gets it."""
     wanted = experiment.rows.chosen(experiment.only)
     for scene in experiment.scenes:
         rows = [row for row in experiment.rows.rows if row.method and has_files(row, scene)]
@@ -171,8 +170,8 @@ def results_without_a_lift(experiment: Experiment, errors: dict[str, PlgsError])
 
 
 def refuse_bad_input(experiment: Experiment, tasks: Sequence[Task]) -> dict[str, PlgsError]:
-    """Before hours of work: raise PlgsError for the first thing that is wrong for all, and return by the name of its
-    task what is wrong with a scene."""
+    """Before hours of work: raise PlgsError for the first thing that is wrong for all, and return what is wrong with a
+    scene by its task's name."""
     errors: dict[str, PlgsError] = {}
     for option, path in (("--masks", experiment.masks), ("--depth", experiment.depth)):
         if path and SCENE not in path and len(experiment.scenes) > 1:

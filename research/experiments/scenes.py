@@ -13,7 +13,7 @@ from engine.scene_source import UP_OPTIONS, UpAxis
 
 _SCENE = re.compile(r"(?P<folder>.+?)(?::up=(?P<up>.*))?", re.DOTALL)
 _NAME = re.compile(r"\w[\w .+-]*")
-"""It becomes a part of a folder's name, and a cell of a Markdown table."""
+"""A name becomes part of a folder's name, and a cell of a Markdown table."""
 
 
 @dataclass(frozen=True)
@@ -29,7 +29,7 @@ def scenes_from(texts: Sequence[str], names: Sequence[str] | None = None) -> tup
     """The scenes of ``texts``, each ``SCENE`` or ``SCENE:up=AXIS``, called ``names`` or as their folders are. SCENE may
     be a pattern of folders, such as ``scans/scene*``, which stands for all of them in the order of their names.
 
-    Raises PlgsError when an axis or a name is none, when two have one name, or when the numbers differ.
+    Raises PlgsError when an axis or a name is invalid, when two names are the same, or when the numbers differ.
     """
     texts = [each for text in texts for each in _matching(text)]
     if names is not None and len(names) != len(texts):
@@ -42,21 +42,21 @@ def scenes_from(texts: Sequence[str], names: Sequence[str] | None = None) -> tup
         if not _NAME.fullmatch(scene.name):
             fix = "Give names of letters, digits and - with --names."
             raise PlgsError(f"{scene.name!r} cannot be a scene's name", scene.folder, fix)
-        if scene.name.casefold() in known:  # on some disks Office and office are one folder
+        if scene.name.casefold() in known:  # on some disks Office and office are the same folder
             raise PlgsError(f"two scenes are called {scene.name}", scene.folder, "Give other names with --names.")
         known.add(scene.name.casefold())
     return tuple(scenes)
 
 
 def _matching(text: str) -> list[str]:
-    """The scenes that a text means. Raises PlgsError for a pattern that fits no folder."""
+    """The scenes that a text means. Raises PlgsError for a pattern that matches no folder."""
     match = _SCENE.fullmatch(text)
     if match is None or not has_magic(match["folder"]) or Path(match["folder"]).exists():
         return [text]
     axis = text[len(match["folder"]) :]
     found = sorted(folder for folder in glob(match["folder"]) if Path(folder).is_dir())
     if not found:
-        raise PlgsError("no folder fits the pattern", text, "Name folders of scenes, or another pattern.")
+        raise PlgsError("no folder matches the pattern", text, "Name folders of scenes, or another pattern.")
     return [folder + axis for folder in found]
 
 

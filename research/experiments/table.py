@@ -1,4 +1,4 @@
-"""The figures of all rows as tables in Markdown, beside those that the paper reports."""
+"""The figures of all rows as tables in Markdown, next to those that the paper reports."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from .rows import Cited, Row, Rows
 @dataclass(frozen=True)
 class Column:
     """How a figure (a field of Figures, or "steps") is shown: times ``factor``, with ``digits`` after the point.
-    ``best``: which of several seeds' is shown, as with times, which other work only makes worse; without, their mean
-    and standard deviation are."""
+    ``best``: which of several seeds' is shown, as for times, which other work only makes worse; without it, their mean
+    and standard deviation are shown."""
 
     figure: str
     heading: str
@@ -54,13 +54,13 @@ HEADINGS = {"scenes": "scenes", **{column.figure: column.heading for column in C
 _WIDEST = 60
 MARK = "†"
 MEANS = "### Means: over the scenes"
-"""No scene's heading: a colon is in no name."""
+"""Not a scene's heading: no name contains a colon."""
 
 
 @dataclass(frozen=True)
 class Tables:
     """Everything that tables are made of: the ``chosen`` rows of ``rows``, what was measured so far, and earlier
-    results to compare with, "before -> after". ``version`` of the engine: what another one lifted is marked."""
+    results to compare with, "before -> after". ``version`` of the engine: other versions' lifts are marked."""
 
     rows: Rows
     chosen: tuple[Row, ...]
@@ -69,9 +69,8 @@ class Tables:
     version: str = __version__
 
     def markdown(self) -> str:
-        """A section for each scene, in it a table each, and one of the means over several scenes. Left out are rows
-        that are not measured yet, tables whose rows all stand in another one, and after the first scene the systems
-        that are cited."""
+        """A section with tables for each scene, and one for the means over several scenes. Left out are rows that are
+        not measured yet, tables whose rows are all in another one, and after the first scene the cited systems."""
         scenes = list(dict.fromkeys(result.scene for result in self.results))
         lines = [text for k, scene in enumerate(scenes) for text in self._of_scene(scene, with_cited=k == 0)]
         return "\n".join([*lines, *(self._means(scenes) if len(scenes) > 1 else ())])
@@ -91,7 +90,7 @@ class Tables:
                 yield heading, rows
 
     def lines(self, scene: str, rows: Sequence[Row]) -> Iterator[str]:
-        """The table of some rows, as far as they were tried; nothing where none was."""
+        """The table of some rows, as far as they were tried; nothing if none was."""
         rows = [row for row in rows if self._tried(scene, row) or row.is_cited]
         if all(row.is_cited for row in rows):
             return
@@ -109,7 +108,7 @@ class Tables:
         yield f"{MEANS}\n"
         yield (
             f"Of {len(scenes)} scenes: {', '.join(scenes)}. *scenes* says in how many a row was measured; in brackets "
-            "is the number of those that have a figure, where not all have it.\n"
+            "is the number of those that have a figure, if not all have it.\n"
         )
         for heading, rows in self._of_tables(scenes):
             rows = [row for row in rows if any(self._tried(scene, row) for scene in scenes)]
@@ -138,7 +137,7 @@ class Tables:
         return _of_row(self.results, scene, self.measured_as(row))
 
     def _failures(self, scene: str, row: Row) -> str:
-        """Empty where all seeds were measured."""
+        """Empty if all seeds were measured."""
         reasons: dict[str, list[int]] = {}
         for result in self._tried(scene, row):
             if result.failed:
@@ -146,7 +145,7 @@ class Tables:
         return "; ".join(f"failed{_seeds(seeds)}: {why}" for why, seeds in reasons.items())
 
     def _other_versions(self, scene: str, row: Row) -> set[str]:
-        """Of the engines that measured a row, those that are not this one."""
+        """The versions of other engines that measured a row."""
         return {result.engine_version for result in self.measured(scene, row)} - {self.version}
 
     def measured_as(self, row: Row) -> str:
@@ -155,7 +154,7 @@ class Tables:
 
 
 def _seeds(numbers: Sequence[int]) -> str:
-    """Nothing for the usual one."""
+    """Nothing for the default seed."""
     return f" (seed {', '.join(map(str, numbers))})" if any(numbers) else ""
 
 
@@ -174,7 +173,7 @@ def _cells(now: Sequence[Result], before: Sequence[Result]) -> Iterator[tuple[st
 
 
 def _cell(seeds: Sequence[Result], column: Column) -> str:
-    """Empty where nothing was measured."""
+    """Empty if nothing was measured."""
     values = column.values(seeds)
     if not values:
         return ""
@@ -192,7 +191,7 @@ def _cited(paper: Cited | None) -> str:
 
 
 def _table(rows: Sequence[Row], names: Sequence[str], cells: Mapping[str, Mapping[str, str]]) -> Iterator[str]:
-    """With the columns that have a figure; ``cells`` by row and column."""
+    """A table of the columns that have a figure; ``cells`` by row and column."""
     shown = [key for key in HEADINGS if any(cells[row.name].get(key) for row in rows)]
     paper = ["in the paper"] if any(row.paper for row in rows) else []
     body = [

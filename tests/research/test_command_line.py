@@ -50,7 +50,7 @@ def test_the_last_words_of_ctrl_c(capsys: pytest.CaptureFixture[str], monkeypatc
         assert code_of("experiments", "SCENE") == 130
     finally:
         signal.signal(signal.SIGINT, before)
-    assert capsys.readouterr().err.splitlines() == ["Stopped. The same command goes on."]
+    assert capsys.readouterr().err.splitlines() == ["Stopped. The same command continues."]
 
 
 @pytest.mark.parametrize("what", ["raster", "step"])

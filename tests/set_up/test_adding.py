@@ -81,7 +81,7 @@ def test_a_failure_leaves_the_engine_as_it_was(fault: str, code: Path, environme
         part.wheels["pycolmap"] = name, wheel("pycolmap", name.split("-")[1], "other")[1]
     else:
         part.fault["pycolmap"] = fault
-    with pytest.raises(PlgsError, match="The engine is as it was"):
+    with pytest.raises(PlgsError, match="The engine is unchanged"):
         addition(code, environment, part).run()
     assert files_of(environment) == before
 
@@ -105,7 +105,7 @@ def test_cancel_leaves_the_engine_as_it_was(code: Path, environment: Path, part:
 
 
 def test_a_python_of_the_system_is_left_alone(code: Path, tmp_path: Path, part: PackageIndex) -> None:
-    with pytest.raises(PlgsError, match="this is none"):
+    with pytest.raises(PlgsError, match="this is not one"):
         addition(code, tmp_path, part).run()
 
 

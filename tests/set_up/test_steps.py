@@ -74,7 +74,7 @@ def test_from_an_empty_environment_to_an_engine_that_answers(folder: Path, begin
 def test_a_download_that_breaks_off_is_told_and_gone_on_with(begin: Begin, index: PackageIndex, folder: Path) -> None:
     index.fault["numba"] = "cut"
     told = error_of(begin())
-    assert "pip could not install packages" in told and "goes on there" in told and "set-up.log" in told
+    assert "pip could not install packages" in told and "continues there" in told and "set-up.log" in told
     notes = Notes.read(environment_in(folder))
     assert notes is not None and notes.done == ["torch"] and not is_complete(environment_in(folder))
     index.fault.clear()
@@ -198,7 +198,7 @@ def test_a_full_disk_is_told_before_anything_is_made(
 def test_a_folder_that_cannot_be_written_is_told(code: Path, tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     told = error_of(RunningSetUp(SetUpRequest(), code, tmp_path / "file" / "plgs"))
-    assert "the set-up stopped" in told and os.fspath(tmp_path / "file") in told
+    assert "the set-up was stopped" in told and os.fspath(tmp_path / "file") in told
 
 
 def test_the_command_tells_why_it_ended(tmp_path: Path, root: Path) -> None:

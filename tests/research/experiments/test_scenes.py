@@ -25,7 +25,7 @@ def test_a_pattern_stands_for_its_folders(tmp_path: Path) -> None:
     (tmp_path / "scene3.txt").touch()
     found = scenes_from([f"{tmp_path}/scene*:up=y", "rooms/office"])
     assert [(scene.name, scene.up) for scene in found] == [("scene1", "y"), ("scene2", "y"), ("office", "z")]
-    with pytest.raises(PlgsError, match="no folder fits the pattern"):
+    with pytest.raises(PlgsError, match="no folder matches the pattern"):
         scenes_from([f"{tmp_path}/nothing*"])
 
 
