@@ -16,15 +16,15 @@ BEHAVIOURS = {
     "a lift's passes have the frames' own size": (
         "lift/test_lift.py::test_passes_have_the_frames_own_size_and_whole_labels"
     ),
-    "a lift with the same seed writes the same bytes": "lift/test_lift.py::test_same_seed_same_bytes",
+    "a lift with the same seed writes the same bytes": "lift/test_lift.py::test_the_same_seed_gives_the_same_lift",
     "a lift beats the masks that it was given": "lift/test_quality.py::test_it_beats_the_masks_it_was_given",
-    "a lift is cancelled and resumed": "lift/test_lift.py::test_a_cancelled_lift_goes_on",
+    "a lift is cancelled and resumed": "lift/test_lift.py::test_a_cancelled_lift_is_resumed",
     "a lift that was killed is resumed to the same bytes": (
         "test_kill_and_resume.py::test_a_lift_that_is_killed_and_resumed_has_the_same_bytes"
     ),
-    "a lift keeps the names of an earlier one": "lift/test_lasting_names.py::test_every_file_has_the_ids_that_last",
+    "a lift keeps the names of an earlier one": "lift/test_lasting_names.py::test_every_file_has_the_lasting_ids",
     "a lift finds a scene that was moved": "lift/test_moved.py::test_the_scene_is_found",
-    "frames are baked later with the same bytes": "lift/test_bake_more.py::test_the_bytes_of_a_lift_that_bakes_all",
+    "frames are baked later with the same bytes": "lift/test_bake_more.py::test_later_bakes_write_the_same_bytes",
     "any camera is baked": "lift/test_bake_more.py::test_any_camera",
     "several commands bake side by side": "lift/test_bake_together.py::test_two_commands_share_the_frames",
     "corrections change passes, exports and scores": (
@@ -32,7 +32,7 @@ BEHAVIOURS = {
     ),
     "Blender reads ids and mattes of the passes": "passes/test_exr.py::test_blender_reads_ids_and_mattes",
     "each format of captures is recognised": (
-        "scene/formats/test_recognising.py::test_each_format_has_a_name_of_its_own_and_says_what_it_looks_for"
+        "scene/formats/test_recognising.py::test_each_format_has_its_own_name_and_says_what_it_looks_for"
     ),
     "frames of COLMAP": "scene/formats/test_colmap.py::test_dense_depth_lies_on_the_room",
     "frames of Hypersim": "scene/formats/test_hypersim.py::test_points_lie_on_the_room",
@@ -48,7 +48,7 @@ BEHAVIOURS = {
     "frames of Stray Scanner": "scene/formats/test_stray.py::test_points_lie_on_the_room",
     "frames of TUM": "scene/formats/test_tum.py::test_points_lie_on_the_room",
     "bad scenes and masks are one line": "scene/test_bad_input.py",
-    "a scene is diagnosed and mended": "diagnosis/test_mend.py::test_the_command_says_shows_and_mends",
+    "a scene is diagnosed and mended": "diagnosis/test_mend.py::test_the_command_reports_shows_and_fixes",
     "a building is lifted in blocks": "building/test_run.py::test_a_building_in_two_blocks",
     "exports: clouds": "export/test_export.py::test_clouds_hold_each_pixel_in_the_world",
     "exports: COCO panoptic": "export/test_export.py::test_coco",
@@ -57,7 +57,7 @@ BEHAVIOURS = {
     "exports: boxes": "export/test_export.py::test_boxes",
     "exports: depth maps": "export/test_export.py::test_depth_maps",
     "exports: meshes": "export/test_export.py::test_meshes",
-    "run_plgs.py lifts a scene into a .blend": "test_run_plgs.py::test_finishes",
+    "run_plgs.py lifts a scene into a .blend": "test_run_plgs.py::test_it_lifts_a_scene_into_a_blend",
     "run_plgs.py bakes a camera": "test_run_plgs_camera.py::test_frames_are_baked_and_those_that_are_done_are_kept",
     "the zip installs, registers and goes": "test_extension.py::test_the_zip_installs_and_registers_and_goes",
     "every button works with the engine that the set-up made": (
@@ -71,7 +71,7 @@ BEHAVIOURS = {
     "the panel's buttons: passes": (
         "operators/test_passes.py::test_passes_open_in_the_compositor_at_the_active_camera"
     ),
-    "the panel's buttons: export": "operators/test_export.py::test_forms_are_exported_by_the_engine",
+    "the panel's buttons: export": "operators/test_export.py::test_the_engine_exports_every_format",
     "the panel shows a lift that is finished": "ui/test_panels.py::test_a_finished_lift_is_shown",
 }
 

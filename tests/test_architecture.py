@@ -234,7 +234,7 @@ def test_no_bpy_under_engine() -> None:
     assert found == []
 
 
-def test_arrows_between_the_parts_of_the_engine_run_one_way() -> None:
+def test_dependencies_between_the_parts_of_the_engine_run_one_way() -> None:
     wrong = []
     for path in modules_under("engine"):
         part = part_of_engine(dotted(path))
@@ -246,7 +246,7 @@ def test_arrows_between_the_parts_of_the_engine_run_one_way() -> None:
     assert wrong == []
 
 
-def test_every_arrow_that_is_allowed_is_there() -> None:
+def test_every_allowed_dependency_exists() -> None:
     """The tables name parts that exist and imports that are used; what is needed no more is taken out of them."""
     engine: dict[str, set[str]] = {part: set() for part in ENGINE_MAY_IMPORT}
     for path in modules_under("engine"):
@@ -314,7 +314,7 @@ def _cycle_in(arrows: dict[str, list[str]]) -> list[str]:
     return next((cycle for name in arrows if (cycle := visit(name, []))), [])
 
 
-def test_arrows_between_the_parts_of_the_extension_run_one_way() -> None:
+def test_dependencies_between_the_parts_of_the_extension_run_one_way() -> None:
     wrong = []
     for path in modules_under(*EXTENSION):
         part = first(dotted(path))
@@ -359,7 +359,7 @@ def _core_of_the_extension() -> set[Path]:
     return found
 
 
-def test_the_page_on_the_architecture_names_what_is_there() -> None:
+def test_the_page_on_the_architecture_names_what_exists() -> None:
     page = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
     named = {name for name in re.findall(r"`([\w/]+(?:\.py|/))`", page)}
     assert len(named) > 40 and sorted(name for name in named if not (ROOT / name).exists()) == []
@@ -370,7 +370,7 @@ def test_no_threads_in_blender() -> None:
     assert wrong == []
 
 
-def test_job_needs_the_standard_library_only() -> None:
+def test_job_needs_only_the_standard_library() -> None:
     wrong = [
         i.line for path in modules_under("engine/job", "engine/presets") for i in imports_of(path)
         if not i.is_relative and first(i.module) not in sys.stdlib_module_names
@@ -378,7 +378,7 @@ def test_job_needs_the_standard_library_only() -> None:
     assert wrong == []
 
 
-def test_scene_needs_numpy_only_until_it_reads_pixels_or_a_format_of_its_own() -> None:
+def test_a_scene_needs_only_numpy_until_it_reads_pixels_or_a_special_format() -> None:
     wrong = []
     for path in modules_under("engine/scene"):
         for found in imports_of(path):
@@ -439,7 +439,7 @@ def test_no_pickles() -> None:
         ("engine.command_line.main", {"torch", "cv2", "numba", "scipy", "open3d", "OpenEXR", "safetensors"}),
     ],
 )
-def test_imports_quickly(module: str, unwanted: set[str]) -> None:
+def test_it_imports_quickly(module: str, unwanted: set[str]) -> None:
     """What Blender and `--help` import must not pull in the heavy libraries."""
     code = f"import sys, {module}; print(' '.join(sorted({unwanted!r} & set(sys.modules))))"
     run = subprocess.run(

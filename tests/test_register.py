@@ -47,7 +47,7 @@ def noting(
     return noted
 
 
-def test_a_draw_handler_is_noted(draw_handlers: list[object]) -> None:
+def test_a_draw_handler_is_noticed(draw_handlers: list[object]) -> None:
     handle = bpy.types.SpaceView3D.draw_handler_add(print, (), "WINDOW", "POST_VIEW")
     assert draw_handlers == [handle]
     bpy.types.SpaceView3D.draw_handler_remove(handle, "WINDOW")

@@ -71,7 +71,7 @@ def has_begun(out: Path) -> Callable[[], bool]:
     return lambda: events.exists() and b'"step": 5' in events.read_bytes()
 
 
-def test_finishes(run: Run, tmp_path: Path) -> None:
+def test_it_lifts_a_scene_into_a_blend(run: Run, tmp_path: Path) -> None:
     out = tmp_path / "out"
     stdout, stderr = (process := run("short", tmp_path / "scene", "-o", out)).communicate(timeout=60)
     assert process.returncode == 0, stderr
@@ -81,7 +81,7 @@ def test_finishes(run: Run, tmp_path: Path) -> None:
     assert str(out / "lift.blend") in stdout and str(out / "result" / "metrics.json") in stdout
 
 
-def test_resume_of_a_finished_lift_touches_nothing_but_mends_the_blend(run: Run, tmp_path: Path) -> None:
+def test_resuming_a_finished_lift_only_repairs_the_blend(run: Run, tmp_path: Path) -> None:
     out = tmp_path / "out"
     first = run("short", tmp_path / "scene", "-o", out, "--seed", "4")
     first.communicate(timeout=60)
@@ -149,7 +149,7 @@ def test_the_engine_ends_when_run_plgs_is_killed(run: Run, tmp_path: Path) -> No
     assert lift.state() is LiftState.CANCELLED
 
 
-def test_resuming_a_lift_that_is_at_work_leaves_it_alone(run: Run, tmp_path: Path) -> None:
+def test_resuming_a_running_lift_leaves_it_alone(run: Run, tmp_path: Path) -> None:
     out = tmp_path / "out"
     first = run("patient", tmp_path / "scene", "-o", out)
     wait_for(first, has_begun(out))
@@ -181,7 +181,7 @@ def test_errors_are_one_line_and_a_code(run: Run, tmp_path: Path, behaviour: str
     assert out.exists() == (code == 1)  # bad input leaves nothing that blocks the corrected command
 
 
-def test_help_says_all_and_imports_nothing_heavy(root: Path) -> None:
+def test_help_is_complete_and_imports_nothing_heavy(root: Path) -> None:
     code = (
         "import sys, runpy; sys.argv = ['run_plgs.py', '--help']\n"
         "try: runpy.run_path(sys.argv[0], run_name='__main__')\n"
@@ -226,7 +226,7 @@ def test_bad_input_is_found_before_anything_is_made(
     assert [path.name for path in used.iterdir()] == ["diary.txt"]
 
 
-def test_modules_in_the_scene_that_is_the_current_folder_are_never_run(root: Path, tmp_path: Path) -> None:
+def test_modules_in_a_scene_are_never_run_even_from_its_folder(root: Path, tmp_path: Path) -> None:
     """cd scene; run_plgs.py . -o OUT"""
     for name in ("importlib", "json", "engine", "plgs", "torch", "bpy"):
         (tmp_path / name).mkdir()
@@ -237,7 +237,7 @@ def test_modules_in_the_scene_that_is_the_current_folder_are_never_run(root: Pat
     assert not (tmp_path / "run").exists() and not (tmp_path / "out").exists()
 
 
-def test_says_when_the_engines_python_is_unfit(root: Path, tmp_path: Path) -> None:
+def test_it_says_when_the_engines_python_is_unfit(root: Path, tmp_path: Path) -> None:
     scene = write_tiny_scene(tmp_path / "scene", frames=3)
     bare = tmp_path / "bare"
     subprocess.run([sys.executable, "-m", "venv", "--without-pip", bare], check=True, timeout=120)
@@ -263,7 +263,7 @@ def test_without_bpy_anywhere_says_what_to_do(root: Path, tmp_path: Path) -> Non
     assert len(said.stderr.splitlines()) == 1
 
 
-def test_a_folder_that_is_deleted_during_the_lift_is_told_in_a_line(run: Run, tmp_path: Path) -> None:
+def test_a_folder_that_is_deleted_during_the_lift_is_a_one_line_error(run: Run, tmp_path: Path) -> None:
     out = tmp_path / "out"
     process = run("patient", tmp_path / "scene", "-o", out)
     wait_for(process, has_begun(out))
@@ -274,7 +274,7 @@ def test_a_folder_that_is_deleted_during_the_lift_is_told_in_a_line(run: Run, tm
     assert stderr.splitlines()[-1].startswith("error: ") and str(out) in stderr.splitlines()[-1]
 
 
-def test_who_holds_a_lift_is_told(run: Run, tmp_path: Path) -> None:
+def test_the_holder_of_a_lift_is_reported(run: Run, tmp_path: Path) -> None:
     out = tmp_path / "out"
     first = run("patient", tmp_path / "scene", "-o", out)
     wait_for(first, has_begun(out))
@@ -283,7 +283,7 @@ def test_who_holds_a_lift_is_told(run: Run, tmp_path: Path) -> None:
     assert f"(process {engine} on {platform.node()}, since 2" in told and "'cancel'" in told
 
 
-def test_an_engine_that_was_stopped_ends_with_its_parent_when_it_goes_on(run: Run, tmp_path: Path) -> None:
+def test_a_suspended_engine_ends_with_its_parent_when_it_continues(run: Run, tmp_path: Path) -> None:
     out = tmp_path / "out"
     process = run("patient", tmp_path / "scene", "-o", out)
     wait_for(process, has_begun(out))
@@ -300,7 +300,7 @@ def test_an_engine_that_was_stopped_ends_with_its_parent_when_it_goes_on(run: Ru
     assert LiftFolder.open(out).state() is LiftState.CANCELLED
 
 
-def test_a_lift_goes_on_without_its_terminal_and_says_so_in_its_log(root: Path, tmp_path: Path) -> None:
+def test_a_lift_continues_without_its_terminal_and_says_so_in_its_log(root: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     script = root / "tests" / "job" / "run_plgs_with_fake_engine.py"
     command = [sys.executable, script, "patient", tmp_path / "scene", "-o", out]
@@ -319,7 +319,7 @@ def test_a_lift_goes_on_without_its_terminal_and_says_so_in_its_log(root: Path, 
     assert not lift.is_running and lift.state() is LiftState.CANCELLED
 
 
-def test_a_reader_that_is_gone_at_the_end_has_a_code_of_its_own(run: Run, tmp_path: Path) -> None:
+def test_output_without_a_reader_has_its_own_exit_code(run: Run, tmp_path: Path) -> None:
     out = tmp_path / "out"
     process = run("short", tmp_path / "scene", "-o", out)
     assert process.stdout is not None and process.stderr is not None

@@ -119,7 +119,7 @@ def test_two_commands_at_once_both_end_with_all_frames(lift: LiftFolder, blend: 
     assert listed == [f"dolly.{frame:04d}" for frame in range(1, 5)]
 
 
-def test_a_camera_that_cannot_be_baked_is_told_in_a_line(
+def test_a_camera_that_cannot_be_baked_is_a_one_line_error(
     lift: LiftFolder, blend: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     text, cut = tmp_path / "notes.blend", tmp_path / "cut.blend"

@@ -42,12 +42,12 @@ def pins(name: str) -> dict[str, str]:
 @pytest.mark.parametrize(
     "name", ["blender-4.5.txt", "blender-5.2.txt", "torch.txt", "engine.txt", "test.txt", "segment.txt", "farm.txt"]
 )
-def test_what_is_asked_for_is_pinned(name: str) -> None:
+def test_all_requirements_are_pinned(name: str) -> None:
     assert all("==" in line for line in requirement_lines(name))
 
 
 @pytest.mark.parametrize(("version", "blender"), [((3, 11), "blender-4.5.txt"), ((3, 13), "blender-5.2.txt")])
-def test_the_constraints_agree_with_what_is_asked_for(version: tuple[int, int], blender: str) -> None:
+def test_the_constraints_agree_with_the_requirements(version: tuple[int, int], blender: str) -> None:
     locked = pins(environment.constraints(version))
     asked = {**pins(blender), **pins("test.txt"), **pins("engine.txt"), **pins("segment.txt"), **pins("farm.txt")}
     del asked["open3d"]  # for other systems than Linux
@@ -66,7 +66,7 @@ def test_the_next_environment_has_no_torch() -> None:
     assert [name for call in calls for name in call] == ["blender-5.2.txt", "next.txt"]
 
 
-def test_complete_means_stamped_with_these_very_requirements(tmp_path: Path) -> None:
+def test_complete_means_stamped_with_exactly_these_requirements(tmp_path: Path) -> None:
     requirements = shutil.copytree(REQUIREMENTS, tmp_path / "requirements")
     folder = tmp_path / ".venv"
     folder.mkdir()
@@ -96,7 +96,7 @@ def workshop(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[list[str]]
     return commands
 
 
-def test_a_set_up_that_was_cut_off_is_mended(
+def test_an_interrupted_set_up_is_repaired(
     tmp_path: Path, workshop: list[list[str]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     note: Callable[..., None] = environment.run
@@ -122,7 +122,7 @@ def test_a_set_up_that_was_cut_off_is_mended(
     assert workshop == []
 
 
-def test_the_index_of_cpu_builds_is_asked_for_torch_only(
+def test_the_index_of_cpu_builds_is_used_only_for_torch(
     workshop: list[list[str]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("TORCH_INDEX", "file:///cpu-builds")
@@ -140,7 +140,7 @@ def test_the_engine_is_compiled_where_it_runs(
     assert (workshop[-1][1:] == ["-m", "engine", "warm-up"]) is warm
 
 
-def test_settings_that_send_packages_elsewhere_are_put_aside(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_settings_that_send_packages_elsewhere_are_ignored(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PIP_TARGET", "/elsewhere")
     monkeypatch.setenv("PIP_USER", "1")
     monkeypatch.setenv("PYTHONPATH", "/elsewhere")
@@ -178,7 +178,7 @@ def executable(path: Path, text: str) -> Path:
     return path
 
 
-def test_a_python_that_only_says_why_it_does_not_run_is_passed_over(tmp_path: Path) -> None:
+def test_a_python_that_only_says_why_it_does_not_run_is_skipped(tmp_path: Path) -> None:
     shim = executable(tmp_path / "shims" / f"python{HERE}", "echo 'command exists in these versions' >&2; exit 127")
     real = executable(tmp_path / "real" / f"python{HERE}", f'exec "{sys.executable}" "$@"')
     assert find_python(HERE, shim.parent, real.parent) == sys.executable

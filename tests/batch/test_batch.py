@@ -184,7 +184,7 @@ def test_a_scheduler_that_is_restarted(tmp_path: Path, start: Start) -> None:
     assert {row["state"] for row in rows_of(plan).values()} == {"done", ""}
 
 
-def test_ctrl_c_leaves_all_resumable(tmp_path: Path, start: Start, address: str) -> None:
+def test_ctrl_c_leaves_everything_resumable(tmp_path: Path, start: Start, address: str) -> None:
     plan = plan_of(tmp_path, "a", "b")
     start(FARM_WORKER, "usual", address)
     signal.signal(signal.SIGINT, signal.default_int_handler)
@@ -212,7 +212,7 @@ def test_what_one_worker_cannot_do_another_does(
     assert said in capsys.readouterr().err
 
 
-def test_what_no_worker_can_do_is_told(tmp_path: Path, start: Start, address: str) -> None:
+def test_what_no_worker_can_do_is_reported(tmp_path: Path, start: Start, address: str) -> None:
     plan = plan_of(tmp_path, "a")
     start(FARM_WORKER, "unmounted", address)
     assert run(plan, Place(scheduler=address)) is not ExitCode.FINISHED
@@ -249,7 +249,7 @@ def test_no_scheduler(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.parametrize("address", ["nonsense", "machine:8786", "tcp://machine", "tcp://a b:1"])
-def test_an_address_that_is_none(address: str, tmp_path: Path) -> None:
+def test_an_invalid_address(address: str, tmp_path: Path) -> None:
     with pytest.raises(PlgsError, match="is not the address of a scheduler"):
         run(plan_of(tmp_path, "a"), Place(scheduler=address))
     with pytest.raises(PlgsError, match="is not the address of a scheduler"):

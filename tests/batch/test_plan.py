@@ -14,7 +14,7 @@ from engine.job.manifest import write_manifest
 
 
 @pytest.mark.parametrize("name", ["...zip", "..zip", ".batch.zip", "table.md.zip", "Table.CSV.zip"])
-def test_a_name_of_no_folder_of_its_own_is_refused(name: str, tmp_path: Path) -> None:
+def test_a_name_that_is_not_a_folder_of_its_own_is_refused(name: str, tmp_path: Path) -> None:
     (tmp_path / name).touch()
     with pytest.raises(PlgsError, match=r"Rename the scene\.$"):
         names_of([tmp_path / name])
@@ -27,20 +27,20 @@ def test_a_scene_that_is_given_twice(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("other", ["y/room", "y/Room", "y/ROOM.zip"])
-def test_two_scenes_of_one_name(other: str, tmp_path: Path) -> None:
+def test_two_scenes_with_the_same_name(other: str, tmp_path: Path) -> None:
     for scene in (tmp_path / "x" / "room", tmp_path / other):
         scene.mkdir(parents=True) if not scene.suffix else (scene.parent.mkdir(), scene.touch())
     with pytest.raises(PlgsError, match="two scenes"):
         names_of([tmp_path / "x" / "room", tmp_path / other])
 
 
-def test_a_folder_is_named_by_where_it_is(tmp_path: Path) -> None:
+def test_a_folder_is_named_after_where_it_is(tmp_path: Path) -> None:
     (tmp_path / "a" / "-o").mkdir(parents=True)
     assert names_of([tmp_path / "a" / "-o" / ".." / "-o", tmp_path / "a" / "-o" / ".."]) == ["-o", "a"]
 
 
 @pytest.mark.parametrize("lost", ["result/passes/0001.exr", "exports/ply"])
-def test_what_is_gone_is_not_done(lost: str, tmp_path: Path) -> None:
+def test_missing_results_are_not_counted_as_done(lost: str, tmp_path: Path) -> None:
     job = SceneJob("room", tmp_path / "room", LiftRequest(scene=tmp_path / "scene"))
     plan = BatchPlan(tmp_path, (job,), exports=("ply",))
     for name in ("result/passes/0001.exr", "exports/ply/splats.ply"):

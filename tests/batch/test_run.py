@@ -90,7 +90,7 @@ class Batch:
         self.batch._look_at_workers()
 
 
-def test_the_other_pieces_of_a_failed_scene_are_asked_for_no_longer(
+def test_the_other_pieces_of_a_failed_scene_are_no_longer_requested(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     batch = Batch(tmp_path, monkeypatch, "one")
@@ -118,7 +118,7 @@ def test_a_piece_follows_its_worker_to_a_new_address(tmp_path: Path, monkeypatch
     assert "no worker can do it" in batch.rows["a"].reason
 
 
-def test_when_no_worker_is_there_a_line_says_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_line_says_that_no_worker_is_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     batch = Batch(tmp_path, monkeypatch, "one")
     gone, batch.farm.there = batch.farm.there, {}
     batch.look()

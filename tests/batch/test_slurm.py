@@ -57,7 +57,7 @@ def test_the_job_script(slurm: Path, root: Path) -> None:
     assert offered is not None and set(offered[1].split(",")) == {f"{engine_tag()}=1", "PLGS_GB=16", "PLGS_THREADS=8"}
 
 
-def test_a_job_is_as_large_as_asked_before_it_comes() -> None:
+def test_a_job_has_the_requested_size_before_it_starts() -> None:
     assert Farm(client=None, address="", place=Place(slurm={}, gigabytes=8.0)).largest() == 8.0
 
 

@@ -70,7 +70,7 @@ def test_two_objects_of_a_block_never_become_one() -> None:
     assert joining._groups([0, 0, 1, 2], [(90, 0, 2), (20, 2, 3), (80, 3, 1)]).tolist() == [0, 3, 0, 3]
 
 
-def test_an_object_beyond_the_wall_is_its_own_blocks() -> None:
+def test_an_object_beyond_the_wall_belongs_to_its_own_block() -> None:
     whole = join([block(LEFT, [(-1.0, CHAIR), (1.0, TABLE)]), block(RIGHT, [(1.6, CHAIR)])], CLASSES)
     assert sorted(one.name for one in whole.instances) == ["chair 1", "chair 2"]  # the table is not where LEFT counts
     beyond = whole.points.xyz[:, 0] > 0

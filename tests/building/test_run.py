@@ -89,7 +89,7 @@ def test_a_cancel_ends_the_engine_of_the_block(building: LiftFolder, monkeypatch
     assert not lifted.is_running and lifted.state() not in (LiftState.FINISHED, LiftState.NOT_STARTED)
 
 
-def test_a_block_that_was_lifted_otherwise_is_told(building: LiftFolder) -> None:
+def test_a_block_lifted_with_other_options_is_reported(building: LiftFolder) -> None:
     other = replace(run.request_of_block(building.request, 1), seed=5)
     LiftFolder.create(building.path / "blocks" / "1", other)
     with pytest.raises(PlgsError, match="lifted otherwise: seed"):

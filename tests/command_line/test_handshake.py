@@ -38,7 +38,7 @@ def test_nothing_heavy_is_imported(root: Path) -> None:
     assert said.stdout.splitlines()[-1] == "HEAVY set()"
 
 
-def test_what_is_missing_is_told_with_the_command_that_mends_it(root: Path) -> None:
+def test_what_is_missing_is_reported_with_the_command_that_fixes_it(root: Path) -> None:
     said = subprocess.run(NO_SITE, cwd=root, capture_output=True, text=True, timeout=20)
     assert said.returncode == 0
     facts = json.loads(said.stdout)
@@ -47,7 +47,7 @@ def test_what_is_missing_is_told_with_the_command_that_mends_it(root: Path) -> N
     assert f"-m pip install torch=={facts['wanted']['torch']} " in facts["fix"]
 
 
-def test_the_cuda_build_and_other_versions_are_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_cuda_build_and_other_versions_are_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for name, version in (("torch", "9.0+cu130"), ("safetensors", "0.0.1")):
         (tmp_path / name).mkdir()
         (tmp_path / name / "__init__.py").touch()
@@ -63,7 +63,7 @@ def test_the_cuda_build_and_other_versions_are_told(tmp_path: Path, monkeypatch:
     assert any(line.startswith("safetensors 0.0.1 instead of ") for line in found.others)
 
 
-def test_an_answer_comes_back_as_it_went() -> None:
+def test_an_answer_survives_a_round_trip() -> None:
     sent = answer()
     data = json.loads(to_line(sent.to_json()))
     assert EngineAnswer.from_json(data) == sent
@@ -71,7 +71,7 @@ def test_an_answer_comes_back_as_it_went() -> None:
         assert EngineAnswer.from_json(other) is None
 
 
-def test_a_python_that_is_too_old_is_told_as_the_extension_knows_it(root: Path) -> None:
+def test_a_python_that_is_too_old_is_reported_as_the_extension_expects(root: Path) -> None:
     code = "import runpy, sys; sys.version_info = (3, 9, 1); runpy.run_module('engine', run_name='__main__')"
     said = subprocess.run(
         [sys.executable, "-c", code, "handshake"], cwd=root, capture_output=True, text=True, timeout=120

@@ -35,7 +35,7 @@ def test_help_imports_nothing_heavy(root: Path, command: list[str]) -> None:
     refuse_heavy_help(root, "engine.command_line.main", command)
 
 
-def test_runs_as_a_module(root: Path) -> None:
+def test_it_runs_as_a_module(root: Path) -> None:
     said = subprocess.run(
         [sys.executable, "-m", "engine", "--version"], cwd=root, capture_output=True, text=True, timeout=120
     )
@@ -44,7 +44,7 @@ def test_runs_as_a_module(root: Path) -> None:
 
 @pytest.mark.skipif(sys.platform == "win32", reason="a broken pipe is another error there")
 @pytest.mark.parametrize("arguments", [["presets"], ["presets", "--json"]])
-def test_a_reader_that_wants_no_more_is_no_error(root: Path, arguments: list[str]) -> None:
+def test_a_reader_that_stops_early_is_not_an_error(root: Path, arguments: list[str]) -> None:
     reads, writes = os.pipe()
     os.close(reads)
     with os.fdopen(writes, "wb") as nobody:
@@ -59,7 +59,7 @@ def test_wrong_arguments(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> 
 
 
 @pytest.mark.parametrize("text", ["-5", "0", "5-2", "1e3", "many", "9" * 5000])
-def test_what_is_no_number_of_frames_is_told_in_a_line(
+def test_what_is_not_a_number_of_frames_is_a_one_line_error(
     text: str, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     assert code_of("lift", tmp_path, "-o", tmp_path / "out", "--frames", text) == 2
@@ -159,7 +159,7 @@ def test_up_may_be_an_axis_that_points_down(
 
 
 @pytest.mark.parametrize(("said", "meant"), [("z", "+z"), ("auto", "z"), ("y", "y")])
-def test_an_axis_that_is_said_is_meant(said: str, meant: UpAxis) -> None:
+def test_a_given_axis_is_respected(said: str, meant: UpAxis) -> None:
     parser = argparse.ArgumentParser()
     add_options(parser, "up", "scene_format")
     assert parser.parse_args(["--up", said]).up == meant
@@ -223,7 +223,7 @@ def test_evaluate(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("name", ["model.safetensors", "instances.json"])
 @pytest.mark.parametrize("change", [None, b"cut", b"as long, but rotten"])
-def test_what_to_do_about_a_damaged_lift_is_the_same_line_for_every_command(
+def test_every_command_gives_the_same_advice_about_a_damaged_lift(
     capsys: pytest.CaptureFixture[str], tmp_path: Path, name: str, change: bytes | None
 ) -> None:
     lift = new_lift(tmp_path)
@@ -243,7 +243,7 @@ def test_what_to_do_about_a_damaged_lift_is_the_same_line_for_every_command(
     assert not (tmp_path / "out").exists()
 
 
-def test_a_camera_of_a_blend_is_no_file_of_cameras(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_a_camera_of_a_blend_is_not_a_camera_file(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     assert code_of("bake", new_lift(tmp_path).path, "--camera", "dolly") == 2
     said = capsys.readouterr().err
     assert "no such file of cameras: dolly" in said and "run_plgs.py --bake camera" in said and said.count("\n") == 1
@@ -262,7 +262,7 @@ def test_frames_of_a_scene_are_written(tmp_path: Path, capsys: pytest.CaptureFix
 
 
 @pytest.mark.parametrize("command", [["frames"], ["inspect"]])
-def test_what_a_parent_asked_for_ends_with_it(root: Path, tmp_path: Path, command: list[str]) -> None:
+def test_what_a_parent_started_ends_with_it(root: Path, tmp_path: Path, command: list[str]) -> None:
     room = write_tiny_scene(tmp_path / "room", frames=30)
     asked = [sys.executable, "-m", "engine", *command, room, "-o", tmp_path / "out", "--stay-with-parent"]
     ended = subprocess.run(asked, cwd=root, stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=120)

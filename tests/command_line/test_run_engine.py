@@ -76,7 +76,7 @@ def test_a_log_without_room(tmp_path: Path, capfd: pytest.CaptureFixture[str], m
     assert said.startswith("error: the disk is full") and said.count("\n") == 1
 
 
-def test_a_lift_without_a_manifest_is_no_success(tmp_path: Path) -> None:
+def test_a_lift_without_a_manifest_is_not_a_success(tmp_path: Path) -> None:
     folder = new_lift(tmp_path)
     assert run_engine(folder, lift=lambda folder, events, stop, *, resume: None) is ExitCode.INTERNAL_ERROR
 
@@ -100,7 +100,7 @@ def test_resume(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     assert folder.events_path.read_bytes() == before
 
 
-def test_a_broken_result_is_made_anew(tmp_path: Path) -> None:
+def test_a_broken_result_is_made_again(tmp_path: Path) -> None:
     folder = new_lift(tmp_path)
     run_engine(folder, lift=tiny_lift)
     (folder.result_path / "metrics.json").unlink()
@@ -109,7 +109,7 @@ def test_a_broken_result_is_made_anew(tmp_path: Path) -> None:
     assert folder.state() is LiftState.FINISHED
 
 
-def test_a_rotten_result_is_made_anew(tmp_path: Path) -> None:
+def test_a_corrupt_result_is_made_again(tmp_path: Path) -> None:
     folder = new_lift(tmp_path)
     run_engine(folder, lift=tiny_lift)
     later, kept = folder.passes_path / "dolly.0001.exr", folder.passes_path / "dolly.0002.exr"

@@ -46,7 +46,7 @@ def test_any_command_is_followed_to_its_answer(tmp_path: Path) -> None:
     assert place.folder is not None and not place.folder.exists()
 
 
-def test_an_error_says_its_code_and_the_option_that_mends_it(tmp_path: Path) -> None:
+def test_an_error_gives_its_code_and_the_option_that_fixes_it(tmp_path: Path) -> None:
     room, place = write_tiny_scene(tmp_path / "room", frames=3), TaskPlace.temporary(tmp_path)
     (room / "panoptic.json").rename(tmp_path / "masks.json")
     (room / "panoptic").rename(tmp_path / "masks")
@@ -57,7 +57,7 @@ def test_an_error_says_its_code_and_the_option_that_mends_it(tmp_path: Path) -> 
     assert failed.exit_code is ExitCode.BAD_INPUT
 
 
-def test_an_error_of_several_lines_is_one_and_the_log_has_the_rest(tmp_path: Path) -> None:
+def test_an_error_of_several_lines_is_cut_to_one_and_the_log_has_the_rest(tmp_path: Path) -> None:
     place, terminal = TaskPlace.at(tmp_path / "events.jsonl"), io.StringIO()
 
     def work(events: EventWriter, stop: StopSignal) -> None:
@@ -81,7 +81,7 @@ def test_a_cancelled_command_says_so(tmp_path: Path) -> None:
     assert follower.state is TaskState.CANCELLED and follower.error is None
 
 
-def test_a_place_is_for_one_at_a_time(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_only_one_process_at_a_time_uses_a_place(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     place = TaskPlace.at(tmp_path / "events.jsonl")
     with FileLock(place.events):
         assert main(["handshake", "--events", str(place.events)]) == ExitCode.BUSY
@@ -109,6 +109,6 @@ def test_without_events_the_answer_is_printed(tmp_path: Path, capfd: pytest.Capt
     assert json.loads(capfd.readouterr().out) == {"folder": str(tmp_path / "out"), "frames": 3}
 
 
-def test_an_error_names_what_it_lacks_only_where_it_is_said() -> None:
+def test_an_error_message_omits_empty_parts() -> None:
     assert str(PlgsError("no engine", "", "")) == "no engine"
     assert PlgsError("a", "b", "c", code=ErrorCode.BUSY).exit_code is ExitCode.BUSY

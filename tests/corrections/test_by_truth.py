@@ -19,7 +19,7 @@ from tests.train.tiny_lift import TINY, lift_into, presets_as
 Capture = pytest.CaptureFixture[str]
 
 
-def test_what_is_wrong_is_mended_and_scored(tmp_path: Path, capsys: Capture) -> None:
+def test_what_is_wrong_is_fixed_and_scored(tmp_path: Path, capsys: Capture) -> None:
     with presets_as(preview=TINY):
         lift = lift_into(tmp_path / "lift", LiftRequest(scene=write_tiny_scene(tmp_path / "room", frames=6))).path
     correct_by_truth(lift)
@@ -69,7 +69,7 @@ def test_the_sample_is_better_after_fewer_than_20_edits(root: Path, tmp_path: Pa
     assert all(path.read_bytes() == content for path, content in made.items()), "result/ is as the engine made it"
 
 
-def test_without_truth_it_is_a_line(tmp_path: Path) -> None:
+def test_without_ground_truth_it_is_a_one_line_error(tmp_path: Path) -> None:
     with pytest.raises(PlgsError):
         correct_by_truth(tmp_path)
     assert main(["correct", str(tmp_path)]) == 2

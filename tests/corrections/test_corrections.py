@@ -80,7 +80,7 @@ def test_a_name_and_a_class(lift: Path) -> None:
     assert {path: path.read_bytes() for path in (lift / "result").iterdir()} == before  # as the engine made it
 
 
-def test_two_chairs_in_one_box_fall_apart(lift: Path) -> None:
+def test_two_chairs_in_one_box_are_separated(lift: Path) -> None:
     edit, _ = correct(lift, split_chairs)
     found = objects(lift)
     assert edit.made[0].id == 4 and found[4].name == "chair 2" and found[4].points == found[CHAIRS].points
@@ -120,7 +120,7 @@ def test_merging_across_classes_takes_the_class_of_the_first(lift: Path) -> None
     assert (result.points.class_id == CHAIR).sum() == 0
 
 
-def test_a_crumb_becomes_what_lies_around(lift: Path) -> None:
+def test_a_crumb_becomes_what_surrounds_it(lift: Path) -> None:
     crumb, desk = objects(lift)[CRUMB].points, objects(lift)[DESK].points
     correct(lift, lambda state, _: m.delete(state, CRUMB))
     found = objects(lift)
@@ -161,7 +161,7 @@ def test_a_plane_and_views_of_labels_elsewhere(lift: Path) -> None:
     assert instance_id.tolist() == [DESK, 4, 0] and class_id.tolist() == [TABLE, TABLE, FLOOR]
 
 
-def test_undo_after_all_was_read_again(lift: Path) -> None:
+def test_undo_after_everything_was_read_again(lift: Path) -> None:
     correct(lift, lambda state, _: m.rename(state, DESK, "desk"))
     first = read_corrected(lift).fingerprint
     correct(lift, merge(DESK, CRUMB))
@@ -183,13 +183,13 @@ def test_undo_after_all_was_read_again(lift: Path) -> None:
         (lambda s, _: m.assign(s, np.zeros(len(s.xyz), bool), DESK), "no points are chosen"),
     ],
 )  # fmt: skip
-def test_what_cannot_be_done_is_a_line_and_no_edit(lift: Path, make: object, line: str) -> None:
+def test_what_cannot_be_done_is_a_one_line_error_and_no_edit(lift: Path, make: object, line: str) -> None:
     with pytest.raises(PlgsError, match=line):
         correct(lift, make)  # type: ignore[arg-type]
     assert not (lift / CORRECTIONS).exists()
 
 
-def test_another_lift_of_the_scene_takes_what_it_knows(tmp_path: Path, lift: Path) -> None:
+def test_another_lift_of_the_scene_keeps_what_it_can(tmp_path: Path, lift: Path) -> None:
     correct(lift, split_chairs)
     correct(lift, lambda state, _: m.delete(state, CRUMB))
     correct(lift, lambda state, _: m.rename(state, DESK, "desk"))
@@ -234,7 +234,7 @@ def test_later_versions_are_refused_or_kept(lift: Path) -> None:
 
 
 @pytest.mark.parametrize("text", ["", "{", "[]", '{"format": 1, "edits": [{"kind": "rename"}]}', '{"format": 1}'])
-def test_a_damaged_file_is_a_line_and_stays(lift: Path, text: str) -> None:
+def test_a_damaged_file_is_a_one_line_error_and_is_kept(lift: Path, text: str) -> None:
     (lift / CORRECTIONS).write_text(text)
     for act in (read_corrected, undo, lambda folder: correct(folder, merge(DESK, CRUMB))):
         with pytest.raises(PlgsError, match=r"corrections\.json"):
@@ -254,7 +254,7 @@ def test_two_programs_lose_no_edit(root: Path, lift: Path) -> None:
     assert sorted(names) == sorted(f"{name} {n}" for name in ("one", "other") for n in range(5))
 
 
-def test_masks_that_separate_an_object_are_told(lift: Path) -> None:
+def test_masks_that_separate_an_object_are_proposed(lift: Path) -> None:
     result = read_corrected(lift)
 
     def segment(frame: int, pixels: int) -> MatchedSegment:

@@ -57,7 +57,7 @@ def test_odd_values(lift: Path, original: bytes, data: st.DataObject) -> None:
     survives(lift)
 
 
-def test_what_is_told_of_an_unknown_edit_is_printable(lift: Path, original: bytes) -> None:
+def test_the_report_of_an_unknown_edit_is_printable(lift: Path, original: bytes) -> None:
     content = json.loads(original)
     content["edits"][1]["kind"], content["edits"][2]["time"] = "\ud7fc", "\u202e"
     (lift / CORRECTIONS).write_text(json.dumps(content))
@@ -91,7 +91,7 @@ def test_edits_of_another_lift(lift: Path, original: bytes) -> None:
         (2, {"rest": 77}, "there is no object 77"),
     ],
 )
-def test_an_edit_that_cannot_be(
+def test_an_impossible_edit(
     lift: Path, original: bytes, number: int, changed: dict[str, object], told: str
 ) -> None:
     content = json.loads(original)

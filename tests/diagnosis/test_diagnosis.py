@@ -93,7 +93,7 @@ QUICKLY = ("world-to-camera", "poses in centimetres", "half a pixel")
 
 
 @pytest.mark.parametrize("name", [n if n in QUICKLY else pytest.param(n, marks=pytest.mark.slow) for n in SAFE])
-def test_what_is_planted_is_found_named_and_mended(scene: Path, tmp_path: Path, name: str) -> None:
+def test_planted_faults_are_found_named_and_fixed(scene: Path, tmp_path: Path, name: str) -> None:
     plant, cause = SAFE[name]
     plant(scene)
     before = {path: path.read_bytes() for path in scene.rglob("*") if path.is_file()}
@@ -221,7 +221,7 @@ def test_pictures_of_another_lens_than_depth_are_reported(scene: Path) -> None:
     assert diagnosis.findings[0].figures["scale"] == pytest.approx(1.12, abs=0.02)
 
 
-def test_blur_and_exposure_are_notes(scene: Path) -> None:
+def test_blur_and_exposure_are_only_notes(scene: Path) -> None:
     def shot(number: int, picture: np.ndarray) -> np.ndarray:
         darker = (picture * (1.0 if number % 4 else 0.45)).astype(np.uint8)
         return cv2.GaussianBlur(darker, (0, 0), 4.0) if number in (7, 15) else darker
@@ -234,7 +234,7 @@ def test_blur_and_exposure_are_notes(scene: Path) -> None:
     assert notes["exposure"].figures["times"] == pytest.approx(1 / 0.45, rel=0.2)
 
 
-def test_classes_that_views_exchange_are_a_note(scene: Path) -> None:
+def test_classes_that_views_swap_are_a_note(scene: Path) -> None:
     spoiling.rename_class(scene, {f"{number:04d}" for number in range(0, FRAMES, 2)}, CHAIR_ID, CABINET_ID)
     diagnosis = diagnose(open_scene(scene))
     assert {finding.cause for finding in diagnosis.findings} == {"contradicting classes"}

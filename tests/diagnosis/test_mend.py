@@ -34,7 +34,7 @@ def treated(scene: Scene, mending: Mending) -> Diagnosis:
 
 
 @pytest.mark.usefixtures("unproven")
-def test_nothing_but_what_was_mended_changes(scene: Scene, tmp_path: Path) -> None:
+def test_only_what_was_fixed_changes(scene: Scene, tmp_path: Path) -> None:
     write_mended(scene, treated(scene, Mending(Assumption(unit=2.0), dropped=frozenset({"0002"}))), tmp_path / "out")
     mended = open_scene(tmp_path / "out")
     kept = [frame for frame in scene.frames if frame.name != "0002"]
@@ -85,7 +85,7 @@ def test_a_failure_leaves_no_folder(scene: Scene, tmp_path: Path) -> None:
     assert [path.name for path in tmp_path.iterdir()] == ["scene"]
 
 
-def test_the_command_says_shows_and_mends(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_reports_shows_and_fixes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     folder = write_tiny_scene(tmp_path / "scene", 14, (96, 72))
     for path in (folder / "pose").iterdir():
         np.savetxt(path, np.linalg.inv(np.loadtxt(path)))

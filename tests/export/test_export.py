@@ -208,7 +208,7 @@ def test_refusals(lift: LiftFolder, tmp_path: Path, capsys: pytest.CaptureFixtur
     assert "needs a folder" in told and "no frame 9" in told
 
 
-def test_nobodys_files_are_written_over(lift: LiftFolder, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_no_existing_file_is_overwritten(lift: LiftFolder, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     masks = lift.request.scene / "panoptic.json"
     before = masks.read_bytes()
     assert main(["export", str(lift.path), "--to", "coco", "-o", str(lift.request.scene)]) == 2
@@ -221,7 +221,7 @@ def test_nobodys_files_are_written_over(lift: LiftFolder, tmp_path: Path, capsys
 
 
 @pytest.mark.parametrize("kind", EXPORTS)
-def test_a_frame_that_is_none_is_refused_before_anything_is_written(
+def test_an_unknown_frame_is_refused_before_anything_is_written(
     kind: str, lift: LiftFolder, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Also where all of the lift is exported, whatever frames are named."""

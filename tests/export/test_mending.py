@@ -79,7 +79,7 @@ def test_far_small_pieces_go_to_their_neighbours_or_to_none() -> None:
     np.testing.assert_array_equal(mended[others], label[others])
 
 
-def test_large_pieces_stay_however_far() -> None:
+def test_large_pieces_stay_however_far_away() -> None:
     surface = joined(sheet(20, 20), sheet(10, 10, x=3.0))
     label = np.full(len(surface.xyz), 3, np.int64)
     np.testing.assert_array_equal(without_crumbs(surface, label, np.zeros(len(label), np.bool_)), label)
@@ -92,7 +92,7 @@ def test_a_closed_surface_stays_as_it_is() -> None:
     assert close_holes(pyramid, np.zeros(4, np.int64))[0] is pyramid
 
 
-def test_a_large_piece_of_stuff_goes_to_no_neighbour() -> None:
+def test_a_large_piece_of_stuff_is_not_given_to_a_neighbour() -> None:
     surface = sheet(120, 20)
     x = surface.xyz[:, 0]
     label = np.where(x < 1.8, 3, np.where(x < 2.29, 5, 3))  # wall, a picture, and the wall behind it

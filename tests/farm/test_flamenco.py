@@ -99,13 +99,13 @@ def test_a_name_is_one_argument_whatever_it_says(name: str, root: Path) -> None:
                         "--range", "1-1"]  # fmt: skip
 
 
-def test_frames_that_do_not_follow_one_another_are_commands_of_one_task(root: Path) -> None:
+def test_frames_that_are_not_consecutive_are_commands_of_one_task(root: Path) -> None:
     settings = {"scene": "/room", "output": "/lift", "bake": "frames", "frames": "1-3,7,9", "chunk_size": 9}
     (bake,) = compiled(root, settings)[1:-1]
     assert [line[-1] for line in lines_of(bake)] == ["1-3", "7-7", "9-9"]
 
 
-def test_a_lift_that_is_there_keeps_its_options(root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_existing_lift_keeps_its_options(root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The job that the button writes, for a lift with changed options: its commands go on with that lift."""
     pytest.importorskip("bpy")
     from plgs.plgs_blender.farm_job import write_farm_job

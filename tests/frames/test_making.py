@@ -107,7 +107,7 @@ def test_folders_of_others_and_strange_names_are_refused(archive: Path, tmp_path
 @pytest.mark.parametrize(
     ("kinds", "told"), [(["masks"], "have no masks"), (["cloud", "depth", "masks"], "have no depth and no masks")]
 )
-def test_what_the_scene_has_nothing_of_is_refused(kinds: list[str], told: str, tmp_path: Path) -> None:
+def test_what_the_scene_lacks_is_refused(kinds: list[str], told: str, tmp_path: Path) -> None:
     room = write_tiny_scene(tmp_path / "room", frames=2)
     scene = open_scene(room)
     bare = replace(scene, frames=tuple(replace(frame, read_mask=None, read_depth=None) for frame in scene.frames))
@@ -119,7 +119,7 @@ def test_what_the_scene_has_nothing_of_is_refused(kinds: list[str], told: str, t
     assert [each.name for each in made.scene.posed_frames(room)] == [each.name for each in scene.frames]
 
 
-def test_bad_depth_costs_the_cloud_alone(archive: Path, tmp_path: Path) -> None:
+def test_bad_depth_only_costs_the_cloud(archive: Path, tmp_path: Path) -> None:
     archive.write_bytes(archive.read_bytes()[:-1000] + bytes(1000))
     with pytest.raises(PlgsError, match="depth"):
         make_frames(open_scene(archive), SceneSource(archive), tmp_path / "out", ["colour", "cloud"])
@@ -127,7 +127,7 @@ def test_bad_depth_costs_the_cloud_alone(archive: Path, tmp_path: Path) -> None:
     assert made.cloud is None and all(each.colour is not None for each in made.frames.values())
 
 
-def test_a_bent_lens_is_straight_in_the_files(tmp_path: Path) -> None:
+def test_lens_distortion_is_removed_from_the_files(tmp_path: Path) -> None:
     folder = write_scene(tmp_path / "bent", k1=-0.1)
     scene = open_scene(folder)
     made = make_frames(scene, SceneSource(folder), tmp_path / "out", ["colour"])

@@ -92,7 +92,7 @@ def test_paths_that_stay() -> None:
     assert str(inner_path("passes/12:30 ü.exr")) == "passes/12:30 ü.exr"
 
 
-def test_what_a_terminal_would_obey() -> None:
+def test_terminal_control_characters() -> None:
     assert printable("a\x1b[31mb\r\n\tü\udce9\u202e") == "a?[31mb?\n\tü??"
 
 

@@ -15,31 +15,31 @@ MARKS = [*range(0x00, 0x09), *range(0x0B, 0x20), 0x7F, *range(0x80, 0xA0), 0x200
 
 
 @pytest.mark.parametrize("code", MARKS, ids=hex)
-def test_marks_that_a_terminal_obeys_are_gone(code: int) -> None:
+def test_terminal_control_characters_are_removed(code: int) -> None:
     assert printable(f"a{chr(code)}b") == one_line(f"a{chr(code)}b") == "a?b"
 
 
-def test_letters_of_all_scripts_stay() -> None:
+def test_letters_of_all_scripts_are_kept() -> None:
     assert one_line("Stuhl, 椅子, כיסא, كرسي, 🪑") == "Stuhl, 椅子, כיסא, كرسي, 🪑"
     assert one_line("two\nlines") == "two lines"
 
 
 @pytest.mark.parametrize("text", ["=1+1", "+1", "-1", "@SUM(A1)"])
-def test_no_cell_of_a_table_is_a_formula(text: str) -> None:
+def test_no_table_cell_is_a_formula(text: str) -> None:
     assert table_cell(text) == "'" + text
     assert table_cell("chair") == "chair" and table_cell(-1.5) == -1.5
 
 
 @pytest.mark.parametrize("fit", [table_cell, markdown_cell, plot_label])
-def test_tables_and_plots_have_no_marks_either(fit: Callable[[str], object]) -> None:
+def test_tables_and_plots_have_no_control_characters_either(fit: Callable[[str], object]) -> None:
     assert fit("a\u202eb\nc") == "a?b c"
 
 
-def test_a_cell_of_markdown_ends_nowhere_else_and_has_no_tags() -> None:
+def test_a_markdown_cell_cannot_end_early_or_contain_tags() -> None:
     assert markdown_cell("a|b\\|<img src=x>") == "a\\|b\\\\\\|&lt;img src=x>"
 
 
-def test_a_label_of_a_plot_is_no_formula(tmp_path: Path) -> None:
+def test_a_plot_label_is_not_a_formula(tmp_path: Path) -> None:
     pyplot = pytest.importorskip("matplotlib.pyplot", reason="matplotlib is not installed: requirements/test.txt")
     figure, axes = pyplot.subplots()
     axes.set_title(plot_label(r"a $\nothing{$ b"))
@@ -47,7 +47,7 @@ def test_a_label_of_a_plot_is_no_formula(tmp_path: Path) -> None:
     pyplot.close(figure)
 
 
-def test_an_error_of_many_lines_is_a_short_one() -> None:
+def test_an_error_of_many_lines_is_shortened() -> None:
     said = "Error(s) in loading:\n\t" + "\n\t".join(f"size mismatch for layer.{i}" for i in range(100))
     error = PlgsError(f"the model cannot be read ({said})", "model", "Lift anew.")
     assert error.what.isprintable() and len(error.what) == 600 and "Error(s) in loading: size mismatch" in error.what

@@ -132,7 +132,7 @@ def inventing(*names: str) -> list[View]:
     [(SWALLOWED, "abcdef"), (inventing("a"), "abcdefghij"), (inventing(*"adg"), "abcdefghij")],
     ids=["some draw a chair as wall", "one sees a chair in the wall", "three see a chair in the wall"],
 )
-def test_neither_wall_swallows_a_chair_nor_few_views_invent_one(views: list[View], showing_left: str) -> None:
+def test_walls_swallow_no_chair_and_few_views_invent_none(views: list[View], showing_left: str) -> None:
     objects = objects_in(views)
     left, right, back = owners(objects, LEFT, RIGHT, BACK)
     assert len({left, right, back}) == len(objects.objects) == 3
@@ -140,7 +140,7 @@ def test_neither_wall_swallows_a_chair_nor_few_views_invent_one(views: list[View
     assert all(mask.segment.class_id == CHAIR for mask in objects.objects[left - 1].masks)
 
 
-def test_agreement_says_how_many_views_put_a_mask_to_its_object() -> None:
+def test_agreement_says_how_many_views_assign_a_mask_to_its_object() -> None:
     # Of the six views d splits the left chair; b, which merges it with the right one, abstains.
     views = [good("a"), merged("b"), good("c"), split("d"), good("e"), good("f")]
     objects = objects_in(views)
@@ -159,7 +159,7 @@ def test_a_view_that_missed_an_object_says_nothing_about_it() -> None:
     assert len(objects.objects) == 3 and (objects.object_of_point[LEFT] > 0).all()
 
 
-def test_what_may_be_several_objects_founds_none() -> None:
+def test_what_may_be_several_objects_founds_no_object() -> None:
     ids = np.full(POINTS, 7)
     ids[LEFT], ids[RIGHT] = 3, 3
     views = [strip(name, ids, {3: CHAIR, 7: WALL}, groups=[3]) for name in "abcd"]
@@ -205,7 +205,7 @@ def test_points_show_the_segment_of_most_of_their_inner_pixels() -> None:
 
 @settings(max_examples=40, deadline=None)
 @given(st.integers(0, 10_000), st.integers(1, 12))
-def test_joining_is_the_greedy_one(seed: int, count: int) -> None:
+def test_joining_matches_the_greedy_algorithm(seed: int, count: int) -> None:
     half = np.random.default_rng(seed).integers(-4, 5, (count, count)).astype(np.float64)
     weight = half + half.T
     groups = [[i] for i in range(count)]
@@ -283,7 +283,7 @@ def test_linked_parts_are_joined_as_all_masks_at_once_would_be(seed: int, has_tr
     assert 1 < len(np.unique(at_once)) < len(rows)
 
 
-def test_a_small_thing_that_only_near_views_resolve_is_no_part_of_a_large_one() -> None:
+def test_a_small_thing_that_only_near_views_resolve_is_not_part_of_a_large_one() -> None:
     """Four near views draw a sink in a countertop, twelve far ones draw both as one."""
 
     def countertop(name: str, *, sink: bool) -> View:

@@ -86,7 +86,7 @@ def test_no_view_is_left_out_that_shows_much_that_others_do_not(seed: int, most_
 
 
 @pytest.mark.parametrize(("views", "sight"), [(2000, 18), (600, 120)])
-def test_an_object_of_few_or_many_views_is_found(views: int, sight: int) -> None:
+def test_an_object_in_few_or_many_views_is_found(views: int, sight: int) -> None:
     """Evenly chosen views of so few masks would see one of 18 twice at most; one of 120 has masks in few of them."""
     space = corridor(views, sight)
     options = ConsensusOptions(most_masks=views // 4)

@@ -34,7 +34,7 @@ def test_whatever_their_numbers_and_spacing() -> None:
     assert found(old, new) == LastingObjects({9: 5, 1: 2, 3: 1}, {}, {})
 
 
-def test_one_that_was_half_seen_is_the_same() -> None:
+def test_an_object_that_was_half_seen_is_the_same() -> None:
     old = cloud(0.03, (1, (0, 0, 0), (0.7, 0.8, 0.7)))
     new = cloud(0.03, (2, (0, 0, 0), TABLE))
     assert found(old, new).old_of == {2: 1}

@@ -19,7 +19,7 @@ def test_segments_become_their_instances() -> None:
     assert found.tolist() == [[0, 2, 0, 2]]
 
 
-def test_each_view_has_one_vote_a_point() -> None:
+def test_each_view_has_one_vote_per_point() -> None:
     near, far, other = view("near", [1, 1, 1, 2]), view("far", [2, 0, 0, 2]), view("other", [2, 2, 2, 0])
     # The near view sees point 0 with three pixels, the two others with one each.
     rows = {

@@ -48,7 +48,7 @@ def test_two_chairs_12_cm_apart_stay_two() -> None:
         np.testing.assert_allclose(item.box.centre, np.add(low, high) / 2, atol=0.06)
 
 
-def test_two_chairs_seen_one_a_view_stay_two() -> None:
+def test_two_chairs_seen_one_per_view_stay_two() -> None:
     views = [only(view, 2 + i % 2) for i, view in enumerate(orbit(CHAIRS))]
     assert len(match_views(views, THINGS, SEGMENTS, Matching())) == 2
 
@@ -94,7 +94,7 @@ def unit_box(x: float) -> OrientedBox:
 @pytest.mark.parametrize(
     ("terms", "same", "half"), [("IoU+IoM", -1.5, -0.25 - 0.5), ("IoU", -0.5, -0.25), ("IoM", -1.0, -0.5)]
 )
-def test_costs_of_all_forms(terms: str, same: float, half: float) -> None:
+def test_costs_of_all_kinds(terms: str, same: float, half: float) -> None:
     assert pair_cost(unit_box(0), unit_box(0), terms) == pytest.approx(same)
     assert pair_cost(unit_box(0), unit_box(0.5), terms) == pytest.approx(half)
     assert pair_cost(unit_box(0), unit_box(2), terms) == 0.0

@@ -12,7 +12,7 @@ from tests.semantics.plane_views import CHAIR, CLASS_IDS, FLOOR, SOFA, WALL
 LABELS = PanopticLabels(CLASS_IDS, (SOFA, CHAIR, SOFA))
 
 
-def test_labels_tell_classes_and_objects() -> None:
+def test_labels_name_classes_and_objects() -> None:
     everything = np.arange(len(LABELS))
     assert LABELS.classes(everything).tolist() == [WALL, FLOOR, CHAIR, SOFA, SOFA, CHAIR, SOFA]
     assert LABELS.objects(everything).tolist() == [0, 0, 0, 0, 1, 2, 3]
@@ -50,7 +50,7 @@ def plainly(row: np.ndarray, labels: PanopticLabels, least_share: float) -> tupl
 
 @settings(max_examples=60, deadline=None)
 @given(st.data(), st.integers(0, 10_000), st.sampled_from([0.0, 0.1, 0.25, 0.5]))
-def test_every_row_is_decided_as_told(data: st.DataObject, seed: int, least_share: float) -> None:
+def test_every_row_gets_the_specified_label(data: st.DataObject, seed: int, least_share: float) -> None:
     objects = data.draw(st.lists(st.sampled_from(CLASS_IDS), max_size=6))
     labels = PanopticLabels(CLASS_IDS, tuple(objects))
     random = np.random.default_rng(seed)

@@ -77,7 +77,7 @@ def test_an_object_is_cut_where_no_view_or_few_join_its_pieces(views: list[ViewP
     assert regrouped(two_blocks(FAR), [1, 1], [CHAIR], views) == expected
 
 
-def test_a_piece_in_between_holds_two_others_together() -> None:
+def test_a_piece_in_between_joins_two_others() -> None:
     xyz = np.concatenate([block(0.0), block(FAR), block(2 * FAR)])
     points = 3 * SIZE
     left = view((3, slice(0, 2 * SIZE)), points=points)
@@ -98,7 +98,7 @@ def test_a_piece_in_between_holds_two_others_together() -> None:
     ],
     ids=["seen from both ends", "void does not judge", "told apart", "one view", "two classes", "do not touch"],
 )
-def test_two_objects_are_joined_by_most_views_alone(
+def test_only_a_majority_of_views_joins_two_objects(
     x: float, classes: list[int], views: list[ViewPoints], is_one: bool
 ) -> None:
     expected = ([1, 1], [1]) if is_one else ([1, 2], [1, 2])

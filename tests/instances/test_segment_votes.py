@@ -26,7 +26,7 @@ from tests.semantics.plane_views import CHAIR, CLASS_IDS, SIZE, SOFA, WALL, squa
 
 @settings(max_examples=60, deadline=None)
 @given(st.integers(0, 10_000), st.sampled_from([0.3, 0.5, 0.8]))
-def test_every_segment_is_labelled_as_told(seed: int, agreement: float) -> None:
+def test_every_segment_gets_the_specified_label(seed: int, agreement: float) -> None:
     random = np.random.default_rng(seed)
     mask = PanopticMask(random.integers(0, 6, (4, 7)).astype(np.int32) * 1000, ())
     shown = random.integers(-1, 3, (4, 7))
@@ -69,7 +69,7 @@ def wrong(found: np.ndarray) -> int:
     return int((found.reshape(SIZE[::-1]) != square(OBJECT, WALL_LABEL, COLUMNS, ROWS)).sum())
 
 
-def test_a_view_says_what_its_masks_belong_to() -> None:
+def test_a_view_says_which_objects_its_masks_belong_to() -> None:
     view = drawn("a")
     assert wrong(member_labels(view, LABELS, {("a", SOFA): 1})) == 0
     plain = member_labels(view, LABELS, {("b", SOFA): 1})
@@ -79,7 +79,7 @@ def test_a_view_says_what_its_masks_belong_to() -> None:
     assert (member_labels(void, LABELS, {})[0] == UNKNOWN_LABEL).all()
 
 
-def test_a_view_that_is_wrong_about_the_class_is_taught_by_the_others() -> None:
+def test_a_view_with_the_wrong_class_is_corrected_by_the_others() -> None:
     views = [drawn("a"), drawn("b"), drawn("c", class_id=CHAIR)]
     found = voted(views, {"a", "b"})
     assert wrong(found.label) == 0

@@ -18,7 +18,7 @@ from tests.instances.two_chairs import THINGS, WALL, look, view_of
 CHAIR_BOX = ((-0.3, -0.3, 0.0), (0.3, 0.3, 0.8))
 
 
-def test_only_big_enough_segments_of_the_asked_classes_enter() -> None:
+def test_only_large_enough_segments_of_the_requested_classes_enter() -> None:
     view = view_of("a", look((0, -3, 1.5), (0, 0, 0.4), (160, 120)), [CHAIR_BOX])
     found = local_instances(view, THINGS, SegmentOptions(0.05))
     assert [item.masks[0].segment.id for item in found] == [2]
@@ -49,12 +49,12 @@ def test_distance_to_other_segments_ignores_the_pictures_border() -> None:
     assert (edge_distance(np.ones((4, 4), np.int32)) >= 4).all()
 
 
-def test_thinning_keeps_one_mean_a_voxel() -> None:
+def test_thinning_keeps_one_mean_per_voxel() -> None:
     points = np.array([[0.01, 0.0, 0.0], [0.03, 0.0, 0.0], [-0.01, 0.0, 0.0], [0.0, 0.0, 7.0]])
     np.testing.assert_allclose(thin(points, 0.05), [[-0.01, 0, 0], [0.02, 0, 0], [0.0, 0.0, 7.0]])
 
 
-def test_the_outline_goes_around_the_parts_that_are_not_small() -> None:
+def test_the_outline_goes_around_all_but_small_parts() -> None:
     ids = np.zeros((100, 200), np.int32)
     ids[20:40, 50:100], ids[60:80, 150:170], ids[0:4, 0:4] = 7, 7, 7
     first, second = sorted(outline_of(PanopticMask(ids, ()), 7).split(";"))
@@ -63,7 +63,7 @@ def test_the_outline_goes_around_the_parts_that_are_not_small() -> None:
     assert outline_of(PanopticMask(ids, ()), 9) == ""
 
 
-def test_extents_tell_where_masks_lie_in_the_picture() -> None:
+def test_extents_say_where_masks_lie_in_the_picture() -> None:
     ids = np.zeros((10, 20), np.int32)
     ids[2:4, 5:10], ids[9, 0], ids[0, 19] = 7, 900_000, 900_000
     assert mask_extents(PanopticMask(ids, ())) == {

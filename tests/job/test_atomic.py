@@ -10,7 +10,7 @@ from engine.job import write_atomically
 from engine.job.atomic import PART, files_below, remove_parts
 
 
-def test_writes_bytes_text_and_by_function(tmp_path: Path) -> None:
+def test_it_writes_bytes_text_and_by_function(tmp_path: Path) -> None:
     write_atomically(tmp_path / "deep" / "a.bin", b"\0\1")
     write_atomically(tmp_path / "b.txt", "für")
     write_atomically(tmp_path / "c.png", lambda path: path.write_bytes(path.suffix.encode()))
@@ -39,7 +39,7 @@ def test_a_writer_that_writes_nothing_is_an_error(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
-def test_clears_leftovers_away(tmp_path: Path) -> None:
+def test_it_clears_leftovers_away(tmp_path: Path) -> None:
     (tmp_path / "deep" / (PART + "folder")).mkdir(parents=True)
     for path in (tmp_path / (PART + "x"), tmp_path / "deep" / (PART + "folder") / "y", tmp_path / "deep" / "kept"):
         path.write_bytes(b"")

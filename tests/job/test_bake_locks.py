@@ -8,7 +8,7 @@ from engine.job import BakeLocks
 from engine.job.lock import FileLock
 
 
-def test_a_view_is_one_process_s(tmp_path: Path) -> None:
+def test_each_view_belongs_to_one_process(tmp_path: Path) -> None:
     with BakeLocks(tmp_path) as locks:
         with locks.claim("shot / 1") as first, locks.claim("shot / 1") as second, locks.claim("shot / 2") as other:
             assert (first, second, other) == (True, False, True)
@@ -16,7 +16,7 @@ def test_a_view_is_one_process_s(tmp_path: Path) -> None:
             assert again
 
 
-def test_who_is_at_work(tmp_path: Path) -> None:
+def test_it_knows_whether_others_are_baking(tmp_path: Path) -> None:
     assert not BakeLocks(tmp_path).others_at_work()
     with BakeLocks(tmp_path) as locks:
         assert not locks.others_at_work()

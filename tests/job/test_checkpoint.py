@@ -47,7 +47,7 @@ def _no_waiting_for_the_disk(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(os, "fsync", lambda descriptor: None)
 
 
-def test_a_failing_writer_leaves_the_last_one(tmp_path: Path) -> None:
+def test_a_failing_writer_leaves_the_last_checkpoint(tmp_path: Path) -> None:
     store = CheckpointStore(tmp_path)
     save(store, 1)
     with pytest.raises(OSError, match="no space"):
@@ -55,7 +55,7 @@ def test_a_failing_writer_leaves_the_last_one(tmp_path: Path) -> None:
     assert step_of(store) == 1
 
 
-def test_falls_back_to_an_older_whole_one(tmp_path: Path) -> None:
+def test_it_falls_back_to_an_older_complete_checkpoint(tmp_path: Path) -> None:
     store = CheckpointStore(tmp_path)
     save(store, 1)
     shutil.copytree(tmp_path / "checkpoint", tmp_path / "checkpoint.old")
@@ -65,7 +65,7 @@ def test_falls_back_to_an_older_whole_one(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("damage", ["changed", "missing", "no index", "format"])
-def test_a_damaged_one_is_an_error_not_a_silent_new_start(tmp_path: Path, damage: str) -> None:
+def test_a_damaged_checkpoint_is_an_error_and_not_a_silent_restart(tmp_path: Path, damage: str) -> None:
     store = CheckpointStore(tmp_path)
     save(store, 1)
     model, index = tmp_path / "checkpoint" / "model.bin", tmp_path / "checkpoint" / "state.json"

@@ -19,7 +19,7 @@ def lines(path: Path) -> list[dict[str, object]]:
     return [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
 
 
-def test_writes_what_the_contract_says(tmp_path: Path) -> None:
+def test_it_writes_what_the_contract_says(tmp_path: Path) -> None:
     path = tmp_path / "events.jsonl"
     writer = EventWriter(path)
     writer.hello(threads=2, resumed=False)
@@ -47,7 +47,7 @@ def test_writes_what_the_contract_says(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("torn", [b'{"seq": 3, "time": 1.0, "ev', b"\0\0\0\0", b'{"seq":3,"time":1.0,"event":"done"}'])
-def test_goes_on_after_a_torn_line(tmp_path: Path, torn: bytes) -> None:
+def test_it_continues_after_a_torn_line(tmp_path: Path, torn: bytes) -> None:
     path = tmp_path / "events.jsonl"
     first = EventWriter(path)
     first.warning("one")
@@ -63,7 +63,7 @@ def test_goes_on_after_a_torn_line(tmp_path: Path, torn: bytes) -> None:
     assert [event.seq for event in reader.poll()] == [3]
 
 
-def test_reads_every_line_once_however_it_arrives(tmp_path: Path) -> None:
+def test_it_reads_every_line_once_however_it_arrives(tmp_path: Path) -> None:
     path = tmp_path / "events.jsonl"
     source = tmp_path / "source.jsonl"
     writer = EventWriter(source)
@@ -78,7 +78,7 @@ def test_reads_every_line_once_however_it_arrives(tmp_path: Path) -> None:
     assert seen == [1, 2, 3, 4, 5]
 
 
-def test_leaves_out_what_it_does_not_know(tmp_path: Path) -> None:
+def test_it_leaves_out_what_it_does_not_know(tmp_path: Path) -> None:
     path = tmp_path / "events.jsonl"
     path.write_text(
         '{"seq":1,"time":0,"event":"warning","message":"a"}\nnonsense\n[1]\n{"seq":2}\n'
@@ -90,7 +90,7 @@ def test_leaves_out_what_it_does_not_know(tmp_path: Path) -> None:
     assert json.loads(path.read_text().splitlines()[-1])["seq"] == 5
 
 
-def test_begins_at_the_end_when_asked(tmp_path: Path) -> None:
+def test_it_begins_at_the_end_when_asked(tmp_path: Path) -> None:
     path = tmp_path / "events.jsonl"
     writer = EventWriter(path)
     writer.warning("old")
@@ -121,7 +121,7 @@ def test_two_threads_never_mix_their_lines(tmp_path: Path) -> None:
     assert [entry["seq"] for entry in lines(path)] == list(range(1, 801))
 
 
-def test_last_run_begins_with_the_last_hello(tmp_path: Path) -> None:
+def test_the_last_run_begins_with_the_last_hello(tmp_path: Path) -> None:
     path = tmp_path / "events.jsonl"
     writer = EventWriter(path)
     writer.hello(threads=1, resumed=False)
@@ -144,7 +144,7 @@ def a_long_run(path: Path) -> EventWriter:
     return writer
 
 
-def test_a_hurried_reader_takes_a_part_at_a_time_and_the_newest_progress(tmp_path: Path) -> None:
+def test_a_reader_in_a_hurry_reads_in_parts_and_gets_the_newest_progress(tmp_path: Path) -> None:
     path = tmp_path / "events.jsonl"
     writer = a_long_run(path)
     reader, polls, seen = EventReader(path, hurried=True), 0, []
@@ -196,7 +196,7 @@ def test_bad_events_are_dropped(tmp_path: Path, line: str) -> None:
     EventWriter(path).warning("goes on")
 
 
-def test_a_full_disk_tears_no_line_that_the_next_would_be_lost_in(
+def test_a_full_disk_leaves_no_half_line_that_swallows_the_next(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path, write = tmp_path / "events.jsonl", os.write
@@ -239,7 +239,7 @@ def test_a_huge_file_without_lines_is_neither_read_nor_cut(tmp_path: Path) -> No
     assert bytes_read() - before < 100 << 20
 
 
-def test_texts_that_are_no_utf8_are_escaped(tmp_path: Path) -> None:
+def test_texts_that_are_not_utf8_are_escaped(tmp_path: Path) -> None:
     writer = EventWriter(tmp_path / "events.jsonl")
     writer.warning("b\udce9d")
     assert [event.data["message"] for event in EventReader(tmp_path / "events.jsonl").poll()] == ["b\udce9d"]

@@ -177,7 +177,7 @@ def test_a_first_manifest(rounds: Rounds) -> None:
         assert names_in(result) == {"a", "b"}
 
 
-def test_more_in_a_manifest(rounds: Rounds) -> None:
+def test_files_are_added_to_a_manifest(rounds: Rounds) -> None:
     def prepare(result: Path) -> None:
         lay(result, "a", "b")
         finish(result)

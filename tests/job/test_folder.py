@@ -23,20 +23,20 @@ def run_tiny(folder: LiftFolder) -> None:
     events.close()
 
 
-def test_opens_what_was_created(tmp_path: Path) -> None:
+def test_it_opens_what_was_created(tmp_path: Path) -> None:
     folder = new_lift(tmp_path / "deep")
     again = LiftFolder.open(folder.path)
     assert again == folder and again.state() is LiftState.NOT_STARTED
     assert [path.name for path in folder.path.iterdir()] == ["request.json"]
 
 
-def test_takes_an_empty_folder_even_after_a_kill_in_create(tmp_path: Path) -> None:
+def test_it_takes_an_empty_folder_even_after_a_kill_in_create(tmp_path: Path) -> None:
     (tmp_path / "lift").mkdir()
     (tmp_path / "lift" / ".part-123-request.json").write_text("{")
     assert new_lift(tmp_path).state() is LiftState.NOT_STARTED
 
 
-def test_never_takes_over_a_folder(tmp_path: Path) -> None:
+def test_it_never_takes_over_a_folder(tmp_path: Path) -> None:
     folder = new_lift(tmp_path)
     before = (folder.path / "request.json").read_bytes()
     with pytest.raises(PlgsError, match="already holds a lift.*--resume"):
@@ -54,18 +54,18 @@ def test_never_takes_over_a_folder(tmp_path: Path) -> None:
 
 
 @pytest.mark.skipif(os.name == "nt" or os.geteuid() == 0, reason="root may write everywhere")
-def test_says_when_it_may_not_write(tmp_path: Path) -> None:
+def test_it_says_when_it_may_not_write(tmp_path: Path) -> None:
     tmp_path.chmod(0o500)
     with pytest.raises(PlgsError, match="cannot be written"):
         new_lift(tmp_path)
 
 
-def test_says_when_a_folder_cannot_be_made(tmp_path: Path) -> None:
+def test_it_says_when_a_folder_cannot_be_made(tmp_path: Path) -> None:
     with pytest.raises(PlgsError, match="cannot be written"):
         new_lift(tmp_path, "n" * 300)
 
 
-def test_refuses_what_is_no_lift(tmp_path: Path) -> None:
+def test_it_refuses_what_is_not_a_lift(tmp_path: Path) -> None:
     for path in (tmp_path, tmp_path / "missing"):
         with pytest.raises(PlgsError):
             LiftFolder.open(path)
@@ -89,7 +89,7 @@ def test_the_state_is_what_happened(tmp_path: Path) -> None:
     assert folder.state() is LiftState.FINISHED
 
 
-def test_a_glance_sees_the_same_without_looking_at_the_files(tmp_path: Path) -> None:
+def test_a_quick_look_finds_the_same_without_reading_the_files(tmp_path: Path) -> None:
     folder = new_lift(tmp_path)
     assert folder.state_at_a_glance() is LiftState.NOT_STARTED
     events = EventWriter(folder.events_path)
@@ -114,7 +114,7 @@ def test_events_alone_never_make_it_finished(tmp_path: Path) -> None:
     assert folder.state() is LiftState.INTERRUPTED
 
 
-def test_preparing_a_run_clears_what_must_not_outlive_the_last(tmp_path: Path) -> None:
+def test_preparing_a_run_clears_what_must_not_outlive_the_last_one(tmp_path: Path) -> None:
     folder = new_lift(tmp_path)
     run_tiny(folder)
     folder.checkpoints.save({"step": 1}, lambda path: (path / "m").write_bytes(b""))
@@ -139,7 +139,7 @@ def test_a_file_that_cannot_be_read_now_is_kept(tmp_path: Path, monkeypatch: pyt
     assert (folder.result_path / "metrics.json").exists() and folder.manifest_path.exists()
 
 
-def test_discards_only_what_came_to_nothing(tmp_path: Path) -> None:
+def test_it_discards_only_what_was_never_started(tmp_path: Path) -> None:
     empty = new_lift(tmp_path, "empty")
     empty.log_path.write_text("bad input")
     empty.discard()
@@ -195,7 +195,7 @@ def test_paths_that_no_folder_can_have(tmp_path: Path) -> None:
             LiftFolder.create(tmp_path / name, request)
 
 
-def test_a_folder_in_place_of_the_events_is_told(tmp_path: Path) -> None:
+def test_a_folder_in_place_of_the_events_is_reported(tmp_path: Path) -> None:
     lift = new_lift(tmp_path)
     lift.events_path.mkdir()
     with pytest.raises(PlgsError, match=r"cannot be opened.*events\.jsonl"):

@@ -18,7 +18,7 @@ from tests.job.following import Start, follow, step_reached
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="POSIX signals")
 
 
-def test_follows_to_the_end(folder: LiftFolder, start: Start) -> None:
+def test_it_follows_to_the_end(folder: LiftFolder, start: Start) -> None:
     follower = start("short")
     follow(follower)
     assert follower.error is None
@@ -28,7 +28,7 @@ def test_follows_to_the_end(folder: LiftFolder, start: Start) -> None:
     assert "python talks\n" in log and "native code talks\n" in log
 
 
-def test_cancel_stops_it_and_resume_goes_on(folder: LiftFolder, start: Start) -> None:
+def test_cancel_stops_it_and_resume_continues_it(folder: LiftFolder, start: Start) -> None:
     follower = start("patient")
     follow(follower, step_reached(follower, 3))
     follower.cancel()
@@ -63,7 +63,7 @@ class DeafEngine:
 
 
 @pytest.mark.parametrize("asked_by", ["us", "somebody else"])
-def test_a_deaf_engine_has_half_a_second_and_less_than_a_whole_one(folder: LiftFolder, asked_by: str) -> None:
+def test_a_hanging_engine_gets_between_half_a_second_and_one_second(folder: LiftFolder, asked_by: str) -> None:
     now, engine = [100.0], DeafEngine()
     follower = TaskFollower(folder.place, engine, lift=folder, clock=lambda: now[0])
     follower.poll()
@@ -81,7 +81,7 @@ def test_a_deaf_engine_has_half_a_second_and_less_than_a_whole_one(folder: LiftF
 
 
 @pytest.mark.parametrize("behaviour", ["deaf", "holds the lock"])
-def test_cancel_ends_a_deaf_engine(folder: LiftFolder, start: Start, behaviour: str) -> None:
+def test_cancel_ends_a_hanging_engine(folder: LiftFolder, start: Start, behaviour: str) -> None:
     follower = start(behaviour)
     follow(follower, step_reached(follower, 5))
     folder.cancel_path.touch()  # somebody else asks
@@ -111,7 +111,7 @@ def test_cancel_follows_no_link(folder: LiftFolder, start: Start, tmp_path: Path
     assert follower.state is TaskState.CANCELLED and not (tmp_path / "elsewhere").exists()
 
 
-def test_a_killed_engine_is_told_and_can_be_resumed(folder: LiftFolder, start: Start) -> None:
+def test_a_killed_engine_is_reported_and_can_be_resumed(folder: LiftFolder, start: Start) -> None:
     follower = start("patient")
     follow(follower, step_reached(follower, 3))
     follower.kill()
@@ -135,7 +135,7 @@ def test_a_killed_engine_is_told_and_can_be_resumed(folder: LiftFolder, start: S
         ("exits", ErrorCode.INTERNAL, "{log}", "python talks"),
     ],
 )
-def test_every_end_is_told(
+def test_every_ending_is_reported(
     folder: LiftFolder, start: Start, behaviour: str, code: ErrorCode, told: str, logged: str
 ) -> None:
     if behaviour == "memory of torch":
@@ -151,7 +151,7 @@ def test_every_end_is_told(
     assert folder.state() in (LiftState.FAILED, LiftState.INTERRUPTED)
 
 
-def test_what_stops_it_before_it_begins_is_told(folder: LiftFolder, start: Start) -> None:
+def test_what_stops_it_before_it_begins_is_reported(folder: LiftFolder, start: Start) -> None:
     with folder.lock():
         follower = start("short")
         follow(follower)
@@ -188,7 +188,7 @@ def test_without_resume_a_begun_lift_is_refused(folder: LiftFolder, start: Start
     assert folder.events_path.read_bytes() == before
 
 
-def test_a_folder_that_goes_during_the_lift_is_told(folder: LiftFolder, start: Start) -> None:
+def test_a_folder_that_vanishes_during_the_lift_is_reported(folder: LiftFolder, start: Start) -> None:
     follower = start("patient")
     follow(follower, step_reached(follower, 2))
     follower.kill()

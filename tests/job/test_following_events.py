@@ -21,7 +21,7 @@ from tests.job.lift_folders import new_lift
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="POSIX signals")
 
 
-def test_a_poll_takes_little_however_much_was_told(folder: LiftFolder) -> None:
+def test_a_poll_is_quick_however_much_was_reported(folder: LiftFolder) -> None:
     events = EventWriter(folder.events_path)
     events.hello(threads=1, resumed=False)
     events.stage("train", 1, 1, "Training")
@@ -47,7 +47,7 @@ def test_a_poll_takes_little_however_much_was_told(folder: LiftFolder) -> None:
     ("said", "state"),
     [("finished", TaskState.FINISHED), ("cancelled", TaskState.CANCELLED), (None, TaskState.FAILED)],
 )
-def test_how_a_bake_ended_is_not_how_the_lift_is(
+def test_the_end_of_a_bake_is_not_the_state_of_the_lift(
     folder: LiftFolder, start: Start, said: str | None, state: TaskState
 ) -> None:
     follow(start("short"))
@@ -64,7 +64,7 @@ def test_how_a_bake_ended_is_not_how_the_lift_is(
 
 
 @pytest.mark.parametrize("number", ["NaN", "Infinity", "-Infinity", "1e999", "1" + "0" * 400, '"x"', "null"])
-def test_numbers_that_are_none_are_passed_over(folder: LiftFolder, number: str) -> None:
+def test_invalid_numbers_are_skipped(folder: LiftFolder, number: str) -> None:
     line = f'{{"seq": 1, "time": 0, "event": "progress", "step": {number}, "steps": 9, "loss": 1, "eta_s": {number}}}'
     folder.events_path.write_text(line + "\n")
     watcher = watch(folder)
@@ -74,7 +74,7 @@ def test_numbers_that_are_none_are_passed_over(folder: LiftFolder, number: str) 
 
 
 @pytest.mark.parametrize("number", [errno.EIO, errno.ESTALE])
-def test_a_disk_that_does_not_answer_for_a_moment_ends_no_lift(
+def test_a_lift_survives_a_disk_that_does_not_answer_for_a_moment(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: int
 ) -> None:
     folder, now = new_lift(tmp_path), [0.0]

@@ -49,7 +49,7 @@ def reattached(folder: LiftFolder) -> TaskFollower:
     return watch(folder)
 
 
-def test_an_engine_that_goes_on_without_its_parent(folder: LiftFolder, root: Path) -> None:
+def test_an_engine_that_outlives_its_parent(folder: LiftFolder, root: Path) -> None:
     with start_parent(root, folder, "patient") as parent:
         watcher = reattached(folder)
         follow(watcher, step_reached(watcher, 5))
@@ -87,7 +87,7 @@ def test_the_engine_ends_when_its_parent_is_killed(folder: LiftFolder, root: Pat
 
 
 @pytest.mark.parametrize(("behaviour", "told"), [("segfault", "Segmentation fault"), ("memory", "MemoryError")])
-def test_a_crash_is_told_to_who_comes_later(folder: LiftFolder, start: Start, behaviour: str, told: str) -> None:
+def test_a_crash_is_reported_to_later_followers(folder: LiftFolder, start: Start, behaviour: str, told: str) -> None:
     failed = start("broken")
     follow(failed)
     follow(start(behaviour, resume=True))
@@ -98,7 +98,7 @@ def test_a_crash_is_told_to_who_comes_later(folder: LiftFolder, start: Start, be
     assert any(told in line for line in watcher.log_lines)
 
 
-def test_a_kill_is_told_to_who_comes_later(folder: LiftFolder, start: Start) -> None:
+def test_a_kill_is_reported_to_later_followers(folder: LiftFolder, start: Start) -> None:
     own = start("patient")
     follow(own, step_reached(own, 3))
     watcher = watch(folder)
@@ -109,7 +109,7 @@ def test_a_kill_is_told_to_who_comes_later(folder: LiftFolder, start: Start) -> 
     assert any("python talks" in line for line in watcher.log_lines)
 
 
-def test_an_engine_of_ones_own_that_goes_on(folder: LiftFolder) -> None:
+def test_ones_own_engine_that_keeps_running(folder: LiftFolder) -> None:
     def start_one(behaviour: str, *more: str) -> TaskFollower:
         return start_fake(folder, behaviour, *more, stays_with_parent=False)
 

@@ -57,7 +57,7 @@ def lift_until_full(disk: Path, at: int) -> object:
 
 
 @pytest.mark.parametrize("at", [1, 2, 7, STEPS, STEPS + 1])
-def test_a_lift_goes_on_when_there_is_room_again(disk: Path, at: int, capfd: pytest.CaptureFixture[str]) -> None:
+def test_a_lift_continues_when_there_is_room_again(disk: Path, at: int, capfd: pytest.CaptureFixture[str]) -> None:
     folder = LiftFolder.create(disk / "lift", LiftRequest(scene=disk))
     code = run_engine(folder, lift=lift_until_full(disk, at))  # type: ignore[arg-type]
     said = capfd.readouterr().err

@@ -60,7 +60,7 @@ def hold(root: Path, tmp_path: Path) -> Iterator[Hold]:
         process.communicate()
 
 
-def test_who_beats_keeps_it(hold: Hold, tmp_path: Path) -> None:
+def test_heartbeat_keeps_the_lease(hold: Hold, tmp_path: Path) -> None:
     holder = hold()
     for wait_s in (0.0, 0.2):
         with pytest.raises(PlgsError) as refused, Lease(tmp_path / "work", wait_s):
@@ -122,7 +122,7 @@ def test_after_a_kill_on_this_machine_it_is_taken_over_at_once(hold: Hold, tmp_p
         pass
 
 
-def test_one_that_stood_still_ends_when_it_wakes(hold: Hold, tmp_path: Path) -> None:
+def test_a_suspended_engine_ends_when_it_wakes(hold: Hold, tmp_path: Path) -> None:
     holder = hold()
     holder.send_signal(signal.SIGSTOP)
     with Lease(tmp_path / "work"):
@@ -132,7 +132,7 @@ def test_one_that_stood_still_ends_when_it_wakes(hold: Hold, tmp_path: Path) -> 
     assert "another machine took this over" in holder.communicate()[1]
 
 
-def test_of_many_that_want_what_is_stale_one_gets_it(
+def test_only_one_of_many_gets_a_stale_lease(
     hold: Hold, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # Stale at once, as its process is dead. The threads have long, so that none is stale on a machine that halts.
@@ -158,7 +158,7 @@ def test_of_many_that_want_what_is_stale_one_gets_it(
         assert any(list(pool.map(take, range(8))))
 
 
-def test_one_at_a_time_takes_away_what_is_stale(hold: Hold, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_only_one_process_removes_a_stale_lease(hold: Hold, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Else the second would take away what the first has just taken. A guard that a crash left goes, too."""
     monkeypatch.setattr(lease, "STALE_S", 30.0)
     holder = hold(lease.MACHINE)
@@ -178,7 +178,7 @@ def test_one_at_a_time_takes_away_what_is_stale(hold: Hold, tmp_path: Path, monk
     assert [*tmp_path.iterdir()] == []
 
 
-def test_what_is_no_lease_is_taken_over_too(tmp_path: Path) -> None:
+def test_what_is_not_a_lease_is_taken_over_too(tmp_path: Path) -> None:
     lease_of(tmp_path / "work").write_text("cut o")
     with Lease(tmp_path / "work"):
         pass

@@ -24,18 +24,18 @@ def limit(folder: Path, most: str, held: int) -> Path:
     return folder
 
 
-def test_of_the_machine(proc: Path, tmp_path: Path) -> None:
+def test_the_memory_of_the_machine(proc: Path, tmp_path: Path) -> None:
     assert main_memory(proc, tmp_path) == MainMemory(1_024_000, 614_400)
     assert main_memory(proc, limit(tmp_path, "max\n", 5)) == MainMemory(1_024_000, 614_400)
 
 
-def test_of_a_container(proc: Path, tmp_path: Path) -> None:
+def test_the_memory_limit_of_a_container(proc: Path, tmp_path: Path) -> None:
     assert main_memory(proc, limit(tmp_path, "500000\n", 100_000)) == MainMemory(500_000, 400_000)
     assert main_memory(proc, limit(tmp_path, "500000", 900_000)) == MainMemory(500_000, 0)
     assert main_memory(proc, limit(tmp_path, "900000000", 0)) == MainMemory(1_024_000, 614_400)
 
 
-def test_a_share_of_it(proc: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_part_of_the_memory(proc: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv(SHARE, "0.0005")
     assert main_memory(proc, tmp_path) == MainMemory(500_000, 500_000)
     monkeypatch.setenv(SHARE, "5")

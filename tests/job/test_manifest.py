@@ -21,7 +21,7 @@ def result(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def test_lists_every_file(result: Path) -> None:
+def test_it_lists_every_file(result: Path) -> None:
     manifest = verify(result)
     assert [(str(file.path), file.bytes) for file in manifest.files] == [("anchors.npz", 7), ("passes/0001.exr", 6)]
     assert manifest.seed == 7 and manifest.settings == {"steps": 3}
@@ -35,7 +35,7 @@ def test_writing_it_again_changes_nothing(result: Path) -> None:
     assert (result / "manifest.json").read_bytes() == before
 
 
-def test_sees_what_changed(result: Path) -> None:
+def test_it_sees_what_changed(result: Path) -> None:
     (result / "anchors.npz").write_bytes(b"ANCHORS")
     check_sizes(result)
     with pytest.raises(PlgsError, match=r"was changed.*anchors\.npz"):
@@ -48,7 +48,7 @@ def test_sees_what_changed(result: Path) -> None:
         check_sizes(result)
 
 
-def test_refuses_a_damaged_manifest(result: Path) -> None:
+def test_it_refuses_a_damaged_manifest(result: Path) -> None:
     path = result / "manifest.json"
     whole = json.loads(path.read_text())
     for change in (

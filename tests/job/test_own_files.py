@@ -58,7 +58,7 @@ def test_nothing_outside_is_touched(name: str, make: Callable[[Path, Path], None
             LiftFolder.open(folder.path)
 
 
-def test_what_others_put_beside_a_lift_is_theirs(tmp_path: Path) -> None:
+def test_what_others_put_beside_a_lift_is_left_alone(tmp_path: Path) -> None:
     folder = new_lift(tmp_path)
     (folder.path / "lift.blend").symlink_to(tmp_path / "elsewhere.blend")
     assert run_engine(folder, lift=tiny_lift) == 0
@@ -89,7 +89,7 @@ WAYS_IN: list[Callable[[Path], object]] = [
 
 
 @pytest.mark.parametrize("open_it", WAYS_IN)
-def test_links_and_fifos_that_come_later_are_refused_as_well(open_it: Callable[[Path], object], tmp_path: Path) -> None:
+def test_links_and_fifos_that_appear_later_are_also_refused(open_it: Callable[[Path], object], tmp_path: Path) -> None:
     outside = folder_of_theirs(tmp_path)
     for name, make in (("link", link), ("fifo", fifo)):
         make(tmp_path / name, outside)
@@ -111,7 +111,7 @@ def test_events_cannot_name_files_elsewhere(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("path", ["../x", "/etc/passwd", "\\\\host\\share\\x", "..\\x", "c:\\x"])
-def test_manifests_and_checkpoints_cannot_either(path: str, tmp_path: Path) -> None:
+def test_manifests_and_checkpoints_cannot_be_links_either(path: str, tmp_path: Path) -> None:
     folder = new_lift(tmp_path)
     run_engine(folder, lift=tiny_lift)
     manifest = folder.manifest_path

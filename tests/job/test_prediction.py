@@ -33,13 +33,13 @@ def test_more_work_takes_longer_and_more_memory() -> None:
     assert predict(1, 0, (64, 48), replace(standard, steps=1)).seconds > 0
 
 
-def test_many_views_take_the_steps_that_they_need() -> None:
+def test_many_views_get_the_steps_that_they_need() -> None:
     preset = replace(PRESETS["standard"], steps=1000, steps_a_view=10.0)
     few, enough, many = (predict(views, 0, (320, 240), preset).stages["train"] for views in (50, 100, 300))
     assert few == pytest.approx(enough) and many == pytest.approx(3 * enough)
 
 
-def test_the_machine_is_learnt_from_its_lifts(tmp_path: Path) -> None:
+def test_the_speed_of_the_machine_is_learnt_from_its_lifts(tmp_path: Path) -> None:
     assert machine_slowness(tmp_path) == 1.0
     usual = step_seconds(0.0768, 0.6)
     for factor in (2.0, 2.2, 9.0):
@@ -55,14 +55,14 @@ def test_the_machine_is_learnt_from_its_lifts(tmp_path: Path) -> None:
     ["{", "[]", '{"format": 1}', '{"format": 1, "slowness": ["x", -1, 0, 1e99]}', "\0", "[" * 100_000],
     ids=range(6),
 )
-def test_a_broken_file_is_passed_over(tmp_path: Path, content: str) -> None:
+def test_a_broken_file_is_skipped(tmp_path: Path, content: str) -> None:
     (tmp_path / "speed.json").write_text(content)
     assert machine_slowness(tmp_path) == 1.0
     learn_slowness(0.8, 0.0768, 0.6, tmp_path)
     assert machine_slowness(tmp_path) != 1.0
 
 
-def test_needs_neither_torch_nor_numpy(root: Path) -> None:
+def test_it_needs_neither_torch_nor_numpy(root: Path) -> None:
     code = "import engine.job.prediction, sys; assert not {'torch', 'numpy'} & set(sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], cwd=root, timeout=120).returncode == 0
 
@@ -91,7 +91,7 @@ LIFTS = (
 
 
 @pytest.mark.parametrize("lift", LIFTS, ids=lambda lift: f"{lift.frames[0]} in {lift.seconds:.0f} s")
-def test_it_is_near_what_lifts_took(lift: Measured) -> None:
+def test_it_is_close_to_what_lifts_took(lift: Measured) -> None:
     """Within a factor of 1.5, once it is known how fast the machine was, which the training steps tell."""
     about = {"bake": "none", "masks_a_frame": lift.masks, "classes": 18}
     usual = predict(*lift.frames, lift.size, PRESETS["preview"], **about)  # type: ignore[arg-type]
@@ -109,7 +109,7 @@ def test_more_masks_classes_and_votes_take_more() -> None:
     assert predict(300, 10, (1296, 968), replace(preset, labels="decoders")).stages["result"] < base.stages["result"]
 
 
-def test_frames_that_are_not_chosen_cost_a_look_and_a_vote_at_most() -> None:
+def test_frames_that_are_not_chosen_cost_at_most_a_look_and_a_vote() -> None:
     voting = replace(PRESETS["preview"], frames=100)
     preset = replace(voting, all_frames_vote=False)
     size = (640, 480)
@@ -122,7 +122,7 @@ def test_frames_that_are_not_chosen_cost_a_look_and_a_vote_at_most() -> None:
     assert predict(100, 10, size, voting) == few, "where all are trained on nobody else votes"
 
 
-def test_what_a_bake_costs_grows_with_its_pixels() -> None:
+def test_the_cost_of_a_bake_grows_with_its_pixels() -> None:
     one, many = predict_bake(1, (1920, 1080)), predict_bake(2000, (1920, 1080), slowness=2.0)
     more = predict_bake(1, (1920, 1080), layers=FURTHER_LAYERS)
     assert 2.3 < more.bytes / one.bytes < 2.7, "docs/passes.md: 52 and 21 MB"

@@ -40,7 +40,7 @@ def test_what_is_written_is_read_again(tmp_path: Path) -> None:
         {"frame": 4, "width": None},
     ],
 )
-def test_what_is_no_camera_is_refused(tmp_path: Path, change: dict[str, object]) -> None:
+def test_what_is_not_a_camera_is_refused(tmp_path: Path, change: dict[str, object]) -> None:
     path = tmp_path / "preview.json"
     whole = {"camera_to_world": POSE, "K": LENS, "width": 320, "height": 240}
     path.write_text(json.dumps(whole | change))

@@ -75,7 +75,7 @@ def test_the_order_in_which_pythons_are_chosen(
     assert pythons == [Path(sys.executable), beside, made, tmp_path / "mine", Path("/theirs").absolute()]
 
 
-def test_an_environment_of_other_requirements_is_none(code: Path, root: Path, environ: dict[str, str]) -> None:
+def test_an_environment_of_other_requirements_does_not_count(code: Path, root: Path, environ: dict[str, str]) -> None:
     folder = environments_folder(environ) / "engine-3.11-000000000000"
     add_environment(folder)
     (folder / COMPLETE).touch()
@@ -83,7 +83,7 @@ def test_an_environment_of_other_requirements_is_none(code: Path, root: Path, en
     assert made_environment(code / "no code", environ) is None
 
 
-def test_an_environment_whose_python_is_gone_is_none(code: Path, environ: dict[str, str]) -> None:
+def test_an_environment_whose_python_is_gone_does_not_count(code: Path, environ: dict[str, str]) -> None:
     folder = environments_folder(environ) / environment_name(code, (3, 11))
     python = add_environment(folder)
     (folder / COMPLETE).touch()
@@ -142,7 +142,7 @@ def _lives(pid: int) -> bool:
 @pytest.mark.parametrize(
     ("body", "told"), [("true", "as a Python"), ('echo "$@"', "as a Python"), ("sleep 9", "answer")]
 )
-def test_what_is_no_python_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, body: str, told: str) -> None:
+def test_what_is_not_a_python_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, body: str, told: str) -> None:
     script = tmp_path / "python"
     script.write_text(f"#!/bin/sh\nexec {body}\n" if told == "answer" else f"#!/bin/sh\n{body}\n")
     script.chmod(0o755)
@@ -152,14 +152,14 @@ def test_what_is_no_python_is_refused(tmp_path: Path, monkeypatch: pytest.Monkey
         missing_modules(script, ["torch"])
 
 
-def test_what_another_python_says_as_it_starts_is_no_answer(tmp_path: Path) -> None:
+def test_what_another_python_prints_at_its_start_is_not_an_answer(tmp_path: Path) -> None:
     script = tmp_path / "python"
     script.write_text(f'#!/bin/sh\necho hello\nexec {sys.executable} "$@"\n')
     script.chmod(0o755)
     assert missing_modules(script, ["json", "no_such_module"]) == ["no_such_module"]
 
 
-def test_a_path_that_no_program_can_be_told(tmp_path: Path) -> None:
+def test_a_path_that_cannot_be_passed_to_a_program(tmp_path: Path) -> None:
     with (tmp_path / "log").open("wb") as log, pytest.raises(PlgsError, match="null byte"):
         ChildProcess([sys.executable, "a\0b"], cwd=tmp_path, environment={}, output=log)
 

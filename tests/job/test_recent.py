@@ -29,7 +29,7 @@ def test_the_newest_comes_first_and_once(tmp_path: Path) -> None:
     assert lifts[0].state is LiftState.NOT_STARTED
 
 
-def test_what_became_of_them(tmp_path: Path) -> None:
+def test_the_state_of_recent_lifts_is_known(tmp_path: Path) -> None:
     cache = tmp_path / "cache"
     finished, running, gone, broken = (new_lift(tmp_path, name) for name in ("finished", "running", "gone", "broken"))
     for folder in (finished, running, gone, broken):
@@ -55,7 +55,7 @@ def test_what_became_of_them(tmp_path: Path) -> None:
     ],
     ids=range(7),
 )
-def test_a_broken_list_is_begun_anew(tmp_path: Path, content: str) -> None:
+def test_a_broken_list_is_started_again(tmp_path: Path, content: str) -> None:
     (tmp_path / "recent_lifts.json").write_text(content)
     assert recent_lifts(tmp_path) == []
     folder = new_lift(tmp_path)
@@ -63,7 +63,7 @@ def test_a_broken_list_is_begun_anew(tmp_path: Path, content: str) -> None:
     assert [lift.folder for lift in recent_lifts(tmp_path)] == [folder]
 
 
-def test_a_damaged_entry_costs_no_other_lift_its_place(tmp_path: Path) -> None:
+def test_a_damaged_entry_does_not_remove_any_other_lift(tmp_path: Path) -> None:
     folder = new_lift(tmp_path)
     remember_lift(folder.path, tmp_path)
     path = tmp_path / "recent_lifts.json"
@@ -73,7 +73,7 @@ def test_a_damaged_entry_costs_no_other_lift_its_place(tmp_path: Path) -> None:
     assert [lift.folder for lift in recent_lifts(tmp_path)] == [folder]
 
 
-def test_the_list_does_not_grow_for_ever(tmp_path: Path) -> None:
+def test_the_list_does_not_grow_forever(tmp_path: Path) -> None:
     cache = tmp_path / "cache"
     for number in range(MOST + 3):
         remember_lift(new_lift(tmp_path, f"lift {number}").path, cache)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from engine.job.report import metrics_text, not_shown
 
 
-def test_numbers_that_nobody_measured_are_a_dash() -> None:
+def test_numbers_that_were_not_measured_are_a_dash() -> None:
     """JSON's integers have no end: one of them ended the engine and Blender's script with a traceback."""
     for number in (10**400, -(10**400), 1e308, float("nan"), float("inf"), "7", None, []):
         table = {"name": "lifted", "mode": "strict", "miou": number, "psnr": number, "pq": 0.5}
@@ -15,7 +15,7 @@ def test_numbers_that_nobody_measured_are_a_dash() -> None:
         assert lines[-1].split() == ["wall", "-", "-", "-", "-", "-", "3", "-"]
 
 
-def test_what_the_lift_does_not_show_is_told() -> None:
+def test_what_the_lift_does_not_show_is_reported() -> None:
     sink = {"name": "sink", "whole_class": True, "views": 4, "shown_as": "countertop", "frame": "0012"}
     chair = {"name": "chair", "whole_class": False, "views": 3, "shown_as": "", "frame": "0031"}
     metrics = {"tables": [{"name": "lifted"}], "masks_as_judges": {"not_shown": [sink, chair, "no entry"]}}

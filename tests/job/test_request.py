@@ -30,13 +30,13 @@ FULL = LiftRequest(
 )
 
 
-def test_comes_back_as_it_went(tmp_path: Path) -> None:
+def test_it_survives_a_round_trip(tmp_path: Path) -> None:
     for request in (FULL, LiftRequest(scene=Path("/scenes/Zimmer für zwei"))):
         (tmp_path / "request.json").write_text(request.to_json(), encoding="utf-8")
         assert LiftRequest.read(tmp_path / "request.json") == request
 
 
-def test_has_the_documented_form() -> None:
+def test_it_has_the_documented_form() -> None:
     content = json.loads(LiftRequest(scene=Path("/s")).to_json())
     assert content == {
         "format": 1,
@@ -92,7 +92,7 @@ def test_has_the_documented_form() -> None:
         ({"engine_version": 1}, "'engine_version'"),
     ],
 )
-def test_refuses(tmp_path: Path, change: dict[str, Any], told: str) -> None:
+def test_it_refuses_bad_input(tmp_path: Path, change: dict[str, Any], told: str) -> None:
     path = tmp_path / "request.json"
     path.write_text(json.dumps(json.loads(FULL.to_json()) | change))
     with pytest.raises(PlgsError) as caught:
@@ -103,7 +103,7 @@ def test_refuses(tmp_path: Path, change: dict[str, Any], told: str) -> None:
 
 
 @pytest.mark.parametrize("content", [b"", b"{", b"[]", b"\xff\xfe{}", b"null"])
-def test_refuses_what_is_no_request(tmp_path: Path, content: bytes) -> None:
+def test_it_refuses_what_is_not_a_request(tmp_path: Path, content: bytes) -> None:
     path = tmp_path / "request.json"
     path.write_bytes(content)
     with pytest.raises(PlgsError, match=r"request\.json"):
@@ -119,7 +119,7 @@ def test_an_earlier_versions_overrides_are_read(tmp_path: Path) -> None:
     assert (read.fit, read.options) == (True, {"size": [64, 48], "frames": 0, "weights.depth": 0.5})
 
 
-def test_tells_what_differs() -> None:
+def test_it_says_what_differs() -> None:
     plain = LiftRequest(scene=FULL.scene, masks=FULL.masks, preset="paper", seed=3)
     reading = ["up", "scene_format", "depth", "mask_format", "classes"]
     assert FULL.differences(plain) == [*reading, "fit", "bake", "device", "steps", "size", "frames"]
@@ -128,7 +128,7 @@ def test_tells_what_differs() -> None:
 
 
 @pytest.mark.skipif(os.name == "nt", reason="such names exist elsewhere only")
-def test_names_that_are_no_utf8_are_refused_at_once(tmp_path: Path) -> None:
+def test_names_that_are_not_utf8_are_refused_at_once(tmp_path: Path) -> None:
     broken = Path(os.fsdecode(b"/tmp/r\xf6om"))
     for asked in ({"scene": broken}, {"scene": tmp_path, "masks": broken}, {"scene": tmp_path, "depth": broken}):
         with pytest.raises(PlgsError, match=r"not UTF-8\): /tmp/r\?om\. Rename it") as refused:
@@ -141,7 +141,7 @@ def test_names_that_are_no_utf8_are_refused_at_once(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("content", [b"[" * 100_000, b" " * ((1 << 26) + 1), b"\xff", b"{"])
-def test_deep_huge_and_broken_json_is_a_line(tmp_path: Path, content: bytes) -> None:
+def test_deep_huge_and_broken_json_is_a_one_line_error(tmp_path: Path, content: bytes) -> None:
     (tmp_path / "request.json").write_bytes(content)
     with pytest.raises(PlgsError):
         LiftRequest.read(tmp_path / "request.json")

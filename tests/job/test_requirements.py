@@ -11,7 +11,7 @@ from engine.errors import PlgsError
 from engine.job.requirements import constraints_path, digest, module_of, needed_packages, pinned_versions
 
 
-def test_all_that_a_lift_imports_is_pinned(root: Path) -> None:
+def test_everything_that_a_lift_imports_is_pinned(root: Path) -> None:
     assert pinned_versions(root) == ((3, 11), (3, 13))
     for version in pinned_versions(root):
         needed = needed_packages(root, version)
@@ -29,7 +29,7 @@ def test_every_system_needs_the_same(root: Path, platform: str) -> None:
     assert modules == {module_of(name): pin for name, pin in needed_packages(root, (3, 11)).items()}
 
 
-def test_another_text_is_another_environment(root: Path, tmp_path: Path) -> None:
+def test_a_different_text_means_a_different_environment(root: Path, tmp_path: Path) -> None:
     shutil.copytree(root / "requirements", tmp_path / "requirements")
     before = digest(tmp_path, (3, 11))
     assert before == digest(root, (3, 11)) != digest(root, (3, 13))
@@ -38,7 +38,7 @@ def test_another_text_is_another_environment(root: Path, tmp_path: Path) -> None
     assert digest(tmp_path, (3, 11)) != before
 
 
-def test_what_cannot_be_read_is_told(root: Path, tmp_path: Path) -> None:
+def test_what_cannot_be_read_is_reported(root: Path, tmp_path: Path) -> None:
     with pytest.raises(PlgsError, match="torch.txt"):
         needed_packages(tmp_path, (3, 11))
     shutil.copytree(root / "requirements", tmp_path / "requirements")

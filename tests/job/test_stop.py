@@ -37,7 +37,7 @@ def events(tmp_path: Path) -> Iterator[EventWriter]:
     writer.close()
 
 
-def test_a_check_raises_once_the_file_is_there(tmp_path: Path) -> None:
+def test_a_check_raises_once_the_file_exists(tmp_path: Path) -> None:
     stop = StopSignal(tmp_path / "cancel")
     stop.check()
     (tmp_path / "cancel").touch()
@@ -45,7 +45,7 @@ def test_a_check_raises_once_the_file_is_there(tmp_path: Path) -> None:
         stop.check()
 
 
-def test_ends_a_deaf_engine(tmp_path: Path, events: EventWriter) -> None:
+def test_it_ends_a_hanging_engine(tmp_path: Path, events: EventWriter) -> None:
     ended, stop = Ended(), StopSignal(tmp_path / "cancel")
     with Watchdog(stop, events, end_process=ended):
         time.sleep(0.15)
@@ -55,7 +55,7 @@ def test_ends_a_deaf_engine(tmp_path: Path, events: EventWriter) -> None:
     assert last_run(tmp_path / "events.jsonl")[-1].data["state"] == "cancelled"
 
 
-def test_a_full_disk_does_not_keep_a_deaf_engine_alive(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_full_disk_does_not_keep_a_hanging_engine_alive(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def full(*_: object) -> None:
         raise OSError(28, "No space left on device")
 
@@ -69,7 +69,7 @@ def test_a_full_disk_does_not_keep_a_deaf_engine_alive(tmp_path: Path, monkeypat
     events.close()
 
 
-def test_leaves_an_engine_alone_that_stops_by_itself(tmp_path: Path, events: EventWriter) -> None:
+def test_it_leaves_an_engine_alone_that_stops_on_its_own(tmp_path: Path, events: EventWriter) -> None:
     ended, stop = Ended(), StopSignal(tmp_path / "cancel")
     with Watchdog(stop, events, end_process=ended, grace_s=0.2):
         (tmp_path / "cancel").touch()
@@ -78,7 +78,7 @@ def test_leaves_an_engine_alone_that_stops_by_itself(tmp_path: Path, events: Eve
     assert not ended.when.wait(0.5)
 
 
-def test_notices_the_end_of_the_parent(tmp_path: Path, events: EventWriter) -> None:
+def test_it_notices_the_end_of_the_parent(tmp_path: Path, events: EventWriter) -> None:
     ended, stop = Ended(), StopSignal(tmp_path / "cancel")
     ours, parents = os.pipe()
     try:
@@ -94,7 +94,7 @@ def test_notices_the_end_of_the_parent(tmp_path: Path, events: EventWriter) -> N
         os.close(ours)
 
 
-def test_keeps_the_exit_code_of_the_signal_that_asked(tmp_path: Path, events: EventWriter) -> None:
+def test_it_keeps_the_exit_code_of_the_signal_that_asked(tmp_path: Path, events: EventWriter) -> None:
     ended, stop = Ended(), StopSignal(tmp_path / "cancel")
     with Watchdog(stop, events, end_process=ended, grace_s=0.1):
         stop.ask("Ctrl-C", ExitCode.INTERRUPTED)
@@ -103,7 +103,7 @@ def test_keeps_the_exit_code_of_the_signal_that_asked(tmp_path: Path, events: Ev
 
 
 @pytest.mark.parametrize("number", [errno.EIO, errno.ESTALE])
-def test_a_disk_that_does_not_answer_now_ends_neither_lift_nor_watchdog(
+def test_a_disk_that_does_not_answer_ends_neither_the_lift_nor_the_watchdog(
     tmp_path: Path, events: EventWriter, monkeypatch: pytest.MonkeyPatch, number: int
 ) -> None:
     looked = threading.Event()

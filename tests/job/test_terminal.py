@@ -32,7 +32,7 @@ class Terminal(io.StringIO):
         (replace(TRAINING, left_s=90.4), "[2/3] Training  5/10  loss 0.2500  1:01 left  1:30 to the end"),
     ],
 )
-def test_describes(progress: TaskProgress, text: str) -> None:
+def test_it_describes_progress(progress: TaskProgress, text: str) -> None:
     assert describe(progress) == text
 
 
@@ -55,7 +55,7 @@ def test_a_terminal_gets_one_line_that_changes() -> None:
     ]
 
 
-def test_a_file_gets_few_whole_lines() -> None:
+def test_a_file_gets_few_and_whole_lines() -> None:
     stream = io.StringIO()
     line = LiveLine(stream)
     line.show(TaskProgress())

@@ -43,7 +43,7 @@ def test_ids_and_mattes_agree(lift: LiftFolder) -> None:
 
 
 @pytest.mark.slow
-def test_what_no_mask_named_is_nobodys_and_unsure(lift: LiftFolder) -> None:
+def test_what_no_mask_named_is_unassigned_and_uncertain(lift: LiftFolder) -> None:
     owned, confidence, usual = [], [], []
     for truth in sorted((ROOT / "sample/room/gt/instance").glob("*.png")):
         layers, ids = read_exr(lift.passes_path / f"{truth.stem}.exr"), cv2.imread(str(truth), -1)

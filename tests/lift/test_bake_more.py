@@ -73,7 +73,7 @@ def an_object_in(folder: LiftFolder, frame: str) -> Instance:
     return next(each for each in read_corrected(folder.path).instances if each.id in shown)
 
 
-def test_the_bytes_of_a_lift_that_bakes_all(finished: dict[str, LiftFolder], lift: LiftFolder) -> None:
+def test_later_bakes_write_the_same_bytes(finished: dict[str, LiftFolder], lift: LiftFolder) -> None:
     before = json.loads(lift.manifest_path.read_text())
     bake(lift, "0002", "test")
     assert {path.stem for path in lift.passes_path.iterdir()} == {"0002", "0004"}
@@ -113,7 +113,7 @@ def test_only_a_finished_lift_can_be_baked(lift: LiftFolder) -> None:
 
 
 @pytest.mark.parametrize("failure", [Cancelled("asked to"), OSError(28, "No space left on device")])
-def test_the_result_is_whole_whenever_it_ends(
+def test_the_result_is_complete_whenever_it_ends(
     lift: LiftFolder, failure: Exception, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     render, rendered = FrameBaker.render, []
@@ -230,7 +230,7 @@ def test_beside_another_process(lift: LiftFolder, tmp_path: Path, monkeypatch: p
     verify(lift.result_path)
 
 
-def test_a_model_that_cannot_be_read_is_told_in_one_line(lift: LiftFolder) -> None:
+def test_an_unreadable_model_is_a_one_line_error(lift: LiftFolder) -> None:
     model = lift.result_path / "model.safetensors"
     whole = model.read_bytes()
     with safe_open(model, "pt") as file:
@@ -304,7 +304,7 @@ def test_a_corrected_lift_is_baked_exported_and_scored_as_corrected(
     assert passes.read_bytes() == bytes_before
 
 
-def test_ranges_are_of_the_numbers_in_the_names(finished: dict[str, LiftFolder], tmp_path: Path) -> None:
+def test_ranges_refer_to_the_numbers_in_the_names(finished: dict[str, LiftFolder], tmp_path: Path) -> None:
     scene = scene_of_lift(finished["test"])
     assert [frame.name for frame in frames_named(scene, ["1-4:2", "0000"])] == ["0000", "0001", "0003"]
     renamed = replace(scene, frames=tuple(replace(each, name=f"cam2_{each.name}.colour") for each in scene.frames))
@@ -314,7 +314,7 @@ def test_ranges_are_of_the_numbers_in_the_names(finished: dict[str, LiftFolder],
             frames_named(scene, [wrong])
 
 
-def test_a_shot_that_is_done_is_found_done_by_one_read(lift: LiftFolder, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_finished_shot_is_recognised_with_one_read(lift: LiftFolder, monkeypatch: pytest.MonkeyPatch) -> None:
     bake(lift, "all")
     reads = list[Path]()
 

@@ -56,7 +56,7 @@ def shot(path: Path, name: str, count: int) -> tuple[Path, set[str]]:
     return write_cameras(path, names), set(names)
 
 
-def test_two_that_are_followed_do_not_disturb_each_other(
+def test_two_followed_lifts_do_not_disturb_each_other(
     lift: LiftFolder, followers: list[TaskFollower], tmp_path: Path
 ) -> None:
     python = Path(sys.executable)

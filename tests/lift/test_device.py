@@ -36,7 +36,7 @@ def test_without_a_cuda_device_a_lift_is_refused_before_any_work(
     assert '"stage"' not in lift.events_path.read_text(encoding="utf-8")
 
 
-def test_without_gsplat_it_is_told_how_to_get_it(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_gsplat_the_error_says_how_to_get_it(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
     monkeypatch.setattr(device, "what_is_missing", lambda: "gsplat is not installed; install it")
     with pytest.raises(PlgsError, match="gsplat is not installed; install it: --device cuda"):

@@ -44,7 +44,7 @@ def warnings(events: EventWriter, folder: Path) -> list[str]:
     return [str(event.data["message"]) for event in last_run(folder / "events.jsonl") if event.kind == "warning"]
 
 
-def test_what_fits_is_lifted_as_it_was_asked_for(scene: Scene, events: EventWriter, tmp_path: Path) -> None:
+def test_what_fits_is_lifted_as_requested(scene: Scene, events: EventWriter, tmp_path: Path) -> None:
     plenty = MainMemory(10 * peak(scene, 0), 10 * peak(scene, 0))
     assert frames_that_fit(scene, PAPER, plenty, events) == 0
     assert frames_that_fit(scene, replace(PAPER, options={"frames": 70}), plenty, events) == 70
@@ -52,7 +52,7 @@ def test_what_fits_is_lifted_as_it_was_asked_for(scene: Scene, events: EventWrit
     assert not warnings(events, tmp_path)
 
 
-def test_what_other_programs_hold_is_told(scene: Scene, events: EventWriter, tmp_path: Path) -> None:
+def test_what_other_programs_hold_is_reported(scene: Scene, events: EventWriter, tmp_path: Path) -> None:
     needed = peak(scene, 0)
     assert frames_that_fit(scene, PAPER, MainMemory(2 * needed, needed // 2), events) == 0
     (told,) = warnings(events, tmp_path)
@@ -70,13 +70,13 @@ def test_what_does_not_fit_is_refused_with_the_options_that_fit(scene: Scene, ev
     assert "--fit" in fix and "--preset" in fix
 
 
-def test_who_agrees_gets_fewer_frames(scene: Scene, events: EventWriter, tmp_path: Path) -> None:
+def test_with_consent_fewer_frames_are_used(scene: Scene, events: EventWriter, tmp_path: Path) -> None:
     there = peak(scene, 200)
     frames = frames_that_fit(scene, replace(PAPER, fit=True), MainMemory(there, there), events)
     assert 50 <= frames < MANY and peak(scene, frames) <= there
     assert str(frames) in warnings(events, tmp_path)[0]
 
 
-def test_without_hope_it_says_so(scene: Scene, events: EventWriter) -> None:
+def test_it_says_when_nothing_can_help(scene: Scene, events: EventWriter) -> None:
     with pytest.raises(PlgsError, match="more memory"):
         frames_that_fit(scene, replace(PAPER, fit=True), MainMemory(10_000_000, 10_000_000), events)

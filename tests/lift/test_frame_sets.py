@@ -49,7 +49,7 @@ def test_a_checkpoint_says_which_frames(scene: Scene, events: EventWriter, tmp_p
 
 
 @pytest.mark.parametrize("state", [None, {"step": 3}], ids=["a new lift", "an earlier version's checkpoint"])
-def test_without_a_word_about_them_frames_are_chosen(
+def test_frames_are_chosen_if_the_checkpoint_names_none(
     state: dict[str, object] | None, scene: Scene, events: EventWriter, tmp_path: Path
 ) -> None:
     assert len(chosen(scene, events, tmp_path, state, frames=5).train_frames) == 5
@@ -64,14 +64,14 @@ def test_a_checkpoint_without_names_is_refused(
         chosen(scene, events, tmp_path, {"frames": frames})
 
 
-def test_a_frame_that_is_gone_is_named(scene: Scene, events: EventWriter, tmp_path: Path) -> None:
+def test_a_missing_frame_is_named(scene: Scene, events: EventWriter, tmp_path: Path) -> None:
     held_out = scene.test_frames[0].name
     for name in ("gone", held_out):
         with pytest.raises(PlgsError, match=f"begun with frame {name}"):
             chosen(scene, events, tmp_path, {"frames": [scene.train_frames[0].name, name]})
 
 
-def test_a_smaller_machine_cannot_go_on(
+def test_a_smaller_machine_cannot_continue(
     scene: Scene, events: EventWriter, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     names = [frame.name for frame in scene.train_frames]

@@ -52,7 +52,7 @@ def test_a_true_lift_agrees_with_true_masks(scene_path: Path) -> None:
     assert entropy_of_frames({"masks_as_judges": {"entropy": {"0": "x"}}}) == entropy_of_frames({}) == {}
 
 
-def test_what_is_lost_is_told_with_its_frame(scene_path: Path, tmp_path: Path) -> None:
+def test_what_is_lost_is_reported_with_its_frame(scene_path: Path, tmp_path: Path) -> None:
     found = judged(scene_path, without_chair)
     (chair,) = found.not_shown
     assert (chair.name, chair.whole_class, chair.shown_as) == ("chair", True, "wall")

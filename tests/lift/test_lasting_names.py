@@ -34,7 +34,7 @@ def corner(number: int) -> np.ndarray:
     return np.random.default_rng(0).uniform(0, 0.4, (4000, 3)) + [2.0 * number, 0.0, 0.0]
 
 
-def test_new_numbers_are_those_that_nothing_had() -> None:
+def test_new_numbers_were_never_used_before() -> None:
     xyz, owner = np.concatenate([corner(0), corner(1), corner(2)]), np.repeat([1, 2, 4], 4000).astype(np.int32)
     names = {1: "chair 1", 2: "chair 2", 4: "cabinet 1"}
     kinds = {1: "chair", 2: "chair", 4: "cabinet"}
@@ -88,7 +88,7 @@ def renumber(folder: LiftFolder) -> None:
     write_manifest(folder.result_path, versions={}, seed=0, settings=settings, timings={})
 
 
-def test_every_file_has_the_ids_that_last(lifts: tuple[LiftFolder, LiftFolder]) -> None:
+def test_every_file_has_the_lasting_ids(lifts: tuple[LiftFolder, LiftFolder]) -> None:
     first, again = lifts
     before, after = records_of(first), records_of(again)
     assert len(open_scene(again.request.scene).frames) == 2 * len(open_scene(first.request.scene).frames)
@@ -103,7 +103,7 @@ def test_every_file_has_the_ids_that_last(lifts: tuple[LiftFolder, LiftFolder]) 
         assert shown and shown <= set(after)
 
 
-def test_the_request_tells_of_it_and_the_events_count(lifts: tuple[LiftFolder, LiftFolder]) -> None:
+def test_the_request_contains_it_and_the_events_count(lifts: tuple[LiftFolder, LiftFolder]) -> None:
     first, again = lifts
     assert again.request.names_from == first.path
     lines = [json.loads(line) for line in again.events_path.read_text().splitlines()]
@@ -112,7 +112,7 @@ def test_the_request_tells_of_it_and_the_events_count(lifts: tuple[LiftFolder, L
     assert read_earlier(again.path).largest_id >= 12
 
 
-def test_what_is_no_finished_lift_is_refused(tmp_path: Path, lifts: tuple[LiftFolder, LiftFolder]) -> None:
+def test_what_is_not_a_finished_lift_is_refused(tmp_path: Path, lifts: tuple[LiftFolder, LiftFolder]) -> None:
     with pytest.raises(PlgsError, match="no such lift folder"):
         read_earlier(tmp_path / "nothing")
     other = LiftFolder.create(tmp_path / "begun", LiftRequest(scene=lifts[0].request.scene))
@@ -120,7 +120,7 @@ def test_what_is_no_finished_lift_is_refused(tmp_path: Path, lifts: tuple[LiftFo
         read_earlier(other.path)
 
 
-def test_corrections_are_taken_over_and_what_is_gone_is_told(tmp_path: Path) -> None:
+def test_corrections_are_carried_over_and_lost_ones_are_reported(tmp_path: Path) -> None:
     folders = [LiftFolder.create(tmp_path / name, LiftRequest(scene=tmp_path)) for name in ("old", "new")]
     for folder, (shift, without) in zip(folders, [(0.0, 0), (0.011, CRUMB)], strict=True):
         write_result(folder.path, shift, without)

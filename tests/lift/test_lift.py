@@ -146,13 +146,13 @@ def test_metrics_compare_the_lift_with_its_masks(lifts: Lifts) -> None:
     assert 0 < lifted["depth_error_m"] < 1 and 0 < lifted["depth_within_5cm"] < 1
 
 
-def test_same_seed_same_bytes(lifts: Lifts) -> None:
+def test_the_same_seed_gives_the_same_lift(lifts: Lifts) -> None:
     assert files_of(lifts.lift("again")) == files_of(lifts.done)
     other = files_of(lifts.lift("other", seed=1))
     assert other["model.safetensors"] != files_of(lifts.done)["model.safetensors"]
 
 
-def test_ground_truth_touches_nothing_but_the_metrics(lifts: Lifts) -> None:
+def test_ground_truth_affects_only_the_metrics(lifts: Lifts) -> None:
     blind = shutil.copytree(lifts.scene, lifts.root / "blind")
     shutil.rmtree(blind / "gt")
     with_truth, without = files_of(lifts.done), files_of(lifts.lift("without", blind))
@@ -172,7 +172,7 @@ def test_every_frame_or_none_is_baked(lifts: Lifts) -> None:
     assert nothing["metrics.json"] == files_of(lifts.done)["metrics.json"]
 
 
-def test_a_cancelled_lift_goes_on(lifts: Lifts) -> None:
+def test_a_cancelled_lift_is_resumed(lifts: Lifts) -> None:
     folder = LiftFolder.create(lifts.root / "cancelled", LiftRequest(scene=lifts.scene))
     folder.cancel_path.touch()
     with pytest.raises(Cancelled):

@@ -97,7 +97,7 @@ def test_the_picture_shows_what_is_there(scene_folder: Path, tmp_path: Path, mon
     assert len(found) > 1  # more than one hue
 
 
-def test_previews_cost_a_twentieth_at_most(scene_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_previews_cost_at_most_a_twentieth(scene_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     scene, trainer, _, folder = a_watched_model(scene_folder, tmp_path)
     for cost, expected in ((0.02, 2.0), (0.5, 9.5)):
         now, drawn = [0.0], []

@@ -40,7 +40,7 @@ def write_passes(path: Path, width: int, height: int) -> bytes:
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="memory is limited as Linux does it")
-def test_each_reader_says_so(root: Path, tmp_path: Path) -> None:
+def test_each_reader_reports_it(root: Path, tmp_path: Path) -> None:
     save_file({"a": torch.ones(3_000_000), "b": torch.ones(3_000_000)}, tmp_path / "a.safetensors")
     write_passes(tmp_path / "a.exr", 1000, 800)
     told = told_by(READ, root, tmp_path)

@@ -72,7 +72,7 @@ def test_the_scene_is_found(place: Path, capsys: pytest.CaptureFixture[str]) -> 
     assert json.loads((lift / "request.json").read_text())["relative"]["scene"] == "../../found"
 
 
-def test_edited_masks_are_taken(
+def test_edited_masks_are_used(
     place: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setitem(PRESETS, "preview", TINY)

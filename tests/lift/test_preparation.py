@@ -92,7 +92,7 @@ def test_the_smallest_instances_are_left_out_with_a_warning(tmp_path: Path) -> N
     assert len(both.instances) == 2
 
 
-def test_what_is_done_otherwise_than_asked_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_is_done_differently_than_requested_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     views, classes = views_of(tmp_path / "scene")
     monkeypatch.setattr(preparation, "views_are_sparse", lambda views, options: True)
     prepared_for(views, classes, replace(TINY, neighbours=2, most_points=500), tmp_path)

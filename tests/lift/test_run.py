@@ -83,7 +83,7 @@ def test_what_is_too_fine_for_the_size_is_refused(depth: float, label: int, told
         run.refuse_empty([bad], scene)
 
 
-def test_the_same_progress_is_told_once(stages: StageReporter, tmp_path: Path) -> None:
+def test_the_same_progress_is_reported_once(stages: StageReporter, tmp_path: Path) -> None:
     with stages.stage("check") as progress:
         for done in (1, 2, 3, 3, 3):
             progress(done, 3)
@@ -91,7 +91,7 @@ def test_the_same_progress_is_told_once(stages: StageReporter, tmp_path: Path) -
     assert told == [3]
 
 
-def test_names_are_not_kept_where_no_objects_are_looked_for(tmp_path: Path) -> None:
+def test_names_are_not_kept_if_no_objects_are_searched_for(tmp_path: Path) -> None:
     request = LiftRequest(scene=tmp_path, names_from=tmp_path / "first", options={"objects": "none"})
     folder = LiftFolder.create(tmp_path / "lift", request)
     events = EventWriter(folder.events_path)

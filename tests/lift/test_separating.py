@@ -49,7 +49,7 @@ def test_two_frames_that_separate_outweigh_many_that_merge() -> None:
     assert found.class_of == {0: CHAIR, 1: SOFA} and found.frames == 2
 
 
-def test_stuff_and_what_lies_behind_have_no_say() -> None:
+def test_stuff_and_what_lies_behind_do_not_vote() -> None:
     wall = (Segment(1, CHAIR, True), Segment(2, WALL, False))
     assert not parts_by_views([frame(f"{at}", at, 0.4, wall) for at in (-0.2, 0.3)], board()).class_of
     frames = [frame(f"{at}", at, 0.4, TWO) for at in (-0.2, 0.3)]
@@ -59,7 +59,7 @@ def test_stuff_and_what_lies_behind_have_no_say() -> None:
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_crooked_masks_give_two_whole_parts(seed: int) -> None:
+def test_crooked_masks_give_two_complete_parts(seed: int) -> None:
     rng = np.random.default_rng(seed)
     frames = [frame(f"{at}", at, 0.1 + 0.05 * rng.standard_normal(), TWO) for at in np.linspace(-0.6, 0.6, 9)]
     part = parts_by_views(frames, xyz := board()).part

@@ -60,7 +60,7 @@ def called_a_cabinet(view: View) -> View:
     return replace(view, mask=replace(view.mask, segments=tuple(map(mistaken, view.mask.segments))))
 
 
-def test_all_vote_that_are_neither_held_out_nor_trained_on(scene: Scene) -> None:
+def test_all_frames_vote_that_are_neither_held_out_nor_trained_on(scene: Scene) -> None:
     chosen = trained_on(scene)
     voting = frames_to_vote(scene, chosen, PRESET)
     assert len(voting) == len(scene.train_frames) - TRAINED_ON
@@ -70,7 +70,7 @@ def test_all_vote_that_are_neither_held_out_nor_trained_on(scene: Scene) -> None
         assert frames_to_vote(scene, chosen, preset) == ()
 
 
-def test_they_are_small_and_of_masks_and_depth_alone(scene: Scene, tmp_path: Path) -> None:
+def test_they_are_small_and_contain_only_masks_and_depth(scene: Scene, tmp_path: Path) -> None:
     def nobody(size: Size | None) -> np.ndarray:
         raise AssertionError("no photo is read")
 
@@ -84,7 +84,7 @@ def test_they_are_small_and_of_masks_and_depth_alone(scene: Scene, tmp_path: Pat
         assert set(np.unique(view.mask.ids)) <= {0, *(segment.id for segment in view.mask.segments)}
 
 
-def test_one_that_cannot_be_read_does_not_vote_and_that_is_told(scene: Scene, tmp_path: Path) -> None:
+def test_a_frame_that_cannot_be_read_does_not_vote_and_is_reported(scene: Scene, tmp_path: Path) -> None:
     def bad(size: Size | None) -> PanopticMask:
         raise PlgsError(*BAD)
 

@@ -68,7 +68,7 @@ def voted(scene: Scene, prepared: PreparedLift, preset: Preset, progress: Callab
 
 
 @pytest.mark.parametrize("rounds", [1, 2])
-def test_voted_labels_are_nearer_to_the_masks(lifted: tuple[Scene, PreparedLift], rounds: int) -> None:
+def test_voted_labels_are_closer_to_the_masks(lifted: tuple[Scene, PreparedLift], rounds: int) -> None:
     scene, prepared = lifted
     calls: list[tuple[int, int]] = []
     after = voted(scene, prepared, replace(PRESET, vote_rounds=rounds), lambda *count: calls.append(count))

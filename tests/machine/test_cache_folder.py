@@ -23,7 +23,7 @@ def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path / "home" / ".cache"
 
 
-def test_what_is_made_is_the_users_alone(cache: Path) -> None:
+def test_what_is_made_is_readable_only_by_the_user(cache: Path) -> None:
     before = os.umask(0)
     try:
         folder = choose_cache_folder("kernels")
@@ -34,7 +34,7 @@ def test_what_is_made_is_the_users_alone(cache: Path) -> None:
 
 
 @pytest.mark.parametrize("place", ["kernels", "plgs", ".cache", "home"])
-def test_where_others_may_write_nothing_is_kept(cache: Path, place: str, caplog: pytest.LogCaptureFixture) -> None:
+def test_nothing_is_kept_where_others_may_write(cache: Path, place: str, caplog: pytest.LogCaptureFixture) -> None:
     folder = choose_cache_folder("kernels")
     next(each for each in (folder, *folder.parents) if each.name == place).chmod(0o777)
     own = choose_cache_folder("kernels")
@@ -44,7 +44,7 @@ def test_where_others_may_write_nothing_is_kept(cache: Path, place: str, caplog:
 
 @pytest.mark.skipif(not hasattr(os, "geteuid") or os.geteuid() != 0, reason="only root gives folders away")
 @pytest.mark.parametrize("place", ["kernels", "plgs", ".cache"])
-def test_what_another_owns_is_not_used(cache: Path, place: str) -> None:
+def test_what_another_user_owns_is_not_used(cache: Path, place: str) -> None:
     folder = choose_cache_folder("kernels")
     os.chown(next(each for each in (folder, *folder.parents) if each.name == place), 12345, 12345)
     assert choose_cache_folder("kernels") != folder
@@ -59,12 +59,12 @@ def test_a_link_to_a_folder_of_others_is_not_used(cache: Path, tmp_path: Path) -
     assert choose_cache_folder("kernels") != cache / "plgs" / "kernels"
 
 
-def test_a_sticky_folder_above_is_no_harm(cache: Path, tmp_path: Path) -> None:
+def test_a_sticky_parent_folder_is_harmless(cache: Path, tmp_path: Path) -> None:
     tmp_path.chmod(0o1777)
     assert choose_cache_folder("kernels") == cache / "plgs" / "kernels"
 
 
-def test_there_is_no_fall_back_to_a_shared_folder(cache: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_there_is_no_fallback_to_a_shared_folder(cache: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     monkeypatch.setattr(cache_folder, "user_cache_folder", lambda: tmp_path / "file")
     monkeypatch.setenv("TMPDIR", str(tmp_path))

@@ -60,7 +60,7 @@ def test_a_scene_that_shrinks_a_little_finds_its_blocks_again() -> None:
     assert memory.empty(smaller, np.uint8).ctypes.data == address and held_bytes() == held
 
 
-def test_a_tensor_holds_its_memory() -> None:
+def test_a_tensor_keeps_its_memory() -> None:
     tensor = torch.from_numpy(memory.empty((5, 13), np.float32))
     tensor.fill_(1.0)
     others = [torch.from_numpy(memory.empty((5, 13), np.float32)) for _ in range(3)]

@@ -67,7 +67,7 @@ def test_what_a_worker_raises_is_raised_when_all_have_ended(at_fault: int) -> No
     assert numbers.tolist() == [30, 31, 32]
 
 
-def test_those_who_take_longer_are_waited_for() -> None:
+def test_slower_workers_are_waited_for() -> None:
     expected, numbers = np.zeros(4, np.int64), np.zeros(4, np.int64)
     for worker in range(4):
         toil_at(worker, 4, expected, 1000)  # in Python
@@ -114,12 +114,12 @@ def test_a_forked_process_has_threads_of_its_own() -> None:
 
 
 @pytest.mark.parametrize("workers", [-1, 0, MOST_WORKERS + 1])
-def test_a_number_of_workers_that_cannot_be_is_refused(workers: int) -> None:
+def test_an_impossible_number_of_workers_is_refused(workers: int) -> None:
     with pytest.raises(ValueError, match=f"{workers} workers are asked for"):
         parallel_for(workers, write_numbers, np.zeros(1, np.int64), -1)
 
 
-def test_the_stopwatch_tells_kernels_apart() -> None:
+def test_the_stopwatch_distinguishes_kernels() -> None:
     with timed() as seconds:
         parallel_for(2, write_numbers, np.zeros(2, np.int64), -1)
         parallel_for(2, toil_at_numbers, np.zeros(2, np.int64), 10)

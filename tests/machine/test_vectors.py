@@ -89,7 +89,7 @@ def test_powers_of_two(span: tuple[float, float]) -> None:
     assert np.allclose(found[0], np.exp2(exponents.astype(np.float64)), rtol=3e-7, atol=0.0)
 
 
-def test_what_is_far_too_small_counts_as_the_least_power() -> None:
+def test_far_too_small_values_count_as_the_smallest_power() -> None:
     def power(values: Any, out: Any) -> None:
         a, _, _, d = exp2_x4(load(values, 0), load(values, 0), load(values, 0), load(values, 16))
         store(out, 0, a)

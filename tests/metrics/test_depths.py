@@ -40,7 +40,7 @@ def test_nothing_to_count() -> None:
     assert errors.median is None and errors.close_share is None
 
 
-def test_errors_beyond_all_bins_are_errors_still() -> None:
+def test_errors_beyond_all_bins_are_still_errors() -> None:
     errors = DepthErrors()
     errors.add(_plane(60.0), _plane(1.0), _plane(2.0))
     assert errors.median is not None and errors.median > 9.9 and errors.close_share == 0.0

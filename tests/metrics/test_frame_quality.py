@@ -24,13 +24,13 @@ def scores_of(predicted_ids: list[list[int]]) -> tuple[FrameQuality, IdChanges]:
     return quality, changes
 
 
-def test_ids_that_change_between_frames_cost_nothing_in_a_frame() -> None:
+def test_ids_that_change_between_frames_do_not_lower_per_frame_scores() -> None:
     quality, changes = scores_of([[0, 0, 0, 1, 1, 2, 2, 2], [0, 0, 0, 7, 7, 8, 8, 8], [0, 0, 0, 7, 7, 9, 9, 9]])
     assert quality.pq == 1.0
     assert changes.per_object == pytest.approx((1 + 2) / 2)
 
 
-def test_a_merged_object_is_found_once_and_tracked_where_it_is() -> None:
+def test_a_merged_object_is_found_once_and_tracked_to_its_place() -> None:
     quality, changes = scores_of([[0, 0, 0, 1, 1, 2, 2, 2], [0, 0, 0, 2, 2, 2, 2, 2], [0, 0, 0, 1, 1, 2, 2, 2]])
     # Chairs: 5 found, one of them with IoU 3/5; the missed one is one error, the merged one none.
     assert quality.pq == pytest.approx((1 + 4.6 / (5 + 0.5)) / 2)

@@ -52,7 +52,7 @@ def test_shapes_must_agree(score: Callable[[np.ndarray, np.ndarray], float]) -> 
         score(_picture(1), _picture(1)[1:])
 
 
-def test_a_fit_takes_a_gain_and_an_offset_out() -> None:
+def test_a_fit_removes_a_gain_and_an_offset() -> None:
     rendered = _picture(1) / 255.0
     photo = rendered * [0.5, 0.7, 0.9] + [0.3, 0.1, 0.0]
     everywhere = np.ones(rendered.shape[:2], bool)
@@ -60,7 +60,7 @@ def test_a_fit_takes_a_gain_and_an_offset_out() -> None:
     np.testing.assert_allclose(fit_colours(np.full_like(photo, 0.2), photo, everywhere)[0, 0], photo.mean((0, 1)))
 
 
-def test_a_fit_looks_at_valid_pixels_only() -> None:
+def test_a_fit_uses_only_valid_pixels() -> None:
     rendered = _picture(1) / 255.0
     photo, valid = 0.5 * rendered, np.ones(rendered.shape[:2], bool)
     photo[:10], valid[:10] = 1.0, False

@@ -35,7 +35,7 @@ def features_of(labels: np.ndarray, features: int = 32, seed: int = 0) -> np.nda
     return seeded_features(rgb, np.zeros_like(labels), labels, features=features, seed=seed)
 
 
-def test_colour_and_labels_are_told_apart_and_unknown_is_zero() -> None:
+def test_colour_and_labels_are_distinguished_and_unknown_is_zero() -> None:
     rgb = np.array([[0, 0, 0], [255, 255, 255]], np.uint8)
     feature = seeded_features(rgb, np.array([0, 2]), np.array([0, 1]), features=11, seed=3)
     assert feature.dtype == np.float32 and feature.shape == (2, 11)

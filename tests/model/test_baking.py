@@ -45,7 +45,7 @@ def test_stuff_has_no_instance() -> None:
     assert decided([[0.9, 0.1, 0, 0.9]], stuff) == [(WALL, 0)]
 
 
-def test_where_every_pixel_decides_for_itself_no_object_is_one_of_them() -> None:
+def test_if_every_pixel_decides_for_itself_no_object_is_one_of_the_choices() -> None:
     assert decided([[0, 1, 0, 0.4, 0.1]], OWN_CLASSES) == [(CHAIR, 0)]
     assert decided([[0, 1, 0, 0.6, 0.1]], OWN_CLASSES) == [(CHAIR, 4)]
 

@@ -60,7 +60,7 @@ def test_it_comes_back_from_its_file(blocks: tuple[StructuredScene, StructuredSc
 
 
 @pytest.mark.parametrize("counts", [[], [-1, 81], [1.5], "ab", [30, True], [1] * 1001])
-def test_blocks_that_cannot_be_are_refused(blocks: tuple[StructuredScene, StructuredScene], counts: object) -> None:
+def test_impossible_blocks_are_refused(blocks: tuple[StructuredScene, StructuredScene], counts: object) -> None:
     tensors, facts = to_tensors(joined(blocks))
     shape = facts["decoders"]
     assert isinstance(shape, dict)

@@ -47,7 +47,7 @@ def refused(tensors: dict[str, torch.Tensor], facts: dict[str, Any], match: str 
         from_tensors(tensors, facts)
 
 
-def test_rows_that_are_not_there(tmp_path: Path) -> None:
+def test_missing_rows(tmp_path: Path) -> None:
     """The file that crashed the engine: a position for each of three million anchors, one scale."""
     tensors, facts = a_model(voted=False)
     vast = tensors | {"anchors.position": torch.zeros(3_000_000, 3), "anchors.log_scale": torch.zeros(1, 6)}
@@ -60,7 +60,7 @@ def test_rows_that_are_not_there(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", [*a_model(voted=True)[0]])
-def test_every_tensor_is_looked_at(name: str) -> None:
+def test_every_tensor_is_checked(name: str) -> None:
     tensors, facts = MODELS[True]
     right = tensors[name]
     refused({other: tensor for other, tensor in tensors.items() if other != name}, facts, name.split(".")[0])
@@ -74,7 +74,7 @@ def test_every_tensor_is_looked_at(name: str) -> None:
     refused(tensors | {"more": right}, facts, "more is not known")
 
 
-def test_labels_that_no_table_has() -> None:
+def test_labels_that_are_in_no_table() -> None:
     tensors, facts = MODELS[True]
     for number in (-1, 5, 32767):
         refused(tensors | {"voted.label": torch.full((GAUSSIANS, 2), number, dtype=torch.int16)}, facts, "cannot hold")
@@ -137,7 +137,7 @@ def draws(scene: StructuredScene) -> None:
     assert rendering.image.shape == (CAMERA.height, CAMERA.width, 3)
 
 
-def test_a_model_with_bad_notes_is_a_line(tmp_path: Path) -> None:
+def test_a_model_with_bad_notes_is_a_one_line_error(tmp_path: Path) -> None:
     folder = LiftFolder.create(tmp_path / "lift", LiftRequest(scene=tmp_path))
     folder.result_path.mkdir()
     path = folder.result_path / "model.safetensors"

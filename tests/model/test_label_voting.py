@@ -122,7 +122,7 @@ def test_pixels_at_the_wrong_depth_abstain(scene: StructuredScene) -> None:
     np.testing.assert_array_equal(dense(votes.result()), dense(plain.result()))
 
 
-def test_far_off_a_share_of_the_depth_is_allowed(scene: StructuredScene) -> None:
+def test_far_away_a_share_of_the_depth_is_allowed(scene: StructuredScene) -> None:
     seen = contributors(scene, CAMERA, 8)
     far = replace_depth(seen, 20.0)
     label = np.zeros(SIZE, np.int16)
@@ -137,7 +137,7 @@ def replace_depth(view: Contributors, metres: float) -> Contributors:
     return replace(view, depth=np.full(SIZE, metres, np.float32))
 
 
-def test_the_decoders_serve_where_nothing_was_seen(scene: StructuredScene) -> None:
+def test_the_decoders_are_used_where_nothing_was_seen(scene: StructuredScene) -> None:
     options = replace(ALL, prior=0.3)
     decoded = scene_labels(scene)
     assert decoded is not None
@@ -171,7 +171,7 @@ def test_only_the_likeliest_labels_are_kept(scene: StructuredScene, monkeypatch:
 
 @settings(max_examples=30, deadline=None)
 @given(st.integers(0, 10_000))
-def test_of_many_labels_those_with_many_votes_are_never_lost(seed: int) -> None:
+def test_labels_with_many_votes_are_never_lost_among_many(seed: int) -> None:
     """One Gaussian, whose pixels show 200 labels; label 7 has more than a sixteenth of all votes."""
     random = np.random.default_rng(seed)
     label = random.integers(0, 200, 300).astype(np.int16)
@@ -187,13 +187,13 @@ def test_of_many_labels_those_with_many_votes_are_never_lost(seed: int) -> None:
     assert kept[true > 300 / LABELS_HELD].all() and (everything[kept] >= true[kept]).all()
 
 
-def test_labels_that_depend_on_the_view_are_no_prior() -> None:
+def test_labels_that_depend_on_the_view_are_not_a_prior() -> None:
     """There is no one label that such a decoder would give a Gaussian."""
     dependent = some_scene(SLOT_IDS, replace(SHAPE, label_view_input=True), CLASS_OF_SLOT)
     assert not LabelVotes(dependent, replace(ALL, prior=0.3), "pixels").result().share.any()
 
 
-def test_contributors_have_the_depth_that_is_drawn(scene: StructuredScene) -> None:
+def test_contributors_add_up_to_the_drawn_depth(scene: StructuredScene) -> None:
     seen, drawn = contributors(scene, CAMERA, 8), render_view(scene, CAMERA)
     solid = drawn.alpha > 0.31
     np.testing.assert_allclose(seen.depth[solid], drawn.depth[solid], rtol=1e-5)
@@ -204,7 +204,7 @@ def test_contributors_have_the_depth_that_is_drawn(scene: StructuredScene) -> No
 
 @settings(max_examples=25, deadline=None)
 @given(st.integers(0, 10_000))
-def test_a_pixel_shows_what_its_gaussians_were_voted_to_be(scene: StructuredScene, seed: int) -> None:
+def test_a_pixel_shows_the_labels_voted_for_its_gaussians(scene: StructuredScene, seed: int) -> None:
     random = np.random.default_rng(seed)
     label = np.stack([random.permutation(LABELS)[:3] for _ in range(20)])
     share = random.dirichlet([0.3] * 3, 20)

@@ -20,7 +20,7 @@ def stacked(bands: list[PanopticRendering], layer: str) -> np.ndarray:
     return np.concatenate([getattr(band, layer) for band in bands])
 
 
-def test_bands_are_the_view() -> None:
+def test_bands_add_up_to_the_view() -> None:
     scene = some_scene((4, 9, 0, 0, 0))
     whole, bands = render_view(scene, CAMERA), list(render_bands(scene, CAMERA, most_bytes=1))
     assert [len(band.alpha) for band in bands] == [16, 16, 16, 16, 16, 10]
@@ -31,7 +31,7 @@ def test_bands_are_the_view() -> None:
     np.testing.assert_allclose(np.concatenate(points), CAMERA.unproject(whole.depth), atol=1e-3)
 
 
-def test_bands_hold_no_more_than_asked_for() -> None:
+def test_bands_hold_no_more_than_requested() -> None:
     camera = Camera(1296, 968, 900.0, 900.0, 648.0, 484.0, np.eye(4))
     bands = row_bands(camera, 500, 1 << 27)
     assert bands[0][0] == 0 and bands[-1][1] == 968
@@ -49,7 +49,7 @@ def test_what_is_clipped_is_not_drawn() -> None:
     assert not nothing.alpha.any() and not nothing.depth.any()
 
 
-def test_few_labels_a_gaussian() -> None:
+def test_few_labels_per_gaussian() -> None:
     channels = LabelChannels((2, 5, 7), (4, 9, 0), (5, 7, 0))
     label = torch.tensor([[0, 3], [1, 4], [4, 2]], dtype=torch.int16)
     share = torch.tensor([[0.75, 0.25], [0.5, 0.5], [1.0, 0.0]])

@@ -27,7 +27,7 @@ def classes_of(slot_ids: tuple[int, ...]) -> tuple[int, ...]:
 
 @pytest.mark.parametrize("slot_ids", SLOTS)
 @pytest.mark.parametrize("one_class", [False, True])
-def test_a_view_is_the_same_with_and_without(
+def test_a_view_is_the_same_with_and_without_labels(
     slot_ids: tuple[int, ...], one_class: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """What is drawn from labels of finished Gaussians differs a little where objects are of one class: a product of
@@ -62,7 +62,7 @@ def test_too_many_labels_are_not_kept(monkeypatch: pytest.MonkeyPatch) -> None:
     assert scene_labels(scene) is None
 
 
-def test_classes_sum_to_one_and_instances_leave_what_is_no_objects() -> None:
+def test_classes_sum_to_one_and_instances_leave_out_what_belongs_to_no_object() -> None:
     labels = scene_labels(some_scene((1, 2, 3, 4, NO_OBJECT)))
     assert labels is not None
     torch.testing.assert_close(labels.probabilities[:, :3].sum(dim=1), torch.ones(GAUSSIANS))
@@ -101,7 +101,7 @@ def test_an_instance_gives_all_it_has_to_its_own_class(seed: int, of_class: list
     torch.testing.assert_close(by_class, owned + share * alone[..., None])
 
 
-def test_where_every_pixel_decides_for_itself_nothing_is_moved() -> None:
+def test_if_every_pixel_decides_for_itself_nothing_is_moved() -> None:
     channels = LabelChannels(CLASS_IDS, (8, NO_OBJECT, 9, SPARE))
     classes, slots = torch.tensor([[0.2, 0.3, 0.4]]), torch.tensor([[0.1, 0.2, 0.3, 0.3]])
     assert shown_probabilities(classes, slots, channels).tolist() == torch.cat([classes, slots[:, ::2]], 1).tolist()

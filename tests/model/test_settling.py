@@ -27,7 +27,7 @@ def test_an_object_reaches_no_farther_than_its_points() -> None:
     assert within_reach(label, centres, CHANNELS, nobodys).tolist() == [[CHAIR, 0]] * 3
 
 
-def test_named_is_what_lies_within_masks() -> None:
+def test_only_what_lies_within_masks_is_named() -> None:
     named = NamedGaussians(4)
     gaussian, weight = np.array([[[0, 1], [2, -1]]], np.int32), np.array([[[0.9, 0.05], [1.0, 0.0]]], np.float32)
     in_mask = np.array([[True, False]])
@@ -38,7 +38,7 @@ def test_named_is_what_lies_within_masks() -> None:
     assert named.are_named.tolist() == [False, False, True, False]
 
 
-def test_shares_become_evidence_where_masks_named() -> None:
+def test_shares_become_evidence_where_masks_named_a_class() -> None:
     scene = replace(some_scene(CHANNELS.slot_ids), channels=CHANNELS)
     label = torch.tensor([[CHAIR_7, CHAIR, 0]] * GAUSSIANS, dtype=torch.int16)
     voted = GaussianLabels(label, torch.tensor([[0.6, 0.3, 0.1]] * GAUSSIANS))

@@ -134,7 +134,7 @@ def test_a_camera_inside_an_anchor_and_huge_features_are_decoded() -> None:
     assert_matches(case)
 
 
-def test_each_network_gives_what_it_gives_alone() -> None:
+def test_each_network_gives_the_same_as_alone() -> None:
     """Their first layers share one matrix product."""
     for name, shape in SHAPES.items():
         case = case_of(shape, 50)

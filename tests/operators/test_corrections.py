@@ -52,7 +52,7 @@ def points_of(root: bpy.types.Collection, instance: int) -> int:
     return sum(int((ids_of(cloud.data, "instance_id") == instance).sum()) for cloud in clouds)
 
 
-def test_a_name_is_seen_at_once_and_kept(root: bpy.types.Collection, mine: Path) -> None:
+def test_a_new_name_shows_at_once_and_is_kept(root: bpy.types.Collection, mine: Path) -> None:
     assert bpy.ops.plgs.rename_instance(instance=CHAIR, name="Throne") == {"FINISHED"}
     assert names(root)[CHAIR] == "Throne" and boxes_of(root)[CHAIR].name == "Throne"
     lift_scene.place_lift(mine, bpy.context.scene)
@@ -152,7 +152,7 @@ def test_points_in_a_region_become_a_new_object(root: bpy.types.Collection) -> N
     assert new.class_name == "cabinet" and points_of(root, new.instance_id) > 0
 
 
-def test_what_cannot_be_done_is_a_line(root: bpy.types.Collection, mine: Path) -> None:
+def test_what_cannot_be_done_is_a_one_line_error(root: bpy.types.Collection, mine: Path) -> None:
     calls = [
         (lambda: bpy.ops.plgs.rename_instance(instance=77, name="x"), "no instance 77"),
         (lambda: bpy.ops.plgs.reclass_instances(instances="1", class_name="ghost"), "no class 'ghost'"),
@@ -169,14 +169,14 @@ def test_what_cannot_be_done_is_a_line(root: bpy.types.Collection, mine: Path) -
         bpy.ops.plgs.rename_instance(instance=CHAIR, name="x")
 
 
-def test_the_brush_takes_what_is_in_front() -> None:
+def test_the_brush_paints_what_is_in_front() -> None:
     near, far = np.array([[0.0, 0.0, -1.0], [0.02, 0.0, -1.0], [0.9, 0.0, -1.0]]), np.array([[0.0, 0.0, -3.0]])
     to_view = np.array([[1.0, 0, 0, 0], [0, 1, 0, 0], [0, 0, -1, -0.2], [0, 0, -1, 0]])
     chosen = painted(np.concatenate([near, far]).astype(np.float32), to_view, (200, 100), [(100.0, 50.0)], 10.0)
     assert chosen.tolist() == [True, True, False, False]
 
 
-def test_strokes_rectangles_and_what_is_taken_away_again() -> None:
+def test_strokes_rectangles_and_erasing() -> None:
     xyz = np.array([[x, 0.0, -1.0] for x in (-0.5, 0.0, 0.5)], np.float32)
     to_view = np.array([[1.0, 0, 0, 0], [0, 1, 0, 0], [0, 0, -1, -0.2], [0, 0, -1, 0]])
     one = Painting.of(xyz)
@@ -255,7 +255,7 @@ def test_the_next_uncertain_frame(root: bpy.types.Collection, mine: Path) -> Non
     assert bpy.context.scene.camera["frame"] == visited[0], "after the last it begins anew"
 
 
-def test_what_was_drawn_says_which_frame_is_the_most_uncertain(root: bpy.types.Collection, mine: Path) -> None:
+def test_the_rendering_says_which_frame_is_the_most_uncertain(root: bpy.types.Collection, mine: Path) -> None:
     names = [ob["frame"] for ob in root.all_objects if ob.type == "CAMERA" and "frame" in ob]
     drawn = {names[3]: 0.2, names[5]: 0.4, names[1]: 0.3}
     (mine / "result" / "metrics.json").write_text(json.dumps({"masks_as_judges": {"entropy": drawn}}))

@@ -24,7 +24,7 @@ def nothing_chosen(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[
     choices.choose(None)
 
 
-def test_use_this_python_answers_or_tells_what_it_lacks(tmp_path: Path) -> None:
+def test_use_this_python_answers_or_says_what_it_lacks(tmp_path: Path) -> None:
     good = pretended_python(tmp_path / "good")
     assert bpy.ops.plgs.use_this_python(python=str(good)) == {"FINISHED"}
     assert engine_environment.status().state is EngineState.READY and engine_environment.usable_python() == good

@@ -43,13 +43,13 @@ def engine(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 needs_engine = pytest.mark.skipif(find_spec("torch") is None, reason="the engine runs in another Python")
 
 
-def test_the_command_knows_every_form(root: Path) -> None:
+def test_the_command_knows_every_format(root: Path) -> None:
     text = (root / "engine" / "command_line" / "parser.py").read_text()
     assert f"EXPORTS = {tuple(exports.FORMS)}".replace("'", '"') in text
 
 
 @needs_engine
-def test_forms_are_exported_by_the_engine(lift: Path, tmp_path: Path) -> None:
+def test_the_engine_exports_every_format(lift: Path, tmp_path: Path) -> None:
     boxes = tmp_path / "boxes"
     assert bpy.ops.plgs.export_lift(form="boxes", directory=str(boxes), lift_folder=str(lift)) == {"FINISHED"}
     with (boxes / "boxes.csv").open(newline="") as file:
@@ -63,7 +63,7 @@ def test_forms_are_exported_by_the_engine(lift: Path, tmp_path: Path) -> None:
 
 
 @needs_engine
-def test_what_goes_wrong_is_told(lift: Path, tmp_path: Path) -> None:
+def test_what_goes_wrong_is_reported(lift: Path, tmp_path: Path) -> None:
     with pytest.raises(RuntimeError, match="needs a folder"):
         bpy.ops.plgs.export_lift(form="coco", lift_folder=str(lift))
     (tmp_path / "file").touch()
@@ -119,7 +119,7 @@ def test_what_a_frame_sees_becomes_points(lift: Path, tmp_path: Path) -> None:
     assert cloud.name in scene.objects
 
 
-def test_what_any_camera_sees_is_asked_for(lift: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_any_camera_sees_is_requested(lift: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     mine = Path(shutil.copytree(lift, tmp_path / "lift"))
     asked = pretend(monkeypatch, "")
     bpy.ops.plgs.place_lift(lift_folder=str(mine))
@@ -141,7 +141,7 @@ def test_what_any_camera_sees_is_asked_for(lift: Path, tmp_path: Path, monkeypat
     assert camera.pinhole.K[0][0] == pytest.approx(80 / np.tan(0.25)) and scene.frame_current == 7
 
 
-def test_a_cancelled_export_is_no_error(lift: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_cancelled_export_is_not_an_error(lift: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pretend(monkeypatch, "import time; time.sleep(600)")
     export = exports.export(lift, "coco", tmp_path, Path(sys.executable))
     assert not bpy.ops.plgs.export_lift.poll(), "one at a time"

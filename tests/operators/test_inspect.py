@@ -44,7 +44,7 @@ def test_the_lift_may_be_named(root: bpy.types.Collection, lift: Path, argument:
         bpy.ops.plgs.select_instance(instance=2, lift="another")
 
 
-def test_zero_is_the_one_selected_in_the_list(root: bpy.types.Collection) -> None:
+def test_zero_means_the_one_selected_in_the_list(root: bpy.types.Collection) -> None:
     with pytest.raises(RuntimeError, match="no instance selected"):
         bpy.ops.plgs.isolate_instance()
     bpy.ops.plgs.select_instance(instance=1)
@@ -56,7 +56,7 @@ def test_zero_is_the_one_selected_in_the_list(root: bpy.types.Collection) -> Non
         bpy.ops.plgs.isolate_instance(instance=9)
 
 
-def test_eyes(root: bpy.types.Collection) -> None:
+def test_the_eyes_in_the_list(root: bpy.types.Collection) -> None:
     bpy.ops.plgs.toggle_instance_visibility(instance=1)
     bpy.ops.plgs.toggle_class_visibility(class_id=CHAIR_ID)
     assert bpy.data.objects[CHAIR_NAME].hide_get() and bpy.data.objects["chair"].hide_get()
@@ -113,7 +113,7 @@ def test_overlays(root: bpy.types.Collection) -> None:
     assert not root.plgs.show_labels and not box.show_name, "no names at all"
 
 
-def test_gaussians_that_are_no_splats_leave_nothing(
+def test_gaussians_that_are_not_splats_leave_nothing(
     root: bpy.types.Collection, lift: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     """As a Blender that claims splats but reads the file as a mesh would."""

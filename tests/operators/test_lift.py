@@ -118,7 +118,7 @@ def test_a_bad_scene_leaves_no_folder(tmp_path: Path) -> None:
     assert not (tmp_path / "lift").exists()
 
 
-def test_no_scene_is_said(behaves: Behaves) -> None:
+def test_a_missing_scene_is_reported(behaves: Behaves) -> None:
     with pytest.raises(RuntimeError, match="no scene is chosen"):
         bpy.ops.plgs.lift_scene()
 
@@ -133,7 +133,7 @@ def test_watching_or_opening_a_finished_lift_places_it(how: str, lift: Path) -> 
     assert Path(bpy.context.scene.plgs.scene_folder) == lift.parent / "tiny room"
 
 
-def test_opening_what_is_no_lift_is_said(tmp_path: Path) -> None:
+def test_opening_what_is_not_a_lift_is_reported(tmp_path: Path) -> None:
     with pytest.raises(RuntimeError, match="is not a lift folder"):
         bpy.ops.plgs.open_lift(directory=str(tmp_path))
 
@@ -146,7 +146,7 @@ def test_opening_a_file_finds_its_lift_again(lift: Path, tmp_path: Path) -> None
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no FIFOs here")
-def test_opening_a_file_looks_at_no_path_of_somebody_else(
+def test_opening_a_file_reads_no_path_of_somebody_else(
     lift: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     theirs = tmp_path / "theirs"
@@ -189,7 +189,7 @@ def test_cancelling_what_is_not_running_says_so(lift: Path) -> None:
     assert not (lift / "cancel").exists()
 
 
-def test_a_folder_that_a_script_names_is_never_exchanged(behaves: Behaves, room: Path, tmp_path: Path) -> None:
+def test_a_folder_that_a_script_names_is_never_replaced(behaves: Behaves, room: Path, tmp_path: Path) -> None:
     behaves("short")
     bpy.context.scene.plgs.place_when_done = False
     bpy.ops.plgs.lift_scene(scene_folder=str(room), lift_folder=str(tmp_path / "lift"))
@@ -207,7 +207,7 @@ def test_an_engine_that_cannot_be_started_leaves_no_folder(
     assert not (tmp_path / "lift").exists()
 
 
-def test_a_log_that_is_not_there_is_said(lift: Path) -> None:
+def test_a_missing_log_is_reported(lift: Path) -> None:
     with pytest.raises(RuntimeError, match="the engine never began"):
         bpy.ops.plgs.open_log(lift_folder=str(lift))
 

@@ -49,13 +49,13 @@ def test_classes_are_read_merged_and_written(folder: Path) -> None:
     }  # fmt: skip
 
 
-def test_a_table_is_begun_with(folder: Path) -> None:
+def test_the_list_starts_from_a_table(folder: Path) -> None:
     bpy.context.scene.plgs.scene_folder = str(folder)
     bpy.ops.plgs.read_classes(table="reduced")
     assert len(bpy.context.scene.plgs_masks.classes) == 21
 
 
-def test_nothing_to_write_is_said(folder: Path) -> None:
+def test_having_nothing_to_write_is_reported(folder: Path) -> None:
     bpy.context.scene.plgs_masks.classes.clear()
     assert not bpy.ops.plgs.write_classes.poll()
     bpy.context.scene.plgs.scene_folder = ""
@@ -74,7 +74,7 @@ def test_a_file_that_the_blend_names_is_not_overwritten(folder: Path, tmp_path: 
     assert other.read_text() == "mine"
 
 
-def test_what_is_no_list_of_classes_is_not_replaced(folder: Path, tmp_path: Path) -> None:
+def test_what_is_not_a_list_of_classes_is_not_replaced(folder: Path, tmp_path: Path) -> None:
     bpy.context.scene.plgs.scene_folder = str(folder)
     bpy.ops.plgs.read_classes()
     target = Path(bpy.context.scene.plgs_masks.path)
@@ -84,7 +84,7 @@ def test_what_is_no_list_of_classes_is_not_replaced(folder: Path, tmp_path: Path
     assert target.is_symlink()
 
 
-def test_void_numbers_that_are_none_are_said(folder: Path) -> None:
+def test_invalid_void_numbers_are_reported(folder: Path) -> None:
     bpy.context.scene.plgs.scene_folder = str(folder)
     bpy.ops.plgs.read_classes()
     bpy.context.scene.plgs_masks.void = "1 x"
@@ -92,7 +92,7 @@ def test_void_numbers_that_are_none_are_said(folder: Path) -> None:
         bpy.ops.plgs.write_classes()
 
 
-def test_a_model_that_is_nowhere_is_said(bare: Path) -> None:
+def test_a_missing_model_is_reported(bare: Path) -> None:
     bpy.context.scene.plgs.scene_folder = str(bare)
     with pytest.raises(RuntimeError, match="no such folder or model: nowhere"):
         bpy.ops.plgs.make_masks(model="nowhere")

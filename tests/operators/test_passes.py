@@ -90,7 +90,7 @@ def test_the_frame_of_the_active_camera_is_baked(lift: Path, baked: Asked, tmp_p
     assert not row.visible, "and what was hidden"
 
 
-def test_a_camera_that_is_no_frame_cannot_be_baked(lift: Path, baked: Asked) -> None:
+def test_a_camera_that_is_not_a_frames_cannot_be_baked(lift: Path, baked: Asked) -> None:
     bpy.ops.plgs.place_lift(lift_folder=str(lift))
     bpy.context.scene.camera = None
     with pytest.raises(RuntimeError, match="no frame of the lift"):
@@ -141,7 +141,7 @@ def test_a_job_for_a_farm_is_written_from_a_saved_file(lift: Path, tmp_path: Pat
     assert (job["settings"]["output"], job["settings"]["blend"]) == (str(lift), str(tmp_path / "shot.blend"))
 
 
-def test_a_long_range_is_read_while_blender_answers(lift: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_blender_responds_while_a_long_range_is_read(lift: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(passes, "_READ_S", 0.0)
     bpy.ops.plgs.place_lift(lift_folder=str(lift))
     told: list[str | None] = []

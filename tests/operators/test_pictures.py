@@ -104,7 +104,7 @@ def test_an_archive_comes_with_pictures_and_a_cloud(own: Path) -> None:
     assert {each.name for each in (own / "scans").iterdir()} == {"one.sens", "two.sens", "one_frames"}
 
 
-def test_without_an_engine_plain_folders_come_alone(room: Path, own: Path, no_engine: None) -> None:
+def test_without_an_engine_only_plain_folders_are_imported(room: Path, own: Path, no_engine: None) -> None:
     assert bpy.ops.plgs.import_scene(scene_folder=str(room)) == {"FINISHED"}
     assert len(frames()) == 8 and all(ob.data.background_images for ob in frames().values()) and not clouds()
     bpy.context.scene.camera = frames()["0002"]
@@ -160,7 +160,7 @@ def test_the_menu_offers_it() -> None:
     assert any("scene_panel" in each.__module__ for each in drawn)
 
 
-def test_depth_and_masks_are_shown_before_a_camera(room: Path) -> None:
+def test_depth_and_masks_are_shown_in_front_of_a_camera(room: Path) -> None:
     bpy.ops.plgs.import_scene(scene_folder=str(room), cloud=False)
     camera = frames()["0003"]
     bpy.context.scene.camera = camera
@@ -180,7 +180,7 @@ def test_depth_and_masks_are_shown_before_a_camera(room: Path) -> None:
     assert all(ob.data.background_images[0].image.name.startswith(ob["frame"]) for ob in others)
 
 
-def test_a_bent_lens_is_straight_in_pictures_and_depth(own: Path) -> None:
+def test_lens_distortion_is_removed_from_pictures_and_depth(own: Path) -> None:
     transforms = own / "studio" / "transforms.json"
     transforms.write_text(json.dumps(json.loads(transforms.read_text()) | {"k1": -0.05}))
     bpy.ops.plgs.import_scene(scene_folder=str(own / "studio"), cloud=False)
@@ -194,7 +194,7 @@ def test_a_bent_lens_is_straight_in_pictures_and_depth(own: Path) -> None:
         bpy.ops.plgs.show_picture(what="MASKS")
 
 
-def test_pictures_belong_to_frames_cameras_alone(room: Path) -> None:
+def test_only_frames_cameras_have_pictures(room: Path) -> None:
     assert not bpy.ops.plgs.show_picture.poll()
     bpy.ops.plgs.import_scene(scene_folder=str(room), cloud=False)
     assert bpy.ops.plgs.show_picture.poll() and not bpy.ops.plgs.cancel_frames.poll()
@@ -210,7 +210,7 @@ def test_depth_of_a_lifts_frame(lift: Path) -> None:
     assert not any(image.name.startswith("Depth") for image in bpy.data.images), "placing anew shows photos"
 
 
-def test_what_an_engine_cannot_make_is_told(own: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_what_an_engine_cannot_make_is_reported(own: Path, capfd: pytest.CaptureFixture[str]) -> None:
     """The last frame's depth is damaged: pictures come, the cloud does not."""
     place = own / "scans" / "one.sens"
     place.write_bytes(place.read_bytes()[:-1000] + bytes(1000))
@@ -232,7 +232,7 @@ def test_what_an_engine_cannot_make_is_told(own: Path, capfd: pytest.CaptureFixt
     assert other is None or other.error is None, "another import"
 
 
-def test_importing_touches_nothing_of_the_users(own: Path) -> None:
+def test_importing_leaves_the_users_data_alone(own: Path) -> None:
     scene = bpy.context.scene
     mine = bpy.data.objects.new("mine", bpy.data.cameras.new("mine"))
     scene.collection.objects.link(mine)
@@ -273,7 +273,7 @@ def test_switching_off_ends_the_engine(captures: Path, tmp_path: Path, plgs: Mod
     plgs.register()
 
 
-def test_files_that_nobody_waits_for_any_more_are_shown_nowhere(captures: Path, tmp_path: Path) -> None:
+def test_files_that_are_no_longer_wanted_are_not_shown(captures: Path, tmp_path: Path) -> None:
     """Another file was opened meanwhile."""
     chosen = ChosenScene(shutil.copytree(captures / "studio", tmp_path / "studio"))
     making = make_frames(FrameOrder(chosen, "nobody's", ("cloud",)), Path(sys.executable))

@@ -125,7 +125,7 @@ def test_visible_where_frames_show_it(root: bpy.types.Collection) -> None:
         bpy.ops.plgs.key_visibility(instances=str(CHAIR))
 
 
-def test_what_is_not_there_is_a_line(root: bpy.types.Collection) -> None:
+def test_what_is_missing_is_a_one_line_error(root: bpy.types.Collection) -> None:
     with pytest.raises(RuntimeError, match="has no instance 77"):
         bpy.ops.plgs.make_objects(instances="77")
     assert Matrix() == bpy.data.objects["chair 1"].matrix_parent_inverse and len(bpy.data.collections) > 0

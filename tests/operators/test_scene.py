@@ -127,7 +127,7 @@ def test_the_panel_predicts_what_a_lift_takes(room: Path) -> None:
     assert fewer is not None and fewer.seconds < long.seconds
 
 
-def test_a_bad_folder_is_said_and_greys_the_button(tmp_path: Path) -> None:
+def test_a_bad_folder_is_reported_and_greys_out_the_button(tmp_path: Path) -> None:
     settings = bpy.context.scene.plgs
     settings.scene_folder = str(tmp_path)
     survey = looked_at(settings)
@@ -159,7 +159,7 @@ def test_a_dropped_file_opens_its_scene_or_its_lift(room: Path, lift: Path) -> N
     assert Path(settings.lift_folder) == lift
 
 
-def test_a_dropped_scene_does_not_take_the_masks_of_the_earlier_one(room: Path, tmp_path: Path) -> None:
+def test_a_dropped_scene_does_not_use_the_masks_of_the_earlier_scene(room: Path, tmp_path: Path) -> None:
     settings = bpy.context.scene.plgs
     settings.scene_folder, settings.masks, settings.depth, settings.up = str(tmp_path), "masks", "depth", "y"
     bpy.ops.plgs.open_dropped(filepath=str(room))
@@ -183,6 +183,6 @@ def test_a_dropped_file_opens_any_capture(captures: Path, file: str, scene: str)
     assert Path(bpy.context.scene.plgs.scene_folder) == captures / scene
 
 
-def test_a_file_that_is_gone_is_refused(tmp_path: Path) -> None:
+def test_a_missing_file_is_refused(tmp_path: Path) -> None:
     with pytest.raises(RuntimeError, match="there is no such file"):
         bpy.ops.plgs.open_dropped(filepath=str(tmp_path / "notes.txt"))

@@ -80,7 +80,7 @@ def test_undo_takes_it_back_as_one_step(room: Path) -> None:
         "scene.collection.objects.link(bpy.data.objects.new('mine', None))",
     ],
 )
-def test_what_somebody_has_touched_stays(room: Path, touch: str) -> None:
+def test_what_the_user_has_touched_stays(room: Path, touch: str) -> None:
     scene = bpy.context.scene
     exec(touch, {"bpy": bpy, "scene": scene})
     before = (scene.frame_start, scene.frame_end, size_of(scene), scene.camera)
@@ -119,7 +119,7 @@ def test_the_range_of_an_import_follows_the_lift(lift: Path, room: Path) -> None
     assert (scene.frame_start, scene.frame_end) == (0, last)
 
 
-def test_views_that_nobody_moved_look_at_a_cloud_that_comes_later(room: Path, tmp_path: Path) -> None:
+def test_views_that_were_not_moved_look_at_a_cloud_that_comes_later(room: Path, tmp_path: Path) -> None:
     scene = import_room(room)
     view = views_3d()[0]
     before = view.view_distance, view.view_location.copy()

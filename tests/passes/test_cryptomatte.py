@@ -46,7 +46,7 @@ def coverage_of(found: dict[str, np.ndarray], layer: str, name: str) -> np.ndarr
     return sum(np.where(found[ids] == bits, found[shares], 0) for ids, shares in pairs)
 
 
-def test_instances_get_no_more_than_things_cover() -> None:
+def test_instances_get_no_more_than_the_coverage_of_things() -> None:
     found = mattes()
     chair_1, chair_2 = (coverage_of(found, "CryptoInstance", name) for name in ("chair 1", "chair 2"))
     assert chair_1[LEFT] == pytest.approx(1.0, abs=STEP)

@@ -74,7 +74,7 @@ def test_the_surface_is_in_the_world(tmp_path: Path) -> None:
     assert not position[~rendered].any() and not normal[~rendered].any()
 
 
-def test_same_input_same_bytes(tmp_path: Path) -> None:
+def test_the_same_input_gives_the_same_bytes(tmp_path: Path) -> None:
     assert _write(tmp_path / "a.exr").read_bytes() == _write(tmp_path / "b.exr").read_bytes()
 
 

@@ -84,7 +84,7 @@ def test_an_object_with_little_of_its_class_is_not_there() -> None:
         assert (layers.instance[RIGHT] == shown).all() and (layers.semantic[RIGHT] == CHAIR).all()
 
 
-def test_where_every_pixel_decides_for_itself_no_object_is_one_of_them() -> None:
+def test_if_every_pixel_decides_for_itself_no_object_is_one_of_the_choices() -> None:
     for instances, shown in (({3: 0.4, 70001: 0.1}, 0), ({3: 0.4, 70001: 0.3}, 3)):
         layers = decide(with_right_chair(instances), CLASSES)
         assert (layers.instance[RIGHT] == shown).all() and (layers.semantic[RIGHT] == CHAIR).all()
@@ -164,7 +164,7 @@ def plain_decision(
 
 @settings(max_examples=25, deadline=None)
 @given(st.integers(0, 10_000))
-def test_every_pixel_is_decided_as_told(seed: int) -> None:
+def test_every_pixel_gets_the_specified_label(seed: int) -> None:
     rendering, classes = coarse_rendering(seed)
     random = np.random.default_rng(seed + 1)
     of_things = {one: int(random.integers(1, 22)) for one in rendering.instance_ids if one and random.random() < 0.8}

@@ -27,7 +27,7 @@ def sorted_pairs(shares: np.ndarray, ids: np.ndarray, limit: float | None) -> li
 
 @settings(max_examples=30, deadline=None)
 @given(st.integers(0, 10_000))
-def test_as_a_sort_of_everything_has_it(seed: int) -> None:
+def test_the_order_is_that_of_a_full_sort(seed: int) -> None:
     random = np.random.default_rng(seed)
     height, width, count = 3, 5, int(random.integers(1, 20))
     coverage = random.choice(np.array([0, 1e-3, 0.05, 0.1, 0.2, 0.6], np.float32), (height, width, count))

@@ -59,7 +59,7 @@ def test_endless_brackets_change_nothing(lift: Path, tmp_path: Path) -> None:
     with_instances(lift, tmp_path, "[" * 100_000)
 
 
-def test_a_palette_has_a_place_for_each_class_id_so_they_have_an_end(lift: Path, tmp_path: Path) -> None:
+def test_class_ids_are_limited_because_each_has_a_place_in_the_palette(lift: Path, tmp_path: Path) -> None:
     content = json.loads((lift / "result" / "instances.json").read_text())
     content["classes"][-1]["id"] = 2**31 - 2  # 34 GB of colours
     with_instances(lift, tmp_path, json.dumps(content))
@@ -90,7 +90,7 @@ ROT = {
 
 @pytest.mark.parametrize("spoil", ROT.values(), ids=ROT)
 @pytest.mark.parametrize("name", ["semantic_points.npz", "anchors.npz", "instances.json", "passes/0004.exr"])
-def test_rot_is_a_line_and_changes_nothing(
+def test_corruption_is_a_one_line_error_and_changes_nothing(
     lift: Path, tmp_path: Path, name: str, spoil: Callable[[bytes], bytes]
 ) -> None:
     """As a disk leaves it, found by its checksum; or with a manifest that lists the rotten bytes."""

@@ -74,7 +74,7 @@ def test_there_and_back(name: str) -> None:
 @pytest.mark.parametrize("fit", ["AUTO", "HORIZONTAL", "VERTICAL"])
 @pytest.mark.parametrize("size", [(640, 480), (480, 640)])
 @pytest.mark.parametrize("aspect", [(1.0, 1.0), (1.0, 2.5), (1.6, 1.0)])
-def test_what_any_camera_of_the_users_sees(fit: str, size: tuple[int, int], aspect: tuple[float, float]) -> None:
+def test_what_any_of_the_users_cameras_sees(fit: str, size: tuple[int, int], aspect: tuple[float, float]) -> None:
     scene = bpy.context.scene
     scene.camera = ob = bpy.data.objects.new("mine", bpy.data.cameras.new("mine"))
     scene.collection.objects.link(ob)
@@ -94,7 +94,7 @@ def test_what_any_camera_of_the_users_sees(fit: str, size: tuple[int, int], aspe
     assert np.abs(found - seen.project(points)[0]).max() < 2e-3
 
 
-def test_nothing_is_seen_without_a_plain_camera_in_perspective() -> None:
+def test_nothing_is_seen_without_a_plain_perspective_camera() -> None:
     scene = bpy.context.scene
     scene.camera = None
     assert camera_seen(scene) is None

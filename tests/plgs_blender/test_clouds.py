@@ -68,7 +68,7 @@ def test_each_class_has_its_own_points_in_their_order() -> None:
         assert np.array_equal(read(cloud, "confidence", "value", 1, np.float32)[:, 0], points.confidence[mine])
 
 
-def test_no_points_are_no_clouds() -> None:
+def test_no_points_give_no_clouds() -> None:
     assert place(many_points(0)) == []
 
 
@@ -90,7 +90,7 @@ def lines_run(points: SemanticPoints) -> int:
     return count
 
 
-def test_no_line_of_python_runs_once_a_point() -> None:
+def test_no_line_of_python_runs_once_per_point() -> None:
     few, many = many_points(4_000), many_points(40_000)
     place(few)  # what runs only the first time is over
     assert lines_run(many) < lines_run(few) + 4_000

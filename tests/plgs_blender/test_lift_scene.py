@@ -153,7 +153,7 @@ def test_two_scenes_stand_side_by_side(lift: Path, tmp_path: Path) -> None:
     assert counts() == before
 
 
-def test_found_again_whatever_it_is_called(lift: Path) -> None:
+def test_it_is_found_again_whatever_it_is_called(lift: Path) -> None:
     root = lift_scene.place_lift(lift, bpy.context.scene)
     before = counts()
     root.name = "My room"
@@ -204,7 +204,7 @@ def test_the_users_camera_keeps_its_frames(lift: Path) -> None:
     assert len(scene.timeline_markers) == FRAMES + 1
 
 
-def test_the_users_file_keeps_its_looks(lift: Path, tmp_path: Path) -> None:
+def test_the_users_file_keeps_its_look(lift: Path, tmp_path: Path) -> None:
     blend = tmp_path / "shot.blend"
     scene = bpy.context.scene
     scene.name, scene.frame_end, scene.render.resolution_x = "Shot", 77, 999
@@ -216,7 +216,7 @@ def test_the_users_file_keeps_its_looks(lift: Path, tmp_path: Path) -> None:
     assert len(lift_scene.lifts_in(scene)) == 1
 
 
-def test_a_file_that_we_start_shows_colours(lift: Path, tmp_path: Path) -> None:
+def test_a_new_file_shows_colours(lift: Path, tmp_path: Path) -> None:
     lift_scene.save_lift(lift, tmp_path / "lift.blend")
     bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "lift.blend"))
     scene = bpy.context.scene
@@ -229,7 +229,7 @@ def test_a_file_that_we_start_shows_colours(lift: Path, tmp_path: Path) -> None:
     assert {view.shading.wireframe_color_type for view in views} == {"OBJECT"}
 
 
-def test_a_file_that_we_start_opens_with_a_view_full_of_the_room(lift: Path, tmp_path: Path) -> None:
+def test_a_new_file_opens_with_a_view_that_the_room_fills(lift: Path, tmp_path: Path) -> None:
     lift_scene.save_lift(lift, tmp_path / "lift.blend")
     bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "lift.blend"))
     area = next(area for area in bpy.data.screens["Layout"].areas if area.type == "VIEW_3D")
@@ -264,7 +264,7 @@ def test_an_unfinished_lift_changes_nothing(lift: Path, tmp_path: Path) -> None:
     assert contents() == before and not (tmp_path / "x.blend").exists()
 
 
-def test_a_file_that_is_no_blend_is_left_alone(lift: Path, tmp_path: Path) -> None:
+def test_a_file_that_is_not_a_blend_is_left_alone(lift: Path, tmp_path: Path) -> None:
     path = tmp_path / "notes.blend"
     path.write_text("not a .blend")
     with pytest.raises(PlgsError, match="cannot be opened"):
@@ -315,7 +315,7 @@ def test_a_duplicate_never_takes_the_place_of_the_original(lift: Path, copies_me
         assert box.name == ("zebra" if copies_mesh else CHAIR_NAME) and LIFT in box and LIFT not in copy
 
 
-def test_the_scene_of_the_passes_is_left_to_them(lift: Path, tmp_path: Path) -> None:
+def test_the_scene_of_the_passes_is_left_alone(lift: Path, tmp_path: Path) -> None:
     scene = bpy.context.scene
     root = lift_scene.place_lift(lift, scene)
     passes = bpy.data.scenes["PLGS tiny room passes"]
@@ -328,7 +328,7 @@ def test_the_scene_of_the_passes_is_left_to_them(lift: Path, tmp_path: Path) -> 
         lift_scene.place_lift(lift, passes)
 
 
-def test_an_override_of_a_linked_lift_is_passed_over(lift: Path, tmp_path: Path) -> None:
+def test_an_override_of_a_linked_lift_is_skipped(lift: Path, tmp_path: Path) -> None:
     lift_scene.save_lift(lift, tmp_path / "lift.blend")
     bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
     with bpy.data.libraries.load(str(tmp_path / "lift.blend"), link=True) as (there, here):

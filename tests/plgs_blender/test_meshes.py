@@ -33,7 +33,7 @@ def placed(lift: Path) -> dict[str, bpy.types.Object]:
     return {ob["plgs_key"]: ob for ob in top.all_objects}
 
 
-def test_one_mesh_for_an_instance_and_one_for_a_stuff_class(lift: Path) -> None:
+def test_one_mesh_per_instance_and_per_stuff_class(lift: Path) -> None:
     objects = placed(lift)
     assert set(objects) == {f"mesh:{CHAIR_ID}:1", f"mesh:{FLOOR_ID}:0"}
     for key, name, area, label in (
@@ -79,7 +79,7 @@ def test_blender_exports_them(lift: Path, tmp_path: Path) -> None:
     assert {value.value for mesh in meshes for value in mesh.attributes["class_id"].data} == {CHAIR_ID, FLOOR_ID}
 
 
-def test_a_damaged_surface_is_told_in_one_line(lift: Path) -> None:
+def test_a_damaged_surface_is_reported_in_one_line(lift: Path) -> None:
     path = mesh_folder(lift) / "mesh.ply"
     whole = path.read_bytes()
     for content in (whole[:-3], whole.replace(b"class_id", b"klass_id"), b"", b"ply\n"):

@@ -17,7 +17,7 @@ end_process(3)
 """
 
 
-def test_a_reference_that_is_left_over_keeps_nobody_waiting(root: Path) -> None:
+def test_a_leftover_reference_does_not_delay_the_end(root: Path) -> None:
     said = subprocess.run([sys.executable, "-c", LEFT_OVER], cwd=root, capture_output=True, text=True, timeout=60)
     assert said.returncode == 3, said.stderr
     folder = Path(said.stdout.splitlines()[-1])

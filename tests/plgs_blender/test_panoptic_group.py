@@ -77,7 +77,7 @@ def ring(matte: np.ndarray) -> np.ndarray:
     return cv2.dilate(matte.astype(np.uint8), np.ones((side, side), np.uint8)).astype(bool) & ~matte
 
 
-def test_as_it_comes_it_is_the_picture(scene: bpy.types.Scene, view: TinyView, tmp_path: Path) -> None:
+def test_unmodified_it_is_the_picture(scene: bpy.types.Scene, view: TinyView, tmp_path: Path) -> None:
     assert np.allclose(rendered(scene, "Overlay", tmp_path), picture(view), atol=1e-5)
 
 
@@ -146,7 +146,7 @@ def assert_mixed(shown: np.ndarray, before: np.ndarray, where: np.ndarray, srgb:
     assert np.allclose(shown[where][:, :3], expected, atol=1e-5)
 
 
-def test_the_group_is_one_a_file_and_stays_as_the_user_set_it(lift: Path, root: bpy.types.Collection) -> None:
+def test_there_is_one_group_per_file_and_it_stays_as_the_user_set_it(lift: Path, root: bpy.types.Collection) -> None:
     _, tree = next(mattes.compositors_of(root))
     panoptic_node(tree).inputs["Hold out"].default_value = 0.25
     lift_scene.place_lift(lift, bpy.context.scene)
@@ -164,7 +164,7 @@ def test_without_passes_there_is_nothing_to_matte(lift: Path, root: bpy.types.Co
 
 
 @pytest.mark.parametrize(("version", "tried"), [((4, 3, 2), "CompositorNodeMath"), ((4, 5, 0), "ShaderNodeMath")])
-def test_an_older_blender_is_not_asked_for_a_node_that_it_refuses(
+def test_an_older_blender_is_never_asked_for_a_node_that_it_lacks(
     version: tuple[int, int, int], tried: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """It writes a line to the terminal for each."""

@@ -258,7 +258,7 @@ def test_numbered_names(names: list[str], first: str, numbers: tuple[int, ...]) 
         ["99999999999"],
     ],
 )
-def test_names_that_are_no_sequence(names: list[str]) -> None:
+def test_names_that_are_not_a_sequence(names: list[str]) -> None:
     assert numbered(names) is None
 
 

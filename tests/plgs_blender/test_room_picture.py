@@ -32,7 +32,7 @@ def test_a_picture_shows_points_and_boxes(lift: Path, tmp_path: Path, root: Path
     assert (tmp_path / "lift.blend").read_bytes() == before
 
 
-def test_bad_arguments_have_one_line(tmp_path: Path, root: Path) -> None:
+def test_bad_arguments_are_one_line_errors(tmp_path: Path, root: Path) -> None:
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "empty.blend"))
     for arguments, message in (
         ((tmp_path / "none.blend", tmp_path / "out.png"), "does not exist"),

@@ -108,7 +108,7 @@ def test_the_scene_is_left_as_it_was(scene: bpy.types.Scene) -> None:
     assert scene.frame_current == 3 and scene.camera == shown
 
 
-def test_a_long_range_is_read_some_frames_at_a_time(scene: bpy.types.Scene, tmp_path: Path) -> None:
+def test_a_long_range_is_read_a_few_frames_at_a_time(scene: bpy.types.Scene, tmp_path: Path) -> None:
     scene.frame_set(2)
     reader = ShotReader(scene, shot_of(scene))
     for done in range(1, 5):
@@ -120,7 +120,7 @@ def test_a_long_range_is_read_some_frames_at_a_time(scene: bpy.types.Scene, tmp_
         reader.read_for(0.0)
 
 
-def test_clip_and_the_range_that_is_asked_for(scene: bpy.types.Scene) -> None:
+def test_clip_and_the_requested_range(scene: bpy.types.Scene) -> None:
     scene.camera.data.clip_start, scene.camera.data.clip_end = 0.25, 40.0
     cameras = cameras_of(scene, shot_of(scene, "dolly", 2, 3))
     assert [(camera.name, camera.near, camera.far) for camera in cameras] == [
@@ -134,12 +134,12 @@ def test_a_camera_that_stands_still_is_one_picture(scene: bpy.types.Scene) -> No
     assert [camera.name for camera in cameras_of(scene, shot_of(scene))] == ["dolly.0001"]
 
 
-def test_names_that_are_no_files(scene: bpy.types.Scene) -> None:
+def test_names_that_are_not_files(scene: bpy.types.Scene) -> None:
     scene.camera.name = 'a/b: "c"?'
     assert cameras_of(scene, shot_of(scene))[0].name == "a_b_ _c__.0001"
 
 
-def test_of_many_cameras_those_of_a_like_name_are_listed_first(scene: bpy.types.Scene) -> None:
+def test_cameras_with_similar_names_are_listed_first(scene: bpy.types.Scene) -> None:
     for number in range(20):
         frame = bpy.data.objects.new(f"{number:04d}", bpy.data.cameras.new("frame"))
         frame["frame"] = frame.name

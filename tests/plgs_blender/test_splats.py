@@ -34,7 +34,7 @@ def write_gaussians(path: Path) -> None:
     write_ply_table(path, columns)
 
 
-def test_squares_lie_across_the_two_longest_axes_and_face_who_saw_them(tmp_path: Path) -> None:
+def test_squares_span_the_two_longest_axes_and_face_the_cameras_that_saw_them(tmp_path: Path) -> None:
     write_gaussians(tmp_path / "gaussians.ply")
     rows = read_gaussians(tmp_path / "gaussians.ply")
     for above in (5.0, -5.0):
@@ -64,7 +64,7 @@ def test_what_cameras_see_from_both_sides_has_two_squares(tmp_path: Path) -> Non
     assert seen((2.0, down), (-9.0, up)) == [0]
 
 
-def test_splats_have_the_colour_around_them_where_the_file_tells_it(tmp_path: Path) -> None:
+def test_splats_have_the_colour_around_them_if_the_file_has_it(tmp_path: Path) -> None:
     write_gaussians(tmp_path / "gaussians.ply")
     rows = read_gaussians(tmp_path / "gaussians.ply")
     told = np.zeros(len(rows), rows.dtype.descr + [(name, "u1") for name in ("red", "green", "blue")])

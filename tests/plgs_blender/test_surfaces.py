@@ -44,12 +44,12 @@ def test_walls_face_the_camera_in_the_room() -> None:
     assert (agreement > 0.0).all() and np.mean(agreement > 0.99) > 0.95
 
 
-def test_normals_without_anything_to_go_by() -> None:
+def test_normals_without_points_or_viewpoints() -> None:
     assert SurfaceGrid.of(np.zeros((0, 3))).normals(np.zeros((1, 3))).shape == (0, 3)
     assert not SurfaceGrid.of(room()[0]).normals(np.zeros((0, 3))).any()
 
 
-def test_the_overview_has_the_room_in_its_picture_and_looks_in_from_outside() -> None:
+def test_the_overview_shows_the_whole_room_from_outside() -> None:
     xyz, inward = room()
     camera = overview_camera(xyz, inward)
     facing = np.einsum("ij,ij->i", inward, camera.centre - xyz) > 0.0
@@ -63,5 +63,5 @@ def test_the_overview_has_the_room_in_its_picture_and_looks_in_from_outside() ->
     assert np.linalg.det(camera.camera_to_world[:3, :3]) > 0.0
 
 
-def test_the_overview_of_nothing_is_a_camera_all_the_same() -> None:
+def test_the_overview_of_nothing_is_still_a_camera() -> None:
     assert np.isfinite(overview_camera(np.zeros((0, 3)), np.zeros((0, 3))).camera_to_world).all()

@@ -20,7 +20,7 @@ def following() -> Iterator[None]:
 
 
 @pytest.mark.usefixtures("following")
-def test_a_camera_of_the_users_that_is_added_later_stays_active(lift: Path) -> None:
+def test_a_camera_that_the_user_adds_later_stays_active(lift: Path) -> None:
     scene = bpy.context.scene
     root = lift_scene.place_lift(lift, scene)
     scene.timeline_markers["0002"].frame = 40  # markers may be moved
@@ -44,7 +44,7 @@ def test_a_camera_of_the_users_that_is_added_later_stays_active(lift: Path) -> N
     assert scene.camera["frame"] == "0000"
 
 
-def test_a_marker_of_the_users_at_a_copy_of_our_camera_stays(lift: Path) -> None:
+def test_the_users_marker_at_a_copy_of_our_camera_stays(lift: Path) -> None:
     scene = bpy.context.scene
     lift_scene.place_lift(lift, scene)
     copy = bpy.data.objects["0001"].copy()

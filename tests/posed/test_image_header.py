@@ -49,7 +49,7 @@ def test_a_cut_off_image_is_found_without_decoding_it(image: Path, share: float)
         check_image_file(image)
 
 
-def test_what_a_camera_appends_to_a_jpeg_does_no_harm(tmp_path: Path) -> None:
+def test_what_a_camera_appends_to_a_jpeg_is_harmless(tmp_path: Path) -> None:
     path = tmp_path / "image.jpg"
     cv2.imwrite(str(path), np.zeros((48, 64, 3), np.uint8))
     path.write_bytes(path.read_bytes() + b"trailer" * 1000)

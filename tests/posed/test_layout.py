@@ -48,5 +48,5 @@ def test_names_that_leave_the_folder_are_refused(tmp_path: Path, name: str) -> N
 
 
 @pytest.mark.parametrize("name", ["a.png", "sub/a.png", "..a.png"])
-def test_plain_names_are_taken(tmp_path: Path, name: str) -> None:
+def test_plain_names_are_accepted(tmp_path: Path, name: str) -> None:
     assert file_inside(tmp_path, name, tmp_path / "table.json") == tmp_path / name

@@ -84,7 +84,7 @@ def test_focal_lengths_that_no_lens_has(tmp_path: Path, focal: float) -> None:
 
 
 @pytest.mark.parametrize("metres", [1e-30, 1e6, 1e38])
-def test_depth_that_no_sensor_measures(tmp_path: Path, metres: float) -> None:
+def test_depth_beyond_any_sensors_range(tmp_path: Path, metres: float) -> None:
     with pytest.raises(PlgsError, match="the largest depth of frame 0001 is .* which no sensor measures"):
         depth_check("0001", tmp_path)(np.full((12, 16), metres, np.float32))
 
@@ -102,7 +102,7 @@ def test_estimated_depth_has_the_same_limits(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "lens", [Distortion("brown", (1e20, 0.0, 0.0, 0.0)), Distortion("fisheye", (1e10, 0.0, 0.0, 0.0))]
 )
-def test_a_lens_that_leaves_no_picture_is_what_is_wrong(tmp_path: Path, lens: Distortion) -> None:
+def test_a_lens_that_leaves_no_picture_is_reported_as_the_fault(tmp_path: Path, lens: Distortion) -> None:
     camera = Camera(64, 48, 60.0, 60.0, 32.0, 24.0, np.eye(4))
     with pytest.raises(PlgsError, match="the lens distorts so much"):
         undistorted(np.ones((48, 64), np.float32), camera, lens, tmp_path, smooth=False)

@@ -20,7 +20,7 @@ def written(folder: Path, matrix: np.ndarray, form: str = "%.18e") -> Path:
 
 
 @pytest.mark.parametrize("text", ["1 2\n3 4\n", "1,2\n3,4", "\n1\t2  \n\n 3 4", "1e0 2.0\r\n3 4\r\n"])
-def test_matrices_come_in_many_hands(tmp_path: Path, text: str) -> None:
+def test_matrices_come_in_many_conventions(tmp_path: Path, text: str) -> None:
     (tmp_path / "matrix.txt").write_text(text)
     assert read_matrix(tmp_path / "matrix.txt", ((2, 2),)).tolist() == [[1.0, 2.0], [3.0, 4.0]]
 
@@ -82,7 +82,7 @@ def test_opengl_axes_are_noticed() -> None:
     assert message is not None and "OpenGL" in message
 
 
-def test_cameras_that_look_straight_down_say_nothing_about_up() -> None:
+def test_cameras_that_look_straight_down_do_not_reveal_the_up_axis() -> None:
     down = np.eye(4)
     down[:3, :3] = np.diag([1.0, -1.0, -1.0])
     turned = np.eye(4)

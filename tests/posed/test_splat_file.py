@@ -46,7 +46,7 @@ def test_splats_that_are_nowhere_are_left_out(original: bytes, tmp_path: Path, v
     assert read_gaussians(path)["class_id"].tolist() == [1, 2, 3, 4, 5]
 
 
-def test_a_column_that_is_there_twice(original: bytes, tmp_path: Path) -> None:
+def test_a_column_that_appears_twice(original: bytes, tmp_path: Path) -> None:
     path = tmp_path / "twice.ply"
     path.write_bytes(original.replace(b"property float y", b"property float x"))
     with pytest.raises(PlgsError, match="holds no splats"):

@@ -13,7 +13,7 @@ def test_every_eighth_frame_is_held_out_beginning_with_the_fifth() -> None:
     assert split.test == ("004", "012") and len(split.train) == 18 and split.warnings == ()
 
 
-def test_a_scene_too_short_to_hold_one_out_is_said_to_be() -> None:
+def test_a_scene_too_short_to_hold_a_frame_out_is_reported() -> None:
     split = default_split(NAMES[:4])
     assert split.train == NAMES[:4] and split.test == () and "too few frames" in split.warnings[0]
 

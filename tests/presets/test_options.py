@@ -55,7 +55,7 @@ def test_texts_become_values() -> None:
         ("", "name=value"),
     ],
 )
-def test_what_is_none_is_refused_with_the_nearest(text: str, told: str) -> None:
+def test_unknown_options_are_refused_with_the_nearest_name(text: str, told: str) -> None:
     with pytest.raises(PlgsError) as caught:
         parsed_options([text])
     assert told in str(caught.value)
@@ -88,7 +88,7 @@ def test_a_bad_file_is_named(content: str, told: str, tmp_path: Path) -> None:
     assert told in str(caught.value) and str(path) in str(caught.value)
 
 
-def test_a_request_of_a_file_and_of_options(tmp_path: Path) -> None:
+def test_a_request_from_a_file_and_from_options(tmp_path: Path) -> None:
     path = tmp_path / "mine.toml"
     path.write_text('preset = "standard"\nsteps = 9\nsize = [64, 48]\nobjects = "boxes"\nneighbours = 2')
     request = request_of("--preset", str(path), "--set", "neighbours=4", "--set", "fill_holes=true")
@@ -118,7 +118,7 @@ def test_steps_are_the_same_wherever_they_are_given() -> None:
     assert request_of("--set", "steps=500").options == {"steps": 500}, "the preset's steps, whatever the views"
 
 
-def test_a_value_of_the_preset_undoes_an_earlier_one() -> None:
+def test_a_value_of_the_preset_overrides_an_earlier_one() -> None:
     earlier = LiftRequest(Path("/scene"), options={"steps": 600, "size": [100, 100], "frames": 7, "voxel_size": 0.1})
     texts = ["steps=500", "steps_a_view=5", "size=200,200", "frames=400", "voxel_size=0.06"]
     preset, options = chosen_options(None, parsed_options(texts), earlier)

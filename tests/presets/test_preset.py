@@ -16,7 +16,7 @@ from engine.presets.preset import PRESETS, Preset
 from engine.train.trainer import Trainer
 
 
-def test_those_offered_are_those_there_are() -> None:
+def test_the_offered_ones_are_those_that_exist() -> None:
     assert get_args(PresetName) == tuple(PRESETS)
     for preset in PRESETS.values():
         json.dumps(asdict(preset))  # it goes into the manifest
@@ -45,7 +45,7 @@ PAPERS_WAYS = {
 
 
 @pytest.mark.parametrize(("field", "value"), (PAPERS_NUMBERS | PAPERS_WAYS).items())
-def test_the_preset_paper_keeps_to_the_letter(field: str, value: object) -> None:
+def test_the_preset_paper_follows_the_paper_to_the_letter(field: str, value: object) -> None:
     assert getattr(PRESETS["paper"], field) == value
 
 

@@ -19,7 +19,7 @@ def test_every_gaussian_is_in_one_chunk(count: int) -> None:
 
 
 @given(st.integers(0, 10**7), st.integers(0, 20))
-def test_who_comes_too_late_gets_none(count: int, later: int) -> None:
+def test_latecomers_get_no_lease(count: int, later: int) -> None:
     chunks = chunk_count(count)
     assert chunk_range(chunks - 1, chunks, count)[1] == count
     first, end = chunk_range(chunks + later, chunks, count)

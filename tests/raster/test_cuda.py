@@ -65,7 +65,7 @@ def test_a_gpu_matches_the_reference(name: str) -> None:
 
 
 @pytest.mark.usefixtures("stand_in")
-def test_labels_touch_nothing_but_themselves() -> None:
+def test_labels_affect_nothing_but_themselves() -> None:
     scene = random_scene(6, 100, 4, 30, 20)
     tensors = [tensor.clone().requires_grad_() for tensor in scene.tensors]
     out = rasterize(*tensors, scene.pose, scene.intrinsics, 30, 20, backend="gsplat", want_means2d_grad=True)
@@ -89,7 +89,7 @@ def test_without_labels_and_without_gradients() -> None:
     ("installed", "said"),
     [("1.4.0", "too old"), ("1.5.3+pt24cu124", None), ("1.6.0", None), ("1.7.0", "too new"), (None, "not installed")],
 )
-def test_says_which_gsplat_it_needs(installed: str | None, said: str | None, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_it_names_the_gsplat_it_needs(installed: str | None, said: str | None, monkeypatch: pytest.MonkeyPatch) -> None:
     def version(name: str) -> str:
         if installed is None:
             raise metadata.PackageNotFoundError(name)
@@ -103,7 +103,7 @@ def test_says_which_gsplat_it_needs(installed: str | None, said: str | None, mon
         assert missing is not None and said in missing and "gsplat>=1.5,<1.7" in missing
 
 
-def test_refuses_tensors_that_are_not_on_a_gpu() -> None:
+def test_it_refuses_tensors_that_are_not_on_a_gpu() -> None:
     scene = random_scene(10, 5, 2, 8, 8)
     with pytest.raises(ValueError, match="on the device cuda, these are torch.float32 on cpu"):
         rasterize(*scene.tensors, scene.pose, scene.intrinsics, 8, 8, backend="gsplat")

@@ -28,7 +28,7 @@ def test_the_cpu_is_where_the_tensors_are() -> None:
         assert torch.equal(getattr(chosen, layer), getattr(plain, layer))
 
 
-def test_all_that_is_drawn_is_brought_to_the_device(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_everything_that_is_drawn_is_moved_to_the_device(monkeypatch: pytest.MonkeyPatch) -> None:
     plain, given = draw(), []
 
     def back_end(gaussians: GaussianSet, *rest: object) -> Rendering:

@@ -113,7 +113,7 @@ def test_a_cold_start_compiles_and_says_so(cold: Run) -> None:
 
 
 @pytest.mark.slow
-def test_a_warm_start_is_soon_over(cold: Run, read_only_code: Path) -> None:
+def test_a_warm_start_is_quick(cold: Run, read_only_code: Path) -> None:
     cache = str(cold.cache.parent)
     runs = [render_in_a_process(read_only_code, NUMBA_CACHE_DIR=cache, HOME=NO_HOME) for _ in range(3)]
     seconds = [run.seconds for run in runs]
@@ -123,7 +123,7 @@ def test_a_warm_start_is_soon_over(cold: Run, read_only_code: Path) -> None:
 
 
 @pytest.mark.slow
-def test_who_only_draws_does_not_wait_for_the_backward_pass(tmp_path: Path) -> None:
+def test_drawing_alone_does_not_wait_for_the_backward_pass(tmp_path: Path) -> None:
     done = subprocess.run(
         [sys.executable, "-c", DRAW],
         env=environment(NUMBA_CACHE_DIR=str(tmp_path)),
@@ -136,7 +136,7 @@ def test_who_only_draws_does_not_wait_for_the_backward_pass(tmp_path: Path) -> N
 
 
 @pytest.mark.slow
-def test_needs_neither_a_home_nor_a_setting(read_only_code: Path, tmp_path: Path) -> None:
+def test_it_needs_neither_a_home_nor_a_setting(read_only_code: Path, tmp_path: Path) -> None:
     """A temporary folder of this process alone takes the machine code where nothing else can."""
     before = listing(read_only_code)
     run = render_in_a_process(read_only_code, HOME=NO_HOME, TMPDIR=str(tmp_path))

@@ -18,7 +18,7 @@ from research.bench.room import Workload, room_workload
 from tests.machine.held_bytes import held_bytes
 
 
-def test_what_is_kept_is_not_overwritten() -> None:
+def test_a_kept_picture_is_not_overwritten() -> None:
     scene = random_scene(0, 100, 4, 40, 30)
     first = rasterize(*scene.tensors, scene.pose, scene.intrinsics, 40, 30)
     copy = first.image.clone()
@@ -28,7 +28,7 @@ def test_what_is_kept_is_not_overwritten() -> None:
     assert torch.equal(first.image, copy)
 
 
-def test_a_way_back_that_comes_late_or_twice_is_the_same() -> None:
+def test_a_backward_pass_that_is_late_or_repeated_gives_the_same() -> None:
     """What the first picture left for it is overwritten neither by other pictures nor by the way back itself."""
     scene, other = random_scene(3, 200, 6, 50, 40), random_scene(4, 200, 6, 50, 40)
     gradients = []
@@ -70,7 +70,7 @@ def step(work: Workload, change: int = 0) -> None:
 
 
 @pytest.mark.parametrize("count", [10_000, 50_000])
-def test_stays_within_its_bound(count: int) -> None:
+def test_it_stays_within_its_bound(count: int) -> None:
     work = room_workload(count)
     memory._blocks.clear()
     step(work)
@@ -96,7 +96,7 @@ def test_steps_of_a_slowly_changing_scene_allocate_nothing(count: int) -> None:
     assert peak <= little
 
 
-def test_stays_within_its_bound_when_one_tile_has_them_all() -> None:
+def test_it_stays_within_its_bound_when_one_tile_has_everything() -> None:
     """Seen from afar, with more threads than there is work for."""
     work, count = room_workload(4000), 4000
     memory._blocks.clear()
@@ -117,7 +117,7 @@ def test_stays_within_its_bound_when_one_tile_has_them_all() -> None:
     assert held_bytes() <= 2500 * count + 450 * 48 * 48 + scratch
 
 
-def test_reads_nothing_that_was_left_behind() -> None:
+def test_it_reads_nothing_that_was_left_behind() -> None:
     """Free memory full of NaN changes no bit, whatever the count of Gaussians leaves unused of it."""
     for count in (1, 3, 17, 50, 130, 700):
         scene = random_scene(count, count, 5, 33, 18)

@@ -34,7 +34,7 @@ scenes together it is 1e-4."""
 
 
 @pytest.mark.parametrize("name", SCENES)
-def test_matches_the_reference(name: str, record_property: Callable[[str, object], None]) -> None:
+def test_it_matches_the_reference(name: str, record_property: Callable[[str, object], None]) -> None:
     scene = SCENES[name]
     steady = steady_pixels(scene)
     near = int((~steady).sum())
@@ -118,7 +118,7 @@ def test_the_same_bits_on_a_room() -> None:
 
 
 @pytest.mark.parametrize("backend", ["numba", "reference"])
-def test_labels_touch_nothing_but_themselves(backend: str) -> None:
+def test_labels_affect_nothing_but_themselves(backend: str) -> None:
     scene = random_scene(6, 100, 4, 30, 20)
     tensors = [tensor.clone().requires_grad_() for tensor in scene.tensors]
     out = rasterize(*tensors, scene.pose, scene.intrinsics, 30, 20, backend=backend, want_means2d_grad=True)
@@ -130,7 +130,7 @@ def test_labels_touch_nothing_but_themselves(backend: str) -> None:
 
 
 @pytest.mark.parametrize("layer", LAYERS)
-def test_a_loss_may_look_at_one_layer_alone(layer: str) -> None:
+def test_a_loss_may_use_only_one_layer(layer: str) -> None:
     """The others have no gradient then, which is not one of the pass before."""
     scene = random_scene(9, 100, 4, 30, 20)
     render(scene, "numba")
@@ -177,7 +177,7 @@ def test_gradcheck_of_the_reference() -> None:
     assert torch.autograd.gradcheck(draw, inputs[:5] + [inputs[5].detach()], atol=1e-6)
 
 
-def test_refuses_what_does_not_fit() -> None:
+def test_it_refuses_what_does_not_fit() -> None:
     scene = random_scene(10, 5, 2, 8, 8)
     where = (scene.pose, scene.intrinsics, 8, 8)
     with pytest.raises(ValueError, match="scales has shape"):

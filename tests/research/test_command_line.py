@@ -23,7 +23,7 @@ def test_help_imports_nothing_heavy(root: Path, command: list[str]) -> None:
     refuse_heavy_help(root, "research.command_line", command)
 
 
-def test_runs_as_a_module(root: Path) -> None:
+def test_it_runs_as_a_module(root: Path) -> None:
     said = subprocess.run(
         [sys.executable, "-m", "research", "experiments", "--list"],
         cwd=root, capture_output=True, text=True, timeout=120,

@@ -63,7 +63,7 @@ def test_a_lift_on_disk(tmp_path: Path) -> None:
     assert result.figures == Figures()
 
 
-def test_memory_and_frames_a_second() -> None:
+def test_memory_and_frames_per_second() -> None:
     first, last = ({"name": "run", "values": values} for values in ({"peak_bytes": 3e9}, {"peak_bytes": 1e9, "fps": 2}))
     events = [Event(1, 0.0, "metric", first), Event(2, 1.0, "metric", {"name": "loss", "values": {}})]
     assert run_figures([*events, Event(3, 2.0, "metric", last)]) == {"peak_bytes": 3e9, "fps": 2.0}

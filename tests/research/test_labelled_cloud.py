@@ -16,7 +16,7 @@ from tests.tiny_scene import write_tiny_scene
 PRESET = replace(PRESETS["preview"], voxel_size=0.2)
 
 
-def test_each_kind_stands_in_each_place_once() -> None:
+def test_each_kind_is_in_each_place_once() -> None:
     ways = dict(labelled_cloud.ways(ViewEvidence()))
     assert ways["as shipped"] == ViewEvidence()
     assert ways["all: views"] == replace(ViewEvidence(), objects="views", segments="views", masks="views")
@@ -24,7 +24,7 @@ def test_each_kind_stands_in_each_place_once() -> None:
     assert len(ways) == 1 + 5 + 3 * 4
 
 
-def test_a_row_a_way_and_a_column_a_scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_one_row_per_way_and_one_column_per_scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     every = labelled_cloud.ways
     monkeypatch.setattr(labelled_cloud, "ways", lambda shipped: islice(every(shipped), 2))
     scene = write_tiny_scene(tmp_path / "room", frames=10)

@@ -25,7 +25,7 @@ def test_other_programs_read_the_csv() -> None:
     assert (rows[0]["miou"], rows[0]["steps"], rows[1]["psnr"]) == ("0.8", "500", "")
 
 
-def test_no_cell_of_the_csv_is_a_formula() -> None:
+def test_no_csv_cell_is_a_formula() -> None:
     text = csv_text([replace(KITCHEN, scene='=HYPERLINK("x")')])
     assert next(csv.DictReader(text.splitlines()))["scene"] == '\'=HYPERLINK("x")'
 

@@ -70,7 +70,7 @@ def test_poses_are_a_little_wrong_and_rigid(exact: Path, captured: Path) -> None
     assert np.sqrt(np.mean(np.square(turns))) == pytest.approx(0.3, rel=0.01) and max(turns) < 1.2
 
 
-def test_depth_with_a_lens_of_its_own_comes_out_on_the_colours(tmp_path: Path) -> None:
+def test_depth_with_its_own_lens_is_aligned_with_the_colours(tmp_path: Path) -> None:
     source = write_tiny_scene(tmp_path / "source", frames=6)
     lens = np.loadtxt(source / "intrinsic/intrinsic_color.txt")
     lens[0, 0] *= 1.1

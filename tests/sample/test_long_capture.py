@@ -51,7 +51,7 @@ def test_truth_and_masks_show_the_same_room(capture: Path) -> None:
     assert known.mean() > 0.4 and (truth.semantic == mask.class_map())[known].mean() > 0.4
 
 
-def test_laps_go_there_and_back_and_lie_aside_of_each_other(long_capture: ModuleType) -> None:
+def test_laps_go_there_and_back_side_by_side(long_capture: ModuleType) -> None:
     poses, _ = long_capture.room_cameras()
     walked = long_capture.laps(poses, 2 * long_capture.LAP + 10, 0)
     assert len(walked) == 2 * long_capture.LAP + 10

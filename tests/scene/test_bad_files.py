@@ -317,7 +317,7 @@ BAD: list[tuple[str, str, Any, str]] = [
 
 
 @pytest.mark.parametrize(("name", "file", "change", "told"), BAD)
-def test_bad_files_get_a_line(sample: Sample, name: str, file: str, change: Any, told: str) -> None:
+def test_bad_files_are_one_line_errors(sample: Sample, name: str, file: str, change: Any, told: str) -> None:
     path = sample(name) / file
     if callable(change):
         change = change(path.read_bytes())
@@ -348,7 +348,7 @@ def odd_value(draw: Any, data: bytes) -> bytes:
 @pytest.mark.parametrize("name", WRITERS)
 @examples(20)
 @given(data=st.data())
-def test_damaged_samples_get_a_line(sample: Sample, name: str, data: st.DataObject) -> None:
+def test_damaged_samples_are_one_line_errors(sample: Sample, name: str, data: st.DataObject) -> None:
     files = sorted(path for path in sample(name).rglob("*") if path.is_file())
     suffix = data.draw(st.sampled_from(sorted({path.suffix for path in files})))  # what kind a file is of
     path = data.draw(st.sampled_from([path for path in files if path.suffix == suffix]))

@@ -258,5 +258,5 @@ def test_bad_input_gets_one_clear_line(name: str, folder: Path) -> None:
     assert line(folder) == EXPECTED[name]
 
 
-def test_the_good_scene_is_good(folder: Path) -> None:
+def test_the_unspoilt_scene_is_accepted(folder: Path) -> None:
     assert check_scene(open_scene(folder)) == ()

@@ -53,7 +53,7 @@ def test_vast_images(tmp_path: Path, data: bytes) -> None:
         decode_bytes(data, path, as_colour=True)
 
 
-def test_the_largest_photos_there_are_pass(tmp_path: Path) -> None:
+def test_the_largest_real_photos_pass(tmp_path: Path) -> None:
     (tmp_path / "image.png").write_bytes(png(14204, 10652))  # of a medium format camera
     assert read_image_header(tmp_path / "image.png").size == (14204, 10652) and 14204 * 10652 <= MOST_PIXELS
 
@@ -121,7 +121,7 @@ BAD_HEADERS = {
 
 
 @pytest.mark.parametrize("header", BAD_HEADERS.values(), ids=BAD_HEADERS)
-def test_headers_that_claim_what_is_not_there(tmp_path: Path, header: str) -> None:
+def test_headers_that_claim_missing_data(tmp_path: Path, header: str) -> None:
     (tmp_path / "depth.npy").write_bytes(npy(header, bytes(12)))
     packed(tmp_path / "points.npz", xyz=npy(header, bytes(12)))
     for refuse in (lambda: read_npy(tmp_path / "depth.npy", FIX), lambda: read_npz(tmp_path / "points.npz", FIX)):
@@ -130,7 +130,7 @@ def test_headers_that_claim_what_is_not_there(tmp_path: Path, header: str) -> No
         assert "\n" not in str(refused.value)
 
 
-def test_arrays_come_out_as_they_went_in(tmp_path: Path) -> None:
+def test_arrays_survive_a_round_trip(tmp_path: Path) -> None:
     table, turned = np.arange(6, dtype=np.int16).reshape(2, 3), np.asfortranarray(np.eye(3))
     arrays = {"a": table, "b": turned, "c": np.array(1.5)}
     np.savez_compressed(tmp_path / "x.npz", **arrays)
@@ -141,7 +141,7 @@ def test_arrays_come_out_as_they_went_in(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("damage", ["cut off", "rotten", "no zip", "empty"])
-def test_rot_in_arrays_is_a_line(tmp_path: Path, damage: str) -> None:
+def test_corruption_in_arrays_is_a_one_line_error(tmp_path: Path, damage: str) -> None:
     path = tmp_path / "points.npz"
     np.savez_compressed(path, xyz=np.random.default_rng(0).random((100, 3)))
     data = path.read_bytes()
@@ -167,7 +167,7 @@ def test_huge_json(tmp_path: Path) -> None:
     ["color/0001.png", "depth/0001.png", "panoptic/0001.png", "pose/0001.txt", "panoptic.json", "splits.json",
      "intrinsic/intrinsic_color.txt"],
 )  # fmt: skip
-def test_a_fifo_in_a_scene_blocks_nobody(tmp_path: Path, name: str) -> None:
+def test_a_fifo_in_a_scene_blocks_nothing(tmp_path: Path, name: str) -> None:
     scene = write_tiny_scene(tmp_path, frames=3, size=(16, 12))
     (scene / name).unlink(missing_ok=True)
     os.mkfifo(scene / name)

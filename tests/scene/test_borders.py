@@ -90,5 +90,5 @@ DARK = {
 
 
 @pytest.mark.parametrize("picture", DARK)
-def test_dark_things_are_no_border(picture: str) -> None:
+def test_dark_things_are_not_a_border(picture: str) -> None:
     assert not border_mask(DARK[picture]()).any()

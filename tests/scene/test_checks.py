@@ -22,7 +22,7 @@ def test_a_sound_scene_has_no_warnings_noise_or_not(tmp_path: Path) -> None:
     assert check_scene(open_scene(write_tiny_scene(tmp_path, frames=9, noise=0.4, seed=3))) == ()
 
 
-def test_progress_is_told_and_may_end_the_check(tmp_path: Path) -> None:
+def test_progress_is_reported_and_may_end_the_check(tmp_path: Path) -> None:
     scene = open_scene(write_tiny_scene(tmp_path, frames=5, size=(32, 24)))
     seen: list[tuple[int, int]] = []
     check_scene(scene, progress=lambda done, total: seen.append((done, total)))
@@ -59,7 +59,7 @@ def test_one_frame_alone_is_a_warning(tmp_path: Path) -> None:
     assert warnings[-1] == "there is only one frame: nothing can be checked against another view"
 
 
-def test_a_description_sums_the_scene_up(tmp_path: Path) -> None:
+def test_a_description_summarises_the_scene(tmp_path: Path) -> None:
     folder = write_tiny_scene(tmp_path, frames=9, depth_size=(32, 24))
     report = describe(open_scene(folder))
     assert (report.train_frames, report.test_frames, report.ground_truth_frames) == (8, 1, 9)

@@ -85,7 +85,7 @@ def test_classes_are_merged_renamed_and_dropped(tmp_path: Path) -> None:
     assert sum(one.class_id == 3 for one in mask.segments) == 2, "two objects stay two"
 
 
-def test_thing_or_stuff_is_the_users_word(tmp_path: Path) -> None:
+def test_the_user_decides_between_thing_and_stuff(tmp_path: Path) -> None:
     scene = open_scene(scene_with(tmp_path, '[[class]]\nname = "cabinet"\nthing = false\n'))
     assert scene.classes.thing_ids == {5}
     assert not any(one.is_thing for one in scene.frames[0].mask().segments if one.class_id == 3)
@@ -101,7 +101,7 @@ def test_the_papers_classes_by_name(tmp_path: Path) -> None:
     refuses(r"no place among the paper's 21 .Tapete.*classes.toml. Say which class each", tmp_path)
 
 
-def test_a_list_of_classes_goes_out_and_comes_back(tmp_path: Path) -> None:
+def test_a_list_of_classes_survives_a_round_trip(tmp_path: Path) -> None:
     labels = known_table("nyu40").labels
     said = ClassRow(id=5, thing=False), ClassRow(name="sofa", into="chair"), ClassRow(id=39, into="void")
     choice = ClassChoice(rows=said)
@@ -142,7 +142,7 @@ def test_the_text_keeps_what_was_said(tmp_path: Path) -> None:
         ("[[class]]\nname = 'sofa'", 'no class called "sofa"'),
     ],
 )
-def test_bad_files_get_a_line(tmp_path: Path, text: str, told: str) -> None:
+def test_bad_files_are_one_line_errors(tmp_path: Path, text: str, told: str) -> None:
     folder = scene_with(tmp_path, text)
     with pytest.raises(PlgsError) as caught:
         open_scene(folder)
@@ -150,7 +150,7 @@ def test_bad_files_get_a_line(tmp_path: Path, text: str, told: str) -> None:
     assert told.split(". ")[0] in message and "classes.toml" in str(caught.value) and "\n" not in str(caught.value)
 
 
-def test_a_table_that_is_nowhere_is_told() -> None:
+def test_a_missing_table_is_reported() -> None:
     with pytest.raises(PlgsError, match=r"cannot be read .*none.toml"):
         read_class_choice(Path("none.toml"))
 
@@ -174,7 +174,7 @@ def test_the_list_of_a_scene_is_edited_and_written(tmp_path: Path) -> None:
             write_class_list(source, edited)
 
 
-def test_a_table_can_be_named_where_the_files_tell_nothing(tmp_path: Path) -> None:
+def test_a_table_can_be_named_if_the_files_do_not_tell(tmp_path: Path) -> None:
     write_pairs(tmp_path, ("semantic", "instance"))
     source, edited = SceneSource(tmp_path), tmp_path / "edited.json"
     with pytest.raises(PlgsError, match="do not say what their classes are"):

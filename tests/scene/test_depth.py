@@ -69,7 +69,7 @@ def test_the_same_lens_in_other_digits_changes_nothing(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("focal", [20.0, 90.0])
-def test_a_depth_lens_that_cannot_be_is_ignored_with_a_warning(tmp_path: Path, focal: float) -> None:
+def test_an_impossible_depth_lens_is_ignored_with_a_warning(tmp_path: Path, focal: float) -> None:
     folder = write_tiny_scene(tmp_path, frames=5)
     before = open_scene(folder).frames[1].read_depth(None)
     np.savetxt(folder / "intrinsic" / "intrinsic_depth.txt", [[focal, 0, 32], [0, focal, 24], [0, 0, 1]])

@@ -33,7 +33,7 @@ def test_scale_and_shift_come_back_through_noise_and_wrong_points(inverse: bool)
     assert np.median(np.abs(fit.depth(values[100:]) / right - 1.0)) < 0.01
 
 
-def test_a_map_that_says_nothing_is_refused() -> None:
+def test_a_map_without_information_is_refused() -> None:
     depths = np.linspace(1.0, 3.0, 40)
     assert fit_depth(np.full(40, 3.0), depths) is None
     assert fit_depth(depths[:8], depths[:8]) is None
@@ -87,7 +87,7 @@ def test_colmap_with_a_networks_maps(tmp_path: Path, kind: str) -> None:
         assert (depth > 0.0).mean() > 0.99 and np.median(off) < 0.01 and np.quantile(off, 0.9) < 0.03
 
 
-def test_missing_and_wrong_maps_get_a_line(tmp_path: Path) -> None:
+def test_missing_and_wrong_maps_are_one_line_errors(tmp_path: Path) -> None:
     write_colmap(tmp_path / "scene")
     (tmp_path / "maps").mkdir()
     for i in range(5):

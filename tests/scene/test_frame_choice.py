@@ -35,7 +35,7 @@ def names(scene: Scene) -> list[int]:
     return [int(each.name) for each in scene.train_frames]
 
 
-def test_a_short_recording_is_taken_whole() -> None:
+def test_a_short_recording_is_used_whole() -> None:
     scene = scene_of([frame(number, 0.1 * number) for number in range(10)])
     assert choose_frames(scene, 10) is scene
 
@@ -56,7 +56,7 @@ def test_frames_held_out_stay_and_order_is_kept() -> None:
 
 
 @pytest.mark.parametrize("turns", [True, False], ids=["turning", "going"])
-def test_where_the_camera_moves_more_frames_are_taken(turns: bool) -> None:
+def test_more_frames_are_used_where_the_camera_moves_more(turns: bool) -> None:
     """Half of the recording stands still."""
     frames = [frame(number, 0.0) for number in range(100)]
     for number in range(100):
@@ -72,6 +72,6 @@ def test_a_jump_of_the_tracker_does_not_swallow_the_windows() -> None:
     assert len(windows(frames, 20)) >= 18
 
 
-def test_frames_of_one_place_are_told_apart_by_time() -> None:
+def test_frames_of_one_place_are_distinguished_by_time() -> None:
     groups = windows([frame(number, 0.0) for number in range(12)], 4)
     assert [group.tolist() for group in groups] == [[0, 1, 2], [3, 4, 5], [6, 7, 8], [9, 10, 11]]

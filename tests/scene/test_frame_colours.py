@@ -27,7 +27,7 @@ def test_a_line_is_drawn_at_each_whole_metre() -> None:
     assert [round(float(depth[1, i + 1])) for i in dips] == [1, 2, 3]
 
 
-def test_without_depth_nothing_is_told() -> None:
+def test_without_depth_nothing_is_reported() -> None:
     drawn = depth_colours(np.zeros((2, 3), np.float32))
     assert (drawn.near, drawn.far) == (0.0, 0.0) and (drawn.rgb == 60).all()
 

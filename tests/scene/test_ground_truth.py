@@ -56,7 +56,7 @@ def test_a_folder_may_name_its_table(folder: Path) -> None:
     assert check_scene(scene)[-1] == "classes blinds of the ground truth are not in the masks' table and count as void"
 
 
-def test_a_file_may_say_the_table(folder: Path) -> None:
+def test_a_file_may_name_the_table(folder: Path) -> None:
     numbers = np.full(14, 255, np.uint8)
     numbers[[1, 2, 3, 5]] = 131, 122, 120, 56  # COCO's
     before = semantic(open_scene(folder))

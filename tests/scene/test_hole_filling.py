@@ -70,7 +70,7 @@ def test_a_hole_ends_where_its_segment_does() -> None:
     np.testing.assert_allclose(fill_holes(measured(true), segments), true, rtol=1e-3)
 
 
-def test_a_segment_without_depth_of_its_own_lies_in_what_surrounds_it() -> None:
+def test_a_segment_without_depth_takes_that_of_its_surroundings() -> None:
     """A screen on a wall: black, so the sensor sees nothing of it."""
     segments = ONE_SEGMENT.copy()
     segments[HOLE] = SCREEN
@@ -103,7 +103,7 @@ def test_a_plane_is_not_carried_far_beyond_what_was_measured() -> None:
 
 @settings(max_examples=40, deadline=None)
 @given(st.integers(0, 10_000), st.floats(0, 0.9))
-def test_what_was_measured_never_changes(seed: int, share: float) -> None:
+def test_measured_pixels_never_change(seed: int, share: float) -> None:
     random = np.random.default_rng(seed)
     segments = np.kron(random.integers(0, 3, (4, 4)), np.ones((8, 8))).astype(np.int32)
     depth = random.uniform(0.5, 4, 4)[random.integers(0, 4, (4, 4))].repeat(8, 0).repeat(8, 1).astype(np.float32)

@@ -21,7 +21,7 @@ def folder(tmp_path: Path) -> Path:
 
 
 @pytest.mark.parametrize(("without", "told"), [("panoptic.json", "there are no masks"), ("depth", "has no depth")])
-def test_opens_without_and_does_not_lift(folder: Path, without: str, told: str) -> None:
+def test_it_opens_without_masks_but_does_not_lift(folder: Path, without: str, told: str) -> None:
     path = folder / without
     shutil.rmtree(path) if path.is_dir() else path.unlink()
     scene = open_scene(folder)
@@ -37,7 +37,7 @@ def test_opens_without_and_does_not_lift(folder: Path, without: str, told: str) 
         open_scene_to_lift(SceneSource(folder))
 
 
-def test_the_command_line_tells(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_line_explains_itself(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (folder / "panoptic.json").unlink()
     assert main(["inspect", str(folder)]) == 0
     out = capsys.readouterr().out
@@ -51,7 +51,7 @@ def test_an_unknown_format_is_refused_and_a_known_one_can_be_named(folder: Path)
     refuses('no format is called "photos".*Choose one of scannet', folder, scene_format="photos")
 
 
-def test_an_unknown_layout_is_told_what_to_do(tmp_path: Path) -> None:
+def test_an_unknown_layout_is_answered_with_advice(tmp_path: Path) -> None:
     (tmp_path / "photos").mkdir()
     refuses("need poses: .*COLMAP.*--format scannet", tmp_path)
     with pytest.raises(PlgsError) as caught:

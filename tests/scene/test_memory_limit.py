@@ -41,7 +41,7 @@ readers = {
 """
 
 
-def test_each_reader_says_so(root: Path, tmp_path: Path) -> None:
+def test_each_reader_reports_it(root: Path, tmp_path: Path) -> None:
     values = np.random.default_rng(0).integers(0, 255, (1500, 2000, 3), np.uint8)
     np.savez_compressed(tmp_path / "a.npz", xyz=np.zeros((2_000_000, 3)))
     np.save(tmp_path / "a.npy", np.zeros((2_000_000, 3)))

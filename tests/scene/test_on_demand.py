@@ -13,7 +13,7 @@ from engine.scene import OnDemand, StoredArrays, StoredViews, chained, load_view
 from tests.tiny_scene import write_tiny_scene
 
 
-def test_items_are_made_when_they_are_asked_for() -> None:
+def test_items_are_made_on_demand() -> None:
     made: list[int] = []
 
     def make(number: int) -> int:

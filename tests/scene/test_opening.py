@@ -53,7 +53,7 @@ def test_any_up_axis_gives_the_same_room(tmp_path: Path, up: UpAxis) -> None:
         np.testing.assert_allclose(frame.camera.camera_to_world, tiny_pose(index, 5), atol=1e-12)
 
 
-def test_lost_poses_drop_their_frames(tmp_path: Path) -> None:
+def test_frames_with_lost_poses_are_dropped(tmp_path: Path) -> None:
     folder = write_tiny_scene(tmp_path, frames=7)
     for index in (0, 3):
         (folder / "pose" / f"{index:04d}.txt").write_text("-inf -inf -inf -inf\n" * 4)
@@ -63,7 +63,7 @@ def test_lost_poses_drop_their_frames(tmp_path: Path) -> None:
     assert scene.warnings == ("2 frames without a pose are left out: 0000, 0003",)
 
 
-def test_splits_choose_the_frames_and_only_these_need_their_files(tmp_path: Path) -> None:
+def test_splits_choose_the_frames_and_only_those_need_files(tmp_path: Path) -> None:
     folder = write_tiny_scene(tmp_path, frames=6, splits={"train": ["0001", "0002"], "test": ["0005"]})
     (folder / "depth" / "0000.png").unlink()
     (folder / "panoptic" / "0003.png").unlink()
@@ -143,7 +143,7 @@ def test_a_folder_that_cannot_be_read_says_so(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("file", ["panoptic.json", "splits.json"])
-def test_a_byte_order_mark_does_no_harm(tmp_path: Path, file: str) -> None:
+def test_a_byte_order_mark_is_harmless(tmp_path: Path, file: str) -> None:
     names = [f"{i:04d}" for i in range(5)]
     folder = write_tiny_scene(tmp_path, frames=5, splits={"train": names[:4], "test": names[4:]})
     (folder / file).write_bytes(b"\xef\xbb\xbf" + json.dumps(json.loads((folder / file).read_text())).encode())

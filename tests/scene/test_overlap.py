@@ -31,7 +31,7 @@ def test_frames_of_one_room_agree(scene: Scene) -> None:
 
 
 @pytest.mark.parametrize("wrong", [{"axes": np.diag([1.0, -1.0, -1.0, 1.0])}, {"scale": 5.0}, {"scale": 0.1}])
-def test_wrong_axes_and_units_disagree(scene: Scene, wrong: dict[str, object]) -> None:
+def test_wrong_axes_and_units_give_disagreement(scene: Scene, wrong: dict[str, object]) -> None:
     assert measure_overlap(thumbnails(scene, **wrong)).agreement < 0.2  # type: ignore[arg-type]
 
 

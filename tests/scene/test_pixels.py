@@ -37,21 +37,21 @@ def test_nearest_takes_the_pixel_that_the_centre_falls_in(size: tuple[int, int],
 
 
 @given(sizes, st.integers(1, 5))
-def test_nearest_enlarged_by_a_whole_factor_comes_back_the_same(size: tuple[int, int], factor: int) -> None:
+def test_nearest_enlarged_by_a_whole_factor_shrinks_back_unchanged(size: tuple[int, int], factor: int) -> None:
     pixels = numbered(size)
     large = resize_nearest(pixels, (size[0] * factor, size[1] * factor))
     np.testing.assert_array_equal(large, np.kron(pixels, np.ones((factor, factor), np.int32)))
     np.testing.assert_array_equal(resize_nearest(large, size), pixels)
 
 
-def test_an_alignment_shifts_depth_and_leaves_nothing_where_it_ends() -> None:
+def test_an_alignment_shifts_depth_and_leaves_a_gap_at_the_edge() -> None:
     pixels = numbered((8, 4)) + 1
     shifted = resize_aligned(pixels, (8, 4), Alignment(x_shift=0.25))
     np.testing.assert_array_equal(shifted[:, :6], pixels[:, 2:])
     assert not shifted[:, 6:].any() and shifted.dtype == pixels.dtype
 
 
-def test_colour_shrinks_by_averages_and_grows_without_moving() -> None:
+def test_colour_is_averaged_when_shrunk_and_stays_in_place_when_enlarged() -> None:
     pixels = np.zeros((4, 6, 3), np.uint8)
     pixels[:2, :2] = 200
     small = resize_colour(pixels, (3, 2))

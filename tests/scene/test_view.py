@@ -58,7 +58,7 @@ FRAMES = [
 ]
 
 
-def test_the_order_is_kept_whoever_is_first() -> None:
+def test_the_order_is_kept_whichever_comes_first() -> None:
     """The second frame is done before the first one may be."""
     second_is_done = threading.Event()
 
@@ -86,7 +86,7 @@ def test_no_more_is_read_than_a_few_frames_ahead() -> None:
     assert len(begun) <= 2 * READERS + 1
 
 
-def test_a_bad_frame_is_told_at_its_place() -> None:
+def test_a_bad_frame_is_reported_when_it_is_reached() -> None:
     def read(frame: Frame) -> str:
         if frame.name == "7":
             raise PlgsError("it is bad", frame.colour_path, "Mend it.")

@@ -64,7 +64,7 @@ def test_masks_are_a_scenes_own(folder: Path) -> None:
     assert begin_job(folder, "halves", 4).is_finished
 
 
-def test_what_was_stopped_goes_on(folder: Path) -> None:
+def test_what_was_stopped_continues(folder: Path) -> None:
     def stop(done: int, frames: int, made: int) -> None:
         if done == 2:
             raise KeyboardInterrupt
@@ -80,7 +80,7 @@ def test_what_was_stopped_goes_on(folder: Path) -> None:
     assert open_scene(folder).has_masks
 
 
-def test_other_masks_are_never_written_over(folder: Path) -> None:
+def test_other_masks_are_never_overwritten(folder: Path) -> None:
     make_masks(open_scene(folder), begin_job(folder, "halves", 4), Halves(), silent)
     with pytest.raises(PlgsError, match="masks by halves of 4 frames.*-o"):
         begin_job(folder, "another", 4)
@@ -102,7 +102,7 @@ def test_a_damaged_frame_is_named(folder: Path) -> None:
         make_masks(open_scene(folder), job, Halves(), silent)
 
 
-def test_a_job_that_came_to_nothing_leaves_nothing(folder: Path) -> None:
+def test_an_empty_job_leaves_nothing_behind(folder: Path) -> None:
     before = sorted(folder.iterdir())
     begin_job(folder, "halves", 4).discard_if_empty()
     assert sorted(folder.iterdir()) == before

@@ -35,7 +35,7 @@ def test_what_others_hide_is_dropped() -> None:
     assert ids[0].tolist() == [1, 1, 1, 1, 0, 0, 0, 0, 0, 0] and len(found) == 1
 
 
-def test_queries_of_nothing_and_unsure_ones_are_no_segments() -> None:
+def test_empty_and_uncertain_queries_are_not_segments() -> None:
     ids, found = merge_queries(logits((0.1, 0.1, 0.8), (0.4, 0.35, 0.25)), strips(slice(0, 4), slice(4, 9)), STUFF)
     assert not ids.any() and found == []
 

@@ -47,7 +47,7 @@ def test_a_model_in_a_folder(model: Path) -> None:
     np.testing.assert_array_equal(ids, again)
 
 
-def test_large_pictures_have_smaller_masks_of_their_shape(model: Path) -> None:
+def test_large_pictures_have_smaller_masks_of_the_same_shape(model: Path) -> None:
     ids, _ = load_model(str(model), download=False).segment(np.zeros((1000, 2000, 3), np.uint8))
     assert ids.shape == (640, 1280)
 
@@ -70,13 +70,13 @@ def test_the_command_makes_masks_that_open(model: Path, folder: Path) -> None:
     assert again.returncode == 0 and "finished already" in again.stdout
 
 
-def test_nothing_is_downloaded_unasked() -> None:
+def test_nothing_is_downloaded_without_consent() -> None:
     with pytest.raises(PlgsError, match="not on this computer: nobody/no-such-model. Add --download"):
         load_model("nobody/no-such-model", download=False)
 
 
 @pytest.mark.parametrize(("name", "told"), [("nowhere", "no such folder or model"), ("tests", "no model in")])
-def test_no_model_gets_a_line(name: str, told: str) -> None:
+def test_a_missing_model_is_a_one_line_error(name: str, told: str) -> None:
     with pytest.raises(PlgsError, match=told):
         load_model(name, download=False)
 
@@ -88,7 +88,7 @@ def test_pickled_weights_are_not_read(model: Path, tmp_path: Path) -> None:
         load_model(str(tmp_path / "pickled"), download=False)
 
 
-def test_a_broken_model_gets_a_line(model: Path, tmp_path: Path) -> None:
+def test_a_broken_model_is_a_one_line_error(model: Path, tmp_path: Path) -> None:
     shutil.copytree(model, tmp_path / "broken")
     (tmp_path / "broken" / "model.safetensors").write_bytes(b"\0" * 40)
     with pytest.raises(PlgsError, match="cannot be loaded"):

@@ -20,7 +20,7 @@ def test_voxelisation_rounds_half_to_even_and_removes_duplicates() -> None:
     np.testing.assert_allclose(voxelise(points * 0.02, 0.02), np.array([[0, 0, 0], [0, 2, 2]]) * 0.02, rtol=1e-6)
 
 
-def test_negative_zero_is_no_second_voxel() -> None:
+def test_negative_zero_is_not_a_second_voxel() -> None:
     assert len(voxelise(np.array([[-0.1, 0.0, 0.0], [0.1, 0.0, 0.0]]), 1.0)) == 1
 
 

@@ -23,5 +23,5 @@ def test_ties_go_to_the_lower_index_and_nan_finds_nothing() -> None:
     assert index.nearest(queries, 0.2).tolist() == [0, 1, -1, -1]
 
 
-def test_an_empty_cloud_is_near_nothing() -> None:
+def test_nothing_is_near_an_empty_cloud() -> None:
     assert CloudIndex(np.zeros((0, 3))).nearest(np.zeros((2, 3)), 1.0).tolist() == [-1, -1]

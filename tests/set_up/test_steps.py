@@ -71,7 +71,7 @@ def test_from_an_empty_environment_to_an_engine_that_answers(folder: Path, begin
     assert {path.name for path in folder.iterdir()} == {"engine-mine", "set-up.log", "set-up.lock"}
 
 
-def test_a_download_that_breaks_off_is_told_and_gone_on_with(begin: Begin, index: PackageIndex, folder: Path) -> None:
+def test_an_interrupted_download_is_reported_and_continued(begin: Begin, index: PackageIndex, folder: Path) -> None:
     index.fault["numba"] = "cut"
     told = error_of(begin())
     assert "pip could not install packages" in told and "continues there" in told and "set-up.log" in told
@@ -82,13 +82,13 @@ def test_a_download_that_breaks_off_is_told_and_gone_on_with(begin: Begin, index
     assert index.downloads.count("torch") == 1
 
 
-def test_a_broken_wheel_is_told(begin: Begin, index: PackageIndex) -> None:
+def test_a_broken_wheel_is_reported(begin: Begin, index: PackageIndex) -> None:
     index.fault["torch"] = "garbage"
     told = error_of(begin())
     assert "pip could not install torch" in told and "wheel" in told.lower()
 
 
-def test_a_wheel_that_was_exchanged_is_refused(begin: Begin, index: PackageIndex) -> None:
+def test_a_wheel_that_was_replaced_is_refused(begin: Begin, index: PackageIndex) -> None:
     name, _ = index.wheels["numba"]
     index.wheels["numba"] = name, wheel("numba", name.split("-")[1], "other")[1]
     assert "DO NOT MATCH THE HASHES" in error_of(begin())
@@ -122,7 +122,7 @@ def test_cancel_ends_pip_at_once(begin: Begin, index: PackageIndex, folder: Path
 
 
 @pytest.mark.slow
-def test_after_a_kill_the_next_one_waits_for_the_pip_that_is_left(
+def test_after_a_kill_the_next_set_up_waits_for_the_remaining_pip(
     begin: Begin, index: PackageIndex, folder: Path, code: Path, root: Path, tmp_path: Path
 ) -> None:
     """Two set-ups and a kill: the pip of the killed one holds the lock on, the other goes on after it."""
@@ -149,7 +149,7 @@ RunningSetUp(request, Path({str(code)!r}), Path({str(folder)!r})).wait()
     assert second.wait().python is not None
 
 
-def test_what_may_be_half_written_is_made_anew(begin: Begin, folder: Path) -> None:
+def test_what_may_be_half_written_is_made_again(begin: Begin, folder: Path) -> None:
     """Killed while pip wrote packages, or made with another torch."""
     environment = environment_in(folder)
     for notes, build in ((Notes("cpu", ["torch"], installing=True), "cpu"), (Notes("cpu", ["torch"]), "cuda")):
@@ -163,7 +163,7 @@ def test_what_may_be_half_written_is_made_anew(begin: Begin, folder: Path) -> No
     assert [path.name for path in sorted(folder.glob("trash-*"))] == ["trash-0", "trash-1"]
 
 
-def test_a_complete_environment_that_does_not_answer_is_made_anew(begin: Begin, folder: Path) -> None:
+def test_a_complete_environment_that_does_not_answer_is_made_again(begin: Begin, folder: Path) -> None:
     environment = environment_in(folder)
     (environment / "complete").touch()  # but nothing is installed
     (environment / "old").touch()
@@ -186,7 +186,7 @@ def test_where_no_python_can_make_environments_says_why(begin: Begin, tmp_path: 
     assert "cannot be run" in error_of(begin(base=str(tmp_path / "none")))
 
 
-def test_a_full_disk_is_told_before_anything_is_made(
+def test_a_full_disk_is_reported_before_anything_is_made(
     begin: Begin, folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     shutil.rmtree(environment_in(folder))
@@ -195,13 +195,13 @@ def test_a_full_disk_is_told_before_anything_is_made(
     assert "GB free" in told and "Make room" in told and not list(folder.glob("engine-*"))
 
 
-def test_a_folder_that_cannot_be_written_is_told(code: Path, tmp_path: Path) -> None:
+def test_a_folder_that_cannot_be_written_is_reported(code: Path, tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     told = error_of(RunningSetUp(SetUpRequest(), code, tmp_path / "file" / "plgs"))
     assert "the set-up was stopped" in told and os.fspath(tmp_path / "file") in told
 
 
-def test_the_command_tells_why_it_ended(tmp_path: Path, root: Path) -> None:
+def test_the_command_says_why_it_ended(tmp_path: Path, root: Path) -> None:
     command = [sys.executable, root / "engine" / "__main__.py", "set-up", tmp_path / "plgs"]
     refused = subprocess.run([*command, "--base-python", "/nowhere/python"], capture_output=True, text=True)
     assert refused.returncode == 2 and "error: no Python can make the engine's environment" in refused.stderr

@@ -33,7 +33,7 @@ def test_it_is_the_formula(seed: int) -> None:
     assert loss.item() == pytest.approx(plainly(depth, alpha, sensor), rel=1e-4, abs=1e-6)
 
 
-def test_depth_as_measured_costs_nothing() -> None:
+def test_the_measured_depth_has_no_loss() -> None:
     sensor = torch.linspace(0.2, 6, 30).reshape(5, 6)
     assert depth_loss(sensor, torch.ones(5, 6), sensor).item() == 0
     half_covered = depth_loss(0.5 * sensor, torch.full((5, 6), 0.5), sensor)

@@ -91,7 +91,7 @@ def test_both_instance_targets_add_up_over_the_supervised_pixels() -> None:
     np.testing.assert_allclose(loss.item(), expected, rtol=1e-5)
 
 
-def test_improbable_targets_cost_what_they_should() -> None:
+def test_improbable_targets_have_the_right_loss() -> None:
     """Their product leaves float64 unless logarithms are taken on the way."""
     zeros, none = torch.zeros(40, 40, 2), torch.full((40, 40), -1)
     target = torch.zeros(40, 40, dtype=torch.int16)
@@ -99,7 +99,7 @@ def test_improbable_targets_cost_what_they_should() -> None:
     np.testing.assert_allclose([semantic.item(), instance.item()], -np.log(1e-8), rtol=1e-6)
 
 
-def test_what_is_no_number_stays_none() -> None:
+def test_what_is_not_a_number_stays_none() -> None:
     coverage, target = torch.full((4, 4, 2), 0.5), torch.zeros(4, 4, dtype=torch.int16)
     coverage[1, 1] = float("nan")
     assert all(loss.isnan() for loss in label_losses(coverage, torch.ones(4, 4), 1, target, (target, target)))

@@ -33,7 +33,7 @@ def test_rates_decay_log_linearly() -> None:
     assert learning_rate((1e-2, 1e-4), 0.0) == pytest.approx(1e-2)
 
 
-def test_a_restored_optimiser_goes_on_bit_for_bit() -> None:
+def test_a_restored_optimiser_continues_bit_for_bit() -> None:
     whole = Optimiser(anchors_at(5), Decoders(SHAPE, 0), RATES, extent=2.0)
     take_steps(whole, 6)
     first = Optimiser(anchors_at(5), Decoders(SHAPE, 0), RATES, extent=2.0)

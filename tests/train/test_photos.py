@@ -33,13 +33,13 @@ def test_gains_are_found_in_each_channel(gains: list[tuple[float, float, float]]
     np.testing.assert_allclose(found, true / np.exp(np.log(true).mean(axis=0)), rtol=0.03)
 
 
-def test_highlights_that_one_photo_shows_do_not_make_it_bright() -> None:
+def test_highlights_in_one_photo_do_not_make_it_count_as_bright() -> None:
     photos_, rows, points = walk(np.ones((20, 3)))
     photos_[7][:, :12] = 235
     np.testing.assert_allclose(exposure_gains(photos_, rows, points), 1, rtol=0.03)
 
 
-def test_black_borders_and_what_shows_no_point_say_nothing() -> None:
+def test_black_borders_and_pixels_without_a_point_do_not_count() -> None:
     photos_, rows, points = walk(np.ones((20, 3)))
     photos_[3][:4] = 0
     rows[5][:] = -1
@@ -77,7 +77,7 @@ def test_exposure_does_not_make_a_photo_blurred() -> None:
     assert (weights > 0.85).all()
 
 
-def test_a_photo_is_compared_with_its_neighbours_only() -> None:
+def test_a_photo_is_compared_only_with_its_neighbours() -> None:
     """Half of the walk passes plain walls: there is less to see there, and nothing is wrong with the photos."""
     plain = [cv2.blur(photo, (9, 9)) for photo in photos(10)]
     weights = sharpness_weights([*photos(10), *plain])

@@ -53,7 +53,7 @@ def test_the_time_left_of_a_recorded_lift_is_steady(slowness: float) -> None:
     assert max(jumps) < 0.5 * 225.0
 
 
-def test_a_resumed_lift_does_not_take_its_skipped_steps_for_a_fast_pace() -> None:
+def test_a_resumed_lift_does_not_mistake_skipped_steps_for_a_fast_pace() -> None:
     course = Course(PREDICTED)
     now = course.began + 30.0
     course.skip("train", 0.5)

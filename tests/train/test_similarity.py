@@ -70,7 +70,7 @@ def test_sizes_must_fit() -> None:
         compare(image[:-1], PhotoMoments.of(photo), 1.0, 1.0)
 
 
-def test_pictures_may_lie_in_memory_as_they_like() -> None:
+def test_pictures_may_have_any_memory_layout() -> None:
     image, photo = pictures(20, 31, 2)
     turned = image.permute(2, 0, 1).contiguous().permute(1, 2, 0)
     moments = PhotoMoments.of(photo.permute(2, 0, 1).contiguous().permute(1, 2, 0))

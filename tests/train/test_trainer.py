@@ -39,7 +39,7 @@ def assert_equal(one: dict[str, torch.Tensor], two: dict[str, torch.Tensor]) -> 
     assert not different
 
 
-def test_a_restored_trainer_goes_on_bit_for_bit(tiny: Input, tmp_path: Path) -> None:
+def test_a_restored_trainer_continues_bit_for_bit(tiny: Input, tmp_path: Path) -> None:
     whole = trainer_of(*tiny, TINY, tmp_path)
     started_with = len(whole.scene.anchors)
     stored = {0: whole_state(whole)}
@@ -101,7 +101,7 @@ def test_without_label_losses_opacity_is_the_same(tiny: Input, tmp_path: Path) -
     assert all(torch.equal(one, two) for one, two in zip(*moved, strict=True))
 
 
-def test_channels_that_no_target_has_need_not_be_drawn(
+def test_channels_without_a_target_need_not_be_drawn(
     tiny: Input, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The model is the same, bit for bit, after steps that draw all of them."""
@@ -125,7 +125,7 @@ def test_pseudo_labels_are_made_at_sixths_of_the_lift() -> None:
     assert not pseudo_label_steps(1 / 6, 1)
 
 
-def test_pseudo_labels_stopped_half_way_are_made_anew(tiny: Input, tmp_path: Path) -> None:
+def test_pseudo_labels_stopped_halfway_are_made_again(tiny: Input, tmp_path: Path) -> None:
     whole, stopped = (trainer_of(*tiny, TINY, tmp_path) for _ in range(2))
     for trainer in (whole, stopped):
         for _ in range(4):
@@ -154,7 +154,7 @@ def far_away(camera: Camera) -> np.ndarray:
     return pose
 
 
-def test_what_is_not_rendered_has_no_say_in_pseudo_labels(tiny: Input, tmp_path: Path) -> None:
+def test_what_is_not_rendered_does_not_affect_pseudo_labels(tiny: Input, tmp_path: Path) -> None:
     trainer = trainer_of(*tiny, TINY, tmp_path)
     first, *others = trainer.views
     trainer.views = [replace(first, camera=replace(first.camera, camera_to_world=far_away(first.camera))), *others]
@@ -225,7 +225,7 @@ def test_the_rooms_colours_are_learnt_from_photos_of_many_exposures(tiny: Input,
     assert errors[True] < 0.85 * errors[False]
 
 
-def test_depth_is_brought_to_the_sensors(tiny: Input, tmp_path: Path) -> None:
+def test_depth_is_fitted_to_the_sensors(tiny: Input, tmp_path: Path) -> None:
     views, classes = tiny
     errors = {}
     for weight in (0.0, 0.5):
@@ -237,7 +237,7 @@ def test_depth_is_brought_to_the_sensors(tiny: Input, tmp_path: Path) -> None:
     assert errors[0.5] < 0.8 * errors[0.0]
 
 
-def test_a_view_that_sees_nothing_does_no_harm(tiny: Input, tmp_path: Path) -> None:
+def test_a_view_that_sees_nothing_is_harmless(tiny: Input, tmp_path: Path) -> None:
     trainer = trainer_of(*tiny, TINY, tmp_path)
     trainer.targets = [
         replace(target, camera=replace(target.camera, camera_to_world=far_away(target.camera)))
@@ -249,7 +249,7 @@ def test_a_view_that_sees_nothing_does_no_harm(tiny: Input, tmp_path: Path) -> N
     assert all(torch.equal(after[name], before[name]) for name in before if name.startswith("model."))
 
 
-def test_a_diverged_scene_is_not_stepped_on(tiny: Input, tmp_path: Path) -> None:
+def test_a_diverged_scene_takes_no_further_steps(tiny: Input, tmp_path: Path) -> None:
     trainer = trainer_of(*tiny, TINY, tmp_path)
     with torch.no_grad():
         trainer.scene.anchors.log_scale[0] = 90.0

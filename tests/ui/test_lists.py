@@ -15,7 +15,7 @@ ROWS = [
 ]
 
 
-def test_all_words_are_searched_in_any_case() -> None:
+def test_all_words_are_searched_for_ignoring_case() -> None:
     names = [row.name for row in ROWS]
     assert shown_rows(names, "", 8) == [8, 8, 8, 8]
     assert shown_rows(names, "CHAIR", 8) == [8, 8, 0, 0]
@@ -36,5 +36,5 @@ def test_orders(order: str, names: list[str]) -> None:
     assert [row.name for _, row in sorted(zip(places, ROWS, strict=True), key=lambda pair: pair[0])] == names
 
 
-def test_digits_that_are_no_number_are_text() -> None:
+def test_digits_that_are_not_a_number_are_text() -> None:
     assert places_of([SimpleNamespace(name="chair ²"), SimpleNamespace(name="bin 1")], "NAME") == [1, 0]

@@ -176,7 +176,7 @@ def test_texts_of_a_strangers_file_are_printable_lines(tmp_path: Path, monkeypat
     assert sum("a?b?c?[31md" in line for line in seen) >= 15
 
 
-def test_a_lift_that_another_blender_began_shows_how_far_it_is_and_keeps_its_options(tmp_path: Path) -> None:
+def test_a_lift_that_another_blender_began_shows_its_progress_and_keeps_its_options(tmp_path: Path) -> None:
     lift = tiny_lift.write_tiny_lift(tmp_path / "lift").path
     bpy.context.scene.plgs.lift_folder = str(lift)
     followed = lifts.lift_of(lift)
@@ -196,7 +196,7 @@ def test_nothing_is_chosen_yet() -> None:
 
 
 @pytest.mark.parametrize("code", ErrorCode)
-def test_a_scene_that_is_bad_shows_what_mends_it(code: ErrorCode, tmp_path: Path) -> None:
+def test_a_bad_scene_shows_what_fixes_it(code: ErrorCode, tmp_path: Path) -> None:
     bpy.context.scene.plgs.scene_folder = str(tmp_path)
     for task in tasks_with(
         Pretended(TaskState.FAILED, PlgsError("is bad", "here", "Give --masks.", code=code, option="--masks")), tmp_path
@@ -265,7 +265,7 @@ def test_photos_without_poses_show_the_button_that_finds_them(tmp_path: Path) ->
     assert "plgs.cancel_poses" in drawn()
 
 
-def test_running_tasks_show_how_far_they_are(tmp_path: Path) -> None:
+def test_running_tasks_show_their_progress(tmp_path: Path) -> None:
     bpy.context.scene.plgs.scene_folder = str(tmp_path)
     for task in tasks_with(Pretended(TaskState.RUNNING), tmp_path):
         registry.follow(task)

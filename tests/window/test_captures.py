@@ -31,7 +31,7 @@ def archive(work_folder: Path) -> Path:
     return path
 
 
-def test_the_engine_adds_pictures_and_a_cloud_while_the_window_goes_on(window: Window, archive: Path) -> None:
+def test_the_engine_adds_pictures_and_a_cloud_while_the_window_keeps_working(window: Window, archive: Path) -> None:
     window.open_sidebar()
     window.run(f"bpy.context.scene.plgs.scene_folder = {str(archive)!r}")
     window.press("plgs.import_scene")

@@ -80,7 +80,7 @@ def test_points_in_a_rectangle_become_a_new_object(window: Window, mine: Path) -
     assert window.ask("ids()") == [CHAIR, CABINET, 3] and window.ask("points(3)") > 0 and kinds(mine) == ["assign"]
 
 
-def test_a_plane_a_box_a_class_and_no_object(window: Window, mine: Path) -> None:
+def test_corrections_by_plane_box_and_class_and_without_an_object(window: Window, mine: Path) -> None:
     whole = window.ask(f"points({CABINET})")
     window.run(f"choose({CABINET})")
     window.press("plgs.place_cut")

@@ -36,7 +36,7 @@ def preferences(window: Window) -> Iterator[Window]:
     window.run("bpy.ops.preferences.addon_expand(module=EXTENSION)")
 
 
-def test_the_engine_is_asked_by_itself(preferences: Window) -> None:
+def test_the_engine_is_checked_automatically(preferences: Window) -> None:
     preferences.wait_for("engine.status().state.value == 'ready'", timeout=30)
     preferences.settle()
     preferences.screenshot("preferences")

@@ -166,7 +166,7 @@ def test_an_engine_that_is_killed_leaves_a_message_and_resume(window: Window, sc
     window.find_button("plgs.open_log")
 
 
-def test_closing_blender_ends_the_lift_unless_it_shall_go_on(window: Window, scene: Path) -> None:
+def test_closing_blender_ends_the_lift_unless_it_is_to_outlive_it(window: Window, scene: Path) -> None:
     ending = begin(window, scene, "ends with Blender")
     window.quit()
     window.start()

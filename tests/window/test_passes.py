@@ -42,7 +42,7 @@ def test_the_compositor_opens_in_one_press(window: Window, work_folder: Path) ->
     assert window.run(SHOWN) == ["PLGS tiny room passes", "Compositing", True, "panoptic"]
 
 
-def test_a_long_range_is_read_while_the_window_answers_and_esc_stops(window: Window, work_folder: Path) -> None:
+def test_the_window_responds_while_a_long_range_is_read_and_esc_stops_it(window: Window, work_folder: Path) -> None:
     lift = tiny_lift.write_tiny_lift(work_folder / "long range" / "lift")
     window.place(lift.path)
     window.run("scene = bpy.context.scene; scene.frame_start, scene.frame_end = 1, 300000; scene.frame_set(7)")

@@ -95,7 +95,7 @@ def test_the_opening_view_and_its_colours(shown: Window) -> None:
     assert all((one != other).any(axis=2).mean() > 0.05 for one, other in zip(seen, seen[1:], strict=False))
 
 
-def test_what_it_is_shown_as_in_each_shading(shown: Window, lift: Path) -> None:
+def test_how_it_is_shown_in_each_shading(shown: Window, lift: Path) -> None:
     in_view(shown, f"bpy.ops.plgs.make_meshes(lift_folder={str(lift)!r})")
     for kind in ("POINTS", "SPLATS", "SURFACE"):
         in_view(shown, f"bpy.ops.plgs.show_as(kind={kind!r})")
@@ -136,7 +136,7 @@ def test_the_best_view(shown: Window) -> None:
     shown.screenshot("docs-best-view")
 
 
-def test_a_lift_under_way(window: Window, scene: Path) -> None:
+def test_a_running_lift(window: Window, scene: Path) -> None:
     window.open_sidebar()
     window.run(f"bpy.ops.plgs.import_scene(scene_folder={str(scene)!r})", timeout=120)
     window.run(_LOOK_THROUGH)

@@ -64,7 +64,7 @@ def wait_for(task: registry.Task | None) -> None:
         registry.wait_for(task, bpy.context.scene)
 
 
-def test_at_first_nothing_is_known_and_nothing_speaks_against_it() -> None:
+def test_at_first_nothing_is_known_and_nothing_prevents_its_use() -> None:
     status = engine_environment.status()
     assert status.state is EngineState.UNKNOWN and status.is_usable and engine_environment.why_no_engine() is None
 
@@ -88,14 +88,14 @@ def test_this_python_answers() -> None:
     assert status.answer.packages["numpy"] is not None
 
 
-def test_a_python_without_torch_tells_what_it_lacks(tmp_path: Path) -> None:
+def test_a_python_without_torch_says_what_it_lacks(tmp_path: Path) -> None:
     subprocess.run([sys.executable, "-m", "venv", "--without-pip", tmp_path / "bare"], check=True, timeout=120)
     status = answer_of(tmp_path / "bare" / "bin" / "python")
     assert status.state is EngineState.MISSING and status.answer is not None and "torch" in status.answer.missing
     assert str(tmp_path / "bare") in status.answer.fix and "pip install torch==" in status.answer.fix
 
 
-def test_a_window_goes_by_what_is_known(python: Python, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_window_relies_on_what_is_known(python: Python, monkeypatch: pytest.MonkeyPatch) -> None:
     """It does not wait for a second look: the engine itself says what it lacks when it was asked too soon."""
     monkeypatch.setattr(engine_environment, "bpy", SimpleNamespace(app=SimpleNamespace(background=False)))
     lacking = python(torch=None)
@@ -108,7 +108,7 @@ def test_a_window_goes_by_what_is_known(python: Python, monkeypatch: pytest.Monk
     assert "lacks torch" in (engine_environment.why_no_engine() or "")
 
 
-def test_what_is_no_engine_is_told_apart(python: Python, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_is_not_an_engine_is_recognised(python: Python, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     picture = tmp_path / "picture.png"
     picture.write_bytes(b"\x89PNG\r\n\x1a\n\0\0")
     executable_picture = tmp_path / "run.png"
@@ -135,7 +135,7 @@ def test_what_is_no_engine_is_told_apart(python: Python, tmp_path: Path, monkeyp
     assert "PLGS_ENGINE_PYTHON" in answer_of(None).fix
 
 
-def test_a_program_that_hangs_is_given_up_and_ended(
+def test_a_program_that_hangs_is_ended(
     python: Python, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(tasks, "PATIENCE_S", 0.5)
@@ -149,7 +149,7 @@ def test_other_versions_are_noted_but_may_work(python: Python) -> None:
     assert status.state is EngineState.READY and "torch 3.0 instead of 2.0" in status.note
 
 
-def test_where_there_is_no_python_it_is_missing(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_a_python_the_engine_is_missing(monkeypatch: pytest.MonkeyPatch) -> None:
     def none(*_: object) -> None:
         raise PlgsError("no Python for the engine", "here", "Get one.")
 
@@ -166,7 +166,7 @@ def test_nothing_is_set_up_offline() -> None:
     assert tasks.running_set_up() is None and not tasks.log_path().exists()
 
 
-def test_a_password_stands_in_no_argument() -> None:
+def test_no_argument_contains_a_password() -> None:
     choice = SetUpChoice(Path("/base"), "cuda", "https://me:secret@index")
     assert choice.arguments() == ["--torch", "cuda", "--base-python", Path("/base")]
     assert choice.variables() == {"PLGS_INDEX_URL": "https://me:secret@index"} and SetUpChoice().variables() == {}
@@ -189,7 +189,7 @@ def pretend(monkeypatch: pytest.MonkeyPatch, program: str) -> None:
     monkeypatch.setattr(tasks, "start_engine", start_engine)
 
 
-def test_after_a_set_up_its_python_is_asked(online: None, python: Python, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_after_a_set_up_its_python_is_checked(online: None, python: Python, monkeypatch: pytest.MonkeyPatch) -> None:
     pretend(monkeypatch, "")
     choices.choose(python())  # which is why somebody sets it up
     set_up = tasks.set_up(SetUpChoice())
@@ -199,7 +199,7 @@ def test_after_a_set_up_its_python_is_asked(online: None, python: Python, monkey
     assert engine_environment.status().state is EngineState.CHECKING
 
 
-def test_an_error_stays_to_be_read(online: None) -> None:
+def test_an_error_stays_readable(online: None) -> None:
     """The engine's own command, in this Python."""
     wait_for(tasks.set_up(SetUpChoice(base_python=Path("/nowhere/python"))))
     set_up = registry.latest(tasks.SetUp)
@@ -227,7 +227,7 @@ def test_the_timer_asks_and_then_stops(python: Python) -> None:
     assert engine_environment.status().state is EngineState.READY
 
 
-def test_switching_the_extension_off_ends_what_goes_on(python: Python, tmp_path: Path) -> None:
+def test_switching_the_extension_off_ends_running_tasks(python: Python, tmp_path: Path) -> None:
     pid = tmp_path / "pid"
     choices.choose(python("slow", f"echo $$ > {pid}.part; mv {pid}.part {pid}; exec sleep 60"))
     tasks.check()

@@ -25,7 +25,7 @@ def summary(root: bpy.types.Collection) -> list[tuple]:
     return [*rows, *((row.class_id, row.name, row.points, row.is_thing) for row in lists.classes)]
 
 
-def test_they_tell_what_the_result_tells(root: bpy.types.Collection, lift: Path) -> None:
+def test_they_say_the_same_as_the_result(root: bpy.types.Collection, lift: Path) -> None:
     told = json.loads((lift / "result" / "instances.json").read_text())["instances"]
     for row, entry in zip(root.plgs.instances, told, strict=True):
         assert (row.instance_id, row.name, row.class_id) == (entry["id"], entry["name"], entry["class_id"])
@@ -60,7 +60,7 @@ def test_they_stay_in_the_file_even_if_a_script_placed_it(lift: Path, tmp_path: 
         plgs.unregister()
 
 
-def test_they_are_filled_anew_by_another_lift(root: bpy.types.Collection, lift: Path) -> None:
+def test_another_lift_refills_them(root: bpy.types.Collection, lift: Path) -> None:
     before = summary(root)
     root.plgs.instance_index, root.plgs.show_legend = 1, True
     assert lift_scene.place_lift(lift, bpy.context.scene) == root

@@ -27,7 +27,7 @@ WIDTH, HEIGHT = 480, 300
 
 @settings(max_examples=60, deadline=None)
 @given(st.lists(st.tuples(st.floats(-50, 700), st.floats(-50, 500), st.floats(10, 200)), max_size=25))
-def test_labels_cover_no_other(labels: list[tuple[float, float, float]]) -> None:
+def test_labels_do_not_cover_each_other(labels: list[tuple[float, float, float]]) -> None:
     anchors, widths = [(x, y) for x, y, _ in labels], [width for _, _, width in labels]
     placed = stack_labels(anchors, widths, 18.0, (640.0, 480.0))
     inside = {i for i, (x, y) in enumerate(anchors) if 0 <= x <= 640 and 0 <= y <= 480}
@@ -150,7 +150,7 @@ def test_what_is_drawn_is_seen(root: bpy.types.Collection, seen: Seen) -> None:
 
 
 @pytest.mark.skipif(bool(os.environ.get("PLGS_NO_EGL")), reason="this machine has no EGL")
-def test_a_path_is_a_line_that_jumps_break(root: bpy.types.Collection) -> None:
+def test_a_path_is_a_line_that_breaks_at_jumps(root: bpy.types.Collection) -> None:
     def draw() -> None:
         in_pixels()
         draw_path([Vector((x, 50.0, 0.0)) for x in (20, 40, 60, 80, 300, 320)])

@@ -29,7 +29,7 @@ def selected() -> list[str]:
     return [ob.name for ob in bpy.context.view_layer.objects if ob.select_get()]
 
 
-def test_a_picked_box_is_found_in_the_list(root: bpy.types.Collection) -> None:
+def test_a_box_that_is_clicked_is_selected_in_the_list(root: bpy.types.Collection) -> None:
     boxes = boxes_of(root)
     for number in (2, 1):
         pick(boxes[number])
@@ -63,7 +63,7 @@ def test_what_is_hidden_or_gone_is_only_a_row(root: bpy.types.Collection) -> Non
         selection.select_instance(root, 7, bpy.context.view_layer)
 
 
-def test_found_whatever_it_is_called_and_after_undo(root: bpy.types.Collection) -> None:
+def test_it_is_found_whatever_it_is_called_and_after_undo(root: bpy.types.Collection) -> None:
     bpy.ops.ed.undo_push(message="placed")
     pick(boxes_of(root)[2])
     bpy.ops.ed.undo_push(message="picked")
@@ -76,7 +76,7 @@ def test_found_whatever_it_is_called_and_after_undo(root: bpy.types.Collection) 
     assert selection.selected_instance(again, bpy.context.view_layer.objects.active) == 2
 
 
-def test_two_lifts_keep_to_themselves(root: bpy.types.Collection, tmp_path: Path) -> None:
+def test_two_lifts_stay_separate(root: bpy.types.Collection, tmp_path: Path) -> None:
     other = lift_scene.place_lift(write_tiny_lift(tmp_path / "lift", frames=4, bake=False).path, bpy.context.scene)
     scene = bpy.context.scene
     pick(boxes_of(other)[2])
@@ -139,7 +139,7 @@ def test_boxes_without_their_properties_are_known(root: bpy.types.Collection) ->
         find_lift(bpy.context.scene, "elsewhere")
 
 
-def test_a_lift_with_a_result_goes_before_an_imported_scene(extension: None, lift: Path, tmp_path: Path) -> None:
+def test_a_lift_with_a_result_comes_before_an_imported_scene(extension: None, lift: Path, tmp_path: Path) -> None:
     imported = place_scene(ChosenScene(write_tiny_scene(tmp_path / "other", frames=4)), bpy.context.scene)
     placed = lift_scene.place_lift(lift, bpy.context.scene)
     assert lifts_in(bpy.context.scene) == [imported, placed]

@@ -60,7 +60,7 @@ def test_a_class_takes_its_instances_with_it(root: bpy.types.Collection) -> None
     assert seen(root) == before and all(row.visible for row in root.plgs.classes)
 
 
-def test_one_alone_and_back_to_what_was_shown(root: bpy.types.Collection, lift: Path) -> None:
+def test_isolating_one_and_returning_to_what_was_shown(root: bpy.types.Collection, lift: Path) -> None:
     row_of(root, 2).visible = False
     before = seen(root)
     visibility.isolate(root, 1)
@@ -75,7 +75,7 @@ def test_one_alone_and_back_to_what_was_shown(root: bpy.types.Collection, lift: 
     assert root.plgs.isolated == 0 and {"chair 1", "cabinet 1"} <= set(seen(root))
 
 
-def test_what_is_not_ours_keeps_its_eyes(root: bpy.types.Collection) -> None:
+def test_what_is_not_ours_keeps_its_visibility(root: bpy.types.Collection) -> None:
     mine = bpy.data.objects.new("mine", None)
     bpy.context.scene.collection.objects.link(mine)
     mine.hide_set(True)

@@ -33,7 +33,7 @@ def extension() -> Iterator[None]:
     plgs.unregister()
 
 
-def test_what_to_do_about_a_lift_that_is_running(tmp_path: Path) -> None:
+def test_the_advice_about_a_running_lift(tmp_path: Path) -> None:
     lift = LiftFolder.create(tmp_path / "lift", LiftRequest(scene=tmp_path / "room"))
     scene = bpy.context.scene
     with lift.lock():
@@ -67,7 +67,7 @@ def test_advice_names_the_panels_fields(said: str | PlgsError, told: str) -> Non
     assert with_field_names(said) == told
 
 
-def test_every_option_that_an_error_means_is_a_field_or_has_a_name(root: Path) -> None:
+def test_every_option_that_an_error_names_is_a_field_or_has_a_name(root: Path) -> None:
     """The options that the engine's errors declare, as far as the panel can start such a task."""
     files = [path for part in ("scene", "lift", "segment") for path in (root / "engine" / part).rglob("*.py")]
     texts = [path.read_text() for path in files]
@@ -97,7 +97,7 @@ def test_all_options_of_the_preset() -> None:
     assert not any(is_changed for _, _, is_changed in shown_preset(settings))
 
 
-def test_options_with_a_place_of_their_own_are_taken(tmp_path: Path) -> None:
+def test_options_with_their_own_field_are_used(tmp_path: Path) -> None:
     settings = bpy.context.scene.plgs
     settings.scene_folder = str(tmp_path)
     settings.preset_options = "steps=600 size=100,80 frames=9 weights.depth=0"
@@ -108,7 +108,7 @@ def test_options_with_a_place_of_their_own_are_taken(tmp_path: Path) -> None:
     assert (options["steps"], options["frames"]) == (7, 0), "fields win"
 
 
-def test_a_lift_is_asked_for_again_as_it_was(tmp_path: Path) -> None:
+def test_a_lift_is_requested_again_with_the_same_options(tmp_path: Path) -> None:
     settings = bpy.context.scene.plgs
     for frames in ({}, {"frames": 0}, {"frames": 12}):
         options = {"steps": 600, "steps_a_view": 5.0, **frames}

@@ -109,7 +109,7 @@ def test_another_blender_watches_and_cancels(behaves: Behaves, lift: LiftFolder)
     ours.let_go()
 
 
-def test_a_lift_that_goes_on_is_found_again(behaves: Behaves, lift: LiftFolder) -> None:
+def test_a_running_lift_is_found_again(behaves: Behaves, lift: LiftFolder) -> None:
     behaves("long", "--go-on")
     followed = lifts.start(lift, PYTHON, keep_running=True)
     poll_until(followed, lambda: followed.progress.step > 0)
@@ -123,7 +123,7 @@ def test_a_lift_that_goes_on_is_found_again(behaves: Behaves, lift: LiftFolder) 
     assert again.was_cancelled
 
 
-def test_a_lift_that_shall_not_go_on_ends_with_its_blender(behaves: Behaves, lift: LiftFolder) -> None:
+def test_a_lift_that_is_not_to_outlive_blender_ends_with_it(behaves: Behaves, lift: LiftFolder) -> None:
     behaves("long")
     followed = lifts.start(lift, PYTHON)
     poll_until(followed, lambda: followed.progress.step > 0)
@@ -134,7 +134,7 @@ def test_a_lift_that_shall_not_go_on_ends_with_its_blender(behaves: Behaves, lif
         time.sleep(0.02)
 
 
-def test_looking_at_what_is_no_lift(tmp_path: Path) -> None:
+def test_looking_at_what_is_not_a_lift(tmp_path: Path) -> None:
     assert lifts.look_at(tmp_path / "nothing") is None and lifts.refusal_of(tmp_path / "nothing") is None
     (tmp_path / "folder").mkdir()
     assert lifts.look_at(tmp_path / "folder") is None

@@ -49,7 +49,7 @@ def seen_by_the_engine(folder: LiftFolder) -> Camera:
     )
 
 
-def test_the_active_camera_is_asked_for_once(growing: LiftFolder) -> None:
+def test_the_active_camera_is_requested_once(growing: LiftFolder) -> None:
     scene = bpy.context.scene
     frame = next(each for each in open_scene(growing.request.scene).frames if each.name == scene.camera["frame"])
     look_through(scene, scene.camera)
@@ -97,7 +97,7 @@ def test_the_preview_is_seen_while_the_camera_stays_and_leaves_nothing(growing: 
     assert live_preview.picture_for(scene) is None
 
 
-def test_a_picture_that_another_camera_saw_is_not_shown_and_asked_for_again(growing: LiftFolder) -> None:
+def test_a_picture_that_another_camera_saw_is_not_shown_but_requested_again(growing: LiftFolder) -> None:
     scene = bpy.context.scene
     live_preview.follow_camera(growing, bpy.data.scenes)
     own = fingerprint(growing)
@@ -108,7 +108,7 @@ def test_a_picture_that_another_camera_saw_is_not_shown_and_asked_for_again(grow
     assert fingerprint(growing) == own
 
 
-def test_a_camera_of_the_users_shows_it_too_and_is_left_alone(growing: LiftFolder) -> None:
+def test_the_users_own_camera_shows_it_too_and_is_left_alone(growing: LiftFolder) -> None:
     scene = bpy.context.scene
     scene.camera = mine = bpy.data.objects.new("mine", bpy.data.cameras.new("mine"))
     scene.collection.objects.link(mine)
@@ -128,7 +128,7 @@ def test_a_scene_without_a_camera_does_not_hide_another(growing: LiftFolder) -> 
     assert live_preview.picture_for(other) is None and live_preview.picture_for(scene) is not None
 
 
-def test_a_huge_picture_is_asked_for_smaller(growing: LiftFolder) -> None:
+def test_a_smaller_version_of_a_huge_picture_is_requested(growing: LiftFolder) -> None:
     render = bpy.context.scene.render
     render.resolution_x, render.resolution_y = 40_000, 20_000
     live_preview.follow_camera(growing, bpy.data.scenes)

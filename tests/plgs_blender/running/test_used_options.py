@@ -24,7 +24,7 @@ def values(shown: bpy.types.PropertyGroup) -> tuple[int, ...]:
     return tuple(getattr(shown, name) for name in used_options.NAMES)
 
 
-def test_without_a_scene_they_are_the_preset_s(shown: bpy.types.PropertyGroup) -> None:
+def test_without_a_scene_they_are_the_presets(shown: bpy.types.PropertyGroup) -> None:
     for name, preset in PRESETS.items():
         bpy.context.scene.plgs.preset = name
         assert values(shown) == (preset.steps, *preset.size, preset.frames)
@@ -48,6 +48,6 @@ def test_of_a_known_scene_they_are_what_the_lift_takes(
     assert values(shown) == (round(300 * preset.steps_a_view), 200, 150, 300), "0 leaves it to the preset"
 
 
-def test_a_wrong_option_does_not_hide_them(shown: bpy.types.PropertyGroup) -> None:
+def test_a_wrong_option_does_not_hide_the_options(shown: bpy.types.PropertyGroup) -> None:
     bpy.context.scene.plgs.preset_options = "nonsense=1"
     assert values(shown)[0] == PRESETS["preview"].steps

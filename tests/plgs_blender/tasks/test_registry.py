@@ -75,7 +75,7 @@ def test_an_answer_that_cannot_be_taken_is_an_error(error: Exception) -> None:
     assert not task.has_finished and "is gone" in str(task.error)
 
 
-def test_a_cancelled_task_is_no_error() -> None:
+def test_a_cancelled_task_is_not_an_error() -> None:
     task = begin(SLEEPING)
     task.cancel()
     registry.wait_for(task, None)
@@ -110,6 +110,6 @@ def wait_until(condition: Callable[[], bool], patience_s: float = 20.0) -> None:
         time.sleep(0.01)
 
 
-def test_a_program_that_cannot_be_run_is_told(tmp_path: Path) -> None:
+def test_a_program_that_cannot_be_run_is_reported(tmp_path: Path) -> None:
     with pytest.raises(PlgsError, match="cannot be run"):
         registry.start_engine("inspect", tmp_path / "no python")

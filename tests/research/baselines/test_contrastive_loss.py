@@ -62,7 +62,7 @@ def test_what_gradients_reach() -> None:
     assert not blended.grad[torch.from_numpy(IDS == 0)].any() and blended.grad[..., :3].any()
 
 
-def test_less_where_segments_are_told_apart() -> None:
+def test_less_if_segments_are_told_apart() -> None:
     told = torch.from_numpy(np.repeat(IDS[..., None], 6, axis=2).astype(np.float64))
     alpha = torch.ones(IDS.shape, dtype=torch.float64)
     assert loss_of(told, alpha) < loss_of(torch.zeros_like(told), alpha) - 0.1

@@ -20,7 +20,7 @@ def heaps(counts: list[int], spread: float = 0.02, seed: int = 0) -> tuple[NDArr
 
 
 @pytest.mark.parametrize("counts", [[60, 60], [200, 30, 80], [40, 50, 60, 70, 80]])
-def test_heaps_are_clusters(counts: list[int]) -> None:
+def test_dense_groups_are_clusters(counts: list[int]) -> None:
     points, owner = heaps(counts)
     label = density_clusters(points, 15)
     assert label.max() + 1 == len(counts)

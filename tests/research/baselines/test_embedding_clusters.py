@@ -62,7 +62,7 @@ def test_the_classifier_finds_the_nearest_centre() -> None:
     assert only["classifier.weight"].shape == (1, 3) and only["classifier.bias"].shape == (1,)
 
 
-def test_centres_of_heaps(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_centres_of_clusters(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("research.baselines.embedding_clusters.LEAST_SHARE", 0.1)
     random = np.random.default_rng(1)
     heaps = np.array([[0.0, 0.0, 5.0], [1.0, 0.0, 5.0], [0.0, 2.0, 5.2]])
@@ -97,7 +97,7 @@ def test_the_finished_model_comes_back_without_the_slow_decoder(tiny: Input, tra
     assert np.array_equal(render_view(again, camera).instance_coverage, render_view(scene, camera).instance_coverage)
 
 
-def test_where_nothing_is_a_thing(tiny: Input, trained: Trainer) -> None:
+def test_a_scene_without_things(tiny: Input, trained: Trainer) -> None:
     scene = with_clusters(trained.scene, tiny[0], frozenset(), 0)
     assert scene.channels.slot_ids == (NO_OBJECT,)
     assert render_view(scene, tiny[0][0].camera).instance_coverage.shape[2] == 0
@@ -120,7 +120,7 @@ def test_the_slow_decoder_follows(tiny: Input, tmp_path: Path) -> None:
     assert any(not torch.equal(one, two) for one, two in zip(before, decoders.slow.parameters(), strict=True))
 
 
-def test_a_restored_trainer_of_embeddings_goes_on_bit_for_bit(tiny: Input, tmp_path: Path) -> None:
+def test_a_restored_trainer_of_embeddings_continues_bit_for_bit(tiny: Input, tmp_path: Path) -> None:
     short = replace(CONTRASTIVE, steps=10)
     whole, resumed = (trainer_of(*tiny, short, tmp_path) for _ in range(2))
     for _ in range(5):

@@ -56,7 +56,7 @@ def test_the_warm_start_fits_encoding_and_classifier(tiny: Input, tmp_path: Path
     assert len(owned.unique()) > 1, "anchors of several objects are told apart before the first step"
 
 
-def test_a_restored_trainer_of_an_encoding_goes_on_bit_for_bit(tiny: Input, tmp_path: Path) -> None:
+def test_a_restored_trainer_of_an_encoding_continues_bit_for_bit(tiny: Input, tmp_path: Path) -> None:
     whole, resumed = (trainer_of(*tiny, IDENTITY, tmp_path) for _ in range(2))
     for _ in range(5):
         whole.step()

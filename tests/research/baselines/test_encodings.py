@@ -25,7 +25,7 @@ def encoded_scene(class_of_slot: tuple[int, ...] = ()) -> StructuredScene:
     return replace(scene, decoders=EncodedDecoders(ENCODED, 3))
 
 
-def test_a_pixel_is_what_the_classifier_says_of_its_blend() -> None:
+def test_the_classifier_labels_a_pixel_by_its_blend() -> None:
     scene = encoded_scene()
     assert isinstance(scene.decoders, EncodedDecoders)
     drawn = decode(scene.anchors, scene.decoders, CAMERA)

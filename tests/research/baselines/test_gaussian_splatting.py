@@ -36,7 +36,7 @@ def some_gaussians(count: int = 30) -> StructuredScene:
     return StructuredScene(anchors, PlainDecoders(SHAPE), CHANNELS, 0.1)
 
 
-def test_they_begin_in_the_clouds_colours_and_without_labels() -> None:
+def test_they_start_with_the_clouds_colours_and_without_labels() -> None:
     positions, rgb = np.array([[0, 0, 2], [0.3, 0, 2]], np.float32), np.array([[255, 0, 51], [0, 0, 0]], np.uint8)
     anchors = plain_gaussians(positions, np.array([5, 0]), rgb, SHAPE)
     drawn = decode(anchors, PlainDecoders(SHAPE), CAMERA, channels=torch.tensor([1, -1]))
@@ -48,7 +48,7 @@ def test_they_begin_in_the_clouds_colours_and_without_labels() -> None:
     assert drawn.cluster_loss.item() == pytest.approx(np.log(3))
 
 
-def test_each_is_learnt_by_itself() -> None:
+def test_each_is_learnt_on_its_own() -> None:
     scene = some_gaussians(3)
     scene.anchors.feature.requires_grad_()
     scene.anchors.offset.requires_grad_()
@@ -94,7 +94,7 @@ def test_no_more_than_there_is_room_for() -> None:
     assert bool(round_.keep.all()) and len(round_.grown) == 2
 
 
-def test_opacities_are_set_back() -> None:
+def test_opacities_are_reset() -> None:
     scene = some_gaussians(3)
     scene.anchors.feature[1, 0] = -5.0
     reset_opacities(scene.anchors, PlainRules(reset_to=0.01))

@@ -58,7 +58,7 @@ def test_plain_gaussians_learn_and_grow(tiny: Input, tmp_path: Path) -> None:
 
 
 @pytest.mark.usefixtures("often")
-def test_a_restored_trainer_of_plain_gaussians_goes_on_bit_for_bit(tiny: Input, tmp_path: Path) -> None:
+def test_a_restored_trainer_of_plain_gaussians_continues_bit_for_bit(tiny: Input, tmp_path: Path) -> None:
     whole, resumed = (trainer_of(*tiny, PLAIN, tmp_path) for _ in range(2))
     for _ in range(5):
         whole.step()
@@ -88,7 +88,7 @@ def test_where_semantic_targets_come_from(tiny: Input, tmp_path: Path) -> None:
     assert any(not np.array_equal(one, other) for one, other in zip(projected, masks, strict=True))
 
 
-def test_where_nothing_is_matched_no_thing_is_taught_to_be_no_object(tiny: Input, tmp_path: Path) -> None:
+def test_without_matches_no_thing_is_taught_to_be_no_object(tiny: Input, tmp_path: Path) -> None:
     views, _ = tiny
     for labelled in (True, False):
         trainer = trainer_of(*tiny, replace(ALONE, labelled_start=labelled, semantic_targets="projected"), tmp_path)
@@ -150,7 +150,7 @@ def test_labels_straight_from_the_masks(tmp_path: Path, monkeypatch: pytest.Monk
     assert any(not np.array_equal(one, other) for one, other in zip(voted, masks, strict=True))
 
 
-def test_a_start_without_labels(tiny: Input, tmp_path: Path) -> None:
+def test_starting_without_labels(tiny: Input, tmp_path: Path) -> None:
     labelled, bare = (
         prepared_for(*tiny, replace(TINY, labelled_start=known), tmp_path).scene for known in (True, False)
     )

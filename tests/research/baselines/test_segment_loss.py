@@ -9,7 +9,7 @@ from engine.train.assignment import ThingSegments
 from research.baselines.segment_loss import segment_targets
 
 
-def test_a_segment_takes_the_class_it_shows_most_surely() -> None:
+def test_a_segment_takes_the_class_that_it_shows_most_certainly() -> None:
     ids = np.array([[3, 3, 3, 0], [9, 9, 9, 9]])
     shown = np.zeros((2, 4, 3), np.float32)
     shown[0] = [[0.6, 0.4, 0.1], [0.6, 0.4, 0.1], [0.01, 0.99, 0.1], [1.0, 0.0, 0.1]]  # twice class 0, but unsurely

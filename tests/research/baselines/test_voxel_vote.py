@@ -39,7 +39,7 @@ def test_objects_that_do_not_touch_are_two_instances() -> None:
     assert not instance[semantic == WALL].any()
 
 
-def test_a_fragment_is_no_object() -> None:
+def test_a_fragment_is_not_an_object() -> None:
     labels = np.full((40, 80), WALL, np.int32)
     labels[10:14, 10:14] = CHAIR
     votes = VoxelVote(CLASSES)

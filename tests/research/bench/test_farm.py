@@ -15,12 +15,12 @@ def test_one_worker_does_one_piece_after_the_other() -> None:
     assert simulated_s(TIMES, 3, 1) == pytest.approx(3 * TIMES.work_s) == pytest.approx(3 * (100 + 40 + 5 + 6))
 
 
-def test_one_scene_is_never_faster_than_its_longest_way() -> None:
+def test_one_scene_is_never_faster_than_its_longest_path() -> None:
     assert simulated_s(TIMES, 1, 50) == TIMES.longest_s == 100 + 1 + 10 + 1 + 5 + 1
     assert simulated_s(replace(TIMES, bakes=0), 1, 50) == 100 + 1 + 5 + 1
 
 
 @pytest.mark.parametrize("workers", [2, 10, 100])
-def test_the_arithmetic_is_near_where_scenes_are_many(workers: int) -> None:
+def test_the_arithmetic_is_close_for_many_scenes(workers: int) -> None:
     simulated, expected = simulated_s(TIMES, 1000, workers), expected_s(TIMES, 1000, workers)
     assert expected <= simulated < expected + TIMES.work_s

@@ -33,7 +33,7 @@ def test_a_stage_has_its_own_time_and_its_own_peak() -> None:
     assert json.loads(json.dumps(facts(lift)))["stages"]["check"] == {"seconds": 3.0, "busy": 4.0, "peak_bytes": 30}
 
 
-def test_time_a_frame_is_compared_with_the_first(capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_time_per_frame_is_compared_with_the_first(capsys: pytest.CaptureFixture[str]) -> None:
     costs = {"check": StageCost(2.0, 4.0, 300 * MB), "train": StageCost(8.0, 6.0, 500 * MB)}
     more = {"check": StageCost(6.0, 9.0, 400 * MB), "train": StageCost(9.0, 12.0, 700 * MB)}
     print_table([LongLift(100, costs, 0.7, 0.6, USUAL), LongLift(300, more, 0.71, 0.65, USUAL)])

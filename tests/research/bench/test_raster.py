@@ -7,7 +7,7 @@ from research.bench.raster import blended_pairs, measure
 from research.bench.room import room_workload
 
 
-def test_measures_every_stage() -> None:
+def test_it_measures_every_stage() -> None:
     workload = room_workload(300, 64, 48)
     pairs = blended_pairs(workload)
     row = measure(workload, 5, 1, pairs)

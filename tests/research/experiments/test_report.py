@@ -16,7 +16,7 @@ from tests.research.experiments.made_up import OFFICE, ROWS
 TABLES = Tables(ROWS, ROWS.rows, OFFICE)
 
 
-def test_bars_are_the_tables_figures() -> None:
+def test_bars_show_the_tables_figures() -> None:
     rows = [row for row in ROWS.rows if TABLES.measured("office", row) and row.table == "systems"]
     bars = bars_of("Systems", "office", rows, TABLES)
     assert bars.names == ["ours", "input masks", "theirs"]

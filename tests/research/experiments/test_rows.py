@@ -26,7 +26,7 @@ def test_each_row_is_a_lift(row) -> None:
     assert row.options or row.name == "ours" or row.masks or row.depth_from
 
 
-def test_no_two_rows_are_one_lift() -> None:
+def test_no_two_rows_are_the_same_lift() -> None:
     lifts = [(tuple(row.options.items()), row.masks, row.depth_from) for row in FOUND.rows if row.is_lift]
     assert len(set(map(repr, lifts))) == len(lifts), "the later one is same_as the other"
 

@@ -118,7 +118,7 @@ def test_tables_of_what_is_finished_lift_nothing(experiment: Experiment, behave:
     assert sorted(path.parent.name for path in whole.folder.glob("*/request.json")) == ["office-preview"]
 
 
-def test_baselines_without_a_lift_are_measured_anew_when_the_scene_or_the_engine_is_another(
+def test_baselines_without_a_lift_are_measured_again_when_the_scene_or_the_engine_changes(
     experiment: Experiment, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     measured: list[Path] = []
@@ -142,7 +142,7 @@ def test_baselines_without_a_lift_are_measured_anew_when_the_scene_or_the_engine
         assert without_a_lift.scores_without_a_lift(SceneSource(place), cache) == first and len(measured) == 3
 
 
-def test_other_masks_are_lifted_where_there_are_some(experiment: Experiment, behave: Behave) -> None:
+def test_other_masks_are_lifted_if_there_are_any(experiment: Experiment, behave: Behave) -> None:
     office = experiment.scenes[0]
     shutil.copyfile(office.folder / "panoptic.json", office.folder / "other.json")
     shutil.copytree(office.folder / "panoptic", office.folder / "other")
@@ -190,7 +190,7 @@ def test_depth_that_another_row_renders(
     assert request.depth == some.folder / "office-preview-no-sensor-maps"
 
 
-def test_a_lift_that_failed_is_resumed_and_keeps_nobody_waiting(
+def test_a_failed_lift_is_resumed_without_a_wait(
     experiment: Experiment, behave: Behave, capsys: pytest.CaptureFixture[str]
 ) -> None:
     behave("office-preview", "exits")
@@ -205,7 +205,7 @@ def test_a_lift_that_failed_is_resumed_and_keeps_nobody_waiting(
     assert measured(experiment) == [("office", "ours"), ("kitchen", "ours")]
 
 
-def test_bad_input_is_told_before_any_lift(experiment: Experiment, behave: Behave, tmp_path: Path) -> None:
+def test_bad_input_is_reported_before_any_lift(experiment: Experiment, behave: Behave, tmp_path: Path) -> None:
     with pytest.raises(PlgsError, match="--masks names one folder for 2 scenes"):
         run(replace(experiment, masks="predictions"))
     with pytest.raises(PlgsError, match="steps"):
@@ -277,7 +277,7 @@ def test_a_subset_of_the_scenes_keeps_the_others_of_the_same_options(experiment:
     assert ("kitchen", "ours") not in measured(experiment), "lifted with other steps"
 
 
-def test_a_foreign_folder_is_told_before_any_lift(experiment: Experiment, behave: Behave) -> None:
+def test_a_foreign_folder_is_reported_before_any_lift(experiment: Experiment, behave: Behave) -> None:
     foreign = experiment.folder / "kitchen-preview"
     foreign.mkdir(parents=True)
     (foreign / "notes.txt").touch()
@@ -291,7 +291,7 @@ def test_a_foreign_folder_is_told_before_any_lift(experiment: Experiment, behave
     assert not (experiment.folder / "office-preview").exists()
 
 
-def test_figures_that_cannot_be_read_are_made_anew(experiment: Experiment, behave: Behave) -> None:
+def test_figures_that_cannot_be_read_are_measured_again(experiment: Experiment, behave: Behave) -> None:
     assert run(experiment) is ExitCode.FINISHED
     figures = experiment.folder / "kitchen-preview" / "result" / "metrics.json"
     figures.write_bytes(b"x" * figures.stat().st_size)
@@ -300,7 +300,7 @@ def test_figures_that_cannot_be_read_are_made_anew(experiment: Experiment, behav
     assert measured(experiment) == [("office", "ours"), ("kitchen", "ours")]
 
 
-def test_a_finished_lift_with_other_settings_is_not_taken(experiment: Experiment, behave: Behave) -> None:
+def test_a_finished_lift_with_other_settings_is_not_reused(experiment: Experiment, behave: Behave) -> None:
     with_steps = replace(experiment, steps=7)
     assert run(with_steps) is ExitCode.FINISHED
     with pytest.raises(PlgsError, match="another steps"):
@@ -339,7 +339,7 @@ def test_what_was_finished_before_stays_in_the_report(
     assert rows == [*WITHOUT_A_LIFT, "without depth"], "lifts by other options are none of these"
 
 
-def test_another_rows_damage_is_told_and_stops_nothing(
+def test_damage_in_another_row_is_reported_and_stops_nothing(
     experiment: Experiment, behave: Behave, capsys: pytest.CaptureFixture[str]
 ) -> None:
     some = replace(experiment, scenes=experiment.scenes[:1], only=("ours", "theirs"))
@@ -356,7 +356,7 @@ def test_a_comparison(experiment: Experiment, behave: Behave, capsys: pytest.Cap
     assert "17.00 -> -" in kitchen and "->" not in office
 
 
-def test_a_page_keeps_its_words(experiment: Experiment, behave: Behave, tmp_path: Path) -> None:
+def test_a_page_keeps_its_text(experiment: Experiment, behave: Behave, tmp_path: Path) -> None:
     page = tmp_path / "page.md"
     rows = Rows(tuple(row for row in ROWS.rows if row.name == "ours"), ROWS.tables)
     with_page = replace(experiment, rows=rows, only=(), page=page)

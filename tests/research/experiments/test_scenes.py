@@ -11,7 +11,7 @@ from engine.errors import PlgsError
 from research.experiments.scenes import SceneToLift, scenes_from
 
 
-def test_a_scene_and_its_axis() -> None:
+def test_a_scene_with_its_axis() -> None:
     rooms = Path("rooms").resolve()
     assert scenes_from(["rooms/office", "rooms/kitchen:up=-y"]) == (
         SceneToLift("office", rooms / "office", "z"),
@@ -19,7 +19,7 @@ def test_a_scene_and_its_axis() -> None:
     )
 
 
-def test_a_pattern_stands_for_its_folders(tmp_path: Path) -> None:
+def test_a_pattern_stands_for_the_folders_it_matches(tmp_path: Path) -> None:
     for name in ("scene2", "scene1", "other"):
         (tmp_path / name).mkdir()
     (tmp_path / "scene3.txt").touch()
@@ -34,7 +34,7 @@ def test_a_colon_may_be_part_of_a_path() -> None:
     assert (scene.folder.name, scene.up) == ("C:rooms", "y")
 
 
-def test_names_of_their_own() -> None:
+def test_they_have_their_own_names() -> None:
     scenes = scenes_from(["one/room", "two/room:up=y"], ["first", "second"])
     assert [(scene.name, scene.up) for scene in scenes] == [("first", "z"), ("second", "y")]
 

@@ -22,7 +22,7 @@ def of_table(name: str, results: Sequence[Result], earlier: Sequence[Result] = (
     return cells("\n".join(Tables(ROWS, ROWS.rows, tuple(results), tuple(earlier)).lines(results[0].scene, rows)))
 
 
-def test_a_table_beside_the_papers_figures() -> None:
+def test_a_table_next_to_the_papers_figures() -> None:
     heading, rule, *rows = of_table("systems", OFFICE)
     assert heading == [
         "", "mIoU %", "mIoU % true classes", "PQ-scene %", "mIoU % `pl_compat`", "mIoU % `pl_compat`, true classes",
@@ -70,7 +70,7 @@ def test_before_and_after() -> None:
 
 
 @pytest.mark.parametrize("earlier", [(), OFFICE])
-def test_a_section_a_scene(earlier: Sequence[Result]) -> None:
+def test_one_section_per_scene(earlier: Sequence[Result]) -> None:
     text = Tables(ROWS, ROWS.rows, (*OFFICE, KITCHEN), tuple(earlier)).markdown()
     assert [line for line in text.splitlines() if line[:1] in ("#", "*")] == [
         "### office", "**Systems**", "### kitchen", "**Systems**", "### Means: over the scenes", "**Systems**",
@@ -80,7 +80,7 @@ def test_a_section_a_scene(earlier: Sequence[Result]) -> None:
     assert len({len(line) for line in office.splitlines() if line[:1] == "|"}) == 1
 
 
-def test_a_table_whose_rows_all_stand_in_another_is_left_out() -> None:
+def test_a_table_whose_rows_are_all_in_another_is_left_out() -> None:
     parts = replace(OFFICE[2], row="without depth")
     assert "**Its parts**" in Tables(ROWS, ROWS.rows, (*OFFICE, parts)).markdown()
     assert "**Its parts**" not in Tables(ROWS, ROWS.rows, OFFICE).markdown()
@@ -98,7 +98,7 @@ def test_a_row_that_another_engine_lifted_is_marked() -> None:
     assert "†" not in Tables(ROWS, ROWS.rows, OFFICE, earlier=results).markdown()
 
 
-def test_some_rows_alone() -> None:
+def test_only_some_rows() -> None:
     text = Tables(ROWS, ROWS.chosen(["theirs"]), OFFICE).markdown()
     assert [row[0] for row in cells(text)[2:]] == ["theirs"]
 
@@ -118,7 +118,7 @@ def test_means_are_over_the_scenes_that_have_the_figure() -> None:
     ]  # fmt: skip
 
 
-def test_a_seed_that_failed_is_told_beside_the_others() -> None:
+def test_a_seed_that_failed_is_listed_beside_the_others() -> None:
     failed = Result("office", "theirs", "preview", 0, 2, __version__, failed="a | b")
     row = of_table("systems", [*OFFICE, failed])[4]
     assert row[1] == "60.0" and " ".join(row[-4:-1]).strip() == "failed (seed 2): a \\ b"

@@ -124,7 +124,7 @@ def simple_fisheye(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray
         (("SIMPLE_RADIAL_FISHEYE", (LENS.fx, LENS.cx, LENS.cy, 0.04)), simple_fisheye),
     ],
 )
-def test_bent_lenses_are_straightened(
+def test_distorted_lenses_are_straightened(
     tmp_path: Path,
     model: tuple[str, tuple[float, ...]],
     bend: Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]],

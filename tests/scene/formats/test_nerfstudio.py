@@ -53,7 +53,7 @@ def test_frames_whose_pictures_are_missing_are_left_out(tmp_path: Path) -> None:
     assert len(scene.frames) == 5 and "1 frames are left out: their pictures are missing" in scene.warnings
 
 
-def test_names_that_count_from_another_folder_are_found_beside(tmp_path: Path) -> None:
+def test_names_relative_to_another_folder_are_found_beside_it(tmp_path: Path) -> None:
     write_scene(tmp_path)
     path = tmp_path / "transforms.json"
     path.write_text(path.read_text().replace("./images/", "../../data/room/images/"))
@@ -114,7 +114,7 @@ def test_intrinsics_of_larger_pictures_and_npy_depth(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("model", ["OPENCV", "OPENCV_FISHEYE"])
-def test_a_lens_that_bends_is_straightened(tmp_path: Path, model: str) -> None:
+def test_lens_distortion_is_removed(tmp_path: Path, model: str) -> None:
     """The sample shoots its rays through the bent lens: the inverse of the formula, found by iteration."""
     k1, k2, p1, p2 = (-0.12, 0.05, 0.004, -0.003) if model == "OPENCV" else (0.05, -0.02, 0.01, 0.0)
     lens = LENS.scaled(4)

@@ -53,7 +53,7 @@ def test_a_lens_of_its_own(tmp_path: Path) -> None:
     check_on_room(scene)
 
 
-def test_of_several_logs_the_one_with_poses_is_read(tmp_path: Path) -> None:
+def test_the_log_with_poses_is_read_among_several(tmp_path: Path) -> None:
     write_images(tmp_path, PRIMESENSE)
     (tmp_path / "reconstruction.log").write_text("[Open3D INFO] fragment 000\n")
     (tmp_path / "odometry.log").write_text(log([elsewhere(view) for view in views()]))
@@ -62,7 +62,7 @@ def test_of_several_logs_the_one_with_poses_is_read(tmp_path: Path) -> None:
     assert open_scene(tmp_path).format == "open3d"
 
 
-def test_of_several_trajectories_the_one_of_the_pictures_is_read(tmp_path: Path) -> None:
+def test_the_trajectory_of_the_pictures_is_read_among_several(tmp_path: Path) -> None:
     write_images(tmp_path, PRIMESENSE)
     (tmp_path / "trajectory.log").write_text(log(views()[:2]))
     (tmp_path / "first.log").write_text(log(views()[:3]))

@@ -16,7 +16,7 @@ from tests.scene.formats.room import check_colours
 from tests.scene.refusing import refuses
 
 
-def test_each_format_has_a_name_of_its_own_and_says_what_it_looks_for() -> None:
+def test_each_format_has_its_own_name_and_says_what_it_looks_for() -> None:
     for formats, told in ((FORMATS, SCENE_FORMAT_NAMES), (MASK_FORMATS, MASK_FORMAT_NAMES)):
         names = [each.name for each in formats]
         assert len({*names}) == len(names) and names == [each.name for each in told]
@@ -24,7 +24,7 @@ def test_each_format_has_a_name_of_its_own_and_says_what_it_looks_for() -> None:
     assert FORMATS[0].name == NAME and len(FORMATS) == 17
 
 
-def test_two_formats_in_one_folder_have_to_be_told_apart(tmp_path: Path) -> None:
+def test_two_formats_in_one_folder_require_a_choice(tmp_path: Path) -> None:
     test_colmap.write_text(test_nerfstudio.write_scene(tmp_path))
     refuses("this looks like nerfstudio and colmap.*--format nerfstudio", tmp_path)
     for name in ("nerfstudio", "colmap"):
@@ -35,7 +35,7 @@ def test_two_formats_in_one_folder_have_to_be_told_apart(tmp_path: Path) -> None
 
 @pytest.mark.parametrize("name", [each.name for each in FORMATS])
 @pytest.mark.parametrize("place", ["empty", "file.txt"])
-def test_a_format_that_is_named_but_not_there_gets_a_line(tmp_path: Path, name: str, place: str) -> None:
+def test_a_named_format_that_is_not_there_is_a_one_line_error(tmp_path: Path, name: str, place: str) -> None:
     (tmp_path / "empty").mkdir()
     (tmp_path / "file.txt").write_text("1 2 3\n")
     with pytest.raises(PlgsError) as caught:

@@ -119,7 +119,7 @@ def test_without_the_package_the_line_says_what_to_install(tmp_path: Path, monke
         scene.frames[0].depth()
 
 
-def test_depth_that_unpacks_to_more_than_its_pixels_gets_a_line(
+def test_depth_that_unpacks_to_more_than_its_pixels_is_a_one_line_error(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Read from an archive of some bytes; the library would take four gigabytes."""
@@ -153,13 +153,13 @@ class Library:
         return bytes(data.count(b"bvx2") * self._size)
 
 
-def test_what_is_as_it_says_comes_out() -> None:
+def test_valid_data_is_unpacked() -> None:
     assert unpack_lzfse(stored(b"depth"), 5, unstored) == b"depth"
     for blocks in (1, 4, 8, 9, 30):
         assert len(unpack_lzfse(ONE * blocks + END, 48_000 * 30, Library(4800))) == 4800 * blocks
 
 
-def test_what_says_more_than_may_be_reaches_no_library() -> None:
+def test_declared_sizes_above_the_limit_reach_no_library() -> None:
     library = Library(4800)
     vast = ONE[:4] + struct.pack("<I", 2**32 - 1) + ONE[8:] + END
     for data in (vast, ONE * 2 + END, b"bvxn" + struct.pack("<II", 2**32 - 1, 4) + b"abcd" + END, ONE * 10_000 + END):
@@ -168,7 +168,7 @@ def test_what_says_more_than_may_be_reaches_no_library() -> None:
     assert library.most == 0
 
 
-def test_what_says_less_than_it_is_does_not_get_far() -> None:
+def test_data_larger_than_declared_is_stopped_early() -> None:
     library = Library(27_000_000)
     with pytest.raises(ValueError, match="to the size that it says"):
         unpack_lzfse(ONE * 30 + END, 4800 * 100, library)
@@ -178,6 +178,6 @@ def test_what_says_less_than_it_is_does_not_get_far() -> None:
 @pytest.mark.parametrize(
     "data", [b"", b"bvx", ONE, USUAL[:100], USUAL[:20], USUAL[4:], b"bvx1" + bytes(800) + END, b"bvx-\xff\0\0\0" + END]
 )
-def test_what_is_no_whole_stream(data: bytes) -> None:
+def test_incomplete_streams(data: bytes) -> None:
     with pytest.raises(ValueError):
         unpack_lzfse(data, 10**6, Library(4800))

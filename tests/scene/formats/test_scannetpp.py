@@ -96,7 +96,7 @@ def test_pictures_and_depth_that_were_taken_out(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("pack", [one_stream, lz4_blocks, deflated_blocks])
-def test_cut_off_depth_gets_a_line(tmp_path: Path, pack: Callable[[list[np.ndarray]], bytes]) -> None:
+def test_truncated_depth_is_a_one_line_error(tmp_path: Path, pack: Callable[[list[np.ndarray]], bytes]) -> None:
     path = write_scannetpp(tmp_path, pack) / "iphone" / "depth.bin"
     path.write_bytes(path.read_bytes()[:-2000])
     scene = open_scene(tmp_path)

@@ -59,7 +59,7 @@ def test_raw_depth_is_registered_to_colour(tmp_path: Path, place: str) -> None:
     assert np.median(np.abs(scene.frames[0].depth() - look(views()[0], COLOUR_LENS).depth)) < 0.008
 
 
-def test_registered_depth_is_taken_where_it_is_there(tmp_path: Path) -> None:
+def test_registered_depth_is_used_if_it_exists(tmp_path: Path) -> None:
     write_seven(tmp_path)
     for i, view in enumerate(views()):
         base = tmp_path / "seq-01" / f"frame-{i:06d}"

@@ -107,7 +107,7 @@ def test_icl_nuim_is_mirrored_back(tmp_path: Path, truth: str) -> None:
     check_on_room(scene)
 
 
-def test_a_world_with_another_up_is_turned(tmp_path: Path) -> None:
+def test_a_world_with_another_up_axis_is_rotated(tmp_path: Path) -> None:
     write_tum(tmp_path)
     text = "".join(
         tum_line(round(1305031102.171 + i / 30, 4), v.right, -v.up, v.forward, v.eye)

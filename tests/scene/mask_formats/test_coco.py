@@ -52,7 +52,7 @@ def test_ids_use_all_three_channels(folder: Path) -> None:
     assert mask.class_map()[10, 10] == 5
 
 
-def test_the_class_table_is_the_masks_own(folder: Path) -> None:
+def test_the_masks_own_class_table_is_used(folder: Path) -> None:
     change(folder, lambda c: c["categories"][0].pop("color"))
     change(folder, lambda c: c["categories"][1].update(isthing=True))
     classes = open_scene(folder).classes
@@ -119,7 +119,7 @@ def test_frames_are_found_by_the_images_table(folder: Path) -> None:
     assert [frame.name for frame in open_scene(folder).frames] == ["0000", "0001", "0002"]
 
 
-def test_annotations_of_other_images_are_passed_over(folder: Path) -> None:
+def test_annotations_of_other_images_are_skipped(folder: Path) -> None:
     other = {"image_id": "x", "file_name": "elsewhere.png", "segments_info": "whatever"}
     change(folder, lambda c: c["annotations"].append(other))
     assert check_scene(open_scene(folder)) == ()

@@ -66,7 +66,7 @@ def write_pictures(folder: Path) -> list[Truth]:
     return truths
 
 
-def test_a_picture_a_detection(tmp_path: Path) -> None:
+def test_one_picture_per_detection(tmp_path: Path) -> None:
     """The frames' folders have numbers for names, as SAM 2's objects do: the format has to be named."""
     truths = write_pictures(tmp_path)
     scene = open_scene(tmp_path, mask_format="detections")

@@ -96,7 +96,7 @@ def write_indices(folder: Path, with_materials: bool) -> list[Truth]:
     return truths
 
 
-def test_object_indices_alone_have_one_class(tmp_path: Path) -> None:
+def test_object_indices_without_classes_have_one_class(tmp_path: Path) -> None:
     truths = write_indices(tmp_path, with_materials=False)
     scene = open_scene(tmp_path)
     check_on_room(scene, truths, {1: "", 2: "", 3: "object", 5: "object", 13: ""}, frozenset({"object"}))

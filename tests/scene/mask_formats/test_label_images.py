@@ -120,7 +120,7 @@ def test_pickles_are_named_and_never_read(tmp_path: Path, name: str) -> None:
     refuses(f"pickled .{name}.*numpy.save", tmp_path)
 
 
-def test_an_unknown_format_is_told_what_there_is(tmp_path: Path) -> None:
+def test_an_unknown_format_is_answered_with_the_known_ones(tmp_path: Path) -> None:
     scene, _ = write_frames(tmp_path)
     (scene / "masks").mkdir()
     refuses(r"no masks of a known format.*Looked for coco: .*arrays: ", tmp_path)

@@ -61,7 +61,7 @@ def test_two_chairs_are_two_segments_at_any_bit_depth(folder: Path, pixel_type: 
     assert (mask.ids[5, 25], mask.ids[5, 0], mask.ids[5, 15]) == (1, 2, 3)
 
 
-def test_the_set_without_augmentation_is_used_where_it_is_alone_or_named(folder: Path) -> None:
+def test_the_set_without_augmentation_is_used_if_it_is_the_only_one_or_named(folder: Path) -> None:
     for kind in ("semantics", "instance"):
         (folder / f"m2f_{kind}").rename(folder / f"m2f_notta_{kind}")
     assert set(classes_seen(open_scene(folder)).ravel()) >= {1, 2}

@@ -70,7 +70,7 @@ def test_transformers_classes_are_the_models(tmp_path: Path, first: int, void: i
 
 
 @pytest.mark.parametrize(("table", "is_thing"), [("coco", True), ("cityscapes", False)])
-def test_things_are_those_of_the_table_that_the_models_names_are_of(tmp_path: Path, table: str, is_thing: bool) -> None:
+def test_things_are_those_of_the_table_with_the_models_names(tmp_path: Path, table: str, is_thing: bool) -> None:
     """A traffic light is a thing in COCO and stuff in Cityscapes; nothing in transformers' results says so."""
     scene, (truth, *_) = write_frames(tmp_path)
     labels = {label.name: label.id for label in known_table(table).labels}
@@ -121,7 +121,7 @@ def write_detectron2(folder: Path, numbers: dict[int, int], things: set[int]) ->
 
 
 @pytest.mark.parametrize("is_apart", [False, True])
-def test_detectron2_counts_over_all_classes_or_things_and_stuff_apart(tmp_path: Path, is_apart: bool) -> None:
+def test_detectron2_counts_over_all_classes_or_things_and_stuff_separately(tmp_path: Path, is_apart: bool) -> None:
     stuff_apart = {class_id: number - 79 for class_id, number in COCO_NUMBERS.items() if class_id != 5}
     numbers = COCO_NUMBERS | stuff_apart if is_apart else COCO_NUMBERS
     if is_apart:  # stuff 41 is a cabinet, thing 41 is a cup: here the chair is one

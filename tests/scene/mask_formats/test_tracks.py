@@ -89,7 +89,7 @@ def test_a_palette_may_hold_classes_as_well(tmp_path: Path) -> None:
     refuses("look like sam2 and palette.*--mask-format sam2", tmp_path)
 
 
-def test_a_folder_an_object(tmp_path: Path) -> None:
+def test_one_folder_per_object(tmp_path: Path) -> None:
     truths = write_object_folders(tmp_path)
     scene = open_scene(tmp_path)
     check_on_room(scene, truths, OBJECTS, BOTH)
