@@ -258,7 +258,7 @@ def test_what_the_engine_read_is_there_without_it_later(tmp_path: Path, monkeypa
     bpy.ops.plgs.import_scene(scene_folder=str(folder))
     assert len(frames()) == 6, "what the engine made is still there"
     shutil.rmtree(tmp_path / "ai_001_001_frames")
-    with pytest.raises(RuntimeError, match="Set the engine up"):
+    with pytest.raises(RuntimeError, match="Set up the engine"):
         bpy.ops.plgs.import_scene(scene_folder=str(folder))
 
 
