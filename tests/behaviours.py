@@ -11,8 +11,8 @@ BEHAVIOURS = {
     "a lift writes the files of docs/lift-folder.md": (
         "lift/test_lift.py::test_the_files_are_those_of_the_design"
     ),
-    "a lift's arrays: points and anchors": "lift/test_lift.py::test_points_and_anchors",
-    "a lift's arrays: instances": "lift/test_lift.py::test_instances",
+    "a lift's arrays: points and anchors": "lift/test_lift.py::test_the_points_and_anchors_are_written",
+    "a lift's arrays: instances": "lift/test_lift.py::test_the_instances_are_written",
     "a lift's passes have the frames' own size": (
         "lift/test_lift.py::test_passes_have_the_frames_own_size_and_whole_labels"
     ),
@@ -25,7 +25,7 @@ BEHAVIOURS = {
     "a lift keeps the names of an earlier one": "lift/test_lasting_names.py::test_every_file_has_the_lasting_ids",
     "a lift finds a scene that was moved": "lift/test_moved.py::test_the_scene_is_found",
     "frames are baked later with the same bytes": "lift/test_bake_more.py::test_later_bakes_write_the_same_bytes",
-    "any camera is baked": "lift/test_bake_more.py::test_any_camera",
+    "any camera is baked": "lift/test_bake_more.py::test_any_camera_can_be_baked",
     "several commands bake side by side": "lift/test_bake_together.py::test_two_commands_share_the_frames",
     "corrections change passes, exports and scores": (
         "lift/test_bake_more.py::test_a_corrected_lift_is_baked_exported_and_scored_as_corrected"
@@ -38,10 +38,10 @@ BEHAVIOURS = {
     "frames of Hypersim": "scene/formats/test_hypersim.py::test_points_lie_on_the_room",
     "frames of Nerfstudio": "scene/formats/test_nerfstudio.py::test_points_lie_on_the_room",
     "frames of Polycam": "scene/formats/test_polycam.py::test_points_lie_on_the_room",
-    "frames of posed images": "scene/formats/test_posed_images.py::test_with_depth",
+    "frames of posed images": "scene/formats/test_posed_images.py::test_posed_images_with_depth_are_read",
     "frames of Open3D's logs": "scene/formats/test_open3d_log.py::test_a_log_with_the_usual_lens",
     "frames of Record3D": "scene/formats/test_record3d.py::test_points_lie_on_the_room",
-    "frames of Replica": "scene/formats/test_replica.py::test_nice_slam",
+    "frames of Replica": "scene/formats/test_replica.py::test_nice_slams_layout_is_read",
     "frames of ScanNet's archives": "scene/formats/test_sens.py::test_points_lie_on_the_room",
     "frames of ScanNet++": "scene/formats/test_scannetpp.py::test_points_lie_on_the_room",
     "frames of 7-Scenes": "scene/formats/test_seven_scenes.py::test_raw_depth_is_registered_to_colour",
@@ -51,12 +51,12 @@ BEHAVIOURS = {
     "a scene is diagnosed and mended": "diagnosis/test_mend.py::test_the_command_reports_shows_and_fixes",
     "a building is lifted in blocks": "building/test_run.py::test_a_building_in_two_blocks",
     "exports: clouds": "export/test_export.py::test_clouds_hold_each_pixel_in_the_world",
-    "exports: COCO panoptic": "export/test_export.py::test_coco",
-    "exports: label images": "export/test_export.py::test_label_images",
-    "exports: ScanNet": "export/test_export.py::test_scannet",
-    "exports: boxes": "export/test_export.py::test_boxes",
-    "exports: depth maps": "export/test_export.py::test_depth_maps",
-    "exports: meshes": "export/test_export.py::test_meshes",
+    "exports: COCO panoptic": "export/test_export.py::test_coco_is_exported",
+    "exports: label images": "export/test_export.py::test_labels_are_exported",
+    "exports: ScanNet": "export/test_export.py::test_scannet_is_exported",
+    "exports: boxes": "export/test_export.py::test_boxes_are_exported",
+    "exports: depth maps": "export/test_export.py::test_depth_maps_are_exported",
+    "exports: meshes": "export/test_export.py::test_meshes_are_exported",
     "run_plgs.py lifts a scene into a .blend": "test_run_plgs.py::test_it_lifts_a_scene_into_a_blend",
     "run_plgs.py bakes a camera": "test_run_plgs_camera.py::test_frames_are_baked_and_those_that_are_done_are_kept",
     "the zip installs, registers and goes": "test_extension.py::test_the_zip_installs_and_registers_and_goes",

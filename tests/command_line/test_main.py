@@ -52,7 +52,7 @@ def test_a_reader_that_stops_early_is_not_an_error(root: Path, arguments: list[s
     assert (said.returncode, said.stderr) == (141, b"")
 
 
-def test_wrong_arguments(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_wrong_arguments_are_refused(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     for arguments in ([], ["dance"], ["lift"], ["lift", tmp_path, "--size", "big"], ["inspect", tmp_path, "--up", "x"]):
         assert code_of(*arguments) == 2
         assert "usage:" in capsys.readouterr().err
@@ -166,7 +166,7 @@ def test_a_given_axis_is_respected(said: str, meant: UpAxis) -> None:
     assert SceneSource(Path("room"), up=meant).up_option == said
 
 
-def test_inspect(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_inspect_describes_a_scene(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     scene = write_tiny_scene(tmp_path / "scene", frames=9)
     assert code_of("inspect", scene) == 0
     said = capsys.readouterr().out
@@ -196,7 +196,7 @@ METRICS = """{"format": 1, "test_frames": ["0000"], "tables": [
   "per_class": [{"name": "chair", "iou": 0.5, "pq": 1, "sq": 1, "rq": 1, "tp": 3, "fp": 0, "fn": 1}]}]}"""
 
 
-def test_evaluate(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_evaluate_prints_the_scores(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     lift = new_lift(tmp_path)
     write_atomically(lift.result_path / "metrics.json", METRICS)
     write_manifest(lift.result_path, versions={}, seed=0, settings={}, timings={})

@@ -89,7 +89,7 @@ def test_cancelled_before_it_began(tmp_path: Path) -> None:
     assert run_engine(folder, resume=True, lift=tiny_lift) is ExitCode.FINISHED
 
 
-def test_resume(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_resume_starts_a_new_lift_and_leaves_a_finished_one(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     folder = new_lift(tmp_path)
     assert run_engine(folder, resume=True, lift=tiny_lift) is ExitCode.FINISHED  # nothing to go on with: it starts
     before = folder.events_path.read_bytes()

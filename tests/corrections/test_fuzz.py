@@ -49,7 +49,7 @@ def survives(lift: Path) -> None:
 
 @examples(150)
 @given(data=st.data())
-def test_odd_values(lift: Path, original: bytes, data: st.DataObject) -> None:
+def test_odd_values_do_no_harm(lift: Path, original: bytes, data: st.DataObject) -> None:
     content = json.loads(original)
     for _ in range(data.draw(st.integers(1, 3))):
         content = with_odd_value(data.draw, content)
@@ -66,7 +66,7 @@ def test_the_report_of_an_unknown_edit_is_printable(lift: Path, original: bytes)
 
 @examples(100)
 @given(data=st.data())
-def test_damaged_bytes(lift: Path, original: bytes, data: st.DataObject) -> None:
+def test_damaged_bytes_do_no_harm(lift: Path, original: bytes, data: st.DataObject) -> None:
     (lift / CORRECTIONS).write_bytes(damaged(data.draw, original))
     survives(lift)
 

@@ -90,7 +90,7 @@ def test_clouds_of_any_camera(lift: LiftFolder, tmp_path: Path) -> None:
     assert main([*common, "--to", "coco"]) == 2 and not (tmp_path / "other").exists()
 
 
-def test_coco(lift: LiftFolder, truth: dict[str, tuple[np.ndarray, np.ndarray]], tmp_path: Path) -> None:
+def test_coco_is_exported(lift: LiftFolder, truth: dict[str, tuple[np.ndarray, np.ndarray]], tmp_path: Path) -> None:
     run(lift, "coco", tmp_path)
     content = json.loads((tmp_path / "panoptic.json").read_text())
     images = {image["id"]: image for image in content["images"]}
@@ -115,7 +115,7 @@ def test_coco(lift: LiftFolder, truth: dict[str, tuple[np.ndarray, np.ndarray]],
             assert categories[segment["category_id"]]["isthing"] or not instance[pixels].any()
 
 
-def test_label_images(lift: LiftFolder, truth: dict[str, tuple[np.ndarray, np.ndarray]], tmp_path: Path) -> None:
+def test_labels_are_exported(lift: LiftFolder, truth: dict[str, tuple[np.ndarray, np.ndarray]], tmp_path: Path) -> None:
     run(lift, "instances", tmp_path)
     for name, (semantic, instance) in truth.items():
         for folder, ids in (("class", semantic), ("instance", instance)):
@@ -128,7 +128,7 @@ def test_label_images(lift: LiftFolder, truth: dict[str, tuple[np.ndarray, np.nd
     assert {one["class_id"] for one in labels["instances"]} <= {one["id"] for one in labels["classes"]}
 
 
-def test_scannet(lift: LiftFolder, truth: dict[str, tuple[np.ndarray, np.ndarray]], tmp_path: Path) -> None:
+def test_scannet_is_exported(lift: LiftFolder, truth: dict[str, tuple[np.ndarray, np.ndarray]], tmp_path: Path) -> None:
     run(lift, "scannet", tmp_path, "--frames", "0001", "test")
     assert {path.stem for path in (tmp_path / "label-filt").iterdir()} == {"0001", "0004"}
     for folder, which in (("label-filt", 0), ("instance-filt", 1)):
@@ -154,7 +154,7 @@ def test_points_are_read_by_open3d(lift: LiftFolder, tmp_path: Path) -> None:
     assert (tmp_path / "gaussians.ply").read_bytes() == (lift.result_path / "gaussians.ply").read_bytes()
 
 
-def test_boxes(lift: LiftFolder, tmp_path: Path) -> None:
+def test_boxes_are_exported(lift: LiftFolder, tmp_path: Path) -> None:
     run(lift, "boxes", tmp_path)
     records = json.loads((lift.result_path / "instances.json").read_text())["instances"]
     boxes = json.loads((tmp_path / "boxes.json").read_text())["boxes"]
@@ -166,7 +166,7 @@ def test_boxes(lift: LiftFolder, tmp_path: Path) -> None:
         assert [float(row[f"centre_{axis}"]) for axis in "xyz"] == record["centre"]
 
 
-def test_depth_maps(lift: LiftFolder, tmp_path: Path) -> None:
+def test_depth_maps_are_exported(lift: LiftFolder, tmp_path: Path) -> None:
     run(lift, "depth", tmp_path)
     for path in sorted(tmp_path.glob("*.npy")):
         depth = np.load(path)
@@ -174,7 +174,7 @@ def test_depth_maps(lift: LiftFolder, tmp_path: Path) -> None:
     assert len(list(tmp_path.glob("*.npy"))) > 1
 
 
-def test_meshes(lift: LiftFolder, tmp_path: Path) -> None:
+def test_meshes_are_exported(lift: LiftFolder, tmp_path: Path) -> None:
     open3d = pytest.importorskip("open3d")
     run(lift, "mesh", tmp_path)
     surface = open3d.io.read_triangle_mesh(str(tmp_path / "mesh.ply"))
@@ -200,7 +200,7 @@ def test_meshes(lift: LiftFolder, tmp_path: Path) -> None:
     assert np.asarray(read.vertex_colors).max() > 0.1
 
 
-def test_refusals(lift: LiftFolder, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_is_invalid_is_refused(lift: LiftFolder, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "file").touch()
     assert main(["export", str(lift.path), "--to", "boxes", "-o", str(tmp_path / "file")]) == 2
     assert main(["export", str(lift.path), "--to", "coco", "-o", str(tmp_path), "--frames", "9"]) == 2

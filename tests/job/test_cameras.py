@@ -57,7 +57,7 @@ def test_cameras_are_read(tmp_path: Path) -> None:
         ([GOOD, {**GOOD, "name": "SHOT.0001"}], "two cameras are named 'SHOT.0001'"),
     ],
 )
-def test_refusals(tmp_path: Path, content: object, says: str) -> None:
+def test_what_is_invalid_is_refused(tmp_path: Path, content: object, says: str) -> None:
     path = write(tmp_path / "cameras.json", content)
     with pytest.raises(PlgsError, match="cameras.json") as error:
         read_cameras(path)

@@ -144,7 +144,7 @@ def test_events(rounds: Rounds, request: pytest.FixtureRequest) -> None:
 
 
 @pytest.mark.parametrize("content", ["new", lambda part: part.write_text("new")], ids=["text", "function"])
-def test_a_file(rounds: Rounds, content: str | Callable[[Path], object]) -> None:
+def test_a_file_survives_every_fault(rounds: Rounds, content: str | Callable[[Path], object]) -> None:
     def replace(folder: Path) -> None:
         write_atomically(folder / "file", content)
 
@@ -208,7 +208,7 @@ def saved(folder: Path) -> int:
     return step
 
 
-def test_a_checkpoint(rounds: Rounds) -> None:
+def test_a_checkpoint_survives_every_fault(rounds: Rounds) -> None:
     found = set()
     for folder in rounds(lambda folder: save(folder, 1), lambda folder: save(folder, 2)):
         found.add(saved(folder))

@@ -85,7 +85,7 @@ def refused_with_a_line(look: Callable[[], object]) -> None:
 
 @examples(150)
 @given(data=st.data(), name=st.sampled_from(JSON_FILES))
-def test_odd_values(lift: Path, tmp_path: Path, data: st.DataObject, name: str) -> None:
+def test_odd_values_do_no_harm(lift: Path, tmp_path: Path, data: st.DataObject, name: str) -> None:
     content: Any = json.loads((lift / name).read_text())
     for _ in range(data.draw(st.integers(1, 3))):
         content = with_odd_value(data.draw, content)
@@ -94,13 +94,13 @@ def test_odd_values(lift: Path, tmp_path: Path, data: st.DataObject, name: str) 
 
 @examples(80)
 @given(data=st.data(), name=st.sampled_from([*JSON_FILES, "events.jsonl"]))
-def test_damaged_bytes(lift: Path, tmp_path: Path, data: st.DataObject, name: str) -> None:
+def test_damaged_bytes_do_no_harm(lift: Path, tmp_path: Path, data: st.DataObject, name: str) -> None:
     with_file(lift, tmp_path, name, damaged(data.draw, (lift / name).read_bytes()))
 
 
 @examples(100)
 @given(data=st.data())
-def test_odd_events(lift: Path, tmp_path: Path, data: st.DataObject) -> None:
+def test_odd_events_do_no_harm(lift: Path, tmp_path: Path, data: st.DataObject) -> None:
     lines = (lift / "events.jsonl").read_text().splitlines()
     for _ in range(data.draw(st.integers(1, 3))):
         number = data.draw(st.integers(0, len(lines) - 1))

@@ -184,7 +184,7 @@ def test_what_is_not_a_lease_is_taken_over_too(tmp_path: Path) -> None:
         pass
 
 
-def test_without_links(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_leases_work_without_links(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def refuse(*_: object) -> None:
         raise PermissionError(1, "no links here")
 

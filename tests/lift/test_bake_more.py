@@ -155,7 +155,7 @@ def write_cameras(path: Path, names: list[str], shift: float = 0.0) -> Path:
     return path
 
 
-def test_any_camera(lift: LiftFolder, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_any_camera_can_be_baked(lift: LiftFolder, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     cameras = write_cameras(tmp_path / "cameras.json", ["shot.0001", "shot.0002"])
     assert run_bake(lift, None, cameras=cameras) is ExitCode.FINISHED
     exr = lift.passes_path / "shot.0001.exr"

@@ -80,7 +80,7 @@ def test_the_manifest_says_how_it_came_about(lifts: Lifts) -> None:
     assert {"python", "numpy", "torch", "numba"} <= set(manifest.versions)
 
 
-def test_points_and_anchors(lifts: Lifts) -> None:
+def test_the_points_and_anchors_are_written(lifts: Lifts) -> None:
     """``read_arrays`` checks names, types and shapes."""
     points = read_arrays(lifts.done.result_path / "semantic_points.npz", SemanticPoints)
     assert set(np.unique(points.instance_id)) == {0, 1, 2}
@@ -89,7 +89,7 @@ def test_points_and_anchors(lifts: Lifts) -> None:
     assert set(np.unique(anchors.level)) <= {0, 1, 2, 3}
 
 
-def test_instances(lifts: Lifts) -> None:
+def test_the_instances_are_written(lifts: Lifts) -> None:
     content = json.loads((lifts.done.result_path / "instances.json").read_text())
     assert content["format"] == 1 and content["up"] == "z"
     assert [one["id"] for one in content["classes"]] == [1, 2, 3, 5, 13]

@@ -192,7 +192,7 @@ def test_without_classes_there_is_no_cluster_loss(unlabelled: str) -> None:
 
 
 @pytest.mark.parametrize("anchors", [0, 5])
-def test_nothing_visible(anchors: int) -> None:
+def test_nothing_visible_gives_no_gaussians(anchors: int) -> None:
     case = asking(case_of(STANDARD, 0, anchors=anchors))
     gaussians = decoded(case)
     assert gaussians.means.shape == (0, 3) and gaussians.labels.shape == (0, 43) and gaussians.kept.shape == (0,)

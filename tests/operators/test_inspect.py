@@ -103,7 +103,7 @@ def test_what_the_lift_does_not_show_is_listed(lift: Path) -> None:
         bpy.ops.plgs.go_to_frame(frame="nowhere")
 
 
-def test_overlays(root: bpy.types.Collection) -> None:
+def test_overlays_can_be_toggled(root: bpy.types.Collection) -> None:
     box = boxes_of(root)[1]
     assert root.plgs.show_labels and not box.show_name
     bpy.ops.plgs.toggle_overlay(part="LEGEND")

@@ -25,7 +25,7 @@ STEP = 0.5 / STEPS
     ("text", "seed", "expected"),
     [("", 0, 0), ("", 1, 0x514E28B7), ("test", 0, 0xBA6BD213), ("Hello, world!", 0, 0xC0363E43)],
 )
-def test_hash(text: str, seed: int, expected: int) -> None:
+def test_the_hash_is_murmur3(text: str, seed: int, expected: int) -> None:
     assert cryptomatte.murmur3(text.encode(), seed) == expected
 
 
@@ -97,12 +97,12 @@ def test_every_id_is_in_the_manifest_and_the_manifest_is_blenders() -> None:
         assert set(ids[ids != 0].view(np.uint32).tolist()) <= bits
 
 
-def test_names() -> None:
+def test_matte_names_are_unique_and_printable() -> None:
     names = matte_names({1: "chair 1", 2: 'a "b", c', 3: "chair 1", 4: ",", 5: "Tür"})
     assert names == {1: "chair 1 #1", 2: "a b c", 3: "chair 1 #3", 4: "id 4", 5: "Tür"}
 
 
-def test_header() -> None:
+def test_the_header_names_the_mattes() -> None:
     header = cryptomatte.header("CryptoInstance", ["chair 1", "Tür"])
     (manifest,) = [value for key, value in header.items() if key.endswith("/manifest")]
     assert json.loads(manifest)["chair 1"] == f"{cryptomatte.name_bits('chair 1'):08x}"

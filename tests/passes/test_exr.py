@@ -78,7 +78,7 @@ def test_the_same_input_gives_the_same_bytes(tmp_path: Path) -> None:
     assert _write(tmp_path / "a.exr").read_bytes() == _write(tmp_path / "b.exr").read_bytes()
 
 
-def test_refusals(tmp_path: Path) -> None:
+def test_what_is_invalid_is_refused(tmp_path: Path) -> None:
     view = _baked()
     layers = replace(view.layers, instance=np.full((6, 8), 1 << 24, np.int32))
     with pytest.raises(ValueError, match="exact"):

@@ -84,7 +84,7 @@ def test_coco_round_trip(tmp_path: Path) -> None:
         write_coco(tmp_path, CLASSES, [("0001", layers.semantic, layers.instance)])
 
 
-def test_previews(tmp_path: Path) -> None:
+def test_the_previews_are_written(tmp_path: Path) -> None:
     layers = decide(made_rendering(), CLASSES)
     paths = write_previews(tmp_path, "0001", layers, CLASSES, {3: (1, 2, 3)})
     assert [path.name for path in paths] == ["0001_colour.png", "0001_semantic.png", "0001_instance.png"]
@@ -96,7 +96,7 @@ def test_previews(tmp_path: Path) -> None:
     assert instance[0, 3].tolist() == [52, 54, 58]
 
 
-def test_contact_sheet(tmp_path: Path) -> None:
+def test_the_contact_sheet_is_drawn(tmp_path: Path) -> None:
     layers = decide(made_rendering(), CLASSES)
     photo = np.full((6, 8, 3), 200, np.uint8)
     row = SheetRow("0001", photo, layers.semantic, layers)

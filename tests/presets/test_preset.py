@@ -85,7 +85,7 @@ class _Further(Preset):
     colour: bool = False
 
 
-def test_further_options(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_further_options_can_be_added(monkeypatch: pytest.MonkeyPatch) -> None:
     for name, preset in list(PRESETS.items()):
         monkeypatch.setitem(PRESETS, name, _Further(**vars(preset)))
     assert option_value(with_options(PRESETS["paper"], checked_options({"colour": True})), "colour") is True

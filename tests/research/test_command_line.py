@@ -31,7 +31,7 @@ def test_it_runs_as_a_module(root: Path) -> None:
     assert said.returncode == 0 and "    3DGS\n" in said.stdout
 
 
-def test_wrong_arguments(capsys: pytest.CaptureFixture[str]) -> None:
+def test_wrong_arguments_are_refused(capsys: pytest.CaptureFixture[str]) -> None:
     assert code_of("experiments", "--seeds", "0,one") == 2
     assert "'0,one' is not a list of whole numbers such as 0,1,2" in capsys.readouterr().err
     for text in ("-5", "0", "many"):

@@ -43,7 +43,7 @@ def test_both_parts_in_plain_numpy() -> None:
     assert contrast(*tensors, is_one).item() == pytest.approx(-np.log(shares).mean())
 
 
-def test_gradient() -> None:
+def test_the_gradient_matches_differences() -> None:
     blended, alpha = picture(torch.float64)
     (exact,) = torch.autograd.grad(loss_of(blended, alpha), blended)
     fast = blended.detach()[..., :3].clone().requires_grad_()

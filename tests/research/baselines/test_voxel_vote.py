@@ -69,7 +69,7 @@ def test_ties_go_to_the_lower_class() -> None:
     assert (votes.result().class_id == WALL).all()
 
 
-def test_nobody_voted() -> None:
+def test_an_empty_vote_has_no_winners() -> None:
     votes = VoxelVote(CLASSES)
     assert votes.is_empty
     votes.add(CAMERA, np.zeros_like(DEPTH), _labels())

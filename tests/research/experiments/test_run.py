@@ -350,7 +350,7 @@ def test_damage_in_another_row_is_reported_and_stops_nothing(
     assert measured(some) == [("office", "ours")]
 
 
-def test_a_comparison(experiment: Experiment, behave: Behave, capsys: pytest.CaptureFixture[str]) -> None:
+def test_results_can_be_compared(experiment: Experiment, behave: Behave, capsys: pytest.CaptureFixture[str]) -> None:
     assert run(replace(experiment, earlier=(KITCHEN,))) is ExitCode.FINISHED
     office, kitchen = capsys.readouterr().out.split("### kitchen")
     assert "17.00 -> -" in kitchen and "->" not in office

@@ -176,7 +176,7 @@ def binary(folder: Path) -> Path:
     return folder
 
 
-def test_binary(tmp_path: Path) -> None:
+def test_binary_models_are_read(tmp_path: Path) -> None:
     scene = open_scene(binary(tmp_path))
     check_colours(scene)
     assert scene.points is not None

@@ -24,7 +24,7 @@ def write_posed_images(folder: Path, *, depth: bool = True) -> Path:
     return folder
 
 
-def test_with_depth(tmp_path: Path) -> None:
+def test_posed_images_with_depth_are_read(tmp_path: Path) -> None:
     scene = open_scene(write_posed_images(tmp_path))
     assert scene.format == "posed-images" and scene.frames[0].name == "00000"
     check_on_room(scene, colour_step=60)
@@ -35,7 +35,7 @@ def test_without_depth(tmp_path: Path) -> None:
     assert len(scene.frames) == len(views()) and not scene.has_depth
 
 
-def test_lost_tracking(tmp_path: Path) -> None:
+def test_frames_with_lost_tracking_are_left_out(tmp_path: Path) -> None:
     (write_posed_images(tmp_path) / "00002.txt").write_text("-inf -inf -inf -inf\n" * 4)
     scene = open_scene(tmp_path)
     assert [frame.name for frame in scene.frames][2] == "00003"

@@ -27,7 +27,7 @@ def write_nice(folder: Path, lens: Lens = NICE, steps: float = 6553.5) -> Path:
     return folder
 
 
-def test_nice_slam(tmp_path: Path) -> None:
+def test_nice_slams_layout_is_read(tmp_path: Path) -> None:
     scene = open_scene(write_nice(tmp_path))
     assert scene.format == "replica" and scene.frames[0].name == "frame000000"
     check_on_room(scene, colour_step=60)
