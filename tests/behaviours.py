@@ -17,7 +17,7 @@ BEHAVIOURS = {
         "lift/test_lift.py::test_passes_have_the_frames_own_size_and_whole_labels"
     ),
     "a lift with the same seed writes the same bytes": "lift/test_lift.py::test_the_same_seed_gives_the_same_lift",
-    "a lift beats the masks that it was given": "lift/test_quality.py::test_it_beats_the_masks_it_was_given",
+    "a lift beats the masks that it was given": "lift/test_quality.py::test_a_lift_beats_its_masks_and_a_vote",
     "a lift is cancelled and resumed": "lift/test_lift.py::test_a_cancelled_lift_is_resumed",
     "a lift that was killed is resumed to the same bytes": (
         "test_kill_and_resume.py::test_a_lift_that_is_killed_and_resumed_has_the_same_bytes"

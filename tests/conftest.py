@@ -32,8 +32,8 @@ def load_package(root: Path, name: str) -> ModuleType:
 
 
 sys.path.insert(0, str(ROOT))
-# Read when torch is imported, also by engines that tests start. The engine's own start sets the first. Threads that spin
-# while they wait, or more of them than cores, make a tiny lift beside another test take two to six times as long.
+# torch reads these when it is imported, also in engines that tests start. Threads that spin while they wait, or more of
+# them than cores, make a tiny lift beside another test take two to six times as long.
 os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 if "PYTEST_XDIST_WORKER" in os.environ:
     os.environ.setdefault("OMP_NUM_THREADS", "1")
