@@ -2,7 +2,7 @@
 
 Each block we make carries two custom properties: the lift it belongs to and its key there ("frame:0012", "instance:3").
 Names are only for people, who may change them. A second placement finds the blocks by these properties and fills them
-anew. So whatever points at them (the active camera, a constraint, a marker) keeps pointing. `sweep` removes what the
+again. So whatever points at them (the active camera, a constraint, a marker) keeps pointing. `sweep` removes what the
 new result no longer has. Blocks without our properties are never touched.
 """
 
@@ -64,7 +64,7 @@ def _age(ob: bpy.types.Object) -> tuple[bool, int, int, bool, int]:
     """A rank that is smaller for an original than for its duplicates.
 
     Blender numbers the names of copies, and the names of the meshes and cameras that it copies with them, which people
-    hardly ever rename. `session_uid` alone would do until the file is loaded: loading numbers it anew, by name.
+    hardly ever rename. `session_uid` alone would do until the file is loaded: loading numbers it again, by name.
     """
     is_astray = not any(LIFT in collection for collection in ob.users_collection)
     data = _copy_number(ob.data.name) if ob.data is not None else 0
@@ -111,7 +111,7 @@ class OwnedDataBlocks:
         return self._objects.get(key)
 
     def data(self, key: str, create: Callable[[], Any]) -> Any:
-        """The data of our object `key`, to be filled anew; made by `create` when there is none, or when the user uses
+        """The data of our object `key`, to be filled again; made by `create` when there is none, or when the user uses
         it too.
         """
         ob = self._objects.get(key)

@@ -162,7 +162,7 @@ def _images(
 @contextmanager
 def _one_pixel_of(image: bpy.types.Image) -> Iterator[None]:
     """Meanwhile an image is one pixel with the layers of its file. Blender reads the file again for each layer that a
-    node names, and anew for a sequence: a third of a second each time at 1296x968. Raises PlgsError.
+    node names, and again for a sequence: a third of a second each time at 1296x968. Raises PlgsError.
     """
     path = image.filepath
     with tempfile.TemporaryDirectory(prefix="plgs-", dir=bpy.app.tempdir) as folder:

@@ -124,7 +124,7 @@ def _seconds_of_run(run: Sequence[Event]) -> float:
 
 
 def number(value: Json) -> float | None:
-    """None for what is not a number."""
+    """None for anything that is not a number."""
     return float(value) if isinstance(value, int | float) and not isinstance(value, bool) else None
 
 

@@ -120,7 +120,7 @@ def do(piece: Piece, tell: Tell, threads: int = 0, worker: str = "", gigabytes: 
     except OSError as error:
         what = f"cannot be used ({error.strerror})"
         where = error.filename or piece.lift
-        return outcome(Ended.FAILED, PlgsError(what, where, "See to it, then start the batch again."))
+        return outcome(Ended.FAILED, PlgsError(what, where, "Fix this, then start the batch again."))
     if follower is not None and follower.error is not None:
         is_of_place = follower.error.code in _PLACE_CODES
         return outcome(Ended.ELSEWHERE if is_of_place else Ended.FAILED, follower.error)

@@ -154,7 +154,7 @@ class _Batch:
         fit = [address for address in self._farm.workers() if address not in scene.unfit] if scene.unfit else None
         if fit == []:
             why = "; ".join(sorted({reason.rstrip(".") for reason in scene.unfit.values()}))
-            self._fail(scene, PlgsError(f"no worker can do it: {why}", "", "Mend them, then start the batch again."))
+            self._fail(scene, PlgsError(f"no worker can do it: {why}", "", "Fix them, then start the batch again."))
             return
         future = self._farm.client.submit(
             do_on_dask, piece, key=f"{piece.kind}-{piece.scene}-{uuid4().hex}", pure=False, resources=wanted,
@@ -197,7 +197,7 @@ class _Batch:
         future.cancel()
 
     def _take_in(self) -> None:
-        """What ended. Where the scheduler was lost, all that is out is asked for anew, and goes on where it was."""
+        """What ended. Where the scheduler was lost, all that is out is asked for again, and goes on where it was."""
         if self._farm.client.status != "running" or any(future.cancelled() for future in self._out):
             self._line.say("The scheduler is gone: waiting for its return.")
             reconnected(self._farm)
@@ -285,7 +285,7 @@ class _Batch:
             time.sleep(_POLL_S)
         for name, scene in self._scenes.items():
             if name not in self._rows:
-                self._rows[name] = _row(scene, STOPPED, "the same command goes on", ExitCode.CANCELLED)
+                self._rows[name] = _row(scene, STOPPED, "the same command continues", ExitCode.CANCELLED)
 
 
 def _row(scene: _Scene, state: str, reason: str, code: int) -> Row:

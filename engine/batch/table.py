@@ -1,4 +1,4 @@
-"""The table at the end of a batch: a row a scene, and the means."""
+"""The table at the end of a batch: one row per scene, and the means."""
 
 from __future__ import annotations
 

@@ -25,7 +25,7 @@ def add_batch(parser: argparse.ArgumentParser, exports: Sequence[str]) -> None:
     parser.description = (
         "Lift many scenes, bake, export and score them, on workers of this machine, of a Dask scheduler, or of Slurm. "
         "Results go to OUT/NAME, NAME being that of the scene's folder or file, and to OUT/table.csv and OUT/table.md. "
-        "The same command goes on with what is missing. Docs: docs/farms.md."
+        "The same command continues with what is missing. Docs: docs/farms.md."
     )
     parser.add_argument("scenes", type=Path, nargs="+", metavar="SCENE", help="scenes, as lift takes them")
     parser.add_argument("-o", "--output", type=Path, required=True, metavar="OUT", help="the folder for all results")
@@ -63,7 +63,7 @@ def add_worker(parser: argparse.ArgumentParser) -> None:
 def positive(text: str) -> int:
     """For argparse, so it raises ArgumentTypeError."""
     if not text.isdecimal() or not 0 < int(text) < 10**6:
-        raise argparse.ArgumentTypeError(f"{text!r} is no number from 1 on")
+        raise argparse.ArgumentTypeError(f"{text!r} is not a number from 1 on")
     return int(text)
 
 
@@ -92,7 +92,7 @@ def batch(options: argparse.Namespace) -> int:
         with Interrupts() as interrupts, interrupts.deferred():
             return run_batch(plan, _place(options, [job.gigabytes for job in jobs]), interrupts)
     except Interrupted as error:
-        print(f"Stopped. The same command goes on: {options.output}", file=sys.stderr)
+        print(f"Stopped. The same command continues: {options.output}", file=sys.stderr)
         return error.exit_code
 
 

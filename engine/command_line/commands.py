@@ -127,7 +127,7 @@ def evaluate(options: argparse.Namespace, events: EventWriter, stop: StopSignal)
 
 
 def _corrected_metrics(lift: LiftFolder, events: EventWriter, stop: StopSignal) -> dict[str, object] | None:
-    """The figures of a lift that was corrected: its held-out frames are rendered anew. None where it was not."""
+    """The figures of a lift that was corrected: its held-out frames are rendered again. None where it was not."""
     from ..corrections import CORRECTIONS, read_corrected
 
     if not (lift.path / CORRECTIONS).exists():

@@ -33,7 +33,7 @@ def main(arguments: Sequence[str], parser: Callable[[], argparse.ArgumentParser]
         return READER_GONE
     except OSError as error:
         what = f"this cannot be used ({error.strerror}): {error.filename or 'the disk'}"
-        print(printable(f"error: {what}. See to it, then try again."), file=sys.stderr)
+        print(printable(f"error: {what}. Fix this, then try again."), file=sys.stderr)
         return ExitCode.BAD_INPUT
 
 

@@ -82,7 +82,7 @@ def _add_bake(parser: argparse.ArgumentParser) -> None:
         '"K": [[1500, 0, 960], [0, 1500, 540], [0, 0, 1]], "camera_to_world": [[..], [..], [..], [0, 0, 0, 1]], '
         '"clip": [0.1, 100]}: OpenCV axes (x right, y down, z forward) in the lift\'s world in metres, z up, pixels '
         "with their centres at +0.5. In place of K there may be fx, fy, cx and cy; clip may be left out. The passes go "
-        "to result/passes/NAME.exr, or to FOLDER/NAME.exr. A view is baked anew where its camera has changed, or where "
+        "to result/passes/NAME.exr, or to FOLDER/NAME.exr. A view is baked again if its camera has changed, or if "
         "it lacks a chosen layer."
     )
     parser.add_argument("lift", type=Path, metavar="LIFT", help="the folder of a finished lift")
@@ -193,7 +193,7 @@ def _add_frames(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--make", nargs="+", choices=FRAME_FILES, default=list(FRAME_FILES), help="what (default: all)")
     parser.add_argument("--frames", nargs="+", metavar="FRAME", help="only these frames; the cloud is of all")
     add_scene_options(parser)
-    _make_task(parser, commands.frames, "What is made already is kept: the same command goes on.")
+    _make_task(parser, commands.frames, "What is made already is kept: the same command continues.")
 
 
 def _add_classes(parser: argparse.ArgumentParser) -> None:
@@ -202,7 +202,7 @@ def _add_classes(parser: argparse.ArgumentParser) -> None:
         "form of --json, and writes classes.toml, which every later lift reads."
     )
     parser.add_argument("scene", type=Path, metavar="SCENE", help="the scene's folder or file")
-    parser.add_argument("--table", metavar="NAME", help="begin anew with the classes of a public table")
+    parser.add_argument("--table", metavar="NAME", help="start over with the classes of a public table")
     parser.add_argument("--write", type=Path, metavar="FILE.json", help="write the list in this file")
     add_scene_options(parser)
     _make_task(parser, commands.classes)
@@ -246,7 +246,7 @@ def _add_segment(parser: argparse.ArgumentParser) -> None:
         "-o", "--output", type=Path, metavar="FOLDER", help="where the masks go (default: the scene's folder)"
     )
     add_options(parser, "up", "scene_format")
-    _make_task(parser, commands.segment, "The same command goes on.")
+    _make_task(parser, commands.segment, "The same command continues.")
 
 
 def _add_set_up(parser: argparse.ArgumentParser) -> None:
@@ -258,7 +258,7 @@ def _add_set_up(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--base-python", type=Path, metavar="PYTHON", help="make it from this Python")
     parser.add_argument("--torch", choices=("cpu", "cuda"), default="cpu", help="the build of torch (default: cpu)")
     parser.add_argument("--remove", action="store_true", help="delete the environments in FOLDER instead")
-    _make_task(parser, commands.set_up, "What was downloaded is kept: the same command goes on.")
+    _make_task(parser, commands.set_up, "What was downloaded is kept: the same command continues.")
 
 
 def _add_add(parser: argparse.ArgumentParser) -> None:

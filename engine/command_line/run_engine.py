@@ -63,7 +63,7 @@ def run_engine(
                 resumed=resume and folder.checkpoints.exists,
                 when_stopped=f"Give the same command with --resume to go on: {folder.path}",
                 again="resume",
-                with_less_memory="Resume after closing other programs, or lift anew with a smaller --size.",
+                with_less_memory="Resume after closing other programs, or lift again with a smaller --size.",
             )
             return run_at(command, folder.place, terminal, parent_pipe=parent_pipe, echo=echo)
 

@@ -139,7 +139,7 @@ def _failure(error: Exception, command: Command, place: TaskPlace | None) -> Plg
     """The message for an error that is not a PlgsError."""
     where = Path(sys.executable) if place is None else place.log
     if isinstance(error, ModuleNotFoundError):
-        fix = f"Set the environment up anew with 'make set-up', then {command.again}."
+        fix = f"Set the environment up again with 'make set-up', then {command.again}."
         return PlgsError(str(error), sys.executable, fix, code=ErrorCode.INTERNAL)
     if isinstance(error, MemoryError) or _is_of_lacking_memory(error):
         return PlgsError("memory ran out", where.parent, command.with_less_memory, code=ErrorCode.INTERNAL)
@@ -148,7 +148,7 @@ def _failure(error: Exception, command: Command, place: TaskPlace | None) -> Plg
             "the disk is full", where.parent, f"Make room there, then {command.again}.", code=ErrorCode.DISK_FULL
         )
     if isinstance(error, OSError) and error.filename is not None:
-        return PlgsError(f"this cannot be used ({error.strerror})", error.filename, f"See to it, then {command.again}.")
+        return PlgsError(f"this cannot be used ({error.strerror})", error.filename, f"Fix this, then {command.again}.")
     what = f"the engine failed ({type(error).__name__}: {(str(error).splitlines() or [''])[0][:300]})"
     fix = f"The log has the details. When the cause is gone, {command.again}."
     return PlgsError(what, where, fix, code=ErrorCode.INTERNAL)

@@ -114,7 +114,7 @@ def _make(scene: Scene, frame: Frame, folder: Path, kinds: Collection[str], made
             made = replace(made, depth_range=(drawn.near, drawn.far))
         made = replace(made, depth=path)
     if "masks" in kinds and frame.read_mask is not None:
-        # Only its reader knows the file of a mask, so masks are drawn anew each time.
+        # Only its reader knows the file of a mask, so masks are drawn again each time.
         path = folder / "masks" / f"{frame.name}.png"
         _write_image(path, mask_colours(frame.read_mask(None), scene.classes))
         made = replace(made, masks=path)

@@ -200,7 +200,7 @@ class LiftFolder:
 
     def prepare_run(self) -> None:
         """Clear away what must not outlive an earlier run: its cancel file, torn files, a broken manifest, and files
-        that are not as it lists them. Those of a lift are made anew; passes that were baked later are not.
+        that are not as it lists them. Those of a lift are made again; passes that were baked later are not.
 
         Only for the engine that holds the lock. Raises OSError when a file cannot be read: it stays.
         """
@@ -247,7 +247,7 @@ class LiftFolder:
     def _discard(self) -> None:
         if self.checkpoints.exists or self._has_result():
             raise PlgsError("holds work", self.path, "Resume it, or delete it yourself.")
-        (self.path / "request.json").unlink()  # first: what is left without it is no lift
+        (self.path / "request.json").unlink()  # first: what is left without it is not a lift
         for path in (self.cancel_path, self.preview_request_path, self.log_path, self.path / "scene.json"):
             path.unlink(missing_ok=True)
         for folder in (self.result_path, self.path / "bake"):
@@ -256,7 +256,7 @@ class LiftFolder:
         remove_parts(self.path)
 
     def _has_result(self) -> bool:
-        """Raises PlgsError when the disk does not answer: that is no reason to make a result anew."""
+        """Raises PlgsError when the disk does not answer: that is no reason to make a result again."""
         try:
             check_sizes(self.result_path)
         except PlgsError as error:

@@ -125,7 +125,7 @@ class TaskFollower:
                 return False
             if self._process is not None:
                 self._process.kill()
-            fix = "See to its disk, then look again."
+            fix = "Check its disk, then look again."
             self._fail(PlgsError(f"the task can no longer be followed ({error})", self.place.events, fix))
             return True
         self._silent_since = None
@@ -207,7 +207,7 @@ class TaskFollower:
     def _end(self, code: int | None) -> None:
         """``code`` is that of the engine's process; None when it is somebody else's."""
         if not self.place.events.parent.is_dir():  # then what the engine said of it is not what happened
-            fix = "Bring it back, or start anew."
+            fix = "Bring it back, or start again."
             self._fail(PlgsError("the folder is gone", self.place.events.parent, fix, code=ErrorCode.INTERNAL))
         elif self.error is not None:
             self._fail(self.error)

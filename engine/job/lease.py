@@ -5,7 +5,7 @@ it watches the beats by a clock of its own, so that the machines' clocks need no
 they have stopped for long.
 
 What this needs of the disk, NFS's promises among it: a link to a name that is taken fails, a rename is whole, and a
-file that is opened anew shows what another machine wrote before (close-to-open). What no file system promises: that a
+file that is opened again shows what another machine wrote before (close-to-open). What no file system promises: that a
 process which stood still for longer than STALE_S and wakes writes nothing before its next beat. It finds its lease gone
 then, and ends. All files of a lift are put in place by rename, with the same content by everybody.
 """
@@ -61,7 +61,7 @@ _watched: dict[Path, _Watched] = {}
 
 
 def machine_id() -> str:
-    """Another one on each machine, after each start of it, and where processes are counted anew, as in a container."""
+    """Another one on each machine, after each start of it, and where processes are counted again, as in a container."""
     try:
         return f"{platform.node()} {_BOOT_ID.read_text().strip()} {os.readlink(_PROCESSES)}"
     except OSError:

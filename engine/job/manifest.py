@@ -14,7 +14,7 @@ from ..records import read_record, record_text
 from .atomic import ListedFile, files_below, remove_parts, sha256, write_atomically
 
 NAME = "manifest.json"
-MAKE_ANEW = "Resume the lift: 'python -m engine lift LIFT --resume' makes the result anew."
+MAKE_ANEW = "Resume the lift: 'python -m engine lift LIFT --resume' makes the result again."
 """The advice for a result that is not as it was written."""
 
 
@@ -64,7 +64,7 @@ def add_files(result: Path, paths: Sequence[Path]) -> None:
 
 
 def drop_files(result: Path, paths: Sequence[Path]) -> None:
-    """Take files that are about to be made anew off the list. Otherwise as ``add_files``."""
+    """Take files that are about to be made again off the list. Otherwise as ``add_files``."""
     manifest = read_manifest(result)
     dropped = {PurePosixPath(path.relative_to(result)) for path in paths}
     _write(result, replace(manifest, files=tuple(file for file in manifest.files if file.path not in dropped)))

@@ -144,7 +144,7 @@ def number_of_frames(text: str) -> int:
     if text.lower() == "all":
         return 0
     if not re.fullmatch(r"[0-9]{1,7}", text) or not int(text):
-        raise argparse.ArgumentTypeError(f"{text!r} is no number of frames, such as 300, and not 'all'")
+        raise argparse.ArgumentTypeError(f"{text!r} is not a number of frames, such as 300, and not 'all'")
     return int(text)
 
 

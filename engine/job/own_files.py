@@ -39,14 +39,14 @@ def refuse_foreign_below(lift: Path) -> None:
 
 
 def _entries(folder: Path) -> Iterator[Path]:
-    """The entries of a folder; none when it is no folder, or is gone meanwhile."""
+    """The entries of a folder; none when it is not a folder, or is gone meanwhile."""
     try:
         with os.scandir(folder) as entries:
             yield from [Path(entry.path) for entry in entries]
     except (FileNotFoundError, NotADirectoryError):
         return
     except OSError as error:
-        raise PlgsError(f"cannot be read ({error.strerror})", folder, "See to its permissions, or its disk.") from error
+        raise PlgsError(f"cannot be read ({error.strerror})", folder, "Check its permissions and its disk.") from error
 
 
 def _refuse(path: Path, is_right: Callable[[int], bool]) -> None:
@@ -55,7 +55,7 @@ def _refuse(path: Path, is_right: Callable[[int], bool]) -> None:
     except (FileNotFoundError, NotADirectoryError):
         return
     except OSError as error:
-        fix = "See to its permissions, or its disk."
+        fix = "Check its permissions and its disk."
         raise PlgsError(f"cannot be looked at ({error.strerror})", path, fix) from error
     if not is_right(mode):
         kind = "a link" if S_ISLNK(mode) else "neither a file nor a folder of a lift"

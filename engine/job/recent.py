@@ -1,6 +1,6 @@
 """The list of recent lifts, by which a new Blender finds those that run and those that are finished.
 
-It lies in the user's cache folder. It is a convenience: nothing is lost with it, and a broken list is begun anew.
+It lies in the user's cache folder. It is a convenience: nothing is lost with it, and a broken list is begun again.
 """
 
 from __future__ import annotations

@@ -26,7 +26,7 @@ BAKES: tuple[str, ...] = get_args(Bake)
 DEVICES: tuple[str, ...] = get_args(Device)
 MOST_BLOCKS = 1000
 _PLACES = ("scene", "masks", "depth", "names_from")
-_FIX = "Mend it, or delete the folder and lift again."
+_FIX = "Fix it, or delete the folder and lift again."
 
 
 @dataclass(frozen=True)

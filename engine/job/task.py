@@ -173,7 +173,7 @@ def _int(value: Json) -> int:
 
 
 def _float(value: Json) -> float | None:
-    """None for NaN, infinity, what is no number, and what is beyond all bounds."""
+    """None for NaN, infinity, anything that is not a number, and what is beyond all bounds."""
     if not isinstance(value, int | float) or not -_MOST <= value <= _MOST:
         return None
     return float(value)

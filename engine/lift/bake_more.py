@@ -88,7 +88,7 @@ def bake_cameras(
     folder: LiftFolder, cameras: Path, events: EventWriter, stop: StopSignal, options: BakeOptions = BakeOptions()
 ) -> None:
     """Bake the views of a file of cameras (see `job.cameras`) that are not baked yet, as `bake_frames` does. A view
-    that was baked from another camera of the same name is baked anew.
+    that was baked from another camera of the same name is baked again.
 
     Raises PlgsError for a bad camera, and for one with the name of a frame; otherwise as `bake_frames`.
     """
@@ -249,7 +249,7 @@ class _Result:
         self._add(view, at_once=self._locks.others_at_work())
 
     def _make_room(self, view: WantedView) -> None:
-        """Take a view that is baked anew out of the manifest, so that the result is whole without it. Raises
+        """Take a view that is baked again out of the manifest, so that the result is whole without it. Raises
         OSError."""
         old = self._listed().intersection(baked_files(self._folder, view.name))
         if old:

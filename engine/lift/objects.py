@@ -153,7 +153,7 @@ MATCHINGS = {"boxes": instances_by_boxes, "agreement": objects_by_agreement, "no
 def thing_objects(
     found: FoundObjects, seeing: ViewsOnCloud, cloud: SemanticPointCloud, classes: ClassTable, kind: EvidenceKind
 ) -> list[SceneObject]:
-    """The objects that the views vote to be things, with votes of that ``kind``, numbered anew from 1."""
+    """The objects that the views vote to be things, with votes of that ``kind``, renumbered from 1."""
     shown = ((seen, shown_classes(view, seen)) for view, seen in zip(seeing.views, seeing.seen, strict=True))
     votes = vote_classes(shown, found.object_of_point, len(found.objects), cloud.class_ids, kind)
     class_of_object = object_classes(votes, cloud.class_ids).tolist()
@@ -198,7 +198,7 @@ def masks_of_pieces(
 def without_fragments(
     owner: NDArray[np.int32], pieces: Sequence[SceneObject], seen: Sequence[ViewPoints]
 ) -> tuple[NDArray[np.int32], list[SceneObject]]:
-    """The pieces with masks enough, as objects numbered anew from 1, and the object of each point, int32 [N]: as many
+    """The pieces with masks enough, as objects renumbered from 1, and the object of each point, int32 [N]: as many
     masks as an object needs that is seen by the same views. The piece of a split object needs as many as one that all
     views see: else it is the ragged edge of a few masks. ``owner`` int32 [N]: the place of each point's piece, from 1;
     the ``id`` of a piece is that of the object that it is of."""

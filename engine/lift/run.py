@@ -74,7 +74,7 @@ NO_VOTES = (
     "the finished scene shows the label decoders, not the views' votes: "
     'votes need objects = "agreement" and one_class_an_object = true'
 )
-TRAINED_ANEW = "it is trained anew, from the first step"
+TRAINED_ANEW = "it is trained again, from the first step"
 LEAST_STEPS = 100
 """Steps from which their pace is remembered. Fewer measure the first compilation, not the computer."""
 
@@ -223,7 +223,7 @@ def refuse_names_of_no_objects(request: LiftRequest, preset: Preset) -> None:
 
 
 def take_up(trainer: Trainer, checkpoint: Checkpoint, events: EventWriter, *, masks_changed: bool) -> None:
-    """Continue from a checkpoint, or begin anew where the masks give other objects or classes than they did. Raises
+    """Continue from a checkpoint, or start over where the masks give other objects or classes than they did. Raises
     PlgsError for a checkpoint that is damaged, or another lift's."""
     if masks_changed and not trainer.preset.shows_votes:
         events.warning(f"the masks have changed, which the finished scene shows by training: {TRAINED_ANEW}")

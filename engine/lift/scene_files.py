@@ -34,7 +34,7 @@ from ..scene import ClassTable, Scene, View, distinct_colour
 from .preparation import PreparedLift
 
 MODEL = "model.safetensors"
-LIFT_ANEW = "Lift the scene anew, into another folder."
+LIFT_ANEW = "Lift the scene again, into another folder."
 
 
 def write_scene_files(

@@ -74,7 +74,7 @@ class _VotingFrame:
 
 class _VotingFrames:
     """The frames that vote. Each is rendered once and read back from disk in later rounds, up to MOST_BYTES of them;
-    the others are rendered anew."""
+    the others are rendered again."""
 
     def __init__(self, scene: StructuredScene, frames: Sequence[Frame], preset: Preset, scratch: Path | None) -> None:
         self.scene, self.frames, self.preset = scene, frames, preset

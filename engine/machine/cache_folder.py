@@ -21,7 +21,7 @@ log = logging.getLogger("plgs.machine")
 def choose_cache_folder(name: str) -> Path:
     """The folder ``name``, made in the first place that is safe: the user's setting, the user's cache folder.
 
-    Where neither is safe it is a folder for this process alone. Then every start compiles anew, and the log says why.
+    Where neither is safe it is a folder for this process alone. Then every start compiles again, and the log says why.
     """
     setting = os.environ.get("NUMBA_CACHE_DIR")
     bases = [Path(setting).absolute()] if setting else []
@@ -73,7 +73,7 @@ def why_unsafe(folder: Path) -> str | None:
         if not is_own:
             return f"{each} belongs to another user"
         if each == folder and not S_ISDIR(found.st_mode):
-            return f"{each} is no folder"
+            return f"{each} is not a folder"
         # In a sticky folder, such as /tmp, users cannot exchange what is another's.
         is_sticky = bool(found.st_mode & S_ISVTX) and each != folder
         if S_ISDIR(found.st_mode) and found.st_mode & (S_IWGRP | S_IWOTH) and not is_sticky:

@@ -92,7 +92,7 @@ def check_model(tensors: Mapping[str, torch.Tensor], facts: Mapping[str, Any]) -
     """Raises ValueError unless ``from_tensors`` can make a scene that kernels can draw."""
     voxel_size = facts["voxel_size"]
     if not isinstance(voxel_size, float | int) or not 1e-4 <= voxel_size <= 100:
-        raise ValueError("voxel_size is no length of a voxel")
+        raise ValueError("voxel_size is not a length of a voxel")
     anchors = tensors["anchors.position"].shape[:1]
     labels = tensors["voted.label"].shape[-1:] if "voted.label" in tensors else None
     if not anchors or labels == ():
@@ -112,7 +112,7 @@ def decoders_of(facts: Mapping[str, Any]) -> tuple[type[Decoders], Any]:
         if each.type == "bool" and type(value) is not bool:
             raise ValueError(f"{each.name} of the decoders is neither on nor off")
         if each.type == "int" and (type(value) is not int or value < 1):
-            raise ValueError(f"{each.name} of the decoders is no number from 1 on")
+            raise ValueError(f"{each.name} of the decoders is not a number from 1 on")
     shape = kind.shape_type(**known)
     if shape.gaussians_per_anchor > MOST_PER_ANCHOR or max(shape.classes, shape.instance_slots) > LARGEST_ID:
         raise ValueError("the decoders have too many Gaussians or labels")
@@ -123,5 +123,5 @@ def decoders_of(facts: Mapping[str, Any]) -> tuple[type[Decoders], Any]:
 def _ids(facts: Mapping[str, Any], name: str, least: int) -> list[int]:
     ids = facts[name]
     if not isinstance(ids, Sequence) or not all(type(one) is int and least <= one <= LARGEST_ID for one in ids):
-        raise ValueError(f"{name} is no list of ids")
+        raise ValueError(f"{name} is not a list of ids")
     return list(ids)

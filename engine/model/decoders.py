@@ -141,7 +141,7 @@ class Decoders(nn.Module):
     def check_shape(cls, shape: Any) -> None:
         """Raises ValueError for a shape that these decoders cannot have."""
         if not 1 <= shape.features <= MOST_FEATURES:
-            raise ValueError(f"features of the decoders is no number from 1 to {MOST_FEATURES}")
+            raise ValueError(f"features of the decoders is not a number from 1 to {MOST_FEATURES}")
 
     @classmethod
     def check_anchors(cls, shape: Any, anchors: int) -> None:

@@ -1,4 +1,4 @@
-"""One picture that shows a lift: a row a held-out frame, from the photo to the lifted labels, and a legend."""
+"""One picture that shows a lift: one row per held-out frame, from the photo to the lifted labels, and a legend."""
 
 from __future__ import annotations
 
@@ -151,7 +151,7 @@ def first_row(sheet: Path, caption: str) -> Picture:
 
     stored = cv2.imread(str(sheet))
     if stored is None:
-        raise OSError(f"{sheet} is no picture")
+        raise OSError(f"{sheet} is not a picture")
     picture = np.asarray(stored, np.uint8)[..., ::-1]
     top = MARGIN + HEADING
     tiles = picture[top:, MARGIN : MARGIN + TILE_WIDTH]

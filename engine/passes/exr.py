@@ -55,7 +55,7 @@ def read_exr(path: Path) -> PanopticLayers:
     names += [f"{LAYER}.{name}.V" for name in ("Depth", "Semantic", "Instance", "Confidence", "Entropy")]
     missing = [name for name in names if name not in found]
     if missing:
-        raise ValueError(f"{path} has no channel {missing[0]}: it is no pass of a lift")
+        raise ValueError(f"{path} has no channel {missing[0]}: it is not a pass of a lift")
     try:
         return _layers(found, names)
     except MemoryError as error:

@@ -111,7 +111,7 @@ def parsed_options(texts: Iterable[str]) -> dict[str, Json]:
     for text in texts:
         name, separator, value = text.partition("=")
         if not separator:
-            raise PlgsError("is no option", f"--set {text}", "Write name=value, such as weights.depth=0.")
+            raise PlgsError("is not an option", f"--set {text}", "Write name=value, such as weights.depth=0.")
         option = known_option(name.strip())
         found[option.name] = checked_value(option, value.strip())
     return found
@@ -154,12 +154,12 @@ def checked_value(option: PresetOption, value: Json) -> Json:
     if checked is None:
         near = difflib.get_close_matches(str(value), option.choices, 1, 0.4)
         fix = f"Did you mean {near[0]}? " if near else ""
-        raise PlgsError("is no value of this option", f"{option.name} = {value!r}", f"{fix}Give {option.expected}.")
+        raise PlgsError("is not a value of this option", f"{option.name} = {value!r}", f"{fix}Give {option.expected}.")
     return checked
 
 
 def _number(option: PresetOption, value: Json) -> float | int | None:
-    """None for what is no number, or out of range."""
+    """None for anything that is not a number, or out of range."""
     if isinstance(value, bool) or not isinstance(value, int | float) or not option.least <= value <= option.most:
         return None
     if option.kind == "float":

@@ -108,6 +108,6 @@ def _or_zeros(gradient: Tensor | None, shape: tuple[int, ...]) -> Array:
 
 @lru_cache(maxsize=2)
 def _zeros(shape: tuple[int, ...]) -> Array:
-    """Zeros that all passes of one size share and only read. (Numba would compile kernels anew for read-only
+    """Zeros that all passes of one size share and only read. (Numba would compile kernels again for read-only
     arrays.)"""
     return np.zeros(shape, np.float32)

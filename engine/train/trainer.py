@@ -105,7 +105,7 @@ class Trainer:
         return self.targets[number] if pseudo is None else pseudo.teach(self.targets[number])
 
     def _view_of_step(self, step: int) -> ViewTargets:
-        """A random order of all views, anew in each epoch."""
+        """A random order of all views, again in each epoch."""
         epoch, place = divmod(step, len(self.targets))
         order = np.random.default_rng([self.seed, 1, epoch]).permutation(len(self.targets))
         return self.target(int(order[place]))

@@ -113,7 +113,7 @@ class Task:
         return None
 
     def watch(self, scenes: Sequence[Any], has_news: bool) -> bool:
-        """Called at every tick of the timer with all scenes of the file; whether 3D views have to be drawn anew."""
+        """Called at every tick of the timer with all scenes of the file; whether 3D views have to be drawn again."""
         return False
 
     def cancel(self) -> None:

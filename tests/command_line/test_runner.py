@@ -64,7 +64,7 @@ def test_an_error_of_several_lines_is_cut_to_one_and_the_log_has_the_rest(tmp_pa
         try:
             raise ValueError("Error(s) in loading\n\tsize mismatch for one\n\tsize mismatch for two")
         except ValueError as error:
-            raise PlgsError(f"the model cannot be read ({error})", "model.pt", "Lift anew.") from error
+            raise PlgsError(f"the model cannot be read ({error})", "model.pt", "Lift again.") from error
 
     with FileLock(place.events), output_to(place.log):
         assert run_at(Command("lift", work), place, terminal) is ExitCode.BAD_INPUT

@@ -114,7 +114,7 @@ def test_fragments_vanish() -> None:
     everything = view((3, slice(0, 415)), points=415)
     found, origin = regroup_pieces(xyz, owner, [CHAIR, SOFA], [everything] * 3, RULES)
     assert (found[:400] == 1).all() and not found[400:414].any()
-    assert found[414] == 0 and origin == [1], "a lone point is no object"
+    assert found[414] == 0 and origin == [1], "a lone point is not an object"
 
 
 def test_the_largest_piece_says_which_object_a_group_comes_from() -> None:

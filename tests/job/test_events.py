@@ -215,7 +215,7 @@ def test_a_full_disk_leaves_no_half_line_that_swallows_the_next(
     room[0] = 10_000
     writer.error(PlgsError("the disk is full", "there", "Make room."))
     assert [(event.seq, event.kind) for event in last_events(path)] == [(1, "error")]
-    # the half of a line cannot be taken back: the next begins anew
+    # the half of a line cannot be taken back: the next begins again
     monkeypatch.setattr(os, "ftruncate", into_what_is_left)
     room[0] = 60
     with pytest.raises(OSError):

@@ -1,4 +1,4 @@
-"""preview.json: what is written is read again, and what is no camera is refused."""
+"""preview.json: what is written is read again, and what is not a camera is refused."""
 
 from __future__ import annotations
 

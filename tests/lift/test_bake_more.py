@@ -197,7 +197,7 @@ def test_a_folder_of_its_own_shows_the_corrections(lift: LiftFolder, tmp_path: P
     assert not (layers.instance == one.id).any() and files_of(lift) == before
     assert (layers.semantic[shown == one.id] == one.class_id).mean() > 0.9
     assert main(["correct", str(lift.path), "undo"]) == 0
-    assert run_bake(lift, ["0004"], output=output) is ExitCode.FINISHED  # anew, as it shows what was undone
+    assert run_bake(lift, ["0004"], output=output) is ExitCode.FINISHED  # again, as it shows what was undone
     assert (read_exr(output / "0004.exr").instance == shown).all()
 
 

@@ -90,7 +90,7 @@ def test_edited_masks_are_used(
     after = {one.class_name for one in read_instances(lift / "result" / "instances.json")[1]}
     assert before == {"chair", "cabinet"} and after == {"cabinet"}
     told = [event["message"] for event in read_events(lift) if event["event"] == "warning"]
-    assert any("trained anew" in line for line in told)
+    assert any("trained again" in line for line in told)
 
 
 def test_masks_with_the_same_objects_reuse_the_checkpoint(place: Path) -> None:
@@ -104,7 +104,7 @@ def test_masks_with_the_same_objects_reuse_the_checkpoint(place: Path) -> None:
     assert main(["lift", str(lift.path), "--resume"]) == ExitCode.FINISHED
     events = read_events(lift.path)[told:]
     assert not [event for event in events if event["event"] == "progress" and event.get("stage") == "train"]
-    assert not [event for event in events if event["event"] == "warning" and "anew" in str(event["message"])]
+    assert not [event for event in events if event["event"] == "warning" and "again" in str(event["message"])]
     assert checkpoint.read_bytes() == trained and points.read_bytes() != before  # not a step, but other votes
 
 

@@ -22,7 +22,7 @@ from tests.tiny_scene import CABINET_ID, CHAIR_ID, write_tiny_scene
 from tests.train.tiny_lift import TINY
 
 TRAINED_ON = 3
-BAD = "is no picture", "masks/0002.png", "Mend it."
+BAD = "is not a picture", "masks/0002.png", "Mend it."
 PRESET = replace(TINY, voxel_size=0.1)
 
 

@@ -92,7 +92,7 @@ def test_an_instance_gives_all_it_has_to_its_own_class(seed: int, of_class: list
     by_class, instances = shown[..., :3], shown[..., 3:]
     torch.testing.assert_close(by_class.sum(dim=-1), alpha)
     torch.testing.assert_close(instances, slots[..., list(channels.instance_slots)])
-    # What is no object's is shared by the semantic channels; no class has less than its instances.
+    # What is not an object's is shared by the semantic channels; no class has less than its instances.
     alone = alpha - instances.sum(dim=-1)
     owned = torch.zeros_like(by_class)
     for place, slot in enumerate(channels.instance_slots):

@@ -252,7 +252,7 @@ def test_the_next_uncertain_frame(root: bpy.types.Collection, mine: Path) -> Non
     entropy = entropy_of_views(doubtful, [cameras[name] for name in visited])
     assert (np.diff(entropy) <= 0).all() and entropy[0] > entropy[-1] >= 0
     bpy.ops.plgs.next_uncertain_frame()
-    assert bpy.context.scene.camera["frame"] == visited[0], "after the last it begins anew"
+    assert bpy.context.scene.camera["frame"] == visited[0], "after the last it begins again"
 
 
 def test_the_rendering_says_which_frame_is_the_most_uncertain(root: bpy.types.Collection, mine: Path) -> None:

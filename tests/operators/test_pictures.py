@@ -207,7 +207,7 @@ def test_depth_of_a_lifts_frame(lift: Path) -> None:
     bpy.context.scene.camera = frames()["0002"]
     assert bpy.ops.plgs.show_picture(what="DEPTH") == {"FINISHED"}
     bpy.ops.plgs.place_lift(lift_folder=str(lift))
-    assert not any(image.name.startswith("Depth") for image in bpy.data.images), "placing anew shows photos"
+    assert not any(image.name.startswith("Depth") for image in bpy.data.images), "placing again shows photos"
 
 
 def test_what_an_engine_cannot_make_is_reported(own: Path, capfd: pytest.CaptureFixture[str]) -> None:

@@ -59,7 +59,7 @@ def test_instances_get_no_more_than_the_coverage_of_things() -> None:
 def test_an_object_of_one_class_has_its_own_coverage() -> None:
     found = mattes({3: CHAIR, 70001: WALL})
     assert coverage_of(found, "CryptoInstance", "chair 1")[EDGE] == pytest.approx(0.7, abs=STEP)
-    assert not coverage_of(found, "CryptoInstance", "chair 2").any()  # what is stuff is no object
+    assert not coverage_of(found, "CryptoInstance", "chair 2").any()  # what is stuff is not an object
 
 
 def test_ranks() -> None:

@@ -66,7 +66,7 @@ def blender(work_folder: Path) -> Iterator[Window]:
 
 @pytest.fixture
 def window(blender: Window, request: pytest.FixtureRequest) -> Iterator[Window]:
-    """Blender with a new file. A test that fails leaves a screenshot, and a Blender started anew for the next one."""
+    """Blender with a new file. A test that fails leaves a screenshot, and a Blender started again for the next one."""
     blender.new_file()
     failed_before = request.session.testsfailed
     yield blender

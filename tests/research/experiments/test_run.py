@@ -164,7 +164,7 @@ def test_scenes_are_read_as_the_options_say(experiment: Experiment, behave: Beha
     assert "cabinet" not in scores.read_text() and "chair" in scores.read_text()
     classes.write_text('[[class]]\nname = "chair"\ninto = "wall"\n')
     assert main(["experiments", *arguments, *reading, str(classes)]) == 0
-    assert "cabinet" in scores.read_text() and "chair" not in scores.read_text(), "measured anew"
+    assert "cabinet" in scores.read_text() and "chair" not in scores.read_text(), "measured again"
     with pytest.raises(PlgsError, match="mask_format"):
         run(experiment)
 
