@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from pathlib import Path, PureWindowsPath
+from typing import TypeVar
 
-from ..errors import PlgsError
+from ..errors import MEMORY_IS_GONE, PlgsError
 from ..gates import read_plain
 from .counts import check_memory
 from .frames import Size
+from .image_header import read_image_header
 
+Read = TypeVar("Read")
 _SAME_SHAPE = 0.02
 """Relative difference of two aspect ratios that still counts as one: ScanNet has 1296x968 beside 640x480 (0.4 %)."""
 
@@ -81,13 +84,56 @@ def require_all(names: Sequence[str], present: Collection[str], what: str, where
         raise PlgsError(f"{count} no {what} ({listed(lacking)})", where, fix)
 
 
+def require_most(names: Sequence[str], present: Collection[str], what: str, where: Path, fix: str) -> list[str]:
+    """The frames of ``names`` that are ``present``. Raises as ``require_all`` when more than half of them are not."""
+    there = [name for name in names if name in present]
+    if 2 * len(there) < len(names):
+        require_all(names, present, what, where, fix)
+    return there
+
+
+def of_most(names: Sequence[str], read: Callable[[str], Read]) -> dict[str, Read]:
+    """What ``read`` gives for each frame of ``names``, without those for which it raises PlgsError. When these are more
+    than half, or no memory is left, raises that error."""
+    found: dict[str, Read] = {}
+    errors: list[PlgsError] = []
+    for name in names:
+        try:
+            found[name] = read(name)
+        except PlgsError as error:
+            if MEMORY_IS_GONE in error.what:
+                raise
+            errors.append(error)
+    if 2 * len(errors) > len(names):
+        raise errors[0]
+    return found
+
+
 def files_of_frames(
     folder: Path, names: Sequence[str], suffixes: Collection[str], what: str, fix: str
 ) -> dict[str, Path]:
-    """The file of each frame of ``names`` in ``folder``, as ``files_by_stem`` and ``require_all`` find them."""
+    """The file of each frame of ``names`` in ``folder``, without frames whose file is missing, empty, or an image that
+    is cut off. Raises as ``files_by_stem`` and, when these are more than half, ``require_most`` and ``of_most``."""
     files = files_by_stem(folder, suffixes, fix)
-    require_all(names, files, what, folder, fix)
-    return {name: files[name] for name in names}
+    return of_most(require_most(names, files, what, folder, fix), lambda name: whole_file(files[name]))
+
+
+def files_of_both(
+    one: Path, other: Path, names: Sequence[str], suffixes: Collection[str], fix: str
+) -> tuple[dict[str, Path], dict[str, Path]]:
+    """The masks of each frame in two folders, as ``files_of_frames`` finds them; frames that have both."""
+    first = files_of_frames(one, names, suffixes, "mask", fix)
+    second = files_of_frames(other, list(first), suffixes, "mask", fix)
+    return {name: first[name] for name in second}, second
+
+
+def whole_file(path: Path) -> Path:
+    """``path``. Raises PlgsError for an empty file, and for an image without an end."""
+    if path.suffix.lower() in (".png", ".jpg", ".jpeg"):
+        read_image_header(path)
+    elif not path.is_file() or not path.stat().st_size:
+        raise PlgsError("the file is missing, or empty", path, "Write this file again.")
+    return path
 
 
 def file_inside(folder: Path, name: str, path: Path) -> Path:

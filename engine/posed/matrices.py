@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,7 @@ from ..errors import PlgsError
 from ..json_file import take_list, wrong_type
 from .camera import Camera
 from .frames import Size
-from .layout import read_text
+from .layout import of_most, read_text
 
 _MOST_BYTES = 1 << 20
 _RIGID_TOLERANCE = 2e-3
@@ -70,8 +71,19 @@ def read_pose(path: Path) -> NDArray[np.float64] | None:
 
     None when it holds inf, which is how scanners mark lost tracking. Raises PlgsError as ``rigid`` does.
     """
-    pose = read_matrix(path, ((4, 4),))
+    return _pose(read_matrix(path, ((4, 4),)), path)
+
+
+def _pose(pose: NDArray[np.float64], path: Path) -> NDArray[np.float64] | None:
     return None if np.isinf(pose).any() else rigid(pose, path)
+
+
+def read_poses(files: Mapping[str, Path]) -> dict[str, NDArray[np.float64] | None]:
+    """``read_pose`` of each frame's file; None also where there is none, and where it holds no matrix. Raises PlgsError
+    when more than half of those that are there hold none."""
+    there = [name for name, path in files.items() if path.is_file()]
+    found = of_most(there, lambda name: read_matrix(files[name], ((4, 4),)))
+    return {name: _pose(found[name], path) if name in found else None for name, path in files.items()}
 
 
 def rigid(pose: NDArray[np.float64], path: Path) -> NDArray[np.float64]:

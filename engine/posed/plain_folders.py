@@ -7,9 +7,10 @@ are the poses, the lenses and the split; the engine's reader adds depth and mask
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TypeVar
 
 from ..errors import PlgsError
 from ..scene_source import SceneSource
@@ -17,12 +18,13 @@ from .camera import Camera
 from .classes import ClassTable
 from .frames import PosedFrame, PosedScene, Size
 from .image_header import read_image_header
-from .layout import files_by_stem, listed, require_all, same_shape, shown_size
+from .layout import files_by_stem, listed, require_most, same_shape, shown_size
 from .limits import check_camera
-from .matrices import read_intrinsics, read_pose
-from .splits import Split, find_split
+from .matrices import read_intrinsics, read_poses
+from .splits import NOTHING_MEASURED, Split, find_split
 from .up_axis import turned, upright_turn
 
+AnyFrame = TypeVar("AnyFrame", bound=PosedFrame)
 NAME = "scannet"
 """The name of this format."""
 FOLDERS_FIX = "A scene has the folders color, depth, pose and intrinsic."
@@ -31,7 +33,7 @@ FOLDERS_FIX = "A scene has the folders color, depth, pose and intrinsic."
 @dataclass(frozen=True, eq=False)
 class PlainFolders:
     """What the folders hold: a camera and a picture for each frame of the ``split``, in recording order, by name.
-    ``lost`` are the frames without a pose, ``names`` all frames in recording order."""
+    ``lost`` are the frames without a pose that can be read, ``names`` all frames in recording order."""
 
     names: tuple[str, ...]
     cameras: Mapping[str, Camera]
@@ -50,10 +52,10 @@ def read_folders(folder: Path) -> PlainFolders:
     pictures = files_by_stem(folder / "color", {".jpg", ".jpeg", ".png"}, FOLDERS_FIX)
     pose_files = files_by_stem(folder / "pose", {".txt"}, FOLDERS_FIX)
     fix = "Add pose/<name>.txt, or remove their colour images."
-    require_all(list(pictures), pose_files, "pose", folder / "pose", fix)
-    poses = {name: read_pose(pose_files[name]) for name in pictures}
-    lost = tuple(name for name, pose in poses.items() if pose is None)
-    if len(lost) == len(poses):
+    there = require_most(list(pictures), pose_files, "pose", folder / "pose", fix)
+    poses = read_poses({name: pose_files[name] for name in there})
+    lost = tuple(name for name in pictures if poses.get(name) is None)
+    if len(lost) == len(pictures):
         raise PlgsError("every pose holds inf (lost tracking)", folder / "pose", "Give frames whose pose is known.")
     split = find_split(folder, [name for name in pictures if name not in lost], lost)
     chosen = {*split.train, *split.test}
@@ -79,13 +81,34 @@ def open_plain_folders(source: SceneSource) -> PosedScene:
         )
         for name, camera in found.cameras.items()
     )  # fmt: skip
+    frames, blind = complete_frames(frames, "depth", lambda frame: frame.depth_path is not None)
     lost = lost_frames_warning(found.lost)
-    return PosedScene(folder, frames, ClassTable(()), (*lost, *found.split.warnings, *warnings), NAME)
+    return PosedScene(folder, frames, ClassTable(()), (*lost, *found.split.warnings, *warnings, *blind), NAME)
 
 
 def lost_frames_warning(lost: tuple[str, ...] | list[str]) -> tuple[str, ...]:
     """A warning that frames without a pose are left out; none where all have one."""
-    return (f"{len(lost)} frames without a pose are left out: {listed(lost)}",) if lost else ()
+    return (left_out_warning(lost, "a pose"),) if lost else ()
+
+
+def complete_frames(
+    frames: tuple[AnyFrame, ...], what: str, has: Callable[[AnyFrame], bool]
+) -> tuple[tuple[AnyFrame, ...], tuple[str, ...]]:
+    """The frames that have ``what``, and warnings that name the others. All frames, where more than half, or all that
+    are trained on, lack it: a lift is then refused."""
+    kept = tuple(frame for frame in frames if has(frame))
+    lacking = [frame.name for frame in frames if not has(frame)]
+    if not kept or not lacking:
+        return frames, ()
+    if 2 * len(lacking) > len(frames) or all(frame.held_out for frame in kept):
+        return frames, (f"{len(lacking)} of {len(frames)} frames have no {what}: {listed(lacking)}",)
+    blind = all(not frame.held_out for frame in kept) and any(frame.held_out for frame in frames)
+    return kept, (left_out_warning(lacking, what), *([NOTHING_MEASURED] if blind else []))
+
+
+def left_out_warning(names: Sequence[str], what: str) -> str:
+    """The warning that frames which lack ``what`` are left out."""
+    return f"{len(names)} frames without {what} are left out: {listed(names)}"
 
 
 def _read_lenses(folder: Path, sizes: Mapping[str, Size]) -> dict[str, Camera]:

@@ -10,6 +10,7 @@ from ..errors import PlgsError
 from ..json_file import read_json_object, take_list, wrong_type
 from .layout import listed
 
+NOTHING_MEASURED = "no frame is held out: nothing is measured on unseen views"
 _EVERY, _FIRST = 8, 4
 """Every 8th frame is held out, starting with the 5th."""
 _MOST = 40
@@ -82,7 +83,7 @@ def read_split(path: Path, names: Sequence[str], dropped: Sequence[str]) -> Spli
     if left_out:
         warnings.append(f"{len(left_out)} frames are in neither list of splits.json and left out: {listed(left_out)}")
     if not any(name in parts["test"] for name in names):
-        warnings.append("no frame is held out: nothing is measured on unseen views")
+        warnings.append(NOTHING_MEASURED)
     return Split(
         train=tuple(name for name in names if name in parts["train"]),
         test=tuple(name for name in names if name in parts["test"]),

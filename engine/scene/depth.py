@@ -12,11 +12,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import PlgsError
+from ..errors import MEMORY_IS_GONE, PlgsError
 from ..posed.array_file import read_npy
 from ..posed.camera import Camera
 from ..posed.image_header import read_image_header
-from ..posed.layout import files_by_stem, require_all, same_shape, shown_size
+from ..posed.layout import files_by_stem, require_most, same_shape, shown_size, whole_file
 from ..posed.matrices import read_intrinsics
 from .frame import Size
 from .pixels import Alignment, decode, decode_single_channel, resize_aligned
@@ -31,12 +31,13 @@ class DepthMap:
     """One frame's depth. ``path`` is the file that holds it.
 
     ``read`` gives planar depth, float32 [H, W] metres with 0 = none, at its own size. ``alignment`` says where colour
-    pixels lie in it.
+    pixels lie in it. ``fault`` is why the file cannot be read, as far as its header says.
     """
 
     path: Path
     read: Callable[[], NDArray[np.float32]]
     alignment: Alignment = Alignment()
+    fault: PlgsError | None = None
 
     def __call__(self, size: Size | None = None) -> NDArray[np.float32]:
         """Depth in the colour picture at ``size`` (width, height), or at its own size. Raises PlgsError."""
@@ -49,12 +50,26 @@ class DepthMap:
 
 
 def png_depth(path: Path, lens: Camera, unit: float = MILLIMETRES, none_from: int = 65536) -> DepthMap:
-    """The depth map in a 16-bit grey PNG for the colour camera ``lens``; only its header is read. Raises PlgsError.
+    """The depth map in a 16-bit grey PNG for the colour camera ``lens``; only its header is read. Raises PlgsError for
+    other kinds of images.
 
     ``unit`` is the length of one step in metres. Values from ``none_from`` on mean no depth, as 0 does.
     """
-    check_depth_header(path, lens)
-    return DepthMap(path, partial(_read_png, path, unit, none_from))
+    fault = fault_of(path)
+    if fault is None:
+        check_depth_header(path, lens)
+    return DepthMap(path, partial(_read_png, path, unit, none_from), fault=fault)
+
+
+def fault_of(path: Path) -> PlgsError | None:
+    """Why a file cannot be read, as ``whole_file`` finds it. Raises PlgsError where memory is what lacks."""
+    try:
+        whole_file(path)
+    except PlgsError as error:
+        if MEMORY_IS_GONE in error.what:
+            raise
+        return error
+    return None
 
 
 def _read_png(path: Path, unit: float, none_from: int) -> NDArray[np.float32]:
@@ -81,7 +96,7 @@ def check_depth_header(path: Path, lens: Camera) -> Size:
 
 def npy_depth(path: Path) -> DepthMap:
     """The depth map in a .npy file: metres as floats, or millimetres as whole numbers."""
-    return DepthMap(path, lambda: in_metres(read_depth_array(path)))
+    return DepthMap(path, lambda: in_metres(read_depth_array(path)), fault=fault_of(path))
 
 
 def read_depth_array(path: Path) -> NDArray[Any]:
@@ -139,15 +154,17 @@ def open_depth(scene: Path, lenses: Mapping[str, Camera]) -> tuple[dict[str, Dep
     """
     folder = scene / "depth"
     files = files_by_stem(folder, {".png"}, "Give 16-bit PNGs in millimetres, named like the colour images.")
-    require_all(list(lenses), files, "depth", folder, "Add depth/<name>.png, or remove their colour images.")
-    maps = {name: png_depth(files[name], lens) for name, lens in lenses.items()}
+    fix = "Add depth/<name>.png, or remove their colour images."
+    there = require_most(list(lenses), files, "depth", folder, fix)
+    maps = {name: png_depth(files[name], lenses[name]) for name in there}
     path = scene / "intrinsic" / "intrinsic_depth.txt"
-    if not path.is_file():
+    whole = [each.path for each in maps.values() if each.fault is None]
+    if not path.is_file() or not whole:
         return maps, ()
-    sizes = Counter(read_image_header(each.path).size for each in maps.values())
+    sizes = Counter(read_image_header(each).size for each in whole)
     depth_lens = read_intrinsics(path, sizes.most_common(1)[0][0])
     own = {name for name in lenses if (scene / "intrinsic" / f"{name}.txt").is_file()}
-    found = {name: Alignment() if name in own else fitting_alignment(lens, depth_lens) for name, lens in lenses.items()}
+    found = {name: Alignment() if name in own else fitting_alignment(lenses[name], depth_lens) for name in maps}
     alignments = {name: alignment for name, alignment in found.items() if alignment is not None}
     if len(alignments) == len(maps):
         return {name: replace(maps[name], alignment=alignment) for name, alignment in alignments.items()}, ()

@@ -16,9 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import PlgsError
-from ..posed.image_header import read_image_header
-from ..posed.layout import files_by_stem, listed, require_all
+from ..posed.layout import files_of_frames, listed
 from ..posed.limits import depth_check
+from ..posed.plain_folders import left_out_warning
 from .depth import DepthMap, in_metres, read_depth_array
 from .frame import Frame, SparsePoints
 from .pixels import decode
@@ -144,14 +144,14 @@ def with_estimated_depth(
 
     Maps are read on demand. Raises PlgsError when a map is missing, or no frame is left.
     """
-    files = files_by_stem(folder, {".npy", ".png"}, _FIX)
-    require_all([frame.name for frame in frames], files, "depth map", folder, _FIX)
-    for path in files.values():
-        if path.suffix.lower() == ".png":
-            read_image_header(path)
+    files = files_of_frames(folder, [frame.name for frame in frames], {".npy", ".png"}, "depth map", _FIX)
+    without = [frame.name for frame in frames if frame.name not in files]
+    notes = [left_out_warning(without, "a readable depth map")] if without else []
+    frames = [frame for frame in frames if frame.name in files]
     if points is None or not len(points):
         found = tuple(_with_depth(frame, files[frame.name], lambda path: in_metres(read_map(path))) for frame in frames)
-        return found, ["there are no sparse points to fit depth to: maps are read as metres (.png: millimetres)"]
+        notes.append("there are no sparse points to fit depth to: maps are read as metres (.png: millimetres)")
+        return found, notes
     kept, blind = [], []
     for frame in frames:
         pixels, depths = _seen_points(frame, points)
@@ -163,7 +163,7 @@ def with_estimated_depth(
         fix = f"Each needs {LEAST_POINTS} points of the reconstruction."
         raise PlgsError("no frame to train on sees enough points to fit depth to", folder, fix)
     note = f"{len(blind)} frames see fewer than {LEAST_POINTS} points and are left out: {listed(blind)}"
-    return tuple(kept), [note] if blind else []
+    return tuple(kept), [*notes, note] if blind else notes
 
 
 def _with_depth(frame: Frame, path: Path, read: Callable[[Path], NDArray[np.float32]]) -> Frame:

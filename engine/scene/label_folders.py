@@ -73,7 +73,9 @@ def open_label_folder(folder: Path, *, is_truth: bool) -> LabelFolder:
 
 
 def _coco(folder: Path) -> LabelFolder:
-    masks = open_masks(folder, list(files_by_stem(folder / "panoptic", {".png"}, _FIX)), "coco")
+    names = list(files_by_stem(folder / "panoptic", {".png"}, _FIX))
+    masks = open_masks(folder, names, "coco")
+    require_all(names, masks.readers, "readable mask", folder / "panoptic.json", _FIX)
     readers = {name: lambda read=read: _as_labels(read()) for name, read in masks.readers.items()}
     return LabelFolder(folder, masks.classes, readers)
 

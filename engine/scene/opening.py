@@ -16,12 +16,13 @@ import numpy as np
 
 from ..errors import PlgsError
 from ..posed.camera import Camera
-from ..posed.layout import listed, same_shape, shown_size
+from ..posed.layout import listed, of_most, same_shape, shown_size
 from ..posed.limits import check_camera, depth_check
-from ..posed.plain_folders import lost_frames_warning
+from ..posed.plain_folders import complete_frames, lost_frames_warning
 from ..posed.splits import find_split
 from ..posed.up_axis import turned, upright_turn
 from ..scene_source import SceneSource, UpAxis
+from .depth import DepthMap
 from .estimated_depth import with_estimated_depth
 from .formats import Shot, find_format
 from .formats.lens import UNDISTORTED, undistorted
@@ -74,17 +75,21 @@ def open_asked(source: SceneSource) -> Scene:
     _check_mask_shapes(mask_set, sizes)
     truth, truth_warnings = open_ground_truth(beside, sizes, mask_set.classes) if mask_set.readers else ({}, [])
     points = None if capture.points is None else capture.points.turned(turn)
+    of_shot = {shot.name: shot for shot in shots} if source.depth is None else {}
+    depths = of_most(list(of_shot), lambda name: _readable_depth(of_shot[name]))
     frames = tuple(
         replace(
-            _frame(shot, cameras[shot.name], shot.name in held_out),
+            _frame(shot, cameras[shot.name], shot.name in held_out, depths.get(shot.name)),
             read_mask=mask_set.readers.get(shot.name),
             read_ground_truth=truth.get(shot.name),
         )
         for shot in shots
     )
-    depth_warnings: list[str] = []
+    depth_warnings: Sequence[str] = ()
     if source.depth is not None:
         frames, depth_warnings = with_estimated_depth(frames, Path(source.depth), points)
+    frames, without_depth = complete_frames(frames, "readable depth", lambda frame: frame.read_depth is not None)
+    frames, without_mask = complete_frames(frames, "a readable mask", lambda frame: frame.read_mask is not None)
     return Scene(
         folder=place,
         frames=frames,
@@ -97,6 +102,8 @@ def open_asked(source: SceneSource) -> Scene:
             *([UNDISTORTED] if any(shot.distortion.bends for shot in shots) else []),
             *capture.warnings,
             *depth_warnings,
+            *without_depth,
+            *without_mask,
             *mask_set.warnings,
             *truth_warnings,
         ),
@@ -114,9 +121,16 @@ def _refuse_repeated_names(shots: Sequence[Shot], place: Path) -> None:
         raise PlgsError(f"frames share a name ({listed(twice)})", place, "Give each picture a name of its own.")
 
 
-def _frame(shot: Shot, camera: Camera, held_out: bool) -> Frame:
-    """The frame of a shot, without mask and ground truth."""
-    path, bend, depth = shot.colour_path, shot.distortion, shot.depth
+def _readable_depth(shot: Shot) -> DepthMap | None:
+    """A shot's depth, if it has any. Raises PlgsError for a file that cannot be read."""
+    if shot.depth is not None and shot.depth.fault is not None:
+        raise shot.depth.fault
+    return shot.depth
+
+
+def _frame(shot: Shot, camera: Camera, held_out: bool, depth: DepthMap | None) -> Frame:
+    """The frame of a shot, with ``depth``, without mask and ground truth."""
+    path, bend = shot.colour_path, shot.distortion
     read = shot.read_colour or partial(decode, path, as_colour=True)
     if bend.bends:
         bent, lens = read, shot.camera
@@ -160,7 +174,10 @@ def require_liftable(scene: Scene) -> None:
     """Raise PlgsError when a scene has no masks or no depth, which a lift needs besides cameras and pictures."""
     if not scene.has_depth:
         fix = "Give depth images in the scene, or a folder of depth maps with --depth."
-        raise PlgsError("the scene has no depth", scene.folder, fix, option="--depth")
+        without = [frame.name for frame in scene.frames if frame.read_depth is None]
+        some = f"{len(without)} of {len(scene.frames)} frames have no depth ({listed(without)})"
+        what = "the scene has no depth" if len(without) == len(scene.frames) else some
+        raise PlgsError(what, scene.folder, fix, option="--depth")
     if not scene.has_masks:
         raise no_masks(scene.folder)
 

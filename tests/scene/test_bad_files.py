@@ -19,7 +19,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from engine.errors import PlgsError
-from engine.scene import describe, open_scene
+from engine.scene import Scene, describe, open_scene
 from tests.fuzzing import damaged, examples, with_odd_value
 from tests.scene.formats import (
     test_colmap,
@@ -136,9 +136,13 @@ def with_content(path: Path, content: bytes | None) -> Iterator[None]:
         path.unlink(missing_ok=True) if original is None else path.write_bytes(original)
 
 
+def opened(folder: Path, name: str) -> Scene:
+    return open_scene(folder / "ai_001_001" if name == "hypersim" else folder, **OPTIONS.get(name, {}))
+
+
 def look_into(folder: Path, name: str) -> None:
     with np.errstate(all="ignore"):
-        describe(open_scene(folder / "ai_001_001" if name == "hypersim" else folder, **OPTIONS.get(name, {})))
+        describe(opened(folder, name))
 
 
 def swapped(old: str, new: str) -> Callable[[bytes], bytes]:
@@ -227,9 +231,7 @@ BAD: list[tuple[str, str, Any, str]] = [
     ("polycam", "keyframes/corrected_cameras/98765432107.json", {"t_03": "x"}, "t_03"),
     ("polycam", "keyframes/corrected_cameras/98765432107.json", {"fx": 0}, "no camera"),
     ("polycam", "keyframes/corrected_cameras/98765432107.json", {"width": 96, "height": 128}, "96x128"),
-    ("polycam", "keyframes/depth/98765432107.png", None, "no depth"),
     ("posed-images", "intrinsic.txt", "1 2 3\n", "intrinsic.txt"),
-    ("posed-images", "00001.txt", "1 0 0\n", "00001.txt"),
     ("record3d", "a.r3d", first(0.5), "not a .r3d file, or it is cut off"),
     ("record3d", "a.r3d", lambda data: data[:3000] + bytes(20) + data[3020:], "cannot be"),
     ("record3d-unpacked", "metadata", {"poses": [[0, 0, 0, 1, 0, 0, 0]]}, "1 poses and 11 pictures"),
@@ -243,7 +245,6 @@ BAD: list[tuple[str, str, Any, str]] = [
     ("replica", "traj.txt", first(0.7), "there are 4 poses, but a picture 5|numbers, not 16"),
     ("replica", "traj.txt", "1 2 3\n", "line 1 holds 3 numbers, not 16"),
     ("replica", "traj.txt", ("inf " * 16 + "\n") * 6, "no picture with a pose"),
-    ("replica", "results/depth000003.png", None, "picture 3 has no depth"),
     ("replica", "cam_params.json", "{}", 'no "camera"'),
     ("scannetpp", "iphone/pose_intrinsic_imu.json", {"other": {}}, '"other" is not a frame'),
     ("scannetpp", "iphone/pose_intrinsic_imu.json", {"frame_000001": 5}, "is not a frame"),
@@ -254,11 +255,9 @@ BAD: list[tuple[str, str, Any, str]] = [
     *(("sens", "a.sens", first(share), "cut off") for share in (0.0, 0.001, 0.01, 0.5, 0.999)),
     ("sens", "a.sens", lambda data: b"\5" + data[1:], "not a .sens of version 4"),
     ("sens", "a.sens", lambda data: data[:-2000] + bytes(2000), "depth cannot be decompressed|not have the size"),
-    ("7scenes", "seq-01/frame-000002.depth.png", None, r"cannot be read .*frame-000002\.depth\.png"),
     ("stray", "odometry.csv", "a, b\n", "first line does not name"),
     ("stray", "odometry.csv", lambda data: data + b"1, 2\n", "holds 2 numbers, not 9"),
     ("stray", "odometry.csv", swapped("000004", "-4"), "does not name a frame's number"),
-    ("stray", "odometry.csv", swapped("000004", "000400"), "000400 has no depth"),
     ("stray", "camera_matrix.csv", "1, 0, 5000\n0, 1, 1\n0, 0, 1\n",
      "intrinsics that no camera has with pictures of 256x192"),
     ("stray", "rgb.mp4", "no video", "this is not an MP4"),
@@ -286,7 +285,6 @@ BAD: list[tuple[str, str, Any, str]] = [
     ("arrays", "masks/0001.npy", npy(np.full((48, 64), 1.5)), "not ids"),
     ("arrays", "masks/0001.npy", npy(np.full((5, 48, 64), -1.0, np.float32)), "logits"),
     ("arrays", "masks/0001.npy", test_label_images.header_of((2**20, 2**20)), "too large"),
-    ("arrays", "masks/0001.npy", b"", "not a NumPy file"),
     ("arrays", "masks/0001.npy", b"PK\3\4", "not a NumPy file"),
     ("detections", "masks/0000.npz", with_arrays(scores=np.array([0.5])), "masks, but not as many classes and scores"),
     ("detections", "masks/0000.npz", with_arrays(scores=None), 'no "scores"'),
@@ -294,7 +292,6 @@ BAD: list[tuple[str, str, Any, str]] = [
     ("detections", "masks/0000.npz", with_arrays(masks=np.zeros((48, 64), bool)), "have the shape"),
     ("detection-pictures", "masks/0001/chair.png", png(np.zeros((48, 64), np.uint8)),
      r"does not give class and score: .*chair.png. Name it <k>_<class>_<score>"),
-    ("cryptomatte", "masks/0001.exr", b"", "not an OpenEXR"),
     ("cryptomatte", "masks/0001.exr", lambda data: data[:90], "cut off"),
     ("cryptomatte", "masks/0001.exr", first(0.67), "cut off"),
     ("cryptomatte", "masks/0001.exr", with_huge_window, "not the size of a picture"),
@@ -327,6 +324,64 @@ def test_bad_files_are_one_line_errors(sample: Sample, name: str, file: str, cha
         with pytest.raises(PlgsError, match=told) as caught:
             look_into(sample(name), name)
     assert "\n" not in str(caught.value) and caught.value.fix
+
+
+# Sample, the file of one frame, what becomes of it (None: it is gone), and the frame that is then left out.
+LEFT_OUT: list[tuple[str, str, Any, str]] = [
+    ("scannet", "depth/0001.png", None, "readable depth are left out: 0001"),
+    ("scannet", "depth/0001.png", first(0.5), "readable depth are left out: 0001"),
+    ("scannet", "panoptic/0001.png", None, "readable mask are left out: 0001"),
+    ("scannet", "panoptic/0001.png", first(0.5), "readable mask are left out: 0001"),
+    ("scannet", "panoptic.json", swapped('"0001.png"', '"1.png"'), "readable mask are left out: 0001"),
+    ("scannet", "pose/0001.txt", None, "pose are left out: 0001"),
+    ("scannet", "pose/0001.txt", "1 0 0\n", "pose are left out: 0001"),
+    ("nerfstudio", "depth/frame_9.png", None, "readable depth are left out: frame_9"),
+    ("nerfstudio", "transforms.json", swapped('"depth/frame_9.png"', "null"), "readable depth are left out: frame_9"),
+    ("7scenes", "seq-01/frame-000002.depth.png", None, "readable depth are left out: seq-01_frame-000002"),
+    ("7scenes", "seq-01/frame-000002.pose.txt", None, "pose are left out: seq-01_frame-000002"),
+    ("7scenes", "seq-01/frame-000002.pose.txt", "", "pose are left out: seq-01_frame-000002"),
+    ("replica", "results/depth000003.png", None, "readable depth are left out: frame000003"),
+    ("posed-images", "00001.png", None, "readable depth are left out: 00001"),
+    ("posed-images", "00001.png", b"", "readable depth are left out: 00001"),
+    ("posed-images", "00001.txt", None, "pose are left out: 00001"),
+    ("posed-images", "00001.txt", "1 0 0\n", "pose are left out: 00001"),
+    ("polycam", "keyframes/depth/98765432107.png", None, "readable depth are left out: 98765432107"),
+    ("polycam", "keyframes/corrected_cameras/98765432107.json", None, "pose are left out: 98765432107"),
+    ("polycam", "keyframes/corrected_cameras/98765432107.json", "", "pose are left out: 98765432107"),
+    ("polycam", "keyframes/corrected_images/98765432107.png", None, "1 of 6 keyframes are not in both"),
+    ("stray", "odometry.csv", swapped("000004", "000400"), "readable depth are left out: 000400"),
+    ("open3d", "depth/000001.png", None, "readable depth are left out: 000001"),
+    ("record3d-unpacked", "rgbd/4.depth", None, "readable depth are left out: 4"),
+    ("hypersim", "ai_001_001/images/scene_cam_00_geometry_hdf5/frame.0001.depth_meters.hdf5", None,
+     "without depth are left out: cam_00_0001"),
+    ("panoptic-lifting", "m2f_instance/0001.png", None, "readable mask are left out: 0001"),
+    ("pairs", "masks/instance/0001.png", b"", "readable mask are left out: 0001"),
+    ("arrays", "masks/0001.npy", b"", "readable mask are left out: 0001"),
+    ("detections", "masks/0001.npz", None, "readable mask are left out: 0001"),
+    ("cryptomatte", "masks/0001.exr", b"", "readable mask are left out: 0001"),
+    ("detectron2", "masks/0001.json", "", "readable mask are left out: 0001"),
+    ("transformers", "masks/0001.json", None, "readable mask are left out: 0001"),
+    ("sam2", "masks/0001.png", first(0.5), "readable mask are left out: 0001"),
+    ("grounded-sam2", "masks/mask_data/mask_0001.npy", None, "readable mask are left out: 0001"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("name", "file", "change", "told"), LEFT_OUT)
+def test_a_frame_that_lacks_something_is_left_out_by_its_name(
+    sample: Sample, name: str, file: str, change: Any, told: str
+) -> None:
+    path = sample(name) / file
+    whole = {frame.name: frame.camera for frame in opened(sample(name), name).frames}
+    if callable(change):
+        change = change(path.read_bytes())
+    with with_content(path, change.encode() if isinstance(change, str) else change):
+        scene = opened(sample(name), name)
+        assert describe(scene).warnings
+    assert any(told in warning for warning in scene.warnings), scene.warnings
+    assert len(scene.frames) == len(whole) - 1
+    for frame in scene.frames:
+        np.testing.assert_array_equal(frame.camera.camera_to_world, whole[frame.name].camera_to_world)
+    assert all(frame.read_depth is not None for frame in scene.frames)
 
 
 def odd_word(draw: Any, data: bytes) -> bytes:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -58,6 +59,11 @@ def cut(name: str, share: float = 0.5) -> Spoil:
         (folder / name).write_bytes(data[: int(len(data) * share)])
 
     return spoil
+
+
+def of_four(spoil: Callable[[str], Spoil]) -> Spoil:
+    """The same for four frames of six: of fewer, frames are left out."""
+    return lambda folder: [spoil(f"000{number}")(folder) for number in range(1, 5)]
 
 
 def image(name: str, pixels: Any) -> Spoil:
@@ -139,6 +145,10 @@ def empty_masks(folder: Path) -> None:
     table(lambda content: [each.update(segments_info=[]) for each in content["annotations"]])(folder)
 
 
+def poses(content: str | bytes) -> Spoil:
+    return of_four(lambda name: write(f"pose/{name}.txt", content))
+
+
 PALETTE_PNG = b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR\0\0\0\x40\0\0\0\x30\x08\x03\0\0\0\0\0\0\0IEND\xaeB`\x82"
 """As much of a 64x48 PNG with a colour table as its header needs."""
 
@@ -152,22 +162,21 @@ CASES: dict[str, Spoil] = {
     "no masks": remove("panoptic.json"),
     "no mask folder": remove("panoptic"),
     "no colour image": lambda folder: [path.unlink() for path in (folder / "color").iterdir()],
-    "a frame without depth": remove("depth/0002.png"),
-    "frames without depth": lambda folder: [remove("depth/0002.png")(folder), remove("depth/0003.png")(folder)],
-    "a frame without pose": remove("pose/0002.txt"),
-    "a frame without mask entry": table(lambda content: content["annotations"].pop(3)),
-    "a frame without mask image": remove("panoptic/0003.png"),
+    "frames without depth": of_four(lambda name: remove(f"depth/{name}.png")),
+    "frames without pose": of_four(lambda name: remove(f"pose/{name}.txt")),
+    "frames without mask entry": of_four(lambda name: table(lambda content: content["annotations"].pop(1))),
+    "frames without mask image": of_four(lambda name: remove(f"panoptic/{name}.png")),
     "a link to nowhere": lambda folder: ((path := folder / "color/0001.png").unlink(), path.symlink_to("gone.png")),
     "a link to itself": lambda folder: ((path := folder / "color/0001.png").unlink(), path.symlink_to(path)),
     "two colour images of a frame": lambda folder: shutil.copy(folder / "color/0001.png", folder / "color/0001.jpg"),
     # Numbers
-    "NaN in a pose": pose(lambda matrix: matrix.__setitem__((0, 3), np.nan)),
+    "NaN in poses": of_four(partial(pose, lambda matrix: matrix.__setitem__((0, 3), np.nan))),
     "a pose far away": pose(lambda matrix: matrix.__setitem__((0, 3), 1e300)),
-    "words in a pose": write("pose/0001.txt", "1 0 0 0\n0 1 0 zero\n0 0 1 0\n0 0 0 1"),
-    "a pose of three rows": write("pose/0001.txt", "1 0 0 0\n0 1 0 0\n0 0 1 0\n"),
-    "a ragged pose": write("pose/0001.txt", "1 0 0 0\n0 1 0\n0 0 1 0\n0 0 0 1"),
-    "an empty pose": write("pose/0001.txt", ""),
-    "a binary pose": write("pose/0001.txt", b"\x93NUMPY\xff\xfe"),
+    "words in poses": poses("1 0 0 0\n0 1 0 zero\n0 0 1 0\n0 0 0 1"),
+    "poses of three rows": poses("1 0 0 0\n0 1 0 0\n0 0 1 0\n"),
+    "ragged poses": poses("1 0 0 0\n0 1 0\n0 0 1 0\n0 0 0 1"),
+    "empty poses": poses(""),
+    "binary poses": poses(b"\x93NUMPY\xff\xfe"),
     "a transposed pose": pose(lambda matrix: matrix.__setitem__(slice(None), matrix.T.copy())),
     "a scaled pose": pose(scale),
     "a mirrored pose": pose(mirror),
@@ -189,11 +198,11 @@ CASES: dict[str, Spoil] = {
     "depth in metres": metres,
     # Images
     "an empty image": write("color/0001.png", b""),
-    "an empty depth": write("depth/0001.png", b""),
+    "empty depth": of_four(lambda name: write(f"depth/{name}.png", b"")),
     "a cut-off image": cut("color/0001.png"),
     "a cut-off header": cut("color/0001.png", 0.01),
-    "a cut-off depth": cut("depth/0001.png"),
-    "a cut-off mask": cut("panoptic/0001.png"),
+    "cut-off depth": of_four(lambda name: cut(f"depth/{name}.png")),
+    "cut-off masks": of_four(lambda name: cut(f"panoptic/{name}.png")),
     "a damaged depth": damage("depth/0001.png"),
     "a damaged colour image": damage("color/0001.png"),
     "not an image": write("color/0001.png", "GIF89a, honestly"),

@@ -90,9 +90,13 @@ def test_colmap_with_a_networks_maps(tmp_path: Path, kind: str) -> None:
 def test_missing_and_wrong_maps_are_one_line_errors(tmp_path: Path) -> None:
     write_colmap(tmp_path / "scene")
     (tmp_path / "maps").mkdir()
-    for i in range(5):
+    for i in range(2):
         np.save(tmp_path / "maps" / f"{i}.npy", np.ones((48, 64), np.float32))
-    refuses("a frame has no depth map", tmp_path / "scene", depth=tmp_path / "maps")
+    refuses("4 of 6 frames have no depth map", tmp_path / "scene", depth=tmp_path / "maps")
+    for i in range(2, 5):
+        np.save(tmp_path / "maps" / f"{i}.npy", np.ones((48, 64), np.float32))
+    scene = open_scene(tmp_path / "scene", depth=tmp_path / "maps")
+    assert "1 frames without a readable depth map are left out: 5" in scene.warnings and len(scene.frames) == 4
     np.save(tmp_path / "maps" / "5.npy", np.ones((48, 64), np.float32))
     scene = open_scene(tmp_path / "scene", depth=tmp_path / "maps")
     with pytest.raises(PlgsError, match="does not rise or fall"):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 from pathlib import Path
 
@@ -9,8 +10,11 @@ import pytest
 
 from engine.command_line.main import main
 from engine.errors import PlgsError
-from engine.scene import check_scene, describe, load_view, open_scene, open_scene_to_lift
+from engine.posed.plain_folders import open_plain_folders
+from engine.scene import check_scene, describe, load_view, open_scene, open_scene_to_lift, require_liftable
 from engine.scene_source import SceneSource
+from tests.scene.formats.room import check_on_room
+from tests.scene.formats.test_nerfstudio import write_scene
 from tests.scene.refusing import refuses
 from tests.tiny_scene import write_tiny_scene
 
@@ -18,6 +22,36 @@ from tests.tiny_scene import write_tiny_scene
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
     return write_tiny_scene(tmp_path / "scene", frames=6)
+
+
+def test_up_to_half_of_the_frames_may_lack_depth(tmp_path: Path) -> None:
+    """A file that does not name depth for every frame, as some apps write it."""
+    write_scene(tmp_path)
+    content = json.loads((tmp_path / "transforms.json").read_text())
+    last = sorted(content["frames"], key=lambda frame: -int(frame["file_path"].split("_")[1][:-4]))
+    for lacking, frame in enumerate(last[:4], start=1):
+        del frame["depth_file_path"]
+        (tmp_path / "transforms.json").write_text(json.dumps(content))
+        scene = open_scene(tmp_path)
+        assert scene.has_depth is (lacking <= 3) and len(scene.frames) == (6 - lacking if lacking <= 3 else 6)
+        how = f"{lacking} frames without readable depth are left out: " if lacking <= 3 else "4 of 6 frames have no "
+        assert any(warning.startswith(how) for warning in scene.warnings)
+        if lacking == 1:
+            check_on_room(scene)
+    with pytest.raises(PlgsError, match="4 of 6 frames have no depth .frame_"):
+        require_liftable(scene)
+
+
+def test_nothing_is_left_to_measure_when_the_held_out_frames_lack_depth(folder: Path) -> None:
+    (folder / "depth" / "0004.png").unlink()
+    scene = open_scene(folder)
+    assert not scene.test_frames and scene.warnings == (
+        "1 frames without readable depth are left out: 0004",
+        "no frame is held out: nothing is measured on unseen views",
+    )
+    assert [frame.name for frame in open_plain_folders(SceneSource(folder)).frames] == [
+        frame.name for frame in scene.frames
+    ]
 
 
 @pytest.mark.parametrize(("without", "told"), [("panoptic.json", "there are no masks"), ("depth", "has no depth")])

@@ -19,7 +19,7 @@ from ...errors import PlgsError
 from ...json_file import read_object
 from ...posed.camera import Camera
 from ...posed.layout import file_inside, files_if_any, listed, natural_order, read_file
-from ..depth import DepthMap, npy_depth, only_depth, png_depth
+from ..depth import DepthMap, fault_of, npy_depth, only_depth, png_depth
 from ..frame import SparsePoints
 from .capture import Capture, SceneFormat, Shot, frame_names
 from .colmap_model import MADE_BY, ColmapCamera, ColmapImage, ColmapModel, has_model, read_model
@@ -132,7 +132,8 @@ def _find_depth(place: Path, image: str) -> DepthMap | None:
     """An image's depth map in a dense workspace."""
     folder = place / "stereo" / "depth_maps"
     found = (folder / f"{image}.{kind}.bin" for kind in ("geometric", "photometric"))
-    return next((DepthMap(path, partial(_read_dense, path)) for path in found if path.is_file()), None)
+    path = next((path for path in found if path.is_file()), None)
+    return None if path is None else DepthMap(path, partial(_read_dense, path), fault=fault_of(path))
 
 
 def _read_dense(path: Path) -> NDArray[np.float32]:

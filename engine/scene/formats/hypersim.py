@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import csv
 import re
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from functools import partial
 from pathlib import Path
 
@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 
 from ...errors import PlgsError
 from ...posed.image_header import read_image_header
+from ...posed.plain_folders import left_out_warning
 from ..depth import DepthMap
 from ..pixels import decode
 from .capture import Capture, SceneFormat, Shot
@@ -49,19 +50,22 @@ def _read(place: Path) -> Capture:
     """Open the frames of all cameras. Raises PlgsError."""
     metres = _metres_a_unit(place / "_detail" / "metadata_scene.csv")
     rays, warnings = _read_rays(place)
-    found = []
+    found, blind = [], list[str]()
     for camera in sorted(path for path in (place / "_detail").glob("cam_*") if path.is_dir()):
         positions = read_hdf5(camera / "camera_keyframe_positions.hdf5", 2)
         turns = read_hdf5(camera / "camera_keyframe_orientations.hdf5", 3)
         if positions.shape[1:] != (3,) or turns.shape != (len(positions), 3, 3):
             raise PlgsError("positions and orientations do not belong together", camera, _FIX)
-        for number, colour, depth in _pictures(place / "images", camera.name):
+        pictures = list(_pictures(place / "images", camera.name))
+        blind += _without_depth(place / "images", camera.name, {number for number, *_ in pictures})
+        for number, colour, depth in pictures:
             if number >= len(positions):
                 raise PlgsError(f"frame {number} has no pose", camera, _FIX)
             matrix = np.column_stack([turns[number], positions[number] * metres]).astype(np.float64)
             pose = finite_pose(matrix, camera / "camera_keyframe_orientations.hdf5")
             name = f"{camera.name}_{number:04d}"
             found.append((name, None if pose is None else _shot(name, colour, depth, from_opengl(pose), rays)))
+    warnings += [left_out_warning(blind, "depth")] if blind else []
     return Capture(found, "z", tuple(warnings), up_is_known=True)
 
 
@@ -74,6 +78,14 @@ def _pictures(images: Path, camera: str) -> Iterator[tuple[int, Path, Path]]:
             preview = images / f"scene_{camera}_final_preview" / f"frame.{match[1]}.tonemap.jpg"
             colour = images / f"scene_{camera}_final_hdf5" / f"frame.{match[1]}.color.hdf5"
             yield int(match[1]), preview if preview.is_file() else colour, depth
+
+
+def _without_depth(images: Path, camera: str, with_depth: Collection[int]) -> list[str]:
+    """The names of a camera's frames that have a preview, and no depth file."""
+    previews = (images / f"scene_{camera}_final_preview").glob("frame.*.tonemap.jpg")
+    numbers = (path.name.split(".")[1] for path in previews)
+    found = sorted(int(number) for number in numbers if number.isdecimal())
+    return [f"{camera}_{number:04d}" for number in found if number not in with_depth]
 
 
 def _shot(name: str, colour: Path, depth: Path, pose: NDArray[np.float64], rays: NDArray[np.float64]) -> Shot:

@@ -1,7 +1,7 @@
 """Folders as Open3D's reconstruction system has them: pictures, depth, and a trajectory.
 
-* ``color``, ``image`` or ``rgb``, and ``depth`` (16-bit PNG, millimetres), as many of each; they belong together in
-  the order of their names.
+* ``color``, ``image`` or ``rgb``, and ``depth`` (16-bit PNG, millimetres). As many of each belong together in the order
+  of their names; where some have no depth, by their names.
 * ``*.log`` in the folder or in ``scene``, of several the one with as many poses as there are pictures: for each
   picture a line of three numbers and a 4x4 camera-to-world; or ``trajectory.json``, Open3D's
   PinholeCameraTrajectory: world-to-camera, column by column, each with its lens.
@@ -84,7 +84,9 @@ def _read(place: Path) -> Capture:
     colours = files_by_stem(folder, _IMAGES, "Put the pictures there.")
     depths = files_by_stem(place / "depth", {".png"}, "Put depth there, in millimetres.")
     trajectory, poses = _fitting(trajectories, len(colours))
-    if not len(colours) == len(depths) == len(poses):
+    if len(depths) == len(colours):
+        depths = dict(zip(colours, depths.values(), strict=True))
+    if len(colours) != len(poses) or not {*depths} <= {*colours}:
         what = f"there are {len(colours)} pictures, {len(depths)} depth images and {len(poses)} poses"
         raise PlgsError(what, place, "Keep as many of each: they belong together in the order of their names.")
     files = [path for name in ("camera_intrinsic.json", "intrinsic.json") if (path := place / name).is_file()]
@@ -93,12 +95,13 @@ def _read(place: Path) -> Capture:
     if is_guessed:
         shared = _PRIMESENSE
     found: list[tuple[str, Shot | None]] = []
-    for (name, colour), depth, (matrix, own) in zip(colours.items(), depths.values(), poses, strict=True):
+    for (name, colour), (matrix, own) in zip(colours.items(), poses, strict=True):
         pose, lens = finite_pose(matrix, trajectory), own or shared
         shot = None
         if pose is not None and lens is not None:
             lens = fitted(lens, colour, _LENS_FIX)
-            shot = Shot(name, lens.at(pose), colour, png_depth(depth, lens))
+            depth = png_depth(depths[name], lens) if name in depths else None
+            shot = Shot(name, lens.at(pose), colour, depth)
         found.append((name, shot))
     return Capture(found, None, (_GUESSED,) if is_guessed else ())
 

@@ -9,9 +9,12 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
+from numpy.typing import NDArray
+
 from ...posed.image_header import read_image_header
 from ...posed.layout import natural_order
-from ...posed.matrices import read_intrinsics, read_pose
+from ...posed.matrices import read_intrinsics, read_poses
 from ..depth import png_depth
 from .capture import Capture, SceneFormat, Shot
 
@@ -20,13 +23,14 @@ _PICTURES = (".jpg", ".jpeg")
 
 
 def _recognises(place: Path) -> bool:
-    return (place / _INTRINSICS).is_file() and any(_pictures(place))
+    return (place / _INTRINSICS).is_file() and any(_pose_of(path).is_file() for path in _pictures(place))
 
 
 def _pictures(folder: Path) -> list[Path]:
-    """Pictures that have a pose."""
-    found = [path for path in folder.iterdir() if path.suffix.lower() in _PICTURES and _pose_of(path).is_file()]
-    return sorted(found, key=lambda path: natural_order(path.name))
+    return sorted(
+        (path for path in folder.iterdir() if path.suffix.lower() in _PICTURES),
+        key=lambda path: natural_order(path.name),
+    )
 
 
 def _pose_of(picture: Path) -> Path:
@@ -35,12 +39,13 @@ def _pose_of(picture: Path) -> Path:
 
 def _read(folder: Path) -> Capture:
     """Open the frames; only headers of images are read. Raises PlgsError."""
-    return Capture([(path.stem, _shot(folder, path)) for path in _pictures(folder)], "z")
+    pictures = {path.stem: path for path in _pictures(folder)}
+    poses = read_poses({name: _pose_of(path) for name, path in pictures.items()})
+    return Capture([(name, _shot(folder, path, poses[name])) for name, path in pictures.items()], "z")
 
 
-def _shot(folder: Path, picture: Path) -> Shot | None:
-    """None where tracking was lost. Raises PlgsError."""
-    pose = read_pose(_pose_of(picture))
+def _shot(folder: Path, picture: Path, pose: NDArray[np.float64] | None) -> Shot | None:
+    """None without a pose, as where tracking was lost. Raises PlgsError."""
     if pose is None:
         return None
     lens, depth = read_intrinsics(folder / _INTRINSICS, read_image_header(picture).size), picture.with_suffix(".png")

@@ -93,9 +93,7 @@ def _capture(
         width, height = read_image_header(path).size
         own = lens or Camera(width, height, width / 2.0, width / 2.0, width / 2.0, height / 2.0, np.eye(4))
         own = own.resized(width, height)
-        if depths and number not in depths:
-            raise PlgsError(f"picture {number} has no depth", path, "Give depth for all pictures or for none.")
-        depth = png_depth(depths[number], own, unit) if depths else None
+        depth = png_depth(depths[number], own, unit) if number in depths else None
         found.append((path.stem, Shot(path.stem, own.at(pose), path, depth)))
     return Capture(found, "z")
 

@@ -82,9 +82,7 @@ def _shots(folder: Path) -> Iterator[tuple[str, Shot | None]]:
         depth = None
         if stream is not None:
             depth = DepthMap(stream.path, partial(stream.frame, number))
-        elif depths:
-            if name not in depths:
-                raise PlgsError(f"{name} has no depth", folder / "depth", "Extract depth for all pictures.")
+        elif name in depths:
             depth = png_depth(depths[name], lens)
         yield name, Shot(name, lens.at(pose), picture, depth, video.reader(number) if video else None)
 

@@ -15,12 +15,13 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ...errors import PlgsError
 from ...posed.camera import Camera
 from ...posed.image_header import read_image_header
 from ...posed.layout import natural_order
-from ...posed.matrices import read_intrinsics, read_pose
+from ...posed.matrices import read_intrinsics, read_poses
 from ..depth import png_depth, registered
 from .capture import Capture, SceneFormat, Shot
 from .poses import inverse
@@ -75,19 +76,19 @@ def _read_tsdf(place: Path) -> Capture:
 
 
 def _capture(place: Path, intrinsics: Path | None) -> Capture:
-    paths = [path for folder in _folders(place) for path in folder.glob("frame-*.pose.txt")]
-    paths.sort(key=lambda path: natural_order(path.relative_to(place).as_posix()))
-    found = []
-    for path in paths:
-        stem = path.name.removesuffix(".pose.txt")
-        name = stem if path.parent == place else f"{path.parent.name}_{stem}"
-        found.append((name, _shot(name, path.with_name(stem), intrinsics)))
-    return Capture(found, None)
+    kinds = ("frame-*.pose.txt", "frame-*.color.*")
+    files = {path for folder in _folders(place) for kind in kinds for path in folder.glob(kind)}
+    bases = {path.with_name(path.name.partition(".")[0]) for path in files}
+    named = {
+        base.name if base.parent == place else f"{base.parent.name}_{base.name}": base
+        for base in sorted(bases, key=lambda base: natural_order(base.relative_to(place).as_posix()))
+    }
+    poses = read_poses({name: base.with_name(f"{base.name}.pose.txt") for name, base in named.items()})
+    return Capture([(name, _shot(name, base, poses[name], intrinsics)) for name, base in named.items()], None)
 
 
-def _shot(name: str, base: Path, intrinsics: Path | None) -> Shot | None:
-    """The frame whose files begin with ``base``; None when its pose holds inf. Raises PlgsError."""
-    pose = read_pose(base.with_name(f"{base.name}.pose.txt"))
+def _shot(name: str, base: Path, pose: NDArray[np.float64] | None, intrinsics: Path | None) -> Shot | None:
+    """The frame whose files begin with ``base``; None without a ``pose``. Raises PlgsError."""
     if pose is None:
         return None
     colours = [base.with_name(f"{base.name}.color.{suffix}") for suffix in ("png", "jpg", "jpeg")]

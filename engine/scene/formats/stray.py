@@ -55,10 +55,8 @@ def _shots(place: Path) -> Iterator[tuple[str, Shot | None]]:
         pose = quaternion_pose((qw, qx, qy, qz), (x, y, z), place / "odometry.csv")
         intrinsics = [row[key] for key in _LENS] if "fx" in row else shared
         lens = pinhole(*size, *intrinsics, path=place / "camera_matrix.csv", fix=_FIX, whose=f"frame {name}")
-        if depths and name not in depths:
-            raise PlgsError(f"frame {name} has no depth", place / "depth", _FIX)
         depth = None
-        if depths:
+        if name in depths:
             depth = npy_depth(depths[name]) if depths[name].suffix.lower() == ".npy" else png_depth(depths[name], lens)
             depth = trusted(depth, levels.get(name))
         yield name, Shot(name, lens.at(pose), video.path, depth, video.reader(int(row["frame"])))

@@ -23,7 +23,7 @@ from ...errors import PlgsError
 from ...json_file import read_json_object, take_flag, take_list, take_objects, take_text, take_whole_number, wrong_type
 from ...posed.classes import LARGEST_CLASS_ID, ClassLabel
 from ...posed.image_header import read_image_header
-from ...posed.layout import file_inside, listed, require_all
+from ...posed.layout import file_inside, listed, of_most, require_most, whole_file
 from ...posed.limits import LARGEST_PIXELS
 from ..pixels import decode, distinct_ids
 from .source import FoundMask, FoundSegment, MaskFormat, MaskSource, StoredMask
@@ -77,11 +77,14 @@ def _read(place: Path, names: Sequence[str]) -> MaskSource:
     if not folder.is_dir():
         raise PlgsError("the folder of mask images is missing", folder, f"Put the PNGs of {table.name} there.")
     entries = _entries_by_frame(content, table, names)
-    require_all(names, entries, "mask", table, "Add an annotation whose file name has the colour image's stem.")
+    fix = "Add an annotation whose file name has the colour image's stem."
+    there = require_most(names, entries, "mask", table, fix)
+    inside = {name: file_inside(folder, entries[name]["file_name"], table) for name in there}
+    pictures = of_most(there, lambda name: whole_file(inside[name]))
     known = frozenset(label.id for label in labels)
     masks, crowded = {}, []
-    for name in names:
-        masks[name], has_crowds = _open_frame(entries[name], name, folder, table, known)
+    for name, png in pictures.items():
+        masks[name], has_crowds = _open_frame(entries[name], name, png, table, known)
         crowded += [name] * has_crowds
     warnings = (f"crowd segments (iscrowd) count as void: {listed(crowded)}",) if crowded else ()
     return MaskSource(masks, labels, warnings)
@@ -142,11 +145,10 @@ def _stem(file_name: str) -> str:
 
 
 def _open_frame(
-    entry: dict[str, Any], name: str, folder: Path, table: Path, known: frozenset[int]
+    entry: dict[str, Any], name: str, png: Path, table: Path, known: frozenset[int]
 ) -> tuple[StoredMask, bool]:
     """A frame's mask, and whether it has crowds. Raises PlgsError."""
     context = f"the annotation of frame {name}"
-    png = file_inside(folder, take_text(entry, "file_name", context, table), table)
     header = read_image_header(png)
     if header.width * header.height > LARGEST_PIXELS:
         raise PlgsError(f"{header.width}x{header.height} is too large for a mask", png, "Write this file again.")

@@ -18,7 +18,7 @@ from pathlib import Path
 from ...errors import PlgsError
 from ...posed.array_file import array_headers, read_array
 from ...posed.classes import LARGEST_CLASS_ID, ClassLabel
-from ...posed.layout import files_of_frames, natural_order, require_all
+from ...posed.layout import files_of_frames, natural_order, require_most
 from ..label_image import label_header
 from .source import (
     FoundMask,
@@ -72,12 +72,12 @@ def _read(place: Path, names: Sequence[str]) -> MaskSource:
         masks = {name: _stack(path, _segments(found[name], label_of)) for name, path in files.items()}
         return MaskSource(masks, labels, void=frozenset())
     folders = {path.name: path for path in _folders(place)}
-    require_all(names, folders, "folder of detections", place, _NAME_FIX)
-    paths = {name: _pictures(folders[name]) for name in names}
-    require_all(names, [name for name in names if paths[name]], "detections", place, _NAME_FIX)
-    found = {name: [_from_name(path) for path in paths[name]] for name in names}
+    there = require_most(names, folders, "folder of detections", place, _NAME_FIX)
+    paths = {name: pictures for name in there if (pictures := _pictures(folders[name]))}
+    require_most(names, paths, "detections", place, _NAME_FIX)
+    found = {name: [_from_name(path) for path in pictures] for name, pictures in paths.items()}
     label_of, labels = _labels(found.values())
-    masks = {name: _pile(paths[name], _segments(found[name], label_of)) for name in names}
+    masks = {name: _pile(paths[name], _segments(found[name], label_of)) for name in paths}
     return MaskSource(masks, labels, void=frozenset())
 
 

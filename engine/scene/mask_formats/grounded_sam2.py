@@ -15,7 +15,7 @@ import numpy as np
 
 from ...errors import PlgsError
 from ...json_file import read_json_object, take_text, take_whole_number, wrong_type
-from ...posed.layout import files_by_stem, listed, require_all
+from ...posed.layout import files_by_stem, listed, of_most, require_most, whole_file
 from ..label_image import label_map_size, read_label_map
 from .source import FoundMask, FoundSegment, MaskFormat, MaskSource, StoredMask, named_labels
 
@@ -41,13 +41,14 @@ def _read(place: Path, names: Sequence[str]) -> MaskSource:
     """Open the masks; headers and JSON only. Raises PlgsError."""
     arrays = _by_frame(place / "mask_data", ".npy")
     tables = _by_frame(place / "json_data", ".json")
-    require_all(names, arrays, "mask", place / "mask_data", _FIX)
-    require_all(names, tables, "JSON of objects", place / "json_data", _FIX)
-    objects = {name: _objects(tables[name]) for name in names}
+    there = require_most(names, arrays, "mask", place / "mask_data", _FIX)
+    there = require_most(there, tables, "JSON of objects", place / "json_data", _FIX)
+    whole = of_most(there, lambda name: (whole_file(arrays[name]), whole_file(tables[name])))
+    objects = {name: _objects(tables[name]) for name in whole}
     label_of, labels = named_labels({word for found in objects.values() for word in found.values()})
     masks = {}
-    for name in names:
-        path, found = arrays[name], objects[name]
+    for name, found in objects.items():
+        path = arrays[name]
         segments = {number: FoundSegment(number, label_of[word], track=number) for number, word in found.items()}
         masks[name] = StoredMask(path, label_map_size(path), partial(_read_mask, path, tables[name], segments))
     return MaskSource(masks, labels or None, tells_no_class=not labels)

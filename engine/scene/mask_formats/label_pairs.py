@@ -11,7 +11,7 @@ from functools import partial
 from pathlib import Path
 
 from ...errors import PlgsError
-from ...posed.layout import files_of_frames, shown_size
+from ...posed.layout import files_of_both, files_of_frames, shown_size
 from ..label_image import SUFFIXES, label_map_size, read_label_map
 from .source import IGNORED, FoundMask, MaskFormat, MaskSource, StoredMask, segments_of_labels, segments_of_pairs
 
@@ -47,7 +47,7 @@ def _read_pairs(place: Path, names: Sequence[str]) -> MaskSource:
     pair = _pair_in(place)
     if pair is None:
         raise PlgsError("there is no pair of folders of classes and instances", place, f"Looked for {_LOOKS_FOR}.")
-    classes, instances = (files_of_frames(folder, names, SUFFIXES, "mask", _FIX) for folder in pair)
+    classes, instances = files_of_both(*pair, names, SUFFIXES, _FIX)
     return MaskSource(label_pairs(classes, instances), void=IGNORED)
 
 

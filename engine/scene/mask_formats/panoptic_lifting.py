@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from ...errors import PlgsError
-from ...posed.layout import files_of_frames
+from ...posed.layout import files_of_both
 from ..class_tables import REDUCED, known_table
 from ..label_image import check_label_header
 from .label_pairs import label_pairs
@@ -38,8 +38,7 @@ def _read(place: Path, names: Sequence[str]) -> MaskSource:
         raise PlgsError("there are no masks", place, _FIX)
     instances = semantics.with_name(semantics.name.removesuffix("_semantics") + "_instance")
     fix = "Add PNGs named like the colour images."
-    semantic_files = files_of_frames(semantics, names, {".png"}, "mask", fix)
-    instance_files = files_of_frames(instances, names, {".png"}, "mask", fix)
+    semantic_files, instance_files = files_of_both(semantics, instances, names, {".png"}, fix)
     for path in (*semantic_files.values(), *instance_files.values()):
         check_label_header(path)
     has_both = semantics != place and semantics.name == "m2f_semantics" and (place / "m2f_notta_semantics").is_dir()

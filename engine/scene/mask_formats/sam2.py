@@ -11,7 +11,7 @@ from functools import partial
 from pathlib import Path
 
 from ...gates import open_plain
-from ...posed.layout import files_by_stem, files_of_frames, require_all
+from ...posed.layout import files_by_stem, files_of_frames, of_most, require_most, whole_file
 from ..label_image import label_header, read_indices
 from .source import (
     FoundMask,
@@ -58,8 +58,9 @@ def _read(place: Path, names: Sequence[str]) -> MaskSource:
         return MaskSource(masks, tells_no_class=True)
     found = {number: files_by_stem(folder, {".png"}, _FIX) for number, folder in folders.items()}
     of_frame = {name: {number: files[name] for number, files in found.items() if name in files} for name in names}
-    require_all(names, [name for name in names if of_frame[name]], "mask", place, _FIX)
-    return MaskSource({name: _of_objects(of_frame[name]) for name in names}, tells_no_class=True)
+    there = require_most(names, [name for name in names if of_frame[name]], "mask", place, _FIX)
+    whole = of_most(there, lambda name: [whole_file(path) for path in of_frame[name].values()])
+    return MaskSource({name: _of_objects(of_frame[name]) for name in whole}, tells_no_class=True)
 
 
 def _read_map(path: Path) -> FoundMask:

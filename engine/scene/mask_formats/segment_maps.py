@@ -87,8 +87,8 @@ def _segments_info(path: Path) -> list[dict[str, Any]]:
 def _read_transformers(place: Path, names: Sequence[str]) -> MaskSource:
     """Open transformers' results; headers and JSON only. Raises PlgsError."""
     pictures, tables = _files(place, names)
-    segments = {name: _transformers_segments(name, tables[name]) for name in names}
-    fused = {one["label_id"] for name in names for one in _segments_info(tables[name]) if one.get("was_fused")}
+    segments = {name: _transformers_segments(name, tables[name]) for name in tables}
+    fused = {one["label_id"] for name in tables for one in _segments_info(tables[name]) if one.get("was_fused")}
     config = place / _CONFIG
     labels = _labels_of_config(config, fused) if config.is_file() else None
     return MaskSource(_masks(pictures, tables, segments), labels, stuff_in_pieces=True, void=frozenset())
@@ -97,11 +97,11 @@ def _read_transformers(place: Path, names: Sequence[str]) -> MaskSource:
 def _read_detectron2(place: Path, names: Sequence[str]) -> MaskSource:
     """Open detectron2's results; headers and JSON only. Raises PlgsError."""
     pictures, tables = _files(place, names)
-    infos = {name: _segments_info(tables[name]) for name in names}
+    infos = {name: _segments_info(table) for name, table in tables.items()}
     kinds: dict[int, bool] = {}
     segments: dict[str, dict[int, FoundSegment]] = {}
     apart = _counts_stuff_apart(infos, tables)
-    for name in names:
+    for name in infos:
         segments[name] = {}
         for info in infos[name]:
             one = _segment(info, "category_id", name, tables[name])
@@ -127,7 +127,8 @@ def _counts_stuff_apart(infos: Mapping[str, list[dict[str, Any]]], tables: Mappi
 
 def _files(place: Path, names: Sequence[str]) -> tuple[dict[str, Path], dict[str, Path]]:
     pictures = files_of_frames(place, names, SUFFIXES, "mask", _FIX)
-    return pictures, files_of_frames(place, names, {".json"}, "JSON of segments", _FIX)
+    tables = files_of_frames(place, list(pictures), {".json"}, "JSON of segments", _FIX)
+    return {name: pictures[name] for name in tables}, tables
 
 
 def _masks(

@@ -54,3 +54,39 @@ def test_points_lie_on_the_room(tmp_path: Path, corrected: bool) -> None:
     assert any("not optimised" in warning for warning in scene.warnings) is not corrected
     check_on_room(scene)
     assert not scene.frames[0].depth()[:5].any()
+
+
+def without_size(folder: Path, kind: str = "corrected_cameras", **other: float) -> None:
+    for path in (folder / "keyframes" / kind).iterdir():
+        entry = json.loads(path.read_text())
+        path.write_text(json.dumps({key: entry[key] for key in entry if key not in ("width", "height")} | other))
+
+
+@pytest.mark.parametrize("scale", [1, 2])
+def test_a_size_that_cameras_do_not_say_is_inferred(tmp_path: Path, scale: int) -> None:
+    """Newer exports have no width and height in corrected_cameras. Its numbers may be for larger pictures."""
+    write_polycam(tmp_path)
+    lens = LENS.scaled(scale)
+    numbers = {"fx": lens.fx, "fy": lens.fy, "cx": lens.cx, "cy": lens.cy}
+    without_size(tmp_path, **numbers)
+    without_size(tmp_path, "cameras", **numbers, width=128 * scale, height=96 * scale)
+    scene = open_scene(tmp_path)
+    check_on_room(scene)
+    assert any("6 cameras do not say their pictures' size" in warning for warning in scene.warnings)
+
+
+@pytest.mark.parametrize("kept", [3, 1, 0])
+def test_keyframes_that_were_not_optimised_are_counted(tmp_path: Path, kept: int) -> None:
+    """Their own cameras stand elsewhere, so they are no substitute, unless no keyframe was optimised."""
+    keyframes = write_polycam(tmp_path, corrected=kept > 0) / "keyframes"
+    names = sorted(path.stem for path in (keyframes / "cameras").iterdir())
+    for kind in ("cameras", "images"):
+        (keyframes / f"corrected_{kind}").mkdir(exist_ok=True)
+    for name in names[kept:] if kept else []:
+        (keyframes / "corrected_cameras" / f"{name}.json").unlink()
+        (keyframes / "corrected_images" / f"{name}.png").unlink()
+    scene = open_scene(tmp_path)
+    assert [frame.name for frame in scene.frames] == names[: kept or 6]
+    told = f"{6 - kept} of 6 keyframes are not in both corrected_cameras" if kept else "the poses were not optimised"
+    assert any(warning.startswith(told) for warning in scene.warnings)
+    check_on_room(scene)

@@ -112,6 +112,9 @@ def test_grounded_sam2_names_classes(tmp_path: Path) -> None:
 
 def test_frames_without_a_mask_are_named(tmp_path: Path) -> None:
     write_object_folders(tmp_path)
-    for number in ("007", "012"):
-        (tmp_path / "masks" / number / "0001.png").unlink()
-    refuses("a frame has no mask .0001.", tmp_path)
+    frames = len(open_scene(tmp_path).frames)
+    for name in [f"{number:04d}" for number in range(1, frames // 2 + 2)]:
+        assert len(open_scene(tmp_path).frames) == frames - int(name) + 1
+        for number in ("007", "012"):
+            (tmp_path / "masks" / number / f"{name}.png").unlink()
+    refuses(f"{frames // 2 + 1} of {frames} frames have no mask .0001, ", tmp_path)
