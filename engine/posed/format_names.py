@@ -37,6 +37,7 @@ SCENE_FORMAT_NAMES = (
     FormatName("polycam", "Polycam", "keyframes/cameras and keyframes/images"),
     FormatName("record3d", "Record3D .r3d", "a .r3d file, or metadata with the folder rgbd"),
     FormatName("stray", "Stray Scanner", "odometry.csv, camera_matrix.csv and rgb.mp4"),
+    FormatName("scanner-app", "3D Scanner App", "frame_00000.jpg and frame_00000.json with cameraPoseARFrame"),
     FormatName("scannetpp", "ScanNet++ iPhone", "iphone/pose_intrinsic_imu.json"),
     FormatName("hypersim", "Hypersim", "_detail/metadata_scene.csv and images/scene_cam_00_geometry_hdf5"),
     FormatName(

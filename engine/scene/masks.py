@@ -129,7 +129,14 @@ def open_masks(
     fuses = source.stuff_in_pieces or known.merges
     table = source.table if choice is None else "the class table"
     readers = {name: MaskReader(mask, known, source.void, fuses, table) for name, mask in source.masks.items()}
-    return MaskSet(known.classes, readers, source.warnings)
+    return MaskSet(known.classes, readers, (*source.warnings, *_named_otherwise(source.masks)))
+
+
+def _named_otherwise(masks: Mapping[str, StoredMask]) -> list[str]:
+    """A warning of masks whose files do not have their frames' names."""
+    places = {name: f"{mask.path.parent.name}/{mask.path.name}" for name, mask in masks.items()}
+    others = [f"{name} has {place}" for name, place in places.items() if name not in place]
+    return [f"masks have other names than their frames: {listed(others, 2)}"] if others else []
 
 
 def open_mask_source(place: Path, names: Sequence[str], mask_format: str | None = None) -> MaskSource:
