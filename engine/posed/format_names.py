@@ -50,6 +50,7 @@ MASK_FORMAT_NAMES = (
     FormatName("coco", "coco", "panoptic.json and the PNGs in panoptic"),
     FormatName("panoptic-lifting", "panoptic-lifting", "m2f_semantics and m2f_instance"),
     FormatName("grounded-sam2", "grounded-sam2", "mask_data/mask_<frame>.npy and json_data/mask_<frame>.json"),
+    FormatName("sam", "sam", "<frame>/metadata.csv with <frame>/<k>.png, as SAM's amg.py writes them"),
     FormatName("pairs", "pairs", "folders semantic and instance (or class, label-filt, semantic_class and theirs)"),
     FormatName("transformers", "transformers", "<frame>.json with label_id and <frame>.npy or .png"),
     FormatName("detectron2", "detectron2", "<frame>.json with category_id and <frame>.npy or .png"),

@@ -21,7 +21,7 @@ from ..posed.layout import files_by_stem, listed, require_all
 from ..posed.limits import depth_check
 from .depth import DepthMap, in_metres, read_depth_array
 from .frame import Frame, SparsePoints
-from .pixels import decode
+from .pixels import decode_depth
 
 LEAST_POINTS = 12
 """The least number of points that a frame must see to have depth."""
@@ -131,10 +131,7 @@ def read_map(path: Path) -> NDArray[Any]:
     """A map as it is stored, [H, W] of numbers. Raises PlgsError."""
     if path.suffix.lower() == ".npy":
         return read_depth_array(path)
-    values = decode(path, as_colour=False)
-    if values.ndim != 2:
-        raise PlgsError("a depth map must have one channel, not colours", path, _FIX)
-    return values
+    return decode_depth(path, _FIX)
 
 
 def with_estimated_depth(
@@ -146,10 +143,13 @@ def with_estimated_depth(
     """
     files = files_by_stem(folder, {".npy", ".png"}, _FIX)
     require_all([frame.name for frame in frames], files, "depth map", folder, _FIX)
+    has_points = points is not None and len(points) > 0
     for path in files.values():
-        if path.suffix.lower() == ".png":
-            read_image_header(path)
-    if points is None or not len(points):
+        bits = read_image_header(path).bit_depth if path.suffix.lower() == ".png" else 16
+        if bits < 16 and not has_points:
+            what = "a map of 8 bits holds no lengths, and there are no sparse points to fit it to"
+            raise PlgsError(what, path, "Give .png of 16 bits in millimetres or .npy in metres, or points of COLMAP.")
+    if points is None or not has_points:
         found = tuple(_with_depth(frame, files[frame.name], lambda path: in_metres(read_map(path))) for frame in frames)
         return found, ["there are no sparse points to fit depth to: maps are read as metres (.png: millimetres)"]
     kept, blind = [], []
