@@ -67,3 +67,5 @@ MASK_FORMAT_NAMES = (
 
 TABLES = ("coco", "ade20k", "cityscapes", "nyu40", "scannet200", "replica", "reduced")
 """The public tables of classes."""
+NUMBERINGS = ("ade20k:0-149", "ade20k:1-150", "cityscapes:0-18", "cityscapes:0-33", "coco:0-132", "coco:90")
+"""Tables whose files number classes in several ways, with the way: first that of networks, then the data set's own."""

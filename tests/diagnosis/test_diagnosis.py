@@ -185,6 +185,20 @@ def test_what_depth_and_poses_do_not_show_is_found(scene: Path, name: str) -> No
     assert wrong_in(diagnose(open_scene(scene))) == [*fault.causes]
 
 
+def test_a_room_whose_floor_is_called_tree_is_noted(scene: Path) -> None:
+    """ADE20K's numbers from 1, read as from 0: the wall is a building, the floor a tree, the ceiling a road."""
+    table = scene / "panoptic.json"
+    content = table.read_text()
+    for name, wrong in {"wall": "building", "floor": "tree", "ceiling": "road"}.items():
+        content = content.replace(f'"{name}"', f'"{wrong}"')
+    table.write_text(content)
+    found = [one for one in diagnose(open_scene(scene)).findings if one.cause == "class table"]
+    assert [(one.severity, one.text) for one in found] == [
+        ("note", "no class is a floor, and tree is level, seen from above")
+    ]  # fmt: skip
+    assert "--classes ade20k:1-150" in found[0].option
+
+
 def test_two_parts_that_do_not_fit_are_found() -> None:
     numbers = np.array([(k, k + step) for step in (1, 2, 3) for k in range(40 - step)])
     apart = (numbers[:, 0] < 23) & (numbers[:, 1] >= 23)
