@@ -61,7 +61,7 @@ MASK_FORMAT_NAMES = (
         "<frame>.npz with masks, classes and scores, or <frame>/<k>_<class>_<score>.png",
     ),  # fmt: skip
     FormatName("cryptomatte", "cryptomatte", "<frame>.exr with Cryptomatte"),
-    FormatName("object-index", "object-index", "<frame>.exr with the channel IndexOB"),
+    FormatName("object-index", "object-index", "<frame>.exr with the channel Object Index or IndexOB"),
     FormatName("arrays", "arrays", "<frame>.npy or .npz with classes [H, W], or with probabilities [C, H, W]"),
 )
 
