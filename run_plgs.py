@@ -117,6 +117,10 @@ def parse(arguments: Sequence[str]) -> argparse.Namespace:
     shot = parser.add_argument_group("with --bake camera", "Several processes may bake one lift, each its own frames.")
     shot.add_argument("--blend", type=Path, metavar="FILE.blend", help="has the camera (default: the lift's own)")
     shot.add_argument("--camera", default="", metavar="NAME", help="the camera (default: the file's active one)")
+    shot.add_argument("--shot", default="", metavar="NAME", help="the name of its files (default: the camera's)")
+    shot.add_argument(
+        "--replace", action="store_true", help="replace a shot of this name that comes from another file or camera"
+    )
     shot.add_argument(
         "--range", dest="camera_frames", type=frame_range, default=(None, None, None), metavar="FIRST-LAST[xSTEP]",
         help="such as 1-250 or 1-250x2 (default: the file's range)",
@@ -147,8 +151,10 @@ def parse(arguments: Sequence[str]) -> argparse.Namespace:
             parser.error(f"without SCENE nothing is lifted: leave out {', '.join(given)}, or name SCENE")
     elif options.scene is None:
         parser.error("SCENE is needed, unless --bake camera bakes from a finished lift")
-    elif options.blend or options.camera or options.layers or options.camera_frames != (None, None, None):
-        parser.error("--blend, --camera, --range and --layers belong to --bake camera")
+    elif any((options.blend, options.camera, options.shot, options.replace, options.layers)) or any(
+        each is not None for each in options.camera_frames
+    ):
+        parser.error("--blend, --camera, --shot, --replace, --range and --layers belong to --bake camera")
     return options
 
 
@@ -218,7 +224,8 @@ def bake_camera(lift: LiftFolder, blend: Path, options: argparse.Namespace, inte
     if options.blend is None and not blend.exists():
         build_blend(lift, blend)
     shot = options.camera, options.camera_frames, options.layers
-    code = bake_shot_in_terminal(lift, options.blend or blend, *shot, interrupts, options.echo)
+    named = {"name": options.shot, "replace": options.replace}
+    code = bake_shot_in_terminal(lift, options.blend or blend, *shot, interrupts, options.echo, **named)
     if code != ExitCode.FINISHED:
         return code
     return build_blend(lift, blend) if options.blend is None else code

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 import bpy
-from bpy.props import EnumProperty, IntProperty, StringProperty
+from bpy.props import BoolProperty, EnumProperty, IntProperty, StringProperty
 
 from ..plgs_blender import mattes
 from ..plgs_blender.compositing import show_compositor
@@ -81,20 +81,29 @@ class PLGS_OT_bake_camera(BakesFinishedLift, bpy.types.Operator):
         name="Step", options={"SKIP_SAVE"}, min=1, default=1, description="Not given: the scene's"
     )
 
+    shot: StringProperty(  # type: ignore[valid-type]
+        name="Shot", options={"SKIP_SAVE"}, description="The name of its files; empty: the camera's"
+    )
+    replace: BoolProperty(  # type: ignore[valid-type]
+        name="Replace",
+        options={"SKIP_SAVE"},
+        description="Replace a shot of this name that comes from another file or camera",
+    )
+
     _shot: ShotReader | None = None
     _timer: bpy.types.Timer | None = None
 
     def begin(self, context: bpy.types.Context) -> Task:
         shot = self._shot or self._begin_reading(context)
         shot.read_for(math.inf)  # all at once for a script
-        return lifting.bake_shot(context.scene, shot, self.lift_folder)
+        return lifting.bake_shot(context.scene, shot, self.lift_folder, replace=self.replace)
 
     def _begin_reading(self, context: bpy.types.Context) -> ShotReader:
         # Now, because another scene may be shown by the time the camera is read.
         self.lift_folder = str(lifting.lift_at(context.scene.plgs, self.lift_folder).path)
         names = ("frame_start", "frame_end", "frame_step")
         first, last, step = (getattr(self, name) if self.properties.is_property_set(name) else None for name in names)
-        return lifting.read_camera(context.scene, self.camera, (first, last, step))
+        return lifting.read_camera(context.scene, self.camera, (first, last, step), self.shot)
 
     @reporting_events
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:

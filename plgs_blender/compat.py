@@ -183,6 +183,20 @@ def add_keys(
         curve.update()
 
 
+def show_stored_colours(scene: bpy.types.Scene) -> None:
+    """Choose the view transform that only encodes colours for the display, as far as the OCIO configuration has one.
+
+    Blender's own is called Standard, that of ACES configurations Un-tone-mapped. Elsewhere the configuration's default
+    stays.
+    """
+    for name in ("Standard", "Un-tone-mapped"):
+        try:
+            scene.view_settings.view_transform = name
+        except TypeError:  # the configuration has no view transform of this name
+            continue
+        return
+
+
 def composite_without_gpu(scene: bpy.types.Scene) -> None:
     """Composite on the processor in full precision: ids stay whole, and computers without a GPU can do it."""
     scene.render.compositor_device = "CPU"

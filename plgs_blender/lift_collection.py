@@ -40,6 +40,11 @@ def overview_of(root: bpy.types.Collection) -> bpy.types.Object | None:
     return next((ob for ob in root.all_objects if key_of(ob, root[LIFT]) == "overview"), None)
 
 
+def is_placed(lift: Path, scene: bpy.types.Scene) -> bool:
+    """Whether the lift's result is in `scene`."""
+    return any(is_same_place(text_of(root, FOLDER), lift) for root in lifts_in(scene_to_fill(scene)))
+
+
 def root_of_placed(lift: Path, scene: bpy.types.Scene) -> bpy.types.Collection:
     """The collection of the lift that is placed in `scene`. Raises PlgsError."""
     for root in lifts_in(scene_to_fill(scene)):

@@ -9,13 +9,13 @@ import bpy
 from bpy.props import BoolProperty, CollectionProperty, IntProperty, PointerProperty, StringProperty
 
 from ..engine.errors import PlgsError
-from ..engine.posed.format_names import TABLES
+from ..engine.posed.format_names import NUMBERINGS, TABLES
 from .paths import absolute
 
 OWN_TABLE = "OWN"
 TABLE_ITEMS = [
     (OWN_TABLE, "The masks' own", "As their files say"),
-    *((name, name, f"Start from the classes of {name}") for name in TABLES),
+    *((name, name, f"Start from the classes of {name}") for name in (*TABLES, *NUMBERINGS)),
 ]
 
 

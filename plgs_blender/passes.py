@@ -134,7 +134,7 @@ def _fill_scene(
 def _new_scene(name: str) -> bpy.types.Scene:
     """A scene that only composites: no camera, nothing rendered, colours as they are."""
     scene = bpy.data.scenes.new(name)
-    scene.view_settings.view_transform = "Standard"
+    compat.show_stored_colours(scene)
     scene.render.use_compositing, scene.render.use_sequencer = True, False
     scene.render.image_settings.file_format = "PNG"
     compat.composite_without_gpu(scene)

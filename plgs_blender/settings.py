@@ -177,6 +177,12 @@ class PLGS_PG_settings(LiftOptions, bpy.types.PropertyGroup):
         name="Layers", items=_LAYERS, options={"ENUM_FLAG"},
         description="Layers that passes get in addition to colour, depth, class, instance, confidence and Cryptomatte",
     )  # fmt: skip
+    shot: StringProperty(  # type: ignore[valid-type]
+        name="Shot", description="The name of the files that a camera's passes get; empty: the camera's name"
+    )
+    replace_shot: BoolProperty(  # type: ignore[valid-type]
+        name="Replace", description="Replace a shot of this name that comes from another file or camera"
+    )
     place_when_done: BoolProperty(  # type: ignore[valid-type]
         name="Show when done", default=True, description="Put the result into this scene as soon as it is finished"
     )

@@ -17,13 +17,14 @@ from pathlib import Path
 import bpy
 
 from ..engine.errors import ErrorCode, PlgsError
-from ..engine.job import BakeCamera, ExitCode, LiftFolder
+from ..engine.job import BakeCamera, ExitCode, LiftFolder, write_atomically
 from ..engine.job.cameras import LARGEST_SIDE, PreviewCamera, safe_name, write_cameras
 from ..engine.job.follower import start_bake
 from ..engine.job.process import engine_python
 from ..engine.job.task import TaskState
 from ..engine.job.terminal import Interrupts, LiveLine, follow
 from ..engine.posed import Camera
+from ..engine.records import read_record, record_text
 from .frames import seen_by
 from .lift_scene import open_blend
 
@@ -35,12 +36,18 @@ _LISTED = 8
 
 @dataclass(frozen=True)
 class Shot:
-    """``camera`` from frame ``first`` to ``last``, every ``step``-th."""
+    """``camera`` from frame ``first`` to ``last``, every ``step``-th. Its files are named ``given``, else as the camera
+    is."""
 
     camera: bpy.types.Object
     first: int
     last: int
     step: int = 1
+    given: str = ""
+
+    @property
+    def name(self) -> str:
+        return safe_name(self.given or self.camera.name)
 
     @property
     def frames(self) -> range:
@@ -48,7 +55,12 @@ class Shot:
 
 
 def shot_of(
-    scene: bpy.types.Scene, camera: str = "", first: int | None = None, last: int | None = None, step: int | None = None
+    scene: bpy.types.Scene,
+    camera: str = "",
+    first: int | None = None,
+    last: int | None = None,
+    step: int | None = None,
+    given: str = "",
 ) -> Shot:
     """The camera of that name, or the scene's active one, over the range given or the scene's. Raises PlgsError."""
     ob = scene.objects.get(camera) if camera else scene.camera
@@ -60,6 +72,7 @@ def shot_of(
         scene.frame_start if first is None else first,
         scene.frame_end if last is None else last,
         scene.frame_step if step is None else step,
+        given,
     )
     fix = "Set the range in the Output properties: it must start at 0 or later, and end no earlier than it starts."
     if not shot.frames or shot.first < 0:
@@ -81,13 +94,39 @@ def _cameras_to_choose(scene: bpy.types.Scene, wanted: str) -> str:
     return f"Choose one of its cameras: {names}{more}."
 
 
-def write_shot(lift: Path, scene: bpy.types.Scene, shot: Shot) -> Path:
+def write_shot(lift: Path, scene: bpy.types.Scene, shot: Shot, *, replace: bool = False) -> Path:
     """Write the cameras that an engine bakes the shot from into the lift's folder, and return the file. Raises
     PlgsError, OSError.
     """
     reader = ShotReader(scene, shot)
     reader.read_for(math.inf)
-    return reader.write(lift)
+    return reader.write(lift, replace=replace)
+
+
+@dataclass(frozen=True)
+class ShotSource:
+    """Where a shot of a lift comes from: its ``camera`` in ``blend``. A file that was never saved is its Blender's."""
+
+    blend: str
+    camera: str
+
+
+def _claim(lift: Path, name: str, source: ShotSource, *, replace: bool) -> None:
+    """Note whose shot ``name`` is. Raises PlgsError if it is another file's or camera's, unless that is replaced."""
+    path, text = lift / "bake" / f"{name}.shot.json", record_text(source)
+    path.parent.mkdir(exist_ok=True)
+    try:
+        with path.open("x", encoding="utf-8") as file:
+            file.write(text)
+        return
+    except FileExistsError:
+        other = read_record(ShotSource, path, "Delete it, if no other file bakes a shot of this name.")
+    if other == source:
+        return
+    if not replace:
+        what = f"has a shot {name!r} of another file already: camera {other.camera!r} in {other.blend}"
+        raise PlgsError(what, lift, "Give this shot another name, or ask to replace the other one.", option="--shot")
+    write_atomically(path, text)
 
 
 def write_view(lift: Path, scene: bpy.types.Scene) -> Path:
@@ -115,7 +154,9 @@ class ShotReader:
         self._scene, self._camera, self._frames = scene.name, shot.camera.name, shot.frames
         self._read: list[BakeCamera] = []
         self._first, self._last = min(shot.first, scene.frame_start), max(shot.last, scene.frame_end)
-        self._file = f"{safe_name(shot.camera.name)}.{shot.first}-{shot.last}x{shot.step}.json"
+        self._shot = shot.name
+        self._source = ShotSource(bpy.data.filepath or bpy.app.tempdir, shot.camera.name)
+        self._file = f"{shot.name}.{shot.first}-{shot.last}x{shot.step}.json"
         self._stands_still: bool | None = None
 
     @property
@@ -150,7 +191,7 @@ class ShotReader:
         return is_done
 
     def _name(self, frame: int) -> str:
-        return f"{safe_name(self._camera)}.{frame:0{DIGITS}d}"
+        return f"{self._shot}.{frame:0{DIGITS}d}"
 
     def _stands_still_in(self, scene: bpy.types.Scene, ob: bpy.types.Object) -> bool:
         """Frames outside of those that were read are looked at until one shows something else."""
@@ -158,8 +199,12 @@ class ShotReader:
         others = (frame for frame in range(self._first, self._last + 1) if frame not in self._frames)
         return len(seen) == 1 and all(_camera_at(scene, ob, frame, "").fingerprint in seen for frame in others)
 
-    def write(self, lift: Path) -> Path:
+    def write(self, lift: Path, *, replace: bool = False) -> Path:
         """As `write_shot`, once all frames are read."""
+        source = self._source
+        if Path(source.blend).parent == lift:  # so that the lift's own file stays its own where the folder is moved
+            source = ShotSource(Path(source.blend).name, source.camera)
+        _claim(lift, self._shot, source, replace=replace)
         file = lift / "bake" / self._file
         write_cameras(file, self.cameras)
         return file
@@ -215,15 +260,19 @@ def bake_shot_in_terminal(
     layers: Sequence[str],
     interrupts: Interrupts,
     echo: int | None = None,
+    *,
+    name: str = "",
+    replace: bool = False,
 ) -> ExitCode:
     """Bake what a camera of ``blend`` sees of a finished lift over ``frames`` (first, last, step; None: the file's),
     with these of FURTHER_LAYERS, progress on stderr and events on the descriptor ``echo``. The file is only read.
+    ``name`` is the shot's; with ``replace`` it may be that of another file's shot.
 
     Raises PlgsError, and Interrupted after Ctrl-C, when the engine has ended.
     """
     python = engine_python()
     scene = open_blend(blend.absolute(), lift.path, named_by="--blend")
-    cameras = write_shot(lift.path, scene, shot_of(scene, camera, *frames))
+    cameras = write_shot(lift.path, scene, shot_of(scene, camera, *frames, given=name), replace=replace)
     with interrupts.deferred():
         while True:
             follower = start_bake(lift, python, cameras=cameras, layers=layers)

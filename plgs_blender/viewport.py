@@ -16,7 +16,7 @@ from mathutils import Quaternion, Vector
 from numpy.typing import NDArray
 
 from .cameras import OVERVIEW_SIZE
-from .compat import composite_without_gpu, use_nodes
+from .compat import composite_without_gpu, show_stored_colours, use_nodes
 
 _VIEW_SENSOR = 72.0
 """Width of a 3D view's sensor in millimetres: twice that of a camera."""
@@ -31,7 +31,7 @@ def start_file() -> bpy.types.Scene:
     bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
     scene = bpy.context.scene
     scene.unit_settings.system, scene.unit_settings.length_unit = "METRIC", "METERS"
-    scene.view_settings.view_transform = "Standard"
+    show_stored_colours(scene)
     scene.render.engine = "CYCLES"
     scene.cycles.samples, scene.cycles.use_denoising, scene.cycles.max_bounces = 16, False, 0
     scene.render.resolution_x, scene.render.resolution_y = OVERVIEW_SIZE

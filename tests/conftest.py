@@ -32,11 +32,6 @@ def load_package(root: Path, name: str) -> ModuleType:
 
 
 sys.path.insert(0, str(ROOT))
-# torch reads these when it is imported, also in engines that tests start. Threads that spin while they wait, or more of
-# them than cores, make a tiny lift beside another test take two to six times as long.
-os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
-if "PYTEST_XDIST_WORKER" in os.environ:
-    os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 _exit_codes: list[int] = []
 _END_S = 120.0
@@ -70,8 +65,11 @@ settings.register_profile("same", derandomize=True, deadline=None, database=None
 settings.register_profile("search", deadline=None, database=None, suppress_health_check=_busy, print_blob=True)
 settings.load_profile("same")
 
-# As the engine's command has it: threads that wait do not spin. Read when torch is first imported.
+# As the engine's command has it: threads that wait do not spin. Read when torch is first imported. Beside another
+# worker's test one thread does a tiny lift in 19 s, and two on shared cores in 32.
 os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
+if "PYTEST_XDIST_WORKER" in os.environ:
+    os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 # Nobody's list of lifts, nobody's measured speed: what a test runs as an engine takes this folder too.
 os.environ["PLGS_CACHE_DIR"] = tempfile.mkdtemp(prefix="plgs-cache-")

@@ -119,6 +119,7 @@ ENGINE_MAY_IMPORT: dict[str, set[str]] = {
 EXTENSION_MAY_IMPORT: dict[str, set[str]] = {
     "plgs_blender": {
         "engine.errors",
+        "engine.records",
         "engine.presets",
         "engine.scene_source",
         "engine.job",

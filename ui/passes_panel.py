@@ -31,7 +31,11 @@ class PLGS_PT_passes(Step, bpy.types.Panel):
             ("active", "Bake the Active Camera's Frame"),
         ):
             column.operator("plgs.bake_passes", text=label, icon="RENDERLAYERS").frames = frames
-        column.operator("plgs.bake_camera", icon="CAMERA_DATA")
+        row = column.row(align=True)
+        row.prop(context.scene.plgs, "shot")
+        row.prop(context.scene.plgs, "replace_shot", toggle=True)
+        bake = column.operator("plgs.bake_camera", icon="CAMERA_DATA")
+        bake.shot, bake.replace = context.scene.plgs.shot, context.scene.plgs.replace_shot
         column.operator("plgs.bake_on_farm", icon="NETWORK_DRIVE")
         _draw_cost(column, context.scene)
         if baking is not None:

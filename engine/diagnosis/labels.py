@@ -23,6 +23,9 @@ _FEWEST_POINTS = 100
 _UNRELATED = 0.5
 _FOREIGN, _PROBABLY_FOREIGN = 0.25, 0.35
 """Shares of the median agreement beyond chance. A foreign mask also reaches some: floors are low in all pictures."""
+_LESS = 0.25
+"""A foreign mask is also this much below the median. Where masks have one class, or one has nearly all points, even
+foreign ones agree, and nothing is told of them."""
 _CONFUSED, _CONFUSED_SHARE = 0.25, 0.01
 """A class is contradicted if another class takes this share of its points, and this share of all points."""
 
@@ -41,6 +44,12 @@ class LabelAgreement(NamedTuple):
     def share(self) -> float:
         """The share of all points named by both views to which both give the same name."""
         return float(np.trace(self.counts) / max(self.counts.sum(), 1.0))
+
+    @property
+    def middle(self) -> float:
+        """The median of the looks' shares, 0 where there are too few points of each."""
+        shares = self.by_look[np.isfinite(self.by_look)]
+        return float(np.median(shares)) if len(shares) else 0.0
 
     @property
     def chance(self) -> float:
@@ -88,10 +97,16 @@ def label_findings(examined: Examined, assumed: Assumption) -> list[Finding]:
         return []
     if labels.share < _UNRELATED:
         return [_unrelated_masks(examined, labels)]
-    middle = float(np.nanmedian(labels.by_look))
+    odd = odd_looks(labels)
+    return [*([_odd_masks(examined, labels, odd)] if odd else []), *_confused_classes(examined, labels)]
+
+
+def odd_looks(labels: LabelAgreement) -> list[int]:
+    """The looks whose masks agree little more with the others' than by chance, where most agree well."""
+    middle = labels.middle
     kept = (labels.by_look - labels.chance) / max(middle - labels.chance, 1e-6)
-    odd = [] if not (kept < _FOREIGN).any() else np.flatnonzero(kept < _PROBABLY_FOREIGN).tolist()
-    return [*([_odd_masks(examined, labels, odd, middle)] if odd else []), *_confused_classes(examined, labels)]
+    kept[~(labels.by_look < middle - _LESS)] = 1.0
+    return np.flatnonzero(kept < _PROBABLY_FOREIGN).tolist() if (kept < _FOREIGN).any() else []
 
 
 def _unrelated_masks(examined: Examined, labels: LabelAgreement) -> Finding:
@@ -105,16 +120,16 @@ def _unrelated_masks(examined: Examined, labels: LabelAgreement) -> Finding:
     )
 
 
-def _odd_masks(examined: Examined, labels: LabelAgreement, rows: list[int], middle: float) -> Finding:
+def _odd_masks(examined: Examined, labels: LabelAgreement, rows: list[int]) -> Finding:
     names = tuple(examined.name(row) for row in rows)
     worst = float(min(labels.by_look[row] for row in rows))
     return Finding(
         cause="contradicting masks",
         severity="wrong",
         text=f"the masks of {listed(names)} contradict those of the other views: {worst:.0%} of their points have the "
-        f"same class there; the median of all frames is {middle:.0%}",
+        f"same class there; the median of all frames is {labels.middle:.0%}",
         option="check that these masks belong to these frames, or leave the frames out with a splits.json",
-        figures={"share": worst, "middle": middle},
+        figures={"share": worst, "middle": labels.middle},
         frames=names,
         picture=_masks_shown(examined, [max(rows[0] - 1, 0), rows[0]]),
     )
@@ -125,8 +140,9 @@ def _confused_classes(examined: Examined, labels: LabelAgreement) -> list[Findin
     total = labels.counts.sum()
     found = []
     for row, column in zip(*np.nonzero(labels.counts), strict=True):
-        part = float(labels.counts[row, column] / labels.counts[row].sum())
-        is_much = labels.counts[row, column] > _CONFUSED_SHARE * total
+        seen = float(labels.counts[row].sum())
+        part = float(labels.counts[row, column]) / seen
+        is_much = labels.counts[row, column] > _CONFUSED_SHARE * total and seen >= _FEWEST_POINTS
         if row != column and part > _CONFUSED and is_much:
             ids = [labels.class_ids[each] for each in (row, column)]
             one, other = (examined.scene.classes[each].name for each in ids)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import struct
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,36 +22,53 @@ _MOST_NUMBERS = 2**30
 _MOST_PARTS = 1024
 _TILED, _DEEP, _PARTS = 0x200, 0x800, 0x1000
 """Flags of the version."""
-_HALF = 1
-"""The kind of a channel of half floats."""
+_HALF, _FLOAT = 1, 2
+"""Kinds of channels: half floats, and floats of 32 bits."""
+_PXR24, _B44, _DWA = {5}, {6, 7}, {8, 9}
+"""Compressions that lose bits: of floats, of half floats, and of colours."""
+_BARE = {*"rgbaxyzvuw", "red", "green", "blue", "alpha"}
+"""Names of channels that leave the layer's name to their part."""
 _FIX = "Write this file again."
 
 
 @dataclass(frozen=True)
-class ExrHeader:
-    """The header of a file's first part.
+class ExrChannel:
+    """A channel: the number of its ``part``, its ``name`` there, and its ``first`` stored pixel (x, y) in the picture.
 
-    ``size`` is (width, height) of the whole picture, ``first`` the first stored pixel (x, y). ``texts`` are attributes
-    whose names have a slash, such as Cryptomatte's. ``numbers`` counts the numbers in all parts.
+    Whole numbers below ``exact`` are as they were written; ``is_float`` says whether it has floats of 32 bits.
+    """
+
+    part: int
+    name: str
+    first: tuple[int, int]
+    is_float: bool
+    exact: int
+
+
+@dataclass(frozen=True)
+class ExrHeader:
+    """The headers of all parts of a file.
+
+    ``size`` is (width, height) of the whole picture. ``channels`` are known by the layer's name and their own; a part
+    is named after its layer. ``texts`` are attributes whose names have a slash, such as Cryptomatte's. ``numbers``
+    counts the numbers in all ``parts``, ``views`` are those of a stereo picture in parts.
     """
 
     size: Size
-    first: tuple[int, int]
-    channels: tuple[str, ...]
-    texts: dict[str, str]
+    channels: Mapping[str, ExrChannel]
+    texts: Mapping[str, str]
     numbers: int = 0
+    views: tuple[str, ...] = ()
+    parts: int = 1
 
 
 def read_exr_header(path: Path) -> ExrHeader:
     """The header of a file; all parts are checked. Raises PlgsError."""
     parts = _parts_of(path)
     try:
-        found = parts[0]
-        left, top, right, bottom = struct.unpack("<4i", found["displayWindow"])
-        x, y, *_ = struct.unpack("<4i", found["dataWindow"])
-        channels = _channel_names(found["channels"])
-        texts = {name: value.decode("utf-8", "replace") for name, value in found.items() if name.find("/") > 0}
-        stored = [(*_stored_size(part), len(_channel_names(part["channels"]))) for part in parts]
+        left, top, right, bottom = struct.unpack("<4i", parts[0]["displayWindow"])
+        channels = _named_channels(parts, (left, top))
+        stored = [(*_stored_size(part), len([*_channels(part["channels"])])) for part in parts]
     except (KeyError, ValueError, IndexError, struct.error) as error:
         raise PlgsError("the OpenEXR header is cut off or makes no sense", path, _FIX) from error
     size = (right - left + 1, bottom - top + 1)
@@ -62,7 +79,50 @@ def read_exr_header(path: Path) -> ExrHeader:
     if numbers > _MOST_NUMBERS:
         count = sum(one[2] for one in stored)
         raise PlgsError(f"{count} channels are too many to read", path, "Write only the masks' channels.")
-    return ExrHeader(size, (x - left, y - top), channels, texts, numbers)
+    views = tuple(dict.fromkeys(_text(part["view"]) for part in parts if "view" in part))
+    return ExrHeader(size, channels, _texts(parts), numbers, views, len(parts))
+
+
+def _named_channels(parts: Sequence[Mapping[str, bytes]], corner: tuple[int, int]) -> dict[str, ExrChannel]:
+    """Of several channels of one name, such as those of two views, the first. Raises what `_parts` does, KeyError."""
+    found: dict[str, ExrChannel] = {}
+    for number, part in enumerate(parts):
+        x, y, *_ = struct.unpack("<4i", part["dataWindow"])
+        for name, kind in _channels(part["channels"]):
+            exact = _exact(kind, name, part["compression"][0])
+            channel = ExrChannel(number, name, (x - corner[0], y - corner[1]), kind == _FLOAT, exact)
+            is_bare = name.casefold() in _BARE
+            if number == 0 or not is_bare:
+                found.setdefault(name, channel)
+            if is_bare and "name" in part:
+                found.setdefault(f"{_text(part['name'])}.{name}", channel)
+    return found
+
+
+def _exact(kind: int, name: str, compression: int) -> int:
+    """Whole numbers below this are kept in a channel."""
+    if (compression in _DWA and name.rpartition(".")[2] in {"R", "G", "B", "Y"}) or (
+        compression in _B44 and kind == _HALF
+    ):
+        return 0
+    if kind == _HALF:
+        return 2**11
+    return 2**16 if compression in _PXR24 and kind == _FLOAT else 2**32
+
+
+def _texts(parts: Sequence[Mapping[str, bytes]]) -> dict[str, str]:
+    """The texts of all parts. Where a part says something else by a name that was there before, its number is added."""
+    found: dict[str, str] = {}
+    for number, part in enumerate(parts):
+        texts = {name: _text(value) for name, value in part.items() if name.find("/") > 0}
+        if any(found.get(name, text) != text for name, text in texts.items()):
+            texts = {name.replace("/", f"/{number}.", 1): text for name, text in texts.items()}
+        found |= texts
+    return found
+
+
+def _text(value: bytes) -> str:
+    return value.decode("utf-8", "replace")
 
 
 def _parts_of(path: Path) -> list[dict[str, bytes]]:
@@ -112,7 +172,7 @@ def _attributes(data: bytes, position: int) -> tuple[dict[str, bytes], int]:
     found = {}
     while data[position] != 0:
         name_end, start, end = _attribute(data, position)
-        found[data[position:name_end].decode("utf-8", "replace")] = data[start:end]
+        found[_text(data[position:name_end])] = data[start:end]
         position = end
     return found, position + 1
 
@@ -141,7 +201,7 @@ def one_pixel_of(path: Path) -> bytes:
     header, position = data[:8], 8
     while data[position] != 0:
         name_end, start, end = _attribute(data, position)
-        value = black.get(data[position:name_end].decode("utf-8", "replace"), data[start:end])
+        value = black.get(_text(data[position:name_end]), data[start:end])
         header += data[position : start - 4] + struct.pack("<i", len(value)) + value
         position = end
     width = sum(2 if kind == _HALF else 4 for _, kind in _channels(parts[0]["channels"]))
@@ -149,14 +209,10 @@ def one_pixel_of(path: Path) -> bytes:
     return header + b"\0" + line
 
 
-def _channel_names(data: bytes) -> tuple[str, ...]:
-    return tuple(name for name, _ in _channels(data))
-
-
 def _channels(data: bytes) -> Iterator[tuple[str, int]]:
     """Names and kinds of channels."""
     position = 0
     while data[position] != 0:
         end = data.index(b"\0", position)
-        yield data[position:end].decode("utf-8", "replace"), data[end + 1]
+        yield _text(data[position:end]), data[end + 1]
         position = end + 17

@@ -37,6 +37,7 @@ SCENE_FORMAT_NAMES = (
     FormatName("polycam", "Polycam", "keyframes/cameras and keyframes/images"),
     FormatName("record3d", "Record3D .r3d", "a .r3d file, or metadata with the folder rgbd"),
     FormatName("stray", "Stray Scanner", "odometry.csv, camera_matrix.csv and rgb.mp4"),
+    FormatName("scanner-app", "3D Scanner App", "frame_00000.jpg and frame_00000.json with cameraPoseARFrame"),
     FormatName("scannetpp", "ScanNet++ iPhone", "iphone/pose_intrinsic_imu.json"),
     FormatName("hypersim", "Hypersim", "_detail/metadata_scene.csv and images/scene_cam_00_geometry_hdf5"),
     FormatName(
@@ -49,6 +50,7 @@ MASK_FORMAT_NAMES = (
     FormatName("coco", "coco", "panoptic.json and the PNGs in panoptic"),
     FormatName("panoptic-lifting", "panoptic-lifting", "m2f_semantics and m2f_instance"),
     FormatName("grounded-sam2", "grounded-sam2", "mask_data/mask_<frame>.npy and json_data/mask_<frame>.json"),
+    FormatName("sam", "sam", "<frame>/metadata.csv with <frame>/<k>.png, as SAM's amg.py writes them"),
     FormatName("pairs", "pairs", "folders semantic and instance (or class, label-filt, semantic_class and theirs)"),
     FormatName("transformers", "transformers", "<frame>.json with label_id and <frame>.npy or .png"),
     FormatName("detectron2", "detectron2", "<frame>.json with category_id and <frame>.npy or .png"),
@@ -59,9 +61,11 @@ MASK_FORMAT_NAMES = (
         "<frame>.npz with masks, classes and scores, or <frame>/<k>_<class>_<score>.png",
     ),  # fmt: skip
     FormatName("cryptomatte", "cryptomatte", "<frame>.exr with Cryptomatte"),
-    FormatName("object-index", "object-index", "<frame>.exr with the channel IndexOB"),
+    FormatName("object-index", "object-index", "<frame>.exr with the channel Object Index or IndexOB"),
     FormatName("arrays", "arrays", "<frame>.npy or .npz with classes [H, W], or with probabilities [C, H, W]"),
 )
 
 TABLES = ("coco", "ade20k", "cityscapes", "nyu40", "scannet200", "replica", "reduced")
 """The public tables of classes."""
+NUMBERINGS = ("ade20k:0-149", "ade20k:1-150", "cityscapes:0-18", "cityscapes:0-33", "coco:0-132", "coco:90")
+"""Tables whose files number classes in several ways, with the way: first that of networks, then the data set's own."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -26,6 +27,7 @@ def read_matrix(path: Path, shapes: tuple[tuple[int, int], ...]) -> NDArray[np.f
     """Read a matrix of one of ``shapes`` from text; it may hold inf, never NaN. Raises PlgsError."""
     wanted = " or ".join(f"{rows}x{columns}" for rows, columns in shapes)
     text = read_text(path, _MOST_BYTES, f"Write {wanted} numbers.").replace(",", " ")
+    text = re.sub(r"1\.#INF0*", "inf", text)  # as programs of Visual C++ before 2015 wrote it
     lines = [words for line in text.splitlines() if (words := line.split())]
     if not lines:
         raise PlgsError("the file is empty", path, f"Write {wanted} numbers.")
@@ -126,12 +128,16 @@ def _is_orthogonal(rotation: NDArray[np.float64]) -> bool:
 
 
 def read_intrinsics(path: Path, size: Size) -> Camera:
-    """Read K (3x3 or 4x4, integer pixel centres) of a ``size`` picture: a camera at the origin, centres at +0.5.
+    """Read K (3x3 or 4x4) of a ``size`` picture, see ``as_lens``. Raises PlgsError."""
+    return as_lens(read_matrix(path, ((3, 3), (4, 4), (3, 4))), size, path)
+
+
+def as_lens(matrix: NDArray[np.float64], size: Size, path: Path) -> Camera:
+    """A camera at the origin, centres at +0.5, from K (integer pixel centres) of a ``size`` picture, out of ``path``.
 
     Raises PlgsError for numbers that no camera has.
     """
-    matrix = read_matrix(path, ((3, 3), (4, 4), (3, 4)))
-    if np.isinf(matrix).any():
+    if not np.isfinite(matrix).all():
         raise PlgsError("there is an inf", path, "Write the camera's fx, fy, cx and cy in pixels.")
     (fx, skew, cx), (row, fy, cy), last = matrix[0, :3], matrix[1, :3], matrix[2, :3]
     if fx <= 0.0 or fy <= 0.0 or not np.allclose(last, [0.0, 0.0, 1.0]):

@@ -15,10 +15,10 @@ from typing import Any
 from ..errors import PlgsError
 from ..job import EventWriter, StopSignal
 from ..json_file import Json, read_object, to_line
-from ..posed.layout import files_if_any
+from ..posed.layout import files_if_any, listed
 from ..scene.formats import FORMATS
 from ..scene.formats.colmap_model import MADE_BY, read_model
-from ..scene.formats.photos import LEAST, SUFFIXES, is_film, photos_in
+from ..scene.formats.photos import LEAST, is_film, photos_in, sorted_out
 from .film import write_pictures
 from .mapping import colmap, map_photos
 from .scale import metres_per_length
@@ -83,7 +83,10 @@ def make_poses(place: Path, events: EventWriter, stop: StopSignal, pictures: int
 
 
 def _map(folder: Path, photos: Path, events: EventWriter, stop: StopSignal) -> Made:
-    names = sorted(path.name for path in photos.iterdir() if path.suffix.lower() in SUFFIXES)
+    names, others = sorted_out(photos)
+    if others:
+        what = "show depth or confidence by their names or as grey PNGs of 16 bits"
+        events.warning(f"{len(others)} pictures are left out, as they {what}: {listed(others)}.")
     with tempfile.TemporaryDirectory(prefix=".poses-", dir=folder) as workplace:
         model = map_photos(photos, names, Path(workplace), events, stop)
         if model is None or model.num_reg_images() < max(LEAST, _LEAST_SHARE * len(names)):

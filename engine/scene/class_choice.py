@@ -1,6 +1,6 @@
 """The user's choice of the masks' classes: a small TOML file, ``classes.toml`` beside the masks or a named one.
 
-table = "coco"        # the table of the masks' numbers, if their files have none: one of ``TABLES``
+table = "coco"        # the table of the masks' numbers, if their files have none: one of ``TABLES`` or ``NUMBERINGS``
 to = "reduced"        # turn the classes into the paper's 21
 void = [255]          # numbers that mean nothing
 
@@ -24,10 +24,11 @@ from ..errors import PlgsError
 from ..posed.classes import LARGEST_CLASS_ID, ClassLabel
 from ..posed.layout import read_file, shown
 from ..records import record_of
-from .class_tables import REDUCED, TABLES, known_table
+from .class_tables import NUMBERINGS, REDUCED, TABLES, known_table
 
 FILE_NAME = "classes.toml"
 _LARGEST_FILE = 2**20
+_NAMES = (*TABLES, *NUMBERINGS)
 
 
 @dataclass(frozen=True)
@@ -79,10 +80,10 @@ def find_class_choice(named: str | None, beside: Path) -> ClassChoice | None:
     if named is None:
         path = beside / FILE_NAME
         return read_class_choice(path) if path.is_file() else None
-    if named in TABLES:
+    if named in _NAMES:
         return ClassChoice(table=named)
     if not named.endswith(".toml"):
-        fix = f"Name a .toml file, or one of {', '.join(TABLES)}."
+        fix = f"Name a .toml file, or one of {', '.join(_NAMES)}."
         raise PlgsError("there is no such table of classes", shown(named), fix)
     return read_class_choice(Path(named))
 
@@ -98,8 +99,8 @@ def read_class_choice(path: Path) -> ClassChoice:
     if not isinstance(rows, list) or not all(isinstance(row, dict) for row in rows):
         raise PlgsError('"class" is not a list of tables', path, "Begin each with [[class]].")
     said = record_of(_Content, content, path, "Correct it.")
-    if said.table is not None and said.table not in TABLES:
-        raise PlgsError(f"the table {said.table!r} is not known"[:90], path, f"Choose one of {', '.join(TABLES)}.")
+    if said.table is not None and said.table not in _NAMES:
+        raise PlgsError(f"the table {said.table!r} is not known"[:90], path, f"Choose one of {', '.join(_NAMES)}.")
     chosen = (record_of(ClassRow, row, path, "Correct it.", f"class[{n}]") for n, row in enumerate(rows))
     return ClassChoice(path, said.table, said.to is not None, frozenset(said.void), tuple(chosen))
 

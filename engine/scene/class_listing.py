@@ -13,8 +13,8 @@ from ..records import record_of
 from ..scene_source import SceneSource
 from .class_choice import FILE_NAME, class_choice_text, find_class_choice
 from .class_map import NamedClass, choice_of, named_classes
-from .class_tables import known_table
 from .masks import mask_place, no_masks, open_mask_source
+from .numbering import numbered
 from .opening import open_asked
 
 _AGAIN = "Read the classes again."
@@ -39,11 +39,12 @@ def list_classes(source: SceneSource, table: str | None = None) -> ClassList:
     """
     path = class_list_path(source.scene, source.masks)
     scene = open_asked(replace(source, up="z", classes=table))
-    if table is not None:
-        return ClassList(path, tuple(named_classes(known_table(table).labels, None)))
-    choice = find_class_choice(None, path.parent)
-    names = [frame.name for frame in scene.frames]
-    labels = open_mask_source(_place_of_masks(source.scene, source.masks), names, source.mask_format).labels or ()
+    place, names = _place_of_masks(source.scene, source.masks), [frame.name for frame in scene.frames]
+    masks = open_mask_source(place, names, source.mask_format)
+    masks, choice, _ = numbered(masks, find_class_choice(table, path.parent), place)
+    if table is not None and choice is not None:
+        return ClassList(path, tuple(named_classes(choice.labels or (), None)))
+    labels = masks.labels or ()
     void = () if choice is None else tuple(sorted(choice.void))
     has_any = labels or (choice is not None and (choice.rows or choice.labels))
     return ClassList(path, tuple(named_classes(labels, choice)) if has_any else (), void)

@@ -57,7 +57,7 @@ def class_map(labels: Sequence[ClassLabel] | None, choice: ClassChoice | None, w
         final, class_of = _reduced(own, into, choice)
     else:
         final, class_of = _merged(own, into)
-    for number in choice.void:
+    for number in {*choice.void, *(() if choice.table is None else known_table(choice.table).void - own.keys())}:
         class_of[number] = VOID
     others = None
     if objects:

@@ -19,9 +19,10 @@ from ..posed.image_header import read_image_header
 from ..posed.layout import files_by_stem, require_most, same_shape, shown_size, whole_file
 from ..posed.matrices import read_intrinsics
 from .frame import Size
-from .pixels import Alignment, decode, decode_single_channel, resize_aligned
+from .pixels import Alignment, decode_depth, decode_single_channel, resize_aligned
 
 MILLIMETRES = 0.001
+_PNG_FIX = "Save millimetres as a 16-bit grey PNG."
 _NEARLY_ALIGNED = 0.15
 """Share of the picture by which the lenses of one sensor's colour and depth may differ at most."""
 
@@ -73,9 +74,9 @@ def fault_of(path: Path) -> PlgsError | None:
 
 
 def _read_png(path: Path, unit: float, none_from: int) -> NDArray[np.float32]:
-    steps = decode(path, as_colour=False)
-    if steps.ndim != 2 or steps.dtype != np.uint16:
-        raise PlgsError("depth is not a 16-bit grey PNG", path, "Save millimetres with 16 bits.")
+    steps = decode_depth(path, _PNG_FIX)
+    if steps.dtype != np.uint16:
+        raise PlgsError("depth is not a 16-bit grey PNG", path, _PNG_FIX)
     if none_from < 65536:
         steps[steps >= none_from] = 0
     return steps * np.float32(unit)
@@ -84,10 +85,11 @@ def _read_png(path: Path, unit: float, none_from: int) -> NDArray[np.float32]:
 def check_depth_header(path: Path, lens: Camera) -> Size:
     """The size of a depth image for the colour camera ``lens``. Raises PlgsError unless it is a 16-bit grey PNG."""
     header = read_image_header(path)
-    if header.format != "png" or header.channels != 1 or header.palette:
-        raise PlgsError("depth is not a grey PNG", path, "Save millimetres as a 16-bit grey PNG.")
+    is_grey = header.channels == 1 or (header.channels == 3 and header.bit_depth == 16)  # see ``decode_depth``
+    if header.format != "png" or not is_grey or header.palette:
+        raise PlgsError("depth is not a grey PNG", path, _PNG_FIX)
     if header.bit_depth != 16:
-        raise PlgsError(f"depth has {header.bit_depth} bits, not 16", path, "Save millimetres as a 16-bit grey PNG.")
+        raise PlgsError(f"depth has {header.bit_depth} bits, not 16", path, _PNG_FIX)
     if not same_shape(header.size, lens.size):
         what = f"depth of {shown_size(header.size)} does not fit the colour of {shown_size(lens.size)}"
         raise PlgsError(what, path, "Bring depth to the colour images' aspect ratio.")

@@ -16,12 +16,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import PlgsError
+from ..posed.image_header import read_image_header
 from ..posed.layout import files_of_frames, listed
 from ..posed.limits import depth_check
 from ..posed.plain_folders import left_out_warning
 from .depth import DepthMap, in_metres, read_depth_array
 from .frame import Frame, SparsePoints
-from .pixels import decode
+from .pixels import decode_depth
 
 LEAST_POINTS = 12
 """The least number of points that a frame must see to have depth."""
@@ -131,10 +132,7 @@ def read_map(path: Path) -> NDArray[Any]:
     """A map as it is stored, [H, W] of numbers. Raises PlgsError."""
     if path.suffix.lower() == ".npy":
         return read_depth_array(path)
-    values = decode(path, as_colour=False)
-    if values.ndim != 2:
-        raise PlgsError("a depth map must have one channel, not colours", path, _FIX)
-    return values
+    return decode_depth(path, _FIX)
 
 
 def with_estimated_depth(
@@ -145,10 +143,16 @@ def with_estimated_depth(
     Maps are read on demand. Raises PlgsError when a map is missing, or no frame is left.
     """
     files = files_of_frames(folder, [frame.name for frame in frames], {".npy", ".png"}, "depth map", _FIX)
+    has_points = points is not None and len(points) > 0
+    for path in files.values():
+        bits = read_image_header(path).bit_depth if path.suffix.lower() == ".png" else 16
+        if bits < 16 and not has_points:
+            what = "a map of 8 bits holds no lengths, and there are no sparse points to fit it to"
+            raise PlgsError(what, path, "Give .png of 16 bits in millimetres or .npy in metres, or points of COLMAP.")
     without = [frame.name for frame in frames if frame.name not in files]
     notes = [left_out_warning(without, "a readable depth map")] if without else []
     frames = [frame for frame in frames if frame.name in files]
-    if points is None or not len(points):
+    if points is None or not has_points:
         found = tuple(_with_depth(frame, files[frame.name], lambda path: in_metres(read_map(path))) for frame in frames)
         notes.append("there are no sparse points to fit depth to: maps are read as metres (.png: millimetres)")
         return found, notes

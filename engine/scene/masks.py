@@ -15,6 +15,7 @@ from .class_choice import FILE_NAME, find_class_choice
 from .class_map import ClassMap, class_map
 from .frame import PanopticMask, Segment, Size
 from .mask_formats import MASK_FORMATS, FoundSegment, MaskSource, StoredMask, find_mask_format
+from .numbering import numbered, other_numberings
 from .pixels import resize_nearest
 
 MASK_FOLDER = "masks"
@@ -32,7 +33,7 @@ class MaskReader:
     """Reads one frame's mask and gives its segments the classes of ``known``.
 
     Labels in ``void`` mean nothing unless the table has them. ``fuses`` joins stuff of one class into one segment.
-    ``table`` is what messages call the classes' table.
+    ``table`` is what messages call the classes' table, ``others`` what else to name.
     """
 
     stored: StoredMask
@@ -40,13 +41,14 @@ class MaskReader:
     void: frozenset[int]
     fuses: bool
     table: str
+    others: str = ""
 
     def __call__(self, size: Size | None = None) -> PanopticMask:
         """The mask at ``size`` (width, height) or its own. Raises PlgsError for a class outside the table."""
         found = self.stored.read()
         unknown = sorted({one.label for one in found.segments if self._class_of(one) is None})
         if unknown:
-            fix = f"Add them to {FILE_NAME} beside the masks: [[class]] with id, name, thing (or into)."
+            fix = f"Add them to {FILE_NAME} beside the masks: [[class]] with id, name, thing (or into){self.others}."
             raise PlgsError(f"class ids {listed(unknown)} are not in {self.table}", self.stored.path, fix)
         segments = [segment for one in found.segments if (segment := self._segment(one)) is not None]
         new_id = {one.id: one.id for one in segments}
@@ -125,11 +127,20 @@ def open_masks(
     """
     source = open_mask_source(place, names, mask_format)
     choice = find_class_choice(classes, place if place.is_dir() else place.parent)
+    source, choice, told = numbered(source, choice, place)
     known = class_map(source.labels, choice, place, source.tells_no_class)
     fuses = source.stuff_in_pieces or known.merges
     table = source.table if choice is None else "the class table"
-    readers = {name: MaskReader(mask, known, source.void, fuses, table) for name, mask in source.masks.items()}
-    return MaskSet(known.classes, readers, source.warnings)
+    others = "" if choice is None else other_numberings(choice)
+    readers = {name: MaskReader(mask, known, source.void, fuses, table, others) for name, mask in source.masks.items()}
+    return MaskSet(known.classes, readers, (*source.warnings, *told, *_named_otherwise(source.masks)))
+
+
+def _named_otherwise(masks: Mapping[str, StoredMask]) -> list[str]:
+    """A warning of masks whose files do not have their frames' names."""
+    places = {name: f"{mask.path.parent.name}/{mask.path.name}" for name, mask in masks.items()}
+    others = [f"{name} has {place}" for name, place in places.items() if name not in place]
+    return [f"masks have other names than their frames: {listed(others, 2)}"] if others else []
 
 
 def open_mask_source(place: Path, names: Sequence[str], mask_format: str | None = None) -> MaskSource:

@@ -70,6 +70,19 @@ class ColourReader:
         return resize_colour(pixels, size) if size else pixels
 
 
+def decode_depth(path: Path, fix: str) -> NDArray[Any]:
+    """Decode a depth picture, uint8 or uint16 [H, W] as it is stored; many tools write grey as three equal channels.
+
+    Raises PlgsError for colours, with ``fix`` as the advice.
+    """
+    pixels = decode(path, as_colour=False)
+    if pixels.ndim == 3 and pixels.shape[2] == 3 and bool((pixels == pixels[..., :1]).all()):
+        return np.ascontiguousarray(pixels[..., 0])
+    if pixels.ndim != 2:
+        raise PlgsError("a depth map must have one channel, not colours", path, fix)
+    return pixels
+
+
 def decode_single_channel(path: Path) -> NDArray[np.int32]:
     """Decode a label image of 8 or 16 bits per pixel to int32 [H, W]. Raises PlgsError for a colour image."""
     pixels = decode(path, as_colour=False)

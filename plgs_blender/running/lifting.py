@@ -187,20 +187,22 @@ def bake_passes(scene: bpy.types.Scene, frames: str, folder: str = "") -> Lift:
     return lifts.bake(lift, python, names, layers=sorted(scene.plgs.layers), keep_running=scene.plgs.keep_running)
 
 
-def read_camera(scene: bpy.types.Scene, camera: str, frames: tuple[int | None, int | None, int | None]) -> ShotReader:
+def read_camera(
+    scene: bpy.types.Scene, camera: str, frames: tuple[int | None, int | None, int | None], name: str = ""
+) -> ShotReader:
     """Begin to read a camera, the scene's active one unless named, over ``frames`` (first, last, step), the scene's
-    where None. Raises PlgsError, also where there is no engine to bake it.
+    where None, as the shot ``name``. Raises PlgsError, also where there is no engine to bake it.
     """
     engine_environment.usable_python()
-    return ShotReader(scene, shot_of(scene, camera, *frames))
+    return ShotReader(scene, shot_of(scene, camera, *frames, given=name))
 
 
-def bake_shot(scene: bpy.types.Scene, shot: ShotReader, folder: str = "") -> Lift:
+def bake_shot(scene: bpy.types.Scene, shot: ShotReader, folder: str = "", *, replace: bool = False) -> Lift:
     """Let an engine bake passes of a finished lift from a camera that is read. Views that were baked from the same
-    camera are kept. Raises PlgsError, OSError.
+    camera are kept. Raises PlgsError, also for the name of another file's shot unless that is replaced, OSError.
     """
     lift = lift_at(scene.plgs, folder)
-    cameras, python = shot.write(lift.path), engine_environment.usable_python()
+    cameras, python = shot.write(lift.path, replace=replace), engine_environment.usable_python()
     layers, keep_running = sorted(scene.plgs.layers), scene.plgs.keep_running
     return lifts.bake(lift, python, cameras=cameras, layers=layers, keep_running=keep_running)
 

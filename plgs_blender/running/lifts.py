@@ -16,7 +16,7 @@ from ...engine.job.follower import TaskFollower, start_bake
 from ...engine.job.process import engine_command
 from ...engine.job.recent import RecentLift, recent_lifts
 from ...engine.job.task import BAKE, LIFT, TaskState
-from ..lift_collection import Placed
+from ..lift_collection import Placed, is_placed
 from ..lift_scene import look_at_placed, place_passes_anew, place_room, reading_lift, result_of
 from ..settings import adopt, chosen_lift
 from ..startup_file import taking_over
@@ -79,7 +79,7 @@ class Lift(Task):
         return bool(scene.plgs.place_when_done) and chosen_lift(scene.plgs) == self.folder.path
 
     def done(self, scene: Any) -> Iterator[object]:
-        """Put a finished result into the scene if that is still set to it and wants it; baked passes in any case."""
+        """Put a finished result into the scene if that is still set to it and wants it; baked passes wherever it is."""
         try:
             self.lift_state = self.folder.state_at_a_glance()
         except (PlgsError, OSError):  # its disk is gone, or the folder was deleted
@@ -89,7 +89,7 @@ class Lift(Task):
         refresh_recent()
         if not self.has_finished:
             return
-        if self.is_baking:
+        if self.is_baking and is_placed(self.folder.path, scene):
             place_passes_anew(self.folder.path, scene)
         elif not self._is_wanted(scene) or (yield from showing_lift(scene, self.folder, self._is_wanted)) is None:
             return

@@ -12,10 +12,10 @@ import cv2
 import numpy as np
 import pytest
 
-from engine.diagnosis import Diagnosis, diagnose, poses, write_mended
+from engine.diagnosis import Diagnosis, diagnose, labels, poses, write_mended
 from engine.scene import open_scene
 from tests.diagnosis import matrix, spoiling
-from tests.tiny_scene import CABINET_ID, CHAIR_ID, write_tiny_scene
+from tests.tiny_scene import CABINET_ID, CATEGORIES, CHAIR_ID, write_tiny_scene
 
 FRAMES, SIZE = 26, (128, 96)
 FLIP = np.diag([1.0, -1.0, -1.0, 1.0])
@@ -185,6 +185,20 @@ def test_what_depth_and_poses_do_not_show_is_found(scene: Path, name: str) -> No
     assert wrong_in(diagnose(open_scene(scene))) == [*fault.causes]
 
 
+def test_a_room_whose_floor_is_called_tree_is_noted(scene: Path) -> None:
+    """ADE20K's numbers from 1, read as from 0: the wall is a building, the floor a tree, the ceiling a road."""
+    table = scene / "panoptic.json"
+    content = table.read_text()
+    for name, wrong in {"wall": "building", "floor": "tree", "ceiling": "road"}.items():
+        content = content.replace(f'"{name}"', f'"{wrong}"')
+    table.write_text(content)
+    found = [one for one in diagnose(open_scene(scene)).findings if one.cause == "class table"]
+    assert [(one.severity, one.text) for one in found] == [
+        ("note", "no class is a floor, and tree is level, seen from above")
+    ]  # fmt: skip
+    assert "--classes ade20k:1-150" in found[0].option
+
+
 def test_two_parts_that_do_not_fit_are_found() -> None:
     numbers = np.array([(k, k + step) for step in (1, 2, 3) for k in range(40 - step)])
     apart = (numbers[:, 0] < 23) & (numbers[:, 1] >= 23)
@@ -239,6 +253,33 @@ def test_classes_that_views_swap_are_a_note(scene: Path) -> None:
     diagnosis = diagnose(open_scene(scene))
     assert {finding.cause for finding in diagnosis.findings} == {"contradicting classes"}
     assert {diagnosis.findings[0].figures["class"], diagnosis.findings[0].figures["other"]} == {"chair", "cabinet"}
+
+
+@pytest.mark.parametrize(("kept", "frames"), [(["chair"], 10), (["wall"], 10), (["wall", "chair"], 4)])
+def test_true_masks_of_few_classes_or_frames_contradict_nothing(tmp_path: Path, kept: list[str], frames: int) -> None:
+    folder = write_tiny_scene(tmp_path / "scene", frames, SIZE)
+    dropped = [str(each["name"]) for each in CATEGORIES if each["name"] not in kept]
+    rows = (f'[[class]]\nname = "{name}"\ninto = "void"\n' for name in dropped)
+    (folder / "classes.toml").write_text("".join(rows))
+    scene = open_scene(folder)
+    assert {each.name for each in scene.classes.categories} == {*kept}
+    assert [each.cause for each in diagnose(scene).findings if "contradicting" in each.cause] == []
+
+
+@pytest.mark.parametrize(
+    ("counts", "by_look", "odd"),
+    [
+        pytest.param([[9000.0]], [1.0, 1.0, 1.0, np.nan], [], id="one class: all agree, and could not do else"),
+        pytest.param([[9500.0, 100], [100, 300]], [0.98, 0.97, 0.9, 0.99], [], id="one class has nearly all points"),
+        pytest.param([[900.0, 90], [90, 920]], [np.nan] * 4, [], id="too few points in each frame"),
+        pytest.param([[4000.0, 600], [600, 4000]], [0.95, 0.95, 0.5, 0.93], [2], id="a foreign mask"),
+    ],
+)
+def test_masks_contradict_where_they_could_have_agreed(
+    counts: list[list[float]], by_look: list[float], odd: list[int]
+) -> None:
+    measured = labels.LabelAgreement((*range(1, len(counts) + 1),), np.array(counts), np.array(by_look))
+    assert labels.odd_looks(measured) == odd
 
 
 @pytest.mark.slow

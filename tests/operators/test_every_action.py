@@ -25,6 +25,8 @@ pytestmark = [
     pytest.mark.skipif(importlib.util.find_spec("transformers") is None, reason="writes the network of its masks"),
 ]
 UNTRIED = {
+    "plgs.find_scene",
+    "plgs.write_classes",
     "plgs.use_this_python",
     "plgs.resume_lift",
     "plgs.watch_lift",

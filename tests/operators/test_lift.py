@@ -11,7 +11,7 @@ from pathlib import Path
 
 import bpy
 import pytest
-from plgs.engine.job import LiftFolder
+from plgs.engine.job import EventWriter, LiftFolder
 from plgs.engine.job.recent import remember_lift
 from plgs.plgs_blender import engine_environment
 from plgs.plgs_blender.running import lifts, survey
@@ -123,14 +123,20 @@ def test_a_missing_scene_is_reported(behaves: Behaves) -> None:
         bpy.ops.plgs.lift_scene()
 
 
-@pytest.mark.parametrize("how", ["watch", "open"])
-def test_watching_or_opening_a_finished_lift_places_it(how: str, lift: Path) -> None:
+@pytest.mark.parametrize("how", ["watch", "open", "open after a later bake"])
+def test_watching_or_opening_a_finished_lift_places_it(how: str, lift: Path, tmp_path: Path) -> None:
+    if how == "open after a later bake":
+        lift = shutil.copytree(lift, tmp_path / "lift")
+        events = EventWriter(lift / "events.jsonl")
+        events.hello(task="bake", threads=1, resumed=False)
+        events.done("finished")
+        events.close()
     if how == "watch":
         assert bpy.ops.plgs.watch_lift(lift_folder=str(lift)) == {"FINISHED"}
     else:
         assert bpy.ops.plgs.open_lift(directory=str(lift)) == {"FINISHED"}
     assert any(ob.type == "POINTCLOUD" for ob in bpy.context.scene.objects)
-    assert Path(bpy.context.scene.plgs.scene_folder) == lift.parent / "tiny room"
+    assert Path(bpy.context.scene.plgs.scene_folder) == LiftFolder.open(lift).request.scene
 
 
 def test_opening_what_is_not_a_lift_is_reported(tmp_path: Path) -> None:

@@ -85,7 +85,7 @@ def test_what_is_invalid_is_refused(tmp_path: Path) -> None:
         write_exr(tmp_path / "a.exr", replace(view, layers=layers))
     with OpenEXR.File({}, {"Y": np.zeros((2, 2), np.float32)}) as file:
         file.write(str(tmp_path / "b.exr"))
-    with pytest.raises(ValueError, match="no pass of a lift"):
+    with pytest.raises(ValueError, match="not a pass of a lift"):
         read_exr(tmp_path / "b.exr")
     with pytest.raises(FileNotFoundError):
         read_exr(tmp_path / "c.exr")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import shutil
 from pathlib import Path
 
 import bpy
@@ -194,3 +195,31 @@ def test_parts_of_a_shot_name_a_camera_that_stands_still_alike(scene: bpy.types.
 def test_shots_that_differ_in_their_step_have_files_of_their_own(scene: bpy.types.Scene, tmp_path: Path) -> None:
     files = {write_shot(tmp_path, scene, shot_of(scene, "", 1, 4, step)).name for step in (1, 2)}
     assert files == {"dolly.1-4x1.json", "dolly.1-4x2.json"}
+
+
+def test_shots_of_two_files_do_not_replace_each_other(scene: bpy.types.Scene, tmp_path: Path) -> None:
+    lift, shot = tmp_path / "lift", shot_of(scene)
+    lift.mkdir()
+    for name in ("day", "night"):
+        bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / f"{name}.blend"))
+        if name == "day":
+            write_shot(lift, scene, shot)
+            first = write_shot(lift, scene, shot).read_bytes()  # the same file's again
+    with pytest.raises(PlgsError, match=r"has a shot 'dolly' of another file already: camera 'dolly' in .*day\.blend"):
+        write_shot(lift, scene, shot)
+    assert write_shot(lift, scene, shot_of(scene, given="n 2")).name == "n 2.1-4x1.json"
+    assert [camera.name for camera in cameras_of(scene, shot_of(scene, given="n/2"))][0] == "n_2.0001"
+    assert write_shot(lift, scene, shot, replace=True).read_bytes() == first
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "day.blend"))
+    with pytest.raises(PlgsError, match=r"night\.blend"):
+        write_shot(lift, bpy.context.scene, shot_of(bpy.context.scene))
+
+
+def test_a_lifts_own_file_keeps_its_shots_where_the_lift_is_moved(scene: bpy.types.Scene, tmp_path: Path) -> None:
+    for place in ("here", "there"):
+        (tmp_path / place / "bake").mkdir(parents=True)
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "here" / "lift.blend"))
+    write_shot(tmp_path / "here", scene, shot_of(scene))
+    shutil.copytree(tmp_path / "here", tmp_path / "there", dirs_exist_ok=True)
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "there" / "lift.blend"))
+    write_shot(tmp_path / "there", bpy.context.scene, shot_of(bpy.context.scene))

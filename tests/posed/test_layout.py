@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from engine.errors import PlgsError
-from engine.posed.layout import file_inside, files_by_stem, listed, natural_order, same_shape
+from engine.posed.layout import file_inside, files_by_stem, listed, natural_order, of_same_number, same_shape
 
 
 def test_frames_come_in_natural_order() -> None:
@@ -26,6 +26,23 @@ def test_files_are_found_by_stem_whatever_the_case_of_their_suffix(tmp_path: Pat
         (tmp_path / name).touch()
     (tmp_path / "8.png").mkdir()
     assert list(files_by_stem(tmp_path, {".jpg", ".png"}, "Fix.")) == ["9", "10"]
+
+
+@pytest.mark.parametrize(
+    ("names", "stems", "found"),
+    [
+        (["rgb_1", "rgb_10"], ["sem_10", "sem_1", "vis_sem_1"], ["sem_1", "sem_10"]),
+        (["a1_rgb_2"], ["a2_mask_2", "a_1_mask_02"], ["a_1_mask_02"]),
+        (["rgb_1"], ["semantic_1", "instance_1"], []),  # which of the two?
+        (["rgb_1"], ["depth_1", "semantic_1_color", "other_semantic_1", "semantic"], []),
+        (["1", "01"], ["semantic_1"], ["semantic_1"]),  # two frames have this number: files stay as they are
+        (["rgb_1", "rgb_2"], ["rgb_2", "semantic_1"], ["rgb_2", "semantic_1"]),  # and where a name is a frame's
+        (["rgb"], ["semantic"], []),
+    ],
+)
+def test_files_of_a_frames_number(names: list[str], stems: list[str], found: list[str]) -> None:
+    files = of_same_number(names, {stem: Path(stem) for stem in stems})
+    assert [path.name for path in files.values()] == found
 
 
 def test_same_shape_forgives_scannet_and_nothing_else() -> None:

@@ -20,6 +20,7 @@ from engine.poses.film import write_pictures
 from engine.poses.scale import _median
 from engine.scene import open_scene
 from tests.scene.formats.test_colmap import write_text
+from tests.scene.formats.writing import write_grey
 from tests.tiny_scene import write_tiny_scene
 
 needs_colmap = pytest.mark.skipif(find_spec("pycolmap") is None, reason="needs pycolmap (engine add colmap)")
@@ -69,6 +70,28 @@ def test_a_scene_with_poses_and_one_without_photos_are_left_alone(
     (tmp_path / "empty").mkdir()
     with pytest.raises(PlgsError, match="there are no photos here"):
         find_poses(tmp_path / "empty", tmp_path)
+
+
+@pytest.mark.parametrize("name", ["depth_{}", "conf_{}", "{}.depth", "frame-{}.depth.proj", "{}_DepthMap", "{}_mm"])
+def test_depth_and_confidence_are_no_photos(
+    name: str, photos: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As 3D Scanner App, NeRFCapture and others keep them, beside the photos; the last is known by its 16 bits."""
+    given: list[str] = []
+    monkeypatch.setattr(making, "colmap", lambda photos: None)
+    monkeypatch.setattr(making, "map_photos", lambda photos, names, *others: given.extend(names))
+    wanted = sorted(path.name for path in photos.iterdir())
+    for number in range(7):
+        write_grey(photos / f"{name.format(number)}.png", np.zeros((6, 8), np.uint16 if "mm" in name else np.uint8))
+    write_grey(photos / "indepth_confocal.png", np.zeros((6, 8), np.uint8))  # a grey photo
+    with pytest.raises(PlgsError, match=r"only 0 of 7 photos"):
+        find_poses(photos, tmp_path)
+    assert given == sorted([*wanted, "indepth_confocal.png"])
+    assert "7 pictures are left out, as they show depth or confidence" in (tmp_path / "events.jsonl").read_text()
+    for photo in given:
+        (photos / photo).unlink()
+    with pytest.raises(PlgsError, match="there are no photos here"):
+        find_poses(photos, tmp_path)
 
 
 def test_depth_that_disagrees_with_itself_gives_no_unit() -> None:

@@ -193,7 +193,8 @@ CASES: dict[str, Spoil] = {
     "colour of another shape": two_shapes,
     # Depth
     "8-bit depth": image("depth/0001.png", np.full((48, 64), 99, np.uint8)),
-    "coloured depth": image("depth/0001.png", np.full((48, 64, 3), 99, np.uint16)),
+    "coloured depth": image("depth/0001.png", np.full((48, 64, 3), (99, 99, 98), np.uint16)),
+    "8-bit coloured depth": image("depth/0001.png", np.full((48, 64, 3), 99, np.uint8)),
     "all-zero depth": image("depth/0001.png", np.zeros((48, 64), np.uint16)),
     "depth in metres": metres,
     # Images

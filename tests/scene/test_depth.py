@@ -27,6 +27,12 @@ def test_no_depth_stays_none_at_any_size(tmp_path: Path) -> None:
     assert {*np.unique(read).tolist()} == {0.0, 2.0}, "holes must not be mixed with depth"
 
 
+def test_grey_in_three_equal_channels_is_depth(tmp_path: Path) -> None:
+    folder = write_tiny_scene(tmp_path, frames=5)
+    cv2.imwrite(str(folder / "depth" / "0001.png"), np.full((48, 64, 3), 1999, np.uint16))
+    np.testing.assert_allclose(open_scene(folder).frames[1].depth(), 1.999)
+
+
 def test_depth_of_another_size_fits_the_colour(tmp_path: Path) -> None:
     folder = write_tiny_scene(tmp_path, frames=5, size=(64, 48), depth_size=(32, 24))
     frame = open_scene(folder).frames[2]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
@@ -12,7 +13,7 @@ from engine.scene import open_scene, open_scene_to_lift
 from engine.scene.estimated_depth import fit_depth
 from engine.scene_source import SceneSource
 from tests.scene.formats.room import Lens, elsewhere, look, quaternion, views
-from tests.scene.formats.writing import in_steps, write_colour, write_grey
+from tests.scene.formats.writing import in_steps, write_colour
 from tests.scene.refusing import refuses
 
 LENS = Lens()
@@ -65,7 +66,7 @@ def write_colmap(folder: Path) -> Path:
     return folder
 
 
-@pytest.mark.parametrize("kind", ["npy", "png"])
+@pytest.mark.parametrize("kind", ["npy", "png", "three equal channels"])
 def test_colmap_with_a_networks_maps(tmp_path: Path, kind: str) -> None:
     """Inverse depth as floats, of another size than the pictures; or depth in steps of its own."""
     write_colmap(tmp_path / "scene")
@@ -75,7 +76,8 @@ def test_colmap_with_a_networks_maps(tmp_path: Path, kind: str) -> None:
             values = 300.0 / look(view, LENS.scaled(2)).depth - 20.0 * i
             np.save(tmp_path / "maps" / f"{i}.npy", values[None].astype(np.float32))
         else:
-            write_grey(tmp_path / "maps" / f"{i}.png", in_steps(look(view, LENS).depth, 900 + 100 * i) + 50)
+            steps = in_steps(look(view, LENS).depth, 900 + 100 * i) + 50
+            assert cv2.imwrite(str(tmp_path / "maps" / f"{i}.png"), steps if kind == "png" else np.dstack([steps] * 3))
     with pytest.raises(PlgsError, match="has no depth.*--depth"):
         open_scene_to_lift(SceneSource(tmp_path / "scene"))
     scene = open_scene(tmp_path / "scene", depth=tmp_path / "maps")
@@ -105,3 +107,17 @@ def test_missing_and_wrong_maps_are_one_line_errors(tmp_path: Path) -> None:
     metric = open_scene(tmp_path / "scene", depth=tmp_path / "maps")
     assert any("no sparse points" in warning for warning in metric.warnings)
     np.testing.assert_array_equal(metric.frames[0].depth(), np.ones((48, 64), np.float32))
+
+
+def test_an_8_bit_map_is_fitted_or_refused_and_never_read_as_millimetres(tmp_path: Path) -> None:
+    """Depth Anything's run.py --grayscale: inverse depth from 0 to 255 in three equal channels."""
+    write_colmap(tmp_path / "scene")
+    (tmp_path / "maps").mkdir()
+    for i, view in enumerate(views()):
+        near = 1.0 / look(view, LENS).depth
+        grey = np.round(near / near.max() * 255).astype(np.uint8)
+        assert cv2.imwrite(str(tmp_path / "maps" / f"{i}.png"), np.dstack([grey] * 3))
+    frame = open_scene(tmp_path / "scene", depth=tmp_path / "maps").frames[2]
+    assert np.median(np.abs(frame.depth() / look(views()[3], LENS).depth - 1.0)) < 0.01
+    (tmp_path / "scene" / "sparse" / "0" / "points3D.txt").unlink()
+    refuses("8 bits holds no lengths", tmp_path / "scene", depth=tmp_path / "maps")

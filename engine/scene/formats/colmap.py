@@ -2,8 +2,10 @@
 
 World-to-camera poses, OpenCV axes, pixel centres at +0.5; the world is turned and scaled as the reconstruction left
 it. Distorted pictures are undistorted on reading. A dense workspace has depth as well:
-``stereo/depth_maps/<image>.geometric.bin`` (or ``.photometric.bin``), planar, in the reconstruction's lengths. Where
-`python -m engine poses` made the model, depth that was measured beside the photos, in ``depth``, is read as well.
+``stereo/depth_maps/<image>.geometric.bin`` (or ``.photometric.bin``), planar, in the reconstruction's lengths. It may
+lie in ``dense/0``, where COLMAP's automatic reconstruction puts it, or ``dense``: then its model and its undistorted
+pictures are read. Where `python -m engine poses` made the model, depth that was measured beside the photos, in
+``depth``, is read as well.
 """
 
 from __future__ import annotations
@@ -22,14 +24,23 @@ from ...posed.layout import file_inside, files_if_any, listed, natural_order, re
 from ..depth import DepthMap, fault_of, npy_depth, only_depth, png_depth
 from ..frame import SparsePoints
 from .capture import Capture, SceneFormat, Shot, frame_names
-from .colmap_model import MADE_BY, ColmapCamera, ColmapImage, ColmapModel, has_model, read_model
+from .colmap_model import MADE_BY, UNDISTORT, ColmapCamera, ColmapImage, ColmapModel, has_model, read_model
 from .lens import STRAIGHT, Distortion, fitted, pinhole
 from .poses import inverse, quaternion_pose
 
 _LOOKS_FOR = "cameras and images, .bin or .txt, in sparse/0, sparse, model or colmap/sparse/0"
 _MODELS = ("sparse/0", "sparse", "model", "colmap/sparse/0", ".")
 _IMAGES = ("images", "image", "rgb", "color", "input", ".")
+_DEPTH_MAPS = "stereo/depth_maps"
+_DENSE = ("dense/0", "dense")
 _SCALE = "COLMAP's lengths have no unit, and a lift reads them as metres: scale the model if that is far off"
+_BROWN = ("SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "FULL_OPENCV")
+_FISHEYES = ("OPENCV_FISHEYE", "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE")
+"""The camera models that OpenCV straightens, by its two models of distortion."""
+_PANORAMAS = (
+    "COLMAP's image_undistorter cannot straighten panoramas: cut them into perspective pictures before COLMAP (its "
+    "example panorama_sfm.py does), and name the folder with their model."
+)
 _MOST_DEPTH = 1 << 30
 _FARTHEST = 1e6
 """Lengths of the reconstruction. A stereo that was cut off leaves other numbers in its file."""
@@ -38,26 +49,49 @@ _MOST_BROKEN = 0.5
 
 
 def _recognises(place: Path) -> bool:
-    return any(has_model(place / name) for name in _MODELS)
+    return _find_model(place) is not None
+
+
+def _find_model(place: Path) -> Path | None:
+    return next((place / name for name in _MODELS if has_model(place / name)), None)
+
+
+def _find_dense(place: Path) -> tuple[Path, Path] | None:
+    """The workspace with depth inside ``place``, and its model; None where the place has depth itself, or none has."""
+    if _has_depth(place):
+        return None
+    found = ((place / name, _find_model(place / name)) for name in _DENSE if _has_depth(place / name))
+    return next(((dense, model) for dense, model in found if model is not None), None)
+
+
+def _has_depth(place: Path) -> bool:
+    """Whether there are maps: COLMAP's image_undistorter makes empty folders for them."""
+    return any((place / _DEPTH_MAPS).rglob("*.bin"))
 
 
 def _read(place: Path) -> Capture:
     """Open the registered images; only headers of images are read. Raises PlgsError."""
-    folder = next((place / name for name in _MODELS if has_model(place / name)), None)
+    folder = _find_model(place)
     if folder is None:
         raise PlgsError("there is no COLMAP model", place, f"Give {_LOOKS_FOR}.")
+    depths, warnings = _measured_depth(place, folder), list[str]()
+    others = [each.name for each in sorted(folder.parent.glob("[0-9]*")) if each != folder and has_model(each)]
+    if folder.name == "0" and others:
+        warnings.append(f"only the model 0 is read, but there are others: {listed(others)}")
+    dense = None if depths else _find_dense(place)
+    if dense is not None:
+        name = dense[0].relative_to(place).as_posix()
+        warnings.append(f"depth is in {name}, so its model and pictures are read: masks must be of these pictures")
+        place, folder = dense
     model = read_model(folder)
     images = sorted(model.images, key=lambda image: natural_order(image.name))
     if not images:
         raise PlgsError("the model has no registered image", folder, "Let COLMAP register some.")
     names = frame_names([image.name for image in images])
     root = _find_images(place, images)
-    depths = _measured_depth(place, folder)
     found = [(name, _shot(name, image, model, root, place, depths)) for name, image in zip(names, images, strict=True)]
-    warnings = [] if depths else [_SCALE]
-    others = [each.name for each in sorted(folder.parent.glob("[0-9]*")) if each != folder and has_model(each)]
-    if folder.name == "0" and others:
-        warnings.append(f"only the model 0 is read, but there are others: {listed(others)}")
+    if not depths:
+        warnings.insert(0, _SCALE)
     return Capture(found, None, tuple(warnings), _points(model, names, images))
 
 
@@ -98,6 +132,9 @@ def _shot(
 def _lens(camera: ColmapCamera, folder: Path) -> tuple[Camera, Distortion]:
     """A camera at the origin with the lens's focal lengths, and its distortion. Raises PlgsError."""
     model, values = camera.model, camera.parameters
+    if model not in (*_BROWN, *_FISHEYES):
+        fix = _PANORAMAS if model == "EQUIRECTANGULAR" else UNDISTORT
+        raise PlgsError(f"the camera model {model} is not known here", folder, fix)
     if model.startswith(("SIMPLE", "RADIAL")):
         (f, cx, cy), rest = values[:3], values[3:]
         fx = fy = f
@@ -105,11 +142,8 @@ def _lens(camera: ColmapCamera, folder: Path) -> tuple[Camera, Distortion]:
         (fx, fy, cx, cy), rest = values[:4], values[4:]
     fix = "Let COLMAP refine or fix them."
     lens = pinhole(camera.width, camera.height, fx, fy, cx, cy, path=folder, fix=fix)
-    if model in ("OPENCV_FISHEYE", "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE"):
+    if model in _FISHEYES:
         return lens, Distortion("fisheye", (*rest, 0.0, 0.0, 0.0)[:4])
-    if model in ("FOV", "THIN_PRISM_FISHEYE"):
-        fix = "Run COLMAP's image_undistorter, and name the folder that it writes."
-        raise PlgsError(f"the camera model {model} is not known here", folder, fix)
     count = 8 if model == "FULL_OPENCV" else 4
     return lens, Distortion("brown", (*rest, *([0.0] * 4))[:count]) if rest else STRAIGHT
 
@@ -130,7 +164,7 @@ def _points(model: ColmapModel, names: list[str], images: list[ColmapImage]) -> 
 
 def _find_depth(place: Path, image: str) -> DepthMap | None:
     """An image's depth map in a dense workspace."""
-    folder = place / "stereo" / "depth_maps"
+    folder = place / _DEPTH_MAPS
     found = (folder / f"{image}.{kind}.bin" for kind in ("geometric", "photometric"))
     path = next((path for path in found if path.is_file()), None)
     return None if path is None else DepthMap(path, partial(_read_dense, path), fault=fault_of(path))

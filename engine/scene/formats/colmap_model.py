@@ -18,6 +18,8 @@ from ..frame import SparsePoints
 _MODELS = (
     ("SIMPLE_PINHOLE", 3), ("PINHOLE", 4), ("SIMPLE_RADIAL", 4), ("RADIAL", 5), ("OPENCV", 8), ("OPENCV_FISHEYE", 8),
     ("FULL_OPENCV", 12), ("FOV", 5), ("SIMPLE_RADIAL_FISHEYE", 4), ("RADIAL_FISHEYE", 5), ("THIN_PRISM_FISHEYE", 12),
+    ("RAD_TAN_THIN_PRISM_FISHEYE", 16), ("SIMPLE_DIVISION", 4), ("DIVISION", 5), ("SIMPLE_FISHEYE", 3), ("FISHEYE", 4),
+    ("EUCM", 6), ("EQUIRECTANGULAR", 2),
 )  # fmt: skip
 """Each model's name and number of parameters. Its place in the list is its number in binary files."""
 MADE_BY = "made_by.json"
@@ -35,6 +37,7 @@ _POINT_BYTES = 51
 _MOST_POINT_BYTES = _MOST_TEXT = 1 << 29
 _POINTS_2D = np.dtype([("xy", "<f8", 2), ("point", "<i8")])
 _FIX = "Let COLMAP export the model again."
+UNDISTORT = "Run COLMAP's image_undistorter, and name the folder that it writes."
 
 
 @dataclass(frozen=True)
@@ -135,10 +138,10 @@ class _Bytes:
 
 def _binary_cameras(path: Path) -> dict[int, ColmapCamera]:
     file, cameras = _Bytes(path), {}
-    for _ in range(file.count("cameras", 48)):
+    for _ in range(file.count("cameras", 40)):
         camera, model, width, height = (int(value) for value in file.take("<IiQQ"))
         if not 0 <= model < len(_MODELS):
-            raise PlgsError(f"camera {camera} has the model number {model}, which is not known", path, _FIX)
+            raise PlgsError(f"camera {camera} has the model number {model}, which is not known", path, UNDISTORT)
         name, count = _MODELS[model]
         cameras[camera] = _checked_camera(ColmapCamera(name, width, height, file.take(f"<{count}d")), camera, path)
     return cameras
@@ -197,7 +200,7 @@ def _text_cameras(path: Path) -> dict[int, ColmapCamera]:
             raise _broken(path, number) from error
         if counts.get(model) != len(parameters):
             what = f"camera {camera} has the model {model[:40]} with {len(parameters)} numbers, which is not known"
-            raise PlgsError(what, path, _FIX)
+            raise PlgsError(what, path, _FIX if model in counts else UNDISTORT)
         cameras[camera] = _checked_camera(ColmapCamera(model, width, height, parameters), camera, path)
     return cameras
 

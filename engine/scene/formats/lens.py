@@ -51,6 +51,12 @@ def fitted(lens: Camera, picture: Path, fix: str) -> Camera:
     return lens.resized(*size)
 
 
+def assumed(whose: str, lens: Camera, file: str) -> str:
+    """The warning that a scene has when no file says its lens, and ``whose`` is taken; ``file`` can say it."""
+    values = " ".join(f"{value:.6g}" for value in (lens.fx, lens.fy, lens.cx - 0.5, lens.cy - 0.5))
+    return f"{whose} lens is assumed ({values} for {shown_size(lens.size)}): write theirs into {file} if it is another"
+
+
 @dataclass(frozen=True)
 class Distortion:
     """OpenCV's coefficients: k1 k2 p1 p2 k3 k4 k5 k6 of its "brown" model, or k1 k2 k3 k4 of its "fisheye" model."""

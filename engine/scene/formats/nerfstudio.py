@@ -74,6 +74,9 @@ def _read(place: Path) -> Capture:
         warnings.append(f"{missing} frames are left out: their pictures are missing")
     if any("mask_path" in frame for frames, _ in parts for frame in frames):
         warnings.append("mask_path is not used: it says what to leave out, and names no classes")
+    said = ({**content, **frame} for content, (frames, _) in zip(contents, parts, strict=True) for frame in frames)
+    if any("fl_x" in entry and not ("cx" in entry and "cy" in entry) for entry in said):
+        warnings.append("the principal point of the lens is assumed in the middle: write cx and cy if it is not there")
     up: UpAxis | None = "z" if contents[0].get("orientation_override") == "none" else None
     posed = {name for name, shot in found if shot is not None}
     kept = [tuple(name for name in own if name in posed) for own in of_parts]

@@ -24,7 +24,7 @@ from ...posed.layout import files_by_stem
 from ...posed.matrices import take_numbers
 from ..depth import png_depth
 from .capture import Capture, SceneFormat, Shot
-from .lens import fitted, pinhole
+from .lens import assumed, fitted, pinhole
 from .poses import finite_pose
 from .rows import numbers, read_rows
 
@@ -33,7 +33,7 @@ _IMAGES = {".jpg", ".jpeg", ".png"}
 _FIX = "Write a line of three numbers and a 4x4 matrix, camera-to-world, for each picture."
 _LENS_FIX = "Write width, height and intrinsic_matrix of these pictures into camera_intrinsic.json."
 _PRIMESENSE = Camera(640, 480, 525.0, 525.0, 320.0, 240.0, np.eye(4))
-_GUESSED = "a PrimeSense's lens is assumed (525 525 319.5 239.5): write camera_intrinsic.json if it is another"
+_GUESSED = assumed("a PrimeSense's", _PRIMESENSE, "camera_intrinsic.json")
 
 _Poses = list[tuple[NDArray[np.float64], Camera | None]]
 """Camera-to-world, float64 [4, 4], of each picture, and the lens if the trajectory has it."""

@@ -5,7 +5,8 @@
 * Semantic-NeRF, vMAP: ``rgb/rgb_0.png`` and ``depth/depth_0.png`` in millimetres, ``traj_w_c.txt``.
 
 A trajectory has 16 numbers per line: camera-to-world, OpenCV axes, metres, z up; line n is picture n. Pixel centres are
-integers. Without a file of intrinsics the lens sees 90 degrees: f = w / 2, c = (w - 1) / 2 and (h - 1) / 2.
+integers. Without a file of intrinsics the lens is assumed to see 90 degrees: f = w / 2, c = (w - 1) / 2 and
+(h - 1) / 2.
 """
 
 from __future__ import annotations
@@ -22,13 +23,14 @@ from ...posed.image_header import read_image_header
 from ...posed.layout import files_by_stem
 from ..depth import MILLIMETRES, png_depth
 from .capture import Capture, SceneFormat, Shot
-from .lens import pinhole
+from .lens import assumed, fitted, pinhole
 from .poses import finite_pose
 from .rows import matrix_rows
 
 _STEPS_A_METRE = 6553.5
 _FIX = "Write 16 numbers per line, camera-to-world."
 _IMAGES = {".jpg", ".jpeg", ".png"}
+_LENS_FIX = "Write w, h, fx, fy, cx, cy and scale of the pictures into cam_params.json."
 _PARAMETERS = ("w", "h", "fx", "fy", "cx", "cy", "scale")
 
 
@@ -44,25 +46,13 @@ def _read(place: Path) -> Capture:
     """Open a scene of NICE-SLAM's; only headers of images are read. Raises PlgsError."""
     results = _numbered(place / "results", _IMAGES, "frame")
     depths = _numbered(place / "results", {".png"}, "depth") if any((place / "results").glob("depth*.png")) else {}
-    files = (folder / "cam_params.json" for folder in (place, place.parent))
-    path = next((path for path in files if path.is_file()), None)
-    if path is None:
-        return _capture(place / "traj.txt", results, depths, None, 1.0 / _STEPS_A_METRE)
-    camera = read_json_object(path).get("camera")
-    if not isinstance(camera, dict):
-        raise PlgsError('the file has no "camera"', path, "Add it, or remove the file.")
-    width, height, fx, fy, cx, cy, scale = (take_number(camera, key, "camera", path) for key in _PARAMETERS)
-    fix = "Correct it, or remove the file."
-    if scale <= 0.0:
-        raise PlgsError("the depth's scale is not above 0", path, fix)
-    lens = pinhole(width, height, fx, fy, cx + 0.5, cy + 0.5, path=path, fix=fix)
-    return _capture(place / "traj.txt", results, depths, lens, 1.0 / scale)
+    return _capture(place / "traj.txt", results, depths, 1.0 / _STEPS_A_METRE)
 
 
 def _read_vmap(place: Path) -> Capture:
     """Open a scene of Semantic-NeRF's or vMAP's; only headers of images are read. Raises PlgsError."""
     depths = _numbered(place / "depth", {".png"}, "depth") if (place / "depth").is_dir() else {}
-    return _capture(place / "traj_w_c.txt", _numbered(place / "rgb", _IMAGES, "rgb"), depths, None, MILLIMETRES)
+    return _capture(place / "traj_w_c.txt", _numbered(place / "rgb", _IMAGES, "rgb"), depths, MILLIMETRES)
 
 
 def _numbered(folder: Path, suffixes: set[str], kind: str) -> dict[int, Path]:
@@ -77,9 +67,10 @@ def _numbered(folder: Path, suffixes: set[str], kind: str) -> dict[int, Path]:
     return dict(sorted(found.items()))
 
 
-def _capture(
-    trajectory: Path, colours: dict[int, Path], depths: dict[int, Path], lens: Camera | None, unit: float
-) -> Capture:
+def _capture(trajectory: Path, colours: dict[int, Path], depths: dict[int, Path], unit: float) -> Capture:
+    """The frames; ``unit`` is a step of depth in metres where no cam_params.json says another. Raises PlgsError."""
+    said = _read_parameters(trajectory.parent)
+    lens, unit = said or (None, unit)
     matrices = list(matrix_rows(trajectory, _FIX))
     if colours and max(colours) >= len(matrices):
         what = f"there are {len(matrices)} poses, but a picture {max(colours)}"
@@ -90,12 +81,30 @@ def _capture(
         if pose is None:
             found.append((path.stem, None))
             continue
-        width, height = read_image_header(path).size
-        own = lens or Camera(width, height, width / 2.0, width / 2.0, width / 2.0, height / 2.0, np.eye(4))
-        own = own.resized(width, height)
+        if lens is None:
+            width, height = read_image_header(path).size
+            lens = Camera(width, height, width / 2.0, width / 2.0, width / 2.0, height / 2.0, np.eye(4))
+        own = fitted(lens, path, _LENS_FIX)
         depth = png_depth(depths[number], own, unit) if number in depths else None
         found.append((path.stem, Shot(path.stem, own.at(pose), path, depth)))
-    return Capture(found, "z")
+    guessed = () if said or lens is None else (assumed("Replica's", lens, "cam_params.json"),)
+    return Capture(found, "z", guessed)
+
+
+def _read_parameters(place: Path) -> tuple[Camera, float] | None:
+    """The lens and the length of a step of depth that a file there or in the folder above says. Raises PlgsError."""
+    files = (folder / "cam_params.json" for folder in (place, place.parent))
+    path = next((path for path in files if path.is_file()), None)
+    if path is None:
+        return None
+    camera = read_json_object(path).get("camera")
+    if not isinstance(camera, dict):
+        raise PlgsError('the file has no "camera"', path, "Add it, or remove the file.")
+    width, height, fx, fy, cx, cy, scale = (take_number(camera, key, "camera", path) for key in _PARAMETERS)
+    fix = "Correct it, or remove the file."
+    if scale <= 0.0:
+        raise PlgsError("the depth's scale is not above 0", path, fix)
+    return pinhole(width, height, fx, fy, cx + 0.5, cy + 0.5, path=path, fix=fix), 1.0 / scale
 
 
 NICE_SLAM = SceneFormat("replica", _recognises, _read)

@@ -1,10 +1,13 @@
-"""``frame-000000.{color,depth,pose}``: 7-Scenes, and tsdf-fusion's and 3DMatch's layout, which has intrinsics.
+"""``frame-000000.{color,depth,pose}``: 7-Scenes, BundleFusion, 12-Scenes, tsdf-fusion and 3DMatch.
 
-Frames lie in the folder or in its folders ``seq-01``, ... Poses are camera-to-world, 4x4, OpenCV axes, metres. Depth
-is a 16-bit PNG in millimetres; 0 and 65535 are none. The world stands as the first camera did.
+Frames lie in the folder or in its folders ``seq-01``, ... or ``data``. Poses are camera-to-world, 4x4, OpenCV axes,
+metres. Depth is a 16-bit PNG in millimetres; 0 and 65535 are none. The world stands as the first camera did.
 
 * With ``camera-intrinsics.txt`` (tsdf-fusion, 3DMatch) or ``camera-intrinsics.color.txt``: 3x3, integer pixel
   centres, for colour and depth alike.
+* With ``info.txt`` (BundleFusion, 12-Scenes) there or in the folder above: ``m_calibrationColorIntrinsic`` and
+  ``m_calibrationDepthIntrinsic``, 4x4, integer pixel centres, for pictures of the sizes that it says, and
+  ``m_depthShift`` steps of depth per metre.
 * Without (7-Scenes): raw pictures of a Kinect. Poses and depth are the depth camera's, f 585; the colour camera, f
   525, stands 2.5 cm beside it. Depth is read from ``frame-000000.depth.proj.png`` if that exists: there it is
   registered to colour already. Else it is registered with a Kinect's calibration (LIRIS), as ACE does.
@@ -12,6 +15,8 @@ is a 16-bit PNG in millimetres; 0 and 65535 are none. The world stands as the fi
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -20,13 +25,15 @@ from numpy.typing import NDArray
 from ...errors import PlgsError
 from ...posed.camera import Camera
 from ...posed.image_header import read_image_header
-from ...posed.layout import natural_order
-from ...posed.matrices import read_intrinsics, read_poses
-from ..depth import png_depth, registered
+from ...posed.layout import natural_order, read_text
+from ...posed.matrices import as_lens, read_intrinsics, read_poses
+from ..depth import fitting_alignment, png_depth, registered
 from .capture import Capture, SceneFormat, Shot
+from .lens import assumed, fitted
 from .poses import inverse
 
 _NONE = 65535
+_MOST_INFO = 1 << 16
 _DEPTH_TO_COLOUR = np.array(
     [
         [9.9996518012567637e-01, 2.6765126468950343e-03, -7.9041012313000904e-03, -2.5558943178152542e-02],
@@ -37,6 +44,12 @@ _DEPTH_TO_COLOUR = np.array(
 )
 """From points of a Kinect's depth camera to points of its colour camera, metres (LIRIS, INSA Lyon)."""
 _DEPTH_F, _COLOUR_F = 585.0, 525.0
+_OWN_LENS = "camera-intrinsics.txt"
+_INFO_FIX = "Copy the file that the recorder wrote again, or correct it."
+_APART = "colour and depth stand apart in info.txt (Extrinsic), which is not corrected: depth may not fit colour"
+
+_Reader = Callable[[str, Path, NDArray[np.float64], Path], Shot]
+"""Makes the shot of a name, the files that begin with a path, a pose, and a colour picture."""
 
 
 def _recognises(place: Path) -> bool:
@@ -48,7 +61,16 @@ def _recognises_tsdf(place: Path) -> bool:
 
 
 def _find_intrinsics(place: Path) -> Path | None:
-    names = ("camera-intrinsics.txt", "camera-intrinsics.color.txt")
+    return _find(place, _OWN_LENS, "camera-intrinsics.color.txt")
+
+
+def _find_info(place: Path) -> Path | None:
+    """The file about the sensor; ScanNet's own reader calls it _info.txt. People call other texts so, too."""
+    path = _find(place, "info.txt", "_info.txt")
+    return path if path is not None and b"m_calibration" in path.open("rb").read(_MOST_INFO) else None
+
+
+def _find(place: Path, *names: str) -> Path | None:
     found = (folder / name for folder in (place, place.parent) for name in names)
     return next((path for path in found if path.is_file()), None)
 
@@ -58,12 +80,59 @@ def _has_frames(place: Path) -> bool:
 
 
 def _folders(place: Path) -> list[Path]:
-    return [place, *sorted(path for path in place.glob("seq-*") if path.is_dir())]
+    return [place, *sorted(path for path in (*place.glob("seq-*"), place / "data") if path.is_dir())]
 
 
 def _read(place: Path) -> Capture:
-    """Open 7-Scenes; only headers of images are read. Raises PlgsError."""
-    return _capture(place, None)
+    """Open 7-Scenes, or frames with ``info.txt``; only headers of images are read. Raises PlgsError."""
+    path = _find_info(place)
+    if path is None:
+        return _capture(place, _kinects_shot, (assumed("a Kinect's", _kinect(_COLOUR_F), _OWN_LENS),))
+    info = _read_info(path)
+    colour, depth = _info_lens(info, "Color", path), _info_lens(info, "Depth", path)
+    alignment, unit = fitting_alignment(colour, depth), 1.0 / _info_numbers(info, "m_depthShift", path, 1)[0]
+    if alignment is None:
+        fix = "Correct them; for depth that is registered to colour, write colour's lens and size for depth, too."
+        raise PlgsError("the lenses of colour and depth are not of one sensor", path, fix)
+
+    def shot(name: str, base: Path, pose: NDArray[np.float64], picture: Path) -> Shot:
+        lens = fitted(colour, picture, f"Correct {path.name}.")
+        measured = png_depth(_depth_file(base), lens, unit, none_from=_NONE)
+        return Shot(name, lens.at(pose), picture, replace(measured, alignment=alignment))
+
+    return _capture(place, shot, () if _is_one_camera(info, path) else (_APART,))
+
+
+def _read_info(path: Path) -> dict[str, str]:
+    """The lines "key = value" of a file about a sensor. Raises PlgsError."""
+    parts = (line.partition("=") for line in read_text(path, _MOST_INFO, _INFO_FIX).splitlines())
+    return {key.strip(): value.strip() for key, _, value in parts}
+
+
+def _info_numbers(info: dict[str, str], key: str, path: Path, count: int) -> NDArray[np.float64]:
+    """The ``count`` numbers of a line; a single one is above 0. Raises PlgsError."""
+    try:
+        values = np.array([float(word) for word in info.get(key, "").split()])
+    except ValueError:
+        values = np.empty(0)
+    if len(values) != count or not np.isfinite(values).all() or (count == 1 and not 0.0 < values[0] < 1e6):
+        wanted = "no number above 0" if count == 1 else f"not {count} numbers"
+        raise PlgsError(f"{key} is {wanted if key in info else 'missing'}", path, _INFO_FIX)
+    return values
+
+
+def _info_lens(info: dict[str, str], kind: str, path: Path) -> Camera:
+    """The lens of Color or Depth at the size that the file says, at the origin. Raises PlgsError."""
+    width, height = (round(_info_numbers(info, f"m_{kind.lower()}{side}", path, 1)[0]) for side in ("Width", "Height"))
+    matrix = _info_numbers(info, f"m_calibration{kind}Intrinsic", path, 16).reshape(4, 4)
+    return as_lens(matrix, (width, height), path)
+
+
+def _is_one_camera(info: dict[str, str], path: Path) -> bool:
+    """Whether colour and depth stand at one place and look the same way, within a millimetre."""
+    keys = [f"m_calibration{kind}Extrinsic" for kind in ("Color", "Depth")]
+    places = [_info_numbers(info, key, path, 16) if key in info else np.eye(4).ravel() for key in keys]
+    return bool(np.abs(places[0] - places[1]).max() < 1e-3)
 
 
 def _read_tsdf(place: Path) -> Capture:
@@ -71,38 +140,47 @@ def _read_tsdf(place: Path) -> Capture:
     intrinsics = _find_intrinsics(place)
     if intrinsics is None:
         fix = "Write the 3x3 matrix of colour and depth there."
-        raise PlgsError("the intrinsics are missing", place / "camera-intrinsics.txt", fix)
-    return _capture(place, intrinsics)
+        raise PlgsError("the intrinsics are missing", place / _OWN_LENS, fix)
+
+    def shot(name: str, base: Path, pose: NDArray[np.float64], picture: Path) -> Shot:
+        lens = read_intrinsics(intrinsics, read_image_header(picture).size)
+        return Shot(name, lens.at(pose), picture, png_depth(_depth_file(base), lens, none_from=_NONE))
+
+    return _capture(place, shot)
 
 
-def _capture(place: Path, intrinsics: Path | None) -> Capture:
+def _capture(place: Path, shot: _Reader, warnings: tuple[str, ...] = ()) -> Capture:
+    """All frames; those whose pose is missing, or holds inf, have no shot. Raises PlgsError."""
     kinds = ("frame-*.pose.txt", "frame-*.color.*")
     files = {path for folder in _folders(place) for kind in kinds for path in folder.glob(kind)}
     bases = {path.with_name(path.name.partition(".")[0]) for path in files}
     named = {
-        base.name if base.parent == place else f"{base.parent.name}_{base.name}": base
+        base.name if base.parent in (place, place / "data") else f"{base.parent.name}_{base.name}": base
         for base in sorted(bases, key=lambda base: natural_order(base.relative_to(place).as_posix()))
     }
+    found: list[tuple[str, Shot | None]] = []
     poses = read_poses({name: base.with_name(f"{base.name}.pose.txt") for name, base in named.items()})
-    return Capture([(name, _shot(name, base, poses[name], intrinsics)) for name, base in named.items()], None)
+    for name, base in named.items():
+        colours = [base.with_name(f"{base.name}.color.{suffix}") for suffix in ("png", "jpg", "jpeg")]
+        colour, pose = next((path for path in colours if path.is_file()), colours[0]), poses[name]
+        found.append((name, None if pose is None else shot(name, base, pose, colour)))
+    return Capture(found, None, warnings)
 
 
-def _shot(name: str, base: Path, pose: NDArray[np.float64] | None, intrinsics: Path | None) -> Shot | None:
-    """The frame whose files begin with ``base``; None without a ``pose``. Raises PlgsError."""
-    if pose is None:
-        return None
-    colours = [base.with_name(f"{base.name}.color.{suffix}") for suffix in ("png", "jpg", "jpeg")]
-    colour = next((path for path in colours if path.is_file()), colours[0])
-    size = read_image_header(colour).size
-    depth, projected = base.with_name(f"{base.name}.depth.png"), base.with_name(f"{base.name}.depth.proj.png")
-    if intrinsics is not None:
-        lens = read_intrinsics(intrinsics, size)
-        return Shot(name, lens.at(pose), colour, png_depth(depth, lens, none_from=_NONE))
-    lens = _kinect(_COLOUR_F).resized(*size)
+def _depth_file(base: Path) -> Path:
+    """Depth of the frame whose files begin with ``base``; a .pgm is refused by its header."""
+    pgm = base.with_name(f"{base.name}.depth.pgm")
+    return pgm if pgm.is_file() else base.with_name(f"{base.name}.depth.png")
+
+
+def _kinects_shot(name: str, base: Path, pose: NDArray[np.float64], colour: Path) -> Shot:
+    """A frame of 7-Scenes. Raises PlgsError."""
+    lens = fitted(_kinect(_COLOUR_F), colour, f"Write the lens, 3x3, into {_OWN_LENS}.")
+    projected = base.with_name(f"{base.name}.depth.proj.png")
     if projected.is_file():
         return Shot(name, lens.at(pose), colour, png_depth(projected, lens, none_from=_NONE))
     beside = inverse(_DEPTH_TO_COLOUR)
-    measured = png_depth(depth, lens, none_from=_NONE)
+    measured = png_depth(_depth_file(base), lens, none_from=_NONE)
     shown = measured.through(lambda values: registered(values, _kinect(_DEPTH_F), lens.at(beside)))
     return Shot(name, lens.at(pose @ beside), colour, shown)
 

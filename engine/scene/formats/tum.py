@@ -6,7 +6,8 @@
 * ``groundtruth.txt`` (ICL: ``*.gt.freiburg``): ``t tx ty tz qx qy qz qw``, camera-to-world, OpenCV axes, metres.
 * Depth: 16-bit PNG, registered to colour, planar, 5000 steps per metre, 0 = none.
 * Intrinsics are not in the files: TUM's are those of its documentation, told apart by "freiburg1", "freiburg2" or
-  "freiburg3" in the folder's name; ETH3D has them in ``calibration.txt``: ``fx fy cx cy``. Integer pixel centres.
+  "freiburg3" in the folder's name, else a Kinect's are assumed; a warning says so. ETH3D has them in
+  ``calibration.txt``: ``fx fy cx cy``. Integer pixel centres.
 
 ICL-NUIM was rendered with a y axis that points up in pictures (its fy is negative): camera and world are mirrored in
 y.
@@ -16,20 +17,21 @@ from __future__ import annotations
 
 from bisect import bisect_left
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import PlgsError
+from ...posed.camera import Camera
 from ...posed.image_header import read_image_header
 from ...posed.layout import file_inside, files_by_stem, listed
 from ...scene_source import UpAxis
 from ..depth import png_depth
 from ..frame import Size
 from .capture import Capture, SceneFormat, Shot, frame_names
-from .lens import Distortion, pinhole
+from .lens import Distortion, assumed, fitted, pinhole
 from .poses import finite_pose, quaternion_pose
 from .rows import numbers, read_rows
 
@@ -38,6 +40,8 @@ _APART = 0.02
 """Seconds by which a picture, its depth and its pose may differ at most."""
 _POSE_FIX = "Write one pose on each line: t tx ty tz qx qy qz qw."
 _LIST_FIX = "Write a time stamp and a file name on each line."
+_CALIBRATION = "calibration.txt"
+_LENS_FIX = f"Write fx fy cx cy of the pictures into {_CALIBRATION}."
 _MIRROR = np.diag([1.0, -1.0, 1.0, 1.0])
 
 
@@ -96,16 +100,8 @@ def _recognises_icl(place: Path) -> bool:
 
 def _read(place: Path) -> Capture:
     """Open a TUM RGB-D sequence; only headers of images are read. Raises PlgsError."""
-    name = next((name for name in _LENSES if name in place.resolve().name.lower()), None)
-    calibration, note = place / "calibration.txt", None
-    if calibration.is_file():
-        lens = _read_calibration(calibration)
-    elif name is not None:
-        lens = _LENSES[name]
-    else:
-        lens = _KINECT
-        note = "a Kinect's lens is assumed (525 525 319.5 239.5): put another's fx fy cx cy into calibration.txt"
-    return _capture(place, place / "groundtruth.txt", lens, note)
+    name = next((name for name in _LENSES if name in place.resolve().name.lower()), "a Kinect")
+    return _capture(place, place / "groundtruth.txt", name, _LENSES.get(name, _KINECT))
 
 
 def _read_calibration(path: Path) -> _Lens:
@@ -120,10 +116,16 @@ def _read_calibration(path: Path) -> _Lens:
 def _read_icl(place: Path) -> Capture:
     """Open a sequence of ICL-NUIM; only headers of images are read. Raises PlgsError."""
     trajectory = next(iter(sorted(place.glob("*.gt.freiburg"))), place / "groundtruth.txt")
-    return _capture(place, trajectory, _ICL, None, mirrored=True)
+    return _capture(place, trajectory, "ICL-NUIM", _ICL, mirrored=True)
 
 
-def _capture(place: Path, trajectory: Path, lens: _Lens, note: str | None, mirrored: bool = False) -> Capture:
+def _capture(place: Path, trajectory: Path, whose: str, lens: _Lens, mirrored: bool = False) -> Capture:
+    """The frames; ``lens`` is assumed to be theirs, ``whose`` it is, where calibration.txt does not say another."""
+    calibration, warnings = place / _CALIBRATION, list[str]()
+    if calibration.is_file():
+        lens = replace(_read_calibration(calibration), up=lens.up if mirrored else None)
+    else:
+        warnings.append(assumed(f"{whose}'s", _camera(lens, lens.size or (640, 480), place), _CALIBRATION))
     pairs = _pairs(place)
     poses = _read_poses(trajectory, mirrored)
     times = [time for time, _ in poses]
@@ -134,7 +136,6 @@ def _capture(place: Path, trajectory: Path, lens: _Lens, note: str | None, mirro
         pose = None if nearest is None else poses[nearest][1]
         shot = None if pose is None else _shot(name, colour.path, None if depth is None else depth.path, lens, pose)
         found.append((name, shot))
-    warnings = [] if note is None else [note]
     blind = [name for name, shot in found if shot is not None and shot.depth is None]
     if blind and any(shot is not None and shot.depth is not None for _, shot in found):
         warnings.append(f"{len(blind)} frames have no depth within {_APART} s and are left out: {listed(blind)}")
@@ -200,14 +201,15 @@ def _read_poses(path: Path, mirrored: bool) -> list[tuple[float, NDArray[np.floa
 
 
 def _shot(name: str, colour: Path, depth: Path | None, lens: _Lens, pose: NDArray[np.float64]) -> Shot:
-    size = read_image_header(colour).size
-    fix = "Write fx fy cx cy of the pictures into calibration.txt."
-    own = pinhole(
-        *(lens.size or size), lens.fx, lens.fy, lens.cx + 0.5, lens.cy + 0.5, path=colour.parent.parent, fix=fix
-    )
-    camera = own.resized(*size).at(pose)
+    own = _camera(lens, lens.size or read_image_header(colour).size, colour.parent.parent)
+    camera = fitted(own, colour, _LENS_FIX).at(pose)
     depth_map = None if depth is None else png_depth(depth, camera, _STEP)
     return Shot(name, camera, colour, depth_map, distortion=Distortion("brown", lens.bent))
+
+
+def _camera(lens: _Lens, size: Size, place: Path) -> Camera:
+    """A camera at the origin with a lens for pictures of ``size``. Raises PlgsError."""
+    return pinhole(*size, lens.fx, lens.fy, lens.cx + 0.5, lens.cy + 0.5, path=place, fix=_LENS_FIX)
 
 
 TUM = SceneFormat("tum", _recognises, _read)

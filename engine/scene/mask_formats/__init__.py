@@ -28,6 +28,7 @@ MASK_FORMATS: tuple[MaskFormat, ...] = (
     coco.FORMAT,
     panoptic_lifting.FORMAT,
     grounded_sam2.FORMAT,
+    sam2.PICTURES,
     label_pairs.PAIRS_FORMAT,
     segment_maps.TRANSFORMERS,
     segment_maps.DETECTRON2,

@@ -1,17 +1,20 @@
-"""SAM 2's tracks: one PNG per frame whose values number the objects, or one folder of black and white PNGs per object.
+"""SAM's masks: of SAM 2, tracks through all frames; of SAM 1's ``amg.py``, regions of one picture. Neither has classes.
 
-``<frame>.png`` with a palette, index = object, 0 = none; or ``<object>/<frame>.png``, anything but 0 is the object. The
-numbers are the same in all frames. SAM 2 gives no classes: ``classes.toml`` may give each object's number one.
+* SAM 2: ``<frame>.png`` with a palette, index = object, 0 = none; or ``<object>/<frame>.png``, anything but 0 is the
+  object, whose number may be 0. The numbers are the same in all frames: ``classes.toml`` may give each one a class.
+* ``amg.py``: ``<frame>/<k>.png`` beside ``<frame>/metadata.csv``, which lists each k. A smaller region is on top.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 
+from ...errors import PlgsError
 from ...gates import open_plain
-from ...posed.layout import files_by_stem, files_of_frames, of_most, require_most, whole_file
+from ...posed.layout import files_by_stem, files_of_frames, listed, of_most, require_all, require_most, whole_file
+from ..formats.rows import read_rows
 from ..label_image import label_header, read_indices
 from .source import (
     FoundMask,
@@ -24,6 +27,10 @@ from .source import (
 )
 
 _FIX = "Name the folder that SAM 2 wrote for the video: one PNG per frame, or one folder per object."
+_LIST = "metadata.csv"
+_LIST_FIX = "Name the folder that SAM's amg.py wrote: one folder per picture, whole, with its metadata.csv."
+_NO_LABEL = -1
+"""No table has this number: a region's number says nothing about its class."""
 
 
 def _recognises(place: Path) -> bool:
@@ -31,11 +38,11 @@ def _recognises(place: Path) -> bool:
 
 
 def _object_folders(place: Path) -> dict[int, Path]:
-    """The folders whose names are numbers, if they hold PNGs."""
+    """The folders whose names are numbers, if they hold PNGs and are not those of pictures."""
     if not place.is_dir():
         return {}
-    folders = [path for path in sorted(place.iterdir()) if path.name.isdecimal() and path.is_dir()]
-    return {int(path.name): path for path in folders if int(path.name) and any(path.glob("*.png"))}
+    folders = [path for path in sorted(place.iterdir()) if path.name.isdecimal() and not (path / _LIST).exists()]
+    return {int(path.name): path for path in folders if any(path.glob("*.png"))}
 
 
 def _has_palette(place: Path) -> bool:
@@ -56,23 +63,53 @@ def _read(place: Path, names: Sequence[str]) -> MaskSource:
             name: StoredMask(path, label_header(path).size, partial(_read_map, path)) for name, path in files.items()
         }
         return MaskSource(masks, tells_no_class=True)
+    # Segments are numbered from 1, objects perhaps from 0.
+    segments = {number: FoundSegment(n, number, track=number) for n, number in enumerate(folders, start=1)}
     found = {number: files_by_stem(folder, {".png"}, _FIX) for number, folder in folders.items()}
     of_frame = {name: {number: files[name] for number, files in found.items() if name in files} for name in names}
     there = require_most(names, [name for name in names if of_frame[name]], "mask", place, _FIX)
     whole = of_most(there, lambda name: [whole_file(path) for path in of_frame[name].values()])
-    return MaskSource({name: _of_objects(of_frame[name]) for name in whole}, tells_no_class=True)
+    masks = {name: _pile([segments[n] for n in of_frame[name]], (*of_frame[name].values(),), _FIX) for name in whole}
+    return MaskSource(masks, tells_no_class=True, void=frozenset())
 
 
 def _read_map(path: Path) -> FoundMask:
     return segments_of_objects(read_indices(path))
 
 
-def _of_objects(files: Mapping[int, Path]) -> StoredMask:
-    """A frame's mask out of a black and white PNG for each object's number. Smaller objects are on top."""
-    paths = (*files.values(),)
+def _pile(segments: Sequence[FoundSegment], paths: Sequence[Path], fix: str) -> StoredMask:
+    """A frame's mask out of a black and white PNG for each segment. Smaller ones are on top."""
     size = label_header(paths[0]).size
-    segments = [FoundSegment(number, number, track=number) for number in files]
-    return StoredMask(paths[0], size, partial(painted_files, paths, segments, size, _FIX))
+    return StoredMask(paths[0], size, partial(painted_files, paths, segments, size, fix))
+
+
+def _picture_folders(place: Path) -> list[Path]:
+    """The folders of the pictures in which ``amg.py`` found regions."""
+    lists = place.glob(f"*/{_LIST}") if place.is_dir() else ()
+    return [path.parent for path in lists if any(path.parent.glob("*.png"))]
+
+
+def _recognises_pictures(place: Path) -> bool:
+    return bool(_picture_folders(place))
+
+
+def _read_pictures(place: Path, names: Sequence[str]) -> MaskSource:
+    """Open the masks of ``amg.py``; headers and lists only. Raises PlgsError."""
+    require_all(names, [path.name for path in _picture_folders(place)], f"PNGs with {_LIST}", place, _LIST_FIX)
+    return MaskSource({name: _regions(place / name) for name in names}, tells_no_class=True)
+
+
+def _regions(folder: Path) -> StoredMask:
+    """A picture's mask out of the PNGs that its list names. Raises PlgsError unless all are there."""
+    files = files_by_stem(folder, {".png"}, _LIST_FIX)
+    wanted = [row.words[0] for row in read_rows(folder / _LIST, _LIST_FIX, ",") if row.words[0].isdecimal()]
+    lacking = [f"{k}.png" for k in wanted if k not in files]
+    if lacking or not wanted:
+        what = f"PNGs of {_LIST} are missing ({listed(lacking)})" if wanted else f"{_LIST} lists none of the PNGs"
+        raise PlgsError(what, folder, _LIST_FIX)
+    segments = [FoundSegment(n, _NO_LABEL) for n in range(1, len(wanted) + 1)]
+    return _pile(segments, [files[k] for k in wanted], _LIST_FIX)
 
 
 FORMAT = MaskFormat("sam2", _recognises, _read)
+PICTURES = MaskFormat("sam", _recognises_pictures, _read_pictures, own_names=True)

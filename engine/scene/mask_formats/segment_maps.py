@@ -7,13 +7,15 @@
   for nothing, or from 0 with -1 for nothing; -1 everywhere if nothing was found. One stuff class may come in pieces.
   The names are ``id2label`` of the model's ``config.json``, if that lies beside them.
 * detectron2: ``{id, isthing, category_id, score}``; ids outside the list are void. ``category_id`` counts without gaps
-  from 0 over all classes, or over the things and over the stuff apart (Panoptic FPN on COCO, stuff from 1).
+  from 0 over all classes, or over the things and over the stuff apart (Panoptic FPN on COCO, stuff from 1), which one
+  number for a thing and a stuff class tells, or else the table that the user names (``numbering.py``).
 """
 
 from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -98,20 +100,31 @@ def _read_detectron2(place: Path, names: Sequence[str]) -> MaskSource:
     """Open detectron2's results; headers and JSON only. Raises PlgsError."""
     pictures, tables = _files(place, names)
     infos = {name: _segments_info(table) for name, table in tables.items()}
+    apart = _detectron2_source(pictures, tables, infos, is_apart=True)
+    if _counts_stuff_apart(infos, tables):
+        return apart
+    return replace(_detectron2_source(pictures, tables, infos, is_apart=False), apart=apart)
+
+
+def _detectron2_source(
+    pictures: Mapping[str, Path],
+    tables: Mapping[str, Path],
+    infos: Mapping[str, list[dict[str, Any]]],
+    is_apart: bool,
+) -> MaskSource:
+    """The masks; with ``is_apart``, stuff is numbered after COCO's things. Raises PlgsError."""
     kinds: dict[int, bool] = {}
     segments: dict[str, dict[int, FoundSegment]] = {}
-    apart = _counts_stuff_apart(infos, tables)
     for name in infos:
         segments[name] = {}
         for info in infos[name]:
             one = _segment(info, "category_id", name, tables[name])
             is_thing = take_flag(info, "isthing", f"segment {one.id} of frame {name}", tables[name])
-            label = one.label + _COCO_THINGS - 1 if apart and not is_thing else one.label
+            label = one.label + _COCO_THINGS - 1 if is_apart and not is_thing else one.label
             kinds.setdefault(label, is_thing)
             _add(segments[name], FoundSegment(one.id, label, one.score), name, tables[name])
     labels = tuple(ClassLabel(label, f"class {label}", kinds[label]) for label in sorted(kinds))
-    named = "the masks do not say what their classes are called: name a table, such as --classes coco"
-    return MaskSource(_masks(pictures, tables, segments), labels, (named,), void=frozenset())
+    return MaskSource(_masks(pictures, tables, segments), labels, void=frozenset(), kinds=kinds)
 
 
 def _counts_stuff_apart(infos: Mapping[str, list[dict[str, Any]]], tables: Mapping[str, Path]) -> bool:

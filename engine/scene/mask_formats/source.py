@@ -58,6 +58,9 @@ class MaskSource:
     With ``stuff_in_pieces``, one stuff class may come as several segments of a frame. With ``tells_no_class``, labels
     number objects; without a table these are all of the class "object". Labels in ``void`` mean nothing unless the
     table has them. ``table`` is what messages call the classes' table.
+
+    ``kinds``: whether each label is a thing, where files say this and no name. ``apart`` are the same masks if their
+    files number stuff apart from things.
     """
 
     masks: Mapping[str, StoredMask]
@@ -67,6 +70,8 @@ class MaskSource:
     tells_no_class: bool = False
     void: frozenset[int] = frozenset({0})
     table: str = "the class table"
+    kinds: Mapping[int, bool] | None = None
+    apart: MaskSource | None = None
 
 
 @dataclass(frozen=True)

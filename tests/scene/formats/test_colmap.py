@@ -13,6 +13,7 @@ from engine.errors import PlgsError
 from engine.scene import describe, open_scene
 from tests.scene.formats.room import Lens, View, cast, check_colours, check_on_room, elsewhere, look, quaternion, views
 from tests.scene.formats.writing import write_colour
+from tests.scene.refusing import refuses
 
 LENS = Lens().scaled(2)
 PINHOLE = ("PINHOLE", (LENS.fx, LENS.fy, LENS.cx, LENS.cy))
@@ -56,7 +57,7 @@ def write_text(folder: Path, model: tuple[str, tuple[float, ...]] = PINHOLE) -> 
 
 def write_depth(folder: Path) -> None:
     """As COLMAP's stereo does: width & height & channels & float32, x fastest."""
-    (folder / "stereo" / "depth_maps").mkdir(parents=True)
+    (folder / "stereo" / "depth_maps").mkdir(parents=True, exist_ok=True)
     for i, view in enumerate(views()):
         depth = look(view, LENS).depth
         data = b"128&96&1&" + b"".join(struct.pack("<128f", *row) for row in depth)
@@ -90,6 +91,22 @@ def test_a_picture_without_dense_depth_is_left_out(tmp_path: Path, content: byte
     scene = open_scene(tmp_path)
     assert scene.has_depth and [frame.name for frame in scene.frames] == [f"img_{i + 5}" for i in range(5)]
     assert "1 frames without readable depth are left out: img_10" in scene.warnings
+    check_on_room(scene)
+
+
+@pytest.mark.parametrize("place", ["dense/0", "dense"])
+def test_depth_of_a_workspace_is_found(tmp_path: Path, place: str) -> None:
+    """Its pictures are undistorted and of another size than the photos; empty folders are no depth."""
+    write_text(tmp_path, ("RADIAL", (LENS.fx, LENS.cx, LENS.cy, -0.1, 0.03)))
+    (tmp_path / "stereo" / "depth_maps").mkdir(parents=True)
+    (tmp_path / place / "stereo" / "depth_maps").mkdir(parents=True)
+    assert not open_scene(tmp_path).has_depth
+    write_depth(write_text(tmp_path / place))
+    for file in (tmp_path / place / "sparse" / "0").iterdir():
+        file.rename(tmp_path / place / "sparse" / file.name)
+    scene = open_scene(tmp_path)
+    assert any(f"depth is in {place}" in warning for warning in scene.warnings)
+    assert scene.frames[0].camera.fy == LENS.fy and scene.frames[0].file_shows_colour
     check_on_room(scene)
 
 
@@ -194,3 +211,29 @@ def test_binary_models_are_read(tmp_path: Path) -> None:
     for frame in scene.frames:
         pixel, depth = frame.camera.project(scene.points.xyz[scene.points.seen_by[frame.name]])
         np.testing.assert_allclose([*pixel[0], depth[0]], [LENS.cx, LENS.cy, 1.0], atol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("number", "model", "count"),
+    [
+        (7, "FOV", 5), (10, "THIN_PRISM_FISHEYE", 12), (11, "RAD_TAN_THIN_PRISM_FISHEYE", 16),
+        (12, "SIMPLE_DIVISION", 4), (13, "DIVISION", 5), (14, "SIMPLE_FISHEYE", 3), (15, "FISHEYE", 4), (16, "EUCM", 6),
+        (17, "EQUIRECTANGULAR", 2),
+    ],
+)  # fmt: skip
+def test_other_camera_models_are_named_with_their_mend(tmp_path: Path, number: int, model: str, count: int) -> None:
+    values = [64.0] * count
+    write_text(tmp_path / "text", (model, tuple(values)))
+    cameras = binary(tmp_path / "binary") / "sparse" / "0" / "cameras.bin"
+    cameras.write_bytes(struct.pack(f"<QIiQQ{count}d", 1, 3, number, 128, 96, *values))
+    for folder in ("text", "binary"):
+        error = refuses(f"the camera model {model} is not known here: .*image_undistorter", tmp_path / folder)
+        assert ("panorama" in error.fix) is (model == "EQUIRECTANGULAR")
+
+
+def test_camera_models_of_a_later_colmap(tmp_path: Path) -> None:
+    write_text(tmp_path / "text", ("NEWEST", (64.0,)))
+    refuses(r"the model NEWEST .* not known: .*cameras\.txt\. Run COLMAP's image_undistorter", tmp_path / "text")
+    cameras = binary(tmp_path / "binary") / "sparse" / "0" / "cameras.bin"
+    cameras.write_bytes(struct.pack("<QIiQQ4d", 1, 3, 18, 128, 96, *PINHOLE[1]))
+    refuses(r"model number 18, .* not known: .*cameras\.bin\. Run COLMAP's image_undistorter", tmp_path / "binary")

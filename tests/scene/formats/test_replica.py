@@ -41,12 +41,16 @@ def test_nice_slams_camera_file(tmp_path: Path) -> None:
     check_on_room(open_scene(tmp_path / "office0"), colour_step=60)
 
 
-def test_semantic_nerf(tmp_path: Path) -> None:
+def write_semantic_nerf(folder: Path) -> Path:
     """Eleven pictures, so that rgb_10 comes after rgb_9."""
     every = views(11)
     for i, view in enumerate(every):
-        write_pair(tmp_path / "rgb" / f"rgb_{i}.png", tmp_path / "depth" / f"depth_{i}.png", look(view, SEMANTIC))
-    (tmp_path / "traj_w_c.txt").write_text(trajectory(every))
-    scene = open_scene(tmp_path)
+        write_pair(folder / "rgb" / f"rgb_{i}.png", folder / "depth" / f"depth_{i}.png", look(view, SEMANTIC))
+    (folder / "traj_w_c.txt").write_text(trajectory(every))
+    return folder
+
+
+def test_semantic_nerf(tmp_path: Path) -> None:
+    scene = open_scene(write_semantic_nerf(tmp_path))
     assert scene.format == "vmap" and [frame.name for frame in scene.frames] == [f"rgb_{i}" for i in range(11)]
     check_on_room(scene)

@@ -16,6 +16,8 @@ from tests.scene.refusing import refuses
 # (320, 240) of 640x480.
 DEPTH_LENS = Lens(160, 120, 585 / 4, 585 / 4, 320.5 / 4, 240.5 / 4)
 COLOUR_LENS = Lens(160, 120, 525 / 4, 525 / 4, 320.5 / 4, 240.5 / 4)
+# Lenses of a sensor whose pictures differ in size.
+COLOUR, DEPTH = Lens(108, 80, 97.0, 97.5, 54.3, 40.2), Lens(64, 48, 58.0, 58.4, 32.4, 24.1)
 # Where the colour camera stands as the depth camera sees it, written from the published rotation and translation.
 R = np.array(
     [
@@ -90,9 +92,81 @@ def test_tsdf_fusion(tmp_path: Path, where: str) -> None:
     assert not scene.frames[0].depth()[:3].any()
 
 
+def write_info(folder: Path, place: str = "", name: str = "info.txt", steps: int = 1000, **changed: str) -> Path:
+    """BundleFusion's frames and its file about the sensor, whose lines may be ``changed``."""
+    for i, view in enumerate(views()):
+        base = folder / place / f"frame-{i:06d}"
+        write_colour(base.with_suffix(".color.jpg"), look(view, COLOUR).colour)
+        write_grey(base.with_suffix(".depth.png"), in_steps(look(view, DEPTH).depth, steps))
+        np.savetxt(base.with_suffix(".pose.txt"), opencv_pose(view))
+    lines = {"m_versionNumber": "4", "m_sensorName": "StructureSensor (calibrated)", "m_depthShift": str(steps)}
+    for kind, lens in (("Color", COLOUR), ("Depth", DEPTH)):
+        lines |= {f"m_{kind.lower()}Width": str(2 * lens.width), f"m_{kind.lower()}Height": str(2 * lens.height)}
+        K = [2 * lens.fx, 0, 2 * lens.cx - 0.5, 0, 0, 2 * lens.fy, 2 * lens.cy - 0.5, 0, 0, 0, 1, 0, 0, 0, 0, 1]
+        lines[f"m_calibration{kind}Intrinsic"] = " ".join(map(str, K)) + " "
+        lines[f"m_calibration{kind}Extrinsic"] = "1 0 0 0 0 1 0 0 0 0 1 0 0 0 0 1 "
+    lines |= changed
+    (folder / name).write_text("".join(f"{key} = {value}\n" for key, value in lines.items() if value))
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("place", "opened", "name", "steps"),
+    [
+        ("", "", "info.txt", 1000),
+        ("", "", "_info.txt", 4000),
+        ("data", "", "info.txt", 1000),
+        ("data", "data", "info.txt", 500),
+    ],
+)
+def test_info_txt_says_the_lenses(tmp_path: Path, place: str, opened: str, name: str, steps: int) -> None:
+    """BundleFusion, ScanNet's own reader, and 12-Scenes, whose frames lie in data; pictures of half the size."""
+    write_info(tmp_path, place, name, steps)
+    scene = open_scene(tmp_path / opened)
+    lens = scene.frames[0].camera
+    assert scene.frames[0].name == "frame-000000" and scene.warnings == ()
+    assert [lens.fx, lens.fy, lens.cx, lens.cy] == pytest.approx([COLOUR.fx, COLOUR.fy, COLOUR.cx, COLOUR.cy])
+    assert lens.camera_to_world == pytest.approx(opencv_pose(views()[0]))
+    check_on_room(scene, tolerance=0.06, share=0.97, colour_step=60)
+
+
+@pytest.mark.parametrize(
+    ("changed", "told"),
+    [
+        ({"m_calibrationColorIntrinsic": ""}, "m_calibrationColorIntrinsic is missing"),
+        ({"m_calibrationDepthIntrinsic": "0 " * 16}, "not a camera matrix"),
+        ({"m_calibrationDepthIntrinsic": "1 2 3"}, "m_calibrationDepthIntrinsic is not 16 numbers"),
+        ({"m_colorWidth": "many"}, "m_colorWidth is no number above 0"),
+        ({"m_depthShift": "0"}, "m_depthShift is no number above 0"),
+        ({"m_depthWidth": "260"}, "not of one sensor"),
+        ({"m_colorHeight": "170"}, "but its camera 216x170"),
+    ],
+)
+def test_a_bad_info_txt_is_refused(tmp_path: Path, changed: dict[str, str], told: str) -> None:
+    refuses(told, write_info(tmp_path, **changed))
+
+
+def test_what_else_info_txt_may_be(tmp_path: Path) -> None:
+    """Colour and depth that stand apart are told; a text by a person is none."""
+    apart = "1 0 0 0.02 0 1 0 0 0 0 1 0 0 0 0 1"
+    scene = open_scene(write_info(tmp_path / "apart", m_calibrationColorExtrinsic=apart))
+    assert any("stand apart" in warning for warning in scene.warnings)
+    write_seven(tmp_path / "text")
+    (tmp_path / "text" / "info.txt").write_bytes(b"the Kitchen\xff\n")
+    assert any("a Kinect's lens is assumed (525 525" in each for each in open_scene(tmp_path / "text").warnings)
+
+
+def test_lost_frames_as_windows_wrote_them(tmp_path: Path) -> None:
+    write_info(tmp_path)
+    (tmp_path / "frame-000001.pose.txt").write_text("-1.#INF -1.#INF -1.#INF00 1.#INF\n" * 4)
+    assert open_scene(tmp_path).warnings[0] == "1 frames without a pose are left out: frame-000001"
+
+
 def test_what_is_missing_is_named(tmp_path: Path) -> None:
     write_seven(tmp_path)
     refuses(r"intrinsics are missing: .*camera-intrinsics\.txt", tmp_path, scene_format="tsdf-fusion")
     for path in sorted(tmp_path.rglob("*.depth.png"))[2:]:
         path.unlink()
     refuses(r"cannot be read .*frame-000002\.depth\.png", tmp_path)
+    (tmp_path / "seq-01" / "frame-000002.depth.pgm").write_bytes(b"P5 160 120 65535\n")
+    refuses(r"neither a PNG nor a JPEG image: .*frame-000002\.depth\.pgm", tmp_path)

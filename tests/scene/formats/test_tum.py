@@ -90,18 +90,22 @@ def mirrored(view: View) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray
     return swap @ view.right, swap @ view.up, swap @ view.forward, swap @ view.eye
 
 
-@pytest.mark.parametrize("truth", ["livingRoom2.gt.freiburg", "groundtruth.txt"])
-def test_icl_nuim_is_mirrored_back(tmp_path: Path, truth: str) -> None:
+def write_icl(folder: Path, truth: str) -> Path:
     """Frame 0 has a picture and no pose; x right, y up, z forward of the camera are the columns of the rotation."""
     text, pairs = "", "0 depth/0.png 0 rgb/0.png\n"
     for i, view in enumerate([views()[0], *views()]):
-        write_pair(tmp_path / "rgb" / f"{i}.png", tmp_path / "depth" / f"{i}.png", look(view, ICL), 5000)
+        write_pair(folder / "rgb" / f"{i}.png", folder / "depth" / f"{i}.png", look(view, ICL), 5000)
         if i:
             text += tum_line(i, *mirrored(view))
             pairs += f"{i} depth/{i}.png {i} rgb/{i}.png\n"
-    (tmp_path / truth).write_text(text)
-    (tmp_path / "associations.txt").write_text(pairs)
-    scene = open_scene(tmp_path)
+    (folder / truth).write_text(text)
+    (folder / "associations.txt").write_text(pairs)
+    return folder
+
+
+@pytest.mark.parametrize("truth", ["livingRoom2.gt.freiburg", "groundtruth.txt"])
+def test_icl_nuim_is_mirrored_back(tmp_path: Path, truth: str) -> None:
+    scene = open_scene(write_icl(tmp_path, truth))
     assert scene.format == "icl" and [frame.name for frame in scene.frames] == ["1", "2", "3", "4", "5", "6"]
     assert scene.warnings[0] == "1 frames without a pose are left out: 0"
     check_on_room(scene)

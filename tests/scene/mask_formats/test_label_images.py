@@ -45,6 +45,32 @@ def test_pairs_of_images(tmp_path: Path, kinds: tuple[str, str], deep: type) -> 
     refuses("do not say what their classes are", tmp_path)
 
 
+@pytest.mark.parametrize(
+    ("frame", "kinds", "other"),
+    [
+        ("rgb_{}", ("semantic_class_{}", "semantic_instance_{}"), "vis_sem_class_{}"),  # Semantic-NeRF, vMAP
+        ("test.rgba.{:05d}", ("test.sem.{:05d}", "test.{}"), "test.depth.{:05d}"),  # habitat-sim
+        ("frame_{:04d}", ("{}_mask", "{}"), "{}_color"),
+    ],
+)
+def test_masks_that_are_named_otherwise_are_those_of_the_frames_number(
+    tmp_path: Path, frame: str, kinds: tuple[str, str], other: str
+) -> None:
+    truths = write_pairs(tmp_path, ("semantic_class", "semantic_instance"))
+    for part in ("color", "depth", "pose"):
+        for i, path in enumerate(sorted((tmp_path / part).iterdir())):
+            path.rename(path.with_name(frame.format(i) + path.suffix))
+    folders = [tmp_path / "masks" / kind for kind in ("semantic_class", "semantic_instance")]
+    for i in range(3):
+        for folder, name in zip(folders, kinds, strict=True):
+            (folder / f"{i:04d}.png").rename(folder / f"{name.format(i)}.png")
+        cv2.imwrite(str(folders[0] / f"{other.format(i)}.png"), np.zeros((48, 64, 3), np.uint8))
+    scene = open_scene(tmp_path, classes="nyu40")
+    check_on_room(scene, truths, NAMES, THINGS)
+    wanted = f"{frame.format(0)} has semantic_class/{kinds[0].format(0)}.png"
+    assert any("other names than their frames" in warning and wanted in warning for warning in scene.warnings)
+
+
 def test_things_without_an_instance_are_groups(tmp_path: Path) -> None:
     write_pairs(tmp_path, ("semantic", "instance"))
     cv2.imwrite(str(tmp_path / "masks" / "instance" / "0000.png"), np.zeros((48, 64), np.uint8))

@@ -47,14 +47,28 @@ def write_palettes(folder: Path, bits: int = 8) -> list[Truth]:
     return truths
 
 
-def write_object_folders(folder: Path) -> list[Truth]:
+def write_object_folders(folder: Path, chair: int = 7) -> list[Truth]:
     """A folder an object, all frames in each; where an object is not seen its PNG is black."""
     scene, truths = write_frames(folder)
     for truth in truths:
-        for number in (7, 12):
+        for number, one in ((chair, 1), (12, 2)):
             (scene / "masks" / f"{number:03d}").mkdir(parents=True, exist_ok=True)
-            seen = (numbers_of(truth) == number).astype(np.uint8)
+            seen = (truth.instance == one).astype(np.uint8)
             (scene / "masks" / f"{number:03d}" / f"{truth.name}.png").write_bytes(palette_png(seen))
+    return truths
+
+
+def write_pictures(folder: Path) -> list[Truth]:
+    """SAM's amg.py: a folder a picture, a region a PNG, the chair's back inside the chair. Names are numbers."""
+    scene, truths = write_frames(folder)
+    for truth in truths:
+        (scene / "masks" / truth.name).mkdir(parents=True)
+        rows = ["id,area,bbox_x0,bbox_y0,bbox_w,bbox_h,predicted_iou"]
+        for k, one in enumerate(n for n in (1, 2) if (truth.instance == n).any()):
+            for number, region in ((2 * k, truth.instance >= one), (2 * k + 1, truth.instance == one)):
+                (scene / "masks" / truth.name / f"{number}.png").write_bytes(palette_png(region.astype(np.uint8)))
+                rows.append(f"{number},{region.sum()},0,0,9,9,{1.0 - 0.1 * number}")
+        (scene / "masks" / truth.name / "metadata.csv").write_text("\n".join(rows))
     return truths
 
 
@@ -89,16 +103,31 @@ def test_a_palette_may_hold_classes_as_well(tmp_path: Path) -> None:
     refuses("look like sam2 and palette.*--mask-format sam2", tmp_path)
 
 
-def test_one_folder_per_object(tmp_path: Path) -> None:
-    truths = write_object_folders(tmp_path)
+@pytest.mark.parametrize("chair", [7, 0])
+def test_one_folder_per_object(tmp_path: Path, chair: int) -> None:
+    truths = write_object_folders(tmp_path, chair)
     scene = open_scene(tmp_path)
     check_on_room(scene, truths, OBJECTS, BOTH)
-    assert tracks(scene, truths) == TRACKS
+    assert tracks(scene, truths) == TRACKS | {1: {chair}}
 
 
-def test_a_toml_gives_objects_their_classes(tmp_path: Path) -> None:
-    truths = write_object_folders(tmp_path)
-    (tmp_path / "masks" / "classes.toml").write_text('[[class]]\nid = 7\nname = "chair"\n')
+def test_amg_folders_are_pictures_even_where_their_names_are_numbers(tmp_path: Path) -> None:
+    """Their regions are no tracks and have no class, so that a table of classes changes nothing."""
+    truths = write_pictures(tmp_path)
+    for scene in (open_scene(tmp_path), open_scene(tmp_path, classes="coco")):
+        check_on_room(scene, truths, OBJECTS, BOTH)
+        assert tracks(scene, truths) == {1: {None}, 2: {None}}
+    refuses("the folder has no .png files", tmp_path, mask_format="sam2")
+    (tmp_path / "masks" / "0001" / "1.png").unlink()
+    refuses(r"PNGs of metadata.csv are missing \(1.png\)", tmp_path)
+    (tmp_path / "masks" / "0001" / "metadata.csv").unlink()
+    refuses("a frame has no PNGs with metadata.csv .0001.", tmp_path)
+
+
+@pytest.mark.parametrize("chair", [7, 0])
+def test_a_toml_gives_objects_their_classes(tmp_path: Path, chair: int) -> None:
+    truths = write_object_folders(tmp_path, chair)
+    (tmp_path / "masks" / "classes.toml").write_text(f'[[class]]\nid = {chair}\nname = "chair"\n')
     check_on_room(open_scene(tmp_path), truths, OBJECTS | {5: "chair"}, BOTH | {"chair"})
 
 

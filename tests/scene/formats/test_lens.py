@@ -1,0 +1,96 @@
+"""A lens that no file says is a warning of the scene, whatever its layout."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from engine.posed.camera import Camera
+from engine.scene import open_scene
+from tests.scene.formats import test_nerfstudio, test_open3d_log, test_replica, test_seven_scenes, test_tum
+from tests.scene.formats.room import views
+from tests.scene.refusing import refuses
+
+
+def open3d(folder: Path) -> Path:
+    test_open3d_log.write_images(folder, test_open3d_log.PRIMESENSE)
+    (folder / "trajectory.log").write_text(test_open3d_log.log(views()))
+    return folder
+
+
+CAMERA = {"w": 64, "h": 48, "fx": 32, "fy": 32, "cx": 31.5, "cy": 23.5, "scale": 1000}
+# Who writes the scene, what the warning tells, and the file with which there is none.
+ASSUMED: list[tuple[Callable[[Path], Path], str, str, str]] = [
+    (test_seven_scenes.write_seven, "a Kinect's lens is assumed (525 525 320 240 for 640x480)", "", ""),
+    (test_tum.write_tum, "a Kinect's lens is assumed (525 525 319.5 239.5", "calibration.txt", "52.5 52.5 31.5 23.5"),
+    (
+        lambda folder: test_tum.write_tum(folder / "rgbd_dataset_freiburg3_office"),
+        "freiburg3's lens is assumed (535.4 539.2 320.1 247.6",
+        "calibration.txt",
+        "53.54 53.92 31.56 24.31",
+    ),
+    (
+        lambda folder: test_tum.write_icl(folder, "groundtruth.txt"),
+        "ICL-NUIM's lens is assumed (481.2 480 319.5 239.5",
+        "calibration.txt",
+        "48.12 48 31.5 23.5",
+    ),
+    (
+        lambda folder: test_replica.write_nice(folder, test_replica.SEMANTIC, 1000),
+        "Replica's lens is assumed (32 32 31.5 23.5 for 64x48)",
+        "cam_params.json",
+        json.dumps({"camera": CAMERA}),
+    ),
+    (
+        test_replica.write_semantic_nerf,
+        "Replica's lens is assumed (32 32 31.5 23.5 for 64x48)",
+        "cam_params.json",
+        json.dumps({"camera": CAMERA}),
+    ),
+    (
+        open3d,
+        "a PrimeSense's lens is assumed (525 525 319.5 239.5",
+        "camera_intrinsic.json",
+        json.dumps(test_open3d_log.intrinsic(test_open3d_log.PRIMESENSE)),
+    ),
+    (lambda folder: test_nerfstudio.write_scene(folder, cx=None), "principal point of the lens is assumed", "", ""),
+    (test_nerfstudio.write_scene, "", "", ""),
+]
+
+
+@pytest.mark.parametrize(("write", "told", "file", "text"), ASSUMED)
+def test_an_assumed_lens_is_a_warning(
+    tmp_path: Path, write: Callable[[Path], Path], told: str, file: str, text: str
+) -> None:
+    place = write(tmp_path)
+    before = open_scene(place)
+    assert [told in warning for warning in before.warnings if "assumed" in warning] == [True] * bool(told)
+    if file:
+        (place / file).write_text(text)
+        after = open_scene(place)
+        assert not any("assumed" in warning for warning in after.warnings)
+        assert lens_of(after.frames[0].camera) == pytest.approx(lens_of(before.frames[0].camera))
+
+
+def lens_of(camera: Camera) -> list[float]:
+    return [camera.fx, camera.fy, camera.cx, camera.cy]
+
+
+@pytest.mark.parametrize(
+    ("write", "picture", "file"),
+    [
+        (test_seven_scenes.write_seven, "seq-01/frame-000000.color.png", "camera-intrinsics.txt"),
+        (test_tum.write_tum, "rgb/1305031102.170000.png", "calibration.txt"),
+    ],
+)
+def test_an_assumed_lens_is_of_pictures_of_its_shape(
+    tmp_path: Path, write: Callable[[Path], Path], picture: str, file: str
+) -> None:
+    write(tmp_path)
+    cv2.imwrite(str(tmp_path / picture), np.zeros((90, 160, 3), np.uint8))
+    refuses(f"the picture is 160x90, but its camera 640x480: .*{file}", tmp_path)

@@ -1,0 +1,132 @@
+"""Numbers of one table that are counted in several ways: told by the masks, asked for by name, or assumed aloud."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from engine.json_file import to_text
+from engine.records import to_json
+from engine.scene import list_classes, open_scene
+from engine.scene.class_listing import write_class_list
+from engine.scene.class_tables import NUMBERINGS, known_table
+from engine.scene_source import SceneSource
+from tests.scene.mask_formats.labelled_room import COCO_NAMES, COCO_NUMBERS, NAMES, Truth, check_on_room, write_frames
+from tests.scene.mask_formats.test_segment_maps import write_detectron2
+from tests.scene.refusing import refuses
+
+ADE = {1: 0, 2: 3, 3: 10, 5: 19, 13: 5}
+"""The room's classes in ADE20K, counted from 0."""
+ADE_DATA = {class_id: number + 1 for class_id, number in ADE.items()}
+COCO_DATA = {1: 199, 2: 190, 3: 188, 5: 62, 13: 186}
+TREES = {1: "building", 2: "sky", 3: "tree"}
+TRAFFIC = {1: "building", 2: "road", 3: "car", 5: "pole", 13: "sky"}
+
+
+def in_table(table: str, names: Mapping[int, str]) -> dict[int, int]:
+    number = {label.name: label.id for label in known_table(table).labels}
+    return {class_id: number[name] for class_id, name in names.items()}
+
+
+def write_labels(folder: Path, numbers: Mapping[int, int], void: int = 255) -> list[Truth]:
+    """Arrays of classes; those without a number, and the uppermost rows, are void."""
+    scene, truths = write_frames(folder)
+    (scene / "masks").mkdir()
+    for truth in truths:
+        truth.semantic[:2], truth.instance[:2] = 0, 0
+        shown = np.vectorize(lambda class_id: numbers.get(class_id, void))(truth.semantic)
+        np.save(scene / "masks" / f"{truth.name}.npy", shown.astype(np.uint8))
+        truth.semantic[~np.isin(truth.semantic, [*numbers])] = 0
+    return truths
+
+
+def warned(folder: Path, classes: str) -> list[str]:
+    return [one for one in open_scene(folder, classes=classes).warnings if "numbers are read as" in one]
+
+
+@pytest.mark.parametrize(
+    ("classes", "numbers", "void", "names", "read_as", "told"),
+    [
+        ("ade20k", ADE, 255, NAMES, "", ""),
+        ("ade20k", ADE_DATA, 0, NAMES, "ade20k:1-150", "% of the pixels are then ceiling, floor, wall"),
+        ("ade20k", ADE_DATA | {5: 150}, 0, NAMES | {5: "flag"}, "ade20k:1-150", "this alone has the numbers 150"),
+        ("ade20k", {3: 20}, 255, {3: "car"}, "ade20k:0-149", "nothing in the masks tells"),
+        ("ade20k", {1: 1, 2: 2, 3: 4}, 255, TREES, "ade20k:0-149", "nothing in"),
+        ("ade20k:1-150", {3: 20}, 0, {3: "chair"}, "", ""),
+        ("ade20k:0-149", ADE_DATA, 255, {1: "building", 2: "tree", 3: "sidewalk", 5: "car", 13: "road"}, "", ""),
+        ("coco", COCO_NUMBERS, 255, COCO_NAMES, "", ""),
+        ("coco", COCO_DATA, 0, COCO_NAMES, "coco:90", "this alone has the numbers 18"),
+        ("coco", {3: 62, 5: 63}, 0, {3: "chair", 5: "couch"}, "coco:90", "of the pixels are then "),
+        ("coco", {3: 56, 5: 57}, 255, {3: "chair", 5: "couch"}, "", ""),
+        ("coco", {3: 44, 5: 47}, 255, {3: "spoon", 5: "apple"}, "coco:0-132", "name --classes coco:90"),
+        ("coco:90", {3: 44, 5: 47}, 0, {3: "bottle", 5: "cup"}, "", ""),
+        ("cityscapes", in_table("cityscapes:0-33", TRAFFIC), 4, TRAFFIC, "cityscapes:0-33", "as this alone has"),
+        ("cityscapes", in_table("cityscapes", TRAFFIC), 255, TRAFFIC, "", ""),
+    ],
+)  # fmt: skip
+def test_each_numbering_is_told_or_named_or_assumed_aloud(
+    tmp_path: Path, classes: str, numbers: dict[int, int], void: int, names: dict[int, str], read_as: str, told: str
+) -> None:
+    truths = write_labels(tmp_path, numbers, void)
+    check_on_room(open_scene(tmp_path, classes=classes), truths, names | {0: ""}, frozenset())
+    warnings = warned(tmp_path, classes)
+    assert len(warnings) == bool(read_as)
+    assert all(f"read as {read_as}," in one and told in one and "--classes " in one for one in warnings)
+
+
+def test_a_file_of_classes_names_the_numbering_and_messages_advise_it(tmp_path: Path) -> None:
+    truths = write_labels(tmp_path, ADE_DATA, void=0)
+    (tmp_path / "masks" / "classes.toml").write_text('table = "ade20k:1-150"\n')
+    check_on_room(open_scene(tmp_path), truths, NAMES | {0: ""}, frozenset())
+    (tmp_path / "masks" / "classes.toml").write_text('table = "ade20k:0-149"\nvoid = [1]\n')
+    assert not any("read as" in one for one in open_scene(tmp_path).warnings)
+    np.save(tmp_path / "masks" / "0001.npy", np.full((48, 64), 150, np.uint8))
+    with pytest.raises(Exception, match=r"class ids 150 are not in .*, or name --classes ade20k:1-150"):
+        open_scene(tmp_path).frames[1].mask()
+
+
+def apart(class_id: int) -> int:
+    return COCO_NUMBERS[class_id] - (0 if class_id == 5 else 79)
+
+
+def test_detectron2s_stuff_apart_is_told_by_the_table(tmp_path: Path) -> None:
+    """No number is both a thing's and stuff's: the wall is 52, a hot dog; the floor 43, a knife."""
+    truths = write_detectron2(tmp_path, {class_id: apart(class_id) for class_id in COCO_NUMBERS}, {5})
+    names, chairs = COCO_NAMES | {0: ""}, frozenset({"chair"})
+    check_on_room(open_scene(tmp_path, classes="coco"), truths, names, chairs)
+    assert "stuff numbered apart from things, as this alone fits" in warned(tmp_path, "coco")[0]
+    refuses("isthing contradicts the table ade20k: .* in the files.*--classes", tmp_path, classes="ade20k")
+    source, edited = SceneSource(tmp_path), tmp_path / "edited.json"
+    listed = list_classes(source, "coco")
+    rows = tuple(replace(row, into="floor") if row.name.startswith("floor") else row for row in listed.rows)
+    edited.write_text(to_text(to_json(replace(listed, rows=rows))))
+    write_class_list(source, edited)
+    check_on_room(open_scene(tmp_path), truths, names | {2: "floor"}, chairs)
+
+
+def test_a_table_that_contradicts_things_is_refused_or_overruled(tmp_path: Path) -> None:
+    """Of Cityscapes' numbers, 13 is a car; the files say it is stuff."""
+    numbers = {1: 13, 2: 0, 3: 1, 5: 11, 13: 10}
+    truths = write_detectron2(tmp_path, numbers, {5})
+    told = "isthing contradicts the table cityscapes: car is a thing there and stuff in the files"
+    refuses(told, tmp_path, classes="cityscapes")
+    (tmp_path / "masks" / "classes.toml").write_text('table = "cityscapes"\n[[class]]\nid = 13\nthing = false\n')
+    names = {1: "car", 2: "road", 3: "sidewalk", 5: "person", 13: "sky", 0: ""}
+    check_on_room(open_scene(tmp_path), truths, names, frozenset({"person"}))
+
+
+def test_numberings_have_all_classes_of_their_table() -> None:
+    for name in NUMBERINGS:
+        base = known_table(name.partition(":")[0])
+        assert [one.name for one in known_table(name).labels] == [one.name for one in base.labels], name
+        assert len({one.id for one in known_table(name).labels}) == len(base.labels), name
+    assert [known_table("cityscapes:0-33").labels[place].id for place in (0, 10, 18)] == [7, 23, 33]
+
+
+def test_a_list_starts_with_the_numbers_that_the_masks_have(tmp_path: Path) -> None:
+    write_labels(tmp_path, ADE_DATA, void=0)
+    assert list_classes(SceneSource(tmp_path), "ade20k").rows[0].label == 1
