@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from pathlib import Path, PureWindowsPath
 from typing import TypeVar
 
@@ -11,13 +11,8 @@ from ..errors import MEMORY_IS_GONE, PlgsError
 from ..gates import read_plain
 from .counts import check_memory
 from .frames import Size
-from .image_header import read_image_header
 
 Read = TypeVar("Read")
-_COLOUR_WORDS = frozenset("rgb rgba frame image img color colour".split())
-_MASK_WORDS = frozenset(
-    "rgb rgba frame image img semantic semantics sem class classes instance instances label labels mask masks seg"
-    " segmentation panoptic".split()
 )
 _SAME_SHAPE = 0.02
 """Relative difference of two aspect ratios that still counts as one: ScanNet has 1296x968 beside 640x480 (0.4 %)."""
@@ -112,52 +107,6 @@ def of_most(names: Sequence[str], read: Callable[[str], Read]) -> dict[str, Read
     if 2 * len(errors) > len(names):
         raise errors[0]
     return found
-
-
-def files_of_frames(
-    folder: Path, names: Sequence[str], suffixes: Collection[str], what: str, fix: str
-) -> dict[str, Path]:
-    """The file of each frame of ``names`` in ``folder``, without frames whose file is missing, empty, or an image that
-    is cut off. Raises as ``files_by_stem`` and, when these are more than half, ``require_most`` and ``of_most``."""
-    files = of_same_number(names, files_by_stem(folder, suffixes, fix))
-    return of_most(require_most(names, files, what, folder, fix), lambda name: whole_file(files[name]))
-
-
-def files_of_both(
-    one: Path, other: Path, names: Sequence[str], suffixes: Collection[str], fix: str
-) -> tuple[dict[str, Path], dict[str, Path]]:
-    """The masks of each frame in two folders, as ``files_of_frames`` finds them; frames that have both."""
-    first = files_of_frames(one, names, suffixes, "mask", fix)
-    second = files_of_frames(other, list(first), suffixes, "mask", fix)
-    return {name: first[name] for name in second}, second
-
-
-def whole_file(path: Path) -> Path:
-    """``path``. Raises PlgsError for an empty file, and for an image without an end."""
-    if path.suffix.lower() in (".png", ".jpg", ".jpeg"):
-        read_image_header(path)
-    elif not path.is_file() or not path.stat().st_size:
-        raise PlgsError("the file is missing, or empty", path, "Write this file again.")
-    return path
-
-
-def of_same_number(names: Sequence[str], files: Mapping[str, Path]) -> Mapping[str, Path]:
-    """The files of the frames ``names``, by name, whose stems differ only in words for kinds of pictures, as ``rgb_0``
-    and ``semantic_class_0`` do; no file that another resembles so. ``files`` themselves where one has a frame's name.
-    """
-    keys = {name: _without(_COLOUR_WORDS, name) for name in names}
-    if any(name in files for name in names) or len({*keys.values()}) < len(names):
-        return files
-    of_key: dict[tuple[int | str, ...], list[Path]] = {}
-    for stem, path in files.items():
-        of_key.setdefault(_without(_MASK_WORDS, stem), []).append(path)
-    return {name: of_key[key][0] for name, key in keys.items() if len(of_key.get(key, ())) == 1}
-
-
-def _without(words: Collection[str], stem: str) -> tuple[int | str, ...]:
-    """The numbers and the other words of a name; a name without numbers as it is."""
-    parts = [part for part in re.findall(r"\d+|[^\W\d_]+", stem.casefold()) if part not in words]
-    return tuple(int(part) if part.isdecimal() else part for part in parts) if re.search(r"\d", stem) else (stem,)
 
 
 def file_inside(folder: Path, name: str, path: Path) -> Path:

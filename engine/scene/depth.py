@@ -16,8 +16,9 @@ from ..errors import MEMORY_IS_GONE, PlgsError
 from ..posed.array_file import read_npy
 from ..posed.camera import Camera
 from ..posed.image_header import read_image_header
-from ..posed.layout import files_by_stem, require_most, same_shape, shown_size, whole_file
+from ..posed.layout import files_by_stem, require_most, same_shape, shown_size
 from ..posed.matrices import read_intrinsics
+from .files_of_frames import whole_file
 from .frame import Size
 from .pixels import Alignment, decode_depth, decode_single_channel, resize_aligned
 

@@ -17,10 +17,11 @@ from numpy.typing import NDArray
 
 from ..errors import PlgsError
 from ..posed.image_header import read_image_header
-from ..posed.layout import files_of_frames, listed
+from ..posed.layout import listed
 from ..posed.limits import depth_check
 from ..posed.plain_folders import left_out_warning
 from .depth import DepthMap, in_metres, read_depth_array
+from .files_of_frames import files_of_frames
 from .frame import Frame, SparsePoints
 from .pixels import decode_depth
 

@@ -5,7 +5,8 @@ from pathlib import Path
 import pytest
 
 from engine.errors import PlgsError
-from engine.posed.layout import file_inside, files_by_stem, listed, natural_order, of_same_number, same_shape
+from engine.posed.layout import file_inside, files_by_stem, listed, natural_order, same_shape
+from engine.scene.files_of_frames import of_same_number
 
 
 def test_frames_come_in_natural_order() -> None:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from ...errors import PlgsError
 from ...posed.array_file import array_headers, read_array
-from ...posed.layout import files_of_frames
+from ..files_of_frames import files_of_frames
 from ..frame import Size
 from ..label_image import whole_numbers
 from .source import (

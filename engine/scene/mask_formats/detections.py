@@ -18,7 +18,8 @@ from pathlib import Path
 from ...errors import PlgsError
 from ...posed.array_file import array_headers, read_array
 from ...posed.classes import LARGEST_CLASS_ID, ClassLabel
-from ...posed.layout import files_of_frames, natural_order, require_most
+from ...posed.layout import natural_order, require_most
+from ..files_of_frames import files_of_frames
 from ..label_image import label_header
 from .source import (
     FoundMask,

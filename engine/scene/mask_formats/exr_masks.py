@@ -23,8 +23,9 @@ from numpy.typing import NDArray
 from ...errors import PlgsError
 from ...gates import read_plain
 from ...posed.exr_header import ExrHeader, read_exr_header
-from ...posed.layout import file_inside, files_of_frames, listed, shown
+from ...posed.layout import file_inside, listed, shown
 from ..exr_file import read_channels
+from ..files_of_frames import files_of_frames
 from .source import (
     IGNORED,
     FoundMask,

@@ -15,7 +15,8 @@ import numpy as np
 
 from ...errors import PlgsError
 from ...json_file import read_json_object, take_text, take_whole_number, wrong_type
-from ...posed.layout import files_by_stem, listed, of_most, require_most, whole_file
+from ...posed.layout import files_by_stem, listed, of_most, require_most
+from ..files_of_frames import whole_file
 from ..label_image import label_map_size, read_label_map
 from .source import FoundMask, FoundSegment, MaskFormat, MaskSource, StoredMask, named_labels
 

@@ -11,7 +11,8 @@ from functools import partial
 from pathlib import Path
 
 from ...errors import PlgsError
-from ...posed.layout import files_of_both, files_of_frames, shown_size
+from ...posed.layout import shown_size
+from ..files_of_frames import files_of_both, files_of_frames
 from ..label_image import SUFFIXES, label_map_size, read_label_map
 from .source import IGNORED, FoundMask, MaskFormat, MaskSource, StoredMask, segments_of_labels, segments_of_pairs
 

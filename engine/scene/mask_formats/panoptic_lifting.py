@@ -10,8 +10,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from ...errors import PlgsError
-from ...posed.layout import files_of_both
 from ..class_tables import REDUCED, known_table
+from ..files_of_frames import files_of_both
 from ..label_image import check_label_header
 from .label_pairs import label_pairs
 from .source import MaskFormat, MaskSource

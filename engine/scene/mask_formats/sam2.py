@@ -13,7 +13,8 @@ from pathlib import Path
 
 from ...errors import PlgsError
 from ...gates import open_plain
-from ...posed.layout import files_by_stem, files_of_frames, listed, of_most, require_all, require_most, whole_file
+from ...posed.layout import files_by_stem, listed, of_most, require_all, require_most
+from ..files_of_frames import files_of_frames, whole_file
 from ..formats.rows import read_rows
 from ..label_image import label_header, read_indices
 from .source import (

@@ -25,8 +25,9 @@ import numpy as np
 from ...errors import PlgsError
 from ...json_file import LARGEST_TABLE, parse_json_object, read_json_object, take_flag, take_objects, take_whole_number
 from ...posed.classes import LARGEST_CLASS_ID, ClassLabel
-from ...posed.layout import files_of_frames, listed, read_file
+from ...posed.layout import listed, read_file
 from ..class_tables import is_thing_by_name, nearest_tables
+from ..files_of_frames import files_of_frames
 from ..label_image import SUFFIXES, label_map_size, read_label_map
 from .coco import take_score
 from .source import FoundMask, FoundSegment, MaskFormat, MaskSource, StoredMask

@@ -1,0 +1,62 @@
+"""Which file belongs to which frame, where a folder of a capture or of masks has one file per frame."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Collection, Mapping, Sequence
+from pathlib import Path
+
+from ..errors import PlgsError
+from ..posed.image_header import read_image_header
+from ..posed.layout import files_by_stem, of_most, require_most
+
+_COLOUR_WORDS = frozenset("rgb rgba frame image img color colour".split())
+_MASK_WORDS = frozenset(
+    "rgb rgba frame image img semantic semantics sem class classes instance instances label labels mask masks seg"
+    " segmentation panoptic".split()
+
+
+def files_of_frames(
+    folder: Path, names: Sequence[str], suffixes: Collection[str], what: str, fix: str
+) -> dict[str, Path]:
+    """The file of each frame of ``names`` in ``folder``, without frames whose file is missing, empty, or an image that
+    is cut off. Raises as ``files_by_stem`` and, when these are more than half, ``require_most`` and ``of_most``."""
+    files = of_same_number(names, files_by_stem(folder, suffixes, fix))
+    return of_most(require_most(names, files, what, folder, fix), lambda name: whole_file(files[name]))
+
+
+def files_of_both(
+    one: Path, other: Path, names: Sequence[str], suffixes: Collection[str], fix: str
+) -> tuple[dict[str, Path], dict[str, Path]]:
+    """The masks of each frame in two folders, as ``files_of_frames`` finds them; frames that have both."""
+    first = files_of_frames(one, names, suffixes, "mask", fix)
+    second = files_of_frames(other, list(first), suffixes, "mask", fix)
+    return {name: first[name] for name in second}, second
+
+
+def whole_file(path: Path) -> Path:
+    """``path``. Raises PlgsError for an empty file, and for an image without an end."""
+    if path.suffix.lower() in (".png", ".jpg", ".jpeg"):
+        read_image_header(path)
+    elif not path.is_file() or not path.stat().st_size:
+        raise PlgsError("the file is missing, or empty", path, "Write this file again.")
+    return path
+
+
+def of_same_number(names: Sequence[str], files: Mapping[str, Path]) -> Mapping[str, Path]:
+    """The files of the frames ``names``, by name, whose stems differ only in words for kinds of pictures, as ``rgb_0``
+    and ``semantic_class_0`` do; no file that another resembles so. ``files`` themselves where one has a frame's name.
+    """
+    keys = {name: _without(_COLOUR_WORDS, name) for name in names}
+    if any(name in files for name in names) or len({*keys.values()}) < len(names):
+        return files
+    of_key: dict[tuple[int | str, ...], list[Path]] = {}
+    for stem, path in files.items():
+        of_key.setdefault(_without(_MASK_WORDS, stem), []).append(path)
+    return {name: of_key[key][0] for name, key in keys.items() if len(of_key.get(key, ())) == 1}
+
+
+def _without(words: Collection[str], stem: str) -> tuple[int | str, ...]:
+    """The numbers and the other words of a name; a name without numbers as it is."""
+    parts = [part for part in re.findall(r"\d+|[^\W\d_]+", stem.casefold()) if part not in words]
+    return tuple(int(part) if part.isdecimal() else part for part in parts) if re.search(r"\d", stem) else (stem,)
