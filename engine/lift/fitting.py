@@ -62,7 +62,7 @@ def check_memory(
 
 def _warn_of_other_programs(needed: int, memory: MainMemory, events: EventWriter) -> None:
     if needed > memory.free:
-        events.warning(f"the lift needs about {_gb(needed)} of memory, and only {_gb(memory.free)} is free")
+        events.warning(f"the lift needs about {_gb(needed)} of memory, and only {_gb(memory.free)} are free")
 
 
 def _too_much(needed: int, memory: MainMemory) -> str:

@@ -41,7 +41,7 @@ def check_tensors(tensors: Mapping[str, torch.Tensor], wanted: Mapping[str, Want
     """Raise ValueError unless exactly the ``wanted`` tensors are there, with finite numbers in range."""
     odd = sorted(set(tensors) ^ set(wanted))
     if odd:
-        raise ValueError(f"the tensor {odd[0]} is {'missing' if odd[0] in wanted else 'unknown'}")
+        raise ValueError(f"the tensor {odd[0]} is {'missing' if odd[0] in wanted else 'not known'}")
     for name, (shape, dtype, least, most) in wanted.items():
         tensor = tensors[name]
         if tuple(tensor.shape) != shape or tensor.dtype != dtype:
