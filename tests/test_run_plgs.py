@@ -310,7 +310,7 @@ def test_a_lift_continues_without_its_terminal_and_says_so_in_its_log(root: Path
     process.stdout.close()  # as `2>&1 | head -1` does
     wait_for(process, has_begun(out))
     (began, log) = (time.monotonic(), out / "log.txt")
-    while "The terminal is gone. The work goes on." not in log.read_text():
+    while "The terminal is gone. The work continues." not in log.read_text():
         assert process.poll() is None and time.monotonic() - began < PATIENCE_S
         time.sleep(0.05)
     process.send_signal(signal.SIGHUP)
