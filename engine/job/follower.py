@@ -211,7 +211,7 @@ class TaskFollower:
             self._fail(PlgsError("the folder is gone", self.place.events.parent, fix, code=ErrorCode.INTERNAL))
         elif self.error is not None:
             self._fail(self.error)
-        elif code in (ExitCode.BAD_INPUT, ExitCode.INTERNAL_ERROR, ExitCode.BUSY):  # without an event, as it never began
+        elif code in (ExitCode.BAD_INPUT, ExitCode.INTERNAL_ERROR, ExitCode.BUSY):  # without an event: it never began
             self._fail(self._error_of_output(code))
         elif self._has_finished(code):
             self.state = TaskState.FINISHED
