@@ -31,4 +31,4 @@ def read_tensors(path: Path) -> tuple[dict[str, torch.Tensor], dict[str, str]]:
     except SafetensorError as error:
         raise ValueError(str(error)) from error
     except (MemoryError, RuntimeError) as error:  # torch's allocator has no error class of its own
-        raise ValueError(f"there is not enough memory left for {size / 1e9:.1f} GB") from error
+        raise ValueError(f"no memory is left for {size / 1e9:.1f} GB") from error
