@@ -1,7 +1,7 @@
 """The objects and the labelled points of a result: instances.json, semantic_points.npz, anchors.npz.
 
-Written and read here alone, by the engine and by Blender. The same content gives the same bytes. Readers take nothing
-from a file that was not checked.
+They are written and read only here, by the engine and by Blender. The same content gives the same bytes. Readers check
+everything that they take from a file.
 """
 
 from __future__ import annotations
@@ -31,11 +31,11 @@ INSTANCES, SEMANTIC_POINTS, ANCHORS = "instances.json", "semantic_points.npz", "
 
 _FORMAT = 1
 _LARGEST = 2**31 - 1
-"""Largest whole number that Blender keeps."""
+"""The largest whole number that Blender can store."""
 _FARTHEST = 1e6
-"""Metres. No room is that large. Numbers near the largest float would spoil the sums that are made of them."""
+"""Metres. No room is this large. Numbers near the largest float would make sums overflow."""
 _BAD = (OSError, KeyError, ValueError, TypeError, AttributeError, OverflowError, RecursionError)
-"""What reading content of the wrong form raises."""
+"""The errors that are raised when content has the wrong form."""
 _CORNER = r"[01]\.\d{3},[01]\.\d{3}"
 _OUTLINE = re.compile(rf"{_CORNER}(?:[ ;]{_CORNER})*")
 _ARRAYS: dict[str, tuple[type[np.generic], tuple[int, ...]]] = {
@@ -47,13 +47,13 @@ _ARRAYS: dict[str, tuple[type[np.generic], tuple[int, ...]]] = {
     "confidence": (np.float32, ()),
     "opacity": (np.float32, ()),
 }
-"""Type of each array, and the shape of a row."""
+"""The type of each array, and the shape of a row."""
 
 
 @dataclass(frozen=True, eq=False)
 class SemanticPoints:
     """``xyz`` float32 [N, 3] world metres, ``rgb`` uint8 [N, 3] sRGB, ``class_id`` int32 [N] (0 = unknown),
-    ``instance_id`` int32 [N] (0 = none), ``confidence`` float32 [N], the winner's share of the votes."""
+    ``instance_id`` int32 [N] (0 = none), ``confidence`` float32 [N], the share of the votes for the winner."""
 
     xyz: NDArray[np.float32]
     rgb: NDArray[np.uint8]
@@ -79,12 +79,12 @@ class Anchors:
 class MatchedSegment:
     """A mask's segment that was matched to an instance, with its own class and score.
 
-    ``cost`` and ``agreement`` say why it was matched; one of them is None. ``cost`` is that of Algorithm 1, from -1.5
+    ``cost`` and ``agreement`` tell why it was matched; one of them is None. ``cost`` is that of Algorithm 1, from -1.5
     (same box) to 0, and None for the segment that founded the instance. ``agreement`` is the share of the views'
-    judgements that put it together with the instance's other masks. ``pixels``: how many it has with depth at the size
+    judgements that join it with the instance's other masks. ``pixels``: the number of pixels with depth at the size
     of the lift; ``share`` of the picture's pixels; ``rectangle`` around it: left, top, right, bottom, 0..1;
     ``outline``: polygons around its parts, "x,y x,y x,y;x,y x,y x,y" in shares of the picture. The first versions of
-    this file have none of the last five: then they are None, 0 and empty.
+    this file lack the last five: then they are None, 0 and empty.
     """
 
     frame: str
@@ -123,8 +123,8 @@ Arrays = TypeVar("Arrays", SemanticPoints, Anchors)
 
 
 def write_arrays(path: Path, arrays: SemanticPoints | Anchors) -> None:
-    """An .npz with fixed time stamps, so that its bytes depend on the arrays alone. Raises ValueError when lengths
-    differ, OSError."""
+    """Write an .npz with fixed time stamps, so that its bytes depend only on the arrays. Raises ValueError if lengths
+    differ, and OSError."""
     named = {name: np.ascontiguousarray(array, _ARRAYS[name][0]) for name, array in vars(arrays).items()}
     if len({len(array) for array in named.values()}) != 1:
         lengths = ", ".join(f"{name} {len(array)}" for name, array in named.items())
@@ -152,7 +152,7 @@ def read_arrays(path: Path, kind: type[Arrays]) -> Arrays:
         if array.shape != rows + tail or array.dtype != dtype:
             raise PlgsError(f"cannot be read ({name} is {array.dtype} {list(array.shape)})", path, MAKE_ANEW)
     if not (np.abs(arrays["xyz"]) <= _FARTHEST).all():  # false for NaN, too
-        raise PlgsError("holds positions that are not numbers, or are absurdly far away", path, MAKE_ANEW)
+        raise PlgsError("holds positions that are not numbers or are impossibly far away", path, MAKE_ANEW)
     return kind(**arrays)
 
 
@@ -176,7 +176,7 @@ def read_instances(path: Path) -> tuple[ClassTable, tuple[Instance, ...]]:
     try:
         if content["format"] != _FORMAT:
             fix = "Use the version of PLGS that wrote it, or lift into another folder."
-            raise PlgsError(f"has format {content['format']!r}, this version reads {_FORMAT}", path, fix)
+            raise PlgsError(f"has format {content['format']!r}, but this version reads {_FORMAT}", path, fix)
         categories = [
             Category(_id(each["id"]), _text(each["name"]), bool(each["is_thing"]), _colour(each["colour"]))
             for each in content["classes"]
@@ -240,15 +240,15 @@ def _colour(value: Any) -> tuple[int, int, int]:
 def _whole(value: Any) -> int:
     number = int(value)
     if not 0 <= number <= _LARGEST:
-        raise ValueError(f"{value!r} is not from 0 to {_LARGEST}")
+        raise ValueError(f"{value!r} is not between 0 and {_LARGEST}")
     return number
 
 
 def _id(value: Any, least: int = 0) -> int:
-    """Palettes and lists have a place for each id up to the largest."""
+    """An id. It is limited, as palettes and lists have a place for each id up to the largest."""
     number = _whole(value)
     if not least <= number <= LARGEST_ID:
-        raise ValueError(f"{value!r} is not an id from {least} to {LARGEST_ID}")
+        raise ValueError(f"{value!r} is not an id between {least} and {LARGEST_ID}")
     return number
 
 
@@ -265,5 +265,5 @@ def _number(value: Any) -> float:
 def _floats(value: Any, count: int) -> Any:
     numbers = tuple(float(part) for part in value)
     if len(numbers) != count or not all(abs(number) <= _FARTHEST for number in numbers):
-        raise ValueError(f"{value!r} is not {count} numbers of a usual size")
+        raise ValueError(f"{value!r} is not {count} numbers of a normal size")
     return numbers

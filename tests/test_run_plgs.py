@@ -95,7 +95,7 @@ def test_resuming_a_finished_lift_only_repairs_the_blend(run: Run, tmp_path: Pat
     mending.communicate(timeout=60)
     assert mending.returncode == 0 and (out / "lift.blend").exists()
     other = run("broken", tmp_path / "scene", "-o", out, "--resume", "--seed", "5")
-    assert "another seed" in other.communicate(timeout=60)[1]
+    assert "a different seed" in other.communicate(timeout=60)[1]
     assert other.returncode == 2
     refused = run("broken", tmp_path / "scene", "-o", out)
     assert "--resume" in refused.communicate(timeout=60)[1]
@@ -241,7 +241,7 @@ def test_it_says_when_the_engines_python_is_unfit(root: Path, tmp_path: Path) ->
     scene = write_tiny_scene(tmp_path / "scene", frames=3)
     bare = tmp_path / "bare"
     subprocess.run([sys.executable, "-m", "venv", "--without-pip", bare], check=True, timeout=120)
-    for python, told in ((bare / "bin" / "python", "lacks torch"), (tmp_path / "none", "is not there")):
+    for python, told in ((bare / "bin" / "python", "lacks torch"), (tmp_path / "none", "does not exist")):
         command = [sys.executable, root / "run_plgs.py", scene, "-o", tmp_path / "out"]
         env = os.environ | {"PLGS_ENGINE_PYTHON": str(python)}
         said = subprocess.run(command, capture_output=True, text=True, timeout=60, env=env)
@@ -310,7 +310,7 @@ def test_a_lift_continues_without_its_terminal_and_says_so_in_its_log(root: Path
     process.stdout.close()  # as `2>&1 | head -1` does
     wait_for(process, has_begun(out))
     (began, log) = (time.monotonic(), out / "log.txt")
-    while "The terminal is gone. The work goes on." not in log.read_text():
+    while "The terminal is gone. The work continues." not in log.read_text():
         assert process.poll() is None and time.monotonic() - began < PATIENCE_S
         time.sleep(0.05)
     process.send_signal(signal.SIGHUP)

@@ -1,7 +1,7 @@
 """Many scenes at once, on this machine or on the workers of a Dask scheduler: lifts, bakes, exports and scores.
 
-Every piece of work is one engine, a process of its own, on a lift folder that all machines see. So a worker may be
-killed, hang, or come back: what it did stays, and another one goes on.
+Every piece of work is one engine, in its own process, on a lift folder that all machines can see. So a worker may be
+killed, hang, or come back: what it did is kept, and another worker continues.
 """
 
 from .plan import BatchPlan, SceneJob

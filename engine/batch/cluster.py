@@ -1,4 +1,4 @@
-"""Where a batch runs: on workers of its own on this machine, at a scheduler that is there, or on Slurm."""
+"""Where a batch runs: on its own workers on this machine, at an existing scheduler, or on Slurm."""
 
 from __future__ import annotations
 
@@ -19,18 +19,18 @@ from .worker import is_address, require_dask, resources
 NO_WORKER_S = 5.0
 """Seconds after which a scheduler without workers is an error."""
 RETURN_S = 60.0
-"""Seconds that a scheduler which is gone, and its workers, may take to come back."""
+"""Seconds that a lost scheduler and its workers may take to come back."""
 CONNECT_S = 5.0
-"""Seconds within which a scheduler answers."""
+"""Seconds within which a scheduler must answer."""
 END_S = 5.0
-"""Seconds that a worker of our own may take to end by itself."""
+"""Seconds that our own workers may take to end without being killed."""
 
 
 @dataclass(frozen=True)
 class Place:
-    """``workers`` on this machine, unless there is the ``scheduler`` of an address, or ``slurm`` with its options.
+    """``workers`` on this machine, unless the address of a ``scheduler``, or ``slurm`` with its options, is given.
 
-    ``gigabytes`` and ``threads`` are one worker's.
+    ``gigabytes`` and ``threads`` are those of one worker.
     """
 
     workers: int = 1
@@ -42,7 +42,7 @@ class Place:
 
 @dataclass
 class Farm:
-    """A connection. ``own`` are the workers that this process started; one that ends is started again."""
+    """A connection. ``own`` are the workers that this process started; a worker that ends is started again."""
 
     client: Any
     address: str
@@ -50,25 +50,25 @@ class Farm:
     own: list[EngineProcess] = field(default_factory=list)
 
     def tend(self) -> None:
-        """Start own workers again that have ended. Raises PlgsError."""
+        """Restart our own workers that have ended. Raises PlgsError."""
         for number, worker in enumerate(self.own):
             if worker.exit_code() is not None:
                 worker.close()
                 self.own[number] = _start_worker(self.address, self.place)
 
     def workers(self) -> dict[str, dict[str, Any]]:
-        """The workers that run this very engine, by address."""
+        """The workers that run the same engine as this process, by address."""
         known = self.client.scheduler_info(n_workers=-1)["workers"]
         return {address: told for address, told in known.items() if engine_tag() in told.get("resources", {})}
 
     def strangers(self) -> list[str]:
-        """What other engines the other workers have."""
+        """The different engines that the other workers have."""
         known = self.client.scheduler_info(n_workers=-1)["workers"].values()
         tags = {name for told in known for name in told.get("resources", {}) if name.startswith("plgs-")}
         return sorted(tags - {engine_tag()})
 
     def largest(self) -> float:
-        """GB of memory of the largest worker; on Slurm of each, also before it comes."""
+        """The memory of the largest worker in GB; on Slurm that of each worker, even before it has started."""
         if self.place.slurm is not None:
             return self.place.gigabytes
         return max((told["resources"].get(GIGABYTES, 0.0) for told in self.workers().values()), default=0.0)
@@ -76,8 +76,8 @@ class Farm:
 
 @contextmanager
 def opened(place: Place) -> Iterator[Farm]:
-    """Connect, and start what the place says. Raises PlgsError, also where no worker comes within NO_WORKER_S (on
-    Slurm a job may wait for as long as the queue is)."""
+    """Connect, and start what the place needs. Raises PlgsError, also if no worker comes within NO_WORKER_S (on Slurm
+    a job may wait in the queue for any time)."""
     distributed = require_dask()
     with ExitStack() as stack:
         if place.scheduler:
@@ -113,7 +113,7 @@ def _client(address: str) -> Any:
 
 def reconnected(farm: Farm) -> None:
     """Connect again to a scheduler that was restarted, and wait for its workers. Raises PlgsError."""
-    with suppress(Exception):  # the old connection is broken: how does not matter
+    with suppress(Exception):  # the old connection is broken, and it does not matter how
         farm.client.close(timeout=1)
     give_up = time.monotonic() + RETURN_S
     while True:
@@ -127,12 +127,12 @@ def reconnected(farm: Farm) -> None:
 
 
 def wait_for_workers(farm: Farm, seconds: float) -> None:
-    """Raises PlgsError when no worker with this engine is there within so many seconds."""
+    """Raise PlgsError if no worker with this engine is there within this many seconds."""
     give_up = time.monotonic() + seconds
     while not farm.workers():
         if time.monotonic() > give_up:
             others = farm.strangers()
-            has = f"its workers have other engines ({', '.join(others)})" if others else "it has no workers"
+            has = f"its workers have different engines ({', '.join(others)})" if others else "it has no workers"
             fix = f"Start some with this engine: python -m engine worker {farm.address}"
             raise PlgsError(f"{has}; this one is {engine_tag()}", farm.address, fix, option="--scheduler")
         farm.tend()
@@ -148,7 +148,7 @@ def _close(farm: Farm) -> None:
     with suppress(Exception):  # a scheduler that is gone
         farm.client.close(timeout=2)
     for worker in farm.own:
-        worker.close()  # it takes that as our end, and clears its scratch folder
+        worker.close()  # the worker takes that as our end, and clears its scratch folder
     give_up = time.monotonic() + END_S
     while time.monotonic() < give_up and any(worker.exit_code() is None for worker in farm.own):
         time.sleep(0.05)
@@ -157,11 +157,11 @@ def _close(farm: Farm) -> None:
 
 
 def slurm_cluster(place: Place) -> Any:
-    """dask-jobqueue's, whose jobs run one worker each. Raises PlgsError."""
+    """dask-jobqueue's cluster, whose jobs run one worker each. Raises PlgsError."""
     jobqueue = require_dask("dask_jobqueue")
     assert place.slurm is not None
     if shutil.which("sbatch") is None:
-        raise PlgsError("Slurm is not on this machine", "sbatch", "Start the batch on a machine of the cluster.")
+        raise PlgsError("Slurm is not installed here", "sbatch", "Start the batch on a machine of the cluster.")
     offered = ",".join(f"{name}={value:g}" for name, value in resources(place.gigabytes, place.threads).items())
     options = {name: value for name, value in place.slurm.items() if value}
     try:

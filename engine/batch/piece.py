@@ -1,4 +1,4 @@
-"""One piece of work, as a worker does it: an engine that is started, followed and, when the worker ends, gone."""
+"""One piece of work as a worker does it: an engine is started and followed, and ends when the worker ends."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ from ..json_file import Json
 
 POLL_S = 0.1
 TELL_S = 1.0
-"""Seconds between two times that a piece tells how far it is."""
+"""Seconds between two progress reports of a piece."""
 BUSY_S = 1.0
-"""Seconds between two tries where another engine is at work, such as that of a worker which does not answer."""
+"""Seconds between two tries while another engine is at work, such as that of a worker that does not answer."""
 _PLACE_CODES = (ErrorCode.DISK_FULL, ErrorCode.NO_ENGINE, ErrorCode.LACKS_PART, ErrorCode.NO_MEMORY)
-"""Errors that say something about the worker rather than about the scene."""
+"""Errors that concern the worker rather than the scene."""
 
 
 class Kind(StrEnum):
@@ -41,7 +41,7 @@ class Kind(StrEnum):
 class Piece:
     """Work on the lift of one scene. ``engine`` is the `engine_tag` that a worker must have.
 
-    ``names`` are the frames of a BAKE, or the form of an EXPORT; a LIFT ``tells_frames`` for the bakes that follow.
+    ``names`` are the frames of a BAKE, or the form of an EXPORT; a LIFT ``tells_frames`` for the bakes that follow it.
     """
 
     kind: Kind
@@ -53,7 +53,7 @@ class Piece:
     tells_frames: bool = False
 
     def needs_engine(self) -> list[str | Path]:
-        """The engine's command, but for a lift's."""
+        """The engine's command, except for a lift."""
         call: list[str | Path] = [*engine_call(Path(sys.executable))]
         match self.kind:
             case Kind.BAKE:
@@ -68,12 +68,12 @@ class Ended(StrEnum):
     DONE = "done"
     FAILED = "failed"
     CANCELLED = "cancelled"
-    ELSEWHERE = "elsewhere"  # this worker cannot: the scene is not there, its disk is full, its engine is another one
+    ELSEWHERE = "elsewhere"  # this worker cannot: it lacks the scene, its disk is full, or its engine is different
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """How a piece ended, with its ``answer`` (of a lift: its frames; of a score: the metrics)."""
+    """How a piece ended, with its ``answer`` (for a lift its frames, for a score the metrics)."""
 
     piece: Piece
     ended: Ended
@@ -89,7 +89,7 @@ Tell = Callable[[TaskProgress], object]
 
 @cache
 def engine_tag(root: Path = ROOT) -> str:
-    """Names this very engine: its version and its code."""
+    """A name for this exact engine: its version and its code."""
     digest = hashlib.sha256()
     for path in sorted((root / "engine").rglob("*.py")):
         digest.update(f"{path.relative_to(root).as_posix()}\n".encode() + path.read_bytes())
@@ -97,8 +97,8 @@ def engine_tag(root: Path = ROOT) -> str:
 
 
 def do(piece: Piece, tell: Tell, threads: int = 0, worker: str = "", gigabytes: float = 0.0) -> Outcome:
-    """Do it, with so many ``threads`` and ``gigabytes`` (0: all). What is done already ends at once. Never raises for
-    what a scene or a machine lacks: the outcome says it.
+    """Do a piece with this many ``threads`` and ``gigabytes`` (0: all). If it is done already, return at once. What a
+    scene or a machine lacks is never raised: the outcome tells it.
     """
     began = time.monotonic()
     variables = {"OMP_NUM_THREADS": str(threads), "NUMBA_NUM_THREADS": str(threads)} if threads else {}
@@ -132,7 +132,7 @@ def do(piece: Piece, tell: Tell, threads: int = 0, worker: str = "", gigabytes: 
 
 
 def _refuse_unfit_place(piece: Piece) -> None:
-    """Raises PlgsError with a code that says that another worker may do it."""
+    """Raise PlgsError, with a code that says that another worker may do the piece, if this one cannot."""
     if engine_tag() != piece.engine:
         fix = f"Start workers of {piece.engine}."
         raise PlgsError(f"this worker has {engine_tag()}", ROOT, fix, code=ErrorCode.NO_ENGINE)
@@ -141,13 +141,13 @@ def _refuse_unfit_place(piece: Piece) -> None:
         needed.insert(0, piece.request.scene)
     for place in needed:
         if not place.exists():
-            fix = "Mount it there, under the same path."
-            raise PlgsError("is not there on this worker", place, fix, code=ErrorCode.NO_ENGINE)
+            fix = "Mount it there under the same path."
+            raise PlgsError("does not exist on this worker", place, fix, code=ErrorCode.NO_ENGINE)
 
 
 def _followed(piece: Piece, tell: Tell, variables: Mapping[str, str]) -> TaskFollower | None:
-    """The piece's engine, when it has ended; None where there was nothing to do. While another engine is at work there,
-    it is waited for.
+    """The piece's engine after it has ended; None if there was nothing to do. If another engine is at work there, wait
+    for it first.
     """
     told = 0.0
     while True:
@@ -182,18 +182,18 @@ def _started(piece: Piece, variables: Mapping[str, str]) -> TaskFollower | None:
 
 
 def _lift_folder(piece: Piece) -> tuple[LiftFolder, bool]:
-    """The lift's folder, and whether it was made now. Raises PlgsError."""
+    """The lift's folder, and whether it was just made. Raises PlgsError."""
     if not (piece.lift / "request.json").exists():
         try:
             return LiftFolder.create(piece.lift, piece.request), True
         except PlgsError:
-            if not (piece.lift / "request.json").exists():  # else two workers had it at once
+            if not (piece.lift / "request.json").exists():  # otherwise two workers made it at the same time
                 raise
     lift = LiftFolder.open(piece.lift)
     differing = piece.request.differences(lift.request)
     if differing:
         fix = "Leave these options as they were, or choose another output folder."
-        raise PlgsError(f"holds a lift with another {', '.join(differing)}", lift.path, fix)
+        raise PlgsError(f"holds a lift with a different {', '.join(differing)}", lift.path, fix)
     return lift, False
 
 
@@ -204,7 +204,7 @@ def _frames_of(lift: Path) -> Sequence[str]:
 
 
 def do_on_dask(piece: Piece) -> Outcome:
-    """`do` on a Dask worker, whose events with the topic TOPIC tell how far it is."""
+    """Run `do` on a Dask worker, whose events with the topic TOPIC report the progress."""
     from distributed import get_worker
 
     from ..job.terminal import describe

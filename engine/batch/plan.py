@@ -1,4 +1,4 @@
-"""What a batch has to do: one job a scene, and which of them an earlier batch did."""
+"""What a batch has to do: one job per scene, and which of them an earlier batch did."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from ..job.manifest import check_sizes
 from ..json_file import Json, read_object
 
 RECORDS = ".batch"
-"""The folder in OUT that says of each scene what was done, and from which result."""
+"""The folder in OUT that records for each scene what was done, and from which result."""
 
 
 @dataclass(frozen=True)
 class SceneJob:
-    """A scene to lift into ``lift``. ``problem``: why that cannot be; ``gigabytes``: memory that the lift is said to
-    need."""
+    """A scene to lift into ``lift``. ``problem``: why this is impossible; ``gigabytes``: the memory that the lift is
+    predicted to need."""
 
     name: str
     lift: Path
@@ -31,7 +31,7 @@ class SceneJob:
 
 @dataclass(frozen=True)
 class BatchPlan:
-    """``chunk`` frames are baked as one piece; 0: only what the lift itself bakes. ``exports`` are forms."""
+    """``chunk`` frames are baked as one piece; 0: only what the lift itself bakes. ``exports`` are forms of export."""
 
     output: Path
     jobs: tuple[SceneJob, ...]
@@ -39,14 +39,14 @@ class BatchPlan:
     exports: tuple[str, ...] = ()
 
     def asked(self, job: SceneJob) -> str:
-        """Names what is asked of a scene."""
+        """A name for what is requested for a scene."""
         about = {"request": job.request.to_json(job.lift), "bakes": bool(self.chunk), "exports": sorted(self.exports)}
         return hashlib.sha256(json.dumps(about, sort_keys=True, default=str).encode()).hexdigest()
 
 
 @dataclass(frozen=True)
 class Row:
-    """A scene's row of the table; ``metrics`` are the lift's own, strictly scored."""
+    """A scene's row of the table; ``metrics`` are the lift's own, in the mode ``strict``."""
 
     scene: str
     state: str
@@ -57,8 +57,8 @@ class Row:
 
 
 def names_of(scenes: Sequence[Path]) -> list[str]:
-    """A name for each scene: that of its folder or file. Raises PlgsError for a scene that is given twice, for two of
-    one name, which on some disks may differ in case, and for a name of no folder of its own, as of "...zip".
+    """A name for each scene: that of its folder or file. Raises PlgsError for a scene that is given twice, for two with
+    the same name (also in different case, as some disks ignore it), and for a name that no folder can have ("...zip").
     """
     names = [scene.resolve().name if scene.is_dir() else scene.stem for scene in scenes]
     folded = [name.casefold() for name in names]
@@ -74,13 +74,13 @@ def names_of(scenes: Sequence[Path]) -> list[str]:
 
 
 def done_before(plan: BatchPlan, job: SceneJob) -> Row | None:
-    """The row of an earlier batch that was asked the same, if its result is the one that is there, with all its
-    files and the exports."""
+    """The row of an earlier batch with the same request, if its result is still the one on disk, with all its files and
+    the exports."""
     path = _record(plan, job)
     if not path.is_file():
         return None
     try:
-        told = read_object(path, "Delete it: the batch then looks at the lift itself.")
+        told = read_object(path, "Delete it: the batch then checks the lift itself.")
         row = told["row"]
         assert isinstance(row, dict)
         is_same = told["asked"] == plan.asked(job) and told["result"] == _result(job)
@@ -92,7 +92,7 @@ def done_before(plan: BatchPlan, job: SceneJob) -> Row | None:
 
 
 def remember(plan: BatchPlan, job: SceneJob, row: Row) -> None:
-    """Raises OSError."""
+    """Record a row for the next batch. Raises OSError."""
     _record(plan, job).parent.mkdir(exist_ok=True)
     told = {"asked": plan.asked(job), "result": _result(job), "row": asdict(row)}
     write_atomically(_record(plan, job), json.dumps(told, indent=1) + "\n")
@@ -103,7 +103,7 @@ def _record(plan: BatchPlan, job: SceneJob) -> Path:
 
 
 def _result(job: SceneJob) -> str:
-    """Names the result that is there and its corrections: empty without a result."""
+    """A name for the result on disk and its corrections; empty without a result."""
     files = [job.lift / "result" / "manifest.json", job.lift / "corrections.json"]
     there = [path.read_bytes() for path in files if path.is_file()]
     return hashlib.sha256(b"\n".join(there)).hexdigest() if files[0].is_file() else ""

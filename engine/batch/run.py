@@ -23,11 +23,11 @@ from .table import write_tables
 
 _POLL_S = 0.2
 _LOOK_S = 1.0
-"""Seconds between two looks at which workers are there."""
+"""Seconds between two checks of which workers are there."""
 _ENDING_S = 10.0
 """Seconds that engines may take to stop on Ctrl-C."""
 _PRIORITY = {Kind.LIFT: 0, Kind.BAKE: 1, Kind.EXPORT: 2, Kind.SCORE: 3}
-"""What was begun is finished first, and the first scenes before the last ones."""
+"""Scenes that were begun are finished first, and earlier scenes before later ones."""
 LIFTED, STRICT = "lifted", "strict"
 STOPPED = "stopped"
 """The state of a scene that Ctrl-C left unfinished."""
@@ -35,7 +35,7 @@ STOPPED = "stopped"
 
 @dataclass
 class _Scene:
-    """How far a scene is: the stages that follow, the pieces out there, and the workers that cannot do it."""
+    """The progress of a scene: the stages that follow, the submitted pieces, and the workers that cannot do it."""
 
     job: SceneJob
     place: int
@@ -59,7 +59,7 @@ def run_batch(plan: BatchPlan, place: Place, interrupts: Interrupts) -> ExitCode
     """Do what is missing, show it on standard error, write the table and print it. Failed scenes are rows with their
     reason; the exit code is that of the first of them. Call it inside `interrupts.deferred()`.
 
-    Raises PlgsError where nothing can begin, OSError.
+    Raises PlgsError if nothing can begin, and OSError.
     """
     plan.output.mkdir(parents=True, exist_ok=True)
     rows = {job.name: row for job in plan.jobs if (row := done_before(plan, job)) is not None}
@@ -88,7 +88,7 @@ def _has_module(name: str) -> bool:
 
 
 class _Batch:
-    """The pieces that are out there, and what becomes of them."""
+    """The submitted pieces, and their outcomes."""
 
     def __init__(self, plan: BatchPlan, farm: Farm, line: LiveLine, rows: dict[str, Row]) -> None:
         self._plan, self._farm, self._line, self._rows = plan, farm, line, rows
@@ -147,14 +147,14 @@ class _Batch:
         if piece.kind is Kind.LIFT:
             largest = self._farm.largest()
             if largest and scene.job.gigabytes > largest:
-                what = f"the lift needs about {scene.job.gigabytes:.1f} GB, the largest worker has {largest:.1f} GB"
+                what = f"the lift needs about {scene.job.gigabytes:.1f} GB, but the largest worker has {largest:.1f} GB"
                 self._fail(scene, PlgsError(what, scene.job.request.scene, "Add --fit, or a larger worker."))
                 return
             wanted[GIGABYTES] = scene.job.gigabytes
         fit = [address for address in self._farm.workers() if address not in scene.unfit] if scene.unfit else None
         if fit == []:
             why = "; ".join(sorted({reason.rstrip(".") for reason in scene.unfit.values()}))
-            self._fail(scene, PlgsError(f"no worker can do it: {why}", "", "Fix them, then start the batch again."))
+            self._fail(scene, PlgsError(f"no worker can do it: {why}", "", "Fix this, then start the batch again."))
             return
         future = self._farm.client.submit(
             do_on_dask, piece, key=f"{piece.kind}-{piece.scene}-{uuid4().hex}", pure=False, resources=wanted,
@@ -165,8 +165,8 @@ class _Batch:
             self._pins[future] = _Pin(fit, time.monotonic())
 
     def _look_at_workers(self) -> None:
-        """Tell when none has been there for long. A piece whose workers have all left goes to those that came since,
-        also to the same ones under new addresses; when none has come for long, `_submit` says so."""
+        """Say if there has been no worker for long. A piece whose workers have all left goes to those that came since,
+        also to the same ones with new addresses; if none has come for long, `_submit` says so."""
         now = time.monotonic()
         if now < self._looked + _LOOK_S or self._farm.client.status != "running":
             return
@@ -179,7 +179,7 @@ class _Batch:
             self._staffed, self._is_missed = now, False
         elif not self._is_missed and now > self._staffed + RETURN_S:
             self._is_missed = True
-            self._line.say(f"No worker is there: waiting. Start one: python -m engine worker {self._farm.address}")
+            self._line.say(f"Waiting, as there is no worker. Start one: python -m engine worker {self._farm.address}")
         for future, pin in [*self._pins.items()]:
             if future not in self._out:
                 continue  # another piece of the scene could not be placed
@@ -191,15 +191,15 @@ class _Batch:
                 self._submit(piece)
 
     def _withdraw(self, future: Any) -> None:
-        """Ask no longer for a piece. A worker that has begun it ends it."""
+        """Withdraw the request for a piece. A worker that has begun it stops."""
         del self._out[future]
         self._pins.pop(future, None)
         future.cancel()
 
     def _take_in(self) -> None:
-        """What ended. Where the scheduler was lost, all that is out is asked for again, and goes on where it was."""
+        """Take the pieces that ended. If the scheduler was lost, submit the others again; they continue from there."""
         if self._farm.client.status != "running" or any(future.cancelled() for future in self._out):
-            self._line.say("The scheduler is gone: waiting for its return.")
+            self._line.say("The scheduler is gone. Waiting for it to come back.")
             reconnected(self._farm)
             self._listen()
             pieces, self._out, self._pins = [*self._out.values()], {}, {}
@@ -214,7 +214,7 @@ class _Batch:
             self._pins.pop(future, None)
             scene = self._scenes[piece.scene]
             if future.status == "error":
-                what = f"its workers ended with it ({type(future.exception()).__name__}: {future.exception()})"
+                what = f"it ended its workers ({type(future.exception()).__name__}: {future.exception()})"
                 error = PlgsError(what, scene.job.lift, "Their logs may say more.", code=ErrorCode.INTERNAL)
                 self._fail(scene, error)
             else:
@@ -225,7 +225,7 @@ class _Batch:
         scene.seconds += outcome.seconds
         self._told.pop(piece.scene, None)
         if outcome.ended is Ended.ELSEWHERE:
-            self._line.say(f"{piece.scene}: not on {outcome.worker}: {outcome.reason}")
+            self._line.say(f"{piece.scene}: not possible on {outcome.worker}: {outcome.reason}")
             workers = self._farm.workers()
             unfit = [each for each, told in workers.items() if str(told["name"]) == outcome.worker.split()[-1]]
             scene.unfit |= {each: f"{outcome.worker}: {outcome.reason}" for each in unfit}
@@ -272,7 +272,7 @@ class _Batch:
         self._farm.client.subscribe_topic(TOPIC, hear)
 
     def _stop(self) -> None:
-        """Let all engines stop at their next step."""
+        """Make all engines stop at their next step."""
         self._line.say("Stopping ...")
         lifts = {self._scenes[piece.scene].job.lift for piece in self._out.values()}
         with suppress(Exception):  # the scheduler may be gone
@@ -293,7 +293,7 @@ def _row(scene: _Scene, state: str, reason: str, code: int) -> Row:
 
 
 def lifted_metrics(metrics: Mapping[str, Json]) -> dict[str, Json]:
-    """The row of a metrics.json that scores the lift itself, without its classes; empty where there is none."""
+    """The row of a metrics.json that scores the lift itself, without its classes; empty if there is none."""
     tables = metrics.get("tables")
     for table in tables if isinstance(tables, list) else []:
         if isinstance(table, dict) and table.get("name") == LIFTED and table.get("mode") in (STRICT, None):
@@ -302,7 +302,7 @@ def lifted_metrics(metrics: Mapping[str, Json]) -> dict[str, Json]:
 
 
 def _clear_cancel(job: SceneJob) -> None:
-    """An earlier batch's cancel file would stop a bake."""
+    """Delete an earlier batch's cancel file, which would stop a bake."""
     cancel: Path = job.lift / "cancel"
     if cancel.exists() and not LiftFolder.open(job.lift).is_running:
         cancel.unlink()

@@ -19,7 +19,7 @@ _FACTORS = {"miou": 100.0, "miou_true": 100.0, "pq": 100.0, "sq": 100.0, "rq": 1
 
 
 def write_tables(folder: Path, rows: Sequence[Row]) -> str:
-    """table.csv, with the figures as they are, and table.md, which is returned. Raises OSError."""
+    """Write table.csv, with the exact figures, and table.md, whose text is returned. Raises OSError."""
     text = markdown(rows)
     write_atomically(folder / "table.csv", _csv(rows))
     write_atomically(folder / "table.md", text)
@@ -39,7 +39,7 @@ def _csv(rows: Sequence[Row]) -> str:
 
 
 def markdown(rows: Sequence[Row]) -> str:
-    """Shares in per cent, lengths in cm; what a scene has no ground truth for is a dash."""
+    """The table in Markdown: shares in per cent, lengths in cm, and a dash where a scene has no ground truth."""
     lines = [["scene", "state", "minutes", *COLUMNS.values(), "reason"]]
     for row in rows:
         figures = [_shown(key, _figure(row, key)) for key in COLUMNS]
@@ -58,7 +58,7 @@ def _figure(row: Row, key: str) -> float | None:
 
 
 def _means(rows: Sequence[Row]) -> list[float | None]:
-    """Over the scenes that are done, and have the figure."""
+    """The means over the scenes that are done and have the figure."""
     done = [row for row in rows if row.state == "done"]
     seconds: list[float | None] = [row.seconds for row in done]
     columns = [seconds, *([_figure(row, key) for row in done] for key in COLUMNS)]

@@ -18,11 +18,11 @@ from ..job.system import usable_cpus
 from .piece import GIGABYTES, THREADS, engine_tag
 
 PATIENCE_S = 60.0
-"""Seconds without a scheduler after which a worker ends. One that is restarted meanwhile finds its workers again."""
+"""Seconds without a scheduler after which a worker ends. A scheduler restarted before that finds its workers again."""
 
 
 def require_dask(name: str = "distributed") -> Any:
-    """The module. Raises PlgsError where it is not installed."""
+    """The module. Raises PlgsError if it is not installed."""
     try:
         return __import__(name)
     except ModuleNotFoundError as error:
@@ -30,12 +30,12 @@ def require_dask(name: str = "distributed") -> Any:
 
 
 def is_address(text: str) -> bool:
-    """Whether it may be a scheduler's. Dask waits long for what is none, and ends in errors of its own."""
+    """Whether this may be a scheduler's address. For others, Dask waits long and ends with its own errors."""
     return re.fullmatch(r"[a-z]+://[^\s/]+:[0-9]{1,5}", text) is not None
 
 
 def resources(gigabytes: float, threads: int) -> dict[str, float]:
-    """What a worker offers. Pieces ask for the engine's tag, so that a worker with another engine gets none."""
+    """What a worker offers. Pieces require the engine's tag, so that a worker with a different engine gets none."""
     return {engine_tag(): 1.0, GIGABYTES: gigabytes, THREADS: float(threads)}
 
 
@@ -46,12 +46,12 @@ def run_worker(
     parent_pipe: int | None = None,
     patience_s: float = PATIENCE_S,
 ) -> ExitCode:
-    """Work for the scheduler at ``address`` until it is gone for ``patience_s``. 0 stands for all memory and threads.
+    """Work for the scheduler at ``address`` until it has been gone for ``patience_s``. 0 means all memory and threads.
 
-    The engines that it started end with it, at their last checkpoint. Raises PlgsError.
+    The engines that the worker started end with it, at their last checkpoint. Raises PlgsError.
     """
     require_dask()
-    fix = "Give the address that the scheduler says, such as tcp://machine:8786."
+    fix = "Give the address that the scheduler prints, such as tcp://machine:8786."
     if not is_address(address):
         raise PlgsError("is not the address of a scheduler", address, fix)
     if not gigabytes:
@@ -64,7 +64,7 @@ def run_worker(
         try:
             asyncio.run(_serve(address, offered, patience_s, scratch))
         except (OSError, ValueError) as error:
-            raise PlgsError(f"no scheduler is there ({error})", address, fix) from error
+            raise PlgsError(f"there is no scheduler ({error})", address, fix) from error
     return ExitCode.FINISHED
 
 
@@ -75,7 +75,7 @@ def _end_with_parent(pipe: int, scratch: str) -> None:
 
 
 async def _serve(address: str, offered: dict[str, float], patience_s: float, scratch: str) -> None:
-    """A worker whose scheduler is gone closes; a new one then waits for the scheduler's return."""
+    """A worker whose scheduler is gone closes; a new one then waits for the scheduler to come back."""
     from distributed import Worker
 
     while True:

@@ -1,1 +1,1 @@
-"""Scenes that are larger than a machine: cut into blocks, each lifted by itself, and joined into one result."""
+"""Scenes too large for one machine: they are cut into blocks, lifted separately, and joined into one result."""

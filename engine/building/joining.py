@@ -1,7 +1,7 @@
-"""One scene from lifted blocks: of every block what lies in its cell, with the objects of all joined across the seams.
+"""One scene from lifted blocks: what lies in the cell of each block, with all objects joined across the seams.
 
-Neighbouring blocks are lifted from common frames, so both have points around the wall between their cells. Two objects
-of two blocks are one where they hold the same of these points.
+Neighbouring blocks are lifted from common frames, so both have points around the border between their cells. Two
+objects of two blocks are the same if they hold the same of these points.
 """
 
 from __future__ import annotations
@@ -24,15 +24,15 @@ from ..scene import ClassTable, distinct_colour
 from ..scene.blocks import Cell
 
 LEAST_COMMON = 5
-"""Points that both blocks must have of an object which is to be one."""
+"""The number of points that both blocks must have of an object for its parts to be joined."""
 LEAST_SHARED, LEAST_OF_SMALLER = 0.5, 0.25
-"""Shares of the points of the smaller of two objects that must be the other's: of those that both blocks have, and of
-all. Things that only touch have less in common."""
+"""The shares of the smaller object's points that must also be the other's: of those that both blocks have, and of all
+its points. Things that only touch have less in common."""
 
 
 @dataclass(frozen=True, eq=False)
 class LiftedBlock:
-    """What a block's lift gave; its labels are voted."""
+    """The result of a block's lift; its labels are voted."""
 
     cell: Cell
     model: StructuredScene
@@ -42,7 +42,7 @@ class LiftedBlock:
 
 @dataclass(frozen=True, eq=False)
 class JoinedScene:
-    """The whole, as a lift of all would give it."""
+    """The whole scene, in the form that a lift of all of it would give."""
 
     model: StructuredScene
     points: SemanticPoints
@@ -50,7 +50,7 @@ class JoinedScene:
 
 
 def join(blocks: Sequence[LiftedBlock], classes: ClassTable) -> JoinedScene:
-    """Join blocks that were lifted alike. Raises ValueError when they were not."""
+    """Join blocks that were lifted in the same way. Raises ValueError if they were not."""
     if any(block.model.voted is None or not block.model.channels.class_of_slot for block in blocks):
         raise ValueError("the labels of the blocks are not voted")
     new_id = joined_ids(blocks, reach=blocks[0].model.voxel_size)
@@ -61,8 +61,8 @@ def join(blocks: Sequence[LiftedBlock], classes: ClassTable) -> JoinedScene:
 
 
 def joined_ids(blocks: Sequence[LiftedBlock], reach: float) -> list[dict[int, int]]:
-    """The new id of each object of each block, from 1, those with the most points first. An object that has no point in
-    the cell of any block that knows it is left out."""
+    """The new id of each object of each block, from 1, those with the most points first. Objects without a point in the
+    cell of any block that has them are left out."""
     keys = _all_objects(blocks)
     places = {key: row for row, key in enumerate(keys)}
     common = [
@@ -86,7 +86,7 @@ def joined_ids(blocks: Sequence[LiftedBlock], reach: float) -> list[dict[int, in
 
 def _groups(block_of: Sequence[int], common: Sequence[tuple[int, int, int]]) -> NDArray[np.int64]:
     """The group of each object, int64 [N], by pairs (common points, object, object), those with the most points first.
-    Two objects that one block tells apart never become one, whatever a third object has in common with both.
+    Two objects that one block separates are never joined, whatever a third object has in common with both.
     """
     group = np.arange(len(block_of))
     blocks = [{block} for block in block_of]
@@ -99,13 +99,13 @@ def _groups(block_of: Sequence[int], common: Sequence[tuple[int, int, int]]) -> 
 
 
 def _all_objects(blocks: Sequence[LiftedBlock]) -> list[tuple[int, int]]:
-    """The number of the block, and the object's id."""
+    """The number of the block and the id of each object."""
     return [(number, instance.id) for number, block in enumerate(blocks) for instance in block.instances]
 
 
 def common_objects(one: SemanticPoints, other: SemanticPoints, reach: float) -> dict[tuple[int, int], int]:
-    """Pairs of ids of objects that are one, with the points that both blocks have of them within ``reach`` metres of
-    each other. Each is the other's best partner by these."""
+    """Pairs of ids of objects that are the same, with the number of points that both blocks have of them within
+    ``reach`` metres of each other. Each is the other's best partner by this number."""
     if not len(one.xyz) or not len(other.xyz):
         return {}
     distance, row = cKDTree(other.xyz).query(one.xyz, distance_upper_bound=reach, workers=-1)
@@ -128,12 +128,12 @@ def common_objects(one: SemanticPoints, other: SemanticPoints, reach: float) -> 
 
 
 def _best_partners(table: Mapping[tuple[int, int], int]) -> dict[int, int]:
-    """Who has the most points in common with each; the lower id of equals."""
+    """The object that has the most points in common with each; the lower id if several tie."""
     return {a: b for (a, b), _ in sorted(table.items(), key=lambda item: (item[1], -item[0][1]))}
 
 
 def joined_classes(blocks: Sequence[LiftedBlock], new_id: Sequence[Mapping[int, int]]) -> dict[int, int]:
-    """The class of each new id: that of the most points of its parts, the lower one of equals."""
+    """The class of each new id: the class of most points of its parts, the lower one if several tie."""
     votes: dict[int, dict[int, int]] = {}
     for block, ids in zip(blocks, new_id, strict=True):
         for instance in block.instances:
@@ -146,7 +146,7 @@ def joined_classes(blocks: Sequence[LiftedBlock], new_id: Sequence[Mapping[int, 
 def joined_points(
     blocks: Sequence[LiftedBlock], new_id: Sequence[Mapping[int, int]], class_of: Mapping[int, int]
 ) -> SemanticPoints:
-    """The points of every block in its cell, with the new ids."""
+    """The points of every block that lie in its cell, with the new ids."""
     parts = []
     for block, ids in zip(blocks, new_id, strict=True):
         points, inside = block.points, block.cell.contains(block.points.xyz)
@@ -207,7 +207,7 @@ def joined_instances(
 def joined_model(
     blocks: Sequence[LiftedBlock], new_id: Sequence[Mapping[int, int]], class_of: Mapping[int, int]
 ) -> StructuredScene:
-    """The Gaussians of every block whose anchors lie in its cell, each block's with its own decoders."""
+    """The Gaussians of every block whose anchors lie in its cell. Each block's have their own decoders."""
     class_ids = tuple(sorted({each for block in blocks for each in block.model.channels.class_ids}))
     channels = LabelChannels(class_ids, (NO_OBJECT, *class_of), (0, *class_of.values()))
     place = {-class_id: row for row, class_id in enumerate(class_ids)}

@@ -1,7 +1,7 @@
-"""The lift of a building: its blocks one after the other, each an ordinary lift in a process of its own, then the join.
+"""The lift of a building: its blocks one after another, each an ordinary lift in its own process, then the join.
 
-A block's lift lies in ``blocks/<number>`` of the lift folder. It may have been made elsewhere before, by
-`engine lift SCENE -o OUT/blocks/2 --blocks 5 --block 2`: what is finished is taken as it is.
+A block's lift is in ``blocks/<number>`` of the lift folder. It may have been made elsewhere before, with
+`engine lift SCENE -o OUT/blocks/2 --blocks 5 --block 2`: finished lifts are used as they are.
 """
 
 from __future__ import annotations
@@ -43,15 +43,15 @@ STAGES = {
 }
 LOOK_EVERY_S = 0.1
 JUDGES = 100
-"""Frames trained on whose masks judge the whole, at most, evenly spread."""
+"""The most training frames whose masks judge the whole, evenly spread."""
 
 
 def run_building(folder: LiftFolder, events: EventWriter, stop: StopSignal, *, resume: bool) -> None:
-    """As `run_lift`, of a building: do what is left of it, whether it is resumed or not."""
+    """`run_lift` for a building: do what is left of it, whether it is resumed or not."""
     request, preset = folder.request, folder.request.chosen_preset
     refuse_missing_device(request.device)
     if not preset.shows_votes or request.names_from is not None:
-        what = "blocks are joined by the views' votes, and take no names from an earlier lift"
+        what = "blocks are joined by the views' votes, and cannot keep the names of an earlier lift"
         raise PlgsError(what, folder.path, "Lift without --blocks.", option="--blocks")
     be_repeatable(request.device)
     with drawing_on(request.device):
@@ -59,7 +59,7 @@ def run_building(folder: LiftFolder, events: EventWriter, stop: StopSignal, *, r
 
 
 def _do_stages(folder: LiftFolder, preset: Preset, stages: StageReporter) -> None:
-    """``STAGES``, one after another."""
+    """Do the ``STAGES``, one after another."""
     request, events = folder.request, stages.events
     with stages.stage("check") as progress:
         scene = open_scene_to_lift(request)
@@ -97,19 +97,19 @@ def shown_of(whole: JoinedScene) -> ShownInstances:
 
 
 def request_of_block(request: LiftRequest, number: int) -> LiftRequest:
-    """What a block's lift is asked for."""
+    """The request for a block's lift."""
     return replace(request, block=number, bake="none")
 
 
 def lift_block(folder: LiftFolder, number: int, progress: StageProgress) -> LiftFolder:
-    """The finished lift of a block. Another process that lifts it is waited for. Raises PlgsError, Cancelled."""
+    """The finished lift of a block. If another process lifts it, wait for that. Raises PlgsError, Cancelled."""
     path, request = folder.path / BLOCKS / str(number), request_of_block(folder.request, number)
     if not (path / "request.json").exists():
         LiftFolder.create(path, request)
     lift = LiftFolder.open(path)
     differing = request.differences(lift.request)
     if differing:
-        what = f"the block was lifted otherwise: {', '.join(differing)}"
+        what = f"the block was lifted with different options: {', '.join(differing)}"
         raise PlgsError(what, path, "Delete this folder, then resume.")
     while lift.is_running or not is_done(lift):
         _let_lift(lift, number, progress)
@@ -117,8 +117,8 @@ def lift_block(folder: LiftFolder, number: int, progress: StageProgress) -> Lift
 
 
 def _let_lift(lift: LiftFolder, number: int, progress: StageProgress) -> None:
-    """Start an engine for a block, or follow the one that is at work there, to its end. What becomes of that one, whose
-    machine may crash, is its own affair: the block is looked at again.
+    """Start an engine for a block, or follow the one that is at work there, to its end. How that one ends does not
+    matter, as its machine may crash: the block is checked again.
     """
     command = engine_command(Path(sys.executable), lift.path, resume=lift.state() is not LiftState.NOT_STARTED)
     is_running = lift.is_running
@@ -154,7 +154,7 @@ def _let_lift(lift: LiftFolder, number: int, progress: StageProgress) -> None:
 
 
 def read_block(lift: LiftFolder, cell: Cell) -> LiftedBlock:
-    """What a finished lift of a block has. Raises PlgsError."""
+    """The content of a block's finished lift. Raises PlgsError."""
     points = read_arrays(lift.result_path / SEMANTIC_POINTS, SemanticPoints)
     _, instances = read_instances(lift.result_path / INSTANCES)
     return LiftedBlock(cell, read_model(lift), points, instances)

@@ -23,22 +23,22 @@ SLURM = {"queue": "--queue", "account": "--account", "walltime": "--walltime"}
 
 def add_batch(parser: argparse.ArgumentParser, exports: Sequence[str]) -> None:
     parser.description = (
-        "Lift many scenes, bake, export and score them, on workers of this machine, of a Dask scheduler, or of Slurm. "
-        "Results go to OUT/NAME, NAME being that of the scene's folder or file, and to OUT/table.csv and OUT/table.md. "
+        "Lift, bake, export and score many scenes, on workers of this machine, of a Dask scheduler, or of Slurm. "
+        "Results go to OUT/NAME, where NAME is that of the scene's folder or file, and to OUT/table.csv and table.md. "
         "The same command continues with what is missing. Docs: docs/farms.md."
     )
-    parser.add_argument("scenes", type=Path, nargs="+", metavar="SCENE", help="scenes, as lift takes them")
+    parser.add_argument("scenes", type=Path, nargs="+", metavar="SCENE", help="scenes, as for lift")
     parser.add_argument("-o", "--output", type=Path, required=True, metavar="OUT", help="the folder for all results")
     add_lift_options(parser)
-    parser.add_argument("--chunk", type=positive, default=50, metavar="N", help="with --bake all: frames a piece (50)")
+    parser.add_argument("--chunk", type=positive, default=50, metavar="N", help="frames per piece of --bake all (50)")
     forms = f"forms to export: {', '.join(exports)}"
     parser.add_argument("--export", nargs="+", choices=exports, default=(), metavar="FORM", help=forms)
-    place = parser.add_argument_group("where", "Without any of these: workers on this machine, within its memory.")
-    place.add_argument("--workers", type=positive, metavar="N", help="workers on this machine, or jobs of Slurm")
+    place = parser.add_argument_group("where", "Without any of these, workers run on this machine within its memory.")
+    place.add_argument("--workers", type=positive, metavar="N", help="workers on this machine, or Slurm jobs")
     place.add_argument(
         "--scheduler", default="", metavar="ADDRESS", help="a Dask scheduler, such as tcp://machine:8786"
     )
-    place.add_argument("--slurm", action="store_true", help="let Slurm start the workers, by dask-jobqueue")
+    place.add_argument("--slurm", action="store_true", help="let Slurm start the workers, with dask-jobqueue")
     place.add_argument("--memory", type=float, default=0.0, metavar="GB", help="memory of one worker")
     place.add_argument("--threads", type=positive, metavar="N", help="compute threads of one worker")
     for name, option in SLURM.items():
@@ -48,10 +48,10 @@ def add_batch(parser: argparse.ArgumentParser, exports: Sequence[str]) -> None:
 
 def add_worker(parser: argparse.ArgumentParser) -> None:
     parser.description = (
-        "Work for the scheduler of batches: one piece at a time. Ends when the scheduler has been gone for a minute. "
-        "The scenes and the folder of the batch have to be mounted here under the same paths."
+        "Work for the scheduler of batches, one piece at a time. Ends when the scheduler has been gone for a minute. "
+        "The scenes and the folder of the batch must be mounted here under the same paths."
     )
-    parser.add_argument("address", metavar="ADDRESS", help="the scheduler's, such as tcp://machine:8786")
+    parser.add_argument("address", metavar="ADDRESS", help="the scheduler's address, such as tcp://machine:8786")
     parser.add_argument("--memory", type=float, default=0.0, metavar="GB", help="memory to use (default: all)")
     parser.add_argument("--threads", type=positive, metavar="N", help="compute threads to use (default: all)")
     parser.add_argument(
@@ -61,9 +61,9 @@ def add_worker(parser: argparse.ArgumentParser) -> None:
 
 
 def positive(text: str) -> int:
-    """For argparse, so it raises ArgumentTypeError."""
+    """A positive whole number for argparse. Raises ArgumentTypeError."""
     if not text.isdecimal() or not 0 < int(text) < 10**6:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a number from 1 on")
+        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number of at least 1")
     return int(text)
 
 
@@ -80,7 +80,7 @@ def batch(options: argparse.Namespace) -> int:
     from ..job.terminal import Interrupted, Interrupts
 
     if options.poses is not None:
-        raise PlgsError("finds poses of one scene", "--poses", "Find them first: python -m engine poses.")
+        raise PlgsError("finds the poses of one scene only", "--poses", "Find them first: python -m engine poses.")
     names = names_of(options.scenes)
     if ".." in options.output.parts:
         options.output = options.output.resolve()
@@ -98,12 +98,12 @@ def batch(options: argparse.Namespace) -> int:
 
 def _refuse_two_places(options: argparse.Namespace) -> None:
     if options.slurm and options.scheduler:
-        raise PlgsError("names another place than --scheduler", "--slurm", "Give one of them.")
+        raise PlgsError("cannot be used with --scheduler", "--slurm", "Give one of them.")
     if options.workers and options.scheduler:
-        raise PlgsError("a scheduler has workers of its own", "--workers", "Leave it out, or --scheduler.")
+        raise PlgsError("a scheduler has its own workers", "--workers", "Leave out this option, or --scheduler.")
     for name, option in SLURM.items():
         if getattr(options, name) and not options.slurm:
-            raise PlgsError("is for Slurm", option, "Add --slurm, or leave it out.", option=option)
+            raise PlgsError("is for Slurm only", option, "Add --slurm, or leave it out.", option=option)
 
 
 def _job(options: argparse.Namespace, scene: Path, name: str, bakes_all: bool) -> SceneJob:
@@ -116,21 +116,21 @@ def _job(options: argparse.Namespace, scene: Path, name: str, bakes_all: bool) -
     own.scene, lift = scene, options.output.absolute() / name
     request = request_from(own)
     if bakes_all:
-        request = replace(request, bake="none")  # in pieces, when it is lifted
+        request = replace(request, bake="none")  # passes are baked in pieces after the lift
     if not scene.exists() and (options.scheduler or options.slurm):
-        return SceneJob(name, lift, request)  # a worker may have it
+        return SceneJob(name, lift, request)  # a worker may have the scene
     try:
         opened = open_scene_to_lift(request)
     except PlgsError as error:
         return SceneJob(name, lift, request, problem=str(error))
     if request.blocks > 1:
-        return SceneJob(name, lift, request)  # what the engines of its blocks need is not predicted
+        return SceneJob(name, lift, request)  # the needs of its blocks' engines are not predicted
     peak = predicted_lift(opened, request.chosen_preset, USUAL_MASKS).peak_bytes
     return SceneJob(name, lift, request, round(peak / 1e9, 2))
 
 
 def _place(options: argparse.Namespace, gigabytes: Sequence[float]) -> Place:
-    """As many workers on this machine as its memory and its processors allow, unless the options say it."""
+    """As many workers on this machine as its memory and processors allow, unless the options give a number."""
     from ..batch.cluster import Place
     from ..job.main_memory import main_memory
     from ..job.system import usable_cpus

@@ -1,5 +1,5 @@
 """What each command runs. The modules behind it load numpy and more, so they are imported when a command runs, not for
---help or a typing error."""
+--help or a mistyped command."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ from ..records import to_json
 
 
 def lift(options: argparse.Namespace) -> int:
-    """With -o a second process is the engine, and this one shows it. Without it this process is the engine."""
+    """With -o, a second process is the engine, and this one shows its progress. Without it, this one is the engine."""
     if options.output:
         if options.relink is not None:
             fix = "Give LIFT, --scene and --resume, without -o."
-            raise PlgsError("tells where the scene of a lift folder is", "--scene", fix)
+            raise PlgsError("names the place of a lift folder's scene", "--scene", fix)
         return _lift_in_terminal(options)
     from .run_engine import run_engine
 
@@ -36,7 +36,7 @@ def lift(options: argparse.Namespace) -> int:
         raise PlgsError("a lift's request never changes", ", ".join(given), fix)
     folder = LiftFolder.open(options.scene)
     pipe = _parent_pipe(options, folder)
-    own = getattr(options, "lift", None)  # of another program, which has its own way to lift
+    own = getattr(options, "lift", None)  # set by another program that has its own way to lift
     return run_engine(folder, resume=options.resume, parent_pipe=pipe, echo=options.echo, lift=own)
 
 
@@ -49,7 +49,7 @@ def _lift_in_terminal(options: argparse.Namespace) -> int:
         with Interrupts() as interrupts:
             lift, code = lift_in_terminal(options, interrupts)
     except Interrupted as error:
-        print(f"Stopped. Give the same command with --resume to go on: {options.output}", file=sys.stderr)
+        print(f"Stopped. Give the same command with --resume to continue: {options.output}", file=sys.stderr)
         return error.exit_code
     if code is ExitCode.FINISHED:
         print(metrics_text(read_metrics(lift)), "", *made_files(lift), sep="\n")
@@ -57,17 +57,17 @@ def _lift_in_terminal(options: argparse.Namespace) -> int:
 
 
 def bake(options: argparse.Namespace) -> ExitCode:
-    """This process is the engine."""
+    """Bake in this process, which is the engine."""
     from ..job import read_cameras
     from .run_engine import run_bake
 
     folder = _opened(options.lift, options.relink)
     frames = options.frames if options.frames or options.cameras else ["all"]
     if options.cameras is not None:
-        if not options.cameras.is_file():  # perhaps a camera's name, as "--camera NAME" gives it to "--cameras"
-            fix = "--help says what such a file holds; cameras of a .blend are baked by run_plgs.py --bake camera."
+        if not options.cameras.is_file():  # perhaps a camera's name, as "--camera NAME" is read as "--cameras"
+            fix = "--help explains what such a file holds; run_plgs.py --bake camera bakes the cameras of a .blend."
             raise PlgsError("there is no such file of cameras", options.cameras, fix)
-        read_cameras(options.cameras)  # what is wrong is said at once, not after the model was read
+        read_cameras(options.cameras)  # so that errors are reported at once, not after the model was read
     place = None if options.events is None else TaskPlace.at(options.events)
     pipe = _parent_pipe(options, folder)
     return run_bake(
@@ -77,7 +77,7 @@ def bake(options: argparse.Namespace) -> ExitCode:
 
 
 def _opened(lift: Path, scene: Path | None) -> LiftFolder:
-    """The lift in a folder, with its scene in another place where ``scene`` names one."""
+    """The lift in a folder, with its scene in another place if ``scene`` names one."""
     folder = LiftFolder.open(lift)
     if scene is None:
         return folder
@@ -104,12 +104,12 @@ def export(options: argparse.Namespace, events: EventWriter, stop: StopSignal) -
 
 
 def evaluate(options: argparse.Namespace, events: EventWriter, stop: StopSignal) -> None:
-    """Answer with a whole lift's metrics.json, or with the same figures of the labels in two folders."""
+    """Answer with a lift's metrics.json, or with the same figures for the labels in two folders."""
     from ..job.report import metrics_text, read_metrics
 
     folders = (options.predictions, options.truth)
     if (options.lift is None) == (None in folders) or (options.lift is not None and any(folders)):
-        raise PlgsError("give either LIFT, or --predictions and --truth", "evaluate", "--help says more.")
+        raise PlgsError("give either LIFT, or --predictions and --truth", "evaluate", "See --help.")
     if options.lift is not None:
         lift = LiftFolder.open(options.lift)
         verify(lift.result_path)
@@ -122,12 +122,12 @@ def evaluate(options: argparse.Namespace, events: EventWriter, stop: StopSignal)
         true = open_label_folder(options.truth, is_truth=True)
         metrics = score_folders(predicted, true, ids_per_frame=options.ids_per_frame)
         if left := unscored(predicted, true):
-            events.warning(f"{left} frames with ground truth are not predicted: they are not scored.")
+            events.warning(f"{left} frames with ground truth are not scored, as they have no prediction.")
     events.answer(metrics, metrics_text(metrics, per_class=options.classes))
 
 
 def _corrected_metrics(lift: LiftFolder, events: EventWriter, stop: StopSignal) -> dict[str, object] | None:
-    """The figures of a lift that was corrected: its held-out frames are rendered again. None where it was not."""
+    """The figures of a corrected lift, whose held-out frames are rendered again. None if it was not corrected."""
     from ..corrections import CORRECTIONS, read_corrected
 
     if not (lift.path / CORRECTIONS).exists():
@@ -178,7 +178,7 @@ def frames(options: argparse.Namespace, events: EventWriter, stop: StopSignal) -
     try:
         made = make_frames(scene, source.resolved, output, options.make, options.frames, progress)
     except OSError as error:
-        fix = "Name a folder that you may write to, on a disk with space."
+        fix = "Name a folder that you can write to, on a disk with free space."
         raise PlgsError(f"cannot be written ({error.strerror})", error.filename or options.output, fix) from error
     answer = {"folder": made.folder, "frames": len(made.frames)}
     events.answer(answer, f"{len(made.frames)} frames in {made.folder}")
@@ -195,7 +195,7 @@ def poses(options: argparse.Namespace, events: EventWriter, stop: StopSignal) ->
 
 
 def segment(options: argparse.Namespace, events: EventWriter, stop: StopSignal) -> None:
-    """Make the masks, or continue where they were left."""
+    """Make the masks, or continue where it was stopped."""
     from ..scene import open_scene
     from ..segment import begin_job, load_model, make_masks
 
@@ -218,7 +218,7 @@ def segment(options: argparse.Namespace, events: EventWriter, stop: StopSignal) 
     try:
         make_masks(scene, job, network, progress)
     except OSError as error:
-        fix = "Make room there, then go on."
+        fix = "Make room there, then continue."
         raise PlgsError(
             f"masks cannot be written ({error.strerror})", job.folder, fix, code=ErrorCode.DISK_FULL
         ) from error
@@ -232,7 +232,7 @@ def handshake(options: argparse.Namespace, events: EventWriter, stop: StopSignal
 
 
 def set_up(options: argparse.Namespace, events: EventWriter, stop: StopSignal) -> None:
-    """Packages come from the index of the variable PLGS_INDEX_URL, where it is set: it may hold a password."""
+    """Packages come from the index in the variable PLGS_INDEX_URL, if it is set: it may hold a password."""
     from ..set_up import SetUp, SetUpRequest, remove_environments
 
     if options.remove:
@@ -245,7 +245,7 @@ def set_up(options: argparse.Namespace, events: EventWriter, stop: StopSignal) -
 
 
 def add(options: argparse.Namespace, events: EventWriter, stop: StopSignal) -> None:
-    """Packages come from where `set_up` takes them."""
+    """Packages come from the same index as for `set_up`."""
     from ..set_up import Addition
 
     index_url = os.environ.get("PLGS_INDEX_URL", "")
@@ -266,8 +266,8 @@ def presets(options: argparse.Namespace) -> ExitCode:
 
 
 def _progress(stage: str, events: EventWriter, stop: StopSignal) -> Callable[..., None]:
-    """Called with the steps done, their number and, where some were done by an earlier run, those of this run: it
-    writes progress with the time left, and raises Cancelled when the command shall stop.
+    """Called with the steps done, the number of steps and, if an earlier run did some, those of this run. It writes
+    progress with the time left, and raises Cancelled when the command should stop.
     """
     stop.check()
     began = time.monotonic()

@@ -27,38 +27,38 @@ def add_correct(parser: argparse.ArgumentParser, make_task: AddTask) -> None:
     )
     parser.add_argument("lift", type=Path, metavar="LIFT", help="the folder of a finished lift")
     known = parser.add_subparsers(dest="edit", required=True, metavar="EDIT")
-    one = "id of the object, as list shows it"
-    rename = known.add_parser("rename", help="another name for an object")
+    one = "id of the object, as shown by list"
+    rename = known.add_parser("rename", help="give an object another name")
     rename.add_argument("id", type=int, metavar="ID", help=one)
     rename.add_argument("name", metavar="NAME", help="the name")
-    reclass = known.add_parser("reclass", help="another class for objects; with stuff they become points of it")
+    reclass = known.add_parser("reclass", help="give objects another class; with stuff they become points of it")
     reclass.add_argument("id", type=int, nargs="+", metavar="ID", help=one)
     reclass.add_argument("class_name", metavar="CLASS", help="name or id of one of the lift's classes")
-    merge = known.add_parser("merge", help="let objects be one, with the name and the class of the first")
+    merge = known.add_parser("merge", help="join objects into one, with the name and the class of the first")
     merge.add_argument("id", type=int, nargs="+", metavar="ID", help=one)
-    delete = known.add_parser("delete", help="an object that is none: its points become what lies around")
+    delete = known.add_parser("delete", help="delete a false object: its points become part of what is around them")
     delete.add_argument("id", type=int, metavar="ID", help=one)
-    delete.add_argument("--no-object", action="store_true", help="its points keep their class, without an object")
-    split = known.add_parser("split", help="let an object be several")
+    delete.add_argument("--no-object", action="store_true", help="let its points keep their class, without an object")
+    split = known.add_parser("split", help="split an object into several")
     split.add_argument("id", type=int, metavar="ID", help=one)
     how = split.add_mutually_exclusive_group(required=True)
-    how.add_argument("--parts", action="store_true", help="its connected parts, the largest keeps the id")
-    how.add_argument("--views", action="store_true", help="what the masks of at least two frames show apart")
+    how.add_argument("--parts", action="store_true", help="into its connected parts; the largest keeps the id")
+    how.add_argument("--views", action="store_true", help="into what the masks of at least two frames show apart")
     how.add_argument(
         "--plane", type=float, nargs=6, metavar=("X", "Y", "Z", "NX", "NY", "NZ"),
-        help="by the plane through a point, metres; what lies in the direction of the normal is the new object",
+        help="by the plane through a point in metres; the part in the direction of the normal is the new object",
     )  # fmt: skip
-    accept = known.add_parser("accept", help="objects that are right: no proposal speaks of them again")
+    accept = known.add_parser("accept", help="mark objects as right: no proposal mentions them again")
     accept.add_argument("id", type=int, nargs="+", metavar="ID", help=one)
     undo = known.add_parser("undo", help="undo the last edit")
-    listed = known.add_parser("list", help="the objects as they are corrected, and all edits")
-    proposed = known.add_parser("propose", help="what may be wrong, the most doubtful first, and how far you are")
+    listed = known.add_parser("list", help="list the objects with their corrections, and all edits")
+    proposed = known.add_parser("propose", help="list what may be wrong, the most doubtful first, and your progress")
     for each in (rename, reclass, merge, delete, split, accept, undo, listed, proposed):
         make_task(each, correct)
 
 
 def correct(options: argparse.Namespace, events: EventWriter, stop: StopSignal) -> None:
-    """Make the edit, and answer with it; or list what there is."""
+    """Make the edit and answer with it, or list what there is."""
     from ..corrections import correct, proposals_of, read_corrected, undo
 
     folder = LiftFolder.open(options.lift)
@@ -108,7 +108,7 @@ def _edit(options: argparse.Namespace, folder: LiftFolder, state: Replay, first_
 
 
 def _class(state: Replay, text: str) -> int:
-    """The class that has this name or id. Raises PlgsError."""
+    """The class with this name or id. Raises PlgsError."""
     for one in state.classes.categories:
         if one.id and (text == str(one.id) or text.casefold() == one.name.casefold()):
             return one.id

@@ -19,7 +19,7 @@ _CUDA = re.compile(r"^cuda\b[^=]*= *['\"]([^'\"]+)['\"]", re.MULTILINE)
 
 
 def answer(root: Path = ROOT) -> EngineAnswer:
-    """Look at this Python. Raises PlgsError when the requirements cannot be read."""
+    """The answer about this Python. Raises PlgsError if the requirements cannot be read."""
     wanted = needed_packages(root, sys.version_info[:2])
     packages, cuda = {name: _version(name) for name in wanted}, _cuda_of_torch()
     missing = [name for name, version in packages.items() if version is None]
@@ -36,7 +36,7 @@ def answer(root: Path = ROOT) -> EngineAnswer:
 
 
 def _lacking(capability: Capability, cuda: str | None) -> list[str]:
-    """What an engine that lacks nothing else lacks for an ability."""
+    """What an otherwise complete engine lacks for an ability."""
     modules = capability.packages.items()
     lacking = [package for package, module in modules if importlib.util.find_spec(module) is None]
     return [*lacking, *(["torch for CUDA"] if capability.needs_cuda and cuda is None else [])]
@@ -47,12 +47,12 @@ def _version(package: str) -> str | None:
         return None
     try:
         return importlib.metadata.version(package)
-    except importlib.metadata.PackageNotFoundError:  # another package brought the module, such as opencv-python
+    except importlib.metadata.PackageNotFoundError:  # another package installed the module, such as opencv-python
         return "unknown"
 
 
 def _cuda_of_torch() -> str | None:
-    """From the text of torch's version.py: importing torch takes a second."""
+    """The version of CUDA, from the text of torch's version.py, as importing torch takes a second."""
     torch = importlib.util.find_spec("torch")
     if torch is None or torch.origin is None:
         return None

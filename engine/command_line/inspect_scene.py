@@ -24,8 +24,8 @@ def inspect_scene(
     findings: Path | None = None,
     fix: Path | None = None,
 ) -> None:
-    """Decode every frame and answer what is there and what is wrong with it. The text also says what a lift with
-    ``preset`` would take.
+    """Decode every frame, and answer with what is there and what is wrong with it. The text also predicts what a lift
+    with ``preset`` would take.
 
     ``findings`` is a folder for the findings and their pictures, ``fix`` a new one for the mended scene. Raises
     PlgsError for the first thing that a lift would refuse, after an answer with the findings that may explain it.
@@ -52,10 +52,10 @@ def inspect_scene(
     if fix is not None and diagnosis.mending.is_needed:
         harm = write_mended(scene, diagnosis, fix)
         mended = [finding.cause for finding in diagnosis.findings if finding.is_mended]
-        done = f"{', '.join(mended)}: {fix}" if harm is None else f"nothing: {harm}; no folder is written"
+        done = f"{', '.join(mended)}: {fix}" if harm is None else f"nothing: {harm}; no folder was written"
         lines.append(f"mended    {done}")
     elif fix is not None and refusal is None:
-        lines.append("mended    nothing: no finding can be mended without a doubt, and no folder is written")
+        lines.append("mended    nothing: no finding can be mended with certainty, and no folder was written")
     answer: dict[str, object] = {} if report is None else asdict(report)
     events.answer({**answer, "diagnosis": found}, "\n".join(lines))
     if refusal is not None and (fix is None or harm is not None or not diagnosis.mending.is_needed):
@@ -63,7 +63,7 @@ def inspect_scene(
 
 
 def _explanation(scene: Scene, refusal: PlgsError) -> Diagnosis:
-    """The diagnosis that explains why a scene is refused. Raises the refusal when nothing explains it."""
+    """The diagnosis that explains why a scene is refused. Raises the refusal if nothing explains it."""
     try:
         diagnosis = diagnose(scene)
     except PlgsError:
@@ -77,7 +77,7 @@ def _finding_lines(diagnosis: Diagnosis, folder: Path | None) -> Iterator[str]:
     views = diagnosis.agreement
     if views is not None:
         yield (
-            f"views     {views.share:.0%} of what two frames see lies where both have it, with a median error of "
+            f"views     {views.share:.0%} of what two frames see lies where both place it, with a median error of "
             f"{views.error:.2%} ({diagnosis.looked} of {diagnosis.frames} frames compared)"
         )
     if not diagnosis.findings:
@@ -104,12 +104,12 @@ def _lines(report: SceneReport) -> Iterator[str]:
         yield "masks     none: a lift is not possible"
     else:
         fewest, median, most = report.segments_per_frame
-        yield f"masks     {_sizes(report.mask_sizes)}, {fewest} to {most} segments a frame, {median} in the middle"
+        yield f"masks     {_sizes(report.mask_sizes)}, {fewest} to {most} segments per frame, with a median of {median}"
     if report.sparse_points:
         yield f"points    {report.sparse_points} of the reconstruction"
     yield "cameras   within " + " x ".join(f"{side:.2f}" for side in report.extent) + " m"
     if report.classes:
-        yield f"classes   {len(report.classes)}, {report.void_share:.1%} of the pixels without"
+        yield f"classes   {len(report.classes)}; {report.void_share:.1%} of the pixels have none"
     for entry in sorted(report.classes, key=lambda entry: -entry.share):
         yield f"  {entry.id:4d}  {entry.name:<24} {'thing' if entry.is_thing else 'stuff'} {entry.share:7.1%}"
     for warning in report.warnings:
@@ -117,7 +117,7 @@ def _lines(report: SceneReport) -> Iterator[str]:
 
 
 def _prediction(report: SceneReport, preset: str) -> str:
-    """Such as "preview   about 3 min and 1.0 GB of memory"."""
+    """A line such as "preview   about 3 min and 1.0 GB of memory"."""
     size, slowness = report.colour_sizes[0][0], machine_slowness()
     masks = USUAL_MASKS if report.segments_per_frame is None else report.segments_per_frame[1]
     counts, classes = (report.train_frames, report.test_frames), len(report.classes) or USUAL_CLASSES
@@ -128,7 +128,7 @@ def _prediction(report: SceneReport, preset: str) -> str:
 
 
 def _sizes(sizes: tuple[tuple[Size, int], ...]) -> str:
-    """Such as "640x480", or "640x480 (30), 320x240 (2)"."""
+    """A text such as "640x480", or "640x480 (30), 320x240 (2)"."""
     if len(sizes) == 1:
         return "{}x{}".format(*sizes[0][0])
     return ", ".join(f"{width}x{height} ({count})" for (width, height), count in sizes)

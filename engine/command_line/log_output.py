@@ -1,4 +1,4 @@
-"""All output of a process, native libraries included, goes into one file."""
+"""Redirection of all output of a process, including native libraries, into one file."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ from ..gates import open_to_append
 
 @contextmanager
 def output_to(log: Path) -> Iterator[TextIO]:
-    """Append all output to ``log`` meanwhile. Yields the real standard error, for the few lines that are for people.
+    """Append all output to ``log`` in this context. Yields the real standard error, for the few lines for the user.
 
-    Python's streams and its logging go there, and the file descriptors below them: output of C++ lands there too, and
-    the Python lines that led to a crash in it.
+    Python's streams and logging go there, and the file descriptors below them, so that the output of C++ and the Python
+    traceback of a crash in it get there too.
     """
     sys.stdout.flush()
     sys.stderr.flush()
@@ -41,7 +41,7 @@ def output_to(log: Path) -> Iterator[TextIO]:
 
 
 class _BestEffortFile(io.FileIO):
-    """Output that finds no room on a full disk is lost: a log must neither make a lift fail nor hide its error."""
+    """Output that does not fit on a full disk is lost: a log must neither make a lift fail nor hide its error."""
 
     def write(self, data: Any) -> int:
         try:

@@ -22,14 +22,14 @@ READER_GONE = 141
 
 
 def main(arguments: Sequence[str], parser: Callable[[], argparse.ArgumentParser] = make_parser) -> int:
-    """Run a command and return its exit code. Bad arguments end with SystemExit(2), as argparse has it."""
+    """Run a command and return its exit code. Bad arguments raise SystemExit(2), as usual with argparse."""
     try:
         try:
             return _run(arguments, parser())
         finally:
-            sys.stdout.flush()  # here, where a reader that is gone is no error yet
+            sys.stdout.flush()  # flushed here, where a closed reader is not yet an error
     except BrokenPipeError:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # Python flushes what is left at its end
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # Python flushes the rest when it exits
         return READER_GONE
     except OSError as error:
         what = f"this cannot be used ({error.strerror}): {error.filename or 'the disk'}"
@@ -45,7 +45,7 @@ def _run(arguments: Sequence[str], parser: argparse.ArgumentParser) -> int:
     except PlgsError as error:
         print(f"error: {error}", file=sys.stderr)
         return error.exit_code
-    except KeyboardInterrupt:  # of commands that leave nothing to continue
+    except KeyboardInterrupt:  # in commands that leave nothing to continue
         print("Stopped.", file=sys.stderr)
         return ExitCode.INTERRUPTED
     return code

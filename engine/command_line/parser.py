@@ -37,35 +37,35 @@ def make_parser() -> argparse.ArgumentParser:
     known = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
     _add_lift(known.add_parser("lift", help="lift posed RGB-D frames and their masks"))
     _add_bake(known.add_parser("bake", help="render more frames of a finished lift, or any cameras, as passes"))
-    add_batch(known.add_parser("batch", help="lift, bake and score many scenes, also on many machines"), EXPORTS)
+    add_batch(known.add_parser("batch", help="lift, bake and score many scenes, on one machine or many"), EXPORTS)
     add_worker(known.add_parser("worker", help="work for the scheduler of batches on this machine"))
     add_correct(known.add_parser("correct", help="mend what a finished lift got wrong, without training"), _make_task)
-    _add_export(known.add_parser("export", help="write a finished lift in a form that other programs read"))
+    _add_export(known.add_parser("export", help="write a finished lift in a form that other programs can read"))
     _add_evaluate(known.add_parser("evaluate", help="show how good a finished lift is"))
-    _add_inspect(known.add_parser("inspect", help="read a scene and tell what is in it, or what is wrong"))
-    _add_classes(known.add_parser("classes", help="list the classes of a scene's masks, or write the edited list"))
-    _add_find_scene(known.add_parser("find-scene", help="tell a lift where its scene now is, after it was moved"))
+    _add_inspect(known.add_parser("inspect", help="read a scene and show what is in it and what is wrong with it"))
+    _add_classes(known.add_parser("classes", help="list the classes of a scene's masks, or write an edited list"))
+    _add_find_scene(known.add_parser("find-scene", help="tell a lift where its scene is after it was moved"))
     _add_frames(known.add_parser("frames", help="write a scene's pictures, depth and masks as plain image files"))
     _add_poses(known.add_parser("poses", help="find the poses of photos or of a film's pictures, with COLMAP"))
     _add_segment(known.add_parser("segment", help="make masks for a scene that has none"))
     _add_presets(known.add_parser("presets", help="show the presets and all their options"))
-    handshake = known.add_parser("handshake", help="tell at once what this engine is and what it lacks")
+    handshake = known.add_parser("handshake", help="show at once what this engine is and what it lacks")
     handshake.description = "One line of JSON: versions, packages and their pins, what is missing, how to mend it."
     _make_task(handshake, commands.handshake)
-    _add_set_up(known.add_parser("set-up", help="make a Python environment that has all that the engine needs"))
-    _add_add(known.add_parser("add", help="add what not everybody needs to this engine: making masks, poses, readers"))
+    _add_set_up(known.add_parser("set-up", help="make a Python environment with everything that the engine needs"))
+    _add_add(known.add_parser("add", help="add optional parts to this engine: making masks, poses, readers"))
     warm_up = known.add_parser("warm-up", help="compile what a lift runs, so that the first one starts at once")
-    warm_up.description = "Compile for this machine what a lift runs: half a minute, once. The set-up does it."
+    warm_up.description = "Compile for this machine what a lift runs. It takes half a minute, once; set-up does it too."
     _make_task(warm_up, commands.warm_up)
     return parser
 
 
 def _add_lift(parser: argparse.ArgumentParser) -> None:
-    parser.description = "With -o: lift a scene into a new folder. Without: run the lift that a folder asks for."
+    parser.description = "With -o: lift a scene into a new folder. Without -o: run the lift that a folder asks for."
     parser.add_argument("scene", type=Path, metavar="SCENE|LIFT", help="the scene (with -o), or a lift folder")
     parser.add_argument("-o", "--output", type=Path, metavar="OUT", help="the lift folder to make")
     add_lift_options(parser)
-    parser.add_argument("--resume", action="store_true", help="go on with a lift that was stopped")
+    parser.add_argument("--resume", action="store_true", help="continue a lift that was stopped")
     add_progress_option(parser)
     _add_relink(parser)
     _add_stay_with_parent(parser)
@@ -74,31 +74,31 @@ def _add_lift(parser: argparse.ArgumentParser) -> None:
 
 def _add_bake(parser: argparse.ArgumentParser) -> None:
     parser.description = (
-        "Render frames of a finished lift, or any cameras, as passes, beside those that are there already. What is "
-        "baked is kept when this is stopped. Several processes may bake one lift at once: each view is baked by one."
+        "Render frames of a finished lift, or any cameras, as passes, in addition to the existing ones. What is baked "
+        "is kept if this is stopped. Several processes may bake one lift at once: each view is baked by one of them."
     )
     parser.epilog = (
         'A file of cameras is a JSON list of objects such as {"name": "shot.0001", "width": 1920, "height": 1080, '
         '"K": [[1500, 0, 960], [0, 1500, 540], [0, 0, 1]], "camera_to_world": [[..], [..], [..], [0, 0, 0, 1]], '
         '"clip": [0.1, 100]}: OpenCV axes (x right, y down, z forward) in the lift\'s world in metres, z up, pixels '
-        "with their centres at +0.5. In place of K there may be fx, fy, cx and cy; clip may be left out. The passes go "
+        "with their centres at +0.5. fx, fy, cx and cy may be given instead of K; clip may be left out. The passes go "
         "to result/passes/NAME.exr, or to FOLDER/NAME.exr. A view is baked again if its camera has changed, or if "
         "it lacks a chosen layer."
     )
     parser.add_argument("lift", type=Path, metavar="LIFT", help="the folder of a finished lift")
     parser.add_argument(
         "--frames", nargs="+", metavar="FRAME",
-        help="names of frames, ranges of the numbers in their names (10-200 or 10-200:2), test (those held out), or "
+        help="names of frames, ranges of the numbers in their names (10-200 or 10-200:2), test (the held-out ones), or "
         "all (default, without --cameras)",
     )  # fmt: skip
     parser.add_argument("--cameras", type=Path, metavar="FILE.json", help="cameras to bake from, see below")
     parser.add_argument(
         "--layers", nargs="+", choices=FURTHER_LAYERS, default=(), metavar="LAYER",
-        help=f"layers beside those that are always there: {', '.join(FURTHER_LAYERS)}",
+        help=f"layers in addition to those that are always there: {', '.join(FURTHER_LAYERS)}",
     )  # fmt: skip
     parser.add_argument(
         "-o", "--output", type=Path, metavar="FOLDER",
-        help="write FOLDER/NAME.exr, and leave the lift's result as it is (default: into the result)",
+        help="write FOLDER/NAME.exr, and leave the lift's result unchanged (default: write into the result)",
     )  # fmt: skip
     _add_relink(parser)
     _add_place_options(parser)
@@ -109,23 +109,23 @@ def _add_export(parser: argparse.ArgumentParser) -> None:
     parser.description = (
         "coco: COCO panoptic (panoptic.json, panoptic/). instances: 16-bit PNGs of classes and instances, and in "
         "colours. scannet: label-filt/ and instance-filt/. points: the labelled points and Gaussians (PLY). boxes: the "
-        "objects' boxes (JSON, CSV). mesh: the surface, cut into a mesh an instance and one a stuff class (PLY, GLB). "
-        "depth: a map of metres a frame (NPY), as lift --depth takes it. clouds: a frame's pixels as labelled points "
-        "(NPZ), or those of any camera. Frames that are not baked are rendered."
+        "objects' boxes (JSON, CSV). mesh: the surface, cut into one mesh per instance and per stuff class (PLY, GLB). "
+        "depth: a map in metres per frame (NPY), as lift --depth takes it. clouds: the pixels of a frame, or of any "
+        "camera, as labelled points (NPZ). Frames that are not baked are rendered."
     )
     parser.add_argument("lift", type=Path, metavar="LIFT", help="the folder of a finished lift")
     parser.add_argument("--to", required=True, choices=EXPORTS, help="what to write")
-    parser.add_argument("-o", "--output", type=Path, required=True, metavar="FOLDER", help="where to")
+    parser.add_argument("-o", "--output", type=Path, required=True, metavar="FOLDER", help="where to write it")
     parser.add_argument(
         "--frames", nargs="+", default=["all"], metavar="FRAME", help="as for bake: names, ranges, test, or all"
     )
-    parser.add_argument("--cameras", type=Path, metavar="FILE.json", help="as for bake, in place of frames; for clouds")
+    parser.add_argument("--cameras", type=Path, metavar="FILE.json", help="as for bake, instead of frames; for clouds")
     _add_relink(parser)
-    _make_task(parser, commands.export, "What was exported so far is there.")
+    _make_task(parser, commands.export, "What was exported so far is kept.")
 
 
 def _make_task(parser: argparse.ArgumentParser, run: Run, when_stopped: str = "") -> None:
-    """Let a command run as a task that other programs can follow. ``when_stopped`` is what is left then."""
+    """Make a command run as a task that other programs can follow. ``when_stopped`` says what is left if it stops."""
     parser.add_argument("--json", action="store_true", help="print the answer as one line of JSON, for programs")
     _add_place_options(parser)
     parser.set_defaults(run=run, is_task=True, when_stopped=when_stopped)
@@ -134,7 +134,7 @@ def _make_task(parser: argparse.ArgumentParser, run: Run, when_stopped: str = ""
 def _add_relink(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--scene", type=Path, metavar="SCENE", dest="relink",
-        help="where the scene of LIFT now is, if it was moved; its frames are compared, and the lift remembers it",
+        help="where the scene of LIFT is now, if it was moved; its frames are compared, and the lift remembers it",
     )  # fmt: skip
 
 
@@ -163,16 +163,16 @@ def _add_evaluate(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--predictions", type=Path, metavar="FOLDER", help="labels to score")
     parser.add_argument("--truth", type=Path, metavar="FOLDER", help="the true labels of the same frames")
     parser.add_argument(
-        "--ids-per-frame", action="store_true", help="instance ids of the predictions mean nothing across frames"
+        "--ids-per-frame", action="store_true", help="the predictions' instance ids are valid only within a frame"
     )
-    parser.add_argument("--classes", action="store_true", help="also class by class")
+    parser.add_argument("--classes", action="store_true", help="also show each class")
     _make_task(parser, commands.evaluate)
 
 
 def _add_inspect(parser: argparse.ArgumentParser) -> None:
     parser.description = (
         "Read a scene as a lift would, describe it, and measure what is wrong with it: axes, poses, depth, intrinsics, "
-        "order, drift, up, pictures, labels. Bad input: one line, exit code 2."
+        "order, drift, up, pictures, labels. Bad input gives one line and exit code 2."
     )
     parser.add_argument("scene", type=Path, metavar="SCENE", help="the scene's folder")
     add_scene_options(parser)
@@ -184,21 +184,21 @@ def _add_inspect(parser: argparse.ArgumentParser) -> None:
 
 def _add_frames(parser: argparse.ArgumentParser) -> None:
     parser.description = (
-        "colour: pictures that lie in a video or an archive, or whose lens bends, as undistorted JPEGs. depth, masks: "
-        "drawn in colours. cloud: what depth shows, as coloured points (cloud.npz). frames.json names all. What is "
-        "there already is kept. Blender shows these where it cannot read the scene itself."
+        "colour: pictures from a video or an archive, or with lens distortion, as undistorted JPEGs. depth, masks: "
+        "drawn in colours. cloud: what depth shows, as coloured points (cloud.npz). frames.json lists them all. What "
+        "exists already is kept. Blender shows these if it cannot read the scene itself."
     )
     parser.add_argument("scene", type=Path, metavar="SCENE", help="the scene's folder or file")
-    parser.add_argument("-o", "--output", type=Path, required=True, metavar="FOLDER", help="where to")
+    parser.add_argument("-o", "--output", type=Path, required=True, metavar="FOLDER", help="where to write")
     parser.add_argument("--make", nargs="+", choices=FRAME_FILES, default=list(FRAME_FILES), help="what (default: all)")
-    parser.add_argument("--frames", nargs="+", metavar="FRAME", help="only these frames; the cloud is of all")
+    parser.add_argument("--frames", nargs="+", metavar="FRAME", help="only these frames; the cloud is made of all")
     add_scene_options(parser)
-    _make_task(parser, commands.frames, "What is made already is kept: the same command continues.")
+    _make_task(parser, commands.frames, "What was made is kept: the same command continues.")
 
 
 def _add_classes(parser: argparse.ArgumentParser) -> None:
     parser.description = (
-        "The classes in the files of the masks and in a classes.toml beside them. --write takes an edited list in the "
+        "List the classes in the masks' files and in a classes.toml beside them. --write takes an edited list in the "
         "form of --json, and writes classes.toml, which every later lift reads."
     )
     parser.add_argument("scene", type=Path, metavar="SCENE", help="the scene's folder or file")
@@ -209,7 +209,7 @@ def _add_classes(parser: argparse.ArgumentParser) -> None:
 
 
 def _add_find_scene(parser: argparse.ArgumentParser) -> None:
-    parser.description = "The frames there are compared with those of the lift. Other scenes are refused."
+    parser.description = "The scene's frames are compared with those of the lift. Other scenes are refused."
     parser.add_argument("lift", type=Path, metavar="LIFT", help="the lift's folder")
     parser.add_argument("scene", type=Path, metavar="SCENE", help="the scene's folder or file")
     _make_task(parser, commands.find_scene)
@@ -218,12 +218,12 @@ def _add_find_scene(parser: argparse.ArgumentParser) -> None:
 def _add_poses(parser: argparse.ArgumentParser) -> None:
     parser.description = (
         "Let COLMAP (the package pycolmap) find the poses of photos that overlap, taken by one camera, and write them "
-        "beside the photos as sparse/0, which a lift reads. The sharpest pictures of a film go into a folder of its "
+        "beside the photos as sparse/0, which a lift reads. The sharpest pictures of a film go into a folder with its "
         "name. Depth maps of the photos in SCENE/depth (PNG in millimetres, or NPY in metres) give the unit of length."
     )
     parser.add_argument("scene", type=Path, metavar="SCENE", help="a folder with photos, or a film")
     parser.add_argument(
-        "--pictures", type=number_of_frames, metavar="N", help="pictures to take of a film, at most (default: 150)"
+        "--pictures", type=number_of_frames, metavar="N", help="the most pictures to take from a film (default: 150)"
     )
     _make_task(parser, commands.poses, "Nothing was written.")
 
@@ -231,7 +231,7 @@ def _add_poses(parser: argparse.ArgumentParser) -> None:
 def _add_segment(parser: argparse.ArgumentParser) -> None:
     parser.description = (
         "Let Mask2Former (transformers) make a panoptic mask of every frame: panoptic.json and panoptic/, which a lift "
-        "reads. Masks that are there are never written over; what was stopped goes on with the same command."
+        "reads. Existing masks are never overwritten. If this is stopped, the same command continues."
     )
     parser.add_argument("scene", type=Path, metavar="SCENE", help="the scene's folder or file")
     parser.add_argument(
@@ -240,10 +240,10 @@ def _add_segment(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     parser.add_argument(
         "--download", action="store_true",
-        help="fetch the model from huggingface.co; else it has to be on this machine already",
+        help="download the model from huggingface.co; otherwise it must be on this machine already",
     )  # fmt: skip
     parser.add_argument(
-        "-o", "--output", type=Path, metavar="FOLDER", help="where the masks go (default: the scene's folder)"
+        "-o", "--output", type=Path, metavar="FOLDER", help="where to write the masks (default: the scene's folder)"
     )
     add_options(parser, "up", "scene_format")
     _make_task(parser, commands.segment, "The same command continues.")
@@ -252,9 +252,9 @@ def _add_segment(parser: argparse.ArgumentParser) -> None:
 def _add_set_up(parser: argparse.ArgumentParser) -> None:
     parser.description = (
         "Make an environment in FOLDER with the pinned packages, about 1.3 GB, and compile what a lift runs. Any "
-        "Python that PLGS supports can run this. What was stopped or cut off goes on with the same command."
+        "Python that PLGS supports can run this. If it is stopped or interrupted, the same command continues."
     )
-    parser.add_argument("folder", type=Path, metavar="FOLDER", help="where environments, their log and lock lie")
+    parser.add_argument("folder", type=Path, metavar="FOLDER", help="where environments, their log and lock are")
     parser.add_argument("--base-python", type=Path, metavar="PYTHON", help="make it from this Python")
     parser.add_argument("--torch", choices=("cpu", "cuda"), default="cpu", help="the build of torch (default: cpu)")
     parser.add_argument("--remove", action="store_true", help="delete the environments in FOLDER instead")
@@ -265,16 +265,16 @@ def _add_add(parser: argparse.ArgumentParser) -> None:
     parts = ", ".join(f"{name} ({CAPABILITIES[name].label}, {CAPABILITIES[name].size / 1e6:.0f} MB)" for name in ADDED)
     parser.description = (
         f"Add the pinned packages of one ability to the environment of the Python that runs this: {parts}. "
-        "What was stopped or failed leaves the environment as it was."
+        "If this is stopped or fails, the environment stays as it was."
     )
     parser.add_argument("name", choices=ADDED, metavar="NAME", help=f"one of {', '.join(ADDED)}")
-    _make_task(parser, commands.add, "The engine is as it was.")
+    _make_task(parser, commands.add, "The engine is unchanged.")
 
 
 def _add_presets(parser: argparse.ArgumentParser) -> None:
     parser.description = (
-        "Without NAME: the presets there are. With it: all options of one, in TOML; changed and saved, such a file is "
-        "what lift --preset FILE.toml takes."
+        "Without NAME: list the presets. With NAME: print all options of one as TOML. Saved with changes, this makes a "
+        "file for lift --preset FILE.toml."
     )
     parser.add_argument("name", nargs="?", type=preset_or_file, metavar="NAME|FILE.toml", help="a preset")
     add_set_option(parser)

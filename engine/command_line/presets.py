@@ -1,4 +1,4 @@
-"""``presets``: what there is to choose."""
+"""``presets``: the presets and options to choose from."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from ..presets.toml_file import preset_text
 
 
 def presets(name: str | None, sets: list[str] | None, *, as_json: bool) -> ExitCode:
-    """Print the names of all presets, or one (a name or a file), with some options changed, as a file that --preset
-    takes. ``as_json``: all options with their values in each preset, or the values of the one. Raises PlgsError."""
+    """Print the names of all presets or, as a file for --preset, one preset (a name or a file) with some options
+    changed. ``as_json``: all options with their values in each preset, or the values of the one. Raises PlgsError."""
     if name is not None or sets:
         base, changed = chosen_options(name, parsed_options(sets or ()))
         chosen = with_options(PRESETS[base], changed)
@@ -34,7 +34,7 @@ def _entry(name: str) -> dict[str, object]:
 
 
 def _line(preset: Preset) -> str:
-    """Such as "preview   500 steps, pictures within 200x200, objects by agreement, labels by votes"."""
+    """A line such as "preview   500 steps, pictures within 200x200, objects by agreement, labels by votes"."""
     width, height = preset.size
     told = f"{preset.steps} steps, pictures within {width}x{height}, anchors every {preset.voxel_size} m"
     return f"{preset.name:<9} {told}, objects by {preset.objects}, labels by {preset.labels}"

@@ -1,4 +1,4 @@
-"""The engine's work in a lift folder: a lift, or the baking of more of its passes, from the lock to the exit code."""
+"""The engine's work in a lift folder, from the lock to the exit code: a lift, or the baking of more passes."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ log = logging.getLogger("plgs.engine")
 
 
 class LiftWork(Protocol):
-    """The work itself: it ends by writing the manifest, or by raising."""
+    """The work itself. It ends by writing the manifest, or by raising an error."""
 
     def __call__(self, folder: LiftFolder, events: EventWriter, stop: StopSignal, *, resume: bool) -> None: ...
 
@@ -31,23 +31,23 @@ def run_engine(
     lift: LiftWork | None = None,
     echo: int | None = None,
 ) -> ExitCode:
-    """Lift, and return how it ended. ``parent_pipe``: see Watchdog. ``lift`` is run in place of `run_lift`. ``echo``:
+    """Lift, and return how it ended. ``parent_pipe``: see Watchdog. ``lift`` is run instead of `run_lift`. ``echo``:
     see EventWriter.
 
-    Raises PlgsError before anything is changed: another engine is at work, or the folder was used and ``resume`` is
-    not given. Later every error is an event, a line on standard error and an exit code.
+    Raises PlgsError, before anything is changed, if another engine is at work, or if the folder was used and ``resume``
+    is not given. After that, every error is an event, a line on standard error and an exit code.
     """
     folder.refuse_foreign()
     with folder.lock():
         if not (folder.path / "request.json").exists():
-            raise PlgsError("was removed meanwhile", folder.path, "Lift the scene again.")
+            raise PlgsError("was removed in the meantime", folder.path, "Lift the scene again.")
         state = folder.state_at_rest()
         if resume and _is_done(folder):
             print(f"This lift is finished already: {folder.result_path}")
             return ExitCode.FINISHED
         if state is not LiftState.NOT_STARTED and not resume:
             is_done = state is LiftState.FINISHED
-            fix = "Choose another folder." if is_done else "Add --resume to go on with it."
+            fix = "Choose another folder." if is_done else "Add --resume to continue it."
             what = f"holds a lift that was begun before ({state.value})"
             raise PlgsError(what, folder.path, fix, option="" if is_done else "--resume")
         with output_to(folder.log_path) as terminal:
@@ -61,7 +61,7 @@ def run_engine(
                 LIFT,
                 lambda events, stop: _do_in(folder, events, stop, work),
                 resumed=resume and folder.checkpoints.exists,
-                when_stopped=f"Give the same command with --resume to go on: {folder.path}",
+                when_stopped=f"Give the same command with --resume to continue: {folder.path}",
                 again="resume",
                 with_less_memory="Resume after closing other programs, or lift again with a smaller --size.",
             )
@@ -85,12 +85,12 @@ def run_bake(
     place: TaskPlace | None = None,
     echo: int | None = None,
 ) -> ExitCode:
-    """Bake more of a finished lift, frames ("test", "all", or their names) or the cameras of a file, and return how it
+    """Bake more of a finished lift, frames ("test", "all", or their names) or the cameras in a file, and return how it
     ended. ``layers`` and ``output`` are those of ``BakeOptions``.
 
-    Whatever happens, the lift stays finished and earlier passes stay. Where another process bakes already, this one
-    bakes beside it: with events in ``place`` or, when nobody follows it (no ``parent_pipe``), in a folder of its own
-    below bake/. The lift's file 'cancel' stops all of them. Otherwise as `run_engine`.
+    Whatever happens, the lift stays finished and earlier passes are kept. If another process is baking already, this
+    one bakes at the same time: with events in ``place`` or, if no program follows it (no ``parent_pipe``), in its own
+    folder below bake/. The lift's file 'cancel' stops all of them. The rest is as in `run_engine`.
     """
 
     def work(events: EventWriter, stop: StopSignal) -> None:
@@ -105,7 +105,7 @@ def run_bake(
     command = Command(
         BAKE,
         lambda events, stop: _do_in(folder, events, stop, work),
-        when_stopped=f"The result is whole, with what was baked so far: {folder.path}",
+        when_stopped=f"The result is complete, with what was baked so far: {folder.path}",
         again="bake again",
         with_less_memory="Bake again after closing other programs.",
     )
@@ -142,7 +142,7 @@ def _bake_beside(
 
 
 def _do_in(folder: LiftFolder, events: EventWriter, stop: StopSignal, work: Work) -> None:
-    """Do it, and note the folder in the list of recent lifts when it begins and ends."""
+    """Do the work, and note the folder in the list of recent lifts when it begins and ends."""
     _remember(folder)
     try:
         work(events, stop)
@@ -160,7 +160,7 @@ def _remember(folder: LiftFolder) -> None:
 
 
 def _refuse_unfinished(folder: LiftFolder) -> None:
-    """Raises PlgsError, also for a lift that was finished and is damaged."""
+    """Raise PlgsError for a lift that is not finished, or that was finished and is damaged."""
     if not folder.manifest_path.is_file():
         what = f"this lift is not finished ({folder.state_at_rest().value})"
         raise PlgsError(what, folder.path, "Resume it first.", code=ErrorCode.NOT_FINISHED)
@@ -168,7 +168,7 @@ def _refuse_unfinished(folder: LiftFolder) -> None:
 
 
 def _run_lift(folder: LiftFolder, lift: LiftWork | None) -> LiftWork:
-    """``lift``, or the real one, loaded late: it brings torch, and by now the watchdog can stop even a slow import."""
+    """``lift``, or the real one, imported late: it loads torch, and by now the watchdog can stop even a slow import."""
     if folder.request.blocks and not folder.request.block:
         from ..building.run import run_building
 

@@ -30,7 +30,7 @@ _NO_MEMORY = ("DefaultCPUAllocator: can't allocate memory", "DefaultCPUAllocator
 
 @dataclass(frozen=True)
 class Command:
-    """What a command does: its ``kind``, its ``work``, and the messages for one that did not get to its end."""
+    """What a command does: its ``kind``, its ``work``, and the messages for when it does not complete."""
 
     kind: str
     work: Work
@@ -41,12 +41,12 @@ class Command:
 
 
 def run_in_terminal(command: Command, *, as_json: bool = False, parent_pipe: int | None = None) -> ExitCode:
-    """Do it with progress on standard error and the answer on standard output, and return how it ended."""
+    """Run it with progress on standard error and the answer on standard output, and return how it ended."""
     events, stop = ShownEvents(sys.stderr, as_json=as_json), StopSignal()
     try:
         with Interrupts() as interrupts, Watchdog(stop, events, parent_pipe=parent_pipe):
             code = _do(command, events, stop, sys.stderr, None)
-            if interrupts.pending is not None:  # native code may have made another error of it
+            if interrupts.pending is not None:  # native code may have turned it into another error
                 raise Interrupted(interrupts.pending)
             return code
     except Interrupted as error:
@@ -66,9 +66,9 @@ def run_at(
     also_stops: tuple[Path, ...] = (),
     echo: int | None = None,
 ) -> ExitCode:
-    """Do it with events in ``place``, whose lock this process holds and to whose log all output goes. ``terminal`` is
-    for the few lines that are for people. The files ``also_stops`` stop it as the place's own cancel file does. Events
-    go to the descriptor ``echo``, too.
+    """Run it with events in ``place``, whose lock this process holds and to whose log all output goes. ``terminal`` is
+    for the few lines for the user. The files ``also_stops`` stop it like the place's own cancel file. Events also go to
+    the descriptor ``echo``.
     """
     events = EventWriter(place.events, echo)
     try:
@@ -76,7 +76,7 @@ def run_at(
         stop = StopSignal(place.cancel, *also_stops)
         with _signals_ask(stop), Watchdog(stop, events, parent_pipe=parent_pipe):
             code = _do(command, events, stop, terminal, place)
-        with suppress(OSError):  # a full disk; the result and the exit code say it as well
+        with suppress(OSError):  # the disk may be full; the result and the exit code tell it too
             if code is ExitCode.FINISHED:
                 events.done("finished")
             elif code in (ExitCode.CANCELLED, ExitCode.INTERRUPTED, ExitCode.TERMINATED):
@@ -95,7 +95,7 @@ def run_task(
     also_stops: tuple[Path, ...] = (),
     echo: int | None = None,
 ) -> ExitCode:
-    """Do it in the terminal or, where a place is given, there. Raises PlgsError when another process uses the place."""
+    """Run it in the terminal or, if a place is given, there. Raises PlgsError if another process uses the place."""
     if place is not None:
         with lock_on(place.events), output_to(place.log) as terminal:
             return run_at(command, place, terminal, parent_pipe=parent_pipe, also_stops=also_stops, echo=echo)
@@ -109,7 +109,7 @@ def run_task(
 
 
 def _do(command: Command, events: EventWriter, stop: StopSignal, terminal: TextIO, place: TaskPlace | None) -> ExitCode:
-    """Do the work. What it raises becomes an event, a line for people, and an exit code."""
+    """Do the work. What it raises becomes an event, a line for the user, and an exit code."""
     try:
         stop.check()
         command.work(events, stop)
@@ -122,14 +122,14 @@ def _do(command: Command, events: EventWriter, stop: StopSignal, terminal: TextI
     except PlgsError as error:
         failure = error
         if place is not None and "\n" in str(error.__cause__ or "").strip():
-            traceback.print_exc()  # into the log: the line is a short form of it
-    except Exception as error:  # the process's outermost frame: the traceback is kept, the user gets a line
+            traceback.print_exc()  # into the log, as the line is only a short form
+    except Exception as error:  # the process's outermost frame: the log gets the traceback, the user a line
         failure = _failure(error, command, place)
         if place is not None or failure.code is ErrorCode.INTERNAL:
             traceback.print_exc()
     try:
         events.error(failure)
-    except OSError:  # the full disk that may be the very reason: the line below and the exit code say it
+    except OSError:  # the disk may be full, as the line below and the exit code then tell
         traceback.print_exc()
     print(f"error: {failure}", file=terminal)
     return failure.exit_code
@@ -150,25 +150,25 @@ def _failure(error: Exception, command: Command, place: TaskPlace | None) -> Plg
     if isinstance(error, OSError) and error.filename is not None:
         return PlgsError(f"this cannot be used ({error.strerror})", error.filename, f"Fix this, then {command.again}.")
     what = f"the engine failed ({type(error).__name__}: {(str(error).splitlines() or [''])[0][:300]})"
-    fix = f"The log has the details. When the cause is gone, {command.again}."
+    fix = f"The log has the details. Once the cause is fixed, {command.again}."
     return PlgsError(what, where, fix, code=ErrorCode.INTERNAL)
 
 
 def _is_of_lacking_memory(error: Exception) -> bool:
-    """Libraries in C++ have errors of their own: torch on the CPU and the GPU, OpenCV."""
+    """Whether memory ran out. Libraries in C++ have their own errors: torch on the CPU and the GPU, OpenCV."""
     said = str(error)
     return type(error).__name__ == "OutOfMemoryError" or any(words in said for words in _NO_MEMORY)
 
 
 def _is_of_a_full_disk(error: Exception) -> bool:
-    """Libraries in Rust have errors of their own, with the system's number in their text."""
+    """Whether the disk is full. Libraries in Rust have their own errors, with the system's number in their text."""
     return getattr(error, "errno", None) in (errno.ENOSPC, errno.EDQUOT) or f"os error {errno.ENOSPC}" in str(error)
 
 
 @contextmanager
 def _signals_ask(stop: StopSignal) -> Iterator[None]:
-    """Ctrl-C and SIGTERM stop the task as its cancel file does, with exit codes of their own."""
-    if threading.current_thread() is not threading.main_thread():  # only there Python lets handlers be set
+    """Ctrl-C and SIGTERM stop the task like its cancel file, but with their own exit codes."""
+    if threading.current_thread() is not threading.main_thread():  # Python allows handlers only there
         yield
         return
     codes = {signal.SIGINT: ExitCode.INTERRUPTED, signal.SIGTERM: ExitCode.TERMINATED}

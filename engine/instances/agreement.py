@@ -16,14 +16,14 @@ from .records import ObjectMask
 from .segments import edge_distance
 
 PAIRS_AT_A_TIME = 8192
-"""Pairs of masks whose common points are looked up at a time. This bounds the memory."""
+"""Pairs of masks whose common points are looked up at once. This bounds the memory."""
 
 
 @dataclass(frozen=True, eq=False)
 class ViewPoints:
-    """What one view says of the points it sees: ``row`` int32 [n] in the cloud, ascending; ``segment`` int32 [n], the
+    """What one view shows at the points it sees: ``row`` int32 [n] in the cloud, ascending; ``segment`` int32 [n], the
     id of the segment that most of the point's pixels show (0 = void); ``pixels`` float32 [n] at the size of the frame's
-    own mask; ``resolution`` float32 [n], the mean of its pixels a centimetre."""
+    own mask; ``resolution`` float32 [n], the mean number of pixels per centimetre."""
 
     row: NDArray[np.int32]
     segment: NDArray[np.int32]
@@ -34,7 +34,7 @@ class ViewPoints:
 @dataclass(frozen=True, eq=False)
 class ViewsOnCloud:
     """``views`` and what they see of a cloud: ``point_of_pixel``, the point that each of their pixels shows, int32
-    [H, W] a view (-1 = none), and ``seen``, what each view says of the points."""
+    [H, W] per view (-1 = none), and ``seen``, what each view shows at the points."""
 
     views: Sequence[View]
     point_of_pixel: Sequence[NDArray[np.int32]]
@@ -42,7 +42,7 @@ class ViewsOnCloud:
 
     @classmethod
     def of(cls, views: Sequence[View], point_of_pixel: Sequence[NDArray[np.int32]]) -> ViewsOnCloud:
-        """With ``seen`` made when it is asked for."""
+        """The views with ``seen``, which is computed on demand."""
         seen = OnDemand(len(views), lambda number: view_points(views[number], point_of_pixel[number]))
         return cls(views, point_of_pixel, seen)
 
@@ -52,7 +52,7 @@ class ViewsOnCloud:
         return ViewsOnCloud(chained(self.views, others.views), rows, chained(self.seen, others.seen))
 
     def looked_at(self, progress: Callable[[int, int], object]) -> ViewsOnCloud:
-        """With ``seen`` made now, in memory; ``progress`` is called after each view."""
+        """The views with ``seen`` computed now, in memory; ``progress`` is called after each view."""
         seen = []
         for done, one in enumerate(self.seen, start=1):
             seen.append(one)
@@ -60,7 +60,7 @@ class ViewsOnCloud:
         return replace(self, seen=seen)
 
     def only(self, numbers: NDArray[np.integer]) -> ViewsOnCloud:
-        """The views of these numbers [n]."""
+        """The views with these numbers [n]."""
         views, rows, seen = ([own[n] for n in numbers] for own in (self.views, self.point_of_pixel, self.seen))
         return ViewsOnCloud(views, rows, seen)
 
@@ -69,7 +69,7 @@ class ViewsOnCloud:
 class MasksInSpace:
     """M ``masks`` of V views. ``view`` int64 [M], the view of each; ``is_thing`` bool
     [M]; ``holds`` sparse 0/1 [M, N], the points of the cloud in each mask; ``sight`` sparse 0/1 [V, N], the points that
-    each view sees; ``word`` sparse [V, N], how much the view's word on each of them counts."""
+    each view sees; ``word`` sparse [V, N], the weight of the view's evidence on each of them."""
 
     masks: list[ObjectMask]
     view: NDArray[np.int64]
@@ -80,11 +80,11 @@ class MasksInSpace:
 
     @property
     def size(self) -> NDArray[np.int64]:
-        """Points of each mask, int64 [M]."""
+        """Number of points in each mask, int64 [M]."""
         return np.diff(self.holds.indptr).astype(np.int64)
 
     def of_views(self, views: NDArray[np.int64]) -> MasksInSpace:
-        """The masks of these views; the others see nothing any more."""
+        """Only the masks of these views; the other views then see nothing."""
         rows = np.flatnonzero(np.isin(self.view, views))
         chosen = [self.masks[row] for row in rows]
         seeing = np.isin(np.arange(self.sight.shape[0]), views).astype(np.float32)
@@ -92,7 +92,7 @@ class MasksInSpace:
         return MasksInSpace(chosen, self.view[rows], self.is_thing[rows], self.holds[rows], sight, word)
 
     def words(self, rows: NDArray[np.integer]) -> Any:
-        """Sparse [n, N]: the points in each of the masks ``rows``, with how much its view's word on them counts."""
+        """Sparse [n, N]: the points in each of the masks ``rows``, with the weight of its view's evidence on them."""
         return self.holds[rows].multiply(self.word[self.view[rows]]).tocsr()
 
 
@@ -100,7 +100,7 @@ class MasksInSpace:
 class Agreement:
     """``judges`` float32 [M, V]: how much the view's judgement of mask i counts, from 0, not at all, to 1, where it
     resolves the mask as well as the view that has it. ``inside`` sparse [M, M]: the same where mask i lies inside mask
-    k of the view (or is k). ``contained`` float32 [M, V]: the same where the view shows mask i inside one of its masks.
+    k of the view (or is k). ``contained`` float32 [M, V]: the same where the view shows mask i inside one of its own.
     """
 
     inside: Any
@@ -110,8 +110,8 @@ class Agreement:
 
 @dataclass(frozen=True)
 class JudgingRules:
-    """A view judges a mask when it sees at least ``visible`` of the mask's points, at least ``min_points``, and shows
-    no void on most of them. A mask is inside another when that one holds ``contained`` of the points seen and labelled.
+    """A view judges a mask when it sees at least ``visible`` of the mask's points, at least ``min_points``, and most of
+    them are not void. A mask is inside another that holds at least ``contained`` of its points seen and labelled.
     A mask is under-segmented (it covers several objects) when more than ``under_segmented`` of its judges do not show
     it inside one mask. A stuff mask swallows a thing's mask when it has more than ``swallowing`` times the points that
     both have."""
@@ -124,7 +124,7 @@ class JudgingRules:
 
 
 def view_points(view: View, point_of_pixel: NDArray[np.int32]) -> ViewPoints:
-    """Sum up one view; ``point_of_pixel`` int32 [H, W], -1 = none. Pixels at a mask's ragged edge count only where a
+    """Summarise one view; ``point_of_pixel`` int32 [H, W], -1 = none. Pixels at a mask's ragged edge count only where a
     point has no others."""
     seen = point_of_pixel >= 0
     row = point_of_pixel[seen].astype(np.int64)
@@ -154,8 +154,8 @@ def shown_classes(view: View, summary: ViewPoints) -> NDArray[np.int32]:
 
 
 def masks_of_view(view: View, seen: ViewPoints, min_points: int) -> Iterator[tuple[Segment, NDArray[np.int32]]]:
-    """The view's masks that have at least ``min_points`` points, and the rows int32 [n] of these. A region that may be
-    several objects (a thing's class without an instance) takes no part."""
+    """The view's masks that have at least ``min_points`` points, and the rows int32 [n] of these points. Regions that
+    may be several objects (a thing's class without an instance) are left out."""
     for segment in sorted(view.mask.segments, key=lambda each: each.id):
         rows = seen.row[seen.segment == segment.id]
         if segment.id > 0 and len(rows) >= min_points and not segment.is_group:
@@ -163,7 +163,7 @@ def masks_of_view(view: View, seen: ViewPoints, min_points: int) -> Iterator[tup
 
 
 def masks_in_space(seeing: ViewsOnCloud, points: int, min_points: int, kind: EvidenceKind = "views") -> MasksInSpace:
-    """All masks that have at least ``min_points`` of the cloud's ``points``, with the views' words of that ``kind``."""
+    """All masks with at least ``min_points`` of the cloud's ``points``, and the views' evidence of that ``kind``."""
     summaries = seeing.seen
     masks: list[ObjectMask] = []
     view_of_mask: list[int] = []
@@ -191,10 +191,10 @@ def _rows_of_ones(columns: Sequence[NDArray[np.int32]], width: int) -> Any:
 
 
 def judge_masks(space: MasksInSpace, rules: JudgingRules) -> tuple[Agreement, NDArray[np.bool_]]:
-    """What all views say of all masks, and which masks are sound, bool [M]: shown inside one mask by most judges.
+    """How all views judge all masks, and which masks are sound, bool [M]: shown inside one mask by most judges.
 
     A view abstains on a mask that it shows inside an under-segmented mask, or swallowed by stuff where most views show
-    a thing. Such a view has missed the object, so it does not say what belongs together.
+    a thing. Such a view has missed the object, so it cannot tell what belongs together.
     """
     first = _first_judgement(space, rules)
     judged = first.judges.sum(1)
@@ -226,7 +226,7 @@ def _swallowed(
 
 
 def _first_judgement(space: MasksInSpace, rules: JudgingRules) -> Agreement:
-    """Before anybody abstains."""
+    """The judgements before any view abstains."""
     common = (space.holds @ space.holds.T).tocoo()
     seen = (space.holds @ space.sight.T).toarray()
     labelled = np.zeros_like(seen)
@@ -242,7 +242,7 @@ def _first_judgement(space: MasksInSpace, rules: JudgingRules) -> Agreement:
 
 def _resolved(space: MasksInSpace, seen: NDArray[np.floating]) -> NDArray[np.floating]:
     """How well each view resolves each mask, compared with the view that has the mask, [M, V] from 0 to 1. ``seen``
-    [M, V]: points of the mask that the view sees."""
+    [M, V]: the number of the mask's points that the view sees."""
     word = (space.holds @ space.word.T).toarray() / np.maximum(seen, 1)
     own = word[np.arange(len(space.masks)), space.view]
     resolved: NDArray[np.floating] = np.minimum(word / np.maximum(own, 1e-12)[:, None], 1.0)

@@ -1,8 +1,8 @@
 """The rule by which a point, a pixel and a Gaussian decide what they show: class first, then the object of that class.
 
-Each has some coverage of every class, that of the class's objects included. The largest class wins. Its largest object
-is shown if it has enough of the class; otherwise the class is shown alone. So no object is ever shown with another
-class than its own.
+Each has some coverage of every class, including the coverage of the class's objects. The largest class wins. Its
+largest object is shown if it has enough of the class; otherwise the class is shown alone. So an object is never shown
+with a class other than its own.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ LEAST_OF_CLASS = 0.1
 
 @device_function
 def object_of_class(shown: Array, places: Array, class_of_object: Array, wanted: int, least: float) -> int:
-    """The object 0..U-1 of class ``wanted`` with the largest coverage, the first of several; -1 where none has more
+    """The object 0..U-1 of class ``wanted`` with the largest coverage (the first if several tie); -1 if none has more
     than ``least``.
 
     ``shown`` [W] holds at ``places`` int64 [U] the coverage of each object, ``class_of_object`` [U] its class.
@@ -37,7 +37,7 @@ def objects_of_classes(
     wanted: NDArray[np.integer],
     least: NDArray[np.floating],
 ) -> NDArray[np.int64]:
-    """``object_of_class`` of each row of ``shown`` [N, W], int64 [N]; ``wanted`` and ``least`` [N]."""
+    """``object_of_class`` for each row of ``shown`` [N, W], int64 [N]; ``wanted`` and ``least`` are [N]."""
     found = np.empty(len(shown), np.int64)
     classes, rows = class_of_object.astype(np.int64), np.ascontiguousarray(shown)
     _fill_objects(rows, places, classes, wanted.astype(np.int64), least, found)

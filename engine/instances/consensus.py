@@ -1,7 +1,7 @@
 """Which masks are one object, by the agreement of the views (ours, beyond the paper).
 
-Boxes cannot tell a chair from the table it stands under. Here two masks belong together when most views that see the
-surface of both show it inside one mask, whatever class that has. So a view that merges two objects, or splits one, is
+Boxes cannot tell a chair from the table above it. Here two masks belong together when most views that see the
+surface of both show it inside one mask, whatever its class. So a view that merges two objects, or splits one, is
 outvoted, and a class that changes from view to view does no harm. The idea is the view consensus of MaskClustering
 (Yan et al., CVPR 2024), with sums in place of its schedule of thresholds.
 """
@@ -34,10 +34,10 @@ from .records import ObjectMask, SceneObject
 class ConsensusOptions:
     """Masks are joined while views in favour exceed ``agreement`` of those that judge both. An object needs masks in
     ``support`` of the views that see at least half of its points, and at least ``min_masks``. Where few views see it,
-    it needs masks in all of them but one, and in 2 at least. Where there are more than ``most_masks`` masks, those of
+    it needs masks in all of them but one, and in at least 2. If there are more than ``most_masks`` masks, only those of
     keyframes are joined; those of the other views go to the object that owns most of their points. A tracker counts as
-    ``tracker`` views about each two masks that it followed: it is in favour where both have one track.
-    ``evidence``: how much the word of a view counts.
+    ``tracker`` views on each pair of masks that it followed: it is in favour when both have the same track.
+    ``evidence`` says how a view's evidence is weighted.
     """
 
     rules: JudgingRules = JudgingRules()
@@ -49,20 +49,20 @@ class ConsensusOptions:
     evidence: EvidenceKind = "views"
 
     def least_masks(self, seeing: int) -> int:
-        """Masks that an object needs which so many views see."""
+        """The number of masks needed by an object that ``seeing`` views see."""
         return min(self.min_masks, max(2, seeing - 1))
 
 
 @dataclass(frozen=True, eq=False)
 class FoundObjects:
-    """The ``objects`` 1.., and ``object_of_point`` int32 [N]: the one that each point is of, 0 = none."""
+    """The ``objects`` 1.., and ``object_of_point`` int32 [N]: the object of each point, 0 = none."""
 
     object_of_point: NDArray[np.int32]
     objects: list[SceneObject]
 
 
 def find_objects(seeing: ViewsOnCloud, points: int, options: ConsensusOptions) -> FoundObjects:
-    """The objects of a cloud of ``points`` points that the views agree on."""
+    """The objects that the views agree on, in a cloud of ``points`` points."""
     space = masks_in_space(seeing, points, options.rules.min_points, options.evidence)
     keyframes = choose_keyframes(space, options.most_masks)
     found = objects_of_masks(space.of_views(keyframes), options)
@@ -70,8 +70,8 @@ def find_objects(seeing: ViewsOnCloud, points: int, options: ConsensusOptions) -
 
 
 def with_masks_of(found: FoundObjects, others: ViewsOnCloud, rules: JudgingRules) -> FoundObjects:
-    """The objects with masks of ``others``, views whose masks were not joined. A mask goes to the object that owns the
-    share ``contained`` of its points."""
+    """Add the masks of ``others``, views whose masks were not joined, to the objects. A mask goes to the object that
+    owns at least the share ``contained`` of its points."""
     masks = [list(one.masks) for one in found.objects]
     for view, seen in zip(others.views, others.seen, strict=True):
         for segment, rows in masks_of_view(view, seen, rules.min_points):
@@ -83,7 +83,7 @@ def with_masks_of(found: FoundObjects, others: ViewsOnCloud, rules: JudgingRules
 
 
 def containing_object(owner: NDArray[np.int32], contained: float) -> int:
-    """The object that owns at least the share ``contained`` of some points, 0 where none does; ``owner`` int32 [n]: the
+    """The object that owns at least the share ``contained`` of the points, 0 if none does; ``owner`` int32 [n] is the
     object of each point, 0 = none."""
     owned = np.bincount(owner, minlength=1)
     owned[0] = 0
@@ -92,7 +92,7 @@ def containing_object(owner: NDArray[np.int32], contained: float) -> int:
 
 
 def objects_of_masks(space: MasksInSpace, options: ConsensusOptions) -> FoundObjects:
-    """Cluster all masks and give each point to the object most of whose masks hold it."""
+    """Cluster all masks, and give each point to the object with the most masks that hold it."""
     points = space.holds.shape[1]
     nothing = FoundObjects(np.zeros(points, np.int32), [])
     if not space.masks:
@@ -117,10 +117,10 @@ def objects_of_masks(space: MasksInSpace, options: ConsensusOptions) -> FoundObj
 def join_agreeing(
     space: MasksInSpace, judgement: Agreement, rows: NDArray[np.intp], options: ConsensusOptions
 ) -> NDArray[np.int64]:
-    """Join the masks ``rows`` by ``join_weight``: the cluster of each, int64 [R], named by its lowest place.
+    """Join the masks ``rows`` by ``join_weight``. Returns the cluster of each, int64 [R], named by its lowest place.
 
-    Masks that no chain of links connects are never joined. So each linked part is joined by itself, and no array of all
-    masks by all masks is needed.
+    Masks that no chain of links connects are never joined. So each linked part is joined separately, and no array of
+    all masks by all masks is needed.
     """
     part = linked_parts(space, judgement, rows, options)
     cluster = np.arange(len(rows))
@@ -134,7 +134,7 @@ def join_agreeing(
 def join_weight(
     space: MasksInSpace, judgement: Agreement, rows: NDArray[np.intp], options: ConsensusOptions
 ) -> NDArray[np.float32]:
-    """What speaks for joining two of the masks ``rows``, float32 [R, R]: views in favour beyond the ``agreement`` of
+    """The evidence for joining two of the masks ``rows``, float32 [R, R]: views in favour beyond the ``agreement`` of
     those that judge both, and the tracker."""
     favour, judging = pairwise(judgement, rows)
     weight: NDArray[np.float32] = favour - options.agreement * judging
@@ -145,7 +145,7 @@ def join_weight(
 
 
 def join(weight: NDArray[np.floating]) -> NDArray[np.int64]:
-    """Join the pair with the greatest summed weight, again and again while it is positive: the cluster of each row,
+    """Join the pair with the greatest summed weight, repeatedly, while it is positive. Returns the cluster of each row,
     int64 [M], named by its lowest row. ``weight`` float [M, M], symmetric. Ties go to the lower rows."""
     weight = np.array(weight, np.float64)
     np.fill_diagonal(weight, -np.inf)
@@ -162,7 +162,7 @@ def join(weight: NDArray[np.floating]) -> NDArray[np.int64]:
         weight[i], weight[:, i] = joined, joined
         weight[j], weight[:, j] = -np.inf, -np.inf
         best[j] = -np.inf
-        # Rows that had i or j as partner look again; others only have to look at what i has become.
+        # Rows whose partner was i or j search again; the others only need to compare with the new i.
         for row in np.flatnonzero((partner == i) | (partner == j) | (np.arange(len(weight)) == i)):
             partner[row] = weight[row].argmax()
             best[row] = weight[row, partner[row]]
@@ -175,7 +175,7 @@ def join(weight: NDArray[np.floating]) -> NDArray[np.int64]:
 def linked_parts(
     space: MasksInSpace, judgement: Agreement, rows: NDArray[np.intp], options: ConsensusOptions
 ) -> NDArray[np.int32]:
-    """Which part each of the masks ``rows`` is in, int32 [R]. No ``join_weight`` between two parts is positive."""
+    """The part that each of the masks ``rows`` is in, int32 [R]. No ``join_weight`` between two parts is positive."""
     inside = judgement.inside[rows]
     judges = judgement.judges[np.ix_(rows, judgement.judges.any(0))]
     favour = (inside @ inside.T).tocoo()
@@ -213,15 +213,15 @@ def tracks_of(space: MasksInSpace, rows: NDArray[np.intp]) -> NDArray[np.int64]:
 
 
 def pairwise(judgement: Agreement, rows: NDArray[np.intp]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """How many views show two of the masks ``rows`` inside one mask, and how many judge both, float32 [R, R] each."""
+    """How many views show two of the masks ``rows`` inside one mask, and how many judge both; each float32 [R, R]."""
     inside = judgement.inside[rows]
     judges = judgement.judges[rows]
     return (inside @ inside.T).toarray(), judges @ judges.T
 
 
 def tracked(space: MasksInSpace, rows: NDArray[np.intp]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Which pairs of the masks ``rows`` have one track, and which a tracker followed at all, 0/1 float32 [R, R] each.
-    Two masks of one view are left out, as no track is twice in a frame."""
+    """Which pairs of the masks ``rows`` share a track, and which a tracker followed at all; each 0/1 float32 [R, R].
+    Two masks of one view are left out, as a track occurs only once in a frame."""
     track = tracks_of(space, rows)
     view = space.view[rows]
     followed = (track[:, None] >= 0) & (track[None, :] >= 0) & (view[:, None] != view[None, :])
@@ -230,8 +230,8 @@ def tracked(space: MasksInSpace, rows: NDArray[np.intp]) -> tuple[NDArray[np.flo
 
 
 def _is_supported(space: MasksInSpace, members: NDArray[np.intp], options: ConsensusOptions) -> bool:
-    """Whether enough views that see the object have a mask of it. A view counts as much as it resolves the object,
-    compared with those that have the masks."""
+    """Whether enough views that see the object have a mask of it. A view is weighted by how well it resolves the
+    object, compared with the views that have the masks."""
     own = (np.asarray(space.holds[members].sum(0)).reshape(-1) > 0).astype(np.float32)
     seen = space.sight @ own
     masking = np.unique(space.view[members])
@@ -242,8 +242,8 @@ def _is_supported(space: MasksInSpace, members: NDArray[np.intp], options: Conse
 
 
 def agreements(favour: NDArray[np.floating], judging: NDArray[np.floating]) -> list[float | None]:
-    """``ObjectMask.agreement`` of an object's m masks, from how many views judge each pair of them and how many of
-    these are in favour, both [m, m]. A mask's judgement of itself does not count."""
+    """``ObjectMask.agreement`` for each of an object's m masks. For each pair of masks, ``judging`` counts the views
+    that judge it and ``favour`` those in favour, both [m, m]. A mask's judgement of itself does not count."""
     judged = judging.sum(1) - np.diag(judging)
     agreed = favour.sum(1) - np.diag(favour)
     return [float(yes) / float(all_) if all_ > 0 else None for yes, all_ in zip(agreed, judged, strict=True)]

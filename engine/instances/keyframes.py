@@ -1,4 +1,4 @@
-"""Keyframes of a long scan: views whose masks are enough to find the objects."""
+"""Keyframes of a long scan: views whose masks suffice to find the objects."""
 
 from __future__ import annotations
 
@@ -8,16 +8,16 @@ from numpy.typing import NDArray
 from .agreement import MasksInSpace
 
 SIGHTINGS = 5
-"""Keyframes that shall see every point, where as many views see it at all."""
+"""Keyframes that should see every point, if that many views see it at all."""
 WORTH_IT = 0.25
-"""Share of a view's points that must lack sightings for the view to be added."""
+"""A view is added when more than this share of its points are seen by too few keyframes."""
 
 
 def choose_keyframes(space: MasksInSpace, most_masks: int) -> NDArray[np.int64]:
-    """The numbers of the views whose masks are joined to objects, ascending.
+    """The numbers of the views whose masks are joined into objects, ascending.
 
-    They are all views where these have at most ``most_masks`` masks together. Otherwise they are evenly chosen ones,
-    and every view without which surfaces would be seen too rarely; so there may be some more masks than that.
+    These are all views if they have at most ``most_masks`` masks together. Otherwise views are chosen evenly, and every
+    view without which surfaces would be seen too rarely is added; so there may be slightly more masks than that.
     """
     views = space.sight.shape[0]
     if len(space.masks) <= most_masks:
@@ -27,7 +27,7 @@ def choose_keyframes(space: MasksInSpace, most_masks: int) -> NDArray[np.int64]:
     chosen[np.linspace(0, views - 1, wanted).round().astype(np.int64)] = True
     seen = np.asarray(space.sight.sum(0)).reshape(-1)
     sighted = np.asarray(space.sight[chosen].sum(0)).reshape(-1)
-    # One sighting after the other. Asked for all at once, they would all come from the first views of a surface.
+    # One sighting at a time. If all were required at once, they would all come from the first views of a surface.
     for wanted in range(1, SIGHTINGS + 1):
         lacking = np.minimum(seen, wanted) - sighted
         for view in np.flatnonzero(~chosen):

@@ -1,4 +1,4 @@
-"""Which objects of a lift are those of an earlier lift of the same scene, by the overlap of their points."""
+"""Which objects of a lift are the same as in an earlier lift of the scene, by the overlap of their points."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from scipy.optimize import linear_sum_assignment
 CELL = 0.08
 """Side in metres of the cells in which points are compared, as lifts with other presets have other spacings."""
 LEAST_IOU = 0.2
-"""Intersection over union of the cells above which two objects are one. More frames may show twice as much of it."""
+"""Two objects are the same if their cells have at least this IoU. More frames may show twice as much of an object."""
 MOST_OF_IT = 0.5
-"""Share of an object's cells within another object that makes it a part of that one."""
+"""An object is a part of another if at least this share of its cells lies within it."""
 
 
 @dataclass(frozen=True, eq=False)
 class ObjectOverlap:
-    """``common`` int64 [A, B] counts the cells that hold points of object ``old_ids[a]`` and of ``new_ids[b]``;
-    ``old_cells`` int64 [A] and ``new_cells`` int64 [B] all that hold points of each."""
+    """``common`` int64 [A, B] counts the cells that hold points of both ``old_ids[a]`` and ``new_ids[b]``;
+    ``old_cells`` int64 [A] and ``new_cells`` int64 [B] count all cells that hold points of each object."""
 
     old_ids: NDArray[np.int64]
     new_ids: NDArray[np.int64]
@@ -36,9 +36,9 @@ class ObjectOverlap:
 
 @dataclass(frozen=True)
 class LastingObjects:
-    """``old_of`` maps a new object's id to that of the old object that it is. ``parts`` maps each other new object that
-    lies within an old one to that one. ``merged`` maps each old object that is gone, but lies within a new one, to that
-    one."""
+    """``old_of`` maps a new object's id to the id of the same old object. ``parts`` maps each other new object that
+    lies within an old one to that old object. ``merged`` maps each old object that is gone, but lies within a new one,
+    to that new object."""
 
     old_of: dict[int, int]
     parts: dict[int, int]
@@ -59,7 +59,7 @@ def object_overlap(
     new_ids, new_of, new_cell = _distinct(new_id[new_id > 0], cell[count:])
     size = int(cell.max(initial=-1)) + 1
     common = np.zeros((len(old_ids), len(new_ids)), np.int64)
-    # A cell may hold points of several objects. Each of its old ones meets each of its new ones.
+    # A cell may hold points of several objects, so each of its old objects is paired with each of its new ones.
     starts = np.searchsorted(new_cell, np.arange(size + 1))
     for old, at in zip(old_of.tolist(), old_cell.tolist(), strict=True):
         common[old, new_of[starts[at] : starts[at + 1]]] += 1

@@ -1,4 +1,4 @@
-"""From matched segments to instance labels of points, and from these to the consistent instance masks M_match."""
+"""Instance labels of points from matched segments, and the consistent instance masks M_match from these labels."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def _winner(
     pairs, inverse = np.unique((rows << 32) | ids, return_inverse=True)
     total = np.bincount(inverse.reshape(-1), weights, len(pairs))
     row, instance = pairs >> 32, pairs & 0xFFFFFFFF
-    # Sorted by row, then by falling weight, then by rising id: the first of a row wins.
+    # Sorted by row, then by descending weight, then by ascending id: the first entry of a row wins.
     order = np.lexsort((instance, -np.round(total, 9), row))
     first = np.unique(row[order], return_index=True)[1]
     winner = np.zeros(points, np.int32)

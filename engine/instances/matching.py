@@ -1,7 +1,7 @@
 """Algorithm 1: one global set of instances from the inconsistent instance masks of all views.
 
-Paper, section "Consistent Instance Mask Generation". Where the text leaves a choice there is an option here. The
-defaults are those that measured best.
+See the paper's section "Consistent Instance Mask Generation". Where its text leaves a choice, there is an option here.
+The defaults are those that gave the best measurements.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ Progress = Callable[[int, int], None]
 
 
 def pair_cost(local: OrientedBox, known: OrientedBox, terms: str = "IoU+IoM") -> float:
-    """O = -IoU - IoM, between -1.5 and 0, or one of the two alone. The union is the sum of the volumes, as in the
+    """O = -IoU - IoM, between -1.5 and 0, or one of the two terms alone. The union is the sum of the volumes, as in the
     paper's formula."""
     inter = intersection_volume(local, known)
     if inter <= 0:
@@ -36,7 +36,7 @@ def pair_cost(local: OrientedBox, known: OrientedBox, terms: str = "IoU+IoM") ->
 
 def class_by_views(masks: Sequence[ObjectMask]) -> int:
     """The class with the most votes. In each view the masks share the square root of their pixels, so that a near view
-    cannot outvote the others by its mass of pixels. Ties go to the lower id."""
+    does not outvote the others by its number of pixels. Ties go to the lower id."""
     seen: dict[str, int] = {}
     for mask in masks:
         seen[mask.frame] = seen.get(mask.frame, 0) + mask.pixels
@@ -54,7 +54,7 @@ def match_views(
     options: Matching,
     progress: Progress | None = None,
 ) -> list[SceneObject]:
-    """Algorithm 1 over the views in their order: I_global, ids 1.. in order of first sight."""
+    """Run Algorithm 1 over the views in order. Returns I_global, with ids 1.. in the order of first sight."""
     known: list[SceneObject] = []
     for done, view in enumerate(views, start=1):
         known = update_instances(known, local_instances(view, class_ids, segments), segments.voxel_size, options)
@@ -66,7 +66,7 @@ def match_views(
 def update_instances(
     known: list[SceneObject], local: list[SceneObject], voxel_size: float, options: Matching
 ) -> list[SceneObject]:
-    """I'_global after one view, whose masks are ``local``. ``known`` is not changed."""
+    """I'_global after one view, whose masks are ``local``. ``known`` is left unchanged."""
     updated = list(known)
     cost = np.array([[pair_cost(item.box, g.box, options.cost) for g in known] for item in local])
     for row, target in enumerate(_targets(cost.reshape(len(local), len(known)), options)):
@@ -108,8 +108,8 @@ def limit_instances(
 ) -> tuple[list[SceneObject], NDArray[np.int32], int]:
     """Keep the ``most`` instances with the most pixels, renumbered 1.. in their order.
 
-    Returns them, the points' instances int32 [N] in the new numbers (0 = none or dropped), and how many were dropped,
-    which the user should be told.
+    Returns them, the points' instances int32 [N] in the new numbers (0 = none or dropped), and the number of dropped
+    instances, which the caller should report to the user.
     """
     largest = sorted(instances, key=lambda item: (-item.pixels, item.id))[:most]
     kept = sorted(largest, key=lambda item: item.id)

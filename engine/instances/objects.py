@@ -1,8 +1,8 @@
-"""What the objects are that views agree on: the class of each, by a vote of the views, and its points with their box.
+"""The objects that the views agree on: the class of each, by a vote of the views, and its points with their box.
 
-The class is ours, beyond the paper. A detector is wrong about a whole object in a view far more often than about a
-pixel: it takes the sofa for a bed. So the points of an object are decided together. A view that
-resolves the object better has more votes.
+The class vote is ours, beyond the paper. A detector is wrong about a whole object in a view far more often than about
+a pixel: it takes the sofa for a bed. So the class of all points of an object is decided together. A view that resolves
+the object better has more votes.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ def vote_classes(
 ) -> NDArray[np.float64]:
     """Votes for the class of each of the ``objects`` 1.., float64 [objects + 1, C]; row 0, no object, is all 0.
 
-    ``views``: what each view says of the points it sees, and the class that it shows at each int32 [n] (0 = none);
+    ``views``: what each view shows at the points it sees, and the class that it shows at each, int32 [n] (0 = none);
     ``object_of_point`` int32 [N], 0 = none. In each view an object's pixels share the votes of that ``kind``.
     """
     ids = np.asarray(class_ids)
@@ -47,7 +47,7 @@ def vote_classes(
 
 
 def object_classes(votes: NDArray[np.float64], class_ids: tuple[int, ...]) -> NDArray[np.int32]:
-    """The class with the most votes for each object, int32 [objects + 1], 0 without votes. Ties go to the lower id."""
+    """The class with the most votes for each object, int32 [objects + 1], 0 if it has none. Ties go to the lower id."""
     winner = np.asarray(class_ids, np.int32)[votes.argmax(1)]
     return np.where(votes.any(1), winner, 0).astype(np.int32)
 
@@ -59,7 +59,7 @@ def placed_objects(
     object_of_point: NDArray[np.int32],
     min_thickness: float,
 ) -> list[SceneObject]:
-    """The objects with their points, boxes, and the pixels of their masks. Each owns points.
+    """The objects with their points, boxes, and the pixels of their masks. Each must own points.
 
     ``xyz`` [N, 3] metres are the cloud's points; ``object_of_point`` int32 [N] is the object that each belongs to (0 =
     none); ``min_thickness`` is the shortest side of a box in metres.

@@ -1,7 +1,7 @@
-"""Boxes oriented about the up axis (paper, section "Consistent Instance Mask Generation").
+"""Boxes oriented about the up axis (see the paper's section "Consistent Instance Mask Generation").
 
-The paper assumes boxes "oriented around z-axis for simplification": the smallest rectangle around the points
-seen from above, times their range of z.
+The paper assumes boxes "oriented around z-axis for simplification": the smallest rectangle around the points as
+seen from above, extended over their range of z.
 """
 
 from __future__ import annotations
@@ -26,17 +26,17 @@ class OrientedBox:
 
     @property
     def volume(self) -> float:
-        """Cubic metres."""
+        """The volume in cubic metres."""
         return float(np.prod(self.size))
 
     @property
     def rotation(self) -> tuple[float, float, float, float]:
-        """Unit quaternion (w, x, y, z) of the yaw."""
+        """The yaw as a unit quaternion (w, x, y, z)."""
         return math.cos(self.yaw / 2), 0.0, 0.0, math.sin(self.yaw / 2)
 
     @property
     def footprint(self) -> NDArray[np.float64]:
-        """Corners seen from above, counter-clockwise, float64 [4, 2]."""
+        """The corners as seen from above, counter-clockwise, float64 [4, 2]."""
         x, y = self.size[:2] / 2
         cos, sin = math.cos(self.yaw), math.sin(self.yaw)
         local = np.array([[-x, -y], [x, -y], [x, y], [-x, y]])
@@ -51,14 +51,14 @@ class OrientedBox:
 
 
 def fit_box(points: NDArray[np.floating], min_thickness: float) -> OrientedBox:
-    """The smallest box about z around points [N, 3], no side shorter than ``min_thickness`` metres.
+    """The smallest box about z around points [N, 3], with no side shorter than ``min_thickness`` metres.
 
-    Raises ValueError without points.
+    Raises ValueError if there are no points.
     """
     if not len(points):
         raise ValueError("a box needs at least one point")
     xyz = np.asarray(points, np.float64)
-    # OpenCV has single precision. Measured from the middle of the points, millimetres survive anywhere.
+    # OpenCV uses single precision. Coordinates relative to the middle of the points keep millimetres anywhere.
     origin = (xyz.min(0) + xyz.max(0)) / 2
     (x, y), (width, depth), degrees = cv2.minAreaRect((xyz[:, :2] - origin[:2]).astype(np.float32))
     yaw = math.radians(degrees)
@@ -71,7 +71,7 @@ def fit_box(points: NDArray[np.floating], min_thickness: float) -> OrientedBox:
 
 
 def intersection_volume(first: OrientedBox, second: OrientedBox) -> float:
-    """||inter(B1, B2)|| in cubic metres: area of the clipped footprints times the overlap in z."""
+    """||inter(B1, B2)|| in cubic metres: the area of the clipped footprints times the overlap in z."""
     overlap = min(_top(first), _top(second)) - max(_bottom(first), _bottom(second))
     reach = (math.hypot(*first.size[:2]) + math.hypot(*second.size[:2])) / 2
     if overlap <= 0 or math.dist(first.centre[:2], second.centre[:2]) >= reach:
@@ -88,7 +88,7 @@ def _top(box: OrientedBox) -> float:
 
 
 def _clip(polygon: list[list[float]], window: list[list[float]]) -> list[list[float]]:
-    """The part of a convex polygon inside a counter-clockwise convex window, side by side (Sutherland and Hodgman)."""
+    """The part of a convex polygon inside a counter-clockwise convex window (Sutherland and Hodgman's algorithm)."""
     for (ax, ay), (bx, by) in zip(window, window[1:] + window[:1], strict=True):
         side = [(bx - ax) * (y - ay) - (by - ay) * (x - ax) for x, y in polygon]
         kept: list[list[float]] = []

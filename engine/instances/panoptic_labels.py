@@ -1,7 +1,7 @@
 """One label for class and object together, so that views can vote on both at once.
 
-A thing that belongs to an object carries the object's label, which implies the object's class. Stuff, and things that
-no object owns, carry their class alone: "no object" is a label like any other.
+A thing that belongs to an object has the object's label, which implies the object's class. Stuff, and things that
+no object owns, have only a class: "no object" is a label like any other.
 """
 
 from __future__ import annotations
@@ -14,13 +14,13 @@ from numpy.typing import NDArray
 from .class_first import objects_of_classes
 
 UNKNOWN_LABEL = -1
-"""Label of a pixel or point that nobody labelled."""
+"""Label of a pixel or point that has no label."""
 
 
 @dataclass(frozen=True)
 class PanopticLabels:
-    """Labels 0..C-1 are the classes ``class_ids`` without an object. Labels C..C+U-1 are the objects 1..U in their
-    order, of the classes ``class_of_object`` (length U, each in ``class_ids``)."""
+    """Labels 0..C-1 are the classes ``class_ids`` without an object. Labels C..C+U-1 are the objects 1..U in order,
+    with the classes ``class_of_object`` (length U, each in ``class_ids``)."""
 
     class_ids: tuple[int, ...]
     class_of_object: tuple[int, ...]
@@ -30,7 +30,7 @@ class PanopticLabels:
 
     @property
     def class_column(self) -> NDArray[np.int64]:
-        """Place of each label's class in ``class_ids``, int64 [C + U]."""
+        """The place of each label's class in ``class_ids``, int64 [C + U]."""
         objects = np.searchsorted(self.class_ids, self.class_of_object)
         return np.concatenate([np.arange(len(self.class_ids)), objects]).astype(np.int64)
 
@@ -49,12 +49,12 @@ class PanopticLabels:
         return np.where(number > 0, number + len(self.class_ids) - 1, of_class).astype(np.int32)
 
     def classes(self, labels: NDArray[np.integer]) -> NDArray[np.int32]:
-        """Class id of each label [...], int32, 0 for unknown."""
+        """The class id of each label [...], int32, 0 for unknown."""
         table = np.append(np.asarray(self.class_ids, np.int32)[self.class_column], 0).astype(np.int32)
         return table[labels]
 
     def objects(self, labels: NDArray[np.integer]) -> NDArray[np.int32]:
-        """Object number of each label [...], int32, 0 for none and for unknown."""
+        """The object number of each label [...], int32, 0 for none and for unknown."""
         found = np.asarray(labels, np.int32) - (len(self.class_ids) - 1)
         return np.maximum(found, 0)
 
@@ -64,8 +64,8 @@ def decide_labels(
 ) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
     """The label of each row of votes [N, C + U], int32 [N], and the winning class's share of the votes, float32 [N].
 
-    The rule is that of ``class_first``. Objects vote for their own class, and need ``least_share`` of its votes. Ties
-    go to the lower label; rows without votes are unknown.
+    The rule is that of ``class_first``. Votes for an object also count for its class, and an object needs
+    ``least_share`` of its class's votes. Ties go to the lower label; rows without votes are unknown.
     """
     classes, column = len(labels.class_ids), labels.class_column
     by_class = np.array(votes[:, :classes], np.float32)

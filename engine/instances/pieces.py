@@ -1,7 +1,7 @@
-"""Objects as connected pieces in space: what the views join, and what is only a fragment.
+"""Objects as connected pieces in space: which pieces the views join, and which are only fragments.
 
-Clustered masks can put two things that stand apart into one object. They can also leave one thing in two objects when
-it was seen from both ends of a room. So the views decide again, about connected pieces of points instead of masks: a
+Clustering masks can put two separate things into one object. It can also leave one thing in two objects when
+it was seen from both ends of a room. So the views decide again, on connected pieces of points instead of masks: a
 view that sees enough of two pieces either shows both inside one mask, or does not.
 """
 
@@ -25,7 +25,7 @@ class PieceRules:
     ``fragment`` of its object's largest piece, is a fragment: a mask's ragged edge on the wall behind. A view judges a
     piece when it sees ``min_points`` of it, and shows it inside a mask that has ``contained`` of these. Pieces of one
     object stay together when at least ``stay`` of the views that judge both join them. Pieces of two objects of one
-    class that touch become one object when at least ``join`` of the views do, and at least two views.
+    class that touch become one object when at least ``join`` of these views, and at least two views, join them.
     """
 
     reach: float = 0.15
@@ -43,10 +43,10 @@ def regroup_pieces(
     summaries: Sequence[ViewPoints],
     rules: PieceRules,
 ) -> tuple[NDArray[np.int32], list[int]]:
-    """The new object of each point, int32 [N], numbered 1.. (0 = none), and the old object that each new one is of.
+    """The new object of each point, int32 [N], numbered 1.. (0 = none), and the old object that each one comes from.
 
-    ``xyz`` [N, 3] metres; ``object_of_point`` int32 [N], 0 = none; ``class_of_object``: class of object 1.. ;
-    ``summaries``: what each view shows of the points.
+    ``xyz`` [N, 3] metres; ``object_of_point`` int32 [N], 0 = none; ``class_of_object``: the class of objects 1.. ;
+    ``summaries``: what each view shows at the points.
     """
     piece, owner = _pieces(xyz, object_of_point, rules)
     if not len(owner):
@@ -59,7 +59,7 @@ def regroup_pieces(
     merge = ~same_object & (kind[:, None] == kind[None]) & (joined >= 2) & (share >= rules.join)
     merge &= _touching(xyz, piece, len(owner), rules.reach)
     count, group = connected_components(coo_matrix(together | merge), directed=False)
-    # A group is of the object that gave most of its points.
+    # A group belongs to the object that contributed most of its points.
     size = np.bincount(piece[piece >= 0], minlength=len(owner))
     origin = [int(owner[group == number][size[group == number].argmax()]) for number in range(count)]
     order = np.argsort(origin, kind="stable")
@@ -88,7 +88,7 @@ def _pieces(
 
 
 def connected_pieces(points: NDArray[np.float64], reach: float) -> NDArray[np.int32]:
-    """Which connected piece each point [n, 3] is in, int32 [n]: points nearer than ``reach`` metres are connected."""
+    """The connected piece of each point [n, 3], int32 [n]: points nearer than ``reach`` metres are connected."""
     pairs = cKDTree(points).query_pairs(reach, output_type="ndarray")
     graph = coo_matrix((np.ones(len(pairs), bool), (pairs[:, 0], pairs[:, 1])), shape=(len(points), len(points)))
     piece: NDArray[np.int32] = connected_components(graph, directed=False)[1]
@@ -98,7 +98,7 @@ def connected_pieces(points: NDArray[np.float64], reach: float) -> NDArray[np.in
 def _views_on_pairs(
     piece: NDArray[np.int64], pieces: int, summaries: Sequence[ViewPoints], rules: PieceRules
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """How many views show two pieces inside one mask, and how many judge both, float64 [P, P] each."""
+    """How many views show two pieces inside one mask, and how many judge both; each float64 [P, P]."""
     joined, judged = np.zeros((pieces, pieces)), np.zeros((pieces, pieces))
     for summary in summaries:
         shown = piece[summary.row]

@@ -1,4 +1,4 @@
-"""A mask and an object, from the first look at the masks to the finished lift: each stage fills in what it finds."""
+"""Records of a mask and of an object. Each stage of a lift fills in what it finds out about them."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from .oriented_box import OrientedBox
 class ObjectMask:
     """One mask of one view: the ``segment`` of a ``frame``.
 
-    ``pixels``: how many it has with depth, 0 until they are counted. ``cost``: O of the match by boxes, None for the
-    mask that founded the object. ``agreement``: views judge a mask together with each other mask of its object; this is
-    the share of these judgements that show both inside one mask, None where there is none.
+    ``pixels``: the number of pixels with depth, 0 until they are counted. ``cost``: O of the match by boxes, None for
+    the mask that founded the object. ``agreement``: views judge a mask together with every other mask of its object;
+    this is the share of these judgements that show both inside one mask, None if there are none.
     """
 
     frame: str
@@ -29,14 +29,14 @@ class ObjectMask:
 
     @property
     def key(self) -> tuple[str, int]:
-        """What names the mask: its frame, and the id of its segment."""
+        """What identifies the mask: its frame, and the id of its segment."""
         return self.frame, self.segment.id
 
 
 @dataclass(frozen=True, eq=False)
 class SceneObject:
-    """An object: ``id`` from 1, its ``masks``, its class (0 until it is known), its ``points`` float64 [n, 3] in metres
-    and the ``box`` around them (of no size while it has no points)."""
+    """An object: its ``id`` from 1, its ``masks``, its class (0 until it is known), its ``points`` float64 [n, 3] in
+    metres and the ``box`` around them (of size zero while it has no points)."""
 
     id: int
     masks: tuple[ObjectMask, ...]
@@ -59,5 +59,5 @@ class SceneObject:
 
 
 def object_of_mask(objects: Sequence[SceneObject]) -> dict[tuple[str, int], int]:
-    """The id of the object that each mask is one of, by frame and segment id."""
+    """The id of the object that each mask belongs to, by frame and segment id."""
     return {mask.key: one.id for one in objects for mask in one.masks}

@@ -23,7 +23,7 @@ from .agreement import ViewsOnCloud
 from .panoptic_labels import UNKNOWN_LABEL, PanopticLabels, decide_labels
 
 ROWS_AT_A_TIME = 32768
-"""Points whose votes are made dense at a time. This bounds the memory."""
+"""Points whose votes are made dense at once. This bounds the memory."""
 AGREEMENT = 0.5
 """Share of a segment's labelled points that must agree for the segment to take their label."""
 LEAST_SHARE = 0.1
@@ -33,7 +33,7 @@ LEAST_SHARE = 0.1
 @dataclass(frozen=True, eq=False)
 class VotedLabels:
     """``label`` int32 [N] of each point, ``confidence`` float32 [N], and ``maps``: the final label of each view's
-    pixels, int16 [H, W] a view (-1 = unknown), made when asked for."""
+    pixels, int16 [H, W] per view (-1 = unknown), computed on demand."""
 
     label: NDArray[np.int32]
     confidence: NDArray[np.float32]
@@ -48,9 +48,9 @@ def vote_panoptic_labels(
     rounds: int,
     kind: EvidenceKind,
 ) -> VotedLabels:
-    """Labels of a cloud of ``points`` points. ``object_of_segment``: frame and segment id to the object 1..U that the
-    mask is one of; ``rounds``: how often segments take the label of their points and vote again; ``kind``: the votes
-    that a view has on a point."""
+    """The labels of a cloud of ``points`` points. ``object_of_segment`` maps a frame and segment id to the object 1..U
+    that the mask belongs to; ``rounds``: how often segments take the label of their points and vote again; ``kind``:
+    the votes that a view has on a point."""
     views, point_of_pixel = seeing.views, seeing.point_of_pixel
     maps = OnDemand(len(views), lambda number: member_labels(views[number], labels, object_of_segment))
     label, confidence = _decided(_votes(views, maps, point_of_pixel, points, len(labels), kind), labels)
@@ -66,8 +66,8 @@ def view_labels(
     label: NDArray[np.int32],
     count: int,
 ) -> OnDemand[NDArray[np.int16]]:
-    """``segment_labels`` of what the points show: the labels of each view's pixels, int16 [H, W], made when asked for.
-    ``label`` int32 [N], of ``count`` labels, -1 = unknown; ``point_of_pixel`` int32 [H, W] a view, -1 = none."""
+    """``segment_labels`` of what the points show: the labels of each view's pixels, int16 [H, W], computed on demand.
+    ``label`` int32 [N], of ``count`` labels, -1 = unknown; ``point_of_pixel`` int32 [H, W] per view, -1 = none."""
     table = np.append(label, UNKNOWN_LABEL)
     return OnDemand(
         len(views),
@@ -78,7 +78,7 @@ def view_labels(
 def member_labels(
     view: View, labels: PanopticLabels, object_of_segment: Mapping[tuple[str, int], int]
 ) -> NDArray[np.int16]:
-    """The labels of a view's own mask: that of the segment's object, or else of its class; int16 [H, W]."""
+    """The labels of a view's own mask, int16 [H, W]: the label of the segment's object, or else that of its class."""
     present, inverse = np.unique(view.mask.ids, return_inverse=True)
     class_of = {segment.id: segment.class_id for segment in view.mask.segments}
     table = np.full(len(present), UNKNOWN_LABEL, np.int16)
@@ -91,9 +91,9 @@ def member_labels(
 def segment_labels(
     mask: PanopticMask, shown: NDArray[np.integer], count: int, agreement: float = AGREEMENT
 ) -> NDArray[np.int16]:
-    """The label of each pixel, int16 [H, W]. A segment has the label that at least ``agreement`` of its labelled pixels
-    show; without such a label its pixels keep what is ``shown``, int [H, W] of ``count`` labels (-1 = unknown). Void
-    stays unknown."""
+    """The label of each pixel, int16 [H, W]. A segment gets the label that at least ``agreement`` of its labelled
+    pixels show; without such a label its pixels keep their label in ``shown``, int [H, W] of ``count`` labels (-1 =
+    unknown). Void stays unknown."""
     present, number = np.unique(mask.ids, return_inverse=True)  # ids may be as large as a PNG's colours
     segments, ids = len(present), number.reshape(mask.ids.shape)
     voting = (shown >= 0) & (mask.ids > 0)

@@ -1,6 +1,6 @@
 """Instance segments as points in space (Algorithm 1, lines 2 to 6).
 
-One pixel of mask bleed puts background depth into a box and spoils the matching, so segments are eroded first.
+If a mask bleeds over by one pixel, background depth enters the box and spoils the matching. So segments are eroded.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from .records import ObjectMask, SceneObject
 class SegmentOptions:
     """Segments are eroded by ``erosion_share`` of the picture's width, rounded up to pixels, but by at most
     ``erosion_of_inradius`` of their inradius. A segment with fewer than ``min_eroded`` points left is used whole. One
-    with fewer than ``min_points`` is not matched and founds nothing. ``voxel_size`` in metres thins the points.
+    with fewer than ``min_points`` is not matched and founds no object. ``voxel_size`` in metres thins the points.
     """
 
     voxel_size: float = 0.05
@@ -33,14 +33,14 @@ class SegmentOptions:
 
 
 OUTLINE_ERROR = 0.004
-"""Shares of the picture's longer side by which an outline may be off."""
+"""The share of the picture's longer side by which an outline may be off."""
 OUTLINE_PART = 0.1
-"""Share of a mask's largest part below which a part has no outline."""
+"""Parts smaller than this share of a mask's largest part have no outline."""
 
 
 def mask_extents(mask: PanopticMask) -> dict[int, tuple[float, tuple[float, float, float, float]]]:
-    """Where each segment that has pixels lies in its picture, by segment id: its share of the picture's pixels, and
-    the rectangle around it (left, top, right, bottom) as shares of the picture's width and height."""
+    """The extent of each segment that has pixels, by segment id: its share of the picture's pixels, and the rectangle
+    around it (left, top, right, bottom) as shares of the picture's width and height."""
     height, width = mask.ids.shape
     present, number, count = np.unique(mask.ids, return_inverse=True, return_counts=True)
     places = find_objects(number.reshape(mask.ids.shape) + 1)
@@ -55,7 +55,7 @@ def mask_extents(mask: PanopticMask) -> dict[int, tuple[float, tuple[float, floa
 
 
 def outline_of(mask: PanopticMask, segment: int) -> str:
-    """Polygons around the parts of a segment that are not small, as `MatchedSegment` has them."""
+    """Polygons around the parts of a segment that are not small, in the form that `MatchedSegment` has."""
     inside = (mask.ids == segment).astype(np.uint8)
     contours, _ = cv2.findContours(inside, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
     areas = [cv2.contourArea(contour) for contour in contours]
@@ -88,9 +88,9 @@ def local_instances(view: View, class_ids: frozenset[int], options: SegmentOptio
 
 
 def edge_distance(ids: NDArray[np.int32]) -> NDArray[np.float32]:
-    """Distance in pixels of each pixel from the nearest pixel of another segment, float32 [H, W].
+    """The distance in pixels of each pixel from the nearest pixel of another segment, float32 [H, W].
 
-    The picture's border is no edge, as nothing bleeds in from there. Without any edge the distance is large.
+    The picture's border is not an edge, as nothing bleeds in from there. If there is no edge, the distance is large.
     """
     edge = np.zeros(ids.shape, bool)
     across, down = ids[:, 1:] != ids[:, :-1], ids[1:] != ids[:-1]
@@ -105,7 +105,7 @@ def edge_distance(ids: NDArray[np.int32]) -> NDArray[np.float32]:
 
 
 def thin(points: NDArray[np.float64], voxel_size: float) -> NDArray[np.float64]:
-    """The mean point of each occupied voxel: [n, 3] to [m, 3] in lexical order of the voxels, metres."""
+    """The mean point of each occupied voxel, [n, 3] to [m, 3] in metres, in lexicographic order of the voxels."""
     cells = np.floor(points / voxel_size).astype(np.int64)
     cells -= cells.min(0)
     _, height, depth = cells.max(0) + 1

@@ -1,4 +1,4 @@
-"""What was asked, how far is it, what came out? Standard library only."""
+"""The request, the progress and the outcome of a lift. It uses only the standard library."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Files that are there as a whole or not at all."""
+"""Files that are written completely or not at all."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ PART = ".part-"
 
 
 def write_atomically(path: Path, content: bytes | str | Callable[[Path], object]) -> None:
-    """Write a file so that readers, and a kill at any point, see the old content or the new, never a mixture.
+    """Write a file so that readers, also after a kill at any point, see the old content or the new, never a mixture.
 
     ``content`` is the bytes, a text (written as UTF-8), or a function that writes the file at the path it is
-    given. That path lies in the same folder and ends like ``path``, so libraries that choose a format by
+    given. That path is in the same folder and ends like ``path``, so libraries that choose a format by
     suffix choose the right one. One process at a time may write a given path. Raises what the function or the
     file system raises, and then leaves ``path`` as it was.
     """
@@ -28,7 +28,7 @@ def write_atomically(path: Path, content: bytes | str | Callable[[Path], object]
     part = path.with_name(PART + path.name)
     try:
         if callable(content):
-            part.unlink(missing_ok=True)  # a link that somebody left there leads elsewhere
+            part.unlink(missing_ok=True)  # a link that someone left there would lead elsewhere
             content(part)
         else:
             with create_plain(part) as file:
@@ -53,7 +53,7 @@ def flush_to_disk(path: Path) -> None:
 
 
 def remove_parts(folder: Path) -> None:
-    """Delete what killed writers left under ``folder``. Only for whoever holds the folder's lock."""
+    """Delete what killed writers left under ``folder``. Only the holder of the folder's lock may call this."""
     for part in sorted(folder.rglob(PART + "*")):
         if part.is_dir():
             shutil.rmtree(part)
@@ -69,7 +69,7 @@ def sha256(path: Path) -> str:
 
 @dataclass(frozen=True)
 class ListedFile:
-    """A file as a list of a folder's files has it: its path relative to the folder, its size, its SHA-256 in hex."""
+    """An entry in a list of a folder's files: the path relative to the folder, the size, and the SHA-256 in hex."""
 
     path: PurePosixPath
     bytes: int
@@ -82,7 +82,7 @@ class ListedFile:
 
 
 def files_below(folder: Path) -> Iterator[Path]:
-    """Every file under ``folder`` that is whole, in a fixed order."""
+    """Every completely written file under ``folder``, in a fixed order."""
     for path in sorted(folder.rglob("*")):
         if path.is_file() and not path.name.startswith(PART):
             yield path

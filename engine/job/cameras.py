@@ -1,16 +1,16 @@
-"""Cameras of two files: those to bake a lift from, and the one that its live preview shows.
+"""Two files of cameras: those from which a lift is baked, and the one that its live preview shows.
 
 Conventions are the engine's: OpenCV axes (x right, y down, z forward) in the lift's world (metres, z up), pixels with
-their centres at +0.5. Cameras to bake need not be any frame's. Their file is a JSON list of
+their centres at +0.5. Cameras to bake need not belong to a frame. Their file is a JSON list of
 
     {"name": NAME, "width": W, "height": H, "K": 3x3, "camera_to_world": 4x4, "clip": [NEAR, FAR]}
 
-"fx", "fy", "cx", "cy" (pixels) may stand in place of "K". "clip" may be left out. It holds planar depths in metres:
+"fx", "fy", "cx", "cy" (pixels) may be given instead of "K". "clip" may be left out. It holds planar depths in metres:
 what is centred nearer or farther is not drawn. "name" is the name of the file that is written.
 
-preview.json in the lift folder says which camera a watcher wants to see the growing model from. The watcher writes it
-by rename, at any time; the engine looks at it before each live preview, and it never changes what is computed. It holds
-one of
+preview.json in the lift folder names the camera from which a user wants to see the growing model. The user's program
+writes it by rename, at any time; the engine reads it before each live preview, and it never changes the result. It
+holds one of
 
     {"frame": NAME}                                                        a frame of the scene
     {"camera_to_world": 4x4, "K": 3x3, "width": W, "height": H}            any pinhole camera
@@ -37,21 +37,21 @@ from .atomic import PART
 
 Matrix = tuple[tuple[float, ...], ...]
 LARGEST_SIDE = 16384
-"""Pixels of a picture's longest side, at most."""
+"""The most pixels of a picture's longest side."""
 _RIGID_TOLERANCE = 2e-3
 LONGEST_NAME = 100
-"""Characters of a camera's name, at most."""
+"""The most characters of a camera's name."""
 _FORBIDDEN = re.compile(r'[<>:"/\\|?*\x00-\x1f]')
 _RESERVED = re.compile(r"(con|prn|aux|nul|com\d|lpt\d)(\..*)?", re.IGNORECASE)
-"""Names that Windows does not give to files."""
+"""Names that files cannot have on Windows."""
 _SIDE = {"least": 1, "most": LARGEST_SIDE}
-_FIX = "Correct the file; `python -m engine bake --help` says what it holds."
+_FIX = "Correct the file; `python -m engine bake --help` explains its content."
 _PREVIEW_FIX = "Choose another camera for the preview."
 
 
 @dataclass(frozen=True)
 class PreviewCamera:
-    """A pinhole camera: ``camera_to_world`` rigid 4x4, ``K`` 3x3 without skew, for a picture of that size in pixels."""
+    """A pinhole camera: ``camera_to_world`` rigid 4x4, ``K`` 3x3 without skew, for a picture of this size in pixels."""
 
     camera_to_world: Matrix
     K: Matrix
@@ -60,7 +60,7 @@ class PreviewCamera:
 
     @property
     def fingerprint(self) -> str:
-        """Names the camera. It is the same for a camera that was written and read again."""
+        """A name for the camera. It stays the same when the camera is written and read again."""
         numbers = ([*map(list, self.camera_to_world)], [*map(list, self.K)], self.width, self.height)
         return hashlib.sha256(json.dumps(numbers).encode()).hexdigest()[:16]
 
@@ -80,12 +80,12 @@ class BakeCamera:
 
     @property
     def fingerprint(self) -> str:
-        """Names what the camera shows. It is the same for a camera that shows the same."""
+        """A name for what the camera shows. Cameras that show the same have the same fingerprint."""
         return hashlib.sha256(f"{self.pinhole.fingerprint} {self.near!r} {self.far!r}".encode()).hexdigest()[:16]
 
 
 def read_cameras(path: Path) -> tuple[BakeCamera, ...]:
-    """The cameras of a file, in its order. Raises PlgsError, which names the camera, for one that cannot be."""
+    """The cameras of a file, in order. Raises PlgsError, which names the camera, if one is invalid."""
     listed = read_value(path, _FIX)
     if not isinstance(listed, list) or not listed:
         raise PlgsError("does not hold a list of cameras", path, _FIX)
@@ -99,7 +99,7 @@ def read_cameras(path: Path) -> tuple[BakeCamera, ...]:
 
 
 def write_cameras(path: Path, cameras: Sequence[BakeCamera]) -> None:
-    """A file that `read_cameras` reads as the very same cameras. Raises OSError."""
+    """Write a file that `read_cameras` reads as exactly these cameras. Raises OSError."""
     path.parent.mkdir(parents=True, exist_ok=True)
     part = path.with_name(f"{PART}{os.getpid()}-{path.name}")  # several processes may bake the same shot
     part.write_text(json.dumps([_entry(camera) for camera in cameras], allow_nan=False) + "\n", encoding="utf-8")
@@ -107,13 +107,13 @@ def write_cameras(path: Path, cameras: Sequence[BakeCamera]) -> None:
 
 
 def safe_name(text: str) -> str:
-    """A name that every system takes for a file, as near to ``text`` as can be."""
+    """A name that files can have on every system, as similar to ``text`` as possible."""
     name = _FORBIDDEN.sub("_", text).strip(". ")[:LONGEST_NAME].rstrip(". ") or "camera"
     return f"_{name}" if _RESERVED.fullmatch(name) else name
 
 
 def refuse_equal_names(names: Sequence[str], path: Path, taken: Sequence[str] = ()) -> None:
-    """Raise PlgsError for a name that comes twice, or is a frame's; capitals make no difference, as on Windows."""
+    """Raise PlgsError for a name that occurs twice, or that a frame has; case is ignored, as on Windows."""
     frames = {name.casefold() for name in taken}
     seen: set[str] = set()
     for name in names:
@@ -121,12 +121,12 @@ def refuse_equal_names(names: Sequence[str], path: Path, taken: Sequence[str] = 
             fix = "Give the camera another name, or bake the frame with --frames."
             raise PlgsError(f"a frame of the scene is named {name!r}", path, fix, option="--frames")
         if name.casefold() in seen:
-            raise PlgsError(f"two cameras are named {name!r}", path, "Give every camera a name of its own.")
+            raise PlgsError(f"two cameras are named {name!r}", path, "Give each camera a different name.")
         seen.add(name.casefold())
 
 
 def write_preview_request(path: Path, wanted: PreviewRequest) -> None:
-    """Replace preview.json. It takes a moment only, since a power cut may lose it. Raises OSError."""
+    """Replace preview.json. This is fast, as a power cut may lose the file. Raises OSError."""
     content = {"frame": wanted} if isinstance(wanted, str) else to_json(wanted)
     part = path.with_name(f"{PART}{os.getpid()}-{path.name}")  # two Blenders may watch one lift
     with create_plain(part) as file:
@@ -135,7 +135,7 @@ def write_preview_request(path: Path, wanted: PreviewRequest) -> None:
 
 
 def read_preview_request(path: Path) -> PreviewRequest | None:
-    """What preview.json asks for; None when there is none. Raises PlgsError when it is not a camera."""
+    """What preview.json asks for; None if there is no such file. Raises PlgsError if it is not a camera."""
     if not path.exists():
         return None
     content = read_object(path, _PREVIEW_FIX)
@@ -149,7 +149,7 @@ def read_preview_request(path: Path) -> PreviewRequest | None:
 
 
 def _drawable(camera: PreviewCamera) -> PreviewCamera:
-    """The camera. Raises ValueError when it cannot be drawn."""
+    """The camera itself. Raises ValueError if it cannot be drawn."""
     pose, lens = camera.camera_to_world, camera.K
     for matrix, size in ((pose, 4), (lens, 3)):
         if [len(row) for row in matrix] != [size] * size:
@@ -173,7 +173,7 @@ def _entry(camera: BakeCamera) -> dict[str, object]:
 
 @dataclass(frozen=True)
 class _Entry:
-    """A camera as a file of cameras has it."""
+    """A camera in the form of a file of cameras."""
 
     name: str
     width: int = field(metadata=_SIDE)
@@ -188,16 +188,16 @@ class _Entry:
 
     def __post_init__(self) -> None:
         if not 1 <= len(self.name) <= LONGEST_NAME:
-            raise ValueError(f"the name has to be a text of 1 to {LONGEST_NAME} characters")
+            raise ValueError(f"the name must be a text of 1 to {LONGEST_NAME} characters")
         if safe_name(self.name) != self.name:
             raise ValueError(f"{self.name!r} cannot be the name of a file on every system")
         near, far = self.camera.near, self.camera.far
         if not 0 <= near < far:
-            raise ValueError("clip has to be [near, far] in metres, near at least 0 and less than far")
+            raise ValueError("clip must be [near, far] in metres, with near at least 0 and less than far")
 
     @property
     def camera(self) -> BakeCamera:
-        """Raises ValueError for a camera that cannot be drawn."""
+        """The camera. Raises ValueError if it cannot be drawn."""
         pinhole = _drawable(PreviewCamera(self.camera_to_world, self._lens(), self.width, self.height))
         return BakeCamera(self.name, pinhole, *(self.clip or ()))
 
@@ -206,7 +206,7 @@ class _Entry:
         known = {name: value for name, value in given.items() if value is not None}
         if self.K is not None:
             if known:
-                raise ValueError("has K as well as fx, fy, cx, cy")
+                raise ValueError("has both K and fx, fy, cx, cy")
             return self.K
         for name in given:
             if name not in known:

@@ -13,9 +13,9 @@ from ..errors import PlgsError
 class Capability:
     """One ability of the engine.
 
-    Without ``packages`` it needs what every engine has. Else it needs those besides, each with the module that is
-    imported. Where ``size`` is given, bytes on the disk, `python -m engine add` can add them: ``requirements/NAME.txt``
-    pins them, and ``requirements/hashes-NAME.txt`` lists them and what they bring with them by hash.
+    It needs what every engine has and, in addition, its ``packages``, each given with the module that is imported. If
+    ``size``, in bytes on the disk, is given, `python -m engine add` can add them: ``requirements/NAME.txt`` pins them,
+    and ``requirements/hashes-NAME.txt`` lists them and their dependencies by hash.
     """
 
     label: str
@@ -38,23 +38,23 @@ CAPABILITIES: dict[str, Capability] = {
     ),
     "cuda": Capability("Lift on a GPU", {"gsplat": "gsplat"}, needs_cuda=True),
 }
-"""By the name that the command line and scripts give them. Sizes are those of Linux."""
+"""The abilities, by the names that the command line and scripts use. Sizes are those on Linux."""
 
 ADDED = tuple(name for name, each in CAPABILITIES.items() if each.size)
-"""The names of those that can be added to an engine."""
+"""The names of the abilities that can be added to an engine."""
 
 
 def requirements_path(root: Path, name: str) -> Path:
-    """The file that pins what one of `ADDED` needs."""
+    """The file that pins the packages of one of `ADDED`."""
     return root / "requirements" / f"{name}.txt"
 
 
 def addition_hashes_path(root: Path, name: str) -> Path:
-    """The file with the SHA-256 of all that is added for one of `ADDED`, for every system and Python."""
+    """The file with the SHA-256 of everything that is added for one of `ADDED`, for every system and Python."""
     return root / "requirements" / f"hashes-{name}.txt"
 
 
 def refuse_unknown(name: str) -> None:
-    """Raise PlgsError for what cannot be added."""
+    """Raise PlgsError for a name that cannot be added."""
     if name not in ADDED:
         raise PlgsError(f'nothing called "{name}" can be added to an engine', "add", f"Choose {', '.join(ADDED)}.")

@@ -1,4 +1,4 @@
-"""checkpoint/: the latest complete state. From the first one on, a whole one is there at every instant."""
+"""checkpoint/: the latest complete state. After the first one, there is a complete one at every moment."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _FIX = "Delete the folders there whose names begin with 'checkpoint'; resume the
 
 @dataclass(frozen=True)
 class Checkpoint:
-    """A complete state: ``state`` as it was given to `save`, and the folder with the files written then."""
+    """A complete state: ``state`` as it was given to `save`, and the folder with the files written with it."""
 
     path: Path
     state: Mapping[str, Json]
@@ -39,7 +39,7 @@ class CheckpointStore:
     A folder cannot replace another in one step on every system, so `save` takes three names:
     ``.part-checkpoint`` (being written) -> ``checkpoint.next`` (complete), then ``checkpoint`` ->
     ``checkpoint.old``, ``checkpoint.next`` -> ``checkpoint``. Whatever a kill leaves, the newest of next,
-    checkpoint, old is complete.
+    checkpoint and old is complete.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -52,7 +52,7 @@ class CheckpointStore:
         """Make a checkpoint: ``write`` puts its files into the folder it is given; ``state`` must fit in
         JSON.
 
-        Raises what ``write`` raises, and OSError; the previous checkpoint then still stands.
+        Raises what ``write`` raises, and OSError; the previous checkpoint is then still there.
         """
         self._settle()
         self._part.mkdir()
@@ -68,9 +68,9 @@ class CheckpointStore:
         self._advance()
 
     def latest(self) -> Checkpoint | None:
-        """The newest complete checkpoint, checked against its checksums; None when none was saved.
+        """The newest complete checkpoint, checked against its checksums; None if none was saved.
 
-        Raises PlgsError when there are checkpoints, but none that is whole (a failing disk).
+        Raises PlgsError if there are checkpoints, but no complete one (a failing disk).
         """
         damage: PlgsError | None = None
         for folder in (self._next, self._current, self._old):
@@ -85,7 +85,7 @@ class CheckpointStore:
 
     @property
     def exists(self) -> bool:
-        """Whether any checkpoint was saved, whole or not."""
+        """Whether any checkpoint was saved, complete or not."""
         return any(folder.is_dir() for folder in (self._next, self._current, self._old))
 
     def _settle(self) -> None:
@@ -116,7 +116,7 @@ def _verified_state(folder: Path) -> Mapping[str, Json]:
         except ValueError:
             is_whole = False
         except OSError as error:
-            fix = "See to the disk, then resume again."
+            fix = "Check the disk, then resume again."
             raise PlgsError(f"cannot be read ({error.strerror})", path, fix) from error
         if not is_whole:
             raise PlgsError("is damaged", folder, _FIX)
@@ -124,7 +124,7 @@ def _verified_state(folder: Path) -> Mapping[str, Json]:
 
 
 def _delete(folder: Path) -> None:
-    """Remove a folder if there. Renamed first, so that a kill midway leaves no half of a checkpoint."""
+    """Remove a folder if it exists. It is renamed first, so that a kill midway leaves no half checkpoint."""
     if folder.is_dir():
         doomed = folder.with_name(PART + "doomed") if not folder.name.startswith(PART) else folder
         if doomed != folder:

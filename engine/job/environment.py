@@ -1,4 +1,4 @@
-"""What PLGS keeps in the user's cache, which an uninstalled extension leaves alone: environments and notes."""
+"""What PLGS keeps in the user's cache, also after the extension is uninstalled: environments and notes."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from ..errors import PlgsError
 from .requirements import Version, digest, pinned_versions
 
 COMPLETE = "complete"
-"""The file in an environment's folder that is written last: nothing is missing where it is."""
+"""The file that is written last in an environment's folder: if it is there, the environment is complete."""
 
 
 def user_cache_folder(environ: Mapping[str, str] = os.environ) -> Path:
-    """The folder that this system keeps caches in; the engine's compiled kernels lie there too."""
+    """The folder in which this system keeps caches; the engine's compiled kernels are there too."""
     if sys.platform == "win32":
         base = environ.get("LOCALAPPDATA")
         return Path(base) if base else Path.home() / "AppData" / "Local"
@@ -26,7 +26,7 @@ def user_cache_folder(environ: Mapping[str, str] = os.environ) -> Path:
 
 
 def notes_folder(environ: Mapping[str, str] = os.environ) -> Path:
-    """The folder of what PLGS may forget: recent lifts, and how fast this computer is. It may be missing.
+    """The folder for notes that may be lost: recent lifts, and how fast this computer is. It may be missing.
 
     It is PLGS_CACHE_DIR, or else ``plgs`` in the user's cache.
     """
@@ -40,7 +40,7 @@ def environments_folder(environ: Mapping[str, str] = os.environ) -> Path:
 
 
 def environment_name(root: Path, version: Version) -> str:
-    """The name of the environment for these requirements and this Python. Raises PlgsError when they are missing."""
+    """The name of the environment for these requirements and this Python. Raises PlgsError if they are missing."""
     return f"engine-{version[0]}.{version[1]}-{digest(root, version)}"
 
 
@@ -50,18 +50,18 @@ def python_in(environment: Path) -> Path:
 
 
 def is_complete(environment: Path) -> bool:
-    """Whether it was made to its end, and its base Python is still there."""
+    """Whether the environment was made completely, and its base Python still exists."""
     return (environment / COMPLETE).is_file() and python_in(environment).exists()
 
 
 def made_environment(root: Path, environ: Mapping[str, str] = os.environ) -> Path | None:
-    """The complete environment for these requirements, for this very Python if there are several."""
+    """The complete environment for these requirements; the one for this Python if there are several."""
     folder = environments_folder(environ)
     if not folder.is_dir():
         return None
     versions = sorted(pinned_versions(root), key=lambda version: version != sys.version_info[:2])
     try:
         environments = [folder / environment_name(root, version) for version in versions]
-    except PlgsError:  # a requirements file is missing: then nothing was made from it
+    except PlgsError:  # a requirements file is missing, so nothing was made from it
         return None
     return next((environment for environment in environments if is_complete(environment)), None)

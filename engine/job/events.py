@@ -1,4 +1,4 @@
-"""The typed events that every command of the engine writes: one JSON object a line, written at once."""
+"""The typed events that every command of the engine writes: one JSON object per line, written at once."""
 
 from __future__ import annotations
 
@@ -28,17 +28,17 @@ _KEYS: Mapping[str, frozenset[str]] = {
     "error": frozenset({"what", "where", "fix"}),
     "done": frozenset({"state"}),
 }
-"""The kinds of events with the keys that a reader may count on."""
+"""The kinds of events, with the keys that a reader may rely on."""
 TAIL_BYTES = 16384
-"""Bytes at a file's end that hold the last events of a run: an error, and the end."""
+"""The number of bytes at a file's end that hold the last events of a run: an error, and the end."""
 LONGEST_TAIL = 1 << 20
-"""Bytes at a file's end that are searched when those hold no event."""
+"""The number of bytes at a file's end that are searched if those hold no event."""
 LONGEST_ANSWER = 1 << 22
-"""Bytes of the longest line that a hurried reader takes for an event."""
+"""The most bytes of a line that a hurried reader accepts as an event."""
 MOST_AT_ONCE = 1 << 26
 """At most this many bytes are read at once."""
 MOST_BYTES = 1 << 17
-"""Bytes that a hurried reader takes at a time: about a millisecond of reading."""
+"""The number of bytes that a hurried reader reads at once, in about a millisecond."""
 MOST_CAUGHT_UP = 1 << 24
 """At most this many bytes of older events are read by a hurried reader, counted from the end."""
 _PROGRESS = b'"event": "progress"'
@@ -46,7 +46,7 @@ _PROGRESS = b'"event": "progress"'
 
 @dataclass(frozen=True)
 class Event:
-    """One line: ``seq`` rises by one, ``time`` is Unix seconds, ``data`` the rest (see EventWriter)."""
+    """One line: ``seq`` increases by one, ``time`` is in Unix seconds, ``data`` is the rest (see EventWriter)."""
 
     seq: int
     time: float
@@ -55,15 +55,15 @@ class Event:
 
     @property
     def line(self) -> bytes:
-        """As it stands in the file."""
+        """The event as a line of the file."""
         return to_line({"seq": self.seq, "time": self.time, "event": self.kind, **self.data})
 
 
 class EventWriter:
-    """Appends events. Only the process that holds the lock on the file may do so. Safe in several threads.
+    """Appends events. Only the process that holds the lock on the file may do so. It is thread-safe.
 
-    ``seq`` continues where an earlier run ended; a line that a kill tore in two is cut off first. Raises
-    OSError when the disk is full. ``echo`` is a descriptor to which each line goes, too, as long as somebody reads it.
+    ``seq`` continues where an earlier run ended; a line that a kill left incomplete is removed first. Raises OSError
+    if the disk is full. ``echo`` is a descriptor to which each line is also written, as long as someone reads it.
     """
 
     def __init__(self, path: Path, echo: int | None = None) -> None:
@@ -76,7 +76,7 @@ class EventWriter:
         self._seq = self._repair(path)
 
     def _repair(self, path: Path) -> int:
-        """Cut a torn last line off and return the highest ``seq`` of the last lines. An end without lines is left."""
+        """Remove an incomplete last line, and return the highest ``seq`` at the end. An end without lines stays."""
         start, content = _tail(path, LONGEST_TAIL)
         whole = content.rfind(b"\n") + 1
         self._torn = start > 0 and not whole
@@ -85,7 +85,7 @@ class EventWriter:
         return max((event.seq for event in _parsed(content[:whole].splitlines())), default=0)
 
     def hello(self, *, threads: int, resumed: bool, task: str = "lift") -> None:
-        """A run of ``task`` ("lift", "bake", "inspect" …) begins, which may use this many compute threads."""
+        """A run of ``task`` ("lift", "bake", "inspect" …) begins. It may use this many compute threads."""
         about = {
             "engine_version": __version__,
             "pid": os.getpid(),
@@ -95,7 +95,7 @@ class EventWriter:
         self._write("hello", task=task, **about, threads=threads, resumed=resumed)
 
     def stage(self, name: str, index: int, count: int, label: str) -> None:
-        """Stage ``index`` (from 1) of ``count`` begins; ``label`` is for people."""
+        """Stage ``index`` (from 1) of ``count`` begins; ``label`` is shown to the user."""
         self._write("stage", name=name, index=index, count=count, label=label)
 
     def progress(
@@ -116,7 +116,7 @@ class EventWriter:
         self._write("metric", name=name, values=values)
 
     def preview(self, path: Path, camera: str = "") -> None:
-        """A picture worth showing was written; ``camera`` is the fingerprint of the one that a watcher asked for."""
+        """A picture worth showing was written; ``camera`` is the fingerprint of the camera that the user requested."""
         self._write("preview", path=self._relative(path), **({"camera": camera} if camera else {}))
 
     def artifact(self, path: Path, kind: str) -> None:
@@ -124,11 +124,11 @@ class EventWriter:
         self._write("artifact", path=self._relative(path), kind=kind)
 
     def warning(self, message: str) -> None:
-        """Something that a user should know; the run continues."""
+        """Report something that the user should know; the run continues."""
         self._write("warning", message=" ".join(message.splitlines()))
 
     def answer(self, answer: Mapping[str, object], text: str = "") -> None:
-        """What the command was asked for, at most once a run. ``text`` says the same to people in a terminal."""
+        """Give the answer of the command, at most once per run. ``text`` says the same for users of a terminal."""
         self._write("answer", answer=answer)
 
     def error(self, error: PlgsError) -> None:
@@ -137,11 +137,11 @@ class EventWriter:
         self._write("error", **about, code=error.code, option=error.option, exit_code=error.exit_code)
 
     def done(self, state: str) -> None:
-        """The run is over, "finished" or "cancelled". Later events are dropped."""
+        """The run is over: "finished" or "cancelled". Later events are dropped."""
         self._write("done", state=state, seconds=round(time.monotonic() - self._began, 3))
 
     def close(self) -> None:
-        """Write no more, and close the file."""
+        """Stop writing, and close the file."""
         with self._lock:
             if self._descriptor >= 0:
                 os.close(self._descriptor)
@@ -160,8 +160,8 @@ class EventWriter:
             self._done = event == "done"
 
     def _append(self, line: bytes) -> None:
-        """Raises OSError, as on a full disk. The written half of the line is then removed, so that it does not swallow
-        the next one.
+        """Append a line. Raises OSError, for example on a full disk. The written part of the line is then removed, so
+        that it does not spoil the next one.
         """
         start, written = os.fstat(self._descriptor).st_size, 0
         try:
@@ -184,29 +184,29 @@ class EventWriter:
 class EventReader:
     """Follows an events file that another process appends to.
 
-    Its position is always the end of a whole line: a line that is still being written is read again later, and one
-    that a later run cuts off was never seen. ``from_end`` leaves out what is there already. ``hurried`` is for a
-    window's loop: a call reads at most MOST_BYTES (``is_behind`` says whether there is more) and keeps only the last
-    of progress events that follow one another. Raises OSError.
+    Its position is always the end of a complete line: a line that is still being written is read again later, and one
+    that a later run removes was never read. ``from_end`` skips what is there already. ``hurried`` is for a window's
+    loop: a call reads at most MOST_BYTES (``is_behind`` says whether there is more) and keeps only the last of
+    consecutive progress events. Raises OSError.
     """
 
     def __init__(self, path: Path, *, from_end: bool = False, hurried: bool = False) -> None:
         self._path, self._offset, self._hurried = path, 0, hurried
         self.is_behind = False
         if hurried:
-            self._offset = max(0, _size(path) - MOST_CAUGHT_UP)  # a line that is torn there is no event
+            self._offset = max(0, _size(path) - MOST_CAUGHT_UP)  # an incomplete line there is not an event
         if from_end and path.exists():
             start, tail = _tail(path, LONGEST_TAIL)
             whole = tail.rfind(b"\n") + 1
             self._offset = start + (whole if whole or not start else len(tail))
 
     def poll(self) -> list[Event]:
-        """The events since the last call, without unknown kinds and lines that are no whole event."""
+        """The events since the last call, without unknown kinds and lines that are not complete events."""
         self.is_behind = False
         try:
             with open_plain(self._path, follow_link=False) as file:
                 size = os.fstat(file.fileno()).st_size
-                if size < self._offset:  # another file took its place
+                if size < self._offset:  # another file replaced it
                     self._offset = 0
                 file.seek(self._offset)
                 most = MOST_BYTES if self._hurried else MOST_AT_ONCE
@@ -226,18 +226,18 @@ class EventReader:
 
 
 def _without_outdated(lines: list[bytes]) -> list[bytes]:
-    """The lines without progress that the next line brings up to date."""
+    """The lines without progress that the next line replaces."""
     is_progress = [_PROGRESS in line for line in lines] + [False]
     return [line for place, line in enumerate(lines) if not (is_progress[place] and is_progress[place + 1])]
 
 
 def last_run(path: Path) -> list[Event]:
-    """The events of the latest run: from the last hello on. Empty when no run began."""
+    """The events of the latest run, from the last hello on. Empty if no run began."""
     return _since_hello(EventReader(path).poll())
 
 
 def echoed(line: bytes, descriptor: int) -> bool:
-    """Whether the whole line was written there: False when nobody reads it any more."""
+    """Whether the whole line was written to the descriptor: False if no one reads it any more."""
     try:
         while line:
             line = line[os.write(descriptor, line) :]
@@ -247,32 +247,32 @@ def echoed(line: bytes, descriptor: int) -> bool:
 
 
 def at_work(path: Path) -> PlgsError:
-    """The error of a lock on the events ``path`` that another process holds: which one, on which machine, since when,
-    as far as its events say.
+    """The error for a lock on the events ``path`` that another process holds: which process, on which machine, and
+    since when, if its events tell.
     """
     try:
         hello = next((event for event in last_run(path) if event.kind == "hello"), None)
-    except (OSError, PlgsError):  # a lock that nobody may read is a lock all the same
+    except (OSError, PlgsError):  # a lock is valid even if its events cannot be read
         hello = None
     who = ""
     if hello is not None:
         since = time.strftime("%Y-%m-%d %H:%M:%S", time.localtime(hello.time))
-        who = f" (process {hello.data.get('pid')} on {hello.data.get('machine', 'a machine not named')}, since {since})"
-    fix = "Wait until it is done, or stop it by making a file named 'cancel' there; end that process if it hangs."
+        who = f" (process {hello.data.get('pid')} on {hello.data.get('machine', 'an unnamed machine')}, since {since})"
+    fix = "Wait until it is done, or create a file named 'cancel' there to stop it; end the process if it hangs."
     return PlgsError(f"another engine is at work here{who}", path.parent, fix, code=ErrorCode.BUSY)
 
 
 def last_events(path: Path) -> list[Event]:
-    """The last events of the latest run, read from the end of the file only: enough to tell how the run ended.
+    """The last events of the latest run, read only from the end of the file: enough to tell how the run ended.
 
-    An error is a run's last event, or its last but one when the engine was cancelled meanwhile.
+    An error is a run's last event, or its second to last if the engine was cancelled in the meantime.
     """
     try:
         start, tail = _tail(path, TAIL_BYTES)
     except FileNotFoundError:
         return []
     events = _parsed(tail.splitlines())
-    if start and not events:  # a power cut left such an end
+    if start and not events:  # a power cut can leave such an end
         events = _parsed(_tail(path, LONGEST_TAIL)[1].splitlines())
     return _since_hello(events)
 
@@ -298,7 +298,7 @@ def _tail(path: Path, size: int) -> tuple[int, bytes]:
 
 
 def _parsed(lines: Iterable[bytes]) -> list[Event]:
-    """The events of known kinds that have all their keys. A power cut may have left other lines, which do not count."""
+    """The events of known kinds that have all their keys. A power cut may have left other lines, which are ignored."""
     events = []
     for line in lines:
         try:

@@ -1,4 +1,4 @@
-"""The lift folder: the only thing the engine and Blender share."""
+"""The lift folder: the only thing that the engine and Blender share."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ from .request import LiftRequest, refuse_unwritable_name
 from .task import LIVE_PREVIEW, TaskPlace
 
 BLOCKS = "blocks"
-"""Folder of a building's lift with those of its blocks, by their numbers."""
+"""The folder in a building's lift with the lifts of its blocks, by their numbers."""
 
 
 class LiftState(Enum):
-    """How far a lift is. All but RUNNING and FINISHED can be resumed."""
+    """The state of a lift. In all states except RUNNING and FINISHED it can be resumed."""
 
     NOT_STARTED = "not started"
     RUNNING = "running"
-    INTERRUPTED = "interrupted"  # its engine was killed, or power was cut
+    INTERRUPTED = "interrupted"  # its engine was killed, or the power was cut
     CANCELLED = "cancelled"
     FAILED = "failed"
     FINISHED = "finished"
@@ -44,9 +44,9 @@ class LiftFolder:
 
     @classmethod
     def create(cls, path: Path, request: LiftRequest) -> LiftFolder:
-        """Make the folder and write its request. An empty folder is taken, anything else refused.
+        """Make the folder and write its request. An empty folder is accepted, anything else is refused.
 
-        Raises PlgsError when the folder is not empty or cannot be written.
+        Raises PlgsError if the folder is not empty or cannot be written.
         """
         path = path.absolute()
         refuse_unwritable_name(path)
@@ -58,7 +58,7 @@ class LiftFolder:
             fix = "Choose another output folder."
             raise PlgsError("is in the way", error.filename or path, fix) from error
         except OSError as error:
-            fix = "Choose a folder that you may write to, on a disk with space."
+            fix = "Choose a folder that you can write to, on a disk with free space."
             raise PlgsError(f"cannot be written ({error.strerror})", path, fix) from error
         except ValueError as error:
             fix = "Choose another output folder."
@@ -67,7 +67,7 @@ class LiftFolder:
 
     @classmethod
     def open(cls, path: Path) -> LiftFolder:
-        """Open an existing lift folder. Raises PlgsError when it is none, when links lie in place of its files, or when
+        """Open an existing lift folder. Raises PlgsError if it is not a lift folder, if links replace its files, or if
         its request cannot be read.
         """
         path = path.absolute()
@@ -85,7 +85,7 @@ class LiftFolder:
 
     @property
     def place(self) -> TaskPlace:
-        """Where the lift's engine and its followers meet."""
+        """The files that the lift's engine and its followers share."""
         return TaskPlace.of_lift(self.path)
 
     @property
@@ -118,7 +118,7 @@ class LiftFolder:
 
     @property
     def preview_request_path(self) -> Path:
-        """preview.json: which camera the watcher wants to see (see `cameras`)."""
+        """preview.json: the camera that the user wants to see (see `cameras`)."""
         return self.path / "preview.json"
 
     @property
@@ -131,42 +131,42 @@ class LiftFolder:
 
     @property
     def is_running(self) -> bool:
-        """Whether an engine works in this folder now."""
+        """Whether an engine is working in this folder."""
         return is_worked_on(self.events_path)
 
     def lock(self) -> FileLock | Lease:
-        """The engine's exclusive right to write here; for ``with``. Raises PlgsError when another has it, OSError."""
+        """The engine's exclusive right to write here; for ``with``. Raises PlgsError if another has it, and OSError."""
         return lock_on(self.events_path)
 
     def refuse_foreign(self) -> None:
-        """Raise PlgsError when a link, or anything else that no lift has, lies in the place of one of its files: before
-        anything is written or deleted.
+        """Raise PlgsError, before anything is written or deleted, if a link or anything else that no lift has is in the
+        place of one of its files.
         """
         refuse_foreign_below(self.path)
 
     def refuse_read_only(self) -> None:
-        """Raise PlgsError when nothing can be written here: before any work starts."""
+        """Raise PlgsError, before any work starts, if nothing can be written here."""
         if not os.access(self.path, os.W_OK | os.X_OK):
-            fix = "Copy the lift to a place that you may write to, and give that."
+            fix = "Copy the lift to a place that you can write to, and use the copy."
             raise PlgsError("this lift is read-only", self.path, fix)
 
     def state(self) -> LiftState:
-        """How far the lift is. Raises PlgsError when the file system knows no locks."""
+        """The state of the lift. Raises PlgsError if the file system does not support locks."""
         return LiftState.RUNNING if self.is_running else self.state_at_rest()
 
     def state_at_a_glance(self) -> LiftState:
-        """How far the lift is, for a list or a timer: a manifest counts as a result, and its files are not looked at.
+        """The state of the lift, for a list or a timer: a manifest counts as a result, and its files are not checked.
 
-        Takes a millisecond however large the lift. Raises PlgsError when the file system knows no locks.
+        It takes a millisecond, however large the lift. Raises PlgsError if the file system does not support locks.
         """
         if self.is_running:
             return LiftState.RUNNING
         return LiftState.FINISHED if self.manifest_path.is_file() else self._how_it_ended()
 
     def state_at_rest(self) -> LiftState:
-        """How far the lift is, for a caller who knows that no other engine is at work.
+        """The state of the lift, for a caller that knows that no other engine is at work.
 
-        A result without a whole manifest is no result, whatever the events say.
+        A result without a complete manifest is not a result, whatever the events say.
         """
         return LiftState.FINISHED if self._has_result() else self._how_it_ended()
 
@@ -184,12 +184,12 @@ class LiftFolder:
         return LiftState.INTERRUPTED
 
     def last_exit_code(self) -> int | None:
-        """The exit code in the latest run's error event; None without such an event."""
+        """The exit code in the error event of the latest run; None without such an event."""
         codes = [event.data.get("exit_code") for event in last_events(self.events_path) if event.kind == "error"]
         return codes[-1] if codes and isinstance(codes[-1], int) else None
 
     def is_whole(self) -> bool:
-        """Whether the result of a finished lift is as it was written, byte by byte: all of it is read."""
+        """Whether the result of a finished lift is exactly as it was written. This reads every byte of it."""
         try:
             verify(self.result_path)
         except PlgsError as error:
@@ -199,10 +199,10 @@ class LiftFolder:
         return True
 
     def prepare_run(self) -> None:
-        """Clear away what must not outlive an earlier run: its cancel file, torn files, a broken manifest, and files
-        that are not as it lists them. Those of a lift are made again; passes that were baked later are not.
+        """Delete what must not outlive an earlier run: its cancel file, incomplete files, a broken manifest, and files
+        that differ from the manifest. Those of a lift are made again; passes that were baked later are not.
 
-        Only for the engine that holds the lock. Raises OSError when a file cannot be read: it stays.
+        Only the engine that holds the lock may call this. Raises OSError if a file cannot be read: the file stays.
         """
         self.cancel_path.unlink(missing_ok=True)
         for path in changed_files(self.result_path):
@@ -211,10 +211,10 @@ class LiftFolder:
         remove_parts(self.path)
 
     def prepare_bake(self) -> None:
-        """Clear away an earlier run's cancel file and torn files; the result stays. Nothing is cleared while another
-        process bakes, which may own them.
+        """Delete an earlier run's cancel file and incomplete files; the result stays. Nothing is deleted while another
+        process is baking, as that may own them.
 
-        Only for the engine that holds the lock.
+        Only the engine that holds the lock may call this.
         """
         if BakeLocks(self.path).others_at_work():
             return
@@ -222,8 +222,8 @@ class LiftFolder:
         remove_parts(self.path)
 
     def came_to_nothing(self) -> bool:
-        """Whether no engine got as far as a checkpoint: it never started, or refused the input."""
-        if not self.path.is_dir():  # somebody deleted it during the lift, as the error says
+        """Whether no engine got as far as a checkpoint: it never started, or it refused the input."""
+        if not self.path.is_dir():  # someone deleted it during the lift, as the error says
             return False
         if self.is_running or self.checkpoints.exists or (self.path / BLOCKS).exists():
             return False
@@ -233,21 +233,21 @@ class LiftFolder:
         )
 
     def discard(self) -> None:
-        """Delete a lift that never got going, so that the same command can be given again.
+        """Delete a lift that never started, so that the same command can be given again.
 
-        For whoever created it just now. Raises PlgsError when there is something in it that cost time to make.
+        Only for the caller that has just created it. Raises PlgsError if it holds something that took time to make.
         """
         self.refuse_foreign()
-        with lock_on(self.events_path, wait_s=0.0, brief=True):  # nobody begins meanwhile
+        with lock_on(self.events_path, wait_s=0.0, brief=True):  # no engine begins in the meantime
             self._discard()
-        self.events_path.unlink(missing_ok=True)  # now that it is closed: Windows deletes no open file
+        self.events_path.unlink(missing_ok=True)  # now that it is closed, as Windows cannot delete an open file
         if not any(self.path.iterdir()):
             self.path.rmdir()
 
     def _discard(self) -> None:
         if self.checkpoints.exists or self._has_result():
-            raise PlgsError("holds work", self.path, "Resume it, or delete it yourself.")
-        (self.path / "request.json").unlink()  # first: what is left without it is not a lift
+            raise PlgsError("holds finished work", self.path, "Resume it, or delete it yourself.")
+        (self.path / "request.json").unlink()  # first, as a folder without it is not a lift
         for path in (self.cancel_path, self.preview_request_path, self.log_path, self.path / "scene.json"):
             path.unlink(missing_ok=True)
         for folder in (self.result_path, self.path / "bake"):
@@ -256,7 +256,7 @@ class LiftFolder:
         remove_parts(self.path)
 
     def _has_result(self) -> bool:
-        """Raises PlgsError when the disk does not answer: that is no reason to make a result again."""
+        """Whether there is a result. Raises PlgsError if the disk does not answer: a result may still be there."""
         try:
             check_sizes(self.result_path)
         except PlgsError as error:
@@ -267,24 +267,24 @@ class LiftFolder:
 
 
 def refuse_used(path: Path) -> None:
-    """Raise PlgsError when a lift folder cannot be made of ``path`` because something is there already; OSError when
-    that cannot be found out."""
+    """Raise PlgsError if no lift folder can be made at ``path`` because something is there already, and OSError if that
+    cannot be determined."""
     if not path.exists():
         return
     if not path.is_dir():
         raise PlgsError("is in the way", path, "Choose another output folder.")
     if (path / "request.json").exists():
-        fix = "Add --resume to go on with it, or choose another output folder."
+        fix = "Add --resume to continue it, or choose another output folder."
         raise PlgsError("already holds a lift", path, fix, option="--resume")
     for entry in path.iterdir():
-        # A kill inside this very function leaves such a name, and blocks may be lifted before their building.
+        # A kill while a lift folder is made leaves such a name, and blocks may be lifted before their building.
         if not entry.name.startswith(PART) and entry.name != BLOCKS:
             what = f"is not empty (it holds '{entry.name}') and is not a lift folder"
             raise PlgsError(what, path, "Choose another output folder.")
 
 
 def _write_new(path: Path, text: str) -> None:
-    """Write a whole file under a free name, also when two processes want it. Raises FileExistsError."""
+    """Write a complete file under an unused name, even if two processes want it. Raises FileExistsError."""
     part = path.with_name(f"{PART}{os.getpid()}-{path.name}")
     try:
         with create_plain(part) as file:

@@ -1,4 +1,4 @@
-"""Follow a task of an engine: a state machine that is polled by a terminal's loop or Blender's timer."""
+"""Follow a task of an engine: a state machine that a terminal's loop or Blender's timer polls."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from .process import EngineProcess, engine_call
 from .task import BAKE, LIFT, TaskPlace, TaskProgress, TaskState
 
 PATIENCE_S = 5.0
-"""Seconds that a folder may be out of reach before its task counts as lost."""
+"""Seconds for which a folder may be unreachable before its task counts as lost."""
 CANCEL_WAIT_S = 0.65
-"""Seconds that an engine may take to stop by itself before it is killed. Its own watchdog needs at most 0.6."""
+"""Seconds that an engine may take to stop before it is killed. Its own watchdog needs at most 0.6."""
 
 
 class Engine(Protocol):
-    """An engine that this process started, as `EngineProcess` is one."""
+    """An engine that this process started, such as an `EngineProcess`."""
 
     def exit_code(self) -> int | None: ...
     def output_tail(self) -> str: ...
@@ -34,9 +34,9 @@ class Engine(Protocol):
 class TaskFollower:
     """Follows one task: `poll` it often, then read its attributes. It starts no threads.
 
-    ``kind`` names the task, ``progress`` says how far it is. When ``state`` is no longer RUNNING, ``answer`` is what
-    the command answered (None when nothing), ``error`` why it failed, and ``log_lines`` the end of its log when the
-    cause is no input of the user's. ``on_event`` is called with each event.
+    ``kind`` names the task, ``progress`` tells how far it is. When ``state`` is no longer RUNNING, ``answer`` is the
+    command's answer (None if it gave none), ``error`` is why it failed, and ``log_lines`` the end of its log if the
+    cause is not the user's input. ``on_event`` is called with each event.
     """
 
     def __init__(
@@ -49,8 +49,8 @@ class TaskFollower:
         reader: EventReader | None = None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        """With ``process`` the follower owns the engine; without one it watches somebody else's, on this computer or
-        another. ``lift`` is the lift folder that the task works in.
+        """With ``process`` the follower owns the engine; without one it watches an engine that another process started,
+        on this computer or another. ``lift`` is the lift folder that the task works in.
         """
         self.place, self.lift, self.kind = place, lift, kind
         self.state = TaskState.RUNNING
@@ -76,15 +76,15 @@ class TaskFollower:
         stays_with_parent: bool = True,
         variables: Mapping[str, str] | None = None,
     ) -> TaskFollower:
-        """Start an engine and follow it. ``command`` is one of `engine_call`, to which the arguments are added that
-        tell it about ``place`` and its parent. Without ``stays_with_parent`` it continues when this process ends.
-        ``variables`` are added to its environment, for what must not stand in the list of processes.
+        """Start an engine and follow it. ``command`` is one from `engine_call`, to which the arguments for ``place``
+        and its parent are added. Without ``stays_with_parent`` it continues when this process ends. ``variables`` are
+        added to its environment, for values that must not appear in the list of processes.
 
-        Raises PlgsError when it does not start, OSError.
+        Raises PlgsError if it does not start, and OSError.
         """
         reader = EventReader(place.events, from_end=True, hurried=True)
         if not is_worked_on(place.events):
-            # Before the engine lives: a cancel file that somebody makes from now on is meant for it.
+            # Before the engine starts: a cancel file that is made from now on is meant for it.
             place.cancel.unlink(missing_ok=True)
         command = [*command, *place.arguments, *(["--stay-with-parent"] if stays_with_parent else [])]
         process = EngineProcess(command, is_tied=stays_with_parent, variables=variables)
@@ -92,7 +92,7 @@ class TaskFollower:
 
     @classmethod
     def attach(cls, place: TaskPlace, *, lift: LiftFolder | None = None) -> TaskFollower:
-        """Follow what somebody else started. What earlier runs wrote there is passed over."""
+        """Follow what another process started. What earlier runs wrote there is skipped."""
         return cls(place, lift=lift)
 
     @property
@@ -106,15 +106,15 @@ class TaskFollower:
 
     @property
     def exit_code(self) -> ExitCode:
-        """How a task that has ended did so, as the exit status of a command that ran it."""
+        """How an ended task ended, as the exit status of a command that ran it."""
         if self.state is TaskState.CANCELLED:
             return ExitCode.CANCELLED
         return ExitCode.FINISHED if self.error is None else self.error.exit_code
 
     def poll(self) -> bool:
-        """Take in what happened, and return whether something changed.
+        """Take in what happened, and return whether anything changed.
 
-        Older events are read in parts, without outdated progress, so that a poll takes a few milliseconds at most.
+        Older events are read in parts, without outdated progress, so that a poll takes at most a few milliseconds.
         """
         if not self.is_running:
             return False
@@ -125,16 +125,16 @@ class TaskFollower:
                 return False
             if self._process is not None:
                 self._process.kill()
-            fix = "Check its disk, then look again."
+            fix = "Check its disk, then try again."
             self._fail(PlgsError(f"the task can no longer be followed ({error})", self.place.events, fix))
             return True
         self._silent_since = None
         return has_news
 
     def cancel(self) -> None:
-        """Ask the engine to stop. Poll on until it has: it is killed when it takes too long.
+        """Ask the engine to stop. Keep polling until it has: it is killed if it takes too long.
 
-        Raises OSError when the cancel file cannot be made and the engine is somebody else's.
+        Raises OSError if the cancel file cannot be made and another process started the engine.
         """
         try:
             self.place.ask_to_cancel()
@@ -144,12 +144,12 @@ class TaskFollower:
         self._begin_waiting()
 
     def kill(self) -> None:
-        """End an engine of one's own at once; a lift can be resumed."""
+        """End the follower's own engine at once; a lift can be resumed."""
         if self._process is not None:
             self._process.kill()
 
     def close(self) -> None:
-        """Let go. An engine of one's own ends within a second, unless it was started to continue."""
+        """Stop following. The follower's own engine ends within a second, unless it was started to continue."""
         if self._process is None:
             return
         self._process.close()
@@ -159,10 +159,10 @@ class TaskFollower:
         self._process = None
 
     def _poll(self) -> bool:
-        """Raises OSError or PlgsError when the folder cannot be looked at."""
+        """Do one poll. Raises OSError or PlgsError if the folder cannot be read."""
         code = None if self._process is None else self._process.exit_code()
         has_ended = not is_worked_on(self.place.events) if self._process is None else code is not None
-        events = self._reader.poll()  # after the look at the process, so that the last events are among them
+        events = self._reader.poll()  # read after the check of the process, so that the last events are included
         for event in events:
             self._take(event)
         if has_ended and not self._reader.is_behind:
@@ -197,7 +197,7 @@ class TaskFollower:
             self._kill_at = self._clock() + CANCEL_WAIT_S
 
     def _kill_if_deaf(self, process: Engine) -> None:
-        """Somebody else may have made the cancel file, and native code can keep the engine's watchdog from running."""
+        """Another process may have made the cancel file, and native code can prevent the engine's watchdog."""
         is_asked = self.place.cancel.exists() or (self.lift is not None and self.lift.place.cancel.exists())
         if is_asked:
             self._begin_waiting()
@@ -205,9 +205,9 @@ class TaskFollower:
             process.kill()
 
     def _end(self, code: int | None) -> None:
-        """``code`` is that of the engine's process; None when it is somebody else's."""
-        if not self.place.events.parent.is_dir():  # then what the engine said of it is not what happened
-            fix = "Bring it back, or start again."
+        """``code`` is the exit code of the engine's process; None if another process started it."""
+        if not self.place.events.parent.is_dir():  # then the engine's own message does not tell what happened
+            fix = "Restore it, or start again."
             self._fail(PlgsError("the folder is gone", self.place.events.parent, fix, code=ErrorCode.INTERNAL))
         elif self.error is not None:
             self._fail(self.error)
@@ -239,7 +239,7 @@ class TaskFollower:
             self.log_lines = self.place.last_lines()
 
     def _error_of_output(self, code: int | None) -> PlgsError:
-        """What an engine said last that ended without an event."""
+        """The last message of an engine that ended without an event."""
         output = "" if self._process is None else self._process.output_tail()
         kinds: dict[int | None, ErrorCode] = {ExitCode.BAD_INPUT: ErrorCode.BAD_INPUT, ExitCode.BUSY: ErrorCode.BUSY}
         kind = kinds.get(code, ErrorCode.INTERNAL)
@@ -261,9 +261,9 @@ def start_bake(
     layers: Sequence[str] = (),
     stays_with_parent: bool = True,
 ) -> TaskFollower:
-    """Start an engine that bakes more of a finished lift: frames ("test", "all", or names), or the ``cameras`` of a
-    file, with these of FURTHER_LAYERS. Where another process bakes already it does so beside it, with events of its
-    own. Raises PlgsError, OSError.
+    """Start an engine that bakes more of a finished lift: frames ("test", "all", or names), or the ``cameras`` in a
+    file, with these of FURTHER_LAYERS. If another process is baking already, it bakes at the same time, with its own
+    events. Raises PlgsError, OSError.
     """
     command = [*engine_call(python), "bake", lift.path]
     command += [] if cameras is None else ["--cameras", cameras]
@@ -277,7 +277,7 @@ def start_bake(
 
 
 def _error(data: Mapping[str, Json]) -> PlgsError:
-    """The error of an event. Engines before version 0.2 wrote no code."""
+    """The error in an event. Engines before version 0.2 wrote no code."""
     said = str(data.get("code"))
     usual = ErrorCode.BAD_INPUT if data.get("exit_code") == ExitCode.BAD_INPUT else ErrorCode.INTERNAL
     code = ErrorCode(said) if said in list(ErrorCode) else usual

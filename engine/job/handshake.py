@@ -1,4 +1,4 @@
-"""The answer of an engine that is asked what it is, and what it lacks."""
+"""An engine's answer to the question what it is and what it lacks."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from ..records import record_of, refuse_other_format, to_json
 from .capabilities import CAPABILITIES
 
 VERSION = __version__
-"""The version of the engine that lies beside this extension."""
+"""The version of the engine that comes with this extension."""
 FORMAT = 2
-"""The answer's format. With another number, an extension and an engine do not belong together."""
+"""The answer's format. If the numbers differ, an extension and an engine do not fit together."""
 TOO_OLD = "the engine needs Python 3.11 or newer"
 """The message of ``python -m engine`` under an older Python."""
 
@@ -26,10 +26,10 @@ TOO_OLD = "the engine needs Python 3.11 or newer"
 class EngineAnswer:
     """An engine that answered. It works when nothing is missing.
 
-    ``engine`` is its version. ``packages``: name and version of what it needs, None when missing, "unknown" when it is
-    there without saying which. ``wanted``: the pinned version, None where nothing is pinned for this Python. ``cuda``:
-    the CUDA version that torch was built for, None for a CPU build or without torch. ``capabilities``: what each of
-    `CAPABILITIES` lacks.
+    ``engine`` is its version. ``packages``: the names and versions of what it needs, with None if missing, and
+    "unknown" if the version is not known. ``wanted``: the pinned versions, None if nothing is pinned for this Python.
+    ``cuda``: the CUDA version that torch was built for, None for a CPU build or without torch. ``capabilities``: what
+    each of `CAPABILITIES` lacks.
     """
 
     engine: str
@@ -43,12 +43,12 @@ class EngineAnswer:
 
     @property
     def missing(self) -> tuple[str, ...]:
-        """The packages that are not there."""
+        """The packages that are not installed."""
         return tuple(name for name, version in self.packages.items() if version is None)
 
     @property
     def others(self) -> tuple[str, ...]:
-        """Packages in another version than the pinned one, as "name 1.0 instead of 2.0". It may work all the same."""
+        """Packages whose version is not the pinned one, as "name 1.0 instead of 2.0". They may work nevertheless."""
         return tuple(
             f"{name} {version} instead of {wanted}"
             for name, version in self.packages.items()
@@ -57,12 +57,12 @@ class EngineAnswer:
 
     @property
     def fix(self) -> str:
-        """The command that installs what is missing; empty when nothing is."""
+        """The command that installs what is missing; empty if nothing is."""
         pins = [f"{name}=={self.wanted[name]}" if self.wanted.get(name) else name for name in self.missing]
         return f"{self.executable} -m pip install {' '.join(pins)}" if pins else ""
 
     def to_json(self) -> dict[str, object]:
-        """The answer as the engine gives it. What people read in it besides is worked out from the rest."""
+        """The answer as the engine gives it. Further values for the user are derived from the others."""
         told = {"missing": list(self.missing), "others": list(self.others), "fix": self.fix}
         return {"format": FORMAT, **to_json(self), **told}
 
@@ -71,7 +71,7 @@ class EngineAnswer:
 
     @classmethod
     def from_json(cls, data: Mapping[str, Any]) -> EngineAnswer | None:
-        """The answer that `to_json` gave; None when it is something else, or an answer of another format."""
+        """The answer that `to_json` gave; None if it is something else, or an answer in another format."""
         known = {each.name for each in fields(cls)}
         try:
             refuse_other_format(dict(data), "", FORMAT)
@@ -82,7 +82,7 @@ class EngineAnswer:
 
     @classmethod
     def from_line(cls, line: str) -> EngineAnswer | None:
-        """The answer in a line that was printed; None when it is something else, or an answer of another format."""
+        """The answer in a printed line; None if it is something else, or an answer in another format."""
         try:
             data = json.loads(line)
         except ValueError:

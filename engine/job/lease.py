@@ -1,13 +1,13 @@
-"""Leases: who works where on a disk that machines share, whose file system may know no locks across machines.
+"""Leases: who works where on a disk that machines share, whose file system may not support locks across machines.
 
-A lease is a file beside the one that it guards. Its holder writes a new beat into it every few seconds. Whoever wants
-it watches the beats by a clock of its own, so that the machines' clocks need not agree, and takes the lease over when
+A lease is a file beside the one that it guards. Its holder writes a new beat into it every few seconds. A process that
+wants it watches the beats by its own clock, so that the machines' clocks need not agree, and takes over the lease when
 they have stopped for long.
 
-What this needs of the disk, NFS's promises among it: a link to a name that is taken fails, a rename is whole, and a
-file that is opened again shows what another machine wrote before (close-to-open). What no file system promises: that a
-process which stood still for longer than STALE_S and wakes writes nothing before its next beat. It finds its lease gone
-then, and ends. All files of a lift are put in place by rename, with the same content by everybody.
+The disk must guarantee, as NFS does, that a link to an existing name fails, that a rename is atomic, and that a file
+that is opened again shows what another machine wrote before (close-to-open). No file system guarantees that a process
+which was suspended for longer than STALE_S writes nothing before its next beat when it wakes. It then finds its lease
+gone, and ends. All files of a lift are put in place by rename, and every process writes the same content.
 """
 
 from __future__ import annotations
@@ -31,11 +31,11 @@ from .events import at_work
 from .system import is_alive
 
 VARIABLE = "PLGS_SHARED_DISK"
-"""1: every disk is taken for shared; 0: none. Else Linux's table of mounts tells, and Windows' \\\\server\\share."""
+"""1: every disk counts as shared; 0: none. Otherwise Linux's mount table decides, and Windows' \\\\server\\share."""
 BEAT_S = 5.0
-"""Seconds between two beats of a holder."""
+"""Seconds between two of a holder's beats."""
 STALE_S = 30.0
-"""Seconds without a beat after which a lease is nobody's."""
+"""Seconds without a beat after which a lease is free."""
 _SHARED_KINDS = frozenset(
     "nfs nfs4 cifs smb3 smbfs afs ceph lustre gpfs beegfs glusterfs panfs orangefs gfs2 ocfs2 9p fuse.glusterfs "
     "fuse.sshfs fuse.ceph fuse.juicefs fuse.s3fs".split()
@@ -48,7 +48,7 @@ _PROCESSES = Path("/proc/self/ns/pid")
 
 @dataclass
 class _Watched:
-    """A holder's last beat, when it was first seen by this process's own clock, and whether one came before it."""
+    """A holder's last beat, when this process's own clock first saw it, and whether another came before it."""
 
     holder: str
     beat: str
@@ -57,11 +57,11 @@ class _Watched:
 
 
 _watched: dict[Path, _Watched] = {}
-"""By lease."""
+"""The watched holders, by lease."""
 
 
 def machine_id() -> str:
-    """Another one on each machine, after each start of it, and where processes are counted again, as in a container."""
+    """An id that differs between machines, between starts of a machine, and between containers."""
     try:
         return f"{platform.node()} {_BOOT_ID.read_text().strip()} {os.readlink(_PROCESSES)}"
     except OSError:
@@ -82,11 +82,11 @@ def _is_shared(folder: Path) -> bool:
         return str(folder).startswith("\\\\")
     try:
         place = folder.resolve()
-        place.exists()  # a look mounts what automount has only promised
+        place.exists()  # the check makes automount mount it
         mounts = [line.split() for line in _MOUNTS.read_text().splitlines()]
     except OSError:
         return False
-    # Of two mounts at one place the later one counts, as nfs behind autofs.
+    # Of two mounts at the same place the later one counts, such as nfs over autofs.
     under = [
         (len(point), number, kind)
         for number, (_, point, kind, *_) in enumerate(mounts)
@@ -100,12 +100,12 @@ def _unescaped(point: str) -> str:
 
 
 class Lease:
-    """The right to work on a file of a shared disk, from ``with`` to its end.
+    """The right to work on a file on a shared disk, within a ``with`` block.
 
-    With ``beats`` a thread keeps it, and ends this process with `ExitCode.BUSY` when another one has taken it: for the
-    engine. Without, it is for work of less than STALE_S, such as Blender's. With a ``wait_s`` of 0 nothing is waited
-    for; else what may be left by a crash is watched until it has beaten, or is stale. Raises PlgsError when another
-    process holds it, OSError.
+    With ``beats``, for the engine, a thread keeps it, and ends this process with `ExitCode.BUSY` if another process has
+    taken it. Without, it is for work that takes less than STALE_S, such as Blender's. With a ``wait_s`` of 0 it never
+    waits; otherwise a lease that a crash may have left is watched until it has a beat or is stale. Raises PlgsError if
+    another process holds it, and OSError.
     """
 
     def __init__(self, path: Path, wait_s: float = 1.0, *, beats: bool = True) -> None:
@@ -137,17 +137,17 @@ class Lease:
         beat = 0
         while not self._over.wait(BEAT_S):
             beat += 1
-            with suppress(OSError):  # a server that does not answer now; whether the lease is lost, the next look shows
+            with suppress(OSError):  # the server may not answer now; the next check shows whether the lease is lost
                 os.lseek(self._descriptor, 0, os.SEEK_SET)
                 os.write(self._descriptor, _content(self._id, beat))
                 os.fsync(self._descriptor)
             if not self._is_ours() and not self._over.is_set():
-                what = f"error: another machine took this over, as nothing was heard from here: {self._path}"
+                what = f"error: another machine took this over, as this one showed no sign of life: {self._path}"
                 print(what, file=sys.stderr, flush=True)
                 os._exit(ExitCode.BUSY)
 
     def _is_ours(self) -> bool:
-        """True also where nothing can be found out."""
+        """Whether the lease is ours. True also if this cannot be determined."""
         try:
             state = _holder(self._lease)
         except OSError:
@@ -165,13 +165,13 @@ class Lease:
 
 
 def _content(holder: str, beat: int) -> bytes:
-    """Always of one length, so that it is written in place."""
+    """The content of a lease. Its length is always the same, so that it can be written in place."""
     about = {"id": holder, "machine": MACHINE, "pid": os.getpid(), "since": time.time(), "beat": f"{beat:012d}"}
     return json.dumps(about).encode().ljust(512) + b"\n"
 
 
 def _created(path: Path, holder: str) -> bool:
-    """Whether the file is made, which it can be once only, with its content. Raises OSError."""
+    """Create the file with its content, and return whether this succeeded, as it can only once. Raises OSError."""
     part = path.with_name(f"{PART}{holder}.lease")
     try:
         with create_plain(part) as file:
@@ -181,7 +181,7 @@ def _created(path: Path, holder: str) -> bool:
         try:
             os.link(part, path)
         except FileExistsError:
-            # A server whose answer was lost is asked again, and says that the name is taken: by this very file.
+            # If a server's answer was lost, it is asked again, and says that the name is taken: by this same file.
             return os.stat(part).st_nlink == 2
         except OSError:  # a file system without links
             with suppress(FileExistsError), open(path, "xb") as file:
@@ -199,15 +199,15 @@ def lease_of(path: Path) -> Path:
 
 
 def is_leased(path: Path) -> bool:
-    """Whether a process holds the lease of ``path``. One whose machine may have crashed counts until this process has
-    watched it for STALE_S. Raises OSError."""
+    """Whether a process holds the lease of ``path``. A process whose machine may have crashed counts until this process
+    has watched it for STALE_S. Raises OSError."""
     state = _holder(lease_of(path))
     return state is not None and not _is_stale(lease_of(path), state)
 
 
 def may_have_crashed(path: Path) -> bool:
-    """Whether a process holds the lease of ``path`` that has shown no sign of life since this process watches it. It
-    will, or its lease becomes nobody's. False on a disk of this machine alone. Raises OSError.
+    """Whether the process that holds the lease of ``path`` has shown no sign of life since this process began to watch
+    it. It will, or its lease becomes free. False on a disk that is not shared. Raises OSError.
     """
     if not is_on_shared_disk(path):
         return False
@@ -217,7 +217,7 @@ def may_have_crashed(path: Path) -> bool:
 
 
 def _holder(lease: Path) -> dict[str, str] | None:
-    """What stands in a lease; None where there is none. Raises OSError."""
+    """The content of a lease; None if there is no lease. Raises OSError."""
     try:
         with open_plain(lease, follow_link=False) as file:
             content = file.read(_LARGEST)
@@ -226,7 +226,7 @@ def _holder(lease: Path) -> dict[str, str] | None:
     try:
         told = json.loads(content)
         return {name: str(told[name]) for name in ("id", "machine", "pid", "beat")}
-    except (ValueError, KeyError, TypeError):  # by something else, or cut off when power was
+    except (ValueError, KeyError, TypeError):  # written by something else, or incomplete after a power cut
         return {"id": content.hex(), "machine": "", "pid": "0", "beat": ""}
 
 
@@ -244,8 +244,8 @@ def _is_stale(lease: Path, state: dict[str, str]) -> bool:
 
 
 def _take_away(lease: Path, stale: str) -> bool:
-    """Take a stale lease away, unless another process is about to. One at a time does, so that none takes away what
-    another has taken since. Returns whether it is gone. Raises OSError."""
+    """Remove a stale lease, unless another process is doing so. Only one at a time does, so that none removes a lease
+    that another has taken since. Returns whether it is gone. Raises OSError."""
     guard, own = lease.with_name(f"{PART}{lease.name}.stale"), uuid4().hex
     if not _created(guard, own):
         guarded = _holder(guard)
@@ -262,7 +262,7 @@ def _take_away(lease: Path, stale: str) -> bool:
 
 
 def _remove(path: Path, holder: str) -> None:
-    """Remove a file of this holder's; another's is left. Raises OSError."""
+    """Remove a file if it belongs to this holder. Raises OSError."""
     state = _holder(path)
     if state is not None and state["id"] == holder:
         path.unlink(missing_ok=True)

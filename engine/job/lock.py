@@ -1,8 +1,8 @@
-"""Advisory locks of the operating system: they end with the process that holds them, however that ends. On a disk that
-machines share, leases stand in their place (see `lease`).
+"""Advisory locks of the operating system: they end with the process that holds them, however it ends. On a disk that
+machines share, leases replace them (see `lease`).
 
-Several processes may bake one lift at once. Their locks are empty files in bake/ in the lift folder: who is at work,
-which view is whose, whose turn it is at the manifest.
+Several processes may bake one lift at once. Their locks are empty files in bake/ in the lift folder. They tell who is
+at work, who bakes which view, and whose turn it is to change the manifest.
 """
 
 from __future__ import annotations
@@ -23,14 +23,14 @@ from .lease import Lease, is_leased, is_on_shared_disk
 from .system import OPEN_FILES_KEEP_NAMES, try_lock
 
 MANIFEST_S = 60.0
-"""Seconds that a process waits for its turn at the manifest while others hash what they baked."""
+"""Seconds for which a process waits for its turn at the manifest while others hash what they baked."""
 
 
 class FileLock:
-    """Exclusive lock on a file, held from ``with`` to its end. A missing file is made; content is untouched.
+    """Exclusive lock on a file, held within a ``with`` block. A missing file is created; content is untouched.
 
-    Children that are started with ``subprocess`` do not inherit it. Raises PlgsError when another process
-    holds it, or when the file system knows no locks; OSError when it cannot be opened, or is not a plain file.
+    Children that are started with ``subprocess`` do not inherit it. Raises PlgsError if another process holds it, or
+    if the file system does not support locks; OSError if it cannot be opened, or is not a plain file.
     """
 
     def __init__(self, path: Path, wait_s: float = 1.0) -> None:
@@ -38,7 +38,7 @@ class FileLock:
 
     def __enter__(self) -> FileLock:
         self._descriptor = open_to_append(self._path)
-        # A process that asks `is_locked` holds the lock for an instant, so one refusal proves nothing.
+        # A process that calls `is_locked` holds the lock for an instant, so a single refusal proves nothing.
         give_up = time.monotonic() + self._wait_s
         while not self._try():
             if time.monotonic() > give_up:
@@ -48,8 +48,8 @@ class FileLock:
         return self
 
     def _try(self) -> bool:
-        """Whether the lock is held now, on the file that has this name: another process may have deleted it meanwhile.
-        The file is closed when that fails.
+        """Try to lock the file that has this name now, as another process may have deleted the opened one. Returns
+        whether it is locked; if not, the file is closed.
         """
         try:
             if not _try_lock(self._descriptor, self._path):
@@ -82,8 +82,8 @@ def _is_same(descriptor: int, path: Path) -> bool:
 
 
 def is_locked(path: Path) -> bool:
-    """Whether a process holds a FileLock on the file. Raises PlgsError when that cannot be found out: the file
-    system knows no locks, or a folder has the file's name.
+    """Whether a process holds a FileLock on the file. Raises PlgsError if that cannot be determined: the file system
+    does not support locks, or a folder has the file's name.
     """
     try:
         # Reading is enough for a shared lock, and the lift may belong to somebody else.
@@ -91,7 +91,7 @@ def is_locked(path: Path) -> bool:
     except FileNotFoundError:
         return False
     except OSError as error:
-        fix = "It has to be a file that you may read."
+        fix = "It must be a file that you can read."
         raise PlgsError(f"cannot be opened ({error.strerror})", path, fix) from error
     with file:
         return not _try_lock(file.fileno(), path, shared=True)
@@ -106,19 +106,19 @@ def _try_lock(descriptor: int, path: Path, shared: bool = False) -> bool:
 
 
 def lock_on(path: Path, wait_s: float = 1.0, *, brief: bool = False) -> FileLock | Lease:
-    """The right to work on a file of a lift; for ``with``. ``brief``: for some seconds at most, as in Blender. Raises
-    PlgsError when another process has it, OSError.
+    """The right to work on a file of a lift; for ``with``. ``brief``: for at most a few seconds, as in Blender. Raises
+    PlgsError if another process has it, and OSError.
     """
     return Lease(path, wait_s, beats=not brief) if is_on_shared_disk(path) else FileLock(path, wait_s)
 
 
 def is_worked_on(path: Path) -> bool:
-    """Whether a process holds what `lock_on` gives. Raises PlgsError as `is_locked`, OSError."""
+    """Whether a process holds what `lock_on` gives. Raises PlgsError like `is_locked`, and OSError."""
     return is_leased(path) if is_on_shared_disk(path) else is_locked(path)
 
 
 class BakeLocks:
-    """The locks of one process that bakes. For ``with``, around all of its work. Raises OSError."""
+    """The locks of one baking process; for ``with``, around all of its work. Raises OSError."""
 
     def __init__(self, lift: Path) -> None:
         self._folder = lift / "bake"
@@ -139,15 +139,15 @@ class BakeLocks:
         self._own.unlink(missing_ok=True)
 
     def others_at_work(self) -> bool:
-        """Whether another process bakes this lift now."""
+        """Whether another process is baking this lift."""
         return any(is_worked_on(path) for path in self._folder.glob("process-*.lock") if path != self._own)
 
     @contextmanager
     def claim(self, view: str) -> Iterator[bool]:
-        """Whether this process may bake the view until the ``with`` ends. Another process may be baking it. Raises
-        PlgsError when the file system knows no locks.
+        """Whether this process may bake the view until the ``with`` ends; False if another process is baking it. Raises
+        PlgsError if the file system does not support locks.
         """
-        name = sha256(view.encode()).hexdigest()[:16]  # any text becomes the name of a file
+        name = sha256(view.encode()).hexdigest()[:16]  # so that any text gives the name of a file
         try:
             lock = lock_on(self._folder / f"view-{name}.lock", wait_s=0.0).__enter__()
         except PlgsError as error:

@@ -1,4 +1,4 @@
-"""How much main memory this computer has, and how much of it is free. Standard library only."""
+"""How much main memory this computer has, and how much of it is free. It uses only the standard library."""
 
 from __future__ import annotations
 
@@ -9,18 +9,18 @@ from typing import NamedTuple
 
 CGROUP = Path("/sys/fs/cgroup")
 SHARE = "PLGS_MEMORY_GB"
-"""The variable with which several engines share this computer: the GB that each may take."""
+"""The variable by which several engines share this computer: the GB that each may use."""
 
 
 class MainMemory(NamedTuple):
-    """Bytes in all, and bytes that are free. A container's limit, and SHARE, count as the computer's memory."""
+    """The total and the free bytes. A container's limit, and SHARE, count as the computer's memory."""
 
     total: int
     free: int
 
 
 def main_memory(proc: Path = Path("/proc/meminfo"), cgroup: Path = CGROUP) -> MainMemory | None:
-    """The memory now; None when the system does not say. Never raises."""
+    """The current memory; None if the system does not tell. Never raises."""
     try:
         if sys.platform == "win32":
             return _share(_of_windows())
@@ -38,7 +38,7 @@ def _share(memory: MainMemory) -> MainMemory:
 
 
 def _of_linux(proc: Path) -> MainMemory:
-    """Raises OSError, ValueError, KeyError, IndexError."""
+    """The memory on Linux. Raises OSError, ValueError, KeyError, IndexError."""
     lines = (line.split(":") for line in proc.read_text().splitlines() if ":" in line)
     bytes_of = {name: 1024 * int(value.split()[0]) for name, value in lines}
     return MainMemory(bytes_of["MemTotal"], bytes_of["MemAvailable"])
@@ -55,16 +55,16 @@ def _within(memory: MainMemory, cgroup: Path) -> MainMemory:
 
 
 def _given_back(cgroup: Path) -> int:
-    """Bytes of files that the system keeps in a container's memory until somebody needs it."""
+    """Bytes of files that the system keeps in a container's memory until it is needed."""
     try:
         lines = (line.split() for line in (cgroup / "memory.stat").read_text().splitlines())
         return next((int(line[1]) for line in lines if line[:1] == ["inactive_file"]), 0)
-    except (OSError, ValueError, IndexError):  # an older system does not say
+    except (OSError, ValueError, IndexError):  # older systems do not tell
         return 0
 
 
 def _of_windows() -> MainMemory:
-    """Raises OSError."""
+    """The memory on Windows. Raises OSError."""
     import ctypes
 
     class Status(ctypes.Structure):

@@ -15,11 +15,11 @@ from .atomic import ListedFile, files_below, remove_parts, sha256, write_atomica
 
 NAME = "manifest.json"
 MAKE_ANEW = "Resume the lift: 'python -m engine lift LIFT --resume' makes the result again."
-"""The advice for a result that is not as it was written."""
+"""The advice for a result that has changed since it was written."""
 
 
 def damaged(what: str, path: Path) -> PlgsError:
-    """The error for a file of the result that is not as it was written."""
+    """The error for a file of the result that has changed since it was written."""
     return PlgsError(what, path, MAKE_ANEW, code=ErrorCode.DAMAGED, option="--resume")
 
 
@@ -43,9 +43,9 @@ def write_manifest(
     settings: Mapping[str, Json],
     timings: Mapping[str, Json],
 ) -> None:
-    """List every file of the result with size and SHA-256. The lift is finished when this returns.
+    """List every file of the result with its size and SHA-256. The lift is finished when this returns.
 
-    ``versions``: library name to version; ``settings``: what the preset and the user's options came to.
+    ``versions``: library name to version; ``settings``: the final values of the preset and the user's options.
     """
     remove_parts(result)
     files = tuple(ListedFile.of(path, result) for path in files_below(result) if path != result / NAME)
@@ -55,8 +55,8 @@ def write_manifest(
 def add_files(result: Path, paths: Sequence[Path]) -> None:
     """List more files, or changed ones, in the manifest of a finished lift; the rest of it stays as it is.
 
-    The result is whole before and after, also when a kill comes between. Raises PlgsError when there is no manifest,
-    OSError.
+    The result is complete before and after, even if the process is killed in between. Raises PlgsError if there is no
+    manifest, and OSError.
     """
     manifest = read_manifest(result)
     files = {file.path: file for file in (*manifest.files, *(ListedFile.of(path, result) for path in paths))}
@@ -64,7 +64,7 @@ def add_files(result: Path, paths: Sequence[Path]) -> None:
 
 
 def drop_files(result: Path, paths: Sequence[Path]) -> None:
-    """Take files that are about to be made again off the list. Otherwise as ``add_files``."""
+    """Remove files that are about to be made again from the list. Otherwise like ``add_files``."""
     manifest = read_manifest(result)
     dropped = {PurePosixPath(path.relative_to(result)) for path in paths}
     _write(result, replace(manifest, files=tuple(file for file in manifest.files if file.path not in dropped)))
@@ -75,10 +75,10 @@ def _write(result: Path, manifest: Manifest) -> None:
 
 
 def read_manifest(result: Path) -> Manifest:
-    """The manifest of a result folder; files are not looked at. Raises PlgsError when none is whole."""
+    """The manifest of a result folder; files are not checked. Raises PlgsError if there is no complete one."""
     path = result / NAME
     if not path.is_file():
-        what = "is not there, so this lift is not finished"
+        what = "does not exist, so this lift is not finished"
         raise PlgsError(what, path, "Resume the lift.", code=ErrorCode.NOT_FINISHED)
     try:
         return read_record(Manifest, path, MAKE_ANEW)
@@ -89,7 +89,7 @@ def read_manifest(result: Path) -> Manifest:
 
 
 def check_sizes(result: Path) -> Manifest:
-    """The manifest, after a check that every listed file is there in the right size. Raises PlgsError."""
+    """The manifest, after a check that every listed file exists with the right size. Raises PlgsError."""
     manifest = read_manifest(result)
     for file in manifest.files:
         path = result / file.path
@@ -98,32 +98,32 @@ def check_sizes(result: Path) -> Manifest:
         except OSError as error:
             raise damaged("is missing", path) from error
         except ValueError as error:
-            raise damaged(f"lists a file that cannot be ({error})", result / NAME) from error
+            raise damaged(f"lists a file that cannot exist ({error})", result / NAME) from error
         if not S_ISREG(found.st_mode):
             raise damaged("is not a plain file", path)
         if found.st_size != file.bytes:
-            raise damaged(f"has {found.st_size} bytes, {file.bytes} were written", path)
+            raise damaged(f"has {found.st_size} bytes, but {file.bytes} were written", path)
     return manifest
 
 
 def verify(result: Path) -> Manifest:
-    """The manifest, after comparing every file with size and SHA-256. Raises PlgsError."""
+    """The manifest, after comparing every file with its size and SHA-256. Raises PlgsError."""
     manifest = check_sizes(result)
     verify_files(result, manifest.files)
     return manifest
 
 
 def verify_lifted(result: Path) -> Manifest:
-    """The manifest, after `check_sizes` and a look at the SHA-256 of all files except passes and previews, which may be
-    very many. Raises PlgsError."""
+    """The manifest, after `check_sizes` and a check of the SHA-256 of all files except passes and previews, of which
+    there may be very many. Raises PlgsError."""
     manifest = check_sizes(result)
     verify_files(result, (file for file in manifest.files if len(file.path.parts) == 1))
     return manifest
 
 
 def changed_files(result: Path) -> list[Path]:
-    """The files that are not as the manifest lists them; none without a whole manifest. Raises OSError when one cannot
-    be read, which says nothing about its content."""
+    """The files that differ from the manifest; none without a complete manifest. Raises OSError if one cannot be read,
+    which tells nothing about its content."""
     try:
         listed = read_manifest(result).files
     except PlgsError:

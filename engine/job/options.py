@@ -21,14 +21,14 @@ from .request import BAKES, LiftRequest
 
 _NONE: Mapping[str, str] = {}
 DEFAULTS = LiftRequest(scene=Path.cwd())
-"""The request whose values hold for options that are not given; its scene is none."""
+"""The request with the values of options that are not given; its scene is not a real one."""
 _OF_PRESET = ("steps", "size", "frames", "set")
-"""Options that change those of the preset."""
+"""The options that change those of the preset."""
 _FIELDS = {each.name: each.metadata["option"] for each in fields(LiftRequest) if "option" in each.metadata}
 
 
 def add_options(parser: argparse.ArgumentParser, *names: str) -> None:
-    """The options that set these fields of a request, as the fields declare them."""
+    """Add the options that set these fields of a request, as the fields declare them."""
     for name in names:
         parser.add_argument(_flag(name), dest=name, **_FIELDS[name])
 
@@ -38,15 +38,15 @@ def _flag(name: str) -> str:
 
 
 def add_lift_options(parser: argparse.ArgumentParser, more_bakes: Mapping[str, str] = _NONE) -> None:
-    """Everything that ends up in the request, and --poses. What is not given is None, so that --resume can tell.
-    ``more_bakes``: what else --bake may name, and what that means; the caller has to take it out of the options.
+    """Add all options that end up in the request, and --poses. Those not given are None, so that --resume can tell.
+    ``more_bakes``: other values of --bake, and their meanings; the caller must remove them from the options.
     """
     parser.add_argument(
         "--preset",
         type=preset_or_file,
         metavar="NAME|FILE.toml",
         help=f"how much work to spend: preview takes minutes, standard tens of minutes, paper follows the paper's "
-        f"own settings; or a file of your own, as 'presets NAME' prints one (default: {DEFAULTS.preset})",
+        f"own settings; or your own file, like those that 'presets NAME' prints (default: {DEFAULTS.preset})",
     )
     add_set_option(parser)
     add_amount_options(parser)
@@ -55,7 +55,7 @@ def add_lift_options(parser: argparse.ArgumentParser, more_bakes: Mapping[str, s
     add_scene_options(parser)
     parser.add_argument(
         "--poses", choices=("colmap",),
-        help="SCENE is photos or a film: let COLMAP find their poses first, beside the photos",
+        help="SCENE is photos or a film: let COLMAP find the poses first, and write them beside the photos",
     )  # fmt: skip
     add_options(parser, "blocks", "block", "names_from", "device")
     parser.add_argument(
@@ -67,11 +67,11 @@ def add_lift_options(parser: argparse.ArgumentParser, more_bakes: Mapping[str, s
 
 
 def add_amount_options(parser: argparse.ArgumentParser) -> None:
-    """--steps, --frames and --fit: how much is trained."""
+    """Add --steps, --frames and --fit: how much is trained."""
     parser.add_argument("--steps", type=int, metavar="N", help="training steps instead of the preset's")
     parser.add_argument(
         "--frames", type=number_of_frames, metavar="N|all",
-        help="train on at most so many frames, the sharpest of each stretch of the recording (default: the preset's)",
+        help="train on at most N frames, the sharpest of each stretch of the recording (default: the preset's)",
     )  # fmt: skip
     add_options(parser, "fit")
 
@@ -80,20 +80,20 @@ def add_progress_option(parser: argparse.ArgumentParser) -> None:
     """--progress."""
     parser.add_argument(
         "--progress", choices=("text", "json"), default="text",
-        help="json: the run's events on standard output, one line of JSON each, and all else on standard error",
+        help="json: write the run's events to standard output, one JSON line each, and all else to standard error",
     )  # fmt: skip
 
 
 def add_set_option(parser: argparse.ArgumentParser) -> None:
-    """--set: any choice of the preset."""
+    """Add --set, which changes any option of the preset."""
     parser.add_argument(
         "--set", action="append", metavar="NAME=VALUE",
-        help="change one of the preset's options ('presets NAME' lists them); may be given again and again",
+        help="change one of the preset's options ('presets NAME' lists them); may be given more than once",
     )  # fmt: skip
 
 
 def preset_or_file(text: str) -> str:
-    """A preset's name, or the path of a preset file; for argparse, so it raises ArgumentTypeError."""
+    """A preset's name, or the path of a preset file, for argparse. Raises ArgumentTypeError."""
     if text in PRESETS or text.endswith(".toml"):
         return text
     near = difflib.get_close_matches(text, PRESETS, 1)
@@ -102,25 +102,25 @@ def preset_or_file(text: str) -> str:
 
 
 def add_scene_options(parser: argparse.ArgumentParser) -> None:
-    """How to read the scene's folder."""
+    """Add the options that say how to read the scene's folder."""
     add_options(parser, "masks", "mask_format", "classes", "depth", "up", "scene_format")
 
 
 def source_of(options: argparse.Namespace) -> SceneSource:
-    """What ``scene`` and the options of `add_scene_options` name."""
+    """The source that ``scene`` and the options of `add_scene_options` name."""
     given = {each.name: getattr(options, each.name) for each in fields(SceneSource)}
     return SceneSource(**{name: value for name, value in given.items() if value is not None})
 
 
 def given_lift_options(options: argparse.Namespace) -> list[str]:
-    """Those of `add_lift_options` that were given, as a command line has them."""
+    """The options of `add_lift_options` that were given, as on a command line."""
     names = ("preset", "bake", *_FIELDS, *_OF_PRESET, "poses")
     return [_flag(name) for name in names if getattr(options, name) is not None]
 
 
 def readable(arguments: Sequence[str]) -> list[str]:
-    """The arguments with "--up -y" as "--up=-y": argparse takes a value that begins with a dash for an option. So too
-    with "--range -5-10", for what is wrong with that to be told."""
+    """The arguments with "--up -y" as "--up=-y", as argparse reads a value that begins with a dash as an option. The
+    same is done for "--range -5-10", so that the error in it can be reported."""
     joined: list[str] = []
     for argument in arguments:
         option = joined[-1] if joined else ""
@@ -132,7 +132,7 @@ def readable(arguments: Sequence[str]) -> list[str]:
 
 
 def picture_size(text: str) -> tuple[int, int]:
-    """(width, height) from "640x480"; for argparse, so it raises ArgumentTypeError."""
+    """(width, height) from "640x480", for argparse. Raises ArgumentTypeError."""
     width, _, height = text.lower().partition("x")
     if not (width.isdecimal() and height.isdecimal()):
         raise argparse.ArgumentTypeError(f"{text!r} is not WIDTHxHEIGHT, such as 640x480")
@@ -140,18 +140,18 @@ def picture_size(text: str) -> tuple[int, int]:
 
 
 def number_of_frames(text: str) -> int:
-    """From a number or "all", which is 0; for argparse, so it raises ArgumentTypeError."""
+    """A number of frames from a number or "all" (0), for argparse. Raises ArgumentTypeError."""
     if text.lower() == "all":
         return 0
     if not re.fullmatch(r"[0-9]{1,7}", text) or not int(text):
-        raise argparse.ArgumentTypeError(f"{text!r} is not a number of frames, such as 300, and not 'all'")
+        raise argparse.ArgumentTypeError(f"{text!r} is neither a number of frames, such as 300, nor 'all'")
     return int(text)
 
 
 def request_from(options: argparse.Namespace, base: LiftRequest | None = None) -> LiftRequest:
-    """The request that the options of `add_lift_options` and ``scene`` ask for; the rest as in ``base``.
+    """The request that the options of `add_lift_options` and ``scene`` ask for; the rest is as in ``base``.
 
-    Raises PlgsError when a value is out of range.
+    Raises PlgsError if a value is out of range.
     """
     asked: dict[str, Any] = {name: getattr(options, name) for name in (*_FIELDS, "bake")}
     given: dict[str, Any] = {
@@ -167,20 +167,20 @@ def request_from(options: argparse.Namespace, base: LiftRequest | None = None) -
 def chosen_options(
     preset: str | None, changed: Mapping[str, Json], base: LiftRequest = DEFAULTS
 ) -> tuple[Any, dict[str, Json]]:
-    """The name of a preset and its changed options: those of ``preset``, a name or a preset file, or of ``base`` where
-    it is None; then the options ``changed``. Raises PlgsError."""
+    """The name of a preset and its changed options: those of ``preset``, a name or a preset file, or of ``base`` if it
+    is None; then the options ``changed``. Raises PlgsError."""
     name, options = (base.preset, dict(base.options)) if preset is None else (preset, {})
     if name.endswith(".toml"):
         name, options = read_preset_file(Path(name))
-    if "steps" in changed:  # exactly that many, whatever a file says of many views
+    if "steps" in changed:  # exactly that many, whatever a file says about many views
         options.pop("steps_a_view", None)
     return name, {**options, **changed}
 
 
 def resumable(options: argparse.Namespace) -> LiftFolder | None:
-    """The lift in ``options.output`` that --resume goes on with; None when there is nothing to go on with.
+    """The lift in ``options.output`` that --resume continues; None if there is nothing to continue.
 
-    Raises PlgsError when the options ask for another lift than the one there.
+    Raises PlgsError if the options ask for a lift that differs from the one there.
     """
     folder: Path = options.output
     if not options.resume or not (folder / "request.json").exists():
@@ -189,5 +189,5 @@ def resumable(options: argparse.Namespace) -> LiftFolder | None:
     differing = request_from(options, base=lift.request).differences(lift.request)
     if differing:
         fix = "Leave these options as they were, or choose another output folder."
-        raise PlgsError(f"holds a lift with another {', '.join(differing)}", lift.path, fix)
+        raise PlgsError(f"holds a lift with a different {', '.join(differing)}", lift.path, fix)
     return lift

@@ -1,6 +1,6 @@
-"""What lies in a lift folder belongs to it alone: no links, no FIFOs, no devices.
+"""Everything in a lift folder belongs to it alone: no links, no FIFOs, no devices.
 
-A lift may come from somebody else. If its log were a link, resuming the lift would append to the link's target.
+A lift may come from someone else. If its log were a link, resuming the lift would append to the link's target.
 """
 
 from __future__ import annotations
@@ -16,11 +16,11 @@ from .atomic import PART
 FILES = ("request.json", "corrections.json", "scene.json", "events.jsonl", "cancel", "preview.json", "log.txt")
 FOLDERS = ("result", "bake", "checkpoint", "checkpoint.next", "checkpoint.old")
 _BEGINNINGS = (PART, "bake-")
-"""How the names of files begin that are being written, and of logs that earlier versions left beside them."""
+"""The prefixes of files that are being written, and of logs that earlier versions left beside them."""
 
 
 def refuse_foreign(lift: Path) -> None:
-    """Raise PlgsError when a file or folder of the lift's own is something else. Their content is not looked at."""
+    """Raise PlgsError if one of the lift's own files or folders is something else. Their content is not checked."""
     for name in FILES:
         _refuse(lift / name, S_ISREG)
     for name in FOLDERS:
@@ -28,7 +28,7 @@ def refuse_foreign(lift: Path) -> None:
 
 
 def refuse_foreign_below(lift: Path) -> None:
-    """As `refuse_foreign`, for all that lies in the lift's folders. Call it before writing or deleting there."""
+    """Like `refuse_foreign`, for everything in the lift's folders. Call it before writing or deleting there."""
     refuse_foreign(lift)
     tops = [lift / name for name in FOLDERS]
     tops += [path for path in _entries(lift) if path.name.startswith(_BEGINNINGS)]
@@ -39,7 +39,7 @@ def refuse_foreign_below(lift: Path) -> None:
 
 
 def _entries(folder: Path) -> Iterator[Path]:
-    """The entries of a folder; none when it is not a folder, or is gone meanwhile."""
+    """The entries of a folder; none if it is not a folder, or no longer exists."""
     try:
         with os.scandir(folder) as entries:
             yield from [Path(entry.path) for entry in entries]
@@ -56,7 +56,7 @@ def _refuse(path: Path, is_right: Callable[[int], bool]) -> None:
         return
     except OSError as error:
         fix = "Check its permissions and its disk."
-        raise PlgsError(f"cannot be looked at ({error.strerror})", path, fix) from error
+        raise PlgsError(f"cannot be examined ({error.strerror})", path, fix) from error
     if not is_right(mode):
         kind = "a link" if S_ISLNK(mode) else "neither a file nor a folder of a lift"
-        raise PlgsError(f"is {kind}, which a lift never has", path, "Do not trust this folder; copy what you know.")
+        raise PlgsError(f"is {kind}, which a lift never has", path, "Do not trust it. Copy only files you recognise.")

@@ -1,9 +1,9 @@
 """How long a lift will take and how much memory it needs, before it is begun.
 
-The constants were measured on lifts of the bundled sample (72 frames of 320x240) and of long captures made of it (100
-to 2000 frames of 1296x968, see `research/bench/long.py`) on two cores, relative to a training step; how much slower
-or faster this machine is, finished lifts tell. What is not known before is how much surface the cameras see: that of
-the sample is taken.
+The constants were measured on lifts of the bundled sample (72 frames of 320x240) and of long captures made from it (100
+to 2000 frames of 1296x968, see `research/bench/long.py`) on two cores, relative to a training step. Finished lifts tell
+how much slower or faster this machine is. How much surface the cameras see is not known in advance, so the sample's is
+assumed.
 """
 
 from __future__ import annotations
@@ -22,33 +22,33 @@ from .environment import notes_folder
 from .lock import FileLock
 
 SURFACE = 400.0
-"""Square metres that the sample's frames see: what anchors lie on."""
+"""Square metres of surface that the sample's frames see, on which anchors lie."""
 MOST_ANCHORS_PER_POINT = 0.8
 USUAL_MASKS, USUAL_CLASSES = 20.0, 20
-"""Segments of a frame and classes of a scene that was not read."""
+"""The segments of a frame and the classes of a scene that was not read."""
 OBJECTS_A_MASK = 2.0
-"""Objects of a room for every segment that a frame has."""
+"""The number of objects in a room for each segment of a frame."""
 MOST_MASKS = 5000
-"""About as many are judged by one another, those of keyframes; the others only join what was found."""
+"""About this many masks, those of keyframes, are compared with one another; the others only join what was found."""
 CANDIDATES = 3
-"""Pictures looked at for each that is chosen."""
+"""The number of pictures that are examined for each chosen one."""
 SEEN_SHARE = 0.3
-"""Share of the Gaussians that one view sees."""
+"""The share of the Gaussians that one view sees."""
 WRITE_S = 2.0
 """Seconds to write the passes and previews of a megapixel."""
 PIXEL = 12.0
-"""Bytes of a pixel in a file of passes: 10 at 1920x1080, 14 at 320x240."""
+"""Bytes per pixel in a file of passes: 10 at 1920x1080, 14 at 320x240."""
 REMEMBERED = 5
 MB = 1_000_000
 
 
 _MORE = {"normal": 0.34, "position": 1.15}
-"""Bytes of each further layer beside those of the usual ones together (docs/passes.md)."""
+"""Bytes of each further layer relative to those of all usual layers together (docs/passes.md)."""
 
 
 @dataclass(frozen=True)
 class Prediction:
-    """``stages``: seconds by stage name, in their order, "start" and "prepare" (before training) among them;
+    """``stages``: seconds by stage name, in order, including "start" and "prepare" (before training);
     ``peak_bytes``: the most main memory that the engine holds at once."""
 
     stages: Mapping[str, float]
@@ -61,20 +61,20 @@ class Prediction:
 
 @dataclass(frozen=True)
 class _Speed:
-    """speed.json: how many times longer than the machine of the constants this one took lately."""
+    """speed.json: how many times longer than the constants' machine this one took in recent lifts."""
 
     slowness: tuple[float, ...] = field(metadata={"least": 0.001, "most": 1000})
 
 
 class BakeCost(NamedTuple):
-    """Seconds, and bytes on the disk."""
+    """The cost in seconds and in bytes on the disk."""
 
     seconds: float
     bytes: float
 
 
 def predict_bake(frames: int, size: tuple[int, int], slowness: float = 1.0, layers: Collection[str] = ()) -> BakeCost:
-    """What baking these frames of ``size`` (width, height) pixels takes, with these of FURTHER_LAYERS."""
+    """The cost of baking these frames of ``size`` (width, height) pixels, with these of FURTHER_LAYERS."""
     megapixels = size[0] * size[1] / 1e6
     pixel = PIXEL * (1.0 + sum(_MORE[layer] for layer in layers))
     seconds = slowness * frames * (_render_s(megapixels) + WRITE_S * megapixels)
@@ -96,14 +96,14 @@ def predict(
     masks_a_frame: float = USUAL_MASKS,
     classes: int = USUAL_CLASSES,
 ) -> Prediction:
-    """For ``train_frames`` + ``test_frames`` pictures of ``frame_size`` (width, height) pixels. ``bake``: as in a
-    request; ``slowness``: see `machine_slowness`; ``masks_a_frame`` and ``classes`` are what the masks have."""
+    """The prediction for ``train_frames`` + ``test_frames`` pictures of ``frame_size`` (width, height) pixels. ``bake``
+    is as in a request; ``slowness``: see `machine_slowness`; ``masks_a_frame`` and ``classes`` are the masks'."""
     frames = train_frames + test_frames
     views = preset.views_of(train_frames)
     own = frame_size[0] * frame_size[1] / 1e6
     trained_on = _megapixels_within(frame_size, preset.size)
     seen = views * trained_on
-    rendered = {"test": test_frames, "all": frames, "none": test_frames}[bake]  # those held out are scored anyhow
+    rendered = {"test": test_frames, "all": frames, "none": test_frames}[bake]  # held-out frames are scored in any case
     written = 0 if bake == "none" else rendered
     steps = preset.for_views(views).steps
     gaussians = _millions_of_gaussians(preset)
@@ -137,19 +137,19 @@ def predict(
 
 
 def step_seconds(megapixels: float, millions_of_gaussians: float) -> float:
-    """A training step on the machine that the constants were measured on, for a picture of that size and a model with
-    that many Gaussians in all."""
+    """Seconds of a training step on the machine on which the constants were measured, for a picture of this size and a
+    model with this total number of Gaussians."""
     return 0.03 + 0.55 * megapixels + 0.3625 * millions_of_gaussians
 
 
 def machine_slowness(cache: Path | None = None) -> float:
-    """How many times longer this machine takes, from the lifts it finished lately; 1 before the first. Never raises."""
+    """How many times longer this machine takes, from its recent finished lifts; 1 before the first. Never raises."""
     measured = _measured(_speed_path(cache))
     return median(measured) if measured else 1.0
 
 
 def learn_slowness(seconds: float, megapixels: float, millions_of_gaussians: float, cache: Path | None = None) -> None:
-    """Remember that a step of a finished lift took so long here. Raises OSError, PlgsError."""
+    """Remember how long a step of a finished lift took here. Raises OSError, PlgsError."""
     path = _speed_path(cache)
     path.parent.mkdir(parents=True, exist_ok=True)
     with FileLock(path.with_suffix(".lock")):
@@ -158,8 +158,8 @@ def learn_slowness(seconds: float, megapixels: float, millions_of_gaussians: flo
 
 
 def _peak_bytes(frame_size: tuple[int, int], preset: Preset, views: int, gaussians: float, labels: float) -> int:
-    """What is held at once: at matching it grows with the views, at training with the Gaussians, and when a frame is
-    baked, at its own size, with its pixels; the last two with the labels too."""
+    """The most bytes held at once: they grow with the views in matching, with the Gaussians in training, and with the
+    pixels of a frame when it is baked at its own size; in the last two they grow with the labels too."""
     own = frame_size[0] * frame_size[1] / 1e6
     trained_on = _megapixels_within(frame_size, preset.size)
     matching = 800 + 12 * views * trained_on
@@ -169,7 +169,7 @@ def _peak_bytes(frame_size: tuple[int, int], preset: Preset, views: int, gaussia
 
 
 def _millions_of_gaussians(preset: Preset) -> float:
-    """About as many as the sample gives."""
+    """The number of Gaussians in millions, estimated from the sample."""
     most = min(preset.most_anchors, MOST_ANCHORS_PER_POINT * preset.most_points)
     return preset.gaussians_per_anchor * min(SURFACE / preset.voxel_size**2, most) / 1e6
 
@@ -184,7 +184,7 @@ def _speed_path(cache: Path | None) -> Path:
 
 
 def _measured(path: Path) -> list[float]:
-    """Empty when there is nothing, or nothing that makes sense."""
+    """The measured values; empty if there are none, or none that make sense."""
     try:
         return [*read_record(_Speed, path, "Delete it.").slowness]
     except PlgsError:

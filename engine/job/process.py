@@ -1,4 +1,4 @@
-"""The engine as a process of its own: which Python runs it, with what environment, and how it is ended."""
+"""The engine as a separate process: which Python runs it, with what environment, and how it is ended."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ ROOT = Path(__file__).resolve().parents[2]
 """The folder that holds ``engine``: the repository, or the installed extension."""
 
 _OUTPUT_TAIL = 64_000
-"""Bytes of a program's output that are read at most. A message is shorter."""
+"""The most bytes of a program's output that are read. A message is shorter."""
 _ANSWER_S = 60.0
-"""Seconds within which a Python on a slow disk answers."""
+"""Seconds within which a Python must answer, even on a slow disk."""
 _KILLED_S = 5.0
 """Seconds that a killed process may take to end."""
 _MISSING = "missing modules:"
 _ENGINE_MODULES = ("torch", "numpy")
-# Variables that a parent Python, such as Blender's, sets for itself and that would break another Python.
+# Variables that a parent Python, such as Blender's, sets for itself and that would break a different Python.
 _FOREIGN = (
     "PYTHONHOME",
     "PYTHONPATH",
@@ -55,7 +55,7 @@ class Origin(StrEnum):
 
 @dataclass(frozen=True)
 class ChosenPython:
-    """The Python that runs the engine, who chose it, and what to do when it is unfit."""
+    """The Python that runs the engine, why it was chosen, and what to do if it is unfit."""
 
     python: Path
     origin: Origin
@@ -65,17 +65,17 @@ class ChosenPython:
 def choose_python(
     root: Path = ROOT, environ: Mapping[str, str] = os.environ, chosen: Path | None = None
 ) -> ChosenPython:
-    """The first there is: PLGS_ENGINE_PYTHON, the ``chosen`` one of the preferences, the environment that "Set up
-    engine" made, ``.venv`` beside the code, this Python where it has torch.
+    """The first that exists of: PLGS_ENGINE_PYTHON, the ``chosen`` one from the preferences, the environment that "Set
+    up engine" made, ``.venv`` beside the code, and this Python if it has torch.
 
-    It is not checked whether it has what the engine needs. Raises PlgsError when there is none. Takes milliseconds.
+    Whether it has what the engine needs is not checked. Raises PlgsError if there is none. Takes milliseconds.
     """
     variable = environ.get("PLGS_ENGINE_PYTHON")
-    if variable:  # not resolved: a venv's Python knows its venv by the link
+    if variable:  # not resolved, as a venv's Python finds its venv by the link
         fix = "Correct the variable PLGS_ENGINE_PYTHON, or unset it."
         return ChosenPython(Path(variable).absolute(), Origin.VARIABLE, fix)
     if chosen is not None:
-        fix = "Choose another Python for the engine in the preferences, or none."
+        fix = "Choose another Python for the engine in the preferences, or clear the choice."
         return ChosenPython(chosen.absolute(), Origin.CHOSEN, fix)
     made = made_environment(root, environ)
     if made is not None:
@@ -87,11 +87,11 @@ def choose_python(
         return ChosenPython(Path(sys.executable), Origin.THIS, "Press 'Set up engine' in the preferences.")
     make = f"run 'make set-up' in {root}" if (root / "Makefile").exists() else "press 'Set up engine' in Blender"
     fix = f"Please {make}, or set PLGS_ENGINE_PYTHON to a Python that has torch."
-    raise PlgsError("no Python for the engine", beside, fix, code=ErrorCode.NO_ENGINE)
+    raise PlgsError("there is no Python for the engine", beside, fix, code=ErrorCode.NO_ENGINE)
 
 
 def engine_python(root: Path = ROOT, environ: Mapping[str, str] = os.environ, chosen: Path | None = None) -> Path:
-    """The Python of `choose_python`, checked. Raises PlgsError when it lacks what the engine needs, or when there is
+    """The Python from `choose_python`, checked. Raises PlgsError if it lacks what the engine needs, or if there is
     none. Takes about 0.1 s.
     """
     choice = choose_python(root, environ, chosen)
@@ -100,8 +100,8 @@ def engine_python(root: Path = ROOT, environ: Mapping[str, str] = os.environ, ch
 
 
 def missing_modules(python: Path, names: Sequence[str]) -> list[str]:
-    """Which of the modules another Python cannot find. Nothing is imported. Raises PlgsError when it does not run,
-    does not answer, or is no Python.
+    """The modules that another Python cannot find. Nothing is imported. Raises PlgsError if it does not run, does not
+    answer, or is not a Python.
     """
     find = "(n for n in sys.argv[1:] if not importlib.util.find_spec(n))"
     code = f"import importlib.util, sys; print({_MISSING!r}, *{find})"
@@ -112,8 +112,8 @@ def missing_modules(python: Path, names: Sequence[str]) -> list[str]:
     except subprocess.TimeoutExpired as error:
         raise PlgsError(f"does not answer within {_ANSWER_S:g} s", python, "Try it in a terminal.") from error
     except OSError as error:
-        raise PlgsError(f"cannot be run ({error.strerror})", python, "It has to be a Python.") from error
-    # The last line: what a Python runs as it starts may say something, too.
+        raise PlgsError(f"cannot be run ({error.strerror})", python, "It must be a Python.") from error
+    # Only the last line counts, as what a Python runs at its start may also print something.
     *_, line = ["", *answer.stdout.decode(errors="replace").splitlines()]
     if answer.returncode != 0 or not line.startswith(_MISSING):
         raise PlgsError("does not work as a Python", python, "Try it in a terminal.")
@@ -121,7 +121,7 @@ def missing_modules(python: Path, names: Sequence[str]) -> list[str]:
 
 
 def clean_environment(root: Path | None = None) -> dict[str, str]:
-    """This process's environment without what is meant for its own Python. ``root`` becomes importable."""
+    """This process's environment without the variables for its own Python. ``root`` becomes importable."""
     environment = {name: value for name, value in os.environ.items() if name not in _FOREIGN}
     environment |= {"PYTHONNOUSERSITE": "1", "PYTHONUNBUFFERED": "1"}
     if root is not None:
@@ -130,7 +130,7 @@ def clean_environment(root: Path | None = None) -> dict[str, str]:
 
 
 class ChildProcess:
-    """A program without a window that writes into a file and can be ended together with its own children."""
+    """A program without a window that writes to a file and can be ended together with its own children."""
 
     def __init__(
         self,
@@ -142,8 +142,8 @@ class ChildProcess:
         stdin: int = subprocess.DEVNULL,
         keep_open: Sequence[int] = (),
     ) -> None:
-        """Start ``command``; POSIX only: descriptors in ``keep_open`` stay open in it. Raises PlgsError when it cannot
-        be started.
+        """Start ``command``. On POSIX, descriptors in ``keep_open`` stay open in it. Raises PlgsError if it cannot be
+        started.
         """
         try:
             self._process = subprocess.Popen(
@@ -156,9 +156,9 @@ class ChildProcess:
                 **start_options(keep_open),
             )
         except OSError as error:
-            raise PlgsError(f"cannot be run ({error.strerror})", command[0], "It has to be a Python.") from error
+            raise PlgsError(f"cannot be run ({error.strerror})", command[0], "It must be a Python.") from error
         except ValueError as error:
-            fix = "Choose folders with other names."
+            fix = "Choose folders with different names."
             raise PlgsError(f"cannot be given such a path ({error})", command[0], fix) from error
 
     @property
@@ -166,12 +166,12 @@ class ChildProcess:
         return self._process.pid
 
     def exit_code(self) -> int | None:
-        """None while it runs; negative: the signal that ended it."""
+        """The exit code. None while it runs; if negative, the signal that ended it."""
         return self._process.poll()
 
     def kill(self) -> None:
-        """End it and its children at once, if it still runs. Returns when it has ended, or after a few seconds when it
-        waits for a disk that does not answer; it ends when the disk does.
+        """End it and its children at once, if it still runs. Returns when it has ended, or after a few seconds if it
+        waits for a disk that does not answer; it then ends when the disk answers.
         """
         if self._process.poll() is None:
             kill_with_children(self._process)
@@ -180,8 +180,8 @@ class ChildProcess:
 
 
 class EngineProcess(ChildProcess):
-    """A started engine. When it ``is_tied`` it ends by itself when this process does: it watches the pipe that
-    `Popen.stdin` is. Otherwise nothing ties it to this process, and it continues.
+    """A started engine. If it ``is_tied``, it ends when this process does, as it watches the pipe `Popen.stdin`.
+    Otherwise it continues when this process ends.
     """
 
     def __init__(
@@ -192,9 +192,9 @@ class EngineProcess(ChildProcess):
         is_tied: bool = True,
         variables: Mapping[str, str] | None = None,
     ) -> None:
-        """Start ``command``; ``variables`` are added to its environment. Raises PlgsError when it cannot be started."""
-        # Until the engine has opened its log it writes into a file without a name. Unlike a pipe this needs no thread
-        # that drains it.
+        """Start ``command``; ``variables`` are added to its environment. Raises PlgsError if it cannot be started."""
+        # Until the engine has opened its log, it writes to a file without a name. Unlike a pipe, this needs no thread
+        # to drain it.
         self._output = tempfile.TemporaryFile()  # noqa: SIM115 - closed in `close`
         stdin = subprocess.PIPE if is_tied else subprocess.DEVNULL
         try:
@@ -205,22 +205,22 @@ class EngineProcess(ChildProcess):
             raise
 
     def output_tail(self) -> str:
-        """The end of its output outside its log: empty, or the reason why it could not begin."""
+        """The end of its output outside the log: empty, or the reason why it could not begin."""
         length = self._output.seek(0, os.SEEK_END)
         self._output.seek(max(0, length - _OUTPUT_TAIL))
         return self._output.read().decode(errors="replace").strip()
 
     def close(self) -> None:
-        """Let go of it. One that is tied and still runs takes that as the parent's end, and stops."""
+        """Release the engine. If it is tied and still running, it takes this as the parent's end, and stops."""
         if self._process.stdin is not None:
             self._process.stdin.close()
         self._output.close()
 
 
 def engine_call(python: Path, root: Path = ROOT, program: str = "engine") -> list[str | Path]:
-    """What every command of the engine begins with. ``program``: the folder of a program that has its commands too.
+    """The beginning of every command of the engine. ``program``: the folder of a program that has its commands too.
 
-    -I: neither the current folder, which may be somebody else's scene, nor a variable adds modules to Python's own.
+    -I: neither the current folder, which may be someone else's scene, nor a variable adds modules to Python's own.
     """
     return [python, "-I", "-u", root / program / "__main__.py"]
 
@@ -232,7 +232,7 @@ def engine_command(python: Path, lift: Path, *, resume: bool, program: str = "en
 
 def _refuse_unfit(python: Path, fix: str) -> None:
     if not python.exists():
-        raise PlgsError("the engine's Python is not there", python, fix, code=ErrorCode.NO_ENGINE)
+        raise PlgsError("the engine's Python does not exist", python, fix, code=ErrorCode.NO_ENGINE)
     missing = missing_modules(python, _ENGINE_MODULES)
     if missing:
         raise PlgsError(f"the engine's Python lacks {', '.join(missing)}", python, fix, code=ErrorCode.NO_ENGINE)

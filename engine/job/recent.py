@@ -1,6 +1,6 @@
-"""The list of recent lifts, by which a new Blender finds those that run and those that are finished.
+"""The list of recent lifts, in which a new Blender finds running and finished ones.
 
-It lies in the user's cache folder. It is a convenience: nothing is lost with it, and a broken list is begun again.
+It is in the user's cache folder. It is only a convenience: nothing else is lost with it, and a broken list is replaced.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ from .lock import FileLock
 MOST = 50
 _FIX = "Delete it."
 _LATEST = 1 << 40
-"""Unix seconds beyond any clock. A later time was not written by us."""
+"""Unix seconds beyond any clock. We never write a later time."""
 
 
 @dataclass(frozen=True)
 class RecentLift:
-    """A lift that an engine worked on. ``touched``: Unix seconds when one last began or ended."""
+    """A lift that an engine worked on. ``touched``: when an engine last began or ended there, in Unix seconds."""
 
     folder: LiftFolder
     state: LiftState
@@ -45,27 +45,27 @@ class _List:
 
 
 def recent_lifts(cache: Path | None = None, most: int = MOST) -> list[RecentLift]:
-    """The lifts of the list that are still there, the newest first. States are those at a glance.
+    """The lifts in the list that still exist, the newest first, with their `state_at_a_glance`.
 
-    Takes some milliseconds, and never raises: what cannot be read is left out.
+    It takes a few milliseconds and never raises: what cannot be read is left out.
     """
     lifts = []
     for path, touched in _entries(_list_path(cache))[:most]:
         try:
             folder = LiftFolder.open(Path(path))
             lifts.append(RecentLift(folder, folder.state_at_a_glance(), touched))
-        except (PlgsError, OSError):  # deleted, on a disk that is not plugged in, or of another version
+        except (PlgsError, OSError):  # deleted, on an unplugged disk, or from another version
             continue
     return lifts
 
 
 def remembered_lifts(cache: Path | None = None) -> list[str]:
-    """The paths of the list, the newest first. They are not looked at."""
+    """The paths in the list, the newest first. They are not checked."""
     return [path for path, _ in _entries(_list_path(cache))]
 
 
 def remember_lift(path: Path, cache: Path | None = None) -> None:
-    """Put a lift folder at the head of the list. Raises OSError or PlgsError when the list cannot be written."""
+    """Put a lift folder at the top of the list. Raises OSError or PlgsError if the list cannot be written."""
     list_path = _list_path(cache)
     list_path.parent.mkdir(parents=True, exist_ok=True)
     with FileLock(list_path.with_suffix(".lock")):
@@ -80,8 +80,8 @@ def _list_path(cache: Path | None) -> Path:
 
 
 def _entries(list_path: Path, is_to_be_replaced: bool = False) -> list[tuple[str, float]]:
-    """Path and time of each entry; none when the list is missing, broken or of another version. Raises PlgsError when
-    the disk cannot read a list that ``is_to_be_replaced``, which would lose it.
+    """The path and time of each entry; none if the list is missing, broken or from another version. Raises PlgsError if
+    the disk cannot read a list that ``is_to_be_replaced``, as this would lose it.
     """
     try:
         content = read_object(list_path, _FIX)
@@ -95,7 +95,7 @@ def _entries(list_path: Path, is_to_be_replaced: bool = False) -> list[tuple[str
 
 
 def _entry(entry: Any, list_path: Path) -> tuple[str, float] | None:
-    """One damaged entry costs no other lift its place in the list."""
+    """The entry, or None if it is damaged, so that the other lifts keep their places in the list."""
     try:
         found = record_of(_Entry, entry if isinstance(entry, dict) else {}, list_path, _FIX, "lifts")
     except PlgsError:

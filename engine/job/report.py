@@ -28,11 +28,11 @@ _SHOWN = ("semantic_points.npz", "instances.json", "gaussians.ply", "metrics.jso
 
 
 def metrics_text(metrics: Mapping[str, Json], *, per_class: bool = False) -> str:
-    """The tables of a metrics.json, a line for each method and mode, and with ``per_class`` also class by class.
+    """The tables of a metrics.json, with a line for each method and mode, and with ``per_class`` also for each class.
 
-    Shares are in per cent, "true %" is mIoU over the classes that the ground truth has, "id changes" says how often an
-    object changes its id, PSNR is in dB, the median error of depth in cm; "fitted" figures come after a fit of the
-    colours.
+    Shares are in per cent, "true %" is mIoU over the classes that the ground truth has, "id changes" is how often an
+    object changes its id, PSNR is in dB, and the median depth error in cm; "fitted" figures are those after a fit of
+    the colours.
     """
     tables = [table for table in _list(metrics.get("tables")) if isinstance(table, dict)]
     rows = [["", "mode", *(heading for _, heading in _SHARES), *(heading for _, heading, _, _ in _OTHERS)]]
@@ -41,21 +41,21 @@ def metrics_text(metrics: Mapping[str, Json], *, per_class: bool = False) -> str
         rendered = [_number(table.get(key), factor, digits) for key, _, factor, digits in _OTHERS]
         rows.append([str(table.get("name")), str(table.get("mode") or "-"), *shares, *rendered])
     if not tables:
-        return "No metrics: they need held-out frames that have ground truth."
+        return "There are no metrics: they need held-out frames with ground truth."
     missed = [f"Not shown: {text} (see frame {printable(frame)})" for text, frame in not_shown(metrics)]
     parts = [_aligned(rows, left=2), "\n".join(missed), *(_classes_text(tables) if per_class else ())]
     return "\n\n".join(part for part in parts if part)
 
 
 def not_shown(metrics: Mapping[str, Json]) -> list[tuple[str, str]]:
-    """What the masks show well from near and the lift does not, each in words and with the frame that shows it best."""
+    """What the masks show clearly from nearby and the lift does not, as texts with the frames that show it best."""
     judges = metrics.get("masks_as_judges")
     entries = _list(judges.get("not_shown")) if isinstance(judges, dict) else []
     return [(_missed(entry), str(entry.get("frame"))) for entry in entries if isinstance(entry, dict)]
 
 
 def entropy_of_frames(metrics: Mapping[str, Json]) -> dict[str, float]:
-    """How unsure the lift is of the classes in each frame that was drawn to score it, from 0 to 1."""
+    """How uncertain the lift is about the classes in each frame that was drawn to score it, from 0 to 1."""
     judges = metrics.get("masks_as_judges")
     entries = judges.get("entropy") if isinstance(judges, dict) else None
     known = entries.items() if isinstance(entries, dict) else ()
@@ -69,7 +69,7 @@ def _missed(entry: Mapping[str, Json]) -> str:
 
 
 def _classes_text(tables: Iterable[Mapping[str, Json]]) -> Iterator[str]:
-    """A table for each method and mode that has classes."""
+    """One table for each method and mode that has classes."""
     for table in tables:
         entries = [entry for entry in _list(table.get("per_class")) if isinstance(entry, dict)]
         if entries:
@@ -80,7 +80,7 @@ def _classes_text(tables: Iterable[Mapping[str, Json]]) -> Iterator[str]:
 
 
 def made_files(lift: LiftFolder) -> list[Path]:
-    """The files and folders of the result that a user may want to open, those that are there."""
+    """The existing files and folders of the result that a user may want to open."""
     return [path for path in (lift.result_path / name for name in _SHOWN) if path.exists()]
 
 
@@ -99,14 +99,14 @@ def _list(value: Json) -> list[Json]:
 
 
 def _number(value: Json, factor: float, digits: int) -> str:
-    """The number as text; a dash when it is none, or absurdly large, as JSON's integers may be."""
+    """The number as text; a dash if it is not a number, or is impossibly large, as JSON's integers may be."""
     if not isinstance(value, int | float) or not abs(value) <= _LARGEST:
         return "-"
     return f"{value * factor:.{digits}f}"
 
 
 def _aligned(rows: Sequence[Sequence[str]], left: int) -> str:
-    """Columns two spaces apart: the first ``left`` ones flush left, the others flush right."""
+    """The rows as aligned columns two spaces apart: the first ``left`` ones flush left, the others flush right."""
     rows = [[printable(cell) for cell in row] for row in rows]
     widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
     lines = []

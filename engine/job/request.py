@@ -1,4 +1,4 @@
-"""What was asked: the content of request.json."""
+"""The request for a lift: the content of request.json."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ PresetName = Literal["preview", "standard", "paper"]
 Bake = Literal["test", "all", "none"]
 Device = Literal["cpu", "cuda"]
 FURTHER_LAYERS = ("normal", "position")
-"""Layers of the passes that are written where they are chosen. Both follow from the depth, and take as much as the
-colour, or more."""
+"""Layers of the passes that are written only if they are chosen. Both follow from the depth, and take as much space as
+the colour, or more."""
 BAKES: tuple[str, ...] = get_args(Bake)
 DEVICES: tuple[str, ...] = get_args(Device)
 MOST_BLOCKS = 1000
@@ -33,12 +33,12 @@ _FIX = "Fix it, or delete the folder and lift again."
 class LiftRequest(SceneSource):
     """One lift of a scene. Paths are absolute.
 
-    ``options`` are those of the preset that are changed, by name (see ``engine/presets``). ``fit`` takes fewer frames
-    when memory is short. ``device`` draws the Gaussians. ``names_from`` is the folder of an earlier lift whose objects
-    keep their names and ids. A building is lifted in so many ``blocks`` (0: it is none); ``block`` is the one of them,
-    from 1, that this lift is of (0: it is of all).
+    ``options`` are the changed options of the preset, by name (see ``engine/presets``). ``fit`` uses fewer frames if
+    memory is limited. ``device`` draws the Gaussians. ``names_from`` is the folder of an earlier lift whose objects
+    keep their names and ids. A building is lifted in this many ``blocks`` (0: it is not a building); ``block`` is the
+    one of them, from 1, that this lift is for (0: it is for all).
 
-    Raises PlgsError when a value is out of range. Files are not looked at: that is the scene's part.
+    Raises PlgsError if a value is out of range. Files are not checked, as this is the scene's task.
     """
 
     preset: PresetName = "preview"
@@ -49,14 +49,14 @@ class LiftRequest(SceneSource):
             "option": {
                 "action": "store_true",
                 "default": None,
-                "help": "train on fewer frames where memory would not do otherwise",
+                "help": "train on fewer frames if memory would not suffice otherwise",
             }
         },
     )
     seed: int = field(
         default=0,
         metadata={
-            **option("start of all chance: same seed, same result (default: 0)", "N", int),
+            **option("seed of all random numbers: same seed, same result (default: 0)", "N", int),
             "least": 0,
             "most": 2**32 - 1,
         },
@@ -81,7 +81,7 @@ class LiftRequest(SceneSource):
         default=0,
         metadata={
             **option(
-                "cut a building into N blocks of about as many points, lift one after the other, and join them",
+                "cut a building into N blocks with about equally many points, lift them in turn, and join them",
                 "N",
                 int,
             ),
@@ -92,7 +92,7 @@ class LiftRequest(SceneSource):
     block: int = field(
         default=0,
         metadata={
-            **option("lift only this one of the blocks, counted from 1", "I", int),
+            **option("lift only this block, counted from 1", "I", int),
             "least": 0,
             "most": MOST_BLOCKS,
         },
@@ -104,7 +104,7 @@ class LiftRequest(SceneSource):
         for name in _PLACES:
             path = getattr(self, name)
             if path is not None and not path.is_absolute():
-                raise PlgsError(f"the path of '{name}' is not absolute", path, "Give the whole path.")
+                raise PlgsError(f"the path of '{name}' is not absolute", path, "Give the absolute path.")
             if path is not None:
                 refuse_unwritable_name(path)
         changed = changed_options(PRESETS[self.preset], checked_options(self.options))
@@ -115,7 +115,7 @@ class LiftRequest(SceneSource):
         if self.blocks == 1:
             raise PlgsError("one block is not a building", "blocks = 1", f"Give from 2 to {MOST_BLOCKS} blocks.")
         if self.block > self.blocks:
-            fix = f"Give one from 1 to {self.blocks}." if self.blocks else "Say with --blocks how many there are."
+            fix = f"Give one from 1 to {self.blocks}." if self.blocks else "Give the number of blocks with --blocks."
             raise PlgsError("is not a block of the building", f"block = {self.block}", fix)
 
     @property
@@ -124,8 +124,8 @@ class LiftRequest(SceneSource):
         return with_options(PRESETS[self.preset], self.options)
 
     def to_json(self, lift: Path | None = None) -> str:
-        """The text of request.json. With the folder of the ``lift`` it also tells paths relative to that, so that a
-        lift and its scene can be moved together."""
+        """The text of request.json. With the folder of the ``lift`` it also has paths relative to that, so that a lift
+        and its scene can be moved together."""
         content = to_json(self)
         options, fit = content.pop("options", {}), content.pop("fit", False)
         content["overrides"] = {**options, **({"fit": True} if fit else {})}
@@ -135,7 +135,7 @@ class LiftRequest(SceneSource):
 
     @classmethod
     def read(cls, path: Path) -> LiftRequest:
-        """The request in a file. Raises PlgsError that names the file and the key that is wrong."""
+        """The request in a file. Raises PlgsError, which names the file and the key that is wrong."""
         content: dict[str, Any] = read_object(path, _FIX)
         refuse_other_format(content, path)
         overrides, relative = content.pop("overrides", None) or {}, content.pop("relative", {})
@@ -156,7 +156,7 @@ class LiftRequest(SceneSource):
             raise PlgsError(what, path, error.fix) from error
 
     def differences(self, other: LiftRequest) -> list[str]:
-        """Names of what differs, the options of the preset among them, the engine's version left out."""
+        """The names of what differs, including the options of the preset, but not the engine's version."""
         mine, theirs = self.chosen_preset, other.chosen_preset
         options = [name for name in preset_options() if option_value(mine, name) != option_value(theirs, name)]
         names = [each.name for each in fields(self) if each.name not in ("options", "engine_version")]
@@ -165,7 +165,7 @@ class LiftRequest(SceneSource):
 
 
 def refuse_unwritable_name(path: Path) -> None:
-    """Raise PlgsError for a path that no file of a lift can hold, nor a terminal show: it is not UTF-8."""
+    """Raise PlgsError for a path that is not UTF-8, which no file of a lift can hold and no terminal can show."""
     try:
         str(path).encode()
     except UnicodeEncodeError as error:
@@ -174,8 +174,8 @@ def refuse_unwritable_name(path: Path) -> None:
 
 
 def _options(overrides: Mapping[str, Json], path: Path) -> dict[str, Json]:
-    """The options among the overrides. Earlier versions wrote most of them as an object of their own, and null for
-    steps and size that were left to the preset."""
+    """The options among the overrides. Earlier versions wrote most of them as a separate object, and null for steps and
+    size that were left to the preset."""
     inner = overrides.get("options", {})
     if not isinstance(inner, dict):
         raise PlgsError("'options' is not a JSON object", path, _FIX)
@@ -184,13 +184,13 @@ def _options(overrides: Mapping[str, Json], path: Path) -> dict[str, Json]:
 
 
 def _relative(request: LiftRequest, lift: Path) -> dict[str, Json]:
-    """The paths of a request as seen from the lift's folder, those on another drive left out."""
+    """The paths of a request relative to the lift's folder, without those on another drive."""
     paths = {name: getattr(request, name) for name in _PLACES}
     inside = {name: path for name, path in paths.items() if path is not None and path.drive == lift.drive}
     return {name: Path(os.path.relpath(path, lift)).as_posix() for name, path in inside.items()}
 
 
 def _place(place: str, relative: str, request: Path) -> str:
-    """Where a path of the request leads: where it was, else where it now is, seen from the lift."""
+    """Where a path of the request leads: to its old place, or else to its present place relative to the lift."""
     moved = os.path.normpath(request.parent.absolute() / relative)
     return moved if not os.path.exists(place) and os.path.exists(moved) else place

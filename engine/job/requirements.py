@@ -1,4 +1,4 @@
-"""The packages that the engine needs, as ``requirements/`` pins them. The set-up and the handshake read them."""
+"""The packages that the engine needs, as pinned in ``requirements/``. The set-up and the handshake read them."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ def module_of(package: str) -> str:
 
 
 def pinned_versions(root: Path) -> tuple[Version, ...]:
-    """The Pythons that the packages are pinned for, the oldest first."""
+    """The versions of Python for which the packages are pinned, the oldest first."""
     names = (path.stem.partition("-")[2] for path in (root / "requirements").glob("constraints-*.txt"))
     return tuple(sorted((int(major), int(minor)) for major, _, minor in (name.partition(".") for name in names)))
 
 
 def constraints_path(root: Path, version: Version) -> Path:
-    """The file that pins the packages which the requirements bring with them. It may be missing."""
+    """The file that pins the dependencies of the requirements. It may be missing."""
     return root / "requirements" / f"constraints-{version[0]}.{version[1]}.txt"
 
 
@@ -39,7 +39,7 @@ def hashes_path(root: Path, version: Version) -> Path:
 
 
 def needed_packages(root: Path, version: Version, platform: str = sys.platform) -> dict[str, str | None]:
-    """Packages with their pinned versions, torch first; None for one that is not pinned here. Raises PlgsError."""
+    """The packages with their pinned versions, torch first; None for one that is not pinned here. Raises PlgsError."""
     needed: dict[str, str | None] = {}
     for name in _FILES:
         needed |= _pins(root / "requirements" / name, version, platform)
@@ -49,7 +49,7 @@ def needed_packages(root: Path, version: Version, platform: str = sys.platform) 
 
 
 def digest(root: Path, version: Version) -> str:
-    """A name that changes with the requirements' text, and so names an environment. Raises PlgsError."""
+    """A name for an environment, which changes with the text of the requirements. Raises PlgsError."""
     paths = [root / "requirements" / name for name in _FILES] + [constraints_path(root, version)]
     return hashlib.sha256("\n".join(_text(path) for path in paths).encode()).hexdigest()[:12]
 
@@ -68,7 +68,7 @@ def _holds(marker: str, version: Version, platform: str, path: Path) -> bool:
     """Whether a condition of our files holds. pip knows more kinds, but may not be installed."""
     match = _MARKER.fullmatch(marker)
     if match is None:
-        raise PlgsError(f"has a condition that is not understood ({marker})", path, "Write it as the other lines do.")
+        raise PlgsError(f"has a condition that is not understood ({marker})", path, "Write it like the other lines.")
     subject, operator, text = match.groups()
     if subject == "sys_platform":
         return (platform == text) is (operator == "==")
@@ -80,4 +80,4 @@ def _text(path: Path) -> str:
     try:
         return path.read_text(encoding="utf-8")
     except OSError as error:
-        raise PlgsError(f"cannot be read ({error.strerror})", path, "Install PLGS again: it belongs to it.") from error
+        raise PlgsError(f"cannot be read ({error.strerror})", path, "Install PLGS again: it is part of it.") from error

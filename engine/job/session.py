@@ -24,7 +24,7 @@ _ENDING_S = 2.0
 
 
 def show_error(error: PlgsError) -> None:
-    """On standard error."""
+    """Print an error on standard error."""
     print(f"error: {error}", file=sys.stderr)
 
 
@@ -33,12 +33,12 @@ def lift_in_terminal(
     interrupts: Interrupts,
     on_error: Callable[[PlgsError], object] = show_error,
 ) -> tuple[LiftFolder, ExitCode]:
-    """Lift as the options of `add_lift_options`, ``scene``, ``output`` and ``resume`` ask, showing it on stderr, with
-    its events on the descriptor ``echo`` where the options have one. ``on_error`` is told why the engine failed.
+    """Lift as the options of `add_lift_options`, ``scene``, ``output`` and ``resume`` ask. Progress goes to stderr, and
+    events to the descriptor ``echo`` if the options have one. ``on_error`` is called with why the engine failed.
 
-    The engine looks at the scene, and says of a finished lift whether anything is left to do. A folder that was made
-    here and came to nothing is removed, so that the corrected command works. Where the options have a ``program``, that
-    one does the lift (see `engine_call`). Raises PlgsError; Interrupted on Ctrl-C, when the engine has ended.
+    The engine checks the scene, and tells whether anything is left to do in a finished lift. A folder that was made
+    here for nothing is removed, so that the corrected command works. If the options have a ``program``, that program
+    does the lift (see `engine_call`). Raises PlgsError, and Interrupted on Ctrl-C after the engine has ended.
     """
     python = engine_python()
     if options.poses is not None:
@@ -68,14 +68,14 @@ def lift_in_terminal(
 
 
 def _posed(photos: Path, python: Path, interrupts: Interrupts) -> Path:
-    """The scene of photos or a film, whose poses an engine finds where an earlier one has not. Raises PlgsError;
+    """The scene of photos or a film, whose poses an engine finds unless an earlier one has. Raises PlgsError,
     Interrupted.
     """
     return Path(str(ask_engine(python, interrupts, "poses", photos)["folder"]))
 
 
 def ask_engine(python: Path, interrupts: Interrupts, kind: str, *arguments: str | Path) -> Mapping[str, Json]:
-    """Run the engine's command ``kind`` to its end, showing it on stderr, and return its answer. Raises PlgsError;
+    """Run the engine's command ``kind`` to its end, with progress on stderr, and return its answer. Raises PlgsError,
     Interrupted."""
     with interrupts.deferred():
         follower = TaskFollower.start([*engine_call(python), kind, *arguments], TaskPlace.temporary(), kind=kind)
@@ -86,10 +86,10 @@ def ask_engine(python: Path, interrupts: Interrupts, kind: str, *arguments: str 
 
 
 def _state_when_left_alone(lift: LiftFolder) -> LiftState:
-    """The state of a lift that nobody works on. Raises PlgsError when an engine still does after two seconds; one on a
-    machine that may have crashed is watched until it shows a sign of life, or its lease is nobody's.
+    """The state of a lift that no engine works on. Raises PlgsError if one still does after two seconds. An engine on a
+    machine that may have crashed is watched until it shows a sign of life, or its lease is free.
 
-    This comes before an engine is started in vain: on Ctrl-C its cancel file would stop the other engine.
+    This is done before an engine is started in vain: on Ctrl-C its cancel file would stop the other engine.
     """
     give_up, is_told = time.monotonic() + _ENDING_S, False
     while (state := lift.state()) is LiftState.RUNNING:
@@ -98,7 +98,7 @@ def _state_when_left_alone(lift: LiftFolder) -> LiftState:
                 raise at_work(lift.events_path)
             if not is_told:
                 is_told = True
-                print("Another machine has begun this lift: waiting for a sign of life ...", file=sys.stderr)
+                print("Another machine has begun this lift. Waiting for a sign of life ...", file=sys.stderr)
         time.sleep(0.05)
     return state
 
@@ -116,5 +116,5 @@ def _run(
     if follower.error is not None:
         on_error(follower.error)
     elif follower.state is TaskState.CANCELLED:
-        print(f"Cancelled. Give the same command with --resume to go on: {lift.path}", file=sys.stderr)
+        print(f"Cancelled. Give the same command with --resume to continue: {lift.path}", file=sys.stderr)
     return follower.exit_code

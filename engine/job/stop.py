@@ -12,33 +12,33 @@ from ..errors import Cancelled, ExitCode
 from .events import EventWriter
 
 POLL_S = 0.1
-"""Seconds between two looks at the cancel file."""
+"""Seconds between two checks of the cancel file."""
 GRACE_S = 0.5
-"""Seconds from the request to the hard end. With the poll and the process's own end, all is over within a second."""
+"""Seconds from the request to the forced end. With the poll and the process's exit, it all takes less than a second."""
 
 
 class StopSignal:
-    """The engine's loops ask it at every step: ``stop.check()``."""
+    """The engine's loops call ``stop.check()`` in every step."""
 
     def __init__(self, *cancel_paths: Path) -> None:
-        """Any of the files ``cancel_paths`` stops it."""
+        """Any of the files ``cancel_paths`` stops the task."""
         self._cancel_paths = cancel_paths
         self._reason: str | None = None
         self.exit_code = ExitCode.CANCELLED
 
     def check(self) -> None:
-        """Raise Cancelled when the task shall stop. Costs some microseconds."""
+        """Raise Cancelled if the task should stop. This takes a few microseconds."""
         reason = self.reason
         if reason is not None:
             raise Cancelled(reason)
 
     @property
     def reason(self) -> str | None:
-        """Why the task shall stop; None when it shall continue."""
+        """Why the task should stop; None if it should continue."""
         if self._reason is None:
             for path in self._cancel_paths:
                 if _is_there(path):
-                    self._reason = f"the file '{path.name}' is there"
+                    self._reason = f"the file '{path.name}' exists"
         return self._reason
 
     def ask(self, reason: str, exit_code: ExitCode = ExitCode.CANCELLED) -> None:
@@ -50,18 +50,18 @@ class StopSignal:
 def _is_there(path: Path) -> bool:
     try:
         return path.exists()
-    except OSError:  # a disk that does not answer now (EIO, ESTALE): the next look will show
+    except OSError:  # the disk may not answer now (EIO, ESTALE); the next check will show
         return False
 
 
 class Watchdog:
-    """Ends the engine when its main thread does not stop in time. For ``with``, around the whole work.
+    """Ends the engine if its main thread does not stop in time; for ``with``, around the whole work.
 
-    Threads are allowed here: this is the engine's own process, not Blender's Python, and these two never touch the
-    task's data. One polls the cancel file. The other waits for the end of the pipe ``parent_pipe``, a descriptor whose
-    write end only the parent holds: on every system the pipe ends when the parent does. The hard end is safe because
-    all files are put in place by rename. It cannot come while the main thread is inside native code that holds
-    Python's lock; then the parent kills (`follower`).
+    Threads are allowed here: this is the engine's own process, not Blender's Python, and the two threads never touch
+    the task's data. One polls the cancel file. The other waits for the end of the pipe ``parent_pipe``, a descriptor
+    whose write end only the parent holds: on every system the pipe ends when the parent does. The forced end is safe
+    because all files are put in place by rename. It is impossible while the main thread is inside native code that
+    holds Python's lock; then the parent kills the process (`follower`).
     """
 
     def __init__(
@@ -100,7 +100,7 @@ class Watchdog:
                 return
             self._asked.wait(POLL_S)
         if not self._over.wait(self._grace_s):
-            with suppress(OSError):  # a full disk does not keep the engine alive
+            with suppress(OSError):  # a full disk must not keep the engine alive
                 self._events.done("cancelled")
             self._end_process(self._stop.exit_code)
 

@@ -1,4 +1,4 @@
-"""A task is one run of an engine's command, followed by another process: where its files lie, and how far it is."""
+"""A task is one run of an engine's command that another process follows: where its files are, and how far it is."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from ..json_file import Json
 from .events import Event
 
 LIFT, BAKE = "lift", "bake"
-"""The kinds of tasks that work in a lift folder. Other kinds are named as the engine's commands."""
+"""The kinds of tasks that work in a lift folder. Other kinds have the names of the engine's commands."""
 LIVE_PREVIEW = "result/previews/live.png"
 """A picture of the model during training, replaced by rename every few seconds; gone when the lift is finished."""
 LOG_LINES = 40
-"""Lines of a log's end that hold a Python traceback, or what a crash in native code leaves."""
+"""The number of lines at a log's end that hold a Python traceback, or what a crash in native code leaves."""
 LOG_BYTES = 1 << 16
-"""At most this many bytes of a log's end are read for them."""
+"""At most this many bytes at a log's end are read for them."""
 _LONGEST_LINE = 500
 _MOST = 1 << 62
 """No count and no number of seconds is larger."""
@@ -65,7 +65,7 @@ class TaskPlace:
 
     @classmethod
     def temporary(cls, parent: Path | None = None) -> TaskPlace:
-        """Files in a new folder that only this user may read, in the system's place for such unless ``parent`` is
+        """Files in a new folder that only this user may read, in the system's temporary folder unless ``parent`` is
         given. `discard` removes it. Raises OSError.
         """
         place = cls.at(Path(tempfile.mkdtemp(prefix="plgs-task-", dir=parent)) / "events.jsonl")
@@ -91,7 +91,7 @@ class TaskPlace:
 @dataclass
 class TaskProgress:
     """How far a run is. ``stage_index`` counts from 1; ``step`` of ``steps`` of this stage are done, ``eta_s`` seconds
-    of it remain, and ``left_s`` of the whole run, as far as that is known. ``began`` is when it did, in Unix seconds.
+    of it remain, and ``left_s`` of the whole run, if known. ``began`` is when the run began, in Unix seconds.
 
     ``live_preview`` is a picture of the growing model. Its content was replaced ``live_previews`` times, the last time
     as seen by the camera with the fingerprint ``live_preview_camera``. ``previews`` are the pictures that stay.
@@ -116,7 +116,7 @@ class TaskProgress:
     began: float | None = None
 
     def take(self, event: Event, folder: Path) -> None:
-        """Bring it up to date. ``folder`` holds the events; the paths in them are relative to it."""
+        """Update the progress with an event. ``folder`` holds the events; the paths in them are relative to it."""
         data = event.data
         match event.kind:
             case "stage":
@@ -145,7 +145,7 @@ class TaskProgress:
 def last_lines(log: Path, count: int = LOG_LINES) -> tuple[str, ...]:
     """The last ``count`` lines of a log's last 64 KB that are not blank, cut at 500 characters; none without a log.
 
-    Each version of a line that was written over and over, as a progress bar is, counts.
+    Each version of a line that was overwritten repeatedly, such as a progress bar, counts.
     """
     try:
         with open_plain(log, follow_link=False) as file:
@@ -160,7 +160,7 @@ def last_lines(log: Path, count: int = LOG_LINES) -> tuple[str, ...]:
 
 
 def _inside(path: Json, folder: Path) -> Path | None:
-    """None for a path that leads out of the folder: somebody else may have written the event."""
+    """The path, or None if it leads out of the folder, as someone else may have written the event."""
     try:
         return folder / inner_path(str(path))
     except ValueError:
@@ -168,12 +168,12 @@ def _inside(path: Json, folder: Path) -> Path | None:
 
 
 def _int(value: Json) -> int:
-    """0 for what counts nothing."""
+    """The number, or 0 for anything that is not a valid count."""
     return value if isinstance(value, int) and 0 <= value <= _MOST else 0
 
 
 def _float(value: Json) -> float | None:
-    """None for NaN, infinity, anything that is not a number, and what is beyond all bounds."""
+    """The number, or None for NaN, infinity, anything that is not a number, and anything too large."""
     if not isinstance(value, int | float) or not -_MOST <= value <= _MOST:
         return None
     return float(value)

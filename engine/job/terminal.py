@@ -33,11 +33,11 @@ class Interrupted(BaseException):
 
 
 class Interrupts:
-    """Takes SIGINT, SIGTERM and SIGHUP over, from Blender's own handlers too. For ``with``, in the main thread.
+    """Takes over SIGINT, SIGTERM and SIGHUP, also from Blender's own handlers; for ``with``, in the main thread.
 
-    They raise Interrupted at once, or inside `deferred` only at its end: there code runs that must not be torn.
-    A signal that was ignored before, as nohup does it, stays ignored. Amid an import, native code may make another
-    error of Interrupted; when the block ends with one, it is Interrupted again.
+    They raise Interrupted at once or, inside `deferred`, only at its end, as code there must not be interrupted.
+    A signal that was ignored before, as with nohup, stays ignored. During an import, native code may turn Interrupted
+    into another error; if the block ends with one, Interrupted is raised again.
     """
 
     def __init__(self) -> None:
@@ -53,7 +53,7 @@ class Interrupts:
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: object) -> None:
         for number, handler in self._before.items():
-            # None: it was installed by something else than Python (Blender); it cannot be put back from here.
+            # None: something other than Python (Blender) installed it, and it cannot be restored from here.
             signal.signal(number, signal.SIG_DFL if handler is None else handler)
         if self.pending is not None and isinstance(error, Exception):
             raise Interrupted(self.pending) from error
@@ -65,7 +65,7 @@ class Interrupts:
 
     @contextmanager
     def deferred(self) -> Iterator[None]:
-        """Look at ``pending`` inside; Interrupted is raised at the end when it is set and nothing else is raised."""
+        """Check ``pending`` inside; Interrupted is raised at the end if it is set and nothing else is raised."""
         self._deferred = True
         try:
             yield
@@ -76,8 +76,8 @@ class Interrupts:
 
 
 def follow(follower: TaskFollower, interrupts: Interrupts, line: LiveLine, echo: int | None = None) -> None:
-    """Show the task until it ends. Call it inside `interrupts.deferred()`, as the start of the engine, too. Its events
-    go to the descriptor ``echo``, if there is one.
+    """Show the task until it ends. Call it, and start the engine, inside `interrupts.deferred()`. The task's events go
+    to the descriptor ``echo``, if there is one.
 
     A signal cancels the task; an engine that does not stop is killed. A lift can then be resumed.
     """
@@ -93,7 +93,7 @@ def follow(follower: TaskFollower, interrupts: Interrupts, line: LiveLine, echo:
             line.show(follower.progress)
             if line.is_lost and not is_told:
                 is_told = True
-                _tell_log(follower, "The terminal is gone. The work goes on.")
+                _tell_log(follower, "The terminal is gone. The work continues.")
             if interrupts.pending is not None and not is_asked:
                 is_asked = True
                 line.say("Stopping ...")
@@ -102,19 +102,19 @@ def follow(follower: TaskFollower, interrupts: Interrupts, line: LiveLine, echo:
                 time.sleep(_POLL_S)
     finally:
         line.end()
-        if follower.is_running:  # a full disk, say: never leave an engine behind
+        if follower.is_running:  # after an error such as a full disk: never leave an engine behind
             follower.kill()
         follower.close()
 
 
 def _tell_log(follower: TaskFollower, text: str) -> None:
     with suppress(OSError), os.fdopen(open_to_append(follower.place.log), "a", encoding="utf-8") as log:
-        log.write(text + "\n")  # best effort: a full disk is no reason to end the work
+        log.write(text + "\n")  # best effort, as a full disk is no reason to end the work
 
 
 def stdout_for_events(progress: str) -> int | None:
-    """With --progress json: a descriptor of standard output, which is for events alone from now on. What is printed
-    goes to standard error instead. None without it.
+    """With --progress json: a descriptor of standard output, which from now on is only for events. What is printed goes
+    to standard error instead. Without it: None.
     """
     if progress != "json":
         return None
@@ -125,8 +125,8 @@ def stdout_for_events(progress: str) -> int | None:
 
 
 class ShownEvents(EventWriter):
-    """Events of a command that nobody follows: progress is shown on ``stream``, the answer printed on standard output,
-    as one line of JSON or as text.
+    """Events of a command that no other process follows: progress is shown on ``stream``, and the answer is printed on
+    standard output, as one line of JSON or as text.
     """
 
     def __init__(self, stream: TextIO, *, as_json: bool) -> None:
@@ -159,10 +159,10 @@ class ShownEvents(EventWriter):
 
 
 class LiveLine:
-    """Progress on one line that is written over and over; where that cannot be, a line every few seconds.
+    """Progress on one line that is overwritten repeatedly or, if that is impossible, on a new line every few seconds.
 
-    ``is_lost`` says that nobody reads the stream any more: a closed terminal, or ``| head``. What it is told then, and
-    what anybody else writes there, goes nowhere, so that work of hours does not end by it.
+    ``is_lost`` says that no one reads the stream any more: a closed terminal, or ``| head``. All output there is then
+    discarded, so that it does not end hours of work.
     """
 
     def __init__(self, stream: TextIO) -> None:
@@ -175,7 +175,7 @@ class LiveLine:
         self._next = 0.0
 
     def show(self, progress: TaskProgress) -> None:
-        """The newest state; costs next to nothing when nothing changed."""
+        """Show the newest state; this takes almost no time if nothing changed."""
         text = printable(describe(progress))
         if self._live:
             if text != self._shown:
@@ -183,19 +183,19 @@ class LiveLine:
             return
         is_new_stage = progress.stage != self._stage
         if is_new_stage:
-            self._print_newest()  # how far the last stage came
+            self._print_newest()  # how far the last stage got
         self._newest, self._stage = text, progress.stage
         if is_new_stage or time.monotonic() >= self._next:
             self._print_newest()
 
     def say(self, text: str) -> None:
-        """A line of its own, above the live one."""
+        """Print a separate line above the live one."""
         if self._live and self._shown:
             self._overwrite("")
         self._write(printable(text) + "\n")
 
     def end(self) -> None:
-        """Leave the last state standing; what follows begins a new line."""
+        """Leave the last state visible; what follows begins on a new line."""
         if not self._live:
             self._print_newest()
         elif self._shown:
@@ -224,7 +224,7 @@ class LiveLine:
 
 
 def describe(progress: TaskProgress) -> str:
-    """Such as "[3/6] Training  1200/3000  loss 0.0123  2:31 left  3:20 to the end"."""
+    """A text such as "[3/6] Training  1200/3000  loss 0.0123  2:31 left  3:20 to the end"."""
     place = f"[{progress.stage_index}/{progress.stage_count}] " if progress.stage_count > 1 else ""
     parts = [place + progress.label]
     if progress.steps:

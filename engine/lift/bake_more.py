@@ -1,7 +1,7 @@
-"""Passes of more views of a finished lift: of its frames, bit for bit as a lift that bakes them writes them, and of any
+"""Bake passes of more views of a finished lift: of its frames, bit for bit as the lift itself writes them, and of any
 camera. Several processes may bake one lift at once; each view is baked by one of them.
 
-They become part of the result, or go into a folder of their own, where they belong to nobody's manifest.
+The passes become part of the result, or go into a folder of their own, where no manifest lists them.
 """
 
 from __future__ import annotations
@@ -39,9 +39,9 @@ from .scene_files import MODEL
 
 STAGES = {"open": "Opening the lifted scene", "bake": "Baking panoptic passes"}
 KEEP_EVERY_S = 20.0
-"""Seconds between two times that baked views are taken into the manifest: the most work that a kill loses."""
+"""Seconds between two additions of baked views to the manifest: the most work that is lost if a process is killed."""
 WAIT_S = 0.2
-"""Seconds between two looks at views that other processes bake."""
+"""Seconds between two checks of the views that other processes are baking."""
 CAMERA_NOTE = "plgs/camera"
 """Attribute in the header of a view that does not belong to a frame: the fingerprint of its camera."""
 
@@ -52,7 +52,7 @@ MODEL_NOTE = "plgs/model"
 
 @dataclass(frozen=True)
 class BakeOptions:
-    """``layers`` are the wanted ones of FURTHER_LAYERS; ``output`` is the folder for the passes, None: the result."""
+    """``layers`` are those wanted from FURTHER_LAYERS; ``output`` is the folder for the passes (None: the result)."""
 
     layers: tuple[str, ...] = ()
     output: Path | None = None
@@ -60,7 +60,7 @@ class BakeOptions:
 
 @dataclass(frozen=True, eq=False)
 class WantedView:
-    """A view to bake. ``fingerprint`` is that of a camera that does not belong to a frame, and empty for a frame."""
+    """A view to bake. ``fingerprint`` is the camera's if it does not belong to a frame, and empty for a frame."""
 
     name: str
     camera: Camera
@@ -75,10 +75,10 @@ def bake_frames(
     stop: StopSignal,
     options: BakeOptions = BakeOptions(),
 ) -> None:
-    """Bake frames that are not baked yet: "test", "all", or names. The result is whole at every moment.
+    """Bake frames that are not baked yet: "test", "all", or names. The result is complete at every moment.
 
-    Raises PlgsError when the scene cannot be read any more, or does not have a frame; Cancelled when stopped. What was
-    baked until then stays.
+    Raises PlgsError if the scene can no longer be read or lacks a frame, and Cancelled if stopped. What was baked
+    until then stays.
     """
     with BakeLocks(folder.path) as locks:
         _bake(folder, locks, lambda scene: _views_of(frames_named(scene, frames)), events, stop, options)
@@ -87,10 +87,10 @@ def bake_frames(
 def bake_cameras(
     folder: LiftFolder, cameras: Path, events: EventWriter, stop: StopSignal, options: BakeOptions = BakeOptions()
 ) -> None:
-    """Bake the views of a file of cameras (see `job.cameras`) that are not baked yet, as `bake_frames` does. A view
-    that was baked from another camera of the same name is baked again.
+    """Bake the views in a file of cameras (see `job.cameras`) that are not baked yet, as `bake_frames` does. A view
+    that was baked from a different camera with the same name is baked again.
 
-    Raises PlgsError for a bad camera, and for one with the name of a frame; otherwise as `bake_frames`.
+    Raises PlgsError for a bad camera, or one with the name of a frame; otherwise it raises what `bake_frames` raises.
     """
 
     def views_in(scene: Scene) -> list[WantedView]:
@@ -146,7 +146,7 @@ def _bake(
                             place.write(view, baker, events)
                     progress(len(wanted) - len(left) + number - len(others), len(wanted))
                 place.keep()
-                # Only what is there is done: a process that bakes one of these now may yet be killed.
+                # Only views on disk count as done: a process that is baking one of these may still be killed.
                 time.sleep(WAIT_S if others else 0.0)
                 left = others
         finally:
@@ -154,8 +154,8 @@ def _bake(
 
 
 def is_whole(passes: Path, notes: Mapping[str, str], layers: tuple[str, ...]) -> bool:
-    """Whether a file of passes has these notes in its header (a note that is missing is empty), and at least these of
-    FURTHER_LAYERS. One that is damaged has not. Raises OSError."""
+    """Whether a file of passes has these notes in its header (a missing note counts as empty), and at least these of
+    FURTHER_LAYERS. False for a damaged file. Raises OSError."""
     try:
         same = all((read_note(passes, name) or "") == text for name, text in notes.items())
         return same and further_layers(passes).issuperset(layers)
@@ -164,9 +164,9 @@ def is_whole(passes: Path, notes: Mapping[str, str], layers: tuple[str, ...]) ->
 
 
 def frames_named(scene: Scene, names: Sequence[str]) -> list[Frame]:
-    """In recording order, each once. "10-200:2" is a range of the last numbers in the frames' names, as 0010 or
-    frame_0010.colour has the number 10: from the first to the last, every second one. Raises PlgsError for a name, or a
-    range, that no frame has.
+    """The named frames in recording order, each once. "10-200:2" is a range of the last numbers in the frames' names
+    (0010 and frame_0010.colour have the number 10): from the first to the last, every second one. Raises PlgsError for
+    a name or a range that matches no frame.
     """
     groups = {"all": scene.frames, "test": scene.test_frames, **{frame.name: [frame] for frame in scene.frames}}
     wanted = set[str]()
@@ -204,14 +204,14 @@ class _OwnFolder:
         self._model = {MODEL_NOTE: files[MODEL].sha256}
 
     def claim_of(self, view: WantedView) -> str:
-        """What no other process may write at the same time."""
+        """The name of what no other process may write at the same time."""
         return str(self._path_of(view).resolve())
 
     def _path_of(self, view: WantedView) -> Path:
         return self._output / f"{view.name}.exr"
 
     def has(self, view: WantedView, notes: Mapping[str, str]) -> bool:
-        """Whether the view is there, from this camera and this model, with these notes."""
+        """Whether the folder has this view, from this camera and this model, with these notes."""
         path = self._path_of(view)
         return path.exists() and is_whole(path, {**notes, **_notes_of(view), **self._model}, self._layers)
 
@@ -222,11 +222,11 @@ class _OwnFolder:
         write_exr(self._path_of(view), baker.render(view.camera, view.clip), notes, self._layers)
 
     def keep(self) -> None:
-        """There is no manifest."""
+        """Do nothing, as there is no manifest."""
 
 
 class _Result:
-    """Passes in the lift's result. Baked views are taken into the manifest every KEEP_EVERY_S seconds."""
+    """Passes in the lift's result. Baked views are added to the manifest every KEEP_EVERY_S seconds."""
 
     def __init__(self, folder: LiftFolder, locks: BakeLocks, options: BakeOptions) -> None:
         self._folder, self._locks, self._layers = folder, locks, options.layers
@@ -242,14 +242,14 @@ class _Result:
         return self._listed().issuperset(files) and is_whole(files[0], {**notes, **_notes_of(view)}, self._layers)
 
     def write(self, view: WantedView, baker: FrameBaker, events: EventWriter) -> None:
-        """Bake a view, in place of one from another camera. Raises OSError."""
+        """Bake a view, replacing one from another camera. Raises OSError."""
         self._make_room(view)
         rendered = baker.render(view.camera, view.clip)
         baker.write(self._folder, view.name, rendered, events, _notes_of(view), self._layers)
         self._add(view, at_once=self._locks.others_at_work())
 
     def _make_room(self, view: WantedView) -> None:
-        """Take a view that is baked again out of the manifest, so that the result is whole without it. Raises
+        """Remove a view that is to be baked again from the manifest, so that the result is complete without it. Raises
         OSError."""
         old = self._listed().intersection(baked_files(self._folder, view.name))
         if old:
@@ -257,8 +257,8 @@ class _Result:
                 drop_files(self._folder.result_path, sorted(old))
 
     def _listed(self) -> frozenset[Path]:
-        """The files in the manifest, which is read again only when it was replaced: with thousands of views a read
-        takes a large part of a second. Raises PlgsError, OSError.
+        """The files in the manifest, which is read again only when it was replaced: with thousands of views, reading
+        it takes a large part of a second. Raises PlgsError, OSError.
         """
         result = self._folder.result_path
         if not self._folder.manifest_path.is_file():
@@ -270,13 +270,13 @@ class _Result:
         return self._read[1]
 
     def _add(self, view: WantedView, *, at_once: bool) -> None:
-        """``at_once``: keep the view before another process looks for views that are left to bake."""
+        """``at_once``: add the view before another process looks for views that are left to bake."""
         self._views.append(view)
         if at_once or time.monotonic() - self._kept_at > KEEP_EVERY_S:
             self.keep()
 
     def keep(self) -> None:
-        """Take the new views into the manifest. Raises OSError."""
+        """Add the new views to the manifest. Raises OSError."""
         files = [path for view in self._views for path in baked_files(self._folder, view.name)]
         if files:
             with self._locks.manifest():

@@ -1,4 +1,4 @@
-"""Rendering the frames: passes and previews of those asked for, scores of those held out."""
+"""Rendering of the frames: passes and previews of the requested ones, scores of the held-out ones."""
 
 from __future__ import annotations
 
@@ -40,23 +40,23 @@ class FrameBaker:
     def __init__(
         self, classes: ClassTable, lifted: StructuredScene, instances: ShownInstances, corrections: str = ""
     ) -> None:
-        """``corrections``: the fingerprint of those that ``lifted`` and ``instances`` show."""
+        """``corrections``: the fingerprint of the corrections that ``lifted`` and ``instances`` include."""
         self.corrections = corrections
         self.classes, self.lifted, self.labels = classes, lifted, shown_labels(lifted)
         self.instances, self.colours = instances, instances.colours
 
     def render(self, camera: Camera, clip: ClipRange | None = None) -> BakedView:
-        """The model seen from a camera, at the camera's own size. Nothing of a frame's mask goes into it."""
+        """The model seen from a camera, at the camera's own size. No part of a frame's mask is used."""
         bands = render_bands(self.lifted, camera, self.labels, clip)
         return bake_view(bands, camera, self.classes, self.instances)
 
     @property
     def notes(self) -> dict[str, str]:
-        """What a header says of the corrections; nothing where there are none."""
+        """What a header says about the corrections; empty if there are none."""
         return {CORRECTIONS_NOTE: self.corrections} if self.corrections else {}
 
     def seen(self, camera: Camera) -> Seen:
-        """The classes that a camera sees, and how sure they are."""
+        """The classes that a camera sees, and how certain they are."""
         bands = render_bands(self.lifted, camera, self.labels)
         layers = [decide(band, self.classes, self.instances.class_of) for band in bands]
         classes = np.concatenate([each.semantic for each in layers])
@@ -72,8 +72,8 @@ class FrameBaker:
         notes: Mapping[str, str] | None = None,
         layers: Collection[str] = (),
     ) -> None:
-        """Write passes/<name>.exr, with ``notes`` in its header and these of FURTHER_LAYERS, and the three previews
-        (`baked_files`), and report them."""
+        """Write passes/<name>.exr, with ``notes`` in its header and these of FURTHER_LAYERS, write the three previews
+        (`baked_files`), and report the files."""
         passes, _, semantic, _ = baked_files(folder, name)
         write_exr(passes, view, {**(notes or {}), **self.notes}, layers)
         write_previews(folder.previews_path, name, view.layers, self.classes, self.colours)
@@ -82,20 +82,20 @@ class FrameBaker:
 
 
 def read_baker(folder: LiftFolder, classes: ClassTable, corrected: CorrectedResult) -> FrameBaker:
-    """The baker of a finished lift as it is corrected. Raises PlgsError when its files cannot be read, OSError."""
+    """The baker of a finished lift with its corrections. Raises PlgsError if its files cannot be read, and OSError."""
     lifted = corrected_scene(read_model(folder), corrected)
     shown = read_shown_instances(folder, lifted, corrected)
     return FrameBaker(classes, lifted, shown, corrected.fingerprint)
 
 
 def baked_files(folder: LiftFolder, frame: str) -> tuple[Path, Path, Path, Path]:
-    """The files of a baked frame: passes, and previews of colour, classes and instances."""
+    """The files of a baked frame: the passes, and the previews of colour, classes and instances."""
     colour, semantic, instance = preview_paths(folder.previews_path, frame)
     return folder.passes_path / f"{frame}.exr", colour, semantic, instance
 
 
 def predicted(layers: PanopticLayers) -> PredictedView:
-    """A lifted view as the report scores it."""
+    """A lifted view in the form that the report scores."""
     return PredictedView(
         layers.semantic, layers.instance, colour_picture(layers), layers.depth, alpha=layers.combined[..., 3]
     )
@@ -111,13 +111,13 @@ def bake_and_evaluate(
     events: EventWriter,
     stages: StageReporter,
 ) -> None:
-    """Bake ``wanted``, score the held-out frames, let the masks of these and of the training ``views`` (both at most
-    of ``size``) judge the lift, and write contact sheet and metrics.json.
+    """Bake ``wanted``, score the held-out frames, let the masks of these and of the training ``views`` (both no larger
+    than ``size``) judge the lift, and write the contact sheet and metrics.json.
 
-    Ground truth goes into metrics.json alone. Raises Cancelled, PlgsError, OSError.
+    Ground truth is used for metrics.json only. Raises Cancelled, PlgsError, OSError.
     """
     baked_names = {frame.name for frame in wanted}
-    frames = wanted or scene.test_frames  # wanted frames include those held out, or are none
+    frames = wanted or scene.test_frames  # wanted frames include the held-out ones, or are empty
     shown = {scene.test_frames[index].name for index in chosen(len(scene.test_frames))}
     report, rows, seconds = Report(scene.classes), [], []
     with stages.stage("bake") as progress:
@@ -132,7 +132,7 @@ def bake_and_evaluate(
             if frame.name in shown:
                 photo, mask = frame.read_colour(frame.size), frame.mask(frame.size)
                 rows.append(SheetRow(frame.name, photo, mask.class_map(), view.layers))
-            del view  # before the next is made
+            del view  # frees its memory before the next is made
             progress(done, len(frames))
         if rows:
             write_contact_sheet(folder.previews_path / "contact_sheet.png", rows, scene.classes, baker.colours)
@@ -150,7 +150,7 @@ def bake_and_evaluate(
 def score_corrected(
     folder: LiftFolder, corrected: CorrectedResult, progress: Callable[[int, int], object]
 ) -> dict[str, object]:
-    """The figures of a finished lift as it is corrected, in the form of metrics.json. Raises PlgsError, OSError."""
+    """The figures of a finished lift with its corrections, in the form of metrics.json. Raises PlgsError, OSError."""
     be_repeatable()
     scene = open_asked(folder.request)
     baker, report = read_baker(folder, scene.classes, corrected), Report(scene.classes)

@@ -1,4 +1,4 @@
-"""The lifted scene as people corrected it: every Gaussian with the labels that the edits leave it."""
+"""The lifted scene with its corrections: every Gaussian has the labels that remain after the edits."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ from ..errors import PlgsError
 from ..model.structured import GaussianLabels, LabelChannels, StructuredScene
 
 KEPT = 6
-"""Labels of a Gaussian that are corrected, where decoders gave it probabilities of all."""
+"""Labels that are corrected per Gaussian if decoders gave it a probability for every label."""
 CHUNK = 16384
-"""Anchors at a time."""
+"""Anchors that are decoded at once."""
 
 
 @torch.no_grad()
 def corrected_scene(scene: StructuredScene, corrected: CorrectedResult) -> StructuredScene:
-    """The scene with the classes and objects of ``corrected``. Its Gaussians keep their likeliest labels alone, as if
-    the views had voted, and each object is of one class. A scene whose labels no edit changes is as it was.
+    """The scene with the classes and objects of ``corrected``. Its Gaussians keep only their likeliest labels, as if
+    the views had voted, and each object has one class. A scene whose labels no edit changes is returned as it is.
 
-    Raises PlgsError for a baseline whose labels are not those of Gaussians.
+    Raises PlgsError for a baseline whose labels do not belong to Gaussians.
     """
     if not corrected.changes_labels:
         return scene
@@ -37,7 +37,7 @@ def corrected_scene(scene: StructuredScene, corrected: CorrectedResult) -> Struc
     before = codes[voted.label.numpy().astype(np.int64)]
     after = np.stack([corrected.relabelling.of(means, before[:, place]) for place in range(k)], axis=1)
     kinds = {one.id: one.class_id for one in corrected.instances}
-    # What has no point anywhere keeps its slot, and the class that it had.
+    # An object without any point keeps its slot and its class.
     own = dict(zip(channels.shown_ids, _classes_of_slots(channels, corrected), strict=True))
     shown = sorted({*np.unique(after[after > 0]).tolist(), *(one for one in kinds if one in own)})
     of_shown = [kinds.get(one, own.get(one, 0)) for one in shown]
@@ -50,7 +50,7 @@ def corrected_scene(scene: StructuredScene, corrected: CorrectedResult) -> Struc
 
 
 def _classes_of_slots(channels: LabelChannels, corrected: CorrectedResult) -> list[int]:
-    """The class of each shown instance as the engine has it."""
+    """The class of each shown instance, as the engine decided it."""
     if channels.class_of_slot:
         return [channels.class_of_slot[slot] for slot in channels.instance_slots]
     kinds = {one.id: one.class_id for one in corrected.made}
@@ -58,14 +58,14 @@ def _classes_of_slots(channels: LabelChannels, corrected: CorrectedResult) -> li
 
 
 def _means(scene: StructuredScene) -> torch.Tensor:
-    """Where every Gaussian is, float32 [M k, 3] metres: that does not depend on the view."""
+    """The positions of all Gaussians, float32 [M k, 3] metres, which do not depend on the view."""
     anchors = scene.anchors
     moved = anchors.offset * anchors.log_scale[:, None, :3].exp()
     return (anchors.position[:, None] + moved).flatten(0, 1).float()
 
 
 def _likeliest(scene: StructuredScene, corrected: CorrectedResult) -> GaussianLabels:
-    """The likeliest labels that the decoders give every Gaussian."""
+    """The likeliest labels that the decoders give each Gaussian."""
     labels, shares = zip(*_likeliest_of_chunks(scene, corrected), strict=True)
     return GaussianLabels(torch.cat(labels), torch.cat(shares))
 
@@ -73,8 +73,8 @@ def _likeliest(scene: StructuredScene, corrected: CorrectedResult) -> GaussianLa
 def _likeliest_of_chunks(
     scene: StructuredScene, corrected: CorrectedResult
 ) -> Iterator[tuple[torch.Tensor, torch.Tensor]]:
-    """A pixel that decides for itself shows an object only where it shows a thing. There the objects get no more than
-    the things' share. Labels that depend on the view are those seen from the middle of the scene."""
+    """If each pixel decides on its own, it shows an object only where it shows a thing. There the objects get no more
+    than the things' share. Labels that depend on the view are those seen from the middle of the scene."""
     anchors, decoders, channels = scene.anchors, scene.decoders, scene.channels
     centre, things = anchors.position.mean(dim=0), corrected.classes.thing_ids
     is_thing = torch.tensor([one in things for one in channels.class_ids])

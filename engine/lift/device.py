@@ -9,12 +9,12 @@ from ..raster.cuda import what_is_missing
 
 
 def refuse_missing_device(device: str) -> None:
-    """Raise PlgsError, before any work, where ``device`` is "cuda" and nothing can be drawn there."""
+    """Raise PlgsError, before any work, if ``device`` is "cuda" and nothing can be drawn there."""
     if device != "cuda":
         return
     where, on_cpu = "--device cuda", "or lift with --device cpu."
     if not torch.cuda.is_available():
-        fix = f"Use a machine that has one with a build of torch for CUDA, {on_cpu}"
+        fix = f"Use a machine with a CUDA device and a build of torch for CUDA, {on_cpu}"
         raise PlgsError("torch finds no CUDA device here", where, fix, option="--device")
     missing = what_is_missing()
     if missing is not None:
@@ -22,6 +22,6 @@ def refuse_missing_device(device: str) -> None:
 
 
 def be_repeatable(device: str = "cpu") -> None:
-    """Same input, same bits. On a CUDA device torch only warns of what it cannot repeat."""
-    # torch.use_deterministic_algorithms says the same to torch's compiler as well, which takes 3 s to import.
+    """Make the same input give the same bits. On a CUDA device torch only warns about what it cannot repeat."""
+    # torch.use_deterministic_algorithms also configures torch's compiler, which takes 3 s to import.
     torch.set_deterministic_debug_mode("warn" if device == "cuda" else "error")

@@ -1,4 +1,4 @@
-"""Whether a lift fits into this computer's memory, decided before it begins."""
+"""Check whether a lift fits into this computer's memory, before it begins."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from ..presets.preset import PRESETS, Preset
 from ..scene import Scene, size_within
 
 LOOKED_AT = 8
-"""Frames whose segments are counted, evenly spread."""
+"""The number of evenly spread frames whose segments are counted."""
 FEWEST_FRAMES = 50
-"""Frames that are proposed at least. A room needs about as many."""
+"""The smallest number of frames that is proposed. A room needs about this many."""
 
 
 def frames_that_fit(scene: Scene, request: LiftRequest, memory: MainMemory | None, events: EventWriter) -> int:
-    """How many frames to train on at most (0: all): as many as the request or its preset asks for. Where these need too
-    much memory, and the request agrees, as many as fit. Warns where other programs hold the memory that is needed.
+    """The most frames to train on (0: all): as many as the request or its preset asks for. If these need too much
+    memory and the request allows it, as many as fit. Warns if other programs hold the memory that is needed.
 
     Raises PlgsError, which names the options that would make the lift fit, or a bad mask.
     """
@@ -36,7 +36,7 @@ def frames_that_fit(scene: Scene, request: LiftRequest, memory: MainMemory | Non
         return preset.frames
     fewer = _fewer_frames(scene, preset, masks, memory.total)
     if request.fit and fewer is not None:
-        events.warning(f"memory is short: at most {fewer} frames are trained on")
+        events.warning(f"memory is limited: at most {fewer} frames are trained on")
         return fewer
     advice = _advice(scene, request, preset, masks, memory.total, fewer)
     named = " ".join(option for option in ("--frames", "--fit", "--size", "--preset") if option in advice)
@@ -48,7 +48,7 @@ def check_memory(
 ) -> None:
     """Check the memory for a lift that was begun with ``frames`` frames, whose number cannot change.
 
-    Raises PlgsError when they need more memory than there is, or a mask is bad.
+    Raises PlgsError if they need more memory than there is, or if a mask is bad.
     """
     if memory is None:
         return
@@ -70,7 +70,7 @@ def _too_much(needed: int, memory: MainMemory) -> str:
 
 
 def masks_a_frame(scene: Scene) -> float:
-    """The mean number of segments of LOOKED_AT frames. Raises PlgsError."""
+    """The mean number of segments in LOOKED_AT frames. Raises PlgsError."""
     frames = scene.train_frames
     places = np.unique(np.linspace(0, len(frames) - 1, min(LOOKED_AT, len(frames))).round().astype(int))
     looked_at = [frames[place] for place in places]
@@ -78,19 +78,19 @@ def masks_a_frame(scene: Scene) -> float:
 
 
 def predicted_lift(scene: Scene, preset: Preset, masks: float, bake: str = "test") -> Prediction:
-    """The prediction for a scene with ``masks`` masks a frame, as if all frames were as large as the largest."""
+    """The prediction for a scene with ``masks`` masks per frame, as if all frames were as large as the largest."""
     size = max((frame.size for frame in scene.frames), key=lambda size: size[0] * size[1])
     counts = len(scene.train_frames), len(scene.test_frames)
     return predict(*counts, size, preset, bake=bake, masks_a_frame=masks, classes=len(scene.classes.categories))
 
 
 def _peak(scene: Scene, preset: Preset, masks: float) -> int:
-    """Bytes that a lift needs at most."""
+    """The most bytes that a lift needs."""
     return predicted_lift(scene, preset, masks).peak_bytes
 
 
 def _fewer_frames(scene: Scene, preset: Preset, masks: float, most: int) -> int | None:
-    """The most frames that fit, found in steps of a fifth; None where FEWEST_FRAMES do not."""
+    """The most frames that fit, found in steps of a fifth; None if not even FEWEST_FRAMES fit."""
     views = preset.views_of(len(scene.train_frames))
     while views > FEWEST_FRAMES:
         views = max(FEWEST_FRAMES, round(0.8 * views))
@@ -100,7 +100,7 @@ def _fewer_frames(scene: Scene, preset: Preset, masks: float, most: int) -> int 
 
 
 def _advice(scene: Scene, request: LiftRequest, preset: Preset, masks: float, most: int, fewer: int | None) -> str:
-    """Advice that names the options with which the lift would fit, beside those of the request."""
+    """Advice that names the options with which the lift would fit, in addition to those of the request."""
     found = [] if fewer is None else [f"--frames {fewer} (--fit finds such a number)"]
     sides = [(width, width * 3 // 4) for width in (640, 320, 200) if width < preset.size[0]]
     size = next((size for size in sides if _peak(scene, replace(preset, size=size), masks) <= most), None)

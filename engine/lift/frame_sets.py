@@ -1,5 +1,5 @@
-"""The frames of a lift by what they are for. They are chosen when it begins, and stay the same when it is resumed
-anywhere."""
+"""The frames of a lift by their purpose. They are chosen when it begins, and stay the same on whichever machine it is
+resumed."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from ..train.progress import StageProgress
 from .fitting import check_memory, frames_that_fit
 
 FRAMES = "frames"
-"""Key of a checkpoint's state: the names of the frames trained on. On another machine other frames might fit."""
+"""Key of a checkpoint's state: the names of the training frames. On another machine, other frames might fit."""
 
 
 @dataclass(frozen=True, eq=False)
 class FrameSets:
     """``all``: the scene with every frame. ``chosen``: the scene with those that are trained on or held out.
-    ``voting``: those that are neither, and vote; none where the preset has no use for them."""
+    ``voting``: those that are neither, and vote; empty if the preset has no use for them."""
 
     all: Scene
     chosen: Scene
@@ -38,9 +38,9 @@ class FrameSets:
 def sets_of_frames(
     scene: Scene, request: LiftRequest, checkpoint: Checkpoint | None, progress: StageProgress, events: EventWriter
 ) -> FrameSets:
-    """The frames of a scene by what they are for. A ``checkpoint`` names those that the lift was begun with.
+    """The frames of a scene by their purpose. A ``checkpoint`` names those that the lift was begun with.
 
-    Raises PlgsError when they need too much memory, are not in the scene any more, or a file is bad.
+    Raises PlgsError if they need too much memory, are no longer in the scene, or a file is bad.
     """
     if checkpoint is not None and FRAMES in checkpoint.state:
         begun = begun_with(scene, checkpoint)
@@ -53,7 +53,7 @@ def sets_of_frames(
     there, taken = len(scene.train_frames), len(chosen.train_frames)
     if taken < there:
         events.warning(
-            f"of {there} frames to train on {taken} are lifted, the sharpest of each stretch of the recording; "
+            f"{taken} of {there} training frames are lifted, the sharpest of each stretch of the recording; "
             "--frames takes another number, or all"
         )
     return FrameSets(scene, chosen, frames_to_vote(scene, chosen, request.chosen_preset))
@@ -68,7 +68,7 @@ def frames_to_vote(scene: Scene, chosen: Scene, preset: Preset) -> tuple[Frame, 
 
 
 def begun_with(scene: Scene, checkpoint: Checkpoint) -> frozenset[str]:
-    """The names of the frames that the lift was begun with. Raises PlgsError when the checkpoint has none, or the scene
+    """The names of the frames that the lift was begun with. Raises PlgsError if the checkpoint has none, or the scene
     lacks one of them."""
     names = checkpoint.state[FRAMES]
     if not isinstance(names, list) or not names or not all(isinstance(name, str) for name in names):
@@ -78,5 +78,5 @@ def begun_with(scene: Scene, checkpoint: Checkpoint) -> frozenset[str]:
     missing = sorted(begun.difference(frame.name for frame in scene.train_frames))
     if missing:
         what = f"the lift was begun with frame {missing[0]}, which the scene no longer has for training"
-        raise PlgsError(what, scene.folder, "Put the scene back as it was, or lift into another folder.")
+        raise PlgsError(what, scene.folder, "Restore the scene as it was, or lift into another folder.")
     return begun

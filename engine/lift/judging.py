@@ -1,5 +1,5 @@
-"""The masks judge the finished lift, as there may be no ground truth: how far it agrees with them, and what they show
-well from near that it shows nowhere."""
+"""The masks judge the finished lift, as there may be no ground truth: how well it agrees with them, and what they show
+clearly from nearby that it shows nowhere."""
 
 from __future__ import annotations
 
@@ -34,15 +34,15 @@ from ..scene import (
 log = logging.getLogger("plgs.lift")
 
 MOST_VIEWS = 100
-"""Training views that judge at most, evenly chosen. Each is drawn once, at the size of training."""
+"""The most training views that judge, evenly chosen. Each is drawn once, at the size of training."""
 MOST_NAMED = 5
-"""How many of what is not shown the warning names. metrics.json and the log have all."""
+"""The most missing objects that the warning names. metrics.json and the log list all of them."""
 
 
 @dataclass(frozen=True, eq=False)
 class Seen:
     """What a camera sees of a lift: ``classes`` int32 [H, W] (0 = nothing), and the mean normalised ``entropy`` of the
-    pixels' classes, where there is something."""
+    classes of the pixels that show something."""
 
     classes: NDArray[np.int32]
     entropy: float
@@ -50,9 +50,9 @@ class Seen:
 
 @dataclass(frozen=True, eq=False)
 class Judgement:
-    """What the masks say of a lift. ``trained`` and ``held_back``: the mean IoU with the masks over the masks' own
-    classes, of views trained on and of those held out; None without such views. ``entropy``: how unsure the lift is of
-    the classes in each frame that was asked, from 0 to 1."""
+    """How the masks judge a lift. ``trained`` and ``held_back``: the mean IoU with the masks over the masks' own
+    classes, for training views and for held-out views; None without such views. ``entropy``: how uncertain the lift is
+    about the classes in each frame that was judged, from 0 to 1."""
 
     trained: float | None
     held_back: float | None
@@ -60,19 +60,19 @@ class Judgement:
     entropy: Mapping[str, float]
 
     def to_json(self) -> dict[str, Json]:
-        """As metrics.json has it, under "masks_as_judges"."""
+        """The value under "masks_as_judges" in metrics.json."""
         agreement: dict[str, Json] = {"trained": self.trained, "held_back": self.held_back}
         missed: list[Json] = [asdict(one) for one in self.not_shown]
         return {"agreement": agreement, "not_shown": missed, "entropy": dict(self.entropy)}
 
     def tell(self, events: EventWriter) -> None:
-        """Write what is not shown into the log, and the first of it as a warning."""
+        """Log everything that the lift does not show, and give a warning with the first few."""
         lines = [f"{text} (see frame {frame})" for text, frame in not_shown({"masks_as_judges": self.to_json()})]
         for line in lines:
             log.info("not shown: %s", line)
         if lines:
             more = f"; and {len(lines) - MOST_NAMED} more" if len(lines) > MOST_NAMED else ""
-            events.warning(f"the masks show what the lift does not: {'; '.join(lines[:MOST_NAMED])}{more}")
+            events.warning(f"the masks show objects that the lift does not: {'; '.join(lines[:MOST_NAMED])}{more}")
 
 
 def judge(
@@ -83,9 +83,9 @@ def judge(
     progress: Callable[[int, int], object],
     scratch: Path | None = None,
 ) -> Judgement:
-    """Ask the training ``views`` and the held-out frames, read within ``size``, about the finished lift.
+    """Judge the finished lift by the training ``views`` and the held-out frames, which are read within ``size``.
 
-    ``draw`` gives what a camera sees of it. Raises PlgsError, OSError, and what ``progress`` raises.
+    ``draw`` returns what a camera sees of it. Raises PlgsError, OSError, and what ``progress`` raises.
     """
     trained = views[:: -(-len(views) // MOST_VIEWS) or 1]
     masked = [frame for frame in scene.test_frames if frame.read_mask is not None and frame.read_depth is not None]
@@ -119,7 +119,7 @@ def _drawn(
 
 
 def _agreement(judges: Sequence[JudgedView], classes: ClassTable) -> float | None:
-    """The mean IoU over the classes of the masks; None without a labelled pixel."""
+    """The mean IoU over the classes of the masks; None if no pixel is labelled."""
     evaluation = PanopticEvaluation(classes, "strict")
     for judged in judges:
         nothing = np.zeros_like(judged.shown)

@@ -1,4 +1,4 @@
-"""Names that last: a lift of a scene that was lifted before keeps the ids and names of the objects that are still
+"""Names that last: if a scene was lifted before, a new lift keeps the ids and names of the objects that are still
 there.
 
 The changes are written to result/names.json, with the ids and numbers that the next lift must not use again.
@@ -37,7 +37,7 @@ _FIX = "Name another finished lift with --names-from, or none."
 @dataclass(frozen=True, eq=False)
 class EarlierLift:
     """``names`` and ``class_names`` by instance id; points ``xyz`` float32 [N, 3] in metres with ``instance_id`` int32
-    [N] (0 = none). ``largest_id`` and ``last_numbers`` (by class name) count the lifts before it, too. ``edits``
+    [N] (0 = none). ``largest_id`` and ``last_numbers`` (by class name) also include the lifts before it. ``edits``
     are its corrections."""
 
     folder: Path
@@ -51,7 +51,7 @@ class EarlierLift:
 
 
 def read_earlier(folder: Path) -> EarlierLift:
-    """The objects of a finished lift. Raises PlgsError when it is none, or cannot be read."""
+    """The objects of a finished lift. Raises PlgsError if the folder is not one, or cannot be read."""
     lift = LiftFolder.open(folder)
     result = lift.result_path
     read_manifest(result)
@@ -74,8 +74,8 @@ def read_earlier(folder: Path) -> EarlierLift:
 
 @dataclass(frozen=True)
 class LastingNames:
-    """``id_of`` maps the ids of the matching to those that the result shows; ``names`` are by the latter. ``changes``
-    is the content of names.json."""
+    """``id_of`` maps the ids of the matching to those in the result; ``names`` has the latter as keys. ``changes`` is
+    the content of names.json."""
 
     id_of: dict[int, int]
     names: dict[int, str]
@@ -89,8 +89,8 @@ def lasting_names(
     instance_of_point: NDArray[np.int32],
     classes: ClassTable,
 ) -> LastingNames:
-    """Objects that are still there keep their ids, and their names where their class is the same. New ones get numbers
-    after all that were ever used."""
+    """Objects that are still there keep their ids, and their names if their class is the same. New ones get numbers
+    after all those that were ever used."""
     overlap = object_overlap(earlier.xyz, earlier.instance_id, xyz, instance_of_point)
     found = lasting_objects(overlap)
     id_of, names, numbers, next_id = {}, {}, dict(earlier.last_numbers), earlier.largest_id
@@ -136,7 +136,7 @@ def _changes(
 def keep_names(
     earlier: EarlierLift, prepared: PreparedLift, lifted: StructuredScene, classes: ClassTable
 ) -> tuple[PreparedLift, LastingNames]:
-    """The lift with the ids that last, in ``lifted`` too, and the names of its objects. Training knows ids only by
+    """The lift with lasting ids, also in ``lifted``, and the names of its objects. Training knows ids only by
     their places, so its result is the same bit for bit."""
     points = prepared.instance_of_point
     lasting = lasting_names(earlier, prepared.instances, prepared.cloud.xyz, points, classes)
@@ -157,7 +157,7 @@ def keep_names(
 
 
 def write_names(folder: LiftFolder, lasting: LastingNames, events: EventWriter) -> None:
-    """result/names.json, and the counts as an event. Raises OSError."""
+    """Write result/names.json, and report the counts. Raises OSError."""
     write_atomically(folder.result_path / NAMES, json.dumps(lasting.changes, indent=1, ensure_ascii=False) + "\n")
     counts = {kind: len(lasting.changes[kind]) for kind in ("kept", "renamed", "new", "gone")}
     events.metric("names", counts)
@@ -167,23 +167,23 @@ def write_names(folder: LiftFolder, lasting: LastingNames, events: EventWriter) 
         for one in lasting.changes[kind]:
             log.info("%s: %s", kind, ", ".join(f"{key} {value}" for key, value in one.items()))
     if not counts["kept"] and lasting.changes["gone"]:
-        events.warning("no object is where one of the earlier lift was: was it lifted from the same scene?")
+        events.warning("no object is where the earlier lift had one: was it lifted from the same scene?")
 
 
 def take_over_edits(folder: LiftFolder, earlier: EarlierLift, events: EventWriter) -> None:
-    """Add the earlier lift's corrections to this one's, whose objects have the ids of the earlier ones now. Those that
-    cannot be applied are kept, and told. Raises PlgsError for corrections that cannot be read, OSError."""
+    """Add the earlier lift's corrections to this one's, whose objects now have the ids of the earlier ones. Those that
+    cannot be applied are kept and reported. Raises PlgsError if corrections cannot be read, and OSError."""
     with editing(folder.path) as edits:
         known = {edit.uid for edit in edits}
         edits += [edit for edit in earlier.edits if not edit.undone and edit.uid not in known]
     corrected = read_corrected(folder.path)
     applied = sum(not edit.undone and edit.uid not in corrected.told for edit in corrected.edits)
-    told = f"{applied} corrections of the earlier lift hold here; passes show them when they are baked again"
+    told = f"{applied} corrections of the earlier lift apply here; passes show them once they are baked again"
     for line in (*corrected.warnings, told):
         events.warning(line)
 
 
 def _number(name: str, kind: str) -> int:
-    """3 for "chair 3"; 0 for a name of another form."""
+    """The number in a name: 3 for "chair 3"; 0 for a name of another form."""
     number = name.removeprefix(f"{kind} ")
     return int(number) if number != name and number.isdecimal() else 0

@@ -1,6 +1,6 @@
-"""Pictures of the model while it is trained, from a camera that the watcher chooses.
+"""Pictures of the model during training, from a camera that the user chooses.
 
-They cost a bounded share of the time and do not change the training: no random number is drawn, and no sum of the
+They take a limited share of the time and do not change the training: no random number is drawn, and no sum of the
 training is touched.
 """
 
@@ -26,17 +26,17 @@ from ..scene import Camera, Frame, Scene, size_within
 log = logging.getLogger("plgs.lift")
 
 EVERY_S = 2.0
-"""Seconds from one preview to the next at least."""
+"""The least number of seconds from one preview to the next."""
 LARGEST_SHARE = 0.05
-"""Share of the time that previews take at most. The pause after each one is long enough for that."""
+"""The largest share of the time that previews take. The pause after each one is long enough for that."""
 SIZE_WITHIN = (480, 480)
-"""Largest width and height of a preview in pixels."""
+"""The largest width and height of a preview in pixels."""
 
 
 class LivePreviews:
     """Writes result/previews/live.png (``folder.live_preview_path``) every few seconds, by rename, and reports it.
 
-    The first problem with preview.json becomes a warning. A held-out frame is shown instead.
+    The first problem with preview.json gives a warning, and a held-out frame is shown instead.
     """
 
     def __init__(
@@ -54,7 +54,7 @@ class LivePreviews:
         self._has_warned = False
 
     def __call__(self, lifted: StructuredScene) -> None:
-        """Draw the model if a preview is due. Raises OSError when the disk is full."""
+        """Draw the model if a preview is due. Raises OSError if the disk is full."""
         began = self._clock()
         if began < self._due:
             return
@@ -63,12 +63,12 @@ class LivePreviews:
         self._due = ended + max(EVERY_S, (ended - began) * (1 - LARGEST_SHARE) / LARGEST_SHARE)
 
     def clear_away(self) -> None:
-        """Delete the picture, which does not belong to the result. Raises PermissionError when it is read for more
-        than 2 s."""
+        """Delete the picture, which does not belong to the result. Raises PermissionError if a program keeps it open
+        for more than 2 s."""
         for pause_s in (0.1, 0.4, 1.5):
             try:
                 return self.folder.live_preview_path.unlink(missing_ok=True)
-            except PermissionError:  # Windows, while Blender reads it
+            except PermissionError:  # on Windows, while Blender reads it
                 time.sleep(pause_s)
         self.folder.live_preview_path.unlink(missing_ok=True)
 
@@ -78,8 +78,8 @@ class LivePreviews:
         picture = panoptic_picture(layers, self.scene.classes, self.instances.colours)
         try:
             write_atomically(self.folder.live_preview_path, png_bytes(picture))
-        except PermissionError as error:  # Windows, while somebody reads the last one
-            log.info("a live preview is left out: %s", error)
+        except PermissionError as error:  # on Windows, while a program reads the last one
+            log.info("a live preview was skipped: %s", error)
         else:
             self.events.preview(self.folder.live_preview_path, self._fingerprint)
 
@@ -93,7 +93,7 @@ class LivePreviews:
         return self._camera.resized(width, height)
 
     def _read_camera(self, path: Path) -> tuple[Camera, str]:
-        """The camera to draw, and the fingerprint of a request for a camera ("" for a frame)."""
+        """The camera to draw, and the fingerprint of a requested camera ("" for a frame)."""
         default = frame_to_show(self.scene).camera, ""
         try:
             wanted = read_preview_request(path)
@@ -104,7 +104,7 @@ class LivePreviews:
             log.warning("%s", error)
             if not self._has_warned:
                 self._has_warned = True
-                self.events.warning(f"the previews show another camera than the one asked for: {error}")
+                self.events.warning(f"the previews show a different camera from the requested one: {error}")
             return default
 
     def _camera_of(self, wanted: PreviewRequest, path: Path) -> Camera:
@@ -118,13 +118,13 @@ class LivePreviews:
 
 
 def frame_to_show(scene: Scene) -> Frame:
-    """The middle frame of those held out, which are not trained on, or of all where none is."""
+    """The middle one of the held-out frames, which are not trained on, or of all frames if none is held out."""
     frames = scene.test_frames or scene.frames
     return frames[len(frames) // 2]
 
 
 def _stamp_of(path: Path) -> tuple[int, int, int] | None:
-    """What differs when a file is replaced; None where there is no file."""
+    """Values that change when a file is replaced; None if there is no file."""
     try:
         found = path.stat()
     except OSError:

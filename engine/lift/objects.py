@@ -1,8 +1,8 @@
 """Which masks are one object, and which points and pixels belong to it.
 
-The paper's way is Algorithm 1 on oriented boxes. In ours, the views agree on objects, whatever they call them. Then
-they vote on each object's class, and segments and points vote on what every pixel shows. Last, the views decide again
-about the connected pieces of each object.
+The paper's method is Algorithm 1 on oriented boxes. In ours, the views agree on objects, whatever their classes. Then
+they vote on each object's class, and segments and points vote on what every pixel shows. Finally, the views decide
+again about the connected pieces of each object.
 """
 
 from __future__ import annotations
@@ -32,14 +32,14 @@ from ..train.progress import StageProgress
 
 CONSENSUS = ConsensusOptions()
 LARGEST_GAP = 0.15
-"""Metres between neighbouring points of one object: about the distance of two pixels of a far view."""
+"""Metres between neighbouring points of one object: about the distance between two pixels of a far view."""
 
 
 @dataclass(frozen=True, eq=False)
 class ViewsToMatch:
-    """What instances are matched from: the ``views``, their semantic ``cloud`` and the ``classes``. ``others`` are
-    views that vote, but are not asked which masks are one object; the paper's way has no use for them. ``scratch`` is
-    the folder for temporary files."""
+    """The input of the matching: the ``views``, their semantic ``cloud`` and the ``classes``. ``others`` are views
+    that vote, but do not decide which masks are one object; the paper's method does not use them. ``scratch`` is the
+    folder for temporary files."""
 
     views: Sequence[View]
     cloud: SemanticPointCloud
@@ -51,9 +51,9 @@ class ViewsToMatch:
 @dataclass(frozen=True, eq=False)
 class Matching:
     """The ``cloud`` with its final classes, the ``instances`` with ids 1.., the instance of each point int32 [N] (0 =
-    none), and how many more instances were ``dropped``. ``label_maps``: the panoptic label of each view's pixels, int16
-    [H, W] (-1 = unknown), where segments and points voted on them. ``point_of_pixel``: the point of the cloud that each
-    pixel of the views shows, int32 [H, W] (-1 = none), where it was looked up."""
+    none), and the number of instances ``dropped``. ``label_maps``: the panoptic label of each view's pixels, int16
+    [H, W] (-1 = unknown), if segments and points voted on them. ``point_of_pixel``: the point of the cloud that each
+    pixel of the views shows, int32 [H, W] (-1 = none), if it was looked up."""
 
     cloud: SemanticPointCloud
     instances: list[SceneObject]
@@ -64,7 +64,7 @@ class Matching:
 
 
 def instances_by_boxes(given: ViewsToMatch, preset: Preset, progress: StageProgress) -> Matching:
-    """The paper's way: Algorithm 1 on the thing segments of all views."""
+    """The paper's method: Algorithm 1 on the thing segments of all views."""
     views, cloud, classes = given.views, given.cloud, given.classes
     segments = SegmentOptions(voxel_size=preset.voxel_size)
     found = match_views(views, classes.thing_ids, segments, preset.matching, progress)
@@ -78,8 +78,8 @@ def instances_by_boxes(given: ViewsToMatch, preset: Preset, progress: StageProgr
 
 
 def objects_by_agreement(given: ViewsToMatch, preset: Preset, progress: StageProgress) -> Matching:
-    """Ours: objects that the views agree on, the class that they vote for each, and the labels that segments and points
-    vote for every pixel."""
+    """Our method: the views agree on objects and vote on the class of each; segments and points vote on the label of
+    every pixel."""
     cloud, kinds = given.cloud, preset.evidence
     training = on_cloud(given.views, cloud, given.scratch).looked_at(progress)
     voting = on_cloud(given.others, cloud, given.scratch)
@@ -91,7 +91,7 @@ def objects_by_agreement(given: ViewsToMatch, preset: Preset, progress: StagePro
 
     cloud, object_of_point = voted_points(everyone, cloud, things, preset)
     owner, things = pieces_in_space(things, object_of_point, training, cloud)
-    # What lost its object was the ragged edge of a few masks. Their class says nothing about it either.
+    # A point that lost its object was on the ragged edge of a few masks, so their class is no evidence for it either.
     is_fragment = (object_of_point > 0) & (owner == 0)
     cloud = replace(cloud, class_id=np.where(is_fragment, VOID, cloud.class_id).astype(np.int32))
 
@@ -104,8 +104,8 @@ def objects_by_agreement(given: ViewsToMatch, preset: Preset, progress: StagePro
 def voted_points(
     seeing: ViewsOnCloud, cloud: SemanticPointCloud, things: Sequence[SceneObject], preset: Preset
 ) -> tuple[SemanticPointCloud, NDArray[np.int32]]:
-    """The cloud with the classes that segments and points vote for, and the one of ``things`` that they vote for at
-    each point, int32 [N] (0 = none)."""
+    """The cloud with the classes that segments and points vote for, and the object among ``things`` that they vote for
+    at each point, int32 [N] (0 = none)."""
     labels = labels_of(cloud, things)
     rounds, kind = preset.segment_voting.rounds, preset.evidence.segments
     voted = vote_panoptic_labels(seeing, len(cloud), labels, object_of_mask(things), rounds, kind)
@@ -135,19 +135,19 @@ def on_cloud(views: Sequence[View], cloud: SemanticPointCloud, scratch: Path | N
 def point_of_pixels(
     views: Sequence[View], cloud: SemanticPointCloud, scratch: Path | None
 ) -> OnDemand[NDArray[np.int32]]:
-    """The point of the cloud that each pixel of the views shows, int32 [H, W] a view, -1 = none. They are stored in
-    temporary files in ``scratch``."""
+    """The point of the cloud that each pixel of the views shows, int32 [H, W] per view, -1 = none. The arrays are
+    stored in temporary files in ``scratch``."""
     index, reach = cloud.index(), 2 * cloud.spacing
     return stored((index.nearest_of_pixels(view.camera, view.depth, reach) for view in views), scratch)
 
 
 def no_objects(given: ViewsToMatch, preset: Preset, progress: StageProgress) -> Matching:
-    """Nothing is matched. The linear assignment decides during training what an instance is."""
+    """Match nothing. The linear assignment decides during training what an instance is."""
     return Matching(given.cloud, [], np.zeros(len(given.cloud), np.int32), 0)
 
 
 MATCHINGS = {"boxes": instances_by_boxes, "agreement": objects_by_agreement, "none": no_objects}
-"""The matchings by the preset's ``objects``."""
+"""The functions that match, by the preset's ``objects``."""
 
 
 def thing_objects(
@@ -167,8 +167,8 @@ def pieces_in_space(
     seeing: ViewsOnCloud,
     cloud: SemanticPointCloud,
 ) -> tuple[NDArray[np.int32], list[SceneObject]]:
-    """The objects after their pieces were regrouped, and the one that owns each point, int32 [N] (0 = none).
-    ``object_of_point`` int32 [N]: the one of ``things`` that the views voted for."""
+    """The objects after their pieces were regrouped, and the object that owns each point, int32 [N] (0 = none).
+    ``object_of_point`` int32 [N]: the object among ``things`` that the views voted for."""
     rules = PieceRules(reach=max(LARGEST_GAP, 3 * cloud.spacing))
     classes = [one.class_id for one in things]
     owner, origin = regroup_pieces(cloud.xyz, object_of_point, classes, seeing.seen, rules)
@@ -180,8 +180,8 @@ def pieces_in_space(
 def masks_of_pieces(
     masks: Sequence[ObjectMask], seeing: ViewsOnCloud, owner: NDArray[np.int32], count: int
 ) -> list[tuple[ObjectMask, ...]]:
-    """The masks of each of ``count`` pieces, in the order of the views. A mask is evidence of the piece that owns most
-    of its points. Masks of views that only vote are no evidence. ``owner`` int32 [N]: the piece of each point, 0 =
+    """The masks of each of ``count`` pieces, in the order of the views. A mask is evidence for the piece that owns most
+    of its points. Masks of views that only vote are not evidence. ``owner`` int32 [N]: the piece of each point, 0 =
     none."""
     number_of = {view.name: number for number, view in enumerate(seeing.views)}
     members: list[list[ObjectMask]] = [[] for _ in range(count)]
@@ -198,10 +198,10 @@ def masks_of_pieces(
 def without_fragments(
     owner: NDArray[np.int32], pieces: Sequence[SceneObject], seen: Sequence[ViewPoints]
 ) -> tuple[NDArray[np.int32], list[SceneObject]]:
-    """The pieces with masks enough, as objects renumbered from 1, and the object of each point, int32 [N]: as many
-    masks as an object needs that is seen by the same views. The piece of a split object needs as many as one that all
-    views see: else it is the ragged edge of a few masks. ``owner`` int32 [N]: the place of each point's piece, from 1;
-    the ``id`` of a piece is that of the object that it is of."""
+    """The pieces with enough masks, as objects renumbered from 1, and each point's object, int32 [N]. A piece needs
+    as many masks as an object seen by the same views. A piece of a split object needs as many as an object that all
+    views see; otherwise it is the ragged edge of a few masks. ``owner`` int32 [N]: the place of each point's piece,
+    from 1; the ``id`` of a piece is that of the object it belongs to."""
     parts, size = Counter(one.id for one in pieces), np.bincount(owner, minlength=len(pieces) + 1)
     shares = (np.bincount(owner[one.row], minlength=len(size)) / np.maximum(size, 1) for one in seen)
     seeing = sum((share >= 0.5 for share in shares), np.zeros(len(size), np.int64))[1:]

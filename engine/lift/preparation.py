@@ -1,4 +1,4 @@
-"""From views to a scene that can be trained, as the paper does before the first step: consistency-enhanced masks, the
+"""From views to a scene that can be trained, as in the paper before the first step: consistency-enhanced masks, the
 semantic point cloud, Algorithm 1, anchors by voxelisation, and the projected targets."""
 
 from __future__ import annotations
@@ -30,8 +30,8 @@ log = logging.getLogger("plgs.lift")
 @dataclass(frozen=True, eq=False, kw_only=True)
 class PreparedLift(Matching):
     """What training starts from: a matching, which also goes into the result, with the scene that is trained and its
-    targets. ``class_of_instance``: instance id to the class that all of it is shown with, or None when every pixel
-    decides for itself."""
+    targets. ``class_of_instance`` maps an instance id to the one class that it is shown with, or is None if every
+    pixel decides on its own."""
 
     scene: StructuredScene
     targets: Sequence[ViewTargets]
@@ -47,9 +47,9 @@ def prepare(
     scratch: Path | None = None,
     others: Sequence[View] = (),
 ) -> PreparedLift:
-    """Everything before the first step. Arrays of every view are stored in temporary files in ``scratch`` (None: in the
-    system's folder for them). ``others`` are views that vote, and are not trained on. Raises what the progress
-    callbacks raise (Cancelled), OSError when the disk is full."""
+    """Do everything before the first step. Arrays of every view are stored in temporary files in ``scratch`` (None: in
+    the system's folder for them). ``others`` are views that vote, but are not trained on. Raises what the progress
+    callbacks raise (Cancelled), and OSError if the disk is full."""
     class_ids = used_classes(views)
     with stages.stage("consistency") as progress:
         placed = filled_views(views, scratch) if preset.fill_holes else views
@@ -69,7 +69,7 @@ def prepare(
     scene = starting_scene(start, channels, viewpoints, preset, seed)
     targets = targets_of(views, placed, matching, channels, classes, preset, scratch)
     class_of_instance = {one.id: one.class_id for one in matching.instances} if channels.class_of_slot else None
-    matching = replace(matching, point_of_pixel=None)  # these files are large, and nothing reads them any more
+    matching = replace(matching, point_of_pixel=None)  # these files are large, and nothing reads them from here on
     return PreparedLift(**vars(matching), scene=scene, targets=targets, class_of_instance=class_of_instance)
 
 
@@ -79,12 +79,12 @@ def semantic_cloud(
     """The semantic point cloud. The labels of the consistency-enhanced masks vote on its classes."""
     comparison = consistency_options(views, preset)
     if comparison.neighbours < preset.neighbours:
-        events.warning("neighbouring views overlap too little to compare labels: all labels are used")
+        events.warning("neighbouring views overlap too little to compare their labels: all labels are used")
     options = CloudOptions(
         spacing=preset.voxel_size / 2, cap=preset.most_points, evidence=preset.evidence.points, majority=preset.majority
     )
     cloud = build_point_cloud(views, consistency_masks(views, comparison), class_ids, options, progress)
-    spacing, got = options.spacing, f"the point cloud has a point every {100 * cloud.spacing:.1f} cm"
+    spacing, got = options.spacing, f"the point cloud has one point every {100 * cloud.spacing:.1f} cm"
     if cloud.spacing > ENLARGED * spacing:
         events.warning(f"the scene is large: {got}, not every {100 * spacing:.1f} cm, and small objects may be lost")
     else:
@@ -99,12 +99,12 @@ def filled_views(views: Sequence[View], scratch: Path | None = None) -> OnDemand
 
 
 def used_classes(views: Sequence[View]) -> tuple[int, ...]:
-    """Ids of the classes that the masks use, ascending: the semantic channels."""
+    """The ids of the classes that the masks use, ascending: the semantic channels."""
     return tuple(sorted({segment.class_id for view in views for segment in view.mask.segments} - {0}))
 
 
 def consistency_options(views: Sequence[View], preset: Preset) -> ConsistencyOptions:
-    """The preset's choice, or no comparison where views are too sparse for one (as the paper does on HyperSim)."""
+    """The preset's choice, or no comparison if views are too sparse for one (as in the paper on HyperSim)."""
     options = ConsistencyOptions(neighbours=preset.neighbours)
     if not preset.neighbours:
         return options

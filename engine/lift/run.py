@@ -1,6 +1,6 @@
 """A lift from end to end: frames and input masks in, one consistent 3D panoptic scene out.
 
-The stages have the paper's order: read the frames, check label consistency, match the instances, train the structured
+The stages follow the paper's order: read the frames, check label consistency, match the instances, train the structured
 Gaussians, write the result, bake the passes, evaluate.
 """
 
@@ -69,18 +69,18 @@ STAGES = {
     "evaluate": "Evaluating the held-out frames",
 }
 CHECKPOINT_EVERY_S = 20.0
-"""Seconds between two checkpoints: the most work that a kill loses. Checkpoints do not change the result."""
+"""Seconds between two checkpoints: the most work that is lost on a kill. Checkpoints do not change the result."""
 NO_VOTES = (
     "the finished scene shows the label decoders, not the views' votes: "
     'votes need objects = "agreement" and one_class_an_object = true'
 )
 TRAINED_ANEW = "it is trained again, from the first step"
 LEAST_STEPS = 100
-"""Steps from which their pace is remembered. Fewer measure the first compilation, not the computer."""
+"""The least number of steps for which the pace is remembered. Fewer measure the first compilation, not the computer."""
 
 
 class Preparing(Protocol):
-    """Everything before the first step, as `prepare` does it."""
+    """A function that does everything before the first step, as `prepare` does."""
 
     def __call__(
         self,
@@ -111,8 +111,8 @@ def run_lift(
 ) -> None:
     """Do the lift that ``folder`` asks for, or what is left of it.
 
-    Another method than PLGS gives its own ``preparing``, ``training``, and ``finishing``, which is called after the
-    last step. Raises PlgsError for input that cannot be lifted, and Cancelled when stopped. The folder can then be
+    Methods other than PLGS pass their own ``preparing``, ``training``, and ``finishing``, which is called after the
+    last step. Raises PlgsError for input that cannot be lifted, and Cancelled if stopped. The folder can then be
     resumed.
     """
     request, stages = folder.request, StageReporter(events, stop, STAGES)
@@ -163,7 +163,7 @@ def run_lift(
 def checked_frames(
     folder: LiftFolder, preset: Preset, checkpoint: Checkpoint | None, progress: StageProgress, events: EventWriter
 ) -> tuple[FrameSets, bool]:
-    """The frames of the scene that the folder asks for, by what they are for; and whether its masks have changed since
+    """The frames of the scene that the folder asks for, by their purpose; and whether its masks have changed since
     the lift was begun. Raises PlgsError."""
     request = folder.request
     if preset.labels == "votes" and not preset.can_vote:
@@ -182,8 +182,8 @@ def checked_frames(
 def read_views(
     frames: FrameSets, preset: Preset, scratch: Path, progress: StageProgress, events: EventWriter
 ) -> tuple[StoredViews, StoredViews]:
-    """The views to train on, and those that only vote, on disk in ``scratch``. Raises PlgsError where nothing is left
-    of them, OSError when the disk is full."""
+    """The views to train on, and those that only vote, on disk in ``scratch``. Raises PlgsError if nothing is left
+    of them, and OSError if the disk is full."""
     training, voting = frames.training, frames.voting
     total = len(training) + len(voting)
     read = read_ahead(training, lambda frame: load_view(frame, size_within(frame.size, preset.size)))
@@ -200,7 +200,7 @@ def voted_labels(
     progress: StageProgress,
     scratch: Path,
 ) -> GaussianLabels:
-    """The labels that the training frames vote onto the Gaussians. Raises as `vote_labels`."""
+    """The labels that the training frames vote onto the Gaussians. Raises what `vote_labels` raises."""
     maps = prepared.label_maps
     assert maps is not None  # objects by agreement come with them
     points = OwnedPoints(prepared.cloud.xyz, prepared.instance_of_point)
@@ -215,24 +215,24 @@ def expected_course(frames: FrameSets, preset: Preset, bake: str) -> Course:
 
 
 def refuse_names_of_no_objects(request: LiftRequest, preset: Preset) -> None:
-    """Raise PlgsError where an earlier lift's names are asked for, but the lift has no objects."""
+    """Raise PlgsError if an earlier lift's names are requested, but the lift has no objects."""
     if request.names_from is not None and preset.objects == "none":
-        fix = "Leave out --names-from, or take objects by agreement or boxes."
-        what = 'there are no objects to keep names with objects = "none"'
+        fix = 'Leave out --names-from, or set objects to "agreement" or "boxes".'
+        what = 'with objects = "none" there are no objects whose names could be kept'
         raise PlgsError(what, request.names_from, fix, option="--names-from")
 
 
 def take_up(trainer: Trainer, checkpoint: Checkpoint, events: EventWriter, *, masks_changed: bool) -> None:
-    """Continue from a checkpoint, or start over where the masks give other objects or classes than they did. Raises
-    PlgsError for a checkpoint that is damaged, or another lift's."""
+    """Continue from a checkpoint, or start over if the masks now give other objects or classes. Raises PlgsError if the
+    checkpoint is damaged or belongs to another lift."""
     if masks_changed and not trainer.preset.shows_votes:
-        events.warning(f"the masks have changed, which the finished scene shows by training: {TRAINED_ANEW}")
+        events.warning(f"the masks have changed, and the finished scene depends on them by training: {TRAINED_ANEW}")
         return
     path = checkpoint.path / "trainer.safetensors"
     try:
         restore(trainer, read_tensors(path)[0], checkpoint.state)
     except OtherLabels:
-        events.warning(f"the masks give other objects or classes than when the lift was begun: {TRAINED_ANEW}")
+        events.warning(f"the masks no longer give the objects and classes that the lift began with: {TRAINED_ANEW}")
     except (OSError, KeyError, TypeError, ValueError, AttributeError) as error:
         fix = "Delete the folders there whose names begin with 'checkpoint'; resume then starts from the beginning."
         raise PlgsError(f"the checkpoint cannot be used ({error})", path, fix) from error
@@ -240,17 +240,17 @@ def take_up(trainer: Trainer, checkpoint: Checkpoint, events: EventWriter, *, ma
 
 
 def refuse_empty(views: Sequence[View], scene: Scene) -> None:
-    """Raise PlgsError when no depth, or no mask, is left at the size of training."""
+    """Raise PlgsError if no depth, or no mask, is left at the size of training."""
     if not any((view.depth > 0).any() for view in views):
-        fix = "Lift at a larger --size, or give denser depth."
+        fix = "Lift at a larger --size, or provide denser depth."
         raise PlgsError("no depth is left at the size of training", scene.folder, fix, option="--size")
     if not any((view.mask.class_map() != VOID).any() for view in views):
-        fix = "Lift at a larger --size, or give masks with larger segments."
+        fix = "Lift at a larger --size, or provide masks with larger segments."
         raise PlgsError("nothing of the masks is left at the size of training", scene.folder, fix, option="--size")
 
 
 def frames_to_bake(scene: Scene, bake: str) -> tuple[Frame, ...]:
-    """The frames whose passes were asked for: "test", "all" or "none"."""
+    """The frames whose passes were requested: "test", "all" or "none"."""
     return {"test": scene.test_frames, "all": scene.frames, "none": ()}[bake]
 
 
@@ -261,11 +261,11 @@ def train(
     stages: StageReporter,
     show: Callable[[StructuredScene], object],
 ) -> list[float]:
-    """Do all steps that are left, and return the seconds of each. ``frames`` are the names of those trained on;
+    """Do all remaining steps, and return the seconds that each took. ``frames`` are the names of the training frames;
     ``show`` is called with the model after each step.
 
-    A checkpoint is written every CHECKPOINT_EVERY_S seconds, when stopped, and at the end. None is written when a step
-    fails, as half a step's changes would replace the last whole state.
+    A checkpoint is written every CHECKPOINT_EVERY_S seconds, when stopped, and at the end. None is written if a step
+    fails, as half a step's changes would replace the last complete state.
     """
     steps, paces = trainer.preset.steps, []
     with stages.stage("train") as progress:
@@ -275,7 +275,7 @@ def train(
         if stages.course is not None:
             stages.course.skip("train", done)
             left = stages.course.left("train", done, None, time.monotonic())
-        if not trainer.finished:  # the first step may compile for long
+        if not trainer.finished:  # the first step may spend a long time compiling
             stages.events.progress("train", trainer.step_number, steps, left_s=left)
         try:
             while not trainer.finished:
@@ -298,14 +298,14 @@ def train(
 
 
 def remember_pace(paces: Sequence[float], trainer: Trainer) -> None:
-    """Remember the median step for the next prediction on this computer. It neither compiled nor made pseudo labels."""
+    """Remember the median step for predictions on this computer. That step neither compiled nor made pseudo labels."""
     if len(paces) < LEAST_STEPS:
         return
     megapixels = np.mean([view.camera.width * view.camera.height for view in trainer.views]) / 1e6
     anchors = trainer.scene.anchors
     try:
         learn_slowness(median(paces), float(megapixels), len(anchors) * anchors.gaussians_per_anchor / 1e6)
-    except (OSError, PlgsError) as error:  # it matters for the next lift only
+    except (OSError, PlgsError) as error:  # this only affects the next prediction
         log.warning("the pace of this computer was not remembered: %s", error)
 
 
@@ -317,7 +317,7 @@ def save_checkpoint(trainer: Trainer, folder: LiftFolder, frames: Sequence[str])
 
 
 def library_versions() -> dict[str, str]:
-    """Versions of the libraries that computed the result."""
+    """The versions of the libraries that computed the result."""
     import platform
 
     import cv2

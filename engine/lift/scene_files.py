@@ -46,8 +46,8 @@ def write_scene_files(
     events: EventWriter,
     names: Mapping[int, str],
 ) -> None:
-    """Write everything of the result that needs no rendering. ``views`` are those it was lifted from; ``names`` are the
-    instances'. Raises OSError when the disk is full.
+    """Write every part of the result that needs no rendering. ``views`` are those it was lifted from; ``names`` are
+    those of the instances. Raises OSError if the disk is full.
     """
     cloud = prepared.cloud
     viewpoint = np.mean([frame.camera.centre for frame in scene.train_frames], axis=0)
@@ -65,8 +65,8 @@ def write_lifted(
     lifted: StructuredScene,
     events: EventWriter,
 ) -> None:
-    """The same, of what is listed already. ``viewpoint`` float64 [3] metres: where the Gaussians' colours are seen
-    from (see ``bake``). Raises OSError."""
+    """Write the same for instances that are listed already. ``viewpoint`` float64 [3] metres: the point from which the
+    Gaussians' colours are seen (see ``bake``). Raises OSError."""
     result = folder.result_path
     gaussians, anchors = bake(lifted, viewpoint, classes.thing_ids)
     write_arrays(result / SEMANTIC_POINTS, points)
@@ -79,7 +79,7 @@ def write_lifted(
 
 
 def write_model(folder: LiftFolder, lifted: StructuredScene) -> None:
-    """model.safetensors: the tensors, and in its header under "plgs" the facts that make a scene of them (JSON)."""
+    """Write model.safetensors: the tensors and, under "plgs" in its header, the facts that make them a scene (JSON)."""
     tensors, facts = to_tensors(lifted)
     contiguous: dict[str, torch.Tensor] = {name: tensor.contiguous() for name, tensor in tensors.items()}
     content = save(contiguous, metadata={"plgs": json.dumps(facts, sort_keys=True)})
@@ -87,7 +87,7 @@ def write_model(folder: LiftFolder, lifted: StructuredScene) -> None:
 
 
 def read_model(folder: LiftFolder) -> StructuredScene:
-    """What `write_model` wrote, bit for bit. Raises PlgsError for a damaged file, and for an unknown format."""
+    """Read what `write_model` wrote, bit for bit. Raises PlgsError if the file is damaged or of an unknown format."""
     path = folder.result_path / MODEL
     try:
         tensors, notes = read_tensors(path)
@@ -97,17 +97,17 @@ def read_model(folder: LiftFolder) -> StructuredScene:
 
 
 def shown_instances(prepared: PreparedLift, names: Mapping[int, str]) -> ShownInstances:
-    """The instances of a lift that is running."""
+    """The instances of a running lift."""
     return ShownInstances(_with_numbers(names, prepared.scene), prepared.class_of_instance)
 
 
 def _with_numbers(names: Mapping[int, str], lifted: StructuredScene) -> dict[int, str]:
-    """The names, with numbers for slots whose meaning only the linear assignment, or clusters, decide."""
+    """The names, with numbers for slots whose meaning is decided only by the linear assignment or by clusters."""
     return {**names, **{one: f"object {one}" for one in lifted.channels.shown_ids if one not in names}}
 
 
 def read_shown_instances(folder: LiftFolder, lifted: StructuredScene, corrected: CorrectedResult) -> ShownInstances:
-    """The instances of a finished lift, whose model is ``lifted``. Raises PlgsError when the manifest cannot be read,
+    """The instances of a finished lift, whose model is ``lifted``. Raises PlgsError if the manifest cannot be read, and
     OSError."""
     settings = read_manifest(folder.result_path).settings
     if "one_class_an_object" not in settings:
@@ -120,7 +120,7 @@ def read_shown_instances(folder: LiftFolder, lifted: StructuredScene, corrected:
 
 
 def instance_names(instances: Sequence[SceneObject], classes: ClassTable) -> dict[int, str]:
-    """ "chair 1", "chair 2", ... in ascending order of id."""
+    """The names "chair 1", "chair 2", ... in ascending order of id."""
     names: dict[int, str] = {}
     count: dict[int, int] = {}
     for instance in sorted(instances, key=lambda instance: instance.id):
@@ -132,7 +132,7 @@ def instance_names(instances: Sequence[SceneObject], classes: ClassTable) -> dic
 def listed_instances(
     views: Sequence[View], prepared: PreparedLift, classes: ClassTable, names: Mapping[int, str]
 ) -> list[Instance]:
-    """The matched objects as instances.json lists them, with the masks that made them."""
+    """The matched objects as instances.json lists them, with the masks that they were made from."""
     masks = {view.name: view.mask for view in views}
     extents = {name: mask_extents(mask) for name, mask in masks.items()}
     points = np.bincount(prepared.instance_of_point, minlength=max(names, default=0) + 1)

@@ -1,4 +1,4 @@
-"""Which parts of an object the masks of the views show apart: what splits it where its points all touch."""
+"""Find the parts of an object that the masks of the views show apart. This splits it even if all its points touch."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ from ..scene.evidence import resolution_on
 from ..scene_of_lift import scene_of_lift
 
 MOST_FRAMES = 80
-"""Those are asked that see the most of the object."""
+"""The most frames that are used: those that see most of the object."""
 SEEN_WITHIN = 0.05
-"""Metres between a point and a frame's depth there within which the frame sees the point."""
+"""A frame sees a point if the point is within this many metres of the frame's depth there."""
 LEAST_SHARE = 0.05
-"""Of the object's points: smaller parts stay with the nearest larger one, and segments with less say nothing."""
+"""Share of the object's points: smaller parts join the nearest larger one, and smaller segments are ignored."""
 ALIKE = 0.5
 """Segments of two frames show one part when they share more than this of the points that both frames show."""
 LEAST_FRAMES = 2
@@ -31,8 +31,8 @@ LEAST_FRAMES = 2
 
 @dataclass(frozen=True, eq=False)
 class PartsSeen:
-    """``part`` int64 [n]: that of each point, the largest 0. ``class_of``: the class that the masks give each part
-    most often. ``frames``: how many show parts apart."""
+    """``part`` int64 [n]: the part of each point, 0 = the largest. ``class_of``: the class that the masks give each
+    part most often. ``frames``: the number of frames that show parts apart."""
 
     part: NDArray[np.int64]
     class_of: dict[int, int]
@@ -44,8 +44,8 @@ NOTHING_SEEN = PartsSeen(np.zeros(0, np.int64), {}, 0)
 
 @dataclass(frozen=True, eq=False)
 class _Segment:
-    """What one segment of a frame holds of the object. ``holds``, ``seen`` float32 [n]: how much the frame's word
-    counts on each point in the segment, and on each point in any of its segments."""
+    """What one segment of a frame holds of the object. ``holds``, ``seen`` float32 [n]: the weight of the frame's
+    evidence on each point in the segment, and on each point in any of the frame's segments."""
 
     frame: int
     class_id: int
@@ -54,16 +54,16 @@ class _Segment:
 
 
 def split_by_views(folder: LiftFolder, state: Replay, number: int, first_id: int) -> Edit:
-    """Split an object of a lift into what the masks that it was made from show apart, each part of the class that its
-    masks say. Raises PlgsError where they show one thing, or the scene is gone."""
+    """Split an object of a lift into the parts that its masks show apart. Each part gets the class that its masks give
+    it. Raises PlgsError if they show one thing, or if the scene is gone."""
     frames = scene_of_lift(folder).train_frames
     seen = parts_by_views(frames, state.points_of(number)) if number in state.objects else NOTHING_SEEN
     return making.split(state, number, seen.part, first_id, seen.class_of)
 
 
 def parts_by_views(frames: Sequence[Frame], xyz: NDArray[np.floating]) -> PartsSeen:
-    """The parts of an object with the points ``xyz`` [n, 3] that masks of at least `LEAST_FRAMES` frames show as
-    different things. Points that no such frame sees belong to the nearest part. Raises PlgsError when pixels cannot be
+    """The parts of an object with the points ``xyz`` [n, 3] that the masks of at least `LEAST_FRAMES` frames show as
+    different things. Points that no such frame sees go to the nearest part. Raises PlgsError if pixels cannot be
     read."""
     segments = _segments(frames, xyz)
     cluster = join(_likeness(segments)) if segments else np.zeros(0, np.int64)
@@ -92,7 +92,7 @@ def _class_of(segments: Sequence[_Segment]) -> int:
 
 
 def _segments(frames: Sequence[Frame], xyz: NDArray[np.floating]) -> list[_Segment]:
-    """The things' segments that hold the object's points, of the frames that see the most of them."""
+    """The segments of things that hold the object's points, from the frames that see most of them."""
     inside = []
     for number, frame in enumerate(frames):
         pixel, far = frame.camera.project(xyz)
@@ -124,8 +124,8 @@ def _of_frame(number: int, frame: Frame, xyz: NDArray[np.floating]) -> list[_Seg
 
 
 def _likeness(segments: Sequence[_Segment]) -> NDArray[np.float64]:
-    """How much more than `ALIKE` of their points two segments share, in points; below 0 where less. [S, S]."""
-    # What two views say of one point counts as much as the geometric mean of their words.
+    """How far the points shared by two segments exceed `ALIKE` of them, in points [S, S]; negative if fewer."""
+    # The evidence of two views on one point is weighted by the geometric mean of their weights.
     holds, seen = (np.sqrt(np.stack([getattr(each, name) for each in segments])) for name in ("holds", "seen"))
     shared, in_both_frames = holds @ holds.T, holds @ seen.T
     union = in_both_frames + in_both_frames.T - shared
@@ -133,7 +133,7 @@ def _likeness(segments: Sequence[_Segment]) -> NDArray[np.float64]:
 
 
 def _frames_apart(segments: Sequence[_Segment], cluster: NDArray[np.int64]) -> set[int]:
-    """The frames that show the object as two things or more."""
+    """The frames that show the object as two or more things."""
     shown: dict[int, set[int]] = {}
     for segment, own in zip(segments, cluster.tolist(), strict=True):
         shown.setdefault(segment.frame, set()).add(own)
@@ -141,8 +141,8 @@ def _frames_apart(segments: Sequence[_Segment], cluster: NDArray[np.int64]) -> s
 
 
 def _voted(votes: NDArray[np.float32], xyz: NDArray[np.floating]) -> NDArray[np.int64]:
-    """The winner of ``votes`` [P, n] at each point, int64 [n]; parts below `LEAST_SHARE` and points without a vote
-    follow the nearest point of the others."""
+    """The winner of ``votes`` [P, n] at each point, int64 [n]. Points without a vote, and those of parts smaller than
+    `LEAST_SHARE`, get the part of the nearest other point."""
     part = votes.argmax(axis=0)
     known = votes.any(axis=0)
     large = np.bincount(part[known], minlength=len(votes)) >= LEAST_SHARE * len(xyz)

@@ -1,5 +1,5 @@
-"""The structured scene before the first step: anchors on the semantic point cloud, and decoders (paper, section
-"Structured Panoptic-Aware Scene Representation")."""
+"""The structured scene before the first step: anchors on the semantic point cloud, and decoders (see the paper's
+section "Structured Panoptic-Aware Scene Representation")."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ from ..semantics.point_cloud import SemanticPointCloud
 from ..train.warm_start import warm_start
 
 FEATURES = 32
-"""Entries of an anchor's feature (Scaffold-GS's number)."""
+"""The number of entries in an anchor's feature, as in Scaffold-GS."""
 
 
 def label_channels(class_ids: tuple[int, ...], instances: Sequence[SceneObject], preset: Preset) -> LabelChannels:
     """A channel for every class, a slot for every instance and one for "no object", and spare slots up to the preset's
-    least number. Where nothing was matched, all slots but that for "no object" may be shown."""
+    minimum. If nothing was matched, all slots except that for "no object" may be shown."""
     if preset.objects == "none":
         return LabelChannels(class_ids, (*range(1, preset.instance_slots + 1), NO_OBJECT))
     ids = [instance.id for instance in instances]
@@ -38,7 +38,7 @@ def label_channels(class_ids: tuple[int, ...], instances: Sequence[SceneObject],
 
 
 class StartingAnchors(NamedTuple):
-    """The anchors before the first step: ``positions`` float32 [M, 3] metres, and, by the semantic point cloud,
+    """The anchors before the first step: ``positions`` float32 [M, 3] metres, and, from the semantic point cloud,
     ``classes`` and ``owners`` (instance ids) int32 [M], 0 = unknown, and ``rgb`` uint8 [M, 3]."""
 
     positions: NDArray[np.float32]
@@ -66,8 +66,8 @@ def starting_scene(
     seed: int,
     new_decoders: Callable[[DecoderShape, int], Decoders] = Decoders,
 ) -> StructuredScene:
-    """The anchors with features, and decoders drawn from the seed. The preset says whether they are fitted to the
-    anchors."""
+    """The anchors with features, and decoders drawn from the seed. The preset decides whether the decoders are fitted
+    to the anchors."""
     feature = np.zeros((len(start.positions), FEATURES), np.float32)
     if preset.seeded_features:
         feature = seeded_features(start.rgb, start.classes, start.owners, features=FEATURES, seed=seed)

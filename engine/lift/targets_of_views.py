@@ -1,4 +1,4 @@
-"""What each view is supervised with: its photo, with its exposure, and the labels of its pixels."""
+"""The targets that supervise each view: its photo, with its exposure, and the labels of its pixels."""
 
 from __future__ import annotations
 
@@ -27,9 +27,9 @@ def targets_of(
     preset: Preset,
     scratch: Path | None = None,
 ) -> OnDemand[ViewTargets]:
-    """The targets of each view, made when they are asked for: the labels voted for its segments, or else the projected
-    cloud's semantic mask and M_match. ``placed`` are the views with the depth that places pixels in space; ``scratch``
-    is the folder for temporary files."""
+    """The targets of each view, computed on demand: the labels voted for its segments, or else the projected cloud's
+    semantic mask and M_match. ``placed`` are the views with the depth that places pixels in space; ``scratch`` is the
+    folder for temporary files."""
     weights = sharpness_weights(view.colour for view in views) if preset.weigh_sharpness else np.ones(len(views))
     gains = _exposures(views, placed, matching, scratch) if preset.fit_exposure else None
     if matching.label_maps is not None:
@@ -57,7 +57,7 @@ def targets_of(
 def _exposures(
     views: Sequence[View], placed: Sequence[View], matching: Matching, scratch: Path | None
 ) -> NDArray[np.float64]:
-    """``exposure_gains`` of every other pixel of every other row."""
+    """``exposure_gains`` of every second pixel of every second row."""
     rows = matching.point_of_pixel or point_of_pixels(placed, matching.cloud, scratch)
     photos = OnDemand(len(views), lambda number: views[number].colour[::2, ::2])
     points = OnDemand(len(views), lambda number: rows[number][::2, ::2])

@@ -1,17 +1,17 @@
 """Frames that are not trained on, but vote.
 
-Of a long capture only some frames are trained on. The others have masks too, which are cheap to read compared with
+In a long capture, only some frames are trained on. The others have masks too, which are cheap to read compared with
 photos. Each of these masks belongs to the object that owns what it shows. They vote on the class of every object and on
 the label of every point. They are read at a smaller size, one after another, and stored on disk.
 
-Measured once each on the captures of ``research bench long``, one seed. With 40 of 292 frames trained on and 120 steps,
-PQ-scene was 75.4 % instead of 71.5 %, and mIoU 80.0 % instead of 78.2 %. With 400 of 992, PQ of the labelled points was
-78.2 % instead of 76.2 %. A voter takes 0.04 s of one processor.
+Each figure was measured once, with one seed, on the captures of ``research bench long``. With 40 of 292 frames trained
+on and 120 steps, PQ-scene was 75.4 % instead of 71.5 %, and mIoU 80.0 % instead of 78.2 %. With 400 of 992, PQ of the
+labelled points was 78.2 % instead of 76.2 %. A voter takes 0.04 s of one processor.
 
-They are not asked which masks are one object, as the frames trained on see every surface often enough for that
+They do not decide which masks are one object, as the training frames see every surface often enough for that
 (``choose_keyframes``). They do not vote on Gaussians, as each would have to be rendered for that. Their votes on points
-reach Gaussians by the segments of the frames trained on. A class that only they show gets no channel, so no point has
-it. Holes of their depth are not filled; whether that would help was not measured.
+reach Gaussians through the segments of the training frames. A class that only they show gets no channel, so no point
+has it. Holes in their depth are not filled; whether that would help was not measured.
 """
 
 from __future__ import annotations
@@ -27,14 +27,14 @@ from ..presets.preset import Preset
 from ..scene import Frame, Size, StoredViews, View, read_ahead, size_within
 
 SMALLER = 2
-"""Factor by which voters are narrower and lower than the frames trained on."""
+"""The factor by which voters are smaller than the training frames, in width and in height."""
 
 
 def read_voters(
     frames: Sequence[Frame], preset: Preset, progress: Callable[[int], object], events: EventWriter, scratch: Path
 ) -> StoredViews:
-    """Depth and masks of ``frames``, on disk. Frames that cannot be read do not vote; a warning says so. ``progress``
-    is called with the number of frames read. Raises OSError when the disk is full."""
+    """The depth and masks of ``frames``, on disk. Frames that cannot be read do not vote; a warning says so.
+    ``progress`` is called with the number of frames read. Raises OSError if the disk is full."""
     problems: list[PlgsError] = []
 
     def good() -> Iterator[View]:

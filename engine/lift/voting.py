@@ -19,7 +19,7 @@ from ..scene.hole_filling import fill_holes
 from ..scene.pixels import resize_nearest
 
 MOST_BYTES = 1 << 32
-"""Bytes of frames that are stored on disk between two rounds at most."""
+"""The most bytes of frames that are stored on disk between two rounds."""
 
 
 def vote_labels(
@@ -34,9 +34,9 @@ def vote_labels(
     """The labels of every Gaussian, by a vote of the training frames. ``points`` are the cloud's, with their objects.
 
     ``label_maps`` int16 [H, W] are the labels that the frames' pixels got before training, at the size of training. In
-    the first round, the segments of the mask at its own size take these labels. In every further round they take what
-    the Gaussians of the round before show. What does not change between rounds is stored in temporary files in
-    ``scratch``. Raises PlgsError when a file is bad, and what ``progress`` raises.
+    the first round, the segments of the mask at its own size take these labels. In each later round they take the
+    labels that the Gaussians of the previous round show. What does not change between rounds is stored in temporary
+    files in ``scratch``. Raises PlgsError if a file is bad, and what ``progress`` raises.
     """
     channels = scene.channels
     count = len(channels.class_ids) + len(channels.instance_slots)
@@ -60,7 +60,7 @@ def vote_labels(
 
 @dataclass(frozen=True, eq=False)
 class _VotingFrame:
-    """What a frame votes with: the Gaussians that its pixels show, its mask, and its filled depth."""
+    """What a frame needs to vote: the Gaussians that its pixels show, its mask, and its filled depth."""
 
     seen: Contributors
     mask: PanopticMask
@@ -82,7 +82,7 @@ class _VotingFrames:
         self._stored: dict[int, tuple[list[int], tuple[Segment, ...]]] = {}
 
     def at(self, place: int) -> _VotingFrame:
-        """The frame in that place. Raises PlgsError, OSError when the disk is full."""
+        """The frame at this place. Raises PlgsError, and OSError if the disk is full."""
         if place in self._stored:
             numbers, segments = self._stored[place]
             gaussian, weight, drawn, ids, depth = (self._arrays[number] for number in numbers)

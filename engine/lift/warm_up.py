@@ -1,4 +1,4 @@
-"""Compile what a lift runs, so that the first one starts at once: a lift of a wall, too small to be of use."""
+"""Compile what a lift runs, so that the first one starts at once. It lifts a wall, too small to be useful."""
 
 from __future__ import annotations
 
@@ -32,14 +32,14 @@ WALL, PICTURE = 1, 2
 
 
 class _Trainer(Trainer):
-    growth_schedule = GrowthSchedule(statistics_from=0.0)  # two steps are too few to count anything else
+    growth_schedule = GrowthSchedule(statistics_from=0.0)  # with only two steps, statistics must start at once
 
 
 def warm_up() -> None:
-    """Take every compiled path of a lift once: consistency, matching, projection, rendering and gradients, baking.
+    """Run every compiled path of a lift once: consistency, matching, projection, rendering and gradients, baking.
 
-    Numba compiles one function at a time. A second process compiles the rasteriser meanwhile, which is half of it, and
-    leaves it in the cache.
+    Numba compiles one function at a time. Meanwhile a second process compiles the rasteriser, which is half of the
+    work, and leaves it in the cache.
     """
     rasteriser = get_context("spawn").Process(target=compile_rasteriser)
     rasteriser.start()
@@ -50,7 +50,7 @@ def warm_up() -> None:
 
 
 def compile_rasteriser() -> None:
-    """Draw with labels and without, and take the gradients."""
+    """Draw with and without labels, and compute the gradients."""
     random = np.random.default_rng(0)
     widths = {"means": 3, "scales": 3, "quats": 4, "colours": 3, "labels": 4}
     drawn = {name: random.uniform(0.05, 0.3, (200, width)).astype(np.float32) for name, width in widths.items()}

@@ -1,1 +1,1 @@
-"""What compiled kernels stand on: compiled for this machine, its threads, its memory, sixteen numbers at a time."""
+"""The basis of the compiled kernels: compilation for this machine, threads, memory, and vectors of sixteen numbers."""

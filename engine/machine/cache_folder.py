@@ -1,7 +1,7 @@
-"""Where compiled kernels are kept: a folder that only this user can write to.
+"""The folder where compiled kernels are kept, which only this user can write to.
 
-Numba's index of the folder is a pickle, which runs when it is read. Anybody who could write there would run code as
-this user.
+Numba's index of the folder is a pickle, and reading a pickle can run code. Anyone who could write there could run code
+as this user.
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ log = logging.getLogger("plgs.machine")
 
 
 def choose_cache_folder(name: str) -> Path:
-    """The folder ``name``, made in the first place that is safe: the user's setting, the user's cache folder.
+    """The folder ``name``, made in the first place that is safe: the user's setting, or else the user's cache folder.
 
-    Where neither is safe it is a folder for this process alone. Then every start compiles again, and the log says why.
+    If neither is safe, it is a folder for this process alone. Then every start compiles again, and the log says why.
     """
     setting = os.environ.get("NUMBA_CACHE_DIR")
     bases = [Path(setting).absolute()] if setting else []
@@ -31,13 +31,13 @@ def choose_cache_folder(name: str) -> Path:
         if reason is None:
             return base / name
         log.warning("compiled kernels are not kept in %s: %s", base, reason)
-    own = Path(tempfile.mkdtemp(prefix="plgs-kernels-"))  # for this user alone, under a name that cannot be guessed
+    own = Path(tempfile.mkdtemp(prefix="plgs-kernels-"))  # for this user only, with a name that cannot be guessed
     atexit.register(shutil.rmtree, own, ignore_errors=True)
     return own
 
 
 def user_cache_folder() -> Path:
-    """The folder that this system keeps the user's caches in."""
+    """The folder in which this system keeps the user's caches."""
     if sys.platform == "win32":
         base = os.environ.get("LOCALAPPDATA")
         return Path(base) if base else Path.home() / "AppData" / "Local"
@@ -48,7 +48,7 @@ def user_cache_folder() -> Path:
 
 
 def _make(folder: Path) -> str | None:
-    """Why kernels cannot be kept in a folder; None when it is there, and safe."""
+    """Why kernels cannot be kept in a folder; None if it exists and is safe."""
     try:
         missing = [each for each in (folder, *folder.parents) if not each.exists()]
         for each in reversed(missing):
@@ -61,9 +61,9 @@ def _make(folder: Path) -> str | None:
 
 
 def why_unsafe(folder: Path) -> str | None:
-    """Who else could write to a folder, or exchange it; None when only this user and root can.
+    """Who else could write to a folder or replace it; None if only this user and root can.
 
-    Windows keeps rights in another way: nothing is checked there.
+    Windows manages permissions differently, so nothing is checked there.
     """
     if sys.platform == "win32":
         return None
@@ -74,7 +74,7 @@ def why_unsafe(folder: Path) -> str | None:
             return f"{each} belongs to another user"
         if each == folder and not S_ISDIR(found.st_mode):
             return f"{each} is not a folder"
-        # In a sticky folder, such as /tmp, users cannot exchange what is another's.
+        # In a sticky folder, such as /tmp, users cannot replace what belongs to others.
         is_sticky = bool(found.st_mode & S_ISVTX) and each != folder
         if S_ISDIR(found.st_mode) and found.st_mode & (S_IWGRP | S_IWOTH) and not is_sticky:
             return f"others may write to {each} (chmod go-w would mend that)"

@@ -1,4 +1,4 @@
-"""What functions that write LLVM code themselves have in common, and a counter that all threads see at once."""
+"""Common parts of functions that write LLVM code themselves, and an atomic counter."""
 
 from __future__ import annotations
 
@@ -8,25 +8,25 @@ from llvmlite import ir
 from numba import extending, types
 
 intrinsic: Any = extending.intrinsic
-"""Called without the typing context that it is declared with, which no type checker can know."""
+"""It is called without the typing context that it is declared with, which no type checker can know."""
 
 
 def element_pointer(
     context: Any, builder: ir.IRBuilder, array_type: types.Array, array: ir.Value, index: ir.Value
 ) -> ir.Value:
-    """Pointer to the element at this place in the memory of a contiguous array, unchecked."""
+    """A pointer to the element at this place in the memory of a contiguous array, unchecked."""
     data = context.make_array(array_type)(context, builder, array).data
     return builder.gep(data, [index])
 
 
 def is_flat(array: types.Type, dtype: types.Type) -> bool:
-    """Whether it is one-dimensional, contiguous and of this dtype."""
+    """Whether the array is one-dimensional, contiguous and of this dtype."""
     return isinstance(array, types.Array) and array.ndim == 1 and array.layout == "C" and array.dtype == dtype
 
 
 @intrinsic
 def fetch_add(typing_context: Any, counter: Any) -> Any:
-    """counter[0] before it is raised by one, at once for all threads. It deals out work."""
+    """Increase counter[0] by one atomically, and return its old value. It distributes work among threads."""
     if not is_flat(counter, types.int64):
         return None
 

@@ -1,4 +1,4 @@
-"""Log that kernels are being compiled, once on each machine. It takes long, and nothing else shows it."""
+"""Log that kernels are being compiled, once on each machine. It takes a while, and nothing else shows it."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ log = logging.getLogger("plgs.machine")
 
 
 def log_compilation(what: str, how_long: str) -> Callable[[], None]:
-    """Log that ``what`` is compiled now, unless it was before. Call what is returned when it has been."""
+    """Log that ``what`` is being compiled, unless it was before. Call the returned function when it is done."""
     stamp = _stamp(what)
     if stamp.exists():
         return lambda: None
@@ -24,6 +24,6 @@ def log_compilation(what: str, how_long: str) -> Callable[[], None]:
 
 @cache
 def _stamp(what: str) -> Path:
-    """An empty file beside the machine code."""
+    """The empty file beside the machine code which records that ``what`` was compiled."""
     target = hashlib.sha256(repr(machine_target()).encode()).hexdigest()[:16]
     return CACHE_FOLDER / f"compiled-{what.replace(' ', '-')}-{target}"

@@ -1,6 +1,6 @@
 """The matrix product of the rasteriser's labels.
 
-It takes a block of four rows and sixteen columns at a time, whose sums stay in registers.
+It computes one block of four rows and sixteen columns at a time, whose sums stay in registers.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ class Factors(NamedTuple):
 
 
 def begin_of(rows: Any, number: int) -> int:
-    """Where a row of any of these kinds begins. Kernels take the overload below; Python itself never calls this."""
+    """Where a row of any of these kinds begins. Kernels use the overload below; Python itself never calls this."""
     raise NotImplementedError
 
 
@@ -54,8 +54,8 @@ def _begin_of(rows, number):
 
 @device_function
 def add_four_rows(out: Any, factors: Any, source: Any, a: int, c: int, count: int) -> None:
-    """Rows ``a`` to a + 3 and columns ``c`` to c + 15 of the product. With AVX2 the sums take half the registers. They
-    are written out because registers have no index."""
+    """Add rows ``a`` to a + 3 and columns ``c`` to c + 15 of the product. With AVX2 the sums take half the registers.
+    They are written out because registers have no index."""
     o0, o1, o2, o3 = begin_of(out, a) + c, begin_of(out, a + 1) + c, begin_of(out, a + 2) + c, begin_of(out, a + 3) + c
     s0, s1, s2, s3 = load(out.values, o0), load(out.values, o1), load(out.values, o2), load(out.values, o3)
     values, across, at = factors.values, factors.across, factors.start + a * factors.across
@@ -76,8 +76,8 @@ def add_four_rows(out: Any, factors: Any, source: Any, a: int, c: int, count: in
 def add_product(out: Any, factors: Factors, source: Any, rows: int, columns: int, count: int) -> None:
     """out[a, c] += sum_b factor[a, b] * source[b, c] for a < ``rows``, c < ``columns``, b < ``count``.
 
-    ``out`` and ``source`` are ``Rows`` or ``ListedRows``. ``rows`` is a multiple of 4 and ``columns`` of 16. Summed in
-    ascending order of b.
+    ``out`` and ``source`` are ``Rows`` or ``ListedRows``. ``rows`` is a multiple of 4 and ``columns`` of 16. The sum is
+    in ascending order of b.
     """
     for c in range(0, columns, WIDTH):
         for a in range(0, rows, 4):

@@ -1,4 +1,4 @@
-"""Threads that run compiled kernels side by side: Python's own thread pool, because kernels release the interpreter."""
+"""Threads that run compiled kernels in parallel: Python's own thread pool, as kernels release the interpreter lock."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ def worker_count() -> int:
 def parallel_for(workers: int, kernel: Callable[..., None], *arguments: Any) -> None:
     """Run ``kernel(worker, workers, *arguments)`` for worker 0, 1, ... ``workers`` - 1, and wait for all of them.
 
-    Worker 0 is the calling thread. A kernel must not call this. Raises ``ValueError`` when ``workers`` is not 1 to
-    ``MOST_WORKERS``, and whatever a kernel raised, after all workers have ended.
+    Worker 0 is the calling thread. A kernel must not call this. Raises ``ValueError`` if ``workers`` is not between 1
+    and ``MOST_WORKERS``, and whatever a kernel raised, after all workers have ended.
     """
     if not 1 <= workers <= MOST_WORKERS:
-        raise ValueError(f"{workers} workers are asked for; there can be 1 to {MOST_WORKERS}")
+        raise ValueError(f"{workers} workers were requested; there can be 1 to {MOST_WORKERS}")
     start = time.perf_counter()
     others = [_pool().submit(kernel, worker, workers, *arguments) for worker in range(1, workers)]
     try:
@@ -45,7 +45,7 @@ def parallel_for(workers: int, kernel: Callable[..., None], *arguments: Any) -> 
 
 @contextmanager
 def timed() -> Iterator[dict[str, float]]:
-    """Within, the wall seconds of every kernel add up under its name."""
+    """Within this context, the wall-clock seconds of every kernel are added up under its name."""
     global _stopwatch
     _stopwatch = {}
     try:
@@ -56,9 +56,9 @@ def timed() -> Iterator[dict[str, float]]:
 
 @cache
 def _pool() -> ThreadPoolExecutor:
-    """The thread pool of this process. It starts a thread when a kernel needs one more."""
+    """The thread pool of this process. It starts another thread when a kernel needs one."""
     return ThreadPoolExecutor(MOST_WORKERS, thread_name_prefix="plgs-worker")
 
 
 if hasattr(os, "register_at_fork"):
-    os.register_at_fork(after_in_child=_pool.cache_clear)  # threads do not follow into a forked process
+    os.register_at_fork(after_in_child=_pool.cache_clear)  # a forked process does not have the threads

@@ -26,7 +26,7 @@ Values = list[ir.Value]
 
 
 def _powers(builder: ir.IRBuilder, exponents: Values) -> Values:
-    """Each step for all exponents before the next step."""
+    """Do each step for all exponents before the next step."""
     lowest, rounding = constant(_LOWEST), constant(_ROUNDING)
     exponents = [builder.select(builder.fcmp_ordered(">", a, lowest), a, lowest) for a in exponents]
     shifted = [builder.fadd(a, rounding) for a in exponents]
@@ -38,7 +38,7 @@ def _powers(builder: ir.IRBuilder, exponents: Values) -> Values:
             call(builder, "llvm.fmuladd.v16f32", LANES_IR, [value, f, coefficient])
             for value, f in zip(values, fractions, strict=True)
         ]
-    # The whole part stands in the low bits of ``shifted``. It is added to the exponent's bits.
+    # The integer part is in the low bits of ``shifted``. It is added to the exponent's bits.
     bits = [builder.shl(builder.bitcast(value, INTS_IR), ir.Constant(INTS_IR, [23] * WIDTH)) for value in shifted]
     sums = [builder.add(builder.bitcast(value, INTS_IR), own) for value, own in zip(values, bits, strict=True)]
     return [builder.bitcast(own, LANES_IR) for own in sums]
@@ -46,7 +46,7 @@ def _powers(builder: ir.IRBuilder, exponents: Values) -> Values:
 
 @intrinsic
 def exp2(typing_context: Any, a: Any) -> Any:
-    """2^a for a <= 127; what is below -64 counts as -64, so that no product with it is a (slow) subnormal."""
+    """2^a for a <= 127; values below -64 are treated as -64, so that no product with it is a (slow) subnormal."""
 
     def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         return _powers(builder, list(arguments))[0]
@@ -56,7 +56,7 @@ def exp2(typing_context: Any, a: Any) -> Any:
 
 @intrinsic
 def exp2_x4(typing_context: Any, a: Any, b: Any, c: Any, d: Any) -> Any:
-    """``exp2`` of each, side by side: one alone is a chain of ten operations that wait for one another."""
+    """``exp2`` of each, side by side: a single one is a chain of ten operations that wait for one another."""
 
     def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         return context.make_tuple(builder, signature.return_type, _powers(builder, list(arguments)))

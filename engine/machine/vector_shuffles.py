@@ -17,7 +17,7 @@ def horizontal_sums(typing_context: Any, vectors: Any) -> Any:
     """Lane i of the result is the sum over the lanes of vector i of a tuple of at most sixteen; the others
     are 0.
 
-    A tree of pairwise sums: neighbours are folded together until one vector is left, always in the same
+    This is a tree of pairwise sums: neighbours are folded together until one vector is left, always in the same
     order.
     """
 
@@ -35,7 +35,7 @@ def horizontal_sums(typing_context: Any, vectors: Any) -> Any:
 
 
 def _fold(builder: ir.IRBuilder, a: ir.Value | None, b: ir.Value | None, width: int, half: int) -> ir.Value | None:
-    """Vectors of groups of ``width`` partial sums each to one of groups of ``half``: a's groups, then b's."""
+    """Fold vectors of groups of ``width`` partial sums each into one of groups of ``half``: a's groups, then b's."""
     if a is None:
         return None
     b = constant(0.0) if b is None else b
@@ -89,7 +89,7 @@ def deinterleave3(typing_context: Any, a: Any, b: Any, c: Any) -> Any:
 
 @intrinsic
 def horizontal_max(typing_context: Any, a: Any) -> Any:
-    """The largest of the lanes, none of which is NaN."""
+    """The largest lane. No lane may be NaN."""
 
     def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         return call(builder, "llvm.vector.reduce.fmax.v16f32", FLOAT, list(arguments))

@@ -92,7 +92,7 @@ def store(typing_context: Any, array: Any, index: Any, values: Any) -> Any:
 
 @intrinsic
 def masked_load(typing_context: Any, array: Any, index: Any, wanted: Any) -> Any:
-    """As ``load`` where wanted, 0 elsewhere; memory outside is not touched."""
+    """Like ``load`` where wanted, 0 elsewhere; memory outside is not touched."""
     if not is_flat(array, types.float32) or wanted is not flags:
         return None
 
@@ -107,7 +107,7 @@ def masked_load(typing_context: Any, array: Any, index: Any, wanted: Any) -> Any
 
 @intrinsic
 def masked_store(typing_context: Any, array: Any, index: Any, values: Any, wanted: Any) -> Any:
-    """As ``store`` where wanted; memory outside is not touched."""
+    """Like ``store`` where wanted; memory outside is not touched."""
     if not is_flat(array, types.float32) or values is not lanes or wanted is not flags:
         return None
 
@@ -176,7 +176,7 @@ def broadcast_load(typing_context: Any, array: Any, index: Any) -> Any:
 
 @intrinsic
 def prefetch(typing_context: Any, array: Any, index: Any) -> Any:
-    """Have the cache line of array[index] brought, to be read a little later; any index is harmless."""
+    """Fetch the cache line of array[index] into the cache, to be read a little later; any index is harmless."""
 
     def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         pointer = builder.bitcast(element_pointer(context, builder, signature.args[0], *arguments), BYTES_IR)
@@ -188,7 +188,7 @@ def prefetch(typing_context: Any, array: Any, index: Any) -> Any:
 
 @intrinsic
 def store_nontemporal(typing_context: Any, array: Any, index: Any, values: Any) -> Any:
-    """As ``store``, at the beginning of a cache line, without reading what was there nor keeping it in the cache."""
+    """Like ``store`` at the beginning of a cache line, but without reading the old values or caching the new ones."""
     if not is_flat(array, types.float32) or values is not lanes:
         return None
 
@@ -233,7 +233,7 @@ def fma(typing_context: Any, a: Any, b: Any, c: Any) -> Any:
 
 @intrinsic
 def fnmadd(typing_context: Any, a: Any, b: Any, c: Any) -> Any:
-    """c - a * b, fused where the machine can."""
+    """c - a * b, fused if the processor supports it."""
 
     def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         a, b, c = arguments
@@ -286,7 +286,7 @@ def movemask(typing_context: Any, condition: Any) -> Any:
 
 @intrinsic
 def trailing_zeros(typing_context: Any, bits: Any) -> Any:
-    """The place of the lowest bit set, 64 when there is none."""
+    """The place of the lowest set bit, 64 if there is none."""
 
     def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         return call(builder, "llvm.cttz.i64", ir.IntType(64), [arguments[0], ir.Constant(ir.IntType(1), 0)])

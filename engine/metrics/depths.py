@@ -1,4 +1,4 @@
-"""How close rendered depth comes to what the sensor measured."""
+"""How close the rendered depth is to what the sensor measured."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ LEAST_ALPHA = 0.5
 CLOSE = 0.05
 """Metres within which a rendered depth is right."""
 BIN, BINS = 1e-4, 100_000
-"""Width in metres of the bins that errors are counted in, and their number. Errors above 10 m go into the last bin."""
+"""The width in metres of the bins for counting errors, and their number. Errors above 10 m go into the last bin."""
 
 
 class DepthErrors:
     """Absolute errors of all pixels of all views, counted in bins, so that a thousand views need no more memory than
     one.
 
-    The median is that of all pixels, not the mean of the views' medians, as a view with little depth says little.
+    The median is that of all pixels, not the mean of the views' medians, as a view with little depth tells little.
     """
 
     def __init__(self) -> None:
@@ -25,8 +25,8 @@ class DepthErrors:
         self._pixels = self._close = 0
 
     def add(self, rendered: NDArray[np.float32], alpha: NDArray[np.float32], measured: NDArray[np.float32]) -> None:
-        """Count a view. All [H, W]: planar metres, coverage in [0, 1], planar metres (0 = none). ValueError when shapes
-        differ.
+        """Count a view. All [H, W]: planar metres, coverage in [0, 1], planar metres (0 = none). Raises ValueError if
+        shapes differ.
         """
         if not rendered.shape == alpha.shape == measured.shape:
             raise ValueError(f"depths differ in shape: {rendered.shape}, {alpha.shape} and {measured.shape}")
@@ -38,7 +38,7 @@ class DepthErrors:
 
     @property
     def median(self) -> float | None:
-        """Metres, to the width of a bin; None when no pixel was counted."""
+        """The median in metres, to the width of a bin; None if no pixel was counted."""
         if not self._pixels:
             return None
         middle = int(np.searchsorted(np.cumsum(self._counts), self._pixels / 2))
@@ -46,5 +46,5 @@ class DepthErrors:
 
     @property
     def close_share(self) -> float | None:
-        """Share of the pixels in [0, 1] that lie within CLOSE; None when no pixel was counted."""
+        """The share of pixels, in [0, 1], with an error within CLOSE; None if no pixel was counted."""
         return self._close / self._pixels if self._pixels else None

@@ -1,4 +1,4 @@
-"""Scores of labels in folders, whatever program made them."""
+"""Scores of labels in folders, made by any program."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ PREDICTIONS = "predictions"
 def score_folders(predictions: LabelFolder, truth: LabelFolder, *, ids_per_frame: bool = False) -> dict[str, object]:
     """The scores of all predicted frames, in the form of metrics.json. All of them need ground truth.
 
-    ``ids_per_frame``: an instance id means something within its frame alone, as a detector's does. Predictions are
-    resized to the ground truth. Raises PlgsError when a file is bad.
+    ``ids_per_frame``: an instance id is valid only within its frame, like a detector's. Predictions are resized to the
+    ground truth. Raises PlgsError if a file is bad.
     """
     unknown = [name for name in predictions.readers if name not in truth.readers]
     if unknown:
-        what = f"{len(unknown)} predicted frames have no ground truth, {unknown[0]} among them"
-        raise PlgsError(what, truth.folder, "Call the images of a frame alike in both folders, or take these away.")
+        what = f"{len(unknown)} predicted frames have no ground truth, such as {unknown[0]}"
+        raise PlgsError(what, truth.folder, "Give a frame's images the same name in both folders, or remove these.")
     classes, predictions = in_one_table(predictions, truth)
     report, next_id = Report(classes), 0
     for name, read in predictions.readers.items():
@@ -35,5 +35,5 @@ def score_folders(predictions: LabelFolder, truth: LabelFolder, *, ids_per_frame
 
 
 def unscored(predictions: LabelFolder, truth: LabelFolder) -> int:
-    """How many frames with ground truth are not predicted."""
+    """The number of frames with ground truth that are not predicted."""
     return len(truth.readers.keys() - predictions.readers.keys())

@@ -1,4 +1,4 @@
-"""What PQ-scene does not tell apart: how good single frames are, and how often an object changes its id."""
+"""Two things that PQ-scene does not separate: how good single frames are, and how often an object changes its id."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from .panoptic import Pair, PanopticEvaluation, Segment
 
 
 class FrameQuality:
-    """COCO's panoptic quality: segments are matched frame by frame, so ids need mean nothing across frames. True and
+    """COCO's panoptic quality: segments are matched frame by frame, so ids need not agree across frames. True and
     false ones are counted over all frames, and PQ is the mean over the classes. Void is treated as in ``strict``."""
 
     def __init__(self, classes: ClassTable) -> None:
@@ -20,8 +20,8 @@ class FrameQuality:
         self._errors: Counter[int] = Counter()
 
     def add(self, pixels: Mapping[Pair, int]) -> None:
-        """Count one view: how many pixels each predicted and true segment share, as ``PanopticEvaluation.add`` found
-        in the mode ``strict``."""
+        """Count one view: how many pixels each predicted and true segment share, as returned by
+        ``PanopticEvaluation.add`` in the mode ``strict``."""
         if not pixels:
             return
         frame = PanopticEvaluation(self.classes, "strict")
@@ -33,7 +33,7 @@ class FrameQuality:
 
     @property
     def pq(self) -> float | None:
-        """In [0, 1]; None before any pixel had ground truth."""
+        """PQ in [0, 1]; None before any pixel had ground truth."""
         if not self._iou:
             return None
         each = [iou / (self._matched[row] + 0.5 * self._errors[row]) for row, iou in self._iou.items()]
@@ -41,9 +41,9 @@ class FrameQuality:
 
 
 class IdChanges:
-    """Follows every true object over the frames in their order. It is tracked in a frame when a predicted segment of
-    its class has an IoU above 0.5 with it. It has changed its id when this segment's id differs from that of the
-    segment where it was tracked last."""
+    """Follows every true object over the frames in order. It is tracked in a frame if a predicted segment of its class
+    has an IoU above 0.5 with it. It has changed its id if this segment's id differs from that of the segment in which
+    it was last tracked."""
 
     def __init__(self, classes: ClassTable) -> None:
         self.classes = classes
@@ -52,7 +52,7 @@ class IdChanges:
         self._changes: Counter[Segment] = Counter()
 
     def add(self, pixels: Mapping[Pair, int]) -> None:
-        """Count the next view, as ``FrameQuality.add`` does."""
+        """Count the next view, like ``FrameQuality.add``."""
         predicted, true = Counter[Segment](), Counter[Segment]()
         for (p, t), shared in pixels.items():
             predicted[p] += shared
@@ -67,6 +67,6 @@ class IdChanges:
 
     @property
     def per_object(self) -> float | None:
-        """Mean number of changes of the objects tracked in two frames or more; None where there is none."""
+        """The mean number of changes of the objects tracked in two or more frames; None if there are none."""
         again = [one for one, frames in self._tracked.items() if frames > 1]
         return sum(self._changes[one] for one in again) / len(again) if again else None

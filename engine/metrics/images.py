@@ -1,4 +1,4 @@
-"""How close a rendered picture comes to the photo: PSNR and SSIM, before and after a fit of its colours."""
+"""How close a rendered picture is to the photo: PSNR and SSIM, before and after a fit of its colours."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from ..scene.borders import border_mask
 
 BEST_PSNR = 100.0
-"""Decibels given to equal pictures, so that a mean over frames and a JSON file stay finite."""
+"""The decibels of identical pictures, so that a mean over frames and a JSON file stay finite."""
 
 WINDOW, SIGMA = 11, 1.5
 C1, C2 = 0.01**2, 0.03**2
@@ -29,9 +29,9 @@ class PictureScores(NamedTuple):
 def score_picture(rendered: NDArray[np.generic], photo: NDArray[np.uint8]) -> PictureScores:
     """Score a picture [H, W, 3], uint8 or floats in [0, 1], against the frame's photo uint8 [H, W, 3].
 
-    A camera with auto exposure shows one surface in many colours. The fitted scores forgive what a gain and an offset
-    explain. Black borders that an undistortion left in the photo count neither in the fit nor in PSNR. SSIM takes the
-    whole picture. Raises ValueError when shapes differ.
+    A camera with auto exposure shows one surface in many colours. The fitted scores ignore what a gain and an offset
+    explain. Black borders that undistortion left in the photo count neither in the fit nor in PSNR. SSIM uses the
+    whole picture. Raises ValueError if shapes differ.
     """
     valid = ~border_mask(photo)
     fitted = fit_colours(rendered, photo, valid)
@@ -43,11 +43,11 @@ def score_picture(rendered: NDArray[np.generic], photo: NDArray[np.uint8]) -> Pi
 def fit_colours(
     rendered: NDArray[np.generic], photo: NDArray[np.generic], valid: NDArray[np.bool_]
 ) -> NDArray[np.float64]:
-    """``rendered`` after the affine fit to ``photo``: a gain and an offset a channel, least squares over the ``valid``
-    pixels.
+    """``rendered`` after the affine fit to ``photo``: a gain and an offset per channel, by least squares over the
+    ``valid`` pixels.
 
-    Pictures [H, W, 3], uint8 or floats in [0, 1]; ``valid`` bool [H, W]. The answer is float64, clipped to [0, 1], so
-    its PSNR is never lower than that of ``rendered``. Raises ValueError when shapes differ.
+    Pictures [H, W, 3], uint8 or floats in [0, 1]; ``valid`` bool [H, W]. The result is float64, clipped to [0, 1], so
+    its PSNR is never lower than that of ``rendered``. Raises ValueError if shapes differ.
     """
     x, y = _unit(rendered), _unit(photo)
     _same_shape(x, y)
@@ -61,7 +61,7 @@ def fit_colours(
 
 def psnr(a: NDArray[np.generic], b: NDArray[np.generic], valid: NDArray[np.bool_] | None = None) -> float:
     """-10 log10(MSE) in decibels of two pictures [H, W, 3], uint8 or floats in [0, 1], over all pixels or the ``valid``
-    ones, bool [H, W]. ValueError when shapes differ.
+    ones, bool [H, W]. Raises ValueError if shapes differ.
     """
     x, y = _unit(a), _unit(b)
     _same_shape(x, y)
@@ -70,10 +70,10 @@ def psnr(a: NDArray[np.generic], b: NDArray[np.generic], valid: NDArray[np.bool_
 
 
 def ssim(a: NDArray[np.generic], b: NDArray[np.generic]) -> float:
-    """Mean structural similarity of two pictures [H, W, 3], uint8 or floats in [0, 1]; 1 = equal.
+    """Mean structural similarity of two pictures [H, W, 3], uint8 or floats in [0, 1]; 1 = identical.
 
-    11x11 Gaussian window with sigma 1.5, zero padding, C1 = 0.01^2, C2 = 0.03^2, each channel by itself: the
-    measure that the training loss uses. Raises ValueError when shapes differ.
+    11x11 Gaussian window with sigma 1.5, zero padding, C1 = 0.01^2, C2 = 0.03^2, each channel separately: the
+    measure that the training loss uses. Raises ValueError if shapes differ.
     """
     x, y = _unit(a), _unit(b)
     _same_shape(x, y)

@@ -1,10 +1,10 @@
 """mIoU and PQ-scene of predicted views against ground truth, in two modes.
 
-``pl_compat`` repeats the evaluator behind the published numbers of Panoptic Lifting, Contrastive Lift and PLGS, with
-its oddities: every map is stretched to 512x512, rare classes are dropped, and predicted void is scored as a class of
-its own. ``strict`` is the honest reading: native resolution, no class dropped, predicted void a miss but never a class.
+``pl_compat`` reproduces the evaluator behind the published numbers of Panoptic Lifting, Contrastive Lift and PLGS, with
+its peculiarities: every map is stretched to 512x512, rare classes are dropped, and predicted void is scored as a class
+of its own. ``strict`` uses the native resolution and drops no class; predicted void is a miss but never a class.
 
-Both first delete the pixels whose ground truth is void. Both count a segment as a distinct (class, instance) pair over
+Both first remove the pixels whose ground truth is void. Both count a segment as a distinct (class, instance) pair over
 ALL views (PQ-scene): an object that changes its id between views is wrong.
 """
 
@@ -26,7 +26,7 @@ MODES: tuple[Mode, ...] = get_args(Mode)
 
 COMPAT_SIZE = (512, 512)
 RARE = 0.005
-"""Share of the pixels with ground truth below which pl_compat drops a class."""
+"""pl_compat drops classes with less than this share of the pixels that have ground truth."""
 
 Segment = tuple[int, int]
 """(class id, instance id)."""
@@ -36,7 +36,7 @@ Pair = tuple[Segment, Segment]
 
 @dataclass(frozen=True)
 class ClassScore:
-    """One class. ``iou`` (or ``pq``, ``sq``, ``rq``) is None when the class does not enter that mean."""
+    """The scores of one class. ``iou`` (or ``pq``, ``sq``, ``rq``) is None if the class does not enter that mean."""
 
     class_id: int
     name: str
@@ -51,10 +51,10 @@ class ClassScore:
 
 @dataclass(frozen=True)
 class PanopticScores:
-    """Means over the classes, each in [0, 1], and the classes they were made of, in ascending order of id.
+    """Means over the classes, each in [0, 1], and the classes that they include, in ascending order of id.
 
-    ``miou_true`` is the mean IoU over those classes alone that the ground truth has, as the field often counts it: a
-    class that is predicted and not there costs the pixels of true classes that it takes, and no place in the mean.
+    ``miou_true`` is the mean IoU over only those classes that the ground truth has, as is common in the field: a
+    class that is wrongly predicted costs the pixels of true classes that it takes, but does not enter the mean.
     """
 
     mode: Mode
@@ -67,7 +67,7 @@ class PanopticScores:
 
 
 class PanopticEvaluation:
-    """Takes view after view and keeps only how many ``pixels`` each pair of segments shares."""
+    """Takes one view after another, and keeps only the number of ``pixels`` that each pair of segments shares."""
 
     def __init__(self, classes: ClassTable, mode: Mode) -> None:
         if mode not in MODES:
@@ -85,8 +85,8 @@ class PanopticEvaluation:
     ) -> dict[Pair, int]:
         """Count one view: class ids and instance ids, integer [H, W] each; 0 = void, none. Returns its shared pixels.
 
-        Classes that the table does not have count as void. Raises ValueError when an id is negative, and when shapes
-        differ; in ``pl_compat`` prediction and ground truth may have different sizes.
+        Classes that are not in the table count as void. Raises ValueError if an id is negative, or if shapes differ; in
+        ``pl_compat`` prediction and ground truth may have different sizes.
         """
         maps = [np.asarray(m) for m in (pred_semantic, pred_instance, gt_semantic, gt_instance)]
         if self.mode == "pl_compat":
@@ -102,11 +102,11 @@ class PanopticEvaluation:
 
     @property
     def is_empty(self) -> bool:
-        """Whether no pixel with ground truth was added yet."""
+        """Whether no pixel with ground truth has been added yet."""
         return not self.pixels
 
     def _segments(self, semantic: NDArray[np.integer], instance: NDArray[np.integer]) -> NDArray[np.int64]:
-        """Class and instance packed into one int64 a pixel, flat; stuff has no instance."""
+        """Class and instance packed into one int64 per pixel, flat; stuff has no instance."""
         if semantic.size and min(int(semantic.min()), int(instance.min())) < 0:
             raise ValueError("class and instance ids must not be negative")
         known = np.isin(semantic, self.classes.ids)
@@ -115,7 +115,7 @@ class PanopticEvaluation:
         return (packed | np.where(things, instance, 0).astype(np.int64)).ravel()
 
     def result(self) -> PanopticScores:
-        """The scores of all views added so far. Raises ValueError when no pixel had ground truth."""
+        """The scores of all views added so far. Raises ValueError if no pixel had ground truth."""
         if self.is_empty:
             raise ValueError("nothing to score: no pixel has ground truth")
         ids = (VOID, *self.classes.ids)
@@ -205,10 +205,10 @@ class _Matches:
 
 
 def _match(pixels: Counter[Pair], kept: set[int], *, excuse_void: bool) -> _Matches:
-    """Match segments of one class whose IoU exceeds 0.5 (at most one partner each follows from that).
+    """Match segments of one class whose IoU exceeds 0.5 (so each has at most one partner).
 
-    With ``excuse_void``, pixels whose label on the other side is not a kept class leave the union, and a segment that
-    lies on such pixels by more than half is not an error. Without it, predicted void is an ordinary miss.
+    With ``excuse_void``, pixels whose label on the other side is not a kept class leave the union, and a segment with
+    more than half of its area on such pixels is not an error. Without it, predicted void is an ordinary miss.
     """
     predicted: Counter[Segment] = Counter()
     true: Counter[Segment] = Counter()
@@ -241,7 +241,7 @@ def _match(pixels: Counter[Pair], kept: set[int], *, excuse_void: bool) -> _Matc
 
 
 def _shared_pixels(predicted: NDArray[np.int64], true: NDArray[np.int64]) -> dict[Pair, int]:
-    """How many pixels each (predicted, true) pair of packed segments shares, in ascending order."""
+    """The number of pixels that each (predicted, true) pair of packed segments shares, in ascending order."""
     p_values, p_index = np.unique(predicted, return_inverse=True)
     t_values, t_index = np.unique(true, return_inverse=True)
     pairs, pixels = np.unique(p_index * max(len(t_values), 1) + t_index, return_counts=True)
@@ -256,6 +256,6 @@ def _unpack(packed: int) -> Segment:
 
 
 def _mean(values: Iterable[float | None]) -> float:
-    """Plain mean of what is not None; 0 when nothing is left."""
+    """The plain mean of the values that are not None; 0 if there are none."""
     kept = [value for value in values if value is not None]
     return sum(kept) / len(kept) if kept else 0.0

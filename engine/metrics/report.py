@@ -18,7 +18,7 @@ FORMAT = 1
 INPUT_MASKS = "input masks"
 LIFTED = "lifted"
 METHODS = (INPUT_MASKS, LIFTED)
-"""Methods in the order of their tables. Those of other methods follow."""
+"""Methods in the order of their tables. Other methods follow."""
 
 _FOLLOWED = ("pq_frame", "id_changes")
 _NO_LABEL_SCORES: dict[str, object] = {
@@ -29,11 +29,11 @@ _NO_LABEL_SCORES: dict[str, object] = {
 
 @dataclass(frozen=True, eq=False)
 class PredictedView:
-    """What a method predicts of one frame, at the frame's own size.
+    """What a method predicts for one frame, at the frame's own size.
 
     ``semantic`` and ``instance`` int32 [H, W] (0 = void, none). ``image`` [H, W, 3], uint8 or floats in [0, 1],
-    sRGB-encoded, or None when the method renders no picture. ``depth``, planar metres, and ``alpha``, coverage in
-    [0, 1], float32 [H, W], or None when it renders no depth.
+    sRGB-encoded, or None if the method renders no picture. ``depth``, planar metres, and ``alpha``, coverage in
+    [0, 1], float32 [H, W], or None if it renders no depth.
     """
 
     semantic: NDArray[np.int32]
@@ -44,7 +44,7 @@ class PredictedView:
 
 
 class _Labels:
-    """The sums over a method's labels: the two modes, PQ frame by frame, and how often objects change their ids."""
+    """Sums over a method's labels: the two modes, PQ frame by frame, and how often objects change their ids."""
 
     def __init__(self, classes: ClassTable) -> None:
         self.modes = {mode: PanopticEvaluation(classes, mode) for mode in MODES}
@@ -61,7 +61,7 @@ class _Labels:
 
 
 class Report:
-    """Collects scores, view after view and method after method, and makes tables of them."""
+    """Collects scores, one view and one method after another, and makes tables from them."""
 
     def __init__(self, classes: ClassTable) -> None:
         self.classes = classes
@@ -71,8 +71,8 @@ class Report:
         self._frames: list[str] = []
 
     def add(self, method: str, frame: Frame, view: PredictedView) -> None:
-        """Score one held-out view: its labels where the frame has ground truth, its picture and its depth if it has
-        them. Raises ValueError when the view has another size than the frame, PlgsError when a file is bad."""
+        """Score one held-out view: its labels if the frame has ground truth, its picture and its depth if it has
+        them. Raises ValueError if the view and the frame differ in size, and PlgsError if a file is bad."""
         if frame.name not in self._frames:
             self._frames.append(frame.name)
         if view.image is not None:
@@ -85,7 +85,7 @@ class Report:
             self.add_labels(method, frame.name, view, frame.read_ground_truth(frame.size))
 
     def add_labels(self, method: str, frame: str, view: PredictedView, truth: GroundTruth) -> None:
-        """Score the labels of one view. Raises ValueError when it has another size than its ground truth."""
+        """Score the labels of one view. Raises ValueError if it and its ground truth differ in size."""
         if frame not in self._frames:
             self._frames.append(frame)
         if method not in self._labels:
@@ -93,7 +93,7 @@ class Report:
         self._labels[method].add(view, truth)
 
     def to_json(self) -> dict[str, object]:
-        """metrics.json: shares in [0, 1], decibels, metres; null where something was not measured."""
+        """The content of metrics.json: shares in [0, 1], decibels, metres; null for what was not measured."""
         methods = sorted({*self._labels, *self._pictures, *self._depths}, key=_place)
         return {
             "format": FORMAT,
@@ -102,7 +102,7 @@ class Report:
         }
 
     def _tables(self, method: str) -> Iterator[dict[str, object]]:
-        """One table a mode, or one without a mode when no labels could be scored."""
+        """One table per mode, or one without a mode if no labels could be scored."""
         rendered = {**self._picture_scores(method), **self._depth_scores(method)}
         labels = self._labels.get(method)
         scores = [] if labels is None else [one.result() for one in labels.modes.values() if not one.is_empty]
@@ -114,7 +114,7 @@ class Report:
             yield {"name": method, **_NO_LABEL_SCORES, **rendered}
 
     def _picture_scores(self, method: str) -> dict[str, float | None]:
-        """Means over the views."""
+        """The means over the views."""
         pictures = self._pictures.get(method, [])
         if not pictures:
             return dict.fromkeys(PictureScores._fields)
@@ -145,7 +145,7 @@ def add_input_masks(report: Report, scene: Scene) -> None:
 
 
 def masks_as_prediction(mask: PanopticMask, first_id: int) -> PredictedView:
-    """An input mask as a prediction. Its ids become ``first_id``.., as ids of different views mean different things."""
+    """An input mask as a prediction. Its ids become ``first_id``.., as the ids of different views are unrelated."""
     values, index = np.unique(mask.ids, return_inverse=True)
     fresh = np.where(values > 0, np.cumsum(values > 0) + first_id - 1, 0).astype(np.int32)
     return PredictedView(mask.class_map(), fresh[index.reshape(mask.ids.shape)])

@@ -1,4 +1,4 @@
-"""What the masks show well from near and the lift shows nowhere. No ground truth is asked: the masks are the judges.
+"""What the masks show clearly from nearby and the lift shows nowhere. The masks judge, without any ground truth.
 
 A view asks about the segments that it resolves, and near views answer (``scene/evidence.py``).
 """
@@ -15,21 +15,21 @@ from numpy.typing import NDArray
 from ..scene import VOID, ClassTable, View, are_near, resolution_on, resolves
 
 LEAST_SEEN = 8
-"""Pixels of a segment at the size of the judged views. Fewer are edges."""
+"""The least pixels of a segment at the size of the judged views. Smaller ones are edges."""
 LEAST_VIEWS_OF_OBJECT, LEAST_VIEWS_OF_CLASS = 3, 2
-"""Near views that must show an object of a class which is shown elsewhere, or a class that is shown nowhere."""
+"""The number of near views that must show an object whose class is shown elsewhere, or a class shown nowhere."""
 NAMES = 0.5
-"""Share of a place's points that a mask calls by a class from which it names the place so."""
+"""A mask names a place by a class if it gives at least this share of the place's points that class."""
 AGREED = 2 / 3
-"""Share of the near views that must name the place so. Networks confuse some classes in half of their masks."""
+"""Share of the near views that must name the place this way. Networks confuse some classes in half of their masks."""
 SHOWN = 0.1
-"""Share of a place's points below which the lift does not show its class there."""
+"""The lift does not show a place's class if it gives fewer than this share of the place's points that class."""
 POINTS = 64
-"""Points that stand for a segment."""
+"""The number of points that represent a segment."""
 MOST_CANDIDATES = 500
-"""Segments that are asked about at most, the best resolved first."""
+"""The most segments that are asked about, the best resolved first."""
 BEHIND = 0.05
-"""A point is hidden when it lies farther behind the measured depth than this share of it, at least 5 cm."""
+"""A point is hidden if it lies behind the measured depth by more than this share of it, and at least 5 cm."""
 MARGIN = 0.1
 """Metres around an object within which another segment of its class shows the same object."""
 
@@ -46,8 +46,8 @@ class Unshown:
     """A class, or one object of it (``whole_class`` false), that the masks show and the lift does not.
 
     ``views`` near views name it, of ``near`` that see the place. ``frame`` shows it best: there it is ``segment``,
-    with ``pixels`` pixels of the frame's own size, at ``resolution`` pixels a centimetre. ``shown_as``: the class that
-    the lift shows there most, 0 = none. ``centre``: world metres.
+    with ``pixels`` pixels at the frame's own size, at ``resolution`` pixels per centimetre. ``shown_as``: the class
+    that the lift shows there most, 0 = none. ``centre``: world metres.
     """
 
     class_id: int
@@ -76,8 +76,8 @@ class _Candidate(NamedTuple):
 
 
 def find_unshown(views: Sequence[JudgedView], classes: ClassTable) -> list[Unshown]:
-    """The classes and objects that the lift lacks, whole classes first, then the best resolved. Each view is read
-    twice."""
+    """The classes and objects that the lift lacks: whole classes first, then objects, each by resolution. Each view is
+    read twice."""
     found: list[_Candidate] = []
     shown: set[int] = set()
     for judged in views:
@@ -104,7 +104,7 @@ def _told(found: list[_Candidate], answers: _Answers, shown: set[int], classes: 
         if judgement.named < least or judgement.named < AGREED * judgement.near or judgement.kept >= SHOWN:
             continue
         if whole and any(other.class_id == one.class_id for other in told):
-            continue  # a class is told once, by its best view
+            continue  # a class is reported once, by its best view
         places.append((one.class_id, one.xyz.min(axis=0) - MARGIN, one.xyz.max(axis=0) + MARGIN))
         x, y, z = (round(float(value), 3) for value in centre)
         told.append(
@@ -126,8 +126,8 @@ def _told(found: list[_Candidate], answers: _Answers, shown: set[int], classes: 
 
 
 def _segments(judged: JudgedView) -> tuple[list[_Candidate], set[int]]:
-    """The resolved segments that the lift does not show in their own view, and the classes that it does show on a
-    segment of theirs."""
+    """The resolved segments that the lift does not show in their own view, and the classes that it does show on one of
+    their segments."""
     view, shown = judged
     seen = view.depth > 0
     candidates, kept = [], set()
@@ -159,8 +159,8 @@ def _unproject(view: View, rows: NDArray[np.int64], columns: NDArray[np.int64]) 
 
 
 class _Judgement(NamedTuple):
-    """Of the views ``near`` a place, those that have ``named`` it, and the largest share of it that the lift shows as
-    its class in one of these."""
+    """The number of views ``near`` a place, the number that ``named`` it, and the largest share of it that the lift
+    shows as its class in one of these."""
 
     named: int
     near: int
@@ -168,7 +168,7 @@ class _Judgement(NamedTuple):
 
 
 class _Answers:
-    """What each view says of each candidate."""
+    """The answers of each view about each candidate."""
 
     def __init__(self, found: Sequence[_Candidate]) -> None:
         self.found = found
@@ -179,8 +179,8 @@ class _Answers:
         self._rows: list[tuple[NDArray[np.floating], NDArray[np.floating], NDArray[np.floating]]] = []
 
     def add(self, judged: JudgedView) -> None:
-        """Ask a view. Kept of it are the resolution (0 where it sees less than half of the points), the share of
-        the seen points that its mask calls by the candidate's class, and the share that the lift does."""
+        """Ask a view. It keeps the resolution (0 if the view sees less than half of the points), and the shares of
+        the seen points that have the candidate's class in the mask and in the lift."""
         if not self.found:
             return
         view, shown = judged
@@ -202,7 +202,7 @@ class _Answers:
         )
 
     def of(self, number: int) -> _Judgement:
-        """What the near views say of a candidate."""
+        """What the near views say about a candidate."""
         answers = np.array([[part[number] for part in row] for row in self._rows])
         resolution, named, kept = answers.T
         near = are_near(resolution, self.found[number].resolution)

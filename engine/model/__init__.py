@@ -1,1 +1,1 @@
-"""Anchors, decoders, growing and pruning."""
+"""Anchors, decoders, growth and pruning."""

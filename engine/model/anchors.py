@@ -1,8 +1,8 @@
-"""Anchors: voxel centres that each own ``k`` neural Gaussians (paper, section "Structured Panoptic-Aware Scene
-Representation"; Scaffold-GS).
+"""Anchors: voxel centres that each own ``k`` neural Gaussians (see the paper's section "Structured Panoptic-Aware
+Scene Representation", and Scaffold-GS).
 
-An anchor never moves. Its feature, the offsets of its Gaussians and six log scales are learnt: three stretch the
-offsets, three bound the size of the Gaussians.
+An anchor never moves. Its feature, the offsets of its Gaussians and six log scales are learnt: three scale the
+offsets, three limit the size of the Gaussians.
 """
 
 from __future__ import annotations
@@ -20,12 +20,12 @@ UNKNOWN_CLASS = 0
 
 @dataclass
 class Anchors:
-    """The anchors' tensors, row i of each being anchor i; float32 unless said otherwise.
+    """The anchors' tensors. Row i of each belongs to anchor i; they are float32 unless stated otherwise.
 
     ``position`` [M, 3] metres, fixed; ``feature`` [M, F]; ``offset`` [M, k, 3] in units of the offset scale;
     ``log_scale`` [M, 6] (0:3 offset scale, 3:6 Gaussian scale, log metres); ``level`` int64 [M], 0 for initial anchors
-    and 1..3 for those grown at the 1st to 3rd cell size; ``initial_class`` int64 [M], class id voted by the semantic
-    point cloud (0 = unknown), the target of the cluster loss.
+    and 1..3 for those grown at the 1st to 3rd cell size; ``initial_class`` int64 [M], the class id voted by the
+    semantic point cloud (0 = unknown), which is the target of the cluster loss.
     """
 
     position: torch.Tensor
@@ -46,11 +46,11 @@ class Anchors:
         return self.offset.shape[1]
 
     def tensors(self) -> dict[str, torch.Tensor]:
-        """All tensors by name, learnt ones detached."""
+        """All tensors by name; the learnt ones are detached."""
         return {name: getattr(self, name).detach() for name in (*self.LEARNT, *self.FIXED)}
 
     def select(self, rows: torch.Tensor) -> Anchors:
-        """The anchors of ``rows`` (bool [M] or int64 indices), in order, as fresh leaf tensors."""
+        """The anchors at ``rows`` (bool [M] or int64 indices), in order, as new leaf tensors."""
         return Anchors(**{name: tensor[rows].clone() for name, tensor in self.tensors().items()})
 
     def extended(self, more: Anchors) -> Anchors:
@@ -60,7 +60,7 @@ class Anchors:
 
 
 def spacing(positions: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Root mean square distance in metres to the three nearest others, float32 [M] (Scaffold-GS's initial scale)."""
+    """Root mean square distance in metres to the three nearest others, float32 [M]: Scaffold-GS's initial scale."""
     neighbours = min(4, len(positions))
     if neighbours < 2:
         return np.full(len(positions), 0.05, np.float32)
@@ -78,7 +78,7 @@ def initial_anchors(
 ) -> Anchors:
     """Anchors at ``positions`` [M, 3] with class ids ``classes`` [M] (0 unknown) and starting features [M, F].
 
-    A lone point far from all others would start as one huge Gaussian. So the starting scale is at most three voxels.
+    A lone point far from all others would start as one huge Gaussian, so the initial scale is at most three voxels.
     """
     count = len(positions)
     log_scale = np.log(np.minimum(spacing(positions), 3.0 * voxel_size))
@@ -103,8 +103,8 @@ def seeded_features(
     """Starting features that differ by colour and consistent label, float32 [M, ``features``].
 
     Scaffold-GS and the paper start from zero. It then takes thousands of steps until equal anchors have drifted apart,
-    and a lift on a CPU has hundreds. Three entries hold ``rgb`` uint8 [M, 3] scaled to [-1, 1]. The others hold random
-    +-1 codes of the class (half of them) and of the instance, no two alike. Unknown labels (0) leave zeros.
+    but a lift on a CPU has only hundreds. Three entries hold ``rgb`` uint8 [M, 3] scaled to [-1, 1]. Half of the others
+    hold a random +-1 code of the class, the rest one of the instance; codes are unique. Unknown labels (0) give zeros.
     """
     seeded = np.zeros((len(rgb), features), np.float32)
     seeded[:, :3] = rgb.astype(np.float32) / 127.5 - 1.0
@@ -116,9 +116,9 @@ def seeded_features(
 
 
 def _codes(labels: int, width: int, random: np.random.Generator) -> NDArray[np.float32]:
-    """Zeros for label 0 and a code of +-1 for each of 1..``labels``, float32 [``labels`` + 1, ``width``].
+    """Zeros for label 0 and a +-1 code for each of 1..``labels``, float32 [``labels`` + 1, ``width``].
 
-    As long as there are enough codes, no two labels share one, as nothing else would tell two equal chairs apart.
+    If there are enough codes, no two labels share one, as nothing else would distinguish two identical chairs.
     """
     sides = np.array([-1.0, 1.0], np.float32)
     codes = random.choice(sides, (labels + 1, width))

@@ -17,16 +17,16 @@ from .scene_labels import shown_labels, shown_probabilities
 from .structured import LabelChannels, StructuredScene
 
 CHUNK = 65536
-"""Anchors decoded at a time, to bound the memory. They are fewer where there are more than USUAL_LABELS labels."""
+"""Anchors decoded at once, to bound the memory. There are fewer if there are more than USUAL_LABELS labels."""
 USUAL_LABELS = 64
 _NEIGHBOURS = 16
-"""Gaussians whose colours are blended, itself with them."""
+"""The number of Gaussians whose colours are blended, including the Gaussian itself."""
 
 
 @dataclass(frozen=True, eq=False)
 class BakedGaussians:
-    """Gaussians decoded for one viewpoint, float32: ``means`` [N, 3] m, ``scales`` [N, 3] m, ``quats`` [N, 4] wxyz
-    unit, ``opacities`` [N] in (0, 1], ``colours`` [N, 3] sRGB in [0, 1]; ``class_id`` and ``instance_id`` int32 [N]."""
+    """Gaussians decoded for one viewpoint, float32: ``means`` [N, 3] m, ``scales`` [N, 3] m, unit ``quats`` [N, 4]
+    wxyz, ``opacities`` [N] in (0, 1], ``colours`` [N, 3] sRGB in [0, 1]; ``class_id``, ``instance_id`` int32 [N]."""
 
     means: NDArray[np.float32]
     scales: NDArray[np.float32]
@@ -37,9 +37,9 @@ class BakedGaussians:
     instance_id: NDArray[np.int32]
 
     def blended_colours(self) -> NDArray[np.float32]:
-        """The colour around each Gaussian, sRGB float32 [N, 3] in [0, 1]: the mean over its nearest neighbours, by
-        opacity. A pixel mixes many Gaussians, whose own colours scatter around what is seen; a viewer that draws each
-        opaque shows this one."""
+        """The colour around each Gaussian, sRGB float32 [N, 3] in [0, 1]: the mean of its nearest neighbours, weighted
+        by opacity. A pixel mixes many Gaussians, whose own colours scatter around the visible colour; a viewer that
+        draws each Gaussian opaque shows this colour."""
         if not len(self.means):
             return self.colours
         tree, blended = cKDTree(self.means), np.empty_like(self.colours)
@@ -55,8 +55,8 @@ class BakedGaussians:
 def decided_labels(
     shown: NDArray[np.float32], channels: LabelChannels, thing_ids: frozenset[int]
 ) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-    """Class and instance ids, int32 [N] each, from the answer of ``shown_probabilities`` [N, C + U]. They are decided
-    as a pixel of the passes is: what no object owns has its own class and instance 0."""
+    """Class and instance ids, int32 [N] each, from the result of ``shown_probabilities`` [N, C + U]. They are decided
+    like a pixel of the passes: what no object owns has its own class and instance 0."""
     classes = len(channels.class_ids)
     by_class, owned = shown[:, :classes], shown[:, classes:]
     place, rows = by_class.argmax(axis=1), np.arange(len(shown))
@@ -81,7 +81,7 @@ def bake(
 ) -> tuple[BakedGaussians, Anchors]:
     """Decode every anchor as seen from ``viewpoint`` [3] metres.
 
-    Colours and shapes depend a little on the viewpoint, which a splat file cannot express. The middle of the cameras is
+    Colours and shapes depend slightly on the viewpoint, which a splat file cannot express. The middle of the cameras is
     the fairest single choice.
     """
     centre = torch.from_numpy(viewpoint.copy()).float()

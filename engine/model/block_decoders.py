@@ -1,4 +1,4 @@
-"""The decoders of a scene that was joined from blocks: each block's own."""
+"""The decoders of a scene that was joined from blocks: each block has its own."""
 
 from __future__ import annotations
 
@@ -20,23 +20,23 @@ _PARTS = ("opacity", "covariance", "colour")
 
 @dataclass(frozen=True)
 class BlockShape(DecoderShape):
-    """``anchors``: how many of the scene's anchors each block has. Those of the first come first."""
+    """``anchors``: the number of the scene's anchors in each block. Those of the first block come first."""
 
     anchors: tuple[int, ...] = ()
 
     def __post_init__(self) -> None:
-        if isinstance(self.anchors, list):  # as JSON has it
+        if isinstance(self.anchors, list):  # as read from JSON
             object.__setattr__(self, "anchors", tuple(self.anchors))
 
     @property
     def of_block(self) -> DecoderShape:
-        """The shape of a block's decoders. They draw no labels: these were voted."""
+        """The shape of a block's decoders. They draw no labels, as labels were voted."""
         sizes = self.features, self.gaussians_per_anchor, 1, 1, self.distance_input, self.label_view_input
         return DecoderShape(*sizes)
 
 
 class BlockDecoders(Decoders):
-    """The opacity, covariance and colour decoders of each block. The labels of its Gaussians have to be known."""
+    """The opacity, covariance and colour decoders of each block. The labels of its Gaussians must be known."""
 
     kind: ClassVar[str] = "blocks"
     shape_type: ClassVar[type[DecoderShape]] = BlockShape
@@ -54,7 +54,7 @@ class BlockDecoders(Decoders):
 
     @classmethod
     def joined(cls, shape: BlockShape, decoders: list[Decoders]) -> BlockDecoders:
-        """Those of the blocks, in their order."""
+        """The decoders of the blocks, in order."""
         found = cls(shape, seed=0)
         for block, own in zip(found.of_block, decoders, strict=True):
             for part in _PARTS:
@@ -71,14 +71,14 @@ class BlockDecoders(Decoders):
         super().check_shape(shape)
         counts = shape.anchors
         if not isinstance(counts, tuple) or not 1 <= len(counts) <= MOST_BLOCKS:
-            raise ValueError(f"the model has no number of blocks from 1 to {MOST_BLOCKS}")
+            raise ValueError(f"the model's number of blocks is not between 1 and {MOST_BLOCKS}")
         if not all(type(count) is int and count >= 0 for count in counts):
-            raise ValueError("the blocks have no numbers of anchors")
+            raise ValueError("the blocks' numbers of anchors are missing or invalid")
 
     @classmethod
     def check_anchors(cls, shape: BlockShape, anchors: int) -> None:
         if sum(shape.anchors) != anchors:
-            raise ValueError("the blocks have other numbers of anchors than the model")
+            raise ValueError("the blocks' numbers of anchors do not add up to the model's")
 
     def own_decoding(
         self,
@@ -88,7 +88,7 @@ class BlockDecoders(Decoders):
         channels: torch.Tensor | None,
         known_labels: torch.Tensor | None,
     ) -> NeuralGaussians:
-        """Each block's anchors by its decoders. Raises ValueError without ``known_labels``."""
+        """Decode each block's anchors with its decoders. Raises ValueError without ``known_labels``."""
         if known_labels is None:
             raise ValueError("the labels of the blocks are not known")
         ends = torch.tensor([*accumulate(self.shape.anchors)])

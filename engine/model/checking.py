@@ -1,4 +1,4 @@
-"""Checks of a model that comes from a file, before any kernel sees it. Kernels do not check indices."""
+"""Checks of a model from a file, before any kernel uses it. Kernels do not check indices."""
 
 from __future__ import annotations
 
@@ -14,22 +14,22 @@ from .decoders import DECODERS, Decoders
 
 MOST_ANCHORS = 20_000_000
 MOST_LABELS = 64
-"""Labels that a Gaussian keeps at most."""
+"""The most labels that a Gaussian keeps."""
 FARTHEST = 1e6
-"""Metres from the origin within which an anchor lies."""
+"""The greatest distance of an anchor from the origin, in metres along each axis."""
 LARGEST_LOG = 50.0
-"""Largest logarithm of a scale in metres. Its exponential is still a finite float32."""
+"""The largest logarithm of a scale in metres. Its exponential is still a finite float32."""
 LARGEST_WEIGHT = 1e6
 _NO_MORE = (("plain", False), ("encoding", 0), ("twin", False))
 """Facts that earlier versions wrote for all decoders."""
 LARGEST_LEVEL = 63
-"""Generations of growth behind an anchor."""
+"""The most generations of growth behind an anchor."""
 MOST_PER_ANCHOR = 64
-"""Gaussians of an anchor at most."""
+"""The most Gaussians of an anchor."""
 
 
 class Wanted(NamedTuple):
-    """Shape and type of a tensor, whose numbers lie from ``least`` to ``most``."""
+    """The shape and type of a tensor, and the range of its numbers, from ``least`` to ``most``."""
 
     shape: tuple[int, ...]
     dtype: torch.dtype = torch.float32
@@ -38,7 +38,7 @@ class Wanted(NamedTuple):
 
 
 def check_tensors(tensors: Mapping[str, torch.Tensor], wanted: Mapping[str, Wanted]) -> None:
-    """Raises ValueError unless exactly the ``wanted`` tensors are there, with finite numbers in range."""
+    """Raise ValueError unless exactly the ``wanted`` tensors are there, with finite numbers in range."""
     odd = sorted(set(tensors) ^ set(wanted))
     if odd:
         raise ValueError(f"the tensor {odd[0]} is {'missing' if odd[0] in wanted else 'not known'}")
@@ -47,26 +47,26 @@ def check_tensors(tensors: Mapping[str, torch.Tensor], wanted: Mapping[str, Want
         if tuple(tensor.shape) != shape or tensor.dtype != dtype:
             raise ValueError(f"{name} is {tensor.dtype} {list(tensor.shape)}, not {dtype} {list(shape)}")
         if tensor.numel():
-            low, high = tensor.aminmax()  # NaN where one number is
+            low, high = tensor.aminmax()  # NaN if any number is
             if not (math.isfinite(low) and math.isfinite(high) and least <= low and high <= most):
-                raise ValueError(f"{name} holds numbers that it cannot hold")
+                raise ValueError(f"{name} holds numbers outside its range")
 
 
 def wanted_of_model(facts: Mapping[str, Any], anchors: int, labels: int | None) -> dict[str, Wanted]:
-    """The tensors that ``from_tensors`` takes for a model with that number of ``anchors``, and of ``labels`` voted onto
-    each Gaussian (None: none). Raises ValueError when the facts do not fit together, or are too large."""
+    """The tensors that ``from_tensors`` takes for a model with this number of ``anchors``, and of ``labels`` voted onto
+    each Gaussian (None: none). Raises ValueError if the facts do not fit together, or are too large."""
     classes, slots = _ids(facts, "class_ids", least=1), _ids(facts, "slot_ids", least=-1)
     owners = _ids(facts, "class_of_slot", least=0)
     kind, shape = decoders_of(facts["decoders"])
     if (shape.classes, shape.instance_slots) != (len(classes), len(slots)):
-        raise ValueError("the decoders have other labels than the model")
+        raise ValueError("the decoders' labels are not those of the model")
     instances = [slot for slot, instance in enumerate(slots) if instance > 0]
     if classes != sorted(set(classes)) or len({slots[slot] for slot in instances}) < len(instances):
         raise ValueError("class ids or instance ids are not unique")
     if owners and (len(owners) != len(slots) or not {owners[slot] for slot in instances} <= {*classes}):
         raise ValueError("class_of_slot does not fit the slots")
     if not 0 <= anchors <= MOST_ANCHORS:
-        raise ValueError(f"there are {anchors} anchors, at most {MOST_ANCHORS} may be")
+        raise ValueError(f"there are {anchors} anchors, but at most {MOST_ANCHORS} are allowed")
     kind.check_anchors(shape, anchors)
     k = shape.gaussians_per_anchor
     wanted = {
@@ -89,10 +89,10 @@ def wanted_of_model(facts: Mapping[str, Any], anchors: int, labels: int | None) 
 
 
 def check_model(tensors: Mapping[str, torch.Tensor], facts: Mapping[str, Any]) -> None:
-    """Raises ValueError unless ``from_tensors`` can make a scene that kernels can draw."""
+    """Raise ValueError unless ``from_tensors`` can make a scene that kernels can draw."""
     voxel_size = facts["voxel_size"]
     if not isinstance(voxel_size, float | int) or not 1e-4 <= voxel_size <= 100:
-        raise ValueError("voxel_size is not a length of a voxel")
+        raise ValueError("voxel_size is not a valid length")
     anchors = tensors["anchors.position"].shape[:1]
     labels = tensors["voted.label"].shape[-1:] if "voted.label" in tensors else None
     if not anchors or labels == ():
@@ -101,18 +101,18 @@ def check_model(tensors: Mapping[str, torch.Tensor], facts: Mapping[str, Any]) -
 
 
 def decoders_of(facts: Mapping[str, Any]) -> tuple[type[Decoders], Any]:
-    """The kind of decoders that a file names, and their shape. Raises ValueError for one that this version does not
+    """The kind of decoders that a file names, and their shape. Raises ValueError for a kind that this version does not
     know."""
     kind = DECODERS.get(facts.get("kind", Decoders.kind))
     known = {name: value for name, value in facts.items() if name != "kind" and (name, value) not in _NO_MORE}
     if kind is None or set(known) != {each.name for each in fields(kind.shape_type)}:
-        raise ValueError("the decoders' shape is not known: they may be those of a baseline, which research has")
+        raise ValueError("the decoders' shape is unknown: they may belong to a baseline, which only research can read")
     for each in fields(kind.shape_type):
         value = known[each.name]
         if each.type == "bool" and type(value) is not bool:
             raise ValueError(f"{each.name} of the decoders is neither on nor off")
         if each.type == "int" and (type(value) is not int or value < 1):
-            raise ValueError(f"{each.name} of the decoders is not a number from 1 on")
+            raise ValueError(f"{each.name} of the decoders is not a positive integer")
     shape = kind.shape_type(**known)
     if shape.gaussians_per_anchor > MOST_PER_ANCHOR or max(shape.classes, shape.instance_slots) > LARGEST_ID:
         raise ValueError("the decoders have too many Gaussians or labels")

@@ -1,5 +1,5 @@
-"""The decoders F_alpha, F_sem, ... that turn an anchor's feature and the viewpoint into its Gaussians (paper, equation
-"decoder")."""
+"""The decoders F_alpha, F_sem, ... that turn an anchor's feature and the viewpoint into its Gaussians (see the paper's
+equation "decoder")."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ from .anchors import Anchors
 from .neural_gaussians import NeuralGaussians
 
 HIDDEN = 32
-"""Width of the one hidden layer, Scaffold-GS's default."""
+"""Width of the only hidden layer, Scaffold-GS's default."""
 MOST_FEATURES = 512
-"""Entries of an anchor's feature in a model's file at most."""
+"""The most entries of an anchor's feature in a model's file."""
 
 
 @dataclass(frozen=True)
 class DecoderShape:
     """The sizes and inputs of the decoders.
 
-    ``distance_input`` feeds the distance to the camera beside the direction, as in the paper's formula.
+    ``distance_input`` adds the distance to the camera to the direction, as in the paper's formula.
     ``label_view_input`` feeds both to the label decoders too. Without it, an object's label cannot depend on the view.
     """
 
@@ -37,12 +37,12 @@ class DecoderShape:
 
     @property
     def instance_outputs(self) -> int:
-        """Numbers that the instance decoder gives for each Gaussian."""
+        """The number of outputs of the instance decoder for each Gaussian."""
         return self.instance_slots
 
     @property
     def instance_channels(self) -> int:
-        """Channels that are drawn of instances."""
+        """The number of channels that are drawn for instances."""
         return self.instance_outputs
 
     @property
@@ -51,7 +51,7 @@ class DecoderShape:
 
 
 def _mlp(inputs: int, outputs: int, generator: torch.Generator) -> nn.Sequential:
-    """One hidden layer with ReLU. Weights are drawn from ``generator`` alone, so that a seed means the same
+    """One hidden layer with ReLU. Weights are drawn only from ``generator``, so that a seed means the same
     everywhere."""
     first, last = drawn_layer(inputs, HIDDEN, generator), drawn_layer(HIDDEN, outputs, generator)
     return nn.Sequential(first, nn.ReLU(), last)
@@ -59,7 +59,7 @@ def _mlp(inputs: int, outputs: int, generator: torch.Generator) -> nn.Sequential
 
 def run_side_by_side(given: torch.Tensor, *networks: nn.Sequential) -> list[torch.Tensor]:
     """Each network's output [V, its outputs] for the same ``given`` [V, inputs]. One matrix product serves all first
-    layers: that is faster than a narrow one for each."""
+    layers, which is faster than a narrow product for each."""
     first, last = [network.get_submodule("0") for network in networks], [network[2] for network in networks]
     weight, bias = (torch.cat([layer.get_parameter(name) for layer in first]) for name in ("weight", "bias"))
     hidden = functional.linear(given, weight, bias).relu_().split(HIDDEN, dim=1)
@@ -80,18 +80,18 @@ class ShownLabels(Protocol):
     """What the Gaussians of a scene show, for any number of frames."""
 
     def of(self, rows: torch.Tensor) -> torch.Tensor:
-        """What is drawn of the Gaussians of ``rows`` int64 [N], float32 [N, D]."""
+        """The values to draw for the Gaussians of ``rows`` int64 [N], float32 [N, D]."""
         ...
 
     def shown(self, drawn: torch.Tensor, alpha: torch.Tensor) -> torch.Tensor:
-        """The coverage [..., C + U] of classes and instances, from what was drawn of the rows up to ``alpha`` [...]."""
+        """The coverage [..., C + U] of classes and instances, from the values drawn with a total of ``alpha`` [...]."""
         ...
 
 
 class Decoders(nn.Module):
     """Opacity, covariance, colour, semantic and instance decoders.
 
-    These are the paper's. Other kinds (those of ``research``) override methods, and are registered in ``DECODERS``.
+    These are the paper's. Other kinds (in ``research``) override methods, and are registered in ``DECODERS``.
     """
 
     kind: ClassVar[str] = "structured"
@@ -112,7 +112,7 @@ class Decoders(nn.Module):
 
     @classmethod
     def sides(cls, shape: Any) -> dict[str, tuple[int, int]]:
-        """Inputs and outputs of each decoder, by its name."""
+        """The numbers of inputs and outputs of each decoder, by name."""
         k, seen = shape.gaussians_per_anchor, shape.features + shape.view_inputs
         labelled = seen if shape.label_view_input else shape.features
         return {
@@ -125,7 +125,7 @@ class Decoders(nn.Module):
 
     @classmethod
     def weight_sizes(cls, shape: Any) -> dict[str, tuple[int, ...]]:
-        """The size of each tensor of weights, by its name."""
+        """The size of each tensor of weights, by name."""
         return {
             f"{name}.{layer}.{part}": size
             for name, (inputs, outputs) in cls.sides(shape).items()
@@ -139,22 +139,22 @@ class Decoders(nn.Module):
 
     @classmethod
     def check_shape(cls, shape: Any) -> None:
-        """Raises ValueError for a shape that these decoders cannot have."""
+        """Raise ValueError for a shape that these decoders cannot have."""
         if not 1 <= shape.features <= MOST_FEATURES:
-            raise ValueError(f"features of the decoders is not a number from 1 to {MOST_FEATURES}")
+            raise ValueError(f"features of the decoders is not a number between 1 and {MOST_FEATURES}")
 
     @classmethod
     def check_anchors(cls, shape: Any, anchors: int) -> None:
-        """Raises ValueError for a number of anchors that these decoders cannot have."""
+        """Raise ValueError for a number of anchors that these decoders cannot have."""
 
     @property
     def facts(self) -> dict[str, object]:
-        """The shape and the kind, in the form of a file."""
+        """The shape and the kind, in the form in which a file holds them."""
         kind = {} if self.kind == Decoders.kind else {"kind": self.kind}
         return {**asdict(self.shape), **kind}
 
     def learnt(self) -> Iterator[tuple[str, list[nn.Parameter]]]:
-        """The names of learning rates, and the parameters that each is for."""
+        """The names of the learning rates, and the parameters that each applies to."""
         for name, network in self.named_children():
             parameters = [each for each in network.parameters() if each.requires_grad]
             if parameters:
@@ -170,13 +170,13 @@ class Decoders(nn.Module):
         return torch.cat(parts, dim=1)
 
     def shape_outputs(self, seen: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-        """Outputs of the opacity [V, k], covariance [V, 7 k] and colour decoder [V, 3 k]. ``seen``: the output of
+        """Outputs of the opacity [V, k], covariance [V, 7 k] and colour decoders [V, 3 k]. ``seen``: the output of
         ``view_input``."""
         opacity, covariance, colour = run_side_by_side(seen, self.opacity, self.covariance, self.colour)
         return opacity, covariance, colour
 
     def label_outputs(self, feature: torch.Tensor, seen: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """Outputs of the semantic [V, k, C] and the instance decoder [V, k, S]. ``seen``: the output of
+        """Outputs of the semantic [V, k, C] and instance decoders [V, k, S]. ``seen``: the output of
         ``view_input``."""
         given = seen if self.shape.label_view_input else feature
         shape, count = self.shape, len(given)
@@ -191,13 +191,13 @@ class Decoders(nn.Module):
         return self.label_outputs(feature, seen)
 
     def drawn_instances(self, outputs: torch.Tensor) -> torch.Tensor:
-        """What is drawn for outputs of the instance decoder [N, S]: the probabilities of the slots."""
+        """The values to draw for outputs of the instance decoder [N, S]: the probabilities of the slots."""
         return torch.softmax(outputs, dim=1)
 
     decodes_all_anchors: ClassVar[bool] = False
-    """Whether all anchors are decoded; otherwise those whose position the camera sees."""
+    """Whether all anchors are decoded; otherwise only those whose position the camera sees."""
     draws_own_labels: ClassVar[bool] = False
-    """Whether the drawn channels are no probabilities, so that only ``own_labels`` says what a picture shows."""
+    """Whether the drawn channels are not probabilities, so that only ``own_labels`` tells what a picture shows."""
 
     def own_decoding(
         self,
@@ -207,14 +207,14 @@ class Decoders(nn.Module):
         channels: torch.Tensor | None,
         known_labels: torch.Tensor | None,
     ) -> NeuralGaussians | None:
-        """What ``decode_rows`` returns, for decoders with a way of their own; None otherwise."""
+        """The result of ``decode_rows``, for decoders with their own method; None otherwise."""
         return None
 
     def own_labels(self, anchors: Anchors, channels: Any) -> ShownLabels | None:
-        """What ``scene_labels`` returns, for decoders with a way of their own; None otherwise. ``channels``: the
+        """The result of ``scene_labels``, for decoders with their own method; None otherwise. ``channels``: the
         scene's ``LabelChannels``."""
         return None
 
 
 DECODERS: dict[str, type[Decoders]] = {Decoders.kind: Decoders}
-"""The kinds that a model's file may name."""
+"""The kinds of decoders that a model's file may name."""

@@ -22,7 +22,7 @@ NEAR = 0.2
 def visible_anchors(anchors: Anchors, camera: Camera) -> torch.Tensor:
     """Indices int64 [V] of the anchors whose 3-sigma box touches the picture (Scaffold-GS's pre-filter).
 
-    Each anchor counts as a sphere of its largest offset scale: offsets are learnt in units of it, and rarely exceed 3.
+    Each anchor is taken as a sphere of its largest offset scale: offsets are learnt in this unit, and rarely exceed 3.
     """
     intrinsics = np.array([camera.fx, camera.fy, camera.cx, camera.cy])
     rows = _rows_in_picture(
@@ -66,7 +66,7 @@ def decode(
     channels: torch.Tensor | None = None,
     known_labels: torch.Tensor | None = None,
 ) -> NeuralGaussians:
-    """Decode the Gaussians of every anchor that ``camera`` can see; those with opacity <= 0 are dropped. The other
+    """Decode the Gaussians of every anchor that ``camera`` can see, and drop those with opacity <= 0. The other
     arguments are those of ``decode_rows``."""
     centre = torch.from_numpy(camera.centre.copy()).to(anchors.position)
     if decoders.decodes_all_anchors:
@@ -85,16 +85,16 @@ def decode_rows(
     channels: torch.Tensor | None = None,
     known_labels: torch.Tensor | None = None,
 ) -> NeuralGaussians:
-    """Decode the anchors of rows ``visible`` int64 [V] (none twice) as seen from ``centre`` [3] metres.
+    """Decode the anchors in rows ``visible`` int64 [V] (without repetitions) as seen from ``centre`` [3] metres.
 
-    ``channels`` int64 [M]: semantic channel of each anchor's class, -1 where it has none, for the cluster loss.
-    ``known_labels`` float32 [M * k, L]: what every Gaussian shows, decoded before (see ``SceneLabels``). Then labels
-    are rows of it and have no gradient, and there is no cluster loss.
+    ``channels`` int64 [M]: semantic channel of each anchor's class, -1 if it has none, for the cluster loss.
+    ``known_labels`` float32 [M * k, L]: what every Gaussian shows, decoded earlier (see ``SceneLabels``). Then labels
+    are rows of it without a gradient, and there is no cluster loss.
     """
     own = decoders.own_decoding(anchors, visible, centre, channels, known_labels)
     return decode_in_torch(anchors, decoders, visible, centre, channels, known_labels) if own is None else own
 
 
 def no_labels(anchors: Anchors) -> torch.Tensor:
-    """``known_labels`` for a caller who needs none decoded: one channel of zeros."""
+    """``known_labels`` for a caller that needs no labels: one channel of zeros."""
     return torch.zeros(len(anchors) * anchors.gaussians_per_anchor, 1)

@@ -1,8 +1,8 @@
-"""Growing anchors where the picture is poorly explained, pruning those that stay transparent (Scaffold-GS,
+"""Growth of anchors where the picture is poorly explained, and pruning of those that stay transparent (Scaffold-GS,
 section 3.3).
 
 The statistics are gathered from gradients of the projected Gaussian centres. Only the reconstruction loss and the
-depth loss, where there is one, reach these; label losses never do.
+depth loss, if there is one, reach these; label losses never do.
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ class GrowthRules:
 
     ``gradient`` is the first level's threshold on the mean gradient of the projected centre in NDC units. Level i takes
     2^i times that and cells of ``cell_voxels[i]`` voxels. An anchor with a mean summed opacity below ``opacity`` is
-    pruned. ``least_visits``: visits that are enough however many steps there are between two rounds. In a short lift of
-    many views, an anchor that few of them see would otherwise never be judged. None waits for the shares.
+    pruned. ``least_visits``: visits that suffice however many steps there are between two rounds. In a short lift of
+    many views, an anchor that few of them see would otherwise never be judged. None: only the shares count.
     """
 
     gradient: float = 2e-4
@@ -40,7 +40,7 @@ class GrowthRules:
     least_visits: int | None = None
 
     def enough(self, share: float, steps_between: int) -> float:
-        """Visits above which an anchor is judged, from the share of the steps between two rounds."""
+        """The number of visits above which an anchor is judged, from the share of the steps between two rounds."""
         wanted = share * steps_between
         return wanted if self.least_visits is None else min(wanted, self.least_visits * share / self.visited_share)
 
@@ -66,7 +66,7 @@ class GrowthStatistics:
     def add(
         self, gaussians: NeuralGaussians, drawn: torch.Tensor, means2d_gradient: torch.Tensor, width: int, height: int
     ) -> None:
-        """Count one step: ``drawn`` bool [N], ``means2d_gradient`` [N, 2] per pixel, which is converted to NDC
+        """Add one step: ``drawn`` bool [N], ``means2d_gradient`` [N, 2] per pixel, which is converted to NDC
         units."""
         _add_step(
             gaussians.visible.numpy(),
@@ -122,7 +122,7 @@ def _cells(points: NDArray[np.float32], size: float) -> NDArray[np.int64]:
 
 
 def _as_keys(cells: NDArray[np.int64]) -> NDArray[np.int64]:
-    """One int64 a cell, unique within +-2^20 cells of the origin along each axis (20 km at 2 cm)."""
+    """One int64 per cell, unique within +-2^20 cells of the origin along each axis (20 km at 2 cm)."""
     shifted = cells + (1 << 20)
     return (shifted[:, 0] << 42) | (shifted[:, 1] << 21) | shifted[:, 2]
 
@@ -137,9 +137,9 @@ def grow_and_prune(
     random: np.random.Generator,
     most_anchors: int,
 ) -> GrowthRound:
-    """One round. The statistics of the judged anchors are set to zero in place.
+    """Do one round. The statistics of the judged anchors are set to zero in place.
 
-    Growing stops at ``most_anchors`` in all. ``random`` then chooses among the candidates, too.
+    Growth stops at a total of ``most_anchors``. ``random`` then also chooses among the candidates.
     """
     judged = statistics.visits > rules.enough(rules.visited_share, steps_between)
     keep = ~(judged & (statistics.opacity < rules.opacity * statistics.visits))

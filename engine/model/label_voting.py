@@ -1,8 +1,8 @@
 """Labels voted onto the Gaussians by their blending weights, over all views.
 
-The label decoders are small networks that smear small things: taps, switches, the edge of a stair. The masks themselves
-are sharper. So a pixel's label is a vote for the Gaussians that the pixel is blended from, weighted by their parts in
-it. (LUDVIG, Marrie et al. 2024, averages a network's features this way.) The decoders serve where nothing was seen.
+The label decoders are small networks that blur small things: taps, switches, the edge of a stair. The masks themselves
+are sharper. So a pixel's label is a vote for the Gaussians that the pixel is blended from, weighted by their shares of
+it. (LUDVIG, Marrie et al. 2024, averages a network's features this way.) The decoders are used where nothing was seen.
 """
 
 from __future__ import annotations
@@ -23,24 +23,24 @@ from .structured import GaussianLabels, StructuredScene
 
 LEAST_SHARE = np.float32(LEAST_OF_CLASS)
 LABELS_HELD = 16
-"""Labels that a Gaussian holds votes for at a time. It lies on one surface, so that few get any."""
+"""The most labels that a Gaussian holds votes for at once. It lies on one surface, so few labels get votes."""
 CHUNK = 16384
-"""Anchors whose labels are decoded at a time, to bound the memory. They are fewer where there are more than
+"""Anchors whose labels are decoded at once, to bound the memory. There are fewer if there are more than
 USUAL_LABELS labels."""
 USUAL_LABELS = 64
 CONTRIBUTORS = 4
-"""Gaussians of a pixel that get its vote."""
+"""The number of Gaussians that get a pixel's vote."""
 DEPTH_GAP_M, DEPTH_GAP_SHARE = 0.15, 0.05
-"""Metres and share of the depth. A pixel abstains when its rendered depth differs from the sensor's by more than
+"""Metres and share of the depth. A pixel abstains if its rendered depth differs from the sensor's by more than
 both."""
 KEPT = 4
-"""Labels that a Gaussian keeps, the likeliest ones."""
+"""The number of labels that a Gaussian keeps, the likeliest ones."""
 
 
 @dataclass(frozen=True, eq=False)
 class Contributors:
     """The Gaussians that a view's pixels are blended from: ``gaussian`` int32 [H, W, K], rows of the scene's labels (-1
-    = none), ``weight`` float32 [H, W, K], largest first, and ``depth`` float32 [H, W] metres, 0 where (nearly) nothing
+    = none), ``weight`` float32 [H, W, K], largest first, and ``depth`` float32 [H, W] metres, 0 where (almost) nothing
     is drawn. ``camera`` is the view's."""
 
     gaussian: NDArray[np.int32]
@@ -65,10 +65,10 @@ class HeldVotes(NamedTuple):
 
 @torch.no_grad()
 def contributors(scene: StructuredScene, camera: Camera, count: int = CONTRIBUTORS) -> Contributors:
-    """The ``count`` Gaussians with the largest blending weights of each pixel."""
+    """The ``count`` Gaussians with the largest blending weights in each pixel."""
     drawn = decode(scene.anchors, scene.decoders, camera, known_labels=no_labels(scene.anchors))
     rendering = drawn.drawn_by(camera, top_k=count)
-    assert rendering.top_indices is not None and rendering.top_weights is not None  # asked for
+    assert rendering.top_indices is not None and rendering.top_weights is not None  # as requested
     row = torch.cat([drawn.rows(scene.anchors.gaussians_per_anchor), torch.tensor([-1])])
     alpha = rendering.alpha.numpy()
     depth = np.divide(rendering.depth.numpy(), alpha, out=np.zeros_like(alpha), where=alpha > 0.3)
@@ -77,10 +77,10 @@ def contributors(scene: StructuredScene, camera: Camera, count: int = CONTRIBUTO
 
 
 class LabelVotes:
-    """Collects the votes of view after view for the G Gaussians of a finished scene.
+    """Collects the votes of one view after another for the G Gaussians of a finished scene.
 
-    A Gaussian has votes for LABELS_HELD labels at most, so that memory does not grow with the number of labels. Another
-    label takes the place of the one with the fewest votes and inherits these (the "space saving" of Metwally et al.
+    A Gaussian has votes for at most LABELS_HELD labels, so that memory does not grow with the number of labels. A
+    further label replaces the one with the fewest votes and inherits these (the "space saving" of Metwally et al.
     2005). So a label with more than 1 / LABELS_HELD of a Gaussian's votes is never lost.
     """
 
@@ -97,7 +97,7 @@ class LabelVotes:
         self, view: Contributors, label: NDArray[np.int16], sensor: NDArray[np.float32], mask_scale: float = 1.0
     ) -> None:
         """Count a view: its labels int16 [H, W] (-1 abstains), and its depth float32 [H, W] metres (0 = unknown).
-        ``mask_scale`` is that of ``View``. The pixels of a Gaussian are the sum of its blending weights."""
+        ``mask_scale`` is that of ``View``. A Gaussian's number of pixels is the sum of its blending weights."""
         gap = np.maximum(DEPTH_GAP_M, DEPTH_GAP_SHARE * sensor)
         votes = (label >= 0) & ((sensor <= 0) | (np.abs(view.depth - sensor) <= gap))
         shown = np.where(votes, label, -1).astype(np.int16)
@@ -108,14 +108,14 @@ class LabelVotes:
 
     @torch.no_grad()
     def result(self) -> GaussianLabels:
-        """The likeliest labels of every Gaussian, with the decoders' votes. Their shares sum to 1."""
+        """The likeliest labels of every Gaussian, including the decoders' votes. Their shares sum to 1."""
         k, kept = self.scene.anchors.gaussians_per_anchor, min(KEPT, self._labels)
         parts = []
         step = CHUNK * USUAL_LABELS // max(USUAL_LABELS, self._labels)
         for start in range(0, len(self.scene.anchors), step):
             feature = self.scene.anchors.feature.detach()[start : start + step]
             votes = torch.from_numpy(self._held.of_all_labels(start * k, (start + len(feature)) * k, self._labels))
-            if not self.scene.decoders.shape.label_view_input:  # else they say nothing without a view
+            if not self.scene.decoders.shape.label_view_input:  # otherwise they need a view
                 votes = votes + self.voting.prior * self._decoded(feature)
             parts.append(votes.topk(kept, dim=1))
         share = torch.cat([part.values for part in parts])
@@ -132,7 +132,7 @@ class LabelVotes:
 
 
 def pixel_labels(scene: StructuredScene, voted: GaussianLabels, view: Contributors) -> NDArray[np.int16]:
-    """The label of each pixel, int16 [H, W], -1 where (nearly) nothing is drawn. As for a pixel of the passes, the
+    """The label of each pixel, int16 [H, W], -1 where (almost) nothing is drawn. As for a pixel of the passes, the
     class is decided first, then the object of that class."""
     channels = scene.channels
     classes = len(channels.class_ids)
@@ -146,7 +146,7 @@ def pixel_labels(scene: StructuredScene, voted: GaussianLabels, view: Contributo
 
 @device_function
 def _add_vote(labels: Any, votes: Any, label: Any, amount: Any) -> None:
-    """Add votes for a label to those that one Gaussian holds, [L] each."""
+    """Add votes for a label to those that one Gaussian holds; ``labels`` and ``votes`` are [L] each."""
     least = 0
     for place in range(len(labels)):
         if labels[place] == label or labels[place] < 0:

@@ -1,4 +1,4 @@
-"""The Gaussians that the decoders make of the anchors that one camera sees."""
+"""The Gaussians that the decoders make from the anchors that one camera sees."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ class NeuralGaussians:
     ``opacities`` [N] in (0, 1], ``colours`` [N, 3], ``labels`` [N, C + S]: class probabilities, then instance-slot
     probabilities. ``visible`` int64 [V] are the decoded anchors, ``all_opacities`` [V, k] their opacities in (-1, 1)
     without a gradient, ``kept`` int64 [N] the indices of the N Gaussians in the flattened [V * k]. ``cluster_loss`` is
-    the scalar L_cluster (paper, equation "Cluster Loss"), 0 unless it was asked for.
+    the scalar L_cluster (the paper's equation "Cluster Loss"), 0 unless it was requested.
     """
 
     means: torch.Tensor
@@ -33,14 +33,14 @@ class NeuralGaussians:
     cluster_loss: torch.Tensor
 
     def rows(self, k: int) -> torch.Tensor:
-        """Their rows among the scene's M * k Gaussians, int64 [N]."""
+        """Rows of these Gaussians among the scene's M * k, int64 [N]."""
         return self.visible.index_select(0, self.kept // k) * k + self.kept % k
 
     def drawn_by(
         self, camera: Camera, labels: torch.Tensor | None = None, *, top_k: int = 0, want_means2d_grad: bool = False
     ) -> Rendering:
-        """The camera's whole picture of them, with ``labels`` float32 [N, L] of the caller's choice, or with none. The
-        other arguments are those of ``rasterize``."""
+        """The camera's whole picture of these Gaussians, with ``labels`` float32 [N, L] of the caller's choice, or
+        without labels. The other arguments are those of ``rasterize``."""
         return rasterize(
             self.means,
             self.scales,

@@ -18,18 +18,18 @@ from .scene_labels import ShownLabels, shown_labels, shown_probabilities
 from .structured import LabelChannels, StructuredScene
 
 MOST_BYTES = 1 << 27
-"""Bytes of a band's label coverage, at most. Larger bands gain no time; smaller ones cost some."""
+"""The most bytes of a band's label coverage. Larger bands are not faster; smaller ones are slower."""
 TILE_ROWS = 16
 """Bands begin with a row of the rasteriser's tiles."""
 REACH = 3.5
-"""Standard deviations within which a Gaussian's alpha can reach 1/255, and a little more."""
+"""Standard deviations within which a Gaussian's alpha can reach 1/255, rounded up a little."""
 
 
 @torch.no_grad()
 def render_view(scene: StructuredScene, camera: Camera, labels: ShownLabels | None = None) -> PanopticRendering:
     """Colour, depth and label coverage of one view, at the camera's size.
 
-    ``labels``: what ``shown_labels`` made of this very scene, which saves decoding them for each view.
+    ``labels``: the result of ``shown_labels`` for the same scene, which saves decoding them for each view.
     """
     (rendering,) = render_bands(scene, camera, labels, most_bytes=None)
     return rendering
@@ -43,9 +43,9 @@ def render_bands(
     clip: ClipRange | None = None,
     most_bytes: int | None = MOST_BYTES,
 ) -> Iterator[PanopticRendering]:
-    """The same view in bands of rows, from the top, so that the memory does not grow with labels times pixels.
+    """Render the view in bands of rows, from the top, so that the memory does not grow with labels times pixels.
 
-    ``most_bytes``: of a band's label coverage; None for all rows at once. ``labels`` as for ``render_view``.
+    ``most_bytes`` limits a band's label coverage; None: all rows at once. ``labels`` is as for ``render_view``.
     """
     if labels is None and (scene.voted is not None or scene.decoders.draws_own_labels):
         labels = shown_labels(scene)
@@ -65,7 +65,7 @@ def draw_bands(
     clip: ClipRange,
     most_bytes: int | None,
 ) -> Iterator[PanopticRendering]:
-    """As ``render_bands``, of Gaussians that are decoded; ``rows_of`` int64 [N]: which of the scene's they are."""
+    """``render_bands`` for decoded Gaussians; ``rows_of`` int64 [N]: their rows among the scene's Gaussians."""
     seen = _see(drawn, rows_of, camera, clip)
     bands = row_bands(camera, len(channels.class_ids) + len(channels.slot_ids), most_bytes)
     for rows in bands:
@@ -73,7 +73,7 @@ def draw_bands(
 
 
 def row_bands(camera: Camera, channels: int, most_bytes: int | None) -> list[tuple[int, int]]:
-    """First and one past the last row of each band, all of one height but the last."""
+    """The first and one past the last row of each band. All have the same height except the last."""
     fitting = camera.height if most_bytes is None else most_bytes // (4 * channels * camera.width)
     count = -(-camera.height // max(fitting, TILE_ROWS))
     height = -(-camera.height // (count * TILE_ROWS)) * TILE_ROWS
@@ -82,8 +82,8 @@ def row_bands(camera: Camera, channels: int, most_bytes: int | None) -> list[tup
 
 @dataclass(frozen=True, eq=False)
 class _Seen:
-    """The Gaussians that a camera sees: ``drawn`` decoded, ``rows_of`` int64 [N] the scene's; ``chosen`` int64 [n]
-    those to draw; ``row`` and ``reach`` float32 [N] where on the picture, and how far, in pixels; ``near`` metres."""
+    """The Gaussians that a camera sees: ``drawn`` decoded, ``rows_of`` int64 [N] in the scene; ``chosen`` int64 [n]
+    those to draw; ``row`` and ``reach`` float32 [N], position and reach in picture rows; ``near`` metres."""
 
     drawn: NeuralGaussians
     rows_of: torch.Tensor
@@ -93,13 +93,13 @@ class _Seen:
     near: float
 
     def reaching(self, rows: tuple[int, int]) -> _Seen:
-        """Those that may cover a pixel of these rows, and some more."""
+        """The Gaussians that may cover a pixel of these rows, and some others."""
         first, end = rows
         touches = (self.row + self.reach >= first) & (self.row - self.reach <= end)
         return replace(self, chosen=self.chosen[touches[self.chosen]])
 
     def of(self, values: torch.Tensor) -> torch.Tensor:
-        """The rows of those to draw."""
+        """The rows of ``values`` for the Gaussians to draw."""
         return values if len(self.chosen) == len(values) else values.index_select(0, self.chosen)
 
 
@@ -108,7 +108,7 @@ def _see(drawn: NeuralGaussians, rows_of: torch.Tensor, camera: Camera, clip: Cl
     _, down, depth = (drawn.means @ to_camera[:3, :3].T + to_camera[:3, 3]).unbind(1)
     chosen = ((depth > near) & (depth < clip.far)).nonzero().squeeze(1)
     slope = down / depth.clamp_min(near)
-    # the largest standard deviation, seen at the slant of the ray, bounds that of the footprint's rows
+    # the largest standard deviation, seen at the slant of the ray, bounds the footprint's deviation in rows
     deviation = drawn.scales.amax(dim=1) * camera.fy / depth.clamp_min(near) * (1 + slope * slope).sqrt()
     reach = REACH * (deviation * deviation + BLUR).sqrt() + 1.0
     return _Seen(drawn, rows_of, chosen, slope * camera.fy + camera.cy, reach, near)

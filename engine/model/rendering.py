@@ -13,7 +13,7 @@ from ..scene import Camera
 
 
 class ClipRange(NamedTuple):
-    """Planar depths in metres: what is centred nearer than ``near`` or farther than ``far`` is not drawn."""
+    """Planar depths in metres: Gaussians centred nearer than ``near`` or farther than ``far`` are not drawn."""
 
     near: float = 0.0
     far: float = math.inf
@@ -21,8 +21,8 @@ class ClipRange(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class PanopticRendering:
-    """A rendered view, or some rows of one (``camera`` is then that of the rows), before anything is decided about its
-    pixels.
+    """A rendered view, or some rows of one (``camera`` is then that of the rows), before its pixels' labels are
+    decided.
 
     ``image`` float32 [H, W, 3], sRGB-encoded in [0, 1] over black; ``alpha`` float32 [H, W]; ``depth`` float32 [H, W],
     expected planar depth in metres (0 where nothing was hit). ``class_coverage`` float32 [H, W, C] holds

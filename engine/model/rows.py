@@ -1,6 +1,6 @@
-"""Taking rows of a tensor when no row is taken twice: the backward pass then is a plain copy.
+"""Selection of rows of a tensor without repetitions: the backward pass is then a plain copy.
 
-PyTorch's own indexing must expect repeated rows and adds them up one by one, which costs more than the decoders.
+PyTorch's own indexing must expect repeated rows and adds them up one by one, which takes longer than the decoders.
 """
 
 from __future__ import annotations

@@ -10,15 +10,15 @@ from .decoders import ShownLabels
 from .structured import GaussianLabels, LabelChannels, StructuredScene
 
 CHUNK = 16384
-"""Anchors decoded at a time. This bounds the memory beside the result."""
+"""Anchors decoded at once. This bounds the memory in addition to the result."""
 MOST_BYTES = 1 << 30
-"""Bytes of a table at most. Without a table, every frame decodes its labels."""
+"""The most bytes of a table. Without a table, every frame decodes its labels."""
 
 
 @dataclass(frozen=True, eq=False)
 class SceneLabels:
     """``probabilities`` float32 [M * k, C + U] of every Gaussian: those of the classes, which sum to 1, then those of
-    the U instances. The rest of the latter to 1 is the probability of no object."""
+    the U instances. The latter sum to 1 together with the probability of no object."""
 
     probabilities: torch.Tensor
 
@@ -27,7 +27,7 @@ class SceneLabels:
         return self.probabilities.index_select(0, rows)
 
     def shown(self, drawn: torch.Tensor, alpha: torch.Tensor) -> torch.Tensor:
-        """The coverage [..., C + U] of classes and instances, from what was drawn of the rows up to ``alpha`` [...]."""
+        """The coverage [..., C + U] of classes and instances, from the values drawn with a total of ``alpha`` [...]."""
         return drawn
 
 
@@ -56,7 +56,7 @@ class VotedLabels:
         return table.scatter_add_(1, label, owned)
 
     def shown(self, drawn: torch.Tensor, alpha: torch.Tensor) -> torch.Tensor:
-        """As ``SceneLabels.shown``."""
+        """The same as ``SceneLabels.shown``."""
         return drawn
 
 
@@ -64,8 +64,8 @@ def shown_probabilities(classes: torch.Tensor, slots: torch.Tensor, channels: La
     """Probabilities (or coverage) of classes [..., C] and instances [..., U] together, [..., C + U], from those of the
     semantic channels [..., C] and of all slots [..., S].
 
-    Where an object is of one class throughout, all of an instance counts for its own class, and only the rest follows
-    the semantic channels. So an instance cannot appear with another class than its own, and a class cannot take the id
+    Where an object has one class throughout, all of an instance counts for its own class, and only the rest follows
+    the semantic channels. So an instance cannot appear with a class other than its own, and a class cannot take the id
     of an instance that is not there.
     """
     used = list(channels.instance_slots)
@@ -80,7 +80,7 @@ def shown_probabilities(classes: torch.Tensor, slots: torch.Tensor, channels: La
 
 
 def shown_labels(scene: StructuredScene) -> ShownLabels | None:
-    """What the Gaussians of a finished scene show: the voted labels, or else those of ``scene_labels``."""
+    """The labels that the Gaussians of a finished scene show: the voted ones, or else those of ``scene_labels``."""
     return scene_labels(scene) if scene.voted is None else VotedLabels.of_scene(scene.voted, scene.channels)
 
 
@@ -88,7 +88,7 @@ def shown_labels(scene: StructuredScene) -> ShownLabels | None:
 def scene_labels(scene: StructuredScene) -> ShownLabels | None:
     """The labels that the decoders give the Gaussians of a scene that does not change while they are used.
 
-    None when labels depend on the view, or when there are too many to keep.
+    None if labels depend on the view, or if there are too many to keep.
     """
     anchors, decoders, channels = scene.anchors, scene.decoders, scene.channels
     own = decoders.own_labels(anchors, channels)

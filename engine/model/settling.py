@@ -1,12 +1,12 @@
-"""What the votes on Gaussians come to, once all are counted: no object where nobody named one, and votes as evidence.
+"""The final labels of Gaussians, once all votes are counted: no object where no mask named one, and votes as evidence.
 
-Where masks have holes, no view says what is there. The label decoders then guess, and their guess may be an object that
-stands elsewhere. So a Gaussian that (nearly) no mask named keeps an object only within REACH of the object's own
-points; beyond it, the object's share is its class's alone.
+Where masks have holes, no view tells what is there. The label decoders then guess, and their guess may be an object
+that stands elsewhere. So a Gaussian that (almost) no mask named keeps an object only within REACH of the object's own
+points; beyond it, the object's share goes to its class alone.
 
 The other Gaussians' shares are squared and normalised. Views are independent witnesses: of two labels with 70 and 30 %
-of the votes, the first is right in far more than 70 % of the cases. Squared shares are as often right as they say (an
-expected calibration error of 1.2 and 1.5 % in place of 3.4 and 3.1 %, on the twin and on the sample).
+of the votes, the first is right in far more than 70 % of the cases. Squared shares are well calibrated (an expected
+calibration error of 1.2 and 1.5 % instead of 3.4 and 3.1 %, on the twin and on the sample).
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ from .label_voting import Contributors
 from .structured import GaussianLabels, LabelChannels, StructuredScene
 
 REACH = 0.3
-"""Metres from an object's points within which it may own what nobody named."""
+"""Metres from an object's points within which it may own Gaussians that no mask named."""
 LEAST_NAMED = 0.1
-"""Share of what the views saw of a Gaussian that has to lie within masks for it to be named."""
+"""A Gaussian is named if at least this share of what the views saw of it lies within masks."""
 SHARPNESS = 2.0
-"""Power of the shares of what was named."""
+"""The power to which the shares of named Gaussians are raised."""
 
 
 class OwnedPoints(NamedTuple):
@@ -51,14 +51,14 @@ class NamedGaussians:
 
     @property
     def are_named(self) -> NDArray[np.bool_]:
-        """Bool [G]. What no view saw is not named."""
+        """Whether each Gaussian is named, bool [G]. One that no view saw is not named."""
         return self._named > LEAST_NAMED * self._seen
 
 
 def settled(
     scene: StructuredScene, voted: GaussianLabels, are_named: NDArray[np.bool_], points: OwnedPoints
 ) -> GaussianLabels:
-    """The labels ``voted``, after both rules above. ``are_named`` bool [G]."""
+    """The labels ``voted``, after applying both rules above. ``are_named`` bool [G]."""
     label, share = voted.label.numpy(), voted.share.numpy()
     rows = np.flatnonzero(~are_named)
     centres = gaussian_centres(scene.anchors)[rows]
@@ -73,8 +73,8 @@ def settled(
 def within_reach(
     label: NDArray[np.int16], centres: NDArray[np.float32], channels: LabelChannels, points: OwnedPoints
 ) -> NDArray[np.int16]:
-    """``label`` int16 [n, K] of Gaussians at ``centres`` [n, 3] metres, with the class alone in place of each object
-    farther away than REACH."""
+    """``label`` int16 [n, K] of Gaussians at ``centres`` [n, 3] metres. Each object farther away than REACH is
+    replaced by its class alone."""
     classes, found = len(channels.class_ids), label.copy()
     for number, slot in enumerate(channels.instance_slots, start=classes):
         row, place = np.nonzero(label == number)

@@ -14,17 +14,17 @@ from .decoders import Decoders
 FORMAT = 2
 """Format of model.safetensors. Format 1 had no slot for "no object"."""
 NO_OBJECT, SPARE = 0, -1
-"""Ids of slots without an instance: that of "no object", which is learnt like any object; and those of the paper's 25
-for which no instance was found."""
+"""Ids of slots without an instance: the slot of "no object", which is learnt like any object, and those of the paper's
+25 slots for which no instance was found."""
 
 
 @dataclass(frozen=True)
 class LabelChannels:
-    """Meaning of the label channels: class id of each semantic channel, ascending; instance id of each slot,
-    ``NO_OBJECT`` or ``SPARE``. Spare slots take part in training and are never shown.
+    """The meaning of the label channels: the class id of each semantic channel, ascending; the instance id of each
+    slot, ``NO_OBJECT`` or ``SPARE``. Spare slots take part in training but are never shown.
 
-    ``class_of_slot``: the class of each slot's instance (0 for the other slots), where an object is of one class
-    throughout; empty where every pixel decides for itself.
+    ``class_of_slot``: the class of each slot's instance (0 for the other slots), if an object has one class
+    throughout; empty if every pixel decides on its own.
     """
 
     class_ids: tuple[int, ...]
@@ -43,7 +43,7 @@ class LabelChannels:
 
     @property
     def class_of_shown(self) -> dict[int, int]:
-        """The class of each of the ``shown_ids``, where an object is of one class throughout."""
+        """The class of each of the ``shown_ids``, if an object has one class throughout."""
         return {self.slot_ids[slot]: self.class_of_slot[slot] for slot in self.instance_slots if self.class_of_slot}
 
 
@@ -59,8 +59,8 @@ class GaussianLabels:
 
 @dataclass
 class StructuredScene:
-    """A lifted (or half lifted) scene. ``voxel_size`` in metres. ``voted``: labels of all Gaussians instead of the
-    label decoders', those of anchor i in rows i k to i k + k - 1; None where the decoders are used."""
+    """A lifted (or partly lifted) scene. ``voxel_size`` is in metres. ``voted``: labels of all Gaussians that replace
+    the label decoders', with those of anchor i in rows i k to i k + k - 1; None if the decoders are used."""
 
     anchors: Anchors
     decoders: Decoders
@@ -70,7 +70,7 @@ class StructuredScene:
 
 
 def to_tensors(scene: StructuredScene) -> tuple[dict[str, torch.Tensor], dict[str, object]]:
-    """Named tensors and facts for JSON, from which ``from_tensors`` makes the scene again."""
+    """Named tensors and facts for JSON, from which ``from_tensors`` restores the scene."""
     tensors = {f"anchors.{name}": tensor for name, tensor in scene.anchors.tensors().items()}
     tensors |= {f"decoders.{name}": tensor.detach() for name, tensor in scene.decoders.state_dict().items()}
     if scene.voted is not None:
@@ -88,7 +88,7 @@ def to_tensors(scene: StructuredScene) -> tuple[dict[str, torch.Tensor], dict[st
 
 def from_tensors(tensors: dict[str, torch.Tensor], facts: dict) -> StructuredScene:
     """The inverse of ``to_tensors``. Raises ValueError for an unknown format, and for tensors and facts that do not fit
-    together; KeyError and TypeError for facts that are missing or of another type."""
+    together; KeyError and TypeError for facts that are missing or of the wrong type."""
     if facts.get("format") != FORMAT:
         raise ValueError(f"model format {facts.get('format')!r} is not known to this version; lift again or update")
     check_model(tensors, facts)

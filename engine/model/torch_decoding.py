@@ -1,4 +1,4 @@
-"""The decoding itself: a few small perceptrons in torch, on any device and in any precision."""
+"""Decoding: a few small perceptrons in torch, on any device and in any precision."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def decode_in_torch(
     channels: torch.Tensor | None,
     known_labels: torch.Tensor | None,
 ) -> NeuralGaussians:
-    """As ``decode_rows``."""
+    """The same as ``decode_rows``."""
     position = anchors.position.index_select(0, visible)
     feature = take_rows(anchors.feature, visible)
     seen = decoders.view_input(feature, position, centre)

@@ -1,1 +1,1 @@
-"""Views to layers: EXR, Cryptomatte, previews, splats, and the arrays of a result."""
+"""From views to layers: EXR, Cryptomatte, previews, splats, and the arrays of a result."""

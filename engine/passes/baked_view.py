@@ -18,7 +18,7 @@ from .surface import Surface, surface_of
 
 @dataclass(frozen=True, eq=False)
 class Matte:
-    """A Cryptomatte layer and its ranks, float32 [2 RANKS, H, W]: id and coverage in turns."""
+    """A Cryptomatte layer and its ranks, float32 [2 RANKS, H, W]: alternately id and coverage."""
 
     layer: MatteLayer
     ranks: NDArray[np.float32]
@@ -26,7 +26,7 @@ class Matte:
 
 @dataclass(frozen=True, eq=False)
 class BakedView:
-    """All that is written of a view, as ``camera`` sees it."""
+    """Everything that is written for a view, as ``camera`` sees it."""
 
     camera: Camera
     layers: PanopticLayers
@@ -34,14 +34,14 @@ class BakedView:
 
     @property
     def surface(self) -> Surface:
-        """Made when asked for."""
+        """The surface, which is computed on demand."""
         return surface_of(self.layers.depth, self.camera)
 
 
 @dataclass(frozen=True)
 class ShownInstances:
-    """The instances of pictures and passes: ``names`` by id. ``class_of``: the class that all of an instance is shown
-    with, or None when every pixel decides for itself."""
+    """The instances of pictures and passes: ``names`` by id. ``class_of``: the one class that an instance is shown
+    with, or None if every pixel decides on its own."""
 
     names: Mapping[int, str]
     class_of: Mapping[int, int] | None = None
@@ -54,8 +54,8 @@ class ShownInstances:
 def bake_view(
     bands: Iterable[PanopticRendering], camera: Camera, classes: ClassTable, instances: ShownInstances
 ) -> BakedView:
-    """Decide and rank ``bands`` (all rows of ``camera``'s picture, from the top) one after the other, so that the
-    coverage of only one is held. It is changed (see ``tell_in_coverage``). Raises ValueError when there is none."""
+    """Decide and rank ``bands`` (all rows of ``camera``'s picture, from the top) one after another, so that the
+    coverage of only one is held. It is changed (see ``tell_in_coverage``). Raises ValueError if there are no bands."""
     shape = (2 * RANKS, camera.height, camera.width)
     of_instances, of_classes = np.empty(shape, np.float32), np.empty(shape, np.float32)
     layers: list[PanopticLayers] = []
@@ -70,7 +70,7 @@ def bake_view(
         columns, ids = by_instance.columns, by_instance.ids
         rank_coverage(band.instance_coverage, columns, ids, band.alpha, limit, of_instances, row)
         row += len(band.alpha)
-        del band  # before the next is made
+        del band  # frees its memory before the next is made
     if not layers:
         raise ValueError("there is no band to bake")
     mattes = Matte(by_instance, of_instances), Matte(by_class, of_classes)
@@ -78,11 +78,11 @@ def bake_view(
 
 
 def things_coverage(rendering: PanopticRendering, classes: ClassTable) -> NDArray[np.float32]:
-    """What the pixels' things cover, float32 [H, W].
+    """The coverage of each pixel by things, float32 [H, W].
 
-    Where every pixel decides for itself, stuff has instance probabilities too (nothing forbids them). So a pixel's
+    If every pixel decides on its own, stuff has instance probabilities too (nothing forbids them). So a pixel's
     instances together get no more than this. At the edge of a chair before a wall the chair keeps its share, and
-    instances of the wall get nothing. Where an object has one class, its coverage is part of its class's.
+    instances of the wall get nothing. If an object has one class, its coverage is part of its class's.
     """
     things = [column for column, one in enumerate(rendering.class_ids) if one in classes.thing_ids]
     total = np.zeros_like(rendering.alpha)
@@ -92,7 +92,7 @@ def things_coverage(rendering: PanopticRendering, classes: ClassTable) -> NDArra
 
 
 def joined(bands: list[PanopticLayers]) -> PanopticLayers:
-    """All bands of rows in one, from the top."""
+    """All bands of rows joined into one, from the top."""
     if len(bands) == 1:
         return bands[0]
     names = [field.name for field in fields(PanopticLayers)]

@@ -22,7 +22,7 @@ BACKGROUND, TEXT, FAINT = (24, 25, 28), (232, 232, 230), (150, 152, 156)
 @dataclass(frozen=True, eq=False)
 class SheetRow:
     """One held-out frame: ``photo`` uint8 [H, W, 3], ``mask_classes`` int32 [H, W] of the input mask, and the baked
-    layers, all of one size."""
+    layers, all of the same size."""
 
     name: str
     photo: Picture
@@ -36,10 +36,10 @@ def write_contact_sheet(
     classes: ClassTable,
     instance_colours: Mapping[int, Colour] | None = None,
 ) -> None:
-    """Columns: photo, input mask, lifted classes, lifted instances.
+    """Write a sheet with the columns photo, input mask, lifted classes, lifted instances.
 
-    Of more than eight rows, eight are shown, spread evenly; give only ``chosen`` frames to save work. Raises ValueError
-    without rows, OSError when the file cannot be written.
+    If there are more than eight rows, eight are shown, spread evenly; pass only ``chosen`` frames to save work. Raises
+    ValueError without rows, and OSError if the file cannot be written.
     """
     if not rows:
         raise ValueError("a contact sheet needs at least one view")
@@ -55,7 +55,7 @@ def write_contact_sheet(
 
 
 def chosen(count: int) -> list[int]:
-    """Which of ``count`` frames a sheet shows: all up to eight, else eight spread evenly."""
+    """The numbers of the frames, of ``count``, that a sheet shows: all up to eight, otherwise eight spread evenly."""
     if count <= MOST_ROWS:
         return list(range(count))
     return [round(k * (count - 1) / (MOST_ROWS - 1)) for k in range(MOST_ROWS)]
@@ -66,7 +66,7 @@ def _class_maps(row: SheetRow) -> list[NDArray[np.int32]]:
 
 
 def _tiles(row: SheetRow, classes: ClassTable, colours: Mapping[int, Colour] | None) -> dict[str, Picture]:
-    """Heading to picture. Labels are shrunk before they are shaded, so that no colours are mixed."""
+    """The picture under each heading. Labels are shrunk before they are shaded, so that no colours are mixed."""
     height, width = row.photo.shape[:2]
     size = (TILE_WIDTH, max(1, round(height * TILE_WIDTH / width)))
     photo = _resized(row.photo, size, labels=False)
@@ -101,7 +101,7 @@ def _band(tiles: Mapping[str, Picture], name: str, headings: Sequence[str], widt
 
 
 def _legend(class_ids: Sequence[int], classes: ClassTable, width: int) -> Picture:
-    """A swatch and a name for every class on the sheet. Those of things, which have instances, are brighter."""
+    """A swatch and a name for every class on the sheet. Names of things, which have instances, are brighter."""
     places: list[tuple[int, int, int]] = []
     left, line = MARGIN, 0
     for class_id in class_ids:

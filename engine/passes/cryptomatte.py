@@ -1,4 +1,4 @@
-"""Cryptomatte 1.2: several (name, coverage) pairs a pixel, from soft coverage, with the manifest in the header.
+"""Cryptomatte 1.2: several (name, coverage) pairs per pixel, from soft coverage, with the manifest in the header.
 
 Blender needs 32-bit ranks, an embedded manifest and names without commas or quotes.
 """
@@ -22,7 +22,7 @@ CRYPTO_INSTANCE, CRYPTO_CLASS = "CryptoInstance", "CryptoClass"
 
 @dataclass(frozen=True, eq=False)
 class MatteLayer:
-    """A Cryptomatte layer: the ``columns`` of a coverage that it shows, and the name of each."""
+    """A Cryptomatte layer: the ``columns`` of the coverage that it shows, and the name of each."""
 
     name: str
     columns: tuple[int, ...]
@@ -30,12 +30,12 @@ class MatteLayer:
 
     @property
     def ids(self) -> NDArray[np.float32]:
-        """The float of each name, float32 [L]."""
+        """The float that stands for each name, float32 [L]."""
         return np.array([*map(name_float, self.names)], np.float32)
 
 
 def class_layer(class_ids: Sequence[int], classes: ClassTable) -> MatteLayer:
-    """Every class but void. ``class_ids`` are those of the columns of ``class_coverage``."""
+    """The layer of every class but void. ``class_ids`` are those of the columns of ``class_coverage``."""
     names = matte_names({category.id: category.name for category in classes.categories})
     return _layer(CRYPTO_CLASS, class_ids, {one: name for one, name in names.items() if one != VOID})
 
@@ -46,8 +46,8 @@ def instance_layer(
     classes: ClassTable,
     instance_classes: Mapping[int, int] | None = None,
 ) -> MatteLayer:
-    """Every instance but those of stuff, where ``instance_classes`` (instance id to class id) is given.
-    ``instance_ids`` are those of the columns of ``instance_coverage``."""
+    """The layer of every instance. Those of stuff are left out if ``instance_classes`` (instance id to class id) is
+    given. ``instance_ids`` are those of the columns of ``instance_coverage``."""
     ids = [one for one in instance_ids if one and _is_thing(one, classes, instance_classes)]
     return _layer(CRYPTO_INSTANCE, instance_ids, matte_names({i: instance_names.get(i, f"instance {i}") for i in ids}))
 
@@ -62,7 +62,7 @@ def _layer(name: str, ids: Sequence[int], names: Mapping[int, str]) -> MatteLaye
 
 
 def channels(layer: str, planes: NDArray[np.float32]) -> dict[str, NDArray[np.float32]]:
-    """The rank channels ``<layer>00.r`` .. ``<layer>02.a`` of float32 [2 RANKS, H, W]: id and coverage in turns."""
+    """The rank channels ``<layer>00.r`` .. ``<layer>02.a`` of float32 [2 RANKS, H, W]: alternately id and coverage."""
     return {f"{layer}{plane // 4:02d}.{'rgba'[plane % 4]}": planes[plane] for plane in range(2 * RANKS)}
 
 
@@ -84,7 +84,7 @@ def name_float(name: str) -> float:
 
 
 def name_bits(name: str) -> int:
-    """MurmurHash3_32 of the name in UTF-8, with one bit of the exponent flipped where it would be no ordinary float."""
+    """MurmurHash3_32 of the name in UTF-8, with one exponent bit flipped if it would not be an ordinary float."""
     hashed = murmur3(name.encode())
     return hashed ^ (1 << 23) if (hashed >> 23 & 255) in (0, 255) else hashed
 

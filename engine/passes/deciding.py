@@ -11,7 +11,7 @@ from ..instances.class_first import LEAST_OF_CLASS, object_of_class
 from ..machine.compiled import Array, compiled, parallel_kernel
 
 CHUNK = 4096
-"""Pixels that a worker takes at a time."""
+"""Pixels that a worker takes at once."""
 NOTHING = 1e-3
 """Alpha below which nothing was rendered: the pixel's labels, depth and confidence are 0."""
 
@@ -20,16 +20,16 @@ LEAST_SHARE_OF_CLASS = np.float32(LEAST_OF_CLASS)
 FAINT, LEAST_TOTAL, LEAST_SHARE = np.float32(NOTHING), np.float32(1e-8), np.float32(1e-12)
 ZERO, ONE = np.float32(0), np.float32(1)
 STEPS, STEPS_OF_DEPTH = np.float32(1024), np.float32(4096)
-"""Shares and metres are whole multiples of 1 / this. Finer digits would be noise, which no file compresses."""
+"""Shares and metres are whole multiples of 1 / this. Finer digits would be noise, which does not compress."""
 OVER_HALF = np.float32(0.5 + 1 / 256)
-"""What the decided class and object cover of a pixel at least, so that their mattes are there."""
+"""The least share of a pixel that the decided class and object cover, so that their mattes show it."""
 
 
 class Columns(NamedTuple):
-    """What the channels mean; ties go to the first. ``of_class`` int64 [C]: the channel of each class but void;
+    """The meaning of the channels; ties go to the first. ``of_class`` int64 [C]: the channel of each class but void;
     ``class_ids`` int32 [C]; ``is_thing`` bool [C]; ``of_slot`` int64 [S]: the channel of each slot but spare ones;
     ``slot_ids`` int32 [S]; ``class_of_slot`` int64 [S]: place among the classes, -1 = none; ``one_class``: whether an
-    object is of one class throughout."""
+    object has one class throughout."""
 
     of_class: NDArray[np.int64]
     class_ids: NDArray[np.int32]
@@ -64,7 +64,7 @@ class Decided(NamedTuple):
 
 @parallel_kernel
 def decide_pixels(worker: int, workers: int, pixels: Any, columns: Any, linear_light: Array, decided: Any) -> None:
-    """Every ``workers``-th chunk of pixels. ``linear_light`` float32 [N + 1]: linear values of 0, 1/N, ... 1
+    """Decide every ``workers``-th chunk of pixels. ``linear_light`` float32 [N + 1]: linear values of 0, 1/N, ... 1
     (sRGB-encoded)."""
     count = len(pixels.alpha)
     for start in range(worker * CHUNK, count, workers * CHUNK):
@@ -75,7 +75,7 @@ def decide_pixels(worker: int, workers: int, pixels: Any, columns: Any, linear_l
 
 @compiled
 def decide_labels(pixels: Any, columns: Any, pixel: int, decided: Any) -> None:
-    """Class, instance, confidence, normalised entropy and depth of a pixel; all 0 where nothing was rendered."""
+    """Decide class, instance, confidence, normalised entropy and depth of a pixel; all 0 if nothing was rendered."""
     decided.semantic[pixel] = decided.instance[pixel] = 0
     decided.confidence[pixel] = decided.entropy[pixel] = decided.depth[pixel] = ZERO
     if pixels.alpha[pixel] < FAINT:
@@ -104,10 +104,10 @@ def decide_labels(pixels: Any, columns: Any, pixel: int, decided: Any) -> None:
 
 @compiled
 def best_slot(pixels: Any, columns: Any, pixel: int, place: int) -> int:
-    """The slot that a pixel of class ``place`` shows, the first of several, -1 for no object.
+    """The slot that a pixel of class ``place`` shows (the first if several tie), -1 for no object.
 
-    Where objects are of one class throughout, ``class_first`` decides. Otherwise it is the slot of largest coverage, if
-    that is more than the coverage of no object.
+    If objects have one class throughout, ``class_first`` decides. Otherwise it is the slot with the largest coverage,
+    if that is more than the coverage of no object.
     """
     coverage, best, most, instances = pixels.slots[pixel], -1, ZERO, ZERO
     if columns.one_class:
@@ -125,7 +125,7 @@ def best_slot(pixels: Any, columns: Any, pixel: int, place: int) -> int:
 def tell_decision(
     worker: int, workers: int, pixels: Any, columns: Any, decided: Any, best: Array, owned: Array
 ) -> None:
-    """Every ``workers``-th chunk of pixels: let ``pixels.classes`` and ``pixels.slots`` tell what was ``decided``.
+    """For every ``workers``-th chunk of pixels, make ``pixels.classes`` and ``pixels.slots`` agree with ``decided``.
     ``best`` int64 and ``owned`` float32 [workers, C] are scratch."""
     for start in range(worker * CHUNK, len(pixels.alpha), workers * CHUNK):
         for pixel in range(start, min(start + CHUNK, len(pixels.alpha))):
@@ -141,8 +141,8 @@ def tell_decision(
 
 @compiled
 def give_to_owners(pixels: Any, columns: Any, pixel: int, largest: Array, total: Array) -> None:
-    """Give what no object has of a class to the pixel's largest object of it. Scratch, [C] each: ``largest`` is a
-    class's largest slot, ``total`` what its slots have together."""
+    """Give the coverage of a class that no object has to the pixel's largest object of that class. Scratch, [C] each:
+    ``largest`` is a class's largest slot, ``total`` the coverage of all its slots."""
     coverage, by_class = pixels.slots[pixel], pixels.classes[pixel]
     for place in range(len(columns.of_class)):
         largest[place], total[place] = -1, ZERO
@@ -161,7 +161,7 @@ def give_to_owners(pixels: Any, columns: Any, pixel: int, largest: Array, total:
 
 @compiled
 def raise_over_half(coverage: Array, columns: Array, winner: int, alpha: Any) -> None:
-    """Let the winner cover more than half of a pixel, at the cost of the other columns together."""
+    """Raise the winner to more than half of a pixel, at the expense of all other columns."""
     own = coverage[columns[winner]]
     wanted = min(OVER_HALF, alpha)
     if own < wanted:
@@ -172,7 +172,7 @@ def raise_over_half(coverage: Array, columns: Array, winner: int, alpha: Any) ->
 
 @compiled
 def combine(pixels: Any, pixel: int, linear_light: Array, combined: Array) -> None:
-    """Colour in linear light, interpolated in the table, and alpha."""
+    """Fill in the colour in linear light, interpolated in the table, and alpha."""
     steps = len(linear_light) - 1
     for channel in range(3):
         value = min(max(pixels.image[pixel, channel], ZERO), ONE) * np.float32(steps)

@@ -1,4 +1,4 @@
-"""One multilayer EXR a view: single part, ZIP, names as Blender's compositor reads them.
+"""One multilayer EXR per view: single part, ZIP, names as Blender's compositor reads them.
 
 Ids, depth and Cryptomatte are 32-bit floats and exact. Colour, confidence, entropy and normals are half floats.
 """
@@ -30,10 +30,10 @@ EXACT_IDS = 1 << 24
 def write_exr(
     path: Path, view: BakedView, notes: Mapping[str, str] | None = None, layers: Collection[str] = ()
 ) -> None:
-    """Write a baked view, whole or not at all. The same input gives the same bytes. ``notes``: more attributes of the
-    header; ``layers``: those of FURTHER_LAYERS that are wanted.
+    """Write a baked view, completely or not at all. The same input gives the same bytes. ``notes``: more attributes of
+    the header; ``layers``: those wanted from FURTHER_LAYERS.
 
-    Raises ValueError for ids that a 32-bit float cannot hold, OSError when the file cannot be written.
+    Raises ValueError for ids that a 32-bit float cannot hold, and OSError if the file cannot be written.
     """
     largest = max(int(ids.max(initial=0)) for ids in (view.layers.semantic, view.layers.instance))
     if largest >= EXACT_IDS:
@@ -47,7 +47,7 @@ def write_exr(
 
 
 def read_exr(path: Path) -> PanopticLayers:
-    """The PLGS layer of a baked view. Raises ValueError when the file is damaged or has no such layer, OSError when it
+    """The PLGS layer of a baked view. Raises ValueError if the file is damaged or has no such layer, and OSError if it
     cannot be read."""
     _refuse_vast(path)
     found = _channels(path)
@@ -75,32 +75,32 @@ def _layers(found: Mapping[str, NDArray[Any]], names: Sequence[str]) -> Panoptic
 
 
 def further_layers(path: Path) -> set[str]:
-    """The FURTHER_LAYERS that a baked view has. Raises PlgsError when it is damaged."""
+    """The FURTHER_LAYERS that a baked view has. Raises PlgsError if it is damaged."""
     channels = read_exr_header(path).channels
     return {layer for layer in FURTHER_LAYERS if f"{LAYER}.{layer.title()}.X" in channels}
 
 
 def read_note(path: Path, name: str) -> str | None:
-    """An attribute of a baked view's header, None where it has none. Raises ValueError when the file is damaged,
-    OSError when it cannot be read."""
+    """An attribute of a baked view's header, None if it does not have it. Raises ValueError if the file is damaged, and
+    OSError if it cannot be read."""
     value = _header(path).get(name)
     return value if isinstance(value, str) else None
 
 
 def _header(path: Path) -> dict[str, Any]:
-    """Raises ValueError when it is damaged, OSError."""
+    """The header of a file. Raises ValueError if it is damaged, and OSError."""
     import OpenEXR
 
     refuse_special(path)
     try:
         with OpenEXR.File(str(path), header_only=True) as file:
             return dict(file.header())  # a copy: the library empties its own when it closes the file
-    except Exception as error:  # the library's own, of several kinds
+    except Exception as error:  # the library raises errors of several kinds
         raise ValueError(f"{path} is damaged ({error})") from error
 
 
 def _channels(path: Path) -> dict[str, NDArray[Any]]:
-    """Raises ValueError when it is damaged, or no memory is left for it."""
+    """The channels of a file. Raises ValueError if it is damaged, or if no memory is left for it."""
     import OpenEXR
 
     try:
@@ -108,13 +108,13 @@ def _channels(path: Path) -> dict[str, NDArray[Any]]:
             return {name: channel.pixels for name, channel in file.channels().items()}
     except MemoryError as error:
         raise ValueError(f"{path} cannot be read: no memory is left for it") from error
-    except Exception as error:  # the library's own, of several kinds
+    except Exception as error:  # the library raises errors of several kinds
         raise ValueError(f"{path} is damaged ({error})") from error
 
 
 def _refuse_vast(path: Path) -> None:
-    """Refuse a file whose header claims more than a picture has, or than memory holds, as reading takes memory for all
-    that the header claims. Raises ValueError, OSError."""
+    """Refuse a file whose header claims more than a picture has, or than memory holds, as reading takes memory for
+    everything that the header claims. Raises ValueError, OSError."""
     refuse_special(path)
     try:
         header = read_exr_header(path)
@@ -122,7 +122,7 @@ def _refuse_vast(path: Path) -> None:
         raise ValueError(f"{path} is damaged ({error.what})") from error
     memory = main_memory()
     if memory is not None and 4 * header.numbers > memory.free:
-        raise ValueError(f"{path} takes {4e-9 * header.numbers:.1f} GB, and {memory.free / 1e9:.1f} GB are free")
+        raise ValueError(f"{path} takes {4e-9 * header.numbers:.1f} GB, but {memory.free / 1e9:.1f} GB are free")
 
 
 def _pass_channels(view: BakedView, further: Collection[str]) -> dict[str, NDArray[np.floating]]:

@@ -1,4 +1,4 @@
-"""From soft coverage to layers: which class and which instance a pixel shows, and with which probability."""
+"""From soft coverage to layers: which class and which instance a pixel shows, and with what probability."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class PanopticLayers:
     ``combined`` float32 [H, W, 4], linear RGB over black and alpha; ``depth`` float32 planar metres (0 = none);
     ``semantic`` int32 class ids (0 only where nothing was rendered); ``instance`` int32, 0 where the class is stuff;
     ``confidence`` float32, the probability of the shown class; ``entropy`` float32, the normalised entropy of the class
-    probabilities: 0 = certain, 1 = all classes alike.
+    probabilities: 0 = certain, 1 = all classes equally likely.
     """
 
     combined: NDArray[np.float32]
@@ -44,11 +44,11 @@ def decide(
 ) -> PanopticLayers:
     """Decide every pixel of a rendering.
 
-    The class is the one of largest coverage (never void; ties go to the lower id). Its probability is its share of the
-    classes' coverage. A pixel of a thing class shows the instance of largest coverage, unless no object has more. With
-    ``instance_classes`` (instance id to class id) an object is of one class throughout. Its coverage then is part of
-    its class's (see ``scene_labels``), and a pixel shows only an instance of its class with LEAST_OF_CLASS of that
-    class's coverage. So what no object owns shows its own class and no instance.
+    The class is the one with the largest coverage (never void; ties go to the lower id). Its probability is its share
+    of the classes' coverage. A pixel of a thing class shows the instance with the largest coverage, unless "no object"
+    has more. With ``instance_classes`` (instance id to class id) an object has one class throughout. Its coverage is
+    then part of its class's (see ``scene_labels``), and a pixel shows only an instance of its class with LEAST_OF_CLASS
+    of that class's coverage. So what no object owns shows its own class and no instance.
     """
     height, width = rendering.alpha.shape
     columns = _columns(rendering, classes, instance_classes or {})
@@ -70,11 +70,11 @@ def tell_in_coverage(
     instance_classes: Mapping[int, int] | None,
     decided: PanopticLayers,
 ) -> None:
-    """Change the coverages of a rendering so that its mattes tell what was ``decided``.
+    """Change the coverages of a rendering so that its mattes agree with what was ``decided``.
 
-    A pixel of the class chair shows the chair that has LEAST_OF_CLASS of it. So where an object is of one class, that
-    chair gets all of the class's coverage that no other chair has. Where three or more share a pixel, the class and
-    the object that were decided may cover less than half of it. They get just over half. Edges stay soft.
+    A pixel of the class chair shows the chair that has LEAST_OF_CLASS of it. So if an object has one class, that
+    chair gets all of the class's coverage that no other chair has. Where three or more share a pixel, the decided
+    class and object may cover less than half of it. They get just over half. Edges stay soft.
     """
     columns, workers = _columns(rendering, classes, instance_classes or {}), worker_count()
     best, owned = (np.empty((workers, len(columns.of_class)), dtype) for dtype in (np.int64, np.float32))
@@ -82,7 +82,7 @@ def tell_in_coverage(
 
 
 def _flat(layers: PanopticLayers) -> Decided:
-    """The same memory, pixel by pixel."""
+    """The layers as views of the same memory, one row per pixel."""
     return Decided(
         combined=layers.combined.reshape(-1, 4),
         depth=layers.depth.reshape(-1),
@@ -94,7 +94,7 @@ def _flat(layers: PanopticLayers) -> Decided:
 
 
 def _pixels(rendering: PanopticRendering) -> Pixels:
-    """The pixels; coverages are the rendering's own memory."""
+    """The pixels of a rendering; the coverages share its memory."""
     image, alpha, depth = (
         np.ascontiguousarray(each, np.float32) for each in (rendering.image, rendering.alpha, rendering.depth)
     )
@@ -104,7 +104,7 @@ def _pixels(rendering: PanopticRendering) -> Pixels:
 
 
 def _columns(rendering: PanopticRendering, classes: ClassTable, instance_classes: Mapping[int, int]) -> Columns:
-    """The channels that are decided on, by ascending id. Raises ValueError when the rendering has no class."""
+    """The channels to decide between, by ascending id. Raises ValueError if the rendering has no class."""
     of_class, of_slot = _by_id(rendering.class_ids), _by_id(rendering.instance_ids)
     if not of_class:
         raise ValueError("the rendering has no classes")
@@ -135,7 +135,7 @@ def linear(encoded: NDArray[np.floating]) -> NDArray[np.float32]:
 
 @cache
 def _linear_light() -> NDArray[np.float32]:
-    """Linear values of LINEAR_STEPS + 1 encoded ones, evenly spaced from 0 to 1."""
+    """The linear values of LINEAR_STEPS + 1 encoded ones, evenly spaced from 0 to 1."""
     return linear(np.linspace(0.0, 1.0, LINEAR_STEPS + 1))
 
 

@@ -1,5 +1,5 @@
-"""PLY files, binary little endian: tables of named columns, and splats that any viewer of 3D Gaussian Splatting
-opens."""
+"""PLY files, binary little endian: tables of named columns, and splats that any viewer of 3D Gaussian Splatting can
+open."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from ..job import write_atomically
 
-if TYPE_CHECKING:  # a table is also written where there is no torch
+if TYPE_CHECKING:  # tables are also written without torch
     from ..model.baking import BakedGaussians
 
 SH_DEGREE_0 = 0.5 / math.sqrt(math.pi)
@@ -26,15 +26,15 @@ _TRIANGLE = np.dtype([("count", "u1"), ("corners", "<i4", 3)])
 
 
 def columns_of(names: str, values: NDArray[Any]) -> dict[str, NDArray[Any]]:
-    """The columns of ``values`` [N, K] by the K ``names``, which spaces part."""
+    """The columns of ``values`` [N, K] by the K ``names``, which are separated by spaces."""
     return dict(zip(names.split(), values.T, strict=True))
 
 
 def write_ply_table(
     path: Path, columns: Mapping[str, NDArray[Any]], triangles: NDArray[np.integer] | None = None
 ) -> None:
-    """Vertices of float32, int32 or uint8 columns [N], and triangles [T, 3] of them. Raises ValueError for columns of
-    other types or of different lengths, OSError."""
+    """Write vertices of float32, int32 or uint8 columns [N], and triangles [T, 3] of them. Raises ValueError for
+    columns of other types or of different lengths, and OSError."""
     count = {len(values) for values in columns.values()}
     if len(count) != 1:
         raise ValueError(f"columns differ in length: {', '.join(columns)}")
@@ -57,8 +57,8 @@ def write_ply_table(
 
 
 def relabelled_splats(content: bytes, new_ids: NewIds) -> bytes:
-    """What ``write_splats`` wrote, with the class and instance ids that ``new_ids`` makes of places [N, 3], class ids
-    and instance ids [N]. Raises ValueError for another file."""
+    """What ``write_splats`` wrote, with the class and instance ids that ``new_ids`` makes from places [N, 3], class ids
+    and instance ids [N]. Raises ValueError for any other file."""
     head, mark, body = content.partition(b"end_header\n")
     lines = [line.split() for line in head.decode("ascii", "replace").splitlines()]
     kinds = {name: kind for kind, name in _KINDS.items()}
@@ -70,8 +70,8 @@ def relabelled_splats(content: bytes, new_ids: NewIds) -> bytes:
 
 
 def write_splats(path: Path, splats: BakedGaussians) -> None:
-    """Spherical harmonics of degree 0, opacity as logit, scale as logarithm; class and instance of every Gaussian, and
-    its blended colour as red, green and blue. Raises OSError."""
+    """Write spherical harmonics of degree 0, opacity as logit, scale as logarithm; class and instance of every
+    Gaussian, and its blended colour as red, green and blue. Raises OSError."""
     opacity = np.clip(splats.opacities.astype(np.float64), 1e-6, 1 - 1e-6)
     floats = {
         **columns_of("x y z", splats.means),

@@ -18,11 +18,11 @@ Picture = NDArray[np.uint8]
 Colour = tuple[int, int, int]
 
 STUFF = (52, 54, 58)
-"""Colour where there is no instance: dark, so that objects stand out."""
+"""The colour where there is no instance. It is dark, so that objects stand out."""
 LINEAR_STEPS = (1 << 16) - 1
 """Steps of linear light in the table of bytes. The smallest byte is 20 steps wide."""
 MOST_COLOURS = 1 << 16
-"""Ids below this have a place each in a table."""
+"""Each id below this has a place in a table."""
 LUMA = np.array([0.2126, 0.7152, 0.0722], np.float32)
 
 
@@ -34,7 +34,7 @@ def write_previews(
     instance_colours: Mapping[int, Colour] | None = None,
 ) -> tuple[Path, Path, Path]:
     """Write ``<frame>_colour.png``, ``<frame>_semantic.png``, ``<frame>_instance.png`` and return their paths. Raises
-    OSError when a file cannot be written."""
+    OSError if a file cannot be written."""
     pictures = (
         colour_picture(layers),
         semantic_picture(layers.semantic, classes),
@@ -47,12 +47,12 @@ def write_previews(
 
 
 def preview_paths(folder: Path, frame: str) -> tuple[Path, Path, Path]:
-    """Where `write_previews` writes a frame's colour, classes and instances."""
+    """The paths to which `write_previews` writes a frame's colour, classes and instances."""
     return folder / f"{frame}_colour.png", folder / f"{frame}_semantic.png", folder / f"{frame}_instance.png"
 
 
 def colour_picture(layers: PanopticLayers) -> Picture:
-    """The rendered colours as a viewer shows them."""
+    """The rendered colours as an image viewer shows them."""
     steps = layers.combined[..., :3] * np.float32(LINEAR_STEPS)
     steps += np.float32(0.5)
     return _encoded_bytes()[np.clip(steps, 0, LINEAR_STEPS, out=steps).astype(np.uint16)]
@@ -65,7 +65,7 @@ def _encoded_bytes() -> NDArray[np.uint8]:
 
 
 def semantic_picture(semantic: NDArray[np.int32], classes: ClassTable) -> Picture:
-    """Class colours; black where there is no class of the table."""
+    """The colours of the classes; black for classes that are not in the table."""
     table = np.zeros((max(int(semantic.max(initial=0)), max(classes.ids, default=0)) + 1, 3), np.uint8)
     for category in classes.categories:
         table[category.id] = category.colour
@@ -73,7 +73,7 @@ def semantic_picture(semantic: NDArray[np.int32], classes: ClassTable) -> Pictur
 
 
 def instance_picture(instance: NDArray[np.int32], colours: Mapping[int, Colour] | None = None) -> Picture:
-    """A colour an instance (``distinct_colour`` of its id unless ``colours`` has one), dark grey elsewhere."""
+    """One colour per instance (``distinct_colour`` of its id unless ``colours`` has one), dark grey elsewhere."""
     given = colours or {}
     if int(instance.max(initial=0)) >= MOST_COLOURS:
         ids, place = np.unique(instance, return_inverse=True)
@@ -86,8 +86,8 @@ def instance_picture(instance: NDArray[np.int32], colours: Mapping[int, Colour] 
 
 
 def panoptic_picture(layers: PanopticLayers, classes: ClassTable, instance_colours: Mapping[int, Colour]) -> Picture:
-    """Classes and instances over the rendered colours: objects in their own colours, the rest in those of its classes.
-    Black where nothing was rendered."""
+    """Classes and instances over the rendered colours: objects in their own colours, the rest in those of its classes;
+    black where nothing was rendered."""
     labels = semantic_picture(layers.semantic, classes)
     owned = layers.instance > 0
     labels[owned] = instance_picture(layers.instance, instance_colours)[owned]
@@ -108,7 +108,7 @@ def shaded(labels: Picture, photo: Picture) -> Picture:
 
 
 def png_bytes(picture: Picture) -> bytes:
-    """An RGB picture as PNG. Raises ValueError when it cannot be encoded."""
+    """An RGB picture as PNG. Raises ValueError if it cannot be encoded."""
     import cv2
 
     done, data = cv2.imencode(".png", np.ascontiguousarray(picture[..., ::-1]))

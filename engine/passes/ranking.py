@@ -13,11 +13,11 @@ from ..machine.threads import parallel_for, worker_count
 from .deciding import FAINT, ONE, STEPS, ZERO
 
 RANKS = 6
-"""Pairs a pixel: three layers of channels with two pairs each."""
+"""Pairs per pixel: three layers of channels with two pairs each."""
 SMALLEST = 1 / 256
-"""Coverage below which a pair is left out: no picture shows it, and noise does not compress."""
+"""Pairs with less coverage than this are left out: no picture shows them, and noise does not compress."""
 CHUNK = 4096
-"""Pixels that a worker takes at a time."""
+"""Pixels that a worker takes at once."""
 
 _LEAST = np.float32(SMALLEST)
 
@@ -31,18 +31,18 @@ def rank_coverage(
     out: NDArray[np.float32],
     first_row: int = 0,
 ) -> None:
-    """The RANKS largest of some columns of a coverage float32 [h, W, C], as (id, coverage) pairs in descending order,
-    ties to the earlier column.
+    """The RANKS largest of some columns of a coverage float32 [h, W, C], as (id, coverage) pairs in descending order;
+    ties go to the earlier column.
 
-    ``ids`` float32 [L]: the id of each of the L ``columns``. ``limit`` float32 [h, W] or None: what the pixel's pairs
-    cover together at most, given to the largest first. ``out`` float32 [2 RANKS, H, W], in one piece: h rows from
+    ``ids`` float32 [L]: the id of each of the L ``columns``. ``limit`` float32 [h, W] or None: the most that a pixel's
+    pairs cover together, given to the largest first. ``out`` float32 [2 RANKS, H, W], contiguous: h rows from
     ``first_row`` are written. Coverages are whole multiples of 1 / STEPS,
-    and 1 together at most. (0, 0) follows the last pair; pixels where nothing was rendered have no pairs.
+    and their sum is at most 1. (0, 0) follows the last pair; pixels where nothing was rendered have no pairs.
     """
     height, width, count = coverage.shape
     flat = coverage.reshape(height * width, count)
     limits = np.empty(0, np.float32) if limit is None else limit.reshape(-1)
-    planes = out.reshape(2 * RANKS, -1)  # one piece, as the kernel is compiled for one layout
+    planes = out.reshape(2 * RANKS, -1)  # contiguous, as the kernel is compiled for one layout
     workers = worker_count()
     best = np.empty((workers, 2, RANKS), np.float32)
     wanted = np.array(columns, np.int64)
@@ -51,7 +51,7 @@ def rank_coverage(
 
 
 class RankedPixels(NamedTuple):
-    """``coverage`` float32 [P, C], ``alpha`` [P], and ``limit`` [P], or empty where there is none."""
+    """``coverage`` float32 [P, C], ``alpha`` [P], and ``limit`` [P], which is empty if there is none."""
 
     coverage: NDArray[np.float32]
     alpha: NDArray[np.float32]
@@ -62,8 +62,8 @@ class RankedPixels(NamedTuple):
 def rank_pixels(
     worker: int, workers: int, pixels: RankedPixels, columns: Array, ids: Array, best: Array, out: Array, first: int
 ) -> None:
-    """Every ``workers``-th chunk of the pixels. ``best`` float32 [workers, 2, RANKS] is scratch: ids and shares;
-    ``first``: place of the first pixel in ``out``."""
+    """Rank every ``workers``-th chunk of the pixels. ``best`` float32 [workers, 2, RANKS] is scratch: ids and shares;
+    ``first``: the place of the first pixel in ``out``."""
     coverage, alpha, limit = pixels.coverage, pixels.alpha, pixels.limit
     own_ids, own_shares = best[worker, 0], best[worker, 1]
     for start in range(worker * CHUNK, len(alpha), workers * CHUNK):
@@ -104,7 +104,7 @@ def largest_first(coverage: Array, columns: Array, ids: Array, own_ids: Array, o
 
 @compiled
 def fill(own_ids: Array, own_shares: Array, limit: float) -> None:
-    """Let the ranks cover no more than ``limit`` together, the largest first."""
+    """Limit the sum of the ranks to ``limit``, the largest first."""
     left = limit
     for rank in range(RANKS):
         value = min(own_shares[rank], left)

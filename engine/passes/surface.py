@@ -1,4 +1,4 @@
-"""Position and normal of the rendered surface in the world."""
+"""The position and the normal of the rendered surface in the world."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ from ..machine.threads import parallel_for, worker_count
 from ..scene import Camera
 
 REACH = 0.01
-"""Share of the picture's width that the window of a normal's fit reaches to each side."""
+"""The window of a normal's fit reaches this share of the picture's width to each side."""
 SAME_SURFACE = 0.06
-"""Relative difference of inverse depths above which pixels are of different surfaces."""
+"""Pixels whose inverse depths differ by more than this ratio belong to different surfaces."""
 LEAST_SPREAD = 1e-3
-"""Share of the window's own spread below which its points lie on a line, and define no plane."""
+"""Points whose spread is less than this share of the window's own lie on a line, and define no plane."""
 
 
 class Surface(NamedTuple):
     """``position`` float32 [3, H, W], world metres; ``normal`` float32 [3, H, W], world, of length 1, towards the
-    camera. Both 0 where nothing was rendered."""
+    camera. Both are 0 where nothing was rendered."""
 
     position: NDArray[np.float32]
     normal: NDArray[np.float32]
@@ -32,8 +32,8 @@ def surface_of(depth: NDArray[np.float32], camera: Camera) -> Surface:
     """Position and normal of every pixel from its depth float32 [H, W], planar metres, 0 = none.
 
     A plane's inverse depth is linear in the pixel coordinates. So a plane is fitted by least squares to the inverse
-    depths of 25 pixels around (those of the same surface), and its normal is the pixel's. The median error of these
-    normals is 3 to 8 degrees. That of the Gaussians' own shortest axes is 20 to 30 degrees.
+    depths of the 25 pixels around a pixel (those on the same surface), and its normal is the pixel's. The median error
+    of these normals is 3 to 8 degrees. That of the Gaussians' own shortest axes is 20 to 30 degrees.
     """
     inverse = np.divide(1.0, depth, out=np.zeros_like(depth), where=depth > 0)
     step = max(1, round(REACH * camera.width / 2))
@@ -48,7 +48,7 @@ def surface_of(depth: NDArray[np.float32], camera: Camera) -> Surface:
 def fit_rows(
     worker: int, workers: int, inverse: Array, step: int, lens: Array, pose: Array, position: Array, normal: Array
 ) -> None:
-    """Every ``workers``-th row. ``lens`` float64 [4]: fx, fy, cx, cy; ``pose`` float64 [4, 4], camera to world."""
+    """Fit every ``workers``-th row. ``lens`` float64 [4]: fx, fy, cx, cy; ``pose`` float64 [4, 4], camera to world."""
     height, width = inverse.shape
     for row in range(worker, height, workers):
         for column in range(width):
@@ -73,7 +73,7 @@ def fit_rows(
 @compiled
 def inverse_slopes(inverse: Array, row: int, column: int, step: int) -> tuple[float, float, float]:
     """Least squares over 5 x 5 pixels ``step`` apart: the change of the inverse depth from a pixel to the next one
-    right and down, and its value at the pixel. No change where too few pixels are of the same surface."""
+    right and down, and its value at the pixel. The change is 0 if too few pixels are on the same surface."""
     height, width = inverse.shape
     q = inverse[row, column]
     count = su = sv = sq = suu = suv = svv = suq = svq = 0.0

@@ -1,4 +1,4 @@
-"""The options of a preset by name, such as ``weights.depth``: read from a text, checked, put into a preset, shown."""
+"""The options of a preset by name, such as ``weights.depth``: they are parsed, checked, set in a preset, and shown."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ _BOOLEANS = {"true": True, "yes": True, "on": True, "false": False, "no": False,
 
 @dataclass(frozen=True)
 class PresetOption:
-    """One option. ``length``: the number of values in a list; ``least`` and ``most`` bound a number, or each one of a
-    list; ``choices``: the texts that it may be."""
+    """One option. ``length``: the number of values in a list; ``least`` and ``most`` bound a number, or each one in a
+    list; ``choices``: the texts that are allowed."""
 
     name: str
     kind: Literal["bool", "int", "float", "choice", "ints"]
@@ -35,7 +35,7 @@ class PresetOption:
 
     @property
     def expected(self) -> str:
-        """What a value has to be, in words."""
+        """What a value must be, in words."""
         text = _KINDS.get(self.kind, ", ".join(self.choices))
         if self.kind in ("int", "float", "ints"):
             text = f"{text} from {self.least:g}" + ("" if math.isinf(self.most) else f" to {self.most:g}")
@@ -45,7 +45,7 @@ class PresetOption:
 
 def preset_options() -> Mapping[str, PresetOption]:
     """All options by name, in the order of the presets' fields."""
-    kind: Any = type(PRESETS["preview"])  # or a subclass with further options
+    kind: Any = type(PRESETS["preview"])  # or a subclass with more options
     return _options_of(kind)
 
 
@@ -74,14 +74,14 @@ def _option(name: str, kind: Any, declared: Field) -> PresetOption:
 
 
 def option_value(preset: Preset, name: str) -> Json:
-    """The value of an option in a preset, as JSON has it."""
+    """The value of an option in a preset, as a JSON value."""
     value: Any = reduce(getattr, name.split("."), preset)
     return list(value) if isinstance(value, tuple) else value
 
 
 def with_options(preset: Preset, options: Mapping[str, Json]) -> Preset:
-    """The preset with options as ``checked_options`` gives them. Steps that are given without ``steps_a_view`` are
-    exactly that many, however many views there are."""
+    """The preset with options in the form that ``checked_options`` returns. If steps are given without
+    ``steps_a_view``, there are exactly that many, however many views there are."""
     if "steps" in options:
         options = {"steps_a_view": 0.0, **options}
     for name, value in options.items():
@@ -93,12 +93,12 @@ def with_options(preset: Preset, options: Mapping[str, Json]) -> Preset:
 
 
 def changed_options(preset: Preset, options: Mapping[str, Json]) -> dict[str, Json]:
-    """Those of the options that are other than the preset's."""
+    """The options that differ from the preset's."""
     chosen = with_options(preset, options)
     same_steps = (chosen.steps, chosen.steps_a_view) == (preset.steps, preset.steps_a_view)
 
     def changes(name: str) -> bool:
-        if "steps" in options and name in ("steps", "steps_a_view"):  # steps without the other are exactly that many
+        if "steps" in options and name in ("steps", "steps_a_view"):  # steps alone mean exactly that many
             return not same_steps and (name == "steps" or chosen.steps_a_view > 0)
         return options[name] != option_value(preset, name)
 
@@ -118,26 +118,26 @@ def parsed_options(texts: Iterable[str]) -> dict[str, Json]:
 
 
 def checked_options(options: Mapping[str, Json]) -> dict[str, Json]:
-    """Options as JSON has them, in the order of the presets' fields. Raises PlgsError as ``parsed_options``."""
+    """Options as JSON values, in the order of the presets' fields. Raises PlgsError like ``parsed_options``."""
     checked = {name: checked_value(known_option(name), value) for name, value in options.items()}
     return {name: checked[name] for name in preset_options() if name in checked}
 
 
 def known_option(name: str) -> PresetOption:
-    """The option of that name. Raises PlgsError, which names the nearest one, when there is none."""
+    """The option with this name. If there is none, raises PlgsError, which names the nearest one."""
     options = preset_options()
     if name in options:
         return options[name]
     last = [known for known in options if known.rpartition(".")[2] == name]
     near = last or difflib.get_close_matches(name, options, 1, 0.5)
     hint = f"Did you mean {near[0]}? " if near else ""
-    what = f"there is no option {name!r}, or there is none any more"
+    what = f"there is no option {name!r} in this version"
     raise PlgsError(what, "--set", f"{hint}'{LISTING} preview' lists them all.")
 
 
 def checked_value(option: PresetOption, value: Json) -> Json:
-    """The value that JSON or a text gives: floats where floats are wanted. Raises PlgsError for one that the option
-    cannot have."""
+    """The value of a JSON value or a text, with floats where floats are wanted. Raises PlgsError for a value that the
+    option cannot have."""
     found = _from_text(option, value) if isinstance(value, str) else value
     if found is None and option.can_be_none:
         return None
@@ -154,12 +154,12 @@ def checked_value(option: PresetOption, value: Json) -> Json:
     if checked is None:
         near = difflib.get_close_matches(str(value), option.choices, 1, 0.4)
         fix = f"Did you mean {near[0]}? " if near else ""
-        raise PlgsError("is not a value of this option", f"{option.name} = {value!r}", f"{fix}Give {option.expected}.")
+        raise PlgsError("is not a valid value", f"{option.name} = {value!r}", f"{fix}Give {option.expected}.")
     return checked
 
 
 def _number(option: PresetOption, value: Json) -> float | int | None:
-    """None for anything that is not a number, or out of range."""
+    """The number, or None for anything that is not a number or is out of range."""
     if isinstance(value, bool) or not isinstance(value, int | float) or not option.least <= value <= option.most:
         return None
     if option.kind == "float":
@@ -168,7 +168,7 @@ def _number(option: PresetOption, value: Json) -> float | int | None:
 
 
 def _from_text(option: PresetOption, text: str) -> Json:
-    """A text as the JSON value that it means; a text that means none stays a text, and is refused as a value."""
+    """A text as the JSON value that it means. A text that means no value stays a text, which is refused later."""
     if option.kind == "choice":
         return text
     if text.lower() == "none":
@@ -190,7 +190,7 @@ def _as_number(text: str) -> Json:
 
 
 def shown_value(value: Json) -> str:
-    """A value as ``parsed_options`` reads it."""
+    """A value in the form that ``parsed_options`` reads."""
     if value is None:
         return "none"
     if isinstance(value, bool):
@@ -199,5 +199,5 @@ def shown_value(value: Json) -> str:
 
 
 def shown_options(options: Mapping[str, Json]) -> list[str]:
-    """``name=value`` texts that ``parsed_options`` reads."""
+    """The options as ``name=value`` texts, which ``parsed_options`` reads."""
     return [f"{name}={shown_value(value)}" for name, value in options.items()]

@@ -1,9 +1,9 @@
-"""The options of a lift and their values in the three presets, in their one home.
+"""The options of a lift and their values in the three presets, all in one place.
 
-Each field is an option. It has the same name here, after --set, in a preset's file and in request.json; one of a group
+Each field is an option. It has the same name here, after --set, in a preset's file and in request.json; one in a group
 is called ``group.field``. What neither a preset nor an experiment varies is a constant beside the code that uses it.
-Every schedule point is a fraction of the steps, so that a preset of 500 steps goes through the same stages as the
-paper's 30 000 (paper, "Implementation Details").
+Every schedule point is a fraction of the steps, so that a preset with 500 steps goes through the same stages as the
+paper's 30 000 (see its "Implementation Details").
 """
 
 from __future__ import annotations
@@ -13,14 +13,14 @@ from dataclasses import dataclass, field, replace
 from typing import Literal, TypeVar
 
 SHORTEST_SIDE, LONGEST_SIDE = 16, 16384
-"""Pixels of a picture's side."""
+"""The range of a picture's side in pixels."""
 
 
 Number = TypeVar("Number")
 
 
 def _ranged(default: Number, least: float = 0, most: float = math.inf) -> Number:
-    """A field whose number, or each of whose numbers, lies from ``least`` to ``most``."""
+    """A field with one or more numbers, each between ``least`` and ``most``."""
     value: Number = field(default=default, metadata={"least": least, "most": most})
     return value
 
@@ -28,8 +28,8 @@ def _ranged(default: Number, least: float = 0, most: float = math.inf) -> Number
 @dataclass(frozen=True)
 class Matching:
     """Algorithm 1. ``tau_new``: a segment whose least cost is above it is a new instance. ``rule``: "hybrid" takes the
-    Hungarian partner if its cost is at most tau, else the best global instance if that is, else a new one; "literal" is
-    the text of Algorithm 1. ``cost``: the terms of O; the paper's table of ablations has each alone."""
+    Hungarian partner if its cost is at most tau, else the best global instance if its cost is, else a new one;
+    "literal" is the text of Algorithm 1. ``cost``: the terms of O; the paper's table of ablations has each alone."""
 
     tau_new: float = _ranged(-0.1, -2.0, 0.0)
     rule: Literal["hybrid", "literal"] = "hybrid"
@@ -39,14 +39,14 @@ class Matching:
 @dataclass(frozen=True)
 class Schedule:
     """``self_training_every``: the share of the steps after which each round of pseudo labels is made. With 1 there is
-    none; the paper's is 5k of 30k, and the first round ends its initial stage."""
+    no round; the paper's is 5k of 30k, and the first round ends its initial stage."""
 
     self_training_every: float = _ranged(1.0, 0.001, 1.0)
 
 
 @dataclass(frozen=True)
 class LossWeights:
-    """All weights of L_total; ``Trainer._losses`` multiplies and adds. lambda_ssim, lambda_vol, lambda_sem and
+    """All weights of L_total, which ``Trainer._losses`` computes. lambda_ssim, lambda_vol, lambda_sem and
     lambda_ins are those of the paper's section "Implementation Details"; ``depth`` is ours (see ``depth_loss``).
     ``cluster`` weighs L_cluster within L_sem."""
 
@@ -60,31 +60,31 @@ class LossWeights:
 
 @dataclass(frozen=True)
 class Growth:
-    """``least_visits``: this many visits are enough to judge an anchor, however many steps lie between two rounds. In a
-    short lift of many views an anchor that few of them see would else never be judged. None waits for Scaffold-GS's
-    shares of the steps (``GrowthRules``)."""
+    """``least_visits``: this many visits suffice to judge an anchor, however many steps lie between two rounds. In a
+    short lift of many views, an anchor that few of them see would otherwise never be judged. None: only Scaffold-GS's
+    shares of the steps count (``GrowthRules``)."""
 
     least_visits: int | None = _ranged(10)
 
 
 @dataclass(frozen=True)
 class SegmentVoting:
-    """``rounds`` in which segments take the label of their points and vote again."""
+    """``rounds``: how often segments take the label of their points and vote again."""
 
     rounds: int = _ranged(2)
 
 
 EvidenceKind = Literal["views", "root", "resolution", "pixels", "density"]
-"""What a view's votes are: 1 each ("views"), the square root of its pixels ("root"), its pixels a centimetre
-("resolution"), its pixels ("pixels"), or its pixels a square centimetre ("density", 1 / depth² for one lens)."""
+"""The number of a view's votes: 1 ("views"), the square root of its pixels ("root"), its pixels per centimetre
+("resolution"), its pixels ("pixels"), or its pixels per square centimetre ("density", 1 / depth² for one lens)."""
 
 
 @dataclass(frozen=True)
 class ViewEvidence:
-    """How much a view's word counts, of the ``points`` of the cloud, of the classes of ``objects``, of the labels that
-    ``segments`` give to points, and of the ``gaussians``. Of ``masks``: in what it says of two masks, a view counts as
-    much as it resolves them, measured by the views that have them. Objects keep the square root: by their pixels one
-    object of the hand-held twin takes another class, and nothing elsewhere gains."""
+    """The weight of a view's evidence on the ``points`` of the cloud, on the classes of ``objects``, on the labels that
+    ``segments`` give to points, and on the ``gaussians``. For ``masks``, a view that judges two masks is weighted by
+    how well it resolves them, compared with the views that have them. Objects use the square root: with their pixels
+    one object of the hand-held twin gets another class, and nothing else improves."""
 
     points: EvidenceKind = "density"
     objects: EvidenceKind = "root"
@@ -95,7 +95,7 @@ class ViewEvidence:
 
 @dataclass(frozen=True)
 class Voting:
-    """How views vote on Gaussians. The label decoders have ``prior`` votes on each of them."""
+    """How views vote on Gaussians. The label decoders have ``prior`` votes on each Gaussian."""
 
     prior: float = _ranged(0.3)
 
@@ -107,43 +107,43 @@ class Preset:
     name: str
     steps: int = _ranged(500, 1, 10_000_000)
     size: tuple[int, int] = _ranged((200, 200), SHORTEST_SIDE, LONGEST_SIDE)
-    """Pixels (width, height): frames are brought into this box for the lift, never enlarged."""
+    """Pixels (width, height): frames are shrunk to fit into this box for the lift, never enlarged."""
     frames: int = _ranged(400, 0, 1_000_000)
     """At most this many frames are trained on (see ``choose_frames``); 0: all."""
     voxel_size: float = _ranged(0.06, 0.001, 10.0)
     """Metres (the paper's epsilon)."""
     gaussians_per_anchor: int = _ranged(4, 1, 32)
     instance_slots: int = _ranged(0, 0, 1000)
-    """The least number of slots. With ``objects`` "none" there are this many, which mean what the linear assignment
-    makes of them."""
+    """The least number of slots. With ``objects`` "none" there are exactly this many, and the linear assignment decides
+    their meaning."""
     most_anchors: int = _ranged(400_000, 1)
     distance_input: bool = False
-    """Decoders are given the camera's distance beside its direction, as the paper's formula has it."""
+    """Decoders get the camera's distance in addition to its direction, as in the paper's formula."""
     label_view_input: bool = False
-    """The label decoders are given both, too, so that labels depend on who looks."""
+    """The label decoders get both too, so that labels depend on the view."""
     neighbours: int = _ranged(0, 0, 64)
     """N_w: the number of views whose masks are compared with those of a view."""
     majority: float = _ranged(0.0, 0.0, 1.0)
     """Share of the votes that the class of a point of the cloud needs."""
     objects: Literal["boxes", "agreement", "none"] = "agreement"
-    """How segments of all views become instances: Algorithm 1 by ``matching``, or ours, with a vote of the views on
-    each object's class. With "none" nothing is matched in space."""
+    """How segments of all views become instances: Algorithm 1 by ``matching``, or our method, with a vote of the views
+    on each object's class. With "none" nothing is matched in space."""
     most_instances: int = _ranged(1000, 1, 4000)
-    """Of what was matched, those with the most pixels are kept."""
+    """At most this many instances are kept, those with the most pixels."""
     one_class_an_object: bool = True
-    """What is shown of an instance has the instance's class."""
+    """Every part of an instance is shown with the instance's class."""
     most_points: int = _ranged(200_000, 1)
-    """At most this many points are in the semantic point cloud."""
+    """The semantic point cloud has at most this many points."""
     seeded_features: bool = True
-    """Features start from colour and label of the anchors, not from zero."""
+    """Features start from the anchors' colours and labels, not from zero."""
     warm_start: bool = True
-    """The decoders are fitted to these before training (see ``warm_start``)."""
+    """The decoders are fitted to the anchors before training (see ``warm_start``)."""
     matching: Matching = Matching()
     schedule: Schedule = Schedule()
     weights: LossWeights = LossWeights()
     growth: Growth = Growth()
     steps_a_view: float = _ranged(5.0)
-    """Where there are many views, there are enough steps to see each of them this often."""
+    """If there are many views, there are enough steps to see each of them this often."""
     all_frames_vote: bool = True
     """Frames that are not trained on vote on the classes of objects and points."""
     fill_holes: bool = True
@@ -153,25 +153,25 @@ class Preset:
     linear_assignment: bool = False
     """A view's segments are assigned to slots in each step, by what is drawn."""
     fit_exposure: bool = True
-    """Each photo is compared after the model's picture was brought to its exposure."""
+    """Each photo is compared with the model's picture at the photo's exposure."""
     weigh_sharpness: bool = True
     """Blurred photos count less."""
     labels: Literal["decoders", "votes"] = "votes"
-    """What the finished scene shows: what the label decoders say, or what the views vote on its Gaussians. Votes need
-    objects by agreement, of one class each, else decoders serve."""
+    """What the finished scene shows: the output of the label decoders, or the views' votes on its Gaussians. Votes need
+    objects by agreement, of one class each; otherwise the decoders are used."""
     vote_size: tuple[int, int] = _ranged((320, 320), SHORTEST_SIDE, LONGEST_SIDE)
     """Pixels (width, height) of the box within which the voting masks are read."""
     vote_rounds: int = _ranged(2, 1, 10)
     """Rounds in which the views vote on the Gaussians."""
     evidence: ViewEvidence = ViewEvidence()
-    """How much the word of each view counts."""
+    """How the evidence of each view is weighted."""
     label_every: int = _ranged(4, 1)
-    """Labels are trained in each step whose number this divides."""
+    """Labels are trained in every step whose number is divisible by this."""
     voting: Voting = Voting()
 
     @property
     def shows_votes(self) -> bool:
-        """Whether the finished scene shows what the views vote."""
+        """Whether the finished scene shows the views' votes."""
         return self.labels == "votes" and self.can_vote
 
     @property
@@ -180,11 +180,11 @@ class Preset:
         return self.objects == "agreement" and self.one_class_an_object
 
     def views_of(self, train_frames: int) -> int:
-        """How many of ``train_frames`` frames to train on are lifted."""
+        """The number of the ``train_frames`` training frames that are lifted."""
         return min(train_frames, self.frames) if self.frames else train_frames
 
     def for_views(self, views: int) -> Preset:
-        """With as many steps as ``views`` views need."""
+        """The preset with as many steps as ``views`` views need."""
         return replace(self, steps=max(self.steps, round(self.steps_a_view * views)))
 
 

@@ -1,4 +1,4 @@
-"""Presets as TOML: one that a user wrote, and those there are, in the same form."""
+"""Presets as TOML: those that a user wrote and the existing ones, in the same form."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from .preset import PRESETS
 BASE = "preset"
 """The key that names the preset which the file changes."""
 MOST_BYTES = 1 << 20
-"""Bytes that such a file may have; a whole preset has some thousands."""
+"""The most bytes of such a file; a whole preset has a few thousand."""
 _FIX = "'python -m engine presets preview' prints one that can be changed."
 
 
 def read_preset_file(path: Path) -> tuple[str, dict[str, Json]]:
-    """The preset that a file changes, and the options it gives. Raises PlgsError that names the file and the option."""
+    """The preset that a file changes, and its options. Raises PlgsError, which names the file and the option."""
     try:
         content = tomllib.loads(read_plain(path, MOST_BYTES).decode("utf-8"))
     except OSError as error:
@@ -30,7 +30,7 @@ def read_preset_file(path: Path) -> tuple[str, dict[str, Json]]:
         raise PlgsError(f"is not TOML ({error})", path, _FIX) from error
     base = content.pop(BASE, None)
     if base not in PRESETS:
-        raise PlgsError(f"names no preset: {BASE} = {base!r}", path, f"Write {BASE} = one of {', '.join(PRESETS)}.")
+        raise PlgsError(f"names no preset: {BASE} = {base!r}", path, f"Set {BASE} to one of {', '.join(PRESETS)}.")
     try:
         return base, dict(_options(content))
     except PlgsError as error:
@@ -47,7 +47,7 @@ def _options(content: Mapping[str, Any], before: str = "") -> Iterator[tuple[str
 
 
 def preset_text(base: str, options: Mapping[str, Json]) -> str:
-    """A preset with some options changed, as a file that ``read_preset_file`` reads."""
+    """The text of a preset with some options changed, which ``read_preset_file`` reads."""
     preset, chosen = PRESETS[base], with_options(PRESETS[base], options)
     lines = [f'{BASE} = "{base}"']
     table = ""

@@ -1,7 +1,7 @@
 """Gaussians to pixels and back: one functional interface, several back ends.
 
 ``rasterize`` draws anisotropic 3D Gaussians into a pinhole camera and is differentiable in everything that
-describes the Gaussians. Back ends: ``numba`` (CPU, the default), ``gsplat`` (CUDA, when installed),
+describes the Gaussians. Back ends: ``numba`` (CPU, the default), ``gsplat`` (CUDA, if installed),
 ``reference`` (dense float64 torch, the oracle of the tests). ``drawing_on`` chooses the device for all calls within it.
 """
 
@@ -17,7 +17,7 @@ __all__ = ["Rendering", "drawing_on", "rasterize"]
 
 
 def __getattr__(name: str) -> Any:
-    """Import torch only where it is needed."""
+    """Import torch only when it is needed."""
     if name in ("drawing_on", "rasterize"):
         from . import interface
 

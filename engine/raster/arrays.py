@@ -1,4 +1,4 @@
-"""What the kernels take and fill, as named tuples of arrays.
+"""The inputs and outputs of the kernels, as named tuples of arrays.
 
 N Gaussians, T intersections (pairs of a Gaussian and a tile that it may touch), P pixels, C channels of labels. Arrays
 of the blending kernels are flat: a picture of P pixels with C channels has shape [P * C].
@@ -23,7 +23,7 @@ class Size(NamedTuple):
 
 
 class Gaussians(NamedTuple):
-    """``rasterize``'s own arguments as float32 arrays: ``means`` and ``scales`` [N, 3] in metres, ``quats`` [N, 4]
+    """The arguments of ``rasterize`` as float32 arrays: ``means`` and ``scales`` [N, 3] in metres, ``quats`` [N, 4]
     wxyz, ``opacities`` [N], ``colours`` [N, 3]."""
 
     means: Array
@@ -34,7 +34,7 @@ class Gaussians(NamedTuple):
 
 
 class Shapes(NamedTuple):
-    """What the backward pass of the projection needs of ``Gaussians``."""
+    """The parts of ``Gaussians`` that the backward pass of the projection needs."""
 
     means: Array
     scales: Array
@@ -42,10 +42,10 @@ class Shapes(NamedTuple):
 
 
 class Projected(NamedTuple):
-    """What projection makes of each Gaussian: ``records`` float32 [N, RECORD]; ``boxes`` int32 [N, 4], the first and
-    one past the last column of tiles, then the same for rows; ``depths`` float32 [N], metres; ``means2d`` float32 [N,
-    2], pixels; ``visible`` bool [N]. A Gaussian that is not visible has an empty box and a ``means2d`` of 0; its record
-    and depth mean nothing."""
+    """The projection of each Gaussian: ``records`` float32 [N, RECORD]; ``boxes`` int32 [N, 4], the first and one past
+    the last column of tiles, then the same for rows; ``depths`` float32 [N], metres; ``means2d`` float32 [N, 2],
+    pixels; ``visible`` bool [N]. A Gaussian that is not visible has an empty box and a ``means2d`` of 0; its record and
+    depth are meaningless."""
 
     records: Array
     boxes: Array
@@ -55,12 +55,12 @@ class Projected(NamedTuple):
 
 
 class Intersections(NamedTuple):
-    """Which Gaussians each tile draws, front to back (gsplat's ``isect_offsets`` and ``flatten_ids``), and where their
-    gradients in that tile go.
+    """The Gaussians that each tile draws, front to back (gsplat's ``isect_offsets`` and ``flatten_ids``), and where
+    their gradients in that tile go.
 
     ``isect_offsets`` int64 [tiles + 1]: tile t has the Gaussians flatten_ids[isect_offsets[t] : isect_offsets[t + 1]],
-    int32 [T]. ``isect_ids`` int32 [T], in the same order: the number of the intersection when they are counted Gaussian
-    by Gaussian; those of Gaussian i are gaussian_offsets[i] to before gaussian_offsets[i + 1], int64 [N + 1].
+    int32 [T]. ``isect_ids`` int32 [T], in the same order: the number of the intersection if they are counted Gaussian
+    by Gaussian; Gaussian i has those from gaussian_offsets[i] to before gaussian_offsets[i + 1], int64 [N + 1].
     """
 
     gaussian_offsets: Array
@@ -77,8 +77,8 @@ class Splats(NamedTuple):
 
 
 class Blended(NamedTuple):
-    """What blending makes of each pixel, float32: ``image`` [P * 3], ``labels`` [P * C], ``alpha``, ``depth`` and the
-    ``final`` transmittance [P]. ``last`` [P] is the last Gaussian blended, as its place in the tile's list; -1 is
+    """The blended pixels, float32: ``image`` [P * 3], ``labels`` [P * C], ``alpha``, ``depth`` and the ``final``
+    transmittance [P]. ``last`` [P] is the last Gaussian blended, as its place in the tile's list; -1 means
     none."""
 
     image: Array
@@ -91,7 +91,7 @@ class Blended(NamedTuple):
 
 class PixelGradients(NamedTuple):
     """The gradients of ``image`` [P * 3], ``labels`` [P * C], ``alpha`` and ``depth`` [P]; and ``final`` and ``last``
-    [P] as the forward pass left them. All float32."""
+    [P] as the forward pass left them. All are float32."""
 
     image: Array
     labels: Array
@@ -103,7 +103,7 @@ class PixelGradients(NamedTuple):
 
 class IsectGradients(NamedTuple):
     """The gradients of each intersection, by its number: ``values`` float32 [T * GRADIENT_WIDTH] and ``labels`` [T *
-    padded channels]. Where ``touched`` uint8 [T] is 0 they mean nothing."""
+    padded channels]. They are meaningless where ``touched`` uint8 [T] is 0."""
 
     touched: Array
     values: Array
@@ -111,7 +111,7 @@ class IsectGradients(NamedTuple):
 
 
 class GaussianGradients(NamedTuple):
-    """The gradients of ``rasterize``'s arguments, in their order and shapes, and of ``means2d`` [N, 2]. All float32."""
+    """The gradients of ``rasterize``'s arguments, with their order and shapes, and of ``means2d`` [N, 2], float32."""
 
     means: Array
     scales: Array
@@ -123,7 +123,7 @@ class GaussianGradients(NamedTuple):
 
 
 class Scratch(NamedTuple):
-    """Room to work in. ``next_one`` int64 [1] is the next tile to take. Each worker has ``floats`` float32 [workers,
+    """Working memory. ``next_one`` int64 [1] is the next tile to take. Each worker has ``floats`` float32 [workers,
     n], ``members`` int32 [workers, MEMBERS] and, for the backward pass, ``counts`` int64 [workers, PATCHES]."""
 
     next_one: Array
@@ -133,7 +133,7 @@ class Scratch(NamedTuple):
 
 
 class Tile(NamedTuple):
-    """The pixel ``left``, ``top`` of a tile's corner, and its intersections: ``length`` of them from ``first`` on."""
+    """The pixel ``left``, ``top`` at a tile's corner, and the tile's ``length`` intersections from ``first`` on."""
 
     left: int
     top: int
@@ -142,5 +142,5 @@ class Tile(NamedTuple):
 
 
 def flat(array: Array) -> NDArray[np.float32]:
-    """The same memory in one row."""
+    """The array as a view of the same memory in one row."""
     return array.reshape(-1)

@@ -1,4 +1,4 @@
-"""From the pictures' gradients to the Gaussians': blending backward, sums over tiles, projection backward."""
+"""From the gradients of pictures to those of Gaussians: backward blending, sums over tiles, backward projection."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from .records import GRADIENT_WIDTH, padded_channels
 
 
 def rasterize_backward(state: ForwardState, shapes: Shapes, d_layers: Layers) -> GaussianGradients:
-    """The gradients of all that was blended.
+    """The gradients of everything that was blended.
 
-    ``shapes`` as the forward pass had them; ``d_layers``: the layers' gradients, whose labels have no channels where
+    ``shapes`` are those of the forward pass; ``d_layers``: the layers' gradients, whose labels have no channels if
     none are wanted.
     """
     height, width, channels = d_layers.labels.shape
@@ -37,7 +37,7 @@ def rasterize_backward(state: ForwardState, shapes: Shapes, d_layers: Layers) ->
 
 
 def _no_isect_gradients(count: int, channels: int) -> IsectGradients:
-    """The gradients of ``count`` intersections, to be filled."""
+    """Arrays for the gradients of ``count`` intersections, to be filled."""
     labels = count * padded_channels(channels)
     return IsectGradients(
         *memory.several((count, np.uint8), (count * GRADIENT_WIDTH, np.float32), (labels, np.float32))
@@ -45,7 +45,7 @@ def _no_isect_gradients(count: int, channels: int) -> IsectGradients:
 
 
 def _no_gradients(count: int, channels: int) -> GaussianGradients:
-    """The gradients of ``count`` Gaussians, to be filled."""
+    """Arrays for the gradients of ``count`` Gaussians, to be filled."""
     shapes = ((count, 3), (count, 3), (count, 4), (count,), (count, 3), (count, 2))
     *geometry, means2d = memory.several(*((shape, np.float32) for shape in shapes))
     return GaussianGradients(*geometry, memory.empty((count, channels), np.float32), means2d)

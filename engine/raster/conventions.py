@@ -1,4 +1,4 @@
-"""The numbers and the camera that every back end shares."""
+"""The constants and the camera that all back ends share."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ NEAR = 0.01
 BLUR = 0.3
 """Pixels squared, added to both diagonal entries of a 2D covariance: nothing is thinner than a pixel."""
 ALPHA_MAX = 0.99
-"""The largest alpha of a Gaussian, so that one alone never closes a pixel."""
+"""The largest alpha of a Gaussian, so that a single one never closes a pixel."""
 ALPHA_MIN = 1.0 / 255.0
 """A Gaussian with a smaller alpha than this is skipped."""
 TRANSMITTANCE_END = 1e-4
 """A Gaussian that would leave this transmittance or less is not blended, and the pixel ends."""
 CLAMP_MARGIN = 0.3
-"""The Jacobian of the projection is taken at most this share of the half field of view outside the image."""
+"""The Jacobian of the projection is taken outside the image by at most this share of the half field of view."""
 TINY_NORM = 1e-12
 """Quaternions shorter than this are divided by it instead of by their norm."""
 
@@ -25,7 +25,7 @@ class Pinhole:
     """A pinhole camera.
 
     ``rotation`` 3 by 3, row by row, world to camera (OpenCV axes); ``centre`` metres, world; ``focal`` and
-    ``principal`` (x, y) in pixels; ``width``, ``height`` in pixels; ``near`` in metres. Where only some rows of a
+    ``principal`` (x, y) in pixels; ``width``, ``height`` in pixels; ``near`` in metres. If only some rows of a
     picture are drawn, ``height`` counts them, ``above`` those before them and ``whole_height`` all of the picture.
     """
 
@@ -42,7 +42,7 @@ class Pinhole:
     def slope_limits(self) -> tuple[float, float, float, float]:
         """(x low, x high, y low, y high): the slopes x/z and y/z to which the Jacobian's point is clamped.
 
-        They are those of the whole picture, so that a Gaussian has the same footprint in all of its rows.
+        These are the limits of the whole picture, so that a Gaussian has the same footprint in all rows.
         """
         (fx, fy), (cx, cy) = self.focal, self.principal
         cy, height = cy + self.above, self.whole_height or self.height

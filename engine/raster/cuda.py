@@ -1,13 +1,13 @@
 """The back end ``gsplat``, for tensors on a CUDA device: ``gsplat.rasterization`` with colour and depth as channels.
 
-Labels are drawn by a second call whose geometry is detached: their gradient must reach the labels only.
+Labels are drawn by a second call with detached geometry, as their gradient must reach only the labels.
 
 gsplat 1.5 differs from the other back ends in these points. It caps alpha at 0.999, not at 0.99 (1.6 caps at 0.99), so
 an opaque Gaussian lets a tenth of the light through. It projects in float32, where the terms of a long thin Gaussian
-cancel. It decides by rounded boxes what is ``visible``. The blur of 0.3 px^2, the clamp margins, the near plane, the
-least alpha of 1/255 and the end of a pixel at 1e-4 agree.
+cancel. It uses rounded boxes to decide what is ``visible``. The blur of 0.3 px^2, the clamp margins, the near plane,
+the least alpha of 1/255 and the end of a pixel at 1e-4 agree.
 
-Tested with gsplat's own torch operators on a CPU; not yet run on a GPU.
+This was tested with gsplat's own torch operators on a CPU; it has not yet been run on a GPU.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from .conventions import BLUR, Pinhole
 from .rendering import GaussianSet, Rendering
 
 OLDEST, TOO_NEW = (1, 5), (1, 7)
-"""Versions (major, minor) of gsplat: the first whose call is known to be as used here, and the first after those."""
+"""Versions (major, minor) of gsplat: the first that is known to have the call used here, and the first beyond those."""
 
 
 def what_is_missing() -> str | None:
@@ -36,11 +36,11 @@ def what_is_missing() -> str | None:
     if OLDEST <= (major, minor) < TOO_NEW:
         return None
     age = "old" if (major, minor) < OLDEST else "new"
-    return f"the gsplat that is installed, {version}, is too {age}; {wanted}"
+    return f"the installed version of gsplat, {version}, is too {age}; {wanted}"
 
 
 def rasterize_gsplat(gaussians: GaussianSet, pinhole: Pinhole, top_k: int, want_means2d_grad: bool) -> Rendering:
-    """As ``rasterize`` without ``top_k``, for float32 tensors; needs a gsplat in which nothing is missing."""
+    """``rasterize`` without ``top_k``, for float32 tensors. It requires that `what_is_missing` returns None."""
     assert top_k == 0, "the back end numba lists contributors"
     channels, alpha, about = _call(gaussians, gaussians.colours, pinhole, "RGB+D")
     visible = (about["radii"][0] > 0).all(-1)
@@ -58,8 +58,8 @@ def rasterize_gsplat(gaussians: GaussianSet, pinhole: Pinhole, top_k: int, want_
 def _call(
     gaussians: GaussianSet, channels: Tensor, pinhole: Pinhole, mode: str
 ) -> tuple[Tensor, Tensor, dict[str, Any]]:
-    """``channels`` [N, C] blended as [H, W, C], with the depth behind them in ``mode`` "RGB+D"; alpha [H, W, 1]; what
-    gsplat says about the Gaussians."""
+    """``channels`` [N, C] blended as [H, W, C], followed by the depth in ``mode`` "RGB+D"; alpha [H, W, 1]; and what
+    gsplat returns about the Gaussians."""
     from gsplat import rasterization
 
     (fx, fy), (cx, cy) = pinhole.focal, pinhole.principal

@@ -23,7 +23,7 @@ from .records import MEMBERS, RECORD, TILE
 
 @dataclass(frozen=True, eq=False)
 class ForwardState:
-    """What the forward pass leaves for the backward one.
+    """What the forward pass keeps for the backward one.
 
     ``camera`` float64 [CAMERA]; ``records`` float32 [N, RECORD]; ``final`` and ``last`` float32 [H * W] as in
     ``Blended``.
@@ -64,14 +64,14 @@ class OnImage:
 
 
 def as_array(tensor: Tensor) -> Array:
-    """The tensor's numbers as a contiguous array, without their history."""
+    """The tensor's numbers as a contiguous array, detached from autograd."""
     return np.ascontiguousarray(tensor.numpy(force=True))
 
 
 def rasterize_forward(
     gaussians: Gaussians, labels: Array, pinhole: Pinhole, on_image: OnImage
 ) -> tuple[Layers, ForwardState]:
-    """``labels`` float32 [N, C]. Fills ``on_image``."""
+    """Draw the Gaussians with ``labels`` float32 [N, C], and fill ``on_image``."""
     count, channels = labels.shape
     size, camera = Size(pinhole.width, pinhole.height, channels), camera_array(pinhole)
     layers = Layers.empty(size.height, size.width, channels)
@@ -90,9 +90,9 @@ def rasterize_forward(
 
 
 def new_scratch(workers: int, floats: int) -> Scratch:
-    """Scratch for ``workers``, each with ``floats``.
+    """Scratch for ``workers``, with ``floats`` for each.
 
-    Each worker has whole cache lines: workers that write to the same line would wait for each other.
+    Each worker has whole cache lines, as workers that write to the same line would wait for each other.
     """
     return Scratch(
         np.zeros(1, np.int64),
@@ -105,7 +105,7 @@ def new_scratch(workers: int, floats: int) -> Scratch:
 
 
 def top_contributors(state: ForwardState, shape: tuple[int, int, int]) -> tuple[Tensor, Tensor]:
-    """The largest weights of each pixel: Gaussians int32 and weights float32 [H, W, k]."""
+    """The largest weights of each pixel, as Gaussians int32 and weights float32, [H, W, k] each."""
     indices, weights = torch.empty(shape, dtype=torch.int32), torch.empty(shape, dtype=torch.float32)
     tops = indices.numpy(), weights.numpy()
     parallel_for(worker_count(), list_contributors, state.isects, flat(state.records), *tops)

@@ -1,4 +1,4 @@
-"""The entry: checks its arguments, picks a back end, returns a ``Rendering``."""
+"""The entry point: it checks its arguments, picks a back end, and returns a ``Rendering``."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _device: ContextVar[torch.device | None] = ContextVar("the device to draw on", d
 
 @contextmanager
 def drawing_on(device: torch.device | str) -> Iterator[None]:
-    """Within it, ``rasterize`` draws on this device. It moves its tensors there and the layers back."""
+    """Within this context, ``rasterize`` draws on this device. It moves its tensors there and the layers back."""
     before = _device.set(torch.device(device))
     try:
         yield
@@ -57,25 +57,25 @@ def rasterize(
     """Draw N Gaussians; differentiable in the first six arguments.
 
     ``means`` [N, 3], metres, world; ``scales`` [N, 3], standard deviations in metres; ``quats`` [N, 4], wxyz,
-    normalised in here; ``opacities`` [N] in [0, 1] (anything below 1/255, so also <= 0, is not drawn);
-    ``colours`` [N, 3]; ``labels`` [N, C] or None. All float32 on one device for the back end ``numba``.
+    normalised here; ``opacities`` [N] in [0, 1] (anything below 1/255, including <= 0, is not drawn);
+    ``colours`` [N, 3]; ``labels`` [N, C] or None. All are float32 on one device for the back end ``numba``.
 
     ``camera_to_world`` [4, 4] with OpenCV axes (x right, y down, z forward); ``K`` [3, 3] with any fx, fy,
     cx, cy, no skew; the centre of pixel (i, j) is (i + 0.5, j + 0.5). No gradient flows to the camera.
 
-    Conventions (gsplat's "classic"; ``cuda`` says where gsplat itself differs): 0.3 px^2 added to the diagonal of
+    Conventions (gsplat's "classic"; ``cuda`` tells where gsplat itself differs): 0.3 px^2 is added to the diagonal of
     the 2D covariance; Gaussians with z <= ``near`` (metres) are not drawn; alpha = min(0.99, opacity * exp(-d^2/2)),
     skipped below 1/255 and nowhere else; a pixel ends before the Gaussian that would leave a transmittance <= 1e-4;
-    order by planar depth rounded to float32, ties by index.
+    the order is by planar depth rounded to float32, then by index.
 
-    ``rows``: the first row of the picture to draw, and one past the last. The layers have these rows only, with the
-    values that they have in the whole picture. (The back end ``gsplat`` draws Gaussians whose centres are far above or
-    below the rows a little differently.)
+    ``rows``: the first row of the picture to draw, and one past the last. The layers have only these rows, with the
+    same values as in the whole picture. (The back end ``gsplat`` draws Gaussians whose centres are far above or below
+    the rows slightly differently.)
 
-    ``top_k`` > 0 asks for the largest contributors of every pixel; such a picture is drawn on the CPU. ``backend`` None
+    ``top_k`` > 0 requests the largest contributors of every pixel; such a picture is drawn on the CPU. ``backend`` None
     picks by device (the tensors', or that of ``drawing_on``): ``numba`` on the CPU, ``gsplat`` on CUDA.
 
-    Raises ``ValueError`` on shapes, dtypes or devices that do not fit, an empty image, rows that are not in it, skew,
+    Raises ``ValueError`` for shapes, dtypes or devices that do not fit, an empty image, rows that are not in it, skew,
     or an unknown back end.
     """
     gaussians = GaussianSet(means, scales, quats, opacities, colours, labels)
@@ -101,7 +101,7 @@ def _moved(drawn: Rendering, device: torch.device) -> Rendering:
 
 @cache
 def _load(backend: Backend) -> Callable[[GaussianSet, Pinhole, int, bool], Rendering]:
-    """The back end's function. Its module is imported only here: a program does not wait for those it does not use."""
+    """The back end's function. Its module is imported only here, so that a program does not wait for unused ones."""
     if backend == "reference":
         from .reference import rasterize_reference
 
@@ -116,7 +116,7 @@ def _load(backend: Backend) -> Callable[[GaussianSet, Pinhole, int, bool], Rende
 
 
 def _pick(backend: Backend | None, means: Tensor) -> Backend:
-    """The back end's name; the log says it once."""
+    """The back end's name, which is logged once."""
     by_device: Backend = "numba" if means.device.type == "cpu" else "gsplat"
     name: Backend = backend if backend is not None else by_device
     if name not in BACKENDS:

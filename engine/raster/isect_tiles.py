@@ -1,7 +1,7 @@
-"""Which Gaussians each tile of the picture draws, front to back.
+"""The Gaussians that each tile of the picture draws, front to back.
 
-Visible Gaussians are sorted by depth. Then each worker takes a stretch of that order and scatters it to the tiles'
-lists. The result does not depend on how many workers there are.
+Visible Gaussians are sorted by depth. Then each worker takes a part of that order and scatters it to the tiles'
+lists. The result does not depend on the number of workers.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from .chunks import chunk_range
 from .records import TILE
 
 WORTH_SHARING = 1000
-"""Fewer intersections than this are scattered by one worker: waking the others would take longer."""
+"""One worker scatters fewer intersections than this, as waking the others would take longer."""
 
 
 def isect_tiles(
@@ -48,20 +48,20 @@ def isect_tiles(
 
 
 def blending_workers(workers: int, isects: Intersections, longest: int) -> int:
-    """How many workers blend. Each has room for the longest list, so there are no more of them than such lists."""
+    """The number of workers that blend. Each has space for the longest list, so there are no more than such lists."""
     return min(workers, max(1, -(-len(isects.flatten_ids) // max(1, longest))))
 
 
 @compiled
 def list_visible(boxes: Array, depth_bits: Array, keys: Array, gaussian_offsets: Array) -> int:
-    """The keys by which visible Gaussians are sorted: depth, then index. Also the running sum of the tiles that each
-    touches. Returns how many are visible."""
+    """Fill in the keys by which visible Gaussians are sorted (depth, then index), and the running sum of the tiles that
+    each touches. Returns the number of visible ones."""
     shown, isect = 0, 0
     for i in range(boxes.shape[0]):
         gaussian_offsets[i] = isect
         tiles = (boxes[i, 1] - boxes[i, 0]) * (boxes[i, 3] - boxes[i, 2])
         if tiles > 0:
-            # depths are positive, so their bits sort as they do
+            # depths are positive, so their bits have the same order
             keys[shown] = np.uint64(depth_bits[i]) << np.uint64(32) | np.uint64(i)
             shown += 1
             isect += tiles
@@ -71,7 +71,7 @@ def list_visible(boxes: Array, depth_bits: Array, keys: Array, gaussian_offsets:
 
 @parallel_kernel
 def count_tiles(worker: int, workers: int, order: Array, boxes: Array, columns: int, counts: Array) -> None:
-    """Add to ``counts`` int64 [workers, tiles] how many Gaussians of the worker's stretch are on each tile."""
+    """Add the number of Gaussians on each tile in the worker's part to ``counts`` int64 [workers, tiles]."""
     first, end = chunk_range(worker, workers, order.shape[0])
     for k in range(first, end):
         i = order[k]
@@ -82,8 +82,8 @@ def count_tiles(worker: int, workers: int, order: Array, boxes: Array, columns: 
 
 @compiled
 def running_starts(counts: Array, starts: Array) -> Any:
-    """Counts [workers, tiles] become the places where each worker begins in each tile; ``starts`` [tiles + 1] gets the
-    tiles' places. Returns the largest tile's count."""
+    """Turn counts [workers, tiles] into the places where each worker begins in each tile, and fill ``starts``
+    [tiles + 1] with the tiles' places. Returns the largest tile's count."""
     workers, tiles = counts.shape
     total, largest = 0, 0
     for tile in range(tiles):
@@ -101,7 +101,7 @@ def running_starts(counts: Array, starts: Array) -> Any:
 def scatter_tiles(
     worker: int, workers: int, order: Array, boxes: Array, columns: int, places: Array, out: Intersections
 ) -> None:
-    """Fill ``flatten_ids`` and ``isect_ids`` from the worker's stretch."""
+    """Fill ``flatten_ids`` and ``isect_ids`` from the worker's part."""
     first, end = chunk_range(worker, workers, order.shape[0])
     for k in range(first, end):
         i = order[k]

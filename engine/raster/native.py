@@ -21,11 +21,11 @@ from .rendering import GaussianSet, Rendering
 LABELS = 5
 """The place of the labels among the arguments."""
 COMPILATION = "10 s"
-"""How long it takes to compile a pass, for the log."""
+"""The time to compile a pass, for the log."""
 
 
 def rasterize_native(gaussians: GaussianSet, pinhole: Pinhole, top_k: int, want_means2d_grad: bool) -> Rendering:
-    """As ``rasterize``, for float32 tensors on the CPU. It uses ``torch.get_num_threads()`` threads."""
+    """``rasterize`` for float32 tensors on the CPU. It uses ``torch.get_num_threads()`` threads."""
     count = gaussians.means.shape[0]
     on_image = OnImage(*memory.several(((count, 2), np.float32), (count, np.bool_)))
     # the kernels write to the array; the tensor is an input so that a gradient can reach it
@@ -102,12 +102,12 @@ class _Blend(torch.autograd.Function):
 
 
 def _or_zeros(gradient: Tensor | None, shape: tuple[int, ...]) -> Array:
-    """A layer's gradient. It is None in torch where no loss looks at the layer."""
+    """A layer's gradient, or zeros, as torch gives None if no loss uses the layer."""
     return _zeros(shape) if gradient is None else as_array(gradient)
 
 
 @lru_cache(maxsize=2)
 def _zeros(shape: tuple[int, ...]) -> Array:
-    """Zeros that all passes of one size share and only read. (Numba would compile kernels again for read-only
-    arrays.)"""
+    """Zeros that all passes of one size share and only read. (For arrays marked as read-only, Numba would compile the
+    kernels again.)"""
     return np.zeros(shape, np.float32)

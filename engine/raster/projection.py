@@ -1,6 +1,6 @@
 """3D Gaussians to records on the image plane (EWA splatting).
 
-All in double: it is cheap beside the blending, and thin Gaussians need it.
+Everything is in double: this is cheap compared with the blending, and thin Gaussians need it.
 """
 
 from __future__ import annotations
@@ -32,19 +32,19 @@ LOG2_E = math.log2(math.e)
 LOG_ALPHA_MIN = math.log(ALPHA_MIN)
 
 CAMERA = 21
-"""Numbers of the camera array that the kernels take: rotation (0 to 8, row by row), centre (9 to 11), focal lengths
+"""The length of the camera array that the kernels take: rotation (0 to 8, row by row), centre (9 to 11), focal lengths
 (12, 13), principal point (14, 15), near plane (16), slope limits (17 to 20: x low, x high, y low, y high)."""
 
 
 def camera_array(pinhole: Pinhole) -> NDArray[np.float64]:
-    """The camera as the kernels take it, float64 [CAMERA]."""
+    """The camera in the form that the kernels take, float64 [CAMERA]."""
     numbers = (*pinhole.focal, *pinhole.principal, pinhole.near, *pinhole.slope_limits())
     return np.array((*pinhole.rotation, *pinhole.centre, *numbers))
 
 
 @device_function
 def camera_point(camera: Array, x: float, y: float, z: float) -> Any:
-    """World to camera coordinates, metres."""
+    """World to camera coordinates, in metres."""
     x -= camera[9]
     y -= camera[10]
     z -= camera[11]
@@ -151,7 +151,7 @@ def footprint_of(i: int, point: tuple[float, float, float], gaussians: Gaussians
 
 @device_function
 def clear(i: int, out: Projected) -> None:
-    """Gaussian i as one that is not visible."""
+    """Mark Gaussian i as not visible."""
     out.boxes[i, 0] = out.boxes[i, 1] = out.boxes[i, 2] = out.boxes[i, 3] = 0
     out.means2d[i, 0] = out.means2d[i, 1] = np.float32(0.0)
     out.visible[i] = False
@@ -195,7 +195,7 @@ def write_record(
     gaussians: Gaussians,
     records: Array,
 ) -> None:
-    """All of a record but ``LOG_OPACITY`` and ``DEPTH``."""
+    """Write all of a record except ``LOG_OPACITY`` and ``DEPTH``."""
     for c in range(2):
         records[i, CENTRE_X + 2 * c] = centre[c]
         records[i, CENTRE_X_LOW + 2 * c] = centre[c] - np.float64(records[i, CENTRE_X + 2 * c])
@@ -210,8 +210,8 @@ def write_record(
 def project(
     worker: int, workers: int, gaussians: Gaussians, camera: Array, size: Size, out: Projected, next_one: Array
 ) -> None:
-    """Chunk after chunk until none is left. ``camera`` float64 [CAMERA]; ``next_one`` int64 [1] is the next chunk to
-    take."""
+    """Project one chunk after another until none is left. ``camera`` float64 [CAMERA]; ``next_one`` int64 [1] is the
+    next chunk to take."""
     count = gaussians.means.shape[0]
     chunks = chunk_count(count)
     first, end = next_chunk(next_one, chunks, count)

@@ -56,8 +56,8 @@ def through_clamp(value: float, low: float, high: float, d_clamped: float) -> An
 def project_backward(
     i: int, total: Array, record: Array, shapes: Shapes, camera: Array, out: GaussianGradients
 ) -> None:
-    """The chain rule of ``project_gaussian``: from the gradients ``total`` [GRADIENT] of Gaussian i, summed over its
-    tiles, to those of its mean, scales, quaternion and 2D mean."""
+    """Apply the chain rule to ``project_gaussian``: from the gradients ``total`` [GRADIENT] of Gaussian i, summed over
+    its tiles, to those of its mean, scales, quaternion and 2D mean."""
     d_x2, d_y2, d_xx, d_xy, d_yy = gradient_on_image(record, total)
     out.means2d[i, 0], out.means2d[i, 1] = d_x2, d_y2
     x, y, z = camera_point(camera, *three_of(shapes.means, i))

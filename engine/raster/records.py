@@ -1,4 +1,4 @@
-"""What the kernels know of a projected Gaussian: one cache line of float32, and the form of its footprint.
+"""What the kernels know about a projected Gaussian: one cache line of float32, and the form of its footprint.
 
 A footprint is kept whitened. With the inverse 2D covariance written as L^T L, L upper triangular, and d the
 offset of a pixel from the centre, s = sqrt(log2(e) / 2) * L d has |s|^2 = log2(e) * d^T inv(cov) d / 2, so
@@ -16,19 +16,19 @@ import numpy as np
 from ..machine.compiled import device_function
 
 TILE = 16
-"""Pixels of a tile's side, and of a vector."""
+"""The number of pixels along a tile's side, and in a vector."""
 PATCH_WIDTH, PATCH_HEIGHT = TILE // 2, 2
-"""Pixels of a patch's sides. A patch is what a vector holds: eight columns of two rows."""
-assert (PATCH_WIDTH, PATCH_HEIGHT) == (8, 2), "the vector kernels take the rows of a patch in turns, in pairs of lanes"
+"""The number of pixels along a patch's sides. A patch fills one vector: eight columns of two rows."""
+assert (PATCH_WIDTH, PATCH_HEIGHT) == (8, 2), "the vector kernels alternate the rows of a patch, in pairs of lanes"
 BATCH = 64
-"""Gaussians of a tile that are blended together. They are whole vectors, and no more than a word has bits."""
+"""Gaussians of a tile that are blended together. They fill whole vectors, and are no more than the bits of a word."""
 assert BATCH % TILE == 0 and BATCH <= 64
 PENDING = 2 * BATCH
 """A patch that lists more blended Gaussians than this adds up their labels before the next batch."""
 BACKWARD_BATCH = 96
 """Gaussians of a tile whose label gradients are added up together."""
 MEMBERS = TILE * (BACKWARD_BATCH + 4)
-"""Places for the Gaussians listed on each patch of a tile, and for those that fill up the last four."""
+"""Places for the Gaussians listed on each patch of a tile, and for placeholders that fill up the last four."""
 assert 2 * (PENDING + BATCH + 4) <= MEMBERS, "the two patches of a strip list more of them"
 
 # columns of a record; the centre is the sum of two floats (a double's precision where it matters)
@@ -41,7 +41,7 @@ L11_LOW, L12_LOW, L22_LOW = (
     13,
     14,
     15,
-)  # what float32 rounded off; it matters far from the centre of a long one
+)  # what float32 rounded off; it matters far from the centre of a long Gaussian
 RECORD = 16
 
 # columns of the gradients of one Gaussian in one tile; g = dLoss/d(ln alpha) summed over pixels
@@ -60,5 +60,5 @@ far less than a pixel."""
 
 @device_function
 def padded_channels(channels: int) -> int:
-    """Channels in whole vectors."""
+    """The number of channels, rounded up to whole vectors."""
     return (channels + TILE - 1) // TILE * TILE

@@ -1,6 +1,6 @@
-"""The oracle: every Gaussian against every pixel, in float64, with torch's autograd.
+"""The oracle: every Gaussian is evaluated at every pixel, in float64, with torch's autograd.
 
-Memory and time grow as N * H * W."""
+Memory and time grow with N * H * W."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from .rendering import GaussianSet, Rendering
 
 
 def rasterize_reference(gaussians: GaussianSet, pinhole: Pinhole, top_k: int, want_means2d_grad: bool) -> Rendering:
-    """As ``rasterize``; computes in float64 whatever the dtype of its input, and returns that dtype."""
+    """``rasterize``, computed in float64 for input of any dtype; the result has the input's dtype."""
     dtype, labels = gaussians.means.dtype, gaussians.labels
     means, scales, quats, opacities, colours = (tensor.double() for tensor in gaussians[:5])
     centres, covariances, depths = project(means, scales, quats, pinhole)
     handle = centres.detach().clone().requires_grad_(want_means2d_grad)
-    # the value of the handle, the gradient of both
+    # the value stays the same, and the gradient reaches both
     centres = centres + (handle - handle.detach())
     visible = footprint_visible(centres.detach(), covariances.detach(), depths.detach(), opacities.detach(), pinhole)
     # the order that all back ends share: depth rounded to float32, ties by index
@@ -124,7 +124,7 @@ def top_contributors(
     if top_k == 0:
         return None, None
     count = min(top_k, weights.shape[0])
-    # a stable sort, so that the front one of two equal weights comes first
+    # a stable sort, so that of two equal weights the one in front comes first
     values, ranks = torch.sort(weights.T, dim=1, descending=True, stable=True)
     values, ranks = values[:, :count], ranks[:, :count]
     indices = torch.where(values > 0.0, order[ranks], -torch.ones_like(ranks))

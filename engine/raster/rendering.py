@@ -1,4 +1,4 @@
-"""What every back end takes and returns."""
+"""The arguments and results of all back ends."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from torch import Tensor
 
 
 class GaussianSet(NamedTuple):
-    """N Gaussians, as ``rasterize`` takes them: ``means`` and ``scales`` [N, 3] in metres, ``quats`` [N, 4] wxyz,
+    """N Gaussians, as taken by ``rasterize``: ``means`` and ``scales`` [N, 3] in metres, ``quats`` [N, 4] wxyz,
     ``opacities`` [N], ``colours`` [N, 3], ``labels`` [N, C] or None."""
 
     means: Tensor
@@ -21,7 +21,7 @@ class GaussianSet(NamedTuple):
     labels: Tensor | None
 
     def changed(self, change: Callable[[Tensor], Tensor]) -> GaussianSet:
-        """Every tensor of it as ``change`` makes it."""
+        """The set with ``change`` applied to every tensor."""
         means, scales, quats, opacities, colours = map(change, self[:5])
         return GaussianSet(
             means, scales, quats, opacities, colours, None if self.labels is None else change(self.labels)

@@ -1,8 +1,8 @@
-"""Linear assignment of a view's instances to the model's slots, in each step, with what never changes about a view
+"""Linear assignment of a view's instances to the model's slots in each step. What never changes about a view is
 computed once.
 
 The cost of (instance, slot) is minus the mean probability of the slot over the instance's pixels; the Hungarian
-algorithm solves it. Instances beyond the number of slots get none.
+algorithm finds the assignment. If there are more instances than slots, some get none.
 """
 
 from __future__ import annotations
@@ -22,24 +22,24 @@ from .label_losses import TINY
 NO_SLOT = -1
 ONE, LEAST = np.float32(1), np.float32(TINY)
 CHUNK = 8192
-"""Pixels that a thread takes at a time. Chunks depend on the number of pixels alone, so sums over them have the same
+"""Pixels that a thread takes at once. Chunks depend only on the number of pixels, so sums over them have the same
 bits however many threads there are."""
 
 
 @dataclass(frozen=True, eq=False)
 class ThingSegments:
-    """The thing segments of a view's input mask: ``row`` int32 [H, W] the number of a pixel's segment, -1 = none;
-    ``pixels`` int64 [I] how many each has."""
+    """The thing segments of a view's input mask: ``row`` int32 [H, W] is the number of a pixel's segment, -1 = none;
+    ``pixels`` int64 [I] is the number of pixels of each segment."""
 
     row: NDArray[np.int32]
     pixels: NDArray[np.int64]
 
     @classmethod
     def of(cls, ids: NDArray[np.integer]) -> ThingSegments:
-        """From segment ids [H, W], 0 = none."""
+        """The segments with these ids [H, W], 0 = none."""
         present, pixels = distinct_ids(np.asarray(ids, np.int32))
         row = np.searchsorted(present, ids).astype(np.int32)
-        if len(present) and present[0] == 0:  # the least id, so the first
+        if len(present) and present[0] == 0:  # the smallest id, so it is first
             return cls(row - np.int32(1), pixels[1:])
         return cls(row, pixels)
 
@@ -47,10 +47,10 @@ class ThingSegments:
 def assigned_slots(
     coverage: torch.Tensor, alpha: torch.Tensor, first: int, things: ThingSegments, no_object: int | None = None
 ) -> torch.Tensor:
-    """Target slot of each pixel, int16 [H, W], -1 where there is none.
+    """The target slot of each pixel, int16 [H, W], -1 where there is none.
 
-    ``coverage`` float32 [H, W, C] holds the blended slot probabilities from channel ``first`` on; over ``alpha``
-    [H, W] they are probabilities. No thing is given the slot ``no_object``.
+    ``coverage`` float32 [H, W, C] holds the blended slot probabilities from channel ``first`` on; divided by ``alpha``
+    [H, W] they are probabilities. No thing is assigned to the slot ``no_object``.
     """
     slots, segments = coverage.shape[-1] - first, len(things.pixels)
     slot_of_segment = np.full(segments + 1, NO_SLOT, np.int16)
@@ -68,7 +68,7 @@ def assigned_slots(
 
 @parallel_kernel
 def add_slots(worker: int, workers: int, coverage: Array, alpha: Array, first: int, row: Array, sums: Array) -> None:
-    """Slot probabilities of every ``workers``-th chunk of pixels, added up by segment into ``sums`` float64
+    """Add the slot probabilities of every ``workers``-th chunk of pixels, by segment, to ``sums`` float64
     [chunks, I, S]."""
     for chunk in range(worker, len(sums), workers):
         for pixel in range(chunk * CHUNK, min((chunk + 1) * CHUNK, len(row))):

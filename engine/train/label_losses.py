@@ -1,4 +1,4 @@
-"""The two losses of a rendered label picture: L_sem and L_ins (paper, section "Loss Functions")."""
+"""The two losses of a rendered label picture: L_sem and L_ins (see the paper's section "Loss Functions")."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from torch.autograd.function import once_differentiable
 from ..machine import memory
 
 TINY = 1e-8
-"""Added to what is divided by, and to a probability before its logarithm."""
+"""Added to divisors, and to a probability before its logarithm."""
 
 
 def label_losses(
@@ -21,12 +21,12 @@ def label_losses(
     semantic: torch.Tensor,
     instance: tuple[torch.Tensor, torch.Tensor],
 ) -> tuple[torch.Tensor, torch.Tensor]:
-    """L_sem without L_cluster, and L_ins: -log of the rendered probability of the target label, mean over the pixels
-    that have any. A pixel's two instance targets (linear assignment and M_match) add up.
+    """L_sem without L_cluster, and L_ins: -log of the rendered probability of the target label, as the mean over the
+    pixels with a target. The losses of a pixel's two instance targets (linear assignment and M_match) are added.
 
     ``coverage`` float32 [H, W, C + S] holds blended probabilities of ``classes`` C classes, then of S slots; ``alpha``
-    [H, W] only divides: no gradient reaches it, since only the reconstruction loss may reach opacity. Targets are int16
-    [H, W]: the class's or slot's number, -1 where none is known. A loss is 0 when it has no target at all.
+    [H, W] is only a divisor: no gradient reaches it, since only the reconstruction loss may reach opacity. Targets are
+    int16 [H, W]: the number of the class or slot, -1 where it is unknown. A loss without any target is 0.
     Differentiable once.
     """
     losses: tuple[torch.Tensor, torch.Tensor] = _LabelLosses.apply(coverage, alpha, classes, semantic, *instance)
@@ -34,7 +34,7 @@ def label_losses(
 
 
 class _LabelLosses(torch.autograd.Function):
-    """The dense gradient is written once for all three targets, where autograd would write one for each."""
+    """Writes one dense gradient for all three targets, where autograd would write one for each."""
 
     @staticmethod
     def forward(
@@ -43,13 +43,13 @@ class _LabelLosses(torch.autograd.Function):
         ctx.shape, flat = coverage.shape, coverage.detach().reshape(-1, coverage.shape[-1])
         numbers = torch.stack([target.reshape(-1) for target in targets], 1).long()  # [P, 3]
         known = numbers >= 0
-        # channels of the targets; where there is none, the first channel, with a probability of 1 and no slope
+        # channels of the targets; without a target, the first channel, with a probability of 1 and no slope
         ctx.channels = (numbers + torch.tensor([0, classes, classes])) * known
         visible = alpha.detach().reshape(-1, 1) + TINY
         probability = (flat.gather(1, ctx.channels) / visible + TINY).where(known, 1.0)
         ctx.slopes = known / (-probability * visible)
         ctx.counts = [max(int(each.sum()), 1) for each in (known[:, 0], known[:, 1] | known[:, 2])]
-        costs = -probability.log().numpy()  # NumPy's sums have the same bits whatever the number of threads
+        costs = -probability.log().numpy()  # NumPy's sums have the same bits for any number of threads
         return tuple(
             coverage.new_tensor(each.sum(dtype=np.float64) / count)
             for each, count in zip((costs[:, 0], costs[:, 1:]), ctx.counts, strict=True)

@@ -1,4 +1,4 @@
-"""Adam over anchors and decoders, with log-linear learning rates, that survives growing and pruning."""
+"""Adam over anchors and decoders, with log-linear learning rates. It survives growth and pruning."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ RATES: Rates = {
     "semantic": (0.004, 4e-4),
     "instance": (0.004, 4e-4),
 }
-"""Scaffold-GS's, and ours for the two label decoders."""
+"""Scaffold-GS's rates, and ours for the two label decoders."""
 
 
 def learning_rate(ends: tuple[float, float], progress: float) -> float:
-    """Log-linear between the two ends for ``progress`` in [0, 1]."""
+    """The learning rate for ``progress`` in [0, 1], log-linear between the two ends."""
     start, end = ends
     return math.exp(math.log(start) * (1 - progress) + math.log(end) * progress)
 
@@ -42,7 +42,7 @@ def adam_step(
 ) -> None:
     """Move ``parameters`` along their gradients, update ``moments`` in place and drop the gradients.
 
-    ``count`` steps came before. A parameter without a gradient took no part: its moments fade. torch's own class Adam
+    ``count`` steps came before. The moments of a parameter without a gradient decay. torch's own class Adam
     imports torch's compiler, which takes 3 s.
     """
     gradients = [torch.zeros_like(each) if each.grad is None else each.grad for each in parameters]
@@ -57,12 +57,12 @@ def adam_step(
 
 
 def no_moments(parameter: torch.Tensor) -> Moments:
-    """What a parameter has before its first step."""
+    """The moments of a parameter before its first step."""
     return torch.zeros_like(parameter), torch.zeros_like(parameter)
 
 
 class Optimiser:
-    """Adam (eps 1e-15, Scaffold-GS). State is kept by name, so that it can be stored, restored and cut."""
+    """Adam (eps 1e-15, as in Scaffold-GS). State is kept by name, so that it can be stored, restored and cut."""
 
     def __init__(self, anchors: Anchors, decoders: Decoders, rates: Rates, extent: float) -> None:
         self.anchors, self.decoders, self.rates, self.extent = anchors, decoders, rates, extent
@@ -78,7 +78,7 @@ class Optimiser:
             yield f"decoders.{name}", parameter
 
     def step(self, progress: float) -> None:
-        """One Adam step from the gradients at hand; ``progress`` is the share of all steps done."""
+        """Do one Adam step with the current gradients; ``progress`` is the share of all steps done."""
         names = {id(parameter): name for name, parameter in self._named()}
         groups = [(name, [getattr(self.anchors, name)]) for name in Anchors.LEARNT]
         for group, parameters in (*groups, *self.decoders.learnt()):
@@ -91,11 +91,11 @@ class Optimiser:
         self.count += 1
 
     def rebound(self, anchors: Anchors, decoders: Decoders) -> Optimiser:
-        """A fresh optimiser of the same rates for other parameters."""
+        """A new optimiser with the same rates for other parameters."""
         return Optimiser(anchors, decoders, self.rates, self.extent)
 
     def replace_anchors(self, anchors: Anchors, keep: torch.Tensor) -> None:
-        """Go on with ``anchors``: rows ``keep`` (bool over the old ones), then new ones, whose moments start at 0."""
+        """Continue with ``anchors``: rows ``keep`` (bool over the old ones), then new ones with moments of 0."""
         self.anchors = anchors
         for name in Anchors.LEARNT:
             parameter, moments = getattr(anchors, name).requires_grad_(), self.moments.get(f"anchors.{name}")
@@ -111,7 +111,7 @@ class Optimiser:
         return tensors
 
     def restore(self, tensors: dict[str, torch.Tensor], count: int) -> None:
-        """Take up the moments that ``tensors()`` gave after ``count`` steps."""
+        """Restore the moments that ``tensors()`` returned after ``count`` steps."""
         self.count = count
         self.moments = {
             name: (tensors[f"{name}.mean"].clone(), tensors[f"{name}.square"].clone())

@@ -13,24 +13,24 @@ from ..scene import photo_detail
 LARGEST_GAIN = 4.0
 """A photo is at most this many times brighter or darker than the room."""
 DARK, BRIGHT = 12, 243
-"""Values of 255 outside which a photo says little of its exposure."""
+"""Values of 255 outside which a photo tells little about its exposure."""
 OUTLIER = 0.4
-"""Difference of log colours from which on a pixel shows something else than its point, or a highlight."""
+"""The difference of log colours from which a pixel shows a highlight, or something other than its point."""
 NEIGHBOURS = 4
-"""Photos on either side that a photo's sharpness is compared with: they show about the same."""
+"""The number of photos on either side with which a photo's sharpness is compared: they show about the same."""
 LEAST_WEIGHT = 0.1
 
 
 def exposure_gains(
     photos: Sequence[NDArray[np.uint8]], point_of_pixel: Sequence[NDArray[np.int32]], points: int
 ) -> NDArray[np.float64]:
-    """How much brighter each photo shows the room than the photos do on the average, by channel: float64 [N, 3].
+    """How much brighter each photo shows the room than the photos do on average, by channel: float64 [N, 3].
 
-    ``photos`` uint8 [H, W, 3]; ``point_of_pixel`` int32 [H, W] a photo: the point of the cloud (of ``points`` points)
+    ``photos`` uint8 [H, W, 3]; ``point_of_pixel`` int32 [H, W] per photo: the point of the cloud (of ``points`` points)
     that each pixel shows, -1 = none. Auto exposure and white balance multiply light, which is nearly a gain of encoded
-    values too: the logarithm of a pixel is its photo's gain plus its point's colour, which least squares tell apart
-    over all pixels, twice, the second time without those that do not fit. The gains' geometric mean is 1. One photo is
-    looked at after the other: only sums are held.
+    values too: the logarithm of a pixel is its photo's gain plus its point's colour. Least squares separate the two
+    over all pixels, twice, the second time without outliers. The gains' geometric mean is 1. Photos are read one at a
+    time, and only sums are held.
     """
     fit: _Fit | None = None
     for _ in range(2):
@@ -40,15 +40,15 @@ def exposure_gains(
 
 
 class _Fit(NamedTuple):
-    """Log gains of the photos [photos, 3], of mean 0, and log colours of the points [points, 3]."""
+    """Log gains of the photos [photos, 3], with mean 0, and log colours of the points [points, 3]."""
 
     gains: NDArray[np.float64]
     colours: NDArray[np.float64]
 
 
 class _Sums(NamedTuple):
-    """``pixels`` sparse float64 [photos, points], how many show what; the sums of their log colours, float64, by point
-    [points, 3] and by photo [photos, 3]."""
+    """``pixels`` sparse float64 [photos, points], how many pixels of a photo show a point; the sums of their log
+    colours, float64, by point [points, 3] and by photo [photos, 3]."""
 
     pixels: Any
     by_point: NDArray[np.float64]
@@ -56,14 +56,14 @@ class _Sums(NamedTuple):
 
 
 def _least_squares(sums: _Sums) -> _Fit:
-    """The fit nearest to all pixels. The points are eliminated first."""
+    """The least-squares fit to all pixels. The points are eliminated first."""
     from scipy import sparse
 
     seen = sums.pixels
     pixels = np.maximum(np.asarray(seen.sum(0)).reshape(-1), 1)
     mean = sums.by_point / pixels[:, None]
     system = np.diag(np.asarray(seen.sum(1)).reshape(-1)) - (seen @ sparse.diags(1 / pixels) @ seen.T).toarray()
-    # A photo that shares no point with another has no gain: the least solution leaves it at 0.
+    # A photo that shares no point with another has no gain: the smallest solution leaves it at 0.
     gains = np.linalg.lstsq(system, sums.by_photo - seen @ mean, rcond=1e-6)[0]
     gains -= gains.mean(axis=0)
     return _Fit(gains, mean - (seen.T @ gains) / pixels[:, None])
@@ -72,7 +72,7 @@ def _least_squares(sums: _Sums) -> _Fit:
 def _log_colour_sums(
     photos: Sequence[NDArray[np.uint8]], point_of_pixel: Sequence[NDArray[np.int32]], points: int, fit: _Fit | None
 ) -> _Sums:
-    """Over all pixels neither too dark nor too bright; with a ``fit``, over those that it fits."""
+    """The sums over all pixels neither too dark nor too bright; with a ``fit``, only over those that it fits."""
     from scipy import sparse
 
     by_point, by_photo = np.zeros((3, points)), np.zeros((len(photos), 3))
@@ -96,7 +96,7 @@ def _log_colour_sums(
 
 
 def sharpness_weights(photos: Iterable[NDArray[np.uint8]]) -> NDArray[np.float64]:
-    """How much each photo uint8 [H, W, 3], in recording order, counts for the picture: float64 [N] in (0, 1].
+    """The weight of each photo uint8 [H, W, 3], in recording order, in the picture loss: float64 [N] in (0, 1].
 
     A photo blurred by motion has less detail than its neighbours, which show about the same.
     """

@@ -13,27 +13,27 @@ from ..job import EventWriter, StopSignal
 REPORT_EVERY_S = 0.2
 """Progress events are written no more often than this."""
 _TRUSTED = 0.1
-"""Share of the whole run for which the predicted pace counts as much as the measured one."""
+"""Share of the whole run after which the predicted pace counts as much as the measured one."""
 _SURE = 0.2
-"""Share of a stage from which its own pace alone tells how long it still takes."""
+"""Share of a stage after which its own pace alone predicts how long it still takes."""
 
 
 class Course:
-    """How long a run takes from here on. ``seconds``: as predicted, by stage, in their order, from now to the end."""
+    """How long a run still takes. ``seconds``: the predicted time of each stage, in order, from now to the end."""
 
     def __init__(self, seconds: Mapping[str, float]) -> None:
         self.began, self.seconds = time.monotonic(), dict(seconds)
 
     def leave_out(self, seconds: float) -> None:
-        """These seconds say nothing of the pace: kernels were compiled."""
+        """Ignore these seconds in the pace, as kernels were compiled."""
         self.began += seconds
 
     def skip(self, stage: str, share: float) -> None:
-        """This share of a stage was done before the run: a lift was resumed."""
+        """Ignore this share of a stage, which was done before the run, as a lift was resumed."""
         self.began -= share * self.seconds[stage]
 
     def left(self, stage: str, share: float, eta: float | None, now: float) -> float | None:
-        """Seconds left of the run when ``share`` of a stage is done and ``eta`` seconds of it are left; None in a stage
+        """Seconds left in the run when ``share`` of a stage is done and ``eta`` seconds of it are left; None in a stage
         that was not predicted."""
         if stage not in self.seconds:
             return None
@@ -48,7 +48,7 @@ class Course:
 
 
 class StageProgress:
-    """Called with (done, total, loss) inside a stage; raises Cancelled when the lift shall stop. ``course`` knows how
+    """Called with (done, total, loss) inside a stage; raises Cancelled when the lift should stop. ``course`` knows how
     long the later stages take.
     """
 
@@ -78,8 +78,8 @@ class StageProgress:
 
 
 class StageReporter:
-    """Announces the stages in their order and keeps how long each took (``timings``, seconds). Once it has a
-    ``course``, stages tell how long the whole run still takes.
+    """Announces the stages in order and records how long each took (``timings``, seconds). Once it has a
+    ``course``, stages report how long the whole run still takes.
     """
 
     def __init__(self, events: EventWriter, stop: StopSignal, labels: Mapping[str, str]) -> None:
@@ -98,13 +98,13 @@ class StageReporter:
 
 
 class StepClock:
-    """Is called where a part of a training step ends. This one does nothing; ``research/bench/step.py`` measures."""
+    """Called where a part of a training step ends. This one does nothing; ``research/bench/step.py`` measures."""
 
     def start(self) -> None:
-        """A step begins."""
+        """Called when a step begins."""
 
     def lap(self, part: str) -> None:
-        """The part of the step since the last call was ``part``."""
+        """Called at the end of ``part``, which began at the last call."""
 
     def lap_on_way_back(self, tensors: Sequence[torch.Tensor], part: str) -> None:
-        """``lap`` when the backward pass first reaches one of ``tensors``."""
+        """Call ``lap`` when the backward pass first reaches one of ``tensors``."""

@@ -1,5 +1,5 @@
-"""Self-training: each region of the input masks takes the label that most of its pixels are rendered with (paper,
-section "Self-training with Consistency-enhanced Segments")."""
+"""Self-training: each region of the input masks takes the label that most of its pixels are rendered with (see the
+paper's section "Self-training with Consistency-enhanced Segments")."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ from .targets import ViewTargets, columns_of, slots_of
 
 
 def pseudo_label_steps(every: float, steps: int) -> frozenset[int]:
-    """The numbers of steps after which pseudo labels are made: at ``every``, 2 ``every``, ... of all ``steps``, but not
-    at their end."""
+    """The numbers of the steps after which pseudo labels are made: at ``every``, 2 ``every``, ... of all ``steps``, but
+    not at the end."""
     points = (round(number * every * steps) for number in range(1, math.ceil(1 / every)))
     return frozenset(point for point in points if 0 < point < steps)
 
@@ -31,8 +31,8 @@ def pseudo_label_steps(every: float, steps: int) -> frozenset[int]:
 class PseudoLabels:
     """The pseudo labels of one view, packed: regions of one label compress to a hundredth.
 
-    ``classes``: bytes of semantic channels int16 [H, W], -1 = nothing; ``slots`` of instance slots with them, or None
-    where segments were given no objects.
+    ``classes``: bytes of semantic channels int16 [H, W], -1 = nothing; ``slots``: the same of instance slots, or None
+    if segments were given no objects.
     """
 
     shape: tuple[int, int]
@@ -41,7 +41,7 @@ class PseudoLabels:
 
     @classmethod
     def of(cls, classes: torch.Tensor, slots: torch.Tensor | None) -> PseudoLabels:
-        """From channel numbers and slots, [H, W] each."""
+        """Pack channel numbers and slots, [H, W] each."""
         height, width = classes.shape
         return cls((height, width), _packed(classes), None if slots is None else _packed(slots))
 
@@ -61,7 +61,7 @@ def _packed(labels: torch.Tensor) -> bytes:
 
 
 def rendered_labels(mask: PanopticMask, rendering: PanopticRendering, channels: LabelChannels) -> PseudoLabels:
-    """The pseudo labels of a view. The paper's regions take a class; where an object is of one class throughout,
+    """The pseudo labels of a view. The paper's regions take a class; if an object has one class throughout,
     segments take class and object together. Pixels where nothing is rendered do not vote."""
     if not channels.class_of_slot:
         class_ids = np.array(channels.class_ids, np.int32)

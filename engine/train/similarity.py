@@ -1,5 +1,5 @@
-"""Structural similarity as a loss: 11x11 Gaussian window of sigma 1.5, zero padding, C1 = 0.01^2, C2 = 0.03^2; and
-L1, which is measured on the way."""
+"""Structural similarity as a loss: 11x11 Gaussian window with sigma 1.5, zero padding, C1 = 0.01^2, C2 = 0.03^2; and
+L1, which is computed along with it."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ REACH = WINDOW // 2
 C1, C2 = np.float32(0.01**2), np.float32(0.03**2)
 ONE, TWO = np.float32(1), np.float32(2)
 STRIP_ROWS = 48
-"""Rows that a thread compares at a time. The intermediate pictures of a strip stay in the processor's cache, and the
-strips depend on the picture alone, so that sums have the same bits whatever the number of threads."""
+"""Rows that a thread compares at once. The intermediate pictures of a strip stay in the processor's cache, and the
+strips depend only on the picture, so that sums have the same bits for any number of threads."""
 
 _WINDOW = cv2.getGaussianKernel(WINDOW, SIGMA, cv2.CV_32F)
 
@@ -35,7 +35,7 @@ def _blur(picture: NDArray[np.float32]) -> NDArray[np.float32]:
 
 @dataclass(frozen=True)
 class PhotoMoments:
-    """A photo and what SSIM needs of it, computed once: its blurred mean and variance; float32 [H, W, 3] each."""
+    """A photo and what SSIM needs from it, computed once: its blurred mean and variance; each float32 [H, W, 3]."""
 
     values: NDArray[np.float32]
     mean: NDArray[np.float32]
@@ -50,7 +50,7 @@ class PhotoMoments:
 
 
 class _Comparison(torch.autograd.Function):
-    """l1_weight * L1 + ssim_weight * SSIM of a picture and a photo, with the gradient made on the way."""
+    """l1_weight * L1 + ssim_weight * SSIM of a picture and a photo. The gradient is computed along with it."""
 
     @staticmethod
     def forward(
@@ -82,11 +82,11 @@ def _compare_strips(
     gradient: NDArray[np.float32],
     sums: NDArray[np.float64],
 ) -> None:
-    """Every ``workers``-th strip of rows: the gradient [H, W, 3] by ``image``, and ``sums`` [strips, 2] of |image -
-    photo| and of SSIM. ``weights``: what L1 and SSIM of one value count."""
+    """Fill the gradient [H, W, 3] by ``image`` and ``sums`` [strips, 2] of |image - photo| and of SSIM, for every
+    ``workers``-th strip of rows. ``weights``: those of L1 and SSIM of one value."""
     for strip in range(worker, len(sums), workers):
         first, end = strip * STRIP_ROWS, min((strip + 1) * STRIP_ROWS, len(image))
-        # the gradient depends on SSIM's slopes within the window's reach, and these on pixels once more as far away
+        # the gradient depends on SSIM's slopes within the window's reach, and these on pixels as far again
         near = slice(max(first - REACH, 0), min(end + REACH, len(image)))
         far = slice(max(first - 2 * REACH, 0), min(end + 2 * REACH, len(image)))
         x, y = image[far], photo.values[far]
@@ -112,8 +112,8 @@ def _compare_strips(
 def _similarity(
     mean: Array, square: Array, product: Array, photo_mean: Array, photo_variance: Array, ssim: Array
 ) -> None:
-    """SSIM of blurred moments. The moments become its slopes by the picture's mean, square and product with the
-    photo. All are float32 [n]."""
+    """SSIM of blurred moments. The moments are replaced by its slopes by the picture's mean, square and product with
+    the photo. All are float32 [n]."""
     for i in range(len(ssim)):
         x, y = mean[i], photo_mean[i]
         luminance, structure = TWO * x * y + C1, TWO * (product[i] - x * y) + C2
@@ -131,7 +131,7 @@ def _gradient(
     image: Array, photo: Array, by_mean: Array, by_square: Array, by_product: Array, weights: Array, gradient: Array
 ) -> float:
     """Fill the gradient from SSIM's blurred slopes and from L1; returns the sum of |image - photo|. All are float32
-    [n]; ``weights`` [2] as ``_compare_strips`` has them."""
+    [n]; ``weights`` [2] are those of ``_compare_strips``."""
     total, l1, similarity = 0.0, weights[0], weights[1]
     for i in range(len(image)):
         off = image[i] - photo[i]
@@ -143,6 +143,6 @@ def _gradient(
 
 def compare(image: torch.Tensor, photo: PhotoMoments, l1_weight: float, ssim_weight: float) -> torch.Tensor:
     """``l1_weight`` * mean |difference| + ``ssim_weight`` * mean SSIM of ``image`` float32 [H, W, 3] in [0, 1] and a
-    photo. Differentiable once in ``image``. Raises ValueError when sizes differ."""
+    photo. Differentiable once in ``image``. Raises ValueError if sizes differ."""
     result: torch.Tensor = _Comparison.apply(image, photo, l1_weight, ssim_weight)
     return result

@@ -1,4 +1,4 @@
-"""The whole state of a trainer as named tensors and JSON-ready facts: what a checkpoint holds."""
+"""The complete state of a trainer as named tensors and JSON-ready facts: the content of a checkpoint."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ from .trainer import Trainer
 
 
 class OtherLabels(ValueError):
-    """A state whose labels are not those that the masks give."""
+    """Raised for a state whose labels are not those that the masks give."""
 
 
 def trainer_state(trainer: Trainer) -> tuple[dict[str, torch.Tensor], dict[str, Any]]:
-    """Everything that ``restore`` needs to go on bit for bit."""
+    """Everything that ``restore`` needs to continue bit for bit."""
     model, facts = to_tensors(trainer.scene)
     tensors = {f"model.{name}": tensor for name, tensor in model.items()}
     tensors |= {f"optimiser.{name}": tensor for name, tensor in trainer.optimiser.tensors().items()}
@@ -38,7 +38,7 @@ def trainer_state(trainer: Trainer) -> tuple[dict[str, torch.Tensor], dict[str, 
 def restore(trainer: Trainer, tensors: Mapping[str, torch.Tensor], facts: Mapping[str, Any]) -> None:
     """Put ``trainer`` (made for the same input, preset and seed) into a stored state.
 
-    Raises ValueError, KeyError or TypeError for one that is damaged, or another lift's; the trainer is as it was then.
+    Raises ValueError, KeyError or TypeError if it is damaged or belongs to another lift; the trainer is then unchanged.
     """
     scene = from_tensors(_under("model.", tensors), facts["model"])
     _check(trainer, scene, tensors, facts)
@@ -55,13 +55,13 @@ def restore(trainer: Trainer, tensors: Mapping[str, torch.Tensor], facts: Mappin
 def _check(
     trainer: Trainer, scene: StructuredScene, tensors: Mapping[str, torch.Tensor], facts: Mapping[str, Any]
 ) -> None:
-    """Raises ValueError unless all but the model fits too."""
+    """Raise ValueError unless everything except the model fits too."""
     if (scene.channels, scene.decoders.shape) != (trainer.scene.channels, trainer.scene.decoders.shape):
         raise OtherLabels("it belongs to a lift with other labels")
     if type(facts["step"]) is not int or not 0 <= facts["step"] <= trainer.preset.steps:
-        raise ValueError("its step is none of this lift")
+        raise ValueError("its step number is not one of this lift's")
     if type(facts["optimiser_steps"]) is not int or facts["optimiser_steps"] < 0:
-        raise ValueError("its optimiser's steps are no number")
+        raise ValueError("its optimiser's number of steps is not valid")
     parameters = {f"anchors.{name}": getattr(scene.anchors, name) for name in scene.anchors.LEARNT}
     learnt = {name: each for name, each in scene.decoders.named_parameters() if each.requires_grad}
     parameters |= {f"decoders.{name}": parameter for name, parameter in learnt.items()}
@@ -77,22 +77,22 @@ def _check(
     for prefix, channels in (("pseudo.", scene.channels.class_ids), ("pseudo_slot.", scene.channels.slot_ids)):
         for number, packed in _under(prefix, tensors).items():
             if number not in {str(view) for view in range(len(trainer.views))}:
-                raise ValueError(f"its pseudo labels are of a view {number}, which this lift has not")
+                raise ValueError(f"its pseudo labels are of view {number}, which this lift does not have")
             _check_packed(packed, trainer.views[int(number)].camera, len(channels))
 
 
 def _check_packed(packed: torch.Tensor, camera: Camera, channels: int) -> None:
-    """Raises ValueError unless these are compressed channel numbers of each of the camera's pixels."""
+    """Raise ValueError unless these are compressed channel numbers for each of the camera's pixels."""
     expected = 2 * camera.height * camera.width
     try:
         numbers = zlib.decompressobj().decompress(packed.numpy().tobytes(), expected + 1)
     except zlib.error as error:
         raise ValueError(f"its pseudo labels are damaged ({error})") from None
     if packed.dtype != torch.uint8 or len(numbers) != expected:
-        raise ValueError("its pseudo labels are of another size")
+        raise ValueError("its pseudo labels have a different size")
     labels = torch.frombuffer(bytearray(numbers), dtype=torch.int16)
     if int(labels.min()) < -1 or int(labels.max()) >= channels:
-        raise ValueError("its pseudo labels are no channels of the model")
+        raise ValueError("its pseudo labels are not channels of the model")
 
 
 def _as_tensor(packed: bytes) -> torch.Tensor:

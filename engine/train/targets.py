@@ -20,14 +20,14 @@ class ViewTargets:
     """Targets of one training view at lift size.
 
     ``photo`` is sRGB-encoded, in [0, 1], with its moments for SSIM. ``projected`` int16 [H, W]: semantic channel of
-    the projected point cloud, -1 where it says nothing. ``matched`` int16 [H, W]: instance slot of M_match, -1 = none.
+    the projected point cloud, -1 = none. ``matched`` int16 [H, W]: instance slot of M_match, -1 = none.
     ``things`` are the thing segments of the input mask. ``pseudo`` int16 [H, W]: semantic channel of the pseudo
-    labels, None before the self-training stage; ``pseudo_slot`` int16 [H, W] with it where segments were given objects
-    as well; it then takes the place of ``matched``.
+    labels, None before the self-training stage; ``pseudo_slot`` int16 [H, W]: the slots, if segments were given objects
+    as well; they then replace ``matched``.
 
     ``depth`` float32 [H, W] is the sensor's, metres (0 = none); ``border`` bool [H, W], or None, where the photo shows
-    nothing but a black border; ``weight`` how much the photo counts beside sharper ones; ``gain`` float32 [3], or None,
-    its exposure against the room's.
+    only a black border; ``weight`` how much the photo counts compared with sharper ones; ``gain`` float32 [3], or None,
+    its exposure relative to the room's.
     """
 
     name: str
@@ -54,7 +54,7 @@ class ViewTargets:
 
 def columns_of(labels: NDArray[np.integer], ids: tuple[int, ...]) -> torch.Tensor:
     """Labels of any shape as channel numbers, int64: the place of each in ``ids`` (all >= 0), -1 for 0 and for labels
-    that are not in it."""
+    that are not in ``ids``."""
     return torch.from_numpy(_places(labels, ids, np.dtype(np.int64)))
 
 
@@ -68,8 +68,8 @@ def _places(labels: NDArray[np.integer], ids: tuple[int, ...], dtype: np.dtype[A
 
 
 def slots_of(instances: NDArray[np.integer], known: NDArray[np.bool_], channels: LabelChannels) -> torch.Tensor:
-    """Instance ids of any shape (0 = none) as slots, int16: "no object" where none is ``known`` to be, -1 where
-    nothing is known."""
+    """Instance ids of any shape (0 = none) as slots, int16: "no object" where it is ``known`` that there is none, -1
+    where nothing is known."""
     instance_ids = tuple(max(slot, 0) for slot in channels.slot_ids)
     slots = _places(instances, instance_ids, np.dtype(np.int16))
     slots[known & (instances == 0)] = channels.slot_ids.index(NO_OBJECT)
@@ -85,8 +85,8 @@ def view_targets(
     weight: float = 1.0,
     gain: NDArray[np.float64] | None = None,
 ) -> ViewTargets:
-    """Targets of ``view`` from class ids and instance ids, int32 [H, W] each. Where there is a class, instance 0 is no
-    object; without instance ids nothing is known of objects."""
+    """Targets of ``view`` from class ids and instance ids, int32 [H, W] each. Where there is a class, instance 0 means
+    no object; without instance ids nothing is known about objects."""
     matched = torch.full(projected_class.shape, -1, dtype=torch.int16)
     if matched_instance is not None:
         matched = slots_of(matched_instance, projected_class != 0, channels)

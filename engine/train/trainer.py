@@ -1,4 +1,4 @@
-"""The training loop's inside: one step, a round of growth, a round of pseudo labels, and its whole state."""
+"""The inside of the training loop: one step, a round of growth, a round of pseudo labels, and the complete state."""
 
 from __future__ import annotations
 
@@ -28,16 +28,16 @@ from .self_training import PseudoLabels, pseudo_label_steps, rendered_labels
 from .targets import ViewTargets, columns_of
 
 SATURATED = 0.99
-"""A photo's value from which on the room may be brighter than the photo can show."""
+"""A photo's value from which the room may be brighter than the photo can show."""
 LARGEST_SCALE = 1.0
-"""Metres. Scales are brought back to this at each round of growth, as Scaffold-GS does in its own units."""
+"""Metres. Scales are reduced to this in each round of growth, as Scaffold-GS does in its own units."""
 
 
 @dataclass(frozen=True)
 class GrowthSchedule:
     """When anchors grow, in shares of all steps. As in Scaffold-GS: statistics from 500/30000 on, a round every
-    100/30000 from 1500/30000 to 15000/30000; in short lifts no more often than ``at_least_steps``, since a round judges
-    by how often it has seen an anchor."""
+    100/30000 from 1500/30000 to 15000/30000. In short lifts there are at least ``at_least_steps`` between two rounds,
+    since a round judges an anchor by how often it was seen."""
 
     statistics_from: float = 500 / 30000
     grow_from: float = 1500 / 30000
@@ -59,7 +59,7 @@ class StepReport:
 
 
 class Losses(NamedTuple):
-    """``total`` is what a step descends: the weighted sum of the others and of the depth loss."""
+    """``total`` is what a step minimises: the weighted sum of the others and of the depth loss."""
 
     total: torch.Tensor
     reconstruction: torch.Tensor
@@ -69,13 +69,13 @@ class Losses(NamedTuple):
 
 class Trainer:
     """Trains ``scene`` on ``targets``. Everything random is drawn from (seed, purpose, number), so that a trainer
-    restored at step n goes on bit for bit as the one that never stopped. ``clock`` measures the parts of a step."""
+    restored at step n continues bit for bit like one that never stopped. ``clock`` measures the parts of a step."""
 
     growth_schedule: ClassVar[GrowthSchedule] = GrowthSchedule()
     growth_rules: ClassVar[GrowthRules] = GrowthRules()
     rates: ClassVar[Rates] = RATES
     preset: Any
-    """A Preset; those of subclasses may have more options."""
+    """A Preset; subclasses may have presets with more options."""
 
     def __init__(
         self, scene: StructuredScene, targets: Sequence[ViewTargets], views: Sequence[View], preset: Preset, seed: int
@@ -96,25 +96,25 @@ class Trainer:
         return self.step_number >= self.preset.steps
 
     def follow_anchors(self) -> None:
-        """Bring what is derived from the anchors up to date after they were replaced."""
+        """Update what is derived from the anchors after they were replaced."""
         self.initial_channels = columns_of(self.scene.anchors.initial_class.numpy(), self.scene.channels.class_ids)
 
     def target(self, number: int) -> ViewTargets:
-        """The targets of view ``number``, with its pseudo labels if there are some."""
+        """The targets of view ``number``, with its pseudo labels if it has any."""
         pseudo = self.pseudo[number]
         return self.targets[number] if pseudo is None else pseudo.teach(self.targets[number])
 
     def _view_of_step(self, step: int) -> ViewTargets:
-        """A random order of all views, again in each epoch."""
+        """The view of a step. Each epoch has a new random order of all views."""
         epoch, place = divmod(step, len(self.targets))
         order = np.random.default_rng([self.seed, 1, epoch]).permutation(len(self.targets))
         return self.target(int(order[place]))
 
     def step(self, check: Callable[[], None] = lambda: None) -> StepReport:
-        """New pseudo labels if they are due, one optimisation step on one view, then growth if it is due.
+        """Make pseudo labels if they are due, do one optimisation step on one view, then grow if it is due.
 
-        Between steps, and when ``check`` raises, the state is whole: a checkpoint of it goes on bit for bit. Raises
-        what ``check`` does, and FloatingPointError, before anything is changed, when the loss is no finite number.
+        Between steps, and when ``check`` raises, the state is complete: a checkpoint of it continues bit for bit.
+        Raises what ``check`` raises, and FloatingPointError, before anything is changed, if the loss is not finite.
         """
         if self.step_number in self.pseudo_label_steps:
             self.refresh_pseudo_labels(check)
@@ -151,7 +151,7 @@ class Trainer:
         return report
 
     def _decode(self, target: ViewTargets, with_labels: bool = True) -> NeuralGaussians:
-        """The Gaussians that the view's camera sees, and with labels their L_cluster."""
+        """The Gaussians that the view's camera sees, with their L_cluster if labels are wanted."""
         anchors, decoders = self.scene.anchors, self.scene.decoders
         if with_labels:
             channels = self.initial_channels if self.preset.weights.cluster else None
@@ -159,27 +159,27 @@ class Trainer:
         return decode(anchors, decoders, target.camera, known_labels=no_labels(anchors))
 
     def _columns_to_draw(self, target: ViewTargets) -> torch.Tensor:
-        """The label channels that the view is compared in, ascending int64: those of its targets, as the losses look at
-        no others; all where segments are assigned to slots by what is drawn."""
+        """The label channels in which the view is compared, ascending int64: those of its targets, as the losses use no
+        others; all of them if segments are assigned to slots by what is drawn."""
         classes, total = self._channel_counts()
         if self.preset.linear_assignment:
             return torch.arange(total)
-        used = torch.zeros(total + 1, dtype=torch.bool)  # the last is that of no target
+        used = torch.zeros(total + 1, dtype=torch.bool)  # the last means no target
         used[target.semantic.long()] = True
         used[torch.where(target.slot < 0, -1, target.slot.long() + classes)] = True
-        used[0] |= not used[:-1].any()  # a view without targets draws one channel, as the others draw some
+        used[0] |= not used[:-1].any()  # a view without targets still draws one channel
         return torch.nonzero(used[:-1]).reshape(-1)
 
     def _channel_counts(self) -> tuple[int, int]:
-        """How many label channels are of classes, and how many there are."""
+        """The number of label channels that belong to classes, and the number of all label channels."""
         classes = len(self.scene.channels.class_ids)
         return classes, classes + self.scene.decoders.shape.instance_channels
 
     def _losses(
         self, gaussians: NeuralGaussians, rendering: Rendering, target: ViewTargets, columns: torch.Tensor | None
     ) -> Losses:
-        """L_total: what was drawn against the view's targets. Without label losses where no labels were drawn, else
-        ``columns`` are their channels."""
+        """L_total: what was drawn compared with the view's targets. If labels were drawn, ``columns`` are their
+        channels; otherwise there are no label losses."""
         weights = self.preset.weights
         reconstruction = reconstruction_loss(
             self._as_photographed(rendering.image, target),
@@ -210,7 +210,7 @@ class Trainer:
         return image
 
     def _descend(self, loss: torch.Tensor, gaussians: NeuralGaussians, rendering: Rendering) -> None:
-        """The backward pass."""
+        """Do the backward pass."""
         drawn = (gaussians.means, gaussians.scales, gaussians.quats, gaussians.opacities, gaussians.colours)
         layers = [rendering.image] if rendering.labels is None else [rendering.image, rendering.labels]
         self.clock.lap_on_way_back(layers, "losses, backward")
@@ -223,8 +223,8 @@ class Trainer:
     ) -> tuple[torch.Tensor, torch.Tensor]:
         """L_sem (the view's target and L_cluster) and L_ins (linear assignment and M_match).
 
-        They stop at the blending weights, so nothing of them reaches opacity, shape or colour decoders. They do reach
-        the anchors' features, which all decoders share: that is what makes labels follow what the picture shows.
+        Their gradients stop at the blending weights, so they do not reach opacity, shape or colour decoders. They do
+        reach the anchors' features, which all decoders share: this is what makes labels follow what the picture shows.
         ``columns``: the channels that were drawn.
         """
         by_class, by_slot = self._compare_labels(gaussians, rendering, target, columns)
@@ -236,7 +236,7 @@ class Trainer:
         """L_sem without L_cluster, and L_ins."""
         of_classes, total = self._channel_counts()
         classes = int((columns < of_classes).sum())
-        place = torch.full((total + 1,), -1, dtype=torch.int16)  # the last is that of no target
+        place = torch.full((total + 1,), -1, dtype=torch.int16)  # the last means no target
         place[columns] = torch.arange(len(columns), dtype=torch.int16)
         assert rendering.labels is not None  # drawn with labels
         assigned = torch.full(target.slot.shape, -1, dtype=torch.int16)
@@ -262,11 +262,11 @@ class Trainer:
         schedule = self.growth_schedule
         if schedule.statistics_from <= progress < schedule.grow_until:
             camera, moved = target.camera, rendering.means2d.grad
-            assert moved is not None  # asked for, and the backward pass is over
+            assert moved is not None  # it was requested, and the backward pass is over
             self.statistics.add(gaussians, rendering.visible, moved.cpu(), camera.width, camera.height)
 
     def _after_step(self, with_labels: bool) -> None:
-        """Growth, if it is due. ``with_labels``: whether the step has trained labels."""
+        """Grow if it is due. ``with_labels``: whether the step has trained labels."""
         schedule, steps = self.growth_schedule, self.preset.steps
         growing = schedule.grow_from * steps < self.step_number < schedule.grow_until * steps
         if growing and self.step_number % self.growth_steps == 0:
@@ -294,7 +294,7 @@ class Trainer:
         )
 
     def refresh_pseudo_labels(self, check: Callable[[], None] = lambda: None) -> None:
-        """Self-training: new pseudo labels of all views or, when ``check`` raises, of none."""
+        """Self-training: make new pseudo labels for all views or, if ``check`` raises, for none."""
         shown, channels = scene_labels(self.scene), self.scene.channels
         fresh: list[PseudoLabels | None] = []
         for view in self.views:
@@ -304,6 +304,6 @@ class Trainer:
 
 
 def _extent(views: Sequence[View]) -> float:
-    """1.1 times the greatest distance of a camera from the mean camera centre, metres (Scaffold-GS)."""
+    """1.1 times the greatest distance of a camera from the mean camera centre, in metres, as in Scaffold-GS."""
     centres = np.array([view.camera.centre for view in views])
     return 1.1 * max(float(np.linalg.norm(centres - centres.mean(axis=0), axis=1).max()), 1e-2)

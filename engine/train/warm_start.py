@@ -1,8 +1,8 @@
-"""Decoders that know the initial anchors before the first picture is rendered.
+"""Decoders that are fitted to the initial anchors before the first picture is rendered.
 
-The semantic point cloud already says what colour, class and instance each anchor has. Fitting the decoders to that
-takes a second, since nothing is rendered; learning it through pictures takes thousands of steps. Ours, not the paper's:
-the preset "paper" starts from random decoders.
+The semantic point cloud already gives the colour, class and instance of each anchor. Fitting the decoders to these
+takes a second, since nothing is rendered; learning them through pictures takes thousands of steps. This is ours, not
+the paper's: the preset "paper" starts from random decoders.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from .targets import columns_of, slots_of
 
 STEPS = 400
 BATCH = 4096
-"""Anchors of a step."""
+"""The number of anchors in a step."""
 RATE = 0.01
 """The learning rate of the first step; it falls to zero."""
 OPACITY_BIAS = 0.3
@@ -34,10 +34,10 @@ def warm_start(
     seed: int,
     steps: int = STEPS,
 ) -> None:
-    """Fit colour, semantic and instance decoder in place to the initial anchors; lift the opacities a little.
+    """Fit the colour, semantic and instance decoders in place to the initial anchors; raise the opacities a little.
 
-    ``colour`` uint8 [M, 3] and ``instance_id`` int32 [M] (0 = none) of the anchors, or None where nothing is
-    known of objects; ``viewpoints`` float64 [N, 3] metres: the camera centres, which colours are asked from.
+    ``colour`` uint8 [M, 3] and ``instance_id`` int32 [M] (0 = none) are the anchors', the latter None if nothing is
+    known about objects; ``viewpoints`` float64 [N, 3] metres: the camera centres, from which colours are seen.
     Deterministic for a seed.
     """
     anchors, decoders = scene.anchors, scene.decoders

@@ -208,7 +208,7 @@ def test_what_one_worker_cannot_do_another_does(
     with distributed.Client(address) as client:
         client.wait_for_workers(2, timeout=PATIENCE_S)
     assert run(plan, Place(scheduler=address)) is ExitCode.FINISHED
-    said = {"unmounted": "is not there on this worker", "full": "the disk is full"}[unfit]
+    said = {"unmounted": "does not exist on this worker", "full": "the disk is full"}[unfit]
     assert said in capsys.readouterr().err
 
 
@@ -217,7 +217,7 @@ def test_what_no_worker_can_do_is_reported(tmp_path: Path, start: Start, address
     start(FARM_WORKER, "unmounted", address)
     assert run(plan, Place(scheduler=address)) is not ExitCode.FINISHED
     reason = rows_of(plan)["a"]["reason"]
-    assert "no worker can do it" in reason and "is not there on this worker" in reason
+    assert "no worker can do it" in reason and "does not exist on this worker" in reason
     assert ".." not in reason, "the sentence of each worker ends once"
 
 
@@ -237,7 +237,7 @@ def test_workers_with_another_engine_get_nothing(
     monkeypatch.setattr(cluster, "NO_WORKER_S", 20.0)
     start(FARM_WORKER, "another-engine", address)
     plan = plan_of(tmp_path, "a")
-    with pytest.raises(PlgsError, match="other engines .plgs-0.0.0-00000000.; this one is plgs-"):
+    with pytest.raises(PlgsError, match="different engines .plgs-0.0.0-00000000.; this one is plgs-"):
         run(plan, Place(scheduler=address))
     assert not (plan.output / "a").exists()
 

@@ -125,7 +125,7 @@ def test_a_line_says_that_no_worker_is_there(tmp_path: Path, monkeypatch: pytest
     assert not batch.line.said
     for _ in range(2):
         batch.look(run.RETURN_S + 2.0)
-    assert batch.line.said == ["No worker is there: waiting. Start one: python -m engine worker tcp://here:1"]
+    assert batch.line.said == ["Waiting, as there is no worker. Start one: python -m engine worker tcp://here:1"]
     batch.farm.there = gone
     batch.look()
     batch.farm.there = {}

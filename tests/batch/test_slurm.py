@@ -63,7 +63,7 @@ def test_a_job_has_the_requested_size_before_it_starts() -> None:
 
 def test_no_slurm(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setenv("PATH", str(tmp_path))
-    with pytest.raises(PlgsError, match="Slurm is not on this machine"):
+    with pytest.raises(PlgsError, match="Slurm is not installed here"):
         slurm_cluster(Place(2, "", {}))
 
 

@@ -92,7 +92,7 @@ def test_a_cancel_ends_the_engine_of_the_block(building: LiftFolder, monkeypatch
 def test_a_block_lifted_with_other_options_is_reported(building: LiftFolder) -> None:
     other = replace(run.request_of_block(building.request, 1), seed=5)
     LiftFolder.create(building.path / "blocks" / "1", other)
-    with pytest.raises(PlgsError, match="lifted otherwise: seed"):
+    with pytest.raises(PlgsError, match="lifted with different options: seed"):
         lift(building)
 
 

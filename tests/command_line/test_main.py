@@ -67,7 +67,7 @@ def test_what_is_not_a_number_of_frames_is_a_one_line_error(
     assert "argument --frames" in told and "number" in told
     assert code_of("lift", tmp_path, "-o", tmp_path / "out", "--frames", "9999999") == 2
     said = capsys.readouterr().err
-    assert said.startswith("error: is not a value of this option: frames = 9999999") and said.count("\n") == 1
+    assert said.startswith("error: is not a valid value: frames = 9999999") and said.count("\n") == 1
 
 
 def test_masks_of_a_scene_without_masks_are_not_made(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
@@ -127,7 +127,7 @@ INTERRUPTED = (
     (
         "job.session.lift_in_terminal",
         ["lift", "SCENE", "-o", "OUT"],
-        "Give the same command with --resume to go on: OUT",
+        "Give the same command with --resume to continue: OUT",
     ),
     ("command_line.inspect_scene.open_asked", ["inspect", "SCENE"], ""),
 )

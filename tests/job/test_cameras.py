@@ -43,7 +43,7 @@ def test_cameras_are_read(tmp_path: Path) -> None:
         ([{**GOOD, "fov": 50}], "has 'fov' in camera 1, which this version does not know"),
         ([{key: value for key, value in GOOD.items() if key != "width"}], "has no 'camera 1.width'"),
         ([{key: value for key, value in GOOD.items() if key != "cy"}], "camera 1: has no 'cy'"),
-        ([{**GOOD, "K": [[50, 0, 40], [0, 51, 22], [0, 0, 1]]}], "K as well as"),
+        ([{**GOOD, "K": [[50, 0, 40], [0, 51, 22], [0, 0, 1]]}], "both K and"),
         ([{**GOOD, "fx": 0}], "no focal length"),
         ([{**GOOD, "width": 0}], "'camera 1.width' has to be a whole number from 1 to 16384, not 0"),
         ([{**GOOD, "camera_to_world": [[2, 0, 0, 0], *POSE[1:]]}], "not rigid"),

@@ -41,7 +41,7 @@ def test_it_sees_what_changed(result: Path) -> None:
     with pytest.raises(PlgsError, match=r"was changed.*anchors\.npz"):
         verify(result)
     (result / "anchors.npz").write_bytes(b"anch")
-    with pytest.raises(PlgsError, match="has 4 bytes, 7 were written"):
+    with pytest.raises(PlgsError, match="has 4 bytes, but 7 were written"):
         check_sizes(result)
     (result / "anchors.npz").unlink()
     with pytest.raises(PlgsError, match="is missing"):

@@ -30,8 +30,8 @@ def test_without_a_cuda_device_a_lift_is_refused_before_any_work(
     assert run_engine(lift) is ExitCode.BAD_INPUT
     told = [line for line in capfd.readouterr().err.splitlines() if line.startswith("error:")]
     assert told == [
-        "error: torch finds no CUDA device here: --device cuda. Use a machine that has one with a build of torch for "
-        "CUDA, or lift with --device cpu."
+        "error: torch finds no CUDA device here: --device cuda. Use a machine with a CUDA device and a build of torch "
+        "for CUDA, or lift with --device cpu."
     ]
     assert '"stage"' not in lift.events_path.read_text(encoding="utf-8")
 

@@ -95,7 +95,7 @@ def test_names_are_not_kept_if_no_objects_are_searched_for(tmp_path: Path) -> No
     request = LiftRequest(scene=tmp_path, names_from=tmp_path / "first", options={"objects": "none"})
     folder = LiftFolder.create(tmp_path / "lift", request)
     events = EventWriter(folder.events_path)
-    with pytest.raises(PlgsError, match="no objects to keep names"):
+    with pytest.raises(PlgsError, match="no objects whose names could be kept"):
         run.run_lift(folder, events, StopSignal(folder.cancel_path), resume=False)
     events.close()
 

@@ -115,7 +115,7 @@ def test_a_forked_process_has_threads_of_its_own() -> None:
 
 @pytest.mark.parametrize("workers", [-1, 0, MOST_WORKERS + 1])
 def test_an_impossible_number_of_workers_is_refused(workers: int) -> None:
-    with pytest.raises(ValueError, match=f"{workers} workers are asked for"):
+    with pytest.raises(ValueError, match=f"{workers} workers were requested"):
         parallel_for(workers, write_numbers, np.zeros(1, np.int64), -1)
 
 

@@ -70,15 +70,15 @@ def test_every_tensor_is_checked(name: str) -> None:
         for number in (math.nan, math.inf, -math.inf, 1e38):
             wrong = right.clone()
             wrong.view(-1)[3] = number
-            refused(tensors | {name: wrong}, facts, "cannot hold")
+            refused(tensors | {name: wrong}, facts, "its range")
     refused(tensors | {"more": right}, facts, "more is not known")
 
 
 def test_labels_that_are_in_no_table() -> None:
     tensors, facts = MODELS[True]
     for number in (-1, 5, 32767):
-        refused(tensors | {"voted.label": torch.full((GAUSSIANS, 2), number, dtype=torch.int16)}, facts, "cannot hold")
-    refused(tensors | {"anchors.initial_class": torch.full((80,), 2**40)}, facts, "cannot hold")
+        refused(tensors | {"voted.label": torch.full((GAUSSIANS, 2), number, dtype=torch.int16)}, facts, "its range")
+    refused(tensors | {"anchors.initial_class": torch.full((80,), 2**40)}, facts, "its range")
 
 
 @examples(100)

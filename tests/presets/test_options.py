@@ -48,7 +48,7 @@ def test_texts_become_values() -> None:
         ("size=320x", "2 whole numbers"),
         ("size=8,48", "whole numbers from 16"),
         ("size_within=320x240", "Did you mean size?"),
-        ("rates.feature=1,1", "there is none any more"),
+        ("rates.feature=1,1", "in this version"),
         ("steps=" + "9" * 400, "a whole number from 1"),
         ("weights.depth=1e999", "a number from 0"),
         ("weights.depth", "name=value"),

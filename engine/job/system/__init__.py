@@ -1,4 +1,4 @@
-"""What differs between POSIX and Windows: locks, processes, folders on disk. The rest of the engine asks here.
+"""What differs between POSIX and Windows: locks, processes, folders on disk. The rest of the engine uses this.
 
 `posix` and `windows` have the same functions. Both can be imported everywhere, so each is tested everywhere.
 """

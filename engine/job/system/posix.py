@@ -15,9 +15,9 @@ OPEN_FILES_KEEP_NAMES = False
 
 
 def try_lock(descriptor: int, shared: bool = False) -> bool:
-    """Whether the open file is locked now: for this process alone, or ``shared`` with others that ask so.
+    """Try to lock the open file, for this process alone or ``shared`` with others, and return whether it is locked.
 
-    Raises OSError where the file system knows no locks.
+    Raises OSError if the file system does not support locks.
     """
     import fcntl
 
@@ -38,13 +38,13 @@ def flush_folder(path: Path) -> None:
 
 
 def start_options(keep_open: Sequence[int] = ()) -> dict[str, Any]:
-    """Options of `Popen` for a program in a group of its own: Ctrl-C in the terminal is for its parent, which then asks
-    politely. Descriptors in ``keep_open`` stay open in it."""
+    """Options of `Popen` for a program in its own group: Ctrl-C in the terminal reaches only its parent, which then
+    asks it to stop. Descriptors in ``keep_open`` stay open in it."""
     return {"start_new_session": True, "pass_fds": tuple(keep_open)}
 
 
 def kill_with_children(process: subprocess.Popen[bytes]) -> None:
-    """End a process that was started with `start_options`, and all that it started, at once."""
+    """End a process that was started with `start_options`, and everything that it started, at once."""
     os.killpg(process.pid, signal.SIGKILL)
 
 
@@ -60,12 +60,12 @@ def is_alive(pid: int) -> bool:
 
 
 def usable_cpus() -> int:
-    """How many CPUs this process may use."""
+    """The number of CPUs that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def peak_bytes() -> int | None:
-    """Bytes of memory that this process has held at most; None where the system does not say."""
+    """The most bytes of memory that this process has held; None if the system does not tell."""
     import resource
 
     most = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss

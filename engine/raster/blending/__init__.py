@@ -1,1 +1,1 @@
-"""Gaussians on pixels: blended front to back, and their gradients back to front. Sixteen pixels side by side."""
+"""Blending of Gaussians on pixels front to back, and of their gradients back to front, sixteen pixels at a time."""

@@ -5,9 +5,9 @@ colour_i . dL/dimage + z_i * dL/ddepth. Behind Gaussian i lies B_i = alpha_{i+1}
 and dL/d(ln alpha_i) = alpha_i T_i (v_i - B_i). At the far end B = -dL/dalpha, as if a last Gaussian closed the pixel:
 this stays exact where the final transmittance is tiny.
 
-One Gaussian after the other takes all its patches of the tile, so that its own sums stay in registers; the patches'
-state lies in the first cache. Each Gaussian's gradient in each tile goes to a place of its own; ``gather`` adds them in
-order.
+The Gaussians are processed one after another, each on all its patches of the tile, so that its sums stay in registers;
+the patches' state is in the first-level cache. Each Gaussian's gradient in each tile has its own place; ``gather`` adds
+them in order.
 """
 
 from __future__ import annotations
@@ -96,7 +96,7 @@ def exponent_of(patch: int, slope: Any, scratch: Array, own: int) -> Any:
 
 @inlined
 def blended_alpha(patch: int, raw: Any, here: Any, scratch: Array) -> Any:
-    """The alpha before the cap where the forward pass blended it, else 0."""
+    """The alpha before the cap if the forward pass blended it, otherwise 0."""
     blended = (raw >= broadcast(ALPHA_LEAST)) & (load(scratch, LAST + patch * PATCH_STRIDE) >= here)
     return select(blended, raw, broadcast(ZERO))
 
@@ -109,8 +109,8 @@ def keep_alpha(patch: int, raw: Any, scratch: Array) -> None:
 
 @device_function
 def fill_alphas(slope: float, place: float, patches: int, scratch: Array, own: int) -> None:
-    """RAW_ALPHAS and OVERS on the patches of a mask, bit for bit the forward pass's; four at a time, so that one does
-    not wait for the other."""
+    """Fill RAW_ALPHAS and OVERS on the patches of a mask, with the same bits as in the forward pass; four at a time, so
+    that none waits for another."""
     slopes, here = broadcast(slope), broadcast(place)
     while patches != 0:
         (p0, p1, p2, p3), patches = take_four(patches, NO_PATCH)
@@ -129,7 +129,7 @@ def fill_alphas(slope: float, place: float, patches: int, scratch: Array, own: i
 def blend_gaussian_backward(
     records: Array, at: int, member: int, patches: int, scratch: Array, own: int, lists: PatchLists
 ) -> Any:
-    """Step back over one Gaussian on the patches of a mask; returns its gradients, as columns of lanes."""
+    """Step back over one Gaussian on the patches of a mask. Returns its gradients, as columns of lanes."""
     slope = broadcast_load(records, at + L11)
     red, green = broadcast_load(records, at + RED), broadcast_load(records, at + GREEN)
     blue, depth = broadcast_load(records, at + BLUE), broadcast_load(records, at + DEPTH)
@@ -166,7 +166,7 @@ def blend_gaussian_backward(
         d_blue = fma(weight, image_blue, d_blue)
         d_depth = fma(weight, image_depth, d_depth)
         if lists.wanted:
-            # Where nothing was blended the next one writes over it: cheaper than a branch that cannot be predicted.
+            # If nothing was blended, the next one overwrites it: cheaper than a branch that cannot be predicted.
             count = get(lists.counts, patch)
             store(scratch, WEIGHTS + (patch * LISTED + count) * TILE, weight)
             put(lists.members, patch * LISTED + count, np.int32(member))
@@ -185,7 +185,7 @@ def blend_backward(
     out: IsectGradients,
     scratches: Scratch,
 ) -> None:
-    """Tile after tile until none is left."""
+    """Process one tile after another until none is left."""
     scratch, counts = scratches.floats[worker], scratches.counts[worker]
     lists = PatchLists(counts, scratches.members[worker], size.channels > 0)
     starts, flatten_ids, isect_ids = isects.isect_offsets, isects.flatten_ids, isects.isect_ids
@@ -204,7 +204,7 @@ def blend_backward(
             touched[isect_ids[k]] = 0
         if far < 0:
             continue
-        # each Gaussian is whitened while the one before is on: which patches it touches is known when its turn comes
+        # each Gaussian is whitened during the one before it, so that the patches it touches are known in time
         own = 0
         patches = whiten_tile(records, int(get(flatten_ids, first + far)) * RECORD, tile, scratch, own)
         for batch in range(far // BACKWARD_BATCH * BACKWARD_BATCH, -1, -BACKWARD_BATCH):

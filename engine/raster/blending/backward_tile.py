@@ -1,4 +1,4 @@
-"""A tile in the backward pass, as patches: where a worker keeps it, and how it comes out of the image."""
+"""A tile in the backward pass, as patches: where a worker keeps it, and how it is read from the image."""
 
 from __future__ import annotations
 
@@ -34,32 +34,32 @@ from .forward_strip import ONE, ZERO, F
 
 # a worker's scratch, in floats
 S1_LEFT, S2, S2_SQUARED, EXPONENTS = 0, 2 * TILE, 4 * TILE, 6 * TILE  # of each row, for one Gaussian
-WHITENED = 8 * TILE  # floats of the above: there is one for the Gaussian at hand, and one for the next
+WHITENED = 8 * TILE  # floats of the above: one set is for the current Gaussian, and one for the next
 LAST_OF_PATCH = 2 * WHITENED
-COLUMNS = LAST_OF_PATCH + TILE  # of a left patch's pixels, of a right one's
+COLUMNS = LAST_OF_PATCH + TILE  # of a left patch's pixels, then of a right one's
 RAW_ALPHAS = COLUMNS + 2 * TILE  # [patch or no patch, pixel], before the cap, 0 where the Gaussian was not blended
 OVERS = RAW_ALPHAS + (PATCHES + 1) * TILE  # 1 / (1 - alpha) of each
-PATCH_STATE = OVERS + (PATCHES + 1) * TILE  # [patch or no patch, field, pixel]; a patch's fields lie together
+PATCH_STATE = OVERS + (PATCHES + 1) * TILE  # [patch or no patch, field, pixel]; a patch's fields are adjacent
 PATCH_STRIDE = 8 * TILE
 TRANSMITTANCE = PATCH_STATE
 LAST = TRANSMITTANCE + TILE
 BEHIND = LAST + TILE
 D_PLANES = BEHIND + TILE  # gradients of red, green, blue, depth
 WEIGHTS = PATCH_STATE + (PATCHES + 1) * PATCH_STRIDE  # [patch, member, pixel]
-LISTED = BACKWARD_BATCH + 4  # of a patch: its members, and as many as are missing from the last four
+LISTED = BACKWARD_BATCH + 4  # of a patch: its members, and those that fill up the last four
 # [member or PAD_INDEX, padded], then a patch's gradients [pixel, padded]
 BATCH_LABELS = WEIGHTS + PATCHES * LISTED * TILE
 assert PATCHES * LISTED <= MEMBERS
 NO_PATCH = PATCHES
 """The patch that fills up a group of four. Nothing is ever blended on it."""
 EVEN = 0x5555
-"""The even bits of a word of patches: those on the left of their strips, whose numbers are also those of their first
+"""The even bits of a word of patches: those of the left patches of strips, whose numbers are also those of their first
 rows."""
 
 
 class PatchLists(NamedTuple):
-    """The Gaussians of a batch that were blended on each patch: ``counts`` int64 [PATCHES] says how many, ``members``
-    int32 [PATCHES * LISTED] which ones; their weights lie in the scratch. Without labels (not ``wanted``) nothing is
+    """The Gaussians of a batch that were blended on each patch: ``counts`` int64 [PATCHES] is their number, ``members``
+    int32 [PATCHES * LISTED] lists them; their weights are in the scratch. Without labels (not ``wanted``) nothing is
     listed."""
 
     counts: Array
@@ -68,14 +68,14 @@ class PatchLists(NamedTuple):
 
 
 def scratch_size(channels: int) -> int:
-    """Floats of scratch that a worker needs."""
+    """The number of floats of scratch that a worker needs."""
     floats: int = BATCH_LABELS + (BACKWARD_BATCH + 1 + TILE) * padded_channels(channels)
     return floats
 
 
 @device_function
 def start_worker(scratch: Array, counts: Array) -> None:
-    """Make NO_PATCH, and lists of no members."""
+    """Initialise NO_PATCH, and lists without members."""
     for at in range(PATCH_STATE):
         put(scratch, at, ZERO)
     left, right = interleave2(lane_numbers(), lane_numbers())
@@ -91,7 +91,7 @@ def start_worker(scratch: Array, counts: Array) -> None:
 
 @inlined
 def store_strip(upper: Any, lower: Any, at: int, scratch: Array) -> None:
-    """Two rows of a tile, as a field of the two patches that they are."""
+    """Store two rows of a tile as a field of their two patches."""
     left, right = interleave2(upper, lower)
     store(scratch, at, left)
     store(scratch, at + PATCH_STRIDE, right)
@@ -99,7 +99,7 @@ def store_strip(upper: Any, lower: Any, at: int, scratch: Array) -> None:
 
 @device_function
 def load_tile(tile: Tile, size: Size, pixels: PixelGradients, scratch: Array) -> Any:
-    """The tile's state at its far end; zeros outside the image. Returns the largest place blended in the tile."""
+    """Load the tile's state at its far end; zeros outside the image. Returns the largest place blended in the tile."""
     left, top, width, height = tile.left, tile.top, size.width, size.height
     far = -1
     columns = min(TILE, width - left)
@@ -148,7 +148,7 @@ def load_tile(tile: Tile, size: Size, pixels: PixelGradients, scratch: Array) ->
 
 @inlined
 def colours_of(source: int, floats: int, d_image: Array) -> Any:
-    """d_image[source : source + floats], pixel after pixel, as planes."""
+    """d_image[source : source + floats], which is stored pixel by pixel, as planes."""
     return deinterleave3(
         masked_load(d_image, source, lane_numbers() < broadcast(F(floats))),
         masked_load(d_image, source + TILE, lane_numbers() < broadcast(F(floats - TILE))),
@@ -158,8 +158,8 @@ def colours_of(source: int, floats: int, d_image: Array) -> Any:
 
 @device_function
 def whiten_tile(records: Array, at: int, tile: Tile, scratch: Array, own: int) -> Any:
-    """Fill S1_LEFT, S2, S2_SQUARED and EXPONENTS of scratch[own:], bit for bit what the forward pass made of each row;
-    returns the mask of the patches that are touched."""
+    """Fill S1_LEFT, S2, S2_SQUARED and EXPONENTS of scratch[own:], with the same bits as each row in the forward pass.
+    Returns the mask of the patches that are touched."""
     origin_s1, origin_s2 = origin_of(records, at, tile)
     s1 = fma(broadcast_load(records, at + L12), lane_numbers(), broadcast(origin_s1))
     s2 = fma(broadcast_load(records, at + L22), lane_numbers(), broadcast(origin_s2))
@@ -176,5 +176,5 @@ def whiten_tile(records: Array, at: int, tile: Tile, scratch: Array, own: int) -
 
 @inlined
 def strips_of(mask: int) -> int:
-    """The even bits of a mask of rows, set where a strip has a row of it."""
+    """The even bits of a mask of rows, set for strips that have a row in the mask."""
     return (mask | (mask >> 1)) & EVEN

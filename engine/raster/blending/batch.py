@@ -2,7 +2,7 @@
 
 A patch is eight columns of two rows. A small Gaussian covers more of these sixteen pixels than of sixteen in a row. Two
 patches side by side are a strip of the tile. In a vector, the pixels of a patch's two rows alternate.
-Sixteen Gaussians are whitened at once for a strip, which costs a few cycles each and no branch.
+Sixteen Gaussians are whitened at once for a strip, which takes a few cycles each and no branch.
 """
 
 from __future__ import annotations
@@ -42,14 +42,14 @@ from ..records import (
 F = np.float32
 ZERO = F(0.0)
 PATCHES = 2 * TILE // PATCH_HEIGHT
-"""Patches of a tile. They are numbered strip after strip: patches 2 p and 2 p + 1 begin in row 2 p."""
+"""Patches of a tile. They are numbered strip by strip: patches 2 p and 2 p + 1 begin in row 2 p."""
 LEFT_END, MIDDLE, RIGHT_END = F(PATCH_WIDTH - 1), F(PATCH_WIDTH), F(TILE - 1)
 """The last column of the left patches, the first and the last of the right ones."""
 AHEAD = 8
-"""A record is fetched this many Gaussians before it is needed, because records lie anywhere in memory."""
+"""A record is fetched this many Gaussians before it is needed, as records may be anywhere in memory."""
 NEVER = F(-1e30)
 
-# fields of a batch, in floats from where it lies; each has a place for every member
+# fields of a batch, as offsets in floats from its start; each has a place for every member
 ORIGIN_S1, ORIGIN_S2 = 0, BATCH  # s at the centre of the tile's first pixel
 SLOPE, SHEAR, DROP = 2 * BATCH, 3 * BATCH, 4 * BATCH  # L11, L12, L22
 LOG_OPACITIES = 5 * BATCH
@@ -57,18 +57,18 @@ REDS, GREENS, BLUES, DEPTHS = 6 * BATCH, 7 * BATCH, 8 * BATCH, 9 * BATCH
 PLACES = 10 * BATCH  # in the tile's list
 BATCH_FIELDS = 11 * BATCH + TILE  # the last one has a place for PAD_INDEX too
 
-# fields of one strip, in floats from where they lie; a pair for every member, one for each row
+# fields of one strip, as offsets in floats from their start; a pair for every member, one for each row
 STRIP_S1 = 0  # s1 at the row's first pixel
 STRIP_EXPONENTS = 2 * BATCH  # log2(opacity) - s2^2
 PAD_INDEX = BATCH
-"""The member that stands in where there is none. Its place in STRIP_EXPONENTS lets it reach no pixel. Its other fields
-are read too: they are the first member's next fields, which are finite numbers."""
+"""The placeholder where there is no member. Its place in STRIP_EXPONENTS makes it reach no pixel. Its other fields are
+read too: they are the first member's next fields, which are finite numbers."""
 STRIP_FIELDS = 4 * BATCH + TILE
 
 
 @device_function
 def origin_of(records: Array, at: int, tile: Tile) -> Any:
-    """s at the centre of a tile's first pixel: in double, once a tile; everything after is within a few standard
+    """s at the centre of a tile's first pixel: in double, once per tile; everything after is within a few standard
     deviations."""
     dx = (tile.left + 0.5 - np.float64(get(records, at + CENTRE_X))) - np.float64(get(records, at + CENTRE_X_LOW))
     dy = (tile.top + 0.5 - np.float64(get(records, at + CENTRE_Y))) - np.float64(get(records, at + CENTRE_Y_LOW))
@@ -82,8 +82,8 @@ def origin_of(records: Array, at: int, tile: Tile) -> Any:
 def load_batch(
     flatten_ids: Array, records: Array, tile: Tile, place: int, count: int, fields: Array, base: int
 ) -> None:
-    """Put ``count`` Gaussians of a tile, from ``place`` in its list on, into fields[base:]. The members that fill up
-    the last sixteen reach no pixel."""
+    """Put ``count`` Gaussians of a tile, starting at ``place`` in its list, into fields[base:]. The members that fill
+    up the last sixteen reach no pixel."""
     first = tile.first + place
     for m in range(count):
         at = int(get(flatten_ids, first + m)) * RECORD
@@ -106,7 +106,7 @@ def load_batch(
 
 @inlined
 def row_of(r: int, fields: Array, at: int) -> Any:
-    """s1 at the first pixel of a tile's row and s2^2 on it, for sixteen members whose fields lie at ``at``."""
+    """s1 at the first pixel of a tile's row and s2^2 on it, for sixteen members whose fields are at ``at``."""
     row = broadcast(F(r))
     s1 = fma(load(fields, at + SHEAR), row, load(fields, at + ORIGIN_S1))
     s2 = fma(load(fields, at + DROP), row, load(fields, at + ORIGIN_S2))
@@ -115,14 +115,14 @@ def row_of(r: int, fields: Array, at: int) -> Any:
 
 @inlined
 def touched(first: Any, last: Any, square: Any, reach: Any) -> Any:
-    """Where a stretch of a row, from s1 = ``first`` to ``last`` with s2^2 = ``square``, has a pixel within reach."""
+    """Whether a part of a row, from s1 = ``first`` to ``last`` with s2^2 = ``square``, has a pixel within reach."""
     nearest = maximum(maximum(first, broadcast(ZERO) - last), broadcast(ZERO))
     return fma(nearest, nearest, square) <= reach
 
 
 @inlined
 def halves_touched(s1: Any, slope: Any, square: Any, reach: Any) -> Any:
-    """Bits of those that touch a row's left half, and its right one; ``s1`` at the row's first pixel."""
+    """The bits of the members that touch a row's left half, and its right one; ``s1`` is at the row's first pixel."""
     left = touched(s1, fma(slope, broadcast(LEFT_END), s1), square, reach)
     right = touched(fma(slope, broadcast(MIDDLE), s1), fma(slope, broadcast(RIGHT_END), s1), square, reach)
     return movemask(left), movemask(right)
@@ -130,7 +130,7 @@ def halves_touched(s1: Any, slope: Any, square: Any, reach: Any) -> Any:
 
 @device_function
 def whiten_strip(r: int, count: int, fields: Array, base: int, strip: int) -> Any:
-    """Fill the fields of the strip that begins in row ``r`` from those of a batch; returns the masks of the members
+    """Fill the fields of the strip that begins in row ``r`` from those of a batch. Returns the masks of the members
     that touch its left patch, and its right one."""
     on_left, on_right = 0, 0
     for m in range(0, count, TILE):

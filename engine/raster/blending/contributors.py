@@ -1,4 +1,4 @@
-"""The Gaussians that made each pixel: its largest blending weights, the very ones of the forward pass."""
+"""The Gaussians that contribute most to each pixel, with exactly the blending weights of the forward pass."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from .forward_strip import ONE, ZERO
 
 @device_function
 def start_tile(tile: Tile, transmittance: Array, indices: Array, weights: Array) -> None:
-    """Empty lists, and a transmittance of one inside the image and of zero outside."""
+    """Start with empty lists, and a transmittance of one inside the image and of zero outside."""
     height, width = weights.shape[:2]
     for r in range(TILE):
         for c in range(TILE):
@@ -43,7 +43,7 @@ def start_tile(tile: Tile, transmittance: Array, indices: Array, weights: Array)
 
 @device_function
 def any_alive(transmittance: Array) -> bool:
-    """Whether a pixel of the tile still sees anything."""
+    """Whether any pixel of the tile still sees anything."""
     for at in range(0, TILE * TILE, TILE):
         if movemask(load(transmittance, at) > broadcast(ENDED)) != 0:
             return True
@@ -52,7 +52,7 @@ def any_alive(transmittance: Array) -> bool:
 
 @device_function
 def blend_row(records: Array, at: int, r: int, whitened: Array, transmittance: Array, weights: Array) -> int:
-    """One Gaussian on one row of a tile: fills ``weights`` [16] and returns the mask of the pixels that it is on."""
+    """Blend one Gaussian on one row of a tile: fill ``weights`` [16], and return the mask of the pixels it is on."""
     s1 = fma(broadcast_load(records, at + L11), lane_numbers(), broadcast_load(whitened, S1_LEFT + r))
     alpha = seen_alpha(exp2(fnmadd(s1, s1, broadcast_load(whitened, EXPONENTS + r))))
     before = load(transmittance, r * TILE)
@@ -65,7 +65,7 @@ def blend_row(records: Array, at: int, r: int, whitened: Array, transmittance: A
 
 @device_function
 def keep_largest(gaussian: int, weight: float, indices: Array, weights: Array) -> None:
-    """Put one contributor into a pixel's lists, largest first. Of two equal ones the front one stays first."""
+    """Put one contributor into a pixel's lists, largest first. Of two equal ones, the one in front stays first."""
     place = weights.shape[0] - 1
     if weight <= weights[place]:
         return
@@ -81,7 +81,7 @@ def keep_largest(gaussian: int, weight: float, indices: Array, weights: Array) -
 def list_contributors(
     worker: int, workers: int, isects: Intersections, records: Array, indices: Array, weights: Array
 ) -> None:
-    """Every ``workers``-th tile: indices int32 [H, W, k] and weights [H, W, k]; -1 and 0 where there are fewer than
+    """Fill every ``workers``-th tile of indices int32 [H, W, k] and weights [H, W, k]; -1 and 0 if there are fewer than
     k. ``records`` float32 [N * RECORD]."""
     starts, flatten_ids = isects.isect_offsets, isects.flatten_ids
     height, width = weights.shape[:2]

@@ -1,7 +1,7 @@
 """Front-to-back blending, a patch of sixteen pixels at a time.
 
-A patch takes all members of a batch one after the other, its state in registers, and lists those that it sees with
-their weights; the labels of a whole list are added up at once, in registers too. Two patches side by side make a strip
+A patch takes all members of a batch one after another, with its state in registers, and lists those that it sees with
+their weights; the labels of a whole list are added up at once, also in registers. Two patches side by side make a strip
 of a tile, which is written row by row.
 """
 
@@ -70,7 +70,7 @@ ALPHA_CAP = F(ALPHA_MAX)
 ALPHA_LEAST = F(ALPHA_MIN)
 ENDED = F(TRANSMITTANCE_END)
 NEARLY_NOTHING = F(1e-20)
-"""A transmittance is not multiplied further down: subnormal numbers are slow."""
+"""A transmittance is not multiplied below this, as subnormal numbers are slow."""
 
 
 @device_function
@@ -79,7 +79,7 @@ def batch_floats(channels: int) -> int:
 
 
 def scratch_size(channels: int, longest: int) -> int:
-    """Floats of scratch that a worker needs when the longest list of a tile has ``longest`` Gaussians."""
+    """The floats of scratch that a worker needs if the longest list of a tile has ``longest`` Gaussians."""
     floats: int = STRIP_LABELS + strip_floats(channels) + -(-longest // BATCH) * batch_floats(channels)
     return floats
 
@@ -93,7 +93,7 @@ def exponent_of(m: int, columns: Any, scratch: Array, fields: int) -> Any:
 
 @inlined
 def seen_alpha(raw: Any) -> Any:
-    """The alpha that counts: at most 0.99, 0 where it is too small."""
+    """The effective alpha: at most 0.99, and 0 if it is too small."""
     return select(raw >= broadcast(ALPHA_LEAST), minimum(raw, broadcast(ALPHA_CAP)), broadcast(ZERO))
 
 
@@ -101,9 +101,9 @@ def seen_alpha(raw: Any) -> Any:
 def blend_member(
     m: int, alpha: Any, state: Any, end: int, scratch: Array, fields: int, members: Array, labels: Any
 ) -> Any:
-    """Blend one member; returns the patch's new state, and the new end of the list of those blended.
+    """Blend one member. Returns the patch's new state, and the new end of the list of those blended.
 
-    A pixel has ended once its transmittance is too small; the product goes on, and says so of all that follow.
+    A pixel has ended once its transmittance is too small; the product continues, so it stays so for all that follow.
     """
     transmittance, final, last, red, green, blue, depth = state
     after = fnmadd(alpha, transmittance, transmittance)
@@ -115,7 +115,7 @@ def blend_member(
     green = fma(weight, broadcast_load(scratch, fields + GREENS + m), green)
     blue = fma(weight, broadcast_load(scratch, fields + BLUES + m), blue)
     depth = fma(weight, broadcast_load(scratch, fields + DEPTHS + m), depth)
-    # Where nothing was blended the next member writes over it. That is cheaper than a branch that cannot be predicted.
+    # If nothing was blended, the next member overwrites it. This is cheaper than a branch that cannot be predicted.
     first, vectors = labels
     store(scratch, WEIGHTS + end * TILE, weight)
     put(members, end, np.int32(first + m * vectors))
@@ -124,7 +124,7 @@ def blend_member(
 
 @inlined
 def take_four(mask: int, missing: int) -> Any:
-    """The places of the four lowest bits of a mask (``missing`` where it has fewer), and the mask without them."""
+    """The places of the four lowest bits of a mask (``missing`` if it has fewer), and the mask without them."""
     first = trailing_zeros(mask)
     mask &= mask - 1
     second = min(trailing_zeros(mask), missing)
@@ -138,7 +138,7 @@ def take_four(mask: int, missing: int) -> Any:
 
 @inlined
 def alphas_of(four: Any, columns: Any, scratch: Array, fields: int) -> Any:
-    """The alphas that count of four members, side by side."""
+    """The effective alphas of four members, side by side."""
     m0, m1, m2, m3 = four
     e0, e1 = exponent_of(m0, columns, scratch, fields), exponent_of(m1, columns, scratch, fields)
     e2, e3 = exponent_of(m2, columns, scratch, fields), exponent_of(m3, columns, scratch, fields)
@@ -150,7 +150,7 @@ def alphas_of(four: Any, columns: Any, scratch: Array, fields: int) -> Any:
 def blend_four(
     four: Any, alphas: Any, state: Any, end: int, scratch: Array, fields: int, members: Array, labels: Any
 ) -> Any:
-    """Blend four members, one after the other; as ``blend_member``, and whether the patch still sees anything."""
+    """Blend four members in turn, like ``blend_member``. Returns also whether the patch still sees anything."""
     m0, m1, m2, m3 = four
     alpha0, alpha1, alpha2, alpha3 = alphas
     state, end = blend_member(m0, alpha0, state, end, scratch, fields, members, labels)
@@ -166,12 +166,12 @@ def blend_four(
 def blend_patch(
     touching: int, at: int, scratch: Array, fields: int, members: Array, end: int, labels: tuple[int, int]
 ) -> Any:
-    """Blend the members of a mask on the patch whose state lies at scratch[at:], four at a time, so that one does not
-    wait for the other's alpha.
+    """Blend the members of a mask on the patch whose state is at scratch[at:], four at a time, so that none waits for
+    another's alpha.
 
-    Those that are blended anywhere are added, in order, to the list that ends before ``end``: their weights, and in
-    ``members`` where their labels lie, of which ``labels`` tells the first member's place and the length in vectors.
-    Returns the list's new end, and whether the patch still sees anything.
+    Those that are blended anywhere are added, in order, to the list that ends before ``end``: their weights and, in
+    ``members``, the places of their labels, for which ``labels`` gives the first member's place and the length in
+    vectors. Returns the list's new end, and whether the patch still sees anything.
     """
     columns = load(scratch, at + COLUMNS)
     state = (
@@ -188,7 +188,7 @@ def blend_patch(
         four, touching = take_four(touching, PAD_INDEX)
         alphas = alphas_of(four, columns, scratch, fields)
         while sees and touching != 0:
-            # the next four's alphas beside the blending of these: neither waits for the other
+            # the next four's alphas are computed during the blending of these: neither waits for the other
             next_four, touching = take_four(touching, PAD_INDEX)
             next_alphas = alphas_of(next_four, columns, scratch, fields)
             state, end, sees = blend_four(four, alphas, state, end, scratch, fields, members, labels)
@@ -210,7 +210,7 @@ def blend_patch(
 def blend_forward(
     worker: int, workers: int, isects: Intersections, splats: Splats, out: Blended, size: Size, scratches: Scratch
 ) -> None:
-    """Tile after tile until none is left."""
+    """Process one tile after another until none is left."""
     scratch, members = scratches.floats[worker], scratches.members[worker]
     starts, flatten_ids, records, labels = isects.isect_offsets, isects.flatten_ids, splats.records, splats.labels
     width, height, channels = size.width, size.height, size.channels

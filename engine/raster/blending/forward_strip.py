@@ -1,4 +1,4 @@
-"""A strip of a tile, two rows side by side as two patches: where a worker keeps it, and how it comes into the image."""
+"""A strip of a tile, two rows as two patches side by side: where a worker keeps it, and how the image gets it."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ F = np.float32
 ZERO, ONE = F(0.0), F(1.0)
 
 # a worker's scratch, in floats
-STRIP = 0  # of the strip at hand: what its members are there
-WEIGHTS = STRIP + STRIP_FIELDS  # [patch, blended, pixel], with room for those that turn out not to be blended
+STRIP = 0  # the current strip's fields of its members
+WEIGHTS = STRIP + STRIP_FIELDS  # [patch, blended, pixel], with space for those that turn out not to be blended
 LISTED = PENDING + BATCH + 4
 STATE = WEIGHTS + 2 * LISTED * TILE  # [patch, field, pixel]
 COLUMNS, TRANSMITTANCE, FINAL, LAST = 0, TILE, 2 * TILE, 3 * TILE
@@ -34,7 +34,7 @@ def strip_floats(channels: int) -> int:
 
 @device_function
 def start_strip(columns: int, rows: int, channels: int, scratch: Array) -> None:
-    """Begin a strip of ``columns`` and ``rows`` of the image: nothing is blended, and no light passes outside the
+    """Begin a strip of ``columns`` and ``rows`` of the image: nothing is blended yet, and no light passes outside the
     image."""
     left, right = interleave2(lane_numbers(), lane_numbers())
     row, _ = interleave2(broadcast(ZERO), broadcast(ONE))
@@ -53,13 +53,13 @@ def start_strip(columns: int, rows: int, channels: int, scratch: Array) -> None:
 
 @inlined
 def rows_of(field: int, scratch: Array) -> Any:
-    """A field of the strip's two patches as its two rows."""
+    """A field of the strip's two patches, as its two rows."""
     return deinterleave2(load(scratch, STATE + field), load(scratch, STATE + PATCH_STRIDE + field))
 
 
 @device_function
 def write_strip(pixel: int, columns: int, rows: int, width: int, scratch: Array, out: Blended) -> None:
-    """Write the ``columns`` and ``rows`` of a strip but for their labels. Its first pixel has the number ``pixel``."""
+    """Write the ``columns`` and ``rows`` of a strip without labels. Its first pixel has the number ``pixel``."""
     upper_final, lower_final = rows_of(FINAL, scratch)
     upper_last, lower_last = rows_of(LAST, scratch)
     upper_red, lower_red = rows_of(PLANES, scratch)
@@ -75,7 +75,7 @@ def write_strip(pixel: int, columns: int, rows: int, width: int, scratch: Array,
 
 @inlined
 def write_row(pixel: int, columns: int, state: Any, out: Blended) -> None:
-    """One row of a strip."""
+    """Write one row of a strip."""
     final, last, red, green, blue, own_depth = state
     inside = lane_numbers() < broadcast(F(columns))
     masked_store(out.final, pixel, final, inside)
@@ -87,7 +87,7 @@ def write_row(pixel: int, columns: int, state: Any, out: Blended) -> None:
 
 @inlined
 def write_colours(target: int, floats: int, colours: Any, image: Array) -> None:
-    """A row's colours, pixel after pixel, to image[target : target + floats]."""
+    """Write a row's colours, pixel by pixel, to image[target : target + floats]."""
     first, second, third = colours
     masked_store(image, target, first, lane_numbers() < broadcast(F(floats)))
     masked_store(image, target + TILE, second, lane_numbers() < broadcast(F(floats - TILE)))

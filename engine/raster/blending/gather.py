@@ -1,4 +1,4 @@
-"""Gradients of a Gaussian's intersections, added in order, and carried back to its 3D parameters."""
+"""Gradients of a Gaussian's intersections, which are added in order and carried back to its 3D parameters."""
 
 from __future__ import annotations
 
@@ -48,8 +48,8 @@ def gather_geometry(
     out: GaussianGradients,
     total: Array,
 ) -> None:
-    """The gradients of the Gaussians of a chunk (the first, and the one behind the last) but for their labels, zeros
-    included. ``scene``: shapes, records, camera; ``total`` float64 [GRADIENT] is room to work in."""
+    """Write the gradients of the Gaussians of a chunk (the first, and one past the last) except labels, including
+    zeros. ``scene``: shapes, records, camera; ``total`` float64 [GRADIENT] is scratch."""
     shapes, records, camera = scene
     touched, values = isects.touched, isects.values
     for i in range(chunk[0], chunk[1]):
@@ -76,7 +76,7 @@ def gather_geometry(
 def gather_labels(
     chunk: tuple[int, int], offsets: Array, isects: IsectGradients, channels: int, d_labels: Array
 ) -> None:
-    """The label gradients of the Gaussians of a chunk, zeros included, to d_labels [N * C]."""
+    """Write the label gradients of the Gaussians of a chunk, including zeros, to d_labels [N * C]."""
     padded, touched, labels = padded_channels(channels), isects.touched, isects.labels
     first, end = chunk
     in_tail = lane_numbers() < broadcast(F(channels - padded + TILE))
@@ -89,7 +89,7 @@ def gather_labels(
                     total = total + load(labels, isect * padded + c)
             at = i * channels + c
             if at + TILE <= end * channels:
-                store(d_labels, at, total)  # what is too much, the next Gaussians write over
+                store(d_labels, at, total)  # the next Gaussians overwrite what is too much
             else:
                 masked_store(d_labels, at, total, in_tail)
 
@@ -105,9 +105,9 @@ def gather(
     out: GaussianGradients,
     next_one: Array,
 ) -> None:
-    """Chunk after chunk until none is left: the gradients of all N Gaussians, of their labels as [N * C].
+    """Process one chunk after another until none is left: the gradients of all N Gaussians, with labels as [N * C].
 
-    ``offsets`` int64 [N + 1] as ``Intersections.gaussian_offsets``. ``scene``: the shapes, the records [N, RECORD] and
+    ``offsets`` int64 [N + 1] is ``Intersections.gaussian_offsets``. ``scene``: the shapes, the records [N, RECORD] and
     the camera of the forward pass. ``next_one`` int64 [1] is the next chunk to take.
     """
     count, total = offsets.shape[0] - 1, np.empty(GRADIENT, np.float64)

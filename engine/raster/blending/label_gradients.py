@@ -15,7 +15,7 @@ from .forward_strip import ZERO
 from .labels import copy_labels
 
 PAD_INDEX = BACKWARD_BATCH
-"""The member that stands in where there is none. Nothing reads its place among the labels."""
+"""The placeholder where there is no member. Nothing reads its place among the labels."""
 
 
 @device_function
@@ -49,8 +49,8 @@ def add_label_gradients(tile: Tile, size: Size, d_labels: Array, scratch: Array,
 def write_label_gradients(
     first: int, count: int, isect_ids: Array, scratch: Array, out: IsectGradients, padded: int
 ) -> None:
-    """Write the label gradients of a batch to their intersections, past the cache. The batch has ``count`` members, the
-    first of which is isect_ids[first]."""
+    """Write the label gradients of a batch to their intersections, bypassing the cache. The batch has ``count``
+    members, the first of which is isect_ids[first]."""
     for member in range(count):
         isect = int(get(isect_ids, first + member))
         if get(out.touched, isect) != 0:

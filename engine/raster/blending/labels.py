@@ -25,7 +25,7 @@ from .forward_strip import LISTED, STRIP_LABELS, WEIGHTS, F
 
 @device_function
 def copy_labels(gaussian: int, labels: Array, channels: int, scratch: Array, at: int) -> None:
-    """One Gaussian's labels, padded with zeros to whole vectors."""
+    """Copy one Gaussian's labels, padded with zeros to whole vectors."""
     source = gaussian * channels
     for c in range(0, channels - TILE + 1, TILE):
         store(scratch, at + c, load(labels, source + c))
@@ -39,7 +39,7 @@ def copy_labels(gaussian: int, labels: Array, channels: int, scratch: Array, at:
 def load_labels(
     first: int, count: int, flatten_ids: Array, labels: Array, channels: int, scratch: Array, at: int
 ) -> None:
-    """The labels of a batch's members side by side, to scratch[at:]. The batch begins at flatten_ids[first:]."""
+    """Copy the labels of a batch's members side by side to scratch[at:]. The batch begins at flatten_ids[first:]."""
     for m in range(count):
         ahead = int(get(flatten_ids, first + min(m + AHEAD, count - 1))) * channels
         for c in range(0, channels, TILE):
@@ -50,7 +50,7 @@ def load_labels(
 @device_function
 def add_listed_labels(patch: int, end: int, scratch: Array, members: Array, batches: int, padded: int) -> int:
     """The labels of a patch's pixels += the weights of those blended, whose list ends before ``end``, times their
-    labels, which lie so many vectors behind scratch[batches:] as ``members`` says. Returns the end of the empty list.
+    labels, whose offsets in vectors from scratch[batches:] are in ``members``. Returns the end of the empty list.
     """
     listed = patch * LISTED
     out = Rows(scratch, STRIP_LABELS + patch * TILE * padded, padded)
