@@ -13,7 +13,6 @@ from .counts import check_memory
 from .frames import Size
 
 Read = TypeVar("Read")
-)
 _SAME_SHAPE = 0.02
 """Relative difference of two aspect ratios that still counts as one: ScanNet has 1296x968 beside 640x480 (0.4 %)."""
 
@@ -69,11 +68,6 @@ def files_by_stem(folder: Path, suffixes: Collection[str], fix: str) -> dict[str
     if not found:
         raise PlgsError(f"the folder has no {' or '.join(sorted(suffixes))} files", folder, fix)
     return found
-
-
-def files_if_any(folder: Path, suffixes: Collection[str], fix: str) -> dict[str, Path]:
-    """``files_by_stem``, but no files at all when there is no such folder."""
-    return files_by_stem(folder, suffixes, fix) if folder.is_dir() else {}
 
 
 def require_all(names: Sequence[str], present: Collection[str], what: str, where: Path, fix: str) -> None:

@@ -15,7 +15,8 @@ from typing import Any
 from ..errors import PlgsError
 from ..job import EventWriter, StopSignal
 from ..json_file import Json, read_object, to_line
-from ..posed.layout import files_if_any, listed
+from ..posed.layout import listed
+from ..scene.files_of_frames import files_if_any
 from ..scene.formats import FORMATS
 from ..scene.formats.colmap_model import MADE_BY, read_model
 from ..scene.formats.photos import LEAST, is_film, photos_in, sorted_out

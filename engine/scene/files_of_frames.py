@@ -14,6 +14,12 @@ _COLOUR_WORDS = frozenset("rgb rgba frame image img color colour".split())
 _MASK_WORDS = frozenset(
     "rgb rgba frame image img semantic semantics sem class classes instance instances label labels mask masks seg"
     " segmentation panoptic".split()
+)
+
+
+def files_if_any(folder: Path, suffixes: Collection[str], fix: str) -> dict[str, Path]:
+    """``files_by_stem``, but no files at all when there is no such folder."""
+    return files_by_stem(folder, suffixes, fix) if folder.is_dir() else {}
 
 
 def files_of_frames(

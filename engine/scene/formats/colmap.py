@@ -20,8 +20,9 @@ from numpy.typing import NDArray
 from ...errors import PlgsError
 from ...json_file import read_object
 from ...posed.camera import Camera
-from ...posed.layout import file_inside, files_if_any, listed, natural_order, read_file
+from ...posed.layout import file_inside, listed, natural_order, read_file
 from ..depth import DepthMap, fault_of, npy_depth, only_depth, png_depth
+from ..files_of_frames import files_if_any
 from ..frame import SparsePoints
 from .capture import Capture, SceneFormat, Shot, frame_names
 from .colmap_model import MADE_BY, UNDISTORT, ColmapCamera, ColmapImage, ColmapModel, has_model, read_model

@@ -16,8 +16,9 @@ import numpy as np
 from ...errors import PlgsError
 from ...json_file import read_json_object, take_number
 from ...posed.image_header import read_image_header
-from ...posed.layout import files_by_stem, files_if_any, listed, natural_order, of_most
+from ...posed.layout import files_by_stem, listed, natural_order, of_most
 from ..depth import png_depth, trusted
+from ..files_of_frames import files_if_any
 from .capture import Capture, SceneFormat, Shot
 from .lens import fitted, pinhole
 from .poses import finite_pose, from_opengl

@@ -29,9 +29,10 @@ from ...json_file import read_json_object
 from ...posed.camera import Camera
 from ...posed.counts import check_most
 from ...posed.image_header import read_image_header
-from ...posed.layout import files_if_any, natural_order
+from ...posed.layout import natural_order
 from ...posed.matrices import take_matrix
 from ..depth import DepthMap, only_depth, png_depth
+from ..files_of_frames import files_if_any
 from .capture import Capture, SceneFormat, Shot
 from .lens import pinhole
 from .poses import finite_pose

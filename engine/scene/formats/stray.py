@@ -14,9 +14,9 @@ from pathlib import Path
 import numpy as np
 
 from ...errors import PlgsError
-from ...posed.layout import files_if_any
 from ...posed.matrices import read_matrix
 from ..depth import npy_depth, png_depth, trusted
+from ..files_of_frames import files_if_any
 from .capture import Capture, SceneFormat, Shot
 from .lens import pinhole
 from .poses import quaternion_pose
