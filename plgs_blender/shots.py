@@ -20,6 +20,7 @@ from ..engine.errors import ErrorCode, PlgsError
 from ..engine.job import BakeCamera, ExitCode, LiftFolder, write_atomically
 from ..engine.job.cameras import LARGEST_SIDE, PreviewCamera, safe_name, write_cameras
 from ..engine.job.follower import start_bake
+from ..engine.job.lock import lock_on
 from ..engine.job.process import engine_python
 from ..engine.job.task import TaskState
 from ..engine.job.terminal import Interrupts, LiveLine, follow
@@ -30,6 +31,8 @@ from .lift_scene import open_blend
 
 DIGITS = 4
 """Digits of a frame's number in the names of its files, at least."""
+_CLAIM_S = 10.0
+"""Seconds that a bake waits while another one notes whose shot it is."""
 _LISTED = 8
 """At most this many cameras are named in an error: a lift has one for each frame."""
 
@@ -113,32 +116,18 @@ class ShotSource:
 
 def _claim(lift: Path, name: str, source: ShotSource, *, replace: bool) -> None:
     """Note whose shot ``name`` is. Raises PlgsError if it is another file's or camera's, unless that is replaced."""
-    path, text = lift / "bake" / f"{name}.shot.json", record_text(source)
+    path = lift / "bake" / f"{name}.shot.json"
     path.parent.mkdir(exist_ok=True)
-    try:
-        with path.open("x", encoding="utf-8") as file:
-            file.write(text)
-        return
-    except FileExistsError:
-        other = read_record(ShotSource, path, "Delete it, if no other file bakes a shot of this name.")
-    if other == source:
-        return
-    if not replace:
-        what = f"has a shot {name!r} of another file already: camera {other.camera!r} in {other.blend}"
-        raise PlgsError(what, lift, "Give this shot another name, or ask to replace the other one.", option="--shot")
-    write_atomically(path, text)
-
-
-def write_view(lift: Path, scene: bpy.types.Scene) -> Path:
-    """Write what the scene's active camera sees now, keyed or not, into the lift's folder, and return the file. Raises
-    PlgsError, OSError.
-    """
-    now = scene.frame_current
-    ob = shot_of(scene, first=now, last=now, step=1).camera
-    bpy.context.view_layer.update()  # a script may just have moved it
-    name = f"{safe_name(ob.name)}.{now:0{DIGITS}d}"
-    write_cameras(lift / "bake" / f"{name}.json", [_camera_now(scene, ob, now, name)])
-    return lift / "bake" / f"{name}.json"
+    with lock_on(path.with_suffix(".lock"), _CLAIM_S, brief=True):  # others may begin to bake the same shot
+        if path.exists():
+            other = read_record(ShotSource, path, "Delete it, if no other file bakes a shot of this name.")
+            if other == source:
+                return
+            if not replace:
+                what = f"has a shot {name!r} of another file already: camera {other.camera!r} in {other.blend}"
+                fix = "Give this shot another name, or ask to replace the other one."
+                raise PlgsError(what, lift, fix, option="--shot")
+        write_atomically(path, record_text(source))
 
 
 class ShotReader:
