@@ -130,6 +130,18 @@ def _claim(lift: Path, name: str, source: ShotSource, *, replace: bool) -> None:
         write_atomically(path, record_text(source))
 
 
+def write_view(lift: Path, scene: bpy.types.Scene) -> Path:
+    """Write what the scene's active camera sees now, keyed or not, into the lift's folder, and return the file. Raises
+    PlgsError, OSError.
+    """
+    now = scene.frame_current
+    ob = shot_of(scene, first=now, last=now, step=1).camera
+    bpy.context.view_layer.update()  # a script may just have moved it
+    name = f"{safe_name(ob.name)}.{now:0{DIGITS}d}"
+    write_cameras(lift / "bake" / f"{name}.json", [_camera_now(scene, ob, now, name)])
+    return lift / "bake" / f"{name}.json"
+
+
 class ShotReader:
     """Reads what a shot's camera sees at each frame, as it is animated, in pictures of the scene's size: its lens,
     shift, sensor, clip, and the scene's size, percentage and pixel aspect.
