@@ -45,7 +45,7 @@ def test_a_checkpoint_says_which_frames(scene: Scene, events: EventWriter, tmp_p
     begun = chosen(scene, events, tmp_path, {"step": 3, "frames": names}, frames=5)
     assert [frame.name for frame in begun.train_frames] == names
     assert begun.test_frames == scene.test_frames
-    assert f"of {len(scene.train_frames)} frames to train on 3 are lifted" in warnings(tmp_path)[0]
+    assert f"3 of {len(scene.train_frames)} training frames are lifted" in warnings(tmp_path)[0]
 
 
 @pytest.mark.parametrize("state", [None, {"step": 3}], ids=["a new lift", "an earlier version's checkpoint"])

@@ -89,7 +89,7 @@ def test_what_was_done_is_written_down(captured: Path) -> None:
     assert sum(any(frame["blur"]) for frame in faults["frames"]) == 1
 
 
-@pytest.mark.parametrize("bad", ["exists", "inside", "no scene", "no pose"])
+@pytest.mark.parametrize("bad", ["exists", "inside", "no scene", "few poses"])
 def test_bad_arguments_are_refused_in_one_line(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], bad: str
 ) -> None:
@@ -100,8 +100,9 @@ def test_bad_arguments_are_refused_in_one_line(
         out = scene / "out"
     if bad == "no scene":
         scene = tmp_path / "nothing"
-    if bad == "no pose":
-        (scene / "pose/0002.txt").unlink()
+    if bad == "few poses":
+        for number in range(1, 5):  # a frame without a pose is left out, but not most of them
+            (scene / f"pose/{number:04d}.txt").unlink()
     monkeypatch.setattr(sys, "argv", ["hand_held.py", str(scene), str(out)])
     assert hand_held.main() == 2
     told = capsys.readouterr().err
