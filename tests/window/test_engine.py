@@ -37,7 +37,7 @@ def preferences(window: Window) -> Iterator[Window]:
 
 
 def test_the_engine_is_checked_automatically(preferences: Window) -> None:
-    preferences.wait_for("engine.status().state.value == 'ready'", timeout=30)
+    preferences.wait_for("engine.status().state.value == 'ready'")
     preferences.settle()
     preferences.screenshot("preferences")
     assert preferences.ask("bpy.app.timers.is_registered(timer.tick)") is False
@@ -49,7 +49,7 @@ def test_a_set_up_is_followed_and_cancelled(preferences: Window) -> None:
     base = f"{sys.base_prefix}/bin/python{sys.version_info[0]}.{sys.version_info[1]}"
     arguments = f"'INVOKE_DEFAULT', base_python={base!r}, index_url='http://127.0.0.1:9/simple'"
     assert preferences.run(f"answer = list(bpy.ops.plgs.set_up_engine({arguments}))\n") == ["FINISHED"]
-    preferences.wait_for("not set_up().is_running or set_up().progress.stage_index == 3", timeout=60)
+    preferences.wait_for("not set_up().is_running or set_up().progress.stage_index == 3")
     preferences.settle()
     preferences.screenshot("preferences-set-up")
     preferences.run("bpy.ops.plgs.cancel_engine_set_up()")
@@ -62,9 +62,9 @@ def test_where_blenders_python_cannot_make_environments_says_why(preferences: Wi
     """The tree has no python3-venv, or a Python that nothing is pinned for."""
     preferences.run("bpy.context.preferences.system.use_online_access = True")
     preferences.run("bpy.ops.plgs.set_up_engine('INVOKE_DEFAULT', index_url='http://127.0.0.1:9/simple')")
-    preferences.wait_for("not set_up().is_running", timeout=30)
+    preferences.wait_for("not set_up().is_running")
     told = preferences.ask("str(set_up().error)")
     assert "no Python can make the engine's environment (/usr/bin/python3" in told and "Install Python 3.11" in told
-    preferences.wait_for("engine.status().state.value == 'ready'", timeout=30)
+    preferences.wait_for("engine.status().state.value == 'ready'")
     preferences.settle()
     preferences.screenshot("preferences-failed")
