@@ -72,8 +72,8 @@ class SceneSource:
     classes: str | None = field(
         default=None,
         metadata=option(
-            "the masks' classes, or one of coco, ade20k, cityscapes, nyu40, scannet200, replica, reduced, or with its "
-            "numbering, such as ade20k:1-150 or coco:90 (default: classes.toml beside them)",
+            "the masks' classes, or one of coco, ade20k, cityscapes, nyu40, nyu13, scannet, scannet200, replica, "
+            "reduced, or with its numbering, such as ade20k:1-150 or coco:90 (default: classes.toml beside them)",
             "FILE.toml",
             class_table,
         ),

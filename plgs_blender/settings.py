@@ -93,8 +93,8 @@ class SceneOptions:
     )  # fmt: skip
     classes_table: StringProperty(  # type: ignore[valid-type]
         options=_SKIP_SAVE, name="Classes", update=_tell_of_scene,
-        description="The masks' classes: a .toml file, or one of coco, ade20k, cityscapes, nyu40, scannet200, replica, "
-        "reduced; empty: classes.toml beside them",
+        description="The masks' classes: a .toml file, or one of coco, ade20k, cityscapes, nyu40, nyu13, scannet, "
+        "scannet200, replica, reduced; empty: classes.toml beside them",
     )  # fmt: skip
     depth: StringProperty(  # type: ignore[valid-type]
         options=_SKIP_SAVE, name="Depth maps", subtype="DIR_PATH", update=_tell_of_scene,

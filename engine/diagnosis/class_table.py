@@ -36,7 +36,7 @@ _LEVEL = set(
 """First words of other stuff that is level."""
 _OPTION = (
     "check that ids and names come from the same table, and its numbering: one may count from 0 and another from 1 "
-    "(--classes ade20k:1-150, --classes coco:90)"
+    "(--classes ade20k:1-150, --classes coco:90, --classes nyu40:0-39), and ScanNet's may be --classes scannet or nyu13"
 )
 
 

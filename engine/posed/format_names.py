@@ -21,10 +21,7 @@ SCENE_FORMAT_NAMES = (
     FormatName("nerfstudio", "transforms.json (nerfstudio)", "transforms.json"),
     FormatName("colmap", "COLMAP", "cameras and images, .bin or .txt, in sparse/0, sparse, model or colmap/sparse/0"),
     FormatName("tum", "TUM RGB-D", "groundtruth.txt with the folder rgb"),
-    FormatName(
-        "icl", "ICL-NUIM",
-        "*.gt.freiburg, or groundtruth.txt with whole numbers as time stamps, with the folder rgb",
-    ),  # fmt: skip
+    FormatName("icl", "ICL-NUIM", "*.gt.freiburg, or groundtruth.txt with whole numbers as time stamps, with rgb"),
     FormatName("7scenes", "7-Scenes", "frame-000000.pose.txt and .color.png, in the folder or in seq-01"),
     FormatName(
         "tsdf-fusion", "tsdf-fusion, 3DMatch",
@@ -65,7 +62,10 @@ MASK_FORMAT_NAMES = (
     FormatName("arrays", "arrays", "<frame>.npy or .npz with classes [H, W], or with probabilities [C, H, W]"),
 )
 
-TABLES = ("coco", "ade20k", "cityscapes", "nyu40", "scannet200", "replica", "reduced")
+TABLES = ("coco", "ade20k", "cityscapes", "nyu40", "nyu13", "scannet", "scannet200", "replica", "reduced")
 """The public tables of classes."""
-NUMBERINGS = ("ade20k:0-149", "ade20k:1-150", "cityscapes:0-18", "cityscapes:0-33", "coco:0-132", "coco:90")
-"""Tables whose files number classes in several ways, with the way: first that of networks, then the data set's own."""
+NUMBERINGS = (
+    "ade20k:0-149", "ade20k:1-150", "cityscapes:0-18", "cityscapes:0-33", "coco:0-132", "coco:90",
+    "nyu40:1-40", "nyu40:0-39", "nyu13:1-13", "nyu13:0-12", "scannet:1-1357",
+)  # fmt: skip
+"""Tables whose files number classes in several ways, or as another table could, with the way: first the usual one."""

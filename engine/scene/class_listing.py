@@ -41,6 +41,9 @@ def list_classes(source: SceneSource, table: str | None = None) -> ClassList:
     scene = open_asked(replace(source, up="z", classes=table))
     place, names = _place_of_masks(source.scene, source.masks), [frame.name for frame in scene.frames]
     masks = open_mask_source(place, names, source.mask_format)
+    if table is not None and masks.tells_no_class:
+        fix = f"Write {FILE_NAME} beside them: [[class]] with id, name and thing for each number."
+        raise PlgsError("the masks number objects and have no classes, so no table fits", place, fix)
     masks, choice, _ = numbered(masks, find_class_choice(table, path.parent), place)
     if table is not None and choice is not None:
         return ClassList(path, tuple(named_classes(choice.labels or (), None)))

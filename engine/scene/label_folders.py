@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
@@ -17,10 +18,12 @@ from ..posed.layout import files_by_stem, require_all
 from .class_map import class_map
 from .class_tables import REDUCED, known_table
 from .frame import GroundTruth, PanopticMask
-from .ground_truth import classes_by_name, in_classes, read_label_pair
+from .ground_truth import read_label_pair
 from .label_image import check_label_header
 from .mask_formats import label_pairs
 from .masks import open_masks
+from .pixels import resize_nearest
+from .truth_numbers import classes_by_name, in_classes, joined, numbers_by_agreement, some_of
 
 PAIRS = (
     ("gt/semantic", "gt/instance"),
@@ -108,11 +111,13 @@ def in_one_table(predictions: LabelFolder, truth: LabelFolder) -> tuple[ClassTab
     truth's table counts: predicted classes become those of the same name there, and others stay, after them, as classes
     that the truth never shows.
 
-    Raises PlgsError if there is no table, or no class has its name in both.
+    Raises PlgsError if there is no table, if no class has its name in both, or if numbers look like another table.
     """
     tables = [each.classes for each in (predictions, truth) if each.classes is not None]
     if not tables:
         raise PlgsError("there is no table of classes that says which are things", truth.folder, _TABLE_FIX)
+    if len(tables) == 1:
+        _refuse_other_numbers(*((truth, predictions) if truth.classes is None else (predictions, truth)), tables[0])
     own, true = tables[0], tables[-1]
     if not any(each.id in own and (own[each.id].name, own[each.id].is_thing) != (each.name, each.is_thing)
                for each in true.categories):  # fmt: skip
@@ -128,6 +133,22 @@ def in_one_table(predictions: LabelFolder, truth: LabelFolder) -> tuple[ClassTab
     class_of |= dict(zip(left, (each.id for each in others), strict=True))
     mapped = {name: partial(_in_classes, read, class_of) for name, read in predictions.readers.items()}
     return ClassTable((*true.categories, *others)), replace(predictions, readers=mapped)
+
+
+def _refuse_other_numbers(folder: LabelFolder, known: LabelFolder, classes: ClassTable) -> None:
+    """Raise PlgsError if the numbers of a folder without a table look like another table than ``classes``."""
+    joint = Counter[tuple[int, int]]()
+    for name in some_of([name for name in known.readers if name in folder.readers]):
+        numbers = folder.readers[name]().semantic
+        size = (numbers.shape[1], numbers.shape[0])
+        joint.update(joined(numbers, resize_nearest(known.readers[name]().semantic, size)))
+    try:
+        found = numbers_by_agreement(joint, classes, folder.folder)
+    except PlgsError as error:
+        raise PlgsError(error.what, folder.folder, _TABLE_FIX) from None
+    if found.looks_like is not None:
+        what = f"its numbers look like {found.looks_like}, not like class ids of {known.folder}"
+        raise PlgsError(what, folder.folder, _TABLE_FIX)
 
 
 def _in_classes(read: Callable[[], GroundTruth], class_of: Mapping[int, int]) -> GroundTruth:

@@ -73,7 +73,7 @@ def open_asked(source: SceneSource) -> Scene:
     sizes = {shot.name: shot.camera.size for shot in shots}
     mask_set = find_masks(beside, masks, list(sizes), source.mask_format, source.classes)
     _check_mask_shapes(mask_set, sizes)
-    truth, truth_warnings = open_ground_truth(beside, sizes, mask_set.classes) if mask_set.readers else ({}, [])
+    truth, truth_warnings = open_ground_truth(beside, sizes, mask_set) if mask_set.readers else ({}, [])
     points = None if capture.points is None else capture.points.turned(turn)
     of_shot = {shot.name: shot for shot in shots} if source.depth is None else {}
     depths = of_most(list(of_shot), lambda name: _readable_depth(of_shot[name]))

@@ -120,3 +120,12 @@ def test_a_folder_without_labels(tmp_path: Path, capsys: pytest.CaptureFixture[s
     for folder, told in ((tmp_path / "none", "not a folder"), (tmp_path, "no labels")):
         assert main(["evaluate", "--predictions", str(folder), "--truth", str(truth)]) == 2
         assert told in capsys.readouterr().err
+
+
+def test_numbers_of_another_table_are_refused(tmp_path: Path) -> None:
+    predictions = write_masks(tmp_path / "masks")
+    truth = write_pngs(tmp_path / "truth", "semantic", "instance", scale=2)
+    for path in (truth / "semantic").iterdir():
+        cv2.imwrite(str(path), np.where(cv2.imread(str(path), -1) == 5, 62, 199).astype(np.uint8))
+    with pytest.raises(PlgsError, match="its numbers look like coco:90, not like"):
+        strict(predictions, truth)

@@ -28,7 +28,7 @@ REDUCED = {label.id: label.name for label in known_table("reduced").labels}
 def test_the_tables_have_as_many_classes_as_their_names_say() -> None:
     counts = {name: len(known_table(name).labels) for name in TABLES}
     expected = {"coco": 133, "ade20k": 150, "cityscapes": 19, "nyu40": 40, "scannet200": 200, "replica": 101}
-    assert counts == expected | {"reduced": 21}
+    assert counts == expected | {"reduced": 21, "nyu13": 13, "scannet": 549}
     things = {name: sum(label.is_thing for label in known_table(name).labels) for name in ("coco", "ade20k", "reduced")}
     assert things == {"coco": 80, "ade20k": 100, "reduced": 9}
     assert all(len({label.id for label in known_table(name).labels}) == counts[name] for name in TABLES)

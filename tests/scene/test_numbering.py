@@ -23,6 +23,10 @@ ADE = {1: 0, 2: 3, 3: 10, 5: 19, 13: 5}
 """The room's classes in ADE20K, counted from 0."""
 ADE_DATA = {class_id: number + 1 for class_id, number in ADE.items()}
 COCO_DATA = {1: 199, 2: 190, 3: 188, 5: 62, 13: 186}
+NYU40 = {1: 1, 2: 2, 3: 3, 5: 5, 13: 22}
+NYU13 = {1: 12, 2: 5, 3: 6, 5: 4, 13: 3}
+RAW = {1: 1, 2: 3, 3: 75, 5: 2, 13: 41}
+"""ScanNet's raw ids."""
 TREES = {1: "building", 2: "sky", 3: "tree"}
 TRAFFIC = {1: "building", 2: "road", 3: "car", 5: "pole", 13: "sky"}
 
@@ -44,6 +48,23 @@ def write_labels(folder: Path, numbers: Mapping[int, int], void: int = 255) -> l
     return truths
 
 
+@pytest.mark.parametrize(
+    ("classes", "numbers", "told"),
+    [
+        ("nyu40", NYU13, "nyu13:1-13, not nyu40: .*then ceiling.*--classes nyu13:1-13 or --classes nyu40:1-40"),
+        ("nyu40", RAW, "scannet:1-1357, not nyu40: this alone has the numbers 75: .*--classes scannet:1-1357[.]"),
+        ("nyu13", NYU40, "nyu40:1-40, not nyu13: .*--classes nyu40:1-40"),
+        ("scannet", NYU40, "nyu40:1-40, not scannet: .*--classes nyu40:1-40 or --classes scannet:1-1357"),
+        ("scannet", NYU13, "nyu13:1-13, not scannet: .*--classes nyu13:1-13 or"),
+    ],
+)
+def test_numbers_of_another_table_of_the_same_scans_are_refused(
+    tmp_path: Path, classes: str, numbers: dict[int, int], told: str
+) -> None:
+    write_labels(tmp_path, numbers, void=0)
+    assert refuses(f"the masks' numbers look like {told}", tmp_path, classes=classes).option == "--classes"
+
+
 def warned(folder: Path, classes: str) -> list[str]:
     return [one for one in open_scene(folder, classes=classes).warnings if "numbers are read as" in one]
 
@@ -54,7 +75,7 @@ def warned(folder: Path, classes: str) -> list[str]:
         ("ade20k", ADE, 255, NAMES, "", ""),
         ("ade20k", ADE_DATA, 0, NAMES, "ade20k:1-150", "% of the pixels are then ceiling, floor, wall"),
         ("ade20k", ADE_DATA | {5: 150}, 0, NAMES | {5: "flag"}, "ade20k:1-150", "this alone has the numbers 150"),
-        ("ade20k", {3: 20}, 255, {3: "car"}, "ade20k:0-149", "nothing in the masks tells"),
+        ("ade20k", {3: 20}, 255, {3: "car"}, "ade20k:0-149", "nothing in them tells"),
         ("ade20k", {1: 1, 2: 2, 3: 4}, 255, TREES, "ade20k:0-149", "nothing in"),
         ("ade20k:1-150", {3: 20}, 0, {3: "chair"}, "", ""),
         ("ade20k:0-149", ADE_DATA, 255, {1: "building", 2: "tree", 3: "sidewalk", 5: "car", 13: "road"}, "", ""),
@@ -64,6 +85,12 @@ def warned(folder: Path, classes: str) -> list[str]:
         ("coco", {3: 56, 5: 57}, 255, {3: "chair", 5: "couch"}, "", ""),
         ("coco", {3: 44, 5: 47}, 255, {3: "spoon", 5: "apple"}, "coco:0-132", "name --classes coco:90"),
         ("coco:90", {3: 44, 5: 47}, 0, {3: "bottle", 5: "cup"}, "", ""),
+        ("nyu40", NYU40, 0, NAMES, "", ""),
+        ("nyu40", {1: 0, 2: 1, 3: 0, 5: 4}, 255, NAMES | {3: "wall"}, "nyu40:0-39", "then ceiling, floor, wall"),
+        ("nyu40", {3: 7, 5: 6}, 0, {3: "table", 5: "sofa"}, "nyu40:1-40", "--classes nyu40:0-39 or --classes scan"),
+        ("nyu40:1-40", {3: 7, 5: 6}, 0, {3: "table", 5: "sofa"}, "", ""),
+        ("nyu13", NYU13, 0, NAMES | {3: "furniture"}, "", ""),
+        ("scannet", RAW, 0, NAMES | {3: "file cabinet"}, "", ""),
         ("cityscapes", in_table("cityscapes:0-33", TRAFFIC), 4, TRAFFIC, "cityscapes:0-33", "as this alone has"),
         ("cityscapes", in_table("cityscapes", TRAFFIC), 255, TRAFFIC, "", ""),
     ],

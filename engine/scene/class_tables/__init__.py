@@ -3,8 +3,8 @@
 One CSV per table: ``id`` in the results of networks trained on it, ``name``, ``thing`` (1 or 0), and in some tables
 ``reduced``, the class of ``reduced.csv`` (0 = void). ``coco.csv`` counts from 0 to 132; ``coco_id`` is the category id
 of the data set's own files, 1 to 90 for things. ``cityscapes.csv`` has the 19 numbers that networks are trained on, and
-as ``label_id`` the data set's own; ``nyu40.csv`` has those of ScanNet's 20 classes too, and ``scannet200.csv`` the
-numbers of ScanNet's labels.
+as ``label_id`` the data set's own; ``nyu40.csv`` has those of ScanNet's 20 classes too. ``scannet.csv`` has the ids
+of ScanNet's raw labels, and ``scannet200.csv`` the commonest of them.
 """
 
 from __future__ import annotations
@@ -20,12 +20,19 @@ from ...posed.format_names import NUMBERINGS as NUMBERINGS
 from ...posed.format_names import TABLES as TABLES
 
 REDUCED = "reduced"
+_OF_NETWORKS = tuple(name for name in TABLES if name != "scannet")
+"""Those that know classes by name. ScanNet's raw labels have nearly all names, but no network tells them apart."""
 _NUMBERS: Mapping[str, Callable[[Mapping[str, str]], int]] = {
     "ade20k:1-150": lambda row: int(row["id"]) + 1,
     "cityscapes:0-33": lambda row: int(row["label_id"]),
     "coco:90": lambda row: int(row["coco_id"]),
+    "nyu13:0-12": lambda row: int(row["id"]) - 1,
+    "nyu40:0-39": lambda row: int(row["id"]) - 1,
 }
-"""The number of a row in the data set's own files; networks have its ``id``."""
+"""The number of a row in a numbering other than that of its ``id``."""
+_ANYTHING = 21
+"""The last of the paper's classes: all other things."""
+_VOID_NAMES = ("void", "unlabeled", "unlabelled")
 _VOID = {"cityscapes:0-33": frozenset({*range(7), 9, 10, 14, 15, 16, 18, 29, 30})}
 
 
@@ -42,7 +49,7 @@ class KnownTable:
 @cache
 def known_table(name: str) -> KnownTable:
     """The table of a name in ``TABLES`` or ``NUMBERINGS``."""
-    with (Path(__file__).parent / f"{name.partition(':')[0]}.csv").open(encoding="utf-8", newline="") as file:
+    with (Path(__file__).parent / f"{base_of(name)}.csv").open(encoding="utf-8", newline="") as file:
         number = _NUMBERS.get(name, lambda row: int(row["id"]))
         rows = [(number(row), row) for row in csv.DictReader(file)]
     labels = tuple(ClassLabel(each, row["name"], row["thing"] == "1") for each, row in rows)
@@ -51,18 +58,23 @@ def known_table(name: str) -> KnownTable:
 
 
 def numberings_of(table: str) -> tuple[str, ...]:
-    """The names in ``NUMBERINGS`` of a table that is named alone, the networks' first; else the name as it is."""
-    return tuple(each for each in NUMBERINGS if each.partition(":")[0] == table) or (table,)
+    """The names in ``NUMBERINGS`` of a table that is named alone, the usual one first; else the name as it is."""
+    return tuple(each for each in NUMBERINGS if base_of(each) == table) or (table,)
+
+
+def base_of(table: str) -> str:
+    """The name of a table without its numbering."""
+    return table.partition(":")[0]
 
 
 def nearest_tables(names: Iterable[str]) -> list[str]:
     """``TABLES``, the one with the most classes of these names first, as another table may mean something else by them:
     COCO counts traffic lights, Cityscapes does not."""
     words = {word for name in names for word in _words(name)}
-    return sorted(TABLES, key=lambda table: -sum(label.name in words for label in known_table(table).labels))
+    return sorted(_OF_NETWORKS, key=lambda table: -sum(label.name in words for label in known_table(table).labels))
 
 
-def is_thing_by_name(name: str, tables: Sequence[str] = TABLES) -> bool | None:
+def is_thing_by_name(name: str, tables: Sequence[str] = _OF_NETWORKS) -> bool | None:
     """Whether a class of this name is a thing in the first of the tables that has it; None if no table has it.
 
     Among synonyms, as ADE20K's networks list them ("road, route"), the first known one counts.
@@ -79,11 +91,23 @@ def _words(name: str) -> tuple[str, ...]:
     return name.casefold(), *(part.strip() for part in name.casefold().split(","))
 
 
-def reduced_by_name(name: str) -> int | None:
-    """The class among the paper's 21 that a class of this name is, 0 = void; None if no table has it."""
-    for table in TABLES:
-        known = known_table(table)
+def reduced_by_name(name: str, with_raw: bool = False) -> int | None:
+    """The class among the paper's 21 that a class of this name is, 0 = void; None if no table has it. ``with_raw``:
+    ScanNet's raw labels count, too, unless they are of the last class."""
+    found = _reduced_names().get(name.casefold(), VOID if name.casefold() in _VOID_NAMES else None)
+    if found is not None or not with_raw:
+        return found
+    raw = known_table("scannet")
+    numbers = (raw.reduced[label.id] for label in raw.labels if label.name == name.casefold())
+    return next((number for number in numbers if number != _ANYTHING), None)
+
+
+@cache
+def _reduced_names() -> dict[str, int]:
+    """The class of the paper's 21 for each name in a table; the first table counts."""
+    found: dict[str, int] = {}
+    for known in map(known_table, _OF_NETWORKS):
         for label in known.labels:
-            if label.name == name.casefold() and label.id in known.reduced:
-                return known.reduced[label.id]
-    return VOID if name.casefold() in ("void", "unlabeled", "unlabelled") else None
+            if label.id in known.reduced:
+                found.setdefault(label.name, known.reduced[label.id])
+    return found

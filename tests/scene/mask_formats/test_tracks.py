@@ -10,7 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from engine.scene import open_scene
+from engine.errors import PlgsError
+from engine.scene import list_classes, open_scene
+from engine.scene_source import SceneSource
 from tests.scene.mask_formats.labelled_room import Truth, check_on_room, tracks, write_frames
 from tests.scene.refusing import refuses
 
@@ -122,6 +124,16 @@ def test_amg_folders_are_pictures_even_where_their_names_are_numbers(tmp_path: P
     refuses(r"PNGs of metadata.csv are missing \(1.png\)", tmp_path)
     (tmp_path / "masks" / "0001" / "metadata.csv").unlink()
     refuses("a frame has no PNGs with metadata.csv .0001.", tmp_path)
+
+
+def test_a_table_gives_objects_no_classes(tmp_path: Path) -> None:
+    """Of COCO's numbers, 7 is a truck."""
+    truths = write_object_folders(tmp_path, 7)
+    scene = open_scene(tmp_path, classes="coco")
+    check_on_room(scene, truths, OBJECTS, BOTH)
+    assert any("number objects and have no classes, so the table coco is left out" in one for one in scene.warnings)
+    with pytest.raises(PlgsError, match="no table fits.*classes.toml"):
+        list_classes(SceneSource(tmp_path), "coco")
 
 
 @pytest.mark.parametrize("chair", [7, 0])
