@@ -6,7 +6,7 @@
 Bake passes of a finished lift from a camera of a .blend, frame by frame (by default the lift's own .blend and its
 active camera; frames that are already baked are kept):
 
-    python run_plgs.py -o OUT --bake camera [--blend FILE.blend] [--camera NAME] [--range FIRST-LAST] [--scene SCENE]
+    python run_plgs.py -o OUT --bake camera [--blend FILE.blend] [--camera NAME] [--range FIRST-LAST] [--passes FOLDER]
 
 Exit codes: 0 finished, 1 internal error (see the log), 2 bad input, 3 cancelled, 75 another engine is running there
 (try again), 129 the terminal was closed, 130 Ctrl-C, 141 finished, but nobody read the output to its end. --resume
@@ -117,7 +117,9 @@ def parse(arguments: Sequence[str]) -> argparse.Namespace:
     shot = parser.add_argument_group("with --bake camera", "Several processes may bake one lift, each its own frames.")
     shot.add_argument("--blend", type=Path, metavar="FILE.blend", help="has the camera (default: the lift's own)")
     shot.add_argument("--camera", default="", metavar="NAME", help="the camera (default: the file's active one)")
-    shot.add_argument("--shot", default="", metavar="NAME", help="the name of its files (default: the camera's)")
+    shot.add_argument(
+        "--shot", default="", metavar="NAME", help="the name of its files (default: the .blend's and the camera's)"
+    )
     shot.add_argument(
         "--replace", action="store_true", help="replace a shot of this name that comes from another file or camera"
     )
@@ -128,6 +130,10 @@ def parse(arguments: Sequence[str]) -> argparse.Namespace:
     shot.add_argument(
         "--layers", nargs="+", choices=FURTHER_LAYERS, default=(), metavar="LAYER",
         help=f"layers in addition to those that are always there: {', '.join(FURTHER_LAYERS)}",
+    )  # fmt: skip
+    shot.add_argument(
+        "--passes", type=Path, metavar="FOLDER",
+        help="write FOLDER/NAME.0001.exr, and leave the lift's result as it is (default: OUT/result/passes)",
     )  # fmt: skip
     shot.add_argument(
         "--scene", type=Path, metavar="SCENE", dest="relink",
@@ -151,10 +157,10 @@ def parse(arguments: Sequence[str]) -> argparse.Namespace:
             parser.error(f"without SCENE nothing is lifted: leave out {', '.join(given)}, or name SCENE")
     elif options.scene is None:
         parser.error("SCENE is needed, unless --bake camera bakes from a finished lift")
-    elif any((options.blend, options.camera, options.shot, options.replace, options.layers)) or any(
+    elif any((options.blend, options.camera, options.shot, options.replace, options.layers, options.passes)) or any(
         each is not None for each in options.camera_frames
     ):
-        parser.error("--blend, --camera, --shot, --replace, --range and --layers belong to --bake camera")
+        parser.error("--blend, --camera, --shot, --replace, --range, --layers and --passes belong to --bake camera")
     return options
 
 
@@ -224,11 +230,12 @@ def bake_camera(lift: LiftFolder, blend: Path, options: argparse.Namespace, inte
     if options.blend is None and not blend.exists():
         build_blend(lift, blend)
     shot = options.camera, options.camera_frames, options.layers
-    named = {"name": options.shot, "replace": options.replace}
+    passes = None if options.passes is None else options.passes.absolute()
+    named = {"name": options.shot, "replace": options.replace, "output": passes}
     code = bake_shot_in_terminal(lift, options.blend or blend, *shot, interrupts, options.echo, **named)
     if code != ExitCode.FINISHED:
         return code
-    return build_blend(lift, blend) if options.blend is None else code
+    return build_blend(lift, blend) if options.blend is None and passes is None else code
 
 
 def blend_path(options: argparse.Namespace) -> Path:

@@ -82,7 +82,7 @@ class PLGS_OT_bake_camera(BakesFinishedLift, bpy.types.Operator):
     )
 
     shot: StringProperty(  # type: ignore[valid-type]
-        name="Shot", options={"SKIP_SAVE"}, description="The name of its files; empty: the camera's"
+        name="Shot", options={"SKIP_SAVE"}, description="The name of its files; empty: the .blend's and the camera's"
     )
     replace: BoolProperty(  # type: ignore[valid-type]
         name="Replace",

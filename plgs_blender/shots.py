@@ -28,6 +28,7 @@ from ..engine.posed import Camera
 from ..engine.records import read_record, record_text
 from .frames import seen_by
 from .lift_scene import open_blend
+from .passes import shot_name
 
 DIGITS = 4
 """Digits of a frame's number in the names of its files, at least."""
@@ -39,8 +40,8 @@ _LISTED = 8
 
 @dataclass(frozen=True)
 class Shot:
-    """``camera`` from frame ``first`` to ``last``, every ``step``-th. Its files are named ``given``, else as the camera
-    is."""
+    """``camera`` from frame ``first`` to ``last``, every ``step``-th. Its files are named ``given``, else as the .blend
+    and the camera are."""
 
     camera: bpy.types.Object
     first: int
@@ -50,7 +51,7 @@ class Shot:
 
     @property
     def name(self) -> str:
-        return safe_name(self.given or self.camera.name)
+        return shot_name(self.camera, self.given)
 
     @property
     def frames(self) -> range:
@@ -97,13 +98,15 @@ def _cameras_to_choose(scene: bpy.types.Scene, wanted: str) -> str:
     return f"Choose one of its cameras: {names}{more}."
 
 
-def write_shot(lift: Path, scene: bpy.types.Scene, shot: Shot, *, replace: bool = False) -> Path:
-    """Write the cameras that an engine bakes the shot from into the lift's folder, and return the file. Raises
-    PlgsError, OSError.
+def write_shot(
+    lift: Path, scene: bpy.types.Scene, shot: Shot, *, replace: bool = False, output: Path | None = None
+) -> Path:
+    """Write the cameras that an engine bakes the shot from into the lift's folder, or into the folder ``output`` of its
+    passes, and return the file. Raises PlgsError, OSError.
     """
     reader = ShotReader(scene, shot)
     reader.read_for(math.inf)
-    return reader.write(lift, replace=replace)
+    return reader.write(lift, replace=replace, output=output)
 
 
 @dataclass(frozen=True)
@@ -114,10 +117,11 @@ class ShotSource:
     camera: str
 
 
-def _claim(lift: Path, name: str, source: ShotSource, *, replace: bool) -> None:
-    """Note whose shot ``name`` is. Raises PlgsError if it is another file's or camera's, unless that is replaced."""
-    path = lift / "bake" / f"{name}.shot.json"
-    path.parent.mkdir(exist_ok=True)
+def _claim(folder: Path, name: str, source: ShotSource, *, replace: bool) -> None:
+    """Note in a folder whose shot ``name`` is. Raises PlgsError if it is another file's or camera's, unless that is
+    replaced."""
+    path = folder / f"{name}.shot.json"
+    path.parent.mkdir(parents=True, exist_ok=True)
     with lock_on(path.with_suffix(".lock"), _CLAIM_S, brief=True):  # others may begin to bake the same shot
         if path.exists():
             other = read_record(ShotSource, path, "Delete it, if no other file bakes a shot of this name.")
@@ -126,7 +130,7 @@ def _claim(lift: Path, name: str, source: ShotSource, *, replace: bool) -> None:
             if not replace:
                 what = f"has a shot {name!r} of another file already: camera {other.camera!r} in {other.blend}"
                 fix = "Give this shot another name, or ask to replace the other one."
-                raise PlgsError(what, lift, fix, option="--shot")
+                raise PlgsError(what, folder, fix, option="--shot")
         write_atomically(path, record_text(source))
 
 
@@ -200,13 +204,14 @@ class ShotReader:
         others = (frame for frame in range(self._first, self._last + 1) if frame not in self._frames)
         return len(seen) == 1 and all(_camera_at(scene, ob, frame, "").fingerprint in seen for frame in others)
 
-    def write(self, lift: Path, *, replace: bool = False) -> Path:
+    def write(self, lift: Path, *, replace: bool = False, output: Path | None = None) -> Path:
         """As `write_shot`, once all frames are read."""
         source = self._source
         if Path(source.blend).parent == lift:  # so that the lift's own file stays its own where the folder is moved
             source = ShotSource(Path(source.blend).name, source.camera)
-        _claim(lift, self._shot, source, replace=replace)
-        file = lift / "bake" / self._file
+        folder = output or lift / "bake"
+        _claim(folder, self._shot, source, replace=replace)
+        file = folder / self._file
         write_cameras(file, self.cameras)
         return file
 
@@ -264,19 +269,22 @@ def bake_shot_in_terminal(
     *,
     name: str = "",
     replace: bool = False,
+    output: Path | None = None,
 ) -> ExitCode:
     """Bake what a camera of ``blend`` sees of a finished lift over ``frames`` (first, last, step; None: the file's),
     with these of FURTHER_LAYERS, progress on stderr and events on the descriptor ``echo``. The file is only read.
-    ``name`` is the shot's; with ``replace`` it may be that of another file's shot.
+    ``name`` is the shot's; with ``replace`` it may be that of another file's shot. The passes go into the lift's
+    result, or into the folder ``output``.
 
     Raises PlgsError, and Interrupted after Ctrl-C, when the engine has ended.
     """
     python = engine_python()
     scene = open_blend(blend.absolute(), lift.path, named_by="--blend")
-    cameras = write_shot(lift.path, scene, shot_of(scene, camera, *frames, given=name), replace=replace)
+    shot = shot_of(scene, camera, *frames, given=name)
+    cameras = write_shot(lift.path, scene, shot, replace=replace, output=output)
     with interrupts.deferred():
         while True:
-            follower = start_bake(lift, python, cameras=cameras, layers=layers)
+            follower = start_bake(lift, python, cameras=cameras, layers=layers, output=output)
             follow(follower, interrupts, LiveLine(sys.stderr), echo)
             is_busy = follower.error is not None and follower.error.code is ErrorCode.BUSY
             if not is_busy or follower.place != lift.place or interrupts.pending is not None:
@@ -286,5 +294,5 @@ def bake_shot_in_terminal(
     elif follower.state is TaskState.CANCELLED:
         print(f"Cancelled. Give the same command again to continue: {lift.path}", file=sys.stderr)
     else:
-        print(f"Baked: {lift.passes_path}", file=sys.stderr)
+        print(f"Baked: {output or lift.passes_path}", file=sys.stderr)
     return follower.exit_code

@@ -213,7 +213,7 @@ def bake_on_farm(scene: bpy.types.Scene, folder: str = "") -> Path:
     """
     lift = lift_at(scene.plgs, folder)
     read_manifest(lift.result_path)
-    return write_farm_job(scene, lift, shot_of(scene))
+    return write_farm_job(scene, lift, shot_of(scene, given=scene.plgs.shot))
 
 
 def export_lift(settings: PLGS_PG_settings, form: str, output: str, frames: str, folder: str = "") -> exports.Export:
