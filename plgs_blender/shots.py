@@ -174,7 +174,8 @@ class ShotReader:
         """The cameras that were read. A camera that stands still, also before and after, over the scene's whole range,
         is one camera under the name of the first frame there: so all parts of a shot name it alike.
         """
-        return [replace(self._read[0], name=self._name(self._first))] if self._stands_still else self._read
+        still = [replace(self._read[0], name=self._name(self._first), frame=self._first)]
+        return still if self._stands_still else self._read
 
     def read_for(self, seconds: float) -> bool:
         """Continue reading for at least a frame and about ``seconds``. Returns whether all frames are read. Raises
@@ -250,7 +251,8 @@ def _camera_now(scene: bpy.types.Scene, ob: bpy.types.Object, frame: int, name: 
     if max(camera.width, camera.height) > LARGEST_SIDE:
         fix = f"Set its resolution to at most {LARGEST_SIDE} pixels per side."
         raise PlgsError(f"renders {camera.width}x{camera.height} pixels", scene.name, fix)
-    return BakeCamera(name, _pinhole(camera), float(ob.data.clip_start), float(ob.data.clip_end))
+    near, far, fps = float(ob.data.clip_start), float(ob.data.clip_end), scene.render.fps / scene.render.fps_base
+    return BakeCamera(name, _pinhole(camera), near, far, frame, fps)
 
 
 def _pinhole(camera: Camera) -> PreviewCamera:

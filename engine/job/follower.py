@@ -266,9 +266,9 @@ def start_bake(
     file, with these of FURTHER_LAYERS. If another process is baking already, it bakes at the same time, with its own
     events. Raises PlgsError, OSError.
     """
-    command: list[object] = [*engine_call(python), "bake", lift.path]
+    command: list[str | Path] = [*engine_call(python), "bake", lift.path]
     for option, values in (("--cameras", [cameras]), ("-o", [output]), ("--frames", frames), ("--layers", layers)):
-        command += [option, *values] if any(values) else []
+        command += [option, *(each for each in values if each)] if any(values) else []
     place = lift.place
     if lift.is_running:
         (lift.path / "bake").mkdir(exist_ok=True)

@@ -30,6 +30,7 @@ from ..job import (
 from ..job.cameras import refuse_equal_names
 from ..model.rendering import ClipRange
 from ..passes.exr import further_layers, read_note, write_exr
+from ..passes.frame_header import ShownFrame
 from ..scene import Camera, Frame, Scene
 from ..scene_of_lift import complete_known_scene, scene_of_lift
 from ..train.progress import StageReporter
@@ -60,12 +61,14 @@ class BakeOptions:
 
 @dataclass(frozen=True, eq=False)
 class WantedView:
-    """A view to bake. ``fingerprint`` is the camera's if it does not belong to a frame, and empty for a frame."""
+    """A view to bake. ``fingerprint`` is the camera's if it does not belong to a frame, and empty for a frame. What
+    is ``shown`` goes into its header."""
 
     name: str
     camera: Camera
     clip: ClipRange = ClipRange()
     fingerprint: str = ""
+    shown: ShownFrame = ShownFrame()
 
 
 def bake_frames(
@@ -107,7 +110,8 @@ def view_from(camera: BakeCamera) -> WantedView:
     pinhole = camera.pinhole
     (fx, _, cx), (_, fy, cy), _ = pinhole.K
     seen = Camera(pinhole.width, pinhole.height, fx, fy, cx, cy, np.array(pinhole.camera_to_world))
-    return WantedView(camera.name, seen, ClipRange(camera.near, camera.far), camera.fingerprint)
+    shown = ShownFrame(camera.frame, camera.fps, camera.display)
+    return WantedView(camera.name, seen, ClipRange(camera.near, camera.far), camera.fingerprint, shown)
 
 
 def _views_of(frames: Sequence[Frame]) -> list[WantedView]:
@@ -219,7 +223,7 @@ class _OwnFolder:
         """Bake a view. Raises OSError."""
         self._output.mkdir(parents=True, exist_ok=True)
         notes = {**_notes_of(view), **self._model, **baker.notes}
-        write_exr(self._path_of(view), baker.render(view.camera, view.clip), notes, self._layers)
+        write_exr(self._path_of(view), baker.render(view.camera, view.clip), notes, self._layers, view.shown)
 
     def keep(self) -> None:
         """Do nothing, as there is no manifest."""
@@ -245,7 +249,7 @@ class _Result:
         """Bake a view, replacing one from another camera. Raises OSError."""
         self._make_room(view)
         rendered = baker.render(view.camera, view.clip)
-        baker.write(self._folder, view.name, rendered, events, _notes_of(view), self._layers)
+        baker.write(self._folder, view.name, rendered, events, _notes_of(view), self._layers, view.shown)
         self._add(view, at_once=self._locks.others_at_work())
 
     def _make_room(self, view: WantedView) -> None:
