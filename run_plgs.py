@@ -18,7 +18,6 @@ from __future__ import annotations
 import argparse
 import importlib.util
 import os
-import re
 import signal
 import subprocess
 import sys
@@ -39,6 +38,8 @@ if __name__ == "__main__" and signal.getsignal(signal.SIGINT) is signal.default_
 ROOT = Path(__file__).resolve().parent
 BLEND_S = 600.0
 """Seconds that a command waits for its turn while others build the .blend of the same lift."""
+MOST_FRAMES = 1_000_000
+"""Frames of a shot, at most."""
 READER_GONE = 141
 """The shell's exit status of a command whose reader has ended, such as ``head``."""
 
@@ -59,6 +60,7 @@ load_package()
 from plgs.engine.errors import ExitCode, PlgsError
 from plgs.engine.gates import open_plain, open_to_append
 from plgs.engine.job import FURTHER_LAYERS, LiftFolder, read_manifest
+from plgs.engine.job.frame_numbers import frame_numbers
 from plgs.engine.job.lock import lock_on
 from plgs.engine.job.options import add_lift_options, add_progress_option, given_lift_options, readable
 from plgs.engine.job.process import clean_environment, engine_python, missing_modules
@@ -124,8 +126,8 @@ def parse(arguments: Sequence[str]) -> argparse.Namespace:
         "--replace", action="store_true", help="replace a shot of this name that comes from another file or camera"
     )
     shot.add_argument(
-        "--range", dest="camera_frames", type=frame_range, default=(None, None, None), metavar="FIRST-LAST[xSTEP]",
-        help="such as 1-250 or 1-250x2 (default: the file's range)",
+        "--range", dest="camera_frames", type=frame_range, default=[], metavar="FRAMES",
+        help="such as 1-250, 1-250:2, 1001 or 1001,1003 (default: the file's range)",
     )  # fmt: skip
     shot.add_argument(
         "--layers", nargs="+", choices=FURTHER_LAYERS, default=(), metavar="LAYER",
@@ -157,21 +159,22 @@ def parse(arguments: Sequence[str]) -> argparse.Namespace:
             parser.error(f"without SCENE nothing is lifted: leave out {', '.join(given)}, or name SCENE")
     elif options.scene is None:
         parser.error("SCENE is needed, unless --bake camera bakes from a finished lift")
-    elif any((options.blend, options.camera, options.shot, options.replace, options.layers, options.passes)) or any(
-        each is not None for each in options.camera_frames
+    elif any((options.blend, options.camera, options.shot, options.replace)) or any(
+        (options.camera_frames, options.layers, options.passes)
     ):
         parser.error("--blend, --camera, --shot, --replace, --range, --layers and --passes belong to --bake camera")
     return options
 
 
-def frame_range(text: str) -> tuple[int, int, int]:
-    """(first, last, step) from "1-250" or "1-250x2"; for argparse, so it raises ArgumentTypeError."""
-    found = re.fullmatch(r"(\d{1,7})-(\d{1,7})(?:x([1-9]\d{0,6}))?", text)
-    if found is None:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a range of frames from 0 on, such as 1-250 or 1-250x2")
-    if int(found[2]) < int(found[1]):
-        raise argparse.ArgumentTypeError(f"{text!r} ends before it begins; a range looks like 1-250")
-    return int(found[1]), int(found[2]), int(found[3] or 1)
+def frame_range(text: str) -> list[int]:
+    """The frames of "1-250", "1-250:2" or "1001,1003"; for argparse, so it raises ArgumentTypeError."""
+    try:
+        ranges = frame_numbers(text)
+        if sum(map(len, ranges)) > MOST_FRAMES:
+            raise ValueError(f"{text!r} has more than {MOST_FRAMES} frames")
+        return sorted({frame for each in ranges for frame in each})
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(str(error)) from error
 
 
 def python_with_blender() -> Path | None:

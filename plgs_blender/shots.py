@@ -9,6 +9,7 @@ import difflib
 import math
 import sys
 import time
+import zlib
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -40,22 +41,31 @@ _LISTED = 8
 
 @dataclass(frozen=True)
 class Shot:
-    """``camera`` from frame ``first`` to ``last``, every ``step``-th. Its files are named ``given``, else as the .blend
-    and the camera are."""
+    """``camera`` from frame ``first`` to ``last``, every ``step``-th, or ``only`` these frames. Its files are named
+    ``given``, else as the .blend and the camera are."""
 
     camera: bpy.types.Object
     first: int
     last: int
     step: int = 1
     given: str = ""
+    only: tuple[int, ...] = ()
 
     @property
     def name(self) -> str:
         return shot_name(self.camera, self.given)
 
     @property
-    def frames(self) -> range:
-        return range(self.first, self.last + 1, self.step)
+    def frames(self) -> Sequence[int]:
+        return self.only or range(self.first, self.last + 1, self.step)
+
+    @property
+    def not_baked(self) -> list[str]:
+        """What Blender would render and a bake leaves out, for a warning before it."""
+        scenes = self.camera.users_scene
+        found = ["depth of field"] if self.camera.type == "CAMERA" and self.camera.data.dof.use_dof else []
+        found += ["motion blur"] if any(scene.render.use_motion_blur for scene in scenes) else []
+        return [f"{what} is not baked: {self.camera.name} is sharp in the passes" for what in found]
 
 
 def shot_of(
@@ -65,8 +75,10 @@ def shot_of(
     last: int | None = None,
     step: int | None = None,
     given: str = "",
+    only: Sequence[int] = (),
 ) -> Shot:
-    """The camera of that name, or the scene's active one, over the range given or the scene's. Raises PlgsError."""
+    """The camera of that name, or the scene's active one, over the range given or the scene's, or ``only`` these
+    frames. Raises PlgsError."""
     ob = scene.objects.get(camera) if camera else scene.camera
     if ob is None or (camera and ob.type != "CAMERA"):
         what = f"has no camera named {camera!r}" if camera else "has no active camera"
@@ -77,6 +89,7 @@ def shot_of(
         scene.frame_end if last is None else last,
         scene.frame_step if step is None else step,
         given,
+        tuple(only),
     )
     fix = "Set the range in the Output properties: it must start at 0 or later, and end no earlier than it starts."
     if not shot.frames or shot.first < 0:
@@ -158,10 +171,13 @@ class ShotReader:
     def __init__(self, scene: bpy.types.Scene, shot: Shot) -> None:
         self._scene, self._camera, self._frames = scene.name, shot.camera.name, shot.frames
         self._read: list[BakeCamera] = []
-        self._first, self._last = min(shot.first, scene.frame_start), max(shot.last, scene.frame_end)
+        self._first, self._last = min(*shot.frames, scene.frame_start), max(*shot.frames, scene.frame_end)
         self._shot = shot.name
         self._source = ShotSource(bpy.data.filepath or bpy.app.tempdir, shot.camera.name)
-        self._file = f"{shot.name}.{shot.first}-{shot.last}x{shot.step}.json"
+        which = f"{shot.first}-{shot.last}x{shot.step}"
+        if shot.only:  # two lists of frames may be baked at once
+            which = f"{shot.only[0]}-{shot.only[-1]}.{zlib.crc32(repr(shot.only).encode()):08x}"
+        self._file = f"{shot.name}.{which}.json"
         self._stands_still: bool | None = None
 
     @property
@@ -264,7 +280,7 @@ def bake_shot_in_terminal(
     lift: LiftFolder,
     blend: Path,
     camera: str,
-    frames: tuple[int | None, int | None, int | None],
+    frames: Sequence[int],
     layers: Sequence[str],
     interrupts: Interrupts,
     echo: int | None = None,
@@ -273,16 +289,18 @@ def bake_shot_in_terminal(
     replace: bool = False,
     output: Path | None = None,
 ) -> ExitCode:
-    """Bake what a camera of ``blend`` sees of a finished lift over ``frames`` (first, last, step; None: the file's),
-    with these of FURTHER_LAYERS, progress on stderr and events on the descriptor ``echo``. The file is only read.
-    ``name`` is the shot's; with ``replace`` it may be that of another file's shot. The passes go into the lift's
-    result, or into the folder ``output``.
+    """Bake what a camera of ``blend`` sees of a finished lift over ``frames`` (none: the file's range), with these of
+    FURTHER_LAYERS, progress on stderr and events on the descriptor ``echo``. The file is only read. ``name`` is the
+    shot's; with ``replace`` it may be that of another file's shot. The passes go into the lift's result, or into the
+    folder ``output``.
 
     Raises PlgsError, and Interrupted after Ctrl-C, when the engine has ended.
     """
     python = engine_python()
     scene = open_blend(blend.absolute(), lift.path, named_by="--blend")
-    shot = shot_of(scene, camera, *frames, given=name)
+    shot = shot_of(scene, camera, given=name, only=frames)
+    for what in shot.not_baked:
+        print(f"warning: {what}", file=sys.stderr)
     cameras = write_shot(lift.path, scene, shot, replace=replace, output=output)
     with interrupts.deferred():
         while True:

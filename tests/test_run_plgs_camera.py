@@ -75,7 +75,7 @@ def test_frames_are_baked_and_those_that_are_done_are_kept(lift: LiftFolder, ble
     assert np.median(depths[0]) > np.median(depths[1]) > np.median(depths[2])  # it goes nearer
     written = [path.stat().st_mtime_ns for path in baked]
 
-    again = run_script(root, *command, "--range", "1-4", "--progress", "json")
+    again = run_script(root, *command, "--range", "1-2,4,3", "--progress", "json")
     assert again.returncode == 0, again.stderr
     told = [json.loads(line) for line in again.stdout.splitlines()]
     assert told[0]["event"] == "hello" and told[-1]["state"] == "finished"
@@ -141,7 +141,8 @@ def test_a_camera_that_cannot_be_baked_is_a_one_line_error(
         (["--steps", "5", "--seed", "2"], ("leave out --seed, --steps,", "SCENE")),
         (["--range", "3-1"], ("'3-1'", "ends before it begins")),
         (["--range", "-3-5"], ("'-3-5'", "from 0 on")),
-        (["--range", "1"], ("'1'", "1-250")),
+        (["--range", "1;2"], ("'1;2'", "1001,1003")),
+        (["--range", "1-999999999"], ("more than 1000000 frames",)),
     ):
         assert exit_code(run_plgs.main, "-o", lift.path, "--bake", "camera", *arguments) == 2
         (line,) = [line for line in capsys.readouterr().err.splitlines() if line.startswith("error: ")]

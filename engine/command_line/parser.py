@@ -89,7 +89,7 @@ def _add_bake(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("lift", type=Path, metavar="LIFT", help="the folder of a finished lift")
     parser.add_argument(
         "--frames", nargs="+", metavar="FRAME",
-        help="names of frames, ranges of the numbers in their names (10-200 or 10-200:2), test (the held-out ones), or "
+        help="names of frames, the numbers in their names (10-200:2 or 7,9), test (the held-out ones), or "
         "all (default, without --cameras)",
     )  # fmt: skip
     parser.add_argument("--cameras", type=Path, metavar="FILE.json", help="cameras to bake from, see below")

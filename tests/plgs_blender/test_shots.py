@@ -197,6 +197,18 @@ def test_parts_of_a_shot_name_a_camera_that_stands_still_alike(scene: bpy.types.
         assert [camera.name for camera in cameras_of(scene, shot_of(scene, "", first, last))] == ["dolly.0001"]
 
 
+def test_only_some_frames_of_a_shot(scene: bpy.types.Scene, tmp_path: Path) -> None:
+    shots = [shot_of(scene, only=only) for only in ((1, 3), (1, 2, 3))]
+    assert [camera.name for camera in cameras_of(scene, shots[0])] == ["dolly.0001", "dolly.0003"]
+    assert len({write_shot(tmp_path, scene, shot) for shot in shots}) == 2
+
+
+def test_what_is_not_baked_is_told(scene: bpy.types.Scene) -> None:
+    assert shot_of(scene).not_baked == []
+    scene.camera.data.dof.use_dof = scene.render.use_motion_blur = True
+    assert [told.split(" is ")[0] for told in shot_of(scene).not_baked] == ["depth of field", "motion blur"]
+
+
 def test_shots_that_differ_in_their_step_have_files_of_their_own(scene: bpy.types.Scene, tmp_path: Path) -> None:
     files = {write_shot(tmp_path, scene, shot_of(scene, "", 1, 4, step)).name for step in (1, 2)}
     assert files == {"dolly.1-4x1.json", "dolly.1-4x2.json"}
