@@ -6,7 +6,7 @@
 Bake passes of a finished lift from a camera of a .blend, frame by frame (by default the lift's own .blend and its
 active camera; frames that are already baked are kept):
 
-    python run_plgs.py -o OUT --bake camera [--blend FILE.blend] [--camera NAME] [--range FIRST-LAST] [--scene SCENE]
+    python run_plgs.py -o OUT --bake camera [--blend FILE.blend] [--camera NAME] [--range FIRST-LAST] [--passes FOLDER]
 
 Exit codes: 0 finished, 1 internal error (see the log), 2 bad input, 3 cancelled, 75 another engine is running there
 (try again), 129 the terminal was closed, 130 Ctrl-C, 141 finished, but nobody read the output to its end. --resume
@@ -18,7 +18,6 @@ from __future__ import annotations
 import argparse
 import importlib.util
 import os
-import re
 import signal
 import subprocess
 import sys
@@ -39,6 +38,8 @@ if __name__ == "__main__" and signal.getsignal(signal.SIGINT) is signal.default_
 ROOT = Path(__file__).resolve().parent
 BLEND_S = 600.0
 """Seconds that a command waits for its turn while others build the .blend of the same lift."""
+MOST_FRAMES = 1_000_000
+"""Frames of a shot, at most."""
 READER_GONE = 141
 """The shell's exit status of a command whose reader has ended, such as ``head``."""
 
@@ -59,6 +60,7 @@ load_package()
 from plgs.engine.errors import ExitCode, PlgsError
 from plgs.engine.gates import open_plain, open_to_append
 from plgs.engine.job import FURTHER_LAYERS, LiftFolder, read_manifest
+from plgs.engine.job.frame_numbers import frame_numbers
 from plgs.engine.job.lock import lock_on
 from plgs.engine.job.options import add_lift_options, add_progress_option, given_lift_options, readable
 from plgs.engine.job.process import clean_environment, engine_python, missing_modules
@@ -117,17 +119,23 @@ def parse(arguments: Sequence[str]) -> argparse.Namespace:
     shot = parser.add_argument_group("with --bake camera", "Several processes may bake one lift, each its own frames.")
     shot.add_argument("--blend", type=Path, metavar="FILE.blend", help="has the camera (default: the lift's own)")
     shot.add_argument("--camera", default="", metavar="NAME", help="the camera (default: the file's active one)")
-    shot.add_argument("--shot", default="", metavar="NAME", help="the name of its files (default: the camera's)")
+    shot.add_argument(
+        "--shot", default="", metavar="NAME", help="the name of its files (default: the .blend's and the camera's)"
+    )
     shot.add_argument(
         "--replace", action="store_true", help="replace a shot of this name that comes from another file or camera"
     )
     shot.add_argument(
-        "--range", dest="camera_frames", type=frame_range, default=(None, None, None), metavar="FIRST-LAST[xSTEP]",
-        help="such as 1-250 or 1-250x2 (default: the file's range)",
+        "--range", dest="camera_frames", type=frame_range, default=[], metavar="FRAMES",
+        help="such as 1-250, 1-250:2, 1001 or 1001,1003 (default: the file's range)",
     )  # fmt: skip
     shot.add_argument(
         "--layers", nargs="+", choices=FURTHER_LAYERS, default=(), metavar="LAYER",
         help=f"layers in addition to those that are always there: {', '.join(FURTHER_LAYERS)}",
+    )  # fmt: skip
+    shot.add_argument(
+        "--passes", type=Path, metavar="FOLDER",
+        help="write FOLDER/NAME.0001.exr, and leave the lift's result as it is (default: OUT/result/passes)",
     )  # fmt: skip
     shot.add_argument(
         "--scene", type=Path, metavar="SCENE", dest="relink",
@@ -151,21 +159,22 @@ def parse(arguments: Sequence[str]) -> argparse.Namespace:
             parser.error(f"without SCENE nothing is lifted: leave out {', '.join(given)}, or name SCENE")
     elif options.scene is None:
         parser.error("SCENE is needed, unless --bake camera bakes from a finished lift")
-    elif any((options.blend, options.camera, options.shot, options.replace, options.layers)) or any(
-        each is not None for each in options.camera_frames
+    elif any((options.blend, options.camera, options.shot, options.replace)) or any(
+        (options.camera_frames, options.layers, options.passes)
     ):
-        parser.error("--blend, --camera, --shot, --replace, --range and --layers belong to --bake camera")
+        parser.error("--blend, --camera, --shot, --replace, --range, --layers and --passes belong to --bake camera")
     return options
 
 
-def frame_range(text: str) -> tuple[int, int, int]:
-    """(first, last, step) from "1-250" or "1-250x2"; for argparse, so it raises ArgumentTypeError."""
-    found = re.fullmatch(r"(\d{1,7})-(\d{1,7})(?:x([1-9]\d{0,6}))?", text)
-    if found is None:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a range of frames from 0 on, such as 1-250 or 1-250x2")
-    if int(found[2]) < int(found[1]):
-        raise argparse.ArgumentTypeError(f"{text!r} ends before it begins; a range looks like 1-250")
-    return int(found[1]), int(found[2]), int(found[3] or 1)
+def frame_range(text: str) -> list[int]:
+    """The frames of "1-250", "1-250:2" or "1001,1003"; for argparse, so it raises ArgumentTypeError."""
+    try:
+        ranges = frame_numbers(text)
+        if sum(map(len, ranges)) > MOST_FRAMES:
+            raise ValueError(f"{text!r} has more than {MOST_FRAMES} frames")
+        return sorted({frame for each in ranges for frame in each})
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(str(error)) from error
 
 
 def python_with_blender() -> Path | None:
@@ -224,11 +233,12 @@ def bake_camera(lift: LiftFolder, blend: Path, options: argparse.Namespace, inte
     if options.blend is None and not blend.exists():
         build_blend(lift, blend)
     shot = options.camera, options.camera_frames, options.layers
-    named = {"name": options.shot, "replace": options.replace}
+    passes = None if options.passes is None else options.passes.absolute()
+    named = {"name": options.shot, "replace": options.replace, "output": passes}
     code = bake_shot_in_terminal(lift, options.blend or blend, *shot, interrupts, options.echo, **named)
     if code != ExitCode.FINISHED:
         return code
-    return build_blend(lift, blend) if options.blend is None else code
+    return build_blend(lift, blend) if options.blend is None and passes is None else code
 
 
 def blend_path(options: argparse.Namespace) -> Path:

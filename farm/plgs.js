@@ -22,6 +22,8 @@ const JOB_TYPE = {
           description: "The .blend that has the camera" },
         { key: "camera", type: "string", default: "", eval: "C.scene.camera.name if C.scene.camera else ''",
           description: "The camera's name; empty: the .blend's active one" },
+        { key: "shot", type: "string", default: "", visible: "submission",
+          description: "The name of the camera's files; empty: the .blend's and the camera's" },
         { key: "frames", type: "string", required: true, eval: "f'{C.scene.frame_start}-{C.scene.frame_end}'",
           description: "The camera's frames, or the last numbers in the frames' names: '1-250' or '1-9,20'" },
         { key: "chunk_size", type: "int32", default: 50, propargs: { min: 1 },
@@ -61,7 +63,8 @@ function bakeCommand(settings, range) {
     }
     const blend = settings.blend ? ["--blend", settings.blend] : [];
     const camera = settings.camera ? [`--camera=${settings.camera}`] : [];
-    const shot = ["-o", settings.output, "--bake", "camera"].concat(blend, camera, ["--range", range], layers);
+    const named = settings.shot ? [`--shot=${settings.shot}`] : [];
+    const shot = ["-o", settings.output, "--bake", "camera"].concat(blend, camera, named, ["--range", range], layers);
     return python(["{plgs}/run_plgs.py"].concat(shot));
 }
 

@@ -13,7 +13,7 @@ from ..plgs_blender.engine_environment import why_no_engine
 from ..plgs_blender.errors import one_line
 from ..plgs_blender.passes import open_passes, passes_scene_of
 from ..plgs_blender.running import lifting
-from ..plgs_blender.shots import ShotReader
+from ..plgs_blender.shots import ShotReader, shot_of
 from ..plgs_blender.tasks.registry import Task
 from .base import (
     CANCELLED,
@@ -72,17 +72,17 @@ class PLGS_OT_bake_camera(BakesFinishedLift, bpy.types.Operator):
         name="Camera", options={"SKIP_SAVE"}, description="Empty: the scene's active one"
     )
     frame_start: IntProperty(  # type: ignore[valid-type]
-        name="Start", options={"SKIP_SAVE"}, min=0, description="First frame; not given: the scene's"
+        name="Start", options={"SKIP_SAVE"}, description="First frame; not given: the scene's"
     )
     frame_end: IntProperty(  # type: ignore[valid-type]
-        name="End", options={"SKIP_SAVE"}, min=0, description="Last frame; not given: the scene's"
+        name="End", options={"SKIP_SAVE"}, description="Last frame; not given: the scene's"
     )
     frame_step: IntProperty(  # type: ignore[valid-type]
         name="Step", options={"SKIP_SAVE"}, min=1, default=1, description="Not given: the scene's"
     )
 
     shot: StringProperty(  # type: ignore[valid-type]
-        name="Shot", options={"SKIP_SAVE"}, description="The name of its files; empty: the camera's"
+        name="Shot", options={"SKIP_SAVE"}, description="The name of its files; empty: the .blend's and the camera's"
     )
     replace: BoolProperty(  # type: ignore[valid-type]
         name="Replace",
@@ -103,7 +103,10 @@ class PLGS_OT_bake_camera(BakesFinishedLift, bpy.types.Operator):
         self.lift_folder = str(lifting.lift_at(context.scene.plgs, self.lift_folder).path)
         names = ("frame_start", "frame_end", "frame_step")
         first, last, step = (getattr(self, name) if self.properties.is_property_set(name) else None for name in names)
-        return lifting.read_camera(context.scene, self.camera, (first, last, step), self.shot)
+        shot = shot_of(context.scene, self.camera, first, last, step, self.shot)
+        for what in shot.not_baked:
+            self.report({"WARNING"}, what)
+        return lifting.read_camera(context.scene, shot)
 
     @reporting_events
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:

@@ -36,6 +36,7 @@ def write_farm_job(scene: bpy.types.Scene, lift: LiftFolder, shot: Shot) -> Path
         "bake": "camera",
         "blend": blend,
         "camera": shot.camera.name,
+        "shot": shot.given,
         "frames": f"{frames[0]}-{frames[-1]}" if shot.step == 1 else ",".join(map(str, frames)),
         "chunk_size": _CHUNK,
         "layers": " ".join(sorted(scene.plgs.layers)),

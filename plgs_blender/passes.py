@@ -37,6 +37,8 @@ SHOT = "shot:"
 """Start of the key of a scene whose passes were baked from a camera of the user's."""
 _LAST_NUMBER = re.compile(r"(?s)(.*?)(\d+)(\D*)")
 _LARGEST_NUMBER = 2**31 - 1
+_LONGEST_NAME = 80
+"""Characters of a shot's name, to which its views add a number."""
 _NEEDED = {"PLGS.Combined.R", "PLGS.Depth.V", "PLGS.Semantic.V", "PLGS.Instance.V"} | {
     "CryptoInstance00.r",
     "CryptoClass00.r",
@@ -279,16 +281,21 @@ def passes_scene_of(scene: bpy.types.Scene) -> bpy.types.Scene | None:
     for root in lifts_in(scene):
         found = {key_of(other, root[LIFT]) or "": other for other in bpy.data.scenes}
         shots = [key for key in found if key.startswith(SHOT)]
-        own = "" if scene.camera is None else SHOT + shot_name(scene.camera)
-        for key in (own, PASSES, *shots):
-            if key and key in found:
+        named = () if scene.camera is None else (shot_name(scene.camera), safe_name(scene.camera.name))
+        own = [SHOT + next(iter(sequences([f"{name}.0001"]))) for name in named]  # earlier versions: the camera's alone
+        for key in (*own, PASSES, *shots):
+            if key in found:
                 return found[key]
     return None
 
 
-def shot_name(camera: bpy.types.Object) -> str:
-    """What the views of a camera are called, without their numbers."""
-    return next(iter(sequences([f"{safe_name(camera.name)}.0001"])))
+def shot_name(camera: bpy.types.Object, given: str = "") -> str:
+    """What the views of a camera are called, without their numbers: as ``given``, else after the .blend, if it has a
+    name, and the camera. Each of the two is short enough for a file's name.
+    """
+    words = [given] if given else [bpy.path.display_name_from_filepath(bpy.data.filepath), camera.name]
+    most = _LONGEST_NAME // len(words)
+    return safe_name("_".join(safe_name(word)[:most].rstrip(". ") for word in words if word))
 
 
 def show_view(scene: bpy.types.Scene, name: str) -> None:

@@ -178,7 +178,7 @@ class PLGS_PG_settings(LiftOptions, bpy.types.PropertyGroup):
         description="Layers that passes get in addition to colour, depth, class, instance, confidence and Cryptomatte",
     )  # fmt: skip
     shot: StringProperty(  # type: ignore[valid-type]
-        name="Shot", description="The name of the files that a camera's passes get; empty: the camera's name"
+        name="Shot", description="The name of the files of a camera's passes; empty: the .blend's and the camera's"
     )
     replace_shot: BoolProperty(  # type: ignore[valid-type]
         name="Replace", description="Replace a shot of this name that comes from another file or camera"

@@ -9,6 +9,7 @@ import difflib
 import math
 import sys
 import time
+import zlib
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -28,6 +29,7 @@ from ..engine.posed import Camera
 from ..engine.records import read_record, record_text
 from .frames import seen_by
 from .lift_scene import open_blend
+from .passes import shot_name
 
 DIGITS = 4
 """Digits of a frame's number in the names of its files, at least."""
@@ -39,22 +41,31 @@ _LISTED = 8
 
 @dataclass(frozen=True)
 class Shot:
-    """``camera`` from frame ``first`` to ``last``, every ``step``-th. Its files are named ``given``, else as the camera
-    is."""
+    """``camera`` from frame ``first`` to ``last``, every ``step``-th, or ``only`` these frames. Its files are named
+    ``given``, else as the .blend and the camera are."""
 
     camera: bpy.types.Object
     first: int
     last: int
     step: int = 1
     given: str = ""
+    only: tuple[int, ...] = ()
 
     @property
     def name(self) -> str:
-        return safe_name(self.given or self.camera.name)
+        return shot_name(self.camera, self.given)
 
     @property
-    def frames(self) -> range:
-        return range(self.first, self.last + 1, self.step)
+    def frames(self) -> Sequence[int]:
+        return self.only or range(self.first, self.last + 1, self.step)
+
+    @property
+    def not_baked(self) -> list[str]:
+        """What Blender would render and a bake leaves out, for a warning before it."""
+        scenes = self.camera.users_scene
+        found = ["depth of field"] if self.camera.type == "CAMERA" and self.camera.data.dof.use_dof else []
+        found += ["motion blur"] if any(scene.render.use_motion_blur for scene in scenes) else []
+        return [f"{what} is not baked: {self.camera.name} is sharp in the passes" for what in found]
 
 
 def shot_of(
@@ -64,8 +75,10 @@ def shot_of(
     last: int | None = None,
     step: int | None = None,
     given: str = "",
+    only: Sequence[int] = (),
 ) -> Shot:
-    """The camera of that name, or the scene's active one, over the range given or the scene's. Raises PlgsError."""
+    """The camera of that name, or the scene's active one, over the range given or the scene's, or ``only`` these
+    frames. Raises PlgsError."""
     ob = scene.objects.get(camera) if camera else scene.camera
     if ob is None or (camera and ob.type != "CAMERA"):
         what = f"has no camera named {camera!r}" if camera else "has no active camera"
@@ -76,6 +89,7 @@ def shot_of(
         scene.frame_end if last is None else last,
         scene.frame_step if step is None else step,
         given,
+        tuple(only),
     )
     fix = "Set the range in the Output properties: it must start at 0 or later, and end no earlier than it starts."
     if not shot.frames or shot.first < 0:
@@ -97,13 +111,15 @@ def _cameras_to_choose(scene: bpy.types.Scene, wanted: str) -> str:
     return f"Choose one of its cameras: {names}{more}."
 
 
-def write_shot(lift: Path, scene: bpy.types.Scene, shot: Shot, *, replace: bool = False) -> Path:
-    """Write the cameras that an engine bakes the shot from into the lift's folder, and return the file. Raises
-    PlgsError, OSError.
+def write_shot(
+    lift: Path, scene: bpy.types.Scene, shot: Shot, *, replace: bool = False, output: Path | None = None
+) -> Path:
+    """Write the cameras that an engine bakes the shot from into the lift's folder, or into the folder ``output`` of its
+    passes, and return the file. Raises PlgsError, OSError.
     """
     reader = ShotReader(scene, shot)
     reader.read_for(math.inf)
-    return reader.write(lift, replace=replace)
+    return reader.write(lift, replace=replace, output=output)
 
 
 @dataclass(frozen=True)
@@ -114,10 +130,11 @@ class ShotSource:
     camera: str
 
 
-def _claim(lift: Path, name: str, source: ShotSource, *, replace: bool) -> None:
-    """Note whose shot ``name`` is. Raises PlgsError if it is another file's or camera's, unless that is replaced."""
-    path = lift / "bake" / f"{name}.shot.json"
-    path.parent.mkdir(exist_ok=True)
+def _claim(folder: Path, name: str, source: ShotSource, *, replace: bool) -> None:
+    """Note in a folder whose shot ``name`` is. Raises PlgsError if it is another file's or camera's, unless that is
+    replaced."""
+    path = folder / f"{name}.shot.json"
+    path.parent.mkdir(parents=True, exist_ok=True)
     with lock_on(path.with_suffix(".lock"), _CLAIM_S, brief=True):  # others may begin to bake the same shot
         if path.exists():
             other = read_record(ShotSource, path, "Delete it, if no other file bakes a shot of this name.")
@@ -126,7 +143,7 @@ def _claim(lift: Path, name: str, source: ShotSource, *, replace: bool) -> None:
             if not replace:
                 what = f"has a shot {name!r} of another file already: camera {other.camera!r} in {other.blend}"
                 fix = "Give this shot another name, or ask to replace the other one."
-                raise PlgsError(what, lift, fix, option="--shot")
+                raise PlgsError(what, folder, fix, option="--shot")
         write_atomically(path, record_text(source))
 
 
@@ -154,10 +171,13 @@ class ShotReader:
     def __init__(self, scene: bpy.types.Scene, shot: Shot) -> None:
         self._scene, self._camera, self._frames = scene.name, shot.camera.name, shot.frames
         self._read: list[BakeCamera] = []
-        self._first, self._last = min(shot.first, scene.frame_start), max(shot.last, scene.frame_end)
+        self._first, self._last = min(*shot.frames, scene.frame_start), max(*shot.frames, scene.frame_end)
         self._shot = shot.name
         self._source = ShotSource(bpy.data.filepath or bpy.app.tempdir, shot.camera.name)
-        self._file = f"{shot.name}.{shot.first}-{shot.last}x{shot.step}.json"
+        which = f"{shot.first}-{shot.last}x{shot.step}"
+        if shot.only:  # two lists of frames may be baked at once
+            which = f"{shot.only[0]}-{shot.only[-1]}.{zlib.crc32(repr(shot.only).encode()):08x}"
+        self._file = f"{shot.name}.{which}.json"
         self._stands_still: bool | None = None
 
     @property
@@ -170,7 +190,8 @@ class ShotReader:
         """The cameras that were read. A camera that stands still, also before and after, over the scene's whole range,
         is one camera under the name of the first frame there: so all parts of a shot name it alike.
         """
-        return [replace(self._read[0], name=self._name(self._first))] if self._stands_still else self._read
+        still = [replace(self._read[0], name=self._name(self._first), frame=self._first)]
+        return still if self._stands_still else self._read
 
     def read_for(self, seconds: float) -> bool:
         """Continue reading for at least a frame and about ``seconds``. Returns whether all frames are read. Raises
@@ -200,13 +221,14 @@ class ShotReader:
         others = (frame for frame in range(self._first, self._last + 1) if frame not in self._frames)
         return len(seen) == 1 and all(_camera_at(scene, ob, frame, "").fingerprint in seen for frame in others)
 
-    def write(self, lift: Path, *, replace: bool = False) -> Path:
+    def write(self, lift: Path, *, replace: bool = False, output: Path | None = None) -> Path:
         """As `write_shot`, once all frames are read."""
         source = self._source
         if Path(source.blend).parent == lift:  # so that the lift's own file stays its own where the folder is moved
             source = ShotSource(Path(source.blend).name, source.camera)
-        _claim(lift, self._shot, source, replace=replace)
-        file = lift / "bake" / self._file
+        folder = output or lift / "bake"
+        _claim(folder, self._shot, source, replace=replace)
+        file = folder / self._file
         write_cameras(file, self.cameras)
         return file
 
@@ -245,7 +267,8 @@ def _camera_now(scene: bpy.types.Scene, ob: bpy.types.Object, frame: int, name: 
     if max(camera.width, camera.height) > LARGEST_SIDE:
         fix = f"Set its resolution to at most {LARGEST_SIDE} pixels per side."
         raise PlgsError(f"renders {camera.width}x{camera.height} pixels", scene.name, fix)
-    return BakeCamera(name, _pinhole(camera), float(ob.data.clip_start), float(ob.data.clip_end))
+    near, far, fps = float(ob.data.clip_start), float(ob.data.clip_end), scene.render.fps / scene.render.fps_base
+    return BakeCamera(name, _pinhole(camera), near, far, frame, fps)
 
 
 def _pinhole(camera: Camera) -> PreviewCamera:
@@ -257,26 +280,31 @@ def bake_shot_in_terminal(
     lift: LiftFolder,
     blend: Path,
     camera: str,
-    frames: tuple[int | None, int | None, int | None],
+    frames: Sequence[int],
     layers: Sequence[str],
     interrupts: Interrupts,
     echo: int | None = None,
     *,
     name: str = "",
     replace: bool = False,
+    output: Path | None = None,
 ) -> ExitCode:
-    """Bake what a camera of ``blend`` sees of a finished lift over ``frames`` (first, last, step; None: the file's),
-    with these of FURTHER_LAYERS, progress on stderr and events on the descriptor ``echo``. The file is only read.
-    ``name`` is the shot's; with ``replace`` it may be that of another file's shot.
+    """Bake what a camera of ``blend`` sees of a finished lift over ``frames`` (none: the file's range), with these of
+    FURTHER_LAYERS, progress on stderr and events on the descriptor ``echo``. The file is only read. ``name`` is the
+    shot's; with ``replace`` it may be that of another file's shot. The passes go into the lift's result, or into the
+    folder ``output``.
 
     Raises PlgsError, and Interrupted after Ctrl-C, when the engine has ended.
     """
     python = engine_python()
     scene = open_blend(blend.absolute(), lift.path, named_by="--blend")
-    cameras = write_shot(lift.path, scene, shot_of(scene, camera, *frames, given=name), replace=replace)
+    shot = shot_of(scene, camera, given=name, only=frames)
+    for what in shot.not_baked:
+        print(f"warning: {what}", file=sys.stderr)
+    cameras = write_shot(lift.path, scene, shot, replace=replace, output=output)
     with interrupts.deferred():
         while True:
-            follower = start_bake(lift, python, cameras=cameras, layers=layers)
+            follower = start_bake(lift, python, cameras=cameras, layers=layers, output=output)
             follow(follower, interrupts, LiveLine(sys.stderr), echo)
             is_busy = follower.error is not None and follower.error.code is ErrorCode.BUSY
             if not is_busy or follower.place != lift.place or interrupts.pending is not None:
@@ -286,5 +314,5 @@ def bake_shot_in_terminal(
     elif follower.state is TaskState.CANCELLED:
         print(f"Cancelled. Give the same command again to continue: {lift.path}", file=sys.stderr)
     else:
-        print(f"Baked: {lift.passes_path}", file=sys.stderr)
+        print(f"Baked: {output or lift.passes_path}", file=sys.stderr)
     return follower.exit_code

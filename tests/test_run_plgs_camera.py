@@ -68,21 +68,29 @@ def test_frames_are_baked_and_those_that_are_done_are_kept(lift: LiftFolder, ble
     command = ["-o", lift.path, "--bake", "camera", "--blend", blend, "--camera", "dolly"]
     first = run_script(root, *command, "--range", "1-3")
     assert first.returncode == 0, first.stderr
-    baked = [lift.passes_path / f"dolly.{frame:04d}.exr" for frame in (1, 2, 3)]
+    baked = [lift.passes_path / f"shot_dolly.{frame:04d}.exr" for frame in (1, 2, 3)]
     assert sorted(lift.passes_path.iterdir()) == baked
     depths = [read_exr(path).depth for path in baked]
     assert {depth.shape for depth in depths} == {(45, 80)} and min((depth > 0).mean() for depth in depths) > 0.5
     assert np.median(depths[0]) > np.median(depths[1]) > np.median(depths[2])  # it goes nearer
     written = [path.stat().st_mtime_ns for path in baked]
 
-    again = run_script(root, *command, "--range", "1-4", "--progress", "json")
+    again = run_script(root, *command, "--range", "1-2,4,3", "--progress", "json")
     assert again.returncode == 0, again.stderr
     told = [json.loads(line) for line in again.stdout.splitlines()]
     assert told[0]["event"] == "hello" and told[-1]["state"] == "finished"
     assert [path.stat().st_mtime_ns for path in baked] == written
     listed = {file.path.name for file in verify(lift.result_path).files if file.path.suffix == ".exr"}
-    assert listed == {*(path.name for path in baked), "dolly.0004.exr"}
+    assert listed == {*(path.name for path in baked), "shot_dolly.0004.exr"}
     assert blend.read_bytes() == before and not (lift.path / "lift.blend").exists()
+
+
+def test_passes_go_into_a_folder_of_ones_own(lift: LiftFolder, blend: Path, tmp_path: Path) -> None:
+    command = ["-o", lift.path, "--bake", "camera", "--blend", blend, "--range", "1-1", "--passes", tmp_path / "mine"]
+    before = lift.manifest_path.read_bytes()
+    assert exit_code(run_plgs.main, *command) == 0
+    assert [path.name for path in (tmp_path / "mine").glob("*.exr")] == ["shot_wide.0001.exr"]
+    assert lift.manifest_path.read_bytes() == before and not lift.passes_path.exists()
 
 
 def test_corrections_are_seen_and_the_lifts_own_file_stays(lift: LiftFolder, blend: Path) -> None:
@@ -90,7 +98,7 @@ def test_corrections_are_seen_and_the_lifts_own_file_stays(lift: LiftFolder, ble
     before = own.read_bytes()
     command = ["-o", lift.path, "--bake", "camera", "--blend", blend, "--camera", "dolly", "--range", "1-1"]
     assert exit_code(run_plgs.main, *command) == 0
-    baked = lift.passes_path / "dolly.0001.exr"
+    baked = lift.passes_path / "shot_dolly.0001.exr"
     shown = read_exr(baked).instance
     one = int(shown[shown > 0][0])
     correct(lift.path, lambda state, _: making.delete(state, one, around=False))
@@ -116,7 +124,7 @@ def test_two_commands_at_once_both_end_with_all_frames(lift: LiftFolder, blend: 
         ended = [*pool.map(lambda _: run_script(root, *command), range(2))]
     assert [each.returncode for each in ended] == [0] * 2, [each.stderr for each in ended]
     listed = [file.path.stem for file in verify(lift.result_path).files if file.path.suffix == ".exr"]
-    assert listed == [f"dolly.{frame:04d}" for frame in range(1, 5)]
+    assert listed == [f"shot_dolly.{frame:04d}" for frame in range(1, 5)]
 
 
 def test_a_camera_that_cannot_be_baked_is_a_one_line_error(
@@ -133,7 +141,8 @@ def test_a_camera_that_cannot_be_baked_is_a_one_line_error(
         (["--steps", "5", "--seed", "2"], ("leave out --seed, --steps,", "SCENE")),
         (["--range", "3-1"], ("'3-1'", "ends before it begins")),
         (["--range", "-3-5"], ("'-3-5'", "from 0 on")),
-        (["--range", "1"], ("'1'", "1-250")),
+        (["--range", "1;2"], ("'1;2'", "1001,1003")),
+        (["--range", "1-999999999"], ("more than 1000000 frames",)),
     ):
         assert exit_code(run_plgs.main, "-o", lift.path, "--bake", "camera", *arguments) == 2
         (line,) = [line for line in capsys.readouterr().err.splitlines() if line.startswith("error: ")]

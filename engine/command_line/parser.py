@@ -81,14 +81,15 @@ def _add_bake(parser: argparse.ArgumentParser) -> None:
         'A file of cameras is a JSON list of objects such as {"name": "shot.0001", "width": 1920, "height": 1080, '
         '"K": [[1500, 0, 960], [0, 1500, 540], [0, 0, 1]], "camera_to_world": [[..], [..], [..], [0, 0, 0, 1]], '
         '"clip": [0.1, 100]}: OpenCV axes (x right, y down, z forward) in the lift\'s world in metres, z up, pixels '
-        "with their centres at +0.5. fx, fy, cx and cy may be given instead of K; clip may be left out. The passes go "
-        "to result/passes/NAME.exr, or to FOLDER/NAME.exr. A view is baked again if its camera has changed, or if "
-        "it lacks a chosen layer."
+        "with their centres at +0.5. fx, fy, cx and cy may be given instead of K; clip may be left out. frame, fps and "
+        "display ([left, top, width, height], the window of the picture that viewers show) are for the header. The "
+        "passes go to result/passes/NAME.exr, or to FOLDER/NAME.exr. A view is baked again if its camera has changed, "
+        "or if it lacks a chosen layer."
     )
     parser.add_argument("lift", type=Path, metavar="LIFT", help="the folder of a finished lift")
     parser.add_argument(
         "--frames", nargs="+", metavar="FRAME",
-        help="names of frames, ranges of the numbers in their names (10-200 or 10-200:2), test (the held-out ones), or "
+        help="names of frames, the numbers in their names (10-200:2 or 7,9), test (the held-out ones), or "
         "all (default, without --cameras)",
     )  # fmt: skip
     parser.add_argument("--cameras", type=Path, metavar="FILE.json", help="cameras to bake from, see below")

@@ -20,8 +20,9 @@ from ..job import EventWriter, StopSignal, Watchdog
 from ..job.lock import lock_on
 from ..job.system import usable_cpus
 from ..job.task import TaskPlace
-from ..job.terminal import Interrupted, Interrupts, ShownEvents
+from ..job.terminal import Interrupted, Interrupts
 from .log_output import output_to
+from .shown_events import ShownEvents
 
 Work = Callable[[EventWriter, StopSignal], object]
 

@@ -3,10 +3,12 @@
 Conventions are the engine's: OpenCV axes (x right, y down, z forward) in the lift's world (metres, z up), pixels with
 their centres at +0.5. Cameras to bake need not belong to a frame. Their file is a JSON list of
 
-    {"name": NAME, "width": W, "height": H, "K": 3x3, "camera_to_world": 4x4, "clip": [NEAR, FAR]}
+    {"name": NAME, "width": W, "height": H, "K": 3x3, "camera_to_world": 4x4, "clip": [NEAR, FAR],
+     "frame": NUMBER, "fps": RATE, "display": [LEFT, TOP, WIDTH, HEIGHT]}
 
-"fx", "fy", "cx", "cy" (pixels) may be given instead of "K". "clip" may be left out. It holds planar depths in metres:
-what is centred nearer or farther is not drawn. "name" is the name of the file that is written.
+"fx", "fy", "cx", "cy" (pixels) may be given instead of "K". The last four may be left out. "clip" holds planar depths
+in metres: what is centred nearer or farther is not drawn. "name" is the name of the file that is written. "frame" and
+"fps" are for its header. "display" is the window of the picture, in its pixels, that viewers show (none: all of it).
 
 preview.json in the lift folder names the camera from which a user wants to see the growing model. The user's program
 writes it by rename, at any time; the engine reads it before each live preview, and it never changes the result. It
@@ -71,17 +73,22 @@ PreviewRequest = str | PreviewCamera
 
 @dataclass(frozen=True)
 class BakeCamera:
-    """A camera to bake from: ``name`` of the file, ``pinhole``, and the planar depths in metres that are drawn."""
+    """A camera to bake from: ``name`` of the file, ``pinhole``, the planar depths in metres that are drawn, the number
+    of the ``frame`` and the rate, and the ``display`` window in the picture: left, top, width, height."""
 
     name: str
     pinhole: PreviewCamera
     near: float = 0.0
     far: float = math.inf
+    frame: int | None = None
+    fps: float | None = None
+    display: tuple[int, int, int, int] | None = None
 
     @property
     def fingerprint(self) -> str:
         """A name for what the camera shows. Cameras that show the same have the same fingerprint."""
-        return hashlib.sha256(f"{self.pinhole.fingerprint} {self.near!r} {self.far!r}".encode()).hexdigest()[:16]
+        shows = f"{self.pinhole.fingerprint} {self.near!r} {self.far!r}" + (f" {self.display}" if self.display else "")
+        return hashlib.sha256(shows.encode()).hexdigest()[:16]
 
 
 def read_cameras(path: Path) -> tuple[BakeCamera, ...]:
@@ -167,8 +174,10 @@ def _drawable(camera: PreviewCamera) -> PreviewCamera:
 
 
 def _entry(camera: BakeCamera) -> dict[str, object]:
-    clip = {} if math.isinf(camera.far) else {"clip": [camera.near, camera.far]}
-    return {"name": camera.name, **to_json(camera.pinhole), **clip}
+    clip = None if math.isinf(camera.far) else [camera.near, camera.far]
+    further = {"clip": clip, "frame": camera.frame, "fps": camera.fps, "display": camera.display}
+    given = {key: value for key, value in further.items() if value is not None}
+    return {"name": camera.name, **to_json(camera.pinhole), **given}
 
 
 @dataclass(frozen=True)
@@ -185,6 +194,9 @@ class _Entry:
     cx: float | None = None
     cy: float | None = None
     clip: tuple[float, float] | None = None
+    frame: int | None = None
+    fps: float | None = None
+    display: tuple[int, int, int, int] | None = None
 
     def __post_init__(self) -> None:
         if not 1 <= len(self.name) <= LONGEST_NAME:
@@ -194,12 +206,15 @@ class _Entry:
         near, far = self.camera.near, self.camera.far
         if not 0 <= near < far:
             raise ValueError("clip must be [near, far] in metres, with near at least 0 and less than far")
+        if self.display is not None and not 1 <= min(self.display[2:]) <= max(map(abs, self.display)) <= LARGEST_SIDE:
+            raise ValueError(f"display must be [left, top, width, height] in pixels, none over {LARGEST_SIDE}")
 
     @property
     def camera(self) -> BakeCamera:
         """The camera. Raises ValueError if it cannot be drawn."""
         pinhole = _drawable(PreviewCamera(self.camera_to_world, self._lens(), self.width, self.height))
-        return BakeCamera(self.name, pinhole, *(self.clip or ()))
+        near, far = self.clip or (0.0, math.inf)
+        return BakeCamera(self.name, pinhole, near, far, self.frame, self.fps, self.display)
 
     def _lens(self) -> Matrix:
         given = {"fx": self.fx, "fy": self.fy, "cx": self.cx, "cy": self.cy}

@@ -259,16 +259,16 @@ def start_bake(
     *,
     cameras: Path | None = None,
     layers: Sequence[str] = (),
+    output: Path | None = None,
     stays_with_parent: bool = True,
 ) -> TaskFollower:
     """Start an engine that bakes more of a finished lift: frames ("test", "all", or names), or the ``cameras`` in a
     file, with these of FURTHER_LAYERS. If another process is baking already, it bakes at the same time, with its own
     events. Raises PlgsError, OSError.
     """
-    command = [*engine_call(python), "bake", lift.path]
-    command += [] if cameras is None else ["--cameras", cameras]
-    command += ["--frames", *frames] if frames else []
-    command += ["--layers", *layers] if layers else []
+    command: list[str | Path] = [*engine_call(python), "bake", lift.path]
+    for option, values in (("--cameras", [cameras]), ("-o", [output]), ("--frames", frames), ("--layers", layers)):
+        command += [option, *(each for each in values if each)] if any(values) else []
     place = lift.place
     if lift.is_running:
         (lift.path / "bake").mkdir(exist_ok=True)

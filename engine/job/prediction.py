@@ -37,7 +37,7 @@ SEEN_SHARE = 0.3
 WRITE_S = 2.0
 """Seconds to write the passes and previews of a megapixel."""
 PIXEL = 12.0
-"""Bytes per pixel in a file of passes: 10 at 1920x1080, 14 at 320x240."""
+"""Bytes per pixel in a file of passes: up to 12 at 1920x1080, 14 at 320x240."""
 REMEMBERED = 5
 MB = 1_000_000
 

@@ -7,15 +7,13 @@ import shutil
 import signal
 import sys
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from pathlib import Path
 from types import FrameType
 from typing import Any, TextIO
 
 from ..gates import open_to_append, printable
-from ..json_file import to_line
-from .events import Event, EventWriter, echoed
+from .events import echoed
 from .follower import TaskFollower
 from .task import TaskProgress
 
@@ -122,40 +120,6 @@ def stdout_for_events(progress: str) -> int | None:
     events = os.dup(1)
     os.dup2(2, 1)
     return events
-
-
-class ShownEvents(EventWriter):
-    """Events of a command that no other process follows: progress is shown on ``stream``, and the answer is printed on
-    standard output, as one line of JSON or as text.
-    """
-
-    def __init__(self, stream: TextIO, *, as_json: bool) -> None:
-        self._folder, self._as_json = Path(), as_json
-        self._line, self._progress = LiveLine(stream), TaskProgress()
-
-    def answer(self, answer: Mapping[str, object], text: str = "") -> None:
-        self._line.end()
-        sys.stdout.flush()
-        said = (
-            (printable(text) + "\n").encode(errors="backslashreplace")
-            if text and not self._as_json
-            else to_line(answer)
-        )
-        sys.stdout.buffer.write(said)  # UTF-8 on every system, as a path may need
-        sys.stdout.flush()
-
-    def close(self) -> None:
-        self._line.end()
-
-    def _write(self, event: str, /, **data: Any) -> None:
-        if event == "warning":
-            self._line.say(f"warning: {data['message']}")
-        elif event in ("stage", "progress"):
-            self._progress.take(Event(0, 0.0, event, data), self._folder)
-            if event == "progress":
-                self._line.show(self._progress)
-        else:
-            self._line.end()
 
 
 class LiveLine:

@@ -28,8 +28,10 @@ from ..job import (
     read_manifest,
 )
 from ..job.cameras import refuse_equal_names
+from ..job.frame_numbers import frame_numbers
 from ..model.rendering import ClipRange
 from ..passes.exr import further_layers, read_note, write_exr
+from ..passes.frame_header import ShownFrame
 from ..scene import Camera, Frame, Scene
 from ..scene_of_lift import complete_known_scene, scene_of_lift
 from ..train.progress import StageReporter
@@ -60,12 +62,14 @@ class BakeOptions:
 
 @dataclass(frozen=True, eq=False)
 class WantedView:
-    """A view to bake. ``fingerprint`` is the camera's if it does not belong to a frame, and empty for a frame."""
+    """A view to bake. ``fingerprint`` is the camera's if it does not belong to a frame, and empty for a frame. What
+    is ``shown`` goes into its header."""
 
     name: str
     camera: Camera
     clip: ClipRange = ClipRange()
     fingerprint: str = ""
+    shown: ShownFrame = ShownFrame()
 
 
 def bake_frames(
@@ -107,7 +111,8 @@ def view_from(camera: BakeCamera) -> WantedView:
     pinhole = camera.pinhole
     (fx, _, cx), (_, fy, cy), _ = pinhole.K
     seen = Camera(pinhole.width, pinhole.height, fx, fy, cx, cy, np.array(pinhole.camera_to_world))
-    return WantedView(camera.name, seen, ClipRange(camera.near, camera.far), camera.fingerprint)
+    shown = ShownFrame(camera.frame, camera.fps, camera.display)
+    return WantedView(camera.name, seen, ClipRange(camera.near, camera.far), camera.fingerprint, shown)
 
 
 def _views_of(frames: Sequence[Frame]) -> list[WantedView]:
@@ -164,28 +169,28 @@ def is_whole(passes: Path, notes: Mapping[str, str], layers: tuple[str, ...]) ->
 
 
 def frames_named(scene: Scene, names: Sequence[str]) -> list[Frame]:
-    """The named frames in recording order, each once. "10-200:2" is a range of the last numbers in the frames' names
-    (0010 and frame_0010.colour have the number 10): from the first to the last, every second one. Raises PlgsError for
-    a name or a range that matches no frame.
+    """The named frames in recording order, each once. "10-200:2" and the like (see `frame_numbers`) are the last
+    numbers in the frames' names (0010 and frame_0010.colour have the number 10). Raises PlgsError for a name or a range
+    that matches no frame.
     """
     groups = {"all": scene.frames, "test": scene.test_frames, **{frame.name: [frame] for frame in scene.frames}}
     wanted = set[str]()
     for name in names:
         found = groups[name] if name in groups else _in_range(scene, name)
         if not found and name not in groups:
-            fix = f"Give all, test, names of frames, such as {scene.frames[0].name}, or a range of numbers: 10-200:2."
+            fix = f"Give all, test, names of frames, such as {scene.frames[0].name}, or numbers: 10-200:2 or 7,9."
             raise PlgsError(f"the scene has no frame {name}", scene.folder, fix)
         wanted.update(frame.name for frame in found)
     return [frame for frame in scene.frames if frame.name in wanted]
 
 
 def _in_range(scene: Scene, text: str) -> list[Frame]:
-    found = re.fullmatch(r"(\d{1,9})-(\d{1,9})(?::([1-9]\d{0,8}))?", text)
-    if found is None:
+    try:
+        ranges = frame_numbers(text)
+    except ValueError:
         return []
-    numbers = range(int(found[1]), int(found[2]) + 1, int(found[3] or 1))
     last = ((frame, re.findall(r"\d+", frame.name)[-1:]) for frame in scene.frames)
-    return [frame for frame, number in last if number and int(number[0]) in numbers]
+    return [frame for frame, number in last if number and any(int(number[0]) in each for each in ranges)]
 
 
 def _notes_of(view: WantedView) -> dict[str, str]:
@@ -219,7 +224,7 @@ class _OwnFolder:
         """Bake a view. Raises OSError."""
         self._output.mkdir(parents=True, exist_ok=True)
         notes = {**_notes_of(view), **self._model, **baker.notes}
-        write_exr(self._path_of(view), baker.render(view.camera, view.clip), notes, self._layers)
+        write_exr(self._path_of(view), baker.render(view.camera, view.clip), notes, self._layers, view.shown)
 
     def keep(self) -> None:
         """Do nothing, as there is no manifest."""
@@ -245,7 +250,7 @@ class _Result:
         """Bake a view, replacing one from another camera. Raises OSError."""
         self._make_room(view)
         rendered = baker.render(view.camera, view.clip)
-        baker.write(self._folder, view.name, rendered, events, _notes_of(view), self._layers)
+        baker.write(self._folder, view.name, rendered, events, _notes_of(view), self._layers, view.shown)
         self._add(view, at_once=self._locks.others_at_work())
 
     def _make_room(self, view: WantedView) -> None:

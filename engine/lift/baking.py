@@ -21,6 +21,7 @@ from ..model.structured import StructuredScene
 from ..passes.baked_view import BakedView, ShownInstances, bake_view
 from ..passes.contact_sheet import SheetRow, chosen, write_contact_sheet
 from ..passes.exr import write_exr
+from ..passes.frame_header import NOTHING_SHOWN, ShownFrame
 from ..passes.layers import PanopticLayers, decide
 from ..passes.previews import colour_picture, preview_paths, write_previews
 from ..scene import Camera, ClassTable, Frame, Scene, Size, View, open_asked
@@ -71,11 +72,12 @@ class FrameBaker:
         events: EventWriter,
         notes: Mapping[str, str] | None = None,
         layers: Collection[str] = (),
+        shown: ShownFrame = NOTHING_SHOWN,
     ) -> None:
-        """Write passes/<name>.exr, with ``notes`` in its header and these of FURTHER_LAYERS, write the three previews
-        (`baked_files`), and report the files."""
+        """Write passes/<name>.exr, with ``notes`` and what is ``shown`` in its header and these of FURTHER_LAYERS,
+        write the three previews (`baked_files`), and report the files."""
         passes, _, semantic, _ = baked_files(folder, name)
-        write_exr(passes, view, {**(notes or {}), **self.notes}, layers)
+        write_exr(passes, view, {**(notes or {}), **self.notes}, layers, shown)
         write_previews(folder.previews_path, name, view.layers, self.classes, self.colours)
         events.artifact(passes, "pass")
         events.preview(semantic)

@@ -1,4 +1,5 @@
-"""One multilayer EXR per view: single part, ZIP, names as Blender's compositor reads them.
+"""One multilayer EXR per view: single part, ZIP, names as Blender's compositor reads them. The colour is there
+twice: as R, G, B and A, which every viewer shows, and as a layer among the others.
 
 Ids, depth and Cryptomatte are 32-bit floats and exact. Colour, confidence, entropy and normals are half floats.
 """
@@ -20,6 +21,7 @@ from ..machine.threads import worker_count
 from ..posed.exr_header import read_exr_header
 from . import cryptomatte
 from .baked_view import BakedView
+from .frame_header import NOTHING_SHOWN, ShownFrame, frame_header
 from .layers import PanopticLayers
 
 LAYER = "PLGS"
@@ -28,10 +30,14 @@ EXACT_IDS = 1 << 24
 
 
 def write_exr(
-    path: Path, view: BakedView, notes: Mapping[str, str] | None = None, layers: Collection[str] = ()
+    path: Path,
+    view: BakedView,
+    notes: Mapping[str, str] | None = None,
+    layers: Collection[str] = (),
+    shown: ShownFrame = NOTHING_SHOWN,
 ) -> None:
     """Write a baked view, completely or not at all. The same input gives the same bytes. ``notes``: more attributes of
-    the header; ``layers``: those wanted from FURTHER_LAYERS.
+    the header; ``layers``: those wanted from FURTHER_LAYERS; ``shown``: what the header says of the view's frame.
 
     Raises ValueError for ids that a 32-bit float cannot hold, and OSError if the file cannot be written.
     """
@@ -39,7 +45,7 @@ def write_exr(
     if largest >= EXACT_IDS:
         raise ValueError(f"class and instance ids must be below {EXACT_IDS} to be exact in an EXR")
     channels = _pass_channels(view, layers)
-    header = dict(notes or {})
+    header = frame_header(view.camera, shown, path.stem) | dict(notes or {})
     for matte in view.mattes:
         channels |= cryptomatte.channels(matte.layer.name, matte.ranks)
         header |= cryptomatte.header(matte.layer.name, matte.layer.names)
@@ -136,13 +142,14 @@ def _pass_channels(view: BakedView, further: Collection[str]) -> dict[str, NDArr
     if surface is not None and "position" in further:
         exact |= {f"Position.{c}": surface.position[k] for k, c in enumerate("XYZ")}
     channels = {f"{LAYER}.{name}": np.ascontiguousarray(values, np.float16) for name, values in half.items()}
+    channels |= {c: channels[f"{LAYER}.Combined.{c}"] for c in "RGBA"}
     return channels | {f"{LAYER}.{name}": np.ascontiguousarray(values, np.float32) for name, values in exact.items()}
 
 
-def _write(path: Path, text: Mapping[str, str], channels: dict[str, NDArray[np.floating]]) -> None:
+def _write(path: Path, attributes: Mapping[str, Any], channels: dict[str, NDArray[np.floating]]) -> None:
     import OpenEXR
 
-    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage, **text}
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage, **attributes}
     OpenEXR.set_global_thread_count(worker_count())  # the library starts with none
     with OpenEXR.File(header, channels, worker_count()) as file:
         file.write(str(path))

@@ -23,7 +23,7 @@ from ..meshes import mesh_folder
 from ..owned import text_of
 from ..paths import absolute, free_folder
 from ..settings import PLGS_PG_settings, adopt, chosen_lift, chosen_scene, request_of, why_no_options
-from ..shots import ShotReader, shot_of, write_view
+from ..shots import Shot, ShotReader, shot_of, write_view
 from ..tasks import registry, timer
 from ..tasks.registry import Task, start_engine
 from . import exports, lifts
@@ -187,14 +187,10 @@ def bake_passes(scene: bpy.types.Scene, frames: str, folder: str = "") -> Lift:
     return lifts.bake(lift, python, names, layers=sorted(scene.plgs.layers), keep_running=scene.plgs.keep_running)
 
 
-def read_camera(
-    scene: bpy.types.Scene, camera: str, frames: tuple[int | None, int | None, int | None], name: str = ""
-) -> ShotReader:
-    """Begin to read a camera, the scene's active one unless named, over ``frames`` (first, last, step), the scene's
-    where None, as the shot ``name``. Raises PlgsError, also where there is no engine to bake it.
-    """
+def read_camera(scene: bpy.types.Scene, shot: Shot) -> ShotReader:
+    """Begin to read a shot's camera. Raises PlgsError where there is no engine to bake it."""
     engine_environment.usable_python()
-    return ShotReader(scene, shot_of(scene, camera, *frames, given=name))
+    return ShotReader(scene, shot)
 
 
 def bake_shot(scene: bpy.types.Scene, shot: ShotReader, folder: str = "", *, replace: bool = False) -> Lift:
@@ -213,7 +209,7 @@ def bake_on_farm(scene: bpy.types.Scene, folder: str = "") -> Path:
     """
     lift = lift_at(scene.plgs, folder)
     read_manifest(lift.result_path)
-    return write_farm_job(scene, lift, shot_of(scene))
+    return write_farm_job(scene, lift, shot_of(scene, given=scene.plgs.shot))
 
 
 def export_lift(settings: PLGS_PG_settings, form: str, output: str, frames: str, folder: str = "") -> exports.Export:

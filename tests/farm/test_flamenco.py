@@ -69,7 +69,8 @@ def lines_of(task: dict[str, Any]) -> list[list[str]]:
 
 def test_a_camera_is_baked_in_parallel_and_collected(root: Path) -> None:
     tasks = compiled(root, {"scene": "{shared}/a room", "output": "{shared}/lift", "blend": "{shared}/shot.blend",
-                            "camera": "dolly", "frames": "1-4,9", "chunk_size": 2, "layers": "normal"})  # fmt: skip
+                            "camera": "dolly", "shot": "s",
+                            "frames": "1-4,9", "chunk_size": 2, "layers": "normal"})  # fmt: skip
     assert [task["name"] for task in tasks] == ["lift", "bake-1-2", "bake-3-4", "bake-9", "collect"]
     assert [task["dependencies"] for task in tasks] == [
         [],
@@ -83,7 +84,7 @@ def test_a_camera_is_baked_in_parallel_and_collected(root: Path) -> None:
     assert lift == [*engine, "lift", "{shared}/a room", "-o", "{shared}/lift", "--resume", "--preset", "standard"]
     assert last == [
         "{plgsPython}", "{plgs}/run_plgs.py", "-o", "{shared}/lift", "--bake", "camera", "--blend",
-        "{shared}/shot.blend", "--camera=dolly", "--range", "9-9", "--layers", "normal",
+        "{shared}/shot.blend", "--camera=dolly", "--shot=s", "--range", "9-9", "--layers", "normal",
     ]  # fmt: skip
     assert collect[1:] == ["{plgs}/run_plgs.py", *lift[3:]]
 
@@ -117,7 +118,7 @@ def test_an_existing_lift_keeps_its_options(root: Path, tmp_path: Path, monkeypa
     saved = SimpleNamespace(data=SimpleNamespace(filepath=str(tmp_path / "shot.blend")))
     monkeypatch.setattr("plgs.plgs_blender.farm_job.bpy", saved)
     blender_scene = SimpleNamespace(name="Scene", plgs=SimpleNamespace(layers={"normal"}))
-    shot = SimpleNamespace(frames=range(1, 4), step=1, camera=SimpleNamespace(name="dolly"))
+    shot = SimpleNamespace(frames=range(1, 4), step=1, given="", camera=SimpleNamespace(name="dolly"))
     job = json.loads(write_farm_job(blender_scene, lift, shot).read_text())
     lifting, _, collect = compiled(root, job["settings"])
     for line in (lines_of(lifting)[0][2:], ["lift", *lines_of(collect)[0][2:]]):
@@ -150,5 +151,5 @@ def test_its_commands_run(bake: str, root: Path, tmp_path: Path) -> None:
     run(collect)
     passes = {file.path.stem for file in verify(tmp_path / "lift" / "result").files if file.path.suffix == ".exr"}
     wanted = {f"{frame:04d}" for frame in range(4)}
-    assert (wanted if bake == "frames" else {"Overview.0000"}) <= passes
+    assert (wanted if bake == "frames" else {"lift_Overview.0000"}) <= passes
     assert (tmp_path / "lift" / "lift.blend").stat().st_size > 0

@@ -125,7 +125,8 @@ def test_passes_have_the_frames_own_size_and_whole_labels(lifts: Lifts) -> None:
         plgs = {key for key in channels if key.startswith("PLGS.")}
         single = {f"PLGS.{kind}.V" for kind in ("Depth", "Semantic", "Instance", "Confidence", "Entropy")}
         assert plgs == {f"PLGS.Combined.{letter}" for letter in "RGBA"} | single
-        assert {key.split(".")[0].rstrip("0123456789") for key in channels} == {"PLGS", "CryptoInstance", "CryptoClass"}
+        layers = {key.split(".")[0].rstrip("0123456789") for key in channels}
+        assert layers == {*"RGBA", "PLGS", "CryptoInstance", "CryptoClass"}
         assert {pixels.shape for pixels in channels.values()} == {(48, 64)}
         assert set(np.unique(channels["PLGS.Semantic.V"])) <= {1.0, 2.0, 3.0, 5.0}
         assert set(np.unique(channels["PLGS.Instance.V"])) <= {0.0, 1.0, 2.0}

@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
 from dataclasses import fields, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,6 +17,7 @@ from hypothesis import strategies as st
 from engine.job import FURTHER_LAYERS
 from engine.passes.baked_view import BakedView, ShownInstances, bake_view
 from engine.passes.exr import further_layers, read_exr, read_note, write_exr
+from engine.passes.frame_header import ShownFrame
 from engine.passes.layers import decide
 from tests.fuzzing import damaged, examples
 from tests.passes.views import CLASSES, EDGE, LEFT, NAMES, NOTHING, RIGHT, made_rendering
@@ -47,11 +52,11 @@ def test_single_part_zip_float(tmp_path: Path) -> None:
         names = set(file.channels())
         half = {name for name, channel in file.channels().items() if channel.pixels.dtype == np.float16}
         assert {channel.pixels.dtype for channel in file.channels().values()} == {np.dtype(t) for t in ("f2", "f4")}
-    assert {name.split(".")[1] for name in half} == {"Combined", "Confidence", "Entropy", "Normal"}
+    assert {name.split(".")[1] for name in half - {*"RGBA"}} == {"Combined", "Confidence", "Entropy", "Normal"}
     assert {"PLGS.Combined.R", "PLGS.Combined.A", "PLGS.Depth.V", "PLGS.Semantic.V", "PLGS.Instance.V"} < names
     assert {"PLGS.Confidence.V", "PLGS.Entropy.V", "CryptoInstance00.r", "CryptoClass02.a"} < names
     assert {f"PLGS.{layer}.{axis}" for layer in ("Normal", "Position") for axis in "XYZ"} < names
-    assert len(names) == 9 + 6 + 12 + 12
+    assert len(names) == 4 + 9 + 6 + 12 + 12
 
 
 def test_layers_that_follow_from_the_depth_are_there_when_they_are_chosen(tmp_path: Path) -> None:
@@ -105,6 +110,52 @@ def test_damaged_passes_are_refused(tmp_path: Path, data: st.DataObject) -> None
             assert str(path) in str(error)
 
 
+def test_opencv_reads_the_picture(tmp_path: Path) -> None:
+    path = _write(tmp_path / "a.exr")
+    command = "import cv2, numpy, sys; numpy.save(sys.argv[2], cv2.imread(sys.argv[1], -1))"
+    enabled = {**os.environ, "OPENCV_IO_ENABLE_OPENEXR": "1"}
+    subprocess.run([sys.executable, "-c", command, path, tmp_path / "a.npy"], env=enabled, check=True)
+    combined = read_exr(path).combined
+    assert np.array_equal(np.load(tmp_path / "a.npy"), combined[..., [2, 1, 0, 3]]) and combined.any()
+
+
+@pytest.mark.parametrize(
+    ("name", "shown", "told"),
+    [
+        ("a.1001", ShownFrame(), {"imageCounter": 1001}),
+        ("a.0001", ShownFrame(fps=24.0), {"imageCounter": 1, "timeCode": (0, 0, 0, 1)}),
+        ("a", ShownFrame(90000, 23.976), {"imageCounter": 90000, "timeCode": (1, 2, 30, 0)}),
+        ("a.-003", ShownFrame(fps=24.0), {"imageCounter": -3}),
+        ("wide", ShownFrame(fps=24.0), {}),
+        ("wide", ShownFrame(display=(-1, 2, 4, 3)), {}),
+    ],
+)
+def test_the_header_tells_frame_and_camera(name: str, shown: ShownFrame, told: dict[str, Any], tmp_path: Path) -> None:
+    view, path = _baked(), tmp_path / f"{name}.exr"
+    camera = replace(view.camera, fy=view.camera.fy * 1.5)
+    write_exr(path, replace(view, camera=camera), shown=shown)
+    with OpenEXR.File(str(path)) as file:
+        header = dict(file.header())
+    code = header.pop("timeCode", None)
+    found = {key: header[key] for key in ("imageCounter",) if key in header}
+    found |= {"timeCode": (code.hours, code.minutes, code.seconds, code.frame)} if code is not None else {}
+    assert found == told and header["pixelAspectRatio"] == pytest.approx(1.5)
+    points = camera.unproject(np.full((camera.height, camera.width), 2.0, np.float32)).reshape(-1, 3)
+    rows = np.concatenate([points, np.ones((len(points), 1))], axis=1)
+    seen = rows @ header["worldToCamera"]
+    np.testing.assert_allclose(seen[:, 2:], [[2.0, 1.0]] * len(points), atol=1e-5)  # looks along +z
+    assert (np.sign(seen[0, :2]) == [-1, 1]).all(), "x to the right and y up, from the upper left pixel"
+    left, top, width, height = shown.display or (0, 0, *camera.size)
+    ndc = rows @ header["worldToNDC"]
+    pixels = np.stack(np.meshgrid(np.arange(8), np.arange(6)), -1).reshape(-1, 2) + 0.5
+    expected = (pixels - [left, top]) / [width, height]
+    np.testing.assert_allclose(ndc[:, :2] / ndc[:, 3:], expected, atol=1e-5)
+    assert [corner.tolist() for corner in header["displayWindow"]] == [[0, 0], [width - 1, height - 1]]
+    assert [corner.tolist() for corner in header["dataWindow"]] == [[-left, -top], [7 - left, 5 - top]]
+    if shown.display is None:
+        assert read_exr(path).depth.shape == (6, 8)
+
+
 def test_openimageio_reads_the_same(tmp_path: Path) -> None:
     oiio = pytest.importorskip("OpenImageIO")
     path = _write(tmp_path / "a.exr")
@@ -114,7 +165,8 @@ def test_openimageio_reads_the_same(tmp_path: Path) -> None:
     with OpenEXR.File(str(path), separate_channels=True) as file:
         written = {name: channel.pixels.copy() for name, channel in file.channels().items()}
         header = dict(file.header())
-    assert set(spec.channelnames) == set(written)
+    assert spec.channelnames[:4] == ("R", "G", "B", "A") and set(spec.channelnames) == set(written)
+    assert spec.getattribute("PixelAspectRatio") == 1.0 and len(spec.getattribute("worldToCamera")) == 16
     for column, name in enumerate(spec.channelnames):
         assert np.array_equal(pixels[..., column], written[name]), name
     manifests = [key for key in header if key.startswith("cryptomatte/") and key.endswith("/manifest")]

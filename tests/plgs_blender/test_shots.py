@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import shutil
+from contextlib import nullcontext
 from pathlib import Path
 
 import bpy
@@ -135,9 +136,13 @@ def test_a_camera_that_stands_still_is_one_picture(scene: bpy.types.Scene) -> No
     assert [camera.name for camera in cameras_of(scene, shot_of(scene))] == ["dolly.0001"]
 
 
-def test_names_that_are_not_files(scene: bpy.types.Scene) -> None:
+def test_names_that_are_not_files(scene: bpy.types.Scene, tmp_path: Path) -> None:
     scene.camera.name = 'a/b: "c"?'
     assert cameras_of(scene, shot_of(scene))[0].name == "a_b_ _c__.0001"
+    scene.camera.name = "c" * 60
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / f"{'b' * 99}.blend"))
+    for given, name in (("", f"{'b' * 40}_{'c' * 40}"), ("g" * 200, "g" * 80)):
+        assert read_cameras(write_shot(tmp_path, scene, shot_of(scene, given=given)))[0].name == f"{name}.0001"
 
 
 def test_cameras_with_similar_names_are_listed_first(scene: bpy.types.Scene) -> None:
@@ -192,27 +197,44 @@ def test_parts_of_a_shot_name_a_camera_that_stands_still_alike(scene: bpy.types.
         assert [camera.name for camera in cameras_of(scene, shot_of(scene, "", first, last))] == ["dolly.0001"]
 
 
+def test_only_some_frames_of_a_shot(scene: bpy.types.Scene, tmp_path: Path) -> None:
+    shots = [shot_of(scene, only=only) for only in ((1, 3), (1, 2, 3))]
+    assert [camera.name for camera in cameras_of(scene, shots[0])] == ["dolly.0001", "dolly.0003"]
+    assert len({write_shot(tmp_path, scene, shot) for shot in shots}) == 2
+
+
+def test_what_is_not_baked_is_told(scene: bpy.types.Scene) -> None:
+    assert shot_of(scene).not_baked == []
+    scene.camera.data.dof.use_dof = scene.render.use_motion_blur = True
+    assert [told.split(" is ")[0] for told in shot_of(scene).not_baked] == ["depth of field", "motion blur"]
+
+
 def test_shots_that_differ_in_their_step_have_files_of_their_own(scene: bpy.types.Scene, tmp_path: Path) -> None:
     files = {write_shot(tmp_path, scene, shot_of(scene, "", 1, 4, step)).name for step in (1, 2)}
     assert files == {"dolly.1-4x1.json", "dolly.1-4x2.json"}
 
 
 def test_shots_of_two_files_do_not_replace_each_other(scene: bpy.types.Scene, tmp_path: Path) -> None:
-    lift, shot = tmp_path / "lift", shot_of(scene)
+    lift, shot = tmp_path / "lift", shot_of(scene, given="pan")
     lift.mkdir()
     for name in ("day", "night"):
         bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / f"{name}.blend"))
+        assert write_shot(lift, scene, shot_of(scene)).name == f"{name}_dolly.1-4x1.json"
         if name == "day":
             write_shot(lift, scene, shot)
             first = write_shot(lift, scene, shot).read_bytes()  # the same file's again
-    with pytest.raises(PlgsError, match=r"has a shot 'dolly' of another file already: camera 'dolly' in .*day\.blend"):
-        write_shot(lift, scene, shot)
+    for output in (None, tmp_path / "passes"):  # each folder has its own shots
+        with nullcontext() if output else pytest.raises(
+            PlgsError, match=r"has a shot 'pan' of another file already: camera 'dolly' in .*day\.blend"
+        ):
+            write_shot(lift, scene, shot, output=output)
     assert write_shot(lift, scene, shot_of(scene, given="n 2")).name == "n 2.1-4x1.json"
     assert [camera.name for camera in cameras_of(scene, shot_of(scene, given="n/2"))][0] == "n_2.0001"
     assert write_shot(lift, scene, shot, replace=True).read_bytes() == first
     bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "day.blend"))
-    with pytest.raises(PlgsError, match=r"night\.blend"):
-        write_shot(lift, bpy.context.scene, shot_of(bpy.context.scene))
+    for output in (None, tmp_path / "passes"):
+        with pytest.raises(PlgsError, match=r"night\.blend"):
+            write_shot(lift, bpy.context.scene, shot_of(bpy.context.scene, given="pan"), output=output)
 
 
 def test_a_lifts_own_file_keeps_its_shots_where_the_lift_is_moved(scene: bpy.types.Scene, tmp_path: Path) -> None:
