@@ -12,7 +12,7 @@ from .class_table import table_findings
 from .findings import Diagnosis, Finding, Mending
 from .labels import label_findings
 from .looks import load_photos
-from .numbers import NUMBER_CAUSES, number_findings
+from .numbers import NUMBER_CAUSES, lens_findings, number_findings
 from .order import measure_order, order_findings, repeat_findings
 from .photometry import picture_findings
 from .poses import pose_findings
@@ -30,7 +30,7 @@ def diagnose(scene: Scene) -> Diagnosis:
     if examined is None:
         return _without_depth(scene)
     as_it_is = agreement(examined.views, examined.pairs, Assumption())
-    findings, assumed, shift = number_findings(examined)
+    findings, assumed, shift = number_findings(examined, lens_is_doubtful=bool(scene.assumed_lens))
     tilt = measure_tilt(examined.views, assumed)
     if tilt is not None:
         findings.append(tilt_finding(examined, tilt, assumed))
@@ -72,5 +72,6 @@ def _dropped(findings: list[Finding]) -> frozenset[str]:
 def _diagnosis(
     scene: Scene, findings: list[Finding], mending: Mending, looked: int, agreeing: Agreement | None
 ) -> Diagnosis:
-    worst_first = sorted(findings, key=lambda finding: finding.severity != "wrong")
+    found = [*lens_findings(scene, findings), *findings]
+    worst_first = sorted(found, key=lambda finding: finding.severity != "wrong")
     return Diagnosis(tuple(worst_first), mending, len(scene.frames), looked, agreeing)
