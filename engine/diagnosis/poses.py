@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -65,7 +65,15 @@ class Gap(NamedTuple):
     within: float
 
 
-def pose_findings(examined: Examined, assumed: Assumption) -> list[Finding]:
+class PoseFindings(NamedTuple):
+    """What was found, and the axes of the world along which drift could not be tested: too few frames that are far
+    apart in time share surfaces that face them."""
+
+    found: list[Finding]
+    untested: tuple[str, ...]
+
+
+def pose_findings(examined: Examined, assumed: Assumption) -> PoseFindings:
     """Drift, and single frames whose pose is off. The frames have to be in order."""
     distances, along = _surface_distances(examined.views, examined.pairs, assumed)
     numbers = np.array([look.number for look in examined.looks])
@@ -77,10 +85,13 @@ def pose_findings(examined: Examined, assumed: Assumption) -> list[Finding]:
     gap = None if found else _measure_gap(distances, numbers[examined.pairs])
     if gap is not None and gap.across > max(least, _GROWN * gap.within):
         found.append(_gap_finding(examined, gap))
+    shifts = zip("xyz", along.T, strict=True)
+    by_axis = {axis: _measure_drift(shift, lags, len(examined.looks)) for axis, shift in shifts}
     if drift is not None and not found:
-        found = _axis_findings([_measure_drift(shift, lags, len(examined.looks)) for shift in along.T])
+        found = _axis_findings({axis: each for axis, each in by_axis.items() if each is not None})
     rows = _misplaced_looks(examined.views, examined.pairs, assumed)
-    return [*found, *([_misplaced_finding(examined, rows)] if rows else [])]
+    found = [*found, *([_misplaced_finding(examined, rows)] if rows else [])]
+    return PoseFindings(found, tuple(axis for axis, each in by_axis.items() if each is None))
 
 
 def _surface_distances(views: Views, pairs: NDArray[np.int64], assumed: Assumption) -> tuple[Floats, Floats]:
@@ -168,26 +179,18 @@ def _drift_finding(drift: Drift) -> Finding:
     )
 
 
-def _axis_findings(drifts: Sequence[Drift | None]) -> list[Finding]:
-    """Drift along one axis of the world, x, y or z, which most surfaces do not show; or, as a note, along which axes it
-    cannot be seen."""
-    grown = [
-        (drift, axis)
-        for drift, axis in zip(drifts, "xyz", strict=True)
-        if drift is not None
-        and drift.far > max(_AXIS_DRIFTED, _AXIS_GROWN * drift.near)
-        and drift.certainty > _AXIS_CERTAIN
-    ]
-    if grown:
-        drift, axis = max(grown, key=lambda each: each[0].certainty)
-        found = _drift_finding(drift)
-        return [replace(found, text=found.text.replace("poses drift:", f"poses drift along {axis}:"))]
-    blind = [axis for drift, axis in zip(drifts, "xyz", strict=True) if drift is None]
-    if not blind:
+def _axis_findings(drifts: Mapping[str, Drift]) -> list[Finding]:
+    """Drift along one axis of the world, which only the surfaces that face it show."""
+    grown = {
+        axis: drift
+        for axis, drift in drifts.items()
+        if drift.far > max(_AXIS_DRIFTED, _AXIS_GROWN * drift.near) and drift.certainty > _AXIS_CERTAIN
+    }
+    if not grown:
         return []
-    text = f"drift along {listed(blind)} was not tested: too few frames far apart in time share surfaces that face it"
-    option = "nothing, if the poses come from a method that closes loops; else record the room's walls a second time"
-    return [Finding(cause="untested drift", severity="note", text=text, option=option, figures={})]
+    axis = max(grown, key=lambda each: grown[each].certainty)
+    found = _drift_finding(grown[axis])
+    return [replace(found, text=found.text.replace("poses drift:", f"poses drift along {axis}:"))]
 
 
 def _misplaced_looks(views: Views, pairs: NDArray[np.int64], assumed: Assumption) -> list[int]:

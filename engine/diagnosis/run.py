@@ -36,8 +36,10 @@ def diagnose(scene: Scene) -> Diagnosis:
         findings.append(tilt_finding(examined, tilt, assumed))
     order = measure_order(scene, assumed)
     findings += [*order_findings(scene, order), *repeat_findings(scene)]
+    untested: tuple[str, ...] = ()
     if order is None or not order.is_shuffled:
-        findings += pose_findings(examined, assumed)
+        poses = pose_findings(examined, assumed)
+        findings, untested = [*findings, *poses.found], poses.untested
         findings += blur_findings_on_surfaces(examined, assumed)
         pictures = picture_findings(examined, assumed)
         if pictures:  # depth's edges fit pictures of other frames only by chance
@@ -52,7 +54,7 @@ def diagnose(scene: Scene) -> Diagnosis:
     if not is_sure:  # whatever was measured after a doubtful cause is just as doubtful
         findings = [replace(finding, is_mended=False) for finding in findings]
     mending = Mending(assumed, shift, turn, _dropped(findings)) if is_sure else Mending()
-    return _diagnosis(scene, findings, mending, len(examined.looks), as_it_is)
+    return replace(_diagnosis(scene, findings, mending, len(examined.looks), as_it_is), untested=untested)
 
 
 def _without_depth(scene: Scene) -> Diagnosis:
