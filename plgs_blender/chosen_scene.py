@@ -43,7 +43,8 @@ class ChosenScene(SceneSource):
     @property
     def is_plain(self) -> bool:
         """Whether it is in plain folders, whose cameras and pictures Blender can read alone. Reads the disk."""
-        return self.scene_format in (None, NAME) and recognises(self.scene)
+        has_lens = (self.scene / "intrinsic").is_dir()  # else a sensor's own file may say it, which the engine reads
+        return self.scene_format in (None, NAME) and has_lens and recognises(self.scene)
 
     def open_plain(self) -> PosedScene:
         """The cameras and pictures of plain folders; of pictures only the headers are read. Raises PlgsError."""

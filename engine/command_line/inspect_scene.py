@@ -80,6 +80,9 @@ def _finding_lines(diagnosis: Diagnosis, folder: Path | None) -> Iterator[str]:
             f"views     {views.share:.0%} of what two frames see lies where both place it, with a median error of "
             f"{views.error:.2%} ({diagnosis.looked} of {diagnosis.frames} frames compared)"
         )
+    if diagnosis.untested:
+        axes = " and ".join(diagnosis.untested)
+        yield f"untested  drift along {axes}: frames far apart in time share too few surfaces that face {axes}"
     if not diagnosis.findings:
         yield "findings  none"
     for finding in diagnosis.findings:

@@ -81,7 +81,8 @@ class Mending:
 @dataclass(frozen=True, eq=False)
 class Diagnosis:
     """Findings, the worst first. ``looked`` of ``frames`` frames were examined. ``agreement`` tells how well the views
-    of the scene agree as it is; it is None for scenes without depth.
+    of the scene agree as it is; it is None for scenes without depth. ``untested``: the axes of the world along which
+    drift could not be tested.
     """
 
     findings: tuple[Finding, ...]
@@ -89,6 +90,7 @@ class Diagnosis:
     frames: int
     looked: int
     agreement: Agreement | None
+    untested: tuple[str, ...] = ()
 
     def as_json(self) -> dict[str, Any]:
         """Everything but the pictures."""
@@ -98,6 +100,7 @@ class Diagnosis:
             "looked": self.looked,
             "agreement": None if views is None else {"seen": views.seen, "share": views.share, "error": views.error},
             "can_be_mended": self.mending.is_needed,
+            "drift_untested_along": list(self.untested),
             "findings": [finding.as_json() for finding in self.findings],
         }
 

@@ -7,6 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ..scene import Scene
+from ..scene.depth import DepthMap
 from .calibration import Calibration, calibrate, moved
 from .findings import FIX, Finding
 from .pictures import depth_errors
@@ -90,13 +92,25 @@ _WORDS = {
 
 NUMBER_CAUSES = frozenset(words.name for words in _WORDS.values())
 """What findings on poses, depth and intrinsics are called."""
+_OTHERS_FOLLOW = "what else is wrong with the numbers may follow from it"
 _ONLY_TOLD = ("lag", "mirrored")
 """Causes that users mend in their own files, as only they can see which of the files are wrong."""
 
 
-def number_findings(examined: Examined) -> tuple[list[Finding], Assumption, Shift]:
+def lens_findings(scene: Scene, findings: list[Finding]) -> list[Finding]:
+    """A finding on a lens that no file says, the first hypothesis. It is "wrong" where a number is: then the lens is
+    likelier to be the cause than numbers that files say."""
+    if not scene.assumed_lens:
+        return []
+    is_wrong = any(finding.severity == "wrong" and finding.cause in NUMBER_CAUSES for finding in findings)
+    text = f"{scene.assumed_lens}; {_OTHERS_FOLLOW}" if is_wrong else scene.assumed_lens
+    option = "write the recorder's own lens there, then inspect again"
+    return [Finding("assumed lens", "wrong" if is_wrong else "note", text, option)]
+
+
+def number_findings(examined: Examined, lens_is_doubtful: bool = False) -> tuple[list[Finding], Assumption, Shift]:
     """Findings, what the numbers mean, and the shift that depth needs, in shares of the picture."""
-    causes, assumed = find_causes(examined.views, examined.pairs)
+    causes, assumed = find_causes(examined.views, examined.pairs, lens_is_doubtful)
     befores = [Assumption(), *(cause.assumed for cause in causes)]
     findings = [_cause_finding(examined, cause, before) for cause, before in zip(causes, befores, strict=False)]
     calibration = calibrate(examined.views, examined.pairs, assumed, points=200)
@@ -135,15 +149,26 @@ def _off(factor: float) -> str:
     return f"{1 / factor:.4g} times too long" if factor < 1.0 else f"{factor:.4g} times too short"
 
 
+def _steps(examined: Examined, factor: float) -> str:
+    """In how many steps per metre depth was written and read; empty where its files hold no steps."""
+    read = examined.scene.frames[0].read_depth
+    if not isinstance(read, DepthMap) or read.step is None:
+        return ""
+    per_metre = 1.0 / read.step
+    return f" (as if written with {_round(per_metre / factor)} steps per metre, read with {_round(per_metre)})"
+
+
+def _round(steps: float) -> str:
+    return f"{steps:.0f}" if steps >= 300.0 else f"{steps:.3g}"
+
+
 def _cause_texts(examined: Examined, cause: FoundCause, before: Assumption) -> tuple[str, str, Figures]:
     """What is wrong, what to do about it in the user's files, and the figures."""
     now = cause.assumed
     width, height = examined.scene.frames[0].size
     if cause.cause == "unit":
         factor = now.unit / before.unit
-        steps = 1.0 / factor
-        known = f"{1000 * steps:.0f}" if steps >= 0.3 else f"{1000 * steps:.3g}"
-        text = f"depth is in another unit, {_off(factor)} (as if written with {known} steps per metre, read with 1000)"
+        text = f"depth is in another unit, {_off(factor)}{_steps(examined, factor)}"
         return text, f"multiply depth by {factor:.4g}", {"factor": factor}
     if cause.cause == "length":
         factor = now.length / before.length

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -32,6 +34,11 @@ _GROWN = 4.0
 """Least factor between the distances of distant frames and of neighbours."""
 _CERTAIN = 5.0
 """Standard errors."""
+_FACING = 0.85
+"""Least cosine between an axis of the world and the normal of a surface that faces it."""
+_AXIS_DRIFTED, _AXIS_GROWN, _AXIS_CERTAIN = 0.01, 8.0, 12.0
+"""The same limits for the surfaces that face one axis. They are fewer, so more is asked of them; the hand-held twin as
+it is reaches a factor of 9, but 8 standard errors."""
 
 
 class Drift(NamedTuple):
@@ -58,9 +65,17 @@ class Gap(NamedTuple):
     within: float
 
 
-def pose_findings(examined: Examined, assumed: Assumption) -> list[Finding]:
+class PoseFindings(NamedTuple):
+    """What was found, and the axes of the world along which drift could not be tested: too few frames that are far
+    apart in time share surfaces that face them."""
+
+    found: list[Finding]
+    untested: tuple[str, ...]
+
+
+def pose_findings(examined: Examined, assumed: Assumption) -> PoseFindings:
     """Drift, and single frames whose pose is off. The frames have to be in order."""
-    distances = _surface_distances(examined.views, examined.pairs, assumed)
+    distances, along = _surface_distances(examined.views, examined.pairs, assumed)
     numbers = np.array([look.number for look in examined.looks])
     lags = np.abs(numbers[examined.pairs[:, 0]] - numbers[examined.pairs[:, 1]]).astype(np.float64)
     drift = _measure_drift(distances, lags, len(examined.looks))
@@ -70,24 +85,33 @@ def pose_findings(examined: Examined, assumed: Assumption) -> list[Finding]:
     gap = None if found else _measure_gap(distances, numbers[examined.pairs])
     if gap is not None and gap.across > max(least, _GROWN * gap.within):
         found.append(_gap_finding(examined, gap))
+    shifts = zip("xyz", along.T, strict=True)
+    by_axis = {axis: _measure_drift(shift, lags, len(examined.looks)) for axis, shift in shifts}
+    if drift is not None and not found:
+        found = _axis_findings({axis: each for axis, each in by_axis.items() if each is not None})
     rows = _misplaced_looks(examined.views, examined.pairs, assumed)
-    return [*found, *([_misplaced_finding(examined, rows)] if rows else [])]
+    found = [*found, *([_misplaced_finding(examined, rows)] if rows else [])]
+    return PoseFindings(found, tuple(axis for axis, each in by_axis.items() if each is None))
 
 
-def _surface_distances(views: Views, pairs: NDArray[np.int64], assumed: Assumption) -> Floats:
-    """Metres along the normal between the surfaces that both looks of a pair see, float64 [P]. nan where they see too
-    little in common.
+def _surface_distances(views: Views, pairs: NDArray[np.int64], assumed: Assumption) -> tuple[Floats, Floats]:
+    """Metres along the normal between the surfaces that both looks of a pair see, float64 [P], and between those that
+    face each axis of the world, float64 [P, 3]. nan where they see too little in common.
     """
     lens, poses = views.lens_of(assumed), views.poses_of(assumed)
     world, known = views.world_points(assumed, lens, poses)
-    found = np.full(len(pairs), np.nan)
+    found, along = np.full(len(pairs), np.nan), np.full((len(pairs), 3), np.nan)
     for row, (one, other) in enumerate(pairs.tolist()):
         local = (world[one][known[one]] - poses[other, :3, 3]) @ poses[other, :3, :3]
-        distance = np.abs(views.surface_at(other, local, assumed, lens[other]).distance)
-        near = np.isfinite(distance) & (distance < _WIDE * np.abs(local[:, 2]))
+        surface = views.surface_at(other, local, assumed, lens[other])
+        near = np.isfinite(surface.distance) & (np.abs(surface.distance) < _WIDE * np.abs(local[:, 2]))
         if near.sum() >= _LEAST_POINTS:
-            found[row] = np.quantile(distance[near], _QUANTILE)
-    return found
+            found[row] = np.quantile(np.abs(surface.distance[near]), _QUANTILE)
+        cosine = surface.normal[near] @ poses[other, :3, :3].T
+        for axis, facing in enumerate((np.abs(cosine) > _FACING).T):
+            if facing.sum() >= _LEAST_POINTS:
+                along[row, axis] = abs(np.median(surface.distance[near][facing] / cosine[facing, axis]))
+    return found, along
 
 
 def _measure_drift(distances: Floats, lags: Floats, looks: int) -> Drift | None:
@@ -153,6 +177,20 @@ def _drift_finding(drift: Drift) -> Finding:
         figures={"near_m": drift.near, "far_m": drift.far, "certainty": drift.certainty},
         picture=scatter(drift.lags, drift.distances, "across: frames between two views, up: distance of surfaces"),
     )
+
+
+def _axis_findings(drifts: Mapping[str, Drift]) -> list[Finding]:
+    """Drift along one axis of the world, which only the surfaces that face it show."""
+    grown = {
+        axis: drift
+        for axis, drift in drifts.items()
+        if drift.far > max(_AXIS_DRIFTED, _AXIS_GROWN * drift.near) and drift.certainty > _AXIS_CERTAIN
+    }
+    if not grown:
+        return []
+    axis = max(grown, key=lambda each: grown[each].certainty)
+    found = _drift_finding(grown[axis])
+    return [replace(found, text=found.text.replace("poses drift:", f"poses drift along {axis}:"))]
 
 
 def _misplaced_looks(views: Views, pairs: NDArray[np.int64], assumed: Assumption) -> list[int]:

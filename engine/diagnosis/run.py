@@ -12,7 +12,7 @@ from .class_table import table_findings
 from .findings import Diagnosis, Finding, Mending
 from .labels import label_findings
 from .looks import load_photos
-from .numbers import NUMBER_CAUSES, number_findings
+from .numbers import NUMBER_CAUSES, lens_findings, number_findings
 from .order import measure_order, order_findings, repeat_findings
 from .photometry import picture_findings
 from .poses import pose_findings
@@ -30,14 +30,16 @@ def diagnose(scene: Scene) -> Diagnosis:
     if examined is None:
         return _without_depth(scene)
     as_it_is = agreement(examined.views, examined.pairs, Assumption())
-    findings, assumed, shift = number_findings(examined)
+    findings, assumed, shift = number_findings(examined, lens_is_doubtful=bool(scene.assumed_lens))
     tilt = measure_tilt(examined.views, assumed)
     if tilt is not None:
         findings.append(tilt_finding(examined, tilt, assumed))
     order = measure_order(scene, assumed)
     findings += [*order_findings(scene, order), *repeat_findings(scene)]
+    untested: tuple[str, ...] = ()
     if order is None or not order.is_shuffled:
-        findings += pose_findings(examined, assumed)
+        poses = pose_findings(examined, assumed)
+        findings, untested = [*findings, *poses.found], poses.untested
         findings += blur_findings_on_surfaces(examined, assumed)
         pictures = picture_findings(examined, assumed)
         if pictures:  # depth's edges fit pictures of other frames only by chance
@@ -52,7 +54,7 @@ def diagnose(scene: Scene) -> Diagnosis:
     if not is_sure:  # whatever was measured after a doubtful cause is just as doubtful
         findings = [replace(finding, is_mended=False) for finding in findings]
     mending = Mending(assumed, shift, turn, _dropped(findings)) if is_sure else Mending()
-    return _diagnosis(scene, findings, mending, len(examined.looks), as_it_is)
+    return replace(_diagnosis(scene, findings, mending, len(examined.looks), as_it_is), untested=untested)
 
 
 def _without_depth(scene: Scene) -> Diagnosis:
@@ -72,5 +74,6 @@ def _dropped(findings: list[Finding]) -> frozenset[str]:
 def _diagnosis(
     scene: Scene, findings: list[Finding], mending: Mending, looked: int, agreeing: Agreement | None
 ) -> Diagnosis:
-    worst_first = sorted(findings, key=lambda finding: finding.severity != "wrong")
+    found = [*lens_findings(scene, findings), *findings]
+    worst_first = sorted(found, key=lambda finding: finding.severity != "wrong")
     return Diagnosis(tuple(worst_first), mending, len(scene.frames), looked, agreeing)

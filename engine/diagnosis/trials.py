@@ -28,6 +28,7 @@ _MOST_CAUSES = 4
 _POOR = 0.4
 """Share of the points seen by two views. Where fewer agree, two causes at once are tried."""
 _POSE_CAUSES = ("inverted", "opengl", "inverted opengl")
+_LENS_CAUSES = ("swapped", "lens size", "focal", "centre")
 _ASIDE = 0.1
 """Share of the picture. A principal point farther from the middle may belong to pictures of another size."""
 _KINDS_COMPARED = 4
@@ -97,12 +98,15 @@ def agreement(views: Views, pairs: NDArray[np.int64], assumed: Assumption) -> Ag
     )
 
 
-def find_causes(views: Views, pairs: NDArray[np.int64]) -> tuple[list[FoundCause], Assumption]:
-    """The causes that explain the numbers of a scene, one after the other, and the assumption with all of them."""
+def find_causes(
+    views: Views, pairs: NDArray[np.int64], lens_is_doubtful: bool = False
+) -> tuple[list[FoundCause], Assumption]:
+    """The causes that explain the numbers of a scene, one after the other, and the assumption with all of them. Of
+    causes that explain it about as well, one of the lens comes first if ``lens_is_doubtful``."""
     assumed, found = Assumption(), list[FoundCause]()
     before = agreement(views, pairs, assumed)
     for _ in range(_MOST_CAUSES):
-        best = _best(views, pairs, assumed, before, {each.cause for each in found})
+        best = _best(views, pairs, assumed, before, {each.cause for each in found}, lens_is_doubtful)
         if best is None:
             break
         found.append(best)
@@ -140,7 +144,12 @@ def _is_better(after: Agreement, before: Agreement) -> bool:
 
 
 def _best(
-    views: Views, pairs: NDArray[np.int64], assumed: Assumption, before: Agreement, done: set[str]
+    views: Views,
+    pairs: NDArray[np.int64],
+    assumed: Assumption,
+    before: Agreement,
+    done: set[str],
+    lens_first: bool = False,
 ) -> FoundCause | None:
     tried = [
         (agreement(views, pairs, trial.assumed), trial) for trial in _trials(views, assumed) if trial.cause not in done
@@ -153,13 +162,19 @@ def _best(
     fitted = [_fitted(views, pairs, after, trial) for after, trial in leading if after.mean > before.mean]
     if not fitted:
         return None
-    fitted.sort(key=lambda each: -each[0].mean)
+    best = max(after.mean for after, _ in fitted)
+    fitted.sort(key=lambda each: (not _is_doubted(each, best, lens_first), -each[0].mean))
     after, trial = fitted[0]
     if not _is_better(after, before):
         return None
     rival = fitted[1][1].cause if len(fitted) > 1 and fitted[1][0].mean * _RIVAL > after.mean else None
     found = FoundCause(trial.cause, trial.assumed, before, after, rival)
     return _whose_lengths(views, assumed, found) if trial.cause == "unit" else found
+
+
+def _is_doubted(each: tuple[Agreement, Trial], best: float, lens_first: bool) -> bool:
+    """Whether a trial is of a lens that is doubtful, and explains the scene about as well as the ``best``."""
+    return lens_first and each[1].cause in _LENS_CAUSES and each[0].mean * _RIVAL > best
 
 
 def _whose_lengths(views: Views, before: Assumption, found: FoundCause) -> FoundCause:

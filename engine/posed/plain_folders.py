@@ -27,7 +27,7 @@ from .up_axis import turned, upright_turn
 AnyFrame = TypeVar("AnyFrame", bound=PosedFrame)
 NAME = "scannet"
 """The name of this format."""
-FOLDERS_FIX = "A scene has the folders color, depth, pose and intrinsic."
+FOLDERS_FIX = "Give the folders color, depth, pose and intrinsic, or let COLMAP find the poses with --poses colmap."
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,8 +47,8 @@ def recognises(place: Path) -> bool:
     return sum((place / name).is_dir() for name in ("color", "pose", "intrinsic")) >= 2
 
 
-def read_folders(folder: Path) -> PlainFolders:
-    """Read poses and lenses, and the headers of pictures. Raises PlgsError."""
+def read_folders(folder: Path, lens_of: Callable[[Path], Camera] | None = None) -> PlainFolders:
+    """Read poses, headers of pictures, and lenses unless ``lens_of`` gives each picture's. Raises PlgsError."""
     pictures = files_by_stem(folder / "color", {".jpg", ".jpeg", ".png"}, FOLDERS_FIX)
     pose_files = files_by_stem(folder / "pose", {".txt"}, FOLDERS_FIX)
     fix = "Add pose/<name>.txt, or remove their colour images."
@@ -56,11 +56,11 @@ def read_folders(folder: Path) -> PlainFolders:
     poses = read_poses({name: pose_files[name] for name in there})
     lost = tuple(name for name in pictures if poses.get(name) is None)
     if len(lost) == len(pictures):
-        raise PlgsError("every pose holds inf (lost tracking)", folder / "pose", "Give frames whose pose is known.")
+        raise PlgsError("every pose holds inf (lost tracking)", folder / "pose", FOLDERS_FIX)
     split = find_split(folder, [name for name in pictures if name not in lost], lost)
     chosen = {*split.train, *split.test}
     sizes = {name: read_image_header(path).size for name, path in pictures.items() if name in chosen}
-    lenses = _read_lenses(folder / "intrinsic", sizes)
+    lenses = {name: lens_of(pictures[name]) for name in sizes} if lens_of else _read_lenses(folder / "intrinsic", sizes)
     cameras = {name: lenses[name].at(pose) for name, pose in poses.items() if pose is not None and name in chosen}
     return PlainFolders(tuple(pictures), cameras, {name: pictures[name] for name in cameras}, lost, split)
 

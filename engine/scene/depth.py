@@ -33,13 +33,15 @@ class DepthMap:
     """One frame's depth. ``path`` is the file that holds it.
 
     ``read`` gives planar depth, float32 [H, W] metres with 0 = none, at its own size. ``alignment`` says where colour
-    pixels lie in it. ``fault`` is why the file cannot be read, as far as its header says.
+    pixels lie in it. ``fault`` is why the file cannot be read, as far as its header says. ``step`` is the length of
+    a step in metres, None for files that hold lengths.
     """
 
     path: Path
     read: Callable[[], NDArray[np.float32]]
     alignment: Alignment = Alignment()
     fault: PlgsError | None = None
+    step: float | None = None
 
     def __call__(self, size: Size | None = None) -> NDArray[np.float32]:
         """Depth in the colour picture at ``size`` (width, height), or at its own size. Raises PlgsError."""
@@ -60,7 +62,7 @@ def png_depth(path: Path, lens: Camera, unit: float = MILLIMETRES, none_from: in
     fault = fault_of(path)
     if fault is None:
         check_depth_header(path, lens)
-    return DepthMap(path, partial(_read_png, path, unit, none_from), fault=fault)
+    return DepthMap(path, partial(_read_png, path, unit, none_from), fault=fault, step=unit)
 
 
 def fault_of(path: Path) -> PlgsError | None:
@@ -150,17 +152,20 @@ def registered(depth: NDArray[np.float32], camera: Camera, colour: Camera) -> ND
     return nearest.reshape(height, width)
 
 
-def open_depth(scene: Path, lenses: Mapping[str, Camera]) -> tuple[dict[str, DepthMap], tuple[str, ...]]:
+def open_depth(
+    scene: Path, lenses: Mapping[str, Camera], unit: float = MILLIMETRES
+) -> tuple[dict[str, DepthMap], tuple[str, ...]]:
     """Depth maps of the frames in the folder ``depth``, and warnings; only headers are read. Raises PlgsError.
 
-    ``lenses`` are the colour cameras by frame.
+    ``lenses`` are the colour cameras by frame, ``unit`` is the length of one step in metres.
     """
     folder = scene / "depth"
     files = files_by_stem(folder, {".png"}, "Give 16-bit PNGs in millimetres, named like the colour images.")
     fix = "Add depth/<name>.png, or remove their colour images."
     there = require_most(list(lenses), files, "depth", folder, fix)
-    maps = {name: png_depth(files[name], lenses[name]) for name in there}
+    maps = {name: png_depth(files[name], lenses[name], unit) for name in there}
     path = scene / "intrinsic" / "intrinsic_depth.txt"
+    path = path if path.is_file() else scene / "intrinsics_depth.txt"
     whole = [each.path for each in maps.values() if each.fault is None]
     if not path.is_file() or not whole:
         return maps, ()

@@ -83,9 +83,10 @@ class Frame(PosedFrame):
 
 @dataclass(frozen=True, eq=False)
 class Scene(PosedScene):
-    """Frames with their pixels, in recording order."""
+    """Frames with their pixels, in recording order. ``assumed_lens`` is the warning of a lens that no file says."""
 
     frames: tuple[Frame, ...]
+    assumed_lens: str = ""
 
     @property
     def train_frames(self) -> tuple[Frame, ...]:

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..errors import PlgsError
+from ..errors import ErrorCode, PlgsError
 from ..posed.camera import Camera
 from ..posed.layout import listed, of_most, same_shape, shown_size
 from ..posed.limits import check_camera, depth_check
@@ -26,6 +26,7 @@ from .depth import DepthMap
 from .estimated_depth import with_estimated_depth
 from .formats import Shot, find_format
 from .formats.lens import UNDISTORTED, undistorted
+from .formats.photos import LET_COLMAP, photos_in
 from .frame import Frame, Scene, Size
 from .ground_truth import open_ground_truth
 from .masks import MaskSet, find_masks, no_masks
@@ -33,6 +34,7 @@ from .pixels import ColourReader, decode
 
 _FAR_ASIDE = 0.2
 _ASIDE = "the principal point is far from the middle (are the intrinsics in pixels of the colour images?)"
+_MASKS_FIX = "Give masks of these pictures with --masks FOLDER: python -m engine segment SCENE makes them."
 _READABLE = "Check that it exists, and its permissions."
 
 
@@ -100,6 +102,7 @@ def open_asked(source: SceneSource) -> Scene:
             *turn_warnings,
             *_lens_warnings(cameras),
             *([UNDISTORTED] if any(shot.distortion.bends for shot in shots) else []),
+            *([capture.assumed_lens] if capture.assumed_lens else []),
             *capture.warnings,
             *depth_warnings,
             *without_depth,
@@ -109,13 +112,17 @@ def open_asked(source: SceneSource) -> Scene:
         ),
         format=reader.name,
         points=points,
+        assumed_lens=capture.assumed_lens,
         turn=None if np.array_equal(turn, np.eye(3)) else turn,
     )
 
 
 def _refuse_repeated_names(shots: Sequence[Shot], place: Path) -> None:
     if not shots:
-        raise PlgsError("there is no picture with a pose", place, "Give frames whose pose is known.")
+        has_photos = place.is_dir() and photos_in(place) is not None
+        fix = f"Record again with an app that keeps poses, or {LET_COLMAP}."
+        code = ErrorCode.NO_POSES if has_photos else ErrorCode.BAD_INPUT
+        raise PlgsError("there is no picture with a pose", place, fix, code=code)
     twice = [name for name, count in Counter(shot.name for shot in shots).items() if count > 1]
     if twice:
         raise PlgsError(f"frames share a name ({listed(twice)})", place, "Give each picture a name of its own.")
@@ -157,7 +164,7 @@ def _check_mask_shapes(masks: MaskSet, sizes: Mapping[str, Size]) -> None:
         own = reader.stored
         if not same_shape(own.size, sizes[name]):
             what = f"a mask of {shown_size(own.size)} does not fit the colour of {shown_size(sizes[name])}"
-            raise PlgsError(what, own.path, "Bring masks to the colour images' aspect ratio.")
+            raise PlgsError(what, own.path, _MASKS_FIX, option="--masks")
 
 
 def _lens_warnings(cameras: Mapping[str, Camera]) -> Iterable[str]:

@@ -6,6 +6,7 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -60,6 +61,14 @@ def longer(sign: int) -> Callable[[Path], None]:
         spoiling.depths(folder, lambda steps: steps * spoiling.ray_lengths(folder, steps.shape) ** sign)
 
     return plant
+
+
+@pytest.mark.parametrize(("factor", "severity"), [(1.0, "note"), (1.25, "wrong")])
+def test_an_assumed_lens_is_the_first_hypothesis(scene: Path, factor: float, severity: str) -> None:
+    spoiling.intrinsics(scene, scaled(factor, factor, 1, 1))
+    found = diagnose(replace(open_scene(scene), assumed_lens="a Kinect's lens is assumed")).findings
+    assert found[0].cause == "assumed lens" and found[0].severity == severity
+    assert [each.cause for each in found if each.severity == "wrong"][1:] == (["focal length"] if factor > 1.0 else [])
 
 
 SAFE: dict[str, tuple[Callable[[Path], None], str]] = {

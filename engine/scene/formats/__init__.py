@@ -10,7 +10,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from ...errors import ErrorCode, PlgsError
-from ...posed.layout import shown
+from ...posed.layout import listed, shown
 from . import (
     colmap,
     folders,
@@ -29,7 +29,7 @@ from . import (
     tum,
 )
 from .capture import Capture, SceneFormat, Shot
-from .photos import is_film, photos_in
+from .photos import LET_COLMAP, finished_models, is_film, photos_in
 
 FORMATS: tuple[SceneFormat, ...] = (
     folders.FORMAT,
@@ -51,6 +51,16 @@ FORMATS: tuple[SceneFormat, ...] = (
     hypersim.FORMAT,
     open3d_log.FORMAT,
 )
+
+_EXPORT_SCAN = (
+    "Export the scan itself: Record3D's .r3d or EXR + JPG sequence, Polycam's Raw Data, 3D Scanner App's All Data, or "
+    "Stray Scanner's folder."
+)
+_RTABMAP = (
+    "Export with rtabmap-export --images --poses_camera --poses_format 11, rename the poses to groundtruth.txt, and "
+    "write fx fy cx cy of calib into calibration.txt."
+)
+_UNPACK = "python -m zipfile -e FILE FOLDER"
 
 
 def find_format(place: Path, name: str | None = None) -> SceneFormat:
@@ -81,11 +91,19 @@ def find_format(place: Path, name: str | None = None) -> SceneFormat:
 
 def _unknown(place: Path, known: Iterable[str]) -> PlgsError:
     """The error for a place that no format recognises."""
-    what, film = "no scene of a known format is here", is_film(place)
+    what, film, models = "no scene of a known format is here", is_film(place), finished_models(place)
+    if models:
+        app = "Scaniverse exports no such data. " if any("scaniverse" in name.lower() for name in models) else ""
+        what = f"there are finished models only ({listed(models)}), without the scan's pictures, depth and poses"
+        return PlgsError(what, place, f"{app}{_EXPORT_SCAN}")
+    if place.suffix.lower() == ".zip" and place.is_file():
+        return PlgsError("this is an archive", place, f"Unpack it ({_UNPACK}), and name the folder.")
+    if place.is_dir() and (place / "rgb").is_dir() and any(place.glob("*poses.txt")):
+        return PlgsError("poses of RTAB-Map are here, but not as this layout has them", place, _RTABMAP)
     if film or (place.is_dir() and photos_in(place) is not None):
         fix = (
             f"{'A film needs' if film else 'Photos need'} poses: record with an app that keeps them (Record3D, "
-            "Polycam, Stray Scanner), or let COLMAP find them with --poses colmap."
+            f"Polycam, Stray Scanner), or {LET_COLMAP}."
         )
         return PlgsError(what, place, fix, code=ErrorCode.NO_POSES)
     fix = (

@@ -42,7 +42,7 @@ class Capture:
 
     ``up`` is the axis of the format's world that points up, None if the format does not say. ``up_is_known`` means
     that it was measured, so that cameras held sideways are no reason for a warning. ``split`` is given by readers that
-    need it themselves.
+    need it themselves. ``assumed_lens`` warns of a lens that no file says.
     """
 
     found: Sequence[tuple[str, Shot | None]]
@@ -51,6 +51,7 @@ class Capture:
     points: SparsePoints | None = None
     split: Split | None = None
     up_is_known: bool = False
+    assumed_lens: str = ""
 
     @property
     def shots(self) -> list[Shot]:

@@ -25,8 +25,18 @@ from ..depth import DepthMap, fault_of, npy_depth, only_depth, png_depth
 from ..files_of_frames import files_if_any
 from ..frame import SparsePoints
 from .capture import Capture, SceneFormat, Shot, frame_names
-from .colmap_model import MADE_BY, UNDISTORT, ColmapCamera, ColmapImage, ColmapModel, has_model, read_model
+from .colmap_model import (
+    EXPORT_AGAIN,
+    MADE_BY,
+    UNDISTORT,
+    ColmapCamera,
+    ColmapImage,
+    ColmapModel,
+    has_model,
+    read_model,
+)
 from .lens import STRAIGHT, Distortion, fitted, pinhole
+from .photos import LET_COLMAP
 from .poses import inverse, quaternion_pose
 
 _LOOKS_FOR = "cameras and images, .bin or .txt, in sparse/0, sparse, model or colmap/sparse/0"
@@ -42,6 +52,7 @@ _PANORAMAS = (
     "COLMAP's image_undistorter cannot straighten panoramas: cut them into perspective pictures before COLMAP (its "
     "example panorama_sfm.py does), and name the folder with their model."
 )
+_STEREO = "Let COLMAP write it again, or delete it: the frame then has no depth."
 _MOST_DEPTH = 1 << 30
 _FARTHEST = 1e6
 """Lengths of the reconstruction. A stereo that was cut off leaves other numbers in its file."""
@@ -74,7 +85,7 @@ def _read(place: Path) -> Capture:
     """Open the registered images; only headers of images are read. Raises PlgsError."""
     folder = _find_model(place)
     if folder is None:
-        raise PlgsError("there is no COLMAP model", place, f"Give {_LOOKS_FOR}.")
+        raise PlgsError("there is no COLMAP model", place, f"Give {_LOOKS_FOR}, or {LET_COLMAP}.")
     depths, warnings = _measured_depth(place, folder), list[str]()
     others = [each.name for each in sorted(folder.parent.glob("[0-9]*")) if each != folder and has_model(each)]
     if folder.name == "0" and others:
@@ -87,7 +98,7 @@ def _read(place: Path) -> Capture:
     model = read_model(folder)
     images = sorted(model.images, key=lambda image: natural_order(image.name))
     if not images:
-        raise PlgsError("the model has no registered image", folder, "Let COLMAP register some.")
+        raise PlgsError("the model has no registered image", folder, f"Move {folder.name} away, and {LET_COLMAP}.")
     names = frame_names([image.name for image in images])
     root = _find_images(place, images)
     found = [(name, _shot(name, image, model, root, place, depths)) for name, image in zip(names, images, strict=True)]
@@ -102,7 +113,7 @@ def _find_images(place: Path, images: list[ColmapImage]) -> Path:
     for name in _IMAGES:
         if file_inside(place / name, first, place).is_file():
             return place / name
-    raise PlgsError("the pictures are missing", place / "images" / first, "Put COLMAP's pictures into images.")
+    raise PlgsError("the pictures are missing", place / "images" / first, "Copy the pictures that COLMAP had there.")
 
 
 def _measured_depth(place: Path, folder: Path) -> dict[str, Path]:
@@ -118,7 +129,7 @@ def _shot(
 ) -> Shot:
     path = file_inside(root, image.name, model.folder)
     if image.camera not in model.cameras:
-        raise PlgsError(f"image {name} has camera {image.camera}, which is not there", model.folder, "Export it again.")
+        raise PlgsError(f"image {name} has camera {image.camera}, which is not there", model.folder, EXPORT_AGAIN)
     lens, distortion = _lens(model.cameras[image.camera], model.folder)
     lens = fitted(lens, path, "Give COLMAP's own pictures.")
     pose = inverse(quaternion_pose(image.rotation, image.translation, model.folder))
@@ -176,16 +187,16 @@ def _read_dense(path: Path) -> NDArray[np.float32]:
     data = read_file(path, _MOST_DEPTH)
     head = data[:64].split(b"&", 3)
     if len(head) < 4 or not all(part.isdigit() for part in head[:3]):
-        raise PlgsError("this is not one of COLMAP's depth maps", path, "Let COLMAP write it again.")
+        raise PlgsError("this is not one of COLMAP's depth maps", path, _STEREO)
     width, height, channels = (int(part) for part in head[:3])
     start = sum(len(part) + 1 for part in head[:3])
     if channels != 1 or not width * height or len(data) != start + 4 * width * height:
-        raise PlgsError("the depth map is cut off", path, "Let COLMAP write it again.")
+        raise PlgsError("the depth map is cut off", path, _STEREO)
     values = np.frombuffer(data, "<f4", offset=start).reshape(height, width)
     is_broken = ~(np.abs(values) < _FARTHEST)  # also where it is NaN
     if is_broken.mean() > _MOST_BROKEN:
         what = f"{is_broken.mean():.0%} of the depth map is not depth"
-        raise PlgsError(what, path, "Let COLMAP write it again, or delete it: the frame then has no depth.")
+        raise PlgsError(what, path, _STEREO)
     return np.where(is_broken, np.float32(0.0), only_depth(values))
 
 

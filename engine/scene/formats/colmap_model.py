@@ -36,8 +36,11 @@ _POINT_BYTES = 51
 """The least number of bytes of a point in a binary file."""
 _MOST_POINT_BYTES = _MOST_TEXT = 1 << 29
 _POINTS_2D = np.dtype([("xy", "<f8", 2), ("point", "<i8")])
-_FIX = "Let COLMAP export the model again."
-UNDISTORT = "Run COLMAP's image_undistorter, and name the folder that it writes."
+EXPORT_AGAIN = "Let COLMAP write the model again, such as with colmap model_converter."
+UNDISTORT = (
+    "Run COLMAP's image_undistorter, and name the folder that it writes: colmap image_undistorter --image_path images "
+    "--input_path sparse/0 --output_path dense."
+)
 
 
 @dataclass(frozen=True)
@@ -110,7 +113,7 @@ class _Bytes:
         """How many ``things`` follow, of ``least_bytes`` each at least; in memory they take no more."""
         count = int(self.take("<Q")[0])
         room = (len(self.data) - self.position) // least_bytes
-        check_count(count, things, self.path, _FIX, most=most, room=room, made=least_bytes)
+        check_count(count, things, self.path, EXPORT_AGAIN, most=most, room=room, made=least_bytes)
         return count
 
     def text(self) -> str:
@@ -133,7 +136,7 @@ class _Bytes:
         self.position += size
 
     def _cut_off(self) -> PlgsError:
-        return PlgsError("the file is cut off", self.path, _FIX)
+        return PlgsError("the file is cut off", self.path, EXPORT_AGAIN)
 
 
 def _binary_cameras(path: Path) -> dict[int, ColmapCamera]:
@@ -177,13 +180,13 @@ def _as_points(
 
 def _lines(path: Path) -> Iterator[tuple[int, str]]:
     """Lines with their numbers, comments left out. Raises PlgsError."""
-    text = read_text(path, _MOST_TEXT, _FIX)
-    check_count(text.count("\n"), "lines", path, _FIX, most=_MOST_LINES, room=len(text), made=_LINE_IN_MEMORY)
+    text = read_text(path, _MOST_TEXT, EXPORT_AGAIN)
+    check_count(text.count("\n"), "lines", path, EXPORT_AGAIN, most=_MOST_LINES, room=len(text), made=_LINE_IN_MEMORY)
     return ((number, line) for number, line in enumerate(text.split("\n"), start=1) if not line.startswith("#"))
 
 
 def _broken(path: Path, number: int) -> PlgsError:
-    return PlgsError(f"line {number} is not as COLMAP writes it", path, _FIX)
+    return PlgsError(f"line {number} is not as COLMAP writes it", path, EXPORT_AGAIN)
 
 
 def _text_cameras(path: Path) -> dict[int, ColmapCamera]:
@@ -200,14 +203,14 @@ def _text_cameras(path: Path) -> dict[int, ColmapCamera]:
             raise _broken(path, number) from error
         if counts.get(model) != len(parameters):
             what = f"camera {camera} has the model {model[:40]} with {len(parameters)} numbers, which is not known"
-            raise PlgsError(what, path, _FIX if model in counts else UNDISTORT)
+            raise PlgsError(what, path, EXPORT_AGAIN if model in counts else UNDISTORT)
         cameras[camera] = _checked_camera(ColmapCamera(model, width, height, parameters), camera, path)
     return cameras
 
 
 def _checked_camera(camera: ColmapCamera, number: int, path: Path) -> ColmapCamera:
     if not (0 < camera.width < 2**16 and 0 < camera.height < 2**16 and np.isfinite(camera.parameters).all()):
-        raise PlgsError(f"camera {number} has numbers that no camera has", path, _FIX)
+        raise PlgsError(f"camera {number} has numbers that no camera has", path, EXPORT_AGAIN)
     return camera
 
 

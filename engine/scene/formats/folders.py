@@ -7,29 +7,48 @@
 * ``intrinsic/intrinsic_color.txt``, 3x3 or 4x4, in pixels of the colour images with integer pixel centres. It belongs
   to the size that most colour images have (at a tie, to the first's) and is scaled for frames of another size and the
   same shape. ``intrinsic/<name>.txt`` overrides it for one frame, at that frame's own size.
-* ``intrinsic/intrinsic_depth.txt``, optional, in pixels of the depth images. If its lens differs from the colour's,
-  depth is read through it (same centre, other lens, as in ScanNet's sensor). Without it the two pictures coincide.
+* Where the folder ``intrinsic`` has no such file, ``intrinsics_color.txt`` beside the folders, as in ScanNet's
+  ``frames_25k``, in pixels of each picture; or a file that ``sensor_lens.py`` reads.
+* ``intrinsic/intrinsic_depth.txt`` or ``intrinsics_depth.txt``, optional, in pixels of the depth images. If its lens
+  differs from the colour's, depth is read through it (same centre, other lens, as in ScanNet's sensor). Without it
+  the two pictures coincide.
 * ``splits.json``, optional: ``{"train": [...], "test": [...]}``; frames that it leaves out need no depth.
 """
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 
+from ...posed.camera import Camera
+from ...posed.image_header import read_image_header
+from ...posed.matrices import read_intrinsics
 from ...posed.plain_folders import NAME, read_folders, recognises
-from ..depth import open_depth
+from ..depth import MILLIMETRES, open_depth
 from .capture import Capture, SceneFormat, Shot
+from .lens import STRAIGHT
+from .sensor_lens import find_sensor_lens
 
 
 def _read(folder: Path) -> Capture:
     """Open the frames; only headers of images are read. Raises PlgsError."""
-    found = read_folders(folder)
-    depths, warnings = open_depth(folder, found.cameras) if (folder / "depth").is_dir() else ({}, ())
+    has_own, beside = any((folder / "intrinsic").glob("*.txt")), folder / "intrinsics_color.txt"
+    sensor = None if has_own or beside.is_file() else find_sensor_lens(folder) or find_sensor_lens(folder / "intrinsic")
+    lens_of = partial(_lens_beside, beside) if not has_own and beside.is_file() else None
+    found = read_folders(folder, sensor.fitting if sensor else lens_of)
+    unit, bend = (sensor.step or MILLIMETRES, sensor.distortion) if sensor else (MILLIMETRES, STRAIGHT)
+    depths, warnings = open_depth(folder, found.cameras, unit) if (folder / "depth").is_dir() else ({}, ())
     shots = {
-        name: Shot(name, camera, found.pictures[name], depths.get(name)) for name, camera in found.cameras.items()
+        name: Shot(name, camera, found.pictures[name], depths.get(name), distortion=bend)
+        for name, camera in found.cameras.items()
     }
     kept = [(name, shots.get(name)) for name in found.names if name in shots or name in found.lost]
-    return Capture(kept, "z", warnings, split=found.split)
+    return Capture(kept, "z", (*warnings, *(sensor.warnings if sensor else ())), split=found.split)
+
+
+def _lens_beside(path: Path, picture: Path) -> Camera:
+    """The lens of a picture whose pixels the matrix in the file ``path`` is in. Raises PlgsError."""
+    return read_intrinsics(path, read_image_header(picture).size)
 
 
 FORMAT = SceneFormat(NAME, recognises, _read)

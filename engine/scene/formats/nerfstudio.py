@@ -193,7 +193,8 @@ def _depth(entry: dict[str, Any], lens: Camera, context: str, path: Path) -> Dep
     has_scale = "integer_depth_scale" in entry
     unit = take_number(entry, "integer_depth_scale", context, path) if has_scale else MILLIMETRES
     if not 0.0 < unit < 1.0:
-        raise PlgsError('"integer_depth_scale" is not the length of a step in metres', path, "Write one such as 0.001.")
+        fix = "Write one such as 0.001; or give 16-bit depth of another source with --depth MAPS."
+        raise PlgsError('"integer_depth_scale" is not the length of a step in metres', path, fix, option="--depth")
     return png_depth(depth_path, lens, unit)
 
 

@@ -5,35 +5,35 @@
 * ``*.log`` in the folder or in ``scene``, of several the one with as many poses as there are pictures: for each
   picture a line of three numbers and a 4x4 camera-to-world; or ``trajectory.json``, Open3D's
   PinholeCameraTrajectory: world-to-camera, column by column, each with its lens.
-* ``camera_intrinsic.json`` or ``intrinsic.json``, Open3D's PinholeCameraIntrinsic. Without it the lens is a
-  PrimeSense's, 525 525 319.5 239.5 of 640x480. OpenCV axes, metres, integer pixel centres.
+* ``camera_intrinsic.json`` or another file that ``sensor_lens.py`` reads. Without it the lens is a PrimeSense's, 525
+  525 319.5 239.5 of 640x480. OpenCV axes, metres, integer pixel centres.
 """
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import PlgsError
-from ...json_file import read_json_object, take_number, take_objects
+from ...json_file import read_json_object, take_objects
 from ...posed.camera import Camera
 from ...posed.layout import files_by_stem
 from ...posed.matrices import take_numbers
-from ..depth import png_depth
+from ..depth import MILLIMETRES, png_depth
 from .capture import Capture, SceneFormat, Shot
-from .lens import assumed, fitted, pinhole
+from .lens import assumed
+from .photos import LET_COLMAP
 from .poses import finite_pose
 from .rows import numbers, read_rows
+from .sensor_lens import FILES, SensorLens, find_sensor_lens, open3d_lens
 
 _COLOURS = ("color", "image", "rgb")
 _IMAGES = {".jpg", ".jpeg", ".png"}
 _FIX = "Write a line of three numbers and a 4x4 matrix, camera-to-world, for each picture."
-_LENS_FIX = "Write width, height and intrinsic_matrix of these pictures into camera_intrinsic.json."
 _PRIMESENSE = Camera(640, 480, 525.0, 525.0, 320.0, 240.0, np.eye(4))
-_GUESSED = assumed("a PrimeSense's", _PRIMESENSE, "camera_intrinsic.json")
+_GUESSED = assumed("a PrimeSense's", _PRIMESENSE, FILES[0])
 
 _Poses = list[tuple[NDArray[np.float64], Camera | None]]
 """Camera-to-world, float64 [4, 4], of each picture, and the lens if the trajectory has it."""
@@ -79,7 +79,7 @@ def _read(place: Path) -> Capture:
     """Open the frames; only headers of images are read. Raises PlgsError."""
     trajectories = _trajectories(place)
     if not trajectories:
-        raise PlgsError("there is no trajectory", place, "Add a .log file or trajectory.json.")
+        raise PlgsError("there is no trajectory", place, f"Add a .log file or trajectory.json, or {LET_COLMAP}.")
     folder = next((place / name for name in _COLOURS if (place / name).is_dir()), place / "color")
     colours = files_by_stem(folder, _IMAGES, "Put the pictures there.")
     depths = files_by_stem(place / "depth", {".png"}, "Put depth there, in millimetres.")
@@ -89,21 +89,19 @@ def _read(place: Path) -> Capture:
     if len(colours) != len(poses) or not {*depths} <= {*colours}:
         what = f"there are {len(colours)} pictures, {len(depths)} depth images and {len(poses)} poses"
         raise PlgsError(what, place, "Keep as many of each: they belong together in the order of their names.")
-    files = [path for name in ("camera_intrinsic.json", "intrinsic.json") if (path := place / name).is_file()]
-    shared = _lens(read_json_object(files[0]), files[0]) if files else None
-    is_guessed = shared is None and poses[0][1] is None
-    if is_guessed:
-        shared = _PRIMESENSE
+    sensor = find_sensor_lens(place)
+    shared = sensor or SensorLens(place / FILES[0], _PRIMESENSE)
+    is_guessed = sensor is None and poses[0][1] is None
     found: list[tuple[str, Shot | None]] = []
     for (name, colour), (matrix, own) in zip(colours.items(), poses, strict=True):
-        pose, lens = finite_pose(matrix, trajectory), own or shared
-        shot = None
-        if pose is not None and lens is not None:
-            lens = fitted(lens, colour, _LENS_FIX)
-            depth = png_depth(depths[name], lens) if name in depths else None
-            shot = Shot(name, lens.at(pose), colour, depth)
+        pose, shot = finite_pose(matrix, trajectory), None
+        if pose is not None:
+            sensor_lens = shared if own is None else SensorLens(trajectory, own, step=shared.step)
+            lens = sensor_lens.fitting(colour)
+            depth = png_depth(depths[name], lens, shared.step or MILLIMETRES) if name in depths else None
+            shot = Shot(name, lens.at(pose), colour, depth, distortion=sensor_lens.distortion)
         found.append((name, shot))
-    return Capture(found, None, (_GUESSED,) if is_guessed else ())
+    return Capture(found, None, shared.warnings, assumed_lens=_GUESSED if is_guessed else "")
 
 
 def _read_log(path: Path) -> _Poses:
@@ -126,17 +124,10 @@ def _read_json(path: Path) -> _Poses:
         if not np.isfinite(matrix).all() or abs(np.linalg.det(matrix)) < 1e-9:
             raise PlgsError("an extrinsic matrix is not rigid", path, "Let Open3D write it again.")
         intrinsic = entry.get("intrinsic")
-        poses.append((np.linalg.inv(matrix), _lens(intrinsic, path) if isinstance(intrinsic, dict) else None))
+        poses.append((np.linalg.inv(matrix), open3d_lens(intrinsic, path) if isinstance(intrinsic, dict) else None))
     if not poses:
         raise PlgsError("the trajectory is empty", path, "Let Open3D write it again.")
     return poses
-
-
-def _lens(entry: dict[str, Any], path: Path) -> Camera:
-    """A camera at the origin from Open3D's PinholeCameraIntrinsic. Raises PlgsError."""
-    width, height = (take_number(entry, key, "the intrinsics", path) for key in ("width", "height"))
-    K = take_numbers(entry, "intrinsic_matrix", "the intrinsics", path, 9)
-    return pinhole(width, height, K[0], K[4], K[6] + 0.5, K[7] + 0.5, path=path, fix=_LENS_FIX)
 
 
 FORMAT = SceneFormat("open3d", _recognises, _read)

@@ -9,7 +9,10 @@ from ...errors import PlgsError
 from ...posed.image_header import read_image_header
 
 SUFFIXES = {".jpg", ".jpeg", ".png"}
+_MODELS = {".ply", ".spz", ".splat", ".obj", ".glb", ".gltf", ".usdz", ".fbx", ".stl", ".las", ".laz"}
 FILMS = {".mp4", ".mov", ".m4v", ".avi", ".mkv"}
+LET_COLMAP = "let COLMAP find the poses with --poses colmap"
+"""What to do about missing poses, for the end of a sentence."""
 LEAST = 3
 """The least number of photos whose poses can be found."""
 _NO_PHOTO = re.compile(r"(?<![a-z])(depths?|depth_?maps?|conf|confidence)(?![a-z])", re.IGNORECASE)
@@ -47,3 +50,14 @@ def _is_measured(picture: Path) -> bool:
 def is_film(place: Path) -> bool:
     """Whether a place is a film, by its name."""
     return place.suffix.lower() in FILMS and place.is_file()
+
+
+def finished_models(place: Path) -> list[str]:
+    """The names of meshes, splats and point clouds, if a place holds nothing but them and textures. Raises OSError."""
+    files = [place] if place.is_file() else sorted(place.iterdir())
+    if any(each.is_dir() for each in files):
+        return []
+    models = [each.name for each in files if each.suffix.lower() in _MODELS]
+    textured = any(each.suffix.lower() == ".mtl" for each in files)
+    photos = None if place.is_file() else photos_in(place)
+    return models if photos is None or (textured and photos == place / ".") else []

@@ -87,8 +87,8 @@ def _capture(trajectory: Path, colours: dict[int, Path], depths: dict[int, Path]
         own = fitted(lens, path, _LENS_FIX)
         depth = png_depth(depths[number], own, unit) if number in depths else None
         found.append((path.stem, Shot(path.stem, own.at(pose), path, depth)))
-    guessed = () if said or lens is None else (assumed("Replica's", lens, "cam_params.json"),)
-    return Capture(found, "z", guessed)
+    guessed = "" if said or lens is None else assumed("Replica's", lens, "cam_params.json")
+    return Capture(found, "z", assumed_lens=guessed)
 
 
 def _read_parameters(place: Path) -> tuple[Camera, float] | None:

@@ -8,6 +8,7 @@ metres. Depth is a 16-bit PNG in millimetres; 0 and 65535 are none. The world st
 * With ``info.txt`` (BundleFusion, 12-Scenes) there or in the folder above: ``m_calibrationColorIntrinsic`` and
   ``m_calibrationDepthIntrinsic``, 4x4, integer pixel centres, for pictures of the sizes that it says, and
   ``m_depthShift`` steps of depth per metre.
+* With a file that ``sensor_lens.py`` reads: its lens, and depth that is registered to colour.
 * Without (7-Scenes): raw pictures of a Kinect. Poses and depth are the depth camera's, f 585; the colour camera, f
   525, stands 2.5 cm beside it. Depth is read from ``frame-000000.depth.proj.png`` if that exists: there it is
   registered to colour already. Else it is registered with a Kinect's calibration (LIRIS), as ACE does.
@@ -17,6 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -27,10 +29,11 @@ from ...posed.camera import Camera
 from ...posed.image_header import read_image_header
 from ...posed.layout import natural_order, read_text
 from ...posed.matrices import as_lens, read_intrinsics, read_poses
-from ..depth import fitting_alignment, png_depth, registered
+from ..depth import MILLIMETRES, fitting_alignment, png_depth, registered
 from .capture import Capture, SceneFormat, Shot
 from .lens import assumed, fitted
 from .poses import inverse
+from .sensor_lens import SensorLens, find_sensor_lens
 
 _NONE = 65535
 _MOST_INFO = 1 << 16
@@ -85,9 +88,12 @@ def _folders(place: Path) -> list[Path]:
 
 def _read(place: Path) -> Capture:
     """Open 7-Scenes, or frames with ``info.txt``; only headers of images are read. Raises PlgsError."""
-    path = _find_info(place)
+    path, sensor = _find_info(place), find_sensor_lens(place)
+    if path is None and sensor is not None:
+        return replace(_capture(place, partial(_sensors_shot, sensor)), warnings=sensor.warnings)
     if path is None:
-        return _capture(place, _kinects_shot, (assumed("a Kinect's", _kinect(_COLOUR_F), _OWN_LENS),))
+        guess = assumed("a Kinect's", _kinect(_COLOUR_F), _OWN_LENS)
+        return replace(_capture(place, _kinects_shot), assumed_lens=guess)
     info = _read_info(path)
     colour, depth = _info_lens(info, "Color", path), _info_lens(info, "Depth", path)
     alignment, unit = fitting_alignment(colour, depth), 1.0 / _info_numbers(info, "m_depthShift", path, 1)[0]
@@ -168,9 +174,18 @@ def _capture(place: Path, shot: _Reader, warnings: tuple[str, ...] = ()) -> Capt
 
 
 def _depth_file(base: Path) -> Path:
-    """Depth of the frame whose files begin with ``base``; a .pgm is refused by its header."""
+    """Depth of the frame whose files begin with ``base``. Raises PlgsError for a .pgm."""
     pgm = base.with_name(f"{base.name}.depth.pgm")
-    return pgm if pgm.is_file() else base.with_name(f"{base.name}.depth.png")
+    if pgm.is_file():
+        raise PlgsError("depth is a .pgm", pgm, "Convert all of them, such as with mogrify -format png *.depth.pgm.")
+    return base.with_name(f"{base.name}.depth.png")
+
+
+def _sensors_shot(sensor: SensorLens, name: str, base: Path, pose: NDArray[np.float64], colour: Path) -> Shot:
+    """A frame of a sensor whose own file says its lens; depth is registered to colour. Raises PlgsError."""
+    lens = sensor.fitting(colour)
+    depth = png_depth(_depth_file(base), lens, sensor.step or MILLIMETRES, none_from=_NONE)
+    return Shot(name, lens.at(pose), colour, depth, distortion=sensor.distortion)
 
 
 def _kinects_shot(name: str, base: Path, pose: NDArray[np.float64], colour: Path) -> Shot:

@@ -4,10 +4,11 @@
   with a colour and a depth image per line. Without either, the names of the images in ``rgb/`` and ``depth/`` are the
   stamps.
 * ``groundtruth.txt`` (ICL: ``*.gt.freiburg``): ``t tx ty tz qx qy qz qw``, camera-to-world, OpenCV axes, metres.
+  RTAB-Map adds a whole number, by which it names pictures if asked to.
 * Depth: 16-bit PNG, registered to colour, planar, 5000 steps per metre, 0 = none.
 * Intrinsics are not in the files: TUM's are those of its documentation, told apart by "freiburg1", "freiburg2" or
   "freiburg3" in the folder's name, else a Kinect's are assumed; a warning says so. ETH3D has them in
-  ``calibration.txt``: ``fx fy cx cy``. Integer pixel centres.
+  ``calibration.txt``: ``fx fy cx cy``, with integer pixel centres. ``sensor_lens.py`` reads those of other sensors.
 
 ICL-NUIM was rendered with a y axis that points up in pictures (its fy is negative): camera and world are mirrored in
 y.
@@ -34,11 +35,12 @@ from .capture import Capture, SceneFormat, Shot, frame_names
 from .lens import Distortion, assumed, fitted, pinhole
 from .poses import finite_pose, quaternion_pose
 from .rows import numbers, read_rows
+from .sensor_lens import SensorLens, find_sensor_lens
 
 _STEP = 1.0 / 5000.0
 _APART = 0.02
 """Seconds by which a picture, its depth and its pose may differ at most."""
-_POSE_FIX = "Write one pose on each line: t tx ty tz qx qy qz qw."
+_POSE_FIX = "Write one pose on each line, t tx ty tz qx qy qz qw, with points in decimals."
 _LIST_FIX = "Write a time stamp and a file name on each line."
 _CALIBRATION = "calibration.txt"
 _LENS_FIX = f"Write fx fy cx cy of the pictures into {_CALIBRATION}."
@@ -49,7 +51,8 @@ _MIRROR = np.diag([1.0, -1.0, 1.0, 1.0])
 class _Lens:
     """Intrinsics with integer pixel centres, and k1 k2 p1 p2 k3 of the distortion.
 
-    ``up`` is the axis that points up in the lens's world. ``size`` is the size of its pictures, None for any.
+    ``up`` is the axis that points up in the lens's world. ``size`` is the size of its pictures, None for any. ``step``
+    is the length of a step of depth in metres.
     """
 
     fx: float
@@ -59,6 +62,7 @@ class _Lens:
     bent: tuple[float, ...] = ()
     up: UpAxis | None = None
     size: Size | None = (640, 480)
+    step: float = _STEP
 
 
 _LENSES = {
@@ -77,6 +81,10 @@ class _Stamped:
 
     time: float
     path: Path
+
+
+_Pose = tuple[float, NDArray[np.float64] | None, float | None]
+"""When a picture was taken, in seconds, its pose, None where a number in it is not finite, and its number, if any."""
 
 
 def _recognises(place: Path) -> bool:
@@ -121,14 +129,16 @@ def _read_icl(place: Path) -> Capture:
 
 def _capture(place: Path, trajectory: Path, whose: str, lens: _Lens, mirrored: bool = False) -> Capture:
     """The frames; ``lens`` is assumed to be theirs, ``whose`` it is, where calibration.txt does not say another."""
-    calibration, warnings = place / _CALIBRATION, list[str]()
+    calibration, pairs, warnings, guess = place / _CALIBRATION, _pairs(place), list[str](), ""
+    sensor = None if calibration.is_file() or mirrored or not pairs else find_sensor_lens(place)
     if calibration.is_file():
         lens = replace(_read_calibration(calibration), up=lens.up if mirrored else None)
+    elif sensor is not None:
+        lens, warnings = _sensors_lens(sensor, pairs[0][0].path), [*sensor.warnings]
     else:
-        warnings.append(assumed(f"{whose}'s", _camera(lens, lens.size or (640, 480), place), _CALIBRATION))
-    pairs = _pairs(place)
-    poses = _read_poses(trajectory, mirrored)
-    times = [time for time, _ in poses]
+        guess = assumed(f"{whose}'s", _camera(lens, lens.size or (640, 480), place), _CALIBRATION)
+    poses = _named_by(pairs, _read_poses(trajectory, mirrored))
+    times = [time for time, _, _ in poses]
     names = frame_names([colour.path.relative_to(place).as_posix() for colour, _ in pairs])
     found: list[tuple[str, Shot | None]] = []
     for name, (colour, depth) in zip(names, pairs, strict=True):
@@ -140,7 +150,13 @@ def _capture(place: Path, trajectory: Path, whose: str, lens: _Lens, mirrored: b
     if blind and any(shot is not None and shot.depth is not None for _, shot in found):
         warnings.append(f"{len(blind)} frames have no depth within {_APART} s and are left out: {listed(blind)}")
         found = [(name, shot) for name, shot in found if name not in blind]
-    return Capture(found, lens.up, tuple(warnings))
+    return Capture(found, lens.up, tuple(warnings), assumed_lens=guess)
+
+
+def _sensors_lens(sensor: SensorLens, picture: Path) -> _Lens:
+    """The lens of a sensor's own file for pictures of the size of ``picture``. Raises PlgsError."""
+    own, bent = sensor.fitting(picture), sensor.distortion.coefficients
+    return _Lens(own.fx, own.fy, own.cx - 0.5, own.cy - 0.5, bent, size=own.size, step=sensor.step or _STEP)
 
 
 def _pairs(place: Path) -> list[tuple[_Stamped, _Stamped | None]]:
@@ -186,24 +202,33 @@ def _nearest(times: Sequence[float], time: float) -> int | None:
     return min(near, key=lambda i: abs(times[i] - time), default=None)
 
 
-def _read_poses(path: Path, mirrored: bool) -> list[tuple[float, NDArray[np.float64] | None]]:
-    """Poses by ascending time; None for one with a number that is not finite."""
-    poses = []
+def _named_by(pairs: Sequence[tuple[_Stamped, object]], poses: list[_Pose]) -> list[_Pose]:
+    """The poses with their numbers in place of times, where all pictures are named by these."""
+    if not pairs or not {colour.time for colour, _ in pairs} <= {number for _, _, number in poses}:
+        return poses
+    return sorted(((number, pose, number) for _, pose, number in poses if number), key=lambda each: each[0])
+
+
+def _read_poses(path: Path, mirrored: bool) -> list[_Pose]:
+    """Poses by ascending time, with the numbers that RTAB-Map gives them. Raises PlgsError."""
+    poses: list[_Pose] = []
     for row in read_rows(path, _POSE_FIX):
-        time, tx, ty, tz, qx, qy, qz, qw = numbers(row, path, _POSE_FIX, 8).tolist()
+        has_number = len(row.words) == 9 and row.words[8].isdecimal()
+        values = numbers(row, path, _POSE_FIX, 9 if has_number else 8).tolist()
+        time, tx, ty, tz, qx, qy, qz, qw = values[:8]
         pose = None
         if np.isfinite([tx, ty, tz, qx, qy, qz, qw]).all():
             pose = quaternion_pose((qw, qx, qy, qz), (tx, ty, tz), path)
         if pose is not None and mirrored:
             pose = finite_pose(_MIRROR @ pose @ _MIRROR, path)
-        poses.append((time, pose))
+        poses.append((time, pose, values[8] if has_number else None))
     return sorted(poses, key=lambda each: each[0])
 
 
 def _shot(name: str, colour: Path, depth: Path | None, lens: _Lens, pose: NDArray[np.float64]) -> Shot:
     own = _camera(lens, lens.size or read_image_header(colour).size, colour.parent.parent)
     camera = fitted(own, colour, _LENS_FIX).at(pose)
-    depth_map = None if depth is None else png_depth(depth, camera, _STEP)
+    depth_map = None if depth is None else png_depth(depth, camera, lens.step)
     return Shot(name, camera, colour, depth_map, distortion=Distortion("brown", lens.bent))
 
 

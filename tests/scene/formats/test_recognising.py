@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from engine.errors import PlgsError
+from engine.errors import ErrorCode, PlgsError
 from engine.posed.format_names import MASK_FORMAT_NAMES, SCENE_FORMAT_NAMES
 from engine.posed.plain_folders import NAME
 from engine.scene import FORMATS, open_scene
@@ -31,6 +31,31 @@ def test_two_formats_in_one_folder_require_a_choice(tmp_path: Path) -> None:
         scene = open_scene(tmp_path, scene_format=name)
         assert scene.format == name
         check_colours(scene)
+
+
+@pytest.mark.parametrize(
+    ("files", "told", "code"),
+    [
+        (["Scaniverse 2026-01-02.spz"], "finished models only .*Scaniverse exports no such data.*Raw Data", False),
+        (["scan.obj", "scan.mtl", "1.jpg", "2.jpg", "3.jpg"], r"only \(scan.obj\).*Record3D's .r3d", False),
+        (["1.ply", "2.ply"], "finished models only .*EXR", False),
+        (["mesh.ply", "images/1.jpg", "images/2.jpg", "images/3.jpg"], "Photos need poses.*--poses colmap", True),
+        (["rtabmap_poses.txt", "rgb/1.jpg", "rgb/2.jpg", "rgb/3.jpg"], "rtabmap-export .*groundtruth.txt", False),
+    ],
+)
+def test_what_is_no_scene_says_what_to_export(tmp_path: Path, files: list[str], told: str, code: bool) -> None:
+    for name in files:
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_bytes(b"")
+    assert (refuses(told, tmp_path).code is ErrorCode.NO_POSES) is code
+
+
+@pytest.mark.parametrize(
+    ("name", "told"), [("scan.zip", "Unpack it .python -m zipfile -e"), ("Scaniverse.ply", "exports no such data")]
+)
+def test_a_file_that_is_no_scene(tmp_path: Path, name: str, told: str) -> None:
+    (tmp_path / name).write_bytes(b"")
+    refuses(told, tmp_path / name)
 
 
 @pytest.mark.parametrize("name", [each.name for each in FORMATS])

@@ -169,4 +169,4 @@ def test_what_is_missing_is_named(tmp_path: Path) -> None:
         path.unlink()
     refuses(r"cannot be read .*frame-000002\.depth\.png", tmp_path)
     (tmp_path / "seq-01" / "frame-000002.depth.pgm").write_bytes(b"P5 160 120 65535\n")
-    refuses(r"neither a PNG nor a JPEG image: .*frame-000002\.depth\.pgm", tmp_path)
+    refuses(r"depth is a .pgm: .*frame-000002\.depth\.pgm", tmp_path)

@@ -53,6 +53,20 @@ def test_points_lie_on_the_room(tmp_path: Path) -> None:
     check_on_room(scene)
 
 
+@pytest.mark.parametrize("by_number", [False, True])
+def test_rtabmaps_poses_with_numbers(tmp_path: Path, by_number: bool) -> None:
+    lines = "#timestamp x y z qx qy qz qw id\n"
+    for i, view in enumerate(views(), start=1):
+        at = 1675933810.3 + i / 2
+        name = f"{i}.png" if by_number else f"{at:.6f}.png"
+        write_pair(tmp_path / "rgb" / name, tmp_path / "depth" / name, look(view, KINECT), 5000)
+        lines += f"{tum_line(at, view.right, -view.up, view.forward, view.eye).strip()} {i}\n"
+    (tmp_path / "groundtruth.txt").write_text(lines)
+    scene = open_scene(tmp_path)
+    assert len(scene.frames) == len(views())
+    check_on_room(scene)
+
+
 def test_the_lens_comes_from_the_name_or_a_file(tmp_path: Path) -> None:
     scene = open_scene(write_tum(tmp_path / "rgbd_dataset_freiburg3_long_office"))
     assert scene.frames[0].camera.fx == pytest.approx(53.54) and scene.frames[0].camera.cy == pytest.approx(24.81)
