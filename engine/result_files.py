@@ -53,7 +53,7 @@ _ARRAYS: dict[str, tuple[type[np.generic], tuple[int, ...]]] = {
 @dataclass(frozen=True, eq=False)
 class SemanticPoints:
     """``xyz`` float32 [N, 3] world metres, ``rgb`` uint8 [N, 3] sRGB, ``class_id`` int32 [N] (0 = unknown),
-    ``instance_id`` int32 [N] (0 = none), ``confidence`` float32 [N], the share of the votes for the winner."""
+    ``instance_id`` int32 [N] (0 = none), ``confidence`` float32 [N], how likely its class is right."""
 
     xyz: NDArray[np.float32]
     rgb: NDArray[np.uint8]

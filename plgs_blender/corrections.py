@@ -36,7 +36,7 @@ from ..engine.corrections import (
 from ..engine.corrections.replay import Replay
 from ..engine.errors import PlgsError
 from ..engine.job import LiftFolder
-from ..engine.job.report import entropy_of_frames, read_metrics
+from ..engine.job.report import doubt_of_frames, read_metrics
 from ..engine.known_scene import known_scene
 from ..engine.posed import ClassTable
 from ..engine.result_files import INSTANCES, read_instances
@@ -172,11 +172,11 @@ def answer(root: bpy.types.Collection, instance: int, *, keep: bool) -> Edit:
 
 
 def next_uncertain(root: bpy.types.Collection) -> tuple[str, int, int]:
-    """The unvisited frame of the highest entropy, how many frames are then visited, and of how many. After the last
+    """The unvisited frame of the most doubt, how many frames are then visited, and of how many. After the last
     frame it starts again. Raises PlgsError."""
     folder = LiftFolder.open(folder_of(root))
     frames = known_scene(folder).frames
-    drawn = entropy_of_frames(read_metrics(folder)) if (folder.result_path / "metrics.json").is_file() else {}
+    drawn = doubt_of_frames(read_metrics(folder)) if (folder.result_path / "metrics.json").is_file() else {}
     points = entropy_of_views(read_corrected(folder.path).points, [frame.camera for frame in frames])
     # Frames that were not drawn when the lift was scored come last, by the points that they see.
     order = sorted(range(len(frames)), key=lambda number: (-drawn.get(frames[number].name, -1.0), -points[number]))

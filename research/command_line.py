@@ -72,6 +72,10 @@ def make_parser() -> argparse.ArgumentParser:
     surfaces = known.add_parser("meshes", help="how complete a lift's meshes are, before and after they are mended")
     surfaces.add_argument("lift", type=Path, metavar="LIFT", help="the folder of a finished lift")
     surfaces.set_defaults(run=run_meshes)
+    sureness = known.add_parser("reliability", help="how often pixels are right, by their confidence")
+    sureness.add_argument("lifts", nargs="+", type=Path, metavar="LIFT", help="finished lifts of scenes with truth")
+    sureness.add_argument("--picture", type=Path, metavar="FILE", help="draw the diagram there; needs matplotlib")
+    sureness.set_defaults(run=run_reliability)
     return parser
 
 
@@ -169,6 +173,15 @@ def run_meshes(options: argparse.Namespace) -> int:
     from .meshes import mesh_table
 
     for line in mesh_table(options.lift):
+        print(line, flush=True)
+    return ExitCode.FINISHED
+
+
+def run_reliability(options: argparse.Namespace) -> int:
+    """Print how well the confidence is calibrated. Raises PlgsError, OSError."""
+    from .reliability import reliability_table
+
+    for line in reliability_table(options.lifts, options.picture):
         print(line, flush=True)
     return ExitCode.FINISHED
 

@@ -21,6 +21,7 @@ from ..job.process import engine_command
 from ..job.task import LIFT, TaskState
 from ..lift.baking import FrameBaker, bake_and_evaluate
 from ..lift.device import be_repeatable, refuse_missing_device
+from ..lift.judging import read_held_back
 from ..lift.run import frames_to_bake, library_versions
 from ..lift.scene_files import read_model, write_lifted
 from ..passes.baked_view import ShownInstances
@@ -38,8 +39,8 @@ STAGES = {
     "cut": "Cutting the scene into blocks",
     "blocks": "Lifting the blocks",
     "join": "Joining the blocks",
-    "bake": "Baking panoptic passes",
-    "evaluate": "Evaluating the held-out frames",
+    "evaluate": "Judging the lift by its masks",
+    "bake": "Baking and scoring panoptic passes",
 }
 LOOK_EVERY_S = 0.1
 JUDGES = 100
@@ -79,8 +80,8 @@ def _do_stages(folder: LiftFolder, preset: Preset, stages: StageReporter) -> Non
     every = -(-len(scene.train_frames) // JUDGES)
     judges = (load_view(frame, size_within(frame.size, preset.size)) for frame in scene.train_frames[::every])
     views = StoredViews(judges, folder.path)
-    wanted = frames_to_bake(scene, request.bake)
-    bake_and_evaluate(folder, scene, baker, wanted, views, preset.size, events, stages)
+    wanted, held_back = frames_to_bake(scene, request.bake), read_held_back(scene, preset.size, folder.path)
+    bake_and_evaluate(folder, scene, baker, wanted, views, held_back, events, stages)
     write_manifest(
         folder.result_path,
         versions=library_versions(),

@@ -71,13 +71,14 @@ def proposals_of(corrected: CorrectedResult) -> Proposals:
 def _doubts(corrected: CorrectedResult, one: Instance) -> list[Proposal]:
     """Everything that may be wrong with an object."""
     best = max(one.segments, key=lambda segment: segment.share, default=None)
-    frame, found = best.frame if best else "", []
+    frame, found, votes = best.frame if best else "", [], dict[int, float]()
+    mine = corrected.points.instance_id == one.id
+    xyz, likely = corrected.points.xyz[mine], corrected.points.confidence[mine]
 
     def propose(doubt: float, reason: str, answer: str, class_id: int = 0, other: int = 0, seen: str = frame) -> None:
         if doubt >= LEAST_DOUBT:
             found.append(Proposal(one.id, one.name, min(doubt, 1.0), reason, answer, class_id, other, seen))
 
-    votes: dict[int, float] = {}
     for segment in one.segments:
         votes[segment.class_id] = votes.get(segment.class_id, 0.0) + segment.score
     rivals = {kind: vote for kind, vote in votes.items() if kind != one.class_id and kind in corrected.classes}
@@ -85,12 +86,11 @@ def _doubts(corrected: CorrectedResult, one: Instance) -> list[Proposal]:
         kind = max(rivals, key=lambda each: rivals[each])
         share = rivals[kind] / max(sum(votes.values()), 1e-9)
         reason = f"{100 * share:.0f} % of its masks say {corrected.classes[kind].name}"
-        propose(2.0 * share, reason, "reclass", class_id=kind)
+        propose(max(2.0 * share, float(np.sum(1.0 - likely)) / max(len(likely), 1)), reason, "reclass", class_id=kind)
     apart, frames = _frames_apart(one)
     if len(apart) > 1 and len(apart) > APART * frames:
         reason = f"the masks of {len(apart)} of {frames} frames separate it"
         propose(2.0 * len(apart) / frames, reason, BY_VIEWS, seen=apart[0])
-    xyz = corrected.points.xyz[corrected.points.instance_id == one.id]
     sizes = np.bincount(parts_of(xyz))
     if len(sizes) > 1:
         propose(2.0 * float(1 - sizes[0] / len(xyz)), f"it consists of {len(sizes)} parts that do not touch", "split")

@@ -17,7 +17,7 @@ _BEHIND = 0.15
 
 
 def entropy_of(confidence: NDArray[np.floating]) -> NDArray[np.float64]:
-    """Bits of doubt [N] between the winner, with this share of the votes, and all others: 0 is sure, 1 undecided."""
+    """Bits of doubt [N] between a class that is right with this probability and all others: 0 is sure, 1 undecided."""
     share = np.clip(confidence.astype(np.float64), 1e-6, 1 - 1e-6)
     return np.asarray(np.where(share < 0.5, 1.0, -share * np.log2(share) - (1 - share) * np.log2(1 - share)))
 

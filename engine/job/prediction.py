@@ -128,8 +128,8 @@ def predict(
         "prepare": 10.0 + 0.7 * seen,
         "train": steps * step + rounds * views * 0.42 * step,
         "result": 0.5 + (2.0 + 1.0 * vote_rounds) * voted + 0.12 * voting * own + 2.75 * gaussians,
-        "bake": rendered * _render_s(own) + written * WRITE_S * own,
         "evaluate": 0.5 + 1.6 * test_frames * own,
+        "bake": rendered * _render_s(own) + written * WRITE_S * own,
     }
     labels = classes + OBJECTS_A_MASK * masks_a_frame
     peak = _peak_bytes(frame_size, preset, views, gaussians, labels)

@@ -54,10 +54,10 @@ def not_shown(metrics: Mapping[str, Json]) -> list[tuple[str, str]]:
     return [(_missed(entry), str(entry.get("frame"))) for entry in entries if isinstance(entry, dict)]
 
 
-def entropy_of_frames(metrics: Mapping[str, Json]) -> dict[str, float]:
-    """How uncertain the lift is about the classes in each frame that was drawn to score it, from 0 to 1."""
+def doubt_of_frames(metrics: Mapping[str, Json]) -> dict[str, float]:
+    """How likely classes are wrong in each frame that was drawn to score the lift; in older lifts, their entropy."""
     judges = metrics.get("masks_as_judges")
-    entries = judges.get("entropy") if isinstance(judges, dict) else None
+    entries = judges.get("doubt", judges.get("entropy")) if isinstance(judges, dict) else None
     known = entries.items() if isinstance(entries, dict) else ()
     return {name: float(value) for name, value in known if isinstance(value, int | float)}
 

@@ -5,14 +5,19 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from statistics import median
+from typing import Any
 
 import numpy as np
 
 from ..corrections import CorrectedResult
+from ..errors import PlgsError
 from ..job import EventWriter, LiftFolder, write_atomically
+from ..job.report import read_metrics
 from ..job.system import peak_bytes
+from ..metrics.calibration import UNCALIBRATED, Calibration
 from ..metrics.report import LIFTED, PredictedView, Report, add_input_masks
 from ..model.render import render_bands
 from ..model.rendering import ClipRange
@@ -24,12 +29,12 @@ from ..passes.exr import write_exr
 from ..passes.frame_header import NOTHING_SHOWN, ShownFrame
 from ..passes.layers import PanopticLayers, decide
 from ..passes.previews import colour_picture, preview_paths, write_previews
-from ..scene import Camera, ClassTable, Frame, Scene, Size, View, open_asked
+from ..scene import Camera, ClassTable, Frame, Scene, View, open_asked
 from ..train.progress import StageReporter
 from .corrected_scene import corrected_scene
 from .device import be_repeatable
 from .judging import Seen, judge
-from .scene_files import read_model, read_shown_instances
+from .scene_files import LIFT_ANEW, read_model, read_shown_instances
 
 CORRECTIONS_NOTE = "plgs/corrections"
 """Attribute in the header of a view that shows corrections: their fingerprint."""
@@ -39,9 +44,16 @@ class FrameBaker:
     """Renders views of a lifted scene and turns them into layers."""
 
     def __init__(
-        self, classes: ClassTable, lifted: StructuredScene, instances: ShownInstances, corrections: str = ""
+        self,
+        classes: ClassTable,
+        lifted: StructuredScene,
+        instances: ShownInstances,
+        corrections: str = "",
+        calibration: Calibration = UNCALIBRATED,
     ) -> None:
-        """``corrections``: the fingerprint of the corrections that ``lifted`` and ``instances`` include."""
+        """``corrections``: the fingerprint of the corrections that ``lifted`` and ``instances`` include.
+        ``calibration`` makes probabilities of the classes' shares."""
+        self.calibration = calibration
         self.corrections = corrections
         self.classes, self.lifted, self.labels = classes, lifted, shown_labels(lifted)
         self.instances, self.colours = instances, instances.colours
@@ -49,7 +61,8 @@ class FrameBaker:
     def render(self, camera: Camera, clip: ClipRange | None = None) -> BakedView:
         """The model seen from a camera, at the camera's own size. No part of a frame's mask is used."""
         bands = render_bands(self.lifted, camera, self.labels, clip)
-        return bake_view(bands, camera, self.classes, self.instances)
+        view = bake_view(bands, camera, self.classes, self.instances)
+        return replace(view, layers=replace(view.layers, confidence=self.calibration(view.layers.confidence)))
 
     @property
     def notes(self) -> dict[str, str]:
@@ -57,12 +70,11 @@ class FrameBaker:
         return {CORRECTIONS_NOTE: self.corrections} if self.corrections else {}
 
     def seen(self, camera: Camera) -> Seen:
-        """The classes that a camera sees, and how certain they are."""
+        """The classes that a camera sees, and their shares before they are calibrated."""
         bands = render_bands(self.lifted, camera, self.labels)
         layers = [decide(band, self.classes, self.instances.class_of) for band in bands]
-        classes = np.concatenate([each.semantic for each in layers])
-        entropy = np.concatenate([each.entropy for each in layers])
-        return Seen(classes, float(entropy[classes > 0].mean()) if classes.any() else 0.0)
+        classes, share = ([getattr(each, name) for each in layers] for name in ("semantic", "confidence"))
+        return Seen(np.concatenate(classes), np.concatenate(share))
 
     def write(
         self,
@@ -87,7 +99,18 @@ def read_baker(folder: LiftFolder, classes: ClassTable, corrected: CorrectedResu
     """The baker of a finished lift with its corrections. Raises PlgsError if its files cannot be read, and OSError."""
     lifted = corrected_scene(read_model(folder), corrected)
     shown = read_shown_instances(folder, lifted, corrected)
-    return FrameBaker(classes, lifted, shown, corrected.fingerprint)
+    return FrameBaker(classes, lifted, shown, corrected.fingerprint, read_calibration(folder))
+
+
+def read_calibration(folder: LiftFolder) -> Calibration:
+    """The calibration in metrics.json; none in a lift of an earlier version. Raises PlgsError for a damaged one."""
+    path = folder.result_path / "metrics.json"
+    judges: Any = read_metrics(folder).get("masks_as_judges") if path.is_file() else None
+    found = judges.get("calibration") if isinstance(judges, dict) else None
+    try:
+        return Calibration(**found) if isinstance(found, dict) else UNCALIBRATED
+    except (TypeError, ValueError) as error:
+        raise PlgsError(f"the calibration cannot be used ({error})", path, LIFT_ANEW) from error
 
 
 def baked_files(folder: LiftFolder, frame: str) -> tuple[Path, Path, Path, Path]:
@@ -109,12 +132,12 @@ def bake_and_evaluate(
     baker: FrameBaker,
     wanted: Sequence[Frame],
     views: Sequence[View],
-    size: Size,
+    held_back: Sequence[View],
     events: EventWriter,
     stages: StageReporter,
 ) -> None:
-    """Bake ``wanted``, score the held-out frames, let the masks of these and of the training ``views`` (both no larger
-    than ``size``) judge the lift, and write the contact sheet and metrics.json.
+    """Let the masks of the training ``views`` and of those ``held_back`` judge the lift, which calibrates ``baker``;
+    bake ``wanted``, score the held-out frames, and write the contact sheet and metrics.json.
 
     Ground truth is used for metrics.json only. Raises Cancelled, PlgsError, OSError.
     """
@@ -122,6 +145,11 @@ def bake_and_evaluate(
     frames = wanted or scene.test_frames  # wanted frames include the held-out ones, or are empty
     shown = {scene.test_frames[index].name for index in chosen(len(scene.test_frames))}
     report, rows, seconds = Report(scene.classes), [], []
+    with stages.stage("evaluate") as progress:
+        add_input_masks(report, scene)
+        judgement = judge(baker.seen, scene, views, held_back, progress, folder.path)
+        judgement.tell(events)
+        baker.calibration = judgement.calibration
     with stages.stage("bake") as progress:
         for done, frame in enumerate(frames, start=1):
             began = time.monotonic()
@@ -139,10 +167,6 @@ def bake_and_evaluate(
         if rows:
             write_contact_sheet(folder.previews_path / "contact_sheet.png", rows, scene.classes, baker.colours)
             events.preview(folder.previews_path / "contact_sheet.png")
-    with stages.stage("evaluate") as progress:
-        add_input_masks(report, scene)
-        judgement = judge(baker.seen, scene, views, size, progress, folder.path)
-        judgement.tell(events)
         metrics = {**report.to_json(), "masks_as_judges": judgement.to_json()}
         write_atomically(folder.result_path / "metrics.json", json.dumps(metrics, indent=1) + "\n")
         fps = 1 / median(seconds) if seconds and median(seconds) > 0 else None

@@ -1,5 +1,5 @@
-"""The masks judge the finished lift, as there may be no ground truth: how well it agrees with them, and what they show
-clearly from nearby that it shows nowhere."""
+"""The masks judge the finished lift, as there may be no ground truth: how well it agrees with them, what they show
+clearly from nearby that it shows nowhere, and how likely its classes are right."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from ..job import EventWriter
 from ..job.report import not_shown
 from ..json_file import Json
+from ..metrics.calibration import MOST_SAMPLES, STEPS, Calibration, Samples, calibrate, samples_of
 from ..metrics.panoptic import PanopticEvaluation
 from ..metrics.unshown import JudgedView, Unshown, find_unshown
 from ..scene import (
@@ -41,32 +42,37 @@ MOST_NAMED = 5
 
 @dataclass(frozen=True, eq=False)
 class Seen:
-    """What a camera sees of a lift: ``classes`` int32 [H, W] (0 = nothing), and the mean normalised ``entropy`` of the
-    classes of the pixels that show something."""
+    """What a camera sees of a lift: ``classes`` int32 [H, W] (0 = nothing), and the ``share`` float32 [H, W] of each
+    pixel's coverage that its class has."""
 
     classes: NDArray[np.int32]
-    entropy: float
+    share: NDArray[np.float32]
 
 
 @dataclass(frozen=True, eq=False)
 class Judgement:
     """How the masks judge a lift. ``trained`` and ``held_back``: the mean IoU with the masks over the masks' own
-    classes, for training views and for held-out views; None without such views. ``entropy``: how uncertain the lift is
-    about the classes in each frame that was judged, from 0 to 1."""
+    classes, for training views and for held-out views; None without such views. ``calibration``: how likely a class
+    with a share is right. ``doubt``: how likely a pixel's class is wrong, the mean of each frame that was judged."""
 
     trained: float | None
     held_back: float | None
     not_shown: tuple[Unshown, ...]
-    entropy: Mapping[str, float]
+    calibration: Calibration
+    doubt: Mapping[str, float]
 
     def to_json(self) -> dict[str, Json]:
         """The value under "masks_as_judges" in metrics.json."""
         agreement: dict[str, Json] = {"trained": self.trained, "held_back": self.held_back}
         missed: list[Json] = [asdict(one) for one in self.not_shown]
-        return {"agreement": agreement, "not_shown": missed, "entropy": dict(self.entropy)}
+        calibration: Json = asdict(self.calibration)
+        return {"agreement": agreement, "not_shown": missed, "calibration": calibration, "doubt": dict(self.doubt)}
 
     def tell(self, events: EventWriter) -> None:
-        """Log everything that the lift does not show, and give a warning with the first few."""
+        """Log the calibration and everything that the lift does not show, and give a warning with the first few."""
+        log.info("confidence: %s", self.calibration)
+        if self.held_back is None:
+            log.info("no masks were held back: those that were trained on say how likely a class is right")
         lines = [f"{text} (see frame {frame})" for text, frame in not_shown({"masks_as_judges": self.to_json()})]
         for line in lines:
             log.info("not shown: %s", line)
@@ -79,43 +85,62 @@ def judge(
     draw: Callable[[Camera], Seen],
     scene: Scene,
     views: Sequence[View],
-    size: Size,
+    held_back: Sequence[View],
     progress: Callable[[int, int], object],
     scratch: Path | None = None,
 ) -> Judgement:
-    """Judge the finished lift by the training ``views`` and the held-out frames, which are read within ``size``.
+    """Judge the finished lift by the training ``views`` and those that were ``held_back``.
 
     ``draw`` returns what a camera sees of it. Raises PlgsError, OSError, and what ``progress`` raises.
     """
-    trained = views[:: -(-len(views) // MOST_VIEWS) or 1]
-    masked = [frame for frame in scene.test_frames if frame.read_mask is not None and frame.read_depth is not None]
-    read = read_ahead(masked, lambda frame: load_view(frame, size_within(frame.size, size)))
-    held_back = StoredViews(read, scratch)
+    trained = evenly(views)
     every = chained(trained, held_back)
-    entropy: dict[str, float] = {}
-    classes = stored(_drawn(draw, every, entropy, progress), scratch)
+    drawn = _Drawn(MOST_SAMPLES // max(1, len(held_back) or len(trained)))
+    classes = stored(drawn.each(draw, every, progress), scratch)
+    places = Samples(*map(np.concatenate, zip(*drawn.samples[len(trained) if len(held_back) else 0 :], strict=True)))
+    calibration = calibrate(places, trained, held_back)
     judges = OnDemand(len(every), lambda number: JudgedView(every[number], classes[number]))
     return Judgement(
         trained=_agreement(judges[: len(trained)], scene.classes),
         held_back=_agreement(judges[len(trained) :], scene.classes),
         not_shown=tuple(find_unshown(judges, scene.classes)),
-        entropy=entropy,
+        calibration=calibration,
+        doubt={name: round(calibration.doubt(pixels), 4) for name, pixels in drawn.pixels.items()},
     )
 
 
-def _drawn(
-    draw: Callable[[Camera], Seen],
-    views: Sequence[View],
-    entropy: dict[str, float],
-    progress: Callable[[int, int], object],
-) -> Iterator[NDArray[np.int32]]:
-    """The classes that each view shows; their mean entropy goes into ``entropy``."""
-    for number in range(len(views)):
-        view = views[number]
-        seen = draw(view.camera)
-        entropy[view.name] = round(seen.entropy, 4)
-        yield seen.classes
-        progress(number + 1, len(views))
+def evenly(views: Sequence[View]) -> Sequence[View]:
+    """At most MOST_VIEWS of them."""
+    return views[:: -(-len(views) // MOST_VIEWS) or 1]
+
+
+def read_held_back(scene: Scene, size: Size, scratch: Path | None = None) -> StoredViews:
+    """The held-out frames with masks and depth, within ``size``. Raises PlgsError, OSError."""
+    masked = [frame for frame in scene.test_frames if frame.read_mask is not None and frame.read_depth is not None]
+    return StoredViews(read_ahead(masked, lambda frame: load_view(frame, size_within(frame.size, size))), scratch)
+
+
+class _Drawn:
+    """What the drawn views show: ``samples`` of each, at most ``most``, and by its name how many of its ``pixels`` have
+    each share, int64 [STEPS + 1]."""
+
+    def __init__(self, most: int) -> None:
+        self.samples: list[Samples] = []
+        self.pixels: dict[str, NDArray[np.int64]] = {}
+        self._most = most
+
+    def each(
+        self, draw: Callable[[Camera], Seen], views: Sequence[View], progress: Callable[[int, int], object]
+    ) -> Iterator[NDArray[np.int32]]:
+        """The classes that each view shows."""
+        for number in range(len(views)):
+            view = views[number]
+            seen = draw(view.camera)
+            shares = np.rint(STEPS * seen.share[seen.classes > 0]).astype(np.int64)
+            self.pixels[view.name] = np.bincount(shares, minlength=STEPS + 1)
+            self.samples.append(samples_of(view, seen.classes, seen.share, self._most))
+            yield seen.classes
+            progress(number + 1, len(views))
 
 
 def _agreement(judges: Sequence[JudgedView], classes: ClassTable) -> float | None:

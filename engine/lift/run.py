@@ -49,6 +49,7 @@ from .baking import FrameBaker, bake_and_evaluate
 from .device import be_repeatable, refuse_missing_device
 from .fitting import predicted_lift
 from .frame_sets import FRAMES, FrameSets, sets_of_frames
+from .judging import read_held_back
 from .lasting_names import keep_names, read_earlier, take_over_edits, write_names
 from .live_previews import LivePreviews
 from .preparation import PreparedLift, prepare
@@ -65,8 +66,8 @@ STAGES = {
     "match": "Matching instances in 3D",
     "train": "Training the structured Gaussians",
     "result": "Writing the lifted scene",
-    "bake": "Baking panoptic passes",
-    "evaluate": "Evaluating the held-out frames",
+    "evaluate": "Judging the lift by its masks",
+    "bake": "Baking and scoring panoptic passes",
 }
 CHECKPOINT_EVERY_S = 20.0
 """Seconds between two checkpoints: the most work that is lost on a kill. Checkpoints do not change the result."""
@@ -148,12 +149,13 @@ def run_lift(
                 prepared, lasting = keep_names(earlier, prepared, trainer.scene, classes)
                 names = lasting.names
                 write_names(folder, lasting, events)
-            write_scene_files(folder, frames.chosen, views, prepared, trainer.scene, events, names)
+            held_back = read_held_back(frames.chosen, preset.size, folder.path)
+            write_scene_files(folder, frames.chosen, views, held_back, prepared, trainer.scene, events, names)
             if earlier is not None and earlier.edits:
                 take_over_edits(folder, earlier, events)
         baker = FrameBaker(classes, trainer.scene, shown_instances(prepared, names))
         wanted = frames_to_bake(frames.all, request.bake)
-        bake_and_evaluate(folder, frames.chosen, baker, wanted, views, preset.size, events, stages)
+        bake_and_evaluate(folder, frames.chosen, baker, wanted, views, held_back, events, stages)
     previews.clear_away()
     versions, settings = library_versions(), asdict(preset)
     write_manifest(folder.result_path, versions=versions, seed=request.seed, settings=settings, timings=stages.timings)

@@ -15,6 +15,7 @@ from ..errors import PlgsError
 from ..instances.records import SceneObject
 from ..instances.segments import mask_extents, outline_of
 from ..job import EventWriter, LiftFolder, read_manifest, write_atomically
+from ..metrics.calibration import Samples, calibrate
 from ..model.baking import bake
 from ..model.structured import StructuredScene, from_tensors, to_tensors
 from ..model.tensor_file import read_tensors
@@ -31,6 +32,7 @@ from ..result_files import (
     write_instances,
 )
 from ..scene import ClassTable, Scene, View, distinct_colour
+from .judging import evenly
 from .preparation import PreparedLift
 
 MODEL = "model.safetensors"
@@ -41,17 +43,19 @@ def write_scene_files(
     folder: LiftFolder,
     scene: Scene,
     views: Sequence[View],
+    held_back: Sequence[View],
     prepared: PreparedLift,
     lifted: StructuredScene,
     events: EventWriter,
     names: Mapping[int, str],
 ) -> None:
-    """Write every part of the result that needs no rendering. ``views`` are those it was lifted from; ``names`` are
-    those of the instances. Raises OSError if the disk is full.
+    """Write every part of the result that needs no rendering. ``views`` are those it was lifted from, and those that
+    were ``held_back`` judge its points; ``names`` are those of the instances. Raises OSError if the disk is full.
     """
     cloud = prepared.cloud
+    likely = calibrate(Samples(cloud.xyz, cloud.class_id, cloud.confidence).fewer(), evenly(views), held_back)
     viewpoint = np.mean([frame.camera.centre for frame in scene.train_frames], axis=0)
-    points = SemanticPoints(cloud.xyz, cloud.rgb, cloud.class_id, prepared.instance_of_point, cloud.confidence)
+    points = SemanticPoints(cloud.xyz, cloud.rgb, cloud.class_id, prepared.instance_of_point, likely(cloud.confidence))
     instances = listed_instances(views, prepared, scene.classes, names)
     write_lifted(folder, scene.classes, viewpoint, points, instances, lifted, events)
 

@@ -272,6 +272,17 @@ def test_masks_that_separate_an_object_are_proposed(lift: Path) -> None:
     assert proposed(*((frame, 100) for frame in range(12)), (1, 60), (3, 90)) == []  # cut by something in front
 
 
+def test_a_class_that_is_likely_wrong_is_proposed_before_one_that_is_not(lift: Path) -> None:
+    result = read_corrected(lift)
+    segments = tuple(MatchedSegment(str(k), 1, kind, 1.0, None, 1.0, 9, 0.1, (0.0, 0.0, 1.0, 1.0))
+                     for k, kind in enumerate([CHAIR] * 4 + [TABLE] * 6))  # fmt: skip
+    instances = tuple(replace(one, segments=segments if one.id == DESK else ()) for one in result.made)
+    for probability, doubt in ((1.0, 0.8), (0.05, 0.95)):
+        points = replace(result.points, confidence=np.full_like(result.points.confidence, probability))
+        found = proposals_of(replace(result, instances=instances, points=points)).open
+        assert [one.doubt for one in found if one.answer == "reclass"] == [pytest.approx(doubt)]
+
+
 def test_nearest_is_the_nearest() -> None:
     rng = np.random.default_rng(3)
     points, queries = rng.random((300, 3)).astype(np.float32) + 50, rng.random((200, 3)).astype(np.float32) + 50

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from engine.job import EventReader, EventWriter
-from engine.job.report import entropy_of_frames
-from engine.lift.judging import Judgement, Seen, judge
+from engine.job.report import doubt_of_frames
+from engine.lift.judging import Judgement, Seen, judge, read_held_back
 from engine.scene import Camera, load_view, open_scene
 from tests.tiny_scene import CHAIR_ID, WALL_ID, trace_view, write_tiny_scene
 
@@ -23,21 +23,22 @@ def scene_path(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def seen_by(camera: Camera) -> Seen:
-    """The true classes that a camera sees."""
-    return Seen(trace_view(camera.camera_to_world, camera.K, camera.size).semantic, abs(camera.centre[0]))
+    """The true classes that a camera sees, with half of the votes."""
+    classes = trace_view(camera.camera_to_world, camera.K, camera.size).semantic
+    return Seen(classes, np.full(classes.shape, 0.5, np.float32))
 
 
 def without_chair(camera: Camera) -> Seen:
     """The same with the chair shown as wall."""
-    seen = seen_by(camera).classes
-    return Seen(np.where(seen == CHAIR_ID, WALL_ID, seen).astype(np.int32), 0.5)
+    seen = seen_by(camera)
+    return Seen(np.where(seen.classes == CHAIR_ID, WALL_ID, seen.classes).astype(np.int32), seen.share)
 
 
 def judged(path: Path, draw: object) -> Judgement:
     scene = open_scene(path, None, "z")
     views = [load_view(frame) for frame in scene.train_frames]
     done: list[tuple[int, int]] = []
-    found = judge(draw, scene, views, SIZE, lambda *each: done.append(each))  # type: ignore[arg-type]
+    found = judge(draw, scene, views, read_held_back(scene, SIZE), lambda *each: done.append(each))  # type: ignore[arg-type]
     assert done[-1] == (8, 8), "training views and held-out frames"
     return found
 
@@ -47,9 +48,14 @@ def test_a_true_lift_agrees_with_true_masks(scene_path: Path) -> None:
     assert found.not_shown == ()
     assert found.trained is not None and found.trained > 0.99
     assert found.held_back is not None and found.held_back > 0.99
-    expected = {frame.name: round(abs(frame.camera.centre[0]), 4) for frame in open_scene(scene_path, None, "z").frames}
-    assert entropy_of_frames({"masks_as_judges": found.to_json()}) == expected
-    assert entropy_of_frames({"masks_as_judges": {"entropy": {"0": "x"}}}) == entropy_of_frames({}) == {}
+    score = np.mean([segment.score for frame in open_scene(scene_path, None, "z").frames
+                     for segment in frame.mask(SIZE).segments])  # fmt: skip
+    assert found.calibration(np.array([0.5], np.float32))[0] > min(0.95, score - 0.05), "half of the votes, but right"
+    doubt = doubt_of_frames({"masks_as_judges": found.to_json()})
+    assert len(doubt) == 8 and max(doubt.values()) < 1.05 - min(0.95, score - 0.05)
+    for name in ("doubt", "entropy"):  # the second is of older lifts
+        assert doubt_of_frames({"masks_as_judges": {name: {"0": "x", "1": 0.5}}}) == {"1": 0.5}
+    assert doubt_of_frames({}) == {}
 
 
 def test_what_is_lost_is_reported_with_its_frame(scene_path: Path, tmp_path: Path) -> None:

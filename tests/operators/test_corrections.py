@@ -258,7 +258,7 @@ def test_the_next_uncertain_frame(root: bpy.types.Collection, mine: Path) -> Non
 def test_the_rendering_says_which_frame_is_the_most_uncertain(root: bpy.types.Collection, mine: Path) -> None:
     names = [ob["frame"] for ob in root.all_objects if ob.type == "CAMERA" and "frame" in ob]
     drawn = {names[3]: 0.2, names[5]: 0.4, names[1]: 0.3}
-    (mine / "result" / "metrics.json").write_text(json.dumps({"masks_as_judges": {"entropy": drawn}}))
+    (mine / "result" / "metrics.json").write_text(json.dumps({"masks_as_judges": {"doubt": drawn}}))
     visited = []
     for _ in range(3):
         bpy.ops.plgs.next_uncertain_frame()
