@@ -5,7 +5,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,83 +17,66 @@ from engine.lift.device import be_repeatable
 from engine.scene import VOID, open_asked, size_within
 
 BINS = 10
+Curve = NDArray[np.float64]
+"""float64 [3, BINS]: for each bin of the probability how many pixels, their mean probability, how many are right."""
 
 
-class Reliability(NamedTuple):
-    """For each bin of the probability: how many ``pixels`` int64 [BINS], their mean ``probability`` and how many are
-    ``right``, 0..1; 0 where none."""
-
-    pixels: NDArray[np.int64]
-    probability: NDArray[np.float64]
-    right: NDArray[np.float64]
-
-    @property
-    def error(self) -> float:
-        """The expected calibration error."""
-        return float((self.pixels * np.abs(self.probability - self.right)).sum() / max(self.pixels.sum(), 1))
-
-
-def reliability(probability: NDArray[np.floating], right: NDArray[np.bool_]) -> Reliability:
-    """Of pixels [N] that are right or not."""
+def reliability(probability: NDArray[np.floating], right: NDArray[np.floating]) -> Curve:
+    """The curve of pixels [N] that are right (1) or not (0)."""
     number = np.clip((probability * BINS).astype(np.int64), 0, BINS - 1)
     count = np.bincount(number, minlength=BINS)
-    means = (np.bincount(number, each, BINS) / np.maximum(count, 1) for each in (probability, right))
-    return Reliability(count, *means)
+    return np.stack([count, *(np.bincount(number, each, BINS) / np.maximum(count, 1) for each in (probability, right))])
 
 
-def shares_of(lift: Path) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.bool_]]:
-    """The shares, the probabilities, and what is right, [N], of all pixels of the held-out frames with ground truth, at
-    the size of training. Raises PlgsError, OSError."""
-    folder = LiftFolder.open(lift)
+def error(curve: Curve) -> float:
+    """The expected calibration error."""
+    return float((curve[0] * np.abs(curve[1] - curve[2])).sum() / max(curve[0].sum(), 1))
+
+
+def pixels_of(lift: Path) -> NDArray[np.float32]:
+    """Of all pixels of the held-out frames with ground truth, at the size of training: the share of the votes, the
+    confidence, and whether they are right, float32 [3, N]. Raises PlgsError, OSError."""
+    folder, found = LiftFolder.open(lift), [np.zeros((3, 0), np.float32)]
     verify_lifted(folder.result_path)
     be_repeatable()
-    scene, shares, right = open_asked(folder.request), [np.zeros(0, np.float32)], [np.zeros(0, bool)]
+    scene = open_asked(folder.request)
     baker = read_baker(folder, scene.classes, read_corrected(folder.path))
     for frame in scene.test_frames:
         if frame.read_ground_truth is not None:
             size = size_within(frame.size, folder.request.chosen_preset.size)
             seen, truth = baker.seen(frame.camera.resized(*size)), frame.read_ground_truth(size).semantic
             known = (seen.classes != VOID) & (truth != VOID)
-            shares.append(seen.share[known])
-            right.append(seen.classes[known] == truth[known])
-    share = np.concatenate(shares)
-    return share, baker.calibration(share), np.concatenate(right)
+            share, right = seen.share[known], seen.classes[known] == truth[known]
+            found.append(np.stack([share, baker.calibration(share), right]).astype(np.float32))
+    return np.concatenate(found, axis=1)
 
 
 def reliability_table(lifts: Sequence[Path], picture: Path | None) -> Iterator[str]:
     """Lines of Markdown: the expected calibration error of each lift and of all together; and a diagram. Raises
     PlgsError, OSError."""
-    found = [shares_of(lift) for lift in lifts]
-    names = [lift.name for lift in lifts]
-    if len(found) > 1:
-        together = (np.concatenate(each) for each in zip(*found, strict=True))
-        found, names = [*found, tuple(together)], [*names, "all"]
-    yield "| lift | right | share, error | confidence, error |"
+    found = {lift.name: pixels_of(lift) for lift in lifts}
+    found["all together"] = np.concatenate([*found.values()], axis=1)
+    curves = {name: [reliability(each, pixels[2]) for each in pixels[:2]] for name, pixels in found.items()}
+    yield "| lift | right | share of the votes, error | Confidence, error |"
     yield "|---|---|---|---|"
-    curves = [(reliability(share, right), reliability(likely, right)) for share, likely, right in found]
-    for name, (_, _, right), (before, after) in zip(names, found, curves, strict=True):
-        yield f"| {markdown_cell(name)} | {100 * right.mean():.1f} % | {before.error:.3f} | {after.error:.3f} |"
+    for name, (before, after) in curves.items():
+        right = 100 * found[name][2].mean(dtype=np.float64)
+        yield f"| {markdown_cell(name)} | {right:.1f} % | {error(before):.3f} | {error(after):.3f} |"
     if picture is not None:
-        draw(picture, names, curves)
+        draw(picture, curves)
 
 
-def draw(path: Path, names: Sequence[str], curves: Sequence[tuple[Reliability, Reliability]]) -> None:
+def draw(path: Path, curves: dict[str, list[Curve]]) -> None:
     """The diagram: how much is right over the share, and over the confidence. Needs matplotlib. Raises OSError."""
-    import matplotlib
+    from matplotlib.figure import Figure
 
-    matplotlib.use("Agg")
-    from matplotlib import pyplot
-
-    figure, panels = pyplot.subplots(1, 2, figsize=(7, 3.6), sharey=True, layout="constrained")
-    for number, (axes, title) in enumerate(zip(panels, ("share of the votes", "Confidence"), strict=True)):
+    figure = Figure(figsize=(7, 3.6), layout="constrained")
+    for number, title in enumerate(("share of the votes", "Confidence")):
+        axes = figure.add_subplot(1, 2, number + 1, xlabel=title, ylabel="pixels that are right")
         axes.plot((0, 1), (0, 1), color="grey", linewidth=1)
-        for name, pair in zip(names, curves, strict=True):
-            curve = pair[number]
-            many = curve.pixels > 0.002 * curve.pixels.sum()
-            label = f"{plot_label(name)}, error {curve.error:.3f}"
-            axes.plot(curve.probability[many], curve.right[many], marker="o", markersize=4, label=label)
-        axes.set(xlabel=title, xlim=(0, 1), ylim=(0, 1))
+        for name, pair in curves.items():
+            _, probability, right = (curve := pair[number])[:, pair[number][0] > 0.002 * pair[number][0].sum()]
+            axes.plot(probability, right, "o-", markersize=4, label=f"{plot_label(name)}, error {error(curve):.3f}")
+        axes.set(xlim=(0, 1), ylim=(0, 1))
         axes.legend(fontsize=8)
-    panels[0].set_ylabel("pixels that are right")
     figure.savefig(path, dpi=90)
-    pyplot.close(figure)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from ..job import EventWriter
 from ..job.report import not_shown
 from ..json_file import Json
-from ..metrics.calibration import MOST_SAMPLES, STEPS, Calibration, Samples, calibrate, samples_of
+from ..metrics.calibration import MOST_SAMPLES, Calibration, Samples, calibrate, samples_of
 from ..metrics.panoptic import PanopticEvaluation
 from ..metrics.unshown import JudgedView, Unshown, find_unshown
 from ..scene import (
@@ -95,9 +95,10 @@ def judge(
     """
     trained = evenly(views)
     every = chained(trained, held_back)
-    drawn = _Drawn(MOST_SAMPLES // max(1, len(held_back) or len(trained)))
-    classes = stored(drawn.each(draw, every, progress), scratch)
-    places = Samples(*map(np.concatenate, zip(*drawn.samples[len(trained) if len(held_back) else 0 :], strict=True)))
+    samples: list[Samples] = []
+    most = MOST_SAMPLES // (len(held_back) or len(trained))
+    classes = stored(_drawn(draw, every, most, samples, progress), scratch)
+    places = Samples(*map(np.concatenate, zip(*samples[len(trained) if len(held_back) else 0 :], strict=True)))
     calibration = calibrate(places, trained, held_back)
     judges = OnDemand(len(every), lambda number: JudgedView(every[number], classes[number]))
     return Judgement(
@@ -105,7 +106,7 @@ def judge(
         held_back=_agreement(judges[len(trained) :], scene.classes),
         not_shown=tuple(find_unshown(judges, scene.classes)),
         calibration=calibration,
-        doubt={name: round(calibration.doubt(pixels), 4) for name, pixels in drawn.pixels.items()},
+        doubt={view.name: round(calibration.doubt(seen), 4) for view, seen in zip(every, samples, strict=True)},
     )
 
 
@@ -120,27 +121,20 @@ def read_held_back(scene: Scene, size: Size, scratch: Path | None = None) -> Sto
     return StoredViews(read_ahead(masked, lambda frame: load_view(frame, size_within(frame.size, size))), scratch)
 
 
-class _Drawn:
-    """What the drawn views show: ``samples`` of each, at most ``most``, and by its name how many of its ``pixels`` have
-    each share, int64 [STEPS + 1]."""
-
-    def __init__(self, most: int) -> None:
-        self.samples: list[Samples] = []
-        self.pixels: dict[str, NDArray[np.int64]] = {}
-        self._most = most
-
-    def each(
-        self, draw: Callable[[Camera], Seen], views: Sequence[View], progress: Callable[[int, int], object]
-    ) -> Iterator[NDArray[np.int32]]:
-        """The classes that each view shows."""
-        for number in range(len(views)):
-            view = views[number]
-            seen = draw(view.camera)
-            shares = np.rint(STEPS * seen.share[seen.classes > 0]).astype(np.int64)
-            self.pixels[view.name] = np.bincount(shares, minlength=STEPS + 1)
-            self.samples.append(samples_of(view, seen.classes, seen.share, self._most))
-            yield seen.classes
-            progress(number + 1, len(views))
+def _drawn(
+    draw: Callable[[Camera], Seen],
+    views: Sequence[View],
+    most: int,
+    samples: list[Samples],
+    progress: Callable[[int, int], object],
+) -> Iterator[NDArray[np.int32]]:
+    """The classes that each view shows; at most ``most`` of its pixels go into ``samples``."""
+    for number in range(len(views)):
+        view = views[number]
+        seen = draw(view.camera)
+        samples.append(samples_of(view, seen.classes, seen.share, most))
+        yield seen.classes
+        progress(number + 1, len(views))
 
 
 def _agreement(judges: Sequence[JudgedView], classes: ClassTable) -> float | None:

@@ -53,7 +53,7 @@ def write_scene_files(
     were ``held_back`` judge its points; ``names`` are those of the instances. Raises OSError if the disk is full.
     """
     cloud = prepared.cloud
-    likely = calibrate(Samples(cloud.xyz, cloud.class_id, cloud.confidence).fewer(), evenly(views), held_back)
+    likely = calibrate(Samples(cloud.xyz, cloud.class_id, cloud.confidence), evenly(views), held_back)
     viewpoint = np.mean([frame.camera.centre for frame in scene.train_frames], axis=0)
     points = SemanticPoints(cloud.xyz, cloud.rgb, cloud.class_id, prepared.instance_of_point, likely(cloud.confidence))
     instances = listed_instances(views, prepared, scene.classes, names)

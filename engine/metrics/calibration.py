@@ -24,12 +24,8 @@ STEPS = 1024
 """Probabilities are whole multiples of 1 / this, like the shares of the passes."""
 BINS = 20
 """Bins of the fit, each with about equally many samples."""
-LEAST_SAMPLES = 200
-"""With fewer judged samples nothing is calibrated."""
-LEAST_VIEWS = 2
-"""The masks' verdict on a place needs at least this many views of it."""
-MOST_SAMPLES = 60_000
-"""The most places that are judged."""
+LEAST_VIEWS, LEAST_SAMPLES, MOST_SAMPLES = 2, 200, 60_000
+"""A place is judged if this many views name it. With fewer places nothing is calibrated; more are not looked at."""
 BEHIND, BEHIND_SHARE = 0.05, 0.02
 """A view sees a place if its depth there differs by less than these metres, or this share of it."""
 
@@ -58,27 +54,20 @@ class Calibration:
         found = np.rint(STEPS * np.interp(share, self.share, self.right)) / STEPS
         return np.where(share > 0, found, 0).astype(np.float32)
 
-    def doubt(self, pixels: NDArray[np.int64]) -> float:
-        """How likely one of the ``pixels`` is wrong: how many have each share, int64 [STEPS + 1]."""
-        wrong = 1.0 - self(np.linspace(0, 1, STEPS + 1, dtype=np.float32))
-        return float((pixels * wrong).sum() / max(pixels.sum(), 1))
+    def doubt(self, samples: Samples) -> float:
+        """How likely one of them is wrong; 0 without any."""
+        return float(np.mean(1 - self(samples.share))) if len(samples.share) else 0.0
 
 
 UNCALIBRATED = Calibration()
 
 
 class Samples(NamedTuple):
-    """Places that show a class: ``xyz`` float32 [N, 3] world metres, ``class_id`` int32 [N], ``share`` float32 [N]."""
+    """Places: ``xyz`` float32 [N, 3] world metres, ``class_id`` int32 [N] (0 = none), ``share`` float32 [N]."""
 
     xyz: NDArray[np.float32]
     class_id: NDArray[np.int32]
     share: NDArray[np.float32]
-
-    def fewer(self) -> Samples:
-        """At most MOST_SAMPLES of those that show a class, evenly chosen."""
-        rows = np.flatnonzero(self.class_id)
-        rows = rows[:: -(-len(rows) // MOST_SAMPLES) or 1]
-        return Samples(self.xyz[rows], self.class_id[rows], self.share[rows])
 
 
 def samples_of(view: View, class_id: NDArray[np.int32], share: NDArray[np.float32], most: int) -> Samples:
@@ -90,13 +79,15 @@ def samples_of(view: View, class_id: NDArray[np.int32], share: NDArray[np.float3
 
 
 def calibrate(samples: Samples, trained: Sequence[View], held_back: Sequence[View]) -> Calibration:
-    """Let the masks of all views judge places. The masks that were ``held_back`` say how far masks are believed; if
-    none were, those that the lift was ``trained`` on do. Each view is read once."""
+    """Let the masks of all views judge places, at most MOST_SAMPLES. The masks that were ``held_back`` say how far
+    masks are believed; if none were, those that the lift was ``trained`` on do. Each view is read once."""
+    rows = np.flatnonzero(samples.class_id)
+    rows = rows[:: -(-len(rows) // MOST_SAMPLES) or 1]
+    samples = Samples(samples.xyz[rows], samples.class_id[rows], samples.share[rows])
     named = _Named(samples)
-    for view in trained:
-        named.add(view, is_judge=not len(held_back))
-    for view in held_back:
-        named.add(view, is_judge=True)
+    for views, is_judge in ((trained, not len(held_back)), (held_back, True)):
+        for view in views:
+            named.add(view, is_judge=is_judge)
     is_judged = named.views >= LEAST_VIEWS
     if np.count_nonzero(is_judged) < LEAST_SAMPLES:
         return UNCALIBRATED
@@ -113,15 +104,13 @@ class _Named:
     def __init__(self, samples: Samples) -> None:
         self._xyz = samples.xyz
         self._ids, self._column = np.unique(samples.class_id, return_inverse=True)
-        self._votes = np.zeros((len(samples.xyz), len(self._ids)), np.float32)
-        self.views = np.zeros(len(samples.xyz), np.float32)
+        self._votes, self.views = np.zeros((len(self._xyz), len(self._ids)), np.float32), np.zeros(len(self._xyz))
         self.agreeing = self.score = 0.0
 
     def add(self, view: View, *, is_judge: bool) -> None:
         """Count the classes that a view's mask gives to the places that it sees."""
         pixel, depth = view.camera.project(self._xyz)
-        inside = (depth > 0) & (pixel >= 0).all(axis=1) & (pixel < np.array(view.camera.size)).all(axis=1)
-        row = np.flatnonzero(inside)
+        row = np.flatnonzero((depth > 0) & ((pixel >= 0) & (pixel < np.array(view.camera.size))).all(axis=1))
         x, y = pixel[row].astype(np.int64).T
         measured, mask, named = view.depth[y, x], view.mask.ids[y, x], view.mask.class_map()[y, x]
         near = np.abs(measured - depth[row]) <= np.maximum(BEHIND, BEHIND_SHARE * measured)
@@ -133,16 +122,15 @@ class _Named:
         self.views[row] += 1
         if is_judge:
             scores = {segment.id: segment.score for segment in view.mask.segments}
-            ids, place = np.unique(mask, return_inverse=True)
-            self.score += float(np.array([scores.get(int(one), 1.0) for one in ids])[place].sum()) if len(ids) else 0.0
+            ids, count = np.unique(mask, return_counts=True)
+            self.score += sum(scores.get(one, 1.0) * n for one, n in zip(ids.tolist(), count.tolist(), strict=True))
             self.agreeing += float((named == self._ids[self._column[row]]).sum())
 
     def verdict(self) -> NDArray[np.float64]:
         """Whether most views name the class that each place shows, float64 [N]; a part of 1 where several tie."""
         most = self._votes.max(axis=1, initial=0)
         own = self._votes[np.arange(len(self._votes)), self._column]
-        others = self.views - self._votes.sum(axis=1)  # classes that no place shows
-        wins = (own == most) & (own > 0) & (own >= others)
+        wins = (own == most) & (own > 0) & (own >= self.views - self._votes.sum(axis=1))  # the classes that none shows
         return np.asarray(wins / np.maximum((self._votes == most[:, None]).sum(axis=1), 1), np.float64)
 
 
@@ -152,13 +140,12 @@ def fitted(share: NDArray[np.floating], right: NDArray[np.floating]) -> tuple[tu
     edges = np.unique(np.quantile(share, np.linspace(0, 1, BINS + 1)[1:-1]))
     number = np.searchsorted(edges, share, side="right")
     count = np.bincount(number, minlength=len(edges) + 1)
-    means = [np.bincount(number, each, len(count))[count > 0] / count[count > 0] for each in (share, right)]
-    blocks: list[tuple[float, int, int]] = []  # sum, samples, bins
-    for value, weight in zip(means[1].tolist(), count[count > 0].tolist(), strict=True):
-        blocks.append((value * weight, weight, 1))
-        while len(blocks) > 1 and blocks[-2][0] * blocks[-1][1] >= blocks[-1][0] * blocks[-2][1]:
-            last, before = blocks.pop(), blocks.pop()
-            blocks.append((before[0] + last[0], before[1] + last[1], before[2] + last[2]))
-    pooled = [total / weight for total, weight, bins in blocks for _ in range(bins)]
-    shares, probabilities = ([0.0, *(round(one, 6) for one in each)] for each in (means[0].tolist(), pooled))
-    return tuple(shares), tuple(probabilities)
+    count, sums = count[count > 0], [np.bincount(number, each)[count > 0] for each in (share, right)]
+    samples, found = np.append(0, np.cumsum(count)), np.append(0.0, np.cumsum(sums[1]))
+
+    def mean(first: int, end: int) -> float:
+        return float((found[end] - found[first]) / (samples[end] - samples[first]))
+
+    bins = range(len(count))
+    pooled = [max(min(mean(a, b + 1) for b in bins[i:]) for a in bins[: i + 1]) for i in bins]
+    return (0.0, *np.round(sums[0] / count, 6).tolist()), (0.0, *(round(one, 6) for one in pooled))

@@ -93,6 +93,5 @@ def test_a_damaged_calibration_is_refused(share: tuple[float, ...], right: tuple
 def test_nothing_stays_nothing_and_doubt_is_what_is_left() -> None:
     half = Calibration((0.0, 1.0), (0.5, 0.5))
     assert half(np.array([0.0, 0.2, 1.0], np.float32)).tolist() == [0.0, 0.5, 0.5]
-    pixels = np.zeros(1025, np.int64)
-    pixels[[512, 1024]] = 3
-    assert half.doubt(pixels) == 0.5 and UNCALIBRATED.doubt(pixels) == 0.25
+    half_right, none = shown(right=1.0, low=0.5), Samples(*(each[:0] for each in shown(right=1.0)))
+    assert [half.doubt(half_right), UNCALIBRATED.doubt(half_right), half.doubt(none)] == pytest.approx([0.5, 0.25, 0])
