@@ -64,6 +64,8 @@ def make_parser() -> argparse.ArgumentParser:
     _add_bench(known.add_parser("bench", help="measure this machine"))
     weighing = known.add_parser("evidence", help="how much a view's evidence should count, measured without training")
     weighing.add_argument("scenes", nargs="+", metavar="SCENE[:up=AXIS]", help="scenes' folders, with ground truth")
+    weighing.add_argument("--masks", metavar="FOLDER", help="the scenes' masks; {scene} stands for a scene's name")
+    weighing.add_argument("--hold-back", action="store_true", help="let masks judge that are held back, too (slow)")
     weighing.set_defaults(run=run_evidence)
     correcting = known.add_parser("correct", help="correct a lift as its scene's ground truth says, and score it")
     correcting.add_argument("lift", type=Path, metavar="LIFT", help="the folder of a finished lift; it is corrected")
@@ -148,7 +150,8 @@ def run_evidence(options: argparse.Namespace) -> int:
     from .experiments.scenes import scenes_from
     from .labelled_cloud import evidence_table
 
-    for line in evidence_table(scenes_from(options.scenes), PRESETS["preview"]):
+    scenes = scenes_from(options.scenes)
+    for line in evidence_table(scenes, PRESETS["preview"], options.masks, hold_back=options.hold_back):
         print(line, flush=True)
     return ExitCode.FINISHED
 

@@ -35,3 +35,12 @@ def test_one_row_per_way_and_one_column_per_scene(tmp_path: Path, monkeypatch: p
         assert found == name and room == mean
         miou, pq = (float(figure) for figure in room.split(",")[0].split("/"))
         assert 60 < miou <= 100 and 40 < pq <= 100  # exact masks and depth
+
+
+def test_masks_that_are_held_back_judge_the_scene_they_are_of(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    every = labelled_cloud.ways
+    monkeypatch.setattr(labelled_cloud, "ways", lambda shipped: islice(every(shipped), 1))
+    place = SceneToLift("room", write_tiny_scene(tmp_path / "scenes" / "room", frames=10), "z")
+    assert labelled_cloud.masks_of(place, str(tmp_path / "scenes/{scene}")) == place.folder
+    (found,) = labelled_cloud.scene_scores(place, PRESET, hold_back=True)
+    assert 0.6 < found.masks <= 1.0 and "masks" in str(found)  # exact masks and depth
