@@ -51,7 +51,7 @@ def test_without_pycolmap_the_part_is_named_and_nothing_is_written(
 
 
 def test_photos_are_refused_in_two_lines_with_the_way_to_poses(photos: Path, tmp_path: Path) -> None:
-    with pytest.raises(PlgsError, match="let COLMAP find them with --poses colmap") as caught:
+    with pytest.raises(PlgsError, match="let COLMAP find the poses with --poses colmap") as caught:
         open_scene(photos)
     assert caught.value.code is ErrorCode.NO_POSES and len(caught.value.fix) < 200
     (tmp_path / "empty").mkdir()

@@ -260,7 +260,7 @@ def test_photos_without_poses_show_the_button_that_finds_them(tmp_path: Path) ->
     survey.look(chosen, Path(sys.executable))
     registry.wait_for(registry.latest(survey.SceneLook), bpy.context.scene)  # type: ignore[arg-type]
     shown = drawn()
-    assert "let COLMAP find them with Find Poses." in shown and "plgs.make_poses" in shown
+    assert "let COLMAP find the poses with Find Poses." in shown and "plgs.make_poses" in shown
     registry.follow(PoseMaking(chosen, Pretended(TaskState.RUNNING)))  # type: ignore[arg-type]
     assert "plgs.cancel_poses" in drawn()
 
