@@ -23,7 +23,7 @@ from ..passes.contact_sheet import SheetRow, chosen, write_contact_sheet
 from ..passes.exr import write_exr
 from ..passes.layers import PanopticLayers, decide
 from ..passes.previews import colour_picture, preview_paths, write_previews
-from ..scene import Camera, ClassTable, Frame, Scene, Size, View, open_asked
+from ..scene import Camera, ClassTable, Frame, Scene, Size, View, counted, open_asked
 from ..train.progress import StageReporter
 from .corrected_scene import corrected_scene
 from .device import be_repeatable
@@ -141,7 +141,9 @@ def bake_and_evaluate(
         add_input_masks(report, scene)
         judgement = judge(baker.seen, scene, views, size, progress, folder.path)
         judgement.tell(events)
-        metrics = {**report.to_json(), "masks_as_judges": judgement.to_json()}
+        metrics = {
+            **report.to_json(), "left_out": counted(scene.left_out), "masks_as_judges": judgement.to_json(),
+        }  # fmt: skip
         write_atomically(folder.result_path / "metrics.json", json.dumps(metrics, indent=1) + "\n")
         fps = 1 / median(seconds) if seconds and median(seconds) > 0 else None
         events.metric("run", {"fps": fps, "peak_bytes": peak_bytes()})

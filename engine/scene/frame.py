@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from ..errors import PlgsError
 from ..posed.frames import PosedFrame, PosedScene, Size, SparsePoints
+from .noted import Inferred, LeftOut
 
 __all__ = [
     "Frame", "GroundTruth", "PanopticMask", "Scene", "Segment", "Size", "SparsePoints",
@@ -83,9 +84,12 @@ class Frame(PosedFrame):
 
 @dataclass(frozen=True, eq=False)
 class Scene(PosedScene):
-    """Frames with their pixels, in recording order."""
+    """Frames with their pixels, in recording order. ``warnings`` name what is ``left_out``, and what is doubtful of
+    what was ``inferred``."""
 
     frames: tuple[Frame, ...]
+    left_out: tuple[LeftOut, ...] = ()
+    inferred: tuple[Inferred, ...] = ()
 
     @property
     def train_frames(self) -> tuple[Frame, ...]:

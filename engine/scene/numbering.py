@@ -18,6 +18,7 @@ from ..posed.layout import listed
 from .class_choice import FILE_NAME, ClassChoice
 from .class_tables import known_table, numberings_of
 from .mask_formats import MaskSource
+from .noted import Inferred
 
 _LOOKED_AT = 16
 """Frames whose masks are read."""
@@ -37,7 +38,10 @@ _SKY = 0.01
 _PANOPTIC = {"coco", "ade20k", "cityscapes"}
 """Tables whose data sets say which classes are things. In others this is a matter of taste."""
 _KIND = {True: "a thing", False: "stuff"}
-_UNNAMED = "the masks do not say what their classes are called: name a table, such as --classes coco"
+_UNNAMED = Inferred(
+    "numbering", "classes are named by their numbers",
+    "the masks do not say what their classes are called; name a table, such as --classes coco",
+)  # fmt: skip
 _CONTRADICTED = f"Name the network's table with --classes, or write {FILE_NAME} with each class's id, name and thing."
 
 
@@ -52,8 +56,8 @@ class _Reading:
 
 def numbered(
     source: MaskSource, choice: ClassChoice | None, where: Path
-) -> tuple[MaskSource, ClassChoice | None, tuple[str, ...]]:
-    """The masks and the choice of classes with the numbering of the choice's table, and warnings of what was assumed.
+) -> tuple[MaskSource, ClassChoice | None, tuple[Inferred, ...]]:
+    """The masks and the choice of classes with the numbering of the choice's table, and what was inferred.
 
     Raises PlgsError where the files call things what the table calls stuff, in each numbering.
     """
@@ -70,8 +74,9 @@ def numbered(
         raise PlgsError(what, where, _CONTRADICTED, option="--classes")
     chosen, reason = _told(agreeing or [usual], choice)
     others = [each.table for each in agreeing if each is not chosen]
-    warnings = () if chosen is usual and reason is not None else (_assumed(chosen, others, reason),)
-    return chosen.source, replace(choice, table=chosen.table), warnings
+    is_doubtful = chosen is not usual or reason is None
+    inferred = (_inferred(chosen, others, reason, is_doubtful),) if is_doubtful or len(readings) > 1 else ()
+    return chosen.source, replace(choice, table=chosen.table), inferred
 
 
 def other_numberings(choice: ClassChoice) -> str:
@@ -170,8 +175,8 @@ def _base(reading: _Reading) -> str:
     return reading.table.partition(":")[0]
 
 
-def _assumed(chosen: _Reading, others: list[str], reason: str | None) -> str:
-    """The warning that says what was assumed, and the option that says otherwise."""
-    why = "which nothing in the masks tells" if reason is None else f"as {reason}"
+def _inferred(chosen: _Reading, others: list[str], reason: str | None, is_doubtful: bool) -> Inferred:
+    """What the numbers are taken for, and the option that says otherwise."""
+    why = "nothing in the masks tells" if reason is None else reason
     wrong = f"; if that is wrong, name --classes {' or '.join(others)}" if others else ""
-    return f"the masks' numbers are read as {chosen.what}, {why}{wrong}"
+    return Inferred("numbering", f"the masks' numbers are read as {chosen.what}", f"{why}{wrong}", is_doubtful)

@@ -17,19 +17,19 @@ from __future__ import annotations
 from pathlib import Path
 
 from ...posed.plain_folders import NAME, read_folders, recognises
-from ..depth import open_depth
+from ..depth import fault_of, open_depth
 from .capture import Capture, SceneFormat, Shot
 
 
 def _read(folder: Path) -> Capture:
     """Open the frames; only headers of images are read. Raises PlgsError."""
     found = read_folders(folder)
-    depths, warnings = open_depth(folder, found.cameras) if (folder / "depth").is_dir() else ({}, ())
-    shots = {
-        name: Shot(name, camera, found.pictures[name], depths.get(name)) for name, camera in found.cameras.items()
-    }
-    kept = [(name, shots.get(name)) for name in found.names if name in shots or name in found.lost]
-    return Capture(kept, "z", warnings, split=found.split)
+    depths, inferred = open_depth(folder, found.cameras) if (folder / "depth").is_dir() else ({}, ())
+    shots = {name: Shot(name, lens, found.pictures[name], depths.get(name)) for name, lens in found.cameras.items()}
+    faults = {name: fault_of(path) for name, path in found.pictures.items() if name not in shots}
+    kept = [(name, shots.get(name) or faults.get(name)) for name in found.names]
+    kept = [(name, shot) for name, shot in kept if shot is not None or name in found.lost]
+    return Capture(kept, "z", split=found.split, inferred=inferred)
 
 
 FORMAT = SceneFormat(NAME, recognises, _read)

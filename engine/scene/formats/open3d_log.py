@@ -11,6 +11,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +24,7 @@ from ...posed.camera import Camera
 from ...posed.layout import files_by_stem
 from ...posed.matrices import take_numbers
 from ..depth import png_depth
-from .capture import Capture, SceneFormat, Shot
+from .capture import Capture, SceneFormat, Shot, with_picture
 from .lens import assumed, fitted, pinhole
 from .poses import finite_pose
 from .rows import numbers, read_rows
@@ -94,16 +95,19 @@ def _read(place: Path) -> Capture:
     is_guessed = shared is None and poses[0][1] is None
     if is_guessed:
         shared = _PRIMESENSE
-    found: list[tuple[str, Shot | None]] = []
+    found: list[tuple[str, Shot | PlgsError | None]] = []
     for (name, colour), (matrix, own) in zip(colours.items(), poses, strict=True):
         pose, lens = finite_pose(matrix, trajectory), own or shared
-        shot = None
+        shot: Shot | PlgsError | None = None
         if pose is not None and lens is not None:
-            lens = fitted(lens, colour, _LENS_FIX)
-            depth = png_depth(depths[name], lens) if name in depths else None
-            shot = Shot(name, lens.at(pose), colour, depth)
+            shot = with_picture(colour, partial(_shot, name, colour, depths.get(name), lens.at(pose)))
         found.append((name, shot))
-    return Capture(found, None, (_GUESSED,) if is_guessed else ())
+    return Capture(found, None, inferred=(_GUESSED,) if is_guessed else ())
+
+
+def _shot(name: str, colour: Path, depth: Path | None, camera: Camera) -> Shot:
+    camera = fitted(camera, colour, _LENS_FIX)
+    return Shot(name, camera, colour, None if depth is None else png_depth(depth, camera))
 
 
 def _read_log(path: Path) -> _Poses:
