@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from statistics import median
 
@@ -12,6 +13,7 @@ import numpy as np
 
 from ..corrections import CorrectedResult
 from ..job import EventWriter, LiftFolder, write_atomically
+from ..job.report import read_metrics
 from ..job.system import peak_bytes
 from ..metrics.report import LIFTED, PredictedView, Report, add_input_masks
 from ..model.render import render_bands
@@ -154,10 +156,13 @@ def score_corrected(
 ) -> dict[str, object]:
     """The figures of a finished lift with its corrections, in the form of metrics.json. Raises PlgsError, OSError."""
     be_repeatable()
-    scene = open_asked(folder.request)
+    scene, metrics = open_asked(folder.request), read_metrics(folder)
+    names = metrics.get("test_frames")
+    if isinstance(names, list):  # the lift left out held-out frames that cannot be read
+        scene = replace(scene, frames=tuple(frame for frame in scene.frames if frame.name in names))
     baker, report = read_baker(folder, scene.classes, corrected), Report(scene.classes)
     for done, frame in enumerate(scene.test_frames, start=1):
         report.add(LIFTED, frame, predicted(baker.render(frame.camera).layers))
         progress(done, len(scene.test_frames))
     add_input_masks(report, scene)
-    return report.to_json()
+    return {**report.to_json(), "left_out": metrics.get("left_out", [])}
