@@ -84,6 +84,8 @@ def test_the_lens_beside_pictures(
     (tmp_path / name).write_bytes(json.dumps(content).encode() + end)
     scene = open_scene(tmp_path)
     assert not scene.assumed_lens and not any("assumed" in warning for warning in scene.warnings)
+    (lens,) = (each for each in scene.inferred if each.about == "lens")
+    assert name in lens.taken and not lens.is_doubtful
     check_on_room(scene)
 
 
