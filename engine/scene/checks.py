@@ -123,15 +123,17 @@ def _readable(scene: Scene, tick: Progress) -> tuple[list[_Look], Scene, tuple[s
     """What the frames show, the scene without those whose files cannot be read, and warnings that name these.
 
     Raises PlgsError where more than half of all frames, or all to train on, cannot be read; and for what is wrong
-    with the class table or the memory, not with one file.
+    with the class table, the memory or the ground truth, which no lift needs.
     """
     looks: dict[str, _Look] = {}
     errors: dict[str, PlgsError] = {}
     total = len(scene.frames)
     decoded = {*np.linspace(0, total - 1, _COLOURS_DECODED).round().astype(int).tolist()}
     for position, frame in enumerate(scene.frames):
+        truth = frame.read_ground_truth
+        unknown = truth.unknown() if isinstance(truth, GroundTruthReader) else frozenset[int | str]()
         try:
-            looks[frame.name] = _look(frame, decode=position in decoded)
+            looks[frame.name] = _look(frame, unknown, decode=position in decoded)
         except OtherClasses:
             raise
         except PlgsError as error:
@@ -149,11 +151,13 @@ def _readable(scene: Scene, tick: Progress) -> tuple[list[_Look], Scene, tuple[s
     return list(looks.values()), scene, (f"{gone[0]} (the first: {first.what}: {first.where})", *told)
 
 
-def _look(frame: Frame, decode: bool) -> _Look:
+def _look(frame: Frame, unknown_truth: frozenset[int | str], decode: bool) -> _Look:
     """Raises PlgsError where a file cannot be read."""
     _check_colour(frame, decode)
     depth = None if frame.read_depth is None else frame.read_depth(None)
-    return _facts(frame, depth), None if depth is None else _thumbnail(frame, depth)
+    mask = None if frame.read_mask is None else _mask_facts(frame.read_mask(None))
+    facts = FrameFacts(frame.name, None if depth is None else _depth_facts(frame, depth), mask, unknown_truth)
+    return facts, None if depth is None else _thumbnail(frame, depth)
 
 
 def _check_colour(frame: Frame, decode: bool) -> None:
@@ -167,16 +171,6 @@ def _thumbnail(frame: Frame, depth: NDArray[np.float32]) -> Thumbnail:
     height = max(1, round(_THUMBNAIL_WIDTH * frame.camera.height / frame.camera.width))
     size = (_THUMBNAIL_WIDTH, height)
     return Thumbnail(frame.name, frame.camera.resized(*size), resize_nearest(depth, size))
-
-
-def _facts(frame: Frame, depth: NDArray[np.float32] | None) -> FrameFacts:
-    truth = frame.read_ground_truth
-    return FrameFacts(
-        name=frame.name,
-        depth=None if depth is None else _depth_facts(frame, depth),
-        mask=None if frame.read_mask is None else _mask_facts(frame.read_mask(None)),
-        unknown_truth=truth.unknown() if isinstance(truth, GroundTruthReader) else frozenset(),
-    )
 
 
 def _depth_facts(frame: Frame, depth: NDArray[np.float32]) -> DepthFacts:
