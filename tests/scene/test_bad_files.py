@@ -103,7 +103,7 @@ WRITERS: dict[str, Callable[[Path], object]] = {
     "grounded-sam2": test_tracks.write_grounded,
 }
 OPTIONS: dict[str, dict[str, str]] = {
-    "pairs": {"classes": "nyu40"},
+    "pairs": {"classes": "nyu40:1-40"},
     "arrays": {"classes": "nyu40"},
     "detections": {"classes": "coco"},
     "detection-pictures": {"mask_format": "detections"},
