@@ -89,6 +89,15 @@ def test_the_lens_beside_pictures(
     check_on_room(scene)
 
 
+@pytest.mark.parametrize("layout", [plain, open3d, frames, tum])
+def test_the_lens_does_not_need_the_first_picture(tmp_path: Path, layout: Callable[[Path, int], None]) -> None:
+    layout(tmp_path, 5000 if layout is tum else 1000)
+    (tmp_path / "calibration.json").write_text(json.dumps(azure(of_lens(LENS))))
+    min(path for path in tmp_path.rglob("*") if path.suffix == ".png" and "depth" not in path.name + path.parent.name).write_bytes(b"")
+    scene = open_scene(tmp_path)
+    assert [len(each.names) for each in scene.left_out] == [1] and len(scene.frames) == len(views()) - 1
+
+
 def test_an_azure_kinects_modes_and_distortion(tmp_path: Path) -> None:
     """The numbers of one device, and what Microsoft's SDK says of it at 1920x1080 with integer pixel centres."""
     shares = [0.4967627227306366, 0.5108628273010254, 0.470907062292099, 0.6274453997612]
