@@ -93,7 +93,8 @@ def test_the_lens_beside_pictures(
 def test_the_lens_does_not_need_the_first_picture(tmp_path: Path, layout: Callable[[Path, int], None]) -> None:
     layout(tmp_path, 5000 if layout is tum else 1000)
     (tmp_path / "calibration.json").write_text(json.dumps(azure(of_lens(LENS))))
-    min(path for path in tmp_path.rglob("*") if path.suffix == ".png" and "depth" not in path.name + path.parent.name).write_bytes(b"")
+    pictures = [path for path in tmp_path.rglob("*.png") if "depth" not in path.name + path.parent.name]
+    min(pictures).write_bytes(b"")
     scene = open_scene(tmp_path)
     assert [len(each.names) for each in scene.left_out] == [1] and len(scene.frames) == len(views()) - 1
 
