@@ -14,7 +14,7 @@ import numpy as np
 from .errors import ErrorCode, PlgsError
 from .job import LiftFolder, LiftState, write_atomically
 from .known_scene import FIND_SCENE, has_known, known_scene, read_known, write_known
-from .scene import Camera, Frame, PosedFrame, Scene, open_asked
+from .scene import Camera, Frame, OtherClasses, PosedFrame, Scene, open_asked
 
 _ALIKE = 1e-4
 """Metres, pixels and entries of rotations by which the cameras of the same frames may differ."""
@@ -38,7 +38,7 @@ def scene_of_lift(folder: LiftFolder) -> Scene:
 
 def remember_scene(folder: LiftFolder, scene: Scene) -> None:
     """Write the cameras of a lift's scene, and the digest of its masks, beside its request. Raises PlgsError for a mask
-    that cannot be read, OSError."""
+    with unknown classes, OSError."""
     write_known(folder, scene, digest_of_masks(scene))
 
 
@@ -67,11 +67,17 @@ def have_masks_changed(folder: LiftFolder, scene: Scene | None = None) -> bool:
 
 
 def digest_of_masks(scene: Scene) -> str:
-    """SHA-256 of the masks of all frames with their segments. Raises PlgsError."""
+    """SHA-256 of the masks of all frames with their segments. Raises OtherClasses."""
     found = sha256()
     for frame in scene.frames:
         if frame.read_mask is not None:
-            mask = frame.mask()
+            try:
+                mask = frame.mask()
+            except OtherClasses:
+                raise
+            except PlgsError:  # the check leaves this frame out
+                found.update(f"{frame.name} is unreadable".encode())
+                continue
             found.update(f"{frame.name} {mask.segments}".encode())
             found.update(np.ascontiguousarray(mask.ids).tobytes())
     return found.hexdigest()

@@ -46,6 +46,7 @@ ENGINE_MAY_IMPORT: dict[str, set[str]] = {
         "json_file",
         "presets",
         "job",
+        "posed",
         "result_files",
         "corrections",
         "scene",

@@ -170,6 +170,8 @@ def _draw_survey(layout: bpy.types.UILayout, context: bpy.types.Context, survey:
     column = box.column(align=True)
     column.label(text=label_of(survey.format), icon="FILEBROWSER")
     column.label(text=f"{survey.frames} frames, {survey.test_frames} of them held out", icon="CAMERA_DATA")
+    if survey.left_out:
+        column.label(text=f"{survey.left_out} more frames are left out", icon="BLANK1")
     sizes = [f"{width} x {height}" + (f" ({count})" if len(survey.sizes) > 1 else "")
              for (width, height), count in survey.sizes[:3]]  # fmt: skip
     column.label(text=", ".join(sizes), icon="IMAGE_DATA")
@@ -178,6 +180,8 @@ def _draw_survey(layout: bpy.types.UILayout, context: bpy.types.Context, survey:
         column.label(text=f"{len(survey.classes)} classes", icon="COLOR")
     for each in possibilities(survey, status().is_usable):
         tell(box, context, f"{each.what}: {each.why}", "CHECKMARK" if each.is_possible else "X")
+    for text, is_doubtful in survey.inferred:
+        tell(layout, context, text, "ERROR" if is_doubtful else "INFO")
     for warning in survey.warnings[:_MOST_WARNINGS]:
         tell(layout, context, warning, "ERROR")
     if len(survey.warnings) > _MOST_WARNINGS:

@@ -22,13 +22,13 @@ from ..job.task import LIFT, TaskState
 from ..lift.baking import FrameBaker, bake_and_evaluate
 from ..lift.device import be_repeatable, refuse_missing_device
 from ..lift.judging import read_held_back
-from ..lift.run import frames_to_bake, library_versions
+from ..lift.run import frames_to_bake, library_versions, tell
 from ..lift.scene_files import read_model, write_lifted
 from ..passes.baked_view import ShownInstances
 from ..presets.preset import Preset
 from ..raster import drawing_on
 from ..result_files import INSTANCES, SEMANTIC_POINTS, SemanticPoints, read_arrays, read_instances
-from ..scene import StoredViews, check_scene, load_view, open_scene_to_lift, size_within
+from ..scene import StoredViews, load_view, open_scene_to_lift, size_within, survey_scene
 from ..scene.blocks import Cell, cells_of
 from ..scene_of_lift import is_done, remember_scene
 from ..train.progress import StageProgress, StageReporter
@@ -63,12 +63,13 @@ def _do_stages(folder: LiftFolder, preset: Preset, stages: StageReporter) -> Non
     """Do the ``STAGES``, one after another."""
     request, events = folder.request, stages.events
     with stages.stage("check") as progress:
-        scene = open_scene_to_lift(request)
-        remember_scene(folder, scene)
-        for warning in (*scene.warnings, *check_scene(scene, progress)):
-            events.warning(warning)
+        opened = open_scene_to_lift(request)
+        remember_scene(folder, opened)
+        survey = survey_scene(opened, progress)
+        tell(opened, survey, events)
+        scene = survey.scene
     with stages.stage("cut") as progress:
-        cells, _ = cells_of(scene, request.blocks, progress)
+        cells, _ = cells_of(opened, request.blocks, progress)  # as each block cuts them
     with stages.stage("blocks") as progress:
         lifts = [lift_block(folder, number, progress) for number in range(1, request.blocks + 1)]
     with stages.stage("join") as progress:

@@ -11,7 +11,7 @@ from ..errors import PlgsError
 from ..job import EventWriter, StopSignal
 from ..job.prediction import USUAL_CLASSES, USUAL_MASKS, machine_slowness, predict
 from ..presets.preset import PRESETS
-from ..scene import Scene, SceneReport, Size, describe, open_asked
+from ..scene import Scene, SceneReport, Size, counted, open_asked, report_of, survey_scene
 from ..scene_source import SceneSource
 
 
@@ -36,7 +36,8 @@ def inspect_scene(
     scene = open_asked(asked)
     report, refusal = None, None
     try:
-        report = describe(scene)
+        survey = survey_scene(scene)
+        report, scene = report_of(survey), survey.scene
     except PlgsError as error:
         refusal = error
     stop.check()
@@ -56,7 +57,7 @@ def inspect_scene(
         lines.append(f"mended    {done}")
     elif fix is not None and refusal is None:
         lines.append("mended    nothing: no finding can be mended with certainty, and no folder was written")
-    answer: dict[str, object] = {} if report is None else asdict(report)
+    answer: dict[str, object] = {} if report is None else {**asdict(report), "left_out": counted(report.left_out)}
     events.answer({**answer, "diagnosis": found}, "\n".join(lines))
     if refusal is not None and (fix is None or harm is not None or not diagnosis.mending.is_needed):
         raise refusal
@@ -115,6 +116,10 @@ def _lines(report: SceneReport) -> Iterator[str]:
         yield f"classes   {len(report.classes)}; {report.void_share:.1%} of the pixels have none"
     for entry in sorted(report.classes, key=lambda entry: -entry.share):
         yield f"  {entry.id:4d}  {entry.name:<24} {'thing' if entry.is_thing else 'stuff'} {entry.share:7.1%}"
+    if report.left_out:
+        yield "left out  " + ", ".join(f"{len(each.names)} without {each.lacks}" for each in report.left_out)
+    for each in report.inferred:
+        yield f"inferred{'?' if each.is_doubtful else ' '} {each.about}: {each}"
     for warning in report.warnings:
         yield f"warning: {warning}"
 

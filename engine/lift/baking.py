@@ -29,7 +29,7 @@ from ..passes.exr import write_exr
 from ..passes.frame_header import NOTHING_SHOWN, ShownFrame
 from ..passes.layers import PanopticLayers, decide
 from ..passes.previews import colour_picture, preview_paths, write_previews
-from ..scene import Camera, ClassTable, Frame, Scene, View, open_asked
+from ..scene import Camera, ClassTable, Frame, Scene, View, counted, open_asked
 from ..train.progress import StageReporter
 from .corrected_scene import corrected_scene
 from .device import be_repeatable
@@ -167,7 +167,9 @@ def bake_and_evaluate(
         if rows:
             write_contact_sheet(folder.previews_path / "contact_sheet.png", rows, scene.classes, baker.colours)
             events.preview(folder.previews_path / "contact_sheet.png")
-        metrics = {**report.to_json(), "masks_as_judges": judgement.to_json()}
+        metrics = {
+            **report.to_json(), "left_out": counted(scene.left_out), "masks_as_judges": judgement.to_json(),
+        }  # fmt: skip
         write_atomically(folder.result_path / "metrics.json", json.dumps(metrics, indent=1) + "\n")
         fps = 1 / median(seconds) if seconds and median(seconds) > 0 else None
         events.metric("run", {"fps": fps, "peak_bytes": peak_bytes()})
@@ -178,10 +180,13 @@ def score_corrected(
 ) -> dict[str, object]:
     """The figures of a finished lift with its corrections, in the form of metrics.json. Raises PlgsError, OSError."""
     be_repeatable()
-    scene = open_asked(folder.request)
+    scene, metrics = open_asked(folder.request), read_metrics(folder)
+    names = metrics.get("test_frames")
+    if isinstance(names, list):  # the lift left out held-out frames that cannot be read
+        scene = replace(scene, frames=tuple(frame for frame in scene.frames if frame.name in names))
     baker, report = read_baker(folder, scene.classes, corrected), Report(scene.classes)
     for done, frame in enumerate(scene.test_frames, start=1):
         report.add(LIFTED, frame, predicted(baker.render(frame.camera).layers))
         progress(done, len(scene.test_frames))
     add_input_masks(report, scene)
-    return report.to_json()
+    return {**report.to_json(), "left_out": metrics.get("left_out", [])}

@@ -10,6 +10,7 @@ from ..errors import ErrorCode, PlgsError
 from ..job import EventWriter, LiftRequest
 from ..job.main_memory import MainMemory
 from ..job.prediction import Prediction, predict
+from ..posed.layout import of_most
 from ..presets.options import with_options
 from ..presets.preset import PRESETS, Preset
 from ..scene import Scene, size_within
@@ -70,11 +71,13 @@ def _too_much(needed: int, memory: MainMemory) -> str:
 
 
 def masks_a_frame(scene: Scene) -> float:
-    """The mean number of segments in LOOKED_AT frames. Raises PlgsError."""
+    """The mean number of segments in those of LOOKED_AT frames whose mask can be read. Raises PlgsError where most of
+    them cannot."""
     frames = scene.train_frames
     places = np.unique(np.linspace(0, len(frames) - 1, min(LOOKED_AT, len(frames))).round().astype(int))
-    looked_at = [frames[place] for place in places]
-    return float(np.mean([len(frame.mask(size_within(frame.size, (64, 64))).segments) for frame in looked_at]))
+    looked_at = {frames[place].name: frames[place] for place in places}
+    masks = of_most(list(looked_at), lambda name: looked_at[name].mask(size_within(looked_at[name].size, (64, 64))))
+    return float(np.mean([len(mask.segments) for mask in masks.values()]))
 
 
 def predicted_lift(scene: Scene, preset: Preset, masks: float, bake: str = "test") -> Prediction:

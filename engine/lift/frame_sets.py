@@ -20,15 +20,30 @@ FRAMES = "frames"
 @dataclass(frozen=True, eq=False)
 class FrameSets:
     """``all``: the scene with every frame. ``chosen``: the scene with those that are trained on or held out.
-    ``voting``: those that are neither, and vote; empty if the preset has no use for them."""
+    ``voting``: those that are neither, and vote; empty if the preset has no use for them. ``unreadable`` names frames
+    that were chosen to train on, and left out of ``all`` and ``chosen`` as their files cannot be read."""
 
     all: Scene
     chosen: Scene
     voting: tuple[Frame, ...]
+    unreadable: tuple[str, ...] = ()
 
     @property
     def training(self) -> tuple[Frame, ...]:
         return self.chosen.train_frames
+
+    @property
+    def begun_with(self) -> list[str]:
+        """What a checkpoint notes: a resumed lift chooses, checks and leaves out the same frames."""
+        return [*(frame.name for frame in self.training), *self.unreadable]
+
+    def only(self, readable: Scene) -> FrameSets:
+        """The sets without the chosen frames that the scene ``readable`` lacks."""
+        names = {frame.name for frame in readable.frames}
+        gone = [frame for frame in self.chosen.frames if frame.name not in names]
+        kept = tuple(frame for frame in self.all.frames if frame not in gone)
+        unreadable = tuple(frame.name for frame in gone if not frame.held_out)
+        return FrameSets(replace(self.all, frames=kept), readable, self.voting, unreadable)
 
     @property
     def held_out(self) -> tuple[Frame, ...]:

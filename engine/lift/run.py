@@ -33,12 +33,13 @@ from ..scene import (
     Frame,
     Scene,
     StoredViews,
+    Survey,
     View,
-    check_scene,
     load_view,
     open_scene_to_lift,
     read_ahead,
     size_within,
+    survey_scene,
 )
 from ..scene.blocks import scene_of_block
 from ..scene_of_lift import have_masks_changed, remember_scene
@@ -138,7 +139,7 @@ def run_lift(
             take_up(trainer, checkpoint, events, masks_changed=masks_changed)
         names: Mapping[int, str] = instance_names(prepared.instances, classes)
         previews = LivePreviews(folder, frames.all, shown_instances(prepared, names), events)
-        paces = train(trainer, folder, [frame.name for frame in frames.training], stages, previews)
+        paces = train(trainer, folder, frames.begun_with, stages, previews)
 
         with stages.stage("result") as progress:
             if finishing is not None:
@@ -176,9 +177,17 @@ def checked_frames(
     if request.block:
         scene = scene_of_block(scene, request.blocks, request.block, progress)
     frames = sets_of_frames(scene, request, checkpoint, progress, events)
-    for warning in (*frames.chosen.warnings, *check_scene(frames.chosen, progress)):
+    survey = survey_scene(frames.chosen, progress)
+    tell(frames.chosen, survey, events)
+    return frames.only(survey.scene), masks_changed
+
+
+def tell(scene: Scene, survey: Survey, events: EventWriter) -> None:
+    """Warn of what is wrong with a scene and its pixels, and log what was inferred of it."""
+    for warning in (*scene.warnings, *survey.warnings):
         events.warning(warning)
-    return frames, masks_changed
+    for each in scene.inferred:
+        log.info("inferred: %s: %s", each.about, each)
 
 
 def read_views(

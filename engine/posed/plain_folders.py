@@ -18,7 +18,7 @@ from .camera import Camera
 from .classes import ClassTable
 from .frames import PosedFrame, PosedScene, Size
 from .image_header import read_image_header
-from .layout import files_by_stem, listed, require_most, same_shape, shown_size
+from .layout import files_by_stem, listed, of_most, require_most, same_shape, shown_size
 from .limits import check_camera
 from .matrices import read_intrinsics, read_poses
 from .splits import NOTHING_MEASURED, Split, find_split
@@ -32,8 +32,9 @@ FOLDERS_FIX = "Give the folders color, depth, pose and intrinsic, or let COLMAP 
 
 @dataclass(frozen=True, eq=False)
 class PlainFolders:
-    """What the folders hold: a camera and a picture for each frame of the ``split``, in recording order, by name.
-    ``lost`` are the frames without a pose that can be read, ``names`` all frames in recording order."""
+    """What the folders hold: a camera and a picture for each frame of the ``split``, in recording order, by name; only
+    a picture that cannot be read has no camera. ``lost`` are the frames without a pose that can be read, ``names`` all
+    frames in recording order."""
 
     names: tuple[str, ...]
     cameras: Mapping[str, Camera]
@@ -59,10 +60,11 @@ def read_folders(folder: Path, lens_of: Callable[[Path], Camera] | None = None) 
         raise PlgsError("every pose holds inf (lost tracking)", folder / "pose", FOLDERS_FIX)
     split = find_split(folder, [name for name in pictures if name not in lost], lost)
     chosen = {*split.train, *split.test}
-    sizes = {name: read_image_header(path).size for name, path in pictures.items() if name in chosen}
-    lenses = {name: lens_of(pictures[name]) for name in sizes} if lens_of else _read_lenses(folder / "intrinsic", sizes)
-    cameras = {name: lenses[name].at(pose) for name, pose in poses.items() if pose is not None and name in chosen}
-    return PlainFolders(tuple(pictures), cameras, {name: pictures[name] for name in cameras}, lost, split)
+    kept = {name: path for name, path in pictures.items() if name in chosen}
+    sizes = of_most(list(kept), lambda name: read_image_header(kept[name]).size)
+    lenses = {name: lens_of(kept[name]) for name in sizes} if lens_of else _read_lenses(folder / "intrinsic", sizes)
+    cameras = {name: lenses[name].at(pose) for name, pose in poses.items() if pose is not None and name in lenses}
+    return PlainFolders(tuple(pictures), cameras, kept, lost, split)
 
 
 def open_plain_folders(source: SceneSource) -> PosedScene:
@@ -82,13 +84,9 @@ def open_plain_folders(source: SceneSource) -> PosedScene:
         for name, camera in found.cameras.items()
     )  # fmt: skip
     frames, blind = complete_frames(frames, "depth", lambda frame: frame.depth_path is not None)
-    lost = lost_frames_warning(found.lost)
+    unread = [name for name in found.pictures if name not in found.cameras]
+    lost = [left_out_warning(*each) for each in ((found.lost, "a pose"), (unread, "a readable picture")) if each[0]]
     return PosedScene(folder, frames, ClassTable(()), (*lost, *found.split.warnings, *warnings, *blind), NAME)
-
-
-def lost_frames_warning(lost: tuple[str, ...] | list[str]) -> tuple[str, ...]:
-    """A warning that frames without a pose are left out; none where all have one."""
-    return (left_out_warning(lost, "a pose"),) if lost else ()
 
 
 def complete_frames(

@@ -14,7 +14,6 @@ _TO_Z_UP = {
     "y": np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]]),
     "-y": np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]]),
 }
-_UNKNOWN_UP = "the format does not say which way is up: the world is turned so that the cameras stand upright"
 _CLEARLY_UP = 0.6
 _NEARLY_UPRIGHT = 0.99
 """Cosine of 8 degrees: z that is this close to the cameras' up was meant to be up."""
@@ -32,8 +31,7 @@ def upright_turn(
     """
     axis: UpAxis | None = "z" if asked == "+z" else own if asked == "z" else asked
     if axis is None:
-        turn = upright_rotation(poses)
-        return turn, [] if np.array_equal(turn, np.eye(3)) else [_UNKNOWN_UP]
+        return upright_rotation(poses), []
     turn = to_z_up(axis)
     if is_known and axis == own:
         return turn, []

@@ -5,7 +5,7 @@ from __future__ import annotations
 from ..posed import VOID, Camera, Category, ClassTable, PosedFrame, PosedScene, distinct_colour, size_within
 from ..posed.classes import ClassLabel
 from ..scene_source import UpAxis
-from .checks import check_scene
+from .checks import Survey, check_scene, survey_scene
 from .class_listing import ClassList, list_classes
 from .class_map import NamedClass
 from .class_tables import TABLES, is_thing_by_name, nearest_tables
@@ -21,8 +21,10 @@ from .evidence import (
 from .formats import FORMATS, SceneFormat
 from .frame import Frame, GroundTruth, PanopticMask, Scene, Segment, Size, SparsePoints
 from .frame_choice import choose_frames, photo_detail
+from .masks import OtherClasses
+from .noted import Inferred, LeftOut, counted
 from .on_demand import OnDemand, StoredArrays, StoredViews, chained, stored
 from .opening import open_asked, open_scene, open_scene_to_lift, require_liftable
 from .pixels import distinct_ids
-from .report import ClassReport, SceneReport, describe
+from .report import ClassReport, SceneReport, describe, report_of
 from .view import View, load_view, read_ahead

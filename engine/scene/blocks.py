@@ -66,7 +66,7 @@ def cells_of(
     scene: Scene, blocks: int, progress: Callable[[int, int], object]
 ) -> tuple[list[Cell], list[NDArray[np.float32]]]:
     """The cells of a scene, and the points [n, 3] that each of its frames to train on sees. They are always the same.
-    Raises PlgsError for depth that cannot be read, and for more blocks than the scene has frames for."""
+    Raises PlgsError for more blocks than the scene has frames for."""
     frames = scene.train_frames
     if blocks * LEAST_FRAMES > len(frames):
         fix = f"Give at most {len(frames) // LEAST_FRAMES}."
@@ -79,9 +79,13 @@ def cells_of(
 
 
 def seen_points(frame: Frame) -> NDArray[np.float32]:
-    """Points float32 [n, 3] of a frame's depth, at a small size. Raises PlgsError."""
+    """Points float32 [n, 3] of a frame's depth, at a small size; none where it cannot be read, so that no block has the
+    frame."""
     size = size_within(frame.size, SEEN_WITHIN)
-    depth = frame.depth(size)
+    try:
+        depth = frame.depth(size)
+    except PlgsError:  # the check of the whole scene has named it
+        return np.zeros((0, 3), np.float32)
     return frame.camera.resized(*size).unproject(depth)[depth > 0].astype(np.float32)
 
 

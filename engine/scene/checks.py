@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import PlgsError
+from ..errors import MEMORY_IS_GONE, PlgsError
 from ..posed.classes import VOID
 from ..posed.image_header import check_image_file
 from ..posed.layout import listed
+from .files_of_frames import IMAGES
 from .frame import Frame, PanopticMask, Scene, Size
 from .ground_truth import GroundTruthReader
-from .opening import require_liftable
+from .masks import OtherClasses
+from .opening import complete, require_liftable
 from .overlap import Thumbnail, measure_overlap
 from .pixels import distinct_ids, resize_nearest
 
@@ -69,10 +71,15 @@ class FrameFacts:
     unknown_truth: frozenset[int | str]
 
 
-@dataclass(frozen=True)
-class Survey:
-    """The facts of every frame, and warnings besides those of opening the scene."""
+_Look = tuple[FrameFacts, Thumbnail | None]
 
+
+@dataclass(frozen=True, eq=False)
+class Survey:
+    """The scene without frames whose files cannot be read, the facts of the others, and warnings besides those of
+    opening it."""
+
+    scene: Scene
     frames: tuple[FrameFacts, ...]
     warnings: tuple[str, ...]
 
@@ -80,7 +87,8 @@ class Survey:
 def check_scene(scene: Scene, progress: Progress | None = None) -> tuple[str, ...]:
     """Check every file of a scene and how the frames fit together; returns warnings besides those of the scene.
 
-    Raises PlgsError for the first thing that cannot be lifted, missing depth or masks included. Takes about 20 ms for a
+    Frames whose files cannot be read, up to half, are named in the warnings. Raises PlgsError for the first thing that
+    cannot be lifted, missing depth or masks included. Takes about 20 ms for a
     640x480 frame. Depth, masks and ground truth of all frames are decoded; all colour files are checked for damage, and
     16 of them are decoded.
     """
@@ -89,19 +97,11 @@ def check_scene(scene: Scene, progress: Progress | None = None) -> tuple[str, ..
 
 
 def survey_scene(scene: Scene, progress: Progress | None = None) -> Survey:
-    """``check_scene`` with the facts of all frames. Depth and masks may be missing."""
-    total = len(scene.frames)
+    """``check_scene`` with the scene and the facts of the frames that can be read. Depth and masks may be missing."""
     tick = progress or (lambda done, total: None)
-    facts: list[FrameFacts] = []
-    thumbnails: list[Thumbnail] = []
-    decoded = {*np.linspace(0, total - 1, _COLOURS_DECODED).round().astype(int).tolist()}
-    for position, frame in enumerate(scene.frames):
-        _check_colour(frame, decode=position in decoded)
-        depth = None if frame.read_depth is None else frame.read_depth(None)
-        if depth is not None:
-            thumbnails.append(_thumbnail(frame, depth))
-        facts.append(_facts(frame, depth))
-        tick(position + 1, total)
+    looks, scene, told = _readable(scene, tick)
+    facts = [fact for fact, _ in looks]
+    thumbnails = [thumbnail for _, thumbnail in looks if thumbnail is not None]
     depths = [fact.depth for fact in facts if fact.depth is not None]
     farthest = max((depth.range[2] for depth in depths), default=_LOOKS_LIKE_METRES)
     if farthest < _LOOKS_LIKE_METRES:
@@ -116,13 +116,54 @@ def survey_scene(scene: Scene, progress: Progress | None = None) -> Survey:
         fix = "Give masks that have segments in the frames to train on."
         raise PlgsError("the masks are empty", scene.folder, fix)
     overlap_warnings = _overlap_warnings(scene, thumbnails, tick) if depths else ()
-    return Survey(tuple(facts), (*_pixel_warnings(facts), *overlap_warnings))
+    return Survey(scene, tuple(facts), (*told, *_pixel_warnings(facts), *overlap_warnings))
+
+
+def _readable(scene: Scene, tick: Progress) -> tuple[list[_Look], Scene, tuple[str, ...]]:
+    """What the frames show, the scene without those whose files cannot be read, and warnings that name these.
+
+    Raises PlgsError where more than half of all frames, or all to train on, cannot be read; and for what is wrong
+    with the class table, the memory or the ground truth, which no lift needs.
+    """
+    looks: dict[str, _Look] = {}
+    errors: dict[str, PlgsError] = {}
+    total = len(scene.frames)
+    decoded = {*np.linspace(0, total - 1, _COLOURS_DECODED).round().astype(int).tolist()}
+    for position, frame in enumerate(scene.frames):
+        truth = frame.read_ground_truth
+        unknown = truth.unknown() if isinstance(truth, GroundTruthReader) else frozenset[int | str]()
+        try:
+            looks[frame.name] = _look(frame, unknown, decode=position in decoded)
+        except OtherClasses:
+            raise
+        except PlgsError as error:
+            if MEMORY_IS_GONE in error.what:
+                raise
+            errors[frame.name] = error
+        tick(position + 1, total)
+    if not errors:
+        return list(looks.values()), scene, ()
+    first = next(iter(errors.values()))
+    kept, gone, told = complete(scene.frames, "readable files", lambda frame: frame.name in looks)
+    if not gone:
+        raise first
+    scene = replace(scene, frames=kept, left_out=(*scene.left_out, *gone))
+    return list(looks.values()), scene, (f"{gone[0]} (the first: {first.what}: {first.where})", *told)
+
+
+def _look(frame: Frame, unknown_truth: frozenset[int | str], decode: bool) -> _Look:
+    """Raises PlgsError where a file cannot be read."""
+    _check_colour(frame, decode)
+    depth = None if frame.read_depth is None else frame.read_depth(None)
+    mask = None if frame.read_mask is None else _mask_facts(frame.read_mask(None))
+    facts = FrameFacts(frame.name, None if depth is None else _depth_facts(frame, depth), mask, unknown_truth)
+    return facts, None if depth is None else _thumbnail(frame, depth)
 
 
 def _check_colour(frame: Frame, decode: bool) -> None:
     if decode:
         frame.read_colour(None)
-    elif frame.file_shows_colour:
+    elif frame.colour_path.suffix.lower() in IMAGES:
         check_image_file(frame.colour_path)
 
 
@@ -130,16 +171,6 @@ def _thumbnail(frame: Frame, depth: NDArray[np.float32]) -> Thumbnail:
     height = max(1, round(_THUMBNAIL_WIDTH * frame.camera.height / frame.camera.width))
     size = (_THUMBNAIL_WIDTH, height)
     return Thumbnail(frame.name, frame.camera.resized(*size), resize_nearest(depth, size))
-
-
-def _facts(frame: Frame, depth: NDArray[np.float32] | None) -> FrameFacts:
-    truth = frame.read_ground_truth
-    return FrameFacts(
-        name=frame.name,
-        depth=None if depth is None else _depth_facts(frame, depth),
-        mask=None if frame.read_mask is None else _mask_facts(frame.read_mask(None)),
-        unknown_truth=truth.unknown() if isinstance(truth, GroundTruthReader) else frozenset(),
-    )
 
 
 def _depth_facts(frame: Frame, depth: NDArray[np.float32]) -> DepthFacts:

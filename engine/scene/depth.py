@@ -20,6 +20,7 @@ from ..posed.layout import files_by_stem, require_most, same_shape, shown_size
 from ..posed.matrices import read_intrinsics
 from .files_of_frames import whole_file
 from .frame import Size
+from .noted import Inferred
 from .pixels import Alignment, decode_depth, decode_single_channel, resize_aligned
 
 MILLIMETRES = 0.001
@@ -154,8 +155,9 @@ def registered(depth: NDArray[np.float32], camera: Camera, colour: Camera) -> ND
 
 def open_depth(
     scene: Path, lenses: Mapping[str, Camera], unit: float = MILLIMETRES
-) -> tuple[dict[str, DepthMap], tuple[str, ...]]:
-    """Depth maps of the frames in the folder ``depth``, and warnings; only headers are read. Raises PlgsError.
+) -> tuple[dict[str, DepthMap], tuple[Inferred, ...]]:
+    """Depth maps of the frames in the folder ``depth``, and what was inferred of their lens; only headers are read.
+    Raises PlgsError.
 
     ``lenses`` are the colour cameras by frame, ``unit`` is the length of one step in metres.
     """
@@ -176,8 +178,8 @@ def open_depth(
     alignments = {name: alignment for name, alignment in found.items() if alignment is not None}
     if len(alignments) == len(maps):
         return {name: replace(maps[name], alignment=alignment) for name, alignment in alignments.items()}, ()
-    warning = f"{path.name} does not fit the colour intrinsics and is ignored: depth is assumed to fit the colour"
-    return maps, (warning,)
+    taken = f"{path.name} is ignored, and depth is assumed to fit the colour"
+    return maps, (Inferred("depth's lens", taken, "it does not fit the colour intrinsics"),)
 
 
 def fitting_alignment(colour: Camera, depth: Camera) -> Alignment | None:

@@ -17,14 +17,16 @@ from numpy.typing import NDArray
 
 from ..errors import PlgsError
 from ..posed.image_header import read_image_header
-from ..posed.layout import listed
 from ..posed.limits import depth_check
-from ..posed.plain_folders import left_out_warning
 from .depth import DepthMap, in_metres, read_depth_array
 from .files_of_frames import files_of_frames
 from .frame import Frame, SparsePoints
+from .noted import Inferred, LeftOut, left_out
 from .pixels import decode_depth
 
+_AS_METRES = Inferred(
+    "units", "depth maps are read as metres (.png: millimetres)", "there are no sparse points to fit depth to"
+)
 LEAST_POINTS = 12
 """The least number of points that a frame must see to have depth."""
 _FIX = "Give one map per frame, with the frame's name: .npy, or .png of 8 or 16 bits."
@@ -138,8 +140,9 @@ def read_map(path: Path) -> NDArray[Any]:
 
 def with_estimated_depth(
     frames: Sequence[Frame], folder: Path, points: SparsePoints | None
-) -> tuple[tuple[Frame, ...], list[str]]:
-    """The frames with depth from the maps in ``folder``, and warnings. Frames that see too few points are left out.
+) -> tuple[tuple[Frame, ...], tuple[LeftOut, ...], tuple[Inferred, ...]]:
+    """The frames with depth from the maps in ``folder``, those that are left out, as they see too few points, and what
+    no file says.
 
     Maps are read on demand. Raises PlgsError when a map is missing, or no frame is left.
     """
@@ -151,12 +154,11 @@ def with_estimated_depth(
             what = "a map of 8 bits holds no lengths, and there are no sparse points to fit it to"
             raise PlgsError(what, path, "Give .png of 16 bits in millimetres or .npy in metres, or points of COLMAP.")
     without = [frame.name for frame in frames if frame.name not in files]
-    notes = [left_out_warning(without, "a readable depth map")] if without else []
+    mapless = left_out("a readable depth map", without)
     frames = [frame for frame in frames if frame.name in files]
     if points is None or not has_points:
         found = tuple(_with_depth(frame, files[frame.name], lambda path: in_metres(read_map(path))) for frame in frames)
-        notes.append("there are no sparse points to fit depth to: maps are read as metres (.png: millimetres)")
-        return found, notes
+        return found, mapless, (_AS_METRES,)
     kept, blind = [], []
     for frame in frames:
         pixels, depths = _seen_points(frame, points)
@@ -167,8 +169,7 @@ def with_estimated_depth(
     if not any(not frame.held_out for frame in kept):
         fix = f"Each needs {LEAST_POINTS} points of the reconstruction."
         raise PlgsError("no frame to train on sees enough points to fit depth to", folder, fix)
-    note = f"{len(blind)} frames see fewer than {LEAST_POINTS} points and are left out: {listed(blind)}"
-    return tuple(kept), [*notes, note] if blind else notes
+    return tuple(kept), (*mapless, *left_out(f"{LEAST_POINTS} points of the reconstruction in view", blind)), ()
 
 
 def _with_depth(frame: Frame, path: Path, read: Callable[[Path], NDArray[np.float32]]) -> Frame:

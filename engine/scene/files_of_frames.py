@@ -10,6 +10,8 @@ from ..errors import PlgsError
 from ..posed.image_header import read_image_header
 from ..posed.layout import files_by_stem, of_most, require_most
 
+IMAGES = frozenset({".png", ".jpg", ".jpeg"})
+"""The ends of image files' names, in lower case."""
 _COLOUR_WORDS = frozenset("rgb rgba frame image img color colour".split())
 _MASK_WORDS = frozenset(
     "rgb rgba frame image img semantic semantics sem class classes instance instances label labels mask masks seg"
@@ -42,7 +44,7 @@ def files_of_both(
 
 def whole_file(path: Path) -> Path:
     """``path``. Raises PlgsError for an empty file, and for an image without an end."""
-    if path.suffix.lower() in (".png", ".jpg", ".jpeg"):
+    if path.suffix.lower() in IMAGES:
         read_image_header(path)
     elif not path.is_file() or not path.stat().st_size:
         raise PlgsError("the file is missing, or empty", path, "Write this file again.")

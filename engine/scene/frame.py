@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from ..errors import PlgsError
 from ..posed.frames import PosedFrame, PosedScene, Size, SparsePoints
+from .noted import Inferred, LeftOut
 
 __all__ = [
     "Frame", "GroundTruth", "PanopticMask", "Scene", "Segment", "Size", "SparsePoints",
@@ -83,10 +84,17 @@ class Frame(PosedFrame):
 
 @dataclass(frozen=True, eq=False)
 class Scene(PosedScene):
-    """Frames with their pixels, in recording order. ``assumed_lens`` is the warning of a lens that no file says."""
+    """Frames with their pixels, in recording order. ``warnings`` name what is ``left_out``, and what is doubtful of
+    what was ``inferred``."""
 
     frames: tuple[Frame, ...]
-    assumed_lens: str = ""
+    left_out: tuple[LeftOut, ...] = ()
+    inferred: tuple[Inferred, ...] = ()
+
+    @property
+    def assumed_lens(self) -> str:
+        """The warning of a lens that no file says; empty where one does."""
+        return next((str(each) for each in self.inferred if each.about == "lens" and each.is_doubtful), "")
 
     @property
     def train_frames(self) -> tuple[Frame, ...]:

@@ -14,6 +14,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from ..errors import PlgsError
 from ..posed import size_within
 from .frame import Frame, Scene
 from .view import read_ahead
@@ -29,7 +30,7 @@ LOOKED_AT_WITHIN = (480, 480)
 def choose_frames(scene: Scene, most: int, progress: Callable[[int, int], object] | None = None) -> Scene:
     """The scene with at most ``most`` of the frames to train on; those held out stay.
 
-    ``progress`` is called with the numbers of windows done and of all. Raises PlgsError when a picture cannot be read.
+    ``progress`` is called with the numbers of windows done and of all.
     """
     frames = scene.train_frames
     if len(frames) <= most:
@@ -68,8 +69,11 @@ def candidates(frames: Sequence[Frame]) -> list[Frame]:
 
 
 def frame_detail(frame: Frame) -> float:
-    """How sharp a frame is. Raises PlgsError when its picture cannot be read."""
-    return photo_detail(frame.read_colour(size_within(frame.size, LOOKED_AT_WITHIN)))
+    """How sharp a frame is; less than any other where its picture cannot be read."""
+    try:
+        return photo_detail(frame.read_colour(size_within(frame.size, LOOKED_AT_WITHIN)))
+    except PlgsError:  # whoever checks the chosen frames names it
+        return -1.0
 
 
 def photo_detail(photo: NDArray[np.uint8]) -> float:

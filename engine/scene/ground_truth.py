@@ -14,6 +14,7 @@ from .frame import GroundTruth, Size
 from .label_image import check_label_header
 from .mask_formats.source import IGNORED
 from .masks import MaskSet
+from .noted import Inferred
 from .pixels import decode_single_channel, distinct_ids, resize_nearest
 from .truth_numbers import in_classes, numbers_of_truth
 
@@ -57,16 +58,16 @@ def read_label_pair(semantic: Path, instance: Path) -> GroundTruth:
 
 def open_ground_truth(
     scene: Path, sizes: Mapping[str, Size], masks: MaskSet
-) -> tuple[dict[str, GroundTruthReader], list[str]]:
+) -> tuple[dict[str, GroundTruthReader], tuple[str, ...], tuple[Inferred, ...]]:
     """Ground truth in ``rs_semantics`` and ``rs_instance``, or ``gt/semantic*`` and ``gt/instance``; headers only.
 
-    The result has a reader for each frame with ground truth, and warnings. ``sizes`` are those of the colour images by
-    frame. Its classes become those of the ``masks``, see ``numbers_of_truth``. Raises PlgsError when an image is not a
-    label image or has another shape.
+    The result has a reader for each frame with ground truth, warnings, and what was inferred. ``sizes`` are those of
+    the colour images by frame. Its classes become those of the ``masks``, see ``numbers_of_truth``. Raises PlgsError
+    when an image is not a label image or has another shape.
     """
-    folders = _find_folders(scene)
+    folders = _find_folders(scene) if masks.readers else None
     if folders is None:
-        return {}, []
+        return {}, (), ()
     semantics = files_by_stem(folders[0], {".png"}, _FIX)
     instances = files_by_stem(folders[1], {".png"}, _FIX)
     pairs = {name: (semantics[name], instances[name]) for name in sizes if name in semantics and name in instances}
@@ -78,10 +79,8 @@ def open_ground_truth(
                 raise PlgsError(what, path, _FIX)
     numbers = numbers_of_truth(folders[0], {name: semantic for name, (semantic, _) in pairs.items()}, masks)
     readers = {name: GroundTruthReader(*paths, numbers.class_of, numbers.names) for name, paths in pairs.items()}
-    warnings = [*numbers.warnings]
-    if len(readers) < len(sizes):
-        warnings.append(f"{len(sizes) - len(readers)} of {len(sizes)} frames have no ground truth in {folders[0].name}")
-    return readers, warnings
+    lacking = f"{len(sizes) - len(readers)} of {len(sizes)} frames have no ground truth in {folders[0].name}"
+    return readers, (lacking,) if len(readers) < len(sizes) else (), numbers.inferred
 
 
 def _find_folders(scene: Path) -> tuple[Path, Path] | None:

@@ -15,6 +15,7 @@ from .class_choice import FILE_NAME, find_class_choice
 from .class_map import ClassMap, class_map
 from .frame import PanopticMask, Segment, Size
 from .mask_formats import MASK_FORMATS, FoundSegment, MaskSource, StoredMask, find_mask_format
+from .noted import Inferred
 from .numbering import numbered, other_numberings
 from .pixels import resize_nearest
 
@@ -26,6 +27,10 @@ def no_masks(scene: Path) -> PlgsError:
     """The error for a scene that has no masks."""
     fix = "Give masks with --masks, such as COCO panoptic ones, or let the command segment make them."
     return PlgsError("there are no masks", scene, fix, code=ErrorCode.NO_MASKS, option="--masks")
+
+
+class OtherClasses(PlgsError):
+    """A mask can be read, but has classes that its table lacks: the table is wrong, not this one file."""
 
 
 @dataclass(frozen=True)
@@ -44,12 +49,12 @@ class MaskReader:
     others: str = ""
 
     def __call__(self, size: Size | None = None) -> PanopticMask:
-        """The mask at ``size`` (width, height) or its own. Raises PlgsError for a class outside the table."""
+        """The mask at ``size`` (width, height) or its own. Raises OtherClasses, and PlgsError for its file."""
         found = self.stored.read()
         unknown = sorted({one.label for one in found.segments if self._class_of(one) is None})
         if unknown:
             fix = f"Add them to {FILE_NAME} beside the masks: [[class]] with id, name, thing (or into){self.others}."
-            raise PlgsError(f"class ids {listed(unknown)} are not in {self.table}", self.stored.path, fix)
+            raise OtherClasses(f"class ids {listed(unknown)} are not in {self.table}", self.stored.path, fix)
         segments = [segment for one in found.segments if (segment := self._segment(one)) is not None]
         new_id = {one.id: one.id for one in segments}
         if self.fuses:
@@ -94,11 +99,12 @@ def fused(segments: Sequence[Segment]) -> tuple[list[Segment], dict[int, int]]:
 
 @dataclass(frozen=True)
 class MaskSet:
-    """The masks of a scene's frames: the class table, one reader per frame, and warnings."""
+    """The masks of a scene's frames: the class table, one reader per frame, warnings, and what no file says."""
 
     classes: ClassTable = ClassTable(())
     readers: Mapping[str, MaskReader] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
+    inferred: tuple[Inferred, ...] = ()
 
 
 def find_masks(
@@ -133,7 +139,7 @@ def open_masks(
     table = source.table if choice is None else "the class table"
     others = "" if choice is None else other_numberings(choice)
     readers = {name: MaskReader(mask, known, source.void, fuses, table, others) for name, mask in source.masks.items()}
-    return MaskSet(known.classes, readers, (*source.warnings, *told, *_named_otherwise(source.masks)))
+    return MaskSet(known.classes, readers, (*source.warnings, *_named_otherwise(source.masks)), told)
 
 
 def _named_otherwise(masks: Mapping[str, StoredMask]) -> list[str]:

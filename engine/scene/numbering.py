@@ -19,6 +19,7 @@ from ..posed.layout import listed
 from .class_choice import FILE_NAME, ClassChoice
 from .class_tables import base_of, known_table, numberings_of
 from .mask_formats import MaskSource
+from .noted import Inferred
 
 _LOOKED_AT = 16
 """Frames whose masks are read."""
@@ -45,11 +46,11 @@ _SKY = 0.01
 _PANOPTIC = {"coco", "ade20k", "cityscapes"}
 """Tables whose data sets say which classes are things. In others this is a matter of taste."""
 _KIND = {True: "a thing", False: "stuff"}
-_UNNAMED = "the masks do not say what their classes are called: name a table, such as --classes coco"
-_OBJECTS = (
-    "the masks number objects and have no classes, so the table {} is left out, and all are of the class object: "
-    f"{FILE_NAME} beside them may give each number a name"
-)
+_UNNAMED = Inferred(
+    "numbering", "classes are named by their numbers",
+    "the masks do not say what their classes are called; name a table, such as --classes coco",
+)  # fmt: skip
+_OBJECTS = "the masks number objects and have no classes; {} beside them may give each number a name"
 _CONTRADICTED = f"Name the network's table with --classes, or write {FILE_NAME} with each class's id, name and thing."
 
 
@@ -78,8 +79,8 @@ class _Reading:
 
 def numbered(
     source: MaskSource, choice: ClassChoice | None, where: Path, asking: Asking | None = None
-) -> tuple[MaskSource, ClassChoice | None, tuple[str, ...]]:
-    """The masks and the choice of classes with the numbering of the choice's table, and warnings of what was assumed.
+) -> tuple[MaskSource, ClassChoice | None, tuple[Inferred, ...]]:
+    """The masks and the choice of classes with the numbering of the choice's table, and what was inferred.
 
     Masks that number objects have no classes, so they take none from a table. Raises PlgsError where the files call
     things what the table calls stuff, in each numbering, and where the numbers are those of another table.
@@ -90,7 +91,8 @@ def numbered(
     if choice.table is None:
         return _as_rows_say(source, choice), choice, ()
     if source.tells_no_class:
-        return source, replace(choice, table=None), (_OBJECTS.format(choice.table),)
+        taken = f"the table {choice.table} is left out, and all are of the class object"
+        return source, replace(choice, table=None), (Inferred("numbering", taken, _OBJECTS.format(FILE_NAME)),)
     readings = _readings(source, choice.table)
     agreeing = [each for each in readings if not _disagreements(each, choice)]
     usual = readings[0]
@@ -108,8 +110,10 @@ def numbered(
         raise PlgsError(what, where, f"{advice[0].upper()}{advice[1:]}.", option=asking.option)
     possible = (*agreeing, *(each for each in alike if each in fitting))
     others = [each.table for each in possible if each is not chosen]
-    warnings = () if chosen is usual and reason is not None else (_assumed(chosen, others, reason, asking),)
-    return chosen.source, replace(choice, table=chosen.table), warnings
+    is_doubtful = chosen is not usual or reason is None
+    is_told = is_doubtful or len(readings) > 1 or bool(alike)
+    inferred = (_inferred(chosen, others, reason, is_doubtful, asking),) if is_told else ()
+    return chosen.source, replace(choice, table=chosen.table), inferred
 
 
 def other_numberings(choice: ClassChoice) -> str:
@@ -236,8 +240,8 @@ def _base(reading: _Reading) -> str:
     return base_of(reading.table)
 
 
-def _assumed(chosen: _Reading, others: list[str], reason: str | None, asking: Asking) -> str:
-    """The warning that says what was assumed, and the option that says otherwise."""
-    why = "which nothing in them tells" if reason is None else f"as {reason}"
+def _inferred(chosen: _Reading, others: list[str], reason: str | None, is_doubtful: bool, asking: Asking) -> Inferred:
+    """What the numbers are taken for, and what says otherwise."""
+    why = "nothing in them tells" if reason is None else reason
     wrong = f"; if that is wrong, {asking.advice(*others)}" if others else ""
-    return f"{asking.whose} numbers are read as {chosen.what}, {why}{wrong}"
+    return Inferred("numbering", f"{asking.whose} numbers are read as {chosen.what}", f"{why}{wrong}", is_doubtful)

@@ -7,29 +7,32 @@ is honoured in every format; a scene that is one file has these things in a fold
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..errors import ErrorCode, PlgsError
 from ..posed.camera import Camera
+from ..posed.format_names import SCENE_FORMAT_NAMES
 from ..posed.layout import listed, of_most, same_shape, shown_size
 from ..posed.limits import check_camera, depth_check
-from ..posed.plain_folders import complete_frames, lost_frames_warning
+from ..posed.plain_folders import NAME, complete_frames
 from ..posed.splits import find_split
 from ..posed.up_axis import turned, upright_turn
 from ..scene_source import SceneSource, UpAxis
 from .depth import DepthMap
 from .estimated_depth import with_estimated_depth
-from .formats import Shot, find_format
+from .formats import Capture, SceneFormat, Shot, find_format
 from .formats.lens import UNDISTORTED, undistorted
 from .formats.photos import LET_COLMAP, photos_in
 from .frame import Frame, Scene, Size
 from .ground_truth import open_ground_truth
 from .masks import MaskSet, find_masks, no_masks
+from .noted import Inferred, LeftOut, doubts, left_out
 from .pixels import ColourReader, decode
 
 _FAR_ASIDE = 0.2
@@ -62,11 +65,14 @@ def open_asked(source: SceneSource) -> Scene:
         capture = reader.read(place)
     except OSError as error:
         raise PlgsError(f"this cannot be read ({error.strerror})", error.filename or place, _READABLE) from error
+    unreadable = capture.unreadable
+    if 2 * len(unreadable) > len(capture.shots) + len(unreadable):
+        raise next(iter(unreadable.values()))
     _refuse_repeated_names(capture.shots, place)
     for shot in capture.shots:
         check_camera(shot.name, shot.camera, shot.colour_path)
     beside = place if place.is_dir() else place.with_suffix("")
-    split = capture.split or find_split(beside, [shot.name for shot in capture.shots], capture.lost)
+    split = capture.split or find_split(beside, [shot.name for shot in capture.shots], [*capture.lost, *unreadable])
     chosen, held_out = {*split.train, *split.test}, frozenset(split.test)
     shots = [shot for shot in capture.shots if shot.name in chosen]
     poses = [shot.camera.camera_to_world for shot in capture.shots]
@@ -75,7 +81,7 @@ def open_asked(source: SceneSource) -> Scene:
     sizes = {shot.name: shot.camera.size for shot in shots}
     mask_set = find_masks(beside, masks, list(sizes), source.mask_format, source.classes)
     _check_mask_shapes(mask_set, sizes)
-    truth, truth_warnings = open_ground_truth(beside, sizes, mask_set) if mask_set.readers else ({}, [])
+    truth, truth_warnings, of_truth = open_ground_truth(beside, sizes, mask_set)
     points = None if capture.points is None else capture.points.turned(turn)
     of_shot = {shot.name: shot for shot in shots} if source.depth is None else {}
     depths = of_most(list(of_shot), lambda name: _readable_depth(of_shot[name]))
@@ -87,34 +93,62 @@ def open_asked(source: SceneSource) -> Scene:
         )
         for shot in shots
     )
-    depth_warnings: Sequence[str] = ()
+    gone = (*left_out("a pose", capture.lost), *left_out("a readable picture", unreadable), *capture.left_out)
+    inferred = (*_inferred(source, reader, capture, beside, turn), *capture.inferred, *mask_set.inferred, *of_truth)
     if source.depth is not None:
-        frames, depth_warnings = with_estimated_depth(frames, Path(source.depth), points)
-    frames, without_depth = complete_frames(frames, "readable depth", lambda frame: frame.read_depth is not None)
-    frames, without_mask = complete_frames(frames, "a readable mask", lambda frame: frame.read_mask is not None)
+        frames, mapless, of_depth = with_estimated_depth(frames, Path(source.depth), points)
+        gone, inferred = (*gone, *mapless), (*inferred, *of_depth)
+    frames, blind, told_of_depth = complete(frames, "readable depth", lambda frame: frame.read_depth is not None)
+    frames, bare, told_of_masks = complete(frames, "a readable mask", lambda frame: frame.read_mask is not None)
+    gone = (*gone, *blind, *bare)
     return Scene(
         folder=place,
         frames=frames,
         classes=mask_set.classes,
         warnings=(
-            *lost_frames_warning(capture.lost),
+            *map(str, gone),
             *split.warnings,
             *turn_warnings,
             *_lens_warnings(cameras),
             *([UNDISTORTED] if any(shot.distortion.bends for shot in shots) else []),
-            *([capture.assumed_lens] if capture.assumed_lens else []),
+            *doubts(inferred),
             *capture.warnings,
-            *depth_warnings,
-            *without_depth,
-            *without_mask,
+            *told_of_depth,
+            *told_of_masks,
             *mask_set.warnings,
             *truth_warnings,
         ),
+        left_out=gone,
+        inferred=inferred,
         format=reader.name,
         points=points,
-        assumed_lens=capture.assumed_lens,
         turn=None if np.array_equal(turn, np.eye(3)) else turn,
     )
+
+
+def _inferred(
+    source: SceneSource, reader: SceneFormat, capture: Capture, beside: Path, turn: NDArray[np.float64]
+) -> Iterable[Inferred]:
+    """What neither the user nor a file says of the format, the split and the up axis."""
+    if source.scene_format is None:
+        looks_for = next(each.looks_for for each in SCENE_FORMAT_NAMES if each.name == reader.name)
+        yield Inferred("format", f"the format is {reader.name}", f"it looks for {looks_for}", is_doubtful=False)
+    if (capture.split is None or reader.name == NAME) and not (beside / "splits.json").is_file():
+        yield Inferred("split", "frames are held out at equal steps", "there is no splits.json", is_doubtful=False)
+    if source.up == "z" and capture.up is None:
+        is_turned = not np.array_equal(turn, np.eye(3))
+        taken = "the world is turned so that the cameras stand upright" if is_turned else "z is up, as for the cameras"
+        yield Inferred("up axis", taken, "the format does not say which way is up", is_doubtful=is_turned)
+
+
+def complete(
+    frames: tuple[Frame, ...], lacks: str, has: Callable[[Frame], bool]
+) -> tuple[tuple[Frame, ...], tuple[LeftOut, ...], tuple[str, ...]]:
+    """``complete_frames`` with a note of those that are left out, and the other warnings."""
+    kept, told = complete_frames(frames, lacks, has)
+    names = {frame.name for frame in kept}
+    gone = left_out(lacks, (frame.name for frame in frames if frame.name not in names))
+    return kept, gone, told[len(gone) :]
 
 
 def _refuse_repeated_names(shots: Sequence[Shot], place: Path) -> None:

@@ -10,8 +10,9 @@ from pathlib import Path
 import numpy as np
 
 from ..posed.classes import VOID
-from .checks import DepthFacts, survey_scene
+from .checks import DepthFacts, Survey, survey_scene
 from .frame import Scene, Size
+from .noted import Inferred, LeftOut, doubts
 
 
 @dataclass(frozen=True)
@@ -34,7 +35,8 @@ class SceneReport:
     number of frames, the commonest first. ``depth_range`` is the nearest, the median and the farthest depth in metres,
     ``segments_per_frame`` the fewest, the median and the most; they are None without depth or masks. ``void_share`` is
     the share of mask pixels without a label. ``classes`` are those that occur. ``extent`` is the size of the box around
-    the cameras' centres, in metres along x, y, z.
+    the cameras' centres, in metres along x, y, z. ``left_out`` are frames that a lift would not use, ``inferred`` is
+    what no file says; ``warnings`` are all others.
     """
 
     folder: Path
@@ -52,6 +54,8 @@ class SceneReport:
     extent: tuple[float, float, float]
     sparse_points: int
     picture_files: int
+    left_out: tuple[LeftOut, ...]
+    inferred: tuple[Inferred, ...]
     warnings: tuple[str, ...]
 
 
@@ -60,7 +64,12 @@ def describe(scene: Scene) -> SceneReport:
 
     Depth and masks may be missing.
     """
-    survey = survey_scene(scene)
+    return report_of(survey_scene(scene))
+
+
+def report_of(survey: Survey) -> SceneReport:
+    """A survey summed up."""
+    scene = survey.scene
     depths = [fact.depth for fact in survey.frames if fact.depth is not None]
     masks = [fact.mask for fact in survey.frames if fact.mask is not None]
     shares: dict[int, float] = dict.fromkeys((VOID, *scene.classes.ids), 0.0)
@@ -90,7 +99,9 @@ def describe(scene: Scene) -> SceneReport:
         extent=(float(extent[0]), float(extent[1]), float(extent[2])),
         sparse_points=0 if scene.points is None else len(scene.points),
         picture_files=sum(frame.file_shows_colour for frame in scene.frames),
-        warnings=scene.warnings + survey.warnings,
+        left_out=scene.left_out,
+        inferred=scene.inferred,
+        warnings=tuple(each for each in scene.warnings + survey.warnings if each not in doubts(scene.inferred)),
     )
 
 

@@ -1,7 +1,7 @@
 """Which classes the numbers of a ground truth mean.
 
 It may name its own table; whose numbering is told as that of masks. Else its numbers are the class ids of the masks,
-unless it agrees far better with the masks as another table: then it has that, and a warning says so.
+unless it agrees far better with the masks as another table: then it has that, and the scene says so.
 """
 
 from __future__ import annotations
@@ -24,6 +24,7 @@ from .label_image import read_indices
 from .mask_formats.label_pairs import label_pairs
 from .mask_formats.source import IGNORED, MaskSource
 from .masks import MaskSet
+from .noted import Inferred
 from .numbering import Asking, numbered
 
 _ANYTHING = 21
@@ -53,7 +54,7 @@ class Numbers:
     class_of: Mapping[int, int]
     names: Mapping[int, str] = field(default_factory=dict)
     looks_like: str | None = None
-    warnings: tuple[str, ...] = ()
+    inferred: tuple[Inferred, ...] = ()
 
 
 def numbers_of_truth(folder: Path, files: Mapping[str, Path], masks: MaskSet) -> Numbers:
@@ -65,9 +66,9 @@ def numbers_of_truth(folder: Path, files: Mapping[str, Path], masks: MaskSet) ->
     if choice is None:
         return numbers_by_agreement(_compared(files, masks), masks.classes, folder, _numbers_in_files(masks))
     source = MaskSource(label_pairs(files, {}), void=IGNORED)
-    _, choice, warnings = numbered(source, choice, folder, _ASKING)
+    _, choice, inferred = numbered(source, choice, folder, _ASKING)
     names = _names(choice, folder)
-    return Numbers(classes_by_name(names, masks.classes), names, warnings=warnings)
+    return Numbers(classes_by_name(names, masks.classes), names, inferred=inferred)
 
 
 def _own_choice(folder: Path) -> ClassChoice | None:
@@ -129,20 +130,24 @@ def numbers_by_agreement(
     found = {name: _agreement(joint, way) for name, way in ways.items()}
     best = max(found.values(), default=0)
     if best < _AGREES * total or own >= _DOUBTED * best:
-        poor = f"{own / total:.0%} of the ground truth's pixels agree with the masks if its numbers are their class ids"
-        return replace(usual, warnings=(f"{poor}; if not, {_advice()}",) if own < _POOR * total else ())
+        poor = f"{own / total:.0%} of the pixels agree with the masks then; if that is wrong, {_advice()}"
+        return replace(usual, inferred=(_read_as("class ids of the masks", poor),) if own < _POOR * total else ())
     equals = [name for name, pixels in found.items() if pixels >= _EQUAL * best]
     meanings = {tuple(ways[name].class_of.get(n, VOID) for n in sorted(numbers)): name for name in equals[::-1]}
     first, *others = [*meanings.values()][::-1]
     told = f"{best / total:.0%} of the pixels agree with the masks then, and {own / total:.0%} as the masks' class ids"
     if own >= _REFUTED * best:
-        doubt = f"the ground truth's numbers are read as class ids of the masks, but look like {first}"
-        return replace(usual, looks_like=first, warnings=(f"{doubt}: {told}; if they are, {_advice(first)}",))
+        doubt = _read_as(f"class ids of the masks, but look like {first}", f"{told}; if they are, {_advice(first)}")
+        return replace(usual, looks_like=first, inferred=(doubt,))
     if others:
         what = f"the ground truth's numbers look like {listed([first, *others], 3)}: {told}"
         raise PlgsError(what, where, f"{_advice(first, *others).capitalize()}.")
-    said = f"the ground truth's numbers are read as {first}: {told}; if that is wrong, {_advice()}"
-    return replace(ways[first], looks_like=first, warnings=(said,))
+    said = _read_as(first, f"{told}; if that is wrong, {_advice()}")
+    return replace(ways[first], looks_like=first, inferred=(said,))
+
+
+def _read_as(what: str, reason: str) -> Inferred:
+    return Inferred("numbering", f"the ground truth's numbers are read as {what}", reason)
 
 
 def _advice(*tables: str) -> str:

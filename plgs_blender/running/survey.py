@@ -34,7 +34,8 @@ class Survey:
     holds the sizes of the colour images with how many have each, the commonest first. ``depth_range`` is the
     nearest, middle and farthest depth in metres, None where no engine has read the pixels. ``picture_files``
     counts the frames whose picture is an image file that Blender can show as it is. While an engine looks
-    (``is_looking``), nothing else is known. ``has_masks`` is None where no engine has looked for them.
+    (``is_looking``), nothing else is known. ``has_masks`` is None where no engine has looked for them. ``inferred`` is
+    what no file says, each with whether that is doubtful. ``left_out`` counts the frames that a lift would not use.
     """
 
     chosen: ChosenScene
@@ -51,6 +52,8 @@ class Survey:
     has_masks: bool | None = False
     sparse_points: int = 0
     picture_files: int = 0
+    inferred: tuple[tuple[str, bool], ...] = ()
+    left_out: int = 0
 
     @property
     def frames(self) -> int:
@@ -160,10 +163,16 @@ def _with_answer(survey: Survey, answer: Mapping[str, Any] | None, error: PlgsEr
             has_masks=_is_of_all(answer, "mask_sizes"),
             sparse_points=int(answer["sparse_points"]),
             picture_files=int(answer["picture_files"]),
+            inferred=tuple(_inferred(each) for each in answer["inferred"]),
+            left_out=sum(int(each["count"]) for each in answer["left_out"]),
         )
     except (ValueError, TypeError, KeyError) as fault:
         what = f"the engine's answer is not understood ({fault!r})"
         return replace(survey, error=PlgsError(what, survey.chosen.scene, "Look again."))
+
+
+def _inferred(found: Mapping[str, Any]) -> tuple[str, bool]:
+    return f"{str(found['about']).capitalize()}: {found['taken']}: {found['reason']}", bool(found["is_doubtful"])
 
 
 def _colour(colour: Sequence[int]) -> Colour:

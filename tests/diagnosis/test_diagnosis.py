@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from engine.diagnosis import Diagnosis, diagnose, labels, poses, write_mended
-from engine.scene import open_scene
+from engine.scene import Inferred, open_scene
 from tests.diagnosis import matrix, spoiling
 from tests.tiny_scene import CABINET_ID, CATEGORIES, CHAIR_ID, write_tiny_scene
 
@@ -66,7 +66,8 @@ def longer(sign: int) -> Callable[[Path], None]:
 @pytest.mark.parametrize(("factor", "severity"), [(1.0, "note"), (1.25, "wrong")])
 def test_an_assumed_lens_is_the_first_hypothesis(scene: Path, factor: float, severity: str) -> None:
     spoiling.intrinsics(scene, scaled(factor, factor, 1, 1))
-    found = diagnose(replace(open_scene(scene), assumed_lens="a Kinect's lens is assumed")).findings
+    guess = Inferred("lens", "a Kinect's lens is assumed", "no file says it")
+    found = diagnose(replace(open_scene(scene), inferred=(guess,))).findings
     assert found[0].cause == "assumed lens" and found[0].severity == severity
     assert [each.cause for each in found if each.severity == "wrong"][1:] == (["focal length"] if factor > 1.0 else [])
 

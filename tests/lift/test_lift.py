@@ -199,3 +199,26 @@ def test_a_resumed_lift_trains_on_the_frames_that_it_was_begun_with(
             run(folder)
     run(folder, resume=True)
     assert files_of(folder) == files_of(lifts.lift("six", options={"frames": 6})) != files_of(lifts.done)
+
+
+def test_frames_that_cannot_be_read_are_left_out_and_counted(
+    lifts: Lifts, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scene = write_tiny_scene(tmp_path / "scene", frames=14, noise=0.1)
+    for path in (scene / "color" / "0002.png", scene / "panoptic" / "0006.png", scene / "depth" / "0004.png"):
+        data = bytearray(path.read_bytes())
+        data[len(data) // 2] ^= 255
+        path.write_bytes(bytes(data))
+
+    def stop(*_: object) -> None:
+        raise Cancelled("asked to")
+
+    folder = LiftFolder.create(tmp_path / "lift", LiftRequest(scene=scene, bake="all"))
+    with monkeypatch.context() as stopped:
+        stopped.setattr(lift_run, "vote_labels", stop)
+        with pytest.raises(Cancelled):
+            run(folder)
+    run(folder, resume=True)
+    metrics = json.loads((folder.result_path / "metrics.json").read_text())
+    assert metrics["left_out"] == [{"lacks": "readable files", "count": 3, "names": ["0002", "0004", "0006"]}]
+    assert metrics["test_frames"] == ["0012"]

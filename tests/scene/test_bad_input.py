@@ -193,20 +193,20 @@ CASES: dict[str, Spoil] = {
     "colour of another shape": two_shapes,
     # Depth
     "8-bit depth": image("depth/0001.png", np.full((48, 64), 99, np.uint8)),
-    "coloured depth": image("depth/0001.png", np.full((48, 64, 3), (99, 99, 98), np.uint16)),
+    "coloured depth": of_four(lambda name: image(f"depth/{name}.png", np.full((48, 64, 3), (99, 99, 98), np.uint16))),
     "8-bit coloured depth": image("depth/0001.png", np.full((48, 64, 3), 99, np.uint8)),
-    "all-zero depth": image("depth/0001.png", np.zeros((48, 64), np.uint16)),
+    "all-zero depth": of_four(lambda name: image(f"depth/{name}.png", np.zeros((48, 64), np.uint16))),
     "depth in metres": metres,
     # Images
-    "an empty image": write("color/0001.png", b""),
+    "an empty image": of_four(lambda name: write(f"color/{name}.png", b"")),
     "empty depth": of_four(lambda name: write(f"depth/{name}.png", b"")),
-    "a cut-off image": cut("color/0001.png"),
-    "a cut-off header": cut("color/0001.png", 0.01),
+    "a cut-off image": of_four(lambda name: cut(f"color/{name}.png")),
+    "a cut-off header": of_four(lambda name: cut(f"color/{name}.png", 0.01)),
     "cut-off depth": of_four(lambda name: cut(f"depth/{name}.png")),
     "cut-off masks": of_four(lambda name: cut(f"panoptic/{name}.png")),
-    "a damaged depth": damage("depth/0001.png"),
-    "a damaged colour image": damage("color/0001.png"),
-    "not an image": write("color/0001.png", "GIF89a, honestly"),
+    "a damaged depth": of_four(lambda name: damage(f"depth/{name}.png")),
+    "a damaged colour image": of_four(lambda name: damage(f"color/{name}.png")),
+    "not an image": of_four(lambda name: write(f"color/{name}.png", "GIF89a, honestly")),
     "palette ground truth": write("gt/semantic/0001.png", PALETTE_PNG),
     # JSON
     "an empty JSON": write("panoptic.json", ""),
@@ -240,7 +240,9 @@ CASES: dict[str, Spoil] = {
     "a score of a wrong type": segment(score="high"),
     "a score in per cent": segment(score=85),
     "an infinite number": infinite,
-    "ids in the PNG that the JSON lacks": table(lambda content: content["annotations"][1]["segments_info"].pop(2)),
+    "ids in the PNG that the JSON lacks": table(
+        lambda content: [each["segments_info"].pop(2) for each in content["annotations"][1:5]]
+    ),
     "empty masks": empty_masks,
     # Splits
     "unknown names in splits.json": splits({"train": ["0000", "9999"], "test": ["0001.png"]}),

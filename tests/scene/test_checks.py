@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 
-from engine.scene import check_scene, describe, open_scene
+from engine.errors import PlgsError
+from engine.scene import check_scene, describe, open_scene, report_of, survey_scene
 from tests.tiny_scene import write_tiny_scene
 
 
@@ -80,3 +82,49 @@ def test_unpainted_segments_do_not_count(tmp_path: Path) -> None:
     content["annotations"][0]["segments_info"].append({"id": 99, "category_id": 5})
     (folder / "panoptic.json").write_text(json.dumps(content))
     assert describe(open_scene(folder)).segments_per_frame[2] == 4
+
+
+def broken_checksum(path: Path) -> None:
+    data = bytearray(path.read_bytes())
+    data[len(data) // 2] ^= 255
+    path.write_bytes(bytes(data))
+
+
+def cut_off(path: Path) -> None:
+    path.write_bytes(path.read_bytes()[:-20])
+
+
+def all_zeros(path: Path) -> None:
+    cv2.imwrite(str(path), np.zeros((48, 64), np.uint16))
+
+
+@pytest.mark.parametrize(
+    ("kind", "damage"),
+    [
+        ("color", broken_checksum), ("color", cut_off), ("color", lambda path: path.write_bytes(b"")),
+        ("depth", broken_checksum), ("depth", cut_off), ("depth", all_zeros),
+        ("panoptic", broken_checksum), ("panoptic", cut_off),
+    ],
+)  # fmt: skip
+def test_frames_with_a_file_that_cannot_be_read_are_left_out_by_name_up_to_half(
+    tmp_path: Path, kind: str, damage: Callable[[Path], object]
+) -> None:
+    folder = write_tiny_scene(tmp_path, frames=5, size=(64, 48))
+    files = sorted((folder / kind).iterdir())
+    damage(files[1])
+    survey = survey_scene(open_scene(folder))
+    assert [frame.name for frame in survey.scene.frames] == ["0000", "0002", "0003", "0004"]
+    assert [each.names for each in survey.scene.left_out] == [("0001",)]
+    report = report_of(survey)
+    assert sum("are left out: 0001" in warning for warning in report.warnings) == 1
+    assert [len(each.names) for each in report.left_out] == [1]
+    for path in (files[2], files[3]):
+        damage(path)
+    with pytest.raises(PlgsError):
+        check_scene(open_scene(folder))
+
+
+def test_what_is_inferred_is_listed_once_with_its_reason(tmp_path: Path) -> None:
+    report = describe(open_scene(write_tiny_scene(tmp_path, frames=5)))
+    assert [each.about for each in report.inferred] == ["format", "split"]
+    assert all(each.taken and each.reason and str(each) not in report.warnings for each in report.inferred)

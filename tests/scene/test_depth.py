@@ -80,5 +80,5 @@ def test_an_impossible_depth_lens_is_ignored_with_a_warning(tmp_path: Path, foca
     before = open_scene(folder).frames[1].read_depth(None)
     np.savetxt(folder / "intrinsic" / "intrinsic_depth.txt", [[focal, 0, 32], [0, focal, 24], [0, 0, 1]])
     scene = open_scene(folder)
-    assert scene.warnings[0].startswith("intrinsic_depth.txt does not fit the colour intrinsics")
+    assert scene.warnings[0].startswith("intrinsic_depth.txt is ignored")
     np.testing.assert_array_equal(scene.frames[1].read_depth(None), before)

@@ -82,7 +82,7 @@ def test_colmap_with_a_networks_maps(tmp_path: Path, kind: str) -> None:
         open_scene_to_lift(SceneSource(tmp_path / "scene"))
     scene = open_scene(tmp_path / "scene", depth=tmp_path / "maps")
     assert scene.has_depth and [frame.name for frame in scene.frames] == ["1", "2", "3", "4", "5"]
-    assert "1 frames see fewer than 12 points and are left out: 0" in scene.warnings
+    assert "1 frames without 12 points of the reconstruction in view are left out: 0" in scene.warnings
     for frame, view in zip(scene.frames, views()[1:], strict=True):
         depth = frame.depth()
         off = np.abs(depth / look(view, LENS.scaled(depth.shape[1] / 64)).depth - 1.0)

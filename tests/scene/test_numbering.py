@@ -91,7 +91,7 @@ def warned(folder: Path, classes: str) -> list[str]:
         ("nyu40:1-40", {3: 7, 5: 6}, 0, {3: "table", 5: "sofa"}, "", ""),
         ("nyu13", NYU13, 0, NAMES | {3: "furniture"}, "", ""),
         ("scannet", RAW, 0, NAMES | {3: "file cabinet"}, "", ""),
-        ("cityscapes", in_table("cityscapes:0-33", TRAFFIC), 4, TRAFFIC, "cityscapes:0-33", "as this alone has"),
+        ("cityscapes", in_table("cityscapes:0-33", TRAFFIC), 4, TRAFFIC, "cityscapes:0-33", "this alone has"),
         ("cityscapes", in_table("cityscapes", TRAFFIC), 255, TRAFFIC, "", ""),
     ],
 )  # fmt: skip
@@ -102,7 +102,7 @@ def test_each_numbering_is_told_or_named_or_assumed_aloud(
     check_on_room(open_scene(tmp_path, classes=classes), truths, names | {0: ""}, frozenset())
     warnings = warned(tmp_path, classes)
     assert len(warnings) == bool(read_as)
-    assert all(f"read as {read_as}," in one and told in one and "--classes " in one for one in warnings)
+    assert all(f"read as {read_as}:" in one and told in one and "--classes " in one for one in warnings)
 
 
 def test_a_file_of_classes_names_the_numbering_and_messages_advise_it(tmp_path: Path) -> None:
@@ -125,7 +125,7 @@ def test_detectron2s_stuff_apart_is_told_by_the_table(tmp_path: Path) -> None:
     truths = write_detectron2(tmp_path, {class_id: apart(class_id) for class_id in COCO_NUMBERS}, {5})
     names, chairs = COCO_NAMES | {0: ""}, frozenset({"chair"})
     check_on_room(open_scene(tmp_path, classes="coco"), truths, names, chairs)
-    assert "stuff numbered apart from things, as this alone fits" in warned(tmp_path, "coco")[0]
+    assert "stuff numbered apart from things: this alone fits" in warned(tmp_path, "coco")[0]
     refuses("isthing contradicts the table ade20k: .* in the files.*--classes", tmp_path, classes="ade20k")
     source, edited = SceneSource(tmp_path), tmp_path / "edited.json"
     listed = list_classes(source, "coco")

@@ -10,11 +10,13 @@ from pathlib import Path, PurePosixPath
 import numpy as np
 from numpy.typing import NDArray
 
+from ...errors import PlgsError
 from ...posed.camera import Camera
 from ...posed.splits import Split
 from ...scene_source import UpAxis
-from ..depth import DepthMap
+from ..depth import DepthMap, fault_of
 from ..frame import SparsePoints
+from ..noted import Inferred, LeftOut
 from .lens import STRAIGHT, Distortion
 
 _NOT_IN_NAMES = re.compile(r'[\x00-\x1f<>:"|?*]')
@@ -38,29 +40,41 @@ class Shot:
 
 @dataclass(frozen=True, eq=False)
 class Capture:
-    """All pictures in recording order: ``found`` holds their names with a Shot each, or None without a pose.
+    """All pictures in recording order: ``found`` holds their names with a Shot each, None without a pose, or why the
+    picture cannot be read (``with_picture``).
 
     ``up`` is the axis of the format's world that points up, None if the format does not say. ``up_is_known`` means
     that it was measured, so that cameras held sideways are no reason for a warning. ``split`` is given by readers that
-    need it themselves. ``assumed_lens`` warns of a lens that no file says.
+    need it themselves. ``left_out`` are frames besides those of ``found``, ``inferred`` is what no file says.
     """
 
-    found: Sequence[tuple[str, Shot | None]]
+    found: Sequence[tuple[str, Shot | PlgsError | None]]
     up: UpAxis | None
     warnings: tuple[str, ...] = ()
     points: SparsePoints | None = None
     split: Split | None = None
     up_is_known: bool = False
-    assumed_lens: str = ""
+    left_out: tuple[LeftOut, ...] = ()
+    inferred: tuple[Inferred, ...] = ()
 
     @property
     def shots(self) -> list[Shot]:
-        return [shot for _, shot in self.found if shot is not None]
+        return [shot for _, shot in self.found if isinstance(shot, Shot)]
+
+    @property
+    def unreadable(self) -> dict[str, PlgsError]:
+        """Why pictures cannot be read, by their names. They are left out."""
+        return {name: shot for name, shot in self.found if isinstance(shot, PlgsError)}
 
     @property
     def lost(self) -> list[str]:
         """The names of pictures without a pose. They are left out."""
         return [name for name, shot in self.found if shot is None]
+
+
+def with_picture(picture: Path, make: Callable[[], Shot | None]) -> Shot | PlgsError | None:
+    """What ``make`` gives for the file ``picture``, or why this cannot be read, as far as its header says."""
+    return fault_of(picture) or make()
 
 
 @dataclass(frozen=True)

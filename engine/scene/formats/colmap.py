@@ -24,7 +24,8 @@ from ...posed.layout import file_inside, listed, natural_order, read_file
 from ..depth import DepthMap, fault_of, npy_depth, only_depth, png_depth
 from ..files_of_frames import files_if_any
 from ..frame import SparsePoints
-from .capture import Capture, SceneFormat, Shot, frame_names
+from ..noted import Inferred, left_out
+from .capture import Capture, SceneFormat, Shot, frame_names, with_picture
 from .colmap_model import (
     EXPORT_AGAIN,
     MADE_BY,
@@ -44,7 +45,9 @@ _MODELS = ("sparse/0", "sparse", "model", "colmap/sparse/0", ".")
 _IMAGES = ("images", "image", "rgb", "color", "input", ".")
 _DEPTH_MAPS = "stereo/depth_maps"
 _DENSE = ("dense/0", "dense")
-_SCALE = "COLMAP's lengths have no unit, and a lift reads them as metres: scale the model if that is far off"
+_SCALE = Inferred(
+    "units", "COLMAP's lengths have no unit, and a lift reads them as metres", "scale the model if that is far off"
+)
 _BROWN = ("SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "FULL_OPENCV")
 _FISHEYES = ("OPENCV_FISHEYE", "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE")
 """The camera models that OpenCV straightens, by its two models of distortion."""
@@ -101,10 +104,23 @@ def _read(place: Path) -> Capture:
         raise PlgsError("the model has no registered image", folder, f"Move {folder.name} away, and {LET_COLMAP}.")
     names = frame_names([image.name for image in images])
     root = _find_images(place, images)
-    found = [(name, _shot(name, image, model, root, place, depths)) for name, image in zip(names, images, strict=True)]
-    if not depths:
-        warnings.insert(0, _SCALE)
-    return Capture(found, None, tuple(warnings), _points(model, names, images))
+    paths = [file_inside(root, image.name, folder) for image in images]
+    found = [
+        (name, with_picture(path, partial(_shot, name, image, path, model, place, depths)))
+        for name, image, path in zip(names, images, paths, strict=True)
+    ]
+    lost = left_out("a pose (COLMAP did not register them)", _unregistered(root, paths))
+    scale = () if depths else (_SCALE,)
+    points = _points(model, names, images)
+    return Capture(found, None, tuple(warnings), points, left_out=lost, inferred=scale)
+
+
+def _unregistered(root: Path, registered: list[Path]) -> list[str]:
+    """The pictures beside those of the model, and of their kinds, that are not in it."""
+    folders, kinds = {path.parent for path in registered}, {path.suffix.lower() for path in registered}
+    beside = {path for folder in folders if folder.is_dir() for path in folder.iterdir() if path.is_file()}
+    others = (path for path in beside.difference(registered) if path.suffix.lower() in kinds)
+    return sorted((path.relative_to(root).as_posix() for path in others), key=natural_order)
 
 
 def _find_images(place: Path, images: list[ColmapImage]) -> Path:
@@ -125,9 +141,8 @@ def _measured_depth(place: Path, folder: Path) -> dict[str, Path]:
 
 
 def _shot(
-    name: str, image: ColmapImage, model: ColmapModel, root: Path, place: Path, depths: Mapping[str, Path]
+    name: str, image: ColmapImage, path: Path, model: ColmapModel, place: Path, depths: Mapping[str, Path]
 ) -> Shot:
-    path = file_inside(root, image.name, model.folder)
     if image.camera not in model.cameras:
         raise PlgsError(f"image {name} has camera {image.camera}, which is not there", model.folder, EXPORT_AGAIN)
     lens, distortion = _lens(model.cameras[image.camera], model.folder)

@@ -24,7 +24,7 @@ from ...posed.camera import Camera
 from ...posed.image_header import read_image_header
 from ...posed.matrices import read_intrinsics
 from ...posed.plain_folders import NAME, read_folders, recognises
-from ..depth import MILLIMETRES, open_depth
+from ..depth import MILLIMETRES, fault_of, open_depth
 from .capture import Capture, SceneFormat, Shot
 from .lens import STRAIGHT
 from .sensor_lens import find_sensor_lens
@@ -37,13 +37,17 @@ def _read(folder: Path) -> Capture:
     lens_of = partial(_lens_beside, beside) if not has_own and beside.is_file() else None
     found = read_folders(folder, sensor.fitting if sensor else lens_of)
     unit, bend = (sensor.step or MILLIMETRES, sensor.distortion) if sensor else (MILLIMETRES, STRAIGHT)
-    depths, warnings = open_depth(folder, found.cameras, unit) if (folder / "depth").is_dir() else ({}, ())
+    depths, inferred = open_depth(folder, found.cameras, unit) if (folder / "depth").is_dir() else ({}, ())
     shots = {
         name: Shot(name, camera, found.pictures[name], depths.get(name), distortion=bend)
         for name, camera in found.cameras.items()
     }
-    kept = [(name, shots.get(name)) for name in found.names if name in shots or name in found.lost]
-    return Capture(kept, "z", (*warnings, *(sensor.warnings if sensor else ())), split=found.split)
+    faults = {name: fault_of(path) for name, path in found.pictures.items() if name not in shots}
+    kept = [(name, shots.get(name) or faults.get(name)) for name in found.names]
+    kept = [(name, shot) for name, shot in kept if shot is not None or name in found.lost]
+    if sensor is None:
+        return Capture(kept, "z", split=found.split, inferred=inferred)
+    return Capture(kept, "z", sensor.warnings, split=found.split, inferred=(*inferred, *sensor.inferred))
 
 
 def _lens_beside(path: Path, picture: Path) -> Camera:

@@ -25,10 +25,10 @@ from numpy.typing import NDArray
 
 from ...errors import PlgsError
 from ...posed.image_header import read_image_header
-from ...posed.plain_folders import left_out_warning
 from ..depth import DepthMap
+from ..noted import Inferred, left_out
 from ..pixels import decode
-from .capture import Capture, SceneFormat, Shot
+from .capture import Capture, SceneFormat, Shot, with_picture
 from .hypersim_pixels import Projection, planar_depth, read_hdf5, size_of_hdf5, straightened, tone_mapped
 from .poses import finite_pose, from_opengl
 
@@ -36,9 +36,11 @@ _FIX = "Download the scene again."
 _PARAMETERS = "metadata_camera_parameters.csv"
 _USUAL = np.diag([0.5773502886169104, 0.4330127164626828, -1.0])
 """M_cam_from_uv of a lens that sees 60 degrees of 1024x768: f = 886.81."""
-_GUESSED = (
-    f"{_PARAMETERS} is missing, so the usual lens is assumed; more than half of the scenes have another: "
-    "get it from Hypersim's repository (contrib/mikeroberts3000) and put it beside the scene"
+_GUESSED = Inferred(
+    "lens",
+    f"{_PARAMETERS} is missing, so the usual lens is assumed",
+    "more than half of the scenes have another: get the file from Hypersim's repository (contrib/mikeroberts3000) and "
+    "put it beside the scene",
 )
 
 
@@ -49,7 +51,7 @@ def _recognises(place: Path) -> bool:
 def _read(place: Path) -> Capture:
     """Open the frames of all cameras. Raises PlgsError."""
     metres = _metres_a_unit(place / "_detail" / "metadata_scene.csv")
-    rays, warnings = _read_rays(place)
+    rays, inferred = _read_rays(place)
     found, blind = [], list[str]()
     for camera in sorted(path for path in (place / "_detail").glob("cam_*") if path.is_dir()):
         positions = read_hdf5(camera / "camera_keyframe_positions.hdf5", 2)
@@ -64,9 +66,9 @@ def _read(place: Path) -> Capture:
             matrix = np.column_stack([turns[number], positions[number] * metres]).astype(np.float64)
             pose = finite_pose(matrix, camera / "camera_keyframe_orientations.hdf5")
             name = f"{camera.name}_{number:04d}"
-            found.append((name, None if pose is None else _shot(name, colour, depth, from_opengl(pose), rays)))
-    warnings += [left_out_warning(blind, "depth")] if blind else []
-    return Capture(found, "z", tuple(warnings), up_is_known=True)
+            make = None if pose is None else partial(_shot, name, colour, depth, from_opengl(pose), rays)
+            found.append((name, None if make is None else with_picture(colour, make)))
+    return Capture(found, "z", up_is_known=True, left_out=left_out("depth", blind), inferred=inferred)
 
 
 def _pictures(images: Path, camera: str) -> Iterator[tuple[int, Path, Path]]:
@@ -114,13 +116,13 @@ def _metres_a_unit(path: Path) -> float:
     raise PlgsError("meters_per_asset_unit is missing", path, _FIX)
 
 
-def _read_rays(place: Path) -> tuple[NDArray[np.float64], list[str]]:
-    """M_cam_from_uv, float64 [3, 3], and warnings."""
+def _read_rays(place: Path) -> tuple[NDArray[np.float64], tuple[Inferred, ...]]:
+    """M_cam_from_uv, float64 [3, 3], and that it is assumed."""
     name = place.resolve().name
     folders = (place, place.resolve().parent, place.resolve().parent.parent)
     path = next((folder / _PARAMETERS for folder in folders if (folder / _PARAMETERS).is_file()), None)
     if path is None:
-        return _USUAL, [_GUESSED]
+        return _USUAL, (_GUESSED,)
     row = next((row for row in _read_table(path) if row.get("scene_name") == name), None)
     if row is None:
         fix = "Keep the folder's name as Hypersim has it, such as ai_001_001."
@@ -132,7 +134,7 @@ def _read_rays(place: Path) -> tuple[NDArray[np.float64], list[str]]:
     rays = np.array(values).reshape(3, 3)
     if not np.isfinite(rays).all() or abs(np.linalg.det(rays)) < 1e-9:
         raise PlgsError(f"no camera can have the camera parameters of {name}", path, "Download it again.")
-    return rays, []
+    return rays, ()
 
 
 def _read_table(path: Path) -> list[dict[str, str]]:

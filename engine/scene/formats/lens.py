@@ -14,6 +14,7 @@ from ...errors import PlgsError
 from ...posed.camera import Camera
 from ...posed.image_header import read_image_header
 from ...posed.layout import same_shape, shown_size
+from ..noted import Inferred
 
 _LEAST_SEEN = 0.1
 """Share of an undistorted picture that the distorted one shows, at least. Wide fisheyes show all of it."""
@@ -51,10 +52,11 @@ def fitted(lens: Camera, picture: Path, fix: str) -> Camera:
     return lens.resized(*size)
 
 
-def assumed(whose: str, lens: Camera, file: str) -> str:
-    """The warning that a scene has when no file says its lens, and ``whose`` is taken; ``file`` can say it."""
+def assumed(whose: str, lens: Camera, file: str) -> Inferred:
+    """What a scene notes when no file says its lens, and ``whose`` is taken; ``file`` can say it."""
     values = " ".join(f"{value:.6g}" for value in (lens.fx, lens.fy, lens.cx - 0.5, lens.cy - 0.5))
-    return f"{whose} lens is assumed ({values} for {shown_size(lens.size)}): write theirs into {file} if it is another"
+    taken = f"{whose} lens is assumed ({values} for {shown_size(lens.size)})"
+    return Inferred("lens", taken, f"no file says theirs; write it into {file} if it is another")
 
 
 @dataclass(frozen=True)

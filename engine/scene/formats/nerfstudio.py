@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -29,7 +30,8 @@ from ...posed.splits import Split
 from ...scene_source import UpAxis
 from ..depth import MILLIMETRES, DepthMap, npy_depth, png_depth
 from ..frame import Size, SparsePoints
-from .capture import Capture, SceneFormat, Shot, frame_names
+from ..noted import Inferred, left_out
+from .capture import Capture, SceneFormat, Shot, frame_names, with_picture
 from .lens import STRAIGHT, Distortion, fitted, pinhole
 from .ply_points import read_ply_points
 from .poses import finite_pose, from_opengl
@@ -39,6 +41,9 @@ _HELD_OUT = ("transforms_test.json", "transforms_val.json")
 _PINHOLES = ("PINHOLE", "SIMPLE_PINHOLE", "perspective", "")
 _OPENCV = ("OPENCV", "SIMPLE_RADIAL", "RADIAL", "FULL_OPENCV")
 _IMAGES = (".png", ".jpg", ".jpeg")
+_CENTRED = Inferred(
+    "principal point", "the principal point of the lens is assumed in the middle", "write cx and cy if it is not there"
+)
 
 
 def _recognises(place: Path) -> bool:
@@ -65,35 +70,40 @@ def _read(place: Path) -> Capture:
     names = frame_names([frame["file_path"] for frames, _ in parts for frame in frames])
     of_parts = np.split(np.array(names, object), np.cumsum([len(frames) for frames, _ in parts])[:-1])
     found = [
-        (name, _shot(name, {**content, **frame}, path))
+        (name, with_picture(_image_path(path, frame["file_path"]), partial(_shot, name, {**content, **frame}, path)))
         for own, (frames, _), content, path in zip(of_parts, parts, contents, paths, strict=True)
         for name, frame in zip(own, frames, strict=True)
     ]
-    missing, warnings = sum(count for _, count in parts), list[str]()
-    if missing:
-        warnings.append(f"{missing} frames are left out: their pictures are missing")
+    missing, warnings = [name for _, absent in parts for name in absent], list[str]()
     if any("mask_path" in frame for frames, _ in parts for frame in frames):
         warnings.append("mask_path is not used: it says what to leave out, and names no classes")
     said = ({**content, **frame} for content, (frames, _) in zip(contents, parts, strict=True) for frame in frames)
-    if any("fl_x" in entry and not ("cx" in entry and "cy" in entry) for entry in said):
-        warnings.append("the principal point of the lens is assumed in the middle: write cx and cy if it is not there")
+    is_centred = any("fl_x" in entry and not ("cx" in entry and "cy" in entry) for entry in said)
     up: UpAxis | None = "z" if contents[0].get("orientation_override") == "none" else None
-    posed = {name for name, shot in found if shot is not None}
+    posed = {name for name, shot in found if isinstance(shot, Shot)}
     kept = [tuple(name for name in own if name in posed) for own in of_parts]
     split = Split(*kept) if len(kept) == 2 else None
-    return Capture(found, up, tuple(warnings), _points(contents[0], paths[0]), split)
+    return Capture(
+        found, up, tuple(warnings), _points(contents[0], paths[0]), split, left_out=left_out("a picture", missing),
+        inferred=(_CENTRED,) if is_centred else (),
+    )  # fmt: skip
 
 
-def _frames(content: dict[str, Any], path: Path) -> tuple[list[dict[str, Any]], int]:
-    """The frames of a file whose pictures are there, in natural order, and how many are not. Raises PlgsError."""
+def _frames(content: dict[str, Any], path: Path) -> tuple[list[dict[str, Any]], list[str]]:
+    """The frames of a file whose pictures are there, in natural order, and those that are not. Raises PlgsError."""
     frames = take_objects(content, "frames", "the file", path)
     for frame in frames:
         take_text(frame, "file_path", "a frame", path)
     frames.sort(key=lambda frame: natural_order(frame["file_path"]))
-    present = [frame for frame in frames if _image_path(path, frame["file_path"]).is_file()]
+    present, absent = list[dict[str, Any]](), list[str]()
+    for frame in frames:
+        if _image_path(path, frame["file_path"]).is_file():
+            present.append(frame)
+        else:
+            absent.append(frame["file_path"])
     if frames and not present:
         raise PlgsError("the pictures are missing", _image_path(path, frames[0]["file_path"]), "Copy them there.")
-    return present, len(frames) - len(present)
+    return present, absent
 
 
 def _shot(name: str, frame: Mapping[str, Any], path: Path) -> Shot | None:

@@ -11,6 +11,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -22,7 +23,7 @@ from ...posed.camera import Camera
 from ...posed.layout import files_by_stem
 from ...posed.matrices import take_numbers
 from ..depth import MILLIMETRES, png_depth
-from .capture import Capture, SceneFormat, Shot
+from .capture import Capture, SceneFormat, Shot, with_picture
 from .lens import assumed
 from .photos import LET_COLMAP
 from .poses import finite_pose
@@ -92,16 +93,22 @@ def _read(place: Path) -> Capture:
     sensor = find_sensor_lens(place)
     shared = sensor or SensorLens(place / FILES[0], _PRIMESENSE)
     is_guessed = sensor is None and poses[0][1] is None
-    found: list[tuple[str, Shot | None]] = []
+    found: list[tuple[str, Shot | PlgsError | None]] = []
     for (name, colour), (matrix, own) in zip(colours.items(), poses, strict=True):
-        pose, shot = finite_pose(matrix, trajectory), None
+        pose = finite_pose(matrix, trajectory)
+        shot: Shot | PlgsError | None = None
         if pose is not None:
-            sensor_lens = shared if own is None else SensorLens(trajectory, own, step=shared.step)
-            lens = sensor_lens.fitting(colour)
-            depth = png_depth(depths[name], lens, shared.step or MILLIMETRES) if name in depths else None
-            shot = Shot(name, lens.at(pose), colour, depth, distortion=sensor_lens.distortion)
+            lens = shared if own is None else SensorLens(trajectory, own, step=shared.step)
+            shot = with_picture(colour, partial(_shot, name, colour, depths.get(name), lens, pose))
         found.append((name, shot))
-    return Capture(found, None, shared.warnings, assumed_lens=_GUESSED if is_guessed else "")
+    inferred = (_GUESSED,) if is_guessed else shared.inferred if poses[0][1] is None else ()
+    return Capture(found, None, shared.warnings, inferred=inferred)
+
+
+def _shot(name: str, colour: Path, depth: Path | None, lens: SensorLens, pose: NDArray[np.float64]) -> Shot:
+    camera = lens.fitting(colour)
+    measured = None if depth is None else png_depth(depth, camera, lens.step or MILLIMETRES)
+    return Shot(name, camera.at(pose), colour, measured, distortion=lens.distortion)
 
 
 def _read_log(path: Path) -> _Poses:

@@ -8,6 +8,7 @@ width height``; corrected ones may lack the last two. After Polycam's optimisati
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +20,8 @@ from ...posed.image_header import read_image_header
 from ...posed.layout import files_by_stem, listed, natural_order, of_most
 from ..depth import png_depth, trusted
 from ..files_of_frames import files_if_any
-from .capture import Capture, SceneFormat, Shot
+from ..noted import Inferred
+from .capture import Capture, SceneFormat, Shot, with_picture
 from .lens import fitted, pinhole
 from .poses import finite_pose, from_opengl
 
@@ -48,18 +50,20 @@ def _read(place: Path) -> Capture:
     entries = of_most([name for name in cameras if name in images], lambda name: read_json_object(cameras[name]))
     if not entries:
         raise PlgsError("no image has a camera", folder, _FIX)
-    found: dict[str, Shot | None] = dict.fromkeys(sorted({*raw, *cameras, *images}, key=natural_order))
+    found: dict[str, Shot | PlgsError | None] = dict.fromkeys(sorted({*raw, *cameras, *images}, key=natural_order))
     for name, entry in entries.items():
         size = _size(entry, images[name], cameras[name], raw.get(name))
-        found[name] = _shot(name, entry, size, images[name], cameras[name], depths.get(name), levels.get(name))
+        make = partial(_shot, name, entry, size, images[name], cameras[name], depths.get(name), levels.get(name))
+        found[name] = with_picture(images[name], make)
     told = [] if is_corrected else [_NOT_OPTIMISED]
     if len(entries) < len(found):
         lost = len(found) - len(entries)
         told.append(f"{lost} of {len(found)} keyframes are not in both {prefix}cameras and {prefix}images")
     sizeless = [name for name, entry in entries.items() if not _has_size(entry)]
-    if sizeless:
-        told.append(f"{len(sizeless)} cameras do not say their pictures' size, which is inferred: {listed(sizeless)}")
-    return Capture([*found.items()], "y", tuple(told), up_is_known=True)
+    taken = f"the size of the pictures of {len(sizeless)} cameras, which do not say it, is inferred"
+    reason = f"their principal points are nearest to its middle ({listed(sizeless)})"
+    inferred = (Inferred("lens", taken, reason),) if sizeless else ()
+    return Capture([*found.items()], "y", tuple(told), up_is_known=True, inferred=inferred)
 
 
 def _has_size(entry: dict[str, Any]) -> bool:

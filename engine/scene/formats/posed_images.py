@@ -7,6 +7,7 @@ bits, millimetres.
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +17,7 @@ from ...posed.image_header import read_image_header
 from ...posed.layout import natural_order
 from ...posed.matrices import read_intrinsics, read_poses
 from ..depth import png_depth
-from .capture import Capture, SceneFormat, Shot
+from .capture import Capture, SceneFormat, Shot, with_picture
 
 _INTRINSICS = "intrinsic.txt"
 _PICTURES = (".jpg", ".jpeg")
@@ -41,7 +42,8 @@ def _read(folder: Path) -> Capture:
     """Open the frames; only headers of images are read. Raises PlgsError."""
     pictures = {path.stem: path for path in _pictures(folder)}
     poses = read_poses({name: _pose_of(path) for name, path in pictures.items()})
-    return Capture([(name, _shot(folder, path, poses[name])) for name, path in pictures.items()], "z")
+    shots = {name: with_picture(path, partial(_shot, folder, path, poses[name])) for name, path in pictures.items()}
+    return Capture([*shots.items()], "z")
 
 
 def _shot(folder: Path, picture: Path, pose: NDArray[np.float64] | None) -> Shot | None:

@@ -33,7 +33,7 @@ from ...posed.layout import files_by_stem, read_file
 from ...posed.matrices import take_matrix, take_numbers
 from ...posed.up_axis import upright_rotation
 from ...scene_source import UpAxis
-from ..depth import DepthMap, drop_untrusted, only_depth
+from ..depth import DepthMap, drop_untrusted, fault_of, only_depth
 from ..exr_file import read_channels
 from ..frame import Size
 from ..pixels import decode_bytes
@@ -113,7 +113,7 @@ def _read(place: Path) -> Capture:
     if path is None and exported is None:
         raise PlgsError("there is no .r3d file, or more than one", place, "Name the file.")
     found = list(_exr_shots(exported) if path is None and exported else _shots(_Archive(path or place), path or place))
-    return Capture(found, _up([shot for _, shot in found if shot is not None]))
+    return Capture(found, _up([shot for _, shot in found if isinstance(shot, Shot)]))
 
 
 def _shots(archive: _Archive, path: Path) -> Iterator[tuple[str, Shot | None]]:
@@ -154,14 +154,15 @@ def _has_rgb(folder: Path) -> bool:
     return (folder / "rgb").is_dir() and (folder / "depth").is_dir()
 
 
-def _exr_shots(folder: Path) -> Iterator[tuple[str, Shot | None]]:
+def _exr_shots(folder: Path) -> Iterator[tuple[str, Shot | PlgsError | None]]:
     path = folder / _EXPORTED
     found = files_by_stem(folder / "rgb", {".jpg", ".jpeg", ".png"}, _FIX)
     pictures = {int(stem): picture for stem, picture in found.items() if stem.isdecimal()}
     for number, camera in _cameras(read_json_object(path), sorted(pictures), path):
         depth = folder / "depth" / f"{number}.exr"
         shown = DepthMap(depth, partial(_read_exr, depth)) if depth.is_file() else None
-        yield str(number), None if camera is None else Shot(str(number), camera, pictures[number], shown)
+        fault, name = fault_of(pictures[number]), str(number)
+        yield name, None if camera is None else fault or Shot(name, camera, pictures[number], shown)
 
 
 def _read_exr(path: Path) -> NDArray[np.float32]:

@@ -12,17 +12,20 @@ integers. Without a file of intrinsics the lens is assumed to see 90 degrees: f 
 from __future__ import annotations
 
 import re
+from functools import partial
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ...errors import PlgsError
 from ...json_file import read_json_object, take_number
 from ...posed.camera import Camera
 from ...posed.image_header import read_image_header
 from ...posed.layout import files_by_stem
-from ..depth import MILLIMETRES, png_depth
-from .capture import Capture, SceneFormat, Shot
+from ..depth import MILLIMETRES, fault_of, png_depth
+from ..noted import Inferred
+from .capture import Capture, SceneFormat, Shot, with_picture
 from .lens import assumed, fitted, pinhole
 from .poses import finite_pose
 from .rows import matrix_rows
@@ -75,20 +78,26 @@ def _capture(trajectory: Path, colours: dict[int, Path], depths: dict[int, Path]
     if colours and max(colours) >= len(matrices):
         what = f"there are {len(matrices)} poses, but a picture {max(colours)}"
         raise PlgsError(what, trajectory, "Number pictures from 0, and give each a pose.")
-    found: list[tuple[str, Shot | None]] = []
+    found: list[tuple[str, Shot | PlgsError | None]] = []
     for number, path in colours.items():
         pose = finite_pose(matrices[number], trajectory)
         if pose is None:
             found.append((path.stem, None))
             continue
-        if lens is None:
+        if lens is None and fault_of(path) is None:
             width, height = read_image_header(path).size
             lens = Camera(width, height, width / 2.0, width / 2.0, width / 2.0, height / 2.0, np.eye(4))
-        own = fitted(lens, path, _LENS_FIX)
-        depth = png_depth(depths[number], own, unit) if number in depths else None
-        found.append((path.stem, Shot(path.stem, own.at(pose), path, depth)))
-    guessed = "" if said or lens is None else assumed("Replica's", lens, "cam_params.json")
-    return Capture(found, "z", assumed_lens=guessed)
+        found.append((path.stem, with_picture(path, partial(_shot, path, depths.get(number), unit, lens, pose))))
+    if said or lens is None:
+        return Capture(found, "z")
+    steps = Inferred("units", f"a step of depth is {unit:.4g} m", "no cam_params.json says another", is_doubtful=False)
+    return Capture(found, "z", inferred=(assumed("Replica's", lens, "cam_params.json"), steps))
+
+
+def _shot(path: Path, depth: Path | None, unit: float, lens: Camera | None, pose: NDArray[np.float64]) -> Shot:
+    assert lens is not None  # the picture can be read
+    own = fitted(lens, path, _LENS_FIX)
+    return Shot(path.stem, own.at(pose), path, None if depth is None else png_depth(depth, own, unit))
 
 
 def _read_parameters(place: Path) -> tuple[Camera, float] | None:

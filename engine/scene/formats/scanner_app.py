@@ -8,6 +8,7 @@ the lowest confidence are dropped.
 
 from __future__ import annotations
 
+from functools import partial
 from itertools import islice
 from pathlib import Path
 
@@ -20,7 +21,7 @@ from ...posed.image_header import read_image_header
 from ...posed.layout import files_by_stem
 from ...posed.matrices import take_numbers
 from ..depth import png_depth, trusted
-from .capture import Capture, SceneFormat, Shot
+from .capture import Capture, SceneFormat, Shot, with_picture
 from .lens import pinhole
 from .poses import finite_pose, from_opengl
 
@@ -47,10 +48,11 @@ def _read(place: Path) -> Capture:
     pictures = _files(place, ".jpg", "frame_")
     tables = _files(place, ".json", "frame_")
     depths, levels = _files(place, ".png", "depth_"), _files(place, ".png", "conf_")
-    found: list[tuple[str, Shot | None]] = []
+    found: list[tuple[str, Shot | PlgsError | None]] = []
     for number, picture in pictures.items():
         table, depth, level = (files.get(number) for files in (tables, depths, levels))
-        found.append((picture.stem, None if table is None else _shot(picture, table, depth, level)))
+        make = None if table is None else partial(_shot, picture, table, depth, level)
+        found.append((picture.stem, None if make is None else with_picture(picture, make)))
     if not any(shot for _, shot in found):
         raise PlgsError("no picture frame_<number>.jpg has its frame_<number>.json", place, _FIX)
     return Capture(found, "y", up_is_known=True)

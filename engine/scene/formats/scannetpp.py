@@ -31,7 +31,7 @@ from ...posed.counts import check_most
 from ...posed.image_header import read_image_header
 from ...posed.layout import natural_order
 from ...posed.matrices import take_matrix
-from ..depth import DepthMap, only_depth, png_depth
+from ..depth import DepthMap, fault_of, only_depth, png_depth
 from ..files_of_frames import files_if_any
 from .capture import Capture, SceneFormat, Shot
 from .lens import pinhole
@@ -57,7 +57,7 @@ def _read(place: Path) -> Capture:
     return Capture(list(_shots(folder)), "z", up_is_known=True)
 
 
-def _shots(folder: Path) -> Iterator[tuple[str, Shot | None]]:
+def _shots(folder: Path) -> Iterator[tuple[str, Shot | PlgsError | None]]:
     path = folder / _TABLE
     table = read_json_object(path)
     pictures = files_if_any(folder / "rgb", {".jpg", ".png"}, _FIX)
@@ -79,6 +79,10 @@ def _shots(folder: Path) -> Iterator[tuple[str, Shot | None]]:
             yield name, None
             continue
         number, picture = int(match[1]), video.path if video else pictures[name]
+        fault = None if video else fault_of(picture)
+        if fault is not None:
+            yield name, fault
+            continue
         lens = _lens(entry, name, size or read_image_header(picture).size, path)
         depth = None
         if stream is not None:

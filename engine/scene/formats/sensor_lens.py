@@ -23,6 +23,7 @@ from ...posed.camera import Camera
 from ...posed.image_header import read_image_header
 from ...posed.layout import read_file, same_shape
 from ...posed.matrices import take_numbers
+from ..noted import Inferred
 from .lens import STRAIGHT, Distortion, fitted, pinhole
 
 _OPEN3D_FILES = ("camera_intrinsic.json", "intrinsic.json")
@@ -47,6 +48,13 @@ class SensorLens:
     step: float | None = None
     warnings: tuple[str, ...] = ()
     shows_middle: bool = False
+
+    @property
+    def inferred(self) -> tuple[Inferred, ...]:
+        """What a scene notes whose layout has another place for a lens, or none."""
+        what = "the lens is" if self.step is None else "the lens and the unit of depth are"
+        taken = f"{what} read from {self.path.name}"
+        return (Inferred("lens", taken, "no file of the layout itself says otherwise", is_doubtful=False),)
 
     def fitting(self, picture: Path) -> Camera:
         """The camera at the size of an image file. Raises PlgsError when it is for pictures of another shape."""

@@ -30,7 +30,8 @@ from ...posed.image_header import read_image_header
 from ...posed.layout import natural_order, read_text
 from ...posed.matrices import as_lens, read_intrinsics, read_poses
 from ..depth import MILLIMETRES, fitting_alignment, png_depth, registered
-from .capture import Capture, SceneFormat, Shot
+from ..noted import Inferred
+from .capture import Capture, SceneFormat, Shot, with_picture
 from .lens import assumed, fitted
 from .poses import inverse
 from .sensor_lens import SensorLens, find_sensor_lens
@@ -90,10 +91,9 @@ def _read(place: Path) -> Capture:
     """Open 7-Scenes, or frames with ``info.txt``; only headers of images are read. Raises PlgsError."""
     path, sensor = _find_info(place), find_sensor_lens(place)
     if path is None and sensor is not None:
-        return replace(_capture(place, partial(_sensors_shot, sensor)), warnings=sensor.warnings)
+        return _capture(place, partial(_sensors_shot, sensor), sensor.warnings, sensor.inferred)
     if path is None:
-        guess = assumed("a Kinect's", _kinect(_COLOUR_F), _OWN_LENS)
-        return replace(_capture(place, _kinects_shot), assumed_lens=guess)
+        return _capture(place, _kinects_shot, inferred=(assumed("a Kinect's", _kinect(_COLOUR_F), _OWN_LENS),))
     info = _read_info(path)
     colour, depth = _info_lens(info, "Color", path), _info_lens(info, "Depth", path)
     alignment, unit = fitting_alignment(colour, depth), 1.0 / _info_numbers(info, "m_depthShift", path, 1)[0]
@@ -155,7 +155,9 @@ def _read_tsdf(place: Path) -> Capture:
     return _capture(place, shot)
 
 
-def _capture(place: Path, shot: _Reader, warnings: tuple[str, ...] = ()) -> Capture:
+def _capture(
+    place: Path, shot: _Reader, warnings: tuple[str, ...] = (), inferred: tuple[Inferred, ...] = ()
+) -> Capture:
     """All frames; those whose pose is missing, or holds inf, have no shot. Raises PlgsError."""
     kinds = ("frame-*.pose.txt", "frame-*.color.*")
     files = {path for folder in _folders(place) for kind in kinds for path in folder.glob(kind)}
@@ -164,13 +166,14 @@ def _capture(place: Path, shot: _Reader, warnings: tuple[str, ...] = ()) -> Capt
         base.name if base.parent in (place, place / "data") else f"{base.parent.name}_{base.name}": base
         for base in sorted(bases, key=lambda base: natural_order(base.relative_to(place).as_posix()))
     }
-    found: list[tuple[str, Shot | None]] = []
+    found: list[tuple[str, Shot | PlgsError | None]] = []
     poses = read_poses({name: base.with_name(f"{base.name}.pose.txt") for name, base in named.items()})
     for name, base in named.items():
         colours = [base.with_name(f"{base.name}.color.{suffix}") for suffix in ("png", "jpg", "jpeg")]
         colour, pose = next((path for path in colours if path.is_file()), colours[0]), poses[name]
-        found.append((name, None if pose is None else shot(name, base, pose, colour)))
-    return Capture(found, None, warnings)
+        make = None if pose is None else partial(shot, name, base, pose, colour)
+        found.append((name, None if make is None else with_picture(colour, make)))
+    return Capture(found, None, warnings, inferred=inferred)
 
 
 def _depth_file(base: Path) -> Path:

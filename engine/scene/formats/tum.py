@@ -19,6 +19,7 @@ from __future__ import annotations
 from bisect import bisect_left
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -27,11 +28,12 @@ from numpy.typing import NDArray
 from ...errors import PlgsError
 from ...posed.camera import Camera
 from ...posed.image_header import read_image_header
-from ...posed.layout import file_inside, files_by_stem, listed
+from ...posed.layout import file_inside, files_by_stem
 from ...scene_source import UpAxis
-from ..depth import png_depth
+from ..depth import fault_of, png_depth
 from ..frame import Size
-from .capture import Capture, SceneFormat, Shot, frame_names
+from ..noted import Inferred, left_out
+from .capture import Capture, SceneFormat, Shot, frame_names, with_picture
 from .lens import Distortion, assumed, fitted, pinhole
 from .poses import finite_pose, quaternion_pose
 from .rows import numbers, read_rows
@@ -129,28 +131,32 @@ def _read_icl(place: Path) -> Capture:
 
 def _capture(place: Path, trajectory: Path, whose: str, lens: _Lens, mirrored: bool = False) -> Capture:
     """The frames; ``lens`` is assumed to be theirs, ``whose`` it is, where calibration.txt does not say another."""
-    calibration, pairs, warnings, guess = place / _CALIBRATION, _pairs(place), list[str](), ""
+    calibration, pairs, inferred, warnings = place / _CALIBRATION, _pairs(place), list[Inferred](), tuple[str, ...]()
     sensor = None if calibration.is_file() or mirrored or not pairs else find_sensor_lens(place)
     if calibration.is_file():
         lens = replace(_read_calibration(calibration), up=lens.up if mirrored else None)
     elif sensor is not None:
-        lens, warnings = _sensors_lens(sensor, pairs[0][0].path), [*sensor.warnings]
+        whole = next((colour.path for colour, _ in pairs if fault_of(colour.path) is None), pairs[0][0].path)
+        lens, warnings, inferred = _sensors_lens(sensor, whole), sensor.warnings, [*sensor.inferred]
     else:
-        guess = assumed(f"{whose}'s", _camera(lens, lens.size or (640, 480), place), _CALIBRATION)
+        inferred.append(assumed(f"{whose}'s", _camera(lens, lens.size or (640, 480), place), _CALIBRATION))
     poses = _named_by(pairs, _read_poses(trajectory, mirrored))
     times = [time for time, _, _ in poses]
     names = frame_names([colour.path.relative_to(place).as_posix() for colour, _ in pairs])
-    found: list[tuple[str, Shot | None]] = []
+    found: list[tuple[str, Shot | PlgsError | None]] = []
     for name, (colour, depth) in zip(names, pairs, strict=True):
         nearest = _nearest(times, colour.time)
         pose = None if nearest is None else poses[nearest][1]
-        shot = None if pose is None else _shot(name, colour.path, None if depth is None else depth.path, lens, pose)
-        found.append((name, shot))
-    blind = [name for name, shot in found if shot is not None and shot.depth is None]
-    if blind and any(shot is not None and shot.depth is not None for _, shot in found):
-        warnings.append(f"{len(blind)} frames have no depth within {_APART} s and are left out: {listed(blind)}")
+        beside = None if depth is None else depth.path
+        make = None if pose is None else partial(_shot, name, colour.path, beside, lens, pose)
+        found.append((name, None if make is None else with_picture(colour.path, make)))
+    blind = [name for name, shot in found if isinstance(shot, Shot) and shot.depth is None]
+    if any(isinstance(shot, Shot) and shot.depth is not None for _, shot in found):
         found = [(name, shot) for name, shot in found if name not in blind]
-    return Capture(found, lens.up, tuple(warnings), assumed_lens=guess)
+    else:
+        blind = []
+    without = left_out(f"depth within {_APART} s", blind)
+    return Capture(found, lens.up, warnings, left_out=without, inferred=tuple(inferred))
 
 
 def _sensors_lens(sensor: SensorLens, picture: Path) -> _Lens:

@@ -237,3 +237,13 @@ def test_camera_models_of_a_later_colmap(tmp_path: Path) -> None:
     cameras = binary(tmp_path / "binary") / "sparse" / "0" / "cameras.bin"
     cameras.write_bytes(struct.pack("<QIiQQ4d", 1, 3, 18, 128, 96, *PINHOLE[1]))
     refuses(r"model number 18, .* not known: .*cameras\.bin\. Run COLMAP's image_undistorter", tmp_path / "binary")
+
+
+def test_pictures_that_were_not_registered_are_told(tmp_path: Path) -> None:
+    folder = write_text(tmp_path)
+    first = folder / "images" / image_name(0)
+    first.with_stem("extra").write_bytes(first.read_bytes())
+    scene = open_scene(folder)
+    lost = [each for each in scene.left_out if "register" in each.lacks]
+    assert [len(each.names) for each in lost] == [1] and "extra" in lost[0].names[0]
+    assert any("extra" in warning for warning in scene.warnings)

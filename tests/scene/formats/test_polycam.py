@@ -72,7 +72,7 @@ def test_a_size_that_cameras_do_not_say_is_inferred(tmp_path: Path, scale: int) 
     without_size(tmp_path, "cameras", **numbers, width=128 * scale, height=96 * scale)
     scene = open_scene(tmp_path)
     check_on_room(scene)
-    assert any("6 cameras do not say their pictures' size" in warning for warning in scene.warnings)
+    assert any("the size of the pictures of 6 cameras" in warning for warning in scene.warnings)
 
 
 @pytest.mark.parametrize("kept", [3, 1, 0])

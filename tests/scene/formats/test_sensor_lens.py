@@ -84,7 +84,19 @@ def test_the_lens_beside_pictures(
     (tmp_path / name).write_bytes(json.dumps(content).encode() + end)
     scene = open_scene(tmp_path)
     assert not scene.assumed_lens and not any("assumed" in warning for warning in scene.warnings)
+    (lens,) = (each for each in scene.inferred if each.about == "lens")
+    assert name in lens.taken and not lens.is_doubtful
     check_on_room(scene)
+
+
+@pytest.mark.parametrize("layout", [plain, open3d, frames, tum])
+def test_the_lens_does_not_need_the_first_picture(tmp_path: Path, layout: Callable[[Path, int], None]) -> None:
+    layout(tmp_path, 5000 if layout is tum else 1000)
+    (tmp_path / "calibration.json").write_text(json.dumps(azure(of_lens(LENS))))
+    pictures = [path for path in tmp_path.rglob("*.png") if "depth" not in path.name + path.parent.name]
+    min(pictures).write_bytes(b"")
+    scene = open_scene(tmp_path)
+    assert [len(each.names) for each in scene.left_out] == [1] and len(scene.frames) == len(views()) - 1
 
 
 def test_an_azure_kinects_modes_and_distortion(tmp_path: Path) -> None:
