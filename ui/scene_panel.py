@@ -65,6 +65,9 @@ class PLGS_PT_scene_options(Sidebar, bpy.types.Panel):
         if settings.depth or (survey is not None and survey.error is None and not survey.has_depth):
             layout.prop(settings, "depth")
         layout.prop(settings, "up")
+        for text, is_doubtful in survey.inferred if survey is not None else ():
+            if not is_doubtful:  # what is doubtful stands above, where nobody overlooks it
+                tell(layout, context, text, "INFO")
 
 
 class PLGS_UL_mask_classes(bpy.types.UIList):
@@ -180,8 +183,8 @@ def _draw_survey(layout: bpy.types.UILayout, context: bpy.types.Context, survey:
         column.label(text=f"{len(survey.classes)} classes", icon="COLOR")
     for each in possibilities(survey, status().is_usable):
         tell(box, context, f"{each.what}: {each.why}", "CHECKMARK" if each.is_possible else "X")
-    for text, is_doubtful in survey.inferred:
-        tell(layout, context, text, "ERROR" if is_doubtful else "INFO")
+    for text in (text for text, is_doubtful in survey.inferred if is_doubtful):
+        tell(layout, context, text, "ERROR")
     for warning in survey.warnings[:_MOST_WARNINGS]:
         tell(layout, context, warning, "ERROR")
     if len(survey.warnings) > _MOST_WARNINGS:
