@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -167,12 +166,12 @@ def _is_drifting(drift: Drift, least: float) -> bool:
     return drift.far > least and drift.far > _GROWN * drift.near and drift.certainty > _CERTAIN
 
 
-def _drift_finding(drift: Drift) -> Finding:
+def _drift_finding(drift: Drift, along: str = "") -> Finding:
     return Finding(
         cause="drift",
         severity="wrong",
-        text=f"poses drift: surfaces that two frames see are {drift.near * 100:.1f} cm apart between neighbours and "
-        f"{drift.far * 100:.1f} cm between frames far apart in time ({drift.certainty:.0f} standard errors)",
+        text=f"poses drift{along}: surfaces that two frames see are {drift.near * 100:.1f} cm apart between neighbours "
+        f"and {drift.far * 100:.1f} cm between frames far apart in time ({drift.certainty:.0f} standard errors)",
         option="register the frames again with loop closure, or lift parts of the recording with a splits.json",
         figures={"near_m": drift.near, "far_m": drift.far, "certainty": drift.certainty},
         picture=scatter(drift.lags, drift.distances, "across: frames between two views, up: distance of surfaces"),
@@ -189,8 +188,7 @@ def _axis_findings(drifts: Mapping[str, Drift]) -> list[Finding]:
     if not grown:
         return []
     axis = max(grown, key=lambda each: grown[each].certainty)
-    found = _drift_finding(grown[axis])
-    return [replace(found, text=found.text.replace("poses drift:", f"poses drift along {axis}:"))]
+    return [_drift_finding(grown[axis], f" along {axis}")]
 
 
 def _misplaced_looks(views: Views, pairs: NDArray[np.int64], assumed: Assumption) -> list[int]:

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import PlgsError
-from ..scene import Frame, Scene, open_scene
+from ..scene import Scene, evenly_spread, open_scene
 from .findings import Diagnosis
 from .reprojection import Assumption, examine
 from .trials import agreement, is_far_better
@@ -51,8 +51,7 @@ def _depth_left(scene: Scene, mended: Scene) -> tuple[float, float]:
     """The share of the pixels with depth that still have it, and the median depth in metres."""
     before = {frame.name: frame for frame in scene.frames}
     with_depth = [frame for frame in mended.frames if frame.read_depth is not None]
-    rows = np.unique(np.linspace(0, len(with_depth) - 1, min(len(with_depth), _LOOKED_AT)).round().astype(int))
-    chosen: list[Frame] = [with_depth[row] for row in rows.tolist()] if with_depth else []
+    chosen = evenly_spread(with_depth, _LOOKED_AT)
     had = sum(int((before[frame.name].depth(None) > 0.0).sum()) for frame in chosen)
     values = [depth[depth > 0.0] for depth in (frame.depth(None) for frame in chosen)]
     has = sum(len(each) for each in values)

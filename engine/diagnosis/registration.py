@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ..scene import evenly_spread
 from .calibration import Calibration
 from .findings import FIX, Finding
 from .looks import Floats, Look, Photo
@@ -72,10 +73,9 @@ def measure_registration(looks: list[Look], photos: dict[int, Photo]) -> Registr
 
 def _distinct(looks: list[Look]) -> list[Look]:
     """At most 32 looks spread over the recording, each of a different place."""
-    rows = np.unique(np.linspace(0, len(looks) - 1, min(len(looks), _MOST)).round().astype(int))
     kept: list[Look] = []
     seen: list[Floats] = []
-    for look in (looks[row] for row in rows):
+    for look in evenly_spread(looks, _MOST):
         pose = look.camera.camera_to_world
         aim = pose[:3, 3] + _AHEAD * pose[:3, 2]
         if all(np.linalg.norm(aim - other) > _APART for other in seen):

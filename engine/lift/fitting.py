@@ -13,7 +13,7 @@ from ..job.prediction import Prediction, predict
 from ..posed.layout import of_most
 from ..presets.options import with_options
 from ..presets.preset import PRESETS, Preset
-from ..scene import Scene, size_within
+from ..scene import Scene, evenly_spread, size_within
 
 LOOKED_AT = 8
 """The number of evenly spread frames whose segments are counted."""
@@ -73,9 +73,7 @@ def _too_much(needed: int, memory: MainMemory) -> str:
 def masks_a_frame(scene: Scene) -> float:
     """The mean number of segments in those of LOOKED_AT frames whose mask can be read. Raises PlgsError where most of
     them cannot."""
-    frames = scene.train_frames
-    places = np.unique(np.linspace(0, len(frames) - 1, min(LOOKED_AT, len(frames))).round().astype(int))
-    looked_at = {frames[place].name: frames[place] for place in places}
+    looked_at = {frame.name: frame for frame in evenly_spread(scene.train_frames, LOOKED_AT)}
     masks = of_most(list(looked_at), lambda name: looked_at[name].mask(size_within(looked_at[name].size, (64, 64))))
     return float(np.mean([len(mask.segments) for mask in masks.values()]))
 

@@ -109,11 +109,9 @@ class _Named:
 
     def add(self, view: View, *, is_judge: bool) -> None:
         """Count the classes that a view's mask gives to the places that it sees."""
-        pixel, depth = view.camera.project(self._xyz)
-        row = np.flatnonzero((depth > 0) & ((pixel >= 0) & (pixel < np.array(view.camera.size))).all(axis=1))
-        x, y = pixel[row].astype(np.int64).T
+        row, y, x, depth = view.places_in(self._xyz)
         measured, mask, named = view.depth[y, x], view.mask.ids[y, x], view.mask.class_map()[y, x]
-        near = np.abs(measured - depth[row]) <= np.maximum(BEHIND, BEHIND_SHARE * measured)
+        near = np.abs(measured - depth) <= np.maximum(BEHIND, BEHIND_SHARE * measured)
         counts = near & (measured > 0) & (named != VOID)
         row, mask, named = row[counts], mask[counts], named[counts]
         column = np.minimum(np.searchsorted(self._ids, named), len(self._ids) - 1)

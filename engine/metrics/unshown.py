@@ -184,19 +184,16 @@ class _Answers:
         if not self.found:
             return
         view, shown = judged
-        uv, z = view.camera.project(self._xyz)
-        x, y = np.floor(uv[:, 0]), np.floor(uv[:, 1])
-        inside = (z > 0) & (x >= 0) & (y >= 0) & (x < view.camera.width) & (y < view.camera.height)
-        column, row = np.where(inside, x, 0).astype(np.int64), np.where(inside, y, 0).astype(np.int64)
+        place, row, column, z = view.places_in(self._xyz)
         depth = view.depth[row, column]
-        seen = inside & (depth > 0) & (np.abs(depth - z) <= np.maximum(BEHIND, BEHIND * z))
-        count, of = len(self.found), self._owner
+        seen = (depth > 0) & (np.abs(depth - z) <= np.maximum(BEHIND, BEHIND * z))
+        count, of = len(self.found), self._owner[place]
         number = np.bincount(of[seen], minlength=count)
         safe = np.maximum(number, 1)
         mean_z = np.bincount(of[seen], z[seen], count) / safe
         resolution = resolution_on(view.camera, np.where(2 * number >= self._sizes, mean_z, 0.0), view.mask_scale)
-        named = seen & (view.mask.class_map()[row, column] == self._class)
-        kept = seen & (shown[row, column] == self._class)
+        named = seen & (view.mask.class_map()[row, column] == self._class[place])
+        kept = seen & (shown[row, column] == self._class[place])
         self._rows.append(
             (resolution, np.bincount(of[named], minlength=count) / safe, np.bincount(of[kept], minlength=count) / safe)
         )

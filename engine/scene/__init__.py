@@ -20,7 +20,7 @@ from .evidence import (
 )
 from .formats import FORMATS, SceneFormat
 from .frame import Frame, GroundTruth, PanopticMask, Scene, Segment, Size, SparsePoints
-from .frame_choice import choose_frames, photo_detail
+from .frame_choice import choose_frames, evenly_spread, photo_detail
 from .masks import OtherClasses
 from .noted import Inferred, LeftOut, counted
 from .on_demand import OnDemand, StoredArrays, StoredViews, chained, stored

@@ -14,6 +14,7 @@ from ..posed.image_header import check_image_file
 from ..posed.layout import listed
 from .files_of_frames import IMAGES
 from .frame import Frame, PanopticMask, Scene, Size
+from .frame_choice import evenly_spread
 from .ground_truth import GroundTruthReader
 from .masks import OtherClasses
 from .opening import complete, require_liftable
@@ -128,7 +129,7 @@ def _readable(scene: Scene, tick: Progress) -> tuple[list[_Look], Scene, tuple[s
     looks: dict[str, _Look] = {}
     errors: dict[str, PlgsError] = {}
     total = len(scene.frames)
-    decoded = {*np.linspace(0, total - 1, _COLOURS_DECODED).round().astype(int).tolist()}
+    decoded = {*evenly_spread(range(total), _COLOURS_DECODED)}
     for position, frame in enumerate(scene.frames):
         truth = frame.read_ground_truth
         unknown = truth.unknown() if isinstance(truth, GroundTruthReader) else frozenset[int | str]()

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +19,8 @@ from ..errors import PlgsError
 from ..posed import size_within
 from .frame import Frame, Scene
 from .view import read_ahead
+
+Listed = TypeVar("Listed")
 
 STEP_METRES, STEP_DEGREES = 0.8, 15.0
 """A step of this length changes a view as much as a turn by this angle."""
@@ -35,7 +38,7 @@ def choose_frames(scene: Scene, most: int, progress: Callable[[int, int], object
     frames = scene.train_frames
     if len(frames) <= most:
         return scene
-    groups = [candidates([frames[number] for number in group]) for group in windows(frames, most)]
+    groups = [evenly_spread([frames[number] for number in group], CANDIDATES) for group in windows(frames, most)]
     looked_at = [frame for group in groups if len(group) > 1 for frame in group]
     details = iter(read_ahead(looked_at, frame_detail))
     kept = set()
@@ -62,10 +65,10 @@ def windows(frames: Sequence[Frame], most: int) -> list[NDArray[np.intp]]:
     return [np.flatnonzero(window == number) for number in np.unique(window)]
 
 
-def candidates(frames: Sequence[Frame]) -> list[Frame]:
-    """At most CANDIDATES of a window's frames, evenly spread."""
-    places = np.unique(np.linspace(0, len(frames) - 1, min(CANDIDATES, len(frames))).round().astype(int))
-    return [frames[place] for place in places]
+def evenly_spread(listed: Sequence[Listed], most: int) -> list[Listed]:
+    """At most so many, the first and the last among them."""
+    places = np.unique(np.linspace(0, len(listed) - 1, min(most, len(listed))).round().astype(int))
+    return [listed[place] for place in places]
 
 
 def frame_detail(frame: Frame) -> float:

@@ -18,12 +18,13 @@ from ..posed.layout import files_by_stem, require_all
 from .class_map import class_map
 from .class_tables import REDUCED, known_table
 from .frame import GroundTruth, PanopticMask
+from .frame_choice import evenly_spread
 from .ground_truth import read_label_pair
 from .label_image import check_label_header
 from .mask_formats import label_pairs
 from .masks import open_masks
 from .pixels import resize_nearest
-from .truth_numbers import classes_by_name, in_classes, joined, numbers_by_agreement, some_of
+from .truth_numbers import LOOKED_AT, classes_by_name, in_classes, joined, numbers_by_agreement
 
 PAIRS = (
     ("gt/semantic", "gt/instance"),
@@ -138,7 +139,7 @@ def in_one_table(predictions: LabelFolder, truth: LabelFolder) -> tuple[ClassTab
 def _refuse_other_numbers(folder: LabelFolder, known: LabelFolder, classes: ClassTable) -> None:
     """Raise PlgsError if the numbers of a folder without a table look like another table than ``classes``."""
     joint = Counter[tuple[int, int]]()
-    for name in some_of([name for name in known.readers if name in folder.readers]):
+    for name in evenly_spread([name for name in known.readers if name in folder.readers], LOOKED_AT):
         numbers = folder.readers[name]().semantic
         size = (numbers.shape[1], numbers.shape[0])
         joint.update(joined(numbers, resize_nearest(known.readers[name]().semantic, size)))

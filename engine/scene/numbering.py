@@ -18,6 +18,7 @@ from ..errors import PlgsError
 from ..posed.layout import listed
 from .class_choice import FILE_NAME, ClassChoice
 from .class_tables import base_of, known_table, numberings_of
+from .frame_choice import evenly_spread
 from .mask_formats import MaskSource
 from .noted import Inferred
 
@@ -209,9 +210,9 @@ def _shares(source: MaskSource, choice: ClassChoice) -> dict[int, float]:
     """The share of each number in the pixels of some frames, without those that may mean nothing, as 0 often does
     where no other number does. Files that cannot be read are left out."""
     names, counts = list(source.masks), Counter[int]()
-    for place in sorted({*np.linspace(0, len(names) - 1, min(_LOOKED_AT, len(names))).round().astype(int).tolist()}):
+    for name in evenly_spread(names, _LOOKED_AT):
         try:
-            found = source.masks[names[place]].read()
+            found = source.masks[name].read()
         except PlgsError:  # whoever reads it later says so
             continue
         pixels = dict(enumerate(np.bincount(found.ids.ravel()).tolist()))

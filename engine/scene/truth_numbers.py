@@ -7,7 +7,7 @@ unless it agrees far better with the masks as another table: then it has that, a
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -20,6 +20,7 @@ from ..posed.layout import listed
 from .class_choice import FILE_NAME, ClassChoice, find_class_choice
 from .class_map import class_map
 from .class_tables import NUMBERINGS, REDUCED, TABLES, known_table, numberings_of, reduced_by_name
+from .frame_choice import evenly_spread
 from .label_image import read_indices
 from .mask_formats.label_pairs import label_pairs
 from .mask_formats.source import IGNORED, MaskSource
@@ -29,7 +30,7 @@ from .numbering import Asking, numbered
 
 _ANYTHING = 21
 """The last of the paper's classes: all other things."""
-_LOOKED_AT = 6
+LOOKED_AT = 6
 """Frames in which a ground truth is compared with the masks."""
 _FEWEST = 500
 """Pixels from which on agreement says something."""
@@ -92,7 +93,7 @@ def _numbers_in_files(masks: MaskSet) -> Mapping[int, int]:
 def _compared(files: Mapping[str, Path], masks: MaskSet) -> Joint:
     """How ground truth and masks agree in some frames. Files that cannot be read are left out."""
     joint = Counter[tuple[int, int]]()
-    for name in some_of([name for name in masks.readers if name in files]):
+    for name in evenly_spread([name for name in masks.readers if name in files], LOOKED_AT):
         try:
             numbers = read_indices(files[name])
             classes = masks.readers[name]((numbers.shape[1], numbers.shape[0])).class_map()
@@ -100,12 +101,6 @@ def _compared(files: Mapping[str, Path], masks: MaskSet) -> Joint:
             continue
         joint.update(joined(numbers, classes))
     return joint
-
-
-def some_of(names: Sequence[str]) -> list[str]:
-    """The names of frames that are compared."""
-    places = np.linspace(0, len(names) - 1, min(_LOOKED_AT, len(names))).round().astype(int)
-    return [names[place] for place in sorted({*places.tolist()})]
 
 
 def joined(numbers: NDArray[np.integer], classes: NDArray[np.integer]) -> Counter[tuple[int, int]]:

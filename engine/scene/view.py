@@ -20,6 +20,8 @@ Read = TypeVar("Read")
 READERS = 2
 """Threads that read ahead. With more, waiting pictures would fill the memory."""
 
+Rows = NDArray[np.int64]
+
 
 @dataclass(frozen=True, eq=False)
 class View:
@@ -36,6 +38,14 @@ class View:
     mask: PanopticMask
     border: NDArray[np.bool_] | None = None
     mask_scale: float = 1.0
+
+    def places_in(self, xyz: NDArray[np.floating]) -> tuple[Rows, Rows, Rows, NDArray[np.float64]]:
+        """The rows [n] of the world's places ``xyz`` [N, 3] that lie within the picture, whatever stands before them;
+        the row and the column of each one's pixel, and its planar depth, float64 [n]."""
+        pixel, depth = self.camera.project(xyz)
+        number = np.flatnonzero((depth > 0) & ((pixel >= 0) & (pixel < np.array(self.camera.size))).all(axis=1))
+        x, y = pixel[number].astype(np.int64).T
+        return number, y, x, depth[number]
 
 
 def load_view(frame: Frame, size: Size | None = None) -> View:

@@ -7,7 +7,7 @@ import re
 import struct
 import zipfile
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -136,6 +136,16 @@ def with_content(path: Path, content: bytes | None) -> Iterator[None]:
         yield
     finally:
         path.unlink(missing_ok=True) if original is None else path.write_bytes(original)
+
+
+def changed(path: Path, change: Any) -> AbstractContextManager[None]:
+    """The file with a change, for a while: its content, a function of that, fields of a JSON object, or None: no file.
+    """
+    if callable(change):
+        change = change(path.read_bytes())
+    elif isinstance(change, dict):
+        change = json.dumps(json.loads(path.read_bytes()) | change)
+    return with_content(path, change.encode() if isinstance(change, str) else change)
 
 
 def opened(folder: Path, name: str) -> Scene:
@@ -307,12 +317,7 @@ BAD: list[tuple[str, str, Any, str]] = [
 
 @pytest.mark.parametrize(("name", "file", "change", "told"), BAD)
 def test_bad_files_are_one_line_errors(sample: Sample, name: str, file: str, change: Any, told: str) -> None:
-    path = sample(name) / file
-    if callable(change):
-        change = change(path.read_bytes())
-    elif isinstance(change, dict):
-        change = json.dumps(json.loads(path.read_bytes()) | change)
-    with with_content(path, change.encode() if isinstance(change, str) else change):
+    with changed(sample(name) / file, change):
         with pytest.raises(PlgsError, match=told) as caught:
             look_into(sample(name), name)
     assert "\n" not in str(caught.value) and caught.value.fix
@@ -362,11 +367,8 @@ LEFT_OUT: list[tuple[str, str, Any, str]] = [
 def test_a_frame_that_lacks_something_is_left_out_by_its_name(
     sample: Sample, name: str, file: str, change: Any, told: str
 ) -> None:
-    path = sample(name) / file
     whole = {frame.name: frame.camera for frame in opened(sample(name), name).frames}
-    if callable(change):
-        change = change(path.read_bytes())
-    with with_content(path, change.encode() if isinstance(change, str) else change):
+    with changed(sample(name) / file, change):
         scene = opened(sample(name), name)
         assert describe(scene).warnings
     assert any(told in warning for warning in scene.warnings), scene.warnings
@@ -395,10 +397,7 @@ UNREADABLE: list[tuple[str, str, Any, str]] = [
 def test_a_frame_whose_pixels_cannot_be_read_is_left_out_with_the_reason(
     sample: Sample, name: str, file: str, change: Any, told: str
 ) -> None:
-    path = sample(name) / file
-    if callable(change):
-        change = change(path.read_bytes())
-    with with_content(path, change.encode() if isinstance(change, str) else change):
+    with changed(sample(name) / file, change):
         scene = opened(sample(name), name)
         survey = survey_scene(scene)
     (gone,) = survey.scene.left_out
