@@ -6,6 +6,7 @@ A new format is a module with a ``SceneFormat`` in this folder, its entry in ``F
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -60,6 +61,8 @@ _RTABMAP = (
     "Export with rtabmap-export --images --poses_camera --poses_format 11, rename the poses to groundtruth.txt, and "
     "write fx fy cx cy of calib into calibration.txt."
 )
+_LOOKED_INTO = 100
+"""Folders in which scenes are looked for where a folder holds none itself."""
 _UNPACK = "python -m zipfile -e FILE FOLDER"
 
 
@@ -100,6 +103,9 @@ def _unknown(place: Path, known: Iterable[str]) -> PlgsError:
         return PlgsError("this is an archive", place, f"Unpack it ({_UNPACK}), and name the folder.")
     if place.is_dir() and (place / "rgb").is_dir() and any(place.glob("*poses.txt")):
         return PlgsError("poses of RTAB-Map are here, but not as this layout has them", place, _RTABMAP)
+    if inner := _scenes_inside(place):
+        fix = f"Name one of them, such as {inner[0]}, or lift all: python -m engine batch {place}/* -o OUT."
+        return PlgsError(f"no scene is in this folder, but in {listed([each.name for each in inner])}", place, fix)
     if film or (place.is_dir() and photos_in(place) is not None):
         fix = (
             f"{'A film needs' if film else 'Photos need'} poses: record with an app that keeps them (Record3D, "
@@ -111,3 +117,10 @@ def _unknown(place: Path, known: Iterable[str]) -> PlgsError:
         f"them with COLMAP. Name a layout to see what it lacks: --format {',  '.join(known)}."
     )
     return PlgsError(what, place, fix, option="--format")
+
+
+def _scenes_inside(place: Path) -> list[Path]:
+    """The folders in ``place`` that hold a scene of a known format."""
+    inside = sorted(place.iterdir()) if place.is_dir() else []
+    folders = [each for each in inside if each.is_dir() and os.access(each, os.R_OK | os.X_OK)]
+    return [each for each in folders[:_LOOKED_INTO] if any(known.recognises(each) for known in FORMATS)]

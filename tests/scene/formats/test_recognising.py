@@ -50,6 +50,12 @@ def test_what_is_no_scene_says_what_to_export(tmp_path: Path, files: list[str], 
     assert (refuses(told, tmp_path).code is ErrorCode.NO_POSES) is code
 
 
+def test_a_folder_of_scenes_names_them(tmp_path: Path) -> None:
+    (tmp_path / "notes").mkdir()
+    test_nerfstudio.write_scene(tmp_path / "room_2")
+    refuses(r"in room_2: .*Name one of them, such as \S+room_2, .* engine batch \S+/\*", tmp_path)
+
+
 @pytest.mark.parametrize(
     ("name", "told"), [("scan.zip", "Unpack it .python -m zipfile -e"), ("Scaniverse.ply", "exports no such data")]
 )
