@@ -8,9 +8,10 @@ import bpy
 from bpy.props import BoolProperty, EnumProperty, IntProperty, StringProperty
 
 from ..plgs_blender import mattes
-from ..plgs_blender.compositing import show_compositor
+from ..plgs_blender.compositing import show_compositor, show_room
 from ..plgs_blender.engine_environment import why_no_engine
-from ..plgs_blender.errors import one_line
+from ..plgs_blender.errors import PlgsError, one_line
+from ..plgs_blender.owned import KEY
 from ..plgs_blender.passes import open_passes, passes_scene_of
 from ..plgs_blender.running import lifting
 from ..plgs_blender.shots import ShotReader, shot_of
@@ -192,6 +193,23 @@ class PLGS_OT_show_passes(Explained, bpy.types.Operator):
         return FINISHED
 
 
+class PLGS_OT_show_room(Explained, bpy.types.Operator):
+    """Show the lift's own scene again, in the workspace from which the compositor was opened"""
+
+    bl_idname, bl_label, bl_options = "plgs.show_room", "Back to the Room", {"UNDO"}
+
+    @classmethod
+    def why_not(cls, context: bpy.types.Context) -> str | None:
+        return None if KEY in context.scene else "This scene is no scene of passes"
+
+    @reporting
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        if context.window is None:
+            raise PlgsError("there is no window to show it in", context.scene.name, "Open this file in a window.")
+        show_room(context.window)
+        return FINISHED
+
+
 class PLGS_OT_matte_instance(OnInstance, bpy.types.Operator):
     """Use this instance as the matte in the passes' compositor"""
 
@@ -221,6 +239,7 @@ CLASSES = (
     PLGS_OT_bake_camera,
     PLGS_OT_bake_on_farm,
     PLGS_OT_show_passes,
+    PLGS_OT_show_room,
     PLGS_OT_matte_instance,
     PLGS_OT_matte_class,
 )

@@ -12,13 +12,14 @@ from types import ModuleType
 def _modules() -> tuple[ModuleType, ...]:
     """The modules that Blender has to know about, in order. They are imported late: a script that only reads a result
     needs none of them."""
-    from . import corrections, mask_classes, settings, timeline
+    from . import compositing, corrections, mask_classes, settings, timeline
     from .engine_environment import tasks
     from .inspecting import lists, selection
     from .running import looking, used_options
     from .tasks import timer
 
-    return settings, used_options, mask_classes, lists, selection, timer, tasks, looking, corrections, timeline
+    first = settings, used_options, mask_classes, lists, selection, timer
+    return *first, tasks, looking, corrections, timeline, compositing
 
 
 def register() -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Any
 
 import bpy
-import gpu
 import numpy as np
 from numpy.typing import NDArray
 
@@ -201,15 +200,6 @@ def composite_without_gpu(scene: bpy.types.Scene) -> None:
     """Composite on the processor in full precision: ids stay whole, and computers without a GPU can do it."""
     scene.render.compositor_device = "CPU"
     scene.render.compositor_precision = "FULL"
-
-
-def point_shader() -> Any:
-    """The shader that draws points ("pos") with a colour each ("color"). Before 4.5 the shader for all shapes did it.
-    """
-    try:
-        return gpu.shader.from_builtin("POINT_FLAT_COLOR")
-    except ValueError:
-        return gpu.shader.from_builtin("FLAT_COLOR")
 
 
 def to_overlay(srgb: NDArray[np.float32]) -> NDArray[np.float32]:

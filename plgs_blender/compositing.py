@@ -5,6 +5,7 @@ from __future__ import annotations
 import bpy
 
 from . import compat
+from .lift_collection import scene_to_fill
 from .owned import KEY
 from .pass_nodes import PANOPTIC
 
@@ -15,12 +16,47 @@ left of the middle and above it, where neither nodes nor the sidebar cover it.
 """
 _LARGEST = 3.0
 """The picture is enlarged at most this much."""
+_MSGBUS_OWNER = object()
+
+
+_room: list[tuple[str, str, str]] = []
+"""The names of the workspace and the scene in which the compositor was asked for last, and of its passes scene."""
+
+
+def show_room(window: bpy.types.Window) -> None:
+    """Show the scene with the lift again that a passes scene belongs to, in the workspace from which the compositor was
+    asked for. Raises PlgsError when the lift's scene is gone.
+    """
+    room = scene_to_fill(window.scene)
+    workspace = bpy.data.workspaces.get(_room[0][0]) if _room else None
+    if workspace is not None and window.workspace == compositing_workspace():
+        window.workspace = workspace
+    window.scene = room
+
+
+def follow_workspace() -> None:
+    """Show the room in a window that leaves the compositor's workspace, and the passes in one that returns to it."""
+    if not _room:
+        return
+    room, passes = (bpy.data.scenes.get(name) for name in _room[0][1:])
+    for window in bpy.context.window_manager.windows if room is not None and passes is not None else ():
+        shown, other = (passes, room) if window.workspace == compositing_workspace() else (room, passes)
+        if window.scene == other:
+            window.scene = shown
+
+
+def _follow_soon() -> None:
+    """Blender tells of a workspace before its window has it."""
+    if not bpy.app.timers.is_registered(follow_workspace):
+        bpy.app.timers.register(follow_workspace)
 
 
 def show_compositor(window: bpy.types.Window, passes: bpy.types.Scene) -> None:
     """Show a passes scene in a compositor of a window: that of the Compositing workspace, or of another one that has a
     compositor. If there is none, the largest area of the window becomes one."""
     workspace = compositing_workspace()
+    if KEY not in window.scene:
+        _room[:] = [(window.workspace.name, window.scene.name, passes.name)]
     if workspace is not None:
         window.workspace = workspace
     window.scene = passes
@@ -57,3 +93,24 @@ def select_group(passes: bpy.types.Scene) -> None:
     for node in tree.nodes:
         node.select = node == group
     tree.nodes.active = group
+
+
+@bpy.app.handlers.persistent
+def _subscribe(*_arguments: object) -> None:
+    """Subscribe to changes of windows' workspaces, also after a file was loaded: loading ends all subscriptions."""
+    bpy.msgbus.clear_by_owner(_MSGBUS_OWNER)
+    key = (bpy.types.Window, "workspace")
+    bpy.msgbus.subscribe_rna(key=key, owner=_MSGBUS_OWNER, args=(), notify=_follow_soon, options={"PERSISTENT"})
+
+
+def register() -> None:
+    bpy.app.handlers.load_post.append(_subscribe)
+    _subscribe()
+
+
+def unregister() -> None:
+    bpy.msgbus.clear_by_owner(_MSGBUS_OWNER)
+    bpy.app.handlers.load_post.remove(_subscribe)
+    if bpy.app.timers.is_registered(follow_workspace):
+        bpy.app.timers.unregister(follow_workspace)
+    _room.clear()

@@ -40,16 +40,17 @@ from ..engine.job.report import doubt_of_frames, read_metrics
 from ..engine.known_scene import known_scene
 from ..engine.posed import ClassTable
 from ..engine.result_files import INSTANCES, read_instances
-from .boxes import INSTANCE, place_boxes
+from .boxes import INSTANCE, NAME, place_boxes
 from .clouds import place_anchors, place_semantic_points
-from .errors import EXPECTED
+from .errors import EXPECTED, with_field_names
 from .inspecting.lists import fill_lists
 from .inspecting.lookup import boxes_of, objects_by_key, row_of
-from .inspecting.selection import select_instance
+from .inspecting.selection import deselect_all, renaming, select_instance, selected_instances
 from .lift_collection import FOLDER, child_collection, lifts_in
 from .owned import LIFT, OwnedDataBlocks, text_of
 from .paths import absolute
 from .surfaces import SurfaceGrid
+from .viewport import show_gizmos
 
 EDITS = "plgs_edits"
 """Property of a lift's collection: the uids of the edits that the scene shows, in one text."""
@@ -59,6 +60,8 @@ VISITED = "plgs_visited"
 """Property of a lift's collection: the uncertain frames that were viewed, one per line."""
 CUT = "cut"
 """Key of the plane that splits an object."""
+_GIZMOS = "plgs_gizmos"
+"""Property of the plane: whether the views show the arrows that move it only because of it."""
 _CUT_LARGER = 1.2
 """How many times larger than the object the plane is."""
 
@@ -204,10 +207,7 @@ def chosen_instances(root: bpy.types.Collection, named: str, context: bpy.types.
             return [int(each) for each in named.replace(",", " ").split()]
         except ValueError as error:
             raise PlgsError(f"{named!r} does not name objects", root.name, "Give their ids, such as 3 5.") from error
-    selected = [number for number, box in boxes_of(root).items() if box.select_get(view_layer=context.view_layer)]
-    active = context.view_layer.objects.active
-    selected.sort(key=lambda number: boxes_of(root)[number] != active)
-    return selected or [row_of(root, 0).instance_id]
+    return selected_instances(root, context.view_layer) or [row_of(root, 0).instance_id]
 
 
 def class_named(root: bpy.types.Collection, name: str) -> int:
@@ -256,6 +256,10 @@ def place_cut(root: bpy.types.Collection, instance: int) -> bpy.types.Object:
     plane.matrix_world = Matrix.Translation(box.matrix_world.translation) @ turned @ axes
     plane.display_type, plane.hide_render = "WIRE", True
     plane.show_in_front = True
+    deselect_all(bpy.context.view_layer)
+    plane.select_set(True)
+    bpy.context.view_layer.objects.active = plane
+    plane[_GIZMOS] = show_gizmos(bpy.context.scene, True)
     return plane
 
 
@@ -266,13 +270,38 @@ def split_by_cut(root: bpy.types.Collection, instance: int) -> Edit:
         raise PlgsError("there is no cutting plane", root.name, "Press Add Cutting Plane, then drag the plane.")
     normal = (plane.matrix_world.to_3x3() @ Vector((0.0, 0.0, 1.0))).normalized()
     made = split_plane(root, instance, plane.matrix_world.translation[:], normal[:])
+    if plane.get(_GIZMOS):
+        show_gizmos(bpy.context.scene, False)
     bpy.data.objects.remove(objects_by_key(root)[CUT])
     return made
 
 
 def rename(root: bpy.types.Collection, instance: int, name: str) -> Edit:
-    """Rename an object. Raises PlgsError, OSError, as all edits here do."""
-    return edit(root, lambda state, _: making.rename(state, instance, name))
+    """Rename an object. Only its row and its box change, as it may be their field that renames it. Raises PlgsError,
+    OSError, as all edits here do."""
+    made, result = correct(folder_of(root), lambda state, _: making.rename(state, instance, name))
+    _mine.setdefault(str(folder_of(root)), set()).add(made.uid)
+    row, box = row_of(root, instance), boxes_of(root).get(instance)
+    row.known_name = row.name = made.name
+    if box is not None:
+        box.name = box[NAME] = made.name
+    remember(root, result.edits)
+    if text_of(root, PROPOSALS):
+        _keep_proposals(root, result)
+    return made
+
+
+def _rename_by_field(root: bpy.types.Collection, instance: int, name: str) -> None:
+    """A list's field or the outliner renamed an object. Where it cannot be, its name is back and `failed` says why."""
+    failed.clear()
+    try:
+        rename(root, instance, name)
+    except EXPECTED as error:
+        failed.append(with_field_names(error))
+        row, box = row_of(root, instance), boxes_of(root).get(instance)
+        row.name = row.known_name
+        if box is not None:
+            box.name = row.known_name
 
 
 def reclass(root: bpy.types.Collection, instances: Sequence[int], class_name: str) -> Edit:
@@ -377,6 +406,7 @@ _after_undo = bpy.app.handlers.persistent(_follow_undo)
 
 
 def register() -> None:
+    renaming.append(_rename_by_field)
     for handlers in (bpy.app.handlers.undo_post, bpy.app.handlers.redo_post):
         handlers.append(_after_undo)
 
@@ -385,5 +415,6 @@ def unregister() -> None:
     for handlers in (bpy.app.handlers.undo_post, bpy.app.handlers.redo_post):
         if _after_undo in handlers:
             handlers.remove(_after_undo)
+    renaming.remove(_rename_by_field)
     _mine.clear()
     failed.clear()

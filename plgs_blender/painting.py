@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..engine.errors import PlgsError
-from .inspecting.drawing import draw_highlight, draw_outline
-from .inspecting.highlight import Highlight
+from .inspecting.drawing import draw_mark, draw_outline
+from .inspecting.highlight import Highlight, mark_of
 
 _CELL = 8
 """Pixels: in each such square the nearest point hides what lies behind it."""
@@ -20,8 +20,8 @@ _BEHIND = 0.15
 _RADIUS = 24.0
 """The brush's initial radius in pixels."""
 _COLOUR = (1.0, 0.55, 0.1)
-_POINT = 0.01
-"""Radius in metres of a painted point as it is shown."""
+_POINT, _TINT = 0.01, 0.4
+"""Radius in metres of a painted point as it is shown, and the opacity of its colour."""
 
 Place = tuple[float, float]
 
@@ -70,14 +70,10 @@ class Painting:
         return self.chosen
 
     def draw(self, view: bpy.types.RegionView3D, size: tuple[int, int]) -> None:
-        """In a view's space: the chosen points."""
+        """In pixels: the chosen points, and the brush or the rectangle that is dragged."""
         if self._shown is None:
-            xyz = self.xyz[self.chosen]
-            self._shown = Highlight((), xyz, np.ones(len(xyz), np.float32), _POINT)
-        draw_highlight(view, size, self._shown, None, _COLOUR, dim=False)
-
-    def draw_brush(self) -> None:
-        """In pixels: the brush, or the rectangle that is dragged."""
+            self._shown = Highlight(("painted", self.chosen.tobytes()), self.xyz[self.chosen], _POINT)
+        draw_mark(mark_of(self._shown, view, size, _COLOUR, _TINT))
         x, y = self.mouse
         if self.is_box and self.places:
             left, low = self.places[0]

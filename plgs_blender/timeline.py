@@ -93,6 +93,11 @@ def _waiting(scene: bpy.types.Scene, lift: str) -> list[bpy.types.Object]:
     return [ob for ob in _originals(scene, lift) if _PLACE in ob]
 
 
+def is_of_lift(camera: bpy.types.Object, scene: bpy.types.Scene) -> bool:
+    """Whether a camera is one that a lift or an import of the scene placed. A copy of one is the user's."""
+    return any(camera in _originals(scene, root[LIFT]) for root in lifts_in(scene))
+
+
 def _originals(scene: bpy.types.Scene, lift: str) -> set[bpy.types.Object]:
     """The lift's own objects in a scene, without the user's copies of them."""
     return set(originals(scene.objects, lift).values())

@@ -129,6 +129,16 @@ def areas_of(scene: bpy.types.Scene) -> list[bpy.types.Area]:
     return [area for window in windows for area in window.screen.areas if area.type == "VIEW_3D"]
 
 
+def show_gizmos(scene: bpy.types.Scene, shown: bool) -> bool:
+    """Let the 3D views of the windows with this scene show, or not, the arrows and rings that move the active object.
+    Whether that changed any view."""
+    spaces = [area.spaces.active for area in areas_of(scene)]
+    changed = [space for space in spaces if space.show_gizmo_object_translate != shown]
+    for space in changed:
+        space.show_gizmo_object_translate = space.show_gizmo_object_rotate = shown
+    return bool(changed)
+
+
 def frame_room(area: bpy.types.Area, rotation: Quaternion, corners: NDArray[np.float64]) -> None:
     """Let a 3D view, turned so, hold all corners [N, 3] in what the sidebar leaves free."""
     view = area.spaces.active.region_3d

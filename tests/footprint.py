@@ -75,7 +75,9 @@ def _keymap_items() -> Iterator[str]:
 
 
 def _menu_entries() -> Iterator[str]:
+    """Blender keeps a menu's own drawing in the same list, once anybody has added to it."""
     for name in dir(bpy.types):
         draw = getattr(getattr(bpy.types, name), "draw", None)
         for each in getattr(draw, "_draw_funcs", ()):
-            yield f"{name}: {each.__module__}.{each.__qualname__}"
+            if (each.__module__, each.__qualname__) != (getattr(bpy.types, name).__module__, f"{name}.draw"):
+                yield f"{name}: {each.__module__}.{each.__qualname__}"

@@ -11,6 +11,7 @@ from . import (
     export_panel,
     lift_panel,
     lists,
+    menus,
     overlay,
     passes_panel,
     preferences,
@@ -29,6 +30,7 @@ _MODULES = (
     scene_panel,
     result_panel,
     corrections_panel,
+    menus,
     overlay,
 )
 

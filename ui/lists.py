@@ -63,7 +63,7 @@ def short_count(number: int) -> str:
     return str(number)
 
 
-def _swatch_name_numbers(layout: Any, row: Any, coloured: Any) -> Any:
+def _swatch_name_numbers(layout: Any, row: Any, coloured: Any, *, can_be_renamed: bool) -> Any:
     """Draw the beginning of an instance's or a class's row, with the colour of `coloured`: the row itself or its
     class's. Returns the layout for the rest.
     """
@@ -72,7 +72,10 @@ def _swatch_name_numbers(layout: Any, row: Any, coloured: Any) -> Any:
     swatch.ui_units_x = 0.9
     swatch.prop(coloured, "colour", text="")
     split = line.split(factor=0.5, align=True)
-    split.label(text=one_line(row.name))
+    if can_be_renamed:
+        split.prop(row, "name", text="", emboss=False)
+    else:
+        split.label(text=one_line(row.name))
     numbers = split.row()
     numbers.alignment = "RIGHT"
     numbers.label(text=short_count(row.points))
@@ -95,7 +98,7 @@ class PLGS_UL_instances(Searchable, bpy.types.UIList):
     def draw_item(
         self, _context: Any, layout: Any, lists: Any, row: Any, _icon: int, _active: Any, _name: str
     ) -> None:
-        line = _swatch_name_numbers(layout, row, swatch_of(lists, row))
+        line = _swatch_name_numbers(layout, row, swatch_of(lists, row), can_be_renamed=True)
         select = line.operator("plgs.select_instance", text="", icon="RESTRICT_SELECT_OFF", emboss=False)
         select.instance = row.instance_id
         line.prop(row, "visible", text="", icon="HIDE_OFF" if row.visible else "HIDE_ON", emboss=False)
@@ -109,7 +112,7 @@ class PLGS_UL_classes(Searchable, bpy.types.UIList):
     def draw_item(
         self, _context: Any, layout: Any, _lists: Any, row: Any, _icon: int, _active: Any, _name: str
     ) -> None:
-        line = _swatch_name_numbers(layout, row, row)
+        line = _swatch_name_numbers(layout, row, row, can_be_renamed=False)
         if row.is_thing:
             select = line.operator("plgs.select_class", text="", icon="RESTRICT_SELECT_OFF", emboss=False)
             select.class_id = row.class_id

@@ -1,5 +1,5 @@
 """What is drawn over the 3D views: the growing model in front of the camera, the path of the frames' cameras, the
-selected instance's points, the outline of a mask, what is painted, labels and a legend.
+outline of the selected instance or of a mask, the cutting plane, what is painted, names and a legend.
 
 Each view is drawn many times a second, so everything is read from Blender's data: no disk access, no writing.
 """
@@ -11,25 +11,33 @@ from typing import Any
 import bpy
 
 from ..plgs_blender import painting
+from ..plgs_blender.corrections import CUT
 from ..plgs_blender.frame_pictures import MASKS
 from ..plgs_blender.frames import SHOWN
 from ..plgs_blender.inspecting import highlight
 from ..plgs_blender.inspecting.drawing import (
-    draw_highlight,
+    brightened,
+    draw_face,
+    draw_mark,
     draw_outline,
     draw_path,
     draw_picture,
     draw_text_boxes,
-    forget_picture,
+    forget_pictures,
 )
-from ..plgs_blender.inspecting.looks import POINTS
-from ..plgs_blender.inspecting.lookup import boxes_of, objects_by_key
+from ..plgs_blender.inspecting.looks import CLASSES as BY_CLASS
+from ..plgs_blender.inspecting.looks import POINTS, SURENESS, UNCERTAINTY
+from ..plgs_blender.inspecting.lookup import objects_by_key
+from ..plgs_blender.inspecting.names import camera_of, hovered, outline_of, outlined, shown_names
 from ..plgs_blender.inspecting.selection import selected_instance
-from ..plgs_blender.inspecting.text_boxes import Colour, ViewRegion, label_text_boxes, legend_text_boxes, shown_classes
+from ..plgs_blender.inspecting.text_boxes import Colour, ViewRegion, legend_text_boxes, shown_classes
 from ..plgs_blender.lift_collection import lifts_in
 from ..plgs_blender.running import live_preview
 from ..plgs_blender.running.survey import survey_of
 from ..plgs_blender.settings import chosen_scene
+
+_CUT_COLOUR = (1.0, 0.55, 0.1, 0.25)
+_OBJECTS = "objects: each in its own colour"
 
 _handles: list[Any] = []
 
@@ -48,33 +56,22 @@ def _lifts(context: bpy.types.Context) -> list[bpy.types.Collection]:
 def _draw_in_space() -> None:
     """POST_VIEW: in the scene's space, behind what is nearer."""
     context = bpy.context
-    for each in painting.now if _is_wanted(context) else ():
-        each.draw(context.region_data, _size(context))
     for root in _lifts(context):
-        _draw_cameras_path(context, root)
-        lists = root.plgs
-        number = selected_instance(root, context.view_layer.objects.active)
-        row = next((row for row in lists.instances if row.instance_id == number), None)
-        if row is None or not lists.show_selected:
-            continue
-        # A mask's outline shows more than points do, and leaves the photo visible.
-        is_outlined = row == _outlined(context, root)
-        # The points lie on the surface and among the splats, so they mark these too.
-        seen = highlight.NOTHING if is_outlined else highlight.highlight_of(
-            root,
-            number,
-            lambda cloud, lists=lists: (lists.show_as != POINTS and "class_id" in cloud)
-            or cloud.visible_in_viewport_get(context.space_data),
-        )
-        box, dim = boxes_of(root).get(number), lists.dim_others and not is_outlined
-        draw_highlight(context.region_data, _size(context), seen, box, tuple(row.colour), dim)
+        objects = objects_by_key(root)
+        _draw_cameras_path(context, root, objects)
+        cut = objects.get(CUT)
+        if cut is not None and cut.visible_in_viewport_get(context.space_data):
+            draw_face([cut.matrix_world @ vertex.co for vertex in cut.data.vertices], _CUT_COLOUR)
 
 
-def _draw_cameras_path(context: bpy.types.Context, root: bpy.types.Collection) -> None:
-    """Draw the path of the visible frames' cameras, unless the view looks through a camera."""
-    if context.region_data.view_perspective == "CAMERA":
+def _draw_cameras_path(
+    context: bpy.types.Context, root: bpy.types.Collection, objects: dict[str, bpy.types.Object]
+) -> None:
+    """Draw the path of the visible frames' cameras, unless the view looks through a camera, or a result's are off."""
+    is_off = len(root.plgs.classes) > 0 and not root.plgs.show_cameras
+    if is_off or context.region_data.view_perspective == "CAMERA":
         return
-    frames = [ob for key, ob in objects_by_key(root).items() if key.startswith("frame:")]
+    frames = [ob for key, ob in objects.items() if key.startswith("frame:")]
     seen = [ob for ob in frames if ob.visible_in_viewport_get(context.space_data)]
     draw_path([ob.matrix_world.translation for ob in seen])
 
@@ -82,40 +79,60 @@ def _draw_cameras_path(context: bpy.types.Context, root: bpy.types.Collection) -
 def _draw_on_top() -> None:
     """POST_PIXEL: in pixels of the region, over everything."""
     context = bpy.context
-    if _is_wanted(context):
-        _draw_preview(context)
-        for each in painting.now:
-            each.draw_brush()
+    if not _is_wanted(context):
+        return
+    _draw_preview(context)
+    for each in painting.now:
+        each.draw(context.region_data, _size(context))
+    region = ViewRegion.of(context)
     for root in _lifts(context):
-        lists = root.plgs
-        region = ViewRegion.of(context)
-        _draw_mask(context, root, region)
-        if lists.show_legend:
-            draw_text_boxes(legend_text_boxes(shown_classes(lists.classes), region))
-        elif shows_classes(context):
-            draw_text_boxes(legend_text_boxes(classes_of_scene(context.scene), region))
-        if lists.show_labels:
-            boxes = {
-                number: box
-                for number, box in boxes_of(root).items()
-                if box.visible_in_viewport_get(context.space_data)
-            }
-            active = selected_instance(root, context.view_layer.objects.active)
-            draw_text_boxes(label_text_boxes(lists.instances, boxes, active, region))
+        row = outlined(context, root)
+        for corners in outline_of(context, row, region) if row is not None else ():
+            draw_outline(corners, tuple(row.colour))
+        if row is None:
+            _draw_selected(context, root)
+        draw_text_boxes(legend_text_boxes(legend_of(context, root), region))
+        draw_text_boxes(shown_names(context, root, region))
 
 
-def shows_classes(context: bpy.types.Context) -> bool:
-    """Whether the view looks at masks, or at the live preview, through the scene's camera."""
-    camera = context.scene.camera
-    if camera is None or context.region_data.view_perspective != "CAMERA":
-        return False
-    return camera.get(SHOWN) == MASKS or live_preview.picture_for(context.scene) is not None
+def _draw_selected(context: bpy.types.Context, root: bpy.types.Collection) -> None:
+    """Draw the outline of the selected instance, unless it stands alone."""
+    lists = root.plgs
+    number = selected_instance(root, context.view_layer.objects.active)
+    row = next((row for row in lists.instances if row.instance_id == number), None)
+    if row is None or not lists.show_selected or lists.isolated:
+        return
+    # The points lie on the surface and among the splats, so they have the outline of these too.
+    seen = highlight.highlight_of(
+        root,
+        number,
+        lambda cloud: (lists.show_as != POINTS and "class_id" in cloud)
+        or cloud.visible_in_viewport_get(context.space_data),
+    )
+    draw_mark(highlight.mark_of(seen, context.region_data, _size(context), brightened(tuple(row.colour))))
 
 
-def classes_of_scene(scene: bpy.types.Scene) -> tuple[tuple[str, Colour], ...]:
+def legend_of(context: bpy.types.Context, root: bpy.types.Collection) -> list[tuple[str, Colour | None]]:
+    """What the colours in the view mean: those of a live preview or of masks in front of the camera, else those of the
+    lift; nothing where they mean nothing.
+    """
+    camera, lists = camera_of(context), root.plgs
+    if camera is not None and camera == context.scene.camera:
+        if live_preview.picture_for(context.scene) is not None:
+            stuff = classes_of_scene(context.scene, stuff_only=True)
+            return [(_OBJECTS, None), *stuff]
+        if camera.get(SHOWN) == MASKS:
+            return [*classes_of_scene(context.scene)]
+    if lists.show_legend or (lists.look == BY_CLASS and len(lists.classes)):
+        return [*shown_classes(lists.classes)]
+    return [*SURENESS] if lists.look == UNCERTAINTY and len(lists.classes) else []
+
+
+def classes_of_scene(scene: bpy.types.Scene, *, stuff_only: bool = False) -> tuple[tuple[str, Colour], ...]:
     """The classes of the scene that the panel shows, as far as they are known."""
     survey = survey_of(chosen_scene(scene.plgs)) if scene.plgs.scene_folder else None
-    return survey.classes if survey is not None else ()
+    classes = survey.classes if survey is not None else ()
+    return tuple(each for each in classes if not stuff_only or (survey is not None and each[0] not in survey.things))
 
 
 def _draw_preview(context: bpy.types.Context) -> None:
@@ -130,31 +147,6 @@ def _draw_preview(context: bpy.types.Context) -> None:
         frame = [at + turned @ corner for corner in looks.data.view_frame(scene=scene)]
         region = ViewRegion.of(context)
         draw_picture(picture, [region.pixel_of(corner) for corner in frame])
-
-
-def _draw_mask(context: bpy.types.Context, root: bpy.types.Collection, region: ViewRegion) -> None:
-    """Draw the outline of the chosen mask while the view looks through the camera of its frame."""
-    camera, row = context.scene.camera, _outlined(context, root)
-    if camera is None or row is None:
-        return
-    mask = row.masks[row.mask_index]
-    for polygon in highlight.outline_in_space(camera, mask.outline, tuple(mask.rectangle)):
-        corners = [region.pixel_of(corner) for corner in polygon]
-        if None not in corners:
-            draw_outline([corner for corner in corners if corner is not None], tuple(row.colour))
-
-
-def _outlined(context: bpy.types.Context, root: bpy.types.Collection) -> Any:
-    """The chosen instance's row, if the view looks through the camera of its chosen mask's frame."""
-    lists, camera = root.plgs, context.scene.camera
-    if context.region_data.view_perspective != "CAMERA" or not 0 <= lists.instance_index < len(lists.instances):
-        return None
-    row = lists.instances[lists.instance_index]
-    if camera is None or not 0 <= row.mask_index < len(row.masks):
-        return None
-    mask = row.masks[row.mask_index]
-    is_here = objects_by_key(root).get(f"frame:{mask.frame}") == camera and mask.rectangle[2] > 0.0
-    return row if is_here else None
 
 
 def _size(context: bpy.types.Context) -> tuple[int, int]:
@@ -174,5 +166,6 @@ def unregister() -> None:
     while _handles:
         bpy.types.SpaceView3D.draw_handler_remove(_handles.pop(), "WINDOW")
     highlight.forget()
-    forget_picture()
+    forget_pictures()
     painting.now.clear()
+    hovered.clear()

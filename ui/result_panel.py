@@ -150,11 +150,8 @@ class PLGS_PT_result_display(OfResult, bpy.types.Panel):
         layout.operator("plgs.show_colours", icon="SHADING_SOLID")
         layout.use_property_split, layout.use_property_decorate = True, False
         column = layout.column(heading="Draw")
-        for name in ("show_labels", "show_legend", "show_cameras", "show_selected"):
+        for name in ("show_labels", "show_legend", "show_boxes", "show_cameras", "show_selected"):
             column.prop(lists, name)
-        dim = column.column()
-        dim.enabled = lists.show_selected
-        dim.prop(lists, "dim_others")
 
 
 CLASSES = (PLGS_PT_result, PLGS_PT_masks, PLGS_PT_classes, PLGS_PT_not_shown, PLGS_PT_result_display)

@@ -8,6 +8,7 @@ import time
 import bpy
 
 from ..plgs_blender.errors import ErrorCode, PlgsError, field_of_option, one_line, with_field_names
+from ..plgs_blender.owned import KEY
 from ..plgs_blender.running.adding import ADDED, Adding, size_of, why_lacking, why_not_added
 from ..plgs_blender.tasks import registry
 from ..plgs_blender.tasks.registry import Task
@@ -33,7 +34,14 @@ class PLGS_PT_lift_panoptic_masks(Sidebar, bpy.types.Panel):
     bl_idname, bl_label = "PLGS_PT_lift_panoptic_masks", "Lift Panoptic Masks"
 
     def draw(self, context: bpy.types.Context) -> None:
-        """Draw nothing: the steps below are panels of their own."""
+        """The steps below are panels of their own. A scene of passes has nothing for them."""
+        draw_way_back(self, context)
+
+
+def draw_way_back(bar: bpy.types.Panel | bpy.types.Header, context: bpy.types.Context) -> None:
+    """In a scene of passes, the button that shows the lift's own scene again."""
+    if KEY in context.scene:
+        bar.layout.operator("plgs.show_room", icon="LOOP_BACK")
 
 
 class Step(Sidebar):
@@ -156,3 +164,11 @@ def amount(size: float) -> str:
 
 
 CLASSES = (PLGS_PT_lift_panoptic_masks,)
+
+
+def register() -> None:
+    bpy.types.NODE_HT_header.append(draw_way_back)
+
+
+def unregister() -> None:
+    bpy.types.NODE_HT_header.remove(draw_way_back)

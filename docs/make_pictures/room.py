@@ -16,7 +16,7 @@ from pathlib import Path
 import bpy
 from bpy_extras.object_utils import world_to_camera_view
 from mathutils import Matrix, Vector
-from plgs.plgs_blender.inspecting.text_boxes import stack_labels, top_of
+from plgs.plgs_blender.inspecting.text_boxes import place_labels, top_of
 from plgs.plgs_blender.materials import CLASS_COLOURS, RELIEF, value_node
 from plgs.plgs_blender.module_exit import end_process
 from plgs.plgs_blender.viewport import set_ground
@@ -95,14 +95,16 @@ def _colour_points(scene: bpy.types.Scene, colours: str) -> None:
 
 
 def _label_boxes(scene: bpy.types.Scene, camera: bpy.types.Object) -> None:
-    """Put a text box in its instance's colour, with its name, above each box. Labels that would overlap are stacked."""
+    """Put a text box in its instance's colour, with its name, above each box. Of those that would overlap the nearest
+    stays."""
     aspect = scene.render.resolution_x / scene.render.resolution_y
     boxes = [ob for ob in scene.objects if "instance_id" in ob and ob.type == "MESH" and not ob.hide_render]
     seen = [(world_to_camera_view(scene, camera, top_of(ob)), ob) for ob in boxes]
     seen = [(at, ob) for at, ob in seen if at.z > 0.0 and 0.0 < at.x < 1.0 and 0.0 < at.y < 1.0]
+    seen.sort(key=lambda each: each[0].z)
     anchors = [(at.x * aspect, at.y + 0.008) for at, _ in seen]
     widths = [(len(ob.name) + 1.2) * _LETTER_WIDTH * _LABEL_HEIGHT for _, ob in seen]
-    for index, (left, low) in stack_labels(anchors, widths, 1.1 * _LABEL_HEIGHT, (aspect, 1.0)).items():
+    for index, (left, low) in place_labels(anchors, widths, 1.1 * _LABEL_HEIGHT, (aspect, 1.0)).items():
         at, ob = seen[index]
         _add_label(scene, camera, ob, ((left + widths[index] / 2.0) / aspect, low), at.z * _NEARNESS)
 

@@ -7,61 +7,24 @@ from itertools import pairwise
 from typing import Any
 
 import blf
-import bpy
 import gpu
 import numpy as np
 from gpu_extras.batch import batch_for_shader
-from mathutils import Matrix, Vector
+from mathutils import Vector
 from numpy.typing import NDArray
 
-from ..compat import point_shader, to_overlay
-from .highlight import Highlight
+from ..compat import to_overlay
+from .highlight import Mark
 from .text_boxes import Colour, TextBox
 
-_DIMMING = (0.03, 0.033, 0.04, 0.55)
-_BEHIND = 0.22
-"""Opacity of a highlighted point behind other things."""
-_SMALLEST, _LARGEST = 2.5, 14.0
-"""Limits to the size of a highlighted point, pixels."""
 _PATH_COLOUR = (1.0, 0.78, 0.3, 0.9)
 _JUMP = 6.0
 """A path breaks where two frames are farther apart than this many times the usual distance."""
-_EDGES = (0, 1, 1, 2, 2, 3, 3, 0, 4, 5, 5, 6, 6, 7, 7, 4, 0, 4, 1, 5, 2, 6, 3, 7)
-"""Pairs of corners of an object's `bound_box`."""
 
 _uploaded: list[tuple[NDArray[np.float32], gpu.types.GPUTexture]] = []
-"""The picture drawn last, and its texture."""
-
-
-def draw_highlight(
-    view: bpy.types.RegionView3D,
-    size: tuple[int, int],
-    seen: Highlight,
-    box: bpy.types.Object | None,
-    colour: Colour,
-    dim: bool,
-) -> None:
-    """Darken the view (of `size` in pixels) if `dim`, then draw the points and the edges of the box in a colour (sRGB).
-    Both are drawn a little nearer than they are, or the view's own points and lines would cover them.
-    """
-    light = _brightened(colour)
-    if dim:
-        _darken()
-    middle = Vector(seen.xyz.mean(axis=0).tolist()) if len(seen.xyz) else Vector()
-    if box is not None:
-        middle = box.matrix_world.translation
-    distance = max(-(view.view_matrix @ middle).z, 1e-3)
-    gpu.state.blend_set("ALPHA")
-    with gpu.matrix.push_pop():
-        gpu.matrix.load_matrix(_nearer(view, distance, 2.0 * seen.radius + 0.01) @ view.view_matrix)
-        if len(seen.xyz):
-            focal = view.window_matrix[0][0] * size[0] / 2.0
-            apart = distance if view.is_perspective else 1.0
-            _draw_points(seen, light, min(max(2.0 * seen.radius * focal / apart, _SMALLEST), _LARGEST))
-        if box is not None:
-            _draw_edges([box.matrix_world @ Vector(corner) for corner in box.bound_box], light)
-    gpu.state.depth_test_set("NONE")
-    gpu.state.blend_set("NONE")
+"""The pictures drawn last, and their textures."""
+_KEPT = 3
+"""So many pictures are drawn at once: the live preview, what is selected and what is painted."""
 
 
 def draw_outline(corners: Sequence[tuple[float, float]], colour: Colour) -> None:
@@ -70,8 +33,18 @@ def draw_outline(corners: Sequence[tuple[float, float]], colour: Colour) -> None
         return
     edges = [end for first in range(len(corners)) for end in (first, (first + 1) % len(corners))]
     gpu.state.blend_set("ALPHA")
-    for width, ink in ((5.0, (0.0, 0.0, 0.0, 0.5)), (2.5, (*_brightened(colour), 1.0))):
+    for width, ink in ((5.0, (0.0, 0.0, 0.0, 0.5)), (2.5, (*brightened(colour), 1.0))):
         _draw_lines([Vector((x, y, 0.0)) for x, y in corners], edges, ink, width)
+    gpu.state.blend_set("NONE")
+
+
+def draw_face(corners: Sequence[Vector], colour: tuple[float, float, float, float]) -> None:
+    """A face with four corners in metres, over everything."""
+    shader = gpu.shader.from_builtin("UNIFORM_COLOR")
+    shader.bind()
+    shader.uniform_float("color", colour)
+    gpu.state.blend_set("ALPHA")
+    batch_for_shader(shader, "TRIS", {"pos": [*map(tuple, corners)]}, indices=[(0, 1, 2), (0, 2, 3)]).draw(shader)
     gpu.state.blend_set("NONE")
 
 
@@ -92,7 +65,16 @@ def draw_path(points: Sequence[Vector]) -> None:
     gpu.state.blend_set("NONE")
 
 
-def draw_picture(pixels: NDArray[np.float32], corners: Sequence[tuple[float, float] | None]) -> None:
+def draw_mark(mark: Mark | None) -> None:
+    """The outline of points, if any of them is in the view."""
+    if mark is not None:
+        left, low, right, high = mark.place
+        draw_picture(mark.pixels, [(left, low), (right, high)], blend="ALPHA")
+
+
+def draw_picture(
+    pixels: NDArray[np.float32], corners: Sequence[tuple[float, float] | None], blend: str = "NONE"
+) -> None:
     """A picture (float32 [H, W, 4], sRGB, lowest row first) over the upright rectangle of these corners, in pixels."""
     seen = [corner for corner in corners if corner is not None]
     if len(seen) != len(corners):
@@ -104,23 +86,27 @@ def draw_picture(pixels: NDArray[np.float32], corners: Sequence[tuple[float, flo
     places = [(left, low), (right, low), (right, high), (left, high)]
     coordinates = [(0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0)]
     quad = batch_for_shader(shader, "TRIS", {"pos": places, "texCoord": coordinates}, indices=[(0, 1, 2), (0, 2, 3)])
-    gpu.state.blend_set("NONE")
+    gpu.state.blend_set(blend)
     quad.draw(shader)
+    gpu.state.blend_set("NONE")
 
 
-def forget_picture() -> None:
-    """Free the texture of the picture drawn last."""
+def forget_pictures() -> None:
+    """Free the textures of the pictures drawn last."""
     _uploaded.clear()
 
 
 def _texture_of(pixels: NDArray[np.float32]) -> gpu.types.GPUTexture:
     """The picture's texture. Blender's own texture of an image has mipmaps, which take ten times as long to make."""
-    if not _uploaded or _uploaded[0][0] is not pixels:
-        height, width, _ = pixels.shape
-        drawn = to_overlay(pixels)
-        values = gpu.types.Buffer("FLOAT", drawn.size, drawn.ravel())
-        _uploaded[:] = [(pixels, gpu.types.GPUTexture((width, height), format="RGBA16F", data=values))]
-    return _uploaded[0][1]
+    for picture, texture in _uploaded:
+        if picture is pixels:
+            return texture
+    height, width, _ = pixels.shape
+    drawn = to_overlay(pixels)
+    values = gpu.types.Buffer("FLOAT", drawn.size, drawn.ravel())
+    made = gpu.types.GPUTexture((width, height), format="RGBA16F", data=values)
+    _uploaded[:] = [(pixels, made), *_uploaded[: _KEPT - 1]]
+    return made
 
 
 def draw_text_boxes(text_boxes: Sequence[TextBox]) -> None:
@@ -161,44 +147,6 @@ def _add_rectangle(
     colours += [colour] * 6
 
 
-def _darken() -> None:
-    """Draw one dark, half transparent rectangle over the whole region."""
-    shader = gpu.shader.from_builtin("UNIFORM_COLOR")
-    gpu.state.blend_set("ALPHA")
-    gpu.state.depth_test_set("NONE")
-    with gpu.matrix.push_pop(), gpu.matrix.push_pop_projection():
-        gpu.matrix.load_matrix(Matrix.Identity(4))
-        gpu.matrix.load_projection_matrix(Matrix.Identity(4))
-        shader.bind()
-        shader.uniform_float("color", _DIMMING)
-        corners = [(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)]
-        batch_for_shader(shader, "TRIS", {"pos": corners}).draw(shader)
-
-
-def _nearer(view: bpy.types.RegionView3D, distance: float, by: float) -> Matrix:
-    """The transform of view space that brings things at `distance` metres `by` metres nearer, at the same pixels."""
-    if view.is_perspective:
-        return Matrix.Diagonal([max(1.0 - by / distance, 0.5)] * 3).to_4x4()
-    return Matrix.Translation((0.0, 0.0, by))
-
-
-def _draw_points(seen: Highlight, colour: Colour, pixels: float) -> None:
-    """Draw all points faintly, then those that nothing covers at full strength."""
-    shader = point_shader()
-    gpu.state.point_size_set(pixels)
-    for test, opacity in (("NONE", _BEHIND), ("LESS_EQUAL", 1.0)):
-        gpu.state.depth_test_set(test)
-        colours = np.full((len(seen.xyz), 4), opacity, np.float32)
-        colours[:, :3] = seen.shade[:, None] * np.array(colour, np.float32)
-        batch_for_shader(shader, "POINTS", {"pos": seen.xyz, "color": colours}).draw(shader)
-
-
-def _draw_edges(corners: Sequence[Vector], colour: Colour) -> None:
-    for test, opacity in (("NONE", 0.35), ("LESS_EQUAL", 1.0)):
-        gpu.state.depth_test_set(test)
-        _draw_lines(corners, _EDGES, (*colour, opacity), 2.5)
-
-
 def _draw_lines(
     corners: Sequence[Vector], edges: Sequence[int], colour: tuple[float, float, float, float], width: float
 ) -> None:
@@ -210,7 +158,7 @@ def _draw_lines(
     batch_for_shader(shader, "LINES", {"pos": [tuple(corners[edge]) for edge in edges]}).draw(shader)
 
 
-def _brightened(colour: Colour) -> Colour:
+def brightened(colour: Colour) -> Colour:
     """The colour of a highlight: three parts the brightest colour of its hue, one part white."""
     strongest = max(*colour, 1e-3)
     red, green, blue = (0.25 + 0.75 * channel / strongest for channel in colour)

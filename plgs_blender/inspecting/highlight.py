@@ -1,6 +1,7 @@
-"""What is highlighted in a 3D view: the selected instance's points and anchors, and the outline of a mask.
+"""What is marked in a 3D view: the outline of the selected instance, and that of a mask.
 
-A view is drawn many times, so points are read from Blender's data once for each selection, and kept.
+A view is drawn many times, so points are read from Blender's data once for each selection, the outline is computed once
+for each view, and both are kept.
 """
 
 from __future__ import annotations
@@ -13,68 +14,123 @@ import numpy as np
 from mathutils import Vector
 from numpy.typing import NDArray
 
-from ..materials import LIGHT, SHADE, SHADE_CONTRAST
 from .lookup import clouds_of, ids_of
+from .text_boxes import Colour, Rectangle
+
+_LINE = 0.95
+"""Opacity of the outline."""
+_KEPT = 2
+"""So many outlines are drawn at once: of what is selected, and of what is painted."""
+_WIDTH = 2.0
+"""Width of the outline, pixels."""
+_MOST_CELLS = 400 * 400
+"""The outline of what fills more pixels is computed with fewer cells."""
+_CELLS_A_POINT = 3.0
+"""Most cells from the middle of a point to its edge."""
+_CLOSED = 2
+"""Cells by which gaps between points are closed."""
 
 
 @dataclass(frozen=True, eq=False)
 class Highlight:
-    """Points `xyz` float32 [N, 3] in world metres, their lightness `shade` float32 [N], which makes shapes visible, and
-    their mean `radius` in metres. `key` says which instance and clouds they were read from.
+    """Points `xyz` float32 [N, 3] in world metres, and their mean `radius` in metres. `key` says which instance and
+    clouds they were read from.
     """
 
     key: tuple[Any, ...]
     xyz: NDArray[np.float32]
-    shade: NDArray[np.float32]
     radius: float
 
 
-_Points = tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]
-"""World positions [n, 3], shades [n] and radii [n]."""
+@dataclass(frozen=True, eq=False)
+class Mark:
+    """A picture float32 [H, W, 4] in sRGB, lowest row first, of an outline, and the pixels that it is drawn over."""
 
-_NOTHING: _Points = (np.zeros((0, 3), np.float32), np.zeros(0, np.float32), np.zeros(0, np.float32))
-NOTHING = Highlight((), *_NOTHING[:2], 0.0)
-"""No points."""
+    key: tuple[Any, ...]
+    pixels: NDArray[np.float32]
+    place: Rectangle
+
+
 _last: list[Highlight] = []
+_last_marks: list[Mark] = []
 
 
 def highlight_of(root: bpy.types.Collection, instance: int, visible: Any) -> Highlight:
     """The points of an instance in the clouds that are seen, as `visible(object)` says."""
     clouds = [cloud for cloud in clouds_of(root) if visible(cloud)]
-    key = (root.session_uid, instance, *map(_state_of, clouds))
+    key = (root.session_uid, instance, *map(state_of, clouds))
     if not _last or _last[0].key != key:
         parts = [_points_of(cloud, instance) for cloud in clouds]
-        xyz, shade, radius = (np.concatenate(each) for each in zip(_NOTHING, *parts, strict=True))
-        _last[:] = [Highlight(key, xyz, shade, float(radius.mean()) if len(radius) else 0.0)]
+        xyz, radius = (np.concatenate([each[at] for each in parts]) if parts else np.zeros((0, 3)) for at in (0, 1))
+        _last[:] = [Highlight(key, xyz.astype(np.float32), float(radius.mean()) if len(radius) else 0.0)]
     return _last[0]
 
 
-def _state_of(cloud: bpy.types.Object) -> tuple[Any, ...]:
+def state_of(cloud: bpy.types.Object) -> tuple[Any, ...]:
     """What changes when a cloud's points move or are replaced."""
     return cloud.data.session_uid, len(cloud.data.points), tuple(value for row in cloud.matrix_world for value in row)
 
 
 def forget() -> None:
-    """Free the kept points."""
+    """Free what is kept."""
     _last.clear()
+    _last_marks.clear()
 
 
-def _points_of(cloud: bpy.types.Object, instance: int) -> _Points:
-    """A cloud's points of an instance, lighter where they face up. Anchors have no normals and are all light."""
-    attributes, count = cloud.data.attributes, len(cloud.data.points)
+def _points_of(cloud: bpy.types.Object, instance: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """World positions [n, 3] and radii [n] of a cloud's points of an instance."""
     mine = ids_of(cloud.data, "instance_id") == instance
-    if not mine.any():
-        return _NOTHING
-    xyz, radius = np.empty(3 * count, np.float32), np.empty(count, np.float32)
-    attributes["position"].data.foreach_get("vector", xyz)
-    attributes["radius"].data.foreach_get("value", radius)
-    normal = np.zeros(3 * count, np.float32)
-    if "normal" in attributes:
-        attributes["normal"].data.foreach_get("vector", normal)
+    xyz, radius = np.empty(3 * len(mine), np.float32), np.empty(len(mine), np.float32)
+    cloud.data.attributes["position"].data.foreach_get("vector", xyz)
+    cloud.data.attributes["radius"].data.foreach_get("value", radius)
     world = np.array(cloud.matrix_world, np.float32)
-    lit = normal.reshape(-1, 3)[mine] @ world[:3, :3].T @ np.array(LIGHT, np.float32)
-    shade = np.clip(SHADE + SHADE_CONTRAST * lit, 0.0, 1.0) if "normal" in attributes else np.ones(len(lit), np.float32)
-    return xyz.reshape(-1, 3)[mine] @ world[:3, :3].T + world[:3, 3], shade.astype(np.float32), radius[mine]
+    return xyz.reshape(-1, 3)[mine] @ world[:3, :3].T + world[:3, 3], radius[mine]
+
+
+def mark_of(seen: Highlight, view: Any, size: tuple[int, int], colour: Colour, tint: float = 0.1) -> Mark | None:
+    """The outline of points in a view (a RegionView3D) of `size` pixels, in a colour (sRGB), over a `tint` of this
+    opacity; None where none of them is in the view. It shows behind nearer things too, as Blender's own outlines do.
+    """
+    lens, looks = np.array(view.window_matrix, np.float32), np.array(view.view_matrix, np.float32)
+    key = (seen.key, lens.tobytes(), looks.tobytes(), size, colour)
+    for mark in _last_marks:
+        if mark.key == key:
+            return mark
+    clip = np.c_[seen.xyz, np.ones(len(seen.xyz), np.float32)] @ (lens @ looks).T
+    clip = clip[(clip[:, 3] > 1e-3) & (np.abs(clip[:, :2]) < clip[:, 3:]).all(axis=1)]
+    if not len(clip):
+        return None
+    place = (clip[:, :2] / clip[:, 3:] * 0.5 + 0.5) * size
+    reach = max(1.0, float(np.median(seen.radius * lens[0, 0] * size[0] / 2.0 / clip[:, 3])))
+    low, extent = place.min(axis=0), np.ptp(place, axis=0) + 1.0
+    cell = max(1.0, reach / _CELLS_A_POINT, float(np.sqrt(extent.prod() / _MOST_CELLS)))
+    grown, line = int(np.ceil(reach / cell)) + _CLOSED, max(1, round(_WIDTH / cell))
+    margin = grown + line + 1
+    column, row = ((place - low) / cell).astype(np.int64).T + margin
+    inside = np.zeros((row.max() + margin + 1, column.max() + margin + 1), bool)
+    inside[row, column] = True
+    inside = ~_grown(~_grown(inside, grown), _CLOSED)
+    pixels = np.empty((*inside.shape, 4), np.float32)
+    pixels[..., :3] = colour
+    pixels[..., 3] = np.where(inside, tint, np.where(_grown(inside, line), _LINE, 0.0))
+    left, base = (low - margin * cell).tolist()
+    mark = Mark(key, pixels, (left, base, left + cell * inside.shape[1], base + cell * inside.shape[0]))
+    _last_marks[:] = [mark, *_last_marks[: _KEPT - 1]]
+    return mark
+
+
+def _grown(mask: NDArray[np.bool_], times: int) -> NDArray[np.bool_]:
+    """A mask [H, W] that has grown by so many cells: by crosses and squares in turn, which keeps corners round."""
+    for step in range(times):
+        wide = mask.copy()
+        wide[:, 1:] |= mask[:, :-1]
+        wide[:, :-1] |= mask[:, 1:]
+        tall = wide.copy()
+        before = wide if step % 2 else mask
+        tall[1:] |= before[:-1]
+        tall[:-1] |= before[1:]
+        mask = tall
+    return mask
 
 
 def outline_in_space(

@@ -43,7 +43,7 @@ from .looks import (
     apply_look,
     apply_show_as,
 )
-from .selection import select_row
+from .selection import renaming, select_row
 from .visibility import apply_colours, apply_visibility, size_cameras
 
 NO_COST, NO_AGREEMENT = 1.0, -1.0
@@ -58,6 +58,11 @@ def _update_colours(row: bpy.types.PropertyGroup, _context: bpy.types.Context) -
     apply_colours(row.id_data)
     if row.id_data.plgs.look in (BY_CLASS, INSTANCES):
         apply_look(row.id_data)
+
+
+def _update_name(row: bpy.types.PropertyGroup, _context: bpy.types.Context) -> None:
+    for rename in renaming if row.name != row.known_name else ():
+        rename(row.id_data, row.instance_id, row.name)
 
 
 def _update_selection(lists: bpy.types.PropertyGroup, context: bpy.types.Context) -> None:
@@ -102,9 +107,10 @@ class PLGS_PG_mask(bpy.types.PropertyGroup):
 
 
 class PLGS_PG_instance(bpy.types.PropertyGroup):
-    """One object of the lift."""
+    """One object of the lift. `known_name` is the name that the lift gives it: another one renames it."""
 
-    name: StringProperty(name="Name")
+    name: StringProperty(name="Name", update=_update_name, description="Double-click to rename the object")
+    known_name: StringProperty()
     instance_id: IntProperty(name="Id")
     class_id: IntProperty(name="Class id")
     class_name: StringProperty(name="Class")
@@ -185,18 +191,19 @@ class PLGS_PG_lift(bpy.types.PropertyGroup):
         ],
     )  # fmt: skip
     show_cameras: BoolProperty(
-        name="Cameras", update=_update_cameras, description="Draw the frames' cameras large, not only their path"
+        name="Cameras", update=_update_cameras, description="Draw the frames' cameras and their path"
     )
     show_labels: BoolProperty(
         name="Labels", default=True, description="Draw the instances' names over the view"
     )
     show_legend: BoolProperty(name="Legend", description="Draw the classes and their colours over the view")
     show_selected: BoolProperty(
-        name="Selected points", default=True, description="Highlight the points and anchors of the selected instance"
+        name="Outline selected", default=True, description="Outline the selected instance, unless it stands alone"
     )
-    dim_others: BoolProperty(
-        name="Dim the rest", default=True, description="While an instance is selected, darken everything else"
-    )
+    show_boxes: BoolProperty(
+        name="Boxes", default=True, update=_update_visibility,
+        description="Draw the instances' boxes. Several instances are selected by them",
+    )  # fmt: skip
 
 
 CLASSES = (PLGS_PG_mask, PLGS_PG_instance, PLGS_PG_class, PLGS_PG_unshown, PLGS_PG_lift)
@@ -278,7 +285,8 @@ def _reason(mask: MatchedSegment) -> str:
 
 
 def _fill_instance(row: Any, instance: Instance, classes: ClassTable) -> None:
-    row.name, row.instance_id = instance.name, instance.id
+    row.instance_id = instance.id
+    row.known_name = row.name = instance.name
     row.class_id, row.class_name = instance.class_id, instance.class_name
     row.colour = [channel / 255.0 for channel in instance.colour]
     row.points, row.views, row.score = instance.points, instance.views, instance.score

@@ -28,6 +28,8 @@ _GREY = np.array([0.3, 0.6, 0.1], np.float32)
 """Weights of the channels in the grey of what is not an instance."""
 _RAMP = np.array([[0.02, 0.03, 0.09], [0.45, 0.05, 0.25], [1.0, 0.75, 0.15]], np.float32)
 """Linear colours of confidence 1, 0.5 and 0."""
+SURENESS = (("sure", (0.15, 0.19, 0.33)), ("in doubt", (0.7, 0.25, 0.54)), ("unknown", (1.0, 0.88, 0.42)))
+"""The legend of these colours, in sRGB."""
 _CELL = 0.1
 """Metres: surfaces and splats are as sure as the points in their cell of this side."""
 

@@ -64,15 +64,16 @@ def boxes_of(root: bpy.types.Collection) -> dict[int, bpy.types.Object]:
 
 def is_box(ob: bpy.types.Object | None) -> bool:
     """Whether an object is the box of some lift's instance."""
+    return ob is not None and text_of(ob, KEY).startswith(INSTANCE) and instance_of(ob) > 0
+
+
+def instance_of(ob: bpy.types.Object | None) -> int:
+    """The id of the instance whose box or mesh an object is; 0 for any other object."""
     if ob is None or not text_of(ob, LIFT):
-        return False
-    key = text_of(ob, KEY)
-    return key.startswith(INSTANCE) and key.removeprefix(INSTANCE).isdecimal()
-
-
-def instance_of(box: bpy.types.Object) -> int:
-    """The id of the instance that a box belongs to."""
-    return int(box[KEY].removeprefix(INSTANCE))
+        return 0
+    kind, _, number = text_of(ob, KEY).partition(":")
+    number = number.rpartition(":")[2] if kind == "mesh" else number
+    return int(number) if kind in ("instance", "mesh") and number.isdecimal() else 0
 
 
 def clouds_of(root: bpy.types.Collection) -> list[bpy.types.Object]:

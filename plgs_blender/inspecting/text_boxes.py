@@ -13,15 +13,16 @@ from mathutils import Matrix, Vector
 from ..errors import one_line
 
 Colour = tuple[float, float, float]
+Rectangle = tuple[float, float, float, float]
+"""Left, low, right and high, in pixels."""
 
 _TEXT = 11.0
 _PADDING = 5.0
 """Pixels at interface scale 1."""
-_MOST_LABELS = 120
-_STEP = 0.25
-"""Share of a label's height by which a label moves up that would cover another."""
-_FARTHEST = 4.0
-"""Heights of a label that it may move up. Farther from its box, it would seem to name another."""
+_MOST_COVERED = 0.03
+"""Share of the view that names may cover."""
+_APART = 0.5
+"""Heights of a label between two of them, at least."""
 _DARK = (0.09, 0.095, 0.105)
 
 
@@ -55,7 +56,7 @@ class ViewRegion:
 @dataclass(frozen=True)
 class TextBox:
     """A rectangle with a text. Its lower left corner, width, height and the text's size are in pixels, colours are sRGB
-    0..1. A swatch of colour stands before the text where `swatch` is not None.
+    0..1. A swatch of colour stands before the text where `swatch` is not None. `instance`: whose name it is, or 0.
     """
 
     x: float
@@ -68,60 +69,91 @@ class TextBox:
     opacity: float
     ink: Colour = (1.0, 1.0, 1.0)
     swatch: Colour | None = None
+    instance: int = 0
 
 
 def label_text_boxes(
-    rows: Any, boxes: Mapping[int, bpy.types.Object], active: int, region: ViewRegion
+    rows: Any,
+    boxes: Mapping[int, bpy.types.Object],
+    active: int,
+    region: ViewRegion,
+    hovered: int = 0,
+    keep_free: Sequence[Rectangle] = (),
 ) -> list[TextBox]:
-    """A text box with the name above the box of each instance that is seen. The `active` one has its full colour."""
+    """Names above the boxes of instances, as many as have room: the `active` one in its full colour, the one that the
+    mouse is over, and then those that look largest. None covers another or a rectangle to `keep_free`. The active one
+    says where it is out of view.
+    """
     size, padding = _TEXT * region.scale, _PADDING * region.scale
-    seen: list[Any] = []
-    anchors: list[tuple[float, float]] = []
-    widths: list[float] = []
-    for row in rows:
-        box = boxes.get(row.instance_id)
-        at = None if box is None else region.pixel_of(top_of(box))
-        if at is not None and len(seen) < _MOST_LABELS:
-            seen.append(row)
-            anchors.append((at[0], at[1] + padding))
-            widths.append(_text_width(one_line(row.name), size) + 2.0 * padding)
-    text_boxes = []
     height = size + 1.4 * padding
-    for index, (x, y) in stack_labels(anchors, widths, height, (region.width, region.height)).items():
-        row = seen[index]
+    found: list[tuple[tuple[bool, bool, float], Any, str, tuple[float, float]]] = []
+    for row in rows:
+        box, name = boxes.get(row.instance_id), one_line(row.name)
+        if box is None:
+            continue
+        top = top_of(box)
+        at, distance = region.pixel_of(top), (region.perspective @ Vector((*top, 1.0))).w
+        if row.instance_id == active and _is_out(box, region):
+            at, name = (region.left + 0.3 * region.width, 2.0 * height), f"{name} is out of view: Frame Selected"
+        if at is not None:
+            looks = max(box.dimensions) / max(distance, 1e-6)
+            rank = (row.instance_id != active, row.instance_id != hovered, -looks)
+            found.append((rank, row, name, (at[0], at[1] + padding)))
+    found.sort(key=lambda each: each[0])
+    widths = [_text_width(name, size) + 2.0 * padding for _, _, name, _ in found]
+    places = place_labels([at for *_, at in found], widths, height, (region.width, region.height), keep_free)
+    text_boxes = []
+    for index, (x, y) in places.items():
+        _, row, name, _ = found[index]
         red, green, blue = row.colour
-        bright = row.instance_id == active
+        bright = row.instance_id in (active, hovered)
         shade = 1.0 if bright else 0.42
         luminance = 0.3 * red + 0.6 * green + 0.1 * blue
         text_boxes.append(
             TextBox(
-                x, y, widths[index], height, one_line(row.name), size,
+                x, y, widths[index], height, name, size,
                 ground=(red * shade, green * shade, blue * shade),
                 opacity=0.95 if bright else 0.8,
                 ink=_DARK if bright and luminance > 0.5 else (1.0, 1.0, 1.0),
+                instance=row.instance_id,
             )
         )  # fmt: skip
     return text_boxes
 
 
-def stack_labels(
-    anchors: Sequence[tuple[float, float]], widths: Sequence[float], height: float, space: tuple[float, float]
+def _is_out(box: bpy.types.Object, region: ViewRegion) -> bool:
+    """Whether no corner of a box is within the region."""
+    seen = [region.pixel_of(box.matrix_world @ Vector(corner)) for corner in box.bound_box]
+    return not any(at and 0.0 <= at[0] <= region.width and 0.0 <= at[1] <= region.height for at in seen)
+
+
+def place_labels(
+    anchors: Sequence[tuple[float, float]],
+    widths: Sequence[float],
+    height: float,
+    space: tuple[float, float],
+    keep_free: Sequence[Rectangle] = (),
 ) -> dict[int, tuple[float, float]]:
     """The lower left corners of labels above their anchors [(x, y)], by the labels' indices, within a space (width,
-    height), all in pixels. Labels that would cover another move up; those that would have to move far are left out.
-    Anchors outside the space have no label.
+    height), all in pixels. The first come first: a label that would cover another, or a rectangle to `keep_free`, or
+    that is one too many, is left out. Anchors outside the space have no label.
     """
     placed: dict[int, tuple[float, float]] = {}
-    for index in sorted(range(len(anchors)), key=lambda index: (anchors[index][1], anchors[index][0])):
-        (x, y), width = anchors[index], widths[index]
+    taken, room = [*keep_free], _MOST_COVERED * space[0] * space[1]
+    for index, ((x, y), width) in enumerate(zip(anchors, widths, strict=True)):
         if not (0.0 <= x <= space[0] and 0.0 <= y <= space[1]):
             continue
         left = min(max(x - width / 2.0, 0.0), max(space[0] - width, 0.0))
-        crossing = [low for i, (at, low) in placed.items() if left < at + widths[i] and at < left + width]
-        while any(abs(y - low) < height for low in crossing):
-            y += _STEP * height
-        if y - anchors[index][1] <= _FARTHEST * height:
-            placed[index] = (left, y)
+        low = min(y, max(space[1] - height, 0.0))
+        right, high = left + width, low + height
+        if any(left < end and start < right and low < top and base < high for start, base, end, top in taken):
+            continue
+        room -= width * height
+        if room < 0.0 and placed:
+            break
+        placed[index] = (left, low)
+        margin = _APART * height
+        taken.append((left - margin, low - margin, right + margin, high + margin))
     return placed
 
 
@@ -131,7 +163,7 @@ def shown_classes(rows: Any) -> list[tuple[str, Colour]]:
     return [(one_line(row.name), tuple(row.colour)) for row in shown]
 
 
-def legend_text_boxes(shown: Sequence[tuple[str, Colour]], region: ViewRegion) -> list[TextBox]:
+def legend_text_boxes(shown: Sequence[tuple[str, Colour | None]], region: ViewRegion) -> list[TextBox]:
     """As many of the classes, names and colours, as fit into the lower left corner, in order."""
     size, padding = _TEXT * region.scale, _PADDING * region.scale
     line = size + 1.2 * padding

@@ -10,7 +10,7 @@ import numpy as np
 from mathutils import Vector
 
 from ...engine.errors import PlgsError
-from ..timeline import follow_camera, places_of
+from ..timeline import follow_camera, is_of_lift, places_of
 from .lookup import boxes_of, objects_by_key, row_of
 
 _VIEW_SENSOR = 72.0
@@ -80,19 +80,24 @@ def mask_frame(root: bpy.types.Collection, instance: int, frame: str, segment: i
 def look_from_frame(
     root: bpy.types.Collection, frame: str, scene: bpy.types.Scene, view: Any = None
 ) -> bpy.types.Object:
-    """Make a frame's camera the scene's, go to its place on the timeline, let a 3D view (if any) look through it, and
-    return it. Raises PlgsError when it was deleted.
+    """Let a 3D view (if any) look through a frame's camera, and return the camera. It becomes the scene's, at its place
+    on the timeline, unless the scene has a camera of the user's: that and its frame stay, and only the view turns.
+    Raises PlgsError when the frame's camera was deleted.
     """
     camera = objects_by_key(root).get(f"frame:{frame}")
     if camera is None or camera.name not in scene.objects:
         raise PlgsError(f"has no camera of frame {frame} any more", root.name, "Load the result of the lift again.")
-    scene.camera = camera
-    follow_camera(scene)
-    place = places_of(root, scene).get(camera)
-    if place is not None:
-        scene.frame_set(place)
+    is_theirs = scene.camera is not None and not is_of_lift(scene.camera, scene)
+    if not is_theirs:
         scene.camera = camera
+        follow_camera(scene)
+        place = places_of(root, scene).get(camera)
+        if place is not None:
+            scene.frame_set(place)
+            scene.camera = camera
     if view is not None:
-        view.use_local_camera = False
+        view.use_local_camera = is_theirs
+        if is_theirs:
+            view.camera = camera
         view.region_3d.view_perspective = "CAMERA"
     return camera

@@ -61,15 +61,15 @@ def apply_visibility(root: bpy.types.Collection) -> None:
     boxes = boxes_of(root)
     class_of = {row.instance_id: row.class_id for row in lists.instances}
     classes = np.array([class_of.get(instance, VOID) for instance in boxes], np.int32)
-    for box, hidden in zip(boxes.values(), _left_out(lists, np.array([*boxes], np.int32), classes), strict=True):
-        _show_object(box, not hidden)
+    for box, hidden in zip(boxes.values(), left_out(lists, np.array([*boxes], np.int32), classes), strict=True):
+        _show_object(box, not hidden and lists.show_boxes)
     eyes = {row.class_id: row.visible for row in lists.classes}
     for cloud in clouds_of(root):
         if "class_id" in cloud:
             _show_object(cloud, bool(lists.isolated) or eyes.get(cloud["class_id"], True))
-        _hide_points(root, cloud, _left_out(lists, ids_of(cloud.data, "instance_id"), ids_of(cloud.data, "class_id")))
+        _hide_points(root, cloud, left_out(lists, ids_of(cloud.data, "instance_id"), ids_of(cloud.data, "class_id")))
     for ob in surfaces_of(root):
-        _hide_points(root, ob, _left_out(lists, ids_of(ob.data, "instance_id"), ids_of(ob.data, "class_id")))
+        _hide_points(root, ob, left_out(lists, ids_of(ob.data, "instance_id"), ids_of(ob.data, "class_id")))
 
 
 @_OnceForMany
@@ -101,6 +101,7 @@ def size_cameras(root: bpy.types.Collection, large: bool) -> None:
     for key, ob in objects_by_key(root).items():
         if key.startswith("frame:") and ob.type == "CAMERA":
             ob.data.display_size = _WIRES if large else _DOTS
+            ob.hide_select = not large  # a click on what lies behind must not find a dot
 
 
 def isolate(root: bpy.types.Collection, instance: int = 0) -> None:
@@ -119,7 +120,7 @@ def show_all(root: bpy.types.Collection) -> None:
         root.plgs.isolated = 0
 
 
-def _left_out(lists: bpy.types.PropertyGroup, instance_id: NDArray[np.int32], class_id: NDArray[np.int32]) -> Any:
+def left_out(lists: bpy.types.PropertyGroup, instance_id: NDArray[np.int32], class_id: NDArray[np.int32]) -> Any:
     """Whether each thing of these instances and classes, int32 [N] each, is hidden: bool [N]."""
     if lists.isolated:
         return instance_id != lists.isolated

@@ -30,12 +30,13 @@ _NAMES = {"depth": "depth maps", "masks": "masks"}
 class Survey:
     """What is known about a scene. ``error`` says why it cannot be lifted; None when it can.
 
-    ``classes`` are names with their colours in sRGB, 0..1, the commonest first where an engine has counted. ``sizes``
-    holds the sizes of the colour images with how many have each, the commonest first. ``depth_range`` is the
-    nearest, middle and farthest depth in metres, None where no engine has read the pixels. ``picture_files``
-    counts the frames whose picture is an image file that Blender can show as it is. While an engine looks
-    (``is_looking``), nothing else is known. ``has_masks`` is None where no engine has looked for them. ``inferred`` is
-    what no file says, each with whether that is doubtful. ``left_out`` counts the frames that a lift would not use.
+    ``classes`` are names with their colours in sRGB, 0..1, the commonest first where an engine has counted, ``things``
+    the names of those that have instances. ``sizes`` holds the sizes of the colour images with how many have each, the
+    commonest first. ``depth_range`` is the nearest, middle and farthest depth in metres, None where no engine has read
+    the pixels. ``picture_files`` counts the frames whose picture is an image file that Blender can show as it is. While
+    an engine looks (``is_looking``), nothing else is known. ``has_masks`` is None where no engine has looked for them.
+    ``inferred`` is what no file says, each with whether that is doubtful. ``left_out`` counts the frames that a lift
+    would not use.
     """
 
     chosen: ChosenScene
@@ -43,6 +44,7 @@ class Survey:
     test_frames: int = 0
     sizes: tuple[tuple[Size, int], ...] = ()
     classes: tuple[tuple[str, Colour], ...] = ()
+    things: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
     error: PlgsError | None = None
     depth_range: tuple[float, float, float] | None = None
@@ -156,6 +158,7 @@ def _with_answer(survey: Survey, answer: Mapping[str, Any] | None, error: PlgsEr
                 (str(each["name"]), _colour(each["colour"]))
                 for each in sorted(answer["classes"], key=lambda each: -float(each["share"]))
             ),
+            things=tuple(str(each["name"]) for each in answer["classes"] if each["is_thing"]),
             warnings=tuple(str(each) for each in answer["warnings"]),
             depth_range=depth_range,
             format=str(answer["format"]),

@@ -11,6 +11,7 @@ import pytest
 from plgs.engine.scene import FORMATS, open_scene
 from plgs.plgs_blender.frame_pictures import MASKS
 from plgs.plgs_blender.frames import SHOWN
+from plgs.plgs_blender.lift_collection import lifts_in
 from plgs.plgs_blender.running.estimate import estimate_of
 from plgs.plgs_blender.running.survey import SceneLook, Survey, look, possibilities, survey_of
 from plgs.plgs_blender.settings import chosen_scene, request_of
@@ -71,11 +72,16 @@ def test_the_panel_knows_what_is_in_the_folder(room: Path) -> None:
     bpy.ops.plgs.import_scene(scene_folder=str(room))
     scene = bpy.context.scene
     scene.camera = next(ob for ob in scene.objects if "frame" in ob)
-    through = SimpleNamespace(scene=scene, region_data=SimpleNamespace(view_perspective="CAMERA"))
+    view = SimpleNamespace(region_3d=SimpleNamespace(view_perspective="CAMERA"), use_local_camera=False)
+    through, (root,) = SimpleNamespace(scene=scene, space_data=view), lifts_in(scene)
     looked_at(settings)
-    assert not overlay.shows_classes(through)
+    assert not overlay.legend_of(through, root)
     scene.camera[SHOWN] = MASKS
-    assert overlay.shows_classes(through), "masks have a legend"
+    assert dict(overlay.legend_of(through, root)) == dict(overlay.classes_of_scene(scene)), "masks have a legend"
+    stuff = {name for name, _ in overlay.classes_of_scene(scene, stuff_only=True)}
+    assert stuff and stuff == {each.name for each in open_scene(room).classes.categories if not each.is_thing} & {
+        *dict(overlay.classes_of_scene(scene))
+    }, "a live preview gives objects colours of their own"
     colours = {each.name: each.colour for each in open_scene(room).classes.categories}
     shown = dict(overlay.classes_of_scene(scene))
     assert shown and shown.items() <= {

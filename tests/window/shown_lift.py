@@ -50,11 +50,13 @@ def ids():
     return sorted(row.instance_id for row in lift().plgs.instances)
 
 def place(number):
+    return place_of(inspecting.boxes_of(lift())[number].matrix_world.translation)
+
+def place_of(point):
     window = bpy.context.window_manager.windows[0]
     area = max((each for each in window.screen.areas if each.type == 'VIEW_3D'), key=lambda each: each.width)
     region = next(each for each in area.regions if each.type == 'WINDOW')
-    box = inspecting.boxes_of(lift())[number]
-    at = location_3d_to_region_2d(region, area.spaces.active.region_3d, box.matrix_world.translation)
+    at = location_3d_to_region_2d(region, area.spaces.active.region_3d, point)
     return round(region.x + at.x), round(region.y + at.y)
 
 def sidebar():

@@ -40,6 +40,15 @@ def test_the_compositor_opens_in_one_press(window: Window, work_folder: Path) ->
     window.settle()
     window.screenshot("compositor")
     assert window.run(SHOWN) == ["PLGS tiny room passes", "Compositing", True, "panoptic"]
+    place = "[bpy.context.window.scene.name, bpy.context.window.workspace.name]"
+    for workspace, scene in (("Layout", "Scene"), ("Compositing", "PLGS tiny room passes")):
+        window.run(f"bpy.context.window.workspace = bpy.data.workspaces[{workspace!r}]")  # as its tab does
+        window.settle()
+        assert window.ask(place) == [scene, workspace]
+    window.run("bpy.ops.plgs.show_room()")
+    window.settle()
+    window.screenshot("back-in-the-room")
+    assert window.ask(place) == ["Scene", "Layout"]
 
 
 def test_the_window_responds_while_a_long_range_is_read_and_esc_stops_it(window: Window, work_folder: Path) -> None:

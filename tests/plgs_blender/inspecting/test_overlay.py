@@ -12,33 +12,39 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from mathutils import Matrix, Vector
 from plgs.plgs_blender.inspecting import highlight
-from plgs.plgs_blender.inspecting.drawing import draw_highlight, draw_outline, draw_path, draw_text_boxes
+from plgs.plgs_blender.inspecting.drawing import brightened, draw_mark, draw_outline, draw_path, draw_text_boxes
 from plgs.plgs_blender.inspecting.lookup import boxes_of
 from plgs.plgs_blender.inspecting.text_boxes import (
     ViewRegion,
     label_text_boxes,
     legend_text_boxes,
+    place_labels,
     shown_classes,
-    stack_labels,
 )
 
 WIDTH, HEIGHT = 480, 300
 
 
 @settings(max_examples=60, deadline=None)
-@given(st.lists(st.tuples(st.floats(-50, 700), st.floats(-50, 500), st.floats(10, 200)), max_size=25))
-def test_labels_do_not_cover_each_other(labels: list[tuple[float, float, float]]) -> None:
+@given(
+    st.lists(st.tuples(st.floats(-50, 700), st.floats(-50, 500), st.floats(10, 200)), max_size=40),
+    st.lists(st.tuples(st.floats(0, 600), st.floats(0, 400)), max_size=2),
+)
+def test_names_cover_neither_each_other_nor_what_stays_free(
+    labels: list[tuple[float, float, float]], corners: list[tuple[float, float]]
+) -> None:
     anchors, widths = [(x, y) for x, y, _ in labels], [width for _, _, width in labels]
-    placed = stack_labels(anchors, widths, 18.0, (640.0, 480.0))
-    inside = {i for i, (x, y) in enumerate(anchors) if 0 <= x <= 640 and 0 <= y <= 480}
-    assert set(placed) <= inside
-    for one in inside - set(placed):  # it would have to move farther than four heights: at least three are in its way
-        assert sum(-18.0 < low - anchors[one][1] < 90.0 for _, low in placed.values()) >= 3
-    for one, (x, y) in placed.items():
-        assert 0.0 <= x and y >= anchors[one][1]
-        for other, (left, low) in placed.items():
-            apart = x >= left + widths[other] or left >= x + widths[one] or abs(y - low) >= 18.0
-            assert one == other or apart
+    free = [(x, y, x + 80.0, y + 60.0) for x, y in corners]
+    placed = place_labels(anchors, widths, 18.0, (640.0, 480.0), free)
+    assert set(placed) <= {i for i, (x, y) in enumerate(anchors) if 0 <= x <= 640 and 0 <= y <= 480}
+    rectangles = {i: (x, y, x + widths[i], y + 18.0) for i, (x, y) in placed.items()}
+    for one, (left, low, right, high) in rectangles.items():
+        assert 0.0 <= left and 0.0 <= low and high <= 480.0
+        others = [*free, *(each for other, each in rectangles.items() if other != one)]
+        assert not any(left < x and x0 < right and low < y and y0 < high for x0, y0, x, y in others)
+    assert sum(widths[i] * 18.0 for i in [*placed][1:]) <= 0.03 * 640 * 480, "the room stays visible"
+    inside = [i for i, (x, y) in enumerate(anchors) if 0 <= x <= 640 and 0 <= y <= 480]
+    assert free or not inside or inside[0] in placed, "the first has its name"
 
 
 class Seen:
@@ -73,6 +79,25 @@ def test_labels_stand_at_their_boxes(root: bpy.types.Collection, seen: Seen) -> 
     bpy.data.objects.remove(bpy.data.objects["chair 1"])
     text_boxes = label_text_boxes(root.plgs.instances, boxes_of(root), 1, seen.region)
     assert [text_box.text for text_box in text_boxes] == ["cabinet 1"]
+
+
+def test_the_selected_one_says_where_it_is_out_of_view_and_the_one_under_the_mouse_has_a_name(
+    root: bpy.types.Collection, seen: Seen
+) -> None:
+    boxes, region = boxes_of(root), seen.region
+    at = region.pixel_of(bpy.data.objects["chair 1"].matrix_world.translation)
+    assert at is not None
+    free = [(at[0] - 80.0, 0.0, at[0] + 80.0, float(HEIGHT))]
+    assert "chair 1" not in {each.text for each in label_text_boxes(root.plgs.instances, boxes, 0, region, 0, free)}
+    one_only = ViewRegion(WIDTH, 24, 0, region.perspective, 1.0)
+    for number, name in ((1, "chair 1"), (2, "cabinet 1")):
+        first = label_text_boxes(root.plgs.instances, boxes, 0, one_only, number)[0]
+        assert (first.text, first.instance) == (name, number)
+    boxes[1].matrix_world = Matrix.Translation((0.0, 0.0, 500.0)) @ boxes[1].matrix_world
+    bpy.context.view_layer.update()
+    texts = {each.text for each in label_text_boxes(root.plgs.instances, boxes, 1, region)}
+    assert any(text.startswith("chair 1 is out of view") for text in texts)
+    assert not any("chair" in each.text for each in label_text_boxes(root.plgs.instances, boxes, 0, region))
 
 
 def test_the_legend_has_the_classes_that_are_shown(root: bpy.types.Collection, seen: Seen) -> None:
@@ -129,9 +154,8 @@ def test_what_is_drawn_is_seen(root: bpy.types.Collection, seen: Seen) -> None:
     points = highlight.highlight_of(root, 1, lambda cloud: True)
 
     def draw() -> None:
-        gpu.matrix.load_projection_matrix(seen.window_matrix)
-        draw_highlight(seen, (WIDTH, HEIGHT), points, box, colour, dim=True)  # type: ignore[arg-type]
         in_pixels()
+        draw_mark(highlight.mark_of(points, seen, (WIDTH, HEIGHT), brightened(colour)))
         draw_text_boxes(label_text_boxes(root.plgs.instances, boxes_of(root), 1, seen.region))
         draw_text_boxes(legend_text_boxes(shown_classes(root.plgs.classes), seen.region))
         draw_outline([(300, 20), (400, 20), (400, 90), (300, 90)], (0.2, 0.9, 0.3))
@@ -139,11 +163,15 @@ def test_what_is_drawn_is_seen(root: bpy.types.Collection, seen: Seen) -> None:
     drawn = picture(draw)[..., :3].astype(int)
     if "PLGS_PICTURES" in os.environ:
         save(drawn, os.path.join(os.environ["PLGS_PICTURES"], f"overlay_{bpy.app.version[0]}.png"))
-    assert (drawn[2, 2] < 90).all(), "the rest is darker than the ground of 128"
     at = seen.region.pixel_of(box.matrix_world.translation)
     assert at is not None
-    around = drawn[HEIGHT - int(at[1]) - 12 : HEIGHT - int(at[1]) + 12, int(at[0]) - 12 : int(at[0]) + 12]
-    assert ((around[..., 0] > 130) & (around[..., 1] < 160)).mean() > 0.5, "the chair's points are highlighted"
+    row, column = HEIGHT - int(at[1]), int(at[0])
+    inside = drawn[row - 3 : row + 4, column - 3 : column + 4]
+    assert (np.abs(inside - 128) < 40).all() and (inside[..., 0] > inside[..., 1]).all(), "tinted, not painted over"
+    red = (drawn[..., 0] > 180) & (drawn[..., 1] < 130) & (drawn[..., 2] < 130)
+    around = red[row - 60 : row + 60, column - 60 : column + 60]
+    assert 40 < around.sum() < 0.2 * around.size, "an outline of its colour"
+    assert around[:60].any() and around[60:].any() and around[:, :60].any() and around[:, 60:].any()
     green = (drawn[..., 1] > 200) & (drawn[..., 0] < 160) & (drawn[..., 2] < 180)
     assert green[205:285, 295:405].sum() > 400, "the rectangle of the mask"
     assert (drawn.min(axis=-1) > 230)[:HEIGHT].sum() > 100, "white letters"

@@ -1,0 +1,86 @@
+"""A click picks what is seen, however the lift is shown."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import bpy
+import numpy as np
+import pytest
+from mathutils import Matrix, Vector
+from plgs.plgs_blender.inspecting import picking
+from plgs.plgs_blender.inspecting.lookup import boxes_of
+from plgs.plgs_blender.inspecting.text_boxes import ViewRegion, label_text_boxes
+from tiny_scene import CABINET_ID, CHAIR_ID, tiny_intrinsics, trace_view
+
+SIZE = (480, 300)
+
+
+class Seen:
+    """A view from a place to another, as a RegionView3D has it."""
+
+    def __init__(self, eye: Vector, target: Vector, is_perspective: bool = True) -> None:
+        self.is_perspective = is_perspective
+        data = bpy.data.cameras.new("eye")
+        data.type, data.ortho_scale, data.clip_start = ("PERSP" if is_perspective else "ORTHO"), 4.0, 0.01
+        camera = bpy.data.objects.new("eye", data)
+        bpy.context.scene.collection.objects.link(camera)
+        turned = (target - eye).to_track_quat("-Z", "Y").to_matrix().to_4x4()
+        camera.matrix_world = Matrix.Translation(eye) @ turned
+        bpy.context.view_layer.update()
+        self.view_matrix = camera.matrix_world.inverted()
+        self.window_matrix = camera.calc_matrix_camera(bpy.context.evaluated_depsgraph_get(), x=SIZE[0], y=SIZE[1])
+        bpy.data.objects.remove(camera)
+
+    def pixel(self, point: Vector) -> tuple[float, float]:
+        at = ViewRegion(*SIZE, 0, self.window_matrix @ self.view_matrix, 1.0).pixel_of(point)
+        assert at is not None
+        return at
+
+
+def middle(root: bpy.types.Collection, number: int) -> Vector:
+    return boxes_of(root)[number].matrix_world.translation
+
+
+@pytest.mark.parametrize("kind", ["POINTS", "SPLATS", "SURFACE"])
+@pytest.mark.parametrize("is_perspective", [True, False])
+def test_the_middle_of_an_object_is_it(root: bpy.types.Collection, kind: str, is_perspective: bool) -> None:
+    root.plgs.show_as = kind
+    for number, class_id in ((1, CHAIR_ID), (2, CABINET_ID)):
+        seen = Seen(middle(root, number) + Vector((0.4, 0.3, 2.0)), middle(root, number), is_perspective)
+        found = picking.point_under(root, seen, SIZE, seen.pixel(middle(root, number)))
+        assert found is not None and (found.instance, found.class_id) == (number, class_id)
+        root.plgs.isolated = 3 - number
+        other = picking.point_under(root, seen, SIZE, seen.pixel(middle(root, number)))
+        assert other is None or other.instance != number, "what is hidden is not picked"
+        root.plgs.isolated = 0
+
+
+def test_pixels_of_a_frame_are_what_rays_hit(root: bpy.types.Collection) -> None:
+    """Against the room's own ray tracer, away from edges. The points have gaps, where no view came near."""
+    size, agree, total = (320, 240), 0, 0
+    for name in ("0001", "0004", "0007"):
+        camera = bpy.data.objects[name]
+        turn = np.diag([1.0, -1.0, -1.0, 1.0])
+        truth = trace_view(np.array(camera.matrix_world) @ turn, tiny_intrinsics(size), size).instance
+        seen = SimpleNamespace(
+            view_matrix=camera.matrix_world.inverted(),
+            window_matrix=camera.calc_matrix_camera(bpy.context.evaluated_depsgraph_get(), x=size[0], y=size[1]),
+            is_perspective=True,
+        )
+        for row in range(12, size[1] - 12, 8):
+            for column in range(12, size[0] - 12, 8):
+                if len(np.unique(truth[row - 8 : row + 9, column - 8 : column + 9])) == 1:
+                    found = picking.point_under(root, seen, size, (column + 0.5, size[1] - row - 0.5))
+                    total, agree = total + 1, agree + (found is not None and found.instance == truth[row, column])
+    assert total > 1000 and agree > 0.97 * total, f"{agree} of {total}"
+
+
+def test_a_name_is_its_object(root: bpy.types.Collection) -> None:
+    seen = Seen(middle(root, 1) + Vector((1.5, 1.5, 3.0)), middle(root, 1))
+    region = ViewRegion(*SIZE, 0, seen.window_matrix @ seen.view_matrix, 1.0)
+    names = label_text_boxes(root.plgs.instances, boxes_of(root), 0, region)
+    assert {each.instance for each in names} == {1, 2}
+    for each in names:
+        assert picking.name_under(names, (each.x + each.width / 2.0, each.y + each.height / 2.0)) == each.instance
+    assert picking.name_under(names, (-1.0, -1.0)) == 0

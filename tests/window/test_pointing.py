@@ -1,0 +1,114 @@
+"""A click selects what is seen, and keys, menus and the search act on it."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from blender import SIZE, Window
+from shown_lift import CABINET, CHAIR, over, shown_lift
+
+ACTIVE = "bpy.context.view_layer.objects.active"
+CHOSEN = f"[lift().plgs.instances[lift().plgs.instance_index].instance_id, inspecting.instance_of({ACTIVE})]"
+SELECTED = "sorted(inspecting.instance_of(each) for each in bpy.context.selected_objects)"
+NAMES = "[row.name for row in lift().plgs.instances]"
+
+
+@pytest.fixture
+def mine(window: Window, work_folder: Path, request: pytest.FixtureRequest) -> Iterator[Path]:
+    with shown_lift(window, work_folder / request.node.name, "PLGS_PT_corrections", "Correct") as lift:
+        window.run("bpy.ops.object.select_all(action='DESELECT')")
+        yield lift
+
+
+def kinds(lift: Path) -> list[str]:
+    """The edits that are not undone."""
+    path = lift / "corrections.json"
+    edits = json.loads(path.read_text())["edits"] if path.exists() else []
+    return [edit["kind"] for edit in edits if not edit.get("undone")]
+
+
+def test_a_click_selects_what_is_seen(window: Window, mine: Path) -> None:
+    for number in (CHAIR, CABINET, CHAIR):
+        window.click(*over(window, number))
+        window.settle()
+        assert window.ask(CHOSEN) == [number, number] and window.ask(SELECTED) == [number]
+    window.screenshot("pointing-selected")
+    x, y = over(window, CABINET)
+    window.move(x, y)
+    window._input("keydown", "shift")
+    window.click(x, y)
+    window._input("keyup", "shift")
+    window.settle()
+    assert window.ask(SELECTED) == [CHAIR, CABINET]
+    window.run("bpy.ops.mesh.primitive_monkey_add(size=0.5, location=boxes()[2].matrix_world.translation)")
+    window.run(f"{ACTIVE}.location.z += 1.0; bpy.context.view_layer.update()\nanswer = {ACTIVE}.name")
+    window.run("choose(1)")
+    window.settle()
+    at = window.run("at = bpy.data.objects['Suzanne'].location\nboxes_place = place_of(at)\nanswer = boxes_place")
+    window.click(at[0], SIZE[1] - at[1])
+    window.settle()
+    window.screenshot("pointing-suzanne")
+    assert window.ask(f"{ACTIVE}.name") == "Suzanne", "the user's own things stay selectable"
+
+
+def test_keys_act_on_what_was_clicked(window: Window, mine: Path) -> None:
+    x, y = over(window, CHAIR)
+    window.click(x, y)
+    window.key("F2")
+    window.settle()
+    window.screenshot("pointing-rename")
+    window.key("ctrl+a")
+    window.type("throne")
+    window.key("Return")
+    window.settle()
+    window.key("Return")
+    window.settle()
+    assert "throne" in window.ask(NAMES) and window.ask(f"boxes()[{CHAIR}].name") == "throne"
+    assert kinds(mine) == ["rename"]
+    window.run(f"boxes()[{CHAIR}].name = 'stool'")  # as the outliner does
+    window.wait_for("'stool' in [row.name for row in lift().plgs.instances]", 10)
+    assert kinds(mine) == ["rename", "rename"]
+    window.click(x, y)
+    window.key("x")
+    window.settle()
+    assert window.ask("ids()") == [CABINET] and kinds(mine) == ["rename", "rename", "delete"]
+    window.key("ctrl+z")
+    window.settle()
+    assert window.ask("ids()") == [CHAIR, CABINET] and kinds(mine) == ["rename", "rename"]
+
+
+def test_search_and_the_context_menu_find_the_commands(window: Window, mine: Path) -> None:
+    x, y = over(window, CHAIR)
+    window.click(x, y)
+    window.click(x, y, button=3)
+    window.settle()
+    window.screenshot("pointing-menu")
+    window.key("Escape")
+    window.move(x, y)
+    window.key("F3")
+    window.settle()
+    window.type("connected parts")
+    window.settle()
+    window.screenshot("pointing-search")
+    window.key("Escape", "Escape")
+
+
+def test_the_cutting_plane_is_ready_to_be_moved(window: Window, mine: Path) -> None:
+    window.click(*over(window, CABINET))
+    window.press("plgs.place_cut")
+    window.settle()
+    window.screenshot("pointing-cut")
+    assert window.ask(f"{ACTIVE}.name, {ACTIVE}.select_get(), {ACTIVE}.show_in_front") == ["Cut", True, True]
+    shown = "next(a for a in bpy.context.window.screen.areas if a.type == 'VIEW_3D').spaces.active"
+    assert window.ask(f"{shown}.show_gizmo_object_translate")
+    window.press("plgs.split_instance", contains="CUT")
+    assert kinds(mine) == ["split"] and not window.ask(f"{shown}.show_gizmo_object_translate")
+
+
+def test_the_keys_are_in_the_preferences(window: Window, mine: Path) -> None:
+    keys = "bpy.context.window_manager.keyconfigs.user.keymaps['Object Mode'].keymap_items"
+    found = window.ask(f"sorted({{each.idname for each in {keys} if each.idname.startswith('plgs.')}})")
+    assert found == ["plgs.delete_selected", "plgs.pick", "plgs.point_at", "plgs.rename_selected"]
