@@ -11,11 +11,12 @@ from __future__ import annotations
 import math
 import re
 import tempfile
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import bpy
 import numpy as np
@@ -36,6 +37,8 @@ from .results import LiftResult
 SHOT = "shot:"
 """Start of the key of a scene whose passes were baked from a camera of the user's."""
 _LAST_NUMBER = re.compile(r"(?s)(.*?)(\d+)(\D*)")
+_BEFORE_0 = re.compile(r"(?s)(.*)\.-\d+")
+"""The name of a shot's frame before 0. Blender counts only upwards from 0, so these are a sequence of their own."""
 _LARGEST_NUMBER = 2**31 - 1
 _LONGEST_NAME = 80
 """Characters of a shot's name, to which its views add a number."""
@@ -73,11 +76,12 @@ def place_passes(owned: OwnedDataBlocks, result: LiftResult) -> bpy.types.Scene 
     if not result.passes:
         owned.drop("scenes", PASSES)
         return None
-    sequence = numbered(list(result.passes))
-    offsets = [] if sequence is None else [number - k for k, number in enumerate(sequence.numbers, start=1)]
-    count = partial(_count_through, len(result.passes), offsets)
-    scene = _fill_scene(owned, result, PASSES, result.passes, sequence, count)
-    _set_timeline(scene, result)
+    sequence = numbered([path.stem for path in result.passes.values()])
+    scene = _fill_scene(owned, result, PASSES, result.passes, sequence, _counting_through(result.passes, sequence))
+    _mark_views(scene, result.passes)
+    sizes = {frame.name: frame.size for frame in result.scene.frames}
+    scene.render.resolution_x, scene.render.resolution_y = sizes[next(iter(result.passes))]
+    scene.render.resolution_percentage = 100
     return scene
 
 
@@ -92,14 +96,23 @@ def place_shots(owned: OwnedDataBlocks, result: LiftResult, shot_scene: bpy.type
             owned.drop("scenes", key)
     scenes = []
     for camera, names in groups.items():
-        files = {name: result.shots[name] for name in names}
-        sequence = numbered(names)
+        is_before_0 = _BEFORE_0.fullmatch(names[0]) is not None
+        files = {name: result.shots[name] for name in sorted(names, reverse=is_before_0)}
+        sequence = numbered(list(files))
         numbers = (1,) if sequence is None else sequence.numbers
-        count = partial(_count_on, min(numbers), max(numbers))
+        count = _counting_through(files, sequence) if is_before_0 else partial(_count_on, min(numbers), max(numbers))
         scene = _fill_scene(owned, result, f"{SHOT}{camera}", files, sequence, count)
-        _take_after(scene, shot_scene, numbers, size_of(files[names[0]]))
+        _take_after(scene, shot_scene, range(1, 1 + len(files)) if is_before_0 else numbers, size_of(files[names[0]]))
+        if is_before_0:
+            _mark_views(scene, files)
         scenes.append(scene)
     return scenes
+
+
+def _counting_through(names: Collection[str], sequence: NumberedNames | None) -> Callable[[Any, Any], None]:
+    """Lets frame k of the timeline show the k-th name."""
+    numbers = () if sequence is None else sequence.numbers
+    return partial(_count_through, len(names), [number - k for k, number in enumerate(numbers, start=1)])
 
 
 def _fill_scene(
@@ -150,7 +163,7 @@ def _images(
     the first.
     """
     if sequence is not None:
-        files = {"": files[sequence.first]}
+        files = {"": next(path for path in files.values() if path.stem == sequence.first)}
     images = []
     for name, path in files.items():
         own_key = f"{key}:{name}" if name else key
@@ -243,15 +256,12 @@ def _first_mattes(tree: bpy.types.NodeTree, result: LiftResult) -> None:
         node_of(tree, CLASSES).matte_id = names.get(first.class_id, "")
 
 
-def _set_timeline(scene: bpy.types.Scene, result: LiftResult) -> None:
-    """Give each view a frame and a marker, and the picture the size of the first view."""
+def _mark_views(scene: bpy.types.Scene, names: Collection[str]) -> None:
+    """Give each view a frame and a marker."""
     scene.timeline_markers.clear()
-    for frame, name in enumerate(result.passes, start=1):
+    for frame, name in enumerate(names, start=1):
         scene.timeline_markers.new(name, frame=frame)
-    scene.frame_start, scene.frame_end = 1, len(result.passes)
-    sizes = {frame.name: frame.size for frame in result.scene.frames}
-    scene.render.resolution_x, scene.render.resolution_y = sizes[next(iter(result.passes))]
-    scene.render.resolution_percentage = 100
+    scene.frame_start, scene.frame_end = 1, len(names)
 
 
 def open_passes(scene: bpy.types.Scene) -> bpy.types.Scene:
@@ -342,12 +352,13 @@ def numbered(names: Sequence[str]) -> NumberedNames | None:
 
 def sequences(names: Sequence[str]) -> dict[str, list[str]]:
     """Names in groups that Blender can count through, by the text before the number: "shot" of "shot.0001" and
-    "shot.0002". A name that fits in no group is a group by itself.
+    "shot.0002", "shot before 0" of "shot.-0001". A name that fits in no group is a group by itself.
     """
     groups: dict[str, list[str]] = {}
     for name in names:
-        parts = _LAST_NUMBER.fullmatch(name)
-        groups.setdefault(parts[1].rstrip(" ._-") if parts is not None else name, []).append(name)
+        parts, before = _LAST_NUMBER.fullmatch(name), _BEFORE_0.fullmatch(name)
+        stem = name if parts is None else parts[1].rstrip(" ._-") if before is None else f"{before[1]} before 0"
+        groups.setdefault(stem, []).append(name)
     found: dict[str, list[str]] = {}
     for stem, group in groups.items():
         found |= {stem or group[0]: group} if numbered(group) else {name: [name] for name in group}

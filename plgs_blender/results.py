@@ -56,11 +56,12 @@ def read_result(folder: Path) -> LiftResult:
     """
     lift = LiftFolder.open(folder)
     lift.refuse_foreign()
-    listed = {str(file.path): file for file in check_sizes(lift.result_path).files}
+    manifest = check_sizes(lift.result_path)
+    listed = {str(file.path): file for file in manifest.files}
     exrs = _listed_passes(lift, listed)
     _verify(lift, [*_READ, *(path.relative_to(lift.result_path).as_posix() for path in exrs)], listed)
     scene, corrected = known_scene(lift), read_corrected(lift.path)
-    by_name = {path.stem: path for path in exrs}
+    by_name = {manifest.frames.get(path.stem, path.stem): path for path in exrs}
     passes = {frame.name: by_name[frame.name] for frame in scene.frames if frame.name in by_name}
     return LiftResult(
         folder=lift.path,
@@ -72,7 +73,7 @@ def read_result(folder: Path) -> LiftResult:
         passes=passes,
         edits=corrected.edits,
         not_shown=tuple(not_shown(read_metrics(lift))) if "metrics.json" in listed else (),
-        shots={path.stem: path for path in exrs if path.stem not in passes},
+        shots={name: path for name, path in by_name.items() if name not in passes},
     )
 
 

@@ -16,6 +16,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import bpy
+import numpy as np
 
 from ..engine.errors import ErrorCode, PlgsError
 from ..engine.job import BakeCamera, ExitCode, LiftFolder, write_atomically
@@ -65,7 +66,10 @@ class Shot:
         scenes = self.camera.users_scene
         found = ["depth of field"] if self.camera.type == "CAMERA" and self.camera.data.dof.use_dof else []
         found += ["motion blur"] if any(scene.render.use_motion_blur for scene in scenes) else []
-        return [f"{what} is not baked: {self.camera.name} is sharp in the passes" for what in found]
+        told = [f"{what} is not baked: {self.camera.name} is sharp in the passes" for what in found]
+        if any(scene.render.use_border and not scene.render.use_crop_to_border for scene in scenes):
+            told.append("the render region is not cropped to, so whole pictures are baked")
+        return told
 
 
 def shot_of(
@@ -91,8 +95,8 @@ def shot_of(
         given,
         tuple(only),
     )
-    fix = "Set the range in the Output properties: it must start at 0 or later, and end no earlier than it starts."
-    if not shot.frames or shot.first < 0:
+    fix = "Set the range in the Output properties: it must end no earlier than it starts."
+    if not shot.frames:
         raise PlgsError(f"cannot be baked: {shot.first} to {shot.last} is not a range of frames", scene.name, fix)
     return shot
 
@@ -154,9 +158,14 @@ def write_view(lift: Path, scene: bpy.types.Scene) -> Path:
     now = scene.frame_current
     ob = shot_of(scene, first=now, last=now, step=1).camera
     bpy.context.view_layer.update()  # a script may just have moved it
-    name = f"{safe_name(ob.name)}.{now:0{DIGITS}d}"
+    name = numbered_name(safe_name(ob.name), now)
     write_cameras(lift / "bake" / f"{name}.json", [_camera_now(scene, ob, now, name)])
     return lift / "bake" / f"{name}.json"
+
+
+def numbered_name(name: str, frame: int, digits: int = DIGITS) -> str:
+    """The name of a frame's file, as Blender's own renders have it: "shot.0003" and "shot.-0003"."""
+    return f"{name}.{'-' * (frame < 0)}{abs(frame):0{digits}d}"
 
 
 class ShotReader:
@@ -172,6 +181,7 @@ class ShotReader:
         self._scene, self._camera, self._frames = scene.name, shot.camera.name, shot.frames
         self._read: list[BakeCamera] = []
         self._first, self._last = min(*shot.frames, scene.frame_start), max(*shot.frames, scene.frame_end)
+        self._digits = max(DIGITS, *(len(str(abs(frame))) for frame in (self._first, self._last)))
         self._shot = shot.name
         self._source = ShotSource(bpy.data.filepath or bpy.app.tempdir, shot.camera.name)
         which = f"{shot.first}-{shot.last}x{shot.step}"
@@ -213,7 +223,7 @@ class ShotReader:
         return is_done
 
     def _name(self, frame: int) -> str:
-        return f"{self._shot}.{frame:0{DIGITS}d}"
+        return numbered_name(self._shot, frame, self._digits)
 
     def _stands_still_in(self, scene: bpy.types.Scene, ob: bpy.types.Object) -> bool:
         """Frames outside of those that were read are looked at until one shows something else."""
@@ -263,12 +273,40 @@ def _camera_at(scene: bpy.types.Scene, ob: bpy.types.Object, frame: int, name: s
 
 def _camera_now(scene: bpy.types.Scene, ob: bpy.types.Object, frame: int, name: str) -> BakeCamera:
     _check_pinhole(ob, frame)
-    camera = seen_by(ob, scene.render)
+    camera, display = _rendered_part(seen_by(ob, scene.render), scene)
     if max(camera.width, camera.height) > LARGEST_SIDE:
         fix = f"Set its resolution to at most {LARGEST_SIDE} pixels per side."
         raise PlgsError(f"renders {camera.width}x{camera.height} pixels", scene.name, fix)
     near, far, fps = float(ob.data.clip_start), float(ob.data.clip_end), scene.render.fps / scene.render.fps_base
-    return BakeCamera(name, _pinhole(camera), near, far, frame, fps)
+    return BakeCamera(name, _pinhole(camera), near, far, frame, fps, display)
+
+
+def _rendered_part(camera: Camera, scene: bpy.types.Scene) -> tuple[Camera, tuple[int, int, int, int] | None]:
+    """The camera of what is baked: the render region if Blender crops to it, else the picture with EEVEE's overscan on
+    all sides and the window of the picture in that. Raises PlgsError.
+
+    A region that is not cropped would be a data window within the picture. Blender's compositor misplaces these (in 4.5
+    in the middle, in 5.2 upside down), so the whole picture is baked then.
+    """
+    render, (width, height) = scene.render, camera.size
+    part, display = (0, 0, width, height), None
+    if render.use_border and render.use_crop_to_border:
+        left, right = (_pixels(each, width) for each in (render.border_min_x, render.border_max_x))
+        bottom, top = (height - _pixels(each, height) for each in (render.border_min_y, render.border_max_y))
+        if left >= right or top >= bottom:
+            raise PlgsError("has a render region without a pixel", scene.name, "Draw a larger one, or switch it off.")
+        part = left, top, right, bottom
+    elif scene.eevee.use_overscan:
+        more = math.ceil(max(width, height) * scene.eevee.overscan_size / 100)
+        part, display = (-more, -more, width + more, height + more), (more, more, width, height)
+    left, top, right, bottom = part
+    middle = camera.cx - left, camera.cy - top
+    return Camera(right - left, bottom - top, camera.fx, camera.fy, *middle, camera.camera_to_world), display
+
+
+def _pixels(share: float, size: int) -> int:
+    """The pixels of a render border, as Blender counts them: in single precision, cut off."""
+    return int(np.float32(share) * np.float32(size))
 
 
 def _pinhole(camera: Camera) -> PreviewCamera:

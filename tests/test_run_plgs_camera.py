@@ -86,10 +86,12 @@ def test_frames_are_baked_and_those_that_are_done_are_kept(lift: LiftFolder, ble
 
 
 def test_passes_go_into_a_folder_of_ones_own(lift: LiftFolder, blend: Path, tmp_path: Path) -> None:
-    command = ["-o", lift.path, "--bake", "camera", "--blend", blend, "--range", "1-1", "--passes", tmp_path / "mine"]
+    command = ["-o", lift.path, "--bake", "camera", "--blend", blend, "--camera", "dolly", "--range", "-1-1"]
     before = lift.manifest_path.read_bytes()
-    assert exit_code(run_plgs.main, *command) == 0
-    assert [path.name for path in (tmp_path / "mine").glob("*.exr")] == ["shot_wide.0001.exr"]
+    assert exit_code(run_plgs.main, *command, "--passes", tmp_path / "mine") == 0
+    assert {path.name for path in (tmp_path / "mine").glob("*.exr")} == {
+        f"shot_dolly.{frame}.exr" for frame in ("-0001", "0000", "0001")
+    }
     assert lift.manifest_path.read_bytes() == before and not lift.passes_path.exists()
 
 
@@ -140,7 +142,7 @@ def test_a_camera_that_cannot_be_baked_is_a_one_line_error(
         (["--blend", tmp_path / "gone.blend"], ("is not there", "gone.blend", "--blend")),
         (["--steps", "5", "--seed", "2"], ("leave out --seed, --steps,", "SCENE")),
         (["--range", "3-1"], ("'3-1'", "ends before it begins")),
-        (["--range", "-3-5"], ("'-3-5'", "from 0 on")),
+        (["--range", "-3--5"], ("'-3--5'", "ends before it begins")),
         (["--range", "1;2"], ("'1;2'", "1001,1003")),
         (["--range", "1-999999999"], ("more than 1000000 frames",)),
     ):

@@ -212,12 +212,13 @@ def joined_model(
     channels = LabelChannels(class_ids, (NO_OBJECT, *class_of), (0, *class_of.values()))
     place = {-class_id: row for row, class_id in enumerate(class_ids)}
     place |= {one: len(class_ids) + row for row, one in enumerate(channels.shown_ids)}
-    anchors, labels, shares = [], [], []
+    anchors, labels, shares, finest = [], [], [], []
     most = max(block.model.voted.label.shape[1] for block in blocks if block.model.voted)
     for block, ids in zip(blocks, new_id, strict=True):
         model, k = block.model, block.model.anchors.gaussians_per_anchor
         rows = torch.from_numpy(block.cell.contains(model.anchors.position.numpy()).nonzero()[0])
         anchors.append(model.anchors.select(rows))
+        finest.append(torch.zeros(len(rows)) if model.finest is None else model.finest[rows])
         drawn = (rows[:, None] * k + torch.arange(k)).flatten()
         own = model.channels
         of_shown = own.class_of_shown
@@ -234,4 +235,4 @@ def joined_model(
     shape = BlockShape(*sizes, first.distance_input, first.label_view_input, tuple(len(part) for part in anchors))
     decoders = BlockDecoders.joined(shape, [block.model.decoders for block in blocks])
     voted = GaussianLabels(torch.cat(labels), torch.cat(shares))
-    return StructuredScene(whole, decoders, channels, blocks[0].model.voxel_size, voted)
+    return StructuredScene(whole, decoders, channels, blocks[0].model.voxel_size, voted, torch.cat(finest))

@@ -8,13 +8,13 @@ from __future__ import annotations
 
 import sys
 import time
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from ..errors import Cancelled, ErrorCode, PlgsError
-from ..job import EventWriter, LiftFolder, LiftRequest, LiftState, StopSignal, write_manifest
+from ..job import EventWriter, LiftFolder, LiftRequest, LiftState, StopSignal
 from ..job.folder import BLOCKS
 from ..job.follower import TaskFollower
 from ..job.process import engine_command
@@ -22,7 +22,7 @@ from ..job.task import LIFT, TaskState
 from ..lift.baking import FrameBaker, bake_and_evaluate
 from ..lift.device import be_repeatable, refuse_missing_device
 from ..lift.judging import read_held_back
-from ..lift.run import frames_to_bake, library_versions, tell
+from ..lift.run import finish, frames_to_bake, tell
 from ..lift.scene_files import read_model, write_lifted
 from ..passes.baked_view import ShownInstances
 from ..presets.preset import Preset
@@ -83,13 +83,7 @@ def _do_stages(folder: LiftFolder, preset: Preset, stages: StageReporter) -> Non
     views = StoredViews(judges, folder.path)
     wanted, held_back = frames_to_bake(scene, request.bake), read_held_back(scene, preset.size, folder.path)
     bake_and_evaluate(folder, scene, baker, wanted, views, held_back, events, stages)
-    write_manifest(
-        folder.result_path,
-        versions=library_versions(),
-        seed=request.seed,
-        settings=asdict(preset),
-        timings=stages.timings,
-    )
+    finish(folder, preset, stages)
 
 
 def shown_of(whole: JoinedScene) -> ShownInstances:

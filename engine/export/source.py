@@ -11,7 +11,7 @@ from ..corrections import CorrectedResult, read_corrected
 from ..job import LiftFolder, read_cameras, read_manifest, verify_files
 from ..job.manifest import damaged
 from ..lift.bake_more import WantedView, frames_named, view_from
-from ..lift.baking import CORRECTIONS_NOTE, FrameBaker, baked_files, read_baker
+from ..lift.baking import CORRECTIONS_NOTE, FrameBaker, baked_files, names_of_files, read_baker
 from ..passes.baked_view import ShownInstances
 from ..passes.exr import read_exr, read_note
 from ..passes.layers import PanopticLayers
@@ -82,8 +82,9 @@ class FinishedLift:
         """Every frame as the lift shows it, at the frame's own size. Progress is reported after each."""
         result = self.folder.result_path
         listed = {result / file.path: file for file in read_manifest(result).files}
+        names = names_of_files(self.folder)
         for number, frame in enumerate(self.frames, start=1):
-            baked = baked_files(self.folder, frame.name)[0]
+            baked = baked_files(self.folder, names.get(frame.name, frame.name))[0]
             if baked in listed and is_corrected(baked, self.corrected.fingerprint):
                 verify_files(result, [listed[baked]])
                 yield frame, _read(baked)

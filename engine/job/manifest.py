@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path, PurePosixPath
 from stat import S_ISREG
 
@@ -13,6 +13,8 @@ from ..json_file import Json
 from ..records import read_record, record_text
 from .atomic import ListedFile, files_below, remove_parts, sha256, write_atomically
 
+_Facts = Mapping[str, Json]
+_Names = Mapping[str, str]
 NAME = "manifest.json"
 MAKE_ANEW = "Resume the lift: 'python -m engine lift LIFT --resume' makes the result again."
 """The advice for a result that has changed since it was written."""
@@ -25,23 +27,20 @@ def damaged(what: str, path: Path) -> PlgsError:
 
 @dataclass(frozen=True)
 class Manifest:
-    """What a finished lift made and how. ``timings``: stage name to seconds."""
+    """What a finished lift made and how. ``timings``: stage name to seconds. ``frames``: the capture's own names of the
+    frames whose files are named otherwise, by the file's name."""
 
     engine_version: str
-    versions: Mapping[str, Json]
+    versions: _Facts
     seed: int
-    settings: Mapping[str, Json]
-    timings: Mapping[str, Json]
+    settings: _Facts
+    timings: _Facts
     files: tuple[ListedFile, ...]
+    frames: Mapping[str, str] = field(default_factory=dict)
 
 
 def write_manifest(
-    result: Path,
-    *,
-    versions: Mapping[str, Json],
-    seed: int,
-    settings: Mapping[str, Json],
-    timings: Mapping[str, Json],
+    result: Path, *, versions: _Facts, seed: int, settings: _Facts, timings: _Facts, frames: _Names | None = None
 ) -> None:
     """List every file of the result with its size and SHA-256. The lift is finished when this returns.
 
@@ -49,18 +48,20 @@ def write_manifest(
     """
     remove_parts(result)
     files = tuple(ListedFile.of(path, result) for path in files_below(result) if path != result / NAME)
-    _write(result, Manifest(__version__, versions, seed, settings, timings, files))
+    _write(result, Manifest(__version__, versions, seed, settings, timings, files, frames or {}))
 
 
-def add_files(result: Path, paths: Sequence[Path]) -> None:
-    """List more files, or changed ones, in the manifest of a finished lift; the rest of it stays as it is.
+def add_files(result: Path, paths: Sequence[Path], frames: _Names | None = None) -> None:
+    """List more files, or changed ones, in the manifest of a finished lift; the rest of it stays as it is. ``frames``
+    is as in `Manifest`.
 
     The result is complete before and after, even if the process is killed in between. Raises PlgsError if there is no
     manifest, and OSError.
     """
     manifest = read_manifest(result)
     files = {file.path: file for file in (*manifest.files, *(ListedFile.of(path, result) for path in paths))}
-    _write(result, replace(manifest, files=tuple(files[path] for path in sorted(files))))
+    names = {**manifest.frames, **(frames or {})}
+    _write(result, replace(manifest, files=tuple(files[path] for path in sorted(files)), frames=names))
 
 
 def drop_files(result: Path, paths: Sequence[Path]) -> None:

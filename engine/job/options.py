@@ -119,8 +119,8 @@ def given_lift_options(options: argparse.Namespace) -> list[str]:
 
 
 def readable(arguments: Sequence[str]) -> list[str]:
-    """The arguments with "--up -y" as "--up=-y", as argparse reads a value that begins with a dash as an option. The
-    same is done for "--range -5-10", so that the error in it can be reported."""
+    """The arguments with "--up -y" as "--up=-y", and so for "--range -5-10": argparse reads a value that begins with a
+    dash as an option."""
     joined: list[str] = []
     for argument in arguments:
         option = joined[-1] if joined else ""

@@ -6,7 +6,6 @@ The passes become part of the result, or go into a folder of their own, where no
 
 from __future__ import annotations
 
-import re
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -30,14 +29,16 @@ from ..job import (
 from ..job.cameras import refuse_equal_names
 from ..job.frame_numbers import frame_numbers
 from ..model.rendering import ClipRange
+from ..passes.baked_view import BakedView
 from ..passes.exr import further_layers, read_note, write_exr
-from ..passes.frame_header import ShownFrame
-from ..scene import Camera, Frame, Scene
+from ..passes.frame_header import ShownFrame, number_in
+from ..scene import Camera, Frame, Scene, size_within
 from ..scene_of_lift import complete_known_scene, scene_of_lift
 from ..train.progress import StageReporter
-from .baking import CORRECTIONS_NOTE, FrameBaker, baked_files, read_baker
+from .baking import CORRECTIONS_NOTE, FrameBaker, baked_files, names_of_files, read_baker
 from .device import be_repeatable
 from .scene_files import MODEL
+from .unresolved import Unresolved, tell_unresolved, unresolved
 
 STAGES = {"open": "Opening the lifted scene", "bake": "Baking panoptic passes"}
 KEEP_EVERY_S = 20.0
@@ -46,10 +47,10 @@ WAIT_S = 0.2
 """Seconds between two checks of the views that other processes are baking."""
 CAMERA_NOTE = "plgs/camera"
 """Attribute in the header of a view that does not belong to a frame: the fingerprint of its camera."""
-
-
 MODEL_NOTE = "plgs/model"
 """Attribute in the header of a view in a folder of its own: the SHA-256 of the lift's model."""
+MOST_LOOKS, LOOK_WITHIN = 8, (96, 96)
+"""At most this many views are drawn before a bake, so small, to tell what the capture does not resolve of them."""
 
 
 @dataclass(frozen=True)
@@ -62,14 +63,15 @@ class BakeOptions:
 
 @dataclass(frozen=True, eq=False)
 class WantedView:
-    """A view to bake. ``fingerprint`` is the camera's if it does not belong to a frame, and empty for a frame. What
-    is ``shown`` goes into its header."""
+    """A view to bake, and the ``name`` of its files. ``fingerprint`` is the camera's if it does not belong to a frame,
+    and empty for a frame, whose name in the capture is ``frame``. What is ``shown`` goes into its header."""
 
     name: str
     camera: Camera
     clip: ClipRange = ClipRange()
     fingerprint: str = ""
     shown: ShownFrame = ShownFrame()
+    frame: str = ""
 
 
 def bake_frames(
@@ -85,7 +87,7 @@ def bake_frames(
     until then stays.
     """
     with BakeLocks(folder.path) as locks:
-        _bake(folder, locks, lambda scene: _views_of(frames_named(scene, frames)), events, stop, options)
+        _bake(folder, locks, lambda scene: _views_of(folder, frames_named(scene, frames)), events, stop, options)
 
 
 def bake_cameras(
@@ -99,7 +101,8 @@ def bake_cameras(
 
     def views_in(scene: Scene) -> list[WantedView]:
         wanted = read_cameras(cameras)
-        refuse_equal_names([camera.name for camera in wanted], cameras, [frame.name for frame in scene.frames])
+        taken = [*(frame.name for frame in scene.frames), *names_of_files(folder).values()]
+        refuse_equal_names([camera.name for camera in wanted], cameras, taken)
         return [view_from(camera) for camera in wanted]
 
     with BakeLocks(folder.path) as locks:
@@ -115,8 +118,9 @@ def view_from(camera: BakeCamera) -> WantedView:
     return WantedView(camera.name, seen, ClipRange(camera.near, camera.far), camera.fingerprint, shown)
 
 
-def _views_of(frames: Sequence[Frame]) -> list[WantedView]:
-    return [WantedView(frame.name, frame.camera) for frame in frames]
+def _views_of(folder: LiftFolder, frames: Sequence[Frame]) -> list[WantedView]:
+    names = names_of_files(folder)
+    return [WantedView(names.get(frame.name, frame.name), frame.camera, frame=frame.name) for frame in frames]
 
 
 def _bake(
@@ -138,6 +142,8 @@ def _bake(
             complete_known_scene(folder, scene)
         wanted = [view for view in views_in(scene) if not place.has(view, notes)]
         baker = read_baker(folder, scene.classes, corrected)
+        photos, found = [frame.camera for frame in scene.train_frames], list[tuple[str, Unresolved]]()
+        look_ahead(baker, wanted, photos, events)
     with stages.stage("bake") as progress:
         left = wanted
         try:
@@ -148,7 +154,10 @@ def _bake(
                         if not is_ours:
                             others.append(view)
                         elif not place.has(view, notes):
-                            place.write(view, baker, events)
+                            rendered = baker.render(view.camera, view.clip)
+                            if view.fingerprint:
+                                found.append((view.name, unresolved(rendered.layers, view.camera, photos)))
+                            place.write(view, rendered, baker, events)
                     progress(len(wanted) - len(left) + number - len(others), len(wanted))
                 place.keep()
                 # Only views on disk count as done: a process that is baking one of these may still be killed.
@@ -156,6 +165,17 @@ def _bake(
                 left = others
         finally:
             place.keep()
+            tell_unresolved(found, events, before=False)
+
+
+def look_ahead(baker: FrameBaker, wanted: Sequence[WantedView], photos: Sequence[Camera], events: EventWriter) -> None:
+    """Tell how much the capture does not resolve of views that belong to no frame, by small pictures of some."""
+    free, found = [view for view in wanted if view.fingerprint], []
+    for view in free[:: -(-len(free) // MOST_LOOKS) or 1]:
+        small = view.camera.resized(*size_within(view.camera.size, LOOK_WITHIN))
+        layers = baker.render(small, view.clip).layers
+        found.append((view.name, unresolved(layers, small, photos, view.camera.width / small.width)))
+    tell_unresolved(found, events, before=True)
 
 
 def is_whole(passes: Path, notes: Mapping[str, str], layers: tuple[str, ...]) -> bool:
@@ -189,8 +209,7 @@ def _in_range(scene: Scene, text: str) -> list[Frame]:
         ranges = frame_numbers(text)
     except ValueError:
         return []
-    last = ((frame, re.findall(r"\d+", frame.name)[-1:]) for frame in scene.frames)
-    return [frame for frame, number in last if number and any(int(number[0]) in each for each in ranges)]
+    return [frame for frame in scene.frames if any(number_in(frame.name) in each for each in ranges)]
 
 
 def _notes_of(view: WantedView) -> dict[str, str]:
@@ -220,11 +239,11 @@ class _OwnFolder:
         path = self._path_of(view)
         return path.exists() and is_whole(path, {**notes, **_notes_of(view), **self._model}, self._layers)
 
-    def write(self, view: WantedView, baker: FrameBaker, events: EventWriter) -> None:
-        """Bake a view. Raises OSError."""
+    def write(self, view: WantedView, rendered: BakedView, baker: FrameBaker, events: EventWriter) -> None:
+        """Write a view. Raises OSError."""
         self._output.mkdir(parents=True, exist_ok=True)
         notes = {**_notes_of(view), **self._model, **baker.notes}
-        write_exr(self._path_of(view), baker.render(view.camera, view.clip), notes, self._layers, view.shown)
+        write_exr(self._path_of(view), rendered, notes, self._layers, view.shown)
 
     def keep(self) -> None:
         """Do nothing, as there is no manifest."""
@@ -246,10 +265,9 @@ class _Result:
         files = baked_files(self._folder, view.name)
         return self._listed().issuperset(files) and is_whole(files[0], {**notes, **_notes_of(view)}, self._layers)
 
-    def write(self, view: WantedView, baker: FrameBaker, events: EventWriter) -> None:
-        """Bake a view, replacing one from another camera. Raises OSError."""
+    def write(self, view: WantedView, rendered: BakedView, baker: FrameBaker, events: EventWriter) -> None:
+        """Write a view, replacing one from another camera. Raises OSError."""
         self._make_room(view)
-        rendered = baker.render(view.camera, view.clip)
         baker.write(self._folder, view.name, rendered, events, _notes_of(view), self._layers, view.shown)
         self._add(view, at_once=self._locks.others_at_work())
 
@@ -285,5 +303,6 @@ class _Result:
         files = [path for view in self._views for path in baked_files(self._folder, view.name)]
         if files:
             with self._locks.manifest():
-                add_files(self._folder.result_path, files)
+                own = {view.name: view.frame for view in self._views if view.frame not in ("", view.name)}
+                add_files(self._folder.result_path, files, own)
         self._views, self._kept_at = [], time.monotonic()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import time
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
@@ -17,6 +18,7 @@ from ..errors import PlgsError
 from ..job import EventWriter, LiftFolder, write_atomically
 from ..job.report import read_metrics
 from ..job.system import peak_bytes
+from ..known_scene import read_known
 from ..metrics.calibration import UNCALIBRATED, Calibration
 from ..metrics.report import LIFTED, PredictedView, Report, add_input_masks
 from ..model.render import render_bands
@@ -38,6 +40,10 @@ from .scene_files import LIFT_ANEW, read_model, read_shown_instances
 
 CORRECTIONS_NOTE = "plgs/corrections"
 """Attribute in the header of a view that shows corrections: their fingerprint."""
+DIGITS = 4
+"""Digits of a frame's number in the names of its files, at least."""
+_NUMBERED = re.compile(r"(?s)((?:.*[_-]|.*\D\.)?)(\d{1,9})")
+"""A name that is a number or ends in one, but not in a decimal, such as the seconds of a time."""
 
 
 class FrameBaker:
@@ -119,6 +125,26 @@ def baked_files(folder: LiftFolder, frame: str) -> tuple[Path, Path, Path, Path]
     return folder.passes_path / f"{frame}.exr", colour, semantic, instance
 
 
+def names_of_files(folder: LiftFolder) -> dict[str, str]:
+    """The name of each frame's files: a number has as many digits as the longest needs, at least DIGITS ("3" is
+    "0003"). The frames keep their names if two files would have the same one, or if passes of an earlier version have
+    them. Empty if the frames are not known. Raises PlgsError."""
+    known = read_known(folder)
+    found = {} if known is None else {frame.name: _NUMBERED.fullmatch(frame.name) for frame in known.frames}
+    digits = max([DIGITS, *(len(match[2]) for match in found.values() if match)])
+    padded = {name: match[1] + match[2].zfill(digits) if match else name for name, match in found.items()}
+    renamed = [name for name, file in padded.items() if name != file]
+    is_clear = len({file.casefold() for file in padded.values()}) == len(padded)
+    if is_clear and not any(baked_files(folder, name)[0].exists() for name in renamed):
+        return padded
+    return {name: name for name in padded}
+
+
+def renamed_frames(names: Mapping[str, str]) -> dict[str, str]:
+    """``Manifest.frames`` for the `names_of_files`."""
+    return {file: name for name, file in names.items() if name != file}
+
+
 def predicted(layers: PanopticLayers) -> PredictedView:
     """A lifted view in the form that the report scores."""
     return PredictedView(
@@ -144,7 +170,7 @@ def bake_and_evaluate(
     baked_names = {frame.name for frame in wanted}
     frames = wanted or scene.test_frames  # wanted frames include the held-out ones, or are empty
     shown = {scene.test_frames[index].name for index in chosen(len(scene.test_frames))}
-    report, rows, seconds = Report(scene.classes), [], []
+    report, rows, seconds, names = Report(scene.classes), [], [], names_of_files(folder)
     with stages.stage("evaluate") as progress:
         add_input_masks(report, scene)
         judgement = judge(baker.seen, scene, views, held_back, progress, folder.path)
@@ -156,7 +182,7 @@ def bake_and_evaluate(
             view = baker.render(frame.camera)
             seconds.append(time.monotonic() - began)
             if frame.name in baked_names:
-                baker.write(folder, frame.name, view, events)
+                baker.write(folder, names.get(frame.name, frame.name), view, events)
             if frame.held_out:
                 report.add(LIFTED, frame, predicted(view.layers))
             if frame.name in shown:

@@ -22,6 +22,7 @@ from ..errors import Cancelled, PlgsError
 from ..job import Checkpoint, EventWriter, LiftFolder, LiftRequest, StopSignal, write_manifest
 from ..job.prediction import USUAL_MASKS, learn_slowness, machine_slowness
 from ..machine.log_compilation import log_compilation
+from ..model.detail import finest_pixels
 from ..model.settling import OwnedPoints
 from ..model.structured import GaussianLabels, StructuredScene
 from ..model.tensor_file import read_tensors
@@ -46,7 +47,7 @@ from ..scene_of_lift import have_masks_changed, remember_scene
 from ..train.progress import Course, StageProgress, StageReporter
 from ..train.state import OtherLabels, restore, trainer_state
 from ..train.trainer import Trainer
-from .baking import FrameBaker, bake_and_evaluate
+from .baking import FrameBaker, bake_and_evaluate, names_of_files, renamed_frames
 from .device import be_repeatable, refuse_missing_device
 from .fitting import predicted_lift
 from .frame_sets import FRAMES, FrameSets, sets_of_frames
@@ -146,6 +147,7 @@ def run_lift(
                 prepared = finishing(trainer, prepared, classes, progress)
             if preset.shows_votes:
                 trainer.scene.voted = voted_labels(trainer.scene, frames, prepared, preset, progress, folder.path)
+            trainer.scene.finest = finest_of(trainer.scene, frames.training, preset)
             if earlier is not None:
                 prepared, lasting = keep_names(earlier, prepared, trainer.scene, classes)
                 names = lasting.names
@@ -158,9 +160,20 @@ def run_lift(
         wanted = frames_to_bake(frames.all, request.bake)
         bake_and_evaluate(folder, frames.chosen, baker, wanted, views, held_back, events, stages)
     previews.clear_away()
-    versions, settings = library_versions(), asdict(preset)
-    write_manifest(folder.result_path, versions=versions, seed=request.seed, settings=settings, timings=stages.timings)
+    finish(folder, preset, stages)
     remember_pace(paces, trainer)
+
+
+def finish(folder: LiftFolder, preset: Preset, stages: StageReporter) -> None:
+    """Write the manifest, with which the lift is finished. Raises OSError."""
+    write_manifest(
+        folder.result_path,
+        versions=library_versions(),
+        seed=folder.request.seed,
+        settings=asdict(preset),
+        timings=stages.timings,
+        frames=renamed_frames(names_of_files(folder)),
+    )
 
 
 def checked_frames(
@@ -216,6 +229,12 @@ def voted_labels(
     assert maps is not None  # objects by agreement come with them
     points = OwnedPoints(prepared.cloud.xyz, prepared.instance_of_point)
     return vote_labels(lifted, frames.training, maps, preset, progress, points, scratch)
+
+
+def finest_of(lifted: StructuredScene, training: Sequence[Frame], preset: Preset) -> torch.Tensor:
+    """``StructuredScene.finest`` for the training frames at the size of the lift."""
+    cameras = [frame.camera.resized(*size_within(frame.size, preset.size)) for frame in training]
+    return torch.from_numpy(finest_pixels(lifted.anchors.position.numpy(force=True), cameras))
 
 
 def expected_course(frames: FrameSets, preset: Preset, bake: str) -> Course:

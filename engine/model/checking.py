@@ -97,7 +97,10 @@ def check_model(tensors: Mapping[str, torch.Tensor], facts: Mapping[str, Any]) -
     labels = tensors["voted.label"].shape[-1:] if "voted.label" in tensors else None
     if not anchors or labels == ():
         raise ValueError("a tensor has no rows")
-    check_tensors(tensors, wanted_of_model(facts, anchors[0], None if labels is None else labels[0]))
+    wanted = wanted_of_model(facts, anchors[0], None if labels is None else labels[0])
+    if "finest" in tensors:  # earlier versions did not write it
+        wanted["finest"] = Wanted((anchors[0],), least=0.0, most=FARTHEST)
+    check_tensors(tensors, wanted)
 
 
 def decoders_of(facts: Mapping[str, Any]) -> tuple[type[Decoders], Any]:

@@ -11,6 +11,7 @@ import torch
 from ..raster import rasterize
 from ..raster.conventions import BLUR, NEAR
 from ..scene import Camera
+from .detail import blurred_scales
 from .gaussians import decode, no_labels
 from .neural_gaussians import NeuralGaussians
 from .rendering import ClipRange, PanopticRendering
@@ -52,24 +53,11 @@ def render_bands(
     known = None if labels is None else no_labels(scene.anchors)
     drawn = decode(scene.anchors, scene.decoders, camera, known_labels=known)
     k = scene.anchors.gaussians_per_anchor
-    return draw_bands(drawn, drawn.rows(k), labels, scene.channels, camera, clip or ClipRange(), most_bytes)
-
-
-@torch.no_grad()
-def draw_bands(
-    drawn: NeuralGaussians,
-    rows_of: torch.Tensor,
-    labels: ShownLabels | None,
-    channels: LabelChannels,
-    camera: Camera,
-    clip: ClipRange,
-    most_bytes: int | None,
-) -> Iterator[PanopticRendering]:
-    """``render_bands`` for decoded Gaussians; ``rows_of`` int64 [N]: their rows among the scene's Gaussians."""
-    seen = _see(drawn, rows_of, camera, clip)
-    bands = row_bands(camera, len(channels.class_ids) + len(channels.slot_ids), most_bytes)
-    for rows in bands:
-        yield _draw_rows(seen if len(bands) == 1 else seen.reaching(rows), labels, channels, camera, rows)
+    rows = drawn.rows(k)
+    seen = _see(drawn, rows, None if scene.finest is None else scene.finest[rows // k], camera, clip or ClipRange())
+    bands = row_bands(camera, len(scene.channels.class_ids) + len(scene.channels.slot_ids), most_bytes)
+    for each in bands:
+        yield _draw_rows(seen if len(bands) == 1 else seen.reaching(each), labels, scene.channels, camera, each)
 
 
 def row_bands(camera: Camera, channels: int, most_bytes: int | None) -> list[tuple[int, int]]:
@@ -103,10 +91,14 @@ class _Seen:
         return values if len(self.chosen) == len(values) else values.index_select(0, self.chosen)
 
 
-def _see(drawn: NeuralGaussians, rows_of: torch.Tensor, camera: Camera, clip: ClipRange) -> _Seen:
+def _see(
+    drawn: NeuralGaussians, rows_of: torch.Tensor, finest: torch.Tensor | None, camera: Camera, clip: ClipRange
+) -> _Seen:
     to_camera, near = torch.from_numpy(camera.world_to_camera).float(), max(clip.near, NEAR)
     _, down, depth = (drawn.means @ to_camera[:3, :3].T + to_camera[:3, 3]).unbind(1)
     chosen = ((depth > near) & (depth < clip.far)).nonzero().squeeze(1)
+    if finest is not None:
+        drawn = replace(drawn, scales=blurred_scales(drawn.scales, finest, depth, camera))
     slope = down / depth.clamp_min(near)
     # the largest standard deviation, seen at the slant of the ray, bounds the footprint's deviation in rows
     deviation = drawn.scales.amax(dim=1) * camera.fy / depth.clamp_min(near) * (1 + slope * slope).sqrt()

@@ -60,13 +60,16 @@ class GaussianLabels:
 @dataclass
 class StructuredScene:
     """A lifted (or partly lifted) scene. ``voxel_size`` is in metres. ``voted``: labels of all Gaussians that replace
-    the label decoders', with those of anchor i in rows i k to i k + k - 1; None if the decoders are used."""
+    the label decoders', with those of anchor i in rows i k to i k + k - 1; None if the decoders are used. ``finest``
+    float32 [M]: the side in metres of the smallest pixel that a training picture has at each anchor, 0 if it is in
+    none; None if it is not known."""
 
     anchors: Anchors
     decoders: Decoders
     channels: LabelChannels
     voxel_size: float
     voted: GaussianLabels | None = None
+    finest: torch.Tensor | None = None
 
 
 def to_tensors(scene: StructuredScene) -> tuple[dict[str, torch.Tensor], dict[str, object]]:
@@ -75,6 +78,8 @@ def to_tensors(scene: StructuredScene) -> tuple[dict[str, torch.Tensor], dict[st
     tensors |= {f"decoders.{name}": tensor.detach() for name, tensor in scene.decoders.state_dict().items()}
     if scene.voted is not None:
         tensors |= {"voted.label": scene.voted.label, "voted.share": scene.voted.share}
+    if scene.finest is not None:
+        tensors["finest"] = scene.finest
     facts: dict[str, object] = {
         "format": FORMAT,
         "voxel_size": scene.voxel_size,
@@ -99,4 +104,5 @@ def from_tensors(tensors: dict[str, torch.Tensor], facts: dict) -> StructuredSce
     decoders.load_state_dict({name.removeprefix("decoders."): tensor for name, tensor in weights.items()})
     meaning = (tuple(facts[name]) for name in ("class_ids", "slot_ids", "class_of_slot"))
     voted = GaussianLabels(tensors["voted.label"], tensors["voted.share"]) if "voted.label" in tensors else None
-    return StructuredScene(anchors, decoders, LabelChannels(*meaning), float(facts["voxel_size"]), voted)
+    channels, finest = LabelChannels(*meaning), tensors.get("finest")
+    return StructuredScene(anchors, decoders, channels, float(facts["voxel_size"]), voted, finest)

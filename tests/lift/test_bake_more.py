@@ -32,10 +32,12 @@ from engine.job import (
     read_manifest,
     verify,
 )
+from engine.known_scene import write_known
 from engine.lift import bake_frames, bake_more
 from engine.lift.bake_more import frames_named
-from engine.lift.baking import FrameBaker
+from engine.lift.baking import FrameBaker, names_of_files
 from engine.passes.exr import further_layers, read_exr
+from engine.posed import Camera, ClassTable, PosedFrame, PosedScene
 from engine.presets.preset import PRESETS
 from engine.result_files import Instance
 from engine.scene_of_lift import scene_of_lift
@@ -84,6 +86,29 @@ def test_later_bakes_write_the_same_bytes(finished: dict[str, LiftFolder], lift:
     assert all(path.stat().st_mtime_ns == time for path, time in times.items())  # what was there was left alone
     after = json.loads(lift.manifest_path.read_text())
     assert after | {"files": 0} == before | {"files": 0}
+
+
+@pytest.mark.parametrize(
+    ("frames", "files"),
+    [
+        (["3", "12", "left"], ["0003", "0012", "left"]),
+        (["9", "12345"], ["00009", "12345"]),
+        (["frame_3.colour", "frame_4"], ["frame_3.colour", "frame_0004"]),
+        (["000001", "000012"], ["000001", "000012"]),
+        (["1305031102.17", "1305031103.2"], ["1305031102.17", "1305031103.2"]),  # seconds
+        (["3", "0003"], ["3", "0003"]),
+    ],
+)
+def test_numbers_in_the_names_of_files(frames: list[str], files: list[str], tmp_path: Path) -> None:
+    lift = LiftFolder.create(tmp_path / "lift", LiftRequest(scene=tmp_path))
+    assert names_of_files(lift) == {}
+    camera = Camera(4, 3, 4.0, 4.0, 2.0, 1.5, np.eye(4))
+    posed = tuple(PosedFrame(name, camera, False, tmp_path / "a.png", None) for name in frames)
+    write_known(lift, PosedScene(tmp_path, posed, ClassTable(())), "")
+    assert [*names_of_files(lift).values()] == files
+    lift.passes_path.mkdir(parents=True)
+    (lift.passes_path / f"{frames[0]}.exr").touch()  # of an earlier version
+    assert [*names_of_files(lift).values()] == (frames if files[0] != frames[0] else files)
 
 
 def test_as_a_run_of_the_engine(lift: LiftFolder, capfd: pytest.CaptureFixture[str]) -> None:
@@ -137,9 +162,9 @@ def test_a_kill_loses_little(lift: LiftFolder, monkeypatch: pytest.MonkeyPatch) 
     listed = []
     add_files = bake_more.add_files
 
-    def add(result: Path, paths: list[Path]) -> None:
+    def add(result: Path, paths: list[Path], frames: dict[str, str]) -> None:
         listed.append({path.stem for path in paths})
-        add_files(result, paths)
+        add_files(result, paths, frames)
 
     monkeypatch.setattr(bake_more, "add_files", add)
     bake(lift, "0000", "0001")

@@ -102,24 +102,38 @@ def test_the_result_is_the_picture_with_the_instances_over_it(scene: bpy.types.S
     assert np.allclose(overlay[view.instance == 1], expected[view.instance == 1], atol=1e-5)
 
 
-def test_views_without_numbers_are_swapped(lift: Path, tmp_path: Path) -> None:
-    """Two names that are no sequence, and pictures of different sizes."""
-    folder = write_tiny_scene(tmp_path / "tiny room", frames=2, ground_truth=False)
-    names = {"0000": "left", "0001": "right"}
-    for path in sorted(folder.rglob("000?.*")):
+def place_two_views(folder: Path, files: dict[str, str], sizes: tuple[tuple[int, int], tuple[int, int]]) -> None:
+    """Place a lift of two frames with these names and files, with passes of these sizes."""
+    room, old = write_tiny_scene(folder / "tiny room", frames=2, ground_truth=False), ("0000", "0001")
+    names = dict(zip(old, files, strict=True))
+    for path in sorted(room.rglob("000?.*")):
         path.rename(path.with_stem(names[path.stem]))
-    text = (folder / "panoptic.json").read_text()
-    for old, new in names.items():
-        text = text.replace(old, new)
-    (folder / "panoptic.json").write_text(text)
-    other = write_tiny_lift(tmp_path / "lift", scene=folder, bake=False)
-    other.passes_path.mkdir()
-    for frame, size in zip(open_scene(folder).frames, ((64, 48), (32, 24)), strict=True):
-        write_passes(other.passes_path / f"{frame.name}.exr", frame, size)
-    other.manifest_path.unlink()
-    write_manifest(other.result_path, versions={}, seed=0, settings={}, timings={})
+    text = (room / "panoptic.json").read_text()
+    for name in old:
+        text = text.replace(name, names[name])
+    (room / "panoptic.json").write_text(text)
+    lift = write_tiny_lift(folder / "lift", scene=room, bake=False)
+    lift.passes_path.mkdir()
+    for frame, size in zip(open_scene(room).frames, sizes, strict=True):
+        write_passes(lift.passes_path / f"{files[frame.name]}.exr", frame, size)
+    lift.manifest_path.unlink()
+    own = {file: name for name, file in files.items() if name != file}
+    write_manifest(lift.result_path, versions={}, seed=0, settings={}, timings={}, frames=own)
+    lift_scene.place_lift(lift.path, bpy.context.scene)
 
-    lift_scene.place_lift(other.path, bpy.context.scene)
+
+def test_files_whose_numbers_are_longer_than_the_captures(tmp_path: Path) -> None:
+    place_two_views(tmp_path, {"3": "0003", "12": "0012"}, ((64, 48), (64, 48)))
+    scene = passes_scene()
+    assert [marker.name for marker in scene.timeline_markers] == ["3", "12"]
+    for name, index in (("12", 1), ("3", 0)):
+        passes.show_view(scene, name)
+        assert np.array_equal(rendered(scene, "Instance", tmp_path)[..., 0], truth(str(index), frames=2).instance)
+
+
+def test_views_without_numbers_are_swapped(tmp_path: Path) -> None:
+    """Two names that are no sequence, and pictures of different sizes."""
+    place_two_views(tmp_path, {"left": "left", "right": "right"}, ((64, 48), (32, 24)))
     scene = passes_scene()
     for name, index, size in (("right", 1, (32, 24)), ("left", 0, (64, 48)), ("right", 1, (32, 24))):
         passes.show_view(scene, name)
@@ -190,6 +204,20 @@ def test_a_shot_has_a_scene_with_the_frames_of_its_own(tmp_path: Path) -> None:
     lift_scene.place_passes_anew(lift.path, mine)
     assert "PLGS tiny room still" not in bpy.data.scenes and "PLGS tiny room dolly" in bpy.data.scenes
     assert len([each for each in bpy.data.scenes if "passes" in each.name]) == 1
+
+
+def test_frames_before_0_have_a_scene_of_their_own(tmp_path: Path) -> None:
+    lift = write_tiny_lift(tmp_path / "lift")
+    bake_shot(lift, {"dolly.-0002": 3, "dolly.-0001": 5, "dolly.0000": 9, "dolly.0001": 2})
+    lift_scene.place_lift(lift.path, bpy.context.scene)
+    for name, shown in (("dolly before 0", {1: 3, 2: 5}), ("dolly", {0: 9, 1: 2})):
+        scene = bpy.data.scenes[f"PLGS tiny room {name}"]
+        assert (scene.frame_start, scene.frame_end) == (min(shown), max(shown))
+        for frame, index in shown.items():
+            scene.frame_set(frame)
+            assert np.array_equal(rendered(scene, "Instance", tmp_path)[..., 0], truth(str(index)).instance)
+    markers = bpy.data.scenes["PLGS tiny room dolly before 0"].timeline_markers
+    assert [(marker.frame, marker.name) for marker in markers] == [(1, "dolly.-0002"), (2, "dolly.-0001")]
 
 
 def test_the_active_camera_decides_which_passes_are_opened(tmp_path: Path) -> None:
@@ -263,8 +291,8 @@ def test_names_that_are_not_a_sequence(names: list[str]) -> None:
 
 
 def test_names_in_groups_that_can_be_counted_through() -> None:
-    names = ["dolly.0001", "dolly.0002", "pan 2.0001", "poster", "a.1", "a.01"]
+    names = ["dolly.0001", "dolly.0002", "dolly.-0001", "pan 2.0001", "poster", "a.1", "a.01"]
     assert sequences(names) == {
-        "dolly": ["dolly.0001", "dolly.0002"], "pan 2": ["pan 2.0001"], "poster": ["poster"], "a.1": ["a.1"],
-        "a.01": ["a.01"],
+        "dolly": ["dolly.0001", "dolly.0002"], "dolly before 0": ["dolly.-0001"], "pan 2": ["pan 2.0001"],
+        "poster": ["poster"], "a.1": ["a.1"], "a.01": ["a.01"],
     }  # fmt: skip

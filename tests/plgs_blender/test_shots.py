@@ -100,6 +100,43 @@ def test_what_is_rendered_lies_on_the_same_pixels(
     assert (depth > 0).all()
 
 
+def test_the_render_region_if_it_is_cropped_to(scene: bpy.types.Scene, tmp_path: Path) -> None:
+    render = scene.render
+    render.use_border, render.use_crop_to_border = True, True
+    render.border_min_x, render.border_max_x, render.border_min_y, render.border_max_y = 0.237, 0.811, 0.129, 0.7
+    camera = cameras_of(scene, shot_of(scene))[2]
+    position = rendered_positions(scene, 3, tmp_path)
+    assert position.shape[:2] == (camera.pinhole.height, camera.pinhole.width) and camera.display is None
+    hit = np.isfinite(position[..., 0])
+    assert hit.mean() > 0.05
+    row, column = np.nonzero(hit)
+    assert np.abs(projected(camera, position[hit])[0] - np.stack([column + 0.5, row + 0.5], axis=-1)).max() < 0.05
+    render.use_crop_to_border = False
+    whole = cameras_of(scene, shot_of(scene))[2]
+    assert (whole.pinhole.width, whole.pinhole.height) == (96, 72) and "render region" in shot_of(scene).not_baked[0]
+
+
+def test_overscan_is_around_the_display_window(scene: bpy.types.Scene) -> None:
+    plain = cameras_of(scene, shot_of(scene))[0]
+    scene.eevee.use_overscan, scene.eevee.overscan_size = True, 5.0
+    wide = cameras_of(scene, shot_of(scene))[0]
+    assert (wide.pinhole.width, wide.pinhole.height, wide.display) == (96 + 10, 72 + 10, (5, 5, 96, 72))
+    assert np.array(wide.pinhole.K)[:2, 2] == pytest.approx(np.array(plain.pinhole.K)[:2, 2] + 5)
+    assert wide.fingerprint != plain.fingerprint
+
+
+def test_frames_before_0(scene: bpy.types.Scene, tmp_path: Path) -> None:
+    scene.frame_start = 0
+    cameras = read_cameras(write_shot(tmp_path, scene, shot_of(scene, first=-2, last=2)))
+    assert [camera.name for camera in cameras] == [
+        f"dolly.{each}" for each in ("-0002", "-0001", "0000", "0001", "0002")
+    ]
+    scene.render.filepath = str(tmp_path / "dolly.")
+    assert Path(scene.render.frame_path(frame=-2)).stem == cameras[0].name, "as Blender names its own"
+    scene.frame_end = 12000
+    assert cameras_of(scene, shot_of(scene, first=1, last=2))[0].name == "dolly.00001", "as long as the longest"
+
+
 def test_the_scene_is_left_as_it_was(scene: bpy.types.Scene) -> None:
     scene.frame_set(3)
     other = bpy.data.objects.new("other", bpy.data.cameras.new("other"))
@@ -165,8 +202,9 @@ def test_what_cannot_be_baked_is_refused_in_one_line(scene: bpy.types.Scene) -> 
         assert "\n" not in str(told.value)
 
     refused("not a range", first=5, last=4)
-    scene.frame_start = 0
-    refused("not a range", first=-3, last=4)
+    scene.render.use_border, scene.render.use_crop_to_border, scene.render.border_max_x = True, True, 0.001
+    refused("without a pixel")
+    scene.render.use_border = False
     for kind, line in (("ORTHO", "orthographic"), ("PANO", "panoramic")):
         scene.camera.data.type = kind
         refused(line)
@@ -224,8 +262,12 @@ def test_shots_of_two_files_do_not_replace_each_other(scene: bpy.types.Scene, tm
             write_shot(lift, scene, shot)
             first = write_shot(lift, scene, shot).read_bytes()  # the same file's again
     for output in (None, tmp_path / "passes"):  # each folder has its own shots
-        with nullcontext() if output else pytest.raises(
-            PlgsError, match=r"has a shot 'pan' of another file already: camera 'dolly' in .*day\.blend"
+        with (
+            nullcontext()
+            if output
+            else pytest.raises(
+                PlgsError, match=r"has a shot 'pan' of another file already: camera 'dolly' in .*day\.blend"
+            )
         ):
             write_shot(lift, scene, shot, output=output)
     assert write_shot(lift, scene, shot_of(scene, given="n 2")).name == "n 2.1-4x1.json"

@@ -1,0 +1,65 @@
+"""How much detail a scene's training pictures have at each place, so that nothing is drawn with more than that.
+
+Every picture blurs Gaussians by BLUR, and training fits them with this blur to the training pictures. In a picture with
+smaller pixels, from nearer or of a larger size, the same blur covers less of the world, and cracks open. So a Gaussian
+has everywhere at least the blur that it had in the training picture with the smallest pixels there, after the 3D
+smoothing filter of Mip-Splatting (arXiv 2311.16493).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from ..machine.compiled import Array, compiled
+from ..raster.conventions import BLUR
+from ..scene import Camera
+
+NEAREST = 0.01
+"""Metres. What is nearer to a camera is not in its picture."""
+
+
+def finest_pixels(places: NDArray[np.floating], cameras: Sequence[Camera]) -> NDArray[np.float32]:
+    """The side in metres, float32 [N], of the smallest pixel that any of the cameras has at each of the ``places``
+    [N, 3], whatever stands before them. It is 0 where none of their pictures holds the place."""
+    rows = [[*camera.world_to_camera[:3].ravel(), *_lens(camera)] for camera in cameras]
+    finest = np.zeros(len(places), np.float32)
+    _find_finest(np.ascontiguousarray(places, np.float32), np.array(rows).reshape(-1, 18), finest)
+    return finest
+
+
+def pixel_side(depth: torch.Tensor, camera: Camera) -> torch.Tensor:
+    """The side in metres of a camera's pixel at planar depths in metres."""
+    return depth / math.sqrt(camera.fx * camera.fy)
+
+
+def blurred_scales(scales: torch.Tensor, finest: torch.Tensor, depth: torch.Tensor, camera: Camera) -> torch.Tensor:
+    """Standard deviations ``scales`` [N, 3] metres, widened so that the ``camera``, which blurs them once more, shows
+    Gaussians at ``depth`` [N] with the blur of pixels with the side ``finest`` [N] metres, if its own are smaller."""
+    lacking = BLUR * (finest.square() - pixel_side(depth, camera).square()).clamp_min(0.0)
+    return (scales.square() + lacking[:, None]).sqrt()
+
+
+def _lens(camera: Camera) -> tuple[float, ...]:
+    return camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height
+
+
+@compiled
+def _find_finest(places: Array, cameras: Array, finest: Array) -> None:
+    """The loop behind ``finest_pixels``. ``cameras`` float64 [V, 18]: world to camera row by row, and the lens."""
+    for view in range(len(cameras)):
+        m = cameras[view]
+        focal = math.sqrt(m[12] * m[13])
+        for row in range(len(places)):
+            x, y, z = places[row, 0], places[row, 1], places[row, 2]
+            depth = m[8] * x + m[9] * y + m[10] * z + m[11]
+            if depth < NEAREST or (0.0 < finest[row] <= depth / focal):
+                continue
+            u = (m[0] * x + m[1] * y + m[2] * z + m[3]) / depth * m[12] + m[14]
+            v = (m[4] * x + m[5] * y + m[6] * z + m[7]) / depth * m[13] + m[15]
+            if 0.0 <= u < m[16] and 0.0 <= v < m[17]:
+                finest[row] = depth / focal
