@@ -36,6 +36,12 @@ def scene_of_lift(folder: LiftFolder) -> Scene:
     return Scene(known.folder, frames, known.classes, known.warnings)
 
 
+def names_of_frames(folder: LiftFolder) -> tuple[str, ...]:
+    """The names of all frames of a lift's scene; none where they are not known. Raises PlgsError."""
+    known = read_known(folder)
+    return () if known is None else tuple(frame.name for frame in known.frames)
+
+
 def remember_scene(folder: LiftFolder, scene: Scene) -> None:
     """Write the cameras of a lift's scene, and the digest of its masks, beside its request. Raises PlgsError for a mask
     with unknown classes, OSError."""

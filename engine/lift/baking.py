@@ -18,7 +18,6 @@ from ..errors import PlgsError
 from ..job import EventWriter, LiftFolder, write_atomically
 from ..job.report import read_metrics
 from ..job.system import peak_bytes
-from ..known_scene import read_known
 from ..metrics.calibration import UNCALIBRATED, Calibration
 from ..metrics.report import LIFTED, PredictedView, Report, add_input_masks
 from ..model.render import render_bands
@@ -32,6 +31,7 @@ from ..passes.frame_header import NOTHING_SHOWN, ShownFrame
 from ..passes.layers import PanopticLayers, decide
 from ..passes.previews import colour_picture, preview_paths, write_previews
 from ..scene import Camera, ClassTable, Frame, Scene, View, counted, open_asked
+from ..scene_of_lift import names_of_frames
 from ..train.progress import StageReporter
 from .corrected_scene import corrected_scene
 from .device import be_repeatable
@@ -129,8 +129,7 @@ def names_of_files(folder: LiftFolder) -> dict[str, str]:
     """The name of each frame's files: a number has as many digits as the longest needs, at least DIGITS ("3" is
     "0003"). The frames keep their names if two files would have the same one, or if passes of an earlier version have
     them. Empty if the frames are not known. Raises PlgsError."""
-    known = read_known(folder)
-    found = {} if known is None else {frame.name: _NUMBERED.fullmatch(frame.name) for frame in known.frames}
+    found = {name: _NUMBERED.fullmatch(name) for name in names_of_frames(folder)}
     digits = max([DIGITS, *(len(match[2]) for match in found.values() if match)])
     padded = {name: match[1] + match[2].zfill(digits) if match else name for name, match in found.items()}
     renamed = [name for name, file in padded.items() if name != file]
