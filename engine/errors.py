@@ -46,13 +46,14 @@ class ErrorCode(StrEnum):
     DISK_FULL = "disk-full"
     NOT_FINISHED = "not-finished"  # the lift has no result yet: resume it
     DAMAGED = "damaged"  # the result is not as it was written: resume the lift
+    KILLED = "killed"  # a signal ended the engine
     INTERNAL = "internal"  # a defect, a crash, or memory that ran out
 
     @property
     def exit_code(self) -> ExitCode:
         """The exit status of a process that ends with such an error."""
         match self:
-            case ErrorCode.INTERNAL | ErrorCode.DISK_FULL:
+            case ErrorCode.INTERNAL | ErrorCode.KILLED | ErrorCode.DISK_FULL:
                 return ExitCode.INTERNAL_ERROR
             case ErrorCode.BUSY:
                 return ExitCode.BUSY

@@ -99,10 +99,12 @@ def _add_experiments(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     add_set_option(parser)
     parser.add_argument(
-        "--masks", metavar="PATH",
+        "--masks", type=Path, metavar="PATH",
         help="panoptic masks, where not in SCENE itself, such as 'predictions/{scene}': {scene} is the scene's name",
     )  # fmt: skip
-    parser.add_argument("--depth", metavar="FOLDER", help="depth maps of a network, as for lift: 'depths/{scene}'")
+    parser.add_argument(
+        "--depth", type=Path, metavar="FOLDER", help="depth maps of a network, as for lift: 'depths/{scene}'"
+    )
     add_options(parser, "mask_format", "classes", "scene_format", "device")
     add_amount_options(parser)
     parser.add_argument("--seeds", type=_seeds, default=[0], metavar="0,1,..", help="random seeds (default: 0)")

@@ -9,13 +9,17 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
+from engine import __version__
 from engine.errors import PlgsError
 from engine.gates import table_cell
 from engine.job import Event, EventReader, LiftFolder, read_manifest
 from engine.json_file import Json, read_object, to_text
+from engine.machine.code_digest import code_digest
 from engine.metrics.report import LIFTED
 
 FORMAT = 2
+SOURCES = ("engine", "research/baselines")
+"""The folders whose code makes the figures."""
 _FIX = "Give a results.json that this command wrote."
 _TEXTS = ("scene", "row", "preset", "engine_version")
 
@@ -48,8 +52,8 @@ class Figures(NamedTuple):
 
 @dataclass(frozen=True)
 class Result:
-    """What was measured of one row on one scene; ``steps`` is 0 if nothing was trained. ``failed`` says why there is
-    nothing."""
+    """What was measured of one row on one scene; ``steps`` is 0 if nothing was trained. ``engine_version`` also names
+    the code, as `this_engine`. ``failed`` says why there is nothing."""
 
     scene: str
     row: str
@@ -75,7 +79,13 @@ def read_result(scene: str, row: str, preset: str, lift: LiftFolder) -> Result:
     events = EventReader(lift.events_path).poll()
     figures = found.get(LIFTED, Figures())._replace(seconds=lifting_seconds(events), **run_figures(events))
     steps = int(number(manifest.settings.get("steps")) or 0)
-    return Result(scene, row, preset, steps, manifest.seed, manifest.engine_version, figures)
+    version = f"{manifest.engine_version} {manifest.versions.get('code', '')}".strip()
+    return Result(scene, row, preset, steps, manifest.seed, version, figures)
+
+
+def this_engine() -> str:
+    """The version of the engine that is at work, with the digest of its code, such as "0.1.0 1a2b3c4d"."""
+    return f"{__version__} {code_digest(*SOURCES)}"
 
 
 def scores_by_method(tables: Sequence[Mapping[str, Json]]) -> dict[str, Figures]:

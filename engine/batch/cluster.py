@@ -14,7 +14,7 @@ from typing import Any
 from ..errors import PlgsError
 from ..job.process import ROOT, EngineProcess, engine_call
 from .piece import GIGABYTES, engine_tag
-from .worker import is_address, require_dask, resources
+from .worker import LOOPBACK, Tls, require_dask, resources, security_for
 
 NO_WORKER_S = 5.0
 """Seconds after which a scheduler without workers is an error."""
@@ -30,7 +30,8 @@ END_S = 5.0
 class Place:
     """``workers`` on this machine, unless the address of a ``scheduler``, or ``slurm`` with its options, is given.
 
-    ``gigabytes`` and ``threads`` are those of one worker.
+    ``gigabytes`` and ``threads`` are those of one worker. Without scheduler or Slurm nothing listens on the network;
+    with one of them ``tls`` keeps others out.
     """
 
     workers: int = 1
@@ -38,6 +39,7 @@ class Place:
     slurm: Mapping[str, str] | None = None
     gigabytes: float = 1.0
     threads: int = 1
+    tls: Tls | None = None
 
 
 @dataclass
@@ -55,6 +57,14 @@ class Farm:
             if worker.exit_code() is not None:
                 worker.close()
                 self.own[number] = _start_worker(self.address, self.place)
+
+    def use_fewer(self, name: str) -> bool:
+        """Go on with one of our own workers less, that of the name if it is one. False if there is only one."""
+        if len(self.own) < 2:
+            return False
+        number = next((k for k, worker in enumerate(self.own) if f"plgs-{worker.pid}-" in name), -1)
+        self.own.pop(number).close()
+        return True
 
     def workers(self) -> dict[str, dict[str, Any]]:
         """The workers that run the same engine as this process, by address."""
@@ -88,10 +98,10 @@ def opened(place: Place) -> Iterator[Farm]:
             address = cluster.scheduler_address
         else:
             local = distributed.LocalCluster(
-                n_workers=0, host="127.0.0.1", protocol="tcp://", dashboard_address="127.0.0.1:0", silence_logs=50
+                n_workers=0, host=LOOPBACK, protocol="tcp://", dashboard_address=f"{LOOPBACK}:0", silence_logs=50
             )
             address = stack.enter_context(local).scheduler_address
-        farm = Farm(_client(address), address, place)
+        farm = Farm(_client(address, place.tls), address, place)
         stack.callback(_close, farm)
         if not place.scheduler and place.slurm is None:
             farm.own += [_start_worker(address, place) for _ in range(place.workers)]
@@ -100,14 +110,13 @@ def opened(place: Place) -> Iterator[Farm]:
         yield farm
 
 
-def _client(address: str) -> Any:
+def _client(address: str, tls: Tls | None) -> Any:
     distributed = require_dask()
     fix = "Start one (dask scheduler), or give its address, such as tcp://machine:8786."
-    if not is_address(address):
-        raise PlgsError("is not the address of a scheduler", address, fix, option="--scheduler")
+    security = security_for(address, tls, fix)
     try:
-        return distributed.Client(address, timeout=CONNECT_S, set_as_default=False)
-    except (OSError, ValueError) as error:
+        return distributed.Client(address, timeout=CONNECT_S, set_as_default=False, security=security)
+    except (OSError, ValueError, RuntimeError) as error:
         raise PlgsError("no scheduler answers", address, fix, option="--scheduler") from error
 
 
@@ -118,7 +127,7 @@ def reconnected(farm: Farm) -> None:
     give_up = time.monotonic() + RETURN_S
     while True:
         try:
-            farm.client = _client(farm.address)
+            farm.client = _client(farm.address, farm.place.tls)
             return wait_for_workers(farm, RETURN_S)
         except PlgsError:
             if time.monotonic() > give_up:
@@ -163,7 +172,9 @@ def slurm_cluster(place: Place) -> Any:
     if shutil.which("sbatch") is None:
         raise PlgsError("Slurm is not installed here", "sbatch", "Start the batch on a machine of the cluster.")
     offered = ",".join(f"{name}={value:g}" for name, value in resources(place.gigabytes, place.threads).items())
-    options = {name: value for name, value in place.slurm.items() if value}
+    options: dict[str, Any] = {name: value for name, value in place.slurm.items() if value}
+    if place.tls is not None:
+        options |= {"security": place.tls.security(), "protocol": "tls://"}
     try:
         return jobqueue.SLURMCluster(
             cores=1,

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import hashlib
 import os
 import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
-from functools import cache
 from pathlib import Path
 
 from .. import __version__
@@ -20,6 +18,7 @@ from ..job.main_memory import SHARE
 from ..job.process import ROOT, engine_call, engine_command
 from ..job.task import BAKE, LIFT, TaskPlace, TaskProgress
 from ..json_file import Json
+from ..machine.code_digest import code_digest
 
 POLL_S = 0.1
 TELL_S = 1.0
@@ -42,6 +41,7 @@ class Piece:
     """Work on the lift of one scene. ``engine`` is the `engine_tag` that a worker must have.
 
     ``names`` are the frames of a BAKE, or the form of an EXPORT; a LIFT ``tells_frames`` for the bakes that follow it.
+    ``is_resumed``: a signal ended its first engine.
     """
 
     kind: Kind
@@ -51,6 +51,7 @@ class Piece:
     engine: str
     names: tuple[str, ...] = ()
     tells_frames: bool = False
+    is_resumed: bool = False
 
     def needs_engine(self) -> list[str | Path]:
         """The engine's command, except for a lift."""
@@ -68,12 +69,14 @@ class Ended(StrEnum):
     DONE = "done"
     FAILED = "failed"
     CANCELLED = "cancelled"
+    KILLED = "killed"  # a signal ended the engine
     ELSEWHERE = "elsewhere"  # this worker cannot: it lacks the scene, its disk is full, or its engine is different
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """How a piece ended, with its ``answer`` (for a lift its frames, for a score the metrics)."""
+    """How a piece ended, with its ``answer`` (for a lift its frames, for a score the metrics). ``lacked_memory``: it
+    was killed, and memory may have been short."""
 
     piece: Piece
     ended: Ended
@@ -82,25 +85,22 @@ class Outcome:
     exit_code: int = 0
     worker: str = ""
     answer: Mapping[str, Json] = field(default_factory=dict)
+    lacked_memory: bool = False
 
 
 Tell = Callable[[TaskProgress], object]
 
 
-@cache
-def engine_tag(root: Path = ROOT) -> str:
+def engine_tag() -> str:
     """A name for this exact engine: its version and its code."""
-    digest = hashlib.sha256()
-    for path in sorted((root / "engine").rglob("*.py")):
-        digest.update(f"{path.relative_to(root).as_posix()}\n".encode() + path.read_bytes())
-    return f"plgs-{__version__}-{digest.hexdigest()[:8]}"
+    return f"plgs-{__version__}-{code_digest('engine')}"
 
 
 def do(piece: Piece, tell: Tell, threads: int = 0, worker: str = "", gigabytes: float = 0.0) -> Outcome:
     """Do a piece with this many ``threads`` and ``gigabytes`` (0: all). If it is done already, return at once. What a
     scene or a machine lacks is never raised: the outcome tells it.
     """
-    began = time.monotonic()
+    began, kills = time.monotonic(), memory_kills()
     variables = {"OMP_NUM_THREADS": str(threads), "NUMBA_NUM_THREADS": str(threads)} if threads else {}
     if gigabytes:
         variables[SHARE] = f"{gigabytes:g}"
@@ -108,7 +108,8 @@ def do(piece: Piece, tell: Tell, threads: int = 0, worker: str = "", gigabytes: 
     def outcome(ended: Ended, error: PlgsError | None = None, answer: Mapping[str, Json] | None = None) -> Outcome:
         reason, code = ("", 0) if error is None else (str(error), int(error.exit_code))
         code = ExitCode.CANCELLED if ended is Ended.CANCELLED else code
-        return Outcome(piece, ended, time.monotonic() - began, reason, code, worker, answer or {})
+        lacked = ended is Ended.KILLED and (kills is None or memory_kills() != kills)
+        return Outcome(piece, ended, time.monotonic() - began, reason, code, worker, answer or {}, lacked)
 
     try:
         _refuse_unfit_place(piece)
@@ -122,13 +123,25 @@ def do(piece: Piece, tell: Tell, threads: int = 0, worker: str = "", gigabytes: 
         where = error.filename or piece.lift
         return outcome(Ended.FAILED, PlgsError(what, where, "Fix this, then start the batch again."))
     if follower is not None and follower.error is not None:
-        is_of_place = follower.error.code in _PLACE_CODES
-        return outcome(Ended.ELSEWHERE if is_of_place else Ended.FAILED, follower.error)
+        ends = {ErrorCode.KILLED: Ended.KILLED, **dict.fromkeys(_PLACE_CODES, Ended.ELSEWHERE)}
+        return outcome(ends.get(follower.error.code, Ended.FAILED), follower.error)
     if follower is not None and follower.exit_code is not ExitCode.FINISHED:
+        if not (piece.lift / "cancel").exists():
+            what = "the engine was ended by a signal that asks programs to end"
+            return outcome(Ended.KILLED, PlgsError(what, piece.lift, "Start the batch again.", code=ErrorCode.KILLED))
         return outcome(Ended.CANCELLED)
     if piece.tells_frames:
         return outcome(Ended.DONE, answer={"frames": frames})
     return outcome(Ended.DONE, answer=follower.answer if follower is not None else None)
+
+
+def memory_kills() -> int | None:
+    """How many processes Linux has killed here because memory was short; None where that is not counted."""
+    try:
+        counts = dict(line.split() for line in Path("/proc/vmstat").read_text().splitlines())
+        return int(counts["oom_kill"])
+    except (OSError, ValueError, KeyError):
+        return None
 
 
 def _refuse_unfit_place(piece: Piece) -> None:

@@ -4,17 +4,24 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
+from typing import Any
 
 from ..errors import PlgsError
+from ..gates import inner_path
 from ..job import LiftRequest, write_atomically
-from ..job.manifest import check_sizes
+from ..job.manifest import check_sizes, read_manifest
 from ..json_file import Json, read_object
 
 RECORDS = ".batch"
 """The folder in OUT that records for each scene what was done, and from which result."""
+SCENE = "{scene}"
+"""Stands for a scene's name in the paths of options."""
+_LONGEST_NAME = 240
+"""The most bytes of a scene's name: files of its lift are beside it under the name and a few letters more."""
 
 
 @dataclass(frozen=True)
@@ -46,7 +53,8 @@ class BatchPlan:
 
 @dataclass(frozen=True)
 class Row:
-    """A scene's row of the table; ``metrics`` are the lift's own, in the mode ``strict``."""
+    """A scene's row of the table; ``metrics`` are the lift's own, in the mode ``strict``; ``code`` is the digest of the
+    code that lifted it."""
 
     scene: str
     state: str
@@ -54,56 +62,117 @@ class Row:
     reason: str
     exit_code: int
     metrics: Mapping[str, Json]
+    code: str = ""
 
 
-def names_of(scenes: Sequence[Path]) -> list[str]:
-    """A name for each scene: that of its folder or file. Raises PlgsError for a scene that is given twice, for two with
-    the same name (also in different case, as some disks ignore it), and for a name that no folder can have ("...zip").
+def of_scene(path: Path | None, name: str) -> Path | None:
+    """The path for the scene of this name, which takes the place of SCENE."""
+    return None if path is None else Path(str(path).replace(SCENE, name))
+
+
+def refuse_shared(option: str, path: Path | str | None, scenes: int) -> None:
+    """Raise PlgsError for a path of files of one scene that is given for several."""
+    if path is not None and SCENE not in str(path) and scenes > 1:
+        fix = f"Write {SCENE} where the scene's name belongs, such as {option} 'predictions/{SCENE}'."
+        raise PlgsError(f"{option} names one place for {scenes} scenes", path, fix, option=option)
+
+
+def names_of(scenes: Sequence[Path], given: Sequence[str] = ()) -> list[str]:
+    """A name for each scene: the ``given`` one, or if that is empty, that of its folder, its file, or the link to it.
+
+    Raises PlgsError for a scene that is given twice, for two with the same name (also in different case, as some disks
+    ignore it), and for a name that no folder can have ("...zip").
     """
-    names = [scene.resolve().name if scene.is_dir() else scene.stem for scene in scenes]
+    names = [name or _name(scene) for name, scene in zip(given or [""] * len(scenes), scenes, strict=True)]
     folded = [name.casefold() for name in names]
-    places = [scene.resolve() for scene in scenes]
+    places = [os.path.realpath(scene) for scene in scenes]
     for name, scene, place in zip(names, scenes, places, strict=True):
         if places.count(place) > 1:
             raise PlgsError("the scene is given twice", scene, "Name it once.")
-        if name.strip(". ") == "":
-            raise PlgsError("no folder can have this scene's name", scene, "Rename the scene.")
+        if not _is_folder_name(name):
+            fix = "Rename the scene, or name it in a table of scenes (--scenes)."
+            raise PlgsError("its name cannot be that of a result's folder", scene, fix)
         if folded.count(name.casefold()) > 1 or name.casefold() in (RECORDS, "table.csv", "table.md"):
-            raise PlgsError(f"two scenes, or files of the batch, are named {name!r}", scene, "Rename the scene.")
+            fix = "Rename the scene, or name it in a table of scenes (--scenes)."
+            raise PlgsError(f"two scenes, or files of the batch, are named {name!r}", scene, fix)
     return names
+
+
+def _name(scene: Path) -> str:
+    if not os.path.isdir(scene):
+        return scene.stem
+    return Path(os.path.realpath(scene) if ".." in scene.parts else os.path.abspath(scene)).name
+
+
+def _is_folder_name(name: str) -> bool:
+    try:
+        is_plain = inner_path(name).parts == (name,) and len(name.encode()) <= _LONGEST_NAME
+    except ValueError:  # it leads out of the folder, or is not UTF-8
+        return False
+    return is_plain and name.isprintable() and name.strip(". ") != ""
 
 
 def done_before(plan: BatchPlan, job: SceneJob) -> Row | None:
     """The row of an earlier batch with the same request, if its result is still the one on disk, with all its files and
     the exports."""
-    path = _record(plan, job)
-    if not path.is_file():
+    found = _read(_record(plan.output, job.name))
+    if found is None or found[1].state != "done":
         return None
+    told, row = found
     try:
-        told = read_object(path, "Delete it: the batch then checks the lift itself.")
-        row = told["row"]
-        assert isinstance(row, dict)
-        is_same = told["asked"] == plan.asked(job) and told["result"] == _result(job)
         check_sizes(job.lift / "result")
-        is_same = is_same and all((job.lift / "exports" / form).exists() for form in plan.exports)
-        return Row(**row) if is_same and row["state"] == "done" else None  # type: ignore[arg-type]
-    except (PlgsError, KeyError, TypeError, AssertionError):
-        return None  # damaged: the pieces find out what is done
+    except PlgsError:
+        return None
+    is_same = told.get("asked") == plan.asked(job) and told.get("result") == _result(job.lift)
+    return row if is_same and all((job.lift / "exports" / form).exists() for form in plan.exports) else None
+
+
+def rows_kept(plan: BatchPlan) -> Iterator[Row]:
+    """The rows of earlier batches in the same folder with other scenes, by name. A scene whose result is gone has none,
+    nor has one that failed and is gone. A result that has changed is no longer "done"."""
+    names = {job.name for job in plan.jobs}
+    found = [_read(path) for path in sorted((plan.output / RECORDS).glob("*.json"))]
+    for told, row in sorted(filter(None, found), key=lambda each: each[1].scene):
+        result = _result(plan.output / row.scene)
+        if row.scene in names or not (result if row.state == "done" else os.path.exists(str(told.get("scene")))):
+            continue
+        if row.state == "done" and result != told.get("result"):
+            row = replace(row, state="changed", reason="was corrected or lifted again: give it to the batch again")
+        yield row
 
 
 def remember(plan: BatchPlan, job: SceneJob, row: Row) -> None:
     """Record a row for the next batch. Raises OSError."""
-    _record(plan, job).parent.mkdir(exist_ok=True)
-    told = {"asked": plan.asked(job), "result": _result(job), "row": asdict(row)}
-    write_atomically(_record(plan, job), json.dumps(told, indent=1) + "\n")
+    path = _record(plan.output, job.name)
+    path.parent.mkdir(exist_ok=True)
+    about = {"asked": plan.asked(job), "scene": str(job.request.scene), "result": _result(job.lift)}
+    write_atomically(path, json.dumps({**about, "row": asdict(row)}, indent=1) + "\n")
 
 
-def _record(plan: BatchPlan, job: SceneJob) -> Path:
-    return plan.output / RECORDS / f"{job.name}.json"
+def lifting_code(lift: Path) -> str:
+    """The digest of the code that made a result; empty if its manifest does not tell."""
+    try:
+        return str(read_manifest(lift / "result").versions.get("code", ""))
+    except PlgsError:
+        return ""
 
 
-def _result(job: SceneJob) -> str:
+def _record(output: Path, name: str) -> Path:
+    return output / RECORDS / f"{hashlib.sha256(name.encode()).hexdigest()[:16]}.json"
+
+
+def _read(path: Path) -> tuple[dict[str, Json], Row] | None:
+    """What `remember` wrote; None if there is nothing, or it is damaged: the pieces then find out what is done."""
+    try:
+        told = read_object(path, "Delete it.")
+        row: Any = told["row"]
+        return told, Row(**{**row, "scene": str(row["scene"]), "seconds": float(row["seconds"])})
+    except (PlgsError, KeyError, TypeError, ValueError):
+        return None
+
+
+def _result(lift: Path) -> str:
     """A name for the result on disk and its corrections; empty without a result."""
-    files = [job.lift / "result" / "manifest.json", job.lift / "corrections.json"]
+    files = [lift / "result" / "manifest.json", lift / "corrections.json"]
     there = [path.read_bytes() for path in files if path.is_file()]
     return hashlib.sha256(b"\n".join(there)).hexdigest() if files[0].is_file() else ""

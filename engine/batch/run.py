@@ -2,28 +2,30 @@
 
 from __future__ import annotations
 
-import sys
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 from uuid import uuid4
 
 from ..errors import ErrorCode, ExitCode, PlgsError
-from ..job import LiftFolder
-from ..job.task import TaskProgress
-from ..job.terminal import Interrupts, LiveLine
+from ..job import EventWriter, LiftFolder
+from ..job.lock import lock_on
+from ..job.terminal import Interrupts
 from ..json_file import Json
 from .cluster import RETURN_S, Farm, Place, opened, reconnected
 from .piece import GIGABYTES, TOPIC, Ended, Kind, Outcome, Piece, do_on_dask, engine_tag
-from .plan import BatchPlan, Row, SceneJob, done_before, remember
+from .plan import RECORDS, BatchPlan, Row, SceneJob, done_before, lifting_code, remember, rows_kept
+from .report import BatchReport
 from .table import write_tables
 
 _POLL_S = 0.2
 _LOOK_S = 1.0
 """Seconds between two checks of which workers are there."""
+_TABLE_S = 60.0
+"""Seconds for which a batch waits while another writes the table."""
 _ENDING_S = 10.0
 """Seconds that engines may take to stop on Ctrl-C."""
 _PRIORITY = {Kind.LIFT: 0, Kind.BAKE: 1, Kind.EXPORT: 2, Kind.SCORE: 3}
@@ -55,29 +57,38 @@ class _Pin:
     seen: float
 
 
-def run_batch(plan: BatchPlan, place: Place, interrupts: Interrupts) -> ExitCode:
-    """Do what is missing, show it on standard error, write the table and print it. Failed scenes are rows with their
-    reason; the exit code is that of the first of them. Call it inside `interrupts.deferred()`.
+def run_batch(plan: BatchPlan, place: Place, interrupts: Interrupts, events: EventWriter | None = None) -> ExitCode:
+    """Do what is missing, show it on standard error and in ``events``, write the table and print it, with the rows of
+    earlier batches in the same folder. Failed scenes are rows with their reason; the exit code is that of the first of
+    them. Call it inside `interrupts.deferred()`.
 
     Raises PlgsError if nothing can begin, and OSError.
     """
-    plan.output.mkdir(parents=True, exist_ok=True)
+    (plan.output / RECORDS).mkdir(parents=True, exist_ok=True)
+    report = BatchReport(events, place.threads)
     rows = {job.name: row for job in plan.jobs if (row := done_before(plan, job)) is not None}
     for job in plan.jobs:
         if job.problem:
-            rows[job.name] = Row(job.name, Ended.FAILED, 0.0, job.problem, ExitCode.BAD_INPUT, {})
+            rows[job.name] = row = Row(job.name, Ended.FAILED, 0.0, job.problem, ExitCode.BAD_INPUT, {})
+            report.ended(row)
     missing = [job for job in plan.jobs if job.name not in rows]
-    line = LiveLine(sys.stderr)
     if missing:
         with opened(place) as farm:
             dashboard = "" if _has_module("bokeh") else " (its pages need the package bokeh)"
-            line.say(f"Scheduler: {farm.address}. Dashboard: {farm.client.dashboard_link}{dashboard}")
-            batch = _Batch(plan, farm, line, rows)
+            report.say(f"Scheduler: {farm.address}. Dashboard: {farm.client.dashboard_link}{dashboard}")
+            batch = _Batch(plan, farm, report, rows)
             batch.run(missing, interrupts)
-    line.end()
+    report.end()
     ordered = [rows[job.name] for job in plan.jobs]
     files = (plan.output / "table.md", plan.output / "table.csv")
-    print(write_tables(plan.output, ordered), *files, sep="\n", flush=True)
+    with lock_on(plan.output / RECORDS / "table.lock", _TABLE_S):  # another batch may end in this moment
+        for job in plan.jobs:
+            if rows[job.name].state != Ended.DONE:
+                remember(plan, job, rows[job.name])
+        text = write_tables(plan.output, [*ordered, *rows_kept(plan)])
+    print(text, *files, sep="\n", flush=True)
+    if events is not None:
+        events.answer({"rows": [asdict(row) for row in ordered], "table": str(files[1])})
     return ExitCode(next((row.exit_code for row in ordered if row.exit_code), 0))
 
 
@@ -90,8 +101,8 @@ def _has_module(name: str) -> bool:
 class _Batch:
     """The submitted pieces, and their outcomes."""
 
-    def __init__(self, plan: BatchPlan, farm: Farm, line: LiveLine, rows: dict[str, Row]) -> None:
-        self._plan, self._farm, self._line, self._rows = plan, farm, line, rows
+    def __init__(self, plan: BatchPlan, farm: Farm, report: BatchReport, rows: dict[str, Row]) -> None:
+        self._plan, self._farm, self._report, self._rows = plan, farm, report, rows
         self._scenes: dict[str, _Scene] = {}
         self._out: dict[Any, Piece] = {}
         self._pins: dict[Any, _Pin] = {}
@@ -139,7 +150,8 @@ class _Batch:
                     if scene.job.name not in self._rows:  # the piece before it may have failed
                         self._submit(piece)
                 return
-        self._end(scene, Row(scene.job.name, Ended.DONE, scene.seconds, "", 0, scene.metrics))
+        code = lifting_code(scene.job.lift)
+        self._end(scene, Row(scene.job.name, Ended.DONE, scene.seconds, "", 0, scene.metrics, code))
 
     def _submit(self, piece: Piece) -> None:
         scene = self._scenes[piece.scene]
@@ -179,7 +191,7 @@ class _Batch:
             self._staffed, self._is_missed = now, False
         elif not self._is_missed and now > self._staffed + RETURN_S:
             self._is_missed = True
-            self._line.say(f"Waiting, as there is no worker. Start one: python -m engine worker {self._farm.address}")
+            self._report.say(f"Waiting, as there is no worker. Start one: python -m engine worker {self._farm.address}")
         for future, pin in [*self._pins.items()]:
             if future not in self._out:
                 continue  # another piece of the scene could not be placed
@@ -199,7 +211,7 @@ class _Batch:
     def _take_in(self) -> None:
         """Take the pieces that ended. If the scheduler was lost, submit the others again; they continue from there."""
         if self._farm.client.status != "running" or any(future.cancelled() for future in self._out):
-            self._line.say("The scheduler is gone. Waiting for it to come back.")
+            self._report.say("The scheduler is gone. Waiting for it to come back.")
             reconnected(self._farm)
             self._listen()
             pieces, self._out, self._pins = [*self._out.values()], {}, {}
@@ -225,14 +237,21 @@ class _Batch:
         scene.seconds += outcome.seconds
         self._told.pop(piece.scene, None)
         if outcome.ended is Ended.ELSEWHERE:
-            self._line.say(f"{piece.scene}: not possible on {outcome.worker}: {outcome.reason}")
+            self._report.say(f"{piece.scene}: not possible on {outcome.worker}: {outcome.reason}")
             workers = self._farm.workers()
             unfit = [each for each, told in workers.items() if str(told["name"]) == outcome.worker.split()[-1]]
             scene.unfit |= {each: f"{outcome.worker}: {outcome.reason}" for each in unfit}
             self._submit(piece)
             return
+        if outcome.ended is Ended.KILLED and not piece.is_resumed:
+            fewer = outcome.lacked_memory and self._farm.use_fewer(outcome.worker)
+            about = ", with a worker less, as memory was short" if fewer else ""
+            self._report.say(f"{piece.scene}: {outcome.reason} It is resumed once{about}.")
+            self._submit(replace(piece, is_resumed=True))
+            return
         if outcome.ended is not Ended.DONE:
-            self._end(scene, _row(scene, outcome.ended, outcome.reason, outcome.exit_code))
+            state = Ended.CANCELLED if outcome.ended is Ended.CANCELLED else Ended.FAILED
+            self._end(scene, _row(scene, state, outcome.reason, outcome.exit_code))
             return
         if piece.tells_frames:
             frames = outcome.answer.get("frames")
@@ -254,16 +273,12 @@ class _Batch:
             self._withdraw(future)
         if row.state == Ended.DONE:
             remember(self._plan, scene.job, row)
-        self._line.say(
-            f"{name}: {row.state}" + (f": {row.reason}" if row.reason else f" in {row.seconds / 60:.1f} min")
-        )
+        self._report.ended(row)
 
     def _show(self) -> None:
         left = [scene for name, scene in self._scenes.items() if name not in self._rows]
         running = "; ".join(self._told.values())
-        progress = TaskProgress(label="scenes", step=len(self._scenes) - len(left), steps=len(self._scenes))
-        progress.label = f"Batch ({running})" if running else "Batch"
-        self._line.show(progress)
+        self._report.show(len(self._scenes) - len(left), len(self._scenes), running)
 
     def _listen(self) -> None:
         def hear(event: tuple[float, Mapping[str, str]]) -> None:
@@ -273,7 +288,7 @@ class _Batch:
 
     def _stop(self) -> None:
         """Make all engines stop at their next step."""
-        self._line.say("Stopping ...")
+        self._report.say("Stopping ...")
         lifts = {self._scenes[piece.scene].job.lift for piece in self._out.values()}
         with suppress(Exception):  # the scheduler may be gone
             self._farm.client.cancel([*self._out], asynchronous=False)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -29,12 +30,12 @@ def write_tables(folder: Path, rows: Sequence[Row]) -> str:
 def _csv(rows: Sequence[Row]) -> str:
     file = io.StringIO()
     writer = csv.writer(file, lineterminator="\n")
-    writer.writerow(["scene", "state", "seconds", *COLUMNS, "reason"])
+    writer.writerow(["scene", "state", "seconds", *COLUMNS, "code", "reason"])
     for row in rows:
         figures = [_figure(row, key) for key in COLUMNS]
-        cells = [row.scene, row.state, round(row.seconds, 1), *figures, row.reason]
+        cells = [row.scene, row.state, round(row.seconds, 1), *figures, row.code, row.reason]
         writer.writerow([table_cell(cell) for cell in cells])
-    writer.writerow(["mean", "", *_means(rows), ""])
+    writer.writerow(["mean", "", *_means(rows), "", ""])
     return file.getvalue()
 
 
@@ -49,7 +50,14 @@ def markdown(rows: Sequence[Row]) -> str:
     lines.append(["**mean**", "", "-" if seconds is None else f"{seconds / 60:.1f}", *shown, ""])
     cells = [[markdown_cell(cell) for cell in line] for line in lines]
     body = ["| " + " | ".join(line) + " |" for line in cells]
-    return "\n".join([body[0], "|" + "---|" * len(lines[0]), *body[1:], ""])
+    return "\n".join([body[0], "|" + "---|" * len(lines[0]), *body[1:], *_codes(rows), ""])
+
+
+def _codes(rows: Sequence[Row]) -> list[str]:
+    """A line where different versions of the code lifted the scenes."""
+    codes = Counter(row.code or "unknown" for row in rows if row.state == "done")
+    counted = ", ".join(f"{code} ({count})" for code, count in codes.most_common())
+    return ["", f"Lifted by different versions of the code: {counted}."] if len(codes) > 1 else []
 
 
 def _figure(row: Row, key: str) -> float | None:

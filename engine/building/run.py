@@ -24,6 +24,7 @@ from ..lift.device import be_repeatable, refuse_missing_device
 from ..lift.judging import read_held_back
 from ..lift.run import finish, frames_to_bake, tell
 from ..lift.scene_files import read_model, write_lifted
+from ..machine.code_digest import code_digest
 from ..passes.baked_view import ShownInstances
 from ..presets.preset import Preset
 from ..raster import drawing_on
@@ -83,7 +84,7 @@ def _do_stages(folder: LiftFolder, preset: Preset, stages: StageReporter) -> Non
     views = StoredViews(judges, folder.path)
     wanted, held_back = frames_to_bake(scene, request.bake), read_held_back(scene, preset.size, folder.path)
     bake_and_evaluate(folder, scene, baker, wanted, views, held_back, events, stages)
-    finish(folder, preset, stages)
+    finish(folder, preset, stages, code_digest("engine"))
 
 
 def shown_of(whole: JoinedScene) -> ShownInstances:

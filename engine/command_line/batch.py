@@ -6,17 +6,17 @@ import argparse
 import math
 import sys
 from collections.abc import Sequence
-from copy import copy
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ..errors import ExitCode, PlgsError
-from ..job.options import add_lift_options, request_from
+from ..job.options import add_lift_options, add_progress_option, request_from
 
 if TYPE_CHECKING:
     from ..batch import SceneJob
     from ..batch.cluster import Place
+    from ..batch.worker import Tls
 
 SLURM = {"queue": "--queue", "account": "--account", "walltime": "--walltime"}
 
@@ -25,14 +25,20 @@ def add_batch(parser: argparse.ArgumentParser, exports: Sequence[str]) -> None:
     parser.description = (
         "Lift, bake, export and score many scenes, on workers of this machine, of a Dask scheduler, or of Slurm. "
         "Results go to OUT/NAME, where NAME is that of the scene's folder or file, and to OUT/table.csv and table.md. "
-        "The same command continues with what is missing. Docs: docs/farms.md."
+        "The same command continues with what is missing; one for other scenes adds to the table. {scene} in --masks, "
+        "--depth and --names-from stands for a scene's name. Docs: docs/farms.md."
     )
-    parser.add_argument("scenes", type=Path, nargs="+", metavar="SCENE", help="scenes, as for lift")
+    parser.add_argument("scenes", type=Path, nargs="*", metavar="SCENE", help="scenes, as for lift")
+    parser.add_argument(
+        "--scenes", type=Path, dest="table", metavar="FILE.csv|FILE.toml",
+        help="a table of scenes: a column scene, and name, up, masks or other options of lift for each (docs/farms.md)",
+    )  # fmt: skip
     parser.add_argument("-o", "--output", type=Path, required=True, metavar="OUT", help="the folder for all results")
     add_lift_options(parser)
     parser.add_argument("--chunk", type=positive, default=50, metavar="N", help="frames per piece of --bake all (50)")
     forms = f"forms to export: {', '.join(exports)}"
     parser.add_argument("--export", nargs="+", choices=exports, default=(), metavar="FORM", help=forms)
+    add_progress_option(parser)
     place = parser.add_argument_group("where", "Without any of these, workers run on this machine within its memory.")
     place.add_argument("--workers", type=positive, metavar="N", help="workers on this machine, or Slurm jobs")
     place.add_argument(
@@ -43,6 +49,7 @@ def add_batch(parser: argparse.ArgumentParser, exports: Sequence[str]) -> None:
     place.add_argument("--threads", type=positive, metavar="N", help="compute threads of one worker")
     for name, option in SLURM.items():
         place.add_argument(option, default="", metavar=name.upper(), help=f"with --slurm: sbatch's {name}")
+    _add_tls(place)
     parser.set_defaults(run=batch)
 
 
@@ -54,10 +61,29 @@ def add_worker(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("address", metavar="ADDRESS", help="the scheduler's address, such as tcp://machine:8786")
     parser.add_argument("--memory", type=float, default=0.0, metavar="GB", help="memory to use (default: all)")
     parser.add_argument("--threads", type=positive, metavar="N", help="compute threads to use (default: all)")
+    _add_tls(parser)
     parser.add_argument(
         "--stay-with-parent", action="store_true", help="end when standard input ends (a parent holds it open)"
     )
     parser.set_defaults(run=worker)
+
+
+def _add_tls(parser: argparse._ActionsContainer) -> None:
+    about = "certificate of the authority that signed those of scheduler, workers and batch: Dask's connections use TLS"
+    parser.add_argument("--tls-ca", type=Path, metavar="FILE.pem", help=about)
+    parser.add_argument(
+        "--tls-certificate", type=Path, metavar="FILE.pem", help="with --tls-ca: this machine's certificate and its key"
+    )
+
+
+def _tls(options: argparse.Namespace) -> Tls | None:
+    """Raises PlgsError if only one of the two files is given."""
+    from ..batch.worker import Tls
+
+    ca, own = options.tls_ca, options.tls_certificate
+    if (ca is None) != (own is None):
+        raise PlgsError("TLS needs two files", ca or own, "Give --tls-ca and --tls-certificate.")
+    return None if ca is None else Tls(ca.absolute(), own.absolute())
 
 
 def positive(text: str) -> int:
@@ -71,29 +97,62 @@ def worker(options: argparse.Namespace) -> ExitCode:
     from ..batch import run_worker
 
     pipe = sys.stdin.fileno() if options.stay_with_parent else None
-    return run_worker(options.address, options.memory, options.threads or 0, pipe)
+    return run_worker(options.address, options.memory, options.threads or 0, pipe, tls=_tls(options))
 
 
 def batch(options: argparse.Namespace) -> int:
     from ..batch import BatchPlan, run_batch
     from ..batch.plan import names_of
+    from ..job import EventWriter
+    from ..job.task import TaskPlace
     from ..job.terminal import Interrupted, Interrupts
 
-    if options.poses is not None:
-        raise PlgsError("finds the poses of one scene only", "--poses", "Find them first: python -m engine poses.")
-    names = names_of(options.scenes)
+    scenes = _asked_scenes(options)
+    names = names_of([each.scene for each in scenes], [each.scene_name for each in scenes])
     if ".." in options.output.parts:
         options.output = options.output.resolve()
     bakes_all = options.bake == "all"
     _refuse_two_places(options)
-    jobs = tuple(_job(options, scene, name, bakes_all) for scene, name in zip(options.scenes, names, strict=True))
+    jobs = tuple(_job(own, options.output.absolute(), name, bakes_all) for own, name in zip(scenes, names, strict=True))
     plan = BatchPlan(options.output.absolute(), jobs, options.chunk if bakes_all else 0, tuple(options.export))
+    place = _place(options, [job.gigabytes for job in jobs])
+    own = TaskPlace.temporary() if options.echo is not None else None
+    events = EventWriter(own.events, options.echo) if own is not None else None
+    state = "finished"
     try:
         with Interrupts() as interrupts, interrupts.deferred():
-            return run_batch(plan, _place(options, [job.gigabytes for job in jobs]), interrupts)
+            return run_batch(plan, place, interrupts, events)
+    except PlgsError as error:
+        if events is not None:
+            events.error(error)
+        raise
     except Interrupted as error:
+        state = "cancelled"
         print(f"Stopped. The same command continues: {options.output}", file=sys.stderr)
         return error.exit_code
+    finally:
+        if events is not None and own is not None:
+            events.done(state)
+            events.close()
+            own.discard()
+
+
+def _asked_scenes(options: argparse.Namespace) -> list[argparse.Namespace]:
+    """The options of each scene, with its ``scene`` and its ``scene_name``, which is empty if it was not given. Raises
+    PlgsError."""
+    from ..batch.plan import refuse_shared
+    from .scene_table import read_scene_table
+
+    if options.poses is not None:
+        raise PlgsError("finds the poses of one scene only", "--poses", "Find them first: python -m engine poses.")
+    asked = [argparse.Namespace(**{**vars(options), "scene": scene, "scene_name": ""}) for scene in options.scenes]
+    if options.table is not None:
+        asked += read_scene_table(options.table, options)
+    if not asked:
+        raise PlgsError("no scene is named", "batch", "Name scenes, or a table of them with --scenes.")
+    for option in ("--masks", "--depth", "--names-from"):
+        refuse_shared(option, getattr(options, option[2:].replace("-", "_")), len(asked))
+    return asked
 
 
 def _refuse_two_places(options: argparse.Namespace) -> None:
@@ -104,20 +163,24 @@ def _refuse_two_places(options: argparse.Namespace) -> None:
     for name, option in SLURM.items():
         if getattr(options, name) and not options.slurm:
             raise PlgsError("is for Slurm only", option, "Add --slurm, or leave it out.", option=option)
+    if options.tls_ca and not (options.slurm or options.scheduler):
+        fix = "Leave it out: without --slurm and --scheduler nothing listens beyond this machine."
+        raise PlgsError("is for other machines only", "--tls-ca", fix, option="--tls-ca")
 
 
-def _job(options: argparse.Namespace, scene: Path, name: str, bakes_all: bool) -> SceneJob:
+def _job(own: argparse.Namespace, output: Path, name: str, bakes_all: bool) -> SceneJob:
     from ..batch import SceneJob
+    from ..batch.plan import of_scene
     from ..job.prediction import USUAL_MASKS
     from ..lift.fitting import predicted_lift
     from ..scene import open_scene_to_lift
 
-    own = copy(options)
-    own.scene, lift = scene, options.output.absolute() / name
+    scene, lift = own.scene, output / name
+    own.masks, own.depth, own.names_from = (of_scene(path, name) for path in (own.masks, own.depth, own.names_from))
     request = request_from(own)
     if bakes_all:
         request = replace(request, bake="none")  # passes are baked in pieces after the lift
-    if not scene.exists() and (options.scheduler or options.slurm):
+    if not scene.exists() and (own.scheduler or own.slurm):
         return SceneJob(name, lift, request)  # a worker may have the scene
     try:
         opened = open_scene_to_lift(request)
@@ -143,4 +206,4 @@ def _place(options: argparse.Namespace, gigabytes: Sequence[float]) -> Place:
     is_here = slurm is None and not options.scheduler
     share = total / workers if is_here else max([*gigabytes, 4.0])
     threads = options.threads or (max(1, cpus // workers) if is_here else 4)
-    return Place(workers, options.scheduler, slurm, round(options.memory or share, 2), threads)
+    return Place(workers, options.scheduler, slurm, round(options.memory or share, 2), threads, _tls(options))

@@ -220,7 +220,7 @@ class TaskFollower:
         elif code is not None and code < 0:
             hint = " (often: out of memory)" if code == -9 else ""
             what = f"the engine was ended by signal {-code}{hint}"
-            self._fail(PlgsError(what, self.place.events.parent, self._what_is_left(), code=ErrorCode.INTERNAL))
+            self._fail(PlgsError(what, self.place.events.parent, self._what_is_left(), code=ErrorCode.KILLED))
         else:
             self._fail(self._error_of_output(code))
 

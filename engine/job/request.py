@@ -45,13 +45,7 @@ class LiftRequest(SceneSource):
     options: Mapping[str, Json] = field(default_factory=dict)
     fit: bool = field(
         default=False,
-        metadata={
-            "option": {
-                "action": "store_true",
-                "default": None,
-                "help": "train on fewer frames if memory would not suffice otherwise",
-            }
-        },
+        metadata={"option": {"action": "store_true", "default": None, "help": "use fewer frames if memory is short"}},
     )
     seed: int = field(
         default=0,

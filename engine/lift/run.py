@@ -21,6 +21,8 @@ from safetensors.torch import save_file
 from ..errors import Cancelled, PlgsError
 from ..job import Checkpoint, EventWriter, LiftFolder, LiftRequest, StopSignal, write_manifest
 from ..job.prediction import USUAL_MASKS, learn_slowness, machine_slowness
+from ..json_file import Json
+from ..machine.code_digest import code_digest
 from ..machine.log_compilation import log_compilation
 from ..model.detail import finest_pixels
 from ..model.settling import OwnedPoints
@@ -77,6 +79,10 @@ NO_VOTES = (
     "the finished scene shows the label decoders, not the views' votes: "
     'votes need objects = "agreement" and one_class_an_object = true'
 )
+CODE = "code"
+"""The name, in checkpoints and manifest, of the digest of the code that did the lift."""
+LONG_S = 3600.0
+"""A lift that is predicted to take more seconds says so before it trains."""
 TRAINED_ANEW = "it is trained again, from the first step"
 LEAST_STEPS = 100
 """The least number of steps for which the pace is remembered. Fewer measure the first compilation, not the computer."""
@@ -111,12 +117,13 @@ def run_lift(
     preparing: Preparing = prepare,
     training: Callable[[PreparedLift, Sequence[View], Preset, int], Trainer] = new_trainer,
     finishing: Callable[[Trainer, PreparedLift, ClassTable, StageProgress], PreparedLift] | None = None,
+    sources: Sequence[str] = ("engine",),
 ) -> None:
     """Do the lift that ``folder`` asks for, or what is left of it.
 
     Methods other than PLGS pass their own ``preparing``, ``training``, and ``finishing``, which is called after the
-    last step. Raises PlgsError for input that cannot be lifted, and Cancelled if stopped. The folder can then be
-    resumed.
+    last step, and ``sources``, the folders of the repository whose digest the manifest holds. Raises PlgsError for
+    input that cannot be lifted, and Cancelled if stopped. The folder can then be resumed.
     """
     request, stages = folder.request, StageReporter(events, stop, STAGES)
     preset = request.chosen_preset
@@ -124,11 +131,13 @@ def run_lift(
     refuse_names_of_no_objects(request, preset)
     be_repeatable(request.device)
     checkpoint = folder.checkpoints.latest() if resume else None
+    code = code_of(code_digest(*sources), checkpoint, events)
     with drawing_on(request.device):
         with stages.stage("check") as progress:
             frames, masks_changed = checked_frames(folder, preset, checkpoint, progress, events)
             earlier = None if request.names_from is None else read_earlier(request.names_from)
         stages.course = expected_course(frames, preset, request.bake)
+        tell_long(stages.course, events)
         with stages.stage("read") as progress:
             views, others = read_views(frames, preset, folder.path, progress, events)
 
@@ -140,7 +149,7 @@ def run_lift(
             take_up(trainer, checkpoint, events, masks_changed=masks_changed)
         names: Mapping[int, str] = instance_names(prepared.instances, classes)
         previews = LivePreviews(folder, frames.all, shown_instances(prepared, names), events)
-        paces = train(trainer, folder, frames.begun_with, stages, previews)
+        paces = train(trainer, folder, {FRAMES: list(frames.begun_with), CODE: code}, stages, previews)
 
         with stages.stage("result") as progress:
             if finishing is not None:
@@ -160,15 +169,15 @@ def run_lift(
         wanted = frames_to_bake(frames.all, request.bake)
         bake_and_evaluate(folder, frames.chosen, baker, wanted, views, held_back, events, stages)
     previews.clear_away()
-    finish(folder, preset, stages)
+    finish(folder, preset, stages, code)
     remember_pace(paces, trainer)
 
 
-def finish(folder: LiftFolder, preset: Preset, stages: StageReporter) -> None:
-    """Write the manifest, with which the lift is finished. Raises OSError."""
+def finish(folder: LiftFolder, preset: Preset, stages: StageReporter, code: str) -> None:
+    """Write the manifest, with the digest of the ``code``, with which the lift is finished. Raises OSError."""
     write_manifest(
         folder.result_path,
-        versions=library_versions(),
+        versions=library_versions(code),
         seed=folder.request.seed,
         settings=asdict(preset),
         timings=stages.timings,
@@ -244,6 +253,25 @@ def expected_course(frames: FrameSets, preset: Preset, bake: str) -> Course:
     return Course({name: slowness * value for name, value in seconds.items() if name not in ("start", "check")})
 
 
+def tell_long(course: Course, events: EventWriter) -> None:
+    """Warn of a lift that takes more than LONG_S."""
+    seconds = sum(course.seconds.values())
+    if seconds > LONG_S:
+        hours = f"{seconds / 3600:.1f} h"
+        events.warning(
+            f"this lift is predicted to take {hours} in all here; it can be stopped and resumed"
+        )
+
+
+def code_of(code: str, checkpoint: Checkpoint | None, events: EventWriter) -> str:
+    """The digest of the ``code`` that does the lift; where another began it, both, and a warning."""
+    begun_by = "" if checkpoint is None else str(checkpoint.state.get(CODE, "unknown"))
+    if not begun_by or code in begun_by.split("+"):
+        return begun_by or code
+    events.warning(f"the lift was begun by other code ({begun_by}, this is {code}): lift anew what is to be compared")
+    return f"{begun_by}+{code}"
+
+
 def refuse_names_of_no_objects(request: LiftRequest, preset: Preset) -> None:
     """Raise PlgsError if an earlier lift's names are requested, but the lift has no objects."""
     if request.names_from is not None and preset.objects == "none":
@@ -287,11 +315,11 @@ def frames_to_bake(scene: Scene, bake: str) -> tuple[Frame, ...]:
 def train(
     trainer: Trainer,
     folder: LiftFolder,
-    frames: Sequence[str],
+    facts: Mapping[str, Json],
     stages: StageReporter,
     show: Callable[[StructuredScene], object],
 ) -> list[float]:
-    """Do all remaining steps, and return the seconds that each took. ``frames`` are the names of the training frames;
+    """Do all remaining steps, and return the seconds that each took. ``facts`` about the run go into its checkpoints;
     ``show`` is called with the model after each step.
 
     A checkpoint is written every CHECKPOINT_EVERY_S seconds, when stopped, and at the end. None is written if a step
@@ -318,12 +346,12 @@ def train(
                 progress(report.step, steps, report.loss)
                 show(trainer.scene)
                 if time.monotonic() - saved_at > CHECKPOINT_EVERY_S:
-                    save_checkpoint(trainer, folder, frames)
+                    save_checkpoint(trainer, folder, facts)
                     saved_at = time.monotonic()
         except Cancelled:
-            save_checkpoint(trainer, folder, frames)
+            save_checkpoint(trainer, folder, facts)
             raise
-        save_checkpoint(trainer, folder, frames)
+        save_checkpoint(trainer, folder, facts)
     return paces
 
 
@@ -339,15 +367,14 @@ def remember_pace(paces: Sequence[float], trainer: Trainer) -> None:
         log.warning("the pace of this computer was not remembered: %s", error)
 
 
-def save_checkpoint(trainer: Trainer, folder: LiftFolder, frames: Sequence[str]) -> None:
-    tensors, facts = trainer_state(trainer)
-    facts[FRAMES] = list(frames)
+def save_checkpoint(trainer: Trainer, folder: LiftFolder, facts: Mapping[str, Json]) -> None:
+    tensors, state = trainer_state(trainer)
     contiguous = {name: tensor.contiguous() for name, tensor in tensors.items()}
-    folder.checkpoints.save(facts, lambda path: save_file(contiguous, path / "trainer.safetensors"))
+    folder.checkpoints.save({**state, **facts}, lambda path: save_file(contiguous, path / "trainer.safetensors"))
 
 
-def library_versions() -> dict[str, str]:
-    """The versions of the libraries that computed the result."""
+def library_versions(code: str) -> dict[str, str]:
+    """The ``code`` and the versions of the libraries that computed the result."""
     import platform
 
     import cv2
@@ -355,6 +382,7 @@ def library_versions() -> dict[str, str]:
     import scipy
 
     return {
+        "code": code,
         "python": platform.python_version(),
         "numpy": np.__version__,
         "torch": torch.__version__,

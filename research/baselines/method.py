@@ -26,6 +26,7 @@ from engine.train.progress import StageProgress, StageReporter
 from engine.train.targets import ViewTargets, columns_of, slots_of
 from engine.train.trainer import Trainer
 
+from ..results import SOURCES
 from . import contrastive_loss, identity_loss
 from .embedding_clusters import with_clusters
 from .encodings import EncodedDecoders, EncodedShape, FollowedDecoders, TwiceEncodedShape
@@ -47,6 +48,7 @@ def lift_baseline(folder: LiftFolder, events: EventWriter, stop: StopSignal, *, 
         preparing=prepare_baseline,
         training=new_trainer,
         finishing=with_instances,
+        sources=SOURCES,
     )
 
 

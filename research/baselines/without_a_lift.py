@@ -9,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 
-from engine import __version__
 from engine.errors import PlgsError
 from engine.job import write_atomically
 from engine.job.atomic import sha256
@@ -18,7 +17,7 @@ from engine.metrics.report import INPUT_MASKS, PredictedView, Report, add_input_
 from engine.scene import GroundTruth, Scene, open_asked
 from engine.scene_source import SceneSource
 
-from ..results import Figures, scores_by_method
+from ..results import Figures, scores_by_method, this_engine
 from .voxel_vote import VOXEL_VOTE, add_voxel_vote
 
 VOXELS_ALONE = "voxel vote without objects"
@@ -75,7 +74,7 @@ def scores_without_a_lift(source: SceneSource, cache: Path) -> dict[str, Figures
     scene, classes = open_asked(source), source.classes
     made_of: dict[str, Json] = {
         "format": FORMAT,
-        "engine_version": __version__,
+        "engine_version": this_engine(),
         "files": files_fingerprint(scene, source, cache.parent),
         "mask_format": source.mask_format,
         "classes": sha256(Path(classes)) if classes and classes.endswith(".toml") else classes,

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+from engine.batch.plan import of_scene
 from engine.presets.options import shown_options
 from engine.scene_source import SceneSource
 
@@ -19,8 +20,6 @@ PROGRAM = "research"
 """This program knows the options of the baselines."""
 FIRST = "ours"
 """The row whose lift is the preset itself: its folder's name contains no row."""
-SCENE = "{scene}"
-"""Stands for the scene's name in --masks and --depth."""
 
 
 @dataclass(frozen=True)
@@ -28,7 +27,7 @@ class Experiment:
     """Rows of the tables (``only`` some: of these names or tables) on ``scenes``, into ``folder``. All start from
     ``preset`` (a name, or a file) with ``steps`` and the options ``sets`` (name=value); all scenes are read by
     ``scene_format``, ``mask_format`` and ``classes``, from at most ``frames``, with ``fit`` and ``device``, as a
-    LiftRequest has them. ``masks`` and ``depth`` are paths in which SCENE stands for the scene's name. ``earlier``:
+    LiftRequest has them. ``masks`` and ``depth`` are paths in which {scene} stands for the scene's name. ``earlier``:
     results to compare with; ``page``: a Markdown file whose tables are updated; ``only_finished``: nothing more is
     lifted."""
 
@@ -42,8 +41,8 @@ class Experiment:
     scene_format: str | None = None
     mask_format: str | None = None
     classes: str | None = None
-    masks: str | None = None
-    depth: str | None = None
+    masks: Path | None = None
+    depth: Path | None = None
     frames: int | None = None
     fit: bool | None = None
     device: str | None = None
@@ -58,13 +57,13 @@ class Experiment:
 
     def masks_of(self, scene: SceneToLift, masks: str | None = None) -> Path | None:
         """Where a scene's masks are: in ``masks`` of its folder, else as --masks says; None: in the scene itself."""
-        return scene.folder / masks if masks else _of_scene(self.masks, scene)
+        return scene.folder / masks if masks else of_scene(self.masks, scene.name)
 
     def source(self, scene: SceneToLift, masks: str | None = None) -> SceneSource:
         """How a scene is read."""
         return SceneSource(
             scene.folder, self.masks_of(scene, masks), scene.up, self.scene_format,
-            _of_scene(self.depth, scene), self.mask_format, self.classes,
+            of_scene(self.depth, scene.name), self.mask_format, self.classes,
         )  # fmt: skip
 
     def tables(self, results: tuple[Result, ...] = ()) -> Tables:
@@ -132,7 +131,7 @@ def lift_options(experiment: Experiment, scene: SceneToLift, row: Row, seed: int
         scene_format=experiment.scene_format,
         mask_format=experiment.mask_format,
         classes=experiment.classes,
-        depth=output.with_name(f"{output.name}-maps") if row.depth_from else _of_scene(experiment.depth, scene),
+        depth=output.with_name(f"{output.name}-maps") if row.depth_from else of_scene(experiment.depth, scene.name),
         device=experiment.device,
         names_from=None,
         poses=None,
@@ -145,7 +144,3 @@ def lift_options(experiment: Experiment, scene: SceneToLift, row: Row, seed: int
 
 def has_manifest(lift: Path) -> bool:
     return (lift / "result" / "manifest.json").is_file()
-
-
-def _of_scene(path: str | None, scene: SceneToLift) -> Path | None:
-    return None if path is None else Path(path.replace(SCENE, scene.name))

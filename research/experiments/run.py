@@ -8,7 +8,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from engine import __version__
+from engine.batch.plan import refuse_shared
 from engine.errors import Cancelled, PlgsError
 from engine.job import ExitCode, LiftFolder, refuse_used
 from engine.job.options import request_from
@@ -18,8 +18,8 @@ from engine.posed.layout import listed
 from engine.scene import open_scene_to_lift
 
 from ..baselines.without_a_lift import scores_without_a_lift
-from ..results import Result, read_result, read_results
-from .experiment import SCENE, Experiment, Task, has_files, has_manifest, lift_folder, lift_options, tasks_of
+from ..results import Result, read_result, read_results, this_engine
+from .experiment import Experiment, Task, has_files, has_manifest, lift_folder, lift_options, tasks_of
 from .report import refuse_unwritable, write_report
 from .scenes import SceneToLift
 
@@ -50,10 +50,11 @@ def run_experiment(experiment: Experiment, interrupts: Interrupts) -> ExitCode:
             if task.name in errors:
                 raise errors[task.name]
             results.append(lifted(experiment, task, interrupts))
+            tell_other_code(task, results[-1])
         except PlgsError as error:
             errors[task.name] = error
             print(f"{task.name}: failed: {error}", file=sys.stderr)
-            about = task.scene.name, task.row.name, experiment.preset_name, 0, task.seed, __version__
+            about = task.scene.name, task.row.name, experiment.preset_name, 0, task.seed, this_engine()
             results.append(Result(*about, failed=str(error)))
         except Cancelled:
             return ExitCode.CANCELLED
@@ -82,6 +83,13 @@ def lifted(experiment: Experiment, task: Task, interrupts: Interrupts) -> Result
     if errors:
         raise errors[0]
     return read_result(task.scene.name, task.row.name, experiment.preset_name, lift)
+
+
+def tell_other_code(task: Task, result: Result) -> None:
+    """Say so where a finished lift was not made by the code at hand."""
+    if result.engine_version != this_engine():
+        fix = f"To lift it again, delete {task.options.output}"
+        print(f"{task.name}: lifted by {result.engine_version}, this is {this_engine()}. {fix}", file=sys.stderr)
 
 
 def result_of(experiment: Experiment, task: Task) -> Result:
@@ -162,11 +170,11 @@ def results_without_a_lift(experiment: Experiment, errors: dict[str, PlgsError])
             except PlgsError as error:
                 for row in asking:
                     errors[f"{scene.name}: {row.name}"] = error
-                    yield Result(scene.name, row.measured_as, "-", 0, 0, __version__, failed=str(error))
+                    yield Result(scene.name, row.measured_as, "-", 0, 0, this_engine(), failed=str(error))
                 continue
             for method, figures in found.items():
                 name = f"{method}, {masks}" if masks else method
-                yield Result(scene.name, name, "-", 0, 0, __version__, figures)
+                yield Result(scene.name, name, "-", 0, 0, this_engine(), figures)
 
 
 def refuse_bad_input(experiment: Experiment, tasks: Sequence[Task]) -> dict[str, PlgsError]:
@@ -174,9 +182,7 @@ def refuse_bad_input(experiment: Experiment, tasks: Sequence[Task]) -> dict[str,
     scene by its task's name."""
     errors: dict[str, PlgsError] = {}
     for option, path in (("--masks", experiment.masks), ("--depth", experiment.depth)):
-        if path and SCENE not in path and len(experiment.scenes) > 1:
-            fix = f"Write {SCENE} where the scene's name belongs, such as {option} 'predictions/{SCENE}'."
-            raise PlgsError(f"{option} names one folder for {len(experiment.scenes)} scenes", path, fix, option=option)
+        refuse_shared(option, path, len(experiment.scenes))
     if experiment.page:
         refuse_unwritable(experiment.page)
     if experiment.earlier:

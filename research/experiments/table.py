@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from statistics import mean, stdev
 
-from engine import __version__
 from engine.gates import markdown_cell
 
-from ..results import Result
+from ..results import Result, this_engine
 from .rows import Cited, Row, Rows
 
 
@@ -66,7 +65,7 @@ class Tables:
     chosen: tuple[Row, ...]
     results: tuple[Result, ...]
     earlier: tuple[Result, ...] = ()
-    version: str = __version__
+    version: str = field(default_factory=this_engine)
 
     def markdown(self) -> str:
         """A section with tables for each scene, and one for the means over several scenes. Left out are rows that are

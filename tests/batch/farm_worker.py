@@ -1,7 +1,8 @@
 """A worker whose lifts are pretended: the real `run_engine` and checkpoints around some counting. Run as a script:
 
 farm_worker.py lift LIFT [--resume] [--stay-with-parent]     such a lift
-farm_worker.py KIND ADDRESS                                  a worker: usual, another-engine, unmounted or full
+farm_worker.py batch ADDRESS OUT SCENE ...                   a batch
+farm_worker.py KIND ADDRESS [CA CERTIFICATE]                 a worker: usual, another-engine, unmounted or full
 """
 
 from __future__ import annotations
@@ -14,10 +15,12 @@ ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT))
 # ruff: noqa: E402 - what follows is found only now
 
-from engine.batch import piece, worker
+from engine.batch import BatchPlan, SceneJob, piece, run_batch, worker
+from engine.batch.cluster import Place
 from engine.command_line.run_engine import run_engine
 from engine.errors import ErrorCode, PlgsError
-from engine.job import EventWriter, LiftFolder, StopSignal
+from engine.job import EventWriter, LiftFolder, LiftRequest, StopSignal
+from engine.job.terminal import Interrupts
 from tests.job.lift_folders import tiny_lift
 
 STEPS, STEP_S = 60, 0.03
@@ -68,5 +71,12 @@ if __name__ == "__main__":
         except PlgsError as error:  # as the real command does: another engine may be at work
             print(error, file=sys.stderr)
             sys.exit(error.exit_code)
-    pretend(sys.argv[1])
-    sys.exit(worker.run_worker(sys.argv[2], threads=1, patience_s=20.0))
+    kind, address, *files = sys.argv[1:]
+    if kind == "batch":
+        output, *scenes = map(Path, files)
+        jobs = tuple(SceneJob(scene.name, output / scene.name, LiftRequest(scene=scene)) for scene in scenes)
+        with Interrupts() as interrupts, interrupts.deferred():
+            sys.exit(run_batch(BatchPlan(output, jobs), Place(scheduler=address), interrupts))
+    pretend(kind)
+    tls = worker.Tls(*map(Path, files)) if files else None
+    sys.exit(worker.run_worker(address, threads=1, patience_s=20.0, tls=tls))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import os
+import shutil
 import signal
 import socket
 import subprocess
@@ -18,6 +19,7 @@ import pytest
 
 from engine.batch import BatchPlan, SceneJob, cluster, run_batch, run_worker
 from engine.batch.cluster import Place
+from engine.batch.worker import Tls
 from engine.command_line.main import main
 from engine.errors import ExitCode, PlgsError
 from engine.job import LiftFolder, LiftRequest, verify
@@ -59,7 +61,9 @@ def address(start: Start) -> str:
     return f"tcp://127.0.0.1:{started_scheduler(start)[1]}"
 
 
-def started_scheduler(start: Start, port: int = 0, ttl: str = "60s") -> tuple[subprocess.Popen[bytes], int]:
+def started_scheduler(
+    start: Start, port: int = 0, ttl: str = "60s", protocol: str = "tcp://", more: tuple[str | Path, ...] = ()
+) -> tuple[subprocess.Popen[bytes], int]:
     if not port:
         with socket.socket() as free:
             free.bind(("127.0.0.1", 0))
@@ -67,7 +71,7 @@ def started_scheduler(start: Start, port: int = 0, ttl: str = "60s") -> tuple[su
     os.environ["DASK_DISTRIBUTED__SCHEDULER__WORKER_TTL"] = ttl
     try:
         command = ("-m", "distributed.cli.dask_scheduler", "--host", "127.0.0.1", "--no-dashboard", "--port", str(port))
-        scheduler = start(*command)
+        scheduler = start(*command, "--protocol", protocol, *more)
     finally:
         del os.environ["DASK_DISTRIBUTED__SCHEDULER__WORKER_TTL"]
     give_up = time.monotonic() + PATIENCE_S
@@ -106,14 +110,21 @@ def hellos(lift: Path) -> list[dict[str, object]]:
     return [told for line in lines if (told := json.loads(line))["event"] == "hello"]
 
 
-def in_the_middle(lift: Path) -> int:
-    """Wait until a lift trains, and return the number of the worker's process."""
+def in_the_middle(lift: Path, runs: int = 1) -> int:
+    """Wait until a lift trains, in its run of this number, and return the number of the worker's process."""
     give_up = time.monotonic() + PATIENCE_S
-    while not (lift / "events.jsonl").exists() or '"step": 10,' not in (lift / "events.jsonl").read_text():
+    while not is_training(lift, runs):
         assert time.monotonic() < give_up
         time.sleep(0.02)
     status = Path(f"/proc/{hellos(lift)[-1]['pid']}/status").read_text()
     return int(status.split("PPid:")[1].split()[0])
+
+
+def is_training(lift: Path, runs: int) -> bool:
+    if len(hellos(lift)) < runs:
+        return False
+    *_, latest = (lift / "events.jsonl").read_text().split('"event": "hello"')
+    return latest.count('"event": "progress"') > 10
 
 
 def meanwhile(act: Callable[[], object]) -> threading.Thread:
@@ -151,6 +162,106 @@ def test_a_killed_worker_loses_little_and_its_work_goes_elsewhere(tmp_path: Path
     assert [each["resumed"] for each in hellos(plan.output / "a")] == [False, True]
     assert len(hellos(plan.output / "b")) == 1
     verify(plan.output / "a" / "result")
+
+
+@pytest.mark.parametrize(
+    ("number", "kills", "state"),
+    [(signal.SIGKILL, 1, "done"), (signal.SIGTERM, 1, "done"), (signal.SIGKILL, 2, "failed")],
+)
+def test_an_engine_that_is_killed_is_resumed_once(
+    number: signal.Signals, kills: int, state: str, tmp_path: Path, start: Start, address: str
+) -> None:
+    plan = plan_of(tmp_path, "a", "b")
+    for _ in range(2):
+        start(FARM_WORKER, "usual", address)
+
+    def kill() -> None:
+        for runs in range(1, kills + 1):
+            in_the_middle(plan.output / "a", runs)
+            os.kill(int(str(hellos(plan.output / "a")[-1]["pid"])), number)
+
+    killing = meanwhile(kill)
+    code = run(plan, Place(scheduler=address))
+    killing.join()
+    assert [row["state"] for row in rows_of(plan).values()] == [state, "done", ""]
+    assert (code is ExitCode.FINISHED) == (state == "done")
+    assert [each["resumed"] for each in hellos(plan.output / "a")] == [False, True]
+    assert "signal" in rows_of(plan)["a"]["reason"] or state == "done"
+
+
+def test_a_batch_on_this_machine_is_not_reached_from_others() -> None:
+    """Neither its scheduler, nor the dashboard, nor its workers; and with a worker less it goes on."""
+    with cluster.opened(Place(workers=2)) as farm:
+        numbers = [os.getpid(), *(worker.pid for worker in farm.own)]
+        give_up = time.monotonic() + PATIENCE_S
+        while len(farm.workers()) < 2:
+            assert time.monotonic() < give_up
+            time.sleep(0.1)
+        listening = {each for number in numbers for each in sockets_of(number)}
+        first = next(iter(farm.workers().values()))
+        assert farm.use_fewer(f"machine {first['name']}") and len(farm.own) == 1
+        while len(there := farm.workers()) > 1:
+            assert time.monotonic() < give_up
+            time.sleep(0.1)
+        assert first["name"] not in [told["name"] for told in there.values()] and not farm.use_fewer("machine")
+    assert len(listening) >= 4 and {host for host, _ in listening} == {"127.0.0.1"}
+
+
+def sockets_of(process: int) -> Iterator[tuple[str, int]]:
+    """The addresses at which a process listens."""
+    links = [os.readlink(each) for each in Path(f"/proc/{process}/fd").iterdir() if each.is_symlink()]
+    for table, family in (("tcp", socket.AF_INET), ("tcp6", socket.AF_INET6)):
+        for line in Path(f"/proc/net/{table}").read_text().splitlines()[1:]:
+            _, local, _, state, *_, inode = line.split()[:10]
+            if state == "0A" and f"socket:[{inode}]" in links:
+                host, port = local.split(":")
+                raw = b"".join(bytes.fromhex(host[k : k + 8])[::-1] for k in range(0, len(host), 8))
+                yield socket.inet_ntop(family, raw), int(port, 16)
+
+
+def test_two_batches_in_one_folder(tmp_path: Path, start: Start, address: str) -> None:
+    """One waits for the lifts of the other, and the table has the scenes of both."""
+    plan = plan_of(tmp_path, "a", "b", "c")
+    for _ in range(3):
+        start(FARM_WORKER, "usual", address)
+    other = start(FARM_WORKER, "batch", address, plan.output, *(job.request.scene for job in plan.jobs[:2]))
+    half = BatchPlan(plan.output, plan.jobs[1:])
+    assert run(half, Place(scheduler=address)) is ExitCode.FINISHED
+    assert other.wait(PATIENCE_S) == 0
+    states = {name: row["state"] for name, row in rows_of(plan).items()}
+    assert states == {"a": "done", "b": "done", "c": "done", "mean": ""}
+    assert len(hellos(plan.output / "b")) == 1
+
+
+def certificates(folder: Path) -> tuple[Path, Path]:
+    """An authority's certificate, and one that it signed, with its key."""
+
+    def openssl(*arguments: str) -> None:
+        subprocess.run(["openssl", *arguments], cwd=folder, check=True, capture_output=True)
+
+    openssl("req", "-x509", "-newkey", "rsa:2048", "-nodes", "-keyout", "ca.key", "-out", "ca.pem", "-subj", "/CN=ca")
+    openssl("req", "-newkey", "rsa:2048", "-nodes", "-keyout", "own.key", "-out", "own.csr", "-subj", "/CN=own")
+    openssl("x509", "-req", "-in", "own.csr", "-CA", "ca.pem", "-CAkey", "ca.key", "-CAcreateserial", "-out", "own.crt")
+    (folder / "own.pem").write_text((folder / "own.crt").read_text() + (folder / "own.key").read_text())
+    return folder / "ca.pem", folder / "own.pem"
+
+
+@pytest.mark.skipif(shutil.which("openssl") is None, reason="needs openssl to make certificates")
+def test_with_tls(tmp_path: Path, start: Start) -> None:
+    """With certificates of the same authority it works; without them, nobody gets in."""
+    ca, own = certificates(tmp_path)
+    files = ("--tls-ca-file", ca, "--tls-cert", own, "--tls-key", own)
+    address = f"tls://127.0.0.1:{started_scheduler(start, protocol='tls://', more=files)[1]}"
+    tls = Tls(ca, own)
+    plan = plan_of(tmp_path, "a")
+    with pytest.raises(PlgsError, match="begins with tls://"):
+        run(plan, Place(scheduler=address.replace("tls://", "tcp://"), tls=tls))
+    with pytest.raises(PlgsError, match="TLS cannot be used"):
+        run(plan, Place(scheduler=address, tls=Tls(ca, ca)))
+    with pytest.raises(PlgsError, match="no scheduler answers"):
+        run(plan, Place(scheduler=address.replace("tls://", "tcp://")))
+    start(FARM_WORKER, "usual", address, ca, own)
+    assert run(plan, Place(scheduler=address, tls=tls)) is ExitCode.FINISHED
 
 
 def test_a_worker_that_hangs(tmp_path: Path, start: Start) -> None:

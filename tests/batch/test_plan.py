@@ -7,7 +7,18 @@ from pathlib import Path
 
 import pytest
 
-from engine.batch.plan import BatchPlan, Row, SceneJob, done_before, names_of, remember
+from engine.batch.plan import (
+    BatchPlan,
+    Row,
+    SceneJob,
+    done_before,
+    lifting_code,
+    names_of,
+    of_scene,
+    refuse_shared,
+    remember,
+    rows_kept,
+)
 from engine.errors import PlgsError
 from engine.job import LiftRequest
 from engine.job.manifest import write_manifest
@@ -16,7 +27,7 @@ from engine.job.manifest import write_manifest
 @pytest.mark.parametrize("name", ["...zip", "..zip", ".batch.zip", "table.md.zip", "Table.CSV.zip"])
 def test_a_name_that_is_not_a_folder_of_its_own_is_refused(name: str, tmp_path: Path) -> None:
     (tmp_path / name).touch()
-    with pytest.raises(PlgsError, match=r"Rename the scene\.$"):
+    with pytest.raises(PlgsError, match="Rename the scene"):
         names_of([tmp_path / name])
 
 
@@ -53,3 +64,56 @@ def test_missing_results_are_not_counted_as_done(lost: str, tmp_path: Path) -> N
     path = job.lift / lost
     shutil.rmtree(path) if path.is_dir() else path.write_text("half")
     assert done_before(plan, job) is None
+
+
+def test_a_link_to_a_scene_has_its_own_name(tmp_path: Path) -> None:
+    """Data sets are often links to folders that are all called alike."""
+    links = []
+    for name in ("one", "two"):
+        (tmp_path / name / "frames").mkdir(parents=True)
+        links.append(tmp_path / f"scene-{name}")
+        links[-1].symlink_to(tmp_path / name / "frames")
+    assert names_of(links) == ["scene-one", "scene-two"]
+    loop = tmp_path / "loop"
+    loop.symlink_to(loop)
+    assert names_of([loop]) == ["loop"]  # its lift says what is wrong
+    with pytest.raises(PlgsError, match="the scene is given twice"):
+        names_of([links[0], tmp_path / "one" / "frames"])
+
+
+@pytest.mark.parametrize("name", ["two\nlines", "\x1b[31mred", 300 * "x", "a/b", "..", "C:x", "\udcff"])
+def test_a_name_that_no_folder_should_have(name: str) -> None:
+    with pytest.raises(PlgsError, match="its name cannot be that of a result's folder") as error:
+        names_of([Path("scene")], [name])
+    assert "\n" not in str(error.value)
+
+
+def test_scenes_of_one_name_can_be_given_others() -> None:
+    assert names_of([Path("x/room"), Path("y/room")], ["", "room-y"]) == ["room", "room-y"]
+
+
+def test_one_place_for_the_files_of_several_scenes_is_refused() -> None:
+    refuse_shared("--masks", Path("masks"), 1)
+    refuse_shared("--masks", Path("masks/{scene}"), 2)
+    with pytest.raises(PlgsError, match=r"--masks names one place for 2 scenes: masks\. Write \{scene\}"):
+        refuse_shared("--masks", Path("masks"), 2)
+    assert of_scene(Path("masks/{scene}.json"), "room") == Path("masks/room.json")
+
+
+def test_rows_of_other_scenes_are_kept_as_long_as_they_hold(tmp_path: Path) -> None:
+    jobs = {}
+    for name in ("corrected", "deleted", "done", "failed", "failed and gone"):
+        (tmp_path / f"{name}.scene").touch()
+        jobs[name] = job = SceneJob(name, tmp_path / name, LiftRequest(scene=tmp_path / f"{name}.scene"))
+        if "failed" not in name:
+            (job.lift / "result").mkdir(parents=True)
+            write_manifest(job.lift / "result", versions={"code": "abc"}, seed=0, settings={}, timings={})
+        state = "failed" if "failed" in name else "done"
+        remember(BatchPlan(tmp_path, (job,)), job, Row(name, state, 1.0, "", 0, {}, lifting_code(job.lift)))
+    (tmp_path / "corrected" / "corrections.json").write_text("{}")
+    shutil.rmtree(tmp_path / "deleted")
+    (tmp_path / "failed and gone.scene").unlink()
+    plan = BatchPlan(tmp_path, (SceneJob("new", tmp_path / "new", LiftRequest(scene=tmp_path)),))
+    kept = [(row.scene, row.state, row.code) for row in rows_kept(plan)]
+    assert kept == [("corrected", "changed", "abc"), ("done", "done", "abc"), ("failed", "failed", "")]
+    assert [row.scene for row in rows_kept(BatchPlan(tmp_path, (jobs["done"],)))] == ["corrected", "failed"]

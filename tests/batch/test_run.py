@@ -42,6 +42,7 @@ class Farm:
     status: str = "running"
     address: str = "tcp://here:1"
     asked: list[Future] = field(default_factory=list)
+    left: list[str] = field(default_factory=list)
 
     @property
     def client(self) -> Farm:
@@ -57,6 +58,10 @@ class Farm:
     def largest(self) -> float:
         return 0.0
 
+    def use_fewer(self, name: str) -> bool:
+        self.left.append(name)
+        return True
+
 
 class Line:
     def __init__(self) -> None:
@@ -64,6 +69,9 @@ class Line:
 
     def say(self, text: str) -> None:
         self.said.append(text)
+
+    def ended(self, row: run.Row) -> None:
+        self.said.append(row.state)
 
 
 class Batch:
@@ -81,8 +89,9 @@ class Batch:
         scene.stages = self.batch._stages(scene)
         self.batch._next_stage(scene)
 
-    def end(self, future: Future, ended: Ended, worker: str = "", **answer: Any) -> None:
-        future.outcome = Outcome(future.piece, ended, 1.0, "why" if ended is not Ended.DONE else "", 0, worker, answer)
+    def end(self, future: Future, ended: Ended, worker: str = "", lacked: bool = False, **answer: Any) -> None:
+        why = "why." if ended is not Ended.DONE else ""
+        future.outcome = Outcome(future.piece, ended, 1.0, why, 0, worker, answer, lacked)
         self.batch._take_in()
 
     def look(self, after: float = 2.0) -> None:
@@ -143,3 +152,26 @@ def test_when_no_fit_worker_is_left_all_pieces_of_the_scene_are_withdrawn(
     batch.look()
     batch.look(run.RETURN_S + 2.0)
     assert "no worker can do it" in batch.rows["a"].reason and not batch.batch._out and not batch.batch._pins
+
+
+@pytest.mark.parametrize("lacked", [False, True])
+def test_a_piece_whose_engine_was_killed_is_resumed_once(
+    lacked: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Where memory was short, with a worker less."""
+    batch = Batch(tmp_path, monkeypatch, "one", "two")
+    batch.end(batch.farm.asked[0], Ended.KILLED, "host one", lacked)
+    assert len(batch.farm.asked) == 2 and not batch.rows
+    assert batch.farm.left == (["host one"] if lacked else [])
+    about = ", with a worker less, as memory was short" if lacked else ""
+    assert batch.line.said == [f"a: why. It is resumed once{about}."]
+    batch.end(batch.farm.asked[1], Ended.KILLED, "host two", lacked)
+    assert len(batch.farm.asked) == 2 and batch.rows["a"].state == "failed" and batch.rows["a"].exit_code
+
+
+def test_each_piece_of_a_scene_may_be_killed_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    batch = Batch(tmp_path, monkeypatch, "one")
+    batch.end(batch.farm.asked[0], Ended.KILLED)
+    batch.end(batch.farm.asked[1], Ended.DONE, frames=["1", "2"])
+    batch.end(batch.farm.asked[2], Ended.KILLED)
+    assert batch.farm.asked[-1].piece.names == ("1",) and not batch.rows

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+import shutil
 import signal
 from collections.abc import Iterator
 from contextlib import suppress
@@ -15,9 +16,10 @@ pytest.importorskip("dask_jobqueue", reason="dask-jobqueue is not installed: pyt
 # ruff: noqa: E402 - without it the rest is not tested
 from engine.batch.cluster import Farm, Place, slurm_cluster
 from engine.batch.piece import engine_tag
+from engine.batch.worker import Tls
 from engine.errors import ExitCode, PlgsError
 from engine.job import EventWriter, LiftFolder, StopSignal
-from tests.batch.test_batch import plan_of, rows_of, run
+from tests.batch.test_batch import certificates, plan_of, rows_of, run
 from tests.job.lift_folders import tiny_lift
 
 SBATCH = """#!/bin/sh
@@ -77,3 +79,11 @@ def test_a_job_works(slurm: Path) -> None:
     assert run(plan, Place(1, "", {}, 1.0, 1)) is ExitCode.FINISHED, (slurm / "job.log").read_text()
     assert rows_of(plan)["a"]["state"] == "done"
     assert "distributed.cli.dask_worker" in (slurm / "job.sh").read_text()
+
+
+@pytest.mark.skipif(shutil.which("openssl") is None, reason="needs openssl to make certificates")
+def test_a_job_with_tls(slurm: Path) -> None:
+    ca, own = certificates(slurm)
+    with slurm_cluster(Place(1, "", {}, 1.0, 1, Tls(ca, own))) as cluster:
+        script, address = cluster.job_script(), cluster.scheduler_address
+    assert address.startswith("tls://") and f"--tls-ca-file {ca} --tls-cert {own} --tls-key {own}" in script

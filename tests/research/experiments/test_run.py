@@ -137,7 +137,7 @@ def test_baselines_without_a_lift_are_measured_again_when_the_scene_or_the_engin
     assert without_a_lift.scores_without_a_lift(SceneSource(place), cache) == first and len(measured) == 1
     os.utime(place / "panoptic.json", (1, 1))
     assert without_a_lift.scores_without_a_lift(SceneSource(place), cache) == first and len(measured) == 2
-    monkeypatch.setattr(without_a_lift, "__version__", "another")
+    monkeypatch.setattr(without_a_lift, "this_engine", lambda: "another")
     for _ in range(2):
         assert without_a_lift.scores_without_a_lift(SceneSource(place), cache) == first and len(measured) == 3
 
@@ -206,7 +206,7 @@ def test_a_failed_lift_is_resumed_without_a_wait(
 
 
 def test_bad_input_is_reported_before_any_lift(experiment: Experiment, behave: Behave, tmp_path: Path) -> None:
-    with pytest.raises(PlgsError, match="--masks names one folder for 2 scenes"):
+    with pytest.raises(PlgsError, match="--masks names one place for 2 scenes"):
         run(replace(experiment, masks="predictions"))
     with pytest.raises(PlgsError, match="steps"):
         run(replace(experiment, steps=0))

@@ -7,9 +7,8 @@ from dataclasses import replace
 
 import pytest
 
-from engine import __version__
 from research.experiments.table import Tables
-from research.results import Figures, Result
+from research.results import Figures, Result, this_engine
 from tests.research.experiments.made_up import KITCHEN, OFFICE, ROWS
 
 
@@ -94,7 +93,7 @@ def test_a_row_that_another_engine_lifted_is_marked() -> None:
     assert [row[0] for row in cells(systems)[2:]] == ["ours", "input masks", "theirs †", "elsewhere (cited)"]
     assert [row[0] for row in cells(parts)[2:]] == ["all of it †", "without depth"]
     for table in (systems, parts):
-        assert table.rstrip().splitlines()[-1] == f"† Lifted by the engine 0.0.9, not by this one, {__version__}."
+        assert table.rstrip().splitlines()[-1] == f"† Lifted by the engine 0.0.9, not by this one, {this_engine()}."
     assert "†" not in Tables(ROWS, ROWS.rows, OFFICE, earlier=results).markdown()
 
 
@@ -105,7 +104,7 @@ def test_only_some_rows() -> None:
 
 def test_means_are_over_the_scenes_that_have_the_figure() -> None:
     seeds = [replace(KITCHEN, seed=seed, figures=Figures(miou=miou, psnr=17.0)) for seed, miou in ((0, 0.3), (1, 0.5))]
-    broken = [Result("hall", row, "preview", 0, 0, __version__, failed="no frames") for row in ("ours", "theirs")]
+    broken = [Result("hall", row, "preview", 0, 0, this_engine(), failed="no frames") for row in ("ours", "theirs")]
     text = Tables(ROWS, ROWS.rows, (*OFFICE, *seeds, *broken)).markdown()
     heading, _, *rows = cells(text.split("### Means")[1])
     ours, masks, theirs = (dict(zip(heading, row, strict=True)) for row in rows)
@@ -119,6 +118,6 @@ def test_means_are_over_the_scenes_that_have_the_figure() -> None:
 
 
 def test_a_seed_that_failed_is_listed_beside_the_others() -> None:
-    failed = Result("office", "theirs", "preview", 0, 2, __version__, failed="a | b")
+    failed = Result("office", "theirs", "preview", 0, 2, this_engine(), failed="a | b")
     row = of_table("systems", [*OFFICE, failed])[4]
     assert row[1] == "60.0" and " ".join(row[-4:-1]).strip() == "failed (seed 2): a \\ b"

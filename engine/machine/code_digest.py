@@ -1,0 +1,22 @@
+"""Which code is at work: results and workers name it."""
+
+from __future__ import annotations
+
+import hashlib
+from functools import cache
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[2]
+_LOCKS = ("constraints-*.txt", "hashes-3*.txt")
+
+
+@cache
+def code_digest(*folders: str, root: Path = ROOT) -> str:
+    """Eight hexadecimal digits of the Python files in ``folders`` of ``root`` and of the lock files in requirements/.
+    Raises OSError."""
+    digest = hashlib.sha256()
+    sources = [path for folder in folders for path in (root / folder).rglob("*.py")]
+    locks = [path for pattern in _LOCKS for path in (root / "requirements").glob(pattern)]
+    for path in (*sorted(sources), *sorted(locks)):
+        digest.update(f"{path.relative_to(root).as_posix()}\n".encode() + path.read_bytes())
+    return digest.hexdigest()[:8]
