@@ -105,6 +105,11 @@ def _add_experiments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--depth", type=Path, metavar="FOLDER", help="depth maps of a network, as for lift: 'depths/{scene}'"
     )
+    parser.add_argument(
+        "--predictions", nargs="+", default=[], metavar="NAME=FOLDER",
+        help="a row NAME of labels by another program, as evaluate reads them: 'theirs=predictions/{scene}'; with "
+        ":ids=frame at its end where an instance's id holds within a frame only",
+    )  # fmt: skip
     add_options(parser, "mask_format", "classes", "scene_format", "device")
     add_amount_options(parser)
     parser.add_argument("--seeds", type=_seeds, default=[0], metavar="0,1,..", help="random seeds (default: 0)")
@@ -194,13 +199,15 @@ def run_reliability(options: argparse.Namespace) -> int:
 def run_experiments(options: argparse.Namespace) -> int:
     """Run the rows, one process each, and print the tables. Raises PlgsError."""
     from .experiments.experiment import Experiment
+    from .experiments.predictions import predictions_from, with_predictions
     from .experiments.rows import read_rows
     from .experiments.run import run_experiment
     from .experiments.scenes import scenes_from
     from .results import read_results
 
     with_baseline_options()
-    rows = read_rows()
+    predictions = [predictions_from(text) for text in options.predictions]
+    rows = with_predictions(read_rows(), predictions)
     if options.list:
         print(*rows.listed(), sep="\n")
         return ExitCode.FINISHED
@@ -210,7 +217,7 @@ def run_experiments(options: argparse.Namespace) -> int:
         scenes=scenes_from(options.named_scenes or options.scenes or [SAMPLE], options.names),
         folder=options.output,
         rows=rows,
-        only=tuple(options.only),
+        only=(*options.only, *(each.name for each in predictions)) if options.only else (),
         preset=options.preset,
         steps=options.steps,
         sets=tuple(options.set or ()),

@@ -1,0 +1,92 @@
+"""Other people's predictions as rows: labels of the held-out frames in a folder, made by any program."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+
+from engine.batch.plan import of_scene
+from engine.errors import PlgsError
+from engine.metrics.folders import PREDICTIONS, score_folders
+from engine.scene import Frame, GroundTruth, Scene, open_asked
+from engine.scene.label_folders import LabelFolder, open_label_folder
+
+from ..results import Figures, Result, scores_by_method, this_engine
+from .experiment import Experiment
+from .rows import Predicted, Row, Rows
+from .scenes import SceneToLift
+
+_PER_FRAME = ":ids=frame"
+_FIX = (
+    f"Write NAME=FOLDER, such as 'other=predictions/{{scene}}', and add {_PER_FRAME} if ids hold within a frame only."
+)
+
+
+@dataclass(frozen=True)
+class NamedPredictions:
+    """The value of --predictions."""
+
+    name: str
+    predicted: Predicted
+
+
+def predictions_from(text: str) -> NamedPredictions:
+    """NAME=FOLDER, or NAME=FOLDER:ids=frame. Raises PlgsError."""
+    name, equals, folder = text.partition("=")
+    name, per_frame = name.strip(), folder.endswith(_PER_FRAME)
+    folder = folder.removesuffix(_PER_FRAME)
+    if not equals or not name or not folder or not name.isprintable():
+        raise PlgsError("is not a name and a folder", text, _FIX, option="--predictions")
+    return NamedPredictions(name, Predicted(Path(folder), per_frame))
+
+
+def with_predictions(rows: Rows, given: list[NamedPredictions]) -> Rows:
+    """The rows, and one more of the first table for each of the predictions. Raises PlgsError for a name that a row
+    has."""
+    known = {row.name.casefold() for row in rows.rows}
+    for each in given:
+        if each.name.casefold() in known:
+            raise PlgsError("there is a row of this name", each.name, "Give another.", option="--predictions")
+        known.add(each.name.casefold())
+    first = next(iter(rows.tables))
+    return replace(rows, rows=(*rows.rows, *(Row(each.name, first, predicted=each.predicted) for each in given)))
+
+
+def results_of_predictions(experiment: Experiment, errors: dict[str, PlgsError]) -> Iterator[Result]:
+    """The results of the rows that are predictions. If one fails, it has the reason, and ``errors`` gets it."""
+    rows = [row for row in experiment.rows.rows if row.predicted]
+    for scene in experiment.scenes if rows else ():
+        for row in rows:
+            about = scene.name, row.name, "-", 0, 0, this_engine()
+            try:
+                yield Result(*about, scores_of(row, scene, open_asked(experiment.source(scene))))
+            except PlgsError as error:
+                errors[f"{scene.name}: {row.name}"] = error
+                yield Result(*about, failed=str(error))
+
+
+def scores_of(row: Row, scene: SceneToLift, opened: Scene) -> Figures:
+    """The figures of a row's predictions of the held-out frames of a scene. Raises PlgsError, also if one of the
+    frames that have ground truth lacks a prediction: figures of fewer frames compare with nothing."""
+    assert row.predicted is not None
+    place = of_scene(row.predicted.folder, scene.name)
+    assert place is not None
+    found = open_label_folder(place, is_truth=False)
+    readers = {frame.name: partial(_truth, frame) for frame in opened.test_frames if frame.read_ground_truth}
+    if not readers:
+        raise PlgsError("no held-out frame has ground truth", opened.folder, "Compare on scenes that have it.")
+    if lacking := [name for name in readers if name not in found.readers]:
+        what = f"{len(lacking)} of {len(readers)} held-out frames have no prediction, such as {lacking[0]}"
+        raise PlgsError(what, place, "Give an image the name of its frame.")
+    predictions = replace(found, readers={name: found.readers[name] for name in readers})
+    truth = LabelFolder(opened.folder, opened.classes, readers)
+    tables = score_folders(predictions, truth, ids_per_frame=row.predicted.ids_per_frame)["tables"]
+    figures = scores_by_method(tables)[PREDICTIONS]  # type: ignore[arg-type]
+    return figures._replace(id_changes=None) if row.predicted.ids_per_frame else figures
+
+
+def _truth(frame: Frame) -> GroundTruth:
+    assert frame.read_ground_truth is not None
+    return frame.read_ground_truth(frame.size)
