@@ -138,5 +138,5 @@ class OnLiftFolder:
     """An operator on a lift that is named by its folder."""
 
     lift_folder: StringProperty(  # type: ignore[valid-type]
-        name="Lift folder", subtype="DIR_PATH", options={"SKIP_SAVE"}, description="Empty: the panel's"
+        name="Lift Folder", subtype="DIR_PATH", options={"SKIP_SAVE"}, description="Empty: the panel's"
     )

@@ -10,7 +10,7 @@ from bpy.props import BoolProperty, EnumProperty, FloatVectorProperty, IntProper
 
 from ..plgs_blender import corrections, painting
 from ..plgs_blender.engine_environment import why_no_engine
-from ..plgs_blender.errors import EXPECTED, PlgsError, one_line
+from ..plgs_blender.errors import EXPECTED, PlgsError, one_line, plural
 from ..plgs_blender.inspecting import selection, views
 from ..plgs_blender.inspecting.lookup import chosen_row, find_lift, row_of
 from ..plgs_blender.painting import Painting
@@ -334,7 +334,7 @@ class PLGS_OT_propose_corrections(OnLift, bpy.types.Operator):
     @reporting
     def execute(self, context: bpy.types.Context) -> set[str]:
         found = corrections.propose(self.root(context))
-        self.report({"INFO"}, f"{len(found.open)} proposals, {found.progress}")
+        self.report({"INFO"}, f"{plural(len(found.open), 'proposal')}, {found.progress}")
         return FINISHED
 
 

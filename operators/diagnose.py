@@ -6,13 +6,16 @@ import bpy
 from bpy.props import IntProperty, StringProperty
 
 from ..plgs_blender.engine_environment import why_no_engine
-from ..plgs_blender.errors import with_field_names
+from ..plgs_blender.errors import PlgsError, plural, with_field_names
+from ..plgs_blender.inspecting.views import look_from_frame
+from ..plgs_blender.lift_collection import SCENE, is_same_place, lifts_in
+from ..plgs_blender.owned import text_of
 from ..plgs_blender.paths import absolute, free_folder
-from ..plgs_blender.running.diagnosis import Diagnosis, Finding, diagnose, diagnosis_of
+from ..plgs_blender.running.diagnosis import Diagnosis, Finding, diagnose, diagnosis_of, leave_out
 from ..plgs_blender.settings import chosen_scene
 from ..plgs_blender.tasks import registry
 from ..plgs_blender.tasks.registry import Task
-from ..plgs_blender.viewport import show_finding
+from ..plgs_blender.viewport import load_finding, show_beside, view_of
 from .base import CANCELLED, FINISHED, CancelsTask, Explained, StartsTask, panel_of, reporting
 
 _NOTHING = "Nothing was found that can safely be fixed"
@@ -79,28 +82,72 @@ class PLGS_OT_fix_scene(Measures, bpy.types.Operator):
         return FINISHED
 
 
-class PLGS_OT_show_finding(Explained, bpy.types.Operator):
-    """Show the picture of a finding in an image editor"""
-
-    bl_idname, bl_label, bl_options = "plgs.show_finding", "Show Picture", {"INTERNAL", "UNDO"}
+class OnFinding(Explained):
+    """An operator on one finding of the panel's scene."""
 
     number: IntProperty(name="Number", min=0, options={"SKIP_SAVE"}, description="Number of the finding, from 0")  # type: ignore[valid-type]
 
     @classmethod
     def why_not(cls, context: bpy.types.Context) -> str | None:
-        return None if _findings(context) else "Diagnose the scene first"
+        known = _known(context)
+        return None if known is not None and known.findings else "Diagnose the scene first"
+
+    def finding(self, context: bpy.types.Context) -> tuple[Diagnosis, Finding]:
+        """Raises PlgsError."""
+        known = _known(context)
+        if known is None or self.number >= len(known.findings):
+            raise PlgsError("there is no such finding", str(self.number), "Diagnose the scene again.")
+        return known, known.findings[self.number]
+
+
+class PLGS_OT_show_finding(OnFinding, bpy.types.Operator):
+    """Show the picture of a finding in an image editor, beside the 3D view if there is none"""
+
+    bl_idname, bl_label, bl_options = "plgs.show_finding", "Show Picture", {"INTERNAL", "UNDO"}
 
     @reporting
     def execute(self, context: bpy.types.Context) -> set[str]:
-        findings = _findings(context)
-        picture = findings[self.number].picture if self.number < len(findings) else None
+        picture = self.finding(context)[1].picture
         if picture is None:
             self.report({"WARNING"}, "This finding has no picture")
             return CANCELLED
-        screens = [window.screen for window in context.window_manager.windows]
-        image, is_shown = show_finding(picture, screens)
-        where = "is in the image editor" if is_shown else "is loaded: open an image editor to see it"
+        image = load_finding(picture)
+        where = "is in the image editor" if show_beside(image, context) else "is loaded"
         self.report({"INFO"}, f"{image.name} {where}")
+        return FINISHED
+
+
+class PLGS_OT_go_to_finding(OnFinding, bpy.types.Operator):
+    """Look through the camera of this frame"""
+
+    bl_idname, bl_label, bl_options = "plgs.go_to_finding", "Go to Frame", {"INTERNAL", "UNDO"}
+
+    frame: StringProperty(name="Frame", options={"SKIP_SAVE"})  # type: ignore[valid-type]
+
+    @reporting
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        place = self.finding(context)[0].chosen.scene
+        for root in lifts_in(context.scene):
+            if is_same_place(text_of(root, SCENE), place):
+                look_from_frame(root, self.frame, context.scene, view_of(context)[0])
+                return FINISHED
+        raise PlgsError("has no cameras in this scene", place, "Press Import Cameras and Images first.")
+
+
+class PLGS_OT_leave_out(OnFinding, bpy.types.Operator):
+    """Write the capture's splits.json so that a lift neither trains on these frames nor holds them out; to take them
+    back, delete that file"""
+
+    bl_idname, bl_label, bl_options = "plgs.leave_out", "Leave Out", {"INTERNAL"}
+
+    @reporting
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        known, finding = self.finding(context)
+        if known.split is None or not known.split.has_any(finding.leave_out):
+            self.report({"WARNING"}, "There is no frame to leave out")
+            return CANCELLED
+        path = leave_out(known, finding)
+        self.report({"INFO"}, f"{plural(len(finding.leave_out), 'frame')} left out by {path}")
         return FINISHED
 
 
@@ -111,11 +158,17 @@ class PLGS_OT_cancel_diagnosis(CancelsTask, bpy.types.Operator):
     cancelled_kind = Diagnosis
 
 
-def _findings(context: bpy.types.Context) -> tuple[Finding, ...]:
+def _known(context: bpy.types.Context) -> Diagnosis | None:
     """What is known about the panel's scene."""
     settings = context.scene.plgs
-    known = diagnosis_of(chosen_scene(settings)) if settings.scene_folder else None
-    return () if known is None else known.findings
+    return diagnosis_of(chosen_scene(settings)) if settings.scene_folder else None
 
 
-CLASSES = (PLGS_OT_diagnose, PLGS_OT_fix_scene, PLGS_OT_show_finding, PLGS_OT_cancel_diagnosis)
+CLASSES = (
+    PLGS_OT_diagnose,
+    PLGS_OT_fix_scene,
+    PLGS_OT_show_finding,
+    PLGS_OT_go_to_finding,
+    PLGS_OT_leave_out,
+    PLGS_OT_cancel_diagnosis,
+)

@@ -32,7 +32,7 @@ class AsksEngine(StartsTask):
 class PLGS_OT_set_up_engine(AsksEngine, bpy.types.Operator):
     """Download what the engine needs, about 1.8 GB, into its own environment. An interrupted set-up continues"""
 
-    bl_idname, bl_label = "plgs.set_up_engine", "Set up engine"
+    bl_idname, bl_label = "plgs.set_up_engine", "Set Up Engine"
 
     base_python: StringProperty(  # type: ignore[valid-type]
         name="Base Python",
@@ -44,7 +44,7 @@ class PLGS_OT_set_up_engine(AsksEngine, bpy.types.Operator):
         name="Torch", items=_TORCH_BUILDS, default="preferences", options={"SKIP_SAVE"}
     )
     index_url: StringProperty(  # type: ignore[valid-type]
-        name="Package index",
+        name="Package Index",
         options={"SKIP_SAVE"},
         description="The package index to download from; empty: as in the preferences",
     )
@@ -58,7 +58,7 @@ class PLGS_OT_set_up_engine(AsksEngine, bpy.types.Operator):
         return tasks.set_up(choices.set_up_choice(self.base_python, build, self.index_url))
 
     def tell_step(self, line: str) -> None:
-        print(f"Set up engine {line}", flush=True)
+        print(f"Set Up Engine {line}", flush=True)
 
     def tell(self, context: bpy.types.Context, task: Task | None) -> set[str]:
         if task is None or task.is_running:
@@ -86,7 +86,7 @@ class PLGS_OT_add_to_engine(StartsTask, bpy.types.Operator):
         name="Purpose", items=adding.ITEMS, options={"SKIP_SAVE"}, description="What the packages are for"
     )
     index_url: StringProperty(  # type: ignore[valid-type]
-        name="Package index",
+        name="Package Index",
         options={"SKIP_SAVE"},
         description="The package index to download from; empty: as in the preferences",
     )
@@ -109,7 +109,7 @@ class PLGS_OT_cancel_adding(CancelsTask, bpy.types.Operator):
 class PLGS_OT_use_this_python(AsksEngine, bpy.types.Operator):
     """Run the engine with this Python. It needs torch and the engine's other pinned packages"""
 
-    bl_idname, bl_label = "plgs.use_this_python", "Use this Python"
+    bl_idname, bl_label = "plgs.use_this_python", "Use This Python"
 
     python: StringProperty(  # type: ignore[valid-type]
         name="Python",
@@ -120,7 +120,7 @@ class PLGS_OT_use_this_python(AsksEngine, bpy.types.Operator):
 
     def begin(self, context: bpy.types.Context) -> Task | None:
         choices.choose(absolute(self.python) if self.python else choices.own_python())
-        return tasks.check()
+        return tasks.ask_chosen()
 
 
 class PLGS_OT_check_engine(AsksEngine, bpy.types.Operator):
@@ -148,9 +148,9 @@ class PLGS_OT_open_set_up_log(bpy.types.Operator):
 
 
 class PLGS_OT_remove_engine(StartsTask, bpy.types.Operator):
-    """Delete the environments that "Set up engine" made, and nothing else. A lift running in one would end"""
+    """Delete the environments that "Set Up Engine" made, and nothing else. A lift running in one would end"""
 
-    bl_idname, bl_label = "plgs.remove_engine", "Remove engine"
+    bl_idname, bl_label = "plgs.remove_engine", "Remove Engine"
     is_confirmed = False
 
     @classmethod

@@ -268,7 +268,7 @@ class PLGS_OT_toggle_overlay(OnLift, bpy.types.Operator):
         items=[
             ("LABELS", "Labels", "The instances' names at their boxes"),
             ("LEGEND", "Legend", "The classes and their colours"),
-            ("SELECTED", "Selected points", "The points and anchors of the selected instance"),
+            ("SELECTED", "Selected Points", "The points and anchors of the selected instance"),
         ],
         default="LABELS",
     )

@@ -106,7 +106,7 @@ class PLGS_OT_open_lift(StartsTask, bpy.types.Operator):
     has_undo_step = True
 
     directory: StringProperty(  # type: ignore[valid-type]
-        name="Lift folder", subtype="DIR_PATH", options={"SKIP_SAVE"}, description="The folder of a lift"
+        name="Lift Folder", subtype="DIR_PATH", options={"SKIP_SAVE"}, description="The folder of a lift"
     )
 
     def begin(self, context: bpy.types.Context) -> Task:

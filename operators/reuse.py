@@ -6,7 +6,7 @@ import bpy
 from bpy.props import BoolProperty
 
 from ..plgs_blender import corrections, reuse
-from ..plgs_blender.errors import one_line
+from ..plgs_blender.errors import one_line, plural
 from .base import FINISHED, reporting
 from .inspect import OnInstances
 
@@ -39,7 +39,8 @@ class PLGS_OT_key_visibility(OnInstances, bpy.types.Operator):
     def execute(self, context: bpy.types.Context) -> set[str]:
         root = self.root(context)
         numbers = corrections.chosen_instances(root, self.instances, context)
-        self.report({"INFO"}, f"{reuse.key_visibility(root, numbers, context.scene)} objects have keys")
+        keyed = reuse.key_visibility(root, numbers, context.scene)
+        self.report({"INFO"}, plural(keyed, "object has keys", "objects have keys"))
         return FINISHED
 
 

@@ -1,4 +1,4 @@
-"""Errors caused by the user or the computer, with the names of the panel's fields in place of a command's options."""
+"""What users are told: errors, with the names of the panel's fields in place of a command's options, and counts."""
 
 from __future__ import annotations
 
@@ -8,8 +8,9 @@ from typing import Any
 import bpy
 
 from ..engine.errors import ErrorCode, PlgsError, one_line
+from ..engine.posed.layout import plural
 
-__all__ = ["EXPECTED", "ErrorCode", "PlgsError", "field_of_option", "one_line", "with_field_names"]
+__all__ = ["EXPECTED", "ErrorCode", "PlgsError", "field_of_option", "one_line", "plural", "with_field_names"]
 
 EXPECTED = (PlgsError, OSError)
 """The errors that an operator reports in one line. Anything else is a defect of ours and shows its traceback."""

@@ -24,7 +24,7 @@ class PLGS_PG_mask_class(bpy.types.PropertyGroup):
 
     label: IntProperty(name="Number", description="Its number in the masks")
     into: StringProperty(
-        name="Counts as", description="The class that it is merged into; void: it is dropped; empty: it stays"
+        name="Counts As", description="The class that it is merged into; void: it is dropped; empty: it stays"
     )
     is_thing: BoolProperty(
         name="Thing", description="Countable objects, such as chairs; stuff, such as walls, has no instances"

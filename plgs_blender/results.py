@@ -23,6 +23,8 @@ from ..engine.result_files import (
 )
 
 _READ = (SEMANTIC_POINTS, ANCHORS, INSTANCES)
+MOST_INSTANCES = 5_000
+"""A lift finds at most 4000 objects. A file with more is not a lift's, and would keep Blender busy for minutes."""
 _MOST_HASHED = 1 << 26
 """At most this many bytes are compared with the manifest's checksums, usually in a tenth of a second."""
 
@@ -61,6 +63,9 @@ def read_result(folder: Path) -> LiftResult:
     exrs = _listed_passes(lift, listed)
     _verify(lift, [*_READ, *(path.relative_to(lift.result_path).as_posix() for path in exrs)], listed)
     scene, corrected = known_scene(lift), read_corrected(lift.path)
+    if len(corrected.instances) > MOST_INSTANCES:
+        what = f"has {len(corrected.instances)} objects, but Blender shows at most {MOST_INSTANCES}"
+        raise PlgsError(what, lift.result_path / INSTANCES, "Lift it again with a smaller most_instances.")
     by_name = {manifest.frames.get(path.stem, path.stem): path for path in exrs}
     passes = {frame.name: by_name[frame.name] for frame in scene.frames if frame.name in by_name}
     return LiftResult(

@@ -88,7 +88,7 @@ class SceneOptions:
         description="Panoptic masks that are not in the scene's folder",
     )  # fmt: skip
     mask_format: EnumProperty(  # type: ignore[valid-type]
-        options=_SKIP_SAVE, name="Mask format", items=MASK_FORMAT_ITEMS, default=AUTOMATIC, update=_tell_of_scene,
+        options=_SKIP_SAVE, name="Mask Format", items=MASK_FORMAT_ITEMS, default=AUTOMATIC, update=_tell_of_scene,
         description="How the masks are laid out, where their looks do not tell",
     )  # fmt: skip
     classes_table: StringProperty(  # type: ignore[valid-type]
@@ -97,7 +97,7 @@ class SceneOptions:
         "scannet200, replica, reduced; empty: classes.toml beside them",
     )  # fmt: skip
     depth: StringProperty(  # type: ignore[valid-type]
-        options=_SKIP_SAVE, name="Depth maps", subtype="DIR_PATH", update=_tell_of_scene,
+        options=_SKIP_SAVE, name="Depth Maps", subtype="DIR_PATH", update=_tell_of_scene,
         description="Folder of a network's depth maps, one per frame; they are fitted to the sparse points, if any",
     )  # fmt: skip
     up: EnumProperty(  # type: ignore[valid-type]
@@ -135,7 +135,7 @@ class LiftOptions(SceneOptions):
         description="Train on at most this many frames, the sharpest of each stretch; 0 uses the preset's, -1 all",
     )  # fmt: skip
     fit: BoolProperty(  # type: ignore[valid-type]
-        options=_SKIP_SAVE, name="Fit memory", description="Train on fewer frames if memory would run out otherwise"
+        options=_SKIP_SAVE, name="Fit Memory", description="Train on fewer frames if memory would run out otherwise"
     )
     seed: IntProperty(  # type: ignore[valid-type]
         options=_SKIP_SAVE, name="Seed", min=0, max=2**31 - 1, description="The same seed gives the same result"
@@ -152,11 +152,11 @@ class LiftOptions(SceneOptions):
         description="Any options of the preset, such as: weights.depth=0 objects=boxes; empty uses the preset's",
     )  # fmt: skip
     lift_folder: StringProperty(  # type: ignore[valid-type]
-        options=_SKIP_SAVE, name="Lift folder", subtype="DIR_PATH", update=_tell_of_lift,
+        options=_SKIP_SAVE, name="Lift Folder", subtype="DIR_PATH", update=_tell_of_lift,
         description="Where the lift and its results go; empty: a new folder beside the scene's",
     )  # fmt: skip
     keep_names: BoolProperty(  # type: ignore[valid-type]
-        options=_SKIP_SAVE, name="Keep names", default=True,
+        options=_SKIP_SAVE, name="Keep Names", default=True,
         description="Objects that the lift shown in this scene already found keep their names and ids",
     )  # fmt: skip
     keep_running: BoolProperty(  # type: ignore[valid-type]
@@ -170,7 +170,7 @@ class PLGS_PG_settings(LiftOptions, bpy.types.PropertyGroup):
     """`scene.plgs`: what the panel shows and the operators start from."""
 
     live_preview: BoolProperty(  # type: ignore[valid-type]
-        name="Live preview", default=True,
+        name="Live Preview", default=True,
         description="During a lift, show what the scene's active camera sees of the model, when looking through it",
     )  # fmt: skip
     layers: EnumProperty(  # type: ignore[valid-type]
@@ -184,7 +184,7 @@ class PLGS_PG_settings(LiftOptions, bpy.types.PropertyGroup):
         name="Replace", description="Replace a shot of this name that comes from another file or camera"
     )
     place_when_done: BoolProperty(  # type: ignore[valid-type]
-        name="Show when done", default=True, description="Put the result into this scene as soon as it is finished"
+        name="Show When Done", default=True, description="Put the result into this scene as soon as it is finished"
     )
 
 

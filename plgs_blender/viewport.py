@@ -20,6 +20,8 @@ from .compat import composite_without_gpu, show_stored_colours, use_nodes
 
 _VIEW_SENSOR = 72.0
 """Width of a 3D view's sensor in millimetres: twice that of a camera."""
+_LEFT_TO_VIEW = 0.6
+"""Share of a 3D view's width that it keeps when a picture is shown beside it."""
 _FILLED = 0.92
 """Share of the free part of a view that the room fills."""
 _SAME = 1e-3
@@ -209,10 +211,9 @@ def view_of(context: bpy.types.Context) -> tuple[bpy.types.SpaceView3D | None, f
     return area.spaces.active, aspect
 
 
-def show_finding(picture: Path, screens: Iterable[bpy.types.Screen]) -> tuple[bpy.types.Image, bool]:
-    """Load the picture of a finding in place of an earlier one of that name, and show it in the largest image editor.
-    Returns the image, and whether there is such an editor. The image is packed, because the next diagnosis deletes its
-    file. Raises OSError when the file is gone.
+def load_finding(picture: Path) -> bpy.types.Image:
+    """Load the picture of a finding in place of an earlier one of that name. The image is packed, because the next
+    diagnosis deletes its file. Raises OSError when the file is gone.
     """
     if not picture.is_file():
         raise OSError(f"the picture is gone, diagnose again: {picture}")
@@ -224,7 +225,30 @@ def show_finding(picture: Path, screens: Iterable[bpy.types.Screen]) -> tuple[bp
         earlier.user_remap(image)
         bpy.data.images.remove(earlier)
     image.name = name
-    editors = [area for screen in screens for area in screen.areas if area.type == "IMAGE_EDITOR"]
-    if editors:
-        max(editors, key=lambda area: area.width * area.height).spaces.active.image = image
-    return image, bool(editors)
+    return image
+
+
+def show_beside(image: bpy.types.Image, context: bpy.types.Context) -> bool:
+    """Show an image in the largest image editor, or else in one that is split off the largest 3D view. Returns whether
+    there is either."""
+    areas = [(window, area) for window in context.window_manager.windows for area in window.screen.areas]
+    editors = _largest_first(areas, "IMAGE_EDITOR")
+    if not editors and (views := _largest_first(areas, "VIEW_3D")):
+        window, view = views[0]
+        with context.temp_override(window=window, area=view):
+            bpy.ops.screen.area_split(direction="VERTICAL", factor=_LEFT_TO_VIEW)
+        known = {area for _, area in areas}
+        editors = [(window, area) for area in window.screen.areas if area not in known]
+        for _, area in editors:
+            area.type = "IMAGE_EDITOR"
+    for _, area in editors[:1]:
+        area.spaces.active.image = image
+        area.tag_redraw()
+    return bool(editors)
+
+
+def _largest_first(
+    areas: Iterable[tuple[bpy.types.Window, bpy.types.Area]], kind: str
+) -> list[tuple[bpy.types.Window, bpy.types.Area]]:
+    found = [(window, area) for window, area in areas if area.type == kind]
+    return sorted(found, key=lambda each: -each[1].width * each[1].height)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import bpy
 
 from ..plgs_blender import corrections
-from ..plgs_blender.errors import EXPECTED, one_line
+from ..plgs_blender.errors import EXPECTED, one_line, plural
 from ..plgs_blender.inspecting.lookup import active_lift, chosen_row
 from ..plgs_blender.running.splitting import SplitByViews
 from ..plgs_blender.tasks import registry
@@ -53,7 +53,8 @@ class PLGS_PT_corrections(OfResult, bpy.types.Panel):
         row.operator("plgs.undo_correction", text="Undo Last", icon="LOOP_BACK")
         if root is not None:
             shown = len(str(root.get(corrections.EDITS, "")).split())
-            layout.label(text=f"{shown} corrections; bake again to see them in passes" if shown else "No corrections")
+            told = f"{plural(shown, 'correction')}; bake again to see in passes" if shown else "No corrections"
+            layout.label(text=told)
 
 
 def _draw_proposals(layout: bpy.types.UILayout, root: bpy.types.Collection) -> None:

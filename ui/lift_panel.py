@@ -33,8 +33,8 @@ class PLGS_PT_lift(Step, bpy.types.Panel):
             layout.label(text="Passes are baked (see 4  Passes)", icon="RENDER_ANIMATION")
             return
         if followed is not None and followed.is_running:
-            draw_task(layout, context, followed)
             layout.prop(settings, "live_preview")
+            draw_task(layout, context, followed)
             if settings.live_preview:
                 _draw_preview_hint(layout, context)
             return
@@ -76,7 +76,7 @@ class PLGS_PT_lift_options(Sidebar, bpy.types.Panel):
         column.prop(settings, "seed")
         for name in ("fit", "bake", "keep_names"):
             fixed.prop(settings, name)
-        column = layout.column(heading="During the lift")
+        column = layout.column(heading="During the Lift")
         if not is_running:  # else it is above
             column.prop(settings, "live_preview")
         column.prop(settings, "place_when_done")
@@ -86,7 +86,7 @@ class PLGS_PT_lift_options(Sidebar, bpy.types.Panel):
 
 
 class PLGS_PT_all_options(Sidebar, bpy.types.Panel):
-    bl_idname, bl_label = "PLGS_PT_all_options", "All options"
+    bl_idname, bl_label = "PLGS_PT_all_options", "All Options"
     bl_parent_id, bl_options = "PLGS_PT_lift_options", {"DEFAULT_CLOSED"}
 
     def draw(self, context: bpy.types.Context) -> None:
@@ -105,7 +105,7 @@ class PLGS_PT_all_options(Sidebar, bpy.types.Panel):
 
 
 class PLGS_PT_recent_lifts(Sidebar, bpy.types.Panel):
-    bl_idname, bl_label = "PLGS_PT_recent_lifts", "Recent lifts"
+    bl_idname, bl_label = "PLGS_PT_recent_lifts", "Recent Lifts"
     bl_parent_id, bl_options = "PLGS_PT_lift", {"DEFAULT_CLOSED"}
 
     def draw(self, context: bpy.types.Context) -> None:

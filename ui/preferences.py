@@ -22,7 +22,7 @@ _ICONS = {
 
 
 def _ask_again(preferences: bpy.types.AddonPreferences, context: bpy.types.Context) -> None:
-    tasks.check()
+    tasks.ask_chosen()
 
 
 class PLGS_AP_preferences(bpy.types.AddonPreferences):
@@ -31,10 +31,10 @@ class PLGS_AP_preferences(bpy.types.AddonPreferences):
     bl_idname = EXTENSION
 
     engine_python: StringProperty(  # type: ignore[valid-type]
-        name="Use this Python",
+        name="Use This Python",
         subtype="FILE_PATH",
         update=_ask_again,
-        description="The Python that runs the engine. Empty: the one that 'Set up engine' made",
+        description="The Python that runs the engine. Empty: the one that 'Set Up Engine' made",
     )
     base_python: StringProperty(  # type: ignore[valid-type]
         name="Base Python",
@@ -45,7 +45,7 @@ class PLGS_AP_preferences(bpy.types.AddonPreferences):
         name="Torch", items=TORCH_BUILDS, default="cpu", description="The build of torch to download"
     )
     index_url: StringProperty(  # type: ignore[valid-type]
-        name="Package index",
+        name="Package Index",
         description="URL of the package index to download from. Empty: where pip is configured to look, "
         "and PyTorch's public index for its CPU build",
     )
@@ -70,7 +70,7 @@ class PLGS_AP_preferences(bpy.types.AddonPreferences):
         column.use_property_split = True
         column.prop(self, "engine_python")
         header, body = layout.panel("plgs_engine_details", default_closed=True)
-        header.label(text="How the engine is set up")
+        header.label(text="Set-Up Options")
         if body is None:
             return
         body.use_property_split = True

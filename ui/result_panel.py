@@ -6,7 +6,7 @@ from typing import Any
 
 import bpy
 
-from ..plgs_blender.errors import one_line
+from ..plgs_blender.errors import one_line, plural
 from ..plgs_blender.inspecting.looks import POINTS, SPLATS, SURFACE, has
 from ..plgs_blender.inspecting.lookup import active_lift, chosen_row
 from .sidebar import Sidebar, Step, from_panel, tell
@@ -93,7 +93,7 @@ class PLGS_PT_masks(OfResult, bpy.types.Panel):
         if not len(row.masks):
             tell(layout, context, "This lift did not record its masks: lift again to see them.", "INFO")
             return
-        layout.label(text=f"{one_line(row.name)}: {len(row.masks)} masks in {row.views} frames")
+        layout.label(text=f"{one_line(row.name)}: {plural(len(row.masks), 'mask')} in {plural(row.views, 'frame')}")
         _draw_heads(layout, "Frame, class", "Score, match")
         layout.template_list("PLGS_UL_masks", "", row, "masks", row, "mask_index", rows=5, maxrows=12)
         if row.best_mask < 0:

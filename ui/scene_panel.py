@@ -5,7 +5,7 @@ from __future__ import annotations
 import bpy
 
 from ..plgs_blender.engine_environment import status
-from ..plgs_blender.errors import ErrorCode
+from ..plgs_blender.errors import ErrorCode, one_line, plural
 from ..plgs_blender.frame_pictures import DEPTH, MASKS, range_shown, why_no_picture
 from ..plgs_blender.frames import PHOTO, SHOWN
 from ..plgs_blender.owned import LIFT
@@ -19,6 +19,7 @@ from ..plgs_blender.tasks import registry
 from .sidebar import Sidebar, Step, draw_error, draw_lacking, draw_task, from_panel, tell
 
 _MOST_WARNINGS = 4
+_MOST_LINKS, _LINKS_IN_A_ROW = 12, 4
 _PICTURES = ((PHOTO, "Photo", "IMAGE_DATA"), (DEPTH, "Depth", "EMPTY_SINGLE_ARROW"), (MASKS, "Masks", "COLOR"))
 
 
@@ -49,7 +50,7 @@ class PLGS_PT_scene(Step, bpy.types.Panel):
 
 
 class PLGS_PT_scene_options(Sidebar, bpy.types.Panel):
-    bl_idname, bl_label = "PLGS_PT_scene_options", "Format, masks and axes"
+    bl_idname, bl_label = "PLGS_PT_scene_options", "Format, Masks and Axes"
     bl_parent_id, bl_options = "PLGS_PT_scene", {"DEFAULT_CLOSED"}
 
     def draw(self, context: bpy.types.Context) -> None:
@@ -84,7 +85,7 @@ class PLGS_UL_mask_classes(bpy.types.UIList):
 
 
 class PLGS_PT_scene_masks(Sidebar, bpy.types.Panel):
-    bl_idname, bl_label = "PLGS_PT_scene_masks", "Masks and classes"
+    bl_idname, bl_label = "PLGS_PT_scene_masks", "Masks and Classes"
     bl_parent_id, bl_options = "PLGS_PT_scene", {"DEFAULT_CLOSED"}
 
     def draw(self, context: bpy.types.Context) -> None:
@@ -172,15 +173,15 @@ def _draw_survey(layout: bpy.types.UILayout, context: bpy.types.Context, survey:
     box = layout.box()
     column = box.column(align=True)
     column.label(text=label_of(survey.format), icon="FILEBROWSER")
-    column.label(text=f"{survey.frames} frames, {survey.test_frames} of them held out", icon="CAMERA_DATA")
+    column.label(text=f"{plural(survey.frames, 'frame')}, {survey.test_frames} held out", icon="CAMERA_DATA")
     if survey.left_out:
-        column.label(text=f"{survey.left_out} more frames are left out", icon="BLANK1")
+        column.label(text=f"{plural(survey.left_out, 'more frame is', 'more frames are')} left out", icon="BLANK1")
     sizes = [f"{width} x {height}" + (f" ({count})" if len(survey.sizes) > 1 else "")
              for (width, height), count in survey.sizes[:3]]  # fmt: skip
     column.label(text=", ".join(sizes), icon="IMAGE_DATA")
     column.label(text=_depth(survey), icon="EMPTY_SINGLE_ARROW")
     if survey.has_masks:
-        column.label(text=f"{len(survey.classes)} classes", icon="COLOR")
+        column.label(text=plural(len(survey.classes), "class", "classes"), icon="COLOR")
     for each in possibilities(survey, status().is_usable):
         tell(box, context, f"{each.what}: {each.why}", "CHECKMARK" if each.is_possible else "X")
     for text in (text for text, is_doubtful in survey.inferred if is_doubtful):
@@ -188,7 +189,8 @@ def _draw_survey(layout: bpy.types.UILayout, context: bpy.types.Context, survey:
     for warning in survey.warnings[:_MOST_WARNINGS]:
         tell(layout, context, warning, "ERROR")
     if len(survey.warnings) > _MOST_WARNINGS:
-        layout.label(text=f"and {len(survey.warnings) - _MOST_WARNINGS} more warnings", icon="BLANK1")
+        more = plural(len(survey.warnings) - _MOST_WARNINGS, "more warning")
+        layout.label(text=f"and {more}", icon="BLANK1")
 
 
 def _depth(survey: Survey) -> str:
@@ -208,7 +210,26 @@ def _draw_findings(layout: bpy.types.UILayout, context: bpy.types.Context, known
         if finding.picture is not None:
             row.operator("plgs.show_finding", text="", icon="IMAGE_DATA").number = number
         tell(box, context, finding.text)
+        _draw_links(box, finding.frames, number)
         tell(box, context, finding.option, "TOOL_SETTINGS" if finding.is_mended else "BLANK1")
+        if known.split is not None and finding.leave_out:
+            if known.split.has_any(finding.leave_out):
+                text = f"Leave Out {plural(len(finding.leave_out), 'Frame')}"
+                box.operator("plgs.leave_out", text=text, icon="REMOVE").number = number
+            else:
+                box.label(text="Left out by splits.json", icon="CHECKMARK")
+
+
+def _draw_links(layout: bpy.types.UILayout, frames: tuple[str, ...], number: int) -> None:
+    """Draw a button for each of a finding's first frames, which goes to its camera."""
+    if not frames:
+        return
+    grid = layout.grid_flow(row_major=True, columns=_LINKS_IN_A_ROW, even_columns=True, align=True)
+    for frame in frames[:_MOST_LINKS]:
+        button = grid.operator("plgs.go_to_finding", text=one_line(frame))
+        button.number, button.frame = number, frame
+    if len(frames) > _MOST_LINKS:
+        layout.label(text=f"and {len(frames) - _MOST_LINKS} more", icon="BLANK1")
 
 
 def _frame_making(context: bpy.types.Context) -> FrameMaking | None:

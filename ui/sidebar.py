@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import textwrap
-import time
 
 import bpy
 
@@ -105,32 +104,37 @@ def draw_adding(layout: bpy.types.UILayout, context: bpy.types.Context, name: st
 
 
 def _draw_progress(layout: bpy.types.UILayout, context: bpy.types.Context, task: Task) -> None:
+    """One bar with one number, and Cancel. What varies in height comes below, so that nothing moves under the
+    pointer."""
     progress = task.progress
-    stages = f"{progress.stage_index}/{progress.stage_count}  " if progress.stage_count > 1 else ""
-    tell(layout, context, f"{stages}{progress.label if progress.stage else task.label}", "SORTTIME")
-    share = progress.step / progress.steps if progress.steps else 0.0
-    counted = f"{progress.step} of {progress.steps}" if task.counts_steps else f"{100 * share:.0f} %"
-    layout.progress(factor=share, type="BAR", text=counted if progress.steps else "...")
-    if progress.stage == "train" and not progress.step:
-        tell(layout, context, "The first step compiles kernels, once per computer: up to two minutes", "INFO")
-    about = [] if progress.loss is None else [f"Loss {progress.loss:.4f}"]
-    took = time.monotonic() - task.began
-    about.append(duration(took) if progress.eta_s is None else f"{duration(progress.eta_s)} left")
-    layout.label(text=", ".join(about))
-    if progress.left_s is not None:
-        # Another Blender may have begun it, on a machine whose clock differs.
-        took = max(took, time.time() - (progress.began or time.time()))
-        whole = took / max(took + progress.left_s, 1e-9)
-        left = f"All: {100 * whole:.0f} %, {duration(progress.left_s)} left"
-        layout.progress(factor=whole, type="BAR", text=left)
-    for warning in progress.warnings[-2:]:
-        tell(layout, context, warning, "ERROR")
+    share, told = _how_far(task)
+    layout.progress(factor=share, type="BAR", text=told)
     if task.cancel_operator:
         row = layout.row()
         row.scale_y = 1.4
         cancel = row.operator(task.cancel_operator, icon="CANCEL")
         if task.lift_folder is not None:
             cancel.lift_folder = str(task.lift_folder)
+    stages = f"{progress.stage_index}/{progress.stage_count}  " if progress.stage_count > 1 else ""
+    loss = "" if progress.loss is None else f", loss {progress.loss:.4f}"
+    tell(layout, context, f"{stages}{progress.label if progress.stage else task.label}{loss}", "SORTTIME")
+    if progress.stage == "train" and not progress.step:
+        tell(layout, context, "The first step compiles kernels, once per computer: up to two minutes", "INFO")
+    for warning in progress.warnings[-2:]:
+        tell(layout, context, warning, "ERROR")
+
+
+def _how_far(task: Task) -> tuple[float, str]:
+    """The share of a task that is done, of the whole where the engine foresees it, else of its stage; and in words."""
+    progress, took, left = task.progress, task.took_s, task.left_s
+    if left is not None:
+        share = took / max(took + left, 1e-9)
+        return share, f"{100 * share:.0f} %, {duration(left)} left" if left >= 1.0 else "Almost done"
+    if not 0 < progress.step < progress.steps:  # before the first step, and after the last one of a stage
+        return float(progress.step > 0), duration(took)
+    share = progress.step / progress.steps
+    counted = f"{progress.step} of {progress.steps}" if task.counts_steps else f"{100 * share:.0f} %"
+    return share, counted if progress.eta_s is None else f"{counted}, {duration(progress.eta_s)} left"
 
 
 def from_panel(layout: bpy.types.UILayout, context: bpy.types.Context) -> bpy.types.UILayout:

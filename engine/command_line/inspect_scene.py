@@ -11,8 +11,11 @@ from ..errors import PlgsError
 from ..job import EventWriter, StopSignal
 from ..job.prediction import USUAL_CLASSES, USUAL_MASKS, machine_slowness, predict
 from ..presets.preset import PRESETS
-from ..scene import Scene, SceneReport, Size, counted, open_asked, report_of, survey_scene
+from ..scene import Scene, SceneReport, Size, counted, open_asked, report_of, splits_path, survey_scene
 from ..scene_source import SceneSource
+
+_PARTS = {"train": False, "test": True}
+"""The lists of a splits.json, and whether their frames are held out."""
 
 
 def inspect_scene(
@@ -33,7 +36,7 @@ def inspect_scene(
     if fix is not None and fix.exists():
         raise PlgsError("the folder for the mended scene already exists", fix, "Name a new one.")
     events.stage("inspect", 1, 2, "Looking at the scene")
-    scene = open_asked(asked)
+    scene = opened = open_asked(asked)
     report, refusal = None, None
     try:
         survey = survey_scene(scene)
@@ -58,9 +61,15 @@ def inspect_scene(
     elif fix is not None and refusal is None:
         lines.append("mended    nothing: no finding can be mended with certainty, and no folder was written")
     answer: dict[str, object] = {} if report is None else {**asdict(report), "left_out": counted(report.left_out)}
-    events.answer({**answer, "diagnosis": found}, "\n".join(lines))
+    events.answer({**answer, "diagnosis": found, "split": _split(opened)}, "\n".join(lines))
     if refusal is not None and (fix is None or harm is not None or not diagnosis.mending.is_needed):
         raise refusal
+
+
+def _split(scene: Scene) -> dict[str, object]:
+    """What a splits.json with all frames holds, and its ``path``."""
+    parts = {name: [one.name for one in scene.frames if one.held_out == held] for name, held in _PARTS.items()}
+    return {"path": str(splits_path(scene.folder)), **parts}
 
 
 def _explanation(scene: Scene, refusal: PlgsError) -> Diagnosis:

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..posed.layout import plural
 from ..result_files import Instance
 from .making import parts_of
 from .result import CorrectedResult
@@ -95,9 +96,9 @@ def _doubts(corrected: CorrectedResult, one: Instance) -> list[Proposal]:
     if len(sizes) > 1:
         propose(2.0 * float(1 - sizes[0] / len(xyz)), f"it consists of {len(sizes)} parts that do not touch", "split")
     if one.views < FEW_VIEWS:
-        propose(0.6 / max(one.views, 1), f"only {one.views} frames show it", "delete")
+        propose(0.6 / max(one.views, 1), f"only {plural(one.views, 'frame shows', 'frames show')} it", "delete")
     if len(xyz) < CRUMB:
-        propose(0.7 * (1 - len(xyz) / CRUMB), f"it has only {len(xyz)} points", "delete")
+        propose(0.7 * (1 - len(xyz) / CRUMB), f"it has only {plural(len(xyz), 'point')}", "delete")
     for other in corrected.instances:
         if other.class_id == one.class_id and other.id < one.id and (gap := _gap(one, other)) < TOUCHING:
             propose(0.5 * (1 - gap / TOUCHING), f"it touches {other.name}", "merge", other=other.id)

@@ -46,6 +46,7 @@ def clipped_findings(photos: dict[int, Photo]) -> list[Finding]:
             option="leave them out with a splits.json",
             figures={"frames": float(len(clipped)), "clipped": max(shot.clipped for shot in clipped)},
             frames=names,
+            leave_out=names,
             picture=side_by_side([(shot.name, shot.grey) for shot in clipped[:2]]),
         )
     ]
@@ -76,17 +77,19 @@ def _blur_findings(shots: Sequence[Photo], may_be: NDArray[np.bool_], threshold:
     names = tuple(shots[row].name for _, row in found)
     worst, row = found[0]
     beside = shots[row - 1] if row else shots[1]
-    drop = [shots[row].name for value, row in found if value < _VERY_BLURRED]
+    drop = tuple(shots[row].name for value, row in found if value < _VERY_BLURRED)
     more = f"; {listed(drop)} could also be left out" if drop else ""
+    worst_too = "; leave the worst out with a splits.json" if drop else ""
     return [
         Finding(
             cause="blur",
             severity="note",
-            text=f"{len(found)} of {len(shots)} frames are less sharp than their neighbours, the worst with "
-            f"{worst:.0%} of their detail: {listed(names)}{more}",
-            option="no change is needed, as a lift gives them less weight; leave the worst out with a splits.json",
+            text=f"less sharp than those around them: {len(found)} of {len(shots)} frames, the worst with {worst:.0%} "
+            f"of the detail: {listed(names)}{more}",
+            option=f"no change is needed, as a lift gives them less weight{worst_too}",
             figures={"frames": float(len(found)), "least_detail": worst},
             frames=names,
+            leave_out=drop,
             picture=side_by_side([(beside.name, beside.grey), (shots[row].name, shots[row].grey)]),
         )
     ]

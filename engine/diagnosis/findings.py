@@ -33,7 +33,8 @@ class Finding:
 
     ``cause`` names it in a word or two. ``text`` says what is wrong, with figures; ``figures`` has these for programs.
     ``option`` says what mends it, and ``is_mended`` whether ``--fix`` does. ``frames`` names the frames concerned, and
-    is empty for all frames. ``picture`` uint8 [H, W, 3] RGB shows it.
+    is empty for all frames; those of ``leave_out`` are better left out of a lift. ``picture`` uint8 [H, W, 3] RGB shows
+    it.
     """
 
     cause: str
@@ -43,6 +44,7 @@ class Finding:
     figures: Mapping[str, float | str] = field(default_factory=dict)
     is_mended: bool = False
     frames: tuple[str, ...] = ()
+    leave_out: tuple[str, ...] = ()
     picture: NDArray[np.uint8] | None = None
 
     def as_json(self) -> dict[str, Any]:
@@ -55,6 +57,7 @@ class Finding:
             "figures": dict(self.figures),
             "is_mended": self.is_mended,
             "frames": list(self.frames),
+            "leave_out": list(self.leave_out),
         }
 
 

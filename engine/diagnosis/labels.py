@@ -131,6 +131,7 @@ def _odd_masks(examined: Examined, labels: LabelAgreement, rows: list[int]) -> F
         option="check that these masks belong to these frames, or leave the frames out with a splits.json",
         figures={"share": worst, "middle": labels.middle},
         frames=names,
+        leave_out=names,
         picture=_masks_shown(examined, [max(rows[0] - 1, 0), rows[0]]),
     )
 

@@ -159,6 +159,7 @@ def _gap_finding(examined: Examined, gap: Gap) -> Finding:
         f"{gap.across * 100:.1f} cm apart, against {gap.within * 100:.1f} cm within the parts",
         option="register the two parts to each other again, or lift only one of them with a splits.json",
         figures={"across_m": gap.across, "within_m": gap.within, "frame": name},
+        frames=(name,),
     )
 
 

@@ -42,11 +42,11 @@ class CheckpointStore:
     checkpoint and old is complete.
     """
 
-    def __init__(self, folder: Path) -> None:
-        self._part = folder / (PART + "checkpoint")
-        self._next = folder / "checkpoint.next"
-        self._current = folder / "checkpoint"
-        self._old = folder / "checkpoint.old"
+    def __init__(self, folder: Path, name: str = "checkpoint") -> None:
+        self._part = folder / (PART + name)
+        self._next = folder / f"{name}.next"
+        self._current = folder / name
+        self._old = folder / f"{name}.old"
 
     def save(self, state: Mapping[str, object], write: Callable[[Path], object]) -> None:
         """Make a checkpoint: ``write`` puts its files into the folder it is given; ``state`` must fit in

@@ -14,7 +14,7 @@ from ..errors import PlgsError
 from .atomic import PART
 
 FILES = ("request.json", "corrections.json", "scene.json", "events.jsonl", "cancel", "preview.json", "log.txt")
-FOLDERS = ("result", "bake", "checkpoint", "checkpoint.next", "checkpoint.old")
+FOLDERS = ("result", "bake", *(name + end for name in ("checkpoint", "preparation") for end in ("", ".next", ".old")))
 _BEGINNINGS = (PART, "bake-")
 """The prefixes of files that are being written, and of logs that earlier versions left beside them."""
 

@@ -48,7 +48,7 @@ class Origin(StrEnum):
 
     VARIABLE = "the variable PLGS_ENGINE_PYTHON"
     CHOSEN = "the preferences"
-    SET_UP = "Set up engine"
+    SET_UP = "Set Up Engine"
     BESIDE = "the environment beside the code"
     THIS = "this Python"
 
@@ -79,13 +79,13 @@ def choose_python(
         return ChosenPython(chosen.absolute(), Origin.CHOSEN, fix)
     made = made_environment(root, environ)
     if made is not None:
-        return ChosenPython(python_in(made), Origin.SET_UP, "Press 'Set up engine' again.")
+        return ChosenPython(python_in(made), Origin.SET_UP, "Press 'Set Up Engine' again.")
     beside = python_in(root / ".venv")
     if beside.exists():
         return ChosenPython(beside, Origin.BESIDE, f"Run 'make set-up' in {root}.")
     if all(importlib.util.find_spec(name) for name in _ENGINE_MODULES):
-        return ChosenPython(Path(sys.executable), Origin.THIS, "Press 'Set up engine' in the preferences.")
-    make = f"run 'make set-up' in {root}" if (root / "Makefile").exists() else "press 'Set up engine' in Blender"
+        return ChosenPython(Path(sys.executable), Origin.THIS, "Press 'Set Up Engine' in the preferences.")
+    make = f"run 'make set-up' in {root}" if (root / "Makefile").exists() else "press 'Set Up Engine' in Blender"
     fix = f"Please {make}, or set PLGS_ENGINE_PYTHON to a Python that has torch."
     raise PlgsError("there is no Python for the engine", beside, fix, code=ErrorCode.NO_ENGINE)
 

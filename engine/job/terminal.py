@@ -195,7 +195,7 @@ def describe(progress: TaskProgress) -> str:
         parts.append(f"{progress.step}/{progress.steps}")
     if progress.loss is not None:
         parts.append(f"loss {progress.loss:.4f}")
-    if progress.eta_s is not None:
+    if progress.eta_s is not None and progress.step < progress.steps:
         parts.append(f"{_clock(progress.eta_s)} left")
     if progress.left_s is not None and progress.stage_index < progress.stage_count:
         parts.append(f"{_clock(progress.left_s)} to the end")

@@ -23,6 +23,7 @@ from ..instances.records import SceneObject
 from ..job import EventWriter, LiftFolder, read_manifest, write_atomically
 from ..json_file import read_object
 from ..model.structured import StructuredScene
+from ..posed.layout import plural
 from ..result_files import INSTANCES, SEMANTIC_POINTS, SemanticPoints, read_arrays, read_instances
 from ..scene import ClassTable
 from .preparation import PreparedLift
@@ -178,7 +179,8 @@ def take_over_edits(folder: LiftFolder, earlier: EarlierLift, events: EventWrite
         edits += [edit for edit in earlier.edits if not edit.undone and edit.uid not in known]
     corrected = read_corrected(folder.path)
     applied = sum(not edit.undone and edit.uid not in corrected.told for edit in corrected.edits)
-    told = f"{applied} corrections of the earlier lift apply here; passes show them once they are baked again"
+    some = plural(applied, "correction of the earlier lift applies", "corrections of the earlier lift apply")
+    told = f"{some} here; passes show them once they are baked again"
     for line in (*corrected.warnings, told):
         events.warning(line)
 

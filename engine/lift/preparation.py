@@ -12,6 +12,7 @@ import numpy as np
 
 from ..job import EventWriter
 from ..model.structured import StructuredScene
+from ..posed.layout import plural
 from ..presets.preset import Preset
 from ..scene import ClassTable, OnDemand, View, stored
 from ..scene.hole_filling import fill_holes
@@ -20,9 +21,10 @@ from ..semantics.consistency import ConsistencyOptions, consistency_masks, views
 from ..semantics.point_cloud import CloudOptions, SemanticPointCloud, build_point_cloud
 from ..train.progress import StageProgress, StageReporter
 from ..train.targets import ViewTargets
+from .kept_preparation import KeptPreparation
 from .objects import MATCHINGS, Matching, ViewsToMatch
 from .starting_scene import label_channels, starting_anchors, starting_scene
-from .targets_of_views import targets_of
+from .targets_of_views import Photos, compared_photos, targets_of
 
 log = logging.getLogger("plgs.lift")
 
@@ -46,31 +48,56 @@ def prepare(
     stages: StageReporter,
     scratch: Path | None = None,
     others: Sequence[View] = (),
+    kept: KeptPreparation | None = None,
 ) -> PreparedLift:
     """Do everything before the first step. Arrays of every view are stored in temporary files in ``scratch`` (None: in
-    the system's folder for them). ``others`` are views that vote, but are not trained on. Raises what the progress
-    callbacks raise (Cancelled), and OSError if the disk is full."""
-    class_ids = used_classes(views)
+    the system's folder for them). ``others`` are views that vote, but are not trained on. What was ``kept`` is not
+    found again. Raises what the progress callbacks raise (Cancelled), and OSError if the disk is full."""
+    known = None if kept is None else kept.read(views)
+    if known is None:
+        matching, photos, placed = find(views, classes, preset, stages, scratch, others)
+        if kept is not None:
+            kept.write(views, matching, photos)
+    else:
+        stages.leave_out("consistency", "match")
+        matching, photos = known
+        is_needed = preset.fill_holes and matching.label_maps is None
+        placed = filled_views(views, scratch) if is_needed else views
+    with stages.stage("prepare"):
+        channels = label_channels(used_classes(views), matching.instances, preset)
+        viewpoints = np.array([view.camera.centre for view in views])
+        start = starting_anchors(matching.cloud, matching.instance_of_point, preset)
+        is_replaced = (lambda scene: False) if kept is None else kept.replaces
+        scene = starting_scene(start, channels, viewpoints, preset, seed, is_replaced=is_replaced)
+        targets = targets_of(views, placed, matching, photos, channels, classes, preset, scratch)
+    class_of_instance = {one.id: one.class_id for one in matching.instances} if channels.class_of_slot else None
+    return PreparedLift(**vars(matching), scene=scene, targets=targets, class_of_instance=class_of_instance)
+
+
+def find(
+    views: Sequence[View],
+    classes: ClassTable,
+    preset: Preset,
+    stages: StageReporter,
+    scratch: Path | None,
+    others: Sequence[View],
+) -> tuple[Matching, Photos, Sequence[View]]:
+    """The objects of the views, how their photos compare, and the views with the depth that places pixels in space."""
     with stages.stage("consistency") as progress:
         placed = filled_views(views, scratch) if preset.fill_holes else views
-        cloud = semantic_cloud(placed, class_ids, preset, stages.events, progress)
+        cloud = semantic_cloud(placed, used_classes(views), preset, stages.events, progress)
     with stages.stage("match") as progress:
         given = ViewsToMatch(placed, cloud, classes, others, scratch)
         matching = MATCHINGS[preset.objects](given, preset, progress)
         if matching.dropped:
             found = len(matching.instances) + matching.dropped
             stages.events.warning(
-                f"the {matching.dropped} smallest of {found} instances are left out: "
+                f"{plural(matching.dropped, 'instance is', 'instances are')} left out, the smallest of {found}: "
                 f"at most {preset.most_instances} are kept, --set most_instances={found} keeps all"
             )
-    channels = label_channels(class_ids, matching.instances, preset)
-    viewpoints = np.array([view.camera.centre for view in views])
-    start = starting_anchors(matching.cloud, matching.instance_of_point, preset)
-    scene = starting_scene(start, channels, viewpoints, preset, seed)
-    targets = targets_of(views, placed, matching, channels, classes, preset, scratch)
-    class_of_instance = {one.id: one.class_id for one in matching.instances} if channels.class_of_slot else None
+        photos = compared_photos(views, placed, matching, preset, scratch)
     matching = replace(matching, point_of_pixel=None)  # these files are large, and nothing reads them from here on
-    return PreparedLift(**vars(matching), scene=scene, targets=targets, class_of_instance=class_of_instance)
+    return matching, photos, placed
 
 
 def semantic_cloud(

@@ -10,6 +10,7 @@ import logging
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, replace
+from functools import partial
 from pathlib import Path
 from statistics import median
 from typing import Protocol
@@ -54,6 +55,7 @@ from .device import be_repeatable, refuse_missing_device
 from .fitting import predicted_lift
 from .frame_sets import FRAMES, FrameSets, sets_of_frames
 from .judging import read_held_back
+from .kept_preparation import KeptPreparation
 from .lasting_names import keep_names, read_earlier, take_over_edits, write_names
 from .live_previews import LivePreviews
 from .preparation import PreparedLift, prepare
@@ -68,6 +70,7 @@ STAGES = {
     "read": "Reading the frames",
     "consistency": "Checking label consistency",
     "match": "Matching instances in 3D",
+    "prepare": "Placing the first Gaussians",
     "train": "Training the structured Gaussians",
     "result": "Writing the lifted scene",
     "evaluate": "Judging the lift by its masks",
@@ -114,7 +117,7 @@ def run_lift(
     stop: StopSignal,
     *,
     resume: bool,
-    preparing: Preparing = prepare,
+    preparing: Preparing | None = None,
     training: Callable[[PreparedLift, Sequence[View], Preset, int], Trainer] = new_trainer,
     finishing: Callable[[Trainer, PreparedLift, ClassTable, StageProgress], PreparedLift] | None = None,
     sources: Sequence[str] = ("engine",),
@@ -143,6 +146,9 @@ def run_lift(
 
         preset = preset.for_views(len(views))
         classes = frames.all.classes
+        if preparing is None:
+            kept = KeptPreparation(folder, resume and not masks_changed, checkpoint)
+            preparing = partial(prepare, kept=kept)
         prepared = preparing(views, classes, preset, request.seed, stages, folder.path, others)
         trainer = training(prepared, views, preset, request.seed)
         if checkpoint is not None:

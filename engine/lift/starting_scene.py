@@ -65,9 +65,10 @@ def starting_scene(
     preset: Preset,
     seed: int,
     new_decoders: Callable[[DecoderShape, int], Decoders] = Decoders,
+    is_replaced: Callable[[StructuredScene], bool] = lambda scene: False,
 ) -> StructuredScene:
     """The anchors with features, and decoders drawn from the seed. The preset decides whether the decoders are fitted
-    to the anchors."""
+    to the anchors; they are not where the scene ``is_replaced`` by that of a checkpoint."""
     feature = np.zeros((len(start.positions), FEATURES), np.float32)
     if preset.seeded_features:
         feature = seeded_features(start.rgb, start.classes, start.owners, features=FEATURES, seed=seed)
@@ -87,7 +88,7 @@ def starting_scene(
         label_view_input=preset.label_view_input,
     )
     scene = StructuredScene(anchors, new_decoders(shape, seed), channels, preset.voxel_size)
-    if preset.warm_start:
+    if preset.warm_start and not is_replaced(scene):
         owners = start.owners if preset.objects != "none" else None
         warm_start(scene, start.rgb, owners, viewpoints, seed)
     return scene

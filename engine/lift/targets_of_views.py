@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -18,10 +19,27 @@ from ..train.targets import ViewTargets, view_targets
 from .objects import Matching, labels_of, point_of_pixels
 
 
+@dataclass(frozen=True, eq=False)
+class Photos:
+    """How much each photo counts, ``weights`` float64 [N], and how bright it is, ``gains`` float64 [N, 3] or None."""
+
+    weights: NDArray[np.float64]
+    gains: NDArray[np.float64] | None
+
+
+def compared_photos(
+    views: Sequence[View], placed: Sequence[View], matching: Matching, preset: Preset, scratch: Path | None = None
+) -> Photos:
+    """The photos of the views, compared as the preset asks. ``placed``, ``scratch``: see `targets_of`."""
+    weights = sharpness_weights(view.colour for view in views) if preset.weigh_sharpness else np.ones(len(views))
+    return Photos(weights, _exposures(views, placed, matching, scratch) if preset.fit_exposure else None)
+
+
 def targets_of(
     views: Sequence[View],
     placed: Sequence[View],
     matching: Matching,
+    photos: Photos,
     channels: LabelChannels,
     classes: ClassTable,
     preset: Preset,
@@ -30,8 +48,7 @@ def targets_of(
     """The targets of each view, computed on demand: the labels voted for its segments, or else the projected cloud's
     semantic mask and M_match. ``placed`` are the views with the depth that places pixels in space; ``scratch`` is the
     folder for temporary files."""
-    weights = sharpness_weights(view.colour for view in views) if preset.weigh_sharpness else np.ones(len(views))
-    gains = _exposures(views, placed, matching, scratch) if preset.fit_exposure else None
+    weights, gains = photos.weights, photos.gains
     if matching.label_maps is not None:
         masks = _voted_masks(matching)
     else:

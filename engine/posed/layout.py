@@ -113,6 +113,11 @@ def file_inside(folder: Path, name: str, path: Path) -> Path:
     return folder.joinpath(*parts.parts)
 
 
+def plural(number: int, one: str, many: str = "") -> str:
+    """A number of things, such as "1 frame is" or "3 frames are"; ``many`` is ``one`` with an s if it is empty."""
+    return f"{number} {one if number == 1 else many or one + 's'}"
+
+
 def listed(names: Iterable[object], most: int = 5) -> str:
     """A few names for a message: "0001, 0002, … and 7 more"."""
     texts = [shown(name) for name in names]

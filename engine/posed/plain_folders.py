@@ -18,7 +18,7 @@ from .camera import Camera
 from .classes import ClassTable
 from .frames import PosedFrame, PosedScene, Size
 from .image_header import read_image_header
-from .layout import files_by_stem, listed, of_most, require_most, same_shape, shown_size
+from .layout import files_by_stem, listed, of_most, plural, require_most, same_shape, shown_size
 from .limits import check_camera
 from .matrices import read_intrinsics, read_poses
 from .splits import NOTHING_MEASURED, Split, find_split
@@ -106,7 +106,7 @@ def complete_frames(
 
 def left_out_warning(names: Sequence[str], what: str) -> str:
     """The warning that frames which lack ``what`` are left out."""
-    return f"{len(names)} frames without {what} are left out: {listed(names)}"
+    return plural(len(names), f"frame without {what} is", f"frames without {what} are") + f" left out: {listed(names)}"
 
 
 def _read_lenses(folder: Path, sizes: Mapping[str, Size]) -> dict[str, Camera]:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from ..errors import PlgsError
 from ..json_file import read_json_object, take_list, wrong_type
-from .layout import listed
+from .layout import listed, plural
 
 NOTHING_MEASURED = "no frame is held out: nothing is measured on unseen views"
 _EVERY, _FIRST = 8, 4
@@ -79,9 +79,8 @@ def read_split(path: Path, names: Sequence[str], dropped: Sequence[str]) -> Spli
         raise PlgsError(f"frames are in train and in test ({listed(both)})", path, "Put each in one of the two.")
     chosen = parts["train"] | parts["test"]
     left_out = [name for name in names if name not in chosen]
-    warnings = []
-    if left_out:
-        warnings.append(f"{len(left_out)} frames are in neither list of splits.json and left out: {listed(left_out)}")
+    some = plural(len(left_out), "frame is", "frames are")
+    warnings = [f"{some} left out by splits.json: {listed(left_out)}"] if left_out else []
     if not any(name in parts["test"] for name in names):
         warnings.append(NOTHING_MEASURED)
     return Split(

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from ..errors import MEMORY_IS_GONE, PlgsError
 from ..posed.classes import VOID
 from ..posed.image_header import check_image_file
-from ..posed.layout import listed
+from ..posed.layout import listed, plural
 from .files_of_frames import IMAGES
 from .frame import Frame, PanopticMask, Scene, Size
 from .frame_choice import evenly_spread
@@ -215,13 +215,14 @@ def _depth_warnings(depths: Mapping[str, DepthFacts]) -> Iterable[str]:
         yield f"the median depth is {typical:.0f} m, which is far for a room: is it in millimetres?"
     sparse = [name for name, depth in depths.items() if depth.share < _SPARSE_DEPTH]
     if sparse:
-        yield f"{len(sparse)} frames have depth on less than 5 % of their pixels: {listed(sparse)}"
+        some = plural(len(sparse), "frame has", "frames have")
+        yield f"{some} depth on less than 5 % of the pixels: {listed(sparse)}"
 
 
 def _mask_warnings(masks: Mapping[str, MaskFacts]) -> Iterable[str]:
     blank = [name for name, mask in masks.items() if not mask.segments]
     if blank:
-        yield f"{len(blank)} frames have an empty mask: {listed(blank)}"
+        yield f"{plural(len(blank), 'frame has', 'frames have')} an empty mask: {listed(blank)}"
     unpainted = {name: mask.unpainted for name, mask in masks.items() if mask.unpainted}
     if unpainted:
         name, ids = next(iter(unpainted.items()))
@@ -247,4 +248,5 @@ def _overlap_warnings(scene: Scene, thumbnails: Sequence[Thumbnail], tick: Progr
             f"{_POSE_RULES}, and is depth along the optical axis, in millimetres?"
         )
     if len(overlap.lonely) > _LONELY_SHARE * len(thumbnails):
-        yield f"{len(overlap.lonely)} frames hardly overlap with any other: {listed(overlap.lonely)}"
+        lonely = plural(len(overlap.lonely), "frame hardly overlaps", "frames hardly overlap")
+        yield f"{lonely} with any other: {listed(overlap.lonely)}"

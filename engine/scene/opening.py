@@ -71,8 +71,10 @@ def open_asked(source: SceneSource) -> Scene:
     _refuse_repeated_names(capture.shots, place)
     for shot in capture.shots:
         check_camera(shot.name, shot.camera, shot.colour_path)
-    beside = place if place.is_dir() else place.with_suffix("")
-    split = capture.split or find_split(beside, [shot.name for shot in capture.shots], [*capture.lost, *unreadable])
+    table = splits_path(place)
+    beside, split = table.parent, capture.split
+    if split is None or (reader.name != NAME and table.is_file()):  # plain folders have read theirs
+        split = find_split(beside, [shot.name for shot in capture.shots], [*capture.lost, *unreadable])
     chosen, held_out = {*split.train, *split.test}, frozenset(split.test)
     shots = [shot for shot in capture.shots if shot.name in chosen]
     poses = [shot.camera.camera_to_world for shot in capture.shots]
@@ -124,6 +126,11 @@ def open_asked(source: SceneSource) -> Scene:
         points=points,
         turn=None if np.array_equal(turn, np.eye(3)) else turn,
     )
+
+
+def splits_path(place: Path) -> Path:
+    """Where the splits.json of a scene belongs: in its folder, or in one named like its file."""
+    return (place if place.is_dir() else place.with_suffix("")) / "splits.json"
 
 
 def _inferred(

@@ -20,7 +20,7 @@ TORCH_BUILDS = [
 
 @dataclass(frozen=True)
 class SetUpChoice:
-    """What "Set up engine" makes, as the engine's command takes it."""
+    """What "Set Up Engine" makes, as the engine's command takes it."""
 
     base_python: Path | None = None
     torch_build: str = "cpu"
@@ -51,7 +51,7 @@ _session = _SessionChoices()
 
 
 def chosen_python() -> Path | None:
-    """The Python of "Use this Python"; None when it is left to PLGS."""
+    """The Python of "Use This Python"; None when it is left to PLGS."""
     return _path(_choices().engine_python)
 
 
@@ -61,7 +61,7 @@ def choose(python: Path | None) -> None:
 
 
 def set_up_choice(base_python: str = "", torch_build: str = "", index_url: str = "") -> SetUpChoice:
-    """What "Set up engine" makes: as given, and as the preferences say where an argument is empty."""
+    """What "Set Up Engine" makes: as given, and as the preferences say where an argument is empty."""
     choices = _choices()
     return SetUpChoice(
         _path(base_python or choices.base_python),

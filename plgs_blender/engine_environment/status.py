@@ -12,7 +12,7 @@ from ...engine.errors import PlgsError
 from ...engine.job.handshake import TOO_OLD, VERSION, EngineAnswer
 from ...engine.job.process import ChosenPython, Origin
 
-_SET_UP = "Press 'Set up engine' in Preferences > Add-ons > PLGS, or choose a Python there that has what it needs."
+_SET_UP = "Press 'Set Up Engine' in Preferences > Add-ons > PLGS, or choose a Python there that has what it needs."
 _OTHER_PYTHON = "Choose another Python, or set the engine up."
 
 

@@ -90,7 +90,7 @@ class SetUp(Task):
             choose(None)  # whoever sets up the engine wants to use that one
         check()
         if self._is_offline:
-            raise PlgsError("online access was switched off", "Set up engine", OFFLINE_FIX)
+            raise PlgsError("online access was switched off", "Set Up Engine", OFFLINE_FIX)
 
     def let_go(self) -> None:
         """The engine ends within a second, and first ends the programs that it started."""
@@ -125,6 +125,13 @@ def check() -> EngineCheck | None:
         return None
 
 
+def ask_chosen() -> EngineCheck | None:
+    """`check` another Python that was chosen. How the last set-up of the former one ended matters no more."""
+    if running_set_up() is None:
+        registry.forget(SetUp.kind)
+    return check()
+
+
 def running_set_up() -> SetUp | None:
     """The running set-up; None when there is none."""
     return next(iter(registry.running(SetUp)), None)
@@ -146,14 +153,14 @@ def set_up(choice: SetUpChoice) -> SetUp:
     """Begin to make the engine's environment, or continue it. Raises PlgsError, OSError."""
     reason = why_no_set_up()
     if reason is not None:
-        raise PlgsError("the engine cannot be set up now", "Set up engine", reason)
+        raise PlgsError("the engine cannot be set up now", "Set Up Engine", reason)
     return timer.begin(SetUp(start_engine(
         "set-up", own_python(), environments_folder(), *choice.arguments(), variables=choice.variables()
     )))  # fmt: skip
 
 
 def remove() -> Removal:
-    """Delete all environments that "Set up engine" made, and nothing else. Raises PlgsError, OSError."""
+    """Delete all environments that "Set Up Engine" made, and nothing else. Raises PlgsError, OSError."""
     if running_set_up() is not None:
         raise PlgsError("the engine is being set up", environments_folder(), "Wait until it is done, or cancel it.")
     return timer.begin(Removal(start_engine("set-up", own_python(), environments_folder(), "--remove")))

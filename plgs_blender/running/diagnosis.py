@@ -5,9 +5,10 @@ The panel draws from here.
 
 from __future__ import annotations
 
+import json
 import shutil
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,6 +16,7 @@ from typing import Any
 import bpy
 
 from ...engine.errors import PlgsError
+from ...engine.job import write_atomically
 from ...engine.job.follower import TaskFollower
 from ..chosen_scene import ChosenScene
 from ..engine_environment import usable_python
@@ -22,6 +24,7 @@ from ..scene_formats import AUTOMATIC
 from ..settings import PLGS_PG_settings, chosen_scene
 from ..tasks import registry, timer
 from ..tasks.registry import Task, start_engine
+from . import looking
 
 
 @dataclass(frozen=True)
@@ -29,6 +32,7 @@ class Finding:
     """One finding: its ``cause`` in a word or two, what is wrong, with figures, what fixes it, and its picture.
 
     When it ``is_wrong`` it should be fixed before a lift; else it is a note. When it ``is_mended``, "Fix" fixes it.
+    ``frames`` names the frames that it is about, none for all; a lift is better without those of ``leave_out``.
     """
 
     cause: str
@@ -36,7 +40,27 @@ class Finding:
     option: str
     is_wrong: bool
     is_mended: bool
+    frames: tuple[str, ...]
+    leave_out: tuple[str, ...]
     picture: Path | None
+
+
+@dataclass(frozen=True)
+class FrameSplit:
+    """What a splits.json at ``path`` holds: the frames to train on, and those that are held out."""
+
+    path: Path
+    train: tuple[str, ...]
+    test: tuple[str, ...]
+
+    def without(self, names: Iterable[str]) -> FrameSplit:
+        """The split without these frames."""
+        gone = {*names}
+        train, test = (tuple(name for name in part if name not in gone) for part in (self.train, self.test))
+        return FrameSplit(self.path, train, test)
+
+    def has_any(self, names: Iterable[str]) -> bool:
+        return not {*names}.isdisjoint((*self.train, *self.test))
 
 
 class Diagnosis(Task):
@@ -52,6 +76,7 @@ class Diagnosis(Task):
         self.findings: tuple[Finding, ...] = ()
         self.looked = self.frames = 0
         self.can_be_mended = False
+        self.split: FrameSplit | None = None
         self._folder = folder
 
     @property
@@ -77,6 +102,8 @@ class Diagnosis(Task):
             self.findings = tuple(_finding(entry, self._folder) for entry in told["findings"])
             self.looked, self.frames = int(told["looked"]), int(told["frames"])
             self.can_be_mended = bool(told["can_be_mended"])
+            split = answer["split"]
+            self.split = FrameSplit(Path(split["path"]), *(tuple(map(str, split[key])) for key in ("train", "test")))
         except (ValueError, TypeError, KeyError) as fault:
             what = f"the engine's findings are not understood ({fault!r})"
             raise PlgsError(what, self.chosen.scene, "Diagnose again.") from fault
@@ -110,6 +137,20 @@ def diagnose(settings: PLGS_PG_settings, mended: Path | None = None) -> Diagnosi
     return timer.begin(Diagnosis(chosen, mended, folder, follower))
 
 
+def leave_out(known: Diagnosis, finding: Finding) -> Path:
+    """Write the capture's splits.json without a finding's frames, in place of an earlier one. Raises PlgsError where
+    nothing would be left to train on, OSError."""
+    assert known.split is not None
+    split = known.split.without(finding.leave_out)
+    if not split.train:
+        raise PlgsError("no frame to train on would be left", split.path, "Leave fewer frames out.")
+    split.path.parent.mkdir(exist_ok=True)
+    write_atomically(split.path, json.dumps({"train": split.train, "test": split.test}))
+    known.split = split
+    looking.look_at_scene(known.chosen)
+    return split.path
+
+
 def _choose_mended(settings: PLGS_PG_settings, mended: Path) -> None:
     """Let the panel show the fixed scene, which contains its masks and has its z axis up.
 
@@ -129,5 +170,7 @@ def _finding(entry: Mapping[str, Any], folder: Path) -> Finding:
         option=str(entry["option"]),
         is_wrong=entry["severity"] == "wrong",
         is_mended=bool(entry["is_mended"]),
+        frames=tuple(map(str, entry["frames"])),
+        leave_out=tuple(map(str, entry["leave_out"])),
         picture=None if picture is None else folder / str(picture),
     )

@@ -15,14 +15,14 @@ from ..tasks import registry, timer
 from ..tasks.registry import Task, start_engine
 
 FORMS = {
-    "coco": ("COCO panoptic", "panoptic.json and PNGs of segments"),
-    "instances": ("Label images", "16-bit PNGs of classes and instances, and coloured PNGs"),
-    "scannet": ("ScanNet labels", "label-filt, instance-filt and their table"),
-    "points": ("Labelled points", "PLY of the semantic points, and of the Gaussians"),
+    "coco": ("COCO Panoptic", "panoptic.json and PNGs of segments"),
+    "instances": ("Label Images", "16-bit PNGs of classes and instances, and coloured PNGs"),
+    "scannet": ("ScanNet Labels", "label-filt, instance-filt and their table"),
+    "points": ("Labelled Points", "PLY of the semantic points, and of the Gaussians"),
     "boxes": ("Boxes", "The objects' oriented boxes as JSON and CSV"),
     "mesh": ("Meshes", "The surface as PLY, and a GLB for each instance and each stuff class"),
-    "depth": ("Depth maps", "The lifted surface's depth in metres, one NPY per frame"),
-    "clouds": ("Depth clouds", "Each frame's pixels as labelled points in the world, one NPZ per frame"),
+    "depth": ("Depth Maps", "The lifted surface's depth in metres, one NPY per frame"),
+    "clouds": ("Depth Clouds", "Each frame's pixels as labelled points in the world, one NPZ per frame"),
 }
 """Label and description of each format that the engine exports to."""
 

@@ -268,5 +268,5 @@ def lift_at(settings: PLGS_PG_settings, folder: str = "") -> LiftFolder:
     """The lift in `folder`, or in that of the settings. Raises PlgsError when there is none."""
     path: Path | None = absolute(folder) if folder else chosen_lift(settings)
     if path is None:
-        raise PlgsError("no lift is chosen", "Lift folder", "Start a lift, or choose the folder of one.")
+        raise PlgsError("no lift is chosen", "Lift Folder", "Start a lift, or choose the folder of one.")
     return LiftFolder.open(path)

@@ -41,7 +41,7 @@ class Lift(Task):
         assert follower.lift is not None
         self.folder: LiftFolder = follower.lift
         self.lift_folder = follower.lift.path
-        self.label = f"Lifting {follower.lift.path.name}"
+        self.label = f"{'Baking' if self.is_baking else 'Lifting'} {follower.lift.path.name}"
         self.lift_state, self._is_new = lift_state, is_new
         self._pictures_seen = 0
         self.scene_is_there = os.path.exists(follower.lift.request.scene)

@@ -38,7 +38,8 @@ class Task:
 
     def __init__(self, follower: TaskFollower) -> None:
         self.follower = follower
-        self.began = time.monotonic()
+        self.began = self._told_at = time.monotonic()
+        self._told_left: float | None = None
         self.is_taken = False
         """Whether `done` was called, and did all its parts."""
         self._parts: Iterator[object] | None = None
@@ -76,6 +77,18 @@ class Task:
         return self.follower.progress
 
     @property
+    def took_s(self) -> float:
+        """Seconds since it began, perhaps in another Blender, on a machine whose clock differs."""
+        began = self.progress.began or time.time()
+        return max(time.monotonic() - self.began, time.time() - began)
+
+    @property
+    def left_s(self) -> float | None:
+        """Seconds until its end, counted down since the engine told them; None where it told none."""
+        told = self.progress.left_s
+        return None if told is None else max(0.0, told - (time.monotonic() - self._told_at))
+
+    @property
     def answer(self) -> Mapping[str, Any] | None:
         return self.follower.answer
 
@@ -87,6 +100,8 @@ class Task:
     def poll(self, scene: Any) -> bool:
         """Process what happened, including `done`. Returns whether there is news."""
         has_news = self.follower.poll()
+        if self.progress.left_s != self._told_left:
+            self._told_left, self._told_at = self.progress.left_s, time.monotonic()
         if not self.is_running and not self.is_taken:
             self.is_taken = True
             try:

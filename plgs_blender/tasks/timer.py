@@ -7,6 +7,7 @@ main thread between redraws, so it must never wait.
 from __future__ import annotations
 
 import atexit
+import time
 import traceback
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -17,6 +18,9 @@ from . import registry
 from .registry import Kind, Task
 
 TICK_S = 0.1
+_CLOCK_S = 1.0
+"""Seconds after which panels are drawn again without news, as they count the time."""
+_drawn_at = 0.0
 
 
 def begin(task: Kind) -> Kind:
@@ -50,7 +54,9 @@ def _poll() -> None:
         scenes = _scenes()
         watched = [*registry.running(Task), *(task for task in with_news if task.is_taken)]
         are_views_outdated = [task.watch(scenes, task in with_news) for task in watched]
-    if with_news:
+    global _drawn_at
+    if with_news or time.monotonic() - _drawn_at > _CLOCK_S:
+        _drawn_at = time.monotonic()
         is_file_changed = any(task.is_taken for task in with_news)
         redraw_panels(views_too=is_file_changed or any(are_views_outdated))
 

@@ -87,7 +87,7 @@ def test_the_smallest_instances_are_left_out_with_a_warning(tmp_path: Path) -> N
     assert [instance.id for instance in one.instances] == [1]
     assert set(one.instance_of_point.tolist()) == {0, 1}
     (told,) = [event.data["message"] for event in last_run(tmp_path / "events.jsonl") if event.kind == "warning"]
-    assert told == ("the 1 smallest of 2 instances are left out: at most 1 are kept, --set most_instances=2 keeps all")
+    assert told == ("1 instance is left out, the smallest of 2: at most 1 are kept, --set most_instances=2 keeps all")
     both = prepared_for(views, classes, replace(TINY, most_instances=2), tmp_path)
     assert len(both.instances) == 2
 

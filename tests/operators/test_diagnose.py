@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import json
+from dataclasses import replace
 from pathlib import Path
 
 import bpy
+import cv2
 import numpy as np
 import pytest
-from plgs.plgs_blender.running.diagnosis import Diagnosis, diagnose, diagnosis_of
+from plgs.engine.errors import PlgsError
+from plgs.plgs_blender.running.diagnosis import Diagnosis, diagnose, diagnosis_of, leave_out
 from plgs.plgs_blender.settings import chosen_scene
 from plgs.plgs_blender.tasks import registry
 from tiny_scene import write_tiny_scene
@@ -40,6 +44,34 @@ def test_a_scene_is_diagnosed_and_mended(inverted: Path) -> None:
     again = diagnosis_of(chosen_scene(settings))
     assert again is not None and again.findings == () and again.error is None
     assert not bpy.ops.plgs.fix_scene.poll()
+
+
+def test_frames_of_a_finding_are_gone_to_and_left_out(tmp_path: Path) -> None:
+    """The photo of one frame is black: its name leads to its camera, and splits.json leaves it out."""
+    folder = write_tiny_scene(tmp_path / "scene", frames=14, size=(96, 72))
+    photo = sorted((folder / "color").iterdir())[6]
+    cv2.imwrite(str(photo), np.zeros((72, 96, 3), np.uint8))
+    scene = bpy.context.scene
+    scene.plgs.scene_folder = str(folder)
+    bpy.ops.plgs.diagnose()
+    known = diagnosis_of(chosen_scene(scene.plgs))
+    assert known is not None
+    number, finding = next((n, each) for n, each in enumerate(known.findings) if each.cause == "exposure")
+    assert finding.frames == finding.leave_out == (photo.stem,)
+    with pytest.raises(RuntimeError, match="Import Cameras and Images"):
+        bpy.ops.plgs.go_to_finding(number=number, frame=photo.stem)
+    assert bpy.ops.plgs.import_scene() == {"FINISHED"}
+    assert bpy.ops.plgs.go_to_finding(number=number, frame=photo.stem) == {"FINISHED"}
+    assert scene.camera["frame"] == photo.stem
+    assert bpy.ops.plgs.leave_out(number=number) == {"FINISHED"}
+    split = json.loads((folder / "splits.json").read_text())
+    assert photo.stem not in split["train"] + split["test"] and len(split["train"] + split["test"]) == 13
+    assert bpy.ops.plgs.leave_out(number=number) == {"CANCELLED"}, "they are left out already"
+    assert bpy.ops.plgs.diagnose() == {"FINISHED"}
+    again = diagnosis_of(chosen_scene(scene.plgs))
+    assert again is not None and again.frames == 13 and "exposure" not in [each.cause for each in again.findings]
+    with pytest.raises(PlgsError, match="no frame to train on"):
+        leave_out(again, replace(finding, leave_out=(*again.split.train, *again.split.test)))
 
 
 def test_a_measurement_can_be_cancelled(inverted: Path) -> None:

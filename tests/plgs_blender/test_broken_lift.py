@@ -16,7 +16,7 @@ from plgs.engine.errors import PlgsError
 from plgs.plgs_blender import lift_scene
 from plgs.plgs_blender.chosen_scene import ChosenScene
 from plgs.plgs_blender.import_scene import place_scene
-from plgs.plgs_blender.results import read_result
+from plgs.plgs_blender.results import MOST_INSTANCES, read_result
 from tiny_lift import mend_manifest, write_tiny_lift
 
 
@@ -52,6 +52,13 @@ def test_broken_passes_change_nothing(tmp_path: Path, content: bytes) -> None:
 def test_absurd_instances_change_nothing(lift: Path, tmp_path: Path, name: str, value: object) -> None:
     content = json.loads((lift / "result" / "instances.json").read_text())
     content["instances"][0][name] = value
+    with_instances(lift, tmp_path, json.dumps(content))
+
+
+def test_more_objects_than_a_lift_finds_change_nothing(lift: Path, tmp_path: Path) -> None:
+    content = json.loads((lift / "result" / "instances.json").read_text())
+    one = content["instances"][0] | {"segments": []}
+    content["instances"] = [one | {"id": number} for number in range(1, MOST_INSTANCES + 2)]
     with_instances(lift, tmp_path, json.dumps(content))
 
 

@@ -23,7 +23,7 @@ def test_a_split_file_is_honoured_in_recording_order(tmp_path: Path) -> None:
     path.write_text(json.dumps({"train": ["003", "001", "lost"], "test": ["002"], "comment": "ours"}))
     split = read_split(path, NAMES[:5], dropped=["lost"])
     assert (split.train, split.test) == (("001", "003"), ("002",))
-    assert split.warnings == ("2 frames are in neither list of splits.json and left out: 000, 004",)
+    assert split.warnings == ("2 frames are left out by splits.json: 000, 004",)
 
 
 def test_nothing_held_out_is_a_warning(tmp_path: Path) -> None:

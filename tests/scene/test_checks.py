@@ -52,8 +52,8 @@ def test_sparse_depth_and_empty_masks_are_warnings(tmp_path: Path) -> None:
     cv2.imwrite(str(folder / "depth" / "0001.png"), depth)
     cv2.imwrite(str(folder / "panoptic" / "0002.png"), np.zeros((48, 64, 3), np.uint8))
     warnings = check_scene(open_scene(folder))
-    assert "1 frames have depth on less than 5 % of their pixels: 0001" in warnings
-    assert "1 frames have an empty mask: 0002" in warnings
+    assert "1 frame has depth on less than 5 % of the pixels: 0001" in warnings
+    assert "1 frame has an empty mask: 0002" in warnings
 
 
 def test_one_frame_alone_is_a_warning(tmp_path: Path) -> None:
@@ -116,7 +116,7 @@ def test_frames_with_a_file_that_cannot_be_read_are_left_out_by_name_up_to_half(
     assert [frame.name for frame in survey.scene.frames] == ["0000", "0002", "0003", "0004"]
     assert [each.names for each in survey.scene.left_out] == [("0001",)]
     report = report_of(survey)
-    assert sum("are left out: 0001" in warning for warning in report.warnings) == 1
+    assert sum("is left out: 0001" in warning for warning in report.warnings) == 1
     assert [len(each.names) for each in report.left_out] == [1]
     for path in (files[2], files[3]):
         damage(path)

@@ -82,7 +82,7 @@ def test_colmap_with_a_networks_maps(tmp_path: Path, kind: str) -> None:
         open_scene_to_lift(SceneSource(tmp_path / "scene"))
     scene = open_scene(tmp_path / "scene", depth=tmp_path / "maps")
     assert scene.has_depth and [frame.name for frame in scene.frames] == ["1", "2", "3", "4", "5"]
-    assert "1 frames without 12 points of the reconstruction in view are left out: 0" in scene.warnings
+    assert "1 frame without 12 points of the reconstruction in view is left out: 0" in scene.warnings
     for frame, view in zip(scene.frames, views()[1:], strict=True):
         depth = frame.depth()
         off = np.abs(depth / look(view, LENS.scaled(depth.shape[1] / 64)).depth - 1.0)
@@ -98,7 +98,7 @@ def test_missing_and_wrong_maps_are_one_line_errors(tmp_path: Path) -> None:
     for i in range(2, 5):
         np.save(tmp_path / "maps" / f"{i}.npy", np.ones((48, 64), np.float32))
     scene = open_scene(tmp_path / "scene", depth=tmp_path / "maps")
-    assert "1 frames without a readable depth map are left out: 5" in scene.warnings and len(scene.frames) == 4
+    assert "1 frame without a readable depth map is left out: 5" in scene.warnings and len(scene.frames) == 4
     np.save(tmp_path / "maps" / "5.npy", np.ones((48, 64), np.float32))
     scene = open_scene(tmp_path / "scene", depth=tmp_path / "maps")
     with pytest.raises(PlgsError, match="does not rise or fall"):

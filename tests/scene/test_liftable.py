@@ -34,7 +34,8 @@ def test_up_to_half_of_the_frames_may_lack_depth(tmp_path: Path) -> None:
         (tmp_path / "transforms.json").write_text(json.dumps(content))
         scene = open_scene(tmp_path)
         assert scene.has_depth is (lacking <= 3) and len(scene.frames) == (6 - lacking if lacking <= 3 else 6)
-        how = f"{lacking} frames without readable depth are left out: " if lacking <= 3 else "4 of 6 frames have no "
+        some = f"{lacking} frames without readable depth are" if lacking > 1 else "1 frame without readable depth is"
+        how = f"{some} left out: " if lacking <= 3 else "4 of 6 frames have no "
         assert any(warning.startswith(how) for warning in scene.warnings)
         if lacking == 1:
             check_on_room(scene)
@@ -46,7 +47,7 @@ def test_nothing_is_left_to_measure_when_the_held_out_frames_lack_depth(folder: 
     (folder / "depth" / "0004.png").unlink()
     scene = open_scene(folder)
     assert not scene.test_frames and scene.warnings == (
-        "1 frames without readable depth are left out: 0004",
+        "1 frame without readable depth is left out: 0004",
         "no frame is held out: nothing is measured on unseen views",
     )
     assert [frame.name for frame in open_plain_folders(SceneSource(folder)).frames] == [

@@ -70,7 +70,7 @@ def test_splits_choose_the_frames_and_only_those_need_files(tmp_path: Path) -> N
     scene = open_scene(folder)
     assert [frame.name for frame in scene.train_frames] == ["0001", "0002"]
     assert [frame.name for frame in scene.test_frames] == ["0005"]
-    assert scene.warnings == ("3 frames are in neither list of splits.json and left out: 0000, 0003, 0004",)
+    assert scene.warnings == ("3 frames are left out by splits.json: 0000, 0003, 0004",)
     check_scene(scene)
 
 
@@ -100,7 +100,7 @@ def test_a_frame_may_have_intrinsics_and_a_shape_of_its_own(tmp_path: Path) -> N
     np.testing.assert_allclose(scene.frames[2].camera.K, tiny_intrinsics(size), rtol=1e-9)
     assert scene.warnings == ("1 of 6 frames have no ground truth in semantic",)
     assert [warning.split(":")[0] for warning in check_scene(scene)] == [
-        "1 frames have an empty mask",
+        "1 frame has an empty mask",
         "4 segments of the masks' table have no pixel in the PNGs (the first",
     ]
     shared = folder / "intrinsic" / "intrinsic_color.txt"

@@ -185,7 +185,9 @@ def test_a_lift_that_another_blender_began_shows_its_progress_and_keeps_its_opti
     follower.progress.began, follower.progress.left_s = time.time() - 300.0, 100.0
     followed.follower = follower
     shown = drawn()
-    assert "All: 75 %, 1 min 40 s left" in shown and "keeps its options" in shown
+    assert "All: 75 %" not in shown and "Loss" not in shown, "one bar, one number"
+    assert "75 %, 1 min 40 s left" in shown and "keeps its options" in shown
+    assert shown.index("plgs.cancel_lift") < shown.index("2/3  Half of it, loss 0.5000"), "Cancel stays where it is"
     follower.kind = BAKE
     assert "keeps its options" not in drawn()
 
@@ -270,10 +272,33 @@ def test_running_tasks_show_their_progress(tmp_path: Path) -> None:
     for task in tasks_with(Pretended(TaskState.RUNNING), tmp_path):
         registry.follow(task)
     shown = drawn()
-    assert shown.count("2/3  Half of it") == 4 and "5 of 10" in shown and "50 %" in shown
-    assert shown.count("Loss 0.5000, 1 min 30 s left") == 4
+    assert shown.count("2/3  Half of it, loss 0.5000") == 4
+    assert shown.count("5 of 10, 1 min 30 s left") == 3 and shown.count("50 %, 1 min 30 s left") == 1
     for name in ("masks", "frames", "export", "engine_set_up"):
         assert f"plgs.cancel_{name}" in shown
+
+
+@pytest.mark.parametrize(
+    ("step", "left_s", "ago_s", "told"),
+    [
+        (5, None, 0.0, (0.5, "5 of 10, 1 min 30 s left")),
+        (10, None, 0.0, (1.0, "40 s")),  # the stage goes on: what it counts is done
+        (0, None, 0.0, (0.0, "40 s")),
+        (5, 60.0, 0.0, (0.4, "40 %, 1 min 00 s left")),
+        (10, 60.0, 20.0, (0.5, "50 %, 40 s left")),  # counted down without news
+        (10, 60.0, 90.0, (1.0, "Almost done")),
+    ],
+)
+def test_progress_is_one_true_number(
+    step: int, left_s: float | None, ago_s: float, told: tuple[float, str], tmp_path: Path
+) -> None:
+    task = tasks_with(Pretended(TaskState.RUNNING), tmp_path)[0]
+    task.progress.step, task.progress.left_s = step, left_s
+    task.poll(bpy.context.scene)
+    task._told_at -= ago_s
+    task.began -= 40.0
+    share, text = sidebar._how_far(task)
+    assert (round(share, 1), text) == told
 
 
 def test_a_finished_lift_is_shown(tmp_path: Path) -> None:

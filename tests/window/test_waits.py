@@ -85,7 +85,7 @@ def test_the_window_does_not_wait_for_a_result(window: Window, lift: Path) -> No
 
 
 def opening(window: Window, lift: Path) -> float:
-    """Open the lift in an empty file as *Recent lifts* does: the longest that the window waits, seconds."""
+    """Open the lift in an empty file as *Recent Lifts* does: the longest that the window waits, seconds."""
     window.new_file()
     window.settle()
     window.run("watch.begin()")

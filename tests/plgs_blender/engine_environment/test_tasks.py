@@ -104,7 +104,7 @@ def test_a_window_relies_on_what_is_known(python: Python, monkeypatch: pytest.Mo
     answer_of(lacking)
     with pytest.raises(PlgsError, match="lacks torch") as refused:
         engine_environment.usable_python()
-    assert "Set up engine" in refused.value.fix and engine_environment.engine_python() is None
+    assert "Set Up Engine" in refused.value.fix and engine_environment.engine_python() is None
     assert "lacks torch" in (engine_environment.why_no_engine() or "")
 
 
@@ -156,7 +156,7 @@ def test_without_a_python_the_engine_is_missing(monkeypatch: pytest.MonkeyPatch)
     monkeypatch.setattr(tasks, "choose_python", none)
     assert tasks.check() is None
     status = engine_environment.status()
-    assert status.state is EngineState.MISSING and "Set up engine" in status.fix
+    assert status.state is EngineState.MISSING and "Set Up Engine" in status.fix
 
 
 def test_nothing_is_set_up_offline() -> None:
@@ -205,6 +205,9 @@ def test_an_error_stays_readable(online: None) -> None:
     set_up = registry.latest(tasks.SetUp)
     assert set_up is not None and set_up.error is not None and "/nowhere/python cannot be run" in set_up.error.what
     assert any("/nowhere/python" in line for line in set_up.log_lines)
+    assert tasks.check() is not None and registry.latest(tasks.SetUp) is set_up
+    tasks.ask_chosen()
+    assert registry.latest(tasks.SetUp) is None, "of a Python that is no longer chosen"
 
 
 def test_switching_online_access_off_ends_it(online: None, monkeypatch: pytest.MonkeyPatch) -> None:

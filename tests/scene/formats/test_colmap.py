@@ -90,7 +90,7 @@ def test_a_picture_without_dense_depth_is_left_out(tmp_path: Path, content: byte
     path.unlink() if content is None else path.write_bytes(content)
     scene = open_scene(tmp_path)
     assert scene.has_depth and [frame.name for frame in scene.frames] == [f"img_{i + 5}" for i in range(5)]
-    assert "1 frames without readable depth are left out: img_10" in scene.warnings
+    assert "1 frame without readable depth is left out: img_10" in scene.warnings
     check_on_room(scene)
 
 

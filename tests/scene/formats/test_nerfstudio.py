@@ -50,7 +50,7 @@ def test_frames_whose_pictures_are_missing_are_left_out(tmp_path: Path) -> None:
     write_scene(tmp_path)
     (tmp_path / "images" / "frame_9.png").unlink()
     scene = open_scene(tmp_path)
-    assert len(scene.frames) == 5 and "1 frames without a picture are left out: ./images/frame_9.png" in scene.warnings
+    assert len(scene.frames) == 5 and "1 frame without a picture is left out: ./images/frame_9.png" in scene.warnings
 
 
 def test_names_relative_to_another_folder_are_found_beside_it(tmp_path: Path) -> None:

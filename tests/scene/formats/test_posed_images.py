@@ -39,4 +39,4 @@ def test_frames_with_lost_tracking_are_left_out(tmp_path: Path) -> None:
     (write_posed_images(tmp_path) / "00002.txt").write_text("-inf -inf -inf -inf\n" * 4)
     scene = open_scene(tmp_path)
     assert [frame.name for frame in scene.frames][2] == "00003"
-    assert "without a pose are left out: 00002" in scene.warnings[0]
+    assert "without a pose is left out: 00002" in scene.warnings[0]

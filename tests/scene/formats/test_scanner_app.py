@@ -51,7 +51,7 @@ def test_a_scan_without_depth_and_a_picture_without_a_pose(tmp_path: Path) -> No
         path.unlink()
     scene = open_scene(tmp_path)
     assert len(scene.frames) == len(views()) - 1 and not scene.has_depth
-    assert any("without a pose are left out: frame_00004" in warning for warning in scene.warnings)
+    assert any("without a pose is left out: frame_00004" in warning for warning in scene.warnings)
 
 
 @pytest.mark.parametrize(

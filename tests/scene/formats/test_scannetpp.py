@@ -79,7 +79,7 @@ def test_points_lie_on_the_room(tmp_path: Path, pack: Callable[[list[np.ndarray]
         "frame_000000",
         "frame_000001",
     ]
-    assert "1 frames without a pose are left out: frame_000006" in scene.warnings
+    assert "1 frame without a pose is left out: frame_000006" in scene.warnings
     check_on_room(scene, colour_step=60)
     assert not scene.frames[0].depth()[3:40].any()
     np.testing.assert_allclose(scene.frames[0].depth(), depths_with_a_flat_top()[0], atol=6e-4)  # behind: starts again

@@ -50,7 +50,7 @@ def test_points_lie_on_the_room(tmp_path: Path, compressed: bool, place: str) ->
     (tmp_path / "scene0000_00.sens").write_bytes(sens(compressed, lost=2))
     scene = open_scene(tmp_path / place)
     assert scene.format == "sens" and [frame.name for frame in scene.frames] == ["0", "1", "3", "4", "5", "6"]
-    assert "1 frames without a pose are left out: 2" in scene.warnings
+    assert "1 frame without a pose is left out: 2" in scene.warnings
     # Depth is of another lens: its pixels lie up to 0.7 pixels aside of those that they are read for.
     check_on_room(scene, tolerance=0.06, share=0.97)
     depth = [frame.depth((COLOUR.width, COLOUR.height)) for frame in scene.frames]

@@ -87,7 +87,7 @@ def test_tsdf_fusion(tmp_path: Path, where: str) -> None:
     np.savetxt(tmp_path / where, [[lens.fx, 0, lens.cx - 0.5], [0, lens.fy, lens.cy - 0.5], [0, 0, 1]])  # fmt: skip
     np.savetxt(folder / "frame-000006.pose.txt", np.full((4, 4), np.inf))
     scene = open_scene(folder)
-    assert scene.format == "tsdf-fusion" and "1 frames without a pose are left out: frame-000006" in scene.warnings
+    assert scene.format == "tsdf-fusion" and "1 frame without a pose is left out: frame-000006" in scene.warnings
     check_on_room(scene, colour_step=60)
     assert not scene.frames[0].depth()[:3].any()
 
@@ -159,7 +159,7 @@ def test_what_else_info_txt_may_be(tmp_path: Path) -> None:
 def test_lost_frames_as_windows_wrote_them(tmp_path: Path) -> None:
     write_info(tmp_path)
     (tmp_path / "frame-000001.pose.txt").write_text("-1.#INF -1.#INF -1.#INF00 1.#INF\n" * 4)
-    assert open_scene(tmp_path).warnings[0] == "1 frames without a pose are left out: frame-000001"
+    assert open_scene(tmp_path).warnings[0] == "1 frame without a pose is left out: frame-000001"
 
 
 def test_what_is_missing_is_named(tmp_path: Path) -> None:

@@ -48,7 +48,7 @@ def write_tum(folder: Path) -> Path:
 def test_points_lie_on_the_room(tmp_path: Path) -> None:
     scene = open_scene(write_tum(tmp_path))
     assert scene.format == "tum" and scene.frames[0].name == "1305031102.170000"
-    assert "1 frames without a pose are left out: 1305031100.000000" in scene.warnings
+    assert "1 frame without a pose is left out: 1305031100.000000" in scene.warnings
     assert any("a Kinect's lens is assumed" in warning for warning in scene.warnings)
     check_on_room(scene)
 
@@ -121,7 +121,7 @@ def write_icl(folder: Path, truth: str) -> Path:
 def test_icl_nuim_is_mirrored_back(tmp_path: Path, truth: str) -> None:
     scene = open_scene(write_icl(tmp_path, truth))
     assert scene.format == "icl" and [frame.name for frame in scene.frames] == ["1", "2", "3", "4", "5", "6"]
-    assert scene.warnings[0] == "1 frames without a pose are left out: 0"
+    assert scene.warnings[0] == "1 frame without a pose is left out: 0"
     check_on_room(scene)
 
 

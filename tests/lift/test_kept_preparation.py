@@ -1,0 +1,73 @@
+"""A resumed lift takes what was found before its first step from its folder, and finds it again where it must."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from engine.errors import Cancelled
+from engine.job import EventWriter, LiftFolder, LiftRequest, StopSignal, last_run, verify
+from engine.lift import run
+from engine.presets.preset import Preset
+from engine.scene import open_asked
+from engine.scene_of_lift import remember_scene
+from engine.train.trainer import Trainer
+from tests.tiny_scene import write_tiny_scene
+
+STEPS = 3
+REPEATED = {"consistency", "match"}
+
+
+def lift(folder: LiftFolder, *, resume: bool, stop_at: int | None = None) -> list[str]:
+    """Lift until a step, or to the end; the stages of this run."""
+
+    class Stopped(Trainer):
+        def step(self, check: Callable[[], object] = lambda: None):  # type: ignore[no-untyped-def]
+            if self.step_number == stop_at:
+                raise Cancelled("here")
+            return super().step(check)
+
+    def training(prepared: run.PreparedLift, views: object, preset: Preset, seed: int) -> Trainer:
+        return Stopped(prepared.scene, prepared.targets, views, preset, seed)  # type: ignore[arg-type]
+
+    events = EventWriter(folder.events_path)
+    events.hello(threads=1, resumed=resume)
+    try:
+        run.run_lift(folder, events, StopSignal(folder.cancel_path), resume=resume, training=training)
+    except Cancelled:
+        pass
+    finally:
+        events.close()
+    return [event.data["name"] for event in last_run(folder.events_path) if event.kind == "stage"]
+
+
+@pytest.mark.parametrize("objects", ["agreement", "boxes"])
+def test_what_was_found_is_not_found_again(objects: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    scene = write_tiny_scene(tmp_path / "scene", frames=5, size=(32, 24))
+    request = LiftRequest(scene=scene, options={"steps": STEPS, "objects": objects, "fill_holes": True})
+    calm, rough = (LiftFolder.create(tmp_path / name, request) for name in ("calm", "rough"))
+    assert lift(calm, resume=False) == list(run.STAGES)
+    assert REPEATED < {*lift(rough, resume=False, stop_at=1)}
+    monkeypatch.setattr("engine.lift.starting_scene.warm_start", None)  # the checkpoint has what it would fit
+    assert lift(rough, resume=True) == [name for name in run.STAGES if name not in REPEATED]
+    assert verify(rough.result_path).files == verify(calm.result_path).files
+
+
+def test_what_does_not_fit_is_found_again(tmp_path: Path) -> None:
+    """After damage to a file, and after a change of the masks."""
+    scene = write_tiny_scene(tmp_path / "scene", frames=5, size=(32, 24))
+    folder = LiftFolder.create(tmp_path / "lift", LiftRequest(scene=scene, options={"steps": STEPS}))
+    lift(folder, resume=False, stop_at=1)
+    arrays = folder.path / "preparation" / "arrays.npz"
+    arrays.write_bytes(arrays.read_bytes()[:-9])
+    assert REPEATED < {*lift(folder, resume=True, stop_at=1)}
+    assert not REPEATED & {*lift(folder, resume=True, stop_at=1)}, "it was kept again"
+    picture = min((scene / "panoptic").glob("*.png"))
+    content = cv2.imread(str(picture), cv2.IMREAD_UNCHANGED)
+    cv2.imwrite(str(picture), np.where(content == content.max(), content.min(), content))
+    remember_scene(folder, open_asked(folder.request))  # as by a run that was killed before it found anything
+    assert REPEATED < {*lift(folder, resume=True, stop_at=1)}
