@@ -63,13 +63,19 @@ def is_done(folder: LiftFolder) -> bool:
     return is_finished and folder.is_whole() and not have_masks_changed(folder)
 
 
+def masks_last_run(folder: LiftFolder) -> str:
+    """The digest of the masks when the lift was last run; empty where that is not known. Raises PlgsError."""
+    known = read_known(folder)
+    return "" if known is None else known.masks
+
+
 def have_masks_changed(folder: LiftFolder, scene: Scene | None = None) -> bool:
     """Whether the masks of a lift's ``scene``, opened where it is not given, differ from those when the lift was last
     run. False where that is not known, or the scene is gone. Raises PlgsError."""
-    known = read_known(folder)
-    if known is None or not known.masks or not os.path.exists(folder.request.scene):
+    masks = masks_last_run(folder)
+    if not masks or not os.path.exists(folder.request.scene):
         return False
-    return known.masks != digest_of_masks(scene or open_asked(folder.request))
+    return masks != digest_of_masks(scene or open_asked(folder.request))
 
 
 def digest_of_masks(scene: Scene) -> str:

@@ -45,6 +45,7 @@ ENGINE_MAY_IMPORT: dict[str, set[str]] = {
     "lift": {
         "errors",
         "json_file",
+        "records",
         "presets",
         "job",
         "posed",

@@ -18,10 +18,10 @@ from ..instances.records import ObjectMask, SceneObject
 from ..job import Checkpoint, CheckpointStore, LiftFolder
 from ..job.handshake import VERSION
 from ..json_file import to_text
-from ..known_scene import read_known
 from ..model.structured import StructuredScene, to_tensors
 from ..records import record_of, to_json
 from ..scene import View, stored
+from ..scene_of_lift import masks_last_run
 from ..semantics.point_cloud import SemanticPointCloud
 from .objects import Matching
 from .targets_of_views import Photos
@@ -72,16 +72,11 @@ class KeptPreparation:
     def _store(self) -> CheckpointStore:
         return CheckpointStore(self.folder.path, "preparation")
 
-    @property
-    def _masks(self) -> str:
-        known = read_known(self.folder)
-        return "" if known is None else known.masks
-
     def write(self, views: Sequence[View], matching: Matching, photos: Photos) -> None:
         """Keep what was found. Raises OSError if the disk is full."""
         cloud, names = matching.cloud, tuple(view.name for view in views)
-        objects = tuple(map(_kept, matching.instances))
-        about = _Kept(VERSION, self._masks, names, cloud.class_ids, cloud.spacing, matching.dropped, objects)
+        masks, objects = masks_last_run(self.folder), tuple(map(_kept, matching.instances))
+        about = _Kept(VERSION, masks, names, cloud.class_ids, cloud.spacing, matching.dropped, objects)
         self._store.save(to_json(about), lambda folder: _write(folder / _ARRAYS, _arrays_of(matching, photos)))
 
     def read(self, views: Sequence[View]) -> tuple[Matching, Photos] | None:
@@ -93,7 +88,7 @@ class KeptPreparation:
                 return None
             about = record_of(_Kept, there.state, there.path, "")
             names = tuple(view.name for view in views)
-            if (about.engine, about.masks, about.views) != (VERSION, self._masks, names):
+            if (about.engine, about.masks, about.views) != (VERSION, masks_last_run(self.folder), names):
                 return None
             with np.load(there.path / _ARRAYS, allow_pickle=False) as arrays:
                 return _matching(about, arrays, self.folder.path), _photos(arrays)

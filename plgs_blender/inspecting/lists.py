@@ -198,3 +198,112 @@ class PLGS_PG_lift(bpy.types.PropertyGroup):
     )
     show_legend: BoolProperty(name="Legend", description="Draw the classes and their colours over the view")
     show_selected: BoolProperty(
+        name="Outline Selected", default=True, description="Outline the selected instance, unless it stands alone"
+    )
+    show_boxes: BoolProperty(
+        name="Boxes", default=True, update=_update_visibility,
+        description="Draw the instances' boxes. Several instances are selected by them",
+    )  # fmt: skip
+
+
+CLASSES = (PLGS_PG_mask, PLGS_PG_instance, PLGS_PG_class, PLGS_PG_unshown, PLGS_PG_lift)
+
+
+def register() -> None:
+    bpy.types.Collection.plgs = PointerProperty(type=PLGS_PG_lift)
+
+
+def unregister() -> None:
+    del bpy.types.Collection.plgs
+
+
+@contextmanager
+def registered() -> Iterator[None]:
+    """Register `collection.plgs` where the extension is switched off, as in scripts. What is written stays in the file
+    either way.
+    """
+    if hasattr(bpy.types.Collection, "plgs"):
+        yield
+        return
+    register_modules([sys.modules[__name__]])
+    try:
+        yield
+    finally:
+        unregister_modules([sys.modules[__name__]])
+
+
+def fill_lists(root: bpy.types.Collection, result: LiftResult | CorrectedResult) -> None:
+    """List the instances, with their masks, and the classes in the lift's collection. All of them are then shown."""
+    with registered(), apply_colours.at_once(root), apply_visibility.at_once(root):
+        lists = root.plgs
+        lists.instances.clear()
+        lists.classes.clear()
+        lists.instance_index = lists.class_index = -1
+        lists.isolated = 0
+        for instance in result.instances:
+            _fill_instance(lists.instances.add(), instance, result.classes)
+        points = result.points
+        ids, rows, counts = np.unique(points.class_id, return_inverse=True, return_counts=True)
+        scores = np.bincount(rows, np.nan_to_num(points.confidence), len(ids)) / np.maximum(counts, 1)
+        for class_id, count, score in zip(ids.tolist(), counts.tolist(), scores.tolist(), strict=True):
+            _fill_class(lists.classes.add(), class_id, count, score, result.classes)
+        size_cameras(root, lists.show_cameras)
+        apply_show_as(root)
+        if lists.look != PHOTO:
+            apply_look(root)
+
+
+def fill_not_shown(root: bpy.types.Collection, result: LiftResult) -> None:
+    """List in the lift's collection what the masks show and the lift does not."""
+    with registered():
+        root.plgs.not_shown.clear()
+        for text, frame in result.not_shown:
+            row = root.plgs.not_shown.add()
+            row.name, row.frame = text, frame
+
+
+def best_view(masks: Sequence[MatchedSegment]) -> int:
+    """The index of the mask that sees most of an instance: the one with the largest share of its picture. A mask that
+    the picture's edge cuts off counts half. The first of equals; -1 when shares are not known.
+    """
+    worth = [mask.share * (0.5 if _is_cut_off(mask) else 1.0) for mask in masks]
+    return int(np.argmax(worth)) if worth and max(worth) > 0.0 else -1
+
+
+def _is_cut_off(mask: MatchedSegment) -> bool:
+    left, top, right, bottom = mask.rectangle
+    return left <= 0.0 or top <= 0.0 or right >= 1.0 or bottom >= 1.0
+
+
+def _reason(mask: MatchedSegment) -> str:
+    """Why a mask was matched to its instance, in the few words that fit into a list."""
+    if mask.agreement is not None:
+        return f"{100 * mask.agreement:.0f} % agreement"
+    if mask.cost is not None:
+        return f"cost {mask.cost:.2f}"
+    return "first mask" if mask.share > 0.0 else ""
+
+
+def _fill_instance(row: Any, instance: Instance, classes: ClassTable) -> None:
+    row.instance_id = instance.id
+    row.known_name = row.name = instance.name
+    row.class_id, row.class_name = instance.class_id, instance.class_name
+    row.colour = [channel / 255.0 for channel in instance.colour]
+    row.points, row.views, row.score = instance.points, instance.views, instance.score
+    row.best_mask = best_view(instance.segments)
+    for mask in instance.segments:
+        each = row.masks.add()
+        each.frame, each.segment, each.class_id = mask.frame, mask.segment_id, mask.class_id
+        each.class_name = classes[mask.class_id].name if mask.class_id in classes else "unknown"
+        each.score, each.pixels, each.share = mask.score, mask.pixels, mask.share
+        each.cost = NO_COST if mask.cost is None else mask.cost
+        each.agreement = NO_AGREEMENT if mask.agreement is None else mask.agreement
+        each.rectangle, each.outline, each.reason = mask.rectangle, mask.outline, _reason(mask)
+
+
+def _fill_class(row: Any, class_id: int, points: int, score: float, classes: ClassTable) -> None:
+    known = classes[class_id] if class_id != VOID and class_id in classes else None
+    row.class_id, row.points, row.score = class_id, points, score
+    row.name = known.name if known else "unknown"
+    row.is_thing = known is not None and known.is_thing
+    row.colour = [channel / 255.0 for channel in (known.colour if known else UNKNOWN)]
