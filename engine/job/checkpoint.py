@@ -43,10 +43,8 @@ class CheckpointStore:
     """
 
     def __init__(self, folder: Path, name: str = "checkpoint") -> None:
-        self._part = folder / (PART + name)
-        self._next = folder / f"{name}.next"
-        self._current = folder / name
-        self._old = folder / f"{name}.old"
+        self._part, self._next = folder / (PART + name), folder / f"{name}.next"
+        self._current, self._old = folder / name, folder / f"{name}.old"
 
     def save(self, state: Mapping[str, object], write: Callable[[Path], object]) -> None:
         """Make a checkpoint: ``write`` puts its files into the folder it is given; ``state`` must fit in
