@@ -69,11 +69,8 @@ def read_split(path: Path, names: Sequence[str], dropped: Sequence[str]) -> Spli
             raise PlgsError(f'"{key}" names frames twice ({listed(twice)})', path, "Name each frame once.")
     unknown = sorted((parts["train"] | parts["test"]) - {*names} - {*dropped})
     if unknown:
-        raise PlgsError(
-            f"frames that do not exist are named ({listed(unknown)})",
-            path,
-            "Delete these names or the file; a name is the colour image's without suffix.",
-        )
+        fix = "Delete these names or the file; a name is the colour image's without suffix."
+        raise PlgsError(f"frames that do not exist are named ({listed(unknown)})", path, fix)
     both = sorted(parts["train"] & parts["test"])
     if both:
         raise PlgsError(f"frames are in train and in test ({listed(both)})", path, "Put each in one of the two.")
@@ -81,10 +78,5 @@ def read_split(path: Path, names: Sequence[str], dropped: Sequence[str]) -> Spli
     left_out = [name for name in names if name not in chosen]
     some = plural(len(left_out), "frame is", "frames are")
     warnings = [f"{some} left out by splits.json: {listed(left_out)}"] if left_out else []
-    if not any(name in parts["test"] for name in names):
-        warnings.append(NOTHING_MEASURED)
-    return Split(
-        train=tuple(name for name in names if name in parts["train"]),
-        test=tuple(name for name in names if name in parts["test"]),
-        warnings=tuple(warnings),
-    )
+    train, test = (tuple(name for name in names if name in parts[key]) for key in ("train", "test"))
+    return Split(train, test, tuple(warnings if test else [*warnings, NOTHING_MEASURED]))
