@@ -13,7 +13,8 @@ from ..plgs_blender.errors import one_line, with_field_names
 from ..plgs_blender.frame_pictures import DEPTH, MASKS, range_shown, why_no_picture
 from ..plgs_blender.frames import PHOTO
 from ..plgs_blender.paths import absolute
-from ..plgs_blender.running.importing import FrameMaking, begin_import, imported, show_picture, what_is_missing
+from ..plgs_blender.running.chosen_picture import choose_picture
+from ..plgs_blender.running.importing import FrameMaking, begin_import, imported, what_is_missing
 from ..plgs_blender.running.lifting import why_no_scene
 from ..plgs_blender.running.looking import look_at_scene
 from ..plgs_blender.scene_formats import AUTOMATIC, FILE_SUFFIXES
@@ -140,7 +141,7 @@ class PLGS_OT_browse_scene(ImportsScene, bpy.types.Operator):
 
 
 class PLGS_OT_show_picture(StartsTask, bpy.types.Operator):
-    """Show the photo, the depth or the masks of the active camera's frame in front of its view"""
+    """Show the photo, the depth or the masks in front of the views of the frames' cameras"""
 
     bl_idname, bl_label, bl_options = "plgs.show_picture", "Show Picture", {"UNDO"}
 
@@ -166,7 +167,7 @@ class PLGS_OT_show_picture(StartsTask, bpy.types.Operator):
         return self.run(context, waits=bpy.app.background)
 
     def begin(self, context: bpy.types.Context) -> Task | None:
-        return show_picture(context.scene, self.what)
+        return choose_picture(context.scene, self.what)
 
     def tell(self, context: bpy.types.Context, task: Task | None) -> set[str]:
         span = range_shown(context.scene.camera)

@@ -15,11 +15,11 @@ def _modules() -> tuple[ModuleType, ...]:
     from . import compositing, corrections, mask_classes, settings, timeline
     from .engine_environment import tasks
     from .inspecting import lists, selection
-    from .running import looking, used_options
+    from .running import chosen_picture, looking, used_options
     from .tasks import timer
 
     first = settings, used_options, mask_classes, lists, selection, timer
-    return *first, tasks, looking, corrections, timeline, compositing
+    return *first, tasks, looking, chosen_picture, corrections, timeline, compositing
 
 
 def register() -> None:

@@ -101,16 +101,16 @@ def seen_by(ob: bpy.types.Object, render: bpy.types.RenderSettings) -> Camera:
 
 
 def place_camera_path(
-    owned: OwnedDataBlocks, parent: bpy.types.Collection, frames: Sequence[PosedFrame], start: int
+    owned: OwnedDataBlocks, parent: bpy.types.Collection, frames: Sequence[PosedFrame], places: Sequence[int]
 ) -> bpy.types.Object:
-    """A camera with one key for each frame, from `start` on the timeline: an animation that other programs can read.
+    """A camera with one key for each frame, at these places on the timeline: an animation that other programs can read.
 
     Between two frames the pose moves linearly, for motion blur. The lens jumps, because it is another picture's. Keys
     that the user set on the camera are removed.
     """
     ob = place_camera(owned, parent, PATH, "Camera path", frames[0].camera)
     ob.rotation_mode, ob.scale = "QUATERNION", (1.0, 1.0, 1.0)
-    times = np.arange(start, start + len(frames), dtype=np.float64)
+    times = np.array(places, np.float64)
     matrices = [Matrix(object_matrix(frame.camera).tolist()) for frame in frames]
     lenses = [lens_of(frame.camera) for frame in frames]
     moving, zooming = (_new_action(owned, part) for part in ("pose", "lens"))

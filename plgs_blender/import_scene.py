@@ -54,8 +54,7 @@ def place_scene(
     owned = OwnedDataBlocks(root[LIFT], scene)
     pictures = photos(made, opened.frames)
     cameras = place_frames(owned, child_collection(root, "Cameras"), opened.frames, pictures)
-    first = mark_timeline(scene, root, overview_of(root), cameras)
-    place_camera_path(owned, root, opened.frames, first)
+    place_camera_path(owned, root, opened.frames, mark_timeline(scene, root, overview_of(root), cameras))
     if scene.camera is None:
         scene.camera = cameras[0]
     missing = [] if all(picture_of(frame, pictures) for frame in opened.frames) else ["colour"]

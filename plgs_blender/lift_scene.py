@@ -44,7 +44,7 @@ from .results import LiftResult, read_result
 from .reuse import leave_holes
 from .splats import GAUSSIANS, has_native_splats, place_gaussians, placing_gaussians
 from .surfaces import SurfaceGrid
-from .timeline import mark_timeline
+from .timeline import mark_timeline, places_of
 from .viewport import all_views, areas_of, colour_views, show_room, start_file
 
 _VIEWPOINTS = 200
@@ -169,8 +169,7 @@ def place_room(read: ReadLift, scene: bpy.types.Scene) -> PlacedRoom:
         owned.keep(splats)  # until they are filled again
     # A new lift moves the overview back, where a user moved it.
     overview = place_camera(owned, root, "overview", "Overview", read.overview, _OVERVIEW_SIZE)
-    first = mark_timeline(scene, root, overview, cameras)
-    place_camera_path(owned, root, frames, first)
+    place_camera_path(owned, root, frames, mark_timeline(scene, root, overview, cameras))
     if scene.camera is None:
         scene.camera = overview
     fill_lists(root, result)
@@ -294,11 +293,12 @@ def open_blend(blend: Path, lift: Path, named_by: str = "--save") -> bpy.types.S
 
 
 def _dress(scene: bpy.types.Scene, root: bpy.types.Collection) -> None:
-    """Show the whole room of a file that we started from the overview camera, at frame 0."""
+    """Show the whole room of a file that we started from the overview camera, behind the last frame."""
     overview = overview_of(root)
     assert overview is not None
-    scene.frame_start, scene.frame_end = 0, max(marker.frame for marker in scene.timeline_markers)
-    scene.frame_set(0)
+    places = places_of(root, scene)
+    scene.frame_start, scene.frame_end = min(places.values()), max(places.values())
+    scene.frame_set(places[overview])
     scene.camera = overview
     scene.view_layers[0].update()
     with registered():

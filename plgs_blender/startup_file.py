@@ -49,7 +49,9 @@ def taking_over(scene: bpy.types.Scene) -> Iterator[bool]:
         _hide_startup_objects(scene)
         _use_size(scene)
     scene.frame_start, scene.frame_end = span
-    scene.frame_set(span[0] if is_untouched else _places(scene).get(camera, span[0]))
+    places = _places(scene)
+    overview = next((place for ob, place in places.items() if "frame" not in ob), span[0])
+    scene.frame_set(overview if is_untouched else places.get(camera, span[0]))
 
 
 def _is_untouched(scene: bpy.types.Scene) -> bool:

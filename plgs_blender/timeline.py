@@ -7,7 +7,9 @@ of these cameras while another is active.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
+from itertools import pairwise
 
 import bpy
 
@@ -15,7 +17,10 @@ from .lift_collection import lifts_in
 from .owned import LIFT, key_of, originals, text_of
 
 _FIRST_FRAME = "plgs_first_frame"
-"""Property of a lift's collection: the place of its first marker on the timeline."""
+"""Property of a lift's collection: the place of its first marker on the timeline; 0: frames have their numbers."""
+_LAST_NUMBER = re.compile(r"\d+(?=\D*$)")
+_LARGEST = 1_000_000
+"""The timeline ends a little behind this frame."""
 _ASIDE = "plgs_markers_aside"
 """Property of a lift's collection that is there while its markers wait."""
 _PLACE = "plgs_place"
@@ -27,9 +32,9 @@ def mark_timeline(
     root: bpy.types.Collection,
     overview: bpy.types.Object | None,
     cameras: Sequence[bpy.types.Object],
-) -> int:
-    """Bind a marker to the overview, where there is one, and to each frame's camera, in place of earlier ones of this
-    lift. Returns the place of the first frame on the timeline.
+) -> list[int]:
+    """Bind a marker to each frame's camera, at the number in the frame's name, and behind them one to the overview,
+    where there is one, in place of earlier ones of this lift. Returns the places of the frames on the timeline.
 
     In a scene that already has a camera of the user's, ours lie behind the end of its own frames.
     """
@@ -40,13 +45,24 @@ def mark_timeline(
         theirs = scene.camera is not None and key_of(scene.camera, root[LIFT]) is None
         is_theirs = theirs or any(marker.camera is not None for marker in markers)
         root[_FIRST_FRAME] = scene.frame_end + 1 if is_theirs else 0
+    numbers = _numbers([text_of(camera, "frame") for camera in cameras])
     first: int = root[_FIRST_FRAME]
-    shown = [*([overview] if overview else []), *cameras]
-    for place, camera in enumerate(shown, start=first):
+    places = [first + number - numbers[0] for number in numbers] if first else numbers
+    for place, camera in zip(places, cameras, strict=True):
         camera[_PLACE] = place
+    if overview is not None:
+        overview[_PLACE] = places[-1] + 1 if places else first
     root[_ASIDE] = True
     follow_camera(scene)
-    return first + len(shown) - len(cameras)
+    return places
+
+
+def _numbers(names: Sequence[str]) -> list[int]:
+    """The last number in each name, where these rise and the timeline is long enough; else 0, 1, 2 and so on."""
+    found = [_LAST_NUMBER.search(name) for name in names]
+    numbers = [int(each[0]) for each in found if each is not None]
+    rises = len(numbers) == len(names) and all(one < other for one, other in pairwise(numbers))
+    return numbers if rises and max(numbers, default=0) < _LARGEST else [*range(len(names))]
 
 
 def places_of(root: bpy.types.Collection, scene: bpy.types.Scene) -> dict[bpy.types.Object, int]:

@@ -145,9 +145,8 @@ def join_lift(scene: bpy.types.Scene, folder: str = "") -> Lift:
     lift = lift_at(scene.plgs, folder)
     followed = lifts.attach(lift.path)
     adopt(scene.plgs, lift.request, lift.path)
-    if not followed.is_running:
-        followed.is_taken = False
-        timer.go_on()
+    followed.is_taken = False  # also while older events are still read, part by part
+    timer.go_on()
     return followed
 
 

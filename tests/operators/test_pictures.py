@@ -17,6 +17,7 @@ from plgs.engine.errors import PlgsError
 from plgs.engine.scene import open_scene
 from plgs.plgs_blender.chosen_scene import ChosenScene
 from plgs.plgs_blender.made_pictures import read_cloud
+from plgs.plgs_blender.running import chosen_picture
 from plgs.plgs_blender.running.importing import FrameMaking, FrameOrder, make_frames
 from plgs.plgs_blender.settings import chosen_scene
 from plgs.plgs_blender.tasks import registry
@@ -178,6 +179,26 @@ def test_depth_and_masks_are_shown_in_front_of_a_camera(room: Path) -> None:
     assert camera.data.background_images[0].image == photo
     others = [ob for name, ob in frames().items() if name != "0003"]
     assert all(ob.data.background_images[0].image.name.startswith(ob["frame"]) for ob in others)
+
+
+def test_one_choice_of_picture_is_for_all_cameras(room: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    bpy.ops.plgs.import_scene(scene_folder=str(room), cloud=False)
+    scene = bpy.context.scene
+    scene.camera = frames()["0003"]
+    assert bpy.ops.plgs.show_picture(what="MASKS") == {"FINISHED"}
+    for name in ("0004", "0005"):
+        scene.camera = frames()[name]
+        assert chosen_picture.wanted(scene) == "MASKS"
+        assert chosen_picture.catch_up() is None
+        (making,) = registry.running(FrameMaking)
+        registry.wait_for(making, scene)
+        assert frames()[name]["plgs_shown"] == "MASKS" and not chosen_picture.wanted(scene)
+    scene.camera = frames()["0006"]
+    monkeypatch.setenv("PLGS_ENGINE_PYTHON", "/nowhere/python")
+    assert chosen_picture.catch_up() is None and not chosen_picture.wanted(scene), "without an engine photos stay"
+    assert bpy.ops.plgs.show_picture(what="PHOTO") == {"FINISHED"}
+    scene.camera = frames()["0004"]
+    assert chosen_picture.catch_up() is None and frames()["0004"]["plgs_shown"] == "PHOTO"
 
 
 def test_lens_distortion_is_removed_from_pictures_and_depth(own: Path) -> None:

@@ -98,11 +98,11 @@ def test_a_refused_import_changes_nothing(tmp_path: Path) -> None:
     assert bpy.context.scene.camera.name == "Camera" and bpy.data.objects["Cube"].visible_get()
 
 
-def test_a_result_has_its_overview_before_the_frames(lift: Path) -> None:
+def test_a_result_has_its_overview_behind_the_frames(lift: Path) -> None:
     assert bpy.ops.plgs.place_lift(lift_folder=str(lift)) == {"FINISHED"}
     scene = bpy.context.scene
     last = max(marker.frame for marker in scene.timeline_markers)
-    assert (scene.frame_start, scene.frame_end, scene.frame_current) == (0, last, 0)
+    assert (scene.frame_start, scene.frame_end, scene.frame_current) == (0, last, last)
     assert "frame" not in scene.camera and scene.camera.name == "Overview"
     first = min(scene.timeline_markers, key=lambda marker: marker.frame if "frame" in marker.camera else last).camera
     assert size_of(scene)[:2] == (first["width"], first["height"])

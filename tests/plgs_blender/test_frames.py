@@ -65,7 +65,7 @@ def test_it_never_turns_the_long_way_round() -> None:
     scene = bpy.context.scene
     owned = OwnedDataBlocks("a lift", scene)
     frames = [frame_turned(angle) for angle in np.radians([150.0, 170.0, 190.0, 210.0])]
-    path = place_camera_path(owned, scene.collection, frames, 1)
+    path = place_camera_path(owned, scene.collection, frames, range(1, 1 + len(frames)))
     found = curves(path)
     turns = np.array([[key.co.y for key in found["rotation_quaternion", i].keyframe_points] for i in range(4)]).T
     assert ((turns[1:] * turns[:-1]).sum(axis=1) > 0.9).all()

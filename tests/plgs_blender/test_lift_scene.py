@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 from pathlib import Path
+from types import SimpleNamespace
 
 import bpy
 import numpy as np
@@ -61,11 +62,11 @@ def test_cameras_stand_where_the_frames_were_taken(lift: Path) -> None:
 def test_scrubbing_goes_through_the_frames(lift: Path) -> None:
     scene = bpy.context.scene
     lift_scene.place_lift(lift, scene)
-    scene.frame_set(0)
+    for number in (0, 3):
+        scene.frame_set(number)
+        assert scene.camera["frame"] == f"{number:04}", "a frame has its number"
+    scene.frame_set(FRAMES)
     assert scene.camera.name == "Overview"
-    scene.frame_set(4)
-    assert scene.camera["frame"] == "0003"
-    assert [marker.name for marker in scene.timeline_markers][:2] == ["Overview", "0000"]
 
 
 def test_points_keep_their_attributes_through_a_file(lift: Path, tmp_path: Path) -> None:
@@ -197,10 +198,15 @@ def test_the_users_camera_keeps_its_frames(lift: Path) -> None:
             scene.frame_set(frame)
             assert scene.camera == mine
         assert not scene.timeline_markers
-    look_from_frame(root, "0000", scene)
+    scene.frame_set(5)
+    view = SimpleNamespace(use_local_camera=False, camera=None, region_3d=SimpleNamespace(view_perspective="PERSP"))
+    look_from_frame(root, "0000", scene, view)
+    assert (scene.camera, scene.frame_current) == (mine, 5), "only the view turns"
+    assert view.use_local_camera and view.camera["frame"] == "0000" and not scene.timeline_markers
+    scene.camera = bpy.data.objects["0003"]
+    look_from_frame(root, "0001", scene, view)
+    assert scene.camera["frame"] == "0001" and not view.use_local_camera
     assert scene.frame_current == scene.frame_end + 2
-    scene.frame_set(scene.frame_end + 3)
-    assert scene.camera["frame"] == "0001"
     assert len(scene.timeline_markers) == FRAMES + 1
 
 

@@ -19,6 +19,32 @@ def following() -> Iterator[None]:
     timeline.unregister()
 
 
+@pytest.mark.parametrize(
+    ("names", "places"),
+    [
+        (("0012", "0013", "0040"), [12, 13, 40]),
+        (("rgb_7.color", "rgb_8.color"), [7, 8]),
+        (("b", "a"), [0, 1]),
+        (("9", "8"), [0, 1]),
+        (("1305031102175304", "1305031102211214"), [0, 1]),
+    ],
+)
+def test_frames_are_at_their_numbers(names: tuple[str, ...], places: list[int]) -> None:
+    scene, root = bpy.context.scene, bpy.data.collections.new("PLGS")
+    root["plgs_lift"], root["plgs_key"] = "a lift", "lift"
+    scene.collection.children.link(root)
+    cameras = []
+    for name in (*names, "Overview"):
+        camera = bpy.data.objects.new(name, bpy.data.cameras.new(name))
+        camera["plgs_lift"], camera["plgs_key"] = "a lift", f"frame:{name}"
+        if name != "Overview":
+            camera["frame"] = name
+        root.objects.link(camera)
+        cameras.append(camera)
+    assert timeline.mark_timeline(scene, root, cameras[-1], cameras[:-1]) == places
+    assert timeline.places_of(root, scene) == dict(zip(cameras, [*places, places[-1] + 1], strict=True))
+
+
 @pytest.mark.usefixtures("following")
 def test_a_camera_that_the_user_adds_later_stays_active(lift: Path) -> None:
     scene = bpy.context.scene
@@ -41,7 +67,7 @@ def test_a_camera_that_the_user_adds_later_stays_active(lift: Path) -> None:
     scene.timeline_markers.remove(cut)
     assert {marker.name: marker.frame for marker in scene.timeline_markers} == before
     scene.frame_set(1)
-    assert scene.camera["frame"] == "0000"
+    assert scene.camera["frame"] == "0001"
 
 
 def test_the_users_marker_at_a_copy_of_our_camera_stays(lift: Path) -> None:
