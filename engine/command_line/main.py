@@ -35,6 +35,11 @@ def main(arguments: Sequence[str], parser: Callable[[], argparse.ArgumentParser]
         what = f"this cannot be used ({error.strerror}): {error.filename or 'the disk'}"
         print(printable(f"error: {what}. Fix this, then try again."), file=sys.stderr)
         return ExitCode.BAD_INPUT
+    except RuntimeError as error:  # so says Python before 3.13, where later ones go on
+        if not str(error).startswith("Symlink loop"):
+            raise
+        print(printable(f"error: a link leads to itself: {error}. Mend or remove it."), file=sys.stderr)
+        return ExitCode.BAD_INPUT
 
 
 def _run(arguments: Sequence[str], parser: argparse.ArgumentParser) -> int:

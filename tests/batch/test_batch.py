@@ -24,6 +24,7 @@ from engine.command_line.main import main
 from engine.errors import ExitCode, PlgsError
 from engine.job import LiftFolder, LiftRequest, verify
 from engine.job.terminal import Interrupted, Interrupts
+from engine.machine.code_digest import code_digest
 from tests.tiny_scene import write_tiny_scene
 
 dask = pytest.importorskip("dask", reason="distributed is not installed: python -m engine add farm")
@@ -401,6 +402,7 @@ def test_from_the_command_line_on_this_machine(tmp_path: Path, root: Path) -> No
     assert (out / "room" / "exports" / "boxes" / "boxes.csv").exists()
     rows = list(csv.DictReader((out / "table.csv").open()))
     assert float(rows[0]["miou"]) > 0.2 and rows[2] | {"seconds": ""} == rows[0] | {
-        "scene": "mean", "state": "", "seconds": "",
+        "scene": "mean", "state": "", "seconds": "", "code": "",
     }  # fmt: skip
+    assert rows[0]["code"] == code_digest("engine")
     assert "no scene of a known format" in rows[1]["reason"]

@@ -288,3 +288,14 @@ def test_an_error_is_an_event_on_standard_output(root: Path, tmp_path: Path) -> 
     told = [json.loads(line) for line in said.stdout.splitlines()]
     assert said.returncode == 2 and told[-1]["event"] == "error" and told[-1]["exit_code"] == 2
     assert said.stderr.startswith("error: ")
+
+
+@pytest.mark.parametrize("command", ["lift", "inspect", "batch"])
+def test_a_link_that_leads_to_itself_is_one_line(
+    command: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "loop").symlink_to(tmp_path / "loop")
+    output = [] if command == "inspect" else ["-o", tmp_path / "out"]
+    assert code_of(command, tmp_path / "loop", *output) == 2
+    said = capsys.readouterr().err
+    assert "loop" in said and "Traceback" not in said and len(said.splitlines()) == 1

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 from engine.errors import Cancelled, PlgsError
-from engine.job import EventReader, EventWriter, LiftFolder, LiftRequest, StopSignal, last_run
+from engine.job import Checkpoint, EventReader, EventWriter, LiftFolder, LiftRequest, StopSignal, last_run
 from engine.lift import run
 from engine.presets.preset import PRESETS
 from engine.scene import PanopticMask, Segment, load_view, open_scene
-from engine.train.progress import StageReporter
+from engine.train.progress import Course, StageReporter
 from engine.train.trainer import StepReport
 from tests.tiny_scene import write_tiny_scene
 
@@ -119,3 +119,27 @@ def test_votes_need_objects_by_agreement_of_one_class(
     events = EventReader(tmp_path / "events.jsonl").poll()
     told = [event.data["message"] for event in events if event.kind == "warning"]
     assert told == ([] if shown else [run.NO_VOTES])
+
+
+def test_a_result_names_the_code_that_made_it(tmp_path: Path) -> None:
+    """Where other code began the lift, both, also after a second resumption; and the user is told."""
+    events = EventWriter(tmp_path / "events.jsonl")
+    assert (
+        run.code_of("new", None, events) == run.code_of("new", Checkpoint(tmp_path, {"code": "new"}), events) == "new"
+    )
+    assert not EventReader(tmp_path / "events.jsonl").poll()
+    assert run.code_of("new", Checkpoint(tmp_path, {"code": "old"}), events) == "old+new"
+    assert run.code_of("new", Checkpoint(tmp_path, {"code": "old+new"}), events) == "old+new"
+    assert run.code_of("new", Checkpoint(tmp_path, {}), events) == "unknown+new"
+    told = [str(event.data["message"]) for event in EventReader(tmp_path / "events.jsonl").poll()]
+    assert len(told) == 2 and "the lift was begun by other code (old, this is new)" in told[0]
+    events.close()
+
+
+@pytest.mark.parametrize(("seconds", "said"), [(3599.0, None), (90000.0, "predicted to take 25.0 h in all here")])
+def test_a_long_lift_says_so_before_it_trains(seconds: float, said: str | None, tmp_path: Path) -> None:
+    events = EventWriter(tmp_path / "events.jsonl")
+    run.tell_long(Course({"train": seconds - 1, "bake": 1.0}), events)
+    told = [str(event.data["message"]) for event in EventReader(tmp_path / "events.jsonl").poll()]
+    assert [each for each in told if said and said in each] == told and bool(told) == bool(said)
+    events.close()
