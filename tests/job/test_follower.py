@@ -131,7 +131,7 @@ def test_a_killed_engine_is_reported_and_can_be_resumed(folder: LiftFolder, star
         ("broken", ErrorCode.INTERNAL, "ZeroDivisionError: no such luck", "Traceback"),
         ("memory", ErrorCode.INTERNAL, "memory ran out", "MemoryError"),
         ("memory of torch", ErrorCode.INTERNAL, "memory ran out", "DefaultCPUAllocator"),
-        ("segfault", ErrorCode.INTERNAL, "signal 11: ", "Segmentation fault"),
+        ("segfault", ErrorCode.KILLED, "signal 11: ", "Segmentation fault"),
         ("exits", ErrorCode.INTERNAL, "{log}", "python talks"),
     ],
 )
