@@ -22,7 +22,7 @@ from ..job.system import usable_cpus
 from ..job.task import TaskPlace
 from ..job.terminal import Interrupted, Interrupts
 from .log_output import output_to
-from .shown_events import ShownEvents
+from .shown_events import ShownEvents, ShownWarnings
 
 Work = Callable[[EventWriter, StopSignal], object]
 
@@ -71,7 +71,7 @@ def run_at(
     for the few lines for the user. The files ``also_stops`` stop it like the place's own cancel file. Events also go to
     the descriptor ``echo``.
     """
-    events = EventWriter(place.events, echo)
+    events = EventWriter(place.events, echo) if parent_pipe is not None else ShownWarnings(place.events, echo, terminal)
     try:
         events.hello(task=command.kind, threads=_threads(), resumed=command.resumed)
         stop = StopSignal(place.cancel, *also_stops)

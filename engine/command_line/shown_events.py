@@ -46,3 +46,15 @@ class ShownEvents(EventWriter):
                 self._line.show(self._progress)
         else:
             self._line.end()
+
+
+class ShownWarnings(EventWriter):
+    """Events in a file, of a command that no other process follows: warnings are shown on ``stream``, too."""
+
+    def __init__(self, path: Path, echo: int | None, stream: TextIO) -> None:
+        super().__init__(path, echo)
+        self._stream = stream
+
+    def warning(self, message: str) -> None:
+        super().warning(message)
+        print(f"warning: {printable(message)}", file=self._stream)

@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from llvmlite import ir
 from numba import types
 
-from .intrinsics import intrinsic
-from .vectors import INTS_IR, LANES_IR, WIDTH, call, constant, lanes
+from .vectors import INTS_IR, LANES_IR, WIDTH, call, constant, lanes, of_values
 
 # 2^f on [-1/2, 1/2], Chebyshev interpolation; relative error 1e-7 in float32
 _COEFFICIENTS = (
@@ -44,21 +41,10 @@ def _powers(builder: ir.IRBuilder, exponents: Values) -> Values:
     return [builder.bitcast(own, LANES_IR) for own in sums]
 
 
-@intrinsic
-def exp2(typing_context: Any, a: Any) -> Any:
-    """2^a for a <= 127; values below -64 are treated as -64, so that no product with it is a (slow) subnormal."""
-
-    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        return _powers(builder, list(arguments))[0]
-
-    return lanes(lanes), emit
-
-
-@intrinsic
-def exp2_x4(typing_context: Any, a: Any, b: Any, c: Any, d: Any) -> Any:
-    """``exp2`` of each, side by side: a single one is a chain of ten operations that wait for one another."""
-
-    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        return context.make_tuple(builder, signature.return_type, _powers(builder, list(arguments)))
-
-    return types.UniTuple(lanes, 4)(lanes, lanes, lanes, lanes), emit
+exp2 = of_values("exp2", lanes, (lanes,), lambda builder, a: _powers(builder, [a])[0])
+"""exp2(a): 2^a for a <= 127; values below -64 are treated as -64, so that no product with it is a (slow) subnormal."""
+exp2_x4 = of_values(
+    "exp2_x4", types.UniTuple(lanes, 4), (lanes,) * 4, lambda builder, *four: _powers(builder, list(four))
+)
+"""exp2_x4(a, b, c, d): ``exp2`` of each, side by side: a single one is a chain of ten operations that wait for one
+another."""

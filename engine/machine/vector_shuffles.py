@@ -9,7 +9,7 @@ from numba import types
 from numba.core import cgutils
 
 from .intrinsics import intrinsic
-from .vectors import FLOAT, INTS_IR, WIDTH, call, constant, lanes
+from .vectors import FLOAT, INTS_IR, WIDTH, call, constant, lanes, of_values
 
 
 @intrinsic
@@ -52,70 +52,47 @@ def _shuffled(builder: ir.IRBuilder, a: ir.Value, b: ir.Value, places: list[int]
     return builder.shuffle_vector(a, b, ir.Constant(INTS_IR, places))
 
 
-@intrinsic
-def interleave3(typing_context: Any, a: Any, b: Any, c: Any) -> Any:
-    """a0 b0 c0 a1 b1 c1 ... c15 as three vectors: planes to pixels."""
-
-    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        a, b, c = arguments
-        vectors = []
-        for start in range(0, 3 * WIDTH, WIDTH):
-            places = [divmod(start + lane, 3) for lane in range(WIDTH)]
-            pairs = _shuffled(builder, a, b, [pixel + WIDTH * (plane == 1) for pixel, plane in places])
-            mixed = [WIDTH + pixel if plane == 2 else lane for lane, (pixel, plane) in enumerate(places)]
-            vectors.append(_shuffled(builder, pairs, c, mixed))
-        return context.make_tuple(builder, signature.return_type, vectors)
-
-    return types.UniTuple(lanes, 3)(lanes, lanes, lanes), emit
+def _to_pixels(builder: ir.IRBuilder, a: ir.Value, b: ir.Value, c: ir.Value) -> list[ir.Value]:
+    vectors = []
+    for start in range(0, 3 * WIDTH, WIDTH):
+        places = [divmod(start + lane, 3) for lane in range(WIDTH)]
+        pairs = _shuffled(builder, a, b, [pixel + WIDTH * (plane == 1) for pixel, plane in places])
+        mixed = [WIDTH + pixel if plane == 2 else lane for lane, (pixel, plane) in enumerate(places)]
+        vectors.append(_shuffled(builder, pairs, c, mixed))
+    return vectors
 
 
-@intrinsic
-def deinterleave3(typing_context: Any, a: Any, b: Any, c: Any) -> Any:
-    """The inverse of ``interleave3``: pixels to planes."""
-
-    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        a, b, c = arguments
-        planes = []
-        for plane in range(3):
-            places = [3 * lane + plane for lane in range(WIDTH)]
-            front = [place if place < 2 * WIDTH else 0 for place in places]
-            both = _shuffled(builder, a, b, front)
-            mixed = [WIDTH + place - 2 * WIDTH if place >= 2 * WIDTH else lane for lane, place in enumerate(places)]
-            planes.append(_shuffled(builder, both, c, mixed))
-        return context.make_tuple(builder, signature.return_type, planes)
-
-    return types.UniTuple(lanes, 3)(lanes, lanes, lanes), emit
+def _to_planes(builder: ir.IRBuilder, a: ir.Value, b: ir.Value, c: ir.Value) -> list[ir.Value]:
+    planes = []
+    for plane in range(3):
+        places = [3 * lane + plane for lane in range(WIDTH)]
+        both = _shuffled(builder, a, b, [place if place < 2 * WIDTH else 0 for place in places])
+        mixed = [WIDTH + place - 2 * WIDTH if place >= 2 * WIDTH else lane for lane, place in enumerate(places)]
+        planes.append(_shuffled(builder, both, c, mixed))
+    return planes
 
 
-@intrinsic
-def horizontal_max(typing_context: Any, a: Any) -> Any:
-    """The largest lane. No lane may be NaN."""
-
-    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        return call(builder, "llvm.vector.reduce.fmax.v16f32", FLOAT, list(arguments))
-
-    return types.float32(lanes), emit
+def _zipped(builder: ir.IRBuilder, a: ir.Value, b: ir.Value) -> list[ir.Value]:
+    halves = (range(WIDTH // 2), range(WIDTH // 2, WIDTH))
+    return [_shuffled(builder, a, b, [lane + WIDTH * other for lane in half for other in (0, 1)]) for half in halves]
 
 
-@intrinsic
-def interleave2(typing_context: Any, a: Any, b: Any) -> Any:
-    """a0 b0 a1 b1 ... a15 b15 as two vectors."""
-
-    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        halves = (range(WIDTH // 2), range(WIDTH // 2, WIDTH))
-        places = [[lane + WIDTH * other for lane in half for other in (0, 1)] for half in halves]
-        vectors = [_shuffled(builder, *arguments, own) for own in places]
-        return context.make_tuple(builder, signature.return_type, vectors)
-
-    return types.UniTuple(lanes, 2)(lanes, lanes), emit
+def _unzipped(builder: ir.IRBuilder, a: ir.Value, b: ir.Value) -> list[ir.Value]:
+    return [_shuffled(builder, a, b, list(range(first, 2 * WIDTH, 2))) for first in (0, 1)]
 
 
-@intrinsic
-def deinterleave2(typing_context: Any, a: Any, b: Any) -> Any:
-    """The inverse of ``interleave2``."""
+def _largest(builder: ir.IRBuilder, a: ir.Value) -> ir.Value:
+    return call(builder, "llvm.vector.reduce.fmax.v16f32", FLOAT, [a])
 
-    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        vectors = [_shuffled(builder, *arguments, list(range(first, 2 * WIDTH, 2))) for first in (0, 1)]
-        return context.make_tuple(builder, signature.return_type, vectors)
 
-    return types.UniTuple(lanes, 2)(lanes, lanes), emit
+_two, _three = types.UniTuple(lanes, 2), types.UniTuple(lanes, 3)
+interleave3 = of_values("interleave3", _three, (lanes, lanes, lanes), _to_pixels)
+"""interleave3(a, b, c): a0 b0 c0 a1 b1 c1 ... c15 as three vectors: planes to pixels."""
+deinterleave3 = of_values("deinterleave3", _three, (lanes, lanes, lanes), _to_planes)
+"""The inverse of ``interleave3``: pixels to planes."""
+interleave2 = of_values("interleave2", _two, (lanes, lanes), _zipped)
+"""interleave2(a, b): a0 b0 a1 b1 ... a15 b15 as two vectors."""
+deinterleave2 = of_values("deinterleave2", _two, (lanes, lanes), _unzipped)
+"""The inverse of ``interleave2``."""
+horizontal_max = of_values("horizontal_max", types.float32, (lanes,), _largest)
+"""horizontal_max(a): the largest lane. No lane may be NaN."""

@@ -8,6 +8,8 @@ NEON. ``+ - * /`` work on ``lanes``. ``fma`` is fused where the processor can, i
 from __future__ import annotations
 
 import operator
+from collections.abc import Callable
+from inspect import Parameter, Signature
 from typing import Any
 
 from llvmlite import ir
@@ -63,78 +65,75 @@ def call(builder: ir.IRBuilder, name: str, result: ir.Type, arguments: list[ir.V
     return builder.call(cgutils.get_or_insert_function(builder.module, signature, name), arguments)
 
 
-@intrinsic
-def load(typing_context: Any, array: Any, index: Any) -> Any:
-    """array[index : index + 16] of a flat contiguous float32 array; unchecked, any alignment."""
-    if not is_flat(array, types.float32):
-        return None
-
-    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        pointer = element_pointer(context, builder, signature.args[0], *arguments)
-        return builder.load(builder.bitcast(pointer, LANES_IR.as_pointer()), align=4)
-
-    return lanes(array, types.int64), emit
+def _intrinsic(define: Any, name: str, count: int) -> Any:
+    """An intrinsic with ``count`` arguments. Numba takes their number from the signature."""
+    parameters = [Parameter(f"argument{number}", Parameter.POSITIONAL_OR_KEYWORD) for number in range(1 + count)]
+    define.__name__, define.__signature__ = name, Signature(parameters)
+    return intrinsic(define)
 
 
-@intrinsic
-def store(typing_context: Any, array: Any, index: Any, values: Any) -> Any:
-    """array[index : index + 16] = values; unchecked, any alignment."""
-    if not is_flat(array, types.float32) or values is not lanes:
-        return None
+def _on_floats(
+    name: str, result: types.Type, given: tuple[types.Type, ...], emit: Callable[..., ir.Value | None]
+) -> Any:
+    """An operation on array[index] of a flat contiguous float32 array, which is unchecked. ``emit`` takes the builder,
+    a pointer to that element, and what else is ``given``."""
 
-    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        pointer = element_pointer(context, builder, signature.args[0], *arguments[:2])
-        builder.store(arguments[2], builder.bitcast(pointer, LANES_IR.as_pointer()), align=4)
-        return context.get_dummy_value()
+    def define(typing_context: Any, array: Any, index: Any, *more: Any) -> Any:
+        if not is_flat(array, types.float32) or more != given:
+            return None
 
-    return types.void(array, types.int64, lanes), emit
+        def emit_at(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+            pointer = element_pointer(context, builder, signature.args[0], *arguments[:2])
+            emitted = emit(builder, pointer, *arguments[2:])
+            return context.get_dummy_value() if result is types.void else emitted
 
+        return result(array, types.int64, *given), emit_at
 
-@intrinsic
-def masked_load(typing_context: Any, array: Any, index: Any, wanted: Any) -> Any:
-    """Like ``load`` where wanted, 0 elsewhere; memory outside is not touched."""
-    if not is_flat(array, types.float32) or wanted is not flags:
-        return None
-
-    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        pointer = element_pointer(context, builder, signature.args[0], *arguments[:2])
-        pointer = builder.bitcast(pointer, LANES_IR.as_pointer())
-        values = [pointer, INT(4), arguments[2], constant(0.0)]
-        return call(builder, "llvm.masked.load.v16f32.p0", LANES_IR, values)
-
-    return lanes(array, types.int64, flags), emit
+    return _intrinsic(define, name, 2 + len(given))
 
 
-@intrinsic
-def masked_store(typing_context: Any, array: Any, index: Any, values: Any, wanted: Any) -> Any:
-    """Like ``store`` where wanted; memory outside is not touched."""
-    if not is_flat(array, types.float32) or values is not lanes or wanted is not flags:
-        return None
-
-    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        pointer = element_pointer(context, builder, signature.args[0], *arguments[:2])
-        pointer = builder.bitcast(pointer, LANES_IR.as_pointer())
-        values = [arguments[2], pointer, INT(4), arguments[3]]
-        call(builder, "llvm.masked.store.v16f32.p0", ir.VoidType(), values)
-        return context.get_dummy_value()
-
-    return types.void(array, types.int64, lanes, flags), emit
+def _sixteen(builder: ir.IRBuilder, pointer: ir.Value) -> ir.Value:
+    return builder.bitcast(pointer, LANES_IR.as_pointer())
 
 
-@intrinsic
-def load_pairs(typing_context: Any, array: Any, index: Any) -> Any:
-    """array[index] of a flat contiguous float32 array in even lanes, array[index + 1] in odd ones; unchecked."""
-    if not is_flat(array, types.float32):
-        return None
+def _pairs(builder: ir.IRBuilder, pointer: ir.Value) -> ir.Value:
+    two = ir.VectorType(FLOAT, 2)
+    pair = builder.load(builder.bitcast(pointer, two.as_pointer()), align=4)
+    places = ir.Constant(INTS_IR, [lane % 2 for lane in range(WIDTH)])
+    return builder.shuffle_vector(pair, ir.Constant(two, ir.Undefined), places)
 
-    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        two = ir.VectorType(FLOAT, 2)
-        pointer = element_pointer(context, builder, signature.args[0], *arguments)
-        pair = builder.load(builder.bitcast(pointer, two.as_pointer()), align=4)
-        places = ir.Constant(INTS_IR, [lane % 2 for lane in range(WIDTH)])
-        return builder.shuffle_vector(pair, ir.Constant(two, ir.Undefined), places)
 
-    return lanes(array, types.int64), emit
+def _past_the_cache(builder: ir.IRBuilder, pointer: ir.Value, values: ir.Value) -> None:
+    written = builder.store(values, _sixteen(builder, pointer), align=4 * WIDTH)
+    written.set_metadata("nontemporal", builder.module.add_metadata([INT(1)]))
+
+
+load = _on_floats("load", lanes, (), lambda builder, at: builder.load(_sixteen(builder, at), align=4))
+"""load(array, index): array[index : index + 16], any alignment."""
+store = _on_floats(
+    "store", types.void, (lanes,), lambda builder, at, values: builder.store(values, _sixteen(builder, at), align=4)
+)
+"""store(array, index, values): array[index : index + 16] = values, any alignment."""
+masked_load = _on_floats(
+    "masked_load", lanes, (flags,),
+    lambda builder, at, wanted: call(
+        builder, "llvm.masked.load.v16f32.p0", LANES_IR, [_sixteen(builder, at), INT(4), wanted, constant(0.0)]
+    ),
+)  # fmt: skip
+"""masked_load(array, index, wanted): like ``load`` where wanted, 0 elsewhere; memory outside is not touched."""
+masked_store = _on_floats(
+    "masked_store", types.void, (lanes, flags),
+    lambda builder, at, values, wanted: call(
+        builder, "llvm.masked.store.v16f32.p0", ir.VoidType(), [values, _sixteen(builder, at), INT(4), wanted]
+    ),
+)  # fmt: skip
+"""masked_store(array, index, values, wanted): like ``store`` where wanted; memory outside is not touched."""
+load_pairs = _on_floats("load_pairs", lanes, (), _pairs)
+"""load_pairs(array, index): array[index] in even lanes, array[index + 1] in odd ones."""
+broadcast_load = _on_floats("broadcast_load", lanes, (), lambda builder, at: broadcast_ir(builder, builder.load(at)))
+"""broadcast_load(array, index): array[index] in all lanes."""
+store_nontemporal = _on_floats("store_nontemporal", types.void, (lanes,), _past_the_cache)
+"""Like ``store`` at the beginning of a cache line, but without reading the old values or caching the new ones."""
 
 
 @intrinsic
@@ -163,18 +162,6 @@ def put(typing_context: Any, array: Any, index: Any, value: Any) -> Any:
 
 
 @intrinsic
-def broadcast_load(typing_context: Any, array: Any, index: Any) -> Any:
-    """array[index] of a flat contiguous float32 array in all lanes; unchecked."""
-    if not is_flat(array, types.float32):
-        return None
-
-    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        return broadcast_ir(builder, builder.load(element_pointer(context, builder, signature.args[0], *arguments)))
-
-    return lanes(array, types.int64), emit
-
-
-@intrinsic
 def prefetch(typing_context: Any, array: Any, index: Any) -> Any:
     """Fetch the cache line of array[index] into the cache, to be read a little later; any index is harmless."""
 
@@ -186,112 +173,52 @@ def prefetch(typing_context: Any, array: Any, index: Any) -> Any:
     return types.void(array, types.int64), emit
 
 
-@intrinsic
-def store_nontemporal(typing_context: Any, array: Any, index: Any, values: Any) -> Any:
-    """Like ``store`` at the beginning of a cache line, but without reading the old values or caching the new ones."""
-    if not is_flat(array, types.float32) or values is not lanes:
-        return None
+def of_values(name: str, result: types.Type, given: tuple[types.Type, ...], emit: Callable[..., Any]) -> Any:
+    """An operation on values alone. ``emit`` takes the builder and the values; it returns a list for a tuple."""
 
-    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        pointer = element_pointer(context, builder, signature.args[0], *arguments[:2])
-        written = builder.store(arguments[2], builder.bitcast(pointer, LANES_IR.as_pointer()), align=4 * WIDTH)
-        written.set_metadata("nontemporal", builder.module.add_metadata([INT(1)]))
-        return context.get_dummy_value()
+    def define(typing_context: Any, *values: Any) -> Any:
+        def emit_them(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+            emitted = emit(builder, *arguments)
+            return context.make_tuple(builder, result, emitted) if isinstance(result, types.UniTuple) else emitted
 
-    return types.void(array, types.int64, lanes), emit
+        return result(*given), emit_them
+
+    return _intrinsic(define, name, len(given))
 
 
-@intrinsic
-def broadcast(typing_context: Any, scalar: Any) -> Any:
-    """A scalar in all lanes."""
-
-    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        return broadcast_ir(builder, arguments[0])
-
-    return lanes(types.float32), emit
+def _fused(builder: ir.IRBuilder, a: ir.Value, b: ir.Value, c: ir.Value) -> ir.Value:
+    return call(builder, "llvm.fmuladd.v16f32", LANES_IR, [a, b, c])
 
 
-@intrinsic
-def lane_numbers(typing_context: Any) -> Any:
-    """0, 1, ... 15."""
-
-    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        return ir.Constant(LANES_IR, [float(lane) for lane in range(WIDTH)])
-
-    return lanes(), emit
+def _bits(builder: ir.IRBuilder, condition: ir.Value) -> ir.Value:
+    return builder.zext(builder.bitcast(condition, MASK_IR), ir.IntType(64))
 
 
-@intrinsic
-def fma(typing_context: Any, a: Any, b: Any, c: Any) -> Any:
-    """a * b + c."""
-
-    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        return call(builder, "llvm.fmuladd.v16f32", LANES_IR, list(arguments))
-
-    return lanes(lanes, lanes, lanes), emit
+def _lowest_bit(builder: ir.IRBuilder, bits: ir.Value) -> ir.Value:
+    return call(builder, "llvm.cttz.i64", ir.IntType(64), [bits, ir.Constant(ir.IntType(1), 0)])
 
 
-@intrinsic
-def fnmadd(typing_context: Any, a: Any, b: Any, c: Any) -> Any:
-    """c - a * b, fused if the processor supports it."""
-
-    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        a, b, c = arguments
-        return call(builder, "llvm.fmuladd.v16f32", LANES_IR, [builder.fneg(a), b, c])
-
-    return lanes(lanes, lanes, lanes), emit
-
-
-@intrinsic
-def minimum(typing_context: Any, a: Any, b: Any) -> Any:
-    """b where it is less than a, else a."""
-
-    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        a, b = arguments
-        return builder.select(builder.fcmp_ordered("<", b, a), b, a)
-
-    return lanes(lanes, lanes), emit
-
-
-@intrinsic
-def maximum(typing_context: Any, a: Any, b: Any) -> Any:
-    """b where it is greater than a, else a."""
-
-    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        a, b = arguments
-        return builder.select(builder.fcmp_ordered(">", b, a), b, a)
-
-    return lanes(lanes, lanes), emit
-
-
-@intrinsic
-def select(typing_context: Any, condition: Any, a: Any, b: Any) -> Any:
-    """a where the flag is set, else b."""
-
-    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        return builder.select(*arguments)
-
-    return lanes(flags, lanes, lanes), emit
-
-
-@intrinsic
-def movemask(typing_context: Any, condition: Any) -> Any:
-    """The flags as an integer, lane 0 lowest."""
-
-    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        return builder.zext(builder.bitcast(arguments[0], MASK_IR), ir.IntType(64))
-
-    return types.int64(flags), emit
-
-
-@intrinsic
-def trailing_zeros(typing_context: Any, bits: Any) -> Any:
-    """The place of the lowest set bit, 64 if there is none."""
-
-    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        return call(builder, "llvm.cttz.i64", ir.IntType(64), [arguments[0], ir.Constant(ir.IntType(1), 0)])
-
-    return types.int64(types.int64), emit
+_two, _three = (lanes, lanes), (lanes, lanes, lanes)
+broadcast = of_values("broadcast", lanes, (types.float32,), broadcast_ir)
+"""broadcast(scalar): a scalar in all lanes."""
+lane_numbers = of_values(
+    "lane_numbers", lanes, (), lambda builder: ir.Constant(LANES_IR, [float(lane) for lane in range(WIDTH)])
+)
+"""lane_numbers(): 0, 1, ... 15."""
+fma = of_values("fma", lanes, _three, _fused)
+"""fma(a, b, c): a * b + c."""
+fnmadd = of_values("fnmadd", lanes, _three, lambda builder, a, b, c: _fused(builder, builder.fneg(a), b, c))
+"""fnmadd(a, b, c): c - a * b, fused if the processor supports it."""
+minimum = of_values("minimum", lanes, _two, lambda builder, a, b: builder.select(builder.fcmp_ordered("<", b, a), b, a))
+"""minimum(a, b): b where it is less than a, else a."""
+maximum = of_values("maximum", lanes, _two, lambda builder, a, b: builder.select(builder.fcmp_ordered(">", b, a), b, a))
+"""maximum(a, b): b where it is greater than a, else a."""
+select = of_values("select", lanes, (flags, lanes, lanes), ir.IRBuilder.select)
+"""select(condition, a, b): a where the flag is set, else b."""
+movemask = of_values("movemask", types.int64, (flags,), _bits)
+"""movemask(condition): the flags as an integer, lane 0 lowest."""
+trailing_zeros = of_values("trailing_zeros", types.int64, (types.int64,), _lowest_bit)
+"""trailing_zeros(bits): the place of the lowest set bit, 64 if there is none."""
 
 
 def _register_arithmetic() -> None:
