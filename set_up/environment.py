@@ -14,6 +14,7 @@ import fcntl
 import hashlib
 import importlib.util
 import os
+import platform
 import re
 import shutil
 import subprocess
@@ -27,7 +28,8 @@ from typing import NamedTuple, NoReturn
 ROOT = Path(__file__).resolve().parent.parent
 STAMP = "complete"
 
-# What bpy, open3d and opencv load from the system: the library's file name and the Debian package that has it.
+# What bpy, open3d and opencv load from the system: the library's file name and the Debian package that has it. RPM's
+# programs install a library by its file name.
 LIBRARIES = {
     "libX11.so.6": "libx11-6",
     "libXext.so.6": "libxext6",
@@ -105,12 +107,24 @@ def missing_packages() -> list[str]:
     return missing
 
 
+def refuse_old_system() -> None:
+    """Stop where there are no wheels of Open3D for the system's C library."""
+    name, release = platform.libc_ver()
+    if name == "glibc" and tuple(int(part) for part in release.split(".")) < (2, 35):
+        stop(f"Open3D needs glibc 2.35 (Ubuntu 22.04, Debian 12, Fedora 36, RHEL 10), and this system has {release}")
+
+
 def install_packages(packages: list[str]) -> None:
     """Install Debian packages if we are root; else say in one line how to, and stop."""
     apt = shutil.which("apt-get")
     line = f"apt-get install --no-install-recommends {' '.join(packages)}"
     if apt is None:
-        stop(f"this machine lacks system libraries. With Debian's names: {' '.join(packages)}")
+        rpm = next((name for name in ("dnf", "zypper", "yum") if shutil.which(name)), None)
+        if rpm is None:
+            stop(f"this machine lacks system libraries. With Debian's names: {' '.join(packages)}")
+        files = [f"'{library}()(64bit)'" for library, package in LIBRARIES.items() if package in packages]
+        line = f"{rpm} install {' '.join(files)}"
+        stop(f"this machine lacks system libraries. Install them, then run make again:\n\n    sudo {line}\n")
     if os.geteuid() != 0:
         stop(f"this machine lacks system packages. Install them, then run make again:\n\n    sudo {line}\n")
     say(f"installing system packages: {' '.join(packages)}")
@@ -145,6 +159,7 @@ def make(folder: Path) -> None:
     """Make the environment in `folder` from nothing, with the Python that runs this."""
     started = time.monotonic()
     wanted = recipe(folder.name, sys.version_info[:2])
+    refuse_old_system()
     packages = missing_packages()
     if packages:
         install_packages(packages)

@@ -24,7 +24,20 @@ for version in $versions; do
 done
 
 [ "$environment" = .venv ] || exit 0
-echo "set-up: no Python 3.11 or 3.13 was found, on PATH or from pyenv or uv. On Debian:" >&2
+# What has one of them here: the system's packages, where they do, or uv, which needs no root.
+id='' release=''
+if [ -r "${OS_RELEASE:=/etc/os-release}" ]; then
+    # In a shell of its own, as the file sets many names.
+    id=$(. "$OS_RELEASE" && echo "${ID-}")
+    release=$(. "$OS_RELEASE" && echo "${VERSION_ID-}")
+fi
+case "$id $release" in
+    "ubuntu 22.04") line="sudo apt-get install python3.11 python3.11-venv" ;;
+    "ubuntu 25."* | "debian 12" | "debian 13") line="sudo apt-get install python3 python3-venv" ;;
+    fedora*) line="sudo dnf install python3.13" ;;
+esac
+uv="curl -LsSf https://astral.sh/uv/install.sh | sh && ~/.local/bin/uv python install 3.11"
+echo "set-up: no Python 3.11 or 3.13 was found, on PATH or from pyenv or uv. Install one, then run make again:" >&2
 echo >&2
-echo "    sudo apt-get install python3 python3-venv" >&2
+echo "    ${line:-$uv}" >&2
 exit 1

@@ -198,5 +198,57 @@ def test_a_python_that_pyenv_has_but_does_not_show_is_found(tmp_path: Path) -> N
     assert found.stdout.strip() == sys.executable
 
 
+@pytest.mark.parametrize(
+    ("release", "told"),
+    [
+        ('ID=ubuntu\nVERSION_ID="22.04"\nID_LIKE=debian', "sudo apt-get install python3.11 python3.11-venv"),
+        ('ID=ubuntu\nVERSION_ID="24.04"\nID_LIKE=debian', "uv python install 3.11"),
+        ('ID=ubuntu\nVERSION_ID="25.10"\nID_LIKE=debian', "sudo apt-get install python3 python3-venv"),
+        ('ID=debian\nVERSION_ID="12"', "sudo apt-get install python3 python3-venv"),
+        ("ID=fedora\nVERSION_ID=43", "sudo dnf install python3.13"),
+        ('ID="rocky"\nVERSION_ID="10.0"\nID_LIKE="rhel centos fedora"', "uv python install 3.11"),
+        ('ID=arch\nNAME="Arch Linux"', "uv python install 3.11"),
+        (None, "uv python install 3.11"),
+    ],
+)
+def test_where_no_python_fits_the_system_is_told_what_helps(tmp_path: Path, release: str | None, told: str) -> None:
+    for name in ("set_up", "bin"):
+        (tmp_path / name).mkdir()
+    for name in ("set_up.sh", "find_python.sh"):
+        shutil.copy(ROOT / "set_up" / name, tmp_path / "set_up")
+    for tool in ("sh", "dirname", "cat"):
+        (tmp_path / "bin" / tool).symlink_to(shutil.which(tool) or "")
+    if release is not None:
+        (tmp_path / "os-release").write_text(release + "\n")
+    said = subprocess.run(
+        [tmp_path / "bin/sh", tmp_path / "set_up/set_up.sh", ".venv"], capture_output=True, text=True, timeout=60,
+        env={"PATH": str(tmp_path / "bin"), "OS_RELEASE": str(tmp_path / "os-release")}, check=False,
+    )  # fmt: skip
+    assert said.returncode == 1 and said.stdout == "" and told in said.stderr.splitlines()[-1]
+    assert said.stderr.splitlines()[0].endswith("Install one, then run make again:")
+
+
+@pytest.mark.parametrize("program", ["dnf", "zypper"])
+def test_on_rpm_systems_libraries_are_named_by_their_files(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], program: str
+) -> None:
+    monkeypatch.setattr(shutil, "which", lambda name: f"/usr/bin/{name}" if name == program else None)
+    with pytest.raises(SystemExit):
+        environment.install_packages(["libgl1", "libegl1"])
+    assert f"\n    sudo {program} install 'libGL.so.1()(64bit)' 'libEGL.so.1()(64bit)'\n" in capsys.readouterr().err
+
+
+def test_a_system_that_is_too_old_for_open3d_is_told_so(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(environment.platform, "libc_ver", lambda: ("glibc", "2.34"))
+    with pytest.raises(SystemExit):
+        environment.refuse_old_system()
+    assert "needs glibc 2.35" in capsys.readouterr().err
+    for name, release in (("glibc", "2.35"), ("", "")):
+        monkeypatch.setattr(environment.platform, "libc_ver", lambda told=(name, release): told)
+        environment.refuse_old_system()
+
+
 def test_where_no_python_fits_nothing_is_printed(tmp_path: Path) -> None:
     assert find_python("3.99", tmp_path) == ""

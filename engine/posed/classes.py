@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-import colorsys
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
 
 from ..gates import one_line
 
@@ -78,12 +79,16 @@ class ClassTable:
         return len(self.categories)
 
 
-def distinct_colour(index: int) -> tuple[int, int, int]:
-    """A repeatable sRGB colour for a class or an instance: hues by the golden ratio, in three lightness steps."""
-    hue = (0.11 + index * 0.618033988749895) % 1.0
-    lightness = (0.55, 0.42, 0.68)[index % 3]
-    red, green, blue = colorsys.hls_to_rgb(hue, lightness, 0.62)
-    return round(red * 255), round(green * 255), round(blue * 255)
+@cache
+def palette() -> tuple[tuple[int, int, int], ...]:
+    """Colours, sRGB bytes: each is as far from all before it as can be (CIEDE2000; tests/posed/test_classes.py)."""
+    words = (Path(__file__).parent / "palette.txt").read_text("ascii").split()
+    return tuple((red, green, blue) for red, green, blue in map(bytes.fromhex, words))
+
+
+def distinct_colour(instance: int) -> tuple[int, int, int]:
+    """The colour of an instance. It is none of the first 40, which the commonest classes beside it have."""
+    return palette()[(39 + instance) % len(palette())]
 
 
 def matte_names(names: Mapping[int, str]) -> dict[int, str]:

@@ -9,11 +9,13 @@ id = 56               # the number in the masks, or a name that they have
 name = "chair"
 thing = true
 into = "seat"         # counts as that class; "void": counts as nothing
+colour = "#c8a064"    # of the class that it is or counts as
 """
 
 from __future__ import annotations
 
 import json
+import re
 import tomllib
 from collections.abc import Iterable
 from dataclasses import dataclass, field
@@ -39,12 +41,20 @@ class ClassRow:
     name: str | None = None
     thing: bool | None = None
     into: str | None = None
+    colour: str | None = None
 
     def __post_init__(self) -> None:
         if self.id is None and self.name is None:
             raise ValueError("it has neither id nor name")
         if not all(text is None or (text and text.isprintable()) for text in (self.name, self.into)):
             raise ValueError("a name is not a text of one line")
+        if self.colour is not None and not re.fullmatch("#[0-9a-fA-F]{6}", self.colour):
+            raise ValueError('the text is not a colour such as "#c8a064"')
+
+    @property
+    def rgb(self) -> tuple[int, int, int] | None:
+        """The colour as sRGB bytes."""
+        return None if self.colour is None else (*bytes.fromhex(self.colour[1:]),)  # type: ignore[return-value]
 
 
 @dataclass(frozen=True)
@@ -128,6 +138,8 @@ def _row_lines(row: ClassRow) -> Iterable[str]:
         yield f"thing = {str(row.thing).lower()}"
     if row.into is not None:
         yield f"into = {_quoted(row.into)}"
+    if row.colour is not None:
+        yield f"colour = {_quoted(row.colour)}"
 
 
 def _quoted(text: str) -> str:

@@ -56,7 +56,7 @@ def list_classes(source: SceneSource, table: str | None = None) -> ClassList:
 def write_class_list(source: SceneSource, edited: Path) -> Path:
     """Write the classes.toml beside a scene's masks from a ClassList that was edited, in a JSON file. Returns its path.
 
-    Raises PlgsError for a list of another scene, and for a class without a name.
+    The colours in it stay. Raises PlgsError for a list of another scene, and for a class without a name.
     """
     content: dict[str, Any] = read_object(edited, _AGAIN)
     listed, path = record_of(ClassList, content, edited, _AGAIN), class_list_path(source.scene, source.masks)
@@ -67,7 +67,10 @@ def write_class_list(source: SceneSource, edited: Path) -> Path:
     if listed.path.absolute() != path.absolute():
         raise PlgsError("the list is of another scene", path, _AGAIN)
     rows = [replace(row, into=row.into or row.name) for row in listed.rows]
-    write_atomically(path, class_choice_text(choice_of(rows, frozenset(listed.void))))
+    choice, before = choice_of(rows, frozenset(listed.void)), find_class_choice(None, path.parent)
+    colours = {each: row.colour for row in (before.rows if before else ()) for each in (row.id, row.name)}
+    kept = tuple(replace(row, colour=colours.get(row.id) or colours.get(row.name)) for row in choice.rows)
+    write_atomically(path, class_choice_text(replace(choice, rows=kept)))
     return path
 
 

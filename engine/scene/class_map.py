@@ -7,9 +7,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from ..errors import PlgsError
-from ..posed.classes import VOID, Category, ClassLabel, ClassTable, distinct_colour
+from ..posed.classes import VOID, ClassLabel, ClassTable
 from ..posed.layout import listed
 from .class_choice import FILE_NAME, ClassChoice, ClassRow
+from .class_colours import coloured
 from .class_tables import REDUCED, known_table, reduced_by_name
 
 OBJECT = ClassLabel(0, "object", is_thing=True)
@@ -65,7 +66,9 @@ def class_map(labels: Sequence[ClassLabel] | None, choice: ClassChoice | None, w
         final = [*final, replace(OBJECT, id=others)]
     used = [number for number in class_of.values() if number != VOID]
     merges = len(set(used)) < len(used)
-    return ClassMap(ClassTable(tuple(_category(each) for each in final)), class_of, others, merges)
+    colours = {class_of[number]: row.rgb for number, row in _numbered_rows(own, choice) if row.rgb}
+    classes = coloured(replace(each, colour=colours.get(each.id, each.colour)) for each in final)
+    return ClassMap(classes, class_of, others, merges)
 
 
 def named_classes(labels: Sequence[ClassLabel], choice: ClassChoice | None) -> list[NamedClass]:
@@ -118,13 +121,17 @@ def _labels(labels: Sequence[ClassLabel] | None, choice: ClassChoice) -> dict[in
 
 def _targets(labels: Mapping[int, ClassLabel], choice: ClassChoice) -> dict[int, str]:
     """The names that merged labels count into, by number."""
+    return {
+        number: row.into
+        for number, row in _numbered_rows(labels, choice)
+        if row.into is not None and row.into.casefold() != labels[number].name.casefold()
+    }
+
+
+def _numbered_rows(labels: Mapping[int, ClassLabel], choice: ClassChoice) -> list[tuple[int, ClassRow]]:
+    """The choice's rows, each with the number of its label."""
     by_name = {label.name.casefold(): number for number, label in labels.items()}
-    found = {}
-    for row in choice.rows:
-        number = row.id if row.id is not None else by_name[(row.name or "").casefold()]
-        if row.into is not None and row.into.casefold() != labels[number].name.casefold():
-            found[number] = row.into
-    return found
+    return [(by_name[(row.name or "").casefold()] if row.id is None else row.id, row) for row in choice.rows]
 
 
 def _merged(labels: Mapping[int, ClassLabel], into: Mapping[int, str]) -> tuple[list[ClassLabel], dict[int, int]]:
@@ -164,7 +171,3 @@ def _reduced(
         what = f"classes have no place among the paper's 21 ({listed(unplaced)})"
         raise PlgsError(what, choice.path or FILE_NAME, "Say which class each counts into, with into.")
     return final, class_of
-
-
-def _category(label: ClassLabel) -> Category:
-    return Category(label.id, label.name, label.is_thing, label.colour or distinct_colour(label.id))

@@ -13,8 +13,9 @@ import numpy as np
 
 from ..errors import PlgsError
 from ..json_file import read_json_object, take_flag, take_objects, take_text, take_whole_number
-from ..posed.classes import VOID, Category, ClassTable, distinct_colour
+from ..posed.classes import VOID, ClassLabel, ClassTable
 from ..posed.layout import files_by_stem, require_all
+from .class_colours import coloured
 from .class_map import class_map
 from .class_tables import REDUCED, known_table
 from .frame import GroundTruth, PanopticMask
@@ -96,15 +97,15 @@ def _classes(folder: Path, semantics: Path) -> ClassTable | None:
 
 def _classes_of_export(path: Path) -> ClassTable:
     """The classes in the labels.json that ``export --to instances`` writes. Raises PlgsError."""
-    found: dict[int, Category] = {}
+    found: dict[int, ClassLabel] = {}
     for number, entry in enumerate(take_objects(read_json_object(path), "classes", "the table", path)):
         whose = f"class {number}"
         class_id = take_whole_number(entry, "id", whose, path)
         if class_id <= VOID or class_id in found:
             raise PlgsError(f"{whose} has the id {class_id}", path, "Give each class an id of its own, from 1.")
         name, is_thing = take_text(entry, "name", whose, path), take_flag(entry, "is_thing", whose, path)
-        found[class_id] = Category(class_id, name, is_thing, distinct_colour(class_id))
-    return ClassTable(tuple(found[class_id] for class_id in sorted(found)))
+        found[class_id] = ClassLabel(class_id, name, is_thing)
+    return coloured(found.values())
 
 
 def in_one_table(predictions: LabelFolder, truth: LabelFolder) -> tuple[ClassTable, LabelFolder]:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from ..errors import PlgsError
 from ..job import write_atomically
 from ..json_file import read_object, read_value
-from ..scene import ClassLabel, Scene, distinct_colour
+from ..scene import ClassLabel, Scene
 from .merging import MadeSegment
 
 TABLE, FOLDER, MADE_BY = "panoptic.json", "panoptic", "made_by.json"
@@ -124,9 +124,7 @@ def _segments(ids: NDArray[np.int32], found: list[MadeSegment]) -> list[dict[str
 
 def _category(label: ClassLabel) -> dict[str, object]:
     """Category ids count from 1, as 0 is void."""
-    kept = asdict(label)
-    return {"id": kept["id"] + 1, "name": kept["name"], "isthing": int(label.is_thing),
-            "color": list(distinct_colour(label.id + 1))}  # fmt: skip
+    return {"id": label.id + 1, "name": label.name, "isthing": int(label.is_thing)}
 
 
 def _png(ids: NDArray[np.int32]) -> bytes:

@@ -1,8 +1,14 @@
 from __future__ import annotations
 
+import cv2
+import numpy as np
 import pytest
 
+from engine.posed.classes import palette
 from engine.scene import Category, ClassTable, distinct_colour
+
+TAKEN = ((255, 120, 0), (0, 0, 0), (52, 54, 58), (128, 128, 128), (255, 255, 255))
+"""The first colour; then those of void, of stuff without an instance, and of grey photos, which none comes near."""
 
 
 def category(class_id: int, is_thing: bool = False) -> Category:
@@ -23,7 +29,69 @@ def test_ids_are_unique_ascending_and_above_void(ids: tuple[int, ...]) -> None:
         ClassTable(tuple(category(class_id) for class_id in ids))
 
 
-def test_colours_are_distinct_and_bytes() -> None:
-    colours = [distinct_colour(index) for index in range(60)]
-    assert len({*colours}) == 60
-    assert all(0 <= part <= 255 for colour in colours for part in colour)
+def cielab(rgb: np.ndarray) -> np.ndarray:
+    """CIELAB (D65) of sRGB bytes [N, 3], by OpenCV."""
+    return cv2.cvtColor(np.float32(rgb).reshape(1, -1, 3) / 255, cv2.COLOR_RGB2LAB)[0].astype(np.float64)
+
+
+def ciede2000(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """The colour difference of CIE 142-2001 between CIELAB colours [..., 3] (Sharma, Wu, Dalal 2005)."""
+    (light_1, a_1, b_1), (light_2, a_2, b_2) = (np.moveaxis(each, -1, 0) for each in np.broadcast_arrays(one, other))
+    mean = ((np.hypot(a_1, b_1) + np.hypot(a_2, b_2)) / 2) ** 7
+    stretch = 1.5 - 0.5 * np.sqrt(mean / (mean + 25.0**7))
+    chroma_1, chroma_2 = np.hypot(stretch * a_1, b_1), np.hypot(stretch * a_2, b_2)
+    hue_1, hue_2 = (np.degrees(np.arctan2(b, stretch * a)) % 360 for a, b in ((a_1, b_1), (a_2, b_2)))
+    turn = (hue_2 - hue_1 + 180) % 360 - 180
+    hue, chroma, light = hue_1 + turn / 2, (chroma_1 + chroma_2) / 2, (light_1 + light_2) / 2 - 50
+    waves = ((-0.17, 1, -30.0), (0.24, 2, 0.0), (0.32, 3, 6.0), (-0.2, 4, -63.0))
+    in_hue = 1 + sum(weight * np.cos(np.radians(times * hue + shift)) for weight, times, shift in waves)
+    blue = np.exp(-(((hue % 360 - 275) / 25) ** 2))
+    rotation = -2 * np.sqrt(chroma**7 / (chroma**7 + 25.0**7)) * np.sin(np.radians(60 * blue))
+    lightness = (light_2 - light_1) / (1 + 0.015 * light**2 / np.sqrt(20 + light**2))
+    saturation = (chroma_2 - chroma_1) / (1 + 0.045 * chroma)
+    turned = 2 * np.sqrt(chroma_1 * chroma_2) * np.sin(np.radians(turn / 2)) / (1 + 0.015 * chroma * in_hue)
+    return np.sqrt(lightness**2 + saturation**2 + turned**2 + rotation * saturation * turned)
+
+
+def nearest_pair(colours: list[tuple[int, int, int]]) -> tuple[float, float]:
+    """The smallest difference of two colours, by CIEDE2000 and as a distance in CIELAB."""
+    lab = cielab(np.array(colours))
+    one, other = np.triu_indices(len(lab), 1)
+    return float(ciede2000(lab[one], lab[other]).min()), float(np.linalg.norm(lab[one] - lab[other], axis=1).min())
+
+
+def test_the_difference_is_the_published_one() -> None:
+    """Pairs 1, 7, 10, 17 and 24 of Sharma's table."""
+    pairs = [((50, 2.6772, -79.7751), (50, 0, -82.7485)), ((50, 0, 0), (50, -1, 2)), ((50, 2.5, 0), (73, 25, -18))]
+    pairs += [((50, 2.49, -0.001), (50, -2.49, 0.0011)), ((50, 2.5, 0), (50, 3.2592, 0.335))]
+    one, other = np.moveaxis(np.array(pairs, float), 1, 0)
+    assert ciede2000(one, other) == pytest.approx([2.0425, 2.3669, 27.1492, 7.2195, 1.0], abs=1e-4)
+
+
+def test_each_colour_is_the_farthest_from_all_before_it() -> None:
+    """This makes palette.txt: of a grid in sRGB, without what is too dark, too light or too grey."""
+    steps = np.arange(0, 256, 15)
+    grid = np.stack(np.meshgrid(steps, steps, steps, indexing="ij"), axis=-1).reshape(-1, 3)
+    lab = cielab(grid)
+    good = (lab[:, 0] > 25) & (lab[:, 0] < 93) & (np.hypot(lab[:, 1], lab[:, 2]) > 8)
+    grid, lab = grid[good], lab[good]
+    made = [TAKEN[0]]
+    away = np.min([ciede2000(lab, each) for each in cielab(np.array(TAKEN))], axis=0)
+    while len(made) < 512:
+        made.append(tuple(grid[away.round(3).argmax()].tolist()))
+        away = np.minimum(away, ciede2000(lab, cielab(np.array(made[-1]))))
+    assert palette() == tuple(made)
+
+
+def test_the_nearest_of_40_colours_are_far_apart() -> None:
+    """4 and 1.6 in CIELAB and by CIEDE2000 before there was a palette. 2.3 is a just noticeable distance in CIELAB."""
+    for colours in (list(palette()[:40]), [distinct_colour(instance) for instance in range(1, 41)]):
+        difference, distance = nearest_pair(colours)
+        assert difference > 11 and distance > 11
+    assert nearest_pair(list(palette()))[0] > 5
+
+
+def test_instances_have_other_colours_than_the_commonest_classes() -> None:
+    of_classes, of_instances = palette()[:40], [distinct_colour(instance) for instance in range(1, 400)]
+    assert len({*of_instances}) == len(of_instances) and not {*of_classes} & {*of_instances}
+    assert distinct_colour(1) == distinct_colour(1 + len(palette()))

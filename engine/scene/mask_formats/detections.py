@@ -1,7 +1,10 @@
 """A mask, a class and a score for each detection: one .npz, or one folder of PNGs, per frame.
 
 * ``<frame>.npz``: ``masks`` [N, H, W] (bool, bytes, or shares above 0.5), ``classes`` [N] (numbers or names) and
-  ``scores`` [N]; detectron2's ``pred_masks``, ``pred_classes`` and Hugging Face's ``labels`` are read too.
+  ``scores`` [N]; detectron2's ``pred_masks``, ``pred_classes`` and Hugging Face's ``labels`` are read too. So are
+  SAM 3's tracks, under the names of Hugging Face (``object_ids``, ``masks``) or of its own package (``out_obj_ids``,
+  ``out_binary_masks``): a number is one object in all frames, ``classes`` may be left out, and
+  ``classes.toml`` may give each number a class, as with SAM 2.
 * ``<frame>/<k>_<class>_<score>.png``: black and white; the class is a number or a name.
 
 Of detections that overlap, the one with the highest score is on top. Class numbers count from 0.
@@ -18,7 +21,7 @@ from pathlib import Path
 from ...errors import PlgsError
 from ...posed.array_file import array_headers, read_array
 from ...posed.classes import LARGEST_CLASS_ID, ClassLabel
-from ...posed.layout import natural_order, require_most
+from ...posed.layout import listed, natural_order, require_most
 from ..files_of_frames import files_of_frames
 from ..label_image import label_header
 from .source import (
@@ -33,9 +36,10 @@ from .source import (
 )
 
 _KEYS = {
-    "masks": ("masks", "pred_masks"),
+    "masks": ("masks", "pred_masks", "out_binary_masks"),
     "classes": ("classes", "pred_classes", "class_ids", "labels"),
-    "scores": ("scores", "pred_scores", "score"),
+    "scores": ("scores", "pred_scores", "score", "out_probs"),
+    "tracks": ("object_ids", "out_obj_ids"),
 }
 _NAME = re.compile(r"(\d+)_(.+)_(\d*\.?\d+)", re.ASCII)
 _FIX = "Save masks [N, H, W], classes [N] and scores [N] with numpy.savez, one file a frame."
@@ -45,10 +49,12 @@ _MOST = 10_000
 
 @dataclass(frozen=True)
 class Detection:
-    """The class of one detection as the file has it, and its score."""
+    """The class of one detection as the file has it, and its score. ``track``: its object's number, where it has one;
+    without classes, it is the ``word`` too."""
 
     word: str
     score: float
+    track: int | None = None
 
 
 def _recognises(place: Path) -> bool:
@@ -71,7 +77,10 @@ def _read(place: Path, names: Sequence[str]) -> MaskSource:
         found = {name: _detections(path) for name, path in files.items()}
         label_of, labels = _labels(found.values())
         masks = {name: _stack(path, _segments(found[name], label_of)) for name, path in files.items()}
-        return MaskSource(masks, labels, void=frozenset())
+        no_class = [name for name, path in files.items() if not _has(path, "classes")]
+        if no_class and len(no_class) < len(files):
+            raise PlgsError(f"there are classes, but none in {listed(no_class)}", place, _FIX)
+        return MaskSource(masks, labels, void=frozenset(), tells_no_class=bool(no_class))
     folders = {path.name: path for path in _folders(place)}
     there = require_most(names, folders, "folder of detections", place, _NAME_FIX)
     paths = {name: pictures for name in there if (pictures := _pictures(folders[name]))}
@@ -116,13 +125,24 @@ def _detections(path: Path) -> list[Detection]:
     """The classes and scores in an .npz. Raises PlgsError."""
     headers = array_headers(path)
     count = _count(headers[_key(path, "masks")].shape, path)
-    classes, scores = read_array(path, _key(path, "classes")), read_array(path, _key(path, "scores"))
+    tracks = read_array(path, _key(path, "tracks")) if _has(path, "tracks") else None
+    if tracks is not None and not (
+        tracks.shape == (count,) and tracks.dtype.kind in "iu" and ((tracks >= 0) & (tracks < LARGEST_CLASS_ID)).all()
+    ):
+        raise PlgsError(f"there are {count} masks, but not as many numbers of objects", path, _FIX)
+    classes = tracks if tracks is not None and not _has(path, "classes") else read_array(path, _key(path, "classes"))
+    scores = read_array(path, _key(path, "scores"))
     if classes.shape != (count,) or scores.shape != (count,) or classes.dtype.kind not in "iuU":
         raise PlgsError(f"there are {count} masks, but not as many classes and scores", path, _FIX)
     if scores.dtype.kind != "f" or not ((scores >= 0.0) & (scores <= 1.0)).all():
         raise PlgsError("scores are not between 0 and 1", path, _FIX)
-    words = [str(word) for word in classes.tolist()]
-    return [Detection(word, float(score)) for word, score in zip(words, scores.tolist(), strict=True)]
+    numbers = [None] * count if tracks is None else tracks.tolist()
+    rows = zip(classes.tolist(), scores.tolist(), numbers, strict=True)
+    return [Detection(str(word), float(score), track) for word, score, track in rows]
+
+
+def _has(path: Path, what: str) -> bool:
+    return any(key in array_headers(path) for key in _KEYS[what])
 
 
 def _key(path: Path, what: str) -> str:
@@ -148,7 +168,8 @@ def _labels(frames: Iterable[Sequence[Detection]]) -> tuple[dict[str, int], tupl
 
 
 def _segments(found: Sequence[Detection], label_of: Mapping[str, int]) -> tuple[FoundSegment, ...]:
-    return tuple(FoundSegment(n, label_of[one.word], one.score) for n, one in enumerate(found, start=1))
+    numbered = enumerate(found, start=1)
+    return tuple(FoundSegment(n, label_of[one.word], one.score, track=one.track) for n, one in numbered)
 
 
 FORMAT = MaskFormat("detections", _recognises, _read)

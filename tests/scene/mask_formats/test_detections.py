@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 import cv2
@@ -71,3 +71,45 @@ def test_one_picture_per_detection(tmp_path: Path) -> None:
     truths = write_pictures(tmp_path)
     scene = open_scene(tmp_path, mask_format="detections")
     check_on_room(scene, truths, SEEN | {3: "cabinet"}, frozenset({"cabinet", "chair"}))
+
+
+def write_tracks(folder: Path, keys: Mapping[str, str], names: bool) -> list[Truth]:
+    """The arrays that SAM 3 gives for each frame of a video, saved as they are."""
+    scene, truths = write_frames(folder)
+    (scene / "masks").mkdir()
+    for truth in truths:
+        found = [(class_id, number, region) for class_id, number, region in truth.regions() if number]
+        arrays = {
+            keys["tracks"]: np.array([number for _, number, _ in found], np.int64),
+            keys["masks"]: np.array([region for _, _, region in found], bool).reshape(-1, 48, 64),
+            keys["scores"]: np.full(len(found), 0.75, np.float32),
+        }
+        if names:
+            arrays["classes"] = np.array([NAMES[class_id] for class_id, _, _ in found], None if found else "U1")
+        np.savez(scene / "masks" / f"{truth.name}.npz", **arrays)
+    return truths
+
+
+HUGGING_FACE = {"tracks": "object_ids", "masks": "masks", "scores": "scores"}
+SAM_3 = {"tracks": "out_obj_ids", "masks": "out_binary_masks", "scores": "out_probs"}
+
+
+@pytest.mark.parametrize("keys", [HUGGING_FACE, SAM_3])
+def test_the_tracks_of_sam_3_are_one_object_in_all_frames(tmp_path: Path, keys: Mapping[str, str]) -> None:
+    truths = write_tracks(tmp_path, keys, names=False)
+    scene = open_scene(tmp_path)
+    assert [each.name for each in scene.classes.categories] == ["object"]
+    for truth, frame in zip(truths, scene.frames, strict=True):
+        mask = frame.read_mask(None)
+        of_track = {one.track: mask.ids == one.id for one in mask.segments}
+        regions = {number: region for _, number, region in truth.regions() if number}
+        assert of_track.keys() == regions.keys()
+        assert all((of_track[number] == region).all() for number, region in regions.items())
+
+
+def test_tracks_with_the_words_that_they_were_prompted_by(tmp_path: Path) -> None:
+    truths = write_tracks(tmp_path, SAM_3, names=True)
+    scene = open_scene(tmp_path)
+    check_on_room(scene, truths, SEEN | {3: "cabinet"}, frozenset({"cabinet", "chair"}))
+    seen = {one.track for frame in scene.frames for one in frame.read_mask(None).segments}
+    assert seen == {number for truth in truths for _, number, _ in truth.regions() if number}
