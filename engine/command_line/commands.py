@@ -99,7 +99,7 @@ def export(options: argparse.Namespace, events: EventWriter, stop: StopSignal) -
     folder = _opened(options.lift, options.relink)
     events.stage("export", 1, 1, "Exporting")
     progress = _progress("export", events, stop)
-    export(folder, options.to, options.output, options.frames, progress, options.cameras)
+    export(folder, options.to, options.output, options.frames, progress, options.cameras, options.objects)
     events.answer({"output": options.output}, f"Exported to {options.output}")
 
 

@@ -26,7 +26,7 @@ from .correct import add_correct
 FRAME_FILES = ("colour", "depth", "masks", "cloud")
 SEGMENT_MODEL = "facebook/mask2former-swin-small-coco-panoptic"
 Run = Callable[[argparse.Namespace, EventWriter, StopSignal], object]
-EXPORTS = ("coco", "instances", "scannet", "points", "boxes", "mesh", "depth", "clouds")
+EXPORTS = ("coco", "instances", "scannet", "points", "splats", "boxes", "mesh", "gltf", "usd", "depth", "clouds")
 
 
 def make_parser() -> argparse.ArgumentParser:
@@ -109,10 +109,12 @@ def _add_bake(parser: argparse.ArgumentParser) -> None:
 def _add_export(parser: argparse.ArgumentParser) -> None:
     parser.description = (
         "coco: COCO panoptic (panoptic.json, panoptic/). instances: 16-bit PNGs of classes and instances, and in "
-        "colours. scannet: label-filt/ and instance-filt/. points: the labelled points and Gaussians (PLY). boxes: the "
-        "objects' boxes (JSON, CSV). mesh: the surface, cut into one mesh per instance and per stuff class (PLY, GLB). "
-        "depth: a map in metres per frame (NPY), as lift --depth takes it. clouds: the pixels of a frame, or of any "
-        "camera, as labelled points (NPZ). Frames that are not baked are rendered."
+        "colours. scannet: label-filt/ and instance-filt/. points: the labelled points and Gaussians (PLY). splats: "
+        "Gaussians alone (PLY). boxes: the objects' boxes (JSON, CSV, for labelCloud and CVAT). mesh: the surface, cut "
+        "into one mesh per instance and per stuff class (PLY, GLB). gltf: these in one file (GLB). usd: Gaussians, "
+        "meshes, boxes and cameras (OpenUSD). depth: a map in metres per frame (NPY), as lift --depth takes it. "
+        "clouds: the pixels of a frame, or of any camera, as labelled points (NPZ). Frames that are not baked are "
+        "rendered."
     )
     parser.add_argument("lift", type=Path, metavar="LIFT", help="the folder of a finished lift")
     parser.add_argument("--to", required=True, choices=EXPORTS, help="what to write")
@@ -121,6 +123,10 @@ def _add_export(parser: argparse.ArgumentParser) -> None:
         "--frames", nargs="+", default=["all"], metavar="FRAME", help="as for bake: names, ranges, test, or all"
     )
     parser.add_argument("--cameras", type=Path, metavar="FILE.json", help="as for bake, instead of frames; for clouds")
+    parser.add_argument(
+        "--objects", nargs="+", default=(), metavar="NAME",
+        help='only these instances or classes, such as "chair 1" or floor; for splats, boxes, gltf and usd',
+    )  # fmt: skip
     _add_relink(parser)
     _make_task(parser, commands.export, "What was exported so far is kept.")
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import io
 import json
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict
 from pathlib import Path
 
@@ -16,7 +16,7 @@ from ..errors import PlgsError
 from ..job import write_atomically
 from ..passes.baked_view import ShownInstances
 from ..passes.previews import instance_picture, png_bytes, semantic_picture
-from ..scene import VOID, ClassTable
+from ..scene import VOID, Camera, ClassTable
 from .source import FinishedLift
 
 MOST_COCO_IDS = 4096
@@ -29,31 +29,39 @@ LEAST_COVERAGE = 0.5
 
 def export_coco(lift: FinishedLift, output: Path) -> None:
     """See ``write_coco``. Raises PlgsError for ids that do not fit, OSError."""
-    views = ((frame.name, layers.semantic, layers.instance) for frame, layers in lift.views())
+    views = ((frame.name, layers.semantic, layers.instance, frame.camera) for frame, layers in lift.views())
     try:
-        write_coco(output, lift.classes, views)
+        write_coco(output, lift.classes, views, lift.instances.names)
     except ValueError as error:
         raise PlgsError(str(error), output, "Export instances instead: they have 16 bits each.") from error
 
 
 def write_coco(
-    folder: Path, classes: ClassTable, views: Iterable[tuple[str, NDArray[np.int32], NDArray[np.int32]]]
+    folder: Path,
+    classes: ClassTable,
+    views: Iterable[tuple[str, NDArray[np.int32], NDArray[np.int32], Camera]],
+    names: Mapping[int, str],
 ) -> None:
     """Write ``panoptic.json`` and ``panoptic/<frame>.png`` into ``folder``.
 
-    ``views``: frame name, class ids and instance ids, int32 [H, W] each. A segment's id is class * 4096 + instance. So,
-    unlike a detector's, it means the same object in every view. Raises ValueError for ids of 4096 or more, OSError.
+    ``views``: frame name, class ids and instance ids, int32 [H, W] each, and the camera. A segment's id is class * 4096
+    + instance. So, unlike a detector's, it means the same object in every view. Beside what COCO asks for, a segment
+    has the ``instance_id`` and the ``name`` of its instance (``names``) or class, and an image its ``K`` and its
+    ``camera_to_world`` (OpenCV's axes, metres). Raises ValueError for ids of 4096 or more, OSError.
     """
     images, annotations = [], []
-    for number, (name, semantic, instance) in enumerate(views, start=1):
+    for number, (name, semantic, instance, camera) in enumerate(views, start=1):
         if max(int(semantic.max(initial=0)), int(instance.max(initial=0))) >= MOST_COCO_IDS:
             raise ValueError(f"{name}: class and instance ids must be below {MOST_COCO_IDS} for COCO panoptic")
         ids = np.where(semantic == VOID, 0, semantic * MOST_COCO_IDS + instance)
         colours = np.stack([ids & 255, ids >> 8 & 255, ids >> 16 & 255], axis=-1).astype(np.uint8)
         write_atomically(folder / "panoptic" / f"{name}.png", png_bytes(colours))
         height, width = ids.shape
-        images.append({"id": number, "file_name": f"{name}.png", "width": width, "height": height})
-        segments = _segments(ids, classes.thing_ids)
+        images.append({
+            "id": number, "file_name": f"{name}.png", "width": width, "height": height,
+            "K": camera.resized(width, height).K.tolist(), "camera_to_world": camera.camera_to_world.tolist(),
+        })  # fmt: skip
+        segments = _segments(ids, classes, names)
         annotations.append({"image_id": number, "file_name": f"{name}.png", "segments_info": segments})
     categories = [
         {"id": c.id, "name": c.name, "isthing": int(c.is_thing), "color": list(c.colour)} for c in classes.categories
@@ -62,7 +70,7 @@ def write_coco(
     write_atomically(folder / "panoptic.json", json.dumps(content, ensure_ascii=False) + "\n")
 
 
-def _segments(ids: NDArray[np.int32], thing_ids: frozenset[int]) -> list[dict[str, object]]:
+def _segments(ids: NDArray[np.int32], classes: ClassTable, names: Mapping[int, str]) -> list[dict[str, object]]:
     """The segments of one view in ascending order of id, with area and bounding box (x, y, width, height). Things that
     no object owns are a crowd."""
     segments: list[dict[str, object]] = []
@@ -70,9 +78,13 @@ def _segments(ids: NDArray[np.int32], thing_ids: frozenset[int]) -> list[dict[st
         rows, columns = np.nonzero(ids == segment)
         left, top = int(columns.min()), int(rows.min())
         box = [left, top, int(columns.max()) - left + 1, int(rows.max()) - top + 1]
-        category = segment // MOST_COCO_IDS
-        crowd = int(category in thing_ids and not segment % MOST_COCO_IDS)
-        segments.append({"id": segment, "category_id": category, "area": len(rows), "bbox": box, "iscrowd": crowd})
+        category, instance = divmod(segment, MOST_COCO_IDS)
+        crowd = int(category in classes.thing_ids and not instance)
+        name = names.get(instance) or classes[category].name
+        segments.append({
+            "id": segment, "category_id": category, "area": len(rows), "bbox": box, "iscrowd": crowd,
+            "instance_id": instance, "name": name,
+        })  # fmt: skip
     return segments
 
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from ..errors import PlgsError
 from ..job import write_atomically
-from ..passes.layers import PanopticLayers, linear
+from ..passes.layers import PanopticLayers
 from ..passes.ply import columns_of, write_ply_table
 from ..passes.previews import colour_picture
 from ..posed.classes import matte_names
@@ -24,6 +24,7 @@ from ..scene import Camera, ClassTable, Frame
 from .fusion import SmallView, Surface, fuse
 from .glb import glb_bytes
 from .mending import close_holes, without_crumbs
+from .parts import Part
 from .source import FinishedLift
 
 LEAST_ALPHA = 0.7
@@ -48,11 +49,33 @@ def export_mesh(lift: FinishedLift, output: Path) -> None:
         **{"class_id": class_id.astype(np.int32), "instance_id": instance_id.astype(np.int32)},
     }
     write_ply_table(output / "mesh.ply", columns, surface.triangles)
-    names = label_names(np.unique(label), lift.classes, lift.instances.names)
+    for part in _cut(lift, surface, label):
+        write_atomically(output / "meshes" / f"{part.name}.glb", glb_bytes([part]))
+
+
+def export_gltf(lift: FinishedLift, output: Path) -> None:
+    """lift.glb, the meshes of the wanted objects and stuff in one file, named. Raises as ``export_mesh``."""
+    write_atomically(output / "lift.glb", glb_bytes(parts_of(lift)))
+
+
+def parts_of(lift: FinishedLift) -> list[Part]:
+    """The meshes of the wanted instances and stuff classes. Raises PlgsError where there is none, OSError."""
+    parts = [each for each in _cut(lift, *mended(*fused(lift))) if lift.wants(each.class_id, each.instance_id)]
+    if not parts:
+        raise PlgsError("the rendered views show no such surface", lift.folder.path, "Export more frames.")
+    return parts
+
+
+def _cut(lift: FinishedLift, surface: Surface, label: NDArray[np.int64]) -> list[Part]:
+    """The parts of a surface with labelled vertices, without scraps."""
+    names, parts = label_names(np.unique(label), lift.classes, lift.instances.names), []
     for value, triangles in triangles_by_label(surface.triangles, label).items():
         if value in names and len(triangles) >= LEAST_TRIANGLES:
-            content = _glb(names[value], surface, triangles)
-            write_atomically(output / "meshes" / f"{names[value]}.glb", content)
+            used, corners = np.unique(triangles, return_inverse=True)
+            class_id, instance_id = divmod(value, MOST_INSTANCES)
+            shape = (surface.xyz[used], surface.normal[used], surface.rgb[used], corners.reshape(-1, 3))
+            parts.append(Part(names[value], lift.classes[class_id].name, class_id, instance_id, *shape))
+    return parts
 
 
 def fused(lift: FinishedLift) -> tuple[Surface, NDArray[np.int64]]:
@@ -112,15 +135,3 @@ def label_names(labels: NDArray[np.int64], classes: ClassTable, instances: Mappi
             names[value] = instances.get(instance, f"instance {instance}") if instance else classes[class_id].name
     safe = {value: "".join("-" if c in "<>:/|?*" else c for c in name) for value, name in matte_names(names).items()}
     return matte_names(safe)
-
-
-def _glb(name: str, surface: Surface, triangles: NDArray[np.int64]) -> bytes:
-    """The part of the surface that consists of these triangles."""
-    used, corners = np.unique(triangles, return_inverse=True)
-    xyz, normal = _upright(surface.xyz[used]), _upright(surface.normal[used])
-    return glb_bytes(name, xyz, normal, linear(surface.rgb[used] / 255), corners.reshape(-1, 3))
-
-
-def _upright(values: NDArray[np.float32]) -> NDArray[np.float32]:
-    """From z up to glTF's y up."""
-    return values[:, (0, 2, 1)] * np.array([1, 1, -1], np.float32)

@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..job import write_atomically
-from ..passes.ply import columns_of, relabelled_splats, write_ply_table
+from ..passes.ply import columns_of, write_ply_table
 from ..passes.previews import colour_picture
 from ..result_files import SemanticPoints, write_arrays
-from .frame_images import LEAST_COVERAGE
+from .frame_images import LEAST_COVERAGE, labels_text
 from .source import FinishedLift
 
 NEIGHBOURS = 30
@@ -30,10 +30,19 @@ def export_points(lift: FinishedLift, output: Path) -> None:
         **{name: getattr(points, name) for name in ("class_id", "instance_id", "confidence")},
     }
     write_ply_table(output / "points.ply", columns)
-    content = (lift.folder.result_path / "gaussians.ply").read_bytes()
-    if lift.corrected.changes_labels:
-        content = relabelled_splats(content, lift.corrected.ids)
-    write_atomically(output / "gaussians.ply", content)
+    _write_splats(output / "gaussians.ply", lift)
+
+
+def export_splats(lift: FinishedLift, output: Path) -> None:
+    """splats.ply: the wanted Gaussians as the authors of 3D Gaussian Splatting write them (colour as spherical
+    harmonics of degree 0, logit of opacity, logarithm of scale, rotation wxyz), and class_id and instance_id.
+    labels.json names these ids. Raises PlgsError, OSError."""
+    _write_splats(output / "splats.ply", lift)
+    write_atomically(output / "labels.json", labels_text(lift.classes, lift.instances))
+
+
+def _write_splats(path: Path, lift: FinishedLift) -> None:
+    write_ply_table(path, {name: lift.splats[name] for name in lift.splats.dtype.names or ()})
 
 
 def export_clouds(lift: FinishedLift, output: Path) -> None:

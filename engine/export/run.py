@@ -5,13 +5,14 @@ from __future__ import annotations
 import json
 import shutil
 from collections.abc import Callable, Mapping, Sequence
+from importlib.util import find_spec
 from pathlib import Path
 
-from ..errors import PlgsError
+from ..errors import PlgsError, lacks_part
 from ..job import LiftFolder, verify_lifted, write_atomically
 from .boxes import export_boxes
 from .frame_images import export_coco, export_depth, export_label_images, export_scannet
-from .points import export_clouds, export_points
+from .points import export_clouds, export_points, export_splats
 from .source import FinishedLift, Progress
 
 NOTE = "export.json"
@@ -25,9 +26,11 @@ def export(
     frames: Sequence[str],
     progress: Progress | None = None,
     cameras: Path | None = None,
+    objects: Sequence[str] = (),
 ) -> None:
     """Write ``frames`` ("test", "all", names) of a finished lift as ``kind`` (of KINDS) into the folder ``output``.
-    With a file of ``cameras``, which only clouds take, write what these see instead.
+    With a file of ``cameras``, which only clouds take, write what these see instead. Of BY_OBJECT, write the
+    ``objects`` of these names (instances or classes) alone.
 
     The folder must be new or empty, or hold this very export, complete or not, so that no other files are overwritten.
     An output in the lift's own folder ``exports`` is replaced.
@@ -38,10 +41,19 @@ def export(
     if cameras is not None and kind != "clouds":
         what = f"{kind} can only show the scene's frames"
         raise PlgsError(what, cameras, "Give --frames, or export clouds.", option="--cameras")
+    if objects and kind not in BY_OBJECT:
+        what = f"{kind} shows whole frames"
+        raise PlgsError(what, folder.path, f"Export {', '.join(BY_OBJECT)}, or all objects.", option="--objects")
+    if kind == "usd" and find_spec("pxr") is None:
+        raise lacks_part("OpenUSD files need the package usd-core", output, "usd")
     verify_lifted(folder.result_path)
-    lift = FinishedLift(folder, frames, progress, cameras)
+    lift = FinishedLift(folder, frames, progress, cameras, objects)
     shown = [view.name for view in lift.shots] or [frame.name for frame in lift.frames]
-    make_room(folder, output, {"form": kind, "lift": str(folder.path), "frames": shown})
+    facts = {"form": kind, "lift": str(folder.path), "frames": shown}
+    if objects:
+        lift.wants(0, 0)  # an unknown name is told before anything is written
+        facts["objects"] = [*objects]
+    make_room(folder, output, facts)
     KINDS[kind](lift, output)
 
 
@@ -63,13 +75,30 @@ def _export_mesh(lift: FinishedLift, output: Path) -> None:
     export_mesh(lift, output)
 
 
+def _export_gltf(lift: FinishedLift, output: Path) -> None:
+    from .mesh import export_gltf
+
+    export_gltf(lift, output)
+
+
+def _export_usd(lift: FinishedLift, output: Path) -> None:
+    from .usd import export_usd
+
+    export_usd(lift, output)
+
+
+BY_OBJECT = ("splats", "boxes", "gltf", "usd")
+"""The forms that can be of chosen objects."""
 KINDS: Mapping[str, Callable[[FinishedLift, Path], None]] = {
     "coco": export_coco,
     "instances": export_label_images,
     "scannet": export_scannet,
     "points": export_points,
+    "splats": export_splats,
     "boxes": export_boxes,
     "mesh": _export_mesh,
+    "gltf": _export_gltf,
+    "usd": _export_usd,
     "depth": export_depth,
     "clouds": export_clouds,
 }

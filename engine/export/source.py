@@ -7,7 +7,11 @@ from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
+import numpy as np
+from numpy.typing import NDArray
+
 from ..corrections import CorrectedResult, read_corrected
+from ..errors import PlgsError
 from ..job import LiftFolder, read_cameras, read_manifest, verify_files
 from ..job.manifest import damaged
 from ..lift.bake_more import WantedView, frames_named, view_from
@@ -15,6 +19,8 @@ from ..lift.baking import CORRECTIONS_NOTE, FrameBaker, baked_files, names_of_fi
 from ..passes.baked_view import ShownInstances
 from ..passes.exr import read_exr, read_note
 from ..passes.layers import PanopticLayers
+from ..posed.layout import listed
+from ..posed.splat_file import read_gaussians
 from ..result_files import Instance
 from ..scene import Camera, ClassTable, Frame, Scene
 from ..scene_of_lift import scene_of_lift
@@ -33,6 +39,8 @@ class FinishedLift:
     progress: Progress | None = None
     cameras: Path | None = None
     """A file of cameras to export in place of the frames."""
+    objects: Sequence[str] = ()
+    """The names of the instances and of the classes to export. Without them, everything is wanted."""
 
     @cached_property
     def scene(self) -> Scene:
@@ -53,8 +61,39 @@ class FinishedLift:
 
     @cached_property
     def listed(self) -> tuple[Instance, ...]:
-        """The instances as they are corrected."""
-        return self.corrected.instances
+        """The wanted instances as they are corrected."""
+        return tuple(each for each in self.corrected.instances if self.wants(each.class_id, each.id))
+
+    @cached_property
+    def _wanted(self) -> tuple[frozenset[int], frozenset[int]]:
+        """The ids of the classes and of the instances that are wanted. Raises PlgsError for an unknown name."""
+        of_class = {each.name.casefold(): each.id for each in self.classes.categories}
+        of_instance = {name.casefold(): number for number, name in self.instances.names.items()}
+        unknown = [name for name in self.objects if name.casefold() not in of_class | of_instance]
+        if unknown:
+            fix = f"Name objects or classes, such as {listed([*self.instances.names.values(), *of_class])}."
+            raise PlgsError(f'the lift has nothing called "{unknown[0]}"', self.folder.path, fix, option="--objects")
+        asked = [name.casefold() for name in self.objects]
+        return (
+            frozenset(of_class[name] for name in asked if name in of_class),
+            frozenset(of_instance[name] for name in asked if name in of_instance),
+        )
+
+    def wants(self, class_id: int, instance_id: int) -> bool:
+        """Whether an instance, or stuff (``instance_id`` 0), is exported."""
+        return not self.objects or class_id in self._wanted[0] or instance_id in self._wanted[1]
+
+    @cached_property
+    def splats(self) -> NDArray[np.void]:
+        """The wanted Gaussians by the columns of gaussians.ply, [N], with their corrected labels."""
+        rows = read_gaussians(self.folder.result_path / "gaussians.ply").copy()
+        if self.corrected.changes_labels:
+            xyz = np.stack([rows[axis] for axis in "xyz"], axis=1)
+            rows["class_id"], rows["instance_id"] = self.corrected.ids(xyz, rows["class_id"], rows["instance_id"])
+        if not self.objects:
+            return rows
+        classes, instances = (np.array(sorted(ids)) for ids in self._wanted)
+        return rows[np.isin(rows["class_id"], classes) | np.isin(rows["instance_id"], instances)]
 
     @cached_property
     def corrected(self) -> CorrectedResult:

@@ -13,9 +13,8 @@ from ..errors import PlgsError
 class Capability:
     """One ability of the engine.
 
-    It needs what every engine has and, in addition, its ``packages``, each given with the module that is imported. If
-    ``size``, in bytes on the disk, is given, `python -m engine add` can add them: ``requirements/NAME.txt`` pins them,
-    and ``requirements/hashes-NAME.txt`` lists them and their dependencies by hash.
+    It needs its ``packages`` besides what every engine has, each given with the module that is imported. With a
+    ``size``, in bytes on the disk, `python -m engine add` can add them by ``requirements/hashes-NAME.txt``.
     """
 
     label: str
@@ -33,6 +32,7 @@ CAPABILITIES: dict[str, Capability] = {
     "record3d": Capability("Record3D's depth (.r3d)", {"pyliblzfse": "liblzfse"}, 1_000_000),
     "hypersim": Capability("Hypersim", {"h5py": "h5py"}, 16_000_000),
     "colmap": Capability("Poses of photos and films", {"pycolmap": "pycolmap"}, 134_000_000),
+    "usd": Capability("OpenUSD", {"usd-core": "pxr"}, 209_000_000),
     "farm": Capability(
         "Batches on many machines", {"distributed": "distributed", "dask-jobqueue": "dask_jobqueue"}, 38_000_000
     ),

@@ -145,11 +145,10 @@ class BakeLocks:
     @contextmanager
     def claim(self, view: str) -> Iterator[bool]:
         """Whether this process may bake the view until the ``with`` ends; False if another process is baking it. Raises
-        PlgsError if the file system does not support locks.
-        """
-        name = sha256(view.encode()).hexdigest()[:16]  # so that any text gives the name of a file
+        PlgsError if the file system does not support locks."""
+        path = self._folder / f"view-{sha256(view.encode()).hexdigest()[:16]}.lock"  # so that any text is a name
         try:
-            lock = lock_on(self._folder / f"view-{name}.lock", wait_s=0.0).__enter__()
+            lock = lock_on(path, wait_s=0.0).__enter__()
         except PlgsError as error:
             if error.code is not ErrorCode.BUSY:
                 raise
@@ -158,6 +157,8 @@ class BakeLocks:
         try:
             yield True
         finally:
+            if not OPEN_FILES_KEEP_NAMES:  # others look whether the file that they locked still has its name
+                path.unlink(missing_ok=True)
             lock.__exit__(None, None, None)
 
     def manifest(self) -> FileLock | Lease:

@@ -4,7 +4,7 @@ open."""
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -19,9 +19,6 @@ if TYPE_CHECKING:  # tables are also written without torch
 SH_DEGREE_0 = 0.5 / math.sqrt(math.pi)
 """The constant spherical harmonic: colour = 0.5 + SH_DEGREE_0 * f_dc."""
 _KINDS = {"f4": "float", "i4": "int", "u1": "uchar"}
-NewIds = Callable[
-    [NDArray[np.float32], NDArray[np.int32], NDArray[np.int32]], tuple[NDArray[np.int32], NDArray[np.int32]]
-]
 _TRIANGLE = np.dtype([("count", "u1"), ("corners", "<i4", 3)])
 
 
@@ -54,19 +51,6 @@ def write_ply_table(
         lines += [f"element face {len(faces)}", "property list uchar int vertex_indices"]
         body += faces.tobytes()
     write_atomically(path, "\n".join([*lines, "end_header\n"]).encode() + body)
-
-
-def relabelled_splats(content: bytes, new_ids: NewIds) -> bytes:
-    """What ``write_splats`` wrote, with the class and instance ids that ``new_ids`` makes from places [N, 3], class ids
-    and instance ids [N]. Raises ValueError for any other file."""
-    head, mark, body = content.partition(b"end_header\n")
-    lines = [line.split() for line in head.decode("ascii", "replace").splitlines()]
-    kinds = {name: kind for kind, name in _KINDS.items()}
-    fields = [(line[2], "<" + kinds[line[1]]) for line in lines if line[0] == "property"]
-    splats = np.frombuffer(body, np.dtype(fields)).copy()
-    xyz = np.stack([splats[axis] for axis in "xyz"], axis=1)
-    splats["class_id"], splats["instance_id"] = new_ids(xyz, splats["class_id"].copy(), splats["instance_id"].copy())
-    return head + mark + splats.tobytes()
 
 
 def write_splats(path: Path, splats: BakedGaussians) -> None:

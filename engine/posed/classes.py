@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
@@ -100,7 +101,5 @@ def matte_names(names: Mapping[int, str]) -> dict[int, str]:
         key: " ".join("".join(" " if c in ",\"'\\" else c for c in name).split()) or f"id {key}"
         for key, name in names.items()
     }
-    seen: dict[str, int] = {}
-    for name in clean.values():
-        seen[name] = seen.get(name, 0) + 1
+    seen = Counter(clean.values())
     return {key: name if seen[name] == 1 else f"{name} #{key}" for key, name in clean.items()}

@@ -54,7 +54,7 @@ class ClassRow:
     @property
     def rgb(self) -> tuple[int, int, int] | None:
         """The colour as sRGB bytes."""
-        return None if self.colour is None else (*bytes.fromhex(self.colour[1:]),)  # type: ignore[return-value]
+        return None if self.colour is None else (*bytes.fromhex(self.colour[1:]),)
 
 
 @dataclass(frozen=True)

@@ -19,8 +19,11 @@ FORMS = {
     "instances": ("Label Images", "16-bit PNGs of classes and instances, and coloured PNGs"),
     "scannet": ("ScanNet Labels", "label-filt, instance-filt and their table"),
     "points": ("Labelled Points", "PLY of the semantic points, and of the Gaussians"),
-    "boxes": ("Boxes", "The objects' oriented boxes as JSON and CSV"),
+    "splats": ("Splats", "PLY of the Gaussians alone, with the names of their ids"),
+    "boxes": ("Boxes", "The objects' oriented boxes as JSON and CSV, and for labelCloud and CVAT"),
     "mesh": ("Meshes", "The surface as PLY, and a GLB for each instance and each stuff class"),
+    "gltf": ("glTF", "The meshes of all instances and stuff classes in one GLB"),
+    "usd": ("OpenUSD", "Gaussians, meshes, boxes and cameras in one USD file; needs usd-core in the engine"),
     "depth": ("Depth Maps", "The lifted surface's depth in metres, one NPY per frame"),
     "clouds": ("Depth Clouds", "Each frame's pixels as labelled points in the world, one NPZ per frame"),
 }

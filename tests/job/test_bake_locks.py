@@ -6,6 +6,7 @@ from pathlib import Path
 
 from engine.job import BakeLocks
 from engine.job.lock import FileLock
+from engine.job.system import OPEN_FILES_KEEP_NAMES
 
 
 def test_each_view_belongs_to_one_process(tmp_path: Path) -> None:
@@ -14,6 +15,7 @@ def test_each_view_belongs_to_one_process(tmp_path: Path) -> None:
             assert (first, second, other) == (True, False, True)
         with locks.claim("shot / 1") as again:
             assert again
+        assert OPEN_FILES_KEEP_NAMES or not list((tmp_path / "bake").glob("view-*.lock")), "none is left behind"
 
 
 def test_it_knows_whether_others_are_baking(tmp_path: Path) -> None:

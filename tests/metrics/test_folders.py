@@ -14,7 +14,7 @@ from engine.command_line.main import main
 from engine.errors import PlgsError
 from engine.export.frame_images import write_coco
 from engine.metrics.folders import score_folders
-from engine.scene import Category, ClassTable
+from engine.scene import Camera, Category, ClassTable
 from engine.scene.label_folders import open_label_folder
 
 CLASSES = ClassTable((Category(1, "wall", False, (9, 9, 9)), Category(5, "chair", True, (200, 9, 9))))
@@ -22,6 +22,7 @@ SEMANTIC = np.ones((12, 16), np.int32)
 SEMANTIC[3:9, 2:14] = 5
 INSTANCE = np.where(SEMANTIC == 5, 1 + (np.arange(16) > 7), 0).astype(np.int32)
 FRAMES = ("0001", "0002")
+CAMERA = Camera(16, 12, 20.0, 20.0, 8.0, 6.0, np.eye(4))
 
 
 def write_pngs(folder: Path, semantic: str, instance: str, scale: int = 1, frames: tuple[str, ...] = FRAMES) -> Path:
@@ -34,7 +35,7 @@ def write_pngs(folder: Path, semantic: str, instance: str, scale: int = 1, frame
 
 
 def write_masks(folder: Path, instance: NDArray[np.int32] = INSTANCE) -> Path:
-    write_coco(folder, CLASSES, ((frame, SEMANTIC, instance) for frame in FRAMES))
+    write_coco(folder, CLASSES, ((frame, SEMANTIC, instance, CAMERA) for frame in FRAMES), {})
     return folder
 
 

@@ -70,7 +70,8 @@ def test_open3d_reads_the_ply(tmp_path: Path) -> None:
 def test_coco_round_trip(tmp_path: Path) -> None:
     layers = decide(made_rendering(), CLASSES)
     instance = np.where(layers.instance == 70001, 4, layers.instance).astype(np.int32)
-    write_coco(tmp_path, CLASSES, [("0001", layers.semantic, instance)])
+    camera = made_rendering().camera
+    write_coco(tmp_path, CLASSES, [("0001", layers.semantic, instance, camera)], {})
     content = json.loads((tmp_path / "panoptic.json").read_text())
     bgr = cv2.imread(str(tmp_path / "panoptic" / "0001.png")).astype(np.int64)
     ids = bgr[..., 2] + 256 * bgr[..., 1] + 65536 * bgr[..., 0]
@@ -81,7 +82,7 @@ def test_coco_round_trip(tmp_path: Path) -> None:
     assert sum(s["area"] for s in segments) == (layers.semantic > 0).sum()
     assert segments[0]["bbox"] == [3, 0, 2, 6]
     with pytest.raises(ValueError, match="below 4096"):
-        write_coco(tmp_path, CLASSES, [("0001", layers.semantic, layers.instance)])
+        write_coco(tmp_path, CLASSES, [("0001", layers.semantic, layers.instance, camera)], {})
 
 
 def test_the_previews_are_written(tmp_path: Path) -> None:

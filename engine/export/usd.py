@@ -1,0 +1,144 @@
+"""A lift as one OpenUSD file: Gaussians, meshes, boxes and cameras, with what each is."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+from numpy.typing import NDArray
+from pxr import Gf, Tf, Usd, UsdGeom, UsdSemantics, UsdVol, Vt
+
+from ..job import write_atomically
+from ..passes.layers import linear
+from ..posed.classes import VOID
+from ..result_files import Instance
+from ..scene import Camera
+from .mesh import MOST_INSTANCES, parts_of
+from .parts import Part
+from .source import FinishedLift
+
+FOCAL_LENGTH = 24.0
+"""Of every camera, in millimetres; the apertures give the angle of view."""
+_TO_USD = np.diag((1.0, -1.0, -1.0, 1.0))
+"""From OpenCV's axes of a camera to OpenUSD's (y up, looking along -z)."""
+
+
+def export_usd(lift: FinishedLift, output: Path) -> None:
+    """lift.usdc, in metres, z up: a ParticleField3DGaussianSplat, a mesh and a box (a guide) for each wanted instance,
+    the first two for each wanted stuff class, and the frames' cameras.
+
+    SemanticsLabelsAPI names the "class" of each of them and, where there is one, the "instance". Raises as
+    ``mesh.parts_of``.
+    """
+    parts = parts_of(lift)
+    stage = Usd.Stage.CreateInMemory()
+    UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
+    UsdGeom.SetStageMetersPerUnit(stage, 1.0)
+    stage.SetDefaultPrim(UsdGeom.Xform.Define(stage, "/Lift").GetPrim())
+    for part in parts:
+        name = lift.instances.names.get(part.instance_id, "")
+        _label(_add_mesh(stage, part), part.name, part.class_name, name)
+    _add_splats(stage, lift)
+    for one in lift.listed:
+        _label(_add_box(stage, one), one.name, one.class_name, one.name)
+    for frame in lift.frames:
+        _add_camera(stage, frame.name, frame.camera)
+    with TemporaryDirectory() as folder:
+        stage.GetRootLayer().Export(f"{folder}/lift.usdc")
+        write_atomically(output / "lift.usdc", Path(folder, "lift.usdc").read_bytes())
+
+
+def _label(prim: Usd.Prim, name: str, class_name: str, instance: str) -> None:
+    prim.SetDisplayName(name)
+    for taxonomy, label in (("class", class_name), ("instance", instance)):
+        if label:
+            UsdSemantics.LabelsAPI.Apply(prim, taxonomy).CreateLabelsAttr([label])
+
+
+def _path(stage: Usd.Stage, scope: str, name: str) -> str:
+    """A free path for a prim of this name."""
+    UsdGeom.Scope.Define(stage, f"/Lift/{scope}")
+    path = wanted = f"/Lift/{scope}/{Tf.MakeValidIdentifier(name)}"
+    number = 1
+    while stage.GetPrimAtPath(path):
+        number += 1
+        path = f"{wanted}_{number}"
+    return path
+
+
+def _add_mesh(stage: Usd.Stage, part: Part) -> Usd.Prim:
+    mesh = UsdGeom.Mesh.Define(stage, _path(stage, "Meshes", part.name))
+    mesh.CreatePointsAttr(_vectors(part.xyz))
+    mesh.CreateNormalsAttr(_vectors(part.normal))
+    mesh.SetNormalsInterpolation(UsdGeom.Tokens.vertex)
+    mesh.CreateFaceVertexCountsAttr(Vt.IntArray(len(part.triangles), 3))
+    mesh.CreateFaceVertexIndicesAttr(Vt.IntArray.FromNumpy(part.triangles.reshape(-1).astype(np.int32)))
+    mesh.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
+    mesh.CreateDoubleSidedAttr(True)
+    mesh.CreateExtentAttr(_vectors([part.xyz.min(axis=0), part.xyz.max(axis=0)]))
+    mesh.CreateDisplayColorPrimvar(UsdGeom.Tokens.vertex).Set(_vectors(linear(part.rgb / 255)))
+    return mesh.GetPrim()
+
+
+def _add_splats(stage: Usd.Stage, lift: FinishedLift) -> None:
+    """A field for each instance and stuff class, and one for what has no class."""
+    splats = lift.splats
+    label = splats["class_id"].astype(np.int64) * MOST_INSTANCES + splats["instance_id"]
+    for value in np.unique(label).tolist():
+        class_id, instance_id = divmod(value, MOST_INSTANCES)
+        class_name = lift.classes[class_id].name if class_id in lift.classes else ""
+        instance = lift.instances.names.get(instance_id, "") if class_id != VOID else ""
+        name = instance or class_name or "unlabelled"
+        _label(_add_field(stage, name, splats[label == value]), name, class_name, instance)
+
+
+def _add_field(stage: Usd.Stage, name: str, splats: NDArray[np.void]) -> Usd.Prim:
+    """Gaussians by the columns of a splat file. Their colours are sRGB, as training and all viewers have them."""
+    field = UsdVol.ParticleField3DGaussianSplat.Define(stage, _path(stage, "Splats", name))
+    xyz, scales = _columns(splats, "x y z"), np.exp(_columns(splats, "scale_0 scale_1 scale_2"))
+    turns = _columns(splats, "rot_0 rot_1 rot_2 rot_3")
+    turns /= np.maximum(np.linalg.norm(turns, axis=1, keepdims=True), np.float32(1e-12))
+    field.CreatePositionsAttr(_vectors(xyz))
+    field.CreateOrientationsAttr(Vt.QuatfArray.FromNumpy(np.ascontiguousarray(turns[:, (1, 2, 3, 0)])))
+    field.CreateScalesAttr(_vectors(scales))
+    field.CreateOpacitiesAttr(Vt.FloatArray.FromNumpy(1 / (1 + np.exp(-splats["opacity"]))))
+    field.CreateRadianceSphericalHarmonicsDegreeAttr(0)
+    field.CreateRadianceSphericalHarmonicsCoefficientsAttr(_vectors(_columns(splats, "f_dc_0 f_dc_1 f_dc_2")))
+    reach = 3 * scales.max(axis=1, keepdims=True)
+    field.CreateExtentAttr(_vectors([(xyz - reach).min(axis=0), (xyz + reach).max(axis=0)]))
+    return field.GetPrim()
+
+
+def _add_box(stage: Usd.Stage, one: Instance) -> Usd.Prim:
+    box = UsdGeom.Cube.Define(stage, _path(stage, "Boxes", one.name))
+    box.CreateSizeAttr(1.0)
+    box.AddTranslateOp().Set(Gf.Vec3d(*one.centre))
+    box.AddOrientOp().Set(Gf.Quatf(*one.rotation))
+    box.AddScaleOp().Set(Gf.Vec3f(*one.size))
+    box.CreatePurposeAttr(UsdGeom.Tokens.guide)
+    box.CreateDisplayColorAttr(_vectors([linear(np.array(one.colour) / 255)]))
+    return box.GetPrim()
+
+
+def _add_camera(stage: Usd.Stage, name: str, camera: Camera) -> None:
+    """A camera whose aperture is the whole picture; its offsets carry the principal point."""
+    shown = UsdGeom.Camera.Define(stage, _path(stage, "Cameras", f"camera_{name}"))
+    shown.GetPrim().SetDisplayName(name)
+    # The apertures of Usd are in tenths of a unit, as the focal length is: only their ratios matter.
+    shown.CreateFocalLengthAttr(FOCAL_LENGTH)
+    shown.CreateHorizontalApertureAttr(FOCAL_LENGTH * camera.width / camera.fx)
+    shown.CreateVerticalApertureAttr(FOCAL_LENGTH * camera.height / camera.fy)
+    shown.CreateHorizontalApertureOffsetAttr(FOCAL_LENGTH * (camera.width / 2 - camera.cx) / camera.fx)
+    shown.CreateVerticalApertureOffsetAttr(FOCAL_LENGTH * (camera.cy - camera.height / 2) / camera.fy)
+    shown.CreateClippingRangeAttr(Gf.Vec2f(0.01, 1000.0))
+    shown.AddTransformOp().Set(Gf.Matrix4d((camera.camera_to_world @ _TO_USD).T.tolist()))  # it has rows for columns
+
+
+def _columns(splats: NDArray[np.void], names: str) -> NDArray[np.float32]:
+    return np.stack([splats[name] for name in names.split()], axis=1)
+
+
+def _vectors(rows: Iterable[object] | NDArray[np.floating]) -> Vt.Vec3fArray:
+    return Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(rows, np.float32))
