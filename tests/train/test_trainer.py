@@ -268,6 +268,21 @@ def test_anchors_are_never_more_than_allowed(tiny: Input, tmp_path: Path) -> Non
         assert len(trainer.scene.anchors) <= most
 
 
+def test_a_finished_training_keeps_no_moments_and_can_be_restored(tiny: Input, tmp_path: Path) -> None:
+    """A finished lift is resumed when its masks change."""
+    preset = replace(TINY, steps=3)
+    trainer, other = (trainer_of(*tiny, preset, tmp_path) for _ in range(2))
+    trainer.step()
+    assert any(name.startswith("optimiser.") for name in trainer_state(trainer)[0])
+    while not trainer.finished:
+        trainer.step()
+    tensors, facts = trainer_state(trainer)
+    assert not any(name.startswith("optimiser.") for name in tensors)
+    restore(other, tensors, facts)
+    assert other.finished
+    assert_equal(trainer_state(other)[0], tensors)
+
+
 def test_a_stored_state_that_does_not_fit_is_refused(tiny: Input, tmp_path: Path) -> None:
     views, classes = tiny
     trainer = trainer_of(views, classes, TINY, tmp_path)
