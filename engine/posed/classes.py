@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cache
 from pathlib import Path
 
 from ..gates import one_line
@@ -16,6 +15,9 @@ VOID = 0
 """Class id of pixels without a label. It is never predicted."""
 LARGEST_CLASS_ID = LARGEST_ID - 1
 """Largest class id in mask files: a table that uses 0 is shifted by one."""
+_WORDS = Path(__file__).with_name("palette.txt").read_text("ascii").split()
+PALETTE = tuple((red, green, blue) for red, green, blue in map(bytes.fromhex, _WORDS))
+"""Colours, sRGB bytes: each is as far from all before it as can be (CIEDE2000; tests/posed/test_classes.py)."""
 
 
 @dataclass(frozen=True)
@@ -80,16 +82,9 @@ class ClassTable:
         return len(self.categories)
 
 
-@cache
-def palette() -> tuple[tuple[int, int, int], ...]:
-    """Colours, sRGB bytes: each is as far from all before it as can be (CIEDE2000; tests/posed/test_classes.py)."""
-    words = (Path(__file__).parent / "palette.txt").read_text("ascii").split()
-    return tuple((red, green, blue) for red, green, blue in map(bytes.fromhex, words))
-
-
 def distinct_colour(instance: int) -> tuple[int, int, int]:
     """The colour of an instance. It is none of the first 40, which the commonest classes beside it have."""
-    return palette()[(39 + instance) % len(palette())]
+    return PALETTE[(39 + instance) % len(PALETTE)]
 
 
 def matte_names(names: Mapping[int, str]) -> dict[int, str]:

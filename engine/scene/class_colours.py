@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from functools import cache
 from hashlib import sha256
 
-from ..posed.classes import Category, ClassLabel, ClassTable, palette
+from ..posed.classes import PALETTE, Category, ClassLabel, ClassTable
 from .class_tables import known_table
 
 _FIRST, _OTHERS = ("reduced", "nyu40"), ("nyu13", "scannet200", "replica", "coco", "ade20k", "cityscapes")
@@ -25,7 +25,7 @@ def coloured(labels: Iterable[ClassLabel]) -> ClassTable:
     `_FAR`; if a class of this table has that, the next free one is taken. Raises ValueError as `ClassTable`.
     """
     labels = sorted(labels, key=lambda label: label.id)
-    places, colours = _places(), palette()
+    places = _places()
     chosen = {label.id: label.colour for label in labels if label.colour is not None}
     unknown = []
     for label in labels:
@@ -33,12 +33,12 @@ def coloured(labels: Iterable[ClassLabel]) -> ClassTable:
         if place is None:
             unknown.append(label)
         else:
-            chosen.setdefault(label.id, colours[place])
+            chosen.setdefault(label.id, PALETTE[place])
     for label in sorted(unknown, key=lambda label: _words(label.name)):
         first = int.from_bytes(sha256(_words(label.name)[0].encode()).digest()[:4], "big") % _FAR
-        in_turn = (*colours[first:_FAR], *colours[:first], *colours[_FAR:])
+        in_turn = (*PALETTE[first:_FAR], *PALETTE[:first], *PALETTE[_FAR:])
         free = (colour for colour in in_turn if colour not in chosen.values())
-        chosen.setdefault(label.id, next(free, colours[first]))
+        chosen.setdefault(label.id, next(free, PALETTE[first]))
     return ClassTable(tuple(Category(each.id, each.name, each.is_thing, chosen[each.id]) for each in labels))
 
 

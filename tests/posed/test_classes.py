@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from engine.posed.classes import palette
+from engine.posed.classes import PALETTE
 from engine.scene import Category, ClassTable, distinct_colour
 
 TAKEN = ((255, 120, 0), (0, 0, 0), (52, 54, 58), (128, 128, 128), (255, 255, 255))
@@ -80,18 +80,18 @@ def test_each_colour_is_the_farthest_from_all_before_it() -> None:
     while len(made) < 512:
         made.append(tuple(grid[away.round(3).argmax()].tolist()))
         away = np.minimum(away, ciede2000(lab, cielab(np.array(made[-1]))))
-    assert palette() == tuple(made)
+    assert PALETTE == tuple(made)
 
 
 def test_the_nearest_of_40_colours_are_far_apart() -> None:
     """4 and 1.6 in CIELAB and by CIEDE2000 before there was a palette. 2.3 is a just noticeable distance in CIELAB."""
-    for colours in (list(palette()[:40]), [distinct_colour(instance) for instance in range(1, 41)]):
+    for colours in (list(PALETTE[:40]), [distinct_colour(instance) for instance in range(1, 41)]):
         difference, distance = nearest_pair(colours)
         assert difference > 11 and distance > 11
-    assert nearest_pair(list(palette()))[0] > 5
+    assert nearest_pair(list(PALETTE))[0] > 5
 
 
 def test_instances_have_other_colours_than_the_commonest_classes() -> None:
-    of_classes, of_instances = palette()[:40], [distinct_colour(instance) for instance in range(1, 400)]
+    of_classes, of_instances = PALETTE[:40], [distinct_colour(instance) for instance in range(1, 400)]
     assert len({*of_instances}) == len(of_instances) and not {*of_classes} & {*of_instances}
-    assert distinct_colour(1) == distinct_colour(1 + len(palette()))
+    assert distinct_colour(1) == distinct_colour(1 + len(PALETTE))

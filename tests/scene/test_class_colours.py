@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from engine.json_file import to_text
-from engine.posed.classes import ClassLabel, palette
+from engine.posed.classes import PALETTE, ClassLabel
 from engine.records import to_json
 from engine.scene import list_classes, open_scene
 from engine.scene.class_choice import ClassChoice, ClassRow
@@ -44,8 +44,8 @@ def test_made_up_classes_are_far_apart_too() -> None:
     for scene in range(5):
         colours = colours_of(*(f"part {scene} {number}" for number in range(40)))
         assert nearest_pair(list(colours.values()))[0] > 9.3
-    many = colours_of(*(f"part {number}" for number in range(len(palette()) + 1)))
-    assert len({*many.values()}) == len(palette())
+    many = colours_of(*(f"part {number}" for number in range(len(PALETTE) + 1)))
+    assert len({*many.values()}) == len(PALETTE)
 
 
 def test_a_class_keeps_its_colour() -> None:

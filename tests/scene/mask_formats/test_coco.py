@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
-from engine.posed.classes import palette
+from engine.posed.classes import PALETTE
 from engine.scene import check_scene, open_scene
 from tests.tiny_scene import write_tiny_scene
 
@@ -59,7 +59,7 @@ def test_the_masks_own_class_table_is_used(folder: Path) -> None:
     classes = open_scene(folder).classes
     assert classes.ids == (1, 2, 3, 5, 13) and classes.thing_ids == {2, 3, 5}
     assert classes[5].name == "chair" and classes[5].colour == (210, 70, 60)
-    assert classes[1].colour == palette()[24], "that of walls"
+    assert classes[1].colour == PALETTE[24], "that of walls"
 
 
 def test_categories_that_start_at_0_are_shifted_by_one(folder: Path) -> None:
