@@ -22,7 +22,9 @@ def glb_bytes(parts: Sequence[Part]) -> bytes:
     """A node and a mesh for each part, in glTF's axes (y up). A node's ``extras`` have its class and its ids."""
     views: list[dict[str, int]] = []
     accessors: list[dict[str, Any]] = []
-    nodes, meshes, body = [], [], bytearray()
+    nodes: list[dict[str, Any]] = []
+    meshes: list[dict[str, Any]] = []
+    body = bytearray()
     for part in parts:
         xyz = _upright(part.xyz)
         arrays: list[tuple[NDArray[Any], int, str, int]] = [
