@@ -96,11 +96,10 @@ class KeptPreparation:
             log.warning("what was found before the first step is found again: %s", error)
             return None
 
-
     def replaces(self, scene: StructuredScene) -> bool:
         """Whether the checkpoint will replace all that is learnt of a scene."""
-        facts = to_text(to_tensors(scene)[1])
-        return self.is_valid and self.checkpoint is not None and to_text(self.checkpoint.state.get("model")) == facts
+        model = None if self.checkpoint is None or not self.is_valid else self.checkpoint.state.get("model")
+        return isinstance(model, dict) and to_text(model) == to_text(to_tensors(scene)[1])
 
 
 def _kept(one: SceneObject) -> _KeptObject:
