@@ -82,7 +82,8 @@ def test_an_engine_that_dies_leaves_a_message(behaves: Behaves, lift: LiftFolder
     behaves(behaviour)
     followed = lifts.start(lift, PYTHON)
     registry.wait_for(followed, SCENE)
-    assert followed.error is not None and followed.error.code is ErrorCode.INTERNAL and followed.can_be_resumed
+    code = ErrorCode.KILLED if behaviour == "segfault" else ErrorCode.INTERNAL
+    assert followed.error is not None and followed.error.code is code and followed.can_be_resumed
 
 
 def test_two_cannot_work_in_one_folder(behaves: Behaves, lift: LiftFolder) -> None:
