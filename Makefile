@@ -3,7 +3,7 @@
 #   make demo [SCENE=folder] [OUT=folder] [PRESET=preview|standard|paper]
 #   make extension
 #   make test, make behaviours, make search [SEED=number] [PLGS_FUZZ=factor], make lint, make clean
-#   make test-slow, make test-window, make test-blender-next
+#   make test-slow, make test-window, make test-blender-next, make test-failing-calls [PLGS_FAULTS=number]
 #
 # TORCH_INDEX=<url> names an index of CPU builds of torch for the set-up, if pip does not know one already.
 
@@ -28,8 +28,10 @@ NEXT_TESTS := tests/plgs_blender tests/operators tests/ui tests/test_register.py
 # Which examples `make search` tries first, and how many times as many as `make test`.
 SEED := $(or $(SEED),$(shell od -An -N3 -tu4 /dev/urandom | tr -d ' '))
 PLGS_FUZZ ?= 10
+# How many faults each command meets in `make test-failing-calls`.
+PLGS_FAULTS ?= 30
 
-.PHONY: demo extension test test-slow test-window test-blender-next behaviours search lint set-up set-up-next clean
+.PHONY: demo extension test test-slow test-window test-blender-next test-failing-calls behaviours search lint set-up set-up-next clean
 .NOTPARALLEL:
 
 # A demo that was stopped goes on where it was. A finished one is left as it is.
@@ -57,6 +59,10 @@ test-slow: set-up-next extension
 	@if [ -e .venv-next/complete ]; then set -x; .venv-next/bin/python $(PYTEST) $(PARALLEL) $(NEXT_TESTS); fi
 	@$(PYTHON) set_up/blender_window.py trixie
 	PLGS_WINDOW_TREE=build/blender-trixie $(PYTHON) $(PYTEST) tests/window
+
+# Each command while one of its calls to the file system fails; 0 faults are all of them. Its table is in docs/trust.md.
+test-failing-calls: set-up
+	PLGS_FAULTS=$(PLGS_FAULTS) $(PYTHON) $(PYTEST) -s -m slow tests/failing_calls
 
 # The extension's zip, built and validated by Blender's own tool.
 extension: set-up

@@ -144,12 +144,11 @@ def _failure(error: Exception, command: Command, place: TaskPlace | None) -> Plg
         return PlgsError(str(error), sys.executable, fix, code=ErrorCode.INTERNAL)
     if isinstance(error, MemoryError) or _is_of_lacking_memory(error):
         return PlgsError("memory ran out", where.parent, command.with_less_memory, code=ErrorCode.INTERNAL)
+    at = str(getattr(error, "filename", None) or ("" if place is None else where.parent))
     if _is_of_a_full_disk(error):
-        return PlgsError(
-            "the disk is full", where.parent, f"Make room there, then {command.again}.", code=ErrorCode.DISK_FULL
-        )
-    if isinstance(error, OSError) and error.filename is not None:
-        return PlgsError(f"this cannot be used ({error.strerror})", error.filename, f"Fix this, then {command.again}.")
+        return PlgsError("the disk is full", at, f"Make room there, then {command.again}.", code=ErrorCode.DISK_FULL)
+    if isinstance(error, OSError) and error.errno is not None:
+        return PlgsError(f"this cannot be used ({error.strerror})", at, f"Fix this, then {command.again}.")
     what = f"the engine failed ({type(error).__name__}: {(str(error).splitlines() or [''])[0][:300]})"
     fix = f"The log has the details. Once the cause is fixed, {command.again}."
     return PlgsError(what, where, fix, code=ErrorCode.INTERNAL)

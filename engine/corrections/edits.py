@@ -28,7 +28,7 @@ _FARTHEST = 10**9
 """The farthest place of a point, in millimetres."""
 _BOUNDS = {"least": -_FARTHEST, "most": _FARTHEST}
 _SHOWN = {"shown": True}
-_MEND = "Repair it, or move it away to see the lift as the engine made it."
+MEND = "Repair it, or move it away to see the lift as the engine made it."
 
 
 @dataclass(frozen=True)
@@ -114,13 +114,13 @@ def edit_of(entry: dict[str, Any], path: Path) -> Edit:
     """The edit in an entry. Raises PlgsError when it is damaged."""
     for key in ("kind", "uid", "time"):
         if not entry.get(key):
-            raise PlgsError(f"an edit has no '{key}'", path, _MEND)
+            raise PlgsError(f"an edit has no '{key}'", path, MEND)
     if entry["kind"] not in KINDS:
-        shown = record_of(_Unknown, {key: entry[key] for key in ("kind", "uid", "time")}, path, _MEND, "an edit")
+        shown = record_of(_Unknown, {key: entry[key] for key in ("kind", "uid", "time")}, path, MEND, "an edit")
         return Edit(shown.kind, undone=entry.get("undone") is True, uid=shown.uid, time=shown.time, raw=entry)
-    edit = record_of(Edit, entry, path, _MEND, str(entry["kind"]), raw=None)
+    edit = record_of(Edit, entry, path, MEND, str(entry["kind"]), raw=None)
     if edit.kind == "rename" and not edit.name:
-        raise PlgsError("'rename.name' is empty", path, _MEND)
+        raise PlgsError("'rename.name' is empty", path, MEND)
     return edit
 
 

@@ -1,23 +1,21 @@
 """corrections.json: the edits of a lift, in the order in which they were made.
 
 No edit is ever removed: an undone edit is marked as undone. Writers take turns, and each writes what it has just read,
-so two Blenders that edit the same lift lose nothing.
+so two Blenders that edit the same lift lose nothing. That holds for one that sleeps past its lease, too.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 from ..errors import ErrorCode, PlgsError
-from ..job import write_atomically
 from ..job.lock import lock_on
 from ..json_file import read_object, take_objects, take_whole_number, to_text
-from .edits import CORRECTIONS, Edit, edit_of
+from .edits import CORRECTIONS, MEND, Edit, edit_of
 
 FORMAT = 1
-_MEND = "Repair it, or move it away to see the lift as the engine made it."
 _WAIT_S = 20.0
 
 
@@ -29,14 +27,14 @@ def read_edits(lift: Path) -> tuple[Edit, ...]:
     path = lift / CORRECTIONS
     if not path.exists():
         return ()
-    content = read_object(path, _MEND)
+    content = read_object(path, MEND)
     version = take_whole_number(content, "format", "the file", path)
     if version != FORMAT:
         fix = "Use the version of PLGS that wrote it. The file was not changed."
         raise PlgsError(f"the file has format {version}, but this version reads {FORMAT}", path, fix)
     edits = tuple(edit_of(entry, path) for entry in take_objects(content, "edits", "the file", path))
     if len({edit.uid for edit in edits}) < len(edits):
-        raise PlgsError("two edits have the same uid", path, _MEND)
+        raise PlgsError("two edits have the same uid", path, MEND)
     return edits
 
 
@@ -49,23 +47,15 @@ def editing(lift: Path) -> Iterator[list[Edit]]:
     folder = lift / "bake"
     folder.mkdir(exist_ok=True)
     try:
-        lock = lock_on(folder / "corrections.lock", _WAIT_S, brief=True).__enter__()
+        with lock_on(folder / "corrections.lock", _WAIT_S, brief=True) as lock:
+            before = read_edits(lift)
+            edits = list(before)
+            yield edits
+            if tuple(edits) != before:
+                content = {"format": FORMAT, "edits": [edit.to_json() for edit in edits]}
+                lock.write(lift / CORRECTIONS, to_text(content))
     except PlgsError as error:
         if error.code is not ErrorCode.BUSY:
             raise
         fix = "Try again in a moment."
         raise PlgsError("another program is editing this lift", lift / CORRECTIONS, fix, code=ErrorCode.BUSY) from error
-    try:
-        before = read_edits(lift)
-        edits = list(before)
-        yield edits
-        if tuple(edits) != before:
-            write_edits(lift, edits)
-    finally:
-        lock.__exit__(None, None, None)
-
-
-def write_edits(lift: Path, edits: Sequence[Edit]) -> None:
-    """Write all edits, by renaming. The caller holds the lock or has just made the folder. Raises OSError."""
-    content = {"format": FORMAT, "edits": [edit.to_json() for edit in edits]}
-    write_atomically(lift / CORRECTIONS, to_text(content))

@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
+from ..errors import ErrorCode, PlgsError
 from ..gates import create_plain, open_plain
 from .system import flush_folder
 
@@ -16,16 +17,22 @@ PART = ".part-"
 """Prefix of names that are still being written. A kill leaves them behind; `remove_parts` deletes them."""
 
 
-def write_atomically(path: Path, content: bytes | str | Callable[[Path], object]) -> None:
+def write_atomically(
+    path: Path,
+    content: bytes | str | Callable[[Path], object],
+    part: Path | None = None,
+    check: Callable[[], object] = lambda: None,
+) -> None:
     """Write a file so that readers, also after a kill at any point, see the old content or the new, never a mixture.
 
     ``content`` is the bytes, a text (written as UTF-8), or a function that writes the file at the path it is
     given. That path is in the same folder and ends like ``path``, so libraries that choose a format by
-    suffix choose the right one. One process at a time may write a given path. Raises what the function or the
-    file system raises, and then leaves ``path`` as it was.
+    suffix choose the right one. One process at a time may write a given path, or a given ``part``. Raises what the
+    function, the file system, or the last ``check`` before the renaming raises, and PlgsError if another process
+    removed the part; ``path`` is then as it was. An OSError names the file.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
-    part = path.with_name(PART + path.name)
+    part = part or path.with_name(PART + path.name)
     try:
         if callable(content):
             part.unlink(missing_ok=True)  # a link that someone left there would lead elsewhere
@@ -33,10 +40,18 @@ def write_atomically(path: Path, content: bytes | str | Callable[[Path], object]
         else:
             with create_plain(part) as file:
                 file.write(content.encode() if isinstance(content, str) else content)
-        flush_to_disk(part)
-        os.replace(part, path)
-    except BaseException:
+        try:
+            flush_to_disk(part)
+            check()
+            os.replace(part, path)
+        except FileNotFoundError as error:
+            if callable(content):  # perhaps it wrote nothing
+                raise
+            raise PlgsError("another process took over", path, "Try again in a moment.", code=ErrorCode.BUSY) from error
+    except BaseException as error:
         part.unlink(missing_ok=True)
+        if isinstance(error, OSError) and error.errno and error.filename is None:
+            error.filename = str(path)
         raise
     flush_to_disk(path.parent)
 

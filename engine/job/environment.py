@@ -16,13 +16,12 @@ COMPLETE = "complete"
 
 def user_cache_folder(environ: Mapping[str, str] = os.environ) -> Path:
     """The folder in which this system keeps caches; the engine's compiled kernels are there too."""
-    if sys.platform == "win32":
-        base = environ.get("LOCALAPPDATA")
-        return Path(base) if base else Path.home() / "AppData" / "Local"
-    if sys.platform == "darwin":
-        return Path.home() / "Library" / "Caches"
-    base = environ.get("XDG_CACHE_HOME")
-    return Path(base) if base else Path.home() / ".cache"
+    places = {"win32": ("LOCALAPPDATA", "AppData/Local"), "darwin": ("", "Library/Caches")}
+    variable, below = places.get(sys.platform, ("XDG_CACHE_HOME", ".cache"))
+    try:
+        return Path(environ.get(variable) or Path.home() / below)
+    except RuntimeError:  # nobody knows a home, as in a container that runs with a number which no user has
+        return Path(os.devnull) / below
 
 
 def notes_folder(environ: Mapping[str, str] = os.environ) -> Path:

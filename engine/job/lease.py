@@ -7,7 +7,9 @@ they have stopped for long.
 The disk must guarantee, as NFS does, that a link to an existing name fails, that a rename is atomic, and that a file
 that is opened again shows what another machine wrote before (close-to-open). No file system guarantees that a process
 which was suspended for longer than STALE_S writes nothing before its next beat when it wakes. It then finds its lease
-gone, and ends. All files of a lift are put in place by rename, and every process writes the same content.
+gone, and ends. All files of a lift are put in place by rename, and every process writes the same content. Files that
+are read, changed and written go through `Lease.write`: whoever takes a lease first removes what its last holder was
+about to put in place, so that a sleeper which wakes has nothing to rename.
 """
 
 from __future__ import annotations
@@ -21,12 +23,11 @@ import time
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
 from uuid import getnode, uuid4
 
 from ..errors import ExitCode
 from ..gates import create_plain, open_plain
-from .atomic import PART
+from .atomic import PART, write_atomically
 from .events import at_work
 from .system import is_alive
 
@@ -90,13 +91,9 @@ def _is_shared(folder: Path) -> bool:
     under = [
         (len(point), number, kind)
         for number, (_, point, kind, *_) in enumerate(mounts)
-        if place.is_relative_to(_unescaped(point))
+        if place.is_relative_to(point.replace("\\040", " "))
     ]
     return bool(under) and max(under)[2] in _SHARED_KINDS
-
-
-def _unescaped(point: str) -> str:
-    return point.replace("\\040", " ")
 
 
 class Lease:
@@ -124,14 +121,29 @@ class Lease:
             if not self._wait_s or (waited > self._wait_s and _watched[self._lease].lives):
                 raise at_work(self._path)
             time.sleep(min(0.05, BEAT_S / 4))
+        for part in self._lease.parent.glob(f"{PART}*-{self._lease.name}"):
+            part.unlink(missing_ok=True)
         if self._beats:
             threading.Thread(target=self._beat, name="plgs-lease", daemon=True).start()
         return self
 
     def _taken(self) -> bool:
         if _created(self._lease, self._id):
-            self._descriptor = os.open(self._lease, os.O_WRONLY)
-        return self._descriptor >= 0
+            with suppress(FileNotFoundError):  # taken away already, as this process slept
+                self._descriptor = os.open(self._lease, os.O_RDWR)
+                if self._id.encode() in os.read(self._descriptor, _LARGEST):
+                    return True
+                os.close(self._descriptor)
+        return False
+
+    def write(self, path: Path, content: str) -> None:
+        """Write a file that only holders write. Raises PlgsError if another has taken the lease over, and OSError."""
+        part = self._lease.with_name(f"{PART}{self._id}-{self._lease.name}")
+        write_atomically(path, content, part, self._refuse_lost)
+
+    def _refuse_lost(self) -> None:
+        if not self._is_ours():
+            raise at_work(self._path)
 
     def _beat(self) -> None:
         beat = 0
@@ -141,22 +153,18 @@ class Lease:
                 os.lseek(self._descriptor, 0, os.SEEK_SET)
                 os.write(self._descriptor, _content(self._id, beat))
                 os.fsync(self._descriptor)
-            if not self._is_ours() and not self._over.is_set():
-                what = f"error: another machine took this over, as this one showed no sign of life: {self._path}"
-                print(what, file=sys.stderr, flush=True)
-                os._exit(ExitCode.BUSY)
+            with suppress(OSError):
+                if not self._is_ours() and not self._over.is_set():
+                    what = f"error: another machine took this over, as this one showed no sign of life: {self._path}"
+                    print(what, file=sys.stderr, flush=True)
+                    os._exit(ExitCode.BUSY)
 
     def _is_ours(self) -> bool:
-        """Whether the lease is ours. True also if this cannot be determined."""
-        try:
-            state = _holder(self._lease)
-        except OSError:
-            return True
+        """Whether the lease is still ours. Raises OSError."""
+        state = _holder(self._lease)
         return state is not None and state["id"] == self._id
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._over.set()
         with suppress(OSError):
             if self._is_ours():

@@ -13,11 +13,11 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from hashlib import sha256
 from pathlib import Path
-from types import TracebackType
 from uuid import uuid4
 
 from ..errors import ErrorCode, PlgsError
 from ..gates import open_plain, open_to_append
+from .atomic import write_atomically
 from .events import at_work
 from .lease import Lease, is_leased, is_on_shared_disk
 from .system import OPEN_FILES_KEEP_NAMES, try_lock
@@ -68,9 +68,9 @@ class FileLock:
         """The locked file's descriptor. A POSIX child that inherits it holds the lock too, until it ends."""
         return self._descriptor
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    write = staticmethod(write_atomically)  # as `Lease.write`: of a file that only holders write
+
+    def __exit__(self, *_: object) -> None:
         os.close(self._descriptor)  # closing releases it, on every system
 
 
@@ -131,11 +131,9 @@ class BakeLocks:
         self._held = lock_on(self._own).__enter__()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         assert self._held is not None
-        self._held.__exit__(kind, error, trace)
+        self._held.__exit__()
         self._own.unlink(missing_ok=True)
 
     def others_at_work(self) -> bool:
@@ -159,7 +157,7 @@ class BakeLocks:
         finally:
             if not OPEN_FILES_KEEP_NAMES:  # others look whether the file that they locked still has its name
                 path.unlink(missing_ok=True)
-            lock.__exit__(None, None, None)
+            lock.__exit__()
 
     def manifest(self) -> FileLock | Lease:
         """The right to change the manifest; for ``with``."""

@@ -41,8 +41,8 @@ def lift_in_terminal(
     does the lift (see `engine_call`). Raises PlgsError, and Interrupted on Ctrl-C after the engine has ended.
     """
     python = engine_python()
-    if options.poses is not None:
-        options.scene = _posed(options.scene, python, interrupts)
+    if options.poses is not None:  # an engine finds them, unless an earlier one has
+        options.scene = Path(str(ask_engine(python, interrupts, "poses", options.scene)["folder"]))
     lift = resumable(options)
     is_new, finished_at = lift is None, None
     if lift is None:
@@ -65,13 +65,6 @@ def lift_in_terminal(
     if code is ExitCode.FINISHED and finished_at == lift.manifest_path.stat().st_mtime_ns:
         print(f"This lift is finished already: {lift.path}", file=sys.stderr)
     return lift, code
-
-
-def _posed(photos: Path, python: Path, interrupts: Interrupts) -> Path:
-    """The scene of photos or a film, whose poses an engine finds unless an earlier one has. Raises PlgsError,
-    Interrupted.
-    """
-    return Path(str(ask_engine(python, interrupts, "poses", photos)["folder"]))
 
 
 def ask_engine(python: Path, interrupts: Interrupts, kind: str, *arguments: str | Path) -> Mapping[str, Json]:

@@ -276,8 +276,8 @@ class _Result:
         OSError."""
         old = self._listed().intersection(baked_files(self._folder, view.name))
         if old:
-            with self._locks.manifest():
-                drop_files(self._folder.result_path, sorted(old))
+            with self._locks.manifest() as lock:
+                drop_files(self._folder.result_path, sorted(old), lock.write)
 
     def _listed(self) -> frozenset[Path]:
         """The files in the manifest, which is read again only when it was replaced: with thousands of views, reading
@@ -302,7 +302,7 @@ class _Result:
         """Add the new views to the manifest. Raises OSError."""
         files = [path for view in self._views for path in baked_files(self._folder, view.name)]
         if files:
-            with self._locks.manifest():
+            with self._locks.manifest() as lock:
                 own = {view.name: view.frame for view in self._views if view.frame not in ("", view.name)}
-                add_files(self._folder.result_path, files, own)
+                add_files(self._folder.result_path, files, own, lock.write)
         self._views, self._kept_at = [], time.monotonic()

@@ -38,13 +38,12 @@ def choose_cache_folder(name: str) -> Path:
 
 def user_cache_folder() -> Path:
     """The folder in which this system keeps the user's caches."""
-    if sys.platform == "win32":
-        base = os.environ.get("LOCALAPPDATA")
-        return Path(base) if base else Path.home() / "AppData" / "Local"
-    if sys.platform == "darwin":
-        return Path.home() / "Library" / "Caches"
-    base = os.environ.get("XDG_CACHE_HOME")
-    return Path(base) if base else Path.home() / ".cache"
+    places = {"win32": ("LOCALAPPDATA", "AppData/Local"), "darwin": ("", "Library/Caches")}
+    variable, below = places.get(sys.platform, ("XDG_CACHE_HOME", ".cache"))
+    try:
+        return Path(os.environ.get(variable) or Path.home() / below)
+    except RuntimeError:  # nobody knows a home, as in a container that runs with a number which no user has
+        return Path(os.devnull) / below
 
 
 def _make(folder: Path) -> str | None:

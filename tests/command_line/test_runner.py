@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import errno
 import io
 import json
+import os
 import sys
 from pathlib import Path
 
@@ -11,9 +13,9 @@ import pytest
 
 from engine.command_line.log_output import output_to
 from engine.command_line.main import main
-from engine.command_line.runner import Command, run_at
+from engine.command_line.runner import Command, run_at, run_in_terminal
 from engine.errors import ErrorCode, PlgsError
-from engine.job import EventWriter, ExitCode, StopSignal, last_run
+from engine.job import EventWriter, ExitCode, StopSignal, last_run, write_atomically
 from engine.job.follower import TaskFollower
 from engine.job.lock import FileLock
 from engine.job.process import engine_call
@@ -107,6 +109,33 @@ def test_without_events_the_answer_is_printed(tmp_path: Path, capfd: pytest.Capt
     assert said.out == f"3 frames in {tmp_path / 'out'}\n" and "Making frames  3/3" in said.err
     assert main([*call, "--json"]) == 0
     assert json.loads(capfd.readouterr().out) == {"folder": str(tmp_path / "out"), "frames": 3}
+
+
+@pytest.mark.parametrize(
+    ("number", "code", "told"),
+    [
+        (errno.EIO, ExitCode.BAD_INPUT, "error: this cannot be used (Input/output error): {file}. Fix this, "),
+        (errno.EDQUOT, ExitCode.INTERNAL_ERROR, "error: the disk is full: {file}. Make room there, "),
+    ],
+)
+def test_a_disk_that_fails_as_a_file_is_flushed_is_a_line_that_names_the_file(
+    tmp_path: Path,
+    capfd: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+    number: int,
+    code: ExitCode,
+    told: str,
+) -> None:
+    """The system's call knows no name, as it has a descriptor."""
+
+    def fail(descriptor: int) -> None:
+        raise OSError(number, os.strerror(number))
+
+    monkeypatch.setattr(os, "fsync", fail)
+    file = tmp_path / "file"
+    assert run_in_terminal(Command("export", lambda events, stop: write_atomically(file, "text"))) is code
+    said = capfd.readouterr().err
+    assert said.startswith(told.format(file=file)) and said.count("\n") == 1 and not file.exists()
 
 
 def test_an_error_message_omits_empty_parts() -> None:

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from engine.errors import ErrorCode, PlgsError
 from engine.job import write_atomically
 from engine.job.atomic import PART, files_below, remove_parts
 
@@ -46,3 +47,11 @@ def test_it_clears_leftovers_away(tmp_path: Path) -> None:
     remove_parts(tmp_path)
     assert list(files_below(tmp_path)) == [tmp_path / "deep" / "kept"]
     assert not (tmp_path / "deep" / (PART + "folder")).exists()
+
+
+def test_a_part_that_another_process_removed(tmp_path: Path) -> None:
+    path = tmp_path / "file"
+    path.write_text("old")
+    with pytest.raises(PlgsError, match="another process took over") as met:
+        write_atomically(path, "new", check=(tmp_path / ".part-file").unlink)
+    assert met.value.code is ErrorCode.BUSY and path.read_text() == "old"

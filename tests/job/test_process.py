@@ -97,6 +97,13 @@ def test_kernels_and_environments_lie_in_one_cache(monkeypatch: pytest.MonkeyPat
     cache_folder = pytest.importorskip("engine.machine.cache_folder")
     assert cache_folder.user_cache_folder() == user_cache_folder()
 
+    def homeless() -> Path:
+        raise RuntimeError("Could not determine home directory.")
+
+    monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
+    monkeypatch.setattr(Path, "home", homeless)  # a container's user, whose number no table of users has
+    assert cache_folder.user_cache_folder() == user_cache_folder() and not user_cache_folder().exists()
+
 
 def test_a_chosen_python_is_refused_when_it_lacks_something(code: Path, tmp_path: Path) -> None:
     script = tmp_path / "python"
