@@ -12,8 +12,8 @@ from .inspect import OnInstances
 
 
 class PLGS_OT_make_objects(OnInstances, bpy.types.Operator):
-    """Turn each selected object into its own collection, with points, mesh and box, to be moved and used elsewhere. A
-    hole is left where it stood"""
+    """Turn each selected object into one mesh in its own collection, to be moved and used elsewhere, with its points
+    hidden under it. A hole is left where it stood"""
 
     bl_idname, bl_label, bl_options = "plgs.make_objects", "Make Objects", {"REGISTER", "UNDO"}
 

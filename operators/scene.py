@@ -21,7 +21,7 @@ from ..plgs_blender.scene_formats import AUTOMATIC, FILE_SUFFIXES
 from ..plgs_blender.settings import SceneOptions, chosen_scene, option_names
 from ..plgs_blender.tasks import registry
 from ..plgs_blender.tasks.registry import Task
-from ..plgs_blender.viewport import show_lift_colours_in
+from ..plgs_blender.viewport import show_materials_in
 from .base import (
     CANCELLED,
     FINISHED,
@@ -73,7 +73,7 @@ class ImportsScene(SceneOptions, StartsTask):
             return FINISHED if is_making else CANCELLED
         cameras = sum("frame" in ob for ob in root.all_objects)
         lacking = "" if is_making else what_is_missing(root) if error is None else with_field_names(error)
-        show_lift_colours_in(context.scene)
+        show_materials_in(context.scene)
         self.report({"WARNING" if lacking else "INFO"}, f"{one_line(root.name)}: {cameras} cameras. {lacking}".rstrip())
         return FINISHED
 

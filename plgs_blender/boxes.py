@@ -1,4 +1,4 @@
-"""One oriented box for each instance, drawn as coloured lines and rendered as coloured bars."""
+"""One oriented box for each instance, drawn as coloured lines. Renders show none."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from mathutils import Matrix, Quaternion, Vector
 from numpy.typing import NDArray
 
 from ..engine.result_files import Instance
-from .materials import box_material, clear_material, object_colour
+from .materials import clear_material, object_colour
 from .owned import OwnedDataBlocks, text_of
 
 _CORNERS = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
@@ -19,8 +19,6 @@ INSTANCE = "instance:"
 """Start of the key of an instance's box. The instance's id follows."""
 NAME, PLACED = "plgs_name", "plgs_placed"
 """Properties of a box: the name, and the centre, size and rotation, that it was placed with."""
-_BAR = 0.018
-"""Thickness of a rendered bar, metres."""
 
 
 def place_boxes(
@@ -48,19 +46,14 @@ def _place(owned: OwnedDataBlocks, parent: bpy.types.Collection, instance: Insta
     mesh.update()
     mesh.materials.clear()
     mesh.materials.append(clear_material(owned))
-    mesh.materials.append(box_material(owned))
     ob = owned.object(key, name, mesh, parent)
     ob[NAME], ob[PLACED] = instance.name, placed
     ob.matrix_world = where or _where_placed(ob)
     ob.color = object_colour(instance.colour)
-    # Only meshes with faces have lines in the object's colour. Renders ignore the display type, so they show bars;
-    # views that render show nothing of the clear faces.
-    ob.display_type, ob.show_name = "WIRE", False  # the labels over the view are readable, Blender's names are not
+    # Only meshes with faces have lines in the object's colour. Views that render show nothing of the clear faces.
+    ob.display_type, ob.hide_render = "WIRE", True
+    ob.show_name = False  # the labels over the view are readable, Blender's names are not
     ob.show_in_front = True  # it stays visible and selectable through the points that fill it
-    # The bars lie outside the box, where its points do not cover them.
-    bars = ob.modifiers.get("Bars") or ob.modifiers.new("Bars", "WIREFRAME")
-    bars.thickness, bars.offset, bars.show_viewport, bars.show_render = _BAR, 1.0, False, True
-    bars.material_offset = 1
     _describe(ob, instance)
     return ob
 

@@ -182,13 +182,13 @@ def add_keys(
         curve.update()
 
 
-def show_stored_colours(scene: bpy.types.Scene) -> None:
-    """Choose the view transform that only encodes colours for the display, as far as the OCIO configuration has one.
+STORED_COLOURS = ("Standard", "Un-tone-mapped")
+"""View transforms that only encode colours for the display: Blender's own, and that of ACES configurations."""
 
-    Blender's own is called Standard, that of ACES configurations Un-tone-mapped. Elsewhere the configuration's default
-    stays.
-    """
-    for name in ("Standard", "Un-tone-mapped"):
+
+def show_stored_colours(scene: bpy.types.Scene) -> None:
+    """Choose one of STORED_COLOURS, as far as the OCIO configuration has one. Elsewhere its default stays."""
+    for name in STORED_COLOURS:
         try:
             scene.view_settings.view_transform = name
         except TypeError:  # the configuration has no view transform of this name

@@ -47,8 +47,10 @@ from .inspecting.lists import fill_lists
 from .inspecting.lookup import boxes_of, objects_by_key, row_of
 from .inspecting.selection import deselect_all, renaming, select_instance, selected_instances
 from .lift_collection import FOLDER, child_collection, lifts_in
+from .meshes import CORRECTIONS
 from .owned import LIFT, OwnedDataBlocks, text_of
 from .paths import absolute
+from .results import LiftResult
 from .surfaces import SurfaceGrid
 from .viewport import show_gizmos
 
@@ -123,7 +125,7 @@ def show_corrections(root: bpy.types.Collection, result: CorrectedResult) -> Non
         row.visible = row.instance_id not in hidden
     if active in {row.instance_id for row in lists.instances}:
         select_instance(root, active, layer)
-    remember(root, result.edits)
+    remember(root, result)
     if text_of(root, PROPOSALS):
         _keep_proposals(root, result)
 
@@ -192,9 +194,10 @@ def next_uncertain(root: bpy.types.Collection) -> tuple[str, int, int]:
     return chosen, len(visited) + 1, len(ranked)
 
 
-def remember(root: bpy.types.Collection, edits: tuple[Edit, ...]) -> None:
+def remember(root: bpy.types.Collection, result: LiftResult | CorrectedResult) -> None:
     """Store in the collection which edits the scene shows."""
-    root[EDITS] = " ".join(each.uid for each in edits if not each.undone)
+    root[EDITS] = " ".join(each.uid for each in result.edits if not each.undone)
+    root[CORRECTIONS] = result.fingerprint
 
 
 def chosen_instances(root: bpy.types.Collection, named: str, context: bpy.types.Context) -> list[int]:
@@ -285,7 +288,7 @@ def rename(root: bpy.types.Collection, instance: int, name: str) -> Edit:
     row.known_name = row.name = made.name
     if box is not None:
         box.name = box[NAME] = made.name
-    remember(root, result.edits)
+    remember(root, result)
     if text_of(root, PROPOSALS):
         _keep_proposals(root, result)
     return made

@@ -45,7 +45,7 @@ from .reuse import leave_holes
 from .splats import GAUSSIANS, has_native_splats, place_gaussians, placing_gaussians
 from .surfaces import SurfaceGrid
 from .timeline import mark_timeline, places_of
-from .viewport import all_views, areas_of, colour_views, show_room, start_file
+from .viewport import all_views, areas_of, show_materials_in, show_room, start_file
 
 _VIEWPOINTS = 200
 """At most this many cameras decide which side of a surface was seen; of more, every n-th is used."""
@@ -134,7 +134,7 @@ def _placing_splats(read: ReadLift, root: bpy.types.Collection, scene: bpy.types
         with registered():
             if root.plgs.look != PHOTO:
                 apply_look(root)
-            colour_views(scene, points=root.plgs.show_as == POINTS)
+            show_materials_in(scene)
 
 
 def _placing_passes(read: ReadLift, root: bpy.types.Collection, scene: bpy.types.Scene) -> Iterator[None]:
@@ -175,7 +175,7 @@ def place_room(read: ReadLift, scene: bpy.types.Scene) -> PlacedRoom:
     fill_lists(root, result)
     fill_not_shown(root, result)
     leave_holes(root)
-    remember(root, result.edits)
+    remember(root, result)
     owned.sweep()
     placed = Placed(root[LIFT], scene.name)
     return PlacedRoom(placed, _placing_rest(read, placed))
@@ -192,17 +192,17 @@ def place_passes_anew(lift: Path, scene: bpy.types.Scene) -> None:
     place_shots(owned, result, scene)
 
 
-def place_meshes_anew(lift: Path, scene: bpy.types.Scene) -> list[bpy.types.Object]:
-    """After meshes were made: put them beside the lift that is placed in `scene`. Raises PlgsError."""
+def place_meshes_anew(lift: Path, scene: bpy.types.Scene, *, asked: bool = True) -> list[bpy.types.Object]:
+    """After meshes were made: put them beside the lift that is placed in `scene`, and show them if somebody ``asked``
+    for them: they have more holes than splats. Raises PlgsError."""
     result, scene = read_result(lift), scene_to_fill(scene)
     root = root_of_placed(result.folder, scene)
     placed = place_meshes(OwnedDataBlocks(root[LIFT], scene), root, result)
     with registered():
-        were_points = root.plgs.show_as == POINTS
-        if placed:
+        if placed and asked:
             root.plgs.show_as = SURFACE
         apply_look(root)
-        colour_views(scene, points=root.plgs.show_as == POINTS, were_points=were_points)
+        show_materials_in(scene)
     return placed
 
 
@@ -314,17 +314,16 @@ def _choose_what_is_shown(root: bpy.types.Collection) -> None:
 
 
 def show_lift_as(root: bpy.types.Collection, scene: bpy.types.Scene, kind: str) -> None:
-    """Show a lift as POINTS, SPLATS or SURFACE, also in the views that a lift has coloured. Splats are placed when they
-    are not there. Raises PlgsError when they cannot be, or when no meshes were made.
+    """Show a lift as POINTS, SPLATS or SURFACE. Splats are placed when they are not there. Raises PlgsError when they
+    cannot be, or when no meshes were made.
     """
     if kind == SPLATS and not has(root, SPLATS):
         place_gaussians(root, scene)
         apply_look(root)
     if kind == SURFACE and not has(root, SURFACE):
         raise PlgsError("has no meshes yet", root.name, "Make them first: plgs.make_meshes.")
-    were_points = root.plgs.show_as == POINTS
     root.plgs.show_as = kind
-    colour_views(scene, points=kind == POINTS, were_points=were_points)
+    show_materials_in(scene)
 
 
 def look_at_placed(root: bpy.types.Collection, scene: bpy.types.Scene) -> None:

@@ -1,6 +1,6 @@
 """The colours and materials of a lift.
 
-Points and boxes are unlit: photos bring their light with them, and boxes are drawings.
+They are unlit: photos bring their light with them.
 """
 
 from __future__ import annotations
@@ -15,9 +15,9 @@ from numpy.typing import ArrayLike, NDArray
 from .compat import use_nodes
 from .owned import OwnedDataBlocks
 
-CLASS_COLOURS, RELIEF = "Class colours", "Relief"
-"""Labels of two value nodes of the points' material, 0..1: the share of the class's colour in place of the photo's, and
-the strength of shading by the normal.
+CLASS_COLOURS, RELIEF, LIT = "Class colours", "Relief", "Lit"
+"""Labels of value nodes, 0..1. In the points' material: the share of the class's colour in place of the photo's, and
+the strength of shading by the normal; in the meshes': how far lights light them, instead of the photos' own light.
 """
 UNKNOWN = (96, 96, 96)
 """sRGB colour of points without a class."""
@@ -59,18 +59,6 @@ def point_material(owned: OwnedDataBlocks) -> bpy.types.Material:
     return material
 
 
-def box_material(owned: OwnedDataBlocks) -> bpy.types.Material:
-    """The boxes' material. It shows the object's colour."""
-    material = owned.block("materials", "boxes", lambda: bpy.data.materials.new("PLGS boxes"))
-    tree = use_nodes(material)
-    if not any(node.bl_idname == "ShaderNodeObjectInfo" for node in tree.nodes):
-        tree.nodes.clear()
-        _emit(tree, _node(tree, "ShaderNodeObjectInfo", 0, 0).outputs["Color"])
-    if hasattr(material, "cycles"):  # not in builds without Cycles
-        material.cycles.emission_sampling = "NONE"  # a drawing lights nothing
-    return material
-
-
 def clear_material(owned: OwnedDataBlocks) -> bpy.types.Material:
     """The material of the boxes' faces, which are invisible."""
     material = owned.block("materials", "clear", lambda: bpy.data.materials.new("PLGS clear"))
@@ -83,19 +71,47 @@ def clear_material(owned: OwnedDataBlocks) -> bpy.types.Material:
     return material
 
 
-def surface_material(owned: OwnedDataBlocks) -> bpy.types.Material:
-    """The meshes' material: matt, lit by the scene's lights, in the colour of the attribute Col."""
-    material = owned.block("materials", "surfaces", lambda: bpy.data.materials.new("PLGS surfaces"))
+def surface_material(owned: OwnedDataBlocks, *, both_sides: bool = False) -> bpy.types.Material:
+    """The meshes' material, in the colour of the attribute Col. It is unlit, as photos bring their light with them; its
+    value node LIT gives it to the scene's lights instead. Backs are clear, so a room lies open from outside, unless
+    ``both_sides`` show.
+    """
+    name = "PLGS objects" if both_sides else "PLGS surfaces"
+    material = owned.block("materials", "objects" if both_sides else "surfaces", lambda: bpy.data.materials.new(name))
     tree = use_nodes(material)
-    if not any(node.bl_idname == "ShaderNodeAttribute" for node in tree.nodes):
-        tree.nodes.clear()
-        colour, end = _node(tree, "ShaderNodeAttribute", 0, 0), _node(tree, "ShaderNodeOutputMaterial", 2, 0)
-        colour.attribute_name = "Col"
-        matt = _node(tree, "ShaderNodeBsdfPrincipled", 1, 0)  # the one that exporters know
-        matt.inputs["Roughness"].default_value = 0.9
-        tree.links.new(colour.outputs["Color"], matt.inputs["Base Color"])
-        tree.links.new(matt.outputs[0], end.inputs["Surface"])
+    if value_node(material, LIT) is None:
+        _build_surface(tree, both_sides)
+    material.use_backface_culling = not both_sides
+    _cast_no_light(material)
     return material
+
+
+def _build_surface(tree: bpy.types.NodeTree, both_sides: bool) -> None:
+    tree.nodes.clear()
+    colour, lit = _node(tree, "ShaderNodeAttribute", 0, 0), _node(tree, "ShaderNodeValue", 1, 200)
+    colour.attribute_name, lit.label, lit.outputs[0].default_value = "Col", LIT, 0.0
+    light, matt = _node(tree, "ShaderNodeEmission", 1, 0), _node(tree, "ShaderNodeBsdfPrincipled", 1, -160)
+    matt.inputs["Roughness"].default_value = 0.9
+    tree.links.new(colour.outputs["Color"], light.inputs["Color"])
+    tree.links.new(colour.outputs["Color"], matt.inputs["Base Color"])
+    shown = _mix_shaders(tree, 2, lit.outputs[0], light.outputs[0], matt.outputs[0])
+    if not both_sides:
+        back, clear = _node(tree, "ShaderNodeNewGeometry", 2, 300), _node(tree, "ShaderNodeBsdfTransparent", 2, -200)
+        shown = _mix_shaders(tree, 3, back.outputs["Backfacing"], shown, clear.outputs[0])
+    tree.links.new(shown, _node(tree, "ShaderNodeOutputMaterial", 4, 0).inputs["Surface"])
+
+
+def _mix_shaders(tree: bpy.types.NodeTree, column: int, factor: Any, first: Any, second: Any) -> Any:
+    mix = _node(tree, "ShaderNodeMixShader", column, 0)
+    for source, target in zip((factor, first, second), mix.inputs, strict=True):
+        tree.links.new(source, target)
+    return mix.outputs[0]
+
+
+def _cast_no_light(material: bpy.types.Material) -> None:
+    """Let Cycles send no rays to what shines only to be seen."""
+    if hasattr(material, "cycles"):  # not in builds without Cycles
+        material.cycles.emission_sampling = "NONE"
 
 
 def splat_material(owned: OwnedDataBlocks) -> bpy.types.Material:
@@ -136,13 +152,12 @@ def splat_material(owned: OwnedDataBlocks) -> bpy.types.Material:
         link(mix.outputs[0], end.inputs["Surface"])
     material.surface_render_method = "DITHERED"  # needs no sorting
     material.use_backface_culling = True
-    if hasattr(material, "cycles"):
-        material.cycles.emission_sampling = "NONE"
+    _cast_no_light(material)
     return material
 
 
 def value_node(material: bpy.types.Material, label: str) -> bpy.types.Node | None:
-    """The node to set CLASS_COLOURS or RELIEF on: `.outputs[0].default_value`."""
+    """The node to set CLASS_COLOURS, RELIEF or LIT on: `.outputs[0].default_value`."""
     nodes = material.node_tree.nodes if material.node_tree else ()
     return next((node for node in nodes if node.label == label), None)
 

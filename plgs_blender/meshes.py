@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import bpy
@@ -10,8 +11,14 @@ import numpy as np
 from ..engine.posed.labelled_surface import LabelledSurface, read_surface
 from .lift_collection import child_collection
 from .materials import linear_rgba, object_colour, surface_material
-from .owned import OwnedDataBlocks
+from .owned import OwnedDataBlocks, text_of
 from .results import LiftResult
+
+CORRECTIONS, _OF_MESHES = "plgs_corrections", "plgs_meshes_of"
+"""Properties of a lift's collection: the fingerprint of the corrections that the scene shows, and of those that the
+meshes show."""
+_COMMENT = re.compile(rb"^comment corrections ([0-9a-f]+)$", re.MULTILINE)
+_LONGEST_HEADER = 8192
 
 
 def mesh_folder(lift: Path) -> Path:
@@ -25,6 +32,9 @@ def place_meshes(owned: OwnedDataBlocks, root: bpy.types.Collection, result: Lif
     if not path.is_file():
         return []
     surface = read_surface(path)
+    with path.open("rb") as file:
+        told = _COMMENT.search(file.read(_LONGEST_HEADER).partition(b"end_header")[0])
+    root[_OF_MESHES] = told[1].decode() if told else ""
     instances = {one.id: one for one in result.instances}
     top, placed = child_collection(root, "Meshes"), []
     for (class_id, instance_id), triangles in surface.parts().items():
@@ -42,6 +52,11 @@ def place_meshes(owned: OwnedDataBlocks, root: bpy.types.Collection, result: Lif
         ob["class"], ob["class_id"], ob["instance_id"] = kind.name, class_id, instance_id
         placed.append(ob)
     return placed
+
+
+def are_stale(root: bpy.types.Collection) -> bool:
+    """Whether a lift was corrected since its meshes were made."""
+    return text_of(root, _OF_MESHES) != text_of(root, CORRECTIONS)
 
 
 def _fill(owned: OwnedDataBlocks, key: str, name: str, part: LabelledSurface) -> bpy.types.Mesh:

@@ -33,7 +33,8 @@ _MOST_HASHED = 1 << 26
 class LiftResult:
     """A finished lift with its corrections: the frames it was made from and what came out. `passes` are the EXR files
     of frames, by frame name; `shots` are those of other cameras, by camera name. `not_shown`: what the masks show well
-    and the lift does not, in words, and the frame that shows it best."""
+    and the lift does not, in words, and the frame that shows it best. `fingerprint` is that of
+    the edits that change what is shown."""
 
     folder: Path
     scene: PosedScene
@@ -44,6 +45,7 @@ class LiftResult:
     passes: dict[str, Path]
     shots: dict[str, Path] = field(default_factory=dict)
     edits: tuple[Edit, ...] = ()
+    fingerprint: str = ""
     not_shown: tuple[tuple[str, str], ...] = ()
 
     @property
@@ -77,6 +79,7 @@ def read_result(folder: Path) -> LiftResult:
         anchors=corrected.anchors(),
         passes=passes,
         edits=corrected.edits,
+        fingerprint=corrected.fingerprint,
         not_shown=tuple(not_shown(read_metrics(lift))) if "metrics.json" in listed else (),
         shots={name: path for name, path in by_name.items() if name not in passes},
     )

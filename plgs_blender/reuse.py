@@ -1,8 +1,8 @@
 """Objects of a lift for use elsewhere: each in its own collection, which can be moved and be an asset.
 
-A collection has a pivot at the foot of the object's box, and under it the object's points, its surface where meshes
-were made, and its box. All of it is the user's: no lift touches it again, and making it again keeps its place.
-What the lift shows of the object is hidden, so a hole is left where it stood.
+A collection has one clean object whose origin is the foot of the instance's box: its surface, with its semantic points
+hidden under it, or the points alone where no meshes were made. All of it is the user's: no lift touches it again, and
+making it again keeps its place. What the lift shows of the object is hidden, so a hole is left where it stood.
 """
 
 from __future__ import annotations
@@ -18,19 +18,18 @@ from numpy.typing import NDArray
 from ..engine.corrections import read_corrected
 from ..engine.errors import PlgsError
 from ..engine.result_files import Instance
-from .boxes import corners_of
 from .compat import add_keys, new_point_cloud
 from .corrections import folder_of
 from .inspecting.lists import registered
-from .inspecting.lookup import boxes_of, clouds_of, ids_of, surfaces_of
+from .inspecting.lookup import boxes_of, clouds_of, ids_of, is_box, surfaces_of
 from .inspecting.visibility import HIDDEN, apply_visibility
-from .materials import object_colour
-from .owned import LIFT, text_of, untag
+from .materials import object_colour, surface_material
+from .owned import LIFT, OwnedDataBlocks, text_of, untag
 from .timeline import places_of
 
 OBJECTS, INSTANCE, PLACED = "plgs_objects_of", "plgs_instance", "plgs_placed"
 """Properties: of the collection of all made objects, the lift that they are of; of each object's collection, its
-instance; of each pivot, the pose that it was placed with."""
+instance; of each object, the pose that it was placed with."""
 _COLUMNS = {"FLOAT": ("value", 1), "INT": ("value", 1), "FLOAT_VECTOR": ("vector", 3), "FLOAT_COLOR": ("color", 4)}
 _PICTURE = 128
 """Side of an asset's preview picture in pixels."""
@@ -39,8 +38,8 @@ _DOT = 2
 
 
 def make_objects(root: bpy.types.Collection, numbers: Sequence[int], *, as_assets: bool) -> list[bpy.types.Collection]:
-    """Make these instances of a placed lift, or make them again, as collections. With ``as_assets`` they are marked as
-    assets with a preview picture. Raises PlgsError when one is not there."""
+    """Make these instances of a placed lift, or make them again, as collections, and select their objects. With
+    ``as_assets`` they are marked as assets with a preview picture. Raises PlgsError when one is not there."""
     known = {one.id: one for one in read_corrected(folder_of(root)).instances}
     lost = [number for number in numbers if number not in known]
     if lost:
@@ -51,7 +50,17 @@ def make_objects(root: bpy.types.Collection, numbers: Sequence[int], *, as_asset
     for collection in made if as_assets else ():
         _mark_as_asset(collection, known[collection[INSTANCE]])
     leave_holes(root)
+    _select([ob for collection in made for ob in collection.objects if PLACED in ob])
     return made
+
+
+def _select(objects: Sequence[bpy.types.Object]) -> None:
+    """Select these objects alone, the first of them active, where the scene that is worked in shows them."""
+    layer = bpy.context.view_layer
+    layer.update()
+    for ob in layer.objects:
+        ob.select_set(ob in objects, view_layer=layer)
+    layer.objects.active = next((ob for ob in objects if layer.objects.get(ob.name) == ob), layer.objects.active)
 
 
 def leave_holes(root: bpy.types.Collection) -> None:
@@ -67,11 +76,14 @@ def leave_holes(root: bpy.types.Collection) -> None:
 
 def key_visibility(root: bpy.types.Collection, numbers: Sequence[int], scene: bpy.types.Scene) -> int:
     """Key instances to be visible, in views and renders, only in the timeline's frames whose masks show them: what was
-    made of them, else their boxes. Returns how many objects have keys. Raises PlgsError without frames."""
+    made of them, else their boxes, which no render shows, and their meshes. Returns how many objects have keys. Raises
+    PlgsError without frames."""
     place_of = {text_of(ob, "frame") or ob.name: place for ob, place in places_of(root, scene).items()}
     showing = {row.instance_id: {mask.frame for mask in row.masks} for row in root.plgs.instances}
     objects = {number: [box] for number, box in boxes_of(root).items()}
-    objects |= {number: [*collection.objects] for number, collection in _made(root)}
+    for ob in surfaces_of(root):
+        objects.get(ob.get("instance_id"), []).append(ob)
+    objects |= {number: [ob for ob in collection.objects if PLACED in ob] for number, collection in _made(root)}
     keyed = 0
     for number in numbers:
         frames = sorted(place_of[name] for name in place_of if name in showing.get(number, ()))
@@ -81,7 +93,7 @@ def key_visibility(root: bpy.types.Collection, numbers: Sequence[int], scene: bp
         hidden = ~np.isin(every, frames)
         for ob in objects.get(number, ()):
             action = bpy.data.actions.new(f"{ob.name} visibility")
-            for path in ("hide_viewport", "hide_render"):
+            for path in ("hide_viewport",) if is_box(ob) else ("hide_viewport", "hide_render"):
                 add_keys(ob, action, path, every, hidden.astype(float), "CONSTANT")
             keyed += 1
     return keyed
@@ -113,26 +125,23 @@ def _fill(root: bpy.types.Collection, top: bpy.types.Collection, one: Instance) 
         collection = bpy.data.collections.new(one.name)
         top.children.link(collection)
     for ob in [*collection.objects]:
-        if ob.type == "EMPTY" and PLACED in ob and not np.allclose(ob[PLACED], np.ravel(ob.matrix_world), atol=1e-5):
+        if PLACED in ob and not np.allclose(ob[PLACED], np.ravel(ob.matrix_world), atol=1e-5):
             pose = ob.matrix_world.copy()  # the user moved it
         bpy.data.objects.remove(ob)
     collection.name, collection[INSTANCE] = one.name, one.id
     collection.instance_offset = placed.translation
-    pivot = bpy.data.objects.new(f"{one.name} pivot", None)
-    pivot.empty_display_type, pivot.empty_display_size = "ARROWS", 0.2
-    pivot.matrix_world = pose or placed
-    pivot[PLACED] = [value for row in placed for value in row]
-    inverse = placed.inverted()
-    for part, data in (("points", _points(root, one, inverse)), ("surface", _surface(root, one, inverse)),
-                       ("box", _box(one))):  # fmt: skip
-        if data is not None:
-            ob = bpy.data.objects.new(f"{one.name} {part}", data)
-            ob.parent, ob.color = pivot, object_colour(one.colour)
-            ob["class"], ob["instance_id"] = one.class_name, one.id
-            collection.objects.link(ob)
-            if part == "box":
-                ob.display_type, ob.hide_render = "WIRE", True
-    collection.objects.link(pivot)
+    inverse, main = placed.inverted(), None
+    for part, data in (("surface", _surface(root, one, inverse)), ("points", _points(root, one, inverse))):
+        if data is None:
+            continue
+        ob = bpy.data.objects.new(f"{one.name} {part}", data)
+        ob.color, ob["class"], ob["instance_id"] = object_colour(one.colour), one.class_name, one.id
+        collection.objects.link(ob)
+        if main is None:
+            main, ob.matrix_world = ob, pose or placed
+            ob[PLACED] = [value for row in placed for value in row]
+        else:
+            ob.parent, ob.hide_viewport, ob.hide_render = main, True, True
     return collection
 
 
@@ -140,13 +149,6 @@ def foot_of(one: Instance) -> Matrix:
     """The pose of an instance's pivot: the middle of its box's lower side, with the box's axes."""
     turned = Matrix.LocRotScale(Vector(one.centre), Quaternion(one.rotation), None)
     return turned @ Matrix.Translation((0.0, 0.0, -one.size[2] / 2.0))
-
-
-def _box(one: Instance) -> bpy.types.Mesh:
-    mesh = bpy.data.meshes.new(f"{one.name} box")
-    corners, faces = corners_of(one.size)
-    mesh.from_pydata((corners + [0.0, 0.0, one.size[2] / 2.0]).tolist(), [], faces)
-    return mesh
 
 
 def _points(root: bpy.types.Collection, one: Instance, inverse: Matrix) -> bpy.types.PointCloud | None:
@@ -186,6 +188,7 @@ def _surface(root: bpy.types.Collection, one: Instance, inverse: Matrix) -> bpy.
             mesh = ob.data.copy()
             untag(mesh)
             mesh.name = f"{one.name} surface"
+            mesh.materials[0] = surface_material(OwnedDataBlocks(root[LIFT], bpy.context.scene), both_sides=True)
             if HIDDEN in mesh.attributes:
                 mesh.attributes.remove(mesh.attributes[HIDDEN])
             mesh.transform(inverse @ ob.matrix_world)

@@ -1,9 +1,8 @@
 """The lift's Gaussians as splats: Blender's own from 5.3 on, and before that one square per Gaussian.
 
-A Gaussian of a lifted surface is flat, so a square across its two longest axes shows it from all sides but its edge.
-The squares are one mesh with the attributes Col, opacity and corner (places on the square in standard deviations). The
-material fades them from the middle and hides their backs, so a room lies open from outside; what cameras have seen from
-both sides has a square for each. EEVEE and Cycles mix what overlaps; Solid shading draws opaque squares.
+A square is the Gaussian's shadow on the surface that it belongs to, and shows its front alone, so a room lies open from
+outside. Objects that cameras have seen from both sides have a square for each. Material Preview, EEVEE and Cycles fade
+squares from the middle and mix what overlaps; Solid shading draws them opaque.
 
 Blender's PLY importer makes a point cloud of the type GAUSSIAN_SPLAT from any splat file, and its default axes (forward
 Y, up Z) are ours. This was read in Blender's source and in its API. It has not been run: there was no Blender 5.3.
@@ -11,7 +10,7 @@ Y, up Z) are ours. This was read in Blender's source and in its API. It has not 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -22,16 +21,14 @@ from numpy.typing import NDArray
 from ..engine.errors import PlgsError
 from ..engine.posed.splat_file import read_gaussians
 from .lift_collection import FOLDER, Placed, child_collection
-from .materials import splat_material
 from .owned import KEY, LIFT, OwnedDataBlocks, key_of, tag, text_of
-from .surfaces import towards_nearest
+from .squares import EXTENT, Squares, across, place_squares
+from .surfaces import SurfaceGrid, towards_nearest
 
 GAUSSIANS = "gaussians"
 """The key of the object with a lift's splats."""
 _FAINTEST = 0.1
 """Opacity below which a Gaussian is left out."""
-_EXTENT = 2.0
-"""Half the side of a square, in standard deviations."""
 _EDGE_ON = 0.2
 """Cosine to a square's normal below which a camera sees it from no side."""
 _CAMERAS = 60
@@ -44,7 +41,6 @@ MOST_SQUARES = 600_000
 """At most this many Gaussians are shown; of more, those that cover most."""
 _COLOUR_SCALE = 0.28209479177387814
 """The constant spherical harmonic: colour = 0.5 + this * f_dc."""
-_CORNERS = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]], np.float32)
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,26 +93,48 @@ def placing_gaussians(
     """
     placed = Placed(root[LIFT], scene.name)
     eyes = Eyes.of([ob for ob in root.all_objects if text_of(ob, KEY).startswith("frame:")])
+    surface = SeenSurface.of([ob for ob in root.all_objects if text_of(ob, KEY).startswith("class:")])
     rows = rows[seen(rows)]
-    parts = [_columns(rows[:0], eyes)]
+    parts = [squares(rows[:0], surface, eyes)]
     for start in range(0, len(rows), _AT_ONCE):
         yield
-        parts.append(_columns(rows[start : start + _AT_ONCE], eyes))
-    columns = {}
-    for name in [*parts[0]]:
-        yield
-        columns[name] = np.concatenate([part.pop(name) for part in parts])
-    yield
-    columns |= _sides(len(columns["opacity"]) // 4)
+        parts.append(squares(rows[start : start + _AT_ONCE], surface, eyes))
     yield
     found = placed.find()
     if found is None:
         return
     root, scene = found
-    owned = OwnedDataBlocks(root[LIFT], scene)
-    mesh = _fill(owned, columns)
-    splats = owned.object(GAUSSIANS, "Gaussians", mesh, child_collection(root, "Gaussians", scene))
+    parent = child_collection(root, "Gaussians", scene)
+    splats = place_squares(OwnedDataBlocks(root[LIFT], scene), parent, GAUSSIANS, "Gaussians", Squares.joined(parts))
     splats.hide_select = True  # a click is meant for the box within
+
+
+@dataclass(frozen=True, eq=False)
+class SeenSurface:
+    """Where a lift's semantic points are, and their unit normals float32 [N, 3]."""
+
+    grid: SurfaceGrid
+    normals: NDArray[np.float32]
+
+    @classmethod
+    def of(cls, clouds: Sequence[bpy.types.Object]) -> SeenSurface:
+        columns = [np.zeros((2, 0), np.float32)]
+        for ob in clouds:
+            values = np.empty((2, 3 * len(ob.data.points)), np.float32)
+            for row, name in zip(values, ("position", "normal"), strict=True):
+                ob.data.attributes[name].data.foreach_get("vector", row)
+            columns.append(values)
+        xyz, normals = np.concatenate(columns, axis=1).reshape(2, -1, 3)
+        return cls(SurfaceGrid.of(xyz), normals)
+
+    def facing(self, places: NDArray[np.float32], eyes: Eyes) -> NDArray[np.float32]:
+        """Unit normals float32 [M, 3] at these places [M, 3]: that of a point beside each, else towards an eye."""
+        beside = self.grid.beside(places)
+        normal = np.zeros((len(places), 3), np.float32)
+        normal[beside >= 0] = self.normals[beside[beside >= 0]]
+        lost = ~normal.any(axis=1)
+        normal[lost] = towards_nearest(places[lost].astype(np.float64), eyes.places) if len(eyes.places) else (0, 0, 1)
+        return normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), np.float32(1e-12))
 
 
 def _place_native(root: bpy.types.Collection, scene: bpy.types.Scene, path: Path) -> None:
@@ -150,39 +168,34 @@ def seen(rows: NDArray[np.void]) -> NDArray[np.int64]:
     return chosen
 
 
-def squares(rows: NDArray[np.void], viewpoints: NDArray[np.floating]) -> NDArray[np.float32]:
-    """Corners float32 [M, 4, 3] in metres of the squares of Gaussians [M]. Each faces the nearest of the viewpoints
-    [V, 3].
+def squares(rows: NDArray[np.void], surface: SeenSurface, eyes: Eyes) -> Squares:
+    """The squares of Gaussians [M]: their shadows on the surface, as large as EXTENT standard deviations. Those of
+    objects that cameras see from behind follow, turned around.
     """
-    size = np.minimum(_size(rows), _LARGEST)
-    w, x, y, z = np.stack([rows[f"rot_{part}"] for part in range(4)])
-    length = np.sqrt(w * w + x * x + y * y + z * z)
-    w, x, y, z = (part / np.maximum(length, 1e-12) for part in (w, x, y, z))
-    axes = np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)],
-            [2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x)],
-            [2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)],
-        ],
-        np.float32,
-    ).transpose(2, 0, 1)  # [M, axis, xyz]
-    order = np.argsort(-_size(rows), axis=0)[:2].T
-    own = np.take_along_axis(axes, order[:, :, None], axis=1)
-    own *= np.float32(_EXTENT) * np.take_along_axis(size.T, order, axis=1)[:, :, None]
-    middle = np.stack([rows[axis] for axis in "xyz"], axis=1)
-    if len(viewpoints):
-        towards = towards_nearest(middle.astype(np.float64), viewpoints)
-        away = np.einsum("ij,ij->i", np.cross(own[:, 0], own[:, 1]), towards) < 0.0
-        own[away] = own[away][:, ::-1]
-    return (middle[:, None] + np.einsum("ca,maj->mcj", _CORNERS, own)).astype(np.float32)
+    middle = np.stack([rows[axis] for axis in "xyz"], axis=1).astype(np.float32)
+    first, second = across(surface.facing(middle, eyes))
+    axes = _axes(rows) * np.minimum(_size(rows), _LARGEST).T[:, :, None]
+    along, aside = (np.einsum("mki,mi->mk", axes, each) for each in (first, second))
+    a, b, c = (along * along).sum(axis=1), (along * aside).sum(axis=1), (aside * aside).sum(axis=1)
+    mean, spread = (a + c) / 2.0, np.hypot((a - c) / 2.0, b)
+    turn = np.arctan2(2.0 * b, a - c) / 2.0
+    cos, sin = np.cos(turn)[:, None], np.sin(turn)[:, None]
+    long, short = (EXTENT * np.sqrt(np.maximum(each, 0.0))[:, None] for each in (mean + spread, mean - spread))
+    right, up = (cos * first + sin * second) * long, (cos * second - sin * first) * short
+    made = Squares(middle, right, up, _srgb(rows), _opacity(rows), _ids(rows))
+    behind = seen_from_behind(middle, np.cross(right, up), eyes)
+    behind = behind[rows["instance_id"][behind] > 0] if "instance_id" in (rows.dtype.names or ()) else behind[:0]
+    back = Squares(middle[behind], right[behind], -up[behind], made.rgb[behind], made.opacity[behind],
+                   {name: ids[behind] for name, ids in made.ids.items()})  # fmt: skip
+    return Squares.joined([made, back])
 
 
-def seen_from_behind(corners: NDArray[np.float32], eyes: Eyes) -> NDArray[np.int64]:
-    """Indices of the squares, float32 [M, 4, 3], whose backs a camera has before it."""
-    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 1])
-    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
-    middle, behind = corners.mean(axis=1), np.zeros(len(corners), np.bool_)
-    count = len(eyes.places)
+def seen_from_behind(
+    middle: NDArray[np.float32], normal: NDArray[np.float32], eyes: Eyes
+) -> NDArray[np.int64]:
+    """Indices of the places [M, 3] whose backs, opposite to the normals [M, 3], a camera has before it."""
+    normal = normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), np.float32(1e-12))
+    behind, count = np.zeros(len(middle), np.bool_), len(eyes.places)
     for number in np.linspace(0, count - 1, min(count, _CAMERAS)).astype(np.int64):
         way = middle - eyes.places[number].astype(np.float32)
         far = np.sqrt(np.einsum("ij,ij->i", way, way))
@@ -200,57 +213,33 @@ def _size(rows: NDArray[np.void]) -> NDArray[np.float32]:
     return np.exp(np.stack([rows[f"scale_{axis}"] for axis in range(3)]))
 
 
-def _columns(rows: NDArray[np.void], eyes: Eyes) -> dict[str, NDArray[np.generic]]:
-    """What the mesh has at the vertices of the squares of Gaussians [M], four each, by attribute."""
-    corners = squares(rows, eyes.places)
-    both = seen_from_behind(corners, eyes)
-    corners, rows = np.concatenate([corners, corners[both, ::-1]]), np.concatenate([rows, rows[both]])
-    count, names = len(rows), rows.dtype.names or ()
-    if {"red", "green", "blue"} <= {*names}:  # what is around: the squares are opaque, or nearly so
-        srgb = np.stack([rows[name] for name in ("red", "green", "blue")], axis=1) / np.float32(255)
-    else:
-        srgb = np.clip(0.5 + _COLOUR_SCALE * np.stack([rows[f"f_dc_{axis}"] for axis in range(3)], axis=1), 0, 1)
-    rgba = np.ones((count, 4), np.float32)
-    rgba[:, :3] = np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
-    corner = np.zeros((count, 4, 3), np.float32)
-    corner[..., :2] = _EXTENT * _CORNERS
-    columns = {"position": corners, "corner": corner, "Col": np.repeat(rgba, 4, axis=0)}
-    columns["opacity"] = np.repeat(_opacity(rows), 4)
-    for name in ("class_id", "instance_id"):
-        ids = rows[name] if name in names else np.zeros(count, np.int32)
-        columns[name] = np.repeat(ids.astype(np.int32), 4)
-    return {name: values.ravel() for name, values in columns.items()}
+def _axes(rows: NDArray[np.void]) -> NDArray[np.float32]:
+    """The unit axes of Gaussians [M], float32 [M, axis, xyz]."""
+    w, x, y, z = np.stack([rows[f"rot_{part}"] for part in range(4)])
+    length = np.sqrt(w * w + x * x + y * y + z * z)
+    w, x, y, z = (part / np.maximum(length, 1e-12) for part in (w, x, y, z))
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)],
+            [2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x)],
+            [2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)],
+        ],
+        np.float32,
+    ).transpose(2, 0, 1)
 
 
-def _sides(count: int) -> dict[str, NDArray[np.generic]]:
-    """The sides of the squares: attributes that Blender's meshes have of themselves."""
-    numbers = np.arange(4 * count, dtype=np.int32)
-    ends = np.stack([numbers, numbers + np.tile(np.array([1, 1, 1, -3], np.int32), count)], axis=1)
-    return {".corner_vert": numbers, ".corner_edge": numbers, ".edge_verts": ends.ravel()}
+def _srgb(rows: NDArray[np.void]) -> NDArray[np.uint8]:
+    """The colour around each Gaussian [M, 3] if the file has it, as squares are nearly opaque; else its own."""
+    if {"red", "green", "blue"} <= {*(rows.dtype.names or ())}:
+        return np.stack([rows[name] for name in ("red", "green", "blue")], axis=1)
+    own = 0.5 + _COLOUR_SCALE * np.stack([rows[f"f_dc_{axis}"] for axis in range(3)], axis=1)
+    return np.rint(255.0 * np.clip(own, 0.0, 1.0)).astype(np.uint8)
 
 
-def _fill(owned: OwnedDataBlocks, columns: Mapping[str, NDArray[np.generic]]) -> bpy.types.Mesh:
-    """Our mesh of squares with these attributes."""
-    count = len(columns["opacity"]) // 4
-    mesh: bpy.types.Mesh = owned.data(GAUSSIANS, lambda: bpy.data.meshes.new("Gaussians"))
-    mesh.clear_geometry()
-    mesh.vertices.add(4 * count)
-    mesh.loops.add(4 * count)
-    mesh.edges.add(4 * count)
-    mesh.polygons.add(count)
-    mesh.polygons.foreach_set("loop_start", np.arange(0, 4 * count, 4, dtype=np.int32))
-    mesh.color_attributes.new("Col", "FLOAT_COLOR", "POINT")
-    for name, kind in (("corner", "FLOAT_VECTOR"), ("opacity", "FLOAT"), ("class_id", "INT"), ("instance_id", "INT")):
-        mesh.attributes.new(name, kind, "POINT")
-    # Attributes are copied at once. What `vertices` and `loops` call co and vertex_index would be set one by one.
-    for name, values in columns.items():
-        field = {"position": "vector", "corner": "vector", "Col": "color"}.get(name, "value")
-        mesh.attributes[name].data.foreach_set(field, values)
-    mesh.color_attributes.active_color = mesh.color_attributes["Col"]
-    mesh.materials.clear()
-    mesh.materials.append(splat_material(owned))
-    mesh.update()
-    return mesh
+def _ids(rows: NDArray[np.void]) -> dict[str, NDArray[np.int32]]:
+    names = rows.dtype.names or ()
+    none = np.zeros(len(rows), np.int32)
+    return {name: rows[name].astype(np.int32) if name in names else none for name in ("class_id", "instance_id")}
 
 
 def _import(path: Path) -> bpy.types.Object:

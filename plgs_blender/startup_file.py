@@ -13,6 +13,7 @@ import numpy as np
 from mathutils import Vector
 
 from .cameras import pixel_aspect
+from .compat import show_stored_colours
 from .lift_collection import lifts_in
 from .owned import KEY, LIFT
 from .timeline import places_of
@@ -29,8 +30,8 @@ _RANGE, _SIZE, _ASPECT = (1, 250), (1920, 1080, 100), (1.0, 1.0)
 @contextmanager
 def taking_over(scene: bpy.types.Scene) -> Iterator[bool]:
     """While a capture or a lift is placed: gives whether the scene is an untouched startup scene. If it is, it then
-    has the capture's range, size, pixel aspect and camera, and its own objects are hidden. A range that already was
-    that of our frames follows them. When placing fails, all is as before.
+    has the capture's range, size, pixel aspect, camera and colours, and its own objects are hidden. A range that
+    already was that of our frames follows them. When placing fails, all is as before.
     """
     is_untouched = _is_untouched(scene)
     follows = is_untouched or _range(scene) == _span(scene)
@@ -48,6 +49,7 @@ def taking_over(scene: bpy.types.Scene) -> Iterator[bool]:
     if is_untouched:
         _hide_startup_objects(scene)
         _use_size(scene)
+        show_stored_colours(scene)  # those of the photos
     scene.frame_start, scene.frame_end = span
     places = _places(scene)
     overview = next((place for ob, place in places.items() if "frame" not in ob), span[0])

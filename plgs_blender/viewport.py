@@ -44,8 +44,7 @@ def start_file() -> bpy.types.Scene:
     for area in all_views():
         for space in area.spaces:
             if space.type == "VIEW_3D":
-                show_lift_colours(space)
-                _make_ready(space)
+                show_materials(space, always=True)
     return scene
 
 
@@ -68,8 +67,8 @@ def show_object_colours(shading: Any) -> None:
 
 
 def show_lift_colours(view: bpy.types.SpaceView3D) -> None:
-    """Let a 3D view show a lift's colours in Solid shading: the attribute Col of splats and meshes, with their backs
-    open, points in their classes' colours, as they have no others there, and boxes in coloured lines.
+    """Let a 3D view show a lift's colours in Solid shading, as a user asked: the attribute Col of splats and meshes,
+    with their backs open, points in their classes' colours, as they have no others there, and boxes in coloured lines.
     """
     view.shading.type = "SOLID"
     show_object_colours(view.shading)
@@ -77,36 +76,34 @@ def show_lift_colours(view: bpy.types.SpaceView3D) -> None:
     view.shading.wireframe_color_type = "OBJECT"
 
 
-def colour_views(scene: bpy.types.Scene, *, points: bool, were_points: bool = False) -> None:
-    """Let 3D views of this scene that a lift has coloured, or that are as Blender starts them, show a lift's colours:
-    of ``points`` in Material Preview. Where there ``were_points``, they return from it.
+def show_materials(view: bpy.types.SpaceView3D, *, always: bool = False) -> None:
+    """Let a 3D view that is as Blender starts it, or ``always``, show materials: our unlit ones have the photos'
+    colours, and other objects look as they always do there; and boxes in coloured lines. Views that somebody has set
+    keep their look, also those that were once here.
     """
+    shading = view.shading
+    is_as_started = shading.type == "SOLID" and shading.color_type == "MATERIAL" and shading.light == "STUDIO"
+    if always or (is_as_started and shading.wireframe_color_type == "THEME"):
+        shading.type, shading.show_backface_culling, shading.wireframe_color_type = "MATERIAL", True, "OBJECT"
+        view.clip_start = 0.01
+        view.overlay.show_relationship_lines = view.overlay.show_floor = False
+
+
+def show_materials_in(scene: bpy.types.Scene) -> None:
+    """The same in all 3D views of windows that show this scene."""
     for area in areas_of(scene):
-        space = area.spaces.active
-        if _is_as_started(space) or _is_ours(space, were_points):
-            show_lift_colours(space)
-            if points:
-                space.shading.type = "MATERIAL"
+        show_materials(area.spaces.active)
 
 
 def show_room(areas: Iterable[bpy.types.Area], rotation: Quaternion, corners: NDArray[np.float64]) -> None:
     """Let these 3D views look at the room with these corners [N, 3], in metres, turned as a camera with this rotation
     is, in the part that the sidebar leaves free. Views through a camera stay.
-
-    Views that are still as Blender starts them get the lift's colours.
     """
     for area in areas:
         space = area.spaces.active
-        if _is_as_started(space):
-            show_lift_colours(space)
-            _make_ready(space)
+        show_materials(space)
         if space.region_3d.view_perspective != "CAMERA":
             frame_room(area, rotation, corners)
-
-
-def _make_ready(space: bpy.types.SpaceView3D) -> None:
-    space.clip_start = 0.01
-    space.overlay.show_relationship_lines = space.overlay.show_floor = False
 
 
 def areas_that_show(
@@ -169,33 +166,6 @@ def _place(
     distance = float(((most - least) / (low + high)).max())
     aside = (most - high * distance + least + low * distance) / 2.0
     return rotation, Vector((middle + axes[:, :2] @ aside).tolist()), distance
-
-
-def _is_as_started(view: bpy.types.SpaceView3D) -> bool:
-    """Whether a 3D view is still as Blender starts it."""
-    shading = view.shading
-    return shading.type == "SOLID" and shading.color_type == "MATERIAL" and shading.light == "STUDIO"
-
-
-def _is_ours(view: bpy.types.SpaceView3D, has_points: bool) -> bool:
-    """Whether a 3D view is as a lift left it: in Solid shading, or where it ``has_points`` in Material Preview."""
-    shading = view.shading
-    is_left = shading.type == "SOLID" or (has_points and shading.type == "MATERIAL")
-    return is_left and shading.light == "FLAT" and shading.color_type == "VERTEX"
-
-
-def show_lift_colours_at_first(view: bpy.types.SpaceView3D) -> None:
-    """`show_lift_colours` in a view that is still as Blender starts it, where a lift would be nothing but grey. Other
-    views keep their look.
-    """
-    if _is_as_started(view):
-        show_lift_colours(view)
-
-
-def show_lift_colours_in(scene: bpy.types.Scene) -> None:
-    """The same in all 3D views of windows that show this scene."""
-    for area in areas_of(scene):
-        show_lift_colours_at_first(area.spaces.active)
 
 
 def view_of(context: bpy.types.Context) -> tuple[bpy.types.SpaceView3D | None, float]:

@@ -6,10 +6,13 @@ from typing import Any
 
 import bpy
 
+from ..plgs_blender.compat import STORED_COLOURS
 from ..plgs_blender.errors import one_line, plural
 from ..plgs_blender.inspecting.looks import POINTS, SPLATS, SURFACE, has
 from ..plgs_blender.inspecting.lookup import active_lift, chosen_row
-from .sidebar import Sidebar, Step, from_panel, tell
+from ..plgs_blender.meshes import are_stale
+from ..plgs_blender.running.exports import making_meshes
+from .sidebar import Sidebar, Step, draw_task, from_panel, tell
 
 
 def _lift(context: bpy.types.Context) -> bpy.types.Collection | None:
@@ -34,7 +37,7 @@ class PLGS_PT_result(Step, bpy.types.Panel):
             return
         lists, row = root.plgs, _chosen(context)
         layout.label(text=one_line(root.name), icon="OUTLINER_COLLECTION")
-        _draw_look(from_panel(layout.column(align=True), context), root)
+        _draw_look(from_panel(layout.column(align=True), context), context, root)
         layout.prop(lists, "instances_search", text="", icon="VIEWZOOM")
         _draw_heads(layout, "Name", "Points, score")
         layout.template_list("PLGS_UL_instances", "", lists, "instances", lists, "instance_index", rows=6)
@@ -60,16 +63,24 @@ def _draw_heads(layout: bpy.types.UILayout, left: str, right: str) -> None:
     numbers.label(text=right)
 
 
-def _draw_look(column: bpy.types.UILayout, root: bpy.types.Collection) -> None:
+def _draw_look(column: bpy.types.UILayout, context: bpy.types.Context, root: bpy.types.Collection) -> None:
     """Draw what the colours mean, and how the lift is shown: a button makes what is not there yet."""
+    making = making_meshes()
     column.grid_flow(row_major=True, columns=2, even_columns=True, align=True).prop(root.plgs, "look", expand=True)
     row = column.row(align=True)
     for kind, label in ((POINTS, "Points"), (SPLATS, "Splats"), (SURFACE, "Surface")):
         if kind == SURFACE and not has(root, SURFACE):
-            row.operator("plgs.make_meshes", text=label)
+            button = row.row(align=True)
+            button.enabled = making is None
+            button.operator("plgs.make_meshes", text=label)
         else:
             is_shown = root.plgs.show_as == kind
             row.operator("plgs.show_as", text=label, depress=is_shown).kind = kind
+    if making is not None:
+        draw_task(column, context, making)
+    elif has(root, SURFACE) and are_stale(root):
+        tell(column, context, "The surface shows the state before the last corrections", "INFO")
+        column.operator("plgs.make_meshes", text="Update Surface", icon="FILE_REFRESH")
 
 
 class OfResult(Sidebar):
@@ -149,6 +160,10 @@ class PLGS_PT_result_display(OfResult, bpy.types.Panel):
         layout, lists = self.layout, root.plgs
         layout.operator("plgs.show_colours", icon="SHADING_SOLID")
         layout.use_property_split, layout.use_property_decorate = True, False
+        layout.prop(lists, "lit")
+        if context.scene.view_settings.view_transform not in STORED_COLOURS:
+            tell(layout, context, "This view transform changes the photos' colours:", "INFO")
+            layout.prop(context.scene.view_settings, "view_transform")
         column = layout.column(heading="Draw")
         for name in ("show_labels", "show_legend", "show_boxes", "show_cameras", "show_selected"):
             column.prop(lists, name)

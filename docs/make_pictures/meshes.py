@@ -10,6 +10,7 @@ from plgs.engine.passes.exr import read_exr
 from plgs.engine.passes.previews import colour_picture
 from plgs.plgs_blender import compat
 from plgs.plgs_blender.lift_scene import place_meshes_anew
+from plgs.plgs_blender.materials import LIT, value_node
 from plgs.plgs_blender.results import LiftResult
 
 from .blender import CAMERA, SHOT_FRAME, open_lift, rendered
@@ -29,7 +30,6 @@ def meshes_picture(result: LiftResult) -> Picture:
     scene.camera = bpy.data.objects["Overview"]
     scene.render.resolution_x, scene.render.resolution_y = 600, 375
     material = meshes[0].material_slots[0].material
-    see_through_backs(material)
     photos = rendered(scene)
     show_object_colours(material)
     tiles = {"Col, from the photos": photos, "objects and classes": rendered(scene)}
@@ -57,6 +57,7 @@ def only_meshes(result: LiftResult, scene: bpy.types.Scene) -> list[bpy.types.Ob
         raise SystemExit("the lift has no meshes: export them first, see docs/passes.md")
     for ob in scene.objects:
         ob.hide_render = ob not in meshes
+    value_node(meshes[0].material_slots[0].material, LIT).outputs[0].default_value = 1.0
     return meshes
 
 
@@ -93,18 +94,6 @@ def light(scene: bpy.types.Scene, sun: float, sky: float) -> None:
     scene.world = bpy.data.worlds.new("Sky")
     background = next(node for node in compat.use_nodes(scene.world).nodes if node.type == "BACKGROUND")
     background.inputs["Color"].default_value, background.inputs["Strength"].default_value = (1.0, 1.0, 1.0, 1.0), sky
-
-
-def see_through_backs(material: bpy.types.Material) -> None:
-    """Make walls and ceiling visible from within only, to look into the room from outside."""
-    tree = material.node_tree
-    end = next(node for node in tree.nodes if node.type == "OUTPUT_MATERIAL")
-    front = end.inputs["Surface"].links[0].from_socket
-    mix, clear = tree.nodes.new("ShaderNodeMixShader"), tree.nodes.new("ShaderNodeBsdfTransparent")
-    tree.links.new(tree.nodes.new("ShaderNodeNewGeometry").outputs["Backfacing"], mix.inputs[0])
-    tree.links.new(front, mix.inputs[1])
-    tree.links.new(clear.outputs[0], mix.inputs[2])
-    tree.links.new(mix.outputs[0], end.inputs["Surface"])
 
 
 def show_object_colours(material: bpy.types.Material) -> None:

@@ -16,6 +16,8 @@ from pathlib import Path
 import bpy
 from bpy_extras.object_utils import world_to_camera_view
 from mathutils import Matrix, Vector
+from plgs.plgs_blender.compat import use_nodes
+from plgs.plgs_blender.inspecting.lookup import is_box
 from plgs.plgs_blender.inspecting.text_boxes import place_labels, top_of
 from plgs.plgs_blender.materials import CLASS_COLOURS, RELIEF, value_node
 from plgs.plgs_blender.module_exit import end_process
@@ -25,6 +27,8 @@ _LABEL_HEIGHT = 0.021
 """Height of a label's text box in picture heights."""
 _LETTER_WIDTH = 0.5
 """Mean width of a letter in text box heights."""
+_BAR = 0.018
+"""Thickness of a box's bars, metres."""
 _NEARNESS = 0.3
 """Labels stand at this share of the way from the camera to their box, so that nothing stands before them."""
 
@@ -48,8 +52,10 @@ def render_picture(
     _colour_points(scene, colours)
     scene.camera = camera
     scene.view_layers[0].update()
+    boxes = [ob for ob in scene.objects if is_box(ob) and not ob.hide_get(view_layer=scene.view_layers[0])]
+    _draw(boxes)
     if labels:
-        _label_boxes(scene, camera)
+        _label(scene, camera, boxes)
     scene.render.filepath = str(out.absolute())
     with bpy.context.temp_override(scene=scene):
         bpy.ops.render.render(write_still=True)
@@ -94,11 +100,25 @@ def _colour_points(scene: bpy.types.Scene, colours: str) -> None:
                 node.outputs[0].default_value = value
 
 
-def _label_boxes(scene: bpy.types.Scene, camera: bpy.types.Object) -> None:
-    """Put a text box in its instance's colour, with its name, above each box. Of those that would overlap the nearest
-    stays."""
+def _draw(boxes: Sequence[bpy.types.Object]) -> None:
+    """Draw boxes as bars in their colours. Renders show none of themselves."""
+    material = bpy.data.materials.new("flat")
+    tree = use_nodes(material)
+    tree.nodes.clear()
+    kinds = ("ShaderNodeObjectInfo", "ShaderNodeEmission", "ShaderNodeOutputMaterial")
+    own, light, end = (tree.nodes.new(kind) for kind in kinds)
+    tree.links.new(own.outputs["Color"], light.inputs["Color"])
+    tree.links.new(light.outputs[0], end.inputs["Surface"])
+    for ob in boxes:
+        ob.data.materials[0], ob.hide_render = material, False
+        bars = ob.modifiers.new("Bars", "WIREFRAME")
+        bars.thickness, bars.offset = _BAR, 1.0  # outside the box, where its points do not cover them
+
+
+def _label(scene: bpy.types.Scene, camera: bpy.types.Object, boxes: Sequence[bpy.types.Object]) -> None:
+    """Put a text box in its instance's colour, with its name, above each box. Of those that
+    would overlap the nearest stays."""
     aspect = scene.render.resolution_x / scene.render.resolution_y
-    boxes = [ob for ob in scene.objects if "instance_id" in ob and ob.type == "MESH" and not ob.hide_render]
     seen = [(world_to_camera_view(scene, camera, top_of(ob)), ob) for ob in boxes]
     seen = [(at, ob) for at, ob in seen if at.z > 0.0 and 0.0 < at.x < 1.0 and 0.0 < at.y < 1.0]
     seen.sort(key=lambda each: each[0].z)

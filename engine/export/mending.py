@@ -1,4 +1,5 @@
-"""A fused surface mended: small holes are closed, and crumbs far from their object are taken away from it."""
+"""A fused surface mended: small holes are closed, flakes that float are left out, and crumbs far from their object are
+taken away from it."""
 
 from __future__ import annotations
 
@@ -13,6 +14,8 @@ from .fusion import Ints, Surface
 
 HAND = 0.1
 """The largest size in metres, along each axis, of a hole that is closed. Its square is the largest crumb of stuff."""
+FLAKE = 0.03
+"""Square metres below which a piece of the whole surface is left out."""
 CRUMB = 0.1
 """Share of the largest piece's area below which a piece of a mesh is small."""
 FAR = 0.2
@@ -49,6 +52,16 @@ def close_holes(surface: Surface, label: Ints) -> tuple[Surface, Ints]:
         np.concatenate([surface.triangles, np.stack([rim[:, 1], rim[:, 0], middle], axis=-1)]),
     )
     return closed, np.concatenate([label, most_frequent(ring, label[rim[:, 0]], len(count))])
+
+
+def without_flakes(surface: Surface, label: Ints) -> tuple[Surface, Ints]:
+    """The surface and its vertices' labels [V] without pieces smaller than a FLAKE that hang together with nothing."""
+    piece = _pieces(surface.triangles, len(surface.xyz))
+    of_triangle = piece[surface.triangles[:, 0]]
+    area = np.bincount(of_triangle, _areas(surface.xyz, surface.triangles), len(surface.xyz))
+    used, corners = np.unique(surface.triangles[area[of_triangle] >= FLAKE], return_inverse=True)
+    kept = Surface(surface.xyz[used], surface.rgb[used], surface.normal[used], corners.reshape(-1, 3))
+    return kept, label[used]
 
 
 def _rings(surface: Surface, rim: Ints) -> tuple[Ints, NDArray[np.bool_]]:

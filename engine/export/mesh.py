@@ -20,17 +20,17 @@ from ..passes.ply import columns_of, write_ply_table
 from ..passes.previews import colour_picture
 from ..posed.classes import matte_names
 from ..posed.labelled_surface import LEAST_TRIANGLES, triangles_by_label
-from ..scene import Camera, ClassTable, Frame
+from ..scene import Camera, ClassTable
 from .fusion import SmallView, Surface, fuse
 from .glb import glb_bytes
-from .mending import close_holes, without_crumbs
+from .mending import close_holes, without_crumbs, without_flakes
 from .parts import Part
 from .source import FinishedLift
 
 LEAST_ALPHA = 0.7
 """Alpha below which a pixel's depth is not a surface."""
-WIDEST = 640
-"""Width in pixels above which only every n-th pixel of a view is fused."""
+WIDEST, MOST_VIEWS = 480, 80
+"""Largest width in pixels of the views that are fused, and how many of all frames at most."""
 SEEN_WITHIN = 0.05
 """Metres between a vertex and a view's depth there within which the view votes."""
 MOST_INSTANCES = 1 << 16
@@ -48,7 +48,8 @@ def export_mesh(lift: FinishedLift, output: Path) -> None:
         **columns_of("red green blue", surface.rgb),
         **{"class_id": class_id.astype(np.int32), "instance_id": instance_id.astype(np.int32)},
     }
-    write_ply_table(output / "mesh.ply", columns, surface.triangles)
+    comment = f"corrections {lift.corrected.fingerprint}" if lift.corrected.fingerprint else ""
+    write_ply_table(output / "mesh.ply", columns, surface.triangles, comment)
     for part in _cut(lift, surface, label):
         write_atomically(output / "meshes" / f"{part.name}.glb", glb_bytes([part]))
 
@@ -81,7 +82,7 @@ def _cut(lift: FinishedLift, surface: Surface, label: NDArray[np.int64]) -> list
 def fused(lift: FinishedLift) -> tuple[Surface, NDArray[np.int64]]:
     """The surface of the lift's views, and the label of each vertex, int64 [V]. Raises PlgsError where there is none,
     OSError."""
-    small = [_small(frame, layers) for frame, layers in lift.views()]
+    small = [_small(camera, layers) for camera, layers in lift.small_views(WIDEST, MOST_VIEWS)]
     surface = fuse(small)
     if not len(surface.triangles):
         fix = "Export more frames, or lift the scene with better depth."
@@ -90,24 +91,15 @@ def fused(lift: FinishedLift) -> tuple[Surface, NDArray[np.int64]]:
 
 
 def mended(surface: Surface, label: NDArray[np.int64]) -> tuple[Surface, NDArray[np.int64]]:
-    """The surface and its labels with small holes closed and without crumbs."""
-    surface, label = close_holes(surface, label)
+    """The surface and its labels with small holes closed, without flakes and without crumbs."""
+    surface, label = close_holes(*without_flakes(surface, label))
     return surface, without_crumbs(surface, label, label % MOST_INSTANCES == 0)
 
 
-def _small(frame: Frame, layers: PanopticLayers) -> SmallView:
-    """Every n-th pixel, from the middle of each n by n block."""
-    n = max(1, round(frame.camera.width / WIDEST))
-    pick = (slice(n // 2, None, n), slice(n // 2, None, n))
-    depth = np.where(layers.combined[..., 3] >= LEAST_ALPHA, layers.depth, 0)[pick]
+def _small(camera: Camera, layers: PanopticLayers) -> SmallView:
+    depth = np.where(layers.combined[..., 3] >= LEAST_ALPHA, layers.depth, 0).astype(np.float32)
     label = layers.semantic.astype(np.int64) * MOST_INSTANCES + layers.instance
-    height, width = depth.shape
-    whole, half = frame.camera, 0.5 - (n // 2 + 0.5) / n
-    camera = Camera(
-        width, height, whole.fx / n, whole.fy / n, whole.cx / n + half, whole.cy / n + half, whole.camera_to_world
-    )
-    rgb = colour_picture(layers)[pick]
-    return SmallView(camera, np.ascontiguousarray(depth, np.float32), np.ascontiguousarray(rgb), label[pick])
+    return SmallView(camera, depth, colour_picture(layers), label)
 
 
 def vertex_labels(xyz: NDArray[np.float32], views: list[SmallView]) -> NDArray[np.int64]:

@@ -22,7 +22,7 @@ from ..passes.layers import PanopticLayers
 from ..posed.layout import listed
 from ..posed.splat_file import read_gaussians
 from ..result_files import Instance
-from ..scene import Camera, ClassTable, Frame, Scene
+from ..scene import Camera, ClassTable, Frame, Scene, evenly_spread
 from ..scene_of_lift import scene_of_lift
 
 Progress = Callable[[int, int], object]
@@ -131,6 +131,16 @@ class FinishedLift:
                 yield frame, self._baker.render(frame.camera).layers
             if self.progress is not None:
                 self.progress(number, len(self.frames))
+
+    def small_views(self, width: int, most: int) -> Iterator[tuple[Camera, PanopticLayers]]:
+        """At most ``most`` of the frames, evenly spread, as the lift shows them in pictures of at most this width."""
+        chosen = evenly_spread(self.frames, most)
+        for number, frame in enumerate(chosen, start=1):
+            shrunk = min(1.0, width / frame.camera.width)
+            camera = frame.camera.resized(*(round(shrunk * side) for side in (frame.camera.width, frame.camera.height)))
+            yield camera, self._baker.decided(camera)
+            if self.progress is not None:
+                self.progress(number, len(chosen))
 
 
 def is_corrected(baked: Path, corrections: str) -> bool:

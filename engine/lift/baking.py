@@ -11,8 +11,6 @@ from pathlib import Path
 from statistics import median
 from typing import Any
 
-import numpy as np
-
 from ..corrections import CorrectedResult
 from ..errors import PlgsError
 from ..job import EventWriter, LiftFolder, write_atomically
@@ -24,7 +22,7 @@ from ..model.render import render_bands
 from ..model.rendering import ClipRange
 from ..model.scene_labels import shown_labels
 from ..model.structured import StructuredScene
-from ..passes.baked_view import BakedView, ShownInstances, bake_view
+from ..passes.baked_view import BakedView, ShownInstances, bake_view, joined
 from ..passes.contact_sheet import SheetRow, chosen, write_contact_sheet
 from ..passes.exr import write_exr
 from ..passes.frame_header import NOTHING_SHOWN, ShownFrame
@@ -77,10 +75,14 @@ class FrameBaker:
 
     def seen(self, camera: Camera) -> Seen:
         """The classes that a camera sees, and their shares before they are calibrated."""
+        layers = self.decided(camera)
+        return Seen(layers.semantic, layers.confidence)
+
+    def decided(self, camera: Camera) -> PanopticLayers:
+        """The layers of a view without mattes, and with shares in place of confidence: a third of a baked view's work.
+        """
         bands = render_bands(self.lifted, camera, self.labels)
-        layers = [decide(band, self.classes, self.instances.class_of) for band in bands]
-        classes, share = ([getattr(each, name) for each in layers] for name in ("semantic", "confidence"))
-        return Seen(np.concatenate(classes), np.concatenate(share))
+        return joined([decide(band, self.classes, self.instances.class_of) for band in bands])
 
     def write(
         self,

@@ -76,7 +76,7 @@ def write_lifted(
     write_arrays(result / SEMANTIC_POINTS, points)
     write_instances(result / INSTANCES, classes, instances)
     write_arrays(result / ANCHORS, anchors)
-    write_splats(result / "gaussians.ply", gaussians)
+    write_splats(result / "gaussians.ply", gaussians.without_floaters(points.xyz))
     write_model(folder, lifted)
     for name in (SEMANTIC_POINTS, INSTANCES, ANCHORS, "gaussians.ply", MODEL):
         events.artifact(result / name, name.partition(".")[0])

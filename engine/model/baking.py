@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from ..instances.class_first import LEAST_OF_CLASS, objects_of_classes
@@ -19,6 +21,13 @@ from .structured import LabelChannels, StructuredScene
 CHUNK = 65536
 """Anchors decoded at once, to bound the memory. There are fewer if there are more than USUAL_LABELS labels."""
 USUAL_LABELS = 64
+FLOATS = 0.12
+"""Metres between a Gaussian and the next thing seen, or between two things, beyond which one floats."""
+FAINTEST = 0.05
+"""Opacity of a Gaussian that can hardly be seen."""
+LEAST_COVER = 0.002
+"""Square metres that Gaussians that hang together have to cover, weighted by opacity; one covers its longest two
+standard deviations multiplied."""
 _NEIGHBOURS = 16
 """The number of Gaussians whose colours are blended, including the Gaussian itself."""
 
@@ -50,6 +59,22 @@ class BakedGaussians:
             weights = self.opacities[near][..., None]
             blended[rows] = (weights * self.colours[near]).sum(axis=1) / weights.sum(axis=1)
         return blended
+
+    def without_floaters(self, seen: NDArray[np.floating]) -> BakedGaussians:
+        """Those that are opaque enough to be seen, lie near the points ``seen`` [P, 3] m, and hang together with
+        others. Photos do not tell where what they never saw is: it floats in the room, or far outside of it."""
+        near, _ = cKDTree(seen).query(self.means, distance_upper_bound=FLOATS, workers=-1)
+        kept = np.flatnonzero(np.isfinite(near) & (self.opacities >= FAINTEST))
+        cell, places = np.floor(self.means[kept] / FLOATS).astype(np.int64), np.zeros(len(kept), np.int64)
+        if len(kept):
+            cells, places = np.unique(cell, axis=0, return_inverse=True)
+            beside = cKDTree(cells).query_pairs(1.8, output_type="ndarray")  # the 26 neighbours
+            graph = coo_matrix((np.ones(len(beside)), tuple(beside.T)), (len(cells), len(cells)))
+            places = connected_components(graph, directed=False)[1][places.ravel()]
+        longest = np.sort(np.minimum(self.scales[kept], FLOATS), axis=1)[:, 1:]
+        cover = np.bincount(places, self.opacities[kept] * longest.prod(axis=1))
+        kept = kept[cover[places] >= LEAST_COVER]
+        return BakedGaussians(**{field.name: getattr(self, field.name)[kept] for field in fields(self)})
 
 
 def decided_labels(

@@ -28,10 +28,10 @@ def columns_of(names: str, values: NDArray[Any]) -> dict[str, NDArray[Any]]:
 
 
 def write_ply_table(
-    path: Path, columns: Mapping[str, NDArray[Any]], triangles: NDArray[np.integer] | None = None
+    path: Path, columns: Mapping[str, NDArray[Any]], triangles: NDArray[np.integer] | None = None, comment: str = ""
 ) -> None:
-    """Write vertices of float32, int32 or uint8 columns [N], and triangles [T, 3] of them. Raises ValueError for
-    columns of other types or of different lengths, and OSError."""
+    """Write vertices of float32, int32 or uint8 columns [N], and triangles [T, 3] of them, with a comment. Raises
+    ValueError for columns of other types or of different lengths, and OSError."""
     count = {len(values) for values in columns.values()}
     if len(count) != 1:
         raise ValueError(f"columns differ in length: {', '.join(columns)}")
@@ -42,7 +42,8 @@ def write_ply_table(
     vertices = np.empty(count.pop(), np.dtype(kinds))
     for name, values in columns.items():
         vertices[name] = values
-    lines = ["ply", "format binary_little_endian 1.0", f"element vertex {len(vertices)}"]
+    comments = [f"comment {comment}"] if comment else []
+    lines = ["ply", "format binary_little_endian 1.0", *comments, f"element vertex {len(vertices)}"]
     lines += [f"property {_KINDS[kind.str[1:]]} {name}" for name, kind in kinds]
     body = vertices.tobytes()
     if triangles is not None:

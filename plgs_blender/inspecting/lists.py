@@ -40,6 +40,7 @@ from .looks import (
     SPLATS,
     SURFACE,
     UNCERTAINTY,
+    apply_lit,
     apply_look,
     apply_show_as,
 )
@@ -76,6 +77,10 @@ def _update_look(lists: bpy.types.PropertyGroup, _context: bpy.types.Context) ->
 
 def _update_show_as(lists: bpy.types.PropertyGroup, _context: bpy.types.Context) -> None:
     apply_show_as(lists.id_data)
+
+
+def _update_lit(lists: bpy.types.PropertyGroup, _context: bpy.types.Context) -> None:
+    apply_lit(lists.id_data)
 
 
 def _update_cameras(lists: bpy.types.PropertyGroup, _context: bpy.types.Context) -> None:
@@ -190,6 +195,9 @@ class PLGS_PG_lift(bpy.types.PropertyGroup):
             (SURFACE, "Surface", "Meshes, one for each instance and each stuff class"),
         ],
     )  # fmt: skip
+    lit: BoolProperty(
+        name="Lit", update=_update_lit, description="Let the scene's lights light the surface, not the photos' own"
+    )
     show_cameras: BoolProperty(
         name="Cameras", update=_update_cameras, description="Draw the frames' cameras and their path"
     )

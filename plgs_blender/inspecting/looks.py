@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..lift_collection import is_child
-from ..materials import linear_rgba
+from ..materials import LIT, linear_rgba, value_node
+from ..owned import LIFT, key_of
 from .lookup import ids_of, objects_by_key
 
 PHOTO, CLASSES, INSTANCES, UNCERTAINTY = "PHOTO", "CLASSES", "INSTANCES", "UNCERTAINTY"
@@ -58,6 +59,14 @@ def apply_look(root: bpy.types.Collection) -> None:
         if look == PHOTO and kept is not None:
             ob.data.attributes.remove(kept)
         ob.data.update_tag()
+
+
+def apply_lit(root: bpy.types.Collection) -> None:
+    """Let the scene's lights light the lift's meshes, or the photos' own light, as the lift's `lit` says."""
+    for material in bpy.data.materials:
+        node = value_node(material, LIT) if key_of(material, root[LIFT]) is not None else None
+        if node is not None:
+            node.outputs[0].default_value = float(root.plgs.lit)
 
 
 def apply_show_as(root: bpy.types.Collection) -> None:

@@ -20,7 +20,7 @@ from .. import compat
 from ..materials import object_colour
 from ..owned import LIFT, key_of, tag
 from .looks import CLASSES
-from .lookup import boxes_of, clouds_of, ids_of, objects_by_key, row_of, surfaces_of
+from .lookup import boxes_of, clouds_of, ids_of, is_box, objects_by_key, row_of, surfaces_of
 
 HIDDEN = "plgs_hidden"
 MODIFIER = "Hidden instances"
@@ -130,8 +130,8 @@ def left_out(lists: bpy.types.PropertyGroup, instance_id: NDArray[np.int32], cla
 
 
 def _show_object(ob: bpy.types.Object, shown: bool) -> None:
-    """Show or hide an object in renders and in all scenes that have it."""
-    ob.hide_render = not shown
+    """Show or hide an object in all scenes that have it, and in renders unless it is a box."""
+    ob.hide_render = is_box(ob) or not shown
     for scene in bpy.data.scenes:
         for layer in scene.view_layers:
             if layer.objects.get(ob.name) == ob:

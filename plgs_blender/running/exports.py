@@ -10,7 +10,10 @@ import bpy
 
 from ...engine.errors import PlgsError
 from ...engine.job.follower import TaskFollower
+from .. import engine_environment
+from ..lift_collection import root_of_placed
 from ..lift_scene import place_depth_clouds_anew, place_meshes_anew
+from ..meshes import mesh_folder
 from ..tasks import registry, timer
 from ..tasks.registry import Task, start_engine
 
@@ -32,16 +35,24 @@ FORMS = {
 
 class Export(Task):
     """One export. What was written stays when it is cancelled. ``shown_in`` names the scene that its meshes or clouds
-    are put into."""
+    are put into; where nobody ``asked`` for them, they are not shown yet."""
 
     kind, label, cancel_operator = "export", "Exporting", "plgs.cancel_export"
 
-    def __init__(self, lift: Path, form: str, output: Path, shown_in: str, follower: TaskFollower) -> None:
+    def __init__(
+        self, lift: Path, form: str, output: Path, shown_in: str, follower: TaskFollower, *, asked: bool = True
+    ) -> None:
         super().__init__(follower)
+        self._asked = asked
         self.form, self.output = form, output
         self.label = f"Exporting {FORMS[form][0]}"
         self._lift, self._shown_in = lift, shown_in
         self._placed = 0
+
+    @property
+    def is_placed(self) -> bool:
+        """Whether its result is put into a scene."""
+        return bool(self._shown_in)
 
     @property
     def message(self) -> str:
@@ -59,7 +70,7 @@ class Export(Task):
         if target is None:
             raise PlgsError("the scene is gone", self._shown_in, "Make it again.")
         if self.form == "mesh":
-            self._placed, self.undo_step = len(place_meshes_anew(self._lift, target)), "Make Meshes"
+            self._placed, self.undo_step = len(place_meshes_anew(self._lift, target, asked=self._asked)), "Make Meshes"
         else:
             self._placed, self.undo_step = place_depth_clouds_anew(self._lift, target), "Depth Cloud"
 
@@ -73,10 +84,31 @@ def export(
     *,
     cameras: Path | None = None,
     shown_in: str = "",
+    asked: bool = True,
 ) -> Export:
-    """Start an export of a finished lift into the folder ``output``, of ``frames`` or of a file of ``cameras``. Raises
-    PlgsError, OSError."""
+    """Start an export of a finished lift into the folder ``output``, of ``frames`` or of a file of ``cameras``. What
+    `Export` says of ``shown_in`` and ``asked`` holds. Raises PlgsError, OSError."""
     registry.refuse_second(Export)
     seen = ["--frames", *frames] if cameras is None else ["--cameras", cameras]
     arguments: list[str | Path] = [lift, "--to", form, "-o", output, *seen]
-    return timer.begin(Export(lift, form, output, shown_in, start_engine("export", python, *arguments)))
+    follower = start_engine("export", python, *arguments)
+    return timer.begin(Export(lift, form, output, shown_in, follower, asked=asked))
+
+
+def make_meshes(lift: Path, scene: bpy.types.Scene, frames: str = "all", *, asked: bool = True) -> Export:
+    """Let an engine make the meshes of a finished lift that is placed in the scene, and put them there. Raises
+    PlgsError, OSError.
+    """
+    root_of_placed(lift, scene)  # raises now what would otherwise be raised when the meshes are made
+    python = engine_environment.usable_python()
+    return export(lift, "mesh", mesh_folder(lift), python, [frames], shown_in=scene.name, asked=asked)
+
+
+def can_make_meshes_unasked() -> bool:
+    """Whether there is a window that shows them, an engine, and no other export."""
+    return not bpy.app.background and engine_environment.why_no_engine() is None and not registry.running(Export)
+
+
+def making_meshes() -> Export | None:
+    """The running export whose meshes are put into a scene."""
+    return next((task for task in registry.running(Export) if task.form == "mesh" and task.is_placed), None)

@@ -19,7 +19,6 @@ from ..errors import with_field_names
 from ..farm_job import write_farm_job
 from ..inspecting.lookup import objects_by_key
 from ..lift_collection import FOLDER, Placed, is_same_place, lift_of_scene, lifts_in, root_of_placed
-from ..meshes import mesh_folder
 from ..owned import text_of
 from ..paths import absolute, free_folder
 from ..settings import PLGS_PG_settings, adopt, chosen_lift, chosen_scene, request_of, why_no_options
@@ -223,10 +222,7 @@ def make_meshes(scene: bpy.types.Scene, frames: str, folder: str = "") -> export
     """Let an engine make the meshes of a finished lift that is placed in the scene, and put them there. Raises
     PlgsError, OSError.
     """
-    lift = lift_at(scene.plgs, folder).path
-    root_of_placed(lift, scene)  # raises now what would otherwise be raised when the meshes are made
-    python = engine_environment.usable_python()
-    return exports.export(lift, "mesh", mesh_folder(lift), python, [frames], shown_in=scene.name)
+    return exports.make_meshes(lift_at(scene.plgs, folder).path, scene, frames)
 
 
 def make_depth_cloud(scene: bpy.types.Scene, frame: str, folder: str = "") -> exports.Export:

@@ -22,7 +22,7 @@ from ..settings import adopt, chosen_lift
 from ..startup_file import taking_over
 from ..tasks import registry, timer
 from ..tasks.registry import Task
-from . import live_preview
+from . import exports, live_preview
 
 _SHOWN_RECENT = 8
 """At most this many recent lifts are listed in the panel."""
@@ -42,7 +42,7 @@ class Lift(Task):
         self.folder: LiftFolder = follower.lift
         self.lift_folder = follower.lift.path
         self.label = f"{'Baking' if self.is_baking else 'Lifting'} {follower.lift.path.name}"
-        self.lift_state, self._is_new = lift_state, is_new
+        self.lift_state, self._is_new, self._was_watched = lift_state, is_new, lift_state is LiftState.RUNNING
         self._pictures_seen = 0
         self.scene_is_there = os.path.exists(follower.lift.request.scene)
 
@@ -93,6 +93,8 @@ class Lift(Task):
             place_passes_anew(self.folder.path, scene)
         elif not self._is_wanted(scene) or (yield from showing_lift(scene, self.folder, self._is_wanted)) is None:
             return
+        elif self._was_watched and exports.can_make_meshes_unasked():
+            exports.make_meshes(self.folder.path, scene, asked=False)
         self.undo_step = "Show Result"
 
     def watch(self, scenes: Sequence[Any], has_news: bool) -> bool:

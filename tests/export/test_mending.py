@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from engine.export.fusion import Surface
-from engine.export.mending import close_holes, open_edges, without_crumbs
+from engine.export.mending import close_holes, open_edges, without_crumbs, without_flakes
 
 STEP = 0.02
 """Metres between the vertices of a sheet."""
@@ -98,3 +98,10 @@ def test_a_large_piece_of_stuff_is_not_given_to_a_neighbour() -> None:
     label = np.where(x < 1.8, 3, np.where(x < 2.29, 5, 3))  # wall, a picture, and the wall behind it
     np.testing.assert_array_equal(without_crumbs(surface, label, label == 3), label)
     assert (without_crumbs(surface, label, label == 0)[x > 2.29] == 5).all()
+
+
+def test_flakes_that_float_are_left_out() -> None:
+    surface = joined(sheet(20, 20), sheet(6, 6, x=2.0), sheet(12, 12, x=4.0))
+    kept, label = without_flakes(surface, np.repeat([1, 2, 3], [400, 36, 144]))
+    assert np.bincount(label).tolist() == [0, 400, 0, 144]
+    assert np.isclose(area(kept).sum(), (19 * STEP) ** 2 + (11 * STEP) ** 2)

@@ -121,3 +121,22 @@ def test_blended_colours_are_those_around() -> None:
     assert blended[:count].std() < 0.5 * colours[:count].std()
     np.testing.assert_allclose(blended[count : 2 * count], np.full((count, 3), 0.8), atol=0.15)
     assert blended[-1].max() < 0.35
+
+
+def test_floaters_are_left_out() -> None:
+    """A sheet of Gaussians on points that were seen; beside it one that nothing was seen near, one alone on a stray
+    point, a faint one, and a lamp that hangs free."""
+    grid = np.stack([*np.meshgrid(np.arange(20) * 0.05, np.arange(20) * 0.05), np.zeros((20, 20))], axis=-1)
+    lamp = np.tile([0.5, 0.5, 1.0], (20, 1)) + np.random.default_rng(3).uniform(0, 0.1, (20, 3))
+    others = np.array([[0.5, 0.5, 0.3], [3.0, 0.0, 0.0], [0.5, 0.5, 0.01]])
+    means = np.concatenate([grid.reshape(-1, 3), lamp, others]).astype(np.float32)
+    count = len(means)
+    opacities = np.full(count, 0.8, np.float32)
+    opacities[-1] = 0.01
+    splats = BakedGaussians(
+        means, np.full((count, 3), 0.02, np.float32), np.tile(np.float32([1, 0, 0, 0]), (count, 1)), opacities,
+        np.zeros((count, 3), np.float32), np.arange(count, dtype=np.int32), np.zeros(count, np.int32),
+    )  # fmt: skip
+    kept = splats.without_floaters(np.concatenate([grid.reshape(-1, 3), lamp, others[1:2]]))
+    np.testing.assert_array_equal(kept.class_id, np.arange(count - 3))
+    assert not len(splats.without_floaters(np.zeros((0, 3))).means)

@@ -50,38 +50,36 @@ def test_an_object_stands_on_its_foot_and_leaves_a_hole(root: bpy.types.Collecti
     before = {ob.name for ob in bpy.data.objects}
     assert bpy.ops.plgs.make_objects(instances=str(CHAIR)) == {"FINISHED"}
     made = bpy.data.collections["chair 1"]
-    assert {ob.name for ob in bpy.data.objects} - before == {f"chair 1 {part}" for part in
-                                                             ("pivot", "points", "surface", "box")}  # fmt: skip
+    assert {ob.name for ob in bpy.data.objects} - before == {"chair 1 points", "chair 1 surface"}
     assert not [name for name in (ob.name for ob in bpy.data.objects) if ".0" in name]
     one = next(each for each in read_corrected(mine).instances if each.id == CHAIR)
     foot = Vector(one.centre) - Vector((0, 0, one.size[2] / 2))
-    pivot = bpy.data.objects["chair 1 pivot"]
+    surface, points = (bpy.data.objects[f"chair 1 {part}"] for part in ("surface", "points"))
     bpy.context.view_layer.update()
-    assert np.allclose(pivot.matrix_world.translation, foot, atol=1e-5)
+    assert np.allclose(surface.matrix_world.translation, foot, atol=1e-5)
     assert np.allclose(made.instance_offset, foot, atol=1e-5)
-    points = bpy.data.objects["chair 1 points"]
-    xyz = np.array([points.matrix_world @ point.co for point in points.data.points])
+    assert points.parent == surface and points.hide_viewport and points.hide_render and not surface.hide_render
+    assert bpy.context.selected_objects == [surface] == [bpy.context.view_layer.objects.active]
+    assert not surface.data.materials[0].use_backface_culling and "plgs_lift" not in surface.data
+    xyz = np.array([surface.matrix_world @ point.co for point in points.data.points])
     result = read_corrected(mine).points
     assert np.allclose(np.sort(xyz, axis=0), np.sort(result.xyz[result.instance_id == CHAIR], axis=0), atol=1e-4)
     assert {"Col", "confidence", "entropy", "normal", "radius"} <= {each.name for each in points.data.attributes}
-    box = bpy.data.objects["chair 1 box"]
-    corners = np.array([box.matrix_world @ Vector(corner) for corner in box.bound_box])
-    assert np.allclose(np.ptp(corners, axis=0), one.size, atol=1e-4) and corners[:, 2].min() == pytest.approx(foot.z)
     assert hidden(root, CHAIR) and not hidden(root, CABINET)
 
 
 def test_moved_and_made_again_it_stays_where_it_was_moved(root: bpy.types.Collection, mine: Path) -> None:
     bpy.ops.plgs.make_objects(instances="all")
-    pivot = bpy.data.objects["chair 1 pivot"]
+    pivot = bpy.data.objects["chair 1 surface"]
     pivot.location.x += 2.0
     bpy.context.view_layer.update()
     where = pivot.matrix_world.copy()
     lift_scene.place_lift(mine, bpy.context.scene)
-    assert bpy.data.objects["chair 1 pivot"].matrix_world == where and hidden(root, CHAIR)  # no lift touches it
+    assert bpy.data.objects["chair 1 surface"].matrix_world == where and hidden(root, CHAIR)  # no lift touches it
     bpy.ops.plgs.make_objects(instances=str(CHAIR))
     bpy.context.view_layer.update()
-    assert np.allclose(bpy.data.objects["chair 1 pivot"].matrix_world, where)
-    assert "chair 1.001" not in bpy.data.collections and len(bpy.data.collections["chair 1"].objects) == 4
+    assert np.allclose(bpy.data.objects["chair 1 surface"].matrix_world, where)
+    assert "chair 1.001" not in bpy.data.collections and len(bpy.data.collections["chair 1"].objects) == 2
 
 
 def test_made_and_undone(root: bpy.types.Collection) -> None:
@@ -89,7 +87,7 @@ def test_made_and_undone(root: bpy.types.Collection) -> None:
     bpy.ops.plgs.make_objects(instances=str(CHAIR))
     bpy.ops.ed.undo_push(message="made")
     bpy.ops.ed.undo()
-    assert "chair 1" not in bpy.data.collections and "chair 1 pivot" not in bpy.data.objects
+    assert "chair 1" not in bpy.data.collections and "chair 1 surface" not in bpy.data.objects
 
 
 def test_assets_have_a_picture(root: bpy.types.Collection) -> None:
@@ -119,7 +117,9 @@ def test_visible_where_frames_show_it(root: bpy.types.Collection) -> None:
     assert bpy.ops.plgs.key_visibility(instances=str(CHAIR)) == {"FINISHED"}
     for name, frame in markers.items():
         scene.frame_set(frame)
-        assert boxes_of(root)[CHAIR].hide_render == (name not in shown or name == lost)
+        box, mesh = boxes_of(root)[CHAIR], next(ob for ob in root.all_objects if ob.name == "chair 1 mesh")
+        assert box.hide_viewport == mesh.hide_viewport == mesh.hide_render == (name not in shown or name == lost)
+        assert box.hide_render
     row.masks.clear()
     with pytest.raises(RuntimeError, match="no frame shows instance 1"):
         bpy.ops.plgs.key_visibility(instances=str(CHAIR))

@@ -35,7 +35,7 @@ def test_an_import_makes_the_view_the_captures(room: Path) -> None:
     fx, fy = scene.camera["fx"], scene.camera["fy"]
     assert size_of(scene) == (64, 48, pytest.approx(fx / fy))
     assert not any(bpy.data.objects[name].visible_get() for name in ("Cube", "Light", "Camera"))
-    assert bpy.data.objects["Cube"].hide_render
+    assert bpy.data.objects["Cube"].hide_render and scene.view_settings.view_transform == "Standard"
     for frame in range(8):
         scene.frame_set(frame)
         assert scene.camera["frame"] == f"{frame:04d}"
@@ -55,6 +55,18 @@ def test_the_views_look_at_the_room(room: Path) -> None:
     for view in views:
         assert view.view_perspective == "PERSP"
         assert min((eye - view.view_location).length for eye in eyes) < view.view_distance
+
+
+def test_other_objects_keep_their_look(room: Path) -> None:
+    """Views turn to Material Preview, where lights, materials and objects are Blender's own; and only once."""
+    import_room(room)
+    areas = [area for window in bpy.context.window_manager.windows for area in window.screen.areas]
+    shadings = [area.spaces.active.shading for area in areas if area.type == "VIEW_3D"]
+    assert {(each.type, each.light, each.color_type) for each in shadings} == {("MATERIAL", "STUDIO", "MATERIAL")}
+    for each in shadings:
+        each.type = "SOLID"
+    import_room(room)
+    assert {each.type for each in shadings} == {"SOLID"}
 
 
 def test_undo_takes_it_back_as_one_step(room: Path) -> None:

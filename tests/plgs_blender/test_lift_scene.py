@@ -230,8 +230,7 @@ def test_a_new_file_shows_colours(lift: Path, tmp_path: Path) -> None:
     assert (scene.frame_start, scene.frame_end, scene.unit_settings.system) == (0, FRAMES, "METRIC")
     areas = [area for screen in bpy.data.screens for area in screen.areas]
     views = [space for area in areas for space in area.spaces if space.type == "VIEW_3D"]
-    assert views and {view.shading.color_type for view in views} == {"VERTEX"}
-    assert {view.shading.type for view in views} <= {"SOLID", "MATERIAL"}
+    assert views and {view.shading.type for view in views} == {"MATERIAL"}
     assert {view.shading.wireframe_color_type for view in views} == {"OBJECT"}
 
 

@@ -12,6 +12,7 @@ from plgs.engine.passes.ply import columns_of, write_ply_table
 from plgs.engine.posed.splat_file import read_gaussians
 from plgs.plgs_blender import lift_scene, splats
 from plgs.plgs_blender.inspecting.lists import registered
+from plgs.plgs_blender.surfaces import SurfaceGrid
 from tiny_lift import mend_manifest, write_tiny_lift
 from tiny_scene import CHAIR_ID
 
@@ -34,34 +35,49 @@ def write_gaussians(path: Path) -> None:
     write_ply_table(path, columns)
 
 
-def test_squares_span_the_two_longest_axes_and_face_the_cameras_that_saw_them(tmp_path: Path) -> None:
+NOWHERE = splats.Eyes(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0))
+FLOOR = np.stack([*np.meshgrid(np.linspace(-1, 3, 40), np.linspace(-1, 1, 20)), np.ones((20, 40))], axis=-1)
+
+
+def floor(up: float) -> splats.SeenSurface:
+    """Points in the plane z = 1, seen from above or below."""
+    xyz = FLOOR.reshape(-1, 3).astype(np.float32)
+    return splats.SeenSurface(SurfaceGrid.of(xyz), np.tile(np.float32([0, 0, up]), (len(xyz), 1)))
+
+
+def test_a_square_is_the_shadow_of_its_gaussian_on_the_surface(tmp_path: Path) -> None:
     write_gaussians(tmp_path / "gaussians.ply")
     rows = read_gaussians(tmp_path / "gaussians.ply")
-    for above in (5.0, -5.0):
-        assert splats.seen(rows).tolist() == [0, 1]
-        corners = splats.squares(rows, np.array([[0.0, 0.0, above]]))
-        assert np.ptp(corners[0], axis=0) == pytest.approx([0.4, 0.8, 0.0], abs=1e-6)
-        assert np.ptp(corners[1], axis=0) == pytest.approx([0.4, 0.0, 0.8], abs=1e-6)
-        normal = np.cross(corners[0, 1] - corners[0, 0], corners[0, 2] - corners[0, 1])
-        assert np.sign(normal[2]) == np.sign(above)
+    assert splats.seen(rows).tolist() == [0, 1]
+    for up in (1.0, -1.0):
+        made = splats.squares(rows[:2], floor(up), NOWHERE)
+        assert np.allclose(np.abs(made.right), [[0, 0.4, 0], [0.2, 0, 0]], atol=1e-6)
+        assert np.allclose(np.abs(made.up), [[0.2, 0, 0], [0, 0.02, 0]], atol=1e-6)
+        assert (np.sign(np.cross(made.right, made.up)[:, 2]) == up).all()
+    far = rows[:1].copy()
+    far["z"] = 7.0
+    eyes = splats.Eyes(np.array([[0.0, 0.0, 9.0]]), np.array([[0.0, 0.0, 1.0]]), np.array([0.9]))
+    made = splats.squares(far, floor(-1.0), eyes)
+    assert np.cross(made.right, made.up)[0, 2] > 0, "what lies beside no surface faces the nearest eye"
 
 
-def test_what_cameras_see_from_both_sides_has_two_squares(tmp_path: Path) -> None:
+def test_objects_that_cameras_see_from_both_sides_have_two_squares(tmp_path: Path) -> None:
     write_gaussians(tmp_path / "gaussians.ply")
     rows = read_gaussians(tmp_path / "gaussians.ply")[:1]
+    wall = rows.copy()
+    wall["instance_id"] = 0
     down, up = [0.0, 0.0, -1.0], [0.0, 0.0, 1.0]
 
-    def seen(*cameras: tuple[float, list[float]]) -> list[int]:
+    def normals(row: np.ndarray, *cameras: tuple[float, list[float]]) -> list[float]:
         places = np.array([[0.0, 0.0, height] for height, _ in cameras])
-        ahead = np.array([ahead for _, ahead in cameras])
-        eyes = splats.Eyes(places, ahead, np.full(len(cameras), 0.9))
-        columns = splats._columns(rows, eyes)
-        both = splats.seen_from_behind(splats.squares(rows, eyes.places), eyes)
-        assert len(columns["opacity"]) == 4 + 4 * len(both) and len(columns["position"]) == 12 * (1 + len(both))
-        return list(both)
+        eyes = splats.Eyes(places, np.array([ahead for _, ahead in cameras]), np.full(len(cameras), 0.9))
+        made = splats.squares(row, floor(1.0), eyes)
+        assert len(made.ids["class_id"]) == len(made.xyz) == len(made.opacity) == len(made.rgb)
+        return np.sign(np.cross(made.right, made.up)[:, 2]).tolist()
 
-    assert seen((2.0, down)) == seen((2.0, down), (-9.0, down)) == []
-    assert seen((2.0, down), (-9.0, up)) == [0]
+    assert normals(rows, (2.0, down)) == normals(rows, (2.0, down), (-9.0, down)) == [1.0]
+    assert normals(rows, (2.0, down), (-9.0, up)) == [1.0, -1.0]
+    assert normals(wall, (2.0, down), (-9.0, up)) == [1.0], "walls and ceilings are open from behind"
 
 
 def test_splats_have_the_colour_around_them_if_the_file_has_it(tmp_path: Path) -> None:
@@ -71,9 +87,8 @@ def test_splats_have_the_colour_around_them_if_the_file_has_it(tmp_path: Path) -
     for name in rows.dtype.names:
         told[name] = rows[name]
     told["green"] = 255
-    nowhere = splats.Eyes(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0))
-    assert splats._columns(rows, nowhere)["Col"].reshape(-1, 4)[0] == pytest.approx([1, 0, 0, 1], abs=1e-3)
-    assert splats._columns(told, nowhere)["Col"].reshape(-1, 4)[0].tolist() == [0, 1, 0, 1]
+    assert splats.squares(rows, floor(1.0), NOWHERE).rgb[0].tolist() == [255, 0, 0]
+    assert splats.squares(told, floor(1.0), NOWHERE).rgb[0].tolist() == [0, 255, 0]
 
 
 def test_a_file_without_splats_is_refused(tmp_path: Path) -> None:
@@ -97,14 +112,21 @@ def test_a_lift_opens_as_splats_in_photo_colours_and_is_recoloured(tmp_path: Pat
         mesh.attributes["Col"].data.foreach_get("color", values)
         return values.reshape(-1, 4)
 
+    drawn = bpy.data.objects["Gaussians"].evaluated_get(bpy.context.evaluated_depsgraph_get()).data
+    assert len(drawn.polygons) == len(mesh.vertices) == 2 and drawn.color_attributes.active_color.name == "Col"
+    places = np.zeros(3 * 8, np.float32)
+    drawn.attributes["corner"].data.foreach_get("vector", places)
+    assert sorted(map(tuple, np.unique(places.reshape(-1, 3), axis=0))) == [
+        (x, y, 0.0) for x in (-2.0, 2.0) for y in (-2.0, 2.0)
+    ]
     photo = colours()
-    assert photo == pytest.approx(np.tile([1.0, 0.0, 0.0, 1.0], (8, 1)), abs=1e-3)
+    assert photo == pytest.approx(np.tile([1.0, 0.0, 0.0, 1.0], (2, 1)), abs=1e-3)
     with registered():
         root.plgs.look = "INSTANCES"
         own = bpy.data.objects[next(ob.name for ob in root.all_objects if ob.get("plgs_key") == "instance:1")].color
-        assert colours()[0] == pytest.approx([*own], abs=1e-5) and np.ptp(colours()[4, :3]) < 1e-6
+        assert colours()[0] == pytest.approx([*own], abs=5e-3) and np.ptp(colours()[1, :3]) < 1e-6
         root.plgs.look = "CLASSES"
-        assert colours()[4] == pytest.approx([*bpy.data.objects["chair"].color], abs=1e-5)
+        assert colours()[1] == pytest.approx([*bpy.data.objects["chair"].color], abs=5e-3)
         classes = colours()
         root.plgs.look = "UNCERTAINTY"
         assert not np.allclose(colours(), photo) and not np.allclose(colours(), classes)

@@ -42,10 +42,7 @@ def test_the_result_lies_in_the_free_part_of_the_view(window: Window, lift: Path
     places = window.run(PLACES)
     assert places and all(0.0 < x < 1.0 and 0.0 < y < 1.0 for x, y in places)
     shading = "next(a for a in bpy.context.window.screen.areas if a.type == 'VIEW_3D').spaces.active.shading"
-    shown = window.ask(f"({shading}.type, {shading}.light, {shading}.color_type)")
-    assert shown == ["MATERIAL", "FLAT", "VERTEX"], "points have their colours in Material Preview"
-    splats = "root.plgs.show_as = 'SURFACE'; views.colour_views(bpy.context.scene, points=False, were_points=True)"
-    modules = "import sys; views = sys.modules[EXTENSION + '.plgs_blender.viewport']"
-    root = "root = sys.modules[EXTENSION + '.plgs_blender.inspecting.lookup'].active_lift(bpy.context.scene, None)"
-    window.run(f"{modules}\n{root}\n{splats}")
-    assert window.ask(f"{shading}.type") == "SOLID"
+    shown = f"({shading}.type, {shading}.light, {shading}.color_type)"
+    assert window.ask(shown) == ["MATERIAL", "STUDIO", "MATERIAL"], "other objects look as they do in Material Preview"
+    window.run(f"{shading}.type = 'SOLID'\nbpy.ops.plgs.place_lift(lift_folder={str(lift)!r})")
+    assert window.ask(shown) == ["SOLID", "STUDIO", "MATERIAL"], "who turned to Solid shading stays there"
