@@ -13,6 +13,8 @@ from shown_lift import CABINET, CHAIR, over, shown_lift
 ACTIVE = "bpy.context.view_layer.objects.active"
 CHOSEN = f"[lift().plgs.instances[lift().plgs.instance_index].instance_id, inspecting.instance_of({ACTIVE})]"
 SELECTED = "sorted(inspecting.instance_of(each) for each in bpy.context.selected_objects)"
+FIRST_ROW = 57
+"""Pixels from the field for a search down to the list's first row."""
 NAMES = "[row.name for row in lift().plgs.instances]"
 
 
@@ -112,3 +114,23 @@ def test_the_keys_are_in_the_preferences(window: Window, mine: Path) -> None:
     keys = "bpy.context.window_manager.keyconfigs.user.keymaps['Object Mode'].keymap_items"
     found = window.ask(f"sorted({{each.idname for each in {keys} if each.idname.startswith('plgs.')}})")
     assert found == ["plgs.delete_selected", "plgs.pick", "plgs.point_at", "plgs.rename_selected"]
+
+
+def test_a_double_click_in_the_list_renames(window: Window, work_folder: Path) -> None:
+    with shown_lift(window, work_folder / "list", "PLGS_PT_result", "Result") as lift:
+        _, y = window.find_field("plgs.instances_search")
+        left, _, width, _ = window._region("UI")
+        window.move(left + width // 4, y + FIRST_ROW)  # rows are sorted: the cabinet's
+        window._input("click", "--repeat", "2", "--delay", "60", "1")
+        window.settle()
+        window.key("ctrl+a")
+        window.type("seat")
+        window.key("Return")
+        window.settle()
+        window.screenshot("pointing-list")
+        assert window.ask(NAMES)[1] == "seat" and window.ask(f"boxes()[{CABINET}].name") == "seat"
+        assert kinds(lift) == ["rename"]
+        window.move(*over(window, CABINET))
+        window.key("ctrl+z")
+        window.settle()
+        assert window.ask(NAMES)[1] == "cabinet 1" and kinds(lift) == []
