@@ -65,6 +65,7 @@ def make_parser() -> argparse.ArgumentParser:
     weighing = known.add_parser("evidence", help="how much a view's evidence should count, measured without training")
     weighing.add_argument("scenes", nargs="+", metavar="SCENE[:up=AXIS]", help="scenes' folders, with ground truth")
     weighing.add_argument("--masks", metavar="FOLDER", help="the scenes' masks; {scene} stands for a scene's name")
+    weighing.add_argument("--preset", choices=PRESETS, default="preview", help="sizes as for lift (default: preview)")
     weighing.add_argument("--hold-back", action="store_true", help="let masks judge that are held back, too (slow)")
     weighing.set_defaults(run=run_evidence)
     correcting = known.add_parser("correct", help="correct a lift as its scene's ground truth says, and score it")
@@ -153,12 +154,12 @@ def _add_bench(parser: argparse.ArgumentParser) -> None:
 
 
 def run_evidence(options: argparse.Namespace) -> int:
-    """Print the table of the kinds of evidence, at ``preview``. Raises PlgsError, OSError."""
+    """Print the table of the kinds of evidence. Raises PlgsError, OSError."""
     from .experiments.scenes import scenes_from
     from .labelled_cloud import evidence_table
 
     scenes = scenes_from(options.scenes)
-    for line in evidence_table(scenes, PRESETS["preview"], options.masks, hold_back=options.hold_back):
+    for line in evidence_table(scenes, PRESETS[options.preset], options.masks, hold_back=options.hold_back):
         print(line, flush=True)
     return ExitCode.FINISHED
 

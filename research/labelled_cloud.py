@@ -24,7 +24,7 @@ from engine.job import EventWriter, StopSignal
 from engine.lift.objects import MATCHINGS, Matching, ViewsToMatch
 from engine.lift.preparation import filled_views, semantic_cloud, used_classes
 from engine.metrics.panoptic import PanopticEvaluation
-from engine.presets.preset import EvidenceKind, Preset, ViewEvidence
+from engine.presets.preset import EvidenceKind, Preset
 from engine.scene import (
     VOID,
     ClassTable,
@@ -43,6 +43,12 @@ from .experiments.scenes import SceneToLift
 PLACES = ("objects", "segments", "masks")
 """The places of a view's evidence that the cloud shows. Its points take their classes from the segments' votes, and
 there are Gaussians only in a lift."""
+WITHOUT = {
+    "points vote alone": ("neighbours",),
+    "near views: like others": ("near",),
+    "neither": ("neighbours", "near"),
+}
+"""What is left out of the votes of segments (``SegmentVoting``)."""
 REACH = 1.0
 """Metres within which a pixel reads its nearest point."""
 
@@ -65,16 +71,23 @@ class CloudScore(NamedTuple):
         return f"{100 * self.miou:.1f} / {100 * self.pq:.1f}, {100 * self.miou_true:.1f}{judged}"
 
 
-def ways(shipped: ViewEvidence) -> Iterator[tuple[str, ViewEvidence]]:
-    """The ``shipped`` evidence, every kind in all places at once, and every other kind in each place alone."""
+def ways(shipped: Preset) -> Iterator[tuple[str, Preset]]:
+    """The ``shipped`` preset, its votes of segments with less, every kind of evidence in all places at once, and every
+    other kind in each place alone."""
     yield "as shipped", shipped
+    for name, less in WITHOUT.items():
+        yield name, replace(shipped, segment_voting=replace(shipped.segment_voting, **dict.fromkeys(less, False)))
     kinds: tuple[EvidenceKind, ...] = get_args(EvidenceKind)
     for kind in kinds:
-        yield f"all: {kind}", replace(shipped, **dict.fromkeys(PLACES, kind))
+        yield f"all: {kind}", _weighing(shipped, dict.fromkeys(PLACES, kind))
     for place in PLACES:
         for kind in kinds:
-            if kind != getattr(shipped, place):
-                yield f"{place}: {kind}", replace(shipped, **{place: kind})
+            if kind != getattr(shipped.evidence, place):
+                yield f"{place}: {kind}", _weighing(shipped, {place: kind})
+
+
+def _weighing(shipped: Preset, kinds: dict[str, EvidenceKind]) -> Preset:
+    return replace(shipped, evidence=replace(shipped.evidence, **kinds))
 
 
 def evidence_table(
@@ -82,7 +95,7 @@ def evidence_table(
 ) -> Iterator[str]:
     """The lines of a Markdown table: one row per way, one column per scene, and the mean. ``masks`` is a pattern of
     folders, as for the experiments; with ``hold_back``, masks judge. Raises PlgsError."""
-    names = [name for name, _ in ways(preset.evidence)]
+    names = [name for name, _ in ways(preset)]
     columns = [list(scene_scores(scene, preset, masks_of(scene, masks), hold_back=hold_back)) for scene in scenes]
     yield f"| | {' | '.join(markdown_cell(scene.name) for scene in scenes)} | mean |"
     yield "|---" * (len(scenes) + 2) + "|"
@@ -112,8 +125,7 @@ def scene_scores(
                 cloud = semantic_cloud(views, used_classes(views), way, events, progress)
                 return MATCHINGS[way.objects](ViewsToMatch(views, cloud, scene.classes, scratch=folder), way, progress)
 
-            for _, evidence in ways(preset.evidence):
-                way = replace(preset, evidence=evidence)
+            for _, way in ways(preset):
                 found = score(scene, matched(views, way))
                 yield found._replace(masks=judged(views, scene.classes, way, matched)) if hold_back else found
 

@@ -5,25 +5,30 @@ collect these votes. Then every segment takes the label that most of its points 
 paper's self-training, "Self-training with Consistency-enhanced Segments", without a rendering in between. A segment
 whose points agree on no label votes point by point. So outlines stay those of the masks, and all views together decide
 what they enclose.
+
+Points share their votes with their neighbours on the same thing. And near views may overrule the others on what they
+show as a whole. From far away, a network takes a sink for the countertop; from nearby, a part of a table for the floor.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from ..presets.preset import EvidenceKind
+from ..presets.preset import EvidenceKind, SegmentVoting
 from ..scene import VOID, OnDemand, PanopticMask, View, evidence, resolution_of
 from .agreement import ViewsOnCloud
 from .panoptic_labels import UNKNOWN_LABEL, PanopticLabels, decide_labels
 
 ROWS_AT_A_TIME = 32768
 """Points whose votes are made dense at once. This bounds the memory."""
+VIEWS_AT_A_TIME = 32
+"""Views whose votes are added at once."""
 AGREEMENT = 0.5
 """Share of a segment's labelled points that must agree for the segment to take their label."""
 LEAST_SHARE = 0.1
@@ -45,18 +50,25 @@ def vote_panoptic_labels(
     points: int,
     labels: PanopticLabels,
     object_of_segment: Mapping[tuple[str, int], int],
-    rounds: int,
+    options: SegmentVoting,
     kind: EvidenceKind,
+    neighbours: Any = None,
 ) -> VotedLabels:
     """The labels of a cloud of ``points`` points. ``object_of_segment`` maps a frame and segment id to the object 1..U
-    that the mask belongs to; ``rounds``: how often segments take the label of their points and vote again; ``kind``:
-    the votes that a view has on a point."""
+    that the mask belongs to; ``kind``: the votes that a view has on a point; ``neighbours`` sparse [points, points]:
+    the share of a neighbour's votes that a point gets besides its own, None for none."""
     views, point_of_pixel = seeing.views, seeing.point_of_pixel
+
+    def decided(maps: Iterable[NDArray[np.int16]]) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
+        votes = _votes(views, maps, point_of_pixel, points, len(labels), kind)
+        shared = votes if neighbours is None else _Votes(*(own + neighbours @ own for own in votes))
+        return _decided(shared, labels, near=options.near)
+
     maps = OnDemand(len(views), lambda number: member_labels(views[number], labels, object_of_segment))
-    label, confidence = _decided(_votes(views, maps, point_of_pixel, points, len(labels), kind), labels)
-    for _ in range(rounds):
+    label, confidence = decided(maps)
+    for _ in range(options.rounds):
         maps = view_labels(views, point_of_pixel, label, len(labels))
-        label, confidence = _decided(_votes(views, maps, point_of_pixel, points, len(labels), kind), labels)
+        label, confidence = decided(maps)
     return VotedLabels(label, confidence, maps)
 
 
@@ -112,6 +124,15 @@ def segment_labels(
     return np.where(mask.ids > 0, kept, UNKNOWN_LABEL).astype(np.int16)
 
 
+class _Votes(NamedTuple):
+    """Votes, sparse float32 [points, labels] each: ``asked`` by the kind of evidence that was asked for, ``near`` by
+    density, and ``whole`` those of ``near`` that come from segments which their views show as a whole."""
+
+    asked: Any
+    near: Any
+    whole: Any
+
+
 def _votes(
     views: Iterable[View],
     maps: Iterable[NDArray[np.int16]],
@@ -119,23 +140,61 @@ def _votes(
     points: int,
     count: int,
     kind: EvidenceKind,
-) -> Any:
-    """Sparse float32 [points, count]: in each view a point's pixels share the votes that the view has on the point."""
-    total = sparse.csr_matrix((points, count), dtype=np.float32)
+) -> _Votes:
+    """The votes of all views on ``count`` labels. In each view a point's pixels share its votes on the point."""
+    total = [sparse.csr_matrix((points, count), dtype=np.float32)] * 3
+    parts: list[tuple[NDArray[np.int64], NDArray[np.float32]]] = []
     for view, labels, rows in zip(views, maps, point_of_pixel, strict=True):
         seen = rows >= 0
         pixels = np.bincount(rows[seen], minlength=points)
-        resolution = np.bincount(rows[seen], resolution_of(view)[seen], points) / np.maximum(pixels, 1)
-        of_pixel = evidence(kind, pixels * view.mask_scale**2, resolution) / np.maximum(pixels, 1)
+        safe = np.maximum(pixels, 1)
+        resolution = np.bincount(rows[seen], resolution_of(view)[seen], points) / safe
         voting = seen & (labels >= 0)
-        pairs, shown = np.unique(rows[voting].astype(np.int64) * count + labels[voting], return_counts=True)
-        row = pairs // count
-        weight = (shown * of_pixel[row]).astype(np.float32)
-        total = total + sparse.csr_matrix((weight, (row, pairs % count)), shape=total.shape)
-    return total
+        pairs, place = np.unique(rows[voting].astype(np.int64) * count + labels[voting], return_inverse=True)
+        shown, whole = (
+            np.bincount(place.reshape(-1), own[voting], len(pairs)) for own in (np.ones_like(seen), is_whole(view.mask))
+        )
+        asked, near = (
+            (evidence(each, pixels * view.mask_scale**2, resolution) / safe)[pairs // count]
+            for each in (kind, "density")
+        )
+        parts.append((pairs, np.stack([shown * asked, shown * near, whole * near]).astype(np.float32)))
+        if len(parts) == VIEWS_AT_A_TIME:
+            total, parts = _added(total, parts), []
+    return _Votes(*_added(total, parts))
 
 
-def _decided(votes: Any, labels: PanopticLabels) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
+def _added(total: list[Any], parts: list[tuple[NDArray[np.int64], NDArray[np.float32]]]) -> list[Any]:
+    """The three matrices ``total`` of votes and those of ``parts``: point * labels + label, int64 [n], and the votes
+    float32 [3, n]."""
+    if not parts:
+        return total
+    place = np.divmod(np.concatenate([pairs for pairs, _ in parts]), total[0].shape[1])
+    votes = np.concatenate([votes for _, votes in parts], axis=1)
+    return [all_ + sparse.csr_matrix((own, place), shape=all_.shape) for all_, own in zip(total, votes, strict=True)]
+
+
+def is_whole(mask: PanopticMask) -> NDArray[np.bool_]:
+    """Which pixels are of segments that the picture's border does not cut, bool [H, W]."""
+    ids = mask.ids
+    return ~np.isin(ids, np.unique(np.concatenate([ids[0], ids[-1], ids[:, 0], ids[:, -1]])))
+
+
+def _decided(votes: _Votes, labels: PanopticLabels, *, near: bool) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
+    """The label of each point, int32 [N], and its class's share of the votes, float32 [N]. With ``near``, votes by
+    density may decide on another label, where most of its votes come from segments that are seen as a whole."""
+    label, share = _winners(votes.asked, labels)
+    nearer, nearer_share = _winners(votes.near, labels) if near else (label, share)
+    rows = np.flatnonzero((nearer != label) & (nearer >= 0))
+    if not len(rows):
+        return label, share
+    whole, all_ = (np.asarray(of[rows, nearer[rows]]).reshape(-1) for of in (votes.whole, votes.near))
+    rows = rows[whole > 0.5 * all_]
+    label[rows], share[rows] = nearer[rows], nearer_share[rows]
+    return label, share
+
+
+def _winners(votes: Any, labels: PanopticLabels) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
     parts = [
         decide_labels(votes[start : start + ROWS_AT_A_TIME].toarray(), labels, LEAST_SHARE)
         for start in range(0, votes.shape[0], ROWS_AT_A_TIME)

@@ -11,6 +11,7 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +26,7 @@ from ..instances.pieces import PieceRules, regroup_pieces
 from ..instances.records import ObjectMask, SceneObject, object_of_mask
 from ..instances.segment_votes import view_labels, vote_panoptic_labels
 from ..instances.segments import SegmentOptions
+from ..instances.surface_neighbours import neighbours_on_a_thing
 from ..presets.preset import EvidenceKind, Preset
 from ..scene import VOID, ClassTable, OnDemand, View, stored
 from ..semantics.point_cloud import SemanticPointCloud
@@ -89,7 +91,9 @@ def objects_by_agreement(given: ViewsToMatch, preset: Preset, progress: StagePro
     found = with_masks_of(found, voting, CONSENSUS.rules)
     things = thing_objects(found, everyone, cloud, given.classes, kinds.objects)
 
-    cloud, object_of_point = voted_points(everyone, cloud, things, preset)
+    sharing = preset.segment_voting.neighbours
+    neighbours = neighbours_on_a_thing(cloud.xyz, cloud.spacing, training.seen) if sharing else None
+    cloud, object_of_point = voted_points(everyone, cloud, things, preset, neighbours)
     owner, things = pieces_in_space(things, object_of_point, training, cloud)
     # A point that lost its object was on the ragged edge of a few masks, so their class is no evidence for it either.
     is_fragment = (object_of_point > 0) & (owner == 0)
@@ -102,13 +106,13 @@ def objects_by_agreement(given: ViewsToMatch, preset: Preset, progress: StagePro
 
 
 def voted_points(
-    seeing: ViewsOnCloud, cloud: SemanticPointCloud, things: Sequence[SceneObject], preset: Preset
+    seeing: ViewsOnCloud, cloud: SemanticPointCloud, things: Sequence[SceneObject], preset: Preset, neighbours: Any
 ) -> tuple[SemanticPointCloud, NDArray[np.int32]]:
     """The cloud with the classes that segments and points vote for, and the object among ``things`` that they vote for
-    at each point, int32 [N] (0 = none)."""
+    at each point, int32 [N] (0 = none). ``neighbours`` are those of ``vote_panoptic_labels``."""
     labels = labels_of(cloud, things)
-    rounds, kind = preset.segment_voting.rounds, preset.evidence.segments
-    voted = vote_panoptic_labels(seeing, len(cloud), labels, object_of_mask(things), rounds, kind)
+    members, options, kind = object_of_mask(things), preset.segment_voting, preset.evidence.segments
+    voted = vote_panoptic_labels(seeing, len(cloud), labels, members, options, kind, neighbours)
     classed = replace(cloud, class_id=labels.classes(voted.label), confidence=voted.confidence)
     return classed, labels.objects(voted.label)
 

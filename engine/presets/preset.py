@@ -69,9 +69,12 @@ class Growth:
 
 @dataclass(frozen=True)
 class SegmentVoting:
-    """``rounds``: how often segments take the label of their points and vote again."""
+    """``rounds``: how often segments take the label of their points and vote again. ``neighbours``: points share votes
+    with their neighbours on a thing. ``near``: near views may overrule the others on what they show as a whole."""
 
     rounds: int = _ranged(2)
+    neighbours: bool = True
+    near: bool = True
 
 
 EvidenceKind = Literal["views", "root", "resolution", "pixels", "density"]

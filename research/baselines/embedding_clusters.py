@@ -105,9 +105,9 @@ def thing_embeddings(
     for done, view in enumerate(views, start=1):
         shown = _of_things(scene, labels, view.camera, thing_ids)
         progress(done, len(views))
-        parts.append(shown[random.permutation(len(shown))[: CLUSTERED]])
+        parts.append(shown[random.permutation(len(shown))[:CLUSTERED]])
     every = np.concatenate(parts)
-    return every[random.permutation(len(every))[: CLUSTERED]]
+    return every[random.permutation(len(every))[:CLUSTERED]]
 
 
 def _of_things(

@@ -53,7 +53,7 @@ def neighbour_loss(
         return encodings.sum() * 0.0
     rows = np.sort(random.permutation(len(means))[:MOST_POINTS])
     points = means.detach().numpy()[rows]
-    sample = random.permutation(len(rows))[: SAMPLES]
+    sample = random.permutation(len(rows))[:SAMPLES]
     near = cKDTree(points).query(points[sample], k=list(range(1, min(NEIGHBOURS, len(rows)) + 1)))[1]
     mine, theirs = (torch.softmax(decoders.classifier(_rows(encodings, rows[each])), dim=-1) for each in (sample, near))
     apart = mine[:, None] * (torch.log(mine[:, None] + TINY) - torch.log(theirs + TINY))

@@ -41,9 +41,7 @@ def corridor(views: int, sight: int) -> MasksInSpace:
             held.append(rows[thing[rows] == number])
     is_thing = np.array([mask.segment.is_thing for mask in masks])
     sight = rows_of_ones(seen, len(columns))
-    return MasksInSpace(
-        masks, np.array(view_of_mask), is_thing, rows_of_ones(held, len(columns)), sight, word=sight
-    )
+    return MasksInSpace(masks, np.array(view_of_mask), is_thing, rows_of_ones(held, len(columns)), sight, word=sight)
 
 
 def sightings(space: MasksInSpace, views: np.ndarray) -> np.ndarray:

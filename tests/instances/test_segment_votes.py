@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.sparse import csr_matrix
 
 from engine.instances import segment_votes
 from engine.instances.agreement import ViewsOnCloud
@@ -19,7 +20,7 @@ from engine.instances.segment_votes import (
     segment_labels,
     vote_panoptic_labels,
 )
-from engine.presets.preset import EvidenceKind
+from engine.presets.preset import EvidenceKind, SegmentVoting
 from engine.scene import PanopticMask, Segment, View
 from tests.semantics.plane_views import CHAIR, CLASS_IDS, SIZE, SOFA, WALL, square, wall_view
 
@@ -61,7 +62,7 @@ def voted(views: list[View], members: set[str], rounds: int = ROUNDS) -> VotedLa
         if view.name in members and segment.is_thing
     }  # fmt: skip
     seeing = ViewsOnCloud.of(views, [rows] * len(views))
-    return vote_panoptic_labels(seeing, rows.size, LABELS, members_of, rounds, "root")
+    return vote_panoptic_labels(seeing, rows.size, LABELS, members_of, SegmentVoting(rounds), "root")
 
 
 def wrong(found: np.ndarray) -> int:
@@ -126,9 +127,41 @@ def test_a_point_has_votes_by_the_evidence(kind: EvidenceKind, near_votes: int) 
         replace(drawn(name), mask=PanopticMask(ids, (Segment(1, class_id, False),)))
         for name, class_id in (("near", CHAIR), *((f"far {i}", WALL) for i in range(5)))
     ]
-    found = vote_panoptic_labels(ViewsOnCloud.of(views, [near, *[far] * 5]), 1, LABELS, {}, 0, kind)
+    found = vote_panoptic_labels(ViewsOnCloud.of(views, [near, *[far] * 5]), 1, LABELS, {}, SegmentVoting(0), kind)
     assert found.label.tolist() == [CHAIR_LABEL if near_votes > 5 else WALL_LABEL]
     assert found.confidence == pytest.approx(max(near_votes, 5) / (near_votes + 5))
+
+
+SINK, TABLE = slice(18, 22), slice(0, 28)
+
+
+@pytest.mark.parametrize(
+    ("columns", "near", "expected"),
+    [(SINK, True, OBJECT), (SINK, False, WALL_LABEL), (TABLE, True, WALL_LABEL), (TABLE, False, WALL_LABEL)],
+)
+def test_a_near_view_overrules_far_ones_on_what_it_shows_as_a_whole(columns: slice, near: bool, expected: int) -> None:
+    """It has three times the resolution of five views that draw no thing there. The picture's border cuts the table."""
+    close = drawn("near", columns)
+    close = replace(close, depth=close.depth / 3)
+    rows = np.arange(SIZE[0] * SIZE[1], dtype=np.int32).reshape(SIZE[::-1])
+    views = [close, *(wall_view(f"far {number}", 0.0) for number in range(5))]
+    members, options = {("near", SOFA): 1}, SegmentVoting(0, near=near)
+    found = vote_panoptic_labels(ViewsOnCloud.of(views, [rows] * 6), rows.size, LABELS, members, options, "resolution")
+    assert (found.label.reshape(SIZE[::-1])[ROWS, columns] == expected).all()
+    assert (found.label != expected).any() == (expected == OBJECT)
+
+
+def test_a_point_gets_its_neighbours_votes_besides_its_own() -> None:
+    """Three points: the first is seen as a chair, its neighbour by two views as a wall, the third has no neighbour."""
+    rows = np.full(SIZE[::-1], -1, np.int32)
+    views, shown = [], []
+    for number, (point, class_id) in enumerate([(0, CHAIR), (1, WALL), (1, WALL), (2, CHAIR)]):
+        views.append(wall_view(f"{number}", 0.0, classes=class_id))
+        shown.append(np.where(np.arange(rows.size).reshape(rows.shape) == 0, point, rows).astype(np.int32))
+    neighbours = csr_matrix(np.array([[0, 1, 0], [1, 0, 0], [0, 0, 0]], np.float32))
+    found = vote_panoptic_labels(ViewsOnCloud.of(views, shown), 3, LABELS, {}, SegmentVoting(0), "views", neighbours)
+    assert found.label.tolist() == [WALL_LABEL, WALL_LABEL, CHAIR_LABEL]
+    np.testing.assert_allclose(found.confidence, [2 / 3, 2 / 3, 1])
 
 
 def test_many_points_are_decided_a_few_at_a_time(monkeypatch: pytest.MonkeyPatch) -> None:

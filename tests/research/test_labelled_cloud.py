@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from engine.presets.preset import PRESETS, ViewEvidence
+from engine.presets.preset import PRESETS, SegmentVoting, ViewEvidence
 from research import labelled_cloud
 from research.experiments.scenes import SceneToLift
 from tests.tiny_scene import write_tiny_scene
@@ -17,20 +17,22 @@ PRESET = replace(PRESETS["preview"], voxel_size=0.2)
 
 
 def test_each_kind_is_in_each_place_once() -> None:
-    ways = dict(labelled_cloud.ways(ViewEvidence()))
-    assert ways["as shipped"] == ViewEvidence()
-    assert ways["all: views"] == replace(ViewEvidence(), objects="views", segments="views", masks="views")
-    assert ways["masks: pixels"] == replace(ViewEvidence(), masks="pixels")
-    assert len(ways) == 1 + 5 + 3 * 4
+    ways = dict(labelled_cloud.ways(PRESET))
+    assert ways["as shipped"] == PRESET
+    evidence = {name: way.evidence for name, way in ways.items()}
+    assert evidence["all: views"] == replace(ViewEvidence(), objects="views", segments="views", masks="views")
+    assert evidence["masks: pixels"] == replace(ViewEvidence(), masks="pixels")
+    assert ways["neither"] == replace(PRESET, segment_voting=SegmentVoting(neighbours=False, near=False))
+    assert len(ways) == 1 + 3 + 5 + 3 * 4
 
 
 def test_one_row_per_way_and_one_column_per_scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     every = labelled_cloud.ways
     monkeypatch.setattr(labelled_cloud, "ways", lambda shipped: islice(every(shipped), 2))
     scene = write_tiny_scene(tmp_path / "room", frames=10)
-    head, _, shipped, views = labelled_cloud.evidence_table([SceneToLift("room", scene, "z")], PRESET)
+    head, _, shipped, alone = labelled_cloud.evidence_table([SceneToLift("room", scene, "z")], PRESET)
     assert head == "| | room | mean |"
-    for line, name in ((shipped, "as shipped"), (views, "all: views")):
+    for line, name in ((shipped, "as shipped"), (alone, "points vote alone")):
         found, room, mean = (cell.strip() for cell in line.strip("|").split("|"))
         assert found == name and room == mean
         miou, pq = (float(figure) for figure in room.split(",")[0].split("/"))
