@@ -86,8 +86,7 @@ EvidenceKind = Literal["views", "root", "resolution", "pixels", "density"]
 class ViewEvidence:
     """The weight of a view's evidence on the ``points`` of the cloud, on the classes of ``objects``, on the labels that
     ``segments`` give to points, and on the ``gaussians``. For ``masks``, a view that judges two masks is weighted by
-    how well it resolves them, compared with the views that have them. Objects use the square root: with their pixels
-    one object of the hand-held twin gets another class, and nothing else improves."""
+    how well it resolves them, compared with the views that have them."""
 
     points: EvidenceKind = "density"
     objects: EvidenceKind = "root"
@@ -152,7 +151,6 @@ class Preset:
     fill_holes: bool = True
     """Planar holes of the depth are filled before anything is placed in space."""
     segment_voting: SegmentVoting = SegmentVoting()
-    """How segments and points vote on the labels of objects found by agreement."""
     linear_assignment: bool = False
     """A view's segments are assigned to slots in each step, by what is drawn."""
     fit_exposure: bool = True
@@ -167,7 +165,6 @@ class Preset:
     vote_rounds: int = _ranged(2, 1, 10)
     """Rounds in which the views vote on the Gaussians."""
     evidence: ViewEvidence = ViewEvidence()
-    """How the evidence of each view is weighted."""
     label_every: int = _ranged(4, 1)
     """Labels are trained in every step whose number is divisible by this."""
     voting: Voting = Voting()
