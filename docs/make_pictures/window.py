@@ -30,9 +30,9 @@ def sheets() -> dict[str, Picture]:
     looks = {name: taken(f"look-{name.lower()}")[VIEW] for name in ("Photo", "Classes", "Instances", "Uncertainty")}
     kinds = {
         "Points, Material Preview": taken("points-material")[VIEW],
-        "Splats, Solid": taken("splats-solid")[VIEW],
+        "Splats, Material Preview": taken("splats-material")[VIEW],
         "Splats, Rendered (EEVEE)": taken("splats-rendered")[VIEW],
-        "Surface, Solid": taken("surface-solid")[VIEW],
+        "Surface, Material Preview": taken("surface-material")[VIEW],
     }
     return {
         "window_overview": taken("opened"),

@@ -37,6 +37,7 @@ from ..scene_of_lift import complete_known_scene, scene_of_lift
 from ..train.progress import StageReporter
 from .baking import CORRECTIONS_NOTE, FrameBaker, baked_files, names_of_files, read_baker
 from .device import be_repeatable
+from .fitting import check_disk
 from .scene_files import MODEL
 from .unresolved import Unresolved, tell_unresolved, unresolved
 
@@ -141,6 +142,7 @@ def _bake(
         if options.output is None:
             complete_known_scene(folder, scene)
         wanted = [view for view in views_in(scene) if not place.has(view, notes)]
+        check_disk(options.output or folder.path, (view.camera.size for view in wanted), events)
         baker = read_baker(folder, scene.classes, corrected)
         photos, found = [frame.camera for frame in scene.train_frames], list[tuple[str, Unresolved]]()
         look_ahead(baker, wanted, photos, events)

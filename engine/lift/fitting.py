@@ -1,15 +1,18 @@
-"""Check whether a lift fits into this computer's memory, before it begins."""
+"""Check whether a lift fits into this computer's memory and onto its disk, before it begins."""
 
 from __future__ import annotations
 
+import shutil
+from collections.abc import Iterable
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
 from ..errors import ErrorCode, PlgsError
 from ..job import EventWriter, LiftRequest
 from ..job.main_memory import MainMemory
-from ..job.prediction import Prediction, predict
+from ..job.prediction import PIXEL, Prediction, predict
 from ..posed.layout import of_most
 from ..presets.options import with_options
 from ..presets.preset import PRESETS, Preset
@@ -19,6 +22,8 @@ LOOKED_AT = 8
 """The number of evenly spread frames whose segments are counted."""
 FEWEST_FRAMES = 50
 """The smallest number of frames that is proposed. A room needs about this many."""
+LEAST_PIXEL = 5.0
+"""Bytes per pixel that passes need in any case. The smallest file of the sample's passes has 11."""
 
 
 def frames_that_fit(scene: Scene, request: LiftRequest, memory: MainMemory | None, events: EventWriter) -> int:
@@ -59,6 +64,20 @@ def check_memory(
         fix = "Resume it on a computer with more memory, or lift into another folder."
         raise PlgsError(what, scene.folder, fix, code=ErrorCode.NO_MEMORY)
     _warn_of_other_programs(needed, memory, events)
+
+
+def check_disk(folder: Path, sizes: Iterable[tuple[int, int]], events: EventWriter) -> None:
+    """Check the room for passes of these sizes (width, height) in a folder. Warns if they are likely not to fit.
+
+    Raises PlgsError if they cannot fit.
+    """
+    there = next(each for each in (folder, *folder.absolute().parents) if each.exists())
+    pixels, free = sum(width * height for width, height in sizes), shutil.disk_usage(there).free
+    if free < pixels * LEAST_PIXEL:
+        what = f"the passes need at least {_gb(pixels * LEAST_PIXEL)}, and {_gb(free)} of the disk are free"
+        raise PlgsError(what, folder, "Make room there, or bake fewer frames.", code=ErrorCode.DISK_FULL)
+    if free < pixels * PIXEL:
+        events.warning(f"the passes need about {_gb(pixels * PIXEL)}, and {_gb(free)} of the disk are free")
 
 
 def _warn_of_other_programs(needed: int, memory: MainMemory, events: EventWriter) -> None:
@@ -120,5 +139,5 @@ def _advice(scene: Scene, request: LiftRequest, preset: Preset, masks: float, mo
     return f"Lift with {', or with '.join(found)}; or use a computer with more memory."
 
 
-def _gb(size: int) -> str:
+def _gb(size: float) -> str:
     return f"{size / 1e9:.1f} GB"

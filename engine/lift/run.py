@@ -52,7 +52,7 @@ from ..train.state import OtherLabels, restore, trainer_state
 from ..train.trainer import Trainer
 from .baking import FrameBaker, bake_and_evaluate, names_of_files, renamed_frames
 from .device import be_repeatable, refuse_missing_device
-from .fitting import predicted_lift
+from .fitting import check_disk, predicted_lift
 from .frame_sets import FRAMES, FrameSets, sets_of_frames
 from .judging import read_held_back
 from .kept_preparation import KeptPreparation
@@ -141,6 +141,7 @@ def run_lift(
             earlier = None if request.names_from is None else read_earlier(request.names_from)
         stages.course = expected_course(frames, preset, request.bake)
         tell_long(stages.course, events)
+        check_disk(folder.path, (frame.size for frame in frames_to_bake(frames.all, request.bake)), events)
         with stages.stage("read") as progress:
             views, others = read_views(frames, preset, folder.path, progress, events)
 

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from shutil import disk_usage
 
 import pytest
 
-from engine.errors import PlgsError
+from engine.errors import ErrorCode, PlgsError
 from engine.job import EventWriter, LiftRequest, last_run
 from engine.job.main_memory import MainMemory
 from engine.job.prediction import predict
-from engine.lift.fitting import frames_that_fit, masks_a_frame
+from engine.lift.fitting import LEAST_PIXEL, check_disk, frames_that_fit, masks_a_frame
 from engine.presets.preset import PRESETS
 from engine.scene import Scene, open_scene
 from tests.tiny_scene import write_tiny_scene
@@ -80,3 +81,18 @@ def test_with_consent_fewer_frames_are_used(scene: Scene, events: EventWriter, t
 def test_it_says_when_nothing_can_help(scene: Scene, events: EventWriter) -> None:
     with pytest.raises(PlgsError, match="more memory"):
         frames_that_fit(scene, replace(PAPER, fit=True), MainMemory(10_000_000, 10_000_000), events)
+
+
+def test_passes_that_cannot_be_on_the_disk_are_refused(events: EventWriter, tmp_path: Path) -> None:
+    most = int(disk_usage(tmp_path).free / LEAST_PIXEL)
+    check_disk(tmp_path / "later", [(most // 100, 1)], events)
+    assert not warnings(events, tmp_path)
+    with pytest.raises(PlgsError, match="passes need at least .* of the disk are free") as caught:
+        check_disk(tmp_path, [(most, 1), (most, 1)], events)
+    assert caught.value.code is ErrorCode.DISK_FULL
+
+
+def test_passes_that_may_not_be_on_the_disk_are_told(events: EventWriter, tmp_path: Path) -> None:
+    check_disk(tmp_path, [(int(disk_usage(tmp_path).free / 8.0), 1)], events)
+    (told,) = warnings(events, tmp_path)
+    assert "the passes need about" in told

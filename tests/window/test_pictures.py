@@ -20,7 +20,7 @@ from tree import ROOT
 pytestmark = pytest.mark.slow
 FRAME = "0014"
 LIKE_DB = 20.0
-"""Least PSNR of the splats in Solid shading to a photo, after one gain and offset for each channel."""
+"""Least PSNR of the splats in Material Preview to a photo, after one gain and offset for each channel."""
 _IN_VIEW = """
 import sys
 lookup = sys.modules[EXTENSION + '.plgs_blender.inspecting.lookup']
@@ -86,7 +86,7 @@ def in_view(window: Window, statements: str) -> None:
 
 
 def test_the_opening_view_and_its_colours(shown: Window) -> None:
-    assert shown.run(_IN_VIEW + "    answer = [root.plgs.show_as, view.shading.type]\n") == ["SPLATS", "SOLID"]
+    assert shown.run(_IN_VIEW + "    answer = [root.plgs.show_as, view.shading.type]\n") == ["SPLATS", "MATERIAL"]
     shown.screenshot("docs-opened")
     seen = []
     for look in ("PHOTO", "CLASSES", "INSTANCES", "UNCERTAINTY"):
@@ -99,8 +99,8 @@ def test_how_it_is_shown_in_each_shading(shown: Window, lift: Path) -> None:
     in_view(shown, f"bpy.ops.plgs.make_meshes(lift_folder={str(lift)!r})")
     for kind in ("POINTS", "SPLATS", "SURFACE"):
         in_view(shown, f"bpy.ops.plgs.show_as(kind={kind!r})")
-        assert shown.run(_IN_VIEW + "    answer = view.shading.type\n") == ("MATERIAL" if kind == "POINTS" else "SOLID")
-        for shading in ("MATERIAL", "RENDERED", "SOLID"):
+        assert shown.run(_IN_VIEW + "    answer = view.shading.type\n") == "MATERIAL"
+        for shading in ("RENDERED", "SOLID", "MATERIAL"):
             in_view(shown, f"view.shading.type = {shading!r}")
             shown.screenshot(f"docs-{kind.lower()}-{shading.lower()}")
 
