@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import Cancelled, ErrorCode, PlgsError
-from ..job import EventWriter, LiftFolder, LiftRequest, LiftState, StopSignal
+from ..job import EventWriter, LiftFolder, LiftRequest, LiftState, StopSignal, read_manifest
 from ..job.folder import BLOCKS
 from ..job.follower import TaskFollower
 from ..job.process import engine_command
@@ -22,7 +22,7 @@ from ..job.task import LIFT, TaskState
 from ..lift.baking import FrameBaker, bake_and_evaluate
 from ..lift.device import be_repeatable, refuse_missing_device
 from ..lift.judging import read_held_back
-from ..lift.run import finish, frames_to_bake, tell
+from ..lift.run import CODE, finish, frames_to_bake, tell
 from ..lift.scene_files import read_model, write_lifted
 from ..machine.code_digest import code_digest
 from ..passes.baked_view import ShownInstances
@@ -84,7 +84,8 @@ def _do_stages(folder: LiftFolder, preset: Preset, stages: StageReporter) -> Non
     views = StoredViews(judges, folder.path)
     wanted, held_back = frames_to_bake(scene, request.bake), read_held_back(scene, preset.size, folder.path)
     bake_and_evaluate(folder, scene, baker, wanted, views, held_back, events, stages)
-    finish(folder, preset, stages, code_digest("engine"))
+    named = [str(read_manifest(lift.result_path).versions.get(CODE, "unknown")) for lift in lifts]
+    finish(folder, preset, stages, "+".join(sorted({code_digest("engine"), *"+".join(named).split("+")})))
 
 
 def shown_of(whole: JoinedScene) -> ShownInstances:

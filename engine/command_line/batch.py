@@ -118,10 +118,12 @@ def batch(options: argparse.Namespace) -> int:
     place = _place(options, [job.gigabytes for job in jobs])
     own = TaskPlace.temporary() if options.echo is not None else None
     events = EventWriter(own.events, options.echo) if own is not None else None
-    state = "finished"
+    state = ""
     try:
         with Interrupts() as interrupts, interrupts.deferred():
-            return run_batch(plan, place, interrupts, events)
+            ended = run_batch(plan, place, interrupts, events)
+        state = "finished"
+        return ended
     except PlgsError as error:
         if events is not None:
             events.error(error)
@@ -132,7 +134,8 @@ def batch(options: argparse.Namespace) -> int:
         return error.exit_code
     finally:
         if events is not None and own is not None:
-            events.done(state)
+            if state:
+                events.done(state)
             events.close()
             own.discard()
 

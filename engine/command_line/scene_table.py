@@ -59,6 +59,8 @@ def _arguments(name: str, value: Any, folder: Path, where: str) -> Iterator[str]
             yield from _arguments(name, each, folder, where)
     elif value is True or (name == "fit" and str(value).lower() in ("true", "yes", "1")):
         yield f"--{name}"
+    elif name == "fit" and str(value).lower() in ("false", "no", "0"):
+        return
     elif isinstance(value, str | int | float) and value is not False:
         is_path = name in _PATHS or str(value).endswith(".toml")
         yield f"--{name}={folder / str(value) if is_path else value}"

@@ -250,7 +250,7 @@ class LiftFolder:
         (self.path / "request.json").unlink()  # first, as a folder without it is not a lift
         for path in (self.cancel_path, self.preview_request_path, self.log_path, self.path / "scene.json"):
             path.unlink(missing_ok=True)
-        for folder in (self.result_path, self.path / "bake", self.path / "preparation"):
+        for folder in (self.result_path, self.path / "bake", *self.path.glob("preparation*")):
             if folder.is_dir():
                 shutil.rmtree(folder)
         remove_parts(self.path)

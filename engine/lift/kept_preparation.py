@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import logging
 import zipfile
 from collections.abc import Iterator, Sequence
@@ -16,7 +17,6 @@ from ..errors import PlgsError
 from ..instances.oriented_box import OrientedBox
 from ..instances.records import ObjectMask, SceneObject
 from ..job import Checkpoint, CheckpointStore, LiftFolder
-from ..job.handshake import VERSION
 from ..json_file import to_text
 from ..model.structured import StructuredScene, to_tensors
 from ..records import record_of, to_json
@@ -47,12 +47,11 @@ class _KeptObject:
 
 @dataclass(frozen=True)
 class _Kept:
-    """What is not an array. Another version of the engine, other ``masks`` (their digest), or other views would find
-    something else."""
+    """What is not an array. Other code, other ``masks`` or other views (all digests) would find something else."""
 
-    engine: str
+    code: str
     masks: str
-    views: tuple[str, ...]
+    views: str
     class_ids: tuple[int, ...]
     spacing: float
     dropped: int
@@ -62,33 +61,34 @@ class _Kept:
 @dataclass(frozen=True)
 class KeptPreparation:
     """The matching and the photos' weights of a lift in its ``folder``. ``is_valid``: the lift is resumed, with the
-    masks that it was begun with. ``checkpoint``: where it is resumed."""
+    masks that it was begun with. ``checkpoint``: where it is resumed. ``code``: the digest of the code at work."""
 
     folder: LiftFolder
     is_valid: bool
     checkpoint: Checkpoint | None
+    code: str
 
     @property
     def _store(self) -> CheckpointStore:
         return CheckpointStore(self.folder.path, "preparation")
 
-    def write(self, views: Sequence[View], matching: Matching, photos: Photos) -> None:
-        """Keep what was found. Raises OSError if the disk is full."""
-        cloud, names = matching.cloud, tuple(view.name for view in views)
-        masks, objects = masks_last_run(self.folder), tuple(map(_kept, matching.instances))
-        about = _Kept(VERSION, masks, names, cloud.class_ids, cloud.spacing, matching.dropped, objects)
+    def write(self, views: Sequence[View], voters: int, matching: Matching, photos: Photos) -> None:
+        """Keep what was found for these views and so many others. Raises OSError if the disk is full."""
+        cloud, objects = matching.cloud, tuple(map(_kept, matching.instances))
+        found_for = self.code, masks_last_run(self.folder), _digest(views, voters)
+        about = _Kept(*found_for, cloud.class_ids, cloud.spacing, matching.dropped, objects)
         self._store.save(to_json(about), lambda folder: _write(folder / _ARRAYS, _arrays_of(matching, photos)))
 
-    def read(self, views: Sequence[View]) -> tuple[Matching, Photos] | None:
-        """What was found for these views, bit for bit; None if it has to be found again. Raises OSError if the disk is
-        full."""
+    def read(self, views: Sequence[View], voters: int) -> tuple[Matching, Photos] | None:
+        """What was found for these views and so many others, bit for bit; None if it has to be found again. Raises
+        OSError if the disk is full."""
         try:
             there = self._store.latest() if self.is_valid else None
             if there is None:
                 return None
             about = record_of(_Kept, there.state, there.path, "")
-            names = tuple(view.name for view in views)
-            if (about.engine, about.masks, about.views) != (VERSION, masks_last_run(self.folder), names):
+            wanted = self.code, masks_last_run(self.folder), _digest(views, voters)
+            if (about.code, about.masks, about.views) != wanted:
                 return None
             with np.load(there.path / _ARRAYS, allow_pickle=False) as arrays:
                 return _matching(about, arrays, self.folder.path), _photos(arrays)
@@ -100,6 +100,16 @@ class KeptPreparation:
         """Whether the checkpoint will replace all that is learnt of a scene."""
         model = None if self.checkpoint is None or not self.is_valid else self.checkpoint.state.get("model")
         return isinstance(model, dict) and to_text(model) == to_text(to_tensors(scene)[1])
+
+
+def _digest(views: Sequence[View], voters: int) -> str:
+    """Of all that the views show but their masks, and of the number of the other views that vote."""
+    digest = hashlib.sha256(str(voters).encode())
+    for view in views:
+        digest.update(f"{view.name}\0{view.camera.size}".encode())
+        for part in (view.camera.K, view.camera.camera_to_world, view.colour, view.depth):
+            digest.update(np.ascontiguousarray(part).data)
+    return digest.hexdigest()
 
 
 def _kept(one: SceneObject) -> _KeptObject:

@@ -53,11 +53,11 @@ def prepare(
     """Do everything before the first step. Arrays of every view are stored in temporary files in ``scratch`` (None: in
     the system's folder for them). ``others`` are views that vote, but are not trained on. What was ``kept`` is not
     found again. Raises what the progress callbacks raise (Cancelled), and OSError if the disk is full."""
-    known = None if kept is None else kept.read(views)
+    known = None if kept is None else kept.read(views, len(others))
     if known is None:
         matching, photos, placed = find(views, classes, preset, stages, scratch, others)
         if kept is not None:
-            kept.write(views, matching, photos)
+            kept.write(views, len(others), matching, photos)
     else:
         stages.leave_out("consistency", "match")
         matching, photos = known

@@ -134,7 +134,8 @@ def run_lift(
     refuse_names_of_no_objects(request, preset)
     be_repeatable(request.device)
     checkpoint = folder.checkpoints.latest() if resume else None
-    code = code_of(code_digest(*sources), checkpoint, events)
+    at_work = code_digest(*sources)
+    code = code_of(at_work, checkpoint, events)
     with drawing_on(request.device):
         with stages.stage("check") as progress:
             frames, masks_changed = checked_frames(folder, preset, checkpoint, progress, events)
@@ -148,7 +149,7 @@ def run_lift(
         preset = preset.for_views(len(views))
         classes = frames.all.classes
         if preparing is None:
-            kept = KeptPreparation(folder, resume and not masks_changed, checkpoint)
+            kept = KeptPreparation(folder, resume and not masks_changed, checkpoint, at_work)
             preparing = partial(prepare, kept=kept)
         prepared = preparing(views, classes, preset, request.seed, stages, folder.path, others)
         trainer = training(prepared, views, preset, request.seed)

@@ -58,7 +58,7 @@ def test_what_was_found_is_not_found_again(objects: str, tmp_path: Path, monkeyp
 
 
 def test_what_does_not_fit_is_found_again(tmp_path: Path) -> None:
-    """After damage to a file, and after a change of the masks."""
+    """After damage to a file, and after a change of the masks or of a pose."""
     scene = write_tiny_scene(tmp_path / "scene", frames=5, size=(32, 24))
     folder = LiftFolder.create(tmp_path / "lift", LiftRequest(scene=scene, options={"steps": STEPS}))
     lift(folder, resume=False, stop_at=1)
@@ -71,3 +71,8 @@ def test_what_does_not_fit_is_found_again(tmp_path: Path) -> None:
     cv2.imwrite(str(picture), np.where(content == content.max(), content.min(), content))
     remember_scene(folder, open_asked(folder.request))  # as by a run that was killed before it found anything
     assert REPEATED < {*lift(folder, resume=True, stop_at=1)}
+    pose = min((scene / "pose").glob("*.txt"))
+    moved = np.loadtxt(pose)
+    moved[0, 3] += 0.1
+    np.savetxt(pose, moved)
+    assert REPEATED < {*lift(folder, resume=True, stop_at=1)}, "a frame has moved"

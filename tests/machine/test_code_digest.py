@@ -11,6 +11,7 @@ def test_what_changes_the_digest(tmp_path: Path) -> None:
     files = {
         "engine/lift.py": True,
         "engine/deep/new.py": True,
+        "engine/table.csv": True,
         "engine/notes.txt": False,
         "docs/page.py": False,
         "requirements/constraints-3.11.txt": True,
