@@ -14,7 +14,7 @@ from ..plgs_blender import painting
 from ..plgs_blender.corrections import CUT
 from ..plgs_blender.frame_pictures import MASKS
 from ..plgs_blender.frames import SHOWN
-from ..plgs_blender.inspecting import highlight
+from ..plgs_blender.inspecting import highlight, names
 from ..plgs_blender.inspecting.drawing import (
     brightened,
     draw_face,
@@ -28,7 +28,7 @@ from ..plgs_blender.inspecting.drawing import (
 from ..plgs_blender.inspecting.looks import CLASSES as BY_CLASS
 from ..plgs_blender.inspecting.looks import POINTS, SURENESS, UNCERTAINTY
 from ..plgs_blender.inspecting.lookup import objects_by_key
-from ..plgs_blender.inspecting.names import camera_of, hovered, outline_of, outlined, shown_names
+from ..plgs_blender.inspecting.names import camera_of, names_to_draw, outline_of, outlined
 from ..plgs_blender.inspecting.selection import selected_instance
 from ..plgs_blender.inspecting.text_boxes import Colour, ViewRegion, legend_text_boxes, shown_classes
 from ..plgs_blender.lift_collection import lifts_in
@@ -92,7 +92,7 @@ def _draw_on_top() -> None:
         if row is None:
             _draw_selected(context, root)
         draw_text_boxes(legend_text_boxes(legend_of(context, root), region))
-        draw_text_boxes(shown_names(context, root, region))
+        draw_text_boxes(names_to_draw(context, root, region))
 
 
 def _draw_selected(context: bpy.types.Context, root: bpy.types.Collection) -> None:
@@ -168,4 +168,4 @@ def unregister() -> None:
     highlight.forget()
     forget_pictures()
     painting.now.clear()
-    hovered.clear()
+    names.forget()

@@ -2,19 +2,39 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import bpy
-import numpy as np
 
 from .highlight import outline_in_space
-from .lookup import boxes_of, instance_of, objects_by_key
+from .lookup import boxes_of, objects_by_key
 from .selection import selected_instance
 from .text_boxes import Rectangle, TextBox, ViewRegion, label_text_boxes
-from .visibility import left_out
+from .visibility import instances_left_out
 
 hovered: list[int] = []
 """The instance that the mouse is over, for its name; at most one. One Blender has one mouse."""
+
+
+@dataclass(frozen=True)
+class DrawnNames:
+    """The names of a lift that a 3D view showed when it was drawn last."""
+
+    region: ViewRegion
+    names: list[TextBox]
+
+
+_drawn: dict[tuple[int, int], DrawnNames] = {}
+"""By the pointer of the view's region and the session uid of the lift's collection. Blender draws a view again when
+what it shows changes. The mouse moves far more often, and its names come from here."""
+_MOST_KEPT = 16
+
+
+def forget() -> None:
+    """Free what is kept."""
+    hovered.clear()
+    _drawn.clear()
 
 
 def camera_of(context: bpy.types.Context) -> bpy.types.Object | None:
@@ -48,11 +68,28 @@ def outline_of(context: bpy.types.Context, row: Any, region: ViewRegion) -> list
     return found
 
 
+def names_to_draw(context: bpy.types.Context, root: bpy.types.Collection, region: ViewRegion) -> list[TextBox]:
+    """The names at the boxes of a lift in the view of the context, which is being drawn. `shown_names` has them then.
+    None covers a mask that is outlined.
+    """
+    key = context.region.as_pointer(), root.session_uid
+    _drawn.pop(key, None)
+    _drawn[key] = DrawnNames(region, _names(context, root, region) if root.plgs.show_labels else [])
+    while len(_drawn) > _MOST_KEPT:
+        del _drawn[next(iter(_drawn))]
+    return _drawn[key].names
+
+
 def shown_names(context: bpy.types.Context, root: bpy.types.Collection, region: ViewRegion) -> list[TextBox]:
-    """The names at the boxes of a lift in the view of the context; none covers a mask that is outlined."""
-    if not root.plgs.show_labels:
+    """The names of a lift that the view of the context shows: those that were drawn last."""
+    if not context.space_data.overlay.show_overlays:
         return []
-    boxes = {number: box for number, box in boxes_of(root).items() if _is_shown(context, root, box)}
+    drawn = _drawn.get((context.region.as_pointer(), root.session_uid))
+    return drawn.names if drawn is not None and drawn.region == region else names_to_draw(context, root, region)
+
+
+def _names(context: bpy.types.Context, root: bpy.types.Collection, region: ViewRegion) -> list[TextBox]:
+    boxes = _shown_boxes(context, root)
     row, free = outlined(context, root), list[Rectangle]()
     for polygon in outline_of(context, row, region) if row is not None else ():
         across, up = zip(*polygon, strict=True)
@@ -61,8 +98,10 @@ def shown_names(context: bpy.types.Context, root: bpy.types.Collection, region: 
     return label_text_boxes(root.plgs.instances, boxes, active, region, hovered[0] if hovered else 0, free)
 
 
-def _is_shown(context: bpy.types.Context, root: bpy.types.Collection, box: bpy.types.Object) -> bool:
-    """Whether a box is in the view, or would be if boxes were on."""
+def _shown_boxes(context: bpy.types.Context, root: bpy.types.Collection) -> dict[int, bpy.types.Object]:
+    """The boxes, by instance, that are in the view, or would be if boxes were on."""
+    boxes = boxes_of(root)
     if root.plgs.show_boxes:
-        return bool(box.visible_in_viewport_get(context.space_data))
-    return not left_out(root.plgs, np.array([instance_of(box)]), np.array([int(box.get("class_id", 0))])).any()
+        return {number: box for number, box in boxes.items() if box.visible_in_viewport_get(context.space_data)}
+    hidden = dict(zip(boxes, instances_left_out(root.plgs, boxes), strict=True))
+    return {number: box for number, box in boxes.items() if not hidden[number]}

@@ -42,7 +42,7 @@ class Picked:
 class SeenPoints:
     """The points of a lift that a view shows and that face it: their `place` in pixels from the lower left, float32
     [N, 2], `depth` in metres and `reach`, the pixels that each covers, float32 [N], and their instances and classes,
-    `ids` int32 [N, 2]. `key` says of which lift and view.
+    `ids` int32 [N, 2]. `key` says of which state of the lift and view.
     """
 
     key: tuple[Any, ...]
@@ -71,7 +71,8 @@ class SeenPoints:
         return int(near[np.argmin(away[near])]) if len(near) else None
 
 
-_last: list[SeenPoints] = []
+_last: dict[int, SeenPoints] = {}
+"""By the session uid of the lift's collection."""
 
 
 def forget() -> None:
@@ -89,6 +90,8 @@ def what_is_under(context: bpy.types.Context, mouse: tuple[float, float]) -> Pic
         if number:
             return Picked(root, number, 0)
     size = (region.width, region.height)
+    for gone in _last.keys() - {root.session_uid for root in roots}:
+        del _last[gone]
     found = [each for root in roots if (each := point_under(root, context.region_data, size, mouse)) is not None]
     return min(found, key=lambda each: each.depth, default=None)
 
@@ -107,16 +110,20 @@ def point_under(
     """What a lift shows at a pixel of a RegionView3D of this size (width, height); None where nothing is."""
     clouds = [cloud for cloud in clouds_of(root) if "class_id" in cloud and len(cloud.data.points)]
     matrices = np.array(view.view_matrix, np.float32), np.array(view.window_matrix, np.float32)
-    hidden = [row.visible for row in (*root.plgs.instances, *root.plgs.classes)]
-    key = (root.session_uid, root.plgs.isolated, *hidden, *map(state_of, clouds), size, *map(bytes, matrices))
-    if not _last or _last[0].key != key:
+    if not clouds:
+        return None
+    are_shown = [row.visible for row in (*root.plgs.instances, *root.plgs.classes)]
+    key = (root.plgs.isolated, *are_shown, *map(state_of, clouds), size, *map(bytes, matrices))
+    seen = _last.get(root.session_uid)
+    if seen is None or seen.key != key:
         parts = [_seen(root, cloud, *matrices, view.is_perspective, size) for cloud in clouds]
-        _last[:] = [SeenPoints(key, *(np.concatenate(each) for each in zip(*parts, strict=True)))] if parts else []
-    row = _last[0].under(mouse) if clouds else None
+        seen = SeenPoints(key, *(np.concatenate(each) for each in zip(*parts, strict=True)))
+        _last[root.session_uid] = seen
+    row = seen.under(mouse)
     if row is None:
         return None
-    instance, class_id = _last[0].ids[row].tolist()
-    return Picked(root, instance, class_id, float(_last[0].depth[row]))
+    instance, class_id = seen.ids[row].tolist()
+    return Picked(root, instance, class_id, float(seen.depth[row]))
 
 
 def _seen(

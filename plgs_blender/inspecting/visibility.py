@@ -7,7 +7,7 @@ renders. The modifier is there only while something is hidden.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
 from typing import Any
 
@@ -59,9 +59,7 @@ def apply_visibility(root: bpy.types.Collection) -> None:
     """Bring boxes and points in line with the lift's lists."""
     lists = root.plgs
     boxes = boxes_of(root)
-    class_of = {row.instance_id: row.class_id for row in lists.instances}
-    classes = np.array([class_of.get(instance, VOID) for instance in boxes], np.int32)
-    for box, hidden in zip(boxes.values(), left_out(lists, np.array([*boxes], np.int32), classes), strict=True):
+    for box, hidden in zip(boxes.values(), instances_left_out(lists, boxes), strict=True):
         _show_object(box, not hidden and lists.show_boxes)
     eyes = {row.class_id: row.visible for row in lists.classes}
     for cloud in clouds_of(root):
@@ -127,6 +125,13 @@ def left_out(lists: bpy.types.PropertyGroup, instance_id: NDArray[np.int32], cla
     instances = [row.instance_id for row in lists.instances if not row.visible]
     classes = [row.class_id for row in lists.classes if not row.visible]
     return np.isin(instance_id, np.array(instances, np.int32)) | np.isin(class_id, np.array(classes, np.int32))
+
+
+def instances_left_out(lists: bpy.types.PropertyGroup, instances: Collection[int]) -> Any:
+    """Whether each of N instances is hidden: bool [N]."""
+    class_of = {row.instance_id: row.class_id for row in lists.instances}
+    classes = np.array([class_of.get(instance, VOID) for instance in instances], np.int32)
+    return left_out(lists, np.array([*instances], np.int32), classes)
 
 
 def _show_object(ob: bpy.types.Object, shown: bool) -> None:

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from types import SimpleNamespace
 
 import bpy
 import numpy as np
 import pytest
 from mathutils import Matrix, Vector
-from plgs.plgs_blender.inspecting import picking
+from plgs.plgs_blender import lift_scene
+from plgs.plgs_blender.inspecting import names, picking, visibility
 from plgs.plgs_blender.inspecting.lookup import boxes_of
 from plgs.plgs_blender.inspecting.text_boxes import ViewRegion, label_text_boxes
 from tiny_scene import CABINET_ID, CHAIR_ID, tiny_intrinsics, trace_view
@@ -84,3 +86,44 @@ def test_a_name_is_its_object(root: bpy.types.Collection) -> None:
     for each in names:
         assert picking.name_under(names, (each.x + each.width / 2.0, each.y + each.height / 2.0)) == each.instance
     assert picking.name_under(names, (-1.0, -1.0)) == 0
+
+
+def counted(monkeypatch: pytest.MonkeyPatch, module: object, name: str) -> list[object]:
+    """The first arguments of each call of a function from now on."""
+    calls, function = list[object](), getattr(module, name)
+    monkeypatch.setattr(module, name, lambda first, *rest: (calls.append(first), function(first, *rest))[1])
+    return calls
+
+
+def test_a_view_finds_its_names_once_when_it_is_drawn(
+    root: bpy.types.Collection, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    seen, lists = Seen(middle(root, 1) + Vector((1.5, 1.5, 3.0)), middle(root, 1)), root.plgs
+    region = ViewRegion(*SIZE, 0, seen.window_matrix @ seen.view_matrix, 1.0)
+    view = SimpleNamespace(overlay=SimpleNamespace(show_overlays=True), region_3d=SimpleNamespace(view_perspective=""))
+    area = SimpleNamespace(as_pointer=lambda: 1)
+    context = SimpleNamespace(space_data=view, region=area, view_layer=bpy.context.view_layer)
+    lists.show_labels, lists.show_boxes = True, False
+    calls = counted(monkeypatch, visibility, "left_out")
+    drawn = names.names_to_draw(context, root, region)
+    assert {each.instance for each in drawn} == {1, 2} and len(calls) == 1, "once for all boxes"
+    assert names.shown_names(context, root, region) == drawn and len(calls) == 1, "the mouse asks for what was drawn"
+    lists.instances[0].visible = False
+    assert len(names.names_to_draw(context, root, region)) == len(names.shown_names(context, root, region)) == 1
+    wider = ViewRegion(2 * SIZE[0], *SIZE[1:], 0, region.perspective, 1.0)
+    assert names.shown_names(context, root, wider) != names.shown_names(context, root, region)
+    view.overlay.show_overlays = False
+    assert names.shown_names(context, root, region) == []
+
+
+def test_points_are_placed_once_for_each_of_several_lifts(
+    root: bpy.types.Collection, lift: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    roots = root, lift_scene.place_lift(lift, bpy.data.scenes.new("other"))
+    seen = Seen(middle(root, 1) + Vector((0.4, 0.3, 2.0)), middle(root, 1))
+    calls = counted(monkeypatch, picking, "_seen")
+    for each in roots * 2:
+        found = picking.point_under(each, seen, SIZE, seen.pixel(middle(root, 1)))
+        assert found is not None and found.root == each
+    classes = [cloud for cloud in picking.clouds_of(root) if "class_id" in cloud]
+    assert [calls.count(each) for each in roots] == [len(classes)] * 2
