@@ -53,6 +53,18 @@ def photos(made: MadeFrames | None, frames: Iterable[PosedFrame] = ()) -> dict[s
     return {name: path for name, path in found.items() if name not in sources or is_newer(path, sources[name])}
 
 
+def is_depth_current(made: MadeFrames, name: str) -> bool:
+    """Whether the depth of a frame was drawn after its source was last changed. Of masks only an engine can tell: no
+    one else knows their files.
+    """
+    drawn = made.frames[name]
+    stored = next((each for each in made.scene.frames if each.name == name), None)
+    if stored is None or drawn.depth is None or drawn.depth_range is None:
+        return False
+    frame = stored.posed(made.source.scene)
+    return is_newer(drawn.depth, frame.depth_path or frame.colour_path)
+
+
 def cloud_of(made: MadeFrames | None, frames: Iterable[PosedFrame]) -> Path | None:
     """The cloud that was made; None where there is none, or where the depth of ``frames`` is newer."""
     if made is None or made.cloud is None or not made.cloud.is_file():

@@ -1,6 +1,7 @@
 """One choice of photo, depth or masks for all frames of an import or a lift.
 
-The picture of a frame is made when its camera has been the scene's for a moment, so scrubbing is not held up.
+The picture of a frame is made when its camera has been the scene's for a moment, and neither an animation plays nor a
+render runs: so scrubbing is not held up, and a render shows what it began with.
 """
 
 from __future__ import annotations
@@ -22,11 +23,11 @@ _tried: list[tuple[str, str]] = []
 """The camera and the picture that was asked for last: what an engine cannot make is not asked for again."""
 
 
-def choose_picture(scene: bpy.types.Scene, kind: str) -> FrameMaking | None:
+def choose_picture(scene: bpy.types.Scene, kind: str, *, asked: bool = True) -> FrameMaking | None:
     """Show this picture in front of the view of the active camera, and of each that becomes the active one later. If
-    that takes an engine, its task is returned. Raises PlgsError, OSError.
+    that takes an engine, its task is returned. It adds an undo step where a user ``asked``. Raises PlgsError, OSError.
     """
-    making = show_picture(scene, kind)
+    making = show_picture(scene, kind, asked=asked)
     root_of(scene, scene.camera)[_CHOSEN] = kind
     _tried[:] = [(scene.camera.name, kind)]
     return making
@@ -45,15 +46,17 @@ def wanted(scene: bpy.types.Scene) -> str:
 
 
 def catch_up() -> float | None:
-    """Show what the camera should show. Returns the seconds to wait while an engine makes another picture."""
+    """Show what the camera should show. Returns the seconds to wait while an engine makes another picture, an animation
+    plays or a render runs.
+    """
     scene = bpy.context.scene
     kind = wanted(scene)
     if not kind:
         return None
-    if registry.running(FrameMaking):
+    if registry.running(FrameMaking) or _is_moving():
         return _REST_S
     try:
-        choose_picture(scene, kind)
+        choose_picture(scene, kind, asked=False)
     except (PlgsError, OSError):  # the panel's buttons say what the camera shows, and a press says why
         root_of(scene, scene.camera)[_CHOSEN] = text_of(scene.camera, SHOWN) or PHOTO
     return None
@@ -61,8 +64,17 @@ def catch_up() -> float | None:
 
 @bpy.app.handlers.persistent
 def _on_change(scene: bpy.types.Scene, *_arguments: object) -> None:
-    if wanted(scene) and not bpy.app.timers.is_registered(catch_up):
-        bpy.app.timers.register(catch_up, first_interval=_REST_S)
+    if bpy.app.is_job_running("RENDER") or not wanted(scene):
+        return
+    if bpy.app.timers.is_registered(catch_up):
+        bpy.app.timers.unregister(catch_up)
+    bpy.app.timers.register(catch_up, first_interval=_REST_S)
+
+
+def _is_moving() -> bool:
+    """Whether a render or an animation changes the frame."""
+    windows = bpy.context.window_manager.windows
+    return bpy.app.is_job_running("RENDER") or any(window.screen.is_animation_playing for window in windows)
 
 
 def register() -> None:

@@ -21,12 +21,12 @@ from ...engine.posed.made_frames import MadeFrames, made_of
 from .. import engine_environment
 from ..chosen_scene import ChosenScene, needs_engine
 from ..engine_environment import why_no_engine
-from ..frame_pictures import KIND_OF, has_picture, place_of_root, root_of, show_made, why_no_picture
+from ..frame_pictures import DEPTH, KIND_OF, has_picture, place_of_root, root_of, show_made, why_no_picture
 from ..frames import PHOTO, picture_of, show_photo
 from ..import_scene import MISSING, add_made, look_at_imported, place_scene
 from ..inspecting.lookup import objects_by_key
 from ..lift_collection import FOLDER, SCENE, is_same_place, lifts_in
-from ..made_pictures import frames_folder, made_before, photos, scene_of
+from ..made_pictures import frames_folder, is_depth_current, made_before, photos, scene_of
 from ..owned import LIFT, OwnedDataBlocks, text_of
 from ..paths import absolute
 from ..settings import chosen_scene
@@ -43,7 +43,8 @@ class FrameOrder:
 
     ``kinds`` are as the engine's command calls them. ``lift`` is the key of the import or lift that they belong to;
     without one the whole import waits for the engine, and ``scene`` names Blender's scene that it goes into. With
-    ``frame`` only that frame is made, and its picture ``shown_kind`` is shown in front of its camera's view.
+    ``frame`` only that frame is made, and its picture ``shown_kind`` is shown in front of its camera's view. Where
+    nobody ``asked`` for it, there is no undo step.
     """
 
     chosen: ChosenScene
@@ -52,6 +53,7 @@ class FrameOrder:
     frame: str = ""
     shown_kind: str = ""
     scene: str = ""
+    asked: bool = True
 
 
 class FrameMaking(Task):
@@ -83,7 +85,7 @@ class FrameMaking(Task):
         is_of_bad_input = self.error is not None and self.error.code is ErrorCode.BAD_INPUT
         if not self.has_finished and not is_of_bad_input:  # with bad depth, the pictures are made all the same
             return
-        self.undo_step = "PLGS Frames"
+        self.undo_step = "PLGS Frames" if self.order.asked else ""
         if not self._folder.is_dir() or (not self.order.lift and not self._place_cameras()):
             return
         made, order = made_of(self._folder, self.order.chosen.resolved), self.order
@@ -164,9 +166,11 @@ def what_is_missing(root: bpy.types.Collection) -> str:
     return f"An engine would add {' and '.join(missing)}: {why_no_engine() or 'import again'}"
 
 
-def show_picture(scene: bpy.types.Scene, shown_kind: str) -> FrameMaking | None:
+def show_picture(scene: bpy.types.Scene, shown_kind: str, *, asked: bool = True) -> FrameMaking | None:
     """Show the photo, depth or masks of the active camera's frame in front of its view. If that takes an engine, its
-    task is returned, which shows it a moment later. Raises PlgsError, OSError.
+    task is returned, which shows it a moment later, and adds an undo step where a user ``asked``. Depth that was drawn
+    after its file last changed takes none, and without an engine, what was made before is shown. Raises PlgsError,
+    OSError.
     """
     reason = why_no_picture(scene)
     if reason is not None:
@@ -175,15 +179,17 @@ def show_picture(scene: bpy.types.Scene, shown_kind: str) -> FrameMaking | None:
     root = root_of(scene, ob)
     chosen = place_of_root(root)
     made = made_before(chosen.resolved)
-    drawn = None if made is None else made.frames.get(ob["frame"])
     picture = _picture_file(root, ob["frame"], chosen, made) if shown_kind == PHOTO else None
     if picture is not None:
         show_photo(ob, OwnedDataBlocks(root[LIFT], scene), picture)
         return None
-    if drawn is not None and engine_environment.engine_python() is None and has_picture(drawn, shown_kind):
-        show_made(scene, ob, shown_kind, drawn)
-        return None
-    order = FrameOrder(chosen, root[LIFT], (KIND_OF[shown_kind],), ob["frame"], shown_kind)
+    drawn = None if made is None else made.frames.get(ob["frame"])
+    if made is not None and drawn is not None and has_picture(drawn, shown_kind):
+        is_current = shown_kind == DEPTH and is_depth_current(made, ob["frame"])
+        if is_current or engine_environment.engine_python() is None:
+            show_made(scene, ob, shown_kind, drawn)
+            return None
+    order = FrameOrder(chosen, root[LIFT], (KIND_OF[shown_kind],), ob["frame"], shown_kind, asked=asked)
     return make_frames(order, engine_environment.usable_python())
 
 

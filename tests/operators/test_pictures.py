@@ -8,7 +8,7 @@ import shutil
 import sys
 from collections.abc import Iterator
 from pathlib import Path
-from types import ModuleType
+from types import ModuleType, SimpleNamespace
 
 import bpy
 import numpy as np
@@ -199,6 +199,48 @@ def test_one_choice_of_picture_is_for_all_cameras(room: Path, monkeypatch: pytes
     assert bpy.ops.plgs.show_picture(what="PHOTO") == {"FINISHED"}
     scene.camera = frames()["0004"]
     assert chosen_picture.catch_up() is None and frames()["0004"]["plgs_shown"] == "PHOTO"
+
+
+def test_depth_that_was_drawn_is_shown_until_its_file_changes(room: Path, tmp_path: Path) -> None:
+    room = Path(shutil.copytree(room, tmp_path / "room"))
+    bpy.ops.plgs.import_scene(scene_folder=str(room), cloud=False)
+    scene = bpy.context.scene
+    scene.camera = frames()["0003"]
+    for what in ("DEPTH", "PHOTO"):
+        assert bpy.ops.plgs.show_picture(what=what) == {"FINISHED"}
+    assert chosen_picture.choose_picture(scene, "DEPTH") is None and frames()["0003"]["plgs_shown"] == "DEPTH"
+    os.utime(room / "depth" / "0003.png", (2**32, 2**32))
+    making = chosen_picture.choose_picture(scene, "DEPTH")
+    assert making is not None
+    registry.wait_for(making, scene)
+    assert making.undo_step
+
+
+def test_a_picture_waits_until_nothing_moves(room: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    bpy.ops.plgs.import_scene(scene_folder=str(room), cloud=False)
+    scene, at = bpy.context.scene, list[float]()
+    scene.camera = frames()["0003"]
+    assert bpy.ops.plgs.show_picture(what="DEPTH") == {"FINISHED"}
+    scene.camera = frames()["0004"]
+    timers = SimpleNamespace(
+        is_registered=lambda function: bool(at),
+        unregister=lambda function: at.clear(),
+        register=lambda function, first_interval: at.append(first_interval),
+    )
+    jobs = {"RENDER"}
+    app = SimpleNamespace(timers=timers, is_job_running=jobs.__contains__)
+    monkeypatch.setattr(chosen_picture, "bpy", SimpleNamespace(app=app, context=bpy.context))
+    chosen_picture._on_change(scene)
+    assert not at and chosen_picture.catch_up() and not registry.running(FrameMaking), "not while a render runs"
+    jobs.clear()
+    chosen_picture._on_change(scene)
+    at[:] = [0.01]  # it has waited
+    chosen_picture._on_change(scene)
+    assert len(at) == 1 and at[0] > 0.01, "each change sets it back"
+    assert chosen_picture.catch_up() is None
+    (making,) = registry.running(FrameMaking)
+    registry.wait_for(making, scene)
+    assert frames()["0004"]["plgs_shown"] == "DEPTH" and not making.undo_step, "nobody pressed a button"
 
 
 def test_lens_distortion_is_removed_from_pictures_and_depth(own: Path) -> None:
