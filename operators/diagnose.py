@@ -135,8 +135,8 @@ class PLGS_OT_go_to_finding(OnFinding, bpy.types.Operator):
 
 
 class PLGS_OT_leave_out(OnFinding, bpy.types.Operator):
-    """Write the capture's splits.json so that a lift neither trains on these frames nor holds them out; to take them
-    back, delete that file"""
+    """Write the capture's splits.json so that a lift neither trains on these frames nor holds them out. A splits.json
+    of yours is kept as splits.before.json. To take the frames back, delete splits.json, and rename the kept one"""
 
     bl_idname, bl_label, bl_options = "plgs.leave_out", "Leave Out", {"INTERNAL"}
 
@@ -146,8 +146,9 @@ class PLGS_OT_leave_out(OnFinding, bpy.types.Operator):
         if known.split is None or not known.split.has_any(finding.leave_out):
             self.report({"WARNING"}, "There is no frame to leave out")
             return CANCELLED
-        path = leave_out(known, finding)
-        self.report({"INFO"}, f"{plural(len(finding.leave_out), 'frame')} left out by {path}")
+        path, kept = leave_out(known, finding)
+        earlier = "" if kept is None else f"; the earlier file is {kept.name} beside it"
+        self.report({"INFO"}, f"{plural(len(finding.leave_out), 'frame')} left out by {path}{earlier}")
         return FINISHED
 
 

@@ -11,7 +11,6 @@ from ..plgs_blender.lift_collection import FOLDER
 from ..plgs_blender.paths import absolute
 from ..plgs_blender.running import exports, lifting
 from ..plgs_blender.settings import chosen_lift
-from ..plgs_blender.tasks import registry
 from ..plgs_blender.tasks.registry import Task
 from .base import RUNNING, CancelsTask, OnLiftFolder, StartsTask, reporting
 
@@ -31,7 +30,7 @@ class Exports(OnLiftFolder, StartsTask):
 
     @classmethod
     def why_not(cls, context: bpy.types.Context) -> str | None:
-        return "Wait for the export that is running" if registry.running(exports.Export) else why_no_engine()
+        return "Wait for the export that is running" if exports.is_busy() else why_no_engine()
 
     def lift_of(self, context: bpy.types.Context) -> str:
         """The folder of the named lift, else of the panel's lift, else of the placed one; "" for none."""

@@ -6,7 +6,7 @@ from typing import Any
 
 import bpy
 
-from ..plgs_blender.running.exports import FORMS, Export
+from ..plgs_blender.running.exports import FORMS, Export, is_busy
 from ..plgs_blender.tasks import registry
 from .sidebar import Step, draw_task, tell
 
@@ -16,7 +16,7 @@ class PLGS_PT_export(Step, bpy.types.Panel):
 
     def draw(self, context: bpy.types.Context) -> None:
         layout, export = self.layout, registry.latest(Export)
-        if export is not None and export.is_running:
+        if export is not None and is_busy():
             draw_task(layout, context, export)
             return
         layout.operator("plgs.make_meshes", icon="MESH_DATA")

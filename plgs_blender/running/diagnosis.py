@@ -137,18 +137,42 @@ def diagnose(settings: PLGS_PG_settings, mended: Path | None = None) -> Diagnosi
     return timer.begin(Diagnosis(chosen, mended, folder, follower))
 
 
-def leave_out(known: Diagnosis, finding: Finding) -> Path:
-    """Write the capture's splits.json without a finding's frames, in place of an earlier one. Raises PlgsError where
-    nothing would be left to train on, OSError."""
+_written: dict[Path, bytes] = {}
+"""What `leave_out` put into each splits.json."""
+
+
+def leave_out(known: Diagnosis, finding: Finding) -> tuple[Path, Path | None]:
+    """Write the capture's splits.json without a finding's frames. An earlier one that is not of this function is kept
+    beside it. Returns both, None where nothing was kept. Raises PlgsError where nothing would be left to train on,
+    OSError.
+    """
     assert known.split is not None
     split = known.split.without(finding.leave_out)
     if not split.train:
         raise PlgsError("no frame to train on would be left", split.path, "Leave fewer frames out.")
     split.path.parent.mkdir(exist_ok=True)
-    write_atomically(split.path, json.dumps({"train": split.train, "test": split.test}))
+    kept = _keep(split.path)
+    text = json.dumps({"train": split.train, "test": split.test}).encode()
+    write_atomically(split.path, text)
+    _written[split.path] = text
     known.split = split
     looking.look_at_scene(known.chosen)
-    return split.path
+    return split.path, kept
+
+
+def _keep(path: Path) -> Path | None:
+    """Copy a splits.json that is not of `leave_out` to "splits.before.json", or "splits.before_2.json" and so on; None
+    where there is none. Raises OSError.
+    """
+    before = path.read_bytes() if path.exists() else None
+    if before is None or _written.get(path) == before:
+        return None
+    number, kept = 1, path.with_name("splits.before.json")
+    while kept.exists() and kept.read_bytes() != before:
+        number += 1
+        kept = path.with_name(f"splits.before_{number}.json")
+    write_atomically(kept, before)
+    return kept
 
 
 def _choose_mended(settings: PLGS_PG_settings, mended: Path) -> None:

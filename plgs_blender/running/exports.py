@@ -35,7 +35,8 @@ FORMS = {
 
 class Export(Task):
     """One export. What was written stays when it is cancelled. ``shown_in`` names the scene that its meshes or clouds
-    are put into; where nobody ``asked`` for them, they are not shown yet."""
+    are put into; where nobody ``asked`` for them, they are not shown yet, and an export that is asked for ends
+    this one."""
 
     kind, label, cancel_operator = "export", "Exporting", "plgs.cancel_export"
 
@@ -43,7 +44,7 @@ class Export(Task):
         self, lift: Path, form: str, output: Path, shown_in: str, follower: TaskFollower, *, asked: bool = True
     ) -> None:
         super().__init__(follower)
-        self._asked = asked
+        self.asked = asked
         self.form, self.output = form, output
         self.label = f"Exporting {FORMS[form][0]}"
         self._lift, self._shown_in = lift, shown_in
@@ -70,7 +71,7 @@ class Export(Task):
         if target is None:
             raise PlgsError("the scene is gone", self._shown_in, "Make it again.")
         if self.form == "mesh":
-            self._placed, self.undo_step = len(place_meshes_anew(self._lift, target, asked=self._asked)), "Make Meshes"
+            self._placed, self.undo_step = len(place_meshes_anew(self._lift, target, asked=self.asked)), "Make Meshes"
         else:
             self._placed, self.undo_step = place_depth_clouds_anew(self._lift, target), "Depth Cloud"
 
@@ -88,7 +89,9 @@ def export(
 ) -> Export:
     """Start an export of a finished lift into the folder ``output``, of ``frames`` or of a file of ``cameras``. What
     `Export` says of ``shown_in`` and ``asked`` holds. Raises PlgsError, OSError."""
-    registry.refuse_second(Export)
+    if not asked or is_busy():
+        registry.refuse_second(Export)
+    registry.forget(Export.kind)
     seen = ["--frames", *frames] if cameras is None else ["--cameras", cameras]
     arguments: list[str | Path] = [lift, "--to", form, "-o", output, *seen]
     follower = start_engine("export", python, *arguments)
@@ -102,6 +105,11 @@ def make_meshes(lift: Path, scene: bpy.types.Scene, frames: str = "all", *, aske
     root_of_placed(lift, scene)  # raises now what would otherwise be raised when the meshes are made
     python = engine_environment.usable_python()
     return export(lift, "mesh", mesh_folder(lift), python, [frames], shown_in=scene.name, asked=asked)
+
+
+def is_busy() -> bool:
+    """Whether an export runs that a user asked for."""
+    return any(task.asked for task in registry.running(Export))
 
 
 def can_make_meshes_unasked() -> bool:

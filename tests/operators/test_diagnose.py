@@ -70,6 +70,15 @@ def test_frames_of_a_finding_are_gone_to_and_left_out(tmp_path: Path) -> None:
     assert bpy.ops.plgs.diagnose() == {"FINISHED"}
     again = diagnosis_of(chosen_scene(scene.plgs))
     assert again is not None and again.frames == 13 and "exposure" not in [each.cause for each in again.findings]
+    mine, other = (replace(finding, leave_out=(name,)) for name in again.split.train[:2])
+    (folder / "splits.json").write_text(json.dumps({"train": again.split.train, "test": []}))
+    yours = (folder / "splits.json").read_bytes()
+    path, kept = leave_out(again, mine)
+    assert path == folder / "splits.json" and kept == folder / "splits.before.json" and kept.read_bytes() == yours
+    assert leave_out(again, other) == (path, None) and kept.read_bytes() == yours, "what we wrote is not kept"
+    path.write_bytes(later := yours + b"\n")
+    _, second = leave_out(again, replace(finding, leave_out=()))
+    assert second == folder / "splits.before_2.json" and second.read_bytes() == later and kept.read_bytes() == yours
     with pytest.raises(PlgsError, match="no frame to train on"):
         leave_out(again, replace(finding, leave_out=(*again.split.train, *again.split.test)))
 

@@ -13,6 +13,7 @@ from pathlib import Path
 import bpy
 import numpy as np
 import pytest
+from plgs.engine.errors import PlgsError
 from plgs.engine.job import read_cameras
 from plgs.engine.job.follower import TaskFollower
 from plgs.engine.job.process import EngineProcess
@@ -145,5 +146,18 @@ def test_a_cancelled_export_is_not_an_error(lift: Path, tmp_path: Path, monkeypa
     pretend(monkeypatch, "import time; time.sleep(600)")
     export = exports.export(lift, "coco", tmp_path, Path(sys.executable))
     assert not bpy.ops.plgs.export_lift.poll(), "one at a time"
+    with pytest.raises(PlgsError, match="already running"):
+        exports.export(lift, "mesh", tmp_path, Path(sys.executable), asked=False)
     bpy.ops.plgs.cancel_export()
     assert export.is_taken and export.error is None and export.message == "The export was cancelled"
+
+
+def test_meshes_that_nobody_asked_for_make_room(lift: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pretend(monkeypatch, "import time; time.sleep(600)")
+    unasked = exports.export(lift, "mesh", tmp_path, Path(sys.executable), asked=False)
+    assert bpy.ops.plgs.export_lift.poll() and unasked.is_running
+    export = exports.export(lift, "coco", tmp_path, Path(sys.executable))
+    assert registry.running(exports.Export) == [export] and not bpy.ops.plgs.export_lift.poll()
+    registry.wait_for(unasked, bpy.context.scene)  # its engine was killed, so this returns
+    assert not unasked.has_finished
+    bpy.ops.plgs.cancel_export()
