@@ -23,6 +23,7 @@ READER_GONE = 141
 
 def main(arguments: Sequence[str], parser: Callable[[], argparse.ArgumentParser] = make_parser) -> int:
     """Run a command and return its exit code. Bad arguments raise SystemExit(2), as usual with argparse."""
+    _open_missing_streams()
     try:
         try:
             return _run(arguments, parser())
@@ -40,6 +41,18 @@ def main(arguments: Sequence[str], parser: Callable[[], argparse.ArgumentParser]
             raise
         print(printable(f"error: a link leads to itself: {error}. Mend or remove it."), file=sys.stderr)
         return ExitCode.BAD_INPUT
+
+
+def _open_missing_streams() -> None:
+    """Let standard streams that were closed lead nowhere. Otherwise the next files to be opened get their numbers, and
+    what native code prints is written into them.
+    """
+    while (number := os.open(os.devnull, os.O_RDWR)) <= 2:  # the lowest number that is free
+        os.set_inheritable(number, True)
+    os.close(number)
+    for name, mode, number in (("stdin", "r", 0), ("stdout", "w", 1), ("stderr", "w", 2)):
+        if getattr(sys, name) is None:
+            setattr(sys, name, os.fdopen(number, mode, encoding="utf-8", errors="replace", closefd=False))
 
 
 def _run(arguments: Sequence[str], parser: argparse.ArgumentParser) -> int:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import os
+import re
 import signal
 import sys
 import threading
@@ -145,10 +146,12 @@ def _failure(error: Exception, command: Command, place: TaskPlace | None) -> Plg
     if isinstance(error, MemoryError) or _is_of_lacking_memory(error):
         return PlgsError("memory ran out", where.parent, command.with_less_memory, code=ErrorCode.INTERNAL)
     at = str(getattr(error, "filename", None) or ("" if place is None else where.parent))
-    if _is_of_a_full_disk(error):
+    number = _number_of(error)
+    if number in (errno.ENOSPC, errno.EDQUOT):
         return PlgsError("the disk is full", at, f"Make room there, then {command.again}.", code=ErrorCode.DISK_FULL)
-    if isinstance(error, OSError) and error.errno is not None:
-        return PlgsError(f"this cannot be used ({error.strerror})", at, f"Fix this, then {command.again}.")
+    if number is not None:
+        why = getattr(error, "strerror", None) or os.strerror(number)
+        return PlgsError(f"this cannot be used ({why})", at, f"Fix this, then {command.again}.")
     what = f"the engine failed ({type(error).__name__}: {(str(error).splitlines() or [''])[0][:300]})"
     fix = f"The log has the details. Once the cause is fixed, {command.again}."
     return PlgsError(what, where, fix, code=ErrorCode.INTERNAL)
@@ -160,9 +163,12 @@ def _is_of_lacking_memory(error: Exception) -> bool:
     return type(error).__name__ == "OutOfMemoryError" or any(words in said for words in _NO_MEMORY)
 
 
-def _is_of_a_full_disk(error: Exception) -> bool:
-    """Whether the disk is full. Libraries in Rust have their own errors, with the system's number in their text."""
-    return getattr(error, "errno", None) in (errno.ENOSPC, errno.EDQUOT) or f"os error {errno.ENOSPC}" in str(error)
+def _number_of(error: Exception) -> int | None:
+    """The system's number of an error. Libraries in Rust have their own errors, with that number in their text."""
+    if isinstance(error, OSError) and error.errno is not None:
+        return error.errno
+    found = re.search(r"\(os error (\d+)\)", str(error))
+    return None if found is None else int(found[1])
 
 
 @contextmanager

@@ -20,7 +20,7 @@ from .folder import LiftFolder
 from .request import BAKES, LiftRequest
 
 _NONE: Mapping[str, str] = {}
-DEFAULTS = LiftRequest(scene=Path.cwd())
+DEFAULTS = LiftRequest(scene=Path(Path(__file__).anchor))
 """The request with the values of options that are not given; its scene is not a real one."""
 _OF_PRESET = ("steps", "size", "frames", "set")
 """The options that change those of the preset."""

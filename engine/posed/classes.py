@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 from ..gates import one_line
@@ -15,6 +16,7 @@ VOID = 0
 """Class id of pixels without a label. It is never predicted."""
 LARGEST_CLASS_ID = LARGEST_ID - 1
 """Largest class id in mask files: a table that uses 0 is shifted by one."""
+_NOT_IN_MATTES = str.maketrans(dict.fromkeys(",\"'\\", " "))
 _WORDS = Path(__file__).with_name("palette.txt").read_text("ascii").split()
 PALETTE = tuple((red, green, blue) for red, green, blue in map(bytes.fromhex, _WORDS))
 """Colours, sRGB bytes: each is as far from all before it as can be (CIEDE2000; tests/posed/test_classes.py)."""
@@ -56,8 +58,7 @@ class ClassTable:
     categories: tuple[Category, ...]
 
     def __post_init__(self) -> None:
-        ids = [category.id for category in self.categories]
-        if ids != sorted(set(ids)) or (ids and ids[0] <= VOID):
+        if list(self.ids) != sorted(set(self.ids)) or any(class_id <= VOID for class_id in self.ids):
             raise ValueError("class ids must be unique, ascending and greater than 0")
 
     @property
@@ -68,15 +69,16 @@ class ClassTable:
     def thing_ids(self) -> frozenset[int]:
         return frozenset(category.id for category in self.categories if category.is_thing)
 
+    @cached_property
+    def _by_id(self) -> dict[int, Category]:
+        return {category.id: category for category in self.categories}
+
     def __getitem__(self, class_id: int) -> Category:
         """The category of an id; KeyError when the table does not have it."""
-        for category in self.categories:
-            if category.id == class_id:
-                return category
-        raise KeyError(class_id)
+        return self._by_id[class_id]
 
     def __contains__(self, class_id: int) -> bool:
-        return any(category.id == class_id for category in self.categories)
+        return class_id in self._by_id
 
     def __len__(self) -> int:
         return len(self.categories)
@@ -92,9 +94,6 @@ def matte_names(names: Mapping[int, str]) -> dict[int, str]:
 
     The id follows a name that several have.
     """
-    clean = {
-        key: " ".join("".join(" " if c in ",\"'\\" else c for c in name).split()) or f"id {key}"
-        for key, name in names.items()
-    }
+    clean = {key: " ".join(name.translate(_NOT_IN_MATTES).split()) or f"id {key}" for key, name in names.items()}
     seen = Counter(clean.values())
     return {key: name if seen[name] == 1 else f"{name} #{key}" for key, name in clean.items()}

@@ -34,11 +34,12 @@ def coloured(labels: Iterable[ClassLabel]) -> ClassTable:
             unknown.append(label)
         else:
             chosen.setdefault(label.id, PALETTE[place])
+    free = {*PALETTE}.difference(chosen.values())
     for label in sorted(unknown, key=lambda label: _words(label.name)):
         first = int.from_bytes(sha256(_words(label.name)[0].encode()).digest()[:4], "big") % _FAR
-        in_turn = (*PALETTE[first:_FAR], *PALETTE[:first], *PALETTE[_FAR:])
-        free = (colour for colour in in_turn if colour not in chosen.values())
-        chosen.setdefault(label.id, next(free, PALETTE[first]))
+        in_turn = (*PALETTE[first:_FAR], *PALETTE[:first], *PALETTE[_FAR:]) if free else ()
+        colour = chosen.setdefault(label.id, next((each for each in in_turn if each in free), PALETTE[first]))
+        free.discard(colour)
     return ClassTable(tuple(Category(each.id, each.name, each.is_thing, chosen[each.id]) for each in labels))
 
 

@@ -54,6 +54,7 @@ def test_a_lift_that_works(tmp_path: Path, capfd: pytest.CaptureFixture[str]) ->
         (ModuleNotFoundError("No module named 'torch'"), 1, "make set-up"),
         (OSError(28, "No space left on device"), 1, "the disk is full"),
         (RuntimeError("I/O error: No space left on device (os error 28)"), 1, "the disk is full"),
+        (RuntimeError("I/O error: File name too long (os error 36)"), 2, "this cannot be used (File name too long)"),
     ],
 )
 def test_a_lift_that_fails(

@@ -1,0 +1,55 @@
+"""Lifts of scenes with as little, or as odd, as a scene may have."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from engine.job import LiftRequest, verify
+from tests.tiny_scene import CATEGORIES, CHAIR_ID, write_tiny_scene
+from tests.train.tiny_lift import TINY, lift_into, presets_as
+
+FRAMES, HIGHEST = 5, 65535
+
+
+def as_they_are(scene: Path) -> None:
+    pass
+
+
+def equal_poses(scene: Path) -> None:
+    for path in (scene / "pose").iterdir():
+        shutil.copy(scene / "pose" / "0000.txt", scene / "copy.txt")
+        (scene / "copy.txt").replace(path)
+
+
+def one_class_with_high_ids(scene: Path) -> None:
+    """One thing fills every picture, in two halves with the highest ids of 16 bits."""
+    table = json.loads((scene / "panoptic.json").read_text())
+    table["categories"] = [each for each in CATEGORIES if each["id"] == CHAIR_ID]
+    for each in table["annotations"]:
+        each["segments_info"] = [{"id": HIGHEST - half, "category_id": CHAIR_ID} for half in range(2)]
+        path = scene / "panoptic" / each["file_name"]
+        shown = np.zeros_like(cv2.imread(str(path)))
+        shown[..., 1:] = 255  # blue, green, red: id = R + 256 G + 65536 B
+        shown[:, ::2, 2] = 254
+        cv2.imwrite(str(path), shown)
+    (scene / "panoptic.json").write_text(json.dumps(table))
+    shutil.rmtree(scene / "gt")
+
+
+@pytest.mark.parametrize(
+    ("frames", "change"),
+    [(1, as_they_are), (2, as_they_are), (FRAMES, equal_poses), (FRAMES, one_class_with_high_ids)],
+)
+def test_it_is_lifted(frames: int, change: Callable[[Path], None], tmp_path: Path) -> None:
+    scene = write_tiny_scene(tmp_path / "scene", frames=frames, size=(32, 24))
+    change(scene)
+    with presets_as(preview=TINY):
+        lift = lift_into(tmp_path / "lift", LiftRequest(scene=scene, options={"steps": 2}))
+    assert verify(lift.result_path).files
