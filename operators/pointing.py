@@ -7,14 +7,14 @@ from typing import Any
 import bpy
 from bpy.props import BoolProperty
 
-from ..plgs_blender.corrections import CUT, delete
-from ..plgs_blender.errors import one_line
+from ..plgs_blender.corrections import CUT, delete_around
+from ..plgs_blender.errors import EXPECTED, one_line, plural, with_field_names
 from ..plgs_blender.inspecting import picking, selection
-from ..plgs_blender.inspecting.lookup import find_lift, instance_of, row_of
+from ..plgs_blender.inspecting.lookup import objects_by_key
 from ..plgs_blender.inspecting.names import hovered
 from ..plgs_blender.lift_collection import lifts_in
 from ..plgs_blender.owned import KEY, LIFT, text_of
-from .base import FINISHED, PASSED_ON, reporting, reporting_events
+from .base import CANCELLED, FINISHED, PASSED_ON, reporting_events
 
 
 class InView:
@@ -42,7 +42,7 @@ class PLGS_OT_pick(InView, bpy.types.Operator):
         picked = picking.what_is_under(context, mouse)
         if picked is None or (self.extend and not picked.instance):
             return PASSED_ON
-        if not self.extend and _is_in_front(layer, mouse):
+        if _is_in_front(context, mouse, extend=self.extend):
             return FINISHED
         if picked.instance:
             selection.select_instance(picked.root, picked.instance, layer, extend=self.extend)
@@ -52,16 +52,32 @@ class PLGS_OT_pick(InView, bpy.types.Operator):
         return FINISHED
 
 
-def _is_in_front(layer: bpy.types.ViewLayer, mouse: tuple[int, int]) -> bool:
-    """Let Blender select what it finds at a pixel. Whether that is no part of a lift's picture: an object of the
-    user's, a camera, or the cutting plane.
+def _is_in_front(context: bpy.types.Context, mouse: tuple[int, int], *, extend: bool) -> bool:
+    """Let Blender select what it finds at a pixel; with `extend` as Shift does. Whether that is no part of a lift's
+    picture: an object of the user's, a camera, or the cutting plane. If not, with `extend` the selection stays.
     """
-    if "FINISHED" not in bpy.ops.view3d.select(location=mouse):
+    layer = context.view_layer
+    before, active = [ob for ob in layer.objects if ob is not None and ob.select_get()], layer.objects.active
+    if "FINISHED" not in bpy.ops.view3d.select(location=mouse, toggle=extend):
         return False
     found = layer.objects.active
-    if found is None or not found.select_get() or instance_of(found):
-        return False
-    return not text_of(found, LIFT) or found.type == "CAMERA" or text_of(found, KEY) == CUT
+    if found is not None and (extend or found.select_get()):
+        if _lift_of(found, context.scene) is None or found.type == "CAMERA" or text_of(found, KEY) == CUT:
+            return True
+    if extend:
+        selection.deselect_all(layer)
+        for ob in before:
+            ob.select_set(True)
+        layer.objects.active = active
+    return False
+
+
+def _lift_of(ob: bpy.types.Object, scene: bpy.types.Scene) -> bpy.types.Collection | None:
+    """The lift that an object is part of. None for the user's objects, and copies are the user's."""
+    if not text_of(ob, LIFT):
+        return None
+    own = (root for root in lifts_in(scene) if root[LIFT] == ob[LIFT] and ob in objects_by_key(root).values())
+    return next(own, None)
 
 
 class PLGS_OT_point_at(InView, bpy.types.Operator):
@@ -79,11 +95,23 @@ class PLGS_OT_point_at(InView, bpy.types.Operator):
 
 
 class OnSelected(InView):
-    """An operator of a key on the active object of a lift. On other objects the key is Blender's."""
+    """An operator of a key on the active object of a lift that is selected. On others the key is Blender's."""
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        return super().poll(context) and bool(instance_of(context.active_object))
+        return super().poll(context) and cls.chosen(context) is not None
+
+    @staticmethod
+    def chosen(context: bpy.types.Context) -> tuple[bpy.types.Collection, int] | None:
+        """The lift of the active object and its instance. A box that is switched off, which cannot be selected,
+        counts while nothing is selected.
+        """
+        active = context.active_object
+        root = None if active is None else _lift_of(active, context.scene)
+        if root is None or not (active.select_get() or not context.selected_objects):
+            return None
+        number = selection.selected_instance(root, active)
+        return (root, number) if number in {row.instance_id for row in root.plgs.instances} else None
 
 
 class PLGS_OT_rename_selected(OnSelected, bpy.types.Operator):
@@ -92,27 +120,41 @@ class PLGS_OT_rename_selected(OnSelected, bpy.types.Operator):
     bl_idname, bl_label, bl_options = "plgs.rename_selected", "Rename Object", {"INTERNAL"}
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        number = instance_of(context.active_object)
-        return set(bpy.ops.plgs.rename_instance("INVOKE_DEFAULT", instance=number))
+        chosen = self.chosen(context)
+        if chosen is None:
+            return PASSED_ON
+        return set(bpy.ops.plgs.rename_instance("INVOKE_DEFAULT", lift=chosen[0].name, instance=chosen[1]))
 
 
 class PLGS_OT_delete_selected(OnSelected, bpy.types.Operator):
-    """Delete the selected objects of the lift, whose points become what is around them, and all other selected ones"""
+    """Delete the selected objects of the lift, whose points become what is around them, and the user's selected ones"""
 
     bl_idname, bl_label, bl_options = "plgs.delete_selected", "Delete Objects", {"UNDO", "INTERNAL"}
 
-    @reporting
     def execute(self, context: bpy.types.Context) -> set[str]:
-        root, layer = find_lift(context.scene, active=context.active_object), context.view_layer
-        numbers = selection.selected_instances(root, layer) or [row_of(root, 0).instance_id]
-        others = [ob for ob in context.selected_objects if not instance_of(ob)]
-        names = [row_of(root, number).name for number in numbers]
-        for number in numbers:
-            delete(root, number, around=True)
-        if others:
-            with context.temp_override(selected_objects=others):
+        chosen = self.chosen(context)
+        if chosen is None:
+            return CANCELLED
+        root, active = chosen
+        names = {row.instance_id: row.name for row in root.plgs.instances}
+        numbers = selection.selected_instances(root, context.view_layer) or [active]
+        numbers = [number for number in numbers if number in names]
+        selected = {ob.session_uid: _lift_of(ob, context.scene) for ob in context.selected_objects}
+        others = {uid for uid, lift in selected.items() if lift is None}
+        try:
+            delete_around(root, numbers)
+        except EXPECTED as error:
+            self.report({"ERROR"}, with_field_names(error))
+            # What was deleted before the error is gone, and its undo step takes it back.
+            return FINISHED if len(root.plgs.instances) < len(names) else CANCELLED
+        # The lift's placement removes objects: what was found before it may be gone.
+        found = [ob for ob in context.view_layer.objects if ob is not None and ob.session_uid in others]
+        if found:
+            with context.temp_override(selected_objects=found):
                 bpy.ops.object.delete()
-        self.report({"INFO"}, one_line(f"Deleted: {', '.join(names)}"))
+        kept = sum(ob.session_uid in selected for ob in context.view_layer.objects if ob is not None)
+        stays = f". Not deleted: {plural(kept, 'other object')} of a lift" if kept else ""
+        self.report({"INFO"}, one_line(f"Deleted: {', '.join(names[number] for number in numbers)}{stays}"))
         return FINISHED
 
 

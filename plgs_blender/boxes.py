@@ -17,8 +17,9 @@ _CORNERS = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z i
 _FACES = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
 INSTANCE = "instance:"
 """Start of the key of an instance's box. The instance's id follows."""
-NAME, PLACED = "plgs_name", "plgs_placed"
-"""Properties of a box: the name, and the centre, size and rotation, that it was placed with."""
+NAME, SHOWN, PLACED = "plgs_name", "plgs_shown_name", "plgs_placed"
+"""Properties of a box: its instance's name, what Blender made of that (shorter, or with a number), and the centre, size
+and rotation that it was placed with."""
 
 
 def place_boxes(
@@ -27,6 +28,12 @@ def place_boxes(
     """One mesh object per instance, with the engine's name and its true size (object scale 1). If an object has not
     changed, its box keeps the place and the name that the user gave it."""
     return [_place(owned, parent, instance) for instance in instances]
+
+
+def name_box(box: bpy.types.Object, name: str) -> None:
+    """Give a box its instance's name."""
+    box.name = box[NAME] = name
+    box[SHOWN] = box.name
 
 
 def corners_of(size: Sequence[float]) -> tuple[NDArray[np.float64], list[tuple[int, int, int, int]]]:
@@ -47,6 +54,8 @@ def _place(owned: OwnedDataBlocks, parent: bpy.types.Collection, instance: Insta
     mesh.materials.clear()
     mesh.materials.append(clear_material(owned))
     ob = owned.object(key, name, mesh, parent)
+    if where is None:
+        name_box(ob, name)
     ob[NAME], ob[PLACED] = instance.name, placed
     ob.matrix_world = where or _where_placed(ob)
     ob.color = object_colour(instance.colour)

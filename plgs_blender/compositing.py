@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import bpy
 
 from . import compat
@@ -19,8 +21,20 @@ _LARGEST = 3.0
 _MSGBUS_OWNER = object()
 
 
-_room: list[tuple[str, str, str]] = []
-"""The names of the workspace and the scene in which the compositor was asked for last, and of its passes scene."""
+@dataclass
+class _Opened:
+    """A window in which the compositor was asked for: the names of the workspace and the scene that it showed then, of
+    the passes scene, and of the workspace that it showed last.
+    """
+
+    workspace: str
+    room: str
+    passes: str
+    last: str
+
+
+_opened: dict[int, _Opened] = {}
+"""By the address of the window."""
 
 
 def show_room(window: bpy.types.Window) -> None:
@@ -28,21 +42,33 @@ def show_room(window: bpy.types.Window) -> None:
     asked for. Raises PlgsError when the lift's scene is gone.
     """
     room = scene_to_fill(window.scene)
-    workspace = bpy.data.workspaces.get(_room[0][0]) if _room else None
+    opened = _opened.pop(window.as_pointer(), None)
+    workspace = bpy.data.workspaces.get(opened.workspace) if opened is not None else None
     if workspace is not None and window.workspace == compositing_workspace():
         window.workspace = workspace
     window.scene = room
 
 
 def follow_workspace() -> None:
-    """Show the room in a window that leaves the compositor's workspace, and the passes in one that returns to it."""
-    if not _room:
-        return
-    room, passes = (bpy.data.scenes.get(name) for name in _room[0][1:])
-    for window in bpy.context.window_manager.windows if room is not None and passes is not None else ():
-        shown, other = (passes, room) if window.workspace == compositing_workspace() else (room, passes)
+    """Show the room in a window in which the compositor was asked for and that leaves its workspace, and the passes
+    when it returns. A window in which the user chose another scene is theirs.
+    """
+    windows = {window.as_pointer(): window for window in bpy.context.window_manager.windows}
+    for address, opened in [*_opened.items()]:
+        window = windows.get(address)
+        room, passes = (bpy.data.scenes.get(name) for name in (opened.room, opened.passes))
+        if window is None or room is None or passes is None:
+            del _opened[address]
+            continue
+        before, opened.last = opened.last, window.workspace.name
+        compositing = compositing_workspace()
+        if compositing is None or opened.last == before or compositing.name not in (before, opened.last):
+            continue
+        shown, other = (passes, room) if window.workspace == compositing else (room, passes)
         if window.scene == other:
             window.scene = shown
+        else:
+            del _opened[address]
 
 
 def _follow_soon() -> None:
@@ -56,7 +82,8 @@ def show_compositor(window: bpy.types.Window, passes: bpy.types.Scene) -> None:
     compositor. If there is none, the largest area of the window becomes one."""
     workspace = compositing_workspace()
     if KEY not in window.scene:
-        _room[:] = [(window.workspace.name, window.scene.name, passes.name)]
+        last = window.workspace.name if workspace is None else workspace.name
+        _opened[window.as_pointer()] = _Opened(window.workspace.name, window.scene.name, passes.name, last)
     if workspace is not None:
         window.workspace = workspace
     window.scene = passes
@@ -98,6 +125,7 @@ def select_group(passes: bpy.types.Scene) -> None:
 @bpy.app.handlers.persistent
 def _subscribe(*_arguments: object) -> None:
     """Subscribe to changes of windows' workspaces, also after a file was loaded: loading ends all subscriptions."""
+    _opened.clear()
     bpy.msgbus.clear_by_owner(_MSGBUS_OWNER)
     key = (bpy.types.Window, "workspace")
     bpy.msgbus.subscribe_rna(key=key, owner=_MSGBUS_OWNER, args=(), notify=_follow_soon, options={"PERSISTENT"})
@@ -113,4 +141,4 @@ def unregister() -> None:
     bpy.app.handlers.load_post.remove(_subscribe)
     if bpy.app.timers.is_registered(follow_workspace):
         bpy.app.timers.unregister(follow_workspace)
-    _room.clear()
+    _opened.clear()

@@ -40,7 +40,7 @@ from ..engine.job.report import doubt_of_frames, read_metrics
 from ..engine.known_scene import known_scene
 from ..engine.posed import ClassTable
 from ..engine.result_files import INSTANCES, read_instances
-from .boxes import INSTANCE, NAME, place_boxes
+from .boxes import INSTANCE, name_box, place_boxes
 from .clouds import place_anchors, place_semantic_points
 from .errors import EXPECTED, with_field_names
 from .inspecting.lists import fill_lists
@@ -287,7 +287,7 @@ def rename(root: bpy.types.Collection, instance: int, name: str) -> Edit:
     row, box = row_of(root, instance), boxes_of(root).get(instance)
     row.known_name = row.name = made.name
     if box is not None:
-        box.name = box[NAME] = made.name
+        name_box(box, made.name)
     remember(root, result)
     if text_of(root, PROPOSALS):
         _keep_proposals(root, result)
@@ -304,7 +304,7 @@ def _rename_by_field(root: bpy.types.Collection, instance: int, name: str) -> No
         row, box = row_of(root, instance), boxes_of(root).get(instance)
         row.name = row.known_name
         if box is not None:
-            box.name = row.known_name
+            name_box(box, row.known_name)
 
 
 def reclass(root: bpy.types.Collection, instances: Sequence[int], class_name: str) -> Edit:
@@ -321,6 +321,23 @@ def merge(root: bpy.types.Collection, instances: Sequence[int]) -> Edit:
 def delete(root: bpy.types.Collection, instance: int, *, around: bool) -> Edit:
     """Delete an object: its points become what is around them, or belong to no object."""
     return edit(root, lambda state, _: making.delete(state, instance, around=around))
+
+
+def delete_around(root: bpy.types.Collection, instances: Sequence[int]) -> None:
+    """Delete objects, whose points become what is around them, and show the result once. Raises PlgsError, OSError;
+    what was deleted until then is deleted."""
+    result = None
+    try:
+        for instance in instances:
+            made, result = correct(folder_of(root), partial(_delete_around, instance))
+            _mine.setdefault(str(folder_of(root)), set()).add(made.uid)
+    finally:
+        if result is not None:
+            show_corrections(root, result)
+
+
+def _delete_around(instance: int, state: Replay, _: int) -> Edit:
+    return making.delete(state, instance)
 
 
 def accept(root: bpy.types.Collection, instances: Sequence[int]) -> Edit:

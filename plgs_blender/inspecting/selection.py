@@ -14,7 +14,7 @@ from collections.abc import Callable
 
 import bpy
 
-from ..boxes import NAME
+from ..boxes import NAME, SHOWN
 from ..lift_collection import lifts_in
 from ..owned import LIFT, text_of
 from .lookup import boxes_of, instance_of, is_box, objects_by_key, row_of
@@ -135,16 +135,20 @@ def follow() -> None:
 
 def follow_name() -> None:
     """Rename the instance whose box is the active object where that was renamed, as the outliner does. Blender calls
-    this. Numbers that Blender appends to names are no names.
+    this. What Blender makes of a name, shorter or with a number, is no name.
     """
     context = bpy.context
     box = context.view_layer.objects.active if context.view_layer is not None else None
-    if box is None or not is_box(box) or re.sub(r"\.\d{3,}$", "", box.name) == text_of(box, NAME):
+    if box is None or not is_box(box) or box.name == text_of(box, SHOWN):
         return
+    without_number = re.sub(r"\.\d{3,}$", "", box.name)
+    if without_number == text_of(box, NAME):
+        return
+    name = without_number if without_number in bpy.data.objects else box.name
     for root in lifts_in(context.scene):
         if boxes_of(root).get(instance_of(box)) == box:
             for rename in renaming:
-                rename(root, instance_of(box), box.name)
+                rename(root, instance_of(box), name)
             bpy.ops.ed.undo_push(message="Rename Object")
 
 
@@ -158,9 +162,7 @@ def _subscribe(*_arguments: object) -> None:
     """Subscribe to changes of the active object, also after a file was loaded: loading ends all subscriptions."""
     bpy.msgbus.clear_by_owner(_MSGBUS_OWNER)
     for kind, name, notify in ((bpy.types.LayerObjects, "active", follow), (bpy.types.Object, "name", follow_name)):
-        bpy.msgbus.subscribe_rna(
-            key=(kind, name), owner=_MSGBUS_OWNER, args=(), notify=notify, options={"PERSISTENT"}
-        )
+        bpy.msgbus.subscribe_rna(key=(kind, name), owner=_MSGBUS_OWNER, args=(), notify=notify, options={"PERSISTENT"})
 
 
 def _handlers() -> list[tuple[list, object]]:

@@ -49,6 +49,9 @@ def test_the_compositor_opens_in_one_press(window: Window, work_folder: Path) ->
     window.settle()
     window.screenshot("back-in-the-room")
     assert window.ask(place) == ["Scene", "Layout"]
+    window.run("bpy.context.window.workspace = bpy.data.workspaces['Compositing']")
+    window.settle()
+    assert window.ask(place) == ["Scene", "Compositing"], "the user's own nodes, until the passes are asked for again"
 
 
 def test_the_window_responds_while_a_long_range_is_read_and_esc_stops_it(window: Window, work_folder: Path) -> None:

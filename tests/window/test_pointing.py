@@ -54,6 +54,12 @@ def test_a_click_selects_what_is_seen(window: Window, mine: Path) -> None:
     window.settle()
     window.screenshot("pointing-suzanne")
     assert window.ask(f"{ACTIVE}.name") == "Suzanne", "the user's own things stay selectable"
+    window.run("choose(1)")
+    window._input("keydown", "shift")
+    window.click(at[0], SIZE[1] - at[1])
+    window._input("keyup", "shift")
+    window.settle()
+    assert window.ask(f"{ACTIVE}.name") == "Suzanne" and window.ask(SELECTED) == [0, CHAIR], "and Shift adds them"
 
 
 def test_keys_act_on_what_was_clicked(window: Window, mine: Path) -> None:

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 
 import bpy
 import numpy as np
 import pytest
+from plgs.engine.corrections import read_edits
 from plgs.engine.errors import PlgsError
-from plgs.plgs_blender import lift_scene
+from plgs.plgs_blender import corrections, lift_scene
 from plgs.plgs_blender.chosen_scene import ChosenScene
 from plgs.plgs_blender.import_scene import place_scene
 from plgs.plgs_blender.inspecting import highlight, selection
@@ -146,3 +148,29 @@ def test_a_lift_with_a_result_comes_before_an_imported_scene(extension: None, li
     assert active_lift(bpy.context.scene, None) == placed
     camera = next(ob for ob in imported.all_objects)
     assert active_lift(bpy.context.scene, camera) == imported
+
+
+@pytest.mark.parametrize("name", ["sofa 1.001", "沙" * 30, "chair", "Throne"])
+def test_a_name_that_blender_changes_is_no_new_name(lift: Path, tmp_path: Path, extension: None, name: str) -> None:
+    mine = Path(shutil.copytree(lift, tmp_path / "mine"))
+    root = lift_scene.place_lift(mine, bpy.context.scene)
+    assert "chair" in bpy.data.objects, "the cloud has this name"
+    corrections.rename(root, 1, name)
+    lift_scene.place_lift(mine, bpy.context.scene)
+    pick(boxes_of(root)[1])
+    corrections.accept(root, [2])
+    for _ in range(2):
+        selection.follow_name()
+    assert [edit.kind for edit in read_edits(mine)] == ["rename", "accept"] and root.plgs.instances[0].name == name
+
+
+def test_a_new_name_is_kept_without_blenders_number(lift: Path, tmp_path: Path, extension: None) -> None:
+    mine = Path(shutil.copytree(lift, tmp_path / "mine"))
+    root = lift_scene.place_lift(mine, bpy.context.scene)
+    for typed, kept in (("chair", "chair"), ("bench.002", "bench.002")):
+        pick(boxes_of(root)[1])
+        boxes_of(root)[1].name = typed
+        for _ in range(2):
+            selection.follow_name()
+        assert root.plgs.instances[0].name == kept
+    assert [edit.name for edit in read_edits(mine)] == ["chair", "bench.002"]

@@ -1,0 +1,99 @@
+"""Keys that act on the selected objects of a lift, and leave Blender's own objects to Blender."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import bpy
+import pytest
+from plgs.engine.corrections import read_edits
+from plgs.engine.errors import PlgsError
+from plgs.operators import pointing
+from plgs.plgs_blender import corrections, lift_scene
+from plgs.plgs_blender.inspecting.lookup import boxes_of, clouds_of
+
+CHAIR, CABINET = 1, 2
+
+
+@pytest.fixture
+def mine(lift: Path, tmp_path: Path) -> Path:
+    return Path(shutil.copytree(lift, tmp_path / "mine"))
+
+
+@pytest.fixture
+def root(mine: Path, monkeypatch: pytest.MonkeyPatch) -> bpy.types.Collection:
+    """A placed lift. Blender without a window has no area, which the keys ask for."""
+    monkeypatch.setattr(pointing.InView, "poll", classmethod(lambda cls, context: True))
+    placed = lift_scene.place_lift(mine, bpy.context.scene)
+    bpy.context.view_layer.update()
+    return placed
+
+
+def choose(active: bpy.types.Object, *selected: bpy.types.Object) -> None:
+    for ob in bpy.context.view_layer.objects:
+        ob.select_set(ob in selected)
+    bpy.context.view_layer.objects.active = active
+
+
+def own(name: str) -> bpy.types.Object:
+    ob = bpy.data.objects.new(name, bpy.data.meshes.new(name))
+    bpy.context.scene.collection.objects.link(ob)
+    bpy.context.view_layer.update()  # selected_objects has what the view layer knows to be visible
+    return ob
+
+
+def test_all_that_is_selected_is_deleted_less_what_only_a_lift_has(root: bpy.types.Collection, mine: Path) -> None:
+    own("chair 1 of mine")
+    choose(boxes_of(root)[CHAIR], *bpy.context.view_layer.objects)
+    cameras = sum(ob.type == "CAMERA" for ob in root.all_objects)
+    assert any(cloud.get("class") == "chair" for cloud in clouds_of(root)), "deleting the chair removes its cloud"
+    assert bpy.ops.plgs.delete_selected() == {"FINISHED"}
+    assert not boxes_of(root) and "chair 1 of mine" not in bpy.data.objects
+    assert [edit.kind for edit in read_edits(mine)] == ["delete", "delete"]
+    assert sum(ob.type == "CAMERA" for ob in root.all_objects) == cameras
+    assert not any(cloud.get("class") == "chair" for cloud in clouds_of(root)) and clouds_of(root)
+
+
+@pytest.mark.parametrize("shows_boxes", [True, False])
+def test_the_keys_are_blenders_where_the_chosen_object_is_not_selected(
+    root: bpy.types.Collection, shows_boxes: bool
+) -> None:
+    root.plgs.show_boxes = shows_boxes
+    cube, box = own("Cube"), boxes_of(root)[CHAIR]
+    choose(box, cube)
+    for key in (bpy.ops.plgs.delete_selected, bpy.ops.plgs.rename_selected):
+        assert not key.poll()
+    choose(box, box)
+    assert bpy.ops.plgs.delete_selected.poll() and bpy.ops.plgs.rename_selected.poll()
+    assert bpy.ops.plgs.delete_selected() == {"FINISHED"} and "Cube" in bpy.data.objects
+    assert [*boxes_of(root)] == [CABINET]
+
+
+def test_a_copy_of_a_box_is_blenders(root: bpy.types.Collection) -> None:
+    copy = boxes_of(root)[CHAIR].copy()
+    bpy.context.scene.collection.objects.link(copy)
+    choose(copy, copy)
+    assert not bpy.ops.plgs.delete_selected.poll() and not bpy.ops.plgs.rename_selected.poll()
+    choose(boxes_of(root)[CABINET], copy, boxes_of(root)[CABINET])
+    name = copy.name
+    assert bpy.ops.plgs.delete_selected() == {"FINISHED"}
+    assert [*boxes_of(root)] == [CHAIR] and name not in bpy.data.objects
+
+
+def test_what_was_deleted_before_an_error_is_shown(
+    root: bpy.types.Collection, mine: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def one_only(state: object, number: int) -> object:
+        if number == CABINET:
+            raise PlgsError("the disk is full", "corrections.json", "Make room.")
+        return delete(state, number)
+
+    delete = corrections.making.delete
+    monkeypatch.setattr(corrections.making, "delete", one_only)
+    boxes = boxes_of(root)
+    choose(boxes[CHAIR], *boxes.values(), own("Cube"))
+    with pytest.raises(RuntimeError, match="the disk is full"):
+        bpy.ops.plgs.delete_selected()
+    assert [*boxes_of(root)] == [CABINET] == [row.instance_id for row in root.plgs.instances]
+    assert "Cube" in bpy.data.objects and len(read_edits(mine)) == 1
