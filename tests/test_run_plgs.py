@@ -218,7 +218,7 @@ def test_bad_input_is_found_before_anything_is_made(
         ((scene, "-o", used, "--resume"), "diary.txt"),
         ((scene, "-o", scene / "color" / "0000.png"), "0000.png"),
         ((scene,), "-o"),
-        *((("-o", out, "--bake", "camera", "--range", text), repr(text)) for text in ("-5-10", "-10--5", "9-2", "1-")),
+        *((("-o", out, "--bake", "camera", "--range", text), repr(text)) for text in ("5--10", "9-2", "1-", "x")),
     ):
         assert exit_code(run_plgs.main, *arguments) == 2, arguments
         said = capsys.readouterr().err

@@ -31,7 +31,7 @@ def export_coco(lift: FinishedLift, output: Path) -> None:
     """See ``write_coco``. Raises PlgsError for ids that do not fit, OSError."""
     views = ((frame.name, layers.semantic, layers.instance, frame.camera) for frame, layers in lift.views())
     try:
-        write_coco(output, lift.classes, views, lift.instances.names)
+        write_coco(output, lift.classes, views, {each.id: each.name for each in lift.corrected.instances})
     except ValueError as error:
         raise PlgsError(str(error), output, "Export instances instead: they have 16 bits each.") from error
 

@@ -154,9 +154,9 @@ class BakeLocks:
             return
         try:
             yield True
-        finally:
             if not OPEN_FILES_KEEP_NAMES:  # others look whether the file that they locked still has its name
                 path.unlink(missing_ok=True)
+        finally:
             lock.__exit__()
 
     def manifest(self) -> FileLock | Lease:

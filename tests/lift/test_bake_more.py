@@ -162,9 +162,9 @@ def test_a_kill_loses_little(lift: LiftFolder, monkeypatch: pytest.MonkeyPatch) 
     listed = []
     add_files = bake_more.add_files
 
-    def add(result: Path, paths: list[Path], frames: dict[str, str]) -> None:
+    def add(result: Path, paths: list[Path], *more: Any) -> None:
         listed.append({path.stem for path in paths})
-        add_files(result, paths, frames)
+        add_files(result, paths, *more)
 
     monkeypatch.setattr(bake_more, "add_files", add)
     bake(lift, "0000", "0001")

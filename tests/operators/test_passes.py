@@ -122,8 +122,8 @@ def test_the_active_camera_is_baked_over_the_frame_range(lift: Path, baked: Aske
     baked.cameras.clear()
     assert bpy.ops.plgs.bake_camera(camera="dolly", frame_start=8, frame_end=12, frame_step=4) == {"FINISHED"}
     assert [each.name for each in baked.cameras] == ["dolly.0008", "dolly.0012"]
-    with pytest.raises(RuntimeError, match="-3 to 3 is not a range of frames"):
-        bpy.ops.plgs.bake_camera(camera="dolly", frame_start=-3, frame_end=3)
+    with pytest.raises(RuntimeError, match="3 to -3 is not a range of frames"):
+        bpy.ops.plgs.bake_camera(camera="dolly", frame_start=3, frame_end=-3)
 
 
 def test_a_job_for_a_farm_is_written_from_a_saved_file(lift: Path, tmp_path: Path) -> None:

@@ -6,6 +6,7 @@ import json
 import os
 import shutil
 import sys
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
@@ -127,7 +128,7 @@ def test_what_an_engine_made_is_there_at_the_next_import(own: Path, monkeypatch:
     count, blocks = len(positions()), len(bpy.data.meshes)
     bpy.ops.plgs.import_scene(scene_folder=place)
     assert len(positions()) == count and len(bpy.data.meshes) == blocks, "importing again replaces the cloud"
-    later = Path(place).stat().st_mtime + 100
+    later = time.time() + 100
     os.utime(place, (later, later))
     bpy.ops.plgs.import_scene(scene_folder=place)
     assert bpy.data.collections["PLGS one.sens"]["plgs_missing"] == "colour cloud", "the scene is newer"
@@ -152,7 +153,7 @@ def test_a_file_is_chosen_in_the_browser(own: Path) -> None:
     assert not clouds()
     with pytest.raises(RuntimeError, match="no such file"):
         bpy.ops.plgs.browse_scene(filepath=str(own / "nothing.json"))
-    with pytest.raises(RuntimeError, match="no scene of a known format"):
+    with pytest.raises(RuntimeError, match="no scene is in this folder"):
         bpy.ops.plgs.browse_scene(filepath=str(own))
 
 

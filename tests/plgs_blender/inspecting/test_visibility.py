@@ -25,7 +25,7 @@ def seen(root: bpy.types.Collection) -> dict[str, int]:
         for ob in clouds_of(root)
         if ob.name != "Anchors" and not ob.hide_get()
     }
-    boxes = {ob.name: 0 for ob in boxes_of(root).values() if not ob.hide_get() and not ob.hide_render}
+    boxes = {ob.name: 0 for ob in boxes_of(root).values() if not ob.hide_get()}
     return {name: count for name, count in clouds.items() if count} | boxes
 
 

@@ -52,10 +52,10 @@ def test_the_advice_about_a_running_lift(tmp_path: Path) -> None:
     [
         (
             "Lift with --frames 40 (--fit finds such a number), or with --size 320x240, or with --preset preview.",
-            "Lift with Frames 40 (Fit memory finds such a number), or with Width and Height 320x240, "
+            "Lift with Frames 40 (Fit Memory finds such a number), or with Width and Height 320x240, "
             "or with Preset preview.",
         ),
-        ("Say which one it is, such as --mask-format coco.", "Say which one it is, such as Mask format coco."),
+        ("Say which one it is, such as --mask-format coco.", "Say which one it is, such as Mask Format coco."),
         ("lift with --up -y", "lift with Up -y"),
         ("read it with --up z, or --fix OUT turns it upright", "read it with Up z, or Fix turns it upright"),
         ("/rooms/a--size 3/x--up", "/rooms/a--size 3/x--up"),
