@@ -141,6 +141,8 @@ def child_collection(
     if hidden and scene is not None:
         child.hide_render = True
         for view_layer in scene.view_layers:
+            if view_layer.layer_collection is None:  # Blender 5 makes it when the scene is shown for the first time
+                view_layer.update()
             for found in _layer_collections(view_layer.layer_collection):
                 if found.collection == child:
                     found.hide_viewport = True
