@@ -115,6 +115,10 @@ class Window:
         """
         self.run(f"bpy.ops.plgs.place_lift(lift_folder={str(lift)!r})\n{_SOLID}\n{then}")
 
+    def show_solid(self) -> None:
+        """Let 3D views show Solid shading, which a processor that stands in for a graphics card draws in time."""
+        self.run(_SOLID)
+
     # Questions and answers
 
     def ask(self, expression: str, timeout: float = 180) -> Any:

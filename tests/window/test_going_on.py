@@ -127,6 +127,7 @@ def test_the_window_never_waits_while_it_lifts(window: Window, scene: Path) -> N
     window.open_sidebar()
     window.run(f"bpy.context.scene.plgs.scene_folder = {str(scene)!r}")
     window.run("bpy.ops.plgs.import_scene()")
+    window.show_solid()
     frame = window.ask("next(each.name for each in bpy.data.objects if 'frame' in each)")
     window.run(f"bpy.data.objects['Camera'].matrix_world = bpy.data.objects[{frame!r}].matrix_world")
     window.run("bpy.data.objects['Camera'].location.z += 0.2")
