@@ -69,17 +69,17 @@ class Changes:
         signal.setitimer(signal.ITIMER_REAL, delay_s)  # nobody handles its signal: the kernel ends the process at once
 
 
-def serve(scene: Path, lift: Path) -> None:
+def serve(scene: Path, lift: Path, run: Callable[[Mapping[str, Any]], None]) -> None:
+    """Lift a scene, then ``run`` each line of standard input in a fork, which it ends."""
     import OpenEXR
 
     from engine.command_line.run_engine import run_engine
     from engine.job import LiftFolder, LiftRequest
-    from engine.lift import bake_more, run
+    from engine.lift import bake_more
+    from engine.lift import run as lifting
 
-    # Every step is a checkpoint, every baked view is kept: so there is more to be torn. A kill loses nothing that was
-    # written, synced or not.
-    run.CHECKPOINT_EVERY_S = bake_more.KEEP_EVERY_S = -1.0
-    os.fsync = lambda descriptor: None
+    # Every step is a checkpoint, every baked view is kept: so there is more to be torn.
+    lifting.CHECKPOINT_EVERY_S = bake_more.KEEP_EVERY_S = -1.0
     answers = os.fdopen(os.dup(1), "w", buffering=1)
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
     request = LiftRequest(scene=scene, options={"steps": 2, "warm_start": False})
@@ -89,7 +89,7 @@ def serve(scene: Path, lift: Path) -> None:
     for line in sys.stdin:
         child = os.fork()
         if child == 0:
-            run_forked(json.loads(line))
+            run(json.loads(line))
         answers.write(f"{os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])}\n")
 
 
@@ -117,4 +117,5 @@ def run_forked(asked: Mapping[str, Any]) -> None:
 
 
 if __name__ == "__main__":
-    serve(Path(sys.argv[1]), Path(sys.argv[2]))
+    os.fsync = lambda descriptor: None  # a kill loses nothing that was written, synced or not
+    serve(Path(sys.argv[1]), Path(sys.argv[2]), run_forked)
