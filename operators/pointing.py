@@ -87,7 +87,7 @@ class PLGS_OT_point_at(InView, bpy.types.Operator):
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         picked = picking.what_is_under(context, (event.mouse_region_x, event.mouse_region_y))
-        now = [picked.instance] if picked is not None and picked.instance else []
+        now = [(picked.root.session_uid, picked.instance)] if picked is not None and picked.instance else []
         if now != hovered:
             hovered[:] = now
             context.area.tag_redraw()

@@ -13,8 +13,9 @@ from .selection import selected_instance
 from .text_boxes import Rectangle, TextBox, ViewRegion, label_text_boxes
 from .visibility import instances_left_out
 
-hovered: list[int] = []
-"""The instance that the mouse is over, for its name; at most one. One Blender has one mouse."""
+hovered: list[tuple[int, int]] = []
+"""The instance that the mouse is over, for its name, after the session uid of its lift's collection; at most one. One
+Blender has one mouse."""
 
 
 @dataclass(frozen=True)
@@ -95,7 +96,8 @@ def _names(context: bpy.types.Context, root: bpy.types.Collection, region: ViewR
         across, up = zip(*polygon, strict=True)
         free.append((min(across), min(up), max(across), max(up)))
     active = selected_instance(root, context.view_layer.objects.active)
-    return label_text_boxes(root.plgs.instances, boxes, active, region, hovered[0] if hovered else 0, free)
+    under = next((instance for lift, instance in hovered if lift == root.session_uid), 0)
+    return label_text_boxes(root.plgs.instances, boxes, active, region, under, free)
 
 
 def _shown_boxes(context: bpy.types.Context, root: bpy.types.Collection) -> dict[int, bpy.types.Object]:

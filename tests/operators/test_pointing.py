@@ -81,9 +81,10 @@ def test_a_copy_of_a_box_is_blenders(root: bpy.types.Collection) -> None:
     assert [*boxes_of(root)] == [CHAIR] and name not in bpy.data.objects
 
 
-def test_what_was_deleted_before_an_error_is_shown(
-    root: bpy.types.Collection, mine: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+@pytest.fixture
+def cabinet_stays(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The disk is full when the cabinet is deleted."""
+
     def one_only(state: object, number: int) -> object:
         if number == CABINET:
             raise PlgsError("the disk is full", "corrections.json", "Make room.")
@@ -91,9 +92,32 @@ def test_what_was_deleted_before_an_error_is_shown(
 
     delete = corrections.making.delete
     monkeypatch.setattr(corrections.making, "delete", one_only)
+
+
+def test_what_was_deleted_before_an_error_is_shown(
+    root: bpy.types.Collection, mine: Path, cabinet_stays: None
+) -> None:
     boxes = boxes_of(root)
     choose(boxes[CHAIR], *boxes.values(), own("Cube"))
     with pytest.raises(RuntimeError, match="the disk is full"):
         bpy.ops.plgs.delete_selected()
     assert [*boxes_of(root)] == [CABINET] == [row.instance_id for row in root.plgs.instances]
     assert "Cube" in bpy.data.objects and len(read_edits(mine)) == 1
+
+
+@pytest.mark.parametrize("chosen", [(CHAIR, CABINET), (CABINET,)])
+def test_undo_takes_back_what_was_deleted_before_an_error_and_nothing_else(
+    root: bpy.types.Collection, mine: Path, cabinet_stays: None, chosen: tuple[int, ...]
+) -> None:
+    bpy.ops.ed.undo_push(message="placed")
+    name, own_name = root.name, own("Cube").name
+    bpy.ops.ed.undo_push(message="cube")
+    boxes = boxes_of(root)
+    choose(boxes[chosen[0]], *(boxes[number] for number in chosen))
+    with pytest.raises(RuntimeError, match="the disk is full"):
+        bpy.ops.plgs.delete_selected("EXEC_DEFAULT", True)  # with its undo step, as a key's
+    bpy.ops.ed.undo()
+    assert sorted(boxes_of(bpy.data.collections[name])) == [CHAIR, CABINET]
+    assert all(edit.undone for edit in read_edits(mine)) and len(read_edits(mine)) == len(chosen) - 1
+    is_own_step = len(chosen) == 1  # nothing was deleted, so that undo takes back the step before it
+    assert (own_name in bpy.data.objects) != is_own_step

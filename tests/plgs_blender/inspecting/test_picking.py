@@ -12,8 +12,9 @@ from mathutils import Matrix, Vector
 from plgs.plgs_blender import lift_scene
 from plgs.plgs_blender.inspecting import names, picking, visibility
 from plgs.plgs_blender.inspecting.lookup import boxes_of
-from plgs.plgs_blender.inspecting.text_boxes import ViewRegion, label_text_boxes
-from tiny_scene import CABINET_ID, CHAIR_ID, tiny_intrinsics, trace_view
+from plgs.plgs_blender.inspecting.text_boxes import TextBox, ViewRegion, label_text_boxes
+from tiny_lift import write_tiny_lift
+from tiny_scene import CABINET_ID, CHAIR_ID, tiny_intrinsics, trace_view, write_tiny_scene
 
 SIZE = (480, 300)
 
@@ -95,14 +96,19 @@ def counted(monkeypatch: pytest.MonkeyPatch, module: object, name: str) -> list[
     return calls
 
 
-def test_a_view_finds_its_names_once_when_it_is_drawn(
-    root: bpy.types.Collection, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    seen, lists = Seen(middle(root, 1) + Vector((1.5, 1.5, 3.0)), middle(root, 1)), root.plgs
-    region = ViewRegion(*SIZE, 0, seen.window_matrix @ seen.view_matrix, 1.0)
+def drawn_from(root: bpy.types.Collection, aside: Vector) -> tuple[SimpleNamespace, ViewRegion]:
+    """The context of a view that looks at the first object from beside it, and the view's region."""
+    seen = Seen(middle(root, 1) + aside, middle(root, 1))
     view = SimpleNamespace(overlay=SimpleNamespace(show_overlays=True), region_3d=SimpleNamespace(view_perspective=""))
     area = SimpleNamespace(as_pointer=lambda: 1)
     context = SimpleNamespace(space_data=view, region=area, view_layer=bpy.context.view_layer)
+    return context, ViewRegion(*SIZE, 0, seen.window_matrix @ seen.view_matrix, 1.0)
+
+
+def test_a_view_finds_its_names_once_when_it_is_drawn(
+    root: bpy.types.Collection, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    context, region, lists = *drawn_from(root, Vector((1.5, 1.5, 3.0))), root.plgs
     lists.show_labels, lists.show_boxes = True, False
     calls = counted(monkeypatch, visibility, "left_out")
     drawn = names.names_to_draw(context, root, region)
@@ -112,8 +118,25 @@ def test_a_view_finds_its_names_once_when_it_is_drawn(
     assert len(names.names_to_draw(context, root, region)) == len(names.shown_names(context, root, region)) == 1
     wider = ViewRegion(2 * SIZE[0], *SIZE[1:], 0, region.perspective, 1.0)
     assert names.shown_names(context, root, wider) != names.shown_names(context, root, region)
-    view.overlay.show_overlays = False
+    context.space_data.overlay.show_overlays = False
     assert names.shown_names(context, root, region) == []
+
+
+def test_the_mouse_lights_the_name_of_one_lift(root: bpy.types.Collection, lift: Path, tmp_path: Path) -> None:
+    """Objects of two lifts in one file have the same numbers."""
+    scene = write_tiny_scene(tmp_path / "other room", frames=4, size=(64, 48))
+    other = lift_scene.place_lift(write_tiny_lift(tmp_path / "lift", scene, bake=False).path, bpy.context.scene)
+    context, region = drawn_from(root, Vector((1.5, 1.5, 3.0)))
+    root.plgs.show_boxes = other.plgs.show_boxes = False
+    for under, beside in ((root, other), (other, root)):
+        names.hovered[:] = [(under.session_uid, 1)]
+        lit, dull = (opacities(names.names_to_draw(context, each, region)) for each in (under, beside))
+        assert lit[1] > lit[2] == dull[1] == dull[2]
+    names.forget()
+
+
+def opacities(drawn: list[TextBox]) -> dict[int, float]:
+    return {each.instance: each.opacity for each in drawn}
 
 
 def test_points_are_placed_once_for_each_of_several_lifts(
