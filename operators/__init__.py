@@ -6,9 +6,9 @@ All of them work from a script with the same arguments as from their buttons.
 from __future__ import annotations
 
 from ..plgs_blender.registration import register_modules, unregister_modules
-from . import corrections, diagnose, engine, export, inspect, lift, masks, passes, pointing, reuse, scene
+from . import corrections, diagnose, engine, export, inspect, lift, masks, passes, pointing, proposals, reuse, scene
 
-_MODULES = (engine, lift, passes, scene, masks, diagnose, inspect, corrections, export, reuse, pointing)
+_MODULES = (engine, lift, passes, scene, masks, diagnose, inspect, corrections, proposals, export, reuse, pointing)
 
 
 def register() -> None:

@@ -7,7 +7,8 @@ from typing import Any
 import bpy
 from bpy.props import BoolProperty
 
-from ..plgs_blender.corrections import CUT, delete_around
+from ..plgs_blender.corrections import delete_around
+from ..plgs_blender.cutting import CUT
 from ..plgs_blender.errors import EXPECTED, one_line, plural, with_field_names
 from ..plgs_blender.inspecting import picking, selection
 from ..plgs_blender.inspecting.lookup import objects_by_key

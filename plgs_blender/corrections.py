@@ -6,38 +6,26 @@ handlers here update the file. They never touch the edits of other programs.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Sequence
-from dataclasses import asdict
 from functools import partial
-from pathlib import Path
 
 import bpy
 import numpy as np
-from mathutils import Matrix, Vector
 from numpy.typing import NDArray
 
 from ..engine.corrections import (
     BY_VIEWS,
     CorrectedResult,
     Edit,
-    Proposal,
-    Proposals,
     class_of_parts,
     correct,
-    entropy_of_views,
     making,
-    proposals_of,
-    read_corrected,
     read_edits,
     set_undone,
     undo,
 )
 from ..engine.corrections.replay import Replay
 from ..engine.errors import PlgsError
-from ..engine.job import LiftFolder
-from ..engine.job.report import doubt_of_frames, read_metrics
-from ..engine.known_scene import known_scene
 from ..engine.posed import ClassTable
 from ..engine.result_files import INSTANCES, read_instances
 from .boxes import INSTANCE, name_box, place_boxes
@@ -45,27 +33,16 @@ from .clouds import place_anchors, place_semantic_points
 from .errors import EXPECTED, with_field_names
 from .inspecting.lists import fill_lists
 from .inspecting.lookup import boxes_of, objects_by_key, row_of
-from .inspecting.selection import deselect_all, renaming, select_instance, selected_instances
-from .lift_collection import FOLDER, child_collection, lifts_in
+from .inspecting.selection import renaming, select_instance, selected_instances
+from .lift_collection import FOLDER, child_collection, folder_of, lifts_in
 from .meshes import CORRECTIONS
 from .owned import LIFT, OwnedDataBlocks, text_of
-from .paths import absolute
+from .proposals import PROPOSALS, keep_proposals, proposal_of
 from .results import LiftResult
 from .surfaces import SurfaceGrid
-from .viewport import show_gizmos
 
 EDITS = "plgs_edits"
 """Property of a lift's collection: the uids of the edits that the scene shows, in one text."""
-PROPOSALS = "plgs_proposals"
-"""Property of a lift's collection: what may be wrong with it, JSON."""
-VISITED = "plgs_visited"
-"""Property of a lift's collection: the uncertain frames that were viewed, one per line."""
-CUT = "cut"
-"""Key of the plane that splits an object."""
-_GIZMOS = "plgs_gizmos"
-"""Property of the plane: whether the views show the arrows that move it only because of it."""
-_CUT_LARGER = 1.2
-"""How many times larger than the object the plane is."""
 
 _mine: dict[str, set[str]] = {}
 """By lift folder: the uids of the edits that this Blender made since it was started."""
@@ -75,11 +52,6 @@ failed: list[str] = []
 Make = Callable[[Replay, int], Edit]
 Choose = Callable[[NDArray[np.float32]], NDArray[np.bool_]]
 """Maps points [N, 3] to whether each is chosen, bool [N]."""
-
-
-def folder_of(root: bpy.types.Collection) -> Path:
-    """The folder of a placed lift."""
-    return absolute(text_of(root, FOLDER))
 
 
 def edit(root: bpy.types.Collection, make: Make) -> Edit:
@@ -127,35 +99,7 @@ def show_corrections(root: bpy.types.Collection, result: CorrectedResult) -> Non
         select_instance(root, active, layer)
     remember(root, result)
     if text_of(root, PROPOSALS):
-        _keep_proposals(root, result)
-
-
-def propose(root: bpy.types.Collection) -> Proposals:
-    """Look for what may be wrong with a placed lift, and keep it for the panel. Raises PlgsError."""
-    return _keep_proposals(root, read_corrected(folder_of(root)))
-
-
-def _keep_proposals(root: bpy.types.Collection, result: CorrectedResult) -> Proposals:
-    found = proposals_of(result)
-    root[PROPOSALS] = json.dumps({"open": [asdict(one) for one in found.open], "progress": found.progress})
-    return found
-
-
-def kept_proposals(root: bpy.types.Collection) -> tuple[list[Proposal], str]:
-    """What `propose` found, less what was answered since, and the user's progress ("" before `propose`)."""
-    try:
-        content = json.loads(text_of(root, PROPOSALS) or "{}")
-        return [Proposal(**one) for one in content.get("open", ())], str(content.get("progress", ""))
-    except (ValueError, TypeError, AttributeError):  # a file may come from somebody else
-        return [], ""
-
-
-def proposal_of(root: bpy.types.Collection, instance: int) -> Proposal:
-    """The proposal for an object, the most doubtful one where ``instance`` is 0. Raises PlgsError."""
-    for one in kept_proposals(root)[0]:
-        if instance in (0, one.instance):
-            return one
-    raise PlgsError("nothing is proposed", root.name, "Press What May Be Wrong?, or look at another object.")
+        keep_proposals(root, result)
 
 
 def answer(root: bpy.types.Collection, instance: int, *, keep: bool) -> Edit:
@@ -174,24 +118,6 @@ def answer(root: bpy.types.Collection, instance: int, *, keep: bool) -> Edit:
     if one.answer == BY_VIEWS:
         raise PlgsError("an engine has to read the masks", root.name, "Press Split by Views.")
     return delete(root, one.instance, around=True)
-
-
-def next_uncertain(root: bpy.types.Collection) -> tuple[str, int, int]:
-    """The unvisited frame of the most doubt, how many frames are then visited, and of how many. After the last
-    frame it starts again. Raises PlgsError."""
-    folder = LiftFolder.open(folder_of(root))
-    frames = known_scene(folder).frames
-    drawn = doubt_of_frames(read_metrics(folder)) if (folder.result_path / "metrics.json").is_file() else {}
-    points = entropy_of_views(read_corrected(folder.path).points, [frame.camera for frame in frames])
-    # Frames that were not drawn when the lift was scored come last, by the points that they see.
-    order = sorted(range(len(frames)), key=lambda number: (-drawn.get(frames[number].name, -1.0), -points[number]))
-    ranked = [frames[number].name for number in order]
-    visited = set(text_of(root, VISITED).split("\n")).intersection(ranked)
-    if len(visited) == len(ranked):
-        visited = set()
-    chosen = next(name for name in ranked if name not in visited)
-    root[VISITED] = "\n".join(sorted({*visited, chosen}))
-    return chosen, len(visited) + 1, len(ranked)
 
 
 def remember(root: bpy.types.Collection, result: LiftResult | CorrectedResult) -> None:
@@ -239,46 +165,6 @@ def _classes_of(root: bpy.types.Collection) -> ClassTable:
     return read_instances(folder_of(root) / "result" / INSTANCES)[0]
 
 
-def place_cut(root: bpy.types.Collection, instance: int) -> bpy.types.Object:
-    """Put an upright plane through the middle of an object's box, across its longest side, for the user to drag. Raises
-    PlgsError."""
-    box = boxes_of(root).get(row_of(root, instance).instance_id)
-    if box is None:
-        raise PlgsError("its box is gone", root.name, "Show the lift's result again.")
-    owned = OwnedDataBlocks(root[LIFT], bpy.context.scene)
-    mesh = owned.data(CUT, lambda: bpy.data.meshes.new("Cut"))
-    size = [side * _CUT_LARGER / 2.0 for side in box["size"]]
-    axis = int(np.argmax(size[:2]))
-    across, up = size[1 - axis], size[2]
-    mesh.clear_geometry()
-    mesh.from_pydata([(-across, -up, 0), (across, -up, 0), (across, up, 0), (-across, up, 0)], [], [(0, 1, 2, 3)])
-    plane = owned.object(CUT, "Cut", mesh, root)
-    normal, upward = Vector((1.0 - axis, float(axis), 0.0)), Vector((0.0, 0.0, 1.0))
-    axes = Matrix((upward.cross(normal), upward, normal)).transposed().to_4x4()
-    turned = box.matrix_world.to_3x3().normalized().to_4x4()
-    plane.matrix_world = Matrix.Translation(box.matrix_world.translation) @ turned @ axes
-    plane.display_type, plane.hide_render = "WIRE", True
-    plane.show_in_front = True
-    deselect_all(bpy.context.view_layer)
-    plane.select_set(True)
-    bpy.context.view_layer.objects.active = plane
-    plane[_GIZMOS] = show_gizmos(bpy.context.scene, True)
-    return plane
-
-
-def split_by_cut(root: bpy.types.Collection, instance: int) -> Edit:
-    """Split an object by the plane that `place_cut` placed, which is then taken away. Raises PlgsError."""
-    plane = objects_by_key(root).get(CUT)
-    if plane is None:
-        raise PlgsError("there is no cutting plane", root.name, "Press Add Cutting Plane, then drag the plane.")
-    normal = (plane.matrix_world.to_3x3() @ Vector((0.0, 0.0, 1.0))).normalized()
-    made = split_plane(root, instance, plane.matrix_world.translation[:], normal[:])
-    if plane.get(_GIZMOS):
-        show_gizmos(bpy.context.scene, False)
-    bpy.data.objects.remove(objects_by_key(root)[CUT])
-    return made
-
-
 def rename(root: bpy.types.Collection, instance: int, name: str) -> Edit:
     """Rename an object. Only its row and its box change, as it may be their field that renames it. Raises PlgsError,
     OSError, as all edits here do."""
@@ -290,7 +176,7 @@ def rename(root: bpy.types.Collection, instance: int, name: str) -> Edit:
         name_box(box, made.name)
     remember(root, result)
     if text_of(root, PROPOSALS):
-        _keep_proposals(root, result)
+        keep_proposals(root, result)
     return made
 
 

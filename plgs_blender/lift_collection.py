@@ -11,6 +11,7 @@ import bpy
 
 from ..engine.errors import PlgsError
 from .owned import KEY, LIFT, key_of, tag, text_of
+from .paths import absolute
 
 FOLDER, SCENE = "plgs_lift_folder", "plgs_scene_folder"
 """Properties of a lift's collection: the folder of the lift, and that of the scene it was made from. The first is empty
@@ -33,6 +34,11 @@ def lift_of_scene(scene_folder: Path, scene: bpy.types.Scene) -> Path | None:
         if root.get(FOLDER) and is_same_place(root.get(SCENE, ""), scene_folder):
             return Path(bpy.path.abspath(root[FOLDER])).resolve()
     return None
+
+
+def folder_of(root: bpy.types.Collection) -> Path:
+    """The folder of a placed lift."""
+    return absolute(text_of(root, FOLDER))
 
 
 def overview_of(root: bpy.types.Collection) -> bpy.types.Object | None:

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 
 import bpy
 import numpy as np
 from numpy.typing import NDArray
 
+from ..engine.corrections import read_corrected
 from ..engine.errors import PlgsError
 from .inspecting.drawing import draw_mark, draw_outline
 from .inspecting.highlight import Highlight, mark_of
@@ -46,6 +48,11 @@ class Painting:
     def of(cls, xyz: NDArray[np.float32]) -> Painting:
         """Nothing is painted yet."""
         return cls(xyz, np.zeros(len(xyz), bool))
+
+    @classmethod
+    def of_lift(cls, folder: Path) -> Painting:
+        """The same, on the points of the lift in a folder. Raises PlgsError."""
+        return cls.of(read_corrected(folder).points.xyz)
 
     def press(self, place: Place, *, is_box: bool, is_eraser: bool) -> None:
         self.places, self.is_box, self.is_eraser = [place], is_box, is_eraser

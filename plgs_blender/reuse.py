@@ -19,10 +19,10 @@ from ..engine.corrections import read_corrected
 from ..engine.errors import PlgsError
 from ..engine.result_files import Instance
 from .compat import add_keys, new_point_cloud
-from .corrections import folder_of
 from .inspecting.lists import registered
 from .inspecting.lookup import boxes_of, clouds_of, ids_of, is_box, surfaces_of
 from .inspecting.visibility import HIDDEN, apply_visibility
+from .lift_collection import folder_of
 from .materials import object_colour, surface_material
 from .owned import LIFT, OwnedDataBlocks, text_of, untag
 from .timeline import places_of

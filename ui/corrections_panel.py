@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import bpy
 
-from ..plgs_blender import corrections
+from ..plgs_blender import corrections, proposals
 from ..plgs_blender.errors import EXPECTED, one_line, plural
 from ..plgs_blender.inspecting.lookup import active_lift, chosen_row
 from ..plgs_blender.running.splitting import SplitByViews
@@ -59,10 +59,10 @@ class PLGS_PT_corrections(OfResult, bpy.types.Panel):
 
 def _draw_proposals(layout: bpy.types.UILayout, root: bpy.types.Collection) -> None:
     """The most doubtful objects, each with its reason and its one-press answers."""
-    proposals, progress = corrections.kept_proposals(root)
+    found, progress = proposals.kept_proposals(root)
     layout.operator("plgs.propose_corrections", text=one_line(progress) or "What May Be Wrong?", icon="VIEWZOOM")
     layout.operator("plgs.next_uncertain_frame", icon="CAMERA_DATA")
-    for one in proposals[:_SHOWN]:
+    for one in found[:_SHOWN]:
         box = layout.box().column(align=True)
         look = box.operator("plgs.go_to_proposal", text=one_line(f"{one.name}: {one.reason}"), emboss=False)
         row = box.row(align=True)

@@ -11,7 +11,7 @@ from typing import Any
 import bpy
 
 from ..plgs_blender import painting
-from ..plgs_blender.corrections import CUT
+from ..plgs_blender.cutting import CUT
 from ..plgs_blender.frame_pictures import MASKS
 from ..plgs_blender.frames import SHOWN
 from ..plgs_blender.inspecting import highlight, names

@@ -7,9 +7,10 @@ from typing import Any
 
 import bpy
 
+from ...engine.corrections import read_corrected
 from ...engine.job.follower import TaskFollower
 from .. import corrections, engine_environment
-from ..lift_collection import FOLDER, is_same_place, lifts_in
+from ..lift_collection import FOLDER, folder_of, is_same_place, lifts_in
 from ..owned import text_of
 from ..tasks import registry, timer
 from ..tasks.registry import Task, start_engine
@@ -36,7 +37,7 @@ class SplitByViews(Task):
         shown = [root for root in every if is_same_place(text_of(root, FOLDER), self._lift)]
         if not shown:
             return
-        result = corrections.read_corrected(self._lift)
+        result = read_corrected(self._lift)
         for root in shown:
             corrections.show_edit(root, str(self.answer["uid"]), result)
         self.undo_step = "Split by Views"
@@ -45,6 +46,6 @@ class SplitByViews(Task):
 def split_by_views(root: bpy.types.Collection, instance: int) -> SplitByViews:
     """Start to split an object of a placed lift into the parts that the masks separate. Raises PlgsError, OSError."""
     registry.refuse_second(SplitByViews)
-    lift, python = corrections.folder_of(root), engine_environment.usable_python()
+    lift, python = folder_of(root), engine_environment.usable_python()
     follower = start_engine("correct", python, lift, "split", str(instance), "--views")
     return timer.begin(SplitByViews(lift, follower))

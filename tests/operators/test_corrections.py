@@ -17,7 +17,7 @@ from plgs.engine.errors import PlgsError
 from plgs.engine.job import LiftFolder
 from plgs.engine.result_files import write_arrays
 from plgs.engine.scene_of_lift import scene_of_lift
-from plgs.plgs_blender import corrections, engine_environment, lift_scene
+from plgs.plgs_blender import corrections, engine_environment, lift_scene, proposals
 from plgs.plgs_blender.inspecting.lookup import boxes_of, clouds_of, ids_of
 from plgs.plgs_blender.lift_collection import lifts_in
 from plgs.plgs_blender.painting import Painting, painted
@@ -206,17 +206,17 @@ def test_proposals_are_answered_one_by_one(root: bpy.types.Collection, mine: Pat
     with pytest.raises(RuntimeError, match="nothing is proposed"):
         bpy.ops.plgs.answer_proposal()
     assert bpy.ops.plgs.propose_corrections() == {"FINISHED"}
-    (one,), progress = corrections.kept_proposals(root)
+    (one,), progress = proposals.kept_proposals(root)
     assert (one.instance, one.answer, progress) == (CABINET, "reclass", "0 of 2 looked at")
     assert bpy.ops.plgs.go_to_proposal() == {"FINISHED"}
     assert bpy.context.view_layer.objects.active == boxes_of(root)[CABINET]
     bpy.ops.plgs.answer_proposal(instance=CABINET)
     assert {row.class_name for row in root.plgs.instances} == {"chair"}
-    assert corrections.kept_proposals(root) == ([], "1 of 2 looked at")
+    assert proposals.kept_proposals(root) == ([], "1 of 2 looked at")
     bpy.ops.plgs.undo_correction()
     bpy.ops.plgs.answer_proposal(keep=True)
     assert [row.class_name for row in root.plgs.instances] == ["chair", "cabinet"]
-    assert corrections.kept_proposals(root) == ([], "1 of 2 looked at")
+    assert proposals.kept_proposals(root) == ([], "1 of 2 looked at")
 
 
 @pytest.mark.skipif(find_spec("torch") is None, reason="the engine runs in another Python")
@@ -230,10 +230,10 @@ def test_the_masks_answer_a_proposal(lift: Path, tmp_path: Path, monkeypatch: py
         one["segments"] = [{**each, "pixels": 100} for each in one["segments"] for _ in range(1 + (one["id"] == CHAIR))]
     path.write_text(json.dumps(content))
     bpy.ops.plgs.propose_corrections()
-    assert {one.instance: one.answer for one in corrections.kept_proposals(root)[0]} == {CHAIR: corrections.BY_VIEWS}
+    assert {one.instance: one.answer for one in proposals.kept_proposals(root)[0]} == {CHAIR: corrections.BY_VIEWS}
     with pytest.raises(RuntimeError, match="does not fall into parts"):  # the masks know better
         bpy.ops.plgs.answer_proposal()
-    assert bpy.ops.plgs.answer_proposal(keep=True) == {"FINISHED"} and not corrections.kept_proposals(root)[0]
+    assert bpy.ops.plgs.answer_proposal(keep=True) == {"FINISHED"} and not proposals.kept_proposals(root)[0]
     registry.forget_all()
 
 
