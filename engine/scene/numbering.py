@@ -1,5 +1,7 @@
 """Which numbering of a table masks have: told by what is in them, else the networks' own, and a warning says so.
 
+A warning also tells where the numbers look far more like those of another table than of the named one.
+
 ADE20K counts from 0 in networks and from 1 in its own files; COCO's 80 things are 0 to 79, or 1 to 90 with gaps;
 detectron2 may number COCO's stuff apart from its things. ScanNet's files have its raw ids, NYU40's or NYU13's numbers:
 masks that look like another of these than the named one are refused. The numbers of a ground truth are told likewise.
@@ -8,7 +10,7 @@ masks that look like another of these than the named one are refused. The number
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -17,7 +19,7 @@ import numpy as np
 from ..errors import PlgsError
 from ..posed.layout import listed
 from .class_choice import FILE_NAME, ClassChoice
-from .class_tables import base_of, known_table, numberings_of
+from .class_tables import TABLES, base_of, known_table, numberings_of
 from .frame_choice import evenly_spread
 from .mask_formats import MaskSource
 from .noted import Inferred
@@ -30,6 +32,9 @@ _USUAL = {
     "nyu40": _ROOM,
     "nyu13": _ROOM,
     "scannet": _ROOM,
+    "scannet200": _ROOM,
+    "replica": _ROOM,
+    "reduced": _ROOM,
     "cityscapes": {"road", "sidewalk", "building", "vegetation", "sky", "car"},
     "coco": {
         "chair", "couch", "bed", "dining table", "toilet", "sink", "refrigerator",
@@ -44,6 +49,16 @@ _ENOUGH, _TIMES, _SEEN = 0.05, 2.0, 0.01
 has the third share counts once more: walls alone are less than walls and a floor."""
 _SKY = 0.01
 """A share of sky with which a scene is no room, so it may lack wall and floor."""
+_SKIES = {"sky", "sky-other-merged"}
+_HEIGHTS = {
+    **dict.fromkeys(_SKIES, (2 / 3, 1.0)), **dict.fromkeys(("ceiling", "ceiling-merged"), (0.4, 1.0)),
+    **dict.fromkeys(("floor", "floor-other-merged", "floor-wood", "road"), (0.0, 0.6)),
+}  # fmt: skip
+"""How much of these classes lies in the upper halves of pictures: in the sample 13 % of the floor, all of the ceiling.
+A floor that is read as sky, or a sofa as ceiling, is neither."""
+_OTHER_TABLE = 0.2
+"""Masks look like another table than the named one if this share is usual there, and more than a third of the classes
+that are, or more than two: two of wall, floor and ceiling."""
 _PANOPTIC = {"coco", "ade20k", "cityscapes"}
 """Tables whose data sets say which classes are things. In others this is a matter of taste."""
 _KIND = {True: "a thing", False: "stuff"}
@@ -67,6 +82,23 @@ class Asking:
     def advice(self, *tables: str) -> str:
         """What to do to name one of the tables."""
         return self.how.format(" or ".join(map(self.table.format, tables)))
+
+
+@dataclass(frozen=True)
+class _Shown:
+    """What some frames show: the share of each number in their pixels, and how much of it is in the upper halves."""
+
+    shares: Mapping[int, float]
+    upper: Mapping[int, float]
+
+    def share(self, reading: _Reading, names: set[str]) -> float:
+        """The share of the pixels with a class of these ``names``, at a height where such a class is seen."""
+        labels = (label for label in known_table(reading.table).labels if label.name in names)
+        heights = ((label.id, *_HEIGHTS.get(label.name, (0.0, 1.0))) for label in labels if label.id in self.shares)
+        return sum(self.shares[number] for number, least, most in heights if least <= self.upper[number] <= most)
+
+    def without(self, numbers: set[int]) -> _Shown:
+        return _Shown({number: share for number, share in self.shares.items() if number not in numbers}, self.upper)
 
 
 @dataclass(frozen=True)
@@ -103,7 +135,8 @@ def numbered(
         raise PlgsError(what, where, _CONTRADICTED, option="--classes")
     like = _tables_like(choice.table) if choice.table in _ALIKE else ()
     alike = [_Reading(source, each, each) for table in like for each in numberings_of(table)]
-    chosen, reason, fitting = _told([*(agreeing or [usual]), *alike], choice)
+    shown = _shown(source, choice)
+    chosen, reason, fitting = _told([*(agreeing or [usual]), *alike], choice, shown)
     if chosen in alike:
         others = [each.table for each in fitting if each is not chosen]
         what = f"{asking.whose} numbers look like {chosen.table}, not {choice.table}: {reason or 'it has all of them'}"
@@ -114,6 +147,12 @@ def numbered(
     is_doubtful = chosen is not usual or reason is None
     is_told = is_doubtful or len(readings) > 1 or bool(alike)
     inferred = (_inferred(chosen, others, reason, is_doubtful, asking),) if is_told else ()
+    likelier = _other_tables(chosen, choice, shown) if chosen.source is source else []
+    if likelier:
+        looks = f"{asking.whose} numbers are read as {chosen.what}, but look like {' or '.join(likelier)}"
+        best = _Reading(source, likelier[0], likelier[0])
+        why = f"{_compared(best, [chosen], shown)}; if that is right, {asking.advice(*likelier)}"
+        inferred = (Inferred("numbering", looks, why),)
     return chosen.source, replace(choice, table=chosen.table), inferred
 
 
@@ -163,78 +202,94 @@ def _disagreements(reading: _Reading, choice: ClassChoice, is_known: bool = Fals
     return wrong if is_strict or len(wrong) > len(kinds) / 2 else []
 
 
-def _told(readings: list[_Reading], choice: ClassChoice) -> tuple[_Reading, str | None, list[_Reading]]:
+def _other_tables(chosen: _Reading, choice: ClassChoice, shown: _Shown) -> list[str]:
+    """The other tables or numberings that indoor masks look most like, although the chosen one was named."""
+    if shown.share(chosen, _SKIES) >= _SKY:
+        return []
+    likeness: dict[str, float] = {}
+    for table in (each for base in TABLES for each in numberings_of(base)):
+        other = _Reading(chosen.source, table, table)
+        if _unknown(other, shown, choice) or _disagreements(other, choice):
+            continue
+        seen, share = _seen(other, shown), _usual(other, shown)
+        is_usual = seen > min(2, len(_USUAL[_base(other)]) / 3) and share >= _OTHER_TABLE
+        is_street, has_sky = _base(other) == "cityscapes", shown.share(other, _SKIES) >= _SKY
+        if is_usual and is_street == has_sky and _is_likelier(other, chosen, shown):
+            likeness[table] = seen * share
+    return [table for table, measure in likeness.items() if measure == max(likeness.values())]
+
+
+def _told(readings: list[_Reading], choice: ClassChoice, shown: _Shown) -> tuple[_Reading, str | None, list[_Reading]]:
     """The reading that the masks tell, the reason, and all that fit; no reason if nothing tells it from the others."""
     if len(readings) == 1:
         return readings[0], "this alone fits what is a thing in the files", readings
-    shares = _shares(readings[0].source, choice)
-    fitting = [each for each in readings if not _unknown(each, shares, choice)]
-    if not shares or not fitting:
+    fitting = [each for each in readings if not _unknown(each, shown, choice)]
+    if not shown.shares or not fitting:
         return readings[0], "no other fits", readings
     if len(fitting) == 1:
-        numbers = sorted({number for each in readings for number in _unknown(each, shares, choice)})
+        numbers = sorted({number for each in readings for number in _unknown(each, shown, choice)})
         return fitting[0], f"this alone has the numbers {listed(numbers, 3)}", fitting
-    is_indoors = _share(shares, fitting[0], {"sky"}) < _SKY
+    is_indoors = shown.share(fitting[0], _SKIES) < _SKY
     for best in fitting if is_indoors else fitting[:1]:
         others = [each for each in fitting if each is not best]
-        if all(_is_likelier(best, other, shares) for other in others):
-            names, most = listed(sorted(_USUAL[_base(best)]), 3), max(_usual(each, shares) for each in others)
-            told = f"{_usual(best, shares):.0%} of the pixels are then {names}, and {most:.0%} otherwise"
-            return best, told, fitting
+        if all(_is_likelier(best, other, shown) for other in others):
+            return best, _compared(best, others, shown), fitting
     return fitting[0], None, fitting
 
 
-def _is_likelier(one: _Reading, other: _Reading, shares: Mapping[int, float]) -> bool:
+def _compared(best: _Reading, others: list[_Reading], shown: _Shown) -> str:
+    names, most = listed(sorted(_USUAL[_base(best)]), 3), max(_usual(each, shown) for each in others)
+    return f"{_usual(best, shown):.0%} of the pixels are then {names}, and {most:.0%} otherwise"
+
+
+def _is_likelier(one: _Reading, other: _Reading, shown: _Shown) -> bool:
     """Whether the numbers that mean different classes in the two readings speak for the first."""
     names, others = _names(one), _names(other)
-    telling = {number: share for number, share in shares.items() if names.get(number) != others.get(number)}
+    telling = shown.without({number for number in shown.shares if names.get(number) == others.get(number)})
     own = _usual(one, telling)
     return own >= _ENOUGH and own * _seen(one, telling) >= _TIMES * _usual(other, telling) * _seen(other, telling)
 
 
-def _usual(reading: _Reading, shares: Mapping[int, float]) -> float:
+def _usual(reading: _Reading, shown: _Shown) -> float:
     """The share of the pixels with a class that frames of this table show nearly always."""
-    return _share(shares, reading, _USUAL[_base(reading)])
+    return shown.share(reading, _USUAL[_base(reading)])
 
 
-def _seen(reading: _Reading, shares: Mapping[int, float]) -> int:
+def _seen(reading: _Reading, shown: _Shown) -> int:
     """How many of these classes are seen."""
-    return sum(_share(shares, reading, {name}) >= _SEEN for name in _USUAL[_base(reading)])
+    return sum(shown.share(reading, {name}) >= _SEEN for name in _USUAL[_base(reading)])
 
 
 def _names(reading: _Reading) -> dict[int, str]:
     return {label.id: label.name for label in known_table(reading.table).labels}
 
 
-def _shares(source: MaskSource, choice: ClassChoice) -> dict[int, float]:
-    """The share of each number in the pixels of some frames, without those that may mean nothing, as 0 often does
-    where no other number does. Files that cannot be read are left out."""
-    names, counts = list(source.masks), Counter[int]()
+def _shown(source: MaskSource, choice: ClassChoice) -> _Shown:
+    """What some frames show, without numbers that may mean nothing, as 0 often does where no other number does. Files
+    that cannot be read are left out."""
+    names, counts, upper = list(source.masks), Counter[int](), Counter[int]()
     for name in evenly_spread(names, _LOOKED_AT):
         try:
             found = source.masks[name].read()
         except PlgsError:  # whoever reads it later says so
             continue
-        pixels = dict(enumerate(np.bincount(found.ids.ravel()).tolist()))
-        for one in found.segments:
-            counts[one.label] += pixels.get(one.id, 0)
+        for counted, ids in ((counts, found.ids), (upper, found.ids[: len(found.ids) // 2])):
+            pixels = dict(enumerate(np.bincount(ids.ravel()).tolist()))
+            for one in found.segments:
+                counted[one.label] += pixels.get(one.id, 0)
     void = choice.void | source.void
     if any(counts[number] for number in void - {0}):
         void -= {0}
     kept = {number: count for number, count in counts.items() if count and number not in void}
-    return {number: count / sum(kept.values()) for number, count in kept.items()}
+    shares = {number: count / sum(kept.values()) for number, count in kept.items()}
+    return _Shown(shares, {number: upper[number] / count for number, count in kept.items()})
 
 
-def _unknown(reading: _Reading, numbers: Iterable[int], choice: ClassChoice) -> set[int]:
-    """Those of the ``numbers`` that mean nothing in this reading."""
+def _unknown(reading: _Reading, shown: _Shown, choice: ClassChoice) -> set[int]:
+    """Those of the numbers that mean nothing in this reading."""
     table = known_table(reading.table)
     known = {label.id for label in table.labels} | table.void | reading.source.void
-    return {*numbers} - known - {row.id for row in choice.rows if row.id is not None}
-
-
-def _share(shares: Mapping[int, float], reading: _Reading, names: set[str]) -> float:
-    """The share of the pixels with a class of these ``names``."""
-    return sum(shares.get(label.id, 0.0) for label in known_table(reading.table).labels if label.name in names)
+    return {*shown.shares} - known - {row.id for row in choice.rows if row.id is not None}
 
 
 def _base(reading: _Reading) -> str:
