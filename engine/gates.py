@@ -49,8 +49,7 @@ def refuse_special(path: Path) -> None:
 def open_to_append(path: Path) -> int:
     """A descriptor to read a plain file and append to it; it is made if missing.
 
-    Raises OSError, also for a link and for a file that has a second name elsewhere: its content would change there.
-    """
+    Raises OSError, also for a link and for a file that has a second name elsewhere: its content would change there."""
     descriptor = _open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND, follow_link=False)
     if os.fstat(descriptor).st_nlink > 1:
         os.close(descriptor)
@@ -87,8 +86,7 @@ def inner_path(text: str) -> PurePosixPath:
     """A relative path of plain names. Raises ValueError for one that leaves its folder.
 
     Windows' rules decide, which are the stricter ones: drives, shares (looking at one sends the user's credentials
-    there), both kinds of slashes.
-    """
+    there), both kinds of slashes."""
     parts = PureWindowsPath(text)
     if parts.anchor or ".." in parts.parts or not parts.parts or "\0" in text:
         raise ValueError(f"{text!r} leaves the folder")
@@ -96,11 +94,10 @@ def inner_path(text: str) -> PurePosixPath:
 
 
 def printable(text: object) -> str:
-    """The text without what a terminal takes as a command or cannot show: each such character becomes "?".
-
-    Line breaks and tabs stay. Colours, cursor movements and half surrogate pairs (of paths that are not UTF-8) go.
-    """
-    return "".join(each if each.isprintable() or each in "\n\t" else "?" for each in str(text))
+    """The text with "?" for what a terminal takes as a command (colours, cursor moves) or cannot show (half surrogate
+    pairs, of paths that are not UTF-8). Line breaks and tabs stay."""
+    line = str(text)
+    return line if line.isprintable() else "".join(one if one.isprintable() or one in "\n\t" else "?" for one in line)
 
 
 def one_line(text: object) -> str:
@@ -116,8 +113,7 @@ def shortened(text: object, longest: int) -> str:
 
 def table_cell(value: object) -> object:
     """A value of a CSV table. A text is ``one_line``; one that a spreadsheet would take for a formula gets an
-    apostrophe before it.
-    """
+    apostrophe before it."""
     if not isinstance(value, str):
         return value
     return f"'{one_line(value)}" if value.startswith(("=", "+", "-", "@", "\t", "\r")) else one_line(value)

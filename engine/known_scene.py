@@ -7,7 +7,7 @@ from pathlib import Path
 
 from .errors import PlgsError
 from .job import LiftFolder, write_atomically
-from .posed.frames import PosedScene
+from .posed import ClassTable, PosedScene
 from .posed.scene_record import StoredScene, stored_scene
 from .records import read_record, record_text
 from .result_files import INSTANCES, read_instances
@@ -18,17 +18,16 @@ FIND_SCENE = "Say where the scene is now, with Find Scene or --scene."
 _FIX = "Delete this file, then let an engine bake a frame of the lift, which writes it again."
 
 
-def known_scene(folder: LiftFolder) -> PosedScene:
-    """The frames of a lift with their cameras, and the classes of its result. No pixel can be read from it; where the
-    scene is gone, its pictures are not shown.
+def known_scene(folder: LiftFolder, classes: ClassTable | None = None) -> PosedScene:
+    """The frames of a lift with their cameras, and the classes of its result, read unless given. No pixel can be read
+    from it; where the scene is gone, its pictures are not shown.
 
-    Raises PlgsError for a lift without a list of its frames, and for a damaged one.
-    """
+    Raises PlgsError for a lift without a list of its frames, and for a damaged one."""
     scene, known = folder.request.scene, read_known(folder)
     if known is None:
         fix = "Let an engine bake a frame of it, which writes the list."
         raise PlgsError("an early version made this lift, without a list of its frames", folder.path, fix)
-    classes, _ = read_instances(folder.result_path / INSTANCES)
+    classes = classes or read_instances(folder.result_path / INSTANCES)[0]
     frames, warnings = known.posed_frames(scene), known.warnings
     if not os.path.exists(scene):
         warnings = (f"the scene is not at {scene}, so there are no photos. {FIND_SCENE}",)

@@ -19,10 +19,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .errors import PlgsError
-from .gates import one_line
+from .gates import one_line, read_plain
 from .job import write_atomically
 from .job.manifest import MAKE_ANEW
-from .json_file import read_object
+from .json_file import MOST_BYTES, read_object
 from .posed import Category, ClassTable
 from .posed.array_file import read_npz
 from .posed.classes import LARGEST_ID
@@ -34,7 +34,7 @@ _LARGEST = 2**31 - 1
 """The largest whole number that Blender can store."""
 _FARTHEST = 1e6
 """Metres. No room is this large. Numbers near the largest float would make sums overflow."""
-_BAD = (OSError, KeyError, ValueError, TypeError, AttributeError, OverflowError, RecursionError)
+BAD = (OSError, KeyError, ValueError, TypeError, AttributeError, OverflowError, RecursionError)
 """The errors that are raised when content has the wrong form."""
 _CORNER = r"[01]\.\d{3},[01]\.\d{3}"
 _OUTLINE = re.compile(rf"{_CORNER}(?:[ ;]{_CORNER})*")
@@ -84,8 +84,7 @@ class MatchedSegment:
     judgements that join it with the instance's other masks. ``pixels``: the number of pixels with depth at the size
     of the lift; ``share`` of the picture's pixels; ``rectangle`` around it: left, top, right, bottom, 0..1;
     ``outline``: polygons around its parts, "x,y x,y x,y;x,y x,y x,y" in shares of the picture. The first versions of
-    this file lack the last five: then they are None, 0 and empty.
-    """
+    this file lack the last five: then they are None, 0 and empty."""
 
     frame: str
     segment_id: int
@@ -120,11 +119,11 @@ class Instance:
 
 
 Arrays = TypeVar("Arrays", SemanticPoints, Anchors)
+Listed = tuple[ClassTable, tuple[Instance, ...]]
 
 
 def write_arrays(path: Path, arrays: SemanticPoints | Anchors) -> None:
-    """Write an .npz with fixed time stamps, so that its bytes depend only on the arrays. Raises ValueError if lengths
-    differ, and OSError."""
+    """Write an .npz whose bytes depend only on the arrays. Raises ValueError if lengths differ, and OSError."""
     named = {name: np.ascontiguousarray(array, _ARRAYS[name][0]) for name, array in vars(arrays).items()}
     if len({len(array) for array in named.values()}) != 1:
         lengths = ", ".join(f"{name} {len(array)}" for name, array in named.items())
@@ -170,9 +169,9 @@ def write_instances(path: Path, classes: ClassTable, instances: Sequence[Instanc
     write_atomically(path, json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False) + "\n")
 
 
-def read_instances(path: Path) -> tuple[ClassTable, tuple[Instance, ...]]:
-    """The classes and the instances that a file lists. Raises PlgsError."""
-    content: Any = read_object(path, MAKE_ANEW)
+def read_instances(path: Path, content: Any = None) -> Listed:
+    """The classes and the instances of a file, or of its ``content`` with instances read before. Raises PlgsError."""
+    content = content or read_object(path, MAKE_ANEW)
     try:
         if content["format"] != _FORMAT:
             fix = "Use the version of PLGS that wrote it, or lift into another folder."
@@ -181,16 +180,22 @@ def read_instances(path: Path) -> tuple[ClassTable, tuple[Instance, ...]]:
             Category(_id(each["id"]), _text(each["name"]), bool(each["is_thing"]), _colour(each["colour"]))
             for each in content["classes"]
         ]
-        instances = tuple(_instance(each) for each in content["instances"])
+        instances = tuple(each if isinstance(each, Instance) else instance_of(each) for each in content["instances"])
         for kind, rows in (("class", categories), ("instance", instances)):
             if len({row.id for row in rows}) < len(rows):
                 raise ValueError(f"two {kind} ids are equal")
         return ClassTable(tuple(sorted(categories, key=lambda category: category.id))), instances
-    except _BAD as error:
+    except BAD as error:
         raise PlgsError(f"cannot be read ({error!r})", path, MAKE_ANEW) from error
 
 
-def _instance(entry: dict[str, Any]) -> Instance:
+def instances_text(path: Path) -> str:
+    """The text of a file, to be read in parts. Raises one of ``BAD``."""
+    return read_plain(path, MOST_BYTES).decode("utf-8-sig")
+
+
+def instance_of(entry: dict[str, Any]) -> Instance:
+    """The instance of an element of the file's list. Raises one of ``BAD``."""
     return Instance(
         id=_id(entry["id"], least=1),
         name=_text(entry["name"]),

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import time
+
 import bpy
 from bpy.props import StringProperty
 
@@ -186,9 +188,11 @@ class PLGS_OT_place_lift(OnLiftFolder, bpy.types.Operator):
         return PASSED_ON if goes_on else FINISHED
 
     def has_more(self) -> bool:
-        """Place the next part. Returns whether there may be more."""
+        """Place the next parts, as many as hardly anybody notices. Returns whether there may be more."""
+        began = time.monotonic()
         try:
-            next(self._placing)
+            while time.monotonic() - began < _PART_S:
+                next(self._placing)
         except StopIteration as end:
             found = end.value.find() if end.value is not None else None
             told = f"{one_line(found[0].name)} was placed" if found is not None else "The lift was removed meanwhile"

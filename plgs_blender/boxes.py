@@ -17,6 +17,10 @@ _CORNERS = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z i
 _FACES = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
 INSTANCE = "instance:"
 """Start of the key of an instance's box. The instance's id follows."""
+TOGETHER = "boxes"
+"""Key of the object with the boxes of all instances that have none of their own."""
+MOST_BOXES = 500
+"""Blender takes a second to add an object to 5 000, and ten to hide them all."""
 NAME, SHOWN, PLACED = "plgs_name", "plgs_shown_name", "plgs_placed"
 """Properties of a box: its instance's name, what Blender made of that (shorter, or with a number), and the centre, size
 and rotation that it was placed with."""
@@ -26,8 +30,17 @@ def place_boxes(
     owned: OwnedDataBlocks, parent: bpy.types.Collection, instances: Iterable[Instance]
 ) -> list[bpy.types.Object]:
     """One mesh object per instance, with the engine's name and its true size (object scale 1). If an object has not
-    changed, its box keeps the place and the name that the user gave it."""
-    return [_place(owned, parent, instance) for instance in instances]
+    changed, its box keeps the place and the name that the user gave it. Of very many instances, those with the most
+    points have an object of their own, and one object has the boxes of all others."""
+    own, others = shared_out(instances)
+    return [*(_place(owned, parent, one) for one in own), *place_together(owned, parent, others)]
+
+
+def shared_out(instances: Iterable[Instance]) -> tuple[list[Instance], list[Instance]]:
+    """The instances that have a box of their own, and the others."""
+    given = [*instances]
+    most = {one.id for one in sorted(given, key=lambda one: (-one.points, one.id))[:MOST_BOXES]}
+    return [one for one in given if one.id in most], [one for one in given if one.id not in most]
 
 
 def name_box(box: bpy.types.Object, name: str) -> None:
@@ -65,6 +78,35 @@ def _place(owned: OwnedDataBlocks, parent: bpy.types.Collection, instance: Insta
     ob.show_in_front = True  # it stays visible and selectable through the points that fill it
     _describe(ob, instance)
     return ob
+
+
+def place_together(
+    owned: OwnedDataBlocks, parent: bpy.types.Collection, instances: Sequence[Instance]
+) -> list[bpy.types.Object]:
+    """One object with the boxes of these instances, whose vertices have their ids and classes."""
+    if not instances:
+        return []
+    mesh = owned.data(TOGETHER, lambda: bpy.data.meshes.new("Other boxes"))
+    mesh.clear_geometry()
+    turned = np.array([[row[:] for row in Quaternion(one.rotation).to_matrix()] for one in instances])
+    corners = (_CORNERS * np.array([one.size for one in instances])[:, None]) @ turned.transpose(0, 2, 1)
+    corners += np.array([one.centre for one in instances])[:, None]
+    faces = np.arange(len(instances))[:, None, None] * len(_CORNERS) + np.array(_FACES)
+    mesh.vertices.add(corners.size // 3)
+    mesh.vertices.foreach_set("co", corners.astype(np.float32).ravel())
+    mesh.loops.add(faces.size)
+    mesh.loops.foreach_set("vertex_index", faces.astype(np.int32).ravel())
+    mesh.polygons.add(faces.size // 4)
+    mesh.polygons.foreach_set("loop_start", np.arange(0, faces.size, 4, dtype=np.int32))
+    for name in ("instance_id", "class_id"):
+        ids = [one.id if name == "instance_id" else one.class_id for one in instances]
+        mesh.attributes.new(name, "INT", "POINT").data.foreach_set("value", np.repeat(ids, len(_CORNERS)))
+    mesh.update(calc_edges=True)
+    mesh.materials.clear()
+    mesh.materials.append(clear_material(owned))
+    ob = owned.object(TOGETHER, "Other boxes", mesh, parent)
+    ob.display_type, ob.hide_render, ob.hide_select = "WIRE", True, True
+    return [ob]
 
 
 def _numbers(ob: bpy.types.Object, name: str) -> list[float]:

@@ -28,11 +28,11 @@ from ..engine.corrections.replay import Replay
 from ..engine.errors import PlgsError
 from ..engine.posed import ClassTable
 from ..engine.result_files import INSTANCES, read_instances
-from .boxes import INSTANCE, name_box, place_boxes
+from .boxes import INSTANCE, TOGETHER, name_box, place_boxes
 from .clouds import place_anchors, place_semantic_points
 from .errors import EXPECTED, with_field_names
 from .inspecting.lists import fill_lists
-from .inspecting.lookup import boxes_of, objects_by_key, row_of
+from .inspecting.lookup import box_of, boxes_of, objects_by_key, row_of
 from .inspecting.selection import renaming, select_instance, selected_instances
 from .lift_collection import FOLDER, child_collection, folder_of, lifts_in
 from .meshes import CORRECTIONS
@@ -86,7 +86,7 @@ def show_corrections(root: bpy.types.Collection, result: CorrectedResult) -> Non
     place_semantic_points(owned, clouds, result.points, grid, grid.normals(centres), result.classes)
     place_anchors(owned, child_collection(root, "Anchors", scene, hidden=True), result.anchors())
     place_boxes(owned, child_collection(root, "Instances"), result.instances)
-    owned.sweep_only("class:", INSTANCE, "anchors")
+    owned.sweep_only("class:", INSTANCE, TOGETHER, "anchors")
     lists = root.plgs
     active = (
         lists.instances[lists.instance_index].instance_id if 0 <= lists.instance_index < len(lists.instances) else 0
@@ -255,9 +255,7 @@ def _split(
 
 def crop(root: bpy.types.Collection, instance: int) -> Edit:
     """Give an object the points of its class that are inside its box as it is now."""
-    box = boxes_of(root).get(instance)
-    if box is None:
-        raise PlgsError("its box is gone", root.name, "Show the lift's result again.")
+    box = box_of(root, instance)
     return edit(root, lambda state, _: making.crop(state, instance, inside_box(box, state.xyz)))
 
 

@@ -9,7 +9,7 @@ from mathutils import Matrix, Vector
 from ..engine.corrections import Edit
 from ..engine.errors import PlgsError
 from .corrections import split_plane
-from .inspecting.lookup import boxes_of, objects_by_key, row_of
+from .inspecting.lookup import box_of, objects_by_key
 from .inspecting.selection import deselect_all
 from .owned import LIFT, OwnedDataBlocks
 from .viewport import show_gizmos
@@ -25,9 +25,7 @@ _LARGER = 1.2
 def place_cut(root: bpy.types.Collection, instance: int) -> bpy.types.Object:
     """Put an upright plane through the middle of an object's box, across its longest side, for the user to drag. Raises
     PlgsError."""
-    box = boxes_of(root).get(row_of(root, instance).instance_id)
-    if box is None:
-        raise PlgsError("its box is gone", root.name, "Show the lift's result again.")
+    box = box_of(root, instance)
     owned = OwnedDataBlocks(root[LIFT], bpy.context.scene)
     mesh = owned.data(CUT, lambda: bpy.data.meshes.new("Cut"))
     size = [side * _LARGER / 2.0 for side in box["size"]]

@@ -6,25 +6,28 @@ are bound to our cameras, and scenes for the passes. Placing a lift of the same 
 
 from __future__ import annotations
 
-from collections.abc import Generator, Iterable, Iterator
+from collections.abc import Callable, Generator, Iterable, Iterator
 from dataclasses import dataclass
+from functools import partial
+from itertools import groupby
 from pathlib import Path
-from typing import TypeVar, cast
 
 import bpy
 import numpy as np
 from numpy.typing import NDArray
 
 from ..engine.errors import PlgsError
-from ..engine.posed import Camera
+from ..engine.posed import Camera, ClassTable
 from ..engine.posed.splat_file import read_gaussians
-from .boxes import place_boxes
+from ..engine.result_files import Instance
+from .boxes import INSTANCE, TOGETHER, place_boxes, place_together, shared_out
 from .cameras import overview_camera
 from .clouds import place_anchors, place_depth_clouds, place_semantic_points
 from .corrections import remember
 from .frames import place_camera, place_camera_path, place_frames
-from .inspecting.lists import fill_lists, fill_not_shown, registered
+from .inspecting.lists import fill_lists, fill_masks, fill_not_shown, registered
 from .inspecting.looks import PHOTO, POINTS, SPLATS, SURFACE, apply_look, has, places
+from .inspecting.visibility import apply_colours, apply_visibility
 from .lift_collection import (
     FOLDER,
     Placed,
@@ -40,7 +43,7 @@ from .meshes import place_meshes
 from .open_room import open_room
 from .owned import KEY, LIFT, OwnedDataBlocks, key_of, text_of
 from .passes import check_layers, place_passes, place_shots
-from .results import LiftResult, read_result
+from .results import LiftResult, read_result, reading_result, result_of
 from .reuse import leave_holes
 from .splats import GAUSSIANS, has_native_splats, place_gaussians, placing_gaussians
 from .surfaces import SurfaceGrid
@@ -49,6 +52,8 @@ from .viewport import all_views, areas_of, show_materials_in, show_room, start_f
 
 _VIEWPOINTS = 200
 """At most this many cameras decide which side of a surface was seen; of more, every n-th is used."""
+_AT_ONCE, _MASKS_AT_ONCE = 100, 2000
+"""Boxes and masks that are placed without a pause: in a tenth of a second each."""
 _OVERVIEW_SIZE = 0.4
 """Display size of the overview camera, metres."""
 
@@ -62,18 +67,6 @@ def place_lift(lift: Path, scene: bpy.types.Scene) -> bpy.types.Collection:
     placed = place_room(result_of(reading_lift(lift)), scene)
     result_of(placed.rest)
     return root_of_placed(lift, scene_to_fill(scene))
-
-
-Result = TypeVar("Result")
-
-
-def result_of(parts: Generator[None, None, Result]) -> Result:
-    """Do all parts at once, and return their result."""
-    while True:
-        try:
-            next(parts)
-        except StopIteration as end:
-            return cast(Result, end.value)
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,7 +84,7 @@ class ReadLift:
 
 @dataclass(frozen=True, eq=False)
 class PlacedRoom:
-    """Where a lift was placed, and the parts that are left: its splats and passes."""
+    """Where a lift was placed, and the parts that are left: first its lists."""
 
     at: Placed
     rest: Generator[None, None, None]
@@ -99,7 +92,7 @@ class PlacedRoom:
 
 def reading_lift(lift: Path) -> Generator[None, None, ReadLift]:
     """Read a lift, in parts, for a window that must not wait. Raises PlgsError."""
-    result = _read(lift)
+    result = yield from _reading(lift)
     yield
     splats = result.folder / "result" / "gaussians.ply"
     gaussians = read_gaussians(splats) if not has_native_splats() and splats.is_file() else None
@@ -113,14 +106,59 @@ def reading_lift(lift: Path) -> Generator[None, None, ReadLift]:
 
 
 def _placing_rest(read: ReadLift, placed: Placed) -> Generator[None, None, None]:
-    """The splats and the passes, left out when the lift is removed in the meantime."""
-    yield
+    """The lists, the other boxes, the masks, the splats and the passes, left out when the lift is removed in the
+    meantime."""
+    for do in _objects_in_turn(read.result):
+        found = placed.find()
+        if found is None:
+            return
+        with registered():
+            do(*found)
+        yield
     for part in (_placing_splats, _placing_passes):
         found = placed.find()
         if found is None:
             return
         yield from part(read, *found)
         yield
+
+
+def _objects_in_turn(result: LiftResult) -> Iterator[Callable[[bpy.types.Collection, bpy.types.Scene], None]]:
+    """What lists the objects, places the boxes that were not placed at once, and then lists the masks."""
+    yield partial(_list_objects, result)
+    own, others = shared_out(result.instances)
+    for at in range(_AT_ONCE, len(own), _AT_ONCE):
+        yield partial(_place_late, place_boxes, own[at : at + _AT_ONCE])
+    if others:
+        yield partial(_place_late, place_together, others)
+    if len(result.instances) > _AT_ONCE:
+        yield lambda root, scene: apply_visibility(root)
+        yield lambda root, scene: apply_colours(root)
+    masks = np.cumsum([1 + len(one.segments) for one in result.instances])
+    for _, turn in groupby(enumerate(result.instances), key=lambda each: masks[each[0]] // _MASKS_AT_ONCE):
+        yield partial(_list_masks, [one for _, one in turn], result.classes)
+
+
+def _list_objects(result: LiftResult, root: bpy.types.Collection, scene: bpy.types.Scene) -> None:
+    fill_lists(root, result, masks=False)
+    fill_not_shown(root, result)
+    leave_holes(root)
+    remember(root, result)
+
+
+def _place_late(
+    place: Callable[..., object], instances: list[Instance], root: bpy.types.Collection, scene: bpy.types.Scene
+) -> None:
+    """Place boxes, less those of objects that were corrected away in the meantime."""
+    listed = {row.instance_id for row in root.plgs.instances}
+    owned, parent = OwnedDataBlocks(root[LIFT], scene), child_collection(root, "Instances")
+    place(owned, parent, [one for one in instances if one.id in listed])
+
+
+def _list_masks(
+    instances: list[Instance], classes: ClassTable, root: bpy.types.Collection, scene: bpy.types.Scene
+) -> None:
+    fill_masks(root, instances, classes)
 
 
 def _placing_splats(read: ReadLift, root: bpy.types.Collection, scene: bpy.types.Scene) -> Iterator[None]:
@@ -148,7 +186,7 @@ def _placing_passes(read: ReadLift, root: bpy.types.Collection, scene: bpy.types
 
 
 def place_room(read: ReadLift, scene: bpy.types.Scene) -> PlacedRoom:
-    """Place everything but splats and passes, which are left for later."""
+    """Place cameras, points and the first boxes; the rest is left for later."""
     result, grid, normals = read.result, read.grid, read.normals
     scene = scene_to_fill(scene)
     root = root_collection(result.scene.folder, result.folder, scene)
@@ -161,21 +199,20 @@ def place_room(read: ReadLift, scene: bpy.types.Scene) -> PlacedRoom:
     )
     open_room(owned, clouds)
     place_anchors(owned, child_collection(root, "Anchors", scene, hidden=True), result.anchors)
-    place_boxes(owned, child_collection(root, "Instances"), result.instances)
+    own, others = shared_out(result.instances)
+    place_boxes(owned, child_collection(root, "Instances"), own[:_AT_ONCE])
+    for key in (*(f"{INSTANCE}{one.id}" for one in own[_AT_ONCE:]), *([TOGETHER] if others else ())):
+        owned.keep(owned.known(key))  # until it is placed again
     place_meshes(owned, root, result)
     place_depth_clouds(owned, root, result.folder)
     splats = owned.known(GAUSSIANS)
-    if splats is not None and read.gaussians is not None:
+    if read.gaussians is not None:
         owned.keep(splats)  # until they are filled again
     # A new lift moves the overview back, where a user moved it.
     overview = place_camera(owned, root, "overview", "Overview", read.overview, _OVERVIEW_SIZE)
     place_camera_path(owned, root, frames, mark_timeline(scene, root, overview, cameras))
     if scene.camera is None:
         scene.camera = overview
-    fill_lists(root, result)
-    fill_not_shown(root, result)
-    leave_holes(root)
-    remember(root, result)
     owned.sweep()
     placed = Placed(root[LIFT], scene.name)
     return PlacedRoom(placed, _placing_rest(read, placed))
@@ -186,7 +223,7 @@ def place_passes_anew(lift: Path, scene: bpy.types.Scene) -> None:
 
     Raises PlgsError when the lift cannot be read, or is not in the scene.
     """
-    result, scene = _read(lift), scene_to_fill(scene)
+    result, scene = result_of(_reading(lift)), scene_to_fill(scene)
     owned = OwnedDataBlocks(root_of_placed(result.folder, scene)[LIFT], scene)
     place_passes(owned, result)
     place_shots(owned, result, scene)
@@ -217,9 +254,9 @@ def place_depth_clouds_anew(lift: Path, scene: bpy.types.Scene) -> int:
     return count
 
 
-def _read(lift: Path) -> LiftResult:
+def _reading(lift: Path) -> Generator[None, None, LiftResult]:
     """The lift's result, whose passes have the layers that we show. Raises PlgsError."""
-    result = read_result(lift)
+    result = yield from reading_result(lift)
     check_layers([*result.passes.values(), *result.shots.values()])
     return result
 

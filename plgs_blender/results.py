@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Generator, Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TypeVar, cast
 
 from ..engine.corrections import Edit, read_corrected
 from ..engine.errors import PlgsError
@@ -21,12 +22,22 @@ from ..engine.result_files import (
     Instance,
     SemanticPoints,
 )
+from .instances_in_parts import reading_instances, refuse_too_many
 
 _READ = (SEMANTIC_POINTS, ANCHORS, INSTANCES)
-MOST_INSTANCES = 5_000
-"""A lift finds at most 4000 objects. A file with more is not a lift's, and would keep Blender busy for minutes."""
 _MOST_HASHED = 1 << 26
 """At most this many bytes are compared with the manifest's checksums, usually in a tenth of a second."""
+
+Result = TypeVar("Result")
+
+
+def result_of(parts: Generator[None, None, Result]) -> Result:
+    """Do all parts at once, and return their result."""
+    while True:
+        try:
+            next(parts)
+        except StopIteration as end:
+            return cast(Result, end.value)
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,16 +69,23 @@ def read_result(folder: Path) -> LiftResult:
     """Read the result of a finished lift, and the cameras of its frames. Raises PlgsError when the folder is not a
     lift, is not finished, or was damaged.
     """
+    return result_of(reading_result(folder))
+
+
+def reading_result(folder: Path) -> Generator[None, None, LiftResult]:
+    """`read_result` in parts, for a window that must not wait. Raises PlgsError."""
     lift = LiftFolder.open(folder)
     lift.refuse_foreign()
     manifest = check_sizes(lift.result_path)
     listed = {str(file.path): file for file in manifest.files}
     exrs = _listed_passes(lift, listed)
     _verify(lift, [*_READ, *(path.relative_to(lift.result_path).as_posix() for path in exrs)], listed)
-    scene, corrected = known_scene(lift), read_corrected(lift.path)
-    if len(corrected.instances) > MOST_INSTANCES:
-        what = f"has {len(corrected.instances)} objects, but Blender shows at most {MOST_INSTANCES}"
-        raise PlgsError(what, lift.result_path / INSTANCES, "Lift it again with a smaller most_instances.")
+    yield
+    instances = yield from reading_instances(lift.result_path / INSTANCES)
+    corrected = read_corrected(lift.path, instances)
+    refuse_too_many(corrected.instances, lift.result_path / INSTANCES)  # edits split objects
+    yield
+    scene = known_scene(lift, corrected.classes)
     by_name = {manifest.frames.get(path.stem, path.stem): path for path in exrs}
     passes = {frame.name: by_name[frame.name] for frame in scene.frames if frame.name in by_name}
     return LiftResult(

@@ -18,6 +18,7 @@ from ..result_files import (
     SEMANTIC_POINTS,
     Anchors,
     Instance,
+    Listed,
     SemanticPoints,
     read_arrays,
     read_instances,
@@ -100,10 +101,10 @@ class CorrectedResult:
         return replace(anchors, class_id=class_id, instance_id=instance_id)
 
 
-def read_corrected(lift: Path) -> CorrectedResult:
-    """The result of the finished lift in this folder, with its corrections. Raises PlgsError when either cannot be
-    read."""
-    return _Result.read(lift).corrected(read_edits(lift))
+def read_corrected(lift: Path, listed: Listed | None = None) -> CorrectedResult:
+    """The result of the finished lift in this folder, with its corrections; ``listed`` is what instances.json lists,
+    where it was read. Raises PlgsError when either cannot be read."""
+    return _Result.read(lift, listed).corrected(read_edits(lift))
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,9 +117,9 @@ class _Result:
     points: SemanticPoints
 
     @classmethod
-    def read(cls, lift: Path) -> _Result:
+    def read(cls, lift: Path, listed: Listed | None = None) -> _Result:
         """Raises PlgsError."""
-        classes, made = read_instances(lift / "result" / INSTANCES)
+        classes, made = listed or read_instances(lift / "result" / INSTANCES)
         return cls(lift, classes, made, read_arrays(lift / "result" / SEMANTIC_POINTS, SemanticPoints))
 
     def replay(self, edits: Sequence[Edit]) -> Replay:

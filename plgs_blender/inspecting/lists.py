@@ -7,7 +7,7 @@ never read a file.
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
 
@@ -240,8 +240,9 @@ def registered() -> Iterator[None]:
         unregister_modules([sys.modules[__name__]])
 
 
-def fill_lists(root: bpy.types.Collection, result: LiftResult | CorrectedResult) -> None:
-    """List the instances, with their masks, and the classes in the lift's collection. All of them are then shown."""
+def fill_lists(root: bpy.types.Collection, result: LiftResult | CorrectedResult, *, masks: bool = True) -> None:
+    """List the instances, with their masks unless these are filled later, and the classes in the lift's collection. All
+    of them are then shown."""
     with registered(), apply_colours.at_once(root), apply_visibility.at_once(root):
         lists = root.plgs
         lists.instances.clear()
@@ -249,7 +250,7 @@ def fill_lists(root: bpy.types.Collection, result: LiftResult | CorrectedResult)
         lists.instance_index = lists.class_index = -1
         lists.isolated = 0
         for instance in result.instances:
-            _fill_instance(lists.instances.add(), instance, result.classes)
+            _fill_instance(lists.instances.add(), instance)
         points = result.points
         ids, rows, counts = np.unique(points.class_id, return_inverse=True, return_counts=True)
         scores = np.bincount(rows, np.nan_to_num(points.confidence), len(ids)) / np.maximum(counts, 1)
@@ -259,6 +260,17 @@ def fill_lists(root: bpy.types.Collection, result: LiftResult | CorrectedResult)
         apply_show_as(root)
         if lists.look != PHOTO:
             apply_look(root)
+    if masks:
+        fill_masks(root, result.instances, result.classes)
+
+
+def fill_masks(root: bpy.types.Collection, instances: Iterable[Instance], classes: ClassTable) -> None:
+    """List the masks of instances that are listed without them."""
+    with registered():
+        rows = {row.instance_id: row for row in root.plgs.instances if not len(row.masks)}
+        for instance in instances:
+            if instance.id in rows:
+                _fill_masks(rows[instance.id], instance, classes)
 
 
 def fill_not_shown(root: bpy.types.Collection, result: LiftResult) -> None:
@@ -292,12 +304,15 @@ def _reason(mask: MatchedSegment) -> str:
     return "first mask" if mask.share > 0.0 else ""
 
 
-def _fill_instance(row: Any, instance: Instance, classes: ClassTable) -> None:
+def _fill_instance(row: Any, instance: Instance) -> None:
     row.instance_id = instance.id
     row.known_name = row.name = instance.name
     row.class_id, row.class_name = instance.class_id, instance.class_name
     row.colour = [channel / 255.0 for channel in instance.colour]
     row.points, row.views, row.score = instance.points, instance.views, instance.score
+
+
+def _fill_masks(row: Any, instance: Instance, classes: ClassTable) -> None:
     row.best_mask = best_view(instance.segments)
     for mask in instance.segments:
         each = row.masks.add()

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...engine.errors import PlgsError
-from ..boxes import INSTANCE
+from ..boxes import INSTANCE, MOST_BOXES, TOGETHER
 from ..lift_collection import FOLDER, is_same_place, lifts_in
 from ..owned import KEY, LIFT, originals, text_of
 from ..paths import absolute
@@ -60,6 +60,18 @@ def objects_by_key(root: bpy.types.Collection) -> dict[str, bpy.types.Object]:
 def boxes_of(root: bpy.types.Collection) -> dict[int, bpy.types.Object]:
     """The boxes by the id of their instance. Boxes that the user deleted are missing."""
     return {instance_of(ob): ob for ob in objects_by_key(root).values() if is_box(ob)}
+
+
+def box_of(root: bpy.types.Collection, instance: int) -> bpy.types.Object:
+    """The box of an instance (0: the list's active one). Raises PlgsError where it has none."""
+    row, objects = row_of(root, instance), objects_by_key(root)
+    box = objects.get(f"{INSTANCE}{row.instance_id}")
+    if box is None and TOGETHER in objects:
+        fix = f"Choose one of the {MOST_BOXES} objects with the most points."
+        raise PlgsError("has no box of its own, as there are so many objects", row.name, fix)
+    if box is None:
+        raise PlgsError("has no box any more", row.name, "Show the lift's result again.")
+    return box
 
 
 def is_box(ob: bpy.types.Object | None) -> bool:

@@ -11,7 +11,7 @@ from mathutils import Vector
 
 from ...engine.errors import PlgsError
 from ..timeline import follow_camera, is_of_lift, places_of
-from .lookup import boxes_of, objects_by_key, row_of
+from .lookup import box_of, objects_by_key, row_of
 
 _VIEW_SENSOR = 72.0
 """Width of a 3D view's sensor in millimetres: twice that of a camera."""
@@ -24,10 +24,7 @@ def frame_instance(root: bpy.types.Collection, instance: int, view: bpy.types.Sp
 
     `aspect` is the view's width by its height. Raises PlgsError when there is no such instance or its box was deleted.
     """
-    row = row_of(root, instance)
-    box = boxes_of(root).get(row.instance_id)
-    if box is None:
-        raise PlgsError("has no box any more", row.name, "Load the result of the lift again.")
+    box = box_of(root, instance)
     corners = np.array([box.matrix_world @ Vector(corner) for corner in box.bound_box])
     centre = corners.mean(axis=0)
     radius = float(np.linalg.norm(corners - centre, axis=1).max())

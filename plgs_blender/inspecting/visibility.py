@@ -17,10 +17,11 @@ from numpy.typing import NDArray
 
 from ...engine.posed import VOID
 from .. import compat
+from ..boxes import INSTANCE, TOGETHER
 from ..materials import object_colour
-from ..owned import LIFT, key_of, tag
+from ..owned import KEY, LIFT, key_of, tag, text_of
 from .looks import CLASSES
-from .lookup import boxes_of, clouds_of, ids_of, is_box, objects_by_key, row_of, surfaces_of
+from .lookup import boxes_of, clouds_of, ids_of, objects_by_key, row_of, surfaces_of
 
 HIDDEN = "plgs_hidden"
 MODIFIER = "Hidden instances"
@@ -58,9 +59,11 @@ class _OnceForMany:
 def apply_visibility(root: bpy.types.Collection) -> None:
     """Bring boxes and points in line with the lift's lists."""
     lists = root.plgs
-    boxes = boxes_of(root)
+    boxes, together = boxes_of(root), objects_by_key(root).get(TOGETHER)
     for box, hidden in zip(boxes.values(), instances_left_out(lists, boxes), strict=True):
         _show_object(box, not hidden and lists.show_boxes)
+    if together is not None:
+        _show_object(together, lists.show_boxes)
     eyes = {row.class_id: row.visible for row in lists.classes}
     for cloud in clouds_of(root):
         if "class_id" in cloud:
@@ -136,10 +139,11 @@ def instances_left_out(lists: bpy.types.PropertyGroup, instances: Collection[int
 
 def _show_object(ob: bpy.types.Object, shown: bool) -> None:
     """Show or hide an object in all scenes that have it, and in renders unless it is a box."""
-    ob.hide_render = is_box(ob) or not shown
+    ob.hide_render = not shown or text_of(ob, KEY).startswith((INSTANCE, TOGETHER))
     for scene in bpy.data.scenes:
         for layer in scene.view_layers:
-            if layer.objects.get(ob.name) == ob:
+            # Hiding an object makes Blender look through all others, so that of thousands it takes seconds.
+            if ob.hide_get(view_layer=layer) == shown and layer.objects.get(ob.name) == ob:
                 ob.hide_set(not shown, view_layer=layer)
 
 

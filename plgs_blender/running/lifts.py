@@ -250,9 +250,12 @@ def showing_lift(
     with taking_over(scene):
         placed = place_room(read, scene)
     adopt(scene.plgs, lift.request, lift.path)
+    yield
+    next(placed.rest, None)
     found = placed.at.find()
     if found is not None:
-        look_at_placed(found[0], scene)
+        look_at_placed(*found)
+    yield
     yield from placed.rest
     return placed.at
 

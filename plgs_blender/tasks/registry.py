@@ -18,6 +18,8 @@ from ...engine.job.process import engine_call
 from ...engine.job.task import TaskPlace, TaskProgress, TaskState
 
 _POLL_S = 0.05
+_PARTS_S = 0.05
+"""Seconds after which no further part of an answer is taken at one poll."""
 
 
 class Task:
@@ -108,7 +110,9 @@ class Task:
                 if self._parts is None:
                     self.follower.close()
                     self._parts = self.done(scene) or iter(())
-                next(self._parts)
+                began = time.monotonic()
+                while time.monotonic() - began < _PARTS_S:
+                    next(self._parts)
                 self.is_taken = False
             except StopIteration:
                 pass
@@ -121,7 +125,7 @@ class Task:
 
     def done(self, scene: Any) -> Iterator[object] | None:
         """Take the answer into Blender, whose current scene is ``scene``. It is called once, however the task ended.
-        What takes long comes in parts, one for each poll: between two the user may change everything.
+        What takes long comes in parts, and a poll does some of them: between two the user may change everything.
 
         Raises PlgsError, OSError.
         """

@@ -16,7 +16,8 @@ from plgs.engine.errors import PlgsError
 from plgs.plgs_blender import lift_scene
 from plgs.plgs_blender.chosen_scene import ChosenScene
 from plgs.plgs_blender.import_scene import place_scene
-from plgs.plgs_blender.results import MOST_INSTANCES, read_result
+from plgs.plgs_blender.instances_in_parts import MOST_INSTANCES
+from plgs.plgs_blender.results import read_result
 from tiny_lift import mend_manifest, write_tiny_lift
 
 

@@ -1,0 +1,101 @@
+"""Reading instances.json in parts, for a window that must not wait: somebody else may have written anything there."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Generator, Iterator, Sequence
+from pathlib import Path
+from typing import Any, NoReturn
+
+from ..engine.errors import PlgsError
+from ..engine.job.manifest import MAKE_ANEW
+from ..engine.result_files import BAD, Listed, instance_of, instances_text, read_instances
+
+MOST_INSTANCES = 5_000
+"""A lift finds at most 4000 objects. A file with more is not a lift's, and would keep Blender busy for minutes."""
+_USUAL, _LONGEST = 1 << 16, 1 << 22
+"""Characters of one object with its masks: usually, and at most. Four million are read in a fifth of a second."""
+_SPACE = re.compile(r"[ \t\n\r]*")
+
+
+def _refuse(name: str) -> NoReturn:
+    raise ValueError(f"{name} is not a number")
+
+
+_DECODER = json.JSONDecoder(parse_constant=_refuse)
+
+
+def reading_instances(path: Path) -> Generator[None, None, Listed]:
+    """What `read_instances` reads, object by object, so that no part takes long. Raises PlgsError, also for a file that
+    lists more than MOST_INSTANCES objects, as soon as one too many is found."""
+    try:
+        content: dict[str, Any] = {"instances": []}
+        for key, value in _Reader(instances_text(path)).members():
+            if key != "instances":
+                content[key] = value
+                continue
+            content[key].append(instance_of(value))
+            refuse_too_many(content[key], path)
+            yield
+    except BAD as error:
+        raise PlgsError(f"cannot be read ({error!r})", path, MAKE_ANEW) from error
+    return read_instances(path, content)
+
+
+def refuse_too_many(instances: Sequence[object], path: Path) -> None:
+    """Raise PlgsError when these are more objects than Blender shows."""
+    if len(instances) > MOST_INSTANCES:
+        what = f"has more than {MOST_INSTANCES} objects, which are too many for Blender"
+        raise PlgsError(what, path, "Lift it again with a smaller most_instances.")
+
+
+class _Reader:
+    """Reads a JSON text piece by piece. Its methods raise ValueError and RecursionError."""
+
+    def __init__(self, text: str) -> None:
+        self._text, self._at = text, 0
+
+    def members(self) -> Iterator[tuple[str, Any]]:
+        """The keys and values of an object; of its list of instances each element, with the list's key."""
+        mark = self._mark("{") and ","
+        while mark == ",":
+            key = self._value()
+            self._mark(":")
+            if key != "instances":
+                yield key, self._value()
+            elif self._mark("[") and not self._mark("]", needed=False):
+                each = ","
+                while each == ",":
+                    yield key, self._value()
+                    each = self._mark(",]")
+            mark = self._mark(",}")
+        if self._next() < len(self._text):
+            raise ValueError("something follows the JSON object")
+
+    def _mark(self, marks: str, *, needed: bool = True) -> str:
+        """The next character if it is one of these, which is then behind; empty if it is another and not ``needed``."""
+        at = self._next()
+        found = self._text[at : at + 1]
+        if found and found in marks:
+            self._at = at + 1
+            return found
+        if needed:
+            raise ValueError(f"the JSON is cut off or broken at character {at}")
+        return ""
+
+    def _value(self) -> Any:
+        at = self._next()
+        for size in (_USUAL, _LONGEST):
+            try:
+                value, used = _DECODER.raw_decode(self._text[at : at + size])
+                break
+            except json.JSONDecodeError:
+                if size == _LONGEST or at + size >= len(self._text):
+                    raise
+        self._at = at + used
+        return value
+
+    def _next(self) -> int:
+        found = _SPACE.match(self._text, self._at)
+        return found.end() if found else self._at

@@ -1,0 +1,178 @@
+"""A lift with thousands of objects does not keep the window waiting, and Blender gets few objects of it."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from types import ModuleType
+
+import bpy
+import numpy as np
+import pytest
+from plgs.engine.errors import PlgsError
+from plgs.engine.job import LiftFolder
+from plgs.plgs_blender import boxes, corrections, lift_scene
+from plgs.plgs_blender.inspecting import selection, views
+from plgs.plgs_blender.inspecting.looks import CLASSES
+from plgs.plgs_blender.inspecting.lookup import box_of, boxes_of, objects_by_key
+from plgs.plgs_blender.inspecting.visibility import HIDDEN
+from plgs.plgs_blender.instances_in_parts import MOST_INSTANCES
+from plgs.plgs_blender.running import lifts
+from tiny_lift import mend_manifest
+from tiny_scene import CHAIR_ID
+
+LONGEST_S = 0.3
+"""Seconds of a core that a window may wait. Other programs on the machine are not counted."""
+MANY, MOST = 250, 120
+"""Objects of a lift, and those of them that have a box of their own here."""
+
+
+@pytest.fixture(autouse=True)
+def extension(plgs: ModuleType, empty_file: None) -> Iterator[None]:
+    plgs.register()
+    yield
+    plgs.unregister()
+
+
+@pytest.fixture
+def few_boxes(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(boxes, "MOST_BOXES", MOST)
+
+
+def lift_of(lift: Path, folder: Path, count: int) -> Path:
+    """A copy of a lift with so many objects. Of two, the second has more points."""
+    shutil.copytree(lift, folder)
+    path, rng = folder / "result" / "instances.json", np.random.default_rng(0)
+    content = json.loads(path.read_text())
+    one = content["instances"][0]
+    one["segments"] = one["segments"][:5]
+    content["instances"] = [
+        one | {"id": number, "name": f"chair {number}", "points": number, "centre": rng.uniform(-9.0, 9.0, 3).tolist()}
+        for number in range(1, count + 1)
+    ]
+    path.write_text(json.dumps(content))
+    mend_manifest(folder)
+    return folder
+
+
+def seconds_of_parts(lift: Path) -> list[float]:
+    """What each part of showing a lift takes of a core."""
+    showing, taken = lifts.showing_lift(bpy.context.scene, LiftFolder.open(lift)), []
+    while True:
+        began = time.process_time()
+        try:
+            next(showing)
+        except StopIteration:
+            return taken
+        finally:
+            taken.append(time.process_time() - began)
+
+
+@pytest.mark.slow
+def test_no_part_takes_long(lift: Path, tmp_path: Path) -> None:
+    """The figures in docs/trust.md. It measures time, and so needs a quiet machine."""
+    for count in (50, boxes.MOST_BOXES, 2000, MOST_INSTANCES):
+        many, longest = lift_of(lift, tmp_path / str(count), count), []
+        bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
+        for _ in range(2):
+            longest.append(max(seconds_of_parts(many)))
+        began = time.process_time()
+        bpy.context.view_layer.update()
+        print(f"{count} objects: {longest[0]:.2f} s, again {longest[1]:.2f}, drawn {time.process_time() - began:.2f}")
+        assert longest[0] <= LONGEST_S
+
+
+def test_the_window_waits_for_no_more_than_some_boxes_and_masks(
+    lift: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(lift_scene, "_AT_ONCE", 20)
+    monkeypatch.setattr(lift_scene, "_MASKS_AT_ONCE", 60)
+    many = lift_of(lift, tmp_path / "many", MANY)
+    showing = lifts.showing_lift(bpy.context.scene, LiftFolder.open(many))
+    placed, listed = [0], [0]
+    for _ in showing:
+        placed.append(sum("instance_id" in ob for ob in bpy.data.objects))
+        roots = [each for each in bpy.data.collections if len(each.plgs.classes)]
+        listed.append(sum(len(row.masks) for root in roots for row in root.plgs.instances))
+    assert placed[-1] == MANY and max(np.diff(placed)) == 20
+    assert listed[-1] == 5 * MANY and max(np.diff(listed)) <= 60
+
+
+def test_beyond_the_most_one_object_has_the_other_boxes(lift: Path, tmp_path: Path, few_boxes: None) -> None:
+    root = lift_scene.place_lift(lift_of(lift, tmp_path / "many", MANY), bpy.context.scene)
+    assert sorted(boxes_of(root)) == [*range(MANY - MOST + 1, MANY + 1)], "those with the most points have their own"
+    assert len(root.plgs.instances) == MANY and all(len(row.masks) == 5 for row in root.plgs.instances)
+    together = objects_by_key(root)[boxes.TOGETHER].data
+    assert len(together.vertices) == 8 * (MANY - MOST) and not together.validate()
+    assert corner_sets(together)[MANY - MOST] == corners_of_its_own(lift, tmp_path, MANY - MOST)
+    with pytest.raises(PlgsError, match="has no box of its own"):
+        views.frame_instance(root, 1, bpy.types.SpaceView3D)
+    selection.select_instance(root, 1, bpy.context.view_layer)
+    assert root.plgs.instance_index == 0
+
+
+def corner_sets(mesh: bpy.types.Mesh) -> dict[int, set[tuple[float, ...]]]:
+    ids = [each.value for each in mesh.attributes["instance_id"].data]
+    found: dict[int, set[tuple[float, ...]]] = {number: set() for number in ids}
+    for number, vertex in zip(ids, mesh.vertices, strict=True):
+        found[number].add(tuple(round(part, 3) for part in vertex.co))
+    return found
+
+
+def corners_of_its_own(lift: Path, folder: Path, number: int) -> set[tuple[float, ...]]:
+    root = lift_scene.place_lift(lift_of(lift, folder / "same", number), bpy.data.scenes.new("other"))
+    box = boxes_of(root)[number]
+    return {tuple(round(part, 3) for part in box.matrix_world @ vertex.co) for vertex in box.data.vertices}
+
+
+def test_what_is_hidden_has_no_box_among_the_others(lift: Path, tmp_path: Path, few_boxes: None) -> None:
+    root = lift_scene.place_lift(lift_of(lift, tmp_path / "many", MANY), bpy.context.scene)
+    together = objects_by_key(root)[boxes.TOGETHER]
+    root.plgs.instances[0].visible = False
+    hidden = [each.value for each in together.data.attributes[HIDDEN].data]
+    assert hidden == [True] * 8 + [False] * (8 * (MANY - MOST - 1))
+    assert together.hide_render and not together.hide_get()
+    root.plgs.show_boxes = False
+    assert together.hide_get() and all(box.hide_get() for box in boxes_of(root).values())
+
+
+def test_what_was_chosen_before_holds_for_boxes_that_come_later(
+    lift: Path, tmp_path: Path, few_boxes: None
+) -> None:
+    many = lift_of(lift, tmp_path / "many", MANY)
+    root = lift_scene.place_lift(many, bpy.context.scene)
+    root.plgs.show_boxes, root.plgs.look = False, CLASSES
+    for box in boxes_of(root).values():
+        bpy.data.objects.remove(box)
+    assert lift_scene.place_lift(many, bpy.context.scene) == root
+    shown = boxes_of(root).values()
+    assert len(shown) == MOST and all(box.hide_get() for box in shown) and len({tuple(box.color) for box in shown}) == 1
+
+
+def test_an_object_that_is_deleted_gives_its_box_to_another(lift: Path, tmp_path: Path, few_boxes: None) -> None:
+    root = lift_scene.place_lift(lift_of(lift, tmp_path / "many", MOST + 1), bpy.context.scene)
+    moved = box_of(root, MOST)
+    moved.location.x += 1.0
+    bpy.context.view_layer.update()
+    there = moved.matrix_world.copy()
+    corrections.delete(root, MOST + 1, around=False)
+    assert sorted(boxes_of(root)) == [*range(1, MOST + 1)] and boxes.TOGETHER not in objects_by_key(root)
+    assert box_of(root, MOST).matrix_world == there and all(len(row.masks) == 5 for row in root.plgs.instances)
+
+
+def test_what_is_corrected_between_two_parts_stays_corrected(
+    lift: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(lift_scene, "_AT_ONCE", 20)
+    many = lift_of(lift, tmp_path / "many", 50)
+    placed = lift_scene.place_room(lift_scene.result_of(lift_scene.reading_lift(many)), bpy.context.scene)
+    next(placed.rest)  # its lists
+    root, _ = placed.at.find() or pytest.fail("it is there")
+    assert len(boxes_of(root)) == 20
+    corrections.delete(root, 50, around=False)
+    lift_scene.result_of(placed.rest)
+    assert sorted(boxes_of(root)) == [*range(1, 50)] and all(len(row.masks) == 5 for row in root.plgs.instances)
+    assert {row.class_id for row in root.plgs.instances} == {CHAIR_ID}
