@@ -32,7 +32,6 @@ def warm_start(
     instance_id: np.ndarray | None,
     viewpoints: np.ndarray,
     seed: int,
-    steps: int = STEPS,
 ) -> None:
     """Fit the colour, semantic and instance decoders in place to the initial anchors; raise the opacities a little.
 
@@ -54,7 +53,7 @@ def warm_start(
         decoders.opacity.get_parameter("2.bias").add_(OPACITY_BIAS)
     parameters = [each for name, group in decoders.learnt() if name in FITTED for each in group]
     moments = [no_moments(each) for each in parameters]
-    for step in range(steps):
+    for step in range(STEPS):
         rows = torch.from_numpy(random.integers(0, len(anchors), min(BATCH, len(anchors))))
         centre = centres[torch.from_numpy(random.integers(0, len(centres), len(rows)))]
         feature = anchors.feature.detach()[rows]
@@ -66,4 +65,4 @@ def warm_start(
                 flat = logits.reshape(len(rows) * k, -1)
                 loss = loss + functional.cross_entropy(flat, target.repeat_interleave(k), ignore_index=-1)
         loss.backward()
-        adam_step(parameters, moments, step, RATE * (1 - step / steps), eps=1e-8, fused=False)
+        adam_step(parameters, moments, step, RATE * (1 - step / STEPS), eps=1e-8, fused=False)

@@ -17,6 +17,7 @@ from engine.job import EventWriter, LiftFolder, LiftRequest, LiftState, StopSign
 from engine.lift import bake_frames, run_lift
 from engine.result_files import INSTANCES, SEMANTIC_POINTS, SemanticPoints, read_arrays, read_instances
 from tests.tiny_scene import CABINET_ID, CHAIR_ID, write_tiny_scene
+from tests.train.tiny_lift import short_warm_start
 
 OPTIONS = {"steps": 4, "steps_a_view": 0.0, "voxel_size": 0.2}
 
@@ -27,7 +28,8 @@ def lift(folder: LiftFolder, *, resume: bool = False) -> None:
     events = EventWriter(folder.events_path)
     try:
         work = run_lift if folder.request.block else run.run_building
-        work(folder, events, StopSignal(folder.cancel_path), resume=resume)
+        with short_warm_start():
+            work(folder, events, StopSignal(folder.cancel_path), resume=resume)
     finally:
         events.close()
 

@@ -13,19 +13,16 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-import torch
 
 from engine.command_line.main import main
 from engine.command_line.parser import EXPORTS
 from engine.export.run import KINDS
 from engine.export.source import FinishedLift
-from engine.job import EventWriter, LiftFolder, LiftRequest, StopSignal
-from engine.lift import run_lift
-from engine.presets.preset import PRESETS
+from engine.job import LiftFolder, LiftRequest
 from engine.result_files import SemanticPoints, read_arrays
 from tests.conftest import HAS_BLENDER
 from tests.tiny_scene import write_tiny_scene
-from tests.train.tiny_lift import TINY
+from tests.train.tiny_lift import TINY, lift_into, presets_as
 
 
 @pytest.fixture(scope="module")
@@ -33,17 +30,8 @@ def lift(tmp_path_factory: pytest.TempPathFactory) -> Iterator[LiftFolder]:
     """Six frames, of which the held-out one is baked."""
     root = tmp_path_factory.mktemp("export")
     scene = write_tiny_scene(root / "scene", frames=6, noise=0.1)
-    preview = PRESETS["preview"]
-    PRESETS["preview"] = TINY
-    folder = LiftFolder.create(root / "lift", LiftRequest(scene=scene, bake="test"))
-    try:
-        events = EventWriter(folder.events_path)
-        run_lift(folder, events, StopSignal(folder.cancel_path), resume=False)
-        events.close()
-        yield folder
-    finally:
-        PRESETS["preview"] = preview
-        torch.set_deterministic_debug_mode("default")
+    with presets_as(preview=TINY):
+        yield lift_into(root / "lift", LiftRequest(scene=scene, bake="test"))
 
 
 @pytest.fixture(scope="module")

@@ -56,47 +56,27 @@ def shot(path: Path, name: str, count: int) -> tuple[Path, set[str]]:
     return write_cameras(path, names), set(names)
 
 
-def test_two_followed_lifts_do_not_disturb_each_other(
+def test_followed_bakes_do_not_disturb_each_other(
     lift: LiftFolder, followers: list[TaskFollower], tmp_path: Path
 ) -> None:
-    python = Path(sys.executable)
-    left, left_names = shot(tmp_path / "left.json", "left", 12)
-    right, right_names = shot(tmp_path / "right.json", "right", 12)
-    first = start_bake(lift, python, cameras=left)
-    followers.append(first)
-    begun(first)
-    second = start_bake(lift, python, cameras=right)
-    followers.append(second)
-    ended(first, second)
-    assert (first.error, second.error) == (None, None)
-    assert (first.state, second.state) == (TaskState.FINISHED, TaskState.FINISHED)
-    first.close()
-    second.close()
+    """Two bake their views to the end, though a third is cancelled beside them."""
+    names = {}
+    for name, count in (("left", 40), ("right", 12), ("cancelled", 40)):
+        cameras, names[name] = shot(tmp_path / f"{name}.json", name, count)
+        followers.append(start_bake(lift, Path(sys.executable), cameras=cameras))
+        begun(followers[-1])
+    left, right, cancelled = followers
+    cancelled.cancel()
+    ended(*followers)
+    assert (left.error, right.error) == (None, None)
+    assert [each.state for each in followers] == [TaskState.FINISHED, TaskState.FINISHED, TaskState.CANCELLED]
+    for follower in followers:
+        follower.close()
     baked = {file.path.stem for file in verify(lift.result_path).files if file.path.suffix == ".exr"}
-    assert baked == {"0004"} | left_names | right_names
+    assert baked - names["cancelled"] == {"0004"} | names["left"] | names["right"]
+    assert not names["cancelled"] <= baked
     assert not [path for path in (lift.path / "bake").iterdir() if not path.name.startswith(("view-", "manifest"))]
     assert not [*lift.path.glob("bake-*"), *lift.path.rglob(".part-*")]
-
-
-def test_cancelling_the_second_leaves_the_first(
-    lift: LiftFolder, followers: list[TaskFollower], tmp_path: Path
-) -> None:
-    python = Path(sys.executable)
-    left, left_names = shot(tmp_path / "left.json", "left", 40)
-    right, right_names = shot(tmp_path / "right.json", "right", 40)
-    first = start_bake(lift, python, cameras=left)
-    followers.append(first)
-    begun(first)
-    second = start_bake(lift, python, cameras=right)
-    followers.append(second)
-    begun(second)
-    second.cancel()
-    ended(second)
-    assert second.state is TaskState.CANCELLED
-    ended(first)
-    assert first.state is TaskState.FINISHED
-    baked = {file.path.stem for file in verify(lift.result_path).files if file.path.suffix == ".exr"}
-    assert left_names <= baked and not right_names <= baked
 
 
 def test_two_commands_share_the_frames(lift: LiftFolder, root: Path) -> None:

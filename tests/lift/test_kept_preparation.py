@@ -17,6 +17,7 @@ from engine.scene import open_asked
 from engine.scene_of_lift import remember_scene
 from engine.train.trainer import Trainer
 from tests.tiny_scene import write_tiny_scene
+from tests.train.tiny_lift import short_warm_start
 
 STEPS = 3
 REPEATED = {"consistency", "match"}
@@ -37,7 +38,8 @@ def lift(folder: LiftFolder, *, resume: bool, stop_at: int | None = None) -> lis
     events = EventWriter(folder.events_path)
     events.hello(threads=1, resumed=resume)
     try:
-        run.run_lift(folder, events, StopSignal(folder.cancel_path), resume=resume, training=training)
+        with short_warm_start():
+            run.run_lift(folder, events, StopSignal(folder.cancel_path), resume=resume, training=training)
     except Cancelled:
         pass
     finally:

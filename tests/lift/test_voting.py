@@ -19,6 +19,7 @@ from engine.model.structured import NO_OBJECT
 from engine.passes.layers import decide
 from engine.presets.preset import Preset
 from engine.scene import Scene, load_view, open_scene
+from engine.train import warm_start
 from engine.train.trainer import Trainer
 from tests.tiny_scene import CABINET_ID, CHAIR_ID, write_tiny_scene
 from tests.train.tiny_lift import TINY, prepared_for
@@ -33,7 +34,7 @@ def lifted(tmp_path_factory: pytest.TempPathFactory) -> tuple[Scene, PreparedLif
     folder = tmp_path_factory.mktemp("voting")
     scene = open_scene(write_tiny_scene(folder / "scene", frames=8, size=LARGE), None, "z")
     views = [load_view(frame, SMALL) for frame in scene.train_frames]
-    prepared = prepared_for(views, scene.classes, PRESET, folder)
+    prepared = prepared_for(views, scene.classes, PRESET, folder, warm_steps=warm_start.STEPS)
     trainer = Trainer(prepared.scene, prepared.targets, views, PRESET, 0)
     while not trainer.finished:
         trainer.step()

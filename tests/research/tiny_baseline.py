@@ -16,7 +16,7 @@ from engine.train.progress import StageReporter
 from engine.train.trainer import Trainer
 from research.baselines.method import new_trainer, prepare_baseline
 from research.baselines.options import BaselinePreset, with_baseline_options
-from tests.train.tiny_lift import TINY
+from tests.train.tiny_lift import TINY, short_warm_start
 
 TINY_BASELINE = BaselinePreset(**{each.name: getattr(TINY, each.name) for each in fields(TINY)})
 
@@ -42,7 +42,8 @@ def prepared_for(
     events = EventWriter(folder / "events.jsonl")
     try:
         stages = StageReporter(events, StopSignal(folder / "cancel"), STAGES)
-        return preparing(views, classes, preset, 0, stages)
+        with short_warm_start():
+            return preparing(views, classes, preset, 0, stages)
     finally:
         events.close()
 

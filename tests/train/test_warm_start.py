@@ -10,6 +10,7 @@ import torch
 
 from engine.model.gaussians import decode_rows
 from engine.model.structured import StructuredScene
+from engine.train import warm_start
 from tests.train.tiny_lift import TINY, prepared_for, views_of
 
 
@@ -20,7 +21,7 @@ def scenes(tmp_path_factory: pytest.TempPathFactory) -> list[StructuredScene]:
     views, classes = views_of(folder / "scene")
     cold = replace(TINY, warm_start=False)
     chosen = ((TINY, 0), (TINY, 0), (TINY, 1), (cold, 0))
-    return [prepared_for(views, classes, preset, folder, seed).scene for preset, seed in chosen]
+    return [prepared_for(views, classes, preset, folder, seed, warm_start.STEPS).scene for preset, seed in chosen]
 
 
 def share_right(scene: StructuredScene) -> float:

@@ -16,11 +16,13 @@ from engine.lift.run import STAGES, run_lift
 from engine.model.growing import GrowthRules
 from engine.presets.preset import PRESETS, Growth, Preset, Schedule
 from engine.scene import ClassTable, View, load_view, open_scene
+from engine.train import warm_start
 from engine.train.progress import StageReporter
 from engine.train.trainer import GrowthSchedule, Trainer
 from tests.tiny_scene import write_tiny_scene
 
 STEPS = 12
+WARM_STEPS = 40
 TINY = replace(
     PRESETS["preview"],
     steps=STEPS,
@@ -41,12 +43,24 @@ class TinyTrainer(Trainer):
 
 
 @contextmanager
+def short_warm_start(steps: int = WARM_STEPS) -> Iterator[None]:
+    """Decoders are fitted in so few steps meanwhile: 400 take longer than all else of a tiny lift."""
+    before = warm_start.STEPS
+    warm_start.STEPS = steps
+    try:
+        yield
+    finally:
+        warm_start.STEPS = before
+
+
+@contextmanager
 def presets_as(**presets: Preset) -> Iterator[None]:
-    """The engine's presets of these names are these meanwhile."""
+    """The engine's presets of these names are these meanwhile, with a short warm start."""
     before = dict(PRESETS)
     PRESETS.update(presets)
     try:
-        yield
+        with short_warm_start():
+            yield
     finally:
         PRESETS.update(before)
         torch.set_deterministic_debug_mode("default")
@@ -69,11 +83,14 @@ def views_of(folder: Path, **options: object) -> tuple[list[View], ClassTable]:
     return [load_view(frame) for frame in scene.train_frames], scene.classes
 
 
-def prepared_for(views: list[View], classes: ClassTable, preset: Preset, folder: Path, seed: int = 0) -> PreparedLift:
+def prepared_for(
+    views: list[View], classes: ClassTable, preset: Preset, folder: Path, seed: int = 0, warm_steps: int = WARM_STEPS
+) -> PreparedLift:
     events = EventWriter(folder / "events.jsonl")
     try:
         stages = StageReporter(events, StopSignal(folder / "cancel"), STAGES)
-        return prepare(views, classes, preset, seed, stages)
+        with short_warm_start(warm_steps):
+            return prepare(views, classes, preset, seed, stages)
     finally:
         events.close()
 
