@@ -1,12 +1,12 @@
-"""A worker whose lifts are pretended: the real `run_engine` and checkpoints around some counting. Run as a script:
+"""What the processes of a farm do. Lifts are pretended: the real `run_engine` and checkpoints around some counting. Run
+as a script, it is such a lift:
 
-farm_worker.py lift LIFT [--resume] [--stay-with-parent]     such a lift
-farm_worker.py batch ADDRESS OUT SCENE ...                   a batch
-farm_worker.py KIND ADDRESS [CA CERTIFICATE]                 a worker: usual, another-engine, unmounted or full
+farm_worker.py lift LIFT [--resume] [--stay-with-parent]
 """
 
 from __future__ import annotations
 
+import os
 import sys
 import time
 from pathlib import Path
@@ -62,21 +62,39 @@ def pretend(kind: str) -> None:
         Path.exists = lambda path, **more: "scenes" not in path.parts and is_there(path, **more)
 
 
-if __name__ == "__main__":
-    if sys.argv[1] == "lift":
-        pipe = 0 if "--stay-with-parent" in sys.argv else None
-        try:
-            folder = LiftFolder.open(Path(sys.argv[2]))
-            sys.exit(run_engine(folder, resume="--resume" in sys.argv, parent_pipe=pipe, lift=lift))
-        except PlgsError as error:  # as the real command does: another engine may be at work
-            print(error, file=sys.stderr)
-            sys.exit(error.exit_code)
-    kind, address, *files = sys.argv[1:]
-    if kind == "batch":
-        output, *scenes = map(Path, files)
-        jobs = tuple(SceneJob(scene.name, output / scene.name, LiftRequest(scene=scene)) for scene in scenes)
-        with Interrupts() as interrupts, interrupts.deferred():
-            sys.exit(run_batch(BatchPlan(output, jobs), Place(scheduler=address), interrupts))
+def schedule(port: int, ttl_s: float, options: tuple[str, ...]) -> None:
+    """A scheduler, which gives a worker up that it has not heard of for ``ttl_s``."""
+    import dask
+    from distributed.cli.dask_scheduler import main
+
+    _be_quiet()
+    dask.config.set({"distributed.scheduler.worker-ttl": f"{ttl_s}s"})
+    main(["--host", "127.0.0.1", "--no-dashboard", "--port", str(port), *options])
+
+
+def work(kind: str, address: str, *files: Path) -> None:
+    """A worker: usual, another-engine, unmounted or full. ``files``: the authority's certificate, and its own."""
+    _be_quiet()
     pretend(kind)
-    tls = worker.Tls(*map(Path, files)) if files else None
-    sys.exit(worker.run_worker(address, threads=1, patience_s=20.0, tls=tls))
+    worker.run_worker(address, threads=1, patience_s=20.0, tls=worker.Tls(*files) if files else None)
+
+
+def batch(address: str, output: Path, *scenes: Path) -> None:
+    _be_quiet()
+    jobs = tuple(SceneJob(scene.name, output / scene.name, LiftRequest(scene=scene)) for scene in scenes)
+    with Interrupts() as interrupts, interrupts.deferred():
+        sys.exit(run_batch(BatchPlan(output, jobs), Place(scheduler=address), interrupts))
+
+
+def _be_quiet() -> None:
+    os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
+
+
+if __name__ == "__main__":
+    pipe = 0 if "--stay-with-parent" in sys.argv else None
+    try:
+        folder = LiftFolder.open(Path(sys.argv[2]))
+        sys.exit(run_engine(folder, resume="--resume" in sys.argv, parent_pipe=pipe, lift=lift))
+    except PlgsError as error:  # as the real command does: another engine may be at work
+        print(error, file=sys.stderr)
+        sys.exit(error.exit_code)

@@ -1,0 +1,137 @@
+"""Where a batch finds its workers, and who may reach them."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import socket
+import subprocess
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from engine.batch import BatchPlan, SceneJob, cluster, run_worker
+from engine.batch.cluster import Place
+from engine.batch.worker import Tls
+from engine.command_line.main import main
+from engine.errors import ExitCode, PlgsError
+from tests.batch import farm_worker
+from tests.batch.farm import PATIENCE_S, Farm, plan_of, rows_of, run
+
+distributed = pytest.importorskip("distributed", reason="distributed is not installed: python -m engine add farm")
+USUAL_WAIT_S = cluster.NO_WORKER_S
+
+
+def test_a_batch_on_this_machine_is_not_reached_from_others() -> None:
+    """Neither its scheduler, nor the dashboard, nor its workers; and with a worker less it goes on."""
+    with cluster.opened(Place(workers=2)) as farm:
+        numbers = [os.getpid(), *(worker.pid for worker in farm.own)]
+        give_up = time.monotonic() + PATIENCE_S
+        while len(farm.workers()) < 2:
+            assert time.monotonic() < give_up
+            time.sleep(0.1)
+        listening = {each for number in numbers for each in sockets_of(number)}
+        first = next(iter(farm.workers().values()))
+        assert farm.use_fewer(f"machine {first['name']}") and len(farm.own) == 1
+        while len(there := farm.workers()) > 1:
+            assert time.monotonic() < give_up
+            time.sleep(0.1)
+        assert first["name"] not in [told["name"] for told in there.values()] and not farm.use_fewer("machine")
+    assert len(listening) >= 4 and {host for host, _ in listening} == {"127.0.0.1"}
+
+
+def sockets_of(process: int) -> Iterator[tuple[str, int]]:
+    """The addresses at which a process listens."""
+    links = [os.readlink(each) for each in Path(f"/proc/{process}/fd").iterdir() if each.is_symlink()]
+    for table, family in (("tcp", socket.AF_INET), ("tcp6", socket.AF_INET6)):
+        for line in Path(f"/proc/net/{table}").read_text().splitlines()[1:]:
+            _, local, _, state, *_, inode = line.split()[:10]
+            if state == "0A" and f"socket:[{inode}]" in links:
+                host, port = local.split(":")
+                raw = b"".join(bytes.fromhex(host[k : k + 8])[::-1] for k in range(0, len(host), 8))
+                yield socket.inet_ntop(family, raw), int(port, 16)
+
+
+def certificates(folder: Path) -> tuple[Path, Path]:
+    """An authority's certificate, and one that it signed, with its key."""
+
+    def openssl(*arguments: str) -> None:
+        subprocess.run(["openssl", *arguments], cwd=folder, check=True, capture_output=True)
+
+    openssl("req", "-x509", "-newkey", "rsa:2048", "-nodes", "-keyout", "ca.key", "-out", "ca.pem", "-subj", "/CN=ca")
+    openssl("req", "-newkey", "rsa:2048", "-nodes", "-keyout", "own.key", "-out", "own.csr", "-subj", "/CN=own")
+    openssl("x509", "-req", "-in", "own.csr", "-CA", "ca.pem", "-CAkey", "ca.key", "-CAcreateserial", "-out", "own.crt")
+    (folder / "own.pem").write_text((folder / "own.crt").read_text() + (folder / "own.key").read_text())
+    return folder / "ca.pem", folder / "own.pem"
+
+
+@pytest.mark.skipif(shutil.which("openssl") is None, reason="needs openssl to make certificates")
+def test_with_tls(tmp_path: Path, farm: Farm) -> None:
+    """With certificates of the same authority it works; without them, nobody gets in."""
+    ca, own = certificates(tmp_path)
+    options = f"--protocol tls:// --tls-ca-file {ca} --tls-cert {own} --tls-key {own}".split()
+    address = f"tls://127.0.0.1:{farm.scheduler(0, 60.0, *options)[1]}"
+    tls = Tls(ca, own)
+    plan = plan_of(tmp_path, "a")
+    with pytest.raises(PlgsError, match="begins with tls://"):
+        run(plan, Place(scheduler=address.replace("tls://", "tcp://"), tls=tls))
+    with pytest.raises(PlgsError, match="TLS cannot be used"):
+        run(plan, Place(scheduler=address, tls=Tls(ca, ca)))
+    with pytest.raises(PlgsError, match="no scheduler answers"):
+        run(plan, Place(scheduler=address.replace("tls://", "tcp://")))
+    farm.start(farm_worker.work, "usual", address, ca, own)
+    assert run(plan, Place(scheduler=address, tls=tls)) is ExitCode.FINISHED
+
+
+def test_a_scheduler_without_workers_says_so_within_ten_seconds(
+    tmp_path: Path, address: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(cluster, "NO_WORKER_S", USUAL_WAIT_S)
+    began = time.monotonic()
+    with pytest.raises(PlgsError, match="it has no workers.*python -m engine worker"):
+        run(plan_of(tmp_path, "a"), Place(scheduler=address))
+    assert time.monotonic() - began < 10.0
+
+
+def test_workers_with_another_engine_get_nothing(
+    tmp_path: Path, farm: Farm, address: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    farm.workers(address, "another-engine")
+    with distributed.Client(address) as client:
+        client.wait_for_workers(1, timeout=PATIENCE_S)
+    monkeypatch.setattr(cluster, "NO_WORKER_S", 1.0)
+    plan = plan_of(tmp_path, "a")
+    with pytest.raises(PlgsError, match="different engines .plgs-0.0.0-00000000.; this one is plgs-"):
+        run(plan, Place(scheduler=address))
+    assert not (plan.output / "a").exists()
+
+
+def test_no_scheduler(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cluster, "CONNECT_S", 0.5)
+    with pytest.raises(PlgsError, match="no scheduler answers"):
+        run(plan_of(tmp_path, "a"), Place(scheduler="tcp://127.0.0.1:9"))
+
+
+@pytest.mark.parametrize("address", ["nonsense", "machine:8786", "tcp://machine", "tcp://a b:1"])
+def test_an_invalid_address(address: str, tmp_path: Path) -> None:
+    with pytest.raises(PlgsError, match="is not the address of a scheduler"):
+        run(plan_of(tmp_path, "a"), Place(scheduler=address))
+    with pytest.raises(PlgsError, match="is not the address of a scheduler"):
+        run_worker(address)
+
+
+@pytest.mark.parametrize("options", ["--slurm --scheduler tcp://a:1", "--workers 2 --scheduler tcp://a:1", "--queue q"])
+def test_options_of_two_places(options: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["batch", str(tmp_path / "a"), "-o", str(tmp_path / "out"), *options.split()]) == ExitCode.BAD_INPUT
+    assert capsys.readouterr().err.count("\n") == 1 and not (tmp_path / "out").exists()
+
+
+def test_a_lift_for_which_no_worker_is_large_enough(tmp_path: Path, farm: Farm, address: str) -> None:
+    plan = plan_of(tmp_path, "a")
+    job = SceneJob("a", plan.jobs[0].lift, plan.jobs[0].request, gigabytes=1e6)
+    farm.workers(address, "usual")
+    large = BatchPlan(plan.output, (job,))
+    assert run(large, Place(scheduler=address)) is not ExitCode.FINISHED
+    assert "needs about 1000000.0 GB" in rows_of(large)["a"]["reason"]
