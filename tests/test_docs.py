@@ -58,7 +58,7 @@ def test_the_script_lifts_a_scene_and_lists_its_objects(root: Path, tmp_path: Pa
     script = re.search(r"```python\n(\"\"\"Lift a scene.*?)```", (root / "docs/scripting.md").read_text(), re.DOTALL)
     assert script is not None
     scene, lift = write_tiny_scene(tmp_path / "scene", 8, (64, 48)), tmp_path / "lift"
-    command = [sys.executable, "-c", script[1], str(scene), str(lift), "--steps", "5"]
+    command = [sys.executable, "-c", script[1], str(scene), str(lift), "--steps", "5", "--set", "warm_start=false"]
     environment = os.environ | {"PYTHONPATH": str(root)}
     process = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=300)
     assert process.returncode == 0, process.stderr

@@ -135,26 +135,15 @@ def test_ctrl_c_while_blender_builds(run: Run, tmp_path: Path) -> None:
     assert not (out / "lift.blend").exists()
 
 
-def test_the_engine_ends_when_run_plgs_is_killed(run: Run, tmp_path: Path) -> None:
-    out = tmp_path / "out"
-    process = run("deaf", tmp_path / "scene", "-o", out)
-    wait_for(process, has_begun(out))
-    process.kill()
-    process.wait()
-    began = time.monotonic()
-    lift = LiftFolder.open(out)
-    while lift.is_running:
-        assert time.monotonic() - began < PATIENCE_S
-        time.sleep(0.02)
-    assert lift.state() is LiftState.CANCELLED
-
-
 def test_resuming_a_running_lift_leaves_it_alone(run: Run, tmp_path: Path) -> None:
     out = tmp_path / "out"
     first = run("patient", tmp_path / "scene", "-o", out)
     wait_for(first, has_begun(out))
+    engine = next(event.data["pid"] for event in last_run(out / "events.jsonl"))
     second = run("patient", tmp_path / "scene", "-o", out, "--resume")
-    assert "another engine is at work" in second.communicate(timeout=20)[1] and second.returncode == 75
+    told = second.communicate(timeout=20)[1]
+    assert "another engine is at work" in told and second.returncode == 75
+    assert f"(process {engine} on {platform.node()}, since 2" in told and "'cancel'" in told
     third = run("patient", tmp_path / "scene", "-o", out, "--resume")
     assert third.stderr is not None and any("looks for a lift to resume" in line for line in third.stderr)
     third.send_signal(signal.SIGINT)
@@ -274,16 +263,7 @@ def test_a_folder_that_is_deleted_during_the_lift_is_a_one_line_error(run: Run, 
     assert stderr.splitlines()[-1].startswith("error: ") and str(out) in stderr.splitlines()[-1]
 
 
-def test_the_holder_of_a_lift_is_reported(run: Run, tmp_path: Path) -> None:
-    out = tmp_path / "out"
-    first = run("patient", tmp_path / "scene", "-o", out)
-    wait_for(first, has_begun(out))
-    engine = next(event.data["pid"] for event in last_run(out / "events.jsonl"))
-    told = run("patient", tmp_path / "scene", "-o", out, "--resume").communicate(timeout=20)[1]
-    assert f"(process {engine} on {platform.node()}, since 2" in told and "'cancel'" in told
-
-
-def test_a_suspended_engine_ends_with_its_parent_when_it_continues(run: Run, tmp_path: Path) -> None:
+def test_the_engine_ends_when_run_plgs_is_killed_even_if_it_was_suspended(run: Run, tmp_path: Path) -> None:
     out = tmp_path / "out"
     process = run("patient", tmp_path / "scene", "-o", out)
     wait_for(process, has_begun(out))

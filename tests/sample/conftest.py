@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import runpy
 import subprocess
 import sys
 from collections.abc import Callable
@@ -17,12 +18,16 @@ Refused = Callable[..., None]
 
 
 @pytest.fixture
-def make(request: pytest.FixtureRequest) -> Make:
-    """Runs the program that a test module names PROGRAM, in a process of its own."""
+def make(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Make:
+    """Runs the program that a test module names PROGRAM."""
 
     def run(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
-        command = [sys.executable, SAMPLE / request.module.PROGRAM, *arguments]
-        return subprocess.run(command, capture_output=True, text=True, timeout=300)
+        program = str(SAMPLE / request.module.PROGRAM)
+        monkeypatch.setattr(sys, "argv", [program, *map(str, arguments)])
+        with pytest.raises(SystemExit) as ended:
+            runpy.run_path(program, run_name="__main__")
+        said = capsys.readouterr()
+        return subprocess.CompletedProcess(sys.argv, int(ended.value.code or 0), said.out, said.err)
 
     return run
 
