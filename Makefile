@@ -27,7 +27,7 @@ NEXT_TESTS := tests/plgs_blender tests/operators tests/ui tests/test_register.py
 	tests/job/test_folder.py tests/job/test_following_events.py
 # Which examples `make search` tries first, and how many times as many as `make test`.
 SEED := $(or $(SEED),$(shell od -An -N3 -tu4 /dev/urandom | tr -d ' '))
-PLGS_FUZZ ?= 10
+PLGS_FUZZ ?= 25
 # How many faults each command meets in `make test-failing-calls`.
 PLGS_FAULTS ?= 30
 

@@ -47,7 +47,7 @@ def survives(lift: Path) -> None:
     assert all(line.isprintable() for line in result.warnings)
 
 
-@examples(150)
+@examples(60)
 @given(data=st.data())
 def test_odd_values_do_no_harm(lift: Path, original: bytes, data: st.DataObject) -> None:
     content = json.loads(original)
@@ -64,7 +64,7 @@ def test_the_report_of_an_unknown_edit_is_printable(lift: Path, original: bytes)
     survives(lift)
 
 
-@examples(100)
+@examples(40)
 @given(data=st.data())
 def test_damaged_bytes_do_no_harm(lift: Path, original: bytes, data: st.DataObject) -> None:
     (lift / CORRECTIONS).write_bytes(damaged(data.draw, original))

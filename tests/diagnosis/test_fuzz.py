@@ -127,7 +127,7 @@ def survives(original: Path, tmp_path: Path, drawn: dict[str, Any]) -> None:
         assert "\n" not in str(error) and error.fix
 
 
-@examples(10)
+@examples(4)
 @given(drawn=st.fixed_dictionaries(SCENES))
 def test_cameras_and_depth_together(original: Path, tmp_path: Path, drawn: dict[str, Any]) -> None:
     survives(original, tmp_path, drawn)

@@ -83,7 +83,7 @@ def refused_with_a_line(look: Callable[[], object]) -> None:
         assert not {"\n", "\x1b"} & set(str(error)) and error.fix
 
 
-@examples(150)
+@examples(60)
 @given(data=st.data(), name=st.sampled_from(JSON_FILES))
 def test_odd_values_do_no_harm(lift: Path, tmp_path: Path, data: st.DataObject, name: str) -> None:
     content: Any = json.loads((lift / name).read_text())
@@ -92,13 +92,13 @@ def test_odd_values_do_no_harm(lift: Path, tmp_path: Path, data: st.DataObject, 
     with_file(lift, tmp_path, name, json.dumps(content).encode())
 
 
-@examples(80)
+@examples(30)
 @given(data=st.data(), name=st.sampled_from([*JSON_FILES, "events.jsonl"]))
 def test_damaged_bytes_do_no_harm(lift: Path, tmp_path: Path, data: st.DataObject, name: str) -> None:
     with_file(lift, tmp_path, name, damaged(data.draw, (lift / name).read_bytes()))
 
 
-@examples(100)
+@examples(40)
 @given(data=st.data())
 def test_odd_events_do_no_harm(lift: Path, tmp_path: Path, data: st.DataObject) -> None:
     lines = (lift / "events.jsonl").read_text().splitlines()

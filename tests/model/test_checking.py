@@ -81,7 +81,7 @@ def test_labels_that_are_in_no_table() -> None:
     refused(tensors | {"anchors.initial_class": torch.full((80,), 2**40)}, facts, "its range")
 
 
-@examples(100)
+@examples(40)
 @given(data=st.data(), voted=st.booleans())
 def test_odd_facts_and_tensors(data: st.DataObject, voted: bool) -> None:
     """What is not refused can be drawn."""

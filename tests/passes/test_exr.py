@@ -96,7 +96,7 @@ def test_what_is_invalid_is_refused(tmp_path: Path) -> None:
         read_exr(tmp_path / "c.exr")
 
 
-@examples(60)
+@examples(25)
 @given(data=st.data())
 def test_damaged_passes_are_refused(tmp_path: Path, data: st.DataObject) -> None:
     """A header is small, and most of what may go wrong lies in it."""

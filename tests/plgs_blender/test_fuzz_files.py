@@ -71,7 +71,7 @@ def test_odd_custom_properties(small: Path, placed: Path, every: int) -> None:
                     assert "\n" not in str(error)
 
 
-@examples(60)
+@examples(25)
 @given(data=st.data())
 def test_damaged_headers_of_passes(small: Path, tmp_path: Path, data: st.DataObject) -> None:
     whole = next((small / "result" / "passes").iterdir()).read_bytes()[:4000]
@@ -81,7 +81,7 @@ def test_damaged_headers_of_passes(small: Path, tmp_path: Path, data: st.DataObj
         passes.check_layers([tmp_path / "a.exr"])
 
 
-@examples(80)
+@examples(30)
 @given(data=st.data(), name=st.sampled_from(["semantic_points.npz", "anchors.npz"]))
 def test_damaged_arrays(small: Path, tmp_path: Path, data: st.DataObject, name: str) -> None:
     """With checksums that fit: somebody made them so."""

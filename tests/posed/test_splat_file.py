@@ -25,7 +25,7 @@ def original(tmp_path: Path) -> bytes:
     return (tmp_path / "splats.ply").read_bytes()
 
 
-@examples(60)
+@examples(25)
 @given(data=st.data())
 def test_damaged_splats(original: bytes, tmp_path: Path, data: st.DataObject) -> None:
     path = tmp_path / "damaged.ply"

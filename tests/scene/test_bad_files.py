@@ -422,7 +422,7 @@ def odd_value(draw: Any, data: bytes) -> bytes:
 
 
 @pytest.mark.parametrize("name", WRITERS)
-@examples(20)
+@examples(8)
 @given(data=st.data())
 def test_damaged_samples_are_one_line_errors(sample: Sample, name: str, data: st.DataObject) -> None:
     files = sorted(path for path in sample(name).rglob("*") if path.is_file())
