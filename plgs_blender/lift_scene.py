@@ -315,6 +315,8 @@ def open_blend(blend: Path, lift: Path, named_by: str = "--save") -> bpy.types.S
     """Open a file with its screens, and return the scene that has the lift, else the scene that was worked in. Raises
     PlgsError with ``named_by``, the option that named the file.
     """
+    if not blend.is_file():  # Blender would wait for whoever writes into a FIFO
+        raise PlgsError("is not a file", blend, f"Name another with {named_by}.")
     try:
         bpy.ops.wm.open_mainfile(filepath=str(blend), load_ui=True, use_scripts=False)
     except RuntimeError as error:

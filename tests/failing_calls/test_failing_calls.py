@@ -130,7 +130,7 @@ def test_lift_in_a_terminal(place: Path, root: Path, state: State, commands: Com
 
 
 def test_batch(place: Path, root: Path, state: State, commands: Commands) -> None:
-    """Calls of the batch, its worker, and its engines, in the order in which they come."""
+    """Calls of the batch and its worker. Its engines, which leave LD_PRELOAD behind, make those of `test_lift`."""
     work = place / "work"
     batch = ("batch", place / "scene", "-o", work / "out", "--workers", "1", "--bake", "none", *TINY)
     attacked = Attacked("batch", empty(place), batch, batched, most=max(4, MOST // 4))

@@ -16,8 +16,12 @@ from plgs.engine.errors import PlgsError
 from plgs.plgs_blender import lift_scene
 from plgs.plgs_blender.chosen_scene import ChosenScene
 from plgs.plgs_blender.import_scene import place_scene
+from plgs.plgs_blender.inspecting import views
+from plgs.plgs_blender.inspecting.lists import registered
+from plgs.plgs_blender.inspecting.lookup import boxes_of
 from plgs.plgs_blender.instances_in_parts import MOST_INSTANCES
 from plgs.plgs_blender.results import read_result
+from plgs.plgs_blender.viewport import all_views
 from tiny_lift import mend_manifest, write_tiny_lift
 
 
@@ -145,3 +149,35 @@ def test_folders_that_blender_cannot_name_change_nothing(lift: Path, tmp_path: P
     with pytest.raises(PlgsError, match="Rename it"):
         place_scene(ChosenScene(folder), bpy.context.scene)
     assert contents() == before
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("name", "\x1b[31m\x07\u202ered\ntwo\0"),
+        ("name", "../../etc/passwd"),
+        ("name", ""),
+        ("name", "ä" * 500),
+        ("class_name", "\x9b\u2028"),
+        ("size", [1e6, 0.0, -1e6]),
+        ("centre", [1e6, -1e6, 1e6]),
+        ("rotation", [0.0, 0.0, 0.0, 0.0]),
+        ("rotation", [1e6, 1e6, 0.0, 0.0]),
+    ],
+)
+def test_odd_instances_are_clean_objects(lift: Path, tmp_path: Path, name: str, value: object) -> None:
+    shutil.copytree(lift, tmp_path / "lift")
+    path = tmp_path / "lift" / "result" / "instances.json"
+    content = json.loads(path.read_text())
+    content["instances"][0][name] = value
+    path.write_text(json.dumps(content))
+    mend_manifest(tmp_path / "lift")
+    root = lift_scene.place_lift(tmp_path / "lift", bpy.context.scene)
+    box = boxes_of(root)[content["instances"][0]["id"]]
+    bpy.context.view_layer.update()
+    assert box.name.isprintable() and str(box["class"]).isprintable()
+    assert np.isfinite(np.array(box.matrix_world)).all() and np.isfinite(np.array(box.bound_box)).all()
+    with registered():
+        assert root.plgs.instances[0].name.isprintable()
+        views.frame_instance(root, box["instance_id"], all_views()[0].spaces.active)
+        assert np.isfinite(np.array(all_views()[0].spaces.active.region_3d.view_location)).all()

@@ -26,11 +26,11 @@ GOOD = [
 ]  # fmt: skip
 PLAIN = json.dumps(WHOLE)
 BAD = [
-    "", "[]", "7", "{", "}", "{}", PLAIN[:-1], PLAIN[:-2], PLAIN[:200], PLAIN + "}",
-    PLAIN.replace('"up": "z",', '"up"'), PLAIN.replace(":", ";"), PLAIN.replace("}, {", "} {"),
-    PLAIN.replace("}]}", "},]}"), PLAIN.replace("0.5", "NaN"),
-    PLAIN.replace('"instances": [', '"instances": '), PLAIN.replace('"instances": [', '"instances": [7, '),
-    '{"instances": ' + "[" * 5000, '{"instances": [' + "[" * 100_000,
+    "", "[]", "7", "{", "}", "{}", PLAIN[:-1], PLAIN[:-2], PLAIN[:200], PLAIN + "}", PLAIN.replace(":", ";"),
+    PLAIN.replace('"up": "z",', '"up"'), PLAIN.replace("}, {", "} {"), PLAIN.replace("}]}", "},]}"),
+    PLAIN.replace("0.5", "NaN"), PLAIN.replace('"instances": [', '"instances": '),
+    PLAIN.replace('"instances": [', '"instances": [7, '), '{"instances": ' + "[" * 5000,
+    '{"instances": [' + "[" * 100_000,
 ]  # fmt: skip
 
 
