@@ -98,26 +98,21 @@ class Window:
     def is_running(self) -> bool:
         return self._blender is not None and self._blender.poll() is None
 
-    def new_file(self) -> None:
-        """File > New, and what was measured is forgotten."""
+    def new_file(self, *, is_solid: bool = True) -> None:
+        """File > New, and what was measured is forgotten. Solid shading of a user's own, which the extension keeps:
+        Material Preview takes a processor that stands in for a graphics card a minute to begin with, and then long for
+        each frame. Where that is to be seen, ``is_solid`` is False.
+        """
         if not self.is_running:
             self.start()
         self.space = "VIEW_3D"
-        self.run("bpy.ops.wm.read_homefile(use_splash=False)")
+        self.run("bpy.ops.wm.read_homefile(use_splash=False)" + (_SOLID if is_solid else ""))
         self.run("watch.begin()")
         self.move(SIZE[0] // 2, SIZE[1] // 2)
 
     def place(self, lift: Path, then: str = "") -> None:
-        """Show a finished lift in Solid shading of a user's own, and run statements before the window is drawn.
-
-        Material Preview, where a lift's points have their colours, takes a processor that stands in for a graphics card
-        a minute to begin with; test_result.py looks at it.
-        """
-        self.run(f"bpy.ops.plgs.place_lift(lift_folder={str(lift)!r})\n{_SOLID}\n{then}")
-
-    def show_solid(self) -> None:
-        """Let 3D views show Solid shading, which a processor that stands in for a graphics card draws in time."""
-        self.run(_SOLID)
+        """Show a finished lift, and run statements before the window is drawn."""
+        self.run(f"bpy.ops.plgs.place_lift(lift_folder={str(lift)!r})\n{then}")
 
     # Questions and answers
 
@@ -326,10 +321,10 @@ class Window:
 
 
 _SOLID = """
-for screen in bpy.data.screens:
-    for area in screen.areas:
-        if area.type == 'VIEW_3D':
-            area.spaces.active.shading.type, area.spaces.active.shading.color_type = 'SOLID', 'OBJECT'
+for space in [area.spaces.active for screen in bpy.data.screens for area in screen.areas if area.type == 'VIEW_3D']:
+    space.shading.type, space.shading.color_type, space.shading.wireframe_color_type = 'SOLID', 'OBJECT', 'OBJECT'
+    space.shading.show_backface_culling, space.clip_start = True, 0.01
+    space.overlay.show_relationship_lines = space.overlay.show_floor = False
 """
 _IN_SIDEBAR = """
 window = bpy.context.window_manager.windows[0]

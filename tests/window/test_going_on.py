@@ -127,7 +127,6 @@ def test_the_window_never_waits_while_it_lifts(window: Window, scene: Path) -> N
     window.open_sidebar()
     window.run(f"bpy.context.scene.plgs.scene_folder = {str(scene)!r}")
     window.run("bpy.ops.plgs.import_scene()")
-    window.show_solid()
     frame = window.ask("next(each.name for each in bpy.data.objects if 'frame' in each)")
     window.run(f"bpy.data.objects['Camera'].matrix_world = bpy.data.objects[{frame!r}].matrix_world")
     window.run("bpy.data.objects['Camera'].location.z += 0.2")
@@ -170,13 +169,13 @@ def test_an_engine_that_is_killed_leaves_a_message_and_resume(window: Window, sc
 def test_closing_blender_ends_the_lift_unless_it_is_to_outlive_it(window: Window, scene: Path) -> None:
     ending = begin(window, scene, "ends with Blender")
     window.quit()
-    window.start()
+    window.new_file()
     assert not ending.is_running
 
     going_on = begin(window, scene, "goes on", keep_running=True)
     window.kill()
     assert going_on.is_running
-    window.start()
+    window.new_file()
     window.open_sidebar()
     window.run(MODULES)
     window.wait_for(f"any(str(each.folder.path) == {str(going_on.path)!r} for each in lifts.recent())")
