@@ -63,11 +63,21 @@ def blend(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def test_frames_are_baked_and_those_that_are_done_are_kept(lift: LiftFolder, blend: Path, root: Path) -> None:
+@pytest.fixture(scope="module")
+def shot(finished: Path, blend: Path, root: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A lift with frames 1 to 3 of "dolly", baked by run_plgs.py. Only for reading."""
+    lift = Path(shutil.copytree(finished, tmp_path_factory.mktemp("baked") / "lift"))
     before = blend.read_bytes()
-    command = ["-o", lift.path, "--bake", "camera", "--blend", blend, "--camera", "dolly"]
-    first = run_script(root, *command, "--range", "1-3")
+    first = run_script(root, "-o", lift, "--bake", "camera", "--blend", blend, "--camera", "dolly", "--range", "1-3")
     assert first.returncode == 0, first.stderr
+    assert blend.read_bytes() == before and not (lift / "lift.blend").exists()
+    return lift
+
+
+def test_frames_are_baked_and_those_that_are_done_are_kept(
+    shot: Path, blend: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    lift = LiftFolder.open(shutil.copytree(shot, tmp_path / "lift"))
     baked = [lift.passes_path / f"shot_dolly.{frame:04d}.exr" for frame in (1, 2, 3)]
     assert sorted(lift.passes_path.iterdir()) == baked
     depths = [read_exr(path).depth for path in baked]
@@ -75,49 +85,43 @@ def test_frames_are_baked_and_those_that_are_done_are_kept(lift: LiftFolder, ble
     assert np.median(depths[0]) > np.median(depths[1]) > np.median(depths[2])  # it goes nearer
     written = [path.stat().st_mtime_ns for path in baked]
 
-    again = run_script(root, *command, "--range", "1-2,4,3", "--progress", "json")
-    assert again.returncode == 0, again.stderr
-    told = [json.loads(line) for line in again.stdout.splitlines()]
+    command = ["-o", lift.path, "--bake", "camera", "--blend", blend, "--camera", "dolly", "--range", "1-2,4,3"]
+    assert exit_code(run_plgs.main, *command, "--progress", "json") == 0
+    told = [json.loads(line) for line in capfd.readouterr().out.splitlines() if line.startswith("{")]
     assert told[0]["event"] == "hello" and told[-1]["state"] == "finished"
     assert [path.stat().st_mtime_ns for path in baked] == written
     listed = {file.path.name for file in verify(lift.result_path).files if file.path.suffix == ".exr"}
     assert listed == {*(path.name for path in baked), "shot_dolly.0004.exr"}
-    assert blend.read_bytes() == before and not (lift.path / "lift.blend").exists()
 
 
-def test_passes_go_into_a_folder_of_ones_own(lift: LiftFolder, blend: Path, tmp_path: Path) -> None:
-    command = ["-o", lift.path, "--bake", "camera", "--blend", blend, "--camera", "dolly", "--range", "-1-1"]
+def test_passes_of_a_moved_scene_go_into_a_folder_of_ones_own(
+    lift: LiftFolder, blend: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    moved = Path(shutil.copytree(lift.request.scene, tmp_path / "moved"))
+    command = ["-o", lift.path, "--bake", "camera", "--blend", blend, "--camera", "dolly", "--range", "-1-1", "--scene"]
     before = lift.manifest_path.read_bytes()
-    assert exit_code(run_plgs.main, *command, "--passes", tmp_path / "mine") == 0
+    assert exit_code(run_plgs.main, *command, tmp_path / "gone") == 2 and "gone" in capsys.readouterr().err
+    assert exit_code(run_plgs.main, *command, moved, "--passes", tmp_path / "mine") == 0
+    assert LiftFolder.open(lift.path).request.scene == moved
     assert {path.name for path in (tmp_path / "mine").glob("*.exr")} == {
         f"shot_dolly.{frame}.exr" for frame in ("-0001", "0000", "0001")
     }
     assert lift.manifest_path.read_bytes() == before and not lift.passes_path.exists()
+    assert exit_code(run_plgs.main, moved, "-o", lift.path, "--scene", moved) == 2
+    assert "--scene belongs to --bake camera without SCENE" in capsys.readouterr().err
 
 
-def test_corrections_are_seen_and_the_lifts_own_file_stays(lift: LiftFolder, blend: Path) -> None:
+def test_corrections_are_seen_and_the_lifts_own_file_stays(shot: Path, blend: Path, tmp_path: Path) -> None:
+    lift = LiftFolder.open(shutil.copytree(shot, tmp_path / "lift"))
     own = Path(shutil.copy(blend, lift.path / "lift.blend"))
     before = own.read_bytes()
-    command = ["-o", lift.path, "--bake", "camera", "--blend", blend, "--camera", "dolly", "--range", "1-1"]
-    assert exit_code(run_plgs.main, *command) == 0
     baked = lift.passes_path / "shot_dolly.0001.exr"
     shown = read_exr(baked).instance
     one = int(shown[shown > 0][0])
     correct(lift.path, lambda state, _: making.delete(state, one, around=False))
+    command = ["-o", lift.path, "--bake", "camera", "--blend", blend, "--camera", "dolly", "--range", "1-1"]
     assert exit_code(run_plgs.main, *command) == 0
     assert not (read_exr(baked).instance == one).any() and own.read_bytes() == before
-
-
-def test_a_scene_that_was_moved_is_found(
-    lift: LiftFolder, blend: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    moved = Path(shutil.copytree(lift.request.scene, tmp_path / "moved"))
-    command = ["-o", lift.path, "--bake", "camera", "--blend", blend, "--range", "1-1", "--scene"]
-    assert exit_code(run_plgs.main, *command, tmp_path / "gone") == 2 and "gone" in capsys.readouterr().err
-    assert exit_code(run_plgs.main, *command, moved) == 0
-    assert LiftFolder.open(lift.path).request.scene == moved
-    assert exit_code(run_plgs.main, moved, "-o", lift.path, "--scene", moved) == 2
-    assert "--scene belongs to --bake camera without SCENE" in capsys.readouterr().err
 
 
 def test_two_commands_at_once_both_end_with_all_frames(lift: LiftFolder, blend: Path, root: Path) -> None:

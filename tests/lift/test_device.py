@@ -46,7 +46,7 @@ def test_without_gsplat_the_error_says_how_to_get_it(monkeypatch: pytest.MonkeyP
 
 def test_a_lift_trains_and_renders_on_the_back_end_for_cuda(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """With tensors on the CPU, and a stand-in in the place of gsplat's call."""
-    views, classes = views_of(tmp_path / "scene")
+    views, classes = views_of(tmp_path / "scene", size=(40, 30))
     preset = replace(TINY, label_every=1)
     ours, theirs = (trainer_of(views, classes, preset, tmp_path) for _ in range(2))
     losses = [[ours.step().loss for _ in range(4)]]  # a round of growth is after the third
