@@ -116,7 +116,7 @@ def test_the_cutting_plane_is_ready_to_be_moved(window: Window, mine: Path) -> N
     assert kinds(mine) == ["split"] and not window.ask(f"{shown}.show_gizmo_object_translate")
 
 
-def test_the_keys_are_in_the_preferences(window: Window, mine: Path) -> None:
+def test_the_keys_are_in_the_preferences(window: Window) -> None:
     keys = "bpy.context.window_manager.keyconfigs.user.keymaps['Object Mode'].keymap_items"
     found = window.ask(f"sorted({{each.idname for each in {keys} if each.idname.startswith('plgs.')}})")
     assert found == ["plgs.delete_selected", "plgs.pick", "plgs.point_at", "plgs.rename_selected"]
