@@ -8,20 +8,11 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from ..errors import PlgsError
+from ..user_cache import user_cache_folder
 from .requirements import Version, digest, pinned_versions
 
 COMPLETE = "complete"
 """The file that is written last in an environment's folder: if it is there, the environment is complete."""
-
-
-def user_cache_folder(environ: Mapping[str, str] = os.environ) -> Path:
-    """The folder in which this system keeps caches; the engine's compiled kernels are there too."""
-    places = {"win32": ("LOCALAPPDATA", "AppData/Local"), "darwin": ("", "Library/Caches")}
-    variable, below = places.get(sys.platform, ("XDG_CACHE_HOME", ".cache"))
-    try:
-        return Path(environ.get(variable) or Path.home() / below)
-    except RuntimeError:  # nobody knows a home, as in a container that runs with a number which no user has
-        return Path(os.devnull) / below
 
 
 def notes_folder(environ: Mapping[str, str] = os.environ) -> Path:

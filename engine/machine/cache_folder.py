@@ -15,6 +15,8 @@ import tempfile
 from pathlib import Path
 from stat import S_ISDIR, S_ISVTX, S_IWGRP, S_IWOTH
 
+from ..user_cache import user_cache_folder
+
 log = logging.getLogger("plgs.machine")
 
 
@@ -34,16 +36,6 @@ def choose_cache_folder(name: str) -> Path:
     own = Path(tempfile.mkdtemp(prefix="plgs-kernels-"))  # for this user only, with a name that cannot be guessed
     atexit.register(shutil.rmtree, own, ignore_errors=True)
     return own
-
-
-def user_cache_folder() -> Path:
-    """The folder in which this system keeps the user's caches."""
-    places = {"win32": ("LOCALAPPDATA", "AppData/Local"), "darwin": ("", "Library/Caches")}
-    variable, below = places.get(sys.platform, ("XDG_CACHE_HOME", ".cache"))
-    try:
-        return Path(os.environ.get(variable) or Path.home() / below)
-    except RuntimeError:  # nobody knows a home, as in a container that runs with a number which no user has
-        return Path(os.devnull) / below
 
 
 def _make(folder: Path) -> str | None:

@@ -83,15 +83,10 @@ parallel_kernel = compiled
 """A kernel for ``threads.parallel_for``, written as ``kernel(worker, workers, *arguments)``: it does this worker's
 share of the work. The result does not depend on the number of workers."""
 
-contracted_parallel_kernel = contracted
-
 device_function: Callable[[Callable[..., Any]], Any] = register_jitable(**_PART)
 """A function that only kernels call, compiled like ``compiled``. This takes far less time: it has no entry from Python
 (where it remains a Python function) and no place in the cache. It does not count references, so it can neither make
 arrays nor return them, not even within a tuple."""
-
-contracted_device_function: Callable[[Callable[..., Any]], Any] = register_jitable(**_PART, fastmath={"contract"})
-"""Like ``device_function``, but compiled like ``contracted``."""
 
 inlined = _compiler(inline="always")
 """A piece of one or two kernels. It is compiled only as part of them, never separately, which takes less time."""

@@ -68,24 +68,14 @@ def _as_numbers(
     return numbers
 
 
-def read_pose(path: Path) -> NDArray[np.float64] | None:
-    """Read a camera-to-world pose, float64 [4, 4].
-
-    None when it holds inf, which is how scanners mark lost tracking. Raises PlgsError as ``rigid`` does.
-    """
-    return _pose(read_matrix(path, ((4, 4),)), path)
-
-
-def _pose(pose: NDArray[np.float64], path: Path) -> NDArray[np.float64] | None:
-    return None if np.isinf(pose).any() else rigid(pose, path)
-
-
 def read_poses(files: Mapping[str, Path]) -> dict[str, NDArray[np.float64] | None]:
-    """``read_pose`` of each frame's file; None also where there is none, and where it holds no matrix. Raises PlgsError
+    """The camera-to-world pose, float64 [4, 4], in each frame's file. None where there is no file, where it holds no
+    matrix, and where it holds inf, which is how scanners mark lost tracking. Raises PlgsError as ``rigid`` does, and
     when more than half of those that are there hold none."""
     there = [name for name, path in files.items() if path.is_file()]
     found = of_most(there, lambda name: read_matrix(files[name], ((4, 4),)))
-    return {name: _pose(found[name], path) if name in found else None for name, path in files.items()}
+    lost = {name for name, pose in found.items() if np.isinf(pose).any()}
+    return {name: rigid(found[name], path) if name in found.keys() - lost else None for name, path in files.items()}
 
 
 def rigid(pose: NDArray[np.float64], path: Path) -> NDArray[np.float64]:

@@ -18,7 +18,6 @@ from engine.job.environment import (
     is_complete,
     made_environment,
     python_in,
-    user_cache_folder,
 )
 from engine.job.handshake import VERSION
 from engine.job.process import (
@@ -30,6 +29,7 @@ from engine.job.process import (
     engine_python,
     missing_modules,
 )
+from engine.user_cache import user_cache_folder
 
 
 def add_environment(folder: Path) -> Path:
@@ -93,16 +93,13 @@ def test_an_environment_whose_python_is_gone_does_not_count(code: Path, environ:
     assert made_environment(code, environ) is None
 
 
-def test_kernels_and_environments_lie_in_one_cache(monkeypatch: pytest.MonkeyPatch) -> None:
-    cache_folder = pytest.importorskip("engine.machine.cache_folder")
-    assert cache_folder.user_cache_folder() == user_cache_folder()
-
+def test_without_a_home_there_is_no_cache(monkeypatch: pytest.MonkeyPatch) -> None:
     def homeless() -> Path:
         raise RuntimeError("Could not determine home directory.")
 
     monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
     monkeypatch.setattr(Path, "home", homeless)  # a container's user, whose number no table of users has
-    assert cache_folder.user_cache_folder() == user_cache_folder() and not user_cache_folder().exists()
+    assert not user_cache_folder().exists()
 
 
 def test_a_chosen_python_is_refused_when_it_lacks_something(code: Path, tmp_path: Path) -> None:

@@ -9,16 +9,7 @@ import pytest
 
 ENGINE = Path(__file__).resolve().parents[2] / "engine"
 MOST = 8
-DECORATORS = (
-    "compiled",
-    "contracted",
-    "inlined",
-    "parallel_kernel",
-    "contracted_parallel_kernel",
-    "device_function",
-    "contracted_device_function",
-    "njit",
-)
+DECORATORS = ("compiled", "contracted", "inlined", "parallel_kernel", "device_function", "njit")
 
 
 def kernels_of(source: Path) -> dict[str, int]:

@@ -8,7 +8,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from engine.errors import PlgsError
-from engine.posed.matrices import read_intrinsics, read_matrix, read_pose
+from engine.posed.matrices import read_intrinsics, read_matrix, read_poses
 from engine.posed.up_axis import to_z_up, turned, up_axis_warning
 from engine.scene import UpAxis
 from tests.tiny_scene import tiny_pose
@@ -28,7 +28,7 @@ def test_matrices_come_in_many_conventions(tmp_path: Path, text: str) -> None:
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=30, deadline=None)
 @given(st.integers(0, 9), st.sampled_from(["%.18e", "%.6f", "%.4f"]))
 def test_a_pose_is_straightened_after_rounding(tmp_path: Path, index: int, form: str) -> None:
-    pose = read_pose(written(tmp_path, tiny_pose(index, 10), form))
+    pose = read_poses({"a": written(tmp_path, tiny_pose(index, 10), form)})["a"]
     assert pose is not None
     np.testing.assert_allclose(pose, tiny_pose(index, 10), atol=2e-4)
     np.testing.assert_allclose(pose[:3, :3].T @ pose[:3, :3], np.eye(3), atol=1e-14)
@@ -37,10 +37,10 @@ def test_a_pose_is_straightened_after_rounding(tmp_path: Path, index: int, form:
 
 def test_a_lost_pose_is_none_and_a_nan_is_an_error(tmp_path: Path) -> None:
     (tmp_path / "pose.txt").write_text("-inf -inf -inf -inf\n" * 4)
-    assert read_pose(tmp_path / "pose.txt") is None
+    assert read_poses({"a": tmp_path / "pose.txt"}) == {"a": None}
     (tmp_path / "pose.txt").write_text("nan -inf -inf -inf\n" * 4)
     with pytest.raises(PlgsError, match="NaN"):
-        read_pose(tmp_path / "pose.txt")
+        read_poses({"a": tmp_path / "pose.txt"})
 
 
 @pytest.mark.parametrize(("up", "axis"), [("z", [0, 0, 1]), ("y", [0, 1, 0]), ("-y", [0, -1, 0])])

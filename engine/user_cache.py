@@ -1,0 +1,18 @@
+"""The folder in which this system keeps the user's caches. Standard library only."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+
+
+def user_cache_folder(environ: Mapping[str, str] = os.environ) -> Path:
+    """The folder; it may be missing, and where nobody knows a home it cannot be made."""
+    places = {"win32": ("LOCALAPPDATA", "AppData/Local"), "darwin": ("", "Library/Caches")}
+    variable, below = places.get(sys.platform, ("XDG_CACHE_HOME", ".cache"))
+    try:
+        return Path(environ.get(variable) or Path.home() / below)
+    except RuntimeError:  # nobody knows a home, as in a container that runs with a number which no user has
+        return Path(os.devnull) / below
