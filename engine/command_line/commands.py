@@ -94,9 +94,9 @@ def _parent_pipe(options: argparse.Namespace, folder: LiftFolder) -> int | None:
 
 
 def export(options: argparse.Namespace, events: EventWriter, stop: StopSignal) -> None:
+    folder = _opened(options.lift, options.relink)
     from ..export.run import export
 
-    folder = _opened(options.lift, options.relink)
     events.stage("export", 1, 1, "Exporting")
     progress = _progress("export", events, stop)
     export(folder, options.to, options.output, options.frames, progress, options.cameras, options.objects)
