@@ -24,6 +24,13 @@ def new_point_cloud(name: str, xyz: NDArray[np.float32]) -> bpy.types.PointCloud
     return cloud
 
 
+def forget_selection(mesh: bpy.types.Mesh) -> None:
+    """Leave a new mesh without the marks of what is selected in Edit Mode, which are a byte for each element."""
+    for name in (".select_vert", ".select_edge", ".select_poly"):
+        if name in mesh.attributes:
+            mesh.attributes.remove(mesh.attributes[name])
+
+
 def _cloud_by_nodes(count: int) -> bpy.types.PointCloud:
     """A cloud that geometry nodes make from a mesh's vertices, in a scene of its own."""
     if not count:

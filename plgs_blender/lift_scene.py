@@ -54,6 +54,8 @@ _VIEWPOINTS = 200
 """At most this many cameras decide which side of a surface was seen; of more, every n-th is used."""
 _AT_ONCE, _MASKS_AT_ONCE = 100, 2000
 """Boxes and masks that are placed without a pause: in a tenth of a second each."""
+_WAS_ASKED = "plgs_show_as_asked"
+"""Property of a lift's collection: whether the user chose what it is shown as."""
 _OVERVIEW_SIZE = 0.4
 """Display size of the overview camera, metres."""
 
@@ -231,12 +233,12 @@ def place_passes_anew(lift: Path, scene: bpy.types.Scene) -> None:
 
 def place_meshes_anew(lift: Path, scene: bpy.types.Scene, *, asked: bool = True) -> list[bpy.types.Object]:
     """After meshes were made: put them beside the lift that is placed in `scene`, and show them if somebody ``asked``
-    for them: they have more holes than splats. Raises PlgsError."""
+    for them, or nobody asked for anything else. Raises PlgsError."""
     result, scene = read_result(lift), scene_to_fill(scene)
     root = root_of_placed(result.folder, scene)
     placed = place_meshes(OwnedDataBlocks(root[LIFT], scene), root, result)
     with registered():
-        if placed and asked:
+        if placed and (asked or not root.get(_WAS_ASKED)):
             root.plgs.show_as = SURFACE
         apply_look(root)
         show_materials_in(scene)
@@ -361,7 +363,7 @@ def show_lift_as(root: bpy.types.Collection, scene: bpy.types.Scene, kind: str) 
         apply_look(root)
     if kind == SURFACE and not has(root, SURFACE):
         raise PlgsError("has no meshes yet", root.name, "Make them first: plgs.make_meshes.")
-    root.plgs.show_as = kind
+    root.plgs.show_as, root[_WAS_ASKED] = kind, True
     show_materials_in(scene)
 
 

@@ -9,21 +9,24 @@ import bpy
 import numpy as np
 
 from ..engine.posed.labelled_surface import LabelledSurface, read_surface
+from .compat import forget_selection
 from .lift_collection import child_collection
-from .materials import linear_rgba, object_colour, surface_material
+from .materials import object_colour, surface_material
 from .owned import OwnedDataBlocks, text_of
 from .results import LiftResult
 
 CORRECTIONS, _OF_MESHES = "plgs_corrections", "plgs_meshes_of"
 """Properties of a lift's collection: the fingerprint of the corrections that the scene shows, and of those that the
 meshes show."""
+SURFACE = "surface"
+"""The form in which the engine exports it."""
 _COMMENT = re.compile(rb"^comment corrections ([0-9a-f]+)$", re.MULTILINE)
 _LONGEST_HEADER = 8192
 
 
 def mesh_folder(lift: Path) -> Path:
-    """The folder into which the engine exports a lift's meshes for Blender."""
-    return lift / "exports" / "mesh"
+    """The folder into which the engine exports a lift's surface for Blender."""
+    return lift / "exports" / SURFACE
 
 
 def place_meshes(owned: OwnedDataBlocks, root: bpy.types.Collection, result: LiftResult) -> list[bpy.types.Object]:
@@ -71,8 +74,10 @@ def _fill(owned: OwnedDataBlocks, key: str, name: str, part: LabelledSurface) ->
     mesh.polygons.add(count)
     mesh.polygons.foreach_set("loop_start", np.arange(0, 3 * count, 3, dtype=np.int32))
     mesh.polygons.foreach_set("use_smooth", np.ones(count, bool))
-    colours = mesh.color_attributes.new("Col", "FLOAT_COLOR", "POINT")
-    colours.data.foreach_set("color", np.ascontiguousarray(linear_rgba(part.rgb), np.float32).ravel())
+    rgba = np.full((len(part.rgb), 4), 255, np.uint8)
+    rgba[:, :3] = part.rgb
+    colours = mesh.color_attributes.new("Col", "BYTE_COLOR", "POINT")
+    colours.data.foreach_set("color_srgb", (rgba / np.float32(255)).ravel())
     for column in ("class_id", "instance_id"):
         layer = mesh.attributes.new(column, "INT", "POINT")
         layer.data.foreach_set("value", getattr(part, column))
@@ -81,4 +86,5 @@ def _fill(owned: OwnedDataBlocks, key: str, name: str, part: LabelledSurface) ->
     mesh.materials.append(surface_material(owned))
     mesh.update()
     mesh.validate()
+    forget_selection(mesh)
     return mesh

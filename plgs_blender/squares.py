@@ -14,7 +14,7 @@ import bpy
 import numpy as np
 from numpy.typing import NDArray
 
-from .compat import new_geometry_group
+from .compat import forget_selection, new_geometry_group
 from .materials import splat_material
 from .owned import OwnedDataBlocks
 from .surfaces import SurfaceGrid
@@ -89,6 +89,7 @@ def place_squares(
     mesh.materials.clear()
     mesh.materials.append(splat_material(owned))
     mesh.update()
+    forget_selection(mesh)
     ob = owned.object(key, name, mesh, parent)
     ob["points"] = len(squares.xyz)
     modifier = ob.modifiers.get(_MODIFIER) or ob.modifiers.new(_MODIFIER, "NODES")

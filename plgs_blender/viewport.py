@@ -211,8 +211,11 @@ def show_beside(image: bpy.types.Image, context: bpy.types.Context) -> bool:
         editors = [(window, area) for area in window.screen.areas if area not in known]
         for _, area in editors:
             area.type = "IMAGE_EDITOR"
-    for _, area in editors[:1]:
+    for window, area in editors[:1]:
         area.spaces.active.image = image
+        region = next(each for each in area.regions if each.type == "WINDOW")
+        with context.temp_override(window=window, area=area, region=region):
+            bpy.ops.image.view_all(fit_view=True)
         area.tag_redraw()
     return bool(editors)
 

@@ -23,7 +23,7 @@ class PLGS_PT_corrections(OfResult, bpy.types.Panel):
         layout = self.layout.column()
         root = active_lift(context.scene, context.active_object)
         if root is not None:
-            _draw_proposals(layout, root)
+            _draw_proposals(layout, context, root)
         layout = from_panel(layout.column(), context)
         for line in corrections.failed:
             tell(layout, context, line, "ERROR")
@@ -54,17 +54,20 @@ class PLGS_PT_corrections(OfResult, bpy.types.Panel):
         if root is not None:
             shown = len(str(root.get(corrections.EDITS, "")).split())
             told = f"{plural(shown, 'correction')}; bake again to see in passes" if shown else "No corrections"
-            layout.label(text=told)
+            tell(layout, context, told)
 
 
-def _draw_proposals(layout: bpy.types.UILayout, root: bpy.types.Collection) -> None:
+def _draw_proposals(
+    layout: bpy.types.UILayout, context: bpy.types.Context, root: bpy.types.Collection
+) -> None:
     """The most doubtful objects, each with its reason and its one-press answers."""
     found, progress = proposals.kept_proposals(root)
     layout.operator("plgs.propose_corrections", text=one_line(progress) or "What May Be Wrong?", icon="VIEWZOOM")
     layout.operator("plgs.next_uncertain_frame", icon="CAMERA_DATA")
     for one in found[:_SHOWN]:
         box = layout.box().column(align=True)
-        look = box.operator("plgs.go_to_proposal", text=one_line(f"{one.name}: {one.reason}"), emboss=False)
+        tell(box, context, f"{one.name}: {one.reason}")
+        look = box.operator("plgs.go_to_proposal", icon="VIEW_CAMERA")
         row = box.row(align=True)
         do = row.operator("plgs.answer_proposal", text=one_line(one.answer).capitalize())
         keep = row.operator("plgs.answer_proposal", text="Keep")

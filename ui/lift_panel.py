@@ -28,9 +28,9 @@ class PLGS_PT_lift(Step, bpy.types.Panel):
         followed = followed_lift(settings)
         for other in lifts.running():
             if other is not followed:
-                _draw_other(layout, other)
+                _draw_other(layout, context, other)
         if followed is not None and followed.is_running and followed.is_baking:
-            layout.label(text="Passes are baked (see 4  Passes)", icon="RENDER_ANIMATION")
+            tell(layout, context, "Passes are baked: see 4  Passes", "RENDER_ANIMATION")
             return
         if followed is not None and followed.is_running:
             layout.prop(settings, "live_preview")
@@ -42,7 +42,7 @@ class PLGS_PT_lift(Step, bpy.types.Panel):
         estimate = estimate_of(settings)
         if estimate is not None:
             memory = f"{estimate.peak_bytes / 1e9:.1f} GB of memory"
-            layout.label(text=f"About {duration(estimate.seconds)}, {memory}", icon="TIME")
+            tell(layout, context, f"About {duration(estimate.seconds)}, {memory}", "TIME")
         _draw_engine(layout, context)
         row = from_panel(layout.row(), context)
         row.scale_y = 1.4
@@ -147,11 +147,10 @@ def _draw_used(column: bpy.types.UILayout, context: bpy.types.Context, name: str
         back.data_path, back.value = f"scene.plgs.{name}", 0
 
 
-def _draw_other(layout: bpy.types.UILayout, other: Lift) -> None:
+def _draw_other(layout: bpy.types.UILayout, context: bpy.types.Context, other: Lift) -> None:
     """Draw a lift that continues while the panel is set to another, or to none after an undo."""
-    row = layout.row()
-    row.label(text=one_line(f"{other.folder.path.name}: {other.progress.label}"), icon="RENDER_ANIMATION")
-    row.operator("plgs.watch_lift", text="Watch").lift_folder = str(other.folder.path)
+    tell(layout, context, f"{other.folder.path.name}: {other.progress.label}", "RENDER_ANIMATION")
+    layout.operator("plgs.watch_lift", text="Watch").lift_folder = str(other.folder.path)
 
 
 def _draw_engine(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:

@@ -99,12 +99,12 @@ class PLGS_PT_masks(OfResult, bpy.types.Panel):
     def draw(self, context: bpy.types.Context) -> None:
         layout, row = self.layout, _chosen(context)
         if row is None:
-            layout.label(text="Click a box, or a row of the list", icon="INFO")
+            tell(layout, context, "Click a box, or a row of the list", "INFO")
             return
         if not len(row.masks):
             tell(layout, context, "This lift did not record its masks: lift again to see them.", "INFO")
             return
-        layout.label(text=f"{one_line(row.name)}: {plural(len(row.masks), 'mask')} in {plural(row.views, 'frame')}")
+        tell(layout, context, f"{row.name}: {plural(len(row.masks), 'mask')} in {plural(row.views, 'frame')}")
         _draw_heads(layout, "Frame, class", "Score, match")
         layout.template_list("PLGS_UL_masks", "", row, "masks", row, "mask_index", rows=5, maxrows=12)
         if row.best_mask < 0:

@@ -182,8 +182,11 @@ def _draw_survey(layout: bpy.types.UILayout, context: bpy.types.Context, survey:
     column.label(text=_depth(survey), icon="EMPTY_SINGLE_ARROW")
     if survey.has_masks:
         column.label(text=plural(len(survey.classes), "class", "classes"), icon="COLOR")
-    for each in possibilities(survey, status().is_usable):
-        tell(box, context, f"{each.what}: {each.why}", "CHECKMARK" if each.is_possible else "X")
+    known = possibilities(survey, status().is_usable)
+    tell(box, context, ", ".join(each.what for each in known if each.is_possible), "CHECKMARK")
+    for each in known:
+        if not each.is_possible:
+            tell(box, context, f"{each.what}: {each.why}", "X")
     for text in (text for text, is_doubtful in survey.inferred if is_doubtful):
         tell(layout, context, text, "ERROR")
     for warning in survey.warnings[:_MOST_WARNINGS]:
@@ -206,7 +209,7 @@ def _draw_findings(layout: bpy.types.UILayout, context: bpy.types.Context, known
     for number, finding in enumerate(known.findings):
         box = layout.box()
         row = box.row()
-        row.label(text=finding.cause.capitalize(), icon="ERROR" if finding.is_wrong else "INFO")
+        tell(row, context, finding.cause.capitalize(), "ERROR" if finding.is_wrong else "INFO")
         if finding.picture is not None:
             row.operator("plgs.show_finding", text="", icon="IMAGE_DATA").number = number
         tell(box, context, finding.text)

@@ -26,7 +26,9 @@ from .correct import add_correct
 FRAME_FILES = ("colour", "depth", "masks", "cloud")
 SEGMENT_MODEL = "facebook/mask2former-swin-small-coco-panoptic"
 Run = Callable[[argparse.Namespace, EventWriter, StopSignal], object]
-EXPORTS = ("coco", "instances", "scannet", "points", "splats", "boxes", "mesh", "gltf", "usd", "depth", "clouds")
+EXPORTS = (
+    "coco", "instances", "scannet", "points", "splats", "boxes", "mesh", "surface", "gltf", "usd", "depth", "clouds",
+)  # fmt: skip
 
 
 def make_parser() -> argparse.ArgumentParser:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -12,10 +13,8 @@ from ..scene import Camera
 
 VOXEL = 0.02
 """Side of a voxel in metres."""
-FARTHEST = 8.0
-"""Metres beyond which rendered depth is not fused."""
-LEAST_VIEWS = 2
-"""The number of views that have to see a voxel."""
+_STEP = 1.1
+"""The ratio of the depths around a pixel above which they are of different surfaces."""
 _TRUNCATION = 4.0
 """Voxels on each side of the surface that a view changes."""
 _BLOCKS = 20_000
@@ -34,6 +33,18 @@ class Surface:
     triangles: NDArray[np.int64]
 
 
+@dataclass(frozen=True)
+class Grain:
+    """How views are fused: the side of a ``voxel`` in metres, metres beyond which depth is left out, how many views
+    have to see a voxel, and how many times larger than the views their depth is. Far floors need depth between pixels.
+    """
+
+    voxel: float = VOXEL
+    farthest: float = 8.0
+    least_views: int = 2
+    times: int = 1
+
+
 @dataclass(frozen=True, eq=False)
 class SmallView:
     """A view as it is fused: ``depth`` float32 [H, W] m, ``rgb`` uint8 [H, W, 3], ``label`` int64 [H, W]."""
@@ -43,28 +54,45 @@ class SmallView:
     rgb: NDArray[np.uint8]
     label: NDArray[np.int64]
 
+    def large_depth(self, times: int) -> NDArray[np.float32]:
+        """The depth with more pixels, float32 [H * times, W * times] m. What lies between pixels of one surface is
+        interpolated in inverse depth, in which planes are flat."""
+        if times == 1:
+            return np.ascontiguousarray(self.depth)
+        inverse = np.divide(1.0, self.depth, out=np.zeros_like(self.depth), where=self.depth > 0)
+        around = np.ones((3, 3), np.uint8)
+        lowest, highest = cv2.erode(inverse, around), cv2.dilate(inverse, around)
+        is_one = cv2.resize(((lowest > 0) & (highest < _STEP * lowest)).astype(np.uint8), None, None,
+                            times, times, cv2.INTER_NEAREST)  # fmt: skip
+        large, blocky = (cv2.resize(inverse, None, None, times, times, how)
+                         for how in (cv2.INTER_LINEAR, cv2.INTER_NEAREST))  # fmt: skip
+        large = np.where(is_one > 0, large, blocky)
+        return np.divide(1.0, large, out=np.zeros_like(large), where=large > 0)
 
-def fuse(views: Sequence[SmallView]) -> Surface:
+
+def fuse(views: Sequence[SmallView], grain: Grain = Grain()) -> Surface:
     """The zero level of the field of all views. Normals point towards the cameras."""
     import open3d.core
     import open3d.t.geometry as geometry
 
     names, kinds = ("tsdf", "weight", "color"), (open3d.core.float32,) * 3
-    grid = geometry.VoxelBlockGrid(names, kinds, ((1), (1), (3)), VOXEL, 8, _BLOCKS)
+    grid = geometry.VoxelBlockGrid(names, kinds, ((1), (1), (3)), grain.voxel, 8, _BLOCKS)
     for view in views:
-        if not ((view.depth > 0) & (view.depth <= FARTHEST)).any():
+        if not ((view.depth > 0) & (view.depth <= grain.farthest)).any():
             continue
-        depth = geometry.Image(np.ascontiguousarray(view.depth))
-        colour = geometry.Image(np.ascontiguousarray(view.rgb / np.float32(255)))
-        lens, pose = map(open3d.core.Tensor.from_numpy, (view.camera.K, np.linalg.inv(view.camera.camera_to_world)))
-        blocks = grid.compute_unique_block_coordinates(depth, lens, pose, 1.0, FARTHEST, _TRUNCATION)
-        grid.integrate(blocks, depth, colour, lens, lens, pose, 1.0, FARTHEST, _TRUNCATION)
+        large = view.large_depth(grain.times)
+        depth, colour = geometry.Image(large), geometry.Image(view.rgb / np.float32(255))
+        lens = view.camera.resized(*large.shape[::-1]).K
+        tensors = map(open3d.core.Tensor.from_numpy, (lens, view.camera.K, np.linalg.inv(view.camera.camera_to_world)))
+        lens, small_lens, pose = tensors
+        blocks = grid.compute_unique_block_coordinates(depth, lens, pose, 1.0, grain.farthest, _TRUNCATION)
+        grid.integrate(blocks, depth, colour, lens, small_lens, pose, 1.0, grain.farthest, _TRUNCATION)
     if not grid.hashmap().size():
         none = np.empty((0, 3), np.float32)
         return Surface(none, none.astype(np.uint8), none, none.astype(np.int64))
     # Open3D needs more than this weight, and each view weighs 1. Its vertices lie on the edges of the grid, so grazing
     # views leave steps: one round of smoothing brings the vertices nearer to the true surface.
-    mesh = grid.extract_triangle_mesh(LEAST_VIEWS - 0.5).to_legacy().filter_smooth_simple(1).normalize_normals()
+    mesh = grid.extract_triangle_mesh(grain.least_views - 0.5).to_legacy().filter_smooth_simple(1).normalize_normals()
     xyz, normal, rgb = (np.asarray(each) for each in (mesh.vertices, mesh.vertex_normals, mesh.vertex_colors))
     return _in_order(
         Surface(

@@ -23,9 +23,9 @@ FAR = 0.2
 _KEYS = 1 << 32
 
 
-def close_holes(surface: Surface, label: Ints) -> tuple[Surface, Ints]:
-    """The surface and its vertices' labels [V] with a fan in each hole of at most a HAND, around a new vertex in its
-    middle.
+def close_holes(surface: Surface, label: Ints, largest: float = HAND) -> tuple[Surface, Ints]:
+    """The surface and its vertices' labels [V] with a fan in each hole of at most the ``largest`` size in metres,
+    around a new vertex in its middle.
 
     A hole is a ring of open edges. The rim of a scrap is one too, and stays open: there the surface does not extend
     beyond the ring.
@@ -33,7 +33,7 @@ def close_holes(surface: Surface, label: Ints) -> tuple[Surface, Ints]:
     rim = open_edges(surface.triangles)
     if not len(rim):
         return surface, label
-    ring, is_hole = _rings(surface, rim)
+    ring, is_hole = _rings(surface, rim, largest)
     rim, ring = rim[is_hole[ring]], ring[is_hole[ring]]
     _, ring, count = np.unique(ring, return_inverse=True, return_counts=True)
 
@@ -64,7 +64,7 @@ def without_flakes(surface: Surface, label: Ints) -> tuple[Surface, Ints]:
     return kept, label[used]
 
 
-def _rings(surface: Surface, rim: Ints) -> tuple[Ints, NDArray[np.bool_]]:
+def _rings(surface: Surface, rim: Ints, largest: float) -> tuple[Ints, NDArray[np.bool_]]:
     """The ring of each open edge [E], and whether each ring [R] is a hole to close."""
     count = len(surface.xyz)
     number = _pieces(rim, count)
@@ -72,7 +72,7 @@ def _rings(surface: Surface, rim: Ints) -> tuple[Ints, NDArray[np.bool_]]:
     piece = _pieces(surface.triangles, count)
     extent = _extents(surface.xyz[rim[:, 0]], ring)
     reach = _extents(surface.xyz, piece)[piece[rim[:, 0]]]
-    is_hole = extent.max(axis=1) <= HAND
+    is_hole = extent.max(axis=1) <= largest
     comes, goes = np.bincount(rim[:, 1], minlength=count), np.bincount(rim[:, 0], minlength=count)
     is_hole[ring[(comes != goes)[rim[:, 0]] | (comes != goes)[rim[:, 1]]]] = False
     is_hole[ring[(reach < 2 * extent[ring].max(axis=1, keepdims=True)).all(axis=1)]] = False

@@ -41,6 +41,13 @@ def export_mesh(lift: FinishedLift, output: Path) -> None:
     """mesh.ply, the whole surface with class_id and instance_id of every vertex, and meshes/<name>.glb, one per
     instance and stuff class (glTF's axes, y up). Raises PlgsError where no surface was rendered, OSError."""
     surface, label = mended(*fused(lift))
+    write_surface(lift, output / "mesh.ply", surface, label)
+    for part in _cut(lift, surface, label):
+        write_atomically(output / "meshes" / f"{part.name}.glb", glb_bytes([part]))
+
+
+def write_surface(lift: FinishedLift, path: Path, surface: Surface, label: NDArray[np.int64]) -> None:
+    """Write a surface with the labels [V] of its vertices as PLY. Raises OSError."""
     class_id, instance_id = np.divmod(label, MOST_INSTANCES)
     columns = {
         **columns_of("x y z", surface.xyz),
@@ -49,9 +56,7 @@ def export_mesh(lift: FinishedLift, output: Path) -> None:
         **{"class_id": class_id.astype(np.int32), "instance_id": instance_id.astype(np.int32)},
     }
     comment = f"corrections {lift.corrected.fingerprint}" if lift.corrected.fingerprint else ""
-    write_ply_table(output / "mesh.ply", columns, surface.triangles, comment)
-    for part in _cut(lift, surface, label):
-        write_atomically(output / "meshes" / f"{part.name}.glb", glb_bytes([part]))
+    write_ply_table(path, columns, surface.triangles, comment)
 
 
 def export_gltf(lift: FinishedLift, output: Path) -> None:
@@ -82,7 +87,7 @@ def _cut(lift: FinishedLift, surface: Surface, label: NDArray[np.int64]) -> list
 def fused(lift: FinishedLift) -> tuple[Surface, NDArray[np.int64]]:
     """The surface of the lift's views, and the label of each vertex, int64 [V]. Raises PlgsError where there is none,
     OSError."""
-    small = [_small(camera, layers) for camera, layers in lift.small_views(WIDEST, MOST_VIEWS)]
+    small = views_of(lift, WIDEST, MOST_VIEWS)
     surface = fuse(small)
     if not len(surface.triangles):
         fix = "Export more frames, or lift the scene with better depth."
@@ -96,23 +101,31 @@ def mended(surface: Surface, label: NDArray[np.int64]) -> tuple[Surface, NDArray
     return surface, without_crumbs(surface, label, label % MOST_INSTANCES == 0)
 
 
+def views_of(lift: FinishedLift, width: int, most: int) -> list[SmallView]:
+    """At most ``most`` of the lift's views, as large as they are fused. Raises PlgsError, OSError."""
+    return [_small(camera, layers) for camera, layers in lift.small_views(width, most)]
+
+
 def _small(camera: Camera, layers: PanopticLayers) -> SmallView:
     depth = np.where(layers.combined[..., 3] >= LEAST_ALPHA, layers.depth, 0).astype(np.float32)
     label = layers.semantic.astype(np.int64) * MOST_INSTANCES + layers.instance
     return SmallView(camera, depth, colour_picture(layers), label)
 
 
-def vertex_labels(xyz: NDArray[np.float32], views: list[SmallView]) -> NDArray[np.int64]:
-    """The label that most of the views whose depth is there show at each vertex; 0 where none is. int64 [V]."""
+def vertex_labels(xyz: NDArray[np.float32], views: list[SmallView], times: int = 1) -> NDArray[np.int64]:
+    """The label that most of the views whose depth, as `Grain.times` enlarges it, is there show at each vertex; 0 where
+    none is. int64 [V]."""
     known = np.unique(np.concatenate([np.unique(view.label) for view in views]))
     votes = np.zeros((len(xyz), len(known)), np.uint16)
     for view in views:
         pixel, depth = view.camera.project(xyz)
+        large = view.large_depth(times)
         column, row = (np.floor(pixel[:, axis]).astype(np.int64) for axis in (0, 1))
         inside = (depth > 0) & (column >= 0) & (column < view.camera.width) & (row >= 0) & (row < view.camera.height)
         vertex = np.flatnonzero(inside)
         row, column = row[vertex], column[vertex]
-        seen = np.abs(view.depth[row, column] - depth[vertex]) < SEEN_WITHIN
+        there = large[tuple(np.floor(times * pixel[vertex, axis]).astype(np.int64) for axis in (1, 0))]
+        seen = np.abs(there - depth[vertex]) < SEEN_WITHIN
         place = np.searchsorted(known, view.label[row[seen], column[seen]])
         votes[vertex[seen], place] += 1
     return np.where(votes.any(axis=1), known[votes.argmax(axis=1)], 0)

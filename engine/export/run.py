@@ -75,6 +75,12 @@ def _export_mesh(lift: FinishedLift, output: Path) -> None:
     export_mesh(lift, output)
 
 
+def _export_surface(lift: FinishedLift, output: Path) -> None:
+    from .view_surface import export_surface
+
+    export_surface(lift, output)
+
+
 def _export_gltf(lift: FinishedLift, output: Path) -> None:
     from .mesh import export_gltf
 
@@ -97,6 +103,7 @@ KINDS: Mapping[str, Callable[[FinishedLift, Path], None]] = {
     "splats": export_splats,
     "boxes": export_boxes,
     "mesh": _export_mesh,
+    "surface": _export_surface,
     "gltf": _export_gltf,
     "usd": _export_usd,
     "depth": export_depth,

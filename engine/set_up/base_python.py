@@ -23,10 +23,11 @@ _MORE_FOLDERS = ("/opt/homebrew/bin", "/usr/local/bin", "/usr/bin")
 
 @dataclass(frozen=True)
 class BasePython:
-    """A Python that can make environments."""
+    """A Python that can make environments, with pip only if it ``has_pip`` in its ensurepip."""
 
     python: Path
     version: Version
+    has_pip: bool = True
 
 
 def candidates(given: Path | None, versions: Sequence[Version]) -> list[Path]:
@@ -51,7 +52,7 @@ def judge(output: str, code: int, versions: Sequence[Version]) -> BasePython | s
         return "does not work as a Python"
     if tuple(version) not in versions:
         return f"is Python {version[0]}.{version[1]}, which the packages are not pinned for"
-    if missing:
+    if "venv" in missing:
         hint = f" (on Debian and Ubuntu: python{version[0]}.{version[1]}-venv)" if sys.platform == "linux" else ""
         return f"lacks {' and '.join(missing)}{hint}"
-    return BasePython(Path(executable), (version[0], version[1]))
+    return BasePython(Path(executable), (version[0], version[1]), "ensurepip" not in missing)

@@ -85,6 +85,11 @@ def install_command(
     return [python, "-I", "-m", "pip", "install", *_OPTIONS, *options, "--constraint", constraints, *requirements]
 
 
+def install_pip_command(python: Path, wheel: Path) -> list[str | Path]:
+    """The command that lets pip's ``wheel``, which runs as it is, install itself."""
+    return [python, "-I", wheel / "pip", "install", "--no-index", "--no-color", wheel]
+
+
 def install_hashed_command(python: Path, hashes: Path) -> list[str | Path]:
     """The command that installs exactly the files whose hashes the file ``hashes`` has."""
     return [python, "-I", "-m", "pip", "install", *_OPTIONS, "--no-deps", "--require-hashes", "--requirement", hashes]

@@ -22,6 +22,7 @@ from ..job.requirements import constraints_path, hashes_path, needed_packages, p
 from . import programs
 from .base_python import PROBE, BasePython, candidates, judge
 from .environments import LOCK, LOG, Notes, bytes_in, empty_trash, throw_away
+from .pip_wheel import fetch_pip
 
 STAGE = "set-up"
 LABELS = (
@@ -160,7 +161,11 @@ class SetUp:
             self._log(f"Continuing {environment}, which has: {', '.join(notes.done)}")
             return notes
         throw_away(environment, self.folder)
-        output, code = self._run([base.python, "-I", "-m", "venv", environment])
+        options = [] if base.has_pip else ["--without-pip"]
+        output, code = self._run([base.python, "-I", "-m", "venv", *options, environment])
+        if code == 0 and not base.has_pip:
+            wheel = fetch_pip(environment, self.request.index_url, self._stop.check)
+            output, code = self._run(programs.install_pip_command(python_in(environment), wheel))
         if code != 0:
             what = f"{base.python} could not make an environment ({programs.complaint(output)})"
             raise PlgsError(what, self.log_path, "Name another Python in the preferences.")

@@ -91,11 +91,9 @@ def _photo(data: Any) -> NDArray[np.float32]:
     if KEPT in data.attributes:
         return _read(data, KEPT)
     colours = _read(data, COLOUR)
+    layer = data.attributes.new(KEPT, data.attributes[COLOUR].data_type, "POINT")
     if data.id_type == "MESH":  # a new colour attribute must not become the active one
-        layer = data.attributes.new(KEPT, "FLOAT_COLOR", "POINT")
         data.color_attributes.active_color = data.color_attributes[COLOUR]
-    else:
-        layer = data.attributes.new(KEPT, "FLOAT_COLOR", "POINT")
     layer.data.foreach_set("color", colours.ravel())
     return colours
 

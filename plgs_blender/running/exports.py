@@ -13,7 +13,7 @@ from ...engine.job.follower import TaskFollower
 from .. import engine_environment
 from ..lift_collection import root_of_placed
 from ..lift_scene import place_depth_clouds_anew, place_meshes_anew
-from ..meshes import mesh_folder
+from ..meshes import SURFACE, mesh_folder
 from ..tasks import registry, timer
 from ..tasks.registry import Task, start_engine
 
@@ -24,6 +24,7 @@ FORMS = {
     "points": ("Labelled Points", "PLY of the semantic points, and of the Gaussians"),
     "splats": ("Splats", "PLY of the Gaussians alone, with the names of their ids"),
     "boxes": ("Boxes", "The objects' oriented boxes as JSON and CSV, and for labelCloud and CVAT"),
+    "surface": ("Surface to View", "The surface as one PLY, coarser where there are no objects: what Blender shows"),
     "mesh": ("Meshes", "The surface as PLY, and a GLB for each instance and each stuff class"),
     "gltf": ("glTF", "The meshes of all instances and stuff classes in one GLB"),
     "usd": ("OpenUSD", "Gaussians, meshes, boxes and cameras in one USD file; needs usd-core in the engine"),
@@ -61,7 +62,7 @@ class Export(Task):
         if self.was_cancelled:
             return "The export was cancelled"
         if self._shown_in:
-            return f"{self._placed} {'meshes are' if self.form == 'mesh' else 'points are'} in the scene"
+            return f"{self._placed} {'meshes are' if self.form == SURFACE else 'points are'} in the scene"
         return f"{FORMS[self.form][0]} are in {self.output}"
 
     def done(self, scene: Any) -> None:
@@ -70,7 +71,7 @@ class Export(Task):
         target = bpy.data.scenes.get(self._shown_in)
         if target is None:
             raise PlgsError("the scene is gone", self._shown_in, "Make it again.")
-        if self.form == "mesh":
+        if self.form == SURFACE:
             self._placed, self.undo_step = len(place_meshes_anew(self._lift, target, asked=self.asked)), "Make Meshes"
         else:
             self._placed, self.undo_step = place_depth_clouds_anew(self._lift, target), "Depth Cloud"
@@ -104,7 +105,7 @@ def make_meshes(lift: Path, scene: bpy.types.Scene, frames: str = "all", *, aske
     """
     root_of_placed(lift, scene)  # raises now what would otherwise be raised when the meshes are made
     python = engine_environment.usable_python()
-    return export(lift, "mesh", mesh_folder(lift), python, [frames], shown_in=scene.name, asked=asked)
+    return export(lift, SURFACE, mesh_folder(lift), python, [frames], shown_in=scene.name, asked=asked)
 
 
 def is_busy() -> bool:
@@ -119,4 +120,4 @@ def can_make_meshes_unasked() -> bool:
 
 def making_meshes() -> Export | None:
     """The running export whose meshes are put into a scene."""
-    return next((task for task in registry.running(Export) if task.form == "mesh" and task.is_placed), None)
+    return next((task for task in registry.running(Export) if task.form == SURFACE and task.is_placed), None)

@@ -93,7 +93,7 @@ def test_meshes_are_made_and_placed(lift: Path, tmp_path: Path, monkeypatch: pyt
     bpy.context.scene.plgs.lift_folder = ""
     assert bpy.ops.plgs.make_meshes() == {"FINISHED"}
     (arguments,) = asked
-    assert arguments[0] == str(lift) and arguments[1:3] == ["--to", "mesh"] and arguments[-2:] == ["--frames", "all"]
+    assert arguments[0] == str(lift) and arguments[1:3] == ["--to", "surface"] and arguments[-2:] == ["--frames", "all"]
     names = {ob.name for ob in bpy.context.scene.objects if ob.get("plgs_key", "").startswith("mesh:")}
     assert len(names) == 2
 

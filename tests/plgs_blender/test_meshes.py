@@ -61,6 +61,22 @@ def test_placed_again_they_are_the_same_objects(lift: Path) -> None:
     assert not [ob for ob in bpy.context.scene.objects if ob.get("plgs_key", "").startswith("mesh:")]
 
 
+def test_a_surface_that_nobody_asked_for_is_shown_unless_something_else_was(lift: Path) -> None:
+    path = mesh_folder(lift) / "mesh.ply"
+    surface = path.read_bytes()
+    path.unlink()
+    root, scene = lift_scene.place_lift(lift, bpy.context.scene), bpy.context.scene
+    before = root.plgs.show_as
+    path.write_bytes(surface)
+    lift_scene.place_meshes_anew(lift, scene, asked=False)
+    assert before != root.plgs.show_as == "SURFACE"
+    lift_scene.show_lift_as(root, scene, before)
+    lift_scene.place_meshes_anew(lift, scene, asked=False)
+    assert root.plgs.show_as == before
+    lift_scene.place_meshes_anew(lift, scene)
+    assert root.plgs.show_as == "SURFACE"
+
+
 def test_blender_exports_them(lift: Path, tmp_path: Path) -> None:
     objects = placed(lift)
     for ob in bpy.context.scene.objects:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import ensurepip
+import hashlib
 import os
 import shutil
 import signal
@@ -14,7 +16,7 @@ from pathlib import Path
 import pytest
 
 from engine.job.environment import is_complete, python_in
-from engine.set_up import SetUpRequest, programs, remove_environments, steps
+from engine.set_up import SetUpRequest, pip_wheel, programs, remove_environments, steps
 from engine.set_up.environments import Notes
 from tests.set_up.package_index import PackageIndex, wheel
 from tests.set_up.running import RunningSetUp
@@ -69,6 +71,25 @@ def test_from_an_empty_environment_to_an_engine_that_answers(folder: Path, begin
     (folder / "engine-mine").mkdir()  # no environment
     remove_environments(folder)
     assert {path.name for path in folder.iterdir()} == {"engine-mine", "set-up.log", "set-up.lock"}
+
+
+def test_a_python_without_ensurepip_gets_pip_from_the_index(
+    code: Path, index: PackageIndex, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Debian's Python without python3-venv is such a one."""
+    bare = tmp_path / "bare"
+    subprocess.run([sys.executable, "-m", "venv", "--without-pip", bare], check=True)
+    hiding = bare / "lib" / "python{}.{}".format(*sys.version_info[:2]) / "site-packages" / "sitecustomize.py"
+    hiding.write_text("import sys\nsys.modules['ensurepip'] = None\n")
+    (bundled,) = (Path(ensurepip.__file__).parent / "_bundled").glob("pip-*.whl")
+    index.wheels["pip"] = (bundled.name, bundled.read_bytes())
+    monkeypatch.setattr(pip_wheel, "WHEEL", bundled.name)
+    request = SetUpRequest(python_in(bare), index_url=index.url)
+    told = error_of(RunningSetUp(request, code, tmp_path / "refused"))
+    assert bundled.name in told and "pinned" in told, "another file of that name"
+    monkeypatch.setattr(pip_wheel, "SHA256", hashlib.sha256(bundled.read_bytes()).hexdigest())
+    running = RunningSetUp(request, code, tmp_path / "made").wait()
+    assert running.error is None and is_complete(environment_in(tmp_path / "made"))
 
 
 def test_an_interrupted_download_is_reported_and_continued(begin: Begin, index: PackageIndex, folder: Path) -> None:

@@ -1,0 +1,93 @@
+"""The lifted scene as a surface to look at: the room closed and coarse, its objects finer.
+
+It is made in a fraction of the time of `mesh`, and in Blender it is shown in place of splats.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from ..errors import PlgsError
+from .fusion import Grain, Ints, SmallView, Surface, fuse
+from .mending import HAND, close_holes, without_crumbs, without_flakes
+from .mesh import MOST_INSTANCES, vertex_labels, views_of, write_surface
+from .source import FinishedLift
+
+WIDEST, MOST_VIEWS = 320, 60
+"""Largest width in pixels of the views that are fused, and how many of all frames at most."""
+ROOM, OBJECTS = Grain(0.05, 15.0, 1, times=3), Grain(0.025, times=3)
+WINDOW = 0.5
+"""The largest size in metres, along each axis, of a hole in the room that is closed."""
+_BESIDE = 0.075
+"""Metres from an object's own surface within which the room's surface has nothing of it."""
+_AROUND = 0.3
+"""Metres within which a vertex that no view labels is what lies beside it."""
+_RIM = 5
+"""Side in pixels of the square around each pixel of an object that belongs to its surface."""
+
+
+def export_surface(lift: FinishedLift, output: Path) -> None:
+    """mesh.ply, as `mesh.export_mesh` writes it, to look at. Raises PlgsError where no surface was rendered, OSError.
+    """
+    views = views_of(lift, WIDEST, MOST_VIEWS)
+    surface, label = surface_to_view(views)
+    if not len(surface.triangles):
+        fix = "Lift the scene with better depth."
+        raise PlgsError("the rendered views show no surface", lift.folder.path, fix)
+    write_surface(lift, output / "mesh.ply", surface, label)
+
+
+def surface_to_view(views: list[SmallView]) -> tuple[Surface, Ints]:
+    """The surface of the views, with the label of each vertex, int64 [V]: coarse where no object's own is."""
+    room = _labelled(fuse(views, ROOM), views, WINDOW)
+    objects = _labelled(fuse([_of_objects(view) for view in views], OBJECTS), views, HAND)
+    coarse, coarse_label = _without(*room, ~_is_double(room, objects))
+    fine, fine_label = _without(*objects, objects[1] % MOST_INSTANCES > 0)
+    both = Surface(
+        np.concatenate([coarse.xyz, fine.xyz]),
+        np.concatenate([coarse.rgb, fine.rgb]),
+        np.concatenate([coarse.normal, fine.normal]),
+        np.concatenate([coarse.triangles, fine.triangles + len(coarse.xyz)]),
+    )
+    return both, np.concatenate([coarse_label, fine_label])
+
+
+def _labelled(surface: Surface, views: list[SmallView], largest: float) -> tuple[Surface, Ints]:
+    """The surface mended, its holes up to the ``largest`` closed, and its labels."""
+    if not len(surface.triangles):
+        return surface, np.zeros(len(surface.xyz), np.int64)
+    surface, label = without_flakes(surface, vertex_labels(surface.xyz, views, ROOM.times))
+    if (label > 0).any() and (label == 0).any():
+        far, at = cKDTree(surface.xyz[label > 0]).query(surface.xyz[label == 0], distance_upper_bound=_AROUND)
+        label[label == 0] = np.append(label[label > 0], 0)[at]
+    surface, label = close_holes(surface, label, largest)
+    return surface, without_crumbs(surface, label, label % MOST_INSTANCES == 0)
+
+
+def _of_objects(view: SmallView) -> SmallView:
+    """The view without what is no object."""
+    near = cv2.dilate((view.label % MOST_INSTANCES > 0).astype(np.uint8), np.ones((_RIM, _RIM), np.uint8))
+    return replace(view, depth=np.where(near > 0, view.depth, np.float32(0)))
+
+
+def _is_double(room: tuple[Surface, Ints], objects: tuple[Surface, Ints]) -> NDArray[np.bool_]:
+    """Which vertices [V] of the room's surface belong to an object that has its own surface there."""
+    double = room[1] % MOST_INSTANCES > 0
+    if double.any() and len(objects[0].xyz):
+        far, _ = cKDTree(objects[0].xyz).query(room[0].xyz[double], distance_upper_bound=_BESIDE)
+        double[double] = np.isfinite(far)
+        return double
+    return np.zeros(len(double), np.bool_)
+
+
+def _without(surface: Surface, label: Ints, kept: NDArray[np.bool_]) -> tuple[Surface, Ints]:
+    """A surface and its labels with the triangles of which most corners are ``kept`` [V]."""
+    used, corners = np.unique(surface.triangles[kept[surface.triangles].sum(axis=1) > 1], return_inverse=True)
+    cut = Surface(surface.xyz[used], surface.rgb[used], surface.normal[used], corners.reshape(-1, 3))
+    return cut, label[used]

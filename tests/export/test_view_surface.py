@@ -1,0 +1,69 @@
+"""The surface to look at: far floors are whole, holes of the room are closed, objects are finer than the room."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from engine.export.fusion import SmallView, Surface
+from engine.export.mesh import MOST_INSTANCES
+from engine.export.view_surface import OBJECTS, ROOM, surface_to_view
+from engine.scene import Camera
+
+FLOOR, RUG = 1 * MOST_INSTANCES, 2 * MOST_INSTANCES + 7
+HEIGHT, FAR, WIDE = 1.5, 5.5, 1.0
+SIZE, FOCAL, MIDDLE = (320, 240), 280.0, 40.0
+
+
+def look_over_the_floor(hole: bool = False) -> SmallView:
+    """A floor, as wide to each side as WIDE, seen along it from HEIGHT; an object lies on it at 2 to 3 m, and a hole of
+    0.3 m at 4 m. Beyond four times its height, the field around the floor is thinner than a voxel."""
+    width, height = SIZE
+    camera = Camera(width, height, FOCAL, FOCAL, width / 2, MIDDLE, np.array(
+        [[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, HEIGHT], [0, 0, 0, 1]]))  # fmt: skip
+    below = (np.arange(height) + 0.5 - camera.cy) / camera.fy
+    depth = np.where(below > HEIGHT / FAR, HEIGHT / np.maximum(below, 1e-6), 0.0)
+    depth = np.repeat(depth[:, None], width, axis=1).astype(np.float32)
+    aside = (np.arange(width) + 0.5 - camera.cx) / camera.fx * depth
+    depth[np.abs(aside) > WIDE] = 0.0
+    if hole:
+        depth[(np.abs(aside) < 0.15) & (np.abs(depth - 4.0) < 0.15)] = 0.0
+    label = np.where((depth > 2.0) & (depth < 3.0) & (np.abs(aside) < 0.5), RUG, FLOOR)
+    return SmallView(camera, depth, np.full((height, width, 3), 128, np.uint8), np.where(depth > 0, label, 0))
+
+
+def areas(surface: Surface) -> np.ndarray:
+    a, b, c = surface.xyz[surface.triangles].astype(float).transpose(1, 0, 2)
+    return np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2
+
+
+def test_a_far_floor_that_one_view_saw_is_whole() -> None:
+    surface, label = surface_to_view([look_over_the_floor()])
+    nearest = HEIGHT * FOCAL / (SIZE[1] - MIDDLE)
+    assert areas(surface).sum() == pytest.approx((FAR - nearest) * 2 * WIDE, rel=0.1)
+    assert np.abs(surface.xyz[:, 2]).max() < 0.1 and (label > 0).all()
+
+
+def test_a_hole_in_the_room_is_closed() -> None:
+    whole, holed = (surface_to_view([look_over_the_floor(hole)])[0] for hole in (False, True))
+    assert areas(holed).sum() == pytest.approx(areas(whole).sum(), rel=0.01)
+
+
+def test_objects_are_finer_than_the_room() -> None:
+    surface, label = surface_to_view([look_over_the_floor()] * OBJECTS.least_views)
+    size = {value: np.median(areas(surface)[(label[surface.triangles] == value).all(axis=1)]) for value in (FLOOR, RUG)}
+    assert size[FLOOR] / size[RUG] == pytest.approx((ROOM.voxel / OBJECTS.voxel) ** 2, rel=0.4)
+    assert areas(surface).sum() == pytest.approx(areas(surface_to_view([look_over_the_floor()])[0]).sum(), rel=0.05)
+
+
+def test_depth_between_pixels_is_that_of_planes_and_edges_stay() -> None:
+    view = look_over_the_floor()
+    large = view.large_depth(3)
+    row = (np.arange(large.shape[0]) + 0.5) / 3
+    expected = HEIGHT * view.camera.fy / np.maximum(row - view.camera.cy, 1e-6)
+    middle = large[:, large.shape[1] // 2]
+    inside = (expected < 0.8 * FAR) & (row < SIZE[1] - 1)
+    assert np.allclose(middle[inside], expected[inside], rtol=1e-4)
+    last = int(np.argmax(view.depth[:, SIZE[0] // 2] > 0))
+    assert (large[3 * last : 3 * last + 3, large.shape[1] // 2] == view.depth[last, SIZE[0] // 2]).all()
+    assert ((large > 0) == np.kron(view.depth > 0, np.ones((3, 3), bool))).all()
