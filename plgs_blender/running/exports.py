@@ -24,8 +24,8 @@ FORMS = {
     "points": ("Labelled Points", "PLY of the semantic points, and of the Gaussians"),
     "splats": ("Splats", "PLY of the Gaussians alone, with the names of their ids"),
     "boxes": ("Boxes", "The objects' oriented boxes as JSON and CSV, and for labelCloud and CVAT"),
-    "surface": ("Surface to View", "The surface as one PLY, coarser where there are no objects: what Blender shows"),
     "mesh": ("Meshes", "The surface as PLY, and a GLB for each instance and each stuff class"),
+    "surface": ("Surface to View", "The surface as one PLY, coarser where there are no objects: what Blender shows"),
     "gltf": ("glTF", "The meshes of all instances and stuff classes in one GLB"),
     "usd": ("OpenUSD", "Gaussians, meshes, boxes and cameras in one USD file; needs usd-core in the engine"),
     "depth": ("Depth Maps", "The lifted surface's depth in metres, one NPY per frame"),
@@ -36,8 +36,8 @@ FORMS = {
 
 class Export(Task):
     """One export. What was written stays when it is cancelled. ``shown_in`` names the scene that its meshes or clouds
-    are put into; where nobody ``asked`` for them, they are not shown yet, and an export that is asked for ends
-    this one."""
+    are put into; where nobody ``asked`` for them, they are shown unless the user chose otherwise, and an export that
+    is asked for ends this one."""
 
     kind, label, cancel_operator = "export", "Exporting", "plgs.cancel_export"
 
