@@ -22,7 +22,7 @@ def follow(follower: TaskFollower, until: Callable[[], bool] = lambda: False) ->
     """Poll until the end, or until something holds."""
     began = time.monotonic()
     while follower.is_running and not until():
-        assert time.monotonic() - began < 25.0, follower.progress
+        assert time.monotonic() - began < 60.0, follower.progress
         follower.poll()
         time.sleep(0.02)
 

@@ -71,11 +71,15 @@ def test_a_full_disk_does_not_keep_a_hanging_engine_alive(tmp_path: Path, monkey
 
 def test_it_leaves_an_engine_alone_that_stops_on_its_own(tmp_path: Path, events: EventWriter) -> None:
     ended, stop = Ended(), StopSignal(tmp_path / "cancel")
-    with Watchdog(stop, events, end_process=ended, grace_s=0.2):
+    with Watchdog(stop, events, end_process=ended, grace_s=PATIENCE_S):
         (tmp_path / "cancel").touch()
         with pytest.raises(Cancelled):
             stop.check()
-    assert not ended.when.wait(0.5)
+    for thread in threading.enumerate():
+        if thread.name == "plgs-watchdog":
+            thread.join(PATIENCE_S)
+            assert not thread.is_alive()
+    assert not ended.when.is_set()
 
 
 def test_it_notices_the_end_of_the_parent(tmp_path: Path, events: EventWriter) -> None:

@@ -223,7 +223,7 @@ def test_switching_online_access_off_ends_it(online: None, monkeypatch: pytest.M
 def test_the_timer_asks_and_then_stops(python: Python) -> None:
     choices.choose(python())
     tasks.check()
-    give_up = time.monotonic() + 10
+    give_up = time.monotonic() + 60
     while timer.tick() is not None:
         assert time.monotonic() < give_up
         time.sleep(0.01)
@@ -234,7 +234,7 @@ def test_switching_the_extension_off_ends_running_tasks(python: Python, tmp_path
     pid = tmp_path / "pid"
     choices.choose(python("slow", f"echo $$ > {pid}.part; mv {pid}.part {pid}; exec sleep 60"))
     tasks.check()
-    give_up = time.monotonic() + 10
+    give_up = time.monotonic() + 60
     while not pid.exists():
         assert time.monotonic() < give_up
         time.sleep(0.01)

@@ -103,7 +103,7 @@ def test_a_defect_stops_no_other_task(monkeypatch: pytest.MonkeyPatch, capfd: py
     assert "ZeroDivisionError: a defect" in capfd.readouterr().err
 
 
-def wait_until(condition: Callable[[], bool], patience_s: float = 20.0) -> None:
+def wait_until(condition: Callable[[], bool], patience_s: float = 60.0) -> None:
     give_up = time.monotonic() + patience_s
     while not condition():
         assert time.monotonic() < give_up
