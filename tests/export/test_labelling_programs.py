@@ -28,7 +28,7 @@ def test_cvats_and_labelclouds_readers_find_the_objects(lift: LiftFolder, tmp_pa
     run(lift, "boxes", boxes)
     script = Path(__file__).with_name("labelling_programs.py")
     command = [sys.executable, str(script), str(packages), str(boxes)]
-    said = subprocess.run(command, check=True, timeout=300, capture_output=True, text=True).stdout
+    said = subprocess.run(command, check=True, timeout=300, capture_output=True, text=True, cwd=tmp_path).stdout
     found = json.loads(said.rpartition("FOUND")[2])
     listed = FinishedLift(lift, ["all"]).listed
     assert Path(found["points"]) == boxes / "cvat/ds0/pointcloud/points.pcd"
