@@ -10,6 +10,7 @@ import pytest
 from plgs.engine.errors import PlgsError
 from plgs.engine.posed.labelled_surface import read_surface
 from plgs.plgs_blender import lift_scene
+from plgs.plgs_blender.inspecting.lists import registered
 from plgs.plgs_blender.lift_collection import lifts_in
 from plgs.plgs_blender.meshes import mesh_folder
 from surface_file import SIDE, write_surface
@@ -66,15 +67,16 @@ def test_a_surface_that_nobody_asked_for_is_shown_unless_something_else_was(lift
     surface = path.read_bytes()
     path.unlink()
     root, scene = lift_scene.place_lift(lift, bpy.context.scene), bpy.context.scene
-    before = root.plgs.show_as
-    path.write_bytes(surface)
-    lift_scene.place_meshes_anew(lift, scene, asked=False)
-    assert before != root.plgs.show_as == "SURFACE"
-    lift_scene.show_lift_as(root, scene, before)
-    lift_scene.place_meshes_anew(lift, scene, asked=False)
-    assert root.plgs.show_as == before
-    lift_scene.place_meshes_anew(lift, scene)
-    assert root.plgs.show_as == "SURFACE"
+    with registered():
+        before = root.plgs.show_as
+        path.write_bytes(surface)
+        lift_scene.place_meshes_anew(lift, scene, asked=False)
+        assert before != root.plgs.show_as == "SURFACE"
+        lift_scene.show_lift_as(root, scene, before)
+        lift_scene.place_meshes_anew(lift, scene, asked=False)
+        assert root.plgs.show_as == before
+        lift_scene.place_meshes_anew(lift, scene)
+        assert root.plgs.show_as == "SURFACE"
 
 
 def test_blender_exports_them(lift: Path, tmp_path: Path) -> None:

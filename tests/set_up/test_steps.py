@@ -192,9 +192,9 @@ def test_a_complete_environment_that_does_not_answer_is_made_again(begin: Begin,
 
 
 def test_where_no_python_can_make_environments_says_why(begin: Begin, tmp_path: Path) -> None:
-    debian = '[[3, 11], "/usr/bin/python3.11", ["ensurepip"]]'
+    debian = '[[3, 11], "/usr/bin/python3.11", ["venv", "ensurepip"]]'
     for number, (words, told) in enumerate((
-        (f"echo '{debian}'", "lacks ensurepip (on Debian and Ubuntu: python3.11-venv)"),
+        (f"echo '{debian}'", "lacks venv and ensurepip (on Debian and Ubuntu: python3.11-venv)"),
         ("echo '[[3, 99], \"/p\", []]'", "is Python 3.99, which the packages are not pinned for"),
         ("exit 1", "does not work as a Python"),
         ("echo hello", "does not work as a Python"),
