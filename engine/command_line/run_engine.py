@@ -55,6 +55,8 @@ def run_engine(
                 folder.prepare_run()
 
             def work(events: EventWriter, stop: StopSignal) -> None:
+                if lift is None and not resume:
+                    _refuse_no_scene(folder)
                 _run_lift(folder, lift)(folder, events, stop, resume=resume)
 
             command = Command(
@@ -165,6 +167,13 @@ def _refuse_unfinished(folder: LiftFolder) -> None:
         what = f"this lift is not finished ({folder.state_at_rest().value})"
         raise PlgsError(what, folder.path, "Resume it first.", code=ErrorCode.NOT_FINISHED)
     verify_lifted(folder.result_path)
+
+
+def _refuse_no_scene(folder: LiftFolder) -> None:
+    """Raises PlgsError at once, not only after torch was loaded."""
+    from ..scene.formats import find_format
+
+    find_format(folder.request.scene, folder.request.scene_format)
 
 
 def _run_lift(folder: LiftFolder, lift: LiftWork | None) -> LiftWork:

@@ -39,7 +39,6 @@ def main(behaviour: str, arguments: list[str]) -> int:
 
     vars(session)["engine_command"] = fake_command
     vars(session)["resumable"] = announced_resumable
-    vars(run_plgs)["check_scene_folder"] = lambda request: None
     blender = ModuleType("plgs.plgs_blender.lift_scene")
     vars(blender)["save_lift"] = slow_save if behaviour == "short, slow save" else save_lift
     sys.modules["bpy"] = sys.modules.get("bpy") or ModuleType("bpy")

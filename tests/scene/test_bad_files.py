@@ -1,13 +1,12 @@
-"""Whatever stands in a sample's files, opening and looking into it either works or raises PlgsError with one line."""
+"""Files that are wrong in a known way: a line that says how, or a frame that is left out with its name."""
 
 from __future__ import annotations
 
 import json
 import re
 import struct
-import zipfile
-from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager
+from collections.abc import Callable
+from contextlib import AbstractContextManager
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -15,127 +14,15 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from engine.errors import PlgsError
-from engine.scene import Scene, describe, open_scene, survey_scene
-from tests.fuzzing import damaged, examples, with_odd_value
-from tests.scene.formats import (
-    test_colmap,
-    test_hypersim,
-    test_nerfstudio,
-    test_open3d_log,
-    test_polycam,
-    test_posed_images,
-    test_record3d,
-    test_replica,
-    test_scanner_app,
-    test_scannetpp,
-    test_sens,
-    test_seven_scenes,
-    test_stray,
-    test_tum,
-)
+from engine.scene import describe, survey_scene
 from tests.scene.formats.test_record3d import lzfse  # noqa: F401 - a fixture
-from tests.scene.mask_formats import (
-    test_detections,
-    test_exr_masks,
-    test_label_images,
-    test_segment_maps,
-    test_tracks,
-)
-from tests.tiny_scene import write_tiny_scene
+from tests.scene.mask_formats import test_label_images
+from tests.scene.samples import Sample, look_into, opened, samples, with_content  # noqa: F401 - a fixture among them
 
-ODD_WORDS = ("nan", "-inf", "1e999", "x", "", "-1", "0", "99999999999999999999", "../a", "\0")
 EYE = np.eye(4).tolist()
 PICTURE = "images/frame_8"
-
-
-def open3d(folder: Path) -> None:
-    test_open3d_log.write_images(folder, test_open3d_log.PRIMESENSE)
-    (folder / "a.log").write_text(test_open3d_log.log(test_open3d_log.views()))
-    (folder / "intrinsic.json").write_text(json.dumps(test_open3d_log.intrinsic(test_open3d_log.PRIMESENSE)))
-
-
-def arrays(folder: Path) -> None:
-    def save(path: Path, truth: test_label_images.Truth) -> None:
-        np.save(f"{path}.npy", test_label_images.in_table(truth, test_label_images.NYU).astype(np.uint16))
-
-    test_label_images.write_arrays(folder, save)
-
-
-def unpacked_r3d(folder: Path) -> None:
-    with zipfile.ZipFile(test_record3d.write_r3d(folder / "a.r3d")) as archive:
-        archive.extractall(folder)
-    (folder / "a.r3d").unlink()
-
-
-WRITERS: dict[str, Callable[[Path], object]] = {
-    "scannet": lambda folder: write_tiny_scene(
-        folder, frames=3, size=(16, 12), splits={"train": ["0000", "0001"], "test": ["0002"]}
-    ),
-    "nerfstudio": test_nerfstudio.write_scene,
-    "colmap": test_colmap.write_text,
-    "colmap-binary": test_colmap.binary,
-    "tum": test_tum.write_tum,
-    "7scenes": test_seven_scenes.write_seven,
-    "replica": test_replica.write_nice,
-    "posed-images": test_posed_images.write_posed_images,
-    "sens": lambda folder: (folder / "a.sens").write_bytes(test_sens.sens()),
-    "polycam": test_polycam.write_polycam,
-    "scanner-app": test_scanner_app.write_scanner_app,
-    "record3d": lambda folder: test_record3d.write_r3d(folder / "a.r3d"),
-    "record3d-unpacked": unpacked_r3d,
-    "stray": test_stray.write_stray,
-    "scannetpp": lambda folder: test_scannetpp.write_scannetpp(folder, test_scannetpp.lz4_blocks),
-    "hypersim": lambda folder: test_hypersim.write_hypersim(folder / "ai_001_001", test_hypersim.USUAL),
-    "open3d": open3d,
-    "panoptic-lifting": lambda folder: write_tiny_scene(folder, frames=3, size=(32, 24), masks="panoptic_lifting"),
-    "pairs": lambda folder: test_label_images.write_pairs(folder, ("semantic", "instance")),
-    "arrays": arrays,
-    "detections": test_detections.write_stacks,
-    "detection-pictures": test_detections.write_pictures,
-    "cryptomatte": test_exr_masks.write_mattes,
-    "detectron2": lambda folder: test_segment_maps.write_detectron2(folder, test_segment_maps.COCO_NUMBERS, {5}),
-    "transformers": test_segment_maps.write_transformers,
-    "sam2": test_tracks.write_palettes,
-    "grounded-sam2": test_tracks.write_grounded,
-}
-OPTIONS: dict[str, dict[str, str]] = {
-    "pairs": {"classes": "nyu40:1-40"},
-    "arrays": {"classes": "nyu40"},
-    "detections": {"classes": "coco"},
-    "detection-pictures": {"mask_format": "detections"},
-    "sam2": {"mask_format": "sam2"},
-}
-Sample = Callable[[str], Path]
-
-
-@pytest.fixture(scope="module")
-def sample(tmp_path_factory: pytest.TempPathFactory) -> Sample:
-    """Gives the folder of a sample, which is written once."""
-    written: dict[str, Path] = {}
-
-    def of(name: str) -> Path:
-        if name not in written:
-            folder = tmp_path_factory.mktemp(name)
-            WRITERS[name](folder)
-            written[name] = folder
-        return written[name]
-
-    return of
-
-
-@contextmanager
-def with_content(path: Path, content: bytes | None) -> Iterator[None]:
-    """The file with other content, or None: without it, for a while."""
-    original = path.read_bytes() if path.exists() else None
-    path.unlink(missing_ok=True) if content is None else path.write_bytes(content)
-    try:
-        yield
-    finally:
-        path.unlink(missing_ok=True) if original is None else path.write_bytes(original)
 
 
 def changed(path: Path, change: Any) -> AbstractContextManager[None]:
@@ -146,15 +33,6 @@ def changed(path: Path, change: Any) -> AbstractContextManager[None]:
     elif isinstance(change, dict):
         change = json.dumps(json.loads(path.read_bytes()) | change)
     return with_content(path, change.encode() if isinstance(change, str) else change)
-
-
-def opened(folder: Path, name: str) -> Scene:
-    return open_scene(folder / "ai_001_001" if name == "hypersim" else folder, **OPTIONS.get(name, {}))
-
-
-def look_into(folder: Path, name: str) -> None:
-    with np.errstate(all="ignore"):
-        describe(opened(folder, name))
 
 
 def swapped(old: str, new: str) -> Callable[[bytes], bytes]:
@@ -403,34 +281,3 @@ def test_a_frame_whose_pixels_cannot_be_read_is_left_out_with_the_reason(
     (gone,) = survey.scene.left_out
     assert {*gone.names} == {frame.name for frame in scene.frames} - {frame.name for frame in survey.scene.frames}
     assert re.search(f"{gone.names[0]}.*{told}", survey.warnings[0])
-
-
-def odd_word(draw: Any, data: bytes) -> bytes:
-    """One number of a text is another word."""
-    found = [*re.finditer(rb"-?\d[\d.e+-]*", data)]
-    place = draw(st.sampled_from(found)) if found else None
-    word = draw(st.sampled_from(ODD_WORDS)).encode()
-    return b"" if place is None else data[: place.start()] + word + data[place.end() :]
-
-
-def odd_value(draw: Any, data: bytes) -> bytes:
-    """One value of a JSON document is another; other files are damaged."""
-    try:
-        return json.dumps(with_odd_value(draw, json.loads(data))).encode()
-    except ValueError:
-        return damaged(draw, data)
-
-
-@pytest.mark.parametrize("name", WRITERS)
-@examples(8)
-@given(data=st.data())
-def test_damaged_samples_are_one_line_errors(sample: Sample, name: str, data: st.DataObject) -> None:
-    files = sorted(path for path in sample(name).rglob("*") if path.is_file())
-    suffix = data.draw(st.sampled_from(sorted({path.suffix for path in files})))  # what kind a file is of
-    path = data.draw(st.sampled_from([path for path in files if path.suffix == suffix]))
-    spoil = data.draw(st.sampled_from([damaged, odd_word, odd_value]))
-    with with_content(path, spoil(data.draw, path.read_bytes())):
-        try:
-            look_into(sample(name), name)
-        except PlgsError as error:
-            assert "\n" not in str(error) and error.fix.endswith((".", "?")), str(error)

@@ -1,0 +1,154 @@
+"""Exports that hold a whole scene in one file, read back by Blender and by OpenUSD."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from engine.command_line.main import main
+from engine.export.source import FinishedLift
+from engine.job import LiftFolder
+from tests.conftest import HAS_BLENDER
+from tests.export.conftest import run
+
+READ_BY_BLENDER = """
+import json, sys
+import bpy
+found = {}
+for path in sys.argv[1:]:
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    read = bpy.ops.wm.usd_import if path.endswith(".usdc") else bpy.ops.import_scene.gltf
+    read(filepath=path)
+    found[path] = objects = {}
+    for ob in bpy.data.objects:
+        told = objects[ob.name] = {"type": ob.type, "matrix": [list(row) for row in ob.matrix_world]}
+        if ob.type == "MESH":
+            told["vertices"] = [list(ob.matrix_world @ vertex.co) for vertex in ob.data.vertices]
+            told["colours"] = len(ob.data.color_attributes)
+            told["class"] = ob.get("class")
+        if ob.type == "CAMERA":
+            data = ob.data
+            told["lens"] = [data.lens, data.sensor_width, data.sensor_height, data.shift_x, data.shift_y]
+print("FOUND" + json.dumps(found))
+"""
+
+
+def read_by_blender(*paths: Path) -> dict[str, Any]:
+    """What Blender's own importers make of the files, in a process of its own: OpenUSD is here already."""
+    command = [sys.executable, "-c", READ_BY_BLENDER, *map(str, paths)]
+    said = subprocess.run(command, capture_output=True, text=True, timeout=240, check=True).stdout
+    return json.loads(said.rpartition("FOUND")[2])
+
+
+def test_one_file_holds_all_meshes(lift: LiftFolder, tmp_path: Path) -> None:
+    """glTF and OpenUSD, read back by Open3D, by OpenUSD and by Blender."""
+    open3d, usd = pytest.importorskip("open3d"), pytest.importorskip("pxr.Usd")
+    from pxr import UsdGeom, UsdSemantics
+
+    for form in ("mesh", "gltf", "usd"):
+        run(lift, form, tmp_path / form)
+    alone = {path.stem: open3d.io.read_triangle_mesh(str(path)) for path in (tmp_path / "mesh/meshes").iterdir()}
+    joined = open3d.io.read_triangle_mesh(str(tmp_path / "gltf/lift.glb"))
+    assert len(joined.triangles) == sum(len(each.triangles) for each in alone.values()) > 1000
+    stage = usd.Stage.Open(str(tmp_path / "usd/lift.usdc"))
+    assert (UsdGeom.GetStageUpAxis(stage), UsdGeom.GetStageMetersPerUnit(stage)) == ("Z", 1.0)
+    lifted = FinishedLift(lift, ["all"])
+    class_of = {one.name: one.class_name for one in lifted.listed}
+    in_usd: dict[str, UsdGeom.Mesh] = {}
+    for prim in stage.GetPrimAtPath("/Lift/Meshes").GetChildren():
+        labels = {each: UsdSemantics.LabelsAPI(prim, each).GetLabelsAttr().Get() for each in ("class", "instance")}
+        name = prim.GetDisplayName()
+        assert list(labels["class"]) == [class_of.get(name, name)]
+        assert labels["instance"] is None if name not in class_of else list(labels["instance"]) == [name]
+        in_usd[name] = UsdGeom.Mesh(prim)
+    assert in_usd.keys() == alone.keys() and any(name in class_of for name in in_usd)
+    for name, mesh in in_usd.items():
+        upright = np.asarray(alone[name].vertices) @ np.array([[1, 0, 0], [0, 0, 1], [0, -1, 0]])
+        points = np.array(mesh.GetPointsAttr().Get())  # Open3D changes their order
+        np.testing.assert_allclose(np.sort(points, axis=0), np.sort(upright, axis=0), atol=1e-5)
+    boxes = [UsdGeom.Cube(prim) for prim in stage.GetPrimAtPath("/Lift/Boxes").GetChildren()]
+    assert [box.GetPrim().GetDisplayName() for box in boxes] == [one.name for one in lifted.listed]
+    for box, one in zip(boxes, lifted.listed, strict=True):
+        corner = np.array(box.ComputeLocalToWorldTransform(usd.TimeCode.Default()).Transform((0.5, 0.5, 0.5)))
+        turn = np.array([[np.cos(one.yaw), -np.sin(one.yaw), 0], [np.sin(one.yaw), np.cos(one.yaw), 0], [0, 0, 1]])
+        np.testing.assert_allclose(corner, one.centre + turn @ np.array(one.size) / 2, atol=1e-4)
+    if HAS_BLENDER:
+        check_in_blender(
+            lifted, {name: np.array(mesh.GetPointsAttr().Get()) for name, mesh in in_usd.items()}, tmp_path
+        )
+
+
+def check_in_blender(lifted: FinishedLift, meshes: Mapping[str, np.ndarray], folder: Path) -> None:
+    glb, usdc = folder / "gltf/lift.glb", folder / "usd/lift.usdc"
+    found = read_by_blender(glb, usdc)
+    for path in (glb, usdc):
+        shown = {name.replace(" ", "_"): told for name, told in found[str(path)].items() if told["type"] == "MESH"}
+        assert shown.keys() >= {name.replace(" ", "_") for name in meshes}
+        for name, points in meshes.items():
+            told = shown[name.replace(" ", "_")]
+            assert told["colours"] == 1 and len(told["vertices"]) == len(points)
+            np.testing.assert_allclose(np.sort(told["vertices"], axis=0), np.sort(points, axis=0), atol=1e-4)
+    assert found[str(glb)]["floor"]["class"] == "floor"
+    for frame in lifted.frames:
+        told, camera = found[str(usdc)][f"camera_{frame.name}"], frame.camera
+        lens, width, _, shift_x, shift_y = told["lens"]
+        pose = np.array(told["matrix"]) @ np.diag([1, -1, -1, 1])
+        np.testing.assert_allclose(pose, camera.camera_to_world, atol=1e-4)
+        assert lens / width * camera.width == pytest.approx(camera.fx, rel=1e-4)
+        assert shift_x * camera.width == pytest.approx(camera.width / 2 - camera.cx, abs=1e-2)
+        assert shift_y * camera.width == pytest.approx(camera.cy - camera.height / 2, abs=1e-2)
+
+
+def test_gaussians_and_cameras_in_usd(lift: LiftFolder, tmp_path: Path) -> None:
+    usd = pytest.importorskip("pxr.Usd")
+    from pxr import Gf, UsdGeom, UsdSemantics, UsdVol
+
+    run(lift, "usd", tmp_path)
+    stage = usd.Stage.Open(str(tmp_path / "lift.usdc"))
+    lifted = FinishedLift(lift, ["all"])
+    rows = lifted.splats
+    seen = 0
+    for prim in stage.GetPrimAtPath("/Lift/Splats").GetChildren():
+        field = UsdVol.ParticleField3DGaussianSplat(prim)
+        assert field and field.GetRadianceSphericalHarmonicsDegreeAttr().Get() == 0
+        of = {each: UsdSemantics.LabelsAPI(prim, each).GetLabelsAttr().Get() for each in ("class", "instance")}
+        names = lifted.instances.names
+        own = np.array([names.get(each, "") for each in rows["instance_id"].tolist()]) == (of["instance"] or [""])[0]
+        classes = {each.id: each.name for each in lifted.classes.categories}
+        own &= np.array([classes.get(each, "") for each in rows["class_id"].tolist()]) == (of["class"] or [""])[0]
+        mine = rows[own]
+        seen += len(mine)
+        xyz = np.stack([mine[axis] for axis in "xyz"], axis=1)
+        np.testing.assert_array_equal(np.array(field.GetPositionsAttr().Get()), xyz)
+        scales = np.stack([mine[f"scale_{axis}"] for axis in range(3)], axis=1)
+        np.testing.assert_allclose(np.log(np.array(field.GetScalesAttr().Get())), scales, atol=1e-4)
+        opacity = np.array(field.GetOpacitiesAttr().Get(), np.float64)
+        np.testing.assert_allclose(opacity, 1 / (1 + np.exp(-mine["opacity"].astype(np.float64))), atol=1e-6)
+        turn = field.GetOrientationsAttr().Get()[0]
+        quat = np.array([mine[f"rot_{part}"][0] for part in range(4)])
+        np.testing.assert_allclose([turn.real, *turn.imaginary], quat / np.linalg.norm(quat), atol=1e-5)
+        colours = np.array(field.GetRadianceSphericalHarmonicsCoefficientsAttr().Get())
+        np.testing.assert_array_equal(colours[:, 1], mine["f_dc_1"])
+    assert seen == len(rows) > 0
+    camera = lifted.frames[0].camera
+    frustum = UsdGeom.Camera.Get(stage, f"/Lift/Cameras/camera_{lifted.frames[0].name}").GetCamera().frustum
+    point = camera.camera_to_world @ np.array([0.3, -0.2, 2.0, 1.0])
+    (pixel,), _ = camera.project(point[None, :3])
+    shown = frustum.ComputeViewMatrix() * frustum.ComputeProjectionMatrix()
+    x, y, _ = shown.Transform(Gf.Vec3d(*point[:3]))
+    assert ((x + 1) / 2 * camera.width, (1 - y) / 2 * camera.height) == pytest.approx(tuple(pixel), abs=1e-3)
+
+
+def test_usd_tells_what_the_engine_lacks(
+    lift: LiftFolder, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("engine.export.run.find_spec", lambda name: None)
+    assert main(["export", str(lift.path), "--to", "usd", "-o", str(tmp_path / "out")]) != 0
+    assert "engine add usd" in capsys.readouterr().err and not (tmp_path / "out").exists()

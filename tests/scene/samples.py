@@ -1,0 +1,133 @@
+"""A small sample of each layout and each kind of masks, whose files may be spoilt for a while."""
+
+from __future__ import annotations
+
+import json
+import zipfile
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from engine.scene import Scene, describe, open_scene
+from tests.scene.formats import (
+    test_colmap,
+    test_hypersim,
+    test_nerfstudio,
+    test_open3d_log,
+    test_polycam,
+    test_posed_images,
+    test_record3d,
+    test_replica,
+    test_scanner_app,
+    test_scannetpp,
+    test_sens,
+    test_seven_scenes,
+    test_stray,
+    test_tum,
+)
+from tests.scene.mask_formats import (
+    test_detections,
+    test_exr_masks,
+    test_label_images,
+    test_segment_maps,
+    test_tracks,
+)
+from tests.tiny_scene import write_tiny_scene
+
+
+def open3d(folder: Path) -> None:
+    test_open3d_log.write_images(folder, test_open3d_log.PRIMESENSE)
+    (folder / "a.log").write_text(test_open3d_log.log(test_open3d_log.views()))
+    (folder / "intrinsic.json").write_text(json.dumps(test_open3d_log.intrinsic(test_open3d_log.PRIMESENSE)))
+
+
+def arrays(folder: Path) -> None:
+    def save(path: Path, truth: test_label_images.Truth) -> None:
+        np.save(f"{path}.npy", test_label_images.in_table(truth, test_label_images.NYU).astype(np.uint16))
+
+    test_label_images.write_arrays(folder, save)
+
+
+def unpacked_r3d(folder: Path) -> None:
+    with zipfile.ZipFile(test_record3d.write_r3d(folder / "a.r3d")) as archive:
+        archive.extractall(folder)
+    (folder / "a.r3d").unlink()
+
+
+WRITERS: dict[str, Callable[[Path], object]] = {
+    "scannet": lambda folder: write_tiny_scene(
+        folder, frames=3, size=(16, 12), splits={"train": ["0000", "0001"], "test": ["0002"]}
+    ),
+    "nerfstudio": test_nerfstudio.write_scene,
+    "colmap": test_colmap.write_text,
+    "colmap-binary": test_colmap.binary,
+    "tum": test_tum.write_tum,
+    "7scenes": test_seven_scenes.write_seven,
+    "replica": test_replica.write_nice,
+    "posed-images": test_posed_images.write_posed_images,
+    "sens": lambda folder: (folder / "a.sens").write_bytes(test_sens.sens()),
+    "polycam": test_polycam.write_polycam,
+    "scanner-app": test_scanner_app.write_scanner_app,
+    "record3d": lambda folder: test_record3d.write_r3d(folder / "a.r3d"),
+    "record3d-unpacked": unpacked_r3d,
+    "stray": test_stray.write_stray,
+    "scannetpp": lambda folder: test_scannetpp.write_scannetpp(folder, test_scannetpp.lz4_blocks),
+    "hypersim": lambda folder: test_hypersim.write_hypersim(folder / "ai_001_001", test_hypersim.USUAL),
+    "open3d": open3d,
+    "panoptic-lifting": lambda folder: write_tiny_scene(folder, frames=3, size=(32, 24), masks="panoptic_lifting"),
+    "pairs": lambda folder: test_label_images.write_pairs(folder, ("semantic", "instance")),
+    "arrays": arrays,
+    "detections": test_detections.write_stacks,
+    "detection-pictures": test_detections.write_pictures,
+    "cryptomatte": test_exr_masks.write_mattes,
+    "detectron2": lambda folder: test_segment_maps.write_detectron2(folder, test_segment_maps.COCO_NUMBERS, {5}),
+    "transformers": test_segment_maps.write_transformers,
+    "sam2": test_tracks.write_palettes,
+    "grounded-sam2": test_tracks.write_grounded,
+}
+OPTIONS: dict[str, dict[str, str]] = {
+    "pairs": {"classes": "nyu40:1-40"},
+    "arrays": {"classes": "nyu40"},
+    "detections": {"classes": "coco"},
+    "detection-pictures": {"mask_format": "detections"},
+    "sam2": {"mask_format": "sam2"},
+}
+Sample = Callable[[str], Path]
+
+
+@pytest.fixture(scope="session", name="sample")
+def samples(tmp_path_factory: pytest.TempPathFactory) -> Sample:
+    """Gives the folder of a sample, which is written once."""
+    written: dict[str, Path] = {}
+
+    def of(name: str) -> Path:
+        if name not in written:
+            folder = tmp_path_factory.mktemp(name)
+            WRITERS[name](folder)
+            written[name] = folder
+        return written[name]
+
+    return of
+
+
+@contextmanager
+def with_content(path: Path, content: bytes | None) -> Iterator[None]:
+    """The file with other content, or None: without it, for a while."""
+    original = path.read_bytes() if path.exists() else None
+    path.unlink(missing_ok=True) if content is None else path.write_bytes(content)
+    try:
+        yield
+    finally:
+        path.unlink(missing_ok=True) if original is None else path.write_bytes(original)
+
+
+def opened(folder: Path, name: str) -> Scene:
+    return open_scene(folder / "ai_001_001" if name == "hypersim" else folder, **OPTIONS.get(name, {}))
+
+
+def look_into(folder: Path, name: str) -> None:
+    with np.errstate(all="ignore"):
+        describe(opened(folder, name))
