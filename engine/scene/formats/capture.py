@@ -94,8 +94,10 @@ def frame_names(paths: Sequence[str]) -> list[str]:
 
     Other files are named after frames, so each character that no file name can hold becomes ``_`` too.
     """
-    parts = [PurePosixPath(path.replace("\\", "/")).with_suffix("").parts for path in paths]
-    stems = [each[-1] if each else "" for each in parts]
+    pure = [PurePosixPath(path.replace("\\", "/")) for path in paths]
+    parts = [(each.with_suffix("") if each.name else each).parts for each in pure]
+    named = [[part for part in each if part not in (".", "..", "/", "//")] for each in parts]  # perhaps nothing
+    stems = [each[-1] if each else "" for each in named]
     if len(set(stems)) < len(stems):
-        stems = ["_".join(part for part in each if part not in (".", "..", "/")) for each in parts]
+        stems = ["_".join(each) for each in named]
     return [_NOT_IN_NAMES.sub("_", stem) or "_" for stem in stems]
