@@ -212,7 +212,8 @@ def _calibration_findings(
     mended = moved(assumed, again.values)
     before, after = (agreement(examined.views, examined.pairs, each) for each in (assumed, mended))
     if not is_far_better(after, before):  # drifting poses bend every number a little
-        return [], assumed
+        is_better = after.mean > before.mean and after.error < before.error
+        return [_doubtful_unit(again)] if is_better and again.is_sure_of("unit", _OFF_UNIT) else [], assumed
     one, other = examined.telling_pair(mended)
     picture = depth_errors(examined.views, one, other, [("as it is", assumed), ("with the measured numbers", mended)])
     findings = [
@@ -228,6 +229,19 @@ def _calibration_findings(
         for cause, text, option, figures in _measured(examined, again, {*free})
     ]
     return findings, mended
+
+
+def _doubtful_unit(found: Calibration) -> Finding:
+    """A note on a unit that the fit is sure of, where noise of depth and poses hides most of what it would mend."""
+    factor = float(np.exp(found.of("unit")))
+    return Finding(
+        cause="depth unit",
+        severity="note",
+        text=f"depth is {_off(factor)} (within {found.deviation('unit'):.1%}) by surfaces that views share, or poses "
+        "are too near or too far; noise hides how much better views then agree",
+        option=f"compare a known length with both; multiply depth by {factor:.3f}, or divide the poses' places by it",
+        figures={"factor": factor},
+    )
 
 
 def _values_off(examined: Examined, found: Calibration, mended: Assumption, may_move: bool) -> tuple[str, ...]:

@@ -220,7 +220,7 @@ def test_two_parts_that_do_not_fit_are_found() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("hand_held", [False, True])
 def test_the_matrix_of_planted_faults(root: Path, tmp_path: Path, hand_held: bool) -> None:
-    """Nine in ten are noticed, eight rightly, and no mend harms. docs/captures.md has each row."""
+    """All but one in twenty are noticed, nine in ten rightly, and no mend harms. docs/captures.md has each row."""
     scene = root / "sample/room"
     if hand_held:
         subprocess.run([sys.executable, root / "sample/hand_held.py", scene, tmp_path / "twin"], check=True)
@@ -231,8 +231,8 @@ def test_the_matrix_of_planted_faults(root: Path, tmp_path: Path, hand_held: boo
         outcomes[name] = matrix.planted(scene, fault, tmp_path / str(number))
         shutil.rmtree(tmp_path / str(number))
     assert [name for name, outcome in outcomes.items() if outcome.mend == "harmed"] == []
-    assert sum(outcome.is_noticed for outcome in outcomes.values()) >= 0.9 * len(outcomes)
-    assert sum(outcome.is_right(matrix.FAULTS[name]) for name, outcome in outcomes.items()) >= 0.8 * len(outcomes)
+    assert sum(outcome.is_noticed for outcome in outcomes.values()) >= 0.95 * len(outcomes)
+    assert sum(outcome.is_right(matrix.FAULTS[name]) for name, outcome in outcomes.items()) >= 0.9 * len(outcomes)
 
 
 def test_pictures_of_another_lens_than_depth_are_reported(scene: Path) -> None:
