@@ -71,15 +71,14 @@ def _swatch_name_numbers(layout: Any, row: Any, coloured: Any, *, can_be_renamed
     swatch = line.row()
     swatch.ui_units_x = 0.9
     swatch.prop(coloured, "colour", text="")
-    split = line.split(factor=0.5, align=True)
+    split = line.split(factor=0.56, align=True)
     if can_be_renamed:
         split.prop(row, "name", text="", emboss=False)
     else:
         split.label(text=one_line(row.name))
     numbers = split.row()
     numbers.alignment = "RIGHT"
-    numbers.label(text=short_count(row.points))
-    numbers.label(text=f"{row.score:.2f}")
+    numbers.label(text=f"{short_count(row.points)} {row.score:.2f}")
     return line
 
 
