@@ -19,7 +19,8 @@ from engine.batch.piece import engine_tag
 from engine.batch.worker import Tls
 from engine.errors import ExitCode, PlgsError
 from engine.job import EventWriter, LiftFolder, StopSignal
-from tests.batch.test_batch import certificates, plan_of, rows_of, run
+from tests.batch.farm import plan_of, rows_of, run
+from tests.batch.test_cluster import certificates
 from tests.job.lift_folders import tiny_lift
 
 SBATCH = """#!/bin/sh

@@ -12,16 +12,15 @@ import pytest
 
 from engine.export.source import FinishedLift
 from engine.job import LiftFolder
-from tests.export.test_export import lift, run
+from tests.export.conftest import run
 
 ROUNDED = 0.00501
 """Datumaro keeps two digits of each number."""
 READERS = ("datumaro==1.13.12", "labelcloud==1.1.1")
-__all__ = ["lift"]
 
 
 @pytest.mark.slow
-def test_cvats_and_labelclouds_readers_find_the_objects(lift: LiftFolder, tmp_path: Path) -> None:  # noqa: F811
+def test_cvats_and_labelclouds_readers_find_the_objects(lift: LiftFolder, tmp_path: Path) -> None:
     packages, boxes = tmp_path / "packages", tmp_path / "boxes"
     install = [sys.executable, "-m", "pip", "install", "-q", "--no-deps", "--target", str(packages), *READERS]
     subprocess.run(install, check=True, timeout=900)
