@@ -104,10 +104,13 @@ def objects_of_masks(space: MasksInSpace, options: ConsensusOptions) -> FoundObj
     members = [each for each in members if _is_supported(space, each, options)]
     if not members:
         return nothing
-    votes = np.stack([np.asarray(space.words(each).sum(0)).reshape(-1) for each in members])
-    owner = np.where(votes.max(0) > 0, votes.argmax(0) + 1, 0).astype(np.int32)
+    owner = np.zeros(points, np.int32)
+    most: NDArray[np.floating] = np.zeros(points)
     found: list[SceneObject] = []
-    for each in members:
+    for number, each in enumerate(members, start=1):  # not in one array: thousands of objects have millions of points
+        votes = np.asarray(space.words(each).sum(0)).reshape(-1)
+        more = votes > most
+        owner[more], most[more] = number, votes[more]
         shares = agreements(*pairwise(judgement, each))
         masks = (replace(space.masks[row], agreement=share) for row, share in zip(each, shares, strict=True))
         found.append(SceneObject(len(found) + 1, tuple(masks)))
