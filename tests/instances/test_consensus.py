@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import tracemalloc
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -322,3 +323,23 @@ def test_masks_of_more_views_join_the_object_that_holds_them() -> None:
     assert found[right] == [("e", 4, None), ("f", 4, None)]
     assert [frame for frame, *_ in found[back]] == ["e", "f", "g", "i"]
     assert all(own.masks == more.masks[:4] for own, more in zip(objects.objects, joined.objects, strict=True))
+
+
+def test_many_objects_and_points_need_no_table_of_both() -> None:
+    chairs, wide = 400, 50
+    points = chairs * wide
+    ids = 1 + np.arange(points) // wide
+    picture = np.repeat(ids[None].astype(np.int32), 3, 0)
+    segments = tuple(Segment(number, CHAIR, True, 0.8, False) for number in range(1, chairs + 1))
+    camera = Camera(points, 3, 1.0, 1.0, 0.0, 0.0, np.eye(4))
+    colour, depth = np.zeros((*picture.shape, 3), np.uint8), np.ones(picture.shape, np.float32)
+    views = [View(name, camera, colour, depth, PanopticMask(picture, segments)) for name in "abc"]
+    shown = np.repeat(np.arange(points, dtype=np.int32)[None], 3, 0)
+    tracemalloc.start()
+    try:
+        found = find_objects(ViewsOnCloud.of(views, [shown] * 3), points, OPTIONS)
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert len(found.objects) == chairs and len(np.unique(found.object_of_point)) == chairs
+    assert peak < 0.7 * chairs * points * 8, "a table of all objects and points has this size"
