@@ -82,9 +82,9 @@ def fuse(views: Sequence[SmallView], grain: Grain = Grain()) -> Surface:
             continue
         large = view.large_depth(grain.times)
         depth, colour = geometry.Image(large), geometry.Image(view.rgb / np.float32(255))
-        lens = view.camera.resized(*large.shape[::-1]).K
-        tensors = map(open3d.core.Tensor.from_numpy, (lens, view.camera.K, np.linalg.inv(view.camera.camera_to_world)))
-        lens, small_lens, pose = tensors
+        lenses = view.camera.resized(*large.shape[::-1]).K, view.camera.K
+        to_camera = np.linalg.inv(view.camera.camera_to_world)
+        lens, small_lens, pose = map(open3d.core.Tensor.from_numpy, (*lenses, to_camera))
         blocks = grid.compute_unique_block_coordinates(depth, lens, pose, 1.0, grain.farthest, _TRUNCATION)
         grid.integrate(blocks, depth, colour, lens, small_lens, pose, 1.0, grain.farthest, _TRUNCATION)
     if not grid.hashmap().size():
