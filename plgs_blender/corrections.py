@@ -34,6 +34,7 @@ from .errors import EXPECTED, with_field_names
 from .inspecting.lists import fill_lists
 from .inspecting.lookup import box_of, boxes_of, objects_by_key, row_of
 from .inspecting.selection import renaming, select_instance, selected_instances
+from .inspecting.visibility import apply_visibility
 from .lift_collection import FOLDER, child_collection, folder_of, lifts_in
 from .meshes import CORRECTIONS
 from .owned import LIFT, OwnedDataBlocks, text_of
@@ -93,8 +94,9 @@ def show_corrections(root: bpy.types.Collection, result: CorrectedResult) -> Non
     )
     hidden = {row.instance_id for row in lists.instances if not row.visible}
     fill_lists(root, result)
-    for row in lists.instances:
-        row.visible = row.instance_id not in hidden
+    with apply_visibility.at_once(root):
+        for row in lists.instances:
+            row.visible = row.instance_id not in hidden
     if active in {row.instance_id for row in lists.instances}:
         select_instance(root, active, layer)
     remember(root, result)

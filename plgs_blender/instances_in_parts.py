@@ -14,8 +14,9 @@ from ..engine.result_files import BAD, Listed, instance_of, instances_text, read
 
 MOST_INSTANCES = 5_000
 """A lift finds at most 4000 objects. A file with more is not a lift's, and would keep Blender busy for minutes."""
-_USUAL, _LONGEST = 1 << 16, 1 << 22
-"""Characters of one object with its masks: usually, and at most. Four million are read in a fifth of a second."""
+_USUAL, _LONGEST, _TABLE = 1 << 16, 1 << 22, 1 << 24
+"""Characters of one object with its masks, usually and at most, and of the table of classes, which may be 65 534. Four
+million are read in a fifth of a second."""
 _SPACE = re.compile(r"[ \t\n\r]*")
 
 
@@ -63,7 +64,7 @@ class _Reader:
             key = self._value()
             self._mark(":")
             if key != "instances":
-                yield key, self._value()
+                yield key, self._value(_TABLE)
             elif self._mark("[") and not self._mark("]", needed=False):
                 each = ","
                 while each == ",":
@@ -84,14 +85,14 @@ class _Reader:
             raise ValueError(f"the JSON is cut off or broken at character {at}")
         return ""
 
-    def _value(self) -> Any:
+    def _value(self, longest: int = _LONGEST) -> Any:
         at = self._next()
-        for size in (_USUAL, _LONGEST):
+        for size in (_USUAL, longest):
             try:
                 value, used = _DECODER.raw_decode(self._text[at : at + size])
                 break
             except json.JSONDecodeError:
-                if size == _LONGEST or at + size >= len(self._text):
+                if size == longest or at + size >= len(self._text):
                     raise
         self._at = at + used
         return value

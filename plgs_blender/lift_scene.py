@@ -145,7 +145,6 @@ def _list_objects(result: LiftResult, root: bpy.types.Collection, scene: bpy.typ
     fill_lists(root, result, masks=False)
     fill_not_shown(root, result)
     leave_holes(root)
-    remember(root, result)
 
 
 def _place_late(
@@ -216,6 +215,7 @@ def place_room(read: ReadLift, scene: bpy.types.Scene) -> PlacedRoom:
     if scene.camera is None:
         scene.camera = overview
     owned.sweep()
+    remember(root, result)  # at once: an undo before the next part would take its edits back
     placed = Placed(root[LIFT], scene.name)
     return PlacedRoom(placed, _placing_rest(read, placed))
 

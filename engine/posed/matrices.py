@@ -75,7 +75,8 @@ def read_poses(files: Mapping[str, Path]) -> dict[str, NDArray[np.float64] | Non
     there = [name for name, path in files.items() if path.is_file()]
     found = of_most(there, lambda name: read_matrix(files[name], ((4, 4),)))
     lost = {name for name, pose in found.items() if np.isinf(pose).any()}
-    return {name: rigid(found[name], path) if name in found.keys() - lost else None for name, path in files.items()}
+    kept = found.keys() - lost
+    return {name: rigid(found[name], path) if name in kept else None for name, path in files.items()}
 
 
 def rigid(pose: NDArray[np.float64], path: Path) -> NDArray[np.float64]:

@@ -97,6 +97,10 @@ class _Shown:
         heights = ((label.id, *_HEIGHTS.get(label.name, (0.0, 1.0))) for label in labels if label.id in self.shares)
         return sum(self.shares[number] for number, least, most in heights if least <= self.upper[number] <= most)
 
+    def share_anywhere(self, reading: _Reading, names: set[str]) -> float:
+        """The same at any height: pictures may lie on their side, and a sky may fill them."""
+        return sum(self.shares.get(label.id, 0.0) for label in known_table(reading.table).labels if label.name in names)
+
     def without(self, numbers: set[int]) -> _Shown:
         return _Shown({number: share for number, share in self.shares.items() if number not in numbers}, self.upper)
 
@@ -229,7 +233,7 @@ def _told(readings: list[_Reading], choice: ClassChoice, shown: _Shown) -> tuple
     if len(fitting) == 1:
         numbers = sorted({number for each in readings for number in _unknown(each, shown, choice)})
         return fitting[0], f"this alone has the numbers {listed(numbers, 3)}", fitting
-    is_indoors = shown.share(fitting[0], _SKIES) < _SKY
+    is_indoors = shown.share_anywhere(fitting[0], _SKIES) < _SKY
     for best in fitting if is_indoors else fitting[:1]:
         others = [each for each in fitting if each is not best]
         if all(_is_likelier(best, other, shown) for other in others):

@@ -6,11 +6,13 @@ import html
 import os
 import re
 import ssl
+from base64 import b64encode
 from collections.abc import Callable
 from hashlib import sha256
+from http.client import HTTPException
 from pathlib import Path
-from urllib.parse import urljoin
-from urllib.request import urlopen
+from urllib.parse import unquote, urljoin, urlsplit
+from urllib.request import Request, urlopen
 
 from ..errors import PlgsError
 from ..job import write_atomically
@@ -31,9 +33,9 @@ def fetch_pip(folder: Path, index_url: str, pause: Callable[[], object]) -> Path
     fix = "Check the connection and the package index, or install Python with ensurepip."
     try:
         page = _read(index, pause).decode(errors="replace")
-        link = re.search(rf'href="([^"]*/{re.escape(WHEEL)}[^"]*)"', page)
+        link = re.search(rf'href="((?:[^"]*/)?{re.escape(WHEEL)}[^"]*)"', page)
         content = _read(urljoin(index, html.unescape(link[1])), pause) if link else b""
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, HTTPException) as error:
         raise PlgsError(f"pip could not be downloaded ({error})", "the package index", fix) from error
     if sha256(content).hexdigest() != SHA256:
         raise PlgsError(f"has no {WHEEL} as it is pinned here", "the package index", fix)
@@ -42,10 +44,15 @@ def fetch_pip(folder: Path, index_url: str, pause: Callable[[], object]) -> Path
 
 
 def _read(url: str, pause: Callable[[], object]) -> bytes:
-    """At most _MOST_BYTES of what is there. Raises OSError, ValueError."""
+    """At most _MOST_BYTES of what is there. A name and a password before the host are sent as pip sends them. Raises
+    OSError, ValueError, HTTPException."""
     trusted = ssl.create_default_context(cafile=os.environ.get("PIP_CERT") or None)
-    content = bytearray()
-    with urlopen(url, timeout=_PATIENCE_S, context=trusted) as answer:
+    parts, content = urlsplit(url), bytearray()
+    request = Request(parts._replace(netloc=parts.netloc.rpartition("@")[2]).geturl())
+    if parts.username:
+        login = f"{unquote(parts.username)}:{unquote(parts.password or '')}"
+        request.add_unredirected_header("Authorization", f"Basic {b64encode(login.encode()).decode()}")
+    with urlopen(request, timeout=_PATIENCE_S, context=trusted) as answer:
         while len(content) < _MOST_BYTES and (more := answer.read(_AT_ONCE)):
             content += more
             pause()

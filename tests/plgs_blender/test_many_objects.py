@@ -12,10 +12,11 @@ from types import ModuleType
 import bpy
 import numpy as np
 import pytest
+from plgs.engine.corrections import read_edits
 from plgs.engine.errors import PlgsError
 from plgs.engine.job import LiftFolder
 from plgs.plgs_blender import boxes, corrections, lift_scene
-from plgs.plgs_blender.inspecting import selection, views
+from plgs.plgs_blender.inspecting import selection, views, visibility
 from plgs.plgs_blender.inspecting.looks import CLASSES
 from plgs.plgs_blender.inspecting.lookup import box_of, boxes_of, objects_by_key
 from plgs.plgs_blender.inspecting.visibility import HIDDEN
@@ -161,6 +162,24 @@ def test_an_object_that_is_deleted_gives_its_box_to_another(lift: Path, tmp_path
     corrections.delete(root, MOST + 1, around=False)
     assert sorted(boxes_of(root)) == [*range(1, MOST + 1)] and boxes.TOGETHER not in objects_by_key(root)
     assert box_of(root, MOST).matrix_world == there and all(len(row.masks) == 5 for row in root.plgs.instances)
+
+
+def test_an_undo_between_two_parts_leaves_earlier_edits(lift: Path, tmp_path: Path) -> None:
+    few = lift_of(lift, tmp_path / "few", 3)
+    root = lift_scene.place_lift(few, bpy.context.scene)
+    corrections.delete(root, 3, around=False)
+    bpy.data.collections.remove(root)
+    lift_scene.place_room(lift_scene.result_of(lift_scene.reading_lift(few)), bpy.context.scene)
+    corrections._follow_undo()
+    assert [edit.undone for edit in read_edits(few)] == [False] and not corrections.failed
+
+
+def test_an_edit_brings_objects_in_line_once(lift: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    root = lift_scene.place_lift(lift_of(lift, tmp_path / "some", 20), bpy.context.scene)
+    apply, calls = visibility.apply_visibility._apply, []
+    monkeypatch.setattr(visibility.apply_visibility, "_apply", lambda root: (calls.append(root), apply(root)))
+    corrections.delete(root, 3, around=False)
+    assert 0 < len(calls) <= 2
 
 
 def test_what_is_corrected_between_two_parts_stays_corrected(

@@ -142,6 +142,19 @@ def test_a_sky_makes_no_room_of_a_street(tmp_path: Path) -> None:
         assert ("look like nyu40:1-40" in str(warned(tmp_path, "ade20k:0-149"))) == (name == "room")
 
 
+@pytest.mark.parametrize("turns", [1, 3])
+def test_a_street_in_pictures_that_lie_on_their_side_is_no_room(tmp_path: Path, turns: int) -> None:
+    """As phones held upright record it. With one more, these numbers are a wall, a floor and a ceiling."""
+    scene, _ = write_frames(tmp_path)
+    (scene / "masks").mkdir()
+    street = np.rot90(np.repeat(np.array([2, 1, 4, 6], np.uint8), 16)[:, None].repeat(48, 1), turns)
+    for path in sorted((scene / "color").iterdir()):
+        np.save(scene / "masks" / f"{path.stem}.npy", street)
+    opened = open_scene(tmp_path, classes="ade20k")
+    shown = {opened.classes[one.class_id].name for one in opened.frames[0].mask().segments}
+    assert shown == {"sky", "building", "tree", "road"}
+
+
 def test_a_file_of_classes_names_the_numbering_and_messages_advise_it(tmp_path: Path) -> None:
     truths = write_labels(tmp_path, ADE_DATA, void=0)
     (tmp_path / "masks" / "classes.toml").write_text('table = "ade20k:1-150"\n')
