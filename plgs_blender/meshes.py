@@ -33,6 +33,8 @@ def place_meshes(owned: OwnedDataBlocks, root: bpy.types.Collection, result: Lif
     """Place the meshes that were made of the lift, if there are any. Raises PlgsError for a damaged file."""
     path = mesh_folder(result.folder) / "mesh.ply"
     if not path.is_file():
+        path = result.folder / "exports" / "mesh" / "mesh.ply"  # as earlier versions, or an export, made them
+    if not path.is_file():
         return []
     surface = read_surface(path)
     with path.open("rb") as file:

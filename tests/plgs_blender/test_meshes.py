@@ -62,6 +62,13 @@ def test_placed_again_they_are_the_same_objects(lift: Path) -> None:
     assert not [ob for ob in bpy.context.scene.objects if ob.get("plgs_key", "").startswith("mesh:")]
 
 
+def test_meshes_of_an_earlier_version_are_placed(lift: Path) -> None:
+    mesh_folder(lift).rename(mesh_folder(lift).with_name("mesh"))
+    root = lift_scene.place_lift(lift, bpy.context.scene)
+    with registered():
+        assert root.plgs.show_as == "SURFACE"
+
+
 def test_a_surface_that_nobody_asked_for_is_shown_unless_something_else_was(lift: Path) -> None:
     path = mesh_folder(lift) / "mesh.ply"
     surface = path.read_bytes()
