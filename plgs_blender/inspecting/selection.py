@@ -46,7 +46,8 @@ def select_instance(
     """Make an instance (0: the list's active one) the active row, and its box the only selected object; with `extend`
     one more, or one less where it is selected.
 
-    Raises PlgsError when the lift has no such instance. A hidden or deleted box stays as it is.
+    Raises PlgsError when the lift has no such instance. A hidden box stays as it is; where there is none, no other
+    object of the lift stays selected.
     """
     if extend and instance in selected_instances(root, layer):
         for ob in objects_by_key(root).values():
@@ -111,6 +112,11 @@ def follow_active(scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> None:
 def _select_box(root: bpy.types.Collection, number: int, layer: bpy.types.ViewLayer) -> None:
     box = boxes_of(root).get(number)
     is_off = not root.plgs.show_boxes
+    if box is None and instance_of(layer.objects.active):  # commands must not act on the object that was active before
+        for ob in objects_by_key(root).values():
+            if instance_of(ob):
+                ob.select_set(False, view_layer=layer)
+        layer.objects.active = None
     if box is None or layer.objects.get(box.name) != box or not (is_off or box.visible_get(view_layer=layer)):
         return
     deselect_all(layer)

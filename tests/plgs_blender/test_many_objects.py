@@ -111,8 +111,10 @@ def test_beyond_the_most_one_object_has_the_other_boxes(lift: Path, tmp_path: Pa
     assert corner_sets(together)[MANY - MOST] == corners_of_its_own(lift, tmp_path, MANY - MOST)
     with pytest.raises(PlgsError, match="has no box of its own"):
         views.frame_instance(root, 1, bpy.types.SpaceView3D)
+    selection.select_instance(root, MANY, bpy.context.view_layer)
     selection.select_instance(root, 1, bpy.context.view_layer)
     assert root.plgs.instance_index == 0
+    assert corrections.chosen_instances(root, "", bpy.context) == [1], "not the one that was selected before"
 
 
 def corner_sets(mesh: bpy.types.Mesh) -> dict[int, set[tuple[float, ...]]]:
