@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 
 from engine.command_line.main import main
-from engine.job import write_atomically, write_manifest
+from engine.job import LiftFolder, LiftRequest, write_atomically, write_manifest
 from engine.job.options import add_options
 from engine.scene_source import SceneSource, UpAxis
 from tests.commands import exit_code, refuse_heavy_help
@@ -33,6 +33,20 @@ COMMANDS = ("lift", "evaluate", "inspect", "frames", "presets", "warm-up")
 @pytest.mark.parametrize("command", [[], *([name] for name in COMMANDS)])
 def test_help_imports_nothing_heavy(root: Path, command: list[str]) -> None:
     refuse_heavy_help(root, "engine.command_line.main", command)
+
+
+@pytest.mark.parametrize("command", ["lift {}", "export {}-gone --to points -o {}-out"])
+def test_what_is_not_there_is_told_before_torch_is_loaded(root: Path, tmp_path: Path, command: str) -> None:
+    folder = LiftFolder.create(tmp_path / "lift", LiftRequest(scene=tmp_path / "gone"))
+    code = (
+        "import sys\n"
+        "from engine.command_line.main import main\n"
+        "print(main(sys.argv[1:]), {'torch', 'numba', 'open3d'} & {*sys.modules})"
+    )
+    arguments = command.replace("{}", str(folder.path)).split()
+    call = [sys.executable, "-c", code, *arguments]
+    said = subprocess.run(call, cwd=root, capture_output=True, text=True, timeout=60)
+    assert "gone" in said.stderr and said.stdout.splitlines()[-1] == "2 set()"
 
 
 def test_it_runs_as_a_module(root: Path) -> None:

@@ -79,7 +79,7 @@ def test_after_a_kill_on_another_machine_it_is_taken_over_when_it_is_stale(hold:
     assert is_leased(tmp_path / "work")  # nothing shows yet that its holder is gone
     began = time.monotonic()
     with Lease(tmp_path / "work"):
-        assert STALE_S - 0.1 < time.monotonic() - began
+        assert STALE_S - 0.1 < time.monotonic() - began < 60.0
     assert [*tmp_path.iterdir()] == []
 
 
