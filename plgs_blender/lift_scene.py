@@ -236,7 +236,9 @@ def place_meshes_anew(lift: Path, scene: bpy.types.Scene, *, asked: bool = True)
     for them, or nobody asked for anything else. Raises PlgsError."""
     result, scene = read_result(lift), scene_to_fill(scene)
     root = root_of_placed(result.folder, scene)
-    placed = place_meshes(OwnedDataBlocks(root[LIFT], scene), root, result)
+    owned = OwnedDataBlocks(root[LIFT], scene)
+    placed = place_meshes(owned, root, result)
+    owned.sweep_only("mesh:")  # of objects that were corrected away
     with registered():
         if placed and (asked or not root.get(_WAS_ASKED)):
             root.plgs.show_as = SURFACE

@@ -7,6 +7,7 @@ from pathlib import Path
 import bpy
 import numpy as np
 import pytest
+from plgs.engine.corrections import correct, making
 from plgs.engine.errors import PlgsError
 from plgs.engine.posed.labelled_surface import read_surface
 from plgs.plgs_blender import lift_scene
@@ -60,6 +61,14 @@ def test_placed_again_they_are_the_same_objects(lift: Path) -> None:
     (mesh_folder(lift) / "mesh.ply").unlink()
     lift_scene.place_lift(lift, bpy.context.scene)
     assert not [ob for ob in bpy.context.scene.objects if ob.get("plgs_key", "").startswith("mesh:")]
+
+
+def test_the_mesh_of_an_object_that_was_corrected_away_goes_with_the_next_surface(lift: Path) -> None:
+    chair = next(ob for ob in placed(lift).values() if ob["instance_id"])
+    correct(lift, lambda state, _: making.delete(state, chair["instance_id"], around=False))
+    name = chair.name
+    lift_scene.place_meshes_anew(lift, bpy.context.scene)
+    assert name not in bpy.data.objects
 
 
 def test_meshes_of_an_earlier_version_are_placed(lift: Path) -> None:
