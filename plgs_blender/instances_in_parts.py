@@ -40,6 +40,8 @@ def reading_instances(path: Path) -> Generator[None, None, Listed]:
             refuse_too_many(content[key], path)
             yield
     except BAD as error:
+        if "format" in content:  # of another version, whose objects are others
+            read_instances(path, content | {"classes": [], "instances": []})
         raise PlgsError(f"cannot be read ({error!r})", path, MAKE_ANEW) from error
     return read_instances(path, content)
 

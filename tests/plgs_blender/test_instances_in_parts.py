@@ -52,6 +52,14 @@ def test_what_is_broken_is_one_line(tmp_path: Path, text: str) -> None:
         assert "\n" not in str(error.value) and len(str(error.value)) < 2000
 
 
+def test_another_version_is_named_whatever_its_objects_are(tmp_path: Path) -> None:
+    path = tmp_path / "instances.json"
+    path.write_text(json.dumps(WHOLE | {"format": 2, "instances": [{"id": "chair"}]}))
+    for read in (read_instances, lambda path: result_of(reading_instances(path))):
+        with pytest.raises(PlgsError, match="has format 2, but this version reads 1"):
+            read(path)
+
+
 def test_a_million_objects_are_refused_before_they_are_read(tmp_path: Path) -> None:
     path = tmp_path / "instances.json"
     several = json.dumps(ONE)[:-1] + ', "segments": []}'
