@@ -39,7 +39,7 @@ from .lift_collection import (
     root_of_placed,
     scene_to_fill,
 )
-from .meshes import place_meshes
+from .meshes import ReadMeshes, placing_meshes, reading_meshes
 from .open_room import open_room
 from .owned import KEY, LIFT, OwnedDataBlocks, key_of, text_of
 from .passes import check_layers, place_passes, place_shots
@@ -82,6 +82,7 @@ class ReadLift:
     normals: NDArray[np.float32]
     overview: Camera
     gaussians: NDArray[np.void] | None
+    meshes: ReadMeshes
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,17 +100,18 @@ def reading_lift(lift: Path) -> Generator[None, None, ReadLift]:
     splats = result.folder / "result" / "gaussians.ply"
     gaussians = read_gaussians(splats) if not has_native_splats() and splats.is_file() else None
     yield
+    meshes = yield from reading_meshes(result.folder)
     xyz, frames = result.points.xyz, result.scene.frames
     grid = SurfaceGrid.of(xyz)
     normals = grid.normals(np.array([frame.camera.centre for frame in frames])[:: 1 + len(frames) // _VIEWPOINTS])
     overview = overview_camera(xyz, normals)
     yield
-    return ReadLift(result, grid, normals, overview, gaussians)
+    return ReadLift(result, grid, normals, overview, gaussians, meshes)
 
 
 def _placing_rest(read: ReadLift, placed: Placed) -> Generator[None, None, None]:
-    """The lists, the other boxes, the masks, the splats and the passes, left out when the lift is removed in the
-    meantime."""
+    """The lists, the other boxes, the masks, the meshes, the splats and the passes, left out when the lift is removed
+    in the meantime."""
     for do in _objects_in_turn(read.result):
         found = placed.find()
         if found is None:
@@ -117,7 +119,7 @@ def _placing_rest(read: ReadLift, placed: Placed) -> Generator[None, None, None]
         with registered():
             do(*found)
         yield
-    for part in (_placing_splats, _placing_passes):
+    for part in (_placing_meshes, _placing_splats, _placing_passes):
         found = placed.find()
         if found is None:
             return
@@ -162,6 +164,13 @@ def _list_masks(
     fill_masks(root, instances, classes)
 
 
+def _placing_meshes(read: ReadLift, root: bpy.types.Collection, scene: bpy.types.Scene) -> Iterator[None]:
+    placed = Placed(root[LIFT], scene.name)
+    yield from placing_meshes(placed, read.result, read.meshes)
+    if read.meshes.parts and (found := placed.find()) is not None:
+        leave_holes(found[0])
+
+
 def _placing_splats(read: ReadLift, root: bpy.types.Collection, scene: bpy.types.Scene) -> Iterator[None]:
     placed = Placed(root[LIFT], scene.name)
     if read.gaussians is not None:
@@ -204,7 +213,7 @@ def place_room(read: ReadLift, scene: bpy.types.Scene) -> PlacedRoom:
     place_boxes(owned, child_collection(root, "Instances"), own[:_AT_ONCE])
     for key in (*(f"{INSTANCE}{one.id}" for one in own[_AT_ONCE:]), *([TOGETHER] if others else ())):
         owned.keep(owned.known(key))  # until it is placed again
-    place_meshes(owned, root, result)
+    owned.keep_known(lambda key: key.startswith("mesh:"))  # until they are placed again
     place_depth_clouds(owned, root, result.folder)
     splats = owned.known(GAUSSIANS)
     if read.gaussians is not None:
@@ -231,20 +240,26 @@ def place_passes_anew(lift: Path, scene: bpy.types.Scene) -> None:
     place_shots(owned, result, scene)
 
 
-def place_meshes_anew(lift: Path, scene: bpy.types.Scene, *, asked: bool = True) -> list[bpy.types.Object]:
-    """After meshes were made: put them beside the lift that is placed in `scene`, and show them if somebody ``asked``
-    for them, or nobody asked for anything else. Raises PlgsError."""
-    result, scene = read_result(lift), scene_to_fill(scene)
-    root = root_of_placed(result.folder, scene)
-    owned = OwnedDataBlocks(root[LIFT], scene)
-    placed = place_meshes(owned, root, result)
-    owned.sweep_only("mesh:")  # of objects that were corrected away
+def placing_meshes_anew(lift: Path, scene: bpy.types.Scene, *, asked: bool = True) -> Generator[None, None, int]:
+    """After meshes were made: put them beside the lift that is placed in `scene`, in parts, and show them if somebody
+    ``asked`` for them, or nobody asked for anything else. Returns their number. Raises PlgsError."""
+    scene = scene_to_fill(scene)
+    placed = Placed(root_of_placed(lift, scene)[LIFT], scene.name)
+    result = yield from _reading(lift)
+    meshes = yield from reading_meshes(lift)
+    count = yield from placing_meshes(placed, result, meshes)
+    found = placed.find()
+    if found is None:
+        return 0
+    root, scene = found
     with registered():
-        if placed and (asked or not root.get(_WAS_ASKED)):
+        if count and (asked or not root.get(_WAS_ASKED)):
             root.plgs.show_as = SURFACE
-        apply_look(root)
+        apply_visibility(root)
+        if root.plgs.look != PHOTO:
+            apply_look(root)
         show_materials_in(scene)
-    return placed
+    return count
 
 
 def place_depth_clouds_anew(lift: Path, scene: bpy.types.Scene) -> int:

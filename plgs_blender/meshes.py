@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Generator, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 
 import bpy
@@ -10,9 +12,9 @@ import numpy as np
 
 from ..engine.posed.labelled_surface import LabelledSurface, read_surface
 from .compat import forget_selection
-from .lift_collection import child_collection
+from .lift_collection import Placed, child_collection
 from .materials import object_colour, surface_material
-from .owned import OwnedDataBlocks, text_of
+from .owned import LIFT, OwnedDataBlocks, text_of
 from .results import LiftResult
 
 CORRECTIONS, _OF_MESHES = "plgs_corrections", "plgs_meshes_of"
@@ -29,34 +31,61 @@ def mesh_folder(lift: Path) -> Path:
     return lift / "exports" / SURFACE
 
 
-def place_meshes(owned: OwnedDataBlocks, root: bpy.types.Collection, result: LiftResult) -> list[bpy.types.Object]:
-    """Place the meshes that were made of the lift, if there are any. Raises PlgsError for a damaged file."""
-    path = mesh_folder(result.folder) / "mesh.ply"
+@dataclass(frozen=True, eq=False)
+class ReadMeshes:
+    """The surface of each (class, instance) of a lift, and the fingerprint of the corrections that they were made with.
+    """
+
+    parts: Mapping[tuple[int, int], LabelledSurface]
+    corrections: str = ""
+
+
+def reading_meshes(lift: Path) -> Generator[None, None, ReadMeshes]:
+    """Read the surface that was made of the lift, for a window that must not wait. Raises PlgsError for a damaged
+    file."""
+    path = mesh_folder(lift) / "mesh.ply"
     if not path.is_file():
-        path = result.folder / "exports" / "mesh" / "mesh.ply"  # as earlier versions, or an export, made them
+        path = lift / "exports" / "mesh" / "mesh.ply"  # as earlier versions, or an export, made them
     if not path.is_file():
-        return []
-    surface = read_surface(path)
+        return ReadMeshes({})
+    surface, parts = read_surface(path), {}
     with path.open("rb") as file:
         told = _COMMENT.search(file.read(_LONGEST_HEADER).partition(b"end_header")[0])
-    root[_OF_MESHES] = told[1].decode() if told else ""
+    yield
+    for label, triangles in surface.parts().items():
+        yield
+        parts[label] = surface.cut(triangles)
+    return ReadMeshes(parts, told[1].decode() if told else "")
+
+
+def placing_meshes(placed: Placed, result: LiftResult, read: ReadMeshes) -> Generator[None, None, int]:
+    """Place a lift's meshes, one for each part, and remove those that are no longer there. Returns their number, 0 also
+    where the lift is removed in the meantime."""
     instances = {one.id: one for one in result.instances}
-    top, placed = child_collection(root, "Meshes"), []
-    for (class_id, instance_id), triangles in surface.parts().items():
+    keys: list[str] = []
+    for (class_id, instance_id), surface in read.parts.items():
+        found = placed.find()
+        if found is None:
+            return 0
         if class_id not in result.classes or (instance_id and instance_id not in instances):
             continue
-        kind = result.classes[class_id]
-        name, colour = kind.name, kind.colour
-        if instance_id:
-            name, colour = instances[instance_id].name, instances[instance_id].colour
-        name = f"{name} mesh"  # boxes and points have just the names
-        key = f"mesh:{class_id}:{instance_id}"
-        mesh = _fill(owned, key, name, surface.cut(triangles))
-        ob = owned.object(key, name, mesh, child_collection(top, f"{kind.name} meshes"))
-        ob.color = object_colour(colour)
+        (root, scene), kind = found, result.classes[class_id]
+        root[_OF_MESHES] = read.corrections
+        owned = OwnedDataBlocks(root[LIFT], scene)
+        keys.append(f"mesh:{class_id}:{instance_id}")
+        one = instances.get(instance_id, kind)
+        name = f"{one.name} mesh"  # boxes and points have just the names
+        mesh = _fill(owned, keys[-1], name, surface)
+        parent = child_collection(child_collection(root, "Meshes"), f"{kind.name} meshes")
+        ob = owned.object(keys[-1], name, mesh, parent)
+        ob.color = object_colour(one.colour)
         ob["class"], ob["class_id"], ob["instance_id"] = kind.name, class_id, instance_id
-        placed.append(ob)
-    return placed
+        yield
+    if (found := placed.find()) is not None:
+        owned = OwnedDataBlocks(found[0][LIFT], found[1])
+        owned.keep_known(lambda key: key in keys)
+        owned.sweep_only("mesh:")
+    return len(keys)
 
 
 def are_stale(root: bpy.types.Collection) -> bool:

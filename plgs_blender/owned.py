@@ -140,6 +140,10 @@ class OwnedDataBlocks:
         """Spare a block of ours from `sweep`."""
         self._kept.add(block)
 
+    def keep_known(self, is_kept: Callable[[str], bool]) -> None:
+        """Spare our objects with such keys from `sweep`."""
+        self._kept.update(ob for key, ob in self._objects.items() if is_kept(key))
+
     def sweep(self) -> None:
         """Remove the lift's objects that this placement did not use, then their data that nobody uses."""
         for ob in self._own_objects():

@@ -9,9 +9,11 @@ from mathutils import Vector
 from plgs.engine.passes.exr import read_exr
 from plgs.engine.passes.previews import colour_picture
 from plgs.plgs_blender import compat
-from plgs.plgs_blender.lift_scene import place_meshes_anew
+from plgs.plgs_blender.inspecting.lookup import surfaces_of
+from plgs.plgs_blender.lift_collection import root_of_placed
+from plgs.plgs_blender.lift_scene import placing_meshes_anew
 from plgs.plgs_blender.materials import LIT, value_node
-from plgs.plgs_blender.results import LiftResult
+from plgs.plgs_blender.results import LiftResult, result_of
 
 from .blender import CAMERA, SHOT_FRAME, open_lift, rendered
 from .sheets import Picture, over, tiled
@@ -52,7 +54,8 @@ def catcher_picture(result: LiftResult) -> Picture:
 
 def only_meshes(result: LiftResult, scene: bpy.types.Scene) -> list[bpy.types.Object]:
     """The lift's exported meshes, with everything else hidden. SystemExit if there are none."""
-    meshes = place_meshes_anew(result.folder, scene)
+    result_of(placing_meshes_anew(result.folder, scene))
+    meshes = surfaces_of(root_of_placed(result.folder, scene))
     if not meshes:
         raise SystemExit("the lift has no meshes: export them first, see docs/passes.md")
     for ob in scene.objects:

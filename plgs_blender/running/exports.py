@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +12,7 @@ from ...engine.errors import PlgsError
 from ...engine.job.follower import TaskFollower
 from .. import engine_environment
 from ..lift_collection import root_of_placed
-from ..lift_scene import place_depth_clouds_anew, place_meshes_anew
+from ..lift_scene import place_depth_clouds_anew, placing_meshes_anew
 from ..meshes import SURFACE, mesh_folder
 from ..tasks import registry, timer
 from ..tasks.registry import Task, start_engine
@@ -65,14 +65,15 @@ class Export(Task):
             return f"{self._placed} {'meshes are' if self.form == SURFACE else 'points are'} in the scene"
         return f"{FORMS[self.form][0]} are in {self.output}"
 
-    def done(self, scene: Any) -> None:
+    def done(self, scene: Any) -> Iterator[None]:
         if not self.has_finished or not self._shown_in:
             return
         target = bpy.data.scenes.get(self._shown_in)
         if target is None:
             raise PlgsError("the scene is gone", self._shown_in, "Make it again.")
         if self.form == SURFACE:
-            self._placed, self.undo_step = len(place_meshes_anew(self._lift, target, asked=self.asked)), "Make Meshes"
+            self._placed = yield from placing_meshes_anew(self._lift, target, asked=self.asked)
+            self.undo_step = "Make Meshes"
         else:
             self._placed, self.undo_step = place_depth_clouds_anew(self._lift, target), "Depth Cloud"
 

@@ -12,8 +12,10 @@ from plgs.engine.errors import PlgsError
 from plgs.engine.posed.labelled_surface import read_surface
 from plgs.plgs_blender import lift_scene
 from plgs.plgs_blender.inspecting.lists import registered
+from plgs.plgs_blender.inspecting.lookup import surfaces_of
 from plgs.plgs_blender.lift_collection import lifts_in
 from plgs.plgs_blender.meshes import mesh_folder
+from plgs.plgs_blender.results import result_of
 from surface_file import SIDE, write_surface
 from tiny_lift import write_tiny_lift
 from tiny_scene import CHAIR_ID, FLOOR_ID
@@ -33,6 +35,10 @@ def placed(lift: Path) -> dict[str, bpy.types.Object]:
     (top,) = [child for child in root.children if child.name == "Meshes"]
     assert sorted(child.name for child in top.children) == ["chair meshes", "floor meshes"]
     return {ob["plgs_key"]: ob for ob in top.all_objects}
+
+
+def place_anew(lift: Path, *, asked: bool = True) -> int:
+    return result_of(lift_scene.placing_meshes_anew(lift, bpy.context.scene, asked=asked))
 
 
 def test_one_mesh_per_instance_and_per_stuff_class(lift: Path) -> None:
@@ -57,7 +63,7 @@ def test_one_mesh_per_instance_and_per_stuff_class(lift: Path) -> None:
 def test_placed_again_they_are_the_same_objects(lift: Path) -> None:
     before = {key: ob.as_pointer() for key, ob in placed(lift).items()}
     assert {key: ob.as_pointer() for key, ob in placed(lift).items()} == before
-    assert len(lift_scene.place_meshes_anew(lift, bpy.context.scene)) == 2
+    assert place_anew(lift) == 2
     (mesh_folder(lift) / "mesh.ply").unlink()
     lift_scene.place_lift(lift, bpy.context.scene)
     assert not [ob for ob in bpy.context.scene.objects if ob.get("plgs_key", "").startswith("mesh:")]
@@ -67,8 +73,22 @@ def test_the_mesh_of_an_object_that_was_corrected_away_goes_with_the_next_surfac
     chair = next(ob for ob in placed(lift).values() if ob["instance_id"])
     correct(lift, lambda state, _: making.delete(state, chair["instance_id"], around=False))
     name = chair.name
-    lift_scene.place_meshes_anew(lift, bpy.context.scene)
+    place_anew(lift)
     assert name not in bpy.data.objects
+
+
+def test_each_comes_in_a_part_of_its_own_and_none_after_the_lift_was_removed(lift: Path) -> None:
+    placed(lift)
+    (root,) = lifts_in(bpy.context.scene)
+    placing = lift_scene.placing_meshes_anew(lift, bpy.context.scene)
+    for mesh in (ob.data for ob in surfaces_of(root)):
+        mesh.clear_geometry()
+    filled = [0]
+    while filled[-1] < 1:
+        next(placing)
+        filled.append(sum(bool(ob.data.polygons) for ob in surfaces_of(root)))
+    bpy.data.collections.remove(root)
+    assert result_of(placing) == 0
 
 
 def test_meshes_of_an_earlier_version_are_placed(lift: Path) -> None:
@@ -86,12 +106,12 @@ def test_a_surface_that_nobody_asked_for_is_shown_unless_something_else_was(lift
     with registered():
         before = root.plgs.show_as
         path.write_bytes(surface)
-        lift_scene.place_meshes_anew(lift, scene, asked=False)
+        place_anew(lift, asked=False)
         assert before != root.plgs.show_as == "SURFACE"
         lift_scene.show_lift_as(root, scene, before)
-        lift_scene.place_meshes_anew(lift, scene, asked=False)
+        place_anew(lift, asked=False)
         assert root.plgs.show_as == before
-        lift_scene.place_meshes_anew(lift, scene)
+        place_anew(lift)
         assert root.plgs.show_as == "SURFACE"
 
 
