@@ -14,9 +14,9 @@ from ..engine.result_files import BAD, Listed, instance_of, instances_text, read
 
 MOST_INSTANCES = 5_000
 """A lift finds at most 4000 objects. A file with more is not a lift's, and would keep Blender busy for minutes."""
-_USUAL, _LONGEST, _TABLE = 1 << 16, 1 << 22, 1 << 24
-"""Characters of one object with its masks, usually and at most, and of the table of classes, which may be 65 534. Four
-million are read in a fifth of a second."""
+_USUAL, _LONGEST, _TABLE = 1 << 16, 1 << 23, 1 << 24
+"""Characters of one object with its masks, usually and at most (ten thousand masks), and of the table of classes, which
+may be 65 534. Four million are read in a fifth of a second."""
 _SPACE = re.compile(r"[ \t\n\r]*")
 
 
@@ -94,8 +94,11 @@ class _Reader:
                 value, used = _DECODER.raw_decode(self._text[at : at + size])
                 break
             except json.JSONDecodeError:
-                if size == longest or at + size >= len(self._text):
+                if at + size >= len(self._text):
                     raise
+                if size == longest:
+                    what = f"of more than {longest} characters, which would keep Blender's window waiting"
+                    raise ValueError(f"something {what}, begins at character {at}") from None
         self._at = at + used
         return value
 

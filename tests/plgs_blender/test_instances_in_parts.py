@@ -68,6 +68,13 @@ def test_a_million_objects_are_refused_before_they_are_read(tmp_path: Path) -> N
         result_of(reading_instances(path))
 
 
+def test_too_many_masks_of_one_object_are_told(tmp_path: Path) -> None:
+    path = tmp_path / "instances.json"
+    path.write_text(json.dumps(WHOLE | {"instances": [ONE | {"segments": [MASK] * 50_000}]}))
+    with pytest.raises(PlgsError, match="of more than 8388608 characters"):
+        result_of(reading_instances(path))
+
+
 def test_each_object_is_a_part(tmp_path: Path) -> None:
     path = tmp_path / "instances.json"
     path.write_text(json.dumps(WHOLE | {"instances": [ONE | {"id": number} for number in range(1, 101)]}))
