@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from plgs.engine.passes.exr import read_exr
 from plgs.engine.passes.previews import colour_picture, instance_picture, semantic_picture, shaded
-from plgs.engine.scene import distinct_colour
+from plgs.engine.scene import distinct_colour, open_scene
 from plgs.plgs_blender.pass_nodes import INSTANCES
 from plgs.plgs_blender.results import LiftResult
 
@@ -48,7 +48,7 @@ def strip_picture(result: LiftResult) -> Picture:
 
 def frame_tiles(result: LiftResult) -> tuple[Picture, Picture, Picture, Picture]:
     """Photo, network mask, lifted classes and lifted instances of the held-out frame."""
-    frame = next(each for each in result.scene.frames if each.name == MASK_FRAME)
+    frame = next(each for each in open_scene(result.scene.folder).frames if each.name == MASK_FRAME)
     photo, mask = frame.read_colour(frame.size), frame.mask(frame.size)
     layers = read_exr(result.passes[MASK_FRAME])
     return (
