@@ -119,7 +119,10 @@ def _placing_rest(read: ReadLift, placed: Placed) -> Generator[None, None, None]
         with registered():
             do(*found)
         yield
-    for part in (_placing_meshes, _placing_splats, _placing_passes):
+    yield from placing_meshes(placed, read.result, read.meshes)
+    if read.meshes.parts and (found := placed.find()) is not None:
+        leave_holes(found[0])
+    for part in (_placing_splats, _placing_passes):
         found = placed.find()
         if found is None:
             return
@@ -162,13 +165,6 @@ def _list_masks(
     instances: list[Instance], classes: ClassTable, root: bpy.types.Collection, scene: bpy.types.Scene
 ) -> None:
     fill_masks(root, instances, classes)
-
-
-def _placing_meshes(read: ReadLift, root: bpy.types.Collection, scene: bpy.types.Scene) -> Iterator[None]:
-    placed = Placed(root[LIFT], scene.name)
-    yield from placing_meshes(placed, read.result, read.meshes)
-    if read.meshes.parts and (found := placed.find()) is not None:
-        leave_holes(found[0])
 
 
 def _placing_splats(read: ReadLift, root: bpy.types.Collection, scene: bpy.types.Scene) -> Iterator[None]:
