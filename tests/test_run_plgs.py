@@ -51,10 +51,13 @@ def env() -> dict[str, str]:
     return os.environ | {"PLGS_ENGINE_PYTHON": sys.executable}
 
 
-def run_script(root: Path, *arguments: str | Path) -> subprocess.CompletedProcess[str]:
-    """The real one."""
+def run_script(
+    root: Path, *arguments: str | Path, engine: Path = Path(sys.executable)
+) -> subprocess.CompletedProcess[str]:
+    """The real one. ``engine``: the engine's Python."""
     command = [sys.executable, root / "run_plgs.py", *arguments]
-    return subprocess.run(command, capture_output=True, text=True, timeout=120, env=env())
+    variables = os.environ | {"PLGS_ENGINE_PYTHON": str(engine)}
+    return subprocess.run(command, capture_output=True, text=True, timeout=120, env=variables)
 
 
 def wait_for(process: subprocess.Popen[str], ready: Callable[[], bool]) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import shutil
-import sys
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -39,8 +38,8 @@ def lift(finished: Path, tmp_path: Path) -> LiftFolder:
 
 
 @pytest.fixture(autouse=True)
-def this_python_is_the_engines(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("PLGS_ENGINE_PYTHON", sys.executable)
+def this_python_is_the_engines(monkeypatch: pytest.MonkeyPatch, quick_python: Path) -> None:
+    monkeypatch.setenv("PLGS_ENGINE_PYTHON", str(quick_python))
 
 
 @pytest.fixture(scope="module")
@@ -64,11 +63,12 @@ def blend(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def shot(finished: Path, blend: Path, root: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def shot(finished: Path, blend: Path, root: Path, tmp_path_factory: pytest.TempPathFactory, quick_python: Path) -> Path:
     """A lift with frames 1 to 3 of "dolly", baked by run_plgs.py. Only for reading."""
     lift = Path(shutil.copytree(finished, tmp_path_factory.mktemp("baked") / "lift"))
     before = blend.read_bytes()
-    first = run_script(root, "-o", lift, "--bake", "camera", "--blend", blend, "--camera", "dolly", "--range", "1-3")
+    command = ["-o", lift, "--bake", "camera", "--blend", blend, "--camera", "dolly", "--range", "1-3"]
+    first = run_script(root, *command, engine=quick_python)
     assert first.returncode == 0, first.stderr
     assert blend.read_bytes() == before and not (lift / "lift.blend").exists()
     return lift
@@ -124,10 +124,12 @@ def test_corrections_are_seen_and_the_lifts_own_file_stays(shot: Path, blend: Pa
     assert not (read_exr(baked).instance == one).any() and own.read_bytes() == before
 
 
-def test_two_commands_at_once_both_end_with_all_frames(lift: LiftFolder, blend: Path, root: Path) -> None:
+def test_two_commands_at_once_both_end_with_all_frames(
+    lift: LiftFolder, blend: Path, root: Path, quick_python: Path
+) -> None:
     command = ["-o", lift.path, "--bake", "camera", "--blend", blend, "--camera", "dolly", "--range", "1-4"]
     with ThreadPoolExecutor(2) as pool:
-        ended = [*pool.map(lambda _: run_script(root, *command), range(2))]
+        ended = [*pool.map(lambda _: run_script(root, *command, engine=quick_python), range(2))]
     assert [each.returncode for each in ended] == [0] * 2, [each.stderr for each in ended]
     listed = [file.path.stem for file in verify(lift.result_path).files if file.path.suffix == ".exr"]
     assert listed == [f"shot_dolly.{frame:04d}" for frame in range(1, 5)]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import shutil
 import subprocess
-import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -13,6 +12,7 @@ import pytest
 
 from engine.job import LiftFolder, verify
 from engine.job.follower import TaskFollower, start_bake
+from engine.job.process import engine_call
 from engine.job.task import TaskState
 from tests.lift.test_bake_more import finished, write_cameras  # noqa: F401 - the fixture
 
@@ -57,13 +57,13 @@ def shot(path: Path, name: str, count: int) -> tuple[Path, set[str]]:
 
 
 def test_followed_bakes_do_not_disturb_each_other(
-    lift: LiftFolder, followers: list[TaskFollower], tmp_path: Path
+    lift: LiftFolder, followers: list[TaskFollower], tmp_path: Path, quick_python: Path
 ) -> None:
     """Two bake their views to the end, though a third is cancelled beside them."""
     names = {}
     for name, count in (("left", 40), ("right", 12), ("cancelled", 40)):
         cameras, names[name] = shot(tmp_path / f"{name}.json", name, count)
-        followers.append(start_bake(lift, Path(sys.executable), cameras=cameras))
+        followers.append(start_bake(lift, quick_python, cameras=cameras))
         begun(followers[-1])
     left, right, cancelled = followers
     cancelled.cancel()
@@ -79,8 +79,8 @@ def test_followed_bakes_do_not_disturb_each_other(
     assert not [*lift.path.glob("bake-*"), *lift.path.rglob(".part-*")]
 
 
-def test_two_commands_share_the_frames(lift: LiftFolder, root: Path) -> None:
-    command = [sys.executable, "-m", "engine", "bake", lift.path]
+def test_two_commands_share_the_frames(lift: LiftFolder, root: Path, quick_python: Path) -> None:
+    command = [*engine_call(quick_python), "bake", lift.path]
     processes = [subprocess.Popen([*map(str, command)], cwd=root, stdout=subprocess.DEVNULL) for _ in range(2)]
     try:
         assert [process.wait(PATIENCE_S) for process in processes] == [0, 0]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import shutil
-import sys
 from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
@@ -220,8 +219,10 @@ def test_proposals_are_answered_one_by_one(root: bpy.types.Collection, mine: Pat
 
 
 @pytest.mark.skipif(find_spec("torch") is None, reason="the engine runs in another Python")
-def test_the_masks_answer_a_proposal(lift: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(engine_environment, "usable_python", lambda: Path(sys.executable))
+def test_the_masks_answer_a_proposal(
+    lift: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, quick_python: Path
+) -> None:
+    monkeypatch.setattr(engine_environment, "usable_python", lambda: quick_python)
     mine = Path(shutil.copytree(lift.parent, tmp_path / "both")) / lift.name
     root = lift_scene.place_lift(mine, bpy.context.scene)
     path = mine / "result" / "instances.json"
@@ -267,8 +268,10 @@ def test_the_rendering_says_which_frame_is_the_most_uncertain(root: bpy.types.Co
 
 
 @pytest.mark.skipif(find_spec("torch") is None, reason="the engine runs in another Python")
-def test_masks_split_what_was_merged(lift: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(engine_environment, "usable_python", lambda: Path(sys.executable))
+def test_masks_split_what_was_merged(
+    lift: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, quick_python: Path
+) -> None:
+    monkeypatch.setattr(engine_environment, "usable_python", lambda: quick_python)
     mine = Path(shutil.copytree(lift.parent, tmp_path / "both")) / lift.name
     root = lift_scene.place_lift(mine, bpy.context.scene)
     count = points_of(root, CHAIR)

@@ -36,9 +36,9 @@ write_surface(Path(sys.argv[1]) / "mesh.ply")
 
 
 @pytest.fixture(autouse=True)
-def engine(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+def engine(monkeypatch: pytest.MonkeyPatch, quick_python: Path) -> Iterator[None]:
     """The Python that runs the tests is the engine's."""
-    monkeypatch.setattr(engine_environment, "usable_python", lambda: Path(sys.executable))
+    monkeypatch.setattr(engine_environment, "usable_python", lambda: quick_python)
     yield
     registry.forget_all()
 

@@ -369,9 +369,11 @@ def test_a_page_keeps_its_text(experiment: Experiment, behave: Behave, tmp_path:
     assert page.read_text() == mine
 
 
-def test_the_real_engine(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_real_engine(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, quick_python: Path
+) -> None:
     """Two rows, few steps: so that the command does not rot."""
-    monkeypatch.setenv("PLGS_ENGINE_PYTHON", sys.executable)
+    monkeypatch.setenv("PLGS_ENGINE_PYTHON", str(quick_python))
     room, out = write_tiny_scene(tmp_path / "room", frames=6, noise=0.1), tmp_path / "out"
     arguments = ["--scenes", str(room), "--steps", "3", "--set", "warm_start=false", "-o", str(out)]
     arguments += ["--only", "ours", "3DGS", "input masks"]

@@ -1,0 +1,122 @@
+"""A Python for the engine's commands that runs each in a fork of a process which has imported the engine: to start one
+takes three seconds of a processor otherwise, more than all else of a tiny lift.
+
+forked_engine.py SOCKET is that process. It is not for tests of how an engine starts, or of what kills it.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import socket
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+PYTHON = """#!{python} -IS
+import json, os, signal, socket, sys
+server = socket.socket(socket.AF_UNIX)
+server.connect({address!r})
+socket.send_fds(server, [b"."], [0, 1, 2])
+server.sendall(json.dumps([sys.argv[1:], os.getcwd(), dict(os.environ)]).encode() + b"\\n")
+told = server.makefile()
+engine = int(told.readline())
+for number in (signal.SIGINT, signal.SIGTERM):
+    signal.signal(number, lambda number, _: os.kill(engine, number))
+sys.exit(int(told.readline()))
+"""
+
+
+@contextmanager
+def forked_engines(folder: Path) -> Iterator[Path]:
+    """The path of the Python, within a ``with`` block."""
+    address = folder / "socket"
+    python = folder / "python"
+    python.write_text(PYTHON.format(python=sys.executable, address=str(address)))
+    python.chmod(0o755)
+    with socket.socket(socket.AF_UNIX) as listening:
+        listening.bind(str(address))
+        listening.listen()
+        server = subprocess.Popen([sys.executable, __file__, str(listening.fileno())], pass_fds=[listening.fileno()])
+    try:
+        yield python
+    finally:
+        server.kill()
+        server.wait()
+
+
+def serve(listening: socket.socket) -> None:
+    """Run each command that comes, in a fork."""
+    import OpenEXR
+
+    import engine.command_line.run_engine
+    import engine.export
+    import engine.lift  # noqa: F401 - so that forks have it
+
+    OpenEXR.set_global_thread_count(0)  # its threads do not follow into a fork, which would wait for them
+    while True:
+        client, _ = listening.accept()
+        _, descriptors, *_ = socket.recv_fds(client, 1, 3)
+        arguments, folder, environment = json.loads(client.makefile().readline())
+        child = os.fork()
+        if child == 0:
+            for number, descriptor in enumerate(descriptors):
+                os.dup2(descriptor, number)
+            os.closerange(3, max(descriptors) + 1)
+            os.chdir(folder)
+            os.environ.clear()
+            os.environ.update(environment)
+            become(arguments)
+        for descriptor in descriptors:
+            os.close(descriptor)
+        client.sendall(b"%d\n" % child)
+        threading.Thread(target=await_end, args=(child, client), daemon=True).start()
+
+
+def await_end(child: int, client: socket.socket) -> None:
+    """Tell the client the child's exit code, and kill the child if the client is gone."""
+    client.settimeout(0.02)
+    while True:
+        ended, status = os.waitpid(child, os.WNOHANG)
+        if ended:
+            client.sendall(b"%d\n" % (os.waitstatus_to_exitcode(status) & 255))
+            return client.close()
+        try:
+            client.recv(1)
+            os.kill(child, signal.SIGKILL)
+        except TimeoutError:
+            pass
+
+
+def become(arguments: list[str]) -> None:
+    """Do what a Python with these arguments does: ``-c CODE …`` or ``FILE …`` after its options. Does not return."""
+    import runpy
+
+    while arguments[0] in ("-I", "-u", "-s"):
+        del arguments[0]
+    code = 1
+    try:
+        if arguments[0] == "-c":
+            program, sys.argv = arguments[1], ["-c", *arguments[2:]]
+            exec(program, {"__name__": "__main__"})
+        else:
+            sys.argv = arguments
+            runpy.run_path(arguments[0], run_name="__main__")
+        code = 0
+    except SystemExit as end:
+        if isinstance(end.code, str):
+            print(end.code, file=sys.stderr)
+        code = end.code if isinstance(end.code, int) else int(end.code is not None)
+    finally:
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(code)
+
+
+if __name__ == "__main__":
+    sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+    serve(socket.socket(fileno=int(sys.argv[1])))
