@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
 
 import cv2
 import numpy as np
@@ -15,8 +17,14 @@ VOXEL = 0.02
 """Side of a voxel in metres."""
 _STEP = 1.1
 """The ratio of the depths around a pixel above which they are of different surfaces."""
-_TRUNCATION = 4.0
-"""Voxels on each side of the surface that a view changes."""
+STRAIGHT = ((0.0, 4.0),)
+GRAZED = (*STRAIGHT, (2.0, 8.0), (4.0, 12.0))
+"""Slopes of a surface, and from each on how many voxels before and behind it a view changes, along the view's axis. A
+view that grazes a floor has to reach farther, or changes none beside it, and the floor has holes. What is round gets
+thicker by it.
+"""
+_STRIDE = 4
+"""Open3D looks at each so many'th row and column for the voxels that a view changes, and refuses views without any."""
 _BLOCKS = 20_000
 """The blocks of voxels for which memory is reserved at first. Open3D takes more when it needs them."""
 
@@ -36,13 +44,15 @@ class Surface:
 @dataclass(frozen=True)
 class Grain:
     """How views are fused: the side of a ``voxel`` in metres, metres beyond which depth is left out, how many views
-    have to see a voxel, and how many times larger than the views their depth is. Far floors need depth between pixels.
+    have to see a voxel, how many times larger than the views their depth is, and how far they reach. Far floors need
+    depth between pixels, and GRAZED.
     """
 
     voxel: float = VOXEL
     farthest: float = 8.0
     least_views: int = 2
     times: int = 1
+    reaches: tuple[tuple[float, float], ...] = STRAIGHT
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,15 +69,31 @@ class SmallView:
         interpolated in inverse depth, in which planes are flat."""
         if times == 1:
             return np.ascontiguousarray(self.depth)
-        inverse = np.divide(1.0, self.depth, out=np.zeros_like(self.depth), where=self.depth > 0)
-        around = np.ones((3, 3), np.uint8)
-        lowest, highest = cv2.erode(inverse, around), cv2.dilate(inverse, around)
-        is_one = cv2.resize(((lowest > 0) & (highest < _STEP * lowest)).astype(np.uint8), None, None,
-                            times, times, cv2.INTER_NEAREST)  # fmt: skip
+        inverse, is_one = self._inverse
+        is_one = cv2.resize(is_one, None, None, times, times, cv2.INTER_NEAREST)
         large, blocky = (cv2.resize(inverse, None, None, times, times, how)
                          for how in (cv2.INTER_LINEAR, cv2.INTER_NEAREST))  # fmt: skip
         large = np.where(is_one > 0, large, blocky)
         return np.divide(1.0, large, out=np.zeros_like(large), where=large > 0)
+
+    @cached_property
+    def _inverse(self) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
+        """The inverse depth [H, W] 1/m, 0 for none, and 1 where all around a pixel are of one surface, uint8 [H, W]."""
+        inverse = np.divide(1.0, self.depth, out=np.zeros_like(self.depth), where=self.depth > 0)
+        around = np.ones((3, 3), np.uint8)
+        lowest, highest = cv2.erode(inverse, around), cv2.dilate(inverse, around)
+        return inverse, ((lowest > 0) & (highest < _STEP * lowest)).astype(np.uint8)
+
+    def slopes(self) -> NDArray[np.float32]:
+        """The depth over the camera's distance from the plane of each pixel's surface, float32 [H, W]: 1 for one that
+        faces the camera, more the more it is grazed, 0 for edges and where none is."""
+        inverse, is_one = self._inverse
+        down, right = np.gradient(inverse)
+        row, column = np.indices(inverse.shape, np.float32) + np.float32(0.5)
+        camera = self.camera
+        ahead = inverse - right * (column - camera.cx) - down * (row - camera.cy)
+        length = np.sqrt((right * camera.fx) ** 2 + (down * camera.fy) ** 2 + ahead**2)
+        return np.divide(length, inverse, out=np.zeros_like(inverse), where=is_one > 0)
 
 
 def fuse(views: Sequence[SmallView], grain: Grain = Grain()) -> Surface:
@@ -78,15 +104,15 @@ def fuse(views: Sequence[SmallView], grain: Grain = Grain()) -> Surface:
     names, kinds = ("tsdf", "weight", "color"), (open3d.core.float32,) * 3
     grid = geometry.VoxelBlockGrid(names, kinds, ((1), (1), (3)), grain.voxel, 8, _BLOCKS)
     for view in views:
-        if not ((view.depth > 0) & (view.depth <= grain.farthest)).any():
-            continue
         large = view.large_depth(grain.times)
-        depth, colour = geometry.Image(large), geometry.Image(view.rgb / np.float32(255))
+        colour = geometry.Image(view.rgb / np.float32(255))
         lenses = view.camera.resized(*large.shape[::-1]).K, view.camera.K
         to_camera = np.linalg.inv(view.camera.camera_to_world)
         lens, small_lens, pose = map(open3d.core.Tensor.from_numpy, (*lenses, to_camera))
-        blocks = grid.compute_unique_block_coordinates(depth, lens, pose, 1.0, grain.farthest, _TRUNCATION)
-        grid.integrate(blocks, depth, colour, lens, small_lens, pose, 1.0, grain.farthest, _TRUNCATION)
+        for part, reach in _by_slope(view, large, grain):
+            depth = geometry.Image(part)
+            blocks = grid.compute_unique_block_coordinates(depth, lens, pose, 1.0, grain.farthest, reach)
+            grid.integrate(blocks, depth, colour, lens, small_lens, pose, 1.0, grain.farthest, reach)
     if not grid.hashmap().size():
         none = np.empty((0, 3), np.float32)
         return Surface(none, none.astype(np.uint8), none, none.astype(np.int64))
@@ -102,6 +128,15 @@ def fuse(views: Sequence[SmallView], grain: Grain = Grain()) -> Surface:
             np.asarray(mesh.triangles).astype(np.int64),
         )
     )
+
+
+def _by_slope(view: SmallView, large: NDArray[np.float32], grain: Grain) -> Iterator[tuple[NDArray[np.float32], float]]:
+    """The ``large`` depth [H, W] of the surfaces of each slope alone, with the voxels that it reaches."""
+    slope = cv2.resize(view.slopes(), large.shape[::-1], None, 0, 0, cv2.INTER_NEAREST)
+    for (least, reach), (most, _) in pairwise((*grain.reaches, (np.inf, 0.0))):
+        part = np.where((slope >= least) & (slope < most) & (large <= grain.farthest), large, np.float32(0))
+        if part[::_STRIDE, ::_STRIDE].any():
+            yield part, reach
 
 
 def _in_order(surface: Surface) -> Surface:

@@ -14,14 +14,14 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from ..errors import PlgsError
-from .fusion import Grain, Ints, SmallView, Surface, fuse
-from .mending import HAND, close_holes, without_crumbs, without_flakes
+from .fusion import GRAZED, Grain, Ints, SmallView, Surface, fuse
+from .mending import HAND, close_holes, open_edges, without_crumbs, without_flakes
 from .mesh import MOST_INSTANCES, vertex_labels, views_of, write_surface
 from .source import FinishedLift
 
 WIDEST, MOST_VIEWS = 320, 60
 """Largest width in pixels of the views that are fused, and how many of all frames at most."""
-ROOM, OBJECTS = Grain(0.05, 15.0, 1, times=3), Grain(0.025, times=3)
+ROOM, OBJECTS = Grain(0.05, 15.0, 1, times=3, reaches=GRAZED), Grain(0.025, times=3)
 WINDOW = 0.5
 """The largest size in metres, along each axis, of a hole in the room that is closed."""
 _BESIDE = 0.075
@@ -47,8 +47,8 @@ def surface_to_view(views: list[SmallView]) -> tuple[Surface, Ints]:
     """The surface of the views, with the label of each vertex, int64 [V]: coarse where no object's own is."""
     room = _labelled(fuse(views, ROOM), views, WINDOW)
     objects = _labelled(fuse([_of_objects(view) for view in views], OBJECTS), views, HAND)
-    coarse, coarse_label = _without(*room, ~_is_double(room, objects))
-    fine, fine_label = _without(*objects, objects[1] % MOST_INSTANCES > 0)
+    coarse, coarse_label = _of_corners(*room, ~_is_double(room, objects), 1)
+    fine, fine_label = _of_corners(*objects, objects[1] % MOST_INSTANCES > 0, 2)
     both = Surface(
         np.concatenate([coarse.xyz, fine.xyz]),
         np.concatenate([coarse.rgb, fine.rgb]),
@@ -80,14 +80,16 @@ def _is_double(room: tuple[Surface, Ints], objects: tuple[Surface, Ints]) -> NDA
     """Which vertices [V] of the room's surface belong to an object that has its own surface there."""
     double = room[1] % MOST_INSTANCES > 0
     if double.any() and len(objects[0].xyz):
-        far, _ = cKDTree(objects[0].xyz).query(room[0].xyz[double], distance_upper_bound=_BESIDE)
-        double[double] = np.isfinite(far)
+        is_rim = np.zeros(len(objects[0].xyz) + 1, np.bool_)
+        is_rim[open_edges(objects[0].triangles)] = is_rim[-1] = True  # and beyond the rim there is only the room's
+        _, nearest = cKDTree(objects[0].xyz).query(room[0].xyz[double], distance_upper_bound=_BESIDE)
+        double[double] = ~is_rim[nearest]
         return double
     return np.zeros(len(double), np.bool_)
 
 
-def _without(surface: Surface, label: Ints, kept: NDArray[np.bool_]) -> tuple[Surface, Ints]:
-    """A surface and its labels with the triangles of which most corners are ``kept`` [V]."""
-    used, corners = np.unique(surface.triangles[kept[surface.triangles].sum(axis=1) > 1], return_inverse=True)
+def _of_corners(surface: Surface, label: Ints, kept: NDArray[np.bool_], least: int) -> tuple[Surface, Ints]:
+    """A surface and its labels with the triangles of which at ``least`` so many corners are ``kept`` [V]."""
+    used, corners = np.unique(surface.triangles[kept[surface.triangles].sum(axis=1) >= least], return_inverse=True)
     cut = Surface(surface.xyz[used], surface.rgb[used], surface.normal[used], corners.reshape(-1, 3))
     return cut, label[used]
