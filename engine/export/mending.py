@@ -86,6 +86,17 @@ def open_edges(triangles: Ints) -> Ints:
     return edges[~np.isin(there, back)]
 
 
+def even_rim(surface: Surface, rounds: int = 4) -> NDArray[np.float32]:
+    """The places [V, 3] of the vertices, those of the rim between their neighbours on it, so that it has no teeth."""
+    xyz, rim = surface.xyz.copy(), open_edges(surface.triangles)
+    rim = np.concatenate([rim, rim[:, ::-1]])
+    count = np.bincount(rim[:, 0], minlength=len(xyz))
+    for _ in range(rounds):
+        sums = np.stack([np.bincount(rim[:, 0], axis, len(xyz)) for axis in xyz[rim[:, 1]].T], axis=-1)
+        xyz[count > 0] = (xyz[count > 0] + sums[count > 0] / count[count > 0, None]) / 2
+    return xyz
+
+
 def without_crumbs(surface: Surface, label: Ints, is_stuff: NDArray[np.bool_]) -> Ints:
     """The labels [V] without crumbs: small pieces of a label's mesh, far from its large ones.
 

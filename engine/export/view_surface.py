@@ -15,7 +15,7 @@ from scipy.spatial import cKDTree
 
 from ..errors import PlgsError
 from .fusion import GRAZED, Grain, Ints, SmallView, Surface, fuse
-from .mending import HAND, close_holes, open_edges, without_crumbs, without_flakes
+from .mending import HAND, close_holes, even_rim, open_edges, without_crumbs, without_flakes
 from .mesh import MOST_INSTANCES, vertex_labels, views_of, write_surface
 from .source import FinishedLift
 
@@ -50,12 +50,13 @@ def surface_to_view(views: list[SmallView]) -> tuple[Surface, Ints]:
     coarse, coarse_label = _of_corners(*room, ~_is_double(room, objects), 1)
     fine, fine_label = _of_corners(*objects, objects[1] % MOST_INSTANCES > 0, 2)
     both = Surface(
-        np.concatenate([coarse.xyz, fine.xyz]),
+        np.concatenate([even_rim(coarse), even_rim(fine)]),
         np.concatenate([coarse.rgb, fine.rgb]),
         np.concatenate([coarse.normal, fine.normal]),
         np.concatenate([coarse.triangles, fine.triangles + len(coarse.xyz)]),
     )
-    return both, np.concatenate([coarse_label, fine_label])
+    label = np.concatenate([coarse_label, fine_label])
+    return both, without_crumbs(both, label, label % MOST_INSTANCES == 0)
 
 
 def _labelled(surface: Surface, views: list[SmallView], largest: float) -> tuple[Surface, Ints]:
@@ -81,7 +82,9 @@ def _is_double(room: tuple[Surface, Ints], objects: tuple[Surface, Ints]) -> NDA
     double = room[1] % MOST_INSTANCES > 0
     if double.any() and len(objects[0].xyz):
         is_rim = np.zeros(len(objects[0].xyz) + 1, np.bool_)
-        is_rim[open_edges(objects[0].triangles)] = is_rim[-1] = True  # and beyond the rim there is only the room's
+        triangles = objects[0].triangles
+        is_rim[open_edges(triangles)] = is_rim[-1] = True  # and beyond the rim there is only the room's
+        is_rim[triangles[is_rim[triangles].any(axis=1)]] = True  # which overlaps a little
         _, nearest = cKDTree(objects[0].xyz).query(room[0].xyz[double], distance_upper_bound=_BESIDE)
         double[double] = ~is_rim[nearest]
         return double
@@ -89,7 +92,13 @@ def _is_double(room: tuple[Surface, Ints], objects: tuple[Surface, Ints]) -> NDA
 
 
 def _of_corners(surface: Surface, label: Ints, kept: NDArray[np.bool_], least: int) -> tuple[Surface, Ints]:
-    """A surface and its labels with the triangles of which at ``least`` so many corners are ``kept`` [V]."""
-    used, corners = np.unique(surface.triangles[kept[surface.triangles].sum(axis=1) >= least], return_inverse=True)
+    """A surface and its labels with the triangles of which at ``least`` so many corners are ``kept`` [V]. Their other
+    corners get the label of one that is."""
+    is_kept = kept[surface.triangles]
+    triangles, is_kept = (each[is_kept.sum(axis=1) >= least] for each in (surface.triangles, is_kept))
+    first = np.take_along_axis(triangles, is_kept.argmax(axis=1)[:, None], axis=1)
+    label = label.copy()
+    label[triangles[~is_kept]] = label[np.broadcast_to(first, triangles.shape)[~is_kept]]
+    used, corners = np.unique(triangles, return_inverse=True)
     cut = Surface(surface.xyz[used], surface.rgb[used], surface.normal[used], corners.reshape(-1, 3))
     return cut, label[used]

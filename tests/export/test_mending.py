@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from engine.export.fusion import Surface
-from engine.export.mending import close_holes, open_edges, without_crumbs, without_flakes
+from engine.export.mending import close_holes, even_rim, open_edges, without_crumbs, without_flakes
 
 STEP = 0.02
 """Metres between the vertices of a sheet."""
@@ -105,3 +105,17 @@ def test_flakes_that_float_are_left_out() -> None:
     kept, label = without_flakes(surface, np.repeat([1, 2, 3], [400, 36, 144]))
     assert np.bincount(label).tolist() == [0, 400, 0, 144]
     assert np.isclose(area(kept).sum(), (19 * STEP) ** 2 + (11 * STEP) ** 2)
+
+
+def test_the_teeth_of_a_rim_are_evened_and_nothing_within_moves() -> None:
+    whole = sheet(20, 20)
+    row = np.arange(len(whole.xyz)) // 20
+    teeth = (row[whole.triangles] >= 10).sum(axis=1) >= 2  # as labels cut a surface
+    surface = Surface(whole.xyz, whole.rgb, whole.normal, whole.triangles[teeth])
+    edges = open_edges(surface.triangles)
+    sides = edges[(np.abs(whole.xyz[edges][..., 0] - 0.19) < 0.15).all(axis=1) & (row[edges] < 12).all(axis=1)]
+    even = even_rim(surface)
+    before, after = (np.abs(np.diff(xyz[sides][..., 1], axis=1)).max() for xyz in (surface.xyz, even))
+    assert before > 0.9 * STEP and after < 0.2 * before
+    within = np.setdiff1d(np.arange(len(whole.xyz)), edges)
+    np.testing.assert_array_equal(even[within], whole.xyz[within])

@@ -60,6 +60,12 @@ def test_objects_are_finer_than_the_room() -> None:
     assert areas(surface).sum() == pytest.approx(areas(surface_to_view([look_over_the_floor()])[0]).sum(), rel=0.05)
 
 
+def test_the_coarse_triangles_at_the_rim_of_an_object_are_the_rooms() -> None:
+    surface, label = surface_to_view([look_over_the_floor()] * OBJECTS.least_views)
+    of_rug = (label[surface.triangles] == RUG).sum(axis=1) >= 2
+    assert (areas(surface)[of_rug] > 0.7 * ROOM.voxel**2 / 2).sum() < 0.005 * of_rug.sum()
+
+
 def test_slopes_are_how_far_a_view_grazes_a_surface() -> None:
     view = look_over_the_floor()
     slope, depth = (each[:, SIZE[0] // 2] for each in (view.slopes(), view.depth))
