@@ -27,13 +27,14 @@ and rotation that it was placed with."""
 
 
 def place_boxes(
-    owned: OwnedDataBlocks, parent: bpy.types.Collection, instances: Iterable[Instance]
+    owned: OwnedDataBlocks, parent: bpy.types.Collection, instances: Iterable[Instance], *, anew: bool = True
 ) -> list[bpy.types.Object]:
     """One mesh object per instance, with the engine's name and its true size (object scale 1). If an object has not
-    changed, its box keeps the place and the name that the user gave it. Of very many instances, those with the most
-    points have an object of their own, and one object has the boxes of all others."""
+    changed, its box keeps the place and the name that the user gave it, and unless all are made ``anew`` is left as it
+    is. Of very many instances, those with the most points have an object of their own, and one object has the boxes of
+    all others."""
     own, others = shared_out(instances)
-    return [*(_place(owned, parent, one) for one in own), *place_together(owned, parent, others)]
+    return [*(_place(owned, parent, one, anew) for one in own), *place_together(owned, parent, others)]
 
 
 def shared_out(instances: Iterable[Instance]) -> tuple[list[Instance], list[Instance]]:
@@ -54,10 +55,13 @@ def corners_of(size: Sequence[float]) -> tuple[NDArray[np.float64], list[tuple[i
     return _CORNERS * size, _FACES
 
 
-def _place(owned: OwnedDataBlocks, parent: bpy.types.Collection, instance: Instance) -> bpy.types.Object:
+def _place(owned: OwnedDataBlocks, parent: bpy.types.Collection, instance: Instance, anew: bool) -> bpy.types.Object:
     key, placed = f"{INSTANCE}{instance.id}", [*instance.centre, *instance.size, *instance.rotation]
     before, name, where = owned.known(key), instance.name, None
     if before is not None and text_of(before, NAME) == instance.name and _numbers(before, PLACED) == placed:
+        if not anew and all(before.get(key) == value for key, value in _facts(instance).items()):
+            owned.keep(before)
+            return before
         name, where = before.name, before.matrix_world.copy()
     mesh = owned.data(key, lambda: bpy.data.meshes.new(instance.name))
     mesh.clear_geometry()
@@ -120,9 +124,14 @@ def _where_placed(ob: bpy.types.Object) -> Matrix:
     return Matrix.LocRotScale(Vector(centre), Quaternion(rotation), None)
 
 
+def _facts(instance: Instance) -> dict[str, str | float]:
+    counts = {"views": instance.views, "score": instance.score, "points": instance.points}
+    return {"class": instance.class_name, "class_id": instance.class_id, "instance_id": instance.id, **counts}
+
+
 def _describe(ob: bpy.types.Object, instance: Instance) -> None:
-    ob["class"], ob["class_id"], ob["instance_id"] = instance.class_name, instance.class_id, instance.id
-    ob["views"], ob["score"], ob["points"] = instance.views, instance.score, instance.points
+    for key, value in _facts(instance).items():
+        ob[key] = value
     ob["size"], ob["colour"] = list(instance.size), [channel / 255.0 for channel in instance.colour]
     ob.id_properties_ui("score").update(min=0.0, max=1.0, description="How sure the masks were of it")
     ob.id_properties_ui("views").update(min=0, description="Number of frames in which a mask saw it")

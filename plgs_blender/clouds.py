@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from ..engine.corrections import entropy_of
 from ..engine.posed import VOID, ClassTable
 from ..engine.result_files import Anchors, SemanticPoints, read_arrays
-from .compat import new_point_cloud
+from .compat import new_point_cloud, new_point_clouds
 from .lift_collection import child_collection
 from .materials import UNKNOWN, linear_rgba, object_colour, point_material
 from .owned import OwnedDataBlocks, tag
@@ -40,11 +40,12 @@ def place_semantic_points(
     """One cloud for each class that has points, with Col, class_id, instance_id, confidence, entropy (bits of doubt
     between the winner and all else) and normal [N, 3]."""
     radius = grid.radii(_SMALLEST, _LARGEST)
-    placed = []
-    for class_id, chosen in _groups(points.class_id):
-        name, srgb = _name_and_colour(class_id, classes)
+    placed, groups = [], [*_groups(points.class_id)]
+    looks = [_name_and_colour(class_id, classes) for class_id, _ in groups]
+    clouds = new_point_clouds([name for name, _ in looks], [points.xyz[chosen] for _, chosen in groups])
+    for (class_id, chosen), (name, srgb), cloud in zip(groups, looks, clouds, strict=True):
         attributes = [*_label_attributes(points, chosen), ("normal", "FLOAT_VECTOR", normals[chosen])]
-        ob = _place(owned, parent, f"class:{class_id}", name, points.xyz[chosen], radius[chosen], attributes)
+        ob = _place(owned, parent, f"class:{class_id}", name, cloud, radius[chosen], attributes)
         ob.color = object_colour(srgb)
         ob["class"], ob["class_id"], ob["points"] = name, class_id, len(chosen)
         placed.append(ob)
@@ -61,7 +62,7 @@ def place_anchors(owned: OwnedDataBlocks, parent: bpy.types.Collection, anchors:
         ("opacity", "FLOAT", anchors.opacity),
         ("level", "INT", anchors.level),
     ]
-    ob = _place(owned, parent, "anchors", "Anchors", anchors.xyz, radius, attributes)
+    ob = _place(owned, parent, "anchors", "Anchors", new_point_cloud("Anchors", anchors.xyz), radius, attributes)
     ob.color = (0.8, 0.8, 0.8, 1.0)
     ob["points"] = len(anchors.xyz)
     return ob
@@ -80,8 +81,8 @@ def place_depth_clouds(owned: OwnedDataBlocks, root: bpy.types.Collection, lift:
         points = read_arrays(path, SemanticPoints)
         radius = SurfaceGrid.of(points.xyz).radii(_SMALLEST, _LARGEST)
         parent, key = child_collection(root, "Depth clouds"), f"depth_cloud:{path.stem}"
-        attributes = _label_attributes(points)
-        ob = _place(owned, parent, key, f"depth of {path.stem}", points.xyz, radius, attributes)
+        name, attributes = f"depth of {path.stem}", _label_attributes(points)
+        ob = _place(owned, parent, key, name, new_point_cloud(name, points.xyz), radius, attributes)
         ob["frame"], ob["points"] = path.stem, len(points.xyz)
         count += len(points.xyz)
     return count
@@ -111,14 +112,13 @@ def _place(
     parent: bpy.types.Collection,
     key: str,
     name: str,
-    xyz: NDArray[np.float32],
+    cloud: bpy.types.PointCloud,
     radius: NDArray[np.float32],
     attributes: Attributes,
 ) -> bpy.types.Object:
     """Our cloud object `key` with these points, radii float32 [N] in metres, and attributes (name, type, values [N,
     ...]).
     """
-    cloud = new_point_cloud(name, xyz)
     tag(cloud, owned.lift, key)
     sizes = cloud.attributes.get("radius") or cloud.attributes.new("radius", "FLOAT", "POINT")
     sizes.data.foreach_set("value", radius)

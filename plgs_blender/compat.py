@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import bpy
@@ -12,16 +13,23 @@ _COMPOSITOR_IS_A_GROUP = bpy.app.version >= (5, 0, 0)
 
 
 def new_point_cloud(name: str, xyz: NDArray[np.float32]) -> bpy.types.PointCloud:
-    """A point cloud data-block with positions float32 [N, 3] in metres. Before 5.1 a cloud cannot be resized."""
+    """A point cloud data-block with positions float32 [N, 3] in metres."""
+    return new_point_clouds([name], [xyz])[0]
+
+
+def new_point_clouds(names: Sequence[str], xyz: Sequence[NDArray[np.float32]]) -> list[bpy.types.PointCloud]:
+    """Point clouds as `new_point_cloud` makes them, all at once. Before 5.1 a cloud cannot be resized."""
     if "resize" in bpy.types.PointCloud.bl_rna.functions:
-        cloud = bpy.data.pointclouds.new(name)
-        cloud.resize(len(xyz))
+        clouds = [bpy.data.pointclouds.new(name) for name in names]
+        for cloud, own in zip(clouds, xyz, strict=True):
+            cloud.resize(len(own))
     else:
-        cloud = _cloud_by_nodes(len(xyz))
+        clouds = _clouds_by_nodes([len(own) for own in xyz])
+    for cloud, name, own in zip(clouds, names, xyz, strict=True):
         cloud.name = name
-    if len(xyz):
-        cloud.attributes["position"].data.foreach_set("vector", np.ascontiguousarray(xyz, np.float32).ravel())
-    return cloud
+        if len(own):
+            cloud.attributes["position"].data.foreach_set("vector", np.ascontiguousarray(own, np.float32).ravel())
+    return clouds
 
 
 def forget_selection(mesh: bpy.types.Mesh) -> None:
@@ -31,28 +39,30 @@ def forget_selection(mesh: bpy.types.Mesh) -> None:
             mesh.attributes.remove(mesh.attributes[name])
 
 
-def _cloud_by_nodes(count: int) -> bpy.types.PointCloud:
-    """A cloud that geometry nodes make from a mesh's vertices, in a scene of its own."""
-    if not count:
-        return bpy.data.pointclouds.new("empty")
-    scene = bpy.data.scenes.new("PLGS conversion")
-    mesh = bpy.data.meshes.new("PLGS conversion")
-    mesh.vertices.add(count)
-    ob = bpy.data.objects.new("PLGS conversion", mesh)
-    scene.collection.objects.link(ob)
-    group = new_geometry_group("PLGS conversion")
+def _clouds_by_nodes(counts: Sequence[int]) -> list[bpy.types.PointCloud]:
+    """Clouds that geometry nodes make from the vertices of meshes, in a scene of their own."""
+    scene, group = bpy.data.scenes.new("PLGS conversion"), new_geometry_group("PLGS conversion")
+    made: list[bpy.types.ID] = [scene, group]
     try:
         kinds = ("NodeGroupInput", "GeometryNodeMeshToPoints", "NodeGroupOutput")
         start, convert, end = (group.nodes.new(kind) for kind in kinds)
         group.links.new(start.outputs[0], convert.inputs[0])
         group.links.new(convert.outputs[0], end.inputs[0])
-        ob.modifiers.new("convert", "NODES").node_group = group
+        objects = []
+        for count in counts:
+            mesh = bpy.data.meshes.new("PLGS conversion")
+            mesh.vertices.add(count)
+            objects.append(bpy.data.objects.new("PLGS conversion", mesh))
+            made += [mesh, objects[-1]]
+            scene.collection.objects.link(objects[-1])
+            objects[-1].modifiers.new("convert", "NODES").node_group = group
         layer = scene.view_layers[0]
         layer.update()
-        instances = layer.depsgraph.object_instances
-        return next(each.object.data.copy() for each in instances if each.object.type == "POINTCLOUD")
+        instances = (one for one in layer.depsgraph.object_instances if one.object.type == "POINTCLOUD")
+        found = {one.parent.original: one.object.data.copy() for one in instances}
+        return [found.get(ob) or bpy.data.pointclouds.new("empty") for ob in objects]  # nodes make none of no points
     finally:
-        bpy.data.batch_remove((scene, ob, mesh, group))  # each removal looks through the whole file
+        bpy.data.batch_remove(made)  # each removal looks through the whole file
 
 
 def new_geometry_group(name: str) -> bpy.types.NodeTree:

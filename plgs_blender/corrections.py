@@ -27,14 +27,13 @@ from ..engine.corrections import (
 from ..engine.corrections.replay import Replay
 from ..engine.errors import PlgsError
 from ..engine.posed import ClassTable
-from ..engine.result_files import INSTANCES, read_instances
 from .boxes import INSTANCE, TOGETHER, name_box, place_boxes
 from .clouds import place_anchors, place_semantic_points
 from .errors import EXPECTED, with_field_names
-from .inspecting.lists import fill_lists
+from .inspecting.lists import refill_lists
 from .inspecting.lookup import box_of, boxes_of, objects_by_key, row_of
 from .inspecting.selection import renaming, select_instance, selected_instances
-from .inspecting.visibility import apply_visibility
+from .instances_in_parts import listed_in
 from .lift_collection import FOLDER, child_collection, folder_of, lifts_in
 from .meshes import CORRECTIONS
 from .owned import LIFT, OwnedDataBlocks, text_of
@@ -57,9 +56,13 @@ Choose = Callable[[NDArray[np.float32]], NDArray[np.bool_]]
 
 def edit(root: bpy.types.Collection, make: Make) -> Edit:
     """Make an edit of a placed lift, and show it. Raises PlgsError, OSError."""
-    made, result = correct(folder_of(root), make)
+    made, result = _correct(root, make)
     show_edit(root, made.uid, result)
     return made
+
+
+def _correct(root: bpy.types.Collection, make: Make) -> tuple[Edit, CorrectedResult]:
+    return correct(folder_of(root), make, listed_in(folder_of(root)))
 
 
 def show_edit(root: bpy.types.Collection, uid: str, result: CorrectedResult) -> None:
@@ -70,7 +73,7 @@ def show_edit(root: bpy.types.Collection, uid: str, result: CorrectedResult) -> 
 
 def undo_last(root: bpy.types.Collection) -> Edit:
     """Undo the last edit in the file, no matter who made it or when, and show the result. Raises PlgsError, OSError."""
-    undone, result = undo(folder_of(root))
+    undone, result = undo(folder_of(root), listed_in(folder_of(root)))
     show_corrections(root, result)
     return undone
 
@@ -86,17 +89,13 @@ def show_corrections(root: bpy.types.Collection, result: CorrectedResult) -> Non
     clouds = child_collection(root, "Semantic points")
     place_semantic_points(owned, clouds, result.points, grid, grid.normals(centres), result.classes)
     place_anchors(owned, child_collection(root, "Anchors", scene, hidden=True), result.anchors())
-    place_boxes(owned, child_collection(root, "Instances"), result.instances)
+    place_boxes(owned, child_collection(root, "Instances"), result.instances, anew=False)
     owned.sweep_only("class:", INSTANCE, TOGETHER, "anchors")
     lists = root.plgs
     active = (
         lists.instances[lists.instance_index].instance_id if 0 <= lists.instance_index < len(lists.instances) else 0
     )
-    hidden = {row.instance_id for row in lists.instances if not row.visible}
-    fill_lists(root, result)
-    with apply_visibility.at_once(root):
-        for row in lists.instances:
-            row.visible = row.instance_id not in hidden
+    refill_lists(root, result)
     if active in {row.instance_id for row in lists.instances}:
         select_instance(root, active, layer)
     remember(root, result)
@@ -164,13 +163,13 @@ def class_choices(root: bpy.types.Collection, instance: int) -> list[str]:
 
 
 def _classes_of(root: bpy.types.Collection) -> ClassTable:
-    return read_instances(folder_of(root) / "result" / INSTANCES)[0]
+    return listed_in(folder_of(root))[0]
 
 
 def rename(root: bpy.types.Collection, instance: int, name: str) -> Edit:
     """Rename an object. Only its row and its box change, as it may be their field that renames it. Raises PlgsError,
     OSError, as all edits here do."""
-    made, result = correct(folder_of(root), lambda state, _: making.rename(state, instance, name))
+    made, result = _correct(root, lambda state, _: making.rename(state, instance, name))
     _mine.setdefault(str(folder_of(root)), set()).add(made.uid)
     row, box = row_of(root, instance), boxes_of(root).get(instance)
     row.known_name = row.name = made.name
@@ -217,7 +216,7 @@ def delete_around(root: bpy.types.Collection, instances: Sequence[int]) -> None:
     result = None
     try:
         for instance in instances:
-            made, result = correct(folder_of(root), partial(_delete_around, instance))
+            made, result = _correct(root, partial(_delete_around, instance))
             _mine.setdefault(str(folder_of(root)), set()).add(made.uid)
     finally:
         if result is not None:

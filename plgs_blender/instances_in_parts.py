@@ -10,7 +10,7 @@ from typing import Any, NoReturn
 
 from ..engine.errors import PlgsError
 from ..engine.job.manifest import MAKE_ANEW
-from ..engine.result_files import BAD, Listed, instance_of, instances_text, read_instances
+from ..engine.result_files import BAD, INSTANCES, Listed, instance_of, instances_text, read_instances
 
 MOST_INSTANCES = 5_000
 """A lift finds at most 4000 objects. A file with more is not a lift's, and would keep Blender busy for minutes."""
@@ -44,6 +44,26 @@ def reading_instances(path: Path) -> Generator[None, None, Listed]:
             read_instances(path, content | {"classes": [], "instances": []})
         raise PlgsError(f"cannot be read ({error!r})", path, MAKE_ANEW) from error
     return read_instances(path, content)
+
+
+_kept: dict[tuple[Path, int, int], Listed] = {}
+"""What was read last, by its file, the time of that and its bytes."""
+
+
+def listed_in(lift: Path, listed: Listed | None = None) -> Listed:
+    """What the instances.json of a lift lists, kept from the last time or now ``listed``: an edit follows another, and
+    thousands of objects take half a second. Raises PlgsError."""
+    path = lift / "result" / INSTANCES
+    try:
+        at = path.stat()
+    except OSError as error:
+        raise PlgsError(f"cannot be read ({error.strerror})", path, MAKE_ANEW) from error
+    version = (path, at.st_mtime_ns, at.st_size)
+    if listed or version not in _kept:
+        listed = listed or read_instances(path)
+        _kept.clear()
+        _kept[version] = listed
+    return _kept[version]
 
 
 def refuse_too_many(instances: Sequence[object], path: Path) -> None:

@@ -147,7 +147,7 @@ def _objects_in_turn(result: LiftResult) -> Iterator[Callable[[bpy.types.Collect
 
 
 def _list_objects(result: LiftResult, root: bpy.types.Collection, scene: bpy.types.Scene) -> None:
-    fill_lists(root, result, masks=False)
+    fill_lists(root, result)
     fill_not_shown(root, result)
     leave_holes(root)
 

@@ -144,31 +144,28 @@ class OwnedDataBlocks:
         """Spare our objects with such keys from `sweep`."""
         self._kept.update(ob for key, ob in self._objects.items() if is_kept(key))
 
+    # All of a kind at once: each removal goes through the whole file, 20 ms with thousands of instances.
+
     def sweep(self) -> None:
         """Remove the lift's objects that this placement did not use, then their data that nobody uses."""
-        for ob in self._own_objects():
-            if ob not in self._kept:
-                bpy.data.objects.remove(ob)
+        bpy.data.batch_remove([ob for ob in self._own_objects() if ob not in self._kept])
         self.sweep_data()
 
     def sweep_data(self) -> None:
         """Remove the lift's data that this placement did not use and nobody else does."""
         for kind in _DATA:
-            blocks = getattr(bpy.data, kind)
-            for block in [b for b in blocks if key_of(b, self.lift) is not None and b not in self._kept]:
-                if block.users - block.use_fake_user == 0:
-                    blocks.remove(block)
+            for _ in range(2):  # a group of nodes may use another
+                own = [b for b in getattr(bpy.data, kind) if key_of(b, self.lift) is not None and b not in self._kept]
+                bpy.data.batch_remove([block for block in own if block.users - block.use_fake_user == 0])
 
     def sweep_only(self, *prefixes: str) -> None:
         """Remove the lift's objects whose key begins so and that this placement did not use, then clouds and meshes
         without users: `sweep` for a placement that leaves all else as it is.
         """
-        for ob in self._own_objects():
-            if ob[KEY].startswith(prefixes) and ob not in self._kept:
-                bpy.data.objects.remove(ob)
-        for blocks in (bpy.data.pointclouds, bpy.data.meshes):
-            for block in [each for each in blocks if key_of(each, self.lift) is not None and not each.users]:
-                blocks.remove(block)
+        own = [ob for ob in self._own_objects() if ob[KEY].startswith(prefixes) and ob not in self._kept]
+        theirs = {ob.data for ob in own if ob.data is not None and ob.data.users == 1}
+        data = [each for each in (*bpy.data.pointclouds, *bpy.data.meshes) if key_of(each, self.lift) is not None]
+        bpy.data.batch_remove([*own, *(each for each in data if not each.users or each in theirs)])
 
     def _blocks_of(self, kind: str) -> dict[str, Any]:
         """Our blocks of `bpy.data.<kind>` by key, looked up once."""

@@ -53,7 +53,9 @@ def taking_over(scene: bpy.types.Scene) -> Iterator[bool]:
     scene.frame_start, scene.frame_end = span
     places = _places(scene)
     overview = next((place for ob, place in places.items() if "frame" not in ob), span[0])
-    scene.frame_set(overview if is_untouched else places.get(camera, span[0]))
+    place = overview if is_untouched else places.get(camera, span[0])
+    if (scene.frame_current, scene.camera) != (place, camera):  # else Blender would evaluate all for nothing
+        scene.frame_set(place)
 
 
 def _is_untouched(scene: bpy.types.Scene) -> bool:

@@ -155,11 +155,11 @@ Make = Callable[[Replay, int], Edit]
 """Makes an edit from the state and the first id that no object ever had."""
 
 
-def correct(lift: Path, make: Make) -> tuple[Edit, CorrectedResult]:
+def correct(lift: Path, make: Make, listed: Listed | None = None) -> tuple[Edit, CorrectedResult]:
     """Add an edit to those of the lift in this folder. Returns the edit and the new result, for which the edits are
-    replayed once. Raises PlgsError and OSError; nothing is then changed."""
+    replayed once; ``listed`` as in ``read_corrected``. Raises PlgsError and OSError; nothing is then changed."""
     with editing(lift) as edits:
-        result = _Result.read(lift)
+        result = _Result.read(lift, listed)
         state = result.replay(edits)
         free = max([*(one.id for one in result.made), *(edit.largest_id for edit in edits)], default=0) + 1
         edit = make(state, free)
@@ -170,7 +170,7 @@ def correct(lift: Path, make: Make) -> tuple[Edit, CorrectedResult]:
     return edit, result.corrected(edits, state)
 
 
-def undo(lift: Path) -> tuple[Edit, CorrectedResult]:
+def undo(lift: Path, listed: Listed | None = None) -> tuple[Edit, CorrectedResult]:
     """Undo the last edit that is not undone, whoever made it. Returns the edit and the result without it. Raises
     PlgsError when there is none, and OSError."""
     with editing(lift) as edits:
@@ -178,7 +178,7 @@ def undo(lift: Path) -> tuple[Edit, CorrectedResult]:
         if last < 0:
             raise PlgsError("there is no edit to undo", lift / CORRECTIONS, "")
         edits[last] = replace(edits[last], undone=True)
-    return edits[last], _Result.read(lift).corrected(edits)
+    return edits[last], _Result.read(lift, listed).corrected(edits)
 
 
 def set_undone(lift: Path, undone: dict[str, bool]) -> None:

@@ -240,17 +240,29 @@ def registered() -> Iterator[None]:
         unregister_modules([sys.modules[__name__]])
 
 
-def fill_lists(root: bpy.types.Collection, result: LiftResult | CorrectedResult, *, masks: bool = True) -> None:
-    """List the instances, with their masks unless these are filled later, and the classes in the lift's collection. All
-    of them are then shown."""
-    with registered(), apply_colours.at_once(root), apply_visibility.at_once(root):
+def fill_lists(root: bpy.types.Collection, result: LiftResult) -> None:
+    """List the instances, whose masks are filled later, and the classes in the lift's collection. All of them are then
+    shown."""
+    with registered():
+        root.plgs.instances.clear()
+        _fill(root, result)
+
+
+def refill_lists(root: bpy.types.Collection, result: CorrectedResult) -> None:
+    """Bring the lists in line with corrections. Instances that are as they were keep their rows, as thousands of them
+    take long to list, and instances that were hidden stay hidden."""
+    with registered():
+        _fill(root, result)
+        fill_masks(root, result.instances, result.classes)
+
+
+def _fill(root: bpy.types.Collection, result: LiftResult | CorrectedResult) -> None:
+    with apply_colours.at_once(root), apply_visibility.at_once(root):
         lists = root.plgs
-        lists.instances.clear()
-        lists.classes.clear()
         lists.instance_index = lists.class_index = -1
         lists.isolated = 0
-        for instance in result.instances:
-            _fill_instance(lists.instances.add(), instance)
+        _fill_instances(lists.instances, result.instances)
+        lists.classes.clear()
         points = result.points
         ids, rows, counts = np.unique(points.class_id, return_inverse=True, return_counts=True)
         scores = np.bincount(rows, np.nan_to_num(points.confidence), len(ids)) / np.maximum(counts, 1)
@@ -260,8 +272,25 @@ def fill_lists(root: bpy.types.Collection, result: LiftResult | CorrectedResult,
         apply_show_as(root)
         if lists.look != PHOTO:
             apply_look(root)
-    if masks:
-        fill_masks(root, result.instances, result.classes)
+
+
+def _fill_instances(rows: Any, instances: Sequence[Instance]) -> None:
+    """List instances, sorted by id, in rows that may list others."""
+    wanted, before = {one.id for one in instances}, [row.instance_id for row in rows]
+    if before != sorted({*before}):
+        rows.clear()  # not as we list them
+        before = []
+    for place in reversed([place for place, number in enumerate(before) if number not in wanted]):
+        rows.remove(place)
+    known = {row.instance_id: _facts(row) for row in rows}
+    for place, instance in enumerate(instances):
+        if instance.id not in known:
+            _fill_instance(rows.add(), instance)
+            rows.move(len(rows) - 1, place)
+        elif known[instance.id] != _facts_of(instance):
+            rows[place].masks.clear()
+            rows[place].mask_index = -1
+            _fill_instance(rows[place], instance)
 
 
 def fill_masks(root: bpy.types.Collection, instances: Iterable[Instance], classes: ClassTable) -> None:
@@ -310,6 +339,16 @@ def _fill_instance(row: Any, instance: Instance) -> None:
     row.class_id, row.class_name = instance.class_id, instance.class_name
     row.colour = [channel / 255.0 for channel in instance.colour]
     row.points, row.views, row.score = instance.points, instance.views, instance.score
+
+
+def _facts(row: Any) -> tuple[object, ...]:
+    """What differs when a row's instance was corrected. Only what changes its points changes its masks."""
+    return row.name, row.known_name, row.class_id, row.points, row.views, len(row.masks)
+
+
+def _facts_of(one: Instance) -> tuple[object, ...]:
+    """As `_facts`."""
+    return one.name, one.name, one.class_id, one.points, one.views, len(one.segments)
 
 
 def _fill_masks(row: Any, instance: Instance, classes: ClassTable) -> None:

@@ -18,7 +18,7 @@ from .highlight import state_of
 from .lookup import clouds_of, ids_of
 from .names import shown_names
 from .text_boxes import TextBox, ViewRegion
-from .visibility import left_out
+from .visibility import leaving_out
 
 _GAP = 12.0
 """Pixels to the nearest point, where no point covers the mouse."""
@@ -140,7 +140,7 @@ def _seen(
     clip = np.c_[xyz, np.ones(len(xyz), np.float32)] @ lens.T
     w = np.maximum(clip[:, 3:], 1e-6)
     ids = np.stack([ids_of(data, "instance_id"), ids_of(data, "class_id")], axis=1)
-    shown = (clip[:, 3] > 0.0) & (np.abs(clip[:, :2]) < w).all(axis=1) & ~left_out(root.plgs, *ids.T)
+    shown = (clip[:, 3] > 0.0) & (np.abs(clip[:, :2]) < w).all(axis=1) & ~leaving_out(root.plgs)(*ids.T)
     if "normal" in data.attributes:
         normal = _column(data, "normal", "vector", 3) @ world[:3, :3].T
         shown &= (normal * (xyz if is_perspective else np.array([0.0, 0.0, -1.0]))).sum(axis=1) <= 0.0

@@ -21,7 +21,7 @@ from ..boxes import INSTANCE, TOGETHER
 from ..materials import object_colour
 from ..owned import KEY, LIFT, key_of, tag, text_of
 from .looks import CLASSES
-from .lookup import boxes_of, clouds_of, ids_of, objects_by_key, row_of, surfaces_of
+from .lookup import boxes_of, clouds_of, ids_of, instance_of, is_box, is_surface, objects_by_key, row_of
 
 HIDDEN = "plgs_hidden"
 MODIFIER = "Hidden instances"
@@ -58,19 +58,18 @@ class _OnceForMany:
 @_OnceForMany
 def apply_visibility(root: bpy.types.Collection) -> None:
     """Bring boxes and points in line with the lift's lists."""
-    lists = root.plgs
-    boxes, together = boxes_of(root), objects_by_key(root).get(TOGETHER)
+    lists, own, is_left_out = root.plgs, objects_by_key(root), leaving_out(root.plgs)
+    boxes, together = {instance_of(ob): ob for ob in own.values() if is_box(ob)}, own.get(TOGETHER)
     for box, hidden in zip(boxes.values(), instances_left_out(lists, boxes), strict=True):
         _show_object(box, not hidden and lists.show_boxes)
     if together is not None:
         _show_object(together, lists.show_boxes)
     eyes = {row.class_id: row.visible for row in lists.classes}
-    for cloud in clouds_of(root):
-        if "class_id" in cloud:
-            _show_object(cloud, bool(lists.isolated) or eyes.get(cloud["class_id"], True))
-        _hide_points(root, cloud, left_out(lists, ids_of(cloud.data, "instance_id"), ids_of(cloud.data, "class_id")))
-    for ob in surfaces_of(root):
-        _hide_points(root, ob, left_out(lists, ids_of(ob.data, "instance_id"), ids_of(ob.data, "class_id")))
+    for ob in own.values():
+        if ob.type == "POINTCLOUD" and "class_id" in ob:
+            _show_object(ob, bool(lists.isolated) or eyes.get(ob["class_id"], True))
+        if ob.type == "POINTCLOUD" or is_surface(ob):
+            _hide_points(root, ob, is_left_out(ids_of(ob.data, "instance_id"), ids_of(ob.data, "class_id")))
 
 
 @_OnceForMany
@@ -121,25 +120,28 @@ def show_all(root: bpy.types.Collection) -> None:
         root.plgs.isolated = 0
 
 
-def left_out(lists: bpy.types.PropertyGroup, instance_id: NDArray[np.int32], class_id: NDArray[np.int32]) -> Any:
-    """Whether each thing of these instances and classes, int32 [N] each, is hidden: bool [N]."""
-    if lists.isolated:
-        return instance_id != lists.isolated
-    instances = [row.instance_id for row in lists.instances if not row.visible]
-    classes = [row.class_id for row in lists.classes if not row.visible]
-    return np.isin(instance_id, np.array(instances, np.int32)) | np.isin(class_id, np.array(classes, np.int32))
+def leaving_out(lists: bpy.types.PropertyGroup) -> Callable[[NDArray[np.int32], NDArray[np.int32]], Any]:
+    """Says whether each thing of some instances and classes, int32 [N] each, is hidden: bool [N]."""
+    alone = lists.isolated
+    if alone:
+        return lambda instance_id, class_id: instance_id != alone
+    instances = np.array([row.instance_id for row in lists.instances if not row.visible], np.int32)
+    classes = np.array([row.class_id for row in lists.classes if not row.visible], np.int32)
+    return lambda instance_id, class_id: np.isin(instance_id, instances) | np.isin(class_id, classes)
 
 
 def instances_left_out(lists: bpy.types.PropertyGroup, instances: Collection[int]) -> Any:
     """Whether each of N instances is hidden: bool [N]."""
     class_of = {row.instance_id: row.class_id for row in lists.instances}
     classes = np.array([class_of.get(instance, VOID) for instance in instances], np.int32)
-    return left_out(lists, np.array([*instances], np.int32), classes)
+    return leaving_out(lists)(np.array([*instances], np.int32), classes)
 
 
 def _show_object(ob: bpy.types.Object, shown: bool) -> None:
     """Show or hide an object in all scenes that have it, and in renders unless it is a box."""
-    ob.hide_render = not shown or text_of(ob, KEY).startswith((INSTANCE, TOGETHER))
+    not_rendered = not shown or text_of(ob, KEY).startswith((INSTANCE, TOGETHER))
+    if ob.hide_render != not_rendered:
+        ob.hide_render = not_rendered
     for scene in bpy.data.scenes:
         for layer in scene.view_layers:
             # Hiding an object makes Blender look through all others, so that of thousands it takes seconds.

@@ -252,6 +252,7 @@ def showing_lift(
     adopt(scene.plgs, lift.request, lift.path)
     yield
     next(placed.rest, None)
+    yield
     found = placed.at.find()
     if found is not None:
         look_at_placed(*found)

@@ -5,7 +5,8 @@ from __future__ import annotations
 import json
 import shutil
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 from types import ModuleType
 
@@ -15,10 +16,10 @@ import pytest
 from plgs.engine.corrections import read_edits
 from plgs.engine.errors import PlgsError
 from plgs.engine.job import LiftFolder
-from plgs.plgs_blender import boxes, corrections, lift_scene
+from plgs.plgs_blender import boxes, corrections, instances_in_parts, lift_scene
 from plgs.plgs_blender.inspecting import selection, views, visibility
 from plgs.plgs_blender.inspecting.looks import CLASSES
-from plgs.plgs_blender.inspecting.lookup import box_of, boxes_of, objects_by_key
+from plgs.plgs_blender.inspecting.lookup import box_of, boxes_of, find_lift, objects_by_key
 from plgs.plgs_blender.inspecting.visibility import HIDDEN
 from plgs.plgs_blender.instances_in_parts import MOST_INSTANCES
 from plgs.plgs_blender.running import lifts
@@ -27,6 +28,7 @@ from tiny_scene import CHAIR_ID
 
 LONGEST_S = 0.3
 """Seconds of a core that a window may wait. Other programs on the machine are not counted."""
+TRIES = 4
 MANY, MOST = 250, 120
 """Objects of a lift, and those of them that have a box of their own here."""
 
@@ -59,31 +61,46 @@ def lift_of(lift: Path, folder: Path, count: int) -> Path:
     return folder
 
 
-def seconds_of_parts(lift: Path) -> list[float]:
-    """What each part of showing a lift takes of a core."""
-    showing, taken = lifts.showing_lift(bpy.context.scene, LiftFolder.open(lift)), []
-    while True:
+def longest_parts(lift: Path) -> tuple[float, float]:
+    """Of showing a lift, what its longest part takes of a core, and Blender's longest look at what a part changed."""
+    showing, ours, theirs, goes_on = lifts.showing_lift(bpy.context.scene, LiftFolder.open(lift)), [], [], True
+    while goes_on:
         began = time.process_time()
-        try:
-            next(showing)
-        except StopIteration:
-            return taken
-        finally:
-            taken.append(time.process_time() - began)
+        goes_on = next(showing, showing) is not showing
+        ours.append(time.process_time() - began)
+        theirs.append(seconds(bpy.context.view_layer.update))
+    return max(ours), max(theirs)
+
+
+def seconds(do: Callable[[], object]) -> float:
+    began = time.process_time()
+    do()
+    return time.process_time() - began
+
+
+def seconds_at_once(many: Path, few: Path) -> list[float]:
+    """What a window waits for to open a lift, show it again, show fewer objects in its place, delete one and take that
+    back, and for Blender's longest look."""
+    bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
+    shown = [longest_parts(each) for each in (many, many, few, many)]
+    root = find_lift(bpy.context.scene)
+    edits = [partial(corrections.delete, root, 9, around=False), partial(corrections.undo_last, root)]
+    return [*(ours for ours, _ in shown[:3]), *map(seconds, edits), max(theirs for _, theirs in shown)]
 
 
 @pytest.mark.slow
 def test_no_part_takes_long(lift: Path, tmp_path: Path) -> None:
-    """The figures in docs/trust.md. It measures time, and so needs a quiet machine."""
+    """The figures in docs/trust.md. Other work on the machine makes some of them longer: the shortest of a few tries
+    counts."""
+    few = lift_of(lift, tmp_path / "few", 10)
     for count in (50, boxes.MOST_BOXES, 2000, MOST_INSTANCES):
-        many, longest = lift_of(lift, tmp_path / str(count), count), []
-        bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
-        for _ in range(2):
-            longest.append(max(seconds_of_parts(many)))
-        began = time.process_time()
-        bpy.context.view_layer.update()
-        print(f"{count} objects: {longest[0]:.2f} s, again {longest[1]:.2f}, drawn {time.process_time() - began:.2f}")
-        assert longest[0] <= LONGEST_S
+        many, least = lift_of(lift, tmp_path / str(count), count), np.full(6, np.inf)
+        for _ in range(TRIES):
+            least = np.minimum(least, seconds_at_once(many, few))
+            if (least[:-1] <= LONGEST_S).all():
+                break
+        print(f"{count} objects: opened, again, fewer, deleted, undone; Blender {least.round(2).tolist()}")
+        assert (least[:-1] <= LONGEST_S).all()
 
 
 def test_the_window_waits_for_no_more_than_some_boxes_and_masks(
@@ -197,3 +214,32 @@ def test_what_is_corrected_between_two_parts_stays_corrected(
     lift_scene.result_of(placed.rest)
     assert sorted(boxes_of(root)) == [*range(1, 50)] and all(len(row.masks) == 5 for row in root.plgs.instances)
     assert {row.class_id for row in root.plgs.instances} == {CHAIR_ID}
+
+
+def test_an_edit_leaves_the_other_objects_as_they_are(
+    lift: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    root = lift_scene.place_lift(lift_of(lift, tmp_path / "some", 20), bpy.context.scene)
+    root.plgs.instances[10].mask_index, root.plgs.instances[12].visible = 3, False
+    box = box_of(root, 11)
+    box.data.vertices[0].co.x += 1.0
+    moved = box.data.vertices[0].co.copy()
+    monkeypatch.setattr(instances_in_parts, "read_instances", lambda path: pytest.fail("it was read before"))
+    corrections.delete(root, 5, around=False)
+    assert [row.instance_id for row in root.plgs.instances] == [*range(1, 5), *range(6, 21)]
+    corrections.rename(root, 6, "stool")
+    corrections.undo_last(root)
+    corrections.undo_last(root)
+    rows = root.plgs.instances
+    assert [row.instance_id for row in rows] == [*range(1, 21)] and all(len(row.masks) == 5 for row in rows)
+    assert rows[5].name == rows[5].known_name == "chair 6" and rows[4].best_mask == rows[5].best_mask
+    assert rows[10].mask_index == 3 and box_of(root, 11).data.vertices[0].co == moved
+    assert [row.instance_id for row in rows if not row.visible] == [13]
+
+
+def test_what_an_edit_reads_is_as_new_as_the_file(lift: Path, tmp_path: Path) -> None:
+    some = lift_of(lift, tmp_path / "some", 3)
+    lift_scene.place_lift(some, bpy.context.scene)
+    path = some / "result" / "instances.json"
+    path.write_text(path.read_text().replace("chair 2", "another"))
+    assert [one.name for one in instances_in_parts.listed_in(some)[1]] == ["chair 1", "another", "chair 3"]

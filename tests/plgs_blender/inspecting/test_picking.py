@@ -110,7 +110,7 @@ def test_a_view_finds_its_names_once_when_it_is_drawn(
 ) -> None:
     context, region, lists = *drawn_from(root, Vector((1.5, 1.5, 3.0))), root.plgs
     lists.show_labels, lists.show_boxes = True, False
-    calls = counted(monkeypatch, visibility, "left_out")
+    calls = counted(monkeypatch, visibility, "leaving_out")
     drawn = names.names_to_draw(context, root, region)
     assert {each.instance for each in drawn} == {1, 2} and len(calls) == 1, "once for all boxes"
     assert names.shown_names(context, root, region) == drawn and len(calls) == 1, "the mouse asks for what was drawn"
