@@ -59,7 +59,8 @@ def _place(owned: OwnedDataBlocks, parent: bpy.types.Collection, instance: Insta
     key, placed = f"{INSTANCE}{instance.id}", [*instance.centre, *instance.size, *instance.rotation]
     before, name, where = owned.known(key), instance.name, None
     if before is not None and text_of(before, NAME) == instance.name and _numbers(before, PLACED) == placed:
-        if not anew and all(before.get(key) == value for key, value in _facts(instance).items()):
+        facts = instance.class_id, instance.points, instance.views
+        if not anew and facts == tuple(before.get(key) for key in ("class_id", "points", "views")):
             owned.keep(before)
             return before
         name, where = before.name, before.matrix_world.copy()
@@ -124,14 +125,9 @@ def _where_placed(ob: bpy.types.Object) -> Matrix:
     return Matrix.LocRotScale(Vector(centre), Quaternion(rotation), None)
 
 
-def _facts(instance: Instance) -> dict[str, str | float]:
-    counts = {"views": instance.views, "score": instance.score, "points": instance.points}
-    return {"class": instance.class_name, "class_id": instance.class_id, "instance_id": instance.id, **counts}
-
-
 def _describe(ob: bpy.types.Object, instance: Instance) -> None:
-    for key, value in _facts(instance).items():
-        ob[key] = value
+    ob["class"], ob["class_id"], ob["instance_id"] = instance.class_name, instance.class_id, instance.id
+    ob["views"], ob["score"], ob["points"] = instance.views, instance.score, instance.points
     ob["size"], ob["colour"] = list(instance.size), [channel / 255.0 for channel in instance.colour]
     ob.id_properties_ui("score").update(min=0.0, max=1.0, description="How sure the masks were of it")
     ob.id_properties_ui("views").update(min=0, description="Number of frames in which a mask saw it")

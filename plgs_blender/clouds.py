@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from ..engine.corrections import entropy_of
 from ..engine.posed import VOID, ClassTable
 from ..engine.result_files import Anchors, SemanticPoints, read_arrays
-from .compat import new_point_cloud, new_point_clouds
+from .compat import new_point_clouds
 from .lift_collection import child_collection
 from .materials import UNKNOWN, linear_rgba, object_colour, point_material
 from .owned import OwnedDataBlocks, tag
@@ -62,7 +62,8 @@ def place_anchors(owned: OwnedDataBlocks, parent: bpy.types.Collection, anchors:
         ("opacity", "FLOAT", anchors.opacity),
         ("level", "INT", anchors.level),
     ]
-    ob = _place(owned, parent, "anchors", "Anchors", new_point_cloud("Anchors", anchors.xyz), radius, attributes)
+    (cloud,) = new_point_clouds(["Anchors"], [anchors.xyz])
+    ob = _place(owned, parent, "anchors", "Anchors", cloud, radius, attributes)
     ob.color = (0.8, 0.8, 0.8, 1.0)
     ob["points"] = len(anchors.xyz)
     return ob
@@ -82,7 +83,8 @@ def place_depth_clouds(owned: OwnedDataBlocks, root: bpy.types.Collection, lift:
         radius = SurfaceGrid.of(points.xyz).radii(_SMALLEST, _LARGEST)
         parent, key = child_collection(root, "Depth clouds"), f"depth_cloud:{path.stem}"
         name, attributes = f"depth of {path.stem}", _label_attributes(points)
-        ob = _place(owned, parent, key, name, new_point_cloud(name, points.xyz), radius, attributes)
+        (cloud,) = new_point_clouds([name], [points.xyz])
+        ob = _place(owned, parent, key, name, cloud, radius, attributes)
         ob["frame"], ob["points"] = path.stem, len(points.xyz)
         count += len(points.xyz)
     return count

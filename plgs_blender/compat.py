@@ -12,13 +12,8 @@ from numpy.typing import NDArray
 _COMPOSITOR_IS_A_GROUP = bpy.app.version >= (5, 0, 0)
 
 
-def new_point_cloud(name: str, xyz: NDArray[np.float32]) -> bpy.types.PointCloud:
-    """A point cloud data-block with positions float32 [N, 3] in metres."""
-    return new_point_clouds([name], [xyz])[0]
-
-
 def new_point_clouds(names: Sequence[str], xyz: Sequence[NDArray[np.float32]]) -> list[bpy.types.PointCloud]:
-    """Point clouds as `new_point_cloud` makes them, all at once. Before 5.1 a cloud cannot be resized."""
+    """Point cloud data-blocks with positions float32 [N, 3] in metres. Before 5.1 a cloud cannot be resized."""
     if "resize" in bpy.types.PointCloud.bl_rna.functions:
         clouds = [bpy.data.pointclouds.new(name) for name in names]
         for cloud, own in zip(clouds, xyz, strict=True):
@@ -42,18 +37,16 @@ def forget_selection(mesh: bpy.types.Mesh) -> None:
 def _clouds_by_nodes(counts: Sequence[int]) -> list[bpy.types.PointCloud]:
     """Clouds that geometry nodes make from the vertices of meshes, in a scene of their own."""
     scene, group = bpy.data.scenes.new("PLGS conversion"), new_geometry_group("PLGS conversion")
-    made: list[bpy.types.ID] = [scene, group]
+    objects: list[bpy.types.Object] = []
     try:
         kinds = ("NodeGroupInput", "GeometryNodeMeshToPoints", "NodeGroupOutput")
         start, convert, end = (group.nodes.new(kind) for kind in kinds)
         group.links.new(start.outputs[0], convert.inputs[0])
         group.links.new(convert.outputs[0], end.inputs[0])
-        objects = []
         for count in counts:
             mesh = bpy.data.meshes.new("PLGS conversion")
             mesh.vertices.add(count)
             objects.append(bpy.data.objects.new("PLGS conversion", mesh))
-            made += [mesh, objects[-1]]
             scene.collection.objects.link(objects[-1])
             objects[-1].modifiers.new("convert", "NODES").node_group = group
         layer = scene.view_layers[0]
@@ -62,7 +55,7 @@ def _clouds_by_nodes(counts: Sequence[int]) -> list[bpy.types.PointCloud]:
         found = {one.parent.original: one.object.data.copy() for one in instances}
         return [found.get(ob) or bpy.data.pointclouds.new("empty") for ob in objects]  # nodes make none of no points
     finally:
-        bpy.data.batch_remove(made)  # each removal looks through the whole file
+        bpy.data.batch_remove([scene, group, *objects, *(ob.data for ob in objects)])  # each removal looks through all
 
 
 def new_geometry_group(name: str) -> bpy.types.NodeTree:

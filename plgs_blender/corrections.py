@@ -30,7 +30,7 @@ from ..engine.posed import ClassTable
 from .boxes import INSTANCE, TOGETHER, name_box, place_boxes
 from .clouds import place_anchors, place_semantic_points
 from .errors import EXPECTED, with_field_names
-from .inspecting.lists import refill_lists
+from .inspecting.lists import fill_lists, fill_masks
 from .inspecting.lookup import box_of, boxes_of, objects_by_key, row_of
 from .inspecting.selection import renaming, select_instance, selected_instances
 from .instances_in_parts import listed_in
@@ -95,7 +95,8 @@ def show_corrections(root: bpy.types.Collection, result: CorrectedResult) -> Non
     active = (
         lists.instances[lists.instance_index].instance_id if 0 <= lists.instance_index < len(lists.instances) else 0
     )
-    refill_lists(root, result)
+    fill_lists(root, result, anew=False)
+    fill_masks(root, result.instances, result.classes)
     if active in {row.instance_id for row in lists.instances}:
         select_instance(root, active, layer)
     remember(root, result)

@@ -46,24 +46,19 @@ def reading_instances(path: Path) -> Generator[None, None, Listed]:
     return read_instances(path, content)
 
 
-_kept: dict[tuple[Path, int, int], Listed] = {}
-"""What was read last, by its file, the time of that and its bytes."""
+_kept: dict[object, Listed] = {}  # what was read last, by its file, the time of that and its bytes
 
 
 def listed_in(lift: Path, listed: Listed | None = None) -> Listed:
     """What the instances.json of a lift lists, kept from the last time or now ``listed``: an edit follows another, and
     thousands of objects take half a second. Raises PlgsError."""
     path = lift / "result" / INSTANCES
-    try:
-        at = path.stat()
-    except OSError as error:
-        raise PlgsError(f"cannot be read ({error.strerror})", path, MAKE_ANEW) from error
-    version = (path, at.st_mtime_ns, at.st_size)
-    if listed or version not in _kept:
-        listed = listed or read_instances(path)
-        _kept.clear()
-        _kept[version] = listed
-    return _kept[version]
+    at = path.stat() if path.is_file() else None
+    version = path, at and (at.st_mtime_ns, at.st_size)
+    found = listed or _kept.get(version) or read_instances(path)
+    _kept.clear()
+    _kept[version] = found
+    return found
 
 
 def refuse_too_many(instances: Sequence[object], path: Path) -> None:

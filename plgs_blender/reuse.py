@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from ..engine.corrections import read_corrected
 from ..engine.errors import PlgsError
 from ..engine.result_files import Instance
-from .compat import add_keys, new_point_cloud
+from .compat import add_keys, new_point_clouds
 from .inspecting.lists import registered
 from .inspecting.lookup import boxes_of, clouds_of, ids_of, is_box, surfaces_of
 from .inspecting.visibility import HIDDEN, apply_visibility
@@ -159,7 +159,7 @@ def _points(root: bpy.types.Collection, one: Instance, inverse: Matrix) -> bpy.t
             continue
         turn = np.array(inverse @ cloud.matrix_world)
         xyz = _column(cloud.data, "position", "FLOAT_VECTOR")[rows] @ turn[:3, :3].T + turn[:3, 3]
-        new = new_point_cloud(f"{one.name} points", xyz.astype(np.float32))
+        (new,) = new_point_clouds([f"{one.name} points"], [xyz.astype(np.float32)])
         for layer in cloud.data.attributes:
             if layer.name in ("position", HIDDEN) or layer.data_type not in _COLUMNS:
                 continue

@@ -8,6 +8,7 @@ outvoted, and a class that changes from view to view does no harm. The idea is t
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,6 +17,7 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
 from ..presets.preset import EvidenceKind
+from ..scene import Progress, watched
 from .agreement import (
     PAIRS_AT_A_TIME,
     Agreement,
@@ -61,11 +63,13 @@ class FoundObjects:
     objects: list[SceneObject]
 
 
-def find_objects(seeing: ViewsOnCloud, points: int, options: ConsensusOptions) -> FoundObjects:
-    """The objects that the views agree on, in a cloud of ``points`` points."""
+def find_objects(
+    seeing: ViewsOnCloud, points: int, options: ConsensusOptions, progress: Progress = lambda *_: None
+) -> FoundObjects:
+    """The objects that the views agree on, in a cloud of ``points`` points. Raises what ``progress`` raises."""
     space = masks_in_space(seeing, points, options.rules.min_points, options.evidence)
     keyframes = choose_keyframes(space, options.most_masks)
-    found = objects_of_masks(space.of_views(keyframes), options)
+    found = objects_of_masks(space.of_views(keyframes), options, progress)
     return with_masks_of(found, seeing.only(np.setdiff1d(np.arange(len(seeing.views)), keyframes)), options.rules)
 
 
@@ -91,7 +95,7 @@ def containing_object(owner: NDArray[np.int32], contained: float) -> int:
     return largest if owned[largest] >= contained * len(owner) else 0
 
 
-def objects_of_masks(space: MasksInSpace, options: ConsensusOptions) -> FoundObjects:
+def objects_of_masks(space: MasksInSpace, options: ConsensusOptions, told: Progress = lambda *_: None) -> FoundObjects:
     """Cluster all masks, and give each point to the object with the most masks that hold it."""
     points = space.holds.shape[1]
     nothing = FoundObjects(np.zeros(points, np.int32), [])
@@ -99,15 +103,17 @@ def objects_of_masks(space: MasksInSpace, options: ConsensusOptions) -> FoundObj
         return nothing
     judgement, sound = judge_masks(space, options.rules)
     rows = np.flatnonzero(sound)
-    cluster = join_agreeing(space, judgement, rows, options)
+    cluster = join_agreeing(space, judgement, rows, options, lambda done, all_: told(done, 3 * all_))
     members = [rows[cluster == name] for name in np.unique(cluster)]
-    members = [each for each in members if _is_supported(space, each, options)]
+    watching = watched(members, lambda done, all_: told(all_ + done, 3 * all_))
+    members = [each for each in watching if _is_supported(space, each, options)]
     if not members:
         return nothing
     owner = np.zeros(points, np.int32)
     most: NDArray[np.floating] = np.zeros(points)
     found: list[SceneObject] = []
     for number, each in enumerate(members, start=1):  # not in one array: thousands of objects have millions of points
+        told(2 * len(members) + number, 3 * len(members))
         votes = np.asarray(space.words(each).sum(0)).reshape(-1)
         more = votes > most
         owner[more], most[more] = number, votes[more]
@@ -118,7 +124,8 @@ def objects_of_masks(space: MasksInSpace, options: ConsensusOptions) -> FoundObj
 
 
 def join_agreeing(
-    space: MasksInSpace, judgement: Agreement, rows: NDArray[np.intp], options: ConsensusOptions
+    space: MasksInSpace, judgement: Agreement, rows: NDArray[np.intp], options: ConsensusOptions,
+    progress: Progress = lambda *_: None,
 ) -> NDArray[np.int64]:
     """Join the masks ``rows`` by ``join_weight``. Returns the cluster of each, int64 [R], named by its lowest place.
 
@@ -128,9 +135,12 @@ def join_agreeing(
     part = linked_parts(space, judgement, rows, options)
     cluster = np.arange(len(rows))
     order = np.argsort(part, kind="stable")
-    for own in np.split(order, np.cumsum(np.bincount(part))[:-1]):
+    ends = np.cumsum(np.bincount(part))
+    for own, end in zip(np.split(order, ends[:-1]), ends.tolist(), strict=True):
         if len(own) > 1:
-            cluster[own] = own[join(join_weight(space, judgement, rows[own], options))]
+            weight = join_weight(space, judgement, rows[own], options)
+            cluster[own] = own[join(weight, lambda left, end=end: progress(end - left, len(rows)))]
+        progress(end, len(rows))
     return cluster
 
 
@@ -147,15 +157,17 @@ def join_weight(
     return weight
 
 
-def join(weight: NDArray[np.floating]) -> NDArray[np.int64]:
+def join(weight: NDArray[np.floating], progress: Callable[[int], object] = lambda _: None) -> NDArray[np.int64]:
     """Join the pair with the greatest summed weight, repeatedly, while it is positive. Returns the cluster of each row,
-    int64 [M], named by its lowest row. ``weight`` float [M, M], symmetric. Ties go to the lower rows."""
+    int64 [M], named by its lowest row. ``weight`` float [M, M], symmetric. Ties go to the lower rows. ``progress`` is
+    called with the largest number of joins that may follow, before each."""
     weight = np.array(weight, np.float64)
     np.fill_diagonal(weight, -np.inf)
     cluster = np.arange(len(weight))
     partner = weight.argmax(1)
     best = weight[cluster, partner] if len(weight) else np.zeros(0)
-    while len(weight):
+    for left in range(len(weight), 0, -1):
+        progress(left)
         i = int(best.argmax())
         if best[i] <= 1e-9:
             break

@@ -7,7 +7,7 @@ The defaults are those that gave the best measurements.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -15,13 +15,10 @@ from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
 from ..presets.preset import Matching
-from ..scene import View
+from ..scene import Progress, View
 from .oriented_box import OrientedBox, fit_box, intersection_volume
 from .records import ObjectMask, SceneObject
 from .segments import SegmentOptions, local_instances, thin
-
-Progress = Callable[[int, int], None]
-"""Called with (done, total) after each view; may raise to stop."""
 
 
 def pair_cost(local: OrientedBox, known: OrientedBox, terms: str = "IoU+IoM") -> float:

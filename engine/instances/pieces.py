@@ -16,6 +16,7 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
+from ..scene import Progress, watched
 from .agreement import ViewPoints
 
 
@@ -42,13 +43,14 @@ def regroup_pieces(
     class_of_object: Sequence[int],
     summaries: Sequence[ViewPoints],
     rules: PieceRules,
+    progress: Progress = lambda *_: None,
 ) -> tuple[NDArray[np.int32], list[int]]:
     """The new object of each point, int32 [N], numbered 1.. (0 = none), and the old object that each one comes from.
 
     ``xyz`` [N, 3] metres; ``object_of_point`` int32 [N], 0 = none; ``class_of_object``: the class of objects 1.. ;
-    ``summaries``: what each view shows at the points.
+    ``summaries``: what each view shows at the points; ``progress`` counts the objects 1.. .
     """
-    piece, owner = _pieces(xyz, object_of_point, rules)
+    piece, owner = _pieces(xyz, object_of_point, rules, progress)
     if not len(owner):
         return np.zeros(len(xyz), np.int32), []
     joined, judged = _views_on_pairs(piece, len(owner), summaries, rules)
@@ -70,12 +72,12 @@ def regroup_pieces(
 
 
 def _pieces(
-    xyz: NDArray[np.floating], object_of_point: NDArray[np.int32], rules: PieceRules
+    xyz: NDArray[np.floating], object_of_point: NDArray[np.int32], rules: PieceRules, progress: Progress
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """The piece of each point, int64 [N], -1 for none and for fragments; and the object of each piece, int64 [P]."""
     piece = np.full(len(xyz), -1, np.int64)
     owner: list[int] = []
-    for number in range(1, int(object_of_point.max(initial=0)) + 1):
+    for number in watched(range(1, int(object_of_point.max(initial=0)) + 1), progress):
         rows = np.flatnonzero(object_of_point == number)
         if len(rows) < rules.min_points:
             continue

@@ -12,6 +12,7 @@ show as a whole. From far away, a network takes a sink for the countertop; from 
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -21,12 +22,12 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from ..presets.preset import EvidenceKind, SegmentVoting
-from ..scene import VOID, OnDemand, PanopticMask, View, evidence, resolution_of
+from ..scene import VOID, OnDemand, PanopticMask, Progress, View, evidence, resolution_of, watched
 from .agreement import ViewsOnCloud
 from .panoptic_labels import UNKNOWN_LABEL, PanopticLabels, decide_labels
 
-ROWS_AT_A_TIME = 32768
-"""Points whose votes are made dense at once. This bounds the memory."""
+CELLS_AT_A_TIME = 1 << 23
+"""Votes of points on labels that are made dense at once. This bounds the memory."""
 VIEWS_AT_A_TIME = 32
 """Views whose votes are added at once."""
 AGREEMENT = 0.5
@@ -53,16 +54,24 @@ def vote_panoptic_labels(
     options: SegmentVoting,
     kind: EvidenceKind,
     neighbours: Any = None,
+    progress: Progress = lambda *_: None,
 ) -> VotedLabels:
     """The labels of a cloud of ``points`` points. ``object_of_segment`` maps a frame and segment id to the object 1..U
     that the mask belongs to; ``kind``: the votes that a view has on a point; ``neighbours`` sparse [points, points]:
-    the share of a neighbour's votes that a point gets besides its own, None for none."""
+    the share of a neighbour's votes that a point gets besides its own, None for none. Raises what ``progress`` raises.
+    """
     views, point_of_pixel = seeing.views, seeing.point_of_pixel
+    some, done = max(1, CELLS_AT_A_TIME // len(labels)), itertools.count(1)
+    chosen = [slice(at, at + some) for at in range(0, points, some)]
+    steps = (1 + options.rounds) * (len(views) + len(chosen) * (1 + options.near))
+
+    def step(*_: int) -> None:
+        progress(next(done), steps)
 
     def decided(maps: Iterable[NDArray[np.int16]]) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
-        votes = _votes(views, maps, point_of_pixel, points, len(labels), kind)
+        votes = _votes(watched(views, step), maps, point_of_pixel, points, len(labels), kind)
         shared = votes if neighbours is None else _Votes(*(own + neighbours @ own for own in votes))
-        return _decided(shared, labels, near=options.near)
+        return _decided(shared, labels, watched(chosen, step), near=options.near)
 
     maps = OnDemand(len(views), lambda number: member_labels(views[number], labels, object_of_segment))
     label, confidence = decided(maps)
@@ -180,11 +189,13 @@ def is_whole(mask: PanopticMask) -> NDArray[np.bool_]:
     return ~np.isin(ids, np.unique(np.concatenate([ids[0], ids[-1], ids[:, 0], ids[:, -1]])))
 
 
-def _decided(votes: _Votes, labels: PanopticLabels, *, near: bool) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
+def _decided(
+    votes: _Votes, labels: PanopticLabels, slices: Sequence[slice], *, near: bool
+) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
     """The label of each point, int32 [N], and its class's share of the votes, float32 [N]. With ``near``, votes by
     density may decide on another label, where most of its votes come from segments that are seen as a whole."""
-    label, share = _winners(votes.asked, labels)
-    nearer, nearer_share = _winners(votes.near, labels) if near else (label, share)
+    label, share = _winners(votes.asked, labels, slices)
+    nearer, nearer_share = _winners(votes.near, labels, slices) if near else (label, share)
     rows = np.flatnonzero((nearer != label) & (nearer >= 0))
     if not len(rows):
         return label, share
@@ -194,9 +205,8 @@ def _decided(votes: _Votes, labels: PanopticLabels, *, near: bool) -> tuple[NDAr
     return label, share
 
 
-def _winners(votes: Any, labels: PanopticLabels) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
-    parts = [
-        decide_labels(votes[start : start + ROWS_AT_A_TIME].toarray(), labels, LEAST_SHARE)
-        for start in range(0, votes.shape[0], ROWS_AT_A_TIME)
-    ]
+def _winners(
+    votes: Any, labels: PanopticLabels, slices: Sequence[slice]
+) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
+    parts = [decide_labels(votes[some].toarray(), labels, LEAST_SHARE) for some in slices]
     return np.concatenate([label for label, _ in parts]), np.concatenate([share for _, share in parts])

@@ -28,7 +28,7 @@ from ..instances.segment_votes import view_labels, vote_panoptic_labels
 from ..instances.segments import SegmentOptions
 from ..instances.surface_neighbours import neighbours_on_a_thing
 from ..presets.preset import EvidenceKind, Preset
-from ..scene import VOID, ClassTable, OnDemand, View, stored
+from ..scene import VOID, ClassTable, OnDemand, Progress, View, stored, watched
 from ..semantics.point_cloud import SemanticPointCloud
 from ..train.progress import StageProgress
 
@@ -83,36 +83,40 @@ def objects_by_agreement(given: ViewsToMatch, preset: Preset, progress: StagePro
     """Our method: the views agree on objects and vote on the class of each; segments and points vote on the label of
     every pixel."""
     cloud, kinds = given.cloud, preset.evidence
-    training = on_cloud(given.views, cloud, given.scratch).looked_at(progress)
-    voting = on_cloud(given.others, cloud, given.scratch)
+    training = on_cloud(given.views, cloud, given.scratch, progress.part(0.0, 0.1)).looked_at(progress.part(0.1, 0.15))
+    voting = on_cloud(given.others, cloud, given.scratch, progress.part(0.15, 0.2))
     everyone = training.and_also(voting)
 
-    found = find_objects(training, len(cloud), replace(CONSENSUS, evidence=kinds.masks))
+    options = replace(CONSENSUS, evidence=kinds.masks)
+    found = find_objects(training, len(cloud), options, progress.part(0.2, 0.4))
     found = with_masks_of(found, voting, CONSENSUS.rules)
     things = thing_objects(found, everyone, cloud, given.classes, kinds.objects)
 
     sharing = preset.segment_voting.neighbours
     neighbours = neighbours_on_a_thing(cloud.xyz, cloud.spacing, training.seen) if sharing else None
-    cloud, object_of_point = voted_points(everyone, cloud, things, preset, neighbours)
-    owner, things = pieces_in_space(things, object_of_point, training, cloud)
+    cloud, object_of_point = voted_points(everyone, cloud, things, preset, neighbours, progress.part(0.4, 0.85))
+    owner, things = pieces_in_space(things, object_of_point, training, cloud, progress.part(0.85, 0.92))
     # A point that lost its object was on the ragged edge of a few masks, so their class is no evidence for it either.
     is_fragment = (object_of_point > 0) & (owner == 0)
     cloud = replace(cloud, class_id=np.where(is_fragment, VOID, cloud.class_id).astype(np.int32))
 
-    placed = placed_objects(training.views, things, cloud.xyz, owner, preset.voxel_size)
+    watching = watched(things, progress.part(0.92, 0.95))
+    placed = placed_objects(training.views, watching, cloud.xyz, owner, preset.voxel_size)
     instances, instance_of_point, dropped = limit_instances(placed, owner, preset.most_instances)
-    maps = stored(maps_of_points(training, cloud, instances, instance_of_point), given.scratch)
+    maps = watched(maps_of_points(training, cloud, instances, instance_of_point), progress.part(0.95, 1.0))
+    maps = stored(maps, given.scratch)
     return Matching(cloud, instances, instance_of_point, dropped, maps, training.point_of_pixel)
 
 
 def voted_points(
-    seeing: ViewsOnCloud, cloud: SemanticPointCloud, things: Sequence[SceneObject], preset: Preset, neighbours: Any
+    seeing: ViewsOnCloud, cloud: SemanticPointCloud, things: Sequence[SceneObject], preset: Preset, neighbours: Any,
+    progress: Progress,
 ) -> tuple[SemanticPointCloud, NDArray[np.int32]]:
     """The cloud with the classes that segments and points vote for, and the object among ``things`` that they vote for
     at each point, int32 [N] (0 = none). ``neighbours`` are those of ``vote_panoptic_labels``."""
     labels = labels_of(cloud, things)
     members, options, kind = object_of_mask(things), preset.segment_voting, preset.evidence.segments
-    voted = vote_panoptic_labels(seeing, len(cloud), labels, members, options, kind, neighbours)
+    voted = vote_panoptic_labels(seeing, len(cloud), labels, members, options, kind, neighbours, progress)
     classed = replace(cloud, class_id=labels.classes(voted.label), confidence=voted.confidence)
     return classed, labels.objects(voted.label)
 
@@ -131,9 +135,9 @@ def labels_of(cloud: SemanticPointCloud, objects: Sequence[SceneObject]) -> Pano
     return PanopticLabels(cloud.class_ids, tuple(one.class_id for one in objects))
 
 
-def on_cloud(views: Sequence[View], cloud: SemanticPointCloud, scratch: Path | None) -> ViewsOnCloud:
+def on_cloud(views: Sequence[View], cloud: SemanticPointCloud, scratch: Path | None, told: Progress) -> ViewsOnCloud:
     """The views, and what they see of the cloud."""
-    return ViewsOnCloud.of(views, point_of_pixels(views, cloud, scratch))
+    return ViewsOnCloud.of(views, point_of_pixels(watched(views, told), cloud, scratch))
 
 
 def point_of_pixels(
@@ -170,12 +174,13 @@ def pieces_in_space(
     object_of_point: NDArray[np.int32],
     seeing: ViewsOnCloud,
     cloud: SemanticPointCloud,
+    progress: Progress,
 ) -> tuple[NDArray[np.int32], list[SceneObject]]:
     """The objects after their pieces were regrouped, and the object that owns each point, int32 [N] (0 = none).
     ``object_of_point`` int32 [N]: the object among ``things`` that the views voted for."""
     rules = PieceRules(reach=max(LARGEST_GAP, 3 * cloud.spacing))
     classes = [one.class_id for one in things]
-    owner, origin = regroup_pieces(cloud.xyz, object_of_point, classes, seeing.seen, rules)
+    owner, origin = regroup_pieces(cloud.xyz, object_of_point, classes, seeing.seen, rules, progress)
     masks = masks_of_pieces([mask for one in things for mask in one.masks], seeing, owner, len(origin))
     pieces = [SceneObject(number, own, classes[number - 1]) for number, own in zip(origin, masks, strict=True)]
     return without_fragments(owner, pieces, seeing.seen)

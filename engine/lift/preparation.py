@@ -63,12 +63,12 @@ def prepare(
         matching, photos = known
         is_needed = preset.fill_holes and matching.label_maps is None
         placed = filled_views(views, scratch) if is_needed else views
-    with stages.stage("prepare"):
+    with stages.stage("prepare") as progress:
         channels = label_channels(used_classes(views), matching.instances, preset)
         viewpoints = np.array([view.camera.centre for view in views])
         start = starting_anchors(matching.cloud, matching.instance_of_point, preset)
         is_replaced = (lambda scene: False) if kept is None else kept.replaces
-        scene = starting_scene(start, channels, viewpoints, preset, seed, is_replaced=is_replaced)
+        scene = starting_scene(start, channels, viewpoints, preset, seed, is_replaced=is_replaced, progress=progress)
         targets = targets_of(views, placed, matching, photos, channels, classes, preset, scratch)
     class_of_instance = {one.id: one.class_id for one in matching.instances} if channels.class_of_slot else None
     return PreparedLift(**vars(matching), scene=scene, targets=targets, class_of_instance=class_of_instance)

@@ -14,7 +14,7 @@ from ..model.anchors import initial_anchors, seeded_features
 from ..model.decoders import Decoders, DecoderShape
 from ..model.structured import NO_OBJECT, SPARE, LabelChannels, StructuredScene
 from ..presets.preset import Preset
-from ..scene import VOID
+from ..scene import VOID, Progress
 from ..semantics.anchor_labels import label_anchors, voxelise
 from ..semantics.point_cloud import SemanticPointCloud
 from ..train.warm_start import warm_start
@@ -66,6 +66,7 @@ def starting_scene(
     seed: int,
     new_decoders: Callable[[DecoderShape, int], Decoders] = Decoders,
     is_replaced: Callable[[StructuredScene], bool] = lambda scene: False,
+    progress: Progress = lambda *_: None,
 ) -> StructuredScene:
     """The anchors with features, and decoders drawn from the seed. The preset decides whether the decoders are fitted
     to the anchors; they are not where the scene ``is_replaced`` by that of a checkpoint."""
@@ -90,5 +91,5 @@ def starting_scene(
     scene = StructuredScene(anchors, new_decoders(shape, seed), channels, preset.voxel_size)
     if preset.warm_start and not is_replaced(scene):
         owners = start.owners if preset.objects != "none" else None
-        warm_start(scene, start.rgb, owners, viewpoints, seed)
+        warm_start(scene, start.rgb, owners, viewpoints, seed, progress)
     return scene

@@ -46,6 +46,15 @@ def chained(first: Sequence[Item], second: Sequence[Item]) -> OnDemand[Item]:
     return OnDemand(start + len(second), lambda place: first[place] if place < start else second[place - start])
 
 
+Progress = Callable[[int, int], object]
+"""Called with (done, total); may raise to stop."""
+
+
+def watched(items: Sequence[Item], progress: Progress) -> OnDemand[Item]:
+    """The items; ``progress`` is called with (number, count) before each is fetched."""
+    return OnDemand(len(items), lambda place: (progress(place, len(items)), items[place])[1])
+
+
 class StoredArrays:
     """Arrays on disk, read back by number. For one thread.
 

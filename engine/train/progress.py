@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 
 import torch
@@ -69,6 +69,10 @@ class StageProgress:
         eta = self._remaining(done, total, now)
         whole = None if self.course is None else self.course.left(self.name, done / max(total, 1), eta, now)
         self.events.progress(self.name, done, total, loss=loss, eta_s=eta, left_s=whole)
+
+    def part(self, begin: float, end: float) -> Callable[[int, int], None]:
+        """Called with (done, total) of a part of the stage, which lasts from one share of the stage to another."""
+        return lambda done, total: self(round(1000 * (begin + (end - begin) * done / max(total, 1))), 1000)
 
     def _remaining(self, done: int, total: int, now: float) -> float | None:
         """Seconds left at the mean pace of this run so far; None before there is a pace."""

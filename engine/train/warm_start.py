@@ -13,6 +13,7 @@ from torch.nn import functional
 
 from ..model.anchors import UNKNOWN_CLASS
 from ..model.structured import StructuredScene
+from ..scene import Progress, watched
 from .optimiser import adam_step, no_moments
 from .targets import columns_of, slots_of
 
@@ -32,6 +33,7 @@ def warm_start(
     instance_id: np.ndarray | None,
     viewpoints: np.ndarray,
     seed: int,
+    progress: Progress = lambda *_: None,
 ) -> None:
     """Fit the colour, semantic and instance decoders in place to the initial anchors; raise the opacities a little.
 
@@ -53,7 +55,7 @@ def warm_start(
         decoders.opacity.get_parameter("2.bias").add_(OPACITY_BIAS)
     parameters = [each for name, group in decoders.learnt() if name in FITTED for each in group]
     moments = [no_moments(each) for each in parameters]
-    for step in range(STEPS):
+    for step in watched(range(STEPS), progress):
         rows = torch.from_numpy(random.integers(0, len(anchors), min(BATCH, len(anchors))))
         centre = centres[torch.from_numpy(random.integers(0, len(centres), len(rows)))]
         feature = anchors.feature.detach()[rows]

@@ -240,25 +240,14 @@ def registered() -> Iterator[None]:
         unregister_modules([sys.modules[__name__]])
 
 
-def fill_lists(root: bpy.types.Collection, result: LiftResult) -> None:
+def fill_lists(root: bpy.types.Collection, result: LiftResult | CorrectedResult, *, anew: bool = True) -> None:
     """List the instances, whose masks are filled later, and the classes in the lift's collection. All of them are then
-    shown."""
-    with registered():
-        root.plgs.instances.clear()
-        _fill(root, result)
-
-
-def refill_lists(root: bpy.types.Collection, result: CorrectedResult) -> None:
-    """Bring the lists in line with corrections. Instances that are as they were keep their rows, as thousands of them
-    take long to list, and instances that were hidden stay hidden."""
-    with registered():
-        _fill(root, result)
-        fill_masks(root, result.instances, result.classes)
-
-
-def _fill(root: bpy.types.Collection, result: LiftResult | CorrectedResult) -> None:
-    with apply_colours.at_once(root), apply_visibility.at_once(root):
+    shown. Unless they are listed ``anew``, instances that are as they were keep their rows, as thousands of them take
+    long to list, and instances that were hidden stay hidden."""
+    with registered(), apply_colours.at_once(root), apply_visibility.at_once(root):
         lists = root.plgs
+        if anew:
+            lists.instances.clear()
         lists.instance_index = lists.class_index = -1
         lists.isolated = 0
         _fill_instances(lists.instances, result.instances)
@@ -277,20 +266,22 @@ def _fill(root: bpy.types.Collection, result: LiftResult | CorrectedResult) -> N
 def _fill_instances(rows: Any, instances: Sequence[Instance]) -> None:
     """List instances, sorted by id, in rows that may list others."""
     wanted, before = {one.id for one in instances}, [row.instance_id for row in rows]
-    if before != sorted({*before}):
-        rows.clear()  # not as we list them
-        before = []
-    for place in reversed([place for place, number in enumerate(before) if number not in wanted]):
-        rows.remove(place)
-    known = {row.instance_id: _facts(row) for row in rows}
-    for place, instance in enumerate(instances):
-        if instance.id not in known:
-            _fill_instance(rows.add(), instance)
+    if before != sorted({*before}):  # somebody else's file
+        rows.clear()
+        before.clear()
+    for place in reversed(range(len(before))):
+        if before[place] not in wanted:
+            rows.remove(place)
+    # Only what changes its points changes an instance's masks.
+    known = {row.instance_id: (row.name, row.class_id, row.points, row.views, len(row.masks)) for row in rows}
+    for place, one in enumerate(instances):
+        if one.id not in known:
+            _fill_instance(rows.add(), one)
             rows.move(len(rows) - 1, place)
-        elif known[instance.id] != _facts_of(instance):
+        elif known[one.id] != (one.name, one.class_id, one.points, one.views, len(one.segments)):
             rows[place].masks.clear()
             rows[place].mask_index = -1
-            _fill_instance(rows[place], instance)
+            _fill_instance(rows[place], one)
 
 
 def fill_masks(root: bpy.types.Collection, instances: Iterable[Instance], classes: ClassTable) -> None:
@@ -339,16 +330,6 @@ def _fill_instance(row: Any, instance: Instance) -> None:
     row.class_id, row.class_name = instance.class_id, instance.class_name
     row.colour = [channel / 255.0 for channel in instance.colour]
     row.points, row.views, row.score = instance.points, instance.views, instance.score
-
-
-def _facts(row: Any) -> tuple[object, ...]:
-    """What differs when a row's instance was corrected. Only what changes its points changes its masks."""
-    return row.name, row.known_name, row.class_id, row.points, row.views, len(row.masks)
-
-
-def _facts_of(one: Instance) -> tuple[object, ...]:
-    """As `_facts`."""
-    return one.name, one.name, one.class_id, one.points, one.views, len(one.segments)
 
 
 def _fill_masks(row: Any, instance: Instance, classes: ClassTable) -> None:

@@ -94,13 +94,8 @@ def clouds_of(root: bpy.types.Collection) -> list[bpy.types.Object]:
 
 
 def surfaces_of(root: bpy.types.Collection) -> list[bpy.types.Object]:
-    """The splats and the meshes of the lift."""
-    return [ob for ob in objects_by_key(root).values() if is_surface(ob)]
-
-
-def is_surface(ob: bpy.types.Object) -> bool:
-    """Whether an object of a lift is a mesh with a class at each vertex."""
-    return ob.type == "MESH" and "class_id" in ob.data.attributes
+    """The splats and the meshes of the lift: those that have a class at each vertex."""
+    return [ob for ob in objects_by_key(root).values() if ob.type == "MESH" and "class_id" in ob.data.attributes]
 
 
 def ids_of(cloud: Any, name: str) -> NDArray[np.int32]:

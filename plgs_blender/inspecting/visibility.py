@@ -21,7 +21,7 @@ from ..boxes import INSTANCE, TOGETHER
 from ..materials import object_colour
 from ..owned import KEY, LIFT, key_of, tag, text_of
 from .looks import CLASSES
-from .lookup import boxes_of, clouds_of, ids_of, instance_of, is_box, is_surface, objects_by_key, row_of
+from .lookup import boxes_of, clouds_of, ids_of, objects_by_key, row_of, surfaces_of
 
 HIDDEN = "plgs_hidden"
 MODIFIER = "Hidden instances"
@@ -58,18 +58,18 @@ class _OnceForMany:
 @_OnceForMany
 def apply_visibility(root: bpy.types.Collection) -> None:
     """Bring boxes and points in line with the lift's lists."""
-    lists, own, is_left_out = root.plgs, objects_by_key(root), leaving_out(root.plgs)
-    boxes, together = {instance_of(ob): ob for ob in own.values() if is_box(ob)}, own.get(TOGETHER)
+    lists, is_left_out = root.plgs, leaving_out(root.plgs)
+    boxes, together = boxes_of(root), objects_by_key(root).get(TOGETHER)
     for box, hidden in zip(boxes.values(), instances_left_out(lists, boxes), strict=True):
         _show_object(box, not hidden and lists.show_boxes)
     if together is not None:
         _show_object(together, lists.show_boxes)
     eyes = {row.class_id: row.visible for row in lists.classes}
-    for ob in own.values():
-        if ob.type == "POINTCLOUD" and "class_id" in ob:
-            _show_object(ob, bool(lists.isolated) or eyes.get(ob["class_id"], True))
-        if ob.type == "POINTCLOUD" or is_surface(ob):
-            _hide_points(root, ob, is_left_out(ids_of(ob.data, "instance_id"), ids_of(ob.data, "class_id")))
+    for cloud in clouds_of(root):
+        if "class_id" in cloud:
+            _show_object(cloud, bool(lists.isolated) or eyes.get(cloud["class_id"], True))
+    for ob in (*clouds_of(root), *surfaces_of(root)):
+        _hide_points(root, ob, is_left_out(ids_of(ob.data, "instance_id"), ids_of(ob.data, "class_id")))
 
 
 @_OnceForMany

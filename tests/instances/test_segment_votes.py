@@ -167,7 +167,7 @@ def test_a_point_gets_its_neighbours_votes_besides_its_own() -> None:
 def test_many_points_are_decided_a_few_at_a_time(monkeypatch: pytest.MonkeyPatch) -> None:
     views = [drawn("a"), drawn("b"), drawn("c", class_id=CHAIR)]
     whole = voted(views, {"a", "b"})
-    monkeypatch.setattr(segment_votes, "ROWS_AT_A_TIME", 37)
+    monkeypatch.setattr(segment_votes, "CELLS_AT_A_TIME", 37 * len(LABELS))
     parts = voted(views, {"a", "b"})
     np.testing.assert_array_equal(parts.label, whole.label)
     np.testing.assert_array_equal(parts.confidence, whole.confidence)

@@ -2,13 +2,23 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from engine.instances.agreement import ViewPoints
 from engine.instances.records import ObjectMask, SceneObject
+from engine.job import EventWriter, StopSignal, last_run
 from engine.lift.objects import without_fragments
+from engine.lift.preparation import find
+from engine.lift.run import STAGES
 from engine.scene import Segment
+from engine.train import progress
+from engine.train.progress import StageReporter
+from tests.train.tiny_lift import TINY
+from tests.train.tiny_lift import views_of as views_of_a_room
 
 
 def views_of(points: int, count: int) -> list[ViewPoints]:
@@ -47,3 +57,20 @@ def test_an_object_in_one_piece_needs_no_more_masks_than_the_views_that_see_it()
     found, _ = without_fragments(owner, [piece(1, 6), piece(2, 2)], views)
     assert found.tolist() == owner.tolist()
     assert without_fragments(owner, [piece(1, 6), piece(1, 2)], views)[0].tolist() == [1, 1, 0, 0]
+
+
+def test_all_parts_of_matching_tell_how_far_they_are(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What tells that can be stopped."""
+    monkeypatch.setattr(progress, "REPORT_EVERY_S", 0.0)
+    views, classes = views_of_a_room(tmp_path / "scene", size=(32, 24))
+    events = EventWriter(tmp_path / "events.jsonl")
+    events.hello(threads=1, resumed=False)
+    try:
+        find(views[1:], classes, TINY, StageReporter(events, StopSignal(), STAGES), None, views[:1])
+    finally:
+        events.close()
+    told = [event.data for event in last_run(tmp_path / "events.jsonl") if event.data.get("stage") == "match"]
+    shares = [each["step"] / each["steps"] for each in told]
+    assert shares == sorted(shares)
+    for begin, end in pairwise((0.0, 0.1, 0.15, 0.2, 0.3, 0.4, 0.85, 0.92, 0.95, 1.0)):
+        assert any(begin <= each < end for each in shares), f"nothing is told from {begin} to {end}"
