@@ -139,7 +139,11 @@ def join_agreeing(
     for own, end in zip(np.split(order, ends[:-1]), ends.tolist(), strict=True):
         if len(own) > 1:
             weight = join_weight(space, judgement, rows[own], options)
-            cluster[own] = own[join(weight, lambda left, end=end: progress(end - left, len(rows)))]
+
+            def tell(left: int, end: int = end) -> None:
+                progress(end - left, len(rows))
+
+            cluster[own] = own[join(weight, tell)]
         progress(end, len(rows))
     return cluster
 
