@@ -55,7 +55,7 @@ def catcher_picture(result: LiftResult) -> Picture:
 def only_meshes(result: LiftResult, scene: bpy.types.Scene) -> list[bpy.types.Object]:
     """The lift's exported meshes, with everything else hidden. SystemExit if there are none."""
     result_of(placing_meshes_anew(result.folder, scene))
-    meshes = surfaces_of(root_of_placed(result.folder, scene))
+    meshes = [ob for ob in surfaces_of(root_of_placed(result.folder, scene)) if "class_id" in ob]  # no splats
     if not meshes:
         raise SystemExit("the lift has no meshes: export them first, see docs/passes.md")
     for ob in scene.objects:
