@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import os
 import re
 import subprocess
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -54,12 +52,11 @@ def test_every_command_is_named(root: Path) -> None:
     assert len(commands) > 5 and {*commands} <= {*re.findall(r"`([\w-]+)", text)}
 
 
-def test_the_script_lifts_a_scene_and_lists_its_objects(root: Path, tmp_path: Path) -> None:
+def test_the_script_lifts_a_scene_and_lists_its_objects(root: Path, tmp_path: Path, quick_python: Path) -> None:
     script = re.search(r"```python\n(\"\"\"Lift a scene.*?)```", (root / "docs/scripting.md").read_text(), re.DOTALL)
     assert script is not None
     scene, lift = write_tiny_scene(tmp_path / "scene", 8, (64, 48)), tmp_path / "lift"
-    command = [sys.executable, "-c", script[1], str(scene), str(lift), "--steps", "5", "--set", "warm_start=false"]
-    environment = os.environ | {"PYTHONPATH": str(root)}
-    process = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=300)
+    command = [quick_python, "-c", script[1], str(scene), str(lift), "--steps", "5", "--set", "warm_start=false"]
+    process = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=300)
     assert process.returncode == 0, process.stderr
     assert "8 frames" in process.stdout and "chair 1" in process.stdout and "0004 {" in process.stdout

@@ -22,7 +22,7 @@ from engine.metrics.report import Report
 from engine.scene import open_scene
 from research.baselines.voxel_vote import VOXEL_VOTE, add_voxel_vote
 from tests.tiny_scene import CABINET, CABINET_ID, CATEGORIES, CHAIR, CHAIR_ID, TinyView, tiny_intrinsics, trace_view
-from tests.train.tiny_lift import lift_into
+from tests.train.tiny_lift import lift_into, short_warm_start
 
 SIZE = (160, 120)
 SINK_ID, SINK = 7, np.array([[2.45, 1.5], [2.8, 1.78]])
@@ -111,8 +111,9 @@ def tables(tmp_path_factory: pytest.TempPathFactory) -> Mapping[str, Mapping[str
     """The tables of a short lift and of the vote in voxels, ``strict``, by method."""
     folder = tmp_path_factory.mktemp("near_and_far")
     scene = write_near_and_far(folder / "scene")
-    options = {"steps": 120, "steps_a_view": 0.0, "size": [160, 120]}
-    lift = lift_into(folder / "lift", LiftRequest(scene=scene, options=options, bake="none"))
+    request = LiftRequest(scene=scene, options={"steps": 120, "steps_a_view": 0.0, "size": [120, 90]}, bake="none")
+    with short_warm_start(100):
+        lift = lift_into(folder / "lift", request)
     found = json.loads((lift.result_path / "metrics.json").read_text())["tables"]
     report = Report(open_scene(scene).classes)
     add_voxel_vote(report, open_scene(scene))
