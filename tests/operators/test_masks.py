@@ -8,6 +8,7 @@ from pathlib import Path
 
 import bpy
 import pytest
+from plgs.plgs_blender import engine_environment
 from plgs.plgs_blender.running.preparation import MaskMaking
 from plgs.plgs_blender.settings import chosen_scene
 from plgs.plgs_blender.tasks import registry
@@ -105,9 +106,12 @@ def test_a_missing_model_is_reported(bare: Path) -> None:
 
 
 @pytest.mark.skipif(not HAS_TRANSFORMERS, reason="needs transformers (requirements/segment.txt)")
-def test_masks_are_made_and_shown(bare: Path, tmp_path: Path) -> None:
+def test_masks_are_made_and_shown(
+    bare: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, quick_python: Path
+) -> None:
     from tests.segment.tiny_mask2former import NAMES, save_tiny_mask2former
 
+    monkeypatch.setattr(engine_environment, "usable_python", lambda: quick_python)
     bpy.context.scene.plgs.scene_folder = str(bare)
     model = save_tiny_mask2former(tmp_path / "model")
     assert bpy.ops.plgs.make_masks(model=str(model)) == {"FINISHED"}

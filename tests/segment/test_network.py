@@ -2,25 +2,22 @@
 
 from __future__ import annotations
 
-import os
 import shutil
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from engine.command_line.main import main
 from engine.errors import PlgsError
 from engine.scene import check_scene, open_scene
+from tests.commands import exit_code
 from tests.tiny_scene import write_tiny_scene
 
 pytest.importorskip("transformers", reason="needs transformers (requirements/segment.txt)")
 
 from engine.segment import load_model  # noqa: E402
 from tests.segment.tiny_mask2former import NAMES, save_tiny_mask2former  # noqa: E402
-
-ROOT = Path(__file__).resolve().parent.parent.parent
 
 
 @pytest.fixture(scope="module")
@@ -52,22 +49,16 @@ def test_large_pictures_have_smaller_masks_of_the_same_shape(model: Path) -> Non
     assert ids.shape == (640, 1280)
 
 
-def engine(*arguments: object) -> subprocess.CompletedProcess[str]:
-    environment = os.environ | {"HF_HUB_OFFLINE": "1"}
-    command = [sys.executable, "-m", "engine", *map(str, arguments)]
-    return subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, check=False, timeout=600)
-
-
-def test_the_command_makes_masks_that_open(model: Path, folder: Path) -> None:
-    run = engine("segment", folder, "--model", model)
-    assert run.returncode == 0, run.stderr
-    assert "3/3" in run.stderr and run.stdout == f"Masks of 3 frames: {folder}\n"
+def test_the_command_makes_masks_that_open(model: Path, folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert exit_code(main, "segment", folder, "--model", model) == 0
+    told = capsys.readouterr()
+    assert "3/3" in told.err and told.out == f"Masks of 3 frames: {folder}\n"
     scene = open_scene(folder)
     check_scene(scene)
     assert [one.name for one in scene.classes.categories] == NAMES
     assert any(frame.mask().segments for frame in scene.frames)
-    again = engine("segment", folder, "--model", model)
-    assert again.returncode == 0 and "finished already" in again.stdout
+    assert exit_code(main, "segment", folder, "--model", model) == 0
+    assert "finished already" in capsys.readouterr().out
 
 
 def test_nothing_is_downloaded_without_consent() -> None:
