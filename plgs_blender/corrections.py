@@ -26,7 +26,6 @@ from ..engine.corrections import (
 )
 from ..engine.corrections.replay import Replay
 from ..engine.errors import PlgsError
-from ..engine.posed import ClassTable
 from .boxes import INSTANCE, TOGETHER, name_box, place_boxes
 from .clouds import place_anchors, place_semantic_points
 from .errors import EXPECTED, with_field_names
@@ -143,7 +142,7 @@ def chosen_instances(root: bpy.types.Collection, named: str, context: bpy.types.
 
 def class_named(root: bpy.types.Collection, name: str) -> int:
     """The id of the class of this name among those of the lift. Raises PlgsError."""
-    classes = _classes_of(root)
+    classes = listed_in(folder_of(root))[0]
     for one in classes.categories:
         if one.id and one.name.casefold() == name.strip().casefold():
             return one.id
@@ -159,12 +158,8 @@ def class_choices(root: bpy.types.Collection, instance: int) -> list[str]:
         if row.instance_id == instance:
             for mask in row.masks:
                 votes[mask.class_name] = votes.get(mask.class_name, 0.0) + mask.score
-    names = [one.name for one in _classes_of(root).categories if one.id]
+    names = [one.name for one in listed_in(folder_of(root))[0].categories if one.id]
     return sorted(names, key=lambda name: (-votes.get(name, 0.0), name))
-
-
-def _classes_of(root: bpy.types.Collection) -> ClassTable:
-    return listed_in(folder_of(root))[0]
 
 
 def rename(root: bpy.types.Collection, instance: int, name: str) -> Edit:

@@ -8,6 +8,7 @@ outvoted, and a class that changes from view to view does no harm. The idea is t
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
@@ -135,16 +136,11 @@ def join_agreeing(
     part = linked_parts(space, judgement, rows, options)
     cluster = np.arange(len(rows))
     order = np.argsort(part, kind="stable")
-    ends = np.cumsum(np.bincount(part))
-    for own, end in zip(np.split(order, ends[:-1]), ends.tolist(), strict=True):
+    joins = itertools.count()  # of M masks there are fewer
+    for own in np.split(order, np.cumsum(np.bincount(part))[:-1]):
         if len(own) > 1:
             weight = join_weight(space, judgement, rows[own], options)
-
-            def tell(left: int, end: int = end) -> None:
-                progress(end - left, len(rows))
-
-            cluster[own] = own[join(weight, tell)]
-        progress(end, len(rows))
+            cluster[own] = own[join(weight, lambda: progress(next(joins), len(rows)))]
     return cluster
 
 
@@ -161,17 +157,17 @@ def join_weight(
     return weight
 
 
-def join(weight: NDArray[np.floating], progress: Callable[[int], object] = lambda _: None) -> NDArray[np.int64]:
+def join(weight: NDArray[np.floating], step: Callable[[], object] = lambda: None) -> NDArray[np.int64]:
     """Join the pair with the greatest summed weight, repeatedly, while it is positive. Returns the cluster of each row,
-    int64 [M], named by its lowest row. ``weight`` float [M, M], symmetric. Ties go to the lower rows. ``progress`` is
-    called with the largest number of joins that may follow, before each."""
+    int64 [M], named by its lowest row. ``weight`` float [M, M], symmetric. Ties go to the lower rows. ``step`` is
+    called before each join."""
     weight = np.array(weight, np.float64)
     np.fill_diagonal(weight, -np.inf)
     cluster = np.arange(len(weight))
     partner = weight.argmax(1)
     best = weight[cluster, partner] if len(weight) else np.zeros(0)
-    for left in range(len(weight), 0, -1):
-        progress(left)
+    while len(weight):
+        step()
         i = int(best.argmax())
         if best[i] <= 1e-9:
             break

@@ -63,10 +63,9 @@ def vote_panoptic_labels(
     views, point_of_pixel = seeing.views, seeing.point_of_pixel
     some, done = max(1, CELLS_AT_A_TIME // len(labels)), itertools.count(1)
     chosen = [slice(at, at + some) for at in range(0, points, some)]
-    steps = (1 + options.rounds) * (len(views) + len(chosen) * (1 + options.near))
 
     def step(*_: int) -> None:
-        progress(next(done), steps)
+        progress(next(done), (1 + options.rounds) * (len(views) + len(chosen) * (1 + options.near)))
 
     def decided(maps: Iterable[NDArray[np.int16]]) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
         votes = _votes(watched(views, step), maps, point_of_pixel, points, len(labels), kind)

@@ -269,9 +269,8 @@ def _fill_instances(rows: Any, instances: Sequence[Instance]) -> None:
     if before != sorted({*before}):  # somebody else's file
         rows.clear()
         before.clear()
-    for place in reversed(range(len(before))):
-        if before[place] not in wanted:
-            rows.remove(place)
+    for place in [place for place, number in enumerate(before) if number not in wanted][::-1]:
+        rows.remove(place)
     # Only what changes its points changes an instance's masks.
     known = {row.instance_id: (row.name, row.class_id, row.points, row.views, len(row.masks)) for row in rows}
     for place, one in enumerate(instances):
