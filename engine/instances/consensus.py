@@ -37,15 +37,16 @@ from .records import ObjectMask, SceneObject
 class ConsensusOptions:
     """Masks are joined while views in favour exceed ``agreement`` of those that judge both. An object needs masks in
     ``support`` of the views that see at least half of its points, and at least ``min_masks``. Where few views see it,
-    it needs masks in all of them but one, and in at least 2. If there are more than ``most_masks`` masks, only those of
-    keyframes are joined; those of the other views go to the object that owns most of their points. A tracker counts as
-    ``tracker`` views on each pair of masks that it followed: it is in favour when both have the same track.
-    ``evidence`` says how a view's evidence is weighted.
+    it needs masks in all of them but one, and in at least 2, with a mean agreement of ``sure``. If there are more than
+    ``most_masks`` masks, only those of keyframes are joined; those of the other views go to the object that owns most
+    of their points. A tracker counts as ``tracker`` views on each pair of masks that it followed: it is in favour when
+    both have the same track. ``evidence`` says how a view's evidence is weighted.
     """
 
     rules: JudgingRules = JudgingRules()
     agreement: float = 0.35
     min_masks: int = 3
+    sure: float = 0.6
     support: float = 0.1
     most_masks: int = 4000
     tracker: float = 1.0
@@ -107,7 +108,7 @@ def objects_of_masks(space: MasksInSpace, options: ConsensusOptions, told: Progr
     cluster = join_agreeing(space, judgement, rows, options, lambda done, all_: told(done, 3 * all_))
     members = [rows[cluster == name] for name in np.unique(cluster)]
     watching = watched(members, lambda done, all_: told(all_ + done, 3 * all_))
-    members = [each for each in watching if _is_supported(space, each, options)]
+    members = [each for each in watching if _is_supported(space, judgement, each, options)]
     if not members:
         return nothing
     owner = np.zeros(points, np.int32)
@@ -244,16 +245,21 @@ def tracked(space: MasksInSpace, rows: NDArray[np.intp]) -> tuple[NDArray[np.flo
     return same.astype(np.float32), followed.astype(np.float32)
 
 
-def _is_supported(space: MasksInSpace, members: NDArray[np.intp], options: ConsensusOptions) -> bool:
-    """Whether enough views that see the object have a mask of it. A view is weighted by how well it resolves the
-    object, compared with the views that have the masks."""
+def _is_supported(
+    space: MasksInSpace, judgement: Agreement, members: NDArray[np.intp], options: ConsensusOptions
+) -> bool:
+    """Whether enough views that see the object have a mask of it, and agree on it where there are few masks. A view is
+    weighted by how well it resolves the object, compared with the views that have the masks."""
     own = (np.asarray(space.holds[members].sum(0)).reshape(-1) > 0).astype(np.float32)
     seen = space.sight @ own
     masking = np.unique(space.view[members])
     resolved = space.word @ own / np.maximum(seen, 1)
     resolved = np.minimum(resolved / resolved[masking].mean(), 1.0)
     seeing = float(resolved[seen >= 0.5 * own.sum()].sum())
-    return len(masking) >= options.least_masks(int(seeing)) and resolved[masking].sum() >= options.support * seeing
+    if len(masking) < options.least_masks(int(seeing)) or resolved[masking].sum() < options.support * seeing:
+        return False
+    shares = [share for share in agreements(*pairwise(judgement, members)) if share is not None]
+    return len(masking) >= options.min_masks or (bool(shares) and float(np.mean(shares)) >= options.sure)
 
 
 def agreements(favour: NDArray[np.floating], judging: NDArray[np.floating]) -> list[float | None]:

@@ -151,6 +151,21 @@ def test_agreement_says_how_many_views_assign_a_mask_to_its_object() -> None:
     assert agreements(np.ones((1, 1)), np.ones((1, 1))) == [None]
 
 
+@pytest.mark.parametrize(("cutting", "found"), [("c", 1), ("cd", 0)])
+def test_two_masks_are_an_object_only_if_other_views_agree(cutting: str, found: int) -> None:
+    """Two views draw a thing. Each of the others sees seven of its 16 points, and draws them as parts of two others."""
+    whole, cut = np.full(POINTS, 7), np.full(POINTS, 7)
+    whole[40:56], cut[34:44], cut[44:60] = 5, 5, 6
+    views = [strip(name, whole, {5: CHAIR, 7: WALL}) for name in "ab"]
+    views += [strip(name, cut, {5: CHAIR, 6: CHAIR, 7: WALL}) for name in cutting]
+    rows = np.repeat(np.arange(POINTS, dtype=np.int32)[None], 3, 0)
+    partial = rows.copy()
+    partial[:, 47:56] = -1
+    objects = find_objects(ViewsOnCloud.of(views, [rows] * 2 + [partial] * len(cutting)), POINTS, OPTIONS)
+    names = [[(mask.frame, mask.segment.id) for mask in one.masks] for one in objects.objects]
+    assert names.count([("a", 5), ("b", 5)]) == found, "two of three views agree, but two of four do not"
+
+
 def test_a_view_that_missed_an_object_says_nothing_about_it() -> None:
     missing = good("b")
     ids = missing.mask.ids.copy()
