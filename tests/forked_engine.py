@@ -13,29 +13,25 @@ import socket
 import subprocess
 import sys
 import threading
+import traceback
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 PYTHON = """#!{python} -IS
-import json, os, signal, socket, sys
+import json, os, socket, sys
 server = socket.socket(socket.AF_UNIX)
 server.connect({address!r})
 socket.send_fds(server, [b"."], [0, 1, 2])
 server.sendall(json.dumps([sys.argv[1:], os.getcwd(), dict(os.environ)]).encode() + b"\\n")
-told = server.makefile()
-engine = int(told.readline())
-for number in (signal.SIGINT, signal.SIGTERM):
-    signal.signal(number, lambda number, _: os.kill(engine, number))
-sys.exit(int(told.readline()))
+sys.exit(int(server.makefile().readline()))
 """
 
 
 @contextmanager
 def forked_engines(folder: Path) -> Iterator[Path]:
     """The path of the Python, within a ``with`` block."""
-    address = folder / "socket"
-    python = folder / "python"
+    address, python = folder / "socket", folder / "python"
     python.write_text(PYTHON.format(python=sys.executable, address=str(address)))
     python.chmod(0o755)
     with socket.socket(socket.AF_UNIX) as listening:
@@ -73,7 +69,6 @@ def serve(listening: socket.socket) -> None:
             become(arguments)
         for descriptor in descriptors:
             os.close(descriptor)
-        client.sendall(b"%d\n" % child)
         threading.Thread(target=await_end, args=(child, client), daemon=True).start()
 
 
@@ -111,6 +106,8 @@ def become(arguments: list[str]) -> None:
         if isinstance(end.code, str):
             print(end.code, file=sys.stderr)
         code = end.code if isinstance(end.code, int) else int(end.code is not None)
+    except BaseException:
+        traceback.print_exc()
     finally:
         sys.stdout.flush()
         sys.stderr.flush()
