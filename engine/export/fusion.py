@@ -70,10 +70,10 @@ class SmallView:
         if times == 1:
             return np.ascontiguousarray(self.depth)
         inverse, is_one = self._inverse
-        is_one = cv2.resize(is_one, None, None, times, times, cv2.INTER_NEAREST)
+        is_inside = cv2.resize(is_one, None, None, times, times, cv2.INTER_NEAREST) > 0
         large, blocky = (cv2.resize(inverse, None, None, times, times, how)
                          for how in (cv2.INTER_LINEAR, cv2.INTER_NEAREST))  # fmt: skip
-        large = np.where(is_one > 0, large, blocky)
+        large = np.where(is_inside, large, blocky)
         return np.divide(1.0, large, out=np.zeros_like(large), where=large > 0)
 
     @cached_property
