@@ -19,6 +19,10 @@ from .agreement import ViewPoints
 from .oriented_box import fit_box
 from .records import SceneObject
 
+LEAST_SHARE = 0.4
+"""Of the votes on an object, the share that its class needs. Masks that share a place and not a class are not one
+object: most often they are of several things that a network could not tell apart."""
+
 
 def vote_classes(
     views: Iterable[tuple[ViewPoints, NDArray[np.int32]]],
@@ -47,9 +51,11 @@ def vote_classes(
 
 
 def object_classes(votes: NDArray[np.float64], class_ids: tuple[int, ...]) -> NDArray[np.int32]:
-    """The class with the most votes for each object, int32 [objects + 1], 0 if it has none. Ties go to the lower id."""
+    """The class with the most votes for each object, int32 [objects + 1]. Ties go to the lower id. An object has no
+    class, 0, without votes, and if the winner has less than ``LEAST_SHARE`` of them."""
     winner = np.asarray(class_ids, np.int32)[votes.argmax(1)]
-    return np.where(votes.any(1), winner, 0).astype(np.int32)
+    is_agreed = votes.max(1) >= LEAST_SHARE * votes.sum(1)
+    return np.where(votes.any(1) & is_agreed, winner, 0).astype(np.int32)
 
 
 def placed_objects(

@@ -43,3 +43,8 @@ def test_the_class_with_most_votes_is_the_objects() -> None:
     votes = np.array([[0, 0, 0, 0], [0, 0, 1, 3], [5, 0, 0, 5], [0, 0, 0, 0]], np.float64)
     classes = object_classes(votes, CLASS_IDS)
     assert classes.tolist() == [0, SOFA, WALL, 0], "ties go to the lower class, without votes there is none"
+
+
+def test_an_object_whose_views_name_many_classes_has_none() -> None:
+    votes = np.array([[0, 0, 0, 0], [3, 2, 2, 3.2], [2, 2, 2, 4]], np.float64)
+    assert object_classes(votes, CLASS_IDS).tolist() == [0, 0, SOFA]
