@@ -1,4 +1,4 @@
-"""The matrix product of the rasteriser's labels.
+"""The matrix product of the rasteriser's labels and of the decoders.
 
 It computes one block of four rows and sixteen columns at a time, whose sums stay in registers.
 """

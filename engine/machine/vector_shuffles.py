@@ -9,7 +9,7 @@ from numba import types
 from numba.core import cgutils
 
 from .intrinsics import intrinsic
-from .vectors import FLOAT, INTS_IR, WIDTH, call, constant, lanes, of_values
+from .vectors import FLOAT, INT, INTS_IR, WIDTH, call, constant, lanes, of_values
 
 
 @intrinsic
@@ -85,6 +85,12 @@ def _largest(builder: ir.IRBuilder, a: ir.Value) -> ir.Value:
     return call(builder, "llvm.vector.reduce.fmax.v16f32", FLOAT, [a])
 
 
+def _total(builder: ir.IRBuilder, a: ir.Value) -> ir.Value:
+    for half in (8, 4, 2, 1):
+        a = builder.fadd(a, _shuffled(builder, a, a, [(lane + half) % WIDTH for lane in range(WIDTH)]))
+    return builder.extract_element(a, INT(0))
+
+
 _two, _three = types.UniTuple(lanes, 2), types.UniTuple(lanes, 3)
 interleave3 = of_values("interleave3", _three, (lanes, lanes, lanes), _to_pixels)
 """interleave3(a, b, c): a0 b0 c0 a1 b1 c1 ... c15 as three vectors: planes to pixels."""
@@ -96,3 +102,5 @@ deinterleave2 = of_values("deinterleave2", _two, (lanes, lanes), _unzipped)
 """The inverse of ``interleave2``."""
 horizontal_max = of_values("horizontal_max", types.float32, (lanes,), _largest)
 """horizontal_max(a): the largest lane. No lane may be NaN."""
+horizontal_sum = of_values("horizontal_sum", types.float32, (lanes,), _total)
+"""horizontal_sum(a): the sum of the lanes, halves first: always in the same order."""

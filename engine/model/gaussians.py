@@ -12,6 +12,7 @@ from ..machine.compiled import compiled
 from ..scene import Camera
 from .anchors import Anchors
 from .decoders import Decoders
+from .decoding.native import decode_natively
 from .neural_gaussians import NeuralGaussians
 from .torch_decoding import decode_in_torch
 
@@ -92,7 +93,12 @@ def decode_rows(
     are rows of it without a gradient, and there is no cluster loss.
     """
     own = decoders.own_decoding(anchors, visible, centre, channels, known_labels)
-    return decode_in_torch(anchors, decoders, visible, centre, channels, known_labels) if own is None else own
+    if own is not None:
+        return own
+    feature, gives_probabilities = anchors.feature, not decoders.draws_own_labels
+    is_compiled = gives_probabilities and feature.dtype == torch.float32 and feature.device.type == "cpu"
+    decode_with = decode_natively if is_compiled else decode_in_torch
+    return decode_with(anchors, decoders, visible, centre, channels, known_labels)
 
 
 def no_labels(anchors: Anchors) -> torch.Tensor:

@@ -1,4 +1,5 @@
-"""Decoding: a few small perceptrons in torch, on any device and in any precision."""
+"""Decoding in torch, on any device and in any precision: what the kernels of ``decoding`` compute, and the truth of
+their tests."""
 
 from __future__ import annotations
 

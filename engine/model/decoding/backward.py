@@ -1,0 +1,183 @@
+"""From the gradients of the drawn Gaussians, and of the cluster loss, to those of anchors and decoders.
+
+Hidden layers are decoded again: that is cheaper than keeping them.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from ...machine.compiled import Array, device_function, parallel_kernel
+from ...machine.intrinsics import fetch_add
+from ...machine.vectors import WIDTH, broadcast, lane_numbers, masked_load, store
+from .activations import exponential
+from .arrays import AnchorArrays, Batch, Batches, Gradients, Labelling, Packed, Work
+from .layers import (
+    collect_inputs,
+    fill,
+    head_of,
+    list_batch,
+    rounded_rows,
+    run_first_layer,
+    run_head,
+    run_head_backward,
+    wanted_class,
+)
+from .packing import COLOUR, COVARIANCE, INSTANCE, OPACITY, SEMANTIC
+from .softmax import softmax, softmax_backward
+
+F = np.float32
+ZERO, ONE = F(0.0), F(1.0)
+
+
+@device_function
+def opacities_backward(batch: Batch, head: Any, sizes: Any, mine: Array, gradients: Gradients) -> None:
+    """Through tanh."""
+    for m in range(batch.gaussians):
+        n = batch.first + m
+        opacity = gradients.drawn.opacities[n]
+        at = sizes.out_at + batch.owners[2 * m] * head.padded + batch.owners[2 * m + 1]
+        mine[at] = gradients.by.opacities[n] * (ONE - opacity * opacity)
+
+
+@device_function
+def shapes_backward(
+    batch: Batch, head: Any, anchors: AnchorArrays, sizes: Any, mine: Array, gradients: Gradients
+) -> None:
+    """Outputs of the covariance decoder, offsets and log scales."""
+    by, d_log_scale = gradients.by, gradients.log_scale
+    room = sizes.d_hidden_at  # for a vector a row, of which six are the anchor's scales
+    for row in range(batch.drawing):
+        six = lane_numbers() < broadcast(F(6.0))
+        log_scale = masked_load(anchors.log_scale, 6 * anchors.visible[batch.listed[row]], six)
+        store(mine, room + row * WIDTH, exponential(log_scale))
+    for m in range(batch.gaussians):
+        row, g, n = batch.owners[2 * m], batch.owners[2 * m + 1], batch.first + m
+        anchor, at = anchors.visible[batch.listed[row]], sizes.out_at + row * head.padded + 7 * g
+        own = room + row * WIDTH
+        for axis in range(3):
+            place, stretch = 3 * (anchor * sizes.k + g) + axis, 6 * anchor + axis
+            d_offset = by.means[3 * n + axis] * mine[own + axis]
+            gradients.offset[place] = d_offset
+            d_log_scale[stretch] += d_offset * anchors.offset[place]
+            scale = gradients.drawn.scales[3 * n + axis]
+            slope = by.scales[3 * n + axis] * scale
+            d_log_scale[stretch + 3] += slope
+            mine[at + axis] = slope * (ONE - scale / mine[own + 3 + axis])
+        for c in range(4):
+            mine[at + 3 + c] = by.quats[4 * n + c]
+
+
+@device_function
+def colours_backward(batch: Batch, head: Any, sizes: Any, mine: Array, gradients: Gradients) -> None:
+    """Through the sigmoid."""
+    for m in range(batch.gaussians):
+        at = sizes.out_at + batch.owners[2 * m] * head.padded + 3 * batch.owners[2 * m + 1]
+        for c in range(3):
+            place = 3 * (batch.first + m) + c
+            colour = gradients.drawn.colours[place]
+            mine[at + c] = gradients.by.colours[place] * colour * (ONE - colour)
+
+
+@device_function
+def instances_backward(batch: Batch, head: Any, sizes: Any, mine: Array, gradients: Gradients) -> None:
+    """Through the softmax, whose values are the labels."""
+    slots, channels = sizes.slots, sizes.classes + sizes.slots
+    for m in range(batch.gaussians):
+        at = sizes.out_at + batch.owners[2 * m] * head.padded + batch.owners[2 * m + 1] * slots
+        label = (batch.first + m) * channels + sizes.classes
+        softmax_backward(gradients.drawn.labels, label, gradients.by.labels, ZERO, mine, at, slots)
+
+
+@device_function
+def classes_backward(
+    batch: Batch, head: Any, visible: Array, labelling: Labelling, sizes: Any, mine: Array, gradients: Gradients
+) -> None:
+    """Logits in their place become their gradients."""
+    k, classes, channels = sizes.k, sizes.classes, sizes.classes + sizes.slots
+    m = 0
+    for row in range(batch.rows):
+        wanted = wanted_class(batch.listed[row], visible, labelling)
+        weight = F(gradients.by_loss) if wanted >= 0 else ZERO
+        for g in range(k):
+            at = sizes.out_at + row * head.padded + g * classes
+            if m < batch.gaussians and batch.owners[2 * m] == row and batch.owners[2 * m + 1] == g:
+                label = (batch.first + m) * channels
+                softmax_backward(gradients.drawn.labels, label, gradients.by.labels, weight, mine, at, classes)
+                m += 1
+            elif wanted >= 0:
+                softmax(mine, at, mine, at, classes)
+                for c in range(at, at + classes):
+                    mine[c] *= weight
+            else:
+                fill(mine, at, classes, ZERO)
+            if wanted >= 0:
+                mine[at + wanted] -= weight
+
+
+@device_function
+def batch_backward(
+    batch: Batch,
+    anchors: AnchorArrays,
+    packed: Packed,
+    labelling: Labelling,
+    mine: Array,
+    d_weights: Array,
+    gradients: Gradients,
+) -> None:
+    """One batch of anchors; the gradient of the weights is added to ``d_weights``."""
+    sizes = packed.sizes
+    collect_inputs(batch.listed, batch.rows, anchors, sizes, mine)
+    fill(mine, sizes.d_inputs_at, rounded_rows(batch.rows) * sizes.padded_features, ZERO)
+    last = INSTANCE if labelling.known.shape[0] == 0 else COLOUR  # labels decoded before have no gradient
+    for place in range(OPACITY, last + 1):
+        head = head_of(packed.heads, place)
+        rows = batch.rows if place == SEMANTIC else batch.drawing
+        if place == SEMANTIC:
+            run_head(head, rows, packed, mine)
+            classes_backward(batch, head, anchors.visible, labelling, sizes, mine, gradients)
+        else:
+            run_first_layer(head, rows, packed, mine)
+            fill(mine, sizes.out_at, rounded_rows(rows) * head.padded, ZERO)
+            if place == OPACITY:
+                opacities_backward(batch, head, sizes, mine, gradients)
+            elif place == COVARIANCE:
+                shapes_backward(batch, head, anchors, sizes, mine, gradients)
+            elif place == COLOUR:
+                colours_backward(batch, head, sizes, mine, gradients)
+            else:
+                instances_backward(batch, head, sizes, mine, gradients)
+        run_head_backward(head, rows, packed, mine, d_weights)
+    for i in range(batch.rows):
+        to, source = anchors.visible[batch.listed[i]] * sizes.features, sizes.d_inputs_at + i * sizes.padded_features
+        for c in range(sizes.features):
+            gradients.feature[to + c] = mine[source + c]
+
+
+@parallel_kernel
+def decode_backward(
+    worker: int,
+    workers: int,
+    anchors: AnchorArrays,
+    packed: Packed,
+    labelling: Labelling,
+    batches: Batches,
+    gradients: Gradients,
+    work: Work,
+) -> None:
+    """Gradients of the anchors and of the packed weights. There is a fixed number of chunks of batches: the sum of
+    their gradients does not depend on who did what."""
+    mine, numbers = work.floats[worker], work.numbers[worker]
+    count, chunks = batches.starts.shape[0], gradients.weights.shape[0]
+    while True:
+        chunk = fetch_add(work.next_one)
+        if chunk >= chunks:
+            break
+        d_weights = gradients.weights[chunk]
+        fill(d_weights, 0, d_weights.shape[0], ZERO)
+        for number in range(count * chunk // chunks, count * (chunk + 1) // chunks):
+            batch = list_batch(number, packed.sizes.k, anchors.visible, batches, labelling, numbers)
+            if batch.rows > 0:
+                batch_backward(batch, anchors, packed, labelling, mine, d_weights, gradients)

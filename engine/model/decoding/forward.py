@@ -1,0 +1,178 @@
+"""From visible anchors to the Gaussians to draw: opacities first, then everything else for what they leave."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from ...machine.compiled import Array, device_function, parallel_kernel
+from ...machine.intrinsics import fetch_add
+from ...machine.vectors import WIDTH, broadcast, lane_numbers, load, masked_load, store
+from .activations import copy, exponential, sigmoid, tanh
+from .arrays import AnchorArrays, Batch, Batches, Drawn, Labelling, Packed, Work
+from .layers import collect_inputs, head_of, list_batch, run_head, wanted_class
+from .packing import BATCH, COLOUR, COVARIANCE, INSTANCE, OPACITY, SEMANTIC
+from .softmax import softmax
+
+F = np.float32
+ZERO = F(0.0)
+
+
+@parallel_kernel
+def decode_opacities(
+    worker: int, workers: int, anchors: AnchorArrays, packed: Packed, opacities: Array, counts: Array, work: Work
+) -> None:
+    """``opacities`` [V * k] in (-1, 1) of the visible anchors; ``counts`` int64 [batches]: how many of each batch are
+    above 0."""
+    mine, listed = work.floats[worker], work.numbers[worker]
+    sizes, head = packed.sizes, head_of(packed.heads, OPACITY)
+    k = sizes.k
+    while True:
+        batch = fetch_add(work.next_one)
+        if batch >= counts.shape[0]:
+            break
+        start = batch * BATCH
+        rows = min(anchors.visible.shape[0] - start, BATCH)
+        for i in range(rows):
+            listed[i] = start + i
+        collect_inputs(listed, rows, anchors, sizes, mine)
+        run_head(head, rows, packed, mine)
+        above = 0
+        for at in range(sizes.out_at, sizes.out_at + rows * head.padded, WIDTH):
+            store(mine, at, tanh(load(mine, at)))
+        for i in range(rows):
+            for g in range(k):
+                opacity = mine[sizes.out_at + i * head.padded + g]
+                opacities[(start + i) * k + g] = opacity
+                if opacity > ZERO:
+                    above += 1
+        counts[batch] = above
+
+
+@device_function
+def through_sigmoid(rows: int, head: Any, sizes: Any, mine: Array) -> None:
+    """All outputs of a decoder, in their place."""
+    for at in range(sizes.out_at, sizes.out_at + rows * head.padded, WIDTH):
+        store(mine, at, sigmoid(load(mine, at)))
+
+
+@device_function
+def write_shapes(
+    batch: Batch, head: Any, anchors: AnchorArrays, opacities: Array, sizes: Any, mine: Array, drawn: Drawn
+) -> None:
+    """Write all of the drawn Gaussians but colours and labels, from the covariance decoder and the anchors."""
+    k, scale = sizes.k, sizes.d_hidden_at  # room for a vector a row, of which six are the anchor's scales
+    for row in range(batch.drawing):
+        six = lane_numbers() < broadcast(F(6.0))
+        log_scale = masked_load(anchors.log_scale, 6 * anchors.visible[batch.listed[row]], six)
+        store(mine, scale + row * WIDTH, exponential(log_scale))
+    for m in range(batch.gaussians):
+        row, g, n = batch.owners[2 * m], batch.owners[2 * m + 1], batch.first + m
+        v, at, own = batch.listed[row], sizes.out_at + row * head.padded + 7 * g, scale + row * WIDTH
+        anchor = anchors.visible[v]
+        drawn.opacities[n] = opacities[v * k + g]
+        for axis in range(3):
+            moved = anchors.offset[3 * (anchor * k + g) + axis] * mine[own + axis]
+            drawn.means[3 * n + axis] = anchors.position[3 * anchor + axis] + moved
+        for c in range(4):
+            drawn.quats[4 * n + c] = mine[at + 3 + c]
+    through_sigmoid(batch.drawing, head, sizes, mine)
+    for m in range(batch.gaussians):
+        row, n = batch.owners[2 * m], batch.first + m
+        at = sizes.out_at + row * head.padded + 7 * batch.owners[2 * m + 1]
+        for axis in range(3):
+            drawn.scales[3 * n + axis] = mine[scale + row * WIDTH + 3 + axis] * mine[at + axis]
+
+
+@device_function
+def write_colours(batch: Batch, head: Any, sizes: Any, mine: Array, colours: Array) -> None:
+    through_sigmoid(batch.drawing, head, sizes, mine)
+    for m in range(batch.gaussians):
+        at = sizes.out_at + batch.owners[2 * m] * head.padded + 3 * batch.owners[2 * m + 1]
+        for c in range(3):
+            colours[3 * (batch.first + m) + c] = mine[at + c]
+
+
+@device_function
+def write_known_labels(batch: Batch, k: int, visible: Array, labelling: Labelling, labels: Array) -> None:
+    """Labels that were decoded before."""
+    channels = labelling.known_channels
+    for m in range(batch.gaussians):
+        anchor = visible[batch.listed[batch.owners[2 * m]]]
+        source = (anchor * k + batch.owners[2 * m + 1]) * channels
+        copy(labelling.known, source, labels, (batch.first + m) * channels, channels)
+
+
+@device_function
+def write_instances(batch: Batch, head: Any, sizes: Any, mine: Array, labels: Array) -> None:
+    slots, channels = sizes.slots, sizes.classes + sizes.slots
+    for m in range(batch.gaussians):
+        at = sizes.out_at + batch.owners[2 * m] * head.padded + batch.owners[2 * m + 1] * slots
+        softmax(mine, at, labels, (batch.first + m) * channels + sizes.classes, slots)
+
+
+@device_function
+def write_classes(
+    batch: Batch, head: Any, visible: Array, labelling: Labelling, sizes: Any, mine: Array, labels: Array
+) -> Any:
+    """Class probabilities of the drawn Gaussians; returns the summed cross entropy of all k Gaussians of the anchors
+    whose class is known."""
+    k, classes, channels = sizes.k, sizes.classes, sizes.classes + sizes.slots
+    loss, m = 0.0, 0
+    for row in range(batch.rows):
+        wanted = wanted_class(batch.listed[row], visible, labelling)
+        for g in range(k):
+            at = sizes.out_at + row * head.padded + g * classes
+            logit = mine[at + max(wanted, 0)]
+            drawn = m < batch.gaussians and batch.owners[2 * m] == row and batch.owners[2 * m + 1] == g
+            if drawn:
+                top, total = softmax(mine, at, labels, (batch.first + m) * channels, classes)
+                m += 1
+            elif wanted >= 0:
+                top, total = softmax(mine, at, mine, at, classes)
+            else:
+                continue
+            if wanted >= 0:
+                loss += top + math.log(total) - logit
+    return loss
+
+
+@parallel_kernel
+def decode_gaussians(
+    worker: int,
+    workers: int,
+    anchors: AnchorArrays,
+    packed: Packed,
+    labelling: Labelling,
+    batches: Batches,
+    drawn: Drawn,
+    work: Work,
+) -> None:
+    """All of the Gaussians with opacity above 0, and ``batches.losses``."""
+    mine, numbers = work.floats[worker], work.numbers[worker]
+    sizes, heads, visible = packed.sizes, packed.heads, anchors.visible
+    decoded = INSTANCE if labelling.known.shape[0] == 0 else COLOUR
+    while True:
+        number = fetch_add(work.next_one)
+        if number >= batches.starts.shape[0]:
+            break
+        batch = list_batch(number, sizes.k, visible, batches, labelling, numbers)
+        batches.losses[number] = 0.0
+        if batch.rows == 0:
+            continue
+        collect_inputs(batch.listed, batch.rows, anchors, sizes, mine)
+        for place in range(COVARIANCE, decoded + 1):
+            head = head_of(heads, place)
+            run_head(head, batch.rows if place == SEMANTIC else batch.drawing, packed, mine)
+            if place == COVARIANCE:
+                write_shapes(batch, head, anchors, batches.opacities, sizes, mine, drawn)
+            elif place == COLOUR:
+                write_colours(batch, head, sizes, mine, drawn.colours)
+            elif place == SEMANTIC:
+                batches.losses[number] = write_classes(batch, head, visible, labelling, sizes, mine, drawn.labels)
+            else:
+                write_instances(batch, head, sizes, mine, drawn.labels)
+        if decoded == COLOUR:
+            write_known_labels(batch, sizes.k, visible, labelling, drawn.labels)

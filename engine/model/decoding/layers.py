@@ -1,0 +1,173 @@
+"""What both passes do with a batch of anchors: list them, collect their inputs, run a decoder's two layers, and go back
+through them."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from ...machine.compiled import Array, device_function, inlined
+from ...machine.matrix_product import Factors, Rows, add_product
+from ...machine.vectors import WIDTH, broadcast, load, maximum, select, store
+from ..decoders import HIDDEN
+from .activations import copy
+from .arrays import AnchorArrays, Batch, Batches, Labelling, Packed
+from .packing import BATCH, ROUND_ROWS, Head
+
+F = np.float32
+ZERO = F(0.0)
+HIDDEN_64: Any = np.int64(HIDDEN)
+ONE_64: Any = np.int64(1)
+ZERO_64: Any = np.int64(0)
+"""For the arguments of ``add_product``: Numba would compile it anew for each plain number written there."""
+CLOSEST = F(1e-6)
+"""Metres: an anchor at the camera's centre is seen from a distance of at least this."""
+
+
+@inlined
+def head_of(heads: Array, number: int) -> Any:
+    """Row ``number`` of heads [5, 9]."""
+    row = heads[number]
+    return Head(row[0], row[1], row[2], row[3], row[4], row[5], row[6], row[7], row[8])
+
+
+@inlined
+def rounded_rows(rows: int) -> int:
+    return (rows + ROUND_ROWS - 1) // ROUND_ROWS * ROUND_ROWS
+
+
+@inlined
+def fill(values: Array, at: int, count: int, value: Any) -> None:
+    for i in range(at, at + count):
+        values[i] = value
+
+
+@device_function
+def wanted_class(place: int, visible: Array, labelling: Labelling) -> int:
+    """The channel of an anchor's class for the cluster loss, -1 where there is none; ``place`` in ``visible``."""
+    return labelling.channels[visible[place]] if labelling.channels.shape[0] > 0 else -1
+
+
+@device_function
+def list_anchors(
+    number: int, k: int, visible: Array, opacities: Array, labelling: Labelling, listed: Array, owners: Array
+) -> Any:
+    """Batch ``number``: fills ``listed`` and ``owners`` with the anchors that have work beyond their opacity. Returns
+    ``rows``, ``drawing`` and ``gaussians`` of ``Batch``."""
+    start = number * BATCH
+    end = min(start + BATCH, visible.shape[0])
+    drawing, gaussians = 0, 0
+    for v in range(start, end):
+        before = gaussians
+        for g in range(k):
+            if opacities[v * k + g] > ZERO:
+                owners[2 * gaussians] = drawing
+                owners[2 * gaussians + 1] = g
+                gaussians += 1
+        if gaussians > before:
+            listed[drawing] = v
+            drawing += 1
+    rows, place = drawing, 0
+    for v in range(start, end):
+        if place < drawing and listed[place] == v:
+            place += 1
+        elif wanted_class(v, visible, labelling) >= 0:
+            listed[rows] = v
+            rows += 1
+    return rows, drawing, gaussians
+
+
+@inlined
+def list_batch(number: int, k: int, visible: Array, batches: Batches, labelling: Labelling, numbers: Array) -> Any:
+    """Batch ``number``; ``numbers`` int64 [BATCH * (1 + 2 k)] is the worker's."""
+    listed, owners = numbers[:BATCH], numbers[BATCH:]
+    rows, drawing, gaussians = list_anchors(number, k, visible, batches.opacities, labelling, listed, owners)
+    return Batch(listed, rows, drawing, owners, batches.starts[number], gaussians)
+
+
+@device_function
+def collect_inputs(listed: Array, rows: int, anchors: AnchorArrays, sizes: Any, mine: Array) -> None:
+    """Rows of inputs (see ``Sizes``) of the listed anchors to the start of a worker's scratch."""
+    seen, position, centre = sizes.features, anchors.position, anchors.centre
+    for i in range(rows):
+        anchor = anchors.visible[listed[i]]
+        at, source = i * sizes.inputs, anchor * sizes.features
+        copy(anchors.feature, source, mine, at, seen)
+        x = position[3 * anchor] - centre[0]
+        y = position[3 * anchor + 1] - centre[1]
+        z = position[3 * anchor + 2] - centre[2]
+        distance = max(F(math.sqrt(x * x + y * y + z * z)), CLOSEST)
+        mine[at + seen], mine[at + seen + 1], mine[at + seen + 2] = x / distance, y / distance, z / distance
+        fill(mine, at + seen + 3, sizes.inputs - seen - 3, ZERO)
+        if sizes.distance > 0:
+            mine[at + seen + 3] = distance
+    fill(mine, rows * sizes.inputs, (rounded_rows(rows) - rows) * sizes.inputs, ZERO)
+
+
+@device_function
+def start_with(bias: int, columns: int, weights: Array, at: int, rows: int, mine: Array) -> None:
+    """Set every row of mine[at:] to the bias, which has ``columns`` columns."""
+    for i in range(rounded_rows(rows)):
+        for c in range(0, columns, WIDTH):
+            store(mine, at + i * columns + c, load(weights, bias + c))
+
+
+@device_function
+def run_first_layer(head: Any, rows: int, packed: Packed, mine: Array) -> None:
+    """The hidden layer of ``rows`` anchors after ReLU."""
+    sizes, weights = packed.sizes, packed.weights
+    at = sizes.hidden_at
+    start_with(head.first_bias, HIDDEN, weights, at, rows, mine)
+    inputs = Factors(mine, ZERO_64, sizes.inputs, ONE_64)
+    add_product(Rows(mine, at, HIDDEN_64), inputs, Rows(weights, head.first, HIDDEN_64), rows, HIDDEN_64, head.inputs)
+    for c in range(at, at + rows * HIDDEN, WIDTH):
+        store(mine, c, maximum(load(mine, c), broadcast(ZERO)))
+
+
+@device_function
+def run_head(head: Any, rows: int, packed: Packed, mine: Array) -> None:
+    """Hidden layer and outputs [rows, padded] of one decoder."""
+    run_first_layer(head, rows, packed, mine)
+    sizes, weights, padded = packed.sizes, packed.weights, head.padded
+    start_with(head.last_bias, padded, weights, sizes.out_at, rows, mine)
+    hidden = Factors(mine, sizes.hidden_at, HIDDEN_64, ONE_64)
+    add_product(Rows(mine, sizes.out_at, padded), hidden, Rows(weights, head.last, padded), rows, padded, HIDDEN_64)
+
+
+@device_function
+def add_columns(out: Array, out_at: int, values: Array, at: int, rows: int, columns: int) -> None:
+    """out[c] += the sum over rows of values[row, c], in ascending order."""
+    for c in range(0, columns, WIDTH):
+        total = load(out, out_at + c)
+        for i in range(rows):
+            total = total + load(values, at + i * columns + c)
+        store(out, out_at + c, total)
+
+
+@device_function
+def run_head_backward(head: Any, rows: int, packed: Packed, mine: Array, gradient: Array) -> None:
+    """From the gradient of the outputs in their place, and the hidden layer in its, to the gradients of the weights
+    (added to ``gradient``) and of the features (added to scratch)."""
+    sizes, weights, padded = packed.sizes, packed.weights, head.padded
+    hidden, d_hidden, out, features = sizes.hidden_at, sizes.d_hidden_at, sizes.out_at, sizes.padded_features
+    of_out, of_hidden = Rows(mine, out, padded), Rows(mine, d_hidden, HIDDEN_64)
+
+    transposed = Factors(mine, hidden, ONE_64, HIDDEN_64)
+    add_product(Rows(gradient, head.last, padded), transposed, of_out, HIDDEN_64, padded, rows)
+    add_columns(gradient, head.last_bias, mine, out, rows, padded)
+
+    fill(mine, d_hidden, rounded_rows(rows) * HIDDEN, ZERO)
+    by_out = Factors(mine, out, padded, ONE_64)
+    add_product(of_hidden, by_out, Rows(weights, head.last_back, HIDDEN_64), rows, HIDDEN_64, head.outputs)
+    for c in range(0, rows * HIDDEN, WIDTH):
+        passed = load(mine, hidden + c) > broadcast(ZERO)
+        store(mine, d_hidden + c, select(passed, load(mine, d_hidden + c), broadcast(ZERO)))
+
+    transposed = Factors(mine, ZERO_64, ONE_64, sizes.inputs)
+    add_product(Rows(gradient, head.first, HIDDEN_64), transposed, of_hidden, head.inputs, HIDDEN_64, rows)
+    add_columns(gradient, head.first_bias, mine, d_hidden, rows, HIDDEN_64)
+    by_hidden = Factors(mine, d_hidden, HIDDEN_64, ONE_64)
+    d_inputs = Rows(mine, sizes.d_inputs_at, features)
+    add_product(d_inputs, by_hidden, Rows(weights, head.first_back, features), rows, features, HIDDEN_64)

@@ -1,0 +1,139 @@
+"""The kernels strung together as a ``torch.autograd.Function``."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from ...machine import memory
+from ...machine.threads import parallel_for, worker_count
+from ..anchors import Anchors
+from ..decoders import Decoders
+from ..neural_gaussians import NeuralGaussians
+from .arrays import AnchorArrays, Batches, Drawn, Gradients, Labelling, Packed, Work
+from .backward import decode_backward
+from .forward import decode_gaussians, decode_opacities
+from .packing import BATCH, Layout, layout_of, packed, parameters_of, unpacked
+
+CHUNKS = 32
+"""Chunks of batches whose weight gradients are summed apart. More workers than this find nothing to do."""
+
+
+def decode_natively(
+    anchors: Anchors,
+    decoders: Decoders,
+    visible: Tensor,
+    centre: Tensor,
+    channels: Tensor | None,
+    known_labels: Tensor | None,
+) -> NeuralGaussians:
+    """As ``decode_rows``, for float32 tensors on the CPU. As many threads as ``torch.get_num_threads()``."""
+    layout = layout_of(decoders.shape)
+    labels = torch.empty(0, 0) if known_labels is None else known_labels
+    wanted = torch.empty(0, dtype=torch.int64) if channels is None else channels
+    labelling = Labelling(_flat(wanted), _flat(labels), labels.shape[1])
+    fixed = _Fixed(_flat(visible), _flat(anchors.position), _flat(centre.float()), labelling, layout)
+    outputs = _Decode.apply(fixed, anchors.feature, anchors.offset, anchors.log_scale, *parameters_of(decoders))
+    means, scales, quats, opacities, colours, labels, all_opacities, cluster = outputs
+    return NeuralGaussians(
+        means=means,
+        scales=scales,
+        quats=quats,
+        opacities=opacities,
+        colours=colours,
+        labels=labels,
+        visible=visible,
+        all_opacities=all_opacities,
+        kept=(all_opacities.view(-1) > 0).nonzero().squeeze(1),
+        cluster_loss=cluster,
+    )
+
+
+class _Fixed(NamedTuple):
+    """What no gradient reaches."""
+
+    visible: NDArray[np.int64]
+    position: NDArray[np.float32]
+    centre: NDArray[np.float32]
+    labelling: Labelling
+    layout: Layout
+
+    def anchors(self, feature: Tensor, offset: Tensor, log_scale: Tensor) -> AnchorArrays:
+        learnt = _flat(feature), _flat(offset), _flat(log_scale)
+        return AnchorArrays(self.visible, learnt[0], self.position, self.centre, *learnt[1:])
+
+    def clustered(self) -> int:
+        """How many Gaussians the cluster loss is a mean over."""
+        channels = self.labelling.channels
+        labelled = np.count_nonzero(channels[self.visible] >= 0) if len(channels) else 0
+        return max(labelled * self.layout.sizes.k, 1)
+
+
+def _flat(tensor: Tensor) -> NDArray[Any]:
+    return tensor.detach().contiguous().reshape(-1).numpy()
+
+
+def _packed(weights: NDArray[np.float32], layout: Layout) -> Packed:
+    return Packed(weights, np.array(layout.heads), layout.sizes)
+
+
+def _new_work(workers: int, layout: Layout) -> Work:
+    sizes = layout.sizes
+    floats = memory.empty((workers, sizes.scratch), np.float32)
+    return Work(np.zeros(1, np.int64), floats, memory.empty((workers, BATCH * (1 + 2 * sizes.k)), np.int64))
+
+
+def _empty(shape: tuple[int, ...]) -> Tensor:
+    """A float32 tensor in memory that is used again."""
+    return torch.from_numpy(memory.empty(shape, np.float32))
+
+
+def _new_drawn(count: int, channels: int) -> list[Tensor]:
+    """The tensors of ``Drawn``, to be filled."""
+    shapes = ((count, 3), (count, 3), (count, 4), (count,), (count, 3), (count, channels))
+    return [_empty(shape) for shape in shapes]
+
+
+class _Decode(torch.autograd.Function):
+    @staticmethod
+    def forward(
+        ctx: Any, fixed: _Fixed, feature: Tensor, offset: Tensor, log_scale: Tensor, *parameters: Tensor
+    ) -> tuple[Tensor, ...]:
+        layout, workers, labelling = fixed.layout, worker_count(), fixed.labelling
+        sizes, visible = layout.sizes, len(fixed.visible)
+        weights = _packed(packed(list(parameters), layout), layout)
+        anchors = fixed.anchors(feature, offset, log_scale)
+        all_opacities, counts = _empty((visible, sizes.k)), np.zeros(-(-visible // BATCH), np.int64)
+        opacities = _flat(all_opacities)
+        parallel_for(workers, decode_opacities, anchors, weights, opacities, counts, _new_work(workers, layout))
+        batches = Batches(opacities, np.cumsum(counts) - counts, np.zeros(len(counts)))
+        channels = labelling.known_channels if len(labelling.known) else sizes.classes + sizes.slots
+        outputs = _new_drawn(int(counts.sum()), channels)
+        drawn = Drawn(*map(_flat, outputs))
+        work = _new_work(workers, layout)
+        parallel_for(workers, decode_gaussians, anchors, weights, labelling, batches, drawn, work)
+        ctx.mark_non_differentiable(all_opacities)
+        ctx.save_for_backward(feature, offset, log_scale, *outputs)
+        ctx.state = fixed, weights, batches
+        cluster = torch.tensor(batches.losses.sum() / fixed.clustered(), dtype=torch.float32)
+        return *outputs, all_opacities, cluster
+
+    @staticmethod
+    def backward(ctx: Any, *by: Tensor) -> tuple[Tensor | None, ...]:
+        fixed, weights, batches = ctx.state
+        learnt, outputs = ctx.saved_tensors[:3], ctx.saved_tensors[3:]
+        layout, workers = fixed.layout, worker_count()
+        d_anchors = [_empty(tuple(tensor.shape)).zero_() for tensor in learnt]
+        d_weights = memory.empty((min(CHUNKS, len(batches.starts)), layout.parameters), np.float32)
+        drawn, by_drawn = Drawn(*map(_flat, outputs)), Drawn(*map(_flat, by[:6]))
+        of_feature, of_offset, of_scale = map(_flat, d_anchors)
+        by_loss = float(by[7]) / fixed.clustered()
+        gradients = Gradients(drawn, by_drawn, by_loss, of_feature, of_offset, of_scale, d_weights)
+        work = _new_work(workers, layout)
+        anchors = fixed.anchors(*learnt)
+        parallel_for(workers, decode_backward, anchors, weights, fixed.labelling, batches, gradients, work)
+        return None, *d_anchors, *unpacked(d_weights.sum(axis=0), layout)
