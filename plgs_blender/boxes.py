@@ -60,7 +60,8 @@ def _place(owned: OwnedDataBlocks, parent: bpy.types.Collection, instance: Insta
     before, name, where = owned.known(key), instance.name, None
     if before is not None and text_of(before, NAME) == instance.name and _numbers(before, PLACED) == placed:
         facts = instance.class_id, instance.points, instance.views
-        if not anew and facts == tuple(before.get(key) for key in ("class_id", "points", "views")):
+        listed = tuple(before.get(key) for key in ("class_id", "points", "views"))
+        if not anew and facts == listed and owned.is_in_scene(before):
             owned.keep(before)
             return before
         name, where = before.name, before.matrix_world.copy()

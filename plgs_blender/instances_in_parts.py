@@ -46,19 +46,28 @@ def reading_instances(path: Path) -> Generator[None, None, Listed]:
     return read_instances(path, content)
 
 
-_kept: dict[object, Listed] = {}  # what was read last, by its file, the time of that and its bytes
+_kept: dict[object, Listed] = {}  # what was read last, by its version
 
 
-def listed_in(lift: Path, listed: Listed | None = None) -> Listed:
-    """What the instances.json of a lift lists, kept from the last time or now ``listed``: an edit follows another, and
-    thousands of objects take half a second. Raises PlgsError."""
+def version_of(lift: Path) -> tuple[Path, tuple[int, int] | None]:
+    """The instances.json of a lift, its time in nanoseconds and its bytes; None for these if there is no such file."""
     path = lift / "result" / INSTANCES
     at = path.stat() if path.is_file() else None
-    version = path, at and (at.st_mtime_ns, at.st_size)
-    found = listed or _kept.get(version) or read_instances(path)
+    return path, at and (at.st_mtime_ns, at.st_size)
+
+
+def keep_listed(version: object, listed: Listed) -> Listed:
+    """Keep what the file of this version lists, and nothing else."""
     _kept.clear()
-    _kept[version] = found
-    return found
+    _kept[version] = listed
+    return listed
+
+
+def listed_in(lift: Path) -> Listed:
+    """What the instances.json of a lift lists, read now or kept: an edit follows another, and thousands of objects take
+    half a second. Raises PlgsError."""
+    version = version_of(lift)
+    return keep_listed(version, _kept.get(version) or read_instances(version[0]))
 
 
 def refuse_too_many(instances: Sequence[object], path: Path) -> None:

@@ -106,6 +106,10 @@ class OwnedDataBlocks:
         self._kept.add(ob)
         return ob
 
+    def is_in_scene(self, ob: bpy.types.Object) -> bool:
+        """Whether an object of ours was in a collection of the scene, or was put there."""
+        return ob in self._in_scene
+
     def known(self, key: str) -> bpy.types.Object | None:
         """Our object `key`, None when there is none yet."""
         return self._objects.get(key)

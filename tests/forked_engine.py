@@ -15,7 +15,7 @@ import sys
 import threading
 import traceback
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 PYTHON = """#!{python} -IS
@@ -57,7 +57,13 @@ def serve(listening: socket.socket) -> None:
     while True:
         client, _ = listening.accept()
         _, descriptors, *_ = socket.recv_fds(client, 1, 3)
-        arguments, folder, environment = json.loads(client.makefile().readline())
+        asked = client.makefile().readline()
+        if not asked:  # the client was killed before it asked
+            for descriptor in descriptors:
+                os.close(descriptor)
+            client.close()
+            continue
+        arguments, folder, environment = json.loads(asked)
         child = os.fork()
         if child == 0:
             for number, descriptor in enumerate(descriptors):
@@ -78,7 +84,8 @@ def await_end(child: int, client: socket.socket) -> None:
     while True:
         ended, status = os.waitpid(child, os.WNOHANG)
         if ended:
-            client.sendall(b"%d\n" % (os.waitstatus_to_exitcode(status) & 255))
+            with suppress(BrokenPipeError, ConnectionResetError):  # the client was killed
+                client.sendall(b"%d\n" % (os.waitstatus_to_exitcode(status) & 255))
             return client.close()
         try:
             client.recv(1)

@@ -24,7 +24,7 @@ view that grazes a floor has to reach farther, or changes none beside it, and th
 thicker by it.
 """
 _STRIDE = 4
-"""Open3D looks at each so many'th row and column for the voxels that a view changes, and refuses views without any."""
+"""Open3D looks at every fourth row and column for the voxels that a view changes, and refuses views without any."""
 _BLOCKS = 20_000
 """The blocks of voxels for which memory is reserved at first. Open3D takes more when it needs them."""
 
@@ -132,6 +132,9 @@ def fuse(views: Sequence[SmallView], grain: Grain = Grain()) -> Surface:
 
 def _by_slope(view: SmallView, large: NDArray[np.float32], grain: Grain) -> Iterator[tuple[NDArray[np.float32], float]]:
     """The ``large`` depth [H, W] of the surfaces of each slope alone, with the voxels that it reaches."""
+    if len(grain.reaches) == 1:
+        yield np.where(large <= grain.farthest, large, np.float32(0)), grain.reaches[0][1]
+        return
     slope = cv2.resize(view.slopes(), large.shape[::-1], None, 0, 0, cv2.INTER_NEAREST)
     for (least, reach), (most, _) in pairwise((*grain.reaches, (np.inf, 0.0))):
         part = np.where((slope >= least) & (slope < most) & (large <= grain.farthest), large, np.float32(0))

@@ -92,7 +92,7 @@ def _is_double(room: tuple[Surface, Ints], objects: tuple[Surface, Ints]) -> NDA
 
 
 def _of_corners(surface: Surface, label: Ints, kept: NDArray[np.bool_], least: int) -> tuple[Surface, Ints]:
-    """A surface and its labels with the triangles of which at ``least`` so many corners are ``kept`` [V]. Their other
+    """A surface and its labels with the triangles that have at least ``least`` corners ``kept`` [V]. Their other
     corners get the label of one that is."""
     is_kept = kept[surface.triangles]
     triangles, is_kept = (each[is_kept.sum(axis=1) >= least] for each in (surface.triangles, is_kept))

@@ -258,8 +258,10 @@ def _is_supported(
     seeing = float(resolved[seen >= 0.5 * own.sum()].sum())
     if len(masking) < options.least_masks(int(seeing)) or resolved[masking].sum() < options.support * seeing:
         return False
+    if len(masking) >= options.min_masks:
+        return True
     shares = [share for share in agreements(*pairwise(judgement, members)) if share is not None]
-    return len(masking) >= options.min_masks or (bool(shares) and float(np.mean(shares)) >= options.sure)
+    return bool(shares) and float(np.mean(shares)) >= options.sure
 
 
 def agreements(favour: NDArray[np.floating], judging: NDArray[np.floating]) -> list[float | None]:

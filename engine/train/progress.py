@@ -72,7 +72,7 @@ class StageProgress:
 
     def part(self, begin: float, end: float) -> Callable[[int, int], None]:
         """Called with (done, total) of a part of the stage, which lasts from one share of the stage to another."""
-        return lambda done, total: self(round(1000 * (begin + (end - begin) * done / max(total, 1))), 1000)
+        return lambda done, total: self(round(100 * (begin + (end - begin) * done / max(total, 1))), 100)
 
     def _remaining(self, done: int, total: int, now: float) -> float | None:
         """Seconds left at the mean pace of this run so far; None before there is a pace."""

@@ -271,16 +271,27 @@ def _fill_instances(rows: Any, instances: Sequence[Instance]) -> None:
         before.clear()
     for place in [place for place, number in enumerate(before) if number not in wanted][::-1]:
         rows.remove(place)
-    # Only what changes its points changes an instance's masks.
-    known = {row.instance_id: (row.name, row.class_id, row.points, row.views, len(row.masks)) for row in rows}
+    known = {row.instance_id: _facts_of_row(row) for row in rows}
     for place, one in enumerate(instances):
         if one.id not in known:
             _fill_instance(rows.add(), one)
             rows.move(len(rows) - 1, place)
-        elif known[one.id] != (one.name, one.class_id, one.points, one.views, len(one.segments)):
+        elif known[one.id] != _facts_of(one):
             rows[place].masks.clear()
             rows[place].mask_index = -1
             _fill_instance(rows[place], one)
+
+
+def _facts_of_row(row: Any) -> tuple[Any, ...]:
+    """What the row of an instance lists, in the form of ``_facts_of``."""
+    masks = [(mask.frame, mask.segment) for mask in row.masks]
+    return row.name, row.class_id, row.points, row.views, row.score, masks
+
+
+def _facts_of(one: Instance) -> tuple[Any, ...]:
+    """What the row of an instance should list. Blender keeps numbers in float32."""
+    masks = [(mask.frame, mask.segment_id) for mask in one.segments]
+    return one.name, one.class_id, one.points, one.views, float(np.float32(one.score)), masks
 
 
 def fill_masks(root: bpy.types.Collection, instances: Iterable[Instance], classes: ClassTable) -> None:

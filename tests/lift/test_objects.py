@@ -60,7 +60,7 @@ def test_an_object_in_one_piece_needs_no_more_masks_than_the_views_that_see_it()
 
 
 def test_all_parts_of_matching_tell_how_far_they_are(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """What tells that can be stopped."""
+    """A part that reports its progress can be cancelled."""
     monkeypatch.setattr(progress, "REPORT_EVERY_S", 0.0)
     views, classes = views_of_a_room(tmp_path / "scene", size=(32, 24))
     events = EventWriter(tmp_path / "events.jsonl")

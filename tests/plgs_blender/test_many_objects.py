@@ -22,6 +22,7 @@ from plgs.plgs_blender.inspecting.looks import CLASSES
 from plgs.plgs_blender.inspecting.lookup import box_of, boxes_of, find_lift, objects_by_key
 from plgs.plgs_blender.inspecting.visibility import HIDDEN
 from plgs.plgs_blender.instances_in_parts import MOST_INSTANCES
+from plgs.plgs_blender.results import reading_result, result_of
 from plgs.plgs_blender.running import lifts
 from tiny_lift import mend_manifest
 from tiny_scene import CHAIR_ID
@@ -242,4 +243,15 @@ def test_what_an_edit_reads_is_as_new_as_the_file(lift: Path, tmp_path: Path) ->
     lift_scene.place_lift(some, bpy.context.scene)
     path = some / "result" / "instances.json"
     path.write_text(path.read_text().replace("chair 2", "another"))
+    assert [one.name for one in instances_in_parts.listed_in(some)[1]] == ["chair 1", "another", "chair 3"]
+
+
+def test_a_file_that_is_replaced_while_it_is_read_is_read_again(lift: Path, tmp_path: Path) -> None:
+    some = lift_of(lift, tmp_path / "some", 3)
+    path = some / "result" / "instances.json"
+    parts = reading_result(some)
+    next(parts)
+    next(parts)  # the first object of three
+    path.write_text(path.read_text().replace("chair 2", "another"))
+    result_of(parts)
     assert [one.name for one in instances_in_parts.listed_in(some)[1]] == ["chair 1", "another", "chair 3"]

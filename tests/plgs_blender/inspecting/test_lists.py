@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
 
@@ -13,8 +14,9 @@ import pytest
 from plgs.engine.job import write_manifest
 from plgs.engine.result_files import MatchedSegment
 from plgs.plgs_blender import lift_scene
-from plgs.plgs_blender.inspecting.lists import best_view
+from plgs.plgs_blender.inspecting.lists import _fill_instances, best_view, fill_masks
 from plgs.plgs_blender.lift_collection import lifts_in
+from plgs.plgs_blender.results import reading_result, result_of
 from tiny_lift import CABINET_NAME, CHAIR_NAME
 from tiny_scene import CHAIR_ID
 
@@ -66,6 +68,17 @@ def test_another_lift_refills_them(root: bpy.types.Collection, lift: Path) -> No
     assert lift_scene.place_lift(lift, bpy.context.scene) == root
     assert summary(root) == before
     assert root.plgs.instance_index == -1 and root.plgs.show_legend, "what is shown is the user's choice"
+
+
+def test_another_split_with_as_many_masks_lists_its_own(root: bpy.types.Collection, lift: Path) -> None:
+    result = result_of(reading_result(lift))
+    first, *others = result.instances
+    moved = replace(first, score=0.125, segments=tuple(replace(each, segment_id=77) for each in first.segments))
+    _fill_instances(root.plgs.instances, [moved, *others])
+    fill_masks(root, [moved, *others], result.classes)
+    row, other = root.plgs.instances[0], root.plgs.instances[1]
+    assert row.score == 0.125 and {mask.segment for mask in row.masks} == {77}
+    assert {mask.segment for mask in other.masks} == {each.segment_id for each in others[0].segments}
 
 
 def test_undo_brings_them_back(root: bpy.types.Collection) -> None:
