@@ -11,11 +11,11 @@ import numpy as np
 
 from ...machine.compiled import Array, device_function, parallel_kernel
 from ...machine.intrinsics import fetch_add
-from ...machine.vectors import WIDTH, broadcast, lane_numbers, masked_load, store
-from .activations import exponential
+from ...machine.vectors import WIDTH
 from .arrays import AnchorArrays, Batch, Batches, Gradients, Labelling, Packed, Work
 from .layers import (
     collect_inputs,
+    collect_scales,
     fill,
     head_of,
     list_batch,
@@ -49,10 +49,7 @@ def shapes_backward(
     """Outputs of the covariance decoder, offsets and log scales."""
     by, d_log_scale = gradients.by, gradients.log_scale
     room = sizes.d_hidden_at  # for a vector a row, of which six are the anchor's scales
-    for row in range(batch.drawing):
-        six = lane_numbers() < broadcast(F(6.0))
-        log_scale = masked_load(anchors.log_scale, 6 * anchors.visible[batch.listed[row]], six)
-        store(mine, room + row * WIDTH, exponential(log_scale))
+    collect_scales(batch, anchors, mine, room)
     for m in range(batch.gaussians):
         row, g, n = batch.owners[2 * m], batch.owners[2 * m + 1], batch.first + m
         anchor, at = anchors.visible[batch.listed[row]], sizes.out_at + row * head.padded + 7 * g

@@ -9,10 +9,10 @@ import numpy as np
 
 from ...machine.compiled import Array, device_function, parallel_kernel
 from ...machine.intrinsics import fetch_add
-from ...machine.vectors import WIDTH, broadcast, lane_numbers, load, masked_load, store
-from .activations import copy, exponential, sigmoid, tanh
+from ...machine.vectors import WIDTH, load, store
+from .activations import copy, sigmoid, tanh
 from .arrays import AnchorArrays, Batch, Batches, Drawn, Labelling, Packed, Work
-from .layers import collect_inputs, head_of, list_batch, run_head, wanted_class
+from .layers import collect_inputs, collect_scales, head_of, list_batch, run_head, wanted_class
 from .packing import BATCH, COLOUR, COVARIANCE, INSTANCE, OPACITY, SEMANTIC
 from .softmax import softmax
 
@@ -64,10 +64,7 @@ def write_shapes(
 ) -> None:
     """Write all of the drawn Gaussians but colours and labels, from the covariance decoder and the anchors."""
     k, scale = sizes.k, sizes.d_hidden_at  # room for a vector a row, of which six are the anchor's scales
-    for row in range(batch.drawing):
-        six = lane_numbers() < broadcast(F(6.0))
-        log_scale = masked_load(anchors.log_scale, 6 * anchors.visible[batch.listed[row]], six)
-        store(mine, scale + row * WIDTH, exponential(log_scale))
+    collect_scales(batch, anchors, mine, scale)
     for m in range(batch.gaussians):
         row, g, n = batch.owners[2 * m], batch.owners[2 * m + 1], batch.first + m
         v, at, own = batch.listed[row], sizes.out_at + row * head.padded + 7 * g, scale + row * WIDTH

@@ -10,9 +10,9 @@ import numpy as np
 
 from ...machine.compiled import Array, device_function, inlined
 from ...machine.matrix_product import Factors, Rows, add_product
-from ...machine.vectors import WIDTH, broadcast, load, maximum, select, store
+from ...machine.vectors import WIDTH, broadcast, lane_numbers, load, masked_load, maximum, select, store
 from ..decoders import HIDDEN
-from .activations import copy
+from .activations import copy, exponential
 from .arrays import AnchorArrays, Batch, Batches, Labelling, Packed
 from .packing import BATCH, ROUND_ROWS, Head
 
@@ -171,3 +171,12 @@ def run_head_backward(head: Any, rows: int, packed: Packed, mine: Array, gradien
     by_hidden = Factors(mine, d_hidden, HIDDEN_64, ONE_64)
     d_inputs = Rows(mine, sizes.d_inputs_at, features)
     add_product(d_inputs, by_hidden, Rows(weights, head.first_back, features), rows, features, HIDDEN_64)
+
+
+@device_function
+def collect_scales(batch: Batch, anchors: AnchorArrays, mine: Array, room: int) -> None:
+    """The six scales of each drawing anchor into a vector of its own, from ``room`` in a worker's scratch on."""
+    for row in range(batch.drawing):
+        six = lane_numbers() < broadcast(F(6.0))
+        log_scale = masked_load(anchors.log_scale, 6 * anchors.visible[batch.listed[row]], six)
+        store(mine, room + row * WIDTH, exponential(log_scale))
