@@ -119,6 +119,7 @@ class Instance:
 
 
 Arrays = TypeVar("Arrays", SemanticPoints, Anchors)
+Number = TypeVar("Number", int, float)
 Listed = tuple[ClassTable, tuple[Instance, ...]]
 
 
@@ -236,24 +237,22 @@ def _outline(value: Any) -> str:
 
 
 def _colour(value: Any) -> tuple[int, int, int]:
-    red, green, blue = (_whole(part) for part in value)
-    if max(red, green, blue) > 255:
-        raise ValueError(f"{value!r} is not a colour")
+    red, green, blue = (_within(int(part), 0, 255) for part in value)
     return red, green, blue
 
 
 def _whole(value: Any) -> int:
-    number = int(value)
-    if not 0 <= number <= _LARGEST:
-        raise ValueError(f"{value!r} is not between 0 and {_LARGEST}")
-    return number
+    return _within(int(value), 0, _LARGEST)
 
 
 def _id(value: Any, least: int = 0) -> int:
     """An id. It is limited, as palettes and lists have a place for each id up to the largest."""
-    number = _whole(value)
-    if not least <= number <= LARGEST_ID:
-        raise ValueError(f"{value!r} is not an id between {least} and {LARGEST_ID}")
+    return _within(int(value), least, LARGEST_ID)
+
+
+def _within(number: Number, least: Number, most: Number) -> Number:
+    if not least <= number <= most:  # true for NaN, too
+        raise ValueError(f"{number!r} is not between {least} and {most}")
     return number
 
 
@@ -264,11 +263,11 @@ def _text(value: Any) -> str:
 
 
 def _number(value: Any) -> float:
-    return float(_floats([value], 1)[0])
+    return _within(float(value), -_FARTHEST, _FARTHEST)
 
 
 def _floats(value: Any, count: int) -> Any:
-    numbers = tuple(float(part) for part in value)
-    if len(numbers) != count or not all(abs(number) <= _FARTHEST for number in numbers):
-        raise ValueError(f"{value!r} is not {count} numbers of a normal size")
+    numbers = tuple(map(_number, value))
+    if len(numbers) != count:
+        raise ValueError(f"{value!r} is not {count} numbers")
     return numbers

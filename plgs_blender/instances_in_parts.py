@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import math
 import re
+import time
 from collections.abc import Generator, Iterator, Sequence
 from pathlib import Path
 from typing import Any, NoReturn
@@ -46,17 +48,20 @@ def reading_instances(path: Path) -> Generator[None, None, Listed]:
     return read_instances(path, content)
 
 
-_kept: dict[object, Listed] = {}  # what was read last, by its version
+Version = tuple[Path, tuple[int, int] | None]
+"""The path of an instances.json, its time in nanoseconds and its bytes; None for these if there is no such file."""
+_kept: dict[Version, Listed] = {}  # what was read last
+_begun: dict[Version, Iterator[None]] = {}  # what is being read, and kept at its end
 
 
-def version_of(lift: Path) -> tuple[Path, tuple[int, int] | None]:
-    """The instances.json of a lift, its time in nanoseconds and its bytes; None for these if there is no such file."""
+def version_of(lift: Path) -> Version:
+    """The version of a lift's instances.json as it is now."""
     path = lift / "result" / INSTANCES
     at = path.stat() if path.is_file() else None
     return path, at and (at.st_mtime_ns, at.st_size)
 
 
-def keep_listed(version: object, listed: Listed) -> Listed:
+def keep_listed(version: Version, listed: Listed) -> Listed:
     """Keep what the file of this version lists, and nothing else."""
     _kept.clear()
     _kept[version] = listed
@@ -64,10 +69,37 @@ def keep_listed(version: object, listed: Listed) -> Listed:
 
 
 def listed_in(lift: Path) -> Listed:
-    """What the instances.json of a lift lists, read now or kept: an edit follows another, and thousands of objects take
+    """What the instances.json of a lift lists, kept or read now: an edit follows another, and thousands of objects take
     half a second. Raises PlgsError."""
+    version = begin_to_read(lift)
+    read_on(math.inf)
+    return _kept[version]
+
+
+def begin_to_read(lift: Path) -> Version:
+    """``read_on`` reads what the instances.json of this lift lists, unless it was read, and nothing else."""
     version = version_of(lift)
-    return keep_listed(version, _kept.get(version) or read_instances(version[0]))
+    parts = _begun.get(version)
+    _begun.clear()
+    if version not in _kept:
+        _begun[version] = parts or _keeping(version)
+    return version
+
+
+def _keeping(version: Version) -> Generator[None, None, None]:
+    keep_listed(version, (yield from reading_instances(version[0])))
+
+
+def read_on(seconds: float) -> bool:
+    """Read on for about so many seconds. Returns whether something is left. Raises PlgsError."""
+    until = time.monotonic() + seconds
+    for version, parts in [*_begun.items()]:
+        del _begun[version]
+        for _ in parts:
+            if time.monotonic() >= until:
+                _begun[version] = parts
+                return True
+    return False
 
 
 def refuse_too_many(instances: Sequence[object], path: Path) -> None:

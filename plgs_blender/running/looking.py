@@ -2,18 +2,26 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from pathlib import Path
 
 import bpy
 
+from ...engine.errors import PlgsError
 from ...engine.job.recent import remembered_lifts
 from .. import settings as panel
 from ..chosen_scene import ChosenScene
 from ..engine_environment import engine_python
+from ..instances_in_parts import begin_to_read, read_on
+from ..lift_collection import FOLDER, folder_of, lifts_in
+from ..owned import text_of
 from ..paths import absolute
 from ..settings import PLGS_PG_settings, chosen_lift, chosen_scene
 from ..tasks import timer
 from . import estimate, lifts, live_preview, survey
+
+_PARTS_S = 0.02
+"""Seconds for which a list is read without a pause, and of the pause."""
 
 
 def look_at_scene(chosen: ChosenScene) -> None:
@@ -35,10 +43,32 @@ def find_own_lifts() -> None:
     A file may come from somebody else and name any path: a FIFO, or a disk that never answers. Other paths are looked
     at only when somebody asks for it, and so is the scene's folder.
     """
-    own = {Path(path) for path in remembered_lifts()}
+    own = _own_lifts()
     for scene in bpy.data.scenes:
         if scene.plgs.lift_folder and absolute(scene.plgs.lift_folder) in own:
             look_at_lift(absolute(scene.plgs.lift_folder))
+
+
+def _own_lifts() -> set[Path]:
+    return {Path(path) for path in remembered_lifts()}
+
+
+def begin_to_read_objects() -> None:
+    """Begin to read what the lift that the open file shows lists: an edit needs it, and would wait for half a second.
+    Only if it is one of this user's, or the file itself lies in its folder."""
+    known = _own_lifts() | {absolute("//")}
+    roots = (root for scene in (bpy.context.scene, *bpy.data.scenes) for root in lifts_in(scene))
+    folder = next((folder_of(root) for root in roots if text_of(root, FOLDER)), None)
+    if folder in known:
+        with suppress(OSError):  # an edit reads it again, and says so
+            begin_to_read(folder)
+
+
+def _read_objects() -> float | None:
+    try:
+        return _PARTS_S if read_on(_PARTS_S) else None
+    except PlgsError:  # an edit reads it again, and says so
+        return None
 
 
 def _on_scene_chosen(settings: PLGS_PG_settings) -> None:
@@ -59,6 +89,9 @@ def _at_start() -> None:
 @bpy.app.handlers.persistent
 def _on_load(*_: object) -> None:
     find_own_lifts()
+    begin_to_read_objects()
+    if not bpy.app.background:
+        bpy.app.timers.register(_read_objects, first_interval=_PARTS_S)
 
 
 def register() -> None:
@@ -74,7 +107,8 @@ def unregister() -> None:
     panel.on_scene_chosen.remove(_on_scene_chosen)
     panel.on_lift_chosen.remove(_on_lift_chosen)
     bpy.app.handlers.load_post.remove(_on_load)
-    if bpy.app.timers.is_registered(_at_start):
-        bpy.app.timers.unregister(_at_start)
+    for each in (_at_start, _read_objects):
+        if bpy.app.timers.is_registered(each):
+            bpy.app.timers.unregister(each)
     lifts.forget_refusals()
     live_preview.forget()

@@ -23,12 +23,14 @@ from plgs.plgs_blender.inspecting.lookup import box_of, boxes_of, find_lift, obj
 from plgs.plgs_blender.inspecting.visibility import HIDDEN
 from plgs.plgs_blender.instances_in_parts import MOST_INSTANCES
 from plgs.plgs_blender.results import reading_result, result_of
-from plgs.plgs_blender.running import lifts
+from plgs.plgs_blender.running import lifts, looking
 from tiny_lift import mend_manifest
 from tiny_scene import CHAIR_ID
 
 LONGEST_S = 0.3
-"""Seconds of a core that a window may wait. Other programs on the machine are not counted."""
+"""Seconds of a core that a window may wait, where work of the same kind (``work_of_others``) takes OTHERS_S, as on the
+machine of docs/trust.md when nothing else runs there. What else runs takes none of a core's time, but its memory."""
+OTHERS_S = 0.06
 TRIES = 4
 MANY, MOST = 250, 120
 """Objects of a lift, and those of them that have a box of their own here."""
@@ -79,14 +81,38 @@ def seconds(do: Callable[[], object]) -> float:
     return time.process_time() - began
 
 
+def work_of_others() -> None:
+    """Python's and Blender's own work of the kind that thousands of objects make."""
+    rows = [{"id": number, "name": f"chair {number}", "at": [0.5] * 8} for number in range(5000)]
+    rows = json.loads(json.dumps(rows))
+    made = [bpy.data.objects.new(row["name"], None) for row in rows[:1000]]
+    for ob, row in zip(made, rows, strict=False):
+        ob["instance_id"], ob.location = row["id"], row["at"][:3]
+    bpy.data.batch_remove(made)
+
+
+def parts_read() -> list[float]:
+    """The seconds of each part of what is read after a file is opened."""
+    parts, left = [], [0.0]
+    while left[-1] is not None:
+        parts.append(seconds(lambda: left.append(looking._read_objects())))
+    return parts
+
+
 def seconds_at_once(many: Path, few: Path) -> list[float]:
     """What a window waits for to open a lift, show it again, show fewer objects in its place, delete one and take that
-    back, and for Blender's longest look."""
+    back, for the first edit after the file is opened and each part of what is read before, and for Blender's longest
+    look."""
     bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
     shown = [longest_parts(each) for each in (many, many, few, many)]
-    root = find_lift(bpy.context.scene)
-    edits = [partial(corrections.delete, root, 9, around=False), partial(corrections.undo_last, root)]
-    return [*(ours for ours, _ in shown[:3]), *map(seconds, edits), max(theirs for _, theirs in shown)]
+    edits = [lambda root: corrections.delete(root, 9, around=False), corrections.undo_last]
+    edited = [seconds(partial(each, find_lift(bpy.context.scene))) for each in edits]
+    bpy.ops.wm.save_as_mainfile(filepath=str(many / "lift.blend"))
+    instances_in_parts._kept.clear()
+    bpy.ops.wm.open_mainfile(filepath=str(many / "lift.blend"))
+    read = parts_read()
+    first = [seconds(partial(each, find_lift(bpy.context.scene))) for each in edits]
+    return [*(ours for ours, _ in shown[:3]), *edited, max(read), first[0], max(theirs for _, theirs in shown)]
 
 
 @pytest.mark.slow
@@ -95,12 +121,13 @@ def test_no_part_takes_long(lift: Path, tmp_path: Path) -> None:
     counts."""
     few = lift_of(lift, tmp_path / "few", 10)
     for count in (50, boxes.MOST_BOXES, 2000, MOST_INSTANCES):
-        many, least = lift_of(lift, tmp_path / str(count), count), np.full(6, np.inf)
+        many, least = lift_of(lift, tmp_path / str(count), count), np.full(8, np.inf)
         for _ in range(TRIES):
-            least = np.minimum(least, seconds_at_once(many, few))
+            slowness = max(1.0, min(seconds(work_of_others) for _ in range(3)) / OTHERS_S)
+            least = np.minimum(least, np.array(seconds_at_once(many, few)) / slowness)
             if (least[:-1] <= LONGEST_S).all():
                 break
-        print(f"{count} objects: opened, again, fewer, deleted, undone; Blender {least.round(2).tolist()}")
+        print(f"{count}: opened, again, fewer, deleted, undone, read, first edit; Blender {least.round(2).tolist()}")
         assert (least[:-1] <= LONGEST_S).all()
 
 
@@ -225,7 +252,7 @@ def test_an_edit_leaves_the_other_objects_as_they_are(
     box = box_of(root, 11)
     box.data.vertices[0].co.x += 1.0
     moved = box.data.vertices[0].co.copy()
-    monkeypatch.setattr(instances_in_parts, "read_instances", lambda path: pytest.fail("it was read before"))
+    monkeypatch.setattr(instances_in_parts, "reading_instances", lambda path: pytest.fail("it was read before"))
     corrections.delete(root, 5, around=False)
     assert [row.instance_id for row in root.plgs.instances] == [*range(1, 5), *range(6, 21)]
     corrections.rename(root, 6, "stool")
