@@ -40,6 +40,11 @@ class Surface:
     normal: NDArray[np.float32]
     triangles: NDArray[np.int64]
 
+    def of(self, triangles: Ints) -> tuple[Surface, Ints]:
+        """These of its triangles [T, 3] alone, and which of its vertices they have, [V]."""
+        used, corners = np.unique(triangles, return_inverse=True)
+        return Surface(self.xyz[used], self.rgb[used], self.normal[used], corners.reshape(-1, 3)), used
+
 
 @dataclass(frozen=True)
 class Grain:

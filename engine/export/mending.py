@@ -1,5 +1,5 @@
-"""A fused surface mended: small holes are closed, flakes that float are left out, and crumbs far from their object are
-taken away from it."""
+"""A fused surface mended: small holes are closed, flakes that float and tatters at rims are left out, and crumbs are
+taken away from their object."""
 
 from __future__ import annotations
 
@@ -18,9 +18,13 @@ FLAKE = 0.03
 """Square metres below which a piece of the whole surface is left out."""
 CRUMB = 0.1
 """Share of the largest piece's area below which a piece of a mesh is small."""
+SCRAP = 0.02
+"""Share of the largest piece's area below which a piece of an object's mesh is a crumb, however near."""
 FAR = 0.2
 """Metres from the large pieces beyond which a small one is a crumb."""
-_KEYS = 1 << 32
+FRINGE = 2
+"""Half the width in vertices of a fringe."""
+KEYS = 1 << 32
 
 
 def close_holes(surface: Surface, label: Ints, largest: float = HAND) -> tuple[Surface, Ints]:
@@ -59,9 +63,26 @@ def without_flakes(surface: Surface, label: Ints) -> tuple[Surface, Ints]:
     piece = _pieces(surface.triangles, len(surface.xyz))
     of_triangle = piece[surface.triangles[:, 0]]
     area = np.bincount(of_triangle, _areas(surface.xyz, surface.triangles), len(surface.xyz))
-    used, corners = np.unique(surface.triangles[area[of_triangle] >= FLAKE], return_inverse=True)
-    kept = Surface(surface.xyz[used], surface.rgb[used], surface.normal[used], corners.reshape(-1, 3))
+    kept, used = surface.of(surface.triangles[area[of_triangle] >= FLAKE])
     return kept, label[used]
+
+
+def without_fringe(surface: Surface, label: Ints) -> tuple[Surface, Ints]:
+    """The surface and its vertices' labels [V] without what is narrower than twice FRINGE vertices between open edges:
+    the tatters that views leave where one surface hides another. Tubes, such as legs, have no such edges."""
+    near = np.zeros(len(label), np.bool_)
+    near[open_edges(surface.triangles)] = True
+    within = _grown(~_grown(near, surface.triangles, FRINGE - 1), surface.triangles, FRINGE)
+    kept, used = surface.of(surface.triangles[within[surface.triangles].all(axis=1)])
+    return kept, label[used]
+
+
+def _grown(marked: NDArray[np.bool_], triangles: Ints, rounds: int) -> NDArray[np.bool_]:
+    """The vertices [V] that are at most so many edges from those ``marked`` [V]."""
+    marked = marked.copy()
+    for _ in range(rounds):
+        marked[triangles[marked[triangles].any(axis=1)]] = True
+    return marked
 
 
 def _rings(surface: Surface, rim: Ints, largest: float) -> tuple[Ints, NDArray[np.bool_]]:
@@ -82,7 +103,7 @@ def _rings(surface: Surface, rim: Ints, largest: float) -> tuple[Ints, NDArray[n
 def open_edges(triangles: Ints) -> Ints:
     """The edges [E, 2] with a triangle on only one side, directed as in that triangle [T, 3]."""
     edges = triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
-    there, back = edges @ np.array([_KEYS, 1]), edges @ np.array([1, _KEYS])
+    there, back = edges @ np.array([KEYS, 1]), edges @ np.array([1, KEYS])
     return edges[~np.isin(there, back)]
 
 
@@ -98,7 +119,7 @@ def even_rim(surface: Surface, rounds: int = 4) -> NDArray[np.float32]:
 
 
 def without_crumbs(surface: Surface, label: Ints, is_stuff: NDArray[np.bool_]) -> Ints:
-    """The labels [V] without crumbs: small pieces of a label's mesh, far from its large ones.
+    """The labels [V] without crumbs: small pieces of a label's mesh far from its large ones, and scraps.
 
     A crumb gets the label that most of its neighbours on the surface have, and 0 where it has none. Stuff, marked by
     ``is_stuff`` [V], is naturally in pieces, such as the wall between two pictures: only its smallest pieces are
@@ -108,15 +129,15 @@ def without_crumbs(surface: Surface, label: Ints, is_stuff: NDArray[np.bool_]) -
     for value, triangles in triangles_by_label(surface.triangles, label).items():
         if value == 0:
             continue
-        used, corners = np.unique(triangles, return_inverse=True)
-        xyz, corners = surface.xyz[used], corners.reshape(-1, 3)
-        piece = _pieces(corners, len(used))
-        area = np.bincount(piece[corners[:, 0]], _areas(xyz, corners))
+        part, used = surface.of(triangles)
+        xyz, piece = part.xyz, _pieces(part.triangles, len(used))
+        area = np.bincount(piece[part.triangles[:, 0]], _areas(xyz, part.triangles))
         own = label[used] == value
         is_large = area >= min(CRUMB * area.max(), HAND**2 if is_stuff[used][own].any() else np.inf)
         away, _ = cKDTree(xyz[is_large[piece]]).query(xyz, distance_upper_bound=FAR)
         is_near = np.bincount(piece, np.isfinite(away)) > 0
-        crumb = own & ~is_near[piece]
+        is_scrap = area < (0.0 if is_stuff[used][own].any() else SCRAP * area.max())
+        crumb = own & (~is_near | is_scrap)[piece]
         number[used[crumb]] = crumbs + piece[crumb]
         stays[used[own & ~crumb]] = True
         crumbs += len(area)

@@ -1,8 +1,8 @@
 """The lifted scene as meshes: rendered depth fused into one surface, cut into one mesh per instance and stuff class.
 
 One truncated signed distance field collects all views (`fusion`). Its surface's vertices are then labelled by the views
-that see them: each votes with what it shows there. So the meshes meet where the labels change, without gaps. Small
-holes are closed, and pieces far from their object are taken from it (`mending`).
+that see them: each votes with what it shows there. Small holes are closed, and pieces far from their object are taken
+from it (`mending`). The meshes meet along the lines where the labels change (`cutting`).
 """
 
 from __future__ import annotations
@@ -21,9 +21,10 @@ from ..passes.previews import colour_picture
 from ..posed.classes import matte_names
 from ..posed.labelled_surface import LEAST_TRIANGLES, triangles_by_label
 from ..scene import Camera, ClassTable
+from .cutting import cut_by_label, even_labels
 from .fusion import SmallView, Surface, fuse
 from .glb import glb_bytes
-from .mending import close_holes, without_crumbs, without_flakes
+from .mending import close_holes, without_crumbs, without_flakes, without_fringe
 from .parts import Part
 from .source import FinishedLift
 
@@ -40,7 +41,7 @@ MOST_INSTANCES = 1 << 16
 def export_mesh(lift: FinishedLift, output: Path) -> None:
     """mesh.ply, the whole surface with class_id and instance_id of every vertex, and meshes/<name>.glb, one per
     instance and stuff class (glTF's axes, y up). Raises PlgsError where no surface was rendered, OSError."""
-    surface, label = mended(*fused(lift))
+    surface, label = cut_by_label(*mended(*fused(lift)))
     write_surface(lift, output / "mesh.ply", surface, label)
     for part in _cut(lift, surface, label):
         write_atomically(output / "meshes" / f"{part.name}.glb", glb_bytes([part]))
@@ -66,7 +67,8 @@ def export_gltf(lift: FinishedLift, output: Path) -> None:
 
 def parts_of(lift: FinishedLift) -> list[Part]:
     """The meshes of the wanted instances and stuff classes. Raises PlgsError where there is none, OSError."""
-    parts = [each for each in _cut(lift, *mended(*fused(lift))) if lift.wants(each.class_id, each.instance_id)]
+    parts = _cut(lift, *cut_by_label(*mended(*fused(lift))))
+    parts = [each for each in parts if lift.wants(each.class_id, each.instance_id)]
     if not parts:
         raise PlgsError("the rendered views show no such surface", lift.folder.path, "Export more frames.")
     return parts
@@ -77,9 +79,8 @@ def _cut(lift: FinishedLift, surface: Surface, label: NDArray[np.int64]) -> list
     names, parts = label_names(np.unique(label), lift.classes, lift.instances.names), []
     for value, triangles in triangles_by_label(surface.triangles, label).items():
         if value in names and len(triangles) >= LEAST_TRIANGLES:
-            used, corners = np.unique(triangles, return_inverse=True)
-            class_id, instance_id = divmod(value, MOST_INSTANCES)
-            shape = (surface.xyz[used], surface.normal[used], surface.rgb[used], corners.reshape(-1, 3))
+            (part, _), (class_id, instance_id) = surface.of(triangles), divmod(value, MOST_INSTANCES)
+            shape = (part.xyz, part.normal, part.rgb, part.triangles)
             parts.append(Part(names[value], lift.classes[class_id].name, class_id, instance_id, *shape))
     return parts
 
@@ -96,8 +97,9 @@ def fused(lift: FinishedLift) -> tuple[Surface, NDArray[np.int64]]:
 
 
 def mended(surface: Surface, label: NDArray[np.int64]) -> tuple[Surface, NDArray[np.int64]]:
-    """The surface and its labels with small holes closed, without flakes and without crumbs."""
-    surface, label = close_holes(*without_flakes(surface, label))
+    """The surface and its labels with small holes closed, without flakes, fringes and crumbs."""
+    surface, label = without_fringe(*close_holes(*without_flakes(surface, label)))
+    label = even_labels(surface.triangles, label)
     return surface, without_crumbs(surface, label, label % MOST_INSTANCES == 0)
 
 

@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from ..errors import PlgsError
+from .cutting import cut_by_label, even_labels
 from .fusion import GRAZED, Grain, Ints, SmallView, Surface, fuse
-from .mending import HAND, close_holes, even_rim, open_edges, without_crumbs, without_flakes
+from .mending import HAND, close_holes, open_edges, without_crumbs, without_flakes, without_fringe
 from .mesh import MOST_INSTANCES, vertex_labels, views_of, write_surface
 from .source import FinishedLift
 
@@ -47,15 +48,16 @@ def surface_to_view(views: list[SmallView]) -> tuple[Surface, Ints]:
     """The surface of the views, with the label of each vertex, int64 [V]: coarse where no object's own is."""
     room = _labelled(fuse(views, ROOM), views, WINDOW)
     objects = _labelled(fuse([_of_objects(view) for view in views], OBJECTS), views, HAND)
-    coarse, coarse_label = _of_corners(*room, ~_is_double(room, objects), 1)
-    fine, fine_label = _of_corners(*objects, objects[1] % MOST_INSTANCES > 0, 2)
+    coarse, coarse_label = cut_by_label(*_around(*room, ~_is_double(room, objects)))
+    fine, fine_label = cut_by_label(*objects)
+    fine, used = fine.of(fine.triangles[fine_label[fine.triangles[:, 0]] % MOST_INSTANCES > 0])
     both = Surface(
-        np.concatenate([even_rim(coarse), even_rim(fine)]),
+        np.concatenate([coarse.xyz, fine.xyz]),
         np.concatenate([coarse.rgb, fine.rgb]),
         np.concatenate([coarse.normal, fine.normal]),
         np.concatenate([coarse.triangles, fine.triangles + len(coarse.xyz)]),
     )
-    label = np.concatenate([coarse_label, fine_label])
+    label = np.concatenate([coarse_label, fine_label[used]])
     return both, without_crumbs(both, label, label % MOST_INSTANCES == 0)
 
 
@@ -67,7 +69,8 @@ def _labelled(surface: Surface, views: list[SmallView], largest: float) -> tuple
     if (label > 0).any() and (label == 0).any():
         far, at = cKDTree(surface.xyz[label > 0]).query(surface.xyz[label == 0], distance_upper_bound=_AROUND)
         label[label == 0] = np.append(label[label > 0], 0)[at]
-    surface, label = close_holes(surface, label, largest)
+    surface, label = without_fringe(*close_holes(surface, label, largest))
+    label = even_labels(surface.triangles, label)
     return surface, without_crumbs(surface, label, label % MOST_INSTANCES == 0)
 
 
@@ -91,14 +94,13 @@ def _is_double(room: tuple[Surface, Ints], objects: tuple[Surface, Ints]) -> NDA
     return np.zeros(len(double), np.bool_)
 
 
-def _of_corners(surface: Surface, label: Ints, kept: NDArray[np.bool_], least: int) -> tuple[Surface, Ints]:
-    """A surface and its labels with the triangles that have at least ``least`` corners ``kept`` [V]. Their other
-    corners get the label of one that is."""
+def _around(surface: Surface, label: Ints, kept: NDArray[np.bool_]) -> tuple[Surface, Ints]:
+    """A surface and its labels with the triangles that have a corner ``kept`` [V]. Their other corners get the label of
+    one that is."""
     is_kept = kept[surface.triangles]
-    triangles, is_kept = (each[is_kept.sum(axis=1) >= least] for each in (surface.triangles, is_kept))
+    triangles, is_kept = (each[is_kept.any(axis=1)] for each in (surface.triangles, is_kept))
     first = np.take_along_axis(triangles, is_kept.argmax(axis=1)[:, None], axis=1)
     label = label.copy()
     label[triangles[~is_kept]] = label[np.broadcast_to(first, triangles.shape)[~is_kept]]
-    used, corners = np.unique(triangles, return_inverse=True)
-    cut = Surface(surface.xyz[used], surface.rgb[used], surface.normal[used], corners.reshape(-1, 3))
-    return cut, label[used]
+    part, used = surface.of(triangles)
+    return part, label[used]

@@ -6,7 +6,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from engine.export.fusion import Surface
-from engine.export.mending import close_holes, even_rim, open_edges, without_crumbs, without_flakes
+from engine.export.mending import (
+    close_holes,
+    even_rim,
+    open_edges,
+    without_crumbs,
+    without_flakes,
+    without_fringe,
+)
 
 STEP = 0.02
 """Metres between the vertices of a sheet."""
@@ -65,7 +72,7 @@ def test_larger_holes_and_rims_stay_open() -> None:
 
 
 def test_far_small_pieces_go_to_their_neighbours_or_to_none() -> None:
-    surface = joined(sheet(60, 20), sheet(4, 4, x=3.0), sheet(4, 4, x=0.6 + 0.64))
+    surface = joined(sheet(60, 20), sheet(4, 4, x=3.0), sheet(5, 5, x=0.6 + 0.64))
     label = np.full(len(surface.xyz), 5, np.int64)
     on_sheet = surface.xyz[:, 0] < 1.19
     label[on_sheet & (surface.xyz[:, 0] < 0.6)] = 3  # the object; a patch of its label far over on the other
@@ -119,3 +126,23 @@ def test_the_teeth_of_a_rim_are_evened_and_nothing_within_moves() -> None:
     assert before > 0.9 * STEP and after < 0.2 * before
     within = np.setdiff1d(np.arange(len(whole.xyz)), edges)
     np.testing.assert_array_equal(even[within], whole.xyz[within])
+
+
+def test_scraps_of_an_object_go_however_near_and_its_legs_stay() -> None:
+    surface = joined(sheet(30, 30), sheet(4, 4, x=0.62), sheet(6, 6, x=0.72))  # 1.1 % and 3 % of the sheet
+    label = np.full(len(surface.xyz), 3, np.int64)
+    mended = without_crumbs(surface, label, np.zeros(len(label), np.bool_))
+    np.testing.assert_array_equal(np.bincount(mended, minlength=4)[[0, 3]], [16, 936])
+    assert (without_crumbs(surface, label, np.ones(len(label), np.bool_)) == 3).all()
+
+
+def test_tatters_between_open_edges_are_left_out_and_holes_grow_no_larger() -> None:
+    whole = with_hole(sheet(40, 40), 0.3, 0.48)
+    tongue = sheet(20, 3, x=0.78)  # joined to the sheet's right side where both have a vertex
+    both = joined(whole, Surface(tongue.xyz + np.float32([0, 0.2, 0]), tongue.rgb, tongue.normal, tongue.triangles))
+    _, first, number = np.unique(both.xyz.round(4), axis=0, return_index=True, return_inverse=True)
+    torn = Surface(both.xyz[first], both.rgb[first], both.normal[first], number.ravel()[both.triangles])
+    kept, label = without_fringe(torn, np.full(len(first), 3))
+    assert kept.xyz[:, 0].max() < 0.79 + 2 * STEP and (label == 3).all() and len(label) == len(kept.xyz)
+    of_sheet = kept.xyz[kept.triangles][..., 0].max(axis=1) < 0.785
+    assert np.isclose(area(kept)[of_sheet].sum(), area(whole).sum(), rtol=0.01)
