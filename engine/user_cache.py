@@ -13,6 +13,6 @@ def user_cache_folder(environ: Mapping[str, str] = os.environ) -> Path:
     places = {"win32": ("LOCALAPPDATA", "AppData/Local"), "darwin": ("", "Library/Caches")}
     variable, below = places.get(sys.platform, ("XDG_CACHE_HOME", ".cache"))
     try:
-        return Path(environ.get(variable) or Path.home() / below)
+        return given if (given := Path(environ.get(variable) or "")).is_absolute() else Path.home() / below
     except RuntimeError:  # nobody knows a home, as in a container that runs with a number which no user has
         return Path(os.devnull) / below

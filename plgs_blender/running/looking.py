@@ -8,6 +8,7 @@ from pathlib import Path
 import bpy
 
 from ...engine.errors import PlgsError
+from ...engine.job.own_files import refuse_foreign_below
 from ...engine.job.recent import remembered_lifts
 from .. import settings as panel
 from ..chosen_scene import ChosenScene
@@ -55,12 +56,13 @@ def _own_lifts() -> set[Path]:
 
 def begin_to_read_objects() -> None:
     """Begin to read what the lift that the open file shows lists: an edit needs it, and would wait for half a second.
-    Only if it is one of this user's, or the file itself lies in its folder."""
+    Only if it is one of this user's, or the file itself lies in its folder, and no link leads elsewhere."""
     known = _own_lifts() | {absolute("//")}
     roots = (root for scene in (bpy.context.scene, *bpy.data.scenes) for root in lifts_in(scene))
     folder = next((folder_of(root) for root in roots if text_of(root, FOLDER)), None)
     if folder in known:
-        with suppress(OSError):  # an edit reads it again, and says so
+        with suppress(PlgsError, OSError):  # an edit reads it again, and says so
+            refuse_foreign_below(folder)
             begin_to_read(folder)
 
 

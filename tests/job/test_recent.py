@@ -96,4 +96,5 @@ def test_where_the_cache_is(tmp_path: Path) -> None:
     assert notes_folder({"PLGS_CACHE_DIR": str(tmp_path)}) == tmp_path
     if sys.platform == "linux":
         assert notes_folder({"XDG_CACHE_HOME": str(tmp_path)}) == tmp_path / "plgs"
-        assert notes_folder({}) == Path.home() / ".cache" / "plgs"
+        for none in ({}, {"XDG_CACHE_HOME": ""}, {"XDG_CACHE_HOME": "a relative one"}):
+            assert notes_folder(none) == Path.home() / ".cache" / "plgs"

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from engine.errors import Cancelled
 from engine.instances.agreement import ViewPoints
 from engine.instances.records import ObjectMask, SceneObject
 from engine.job import EventWriter, StopSignal, last_run
@@ -59,18 +60,48 @@ def test_an_object_in_one_piece_needs_no_more_masks_than_the_views_that_see_it()
     assert without_fragments(owner, [piece(1, 6), piece(1, 2)], views)[0].tolist() == [1, 1, 0, 0]
 
 
-def test_all_parts_of_matching_tell_how_far_they_are(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A part that reports its progress can be cancelled."""
-    monkeypatch.setattr(progress, "REPORT_EVERY_S", 0.0)
-    views, classes = views_of_a_room(tmp_path / "scene", size=(32, 24))
-    events = EventWriter(tmp_path / "events.jsonl")
+PARTS = (0.0, 0.1, 0.15, 0.2, 0.3, 0.4, 0.85, 0.92, 0.95, 1.0)
+"""Shares of the matching at which another of its parts begins."""
+
+
+def match(folder: Path, stop: StopSignal, scratch: Path | None = None) -> list[float]:
+    """Match the masks of a tiny room, and return the shares that were told, also where it was stopped."""
+    views, classes = views_of_a_room(folder / "scene", size=(32, 24))
+    events = EventWriter(folder / "events.jsonl")
     events.hello(threads=1, resumed=False)
     try:
-        find(views[1:], classes, TINY, StageReporter(events, StopSignal(), STAGES), None, views[:1])
+        find(views[1:], classes, TINY, StageReporter(events, stop, STAGES), scratch, views[:1])
+    except Cancelled:
+        assert stop.reason
     finally:
         events.close()
-    told = [event.data for event in last_run(tmp_path / "events.jsonl") if event.data.get("stage") == "match"]
-    shares = [each["step"] / each["steps"] for each in told]
+    told = [event.data for event in last_run(folder / "events.jsonl") if event.data.get("stage") == "match"]
+    return [each["step"] / each["steps"] for each in told]
+
+
+def test_all_parts_of_matching_tell_how_far_they_are(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(progress, "REPORT_EVERY_S", 0.0)
+    shares = match(tmp_path, StopSignal())
     assert shares == sorted(shares)
-    for begin, end in pairwise((0.0, 0.1, 0.15, 0.2, 0.3, 0.4, 0.85, 0.92, 0.95, 1.0)):
+    for begin, end in pairwise(PARTS):
         assert any(begin <= each < end for each in shares), f"nothing is told from {begin} to {end}"
+
+
+@pytest.mark.parametrize("begin", PARTS[:-1])
+def test_matching_is_stopped_in_each_of_its_parts(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, begin: float
+) -> None:
+    """And leaves no file of its own."""
+    monkeypatch.setattr(progress, "REPORT_EVERY_S", 0.0)
+    (tmp_path / "scratch").mkdir()
+    tell = EventWriter.progress
+
+    def cancelling(events: EventWriter, stage: str, step: int, steps: int, **more: float | None) -> None:
+        tell(events, stage, step, steps, **more)
+        if stage == "match" and step >= begin * steps:
+            (tmp_path / "cancel").touch()
+
+    monkeypatch.setattr(EventWriter, "progress", cancelling)
+    shares = match(tmp_path, StopSignal(tmp_path / "cancel"), tmp_path / "scratch")
+    assert shares[-1] >= begin and all(each < begin for each in shares[:-1])
+    assert not list((tmp_path / "scratch").iterdir())

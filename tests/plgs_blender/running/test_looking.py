@@ -34,12 +34,17 @@ def read(monkeypatch: pytest.MonkeyPatch) -> Read:
     return paths
 
 
-def opened(lift: Path, folder: Path, blend: str) -> Path:
-    """A copy of a lift, after a file that shows it was opened as in a Blender that had read nothing."""
+def opened(lift: Path, folder: Path, blend: str, *, linked: bool = False) -> Path:
+    """A copy of a lift, after a file that shows it was opened as in a Blender that had read nothing. The list of its
+    objects is elsewhere if it is ``linked``."""
     shutil.copytree(lift, folder)
     lift_scene.place_lift(folder, bpy.context.scene)
     bpy.ops.wm.save_as_mainfile(filepath=str(folder / blend))
     instances_in_parts._kept.clear()
+    instances_in_parts._begun.clear()
+    if linked:
+        listed = folder / "result" / "instances.json"
+        listed.symlink_to(listed.rename(folder.with_suffix(".json")))
     bpy.ops.wm.open_mainfile(filepath=str(folder / blend))
     return folder
 
@@ -68,6 +73,11 @@ def test_a_path_that_a_file_names_is_read_only_if_it_is_ones_own(lift: Path, tmp
     remember_lift(mine)
     bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "elsewhere.blend"))
     assert looking._read_objects() is not None and len(read) == 1
+
+
+def test_a_link_in_its_place_is_left_alone(lift: Path, tmp_path: Path, read: Read) -> None:
+    opened(lift, tmp_path / "mine", "lift.blend", linked=True)
+    assert looking._read_objects() is None and not read
 
 
 def test_the_edit_says_what_is_wrong_with_the_list(lift: Path, tmp_path: Path, read: Read) -> None:
