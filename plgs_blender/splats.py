@@ -33,6 +33,8 @@ _EDGE_ON = 0.2
 """Cosine to a square's normal below which a camera sees it from no side."""
 _CAMERAS = 60
 """Cameras, evenly chosen, that are asked what they see from behind."""
+_FLAT = 0.5
+"""Smallest standard deviation over the next one below which a Gaussian itself says how its surface lies."""
 _LARGEST = 0.2
 """Largest standard deviation of a square in metres: stray Gaussians would hide the room."""
 _AT_ONCE = 50_000
@@ -127,13 +129,18 @@ class SeenSurface:
         xyz, normals = np.concatenate(columns, axis=1).reshape(2, -1, 3)
         return cls(SurfaceGrid.of(xyz), normals)
 
-    def facing(self, places: NDArray[np.float32], eyes: Eyes) -> NDArray[np.float32]:
-        """Unit normals float32 [M, 3] at these places [M, 3]: that of a point beside each, else towards an eye."""
+    def facing(self, places: NDArray[np.float32], eyes: Eyes, own: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Unit normals float32 [M, 3] at these places [M, 3]: that of a point beside each, else the ``own`` [M, 3] on
+        the nearest eye's side, else (where that is 0) towards this eye. A square that is turned to an eye shows others
+        its back: a floor of such squares has holes."""
         beside = self.grid.beside(places)
         normal = np.zeros((len(places), 3), np.float32)
         normal[beside >= 0] = self.normals[beside[beside >= 0]]
         lost = ~normal.any(axis=1)
         normal[lost] = towards_nearest(places[lost].astype(np.float64), eyes.places) if len(eyes.places) else (0, 0, 1)
+        is_flat = lost & own.any(axis=1)
+        side = np.einsum("ij,ij->i", own[is_flat], normal[is_flat])
+        normal[is_flat] = np.where(side[:, None] < 0.0, -own[is_flat], own[is_flat])
         return normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), np.float32(1e-12))
 
 
@@ -173,8 +180,11 @@ def squares(rows: NDArray[np.void], surface: SeenSurface, eyes: Eyes) -> Squares
     objects that cameras see from behind follow, turned around.
     """
     middle = np.stack([rows[axis] for axis in "xyz"], axis=1).astype(np.float32)
-    first, second = across(surface.facing(middle, eyes))
-    axes = _axes(rows) * np.minimum(_size(rows), _LARGEST).T[:, :, None]
+    axes, size = _axes(rows), np.minimum(_size(rows), _LARGEST).T
+    thin, flat, _ = np.sort(size, axis=1).T
+    own = np.where((thin < _FLAT * flat)[:, None], axes[np.arange(len(axes)), size.argmin(axis=1)], 0.0)
+    first, second = across(surface.facing(middle, eyes, own))
+    axes = axes * size[:, :, None]
     along, aside = (np.einsum("mki,mi->mk", axes, each) for each in (first, second))
     a, b, c = (along * along).sum(axis=1), (along * aside).sum(axis=1), (aside * aside).sum(axis=1)
     mean, spread = (a + c) / 2.0, np.hypot((a - c) / 2.0, b)

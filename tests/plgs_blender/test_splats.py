@@ -59,6 +59,13 @@ def test_a_square_is_the_shadow_of_its_gaussian_on_the_surface(tmp_path: Path) -
     eyes = splats.Eyes(np.array([[0.0, 0.0, 9.0]]), np.array([[0.0, 0.0, 1.0]]), np.array([0.9]))
     made = splats.squares(far, floor(-1.0), eyes)
     assert np.cross(made.right, made.up)[0, 2] > 0, "what lies beside no surface faces the nearest eye"
+    aside = splats.Eyes(np.array([[9.0, 0.0, 8.0]]), np.array([[-1.0, 0.0, 0.0]]), np.array([0.9]))
+    flat = splats.squares(far, floor(-1.0), aside)
+    assert np.allclose([flat.right[0, 2], flat.up[0, 2]], 0), "a flat one lies as it does in the model"
+    assert np.cross(flat.right, flat.up)[0, 2] > 0
+    far["scale_2"] = far["scale_1"]
+    seen = np.cross(*(getattr(splats.squares(far, floor(-1.0), aside), each)[0] for each in ("right", "up")))
+    assert np.allclose(seen / np.linalg.norm(seen), np.array([9, 0, 1]) / 82**0.5), "a round one faces the eye"
 
 
 def test_objects_that_cameras_see_from_both_sides_have_two_squares(tmp_path: Path) -> None:

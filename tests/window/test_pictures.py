@@ -4,7 +4,7 @@
     .venv/bin/python -m docs.make_pictures.window          sheets of the screenshots
 
 With PLGS_PICTURES_LIFT, a finished lift of another scene with its surface exported, the same pictures are taken of that
-lift and named after its folder: look at them.
+lift and named after its folder: look at them. The lift and its scene have to be in this clone, below build.
 """
 
 from __future__ import annotations
@@ -69,7 +69,7 @@ _RUNNING, _PREVIEW = _MODULES.format("lifts") + ".running()", _MODULES.format("l
 def lift(work_folder: Path) -> Path:
     """The sample's lift as `make demo` makes it, with the surface that a window makes after a lift; or the other."""
     if OTHER:
-        return Path(OTHER)
+        return (ROOT / OTHER).resolve()
     folder, python = work_folder / "room lift", ROOT / ".venv" / "bin" / "python"
     surface = folder / "exports" / "surface"
     subprocess.run([python, "-m", "engine", "lift", "sample/room", "-o", folder], cwd=ROOT, check=True)
