@@ -22,7 +22,7 @@ from ..instances.masks import vote_instances
 from ..instances.matching import limit_instances, match_views
 from ..instances.objects import object_classes, placed_objects, vote_classes
 from ..instances.panoptic_labels import PanopticLabels
-from ..instances.pieces import PieceRules, regroup_pieces
+from ..instances.pieces import PieceRules, connected_pieces, regroup_pieces
 from ..instances.records import ObjectMask, SceneObject, object_of_mask
 from ..instances.segment_votes import view_labels, vote_panoptic_labels
 from ..instances.segments import SegmentOptions
@@ -35,6 +35,8 @@ from ..train.progress import StageProgress
 CONSENSUS = ConsensusOptions()
 LARGEST_GAP = 0.15
 """Metres between neighbouring points of one object: about the distance between two pixels of a far view."""
+LEAST_ALONE = 20
+"""Points of a thing that no object owns are unknown in smaller groups: most lie on the ragged edges of masks."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,6 +101,8 @@ def objects_by_agreement(given: ViewsToMatch, preset: Preset, progress: StagePro
     # A point that lost its object was on the ragged edge of a few masks, so their class is no evidence for it either.
     is_fragment = (object_of_point > 0) & (owner == 0)
     cloud = replace(cloud, class_id=np.where(is_fragment, VOID, cloud.class_id).astype(np.int32))
+    is_scrap = scraps(cloud, owner, given.classes)
+    cloud = replace(cloud, class_id=np.where(is_scrap, VOID, cloud.class_id).astype(np.int32))
 
     watching = watched(things, progress.part(0.92, 0.95))
     placed = placed_objects(training.views, watching, cloud.xyz, owner, preset.voxel_size)
@@ -178,12 +182,29 @@ def pieces_in_space(
 ) -> tuple[NDArray[np.int32], list[SceneObject]]:
     """The objects after their pieces were regrouped, and the object that owns each point, int32 [N] (0 = none).
     ``object_of_point`` int32 [N]: the object among ``things`` that the views voted for."""
-    rules = PieceRules(reach=max(LARGEST_GAP, 3 * cloud.spacing))
+    rules = PieceRules(reach=reach_of(cloud))
     classes = [one.class_id for one in things]
     owner, origin = regroup_pieces(cloud.xyz, object_of_point, classes, seeing.seen, rules, progress)
     masks = masks_of_pieces([mask for one in things for mask in one.masks], seeing, owner, len(origin))
     pieces = [SceneObject(number, own, classes[number - 1]) for number, own in zip(origin, masks, strict=True)]
     return without_fragments(owner, pieces, seeing.seen)
+
+
+def reach_of(cloud: SemanticPointCloud) -> float:
+    """The most metres between two neighbouring points of one thing."""
+    return max(LARGEST_GAP, 3 * cloud.spacing)
+
+
+def scraps(cloud: SemanticPointCloud, owner: NDArray[np.int32], classes: ClassTable) -> NDArray[np.bool_]:
+    """Which points have the class of a thing, no ``owner`` int32 [N] (0 = none), and fewer than LEAST_ALONE such
+    points of their class in a connected group, bool [N]."""
+    found = np.zeros(len(owner), np.bool_)
+    for class_id in classes.thing_ids:
+        rows = np.flatnonzero((cloud.class_id == class_id) & (owner == 0))
+        if len(rows):
+            group = connected_pieces(np.asarray(cloud.xyz[rows], np.float64), reach_of(cloud))
+            found[rows] = np.bincount(group)[group] < LEAST_ALONE
+    return found
 
 
 def masks_of_pieces(

@@ -12,10 +12,11 @@ from engine.errors import Cancelled
 from engine.instances.agreement import ViewPoints
 from engine.instances.records import ObjectMask, SceneObject
 from engine.job import EventWriter, StopSignal, last_run
-from engine.lift.objects import without_fragments
+from engine.lift.objects import LEAST_ALONE, scraps, without_fragments
 from engine.lift.preparation import find
 from engine.lift.run import STAGES
-from engine.scene import Segment
+from engine.scene import Category, ClassTable, Segment
+from engine.semantics.point_cloud import SemanticPointCloud
 from engine.train import progress
 from engine.train.progress import StageReporter
 from tests.train.tiny_lift import TINY
@@ -58,6 +59,21 @@ def test_an_object_in_one_piece_needs_no_more_masks_than_the_views_that_see_it()
     found, _ = without_fragments(owner, [piece(1, 6), piece(2, 2)], views)
     assert found.tolist() == owner.tolist()
     assert without_fragments(owner, [piece(1, 6), piece(1, 2)], views)[0].tolist() == [1, 1, 0, 0]
+
+
+def test_few_points_of_a_thing_that_no_object_owns_are_scraps() -> None:
+    """As few points are none if they are of a wall or of an object; and two groups are not one."""
+    classes = ClassTable((Category(1, "wall", False, (0, 0, 0)), Category(2, "chair", True, (0, 0, 0))))
+    few, many = LEAST_ALONE - 1, LEAST_ALONE
+    groups = [(1, 0, few), (2, 7, few), (2, 0, few), (2, 0, few), (2, 0, many)]  # class, owner, points
+    class_id, owner, count = np.array(groups, np.int32).T
+    along = np.concatenate([0.1 * np.arange(each) for each in count])
+    group = np.repeat(np.arange(len(groups)), count)
+    xyz = np.stack([along, group, np.zeros(len(group))], axis=1).astype(np.float32)
+    colour, share, votes = np.zeros((len(xyz), 3), np.uint8), np.ones(len(xyz), np.float32), np.ones((len(xyz), 2))
+    cloud = SemanticPointCloud(xyz, colour, class_id[group], share, votes.astype(np.float32), (1, 2), spacing=0.03)
+    found = scraps(cloud, owner[group], classes)
+    assert found.tolist() == np.isin(group, [2, 3]).tolist()
 
 
 PARTS = (0.0, 0.1, 0.15, 0.2, 0.3, 0.4, 0.85, 0.92, 0.95, 1.0)
