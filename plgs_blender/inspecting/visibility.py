@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from ...engine.posed import VOID
 from .. import compat
 from ..boxes import INSTANCE, TOGETHER
+from ..frames import PATH
 from ..materials import object_colour
 from ..owned import KEY, LIFT, key_of, tag, text_of
 from .looks import CLASSES
@@ -26,8 +27,8 @@ from .lookup import boxes_of, clouds_of, ids_of, objects_by_key, row_of, surface
 HIDDEN = "plgs_hidden"
 MODIFIER = "Hidden instances"
 _GROUP = "hidden instances"
-_WIRES, _DOTS = 0.15, 0.03
-"""Display sizes of the frames' cameras in metres: to tell each one apart, and to show their path."""
+_WIRES, _DOTS = 0.15, 0.01
+"""Display sizes of the cameras in metres: to tell each one apart, and the smallest that Blender draws."""
 
 
 class _OnceForMany:
@@ -97,11 +98,12 @@ def _linear(srgb: bpy.types.bpy_prop_array) -> tuple[float, float, float, float]
 
 
 def size_cameras(root: bpy.types.Collection, large: bool) -> None:
-    """Draw the frames' cameras large, or as dots on their path. They are not hidden: a hidden camera shows no photo."""
+    """Draw the frames' cameras and the moving one large, or so small that they look like no dirt on the floor. They are
+    not hidden: a hidden camera shows no photo."""
     for key, ob in objects_by_key(root).items():
-        if key.startswith("frame:") and ob.type == "CAMERA":
+        if ob.type == "CAMERA" and (key == PATH or key.startswith("frame:")):
             ob.data.display_size = _WIRES if large else _DOTS
-            ob.hide_select = not large  # a click on what lies behind must not find a dot
+            ob.hide_select = not large and key != PATH  # a click on what lies behind must not find a dot
 
 
 def isolate(root: bpy.types.Collection, instance: int = 0) -> None:

@@ -6,8 +6,9 @@ from pathlib import Path
 
 import bpy
 import numpy as np
+from plgs.plgs_blender.frames import PATH
 from plgs.plgs_blender.inspecting import visibility
-from plgs.plgs_blender.inspecting.lookup import boxes_of, class_row_of, clouds_of, row_of
+from plgs.plgs_blender.inspecting.lookup import boxes_of, class_row_of, clouds_of, objects_by_key, row_of
 from tiny_scene import CHAIR_ID
 
 
@@ -101,3 +102,11 @@ def test_what_hides_points_is_made_again(root: bpy.types.Collection) -> None:
     assert seen(root) != before
     visibility.apply_visibility(root)
     assert seen(root) == before
+
+
+def test_cameras_that_are_off_are_as_small_as_blender_draws_them(root: bpy.types.Collection) -> None:
+    ours = [ob for key, ob in objects_by_key(root).items() if key.startswith(("frame:", PATH)) and ob.type == "CAMERA"]
+    smallest = ours[0].data.bl_rna.properties["display_size"].hard_min
+    assert len(ours) > 1 and {round(ob.data.display_size, 6) for ob in ours} == {round(smallest, 6)}
+    root.plgs.show_cameras = True
+    assert min(ob.data.display_size for ob in ours) > 10 * smallest
