@@ -31,6 +31,7 @@ from ..presets.preset import EvidenceKind, Preset
 from ..scene import VOID, ClassTable, OnDemand, Progress, View, stored, watched
 from ..semantics.point_cloud import SemanticPointCloud
 from ..train.progress import StageProgress
+from .repairs import Labelled, repaired
 
 CONSENSUS = ConsensusOptions()
 LARGEST_GAP = 0.15
@@ -103,8 +104,11 @@ def objects_by_agreement(given: ViewsToMatch, preset: Preset, progress: StagePro
     cloud = replace(cloud, class_id=np.where(is_fragment, VOID, cloud.class_id).astype(np.int32))
     is_scrap = scraps(cloud, owner, given.classes)
     cloud = replace(cloud, class_id=np.where(is_scrap, VOID, cloud.class_id).astype(np.int32))
+    labelled = Labelled(cloud, owner, things)
+    mended = repaired(labelled, training, given.classes, reach_of(cloud), progress.part(0.92, 0.94))
+    cloud, owner, things = mended.cloud, mended.owner, mended.things
 
-    watching = watched(things, progress.part(0.92, 0.95))
+    watching = watched(things, progress.part(0.94, 0.95))
     placed = placed_objects(training.views, watching, cloud.xyz, owner, preset.voxel_size)
     instances, instance_of_point, dropped = limit_instances(placed, owner, preset.most_instances)
     maps = watched(maps_of_points(training, cloud, instances, instance_of_point), progress.part(0.95, 1.0))

@@ -75,23 +75,25 @@ class _Candidate(NamedTuple):
     xyz: NDArray[np.float64]
 
 
-def find_unshown(views: Sequence[JudgedView], classes: ClassTable) -> list[Unshown]:
-    """The classes and objects that the lift lacks: whole classes first, then objects, each by resolution. Each view is
-    read twice."""
+def find_unshown(views: Sequence[JudgedView], classes: ClassTable, least: float = SHOWN) -> list[Unshown]:
+    """The classes and objects that the lift lacks: whole classes first, then objects, each by resolution. A place shows
+    a class if it gives at least the share ``least`` of its points that class. Each view is read twice."""
     found: list[_Candidate] = []
     shown: set[int] = set()
     for judged in views:
-        candidates, kept = _segments(judged)
+        candidates, kept = _segments(judged, least)
         found += candidates
         shown |= kept
     found = sorted(found, key=lambda each: (-each.resolution, each.frame, each.segment))[:MOST_CANDIDATES]
     answers = _Answers(found)
     for judged in views:
         answers.add(judged)
-    return sorted(_told(found, answers, shown, classes), key=lambda one: (not one.whole_class, -one.resolution))
+    return sorted(_told(found, answers, shown, classes, least), key=lambda one: (not one.whole_class, -one.resolution))
 
 
-def _told(found: list[_Candidate], answers: _Answers, shown: set[int], classes: ClassTable) -> list[Unshown]:
+def _told(
+    found: list[_Candidate], answers: _Answers, shown: set[int], classes: ClassTable, least_shown: float
+) -> list[Unshown]:
     told: list[Unshown] = []
     places: list[tuple[int, NDArray[np.float64], NDArray[np.float64]]] = []
     for number, one in enumerate(found):
@@ -101,7 +103,7 @@ def _told(found: list[_Candidate], answers: _Answers, shown: set[int], classes: 
         whole = one.class_id not in shown
         judgement = answers.of(number)
         least = LEAST_VIEWS_OF_CLASS if whole else LEAST_VIEWS_OF_OBJECT
-        if judgement.named < least or judgement.named < AGREED * judgement.near or judgement.kept >= SHOWN:
+        if judgement.named < least or judgement.named < AGREED * judgement.near or judgement.kept >= least_shown:
             continue
         if whole and any(other.class_id == one.class_id for other in told):
             continue  # a class is reported once, by its best view
@@ -125,9 +127,9 @@ def _told(found: list[_Candidate], answers: _Answers, shown: set[int], classes: 
     return told
 
 
-def _segments(judged: JudgedView) -> tuple[list[_Candidate], set[int]]:
-    """The resolved segments that the lift does not show in their own view, and the classes that it does show on one of
-    their segments."""
+def _segments(judged: JudgedView, least: float) -> tuple[list[_Candidate], set[int]]:
+    """The resolved segments of which the lift does not show the share ``least`` in their own view, and the classes that
+    it does show on one of their segments."""
     view, shown = judged
     seen = view.depth > 0
     candidates, kept = [], set()
@@ -137,7 +139,7 @@ def _segments(judged: JudgedView) -> tuple[list[_Candidate], set[int]]:
         if segment.class_id == VOID or count < LEAST_SEEN or not resolves(count, view.mask_scale):
             continue
         here = shown[where]
-        if np.mean(here == segment.class_id) >= SHOWN:
+        if np.mean(here == segment.class_id) >= least:
             kept.add(segment.class_id)
             continue
         rows, columns = np.nonzero(where)
