@@ -51,7 +51,7 @@ def reading_instances(path: Path) -> Generator[None, None, Listed]:
 Version = tuple[Path, tuple[int, int] | None]
 """The path of an instances.json, its time in nanoseconds and its bytes; None for these if there is no such file."""
 _kept: dict[Version, Listed] = {}  # what was read last
-_begun: dict[Version, Iterator[None]] = {}  # what is being read, and kept at its end
+_begun: dict[Version, Generator[None, None, Listed]] = {}  # what is being read
 
 
 def version_of(lift: Path) -> Version:
@@ -61,8 +61,9 @@ def version_of(lift: Path) -> Version:
     return path, at and (at.st_mtime_ns, at.st_size)
 
 
-def keep_listed(version: Version, listed: Listed) -> Listed:
-    """Keep what the file of this version lists, and nothing else."""
+def reading_listed(version: Version) -> Generator[None, None, Listed]:
+    """What the file of this version lists, read in parts; it is kept, and nothing else. Raises PlgsError."""
+    listed = yield from reading_instances(version[0])
     _kept.clear()
     _kept[version] = listed
     return listed
@@ -82,12 +83,8 @@ def begin_to_read(lift: Path) -> Version:
     parts = _begun.get(version)
     _begun.clear()
     if version not in _kept:
-        _begun[version] = parts or _keeping(version)
+        _begun[version] = parts or reading_listed(version)
     return version
-
-
-def _keeping(version: Version) -> Generator[None, None, None]:
-    keep_listed(version, (yield from reading_instances(version[0])))
 
 
 def read_on(seconds: float) -> bool:

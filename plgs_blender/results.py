@@ -22,7 +22,7 @@ from ..engine.result_files import (
     Instance,
     SemanticPoints,
 )
-from .instances_in_parts import keep_listed, reading_instances, refuse_too_many, version_of
+from .instances_in_parts import reading_listed, refuse_too_many, version_of
 
 _READ = (SEMANTIC_POINTS, ANCHORS, INSTANCES)
 _MOST_HASHED = 1 << 26
@@ -81,8 +81,7 @@ def reading_result(folder: Path) -> Generator[None, None, LiftResult]:
     exrs = _listed_passes(lift, listed)
     _verify(lift, [*_READ, *(path.relative_to(lift.result_path).as_posix() for path in exrs)], listed)
     yield
-    version = version_of(lift.path)  # before it is read, in parts: it may be replaced meanwhile
-    instances = keep_listed(version, (yield from reading_instances(lift.result_path / INSTANCES)))
+    instances = yield from reading_listed(version_of(lift.path))
     corrected = read_corrected(lift.path, instances)
     refuse_too_many(corrected.instances, lift.result_path / INSTANCES)  # edits split objects
     yield
