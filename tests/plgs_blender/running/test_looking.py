@@ -27,14 +27,14 @@ def extension(plgs: ModuleType, empty_file: None) -> Iterator[None]:
 
 @pytest.fixture
 def read(monkeypatch: pytest.MonkeyPatch) -> Read:
-    """The instances.json of which a first part was read since now; nothing was read before."""
+    """The instances.json of which a first part was read since a file was ``opened``."""
     paths, reading = [], instances_in_parts.reading_instances
     monkeypatch.setattr(instances_in_parts, "reading_instances", lambda path: (paths.append(path), reading(path))[1])
     monkeypatch.setattr(looking, "_PARTS_S", 0.0)  # an object in each part
     return paths
 
 
-def opened(lift: Path, folder: Path, blend: str, *, linked: bool = False) -> Path:
+def opened(lift: Path, folder: Path, blend: str, read: Read, *, linked: bool = False) -> Path:
     """A copy of a lift, after a file that shows it was opened as in a Blender that had read nothing. The list of its
     objects is elsewhere if it is ``linked``."""
     shutil.copytree(lift, folder)
@@ -42,6 +42,7 @@ def opened(lift: Path, folder: Path, blend: str, *, linked: bool = False) -> Pat
     bpy.ops.wm.save_as_mainfile(filepath=str(folder / blend))
     instances_in_parts._kept.clear()
     instances_in_parts._begun.clear()
+    read.clear()
     if linked:
         listed = folder / "result" / "instances.json"
         listed.symlink_to(listed.rename(folder.with_suffix(".json")))
@@ -50,7 +51,7 @@ def opened(lift: Path, folder: Path, blend: str, *, linked: bool = False) -> Pat
 
 
 def test_an_edit_of_an_opened_file_waits_for_no_reading(lift: Path, tmp_path: Path, read: Read) -> None:
-    mine = opened(lift, tmp_path / "mine", "lift.blend")
+    mine = opened(lift, tmp_path / "mine", "lift.blend", read)
     assert not read, "not while the file is opened"
     parts = 0
     while looking._read_objects() is not None:
@@ -61,14 +62,14 @@ def test_an_edit_of_an_opened_file_waits_for_no_reading(lift: Path, tmp_path: Pa
 
 
 def test_an_edit_before_its_end_reads_the_rest(lift: Path, tmp_path: Path, read: Read) -> None:
-    mine = opened(lift, tmp_path / "mine", "lift.blend")
+    mine = opened(lift, tmp_path / "mine", "lift.blend", read)
     assert looking._read_objects() is not None
     corrections.delete(find_lift(bpy.context.scene), 2, around=False)
     assert looking._read_objects() is None and read == [mine / "result" / "instances.json"]
 
 
 def test_a_path_that_a_file_names_is_read_only_if_it_is_ones_own(lift: Path, tmp_path: Path, read: Read) -> None:
-    mine = opened(lift, tmp_path / "mine", "../elsewhere.blend")
+    mine = opened(lift, tmp_path / "mine", "../elsewhere.blend", read)
     assert looking._read_objects() is None and not read
     remember_lift(mine)
     bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "elsewhere.blend"))
@@ -76,12 +77,12 @@ def test_a_path_that_a_file_names_is_read_only_if_it_is_ones_own(lift: Path, tmp
 
 
 def test_a_link_in_its_place_is_left_alone(lift: Path, tmp_path: Path, read: Read) -> None:
-    opened(lift, tmp_path / "mine", "lift.blend", linked=True)
+    opened(lift, tmp_path / "mine", "lift.blend", read, linked=True)
     assert looking._read_objects() is None and not read
 
 
 def test_the_edit_says_what_is_wrong_with_the_list(lift: Path, tmp_path: Path, read: Read) -> None:
-    mine = opened(lift, tmp_path / "mine", "lift.blend")
+    mine = opened(lift, tmp_path / "mine", "lift.blend", read)
     (mine / "result" / "instances.json").write_text('{"instances": [7')
     instances_in_parts.begin_to_read(mine)
     assert looking._read_objects() is None
