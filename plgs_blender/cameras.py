@@ -30,8 +30,9 @@ _MARGIN = 0.88
 """Share of the picture that the points fill."""
 _DIRECTIONS = 16
 """Directions around the room that are tried."""
-_STRAY = 0.05
-"""Percent of the points that may lie outside the picture."""
+_STRAY, _BEYOND = 1.0, 0.06
+"""Percent of the points that are stray on each side where they lie farther out than this share of what the others take
+up: a sensor's noise reaches metres out of a room."""
 _ENOUGH = 100_000
 """At most this many points determine the place; of more points, every n-th is used."""
 _DEFAULT_ROOM = np.array([[-2.0, -2.0, 0.0], [2.0, 2.0, 2.5]])
@@ -111,8 +112,11 @@ def _framed(axes: NDArray[np.float64], xyz: NDArray[np.float64]) -> Camera:
     local = xyz @ axes
     # A point at depth d is inside while |offset from the axis| <= half * d. So the outermost points on either side
     # decide where the axis runs and how far back the camera stands. A few stray points must not count.
-    right_most = np.percentile(local[:, :2] - half * local[:, 2:], 100.0 - _STRAY, axis=0)
-    left_most = np.percentile(local[:, :2] + half * local[:, 2:], _STRAY, axis=0)
+    right, left = local[:, :2] - half * local[:, 2:], local[:, :2] + half * local[:, 2:]
+    right_most, left_most = (np.percentile(each, at, axis=0) for each, at in ((right, 100.0 - _STRAY), (left, _STRAY)))
+    beyond = _BEYOND * np.abs(right_most - left_most)
+    right_most = np.minimum(right_most + beyond, right.max(axis=0))
+    left_most = np.maximum(left_most - beyond, left.min(axis=0))
     back = float(((right_most - left_most) / (2.0 * half)).max())
     pose = np.eye(4)
     pose[:3, :3] = axes

@@ -63,5 +63,15 @@ def test_the_overview_shows_the_whole_room_from_outside() -> None:
     assert np.linalg.det(camera.camera_to_world[:3, :3]) > 0.0
 
 
+def test_noise_far_out_of_the_room_does_not_shrink_it_in_the_overview() -> None:
+    xyz, inward = room()
+    noise = np.random.default_rng(0).uniform(-15, 15, (len(xyz) // 120, 3))
+    camera = overview_camera(np.concatenate([xyz, noise]), np.concatenate([inward, np.zeros_like(noise)]))
+    facing = np.einsum("ij,ij->i", inward, camera.centre - xyz) > 0.0
+    pixels, _ = camera.project(xyz[facing])
+    assert (pixels > 0.0).all() and (pixels < [1280.0, 800.0]).all()
+    assert (pixels.max(axis=0) - pixels.min(axis=0)).max() > 600.0
+
+
 def test_the_overview_of_nothing_is_still_a_camera() -> None:
     assert np.isfinite(overview_camera(np.zeros((0, 3)), np.zeros((0, 3))).camera_to_world).all()
