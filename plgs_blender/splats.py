@@ -1,8 +1,8 @@
 """The lift's Gaussians as splats: Blender's own from 5.3 on, and before that one square per Gaussian.
 
-A square is the Gaussian's shadow on the surface that it belongs to, and shows its front alone, so a room lies open from
-outside. Objects that cameras have seen from both sides have a square for each. Material Preview, EEVEE and Cycles fade
-squares from the middle and mix what overlaps; Solid shading draws them opaque.
+A square lies as its Gaussian does where that is flat, else it is the shadow on its surface. It shows its front alone, so
+a room lies open from outside. Objects that cameras have seen from both sides have a square for each. Material Preview,
+EEVEE and Cycles fade squares from the middle and mix what overlaps; Solid shading draws them opaque.
 
 Blender's PLY importer makes a point cloud of the type GAUSSIAN_SPLAT from any splat file, and its default axes (forward
 Y, up Z) are ours. This was read in Blender's source and in its API. It has not been run: there was no Blender 5.3.
@@ -34,7 +34,7 @@ _EDGE_ON = 0.2
 _CAMERAS = 60
 """Cameras, evenly chosen, that are asked what they see from behind."""
 _FLAT = 0.5
-"""Smallest standard deviation over the next one below which a Gaussian itself says how its surface lies."""
+"""Smallest standard deviation over the next one below which a Gaussian itself says how it lies."""
 _LARGEST = 0.2
 """Largest standard deviation of a square in metres: stray Gaussians would hide the room."""
 _AT_ONCE = 50_000
@@ -129,18 +129,13 @@ class SeenSurface:
         xyz, normals = np.concatenate(columns, axis=1).reshape(2, -1, 3)
         return cls(SurfaceGrid.of(xyz), normals)
 
-    def facing(self, places: NDArray[np.float32], eyes: Eyes, own: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Unit normals float32 [M, 3] at these places [M, 3]: that of a point beside each, else the ``own`` [M, 3] on
-        the nearest eye's side, else (where that is 0) towards this eye. A square that is turned to an eye shows others
-        its back: a floor of such squares has holes."""
+    def facing(self, places: NDArray[np.float32], eyes: Eyes) -> NDArray[np.float32]:
+        """Unit normals float32 [M, 3] at these places [M, 3]: that of a point beside each, else towards an eye."""
         beside = self.grid.beside(places)
         normal = np.zeros((len(places), 3), np.float32)
         normal[beside >= 0] = self.normals[beside[beside >= 0]]
         lost = ~normal.any(axis=1)
         normal[lost] = towards_nearest(places[lost].astype(np.float64), eyes.places) if len(eyes.places) else (0, 0, 1)
-        is_flat = lost & own.any(axis=1)
-        side = np.einsum("ij,ij->i", own[is_flat], normal[is_flat])
-        normal[is_flat] = np.where(side[:, None] < 0.0, -own[is_flat], own[is_flat])
         return normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), np.float32(1e-12))
 
 
@@ -176,14 +171,16 @@ def seen(rows: NDArray[np.void]) -> NDArray[np.int64]:
 
 
 def squares(rows: NDArray[np.void], surface: SeenSurface, eyes: Eyes) -> Squares:
-    """The squares of Gaussians [M]: their shadows on the surface, as large as EXTENT standard deviations. Those of
-    objects that cameras see from behind follow, turned around.
+    """The squares of Gaussians [M], as large as EXTENT standard deviations: flat ones as they lie, others as shadows on
+    the surface. Those of objects that cameras see from behind follow, turned around.
     """
     middle = np.stack([rows[axis] for axis in "xyz"], axis=1).astype(np.float32)
     axes, size = _axes(rows), np.minimum(_size(rows), _LARGEST).T
     thin, flat, _ = np.sort(size, axis=1).T
-    own = np.where((thin < _FLAT * flat)[:, None], axes[np.arange(len(axes)), size.argmin(axis=1)], 0.0)
-    first, second = across(surface.facing(middle, eyes, own))
+    facing, own = surface.facing(middle, eyes), axes[np.arange(len(axes)), size.argmin(axis=1)]
+    own = np.where(np.einsum("ij,ij->i", own, facing)[:, None] < 0.0, -own, own)
+    # What is turned to the nearest eye shows others its back: a floor of such squares has holes.
+    first, second = across(np.where((thin < _FLAT * flat)[:, None], own, facing))
     axes = axes * size[:, :, None]
     along, aside = (np.einsum("mki,mi->mk", axes, each) for each in (first, second))
     a, b, c = (along * along).sum(axis=1), (along * aside).sum(axis=1), (aside * aside).sum(axis=1)
