@@ -1,8 +1,8 @@
 """The lift's Gaussians as splats: Blender's own from 5.3 on, and before that one square per Gaussian.
 
-A square lies as its Gaussian does where that is flat, else it is the shadow on its surface. It shows its front alone, so
-a room lies open from outside. Objects that cameras have seen from both sides have a square for each. Material Preview,
-EEVEE and Cycles fade squares from the middle and mix what overlaps; Solid shading draws them opaque.
+A square lies as its Gaussian does where that is flat, else it is the shadow on its surface. It shows its front alone,
+so a room lies open from outside. Objects that cameras have seen from both sides have a square for each. Material
+Preview, EEVEE and Cycles fade squares from the middle and mix what overlaps; Solid shading draws them opaque.
 
 Blender's PLY importer makes a point cloud of the type GAUSSIAN_SPLAT from any splat file, and its default axes (forward
 Y, up Z) are ours. This was read in Blender's source and in its API. It has not been run: there was no Blender 5.3.
