@@ -396,5 +396,5 @@ def _corners(root: bpy.types.Collection) -> NDArray[np.float64]:
     """The corners [8, 3], metres, of the box around all semantic points except a few stray ones."""
     # A hidden cloud has no bounding box.
     clouds = [ob for ob in root.all_objects if ob.type == "POINTCLOUD" and "class_id" in ob]
-    low, high = np.percentile(np.concatenate([places(ob.data) for ob in clouds]), (0.2, 99.8), axis=0)
+    low, high = np.percentile(np.concatenate([places(ob.data) for ob in clouds]), (1.0, 99.0), axis=0)
     return np.array([[x, y, z] for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2])])
