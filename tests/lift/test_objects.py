@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 
 from engine.errors import Cancelled
-from engine.instances.agreement import ViewPoints
+from engine.instances.agreement import ViewPoints, ViewsOnCloud
 from engine.instances.records import ObjectMask, SceneObject
 from engine.job import EventWriter, StopSignal, last_run
-from engine.lift.objects import LEAST_ALONE, scraps, without_fragments
+from engine.lift.objects import LEAST_ALONE, maps_of_points, scraps, without_fragments
 from engine.lift.preparation import find
 from engine.lift.run import STAGES
-from engine.scene import Category, ClassTable, Segment
+from engine.scene import Camera, Category, ClassTable, PanopticMask, Segment, View
 from engine.semantics.point_cloud import SemanticPointCloud
 from engine.train import progress
 from engine.train.progress import StageReporter
@@ -74,6 +74,21 @@ def test_few_points_of_a_thing_that_no_object_owns_are_scraps() -> None:
     cloud = SemanticPointCloud(xyz, colour, class_id[group], share, votes.astype(np.float32), (1, 2), spacing=0.03)
     found = scraps(cloud, owner[group], classes)
     assert found.tolist() == np.isin(group, [2, 3]).tolist()
+
+
+def test_a_few_points_do_not_take_a_segment_whose_other_points_are_scraps() -> None:
+    """A segment of four points of one object, three of another and three scraps."""
+    wide, nothing = np.zeros((1, 10), np.float32), np.zeros((1, 10, 3), np.uint8)
+    mask = PanopticMask(np.ones((1, 10), np.int32), (Segment(1, 2, True),))
+    view = View("0000", Camera(10, 1, 10.0, 10.0, 5.0, 0.5, np.eye(4)), nothing, wide, mask)
+    owner = np.array([1] * 4 + [2] * 3 + [0] * 3, np.int32)
+    class_id, before = np.array([3] * 4 + [2] * 3 + [0] * 3, np.int32), np.array([0] * 7 + [2] * 3, np.int32)
+    xyz, share = np.zeros((10, 3), np.float32), np.ones(10, np.float32)
+    cloud = SemanticPointCloud(xyz, nothing[0], class_id, share, np.ones((10, 2), np.float32), (2, 3), spacing=0.03)
+    seeing = ViewsOnCloud([view], [np.arange(10, dtype=np.int32)[None]], [])
+    things = [SceneObject(1, (), 3), SceneObject(2, (), 2)]
+    (found,) = maps_of_points(seeing, cloud, things, owner, before)
+    assert found.tolist() == [[2] * 4 + [3] * 3 + [-1] * 3]
 
 
 PARTS = (0.0, 0.1, 0.15, 0.2, 0.3, 0.4, 0.85, 0.92, 0.95, 1.0)
