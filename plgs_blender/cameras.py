@@ -114,7 +114,7 @@ def _framed(axes: NDArray[np.float64], xyz: NDArray[np.float64]) -> Camera:
     # decide where the axis runs and how far back the camera stands. A few stray points must not count.
     right, left = local[:, :2] - half * local[:, 2:], local[:, :2] + half * local[:, 2:]
     right_most, left_most = (np.percentile(each, at, axis=0) for each, at in ((right, 100.0 - _STRAY), (left, _STRAY)))
-    beyond = _BEYOND * np.abs(right_most - left_most)
+    beyond = _BEYOND * np.ptp(np.percentile(local[:, :2], (_STRAY, 100.0 - _STRAY), axis=0), axis=0)
     right_most = np.minimum(right_most + beyond, right.max(axis=0))
     left_most = np.maximum(left_most - beyond, left.min(axis=0))
     back = float(((right_most - left_most) / (2.0 * half)).max())

@@ -19,9 +19,10 @@ _BEGINNINGS = (PART, "bake-")
 """The prefixes of files that are being written, and of logs that earlier versions left beside them."""
 
 
-def refuse_foreign(lift: Path) -> None:
-    """Raise PlgsError if one of the lift's own files or folders is something else. Their content is not checked."""
-    for name in FILES:
+def refuse_foreign(lift: Path, *more: str) -> None:
+    """Raise PlgsError if one of the lift's own files or folders, or of ``more`` files in them, is something else. What
+    else the folders hold is not checked."""
+    for name in (*FILES, *more):
         _refuse(lift / name, S_ISREG)
     for name in FOLDERS:
         _refuse(lift / name, S_ISDIR)

@@ -98,7 +98,7 @@ def _linear(srgb: bpy.types.bpy_prop_array) -> tuple[float, float, float, float]
 
 
 def size_cameras(root: bpy.types.Collection, large: bool) -> None:
-    """Draw the frames' cameras and the moving one large, or so small that they look like no dirt on the floor. They are
+    """Draw the frames' cameras and the moving one large, or so small that they do not look like dirt on the floor. They are
     not hidden: a hidden camera shows no photo."""
     for key, ob in objects_by_key(root).items():
         if ob.type == "CAMERA" and (key == PATH or key.startswith("frame:")):

@@ -8,8 +8,9 @@ from pathlib import Path
 import bpy
 
 from ...engine.errors import PlgsError
-from ...engine.job.own_files import refuse_foreign_below
+from ...engine.job.own_files import refuse_foreign
 from ...engine.job.recent import remembered_lifts
+from ...engine.result_files import INSTANCES
 from .. import settings as panel
 from ..chosen_scene import ChosenScene
 from ..engine_environment import engine_python
@@ -62,7 +63,7 @@ def begin_to_read_objects() -> None:
     folder = next((folder_of(root) for root in roots if text_of(root, FOLDER)), None)
     if folder in known:
         with suppress(PlgsError, OSError):  # an edit reads it again, and says so
-            refuse_foreign_below(folder)
+            refuse_foreign(folder, f"result/{INSTANCES}")  # not the passes: there may be thousands
             begin_to_read(folder)
 
 

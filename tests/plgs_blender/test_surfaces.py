@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from plgs.plgs_blender.cameras import overview_camera
 from plgs.plgs_blender.surfaces import SurfaceGrid
 
@@ -63,9 +64,11 @@ def test_the_overview_shows_the_whole_room_from_outside() -> None:
     assert np.linalg.det(camera.camera_to_world[:3, :3]) > 0.0
 
 
-def test_noise_far_out_of_the_room_does_not_shrink_it_in_the_overview() -> None:
+@pytest.mark.parametrize("origin", [(0, 0, 0), (100, 0, 0), (4000, 5000, 100)])
+def test_noise_far_out_of_the_room_does_not_shrink_it_in_the_overview(origin: tuple[int, int, int]) -> None:
     xyz, inward = room()
-    noise = np.random.default_rng(0).uniform(-15, 15, (len(xyz) // 120, 3))
+    xyz = xyz + origin
+    noise = np.random.default_rng(0).uniform(-15, 15, (len(xyz) // 120, 3)) + origin
     camera = overview_camera(np.concatenate([xyz, noise]), np.concatenate([inward, np.zeros_like(noise)]))
     facing = np.einsum("ij,ij->i", inward, camera.centre - xyz) > 0.0
     pixels, _ = camera.project(xyz[facing])
