@@ -98,8 +98,8 @@ def _linear(srgb: bpy.types.bpy_prop_array) -> tuple[float, float, float, float]
 
 
 def size_cameras(root: bpy.types.Collection, large: bool) -> None:
-    """Draw the frames' cameras and the moving one large, or so small that they do not look like dirt on the floor. They are
-    not hidden: a hidden camera shows no photo."""
+    """Draw the frames' cameras and the moving one large, or so small that they do not look like dirt on the floor.
+    They are not hidden: a hidden camera shows no photo."""
     for key, ob in objects_by_key(root).items():
         if ob.type == "CAMERA" and (key == PATH or key.startswith("frame:")):
             ob.data.display_size = _WIRES if large else _DOTS
