@@ -1,15 +1,17 @@
 """Trials before training: what near masks show clearly and the labelled points do not.
 
-Each such finding (``metrics/unshown.py``) is tried as an object of its own, as a part of an object of its class that it
-touches, or as another class of its place. It is kept if the masks agree better with it, each as much as it resolves:
-all that resolve the place, and near ones that took no part in drawing it. No object may fit its own masks worse.
+Each such finding (``metrics/unshown.py``) is tried as an object of its own, as a part of an object of its class if near
+masks hold both, or as another class of its place. It is kept if the masks agree better with it, each as much as it
+resolves: all that resolve the place, and near ones that took no part in drawing it. No object may fit its own masks
+worse. Segments that may show several objects (``Segment.is_group``) have a say on classes, and draw nothing.
 """
 
 from __future__ import annotations
 
 import logging
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import count
 
 import numpy as np
 from numpy.typing import NDArray
@@ -52,97 +54,115 @@ class Labelled:
 
 @dataclass(frozen=True, eq=False)
 class _Said:
-    """What a view says at the points that it sees, [n] each: their ``row``, ``segment``, ``class_id``, and the ``word``
-    of the view on each (by density)."""
+    """What a view says at the ``points`` that it sees, [n] each: their ``class_id``, the ``word`` of the view on each
+    (by density), and whether their segment ``is_group``, which may show several objects."""
 
     view: View
     points: ViewPoints
     class_id: NDArray[np.int32]
     word: NDArray[np.float64]
+    is_group: NDArray[np.bool_]
 
     @classmethod
     def of(cls, view: View, points: ViewPoints) -> _Said:
         word = evidence("density", points.pixels, points.resolution)
-        return cls(view, points, shown_classes(view, points), word)
+        groups = [segment.id for segment in view.mask.segments if segment.is_group]
+        return cls(view, points, shown_classes(view, points), word, np.isin(points.segment, groups))
 
     def on(self, is_in: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """Which of the points that it sees are in a place, bool [n]; ``is_in`` bool [N]."""
         return is_in[self.points.row]
 
     def naming(self, place: NDArray[np.bool_], class_id: int) -> NDArray[np.int32]:
-        """Its segments of this class that show the ``place`` bool [N]."""
-        found, count = np.unique(self.points.segment[(self.class_id == class_id) & self.on(place)], return_counts=True)
-        return found[count >= SAME * count.max(initial=0)]
+        """Its segments of this class that show the ``place`` bool [N], of which it sees some points; none if it names
+        too few of these so."""
+        is_named = (self.class_id == class_id) & self.on(place)
+        if is_named.sum() < SEES * self.on(place).sum():
+            return np.zeros(0, np.int32)
+        found, size = np.unique(self.points.segment[is_named & ~self.is_group], return_counts=True)
+        return found[size >= SAME * size.max(initial=0)]
+
+
+_Drawing = Sequence[tuple[_Said, NDArray[np.int32]]]
+"""Near views, each with its segments that show a place."""
 
 
 @dataclass(frozen=True, eq=False)
 class _Trial:
-    """A ``finding`` with the ``rows`` int64 [n] of its points, the ``masks`` that name it, its ``leads`` among all
-    views and among near ones that were held back, the numbers of these ``views``, and how much the worst object
-    ``falls``."""
+    """A ``finding`` with the ``rows`` int64 [n] of its points, the ``masks`` that name it and are no other object's,
+    its ``leads`` among all views and among near ones that were held back, the numbers of these ``views``, and how much
+    the worst object ``falls`` (None if no object loses or gains points). ``owner``: the number of the object that gets
+    the points, one more than there are for a new one; 0 = none, as it is stuff; None if a new one has no masks."""
 
     finding: Unshown
     rows: NDArray[np.int64]
     masks: tuple[ObjectMask, ...]
     leads: tuple[float, float]
     views: tuple[int, int]
-    falls: float
+    owner: int | None
+    falls: float | None
 
     @property
     def is_kept(self) -> bool:
-        enough = len(self.rows) >= LEAST_POINTS and min(self.views) >= LEAST_VIEWS
-        return enough and min(self.leads) >= LEAD and self.falls <= MOST_FALL
+        enough = len(self.rows) >= LEAST_POINTS and min(self.views) >= LEAST_VIEWS and self.owner is not None
+        return enough and min(self.leads) >= LEAD and (self.falls or 0.0) <= MOST_FALL
 
     def __str__(self) -> str:
-        one, (all_, held), (views, near) = self.finding, self.leads, self.views
+        one = self.finding
         kept = "kept" if self.is_kept else "refused"
-        return (
-            f"{kept}: {one.name} in place of {one.shown_as or 'nothing'}, {len(self.rows)} points (see frame "
-            f"{one.frame}): leads by {all_:.0%} in {views} views, by {held:.0%} in {near} near ones that were held "
-            f"back; another object's IoU with its masks falls by {self.falls:.2f} at most"
-        )
+        told = f"{kept}: {one.name} in place of {one.shown_as or 'nothing'} (see frame {one.frame}), "
+        if not len(self.rows):
+            return told + "no points: near views draw none there, or an earlier trial shows them"
+        all_, held = (f"{'leads' if lead >= 0 else 'trails'} by {abs(lead):.0%}" for lead in self.leads)
+        told += f"{len(self.rows)} points: {all_} among all views ({self.views[0]}), {held} among near views that were "
+        told += f"held back in turn ({self.views[1]})"
+        if self.falls is not None:
+            told += f"; an object's IoU with its masks falls by {self.falls:.2f} at most"
+        return told + ("; all of its masks are another object's" if self.owner is None else "")
 
 
-def repaired(
-    given: Labelled, seeing: ViewsOnCloud, classes: ClassTable, reach: float, progress: Progress
-) -> Labelled:
+def repaired(given: Labelled, seeing: ViewsOnCloud, classes: ClassTable, reach: float, progress: Progress) -> Labelled:
     """The points after the trials that are kept; the log tells all of them. ``reach``: the most metres between two
     neighbouring points of one thing. Raises what ``progress`` raises."""
     table = np.append(given.cloud.class_id, VOID).astype(np.int32)
-    rows, views = seeing.point_of_pixel, seeing.views
-    judged = OnDemand(len(views), lambda number: JudgedView(views[number], table[rows[number]]))
-    found = find_unshown(judged, classes, SHOWN)
+    rows, views, read = seeing.point_of_pixel, seeing.views, count()
+
+    def judged(number: int) -> JudgedView:
+        progress(next(read), 4 * len(views))  # each is read twice; the trials are the second half
+        return JudgedView(views[number], table[rows[number]])
+
+    found = find_unshown(OnDemand(len(views), judged), classes, SHOWN)
     said = [_Said.of(view, points) for view, points in zip(views, seeing.seen, strict=True)] if found else []
-    for one in watched(found, progress):
-        trial = _tried(one, given, said)
-        if len(trial.rows):  # otherwise an earlier trial shows it
-            log.info("trial %s", trial)
+    for one in watched(found, lambda done, total: progress(total + done, 2 * total)):
+        trial = _tried(one, given, said, one.class_id in classes.thing_ids, reach)
+        log.info("trial %s", trial)
         if trial.is_kept:
-            given = _with(trial, given, classes.thing_ids, reach)
+            given = _with(trial, given)
     return given
 
 
-def _tried(finding: Unshown, given: Labelled, said: Sequence[_Said]) -> _Trial:
+def _tried(finding: Unshown, given: Labelled, said: Sequence[_Said], is_thing: bool, reach: float) -> _Trial:
     """Draw and judge a trial."""
+    new = finding.class_id
     first = next(each for each in said if each.view.name == finding.frame)
     place = np.zeros(len(given.owner), np.bool_)
-    place[first.points.row[first.points.segment == finding.segment]] = True
-    near = _near(place, said)
-    drawn = _drawn(finding.class_id, place, near)
-    rows = np.flatnonzero(drawn & (given.cloud.class_id != finding.class_id))
+    place[first.points.row[(first.points.segment == finding.segment) & ~first.is_group]] = True
+    drawing = [(each, each.naming(place, new)) for each in _near(place, said)]
+    drawn = _drawn(new, len(place), drawing)
+    rows = np.flatnonzero(drawn & ((given.cloud.class_id != new) | (is_thing & (given.owner == 0))))
     held: list[tuple[float, float]] = []
-    for each in near:
-        rest = _drawn(finding.class_id, place, [other for other in near if other is not each])
-        held += _judged(finding.class_id, rest, given, [each])
-    every = _judged(finding.class_id, drawn, given, said)
-    masks = tuple(
-        ObjectMask(each.view.name, segment)
-        for each in near
-        for segment in each.view.mask.segments
-        if segment.id in each.naming(place, finding.class_id)
-    )
+    for each, _ in drawing:
+        rest = _drawn(new, len(place), [other for other in drawing if other[0] is not each])
+        held += _judged(new, rest, given, [each])
+    every = _judged(new, drawn, given, said)
+    taken = {mask.key for one in given.things for mask in one.masks}  # no view's word counts twice
+    named = (ObjectMask(s.view.name, one) for s, ids in drawing for one in s.view.mask.segments if one.id in ids)
+    masks = tuple(mask for mask in named if mask.key not in taken)
+    owner: int | None = 0
+    if is_thing:
+        owner = _joined(new, rows, drawing, given, reach) or (len(given.things) + 1 if masks else None)
     leads, views = (_lead(every), _lead(held)), (len(every), len(held))
-    return _Trial(finding, rows, masks, leads, views, _most_fall(given, rows, said))
+    return _Trial(finding, rows, masks, leads, views, owner, _most_fall(given, rows, owner or 0, said))
 
 
 def _near(place: NDArray[np.bool_], said: Sequence[_Said]) -> list[_Said]:
@@ -156,15 +176,14 @@ def _near(place: NDArray[np.bool_], said: Sequence[_Said]) -> list[_Said]:
     return [said[number] for number in np.argsort(-resolution, kind="stable") if near[number]][:MOST_NEAR]
 
 
-def _drawn(class_id: int, place: NDArray[np.bool_], near: Sequence[_Said]) -> NDArray[np.bool_]:
-    """The points that most of the evidence of the ``near`` views gives to a thing of this class at the ``place``."""
-    yes, all_ = np.zeros(len(place)), np.zeros(len(place))
-    for each in near:
-        labelled = each.points.segment > 0
+def _drawn(class_id: int, points: int, drawing: _Drawing) -> NDArray[np.bool_]:
+    """Which of so many points most of the evidence of these views gives to a thing of this class, bool [N]."""
+    yes, all_ = np.zeros(points), np.zeros(points)
+    for each, segments in drawing:
+        labelled = (each.points.segment > 0) & ~(each.is_group & (each.class_id == class_id))
         all_[each.points.row[labelled]] += each.word[labelled]
-        if np.mean(each.class_id[each.on(place)] == class_id) >= SEES:
-            own = np.isin(each.points.segment, each.naming(place, class_id))
-            yes[each.points.row[own]] += each.word[own]
+        own = np.isin(each.points.segment, segments)
+        yes[each.points.row[own]] += each.word[own]
     return (yes > 0.5 * all_) & (yes > 0)
 
 
@@ -187,19 +206,20 @@ def _lead(judged: Sequence[tuple[float, float]]) -> float:
     return sum(lead for lead, _ in judged) / max(sum(all_ for _, all_ in judged), 1e-12)
 
 
-def _most_fall(given: Labelled, rows: NDArray[np.int64], said: Sequence[_Said]) -> float:
-    """How much the mean IoU with its masks falls of the object that suffers most from losing the points ``rows``."""
-    of_view, falls = {each.view.name: each for each in said}, [0.0]
-    for number in np.setdiff1d(given.owner[rows], [0]):
-        own = given.owner == number
-        left = own.copy()
-        left[rows] = False
+def _most_fall(given: Labelled, rows: NDArray[np.int64], new_owner: int, said: Sequence[_Said]) -> float | None:
+    """How much the mean IoU with its masks falls of the object that suffers most if the points ``rows`` get a new
+    owner; None if no object loses or gains points."""
+    of_view, after = {each.view.name: each for each in said}, given.owner.copy()
+    after[rows] = new_owner
+    falls: list[float] = []
+    for number in np.setdiff1d([*given.owner[rows], new_owner], [0, len(given.things) + 1]):
+        own, left = given.owner == number, after == number
         if not left.any():
             return 1.0
         masks = [mask for mask in given.things[number - 1].masks if mask.frame in of_view]
         changes = [_iou(of_view[mask.frame], mask, own) - _iou(of_view[mask.frame], mask, left) for mask in masks]
-        falls.append(float(np.mean(changes)) if changes else 0.0)
-    return max(falls)
+        falls.append(max(0.0, float(np.mean(changes))) if changes else 0.0)
+    return max(falls, default=None)
 
 
 def _iou(said: _Said, mask: ObjectMask, own: NDArray[np.bool_]) -> float:
@@ -207,32 +227,33 @@ def _iou(said: _Said, mask: ObjectMask, own: NDArray[np.bool_]) -> float:
     return float(said.word[inside & shown].sum() / max(said.word[inside | shown].sum(), 1e-12))
 
 
-def _with(trial: _Trial, given: Labelled, thing_ids: Collection[int], reach: float) -> Labelled:
+def _with(trial: _Trial, given: Labelled) -> Labelled:
     """The points with a trial that is kept."""
-    class_id, owner, things = given.cloud.class_id.copy(), given.owner.copy(), list(given.things)
-    new = trial.finding.class_id
-    class_id[trial.rows], owner[trial.rows] = new, 0
-    if new in thing_ids:
-        number = _touched(trial.rows, class_id == new, owner, given.cloud.xyz, reach)
-        taken = {mask.key for one in things for mask in one.masks}  # no view's word counts twice
-        masks = tuple(mask for mask in trial.masks if mask.key not in taken)
-        if number:
-            things[number - 1] = replace(things[number - 1], masks=(*things[number - 1].masks, *masks))
-        elif masks:  # otherwise other objects were made of them
-            things.append(SceneObject(len(things) + 1, masks, new))
-            number = len(things)
-        owner[trial.rows] = number
+    class_id, owner, things, number = given.cloud.class_id.copy(), given.owner.copy(), list(given.things), trial.owner
+    assert number is not None, "a trial without an owner is refused"
+    class_id[trial.rows], owner[trial.rows] = trial.finding.class_id, number
+    if number > len(things):
+        things.append(SceneObject(number, trial.masks, trial.finding.class_id))
+    elif number:
+        things[number - 1] = replace(things[number - 1], masks=(*things[number - 1].masks, *trial.masks))
     return Labelled(replace(given.cloud, class_id=class_id), owner, things)
 
 
-def _touched(
-    rows: NDArray[np.int64], has_class: NDArray[np.bool_], owner: NDArray[np.int32], xyz: NDArray[np.float32],
-    reach: float,
-) -> int:  # fmt: skip
-    """The object of the class that most of the points ``rows`` have within ``reach`` metres, 0 = none."""
-    other = np.flatnonzero(has_class & (owner > 0))
-    if not len(other):
+def _joined(class_id: int, rows: NDArray[np.int64], drawing: _Drawing, given: Labelled, reach: float) -> int:
+    """The object of the class that most of the points ``rows`` have within ``reach`` metres, of those of which most
+    views hold most of what they see in the segments that draw the trial; 0 = none."""
+    other = np.flatnonzero((given.cloud.class_id == class_id) & (given.owner > 0))
+    if not len(other) or not len(rows):
         return 0
-    distance, nearest = cKDTree(xyz[other]).query(xyz[rows], distance_upper_bound=reach)
-    touched = np.bincount(owner[other[nearest[np.isfinite(distance)]]], minlength=1)
-    return int(touched.argmax()) if len(touched) > 1 else 0
+    distance, nearest = cKDTree(given.cloud.xyz[other]).query(given.cloud.xyz[rows], distance_upper_bound=reach)
+    touched = np.bincount(given.owner[other[nearest[np.isfinite(distance)]]])
+    for number in np.argsort(-touched, kind="stable")[: np.count_nonzero(touched)]:
+        own = given.owner == number
+        holds = [
+            np.isin(each.points.segment[each.on(own)], segments).mean() >= SEES
+            for each, segments in drawing
+            if len(segments) and each.on(own).any()
+        ]
+        if sum(holds) > 0.5 * len(holds):
+            return int(number)
+    return 0

@@ -64,7 +64,8 @@ class Unshown:
 
 
 class _Candidate(NamedTuple):
-    """A resolved segment whose class the lift does not show in its own view. ``xyz`` float64 [POINTS or fewer, 3]."""
+    """A resolved segment of which the lift shows too small a share as its class in the segment's own view. ``xyz``
+    float64 [POINTS or fewer, 3]."""
 
     resolution: float
     class_id: int

@@ -91,7 +91,7 @@ def test_a_few_points_do_not_take_a_segment_whose_other_points_are_scraps() -> N
     assert found.tolist() == [[2] * 4 + [3] * 3 + [-1] * 3]
 
 
-PARTS = (0.0, 0.1, 0.15, 0.2, 0.3, 0.4, 0.85, 0.92, 0.95, 1.0)
+PARTS = (0.0, 0.1, 0.15, 0.2, 0.3, 0.4, 0.85, 0.92, 0.94, 0.95, 1.0)
 """Shares of the matching at which another of its parts begins."""
 
 
