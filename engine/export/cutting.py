@@ -28,7 +28,7 @@ def even_labels(triangles: Ints, label: Ints) -> Ints:
 
 def cut_by_label(surface: Surface, label: Ints) -> tuple[Surface, Ints]:
     """The surface cut where its labels [V] change, and the new labels. All corners of a triangle then have one label,
-    as each side has vertices of its own along the cut, and rims are even."""
+    as each side has vertices of its own along the cut, in the same places, and rims are even."""
     corners, count = label[surface.triangles], len(label)
     alike = (corners == np.roll(corners, -1, axis=1)).sum(axis=1)
     two, three = surface.triangles[alike == 1], surface.triangles[alike == 0]
@@ -53,14 +53,19 @@ def cut_by_label(surface: Surface, label: Ints) -> tuple[Surface, Ints]:
         between = values[own] + along * (values[other] - values[own])
         return np.concatenate([values, between, np.tile(values[three].mean(axis=1), (3, 1))]).astype(np.float32)
 
+    normal = extended(surface.normal)
     cut = Surface(
         extended(surface.xyz),
         np.concatenate([surface.rgb, surface.rgb[own], surface.rgb[inner]]),  # an object's colours end where it does
-        extended(surface.normal),
+        normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), np.float32(1e-9)),
         np.concatenate([surface.triangles[alike == 3], *(np.stack(part, axis=-1) for part in parts)]),
     )
-    even = Surface(even_rim(cut), cut.rgb, cut.normal, cut.triangles)
-    return even, np.concatenate([label, label[own], label[inner]])
+    xyz = even_rim(cut)
+    # Each side was evened alone. Its copies of one place come together again, so that no gaps open.
+    between, middles = np.split(xyz[count:], [len(pairs)])
+    between[:] = (between + between[np.searchsorted(pairs, other * KEYS + own)]) / 2
+    middles[:] = np.tile(middles.reshape(3, -1, 3).mean(axis=0), (3, 1))
+    return Surface(xyz, cut.rgb, cut.normal, cut.triangles), np.concatenate([label, label[own], label[inner]])
 
 
 def _along(triangles: Ints, label: Ints, own: Ints, other: Ints) -> NDArray[np.float64]:

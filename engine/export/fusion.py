@@ -115,6 +115,8 @@ def fuse(views: Sequence[SmallView], grain: Grain = Grain()) -> Surface:
         to_camera = np.linalg.inv(view.camera.camera_to_world)
         lens, small_lens, pose = map(open3d.core.Tensor.from_numpy, (*lenses, to_camera))
         for part, reach in _by_slope(view, large, grain):
+            if not part[::_STRIDE, ::_STRIDE].any():
+                continue
             depth = geometry.Image(part)
             blocks = grid.compute_unique_block_coordinates(depth, lens, pose, 1.0, grain.farthest, reach)
             grid.integrate(blocks, depth, colour, lens, small_lens, pose, 1.0, grain.farthest, reach)
@@ -143,8 +145,7 @@ def _by_slope(view: SmallView, large: NDArray[np.float32], grain: Grain) -> Iter
     slope = cv2.resize(view.slopes(), large.shape[::-1], None, 0, 0, cv2.INTER_NEAREST)
     for (least, reach), (most, _) in pairwise((*grain.reaches, (np.inf, 0.0))):
         part = np.where((slope >= least) & (slope < most) & (large <= grain.farthest), large, np.float32(0))
-        if part[::_STRIDE, ::_STRIDE].any():
-            yield part, reach
+        yield part, reach
 
 
 def _in_order(surface: Surface) -> Surface:

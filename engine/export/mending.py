@@ -24,6 +24,8 @@ FAR = 0.2
 """Metres from the large pieces beyond which a small one is a crumb."""
 FRINGE = 2
 """Half the width in vertices of a fringe."""
+THIN = 0.5
+"""Share of a label's vertices outside fringes below which the label is thin itself, and has no fringe."""
 KEYS = 1 << 32
 
 
@@ -60,7 +62,7 @@ def close_holes(surface: Surface, label: Ints, largest: float = HAND) -> tuple[S
 
 def without_flakes(surface: Surface, label: Ints) -> tuple[Surface, Ints]:
     """The surface and its vertices' labels [V] without pieces smaller than a FLAKE that hang together with nothing."""
-    piece = _pieces(surface.triangles, len(surface.xyz))
+    piece = pieces(surface.triangles, len(surface.xyz))
     of_triangle = piece[surface.triangles[:, 0]]
     area = np.bincount(of_triangle, _areas(surface.xyz, surface.triangles), len(surface.xyz))
     kept, used = surface.of(surface.triangles[area[of_triangle] >= FLAKE])
@@ -69,10 +71,14 @@ def without_flakes(surface: Surface, label: Ints) -> tuple[Surface, Ints]:
 
 def without_fringe(surface: Surface, label: Ints) -> tuple[Surface, Ints]:
     """The surface and its vertices' labels [V] without what is narrower than twice FRINGE vertices between open edges:
-    the tatters that views leave where one surface hides another. Tubes, such as legs, have no such edges."""
+    the tatters that views leave where one surface hides another. Tubes, such as legs, have no such edges, and what has
+    a THIN label stays."""
     near = np.zeros(len(label), np.bool_)
     near[open_edges(surface.triangles)] = True
     within = _grown(~_grown(near, surface.triangles, FRINGE - 1), surface.triangles, FRINGE)
+    known, place = np.unique(label, return_inverse=True)
+    is_thin = (np.bincount(place, within) < THIN * np.bincount(place)) & (known > 0)
+    within |= _grown(is_thin[place], surface.triangles, 1)  # with lone vertices of other labels in it
     kept, used = surface.of(surface.triangles[within[surface.triangles].all(axis=1)])
     return kept, label[used]
 
@@ -88,9 +94,9 @@ def _grown(marked: NDArray[np.bool_], triangles: Ints, rounds: int) -> NDArray[n
 def _rings(surface: Surface, rim: Ints, largest: float) -> tuple[Ints, NDArray[np.bool_]]:
     """The ring of each open edge [E], and whether each ring [R] is a hole to close."""
     count = len(surface.xyz)
-    number = _pieces(rim, count)
+    number = pieces(rim, count)
     _, ring = np.unique(number[rim[:, 0]], return_inverse=True)
-    piece = _pieces(surface.triangles, count)
+    piece = pieces(surface.triangles, count)
     extent = _extents(surface.xyz[rim[:, 0]], ring)
     reach = _extents(surface.xyz, piece)[piece[rim[:, 0]]]
     is_hole = extent.max(axis=1) <= largest
@@ -130,7 +136,7 @@ def without_crumbs(surface: Surface, label: Ints, is_stuff: NDArray[np.bool_]) -
         if value == 0:
             continue
         part, used = surface.of(triangles)
-        xyz, piece = part.xyz, _pieces(part.triangles, len(used))
+        xyz, piece = part.xyz, pieces(part.triangles, len(used))
         area = np.bincount(piece[part.triangles[:, 0]], _areas(xyz, part.triangles))
         own = label[used] == value
         is_large = area >= min(CRUMB * area.max(), HAND**2 if is_stuff[used][own].any() else np.inf)
@@ -157,7 +163,7 @@ def most_frequent(group: Ints, label: Ints, groups: int) -> Ints:
     return found
 
 
-def _pieces(joined: Ints, count: int) -> Ints:
+def pieces(joined: Ints, count: int) -> Ints:
     """The connected piece [count] of each vertex; each row of ``joined`` [N, 2 or 3] connects its vertices."""
     first, last = joined[:, :-1].ravel(), joined[:, 1:].ravel()
     graph = coo_matrix((np.ones(len(first), np.int8), (first, last)), (count, count))

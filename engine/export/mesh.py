@@ -41,7 +41,7 @@ MOST_INSTANCES = 1 << 16
 def export_mesh(lift: FinishedLift, output: Path) -> None:
     """mesh.ply, the whole surface with class_id and instance_id of every vertex, and meshes/<name>.glb, one per
     instance and stuff class (glTF's axes, y up). Raises PlgsError where no surface was rendered, OSError."""
-    surface, label = cut_by_label(*mended(*fused(lift)))
+    surface, label = finished(lift)
     write_surface(lift, output / "mesh.ply", surface, label)
     for part in _cut(lift, surface, label):
         write_atomically(output / "meshes" / f"{part.name}.glb", glb_bytes([part]))
@@ -67,7 +67,7 @@ def export_gltf(lift: FinishedLift, output: Path) -> None:
 
 def parts_of(lift: FinishedLift) -> list[Part]:
     """The meshes of the wanted instances and stuff classes. Raises PlgsError where there is none, OSError."""
-    parts = _cut(lift, *cut_by_label(*mended(*fused(lift))))
+    parts = _cut(lift, *finished(lift))
     parts = [each for each in parts if lift.wants(each.class_id, each.instance_id)]
     if not parts:
         raise PlgsError("the rendered views show no such surface", lift.folder.path, "Export more frames.")
@@ -90,10 +90,22 @@ def fused(lift: FinishedLift) -> tuple[Surface, NDArray[np.int64]]:
     OSError."""
     small = views_of(lift, WIDEST, MOST_VIEWS)
     surface = fuse(small)
+    refuse_none(lift, surface)
+    return surface, vertex_labels(surface.xyz, small)
+
+
+def finished(lift: FinishedLift) -> tuple[Surface, NDArray[np.int64]]:
+    """The surface that is written, mended and cut, and its labels, int64 [V]. Raises as ``fused``."""
+    surface, label = cut_by_label(*mended(*fused(lift)))
+    refuse_none(lift, surface)
+    return surface, label
+
+
+def refuse_none(lift: FinishedLift, surface: Surface) -> None:
+    """Raises PlgsError for a surface without triangles."""
     if not len(surface.triangles):
         fix = "Export more frames, or lift the scene with better depth."
         raise PlgsError("the rendered views show no surface", lift.folder.path, fix)
-    return surface, vertex_labels(surface.xyz, small)
 
 
 def mended(surface: Surface, label: NDArray[np.int64]) -> tuple[Surface, NDArray[np.int64]]:

@@ -13,11 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from ..errors import PlgsError
 from .cutting import cut_by_label, even_labels
 from .fusion import GRAZED, Grain, Ints, SmallView, Surface, fuse
 from .mending import HAND, close_holes, open_edges, without_crumbs, without_flakes, without_fringe
-from .mesh import MOST_INSTANCES, vertex_labels, views_of, write_surface
+from .mesh import MOST_INSTANCES, refuse_none, vertex_labels, views_of, write_surface
 from .source import FinishedLift
 
 WIDEST, MOST_VIEWS = 320, 60
@@ -38,9 +37,7 @@ def export_surface(lift: FinishedLift, output: Path) -> None:
     """
     views = views_of(lift, WIDEST, MOST_VIEWS)
     surface, label = surface_to_view(views)
-    if not len(surface.triangles):
-        fix = "Lift the scene with better depth."
-        raise PlgsError("the rendered views show no surface", lift.folder.path, fix)
+    refuse_none(lift, surface)
     write_surface(lift, output / "mesh.ply", surface, label)
 
 

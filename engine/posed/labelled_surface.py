@@ -60,7 +60,7 @@ def triangles_by_label(
     own = np.where(corners[:, 1] == corners[:, 2], corners[:, 1], corners[:, 0])
     order = np.argsort(own, kind="stable")
     values, starts = np.unique(own[order], return_index=True)
-    return dict(zip(values.tolist(), np.split(triangles[order], starts[1:]), strict=True))
+    return dict(zip(values.tolist(), np.split(triangles[order], starts)[1:], strict=True))
 
 
 def read_surface(path: Path) -> LabelledSurface:

@@ -230,6 +230,18 @@ def test_meshes_are_exported(lift: LiftFolder, tmp_path: Path) -> None:
     assert np.asarray(read.vertex_colors).max() > 0.1
 
 
+@pytest.mark.parametrize("setting", ["mesh.LEAST_ALPHA", "mending.FLAKE"])
+@pytest.mark.parametrize("kind", ["mesh", "gltf", "usd", "surface"])
+def test_a_lift_of_which_no_surface_is_left_is_refused(
+    lift: LiftFolder, tmp_path: Path, kind: str, setting: str, capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:  # fmt: skip
+    monkeypatch.setattr(f"engine.export.{setting}", 1e6)  # no pixel has depth, or every piece is too small
+    assert main(["export", str(lift.path), "--to", kind, "-o", str(tmp_path / "out")]) != 0
+    error = capsys.readouterr().err
+    assert "show no s" in error and "Export more frames" in error and "Traceback" not in error
+
+
 def test_what_is_invalid_is_refused(lift: LiftFolder, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "file").touch()
     assert main(["export", str(lift.path), "--to", "boxes", "-o", str(tmp_path / "file")]) == 2

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
-import numpy as np
+from dataclasses import replace
 
-from engine.export.fusion import VOXEL, SmallView, fuse
+import numpy as np
+import pytest
+
+from engine.export.fusion import GRAZED, STRAIGHT, VOXEL, Grain, SmallView, fuse
 from engine.export.mending import close_holes
 from engine.export.points import point_normals
 from engine.scene import Camera
@@ -58,6 +61,15 @@ def test_the_same_views_give_the_same_bytes() -> None:
 def test_a_surface_needs_two_views() -> None:
     assert len(fuse([view_of_ball(0)]).triangles) == 0
     assert len(fuse([]).triangles) == 0
+
+
+@pytest.mark.parametrize("reaches", [STRAIGHT, GRAZED])
+def test_views_without_depth_change_nothing(reaches: tuple[tuple[float, float], ...]) -> None:
+    views = [view_of_ball(0)] * 2
+    empty = replace(views[0], depth=np.zeros_like(views[0].depth))
+    grain = Grain(reaches=reaches)
+    np.testing.assert_array_equal(fuse([empty, *views, empty], grain).xyz, fuse(views, grain).xyz)
+    assert not len(fuse([empty], grain).triangles)
 
 
 def test_normals_of_points_are_those_of_their_plane() -> None:

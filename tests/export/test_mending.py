@@ -14,6 +14,8 @@ from engine.export.mending import (
     without_flakes,
     without_fringe,
 )
+from engine.export.mesh import mended
+from engine.posed.labelled_surface import triangles_by_label
 
 STEP = 0.02
 """Metres between the vertices of a sheet."""
@@ -138,11 +140,30 @@ def test_scraps_of_an_object_go_however_near_and_its_legs_stay() -> None:
 
 def test_tatters_between_open_edges_are_left_out_and_holes_grow_no_larger() -> None:
     whole = with_hole(sheet(40, 40), 0.3, 0.48)
-    tongue = sheet(20, 3, x=0.78)  # joined to the sheet's right side where both have a vertex
-    both = joined(whole, Surface(tongue.xyz + np.float32([0, 0.2, 0]), tongue.rgb, tongue.normal, tongue.triangles))
-    _, first, number = np.unique(both.xyz.round(4), axis=0, return_index=True, return_inverse=True)
-    torn = Surface(both.xyz[first], both.rgb[first], both.normal[first], number.ravel()[both.triangles])
-    kept, label = without_fringe(torn, np.full(len(first), 3))
+    torn = with_tongue(whole)
+    kept, label = without_fringe(torn, np.full(len(torn.xyz), 3))
     assert kept.xyz[:, 0].max() < 0.79 + 2 * STEP and (label == 3).all() and len(label) == len(kept.xyz)
     of_sheet = kept.xyz[kept.triangles][..., 0].max(axis=1) < 0.785
     assert np.isclose(area(kept)[of_sheet].sum(), area(whole).sum(), rtol=0.01)
+
+
+def with_tongue(whole: Surface) -> Surface:
+    """With a tongue of three vertices' width, joined to the sheet's right side where both have a vertex."""
+    tongue = sheet(20, 3, x=0.78)
+    both = joined(whole, Surface(tongue.xyz + np.float32([0, 0.2, 0]), tongue.rgb, tongue.normal, tongue.triangles))
+    _, first, number = np.unique(both.xyz.round(4), axis=0, return_index=True, return_inverse=True)
+    return Surface(both.xyz[first], both.rgb[first], both.normal[first], number.ravel()[both.triangles])
+
+
+def test_a_thin_object_stays_alone_or_beside_others_and_with_lone_labels_in_it() -> None:
+    for surface in (sheet(200, 3), joined(sheet(30, 30), sheet(20, 3, x=2.0)), with_tongue(sheet(40, 40))):
+        label = np.where(surface.xyz[:, 0] > 0.785, 7, 5)
+        label[np.abs(surface.xyz[:, 0] - surface.xyz[:, 0].max() + 0.1).argmin()] = 0
+        kept, labels = without_fringe(surface, label)
+        of_thin = [area(each)[(each.xyz[each.triangles][..., 0] > 0.785).all(axis=1)].sum() for each in (surface, kept)]
+        assert np.isclose(*of_thin) and (labels == 7).sum() == (label == 7).sum()
+
+
+def test_where_nothing_is_left_there_is_nothing() -> None:
+    surface, label = mended(sheet(3, 3), np.full(9, 5))  # a flake
+    assert not len(surface.triangles) and not len(label) and triangles_by_label(surface.triangles, label) == {}

@@ -35,6 +35,20 @@ def look_over_the_floor(hole: bool = False) -> SmallView:
     return SmallView(camera, depth, np.full((height, width, 3), 128, np.uint8), np.where(depth > 0, label, 0))
 
 
+def of_a_pole(width: float) -> list[SmallView]:
+    """A wall at 2 m, seen by four views side by side, with an object of this width and 1.4 m height before it."""
+    views = []
+    for x in np.arange(4) * 0.05:
+        pose = np.eye(4)
+        pose[0, 3] = x
+        camera = Camera(*SIZE, 300.0, 300.0, 160.0, 120.0, pose)
+        across, down = (np.arange(SIZE[0]) + 0.5 - 160) / 150 + x, (np.arange(SIZE[1]) + 0.5 - 120) / 150
+        inside = (abs(across)[None] <= width / 2) & (abs(down)[:, None] <= 0.7)
+        depth = np.full(inside.shape, 2.0, np.float32)
+        views.append(SmallView(camera, depth, np.zeros((*depth.shape, 3), np.uint8), np.where(inside, RUG, FLOOR)))
+    return views
+
+
 def areas(surface: Surface) -> np.ndarray:
     a, b, c = surface.xyz[surface.triangles].astype(float).transpose(1, 0, 2)
     return np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2
@@ -46,6 +60,34 @@ def test_a_far_floor_that_one_view_saw_is_whole() -> None:
     # A voxel and more is missing along each rim.
     assert areas(surface).sum() == pytest.approx((FAR - nearest) * 2 * WIDE, rel=0.2)
     assert np.abs(surface.xyz[:, 2]).max() < 0.1 and (label > 0).all()
+
+
+def test_any_view_may_lack_objects_labels_or_depth() -> None:
+    views = of_a_pole(0.3)
+    bare = [replace(view, label=np.full_like(view.label, FLOOR)) for view in views]
+    void = [replace(view, label=np.zeros_like(view.label)) for view in views]
+    blind = [replace(view, depth=np.zeros_like(view.depth)) for view in views]
+    whole = areas(surface_to_view(views)[0]).sum()
+    for given, labels in (
+        (bare, {FLOOR}),
+        ([*views[:2], bare[2], views[3]], {FLOOR, RUG}),
+        ([*views[:2], blind[2], views[3]], {FLOOR, RUG}),
+        (void, {0}),
+    ):
+        surface, label = surface_to_view(given)
+        assert areas(surface).sum() == pytest.approx(whole, rel=0.05) and set(label) == labels
+    for given in (blind, []):
+        surface, label = surface_to_view(given)
+        assert not len(surface.triangles) and not len(label)
+
+
+@pytest.mark.parametrize("width", [0.02, 0.04, 0.06])
+def test_thin_objects_alone_are_no_fringe(width: float) -> None:
+    surface, label = surface_to_view(of_a_pole(width))
+    of_pole = (label[surface.triangles] == RUG).all(axis=1)
+    assert areas(surface).sum() == pytest.approx(areas(surface_to_view(of_a_pole(0))[0]).sum(), rel=0.05)
+    if width > OBJECTS.voxel:  # what is thinner is not in it
+        assert 0.4 < areas(surface)[of_pole].sum() / (width * 1.4) < 1.5
 
 
 def test_a_hole_in_the_room_is_closed() -> None:

@@ -33,8 +33,9 @@ def test_a_mesh_that_reaches_beyond_its_box_is_counted() -> None:
     surface = squares(0.0, 5.0, 9.0)
     label = MOST_INSTANCES + np.repeat([3, 3, 4], SIDE * SIDE)
     row = mesh_row("row", surface, label, {3: instance(3), 4: instance(4)})
-    named, sides, objects, far, median = row.split("|")[1:-1]
+    named, sides, objects, in_pieces, turns, far, median = row.split("|")[1:-1]
     assert (named.strip(), objects.strip(), far.strip()) == ("row", "2", "1")
+    assert (in_pieces.strip(), turns.strip()) == ("3", "12")  # squares have corners
     assert sides.strip() == f"{100 - 100 * 3 * 4 * (SIDE - 1) / (3 * len(surface.triangles)):.2f} %"
     assert float(median) == round((np.hypot(6, 1) / np.sqrt(2.01) + np.sqrt(2 / 2.01)) / 2, 2)
 
