@@ -21,8 +21,8 @@ from ..instances.consensus import ConsensusOptions, FoundObjects, find_objects, 
 from ..instances.masks import vote_instances
 from ..instances.matching import limit_instances, match_views
 from ..instances.objects import object_classes, placed_objects, vote_classes
-from ..instances.panoptic_labels import UNKNOWN_LABEL, PanopticLabels
-from ..instances.pieces import PieceRules, connected_pieces, regroup_pieces
+from ..instances.panoptic_labels import PanopticLabels
+from ..instances.pieces import PieceRules, regroup_pieces
 from ..instances.records import ObjectMask, SceneObject, object_of_mask
 from ..instances.segment_votes import view_labels, vote_panoptic_labels
 from ..instances.segments import SegmentOptions
@@ -36,8 +36,6 @@ from .repairs import Labelled, repaired
 CONSENSUS = ConsensusOptions()
 LARGEST_GAP = 0.15
 """Metres between neighbouring points of one object: about the distance between two pixels of a far view."""
-LEAST_ALONE = 20
-"""Points of a thing that no object owns are unknown in smaller groups: most lie on the ragged edges of masks."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,9 +100,6 @@ def objects_by_agreement(given: ViewsToMatch, preset: Preset, progress: StagePro
     # A point that lost its object was on the ragged edge of a few masks, so their class is no evidence for it either.
     is_fragment = (object_of_point > 0) & (owner == 0)
     cloud = replace(cloud, class_id=np.where(is_fragment, VOID, cloud.class_id).astype(np.int32))
-    is_scrap = scraps(cloud, owner, given.classes)
-    class_before = cloud.class_id
-    cloud = replace(cloud, class_id=np.where(is_scrap, VOID, cloud.class_id).astype(np.int32))
     labelled = Labelled(cloud, owner, things)
     mended = repaired(labelled, training, given.classes, reach_of(cloud), progress.part(0.92, 0.94))
     cloud, owner, things = mended.cloud, mended.owner, mended.things
@@ -112,9 +107,7 @@ def objects_by_agreement(given: ViewsToMatch, preset: Preset, progress: StagePro
     watching = watched(things, progress.part(0.94, 0.95))
     placed = placed_objects(training.views, watching, cloud.xyz, owner, preset.voxel_size)
     instances, instance_of_point, dropped = limit_instances(placed, owner, preset.most_instances)
-    scrap_class = np.where(is_scrap & (cloud.class_id == VOID), class_before, VOID).astype(np.int32)
-    maps = maps_of_points(training, cloud, instances, instance_of_point, scrap_class)
-    maps = watched(maps, progress.part(0.95, 1.0))
+    maps = watched(maps_of_points(training, cloud, instances, instance_of_point), progress.part(0.95, 1.0))
     maps = stored(maps, given.scratch)
     return Matching(cloud, instances, instance_of_point, dropped, maps, training.point_of_pixel)
 
@@ -133,22 +126,12 @@ def voted_points(
 
 
 def maps_of_points(
-    seeing: ViewsOnCloud, cloud: SemanticPointCloud, instances: Sequence[SceneObject], owner: NDArray[np.int32],
-    scrap_class: NDArray[np.int32],
-) -> OnDemand[NDArray[np.int16]]:  # fmt: skip
+    seeing: ViewsOnCloud, cloud: SemanticPointCloud, instances: Sequence[SceneObject], owner: NDArray[np.int32]
+) -> OnDemand[NDArray[np.int16]]:
     """The labels of each view's pixels, int16 [H, W], by the class of each point and the instance that owns it, int32
-    [N] (0 = none). ``scrap_class`` int32 [N]: the class that a scrap had, 0 for other points. Scraps have a say in
-    whether a segment's points agree, as a few points must not take a whole segment; then their pixels are unknown."""
-    labels, rows = labels_of(cloud, instances), seeing.point_of_pixel
-    label = labels.of_points(np.where(scrap_class > 0, scrap_class, cloud.class_id), owner)
-    voted = view_labels(seeing.views, rows, label, len(labels))
-    of_scrap = np.append(np.where(scrap_class > 0, label, UNKNOWN_LABEL), UNKNOWN_LABEL)
-
-    def known(number: int) -> NDArray[np.int16]:
-        found = voted[number]
-        return np.where(found == of_scrap[rows[number]], UNKNOWN_LABEL, found).astype(np.int16)
-
-    return OnDemand(len(voted), known)
+    [N] (0 = none)."""
+    labels = labels_of(cloud, instances)
+    return view_labels(seeing.views, seeing.point_of_pixel, labels.of_points(cloud.class_id, owner), len(labels))
 
 
 def labels_of(cloud: SemanticPointCloud, objects: Sequence[SceneObject]) -> PanopticLabels:
@@ -210,18 +193,6 @@ def pieces_in_space(
 def reach_of(cloud: SemanticPointCloud) -> float:
     """The most metres between two neighbouring points of one thing."""
     return max(LARGEST_GAP, 3 * cloud.spacing)
-
-
-def scraps(cloud: SemanticPointCloud, owner: NDArray[np.int32], classes: ClassTable) -> NDArray[np.bool_]:
-    """Which points have the class of a thing, no ``owner`` int32 [N] (0 = none), and fewer than LEAST_ALONE such
-    points of their class in a connected group, bool [N]."""
-    found = np.zeros(len(owner), np.bool_)
-    for class_id in classes.thing_ids:
-        rows = np.flatnonzero((cloud.class_id == class_id) & (owner == 0))
-        if len(rows):
-            group = connected_pieces(np.asarray(cloud.xyz[rows], np.float64), reach_of(cloud))
-            found[rows] = np.bincount(group)[group] < LEAST_ALONE
-    return found
 
 
 def masks_of_pieces(

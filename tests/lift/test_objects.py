@@ -9,14 +9,13 @@ import numpy as np
 import pytest
 
 from engine.errors import Cancelled
-from engine.instances.agreement import ViewPoints, ViewsOnCloud
+from engine.instances.agreement import ViewPoints
 from engine.instances.records import ObjectMask, SceneObject
 from engine.job import EventWriter, StopSignal, last_run
-from engine.lift.objects import LEAST_ALONE, maps_of_points, scraps, without_fragments
+from engine.lift.objects import without_fragments
 from engine.lift.preparation import find
 from engine.lift.run import STAGES
-from engine.scene import Camera, Category, ClassTable, PanopticMask, Segment, View
-from engine.semantics.point_cloud import SemanticPointCloud
+from engine.scene import Segment
 from engine.train import progress
 from engine.train.progress import StageReporter
 from tests.train.tiny_lift import TINY
@@ -59,36 +58,6 @@ def test_an_object_in_one_piece_needs_no_more_masks_than_the_views_that_see_it()
     found, _ = without_fragments(owner, [piece(1, 6), piece(2, 2)], views)
     assert found.tolist() == owner.tolist()
     assert without_fragments(owner, [piece(1, 6), piece(1, 2)], views)[0].tolist() == [1, 1, 0, 0]
-
-
-def test_few_points_of_a_thing_that_no_object_owns_are_scraps() -> None:
-    """As few points are none if they are of a wall or of an object; and two groups are not one."""
-    classes = ClassTable((Category(1, "wall", False, (0, 0, 0)), Category(2, "chair", True, (0, 0, 0))))
-    few, many = LEAST_ALONE - 1, LEAST_ALONE
-    groups = [(1, 0, few), (2, 7, few), (2, 0, few), (2, 0, few), (2, 0, many)]  # class, owner, points
-    class_id, owner, count = np.array(groups, np.int32).T
-    along = np.concatenate([0.1 * np.arange(each) for each in count])
-    group = np.repeat(np.arange(len(groups)), count)
-    xyz = np.stack([along, group, np.zeros(len(group))], axis=1).astype(np.float32)
-    colour, share, votes = np.zeros((len(xyz), 3), np.uint8), np.ones(len(xyz), np.float32), np.ones((len(xyz), 2))
-    cloud = SemanticPointCloud(xyz, colour, class_id[group], share, votes.astype(np.float32), (1, 2), spacing=0.03)
-    found = scraps(cloud, owner[group], classes)
-    assert found.tolist() == np.isin(group, [2, 3]).tolist()
-
-
-def test_a_few_points_do_not_take_a_segment_whose_other_points_are_scraps() -> None:
-    """A segment of four points of one object, three of another and three scraps."""
-    wide, nothing = np.zeros((1, 10), np.float32), np.zeros((1, 10, 3), np.uint8)
-    mask = PanopticMask(np.ones((1, 10), np.int32), (Segment(1, 2, True),))
-    view = View("0000", Camera(10, 1, 10.0, 10.0, 5.0, 0.5, np.eye(4)), nothing, wide, mask)
-    owner = np.array([1] * 4 + [2] * 3 + [0] * 3, np.int32)
-    class_id, before = np.array([3] * 4 + [2] * 3 + [0] * 3, np.int32), np.array([0] * 7 + [2] * 3, np.int32)
-    xyz, share = np.zeros((10, 3), np.float32), np.ones(10, np.float32)
-    cloud = SemanticPointCloud(xyz, nothing[0], class_id, share, np.ones((10, 2), np.float32), (2, 3), spacing=0.03)
-    seeing = ViewsOnCloud([view], [np.arange(10, dtype=np.int32)[None]], [])
-    things = [SceneObject(1, (), 3), SceneObject(2, (), 2)]
-    (found,) = maps_of_points(seeing, cloud, things, owner, before)
-    assert found.tolist() == [[2] * 4 + [3] * 3 + [-1] * 3]
 
 
 PARTS = (0.0, 0.1, 0.15, 0.2, 0.3, 0.4, 0.85, 0.92, 0.94, 0.95, 1.0)
