@@ -12,7 +12,7 @@ from uuid import uuid4
 
 from ..errors import ErrorCode, ExitCode, PlgsError
 from ..job import EventWriter, LiftFolder
-from ..job.lock import lock_on
+from ..job.lock import FileLock, Lease, lock_on
 from ..job.terminal import Interrupts
 from ..json_file import Json
 from .cluster import RETURN_S, Farm, Place, opened, reconnected
@@ -81,7 +81,7 @@ def run_batch(plan: BatchPlan, place: Place, interrupts: Interrupts, events: Eve
     report.end()
     ordered = [rows[job.name] for job in plan.jobs]
     files = (plan.output / "table.md", plan.output / "table.csv")
-    with lock_on(plan.output / RECORDS / "table.lock", _TABLE_S):  # another batch may end in this moment
+    with _turn(plan):
         for job in plan.jobs:
             if rows[job.name].state != Ended.DONE:
                 remember(plan, job, rows[job.name])
@@ -90,6 +90,11 @@ def run_batch(plan: BatchPlan, place: Place, interrupts: Interrupts, events: Eve
     if events is not None:
         events.answer({"rows": [asdict(row) for row in ordered], "table": str(files[1])})
     return ExitCode(next((row.exit_code for row in ordered if row.exit_code), 0))
+
+
+def _turn(plan: BatchPlan) -> FileLock | Lease:
+    """The right to write rows and tables, as another batch may write the same ones in this moment; for ``with``."""
+    return lock_on(plan.output / RECORDS / "table.lock", _TABLE_S)
 
 
 def _has_module(name: str) -> bool:
@@ -272,7 +277,8 @@ class _Batch:
         for future in [future for future, piece in self._out.items() if piece.scene == name]:
             self._withdraw(future)
         if row.state == Ended.DONE:
-            remember(self._plan, scene.job, row)
+            with _turn(self._plan):
+                remember(self._plan, scene.job, row)
         self._report.ended(row)
 
     def _show(self) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -10,8 +11,9 @@ import pytest
 
 from engine.batch import run
 from engine.batch.piece import Ended, Kind, Outcome, Piece
-from engine.batch.plan import BatchPlan, SceneJob
+from engine.batch.plan import RECORDS, BatchPlan, SceneJob
 from engine.job import LiftRequest
+from engine.job.lock import FileLock
 
 
 @dataclass(eq=False)
@@ -175,3 +177,18 @@ def test_each_piece_of_a_scene_may_be_killed_once(tmp_path: Path, monkeypatch: p
     batch.end(batch.farm.asked[1], Ended.DONE, frames=["1", "2"])
     batch.end(batch.farm.asked[2], Ended.KILLED)
     assert batch.farm.asked[-1].piece.names == ("1",) and not batch.rows
+
+
+def test_a_row_is_written_while_no_other_batch_writes_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / RECORDS).mkdir()
+    batch = Batch(tmp_path, monkeypatch, "one")
+    scene = batch.batch._scenes["a"]
+    record = run._row(scene, Ended.DONE, "", 0)
+    with ThreadPoolExecutor() as another:
+        with FileLock(tmp_path / RECORDS / "table.lock"):
+            ending = another.submit(batch.batch._end, scene, record)
+            with pytest.raises(TimeoutError):
+                ending.result(0.2)
+            assert not [*(tmp_path / RECORDS).glob("*.json")]
+        ending.result(10.0)
+    assert len([*(tmp_path / RECORDS).glob("*.json")]) == 1
