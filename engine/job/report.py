@@ -62,10 +62,10 @@ def doubt_of_frames(metrics: Mapping[str, Json]) -> dict[str, float]:
     return {name: float(value) for name, value in known if isinstance(value, int | float)}
 
 
-def _missed(entry: Mapping[str, Json]) -> str:
-    what = f"{'' if entry.get('whole_class') else 'one '}{entry.get('name')}"
-    instead = f", shown as {entry['shown_as']}" if entry.get("shown_as") else ""
-    return printable(f"{what}: {_number(entry.get('views'), 1, 0)} near views{instead}")
+def _missed(one: Mapping[str, Json]) -> str:
+    what = f"{'' if one.get('whole_class') else 'one '}{one.get('name')}: {_number(one.get('views'), 1, 0)} near views"
+    what += f", shown as {one['shown_as']}" if one.get("shown_as") else ""
+    return printable(what + (f"; tried before training, refused: {one['refused']}" if one.get("refused") else ""))
 
 
 def _classes_text(tables: Iterable[Mapping[str, Json]]) -> Iterator[str]:

@@ -16,7 +16,7 @@ from ..job.report import not_shown
 from ..json_file import Json
 from ..metrics.calibration import MOST_SAMPLES, Calibration, Samples, calibrate, samples_of
 from ..metrics.panoptic import PanopticEvaluation
-from ..metrics.unshown import JudgedView, Unshown, find_unshown
+from ..metrics.unshown import SHOWN, JudgedView, Refused, Unshown, find_unshown
 from ..scene import (
     Camera,
     ClassTable,
@@ -88,8 +88,10 @@ def judge(
     held_back: Sequence[View],
     progress: Callable[[int, int], object],
     scratch: Path | None = None,
+    refused: Sequence[Refused] = (),
 ) -> Judgement:
-    """Judge the finished lift by the training ``views`` and those that were ``held_back``.
+    """Judge the finished lift by the training ``views`` and those that were ``held_back``. ``refused``: trials before
+    training, which are told if the lift does not show what they tried.
 
     ``draw`` returns what a camera sees of it. Raises PlgsError, OSError, and what ``progress`` raises.
     """
@@ -104,7 +106,7 @@ def judge(
     return Judgement(
         trained=_agreement(judges[: len(trained)], scene.classes),
         held_back=_agreement(judges[len(trained) :], scene.classes),
-        not_shown=tuple(find_unshown(judges, scene.classes)),
+        not_shown=tuple(find_unshown(judges, scene.classes, SHOWN, refused)),
         calibration=calibration,
         doubt={view.name: round(calibration.doubt(seen), 4) for view, seen in zip(every, samples, strict=True)},
     )

@@ -18,6 +18,7 @@ from ..instances.oriented_box import OrientedBox
 from ..instances.records import ObjectMask, SceneObject
 from ..job import Checkpoint, CheckpointStore, LiftFolder
 from ..json_file import to_text
+from ..metrics.unshown import Refused
 from ..model.structured import StructuredScene, to_tensors
 from ..records import record_of, to_json
 from ..scene import View, stored
@@ -56,6 +57,7 @@ class _Kept:
     spacing: float
     dropped: int
     objects: tuple[_KeptObject, ...]
+    refused: tuple[Refused, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -76,7 +78,7 @@ class KeptPreparation:
         """Keep what was found for these views and so many others. Raises OSError if the disk is full."""
         cloud, objects = matching.cloud, tuple(map(_kept, matching.instances))
         found_for = self.code, masks_last_run(self.folder), _digest(views, voters)
-        about = _Kept(*found_for, cloud.class_ids, cloud.spacing, matching.dropped, objects)
+        about = _Kept(*found_for, cloud.class_ids, cloud.spacing, matching.dropped, objects, matching.refused)
         self._store.save(to_json(about), lambda folder: _write(folder / _ARRAYS, _arrays_of(matching, photos)))
 
     def read(self, views: Sequence[View], voters: int) -> tuple[Matching, Photos] | None:
@@ -151,7 +153,7 @@ def _matching(about: _Kept, arrays: Any, scratch: Path) -> Matching:
     ]
     maps = [name for name in (f"{_LABELS}{number}" for number in range(len(about.views))) if name in arrays]
     labels = stored((arrays[name] for name in maps), scratch) if maps else None
-    return Matching(cloud, instances, arrays["instance_of_point"], about.dropped, labels)
+    return Matching(cloud, instances, arrays["instance_of_point"], about.dropped, labels, refused=about.refused)
 
 
 def _photos(arrays: Any) -> Photos:

@@ -27,6 +27,7 @@ from ..instances.records import ObjectMask, SceneObject, object_of_mask
 from ..instances.segment_votes import view_labels, vote_panoptic_labels
 from ..instances.segments import SegmentOptions
 from ..instances.surface_neighbours import neighbours_on_a_thing
+from ..metrics.unshown import Refused
 from ..presets.preset import EvidenceKind, Preset
 from ..scene import VOID, ClassTable, OnDemand, Progress, View, stored, watched
 from ..semantics.point_cloud import SemanticPointCloud
@@ -56,7 +57,7 @@ class Matching:
     """The ``cloud`` with its final classes, the ``instances`` with ids 1.., the instance of each point int32 [N] (0 =
     none), and the number of instances ``dropped``. ``label_maps``: the panoptic label of each view's pixels, int16
     [H, W] (-1 = unknown), if segments and points voted on them. ``point_of_pixel``: the point of the cloud that each
-    pixel of the views shows, int32 [H, W] (-1 = none), if it was looked up."""
+    pixel of the views shows, int32 [H, W] (-1 = none), if it was looked up. ``refused``: the trials that were."""
 
     cloud: SemanticPointCloud
     instances: list[SceneObject]
@@ -64,6 +65,7 @@ class Matching:
     dropped: int
     label_maps: Sequence[NDArray[np.int16]] | None = None
     point_of_pixel: Sequence[NDArray[np.int32]] | None = None
+    refused: tuple[Refused, ...] = ()
 
 
 def instances_by_boxes(given: ViewsToMatch, preset: Preset, progress: StageProgress) -> Matching:
@@ -109,7 +111,7 @@ def objects_by_agreement(given: ViewsToMatch, preset: Preset, progress: StagePro
     instances, instance_of_point, dropped = limit_instances(placed, owner, preset.most_instances)
     maps = watched(maps_of_points(training, cloud, instances, instance_of_point), progress.part(0.95, 1.0))
     maps = stored(maps, given.scratch)
-    return Matching(cloud, instances, instance_of_point, dropped, maps, training.point_of_pixel)
+    return Matching(cloud, instances, instance_of_point, dropped, maps, training.point_of_pixel, mended.refused)
 
 
 def voted_points(

@@ -19,14 +19,13 @@ from scipy.spatial import cKDTree
 
 from ..instances.agreement import ViewPoints, ViewsOnCloud, shown_classes
 from ..instances.records import ObjectMask, SceneObject
-from ..metrics.unshown import JudgedView, Unshown, find_unshown
+from ..metrics.unshown import POINTS, SHOWN_TRIAL, JudgedView, Refused, Unshown, find_unshown
+from ..posed.layout import plural
 from ..scene import VOID, ClassTable, OnDemand, Progress, View, are_near, evidence, resolves, watched
 from ..semantics.point_cloud import SemanticPointCloud
 
 log = logging.getLogger("plgs.lift")
 
-SHOWN = 0.5
-"""A segment's class is shown if this share of its points has it. *Not shown* in the metrics asks for less."""
 SEES = 0.5
 """Share of a place's points that a view must see, or must name by a class, to have a say."""
 SAME = 0.3
@@ -45,11 +44,13 @@ MOST_NEAR = 20
 
 @dataclass(frozen=True, eq=False)
 class Labelled:
-    """The ``cloud`` with its classes, the ``things`` 1.., and the ``owner`` of each point, int32 [N] (0 = none)."""
+    """The ``cloud`` with its classes, the ``things`` 1.., the ``owner`` of each point, int32 [N] (0 = none), and the
+    trials with points that were ``refused``."""
 
     cloud: SemanticPointCloud
     owner: NDArray[np.int32]
     things: list[SceneObject]
+    refused: tuple[Refused, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,12 +90,14 @@ _Drawing = Sequence[tuple[_Said, NDArray[np.int32]]]
 
 @dataclass(frozen=True, eq=False)
 class _Trial:
-    """A ``finding`` with the ``rows`` int64 [n] of its points, the ``masks`` that name it and are no other object's,
-    its ``leads`` among all views and among near ones that were held back, the numbers of these ``views``, and how much
-    the worst object ``falls`` (None if no object loses or gains points). ``owner``: the number of the object that gets
-    the points, one more than there are for a new one; 0 = none, as it is stuff; None if a new one has no masks."""
+    """A ``finding`` with the points of its ``place`` and the ``rows`` of those that it would get, int64 [n] each, the
+    ``masks`` that name it and are no other object's, its ``leads`` among all views and among near ones that were held
+    back, the numbers of these ``views``, and how much the worst object ``falls`` (None if no object loses or gains
+    points). ``owner``: the number of the object that gets the points, one more than there are for a new one; 0 = none,
+    as it is stuff; None if a new one has no masks."""
 
     finding: Unshown
+    place: NDArray[np.int64]
     rows: NDArray[np.int64]
     masks: tuple[ObjectMask, ...]
     leads: tuple[float, float]
@@ -104,8 +107,20 @@ class _Trial:
 
     @property
     def is_kept(self) -> bool:
-        enough = len(self.rows) >= LEAST_POINTS and min(self.views) >= LEAST_VIEWS and self.owner is not None
-        return enough and min(self.leads) >= LEAD and (self.falls or 0.0) <= MOST_FALL
+        return not self.against
+
+    @property
+    def against(self) -> list[str]:
+        """Why it is refused."""
+        found = [] if len(self.rows) >= LEAST_POINTS else [f"it has {plural(len(self.rows), 'point')}"]
+        for lead, views, kind in zip(self.leads, self.views, ("view", "held-back near view"), strict=True):
+            if views < LEAST_VIEWS:
+                found.append(f"only {plural(views, kind)} can judge it")
+            elif lead < LEAD:
+                found.append(f"among {plural(views, kind)} it {_told(lead)} (a lead of {LEAD:.0%} is asked)")
+        if (self.falls or 0.0) > MOST_FALL:
+            found.append(f"an object's IoU with its masks would fall by {self.falls:.2f}")
+        return found if self.owner is not None else [*found, "all of its masks are another object's"]
 
     def __str__(self) -> str:
         one = self.finding
@@ -113,7 +128,7 @@ class _Trial:
         told = f"{kept}: {one.name} in place of {one.shown_as or 'nothing'} (see frame {one.frame}), "
         if not len(self.rows):
             return told + "no points: near views draw none there, or an earlier trial shows them"
-        all_, held = (f"{'leads' if lead >= 0 else 'trails'} by {abs(lead):.0%}" for lead in self.leads)
+        all_, held = map(_told, self.leads)
         told += f"{len(self.rows)} points: {all_} among all views ({self.views[0]}), {held} among near views that were "
         told += f"held back in turn ({self.views[1]})"
         if self.falls is not None:
@@ -131,13 +146,18 @@ def repaired(given: Labelled, seeing: ViewsOnCloud, classes: ClassTable, reach: 
         progress(next(read), 4 * len(views))  # each is read twice; the trials are the second half
         return JudgedView(views[number], table[rows[number]])
 
-    found = find_unshown(OnDemand(len(views), judged), classes, SHOWN)
+    found = find_unshown(OnDemand(len(views), judged), classes, SHOWN_TRIAL)
     said = [_Said.of(view, points) for view, points in zip(views, seeing.seen, strict=True)] if found else []
     for one in watched(found, lambda done, total: progress(total + done, 2 * total)):
         trial = _tried(one, given, said, one.class_id in classes.thing_ids, reach)
         log.info("trial %s", trial)
         if trial.is_kept:
             given = _with(trial, given)
+        elif len(trial.rows):
+            finding = replace(one, refused=", ".join(trial.against))
+            some = trial.place[:: -(-len(trial.place) // POINTS)]
+            places = tuple((float(x), float(y), float(z)) for x, y, z in given.cloud.xyz[some])
+            given = replace(given, refused=(*given.refused, Refused(finding, places)))
     return given
 
 
@@ -162,7 +182,8 @@ def _tried(finding: Unshown, given: Labelled, said: Sequence[_Said], is_thing: b
     if is_thing:
         owner = _joined(new, rows, drawing, given, reach) or (len(given.things) + 1 if masks else None)
     leads, views = (_lead(every), _lead(held)), (len(every), len(held))
-    return _Trial(finding, rows, masks, leads, views, owner, _most_fall(given, rows, owner or 0, said))
+    falls = _most_fall(given, rows, owner or 0, said)
+    return _Trial(finding, np.flatnonzero(place), rows, masks, leads, views, owner, falls)
 
 
 def _near(place: NDArray[np.bool_], said: Sequence[_Said]) -> list[_Said]:
@@ -202,6 +223,10 @@ def _judged(
     return found
 
 
+def _told(lead: float) -> str:
+    return f"{'leads' if lead >= 0 else 'trails'} by {abs(lead):.0%}"
+
+
 def _lead(judged: Sequence[tuple[float, float]]) -> float:
     return sum(lead for lead, _ in judged) / max(sum(all_ for _, all_ in judged), 1e-12)
 
@@ -236,7 +261,7 @@ def _with(trial: _Trial, given: Labelled) -> Labelled:
         things.append(SceneObject(number, trial.masks, trial.finding.class_id))
     elif number:
         things[number - 1] = replace(things[number - 1], masks=(*things[number - 1].masks, *trial.masks))
-    return Labelled(replace(given.cloud, class_id=class_id), owner, things)
+    return replace(given, cloud=replace(given.cloud, class_id=class_id), owner=owner, things=things)
 
 
 def _joined(class_id: int, rows: NDArray[np.int64], drawing: _Drawing, given: Labelled, reach: float) -> int:

@@ -175,7 +175,7 @@ def run_lift(
                 take_over_edits(folder, earlier, events)
         baker = FrameBaker(classes, trainer.scene, shown_instances(prepared, names))
         wanted = frames_to_bake(frames.all, request.bake)
-        bake_and_evaluate(folder, frames.chosen, baker, wanted, views, held_back, events, stages)
+        bake_and_evaluate(folder, frames.chosen, baker, wanted, views, held_back, events, stages, prepared.refused)
     previews.clear_away()
     finish(folder, preset, stages, code)
     remember_pace(paces, trainer)

@@ -6,7 +6,7 @@ A view asks about the segments that it resolves, and near views answer (``scene/
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -24,6 +24,8 @@ AGREED = 2 / 3
 """Share of the near views that must name the place this way. Networks confuse some classes in half of their masks."""
 SHOWN = 0.1
 """The lift does not show a place's class if it gives fewer than this share of the place's points that class."""
+SHOWN_TRIAL = 0.5
+"""The same before training, and in the lift where a trial was refused."""
 POINTS = 64
 """The number of points that represent a segment."""
 MOST_CANDIDATES = 500
@@ -47,7 +49,8 @@ class Unshown:
 
     ``views`` near views name it, of ``near`` that see the place. ``frame`` shows it best: there it is ``segment``,
     with ``pixels`` pixels at the frame's own size, at ``resolution`` pixels per centimetre. ``shown_as``: the class
-    that the lift shows there most, 0 = none. ``centre``: world metres.
+    that the lift shows there most, "" = none. ``centre``: world metres. ``refused``: why it was not shown after a trial
+    before training (``lift/repairs.py``), "" without one; views and ``shown_as`` are those of the trial then.
     """
 
     class_id: int
@@ -61,11 +64,20 @@ class Unshown:
     resolution: float
     shown_as: str
     centre: tuple[float, float, float]
+    refused: str = ""
+
+
+@dataclass(frozen=True)
+class Refused:
+    """A ``finding`` whose trial was refused, and its ``places``: at most POINTS points of its segment, world metres."""
+
+    finding: Unshown
+    places: tuple[tuple[float, float, float], ...]
 
 
 class _Candidate(NamedTuple):
     """A resolved segment of which the lift shows too small a share as its class in the segment's own view. ``xyz``
-    float64 [POINTS or fewer, 3]."""
+    float64 [POINTS or fewer, 3]. ``refused``: its trial, if there was one; then ``shown_as`` is not known."""
 
     resolution: float
     class_id: int
@@ -74,11 +86,25 @@ class _Candidate(NamedTuple):
     pixels: int
     shown_as: int
     xyz: NDArray[np.float64]
+    refused: Unshown | None = None
+
+    @classmethod
+    def of(cls, trial: Refused) -> _Candidate:
+        one, xyz = trial.finding, np.array(trial.places, np.float64)
+        return cls(one.resolution, one.class_id, one.frame, one.segment, one.pixels, VOID, xyz, one)
+
+    @property
+    def place(self) -> tuple[int, NDArray[np.float64], NDArray[np.float64]]:
+        """The class, and the box in which other segments of the class show the same."""
+        return self.class_id, self.xyz.min(axis=0) - MARGIN, self.xyz.max(axis=0) + MARGIN
 
 
-def find_unshown(views: Sequence[JudgedView], classes: ClassTable, least: float = SHOWN) -> list[Unshown]:
+def find_unshown(
+    views: Sequence[JudgedView], classes: ClassTable, least: float = SHOWN, refused: Sequence[Refused] = ()
+) -> list[Unshown]:
     """The classes and objects that the lift lacks: whole classes first, then objects, each by resolution. A place shows
-    a class if it gives at least the share ``least`` of its points that class. Each view is read twice."""
+    a class if it gives at least the share ``least`` of its points that class; SHOWN_TRIAL where a trial was
+    ``refused``, which its near views agreed on. Each view is read twice."""
     found: list[_Candidate] = []
     shown: set[int] = set()
     for judged in views:
@@ -86,6 +112,7 @@ def find_unshown(views: Sequence[JudgedView], classes: ClassTable, least: float 
         found += candidates
         shown |= kept
     found = sorted(found, key=lambda each: (-each.resolution, each.frame, each.segment))[:MOST_CANDIDATES]
+    found = [*map(_Candidate.of, refused), *found]
     answers = _Answers(found)
     for judged in views:
         answers.add(judged)
@@ -98,17 +125,22 @@ def _told(
     told: list[Unshown] = []
     places: list[tuple[int, NDArray[np.float64], NDArray[np.float64]]] = []
     for number, one in enumerate(found):
+        whole = one.class_id not in shown
+        if one.refused is not None:
+            if answers.of(number).kept < SHOWN_TRIAL:
+                places.append(one.place)
+                told.append(replace(one.refused, whole_class=whole))
+            continue
         centre = np.median(one.xyz, axis=0)
         if any(c == one.class_id and (low <= centre).all() and (centre <= high).all() for c, low, high in places):
             continue
-        whole = one.class_id not in shown
         judgement = answers.of(number)
         least = LEAST_VIEWS_OF_CLASS if whole else LEAST_VIEWS_OF_OBJECT
         if judgement.named < least or judgement.named < AGREED * judgement.near or judgement.kept >= least_shown:
             continue
         if whole and any(other.class_id == one.class_id for other in told):
             continue  # a class is reported once, by its best view
-        places.append((one.class_id, one.xyz.min(axis=0) - MARGIN, one.xyz.max(axis=0) + MARGIN))
+        places.append(one.place)
         x, y, z = (round(float(value), 3) for value in centre)
         told.append(
             Unshown(

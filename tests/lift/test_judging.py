@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +13,7 @@ import pytest
 from engine.job import EventReader, EventWriter
 from engine.job.report import doubt_of_frames
 from engine.lift.judging import Judgement, Seen, judge, read_held_back
+from engine.metrics.unshown import Refused
 from engine.scene import Camera, load_view, open_scene
 from tests.tiny_scene import CHAIR_ID, WALL_ID, trace_view, write_tiny_scene
 
@@ -34,11 +37,11 @@ def without_chair(camera: Camera) -> Seen:
     return Seen(np.where(seen.classes == CHAIR_ID, WALL_ID, seen.classes).astype(np.int32), seen.share)
 
 
-def judged(path: Path, draw: object) -> Judgement:
+def judged(path: Path, draw: object, refused: Sequence[Refused] = ()) -> Judgement:
     scene = open_scene(path, None, "z")
     views = [load_view(frame) for frame in scene.train_frames]
     done: list[tuple[int, int]] = []
-    found = judge(draw, scene, views, read_held_back(scene, SIZE), lambda *each: done.append(each))  # type: ignore[arg-type]
+    found = judge(draw, scene, views, read_held_back(scene, SIZE), lambda *each: done.append(each), refused=refused)  # type: ignore[arg-type]
     assert done[-1] == (8, 8), "training views and held-out frames"
     return found
 
@@ -69,3 +72,6 @@ def test_what_is_lost_is_reported_with_its_frame(scene_path: Path, tmp_path: Pat
     (warning,) = [event for event in EventReader(tmp_path / "events.jsonl").poll() if event.kind == "warning"]
     assert f"chair: {chair.views} near views, shown as wall (see frame {chair.frame})" in str(warning.data["message"])
     assert json.loads(json.dumps(found.to_json()))["not_shown"][0]["name"] == "chair"
+    trial = Refused(replace(chair, refused="it trails"), (chair.centre,))
+    assert judged(scene_path, without_chair, [trial]).not_shown == (trial.finding,)
+    assert judged(scene_path, seen_by, [trial]).not_shown == ()

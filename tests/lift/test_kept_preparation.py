@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -11,12 +12,15 @@ import pytest
 
 from engine.errors import Cancelled
 from engine.job import EventWriter, LiftFolder, LiftRequest, StopSignal, last_run, verify
+from engine.job.report import not_shown, read_metrics
 from engine.lift import run
+from engine.lift.repairs import Labelled
+from engine.metrics.unshown import Refused, Unshown
 from engine.presets.preset import Preset
 from engine.scene import open_asked
 from engine.scene_of_lift import remember_scene
 from engine.train.trainer import Trainer
-from tests.tiny_scene import write_tiny_scene
+from tests.tiny_scene import CHAIR_ID, write_tiny_scene
 from tests.train.tiny_lift import short_warm_start
 
 STEPS = 3
@@ -47,16 +51,26 @@ def lift(folder: LiftFolder, *, resume: bool, stop_at: int | None = None) -> lis
     return [event.data["name"] for event in last_run(folder.events_path) if event.kind == "stage"]
 
 
+def repaired_but_for_one(given: Labelled, *_: object, **__: object) -> Labelled:
+    """Instead of the trials: one is refused, of a place that no view sees."""
+    chair = Unshown(CHAIR_ID, "chair", False, 3, 3, "0", 1, 100, 0.1 + 0.2, "", (99.0, 0.1, 0.2))
+    return replace(given, refused=(Refused(replace(chair, refused="by itself"), ((99.0, 1 / 3, 0.2),)),))
+
+
 @pytest.mark.parametrize("objects", ["agreement", "boxes"])
 def test_what_was_found_is_not_found_again(objects: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     scene = write_tiny_scene(tmp_path / "scene", frames=5, size=(32, 24))
     request = LiftRequest(scene=scene, options={"steps": STEPS, "objects": objects, "fill_holes": True})
+    monkeypatch.setattr("engine.lift.objects.repaired", repaired_but_for_one)
     calm, rough = (LiftFolder.create(tmp_path / name, request) for name in ("calm", "rough"))
     assert lift(calm, resume=False) == list(run.STAGES)
     assert REPEATED < {*lift(rough, resume=False, stop_at=1)}
     monkeypatch.setattr("engine.lift.starting_scene.warm_start", None)  # the checkpoint has what it would fit
     assert lift(rough, resume=True) == [name for name in run.STAGES if name not in REPEATED]
     assert verify(rough.result_path).files == verify(calm.result_path).files
+    told = [text for text, _ in not_shown(read_metrics(rough)) if "refused" in text]
+    trial = "one chair: 3 near views; tried before training, refused: by itself"
+    assert told == ([trial] if objects == "agreement" else [])
 
 
 def test_what_does_not_fit_is_found_again(tmp_path: Path) -> None:

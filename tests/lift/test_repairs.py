@@ -47,6 +47,7 @@ def test_what_near_views_show_becomes_an_object_of_its_own(caplog: pytest.LogCap
     assert 0.05 < np.mean(found.cloud.class_id == SINK) < 0.15  # a sink of 0.3 m in a countertop of 1 m
     (sink,) = found.things
     assert sink.class_id == SINK and {mask.frame for mask in sink.masks} == {one.view.name for one in NEAR}
+    assert not found.refused
     told, of_top = caplog.messages
     assert "trial kept: sink in place of countertop" in told and "near 0" in told and "IoU" not in told
     assert "trial refused: countertop in place of nothing" in of_top and "no points" in of_top
@@ -115,29 +116,34 @@ GROUPS = [
 
 
 @pytest.mark.parametrize(
-    ("given", "views", "is_kept"),
+    ("given", "views", "refused"),
     [
-        pytest.param(countertop(), [*CLOSE, *denying(8, 2.02)], True, id="near views outweigh farther ones"),
-        pytest.param(countertop(), [*CLOSE, *denying(18, 2.02)], False, id="a small lead is too little"),
-        pytest.param(countertop(), [*CLOSE, *denying(5, 1.0, 0.62)], True, id="views that see a third have no say"),
-        pytest.param(countertop(), [CLOSE[0], *BESIDE], True, id="another sink beside it is none of it"),
-        pytest.param(with_object(EVERYWHERE, sinks_of(SHOWN, 1), TOP), SHOWN, False, id="an object falls by 9 %"),
+        pytest.param(countertop(), [*CLOSE, *denying(8, 2.02)], None, id="near views outweigh farther ones"),
+        pytest.param(countertop(), [*CLOSE, *denying(18, 2.02)], "it leads by 15% (a", id="a small lead is too little"),
+        pytest.param(countertop(), [*CLOSE, *denying(5, 1.0, 0.62)], None, id="views that see a third have no say"),
+        pytest.param(countertop(), [CLOSE[0], *BESIDE], None, id="another sink beside it is none of it"),
+        pytest.param(
+            with_object(EVERYWHERE, sinks_of(SHOWN, 1), TOP), SHOWN, "would fall by 0.03", id="an object falls by 3 %"
+        ),
         pytest.param(
             with_object(ACROSS, sinks_of(LEFT)),
             [*CLOSE, *LEFT],
-            False,
+            "would fall by",
             id="the object that it is a part of falls",
         ),
-        pytest.param(with_object(ELSEWHERE, sinks_of(CLOSE)), SHOWN, False, id="another object has all the masks"),
-        pytest.param(countertop(), GROUPS, False, id="groups may be several objects"),
+        pytest.param(
+            with_object(ELSEWHERE, sinks_of(CLOSE)), SHOWN, "another object's", id="another object has all the masks"
+        ),
+        pytest.param(countertop(), GROUPS, "", id="groups may be several objects"),
     ],
 )
-def test_a_sink_is_kept_or_nothing_changes(given: Labelled, views: Sequence[View], is_kept: bool) -> None:
+def test_a_sink_is_kept_or_nothing_changes(given: Labelled, views: Sequence[View], refused: str | None) -> None:
     found = mend(given, views)
-    if is_kept:
+    if refused is None:
         outside = (np.abs(PLACES[:, :2]) > 0.17).any(axis=1)
         assert (found.owner[IN_SINK] == 1).all() and not found.owner[outside].any()
     else:
+        assert refused in ", ".join(one.finding.refused for one in found.refused)
         assert (found.owner == given.owner).all() and (found.cloud.class_id == given.cloud.class_id).all()
 
 
@@ -147,11 +153,16 @@ def test_views_that_were_held_back_refuse_what_one_drew_otherwise(caplog: pytest
     with caplog.at_level(logging.INFO, "plgs.lift"):
         found = mend(countertop(), views)
     assert not found.things and (found.cloud.class_id == TOP).all()
+    (sink,) = found.refused
+    assert sink.finding.refused == "only 1 held-back near view can judge it"
     assert caplog.messages and all("refused" in told for told in caplog.messages)
 
 
 def test_two_near_views_are_too_few() -> None:
-    assert not mend(countertop(), [one.view for one in (*FAR, *NEAR[:2])]).things
+    found = mend(countertop(), [one.view for one in (*FAR, *NEAR[:2])])
+    (sink,) = found.refused
+    assert not found.things and sink.finding.refused.startswith("only 2 views can judge it, only 2 held-back")
+    assert 8 <= len(sink.places) <= 64 and np.abs(sink.places).max() < 0.17
 
 
 def test_no_object_falls() -> None:

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
-from engine.metrics.unshown import JudgedView, Unshown, find_unshown
+from engine.metrics.unshown import JudgedView, Refused, Unshown, find_unshown
 from engine.scene import Camera, Category, ClassTable, PanopticMask, Segment, View
 
 TOP, SINK = 1, 2
@@ -82,3 +84,17 @@ def test_what_no_view_resolves_is_not_reported() -> None:
     coarse = [flat_view(f"{k}", 3.0, 0.05 * k, ONE, scale=1.0) for k in range(4)]
     assert find_unshown(coarse, CLASSES) == []
     assert find_unshown([], CLASSES) == []
+
+
+def test_a_refused_trial_is_told_with_its_reason_unless_the_lift_shows_half_of_it() -> None:
+    finding = only(find_unshown([*FAR, *NEAR], CLASSES))
+    some = np.random.default_rng(0).uniform(-0.14, 0.14, (64, 2))
+    trial = Refused(replace(finding, refused="too few views"), tuple((float(x), float(y), 0.0) for x, y in some))
+    other = flat_view("near 5", 1.0, 0.0, ONE, draws=False)
+    for views in ([*FAR, *NEAR], [other, *FAR, NEAR[1]]):  # the second would not be told without the trial
+        assert only(find_unshown(views, CLASSES, refused=[trial])) == trial.finding
+    a_third = [showing(view, (0.2, 0.0)) for view in (*FAR, *NEAR)]
+    assert only(find_unshown(a_third, CLASSES, refused=[trial])) == replace(trial.finding, whole_class=False)
+    assert find_unshown(a_third, CLASSES) == []
+    two_thirds = [showing(view, (0.1, 0.0)) for view in (*FAR, *NEAR)]
+    assert find_unshown(two_thirds, CLASSES, refused=[trial]) == []
