@@ -61,7 +61,7 @@ class LiftRequest(SceneSource):
         metadata={
             "option": {
                 "choices": DEVICES,
-                "help": "where Gaussians are drawn (default: cpu); cuda needs gsplat, and has not run on a GPU",
+                "help": "where Gaussians are drawn (default: cpu); cuda needs gsplat and nvcc",
             }
         },
     )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 
 from ..errors import PlgsError
-from ..raster.cuda import what_is_missing
+from ..raster.cuda import what_fails, what_is_missing
 
 
 def refuse_missing_device(device: str) -> None:
@@ -19,6 +19,11 @@ def refuse_missing_device(device: str) -> None:
     missing = what_is_missing()
     if missing is not None:
         raise PlgsError(missing, where, f"Do that, {on_cpu}", option="--device")
+    fails = what_fails(device)
+    if fails is not None:
+        find_out = 'python -c "from gsplat.cuda import _backend"'
+        fix = f"It needs the nvcc of torch's CUDA, ninja and a C++ compiler; {find_out} tells more. Mend that, {on_cpu}"
+        raise PlgsError(f"gsplat cannot draw here ({fails})", where, fix, option="--device")
 
 
 def be_repeatable(device: str = "cpu") -> None:

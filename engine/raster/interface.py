@@ -69,8 +69,7 @@ def rasterize(
     the order is by planar depth rounded to float32, then by index.
 
     ``rows``: the first row of the picture to draw, and one past the last. The layers have only these rows, with the
-    same values as in the whole picture. (The back end ``gsplat`` draws Gaussians whose centres are far above or below
-    the rows slightly differently.)
+    same values as in the whole picture.
 
     ``top_k`` > 0 requests the largest contributors of every pixel; such a picture is drawn on the CPU. ``backend`` None
     picks by device (the tensors', or that of ``drawing_on``): ``numba`` on the CPU, ``gsplat`` on CUDA.

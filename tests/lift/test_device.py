@@ -44,6 +44,14 @@ def test_without_gsplat_the_error_says_how_to_get_it(monkeypatch: pytest.MonkeyP
     refuse_missing_device("cpu")
 
 
+def test_a_gsplat_that_cannot_draw_is_found_before_any_work(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
+    monkeypatch.setattr(device, "what_is_missing", lambda: None)
+    monkeypatch.setattr(device, "what_fails", lambda where: f"nvcc failed for {where}")
+    with pytest.raises(PlgsError, match="gsplat cannot draw here .nvcc failed for cuda.: --device cuda. It needs"):
+        refuse_missing_device("cuda")
+
+
 def test_a_lift_trains_and_renders_on_the_back_end_for_cuda(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """With tensors on the CPU, and a stand-in in the place of gsplat's call."""
     views, classes = views_of(tmp_path / "scene", size=(40, 30))
