@@ -151,7 +151,7 @@ def _matching(about: _Kept, arrays: Any, scratch: Path) -> Matching:
         )
         for one, points in zip(about.objects, parts, strict=False)
     ]
-    maps = [name for name in (f"{_LABELS}{number}" for number in range(len(about.views))) if name in arrays]
+    maps = [name for name in (f"{_LABELS}{number}" for number in range(len(arrays.files))) if name in arrays]
     labels = stored((arrays[name] for name in maps), scratch) if maps else None
     return Matching(cloud, instances, arrays["instance_of_point"], about.dropped, labels, refused=about.refused)
 

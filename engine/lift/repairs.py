@@ -115,7 +115,7 @@ class _Trial:
         found = [] if len(self.rows) >= LEAST_POINTS else [f"it has {plural(len(self.rows), 'point')}"]
         for lead, views, kind in zip(self.leads, self.views, ("view", "held-back near view"), strict=True):
             if views < LEAST_VIEWS:
-                found.append(f"only {plural(views, kind)} can judge it")
+                found.append(f"{plural(views, kind)} can judge it ({LEAST_VIEWS} are asked)")
             elif lead < LEAD:
                 found.append(f"among {plural(views, kind)} it {_told(lead)} (a lead of {LEAD:.0%} is asked)")
         if (self.falls or 0.0) > MOST_FALL:

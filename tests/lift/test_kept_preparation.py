@@ -14,11 +14,15 @@ from engine.errors import Cancelled
 from engine.job import EventWriter, LiftFolder, LiftRequest, StopSignal, last_run, verify
 from engine.job.report import not_shown, read_metrics
 from engine.lift import run
+from engine.lift.kept_preparation import KeptPreparation
+from engine.lift.objects import Matching
 from engine.lift.repairs import Labelled
+from engine.lift.targets_of_views import Photos
 from engine.metrics.unshown import Refused, Unshown
 from engine.presets.preset import Preset
 from engine.scene import open_asked
 from engine.scene_of_lift import remember_scene
+from engine.semantics.point_cloud import SemanticPointCloud
 from engine.train.trainer import Trainer
 from tests.tiny_scene import CHAIR_ID, write_tiny_scene
 from tests.train.tiny_lift import short_warm_start
@@ -71,6 +75,21 @@ def test_what_was_found_is_not_found_again(objects: str, tmp_path: Path, monkeyp
     told = [text for text, _ in not_shown(read_metrics(rough)) if "refused" in text]
     trial = "one chair: 3 near views; tried before training, refused: by itself"
     assert told == ([trial] if objects == "agreement" else [])
+
+
+def test_the_labels_of_all_views_are_kept(tmp_path: Path) -> None:
+    """Of those of more than 64 views, 64 were read back, and a resumed lift ended with an IndexError."""
+    folder = LiftFolder.create(tmp_path / "lift", LiftRequest(scene=tmp_path))
+    cloud = SemanticPointCloud(
+        np.zeros((1, 3), np.float32), np.zeros((1, 3), np.uint8), np.ones(1, np.int32), np.ones(1, np.float32),
+        np.ones((1, 1), np.float32), (1,), 0.05,
+    )  # fmt: skip
+    maps = [np.full((2, 3), number, np.int16) for number in range(70)]
+    kept = KeptPreparation(folder, True, None, "code")
+    kept.write([], 0, Matching(cloud, [], np.zeros(1, np.int32), 0, maps), Photos(np.ones(70), None))
+    found = kept.read([], 0)
+    assert found is not None and found[0].label_maps is not None
+    assert [int(labels[0, 0]) for labels in found[0].label_maps] == list(range(70))
 
 
 def test_what_does_not_fit_is_found_again(tmp_path: Path) -> None:

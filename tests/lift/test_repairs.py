@@ -154,14 +154,14 @@ def test_views_that_were_held_back_refuse_what_one_drew_otherwise(caplog: pytest
         found = mend(countertop(), views)
     assert not found.things and (found.cloud.class_id == TOP).all()
     (sink,) = found.refused
-    assert sink.finding.refused == "only 1 held-back near view can judge it"
+    assert sink.finding.refused == "1 held-back near view can judge it (3 are asked)"
     assert caplog.messages and all("refused" in told for told in caplog.messages)
 
 
 def test_two_near_views_are_too_few() -> None:
     found = mend(countertop(), [one.view for one in (*FAR, *NEAR[:2])])
     (sink,) = found.refused
-    assert not found.things and sink.finding.refused.startswith("only 2 views can judge it, only 2 held-back")
+    assert not found.things and sink.finding.refused.startswith("2 views can judge it (3 are asked), 2 held-back")
     assert 8 <= len(sink.places) <= 64 and np.abs(sink.places).max() < 0.17
 
 
