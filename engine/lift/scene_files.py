@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from itertools import chain
 
 import numpy as np
 import torch
@@ -57,7 +58,18 @@ def write_scene_files(
     viewpoint = np.mean([frame.camera.centre for frame in scene.train_frames], axis=0)
     points = SemanticPoints(cloud.xyz, cloud.rgb, cloud.class_id, prepared.instance_of_point, likely(cloud.confidence))
     instances = listed_instances(views, prepared, scene.classes, names)
-    write_lifted(folder, scene.classes, viewpoint, points, instances, lifted, events)
+    sure = shown_by_depth(cloud.xyz, chain(views, held_back))
+    write_lifted(folder, scene.classes, viewpoint, points, instances, lifted, events, cloud.xyz[sure])
+
+
+def shown_by_depth(xyz: NDArray[np.float32], views: Iterable[View]) -> NDArray[np.bool_]:
+    """Which of the points [N, 3] the depth of at least one view shows, bool [N]. The others are where a sensor's far
+    noise was averaged, beyond walls or in rays around the room."""
+    found = np.zeros(len(xyz), np.bool_)
+    for view in views:
+        left = np.flatnonzero(~found)
+        found[left[view.seen_of(xyz[left])[0]]] = True
+    return found
 
 
 def write_lifted(
@@ -68,15 +80,17 @@ def write_lifted(
     instances: Sequence[Instance],
     lifted: StructuredScene,
     events: EventWriter,
+    seen: NDArray[np.float32] | None = None,
 ) -> None:
     """Write the same for instances that are listed already. ``viewpoint`` float64 [3] metres: the point from which the
-    Gaussians' colours are seen (see ``bake``). Raises OSError."""
+    Gaussians' colours are seen (see ``bake``). Gaussians far from the points ``seen`` [P, 3] (by default all of
+    ``points``) are left out of the splats. Raises OSError."""
     result = folder.result_path
     gaussians, anchors = bake(lifted, viewpoint, classes.thing_ids)
     write_arrays(result / SEMANTIC_POINTS, points)
     write_instances(result / INSTANCES, classes, instances)
     write_arrays(result / ANCHORS, anchors)
-    write_splats(result / "gaussians.ply", gaussians.without_floaters(points.xyz))
+    write_splats(result / "gaussians.ply", gaussians.without_floaters(points.xyz if seen is None else seen))
     write_model(folder, lifted)
     for name in (SEMANTIC_POINTS, INSTANCES, ANCHORS, "gaussians.ply", MODEL):
         events.artifact(result / name, name.partition(".")[0])

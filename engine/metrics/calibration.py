@@ -26,8 +26,6 @@ BINS = 20
 """Bins of the fit, each with about equally many samples."""
 LEAST_VIEWS, LEAST_SAMPLES, MOST_SAMPLES = 2, 200, 60_000
 """A place is judged if this many views name it. With fewer places nothing is calibrated; more are not looked at."""
-BEHIND, BEHIND_SHARE = 0.05, 0.02
-"""A view sees a place if its depth there differs by less than these metres, or this share of it."""
 
 
 @dataclass(frozen=True)
@@ -109,10 +107,9 @@ class _Named:
 
     def add(self, view: View, *, is_judge: bool) -> None:
         """Count the classes that a view's mask gives to the places that it sees."""
-        row, y, x, depth = view.places_in(self._xyz)
-        measured, mask, named = view.depth[y, x], view.mask.ids[y, x], view.mask.class_map()[y, x]
-        near = np.abs(measured - depth) <= np.maximum(BEHIND, BEHIND_SHARE * measured)
-        counts = near & (measured > 0) & (named != VOID)
+        row, y, x = view.seen_of(self._xyz)
+        mask, named = view.mask.ids[y, x], view.mask.class_map()[y, x]
+        counts = named != VOID
         row, mask, named = row[counts], mask[counts], named[counts]
         column = np.minimum(np.searchsorted(self._ids, named), len(self._ids) - 1)
         known = self._ids[column] == named

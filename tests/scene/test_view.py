@@ -101,3 +101,19 @@ def test_a_bad_frame_is_reported_when_it_is_reached() -> None:
 def test_frames_of_one_file_are_read_by_one_thread() -> None:
     frames = [replace(frame, file_shows_colour=False) for frame in FRAMES]
     assert set(read_ahead(frames, lambda frame: threading.get_ident())) == {threading.get_ident()}
+
+
+def test_a_view_sees_what_its_own_depth_shows(folder: Path) -> None:
+    """Places on the rays of some pixels: at the depth there, 4 cm and 6 cm beside it where 2 % of it is less, behind
+    the camera, and one where there is no depth."""
+    view = load_view(open_scene(folder).frames[0])
+    y, x = np.array([10, 60, 90, 120, 200]), np.array([20, 100, 30, 160, 300])
+    depth = np.full_like(view.depth, 1.5)
+    depth[200, 300] = 0.0
+    beside = np.array([0.0, 0.04, 0.06, -3.0, 0.0])
+    moved = depth.copy()
+    moved[y, x] += np.float32(beside)
+    moved[200, 300] = 1.5
+    places = view.camera.unproject(moved)[y, x]
+    number, rows, columns = replace(view, depth=depth).seen_of(places)
+    assert [*number] == [0, 1] and [*rows] == [10, 60] and [*columns] == [20, 100]
