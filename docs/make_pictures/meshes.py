@@ -45,7 +45,7 @@ def catcher_picture(result: LiftResult) -> Picture:
         ob.is_shadow_catcher = True
     add_things(scene)
     light(scene, sun=3.0, sky=0.9)
-    scene.cycles.samples, scene.cycles.max_bounces = 8, 1
+    scene.cycles.samples, scene.cycles.max_bounces = 64, 1  # with few, shaded walls get dark specks
     scene.render.resolution_x, scene.render.resolution_y = CATCHER_SIZE
     scene.frame_set(SHOT_FRAME)
     baked = colour_picture(read_exr(result.shots[f"{CAMERA}.{SHOT_FRAME:04d}"]))
