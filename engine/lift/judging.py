@@ -4,8 +4,8 @@ clearly from nearby that it shows nowhere, and how likely its classes are right.
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -73,12 +73,17 @@ class Judgement:
         log.info("confidence: %s", self.calibration)
         if self.held_back is None:
             log.info("no masks were held back: those that were trained on say how likely a class is right")
-        lines = [f"{text} (see frame {frame})" for text, frame in not_shown({"masks_as_judges": self.to_json()})]
-        for line in lines:
+        for line in _lines(self.not_shown):
             log.info("not shown: %s", line)
+        lines = _lines(replace(one, refused="") for one in self.not_shown)  # reasons are too long for a warning
         if lines:
             more = f"; and {len(lines) - MOST_NAMED} more" if len(lines) > MOST_NAMED else ""
             events.warning(f"the masks show objects that the lift does not: {'; '.join(lines[:MOST_NAMED])}{more}")
+
+
+def _lines(missed: Iterable[Unshown]) -> list[str]:
+    judges: Json = {"not_shown": [asdict(one) for one in missed]}
+    return [f"{text} (see frame {frame})" for text, frame in not_shown({"masks_as_judges": judges})]
 
 
 def judge(

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import logging
 from collections.abc import Sequence
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 
@@ -61,7 +63,9 @@ def test_a_true_lift_agrees_with_true_masks(scene_path: Path) -> None:
     assert doubt_of_frames({}) == {}
 
 
-def test_what_is_lost_is_reported_with_its_frame(scene_path: Path, tmp_path: Path) -> None:
+def test_what_is_lost_is_reported_with_its_frame(
+    scene_path: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
     found = judged(scene_path, without_chair)
     (chair,) = found.not_shown
     assert (chair.name, chair.whole_class, chair.shown_as) == ("chair", True, "wall")
@@ -73,5 +77,10 @@ def test_what_is_lost_is_reported_with_its_frame(scene_path: Path, tmp_path: Pat
     assert f"chair: {chair.views} near views, shown as wall (see frame {chair.frame})" in str(warning.data["message"])
     assert json.loads(json.dumps(found.to_json()))["not_shown"][0]["name"] == "chair"
     trial = Refused(replace(chair, refused="it trails"), (chair.centre,))
-    assert judged(scene_path, without_chair, [trial]).not_shown == (trial.finding,)
+    after_trial = judged(scene_path, without_chair, [trial])
+    assert after_trial.not_shown == (trial.finding,)
+    with caplog.at_level(logging.INFO, "plgs.lift"), closing(EventWriter(tmp_path / "again.jsonl")) as events:
+        after_trial.tell(events)
+    assert "not shown: " in caplog.messages[-1] and "refused: it trails (see frame" in caplog.messages[-1]
+    assert "refused" not in (tmp_path / "again.jsonl").read_text()
     assert judged(scene_path, seen_by, [trial]).not_shown == ()
