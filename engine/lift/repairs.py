@@ -9,6 +9,7 @@ worse. Segments that may show several objects (``Segment.is_group``) have a say 
 from __future__ import annotations
 
 import logging
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import count
@@ -113,13 +114,16 @@ class _Trial:
     def against(self) -> list[str]:
         """Why it is refused."""
         found = [] if len(self.rows) >= LEAST_POINTS else [f"it has {plural(len(self.rows), 'point')}"]
-        for lead, views, kind in zip(self.leads, self.views, ("view", "held-back near view"), strict=True):
+        kinds = ("view", "what could be drawn"), ("near view", "what the others draw")
+        for lead, views, (kind, what) in zip(self.leads, self.views, kinds, strict=True):
+            see = plural(views, f"{kind} sees", f"{kind}s see")
             if views < LEAST_VIEWS:
-                found.append(f"{plural(views, kind)} can judge it ({LEAST_VIEWS} are asked)")
+                found.append(f"only {see} enough of {what} ({LEAST_VIEWS} are asked)")
             elif lead < LEAD:
-                found.append(f"among {plural(views, kind)} it {_told(lead)} (a lead of {LEAD:.0%} is asked)")
-        if (self.falls or 0.0) > MOST_FALL:
-            found.append(f"an object's IoU with its masks would fall by {self.falls:.2f}")
+                found.append(f"where {see} {what}, it {_told(lead)} (a lead of {LEAD:.0%} is asked)")
+        if self.falls is not None and self.falls > MOST_FALL:
+            fall = math.ceil(1000 * self.falls) / 1000  # never told as the limit that it misses
+            found.append(f"an object's IoU with its masks would fall by {fall:.3f}, more than {MOST_FALL}")
         return found if self.owner is not None else [*found, "all of its masks are another object's"]
 
     def __str__(self) -> str:
@@ -129,10 +133,10 @@ class _Trial:
         if not len(self.rows):
             return told + "no points: near views draw none there, or an earlier trial shows them"
         all_, held = map(_told, self.leads)
-        told += f"{len(self.rows)} points: {all_} among all views ({self.views[0]}), {held} among near views that were "
-        told += f"held back in turn ({self.views[1]})"
+        told += f"{len(self.rows)} points: {all_} among all views ({self.views[0]}), {held} among near views, each "
+        told += f"asked about what the others draw ({self.views[1]})"
         if self.falls is not None:
-            told += f"; an object's IoU with its masks falls by {self.falls:.2f} at most"
+            told += f"; an object's IoU with its masks falls by {self.falls:.3f} at most"
         return told + ("; all of its masks are another object's" if self.owner is None else "")
 
 
@@ -224,7 +228,8 @@ def _judged(
 
 
 def _told(lead: float) -> str:
-    return f"{'leads' if lead >= 0 else 'trails'} by {abs(lead):.0%}"
+    """Rounded down, as no lead that is too small may read as one that is enough."""
+    return f"{'leads' if lead >= 0 else 'trails'} by {abs(math.floor(1000 * lead)) / 10:.1f}%"
 
 
 def _lead(judged: Sequence[tuple[float, float]]) -> float:

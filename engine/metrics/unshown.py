@@ -50,7 +50,7 @@ class Unshown:
     ``views`` near views name it, of ``near`` that see the place. ``frame`` shows it best: there it is ``segment``,
     with ``pixels`` pixels at the frame's own size, at ``resolution`` pixels per centimetre. ``shown_as``: the class
     that the lift shows there most, "" = none. ``centre``: world metres. ``refused``: why it was not shown after a trial
-    before training (``lift/repairs.py``), "" without one; views and ``shown_as`` are those of the trial then.
+    before training (``lift/repairs.py``), "" without one. If it is told for that alone, all else is of that time.
     """
 
     class_id: int
@@ -94,9 +94,15 @@ class _Candidate(NamedTuple):
         return cls(one.resolution, one.class_id, one.frame, one.segment, one.pixels, VOID, xyz, one)
 
     @property
-    def place(self) -> tuple[int, NDArray[np.float64], NDArray[np.float64]]:
-        """The class, and the box in which other segments of the class show the same."""
-        return self.class_id, self.xyz.min(axis=0) - MARGIN, self.xyz.max(axis=0) + MARGIN
+    def centre(self) -> NDArray[np.float64]:
+        return np.asarray(np.median(self.xyz, axis=0))
+
+    def holds(self, other: _Candidate) -> bool:
+        """Whether the other shows the same: it is of the same class, and its centre lies in this one's box."""
+        if self.class_id != other.class_id:
+            return False
+        low, high = self.xyz.min(axis=0) - MARGIN, self.xyz.max(axis=0) + MARGIN
+        return bool(((low <= other.centre) & (other.centre <= high)).all())
 
 
 def find_unshown(
@@ -104,7 +110,8 @@ def find_unshown(
 ) -> list[Unshown]:
     """The classes and objects that the lift lacks: whole classes first, then objects, each by resolution. A place shows
     a class if it gives at least the share ``least`` of its points that class; SHOWN_TRIAL where a trial was
-    ``refused``, which its near views agreed on. Each view is read twice."""
+    ``refused``, which its near views agreed on. Such a trial gives its reason to what is found at its place without it;
+    else it is told itself if there are near views. Each view is read twice."""
     found: list[_Candidate] = []
     shown: set[int] = set()
     for judged in views:
@@ -112,7 +119,7 @@ def find_unshown(
         found += candidates
         shown |= kept
     found = sorted(found, key=lambda each: (-each.resolution, each.frame, each.segment))[:MOST_CANDIDATES]
-    found = [*map(_Candidate.of, refused), *found]
+    found += map(_Candidate.of, refused)  # the last, so that they hide nothing that is found without them
     answers = _Answers(found)
     for judged in views:
         answers.add(judged)
@@ -123,41 +130,42 @@ def _told(
     found: list[_Candidate], answers: _Answers, shown: set[int], classes: ClassTable, least_shown: float
 ) -> list[Unshown]:
     told: list[Unshown] = []
-    places: list[tuple[int, NDArray[np.float64], NDArray[np.float64]]] = []
+    places: list[_Candidate] = []
     for number, one in enumerate(found):
-        whole = one.class_id not in shown
-        if one.refused is not None:
-            if answers.of(number).kept < SHOWN_TRIAL:
-                places.append(one.place)
-                told.append(replace(one.refused, whole_class=whole))
+        whole, trial = one.class_id not in shown, one.refused
+        same = [k for k, other in enumerate(places) if other.holds(one) or (trial is not None and one.holds(other))]
+        named, near, kept = answers.of(number)
+        if same:
+            if trial is not None and kept < SHOWN_TRIAL:
+                told[same[0]] = replace(told[same[0]], refused=told[same[0]].refused or trial.refused)
             continue
-        centre = np.median(one.xyz, axis=0)
-        if any(c == one.class_id and (low <= centre).all() and (centre <= high).all() for c, low, high in places):
-            continue
-        judgement = answers.of(number)
-        least = LEAST_VIEWS_OF_CLASS if whole else LEAST_VIEWS_OF_OBJECT
-        if judgement.named < least or judgement.named < AGREED * judgement.near or judgement.kept >= least_shown:
-            continue
-        if whole and any(other.class_id == one.class_id for other in told):
+        if trial is None:
+            least = LEAST_VIEWS_OF_CLASS if whole else LEAST_VIEWS_OF_OBJECT
+            is_missed = named >= max(least, AGREED * near) and kept < least_shown
+        else:
+            is_missed = near > 0 and kept < SHOWN_TRIAL
+        if not is_missed or (whole and any(other.class_id == one.class_id for other in told)):
             continue  # a class is reported once, by its best view
-        places.append(one.place)
-        x, y, z = (round(float(value), 3) for value in centre)
-        told.append(
-            Unshown(
-                class_id=one.class_id,
-                name=classes[one.class_id].name,
-                whole_class=whole,
-                views=judgement.named,
-                near=judgement.near,
-                frame=one.frame,
-                segment=one.segment,
-                pixels=one.pixels,
-                resolution=round(one.resolution, 2),
-                shown_as="" if one.shown_as == VOID else classes[one.shown_as].name,
-                centre=(x, y, z),
-            )
-        )
+        places.append(one)
+        told.append(_unshown(one, named, near, classes, whole) if trial is None else replace(trial, whole_class=whole))
     return told
+
+
+def _unshown(one: _Candidate, named: int, near: int, classes: ClassTable, is_whole: bool) -> Unshown:
+    x, y, z = (round(float(value), 3) for value in one.centre)
+    return Unshown(
+        class_id=one.class_id,
+        name=classes[one.class_id].name,
+        whole_class=is_whole,
+        views=named,
+        near=near,
+        frame=one.frame,
+        segment=one.segment,
+        pixels=one.pixels,
+        resolution=round(one.resolution, 2),
+        shown_as="" if one.shown_as == VOID else classes[one.shown_as].name,
+        centre=(x, y, z),
+    )
 
 
 def _segments(judged: JudgedView, least: float) -> tuple[list[_Candidate], set[int]]:
@@ -195,7 +203,7 @@ def _unproject(view: View, rows: NDArray[np.int64], columns: NDArray[np.int64]) 
 
 class _Judgement(NamedTuple):
     """The number of views ``near`` a place, the number that ``named`` it, and the largest share of it that the lift
-    shows as its class in one of these."""
+    shows as its class in one of these, or, of a refused trial, in one that is near."""
 
     named: int
     near: int
@@ -239,4 +247,5 @@ class _Answers:
         resolution, named, kept = answers.T
         near = are_near(resolution, self.found[number].resolution)
         naming = near & (named >= NAMES)
-        return _Judgement(int(naming.sum()), int(near.sum()), float(kept[naming].max(initial=0.0)))
+        judging = naming if self.found[number].refused is None else near
+        return _Judgement(int(naming.sum()), int(near.sum()), float(kept[judging].max(initial=0.0)))

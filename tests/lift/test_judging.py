@@ -63,6 +63,13 @@ def test_a_true_lift_agrees_with_true_masks(scene_path: Path) -> None:
     assert doubt_of_frames({}) == {}
 
 
+def warning_of(found: Judgement, path: Path) -> str:
+    with closing(EventWriter(path)) as events:
+        found.tell(events)
+    (warning,) = [event for event in EventReader(path).poll() if event.kind == "warning"]
+    return str(warning.data["message"])
+
+
 def test_what_is_lost_is_reported_with_its_frame(
     scene_path: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -70,17 +77,17 @@ def test_what_is_lost_is_reported_with_its_frame(
     (chair,) = found.not_shown
     assert (chair.name, chair.whole_class, chair.shown_as) == ("chair", True, "wall")
     assert found.trained is not None and found.trained < 0.85
-    events = EventWriter(tmp_path / "events.jsonl")
-    found.tell(events)
-    events.close()
-    (warning,) = [event for event in EventReader(tmp_path / "events.jsonl").poll() if event.kind == "warning"]
-    assert f"chair: {chair.views} near views, shown as wall (see frame {chair.frame})" in str(warning.data["message"])
+    line = f"chair: {chair.views} near views, shown as wall (see frame {chair.frame})"
+    assert warning_of(found, tmp_path / "events.jsonl").endswith(f"does not: {line}")
     assert json.loads(json.dumps(found.to_json()))["not_shown"][0]["name"] == "chair"
     trial = Refused(replace(chair, refused="it trails"), (chair.centre,))
     after_trial = judged(scene_path, without_chair, [trial])
     assert after_trial.not_shown == (trial.finding,)
-    with caplog.at_level(logging.INFO, "plgs.lift"), closing(EventWriter(tmp_path / "again.jsonl")) as events:
-        after_trial.tell(events)
+    with caplog.at_level(logging.INFO, "plgs.lift"):
+        told = warning_of(after_trial, tmp_path / "again.jsonl")
     assert "not shown: " in caplog.messages[-1] and "refused: it trails (see frame" in caplog.messages[-1]
-    assert "refused" not in (tmp_path / "again.jsonl").read_text()
+    assert told == "some masks show objects that the lift does not: 1 that was tried and refused"
+    many = replace(found, not_shown=(*[trial.finding] * 9, *[chair] * 6))
+    told = warning_of(many, tmp_path / "many.jsonl")
+    assert told.endswith(f"; {line}; and 1 more; and 9 that were tried and refused") and told.count("chair") == 5
     assert judged(scene_path, seen_by, [trial]).not_shown == ()

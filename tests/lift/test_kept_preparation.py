@@ -56,9 +56,9 @@ def lift(folder: LiftFolder, *, resume: bool, stop_at: int | None = None) -> lis
 
 
 def repaired_but_for_one(given: Labelled, *_: object, **__: object) -> Labelled:
-    """Instead of the trials: one is refused, of a place that no view sees."""
-    chair = Unshown(CHAIR_ID, "chair", False, 3, 3, "0", 1, 100, 0.1 + 0.2, "", (99.0, 0.1, 0.2))
-    return replace(given, refused=(Refused(replace(chair, refused="by itself"), ((99.0, 1 / 3, 0.2),)),))
+    """Instead of the trials: one is refused, of a chair on the wall."""
+    chair = Unshown(CHAIR_ID, "chair", False, 3, 3, "0", 1, 100, (0.1 + 0.2) / 8, "", (4.0, 0.1, 0.2))
+    return replace(given, refused=(Refused(replace(chair, refused="by itself"), ((4.0, 1.0 + 1 / 3, 1.2),)),))
 
 
 @pytest.mark.parametrize("objects", ["agreement", "boxes"])
