@@ -51,7 +51,7 @@ JUDGES = 100
 def run_building(folder: LiftFolder, events: EventWriter, stop: StopSignal, *, resume: bool) -> None:
     """`run_lift` for a building: do what is left of it, whether it is resumed or not."""
     request, preset = folder.request, folder.request.chosen_preset
-    refuse_missing_device(request.device)
+    refuse_missing_device(request.device, StageReporter(events, stop, STAGES))
     if not preset.shows_votes or request.names_from is not None:
         what = "blocks are joined by the views' votes, and cannot keep the names of an earlier lift"
         raise PlgsError(what, folder.path, "Lift without --blocks.", option="--blocks")

@@ -61,7 +61,7 @@ class LiftRequest(SceneSource):
         metadata={
             "option": {
                 "choices": DEVICES,
-                "help": "where Gaussians are drawn (default: cpu); cuda needs gsplat and nvcc",
+                "help": "where Gaussians are drawn (default: cpu); cuda needs gsplat, nvcc, ninja and a C++ compiler",
             }
         },
     )

@@ -130,7 +130,7 @@ def run_lift(
     """
     request, stages = folder.request, StageReporter(events, stop, STAGES)
     preset = request.chosen_preset
-    refuse_missing_device(request.device)
+    refuse_missing_device(request.device, stages)
     refuse_names_of_no_objects(request, preset)
     be_repeatable(request.device)
     checkpoint = folder.checkpoints.latest() if resume else None

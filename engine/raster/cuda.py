@@ -14,6 +14,7 @@ same, bit for bit.
 from __future__ import annotations
 
 import logging
+import sys
 from collections.abc import Iterable
 from importlib import metadata
 from typing import Any
@@ -28,15 +29,15 @@ OLDEST, TOO_NEW = (1, 5), (1, 7)
 """Versions (major, minor) of gsplat: the first that is known to have the call used here, and the first beyond those."""
 
 _CHANNELS = 32
-"""Labels that gsplat blends in one go. Of some rows so many are drawn at a time, so that a picture of all labels is
-never in memory."""
+"""Labels that gsplat blends in one go. Of some rows so many are drawn at a time, and only the rows are kept, so that a
+picture of all labels is never in memory."""
 
 log = logging.getLogger("plgs.raster")
 
 
 def what_is_missing() -> str | None:
     """What to do before this back end can be used, or None."""
-    wanted = "install it with: pip install 'gsplat>={}.{},<{}.{}'".format(*OLDEST, *TOO_NEW)
+    wanted = "install it with: {} -m pip install 'gsplat>={}.{},<{}.{}'".format(sys.executable, *OLDEST, *TOO_NEW)
     try:
         version = metadata.version("gsplat")
     except metadata.PackageNotFoundError:
@@ -54,7 +55,6 @@ def what_fails(device: str) -> str | None:
     At the first use gsplat compiles its CUDA code, which takes minutes and can fail for many reasons: so this comes
     before a lift's work, not in the midst of it.
     """
-    log.info("drawing with gsplat, which compiles its CUDA code first if that has not been done")
     one = torch.ones(1, 4, device=device)
     gaussians = GaussianSet(one[:, :3], one[:, :3], one, one[:, 0], one[:, :3], None)
     camera = Pinhole((1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0), (0.0, 0.0, 0.0), (1.0, 1.0), (0.5, 0.5), 1, 1, NEAR)
@@ -83,8 +83,11 @@ def rasterize_gsplat(gaussians: GaussianSet, pinhole: Pinhole, top_k: int, want_
     labels = None
     if gaussians.labels is not None:
         still, whole = gaussians.changed(Tensor.detach), pinhole.height == pinhole.whole_height
-        parts = [gaussians.labels] if whole else gaussians.labels.split(_CHANNELS, dim=1)
-        labels = torch.cat([_call(still, part, pinhole, "RGB")[0] for part in parts], dim=-1)
+        if whole:
+            labels = _call(still, gaussians.labels, pinhole, "RGB")[0]
+        else:  # copied, as rows that are a view would keep the whole picture
+            parts = gaussians.labels.split(_CHANNELS, dim=1)
+            labels = torch.cat([_call(still, part, pinhole, "RGB")[0].clone() for part in parts], dim=-1)
     return Rendering(channels[..., :3], labels, alpha[..., 0], channels[..., 3], visible, leaf)
 
 

@@ -92,10 +92,10 @@ class StageReporter:
         self.course: Course | None = None
 
     @contextmanager
-    def stage(self, name: str) -> Iterator[StageProgress]:
-        """Announce the stage ``name`` and time it."""
+    def stage(self, name: str, label: str = "") -> Iterator[StageProgress]:
+        """Announce the stage ``name``, or a part of it that has a ``label`` of its own, and time it."""
         self.stop.check()
-        self.events.stage(name, list(self.labels).index(name) + 1, len(self.labels), self.labels[name])
+        self.events.stage(name, list(self.labels).index(name) + 1, len(self.labels), label or self.labels[name])
         began = time.monotonic()
         yield StageProgress(name, self.events, self.stop, self.course)
         self.timings[name] = round(time.monotonic() - began, 3)

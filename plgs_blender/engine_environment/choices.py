@@ -13,8 +13,8 @@ EXTENSION = __package__.rsplit(".", 2)[0]
 """The name under which Blender knows the extension, which its preferences use."""
 
 TORCH_BUILDS = [
-    ("cpu", "CPU", "The small build, which is all that a lift uses"),
-    ("cuda", "CUDA", "Several GB more; only a lift from the command line uses it, with --device cuda"),
+    ("cpu", "CPU", "The small build, which is all that a lift on the CPU uses"),
+    ("cuda", "CUDA", "Several GB more, for lifts with the device CUDA, which need gsplat, too"),
 ]
 
 

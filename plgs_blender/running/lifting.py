@@ -26,6 +26,7 @@ from ..shots import Shot, ShotReader, shot_of, write_view
 from ..tasks import registry, timer
 from ..tasks.registry import Task, start_engine
 from . import exports, lifts
+from .adding import lacking
 from .lifts import Lift
 from .survey import survey_of, why_not_liftable
 
@@ -53,9 +54,15 @@ def why_no_lift(settings: PLGS_PG_settings) -> str | None:
     return (
         why_no_engine()
         or why_no_options(settings)
+        or _why_no_device(settings)
         or why_no_scene(settings)
         or (None if survey is None else why_not_liftable(survey))
     )
+
+
+def _why_no_device(settings: PLGS_PG_settings) -> str | None:
+    lacks = lacking("cuda") if settings.device == "cuda" else ()
+    return f"Device CUDA: the engine lacks {', '.join(lacks)}. See docs/speed.md, or choose CPU" if lacks else None
 
 
 def earlier_lift(settings: PLGS_PG_settings) -> Path | None:

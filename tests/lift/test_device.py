@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,11 +12,13 @@ import torch
 
 from engine.command_line.run_engine import run_engine
 from engine.errors import PlgsError
-from engine.job import ExitCode, LiftFolder, LiftRequest
+from engine.job import EventWriter, ExitCode, LiftFolder, LiftRequest, StopSignal
 from engine.lift import device
 from engine.lift.device import refuse_missing_device
+from engine.lift.run import STAGES
 from engine.model.render import render_view
 from engine.raster import interface
+from engine.train.progress import StageReporter
 from tests.raster.gsplat_in_torch import use_a_stand_in
 from tests.tiny_scene import write_tiny_scene
 from tests.train.tiny_lift import TINY, trainer_of, views_of
@@ -24,32 +27,57 @@ from tests.train.tiny_lift import TINY, trainer_of, views_of
 def test_without_a_cuda_device_a_lift_is_refused_before_any_work(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
+    monkeypatch.setattr(torch.backends.cuda, "is_built", lambda: True)
     monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
     scene = write_tiny_scene(tmp_path / "scene", frames=4)
     lift = LiftFolder.create(tmp_path / "lift", LiftRequest(scene=scene, device="cuda"))
     assert run_engine(lift) is ExitCode.BAD_INPUT
     told = [line for line in capfd.readouterr().err.splitlines() if line.startswith("error:")]
     assert told == [
-        "error: torch finds no CUDA device here: --device cuda. Use a machine with a CUDA device and a build of torch "
-        "for CUDA, or lift with --device cpu."
+        "error: torch finds no CUDA device here: --device cuda. Use a machine with a CUDA device and its driver, or "
+        "lift with --device cpu."
     ]
     assert '"stage"' not in lift.events_path.read_text(encoding="utf-8")
 
 
-def test_without_gsplat_the_error_says_how_to_get_it(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.fixture
+def stages(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> StageReporter:
+    """Of a computer with a GPU and torch for it."""
+    monkeypatch.setattr(torch.backends.cuda, "is_built", lambda: True)
     monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
+    return StageReporter(EventWriter(tmp_path / "events.jsonl"), StopSignal(), STAGES)
+
+
+def test_a_torch_for_cpus_is_told_from_a_computer_without_a_gpu(
+    stages: StageReporter, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(torch.backends.cuda, "is_built", lambda: False)
+    with pytest.raises(PlgsError, match="torch is a build for CPUs: --device cuda. Make an engine with set-up"):
+        refuse_missing_device("cuda", stages)
+
+
+def test_without_gsplat_the_error_says_how_to_get_it(stages: StageReporter, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(device, "what_is_missing", lambda: "gsplat is not installed; install it")
     with pytest.raises(PlgsError, match="gsplat is not installed; install it: --device cuda"):
-        refuse_missing_device("cuda")
-    refuse_missing_device("cpu")
+        refuse_missing_device("cuda", stages)
+    refuse_missing_device("cpu", stages)
 
 
-def test_a_gsplat_that_cannot_draw_is_found_before_any_work(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
+def test_a_gsplat_that_cannot_draw_is_found_before_any_work(
+    stages: StageReporter, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    told: list[str] = []
+
+    def compile_and_fail(where: str) -> str:
+        told.append((tmp_path / "events.jsonl").read_text(encoding="utf-8"))
+        return f"nvcc failed for {where}"
+
     monkeypatch.setattr(device, "what_is_missing", lambda: None)
-    monkeypatch.setattr(device, "what_fails", lambda where: f"nvcc failed for {where}")
-    with pytest.raises(PlgsError, match="gsplat cannot draw here .nvcc failed for cuda.: --device cuda. It needs"):
-        refuse_missing_device("cuda")
+    monkeypatch.setattr(device, "what_fails", compile_and_fail)
+    with pytest.raises(PlgsError, match="draw here .nvcc failed for cuda.: --device cuda. gsplat needs") as error:
+        refuse_missing_device("cuda", stages)
+    assert sys.executable in error.value.fix
+    assert "gsplat is compiled for it once" in told[0], "before that begins, as it takes minutes"
 
 
 def test_a_lift_trains_and_renders_on_the_back_end_for_cuda(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

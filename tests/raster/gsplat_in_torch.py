@@ -50,7 +50,9 @@ def rasterization(
     channels = torch.cat([colors, depths[:, None]], 1) if render_mode == "RGB+D" else colors
     drawn = (weights.T @ channels[order].double()).view(1, height, width, -1)
     alpha = weights.sum(0).view(1, height, width, 1)
-    radii = visible[None, :, None].expand(1, -1, 2).int() << 30  # so that rows of the picture leave nothing out
+    reach = (2.0 * (opacities.detach().double() / ALPHA_MIN).clamp(min=1.0).log()).sqrt()
+    deviations = covariances.detach().diagonal(dim1=-2, dim2=-1).sqrt()
+    radii = (visible[:, None] * (reach[:, None] * deviations).ceil()).int()[None]
     return drawn.to(means), alpha.to(means), {"radii": radii, "means2d": means2d}
 
 

@@ -3,12 +3,16 @@ installed, and on a GPU where there is one."""
 
 from __future__ import annotations
 
+import weakref
+from collections.abc import Callable
 from dataclasses import replace
 from importlib import metadata
+from typing import Any
 
+import numpy as np
 import pytest
 import torch
-from gsplat_in_torch import use_a_stand_in, use_gsplats_torch_operators
+from gsplat_in_torch import rasterization, use_a_stand_in, use_gsplats_torch_operators
 from scenes import GROUPS, LAYERS, Scene, hard_scenes, missed_share, random_scene, render, steady_pixels
 
 from engine.raster import cuda, rasterize
@@ -82,8 +86,11 @@ def test_a_gpu_draws_one_gaussian_and_views_that_show_none() -> None:
 
 
 def assert_rows_as_in_the_whole(device: str) -> None:
-    """Many Gaussians lie beside a band by more than the margin in which a band of its own would clamp them."""
+    """Many Gaussians lie beside a band by more than the margin in which a band of its own would clamp them. The first
+    one is small and in row 37."""
     scene = random_scene(5, 400, 40, 60, 64)
+    scene.tensors[0][0] = torch.from_numpy(scene.pose[:3, 3] + 2.0 * scene.pose[:3, 2])
+    scene.tensors[1][0], scene.tensors[3][0] = 1e-3, 0.9
     tensors = [tensor.to(device) for tensor in scene.tensors]
     where = (scene.pose, scene.intrinsics, 60, 64)
     whole = rasterize(*tensors, *where, backend="gsplat")
@@ -91,14 +98,37 @@ def assert_rows_as_in_the_whole(device: str) -> None:
         band = rasterize(*tensors, *where, rows=(first, end), backend="gsplat")
         for layer in LAYERS:
             torch.testing.assert_close(getattr(band, layer), getattr(whole, layer)[first:end], atol=1e-6, rtol=0)
-        assert not (band.visible & ~whole.visible).any()
+        assert not (band.visible & ~whole.visible).any() and bool(band.visible[0]) == (first <= 37 < end)
+        reference = rasterize(*scene.tensors, *where, rows=(first, end), backend="reference")
+        assert not (reference.visible & ~band.visible.cpu()).any()
         expected = whole.means2d[band.visible] - torch.tensor([0.0, first], device=device)
         torch.testing.assert_close(band.means2d[band.visible], expected)
 
 
-@pytest.mark.usefixtures("stand_in")
-def test_rows_of_a_picture_are_those_of_the_whole() -> None:
+@pytest.mark.parametrize("use", [use_a_stand_in, use_gsplats_torch_operators])
+def test_rows_of_a_picture_are_those_of_the_whole(
+    use: Callable[[pytest.MonkeyPatch], None], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    use(monkeypatch)
     assert_rows_as_in_the_whole("cpu")
+
+
+@pytest.mark.usefixtures("stand_in")
+def test_of_some_rows_no_picture_of_all_labels_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    scene = random_scene(5, 40, 100, 60, 64)
+    pictures: list[weakref.ref[np.ndarray[Any, Any]]] = []
+    alive: list[int] = []
+
+    def watched(**arguments: Any) -> tuple[torch.Tensor, torch.Tensor, dict[str, torch.Tensor]]:
+        drawn, *others = rasterization(**arguments)
+        memory = drawn.numpy().copy()  # which lives as long as a tensor that has any part of it
+        pictures.append(weakref.ref(memory))
+        alive.append(sum(picture() is not None for picture in pictures))
+        return torch.from_numpy(memory), *others
+
+    monkeypatch.setattr("gsplat.rasterization", watched)
+    rasterize(*scene.tensors, scene.pose, scene.intrinsics, 60, 64, rows=(16, 32), backend="gsplat")
+    assert alive == [1, 2, 2, 2, 2]  # colour and depth, then 32 labels at a time
 
 
 @needs_gpu

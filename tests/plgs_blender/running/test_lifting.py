@@ -13,6 +13,7 @@ from plgs.engine.errors import PlgsError
 from plgs.engine.job import LiftFolder, LiftRequest
 from plgs.engine.posed.made_frames import MadeFrames
 from plgs.engine.posed.scene_record import StoredScene
+from plgs.plgs_blender.engine_environment import choices, tasks
 from plgs.plgs_blender.errors import field_of_option, with_field_names
 from plgs.plgs_blender.running import lifting
 from plgs.plgs_blender.settings import (
@@ -23,6 +24,7 @@ from plgs.plgs_blender.settings import (
     why_no_options,
 )
 from plgs.plgs_blender.tasks import registry
+from pretended_python import pretended_python
 
 
 @pytest.fixture(autouse=True)
@@ -84,6 +86,19 @@ def test_the_panel_chooses_the_device(tmp_path: Path) -> None:
     settings.device = "cpu"
     adopt(settings, request, tmp_path / "lift")
     assert settings.device == "cuda"
+
+
+def test_a_lift_on_a_gpu_is_grey_where_the_engine_lacks_what_it_needs(tmp_path: Path) -> None:
+    settings = bpy.context.scene.plgs
+    settings.scene_folder, settings.device = str(tmp_path), "cuda"
+    choices.choose(pretended_python(tmp_path / "python", lacks="cuda"))
+    try:
+        registry.wait_for(tasks.check(), bpy.context.scene)  # type: ignore[arg-type]
+        assert "Device CUDA: the engine lacks a-package" in str(lifting.why_no_lift(settings))
+        settings.device = "cpu"
+        assert "CUDA" not in str(lifting.why_no_lift(settings))
+    finally:
+        choices.choose(None)
 
 
 def test_all_options_of_the_preset() -> None:
