@@ -277,7 +277,7 @@ class _Batch:
         for future in [future for future, piece in self._out.items() if piece.scene == name]:
             self._withdraw(future)
         if row.state == Ended.DONE:
-            with _turn(self._plan):
+            with suppress(PlgsError), _turn(self._plan):  # without its row, the next batch looks at the lift itself
                 remember(self._plan, scene.job, row)
         self._report.ended(row)
 

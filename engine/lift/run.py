@@ -82,6 +82,8 @@ NO_VOTES = (
     "the finished scene shows the label decoders, not the views' votes: "
     'votes need objects = "agreement" and one_class_an_object = true'
 )
+VOTED = 0.95
+"""The share of the stage "result" that voting takes."""
 CODE = "code"
 """The name, in checkpoints and manifest, of the digest of the code that did the lift."""
 LONG_S = 3600.0
@@ -163,14 +165,16 @@ def run_lift(
             if finishing is not None:
                 prepared = finishing(trainer, prepared, classes, progress)
             if preset.shows_votes:
-                trainer.scene.voted = voted_labels(trainer.scene, frames, prepared, preset, progress, folder.path)
+                told = progress.part(0.0, VOTED)
+                trainer.scene.voted = voted_labels(trainer.scene, frames, prepared, preset, told, folder.path)
             trainer.scene.finest = finest_of(trainer.scene, frames.training, preset)
             if earlier is not None:
                 prepared, lasting = keep_names(earlier, prepared, trainer.scene, classes)
                 names = lasting.names
                 write_names(folder, lasting, events)
             held_back = read_held_back(frames.chosen, preset.size, folder.path)
-            write_scene_files(folder, frames.chosen, views, held_back, prepared, trainer.scene, events, names)
+            told = progress.part(VOTED, 1.0)
+            write_scene_files(folder, frames.chosen, views, held_back, prepared, trainer.scene, events, names, told)
             if earlier is not None and earlier.edits:
                 take_over_edits(folder, earlier, events)
         baker = FrameBaker(classes, trainer.scene, shown_instances(prepared, names))
@@ -238,7 +242,7 @@ def voted_labels(
     frames: FrameSets,
     prepared: PreparedLift,
     preset: Preset,
-    progress: StageProgress,
+    progress: Callable[[int, int], None],
     scratch: Path,
 ) -> GaussianLabels:
     """The labels that the training frames vote onto the Gaussians. Raises what `vote_labels` raises."""

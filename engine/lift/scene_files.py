@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Mapping, Sequence
-from itertools import chain
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from safetensors.torch import save
+from scipy.spatial import cKDTree
 
 from ..corrections import CorrectedResult
 from ..errors import PlgsError
@@ -32,11 +32,16 @@ from ..result_files import (
     write_arrays,
     write_instances,
 )
-from ..scene import ClassTable, Scene, View, distinct_colour
+from ..scene import ClassTable, Progress, Scene, View, chained, distinct_colour, watched
+from ..scene.view import NEAR
+from ..semantics.point_cloud import SemanticPointCloud
 from .judging import evenly
 from .preparation import PreparedLift
 
 MODEL = "model.safetensors"
+FILLED = 0.3
+"""Metres from what was measured within which filled holes count as seen: a dark screen does, a plane that was continued
+far from where a sensor saw something does not, and stands in rays around the room."""
 LIFT_ANEW = "Lift the scene again, into another folder."
 
 
@@ -49,27 +54,42 @@ def write_scene_files(
     lifted: StructuredScene,
     events: EventWriter,
     names: Mapping[int, str],
+    progress: Progress,
 ) -> None:
     """Write every part of the result that needs no rendering. ``views`` are those it was lifted from, and those that
-    were ``held_back`` judge its points; ``names`` are those of the instances. Raises OSError if the disk is full.
+    were ``held_back`` judge its points; ``names`` are those of the instances. Raises OSError if the disk is full, and
+    what ``progress`` raises.
     """
-    cloud = prepared.cloud
+    cloud, owner = prepared.cloud, prepared.instance_of_point
     likely = calibrate(Samples(cloud.xyz, cloud.class_id, cloud.confidence), evenly(views), held_back)
     viewpoint = np.mean([frame.camera.centre for frame in scene.train_frames], axis=0)
-    points = SemanticPoints(cloud.xyz, cloud.rgb, cloud.class_id, prepared.instance_of_point, likely(cloud.confidence))
-    instances = listed_instances(views, prepared, scene.classes, names)
-    sure = shown_by_depth(cloud.xyz, chain(views, held_back))
-    write_lifted(folder, scene.classes, viewpoint, points, instances, lifted, events, cloud.xyz[sure])
+    seen = is_seen(cloud, owner, shown_by_depth(cloud, chained(views, held_back), progress))
+    points = SemanticPoints(
+        cloud.xyz[seen], cloud.rgb[seen], cloud.class_id[seen], owner[seen], likely(cloud.confidence[seen])
+    )
+    instances = listed_instances(views, prepared, owner[seen], scene.classes, names)
+    write_lifted(folder, scene.classes, viewpoint, points, instances, lifted, events)
 
 
-def shown_by_depth(xyz: NDArray[np.float32], views: Iterable[View]) -> NDArray[np.bool_]:
-    """Which of the points [N, 3] the depth of at least one view shows, bool [N]. The others are where a sensor's far
-    noise was averaged, beyond walls or in rays around the room."""
-    found = np.zeros(len(xyz), np.bool_)
-    for view in views:
-        left = np.flatnonzero(~found)
-        found[left[view.seen_of(xyz[left])[0]]] = True
-    return found
+def is_seen(
+    cloud: SemanticPointCloud, owner: NDArray[np.int32], measured: NDArray[np.bool_]
+) -> NDArray[np.bool_]:
+    """Which points [N] are to be shown: those near ``measured`` ones, and all of an object that has no such point."""
+    far, _ = cKDTree(cloud.xyz[measured]).query(cloud.xyz, distance_upper_bound=FILLED, workers=-1)
+    near = np.isfinite(far)
+    return near | np.isin(owner, np.setdiff1d(owner, [0, *np.unique(owner[near])]))
+
+
+def shown_by_depth(cloud: SemanticPointCloud, views: Sequence[View], progress: Progress) -> NDArray[np.bool_]:
+    """Which points of the cloud the measured depth of at least one view shows, bool [N]. The others lie in its holes,
+    which were filled with planes. Raises what ``progress`` raises."""
+    left = np.arange(len(cloud))
+    for view in watched(views, progress):
+        left = np.delete(left, view.seen_of(cloud.xyz[left], max(NEAR, cloud.spacing))[0])
+        if not len(left):
+            break
+    progress(1, 1)
+    return ~np.isin(np.arange(len(cloud)), left)
 
 
 def write_lifted(
@@ -80,17 +100,15 @@ def write_lifted(
     instances: Sequence[Instance],
     lifted: StructuredScene,
     events: EventWriter,
-    seen: NDArray[np.float32] | None = None,
 ) -> None:
     """Write the same for instances that are listed already. ``viewpoint`` float64 [3] metres: the point from which the
-    Gaussians' colours are seen (see ``bake``). Gaussians far from the points ``seen`` [P, 3] (by default all of
-    ``points``) are left out of the splats. Raises OSError."""
+    Gaussians' colours are seen (see ``bake``). Those far from all points are not written. Raises OSError."""
     result = folder.result_path
     gaussians, anchors = bake(lifted, viewpoint, classes.thing_ids)
     write_arrays(result / SEMANTIC_POINTS, points)
     write_instances(result / INSTANCES, classes, instances)
     write_arrays(result / ANCHORS, anchors)
-    write_splats(result / "gaussians.ply", gaussians.without_floaters(points.xyz if seen is None else seen))
+    write_splats(result / "gaussians.ply", gaussians.without_floaters(points.xyz))
     write_model(folder, lifted)
     for name in (SEMANTIC_POINTS, INSTANCES, ANCHORS, "gaussians.ply", MODEL):
         events.artifact(result / name, name.partition(".")[0])
@@ -148,12 +166,17 @@ def instance_names(instances: Sequence[SceneObject], classes: ClassTable) -> dic
 
 
 def listed_instances(
-    views: Sequence[View], prepared: PreparedLift, classes: ClassTable, names: Mapping[int, str]
+    views: Sequence[View],
+    prepared: PreparedLift,
+    instance_of_point: NDArray[np.int32],
+    classes: ClassTable,
+    names: Mapping[int, str],
 ) -> list[Instance]:
-    """The matched objects as instances.json lists them, with the masks that they were made from."""
+    """The matched objects as instances.json lists them, with the masks that they were made from, and the number of
+    points of each."""
     masks = {view.name: view.mask for view in views}
     extents = {name: mask_extents(mask) for name, mask in masks.items()}
-    points = np.bincount(prepared.instance_of_point, minlength=max(names, default=0) + 1)
+    points = np.bincount(instance_of_point, minlength=max(names, default=0) + 1)
     listed = []
     for instance in prepared.instances:
         x, y, z = instance.box.centre.tolist()

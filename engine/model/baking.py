@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 import torch
@@ -13,6 +13,7 @@ from scipy.spatial import cKDTree
 
 from ..instances.class_first import LEAST_OF_CLASS, objects_of_classes
 from ..result_files import Anchors
+from .detail import widened
 from .gaussians import decode_rows, no_labels
 from .neural_gaussians import NeuralGaussians
 from .scene_labels import shown_labels, shown_probabilities
@@ -107,7 +108,8 @@ def bake(
     """Decode every anchor as seen from ``viewpoint`` [3] metres.
 
     Colours and shapes depend slightly on the viewpoint, which a splat file cannot express. The middle of the cameras is
-    the fairest single choice.
+    the fairest single choice. Gaussians have the blur with which the training pictures show them (see ``detail``):
+    without it a viewer shows cracks between those of a far wall.
     """
     centre = torch.from_numpy(viewpoint.copy()).float()
     parts: list[dict[str, NDArray]] = []
@@ -125,8 +127,10 @@ def bake(
         else:
             drawn = known.of(decoded.rows(k))
             labels = known.shown(drawn, torch.ones(len(drawn))).numpy()
-        parts.append(_gaussian_columns(decoded, labels, scene.channels, thing_ids))
         owner, weight = (decoded.kept // k).numpy(), decoded.opacities.numpy()
+        if scene.finest is not None:
+            decoded = replace(decoded, scales=widened(decoded.scales, scene.finest[rows][owner]))
+        parts.append(_gaussian_columns(decoded, labels, scene.channels, thing_ids))
         part = _anchor_means(len(rows), owner, weight, decoded.colours.numpy(), labels)
         part["class_id"], part["instance_id"] = decided_labels(part.pop("labels"), scene.channels, thing_ids)
         part["opacity"] = decoded.all_opacities.clamp_min(0).mean(dim=1).numpy()

@@ -40,8 +40,12 @@ def pixel_side(depth: torch.Tensor, camera: Camera) -> torch.Tensor:
 def blurred_scales(scales: torch.Tensor, finest: torch.Tensor, depth: torch.Tensor, camera: Camera) -> torch.Tensor:
     """Standard deviations ``scales`` [N, 3] metres, widened so that the ``camera``, which blurs them once more, shows
     Gaussians at ``depth`` [N] with the blur of pixels with the side ``finest`` [N] metres, if its own are smaller."""
-    lacking = BLUR * (finest.square() - pixel_side(depth, camera).square()).clamp_min(0.0)
-    return (scales.square() + lacking[:, None]).sqrt()
+    return widened(scales, (finest.square() - pixel_side(depth, camera).square()).clamp_min(0.0).sqrt())
+
+
+def widened(scales: torch.Tensor, pixels: torch.Tensor) -> torch.Tensor:
+    """Standard deviations ``scales`` [N, 3] metres with the blur of pixels with the side ``pixels`` [N] metres."""
+    return (scales.square() + BLUR * pixels.square()[:, None]).sqrt()
 
 
 def _lens(camera: Camera) -> tuple[float, ...]:

@@ -20,7 +20,7 @@ Read = TypeVar("Read")
 READERS = 2
 """Threads that read ahead. With more, waiting pictures would fill the memory."""
 NEAR, NEAR_SHARE = 0.05, 0.02
-"""A view sees a place if its depth there differs by at most these metres, or this share of it."""
+"""A view sees a place if its depth there differs by at most so many metres, usually, or this share of it."""
 
 Rows = NDArray[np.int64]
 
@@ -49,12 +49,12 @@ class View:
         x, y = pixel[number].astype(np.int64).T
         return number, y, x, depth[number]
 
-    def seen_of(self, xyz: NDArray[np.floating]) -> tuple[Rows, Rows, Rows]:
-        """The rows [n] of those places ``xyz`` [N, 3] that the view's own depth shows, and the row and the column of
-        each one's pixel."""
+    def seen_of(self, xyz: NDArray[np.floating], near: float = NEAR) -> tuple[Rows, Rows, Rows]:
+        """The rows [n] of those places ``xyz`` [N, 3] that the view's own depth shows, within ``near`` metres or
+        NEAR_SHARE of it, and the row and the column of each one's pixel."""
         number, y, x, depth = self.places_in(xyz)
         measured = self.depth[y, x]
-        shows = (measured > 0) & (np.abs(measured - depth) <= np.maximum(NEAR, NEAR_SHARE * measured))
+        shows = (measured > 0) & (np.abs(measured - depth) <= np.maximum(near, NEAR_SHARE * measured))
         return number[shows], y[shows], x[shows]
 
 

@@ -16,10 +16,12 @@ from safetensors.torch import safe_open
 
 from engine.errors import Cancelled
 from engine.job import EventWriter, LiftFolder, LiftRequest, StopSignal, verify
-from engine.lift import frame_sets, run_lift
+from engine.lift import frame_sets, run_lift, scene_files
 from engine.lift import run as lift_run
 from engine.lift.run import STAGES
+from engine.model.baking import FLOATS
 from engine.model.structured import from_tensors
+from engine.posed.splat_file import read_gaussians
 from engine.result_files import Anchors, SemanticPoints, read_arrays
 from engine.scene import open_scene
 from tests.tiny_scene import CABINET_ID, CHAIR_ID, write_tiny_scene
@@ -87,6 +89,22 @@ def test_the_points_and_anchors_are_written(lifts: Lifts) -> None:
     assert ((points.confidence >= 0) & (points.confidence <= 1)).all()
     anchors = read_arrays(lifts.done.result_path / "anchors.npz", Anchors)
     assert set(np.unique(anchors.level)) <= {0, 1, 2, 3}
+
+
+def test_splats_lie_near_what_was_measured(lifts: Lifts, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As if no depth showed one half of the room."""
+    every = read_arrays(lifts.done.result_path / "semantic_points.npz", SemanticPoints).xyz[:, 0]
+    middle = float(np.median(every))
+    monkeypatch.setattr(scene_files, "shown_by_depth", lambda cloud, *_: cloud.xyz[:, 0] < middle)
+    run(half := LiftFolder.create(lifts.root / "half", LiftRequest(scene=lifts.scene)))
+    whole, left = (read_gaussians(each.result_path / "gaussians.ply") for each in (lifts.done, half))
+    beyond = left[left["x"] > middle + scene_files.FILLED + FLOATS]
+    assert len(beyond) < 0.7 * np.count_nonzero(whole["x"] > middle + scene_files.FILLED + FLOATS)
+    assert np.count_nonzero(left["x"] < middle) > 0.9 * np.count_nonzero(whole["x"] < middle)
+    points = read_arrays(half.result_path / "semantic_points.npz", SemanticPoints)
+    assert points.xyz[:, 0].max() <= middle + scene_files.FILLED and len(points.xyz) < 0.9 * len(every)
+    listed = json.loads((half.result_path / "instances.json").read_text())["instances"]
+    assert [one["points"] for one in listed] == [np.count_nonzero(points.instance_id == one["id"]) for one in listed]
 
 
 def test_the_instances_are_written(lifts: Lifts) -> None:

@@ -103,6 +103,13 @@ def test_voted_labels_are_baked() -> None:
     assert pairs == {(WALL, 0), (CHAIR, 0), (CHAIR, 9), (SOFA, 4)}
 
 
+def test_gaussians_are_as_blurred_as_the_training_pictures_show_them() -> None:
+    scene = some_scene((4, NO_OBJECT, 9, SPARE, SPARE), class_of_slot=(SOFA, 0, CHAIR, 0, 0))
+    sharp, _ = bake(scene, np.zeros(3), THINGS)
+    blurred, _ = bake(replace(scene, finest=torch.full((len(scene.anchors),), 0.02)), np.zeros(3), THINGS)
+    np.testing.assert_allclose(blurred.scales, np.hypot(sharp.scales, np.sqrt(0.3) * 0.02), rtol=1e-5)
+
+
 def test_blended_colours_are_those_around() -> None:
     """Two grey clouds of scattered colours, and one nearly clear Gaussian of another colour amid the first."""
     random = np.random.default_rng(7)
