@@ -75,7 +75,8 @@ def is_seen(
     cloud: SemanticPointCloud, owner: NDArray[np.int32], measured: NDArray[np.bool_]
 ) -> NDArray[np.bool_]:
     """Which points [N] are to be shown: those near ``measured`` ones, and all of an object that has no such point."""
-    far, _ = cKDTree(cloud.xyz[measured]).query(cloud.xyz, distance_upper_bound=FILLED, workers=-1)
+    reach = max(FILLED, 2 * cloud.spacing)
+    far, _ = cKDTree(cloud.xyz[measured]).query(cloud.xyz, distance_upper_bound=reach, workers=-1)
     near = np.isfinite(far)
     return near | np.isin(owner, np.setdiff1d(owner, [0, *np.unique(owner[near])]))
 

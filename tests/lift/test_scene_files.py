@@ -44,3 +44,4 @@ def test_planes_far_from_what_was_measured_are_not_shown() -> None:
     seen = is_seen(cloud_of(xyz), owner, np.arange(10) == 0)
     assert [*np.flatnonzero(seen)] == [0, 1, 2, 8, 9] and 0.2 < FILLED < 0.31
     assert is_seen(cloud_of(xyz), owner, np.zeros(10, np.bool_)).sum() == 6  # the objects
+    assert is_seen(cloud_of(xyz, spacing=0.5), owner, np.arange(10) == 0).all(), "a large scene's points lie far apart"
