@@ -20,10 +20,11 @@ from ..corrections import Edit, editing, read_corrected, read_edits
 from ..errors import PlgsError
 from ..instances.lasting_objects import LastingObjects, lasting_objects, object_overlap
 from ..instances.records import SceneObject
-from ..job import EventWriter, LiftFolder, read_manifest, write_atomically
+from ..job import EventWriter, LiftFolder, LiftRequest, read_manifest, write_atomically
 from ..json_file import read_object
 from ..model.structured import StructuredScene
 from ..posed.layout import plural
+from ..presets.preset import Preset
 from ..result_files import INSTANCES, SEMANTIC_POINTS, SemanticPoints, read_arrays, read_instances
 from ..scene import ClassTable
 from .preparation import PreparedLift
@@ -49,6 +50,14 @@ class EarlierLift:
     largest_id: int
     last_numbers: Mapping[str, int]
     edits: tuple[Edit, ...] = ()
+
+
+def refuse_names_of_no_objects(request: LiftRequest, preset: Preset) -> None:
+    """Raise PlgsError if an earlier lift's names are requested, but the lift has no objects."""
+    if request.names_from is not None and preset.objects == "none":
+        fix = 'Leave out --names-from, or set objects to "agreement" or "boxes".'
+        what = 'with objects = "none" there are no objects whose names could be kept'
+        raise PlgsError(what, request.names_from, fix, option="--names-from")
 
 
 def read_earlier(folder: Path) -> EarlierLift:

@@ -20,7 +20,7 @@ import torch
 from safetensors.torch import save_file
 
 from ..errors import Cancelled, PlgsError
-from ..job import Checkpoint, EventWriter, LiftFolder, LiftRequest, StopSignal, write_manifest
+from ..job import Checkpoint, EventWriter, LiftFolder, StopSignal, write_manifest
 from ..job.prediction import USUAL_MASKS, learn_slowness, machine_slowness
 from ..json_file import Json
 from ..machine.code_digest import code_digest
@@ -56,7 +56,7 @@ from .fitting import check_disk, predicted_lift
 from .frame_sets import FRAMES, FrameSets, sets_of_frames
 from .judging import read_held_back
 from .kept_preparation import KeptPreparation
-from .lasting_names import keep_names, read_earlier, take_over_edits, write_names
+from .lasting_names import keep_names, read_earlier, refuse_names_of_no_objects, take_over_edits, write_names
 from .live_previews import LivePreviews
 from .preparation import PreparedLift, prepare
 from .scene_files import instance_names, shown_instances, write_scene_files
@@ -282,14 +282,6 @@ def code_of(code: str, checkpoint: Checkpoint | None, events: EventWriter) -> st
         return begun_by or code
     events.warning(f"the lift was begun by other code ({begun_by}, this is {code}): lift anew what is to be compared")
     return f"{begun_by}+{code}"
-
-
-def refuse_names_of_no_objects(request: LiftRequest, preset: Preset) -> None:
-    """Raise PlgsError if an earlier lift's names are requested, but the lift has no objects."""
-    if request.names_from is not None and preset.objects == "none":
-        fix = 'Leave out --names-from, or set objects to "agreement" or "boxes".'
-        what = 'with objects = "none" there are no objects whose names could be kept'
-        raise PlgsError(what, request.names_from, fix, option="--names-from")
 
 
 def take_up(trainer: Trainer, checkpoint: Checkpoint, events: EventWriter, *, masks_changed: bool) -> None:

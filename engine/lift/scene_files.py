@@ -63,7 +63,7 @@ def write_scene_files(
     cloud, owner = prepared.cloud, prepared.instance_of_point
     likely = calibrate(Samples(cloud.xyz, cloud.class_id, cloud.confidence), evenly(views), held_back)
     viewpoint = np.mean([frame.camera.centre for frame in scene.train_frames], axis=0)
-    seen = is_seen(cloud, owner, shown_by_depth(cloud, chained(views, held_back), progress))
+    seen = is_near_measured(cloud, owner, shown_by_depth(cloud, chained(views, held_back), progress))
     points = SemanticPoints(
         cloud.xyz[seen], cloud.rgb[seen], cloud.class_id[seen], owner[seen], likely(cloud.confidence[seen])
     )
@@ -71,10 +71,10 @@ def write_scene_files(
     write_lifted(folder, scene.classes, viewpoint, points, instances, lifted, events)
 
 
-def is_seen(
+def is_near_measured(
     cloud: SemanticPointCloud, owner: NDArray[np.int32], measured: NDArray[np.bool_]
 ) -> NDArray[np.bool_]:
-    """Which points [N] are to be shown: those near ``measured`` ones, and all of an object that has no such point."""
+    """Which points [N] are to be written: those near ``measured`` ones, and all of an object that has no such point."""
     reach = max(FILLED, 2 * cloud.spacing)
     far, _ = cKDTree(cloud.xyz[measured]).query(cloud.xyz, distance_upper_bound=reach, workers=-1)
     near = np.isfinite(far)

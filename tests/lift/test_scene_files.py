@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from engine.lift.scene_files import FILLED, is_seen, shown_by_depth
+from engine.lift.scene_files import FILLED, is_near_measured, shown_by_depth
 from engine.scene import load_view, open_scene
 from engine.semantics.point_cloud import SemanticPointCloud
 from tests.tiny_scene import write_tiny_scene
@@ -41,7 +41,7 @@ def test_planes_far_from_what_was_measured_are_not_shown() -> None:
     """A row of points of which the first is measured; an object all of whose points lie far is kept."""
     xyz = np.stack([np.arange(0, 1, 0.1) + 0.01, np.zeros(10), np.zeros(10)], axis=1)
     owner = np.array([0, 0, 1, 1, 1, 1, 0, 0, 2, 2], np.int32)
-    seen = is_seen(cloud_of(xyz), owner, np.arange(10) == 0)
+    seen = is_near_measured(cloud_of(xyz), owner, np.arange(10) == 0)
     assert [*np.flatnonzero(seen)] == [0, 1, 2, 8, 9] and 0.2 < FILLED < 0.31
-    assert is_seen(cloud_of(xyz), owner, np.zeros(10, np.bool_)).sum() == 6  # the objects
-    assert is_seen(cloud_of(xyz, spacing=0.5), owner, np.arange(10) == 0).all(), "a large scene's points lie far apart"
+    assert is_near_measured(cloud_of(xyz), owner, np.zeros(10, np.bool_)).sum() == 6  # the objects
+    assert is_near_measured(cloud_of(xyz, spacing=0.5), owner, np.arange(10) == 0).all()  # lie far apart
