@@ -11,6 +11,9 @@ SCENE ?= sample/room
 OUT ?= lifts/demo
 PRESET ?= preview
 
+# Where it is set, each worker and each engine that a test starts would compile all modules anew: minutes of a core.
+unexport PYTHONDONTWRITEBYTECODE
+
 PYTHON := .venv/bin/python
 PYTEST := -m pytest --durations=10
 # One process of tests for each core, and memory for four at most.

@@ -9,8 +9,6 @@ import numpy as np
 import pytest
 import torch
 from numpy.typing import NDArray
-from torchmetrics.classification import MulticlassJaccardIndex
-from torchmetrics.detection import PanopticQuality
 
 from engine.metrics.frame_quality import FrameQuality
 from engine.metrics.panoptic import PanopticEvaluation
@@ -44,6 +42,8 @@ def random_views(seed: int, frames: int) -> list[Maps]:
 
 def panoptic_quality(pairs: list[tuple[NDArray[np.int32], NDArray[np.int32]]]) -> float:
     """By torchmetrics, of predicted and true (class, instance) pictures [H, W, 2]."""
+    from torchmetrics.detection import PanopticQuality  # takes seconds to import
+
     metric = PanopticQuality(set(THINGS), set(STUFF), allow_unknown_preds_category=True)
     for predicted, true in pairs:
         metric.update(torch.from_numpy(predicted)[None], torch.from_numpy(true)[None])
@@ -52,6 +52,8 @@ def panoptic_quality(pairs: list[tuple[NDArray[np.int32], NDArray[np.int32]]]) -
 
 @pytest.mark.parametrize("seed", range(12))
 def test_random_labels_have_the_same_scores(seed: int) -> None:
+    from torchmetrics.classification import MulticlassJaccardIndex
+
     views = random_views(seed, frames=1 + seed % 4)
     scene, frames = PanopticEvaluation(CLASSES, "strict"), FrameQuality(CLASSES)
     for view in views:
