@@ -162,10 +162,9 @@ def _votes(
         shown, whole = (
             np.bincount(place.reshape(-1), own[voting], len(pairs)) for own in (np.ones_like(seen), is_whole(view.mask))
         )
-        asked, near = (
-            (evidence(each, pixels * view.mask_scale**2, resolution) / safe)[pairs // count]
-            for each in (kind, "density")
-        )
+        point = pairs // count
+        amount = pixels[point] * view.mask_scale**2, resolution[point]
+        asked, near = (evidence(each, *amount) / safe[point] for each in (kind, "density"))
         parts.append((pairs, np.stack([shown * asked, shown * near, whole * near]).astype(np.float32)))
         if len(parts) == VIEWS_AT_A_TIME:
             total, parts = _added(total, parts), []

@@ -12,6 +12,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from ..instances.class_first import LEAST_OF_CLASS, objects_of_classes
+from ..machine.cells import distinct_cells
 from ..result_files import Anchors
 from .detail import widened
 from .gaussians import decode_rows, no_labels
@@ -68,10 +69,10 @@ class BakedGaussians:
         kept = np.flatnonzero(np.isfinite(near) & (self.opacities >= FAINTEST))
         cell, places = np.floor(self.means[kept] / FLOATS).astype(np.int64), np.zeros(len(kept), np.int64)
         if len(kept):
-            cells, places = np.unique(cell, axis=0, return_inverse=True)
+            cells, places = distinct_cells(cell)
             beside = cKDTree(cells).query_pairs(1.8, output_type="ndarray")  # the 26 neighbours
             graph = coo_matrix((np.ones(len(beside)), tuple(beside.T)), (len(cells), len(cells)))
-            places = connected_components(graph, directed=False)[1][places.ravel()]
+            places = connected_components(graph, directed=False)[1][places]
         longest = np.sort(np.minimum(self.scales[kept], FLOATS), axis=1)[:, 1:]
         cover = np.bincount(places, self.opacities[kept] * longest.prod(axis=1))
         kept = kept[cover[places] >= LEAST_COVER]
