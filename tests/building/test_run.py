@@ -41,7 +41,8 @@ def again_as_before() -> Iterator[None]:
 
 
 @pytest.fixture
-def building(tmp_path: Path) -> LiftFolder:
+def building(tmp_path: Path, quick_python: Path, monkeypatch: pytest.MonkeyPatch) -> LiftFolder:
+    monkeypatch.setattr(run, "sys", SimpleNamespace(executable=quick_python))
     scene = write_tiny_scene(tmp_path / "room", frames=8, noise=0.1)
     return LiftFolder.create(tmp_path / "lift", LiftRequest(scene=scene, options=OPTIONS, blocks=2, bake="none"))
 

@@ -10,7 +10,11 @@ from pathlib import Path
 import bpy
 import cv2
 import numpy as np
+import pytest
 from plgs.plgs_blender.lift_scene import save_lift
+
+from docs.make_pictures.room import main
+from tests.commands import exit_code
 
 
 def run(root: Path, *arguments: object) -> subprocess.CompletedProcess[str]:
@@ -32,12 +36,12 @@ def test_a_picture_shows_points_and_boxes(lift: Path, tmp_path: Path, root: Path
     assert (tmp_path / "lift.blend").read_bytes() == before
 
 
-def test_bad_arguments_are_one_line_errors(tmp_path: Path, root: Path) -> None:
+def test_bad_arguments_are_one_line_errors(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "empty.blend"))
     for arguments, message in (
         ((tmp_path / "none.blend", tmp_path / "out.png"), "does not exist"),
         ((tmp_path / "empty.blend", tmp_path / "out.png"), "no view 'Overview'"),
         ((tmp_path / "empty.blend", tmp_path / "out.png", "--size", "big"), "WIDTHxHEIGHT"),
     ):
-        done = run(root, *arguments)
-        assert done.returncode == 2 and message in done.stderr
+        assert exit_code(main, *arguments) == 2
+        assert message in capsys.readouterr().err

@@ -39,11 +39,11 @@ Behave = Callable[[str, str], None]
 
 
 @pytest.fixture
-def behave(monkeypatch: pytest.MonkeyPatch) -> Behave:
+def behave(monkeypatch: pytest.MonkeyPatch, quick_python: Path) -> Behave:
     behaviours: dict[str, str] = {}
 
     def fake_command(python: Path, lift: Path, *, resume: bool, program: str) -> list[str | Path]:
-        command: list[str | Path] = [sys.executable, FAKE_ENGINE, behaviours.get(lift.name, "short"), lift]
+        command: list[str | Path] = [quick_python, FAKE_ENGINE, behaviours.get(lift.name, "short"), lift]
         return [*command, "--resume"] if resume else command
 
     monkeypatch.setenv("PLGS_ENGINE_PYTHON", sys.executable)
