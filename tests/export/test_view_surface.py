@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import open3d.t.geometry as raycasting
@@ -49,13 +50,23 @@ def of_a_pole(width: float) -> list[SmallView]:
     return views
 
 
+@cache
+def floor(views: int = 1) -> tuple[Surface, np.ndarray]:
+    return surface_to_view([look_over_the_floor()] * views)
+
+
+@cache
+def pole(width: float) -> tuple[Surface, np.ndarray]:
+    return surface_to_view(of_a_pole(width))
+
+
 def areas(surface: Surface) -> np.ndarray:
     a, b, c = surface.xyz[surface.triangles].astype(float).transpose(1, 0, 2)
     return np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2
 
 
 def test_a_far_floor_that_one_view_saw_is_whole() -> None:
-    surface, label = surface_to_view([look_over_the_floor()])
+    surface, label = floor()
     nearest = HEIGHT * FOCAL / (SIZE[1] - MIDDLE)
     # A voxel and more is missing along each rim.
     assert areas(surface).sum() == pytest.approx((FAR - nearest) * 2 * WIDE, rel=0.2)
@@ -67,7 +78,7 @@ def test_any_view_may_lack_objects_labels_or_depth() -> None:
     bare = [replace(view, label=np.full_like(view.label, FLOOR)) for view in views]
     void = [replace(view, label=np.zeros_like(view.label)) for view in views]
     blind = [replace(view, depth=np.zeros_like(view.depth)) for view in views]
-    whole = areas(surface_to_view(views)[0]).sum()
+    whole = areas(pole(0.3)[0]).sum()
     for given, labels in (
         (bare, {FLOOR}),
         ([*views[:2], bare[2], views[3]], {FLOOR, RUG}),
@@ -83,27 +94,27 @@ def test_any_view_may_lack_objects_labels_or_depth() -> None:
 
 @pytest.mark.parametrize("width", [0.02, 0.04, 0.06])
 def test_thin_objects_alone_are_no_fringe(width: float) -> None:
-    surface, label = surface_to_view(of_a_pole(width))
+    surface, label = pole(width)
     of_pole = (label[surface.triangles] == RUG).all(axis=1)
-    assert areas(surface).sum() == pytest.approx(areas(surface_to_view(of_a_pole(0))[0]).sum(), rel=0.05)
+    assert areas(surface).sum() == pytest.approx(areas(pole(0.0)[0]).sum(), rel=0.05)
     if width > OBJECTS.voxel:  # what is thinner is not in it
         assert 0.4 < areas(surface)[of_pole].sum() / (width * 1.4) < 1.5
 
 
 def test_a_hole_in_the_room_is_closed() -> None:
-    whole, holed = (surface_to_view([look_over_the_floor(hole)])[0] for hole in (False, True))
-    assert areas(holed).sum() == pytest.approx(areas(whole).sum(), rel=0.01)
+    holed, _ = surface_to_view([look_over_the_floor(hole=True)])
+    assert areas(holed).sum() == pytest.approx(areas(floor()[0]).sum(), rel=0.01)
 
 
 def test_objects_are_finer_than_the_room() -> None:
-    surface, label = surface_to_view([look_over_the_floor()] * OBJECTS.least_views)
+    surface, label = floor(OBJECTS.least_views)
     size = {value: np.median(areas(surface)[(label[surface.triangles] == value).all(axis=1)]) for value in (FLOOR, RUG)}
     assert size[FLOOR] / size[RUG] == pytest.approx((ROOM.voxel / OBJECTS.voxel) ** 2, rel=0.4)
-    assert areas(surface).sum() == pytest.approx(areas(surface_to_view([look_over_the_floor()])[0]).sum(), rel=0.05)
+    assert areas(surface).sum() == pytest.approx(areas(floor()[0]).sum(), rel=0.05)
 
 
 def test_the_coarse_triangles_at_the_rim_of_an_object_are_the_rooms() -> None:
-    surface, label = surface_to_view([look_over_the_floor()] * OBJECTS.least_views)
+    surface, label = floor(OBJECTS.least_views)
     of_rug = (label[surface.triangles] == RUG).sum(axis=1) >= 2
     assert (areas(surface)[of_rug] > 0.7 * ROOM.voxel**2 / 2).sum() < 0.005 * of_rug.sum()
 

@@ -98,7 +98,7 @@ def test_the_same_bits_with_any_number_of_threads(channels: int) -> None:
 
 def test_the_same_bits_on_a_room() -> None:
     """More Gaussians and tiles than the small scenes, so that the workers really do share everything."""
-    work = room_workload(25_000)
+    work = room_workload(25_000, 320, 240)
     arrays = (work.means, work.scales, work.quats, work.opacities, work.colours, work.labels)
     tensors = tuple(torch.from_numpy(array) for array in arrays)
     scene = Scene(tensors, work.camera_to_world, work.intrinsics, work.width, work.height)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 
 import cv2
@@ -20,10 +21,10 @@ HALF = np.array([[0.0, 0.0, 0.5], [0.0, 0.0, 0.5], [0.0, 0.0, 0.0]])
 """Added to a lens with pixel centres at whole numbers for `trace_view`, which has them at +0.5."""
 
 
-@pytest.fixture
-def data(tmp_path: Path) -> Path:
-    folder = tmp_path / "data"
-    folder.mkdir()
+@pytest.fixture(scope="module")
+def frames(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Only for reading."""
+    folder = tmp_path_factory.mktemp("data")
     np.savetxt(folder / "camera-intrinsics.txt", DEPTH_LENS)
     for index in range(FRAMES):
         pose = tiny_pose(index, FRAMES)
@@ -34,6 +35,11 @@ def data(tmp_path: Path) -> Path:
         cv2.imwrite(str(folder / f"frame-{index:06d}.depth.png"), depth)
         np.savetxt(folder / f"frame-{index:06d}.pose.txt", pose)
     return folder
+
+
+@pytest.fixture
+def data(frames: Path, tmp_path: Path) -> Path:
+    return Path(shutil.copytree(frames, tmp_path / "data"))
 
 
 def test_it_makes_a_scene_that_can_be_lifted(data: Path, tmp_path: Path, make: Make) -> None:

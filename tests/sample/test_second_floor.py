@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 
 import cv2
@@ -119,10 +120,10 @@ def told_pose(pose: NDArray[np.float64]) -> list[float]:
     return [*(y_up @ pose[:3, 3]).tolist(), w, x, y, z]
 
 
-@pytest.fixture
-def data(tmp_path: Path) -> Path:
-    """Chairs are among the true classes of the first floor only."""
-    folder = tmp_path / "data/Semantic-Segmentation"
+@pytest.fixture(scope="module")
+def both_floors(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Chairs are among the true classes of the first floor only. Only for reading."""
+    folder = tmp_path_factory.mktemp("data") / "Semantic-Segmentation"
     floors = folder / "Data_collection"
     for index in range(FRAMES):
         write_frame(floors / "second_floor", index)
@@ -130,7 +131,12 @@ def data(tmp_path: Path) -> Path:
     write_pictures(floors / "first_floor", 1, semantic=chairs, semantic_gt=painted(chairs))
     np.savetxt(floors / "second_floor/GT_Pose.txt", [told_pose(tiny_pose(index, FRAMES)) for index in range(FRAMES)])
     write_info(folder / "info_semantic.json")
-    return tmp_path / "data"
+    return folder.parent
+
+
+@pytest.fixture
+def data(both_floors: Path, tmp_path: Path) -> Path:
+    return Path(shutil.copytree(both_floors, tmp_path / "data"))
 
 
 def test_it_makes_a_scene_that_can_be_lifted(data: Path, tmp_path: Path, make: Make) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import tempfile
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
 
@@ -16,13 +15,18 @@ from tests.train.tiny_lift import TINY, views_of
 WITHOUT_GROWTH = replace(TINY, steps=1000)
 
 
-def test_every_part_of_a_step_is_measured(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    views, classes = views_of(tmp_path / "scene")
-    folder = tmp_path / "temporary"
-    folder.mkdir()
-    monkeypatch.setattr(tempfile, "tempdir", str(folder))
-    profile = profile_lift(views, classes, WITHOUT_GROWTH, epochs=1)
+@pytest.fixture(scope="module")
+def profile(tmp_path_factory: pytest.TempPathFactory) -> StepProfile:
+    views, classes = views_of(tmp_path_factory.mktemp("step") / "scene")
+    folder = tmp_path_factory.mktemp("temporary")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(tempfile, "tempdir", str(folder))
+        measured = profile_lift(views, classes, WITHOUT_GROWTH, epochs=1)
     assert not list(folder.glob("tmp*"))  # torch keeps a folder of its own there
+    return measured
+
+
+def test_every_part_of_a_step_is_measured(profile: StepProfile) -> None:
     assert set(profile.parts) == {*DECODE, *RASTERISE, *LOSSES, *OPTIMISE, "growth statistics", "the rest"}
     assert all(milliseconds > 0 for milliseconds in profile.parts.values())
     assert profile.draw > 0 and profile.decide > 0 and 0 < profile.visible <= profile.anchors and profile.gaussians > 0
@@ -46,13 +50,11 @@ def test_ratios_are_relative_to_the_rasteriser() -> None:
 
 
 def test_the_figures_are_printed_and_written(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    profile: StepProfile, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    views, classes = views_of(tmp_path / "scene")
-    tiny = profile_lift(views, classes, WITHOUT_GROWTH, epochs=1)
     monkeypatch.setattr(step, "load_view", lambda frame, size: frame)
-    monkeypatch.setattr(step, "profile_lift", lambda views, classes, preset: tiny)
-    assert step.bench_step() == tiny.facts()
+    monkeypatch.setattr(step, "profile_lift", lambda views, classes, preset: profile)
+    assert step.bench_step() == profile.facts()
     said = capsys.readouterr().out
-    assert tiny.processor in said and "whole step" in said and "at most 0.5" in said and "a second" in said
+    assert profile.processor in said and "whole step" in said and "at most 0.5" in said and "a second" in said
     assert SAMPLE.is_dir()
