@@ -184,21 +184,22 @@ def _followed(piece: Piece, tell: Tell, variables: Mapping[str, str]) -> TaskFol
 
 def _started(piece: Piece, variables: Mapping[str, str]) -> TaskFollower | None:
     if piece.kind is Kind.LIFT:
-        lift, is_new = _lift_folder(piece)
-        if not is_new and not lift.is_running and lift.state_at_rest() is LiftState.FINISHED and lift.is_whole():
+        lift = _lift_folder(piece)
+        if not lift.is_running and lift.state_at_rest() is LiftState.FINISHED and lift.is_whole():
             return None
-        command = engine_command(Path(sys.executable), lift.path, resume=not is_new)
+        # Also a new lift: before this engine begins, that of another batch may have begun it, or done it.
+        command = engine_command(Path(sys.executable), lift.path, resume=True)
         return TaskFollower.start(command, lift.place, kind=LIFT, lift=lift, variables=variables)
     lift = LiftFolder.open(piece.lift)
     kind = BAKE if piece.kind is Kind.BAKE else str(piece.kind)
     return TaskFollower.start(piece.needs_engine(), TaskPlace.temporary(), kind=kind, lift=lift, variables=variables)
 
 
-def _lift_folder(piece: Piece) -> tuple[LiftFolder, bool]:
-    """The lift's folder, and whether it was just made. Raises PlgsError."""
+def _lift_folder(piece: Piece) -> LiftFolder:
+    """The lift's folder, which is made if it is not there. Raises PlgsError."""
     if not (piece.lift / "request.json").exists():
         try:
-            return LiftFolder.create(piece.lift, piece.request), True
+            return LiftFolder.create(piece.lift, piece.request)
         except PlgsError:
             if not (piece.lift / "request.json").exists():  # otherwise two workers made it at the same time
                 raise
@@ -207,7 +208,7 @@ def _lift_folder(piece: Piece) -> tuple[LiftFolder, bool]:
     if differing:
         fix = "Leave these options as they were, or choose another output folder."
         raise PlgsError(f"holds a lift with a different {', '.join(differing)}", lift.path, fix)
-    return lift, False
+    return lift
 
 
 def _frames_of(lift: Path) -> Sequence[str]:

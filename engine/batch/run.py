@@ -326,4 +326,4 @@ def _clear_cancel(job: SceneJob) -> None:
     """Delete an earlier batch's cancel file, which would stop a bake."""
     cancel: Path = job.lift / "cancel"
     if cancel.exists() and not LiftFolder.open(job.lift).is_running:
-        cancel.unlink()
+        cancel.unlink(missing_ok=True)  # another batch may do so in this moment

@@ -55,7 +55,7 @@ def run_engine(
                 folder.prepare_run()
 
             def work(events: EventWriter, stop: StopSignal) -> None:
-                if lift is None and not resume:
+                if lift is None and state is LiftState.NOT_STARTED:
                     _refuse_no_scene(folder)
                 _run_lift(folder, lift)(folder, events, stop, resume=resume)
 

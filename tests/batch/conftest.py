@@ -5,7 +5,8 @@ from collections.abc import Iterator
 import pytest
 
 from engine.batch import cluster
-from tests.batch.farm import PATIENCE_S, Farm
+from tests.batch.farm import Farm
+from tests.waiting import PATIENCE_S
 
 
 @pytest.fixture

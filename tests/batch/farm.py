@@ -8,9 +8,9 @@ from __future__ import annotations
 import csv
 import json
 import multiprocessing
+import random
 import socket
 import threading
-import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -21,8 +21,10 @@ from engine.errors import ExitCode
 from engine.job import LiftRequest
 from engine.job.terminal import Interrupts
 from tests.batch import farm_worker
+from tests.waiting import wait_until
 
-PATIENCE_S = 60.0
+PORTS = range(20_000, 32_000)
+"""Below those that systems give to connections: no connection gets a scheduler's before it listens there (again)."""
 FORKS = multiprocessing.get_context("forkserver")
 FORKS.set_forkserver_preload(["distributed.cli.dask_scheduler", "tests.batch.farm_worker"])
 Process = multiprocessing.context.ForkServerProcess
@@ -42,19 +44,11 @@ class Farm:
 
     def scheduler(self, port: int = 0, ttl_s: float = 60.0, *options: str) -> tuple[Process, int]:
         """A scheduler that answers, at ``port`` or any, and its port."""
-        if not port:
-            with socket.socket() as free:
-                free.bind(("127.0.0.1", 0))
-                port = free.getsockname()[1]
+        port = port or next(each for each in random.sample(PORTS, 100) if not answers(each))
         scheduler = self.start(farm_worker.schedule, port, ttl_s, options)
-        give_up = time.monotonic() + PATIENCE_S
-        while True:
-            try:
-                socket.create_connection(("127.0.0.1", port)).close()
-                return scheduler, port
-            except ConnectionRefusedError:
-                assert time.monotonic() < give_up and scheduler.is_alive()
-                time.sleep(0.1)
+        wait_until(lambda: answers(port) or not scheduler.is_alive(), f"a scheduler at port {port}")
+        assert scheduler.is_alive()
+        return scheduler, port
 
     def workers(self, address: str, *kinds: str) -> None:
         for kind in kinds:
@@ -64,6 +58,15 @@ class Farm:
         for process in self._started:
             process.kill()
             process.join()
+
+
+def answers(port: int) -> bool:
+    """Whether somebody listens there, on this machine."""
+    try:
+        socket.create_connection(("127.0.0.1", port)).close()
+    except ConnectionRefusedError:
+        return False
+    return True
 
 
 def plan_of(folder: Path, *names: str) -> BatchPlan:
@@ -88,16 +91,23 @@ def rows_of(plan: BatchPlan) -> dict[str, dict[str, str]]:
 
 
 def hellos(lift: Path) -> list[dict[str, object]]:
-    lines = (lift / "events.jsonl").read_text().splitlines() if (lift / "events.jsonl").exists() else []
-    return [told for line in lines if (told := json.loads(line))["event"] == "hello"]
+    text = (lift / "events.jsonl").read_text() if (lift / "events.jsonl").exists() else ""
+    whole = text.split("\n")[:-1]  # an engine may be writing the last line
+    return [told for line in whole if (told := json.loads(line))["event"] == "hello"]
+
+
+def pause(job: SceneJob, runs: int = 1) -> Path:
+    """Let a lift wait in the middle of each of its first runs, until the test ends it or deletes that run's file. The
+    last one's is returned."""
+    files = [job.request.scene / f"pause {number}" for number in range(1, runs + 1)]
+    for each in files:
+        each.touch()
+    return files[-1]
 
 
 def in_the_middle(lift: Path, runs: int = 1) -> int:
-    """Wait until a lift trains, in its run of this number, and return the number of the worker's process."""
-    give_up = time.monotonic() + PATIENCE_S
-    while not _is_training(lift, runs):
-        assert time.monotonic() < give_up
-        time.sleep(0.02)
+    """Wait until a lift pauses, in its run of this number, and return the number of the worker's process."""
+    wait_until(lambda: _is_training(lift, runs), lift)
     status = Path(f"/proc/{hellos(lift)[-1]['pid']}/status").read_text()
     return int(status.split("PPid:")[1].split()[0])
 
@@ -106,7 +116,7 @@ def _is_training(lift: Path, runs: int) -> bool:
     if len(hellos(lift)) < runs:
         return False
     *_, latest = (lift / "events.jsonl").read_text().split('"event": "hello"')
-    return latest.count('"event": "progress"') > 10
+    return latest.count('"event": "progress"') > farm_worker.PAUSE_AFTER
 
 
 def meanwhile(act: Callable[[], object]) -> threading.Thread:

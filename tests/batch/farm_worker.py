@@ -22,8 +22,9 @@ from engine.errors import ErrorCode, PlgsError
 from engine.job import EventWriter, LiftFolder, LiftRequest, StopSignal
 from engine.job.terminal import Interrupts
 from tests.job.lift_folders import tiny_lift
+from tests.waiting import PATIENCE_S
 
-STEPS, STEP_S = 60, 0.03
+STEPS, STEP_S, PAUSE_AFTER = 60, 0.03, 10
 
 
 def lift(folder: LiftFolder, events: EventWriter, stop: StopSignal, *, resume: bool) -> None:
@@ -32,11 +33,17 @@ def lift(folder: LiftFolder, events: EventWriter, stop: StopSignal, *, resume: b
     events.stage("train", 1, 2, "Training")
     checkpoint = folder.checkpoints.latest() if resume else None
     step = 0 if checkpoint is None else int(str(checkpoint.state["step"]))
+    run = folder.events_path.read_text().count('"event": "hello"')
+    pause, done = folder.request.scene / f"pause {run}", 0
     while step < STEPS:
-        step += 1
+        step, done = step + 1, done + 1
         events.progress("train", step, STEPS, loss=1.0 / step, eta_s=STEP_S * (STEPS - step))
         folder.checkpoints.save({"step": step}, lambda path: (path / "model").write_bytes(b"model"))
         stop.check()
+        end = time.monotonic() + PATIENCE_S
+        while done > PAUSE_AFTER and pause.exists() and time.monotonic() < end:
+            stop.check()
+            time.sleep(STEP_S)
         time.sleep(STEP_S)
     tiny_lift(folder, events, stop, resume=resume)
 
@@ -76,7 +83,7 @@ def work(kind: str, address: str, *files: Path) -> None:
     """A worker: usual, another-engine, unmounted or full. ``files``: the authority's certificate, and its own."""
     _be_quiet()
     pretend(kind)
-    worker.run_worker(address, threads=1, patience_s=20.0, tls=worker.Tls(*files) if files else None)
+    worker.run_worker(address, threads=1, patience_s=PATIENCE_S, tls=worker.Tls(*files) if files else None)
 
 
 def batch(address: str, output: Path, *scenes: Path) -> None:

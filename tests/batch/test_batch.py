@@ -18,8 +18,9 @@ from engine.job import LiftFolder, verify
 from engine.job.terminal import Interrupted
 from engine.machine.code_digest import code_digest
 from tests.batch import farm_worker
-from tests.batch.farm import PATIENCE_S, Farm, hellos, in_the_middle, meanwhile, plan_of, rows_of, run
+from tests.batch.farm import Farm, hellos, in_the_middle, meanwhile, pause, plan_of, rows_of, run
 from tests.tiny_scene import write_tiny_scene
+from tests.waiting import PATIENCE_S
 
 distributed = pytest.importorskip("distributed", reason="distributed is not installed: python -m engine add farm")
 
@@ -45,6 +46,7 @@ def test_scenes_are_shared_and_a_failed_one_is_a_row(
 def test_a_killed_worker_loses_little_and_its_work_goes_elsewhere(tmp_path: Path, farm: Farm, address: str) -> None:
     plan = plan_of(tmp_path, "a", "b")
     farm.workers(address, "usual", "usual")
+    pause(plan.jobs[0])
     killing = meanwhile(lambda: os.kill(in_the_middle(plan.output / "a"), signal.SIGKILL))
     assert run(plan, Place(scheduler=address)) is ExitCode.FINISHED
     killing.join()
@@ -62,6 +64,8 @@ def test_an_engine_that_is_killed_is_resumed_once(
 ) -> None:
     plan = plan_of(tmp_path, "a", "b")
     farm.workers(address, "usual", "usual")
+
+    pause(plan.jobs[0], kills)
 
     def kill() -> None:
         for runs in range(1, kills + 1):
@@ -96,7 +100,8 @@ def test_a_worker_that_hangs(tmp_path: Path, farm: Farm) -> None:
     address = f"tcp://127.0.0.1:{farm.scheduler(ttl_s=5.0)[1]}"
     plan = plan_of(tmp_path, "a")
     farm.workers(address, "usual", "usual")
-    hanging = meanwhile(lambda: os.kill(in_the_middle(plan.output / "a"), signal.SIGSTOP))
+    paused = pause(plan.jobs[0])
+    hanging = meanwhile(lambda: (os.kill(in_the_middle(plan.output / "a"), signal.SIGSTOP), paused.unlink()))
     assert run(plan, Place(scheduler=address)) is ExitCode.FINISHED
     hanging.join()
     assert rows_of(plan)["a"]["state"] == "done" and len(hellos(plan.output / "a")) == 1
@@ -108,11 +113,14 @@ def test_a_scheduler_that_is_restarted(tmp_path: Path, farm: Farm) -> None:
     plan = plan_of(tmp_path, "a", "b", "c")
     farm.workers(address, "usual", "usual")
 
+    paused = pause(plan.jobs[0])
+
     def restart() -> None:
         in_the_middle(plan.output / "a")
         scheduler.kill()
         scheduler.join()
         farm.scheduler(port)
+        paused.unlink()
 
     restarting = meanwhile(restart)
     assert run(plan, Place(scheduler=address)) is ExitCode.FINISHED
@@ -123,6 +131,7 @@ def test_a_scheduler_that_is_restarted(tmp_path: Path, farm: Farm) -> None:
 def test_ctrl_c_leaves_everything_resumable(tmp_path: Path, farm: Farm, address: str) -> None:
     plan = plan_of(tmp_path, "a", "b")
     farm.workers(address, "usual")
+    pause(plan.jobs[0])
     signal.signal(signal.SIGINT, signal.default_int_handler)
     stopping = meanwhile(lambda: (in_the_middle(plan.output / "a"), os.kill(os.getpid(), signal.SIGINT)))
     with pytest.raises(Interrupted):

@@ -1,4 +1,4 @@
-"""What a piece says of a worker that cannot do it."""
+"""What a piece says of a worker that cannot do it, and of other batches."""
 
 from __future__ import annotations
 
@@ -7,16 +7,34 @@ from pathlib import Path
 
 import pytest
 
+from engine.batch import piece
 from engine.batch.piece import Ended, Kind, Piece, do, engine_tag
-from engine.errors import ErrorCode, PlgsError
-from engine.job import LiftRequest
+from engine.command_line.run_engine import run_engine
+from engine.errors import ErrorCode, ExitCode, PlgsError
+from engine.job import LiftFolder, LiftRequest
+from tests.job.following import FAKE
+from tests.job.lift_folders import tiny_lift
 
 
 @pytest.mark.parametrize("kind", [Kind.LIFT, Kind.EXPORT, Kind.SCORE])
 def test_a_scene_that_is_not_mounted_is_for_another_worker(kind: Kind, tmp_path: Path) -> None:
-    piece = Piece(kind, "room", tmp_path, LiftRequest(scene=tmp_path / "unmounted"), engine_tag(), ("ply",))
-    outcome = do(piece, lambda progress: None)
+    work = Piece(kind, "room", tmp_path, LiftRequest(scene=tmp_path / "unmounted"), engine_tag(), ("ply",))
+    outcome = do(work, lambda progress: None)
     assert outcome.ended is Ended.ELSEWHERE and "unmounted" in outcome.reason
+
+
+def test_a_lift_that_another_batch_does_before_this_engine_begins(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def command(python: Path, lift: Path, *, resume: bool) -> list[str | Path]:
+        assert run_engine(LiftFolder.open(lift), lift=tiny_lift) is ExitCode.FINISHED
+        return [python, FAKE, "short", lift, *(["--resume"] if resume else [])]
+
+    monkeypatch.setattr(piece, "engine_command", command)
+    (tmp_path / "room").mkdir()
+    lift = Piece(Kind.LIFT, "room", tmp_path / "lift", LiftRequest(scene=tmp_path / "room"), engine_tag())
+    outcome = do(lift, lambda progress: None)
+    assert outcome.ended is Ended.DONE, outcome.reason
 
 
 def test_an_error_crosses_processes() -> None:

@@ -14,6 +14,7 @@ from engine.batch.piece import Ended, Kind, Outcome, Piece
 from engine.batch.plan import RECORDS, BatchPlan, SceneJob
 from engine.job import LiftRequest
 from engine.job.lock import FileLock
+from tests.waiting import PATIENCE_S
 
 
 @dataclass(eq=False)
@@ -190,5 +191,5 @@ def test_a_row_is_written_while_no_other_batch_writes_it(tmp_path: Path, monkeyp
             with pytest.raises(TimeoutError):
                 ending.result(0.2)
             assert not [*(tmp_path / RECORDS).glob("*.json")]
-        ending.result(10.0)
+        ending.result(PATIENCE_S)
     assert len([*(tmp_path / RECORDS).glob("*.json")]) == 1

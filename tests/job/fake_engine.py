@@ -17,6 +17,9 @@ from engine.command_line.run_engine import run_engine
 from engine.errors import PlgsError
 from engine.job import EventWriter, LiftFolder, StopSignal
 from tests.job.lift_folders import tiny_lift
+from tests.waiting import OUTLASTS_S
+
+STEP_S = 0.02
 
 
 class Pretence:
@@ -33,15 +36,15 @@ class Pretence:
         events.stage("train", 1, 2, "Training")
         checkpoint = folder.checkpoints.latest() if resume else None
         step = 0 if checkpoint is None else int(str(checkpoint.state["step"]))
-        steps = 10 if self.behaviour.startswith("short") else 2000
+        steps = 10 if self.behaviour.startswith("short") else round(OUTLASTS_S / STEP_S)
         while step < steps:
             step += 1
             folder.checkpoints.save({"step": step}, lambda path: (path / "model").write_bytes(b"model"))
-            events.progress("train", step, steps, loss=1.0 / step, eta_s=0.02 * (steps - step))
+            events.progress("train", step, steps, loss=1.0 / step, eta_s=STEP_S * (steps - step))
             self.go_wrong(step)
             if self.behaviour != "deaf":
                 stop.check()
-            time.sleep(0.0 if self.behaviour.endswith("at once") else 0.02)
+            time.sleep(0.0 if self.behaviour.endswith("at once") else STEP_S)
         tiny_lift(folder, events, stop, resume=resume)
 
     def go_wrong(self, step: int) -> None:
@@ -49,9 +52,9 @@ class Pretence:
             return
         match self.behaviour:
             case "deaf":
-                time.sleep(60)
+                time.sleep(OUTLASTS_S)
             case "holds the lock":  # native code that keeps every other Python thread from running
-                ctypes.PyDLL(None).sleep(60)
+                ctypes.PyDLL(None).sleep(int(OUTLASTS_S))
             case "broken":
                 raise ZeroDivisionError("no such luck")
             case "memory":

@@ -1,18 +1,18 @@
 """How tests follow engines that only pretend.
 
-Nothing here measures time: an engine that nobody ends would go on for longer than `follow` has patience.
+Nothing here measures time: an engine that nobody ends goes on for longer than `follow` has patience.
 """
 
 from __future__ import annotations
 
 import sys
-import time
 from collections.abc import Callable
 from pathlib import Path
 
 from engine.job import LiftFolder
 from engine.job.follower import TaskFollower
 from engine.job.task import LIFT
+from tests.waiting import wait_until
 
 FAKE = Path(__file__).parent / "fake_engine.py"
 Start = Callable[..., TaskFollower]
@@ -20,11 +20,14 @@ Start = Callable[..., TaskFollower]
 
 def follow(follower: TaskFollower, until: Callable[[], bool] = lambda: False) -> None:
     """Poll until the end, or until something holds."""
-    began = time.monotonic()
-    while follower.is_running and not until():
-        assert time.monotonic() - began < 60.0, follower.progress
+
+    def is_there() -> bool:
+        if not follower.is_running or until():
+            return True
         follower.poll()
-        time.sleep(0.02)
+        return False
+
+    wait_until(is_there, lambda: follower.progress)
 
 
 def step_reached(follower: TaskFollower, step: int) -> Callable[[], bool]:
