@@ -13,6 +13,7 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
+from uuid import uuid4
 
 import numba
 from numba.core.registry import cpu_target
@@ -65,9 +66,14 @@ def _compiler(**options: Any) -> Callable[[Callable[..., Any]], Any]:
         theirs = settings.CACHE_DIR
         settings.CACHE_DIR = str(CACHE_FOLDER)
         try:
-            return numba.njit(cache=True, **_KERNEL, **options)(function)
+            kernel: Any = numba.njit(cache=True, **_KERNEL, **options)(function)
         finally:
             settings.CACHE_DIR = theirs
+        # Numba counts the files of a kernel. Two processes that compile it at once, for other types of arguments, may
+        # give them one number, and one would then run the other's code.
+        files = kernel._cache._cache_file
+        files._data_name_pattern = files._data_name_pattern.replace("{number", f"{uuid4().hex[:12]}-{{number")
+        return kernel
 
     return decorate
 

@@ -33,3 +33,23 @@ def test_the_cache_is_named_after_every_package_with_kernels(tmp_path: Path, mon
     for name in ("scene/camera.py", "lift/run.py"):
         (tmp_path / name).write_text(texts[name] + " # changed")
     assert compiled._version() == names[-1]
+
+
+def twice(value: object) -> object:
+    return value + value  # type: ignore[operator]
+
+
+def test_what_two_processes_compile_at_once_is_not_mixed_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """For floats and for integers, of the same kernel: neither sees what the other is about to list."""
+    monkeypatch.setattr(compiled, "CACHE_FOLDER", tmp_path)
+    ours, theirs, later = (compiled.compiled(twice)._cache._cache_file for _ in range(3))
+    save = ours._save_data
+
+    def save_late(name: str, content: bytes) -> None:
+        monkeypatch.setattr(theirs, "_load_index", dict)
+        theirs.save("integers", b"for integers")
+        save(name, content)
+
+    monkeypatch.setattr(ours, "_save_data", save_late)
+    ours.save("floats", b"for floats")
+    assert later.load("integers") == b"for integers" and later.load("floats") in (None, b"for floats")
