@@ -173,8 +173,8 @@ class Lease:
 
 
 def _content(holder: str, beat: int) -> bytes:
-    """The content of a lease. Its length is always the same, so that it can be written in place."""
-    about = {"id": holder, "machine": MACHINE, "pid": os.getpid(), "since": time.time(), "beat": f"{beat:012d}"}
+    """The content of a lease. A beat replaces as many digits in place: who reads meanwhile finds a lease, too."""
+    about = {"id": holder, "machine": MACHINE, "pid": os.getpid(), "since": int(time.time()), "beat": f"{beat:012d}"}
     return json.dumps(about).encode().ljust(512) + b"\n"
 
 

@@ -17,15 +17,17 @@ from engine.errors import ErrorCode, ExitCode, PlgsError
 from engine.job import BakeLocks, LiftState, lease, session
 from engine.job.lease import Lease, is_leased, is_on_shared_disk, lease_of, may_have_crashed
 from tests.job.lift_folders import new_lift
+from tests.waiting import PATIENCE_S, wait_until
 
-BEAT_S, STALE_S = 0.1, 0.6
+BEAT_S, STALE_S = 0.1, 30.0
+"""Of holders and of those who look, whose clocks tests turn on (`Clock`): none is stale on a machine that halts."""
 HOLDER = f"""
 import sys, time
 from pathlib import Path
 from engine.job import lease
 real = time.time
 time.time = lambda: real() + 3600.0  # a clock an hour ahead
-lease.MACHINE, lease.BEAT_S, lease.STALE_S = sys.argv[2], {BEAT_S}, {STALE_S}
+lease.MACHINE, lease.BEAT_S = sys.argv[2], {BEAT_S}
 with lease.Lease(Path(sys.argv[1])):
     print("held", flush=True)
     sys.stdin.readline()
@@ -33,11 +35,36 @@ with lease.Lease(Path(sys.argv[1])):
 Hold = Callable[..., subprocess.Popen[str]]
 
 
+class Clock:
+    """The module's clock, as this process has it. ``in_naps``: what a nap of the module's takes of it, seconds."""
+
+    def __init__(self) -> None:
+        self.ahead = self.in_naps = 0.0
+        self.naps, self.time = 0, time.time
+
+    def monotonic(self) -> float:
+        return time.monotonic() + self.ahead
+
+    def sleep(self, seconds: float) -> None:
+        time.sleep(seconds)
+        self.ahead += self.in_naps
+        self.naps += 1
+
+
 @pytest.fixture(autouse=True)
-def fast(monkeypatch: pytest.MonkeyPatch) -> None:
+def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
+    clock = Clock()
+    monkeypatch.setattr(lease, "time", clock)
     monkeypatch.setattr(lease, "BEAT_S", BEAT_S)
     monkeypatch.setattr(lease, "STALE_S", STALE_S)
     monkeypatch.setenv(lease.VARIABLE, "1")
+    return clock
+
+
+def next_beat(work: Path) -> None:
+    """Wait until the holder's lease has another beat."""
+    before = lease_of(work).read_bytes()
+    wait_until(lambda: lease_of(work).read_bytes() != before, work)
 
 
 @pytest.fixture
@@ -60,38 +87,45 @@ def hold(root: Path, tmp_path: Path) -> Iterator[Hold]:
         process.communicate()
 
 
-def test_heartbeat_keeps_the_lease(hold: Hold, tmp_path: Path) -> None:
+def test_heartbeat_keeps_the_lease(hold: Hold, tmp_path: Path, clock: Clock) -> None:
     holder = hold()
     for wait_s in (0.0, 0.2):
         with pytest.raises(PlgsError) as refused, Lease(tmp_path / "work", wait_s):
             pass
         assert refused.value.code is ErrorCode.BUSY
-    time.sleep(2 * STALE_S)
-    assert is_leased(tmp_path / "work")
-    holder.communicate("\n", timeout=60)
+    for _ in range(3):
+        clock.ahead += 0.9 * STALE_S
+        next_beat(tmp_path / "work")
+        assert is_leased(tmp_path / "work")
+    holder.communicate("\n", timeout=PATIENCE_S)
     assert not is_leased(tmp_path / "work") and not lease_of(tmp_path / "work").exists()
     with Lease(tmp_path / "work"):
         pass
 
 
-def test_after_a_kill_on_another_machine_it_is_taken_over_when_it_is_stale(hold: Hold, tmp_path: Path) -> None:
+def test_after_a_kill_on_another_machine_it_is_taken_over_when_it_is_stale(
+    hold: Hold, tmp_path: Path, clock: Clock
+) -> None:
     hold().kill()
+    began, clock.in_naps = clock.monotonic(), 0.1 * STALE_S
     assert is_leased(tmp_path / "work")  # nothing shows yet that its holder is gone
-    began = time.monotonic()
     with Lease(tmp_path / "work"):
-        assert STALE_S - 0.1 < time.monotonic() - began < 60.0
+        assert STALE_S < clock.monotonic() - began
     assert [*tmp_path.iterdir()] == []
 
 
 def test_a_lift_is_resumed_after_its_machine_crashed(
-    hold: Hold, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    hold: Hold, tmp_path: Path, clock: Clock, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(session, "_ENDING_S", 0.1)
+    monkeypatch.setattr(session, "time", clock)
     lift = new_lift(tmp_path / "lift")
     holder = hold()
+    holder.kill()
+    holder.wait()
     lease_of(tmp_path / "work").rename(lease_of(lift.events_path))
     assert session.may_have_crashed(lift.events_path)
-    holder.kill()
+    clock.in_naps = 0.1 * STALE_S
     assert session._state_when_left_alone(lift) is LiftState.NOT_STARTED
 
 
@@ -99,7 +133,7 @@ def test_a_lift_whose_machine_lives_is_busy_at_once(hold: Hold, tmp_path: Path) 
     hold()
     work = tmp_path / "work"
     assert may_have_crashed(work)
-    time.sleep(4 * BEAT_S)
+    next_beat(work)
     assert is_leased(work) and not may_have_crashed(work)
 
 
@@ -122,22 +156,19 @@ def test_after_a_kill_on_this_machine_it_is_taken_over_at_once(hold: Hold, tmp_p
         pass
 
 
-def test_a_suspended_engine_ends_when_it_wakes(hold: Hold, tmp_path: Path) -> None:
+def test_a_suspended_engine_ends_when_it_wakes(hold: Hold, tmp_path: Path, clock: Clock) -> None:
     holder = hold()
     holder.send_signal(signal.SIGSTOP)
+    clock.in_naps = 0.1 * STALE_S
     with Lease(tmp_path / "work"):
         holder.send_signal(signal.SIGCONT)
-        assert holder.wait(60) == ExitCode.BUSY
+        assert holder.wait(PATIENCE_S) == ExitCode.BUSY
         assert is_leased(tmp_path / "work") and str(os.getpid()) in lease_of(tmp_path / "work").read_text()
     assert "another machine took this over" in holder.communicate()[1]
 
 
-def test_only_one_of_many_gets_a_stale_lease(
-    hold: Hold, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    # Stale at once, as its process is dead. The threads have long, so that none is stale on a machine that halts.
-    monkeypatch.setattr(lease, "STALE_S", 30.0)
-    holder = hold(lease.MACHINE)
+def test_only_one_of_many_gets_a_stale_lease(hold: Hold, tmp_path: Path) -> None:
+    holder = hold(lease.MACHINE)  # stale at once, as its process is dead
     holder.kill()
     holder.wait()
     held: list[int] = []
@@ -158,9 +189,8 @@ def test_only_one_of_many_gets_a_stale_lease(
         assert any(list(pool.map(take, range(8))))
 
 
-def test_only_one_process_removes_a_stale_lease(hold: Hold, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_only_one_process_removes_a_stale_lease(hold: Hold, tmp_path: Path, clock: Clock) -> None:
     """Else the second would take away what the first has just taken. A guard that a crash left goes, too."""
-    monkeypatch.setattr(lease, "STALE_S", 30.0)
     holder = hold(lease.MACHINE)
     holder.kill()
     holder.wait()
@@ -168,20 +198,32 @@ def test_only_one_process_removes_a_stale_lease(hold: Hold, tmp_path: Path, monk
     left = stale.read_bytes()
     guard = tmp_path / f".part-{stale.name}.stale"
     guard.write_bytes(lease._content("another thread", 0))
-    began = time.monotonic()
     with pytest.raises(PlgsError, match="at work"), Lease(tmp_path / "work", 0.0):
         pass
-    assert time.monotonic() - began < lease.STALE_S / 2 and stale.read_bytes() == left and guard.exists()
+    assert clock.naps == 0 and stale.read_bytes() == left and guard.exists()
     guard.write_bytes(left)
     with Lease(tmp_path / "work", 0.0):
         assert not guard.exists() and stale.read_bytes() != left
     assert [*tmp_path.iterdir()] == []
 
 
-def test_what_is_not_a_lease_is_taken_over_too(tmp_path: Path) -> None:
+def test_what_is_not_a_lease_is_taken_over_too(tmp_path: Path, clock: Clock) -> None:
+    clock.in_naps = 0.1 * STALE_S
     lease_of(tmp_path / "work").write_text("cut o")
     with Lease(tmp_path / "work"):
         pass
+
+
+def test_a_lease_that_is_read_while_it_beats_is_one(tmp_path: Path, clock: Clock) -> None:
+    """The disk may have the beginning of the new content when it still has the end of the old one."""
+    beats = []
+    for number, now in enumerate((1.7e9 + 0.5, 1.7e9 + 7.0123456)):
+        clock.time = lambda now=now: now  # type: ignore[misc]
+        beats.append(lease._content("ours", number))
+    for written in range(len(beats[0].rstrip())):
+        lease_of(tmp_path / "work").write_bytes(beats[1][:written] + beats[0][written:])
+        read = lease._holder(lease_of(tmp_path / "work"))
+        assert read is not None and read["id"] == "ours", written
 
 
 def test_leases_work_without_links(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -193,8 +235,7 @@ def test_leases_work_without_links(tmp_path: Path, monkeypatch: pytest.MonkeyPat
         pass
 
 
-def test_a_lift_on_a_shared_disk_has_leases(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(lease, "STALE_S", 30.0)
+def test_a_lift_on_a_shared_disk_has_leases(tmp_path: Path) -> None:
     lift = new_lift(tmp_path)
     with lift.lock():
         assert lift.state() is LiftState.RUNNING and lease_of(lift.events_path).exists()
