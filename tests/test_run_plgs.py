@@ -8,7 +8,6 @@ import shutil
 import signal
 import subprocess
 import sys
-import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -20,10 +19,9 @@ from engine.job import LiftFolder, LiftState
 from engine.job.events import last_run
 from tests.commands import exit_code
 from tests.tiny_scene import write_tiny_scene
+from tests.waiting import PATIENCE_S, wait_until
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="POSIX signals")
-PATIENCE_S = 25.0
-"""A fake engine that nobody ends, and a fake Blender, go on for longer."""
 
 Run = Callable[..., subprocess.Popen[str]]
 
@@ -61,11 +59,8 @@ def run_script(
 
 
 def wait_for(process: subprocess.Popen[str], ready: Callable[[], bool]) -> None:
-    began = time.monotonic()
-    while not ready():
-        assert process.poll() is None, process.communicate()
-        assert time.monotonic() - began < 30
-        time.sleep(0.02)
+    wait_until(lambda: ready() or process.poll() is not None)
+    assert ready(), process.communicate()
 
 
 def has_begun(out: Path) -> Callable[[], bool]:
@@ -76,7 +71,7 @@ def has_begun(out: Path) -> Callable[[], bool]:
 
 def test_it_lifts_a_scene_into_a_blend(run: Run, tmp_path: Path) -> None:
     out = tmp_path / "out"
-    stdout, stderr = (process := run("short", tmp_path / "scene", "-o", out)).communicate(timeout=60)
+    stdout, stderr = (process := run("short", tmp_path / "scene", "-o", out)).communicate(timeout=PATIENCE_S)
     assert process.returncode == 0, stderr
     assert LiftFolder.open(out).state() is LiftState.FINISHED
     assert (out / "lift.blend").read_bytes() == b"BLENDER of out"
@@ -87,21 +82,21 @@ def test_it_lifts_a_scene_into_a_blend(run: Run, tmp_path: Path) -> None:
 def test_resuming_a_finished_lift_only_repairs_the_blend(run: Run, tmp_path: Path) -> None:
     out = tmp_path / "out"
     first = run("short", tmp_path / "scene", "-o", out, "--seed", "4")
-    first.communicate(timeout=60)
+    first.communicate(timeout=PATIENCE_S)
     before = {path: path.stat().st_mtime_ns for path in out.rglob("*") if path.is_file()}
     again = run("broken", tmp_path / "scene", "-o", out, "--resume")
-    assert "finished already" in again.communicate(timeout=60)[1]
+    assert "finished already" in again.communicate(timeout=PATIENCE_S)[1]
     assert again.returncode == 0
     assert {path: path.stat().st_mtime_ns for path in out.rglob("*") if path.is_file()} == before
     (out / "lift.blend").unlink()
     mending = run("broken", tmp_path / "scene", "-o", out, "--resume", "--seed", "4")
-    mending.communicate(timeout=60)
+    mending.communicate(timeout=PATIENCE_S)
     assert mending.returncode == 0 and (out / "lift.blend").exists()
     other = run("broken", tmp_path / "scene", "-o", out, "--resume", "--seed", "5")
-    assert "a different seed" in other.communicate(timeout=60)[1]
+    assert "a different seed" in other.communicate(timeout=PATIENCE_S)[1]
     assert other.returncode == 2
     refused = run("broken", tmp_path / "scene", "-o", out)
-    assert "--resume" in refused.communicate(timeout=60)[1]
+    assert "--resume" in refused.communicate(timeout=PATIENCE_S)[1]
     assert refused.returncode == 2
 
 
@@ -125,7 +120,7 @@ def test_a_signal_ends_both(run: Run, tmp_path: Path, behaviour: str, number: si
     lift = LiftFolder.open(out)
     assert not lift.is_running and lift.state() in (LiftState.CANCELLED, LiftState.INTERRUPTED)
     again = run("short", tmp_path / "scene", "-o", out, "--resume")
-    assert again.communicate(timeout=60) and again.returncode == 0
+    assert again.communicate(timeout=PATIENCE_S) and again.returncode == 0
 
 
 def test_ctrl_c_while_blender_builds(run: Run, tmp_path: Path) -> None:
@@ -144,7 +139,7 @@ def test_resuming_a_running_lift_leaves_it_alone(run: Run, tmp_path: Path) -> No
     wait_for(first, has_begun(out))
     engine = next(event.data["pid"] for event in last_run(out / "events.jsonl"))
     second = run("patient", tmp_path / "scene", "-o", out, "--resume")
-    told = second.communicate(timeout=20)[1]
+    told = second.communicate(timeout=PATIENCE_S)[1]
     assert "another engine is at work" in told and second.returncode == 75
     assert f"(process {engine} on {platform.node()}, since 2" in told and "'cancel'" in told
     third = run("patient", tmp_path / "scene", "-o", out, "--resume")
@@ -159,14 +154,14 @@ def test_the_cancel_file(run: Run, tmp_path: Path) -> None:
     process = run("patient", tmp_path / "scene", "-o", out)
     wait_for(process, has_begun(out))
     (out / "cancel").touch()
-    _, stderr = process.communicate(timeout=20)
+    _, stderr = process.communicate(timeout=PATIENCE_S)
     assert process.returncode == 3 and "--resume" in stderr
 
 
 @pytest.mark.parametrize(("behaviour", "code"), [("bad input", 2), ("broken", 1), ("segfault", 1)])
 def test_errors_are_one_line_and_a_code(run: Run, tmp_path: Path, behaviour: str, code: int) -> None:
     out = tmp_path / "out"
-    _, stderr = (process := run(behaviour, tmp_path / "scene", "-o", out)).communicate(timeout=60)
+    _, stderr = (process := run(behaviour, tmp_path / "scene", "-o", out)).communicate(timeout=PATIENCE_S)
     assert process.returncode == code
     errors = [line for line in stderr.splitlines() if line.startswith("error: ")]
     assert len(errors) == 1 and "Traceback" not in stderr
@@ -179,7 +174,7 @@ def test_help_is_complete_and_imports_nothing_heavy(root: Path) -> None:
         "try: runpy.run_path(sys.argv[0], run_name='__main__')\n"
         "finally: print('HEAVY', {'torch', 'bpy', 'numpy', 'cv2'} & set(sys.modules))"
     )
-    said = subprocess.run([sys.executable, "-c", code], cwd=root, capture_output=True, text=True, timeout=60)
+    said = subprocess.run([sys.executable, "-c", code], cwd=root, capture_output=True, text=True, timeout=PATIENCE_S)
     assert said.returncode == 0 and "HEAVY set()" in said.stdout
     for option in "SCENE -o --preset --steps --size --seed --masks --up --bake --save --resume".split():
         assert option in said.stdout
@@ -276,10 +271,7 @@ def test_the_engine_ends_when_run_plgs_is_killed_even_if_it_was_suspended(run: R
     process.wait()
     assert LiftFolder.open(out).is_running
     os.kill(engine, signal.SIGCONT)
-    began = time.monotonic()
-    while LiftFolder.open(out).is_running:
-        assert time.monotonic() - began < PATIENCE_S
-        time.sleep(0.02)
+    wait_until(lambda: not LiftFolder.open(out).is_running, out)
     assert LiftFolder.open(out).state() is LiftState.CANCELLED
 
 
@@ -292,10 +284,7 @@ def test_a_lift_continues_without_its_terminal_and_says_so_in_its_log(root: Path
     process.stdout.readline()
     process.stdout.close()  # as `2>&1 | head -1` does
     wait_for(process, has_begun(out))
-    (began, log) = (time.monotonic(), out / "log.txt")
-    while "The terminal is gone. The work continues." not in log.read_text():
-        assert process.poll() is None and time.monotonic() - began < PATIENCE_S
-        time.sleep(0.05)
+    wait_for(process, lambda: "The terminal is gone. The work continues." in (out / "log.txt").read_text())
     process.send_signal(signal.SIGHUP)
     assert process.wait(PATIENCE_S) == 129
     lift = LiftFolder.open(out)
@@ -314,7 +303,7 @@ def test_output_without_a_reader_has_its_own_exit_code(run: Run, tmp_path: Path)
 
 def test_a_read_only_lift_is_refused(run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     out = tmp_path / "out"
-    run("short", tmp_path / "scene", "-o", out).communicate(timeout=60)
+    run("short", tmp_path / "scene", "-o", out).communicate(timeout=PATIENCE_S)
     monkeypatch.setattr(os, "access", lambda path, mode: False)  # root may write everywhere
     with pytest.raises(PlgsError, match="this lift is read-only"):
         LiftFolder.open(out).refuse_read_only()

@@ -39,7 +39,7 @@ def test_nothing_heavy_is_imported(root: Path) -> None:
 
 
 def test_what_is_missing_is_reported_with_the_command_that_fixes_it(root: Path) -> None:
-    said = subprocess.run(NO_SITE, cwd=root, capture_output=True, text=True, timeout=20)
+    said = subprocess.run(NO_SITE, cwd=root, capture_output=True, text=True, timeout=120)
     assert said.returncode == 0
     facts = json.loads(said.stdout)
     assert {"torch", "numpy", "opencv-contrib-python-headless"} <= set(facts["missing"])

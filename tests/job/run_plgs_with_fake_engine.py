@@ -55,7 +55,9 @@ def save_lift(lift: Path, blend: Path) -> None:
 def slow_save(lift: Path, blend: Path) -> None:
     """A Blender that takes its time, once it has told that it is at work."""
     (lift / "saving").touch()
-    time.sleep(60)
+    from tests.waiting import OUTLASTS_S
+
+    time.sleep(OUTLASTS_S)
 
 
 if __name__ == "__main__":

@@ -172,7 +172,7 @@ def test_the_lock_ends_with_its_process(tmp_path: Path, root: Path) -> None:
     folder = new_lift(tmp_path)
     code = (
         "import sys, time; from pathlib import Path; from engine.job import LiftFolder\n"
-        "with LiftFolder.open(Path(sys.argv[1])).lock(): print(flush=True); time.sleep(60)"
+        "with LiftFolder.open(Path(sys.argv[1])).lock(): print(flush=True); time.sleep(600)"
     )
     holder = subprocess.Popen([sys.executable, "-c", code, folder.path], cwd=root, stdout=subprocess.PIPE)
     with holder:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import pytest
@@ -15,6 +14,7 @@ from engine.job import LiftFolder, LiftState
 from engine.job.follower import TaskFollower
 from engine.job.task import TaskState
 from tests.job.following import FAKE, Start, follow, start_fake, step_reached, watch
+from tests.waiting import wait_until
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="POSIX signals")
 
@@ -35,17 +35,14 @@ def start_parent(root: Path, folder: LiftFolder, behaviour: str) -> subprocess.P
     code = (
         "import sys, time; from pathlib import Path; from engine.job import LiftFolder\n"
         "from tests.job.following import start_fake\n"
-        "start_fake(LiftFolder.open(Path(sys.argv[2])), sys.argv[1], stays_with_parent=False); time.sleep(60)"
+        "start_fake(LiftFolder.open(Path(sys.argv[2])), sys.argv[1], stays_with_parent=False); time.sleep(600)"
     )
     return subprocess.Popen([sys.executable, "-c", code, behaviour, folder.path], cwd=root)
 
 
 def reattached(folder: LiftFolder) -> TaskFollower:
     """As a new Blender would, as soon as an engine is at work."""
-    began = time.monotonic()
-    while not folder.is_running:
-        assert time.monotonic() - began < 60
-        time.sleep(0.02)
+    wait_until(lambda: folder.is_running, folder.path)
     return watch(folder)
 
 
@@ -68,17 +65,18 @@ def test_an_engine_that_outlives_its_parent(folder: LiftFolder, root: Path) -> N
 def test_the_engine_ends_when_its_parent_is_killed(folder: LiftFolder, root: Path, behaviour: str) -> None:
     code = (
         "import sys, time; from pathlib import Path; from engine.job.process import EngineProcess\n"
-        "process = EngineProcess(sys.argv[1:]); time.sleep(60)"
+        "process = EngineProcess(sys.argv[1:]); time.sleep(600)"
     )
     command = [sys.executable, "-c", code, sys.executable, FAKE, behaviour, folder.path, "--stay-with-parent"]
     with subprocess.Popen(command, cwd=root) as parent:
         watcher = watch(folder)
-        began = time.monotonic()
-        while watcher.progress.step < 5:
-            assert time.monotonic() - began < 60
+
+        def has_begun() -> bool:
             watcher.state = TaskState.RUNNING  # until the engine holds its lock it looks as if nobody worked there
             watcher.poll()
-            time.sleep(0.02)
+            return watcher.progress.step >= 5
+
+        wait_until(has_begun, lambda: watcher.progress)
         assert folder.is_running
         parent.send_signal(signal.SIGKILL)
         parent.wait()

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import pytest
@@ -30,6 +29,7 @@ from engine.job.process import (
     missing_modules,
 )
 from engine.user_cache import user_cache_folder
+from tests.waiting import wait_until
 
 
 def add_environment(folder: Path) -> Path:
@@ -116,21 +116,16 @@ def test_a_program_ends_with_its_children(tmp_path: Path) -> None:
     pid_file = tmp_path / "pid"
     code = (
         "import subprocess, sys, time\n"
-        "child = subprocess.Popen([sys.executable, '-c', 'import time; time.sleep(60)'])\n"
-        f"open({str(pid_file)!r}, 'w').write(str(child.pid)); time.sleep(60)"
+        "child = subprocess.Popen([sys.executable, '-c', 'import time; time.sleep(600)'])\n"
+        f"open({str(pid_file)!r}, 'w').write(str(child.pid)); time.sleep(600)"
     )
     with (tmp_path / "log").open("wb") as log:
         process = ChildProcess([sys.executable, "-c", code], cwd=tmp_path, environment=clean_environment(), output=log)
-    give_up = time.monotonic() + 60
-    while not (pid_file.exists() and pid_file.read_text()):
-        assert time.monotonic() < give_up
-        time.sleep(0.02)
+    wait_until(lambda: pid_file.exists() and pid_file.read_text(), pid_file)
     process.kill()
     assert process.exit_code() == -9
     child = int(pid_file.read_text())
-    while _lives(child):
-        assert time.monotonic() < give_up
-        time.sleep(0.02)
+    wait_until(lambda: not _lives(child), child)
 
 
 def _lives(pid: int) -> bool:

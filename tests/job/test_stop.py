@@ -13,8 +13,7 @@ import pytest
 
 from engine.errors import Cancelled
 from engine.job import EventWriter, ExitCode, StopSignal, Watchdog, last_run
-
-PATIENCE_S = 20.0
+from tests.waiting import PATIENCE_S
 
 
 class Ended:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import shutil
 import subprocess
-import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -15,8 +14,7 @@ from engine.job.follower import TaskFollower, start_bake
 from engine.job.process import engine_call
 from engine.job.task import TaskState
 from tests.lift.test_bake_more import finished, write_cameras  # noqa: F401 - the fixture
-
-PATIENCE_S = 300.0
+from tests.waiting import PATIENCE_S, wait_until
 
 
 @pytest.fixture
@@ -35,20 +33,18 @@ def followers() -> Iterator[list[TaskFollower]]:
 
 
 def ended(*followers: TaskFollower) -> None:
-    began = time.monotonic()
-    while any(follower.is_running for follower in followers):
-        assert time.monotonic() - began < PATIENCE_S
+    def have_ended() -> bool:
         for follower in followers:
             follower.poll()
-        time.sleep(0.02)
+        return not any(follower.is_running for follower in followers)
+
+    wait_until(have_ended)
 
 
 def begun(follower: TaskFollower) -> None:
     """Its engine holds the lift's lock, or has told of itself."""
-    began = time.monotonic()
-    while not follower.poll():
-        assert follower.is_running and time.monotonic() - began < PATIENCE_S
-        time.sleep(0.01)
+    wait_until(lambda: follower.poll() or not follower.is_running)
+    assert follower.is_running
 
 
 def shot(path: Path, name: str, count: int) -> tuple[Path, set[str]]:

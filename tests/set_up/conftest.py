@@ -15,6 +15,7 @@ from engine.set_up import SetUpRequest
 from engine.set_up.environments import Notes
 from tests.set_up.package_index import PackageIndex
 from tests.set_up.running import RunningSetUp
+from tests.waiting import OUTLASTS_S
 
 # The engine as it is, but warming up only imports what was installed.
 MAIN = """
@@ -52,6 +53,7 @@ def index(code: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterat
     monkeypatch.setenv("PIP_CONFIG_FILE", "/dev/null")
     monkeypatch.setenv("PIP_CACHE_DIR", str(tmp_path / "pip-cache"))
     monkeypatch.setenv("PIP_RETRIES", "0")
+    monkeypatch.setenv("PIP_DEFAULT_TIMEOUT", f"{OUTLASTS_S:.0f}")
     monkeypatch.setenv("NO_PROXY", "*")
     yield index
     index.close()

@@ -10,6 +10,8 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from io import BytesIO
 from typing import Any
 
+from tests.waiting import OUTLASTS_S
+
 
 def wheel(package: str, version: str, module: str) -> tuple[str, bytes]:
     """Name and content of a wheel whose module says its version and nothing else."""
@@ -92,7 +94,7 @@ class PackageIndex:
                 self._answer(200, "application/octet-stream", content, send=len(content) // 2 if fault else None)
                 if fault == "stall":
                     index.stalled.set()
-                    index.go_on.wait(60)
+                    index.go_on.wait(OUTLASTS_S)
                     self.wfile.write(content[len(content) // 2 :])
                 elif fault == "garbage":
                     self.wfile.write(content[len(content) // 2 :])

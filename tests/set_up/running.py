@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import tempfile
 import threading
-import time
 from collections.abc import Callable
 from pathlib import Path
 
 from engine.errors import Cancelled, PlgsError
 from engine.job import EventReader, EventWriter, StopSignal
 from engine.set_up import SetUp, SetUpRequest
+from tests.waiting import PATIENCE_S, wait_until
 
 
 class RunningSetUp:
@@ -53,16 +53,13 @@ class RunningSetUp:
         events = EventReader(self._events).poll()
         return [event.data["step"] / event.data["steps"] for event in events if event.kind == "progress"]  # type: ignore[operator]
 
-    def wait(self, until: Callable[[], bool] = lambda: False, patience_s: float = 60.0) -> RunningSetUp:
+    def wait(self, until: Callable[[], bool] = lambda: False) -> RunningSetUp:
         """Wait for its end, or until something holds."""
-        give_up = time.monotonic() + patience_s
-        while self.is_running and not until():
-            assert time.monotonic() < give_up, self.labels
-            time.sleep(0.02)
+        wait_until(lambda: not self.is_running or until(), lambda: self.labels)
         return self
 
     def cancel(self) -> None:
         """Stop it as the cancel file does."""
         self._stop.ask("the test is over")
-        self._thread.join(10.0)
+        self._thread.join(PATIENCE_S)
         assert not self.is_running

@@ -20,6 +20,7 @@ from engine.job.handshake import EngineAnswer
 from engine.job.process import engine_call, missing_modules
 from engine.set_up import Addition
 from tests.set_up.package_index import PackageIndex, wheel
+from tests.waiting import PATIENCE_S
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="the folders of POSIX")
 NAME = "colmap"
@@ -98,9 +99,9 @@ def test_cancel_leaves_the_engine_as_it_was(code: Path, environment: Path, part:
 
     thread = threading.Thread(target=run)
     thread.start()
-    assert part.stalled.wait(30)
+    assert part.stalled.wait(PATIENCE_S)
     stop.ask("the test is over")
-    thread.join(10)
+    thread.join(PATIENCE_S)
     assert ended and files_of(environment) == before
 
 

@@ -20,6 +20,7 @@ from engine.set_up import SetUpRequest, pip_wheel, programs, remove_environments
 from engine.set_up.environments import Notes
 from tests.set_up.package_index import PackageIndex, wheel
 from tests.set_up.running import RunningSetUp
+from tests.waiting import PATIENCE_S
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="POSIX signals and links")
 Begin = Callable[..., RunningSetUp]
@@ -133,9 +134,8 @@ def test_cancel_ends_pip_at_once(begin: Begin, index: PackageIndex, folder: Path
     running = begin().wait(until=index.stalled.is_set)
     running.wait(until=lambda: "Downloading torch" in running.label)
     assert pips_of(folder)
-    began = time.monotonic()
     running.cancel()
-    assert not pips_of(folder) and time.monotonic() - began < 10.0, "pip itself waits longer"
+    assert not pips_of(folder), "pip itself waits longer than `cancel` does"
     assert running.python is None and running.error is None
     index.fault.clear()
     again = begin()  # the lock is free
@@ -157,7 +157,7 @@ RunningSetUp(request, Path({str(code)!r}), Path({str(folder)!r})).wait()
 """
     first = subprocess.Popen([sys.executable, "-c", script])
     try:
-        assert index.stalled.wait(30)
+        assert index.stalled.wait(PATIENCE_S)
         second = begin()
         second.wait(until=lambda: any("Another set-up" in label for label in second.labels))
     finally:
@@ -178,7 +178,7 @@ def test_what_may_be_half_written_is_made_again(begin: Begin, folder: Path) -> N
         notes.write(environment)
         (environment / "half").touch()
         running = begin(build=build)
-        running.wait(until=lambda: not (environment / "half").exists(), patience_s=20)
+        running.wait(until=lambda: not (environment / "half").exists())
         assert running.is_running
         running.cancel()
     assert [path.name for path in sorted(folder.glob("trash-*"))] == ["trash-0", "trash-1"]
@@ -188,7 +188,8 @@ def test_a_complete_environment_that_does_not_answer_is_made_again(begin: Begin,
     environment = environment_in(folder)
     (environment / "complete").touch()  # but nothing is installed
     (environment / "old").touch()
-    begin().wait(until=lambda: not (environment / "old").exists(), patience_s=20)
+    begin().wait(until=lambda: not (environment / "old").exists())
+    assert not (environment / "old").exists()
 
 
 def test_where_no_python_can_make_environments_says_why(begin: Begin, tmp_path: Path) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
-import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import SimpleNamespace
@@ -23,6 +22,8 @@ from plgs.plgs_blender.engine_environment.choices import SetUpChoice
 from plgs.plgs_blender.engine_environment.status import EngineStatus
 from plgs.plgs_blender.tasks import registry, timer
 from pretended_python import pretended_python
+
+from tests.waiting import wait_until
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="the cache folder is chosen by XDG_CACHE_HOME")
 Python = Callable[..., Path]
@@ -138,10 +139,15 @@ def test_what_is_not_an_engine_is_recognised(python: Python, tmp_path: Path, mon
 def test_a_program_that_hangs_is_ended(
     python: Python, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(tasks, "PATIENCE_S", 0.5)
-    status = answer_of(python("hanging", f"echo $$ > {tmp_path / 'pid'}; exec sleep 60"))
+    pid = tmp_path / "pid"
+    choices.choose(python("hanging", f"echo $$ > {pid}.part; mv {pid}.part {pid}; exec sleep 600"))
+    task = tasks.check()
+    wait_until(pid.exists, pid)
+    monkeypatch.setattr(tasks, "PATIENCE_S", 0.0)
+    wait_for(task)
+    status = engine_environment.status()
     assert status.state is EngineState.FAILED and "did not answer" in status.message
-    assert not Path(f"/proc/{int((tmp_path / 'pid').read_text())}").exists()
+    assert not Path(f"/proc/{int(pid.read_text())}").exists()
 
 
 def test_other_versions_are_noted_but_may_work(python: Python) -> None:
@@ -223,21 +229,15 @@ def test_switching_online_access_off_ends_it(online: None, monkeypatch: pytest.M
 def test_the_timer_asks_and_then_stops(python: Python) -> None:
     choices.choose(python())
     tasks.check()
-    give_up = time.monotonic() + 60
-    while timer.tick() is not None:
-        assert time.monotonic() < give_up
-        time.sleep(0.01)
+    wait_until(lambda: timer.tick() is None)
     assert engine_environment.status().state is EngineState.READY
 
 
 def test_switching_the_extension_off_ends_running_tasks(python: Python, tmp_path: Path) -> None:
     pid = tmp_path / "pid"
-    choices.choose(python("slow", f"echo $$ > {pid}.part; mv {pid}.part {pid}; exec sleep 60"))
+    choices.choose(python("slow", f"echo $$ > {pid}.part; mv {pid}.part {pid}; exec sleep 600"))
     tasks.check()
-    give_up = time.monotonic() + 60
-    while not pid.exists():
-        assert time.monotonic() < give_up
-        time.sleep(0.01)
+    wait_until(pid.exists, pid)
     tasks.unregister()
     with pytest.raises(ProcessLookupError):
         os.kill(int(pid.read_text()), 0)

@@ -15,6 +15,8 @@ from plgs.engine.job import LiftFolder, LiftRequest, LiftState
 from plgs.plgs_blender.running import lifts
 from plgs.plgs_blender.tasks import registry
 
+from tests.waiting import wait_until
+
 ENGINE = Path(__file__).resolve().parents[2] / "job" / "fake_engine.py"
 PYTHON = Path(sys.executable)
 Behaves = Callable[..., None]
@@ -47,11 +49,11 @@ def lift(tmp_path: Path) -> LiftFolder:
 
 
 def poll_until(followed: lifts.Lift, condition: Callable[[], bool]) -> None:
-    give_up = time.monotonic() + 60.0
-    while not condition():
-        assert time.monotonic() < give_up, followed.progress
+    def is_there() -> bool:
         registry.poll_all(SCENE)
-        time.sleep(0.01)
+        return condition()
+
+    wait_until(is_there, lambda: followed.progress)
 
 
 def test_a_lift_from_start_to_end(behaves: Behaves, lift: LiftFolder) -> None:
@@ -129,10 +131,7 @@ def test_a_lift_that_is_not_to_outlive_blender_ends_with_it(behaves: Behaves, li
     followed = lifts.start(lift, PYTHON)
     poll_until(followed, lambda: followed.progress.step > 0)
     registry.forget_all()
-    give_up = time.monotonic() + 60.0
-    while lift.is_running:
-        assert time.monotonic() < give_up
-        time.sleep(0.02)
+    wait_until(lambda: not lift.is_running, lift.path)
 
 
 def test_looking_at_what_is_not_a_lift(tmp_path: Path) -> None:

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import sys
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +15,8 @@ from plgs.engine.job.process import EngineProcess
 from plgs.engine.job.task import TaskPlace
 from plgs.plgs_blender.tasks import registry, timer
 from plgs.plgs_blender.tasks.registry import Task
+
+from tests.waiting import wait_until
 
 ANSWERING = """
 import json, sys
@@ -101,13 +102,6 @@ def test_a_defect_stops_no_other_task(monkeypatch: pytest.MonkeyPatch, capfd: py
     task.raises = ZeroDivisionError("a defect")
     wait_until(lambda: timer.tick() is None)
     assert "ZeroDivisionError: a defect" in capfd.readouterr().err
-
-
-def wait_until(condition: Callable[[], bool], patience_s: float = 60.0) -> None:
-    give_up = time.monotonic() + patience_s
-    while not condition():
-        assert time.monotonic() < give_up
-        time.sleep(0.01)
 
 
 def test_a_program_that_cannot_be_run_is_reported(tmp_path: Path) -> None:

@@ -5,7 +5,9 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -45,9 +47,12 @@ def test_the_time_per_frame_is_compared_with_the_first(capsys: pytest.CaptureFix
 
 
 @pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="a process's memory is looked up in /proc")
-def test_memory_is_that_of_the_process() -> None:
-    code = "import time; held = bytearray(200_000_000); time.sleep(0.5)"
-    with subprocess.Popen([sys.executable, "-c", code]) as process:
+def test_memory_is_that_of_the_process(monkeypatch: pytest.MonkeyPatch) -> None:
+    code = "import sys; held = bytearray(200_000_000); print(flush=True); sys.stdin.read()"
+    with subprocess.Popen([sys.executable, "-c", code], stdin=subprocess.PIPE, stdout=subprocess.PIPE) as process:
+        ours, theirs = process.stdin, process.stdout
+        assert ours is not None and theirs is not None and theirs.readline()
+        monkeypatch.setattr(long, "time", SimpleNamespace(time=time.time, sleep=lambda seconds: ours.close()))
         samples = samples_of(process)
     assert max(sample.held for sample in samples) > 200 * MB and samples[-1].busy >= samples[0].busy
 
