@@ -36,7 +36,7 @@ class PLGS_PT_scene(Step, bpy.types.Panel):
         if not settings.scene_folder:
             tell(layout, context, "Choose a capture's folder or file (import), or drop one of its files here", "INFO")
         elif survey is None:
-            layout.label(text="Not looked at yet", icon="QUESTION")
+            tell(layout, context, "Not read yet: press the arrows beside the folder", "QUESTION")
         elif survey.error is not None:
             box = draw_error(layout, context, survey.error)
             if survey.error.code is ErrorCode.NO_POSES:

@@ -1,4 +1,4 @@
-"""A network mask beside what was lifted, the layers of a baked frame, and the strip on README's first screen."""
+"""An input mask beside what was lifted, the layers of a baked frame, and the strip on README's first screen."""
 
 from __future__ import annotations
 
@@ -26,19 +26,19 @@ WINDOW_PART = np.s_[90:870, 0:1040]
 
 
 def mask_picture(result: LiftResult) -> Picture:
-    """A held-out frame: photo, network mask, and the lift, which saw neither."""
+    """A held-out frame: photo, input mask, and the lift, which saw neither."""
     tiles = frame_tiles(result)
-    names = (f"photo, frame {MASK_FRAME}", "its network mask (black: none)", "lifted classes", "lifted instances")
+    names = (f"photo, frame {MASK_FRAME}", "its input mask (black: none)", "lifted classes", "lifted instances")
     return tiled(dict(zip(names, tiles, strict=True)), 2, 560)
 
 
 def strip_picture(result: LiftResult) -> Picture:
-    """One row: photo, network mask, lifted instances, the window, and a matte."""
+    """One row: photo, input mask, lifted instances, the window, and a matte."""
     photo, mask, _, instances = frame_tiles(result)
     window = cv2.cvtColor(cv2.imread(str(WINDOW)), cv2.COLOR_BGR2RGB)[WINDOW_PART]
     tiles = {
         "photo (held out)": photo,
-        "network mask": mask,
+        "input mask": mask,
         "lifted instances": instances,
         "in Blender": np.asarray(window, np.uint8),
         **cut_out(result),
@@ -47,7 +47,7 @@ def strip_picture(result: LiftResult) -> Picture:
 
 
 def frame_tiles(result: LiftResult) -> tuple[Picture, Picture, Picture, Picture]:
-    """Photo, network mask, lifted classes and lifted instances of the held-out frame."""
+    """Photo, input mask, lifted classes and lifted instances of the held-out frame."""
     frame = next(each for each in open_scene(result.scene.folder).frames if each.name == MASK_FRAME)
     photo, mask = frame.read_colour(frame.size), frame.mask(frame.size)
     layers = read_exr(result.passes[MASK_FRAME])

@@ -242,4 +242,6 @@ def _lift(survey: Survey) -> Possibility:
         return Possibility("Lift", True, "depth and masks are there")
     verb = "are" if "masks" in lacks else "is"
     why = f"there {verb} no {' and no '.join(lacks)}: give {' and '.join(_NAMES[what] for what in lacks)} below"
+    if "masks" in lacks:
+        why += ", or make masks"
     return Possibility("Lift", False, why)
