@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +17,6 @@ from ..json_file import Json
 from ..metrics.calibration import MOST_SAMPLES, Calibration, Samples, calibrate, samples_of
 from ..metrics.panoptic import PanopticEvaluation
 from ..metrics.unshown import SHOWN, JudgedView, Refused, Unshown, find_unshown
-from ..posed.layout import plural
 from ..scene import (
     Camera,
     ClassTable,
@@ -38,7 +37,8 @@ log = logging.getLogger("plgs.lift")
 MOST_VIEWS = 100
 """The most training views that judge, evenly chosen. Each is drawn once, at the size of training."""
 MOST_NAMED = 5
-"""The most missing objects that the warning names, of those without a refused trial. metrics.json lists all."""
+"""The most missing objects that the warning names, and the most of those that were tried and refused. metrics.json
+lists all."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,13 +76,12 @@ class Judgement:
             log.info("no masks were held back: those that were trained on say how likely a class is right")
         for line in _lines(self.not_shown):
             log.info("not shown: %s", line)
-        others = _lines(one for one in self.not_shown if not one.refused)
-        told, tried = others[:MOST_NAMED], len(self.not_shown) - len(others)
-        if len(others) > MOST_NAMED:
-            told.append(f"and {len(others) - MOST_NAMED} more")
-        if tried:  # the masks may be wrong there, and reasons are too long for a warning
-            refused = plural(tried, "that was tried and refused", "that were tried and refused")
-            told.append(f"and {refused}" if told else refused)
+        told: list[str] = []
+        for is_refused, how in ((False, ""), (True, ", tried and refused")):
+            # Reasons are too long for a warning.
+            lines = _lines(replace(one, refused="") for one in self.not_shown if bool(one.refused) == is_refused)
+            told += [line + how for line in lines[:MOST_NAMED]]
+            told += [f"and {len(lines) - MOST_NAMED} more{how}"] if len(lines) > MOST_NAMED else []
         if told:
             events.warning(f"some masks show objects that the lift does not: {'; '.join(told)}")
 

@@ -86,8 +86,9 @@ def test_what_is_lost_is_reported_with_its_frame(
     with caplog.at_level(logging.INFO, "plgs.lift"):
         told = warning_of(after_trial, tmp_path / "again.jsonl")
     assert "not shown: " in caplog.messages[-1] and "refused: it trails (see frame" in caplog.messages[-1]
-    assert told == "some masks show objects that the lift does not: 1 that was tried and refused"
+    assert told == f"some masks show objects that the lift does not: {line}, tried and refused"
     many = replace(found, not_shown=(*[trial.finding] * 9, *[chair] * 6))
     told = warning_of(many, tmp_path / "many.jsonl")
-    assert told.endswith(f"; {line}; and 1 more; and 9 that were tried and refused") and told.count("chair") == 5
+    assert told.endswith(f"; {line}, tried and refused; and 4 more, tried and refused") and told.count("chair") == 10
+    assert f"; {line}; and 1 more; {line}, tried" in told and "it trails" not in told
     assert judged(scene_path, seen_by, [trial]).not_shown == ()
