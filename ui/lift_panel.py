@@ -9,7 +9,7 @@ from ..plgs_blender.errors import PlgsError, one_line
 from ..plgs_blender.frames import camera_seen
 from ..plgs_blender.running import lifts
 from ..plgs_blender.running.estimate import estimate_of
-from ..plgs_blender.running.lifting import followed_lift
+from ..plgs_blender.running.lifting import followed_lift, why_no_device
 from ..plgs_blender.running.lifts import Lift, LiftState
 from ..plgs_blender.running.used_options import NAMES
 from ..plgs_blender.settings import chosen_lift, shown_preset, why_no_options
@@ -154,13 +154,15 @@ def _draw_other(layout: bpy.types.UILayout, context: bpy.types.Context, other: L
 
 
 def _draw_engine(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
-    """Draw what is wrong with the engine and a button to where it is fixed; nothing when the engine answers."""
-    engine = engine_environment.status()
-    if engine.is_usable:
+    """Draw what the engine lacks and buttons to where it is fixed, and to ask it again; else nothing."""
+    reason = engine_environment.why_no_engine() or why_no_device(context.scene.plgs)
+    if reason is None:
         return
     box = layout.box()
-    tell(box, context, f"{engine.message}. {engine.fix}", "INFO")
-    box.operator("plgs.show_preferences", icon="PREFERENCES")
+    tell(box, context, reason, "INFO")
+    row = box.row(align=True)
+    row.operator("plgs.show_preferences", icon="PREFERENCES")
+    row.operator("plgs.check_engine", text="Check Again", icon="FILE_REFRESH")
 
 
 def _draw_preview_hint(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:

@@ -97,8 +97,10 @@ def draw_adding(layout: bpy.types.UILayout, context: bpy.types.Context, name: st
     if adding is not None and adding.name == name:
         draw_task(layout, context, adding)
     if adding is None or not adding.is_running:
-        button = layout.operator("plgs.add_to_engine", text=f"Add to Engine ({amount(size_of(name))})", icon="IMPORT")
+        row = layout.row(align=True)
+        button = row.operator("plgs.add_to_engine", text=f"Add to Engine ({amount(size_of(name))})", icon="IMPORT")
         button.capability = name
+        row.operator("plgs.check_engine", text="", icon="FILE_REFRESH")  # who added it by hand
         if (obstacle := why_not_added()) is not None:
             tell(layout, context, obstacle, "INFO")
 

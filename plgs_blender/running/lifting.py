@@ -54,13 +54,15 @@ def why_no_lift(settings: PLGS_PG_settings) -> str | None:
     return (
         why_no_engine()
         or why_no_options(settings)
-        or _why_no_device(settings)
+        or why_no_device(settings)
         or why_no_scene(settings)
         or (None if survey is None else why_not_liftable(survey))
     )
 
 
-def _why_no_device(settings: PLGS_PG_settings) -> str | None:
+def why_no_device(settings: PLGS_PG_settings) -> str | None:
+    """Why the engine, as it last answered, cannot lift on the panel's device; None when it can. Never reads the disk.
+    """
     lacks = lacking("cuda") if settings.device == "cuda" else ()
     return f"Device CUDA: the engine lacks {', '.join(lacks)}. See docs/speed.md, or choose CPU" if lacks else None
 

@@ -235,6 +235,7 @@ def test_what_the_engine_lacks_is_shown_with_the_button_that_adds_it(
     shown = drawn()
     assert shown.count("Make Masks: the engine lacks a-package") == 2, "in the panel and in the preferences"
     assert "Add to Engine (130 MB)" in shown and "Allow online access" in shown
+    assert shown.count("plgs.check_engine") == 3, "beside each of these, and in the preferences"
     with pytest.raises(RuntimeError, match="Allow online access"):
         bpy.ops.plgs.add_to_engine(capability="segment")
     panel = SimpleNamespace(plgs_panel=bpy.context.scene.plgs, scene=bpy.context.scene)
@@ -243,6 +244,23 @@ def test_what_the_engine_lacks_is_shown_with_the_button_that_adds_it(
     registry.follow(adding.Adding("segment", Pretended(TaskState.RUNNING)))  # type: ignore[arg-type]
     shown = drawn()
     assert "plgs.cancel_adding" in shown and "plgs.add_to_engine" not in shown
+
+
+def test_an_engine_that_lacks_what_the_device_needs_is_asked_again(tmp_path: Path) -> None:
+    """gsplat is installed by hand, which nothing tells Blender."""
+    settings = bpy.context.scene.plgs
+    settings.scene_folder, settings.device = str(tmp_path), "cuda"
+    choices.choose(pretended_python(tmp_path / "python", lacks="cuda"))
+    try:
+        registry.wait_for(tasks.check(), bpy.context.scene)  # type: ignore[arg-type]
+        before = drawn()
+        pretended_python(tmp_path / "python")
+        assert bpy.ops.plgs.check_engine() == {"FINISHED"}
+    finally:
+        choices.choose(None)
+    reason = "Device CUDA: the engine lacks a-package"
+    assert reason in before and before.count("plgs.check_engine") == 2, "in the panel and in the preferences"
+    assert reason not in drawn() and drawn().count("plgs.check_engine") == 1
 
 
 def test_an_error_of_the_engine_that_lacks_a_part_shows_its_button(tmp_path: Path) -> None:
