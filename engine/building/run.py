@@ -76,7 +76,7 @@ def _do_stages(folder: LiftFolder, preset: Preset, stages: StageReporter) -> Non
     with stages.stage("join") as progress:
         whole = join([read_block(lift, cell) for lift, cell in zip(lifts, cells, strict=True)], scene.classes)
         viewpoint = np.mean([frame.camera.centre for frame in scene.train_frames], axis=0)
-        write_lifted(folder, scene.classes, viewpoint, whole.points, whole.instances, whole.model, events)
+        write_lifted(folder, scene.classes, viewpoint, whole.points, whole.instances, whole.model, events, progress)
         progress(1, 1)
     baker = FrameBaker(scene.classes, whole.model, shown_of(whole))
     every = -(-len(scene.train_frames) // JUDGES)

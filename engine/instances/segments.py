@@ -38,9 +38,13 @@ OUTLINE_PART = 0.1
 """Parts smaller than this share of a mask's largest part have no outline."""
 
 
-def mask_extents(mask: PanopticMask) -> dict[int, tuple[float, tuple[float, float, float, float]]]:
+Rectangle = tuple[float, float, float, float]
+"""Left, top, right, bottom as shares of the picture's width and height."""
+
+
+def mask_extents(mask: PanopticMask) -> dict[int, tuple[float, Rectangle]]:
     """The extent of each segment that has pixels, by segment id: its share of the picture's pixels, and the rectangle
-    around it (left, top, right, bottom) as shares of the picture's width and height."""
+    around it."""
     height, width = mask.ids.shape
     present, number, count = np.unique(mask.ids, return_inverse=True, return_counts=True)
     places = find_objects(number.reshape(mask.ids.shape) + 1)
@@ -54,16 +58,19 @@ def mask_extents(mask: PanopticMask) -> dict[int, tuple[float, tuple[float, floa
     }
 
 
-def outline_of(mask: PanopticMask, segment: int) -> str:
-    """Polygons around the parts of a segment that are not small, in the form that `MatchedSegment` has."""
-    inside = (mask.ids == segment).astype(np.uint8)
-    contours, _ = cv2.findContours(inside, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
-    areas = [cv2.contourArea(contour) for contour in contours]
+def outline_of(mask: PanopticMask, segment: int, within: Rectangle = (0.0, 0.0, 1.0, 1.0)) -> str:
+    """Polygons around the parts of a segment that are not small, in the form that `MatchedSegment` has. ``within`` is
+    the rectangle around it."""
     size = np.array(mask.ids.shape[::-1], np.float64)
+    (left, top), (right, bottom) = np.rint(np.reshape(within, (2, 2)) * size).astype(int).tolist()
+    inside = (mask.ids[top:bottom, left:right] == segment).astype(np.uint8)
+    contours, _ = cv2.findContours(inside, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE, offset=(left, top))
+    areas = [cv2.contourArea(contour) for contour in contours]
+    least = OUTLINE_PART * max(areas, default=0.0)
     polygons = []
-    for contour, area in zip(contours, areas, strict=True):
+    for contour in (each for each, area in zip(contours, areas, strict=True) if area >= least):
         corners = cv2.approxPolyDP(contour, OUTLINE_ERROR * float(size.max()), True)[:, 0]
-        if len(corners) >= 3 and area >= OUTLINE_PART * max(areas):
+        if len(corners) >= 3:
             polygons.append(" ".join(f"{x:.3f},{y:.3f}" for x, y in (corners + 0.5) / size))
     return ";".join(polygons)
 

@@ -144,12 +144,13 @@ def _changes(
 
 
 def keep_names(
-    earlier: EarlierLift, prepared: PreparedLift, lifted: StructuredScene, classes: ClassTable
+    earlier: EarlierLift, prepared: PreparedLift, seen: NDArray[np.bool_], lifted: StructuredScene, classes: ClassTable
 ) -> tuple[PreparedLift, LastingNames]:
-    """The lift with lasting ids, also in ``lifted``, and the names of its objects. Training knows ids only by
-    their places, so its result is the same bit for bit."""
+    """The lift with lasting ids, also in ``lifted``, and the names of its objects. The points that are ``seen`` bool
+    [N] are compared, as the earlier lift has only those. Training knows ids only by their places, so its result is the
+    same bit for bit."""
     points = prepared.instance_of_point
-    lasting = lasting_names(earlier, prepared.instances, prepared.cloud.xyz, points, classes)
+    lasting = lasting_names(earlier, prepared.instances, prepared.cloud.xyz[seen], points[seen], classes)
     id_of = lasting.id_of
     table = np.zeros(max(id_of, default=0) + 1, np.int32)
     for one, shown in id_of.items():

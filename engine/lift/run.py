@@ -39,6 +39,7 @@ from ..scene import (
     StoredViews,
     Survey,
     View,
+    chained,
     load_view,
     open_scene_to_lift,
     read_ahead,
@@ -59,7 +60,7 @@ from .kept_preparation import KeptPreparation
 from .lasting_names import keep_names, read_earlier, refuse_names_of_no_objects, take_over_edits, write_names
 from .live_previews import LivePreviews
 from .preparation import PreparedLift, prepare
-from .scene_files import instance_names, shown_instances, write_scene_files
+from .scene_files import instance_names, points_to_write, shown_instances, write_scene_files
 from .voters import read_voters
 from .voting import vote_labels
 
@@ -82,8 +83,8 @@ NO_VOTES = (
     "the finished scene shows the label decoders, not the views' votes: "
     'votes need objects = "agreement" and one_class_an_object = true'
 )
-VOTED = 0.95
-"""The share of the stage "result" that voting takes."""
+VOTED, SORTED = 0.8, 0.83
+"""The share of the stage "result" after voting, and after sorting out the points that are written."""
 CODE = "code"
 """The name, in checkpoints and manifest, of the digest of the code that did the lift."""
 LONG_S = 3600.0
@@ -168,13 +169,15 @@ def run_lift(
                 told = progress.part(0.0, VOTED)
                 trainer.scene.voted = voted_labels(trainer.scene, frames, prepared, preset, told, folder.path)
             trainer.scene.finest = finest_of(trainer.scene, frames.training, preset)
+            held_back = read_held_back(frames.chosen, preset.size, folder.path)
+            told = progress.part(VOTED, SORTED)
+            seen = points_to_write(prepared.cloud, prepared.instance_of_point, chained(views, held_back), told)
             if earlier is not None:
-                prepared, lasting = keep_names(earlier, prepared, trainer.scene, classes)
+                prepared, lasting = keep_names(earlier, prepared, seen, trainer.scene, classes)
                 names = lasting.names
                 write_names(folder, lasting, events)
-            held_back = read_held_back(frames.chosen, preset.size, folder.path)
-            told = progress.part(VOTED, 1.0)
-            write_scene_files(folder, frames.chosen, views, held_back, prepared, trainer.scene, events, names, told)
+            told, lifted = progress.part(SORTED, 1.0), trainer.scene
+            write_scene_files(folder, frames.chosen, views, held_back, prepared, seen, lifted, events, names, told)
             if earlier is not None and earlier.edits:
                 take_over_edits(folder, earlier, events)
         baker = FrameBaker(classes, trainer.scene, shown_instances(prepared, names))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
+from dataclasses import fields
 
 import numpy as np
 import torch
@@ -26,13 +27,14 @@ from ..result_files import (
     ANCHORS,
     INSTANCES,
     SEMANTIC_POINTS,
+    Anchors,
     Instance,
     MatchedSegment,
     SemanticPoints,
     write_arrays,
     write_instances,
 )
-from ..scene import ClassTable, Progress, Scene, View, chained, distinct_colour, watched
+from ..scene import ClassTable, Progress, Scene, View, distinct_colour, watched
 from ..scene.view import NEAR
 from ..semantics.point_cloud import SemanticPointCloud
 from .judging import evenly
@@ -51,34 +53,51 @@ def write_scene_files(
     views: Sequence[View],
     held_back: Sequence[View],
     prepared: PreparedLift,
+    seen: NDArray[np.bool_],
     lifted: StructuredScene,
     events: EventWriter,
     names: Mapping[int, str],
     progress: Progress,
 ) -> None:
     """Write every part of the result that needs no rendering. ``views`` are those it was lifted from, and those that
-    were ``held_back`` judge its points; ``names`` are those of the instances. Raises OSError if the disk is full, and
-    what ``progress`` raises.
+    were ``held_back`` judge its points, of which ``seen`` bool [N] are written; ``names`` are those of the instances.
+    Raises OSError if the disk is full, and what ``progress`` raises.
     """
     cloud, owner = prepared.cloud, prepared.instance_of_point
-    likely = calibrate(Samples(cloud.xyz, cloud.class_id, cloud.confidence), evenly(views), held_back)
+
+    def third(number: int) -> Progress:
+        return lambda done, total: progress(number * total + done, 3 * total)
+
+    judging = watched(evenly(views), third(0))
+    likely = calibrate(Samples(cloud.xyz, cloud.class_id, cloud.confidence), judging, held_back)
     viewpoint = np.mean([frame.camera.centre for frame in scene.train_frames], axis=0)
-    seen = is_near_measured(cloud, owner, shown_by_depth(cloud, chained(views, held_back), progress))
     points = SemanticPoints(
         cloud.xyz[seen], cloud.rgb[seen], cloud.class_id[seen], owner[seen], likely(cloud.confidence[seen])
     )
-    instances = listed_instances(views, prepared, owner[seen], scene.classes, names)
-    write_lifted(folder, scene.classes, viewpoint, points, instances, lifted, events)
+    instances = listed_instances(watched(views, third(1)), prepared, owner[seen], scene.classes, names)
+    write_lifted(folder, scene.classes, viewpoint, points, instances, lifted, events, third(2))
+
+
+def points_to_write(
+    cloud: SemanticPointCloud, owner: NDArray[np.int32], views: Sequence[View], progress: Progress
+) -> NDArray[np.bool_]:
+    """Which points of the cloud are written, bool [N]: no planes that were continued far from what ``views`` measured.
+    Raises what ``progress`` raises."""
+    return is_near_measured(cloud, owner, shown_by_depth(cloud, views, progress))
 
 
 def is_near_measured(
     cloud: SemanticPointCloud, owner: NDArray[np.int32], measured: NDArray[np.bool_]
 ) -> NDArray[np.bool_]:
-    """Which points [N] are to be written: those near ``measured`` ones, and all of an object that has no such point."""
-    reach = max(FILLED, 2 * cloud.spacing)
-    far, _ = cKDTree(cloud.xyz[measured]).query(cloud.xyz, distance_upper_bound=reach, workers=-1)
-    near = np.isfinite(far)
+    """Which points [N] lie near ``measured`` ones, and all of an object that has no such point."""
+    near = is_within(max(FILLED, 2 * cloud.spacing), cloud.xyz, cloud.xyz[measured])
     return near | np.isin(owner, np.setdiff1d(owner, [0, *np.unique(owner[near])]))
+
+
+def is_within(reach: float, xyz: NDArray[np.floating], others: NDArray[np.floating]) -> NDArray[np.bool_]:
+    """Which places ``xyz`` [N, 3] lie within ``reach`` metres of one of the ``others`` [M, 3]."""
+    distance, _ = cKDTree(others).query(xyz, distance_upper_bound=reach, workers=-1)
+    return np.isfinite(distance)
 
 
 def shown_by_depth(cloud: SemanticPointCloud, views: Sequence[View], progress: Progress) -> NDArray[np.bool_]:
@@ -101,11 +120,15 @@ def write_lifted(
     instances: Sequence[Instance],
     lifted: StructuredScene,
     events: EventWriter,
+    progress: Progress,
 ) -> None:
     """Write the same for instances that are listed already. ``viewpoint`` float64 [3] metres: the point from which the
-    Gaussians' colours are seen (see ``bake``). Those far from all points are not written. Raises OSError."""
+    Gaussians' colours are seen (see ``bake``). Those far from all points are not written, nor are such anchors, but to
+    the model. Raises OSError, and what ``progress`` raises."""
     result = folder.result_path
-    gaussians, anchors = bake(lifted, viewpoint, classes.thing_ids)
+    gaussians, anchors = bake(lifted, viewpoint, classes.thing_ids, progress)
+    near = is_within(max(FILLED, 2 * lifted.voxel_size), anchors.xyz, points.xyz)
+    anchors = Anchors(**{field.name: getattr(anchors, field.name)[near] for field in fields(anchors)})
     write_arrays(result / SEMANTIC_POINTS, points)
     write_instances(result / INSTANCES, classes, instances)
     write_arrays(result / ANCHORS, anchors)
@@ -174,9 +197,14 @@ def listed_instances(
     names: Mapping[int, str],
 ) -> list[Instance]:
     """The matched objects as instances.json lists them, with the masks that they were made from, and the number of
-    points of each."""
-    masks = {view.name: view.mask for view in views}
-    extents = {name: mask_extents(mask) for name, mask in masks.items()}
+    points of each. Each view is read once."""
+    used = {mask.key for instance in prepared.instances for mask in instance.masks}
+    places = {
+        (view.name, one): (*extent, outline_of(view.mask, one, extent[1]))
+        for view in views
+        for one, extent in mask_extents(view.mask).items()
+        if (view.name, one) in used
+    }
     points = np.bincount(instance_of_point, minlength=max(names, default=0) + 1)
     listed = []
     for instance in prepared.instances:
@@ -191,8 +219,7 @@ def listed_instances(
                 mask.cost,
                 mask.agreement,
                 mask.pixels,
-                *extents[mask.frame][mask.segment.id],
-                outline_of(masks[mask.frame], mask.segment.id),
+                *places[mask.key],
             )
             for mask in instance.masks
         )

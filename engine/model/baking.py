@@ -14,6 +14,7 @@ from scipy.spatial import cKDTree
 from ..instances.class_first import LEAST_OF_CLASS, objects_of_classes
 from ..machine.cells import distinct_cells
 from ..result_files import Anchors
+from ..scene import Progress, watched
 from .detail import widened
 from .gaussians import decode_rows, no_labels
 from .neural_gaussians import NeuralGaussians
@@ -104,9 +105,12 @@ def decided_labels(
 
 @torch.no_grad()
 def bake(
-    scene: StructuredScene, viewpoint: NDArray[np.float64], thing_ids: frozenset[int]
+    scene: StructuredScene,
+    viewpoint: NDArray[np.float64],
+    thing_ids: frozenset[int],
+    progress: Progress = lambda _done, _total: None,
 ) -> tuple[BakedGaussians, Anchors]:
-    """Decode every anchor as seen from ``viewpoint`` [3] metres.
+    """Decode every anchor as seen from ``viewpoint`` [3] metres. Raises what ``progress`` raises.
 
     Colours and shapes depend slightly on the viewpoint, which a splat file cannot express. The middle of the cameras is
     the fairest single choice. Gaussians have the blur with which the training pictures show them (see ``detail``):
@@ -119,7 +123,7 @@ def bake(
     known = shown_labels(scene)
     without = None if known is None else no_labels(scene.anchors)
     step = CHUNK * USUAL_LABELS // max(USUAL_LABELS, classes + len(scene.channels.slot_ids))
-    for start in range(0, len(scene.anchors), step):
+    for start in watched(range(0, len(scene.anchors), step), progress):
         rows = torch.arange(start, min(start + step, len(scene.anchors)))
         decoded = decode_rows(scene.anchors, scene.decoders, rows, centre, known_labels=without)
         if known is None:
@@ -183,7 +187,11 @@ def _anchor_means(
     total = np.bincount(owner, weight, count)
     safe = np.maximum(total, 1e-9)[:, None]
     mean_colour = np.stack([np.bincount(owner, weight * column, count) for column in colour.T], axis=1) / safe
-    mean_labels = np.stack([np.bincount(owner, weight * column, count) for column in labels.T], axis=1) / safe
+    shown = np.flatnonzero(labels.any(axis=0))  # of thousands of objects, few are near these anchors
+    mean_labels = np.zeros((count, labels.shape[1]))
+    for column in shown:
+        mean_labels[:, column] = np.bincount(owner, weight * labels[:, column], count)
+    mean_labels /= safe
     return {
         "weight": total.astype(np.float32),
         "colour": mean_colour.astype(np.float32),

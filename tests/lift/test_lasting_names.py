@@ -6,6 +6,7 @@ import json
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,11 +15,13 @@ from engine.corrections import correct, making, read_corrected, read_edits, undo
 from engine.errors import PlgsError
 from engine.instances.records import SceneObject
 from engine.job import EventWriter, LiftFolder, LiftRequest, read_manifest, write_manifest
+from engine.lift import scene_files
 from engine.lift.lasting_names import EarlierLift, lasting_names, read_earlier, take_over_edits
 from engine.passes.exr import read_exr
+from engine.result_files import SemanticPoints, read_arrays
 from engine.scene import Category, ClassTable, open_scene
 from tests.corrections.two_rooms import CRUMB, DESK, write_result
-from tests.tiny_scene import write_tiny_scene
+from tests.tiny_scene import CABINET, CHAIR, write_tiny_scene
 from tests.train.tiny_lift import TINY, lift_into, presets_as
 
 FRAMES = 6
@@ -52,13 +55,21 @@ def test_new_numbers_were_never_used_before() -> None:
     assert changes["largest_id"] == 8 and changes["last_numbers"] == {"chair": 5, "cabinet": 1}
 
 
+def is_beside_cabinet(xyz: np.ndarray) -> np.ndarray:
+    """Places on the cabinet or near it, above the floor: as if no depth showed it, so that only its foot is written."""
+    near = (xyz[:, :2] > CABINET[0, :2] - 0.5) & (xyz[:, :2] < CABINET[1, :2] + 0.5)
+    return np.asarray(near.all(axis=1) & (xyz[:, 2] > 0.02))
+
+
 @pytest.fixture(scope="module")
 def lifts(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[LiftFolder, LiftFolder]]:
     """A room lifted, with ids as after many lifts; then after the first's names, with another preset, of a recording
     that goes on for as many frames again."""
     root = tmp_path_factory.mktemp("names")
     finer = replace(TINY, steps=15, voxel_size=0.15, gaussians_per_anchor=4)
-    with presets_as(preview=TINY, standard=finer):
+    with presets_as(preview=TINY, standard=finer), pytest.MonkeyPatch.context() as patched:
+        patched.setattr(scene_files, "FILLED", 0.25)
+        patched.setattr(scene_files, "shown_by_depth", lambda cloud, *_: ~is_beside_cabinet(cloud.xyz))
         few = write_tiny_scene(root / "few", frames=FRAMES, noise=0.1)
         first = lift_into(root / "first", LiftRequest(scene=few))
         renumber(first)
@@ -70,6 +81,15 @@ def lifts(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[LiftFolder
 def records_of(folder: LiftFolder) -> dict[int, str]:
     content = json.loads((folder.result_path / "instances.json").read_text())
     return {one["id"]: one["name"] for one in content["instances"]}
+
+
+def names_of(folder: LiftFolder) -> dict[str, list[dict[str, Any]]]:
+    content: dict[str, list[dict[str, Any]]] = json.loads((folder.result_path / "names.json").read_text())
+    return content
+
+
+def is_chair(xyz: np.ndarray) -> np.ndarray:
+    return np.asarray(xyz[:, 0] < CHAIR[1, 0] + 0.1)
 
 
 def renumber(folder: LiftFolder) -> None:
@@ -93,7 +113,7 @@ def test_every_file_has_the_lasting_ids(lifts: tuple[LiftFolder, LiftFolder]) ->
     before, after = records_of(first), records_of(again)
     assert len(open_scene(again.request.scene).frames) == 2 * len(open_scene(first.request.scene).frames)
     assert [read_manifest(one.result_path).settings["voxel_size"] for one in lifts] == [0.2, 0.15]
-    kept = json.loads((again.result_path / "names.json").read_text())["kept"]
+    kept = names_of(again)["kept"]
     assert len(kept) >= 2 and {(one["id"], one["name"]) for one in kept} <= set(before.items()) & set(after.items())
     for file in ("semantic_points.npz", "anchors.npz"):
         with np.load(again.result_path / file) as arrays:
@@ -101,6 +121,14 @@ def test_every_file_has_the_lasting_ids(lifts: tuple[LiftFolder, LiftFolder]) ->
     for exr in again.passes_path.iterdir():
         shown = set(np.unique(read_exr(exr).instance).tolist()) - {0}
         assert shown and shown <= set(after)
+
+
+def test_an_object_that_was_hardly_measured_keeps_its_name(lifts: tuple[LiftFolder, LiftFolder]) -> None:
+    """Its points in the files are a fifth of those that it has before they are written."""
+    for lift in lifts:
+        points = read_arrays(lift.result_path / "semantic_points.npz", SemanticPoints)
+        assert points.xyz[(points.instance_id > 0) & ~is_chair(points.xyz), 2].max() < 0.4
+    assert "cabinet" in {one["name"].split()[0] for one in names_of(lifts[1])["kept"]}
 
 
 def test_the_request_contains_it_and_the_events_count(lifts: tuple[LiftFolder, LiftFolder]) -> None:

@@ -19,11 +19,13 @@ from engine.job import EventWriter, LiftFolder, LiftRequest, StopSignal, verify
 from engine.lift import frame_sets, run_lift, scene_files
 from engine.lift import run as lift_run
 from engine.lift.run import STAGES
+from engine.lift.scene_files import read_model
 from engine.model.baking import FLOATS
 from engine.model.structured import from_tensors
 from engine.posed.splat_file import read_gaussians
 from engine.result_files import Anchors, SemanticPoints, read_arrays
 from engine.scene import open_scene
+from engine.train import progress
 from tests.tiny_scene import CABINET_ID, CHAIR_ID, write_tiny_scene
 from tests.train.tiny_lift import TINY, lift_into, presets_as
 
@@ -92,7 +94,8 @@ def test_the_points_and_anchors_are_written(lifts: Lifts) -> None:
 
 
 def test_splats_lie_near_what_was_measured(lifts: Lifts, monkeypatch: pytest.MonkeyPatch) -> None:
-    """As if no depth showed one half of the room."""
+    """As if no depth showed one half of the room. Its anchors are not listed, but the model keeps them."""
+    monkeypatch.setattr(progress, "REPORT_EVERY_S", 0.0)
     every = read_arrays(lifts.done.result_path / "semantic_points.npz", SemanticPoints).xyz[:, 0]
     middle = float(np.median(every))
     monkeypatch.setattr(scene_files, "shown_by_depth", lambda cloud, *_: cloud.xyz[:, 0] < middle)
@@ -103,6 +106,12 @@ def test_splats_lie_near_what_was_measured(lifts: Lifts, monkeypatch: pytest.Mon
     assert np.count_nonzero(left["x"] < middle) > 0.9 * np.count_nonzero(whole["x"] < middle)
     points = read_arrays(half.result_path / "semantic_points.npz", SemanticPoints)
     assert points.xyz[:, 0].max() <= middle + scene_files.FILLED and len(points.xyz) < 0.9 * len(every)
+    reach = max(scene_files.FILLED, 2 * TINY.voxel_size)
+    anchors, of_model = read_arrays(half.result_path / "anchors.npz", Anchors).xyz, read_model(half).anchors.position
+    assert len(anchors) < 0.9 * len(of_model) and anchors[:, 0].max() <= points.xyz[:, 0].max() + reach
+    told = [json.loads(line) for line in half.events_path.read_text().splitlines()]
+    steps = [one["step"] for one in told if one["event"] == "progress" and one["stage"] == "result"]
+    assert steps == sorted(steps) and len({step for step in steps if step > 100 * lift_run.SORTED}) > 8
     listed = json.loads((half.result_path / "instances.json").read_text())["instances"]
     assert [one["points"] for one in listed] == [np.count_nonzero(points.instance_id == one["id"]) for one in listed]
 
