@@ -72,9 +72,11 @@ def joined_ids(blocks: Sequence[LiftedBlock], reach: float) -> list[dict[int, in
     ]
     group = _groups([block for block, _ in keys], common)
     inside = [block.points.instance_id[block.cell.contains(block.points.xyz)] for block in blocks]
+    most = max((instance for _, instance in keys), default=0)
+    counts = [np.bincount(ids, minlength=most + 1) for ids in inside]
     size = np.zeros(len(places), np.int64)
     for (block, instance), row in places.items():
-        size[group[row]] += np.count_nonzero(inside[block] == instance)
+        size[group[row]] += counts[block][instance]
     order = [int(one) for one in np.argsort(-size, kind="stable") if size[one]]
     number = {one: place for place, one in enumerate(order, start=1)}
     found: list[dict[int, int]] = [{} for _ in blocks]
@@ -175,10 +177,12 @@ def joined_instances(
             if instance.id in ids:
                 parts[ids[instance.id]].append(instance)
     thickness, counts, found = blocks[0].model.voxel_size, dict[int, int](), []
+    order = np.argsort(points.instance_id, kind="stable")
+    ends = np.searchsorted(points.instance_id[order], np.arange(max(class_of, default=0) + 2))
     for one, own in parts.items():
         class_id = class_of[one]
         counts[class_id] = counts.get(class_id, 0) + 1
-        xyz = points.xyz[points.instance_id == one]
+        xyz = points.xyz[order[ends[one] : ends[one + 1]]]
         box = fit_box(xyz, thickness)
         x, y, z = box.centre.tolist()
         length, width, height = box.size.tolist()

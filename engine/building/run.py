@@ -22,6 +22,7 @@ from ..job.task import LIFT, TaskState
 from ..lift.baking import FrameBaker, bake_and_evaluate
 from ..lift.device import be_repeatable, refuse_missing_device
 from ..lift.judging import read_held_back
+from ..lift.kept_preparation import refused_in
 from ..lift.run import CODE, finish, frames_to_bake, tell
 from ..lift.scene_files import read_model, write_lifted
 from ..machine.code_digest import code_digest
@@ -83,7 +84,9 @@ def _do_stages(folder: LiftFolder, preset: Preset, stages: StageReporter) -> Non
     judges = (load_view(frame, size_within(frame.size, preset.size)) for frame in scene.train_frames[::every])
     views = StoredViews(judges, folder.path)
     wanted, held_back = frames_to_bake(scene, request.bake), read_held_back(scene, preset.size, folder.path)
-    bake_and_evaluate(folder, scene, baker, wanted, views, held_back, events, stages)
+    tried = ((one, cell) for lift, cell in zip(lifts, cells, strict=True) for one in refused_in(lift))
+    refused = [one for one, cell in tried if cell.contains(np.array([one.finding.centre])).all()]
+    bake_and_evaluate(folder, scene, baker, wanted, views, held_back, events, stages, refused)
     named = [str(read_manifest(lift.result_path).versions.get(CODE, "unknown")) for lift in lifts]
     finish(folder, preset, stages, "+".join(sorted({code_digest("engine"), *"+".join(named).split("+")})))
 

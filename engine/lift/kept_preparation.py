@@ -104,6 +104,16 @@ class KeptPreparation:
         return isinstance(model, dict) and to_text(model) == to_text(to_tensors(scene)[1])
 
 
+def refused_in(lift: LiftFolder) -> tuple[Refused, ...]:
+    """The trials that a lift refused before its first step; none if what it found is not kept any more."""
+    try:
+        there = CheckpointStore(lift.path, "preparation").latest()
+        return () if there is None else record_of(_Kept, there.state, there.path, "").refused
+    except PlgsError as error:
+        log.warning("what was tried and refused is not told: %s", error)
+        return ()
+
+
 def _digest(views: Sequence[View], voters: int) -> str:
     """Of all that the views show but their masks, and of the number of the other views that vote."""
     digest = hashlib.sha256(str(voters).encode())

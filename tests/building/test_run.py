@@ -2,21 +2,27 @@
 
 from __future__ import annotations
 
+import json
 import time
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 import torch
 
 from engine.building import run
 from engine.errors import Cancelled, PlgsError
-from engine.job import EventWriter, LiftFolder, LiftRequest, LiftState, StopSignal, verify
+from engine.job import CheckpointStore, EventWriter, LiftFolder, LiftRequest, LiftState, StopSignal, verify
 from engine.lift import bake_frames, run_lift
+from engine.metrics.unshown import Refused, Unshown
+from engine.records import to_json
 from engine.result_files import INSTANCES, SEMANTIC_POINTS, SemanticPoints, read_arrays, read_instances
-from tests.tiny_scene import CABINET_ID, CHAIR_ID, write_tiny_scene
+from engine.scene import open_scene
+from engine.scene.blocks import cells_of
+from tests.tiny_scene import CABINET_ID, CHAIR_ID, FLOOR_ID, write_tiny_scene
 from tests.train.tiny_lift import short_warm_start
 
 OPTIONS = {"steps": 4, "steps_a_view": 0.0, "voxel_size": 0.2}
@@ -57,8 +63,12 @@ def test_a_building_in_two_blocks(building: LiftFolder, monkeypatch: pytest.Monk
         patch.setattr("engine.building.run._let_lift", stop_at_once)
         with pytest.raises(Cancelled):
             lift(building)
+    trial = refuse_in(elsewhere)
     lift(building, resume=True)
 
+    metrics = json.loads((building.result_path / "metrics.json").read_text())
+    told = [one for one in metrics["masks_as_judges"]["not_shown"] if one["refused"]]
+    assert told == [json.loads(json.dumps(to_json(trial)))]
     verify(building.result_path)
     assert elsewhere.manifest_path.stat().st_mtime_ns == made
     points = read_arrays(building.result_path / SEMANTIC_POINTS, SemanticPoints)
@@ -69,6 +79,25 @@ def test_a_building_in_two_blocks(building: LiftFolder, monkeypatch: pytest.Monk
     bake_frames(building, ["0001"], events, StopSignal(building.cancel_path))
     events.close()
     assert (building.passes_path / "0001.exr").is_file() and building.is_whole()
+
+
+def refuse_in(block: LiftFolder) -> Unshown:
+    """As if a cabinet had been tried on the floor before a block was trained, twice: in its cell, and out of it."""
+    points = read_arrays(block.result_path / SEMANTIC_POINTS, SemanticPoints)
+    floor = points.xyz[points.class_id == FLOOR_ID]
+    cell = cells_of(open_scene(block.request.scene), 2, lambda *_: None)[0][1]
+    store = CheckpointStore(block.path, "preparation")
+    kept, found = store.latest(), []
+    assert kept is not None
+    for inside in (floor[cell.contains(floor)], floor[~cell.contains(floor)]):
+        near = inside[np.argsort(np.linalg.norm(inside - inside[0], axis=1))[:9]]
+        x, y, z = near.mean(axis=0).round(3).tolist()
+        about = CABINET_ID, "cabinet", False, 3, 3, "0001", 7, 90, 0.01, "floor", (x, y, z), "it trails"
+        found.append(Refused(Unshown(*about), tuple(map(tuple, near.tolist()))))
+    arrays = (kept.path / "arrays.npz").read_bytes()
+    state = {**kept.state, "refused": [to_json(one) for one in found]}
+    store.save(state, lambda folder: (folder / "arrays.npz").write_bytes(arrays))
+    return found[0].finding
 
 
 def stop_at_once(block: LiftFolder, number: int, progress: object) -> None:
