@@ -48,7 +48,7 @@ _BAKES = [
 ]
 _DEVICES = [
     ("cpu", "CPU", "Render the Gaussians on the processor"),
-    ("cuda", "CUDA", "Render them on an NVIDIA GPU; the engine needs torch for CUDA and gsplat (docs/speed.md)"),
+    ("cuda", "CUDA", "Render them on an NVIDIA GPU; the engine needs torch for CUDA, and gsplat"),
 ]
 
 _FORMATS = {name for name, *_ in FORMAT_ITEMS}

@@ -64,7 +64,8 @@ def why_no_device(settings: PLGS_PG_settings) -> str | None:
     """Why the engine, as it last answered, cannot lift on the panel's device; None when it can. Never reads the disk.
     """
     lacks = lacking("cuda") if settings.device == "cuda" else ()
-    return f"Device CUDA: the engine lacks {', '.join(lacks)}. See docs/speed.md, or choose CPU" if lacks else None
+    fix = "Install it with the engine's own Python, or choose CPU"
+    return f"Device CUDA: the engine lacks {', '.join(lacks)}. {fix}" if lacks else None
 
 
 def earlier_lift(settings: PLGS_PG_settings) -> Path | None:
