@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
+from math import prod
 from os import SEEK_END
 from pathlib import Path
 from tempfile import TemporaryFile
@@ -64,27 +65,28 @@ class StoredArrays:
 
     def __init__(self, folder: Path | None = None) -> None:
         self._file = TemporaryFile(dir=folder, buffering=0)  # noqa: SIM115 - open until this object is gone
-        self._starts: list[int] = []
+        self._places: list[tuple[int, np.dtype[Any], tuple[int, ...]]] = []
 
     def __len__(self) -> int:
-        return len(self._starts)
+        return len(self._places)
 
     @property
     def nbytes(self) -> int:
-        """Bytes of all arrays together, with their headers."""
+        """Bytes of all arrays together."""
         return self._file.seek(0, SEEK_END)
 
     def append(self, array: NDArray[Any]) -> int:
         """Store an array; returns its number."""
-        self._starts.append(self.nbytes)
-        np.lib.format.write_array(self._file, np.ascontiguousarray(array), allow_pickle=False)
+        whole = np.ascontiguousarray(array)
+        self._places.append((self.nbytes, whole.dtype, whole.shape))
+        whole.tofile(self._file)  # without a header, whose reading takes longer than that of a small array
         return len(self) - 1
 
     def __getitem__(self, number: int) -> NDArray[Any]:
         """The array, bit for bit as it was."""
-        self._file.seek(self._starts[number])
-        array: NDArray[Any] = np.lib.format.read_array(self._file, allow_pickle=False)
-        return array
+        start, dtype, shape = self._places[number]
+        self._file.seek(start)
+        return np.fromfile(self._file, dtype, prod(shape)).reshape(shape)
 
 
 def stored(arrays: Iterable[NDArray[Any]], folder: Path | None = None) -> OnDemand[NDArray[Any]]:
