@@ -152,7 +152,7 @@ def learn_slowness(seconds: float, megapixels: float, millions_of_gaussians: flo
     """Remember how long a step of a finished lift took here. Raises OSError, PlgsError."""
     path = _speed_path(cache)
     path.parent.mkdir(parents=True, exist_ok=True)
-    with FileLock(path.with_suffix(".lock")):
+    with FileLock(path.with_suffix(".lock"), wait_s=20.0):  # as for the list of recent lifts
         measured = [*_measured(path), seconds / step_seconds(megapixels, millions_of_gaussians)]
         write_atomically(path, record_text(_Speed(tuple(measured[-REMEMBERED:]))))
 

@@ -68,7 +68,7 @@ def remember_lift(path: Path, cache: Path | None = None) -> None:
     """Put a lift folder at the top of the list. Raises OSError or PlgsError if the list cannot be written."""
     list_path = _list_path(cache)
     list_path.parent.mkdir(parents=True, exist_ok=True)
-    with FileLock(list_path.with_suffix(".lock")):
+    with FileLock(list_path.with_suffix(".lock"), wait_s=20.0):  # a slow disk takes a tenth for each
         lift = str(path.absolute())
         others = [entry for entry in _entries(list_path, is_to_be_replaced=True) if entry[0] != lift]
         entries = [(lift, round(time.time(), 3)), *others][:MOST]

@@ -82,8 +82,10 @@ def test_the_list_does_not_grow_forever(tmp_path: Path) -> None:
 
 
 def test_engines_that_end_together_lose_no_entry(tmp_path: Path, root: Path) -> None:
+    """On a slow disk, too."""
     code = (
-        "import sys; from pathlib import Path; from engine.job.recent import remember_lift\n"
+        "import os, sys, time; from pathlib import Path; from engine.job.recent import remember_lift\n"
+        "os.fsync = lambda descriptor: time.sleep(0.05)\n"
         "for path in sys.argv[2:]: remember_lift(Path(path), Path(sys.argv[1]))"
     )
     paths = [[new_lift(tmp_path, f"{each} {number}").path for number in range(8)] for each in range(3)]
