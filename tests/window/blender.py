@@ -5,13 +5,18 @@ from __future__ import annotations
 import json
 import os
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from tree import ROOT, Tree, wait_until
+from tree import ROOT, Tree
+
+from engine.job import LiftFolder, last_run
+from tests.waiting import PATIENCE_S, wait_until
 
 SIZE = (1280, 1000)
 """Of the screen and of Blender's window on it, in pixels: a sidebar with all panels fits."""
@@ -77,21 +82,21 @@ class Window:
             "--python", str(Path(__file__).parent / "inside.py"),
             log=self._log.fileno(), environment={"PLGS_WINDOW_QUESTIONS": str(questions)},
         )  # fmt: skip
-        self.ask("bpy.app.version_string", timeout=120)
-        self.settle(timeout=120)
+        self.ask("bpy.app.version_string")
+        self.settle()
 
     def quit(self) -> None:
         """Close Blender as File > Quit does; what it had to say about unsaved changes is not asked."""
         assert self._blender is not None
         self._send("bpy.ops.wm.quit_blender()")
-        self._blender.wait(timeout=60)
+        self._blender.wait(timeout=PATIENCE_S)
         self._blender = None
 
     def kill(self) -> None:
         """End Blender as the kernel does when memory runs out."""
         assert self._blender is not None
         self._blender.kill()  # and with that process the one in the tree
-        self._blender.wait(timeout=60)
+        self._blender.wait(timeout=PATIENCE_S)
         self._blender = None
 
     @property
@@ -116,14 +121,14 @@ class Window:
 
     # Questions and answers
 
-    def ask(self, expression: str, timeout: float = 180) -> Any:
+    def ask(self, expression: str, timeout: float = PATIENCE_S) -> Any:
         """The value of a Python expression inside Blender, as JSON brings it. RuntimeError with Blender's traceback."""
         answer = self._answer_to(self._send(expression), timeout)
         if "error" in answer:
             raise RuntimeError(f"in Blender:\n{answer['error']}")
         return answer["value"]
 
-    def run(self, statements: str, timeout: float = 180) -> Any:
+    def run(self, statements: str, timeout: float = PATIENCE_S) -> Any:
         """Run Python statements inside Blender; what they leave in `answer`."""
         return self.ask(f"{statements}\n", timeout) if "\n" in statements else self.ask(f"{statements};", timeout)
 
@@ -141,9 +146,19 @@ class Window:
         answer: dict[str, Any] = json.loads(path.read_text())
         return answer
 
-    def wait_for(self, expression: str, timeout: float = 180) -> None:
+    def wait_for(self, expression: str, timeout: float = PATIENCE_S) -> None:
         """Wait until the expression is true inside Blender."""
         wait_until(lambda: self.ask(expression), expression, timeout, 0.1)
+
+    @contextmanager
+    def suspended(self, lift: Path) -> Iterator[None]:
+        """Let the engine of a lift stand still within a ``with`` block, so that nothing of it passes by."""
+        engine = next(event.data["pid"] for event in last_run(LiftFolder.open(lift).events_path))
+        self.run(f"import os, signal; os.kill({engine}, signal.SIGSTOP)")  # there processes have other numbers
+        try:
+            yield
+        finally:
+            self.run(f"os.kill({engine}, signal.SIGCONT)")
 
     # Mouse and keys
 
@@ -286,7 +301,7 @@ class Window:
         cv2.imwrite(str(path), self.picture()[:, :, ::-1])
         return path
 
-    def settle(self, timeout: float = 180, still_s: float = 0.4) -> None:
+    def settle(self, timeout: float = PATIENCE_S, still_s: float = 0.4) -> None:
         """Wait until the screen has not changed for a while."""
         last, since, end = self.picture(), time.monotonic(), time.monotonic() + timeout
         while time.monotonic() - since < still_s:
@@ -305,6 +320,15 @@ class Window:
         """
         found: dict[str, float] = self.ask("watch.waits")
         return found
+
+    def slow_calls(self, limit_s: float) -> dict[str, tuple[float, float]]:
+        """The calls of `waits` that took so long more than once, or once three times as long, with both times: once,
+        any call may meet what is slow by chance, such as a page of memory that comes from the disk.
+        """
+        again = self.ask("watch.again")
+        pairs = {call: (wait, again[call]) for call, wait in self.waits().items()}
+        assert pairs, "nothing was measured"
+        return {call: pair for call, pair in pairs.items() if pair[1] >= limit_s or pair[0] >= 3 * limit_s}
 
     def log_tail(self) -> str:
         """The last lines of what Blender and the virtual screen wrote."""

@@ -33,7 +33,7 @@ def test_merged_split_by_views_and_undone(window: Window, mine: Path) -> None:
     window.press("plgs.merge_instances")
     assert window.ask("ids()") == [CABINET] and window.ask(f"points({CABINET})") == sum(before)
     _, height = window.press("plgs.split_by_views")
-    window.wait_for("len(ids()) == 2", timeout=120)
+    window.wait_for("len(ids()) == 2")
     window.settle()
     window.screenshot("correcting-split")
     assert kinds(mine) == ["merge", "split"]
@@ -122,4 +122,4 @@ def test_the_objects_of_an_opened_file_are_read_by_themselves(window: Window, mi
     window.run(f"bpy.ops.wm.save_as_mainfile(filepath={saved!r})")
     window.run("lists = sys.modules[EXTENSION + '.plgs_blender.instances_in_parts']; lists._kept.clear()")
     window.run(f"bpy.ops.wm.open_mainfile(filepath={saved!r})")
-    window.wait_for("len(lists._kept) == 1 and not lists._begun", 10)
+    window.wait_for("len(lists._kept) == 1 and not lists._begun")

@@ -48,7 +48,7 @@ def test_a_depth_cloud_of_the_frame_that_the_view_looks_from(window: Window, min
     window.run(f"bpy.ops.plgs.go_to_frame(frame={frame!r})")
     window.press("plgs.make_depth_cloud")
     clouds = f"[ob for ob in bpy.data.objects if ob.get('plgs_key') == 'depth_cloud:{frame}']"
-    window.wait_for(clouds, timeout=120)
+    window.wait_for(clouds)
     window.settle()
     window.screenshot("reuse-depth-cloud")
     assert window.ask(f"len({clouds}[0].data.points)") > 1000

@@ -5,10 +5,11 @@ from __future__ import annotations
 import subprocess
 import sys
 import sysconfig
-import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import IO
+
+from tests.waiting import PATIENCE_S
 
 ROOT = Path(__file__).resolve().parent.parent.parent
 
@@ -52,7 +53,7 @@ class Tree:
             stdin=subprocess.DEVNULL, stdout=log, stderr=subprocess.STDOUT if log is not None else None,
         )  # fmt: skip
 
-    def run(self, *command: str, timeout: float = 60) -> str:
+    def run(self, *command: str, timeout: float = PATIENCE_S) -> str:
         """Run a command in the tree to its end; its output. RuntimeError when it fails."""
         process = self.start(*command, log=subprocess.PIPE)
         output = process.communicate(timeout=timeout)[0].decode(errors="replace")
@@ -70,11 +71,3 @@ class Tree:
             self._keeper.kill()
             self._keeper.wait()
 
-
-def wait_until(condition: Callable[[], object], what: str, timeout: float = 60, pause: float = 0.02) -> None:
-    """Look again and again until `condition()` is true. TimeoutError naming `what` when it does not come true."""
-    end = time.monotonic() + timeout
-    while not condition():
-        if time.monotonic() > end:
-            raise TimeoutError(f"{what}: not within {timeout:g} s")
-        time.sleep(pause)
