@@ -341,7 +341,7 @@ def test_masks_of_more_views_join_the_object_that_holds_them() -> None:
 
 
 def test_many_objects_and_points_need_no_table_of_both() -> None:
-    chairs, wide = 400, 50
+    chairs, wide = 200, 50
     points = chairs * wide
     ids = 1 + np.arange(points) // wide
     picture = np.repeat(ids[None].astype(np.int32), 3, 0)

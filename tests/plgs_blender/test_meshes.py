@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 
 import bpy
@@ -17,14 +18,13 @@ from plgs.plgs_blender.lift_collection import lifts_in
 from plgs.plgs_blender.meshes import mesh_folder
 from plgs.plgs_blender.results import result_of
 from surface_file import SIDE, write_surface
-from tiny_lift import write_tiny_lift
 from tiny_scene import CHAIR_ID, FLOOR_ID
 
 
 @pytest.fixture
-def lift(tmp_path: Path) -> Path:
-    """With the surface of a floor of 4 by 3 m, on which a patch of 1 by 1 m is the chair."""
-    path = write_tiny_lift(tmp_path / "lift").path
+def lift(lift: Path, tmp_path: Path) -> Path:
+    """A copy with the surface of a floor of 4 by 3 m, on which a patch of 1 by 1 m is the chair."""
+    path = Path(shutil.copytree(lift, tmp_path / "lift"))
     write_surface(mesh_folder(path) / "mesh.ply")
     return path
 
