@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import Cancelled, ErrorCode, PlgsError
-from ..job import EventWriter, LiftFolder, LiftRequest, LiftState, StopSignal, read_manifest
+from ..job import EventWriter, LiftFolder, LiftRequest, StopSignal, read_manifest
 from ..job.folder import BLOCKS
 from ..job.follower import TaskFollower
 from ..job.process import engine_command
@@ -106,7 +106,11 @@ def lift_block(folder: LiftFolder, number: int, progress: StageProgress) -> Lift
     """The finished lift of a block. If another process lifts it, wait for that. Raises PlgsError, Cancelled."""
     path, request = folder.path / BLOCKS / str(number), request_of_block(folder.request, number)
     if not (path / "request.json").exists():
-        LiftFolder.create(path, request)
+        try:
+            LiftFolder.create(path, request)
+        except PlgsError:
+            if not (path / "request.json").exists():  # otherwise two engines made it at the same time
+                raise
     lift = LiftFolder.open(path)
     differing = request.differences(lift.request)
     if differing:
@@ -121,7 +125,8 @@ def _let_lift(lift: LiftFolder, number: int, progress: StageProgress) -> None:
     """Start an engine for a block, or follow the one that is at work there, to its end. How that one ends does not
     matter, as its machine may crash: the block is checked again.
     """
-    command = engine_command(Path(sys.executable), lift.path, resume=lift.state() is not LiftState.NOT_STARTED)
+    # Also a new block: before this engine begins, another may have begun it, or done it.
+    command = engine_command(Path(sys.executable), lift.path, resume=True)
     is_running = lift.is_running
     follower = (
         TaskFollower.attach(lift.place, lift=lift)

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
-from ..machine.cells import distinct_cells
+from ..machine.distinct_rows import distinct_rows
 
 CELL = 0.08
 """Side in metres of the cells in which points are compared, as lifts with other presets have other spacings."""
@@ -55,7 +55,7 @@ def object_overlap(
 ) -> ObjectOverlap:
     """Compare points [N, 3] and [M, 3] in metres, whose objects are ``old_id`` [N] and ``new_id`` [M] (0 = none)."""
     cells = np.floor(np.concatenate([old_xyz[old_id > 0], new_xyz[new_id > 0]]) / CELL).astype(np.int64)
-    _, cell = distinct_cells(cells)
+    _, cell = distinct_rows(cells)
     count = int((old_id > 0).sum())
     old_ids, old_of, old_cell = _distinct(old_id[old_id > 0], cell[:count])
     new_ids, new_of, new_cell = _distinct(new_id[new_id > 0], cell[count:])
@@ -96,5 +96,5 @@ def _distinct(
     """The distinct ids; and for each pair of object and cell, in the order of the cells, the id's place and the
     cell."""
     known, place = np.unique(ids.astype(np.int64), return_inverse=True)
-    pairs, _ = distinct_cells(np.stack([cell, place.ravel()], axis=1))
+    pairs, _ = distinct_rows(np.stack([cell, place.ravel()], axis=1))
     return known, pairs[:, 1], pairs[:, 0]

@@ -174,7 +174,7 @@ class Lease:
 
 def _content(holder: str, beat: int) -> bytes:
     """The content of a lease. A beat replaces as many digits in place: who reads meanwhile finds a lease, too."""
-    about = {"id": holder, "machine": MACHINE, "pid": os.getpid(), "since": int(time.time()), "beat": f"{beat:012d}"}
+    about = {"id": holder, "machine": MACHINE, "pid": os.getpid(), "beat": f"{beat:012d}"}
     return json.dumps(about).encode().ljust(512) + b"\n"
 
 

@@ -57,7 +57,7 @@ def lift_in_terminal(
     lift.refuse_read_only()
     try:
         program = getattr(options, "program", "engine")
-        command = engine_command(python, lift.path, resume=not is_new, program=program)
+        command = engine_command(python, lift.path, resume=True, program=program)
         code = _run(lift, interrupts, command, getattr(options, "echo", None), on_error)
     finally:
         if is_new and lift.came_to_nothing():

@@ -69,10 +69,12 @@ def _compiler(**options: Any) -> Callable[[Callable[..., Any]], Any]:
             kernel: Any = numba.njit(cache=True, **_KERNEL, **options)(function)
         finally:
             settings.CACHE_DIR = theirs
-        # Numba counts the files of a kernel. Two processes that compile it at once, for other types of arguments, may
-        # give them one number, and one would then run the other's code.
-        files = kernel._cache._cache_file
-        files._data_name_pattern = files._data_name_pattern.replace("{number", f"{uuid4().hex[:12]}-{{number")
+        if not settings.DISABLE_JIT:
+            # Numba counts the files of a kernel. Two processes that compile it at once, for other types of arguments,
+            # may give them one number, and one would then run the other's code.
+            files = kernel._cache._cache_file
+            usual = files._data_name
+            files._data_name = lambda number: f"{usual(number)}.{uuid4().hex[:12]}"
         return kernel
 
     return decorate

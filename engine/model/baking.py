@@ -12,7 +12,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from ..instances.class_first import LEAST_OF_CLASS, objects_of_classes
-from ..machine.cells import distinct_cells
+from ..machine.distinct_rows import distinct_rows
 from ..result_files import Anchors
 from ..scene import Progress, watched
 from .detail import widened
@@ -70,7 +70,7 @@ class BakedGaussians:
         kept = np.flatnonzero(np.isfinite(near) & (self.opacities >= FAINTEST))
         cell, places = np.floor(self.means[kept] / FLOATS).astype(np.int64), np.zeros(len(kept), np.int64)
         if len(kept):
-            cells, places = distinct_cells(cell)
+            cells, places = distinct_rows(cell)
             beside = cKDTree(cells).query_pairs(1.8, output_type="ndarray")  # the 26 neighbours
             graph = coo_matrix((np.ones(len(beside)), tuple(beside.T)), (len(cells), len(cells)))
             places = connected_components(graph, directed=False)[1][places]

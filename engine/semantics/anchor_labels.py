@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ..machine.cells import distinct_cells
+from ..machine.distinct_rows import distinct_rows
 from ..scene import VOID
 from .point_cloud import SemanticPointCloud, majority_vote
 
@@ -40,7 +40,7 @@ def label_anchors(
 def _voxels(points: NDArray[np.floating], voxel_size: float) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     """Distinct voxels float64 [M, 3] in lexical order, and the voxel of each point int64 [N]."""
     rounded = np.rint(np.asarray(points, np.float64).reshape(-1, 3) / voxel_size)
-    voxels, inverse = distinct_cells(rounded.astype(np.int64))
+    voxels, inverse = distinct_rows(rounded.astype(np.int64))
     return voxels.astype(np.float64), inverse
 
 

@@ -64,8 +64,9 @@ def why_no_device(settings: PLGS_PG_settings) -> str | None:
     """Why the engine, as it last answered, cannot lift on the panel's device; None when it can. Never reads the disk.
     """
     lacks = lacking("cuda") if settings.device == "cuda" else ()
-    fix = "Install it with the engine's own Python, or choose CPU"
-    return f"Device CUDA: the engine lacks {', '.join(lacks)}. {fix}" if lacks else None
+    needs_torch = "torch for CUDA" in lacks
+    fix = "Set the engine up with Torch: CUDA" if needs_torch else "Install gsplat with the engine's own Python"
+    return f"Device CUDA: the engine lacks {', '.join(lacks)}. {fix}, or choose CPU" if lacks else None
 
 
 def earlier_lift(settings: PLGS_PG_settings) -> Path | None:

@@ -23,7 +23,7 @@ from ..tasks import registry, timer
 from ..tasks.registry import Task, start_engine
 
 _ENGINE_MAKES_THEM = "set up the engine, which makes them"
-_NAMES = {"depth": "depth maps", "masks": "masks"}
+_GIVE = {"depth": "give depth maps", "masks": "give or make masks"}
 
 
 @dataclass(frozen=True)
@@ -241,7 +241,5 @@ def _lift(survey: Survey) -> Possibility:
     if not lacks:
         return Possibility("Lift", True, "depth and masks are there")
     verb = "are" if "masks" in lacks else "is"
-    why = f"there {verb} no {' and no '.join(lacks)}: give {' and '.join(_NAMES[what] for what in lacks)} below"
-    if "masks" in lacks:
-        why += ", or make masks"
+    why = f"there {verb} no {' and no '.join(lacks)}: {' and '.join(_GIVE[what] for what in lacks)} below"
     return Possibility("Lift", False, why)

@@ -37,6 +37,21 @@ def test_a_lift_that_another_batch_does_before_this_engine_begins(
     assert outcome.ended is Ended.DONE, outcome.reason
 
 
+def test_a_lift_that_is_cancelled_while_its_engine_starts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """By another batch: the engine deletes the cancel file, as it takes it for an earlier run's."""
+    cancel = "import sys, runpy, pathlib; pathlib.Path(sys.argv[3], 'cancel').touch(); sys.argv = sys.argv[1:]"
+    begin = f"{cancel}; runpy.run_path(sys.argv[0], run_name='__main__')"
+
+    def command(python: Path, lift: Path, *, resume: bool) -> list[str | Path]:
+        return [python, "-c", begin, FAKE, "patient", lift, *(["--resume"] if resume else [])]
+
+    monkeypatch.setattr(piece, "engine_command", command)
+    (tmp_path / "room").mkdir()
+    lift = Piece(Kind.LIFT, "room", tmp_path / "lift", LiftRequest(scene=tmp_path / "room"), engine_tag())
+    outcome = do(lift, lambda progress: None)
+    assert outcome.ended is Ended.CANCELLED, outcome.reason
+
+
 def test_an_error_crosses_processes() -> None:
     error = PlgsError("is dark", "room", "Add light.", code=ErrorCode.NO_MASKS, option="--masks")
     again = pickle.loads(pickle.dumps(error))

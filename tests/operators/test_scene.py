@@ -100,7 +100,7 @@ def test_the_panel_says_what_is_possible(room: Path, tmp_path: Path) -> None:
     assert survey.format == "colmap" and survey.sparse_points == 6
     found = {each.what: each for each in possibilities(survey, has_engine=False)}
     assert [name for name, each in found.items() if not each.is_possible] == ["Lift"]
-    assert found["Lift"].why == "there are no depth and no masks: give depth maps and masks below"
+    assert found["Lift"].why == "there are no depth and no masks: give depth maps and give or make masks below"
     with bpy.context.temp_override(plgs_panel=settings):
         assert bpy.ops.plgs.import_scene.poll() and not bpy.ops.plgs.lift_scene.poll()
     with pytest.raises(RuntimeError, match="the scene has no depth"):

@@ -1,4 +1,4 @@
-"""Distinct cells, against numpy."""
+"""Distinct rows, against numpy."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from engine.machine.cells import distinct_cells
+from engine.machine.distinct_rows import distinct_rows
 
 SPREADS = st.sampled_from([1, 3, 10**6, 2**62])
 
@@ -17,8 +17,8 @@ SPREADS = st.sampled_from([1, 3, 10**6, 2**62])
         lambda far: arrays(np.int64, st.tuples(st.integers(0, 30), st.just(3)), elements=st.integers(-far, far))
     )
 )
-def test_as_numpy_sorts_rows(cells: np.ndarray) -> None:
-    distinct, place = distinct_cells(cells)
-    expected, inverse = np.unique(cells, axis=0, return_inverse=True)
+def test_as_numpy_sorts_rows(rows: np.ndarray) -> None:
+    distinct, place = distinct_rows(rows)
+    expected, inverse = np.unique(rows, axis=0, return_inverse=True)
     np.testing.assert_array_equal(distinct, expected)
     np.testing.assert_array_equal(place, inverse.reshape(-1))
