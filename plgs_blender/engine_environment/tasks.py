@@ -20,9 +20,9 @@ from . import status as states
 from .choices import SetUpChoice, choose, chosen_python, own_python
 from .status import EngineStatus
 
-PATIENCE_S = 10.0
+PATIENCE_S = 60.0
 """Seconds within which a Python must answer. An answer takes some tenths of a second, the first from a cold disk a few
-seconds."""
+seconds, on a busy machine ten."""
 OFFLINE_FIX = "Allow online access in Preferences > System."
 _FIRST_CHECK_S = 0.5
 _LOG_NAME = "set-up.log"

@@ -110,7 +110,7 @@ def test_after_a_kill_on_another_machine_it_is_taken_over_when_it_is_stale(
     began, clock.in_naps = clock.monotonic(), 0.1 * STALE_S
     assert is_leased(tmp_path / "work")  # nothing shows yet that its holder is gone
     with Lease(tmp_path / "work"):
-        assert STALE_S < clock.monotonic() - began
+        assert STALE_S < clock.monotonic() - began < 1.5 * STALE_S
     assert [*tmp_path.iterdir()] == []
 
 

@@ -83,7 +83,6 @@ class Window:
             log=self._log.fileno(), environment={"PLGS_WINDOW_QUESTIONS": str(questions)},
         )  # fmt: skip
         self.ask("bpy.app.version_string")
-        self.run(_PATIENT)
         self.settle()
 
     def quit(self) -> None:
@@ -345,11 +344,6 @@ class Window:
         self._log.close()
 
 
-_PATIENT = f"""
-import sys
-sys.modules[EXTENSION + '.plgs_blender.engine_environment.tasks'].PATIENCE_S = {PATIENCE_S}
-"""
-"""An engine that a busy machine lets answer late is not refused for that."""
 _SOLID = """
 for space in [area.spaces.active for screen in bpy.data.screens for area in screen.areas if area.type == 'VIEW_3D']:
     space.shading.type, space.shading.color_type, space.shading.wireframe_color_type = 'SOLID', 'OBJECT', 'OBJECT'
