@@ -126,8 +126,7 @@ def do(piece: Piece, tell: Tell, threads: int = 0, worker: str = "", gigabytes: 
         ends = {ErrorCode.KILLED: Ended.KILLED, **dict.fromkeys(_PLACE_CODES, Ended.ELSEWHERE)}
         return outcome(ends.get(follower.error.code, Ended.FAILED), follower.error)
     if follower is not None and follower.exit_code is not ExitCode.FINISHED:
-        by_signal = follower.exit_code in (ExitCode.INTERRUPTED, ExitCode.TERMINATED)
-        if by_signal and not (piece.lift / "cancel").exists():
+        if follower.kill_at is None and not (piece.lift / "cancel").exists():
             what = "the engine was ended by a signal that asks programs to end"
             return outcome(Ended.KILLED, PlgsError(what, piece.lift, "Start the batch again.", code=ErrorCode.KILLED))
         return outcome(Ended.CANCELLED)

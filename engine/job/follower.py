@@ -36,7 +36,7 @@ class TaskFollower:
 
     ``kind`` names the task, ``progress`` tells how far it is. When ``state`` is no longer RUNNING, ``answer`` is the
     command's answer (None if it gave none), ``error`` is why it failed, and ``log_lines`` the end of its log if the
-    cause is not the user's input. ``on_event`` is called with each event.
+    cause is not the user's input. ``on_event`` is called with each event. ``kill_at`` is None until asked to stop.
     """
 
     def __init__(
@@ -61,7 +61,7 @@ class TaskFollower:
         self.on_event: Callable[[Event], object] | None = None
         self._process, self._clock = process, clock
         self._reader = reader or EventReader(place.events, hurried=True)
-        self._kill_at: float | None = None
+        self.kill_at: float | None = None
         self._silent_since: float | None = None
         self._done: str | None = None
 
@@ -193,15 +193,15 @@ class TaskFollower:
         return self._clock() - self._silent_since <= PATIENCE_S
 
     def _begin_waiting(self) -> None:
-        if self._kill_at is None:
-            self._kill_at = self._clock() + CANCEL_WAIT_S
+        if self.kill_at is None:
+            self.kill_at = self._clock() + CANCEL_WAIT_S
 
     def _kill_if_deaf(self, process: Engine) -> None:
         """Another process may have made the cancel file, and native code can prevent the engine's watchdog."""
         is_asked = self.place.cancel.exists() or (self.lift is not None and self.lift.place.cancel.exists())
         if is_asked:
             self._begin_waiting()
-        if self._kill_at is not None and self._clock() >= self._kill_at:
+        if self.kill_at is not None and self._clock() >= self.kill_at:
             process.kill()
 
     def _end(self, code: int | None) -> None:
@@ -231,7 +231,7 @@ class TaskFollower:
 
     def _was_cancelled(self, code: int | None) -> bool:
         ended_by = (ExitCode.CANCELLED, ExitCode.INTERRUPTED, ExitCode.TERMINATED)
-        return self._done == "cancelled" or self._kill_at is not None or code in ended_by
+        return self._done == "cancelled" or self.kill_at is not None or code in ended_by
 
     def _fail(self, error: PlgsError) -> None:
         self.state, self.error = TaskState.FAILED, error

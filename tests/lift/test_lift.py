@@ -111,7 +111,7 @@ def test_splats_lie_near_what_was_measured(lifts: Lifts, monkeypatch: pytest.Mon
     assert len(anchors) < 0.9 * len(of_model) and anchors[:, 0].max() <= points.xyz[:, 0].max() + reach
     told = [json.loads(line) for line in half.events_path.read_text().splitlines()]
     steps = [one["step"] for one in told if one["event"] == "progress" and one["stage"] == "result"]
-    assert steps == sorted(steps) and len({step for step in steps if step > 100 * lift_run.SORTED}) > 8
+    assert steps == sorted(steps) and len({step for step in steps if step > 100 * lift_run.SIFTED}) > 8
     listed = json.loads((half.result_path / "instances.json").read_text())["instances"]
     assert [one["points"] for one in listed] == [np.count_nonzero(points.instance_id == one["id"]) for one in listed]
 
