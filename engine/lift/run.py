@@ -35,6 +35,7 @@ from ..scene import (
     VOID,
     ClassTable,
     Frame,
+    Progress,
     Scene,
     StoredViews,
     Survey,
@@ -245,7 +246,7 @@ def voted_labels(
     frames: FrameSets,
     prepared: PreparedLift,
     preset: Preset,
-    progress: Callable[[int, int], None],
+    progress: Progress,
     scratch: Path,
 ) -> GaussianLabels:
     """The labels that the training frames vote onto the Gaussians. Raises what `vote_labels` raises."""

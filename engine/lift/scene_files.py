@@ -34,7 +34,7 @@ from ..result_files import (
     write_arrays,
     write_instances,
 )
-from ..scene import ClassTable, Progress, Scene, View, distinct_colour, watched
+from ..scene import ClassTable, Progress, Scene, View, distinct_colour, part_of, watched
 from ..scene.view import NEAR
 from ..semantics.point_cloud import SemanticPointCloud
 from .judging import evenly
@@ -64,18 +64,15 @@ def write_scene_files(
     Raises OSError if the disk is full, and what ``progress`` raises.
     """
     cloud, owner = prepared.cloud, prepared.instance_of_point
-
-    def third(number: int) -> Progress:
-        return lambda done, total: progress(number * total + done, 3 * total)
-
-    judging = watched(evenly(views), third(0))
+    judged, listed, baked = (part_of(progress, part / 3, (part + 1) / 3) for part in range(3))
+    judging = watched(evenly(views), judged)
     likely = calibrate(Samples(cloud.xyz, cloud.class_id, cloud.confidence), judging, held_back)
     viewpoint = np.mean([frame.camera.centre for frame in scene.train_frames], axis=0)
     points = SemanticPoints(
         cloud.xyz[seen], cloud.rgb[seen], cloud.class_id[seen], owner[seen], likely(cloud.confidence[seen])
     )
-    instances = listed_instances(watched(views, third(1)), prepared, owner[seen], scene.classes, names)
-    write_lifted(folder, scene.classes, viewpoint, points, instances, lifted, events, third(2))
+    instances = listed_instances(watched(views, listed), prepared, owner[seen], scene.classes, names)
+    write_lifted(folder, scene.classes, viewpoint, points, instances, lifted, events, baked)
 
 
 def points_to_write(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,7 +14,7 @@ from ..model.label_voting import Contributors, LabelVotes, contributors, pixel_l
 from ..model.settling import NamedGaussians, OwnedPoints, settled
 from ..model.structured import GaussianLabels, StructuredScene
 from ..presets.preset import Preset
-from ..scene import Frame, PanopticMask, Segment, Size, StoredArrays, size_within
+from ..scene import Frame, PanopticMask, Progress, Segment, Size, StoredArrays, size_within
 from ..scene.hole_filling import fill_holes
 from ..scene.pixels import resize_nearest
 
@@ -27,7 +27,7 @@ def vote_labels(
     frames: Sequence[Frame],
     label_maps: Sequence[NDArray[np.int16]],
     preset: Preset,
-    progress: Callable[[int, int], None],
+    progress: Progress,
     points: OwnedPoints,
     scratch: Path | None = None,
 ) -> GaussianLabels:

@@ -23,7 +23,7 @@ from .frame import Frame, GroundTruth, PanopticMask, Scene, Segment, Size, Spars
 from .frame_choice import choose_frames, evenly_spread, photo_detail
 from .masks import OtherClasses
 from .noted import Inferred, LeftOut, counted
-from .on_demand import OnDemand, Progress, StoredArrays, StoredViews, chained, stored, watched
+from .on_demand import OnDemand, Progress, StoredArrays, StoredViews, chained, part_of, stored, watched
 from .opening import open_asked, open_scene, open_scene_to_lift, require_liftable, splits_path
 from .pixels import distinct_ids
 from .report import ClassReport, SceneReport, describe, report_of

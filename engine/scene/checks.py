@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -17,12 +17,10 @@ from .frame import Frame, PanopticMask, Scene, Size
 from .frame_choice import evenly_spread
 from .ground_truth import GroundTruthReader
 from .masks import OtherClasses
+from .on_demand import Progress
 from .opening import complete, require_liftable
 from .overlap import Thumbnail, measure_overlap
 from .pixels import distinct_ids, resize_nearest
-
-Progress = Callable[[int, int], object]
-"""Called often with the numbers of frames done and of all. An error that it raises ends the check."""
 
 _THUMBNAIL_WIDTH = 40
 _COLOURS_DECODED = 16

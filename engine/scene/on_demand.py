@@ -51,6 +51,11 @@ Progress = Callable[[int, int], object]
 """Called with (done, total); may raise to stop."""
 
 
+def part_of(whole: Progress, begin: float, end: float) -> Progress:
+    """The progress of a part, which lasts from one share of the whole to another. The whole is told whole per cents."""
+    return lambda done, total: whole(round(100 * (begin + (end - begin) * done / max(total, 1))), 100)
+
+
 def watched(items: Sequence[Item], progress: Progress) -> OnDemand[Item]:
     """The items; ``progress`` is called with (number, count) before each is fetched."""
     return OnDemand(len(items), lambda place: (progress(place, len(items)), items[place])[1])

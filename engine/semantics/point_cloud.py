@@ -6,14 +6,14 @@ Pixels without a consistent label still give geometry; otherwise walls behind re
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..presets.preset import EvidenceKind
-from ..scene import VOID, View, evidence, resolution_of
+from ..scene import VOID, Progress, View, evidence, resolution_of
 from .adaptive_spacing import ENLARGED, ColumnedPoints, adapted_centres
 from .cloud_index import CloudIndex
 from .clustering import lloyd_step, seed_centres
@@ -22,9 +22,6 @@ LLOYD_STEPS = 1
 """Steps of K-means after the seeding."""
 MOST_PIXELS = 16_000_000
 """At most about this many pixels of all views are used: every s-th row and column."""
-
-Progress = Callable[[int, int], None]
-"""Called with (done, total) after each view; may raise to stop."""
 
 
 @dataclass(frozen=True)

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 
 import torch
 
 from ..job import EventWriter, StopSignal
+from ..scene import Progress, part_of
 
 REPORT_EVERY_S = 0.2
 """Progress events are written no more often than this."""
@@ -70,9 +71,9 @@ class StageProgress:
         whole = None if self.course is None else self.course.left(self.name, done / max(total, 1), eta, now)
         self.events.progress(self.name, done, total, loss=loss, eta_s=eta, left_s=whole)
 
-    def part(self, begin: float, end: float) -> Callable[[int, int], None]:
+    def part(self, begin: float, end: float) -> Progress:
         """Called with (done, total) of a part of the stage, which lasts from one share of the stage to another."""
-        return lambda done, total: self(round(100 * (begin + (end - begin) * done / max(total, 1))), 100)
+        return part_of(self, begin, end)
 
     def _remaining(self, done: int, total: int, now: float) -> float | None:
         """Seconds left at the mean pace of this run so far; None before there is a pace."""

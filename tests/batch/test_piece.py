@@ -9,11 +9,9 @@ import pytest
 
 from engine.batch import piece
 from engine.batch.piece import Ended, Kind, Piece, do, engine_tag
-from engine.command_line.run_engine import run_engine
-from engine.errors import ErrorCode, ExitCode, PlgsError
-from engine.job import LiftFolder, LiftRequest
-from tests.job.following import FAKE
-from tests.job.lift_folders import tiny_lift
+from engine.errors import ErrorCode, PlgsError
+from engine.job import LiftRequest
+from tests.job.following import FAKE, command_after_another
 
 
 @pytest.mark.parametrize("kind", [Kind.LIFT, Kind.EXPORT, Kind.SCORE])
@@ -26,11 +24,7 @@ def test_a_scene_that_is_not_mounted_is_for_another_worker(kind: Kind, tmp_path:
 def test_a_lift_that_another_batch_does_before_this_engine_begins(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def command(python: Path, lift: Path, *, resume: bool) -> list[str | Path]:
-        assert run_engine(LiftFolder.open(lift), lift=tiny_lift) is ExitCode.FINISHED
-        return [python, FAKE, "short", lift, *(["--resume"] if resume else [])]
-
-    monkeypatch.setattr(piece, "engine_command", command)
+    monkeypatch.setattr(piece, "engine_command", command_after_another)
     (tmp_path / "room").mkdir()
     lift = Piece(Kind.LIFT, "room", tmp_path / "lift", LiftRequest(scene=tmp_path / "room"), engine_tag())
     outcome = do(lift, lambda progress: None)

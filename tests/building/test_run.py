@@ -14,8 +14,7 @@ import pytest
 import torch
 
 from engine.building import run
-from engine.command_line.run_engine import run_engine
-from engine.errors import Cancelled, ExitCode, PlgsError
+from engine.errors import Cancelled, PlgsError
 from engine.job import CheckpointStore, EventWriter, LiftFolder, LiftRequest, LiftState, StopSignal, verify
 from engine.lift import bake_frames, run_lift
 from engine.metrics.unshown import Refused, Unshown
@@ -23,8 +22,7 @@ from engine.records import to_json
 from engine.result_files import INSTANCES, SEMANTIC_POINTS, SemanticPoints, read_arrays, read_instances
 from engine.scene import open_scene
 from engine.scene.blocks import cells_of
-from tests.job.following import FAKE
-from tests.job.lift_folders import tiny_lift
+from tests.job.following import command_after_another
 from tests.tiny_scene import CABINET_ID, CHAIR_ID, FLOOR_ID, write_tiny_scene
 from tests.train.tiny_lift import short_warm_start
 
@@ -134,11 +132,7 @@ def test_a_block_lifted_with_other_options_is_reported(building: LiftFolder) -> 
 def test_a_block_that_another_lifts_before_this_engine_begins(
     building: LiftFolder, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def command(python: Path, lift: Path, *, resume: bool) -> list[str | Path]:
-        assert run_engine(LiftFolder.open(lift), lift=tiny_lift) is ExitCode.FINISHED
-        return [python, FAKE, "short", lift, *(["--resume"] if resume else [])]
-
-    monkeypatch.setattr(run, "engine_command", command)
+    monkeypatch.setattr(run, "engine_command", command_after_another)
     block = LiftFolder.create(building.path / "blocks" / "1", run.request_of_block(building.request, 1))
     run._let_lift(block, 1, lambda done, total: None)
     assert block.state() is LiftState.FINISHED

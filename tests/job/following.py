@@ -9,9 +9,12 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
+from engine.command_line.run_engine import run_engine
+from engine.errors import ExitCode
 from engine.job import LiftFolder
 from engine.job.follower import TaskFollower
 from engine.job.task import LIFT
+from tests.job.lift_folders import tiny_lift
 from tests.waiting import wait_until
 
 FAKE = Path(__file__).parent / "fake_engine.py"
@@ -43,3 +46,9 @@ def start_fake(folder: LiftFolder, behaviour: str, *more: str, stays_with_parent
     """Start an engine that pretends to lift."""
     command = [sys.executable, FAKE, behaviour, folder.path, *more]
     return TaskFollower.start(command, folder.place, kind=LIFT, lift=folder, stays_with_parent=stays_with_parent)
+
+
+def command_after_another(python: Path, lift: Path, *, resume: bool) -> list[str | Path]:
+    """In place of `engine_command`: another engine does the lift before the one that the command starts begins."""
+    assert run_engine(LiftFolder.open(lift), lift=tiny_lift) is ExitCode.FINISHED
+    return [python, FAKE, "short", lift, *(["--resume"] if resume else [])]
