@@ -32,6 +32,8 @@ class PLGS_PT_scene(Step, bpy.types.Panel):
         row.prop(settings, "scene_folder", text="")
         row.operator("plgs.look_at_scene", text="", icon="FILE_REFRESH")
         row.operator("plgs.browse_scene", text="", icon="IMPORT")
+        # Above what is read: that comes a moment later, and nothing is to move under the pointer.
+        from_panel(layout.row(), context).operator("plgs.import_scene", icon="OUTLINER_OB_CAMERA")
         survey = _survey(context)
         if not settings.scene_folder:
             tell(layout, context, "Choose a capture's folder or file (import), or drop one of its files here", "INFO")
@@ -46,7 +48,6 @@ class PLGS_PT_scene(Step, bpy.types.Panel):
                 draw_task(layout, context, look)
         else:
             _draw_survey(layout, context, survey)
-        from_panel(layout.row(), context).operator("plgs.import_scene", icon="OUTLINER_OB_CAMERA")
 
 
 class PLGS_PT_scene_options(Sidebar, bpy.types.Panel):
@@ -134,20 +135,17 @@ class PLGS_PT_frames(Sidebar, bpy.types.Panel):
 
     def draw(self, context: bpy.types.Context) -> None:
         layout, ob = self.layout, context.scene.camera
+        if why_no_picture(context.scene) is None:
+            row = layout.row(align=True)
+            for what, label, icon in _PICTURES:
+                is_shown = ob.get(SHOWN, PHOTO) == what
+                row.operator("plgs.show_picture", text=label, icon=icon, depress=is_shown).what = what
+            span = range_shown(ob)
+            if span is not None:
+                layout.label(text=f"{span[0]:.2f} m (light) to {span[1]:.2f} m (dark)", icon="BLANK1")
         making = _frame_making(context)
         if making is not None:
             draw_task(layout, context, making)
-        if why_no_picture(context.scene) is not None:
-            return
-        row = layout.row(align=True)
-        for what, label, icon in _PICTURES:
-            button = row.operator(
-                "plgs.show_picture", text=label, icon=icon, depress=ob.get(SHOWN, PHOTO) == what
-            )  # fmt: skip
-            button.what = what
-        span = range_shown(ob)
-        if span is not None:
-            layout.label(text=f"{span[0]:.2f} m (light) to {span[1]:.2f} m (dark)", icon="BLANK1")
 
 
 def _draw_poses(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:

@@ -285,6 +285,20 @@ def test_photos_without_poses_show_the_button_that_finds_them(tmp_path: Path) ->
     assert "plgs.cancel_poses" in drawn()
 
 
+def test_what_is_read_of_a_scene_moves_no_button_that_imports_it(tmp_path: Path) -> None:
+    """It is read a moment after the folder was chosen, when the mouse may be on the button."""
+
+    def above() -> str:
+        return drawn().partition("plgs.import_scene")[0]
+
+    bpy.context.scene.plgs.scene_folder = str(tmp_path)
+    not_read = above()
+    survey.look(chosen_scene(bpy.context.scene.plgs), Path(sys.executable))
+    assert above() == not_read and "plgs.look_at_scene" in not_read
+    registry.wait_for(registry.latest(survey.SceneLook), bpy.context.scene)  # type: ignore[arg-type]
+    assert above() == not_read
+
+
 def test_running_tasks_show_their_progress(tmp_path: Path) -> None:
     bpy.context.scene.plgs.scene_folder = str(tmp_path)
     for task in tasks_with(Pretended(TaskState.RUNNING), tmp_path):

@@ -244,29 +244,48 @@ class Window:
         return self._find("bpy.data.", f"].{path}", "ctrl+shift+alt+c", near)
 
     def press(self, operator: str, contains: str = "", near: int | None = None) -> tuple[int, int]:
-        """Find an operator's button in the sidebar and click it; where it was."""
-        x, y = self.find_button(operator, contains, near)
-        self.click(x, y)
-        return x, y
+        """Find an operator's button in the sidebar and click it; where it was. As panels grow by what engines tell,
+        none is heard between a last look at what is under the mouse and the click.
+        """
+        while True:
+            x, y = self.find_button(operator, contains, near)
+            with self._without_news():
+                if f"bpy.ops.{operator}(" in (copied := self._copied_at(x, y, "ctrl+c")) and contains in copied:
+                    self.click(x, y)
+                    return x, y
+
+    @contextmanager
+    def _without_news(self) -> Iterator[None]:
+        """Let the extension ask no engine for news within a ``with`` block."""
+        self.run(_HOLD)
+        try:
+            yield
+        finally:
+            if self.is_running:
+                self.run("if held: news.go_on()\n")
 
     def _find(self, begin: str, contains: str, keys: str, near: int | None) -> tuple[int, int]:
         left, top, width, height = self._region("UI")
-        self.run("bpy.context.window_manager.clipboard = ''")
         heights = sorted(range(top + 8, top + height, ROW_STEP), key=lambda y: abs(y - (near or 0)))
         # Where it was found earlier comes first: Blender draws for each place that is tried. Buttons share rows:
         # the middle hits most of them, the others stand at the sides. Tabs are at the right.
         earlier = [at for copied, at in self._buttons.items() if begin in copied and contains in copied]
         anywhere = [(left + int(width * share), y) for share in (0.45, 0.8, 0.15) for y in heights]
-        last = ""
         for x, y in earlier + anywhere:
-            self._input("mousemove", str(x), str(y), "sleep", str(_MOVED_S), "key", keys)
-            self._wait_for_events()
-            copied = self.ask("bpy.context.window_manager.clipboard")
-            if copied != last:  # over nothing, it stays
-                self._buttons[copied], last = (x, y), copied
+            copied = self._copied_at(x, y, keys)
+            if copied:
+                self._buttons[copied] = x, y
             if begin in copied and contains in copied:
                 return x, y
         raise LookupError(f"no button of {begin} {contains} in the sidebar")
+
+    def _copied_at(self, x: int, y: int, keys: str) -> str:
+        """What these keys copy there; empty over nothing."""
+        self.run("bpy.context.window_manager.clipboard = ''")
+        self._input("mousemove", str(x), str(y), "sleep", str(_MOVED_S), "key", keys)
+        self._wait_for_events()
+        copied: str = self.ask("bpy.context.window_manager.clipboard")
+        return copied
 
     def _region(self, kind: str) -> tuple[int, int, int, int]:
         """Left, top, width, height of the 3D view's region on the screen."""
@@ -349,6 +368,13 @@ for space in [area.spaces.active for screen in bpy.data.screens for area in scre
     space.shading.type, space.shading.color_type, space.shading.wireframe_color_type = 'SOLID', 'OBJECT', 'OBJECT'
     space.shading.show_backface_culling, space.clip_start = True, 0.01
     space.overlay.show_relationship_lines = space.overlay.show_floor = False
+"""
+_HOLD = """
+import sys
+news = sys.modules[EXTENSION + '.plgs_blender.tasks.timer']
+held = bpy.app.timers.is_registered(news.tick)
+if held:
+    bpy.app.timers.unregister(news.tick)
 """
 _IN_SIDEBAR = """
 window = bpy.context.window_manager.windows[0]

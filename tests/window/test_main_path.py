@@ -66,13 +66,12 @@ def test_a_lift_is_started_cancelled_and_resumed_and_its_box_picked(window: Wind
     window.wait_for(f"{RUNNING} and {RUNNING}[0].progress.steps == {STEPS} and {RUNNING}[0].progress.step > 20")
     window.screenshot("lifting")
     with window.suspended(Path(window.ask("bpy.context.scene.plgs.lift_folder"))):
-        button = window.find_button("plgs.cancel_lift", near=start + 50)
-    window.click(*button)
+        _, cancel = window.press("plgs.cancel_lift", near=start + 50)
     window.wait_for(f"not {RUNNING}")
     window.settle()
     window.screenshot("cancelled")
     assert 20 < window.ask(f"{LIFTS}.lift_of({LIFT}).progress.step") < STEPS
-    window.press("plgs.resume_lift", near=button[1])
+    window.press("plgs.resume_lift", near=cancel)
     window.wait_for(f"bool({RUNNING})")
     window.wait_for(f"not {RUNNING} and {LIFTS}.lift_of({LIFT}).is_taken")  # the last that is placed turns the view
     window.settle()
