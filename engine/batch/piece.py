@@ -12,7 +12,7 @@ from pathlib import Path
 
 from .. import __version__
 from ..errors import ErrorCode, ExitCode, PlgsError
-from ..job import LiftFolder, LiftRequest, LiftState
+from ..job import LiftFolder, LiftRequest
 from ..job.follower import TaskFollower
 from ..job.main_memory import SHARE
 from ..job.process import ROOT, engine_call, engine_command
@@ -185,7 +185,7 @@ def _followed(piece: Piece, tell: Tell, variables: Mapping[str, str]) -> TaskFol
 def _started(piece: Piece, variables: Mapping[str, str]) -> TaskFollower | None:
     if piece.kind is Kind.LIFT:
         lift = _lift_folder(piece)
-        if not lift.is_running and lift.state_at_rest() is LiftState.FINISHED and lift.is_whole():
+        if not lift.is_running and _is_done(lift):
             return None
         # Also a new lift: before this engine begins, that of another batch may have begun it, or done it.
         command = engine_command(Path(sys.executable), lift.path, resume=True)
@@ -209,6 +209,12 @@ def _lift_folder(piece: Piece) -> LiftFolder:
         fix = "Leave these options as they were, or choose another output folder."
         raise PlgsError(f"holds a lift with a different {', '.join(differing)}", lift.path, fix)
     return lift
+
+
+def _is_done(lift: LiftFolder) -> bool:
+    from ..scene_of_lift import is_done  # late: it reads masks
+
+    return is_done(lift)
 
 
 def _frames_of(lift: Path) -> Sequence[str]:

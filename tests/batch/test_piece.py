@@ -10,8 +10,11 @@ import pytest
 from engine.batch import piece
 from engine.batch.piece import Ended, Kind, Piece, do, engine_tag
 from engine.errors import ErrorCode, PlgsError
-from engine.job import LiftRequest
+from engine.job import LiftFolder, LiftRequest
+from engine.scene import open_scene
+from engine.scene_of_lift import remember_scene
 from tests.job.following import FAKE, command_after_another
+from tests.tiny_scene import write_tiny_scene
 
 
 @pytest.mark.parametrize("kind", [Kind.LIFT, Kind.EXPORT, Kind.SCORE])
@@ -44,6 +47,25 @@ def test_a_lift_that_is_cancelled_while_its_engine_starts(tmp_path: Path, monkey
     lift = Piece(Kind.LIFT, "room", tmp_path / "lift", LiftRequest(scene=tmp_path / "room"), engine_tag())
     outcome = do(lift, lambda progress: None)
     assert outcome.ended is Ended.CANCELLED, outcome.reason
+
+
+def test_a_finished_lift_is_lifted_again_when_its_masks_have_changed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    started = []
+
+    def command(python: Path, lift: Path, *, resume: bool) -> list[str | Path]:
+        started.append(lift)
+        return [python, FAKE, "short", lift, *(["--resume"] if resume else [])]
+
+    monkeypatch.setattr(piece, "engine_command", command)
+    scene = write_tiny_scene(tmp_path / "room", frames=2)
+    work = Piece(Kind.LIFT, "room", tmp_path / "lift", LiftRequest(scene=scene), engine_tag())
+    assert do(work, lambda progress: None).ended is Ended.DONE
+    remember_scene(LiftFolder.open(work.lift), open_scene(scene))
+    assert do(work, lambda progress: None).ended is Ended.DONE and len(started) == 1
+    write_tiny_scene(scene, frames=2, noise=0.5)
+    assert do(work, lambda progress: None).ended is Ended.DONE and len(started) == 2
 
 
 def test_an_error_crosses_processes() -> None:
