@@ -6,8 +6,10 @@ import bpy
 from bpy.props import EnumProperty, StringProperty
 
 from ..plgs_blender.engine_environment import why_no_engine
+from ..plgs_blender.inspecting.looks import SURFACE, has
 from ..plgs_blender.inspecting.lookup import active_lift
 from ..plgs_blender.lift_collection import FOLDER
+from ..plgs_blender.meshes import are_stale
 from ..plgs_blender.paths import absolute
 from ..plgs_blender.running import exports, lifting
 from ..plgs_blender.settings import chosen_lift
@@ -71,6 +73,12 @@ class PLGS_OT_make_meshes(Exports, bpy.types.Operator):
     scene, for shadows, holdouts, collisions and measuring"""
 
     bl_idname, bl_label = "plgs.make_meshes", "Make Meshes"
+
+    @classmethod
+    def description(cls, context: bpy.types.Context, properties: bpy.types.OperatorProperties) -> str:
+        root = active_lift(context.scene, context.active_object)
+        is_old = root is not None and has(root, SURFACE) and are_stale(root)
+        return "Make the surface again: it shows the state before the last corrections" if is_old else ""
 
     def begin(self, context: bpy.types.Context) -> Task:
         return lifting.make_meshes(context.scene, self.frames, self.lift_of(context))

@@ -21,7 +21,7 @@ from ..plgs_blender.scene_formats import AUTOMATIC, FILE_SUFFIXES
 from ..plgs_blender.settings import SceneOptions, chosen_scene, option_names
 from ..plgs_blender.tasks import registry
 from ..plgs_blender.tasks.registry import Task
-from ..plgs_blender.viewport import show_materials_in
+from ..plgs_blender.viewport import look_through, show_materials_in
 from .base import (
     CANCELLED,
     FINISHED,
@@ -163,7 +163,7 @@ class PLGS_OT_show_picture(StartsTask, bpy.types.Operator):
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         view = context.space_data
         if isinstance(view, bpy.types.SpaceView3D) and not view.use_local_camera:
-            view.region_3d.view_perspective = "CAMERA"
+            look_through(view, context.scene)
         return self.run(context, waits=bpy.app.background)
 
     def begin(self, context: bpy.types.Context) -> Task | None:

@@ -91,6 +91,8 @@ def _hide_startup_objects(scene: bpy.types.Scene) -> None:
         for layer in scene.view_layers:
             if ob.name in layer.objects:
                 ob.hide_set(True, view_layer=layer)
+                if layer.objects.active == ob:
+                    layer.objects.active = None  # else all editors speak of a cube that nobody sees
 
 
 def _use_size(scene: bpy.types.Scene) -> None:

@@ -150,10 +150,7 @@ def _place(
 ) -> tuple[Quaternion, Vector, float]:
     """Rotation, location and distance of a 3D view that holds all corners in what the sidebar leaves free."""
     space = area.spaces.active
-    window = next(region for region in area.regions if region.type == "WINDOW")
-    bar = next((region for region in area.regions if region.type == "UI"), None)
-    covered = bar.width / window.width if bar is not None and bar.width > 1 and bar.x >= window.x else 0.0
-    covered = covered if covered < 0.6 else 0.0
+    window, covered = _free_of_sidebar(area)
     axes = np.array(rotation.to_matrix())  # columns: right, up, towards the eye
     middle = (corners.min(axis=0) + corners.max(axis=0)) / 2.0
     local = (corners - middle) @ axes
@@ -166,6 +163,32 @@ def _place(
     distance = float(((most - least) / (low + high)).max())
     aside = (most - high * distance + least + low * distance) / 2.0
     return rotation, Vector((middle + axes[:, :2] @ aside).tolist()), distance
+
+
+def _free_of_sidebar(area: bpy.types.Area) -> tuple[bpy.types.Region, float]:
+    """A 3D view's main region, and the share of its width, at the right, that the sidebar covers."""
+    window = next(region for region in area.regions if region.type == "WINDOW")
+    bar = next((region for region in area.regions if region.type == "UI"), None)
+    covered = bar.width / window.width if bar is not None and bar.width > 1 and bar.x >= window.x else 0.0
+    return window, covered if covered < 0.6 else 0.0
+
+
+def look_through(space: bpy.types.SpaceView3D, scene: bpy.types.Scene) -> None:
+    """Let a 3D view look through its camera. Where its frame is as Blender puts it, half as wide as the view and partly
+    behind the sidebar, it fills what the sidebar leaves free.
+    """
+    view = space.region_3d
+    view.view_perspective = "CAMERA"
+    area = next((each for each in all_views() if each.spaces.active == space), None)
+    if area is None or view.view_camera_zoom != 0.0 or any(view.view_camera_offset):
+        return
+    window, covered = _free_of_sidebar(area)
+    render = scene.render
+    sides = np.array([render.resolution_x * render.pixel_aspect_x, render.resolution_y * render.pixel_aspect_y])
+    room = _FILLED * np.array([window.width * (1.0 - covered), window.height])
+    share = float((room / (sides / sides.max())).min()) / max(window.width, window.height, 1)
+    view.view_camera_zoom = max(-30.0, 50.0 * (2.0 * math.sqrt(share) - math.sqrt(2.0)))  # Blender's own scale
+    view.view_camera_offset = (covered / 2.0 * window.width / max(window.width, window.height, 1), 0.0)
 
 
 def view_of(context: bpy.types.Context) -> tuple[bpy.types.SpaceView3D | None, float]:

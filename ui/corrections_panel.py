@@ -6,7 +6,10 @@ import bpy
 
 from ..plgs_blender import corrections, proposals
 from ..plgs_blender.errors import EXPECTED, one_line, plural
+from ..plgs_blender.inspecting.looks import SURFACE, has
 from ..plgs_blender.inspecting.lookup import active_lift, chosen_row
+from ..plgs_blender.meshes import are_stale
+from ..plgs_blender.running.exports import making_meshes
 from ..plgs_blender.running.splitting import SplitByViews
 from ..plgs_blender.tasks import registry
 from .result_panel import OfResult
@@ -20,13 +23,9 @@ class PLGS_PT_corrections(OfResult, bpy.types.Panel):
     bl_idname, bl_label = "PLGS_PT_corrections", "Correct"
 
     def draw(self, context: bpy.types.Context) -> None:
-        layout = self.layout.column()
+        """What an engine or an edit brings comes below the buttons, which stay where they are."""
         root = active_lift(context.scene, context.active_object)
-        if root is not None:
-            _draw_proposals(layout, context, root)
-        layout = from_panel(layout.column(), context)
-        for line in corrections.failed:
-            tell(layout, context, line, "ERROR")
+        layout = from_panel(self.layout.column(), context)
         column = layout.column(align=True)
         row = column.row(align=True)
         row.operator("plgs.rename_instance", text="Rename", icon="GREASEPENCIL")
@@ -37,9 +36,6 @@ class PLGS_PT_corrections(OfResult, bpy.types.Panel):
         row = layout.row(align=True)
         row.operator("plgs.split_instance", text="Split Parts", icon="MOD_EXPLODE").by = "PARTS"
         row.operator("plgs.split_by_views", text="Split by Views", icon="CAMERA_STEREO")
-        split = registry.latest(SplitByViews)
-        if split is not None:
-            draw_task(layout, context, split)
         row = layout.row(align=True)
         row.operator("plgs.place_cut", text="Add Plane", icon="MESH_PLANE")
         row.operator("plgs.split_instance", text="Split", icon="MOD_BOOLEAN").by = "CUT"
@@ -55,6 +51,15 @@ class PLGS_PT_corrections(OfResult, bpy.types.Panel):
             shown = len(str(root.get(corrections.EDITS, "")).split())
             told = f"{plural(shown, 'correction')}; bake again to see in passes" if shown else "No corrections"
             tell(layout, context, told)
+            if has(root, SURFACE) and are_stale(root) and making_meshes() is None:
+                layout.operator("plgs.make_meshes", text="Update Surface", icon="FILE_REFRESH")
+        for line in corrections.failed:
+            tell(layout, context, line, "ERROR")
+        split = registry.latest(SplitByViews)
+        if split is not None:
+            draw_task(layout, context, split)
+        if root is not None:
+            _draw_proposals(self.layout.column(), context, root)
 
 
 def _draw_proposals(

@@ -24,36 +24,14 @@ class PLGS_PT_lift(Step, bpy.types.Panel):
 
     def draw(self, context: bpy.types.Context) -> None:
         layout, settings = self.layout, context.scene.plgs
-        folder = chosen_lift(settings)
         followed = followed_lift(settings)
+        if followed is not None and followed.is_running and not followed.is_baking:
+            _draw_running(layout, context, followed)
+        else:
+            _draw_start(layout, context, followed)
         for other in lifts.running():
             if other is not followed:
                 _draw_other(layout, context, other)
-        if followed is not None and followed.is_running and followed.is_baking:
-            tell(layout, context, "Passes are baked: see 4  Passes", "RENDER_ANIMATION")
-            return
-        if followed is not None and followed.is_running:
-            layout.prop(settings, "live_preview")
-            draw_task(layout, context, followed)
-            if settings.live_preview:
-                _draw_preview_hint(layout, context)
-            return
-        layout.prop(settings, "preset", expand=True)
-        estimate = estimate_of(settings)
-        if estimate is not None:
-            memory = f"{estimate.peak_bytes / 1e9:.1f} GB of memory"
-            tell(layout, context, f"About {duration(estimate.seconds)}, {memory}", "TIME")
-        _draw_engine(layout, context)
-        row = from_panel(layout.row(), context)
-        row.scale_y = 1.4
-        row.operator("plgs.lift_scene", icon="PLAY")
-        if followed is not None:
-            _draw_ending(layout, context, followed)
-        elif folder is not None and (refusal := lifts.refusal_of(folder)) is not None:
-            tell(layout, context, refusal if isinstance(refusal, PlgsError) else str(refusal), "ERROR")
-        elif folder is not None and not lifts.is_nothing_there(folder):
-            # The opened file names it: nothing there is read unless the user asks.
-            from_panel(layout.row(), context).operator("plgs.watch_lift", text="Look at the Lift", icon="VIEWZOOM")
 
 
 class PLGS_PT_lift_options(Sidebar, bpy.types.Panel):
@@ -123,6 +101,40 @@ class PLGS_MT_recent_lifts(bpy.types.Menu):
         _draw_recent(self.layout)
 
 
+def _draw_running(layout: bpy.types.UILayout, context: bpy.types.Context, followed: Lift) -> None:
+    """Draw a lift's progress. As in `_draw_start` two rows stand above, so the bar is where Start was and Cancel below:
+    a second click cancels nothing, and one on Cancel that comes late starts nothing.
+    """
+    settings, lift = context.scene.plgs, followed.folder
+    layout.label(text=one_line(f"{lift.path.name}, preset {lift.request.preset}"), icon="RENDER_ANIMATION")
+    layout.prop(settings, "live_preview")
+    draw_task(layout, context, followed)
+    if settings.live_preview:
+        _draw_preview_hint(layout, context)
+
+
+def _draw_start(layout: bpy.types.UILayout, context: bpy.types.Context, followed: Lift | None) -> None:
+    """Draw Start, and below it what comes and goes with the engine's news: the button stays where it is."""
+    settings = context.scene.plgs
+    folder, estimate = chosen_lift(settings), estimate_of(settings)
+    layout.prop(settings, "preset", expand=True)
+    cost = "Time and memory are not known yet"
+    if estimate is not None:
+        cost = f"About {duration(estimate.seconds)}, {estimate.peak_bytes / 1e9:.1f} GB of memory"
+    tell(layout, context, cost, "TIME")
+    row = from_panel(layout.row(), context)
+    row.scale_y = 1.4
+    row.operator("plgs.lift_scene", icon="PLAY")
+    _draw_engine(layout, context)
+    if followed is not None:
+        _draw_ending(layout, context, followed)
+    elif folder is not None and (refusal := lifts.refusal_of(folder)) is not None:
+        tell(layout, context, refusal if isinstance(refusal, PlgsError) else str(refusal), "ERROR")
+    elif folder is not None and not lifts.is_nothing_there(folder):
+        # The opened file names it: nothing there is read unless the user asks.
+        from_panel(layout.row(), context).operator("plgs.watch_lift", text="Look at the Lift", icon="VIEWZOOM")
+
+
 def _draw_recent(layout: bpy.types.UILayout) -> None:
     """Draw a button for each recent lift: it is shown, or followed while it runs."""
     for lift in lifts.recent():
@@ -166,12 +178,14 @@ def _draw_engine(layout: bpy.types.UILayout, context: bpy.types.Context) -> None
 
 
 def _draw_preview_hint(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
-    """Say what is needed to see the live preview."""
+    """Draw what is needed to see the live preview."""
     view = getattr(context.space_data, "region_3d", None)
     if camera_seen(context.scene) is None:
         tell(layout, context, "To see it grow, give the scene a perspective camera", "INFO")
     elif view is None or view.view_perspective != "CAMERA":
-        tell(layout, context, "To see it grow, look through the scene's camera (numpad 0)", "INFO")
+        row = layout.row()
+        row.operator_context = "INVOKE_REGION_WIN"
+        row.operator("view3d.view_camera", text="See It Through the Camera", icon="VIEW_CAMERA")
 
 
 def _draw_ending(layout: bpy.types.UILayout, context: bpy.types.Context, followed: Lift) -> None:
@@ -179,7 +193,8 @@ def _draw_ending(layout: bpy.types.UILayout, context: bpy.types.Context, followe
     path, error = str(followed.folder.path), followed.error
     if error is None:
         box = layout.box()
-        tell(box, context, followed.message, "INFO")
+        is_baking = followed.is_running  # a running lift has no ending
+        tell(box, context, "Passes are being baked: see 4  Passes" if is_baking else followed.message, "INFO")
     else:
         box = draw_error(layout, context, error)
     row = box.row(align=True)

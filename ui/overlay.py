@@ -37,7 +37,7 @@ from ..plgs_blender.running.survey import survey_of
 from ..plgs_blender.settings import chosen_scene
 
 _CUT_COLOUR = (1.0, 0.55, 0.1, 0.25)
-_OBJECTS = "objects: each in its own colour"
+_OBJECTS = "Objects: each in its own colour"
 
 _handles: list[Any] = []
 

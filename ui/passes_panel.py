@@ -18,9 +18,6 @@ class PLGS_PT_passes(Step, bpy.types.Panel):
     def draw(self, context: bpy.types.Context) -> None:
         followed = followed_lift(context.scene.plgs)
         baking = followed if followed is not None and followed.is_baking else None
-        if baking is not None and baking.is_running:
-            draw_task(self.layout, context, baking)
-            return
         row = self.layout.row(align=True)
         row.label(text="Also")
         row.prop(context.scene.plgs, "layers")
@@ -37,12 +34,12 @@ class PLGS_PT_passes(Step, bpy.types.Panel):
         bake = column.operator("plgs.bake_camera", icon="CAMERA_DATA")
         bake.shot, bake.replace = context.scene.plgs.shot, context.scene.plgs.replace_shot
         column.operator("plgs.bake_on_farm", icon="NETWORK_DRIVE")
-        _draw_cost(column, context.scene)
-        if baking is not None:
-            if baking.error is None:
-                tell(self.layout, context, baking.message, "INFO")
-            else:
-                draw_task(self.layout, context, baking)
+        if baking is None or not baking.is_running:
+            _draw_cost(column, context.scene)
+        if baking is not None and (baking.is_running or baking.error is not None):
+            draw_task(self.layout, context, baking)  # below the buttons, which are grey until it ends
+        elif baking is not None:
+            tell(self.layout, context, baking.message, "INFO")
         self.layout.operator("plgs.show_passes", icon="NODE_COMPOSITING")
 
 

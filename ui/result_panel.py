@@ -11,8 +11,12 @@ from ..plgs_blender.errors import one_line, plural
 from ..plgs_blender.inspecting.looks import POINTS, SPLATS, SURFACE, has
 from ..plgs_blender.inspecting.lookup import active_lift, chosen_row
 from ..plgs_blender.meshes import are_stale
-from ..plgs_blender.running.exports import making_meshes
-from .sidebar import Sidebar, Step, draw_task, from_panel, tell
+from ..plgs_blender.running.exports import Export, making_meshes
+from ..plgs_blender.tasks import registry
+from .sidebar import Sidebar, Step, draw_task, from_panel, how_far, tell
+
+_SURFACE_FROM = 0.55
+"""Where the button of the surface begins in its row: it also holds how far it is made, and a button at its end."""
 
 
 def _lift(context: bpy.types.Context) -> bpy.types.Collection | None:
@@ -52,6 +56,9 @@ class PLGS_PT_result(Step, bpy.types.Panel):
         column.operator("plgs.go_to_best_view", icon="VIEW_CAMERA")
         column.operator("plgs.matte_instance", icon="IMAGE_ALPHA")
         layout.operator("plgs.show_all", icon="HIDE_OFF")
+        made = registry.latest(Export)
+        if made is not None and made.makes_meshes and not made.is_running:
+            draw_task(layout, context, made)
 
 
 def _draw_heads(layout: bpy.types.UILayout, left: str, right: str) -> None:
@@ -65,22 +72,29 @@ def _draw_heads(layout: bpy.types.UILayout, left: str, right: str) -> None:
 
 def _draw_look(column: bpy.types.UILayout, context: bpy.types.Context, root: bpy.types.Collection) -> None:
     """Draw what the colours mean, and how the lift is shown: a button makes what is not there yet."""
-    making = making_meshes()
     column.grid_flow(row_major=True, columns=2, even_columns=True, align=True).prop(root.plgs, "look", expand=True)
-    row = column.row(align=True)
-    for kind, label in ((POINTS, "Points"), (SPLATS, "Splats"), (SURFACE, "Surface")):
-        if kind == SURFACE and not has(root, SURFACE):
-            button = row.row(align=True)
-            button.enabled = making is None
-            button.operator("plgs.make_meshes", text=label)
-        else:
-            is_shown = root.plgs.show_as == kind
-            row.operator("plgs.show_as", text=label, depress=is_shown).kind = kind
+    row = column.split(factor=_SURFACE_FROM, align=True)
+    others = row.row(align=True)
+    for kind, label in ((POINTS, "Points"), (SPLATS, "Splats")):
+        others.operator("plgs.show_as", text=label, depress=root.plgs.show_as == kind).kind = kind
+    _draw_surface(row.row(align=True), root)
+
+
+def _draw_surface(cell: bpy.types.UILayout, root: bpy.types.Collection) -> None:
+    """Draw the surface's button, or in its place how far the engine is, which begins by itself after a lift: the list
+    below stays where it is. An error stands below the list.
+    """
+    making = making_meshes()
     if making is not None:
-        draw_task(column, context, making)
-    elif has(root, SURFACE) and are_stale(root):
-        tell(column, context, "The surface shows the state before the last corrections", "INFO")
-        column.operator("plgs.make_meshes", text="Update Surface", icon="FILE_REFRESH")
+        share, _ = how_far(making)
+        cell.progress(factor=share, type="BAR", text=f"Surface {100 * share:.0f} %")
+        cell.operator("plgs.cancel_export", text="", icon="X")
+    elif not has(root, SURFACE):
+        cell.operator("plgs.make_meshes", text="Surface")
+    else:
+        cell.operator("plgs.show_as", text="Surface", depress=root.plgs.show_as == SURFACE).kind = SURFACE
+        if are_stale(root):
+            cell.operator("plgs.make_meshes", text="", icon="FILE_REFRESH")
 
 
 class OfResult(Sidebar):

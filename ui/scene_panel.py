@@ -92,14 +92,14 @@ class PLGS_PT_scene_masks(Sidebar, bpy.types.Panel):
     def draw(self, context: bpy.types.Context) -> None:
         layout, settings, masks = self.layout, context.scene.plgs, context.scene.plgs_masks
         making = registry.latest(MaskMaking)
+        layout.prop(masks, "model")
         if making is not None and making.is_running:
             draw_task(layout, context, making)
         else:
-            if making is not None and settings.scene_folder and making.error_for(chosen_scene(settings)) is not None:
-                draw_task(layout, context, making)
-            layout.prop(masks, "model")
             from_panel(layout.row(), context).operator("plgs.make_masks", icon="MOD_MASK")
             draw_lacking(layout, context, "segment")
+            if making is not None and settings.scene_folder and making.error_for(chosen_scene(settings)) is not None:
+                draw_task(layout, context, making)
         row = layout.row(align=True)
         row.operator("plgs.read_classes", icon="FILE_REFRESH")
         row.operator_menu_enum("plgs.read_classes", "table", text="", icon="DOWNARROW_HLT")

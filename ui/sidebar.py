@@ -106,15 +106,15 @@ def draw_adding(layout: bpy.types.UILayout, context: bpy.types.Context, name: st
 
 
 def _draw_progress(layout: bpy.types.UILayout, context: bpy.types.Context, task: Task) -> None:
-    """One bar with one number, and Cancel. What varies in height comes below, so that nothing moves under the
-    pointer."""
+    """One bar with one number, where the button was that began it, and Cancel. What varies in height comes below, so
+    that nothing moves under the pointer."""
     progress = task.progress
-    share, told = _how_far(task)
-    layout.progress(factor=share, type="BAR", text=told)
+    share, told = how_far(task)
+    row = layout.row()
+    row.scale_y = 1.4
+    row.progress(factor=share, type="BAR", text=told)
     if task.cancel_operator:
-        row = layout.row()
-        row.scale_y = 1.4
-        cancel = row.operator(task.cancel_operator, icon="CANCEL")
+        cancel = layout.operator(task.cancel_operator, icon="CANCEL")
         if task.lift_folder is not None:
             cancel.lift_folder = str(task.lift_folder)
     stages = f"{progress.stage_index}/{progress.stage_count}  " if progress.stage_count > 1 else ""
@@ -126,7 +126,7 @@ def _draw_progress(layout: bpy.types.UILayout, context: bpy.types.Context, task:
         tell(layout, context, warning, "ERROR")
 
 
-def _how_far(task: Task) -> tuple[float, str]:
+def how_far(task: Task) -> tuple[float, str]:
     """The share of a task that is done, of the whole where the engine foresees it, else of its stage; and in words."""
     progress, took, left = task.progress, task.took_s, task.left_s
     if left is not None:

@@ -12,7 +12,7 @@ from .sheets import Picture, tiled
 
 ROOT = Path(__file__).resolve().parents[2]
 SCREENSHOTS, PICTURES = ROOT / "build" / "window" / "screenshots", ROOT / "docs" / "pictures"
-VIEW = np.s_[120:790, 50:770]
+VIEW = np.s_[120:900, 50:770]
 """The 3D view's part of the screen, without its header, its tools and the sidebar."""
 QUALITY = 82
 
@@ -42,7 +42,7 @@ def sheets() -> dict[str, Picture]:
         "window_best_view": taken("best-view")[VIEW],
         "window_lifting": taken("lifting"),
         "window_compositor": taken("compositor"),
-        "window_import": tiled({"imported": taken("imported"), "Masks": taken("masks")}, 2, 640),
+        "window_import": tiled({"imported": taken("imported"), "masks": taken("masks")}, 2, 640),
     }
 
 

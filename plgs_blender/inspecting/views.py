@@ -11,6 +11,7 @@ from mathutils import Vector
 
 from ...engine.errors import PlgsError
 from ..timeline import follow_camera, is_of_lift, places_of
+from ..viewport import look_through
 from .lookup import box_of, objects_by_key, row_of
 
 _VIEW_SENSOR = 72.0
@@ -96,5 +97,5 @@ def look_from_frame(
         view.use_local_camera = is_theirs
         if is_theirs:
             view.camera = camera
-        view.region_3d.view_perspective = "CAMERA"
+        look_through(view, scene)
     return camera

@@ -52,9 +52,9 @@ class Export(Task):
         self._placed = 0
 
     @property
-    def is_placed(self) -> bool:
-        """Whether its result is put into a scene."""
-        return bool(self._shown_in)
+    def makes_meshes(self) -> bool:
+        """Whether its result is the surface that is put into a scene."""
+        return bool(self._shown_in) and self.form == SURFACE
 
     @property
     def message(self) -> str:
@@ -121,4 +121,4 @@ def can_make_meshes_unasked() -> bool:
 
 def making_meshes() -> Export | None:
     """The running export whose meshes are put into a scene."""
-    return next((task for task in registry.running(Export) if task.form == SURFACE and task.is_placed), None)
+    return next((task for task in registry.running(Export) if task.makes_meshes), None)

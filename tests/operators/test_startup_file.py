@@ -35,6 +35,7 @@ def test_an_import_makes_the_view_the_captures(room: Path) -> None:
     fx, fy = scene.camera["fx"], scene.camera["fy"]
     assert size_of(scene) == (64, 48, pytest.approx(fx / fy))
     assert not any(bpy.data.objects[name].visible_get() for name in ("Cube", "Light", "Camera"))
+    assert bpy.context.view_layer.objects.active is None, "no editor speaks of what is hidden"
     assert bpy.data.objects["Cube"].hide_render and scene.view_settings.view_transform == "Standard"
     for frame in range(8):
         scene.frame_set(frame)

@@ -5,9 +5,11 @@ Blender draws panels only in a window: here a layout notes what it is told.
 
 from __future__ import annotations
 
+import json
 import sys
 import time
 from collections.abc import Iterator
+from dataclasses import asdict
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
 from typing import Any
@@ -18,6 +20,7 @@ from plgs.engine.errors import ErrorCode, PlgsError, lacks_part
 from plgs.engine.job import LiftState
 from plgs.engine.job.task import BAKE, LIFT, TaskProgress, TaskState
 from plgs.operators import diagnose, masks
+from plgs.plgs_blender import proposals
 from plgs.plgs_blender.chosen_scene import ChosenScene
 from plgs.plgs_blender.engine_environment import choices, tasks
 from plgs.plgs_blender.engine_environment.tasks import SetUp
@@ -28,10 +31,12 @@ from plgs.plgs_blender.running import adding, lifts, survey
 from plgs.plgs_blender.running.exports import Export
 from plgs.plgs_blender.running.importing import FrameMaking, FrameOrder
 from plgs.plgs_blender.running.preparation import MaskMaking, PoseMaking
+from plgs.plgs_blender.running.splitting import SplitByViews
 from plgs.plgs_blender.settings import chosen_scene
 from plgs.plgs_blender.tasks import registry
 from plgs.plgs_blender.tasks.registry import Task
 from plgs.ui import (
+    corrections_panel,
     export_panel,
     lift_panel,
     lists,
@@ -49,7 +54,7 @@ for each in (Path(__file__).parents[1] / "plgs_blender", Path(__file__).parents[
 import tiny_lift  # noqa: E402
 from pretended_python import pretended_python  # noqa: E402
 
-PANELS = (sidebar, scene_panel, lift_panel, result_panel, passes_panel, export_panel)
+PANELS = (sidebar, scene_panel, lift_panel, result_panel, corrections_panel, passes_panel, export_panel)
 
 
 class Layout:
@@ -67,7 +72,8 @@ class Layout:
         def call(*given: object, **options: object) -> Any:
             if name in ("operator", "operator_menu_enum"):
                 self.seen.append(f"{given[0]} {options.get('text', '')}".strip())
-                getattr(bpy.ops.plgs, str(given[0]).partition(".")[2]).get_rna_type()
+                group, _, called = str(given[0]).partition(".")
+                getattr(getattr(bpy.ops, group), called).get_rna_type()
                 return SimpleNamespace()
             if name == "prop":
                 getattr(given[0], str(given[1]))
@@ -329,7 +335,7 @@ def test_progress_is_one_true_number(
     task.poll(bpy.context.scene)
     task._told_at -= ago_s
     task.began -= 40.0
-    share, text = sidebar._how_far(task)
+    share, text = sidebar.how_far(task)
     assert (round(share, 1), text) == told
 
 
@@ -346,7 +352,71 @@ def test_a_finished_lift_is_shown(tmp_path: Path) -> None:
     followed = lifts.lift_of(lift)
     assert followed is not None
     followed.follower = Pretended(TaskState.RUNNING)
-    assert "plgs.cancel_lift" in drawn() and "To see it grow" in drawn()
+    assert "plgs.cancel_lift" in drawn() and "See It Through the Camera" in drawn()
     followed.follower.kind = BAKE
     shown = drawn()
-    assert "plgs.cancel_lift" in shown and "To see it grow" not in shown and "plgs.bake_camera" not in shown
+    assert "plgs.cancel_lift" in shown and "See It Through the Camera" not in shown and "are being baked" in shown
+
+
+def rows_above(what: str) -> int:
+    """How much is drawn above a button or a list."""
+    above, found, _ = drawn().partition(what)
+    assert found, what
+    return above.count("\n")
+
+
+def test_no_news_of_an_engine_moves_what_starts_a_lift(tmp_path: Path) -> None:
+    """Whether there is an engine, what a lift costs, that passes are baked: all comes while the mouse may be there."""
+    lift = tiny_lift.write_tiny_lift(tmp_path / "lift").path
+    settings = bpy.context.scene.plgs
+    before = rows_above("plgs.lift_scene")
+    settings.device = "cuda"
+    choices.choose(pretended_python(tmp_path / "python", lacks="cuda"))
+    try:
+        registry.wait_for(tasks.check(), bpy.context.scene)  # type: ignore[arg-type]
+        assert "Device CUDA: the engine lacks a-package" in drawn()
+        assert rows_above("plgs.lift_scene") == before
+    finally:
+        choices.choose(None)
+    settings.device = "cpu"
+    settings.lift_folder = str(lift)
+    followed = lifts.lift_of(lift)
+    assert followed is not None
+    passes = rows_above("plgs.bake_passes")
+    follower: Any = Pretended(TaskState.RUNNING)
+    followed.follower, follower.kind = follower, BAKE
+    assert rows_above("plgs.lift_scene") == before and rows_above("plgs.bake_passes") == passes
+    follower.kind = LIFT
+    bar = rows_above("1 min 30 s left")
+    assert bar < rows_above("plgs.cancel_lift"), "a second click on Start is on the bar"
+
+
+def test_the_surface_that_is_made_by_itself_moves_no_list(tmp_path: Path) -> None:
+    """It begins and ends when nobody expects it; it fails in sight."""
+    lift = tiny_lift.write_tiny_lift(tmp_path / "lift").path
+    place_lift(lift, bpy.context.scene)
+    before, heads = drawn(), rows_above("Points, score")
+    assert "plgs.make_meshes Surface" in before
+    follower: Any = Pretended(TaskState.RUNNING)
+    making = registry.follow(Export(lift, "surface", lift, bpy.context.scene.name, follower, asked=False))
+    shown = drawn()
+    assert "Surface 50 %" in shown and "plgs.cancel_export" in shown and "plgs.make_meshes Surface" not in shown
+    assert abs(rows_above("Points, score") - heads) <= 1, "a bar and its cross are in the place of the button"
+    follower.state, follower.is_running, making.is_taken = TaskState.FAILED, False, True
+    follower.error = PlgsError("is full", "the disk", "Make room.")
+    shown = drawn()
+    assert rows_above("Points, score") == heads
+    assert "is full: the disk" in shown.partition("plgs.show_all")[2].partition("Source Masks")[0]
+
+
+def test_what_edits_and_their_engines_bring_moves_no_button_that_edits(tmp_path: Path) -> None:
+    lift = tiny_lift.write_tiny_lift(tmp_path / "lift").path
+    place_lift(lift, bpy.context.scene)
+    (root,) = lifts_in(bpy.context.scene)
+    before = rows_above("plgs.undo_correction")
+    registry.follow(SplitByViews(lift, Pretended(TaskState.RUNNING)))  # type: ignore[arg-type]
+    one = proposals.Proposal(1, "chair 1", 1.0, "few frames saw it", "delete")
+    root[proposals.PROPOSALS] = json.dumps({"open": [asdict(one)], "progress": "0 of 1 looked at"})
+    shown = drawn()
+    assert "few frames saw it" in shown and "Half of it" in shown
+    assert rows_above("plgs.undo_correction") == before

@@ -28,6 +28,21 @@ for each in bpy.context.scene.objects:
             answer.append((at.x / (window.width - bar.width), at.y / window.height))
 """
 
+VIEW = """
+area = next(each for each in bpy.context.window.screen.areas if each.type == 'VIEW_3D')
+with bpy.context.temp_override(area=area, region=next(each for each in area.regions if each.type == 'WINDOW')):"""
+# Where the corners of the camera's frame lie, in the same shares.
+FRAME = """
+from bpy_extras.view3d_utils import location_3d_to_region_2d
+area = next(each for each in bpy.context.window.screen.areas if each.type == 'VIEW_3D')
+window = next(each for each in area.regions if each.type == 'WINDOW')
+bar = next(each for each in area.regions if each.type == 'UI')
+view, camera = area.spaces.active.region_3d, bpy.context.scene.camera
+corners = [camera.matrix_world @ each for each in camera.data.view_frame(scene=bpy.context.scene)]
+spots = [location_3d_to_region_2d(window, view, each) for each in corners]
+answer = [(at.x / (window.width - bar.width), at.y / window.height) for at in spots]
+"""
+
 
 @pytest.fixture(scope="module")
 def lift(work_folder: Path) -> Path:
@@ -46,3 +61,17 @@ def test_the_result_lies_in_the_free_part_of_the_view(window: Window, lift: Path
     assert window.ask(shown) == ["MATERIAL", "STUDIO", "MATERIAL"], "other objects look as they do in Material Preview"
     window.run(f"{shading}.type = 'SOLID'\nbpy.ops.plgs.place_lift(lift_folder={str(lift)!r})")
     assert window.ask(shown) == ["SOLID", "STUDIO", "MATERIAL"], "who turned to Solid shading stays there"
+
+
+def test_a_frame_fills_the_free_part_of_the_view(window: Window, lift: Path) -> None:
+    window.open_sidebar()
+    window.run(f"bpy.ops.plgs.place_lift(lift_folder={str(lift)!r})")
+    window.run(f"{VIEW}\n    bpy.ops.plgs.go_to_frame(frame='0001')")
+    window.settle()
+    window.screenshot("frame")
+    across, up = zip(*window.run(FRAME), strict=True)
+    assert min(*across, *up) > 0.0 and max(*across, *up) < 1.0
+    assert max(max(across) - min(across), max(up) - min(up)) > 0.85
+    zoom = "area.spaces.active.region_3d.view_camera_zoom"
+    window.run(f"{VIEW}\n    {zoom} = 60.0\n    bpy.ops.plgs.go_to_frame(frame='0002')")
+    assert window.run(f"{VIEW}\n    answer = {zoom}") == 60.0, "who zooms stays there"
