@@ -126,25 +126,28 @@ class PLGS_OT_delete_instance(OnInstance, bpy.types.Operator):
         return FINISHED
 
 
+_SPLITS = [
+    ("PARTS", "Connected Parts", "Separate the object's parts that do not touch; the largest part keeps the name"),
+    ("CUT", "Cutting Plane", "Cut the object along the plane that Add Plane placed, wherever you have moved it"),
+    ("PLANE", "Plane", "Cut the object along the plane through a point, perpendicular to a normal"),
+]
+
+
 class PLGS_OT_split_instance(OnInstance, bpy.types.Operator):
     """Split the object into several"""
 
     bl_idname, bl_label, bl_options = "plgs.split_instance", "Split", _UNDOABLE
 
-    by: EnumProperty(  # type: ignore[valid-type]
-        name="By",
-        options={"SKIP_SAVE"},
-        items=[
-            ("PARTS", "Connected Parts", "Separate the parts that do not touch; the largest part keeps the name"),
-            ("CUT", "Cutting Plane", "Cut along the plane that Add Cutting Plane placed, wherever you have moved it"),
-            ("PLANE", "Plane", "Cut along the plane through a point, perpendicular to a normal"),
-        ],
-    )
+    by: EnumProperty(name="By", options={"SKIP_SAVE"}, items=_SPLITS)  # type: ignore[valid-type]
     point: FloatVectorProperty(name="Point", subtype="XYZ", options={"SKIP_SAVE"}, description="On the plane, metres")  # type: ignore[valid-type]
     normal: FloatVectorProperty(  # type: ignore[valid-type]
         name="Normal", subtype="XYZ", default=(1, 0, 0), options={"SKIP_SAVE"},
         description="Points towards the side that becomes a new object",
     )  # fmt: skip
+
+    @classmethod
+    def description(cls, context: bpy.types.Context, properties: bpy.types.OperatorProperties) -> str:
+        return next(text for way, _, text in _SPLITS if way == properties.by)
 
     @reporting
     def execute(self, context: bpy.types.Context) -> set[str]:

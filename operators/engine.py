@@ -135,7 +135,7 @@ class PLGS_OT_check_engine(AsksEngine, bpy.types.Operator):
 class PLGS_OT_open_set_up_log(bpy.types.Operator):
     """Open the log of the last set-up, with all of pip's output"""
 
-    bl_idname, bl_label = "plgs.open_set_up_log", "Open log"
+    bl_idname, bl_label = "plgs.open_set_up_log", "Open Log"
 
     @reporting
     def execute(self, context: bpy.types.Context) -> set[str]:

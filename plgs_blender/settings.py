@@ -89,7 +89,7 @@ class SceneOptions:
     )  # fmt: skip
     mask_format: EnumProperty(  # type: ignore[valid-type]
         options=_SKIP_SAVE, name="Mask Format", items=MASK_FORMAT_ITEMS, default=AUTOMATIC, update=_tell_of_scene,
-        description="How the masks are laid out, where their looks do not tell",
+        description="How the masks are laid out, if their files do not tell",
     )  # fmt: skip
     classes_table: StringProperty(  # type: ignore[valid-type]
         options=_SKIP_SAVE, name="Classes", update=_tell_of_scene,

@@ -186,9 +186,11 @@ def look_through(space: bpy.types.SpaceView3D, scene: bpy.types.Scene) -> None:
     render = scene.render
     sides = np.array([render.resolution_x * render.pixel_aspect_x, render.resolution_y * render.pixel_aspect_y])
     room = _FILLED * np.array([window.width * (1.0 - covered), window.height])
-    share = float((room / (sides / sides.max())).min()) / max(window.width, window.height, 1)
-    view.view_camera_zoom = max(-30.0, 50.0 * (2.0 * math.sqrt(share) - math.sqrt(2.0)))  # Blender's own scale
-    view.view_camera_offset = (covered / 2.0 * window.width / max(window.width, window.height, 1), 0.0)
+    longest = max(window.width, window.height, 1)
+    share = float((room / (sides / sides.max())).min()) / longest
+    # Blender's own scales: its frame is (sqrt(2) + zoom / 50)^2 / 4 of the longest side, and moves by so many of these.
+    view.view_camera_zoom = max(-30.0, 50.0 * (2.0 * math.sqrt(share) - math.sqrt(2.0)))
+    view.view_camera_offset = (covered * window.width / longest / (4.0 * max(share, 1e-3)), 0.0)
 
 
 def view_of(context: bpy.types.Context) -> tuple[bpy.types.SpaceView3D | None, float]:

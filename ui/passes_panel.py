@@ -24,7 +24,7 @@ class PLGS_PT_passes(Step, bpy.types.Panel):
         column = from_panel(self.layout.column(align=True), context)
         for frames, label in (
             ("all", "Bake All Frames"),
-            ("test", "Bake Held-out Frames"),
+            ("test", "Bake Held-Out Frames"),
             ("active", "Bake the Active Camera's Frame"),
         ):
             column.operator("plgs.bake_passes", text=label, icon="RENDERLAYERS").frames = frames

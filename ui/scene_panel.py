@@ -181,14 +181,15 @@ def _draw_survey(layout: bpy.types.UILayout, context: bpy.types.Context, survey:
     if survey.has_masks:
         column.label(text=plural(len(survey.classes), "class", "classes"), icon="COLOR")
     known = possibilities(survey, status().is_usable)
-    tell(box, context, ", ".join(each.what for each in known if each.is_possible), "CHECKMARK")
+    possible = ", ".join(each.what for each in known if each.is_possible)
+    tell(box, context, f"Possible: {possible.lower()}" if possible else "Nothing is possible yet", "CHECKMARK")
     for each in known:
         if not each.is_possible:
             tell(box, context, f"{each.what}: {each.why}", "X")
     for text in (text for text, is_doubtful in survey.inferred if is_doubtful):
         tell(layout, context, text, "ERROR")
     for warning in survey.warnings[:_MOST_WARNINGS]:
-        tell(layout, context, warning, "ERROR")
+        tell(layout, context, f"{warning[:1].upper()}{warning[1:]}", "ERROR")
     if len(survey.warnings) > _MOST_WARNINGS:
         more = plural(len(survey.warnings) - _MOST_WARNINGS, "more warning")
         layout.label(text=f"and {more}", icon="BLANK1")

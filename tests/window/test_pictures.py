@@ -59,8 +59,9 @@ window.scene.camera.data.show_background_images = False
 _LOOK_THROUGH = """
 window = bpy.context.window_manager.windows[0]
 window.scene.camera = bpy.data.objects['0012']
-view = next(each for each in window.screen.areas if each.type == 'VIEW_3D').spaces.active.region_3d
-view.view_perspective, view.view_camera_offset = 'CAMERA', (0.13, 0.0)  # beside the sidebar
+view = next(each for each in window.screen.areas if each.type == 'VIEW_3D').spaces.active
+import sys
+sys.modules[EXTENSION + '.plgs_blender.viewport'].look_through(view, window.scene)
 """
 _CALLED = """
 import dataclasses, sys
