@@ -8,7 +8,7 @@ from pathlib import Path
 from .errors import PlgsError
 from .job import LiftFolder, write_atomically
 from .posed import ClassTable, PosedScene
-from .posed.scene_record import StoredScene, stored_scene
+from .posed.scene_record import StoredScene
 from .records import read_record, record_text
 from .result_files import INSTANCES, read_instances
 
@@ -40,10 +40,9 @@ def read_known(folder: LiftFolder) -> StoredScene | None:
     return read_record(StoredScene, path, _FIX) if path.is_file() else None
 
 
-def write_known(folder: LiftFolder, scene: PosedScene, masks: str) -> None:
-    """Write the cameras of a lift's scene, and the digest of its ``masks``, beside its request. Raises OSError."""
-    text = record_text(stored_scene(scene, scene.frames, masks))
-    write_atomically(folder.path / KNOWN_SCENE, text)
+def write_known(folder: LiftFolder, known: StoredScene) -> None:
+    """Write what is known of a lift's scene beside its request. Raises OSError."""
+    write_atomically(folder.path / KNOWN_SCENE, record_text(known))
 
 
 def has_known(lift: Path) -> bool:

@@ -5,8 +5,9 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from hashlib import sha256
+from hashlib import file_digest, sha256
 from pathlib import Path
+from shutil import rmtree
 from typing import Any, NoReturn
 
 import numpy as np
@@ -14,20 +15,25 @@ import numpy as np
 from .errors import ErrorCode, PlgsError
 from .job import LiftFolder, LiftState, write_atomically
 from .known_scene import FIND_SCENE, has_known, known_scene, read_known, write_known
+from .posed.scene_record import stored_scene
+from .result_files import INSTANCES, read_instances
 from .scene import Camera, Frame, OtherClasses, PosedFrame, Scene, open_asked
 
 _ALIKE = 1e-4
 """Metres, pixels and entries of rotations by which the cameras of the same frames may differ."""
+_ANOTHER = "Restore it as it was, say where it is with Find Scene or --scene, or lift into another folder."
 
 
 def scene_of_lift(folder: LiftFolder) -> Scene:
-    """The scene that a lift was made from. Where it is gone, its frames and cameras with the classes of the result:
+    """The scene that a lift was made from, with the classes of the result. Where it is gone, its frames and cameras:
     enough to place, bake and export what needs no pictures; their readers raise.
 
-    Raises PlgsError for a scene that is there and cannot be read, or is gone and not known.
+    Raises PlgsError for a scene that is there and cannot be read, or is another one now, or is gone and not known.
     """
     if os.path.exists(folder.request.scene) or not has_known(folder.path):
-        return open_asked(folder.request)
+        scene = opened_scene(folder)
+        result = folder.result_path / INSTANCES
+        return replace(scene, classes=read_instances(result)[0]) if result.is_file() else scene
     known, gone = known_scene(folder), _gone(folder.request.scene)
     frames = tuple(
         Frame(each.name, each.camera, each.held_out, each.colour_path, None, gone, gone, gone, file_shows_colour=False)
@@ -36,46 +42,95 @@ def scene_of_lift(folder: LiftFolder) -> Scene:
     return Scene(known.folder, frames, known.classes, known.warnings)
 
 
+def opened_scene(folder: LiftFolder) -> Scene:
+    """The scene that a lift was made from, as its files are now. Raises PlgsError also where other frames with the same
+    names, or mostly others, are there by now."""
+    scene, known = open_asked(folder.request), read_known(folder)
+    if known is not None:
+        there = {frame.name for frame in scene.frames}
+        kept = [frame for frame in known.posed_frames(scene.folder) if frame.name in there]
+        refuse_others(kept if 2 * len(kept) >= len(known.frames) else known.posed_frames(scene.folder), scene)
+    return scene
+
+
 def names_of_frames(folder: LiftFolder) -> tuple[str, ...]:
     """The names of all frames of a lift's scene; none where they are not known. Raises PlgsError."""
     known = read_known(folder)
     return () if known is None else tuple(frame.name for frame in known.frames)
 
 
-def remember_scene(folder: LiftFolder, scene: Scene) -> None:
-    """Write the cameras of a lift's scene, and the digest of its masks, beside its request. Raises PlgsError for a mask
-    with unknown classes, OSError."""
-    write_known(folder, scene, digest_of_masks(scene))
+def remember_scene(folder: LiftFolder, scene: Scene, warn: Callable[[str], object] = lambda _: None) -> str:
+    """Write the cameras of a lift's scene, and the digests of its files, beside its request. Returns that of the masks.
+    What was baked with other masks or classes is removed before, with a warning. Raises PlgsError for a mask with
+    unknown classes, OSError."""
+    masks = digest_of_masks(scene)
+    if masks_last_run(folder) not in ("", masks) or have_classes_changed(folder, scene):
+        if any(folder.passes_path.glob("*.exr")):
+            warn("passes that show the earlier masks or classes are removed: bake again what the lift does not")
+        for baked in (folder.passes_path, folder.previews_path):
+            if baked.exists():
+                rmtree(baked)
+    known, files = stored_scene(scene, scene.frames, masks), digests_of_files(scene.frames)
+    frames = tuple(replace(frame, files=digest) for frame, digest in zip(known.frames, files, strict=True))
+    write_known(folder, replace(known, frames=frames))
+    return masks
+
+
+def refuse_changed(folder: LiftFolder, scene: Scene) -> None:
+    """Raise PlgsError where a lift cannot go on with a ``scene``, or stand for it: since the lift was last run, a
+    frame's photo, depth or camera has changed, or which frames are held out. Masks may change."""
+    known = read_known(folder)
+    if known is None:
+        return
+    refuse_others(known.posed_frames(scene.folder), scene)
+    there = {frame.name: frame for frame in scene.frames}
+    before, frames = known.frames, [there[frame.name] for frame in known.frames]
+    for frame, now, digest in zip(before, frames, digests_of_files(frames), strict=True):
+        if frame.held_out != now.held_out:
+            raise another(f"{frame.name} is held out" if now.held_out else f"{frame.name} is not held out", scene)
+        if frame.files and frame.files != digest:
+            raise another(f"the photo or the depth of {frame.name} differs", scene)
+
+
+def another(differs: str, scene: Scene) -> PlgsError:
+    """The error for a scene that is not the one that a lift was made from."""
+    return PlgsError(f"this is another scene: {differs}", scene.folder, _ANOTHER)
 
 
 def complete_known_scene(folder: LiftFolder, scene: Scene) -> None:
     """Write scene.json again where an earlier version wrote it without what Blender needs, or not at all."""
     known = read_known(folder)
     if os.path.exists(scene.folder) and (known is None or not known.layout):
-        write_known(folder, scene, "" if known is None else known.masks)
+        write_known(folder, stored_scene(scene, scene.frames, "" if known is None else known.masks))
 
 
 def is_done(folder: LiftFolder) -> bool:
     """Whether nothing is left to lift, for a caller who knows that no engine is at work: the result is there, as it was
-    written byte by byte, and the masks are those that it was lifted from. Raises PlgsError.
+    written byte by byte, and the masks and their classes are those that it was lifted from. Raises PlgsError, also for
+    a scene that has changed otherwise.
     """
-    is_finished = folder.state_at_rest() is LiftState.FINISHED
-    return is_finished and folder.is_whole() and not have_masks_changed(folder)
+    if folder.state_at_rest() is not LiftState.FINISHED or not folder.is_whole():
+        return False
+    masks = masks_last_run(folder)
+    if not masks or not os.path.exists(folder.request.scene):
+        return True  # not known, or gone
+    scene = open_asked(folder.request)
+    refuse_changed(folder, scene)
+    return not have_classes_changed(folder, scene) and masks == digest_of_masks(scene)
+
+
+def have_classes_changed(folder: LiftFolder, scene: Scene) -> bool:
+    """Whether a result is there, and the masks of its scene have other classes by now."""
+    try:
+        return read_instances(folder.result_path / INSTANCES)[0] != scene.classes
+    except PlgsError:  # there is none, or a damaged one, which is written again
+        return False
 
 
 def masks_last_run(folder: LiftFolder) -> str:
     """The digest of the masks when the lift was last run; empty where that is not known. Raises PlgsError."""
     known = read_known(folder)
     return "" if known is None else known.masks
-
-
-def have_masks_changed(folder: LiftFolder, scene: Scene | None = None) -> bool:
-    """Whether the masks of a lift's ``scene``, opened where it is not given, differ from those when the lift was last
-    run. False where that is not known, or the scene is gone. Raises PlgsError."""
-    masks = masks_last_run(folder)
-    if not masks or not os.path.exists(folder.request.scene):
-        return False
-    return masks != digest_of_masks(scene or open_asked(folder.request))
 
 
 def digest_of_masks(scene: Scene) -> str:
@@ -93,6 +148,20 @@ def digest_of_masks(scene: Scene) -> str:
             found.update(f"{frame.name} {mask.segments}".encode())
             found.update(np.ascontiguousarray(mask.ids).tobytes())
     return found.hexdigest()
+
+
+def digests_of_files(frames: Sequence[Frame]) -> list[str]:
+    """For each frame, the start of the SHA-256 of the files with its photo and its depth; of one that cannot be read,
+    the same as of an empty one. A file that holds several frames is read once."""
+    read: dict[Path | None, bytes] = {None: b""}
+    for path in {path for frame in frames for path in (frame.colour_path, frame.depth_path)} - {None}:
+        try:
+            with open(path, "rb") as file:
+                read[path] = file_digest(file, "sha256").digest()
+        except OSError:
+            read[path] = b""
+    found = (read[frame.colour_path] + read[frame.depth_path] for frame in frames)
+    return [sha256(each).hexdigest()[:16] for each in found]
 
 
 def relink(folder: LiftFolder, place: Path) -> LiftFolder:
@@ -119,9 +188,9 @@ def refuse_others(known: Sequence[PosedFrame], scene: Scene) -> None:
     there = {frame.name: frame for frame in scene.frames}
     for frame in known:
         if frame.name not in there:
-            raise PlgsError(f"this is another scene: it has no frame {frame.name}", scene.folder, FIND_SCENE)
+            raise another(f"it has no frame {frame.name}", scene)
         if not _is_same(frame.camera, there[frame.name].camera):
-            raise PlgsError(f"this is another scene: the camera of {frame.name} differs", scene.folder, FIND_SCENE)
+            raise another(f"the camera of {frame.name} differs", scene)
 
 
 def _gone(scene: Path) -> Callable[[Any], NoReturn]:

@@ -6,6 +6,7 @@ import hashlib
 import json
 import os
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -27,13 +28,14 @@ _LONGEST_NAME = 240
 @dataclass(frozen=True)
 class SceneJob:
     """A scene to lift into ``lift``. ``problem``: why this is impossible; ``gigabytes``: the memory that the lift is
-    predicted to need."""
+    predicted to need; ``files``: the `state_of_files` of the scene, empty where it is not mounted here."""
 
     name: str
     lift: Path
     request: LiftRequest
     gigabytes: float = 1.0
     problem: str = ""
+    files: str = ""
 
 
 @dataclass(frozen=True)
@@ -46,8 +48,11 @@ class BatchPlan:
     exports: tuple[str, ...] = ()
 
     def asked(self, job: SceneJob) -> str:
-        """A name for what is requested for a scene."""
-        about = {"request": job.request.to_json(job.lift), "bakes": bool(self.chunk), "exports": sorted(self.exports)}
+        """A name for what is requested for a scene, as its files are."""
+        about = {
+            "request": job.request.to_json(job.lift), "bakes": bool(self.chunk), "exports": sorted(self.exports),
+            "files": job.files,
+        }  # fmt: skip
         return hashlib.sha256(json.dumps(about, sort_keys=True, default=str).encode()).hexdigest()
 
 
@@ -63,6 +68,32 @@ class Row:
     exit_code: int
     metrics: Mapping[str, Json]
     code: str = ""
+
+
+def state_of_files(request: LiftRequest) -> str:
+    """A name for the names, sizes and times of all files that a lift may read. None is opened: where the name is
+    another one, the lift itself reads whether its scene has changed."""
+    found, scene, masks = hashlib.sha256(), request.scene, request.masks
+    places = [scene, *(path for path in (masks, request.depth, request.classes) if path is not None)]
+    places += [] if scene.is_dir() else [scene.with_suffix("")]  # what lies beside a scene in a file
+    places += [] if masks is None or masks.is_dir() else [masks.parent]
+    for path in (path for place in places for path in _files_in(Path(place))):
+        with suppress(OSError):  # a link that leads nowhere, or a file that has gone since
+            state = os.stat(path)
+            found.update(os.fsencode(path) + f"\0{state.st_size} {state.st_mtime_ns}\0".encode())
+    return found.hexdigest()
+
+
+def _files_in(place: Path) -> Iterator[Path]:
+    """The file itself, or all files in a folder, also behind links, each folder once."""
+    seen = set[str]()
+    if place.is_file():
+        yield place
+    for folder, folders, names in os.walk(place, followlinks=True):
+        there = os.path.realpath(folder)
+        folders[:] = [] if there in seen else sorted(folders)
+        yield from () if there in seen else (Path(folder, name) for name in sorted(names))
+        seen.add(there)
 
 
 def of_scene(path: Path | None, name: str) -> Path | None:

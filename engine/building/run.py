@@ -66,7 +66,7 @@ def _do_stages(folder: LiftFolder, preset: Preset, stages: StageReporter) -> Non
     request, events = folder.request, stages.events
     with stages.stage("check") as progress:
         opened = open_scene_to_lift(request)
-        remember_scene(folder, opened)
+        remember_scene(folder, opened, events.warning)
         survey = survey_scene(opened, progress)
         tell(opened, survey, events)
         scene = survey.scene

@@ -173,7 +173,7 @@ def _refuse_two_places(options: argparse.Namespace) -> None:
 
 def _job(own: argparse.Namespace, output: Path, name: str, bakes_all: bool) -> SceneJob:
     from ..batch import SceneJob
-    from ..batch.plan import of_scene
+    from ..batch.plan import of_scene, state_of_files
     from ..job.prediction import USUAL_MASKS
     from ..lift.fitting import predicted_lift
     from ..scene import open_scene_to_lift
@@ -186,13 +186,13 @@ def _job(own: argparse.Namespace, output: Path, name: str, bakes_all: bool) -> S
     if not scene.exists() and (own.scheduler or own.slurm):
         return SceneJob(name, lift, request)  # a worker may have the scene
     try:
-        opened = open_scene_to_lift(request)
+        files, opened = state_of_files(request), open_scene_to_lift(request)
     except PlgsError as error:
         return SceneJob(name, lift, request, problem=str(error))
     if request.blocks > 1:
-        return SceneJob(name, lift, request)  # the needs of its blocks' engines are not predicted
+        return SceneJob(name, lift, request, files=files)  # the needs of its blocks' engines are not predicted
     peak = predicted_lift(opened, request.chosen_preset, USUAL_MASKS).peak_bytes
-    return SceneJob(name, lift, request, round(peak / 1e9, 2))
+    return SceneJob(name, lift, request, round(peak / 1e9, 2), files=files)
 
 
 def _place(options: argparse.Namespace, gigabytes: Sequence[float]) -> Place:

@@ -29,8 +29,8 @@ from ..passes.exr import write_exr
 from ..passes.frame_header import NOTHING_SHOWN, ShownFrame
 from ..passes.layers import PanopticLayers, decide
 from ..passes.previews import colour_picture, preview_paths, write_previews
-from ..scene import Camera, ClassTable, Frame, Scene, View, counted, open_asked
-from ..scene_of_lift import names_of_frames
+from ..scene import Camera, ClassTable, Frame, Scene, View, counted
+from ..scene_of_lift import another, have_classes_changed, names_of_frames, opened_scene
 from ..train.progress import StageReporter
 from .corrected_scene import corrected_scene
 from .device import be_repeatable
@@ -210,10 +210,14 @@ def score_corrected(
 ) -> dict[str, object]:
     """The figures of a finished lift with its corrections, in the form of metrics.json. Raises PlgsError, OSError."""
     be_repeatable()
-    scene, metrics = open_asked(folder.request), read_metrics(folder)
+    scene, metrics = opened_scene(folder), read_metrics(folder)
     names = metrics.get("test_frames")
     if isinstance(names, list):  # the lift left out held-out frames that cannot be read
         scene = replace(scene, frames=tuple(frame for frame in scene.frames if frame.name in names))
+        if trained := [frame.name for frame in scene.train_frames]:
+            raise another(f"{trained[0]} is not held out", scene)
+    if have_classes_changed(folder, scene):
+        raise another("its classes differ", scene)
     baker, report = read_baker(folder, scene.classes, corrected), Report(scene.classes)
     for done, frame in enumerate(scene.test_frames, start=1):
         report.add(LIFTED, frame, predicted(baker.render(frame.camera).layers))

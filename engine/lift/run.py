@@ -48,7 +48,7 @@ from ..scene import (
     survey_scene,
 )
 from ..scene.blocks import scene_of_block
-from ..scene_of_lift import have_masks_changed, remember_scene
+from ..scene_of_lift import masks_last_run, refuse_changed, remember_scene
 from ..train.progress import Course, StageProgress, StageReporter
 from ..train.state import OtherLabels, restore, trainer_state
 from ..train.trainer import Trainer
@@ -88,6 +88,8 @@ VOTED, SIFTED = 0.8, 0.83
 """The share of the stage "result" after voting (67 of 92 s in a small lift), and after points were left out."""
 CODE = "code"
 """The name, in checkpoints and manifest, of the digest of the code that did the lift."""
+MASKS = "masks"
+"""The name, in checkpoints, of the digest of the masks that the lift was trained with."""
 LONG_S = 3600.0
 """A lift that is predicted to take more seconds says so before it trains."""
 TRAINED_ANEW = "it is trained again, from the first step"
@@ -161,7 +163,8 @@ def run_lift(
             take_up(trainer, checkpoint, events, masks_changed=masks_changed)
         names: Mapping[int, str] = instance_names(prepared.instances, classes)
         previews = LivePreviews(folder, frames.all, shown_instances(prepared, names), events)
-        paces = train(trainer, folder, {FRAMES: list(frames.begun_with), CODE: code}, stages, previews)
+        facts: dict[str, Json] = {FRAMES: list(frames.begun_with), CODE: code, MASKS: masks_last_run(folder)}
+        paces = train(trainer, folder, facts, stages, previews)
 
         with stages.stage("result") as progress:
             if finishing is not None:
@@ -209,9 +212,11 @@ def checked_frames(
     request = folder.request
     if preset.labels == "votes" and not preset.can_vote:
         events.warning(NO_VOTES)
-    scene = open_scene_to_lift(request)
-    masks_changed = have_masks_changed(folder, scene)
-    remember_scene(folder, scene)
+    scene, before = open_scene_to_lift(request), masks_last_run(folder)
+    if checkpoint is not None:
+        refuse_changed(folder, scene)
+        before = str(checkpoint.state.get(MASKS, before))  # scene.json may be of a run that was killed since
+    masks_changed = remember_scene(folder, scene, events.warning) != before != ""
     if request.block:
         scene = scene_of_block(scene, request.blocks, request.block, progress)
     frames = sets_of_frames(scene, request, checkpoint, progress, events)

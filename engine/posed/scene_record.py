@@ -22,8 +22,8 @@ class StoredFrame:
     """A posed frame. ``size`` is (width, height) in pixels, ``lens`` fx, fy, cx, cy in pixels with centres at +0.5.
 
     ``camera_to_world`` has OpenCV's axes and metres. ``colour`` and ``depth`` are paths, relative where they lie in the
-    scene's folder. ``is_picture`` says that the file at ``colour`` shows the frame as it is; lifts of earlier versions
-    lack it, so their photos are left to an engine.
+    scene's folder. ``is_picture`` says that the file at ``colour`` shows the frame as it is, ``files`` is the digest of
+    both when a lift was last run. Lifts of earlier versions lack them, so their photos are left to an engine.
     """
 
     name: str = field(metadata={"shown": True})
@@ -34,6 +34,7 @@ class StoredFrame:
     colour: str
     depth: str | None = None
     is_picture: bool = False
+    files: str = ""
 
     def posed(self, scene: Path) -> PosedFrame:
         """The frame with paths below the ``scene``'s folder."""

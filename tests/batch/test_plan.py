@@ -18,6 +18,7 @@ from engine.batch.plan import (
     refuse_shared,
     remember,
     rows_kept,
+    state_of_files,
 )
 from engine.errors import PlgsError
 from engine.job import LiftRequest
@@ -64,6 +65,28 @@ def test_missing_results_are_not_counted_as_done(lost: str, tmp_path: Path) -> N
     path = job.lift / lost
     shutil.rmtree(path) if path.is_dir() else path.write_text("half")
     assert done_before(plan, job) is None
+
+
+@pytest.mark.parametrize("touched", ["scene/panoptic.json", "scene/linked/0001.png", "masks/0001.png", "names.toml"])
+def test_a_scene_is_looked_at_again_when_a_file_of_it_has_changed(touched: str, tmp_path: Path) -> None:
+    """What an earlier batch noted as done counted, whatever had become of the masks."""
+    for name in ("scene/panoptic.json", "elsewhere/0001.png", "masks/0001.png", "masks/table.json", "names.toml"):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_text("made")
+    (tmp_path / "scene" / "linked").symlink_to(tmp_path / "elsewhere")
+    (tmp_path / "elsewhere" / "again").symlink_to(tmp_path / "scene")
+    masks, classes = tmp_path / "masks" / "table.json", str(tmp_path / "names.toml")
+    request = LiftRequest(scene=tmp_path / "scene", masks=masks, classes=classes)
+    write_manifest(tmp_path / "room" / "result", versions={}, seed=0, settings={}, timings={})
+
+    def job() -> SceneJob:
+        return SceneJob("room", tmp_path / "room", request, files=state_of_files(request))
+
+    plan, row = BatchPlan(tmp_path, (job(),)), Row("room", "done", 1.0, "", 0, {})
+    remember(plan, job(), row)
+    assert done_before(plan, job()) == row
+    (tmp_path / touched).write_text("made anew")
+    assert done_before(plan, job()) is None
 
 
 def test_a_link_to_a_scene_has_its_own_name(tmp_path: Path) -> None:

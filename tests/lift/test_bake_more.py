@@ -38,6 +38,7 @@ from engine.lift.bake_more import frames_named
 from engine.lift.baking import FrameBaker, names_of_files
 from engine.passes.exr import further_layers, read_exr
 from engine.posed import Camera, ClassTable, PosedFrame, PosedScene
+from engine.posed.scene_record import stored_scene
 from engine.presets.preset import PRESETS
 from engine.result_files import Instance
 from engine.scene_of_lift import scene_of_lift
@@ -104,7 +105,7 @@ def test_numbers_in_the_names_of_files(frames: list[str], files: list[str], tmp_
     assert names_of_files(lift) == {}
     camera = Camera(4, 3, 4.0, 4.0, 2.0, 1.5, np.eye(4))
     posed = tuple(PosedFrame(name, camera, False, tmp_path / "a.png", None) for name in frames)
-    write_known(lift, PosedScene(tmp_path, posed, ClassTable(())), "")
+    write_known(lift, stored_scene(PosedScene(tmp_path, posed, ClassTable(())), posed))
     assert [*names_of_files(lift).values()] == files
     lift.passes_path.mkdir(parents=True)
     (lift.passes_path / f"{frames[0]}.exr").touch()  # of an earlier version

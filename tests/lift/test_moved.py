@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import json
 import shutil
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import cv2
+import numpy as np
 import pytest
 
 from engine.command_line.main import main
@@ -80,17 +81,11 @@ def test_edited_masks_are_used(
     assert main(["lift", str(lift), "--resume"]) == ExitCode.FINISHED
     assert "finished already" in capsys.readouterr().out
     before = {one.class_name for one in read_instances(lift / "result" / "instances.json")[1]}
-    table = place.parent / "found" / "panoptic.json"
-    content = json.loads(table.read_text())
-    for entry in content["annotations"]:
-        for segment in entry["segments_info"]:
-            segment["category_id"] = CABINET_ID if segment["category_id"] == CHAIR_ID else segment["category_id"]
-    table.write_text(json.dumps(content))
+    reclass(place.parent / "found", CHAIR_ID, CABINET_ID)
     assert main(["lift", str(lift), "--resume"]) == ExitCode.FINISHED
     after = {one.class_name for one in read_instances(lift / "result" / "instances.json")[1]}
     assert before == {"chair", "cabinet"} and after == {"cabinet"}
-    told = [event["message"] for event in read_events(lift) if event["event"] == "warning"]
-    assert any("trained again" in line for line in told)
+    assert any("trained again" in line for line in warnings_of(lift))
 
 
 def test_masks_with_the_same_objects_reuse_the_checkpoint(place: Path) -> None:
@@ -106,6 +101,94 @@ def test_masks_with_the_same_objects_reuse_the_checkpoint(place: Path) -> None:
     assert not [event for event in events if event["event"] == "progress" and event.get("stage") == "train"]
     assert not [event for event in events if event["event"] == "warning" and "again" in str(event["message"])]
     assert checkpoint.read_bytes() == trained and points.read_bytes() != before  # not a step, but other votes
+
+
+CHANGES: dict[str, tuple[Callable[[Path], object], str]] = {
+    "pose": (lambda scene: moved(scene / "pose" / "0001.txt"), "the camera of 0001 differs"),
+    "photo": (lambda scene: darker(scene / "color" / "0002.png"), "the photo or the depth of 0002 differs"),
+    "depth": (lambda scene: darker(scene / "depth" / "0003.png"), "the photo or the depth of 0003 differs"),
+    "split": (lambda scene: split(scene, held_out="0003"), "0003 is held out"),
+}
+
+
+@pytest.mark.parametrize("change", CHANGES)
+def test_a_result_does_not_stand_for_a_scene_that_has_changed(
+    change: str, place: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """It was "finished already"; a lift that was stopped went on with what it had learnt of other photos."""
+    lift = relink(LiftFolder.open(place / "lift"), place.parent / "found")
+    act, told = CHANGES[change]
+    act(place.parent / "found")
+    for ended in (lift.manifest_path, lift.events_path):  # finished, then as if killed
+        assert main(["lift", str(lift.path), "--resume"]) == ExitCode.BAD_INPUT
+        line = capfd.readouterr().err
+        assert f"this is another scene: {told}" in line and "lift into another folder" in line
+        ended.unlink()
+
+
+def test_what_is_baked_of_other_cameras_is_not_the_lift(place: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    lift, scene = relink(LiftFolder.open(place / "lift"), place.parent / "found").path, place.parent / "found"
+    moved(scene / "pose" / "0001.txt")
+    for command in (["bake"], ["export", "--to", "coco", "-o", str(place / "out")]):
+        assert main([command[0], str(lift), *command[1:]]) == ExitCode.BAD_INPUT
+        assert "the camera of 0001 differs" in capfd.readouterr().err
+    assert not (place / "out").exists()
+
+
+def test_views_of_earlier_masks_are_not_part_of_a_new_result(place: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """They were listed, exported, and not baked again."""
+    monkeypatch.setitem(PRESETS, "preview", TINY)
+    lift, scene = relink(LiftFolder.open(place / "lift"), place.parent / "found"), place.parent / "found"
+    assert main(["bake", str(lift.path), "--frames", "0001"]) == ExitCode.FINISHED
+    view = lift.passes_path / "0001.exr"
+    before = view.read_bytes()
+    reclass(scene, CHAIR_ID, CABINET_ID)
+    assert main(["lift", str(lift.path), "--resume"]) == ExitCode.FINISHED
+    assert not view.exists() and any("bake again" in line for line in warnings_of(lift.path))
+    assert main(["bake", str(lift.path), "--frames", "0001"]) == ExitCode.FINISHED
+    assert view.read_bytes() != before
+
+
+def test_classes_that_were_renamed_are_those_of_the_next_result(place: Path) -> None:
+    """Until then, what is baked and exported has the classes of the result."""
+    lift, scene = relink(LiftFolder.open(place / "lift"), place.parent / "found"), place.parent / "found"
+    table = scene / "panoptic.json"
+    table.write_text(table.read_text().replace('"name": "chair"', '"name": "stool"'))
+    assert "stool" not in [each.name for each in scene_of_lift(lift).classes.categories]
+    assert main(["lift", str(lift.path), "--resume"]) == ExitCode.FINISHED
+    classes, objects = read_instances(lift.result_path / "instances.json")
+    assert "stool" in [each.name for each in classes.categories] and "chair" not in {one.class_name for one in objects}
+    assert "stool" in [each.name for each in scene_of_lift(lift).classes.categories]
+
+
+def reclass(scene: Path, old: int, new: int) -> None:
+    """Give the segments of a class another one."""
+    table = scene / "panoptic.json"
+    content = json.loads(table.read_text())
+    for entry in content["annotations"]:
+        for segment in entry["segments_info"]:
+            segment["category_id"] = new if segment["category_id"] == old else segment["category_id"]
+    table.write_text(json.dumps(content))
+
+
+def moved(pose: Path) -> None:
+    matrix = np.loadtxt(pose)
+    matrix[0, 3] += 0.1
+    np.savetxt(pose, matrix)
+
+
+def darker(picture: Path) -> None:
+    cv2.imwrite(str(picture), cv2.imread(str(picture), cv2.IMREAD_UNCHANGED) // 2)
+
+
+def split(scene: Path, held_out: str) -> None:
+    names = [path.stem for path in sorted((scene / "color").iterdir())]
+    content = {"train": [name for name in names if name != held_out], "test": [held_out]}
+    (scene / "splits.json").write_text(json.dumps(content))
+
+
+def warnings_of(lift: Path) -> list[str]:
+    return [str(event["message"]) for event in read_events(lift) if event["event"] == "warning"]
 
 
 def read_events(lift: Path) -> list[dict[str, object]]:
