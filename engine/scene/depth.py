@@ -24,6 +24,8 @@ from .noted import Inferred
 from .pixels import Alignment, decode_depth, decode_single_channel, resize_aligned
 
 MILLIMETRES = 0.001
+_LARGEST = 65535
+"""The largest value in a PNG of 16 bits."""
 _PNG_FIX = "Save millimetres as a 16-bit grey PNG."
 _NEARLY_ALIGNED = 0.15
 """Share of the picture by which the lenses of one sensor's colour and depth may differ at most."""
@@ -54,16 +56,17 @@ class DepthMap:
         return replace(self, read=lambda: change(self.read()))
 
 
-def png_depth(path: Path, lens: Camera, unit: float = MILLIMETRES, none_from: int = 65536) -> DepthMap:
+def png_depth(path: Path, lens: Camera, unit: float = MILLIMETRES) -> DepthMap:
     """The depth map in a 16-bit grey PNG for the colour camera ``lens``; only its header is read. Raises PlgsError for
     other kinds of images.
 
-    ``unit`` is the length of one step in metres. Values from ``none_from`` on mean no depth, as 0 does.
+    ``unit`` is the length of one step in metres. The largest value means no depth, as 0 does: sensors write it where
+    they measured none, and where a surface is farther than a PNG can say.
     """
     fault = fault_of(path)
     if fault is None:
         check_depth_header(path, lens)
-    return DepthMap(path, partial(_read_png, path, unit, none_from), fault=fault, step=unit)
+    return DepthMap(path, partial(_read_png, path, unit), fault=fault, step=unit)
 
 
 def fault_of(path: Path) -> PlgsError | None:
@@ -77,12 +80,11 @@ def fault_of(path: Path) -> PlgsError | None:
     return None
 
 
-def _read_png(path: Path, unit: float, none_from: int) -> NDArray[np.float32]:
+def _read_png(path: Path, unit: float) -> NDArray[np.float32]:
     steps = decode_depth(path, _PNG_FIX)
     if steps.dtype != np.uint16:
         raise PlgsError("depth is not a 16-bit grey PNG", path, _PNG_FIX)
-    if none_from < 65536:
-        steps[steps >= none_from] = 0
+    steps[steps == _LARGEST] = 0
     return steps * np.float32(unit)
 
 

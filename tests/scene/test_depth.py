@@ -27,6 +27,17 @@ def test_no_depth_stays_none_at_any_size(tmp_path: Path) -> None:
     assert {*np.unique(read).tolist()} == {0.0, 2.0}, "holes must not be mixed with depth"
 
 
+def test_the_largest_value_is_no_depth(tmp_path: Path) -> None:
+    """It was 65.5 m: a wall of points around the room, without a word."""
+    scene = write_tiny_scene(tmp_path)
+    path = scene / "depth" / "0000.png"
+    steps = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+    steps[:5] = 65535
+    cv2.imwrite(str(path), steps)
+    depth = open_scene(scene).frames[0].depth()
+    assert not depth[:5].any() and depth[5:].all()
+
+
 def test_grey_in_three_equal_channels_is_depth(tmp_path: Path) -> None:
     folder = write_tiny_scene(tmp_path, frames=5)
     cv2.imwrite(str(folder / "depth" / "0001.png"), np.full((48, 64, 3), 1999, np.uint16))

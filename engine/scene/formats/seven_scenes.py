@@ -36,7 +36,6 @@ from .lens import assumed, fitted
 from .poses import inverse
 from .sensor_lens import SensorLens, find_sensor_lens
 
-_NONE = 65535
 _MOST_INFO = 1 << 16
 _DEPTH_TO_COLOUR = np.array(
     [
@@ -103,7 +102,7 @@ def _read(place: Path) -> Capture:
 
     def shot(name: str, base: Path, pose: NDArray[np.float64], picture: Path) -> Shot:
         lens = fitted(colour, picture, f"Correct {path.name}.")
-        measured = png_depth(_depth_file(base), lens, unit, none_from=_NONE)
+        measured = png_depth(_depth_file(base), lens, unit)
         return Shot(name, lens.at(pose), picture, replace(measured, alignment=alignment))
 
     return _capture(place, shot, () if _is_one_camera(info, path) else (_APART,))
@@ -150,7 +149,7 @@ def _read_tsdf(place: Path) -> Capture:
 
     def shot(name: str, base: Path, pose: NDArray[np.float64], picture: Path) -> Shot:
         lens = read_intrinsics(intrinsics, read_image_header(picture).size)
-        return Shot(name, lens.at(pose), picture, png_depth(_depth_file(base), lens, none_from=_NONE))
+        return Shot(name, lens.at(pose), picture, png_depth(_depth_file(base), lens))
 
     return _capture(place, shot)
 
@@ -187,7 +186,7 @@ def _depth_file(base: Path) -> Path:
 def _sensors_shot(sensor: SensorLens, name: str, base: Path, pose: NDArray[np.float64], colour: Path) -> Shot:
     """A frame of a sensor whose own file says its lens; depth is registered to colour. Raises PlgsError."""
     lens = sensor.fitting(colour)
-    depth = png_depth(_depth_file(base), lens, sensor.step or MILLIMETRES, none_from=_NONE)
+    depth = png_depth(_depth_file(base), lens, sensor.step or MILLIMETRES)
     return Shot(name, lens.at(pose), colour, depth, distortion=sensor.distortion)
 
 
@@ -196,9 +195,9 @@ def _kinects_shot(name: str, base: Path, pose: NDArray[np.float64], colour: Path
     lens = fitted(_kinect(_COLOUR_F), colour, f"Write the lens, 3x3, into {_OWN_LENS}.")
     projected = base.with_name(f"{base.name}.depth.proj.png")
     if projected.is_file():
-        return Shot(name, lens.at(pose), colour, png_depth(projected, lens, none_from=_NONE))
+        return Shot(name, lens.at(pose), colour, png_depth(projected, lens))
     beside = inverse(_DEPTH_TO_COLOUR)
-    measured = png_depth(_depth_file(base), lens, none_from=_NONE)
+    measured = png_depth(_depth_file(base), lens)
     shown = measured.through(lambda values: registered(values, _kinect(_DEPTH_F), lens.at(beside)))
     return Shot(name, lens.at(pose @ beside), colour, shown)
 
