@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from hashlib import file_digest, sha256
+from hashlib import sha256
 from pathlib import Path
 from shutil import rmtree
 from typing import Any, NoReturn
@@ -17,7 +17,7 @@ from .job import LiftFolder, LiftState, write_atomically
 from .known_scene import FIND_SCENE, has_known, known_scene, read_known, write_known
 from .posed.scene_record import stored_scene
 from .result_files import INSTANCES, read_instances
-from .scene import Camera, Frame, OtherClasses, PosedFrame, Scene, open_asked
+from .scene import Camera, Frame, OtherClasses, PosedFrame, Scene, digests_of_files, open_asked
 
 _ALIKE = 1e-4
 """Metres, pixels and entries of rotations by which the cameras of the same frames may differ."""
@@ -70,7 +70,7 @@ def remember_scene(folder: LiftFolder, scene: Scene, warn: Callable[[str], objec
         for baked in (folder.passes_path, folder.previews_path):
             if baked.exists():
                 rmtree(baked)
-    known, files = stored_scene(scene, scene.frames, masks), digests_of_files(scene.frames)
+    known, files = stored_scene(scene, scene.frames, masks), _digests_of(scene.frames)
     frames = tuple(replace(frame, files=digest) for frame, digest in zip(known.frames, files, strict=True))
     write_known(folder, replace(known, frames=frames))
     return masks
@@ -85,7 +85,7 @@ def refuse_changed(folder: LiftFolder, scene: Scene) -> None:
     refuse_others(known.posed_frames(scene.folder), scene)
     there = {frame.name: frame for frame in scene.frames}
     before, frames = known.frames, [there[frame.name] for frame in known.frames]
-    for frame, now, digest in zip(before, frames, digests_of_files(frames), strict=True):
+    for frame, now, digest in zip(before, frames, _digests_of(frames), strict=True):
         if frame.held_out != now.held_out:
             raise another(f"{frame.name} is held out" if now.held_out else f"{frame.name} is not held out", scene)
         if frame.files and frame.files != digest:
@@ -150,20 +150,6 @@ def digest_of_masks(scene: Scene) -> str:
     return found.hexdigest()
 
 
-def digests_of_files(frames: Sequence[Frame]) -> list[str]:
-    """For each frame, the start of the SHA-256 of the files with its photo and its depth; of one that cannot be read,
-    the same as of an empty one. A file that holds several frames is read once."""
-    read: dict[Path | None, bytes] = {None: b""}
-    for path in {path for frame in frames for path in (frame.colour_path, frame.depth_path)} - {None}:
-        try:
-            with open(path, "rb") as file:
-                read[path] = file_digest(file, "sha256").digest()
-        except OSError:
-            read[path] = b""
-    found = (read[frame.colour_path] + read[frame.depth_path] for frame in frames)
-    return [sha256(each).hexdigest()[:16] for each in found]
-
-
 def relink(folder: LiftFolder, place: Path) -> LiftFolder:
     """Let a lift's request name its scene at another ``place``. Masks and depth maps that lay in it move along.
 
@@ -191,6 +177,10 @@ def refuse_others(known: Sequence[PosedFrame], scene: Scene) -> None:
             raise another(f"it has no frame {frame.name}", scene)
         if not _is_same(frame.camera, there[frame.name].camera):
             raise another(f"the camera of {frame.name} differs", scene)
+
+
+def _digests_of(frames: Sequence[Frame]) -> list[str]:
+    return digests_of_files([(frame.colour_path, frame.depth_path) for frame in frames])
 
 
 def _gone(scene: Path) -> Callable[[Any], NoReturn]:

@@ -34,7 +34,7 @@ ENGINE_MAY_IMPORT: dict[str, set[str]] = {
     "lift_arrays": {"job", "json_file", "known_scene", "corrections", "posed", "result_files"},
     "corrections": {"errors", "json_file", "records", "job", "posed", "result_files", "known_scene"},
     "scene": {"gates", "errors", "json_file", "records", "presets", "scene_source", "job", "posed"},
-    "scene_of_lift": {"errors", "job", "known_scene", "scene"},
+    "scene_of_lift": {"errors", "job", "posed", "result_files", "known_scene", "scene"},
     "machine": {"user_cache"},
     "raster": {"machine"},
     "semantics": {"presets", "scene", "machine"},

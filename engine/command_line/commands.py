@@ -203,7 +203,7 @@ def segment(options: argparse.Namespace, events: EventWriter, stop: StopSignal) 
     scene = open_scene(place, None, options.up or "z", options.scene_format)
     folder: Path = options.output or (place if place.is_dir() else place.with_suffix(""))
     name = str(Path(options.model).resolve()) if Path(options.model).is_dir() else options.model
-    job = begin_job(folder, name, len(scene.frames))
+    job = begin_job(folder, name, scene.frames)
     answer: dict[str, Json] = {"folder": str(folder), "frames": len(scene.frames)}
     if job.is_finished:
         events.answer(answer, f"These masks are finished already: {folder}")

@@ -18,6 +18,7 @@ from .evidence import (
     resolution_on,
     resolves,
 )
+from .files_of_frames import digests_of_files
 from .formats import FORMATS, SceneFormat
 from .frame import Frame, GroundTruth, PanopticMask, Scene, Segment, Size, SparsePoints
 from .frame_choice import choose_frames, evenly_spread, photo_detail

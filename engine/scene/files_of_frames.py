@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Collection, Mapping, Sequence
+from hashlib import file_digest, sha256
 from pathlib import Path
 
 from ..errors import PlgsError
@@ -49,6 +50,19 @@ def whole_file(path: Path) -> Path:
     elif not path.is_file() or not path.stat().st_size:
         raise PlgsError("the file is missing, or empty", path, "Write this file again.")
     return path
+
+
+def digests_of_files(groups: Sequence[tuple[Path | None, ...]]) -> list[str]:
+    """For each group of files the start of the SHA-256 of what is in them; one that is None, or cannot be read, counts
+    as empty. A file of several groups is read once."""
+    read: dict[Path | None, bytes] = {None: b""}
+    for path in {path for group in groups for path in group if path is not None}:
+        try:
+            with open(path, "rb") as file:
+                read[path] = file_digest(file, "sha256").digest()
+        except OSError:
+            read[path] = b""
+    return [sha256(b"".join(read[path] for path in group)).hexdigest()[:16] for group in groups]
 
 
 def of_same_number(names: Sequence[str], files: Mapping[str, Path]) -> Mapping[str, Path]:

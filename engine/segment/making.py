@@ -7,8 +7,9 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from hashlib import sha256
 from pathlib import Path
 from typing import Protocol
 
@@ -18,7 +19,7 @@ from numpy.typing import NDArray
 from ..errors import PlgsError
 from ..job import write_atomically
 from ..json_file import read_object, read_value
-from ..scene import ClassLabel, Scene
+from ..scene import ClassLabel, Frame, Scene, digests_of_files
 from .merging import MadeSegment
 
 TABLE, FOLDER, MADE_BY = "panoptic.json", "panoptic", "made_by.json"
@@ -58,21 +59,24 @@ class Job:
             self.pictures.rmdir()
 
 
-def begin_job(folder: Path, model: str, frames: int) -> Job:
-    """Begin in ``folder``, or continue there. Raises PlgsError for masks of other programs or another model: nothing is
-    overwritten."""
-    made_by = folder / FOLDER / MADE_BY
+def begin_job(folder: Path, model: str, frames: Sequence[Frame]) -> Job:
+    """Begin in ``folder``, or continue there. Raises PlgsError for masks of other programs, another model or other
+    photos: nothing is overwritten."""
+    made_by, of_files = folder / FOLDER / MADE_BY, digests_of_files([(frame.colour_path,) for frame in frames])
+    photos = sha256(repr([*zip((frame.name for frame in frames), of_files, strict=True)]).encode()).hexdigest()
     fix = "Name another folder with -o, or remove these."
     if made_by.is_file():
         content = read_object(made_by, fix)
-        if content.get("model") != model or content.get("frames") != frames:
+        if content.get("model") != model or content.get("frames") != len(frames):
             raise PlgsError(f"masks by {content.get('model')} of {content.get('frames')} frames are here", folder, fix)
+        if content.get("photos", photos) != photos:
+            raise PlgsError("the photos have changed since masks of them were made here", folder, fix)
         return Job(folder, True, (folder / TABLE).is_file())
     others = [name for name in (TABLE, FOLDER, *_OTHER_MASKS) if (folder / name).exists()]
     if others:
         raise PlgsError(f"there are masks already ({others[0]})", folder, fix)
     try:
-        write_atomically(made_by, json.dumps({"model": model, "frames": frames}) + "\n")
+        write_atomically(made_by, json.dumps({"model": model, "frames": len(frames), "photos": photos}) + "\n")
     except OSError as error:
         raise PlgsError(f"this cannot be written ({error.strerror})", folder, "Name another with -o.") from error
     return Job(folder, False, False)

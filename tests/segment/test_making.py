@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from engine.errors import PlgsError
 from engine.scene import ClassLabel, check_scene, open_scene
-from engine.segment import begin_job, make_masks
+from engine.segment import Job, begin_job, make_masks
 from engine.segment.merging import MadeSegment
 from tests.tiny_scene import write_tiny_scene
 
@@ -48,9 +48,13 @@ def silent(done: int, frames: int, made: int) -> None:
     pass
 
 
+def begun(folder: Path, model: str = "halves") -> Job:
+    return begin_job(folder, model, open_scene(folder).frames)
+
+
 def test_masks_are_a_scenes_own(folder: Path) -> None:
     network = Halves()
-    make_masks(open_scene(folder), begin_job(folder, "halves", 4), network, silent)
+    make_masks(open_scene(folder), begun(folder), network, silent)
     scene = open_scene(folder)
     assert check_scene(scene) == () and len(network.seen) == 4
     assert [(one.id, one.name, one.is_thing) for one in scene.classes.categories] == [
@@ -61,7 +65,7 @@ def test_masks_are_a_scenes_own(folder: Path) -> None:
     assert [(one.class_id, one.score) for one in mask.segments] == [(1, 0.9), (2, 0.75)]
     table = json.loads((folder / "panoptic.json").read_text())
     assert table["annotations"][0]["segments_info"][1]["area"] == 20 * 8
-    assert begin_job(folder, "halves", 4).is_finished
+    assert begun(folder).is_finished
 
 
 def test_what_was_stopped_continues(folder: Path) -> None:
@@ -71,9 +75,9 @@ def test_what_was_stopped_continues(folder: Path) -> None:
 
     first, second, told = Halves(), Halves(), list[tuple[int, int, int]]()
     with pytest.raises(KeyboardInterrupt):
-        make_masks(open_scene(folder), begin_job(folder, "halves", 4), first, stop)
+        make_masks(open_scene(folder), begun(folder), first, stop)
     assert len(first.seen) == 2 and not open_scene(folder).has_masks
-    job = begin_job(folder, "halves", 4)
+    job = begun(folder)
     assert job.is_begun and not job.is_finished
     make_masks(open_scene(folder), job, second, lambda *counts: told.append(counts))
     assert len(second.seen) == 2 and told == [(1, 4, 0), (2, 4, 0), (3, 4, 1), (4, 4, 2)]
@@ -81,19 +85,32 @@ def test_what_was_stopped_continues(folder: Path) -> None:
 
 
 def test_other_masks_are_never_overwritten(folder: Path) -> None:
-    make_masks(open_scene(folder), begin_job(folder, "halves", 4), Halves(), silent)
+    make_masks(open_scene(folder), begun(folder), Halves(), silent)
     with pytest.raises(PlgsError, match="masks by halves of 4 frames.*-o"):
-        begin_job(folder, "another", 4)
+        begun(folder, "another")
     for name in ("panoptic.json", "m2f_semantics", "masks"):
         other = folder.parent / f"with_{name}"
         (other / name).mkdir(parents=True)
         with pytest.raises(PlgsError, match=f"masks already .{name}"):
-            begin_job(other, "halves", 4)
+            begin_job(other, "halves", ())
         assert [path.name for path in other.iterdir()] == [name]
 
 
+def test_masks_of_other_photos_are_not_finished_already(folder: Path) -> None:
+    """Their number alone was looked at."""
+    job = begun(folder)
+    make_masks(open_scene(folder), job, Halves(), silent)
+    photo = folder / "color" / "0001.png"
+    photo.write_bytes((folder / "color" / "0002.png").read_bytes())
+    with pytest.raises(PlgsError, match=r"the photos have changed.*-o"):
+        begun(folder)
+    made_by = job.pictures / "made_by.json"
+    made_by.write_text('{"model": "halves", "frames": 4}')  # by an earlier version
+    assert begun(folder).is_finished
+
+
 def test_a_damaged_frame_is_named(folder: Path) -> None:
-    job = begin_job(folder, "halves", 4)
+    job = begun(folder)
     make_masks(open_scene(folder), job, Halves(), silent)
     (folder / "panoptic.json").unlink()
     for name in ("0000", "0001", "0002", "0003"):
@@ -104,8 +121,8 @@ def test_a_damaged_frame_is_named(folder: Path) -> None:
 
 def test_an_empty_job_leaves_nothing_behind(folder: Path) -> None:
     before = sorted(folder.iterdir())
-    begin_job(folder, "halves", 4).discard_if_empty()
+    begun(folder).discard_if_empty()
     assert sorted(folder.iterdir()) == before
-    make_masks(open_scene(folder), begin_job(folder, "halves", 4), Halves(), silent)
-    begin_job(folder, "halves", 4).discard_if_empty()
+    make_masks(open_scene(folder), begun(folder), Halves(), silent)
+    begun(folder).discard_if_empty()
     assert open_scene(folder).has_masks, "what was made stays"
