@@ -32,6 +32,7 @@ from ..model.rendering import ClipRange
 from ..passes.baked_view import BakedView
 from ..passes.exr import further_layers, read_note, write_exr
 from ..passes.frame_header import ShownFrame, number_in
+from ..result_files import INSTANCES
 from ..scene import Camera, Frame, Scene, size_within
 from ..scene_of_lift import complete_known_scene, scene_of_lift
 from ..train.progress import StageReporter
@@ -49,7 +50,7 @@ WAIT_S = 0.2
 CAMERA_NOTE = "plgs/camera"
 """Attribute in the header of a view that does not belong to a frame: the fingerprint of its camera."""
 MODEL_NOTE = "plgs/model"
-"""Attribute in the header of a view in a folder of its own: the SHA-256 of the lift's model."""
+"""Attribute in the header of a view in a folder of its own: the SHA-256 of the lift's model, and of its objects."""
 MOST_LOOKS, LOOK_WITHIN = 8, (96, 96)
 """At most this many views are drawn before a bake, so small, to tell what the capture does not resolve of them."""
 
@@ -192,13 +193,15 @@ def is_whole(passes: Path, notes: Mapping[str, str], layers: tuple[str, ...]) ->
 
 def frames_named(scene: Scene, names: Sequence[str]) -> list[Frame]:
     """The named frames in recording order, each once. "10-200:2" and the like (see `frame_numbers`) are the last
-    numbers in the frames' names (0010 and frame_0010.colour have the number 10). Raises PlgsError for a name or a range
-    that matches no frame.
+    numbers in the frames' names (0010 and frame_0010.colour have the number 10). A frame that is named "test" is one of
+    those. Raises PlgsError for a name or a range that matches no frame.
     """
-    groups = {"all": scene.frames, "test": scene.test_frames, **{frame.name: [frame] for frame in scene.frames}}
+    groups: dict[str, tuple[Frame, ...]] = {frame.name: (frame,) for frame in scene.frames}
+    for name, group in (("all", scene.frames), ("test", scene.test_frames)):
+        groups[name] = group + groups.get(name, ())
     wanted = set[str]()
     for name in names:
-        found = groups[name] if name in groups else _in_range(scene, name)
+        found: Sequence[Frame] = groups[name] if name in groups else _in_range(scene, name)
         if not found and name not in groups:
             fix = f"Give all, test, names of frames, such as {scene.frames[0].name}, or numbers: 10-200:2 or 7,9."
             raise PlgsError(f"the scene has no frame {name}", scene.folder, fix)
@@ -227,7 +230,7 @@ class _OwnFolder:
         if self._output.resolve().is_relative_to(folder.result_path.resolve()):
             raise PlgsError("is within the lift's result", self._output, "Name another folder.", option="-o")
         files = {str(file.path): file for file in read_manifest(folder.result_path).files}
-        self._model = {MODEL_NOTE: files[MODEL].sha256}
+        self._model = {MODEL_NOTE: f"{files[MODEL].sha256} {files[INSTANCES].sha256}"}
 
     def claim_of(self, view: WantedView) -> str:
         """The name of what no other process may write at the same time."""

@@ -341,6 +341,15 @@ def test_ranges_refer_to_the_numbers_in_the_names(finished: dict[str, LiftFolder
             frames_named(scene, [wrong])
 
 
+def test_a_frame_with_the_name_of_a_group(finished: dict[str, LiftFolder]) -> None:
+    """It took the group's place: of a scene with a photo all.png, nothing else was baked or exported."""
+    scene = scene_of_lift(finished["test"])
+    names = {"0001": "all", "0002": "test"}
+    renamed = replace(scene, frames=tuple(replace(each, name=names.get(each.name, each.name)) for each in scene.frames))
+    assert frames_named(renamed, ["all"]) == [*renamed.frames]
+    assert [frame.name for frame in frames_named(renamed, ["test"])] == ["test", "0004"]
+
+
 def test_a_finished_shot_is_recognised_with_one_read(lift: LiftFolder, monkeypatch: pytest.MonkeyPatch) -> None:
     bake(lift, "all")
     reads = list[Path]()

@@ -155,7 +155,12 @@ def test_classes_that_were_renamed_are_those_of_the_next_result(place: Path) -> 
     table = scene / "panoptic.json"
     table.write_text(table.read_text().replace('"name": "chair"', '"name": "stool"'))
     assert "stool" not in [each.name for each in scene_of_lift(lift).classes.categories]
+    own = ["bake", str(lift.path), "--frames", "0001", "-o", str(place / "own")]
+    assert main(own) == ExitCode.FINISHED
+    before = (place / "own" / "0001.exr").read_bytes()
     assert main(["lift", str(lift.path), "--resume"]) == ExitCode.FINISHED
+    assert main(own) == ExitCode.FINISHED
+    assert (place / "own" / "0001.exr").read_bytes() != before
     classes, objects = read_instances(lift.result_path / "instances.json")
     assert "stool" in [each.name for each in classes.categories] and "chair" not in {one.class_name for one in objects}
     assert "stool" in [each.name for each in scene_of_lift(lift).classes.categories]
