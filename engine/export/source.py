@@ -66,17 +66,17 @@ class FinishedLift:
 
     @cached_property
     def _wanted(self) -> tuple[frozenset[int], frozenset[int]]:
-        """The ids of the classes and of the instances that are wanted. Raises PlgsError for an unknown name."""
-        of_class = {each.name.casefold(): each.id for each in self.classes.categories}
-        of_instance = {name.casefold(): number for number, name in self.instances.names.items()}
-        unknown = [name for name in self.objects if name.casefold() not in of_class | of_instance]
+        """The ids of all classes and all instances with a wanted name. Raises PlgsError for an unknown name."""
+        of_class = {each.id: each.name.casefold() for each in self.classes.categories}
+        of_instance = {number: name.casefold() for number, name in self.instances.names.items()}
+        unknown = [name for name in self.objects if name.casefold() not in {*of_class.values(), *of_instance.values()}]
         if unknown:
-            fix = f"Name objects or classes, such as {listed([*self.instances.names.values(), *of_class])}."
+            fix = f"Name objects or classes, such as {listed([*self.instances.names.values(), *of_class.values()])}."
             raise PlgsError(f'the lift has nothing called "{unknown[0]}"', self.folder.path, fix, option="--objects")
-        asked = [name.casefold() for name in self.objects]
+        asked = {name.casefold() for name in self.objects}
         return (
-            frozenset(of_class[name] for name in asked if name in of_class),
-            frozenset(of_instance[name] for name in asked if name in of_instance),
+            frozenset(number for number, name in of_class.items() if name in asked),
+            frozenset(number for number, name in of_instance.items() if name in asked),
         )
 
     def wants(self, class_id: int, instance_id: int) -> bool:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import shutil
 from pathlib import Path
 
 import cv2
@@ -185,6 +186,15 @@ def test_splats_are_exported_and_chosen_by_name(lift: LiftFolder, tmp_path: Path
     np.testing.assert_array_equal(some.positions.numpy(), whole.positions.numpy()[kept[:, 0]])
     np.testing.assert_array_equal(some["f_dc"].numpy(), whole["f_dc"].numpy()[kept[:, 0]])
     assert 0 < kept.sum() < len(kept)
+
+
+def test_all_objects_of_a_name_are_exported(lift: LiftFolder, tmp_path: Path) -> None:
+    """The last of them alone was."""
+    own = LiftFolder.open(shutil.copytree(lift.path, tmp_path / "lift"))
+    ids = [one.id for one in FinishedLift(own, ["all"]).listed]
+    for number in ids:
+        assert main(["correct", str(own.path), "rename", str(number), "Seat"]) == 0
+    assert len(ids) > 1 and [one.id for one in FinishedLift(own, ["all"], objects=["seat"]).listed] == ids
 
 
 def test_unknown_objects_are_refused_before_anything_is_written(
