@@ -112,3 +112,19 @@ def test_what_does_not_fit_is_found_again(tmp_path: Path) -> None:
     np.savetxt(pose, moved)
     with pytest.raises(PlgsError, match="the camera of 0000 differs"):
         lift(folder, resume=True, stop_at=1)
+
+
+def test_a_run_that_was_killed_does_not_hide_that_the_masks_have_changed(tmp_path: Path) -> None:
+    """It had noted the new masks, and what was learnt of the old ones was taken for theirs."""
+    scene = write_tiny_scene(tmp_path / "scene", frames=5, size=(32, 24))
+    options = {"steps": STEPS, "labels": "decoders"}
+    folder = LiftFolder.create(tmp_path / "lift", LiftRequest(scene=scene, options=options))
+    lift(folder, resume=False, stop_at=2)
+    for picture in (scene / "panoptic").glob("*.png"):
+        mask = cv2.imread(str(picture))
+        mask[:, :10] = 0
+        cv2.imwrite(str(picture), mask)
+    remember_scene(folder, open_asked(folder.request))
+    lift(folder, resume=True, stop_at=2)
+    told = [event.data["message"] for event in last_run(folder.events_path) if event.kind == "warning"]
+    assert any("trained again" in str(line) for line in told)
