@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from ..errors import PlgsError
+from ..posed.layout import same_shape, shown_size
 from ..scene.label_folders import LabelFolder, in_one_table
 from ..scene.pixels import resize_nearest
 from .report import PredictedView, Report
@@ -14,7 +15,7 @@ def score_folders(predictions: LabelFolder, truth: LabelFolder, *, ids_per_frame
     """The scores of all predicted frames, in the form of metrics.json. All of them need ground truth.
 
     ``ids_per_frame``: an instance id is valid only within its frame, like a detector's. Predictions are resized to the
-    ground truth. Raises PlgsError if a file is bad.
+    ground truth. Raises PlgsError if a file is bad, or shows another cut of the picture.
     """
     unknown = [name for name in predictions.readers if name not in truth.readers]
     if unknown:
@@ -26,6 +27,9 @@ def score_folders(predictions: LabelFolder, truth: LabelFolder, *, ids_per_frame
         predicted, true = read(), truth.readers[name]()
         height, width = true.semantic.shape
         size = width, height
+        if not same_shape((predicted.semantic.shape[1], predicted.semantic.shape[0]), size):
+            what = f"frame {name} has another shape than its ground truth of {shown_size(size)}"
+            raise PlgsError(what, predictions.folder, "Bring predictions to the whole picture of the ground truth.")
         semantic, instance = resize_nearest(predicted.semantic, size), resize_nearest(predicted.instance, size)
         if ids_per_frame:
             instance = instance + (instance > 0) * next_id

@@ -59,6 +59,15 @@ def test_masks_against_pngs(pair: tuple[str, str], tmp_path: Path) -> None:
     assert detector["id_changes"] == 1.0
 
 
+def test_another_cut_of_the_picture_is_not_stretched_over_it(tmp_path: Path) -> None:
+    """Square crops were scored as if they showed the whole picture."""
+    truth, predictions = write_masks(tmp_path / "truth"), write_pngs(tmp_path / "cut", "class", "instance")
+    for path in predictions.rglob("*.png"):
+        cv2.imwrite(str(path), cv2.imread(str(path), cv2.IMREAD_UNCHANGED)[:, 2:14])
+    with pytest.raises(PlgsError, match="frame 0001 has another shape than its ground truth of 16x12"):
+        strict(predictions, truth)
+
+
 def test_a_merged_chair(tmp_path: Path) -> None:
     merged = write_masks(tmp_path / "masks", np.minimum(INSTANCE, 1))
     scores = strict(merged, write_masks(tmp_path / "truth"))
