@@ -18,6 +18,10 @@ _FLOAT, _WHOLE, _VERTICES, _INDICES = 5126, 5125, 34962, 34963
 _MAGIC, _JSON, _BIN = b"glTF", b"JSON", b"BIN\0"
 
 
+GENERATOR = "PLGS for Blender"
+"""What each file says of its maker, in its first 128 bytes."""
+
+
 def glb_bytes(parts: Sequence[Part]) -> bytes:
     """A node and a mesh for each part, in glTF's axes (y up). A node's ``extras`` have its class and its ids."""
     views: list[dict[str, int]] = []
@@ -45,7 +49,7 @@ def glb_bytes(parts: Sequence[Part]) -> bytes:
         drawn = {"attributes": attributes, "indices": first + 3, "material": 0}
         meshes.append({"name": part.name, "primitives": [drawn]})
     content = {
-        "asset": {"version": "2.0", "generator": "PLGS for Blender"},
+        "asset": {"version": "2.0", "generator": GENERATOR},
         "scene": 0,
         "scenes": [{"nodes": list(range(len(nodes)))}],
         "nodes": nodes,

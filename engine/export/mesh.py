@@ -23,7 +23,7 @@ from ..posed.labelled_surface import LEAST_TRIANGLES, triangles_by_label
 from ..scene import Camera, ClassTable
 from .cutting import cut_by_label, even_labels
 from .fusion import SmallView, Surface, fuse
-from .glb import glb_bytes
+from .glb import GENERATOR, glb_bytes
 from .mending import close_holes, without_crumbs, without_flakes, without_fringe
 from .parts import Part
 from .source import FinishedLift
@@ -40,11 +40,18 @@ MOST_INSTANCES = 1 << 16
 
 def export_mesh(lift: FinishedLift, output: Path) -> None:
     """mesh.ply, the whole surface with class_id and instance_id of every vertex, and meshes/<name>.glb, one per
-    instance and stuff class (glTF's axes, y up). Raises PlgsError where no surface was rendered, OSError."""
+    instance and stuff class (glTF's axes, y up). Those of an earlier export whose objects are gone are removed. Raises
+    PlgsError where no surface was rendered, OSError."""
     surface, label = finished(lift)
     write_surface(lift, output / "mesh.ply", surface, label)
-    for part in _cut(lift, surface, label):
-        write_atomically(output / "meshes" / f"{part.name}.glb", glb_bytes([part]))
+    parts = {output / "meshes" / f"{part.name}.glb": part for part in _cut(lift, surface, label)}
+    for path, part in parts.items():
+        write_atomically(path, glb_bytes([part]))
+    for path in {*(output / "meshes").glob("*.glb")} - parts.keys():
+        with open(path, "rb") as file:
+            is_ours = GENERATOR.encode() in file.read(128)
+        if is_ours:
+            path.unlink()
 
 
 def write_surface(lift: FinishedLift, path: Path, surface: Surface, label: NDArray[np.int64]) -> None:

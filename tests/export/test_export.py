@@ -240,6 +240,18 @@ def test_meshes_are_exported(lift: LiftFolder, tmp_path: Path) -> None:
     assert np.asarray(read.vertex_colors).max() > 0.1
 
 
+def test_meshes_of_objects_that_are_gone_do_not_stay(lift: LiftFolder, tmp_path: Path) -> None:
+    own = LiftFolder.open(shutil.copytree(lift.path, tmp_path / "lift"))
+    meshes = tmp_path / "out" / "meshes"
+    run(own, "mesh", tmp_path / "out")
+    before = {path.name for path in meshes.iterdir()}
+    (meshes / "mine.glb").write_bytes(b"glTF of somebody else")
+    chair = next(one for one in FinishedLift(own, ["all"]).listed if one.class_name == "chair")
+    assert main(["correct", str(own.path), "delete", str(chair.id)]) == 0
+    run(own, "mesh", tmp_path / "out")
+    assert {path.name for path in meshes.iterdir()} == before - {f"{chair.name}.glb"} | {"mine.glb"}
+
+
 @pytest.mark.parametrize("setting", ["mesh.LEAST_ALPHA", "mending.FLAKE"])
 @pytest.mark.parametrize("kind", ["mesh", "gltf", "usd", "surface"])
 def test_a_lift_of_which_no_surface_is_left_is_refused(
