@@ -40,17 +40,19 @@ def make_frames(
 
     frames.json is written first with all cameras, so that a reader need not wait for pictures, and last with what was
     made. A picture is written if no image file shows it as it is. Depth and masks that the scene lacks are left out.
-    Files of an earlier run on the same scene are kept, unless their source is newer. Raises PlgsError when the folder
+    Files of an earlier run on the same scene are kept, unless their source is newer, or the frame's camera is another
+    one: then other pictures may lie in the scene's place, and be older. Raises PlgsError when the folder
     holds something else, a frame is not there, or the scene has none of ``kinds``; and when a file of the scene is bad.
     Bad depth for the cloud is reported after the pictures are written.
     """
     made = made_of(folder, source)
     chosen = _chosen(scene, names)
     _refuse_nothing(scene, chosen, kinds)
-    known = {frame.name for frame in scene.frames}
-    done = {} if made is None else {name: each for name, each in made.frames.items() if name in known}
-    cloud = None if made is None else made.cloud
-    made = MadeFrames(folder, source, stored_scene(scene, scene.frames), done, cloud, _points(scene, folder))
+    stored = stored_scene(scene, scene.frames)
+    same = set() if made is None else {frame.name for frame in {*stored.frames} & {*made.scene.frames}}
+    done = {} if made is None else {name: each for name, each in made.frames.items() if name in same}
+    cloud = None if made is None or len(same) < len(stored.frames) else made.cloud
+    made = MadeFrames(folder, source, stored, done, cloud, _points(scene, folder))
     made.write()
     in_cloud = _cloud_frames(scene.frames) if "cloud" in kinds else {}
     builder, problem = CloudBuilder(), None
@@ -103,7 +105,7 @@ def _make(scene: Scene, frame: Frame, folder: Path, kinds: Collection[str], made
     """One frame's pictures, including those of an earlier run."""
     if "colour" in kinds and not frame.file_shows_colour:
         path = folder / "color" / f"{frame.name}.jpg"
-        if not is_newer(path, frame.colour_path):
+        if made.colour is None or not is_newer(path, frame.colour_path):
             _write_image(path, frame.read_colour(None))
         made = replace(made, colour=path)
     if "depth" in kinds and frame.read_depth is not None:

@@ -88,6 +88,26 @@ def test_a_second_run_goes_on(archive: Path, tmp_path: Path) -> None:
     assert image(make_frames(scene, source, out, ["colour"], ["0"]).frames["0"].colour).size, "the scene is newer"
 
 
+def test_another_scene_in_the_place_of_one_is_not_shown_by_its_pictures(tmp_path: Path) -> None:
+    """Its files may be older, as those that come out of an archive: then pictures and cloud of the first one stayed."""
+    place, out = tmp_path / "scan.sens", tmp_path / "out"
+    room = write_tiny_scene(tmp_path / "room", frames=6)
+    place.write_bytes(sens())
+    first = make_frames(open_scene(place), SceneSource(place), out)
+    (out / "color" / "0.jpg").write_bytes(b"of the first")
+    place.unlink()
+    room.rename(place)
+    made = make_frames(open_scene(place), SceneSource(place), out, ["depth"])
+    assert first.cloud is not None and made.cloud is None and not {*first.frames} & {*made.frames}
+    (out / "depth" / "0000.png").write_bytes(b"of the poses before")
+    pose = place / "pose" / "0000.txt"
+    moved = np.loadtxt(pose)
+    moved[0, 3] += 0.1
+    np.savetxt(pose, moved)
+    made = make_frames(open_scene(place), SceneSource(place), out, ["depth"])
+    assert image(made.frames["0000"].depth).size
+
+
 def test_folders_of_others_and_strange_names_are_refused(archive: Path, tmp_path: Path) -> None:
     scene, out = open_scene(archive), tmp_path / "out"
     with pytest.raises(PlgsError, match="not a frame of the scene: 17"):

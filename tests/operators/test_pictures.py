@@ -134,6 +134,21 @@ def test_what_an_engine_made_is_there_at_the_next_import(own: Path, monkeypatch:
     assert bpy.data.collections["PLGS one.sens"]["plgs_missing"] == "colour cloud", "the scene is newer"
 
 
+def test_the_cloud_of_other_poses_is_not_placed(room: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Depth was older than the cloud, so it stayed where the cameras had been."""
+    place = Path(shutil.copytree(room, tmp_path / "room"))
+    bpy.ops.plgs.import_scene(scene_folder=str(place))
+    assert len(positions())
+    for pose in (place / "pose").iterdir():
+        moved = np.loadtxt(pose)
+        moved[0, 3] += 0.5
+        np.savetxt(pose, moved)
+    bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
+    monkeypatch.setenv("PLGS_ENGINE_PYTHON", "/nowhere/python")
+    bpy.ops.plgs.import_scene(scene_folder=str(place))
+    assert not clouds() and "cloud" in bpy.data.collections["PLGS room"]["plgs_missing"]
+
+
 def test_sparse_points_come_with_the_cameras(own: Path) -> None:
     assert bpy.ops.plgs.import_scene(scene_folder=str(own / "walk")) == {"FINISHED"}
     assert len(frames()) == 6 and all(ob.data.background_images for ob in frames().values())
