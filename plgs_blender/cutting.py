@@ -51,7 +51,7 @@ def split_by_cut(root: bpy.types.Collection, instance: int) -> Edit:
     """Split an object by the plane that `place_cut` placed, which is then taken away. Raises PlgsError."""
     plane = objects_by_key(root).get(CUT)
     if plane is None:
-        raise PlgsError("there is no cutting plane", root.name, "Press Add Cutting Plane, then drag the plane.")
+        raise PlgsError("there is no cutting plane", root.name, "Press Add Plane below Correct, then drag the plane.")
     normal = (plane.matrix_world.to_3x3() @ Vector((0.0, 0.0, 1.0))).normalized()
     made = split_plane(root, instance, plane.matrix_world.translation[:], normal[:])
     if plane.get(_GIZMOS):

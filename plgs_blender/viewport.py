@@ -175,7 +175,7 @@ def _free_of_sidebar(area: bpy.types.Area) -> tuple[bpy.types.Region, float]:
 
 def look_through(space: bpy.types.SpaceView3D, scene: bpy.types.Scene) -> None:
     """Let a 3D view look through its camera. Where its frame is as Blender puts it, half as wide as the view and partly
-    behind the sidebar, it fills what the sidebar leaves free.
+    behind the sidebar, it fills what the bars at its sides leave free.
     """
     view = space.region_3d
     view.view_perspective = "CAMERA"
@@ -183,14 +183,16 @@ def look_through(space: bpy.types.SpaceView3D, scene: bpy.types.Scene) -> None:
     if area is None or view.view_camera_zoom != 0.0 or any(view.view_camera_offset):
         return
     window, covered = _free_of_sidebar(area)
+    tools = next((region for region in area.regions if region.type == "TOOLS"), None)
+    left = tools.width / window.width if tools is not None and tools.width > 1 and tools.x >= window.x else 0.0
     render = scene.render
     sides = np.array([render.resolution_x * render.pixel_aspect_x, render.resolution_y * render.pixel_aspect_y])
-    room = _FILLED * np.array([window.width * (1.0 - covered), window.height])
+    room = _FILLED * np.array([window.width * (1.0 - covered - left), window.height])
     longest = max(window.width, window.height, 1)
     share = float((room / (sides / sides.max())).min()) / longest
     # Blender's own scales: its frame is (sqrt(2) + zoom / 50)^2 / 4 of the longest side, and moves by so many of these.
     view.view_camera_zoom = max(-30.0, 50.0 * (2.0 * math.sqrt(share) - math.sqrt(2.0)))
-    view.view_camera_offset = (covered * window.width / longest / (4.0 * max(share, 1e-3)), 0.0)
+    view.view_camera_offset = ((covered - left) * window.width / longest / (4.0 * max(share, 1e-3)), 0.0)
 
 
 def view_of(context: bpy.types.Context) -> tuple[bpy.types.SpaceView3D | None, float]:

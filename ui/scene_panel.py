@@ -182,7 +182,7 @@ def _draw_survey(layout: bpy.types.UILayout, context: bpy.types.Context, survey:
         column.label(text=plural(len(survey.classes), "class", "classes"), icon="COLOR")
     known = possibilities(survey, status().is_usable)
     possible = ", ".join(each.what for each in known if each.is_possible)
-    tell(box, context, f"Possible: {possible.lower()}" if possible else "Nothing is possible yet", "CHECKMARK")
+    tell(box, context, f"Possible: {possible.lower()}" if possible else "Nothing yet", "CHECKMARK" if possible else "X")
     for each in known:
         if not each.is_possible:
             tell(box, context, f"{each.what}: {each.why}", "X")

@@ -49,7 +49,7 @@ def why_no_lift(settings: PLGS_PG_settings) -> str | None:
     """Why the panel's lift cannot be started now; None when it can. Never reads the disk."""
     followed = followed_lift(settings)
     if followed is not None and followed.is_running:
-        return "This lift is already running"
+        return "Passes of this lift are being baked" if followed.is_baking else "This lift is already running"
     survey = survey_of(chosen_scene(settings)) if settings.scene_folder else None
     return (
         why_no_engine()
@@ -178,7 +178,9 @@ def why_no_bake(settings: PLGS_PG_settings) -> str | None:
     followed = followed_lift(settings)
     if followed is None or not (followed.is_finished or followed.is_running):
         return "Passes are baked from a finished lift: lift the scene first, or choose the folder of a lift"
-    return "The lift is still running" if followed.is_running else None
+    if followed.is_running:
+        return "Passes are being baked: wait, or cancel it" if followed.is_baking else "The lift is still running"
+    return None
 
 
 def bake_passes(scene: bpy.types.Scene, frames: str, folder: str = "") -> Lift:

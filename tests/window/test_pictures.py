@@ -70,6 +70,8 @@ settings = bpy.context.window_manager.windows[0].scene.plgs
 settings['scene_folder'] = '/home/artist/room'
 chosen = sys.modules[EXTENSION + '.plgs_blender.settings'].chosen_scene(settings)
 survey._latest = dataclasses.replace(survey._latest, chosen=chosen)
+for area in bpy.context.window_manager.windows[0].screen.areas:
+    area.tag_redraw()
 """
 """Lets the panel call the scene that it has read by another name than that of this machine's folder."""
 _IS_READ = "not __import__('sys').modules[EXTENSION + '.plgs_blender.running.survey']._latest.is_looking"
@@ -198,5 +200,6 @@ def test_an_import(window: Window, scene: Path) -> None:
     window.screenshot("docs-imported")
     window.press("plgs.show_picture", "MASKS")
     window.wait_for("bpy.context.scene.camera.data.background_images[0].image is not None")
+    window.move(SIZE[0] // 2, SIZE[1] - 5)
     window.settle(timeout=PATIENCE_S)
     window.screenshot("docs-masks")
