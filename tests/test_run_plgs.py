@@ -92,6 +92,12 @@ def test_resuming_a_finished_lift_only_repairs_the_blend(run: Run, tmp_path: Pat
     mending = run("broken", tmp_path / "scene", "-o", out, "--resume", "--seed", "4")
     mending.communicate(timeout=PATIENCE_S)
     assert mending.returncode == 0 and (out / "lift.blend").exists()
+    (out / "lift.blend").write_bytes(b"BLENDER before the corrections")
+    later = (out / "lift.blend").stat().st_mtime + 10
+    (out / "corrections.json").touch()
+    os.utime(out / "corrections.json", (later, later))
+    run("broken", tmp_path / "scene", "-o", out, "--resume").communicate(timeout=PATIENCE_S)
+    assert (out / "lift.blend").read_bytes() == b"BLENDER of out"
     other = run("broken", tmp_path / "scene", "-o", out, "--resume", "--seed", "5")
     assert "a different seed" in other.communicate(timeout=PATIENCE_S)[1]
     assert other.returncode == 2
