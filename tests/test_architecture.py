@@ -65,9 +65,11 @@ ENGINE_MAY_IMPORT: dict[str, set[str]] = {
     },
     "building": {
         "errors",
+        "posed",
         "presets",
         "job",
         "result_files",
+        "corrections",
         "scene",
         "scene_of_lift",
         "machine",

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
+from ..corrections import read_edits
 from ..errors import Cancelled, ErrorCode, PlgsError
 from ..job import EventWriter, LiftFolder, LiftRequest, StopSignal, read_manifest
 from ..job.folder import BLOCKS
@@ -27,6 +28,7 @@ from ..lift.run import CODE, finish, frames_to_bake, tell
 from ..lift.scene_files import read_model, write_lifted
 from ..machine.code_digest import code_digest
 from ..passes.baked_view import ShownInstances
+from ..posed.layout import listed
 from ..presets.preset import Preset
 from ..raster import drawing_on
 from ..result_files import INSTANCES, SEMANTIC_POINTS, SemanticPoints, read_arrays, read_instances
@@ -74,6 +76,8 @@ def _do_stages(folder: LiftFolder, preset: Preset, stages: StageReporter) -> Non
         cells, _ = cells_of(opened, request.blocks, progress)  # as each block cuts them
     with stages.stage("blocks") as progress:
         lifts = [lift_block(folder, number, progress) for number in range(1, request.blocks + 1)]
+        if corrected := [lift.path.name for lift in lifts if not all(edit.undone for edit in read_edits(lift.path))]:
+            events.warning(f"corrections of block {listed(corrected)} are not taken over: correct the joined lift")
     with stages.stage("join") as progress:
         whole = join([read_block(lift, cell) for lift, cell in zip(lifts, cells, strict=True)], scene.classes)
         viewpoint = np.mean([frame.camera.centre for frame in scene.train_frames], axis=0)

@@ -14,8 +14,9 @@ import pytest
 import torch
 
 from engine.building import run
+from engine.command_line.main import main
 from engine.errors import Cancelled, PlgsError
-from engine.job import CheckpointStore, EventWriter, LiftFolder, LiftRequest, LiftState, StopSignal, verify
+from engine.job import CheckpointStore, EventWriter, LiftFolder, LiftRequest, LiftState, StopSignal, last_run, verify
 from engine.lift import bake_frames, run_lift
 from engine.metrics.unshown import Refused, Unshown
 from engine.records import to_json
@@ -58,6 +59,8 @@ def test_a_building_in_two_blocks(building: LiftFolder, monkeypatch: pytest.Monk
     elsewhere = LiftFolder.create(building.path / "blocks" / "2", run.request_of_block(building.request, 2))
     lift(elsewhere)
     made = elsewhere.manifest_path.stat().st_mtime_ns
+    one = read_instances(elsewhere.result_path / INSTANCES)[1][0]
+    assert main(["correct", str(elsewhere.path), "rename", str(one.id), "Seat"]) == 0
 
     with monkeypatch.context() as patch:
         patch.setattr("engine.building.run.LOOK_EVERY_S", 0.0)
@@ -71,6 +74,8 @@ def test_a_building_in_two_blocks(building: LiftFolder, monkeypatch: pytest.Monk
     told = [one for one in metrics["masks_as_judges"]["not_shown"] if one["refused"]]
     assert told == [json.loads(json.dumps(to_json(trial)))]
     verify(building.result_path)
+    warned = [str(event.data["message"]) for event in last_run(building.events_path) if event.kind == "warning"]
+    assert any("corrections of block 2 are not taken over" in line for line in warned)
     assert elsewhere.manifest_path.stat().st_mtime_ns == made
     points = read_arrays(building.result_path / SEMANTIC_POINTS, SemanticPoints)
     _, instances = read_instances(building.result_path / INSTANCES)
