@@ -8,7 +8,8 @@ from __future__ import annotations
 import shutil
 import tempfile
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,7 @@ from ..errors import PlgsError
 from ..job import EventWriter, StopSignal
 from ..json_file import Json, read_object, to_line
 from ..posed.layout import listed
-from ..scene.files_of_frames import files_if_any
+from ..scene.files_of_frames import digests_of_files, files_if_any
 from ..scene.formats import FORMATS
 from ..scene.formats.colmap_model import MADE_BY, read_model
 from ..scene.formats.photos import LEAST, is_film, photos_in, sorted_out
@@ -37,7 +38,8 @@ _WITHOUT_DEPTH = (
 @dataclass(frozen=True)
 class Made:
     """``folder``: the scene. ``posed`` of ``photos`` pictures have a pose. ``scale`` is the metres per length of the
-    reconstruction, None without measured depth.
+    reconstruction, None without measured depth. ``files`` is a digest of the photos, empty where an earlier version
+    made the poses.
     """
 
     folder: Path
@@ -45,10 +47,11 @@ class Made:
     photos: int
     points: int
     scale: float | None
+    files: str = ""
 
     def to_json(self) -> dict[str, Json]:
         """What is kept beside the model."""
-        return {"posed": self.posed, "photos": self.photos, "points": self.points, "scale": self.scale}
+        return {name: value for name, value in asdict(self).items() if name != "folder"}
 
     @classmethod
     def read(cls, folder: Path) -> Made | None:
@@ -59,7 +62,8 @@ class Made:
         fix = "Move the folder sparse away, then make the poses again."
         data: Mapping[str, Any] = read_object(path, fix)
         try:
-            return cls(folder, int(data["posed"]), int(data["photos"]), int(data["points"]), data["scale"])
+            counts = int(data["posed"]), int(data["photos"]), int(data["points"])
+            return cls(folder, *counts, data["scale"], str(data.get("files", "")))
         except (KeyError, TypeError, ValueError) as error:
             raise PlgsError("this is not a record of made poses", path, fix) from error
 
@@ -68,10 +72,14 @@ def make_poses(place: Path, events: EventWriter, stop: StopSignal, pictures: int
     """Find the poses of the photos in a folder, or of a film's pictures, and write them beside the photos.
 
     A film's pictures go into a folder of the film's name. Existing files are never overwritten; poses that an earlier
-    call made are used. Raises PlgsError, OSError; Cancelled.
+    call made are used. Raises PlgsError, also where photos have changed since; OSError; Cancelled.
     """
     made = Made.read(place.with_suffix("") if is_film(place) else place)
     if made is not None:
+        photos = photos_in(made.folder)
+        if made.files and (photos is None or made.files != _digest_of(photos)):
+            fix = "Move the folder sparse away to find them again. Without --poses these are used."
+            raise PlgsError("the photos have changed since their poses were found", made.folder / "sparse", fix)
         return made
     colmap(place)  # before minutes of work
     folder, photos = _photos_of(place, events, stop, pictures)
@@ -81,6 +89,12 @@ def make_poses(place: Path, events: EventWriter, stop: StopSignal, pictures: int
         if is_film(place):  # its pictures, which this call wrote
             shutil.rmtree(folder, ignore_errors=True)
         raise
+
+
+def _digest_of(photos: Path) -> str:
+    """Of the photos in a folder and their names. Raises OSError."""
+    names = sorted_out(photos)[0]
+    return sha256(repr([names, digests_of_files([(photos / name,) for name in names])]).encode()).hexdigest()
 
 
 def _map(folder: Path, photos: Path, events: EventWriter, stop: StopSignal) -> Made:
@@ -104,7 +118,7 @@ def _map(folder: Path, photos: Path, events: EventWriter, stop: StopSignal) -> M
         out.mkdir(parents=True)
         model.write(out)
         metres = None if scale is None else scale.metres
-        made = Made(folder, model.num_reg_images(), len(names), model.num_points3D(), metres)
+        made = Made(folder, model.num_reg_images(), len(names), model.num_points3D(), metres, _digest_of(photos))
         (out / MADE_BY).write_bytes(to_line(made.to_json()))
         read_model(out)  # what a lift will read
         if (folder / "sparse").exists():

@@ -72,6 +72,17 @@ def test_a_scene_with_poses_and_one_without_photos_are_left_alone(
         find_poses(tmp_path / "empty", tmp_path)
 
 
+def test_poses_of_photos_that_have_changed_are_not_used(photos: Path, tmp_path: Path) -> None:
+    """Whatever lay there by now had the poses that were found for others."""
+    (photos / "sparse" / "0").mkdir(parents=True)
+    made = making.Made(photos, 6, 6, 100, None, making._digest_of(photos))
+    (photos / "sparse" / "0" / "made_by.json").write_text(json.dumps(made.to_json()))
+    assert make_poses(photos, EventWriter(tmp_path / "events.jsonl"), StopSignal()) == made
+    (photos / "0001.png").write_bytes((photos / "0002.png").read_bytes())
+    with pytest.raises(PlgsError, match=r"photos have changed since.*sparse.*Move the folder"):
+        find_poses(photos, tmp_path)
+
+
 @pytest.mark.parametrize("name", ["depth_{}", "conf_{}", "{}.depth", "frame-{}.depth.proj", "{}_DepthMap", "{}_mm"])
 def test_depth_and_confidence_are_no_photos(
     name: str, photos: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
