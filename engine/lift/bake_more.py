@@ -32,9 +32,10 @@ from ..model.rendering import ClipRange
 from ..passes.baked_view import BakedView
 from ..passes.exr import further_layers, read_note, write_exr
 from ..passes.frame_header import ShownFrame, number_in
+from ..posed.layout import listed
 from ..result_files import INSTANCES
 from ..scene import Camera, Frame, Scene, size_within
-from ..scene_of_lift import complete_known_scene, scene_of_lift
+from ..scene_of_lift import complete_known_scene, names_of_frames, scene_of_lift
 from ..train.progress import StageReporter
 from .baking import CORRECTIONS_NOTE, FrameBaker, baked_files, names_of_files, read_baker
 from .device import be_repeatable
@@ -88,8 +89,15 @@ def bake_frames(
     Raises PlgsError if the scene can no longer be read or lacks a frame, and Cancelled if stopped. What was baked
     until then stays.
     """
+
+    def views_in(scene: Scene) -> list[WantedView]:
+        lost = {*names_of_frames(folder)} - {frame.name for frame in scene.frames}
+        if lost:
+            events.warning(f"the scene has no readable frame {listed(sorted(lost))} any more: what is baked lacks it")
+        return _views_of(folder, frames_named(scene, frames))
+
     with BakeLocks(folder.path) as locks:
-        _bake(folder, locks, lambda scene: _views_of(folder, frames_named(scene, frames)), events, stop, options)
+        _bake(folder, locks, views_in, events, stop, options)
 
 
 def bake_cameras(

@@ -135,6 +135,14 @@ def test_what_is_baked_of_other_cameras_is_not_the_lift(place: Path, capfd: pyte
     assert not (place / "out").exists()
 
 
+def test_a_frame_that_is_gone_is_told_by_a_bake_of_all(place: Path) -> None:
+    lift, scene = relink(LiftFolder.open(place / "lift"), place.parent / "found").path, place.parent / "found"
+    (scene / "color" / "0001.png").unlink()
+    assert main(["bake", str(lift), "-o", str(place / "out")]) == ExitCode.FINISHED
+    assert len([*(place / "out").iterdir()]) == 5
+    assert any("no readable frame 0001 any more" in line for line in warnings_of(lift))
+
+
 def test_views_of_earlier_masks_are_not_part_of_a_new_result(place: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """They were listed, exported, and not baked again."""
     monkeypatch.setitem(PRESETS, "preview", TINY)
