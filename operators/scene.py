@@ -155,8 +155,8 @@ class PLGS_OT_show_picture(StartsTask, bpy.types.Operator):
 
     @classmethod
     def why_not(cls, context: bpy.types.Context) -> str | None:
-        if registry.running(FrameMaking):
-            return "An engine is making frames: wait until it is done, or cancel it"
+        # Grey while an engine makes the picture, the pressed button would stay grey: Blender keeps how a button under
+        # the mouse looked.
         return why_no_picture(context.scene)
 
     @reporting_events
@@ -167,6 +167,7 @@ class PLGS_OT_show_picture(StartsTask, bpy.types.Operator):
         return self.run(context, waits=bpy.app.background)
 
     def begin(self, context: bpy.types.Context) -> Task | None:
+        registry.refuse_second(FrameMaking)
         return choose_picture(context.scene, self.what)
 
     def tell(self, context: bpy.types.Context, task: Task | None) -> set[str]:

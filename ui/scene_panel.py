@@ -8,6 +8,7 @@ from ..plgs_blender.engine_environment import status
 from ..plgs_blender.errors import ErrorCode, one_line, plural
 from ..plgs_blender.frame_pictures import DEPTH, MASKS, range_shown, why_no_picture
 from ..plgs_blender.frames import PHOTO, SHOWN
+from ..plgs_blender.lift_collection import lifts_in
 from ..plgs_blender.owned import LIFT
 from ..plgs_blender.running.diagnosis import Diagnosis, diagnosis_of
 from ..plgs_blender.running.importing import FrameMaking
@@ -131,15 +132,17 @@ class PLGS_PT_frames(Sidebar, bpy.types.Panel):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        return why_no_picture(context.scene) is None or _frame_making(context) is not None
+        """Also while the active camera is not a frame's: what goes to one must not move itself away."""
+        return bool(lifts_in(context.scene)) or _frame_making(context) is not None
 
     def draw(self, context: bpy.types.Context) -> None:
-        layout, ob = self.layout, context.scene.camera
-        if why_no_picture(context.scene) is None:
-            row = layout.row(align=True)
-            for what, label, icon in _PICTURES:
-                is_shown = ob.get(SHOWN, PHOTO) == what
-                row.operator("plgs.show_picture", text=label, icon=icon, depress=is_shown).what = what
+        layout = self.layout
+        ob = context.scene.camera if why_no_picture(context.scene) is None else None
+        row = layout.row(align=True)
+        for what, label, icon in _PICTURES:
+            is_shown = ob is not None and ob.get(SHOWN, PHOTO) == what
+            row.operator("plgs.show_picture", text=label, icon=icon, depress=is_shown).what = what
+        if ob is not None:
             span = range_shown(ob)
             if span is not None:
                 layout.label(text=f"{span[0]:.2f} m (light) to {span[1]:.2f} m (dark)", icon="BLANK1")

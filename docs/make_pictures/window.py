@@ -12,8 +12,9 @@ from .sheets import Picture, tiled
 
 ROOT = Path(__file__).resolve().parents[2]
 SCREENSHOTS, PICTURES = ROOT / "build" / "window" / "screenshots", ROOT / "docs" / "pictures"
-VIEW = np.s_[120:900, 50:770]
-"""The 3D view's part of the screen, without its header, its tools and the sidebar."""
+VIEW, ROOM = np.s_[126:900, 50:770], np.s_[126:790, 50:770]
+"""The 3D view's part of the screen, without its header and its text, its tools and the sidebar; and without the lower
+part, which has a legend or nothing."""
 QUALITY = 82
 
 
@@ -29,17 +30,17 @@ def sheets() -> dict[str, Picture]:
     """The pictures by their names in docs/pictures."""
     looks = {name: taken(f"look-{name.lower()}")[VIEW] for name in ("Photo", "Classes", "Instances", "Uncertainty")}
     kinds = {
-        "Points, Material Preview": taken("points-material")[VIEW],
-        "Splats, Material Preview": taken("splats-material")[VIEW],
-        "Splats, Rendered (EEVEE)": taken("splats-rendered")[VIEW],
-        "Surface, Material Preview": taken("surface-material")[VIEW],
+        "Points, Material Preview": taken("points-material")[ROOM],
+        "Splats, Material Preview": taken("splats-material")[ROOM],
+        "Splats, Rendered (EEVEE)": taken("splats-rendered")[ROOM],
+        "Surface, Material Preview": taken("surface-material")[ROOM],
     }
     return {
         "window_overview": taken("opened"),
         "window_looks": tiled(looks, 2, 480),
         "window_shown_as": tiled(kinds, 2, 480),
         "window_beside": taken("beside"),
-        "window_best_view": taken("best-view")[VIEW],
+        "window_best_view": taken("best-view")[ROOM],
         "window_lifting": taken("lifting"),
         "window_compositor": taken("compositor"),
         "window_import": tiled({"imported": taken("imported"), "masks": taken("masks")}, 2, 640),

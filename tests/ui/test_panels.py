@@ -420,3 +420,25 @@ def test_what_edits_and_their_engines_bring_moves_no_button_that_edits(tmp_path:
     shown = drawn()
     assert "few frames saw it" in shown and "Half of it" in shown
     assert rows_above("plgs.undo_correction") == before
+
+
+def test_what_goes_to_a_frame_does_not_move_away(tmp_path: Path) -> None:
+    """The best view, a mask, a proposal: each makes a frame's camera the active one, which has pictures to choose."""
+    scene = bpy.context.scene
+    place_lift(tiny_lift.write_tiny_lift(tmp_path / "lift").path, scene)
+    scene.camera = next(ob for ob in scene.objects if ob.type == "CAMERA" and "frame" not in ob)
+    before = rows_above("plgs.go_to_best_view")
+    scene.camera = next(ob for ob in scene.objects if "frame" in ob)
+    assert rows_above("plgs.go_to_best_view") == before
+
+
+def test_a_picture_that_is_made_leaves_its_buttons_live_and_refuses_another(tmp_path: Path) -> None:
+    """A button that is grey while the mouse is on it stays so in Blender, although it may be pressed again."""
+    scene = bpy.context.scene
+    place_lift(tiny_lift.write_tiny_lift(tmp_path / "lift").path, scene)
+    scene.camera = next(ob for ob in scene.objects if "frame" in ob)
+    making = tasks_with(Pretended(TaskState.RUNNING), tmp_path)[1]
+    registry.follow(making)
+    assert bpy.ops.plgs.show_picture.poll()
+    with pytest.raises(RuntimeError, match="already running"):
+        bpy.ops.plgs.show_picture(what="PHOTO")
