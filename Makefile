@@ -20,7 +20,7 @@ PYTEST := -m pytest --durations=10
 PARALLEL := -n logical --maxprocesses=4 --dist=worksteal
 # Two Blenders, each on a screen of its own.
 WINDOWS := -n 2
-# A test that takes longer than pyproject.toml's faulthandler_timeout hangs: none of `make test` takes a minute.
+# A test that takes longer than pyproject.toml's faulthandler_timeout hangs: on two cores none of `make test` takes two minutes.
 ENDING := -o faulthandler_exit_on_timeout=true
 # mypy sees the repository as the package plgs, the name under which relative imports between its parts resolve.
 LINT := $(PYTHON) -m ruff check . && mkdir -p build/types && ln -sfn ../.. build/types/plgs && \

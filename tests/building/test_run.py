@@ -26,6 +26,7 @@ from engine.scene.blocks import cells_of
 from tests.job.following import command_after_another
 from tests.tiny_scene import CABINET_ID, CHAIR_ID, FLOOR_ID, write_tiny_scene
 from tests.train.tiny_lift import short_warm_start
+from tests.waiting import wait_until
 
 OPTIONS = {"steps": 4, "steps_a_view": 0.0, "voxel_size": 0.2}
 
@@ -124,7 +125,9 @@ def test_a_cancel_ends_the_engine_of_the_block(building: LiftFolder, monkeypatch
     with pytest.raises(Cancelled):
         lift(building)
     lifted = LiftFolder.open(block)
-    assert not lifted.is_running and lifted.state() not in (LiftState.FINISHED, LiftState.NOT_STARTED)
+    # On a busy machine its process is killed: the fork that stands in for the engine then ends a moment later.
+    wait_until(lambda: not lifted.is_running)
+    assert lifted.state() not in (LiftState.FINISHED, LiftState.NOT_STARTED)
 
 
 def test_a_block_lifted_with_other_options_is_reported(building: LiftFolder) -> None:
