@@ -21,6 +21,10 @@ RECORDS = ".batch"
 """The folder in OUT that records for each scene what was done, and from which result."""
 SCENE = "{scene}"
 """Stands for a scene's name in the paths of options."""
+_WHOLE_SCENES = (".sens", ".r3d")
+"""Suffixes of files that hold all of a scene. Any other file has its pictures in its folder, or below."""
+_NOTES_OF_SYSTEMS = ("thumbs.db", "desktop.ini")
+"""Files that Windows hides and rewrites as it likes, in lower case."""
 _LONGEST_NAME = 240
 """The most bytes of a scene's name: files of its lift are beside it under the name and a few letters more."""
 
@@ -70,29 +74,34 @@ class Row:
     code: str = ""
 
 
-def state_of_files(request: LiftRequest) -> str:
-    """A name for the names, sizes and times of all files that a lift may read. None is opened: where the name is
-    another one, the lift itself reads whether its scene has changed."""
-    found, scene, masks = hashlib.sha256(), request.scene, request.masks
-    places = [scene, *(path for path in (masks, request.depth, request.classes) if path is not None)]
-    places += [] if scene.is_dir() else [scene.with_suffix("")]  # what lies beside a scene in a file
-    places += [] if masks is None or masks.is_dir() else [masks.parent]
-    for path in (path for place in places for path in _files_in(Path(place))):
+def state_of_files(request: LiftRequest, output: Path) -> str:
+    """A name for the names, sizes and times of all files that a lift may read, without those in the batch's ``output``.
+    None is opened: where the name is another one, the lift itself reads whether its scene has changed."""
+    found, scene, masks, classes = hashlib.sha256(), request.scene, request.masks, request.classes or ""
+    places = [scene, masks, request.depth, Path(classes) if classes.endswith(".toml") else None]
+    if scene.is_file():
+        places.append(scene.with_suffix("") if scene.suffix.lower() in _WHOLE_SCENES else scene.parent)
+    if masks is not None and masks.is_file():
+        places += [masks.with_suffix(""), masks.with_name("classes.toml")]
+    for path in (path for place in places if place is not None for path in _files_in(place, output)):
         with suppress(OSError):  # a link that leads nowhere, or a file that has gone since
             state = os.stat(path)
             found.update(os.fsencode(path) + f"\0{state.st_size} {state.st_mtime_ns}\0".encode())
     return found.hexdigest()
 
 
-def _files_in(place: Path) -> Iterator[Path]:
-    """The file itself, or all files in a folder, also behind links, each folder once."""
-    seen = set[str]()
+def _files_in(place: Path, output: Path) -> Iterator[Path]:
+    """The file itself, or all files in a folder, also behind links, each folder once; none that systems hide, nor those
+    of lifts and of ``output`` inside it."""
+    seen = {os.path.realpath(output)} - {os.path.realpath(place)}
     if place.is_file():
         yield place
     for folder, folders, names in os.walk(place, followlinks=True):
         there = os.path.realpath(folder)
-        folders[:] = [] if there in seen else sorted(folders)
-        yield from () if there in seen else (Path(folder, name) for name in sorted(names))
+        is_left_out = there in seen or ("request.json" in names and Path(folder) != place)
+        folders[:] = [] if is_left_out else sorted(name for name in folders if name[0] != ".")
+        shown = (name for name in sorted(names) if name[0] != "." and name.lower() not in _NOTES_OF_SYSTEMS)
+        yield from () if is_left_out else (Path(folder, name) for name in shown)
         seen.add(there)
 
 

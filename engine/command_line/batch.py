@@ -186,7 +186,7 @@ def _job(own: argparse.Namespace, output: Path, name: str, bakes_all: bool) -> S
     if not scene.exists() and (own.scheduler or own.slurm):
         return SceneJob(name, lift, request)  # a worker may have the scene
     try:
-        files, opened = state_of_files(request), open_scene_to_lift(request)
+        opened, files = open_scene_to_lift(request), state_of_files(request, output)  # walked only if readable
     except PlgsError as error:
         return SceneJob(name, lift, request, problem=str(error))
     if request.blocks > 1:

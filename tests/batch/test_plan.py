@@ -67,11 +67,13 @@ def test_missing_results_are_not_counted_as_done(lost: str, tmp_path: Path) -> N
     assert done_before(plan, job) is None
 
 
-@pytest.mark.parametrize("touched", ["scene/panoptic.json", "scene/linked/0001.png", "masks/0001.png", "names.toml"])
+@pytest.mark.parametrize(
+    "touched", ["scene/panoptic.json", "scene/linked/0001.png", "masks/table/0001.png", "names.toml"]
+)
 def test_a_scene_is_looked_at_again_when_a_file_of_it_has_changed(touched: str, tmp_path: Path) -> None:
     """What an earlier batch noted as done counted, whatever had become of the masks."""
-    for name in ("scene/panoptic.json", "elsewhere/0001.png", "masks/0001.png", "masks/table.json", "names.toml"):
-        (tmp_path / name).parent.mkdir(exist_ok=True)
+    for name in ("scene/panoptic.json", "elsewhere/0001.png", "masks/table/0001.png", "masks/table.json", "names.toml"):
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / name).write_text("made")
     (tmp_path / "scene" / "linked").symlink_to(tmp_path / "elsewhere")
     (tmp_path / "elsewhere" / "again").symlink_to(tmp_path / "scene")
@@ -80,13 +82,71 @@ def test_a_scene_is_looked_at_again_when_a_file_of_it_has_changed(touched: str, 
     write_manifest(tmp_path / "room" / "result", versions={}, seed=0, settings={}, timings={})
 
     def job() -> SceneJob:
-        return SceneJob("room", tmp_path / "room", request, files=state_of_files(request))
+        return SceneJob("room", tmp_path / "room", request, files=state_of_files(request, tmp_path / "out"))
 
     plan, row = BatchPlan(tmp_path, (job(),)), Row("room", "done", 1.0, "", 0, {})
     remember(plan, job(), row)
     assert done_before(plan, job()) == row
     (tmp_path / touched).write_text("made anew")
     assert done_before(plan, job()) is None
+
+
+def _changes_its_state(touched: str, request: LiftRequest, folder: Path) -> bool:
+    """Whether the state of a scene's files is another one after a file in ``folder`` is written; OUT is in a scene."""
+    before = state_of_files(request, folder / "scene" / "OUT")
+    (folder / touched).parent.mkdir(parents=True, exist_ok=True)
+    (folder / touched).write_text("made anew")
+    return state_of_files(request, folder / "scene" / "OUT") != before
+
+
+@pytest.mark.parametrize(
+    ("touched", "is_read"),
+    [
+        ("preds.json", True),
+        ("preds/0001.png", True),
+        ("classes.toml", True),
+        ("other.json", False),
+        ("coco/a.png", False),
+    ],
+)
+def test_of_masks_in_a_file_only_what_belongs_to_it_counts(
+    touched: str, is_read: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """All of the folder around the file was walked, which may be a home, and one scene's masks counted for all; so was
+    a folder that is called as the table of classes."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "scene").mkdir()
+    (tmp_path / "preds.json").write_text("{}")
+    request = LiftRequest(scene=tmp_path / "scene", masks=tmp_path / "preds.json", classes="coco")
+    assert _changes_its_state(touched, request, tmp_path) is is_read
+
+
+@pytest.mark.parametrize(
+    ("scene", "touched", "is_read"),
+    [
+        ("transforms.json", "images/0001.png", True),
+        ("transforms.json", "OUT/table.csv", False),
+        ("room.r3d", "images/0001.png", False),
+        ("room.sens", "room/splits.json", True),
+    ],
+)
+def test_photos_beside_a_scene_in_a_file_count(scene: str, touched: str, is_read: bool, tmp_path: Path) -> None:
+    """Of a transforms.json neither its photos nor its depth were seen. Other scans lie beside one in an archive."""
+    (tmp_path / "scene").mkdir()
+    (tmp_path / "scene" / scene).write_text("{}")
+    request = LiftRequest(scene=tmp_path / "scene" / scene)
+    assert _changes_its_state(f"scene/{touched}", request, tmp_path) is is_read
+
+
+@pytest.mark.parametrize("touched", ["Thumbs.db", ".DS_Store", ".git/index", "lift/result/a.exr", "OUT/room/log.txt"])
+def test_what_no_reader_opens_does_not_count(touched: str, tmp_path: Path) -> None:
+    """A file that a system wrote, or the results of a lift or of the batch, had exports and scores written again."""
+    for lift in ("scene", "scene/lift"):  # the scene itself counts, whatever is in it
+        (tmp_path / lift).mkdir()
+        (tmp_path / lift / "request.json").write_text("{}")
+    request = LiftRequest(scene=tmp_path / "scene")
+    assert not _changes_its_state(f"scene/{touched}", request, tmp_path)
+    assert _changes_its_state("scene/rgb/0001.png", request, tmp_path)
 
 
 def test_a_link_to_a_scene_has_its_own_name(tmp_path: Path) -> None:
