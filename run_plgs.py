@@ -57,7 +57,6 @@ def load_package() -> None:
 
 load_package()
 # ruff: noqa: E402 - what follows can be imported only now
-from plgs.engine.corrections import CORRECTIONS
 from plgs.engine.errors import ExitCode, PlgsError
 from plgs.engine.gates import open_plain, open_to_append
 from plgs.engine.job import FURTHER_LAYERS, LiftFolder, read_manifest
@@ -208,6 +207,8 @@ def lift_to_blend(options: argparse.Namespace, interrupts: Interrupts) -> int:
     lift, code = lift_in_terminal(options, interrupts)
     if code != ExitCode.FINISHED:
         return code
+    from plgs.engine.corrections import CORRECTIONS  # late: it needs numpy
+
     shown = [path for path in (lift.manifest_path, lift.path / CORRECTIONS) if path.exists()]
     made = blend.stat().st_mtime if options.save is None and blend.exists() else 0.0
     if any(path.stat().st_mtime > made for path in shown):

@@ -6,8 +6,8 @@ import os
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from hashlib import sha256
+from itertools import count
 from pathlib import Path
-from shutil import rmtree
 from typing import Any, NoReturn
 
 import numpy as np
@@ -15,10 +15,12 @@ import numpy as np
 from .errors import ErrorCode, PlgsError
 from .job import LiftFolder, LiftState, write_atomically
 from .known_scene import FIND_SCENE, has_known, known_scene, read_known, write_known
-from .posed.scene_record import stored_scene
+from .posed.scene_record import StoredFrame, StoredScene, stored_scene
 from .result_files import INSTANCES, read_instances
 from .scene import Camera, Frame, OtherClasses, PosedFrame, Scene, digests_of_files, open_asked
 
+EARLIER = "earlier"
+"""The folder in a lift's folder with what was baked of earlier results."""
 _ALIKE = 1e-4
 """Metres, pixels and entries of rotations by which the cameras of the same frames may differ."""
 _ANOTHER = "Restore it as it was, say where it is with Find Scene or --scene, or lift into another folder."
@@ -47,10 +49,18 @@ def opened_scene(folder: LiftFolder) -> Scene:
     names, or mostly others, are there by now."""
     scene, known = open_asked(folder.request), read_known(folder)
     if known is not None:
-        there = {frame.name for frame in scene.frames}
-        kept = [frame for frame in known.posed_frames(scene.folder) if frame.name in there]
-        refuse_others(kept if 2 * len(kept) >= len(known.frames) else known.posed_frames(scene.folder), scene)
+        _still_there(known, scene)
     return scene
+
+
+def _still_there(known: StoredScene, scene: Scene) -> list[StoredFrame]:
+    """The known frames that a scene still has: some may have been left out or lost since. Raises PlgsError where a
+    camera differs, or most frames are gone, as it is another scene then."""
+    there = {frame.name for frame in scene.frames}
+    kept = [frame for frame in known.frames if frame.name in there]
+    compared = kept if 2 * len(kept) >= len(known.frames) else known.frames
+    refuse_others([frame.posed(scene.folder) for frame in compared], scene)
+    return kept
 
 
 def names_of_frames(folder: LiftFolder) -> tuple[str, ...]:
@@ -61,34 +71,53 @@ def names_of_frames(folder: LiftFolder) -> tuple[str, ...]:
 
 def remember_scene(folder: LiftFolder, scene: Scene, warn: Callable[[str], object] = lambda _: None) -> str:
     """Write the cameras of a lift's scene, and the digests of its files, beside its request. Returns that of the masks.
-    What was baked with other masks or classes is removed before, with a warning. Raises PlgsError for a mask with
-    unknown classes, OSError."""
+    What was baked with other masks or classes is moved out of the result before, with a warning. Raises PlgsError for a
+    mask with unknown classes, OSError."""
     masks = digest_of_masks(scene)
     if masks_last_run(folder) not in ("", masks) or have_classes_changed(folder, scene):
-        if any(folder.passes_path.glob("*.exr")):
-            warn("passes that show the earlier masks or classes are removed: bake again what the lift does not")
-        for baked in (folder.passes_path, folder.previews_path):
-            if baked.exists():
-                rmtree(baked)
+        _move_baked(folder, warn)
     known, files = stored_scene(scene, scene.frames, masks), _digests_of(scene.frames)
     frames = tuple(replace(frame, files=digest) for frame, digest in zip(known.frames, files, strict=True))
     write_known(folder, replace(known, frames=frames))
     return masks
 
 
+def _move_baked(folder: LiftFolder, warn: Callable[[str], object]) -> None:
+    """Move what was baked of an earlier result into a folder of its own: it shows other objects than the next one."""
+    if not any(folder.passes_path.glob("*.exr")):
+        return
+    places = (folder.path / EARLIER / str(number) for number in count(1))
+    place = next(place for place in places if not place.exists())
+    place.mkdir(parents=True)
+    for path in (folder.previews_path, folder.passes_path):  # after a kill, passes tell that more is to be moved
+        if path.exists():
+            path.rename(place / path.name)
+    warn(f"passes of the earlier masks or classes are in {place} now: bake again what the lift does not")
+
+
 def refuse_changed(folder: LiftFolder, scene: Scene) -> None:
     """Raise PlgsError where a lift cannot go on with a ``scene``, or stand for it: since the lift was last run, a
-    frame's photo, depth or camera has changed, or which frames are held out. Masks may change."""
+    frame's photo, depth or camera has changed, or which frames there are and are held out. Masks may change."""
     known = read_known(folder)
     if known is None:
         return
-    refuse_others(known.posed_frames(scene.folder), scene)
-    there = {frame.name: frame for frame in scene.frames}
-    before, frames = known.frames, [there[frame.name] for frame in known.frames]
-    for frame, now, digest in zip(before, frames, _digests_of(frames), strict=True):
-        if frame.held_out != now.held_out:
-            raise another(f"{frame.name} is held out" if now.held_out else f"{frame.name} is not held out", scene)
-        if frame.files and frame.files != digest:
+    kept, there = _still_there(known, scene), {frame.name: frame for frame in scene.frames}
+    for frame in known.frames:
+        if frame not in kept:
+            fix = "Put back its files, or what splits.json says of it, or lift into another folder."
+            raise PlgsError(f"the scene no longer has frame {frame.name}", scene.folder, fix)
+        if frame.held_out != (is_held_out := there[frame.name].held_out):
+            raise another(f"{frame.name} is {'' if is_held_out else 'not '}held out", scene)
+    refuse_other_pictures(folder, scene)
+
+
+def refuse_other_pictures(folder: LiftFolder, scene: Scene) -> None:
+    """Raise PlgsError where a frame's photo or depth is not that of when the lift was last run. What is not known, or
+    cannot be read, is left to others."""
+    known = read_known(folder)
+    before = {} if known is None else {frame.name: frame.files for frame in known.frames}
+    for frame, digest in zip(scene.frames, _digests_of(scene.frames), strict=True):
+        if digest and before.get(frame.name, "") not in ("", digest):
             raise another(f"the photo or the depth of {frame.name} differs", scene)
 
 
@@ -120,11 +149,15 @@ def is_done(folder: LiftFolder) -> bool:
 
 
 def have_classes_changed(folder: LiftFolder, scene: Scene) -> bool:
-    """Whether a result is there, and the masks of its scene have other classes by now."""
+    """Whether a result is there, and the masks of its scene have other classes by now, whatever their colours."""
     try:
-        return read_instances(folder.result_path / INSTANCES)[0] != scene.classes
+        result, _ = read_instances(folder.result_path / INSTANCES)
     except PlgsError:  # there is none, or a damaged one, which is written again
         return False
+    before, now = (
+        [(each.id, each.name, each.is_thing) for each in table.categories] for table in (result, scene.classes)
+    )
+    return before != now
 
 
 def masks_last_run(folder: LiftFolder) -> str:

@@ -22,9 +22,10 @@ from ..job.process import engine_command
 from ..job.task import LIFT, TaskState
 from ..lift.baking import FrameBaker, bake_and_evaluate
 from ..lift.device import be_repeatable, refuse_missing_device
+from ..lift.frame_sets import frames_to_bake
 from ..lift.judging import read_held_back
 from ..lift.kept_preparation import refused_in
-from ..lift.run import CODE, finish, frames_to_bake, tell
+from ..lift.run import CODE, finish, tell
 from ..lift.scene_files import read_model, write_lifted
 from ..machine.code_digest import code_digest
 from ..passes.baked_view import ShownInstances
@@ -34,7 +35,7 @@ from ..raster import drawing_on
 from ..result_files import INSTANCES, SEMANTIC_POINTS, SemanticPoints, read_arrays, read_instances
 from ..scene import StoredViews, load_view, open_scene_to_lift, size_within, survey_scene
 from ..scene.blocks import Cell, cells_of
-from ..scene_of_lift import is_done, remember_scene
+from ..scene_of_lift import is_done, refuse_changed, remember_scene
 from ..train.progress import StageProgress, StageReporter
 from .joining import JoinedScene, LiftedBlock, join
 
@@ -68,9 +69,11 @@ def _do_stages(folder: LiftFolder, preset: Preset, stages: StageReporter) -> Non
     request, events = folder.request, stages.events
     with stages.stage("check") as progress:
         opened = open_scene_to_lift(request)
-        remember_scene(folder, opened, events.warning)
+        if (folder.path / BLOCKS).exists():
+            refuse_changed(folder, opened)
         survey = survey_scene(opened, progress)
         tell(opened, survey, events)
+        remember_scene(folder, opened, events.warning)
         scene = survey.scene
     with stages.stage("cut") as progress:
         cells, _ = cells_of(opened, request.blocks, progress)  # as each block cuts them

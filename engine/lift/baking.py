@@ -30,7 +30,7 @@ from ..passes.frame_header import NOTHING_SHOWN, ShownFrame
 from ..passes.layers import PanopticLayers, decide
 from ..passes.previews import colour_picture, preview_paths, write_previews
 from ..scene import Camera, ClassTable, Frame, Scene, View, counted
-from ..scene_of_lift import another, have_classes_changed, names_of_frames, opened_scene
+from ..scene_of_lift import another, have_classes_changed, names_of_frames, opened_scene, refuse_other_pictures
 from ..train.progress import StageReporter
 from .corrected_scene import corrected_scene
 from .device import be_repeatable
@@ -218,6 +218,7 @@ def score_corrected(
             raise another(f"{trained[0]} is not held out", scene)
     if have_classes_changed(folder, scene):
         raise another("its classes differ", scene)
+    refuse_other_pictures(folder, replace(scene, frames=scene.test_frames))
     baker, report = read_baker(folder, scene.classes, corrected), Report(scene.classes)
     for done, frame in enumerate(scene.test_frames, start=1):
         report.add(LIFTED, frame, predicted(baker.render(frame.camera).layers))

@@ -74,6 +74,11 @@ def sets_of_frames(
     return FrameSets(scene, chosen, frames_to_vote(scene, chosen, request.chosen_preset))
 
 
+def frames_to_bake(scene: Scene, bake: str) -> tuple[Frame, ...]:
+    """The frames whose passes were requested: "test", "all" or "none"."""
+    return {"test": scene.test_frames, "all": scene.frames, "none": ()}[bake]
+
+
 def frames_to_vote(scene: Scene, chosen: Scene, preset: Preset) -> tuple[Frame, ...]:
     """The frames of a scene that are neither held out nor among the ``chosen``."""
     if preset.objects != "agreement" or not preset.all_frames_vote:

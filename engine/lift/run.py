@@ -55,7 +55,7 @@ from ..train.trainer import Trainer
 from .baking import FrameBaker, bake_and_evaluate, names_of_files, renamed_frames
 from .device import be_repeatable, refuse_missing_device
 from .fitting import check_disk, predicted_lift
-from .frame_sets import FRAMES, FrameSets, sets_of_frames
+from .frame_sets import FRAMES, FrameSets, frames_to_bake, sets_of_frames
 from .judging import read_held_back
 from .kept_preparation import KeptPreparation
 from .lasting_names import keep_names, read_earlier, refuse_names_of_no_objects, take_over_edits, write_names
@@ -216,12 +216,11 @@ def checked_frames(
     if checkpoint is not None:
         refuse_changed(folder, scene)
         before = str(checkpoint.state.get(MASKS, before))  # scene.json may be of a run that was killed since
-    masks_changed = remember_scene(folder, scene, events.warning) != before != ""
-    if request.block:
-        scene = scene_of_block(scene, request.blocks, request.block, progress)
-    frames = sets_of_frames(scene, request, checkpoint, progress, events)
+    own = scene_of_block(scene, request.blocks, request.block, progress) if request.block else scene
+    frames = sets_of_frames(own, request, checkpoint, progress, events)
     survey = survey_scene(frames.chosen, progress)
     tell(frames.chosen, survey, events)
+    masks_changed = remember_scene(folder, scene, events.warning) != before != ""
     return frames.only(survey.scene), masks_changed
 
 
@@ -318,11 +317,6 @@ def refuse_empty(views: Sequence[View], scene: Scene) -> None:
     if not any((view.mask.class_map() != VOID).any() for view in views):
         fix = "Lift at a larger --size, or provide masks with larger segments."
         raise PlgsError("nothing of the masks is left at the size of training", scene.folder, fix, option="--size")
-
-
-def frames_to_bake(scene: Scene, bake: str) -> tuple[Frame, ...]:
-    """The frames whose passes were requested: "test", "all" or "none"."""
-    return {"test": scene.test_frames, "all": scene.frames, "none": ()}[bake]
 
 
 def train(

@@ -29,7 +29,8 @@ def score_folders(predictions: LabelFolder, truth: LabelFolder, *, ids_per_frame
         size = width, height
         if not same_shape((predicted.semantic.shape[1], predicted.semantic.shape[0]), size):
             what = f"frame {name} has another shape than its ground truth of {shown_size(size)}"
-            raise PlgsError(what, predictions.folder, "Bring predictions to the whole picture of the ground truth.")
+            fix = "Resize predictions of whole pictures to their ground truth's shape."
+            raise PlgsError(what, predictions.folder, fix)
         semantic, instance = resize_nearest(predicted.semantic, size), resize_nearest(predicted.instance, size)
         if ids_per_frame:
             instance = instance + (instance > 0) * next_id

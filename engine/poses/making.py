@@ -102,6 +102,7 @@ def _map(folder: Path, photos: Path, events: EventWriter, stop: StopSignal) -> M
     if others:
         what = "show depth or confidence by their names or as grey PNGs of 16 bits"
         events.warning(f"{len(others)} pictures are left out, as they {what}: {listed(others)}.")
+    digest = _digest_of(photos)
     with tempfile.TemporaryDirectory(prefix=".poses-", dir=folder) as workplace:
         model = map_photos(photos, names, Path(workplace), events, stop)
         if model is None or model.num_reg_images() < max(LEAST, _LEAST_SHARE * len(names)):
@@ -118,7 +119,7 @@ def _map(folder: Path, photos: Path, events: EventWriter, stop: StopSignal) -> M
         out.mkdir(parents=True)
         model.write(out)
         metres = None if scale is None else scale.metres
-        made = Made(folder, model.num_reg_images(), len(names), model.num_points3D(), metres, _digest_of(photos))
+        made = Made(folder, model.num_reg_images(), len(names), model.num_points3D(), metres, digest)
         (out / MADE_BY).write_bytes(to_line(made.to_json()))
         read_model(out)  # what a lift will read
         if (folder / "sparse").exists():

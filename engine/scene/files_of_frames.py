@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Collection, Mapping, Sequence
+from functools import cache
 from hashlib import file_digest, sha256
 from pathlib import Path
 
@@ -53,16 +54,24 @@ def whole_file(path: Path) -> Path:
 
 
 def digests_of_files(groups: Sequence[tuple[Path | None, ...]]) -> list[str]:
-    """For each group of files the start of the SHA-256 of what is in them; one that is None, or cannot be read, counts
-    as empty. A file of several groups is read once."""
-    read: dict[Path | None, bytes] = {None: b""}
-    for path in {path for group in groups for path in group if path is not None}:
+    """For each group of files the start of the SHA-256 of what is in them, where None stands for no file; empty where
+    one of them cannot be read, or is a folder. A file is read once in each process, unless it changes."""
+    found = []
+    for group in groups:
         try:
-            with open(path, "rb") as file:
-                read[path] = file_digest(file, "sha256").digest()
+            states = [(path, path.stat()) for path in group if path is not None]
+            read = [_digest(path, state.st_size, state.st_mtime_ns) for path, state in states]
         except OSError:
-            read[path] = b""
-    return [sha256(b"".join(read[path] for path in group)).hexdigest()[:16] for group in groups]
+            found.append("")
+            continue
+        found.append(sha256(b"".join(read)).hexdigest()[:16])
+    return found
+
+
+@cache
+def _digest(path: Path, size: int, changed_ns: int) -> bytes:
+    with open(path, "rb") as file:
+        return file_digest(file, "sha256").digest()
 
 
 def of_same_number(names: Sequence[str], files: Mapping[str, Path]) -> Mapping[str, Path]:

@@ -63,13 +63,14 @@ def begin_job(folder: Path, model: str, frames: Sequence[Frame]) -> Job:
     """Begin in ``folder``, or continue there. Raises PlgsError for masks of other programs, another model or other
     photos: nothing is overwritten."""
     made_by, of_files = folder / FOLDER / MADE_BY, digests_of_files([(frame.colour_path,) for frame in frames])
-    photos = sha256(repr([*zip((frame.name for frame in frames), of_files, strict=True)]).encode()).hexdigest()
+    named = [*zip((frame.name for frame in frames), of_files, strict=True)]
+    photos = sha256(repr(named).encode()).hexdigest() if all(of_files) else ""  # not known
     fix = "Name another folder with -o, or remove these."
     if made_by.is_file():
         content = read_object(made_by, fix)
         if content.get("model") != model or content.get("frames") != len(frames):
             raise PlgsError(f"masks by {content.get('model')} of {content.get('frames')} frames are here", folder, fix)
-        if content.get("photos", photos) != photos:
+        if photos and content.get("photos", "") not in ("", photos):
             raise PlgsError("the photos have changed since masks of them were made here", folder, fix)
         return Job(folder, True, (folder / TABLE).is_file())
     others = [name for name in (TABLE, FOLDER, *_OTHER_MASKS) if (folder / name).exists()]

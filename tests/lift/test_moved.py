@@ -140,19 +140,52 @@ def test_a_frame_that_is_gone_is_told_by_a_bake_of_all(place: Path) -> None:
     (scene / "color" / "0001.png").unlink()
     assert main(["bake", str(lift), "-o", str(place / "out")]) == ExitCode.FINISHED
     assert len([*(place / "out").iterdir()]) == 5
-    assert any("no readable frame 0001 any more" in line for line in warnings_of(lift))
+    assert any("no frame 0001 any more" in line for line in warnings_of(lift))
+
+
+def test_a_lift_does_not_go_on_without_a_frame_and_its_result_stays(
+    place: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """As *Leave Out* may have it after a lift."""
+    lift, scene = relink(LiftFolder.open(place / "lift"), place.parent / "found"), place.parent / "found"
+    names = [path.stem for path in sorted((scene / "color").iterdir())]
+    (scene / "splits.json").write_text(json.dumps({"train": names[:1] + names[2:4] + names[5:], "test": ["0004"]}))
+    assert main(["lift", str(lift.path), "--resume"]) == ExitCode.BAD_INPUT
+    line = capsys.readouterr().err
+    assert "the scene no longer has frame 0001" in line and "splits.json" in line
+    assert lift.is_whole() and main(["bake", str(lift.path)]) == ExitCode.FINISHED
+
+
+def test_colours_of_classes_do_not_begin_a_lift(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    lift, table = relink(LiftFolder.open(place / "lift"), place.parent / "found"), place.parent / "found/panoptic.json"
+    table.write_text(table.read_text().replace('"color": [210, 70, 60]', '"color": [10, 70, 60]'))
+    assert main(["lift", str(lift.path), "--resume"]) == ExitCode.FINISHED
+    assert "finished already" in capsys.readouterr().out
+
+
+def test_a_corrected_lift_is_not_scored_against_other_photos(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    lift, scene = relink(LiftFolder.open(place / "lift"), place.parent / "found"), place.parent / "found"
+    assert main(["correct", str(lift.path), "rename", "1", "Seat"]) == ExitCode.FINISHED
+    darker(scene / "color" / "0001.png")  # not held out
+    assert main(["evaluate", str(lift.path)]) == ExitCode.FINISHED
+    darker(scene / "color" / "0004.png")
+    assert main(["evaluate", str(lift.path)]) == ExitCode.BAD_INPUT
+    assert "the photo or the depth of 0004 differs" in capsys.readouterr().err
 
 
 def test_views_of_earlier_masks_are_not_part_of_a_new_result(place: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """They were listed, exported, and not baked again."""
+    """They were listed, exported, and not baked again. What lies beside them is somebody's work."""
     monkeypatch.setitem(PRESETS, "preview", TINY)
     lift, scene = relink(LiftFolder.open(place / "lift"), place.parent / "found"), place.parent / "found"
     assert main(["bake", str(lift.path), "--frames", "0001"]) == ExitCode.FINISHED
     view = lift.passes_path / "0001.exr"
     before = view.read_bytes()
+    (lift.passes_path / "grade.blend").touch()
     reclass(scene, CHAIR_ID, CABINET_ID)
     assert main(["lift", str(lift.path), "--resume"]) == ExitCode.FINISHED
     assert not view.exists() and any("bake again" in line for line in warnings_of(lift.path))
+    earlier = lift.path / "earlier" / "1" / "passes"
+    assert (earlier / "0001.exr").read_bytes() == before and (earlier / "grade.blend").exists()
     assert main(["bake", str(lift.path), "--frames", "0001"]) == ExitCode.FINISHED
     assert view.read_bytes() != before
 

@@ -247,12 +247,13 @@ class Window:
         """Find an operator's button in the sidebar and click it; where it was. As panels grow by what engines tell,
         none is heard between a last look at what is under the mouse and the click.
         """
-        while True:
+        for _ in range(5):
             x, y = self.find_button(operator, contains, near)
             with self._without_news():
                 if f"bpy.ops.{operator}(" in (copied := self._copied_at(x, y, "ctrl+c")) and contains in copied:
                     self.click(x, y)
                     return x, y
+        raise LookupError(f"the button of {operator} {contains} does not stay where it is")
 
     @contextmanager
     def _without_news(self) -> Iterator[None]:
