@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import product
 
 import bpy
@@ -17,7 +18,7 @@ from .frames import picture_of, place_camera_path, place_frames, show_photo
 from .inspecting.looks import places
 from .inspecting.lookup import objects_by_key
 from .lift_collection import FOLDER, PLACE, child_collection, overview_of, root_collection, scene_to_fill
-from .made_pictures import cloud_of, photos, read_cloud, scene_of
+from .made_pictures import cloud_of, has_cameras_of, photos, read_cloud, scene_of
 from .owned import LIFT, OwnedDataBlocks
 from .squares import place_points
 from .timeline import mark_timeline
@@ -47,7 +48,10 @@ def place_scene(
     A lift of the same frames later fills the same collection. A lift that is there already keeps all else. Raises
     PlgsError before anything is changed.
     """
-    opened = scene_of(made) if made is not None and not place.is_plain else place.open_plain()
+    is_plain = made is None or place.is_plain
+    opened = place.open_plain() if made is None or is_plain else scene_of(made)
+    if made is not None and is_plain and not has_cameras_of(made, opened.frames):
+        made = replace(made, cloud=None)  # it lies where the cameras were
     scene = scene_to_fill(scene)
     root = root_collection(place.scene, None, scene)
     root[PLACE] = place.as_texts()

@@ -4,8 +4,9 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Collection, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from hashlib import sha256
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,7 @@ from numpy.typing import NDArray
 
 from ..engine.errors import PlgsError
 from ..engine.job.environment import notes_folder
-from ..engine.posed import Camera, ClassTable
+from ..engine.posed import ClassTable
 from ..engine.posed.array_file import read_npz
 from ..engine.posed.frames import PosedFrame, PosedScene, SparsePoints
 from ..engine.posed.made_frames import MadeFrames, is_newer, made_of
@@ -65,20 +66,22 @@ def is_depth_current(made: MadeFrames, name: str) -> bool:
     return is_newer(drawn.depth, frame.depth_path or frame.colour_path)
 
 
-def cloud_of(made: MadeFrames | None, frames: Collection[PosedFrame]) -> Path | None:
-    """The cloud that was made; None where there is none, or where ``frames`` have newer depth or other cameras."""
+def cloud_of(made: MadeFrames | None, frames: Iterable[PosedFrame]) -> Path | None:
+    """The cloud that was made; None where there is none, or where the depth of ``frames`` is newer."""
     if made is None or made.cloud is None or not made.cloud.is_file():
-        return None
-    there = {frame.name: frame.camera for frame in made.scene.posed_frames(made.source.scene)}
-    if not all(frame.name in there and _is_alike(frame.camera, there[frame.name]) for frame in frames):
         return None
     sources = {frame.depth_path for frame in frames if frame.depth_path is not None}
     return made.cloud if all(is_newer(made.cloud, source) for source in sources) else None
 
 
-def _is_alike(one: Camera, other: Camera) -> bool:
-    is_there = np.allclose(one.camera_to_world, other.camera_to_world, rtol=0, atol=1e-4)
-    return one.size == other.size and is_there and np.allclose(one.K, other.K, rtol=0, atol=1e-4)
+def has_cameras_of(made: MadeFrames, frames: Iterable[PosedFrame]) -> bool:
+    """Whether an engine read the cameras that ``frames`` have. It leaves out frames without a good mask or depth file,
+    of which Blender does not know: frames that only one of the two has say nothing, but one must be common to both."""
+    cameras = {frame.name: frame.camera for frame in frames}
+    both = [(cameras[stored.name], stored) for stored in made.scene.frames if stored.name in cameras]
+    here = [(*one.size, one.fx, one.fy, one.cx, one.cy, *one.camera_to_world.ravel().tolist()) for one, _ in both]
+    there = [(*stored.size, *stored.lens, *chain.from_iterable(stored.camera_to_world)) for _, stored in both]
+    return bool(both) and np.allclose(here, there, rtol=0, atol=1e-4)
 
 
 def scene_of(made: MadeFrames) -> PosedScene:

@@ -47,11 +47,18 @@ def export_mesh(lift: FinishedLift, output: Path) -> None:
     parts = {output / "meshes" / f"{part.name}.glb": part for part in _cut(lift, surface, label)}
     for path, part in parts.items():
         write_atomically(path, glb_bytes([part]))
-    for path in {*(output / "meshes").glob("*.glb")} - parts.keys():
+    written = {_file_at(path) for path in parts}  # not by names: a disk may list them in other case or Unicode form
+    for path in [path for path in (output / "meshes").glob("*.glb") if _file_at(path) not in written]:
         with open(path, "rb") as file:
             is_ours = GENERATOR.encode() in file.read(128)
         if is_ours:
             path.unlink()
+
+
+def _file_at(path: Path) -> tuple[int, int]:
+    """Which file of which disk a path leads to. Raises OSError."""
+    status = path.stat()
+    return status.st_dev, status.st_ino
 
 
 def write_surface(lift: FinishedLift, path: Path, surface: Surface, label: NDArray[np.int64]) -> None:

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import csv
 import json
+import os
 import shutil
+from collections.abc import Iterator
 from pathlib import Path
 
 import cv2
@@ -250,6 +252,26 @@ def test_meshes_of_objects_that_are_gone_do_not_stay(lift: LiftFolder, tmp_path:
     assert main(["correct", str(own.path), "delete", str(chair.id)]) == 0
     run(own, "mesh", tmp_path / "out")
     assert {path.name for path in meshes.iterdir()} == before - {f"{chair.name}.glb"} | {"mine.glb"}
+
+
+def test_a_mesh_that_the_disk_lists_under_another_form_of_its_name_stays(
+    lift: LiftFolder, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As macOS does with umlauts. Here a second name of each file stands for it."""
+    glob = Path.glob
+
+    def listed(folder: Path, pattern: str) -> Iterator[Path]:
+        for path in list(glob(folder, pattern)):
+            other = path.with_name(f"other {path.name}") if folder.name == "meshes" else path
+            if other != path:
+                os.link(path, other)
+            yield other
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Path, "glob", listed)
+        run(lift, "mesh", tmp_path)
+    names = {path.name for path in (tmp_path / "meshes").iterdir()}
+    assert "other floor.glb" in names and len(names) % 2 == 0
 
 
 @pytest.mark.parametrize("setting", ["mesh.LEAST_ALPHA", "mending.FLAKE"])

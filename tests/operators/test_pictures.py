@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 from plgs.engine.errors import PlgsError
 from plgs.engine.scene import open_scene
+from plgs.plgs_blender import import_scene
 from plgs.plgs_blender.chosen_scene import ChosenScene
 from plgs.plgs_blender.made_pictures import read_cloud
 from plgs.plgs_blender.running import chosen_picture
@@ -122,6 +123,7 @@ def test_what_an_engine_made_is_there_at_the_next_import(own: Path, monkeypatch:
     bpy.ops.plgs.import_scene(scene_folder=place)
     bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
     monkeypatch.setenv("PLGS_ENGINE_PYTHON", "/nowhere/python")
+    monkeypatch.setattr(import_scene, "has_cameras_of", lambda *_: pytest.fail("these cameras are the engine's own"))
     bpy.ops.plgs.import_scene(scene_folder=place)
     assert bpy.data.collections["PLGS one.sens"]["plgs_missing"] == ""
     assert all(ob.data.background_images for ob in frames().values())
@@ -147,6 +149,23 @@ def test_the_cloud_of_other_poses_is_not_placed(room: Path, tmp_path: Path, monk
     monkeypatch.setenv("PLGS_ENGINE_PYTHON", "/nowhere/python")
     bpy.ops.plgs.import_scene(scene_folder=str(place))
     assert not clouds() and "cloud" in bpy.data.collections["PLGS room"]["plgs_missing"]
+
+
+def test_the_cloud_of_a_scene_of_which_the_engine_leaves_out_frames_is_placed_again(
+    room: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Blender knows nothing of masks, and does not read depth, so it keeps these frames."""
+    place = Path(shutil.copytree(room, tmp_path / "room"))
+    (place / "panoptic" / "0002.png").unlink()
+    for cut in (place / "panoptic" / "0003.png", place / "depth" / "0005.png"):
+        cut.write_bytes(cut.read_bytes()[:60])
+    bpy.ops.plgs.import_scene(scene_folder=str(place))
+    count = len(positions())
+    assert count and len(open_scene(place).frames) == len(frames()) - 3
+    bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
+    monkeypatch.setenv("PLGS_ENGINE_PYTHON", "/nowhere/python")
+    bpy.ops.plgs.import_scene(scene_folder=str(place))
+    assert len(positions()) == count and bpy.data.collections["PLGS room"]["plgs_missing"] == ""
 
 
 def test_sparse_points_come_with_the_cameras(own: Path) -> None:
