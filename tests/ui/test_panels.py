@@ -5,45 +5,29 @@ Blender draws panels only in a window: here a layout notes what it is told.
 
 from __future__ import annotations
 
-import json
 import sys
 import time
-from collections.abc import Iterator
-from dataclasses import asdict
 from pathlib import Path
-from types import ModuleType, SimpleNamespace
+from types import SimpleNamespace
 from typing import Any
 
 import bpy
 import pytest
 from plgs.engine.errors import ErrorCode, PlgsError, lacks_part
 from plgs.engine.job import LiftState
-from plgs.engine.job.task import BAKE, LIFT, TaskProgress, TaskState
+from plgs.engine.job.task import BAKE, TaskState
 from plgs.operators import diagnose, masks
-from plgs.plgs_blender import proposals
 from plgs.plgs_blender.chosen_scene import ChosenScene
 from plgs.plgs_blender.engine_environment import choices, tasks
-from plgs.plgs_blender.engine_environment.tasks import SetUp
 from plgs.plgs_blender.inspecting import text_boxes
 from plgs.plgs_blender.lift_collection import lifts_in
 from plgs.plgs_blender.lift_scene import place_lift
 from plgs.plgs_blender.running import adding, lifts, survey
-from plgs.plgs_blender.running.exports import Export
-from plgs.plgs_blender.running.importing import FrameMaking, FrameOrder
-from plgs.plgs_blender.running.preparation import MaskMaking, PoseMaking
-from plgs.plgs_blender.running.splitting import SplitByViews
+from plgs.plgs_blender.running.preparation import PoseMaking
 from plgs.plgs_blender.settings import chosen_scene
 from plgs.plgs_blender.tasks import registry
-from plgs.plgs_blender.tasks.registry import Task
 from plgs.ui import (
-    corrections_panel,
-    export_panel,
-    lift_panel,
     lists,
-    passes_panel,
-    preferences,
-    result_panel,
-    scene_panel,
     sidebar,
 )
 
@@ -54,92 +38,9 @@ for each in (Path(__file__).parents[1] / "plgs_blender", Path(__file__).parents[
 import tiny_lift  # noqa: E402
 from pretended_python import pretended_python  # noqa: E402
 
-PANELS = (sidebar, scene_panel, lift_panel, result_panel, corrections_panel, passes_panel, export_panel)
+from tests.ui.drawn_panels import Layout, Pretended, drawn, tasks_with  # noqa: E402
 
-
-class Layout:
-    """In the place of Blender's: it notes texts and operators, and refuses names that Blender does not know."""
-
-    def __init__(self, seen: list[str]) -> None:
-        self.__dict__["seen"] = seen
-
-    def __setattr__(self, name: str, value: object) -> None:
-        assert name in bpy.types.UILayout.bl_rna.properties, name
-
-    def __getattr__(self, name: str) -> Any:
-        assert name in bpy.types.UILayout.bl_rna.functions or name == "context_pointer_set", name
-
-        def call(*given: object, **options: object) -> Any:
-            if name in ("operator", "operator_menu_enum"):
-                self.seen.append(f"{given[0]} {options.get('text', '')}".strip())
-                group, _, called = str(given[0]).partition(".")
-                getattr(getattr(bpy.ops, group), called).get_rna_type()
-                return SimpleNamespace()
-            if name == "prop":
-                getattr(given[0], str(given[1]))
-                self.seen.append(f"field {given[1]}")
-            self.seen.append(str(options.get("text", "")))
-            return (self, self) if name == "panel" else self
-
-        return call
-
-
-@pytest.fixture(autouse=True)
-def extension(plgs: ModuleType) -> Iterator[None]:
-    bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
-    plgs.register()
-    yield
-    plgs.unregister()
-
-
-def drawn() -> str:
-    """What all panels and the preferences show now."""
-    scene = bpy.context.scene
-    context = SimpleNamespace(
-        scene=scene,
-        region=SimpleNamespace(width=10_000),
-        preferences=SimpleNamespace(system=SimpleNamespace(ui_scale=1.0)),
-        active_object=None,
-        space_data=None,
-    )
-    seen: list[str] = []
-    for module in PANELS:
-        for panel in module.CLASSES:
-            if issubclass(panel, bpy.types.Panel) and getattr(panel, "poll", lambda _: True)(context):
-                panel.draw(SimpleNamespace(layout=Layout(seen)), context)
-    chosen = SimpleNamespace(
-        layout=Layout(seen), engine_python="", base_python="", torch_build="cpu", index_url="",
-        _draw_choices=lambda layout: preferences.PLGS_AP_preferences._draw_choices(chosen, layout),
-    )  # fmt: skip
-    preferences.PLGS_AP_preferences.draw(chosen, context)
-    return "\n".join(seen)
-
-
-class Pretended:
-    """A follower in any state."""
-
-    kind = LIFT
-
-    def __init__(self, state: TaskState, error: PlgsError | None = None) -> None:
-        self.state, self.error, self.answer, self.log_lines = state, error, None, ("a line of the log",)
-        self.progress = TaskProgress("s", "Half of it", 2, 3, 5, 10, 0.5, 90.0, warnings=["odd"])
-        self.is_running = state is TaskState.RUNNING
-
-    def kill(self) -> None: ...
-    def close(self) -> None: ...
-    def poll(self) -> bool:
-        return False
-
-
-def tasks_with(follower: Any, folder: Path) -> list[Task]:
-    chosen = chosen_scene(bpy.context.scene.plgs)
-    order = FrameOrder(chosen, "", ("cloud",))
-    return [
-        MaskMaking(chosen, follower),
-        FrameMaking(order, folder, follower),
-        Export(folder, "coco", folder, "", follower),
-        SetUp(follower),
-    ]
+pytestmark = pytest.mark.usefixtures("extension")
 
 
 def test_texts_of_a_strangers_file_are_printable_lines(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -291,20 +192,6 @@ def test_photos_without_poses_show_the_button_that_finds_them(tmp_path: Path) ->
     assert "plgs.cancel_poses" in drawn()
 
 
-def test_what_is_read_of_a_scene_moves_no_button_that_imports_it(tmp_path: Path) -> None:
-    """It is read a moment after the folder was chosen, when the mouse may be on the button."""
-
-    def above() -> str:
-        return drawn().partition("plgs.import_scene")[0]
-
-    bpy.context.scene.plgs.scene_folder = str(tmp_path)
-    not_read = above()
-    survey.look(chosen_scene(bpy.context.scene.plgs), Path(sys.executable))
-    assert above() == not_read and "plgs.look_at_scene" in not_read
-    registry.wait_for(registry.latest(survey.SceneLook), bpy.context.scene)  # type: ignore[arg-type]
-    assert above() == not_read
-
-
 def test_running_tasks_show_their_progress(tmp_path: Path) -> None:
     bpy.context.scene.plgs.scene_folder = str(tmp_path)
     for task in tasks_with(Pretended(TaskState.RUNNING), tmp_path):
@@ -356,89 +243,3 @@ def test_a_finished_lift_is_shown(tmp_path: Path) -> None:
     followed.follower.kind = BAKE
     shown = drawn()
     assert "plgs.cancel_lift" in shown and "See It Through the Camera" not in shown and "are being baked" in shown
-
-
-def rows_above(what: str) -> int:
-    """How much is drawn above a button or a list."""
-    above, found, _ = drawn().partition(what)
-    assert found, what
-    return above.count("\n")
-
-
-def test_no_news_of_an_engine_moves_what_starts_a_lift(tmp_path: Path) -> None:
-    """Whether there is an engine, what a lift costs, that passes are baked: all comes while the mouse may be there."""
-    lift = tiny_lift.write_tiny_lift(tmp_path / "lift").path
-    settings = bpy.context.scene.plgs
-    before = rows_above("plgs.lift_scene")
-    settings.device = "cuda"
-    choices.choose(pretended_python(tmp_path / "python", lacks="cuda"))
-    try:
-        registry.wait_for(tasks.check(), bpy.context.scene)  # type: ignore[arg-type]
-        assert "Device CUDA: the engine lacks a-package" in drawn()
-        assert rows_above("plgs.lift_scene") == before
-    finally:
-        choices.choose(None)
-    settings.device = "cpu"
-    settings.lift_folder = str(lift)
-    followed = lifts.lift_of(lift)
-    assert followed is not None
-    passes = rows_above("plgs.bake_passes")
-    follower: Any = Pretended(TaskState.RUNNING)
-    followed.follower, follower.kind = follower, BAKE
-    assert rows_above("plgs.lift_scene") == before and rows_above("plgs.bake_passes") == passes
-    follower.kind = LIFT
-    bar = rows_above("1 min 30 s left")
-    assert bar < rows_above("plgs.cancel_lift"), "a second click on Start is on the bar"
-
-
-def test_the_surface_that_is_made_by_itself_moves_no_list(tmp_path: Path) -> None:
-    """It begins and ends when nobody expects it; it fails in sight."""
-    lift = tiny_lift.write_tiny_lift(tmp_path / "lift").path
-    place_lift(lift, bpy.context.scene)
-    before, heads = drawn(), rows_above("Points, score")
-    assert "plgs.make_meshes Surface" in before
-    follower: Any = Pretended(TaskState.RUNNING)
-    making = registry.follow(Export(lift, "surface", lift, bpy.context.scene.name, follower, asked=False))
-    shown = drawn()
-    assert "Surface 50 %" in shown and "plgs.cancel_export" in shown and "plgs.make_meshes Surface" not in shown
-    assert abs(rows_above("Points, score") - heads) <= 1, "a bar and its cross are in the place of the button"
-    follower.state, follower.is_running, making.is_taken = TaskState.FAILED, False, True
-    follower.error = PlgsError("is full", "the disk", "Make room.")
-    shown = drawn()
-    assert rows_above("Points, score") == heads
-    assert "is full: the disk" in shown.partition("plgs.show_all")[2].partition("Source Masks")[0]
-
-
-def test_what_edits_and_their_engines_bring_moves_no_button_that_edits(tmp_path: Path) -> None:
-    lift = tiny_lift.write_tiny_lift(tmp_path / "lift").path
-    place_lift(lift, bpy.context.scene)
-    (root,) = lifts_in(bpy.context.scene)
-    before = rows_above("plgs.undo_correction")
-    registry.follow(SplitByViews(lift, Pretended(TaskState.RUNNING)))  # type: ignore[arg-type]
-    one = proposals.Proposal(1, "chair 1", 1.0, "few frames saw it", "delete")
-    root[proposals.PROPOSALS] = json.dumps({"open": [asdict(one)], "progress": "0 of 1 looked at"})
-    shown = drawn()
-    assert "few frames saw it" in shown and "Half of it" in shown
-    assert rows_above("plgs.undo_correction") == before
-
-
-def test_what_goes_to_a_frame_does_not_move_away(tmp_path: Path) -> None:
-    """The best view, a mask, a proposal: each makes a frame's camera the active one, which has pictures to choose."""
-    scene = bpy.context.scene
-    place_lift(tiny_lift.write_tiny_lift(tmp_path / "lift").path, scene)
-    scene.camera = next(ob for ob in scene.objects if ob.type == "CAMERA" and "frame" not in ob)
-    before = rows_above("plgs.go_to_best_view")
-    scene.camera = next(ob for ob in scene.objects if "frame" in ob)
-    assert rows_above("plgs.go_to_best_view") == before
-
-
-def test_a_picture_that_is_made_leaves_its_buttons_live_and_refuses_another(tmp_path: Path) -> None:
-    """A button that is grey while the mouse is on it stays so in Blender, although it may be pressed again."""
-    scene = bpy.context.scene
-    place_lift(tiny_lift.write_tiny_lift(tmp_path / "lift").path, scene)
-    scene.camera = next(ob for ob in scene.objects if "frame" in ob)
-    making = tasks_with(Pretended(TaskState.RUNNING), tmp_path)[1]
-    registry.follow(making)
-    assert bpy.ops.plgs.show_picture.poll()
-    with pytest.raises(RuntimeError, match="already running"):
-        bpy.ops.plgs.show_picture(what="PHOTO")

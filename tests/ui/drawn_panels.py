@@ -1,0 +1,106 @@
+"""What panels draw, as lines of text: Blender draws them only in a window, so here a layout notes what it is told."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import bpy
+from plgs.engine.errors import PlgsError
+from plgs.engine.job.task import LIFT, TaskProgress, TaskState
+from plgs.plgs_blender.engine_environment.tasks import SetUp
+from plgs.plgs_blender.running.exports import Export
+from plgs.plgs_blender.running.importing import FrameMaking, FrameOrder
+from plgs.plgs_blender.running.preparation import MaskMaking
+from plgs.plgs_blender.settings import chosen_scene
+from plgs.plgs_blender.tasks.registry import Task
+from plgs.ui import (
+    corrections_panel,
+    export_panel,
+    lift_panel,
+    passes_panel,
+    preferences,
+    result_panel,
+    scene_panel,
+    sidebar,
+)
+
+PANELS = (sidebar, scene_panel, lift_panel, result_panel, corrections_panel, passes_panel, export_panel)
+
+
+class Layout:
+    """In the place of Blender's: it notes texts and operators, and refuses names that Blender does not know."""
+
+    def __init__(self, seen: list[str]) -> None:
+        self.__dict__["seen"] = seen
+
+    def __setattr__(self, name: str, value: object) -> None:
+        assert name in bpy.types.UILayout.bl_rna.properties, name
+
+    def __getattr__(self, name: str) -> Any:
+        assert name in bpy.types.UILayout.bl_rna.functions or name == "context_pointer_set", name
+
+        def call(*given: object, **options: object) -> Any:
+            if name in ("operator", "operator_menu_enum"):
+                self.seen.append(f"{given[0]} {options.get('text', '')}".strip())
+                group, _, called = str(given[0]).partition(".")
+                getattr(getattr(bpy.ops, group), called).get_rna_type()
+                return SimpleNamespace()
+            if name == "prop":
+                getattr(given[0], str(given[1]))
+                self.seen.append(f"field {given[1]}")
+            self.seen.append(str(options.get("text", "")))
+            return (self, self) if name == "panel" else self
+
+        return call
+
+
+def drawn() -> str:
+    """What all panels and the preferences show now."""
+    scene = bpy.context.scene
+    context = SimpleNamespace(
+        scene=scene,
+        region=SimpleNamespace(width=10_000),
+        preferences=SimpleNamespace(system=SimpleNamespace(ui_scale=1.0)),
+        active_object=None,
+        space_data=None,
+    )
+    seen: list[str] = []
+    for module in PANELS:
+        for panel in module.CLASSES:
+            if issubclass(panel, bpy.types.Panel) and getattr(panel, "poll", lambda _: True)(context):
+                panel.draw(SimpleNamespace(layout=Layout(seen)), context)
+    chosen = SimpleNamespace(
+        layout=Layout(seen), engine_python="", base_python="", torch_build="cpu", index_url="",
+        _draw_choices=lambda layout: preferences.PLGS_AP_preferences._draw_choices(chosen, layout),
+    )  # fmt: skip
+    preferences.PLGS_AP_preferences.draw(chosen, context)
+    return "\n".join(seen)
+
+
+class Pretended:
+    """A follower in any state."""
+
+    kind = LIFT
+
+    def __init__(self, state: TaskState, error: PlgsError | None = None) -> None:
+        self.state, self.error, self.answer, self.log_lines = state, error, None, ("a line of the log",)
+        self.progress = TaskProgress("s", "Half of it", 2, 3, 5, 10, 0.5, 90.0, warnings=["odd"])
+        self.is_running = state is TaskState.RUNNING
+
+    def kill(self) -> None: ...
+    def close(self) -> None: ...
+    def poll(self) -> bool:
+        return False
+
+
+def tasks_with(follower: Any, folder: Path) -> list[Task]:
+    chosen = chosen_scene(bpy.context.scene.plgs)
+    order = FrameOrder(chosen, "", ("cloud",))
+    return [
+        MaskMaking(chosen, follower),
+        FrameMaking(order, folder, follower),
+        Export(folder, "coco", folder, "", follower),
+        SetUp(follower),
+    ]
