@@ -15,7 +15,7 @@ import numpy as np
 from .errors import ErrorCode, PlgsError
 from .job import LiftFolder, LiftState, write_atomically
 from .known_scene import FIND_SCENE, has_known, known_scene, read_known, write_known
-from .posed.scene_record import StoredFrame, StoredScene, stored_scene
+from .posed.scene_record import StoredScene, stored_scene
 from .result_files import INSTANCES, read_instances
 from .scene import Camera, Frame, OtherClasses, PosedFrame, Scene, digests_of_files, open_asked
 
@@ -49,18 +49,17 @@ def opened_scene(folder: LiftFolder) -> Scene:
     names, or mostly others, are there by now."""
     scene, known = open_asked(folder.request), read_known(folder)
     if known is not None:
-        _still_there(known, scene)
+        _refuse_another(known, scene)
     return scene
 
 
-def _still_there(known: StoredScene, scene: Scene) -> list[StoredFrame]:
-    """The known frames that a scene still has: some may have been left out or lost since. Raises PlgsError where a
-    camera differs, or most frames are gone, as it is another scene then."""
+def _refuse_another(known: StoredScene, scene: Scene) -> None:
+    """Raise PlgsError where a camera differs, or most of the known frames are gone. Some may have been left out or lost
+    since."""
     there = {frame.name for frame in scene.frames}
     kept = [frame for frame in known.frames if frame.name in there]
     compared = kept if 2 * len(kept) >= len(known.frames) else known.frames
     refuse_others([frame.posed(scene.folder) for frame in compared], scene)
-    return kept
 
 
 def names_of_frames(folder: LiftFolder) -> tuple[str, ...]:
@@ -101,21 +100,27 @@ def refuse_changed(folder: LiftFolder, scene: Scene) -> None:
     known = read_known(folder)
     if known is None:
         return
-    kept, there = _still_there(known, scene), {frame.name: frame for frame in scene.frames}
+    _refuse_another(known, scene)
+    there = {frame.name: frame for frame in scene.frames}
     for frame in known.frames:
-        if frame not in kept:
+        if frame.name not in there:
             fix = "Put back its files, or what splits.json says of it, or lift into another folder."
             raise PlgsError(f"the scene no longer has frame {frame.name}", scene.folder, fix)
         if frame.held_out != (is_held_out := there[frame.name].held_out):
             raise another(f"{frame.name} is {'' if is_held_out else 'not '}held out", scene)
-    refuse_other_pictures(folder, scene)
+    _refuse_other_pictures(known, scene)
 
 
 def refuse_other_pictures(folder: LiftFolder, scene: Scene) -> None:
     """Raise PlgsError where a frame's photo or depth is not that of when the lift was last run. What is not known, or
     cannot be read, is left to others."""
     known = read_known(folder)
-    before = {} if known is None else {frame.name: frame.files for frame in known.frames}
+    if known is not None:
+        _refuse_other_pictures(known, scene)
+
+
+def _refuse_other_pictures(known: StoredScene, scene: Scene) -> None:
+    before = {frame.name: frame.files for frame in known.frames}
     for frame, digest in zip(scene.frames, _digests_of(scene.frames), strict=True):
         if digest and before.get(frame.name, "") not in ("", digest):
             raise another(f"the photo or the depth of {frame.name} differs", scene)
