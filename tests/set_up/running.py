@@ -53,9 +53,17 @@ class RunningSetUp:
         events = EventReader(self._events).poll()
         return [event.data["step"] / event.data["steps"] for event in events if event.kind == "progress"]  # type: ignore[operator]
 
-    def wait(self, until: Callable[[], bool] = lambda: False) -> RunningSetUp:
-        """Wait for its end, or until something holds."""
-        wait_until(lambda: not self.is_running or until(), lambda: self.labels)
+    def wait(self, until: Callable[[], bool] | None = None) -> RunningSetUp:
+        """Wait for its end, or until something holds. It may not end before that."""
+
+        def is_over() -> bool:
+            has_ended = not self.is_running  # asked first: at its end it may come to hold
+            if until is None or until():
+                return until is not None or has_ended
+            assert not has_ended, self.error or self.labels
+            return False
+
+        wait_until(is_over, lambda: self.labels)
         return self
 
     def cancel(self) -> None:

@@ -67,7 +67,6 @@ def environment_in(folder: Path) -> Path | None:
 
 @pytest.mark.parametrize("thoroughly", [False, pytest.param(True, marks=pytest.mark.slow)], ids=["in turn", "all"])
 def test_the_next_set_up_resumes(code: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, thoroughly: bool) -> None:
-    monkeypatch.setattr(shutil, "disk_usage", lambda folder: shutil._ntuple_diskusage(1 << 40, 0, 1 << 40))
     folder = tmp_path / "cache"
     faults, refused = Faults(folder, monkeypatch), 0
     for at, error, for_good in every_fault(faults, thoroughly):

@@ -36,7 +36,6 @@ def killed(folder: Path, root: Path, faults: Faults, at: int, counted: Path) -> 
 
 @pytest.mark.filterwarnings("ignore:.*fork.*:DeprecationWarning")
 def test_the_next_set_up_resumes(code: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(shutil, "disk_usage", lambda folder: shutil._ntuple_diskusage(1 << 40, 0, 1 << 40))
     folder, counted = tmp_path / "cache", tmp_path / "count"
     faults, chance = Faults(folder, monkeypatch), random.Random(0)
     assert killed(folder, code, faults, 0, counted) == 0

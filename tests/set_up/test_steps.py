@@ -139,7 +139,7 @@ def test_cancel_ends_pip_at_once(begin: Begin, index: PackageIndex, folder: Path
     assert running.python is None and running.error is None
     index.fault.clear()
     again = begin()  # the lock is free
-    again.wait(until=lambda: "Installing torch" in again.label)
+    again.wait(until=lambda: any("Installing torch" in label for label in again.labels))
 
 
 @pytest.mark.slow
@@ -151,7 +151,9 @@ def test_after_a_kill_the_next_set_up_waits_for_the_remaining_pip(
     script = f"""
 import sys; sys.path.insert(0, {str(root)!r})
 from pathlib import Path
+from engine.set_up import steps
 from tests.set_up.running import RunningSetUp, SetUpRequest
+steps.NEEDED_BYTES = {{"cpu": 0}}  # its packages are tiny
 request = SetUpRequest(Path(sys.executable), "cpu", {index.url!r})
 RunningSetUp(request, Path({str(code)!r}), Path({str(folder)!r})).wait()
 """
@@ -179,7 +181,6 @@ def test_what_may_be_half_written_is_made_again(begin: Begin, folder: Path) -> N
         (environment / "half").touch()
         running = begin(build=build)
         running.wait(until=lambda: not (environment / "half").exists())
-        assert running.is_running
         running.cancel()
     assert [path.name for path in sorted(folder.glob("trash-*"))] == ["trash-0", "trash-1"]
 
@@ -189,7 +190,6 @@ def test_a_complete_environment_that_does_not_answer_is_made_again(begin: Begin,
     (environment / "complete").touch()  # but nothing is installed
     (environment / "old").touch()
     begin().wait(until=lambda: not (environment / "old").exists())
-    assert not (environment / "old").exists()
 
 
 def test_where_no_python_can_make_environments_says_why(begin: Begin, tmp_path: Path) -> None:
