@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import shutil
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from hashlib import sha256
 from pathlib import Path
@@ -29,6 +29,7 @@ STAGE = "poses"
 FILM_PICTURES = 150
 """The largest number of pictures that are taken from a film."""
 _LEAST_SHARE = 0.5
+_NO_FILM = "none"
 _WITHOUT_DEPTH = (
     "Lengths have no unit, and there is no depth: a lift needs a network's depth maps with --depth FOLDER, which are "
     "fitted to the reconstruction's points; its metres are then the reconstruction's lengths"
@@ -38,8 +39,8 @@ _WITHOUT_DEPTH = (
 @dataclass(frozen=True)
 class Made:
     """``folder``: the scene. ``posed`` of ``photos`` pictures have a pose. ``scale`` is the metres per length of the
-    reconstruction, None without measured depth. ``files`` is a digest of the photos, empty where an earlier version
-    made the poses.
+    reconstruction, None without measured depth. ``files``, ``depth`` and ``film`` are digests of the photos, of the
+    depth and of the film, empty where an earlier version made the poses; ``film`` is "none" for photos.
     """
 
     folder: Path
@@ -48,6 +49,8 @@ class Made:
     points: int
     scale: float | None
     files: str = ""
+    depth: str = ""
+    film: str = ""
 
     def to_json(self) -> dict[str, Json]:
         """What is kept beside the model."""
@@ -63,7 +66,9 @@ class Made:
         data: Mapping[str, Any] = read_object(path, fix)
         try:
             counts = int(data["posed"]), int(data["photos"]), int(data["points"])
-            return cls(folder, *counts, data["scale"], str(data.get("files", "")))
+            return cls(
+                folder, *counts, data["scale"], *(str(data.get(name, "")) for name in ("files", "depth", "film"))
+            )
         except (KeyError, TypeError, ValueError) as error:
             raise PlgsError("this is not a record of made poses", path, fix) from error
 
@@ -72,44 +77,66 @@ def make_poses(place: Path, events: EventWriter, stop: StopSignal, pictures: int
     """Find the poses of the photos in a folder, or of a film's pictures, and write them beside the photos.
 
     A film's pictures go into a folder of the film's name. Existing files are never overwritten; poses that an earlier
-    call made are used. Raises PlgsError, also where photos have changed since; OSError; Cancelled.
+    call made are used. Raises PlgsError, also where what they were found by has changed since; OSError; Cancelled.
     """
     made = Made.read(place.with_suffix("") if is_film(place) else place)
     if made is not None:
-        photos = photos_in(made.folder)
-        if made.files and (photos is None or made.files != _digest_of(photos)):
-            fix = "Move the folder sparse away to find them again. Without --poses these are used."
-            raise PlgsError("the photos have changed since their poses were found", made.folder / "sparse", fix)
+        _refuse_changed(made, place)
         return made
     colmap(place)  # before minutes of work
     folder, photos = _photos_of(place, events, stop, pictures)
     try:
-        return _map(folder, photos, events, stop)
+        film = digests_of_files([(place,)])[0] if is_film(place) else _NO_FILM
+        return _map(folder, photos, film, events, stop)
     except BaseException:
         if is_film(place):  # its pictures, which this call wrote
             shutil.rmtree(folder, ignore_errors=True)
         raise
 
 
-def _digest_of(photos: Path) -> str:
-    """Of the photos in a folder and their names. Raises OSError."""
-    names = sorted_out(photos)[0]
-    return sha256(repr([names, digests_of_files([(photos / name,) for name in names])]).encode()).hexdigest()
+def _refuse_changed(made: Made, place: Path) -> None:
+    """Raise PlgsError where the photos, the measured depth that gave the unit, or the film are others. OSError."""
+    if is_film(place) and made.film not in ("", *digests_of_files([(place,)])):
+        fix = f"Move the folder {made.folder.name} away to find this film's poses, or name that folder."
+        raise PlgsError("the poses here were found for another film, or for photos", made.folder, fix)
+    photos = photos_in(made.folder)
+    fix = "Move the folder sparse away to find them again. Without --poses these are used."
+    if made.files and (photos is None or made.files != _digest_of(_photos(photos))):
+        raise PlgsError("the photos have changed since their poses were found", made.folder / "sparse", fix)
+    depths = [*_depths(made.folder).values()] if made.scale is not None else []
+    if depths and made.depth not in ("", _digest_of(depths)):
+        what = "the depth has changed since it gave the poses their unit"
+        raise PlgsError(what, made.folder / "sparse", fix)
 
 
-def _map(folder: Path, photos: Path, events: EventWriter, stop: StopSignal) -> Made:
+def _digest_of(files: Sequence[Path]) -> str:
+    """Of files and their names."""
+    named = [[each.name for each in files], digests_of_files([(each,) for each in files])]
+    return sha256(repr(named).encode()).hexdigest()
+
+
+def _photos(folder: Path) -> list[Path]:
+    return [folder / name for name in sorted_out(folder)[0]]
+
+
+def _depths(folder: Path) -> Mapping[str, Path]:
+    """The measured depth beside photos, by their stems. Raises PlgsError, OSError."""
+    return files_if_any(folder / "depth", {".png", ".npy"}, "Remove the folder depth.")
+
+
+def _map(folder: Path, photos: Path, film: str, events: EventWriter, stop: StopSignal) -> Made:
     names, others = sorted_out(photos)
     if others:
         what = "show depth or confidence by their names or as grey PNGs of 16 bits"
         events.warning(f"{len(others)} pictures are left out, as they {what}: {listed(others)}.")
-    digest = _digest_of(photos)
+    files = _digest_of(_photos(photos))
     with tempfile.TemporaryDirectory(prefix=".poses-", dir=folder) as workplace:
         model = map_photos(photos, names, Path(workplace), events, stop)
         if model is None or model.num_reg_images() < max(LEAST, _LEAST_SHARE * len(names)):
             found = 0 if model is None else model.num_reg_images()
             fix = "Take more photos, each showing most of what the one before shows, in good light, without blur."
             raise PlgsError(f"poses were found for only {found} of {len(names)} photos", photos, fix)
-        depths = files_if_any(folder / "depth", {".png", ".npy"}, "Remove the folder depth.")
+        depths = _depths(folder)
         scale = metres_per_length(model, depths) if depths else None
         if scale is not None:
             scale.apply(model)
@@ -119,7 +146,8 @@ def _map(folder: Path, photos: Path, events: EventWriter, stop: StopSignal) -> M
         out.mkdir(parents=True)
         model.write(out)
         metres = None if scale is None else scale.metres
-        made = Made(folder, model.num_reg_images(), len(names), model.num_points3D(), metres, digest)
+        counts = model.num_reg_images(), len(names), model.num_points3D()
+        made = Made(folder, *counts, metres, files, _digest_of([*depths.values()]), film)
         (out / MADE_BY).write_bytes(to_line(made.to_json()))
         read_model(out)  # what a lift will read
         if (folder / "sparse").exists():

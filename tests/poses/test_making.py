@@ -8,6 +8,7 @@ import subprocess
 import sys
 from importlib.util import find_spec
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -75,11 +76,79 @@ def test_a_scene_with_poses_and_one_without_photos_are_left_alone(
 def test_poses_of_photos_that_have_changed_are_not_used(photos: Path, tmp_path: Path) -> None:
     """Whatever lay there by now had the poses that were found for others."""
     (photos / "sparse" / "0").mkdir(parents=True)
-    made = making.Made(photos, 6, 6, 100, None, making._digest_of(photos))
+    made = making.Made(photos, 6, 6, 100, None, making._digest_of(sorted(photos.glob("*.png"))))
     (photos / "sparse" / "0" / "made_by.json").write_text(json.dumps(made.to_json()))
     assert make_poses(photos, EventWriter(tmp_path / "events.jsonl"), StopSignal()) == made
     (photos / "0001.png").write_bytes((photos / "0002.png").read_bytes())
     with pytest.raises(PlgsError, match=r"photos have changed since.*sparse.*Move the folder"):
+        find_poses(photos, tmp_path)
+
+
+class _Mapped:
+    """What COLMAP would find: four of four photos."""
+
+    def num_reg_images(self) -> int:
+        return 4
+
+    def num_points3D(self) -> int:
+        return 100
+
+    def write(self, folder: Path) -> None:
+        write_text(folder.parent)
+
+
+@pytest.fixture
+def mapped(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Poses are found without COLMAP, one metre for each length where depth lies beside the photos."""
+    unit = SimpleNamespace(metres=1.0, apply=lambda model: None)
+    for name, stand_in in (
+        ("colmap", lambda place: None),
+        ("map_photos", lambda *all_of_it: _Mapped()),
+        ("read_model", lambda folder: None),
+        ("metres_per_length", lambda model, depths: unit),
+    ):
+        monkeypatch.setattr(making, name, stand_in)
+
+
+def write_film(path: Path, seed: int) -> None:
+    cv2 = pytest.importorskip("cv2")
+    random, film = (
+        np.random.default_rng(seed),
+        cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"mp4v"), 10, (64, 48)),
+    )
+    for _ in range(4):
+        film.write(random.integers(0, 255, (48, 64, 3), np.uint8))
+    film.release()
+
+
+def test_a_film_does_not_take_the_poses_of_another_of_its_name(mapped: None, tmp_path: Path) -> None:
+    """Nor of one whose name has another end, nor those that were found for photos in a folder of its name."""
+    film = tmp_path / "walk.mp4"
+    write_film(film, 0)
+    find_poses(film, tmp_path)
+    find_poses(film, tmp_path)
+    shutil.copytree(tmp_path / "walk", tmp_path / "moved")
+    film = film.rename(tmp_path / "moved.mp4")
+    find_poses(film, tmp_path)
+    write_film(film, 1)
+    with pytest.raises(PlgsError, match=r"found for another film.*moved.*Move the folder moved away"):
+        find_poses(film, tmp_path)
+    write_film(tmp_path / "walk.avi", 1)
+    with pytest.raises(PlgsError, match="found for another film"):
+        find_poses(tmp_path / "walk.avi", tmp_path)
+    shutil.rmtree(tmp_path / "moved" / "sparse")
+    find_poses(tmp_path / "moved", tmp_path)
+    with pytest.raises(PlgsError, match="or for photos"):
+        find_poses(film, tmp_path)
+
+
+def test_poses_in_metres_of_other_depth_are_not_used(mapped: None, photos: Path, tmp_path: Path) -> None:
+    (photos / "depth").mkdir()
+    write_grey(photos / "depth" / "0001.png", np.full((6, 8), 1000, np.uint16))
+    find_poses(photos, tmp_path)
+    find_poses(photos, tmp_path)
+    write_grey(photos / "depth" / "0001.png", np.full((6, 8), 2000, np.uint16))
+    with pytest.raises(PlgsError, match="depth has changed since it gave the poses their unit"):
         find_poses(photos, tmp_path)
 
 
