@@ -17,7 +17,17 @@ from ..plgs_blender.painting import Painting
 from ..plgs_blender.running.splitting import SplitByViews, split_by_views
 from ..plgs_blender.tasks import registry
 from ..plgs_blender.tasks.registry import Task
-from .base import CANCELLED, FINISHED, PASSED_ON, RUNNING, StartsTask, panel_of, reporting, reporting_events
+from .base import (
+    CANCELLED,
+    FINISHED,
+    PASSED_ON,
+    RUNNING,
+    CancelsTask,
+    StartsTask,
+    panel_of,
+    reporting,
+    reporting_events,
+)
 from .inspect import OnInstance, OnInstances, OnLift
 
 _UNDOABLE = {"REGISTER", "UNDO"}
@@ -180,6 +190,13 @@ class PLGS_OT_split_by_views(OnInstance, StartsTask, bpy.types.Operator):
         return split_by_views(root, row_of(root, self.instance).instance_id)
 
 
+class PLGS_OT_cancel_split(CancelsTask, bpy.types.Operator):
+    """Stop reading the masks; the object stays as it is"""
+
+    bl_idname, bl_label = "plgs.cancel_split", "Cancel"
+    cancelled_kind = SplitByViews
+
+
 class PLGS_OT_place_cut(OnInstance, bpy.types.Operator):
     """Add a plane through the object. Move and rotate it to where the object should be split"""
 
@@ -335,6 +352,7 @@ CLASSES = (
     PLGS_OT_delete_instance,
     PLGS_OT_split_instance,
     PLGS_OT_split_by_views,
+    PLGS_OT_cancel_split,
     PLGS_OT_place_cut,
     PLGS_OT_crop_instance,
     PLGS_OT_accept_instances,

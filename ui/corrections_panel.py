@@ -13,7 +13,7 @@ from ..plgs_blender.running.exports import making_meshes
 from ..plgs_blender.running.splitting import SplitByViews
 from ..plgs_blender.tasks import registry
 from .result_panel import OfResult
-from .sidebar import draw_task, from_panel, tell
+from .sidebar import draw_bar, draw_news, from_panel, tell
 
 _SHOWN = 4
 """How many proposals the panel shows at a time."""
@@ -33,9 +33,13 @@ class PLGS_PT_corrections(OfResult, bpy.types.Panel):
         row = column.row(align=True)
         row.operator("plgs.merge_instances", icon="AUTOMERGE_ON")
         row.operator("plgs.delete_instance", text="Delete", icon="TRASH").becomes = "AROUND"
-        row = layout.row(align=True)
+        row = layout.split(factor=0.45, align=True)
         row.operator("plgs.split_instance", text="Split Parts", icon="MOD_EXPLODE").by = "PARTS"
-        row.operator("plgs.split_by_views", text="Split by Views", icon="CAMERA_STEREO")
+        split, cell = registry.latest(SplitByViews), row.row(align=True)
+        if split is not None and split.is_running:
+            draw_bar(cell, split, "Views")
+        else:
+            cell.operator("plgs.split_by_views", text="Split by Views", icon="CAMERA_STEREO")
         row = layout.row(align=True)
         row.operator("plgs.place_cut", text="Add Plane", icon="MESH_PLANE")
         row.operator("plgs.split_instance", text="Split", icon="MOD_BOOLEAN").by = "CUT"
@@ -52,13 +56,16 @@ class PLGS_PT_corrections(OfResult, bpy.types.Panel):
             shown = len(str(root.get(corrections.EDITS, "")).split())
             told = f"{plural(shown, 'correction')}; bake again to see in passes" if shown else "No corrections"
             tell(layout, context, told)
-            if has(root, SURFACE) and are_stale(root) and making_meshes() is None:
-                layout.operator("plgs.make_meshes", text="Update Surface", icon="FILE_REFRESH")
+            if has(root, SURFACE) and are_stale(root):
+                making, row = making_meshes(), layout.row(align=True)
+                if making is not None:
+                    draw_bar(row, making, "Surface")
+                else:
+                    row.operator("plgs.make_meshes", text="Update Surface", icon="FILE_REFRESH")
         for line in corrections.failed:
             tell(layout, context, line, "ERROR")
-        split = registry.latest(SplitByViews)
         if split is not None:
-            draw_task(layout, context, split)
+            draw_news(layout, context, split)
         if root is not None:
             _draw_proposals(self.layout.column(), context, root)
 

@@ -6,30 +6,41 @@ from typing import Any
 
 import bpy
 
-from ..plgs_blender.running.exports import FORMS, Export, is_busy
+from ..plgs_blender.meshes import SURFACE
+from ..plgs_blender.running.exports import FORMS, Export
 from ..plgs_blender.tasks import registry
-from .sidebar import Step, draw_task, tell
+from .sidebar import Step, draw_bar, draw_news, how_far, tell
 
 
 class PLGS_PT_export(Step, bpy.types.Panel):
     bl_idname, bl_label, bl_order, bl_options = "PLGS_PT_export", "5  Export", 5, {"DEFAULT_CLOSED"}
 
     def draw(self, context: bpy.types.Context) -> None:
+        """The export that runs has its bar where its button was; what it tells comes below all buttons."""
         layout, export = self.layout, registry.latest(Export)
-        if export is not None and is_busy():
-            draw_task(layout, context, export)
-            return
-        layout.operator("plgs.make_meshes", icon="MESH_DATA")
+        running = export if export is not None and export.is_running else None
+        scene = running.form if running is not None and running.is_for_scene else ""
+        row = layout.row(align=True)
+        if running is not None and scene == SURFACE:
+            draw_bar(row, running, "Meshes")
+        else:
+            row.operator("plgs.make_meshes", icon="MESH_DATA")
         row = layout.row(align=True)
         row.operator("plgs.make_objects", icon="OUTLINER_COLLECTION")
         row.operator("plgs.make_objects", text="As Assets", icon="ASSET_MANAGER").as_assets = True
-        row = layout.row(align=True)
+        row = layout.split(factor=0.5, align=True)
         row.operator("plgs.key_visibility", icon="KEY_HLT")
-        row.operator("plgs.make_depth_cloud", icon="OUTLINER_DATA_POINTCLOUD")
-        _draw_forms(layout.column(align=True))
+        cell = row.row(align=True)
+        if running is not None and scene == "clouds":
+            draw_bar(cell, running, "Cloud")
+        else:
+            cell.operator("plgs.make_depth_cloud", icon="OUTLINER_DATA_POINTCLOUD")
+        _draw_forms(layout.column(align=True), None if scene else running)
+        if running is not None:
+            tell(layout, context, how_far(running)[1], "TIME")
         if export is not None:
-            draw_task(layout, context, export)
-            if export.error is None:
+            draw_news(layout, context, export)
+            if not export.is_running and export.error is None:
                 tell(layout, context, export.message, "INFO")
 
 
@@ -40,10 +51,14 @@ class PLGS_MT_export(bpy.types.Menu):
         _draw_forms(self.layout)
 
 
-def _draw_forms(layout: bpy.types.UILayout) -> None:
+def _draw_forms(layout: bpy.types.UILayout, running: Export | None = None) -> None:
     layout.operator_context = "INVOKE_DEFAULT"
     for form, (label, _) in FORMS.items():
-        layout.operator("plgs.export_lift", text=f"{label} ...").form = form
+        cell = layout.row(align=True)
+        if running is not None and running.form == form:
+            draw_bar(cell, running, label)
+        else:
+            cell.operator("plgs.export_lift", text=f"{label}…").form = form
 
 
 def _in_file_menu(menu: Any, context: bpy.types.Context) -> None:

@@ -13,7 +13,7 @@ from ..plgs_blender.inspecting.lookup import active_lift, chosen_row
 from ..plgs_blender.meshes import are_stale
 from ..plgs_blender.running.exports import Export, making_meshes
 from ..plgs_blender.tasks import registry
-from .sidebar import Sidebar, Step, draw_task, from_panel, how_far, tell
+from .sidebar import Sidebar, Step, draw_bar, draw_task, from_panel, tell
 
 _SURFACE_FROM = 0.55
 """Where the button of the surface begins in its row: it also holds how far it is made, and a button at its end."""
@@ -86,9 +86,7 @@ def _draw_surface(cell: bpy.types.UILayout, root: bpy.types.Collection) -> None:
     """
     making = making_meshes()
     if making is not None:
-        share, _ = how_far(making)
-        cell.progress(factor=share, type="BAR", text=f"Surface {100 * share:.0f} %")
-        cell.operator("plgs.cancel_export", text="", icon="X")
+        draw_bar(cell, making, "Surface")
     elif not has(root, SURFACE):
         cell.operator("plgs.make_meshes", text="Surface")
     else:

@@ -63,9 +63,40 @@ def tell(
 def draw_task(layout: bpy.types.UILayout, context: bpy.types.Context, task: Task) -> None:
     """Draw any task: its progress and Cancel while it runs; afterwards its error and what fixes it."""
     if task.is_running:
-        _draw_progress(layout, context, task)
-    elif task.error is not None:
-        draw_error(layout, context, task.error)
+        row = layout.row()
+        row.scale_y = 1.4
+        share, told = how_far(task)
+        row.progress(factor=share, type="BAR", text=told)
+        if task.cancel_operator:
+            cancel = layout.operator(task.cancel_operator, icon="CANCEL")
+            if task.lift_folder is not None:
+                cancel.lift_folder = str(task.lift_folder)
+    draw_news(layout, context, task)
+
+
+def draw_bar(cell: bpy.types.UILayout, task: Task, name: str) -> None:
+    """Draw how far a task is in the place of the button that began it, with a cross that cancels it at its end. What
+    varies in height is drawn by `draw_news`, below all buttons.
+    """
+    share, _ = how_far(task)
+    cell.progress(factor=share, type="BAR", text=f"{name} {100 * share:.0f} %")
+    cell.operator(task.cancel_operator, text="", icon="X")
+
+
+def draw_news(layout: bpy.types.UILayout, context: bpy.types.Context, task: Task) -> None:
+    """Draw what a running task tells beside its one number; afterwards its error and what fixes it."""
+    if not task.is_running:
+        if task.error is not None:
+            draw_error(layout, context, task.error)
+        return
+    progress = task.progress
+    stages = f"{progress.stage_index}/{progress.stage_count}  " if progress.stage_count > 1 else ""
+    loss = "" if progress.loss is None else f", loss {progress.loss:.4f}"
+    tell(layout, context, f"{stages}{progress.label if progress.stage else task.label}{loss}", "SORTTIME")
+    if progress.stage == "train" and not progress.step:
+        tell(layout, context, "The first step compiles kernels, once per computer: up to two minutes", "INFO")
+    for warning in progress.warnings[-2:]:
+        tell(layout, context, warning, "ERROR")
 
 
 def draw_error(layout: bpy.types.UILayout, context: bpy.types.Context, error: PlgsError) -> bpy.types.UILayout:
@@ -103,27 +134,6 @@ def draw_adding(layout: bpy.types.UILayout, context: bpy.types.Context, name: st
         row.operator("plgs.check_engine", text="", icon="FILE_REFRESH")  # who added it by hand
         if (obstacle := why_not_added()) is not None:
             tell(layout, context, obstacle, "INFO")
-
-
-def _draw_progress(layout: bpy.types.UILayout, context: bpy.types.Context, task: Task) -> None:
-    """One bar with one number, where the button was that began it, and Cancel. What varies in height comes below, so
-    that nothing moves under the pointer."""
-    progress = task.progress
-    share, told = how_far(task)
-    row = layout.row()
-    row.scale_y = 1.4
-    row.progress(factor=share, type="BAR", text=told)
-    if task.cancel_operator:
-        cancel = layout.operator(task.cancel_operator, icon="CANCEL")
-        if task.lift_folder is not None:
-            cancel.lift_folder = str(task.lift_folder)
-    stages = f"{progress.stage_index}/{progress.stage_count}  " if progress.stage_count > 1 else ""
-    loss = "" if progress.loss is None else f", loss {progress.loss:.4f}"
-    tell(layout, context, f"{stages}{progress.label if progress.stage else task.label}{loss}", "SORTTIME")
-    if progress.stage == "train" and not progress.step:
-        tell(layout, context, "The first step compiles kernels, once per computer: up to two minutes", "INFO")
-    for warning in progress.warnings[-2:]:
-        tell(layout, context, warning, "ERROR")
 
 
 def how_far(task: Task) -> tuple[float, str]:

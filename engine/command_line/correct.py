@@ -73,18 +73,25 @@ def correct(options: argparse.Namespace, events: EventWriter, stop: StopSignal) 
         answer = {"looked_at": found.looked_at, "all": found.all, "open": [asdict(one) for one in found.open]}
         events.answer(answer, "\n".join([*lines, found.progress]))
         return
+
+    def told(done: int, count: int) -> None:
+        stop.check()
+        events.progress("split", done, count)
+
     if options.edit == "undo":
         edit, corrected = undo(folder.path)
     else:
-        edit, corrected = correct(folder.path, partial(_edit, options, folder))
+        edit, corrected = correct(folder.path, partial(_edit, options, folder, told))
     for line in corrected.warnings:
         events.warning(line)
     answer = {"uid": edit.uid, "kind": edit.kind, "undone": edit.undone, "made": [one.id for one in edit.made]}
     events.answer(answer, _told(edit, corrected))
 
 
-def _edit(options: argparse.Namespace, folder: LiftFolder, state: Replay, first_id: int) -> Edit:
-    """The edit that the options name. Raises PlgsError."""
+def _edit(
+    options: argparse.Namespace, folder: LiftFolder, told: Callable[[int, int], object], state: Replay, first_id: int
+) -> Edit:
+    """The edit that the options name; ``told`` hears of the frames that are read for it. Raises PlgsError."""
     from ..corrections import class_of_parts, making
 
     match options.edit:
@@ -102,7 +109,7 @@ def _edit(options: argparse.Namespace, folder: LiftFolder, state: Replay, first_
     if options.views:
         from ..lift.separating import split_by_views
 
-        return split_by_views(folder, state, options.id, first_id)
+        return split_by_views(folder, state, options.id, first_id, told)
     part = making.parts_of(xyz) if options.parts else making.sides_of(xyz, options.plane[:3], options.plane[3:])
     return making.split(state, options.id, part, first_id, class_of_parts(folder.path, state, options.id, part))
 

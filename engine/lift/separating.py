@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -53,19 +53,27 @@ class _Segment:
     seen: NDArray[np.float32]
 
 
-def split_by_views(folder: LiftFolder, state: Replay, number: int, first_id: int) -> Edit:
+Told = Callable[[int, int], object]
+"""Called before each frame is read with how many were and how many will be. It may raise, to stop."""
+
+
+def split_by_views(
+    folder: LiftFolder, state: Replay, number: int, first_id: int, told: Told = lambda done, count: None
+) -> Edit:
     """Split an object of a lift into the parts that its masks show apart. Each part gets the class that its masks give
     it. Raises PlgsError if they show one thing, or if the scene is gone."""
     frames = scene_of_lift(folder).train_frames
-    seen = parts_by_views(frames, state.points_of(number)) if number in state.objects else NOTHING_SEEN
+    seen = parts_by_views(frames, state.points_of(number), told) if number in state.objects else NOTHING_SEEN
     return making.split(state, number, seen.part, first_id, seen.class_of)
 
 
-def parts_by_views(frames: Sequence[Frame], xyz: NDArray[np.floating]) -> PartsSeen:
+def parts_by_views(
+    frames: Sequence[Frame], xyz: NDArray[np.floating], told: Told = lambda done, count: None
+) -> PartsSeen:
     """The parts of an object with the points ``xyz`` [n, 3] that the masks of at least `LEAST_FRAMES` frames show as
     different things. Points that no such frame sees go to the nearest part. Raises PlgsError if pixels cannot be
     read."""
-    segments = _segments(frames, xyz)
+    segments = _segments(frames, xyz, told)
     cluster = join(_likeness(segments)) if segments else np.zeros(0, np.int64)
     apart = _frames_apart(segments, cluster)
     members: dict[int, list[_Segment]] = {}
@@ -91,7 +99,7 @@ def _class_of(segments: Sequence[_Segment]) -> int:
     return max(sorted(votes), key=lambda kind: votes[kind])
 
 
-def _segments(frames: Sequence[Frame], xyz: NDArray[np.floating]) -> list[_Segment]:
+def _segments(frames: Sequence[Frame], xyz: NDArray[np.floating], told: Told) -> list[_Segment]:
     """The segments of things that hold the object's points, from the frames that see most of them."""
     inside = []
     for number, frame in enumerate(frames):
@@ -99,7 +107,11 @@ def _segments(frames: Sequence[Frame], xyz: NDArray[np.floating]) -> list[_Segme
         count = ((far > 0) & (pixel >= 0).all(axis=1) & (pixel < np.array(frame.size)).all(axis=1)).sum()
         inside.append((-int(count), number))
     best = sorted(number for count, number in sorted(inside)[:MOST_FRAMES] if count)
-    return [segment for number in best for segment in _of_frame(number, frames[number], xyz)]
+    found: list[_Segment] = []
+    for done, number in enumerate(best):
+        told(done, len(best))
+        found += _of_frame(number, frames[number], xyz)
+    return found
 
 
 def _of_frame(number: int, frame: Frame, xyz: NDArray[np.floating]) -> list[_Segment]:

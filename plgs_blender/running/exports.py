@@ -11,6 +11,7 @@ import bpy
 from ...engine.errors import PlgsError
 from ...engine.job.follower import TaskFollower
 from .. import engine_environment
+from ..errors import plural
 from ..lift_collection import root_of_placed
 from ..lift_scene import place_depth_clouds_anew, placing_meshes_anew
 from ..meshes import SURFACE, mesh_folder
@@ -52,9 +53,14 @@ class Export(Task):
         self._placed = 0
 
     @property
+    def is_for_scene(self) -> bool:
+        """Whether its result is put into a scene."""
+        return bool(self._shown_in)
+
+    @property
     def makes_meshes(self) -> bool:
         """Whether its result is the surface that is put into a scene."""
-        return bool(self._shown_in) and self.form == SURFACE
+        return self.is_for_scene and self.form == SURFACE
 
     @property
     def message(self) -> str:
@@ -62,8 +68,9 @@ class Export(Task):
         if self.was_cancelled:
             return "The export was cancelled"
         if self._shown_in:
-            return f"{self._placed} {'meshes are' if self.form == SURFACE else 'points are'} in the scene"
-        return f"{FORMS[self.form][0]} are in {self.output}"
+            words = ("mesh is", "meshes are") if self.form == SURFACE else ("point is", "points are")
+            return f"{plural(self._placed, *words)} in the scene"
+        return f"{FORMS[self.form][0]}: written to {self.output}"
 
     def done(self, scene: Any) -> Iterator[None]:
         if not self.has_finished or not self._shown_in:

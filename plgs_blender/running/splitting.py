@@ -10,6 +10,7 @@ import bpy
 from ...engine.corrections import read_corrected
 from ...engine.job.follower import TaskFollower
 from .. import corrections, engine_environment
+from ..errors import plural
 from ..lift_collection import FOLDER, folder_of, is_same_place, lifts_in
 from ..owned import text_of
 from ..tasks import registry, timer
@@ -19,7 +20,7 @@ from ..tasks.registry import Task, start_engine
 class SplitByViews(Task):
     """The split of one object of a placed lift. The edit is in the lift's file when it is done, and then shown."""
 
-    kind, label = "split", "Reading the masks"
+    kind, label, cancel_operator = "split", "Reading the masks", "plgs.cancel_split"
 
     def __init__(self, lift: Path, follower: TaskFollower) -> None:
         super().__init__(follower)
@@ -28,7 +29,9 @@ class SplitByViews(Task):
     @property
     def message(self) -> str:
         """One line about what it made."""
-        return f"{len((self.answer or {}).get('made', ()))} new objects"
+        if self.was_cancelled:
+            return "The split was cancelled"
+        return plural(len((self.answer or {}).get("made", ())), "new object")
 
     def done(self, scene: Any) -> None:
         if not self.has_finished or self.answer is None:

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from engine.errors import Cancelled
 from engine.lift.separating import parts_by_views
 from engine.scene import Camera, Frame, PanopticMask, Segment
 
@@ -56,6 +57,21 @@ def test_stuff_and_what_lies_behind_do_not_vote() -> None:
     hidden = [replace(one, read_depth=lambda _: np.full((60, 120), 1.0, np.float32)) for one in frames]
     assert not parts_by_views(hidden, board()).class_of
     assert not parts_by_views([], board()).class_of
+
+
+def test_it_can_be_stopped_between_two_frames() -> None:
+    read: list[str] = []
+    frames = [frame(f"{at}", at, 0.4, TWO) for at in (-0.2, 0.0, 0.3)]
+    noting = [replace(one, read_mask=lambda size, one=one: read.append(one.name) or one.mask(size)) for one in frames]
+
+    def told(done: int, count: int) -> None:
+        assert count == 3
+        if done == 1:
+            raise Cancelled("asked")
+
+    with pytest.raises(Cancelled):
+        parts_by_views(noting, board(), told)
+    assert read == ["-0.2"]
 
 
 @pytest.mark.parametrize("seed", range(3))

@@ -20,6 +20,7 @@ from plgs.plgs_blender import corrections, engine_environment, lift_scene, propo
 from plgs.plgs_blender.inspecting.lookup import boxes_of, clouds_of, ids_of
 from plgs.plgs_blender.lift_collection import lifts_in
 from plgs.plgs_blender.painting import Painting, painted
+from plgs.plgs_blender.running import splitting
 from plgs.plgs_blender.tasks import registry
 
 CHAIR, CABINET = 1, 2
@@ -277,6 +278,9 @@ def test_masks_split_what_was_merged(
     count = points_of(root, CHAIR)
     bpy.ops.plgs.merge_instances(instances=f"{CABINET} {CHAIR}")
     bpy.ops.ed.undo_push(message="merged")
+    stopped = splitting.split_by_views(root, CABINET)
+    assert bpy.ops.plgs.cancel_split() == {"FINISHED"} and stopped.was_cancelled and stopped.error is None
+    assert [edit.kind for edit in read_edits(mine)] == ["merge"] and not bpy.ops.plgs.cancel_split.poll()
     assert bpy.ops.plgs.split_by_views(instance=CABINET) == {"FINISHED"}
     bpy.ops.ed.undo_push(message="split")
     (new,) = [row for row in root.plgs.instances if row.instance_id != CABINET]

@@ -199,6 +199,7 @@ def test_running_tasks_show_their_progress(tmp_path: Path) -> None:
     shown = drawn()
     assert shown.count("2/3  Half of it, loss 0.5000") == 4
     assert shown.count("5 of 10, 1 min 30 s left") == 3 and shown.count("50 %, 1 min 30 s left") == 1
+    assert "COCO Panoptic 50 %" in shown
     for name in ("masks", "frames", "export", "engine_set_up"):
         assert f"plgs.cancel_{name}" in shown
 

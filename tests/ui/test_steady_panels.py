@@ -17,7 +17,7 @@ from plgs.plgs_blender.engine_environment import choices, tasks
 from plgs.plgs_blender.lift_collection import lifts_in
 from plgs.plgs_blender.lift_scene import place_lift
 from plgs.plgs_blender.running import lifts, survey
-from plgs.plgs_blender.running.exports import Export
+from plgs.plgs_blender.running.exports import FORMS, Export
 from plgs.plgs_blender.running.splitting import SplitByViews
 from plgs.plgs_blender.settings import chosen_scene
 from plgs.plgs_blender.tasks import registry
@@ -104,12 +104,40 @@ def test_what_edits_and_their_engines_bring_moves_no_button_that_edits(tmp_path:
     place_lift(lift, bpy.context.scene)
     (root,) = lifts_in(bpy.context.scene)
     before = rows_above("plgs.undo_correction")
+    split = rows_above("plgs.split_by_views")
     registry.follow(SplitByViews(lift, Pretended(TaskState.RUNNING)))  # type: ignore[arg-type]
+    assert rows_above("Views 50 %") == split == rows_above("plgs.cancel_split") - 1
     one = proposals.Proposal(1, "chair 1", 1.0, "few frames saw it", "delete")
     root[proposals.PROPOSALS] = json.dumps({"open": [asdict(one)], "progress": "0 of 1 looked at"})
     shown = drawn()
     assert "few frames saw it" in shown and "Half of it" in shown
-    assert rows_above("plgs.undo_correction") == before
+    assert rows_above("plgs.undo_correction") == before + 1, "the cross that cancels is beside the bar, in the same row"
+
+
+@pytest.mark.parametrize(
+    ("form", "shown_in", "button", "bar"),
+    [
+        ("coco", "", "plgs.export_lift COCO Panoptic", "COCO Panoptic 50 %"),
+        ("surface", "", "plgs.export_lift Surface to View", "Surface to View 50 %"),
+        ("surface", "Scene", "plgs.make_meshes\n", "Meshes 50 %"),
+        ("clouds", "Scene", "plgs.make_depth_cloud", "Cloud 50 %"),
+    ],
+)
+@pytest.mark.parametrize("asked", [True, False])
+def test_an_export_shows_how_far_it_is_where_it_was_begun(
+    form: str, shown_in: str, button: str, bar: str, asked: bool, tmp_path: Path
+) -> None:
+    """The other buttons stay in sight, and where they are: what the export tells comes below the last one."""
+    idle, last = drawn(), f"plgs.export_lift {FORMS['clouds'][0]}"
+    follower: Any = Pretended(TaskState.RUNNING)
+    export = registry.follow(Export(tmp_path, form, tmp_path, shown_in, follower, asked=asked))
+    shown = drawn()
+    at = idle.partition(button)[0].count("\n")
+    assert shown.split("\n")[at] == bar and button not in shown and shown.split("\n")[at + 1] == "plgs.cancel_export"
+    assert idle.partition(button)[2].partition(last)[0].partition("\n")[2] in shown and "meshes are" not in shown
+    assert shown.index(last) < shown.index("2/3  Half of it") and shown.index(last) < shown.index("1 min 30 s left")
+    follower.state, follower.is_running, export.is_taken = TaskState.CANCELLED, False, True
+    assert drawn().partition(last)[0] == idle.partition(last)[0] and "The export was cancelled" in drawn()
 
 
 def test_what_goes_to_a_frame_does_not_move_away(tmp_path: Path) -> None:
