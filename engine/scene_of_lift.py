@@ -123,7 +123,7 @@ def _refuse_other_pictures(known: StoredScene, scene: Scene) -> None:
     before = {frame.name: frame.files for frame in known.frames}
     for frame, digest in zip(scene.frames, _digests_of(scene.frames), strict=True):
         if digest and before.get(frame.name, "") not in ("", digest):
-            raise another(f"the photo or the depth of {frame.name} differs", scene)
+            raise another(f"the photo or the depth of {frame.name} differs, or how they are read", scene)
 
 
 def another(differs: str, scene: Scene) -> PlgsError:
@@ -218,7 +218,13 @@ def refuse_others(known: Sequence[PosedFrame], scene: Scene) -> None:
 
 
 def _digests_of(frames: Sequence[Frame]) -> list[str]:
-    return digests_of_files([(frame.colour_path, frame.depth_path) for frame in frames])
+    """Of all files that hold the pixels of a frame, and of how they are read; empty where one cannot be read."""
+    files = digests_of_files([(frame.colour_path, frame.depth_path, frame.confidence_path) for frame in frames])
+    read_as = [frame.read_as for frame in frames]
+    return [
+        sha256(f"{digest} {how}".encode()).hexdigest()[:16] if digest and how else digest
+        for digest, how in zip(files, read_as, strict=True)
+    ]
 
 
 def _gone(scene: Path) -> Callable[[Any], NoReturn]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import astuple, dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -37,7 +37,7 @@ class DepthMap:
 
     ``read`` gives planar depth, float32 [H, W] metres with 0 = none, at its own size. ``alignment`` says where colour
     pixels lie in it. ``fault`` is why the file cannot be read, as far as its header says. ``step`` is the length of
-    a step in metres, None for files that hold lengths.
+    a step in metres, None for files that hold lengths. ``confidence`` is the file that says which pixels to trust.
     """
 
     path: Path
@@ -45,11 +45,18 @@ class DepthMap:
     alignment: Alignment = Alignment()
     fault: PlgsError | None = None
     step: float | None = None
+    confidence: Path | None = None
 
     def __call__(self, size: Size | None = None) -> NDArray[np.float32]:
         """Depth in the colour picture at ``size`` (width, height), or at its own size. Raises PlgsError."""
         depth = self.read()
         return resize_aligned(depth, size or (depth.shape[1], depth.shape[0]), self.alignment)
+
+    @property
+    def unusual(self) -> tuple[float, ...]:
+        """The unit and the alignment, where they are not millimetres and the colour camera's."""
+        is_usual = self.step in (None, MILLIMETRES) and self.alignment == Alignment()
+        return () if is_usual else (float(self.step or 0.0), *map(float, astuple(self.alignment)))
 
     def through(self, change: Callable[[NDArray[np.float32]], NDArray[np.float32]]) -> DepthMap:
         """The same map with ``change`` applied after reading."""
@@ -131,7 +138,8 @@ def trusted(depth: DepthMap, confidence: Path | None) -> DepthMap:
     """``depth`` without the pixels that the image ``confidence`` shows as 0, the lowest of ARKit's levels."""
     if confidence is None:
         return depth
-    return depth.through(lambda values: drop_untrusted(values, decode_single_channel(confidence), confidence))
+    shown = depth.through(lambda values: drop_untrusted(values, decode_single_channel(confidence), confidence))
+    return replace(shown, confidence=confidence)
 
 
 def drop_untrusted(depth: NDArray[np.float32], level: NDArray[np.integer], path: Path) -> NDArray[np.float32]:

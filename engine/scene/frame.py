@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +16,7 @@ from .noted import Inferred, LeftOut
 __all__ = [
     "Frame", "GroundTruth", "PanopticMask", "Scene", "Segment", "Size", "SparsePoints",
 ]  # fmt: skip
+
 
 @dataclass(frozen=True)
 class Segment:
@@ -62,12 +64,16 @@ class Frame(PosedFrame):
 
     ``read_colour`` gives uint8 [H, W, 3] RGB, ``read_depth`` float32 [H, W] planar metres (0 = none), ``read_mask`` a
     PanopticMask, ``read_ground_truth`` a GroundTruth. The last three may be None. Readers raise PlgsError.
+    ``confidence_path`` is the file that says which depth to trust. ``read_as`` are the distortion and the unit and lens
+    of depth, as text, where they are not the usual ones.
     """
 
     read_colour: Callable[[Size | None], NDArray[np.uint8]]
     read_depth: Callable[[Size | None], NDArray[np.float32]] | None
     read_mask: Callable[[Size | None], PanopticMask] | None
     read_ground_truth: Callable[[Size | None], GroundTruth] | None = None
+    confidence_path: Path | None = None
+    read_as: str = ""
 
     def depth(self, size: Size | None = None) -> NDArray[np.float32]:
         """``read_depth`` of a frame that must have it. Raises PlgsError."""

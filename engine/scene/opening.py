@@ -187,6 +187,7 @@ def _frame(shot: Shot, camera: Camera, held_out: bool, depth: DepthMap | None) -
             depth = depth.through(lambda values: undistorted(values, lens, bend, path, smooth=False))
     if depth is not None:
         depth = depth.through(depth_check(shot.name, depth.path))
+    told = (bend.model, *bend.coefficients) if bend.bends else ()
     return Frame(
         name=shot.name,
         camera=camera,
@@ -196,6 +197,8 @@ def _frame(shot: Shot, camera: Camera, held_out: bool, depth: DepthMap | None) -
         read_colour=ColourReader(read),
         read_depth=depth,
         read_mask=None,
+        confidence_path=None if depth is None else depth.confidence,
+        read_as=" ".join(map(str, (*told, *(() if depth is None else depth.unusual)))),
         file_shows_colour=shot.read_colour is None and not bend.bends,
     )
 

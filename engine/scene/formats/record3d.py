@@ -71,6 +71,10 @@ class _Archive:
         with self._open() as archive:
             return archive.namelist()
 
+    def file(self, name: str) -> Path:
+        """The file that holds what has this name."""
+        return self.path / name if self.path.is_dir() else self.path
+
     def read(self, name: str) -> bytes:
         """Raises PlgsError."""
         if self.path.is_dir():
@@ -127,8 +131,10 @@ def _shots(archive: _Archive, path: Path) -> Iterator[tuple[str, Shot | None]]:
             continue
         depth, conf = f"rgbd/{number}.depth", f"rgbd/{number}.conf"
         read = partial(_read_depth, archive, depth, conf if conf in names else None, size, camera)
-        picture = partial(_read_colour, archive, f"rgbd/{number}.jpg")
-        yield str(number), Shot(str(number), camera, path, DepthMap(path, read) if depth in names else None, picture)
+        level = path / conf if path.is_dir() and conf in names else None  # an archive is one file
+        shown = DepthMap(archive.file(depth), read, confidence=level) if depth in names else None
+        picture = None if path.is_dir() else partial(_read_colour, archive, f"rgbd/{number}.jpg")
+        yield str(number), Shot(str(number), camera, archive.file(f"rgbd/{number}.jpg"), shown, picture)
 
 
 def _cameras(metadata: dict[str, Any], numbers: list[int], path: Path) -> Iterator[tuple[int, Camera | None]]:

@@ -1,0 +1,57 @@
+"""What a lift's scene was made of is compared, whatever file says it."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from engine.errors import PlgsError
+from engine.job import LiftFolder, LiftRequest
+from engine.scene_of_lift import _digests_of, refuse_changed, remember_scene
+from tests.scene.formats.test_record3d import lzfse  # noqa: F401 - a fixture
+from tests.scene.samples import WRITERS, Sample, opened, samples, with_content  # noqa: F401 - a fixture among them
+
+Change = Callable[[bytes], bytes]
+
+
+def longer(data: bytes) -> bytes:
+    return data + b"\n"
+
+
+def in_json(**changes: object) -> Change:
+    return lambda data: json.dumps(json.loads(data) | changes).encode()
+
+
+@pytest.mark.parametrize("name", WRITERS)
+def test_no_frame_is_left_uncompared(sample: Sample, name: str) -> None:
+    """A frame whose files cannot be read as files, as a folder cannot, would stand for any other."""
+    assert all(_digests_of(opened(sample(name), name).frames))
+
+
+@pytest.mark.parametrize(
+    ("name", "file", "change"),
+    [
+        ("record3d", "a.r3d", longer),
+        ("record3d-unpacked", "rgbd/3.jpg", longer),
+        ("record3d-unpacked", "rgbd/3.depth", longer),
+        ("record3d-unpacked", "rgbd/3.conf", longer),
+        ("stray", "confidence/000003.png", longer),
+        ("polycam", "keyframes/confidence/*.png", longer),
+        ("scanner-app", "conf_00002.png", longer),
+        ("nerfstudio", "transforms.json", in_json(integer_depth_scale=0.0005)),
+        ("nerfstudio", "transforms.json", in_json(k1=0.2)),
+    ],
+)
+def test_a_lift_does_not_go_on_with_other_pixels(
+    sample: Sample, name: str, file: str, change: Change, tmp_path: Path
+) -> None:
+    scene, path = sample(name), min(sample(name).glob(file))
+    folder = LiftFolder.create(tmp_path / "lift", LiftRequest(scene=scene))
+    remember_scene(folder, opened(scene, name))
+    refuse_changed(folder, opened(scene, name))
+    with with_content(path, change(path.read_bytes())), pytest.raises(PlgsError, match="differs, or how they are read"):
+        refuse_changed(folder, opened(scene, name))
+    refuse_changed(folder, opened(scene, name))
