@@ -20,7 +20,7 @@ from .masks import OtherClasses
 from .on_demand import Progress
 from .opening import complete, require_liftable
 from .overlap import Thumbnail, measure_overlap
-from .pixels import distinct_ids, resize_nearest
+from .pixels import distinct_ids, largest_of_16_bits, resize_nearest
 
 _THUMBNAIL_WIDTH = 40
 _COLOURS_DECODED = 16
@@ -29,6 +29,8 @@ _MEDIAN_STEP = 7
 _LOOKS_LIKE_METRES = 0.1
 """Metres that some depth of a scene in millimetres exceeds."""
 _LOOKS_TOO_FAR = 15.0
+_BITS = (8, 10, 12, 14)
+"""Of photos that were written into PNGs of 16 bits as they are."""
 _SPARSE_DEPTH = 0.05
 _DISAGREEING = 0.4
 _LONELY_SHARE = 0.2
@@ -61,13 +63,15 @@ class MaskFacts:
 class FrameFacts:
     """The facts of one frame's pixels, None without such pixels.
 
-    ``unknown_truth`` are classes of the ground truth that the masks' table does not have.
+    ``unknown_truth`` are classes of the ground truth that the masks' table does not have. ``brightest`` is the largest
+    value of a photo of 16 bits, None for others and where the photo was not decoded.
     """
 
     name: str
     depth: DepthFacts | None
     mask: MaskFacts | None
     unknown_truth: frozenset[int | str]
+    brightest: int | None
 
 
 _Look = tuple[FrameFacts, Thumbnail | None]
@@ -152,18 +156,23 @@ def _readable(scene: Scene, tick: Progress) -> tuple[list[_Look], Scene, tuple[s
 
 def _look(frame: Frame, unknown_truth: frozenset[int | str], decode: bool) -> _Look:
     """Raises PlgsError where a file cannot be read."""
-    _check_colour(frame, decode)
+    brightest = _check_colour(frame, decode)
     depth = None if frame.read_depth is None else frame.read_depth(None)
     mask = None if frame.read_mask is None else _mask_facts(frame.read_mask(None))
-    facts = FrameFacts(frame.name, None if depth is None else _depth_facts(frame, depth), mask, unknown_truth)
+    measured = None if depth is None else _depth_facts(frame, depth)
+    facts = FrameFacts(frame.name, measured, mask, unknown_truth, brightest)
     return facts, None if depth is None else _thumbnail(frame, depth)
 
 
-def _check_colour(frame: Frame, decode: bool) -> None:
+def _check_colour(frame: Frame, decode: bool) -> int | None:
+    """The largest value of a photo of 16 bits that is decoded."""
+    is_image = frame.colour_path.suffix.lower() in IMAGES
     if decode:
         frame.read_colour(None)
-    elif frame.colour_path.suffix.lower() in IMAGES:
+        return largest_of_16_bits(frame.colour_path) if is_image else None
+    if is_image:
         check_image_file(frame.colour_path)
+    return None
 
 
 def _thumbnail(frame: Frame, depth: NDArray[np.float32]) -> Thumbnail:
@@ -200,11 +209,24 @@ def _mask_facts(mask: PanopticMask) -> MaskFacts:
 
 
 def _pixel_warnings(facts: Sequence[FrameFacts]) -> Iterable[str]:
+    yield from _colour_warnings({fact.name: fact.brightest for fact in facts if fact.brightest is not None})
     yield from _depth_warnings({fact.name: fact.depth for fact in facts if fact.depth is not None})
     yield from _mask_warnings({fact.name: fact.mask for fact in facts if fact.mask is not None})
     unknown = sorted(frozenset().union(*(fact.unknown_truth for fact in facts)), key=str)
     if unknown:
         yield f"classes {listed(unknown)} of the ground truth are not in the masks' table and count as void"
+
+
+def _colour_warnings(brightest: Mapping[str, int]) -> Iterable[str]:
+    """Cameras write 10, 12 or 14 bits into PNGs of 16. Photos may be dark, too, so none is made brighter."""
+    name = max(brightest, key=brightest.__getitem__, default="")
+    bits = next((bits for bits in _BITS if brightest.get(name, 1 << 16) < 1 << bits), None)
+    if bits is not None:
+        yield (
+            f"photos of 16 bits are nearly black, as if they had {bits} bits (the largest value is {brightest[name]}, "
+            f"in {name}): they are read as they are; if so, multiply their values by {1 << 16 - bits} and write them "
+            "again"
+        )
 
 
 def _depth_warnings(depths: Mapping[str, DepthFacts]) -> Iterable[str]:

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import PlgsError
-from ..posed.image_header import check_image_bytes, check_image_file
+from ..posed.image_header import check_image_bytes, check_image_file, read_image_header
 from .frame import Size
 
 
@@ -56,6 +56,14 @@ def decode_bytes(data: bytes, path: Path, as_colour: bool) -> NDArray[Any]:
     if pixels.ndim == 3:
         pixels = cv2.cvtColor(pixels, cv2.COLOR_BGRA2RGBA if pixels.shape[2] == 4 else cv2.COLOR_BGR2RGB)
     return pixels
+
+
+def largest_of_16_bits(path: Path) -> int | None:
+    """The largest value of the colours of a PNG of 16 bits, alpha left out; None for other images. Raises PlgsError."""
+    if read_image_header(path).bit_depth != 16:
+        return None
+    pixels = decode(path, as_colour=False)
+    return int((pixels if pixels.ndim == 2 else pixels[..., :3]).max())
 
 
 @dataclass(frozen=True, eq=False)

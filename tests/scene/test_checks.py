@@ -45,6 +45,36 @@ def test_depth_beyond_any_room_is_a_warning(tmp_path: Path) -> None:
     assert warnings[0].endswith("which is far for a room: is it in millimetres?")
 
 
+def in_16_bits(folder: Path, bits: int, names: str = "*") -> None:
+    for path in (folder / "color").glob(names):
+        pixels = cv2.imread(str(path)).astype(np.uint16) * 257 >> 16 - bits
+        alpha = np.full_like(pixels[..., :1], 65535)
+        cv2.imwrite(str(path), np.concatenate([pixels, alpha], axis=-1) if "1" in path.stem else pixels)
+
+
+def test_photos_of_12_bits_in_16_are_told_and_not_made_brighter(tmp_path: Path) -> None:
+    folder = write_tiny_scene(tmp_path, frames=5)
+    before = open_scene(folder).frames[1].read_colour(None)
+    in_16_bits(folder, 12)
+    (warning,) = check_scene(open_scene(folder))
+    assert "as if they had 12 bits (the largest value is" in warning and "multiply their values by 16" in warning
+    assert np.abs(open_scene(folder).frames[1].read_colour(None).astype(int) - before // 16).max() <= 1
+
+
+@pytest.mark.parametrize("bits", [8, 10, 14])
+def test_photos_of_other_depths_are_told_by_their_brightest(tmp_path: Path, bits: int) -> None:
+    folder = write_tiny_scene(tmp_path, frames=5)
+    in_16_bits(folder, bits)
+    assert f"had {bits} bits" in check_scene(open_scene(folder))[0]
+
+
+def test_a_dark_photo_among_others_of_16_bits_is_no_warning(tmp_path: Path) -> None:
+    folder = write_tiny_scene(tmp_path, frames=5)
+    in_16_bits(folder, 16)
+    in_16_bits(folder, 12, "0002.png")
+    assert check_scene(open_scene(folder)) == ()
+
+
 def test_sparse_depth_and_empty_masks_are_warnings(tmp_path: Path) -> None:
     folder = write_tiny_scene(tmp_path, frames=5)
     depth = np.zeros((48, 64), np.uint16)
