@@ -14,12 +14,13 @@ from ..plgs_blender.running.diagnosis import Diagnosis, diagnosis_of
 from ..plgs_blender.running.importing import FrameMaking
 from ..plgs_blender.running.preparation import MaskMaking, PoseMaking
 from ..plgs_blender.running.survey import SceneLook, Survey, possibilities, survey_of
-from ..plgs_blender.scene_formats import AUTOMATIC, label_of
+from ..plgs_blender.scene_formats import label_of
 from ..plgs_blender.settings import chosen_scene
 from ..plgs_blender.tasks import registry
-from .sidebar import Sidebar, Step, draw_error, draw_lacking, draw_task, from_panel, tell
+from .sidebar import Sidebar, Step, draw_bar, draw_error, draw_lacking, draw_task, from_panel, how_far, tell
 
-_MOST_WARNINGS = 4
+_FACTS = ("CAMERA_DATA", "IMAGE_DATA", "EMPTY_SINGLE_ARROW", "COLOR")
+"""The icons of what is always said of a scene: its frames, their size, depth and masks."""
 _MOST_LINKS, _LINKS_IN_A_ROW = 12, 4
 _PICTURES = ((PHOTO, "Photo", "IMAGE_DATA"), (DEPTH, "Depth", "EMPTY_SINGLE_ARROW"), (MASKS, "Masks", "COLOR"))
 
@@ -34,19 +35,18 @@ class PLGS_PT_scene(Step, bpy.types.Panel):
         row.operator("plgs.look_at_scene", text="", icon="FILE_REFRESH")
         row.operator("plgs.browse_scene", text="", icon="IMPORT")
         # Above what is read: that comes a moment later, and nothing is to move under the pointer.
-        from_panel(layout.row(), context).operator("plgs.import_scene", icon="OUTLINER_OB_CAMERA")
+        row, making = from_panel(layout.row(align=True), context), registry.latest(FrameMaking)
+        if making is not None and making.is_running:
+            draw_bar(row, making, "Images")
+        else:
+            row.operator("plgs.import_scene", icon="OUTLINER_OB_CAMERA")
         survey = _survey(context)
         if not settings.scene_folder:
-            tell(layout, context, "Choose a capture's folder or file (import), or drop one of its files here", "INFO")
-        elif survey is None:
-            tell(layout, context, "Not read yet: press the arrows beside the folder", "QUESTION")
-        elif survey.error is not None:
+            tell(layout, context, "Choose a capture's folder or file, or drop one of its files here", "INFO")
+        elif survey is not None and survey.error is not None:
             box = draw_error(layout, context, survey.error)
             if survey.error.code is ErrorCode.NO_POSES:
                 _draw_poses(box, context)
-        elif survey.is_looking:
-            for look in registry.running(SceneLook):
-                draw_task(layout, context, look)
         else:
             _draw_survey(layout, context, survey)
 
@@ -60,17 +60,8 @@ class PLGS_PT_scene_options(Sidebar, bpy.types.Panel):
         layout.use_property_split, layout.use_property_decorate = True, False
         layout.prop(settings, "format")
         layout.prop(settings, "masks")
-        survey = _survey(context)
-        given = settings.masks or settings.classes_table or settings.mask_format != AUTOMATIC
-        if given or (survey is not None and survey.has_masks):
-            layout.prop(settings, "mask_format")
-            layout.prop(settings, "classes_table")
-        if settings.depth or (survey is not None and survey.error is None and not survey.has_depth):
-            layout.prop(settings, "depth")
-        layout.prop(settings, "up")
-        for text, is_doubtful in survey.inferred if survey is not None else ():
-            if not is_doubtful:  # what is doubtful stands above, where nobody overlooks it
-                tell(layout, context, text, "INFO")
+        for name in ("mask_format", "classes_table", "depth", "up"):
+            layout.prop(settings, name)
 
 
 class PLGS_UL_mask_classes(bpy.types.UIList):
@@ -133,7 +124,7 @@ class PLGS_PT_frames(Sidebar, bpy.types.Panel):
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         """Also while the active camera is not a frame's: what goes to one must not move itself away."""
-        return bool(lifts_in(context.scene)) or _frame_making(context) is not None
+        return bool(lifts_in(context.scene)) or _frames_not_made(context) is not None
 
     def draw(self, context: bpy.types.Context) -> None:
         layout = self.layout
@@ -146,7 +137,7 @@ class PLGS_PT_frames(Sidebar, bpy.types.Panel):
             span = range_shown(ob)
             if span is not None:
                 layout.label(text=f"{span[0]:.2f} m (light) to {span[1]:.2f} m (dark)", icon="BLANK1")
-        making = _frame_making(context)
+        making = _frames_not_made(context)
         if making is not None:
             draw_task(layout, context, making)
 
@@ -170,39 +161,59 @@ def _survey(context: bpy.types.Context) -> Survey | None:
     return survey_of(chosen_scene(settings)) if settings.scene_folder else None
 
 
-def _draw_survey(layout: bpy.types.UILayout, context: bpy.types.Context, survey: Survey) -> None:
-    box = layout.box()
-    column = box.column(align=True)
-    column.label(text=label_of(survey.format), icon="FILEBROWSER")
-    column.label(text=f"{plural(survey.frames, 'frame')}, {survey.test_frames} held out", icon="CAMERA_DATA")
+def _draw_survey(layout: bpy.types.UILayout, context: bpy.types.Context, survey: Survey | None) -> None:
+    """Draw what is known of a scene in rows that stand there from the start, so that what is read moves nothing. What
+    varies in length can be opened, and the row that opens it says whether there are warnings.
+    """
+    known = survey if survey is not None and not survey.is_looking else None
+    column = layout.box().column(align=True)
+    if survey is not None and survey.is_looking:
+        looks = [how_far(look)[0] for look in registry.running(SceneLook)]
+        column.progress(factor=max(looks, default=0.0), type="BAR", text="Reading the scene")
+    elif known is None:
+        column.label(text="Not read yet: press the arrows", icon="QUESTION")
+    else:
+        column.label(text=label_of(known.format), icon="FILEBROWSER")
+    facts = ("–",) * len(_FACTS) if known is None else _facts(known)
+    for icon, fact in zip(_FACTS, facts, strict=True):
+        column.label(text=fact, icon=icon)
+    warnings = () if known is None else (*(text for text, doubtful in known.inferred if doubtful), *known.warnings)
+    header, body = layout.panel("plgs_scene_details", default_closed=True)
+    header.label(text=plural(len(warnings), "warning") if warnings else "Details", icon="ERROR" if warnings else "NONE")
+    if body is not None and known is not None:
+        _draw_details(body, context, known, warnings)
+
+
+def _facts(survey: Survey) -> tuple[str, ...]:
+    """A line for each of `_FACTS`, which fits the sidebar as Blender opens it."""
+    frames = f"{plural(survey.frames, 'frame')}, {survey.test_frames} held out"
     if survey.left_out:
-        column.label(text=f"{plural(survey.left_out, 'more frame is', 'more frames are')} left out", icon="BLANK1")
+        frames += f", {survey.left_out} left out"
     sizes = [f"{width} x {height}" + (f" ({count})" if len(survey.sizes) > 1 else "")
-             for (width, height), count in survey.sizes[:3]]  # fmt: skip
-    column.label(text=", ".join(sizes), icon="IMAGE_DATA")
-    column.label(text=_depth(survey), icon="EMPTY_SINGLE_ARROW")
-    if survey.has_masks:
-        column.label(text=plural(len(survey.classes), "class", "classes"), icon="COLOR")
+             for (width, height), count in survey.sizes[:2]]  # fmt: skip
+    depth = "Depth: needs an engine to read" if survey.has_depth else "No depth: give it below"
+    if survey.depth_range is not None:
+        depth = "Depth {:.1f} to {:.1f} m, median {:.1f}".format(*(survey.depth_range[place] for place in (0, 2, 1)))
+    masks = "Masks: looked for by a lift"
+    if survey.has_masks is not None:
+        masks = plural(len(survey.classes), "class", "classes") if survey.has_masks else "No masks: make them below"
+    return frames, ", ".join(sizes) + (", ..." if len(survey.sizes) > 2 else ""), depth, masks
+
+
+def _draw_details(
+    layout: bpy.types.UILayout, context: bpy.types.Context, survey: Survey, warnings: tuple[str, ...]
+) -> None:
     known = possibilities(survey, status().is_usable)
     possible = ", ".join(each.what for each in known if each.is_possible)
-    tell(box, context, f"Possible: {possible.lower()}" if possible else "Nothing yet", "CHECKMARK" if possible else "X")
+    tell(layout, context, f"Possible: {possible.lower()}", "CHECKMARK")
     for each in known:
         if not each.is_possible:
-            tell(box, context, f"{each.what}: {each.why}", "X")
-    for text in (text for text, is_doubtful in survey.inferred if is_doubtful):
-        tell(layout, context, text, "ERROR")
-    for warning in survey.warnings[:_MOST_WARNINGS]:
+            tell(layout, context, f"{each.what}: {each.why}", "X")
+    for warning in warnings:
         tell(layout, context, f"{warning[:1].upper()}{warning[1:]}", "ERROR")
-    if len(survey.warnings) > _MOST_WARNINGS:
-        more = plural(len(survey.warnings) - _MOST_WARNINGS, "more warning")
-        layout.label(text=f"and {more}", icon="BLANK1")
-
-
-def _depth(survey: Survey) -> str:
-    if survey.depth_range is not None:
-        near, middle, far = survey.depth_range
-        return f"Depth {near:.1f} to {far:.1f} m, median {middle:.1f}"
-    return "Depth: known once an engine is set up" if survey.has_depth else "No depth"
+    for text, is_doubtful in survey.inferred:
+        if not is_doubtful:
+            tell(layout, context, text, "INFO")
 
 
 def _draw_findings(layout: bpy.types.UILayout, context: bpy.types.Context, known: Diagnosis) -> None:
@@ -237,11 +248,11 @@ def _draw_links(layout: bpy.types.UILayout, frames: tuple[str, ...], number: int
         layout.label(text=f"and {len(frames) - _MOST_LINKS} more", icon="BLANK1")
 
 
-def _frame_making(context: bpy.types.Context) -> FrameMaking | None:
-    """The task that makes frames, or that failed to make those of the panel's scene or of the active camera's."""
+def _frames_not_made(context: bpy.types.Context) -> FrameMaking | None:
+    """The task that failed to make frames of the panel's scene or of the active camera's."""
     making, settings, ob = registry.latest(FrameMaking), context.scene.plgs, context.scene.camera
     if making is None or making.is_running:
-        return making
+        return None
     chosen = chosen_scene(settings) if settings.scene_folder else None
     error = making.error_for(chosen, "" if ob is None else ob.get(LIFT, ""))
     return making if error is not None else None

@@ -32,8 +32,9 @@ PANELS = (sidebar, scene_panel, lift_panel, result_panel, corrections_panel, pas
 class Layout:
     """In the place of Blender's: it notes texts and operators, and refuses names that Blender does not know."""
 
-    def __init__(self, seen: list[str]) -> None:
-        self.__dict__["seen"] = seen
+    def __init__(self, seen: list[str], *, opened: bool = True) -> None:
+        """``opened``: whether what can be folded up inside a panel is open."""
+        self.__dict__["seen"], self.__dict__["opened"] = seen, opened
 
     def __setattr__(self, name: str, value: object) -> None:
         assert name in bpy.types.UILayout.bl_rna.properties, name
@@ -51,13 +52,13 @@ class Layout:
                 getattr(given[0], str(given[1]))
                 self.seen.append(f"field {given[1]}")
             self.seen.append(str(options.get("text", "")))
-            return (self, self) if name == "panel" else self
+            return (self, self if self.opened else None) if name == "panel" else self
 
         return call
 
 
-def drawn() -> str:
-    """What all panels and the preferences show now."""
+def drawn(*, opened: bool = True) -> str:
+    """What all panels and the preferences show now. ``opened`` as in `Layout`."""
     scene = bpy.context.scene
     context = SimpleNamespace(
         scene=scene,
@@ -70,7 +71,7 @@ def drawn() -> str:
     for module in PANELS:
         for panel in module.CLASSES:
             if issubclass(panel, bpy.types.Panel) and getattr(panel, "poll", lambda _: True)(context):
-                panel.draw(SimpleNamespace(layout=Layout(seen)), context)
+                panel.draw(SimpleNamespace(layout=Layout(seen, opened=opened)), context)
     chosen = SimpleNamespace(
         layout=Layout(seen), engine_python="", base_python="", torch_build="cpu", index_url="",
         _draw_choices=lambda layout: preferences.PLGS_AP_preferences._draw_choices(chosen, layout),

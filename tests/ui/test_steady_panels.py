@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +28,7 @@ for each in (Path(__file__).parents[1] / "plgs_blender", Path(__file__).parents[
 
 import tiny_lift  # noqa: E402
 from pretended_python import pretended_python  # noqa: E402
+from tiny_scene import write_tiny_scene  # noqa: E402
 
 from tests.ui.drawn_panels import Pretended, drawn, tasks_with  # noqa: E402
 
@@ -49,10 +50,40 @@ def test_what_is_read_of_a_scene_moves_no_button_that_imports_it(tmp_path: Path)
 
 
 def rows_above(what: str) -> int:
-    """How much is drawn above a button or a list."""
-    above, found, _ = drawn().partition(what)
+    """How much is drawn above a button or a list, with what can be folded up closed."""
+    above, found, _ = drawn(opened=False).partition(what)
     assert found, what
     return above.count("\n")
+
+
+def test_what_is_read_of_a_scene_moves_nothing_below_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Rows that stand there from the start are filled; what varies in length is behind a row that tells of warnings."""
+    bpy.context.scene.plgs.scene_folder = str(write_tiny_scene(tmp_path / "tiny"))
+    chosen = chosen_scene(bpy.context.scene.plgs)
+    monkeypatch.setattr(survey, "_latest", None)
+    assert "Not read yet" in drawn()
+    before = rows_above("plgs.lift_scene")
+    survey.look(chosen, Path(sys.executable))
+    assert "Reading the scene" in drawn() and rows_above("plgs.lift_scene") == before
+    registry.wait_for(registry.latest(survey.SceneLook), bpy.context.scene)  # type: ignore[arg-type]
+    found = survey.survey_of(chosen)
+    assert found is not None and found.error is None
+    shown = drawn()
+    assert "6 frames, 1 held out" in shown and "4 classes" in shown and "Possible: cameras, pictures" in shown
+    assert rows_above("plgs.lift_scene") == before
+    worse = replace(found, warnings=("one", "two"), inferred=(("Up: z: a guess", True),), has_depth=False)
+    monkeypatch.setattr(survey, "_latest", replace(worse, depth_range=None, has_masks=False, left_out=2))
+    shown = drawn(opened=False)
+    assert "3 warnings" in shown and "No masks: make them below" in shown and "Up: z: a guess" not in shown
+    assert rows_above("plgs.lift_scene") == before and "Up: z: a guess" in drawn()
+
+
+def test_the_frames_that_are_made_have_their_bar_where_import_was(tmp_path: Path) -> None:
+    bpy.context.scene.plgs.scene_folder = str(tmp_path)
+    before, at = rows_above("plgs.lift_scene"), rows_above("plgs.import_scene")
+    registry.follow(tasks_with(Pretended(TaskState.RUNNING), tmp_path)[1])
+    assert rows_above("Images 50 %") == at == rows_above("plgs.cancel_frames") - 1
+    assert rows_above("plgs.lift_scene") == before + 1, "the cross is beside the bar"
 
 
 def test_no_news_of_an_engine_moves_what_starts_a_lift(tmp_path: Path) -> None:
