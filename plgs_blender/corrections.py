@@ -141,13 +141,8 @@ def chosen_instances(root: bpy.types.Collection, named: str, context: bpy.types.
 
 
 def class_named(root: bpy.types.Collection, name: str) -> int:
-    """The id of the class of this name among those of the lift. Raises PlgsError."""
-    classes = listed_in(folder_of(root))[0]
-    for one in classes.categories:
-        if one.id and one.name.casefold() == name.strip().casefold():
-            return one.id
-    known = ", ".join(one.name for one in classes.categories if one.id)
-    raise PlgsError(f"there is no class {name!r}", root.name, f"The classes are {known}.")
+    """The id of the class of this name or number among those of the lift. Raises PlgsError."""
+    return making.class_of(listed_in(folder_of(root))[0], name)
 
 
 def class_choices(root: bpy.types.Collection, instance: int) -> list[str]:

@@ -9,7 +9,6 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from ..errors import PlgsError
 from ..job import EventWriter, LiftFolder, StopSignal, read_manifest
 
 if TYPE_CHECKING:
@@ -98,7 +97,7 @@ def _edit(
         case "rename":
             return making.rename(state, options.id, options.name)
         case "reclass":
-            return making.reclass(state, options.id, _class(state, options.class_name))
+            return making.reclass(state, options.id, options.class_name)
         case "merge":
             return making.merge(state, options.id)
         case "delete":
@@ -112,15 +111,6 @@ def _edit(
         return split_by_views(folder, state, options.id, first_id, told)
     part = making.parts_of(xyz) if options.parts else making.sides_of(xyz, options.plane[:3], options.plane[3:])
     return making.split(state, options.id, part, first_id, class_of_parts(folder.path, state, options.id, part))
-
-
-def _class(state: Replay, text: str) -> int:
-    """The class with this name or id. Raises PlgsError."""
-    for one in state.classes.categories:
-        if one.id and (text == str(one.id) or text.casefold() == one.name.casefold()):
-            return one.id
-    known = ", ".join(one.name for one in state.classes.categories if one.id)
-    raise PlgsError(f"there is no class {text}", "reclass", f"The classes are {known}.")
 
 
 def _told(edit: Edit, corrected: CorrectedResult) -> str:

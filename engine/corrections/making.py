@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import PlgsError
+from ..posed.classes import ClassTable, named
 from .edits import CORRECTIONS, Edit, MovedPoints, NewObject, ObjectMark, no_object
 from .nearest import nearest
 from .relabelling import Labels
@@ -34,11 +35,21 @@ def rename(state: Replay, number: int, name: str) -> Edit:
     return Edit("rename", (_mark(state, number),), name=name)
 
 
-def reclass(state: Replay, numbers: Sequence[int], class_id: int) -> Edit:
-    """Give objects another class. Stuff has no objects, so with a stuff class their points become that stuff."""
-    if class_id not in state.classes or class_id == 0:
-        known = ", ".join(f"{one.id} {one.name}" for one in state.classes.categories if one.id)
-        raise PlgsError(f"there is no class {class_id}", CORRECTIONS, f"The classes are {known}.")
+def class_of(classes: ClassTable, said: int | str) -> int:
+    """The id of the class with this number, or of the only one with this name or number as text. Raises PlgsError."""
+    names = {one.id: one.name for one in classes.categories}
+    found = [] if isinstance(said, int) else named(names, said.strip())
+    found = sorted({*found, *(number for number in names if str(number) == str(said))})
+    if len(found) != 1:
+        what = f"{said} may be the class {' or '.join(f'{one} {names[one]}' for one in found)}"
+        known = ", ".join(f"{number} {name}" for number, name in names.items())
+        raise PlgsError(what if found else f"there is no class {said}", CORRECTIONS, f"The classes are {known}.")
+    return found[0]
+
+
+def reclass(state: Replay, numbers: Sequence[int], said: int | str) -> Edit:
+    """Give objects another class, see ``class_of``. Stuff has no objects, so their points become a stuff class."""
+    class_id = class_of(state.classes, said)
     marks = tuple(_mark(state, number) for number in _some(numbers))
     if not state.classes[class_id].is_thing:
         return Edit("assign", marks, rest=-class_id)
@@ -144,9 +155,7 @@ def assign(
     if target:
         _mark(state, target)
         label = target
-    elif class_id not in state.classes or class_id == 0:
-        raise PlgsError(f"there is no class {class_id}", CORRECTIONS, "Choose one of the lift's classes.")
-    elif new_id:
+    elif class_of(state.classes, class_id) and new_id:
         made = (NewObject(new_id, name or _new_name(state, class_id), class_id),)
         label = new_id
     else:

@@ -92,8 +92,14 @@ def distinct_colour(instance: int) -> tuple[int, int, int]:
 def matte_names(names: Mapping[int, str]) -> dict[int, str]:
     """The names of classes or instances in Cryptomatte: without commas, quotes and backslashes, and each only once.
 
-    The id follows a name that several have.
+    The id follows a name that several have, in whatever case: files are named so, too.
     """
     clean = {key: " ".join(name.translate(_NOT_IN_MATTES).split()) or f"id {key}" for key, name in names.items()}
-    seen = Counter(clean.values())
-    return {key: name if seen[name] == 1 else f"{name} #{key}" for key, name in clean.items()}
+    seen = Counter(name.casefold() for name in clean.values())
+    return {key: name if seen[name.casefold()] == 1 else f"{name} #{key}" for key, name in clean.items()}
+
+
+def named(names: Mapping[int, str], text: str) -> list[int]:
+    """The ids whose name is ``text``, or, where there are none, whose name differs from it in case only."""
+    exact = [key for key, name in names.items() if name == text]
+    return exact or [key for key, name in names.items() if name.casefold() == text.casefold()]

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from ..errors import PlgsError
-from ..posed.classes import VOID, ClassLabel, ClassTable
+from ..posed.classes import VOID, ClassLabel, ClassTable, named
 from ..posed.layout import listed
 from .class_choice import FILE_NAME, ClassChoice, ClassRow
 from .class_colours import coloured
@@ -49,15 +49,17 @@ def class_map(labels: Sequence[ClassLabel] | None, choice: ClassChoice | None, w
     objects, and those without a name are of the class "object". Raises PlgsError.
     """
     choice = choice or ClassChoice()
-    own = _labels(labels if choice.labels is None else choice.labels, choice)
+    labels = (labels if choice.labels is None else choice.labels) or ()
+    rows = _numbered(labels, choice)
+    own = _labels(labels, rows, choice)
     if not own and not objects:
         fix = f'Write {FILE_NAME} beside them, such as table = "nyu40", or name a table with --classes.'
         raise PlgsError("the masks do not say what their classes are", where, fix, option="--classes")
-    into = _targets(own, choice)
+    into = _targets(own, rows)
     if choice.to_reduced:
         final, class_of = _reduced(own, into, choice)
     else:
-        final, class_of = _merged(own, into)
+        final, class_of = _merged(own, into, choice)
     for number in {*choice.void, *(() if choice.table is None else known_table(choice.table).void - own.keys())}:
         class_of[number] = VOID
     others = None
@@ -66,7 +68,7 @@ def class_map(labels: Sequence[ClassLabel] | None, choice: ClassChoice | None, w
         final = [*final, replace(OBJECT, id=others)]
     used = [number for number in class_of.values() if number != VOID]
     merges = len(set(used)) < len(used)
-    colours = {class_of[number]: row.rgb for number, row in _numbered_rows(own, choice) if row.rgb}
+    colours = {class_of[number]: row.rgb for number, row in rows if row.rgb}
     classes = coloured(replace(each, colour=colours.get(each.id, each.colour)) for each in final)
     return ClassMap(classes, class_of, others, merges)
 
@@ -74,8 +76,9 @@ def class_map(labels: Sequence[ClassLabel] | None, choice: ClassChoice | None, w
 def named_classes(labels: Sequence[ClassLabel], choice: ClassChoice | None) -> list[NamedClass]:
     """The classes of masks as a list to edit, in order of their numbers. Raises PlgsError for a wrong choice."""
     known = class_map(labels, choice, Path(FILE_NAME), objects=False)
-    own = _labels(labels if choice is None or choice.labels is None else choice.labels, choice or ClassChoice())
-    rows = []
+    choice = choice or ClassChoice()
+    labels = labels if choice.labels is None else choice.labels
+    own, rows = _labels(labels, _numbered(labels, choice), choice), []
     for number, label in sorted(own.items()):
         class_id = known.class_of.get(number, VOID)
         target = None if class_id == VOID else known.classes[class_id]
@@ -95,23 +98,39 @@ def choice_of(rows: Sequence[NamedClass], void: frozenset[int] = frozenset()) ->
     )
 
 
-def _labels(labels: Sequence[ClassLabel] | None, choice: ClassChoice) -> dict[int, ClassLabel]:
-    """The labels by number, with the names and kinds that the choice's rows give them."""
-    found = {label.id: label for label in labels or ()}
-    by_name = {label.name.casefold(): label.id for label in labels or ()}
-    where = choice.path or FILE_NAME
+def _numbered(labels: Sequence[ClassLabel], choice: ClassChoice) -> list[tuple[int, ClassRow]]:
+    """The choice's rows, each with the number of its label. Raises PlgsError for a name of none, or of several."""
+    names, rows = {label.id: label.name for label in labels}, []
     for row in choice.rows:
-        number = row.id
+        number = row.id if row.id is not None else _only(names, row.name or "", choice)
         if number is None:
-            assert row.name is not None  # the file's reader refuses that
-            if row.name.casefold() not in by_name:
-                fix = "Correct the name, or give its number in the masks as id."
-                raise PlgsError(f'the masks have no class called "{row.name}"'[:90], where, fix)
-            number = by_name[row.name.casefold()]
+            fix = "Correct the name, or give its number in the masks as id."
+            raise PlgsError(f'the masks have no class called "{row.name}"'[:90], choice.path or FILE_NAME, fix)
+        rows.append((number, row))
+    return rows
+
+
+def _only(names: Mapping[int, str], text: str, choice: ClassChoice) -> int | None:
+    """The number whose name is ``text``; None where there is none. Raises PlgsError where there are several."""
+    found = named(names, text)
+    if len(found) > 1:
+        what = f'several classes are called "{text}" but for capitals ({listed(found)})'
+        fix = "Write it as one of them does, or give them other names by their numbers as id."
+        raise PlgsError(what, choice.path or FILE_NAME, fix)
+    return found[0] if found else None
+
+
+def _labels(
+    labels: Sequence[ClassLabel], rows: Sequence[tuple[int, ClassRow]], choice: ClassChoice
+) -> dict[int, ClassLabel]:
+    """The labels by number, with the names and kinds that the choice's numbered rows give them."""
+    found = {label.id: label for label in labels}
+    for number, row in rows:
         known = found.get(number)
         if known is None:
             if row.name is None:
-                raise PlgsError(f"the class {number} has no name", where, "Add name and thing.")
+                what = f"the class {number} has no name"
+                raise PlgsError(what, choice.path or FILE_NAME, "Add name and thing.")
             found[number] = ClassLabel(number, row.name, row.thing is not False)
         else:
             name = known.name if row.name is None or row.id is None else row.name
@@ -119,35 +138,29 @@ def _labels(labels: Sequence[ClassLabel] | None, choice: ClassChoice) -> dict[in
     return found
 
 
-def _targets(labels: Mapping[int, ClassLabel], choice: ClassChoice) -> dict[int, str]:
+def _targets(labels: Mapping[int, ClassLabel], rows: Sequence[tuple[int, ClassRow]]) -> dict[int, str]:
     """The names that merged labels count into, by number."""
-    return {
-        number: row.into
-        for number, row in _numbered_rows(labels, choice)
-        if row.into is not None and row.into.casefold() != labels[number].name.casefold()
-    }
+    names = {number: label.name for number, label in labels.items()}
+    return {number: row.into for number, row in rows if row.into is not None and number not in named(names, row.into)}
 
 
-def _numbered_rows(labels: Mapping[int, ClassLabel], choice: ClassChoice) -> list[tuple[int, ClassRow]]:
-    """The choice's rows, each with the number of its label."""
-    by_name = {label.name.casefold(): number for number, label in labels.items()}
-    return [(by_name[(row.name or "").casefold()] if row.id is None else row.id, row) for row in choice.rows]
-
-
-def _merged(labels: Mapping[int, ClassLabel], into: Mapping[int, str]) -> tuple[list[ClassLabel], dict[int, int]]:
-    """The classes that are left, in order of id, and the class id of each label."""
+def _merged(
+    labels: Mapping[int, ClassLabel], into: Mapping[int, str], choice: ClassChoice
+) -> tuple[list[ClassLabel], dict[int, int]]:
+    """The classes that are left, in order of id, and the class id of each label. Raises PlgsError."""
     shift = 1 if 0 in labels else 0
     class_of = {number: number + shift for number in labels if number not in into}
     final = {class_id: replace(labels[number], id=class_id) for number, class_id in class_of.items()}
-    by_name = {label.name.casefold(): class_id for class_id, label in final.items()}
+    names = {class_id: label.name for class_id, label in final.items()}
     for number, name in sorted(into.items()):
         if name.casefold() == "void":
             class_of[number] = VOID
             continue
-        if name.casefold() not in by_name:
-            by_name[name.casefold()] = number + shift
-            final[number + shift] = replace(labels[number], id=number + shift, name=name)
-        class_of[number] = by_name[name.casefold()]
+        target = _only(names, name, choice)
+        if target is None:
+            names[target := number + shift] = name
+            final[target] = replace(labels[number], id=target, name=name)
+        class_of[number] = target
     return [final[class_id] for class_id in sorted(final)], class_of
 
 

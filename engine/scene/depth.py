@@ -16,7 +16,8 @@ from ..errors import MEMORY_IS_GONE, PlgsError
 from ..posed.array_file import read_npy
 from ..posed.camera import Camera
 from ..posed.image_header import read_image_header
-from ..posed.layout import files_by_stem, require_most, same_shape, shown_size
+from ..posed.layout import files_by_stem, require_most, same_shape, shown, shown_size
+from ..posed.limits import check_size
 from ..posed.matrices import read_intrinsics
 from .files_of_frames import whole_file
 from .frame import Size
@@ -24,6 +25,8 @@ from .noted import Inferred
 from .pixels import Alignment, decode_depth, decode_single_channel, resize_aligned
 
 MILLIMETRES = 0.001
+_DEPTHS = (0.0005, 10_000.0)
+"""Metres. Half a step of the 16-bit images that hold millimetres, and as far as a camera may be from the origin."""
 _LARGEST = 65535
 """The largest value in a PNG of 16 bits."""
 _PNG_FIX = "Save millimetres as a 16-bit grey PNG."
@@ -147,6 +150,23 @@ def drop_untrusted(depth: NDArray[np.float32], level: NDArray[np.integer], path:
     if depth.shape != level.shape:
         raise PlgsError("confidence and depth differ in size", path, "Remove the confidence, or copy it again.")
     return np.where(level > 0, depth, np.float32(0.0))
+
+
+def depth_check(name: str, path: Path) -> Callable[[NDArray[np.float32]], NDArray[np.float32]]:
+    """A function that checks planar depth, float32 [H, W] metres with 0 = none, and returns it unchanged.
+
+    It raises PlgsError, with the frame's ``name`` and the file ``path``, for a size or lengths that no sensor gives.
+    """
+
+    def check(depth: NDArray[np.float32]) -> NDArray[np.float32]:
+        check_size(f"depth of frame {shown(name)}", (depth.shape[1], depth.shape[0]), path)
+        farthest = float(depth.max())
+        if farthest > 0.0 and not _DEPTHS[0] <= farthest <= _DEPTHS[1]:
+            what = f"the largest depth of frame {shown(name)} is {farthest:.4g} m, which no sensor measures"
+            raise PlgsError(what, path, "Give depth in metres as floats, or in millimetres as whole numbers.")
+        return depth
+
+    return check
 
 
 def registered(depth: NDArray[np.float32], camera: Camera, colour: Camera) -> NDArray[np.float32]:

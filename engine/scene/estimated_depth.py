@@ -17,8 +17,7 @@ from numpy.typing import NDArray
 
 from ..errors import PlgsError
 from ..posed.image_header import read_image_header
-from ..posed.limits import depth_check
-from .depth import DepthMap, in_metres, read_depth_array
+from .depth import DepthMap, depth_check, in_metres, read_depth_array
 from .files_of_frames import files_of_frames
 from .frame import Frame, SparsePoints
 from .noted import Inferred, LeftOut, left_out

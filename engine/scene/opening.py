@@ -17,14 +17,15 @@ from numpy.typing import NDArray
 
 from ..errors import ErrorCode, PlgsError
 from ..posed.camera import Camera
+from ..posed.classes import ClassTable
 from ..posed.format_names import SCENE_FORMAT_NAMES
 from ..posed.layout import listed, of_most, same_shape, shown_size
-from ..posed.limits import check_camera, depth_check
+from ..posed.limits import check_camera
 from ..posed.plain_folders import NAME, complete_frames
 from ..posed.splits import find_split
 from ..posed.up_axis import turned, upright_turn
 from ..scene_source import SceneSource, UpAxis
-from .depth import DepthMap
+from .depth import DepthMap, depth_check
 from .estimated_depth import with_estimated_depth
 from .formats import Capture, SceneFormat, Shot, find_format
 from .formats.lens import UNDISTORTED, undistorted
@@ -118,6 +119,7 @@ def open_asked(source: SceneSource) -> Scene:
             *told_of_depth,
             *told_of_masks,
             *mask_set.warnings,
+            *_alike(mask_set.classes),
             *truth_warnings,
         ),
         left_out=gone,
@@ -215,6 +217,18 @@ def _lens_warnings(cameras: Mapping[str, Camera]) -> Iterable[str]:
     aside = [name for name, lens in cameras.items() if _is_far_aside(lens)]
     if aside:
         yield f"{_ASIDE}: {listed(aside)}"
+
+
+def _alike(classes: ClassTable) -> Iterable[str]:
+    by_name: dict[str, list[str]] = {}
+    for each in classes.categories:
+        by_name.setdefault(each.name.casefold(), []).append(f"{each.id} {each.name}")
+    for found in by_name.values():
+        if len(found) > 1:
+            yield (
+                f"classes {listed(found)} have the same name but for capitals, and are kept apart: to join them, write "
+                'into = "..." for one in classes.toml, in the capitals of the other'
+            )
 
 
 def _is_far_aside(lens: Camera) -> bool:

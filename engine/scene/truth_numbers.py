@@ -179,17 +179,18 @@ def in_classes(semantic: NDArray[np.integer], class_of: Mapping[int, int]) -> ND
 def classes_by_name(names: Mapping[int, str], classes: ClassTable) -> dict[int, int]:
     """The class in ``classes`` for each number of another table with ``names``; numbers without any are left out.
 
-    Names match if they differ only in case and in endings such as COCO's "-merged". Else the paper's 21 classes decide:
-    a class matches if it is the only one in ``classes`` with the same of the 21.
+    Names match if they are the same, or else differ only in case and in endings such as COCO's "-merged". Else the
+    paper's 21 classes decide: a class matches if it is the only one in ``classes`` with the same of the 21.
     """
-    by_name = {_plain(each.name): each.id for each in reversed(classes.categories)} | {"void": VOID}
+    by_name = {spell(each.name): each.id for spell in (_plain, str) for each in reversed(classes.categories)}
+    by_name["void"] = VOID
     by_reduced: dict[int | None, list[int]] = {}
     for each in classes.categories:
         by_reduced.setdefault(reduced_by_name(each.name), []).append(each.id)
     is_reduced = {each.name for each in classes.categories} == {label.name for label in known_table(REDUCED).labels}
     found = {}
     for number, name in names.items():
-        words = [_plain(name), *map(_plain, name.split(","))]
+        words = [name, _plain(name), *map(_plain, name.split(","))]
         same = [by_name[word] for word in words if word in by_name]
         reduced = reduced_by_name(name, with_raw=True)
         if not same and reduced is not None and reduced != VOID and (is_reduced or reduced != _ANYTHING):

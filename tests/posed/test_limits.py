@@ -16,8 +16,9 @@ from engine.posed import counts
 from engine.posed.camera import Camera
 from engine.posed.classes import Category, ClassLabel
 from engine.posed.layout import read_file
-from engine.posed.limits import check_camera, depth_check
+from engine.posed.limits import check_camera
 from engine.scene import open_scene
+from engine.scene.depth import depth_check
 from engine.scene.formats.colmap_model import _binary_points, _text_points
 from engine.scene.formats.lens import Distortion, undistorted
 from engine.scene.formats.ply_points import read_ply_points

@@ -10,6 +10,7 @@ import pytest
 
 from engine.errors import PlgsError
 from engine.json_file import to_text
+from engine.posed.classes import ClassLabel
 from engine.records import to_json
 from engine.scene import list_classes, open_scene
 from engine.scene.class_choice import ClassChoice, ClassRow, class_choice_text, read_class_choice
@@ -83,6 +84,33 @@ def test_classes_are_merged_renamed_and_dropped(tmp_path: Path) -> None:
         assert (now[was == old] == new).all()
     assert sum(one.class_id == 2 for one in mask.segments) == 1, "wall and floor are one region now"
     assert sum(one.class_id == 3 for one in mask.segments) == 2, "two objects stay two"
+
+
+CAPITALS = (ClassLabel(3, "Chair", True), ClassLabel(7, "chair", True), ClassLabel(8, "stool", True))
+
+
+def test_names_that_differ_in_capitals_are_two_classes_that_can_be_joined() -> None:
+    """The first, or the last, stood for both, and joining them did nothing."""
+
+    def classes_of(*rows: ClassRow) -> list[int]:
+        known = class_map(CAPITALS, ClassChoice(rows=rows), HERE, objects=False)
+        return [known.class_of[label.id] for label in CAPITALS]
+
+    assert classes_of() == [3, 7, 8]
+    assert classes_of(ClassRow(name="Chair", into="chair")) == [7, 7, 8]
+    assert classes_of(ClassRow(name="chair", into="Chair"), ClassRow(name="stool", into="CHAIR")) == [3, 3, 3]
+    assert classes_of(ClassRow(name="stool", into="chair")) == [3, 7, 7]
+    assert classes_of(ClassRow(name="Stool", into="Chair")) == [3, 7, 3]
+    for row in (ClassRow(name="CHAIR", into="stool"), ClassRow(name="stool", into="CHAIR")):
+        with pytest.raises(PlgsError, match=r'"CHAIR" but for capitals \(3, 7\).*Write it as one of them does'):
+            classes_of(row)
+    rows = named_classes(CAPITALS, ClassChoice(rows=(ClassRow(name="Chair", into="chair"),)))
+    assert named_classes(CAPITALS, choice_of(rows)) == rows
+
+
+def test_names_that_differ_in_capitals_are_told(tmp_path: Path) -> None:
+    scene = open_scene(scene_with(tmp_path, '[[class]]\nid = 3\nname = "Chair"\n'))
+    assert any("classes 3 Chair, 5 chair have the same name but for capitals" in told for told in scene.warnings)
 
 
 def test_the_user_decides_between_thing_and_stuff(tmp_path: Path) -> None:

@@ -1,13 +1,14 @@
 from __future__ import annotations
 
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 
-from engine.scene import Scene, check_scene, load_view, open_scene
+from engine.scene import ClassTable, Scene, check_scene, load_view, open_scene
 from engine.scene.class_map import class_map
 from engine.scene.class_tables import known_table
 from engine.scene.truth_numbers import classes_by_name
@@ -90,6 +91,12 @@ def test_classes_of_another_table_by_name(truth: str, masks: str, expected: dict
     numbers = {name: number for number, name in names.items()}
     told = {name: classes[found[numbers[name]]].name if numbers[name] in found else None for name in expected}
     assert told == expected
+
+
+def test_a_true_class_is_that_of_its_very_name(folder: Path) -> None:
+    wall = open_scene(folder).classes[1]
+    classes = ClassTable((wall, replace(wall, id=2, name="Wall")))
+    assert classes_by_name({8: "Wall", 9: "wall", 10: "WALL"}, classes) == {8: 2, 9: 1, 10: 1}
 
 
 def test_unknown_classes_become_void_with_a_warning(folder: Path) -> None:
