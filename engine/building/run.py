@@ -35,7 +35,7 @@ from ..raster import drawing_on
 from ..result_files import INSTANCES, SEMANTIC_POINTS, SemanticPoints, read_arrays, read_instances
 from ..scene import StoredViews, load_view, open_scene_to_lift, size_within, survey_scene
 from ..scene.blocks import Cell, cells_of
-from ..scene_of_lift import is_done, refuse_changed, remember_scene
+from ..scene_of_lift import is_done, refuse_changed, remember_blocks, remember_scene
 from ..train.progress import StageProgress, StageReporter
 from .joining import JoinedScene, LiftedBlock, join
 
@@ -81,6 +81,7 @@ def _do_stages(folder: LiftFolder, preset: Preset, stages: StageReporter) -> Non
         lifts = [lift_block(folder, number, progress) for number in range(1, request.blocks + 1)]
         if corrected := [lift.path.name for lift in lifts if not all(edit.undone for edit in read_edits(lift.path))]:
             events.warning(f"corrections of block {listed(corrected)} are not taken over: correct the joined lift")
+        remember_blocks(folder, events.warning)
     with stages.stage("join") as progress:
         whole = join([read_block(lift, cell) for lift, cell in zip(lifts, cells, strict=True)], scene.classes)
         viewpoint = np.mean([frame.camera.centre for frame in scene.train_frames], axis=0)

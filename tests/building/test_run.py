@@ -17,12 +17,14 @@ from engine.building import run
 from engine.command_line.main import main
 from engine.errors import Cancelled, PlgsError
 from engine.job import CheckpointStore, EventWriter, LiftFolder, LiftRequest, LiftState, StopSignal, last_run, verify
+from engine.job.manifest import add_files
 from engine.lift import bake_frames, run_lift
 from engine.metrics.unshown import Refused, Unshown
 from engine.records import to_json
-from engine.result_files import INSTANCES, SEMANTIC_POINTS, SemanticPoints, read_arrays, read_instances
+from engine.result_files import INSTANCES, SEMANTIC_POINTS, SemanticPoints, read_arrays, read_instances, write_arrays
 from engine.scene import open_scene
 from engine.scene.blocks import cells_of
+from engine.scene_of_lift import EARLIER, is_done
 from tests.job.following import command_after_another
 from tests.tiny_scene import CABINET_ID, CHAIR_ID, FLOOR_ID, write_tiny_scene
 from tests.train.tiny_lift import short_warm_start
@@ -86,6 +88,17 @@ def test_a_building_in_two_blocks(building: LiftFolder, monkeypatch: pytest.Monk
     bake_frames(building, ["0001"], events, StopSignal(building.cancel_path))
     events.close()
     assert (building.passes_path / "0001.exr").is_file() and building.is_whole()
+
+    # As a later version would lift the block by hand: with points of its own.
+    assert is_done(building)
+    own = read_arrays(elsewhere.result_path / SEMANTIC_POINTS, SemanticPoints)
+    write_arrays(elsewhere.result_path / SEMANTIC_POINTS, replace(own, confidence=own.confidence / 2))
+    add_files(elsewhere.result_path, [elsewhere.result_path / SEMANTIC_POINTS])
+    assert not is_done(building)
+    lift(building, resume=True)
+    again = read_arrays(building.result_path / SEMANTIC_POINTS, SemanticPoints)
+    assert again.confidence.sum() < points.confidence.sum() and is_done(building)
+    assert (building.path / EARLIER / "1" / "passes" / "0001.exr").is_file() and not building.passes_path.exists()
 
 
 def refuse_in(block: LiftFolder) -> Unshown:
