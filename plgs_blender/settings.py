@@ -171,7 +171,8 @@ class PLGS_PG_settings(LiftOptions, bpy.types.PropertyGroup):
 
     live_preview: BoolProperty(  # type: ignore[valid-type]
         name="Live Preview", default=True,
-        description="During a lift, show what the scene's active camera sees of the model, when looking through it",
+        description="During a lift, show what the scene's active camera sees of the model, when looking through it. "
+        "Not for a camera that is orthographic or panoramic",
     )  # fmt: skip
     layers: EnumProperty(  # type: ignore[valid-type]
         name="Layers", items=_LAYERS, options={"ENUM_FLAG"},

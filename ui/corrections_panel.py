@@ -13,7 +13,7 @@ from ..plgs_blender.running.exports import making_meshes
 from ..plgs_blender.running.splitting import SplitByViews
 from ..plgs_blender.tasks import registry
 from .result_panel import OfResult
-from .sidebar import draw_bar, draw_news, from_panel, tell
+from .sidebar import draw_bar, draw_task, from_panel, tell
 
 _SHOWN = 4
 """How many proposals the panel shows at a time."""
@@ -64,8 +64,8 @@ class PLGS_PT_corrections(OfResult, bpy.types.Panel):
                     row.operator("plgs.make_meshes", text="Update Surface", icon="FILE_REFRESH")
         for line in corrections.failed:
             tell(layout, context, line, "ERROR")
-        if split is not None:
-            draw_news(layout, context, split)
+        if split is not None and not split.is_running:
+            draw_task(layout, context, split)
         if root is not None:
             _draw_proposals(self.layout.column(), context, root)
 

@@ -13,9 +13,24 @@ from ..plgs_blender.running.lifting import followed_lift, why_no_device
 from ..plgs_blender.running.lifts import Lift, LiftState
 from ..plgs_blender.running.used_options import NAMES
 from ..plgs_blender.settings import chosen_lift, shown_preset, why_no_options
-from .sidebar import Sidebar, Step, draw_error, draw_log, draw_task, duration, from_panel, tell
+from .sidebar import (
+    Sidebar,
+    Step,
+    draw_cancel,
+    draw_error,
+    draw_log,
+    draw_progress,
+    draw_warnings,
+    duration,
+    from_panel,
+    lines_of,
+    tell,
+    work_of,
+)
 
 _LOG_LINES = 8
+_LABEL = 0.58
+"""The share of the row below *Start* that says how a lift ended; while one runs *Cancel* is there."""
 _ICONS = {LiftState.RUNNING: "RENDER_ANIMATION", LiftState.FINISHED: "CHECKMARK", LiftState.FAILED: "ERROR"}
 
 
@@ -46,8 +61,6 @@ class PLGS_PT_lift_options(Sidebar, bpy.types.Panel):
         layout.prop(settings, "lift_folder")
         fixed = layout.column()
         fixed.enabled = not is_running
-        if is_running:
-            tell(fixed, context, "A running lift keeps its options", "INFO")
         column = fixed.column(align=True)
         for name in NAMES:
             _draw_used(column, context, name)
@@ -55,8 +68,7 @@ class PLGS_PT_lift_options(Sidebar, bpy.types.Panel):
         for name in ("fit", "bake", "keep_names"):
             fixed.prop(settings, name)
         column = layout.column(heading="During the Lift")
-        if not is_running:  # else it is above
-            column.prop(settings, "live_preview")
+        column.prop(settings, "live_preview")
         column.prop(settings, "place_when_done")
         row = column.row()
         row.enabled = not is_running
@@ -102,30 +114,34 @@ class PLGS_MT_recent_lifts(bpy.types.Menu):
 
 
 def _draw_running(layout: bpy.types.UILayout, context: bpy.types.Context, followed: Lift) -> None:
-    """Draw a lift's progress. As in `_draw_start` two rows stand above, so the bar is where Start was and Cancel below:
-    a second click cancels nothing, and one on Cancel that comes late starts nothing.
+    """Draw a lift's progress in as many rows as `_draw_start` has: nothing moves when it begins or ends. The bar is
+    where Start was, and Cancel where a label will be: a second click cancels nothing, and a late one starts nothing.
     """
-    settings, lift = context.scene.plgs, followed.folder
-    layout.label(text=one_line(f"{lift.path.name}, preset {lift.request.preset}"), icon="RENDER_ANIMATION")
-    layout.prop(settings, "live_preview")
-    draw_task(layout, context, followed)
-    if settings.live_preview:
-        _draw_preview_hint(layout, context)
+    folder, progress = followed.folder, followed.progress
+    stage = f"Stage {progress.stage_index} of {progress.stage_count}: " if progress.stage_count > 1 else ""
+    layout.label(text=one_line(f"{stage}{folder.path.name}, {folder.request.preset}"), icon="RENDER_ANIMATION")
+    layout.label(text=lines_of(context, one_line(work_of(followed)))[0], icon="SORTTIME")
+    draw_progress(layout, followed)
+    row = layout.split(factor=_LABEL, align=True)
+    draw_cancel(row, followed)
+    _draw_preview(row.row(align=True), context)
+    draw_warnings(layout, context, followed)
 
 
 def _draw_start(layout: bpy.types.UILayout, context: bpy.types.Context, followed: Lift | None) -> None:
-    """Draw Start, and below it what comes and goes with the engine's news: the button stays where it is."""
+    """Draw Start, below it how the last lift ended, and last what comes and goes with the engine's news: the button
+    stays where it is.
+    """
     settings = context.scene.plgs
     folder, estimate = chosen_lift(settings), estimate_of(settings)
     layout.prop(settings, "preset", expand=True)
     cost = "Time and memory are not known yet"
     if estimate is not None:
         cost = f"About {duration(estimate.seconds)}, {estimate.peak_bytes / 1e9:.1f} GB of memory"
-    tell(layout, context, cost, "TIME")
+    layout.label(text=lines_of(context, cost)[0], icon="TIME")
     row = from_panel(layout.row(), context)
     row.scale_y = 1.4
     row.operator("plgs.lift_scene", icon="PLAY")
-    _draw_engine(layout, context)
     if followed is not None:
         _draw_ending(layout, context, followed)
     elif folder is not None and (refusal := lifts.refusal_of(folder)) is not None:
@@ -133,6 +149,9 @@ def _draw_start(layout: bpy.types.UILayout, context: bpy.types.Context, followed
     elif folder is not None and not lifts.is_nothing_there(folder):
         # The opened file names it: nothing there is read unless the user asks.
         from_panel(layout.row(), context).operator("plgs.watch_lift", text="Look at the Lift", icon="VIEWZOOM")
+    else:
+        layout.label(text="Not lifted yet")
+    _draw_engine(layout, context)
 
 
 def _draw_recent(layout: bpy.types.UILayout) -> None:
@@ -177,33 +196,34 @@ def _draw_engine(layout: bpy.types.UILayout, context: bpy.types.Context) -> None
     row.operator("plgs.check_engine", text="Check Again", icon="FILE_REFRESH")
 
 
-def _draw_preview_hint(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
-    """Draw what is needed to see the live preview."""
-    view = getattr(context.space_data, "region_3d", None)
-    if camera_seen(context.scene) is None:
-        tell(layout, context, "To see it grow, give the scene a perspective camera", "INFO")
-    elif view is None or view.view_perspective != "CAMERA":
-        row = layout.row()
-        row.operator_context = "INVOKE_REGION_WIN"
-        row.operator("view3d.view_camera", text="See It Through the Camera", icon="VIEW_CAMERA")
+def _draw_preview(row: bpy.types.UILayout, context: bpy.types.Context) -> None:
+    """Draw the switch of the live preview, and the button that looks through the camera, where alone it is seen."""
+    settings, view = context.scene.plgs, getattr(context.space_data, "region_3d", None)
+    row.prop(settings, "live_preview", text="Preview", toggle=True, icon="HIDE_OFF")
+    see = row.row(align=True)
+    is_seen = view is not None and view.view_perspective == "CAMERA"
+    see.enabled = bool(settings.live_preview) and camera_seen(context.scene) is not None and not is_seen
+    see.operator_context = "INVOKE_REGION_WIN"
+    see.operator("view3d.view_camera", text="", icon="VIEW_CAMERA")
 
 
 def _draw_ending(layout: bpy.types.UILayout, context: bpy.types.Context, followed: Lift) -> None:
     """Draw how the panel's lift ended, and buttons for what can be done now."""
     path, error = str(followed.folder.path), followed.error
     if error is None:
-        box = layout.box()
+        split = layout.split(factor=_LABEL, align=True)
         is_baking = followed.is_running  # a running lift has no ending
-        tell(box, context, "Passes are being baked: see 4  Passes" if is_baking else followed.message, "INFO")
+        split.label(text="Passes are being baked" if is_baking else followed.message)
+        row = split.row(align=True)
     else:
         box = draw_error(layout, context, error)
-    row = box.row(align=True)
+        row = box.row(align=True)
     if followed.is_finished:
         row.operator("plgs.place_lift", icon="IMPORT").lift_folder = path
     if followed.can_be_resumed:
         row.operator("plgs.resume_lift", icon="FILE_REFRESH").lift_folder = path
     if not followed.scene_is_there:
-        row.operator("plgs.find_scene", icon="VIEWZOOM").lift_folder = path
+        layout.operator("plgs.find_scene", icon="VIEWZOOM").lift_folder = path
     if error is not None:
         row.operator("plgs.open_log", icon="TEXT").lift_folder = path
         draw_log(box, followed.follower.log_lines[-_LOG_LINES:])

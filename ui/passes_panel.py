@@ -34,13 +34,12 @@ class PLGS_PT_passes(Step, bpy.types.Panel):
         bake = column.operator("plgs.bake_camera", icon="CAMERA_DATA")
         bake.shot, bake.replace = context.scene.plgs.shot, context.scene.plgs.replace_shot
         column.operator("plgs.bake_on_farm", icon="NETWORK_DRIVE")
-        if baking is None or not baking.is_running:
-            _draw_cost(column, context.scene)
+        _draw_cost(column, context.scene)
+        self.layout.operator("plgs.show_passes", icon="NODE_COMPOSITING")
         if baking is not None and (baking.is_running or baking.error is not None):
             draw_task(self.layout, context, baking)  # below the buttons, which are grey until it ends
         elif baking is not None:
             tell(self.layout, context, baking.message, "INFO")
-        self.layout.operator("plgs.show_passes", icon="NODE_COMPOSITING")
 
 
 class PLGS_PT_panoptic(Sidebar, bpy.types.Panel):

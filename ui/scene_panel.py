@@ -123,8 +123,10 @@ class PLGS_PT_frames(Sidebar, bpy.types.Panel):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        """Also while the active camera is not a frame's: what goes to one must not move itself away."""
-        return bool(lifts_in(context.scene)) or _frames_not_made(context) is not None
+        """Before an import or a lift brings frames, and while the active camera is none of them, its buttons are grey:
+        neither moves what is below, and what goes to a frame does not move itself away.
+        """
+        return bool(context.scene.plgs.scene_folder) or bool(lifts_in(context.scene))
 
     def draw(self, context: bpy.types.Context) -> None:
         layout = self.layout

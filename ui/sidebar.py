@@ -53,25 +53,38 @@ def tell(
     layout: bpy.types.UILayout, context: bpy.types.Context, text: str | PlgsError | OSError, icon: str = "NONE"
 ) -> None:
     """Draw a text of any length, wrapped to the sidebar's width, with the names of fields in place of options."""
-    scale = context.preferences.system.ui_scale
-    letters = max(20, int(context.region.width / (_PIXELS_A_LETTER * scale)) - 5)
     column = layout.column(align=True)
-    for number, line in enumerate(textwrap.wrap(with_field_names(text), letters) or [""]):
+    for number, line in enumerate(lines_of(context, with_field_names(text))):
         column.label(text=line, icon=icon if number == 0 else "BLANK1" if icon != "NONE" else "NONE")
+
+
+def lines_of(context: bpy.types.Context, text: str) -> list[str]:
+    """A text in lines that fit the sidebar, at least one."""
+    scale = context.preferences.system.ui_scale
+    return textwrap.wrap(text, max(20, int(context.region.width / (_PIXELS_A_LETTER * scale)) - 5)) or [""]
 
 
 def draw_task(layout: bpy.types.UILayout, context: bpy.types.Context, task: Task) -> None:
     """Draw any task: its progress and Cancel while it runs; afterwards its error and what fixes it."""
     if task.is_running:
-        row = layout.row()
-        row.scale_y = 1.4
-        share, told = how_far(task)
-        row.progress(factor=share, type="BAR", text=told)
+        draw_progress(layout, task)
         if task.cancel_operator:
-            cancel = layout.operator(task.cancel_operator, icon="CANCEL")
-            if task.lift_folder is not None:
-                cancel.lift_folder = str(task.lift_folder)
+            draw_cancel(layout, task)
     draw_news(layout, context, task)
+
+
+def draw_progress(layout: bpy.types.UILayout, task: Task) -> None:
+    """Draw a running task's one number, as high as the button that began it."""
+    row = layout.row()
+    row.scale_y = 1.4
+    share, told = how_far(task)
+    row.progress(factor=share, type="BAR", text=told)
+
+
+def draw_cancel(layout: bpy.types.UILayout, task: Task) -> None:
+    cancel = layout.operator(task.cancel_operator, icon="CANCEL")
+    if task.lift_folder is not None:
+        cancel.lift_folder = str(task.lift_folder)
 
 
 def draw_bar(cell: bpy.types.UILayout, task: Task, name: str) -> None:
@@ -91,12 +104,23 @@ def draw_news(layout: bpy.types.UILayout, context: bpy.types.Context, task: Task
         return
     progress = task.progress
     stages = f"{progress.stage_index}/{progress.stage_count}  " if progress.stage_count > 1 else ""
-    loss = "" if progress.loss is None else f", loss {progress.loss:.4f}"
-    tell(layout, context, f"{stages}{progress.label if progress.stage else task.label}{loss}", "SORTTIME")
-    if progress.stage == "train" and not progress.step:
-        tell(layout, context, "The first step compiles kernels, once per computer: up to two minutes", "INFO")
-    for warning in progress.warnings[-2:]:
+    tell(layout, context, f"{stages}{work_of(task)}", "SORTTIME")
+    draw_warnings(layout, context, task)
+
+
+def draw_warnings(layout: bpy.types.UILayout, context: bpy.types.Context, task: Task) -> None:
+    """Draw the last warnings of a running task."""
+    for warning in task.progress.warnings[-2:]:
         tell(layout, context, warning, "ERROR")
+
+
+def work_of(task: Task) -> str:
+    """What a running task does now."""
+    progress = task.progress
+    if progress.stage == "train" and not progress.step:
+        return "Compiling: up to two minutes"  # once per computer
+    loss = "" if progress.loss is None else f", loss {progress.loss:.4f}"
+    return f"{progress.label if progress.stage else task.label}{loss}"
 
 
 def draw_error(layout: bpy.types.UILayout, context: bpy.types.Context, error: PlgsError) -> bpy.types.UILayout:

@@ -73,7 +73,7 @@ STAGES = {
     "consistency": "Checking label consistency",
     "match": "Matching instances in 3D",
     "prepare": "Placing the first Gaussians",
-    "train": "Training the structured Gaussians",
+    "train": "Training Gaussians",
     "result": "Writing the lifted scene",
     "evaluate": "Judging the lift by its masks",
     "bake": "Baking and scoring panoptic passes",

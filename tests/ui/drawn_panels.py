@@ -57,16 +57,45 @@ class Layout:
         return call
 
 
-def drawn(*, opened: bool = True) -> str:
-    """What all panels and the preferences show now. ``opened`` as in `Layout`."""
-    scene = bpy.context.scene
-    context = SimpleNamespace(
-        scene=scene,
-        region=SimpleNamespace(width=10_000),
+class Height:
+    """In the place of Blender's layout: how high it is, in rows, with what can be folded up closed."""
+
+    def __init__(self, parts: list[Height] | None = None, *, is_row: bool = False) -> None:
+        self.parts, self.is_row, self.scale_y = [] if parts is None else parts, is_row, 1.0
+
+    @property
+    def rows(self) -> float:
+        heights = [part.rows for part in self.parts] or [1.0]
+        return self.scale_y * (max(heights) if self.is_row else sum(heights))
+
+    def __getattr__(self, name: str) -> Any:
+        def call(*given: object, **options: object) -> Any:
+            self.parts.append(part := Height(is_row=name in ("row", "split")))
+            return (part, None) if name == "panel" else part
+
+        return call
+
+
+def height_of(panel: type[bpy.types.Panel]) -> float:
+    """How high a panel is in a sidebar as wide as Blender opens it, in rows."""
+    layout = Height()
+    panel.draw(SimpleNamespace(layout=layout), _context(280))  # type: ignore[arg-type]
+    return layout.rows
+
+
+def _context(width: int) -> Any:
+    return SimpleNamespace(
+        scene=bpy.context.scene,
+        region=SimpleNamespace(width=width),
         preferences=SimpleNamespace(system=SimpleNamespace(ui_scale=1.0)),
         active_object=None,
         space_data=None,
     )
+
+
+def drawn(*, opened: bool = True) -> str:
+    """What all panels and the preferences show now. ``opened`` as in `Layout`."""
+    context = _context(10_000)
     seen: list[str] = []
     for module in PANELS:
         for panel in module.CLASSES:

@@ -21,6 +21,7 @@ from plgs.plgs_blender.running.exports import FORMS, Export
 from plgs.plgs_blender.running.splitting import SplitByViews
 from plgs.plgs_blender.settings import chosen_scene
 from plgs.plgs_blender.tasks import registry
+from plgs.ui import lift_panel, scene_panel
 
 for each in (Path(__file__).parents[1] / "plgs_blender", Path(__file__).parents[1]):
     if str(each) not in sys.path:
@@ -30,7 +31,7 @@ import tiny_lift  # noqa: E402
 from pretended_python import pretended_python  # noqa: E402
 from tiny_scene import write_tiny_scene  # noqa: E402
 
-from tests.ui.drawn_panels import Pretended, drawn, tasks_with  # noqa: E402
+from tests.ui.drawn_panels import Pretended, drawn, height_of, tasks_with  # noqa: E402
 
 pytestmark = pytest.mark.usefixtures("extension")
 
@@ -80,10 +81,10 @@ def test_what_is_read_of_a_scene_moves_nothing_below_it(tmp_path: Path, monkeypa
 
 def test_the_frames_that_are_made_have_their_bar_where_import_was(tmp_path: Path) -> None:
     bpy.context.scene.plgs.scene_folder = str(tmp_path)
-    before, at = rows_above("plgs.lift_scene"), rows_above("plgs.import_scene")
+    before, at = height_of(scene_panel.PLGS_PT_scene), rows_above("plgs.import_scene")
     registry.follow(tasks_with(Pretended(TaskState.RUNNING), tmp_path)[1])
     assert rows_above("Images 50 %") == at == rows_above("plgs.cancel_frames") - 1
-    assert rows_above("plgs.lift_scene") == before + 1, "the cross is beside the bar"
+    assert height_of(scene_panel.PLGS_PT_scene) == before
 
 
 def test_no_news_of_an_engine_moves_what_starts_a_lift(tmp_path: Path) -> None:
@@ -110,6 +111,37 @@ def test_no_news_of_an_engine_moves_what_starts_a_lift(tmp_path: Path) -> None:
     follower.kind = LIFT
     bar = rows_above("1 min 30 s left")
     assert bar < rows_above("plgs.cancel_lift"), "a second click on Start is on the bar"
+
+
+def test_a_lift_that_begins_or_ends_moves_nothing_below_it(tmp_path: Path) -> None:
+    panel, settings = lift_panel.PLGS_PT_lift, bpy.context.scene.plgs
+    assert "Not lifted yet" in drawn()
+    before = height_of(panel)
+    settings.lift_folder = str(tiny_lift.write_tiny_lift(tmp_path / "lift").path)
+    followed = lifts.lift_of(Path(settings.lift_folder))
+    assert followed is not None and height_of(panel) == before
+    follower: Any = Pretended(TaskState.RUNNING)
+    follower.progress.warnings = []
+    follower.progress.label = "Training Gaussians"
+    followed.follower = follower
+    assert "plgs.cancel_lift" in drawn() and height_of(panel) == before
+    follower.progress.stage, follower.progress.step = "train", 0
+    assert "Compiling" in drawn() and height_of(panel) == before
+    follower.kind = BAKE
+    assert "are being baked" in drawn() and height_of(panel) == before
+    follower.kind, follower.state, follower.is_running = LIFT, TaskState.CANCELLED, False
+    assert "plgs.place_lift" in drawn() and height_of(panel) == before
+
+
+def test_a_bake_moves_no_button(tmp_path: Path) -> None:
+    settings = bpy.context.scene.plgs
+    settings.lift_folder = str(tiny_lift.write_tiny_lift(tmp_path / "lift").path)
+    followed = lifts.lift_of(Path(settings.lift_folder))
+    assert followed is not None
+    before = rows_above("plgs.show_passes")
+    follower: Any = Pretended(TaskState.RUNNING)
+    followed.follower, follower.kind = follower, BAKE
+    assert rows_above("plgs.show_passes") == before < rows_above("plgs.cancel_lift")
 
 
 def test_the_surface_that_is_made_by_itself_moves_no_list(tmp_path: Path) -> None:
@@ -141,7 +173,7 @@ def test_what_edits_and_their_engines_bring_moves_no_button_that_edits(tmp_path:
     one = proposals.Proposal(1, "chair 1", 1.0, "few frames saw it", "delete")
     root[proposals.PROPOSALS] = json.dumps({"open": [asdict(one)], "progress": "0 of 1 looked at"})
     shown = drawn()
-    assert "few frames saw it" in shown and "Half of it" in shown
+    assert "few frames saw it" in shown
     assert rows_above("plgs.undo_correction") == before + 1, "the cross that cancels is beside the bar, in the same row"
 
 
@@ -191,3 +223,12 @@ def test_a_picture_that_is_made_leaves_its_buttons_live_and_refuses_another(tmp_
     assert bpy.ops.plgs.show_picture.poll()
     with pytest.raises(RuntimeError, match="already running"):
         bpy.ops.plgs.show_picture(what="PHOTO")
+
+
+def test_frames_that_come_move_nothing_below_them(tmp_path: Path) -> None:
+    """An import's come when the engine has made them, a lift's when it ends."""
+    scene = bpy.context.scene
+    scene.plgs.scene_folder = str(tmp_path)
+    before = rows_above("plgs.lift_scene")
+    place_lift(tiny_lift.write_tiny_lift(tmp_path / "lift").path, scene)
+    assert rows_above("plgs.lift_scene") == before
