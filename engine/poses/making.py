@@ -82,6 +82,9 @@ def make_poses(place: Path, events: EventWriter, stop: StopSignal, pictures: int
     made = Made.read(place.with_suffix("") if is_film(place) else place)
     if made is not None:
         _refuse_changed(made, place)
+        if is_film(place) and pictures not in (FILM_PICTURES, made.photos):
+            fix = f"move the folder {made.folder.name} away for others"
+            events.warning(f"the poses of {made.photos} pictures that were found before are used: {fix}")
         return made
     colmap(place)  # before minutes of work
     folder, photos = _photos_of(place, events, stop, pictures)

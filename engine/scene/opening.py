@@ -119,7 +119,7 @@ def open_asked(source: SceneSource) -> Scene:
             *told_of_depth,
             *told_of_masks,
             *mask_set.warnings,
-            *_alike(mask_set.classes),
+            *_alike(sizes, mask_set.classes),
             *truth_warnings,
         ),
         left_out=gone,
@@ -219,16 +219,22 @@ def _lens_warnings(cameras: Mapping[str, Camera]) -> Iterable[str]:
         yield f"{_ASIDE}: {listed(aside)}"
 
 
-def _alike(classes: ClassTable) -> Iterable[str]:
-    by_name: dict[str, list[str]] = {}
-    for each in classes.categories:
-        by_name.setdefault(each.name.casefold(), []).append(f"{each.id} {each.name}")
-    for found in by_name.values():
-        if len(found) > 1:
-            yield (
-                f"classes {listed(found)} have the same name but for capitals, and are kept apart: to join them, write "
-                'into = "..." for one in classes.toml, in the capitals of the other'
-            )
+def _alike(frames: Iterable[str], classes: ClassTable) -> Iterable[str]:
+    """Warnings of names that differ in capitals only."""
+    for found in _same_but_for_capitals((name, name) for name in frames):
+        what = f"frames {listed(found)} have the same name but for capitals"
+        yield f"{what}: on a disk of Windows or macOS the passes of one take the place of the other's"
+    for found in _same_but_for_capitals((each.name, f"{each.id} {each.name}") for each in classes.categories):
+        what = f"classes {listed(found)} have the same name but for capitals, and are kept apart"
+        yield f'{what}: to join them, write into = "..." for one in classes.toml, in the capitals of the other'
+
+
+def _same_but_for_capitals(named: Iterable[tuple[str, str]]) -> list[list[str]]:
+    """What is ``named`` alike, each as its second text says it."""
+    found: dict[str, list[str]] = {}
+    for name, told in named:
+        found.setdefault(name.casefold(), []).append(told)
+    return [each for each in found.values() if len(each) > 1]
 
 
 def _is_far_aside(lens: Camera) -> bool:

@@ -25,6 +25,15 @@ def test_a_scene_comes_back_as_it_was_written(tmp_path: Path) -> None:
         np.testing.assert_array_equal(frame.read_colour(None), trace_view(tiny_pose(index, 6), K, (64, 48)).colour)
 
 
+def test_frames_whose_names_differ_in_capitals_are_told(tmp_path: Path) -> None:
+    """Their passes are files of these names, and many disks keep one of the two."""
+    folder = write_tiny_scene(tmp_path, frames=5)
+    for path in [*folder.glob("color/000[12].*"), *folder.glob("depth/000[12].*"), *folder.glob("pose/000[12].*")]:
+        path.rename(path.with_stem("view_a" if "1" in path.stem else "View_A"))
+    warnings = open_scene(folder).warnings
+    assert sum("frames View_A, view_a have the same name but for capitals" in told for told in warnings) == 1
+
+
 def test_jpeg_colour_is_close_and_in_rgb(tmp_path: Path) -> None:
     frame = open_scene(write_tiny_scene(tmp_path, frames=5, colour_format="jpg")).frames[1]
     exact = trace_view(tiny_pose(1, 5), tiny_intrinsics((64, 48)), (64, 48)).colour
