@@ -149,22 +149,22 @@ def complete_known_scene(folder: LiftFolder, scene: Scene) -> None:
         write_known(folder, stored_scene(scene, scene.frames, "" if known is None else known.masks))
 
 
-def is_done(folder: LiftFolder) -> bool:
+def is_done(folder: LiftFolder, masks: str = "") -> bool:
     """Whether nothing is left to lift, for a caller who knows that no engine is at work: the result is there, as it was
     written byte by byte, and the masks and their classes, or the blocks of a building, are those that it was lifted
-    from. Raises PlgsError, also for a scene that has changed otherwise.
+    from. ``masks`` is the `digest_of_masks` of the scene for a caller who has just read them. Raises PlgsError, also
+    for a scene that has changed otherwise.
     """
     if folder.state_at_rest() is not LiftState.FINISHED or not folder.is_whole():
         return False
     known = read_known(folder)
     if known is not None and known.joined and digest_of_blocks(folder) not in ("", known.joined):
         return False
-    masks = "" if known is None else known.masks
-    if not masks or not os.path.exists(folder.request.scene):
+    if known is None or not known.masks or not os.path.exists(folder.request.scene):
         return True  # not known, or gone
     scene = open_asked(folder.request)
     refuse_changed(folder, scene)
-    return not have_classes_changed(folder, scene) and masks == digest_of_masks(scene)
+    return not have_classes_changed(folder, scene) and known.masks == (masks or digest_of_masks(scene))
 
 
 def digest_of_blocks(folder: LiftFolder) -> str:

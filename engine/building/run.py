@@ -73,12 +73,12 @@ def _do_stages(folder: LiftFolder, preset: Preset, stages: StageReporter) -> Non
             refuse_changed(folder, opened)
         survey = survey_scene(opened, progress)
         tell(opened, survey, events)
-        remember_scene(folder, opened, events.warning)
+        masks = remember_scene(folder, opened, events.warning)
         scene = survey.scene
     with stages.stage("cut") as progress:
         cells, _ = cells_of(opened, request.blocks, progress)  # as each block cuts them
     with stages.stage("blocks") as progress:
-        lifts = [lift_block(folder, number, progress) for number in range(1, request.blocks + 1)]
+        lifts = [lift_block(folder, number, progress, masks) for number in range(1, request.blocks + 1)]
         if corrected := [lift.path.name for lift in lifts if not all(edit.undone for edit in read_edits(lift.path))]:
             events.warning(f"corrections of block {listed(corrected)} are not taken over: correct the joined lift")
         remember_blocks(folder, events.warning)
@@ -110,8 +110,9 @@ def request_of_block(request: LiftRequest, number: int) -> LiftRequest:
     return replace(request, block=number, bake="none")
 
 
-def lift_block(folder: LiftFolder, number: int, progress: StageProgress) -> LiftFolder:
-    """The finished lift of a block. If another process lifts it, wait for that. Raises PlgsError, Cancelled."""
+def lift_block(folder: LiftFolder, number: int, progress: StageProgress, masks: str) -> LiftFolder:
+    """The finished lift of a block. If another process lifts it, wait for that. ``masks``: see ``is_done``; they are
+    those that the building has just read. Raises PlgsError, Cancelled."""
     path, request = folder.path / BLOCKS / str(number), request_of_block(folder.request, number)
     if not (path / "request.json").exists():
         try:
@@ -124,8 +125,9 @@ def lift_block(folder: LiftFolder, number: int, progress: StageProgress) -> Lift
     if differing:
         what = f"the block was lifted with different options: {', '.join(differing)}"
         raise PlgsError(what, path, "Delete this folder, then resume.")
-    while lift.is_running or not is_done(lift):
+    while lift.is_running or not is_done(lift, masks):
         _let_lift(lift, number, progress)
+        masks = ""  # they may have changed during the lift
     return lift
 
 
