@@ -1,4 +1,4 @@
-"""What differs between Blender 4.2 and 5.2, and nothing else: the rest of the extension works one way."""
+"""What differs between Blender 4.2 and 5.3, and nothing else: the rest of the extension works one way."""
 
 from __future__ import annotations
 

@@ -20,6 +20,8 @@ while the scene is only imported."""
 PLACE = "plgs_place"
 """Property of an imported scene's collection: how the scene was read (masks, up, format, depth), as texts."""
 
+GAUSSIANS = "gaussians"
+"""The key of the object with a lift's splats."""
 _ROOT = "lift"
 
 

@@ -30,6 +30,7 @@ from .inspecting.looks import PHOTO, POINTS, SPLATS, SURFACE, apply_look, has, p
 from .inspecting.visibility import apply_colours, apply_visibility
 from .lift_collection import (
     FOLDER,
+    GAUSSIANS,
     Placed,
     child_collection,
     is_same_place,
@@ -45,7 +46,7 @@ from .owned import KEY, LIFT, OwnedDataBlocks, key_of, text_of
 from .passes import check_layers, place_passes, place_shots
 from .results import LiftResult, read_result, reading_result, result_of
 from .reuse import leave_holes
-from .splats import GAUSSIANS, has_native_splats, place_gaussians, placing_gaussians
+from .splats import place_gaussians, placing_gaussians
 from .surfaces import SurfaceGrid
 from .timeline import mark_timeline, places_of
 from .viewport import all_views, areas_of, show_materials_in, show_room, start_file
@@ -98,7 +99,7 @@ def reading_lift(lift: Path) -> Generator[None, None, ReadLift]:
     result = yield from _reading(lift)
     yield
     splats = result.folder / "result" / "gaussians.ply"
-    gaussians = read_gaussians(splats) if not has_native_splats() and splats.is_file() else None
+    gaussians = read_gaussians(splats) if splats.is_file() else None
     yield
     meshes = yield from reading_meshes(result.folder)
     xyz, frames = result.points.xyz, result.scene.frames

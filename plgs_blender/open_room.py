@@ -8,6 +8,7 @@ clouds: its eye switches it off.
 from __future__ import annotations
 
 from collections.abc import Iterable
+from functools import partial
 
 import bpy
 
@@ -19,16 +20,16 @@ NAME = "Open room"
 
 def open_room(owned: OwnedDataBlocks, clouds: Iterable[bpy.types.Object]) -> None:
     """Put the modifier on clouds that have the attribute `normal`; those that have it keep their settings."""
-    material = point_material(owned)
-    group = owned.block("node_groups", "open room", lambda: _group(material))
     for cloud in clouds:
+        material, of_splats = (point_material(owned), "") if cloud.data.materials else (None, " of splats")
+        group = owned.block("node_groups", f"open room{of_splats}", partial(_group, material))
         modifier = cloud.modifiers.get(NAME)
         if modifier is None:
             modifier = cloud.modifiers.new(NAME, "NODES")
         modifier.node_group = group
 
 
-def _group(material: bpy.types.Material) -> bpy.types.NodeTree:
+def _group(material: bpy.types.Material | None) -> bpy.types.NodeTree:
     """Delete a point where normal · (position - camera) > 0. Points whose normal is zero stay."""
     tree = bpy.data.node_groups.new("PLGS open room", "GeometryNodeTree")
     for direction in ("INPUT", "OUTPUT"):
@@ -70,8 +71,9 @@ def _group(material: bpy.types.Material) -> bpy.types.NodeTree:
     link(facing.outputs["Value"], behind.inputs[0])
     link(behind.outputs[0], remove.inputs["Selection"])
     link(start.outputs[0], remove.inputs["Geometry"])
-    # Geometry nodes lose the materials of point clouds.
+    # Geometry nodes lose the materials of point clouds. Splats have none.
     dye.inputs["Material"].default_value = material
+    dye.inputs["Selection"].default_value = material is not None
     link(remove.outputs[0], dye.inputs["Geometry"])
     link(dye.outputs[0], end.inputs[0])
     return tree

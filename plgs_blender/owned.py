@@ -125,6 +125,13 @@ class OwnedDataBlocks:
         tag(data, self.lift, key)
         return data
 
+    def drop_object(self, key: str) -> None:
+        """Remove our object `key` if it exists, with its data if nobody else uses it."""
+        ob = self._objects.pop(key, None)
+        if ob is not None:
+            self._in_scene.discard(ob)
+            bpy.data.batch_remove([ob, *([ob.data] if ob.data is not None and ob.data.users == 1 else [])])
+
     def block(self, kind: str, key: str, create: Callable[[], Any]) -> Any:
         """Our block `key` of `bpy.data.<kind>`, made by `create` when missing."""
         known = self._blocks_of(kind)

@@ -3,9 +3,6 @@
 A square lies as its Gaussian does where that is flat, else it is the shadow on its surface. It shows its front alone,
 so a room lies open from outside. Objects that cameras have seen from both sides have a square for each. Material
 Preview, EEVEE and Cycles fade squares from the middle and mix what overlaps; Solid shading draws them opaque.
-
-Blender's PLY importer makes a point cloud of the type GAUSSIAN_SPLAT from any splat file, and its default axes (forward
-Y, up Z) are ours. This was read in Blender's source and in its API. It has not been run: there was no Blender 5.3.
 """
 
 from __future__ import annotations
@@ -20,15 +17,16 @@ from numpy.typing import NDArray
 
 from ..engine.errors import PlgsError
 from ..engine.posed.splat_file import read_gaussians
-from .lift_collection import FOLDER, Placed, child_collection
-from .owned import KEY, LIFT, OwnedDataBlocks, key_of, tag, text_of
-from .squares import EXTENT, Squares, across, place_squares
+from . import native_splats
+from .inspecting.lookup import ids_of
+from .lift_collection import FOLDER, GAUSSIANS, Placed, child_collection
+from .native_splats import HARMONIC, Splats
+from .owned import KEY, LIFT, OwnedDataBlocks, text_of
+from .squares import EXTENT, Squares, across, joined, place_squares
 from .surfaces import SurfaceGrid, towards_nearest
 
-GAUSSIANS = "gaussians"
-"""The key of the object with a lift's splats."""
-_FAINTEST = 0.1
-"""Opacity below which a Gaussian is left out."""
+_FAINTEST, _FAINTEST_NATIVE = 0.1, 0.01
+"""Opacity below which a Gaussian has no square, and no splat of Blender's own, of which many faint ones add up."""
 _EDGE_ON = 0.2
 """Cosine to a square's normal below which a camera sees it from no side."""
 _CAMERAS = 60
@@ -39,10 +37,8 @@ _LARGEST = 0.2
 """Largest standard deviation of a square in metres: stray Gaussians would hide the room."""
 _AT_ONCE = 50_000
 """Gaussians whose squares are computed while the window waits."""
-MOST_SQUARES = 600_000
+MOST_SPLATS = 600_000
 """At most this many Gaussians are shown; of more, those that cover most."""
-_COLOUR_SCALE = 0.28209479177387814
-"""The constant spherical harmonic: colour = 0.5 + this * f_dc."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,12 +57,6 @@ class Eyes:
         return cls(turned[:, :3, 3], -turned[:, :3, 2], np.cos(angles / 2))
 
 
-def has_native_splats() -> bool:
-    """Whether this Blender knows splats."""
-    kind = bpy.types.PointCloud.bl_rna.properties.get("type")
-    return kind is not None and "GAUSSIAN_SPLAT" in kind.enum_items
-
-
 def gaussians_of(root: bpy.types.Collection) -> Path:
     """The file with the Gaussians of a placed lift, which need not be there."""
     return Path(bpy.path.abspath(text_of(root, FOLDER))) / "result" / "gaussians.ply"
@@ -75,14 +65,11 @@ def gaussians_of(root: bpy.types.Collection) -> Path:
 def place_gaussians(root: bpy.types.Collection, scene: bpy.types.Scene) -> None:
     """Put the Gaussians of a lift into its collection as splats, in place of earlier ones.
 
-    Raises PlgsError when the file is missing, when it holds no splats, or when Blender did not read it as splats.
+    Raises PlgsError when the file is missing or holds no splats.
     """
     path = gaussians_of(root)
     if not path.is_file():
         raise PlgsError("is not there", path, "Lift the scene again, or load the lift from where it is now.")
-    if has_native_splats():
-        _place_native(root, scene, path)
-        return
     for _ in placing_gaussians(root, scene, read_gaussians(path)):
         pass
 
@@ -95,19 +82,25 @@ def placing_gaussians(
     """
     placed = Placed(root[LIFT], scene.name)
     eyes = Eyes.of([ob for ob in root.all_objects if text_of(ob, KEY).startswith("frame:")])
-    surface = SeenSurface.of([ob for ob in root.all_objects if text_of(ob, KEY).startswith("class:")])
-    rows = rows[seen(rows)]
-    parts = [squares(rows[:0], surface, eyes)]
+    are_native = native_splats.are_known()
+    clouds = [ob for ob in root.all_objects if text_of(ob, KEY).startswith("class:")]
+    surface = SeenSurface.of(clouds, with_objects=not are_native)
+    rows, make = rows[seen(rows, _FAINTEST_NATIVE if are_native else _FAINTEST)], as_they_are if are_native else squares
+    parts = [make(rows[:0], surface, eyes)]
     for start in range(0, len(rows), _AT_ONCE):
         yield
-        parts.append(squares(rows[start : start + _AT_ONCE], surface, eyes))
+        parts.append(make(rows[start : start + _AT_ONCE], surface, eyes))
     yield
     found = placed.find()
     if found is None:
         return
     root, scene = found
-    parent = child_collection(root, "Gaussians", scene)
-    splats = place_squares(OwnedDataBlocks(root[LIFT], scene), parent, GAUSSIANS, "Gaussians", Squares.joined(parts))
+    owned, parent = OwnedDataBlocks(root[LIFT], scene), child_collection(root, "Gaussians", scene)
+    known = owned.known(GAUSSIANS)
+    if known is not None and (known.type == "POINTCLOUD") != are_native:
+        owned.drop_object(GAUSSIANS)  # the other kind, of another Blender
+    place = native_splats.place_splats if are_native else place_squares
+    splats = place(owned, parent, GAUSSIANS, "Gaussians", joined(parts))
     splats.hide_select = True  # a click is meant for the box within
 
 
@@ -119,14 +112,14 @@ class SeenSurface:
     normals: NDArray[np.float32]
 
     @classmethod
-    def of(cls, clouds: Sequence[bpy.types.Object]) -> SeenSurface:
-        columns = [np.zeros((2, 0), np.float32)]
+    def of(cls, clouds: Sequence[bpy.types.Object], *, with_objects: bool) -> SeenSurface:
+        columns = [np.zeros((2, 0, 3), np.float32)]
         for ob in clouds:
-            values = np.empty((2, 3 * len(ob.data.points)), np.float32)
+            values = np.empty((2, len(ob.data.points), 3), np.float32)
             for row, name in zip(values, ("position", "normal"), strict=True):
-                ob.data.attributes[name].data.foreach_get("vector", row)
-            columns.append(values)
-        xyz, normals = np.concatenate(columns, axis=1).reshape(2, -1, 3)
+                ob.data.attributes[name].data.foreach_get("vector", row.ravel())
+            columns.append(values if with_objects else values[:, ids_of(ob.data, "instance_id") == 0])
+        xyz, normals = np.concatenate(columns, axis=1)
         return cls(SurfaceGrid.of(xyz), normals)
 
     def facing(self, places: NDArray[np.float32], eyes: Eyes) -> NDArray[np.float32]:
@@ -139,48 +132,36 @@ class SeenSurface:
         return normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), np.float32(1e-12))
 
 
-def _place_native(root: bpy.types.Collection, scene: bpy.types.Scene, path: Path) -> None:
-    """The file as Blender's own splats. Raises PlgsError."""
-    parent = child_collection(root, "Gaussians", scene)
-    imported = _import(path)
-    if imported.type != "POINTCLOUD" or imported.data.type != "GAUSSIAN_SPLAT":
-        kind = imported.type.lower()
-        _remove(imported)
-        raise PlgsError(f"was imported as a {kind}, not as splats", path, "Report it, with the version of Blender.")
-    for old in [ob for ob in root.all_objects if key_of(ob, root[LIFT]) == GAUSSIANS]:
-        _remove(old)
-    imported.name = imported.data.name = "Gaussians"
-    for collection in imported.users_collection:
-        collection.objects.unlink(imported)
-    tag(imported, root[LIFT], GAUSSIANS)
-    tag(imported.data, root[LIFT], GAUSSIANS)
-    parent.objects.link(imported)
-    imported.hide_select = True
-
-
-def seen(rows: NDArray[np.void]) -> NDArray[np.int64]:
-    """Indices of the Gaussians that can be seen: at most MOST_SQUARES that cover most."""
+def seen(rows: NDArray[np.void], faintest: float) -> NDArray[np.int64]:
+    """Indices of the Gaussians that can be seen, of at least this opacity: at most MOST_SPLATS that cover most."""
     opacity, size = _opacity(rows), _size(rows)
-    chosen = np.flatnonzero((opacity >= _FAINTEST) & np.isfinite(size).all(axis=0))
-    if len(chosen) > MOST_SQUARES:
+    chosen = np.flatnonzero((opacity >= faintest) & np.isfinite(size).all(axis=0))
+    if len(chosen) > MOST_SPLATS:
         # The product of all three but the smallest.
         longest = np.sort(size[:, chosen], axis=0)[1:]
         cover = opacity[chosen] * np.minimum(longest, _LARGEST).prod(axis=0)
-        chosen = np.sort(chosen[np.argpartition(-cover, MOST_SQUARES)[:MOST_SQUARES]])
+        chosen = np.sort(chosen[np.argpartition(-cover, MOST_SPLATS)[:MOST_SPLATS]])
     return chosen
+
+
+def as_they_are(rows: NDArray[np.void], surface: SeenSurface, eyes: Eyes) -> Splats:
+    """Gaussians [M] for a Blender that draws them by itself. Only those of no object have normals: walls and ceilings
+    are left out where they face away."""
+    xyz, size, ids = _places(rows), _size(rows).T, _ids(rows)
+    normal = _fronts(_axes(rows), size, surface.facing(xyz, eyes))
+    normal[ids["instance_id"] > 0] = 0.0
+    turns = np.stack([rows[f"rot_{part}"] for part in range(4)], axis=1)
+    turns = turns / np.maximum(np.linalg.norm(turns, axis=1, keepdims=True), np.float32(1e-12))
+    return Splats(xyz, size, turns, _opacity(rows), _own_srgb(rows), normal, ids)
 
 
 def squares(rows: NDArray[np.void], surface: SeenSurface, eyes: Eyes) -> Squares:
     """The squares of Gaussians [M], as large as EXTENT standard deviations: flat ones as they lie, others as shadows on
     the surface. Those of objects that cameras see from behind follow, turned around.
     """
-    middle = np.stack([rows[axis] for axis in "xyz"], axis=1).astype(np.float32)
-    axes, size = _axes(rows), np.minimum(_size(rows), _LARGEST).T
-    thin, flat, _ = np.sort(size, axis=1).T
-    facing, own = surface.facing(middle, eyes), axes[np.arange(len(axes)), size.argmin(axis=1)]
-    own = np.where(np.einsum("ij,ij->i", own, facing)[:, None] < 0.0, -own, own)
-    # What is turned to the nearest eye shows others its back: a floor of such squares has holes.
-    first, second = across(np.where((thin < _FLAT * flat)[:, None], own, facing))
+    middle, size = _places(rows), np.minimum(_size(rows), _LARGEST).T
+    axes = _axes(rows)
+    first, second = across(_fronts(axes, size, surface.facing(middle, eyes)))
     axes = axes * size[:, :, None]
     along, aside = (np.einsum("mki,mi->mk", axes, each) for each in (first, second))
     a, b, c = (along * along).sum(axis=1), (along * aside).sum(axis=1), (aside * aside).sum(axis=1)
@@ -194,7 +175,18 @@ def squares(rows: NDArray[np.void], surface: SeenSurface, eyes: Eyes) -> Squares
     behind = behind[rows["instance_id"][behind] > 0] if "instance_id" in (rows.dtype.names or ()) else behind[:0]
     back = Squares(middle[behind], right[behind], -up[behind], made.rgb[behind], made.opacity[behind],
                    {name: ids[behind] for name, ids in made.ids.items()})  # fmt: skip
-    return Squares.joined([made, back])
+    return joined([made, back])
+
+
+def _fronts(
+    axes: NDArray[np.float32], size: NDArray[np.float32], facing: NDArray[np.float32]
+) -> NDArray[np.float32]:
+    """Unit normals float32 [M, 3]: a flat Gaussian's own, on the side that `facing` [M, 3] is on, else `facing`."""
+    # What is turned to the nearest eye shows others its back: a floor of such squares has holes.
+    own = axes[np.arange(len(axes)), size.argmin(axis=1)]
+    own = np.where(np.einsum("ij,ij->i", own, facing)[:, None] < 0.0, -own, own)
+    thin, flat, _ = np.sort(size, axis=1).T
+    return np.where((thin < _FLAT * flat)[:, None], own, facing)
 
 
 def seen_from_behind(
@@ -209,6 +201,10 @@ def seen_from_behind(
         is_in_view = way @ eyes.ahead[number].astype(np.float32) > eyes.reach[number] * far
         behind |= is_in_view & (np.einsum("ij,ij->i", way, normal) > _EDGE_ON * far)
     return np.flatnonzero(behind)
+
+
+def _places(rows: NDArray[np.void]) -> NDArray[np.float32]:
+    return np.stack([rows[axis] for axis in "xyz"], axis=1).astype(np.float32)
 
 
 def _opacity(rows: NDArray[np.void]) -> NDArray[np.float32]:
@@ -239,7 +235,11 @@ def _srgb(rows: NDArray[np.void]) -> NDArray[np.uint8]:
     """The colour around each Gaussian [M, 3] if the file has it, as squares are nearly opaque; else its own."""
     if {"red", "green", "blue"} <= {*(rows.dtype.names or ())}:
         return np.stack([rows[name] for name in ("red", "green", "blue")], axis=1)
-    own = 0.5 + _COLOUR_SCALE * np.stack([rows[f"f_dc_{axis}"] for axis in range(3)], axis=1)
+    return _own_srgb(rows)
+
+
+def _own_srgb(rows: NDArray[np.void]) -> NDArray[np.uint8]:
+    own = 0.5 + HARMONIC * np.stack([rows[f"f_dc_{axis}"] for axis in range(3)], axis=1)
     return np.rint(255.0 * np.clip(own, 0.0, 1.0)).astype(np.uint8)
 
 
@@ -247,24 +247,3 @@ def _ids(rows: NDArray[np.void]) -> dict[str, NDArray[np.int32]]:
     names = rows.dtype.names or ()
     none = np.zeros(len(rows), np.int32)
     return {name: rows[name].astype(np.int32) if name in names else none for name in ("class_id", "instance_id")}
-
-
-def _import(path: Path) -> bpy.types.Object:
-    """Import the file and return the new object. Raises PlgsError when there is not exactly one."""
-    before = set(bpy.data.objects)
-    try:
-        bpy.ops.wm.ply_import(filepath=str(path))
-    except RuntimeError as error:
-        raise PlgsError(f"cannot be imported ({str(error).strip()})", path, "Lift the scene again.") from error
-    added = [ob for ob in bpy.data.objects if ob not in before]
-    if len(added) != 1:
-        raise PlgsError(f"was imported as {len(added)} objects", path, "Report it, with the version of Blender.")
-    return added[0]
-
-
-def _remove(ob: bpy.types.Object) -> None:
-    """Remove an object, and its data unless somebody else uses them."""
-    data = ob.data
-    bpy.data.objects.remove(ob)
-    if data is not None and data.users == 0:
-        bpy.data.batch_remove([data])

@@ -7,8 +7,8 @@ A square shows its front alone, so a room lies open from outside, like a doll's 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import Any
+from dataclasses import dataclass, field, fields
+from typing import Any, TypeVar
 
 import bpy
 import numpy as np
@@ -23,6 +23,7 @@ EXTENT = 2.0
 """Half the side of a square, in standard deviations of its colour's fading."""
 _SMALLEST, _LARGEST = 0.002, 0.03
 """Limits to half the side of a point's square, metres."""
+Part = TypeVar("Part")
 _MODIFIER = "Squares"
 _KINDS = {"right": "FLOAT_VECTOR", "up": "FLOAT_VECTOR", "Col": "BYTE_COLOR", "opacity": "FLOAT"}
 
@@ -39,12 +40,19 @@ class Squares:
     opacity: NDArray[np.float32]
     ids: Mapping[str, NDArray[np.int32]] = field(default_factory=dict)
 
-    @classmethod
-    def joined(cls, parts: Sequence[Squares]) -> Squares:
-        """All parts, which have the same attributes, as one."""
-        names = ("xyz", "right", "up", "rgb", "opacity")
-        columns = {name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
-        return cls(**columns, ids={name: np.concatenate([part.ids[name] for part in parts]) for name in parts[0].ids})
+
+def joined(parts: Sequence[Part]) -> Part:
+    """Records of arrays [N, ...], and of such arrays by names, as one: one after the other."""
+    first: Any = parts[0]
+    columns: dict[str, Any] = {each.name: [getattr(part, each.name) for part in parts] for each in fields(first)}
+    for name, values in columns.items():
+        is_named = isinstance(values[0], Mapping)
+        columns[name] = (
+            {each: np.concatenate([part[each] for part in values]) for each in values[0]}
+            if is_named
+            else np.concatenate(values)
+        )
+    return type(parts[0])(**columns)
 
 
 def place_points(

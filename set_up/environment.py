@@ -55,7 +55,7 @@ class Recipe(NamedTuple):
     modules: tuple[str, ...]
 
 
-BLENDER = {(3, 11): "blender-4.5.txt", (3, 13): "blender-5.2.txt"}
+BLENDER = {(3, 11): "blender-4.5.txt", (3, 13): "blender-5.3.txt"}
 ENGINE_MODULES = ("torch", "open3d", "cv2", "OpenEXR", "numba", "scipy", "safetensors", "lz4")
 
 
@@ -67,7 +67,7 @@ def recipe(environment: str, version: tuple[int, int]) -> Recipe:
     if environment == ".venv-next":
         return Recipe(((blender, "next.txt"),), ("bpy", "numpy", "cv2", "OpenEXR", "pytest"))
     files = (("torch.txt",), (blender, "engine.txt", "test.txt", "segment.txt", "farm.txt", "report.txt"))
-    # bpy comes first: 5.2 crashes when it is imported after open3d.
+    # bpy comes first: it crashes when it is imported after open3d.
     return Recipe(files, ("bpy", "numpy", *ENGINE_MODULES, "pytest", "transformers"))
 
 

@@ -1,8 +1,8 @@
 #!/bin/sh
 # Make an environment with the first Python that fits, unless it is complete already.
 #
-#   sh set_up/set_up.sh .venv           runs everything: Python 3.11 (Blender 4.5), else 3.13 (Blender 5.2)
-#   sh set_up/set_up.sh .venv-next      Python 3.13 (Blender 5.2), where .venv has 3.11 and both are there; else nothing
+#   sh set_up/set_up.sh .venv           runs everything: Python 3.11 (Blender 4.5), else 3.13 (Blender 5.3)
+#   sh set_up/set_up.sh .venv-next      Python 3.13 (Blender 5.3), where .venv has 3.11 and both are there; else nothing
 set -eu
 cd "$(dirname "$0")/.."
 environment=$1

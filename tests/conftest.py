@@ -1,6 +1,6 @@
 """What every test stands on: the repository on sys.path, Blender without the user's settings, the extension as `plgs`.
 
-Blender comes first: bpy 5.2 crashes when it is imported after open3d in one process.
+Blender comes first: bpy crashes when it is imported after open3d in one process.
 """
 
 from __future__ import annotations

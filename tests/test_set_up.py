@@ -40,13 +40,13 @@ def pins(name: str) -> dict[str, str]:
 
 
 @pytest.mark.parametrize(
-    "name", ["blender-4.5.txt", "blender-5.2.txt", "torch.txt", "engine.txt", "test.txt", "segment.txt", "farm.txt"]
+    "name", ["blender-4.5.txt", "blender-5.3.txt", "torch.txt", "engine.txt", "test.txt", "segment.txt", "farm.txt"]
 )
 def test_all_requirements_are_pinned(name: str) -> None:
     assert all("==" in line for line in requirement_lines(name))
 
 
-@pytest.mark.parametrize(("version", "blender"), [((3, 11), "blender-4.5.txt"), ((3, 13), "blender-5.2.txt")])
+@pytest.mark.parametrize(("version", "blender"), [((3, 11), "blender-4.5.txt"), ((3, 13), "blender-5.3.txt")])
 def test_the_constraints_agree_with_the_requirements(version: tuple[int, int], blender: str) -> None:
     locked = pins(environment.constraints(version))
     asked = {**pins(blender), **pins("test.txt"), **pins("engine.txt"), **pins("segment.txt"), **pins("farm.txt")}
@@ -63,7 +63,7 @@ def test_a_python_without_a_blender_has_no_recipe() -> None:
 
 def test_the_next_environment_has_no_torch() -> None:
     calls = environment.recipe(".venv-next", (3, 13)).pip_calls
-    assert [name for call in calls for name in call] == ["blender-5.2.txt", "next.txt"]
+    assert [name for call in calls for name in call] == ["blender-5.3.txt", "next.txt"]
 
 
 def test_complete_means_stamped_with_exactly_these_requirements(tmp_path: Path) -> None:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from ..lift_collection import is_child
 from ..materials import LIT, linear_rgba, value_node
+from ..native_splats import dye
 from ..owned import LIFT, key_of
 from .lookup import ids_of, objects_by_key
 
@@ -55,6 +56,7 @@ def apply_look(root: bpy.types.Collection) -> None:
         else:
             colours = photo
         _write(ob.data, COLOUR, colours)
+        dye(ob.data)
         kept = ob.data.attributes.get(KEPT)
         if look == PHOTO and kept is not None:
             ob.data.attributes.remove(kept)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ...engine.errors import PlgsError
 from ..boxes import INSTANCE, MOST_BOXES, TOGETHER
-from ..lift_collection import FOLDER, is_same_place, lifts_in
+from ..lift_collection import FOLDER, GAUSSIANS, is_same_place, lifts_in
 from ..owned import KEY, LIFT, originals, text_of
 from ..paths import absolute
 
@@ -90,12 +90,13 @@ def instance_of(ob: bpy.types.Object | None) -> int:
 
 def clouds_of(root: bpy.types.Collection) -> list[bpy.types.Object]:
     """The semantic points, one object per class, and the anchors."""
-    return [ob for ob in objects_by_key(root).values() if ob.type == "POINTCLOUD"]
+    return [ob for key, ob in objects_by_key(root).items() if ob.type == "POINTCLOUD" and key != GAUSSIANS]
 
 
 def surfaces_of(root: bpy.types.Collection) -> list[bpy.types.Object]:
     """The splats and the meshes of the lift: those that have a class at each vertex."""
-    return [ob for ob in objects_by_key(root).values() if ob.type == "MESH" and "class_id" in ob.data.attributes]
+    of_kind = {key: ob for key, ob in objects_by_key(root).items() if ob.type == "MESH" or key == GAUSSIANS}
+    return [ob for ob in of_kind.values() if "class_id" in ob.data.attributes]
 
 
 def ids_of(cloud: Any, name: str) -> NDArray[np.int32]:

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import bpy
 import pytest
-from plgs.plgs_blender import splats
 from plgs.plgs_blender.inspecting.lists import fill_not_shown
 from plgs.plgs_blender.inspecting.lookup import boxes_of
 from plgs.plgs_blender.lift_scene import place_lift
@@ -113,11 +112,7 @@ def test_overlays_can_be_toggled(root: bpy.types.Collection) -> None:
     assert not root.plgs.show_labels and not box.show_name, "no names at all"
 
 
-def test_gaussians_that_are_not_splats_leave_nothing(
-    root: bpy.types.Collection, lift: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    """As a Blender that claims splats but reads the file as a mesh would."""
-    monkeypatch.setattr(splats, "has_native_splats", lambda: True)
+def test_a_file_without_splats_leaves_nothing(root: bpy.types.Collection, tmp_path: Path) -> None:
     with pytest.raises(RuntimeError, match="gaussians.ply"):
         bpy.ops.plgs.show_as(kind="SPLATS")
     result = tmp_path / "lift" / "result"
@@ -126,6 +121,6 @@ def test_gaussians_that_are_not_splats_leave_nothing(
     (result / "gaussians.ply").write_text(head + "0 0 0\n")
     root["plgs_lift_folder"] = str(tmp_path / "lift")
     before = (len(bpy.data.objects), len(bpy.data.meshes))
-    with pytest.raises(RuntimeError, match="as a mesh, not as splats"):
+    with pytest.raises(RuntimeError, match="the file holds no splats"):
         bpy.ops.plgs.show_as(kind="SPLATS")
     assert (len(bpy.data.objects), len(bpy.data.meshes)) == before

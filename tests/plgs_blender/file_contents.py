@@ -20,7 +20,7 @@ DATA = (
 
 
 def counts() -> dict[str, int]:
-    return {kind: len(getattr(bpy.data, kind)) for kind in DATA}
+    return {kind: len(names) for kind, names in contents().items()}
 
 
 def contents() -> dict[str, Any]:

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import bpy
 import numpy as np
 import pytest
+from mathutils import Matrix
 from plgs.engine.errors import PlgsError
 from plgs.engine.passes.ply import columns_of, write_ply_table
 from plgs.engine.posed.splat_file import read_gaussians
-from plgs.plgs_blender import lift_scene, splats
+from plgs.plgs_blender import lift_scene, native_splats, splats
 from plgs.plgs_blender.inspecting.lists import registered
 from plgs.plgs_blender.surfaces import SurfaceGrid
 from tiny_lift import mend_manifest, write_tiny_lift
@@ -48,7 +51,7 @@ def floor(up: float) -> splats.SeenSurface:
 def test_a_square_lies_as_its_gaussian_does_with_its_front_on_the_surfaces_side(tmp_path: Path) -> None:
     write_gaussians(tmp_path / "gaussians.ply")
     rows = read_gaussians(tmp_path / "gaussians.ply")
-    assert splats.seen(rows).tolist() == [0, 1]
+    assert splats.seen(rows, 0.1).tolist() == [0, 1]
     for up in (1.0, -1.0):
         made = splats.squares(rows[:2], floor(up), NOWHERE)
         assert np.allclose(np.abs(made.right), [[0, 0.4, 0], [0, 0, 0.4]], atol=1e-6)
@@ -104,28 +107,90 @@ def test_a_file_without_splats_is_refused(tmp_path: Path) -> None:
         read_gaussians(tmp_path / "points.ply")
 
 
-@pytest.mark.skipif(splats.has_native_splats(), reason="this Blender has splats of its own")
-def test_a_lift_opens_as_splats_in_photo_colours_and_is_recoloured(tmp_path: Path) -> None:
+@pytest.fixture
+def lift(tmp_path: Path) -> Path:
     lift = write_tiny_lift(tmp_path / "lift", frames=4, bake=False).path
     write_gaussians(lift / "result" / "gaussians.ply")
     mend_manifest(lift)
+    return lift
+
+
+def evaluated() -> Any:
+    """The data of the splats as Blender draws them."""
+    return bpy.data.objects["Gaussians"].evaluated_get(bpy.context.evaluated_depsgraph_get()).data
+
+
+def values_of(data: Any, name: str, field: str, width: int) -> np.ndarray:
+    values = np.zeros(width * len(data.attributes[name].data), np.float32)
+    data.attributes[name].data.foreach_get(field, values)
+    return values.reshape(-1, width)
+
+
+@pytest.mark.skipif(native_splats.are_known(), reason="this Blender has splats of its own")
+def test_a_square_is_drawn_for_each_gaussian(lift: Path) -> None:
+    lift_scene.place_lift(lift, bpy.context.scene)
+    drawn = evaluated()
+    assert len(drawn.polygons) == 2 and drawn.color_attributes.active_color.name == "Col"
+    corners = np.unique(values_of(drawn, "corner", "vector", 3), axis=0)
+    assert sorted(map(tuple, corners)) == [(x, y, 0.0) for x in (-2.0, 2.0) for y in (-2.0, 2.0)]
+
+
+@pytest.mark.skipif(not native_splats.are_known(), reason="only Blender 5.3 and later have splats of their own")
+def test_blenders_own_splats_are_as_its_importer_makes_them(lift: Path) -> None:
     root = lift_scene.place_lift(lift, bpy.context.scene)
-    mesh = bpy.data.objects["Gaussians"].data
+    ours = bpy.data.objects["Gaussians"].data
+    bpy.ops.wm.ply_import(filepath=str(lift / "result" / "gaussians.ply"))
+    theirs = bpy.context.object.data
+    assert ours.type == theirs.type == "GAUSSIAN_SPLAT" and len(ours.points) == 2 == len(theirs.points) - 1
+    base_of = partial(values_of, name="radiance:base", field="vector", width=4)
+    assert base_of(ours) == pytest.approx(base_of(theirs)[:2], abs=1e-5)
+    for column in (("position", "vector", 3), ("scale", "vector", 3), ("rotation", "value", 4)):
+        assert values_of(ours, *column) == pytest.approx(values_of(theirs, *column)[:2], abs=1e-5), column
+    with registered():
+        root.plgs.look = "INSTANCES"
+        base, colour = base_of(ours), values_of(ours, "Col", "color_srgb", 4)
+        assert 0.5 + 0.28209479 * base[:, :3] == pytest.approx(colour[:, :3], abs=1e-5)
+        assert base[:, 3] == pytest.approx(base_of(theirs)[:2, 3]), "as opaque as before"
+        root.plgs.instances[0].visible = False
+        assert evaluated().type == "GAUSSIAN_SPLAT" and len(evaluated().points) == 1
+
+
+@pytest.mark.skipif(not native_splats.are_known(), reason="only Blender 5.3 and later have splats of their own")
+def test_blenders_own_splats_of_a_wall_are_left_out_from_behind(lift: Path) -> None:
+    lift_scene.place_lift(lift, bpy.context.scene)
+    normal = values_of(bpy.data.objects["Gaussians"].data, "normal", "vector", 3)
+    assert not normal[0].any(), "what belongs to an object is always shown"
+    camera = bpy.context.scene.camera
+    for side, count in ((1.0, 2), (-1.0, 1)):
+        camera.matrix_world = Matrix.Translation(np.float32([1, 0, 1]) + 3.0 * side * normal[1])
+        bpy.context.view_layer.update()
+        assert len(evaluated().points) == count
+
+
+def test_splats_that_another_blender_made_are_replaced(lift: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    root = lift_scene.place_lift(lift, bpy.context.scene)
+    made = bpy.data.objects["Gaussians"]
+    data = (bpy.data.meshes if native_splats.are_known() else bpy.data.pointclouds).new("Gaussians")
+    other = bpy.data.objects.new("Gaussians", data)
+    made.users_collection[0].objects.link(other)
+    for block in (other, data):
+        for name in ("plgs_lift", "plgs_key"):
+            block[name] = made[name]
+    bpy.data.objects.remove(made)
+    splats.place_gaussians(root, bpy.context.scene)
+    (found,) = [ob for ob in bpy.data.objects if ob.name.startswith("Gaussians")]
+    assert len(found.data.attributes["position"].data) == 2 and found.type != {"MESH": "MESH"}.get(type(data).__name__)
+
+
+def test_a_lift_opens_as_splats_in_photo_colours_and_is_recoloured(lift: Path) -> None:
+    root = lift_scene.place_lift(lift, bpy.context.scene)
+    data = bpy.data.objects["Gaussians"].data
     shown = {each.name: not each.hide_viewport for each in root.children}
     assert shown["Gaussians"] and not shown["Semantic points"]
 
     def colours() -> np.ndarray:
-        values = np.zeros(4 * len(mesh.vertices), np.float32)
-        mesh.attributes["Col"].data.foreach_get("color", values)
-        return values.reshape(-1, 4)
+        return values_of(data, "Col", "color", 4)
 
-    drawn = bpy.data.objects["Gaussians"].evaluated_get(bpy.context.evaluated_depsgraph_get()).data
-    assert len(drawn.polygons) == len(mesh.vertices) == 2 and drawn.color_attributes.active_color.name == "Col"
-    places = np.zeros(3 * 8, np.float32)
-    drawn.attributes["corner"].data.foreach_get("vector", places)
-    assert sorted(map(tuple, np.unique(places.reshape(-1, 3), axis=0))) == [
-        (x, y, 0.0) for x in (-2.0, 2.0) for y in (-2.0, 2.0)
-    ]
     photo = colours()
     assert photo == pytest.approx(np.tile([1.0, 0.0, 0.0, 1.0], (2, 1)), abs=1e-3)
     with registered():
