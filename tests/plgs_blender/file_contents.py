@@ -24,4 +24,8 @@ def counts() -> dict[str, int]:
 
 
 def contents() -> dict[str, Any]:
-    return {kind: sorted(block.name for block in getattr(bpy.data, kind)) for kind in DATA}
+    """The names of all blocks, but of the picture that Blender 5.3 keeps for itself while the compositor runs."""
+    return {
+        kind: sorted(block.name for block in getattr(bpy.data, kind) if getattr(block, "source", "") != "VIEWER")
+        for kind in DATA
+    }
