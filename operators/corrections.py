@@ -122,7 +122,7 @@ class PLGS_OT_delete_instance(OnInstance, bpy.types.Operator):
     bl_idname, bl_label, bl_options = "plgs.delete_instance", "Delete Object", _UNDOABLE
 
     becomes: EnumProperty(  # type: ignore[valid-type]
-        name="Points become",
+        name="Points Become",
         items=[
             ("AROUND", "Surroundings", "Each point takes the label of the nearest point outside the object"),
             ("NO_OBJECT", "No Object", "The points keep their class but belong to no object"),

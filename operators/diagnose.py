@@ -78,7 +78,7 @@ class PLGS_OT_fix_scene(Measures, bpy.types.Operator):
         if not task.is_mended:
             self.report({"ERROR"}, _NOTHING if task.error is None else with_field_names(task.error))
             return CANCELLED
-        self.report({"INFO"}, f"PLGS: {task.mended}")
+        self.report({"INFO"}, f"The scene is now the fixed copy: {task.mended}")
         return FINISHED
 
 
@@ -101,7 +101,7 @@ class OnFinding(Explained):
 
 
 class PLGS_OT_show_finding(OnFinding, bpy.types.Operator):
-    """Show the picture of a finding in an image editor, beside the 3D view if there is none"""
+    """Show the picture of a finding in an Image Editor, beside the 3D view if there is none"""
 
     bl_idname, bl_label, bl_options = "plgs.show_finding", "Show Picture", {"INTERNAL", "UNDO"}
 
@@ -112,7 +112,7 @@ class PLGS_OT_show_finding(OnFinding, bpy.types.Operator):
             self.report({"WARNING"}, "This finding has no picture")
             return CANCELLED
         image = load_finding(picture)
-        where = "is in the image editor" if show_beside(image, context) else "is loaded"
+        where = "is in the Image Editor" if show_beside(image, context) else "is loaded"
         self.report({"INFO"}, f"{image.name} {where}")
         return FINISHED
 

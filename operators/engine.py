@@ -13,7 +13,7 @@ from ..plgs_blender.tasks.registry import Task
 from .base import CANCELLED, FINISHED, CancelsTask, Explained, StartsTask, reporting, reporting_events
 
 _TORCH_BUILDS = [
-    ("preferences", "As in the preferences", "What the add-on's preferences say"),
+    ("preferences", "As in the Preferences", "What the add-on's preferences say"),
     *choices.TORCH_BUILDS,
 ]
 

@@ -18,8 +18,8 @@ from .base import RUNNING, CancelsTask, OnLiftFolder, StartsTask, reporting
 
 _FORMS = [(form, label, about) for form, (label, about) in exports.FORMS.items()]
 _FRAMES = [
-    ("all", "All frames", "Every frame; those that are not baked are rendered"),
-    ("test", "Held-out frames", "The frames that were held out of training"),
+    ("all", "All Frames", "Every frame; those that are not baked are rendered"),
+    ("test", "Held-Out Frames", "The frames that were held out of training"),
 ]
 
 

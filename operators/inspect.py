@@ -38,7 +38,7 @@ class OnInstance(OnLift):
     @classmethod
     def why_not(cls, context: bpy.types.Context) -> str | None:
         if panel_of(context) is not None and chosen_row(context.scene, context.active_object) is None:
-            return "Choose an instance: click its box in the view, or its row in the list"
+            return "Choose an instance: click it in the view, or its row in the list"
         return super().why_not(context)
 
     instance: IntProperty(  # type: ignore[valid-type]
@@ -258,7 +258,7 @@ class PLGS_OT_go_to_frame(OnLift, bpy.types.Operator):
 
 
 class PLGS_OT_toggle_overlay(OnLift, bpy.types.Operator):
-    """Draw names, a legend or the selected points over the 3D views, or stop drawing them"""
+    """Draw names, a legend or the outline of the selected instance over the 3D views, or stop drawing them"""
 
     bl_idname, bl_label, bl_options = "plgs.toggle_overlay", "Toggle Overlay", {"REGISTER", "UNDO"}
 
@@ -268,7 +268,7 @@ class PLGS_OT_toggle_overlay(OnLift, bpy.types.Operator):
         items=[
             ("LABELS", "Labels", "The instances' names at their boxes"),
             ("LEGEND", "Legend", "The classes and their colours"),
-            ("SELECTED", "Selected Points", "The points and anchors of the selected instance"),
+            ("SELECTED", "Outline", "The outline of the selected instance"),
         ],
         default="LABELS",
     )

@@ -36,7 +36,7 @@ class PLGS_OT_lift_scene(LiftOptions, StartsTask, bpy.types.Operator):
     has_undo_step = True
 
     names_from: StringProperty(  # type: ignore[valid-type]
-        name="Names from", subtype="DIR_PATH", options={"SKIP_SAVE"},
+        name="Names From", subtype="DIR_PATH", options={"SKIP_SAVE"},
         description="An earlier lift whose objects keep their names; empty: the one in this scene, if names are kept",
     )  # fmt: skip
 

@@ -31,9 +31,9 @@ from .base import (
 from .inspect import OnClass, OnInstance
 
 _FRAMES = [
-    ("all", "All frames", "Bake every frame that has no passes yet"),
-    ("test", "Held-out frames", "Bake the frames that were held out of training"),
-    ("active", "Active camera", "Bake the frame whose camera is the scene's active one"),
+    ("all", "All Frames", "Bake every frame that has no passes yet"),
+    ("test", "Held-Out Frames", "Bake the frames that were held out of training"),
+    ("active", "Active Camera", "Bake the frame whose camera is the scene's active one"),
 ]
 _READ_S, _READ_EVERY_S = 0.04, 0.06
 """Seconds for which Blender waits while part of a camera is read, and seconds between two such parts."""
@@ -200,7 +200,7 @@ class PLGS_OT_show_room(Explained, bpy.types.Operator):
 
     @classmethod
     def why_not(cls, context: bpy.types.Context) -> str | None:
-        return None if KEY in context.scene else "This scene is no scene of passes"
+        return None if KEY in context.scene else "This is not a scene of passes"
 
     @reporting
     def execute(self, context: bpy.types.Context) -> set[str]:

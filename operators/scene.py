@@ -9,7 +9,7 @@ import bpy
 from bpy.props import BoolProperty, EnumProperty, StringProperty
 
 from ..plgs_blender.dropping import lift_or_scene, scene_at
-from ..plgs_blender.errors import one_line, with_field_names
+from ..plgs_blender.errors import one_line, plural, with_field_names
 from ..plgs_blender.frame_pictures import DEPTH, MASKS, range_shown, why_no_picture
 from ..plgs_blender.frames import PHOTO
 from ..plgs_blender.paths import absolute
@@ -71,10 +71,10 @@ class ImportsScene(SceneOptions, StartsTask):
                 raise error
             self.report({"INFO"}, "An engine is reading the scene: its cameras appear when it is done")
             return FINISHED if is_making else CANCELLED
-        cameras = sum("frame" in ob for ob in root.all_objects)
+        cameras = plural(sum("frame" in ob for ob in root.all_objects), "camera")
         lacking = "" if is_making else what_is_missing(root) if error is None else with_field_names(error)
         show_materials_in(context.scene)
-        self.report({"WARNING" if lacking else "INFO"}, f"{one_line(root.name)}: {cameras} cameras. {lacking}".rstrip())
+        self.report({"WARNING" if lacking else "INFO"}, f"{one_line(root.name)}: {cameras}. {lacking}".rstrip())
         return FINISHED
 
 
@@ -218,14 +218,14 @@ class PLGS_OT_open_dropped(bpy.types.Operator):
             if not settings.scene_folder or absolute(settings.scene_folder) != scene:
                 _forget_other_scene(settings)
             settings.scene_folder = str(scene)
-        self.report({"INFO"}, f"PLGS: {lift or scene}")
+        self.report({"INFO"}, f"Opened {lift or scene}")
         return FINISHED
 
 
 class PLGS_FH_scene(bpy.types.FileHandler):
     """Opens the scene or the lift that a file dropped on a 3D view belongs to"""
 
-    bl_idname, bl_label = "PLGS_FH_scene", "PLGS scene or lift"
+    bl_idname, bl_label = "PLGS_FH_scene", "PLGS Scene or Lift"
     bl_import_operator, bl_file_extensions = "plgs.open_dropped", ";".join(FILE_SUFFIXES)
 
     @classmethod

@@ -25,17 +25,26 @@ _OTHER_NAMES = {
 }
 """The names in Blender of options that no field, or more than one, stands for."""
 _OPTION = re.compile(r"(?<![\w-])--([a-z-]+)(?: [A-Z]+\b| colmap\b)?")
+_LACKS_SUBJECT = re.compile(r"(already|is|was|has|cannot|does|needs|renders|shows|names|holds|finds) ")
+"""The beginning of what is wrong when its subject is where it is wrong."""
 
 
 def with_field_names(said: PlgsError | OSError | str) -> str:
     """What the engine said, with the names of the panel's fields in place of the options of a command line, in one
-    printable line.
+    printable line. An error becomes a sentence: "room has no poses", where a terminal says "has no poses: room".
 
     Paths stay as they are. The placeholder of an option, such as OUT, is removed with it.
     """
-    where = said.where if isinstance(said, PlgsError) else ""
-    before, where, after = str(said).partition(where) if where else ("", "", str(said))
-    return one_line(_OPTION.sub(_name_in_panel, before) + where + _OPTION.sub(_name_in_panel, after))
+    if not isinstance(said, PlgsError):
+        return one_line(_OPTION.sub(_name_in_panel, str(said)))
+    what, fix = (_OPTION.sub(_name_in_panel, text) for text in (said.what, said.fix))
+    if not said.where:
+        sentence = f"{what[:1].upper()}{what[1:]}"
+    elif _LACKS_SUBJECT.match(what):
+        sentence = f"{said.where} {what}"
+    else:
+        sentence = f"{what[:1].upper()}{what[1:]}: {said.where}"
+    return one_line(f"{sentence}. {fix}" if fix else sentence)
 
 
 def field_of_option(option: str) -> str | None:

@@ -42,8 +42,8 @@ _LAYERS = [
     ("position", "Position", "The surface's position in the world; more than doubles the disk space"),
 ]
 _BAKES = [
-    ("test", "Held-out frames", "Bake the passes of the frames that are held out of training"),
-    ("all", "All frames", "Bake the passes of every frame"),
+    ("test", "Held-Out Frames", "Bake the passes of the frames that are held out of training"),
+    ("all", "All Frames", "Bake the passes of every frame"),
     ("none", "None", "Bake no passes; they can be baked later"),
 ]
 _DEVICES = [

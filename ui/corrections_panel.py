@@ -54,7 +54,7 @@ class PLGS_PT_corrections(OfResult, bpy.types.Panel):
         row.operator("plgs.undo_correction", text="Undo Last", icon="LOOP_BACK")
         if root is not None:
             shown = len(str(root.get(corrections.EDITS, "")).split())
-            told = f"{plural(shown, 'correction')}; bake again to see in passes" if shown else "No corrections"
+            told = f"{plural(shown, 'correction')}; bake again to update passes" if shown else "No corrections"
             tell(layout, context, told)
             if has(root, SURFACE) and are_stale(root):
                 making, row = making_meshes(), layout.row(align=True)

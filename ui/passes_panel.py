@@ -50,7 +50,7 @@ class PLGS_PT_panoptic(Sidebar, bpy.types.Panel):
         layout = self.layout
         node = panoptic_of(context.scene)
         if node is None:
-            tell(layout, context, "Bake passes first; a result's Matte button then chooses the matte.", "INFO")
+            tell(layout, context, "Bake passes first; a result's Matte button then chooses the matte", "INFO")
             return
         layout.use_property_split, layout.use_property_decorate = True, False
         for name in (*(control.name for control in CONTROLS), *COLOURS):

@@ -36,7 +36,7 @@ class PLGS_PT_result(Step, bpy.types.Panel):
     def draw(self, context: bpy.types.Context) -> None:
         layout, root = self.layout, _lift(context)
         if root is None:
-            tell(layout, context, "Nothing has been lifted yet. Start a lift above, or open a finished one.", "INFO")
+            tell(layout, context, "Nothing has been lifted yet. Start a lift above, or open a finished one", "INFO")
             layout.operator("plgs.open_lift", text="Open Lift…", icon="FILE_FOLDER")
             return
         lists, row = root.plgs, _chosen(context)
@@ -111,21 +111,21 @@ class PLGS_PT_masks(OfResult, bpy.types.Panel):
     def draw(self, context: bpy.types.Context) -> None:
         layout, row = self.layout, _chosen(context)
         if row is None:
-            tell(layout, context, "Click a box, or a row of the list", "INFO")
+            tell(layout, context, "Click an object in the view, or a row of the list", "INFO")
             return
         if not len(row.masks):
-            tell(layout, context, "This lift did not record its masks: lift again to see them.", "INFO")
+            tell(layout, context, "This lift did not record its masks: lift again to see them", "INFO")
             return
         tell(layout, context, f"{row.name}: {plural(len(row.masks), 'mask')} in {plural(row.views, 'frame')}")
         _draw_heads(layout, "Frame, class", "Score, match")
         layout.template_list("PLGS_UL_masks", "", row, "masks", row, "mask_index", rows=5, maxrows=12)
         if row.best_mask < 0:
-            tell(layout, context, "Lift again to see where they lie and how sure the match was.", "INFO")
+            tell(layout, context, "Lift again to see where they lie and how sure the match was", "INFO")
             return
         if 0 <= row.mask_index < len(row.masks):
             mask = row.masks[row.mask_index]
             share = f"{100.0 * mask.share:.1f} % of the picture"
-            tell(layout, context, f"Segment {mask.segment}, {mask.pixels} pixels, {share}")
+            tell(layout, context, f"Segment {mask.segment}, {plural(mask.pixels, 'pixel')}, {share}")
 
 
 class PLGS_PT_classes(OfResult, bpy.types.Panel):

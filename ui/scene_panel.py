@@ -193,10 +193,10 @@ def _facts(survey: Survey) -> tuple[str, ...]:
         frames += f", {survey.left_out} left out"
     sizes = [f"{width} x {height}" + (f" ({count})" if len(survey.sizes) > 1 else "")
              for (width, height), count in survey.sizes[:2]]  # fmt: skip
-    depth = "Depth: needs an engine to read" if survey.has_depth else "No depth: give it below"
+    depth = "Depth maps, range not read" if survey.has_depth else "No depth: give it below"
     if survey.depth_range is not None:
         depth = "Depth {:.1f} to {:.1f} m, median {:.1f}".format(*(survey.depth_range[place] for place in (0, 2, 1)))
-    masks = "Masks: looked for by a lift"
+    masks = "Masks: read when a lift starts"
     if survey.has_masks is not None:
         masks = plural(len(survey.classes), "class", "classes") if survey.has_masks else "No masks: make them below"
     return frames, ", ".join(sizes) + (", ..." if len(survey.sizes) > 2 else ""), depth, masks

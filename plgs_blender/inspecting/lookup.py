@@ -28,7 +28,7 @@ def find_lift(scene: bpy.types.Scene, lift: str = "", active: bpy.types.Object |
         return named[0]
     found = active_lift(scene, active)
     if found is None:
-        raise PlgsError("has no lift in it", scene.name, "Lift a scene, or load the result of a lift first.")
+        raise PlgsError("has no lift in it", scene.name, "Lift a scene, or open a finished lift.")
     return found
 
 
@@ -113,7 +113,7 @@ def row_of(root: bpy.types.Collection, instance: int) -> Any:
     if instance == 0:
         if 0 <= lists.instance_index < len(lists.instances):
             return lists.instances[lists.instance_index]
-        raise PlgsError("has no instance selected", root.name, "Click a box, or a row of the list.")
+        raise PlgsError("has no instance selected", root.name, "Click an object in the view, or a row of the list.")
     row = next((row for row in lists.instances if row.instance_id == instance), None)
     if row is None:
         ids = ", ".join(str(row.instance_id) for row in lists.instances) or "none"

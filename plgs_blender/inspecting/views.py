@@ -84,7 +84,7 @@ def look_from_frame(
     """
     camera = objects_by_key(root).get(f"frame:{frame}")
     if camera is None or camera.name not in scene.objects:
-        raise PlgsError(f"has no camera of frame {frame} any more", root.name, "Load the result of the lift again.")
+        raise PlgsError(f"has no camera of frame {frame} any more", root.name, "Show the lift's result again.")
     is_theirs = scene.camera is not None and not is_of_lift(scene.camera, scene)
     if not is_theirs:
         scene.camera = camera

@@ -52,7 +52,7 @@ class ClassWriting(Task):
 
     def done(self, scene: Any) -> None:
         if self.answer is not None:
-            self.message = f"PLGS: {self.answer.get('path')}"
+            self.message = f"Classes written to {self.answer.get('path')}"
             looking.look_at_scene(self.chosen)
 
 

@@ -203,7 +203,7 @@ def test_proposals_are_answered_one_by_one(root: bpy.types.Collection, mine: Pat
     for segment in content["instances"][1]["segments"]:
         segment["class_id"] = content["instances"][0]["class_id"]
     (mine / "result" / "instances.json").write_text(json.dumps(content))
-    with pytest.raises(RuntimeError, match="nothing is proposed"):
+    with pytest.raises(RuntimeError, match="[Nn]othing is proposed"):
         bpy.ops.plgs.answer_proposal()
     assert bpy.ops.plgs.propose_corrections() == {"FINISHED"}
     (one,), progress = proposals.kept_proposals(root)

@@ -95,5 +95,5 @@ def test_a_measurement_can_be_cancelled(inverted: Path) -> None:
 
 def test_a_folder_without_a_scene_is_an_error(tmp_path: Path) -> None:
     bpy.context.scene.plgs.scene_folder = str(tmp_path)
-    with pytest.raises(RuntimeError, match="no scene of a known format"):
+    with pytest.raises(RuntimeError, match="[Nn]o scene of a known format"):
         bpy.ops.plgs.diagnose()

@@ -112,7 +112,7 @@ def test_a_bad_scene_shows_what_fixes_it(code: ErrorCode, tmp_path: Path) -> Non
         task.is_taken = True
         registry.follow(task)
     shown = drawn()
-    assert shown.count("is bad: here. Give Masks.") == 4
+    assert shown.count("here is bad. Give Masks.") == 4
     assert "set-up.log" in shown and ("plgs.show_preferences" in shown) >= (code is ErrorCode.NO_ENGINE)
 
 

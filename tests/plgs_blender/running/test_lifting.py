@@ -62,7 +62,9 @@ def test_the_advice_about_a_running_lift(tmp_path: Path) -> None:
         ("read it with --up z, or --fix OUT turns it upright", "read it with Up z, or Fix turns it upright"),
         ("/rooms/a--size 3/x--up", "/rooms/a--size 3/x--up"),
         ("--fits and --unheard-of", "--fits and --unheard-of"),
-        (PlgsError("is none", "/a/ --up b", "Give --classes."), "is none: /a/ --up b. Give Classes."),
+        (PlgsError("is none", "/a/ --up b", "Give --classes."), "/a/ --up b is none. Give Classes."),
+        (PlgsError("there is none", "/a/--up", "Give --up."), "There is none: /a/--up. Give Up."),
+        (PlgsError("nothing is left", "", ""), "Nothing is left"),
     ],
 )
 def test_advice_names_the_panels_fields(said: str | PlgsError, told: str) -> None:
