@@ -77,7 +77,7 @@ def remember_scene(folder: LiftFolder, scene: Scene, warn: Callable[[str], objec
     if (before is not None and before.masks not in ("", masks)) or have_classes_changed(folder, scene):
         _move_baked(folder, warn)
     known, files = stored_scene(scene, scene.frames, masks), _digests_of(scene.frames)
-    frames = tuple(replace(frame, files=digest) for frame, digest in zip(known.frames, files, strict=True))
+    frames = tuple(replace(one, files=found, read=how) for one, (found, how) in zip(known.frames, files, strict=True))
     write_known(folder, replace(known, frames=frames, joined="" if before is None else before.joined))
     return masks
 
@@ -131,10 +131,11 @@ def refuse_other_pictures(folder: LiftFolder, scene: Scene) -> None:
 
 
 def _refuse_other_pictures(known: StoredScene, scene: Scene) -> None:
-    before = {frame.name: frame.files for frame in known.frames}
-    for frame, digest in zip(scene.frames, _digests_of(scene.frames), strict=True):
-        if digest and before.get(frame.name, "") not in ("", digest):
-            raise another(f"the photo or the depth of {frame.name} differs, or how they are read", scene)
+    known_as = {frame.name: (frame.files, frame.read) for frame in known.frames}
+    for frame, now in zip(scene.frames, _digests_of(scene.frames), strict=True):
+        before = known_as.get(frame.name, ("", ""))
+        if any(one and other not in ("", one) for one, other in zip(now, before, strict=True)):
+            raise another(f"the photo or the depth of {frame.name} differs, or the way they are read", scene)
 
 
 def another(differs: str, scene: Scene) -> PlgsError:
@@ -244,13 +245,13 @@ def refuse_others(known: Sequence[PosedFrame], scene: Scene) -> None:
             raise another(f"the camera of {frame.name} differs", scene)
 
 
-def _digests_of(frames: Sequence[Frame]) -> list[str]:
-    """Of all files that hold the pixels of a frame, and of how they are read; empty where one cannot be read."""
-    files = digests_of_files([(frame.colour_path, frame.depth_path, frame.confidence_path) for frame in frames])
-    read_as = [frame.read_as for frame in frames]
+def _digests_of(frames: Sequence[Frame]) -> list[tuple[str, str]]:
+    """Of a frame's photo and depth, and of its confidence and how they are read; empty where a file cannot be read."""
+    files = digests_of_files([(frame.colour_path, frame.depth_path) for frame in frames])
+    trusted = digests_of_files([(frame.confidence_path,) for frame in frames])
     return [
-        sha256(f"{digest} {how}".encode()).hexdigest()[:16] if digest and how else digest
-        for digest, how in zip(files, read_as, strict=True)
+        (found, trust and sha256(f"{trust} {frame.read_as}".encode()).hexdigest()[:16])
+        for frame, found, trust in zip(frames, files, trusted, strict=True)
     ]
 
 

@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from engine.errors import PlgsError
 from engine.job import LiftFolder, LiftRequest
+from engine.known_scene import write_known
+from engine.posed.scene_record import stored_scene
+from engine.scene import digests_of_files
 from engine.scene_of_lift import _digests_of, refuse_changed, remember_scene
 from tests.scene.formats.test_record3d import lzfse  # noqa: F401 - a fixture
 from tests.scene.samples import WRITERS, Sample, opened, samples, with_content  # noqa: F401 - a fixture among them
@@ -28,7 +32,19 @@ def in_json(**changes: object) -> Change:
 @pytest.mark.parametrize("name", WRITERS)
 def test_no_frame_is_left_uncompared(sample: Sample, name: str) -> None:
     """A frame whose files cannot be read as files, as a folder cannot, would stand for any other."""
-    assert all(_digests_of(opened(sample(name), name).frames))
+    assert all(all(digests) for digests in _digests_of(opened(sample(name), name).frames))
+
+
+@pytest.mark.parametrize("name", WRITERS)
+def test_a_lift_of_an_earlier_version_goes_on(sample: Sample, name: str, tmp_path: Path) -> None:
+    """Its records know the photos and the depth as files, not how these are read, nor confidence."""
+    scene = opened(sample(name), name)
+    folder = LiftFolder.create(tmp_path / "lift", LiftRequest(scene=sample(name)))
+    files = digests_of_files([(frame.colour_path, frame.depth_path) for frame in scene.frames])
+    known = stored_scene(scene, scene.frames)
+    frames = tuple(replace(frame, files=digest) for frame, digest in zip(known.frames, files, strict=True))
+    write_known(folder, replace(known, frames=frames))
+    refuse_changed(folder, scene)
 
 
 @pytest.mark.parametrize(
@@ -52,6 +68,6 @@ def test_a_lift_does_not_go_on_with_other_pixels(
     folder = LiftFolder.create(tmp_path / "lift", LiftRequest(scene=scene))
     remember_scene(folder, opened(scene, name))
     refuse_changed(folder, opened(scene, name))
-    with with_content(path, change(path.read_bytes())), pytest.raises(PlgsError, match="differs, or how they are read"):
+    with with_content(path, change(path.read_bytes())), pytest.raises(PlgsError, match="differs, or the way"):
         refuse_changed(folder, opened(scene, name))
     refuse_changed(folder, opened(scene, name))

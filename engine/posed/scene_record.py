@@ -23,7 +23,8 @@ class StoredFrame:
 
     ``camera_to_world`` has OpenCV's axes and metres. ``colour`` and ``depth`` are paths, relative where they lie in the
     scene's folder. ``is_picture`` says that the file at ``colour`` shows the frame as it is, ``files`` is the digest of
-    both when a lift was last run. Lifts of earlier versions lack them, so their photos are left to an engine.
+    both when a lift was last run, ``read`` that of how they are read, confidence included. Lifts of earlier versions
+    lack some of these: their photos are left to an engine, and what is not known is not compared.
     """
 
     name: str = field(metadata={"shown": True})
@@ -35,6 +36,7 @@ class StoredFrame:
     depth: str | None = None
     is_picture: bool = False
     files: str = ""
+    read: str = ""
 
     def posed(self, scene: Path) -> PosedFrame:
         """The frame with paths below the ``scene``'s folder."""
