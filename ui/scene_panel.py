@@ -17,7 +17,19 @@ from ..plgs_blender.running.survey import SceneLook, Survey, possibilities, surv
 from ..plgs_blender.scene_formats import label_of
 from ..plgs_blender.settings import chosen_scene
 from ..plgs_blender.tasks import registry
-from .sidebar import Sidebar, Step, draw_bar, draw_error, draw_lacking, draw_task, from_panel, how_far, tell
+from .sidebar import (
+    Sidebar,
+    Step,
+    draw_bar,
+    draw_error,
+    draw_lacking,
+    draw_news,
+    draw_task,
+    draw_warnings,
+    from_panel,
+    how_far,
+    tell,
+)
 
 _FACTS = ("CAMERA_DATA", "IMAGE_DATA", "EMPTY_SINGLE_ARROW", "COLOR")
 """The icons of what is always said of a scene: its frames, their size, depth and masks."""
@@ -36,7 +48,7 @@ class PLGS_PT_scene(Step, bpy.types.Panel):
         row.operator("plgs.browse_scene", text="", icon="IMPORT")
         # Above what is read: that comes a moment later, and nothing is to move under the pointer.
         row, making = from_panel(layout.row(align=True), context), registry.latest(FrameMaking)
-        if making is not None and making.is_running:
+        if making is not None and _is_import(making, context):
             draw_bar(row, making, "Images")
         else:
             row.operator("plgs.import_scene", icon="OUTLINER_OB_CAMERA")
@@ -135,13 +147,15 @@ class PLGS_PT_frames(Sidebar, bpy.types.Panel):
         for what, label, icon in _PICTURES:
             is_shown = ob is not None and ob.get(SHOWN, PHOTO) == what
             row.operator("plgs.show_picture", text=label, icon=icon, depress=is_shown).what = what
-        if ob is not None:
-            span = range_shown(ob)
-            if span is not None:
-                layout.label(text=f"{span[0]:.2f} m (light) to {span[1]:.2f} m (dark)", icon="BLANK1")
-        making = _frames_not_made(context)
-        if making is not None:
-            draw_task(layout, context, making)
+        making, span = registry.latest(FrameMaking), None if ob is None else range_shown(ob)
+        if making is not None and making.is_running and not _is_import(making, context):
+            draw_bar(layout.row(align=True), making, "Images")
+        elif span is not None:
+            layout.label(text=f"{span[0]:.2f} m (light) to {span[1]:.2f} m (dark)", icon="BLANK1")
+        if making is not None and making.is_running:
+            draw_warnings(layout, context, making)
+        elif making is not None and _is_failure_of(making, context):
+            draw_news(layout, context, making)
 
 
 def _draw_poses(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
@@ -250,14 +264,18 @@ def _draw_links(layout: bpy.types.UILayout, frames: tuple[str, ...], number: int
         layout.label(text=f"and {len(frames) - _MOST_LINKS} more", icon="BLANK1")
 
 
-def _frames_not_made(context: bpy.types.Context) -> FrameMaking | None:
-    """The task that failed to make frames of the panel's scene or of the active camera's."""
-    making, settings, ob = registry.latest(FrameMaking), context.scene.plgs, context.scene.camera
-    if making is None or making.is_running:
-        return None
+def _is_import(making: FrameMaking, context: bpy.types.Context) -> bool:
+    """Whether a task imports the panel's scene now. One frame's picture, or another scene's, takes no button away."""
+    settings, order = context.scene.plgs, making.order
+    is_of_scene = bool(settings.scene_folder) and order.chosen == chosen_scene(settings)
+    return making.is_running and is_of_scene and not order.frame
+
+
+def _is_failure_of(making: FrameMaking, context: bpy.types.Context) -> bool:
+    """Whether a task failed to make frames of the panel's scene or of the active camera's."""
+    settings, ob = context.scene.plgs, context.scene.camera
     chosen = chosen_scene(settings) if settings.scene_folder else None
-    error = making.error_for(chosen, "" if ob is None else ob.get(LIFT, ""))
-    return making if error is not None else None
+    return making.error_for(chosen, "" if ob is None else ob.get(LIFT, "")) is not None
 
 
 def _draw_import_menu(menu: bpy.types.Menu, context: bpy.types.Context) -> None:

@@ -145,6 +145,7 @@ def begin_import(scene: bpy.types.Scene, *, cloud: bool = True) -> FrameMaking |
         return make_frames(FrameOrder(chosen, "", kinds, scene=scene.name), python)
     made = made_before(chosen.resolved)
     if not is_plain and made is None:
+        registry.refuse_second(FrameMaking)  # there may be an engine, which makes something else now
         raise needs_engine(chosen)
     root = _place(chosen, scene, made, cloud)
     if root[MISSING] and python is not None:

@@ -366,6 +366,8 @@ def test_switching_off_ends_the_engine(captures: Path, tmp_path: Path, plgs: Mod
     with pytest.raises(PlgsError, match="already running"):
         make_frames(FrameOrder(chosen, "nobody's", ("depth",)), Path(sys.executable))
     assert registry.running(FrameMaking) and bpy.ops.plgs.cancel_frames.poll()
+    with pytest.raises(RuntimeError, match="already running"):
+        bpy.ops.plgs.import_scene(scene_folder=str(captures / "scans" / "two.sens"))
     plgs.unregister()
     assert registry.latest(FrameMaking) is None
     plgs.register()

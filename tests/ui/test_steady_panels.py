@@ -13,6 +13,7 @@ import pytest
 from plgs.engine.errors import PlgsError
 from plgs.engine.job.task import BAKE, LIFT, TaskState
 from plgs.plgs_blender import proposals
+from plgs.plgs_blender.chosen_scene import ChosenScene
 from plgs.plgs_blender.engine_environment import choices, tasks
 from plgs.plgs_blender.lift_collection import lifts_in
 from plgs.plgs_blender.lift_scene import place_lift
@@ -85,6 +86,19 @@ def test_the_frames_that_are_made_have_their_bar_where_import_was(tmp_path: Path
     registry.follow(tasks_with(Pretended(TaskState.RUNNING), tmp_path)[1])
     assert rows_above("Images 50 %") == at == rows_above("plgs.cancel_frames") - 1
     assert height_of(scene_panel.PLGS_PT_scene) == before
+
+
+@pytest.mark.parametrize("of", [{"frame": "0001"}, {"chosen": ChosenScene(Path("another"))}])
+def test_a_picture_or_another_scene_that_is_made_leaves_import_where_it_was(of: dict[str, Any], tmp_path: Path) -> None:
+    """Its bar is in *Frames*, where its button was pressed, and so are its warnings."""
+    bpy.context.scene.plgs.scene_folder = str(tmp_path)
+    at, pictures = rows_above("plgs.import_scene"), rows_above("plgs.show_picture Masks")
+    making: Any = registry.follow(tasks_with(Pretended(TaskState.RUNNING), tmp_path)[1])
+    making.order = replace(making.order, **of)
+    shown = drawn()
+    assert rows_above("plgs.import_scene") == at and rows_above("plgs.show_picture Masks") == pictures
+    assert shown.index("plgs.show_picture Masks") < shown.index("Images 50 %") < shown.index("plgs.cancel_frames")
+    assert "odd" in shown
 
 
 def test_no_news_of_an_engine_moves_what_starts_a_lift(tmp_path: Path) -> None:
