@@ -10,7 +10,9 @@ import bpy
 from ..engine.errors import ErrorCode, PlgsError, one_line
 from ..engine.posed.layout import plural
 
-__all__ = ["EXPECTED", "ErrorCode", "PlgsError", "field_of_option", "one_line", "plural", "with_field_names"]
+__all__ = [
+    "EXPECTED", "ErrorCode", "PlgsError", "field_of_option", "one_line", "plural", "sentence", "with_field_names",
+]  # fmt: skip
 
 EXPECTED = (PlgsError, OSError)
 """The errors that an operator reports in one line. Anything else is a defect of ours and shows its traceback."""
@@ -27,6 +29,7 @@ _OTHER_NAMES = {
 _OPTION = re.compile(r"(?<![\w-])--([a-z-]+)(?: [A-Z]+\b| colmap\b)?")
 _LACKS_SUBJECT = re.compile(r"(already|is|was|has|cannot|does|needs|renders|shows|names|holds|finds) ")
 """The beginning of what is wrong when its subject is where it is wrong."""
+_PLAIN_WORD = re.compile(r"[a-z]+(?=[ ,:;.]?( |$))")
 
 
 def with_field_names(said: PlgsError | OSError | str) -> str:
@@ -38,13 +41,17 @@ def with_field_names(said: PlgsError | OSError | str) -> str:
     if not isinstance(said, PlgsError):
         return one_line(_OPTION.sub(_name_in_panel, str(said)))
     what, fix = (_OPTION.sub(_name_in_panel, text) for text in (said.what, said.fix))
-    if not said.where:
-        sentence = f"{what[:1].upper()}{what[1:]}"
-    elif _LACKS_SUBJECT.match(what):
-        sentence = f"{said.where} {what}"
+    if _LACKS_SUBJECT.match(what):
+        where = sentence(said.where) if said.where.startswith("the ") else said.where
+        told = f"{where} {what}".lstrip()
     else:
-        sentence = f"{what[:1].upper()}{what[1:]}: {said.where}"
-    return one_line(f"{sentence}. {fix}" if fix else sentence)
+        told = f"{sentence(what)}: {said.where}" if said.where else sentence(what)
+    return one_line(f"{told}. {fix}" if fix else told)
+
+
+def sentence(text: str) -> str:
+    """A text with a capital first letter, unless it begins with a name: of a file, a key or anything in quotes."""
+    return f"{text[0].upper()}{text[1:]}" if _PLAIN_WORD.match(text) else text
 
 
 def field_of_option(option: str) -> str | None:

@@ -105,7 +105,7 @@ class OfClasses:
             return
         self.layout.operator_context = "INVOKE_DEFAULT"
         for name in names:
-            paint = self.layout.operator("plgs.assign_points", text=one_line(name).capitalize())
+            paint = self.layout.operator("plgs.assign_points", text=one_line(name))
             paint.to, paint.class_name = self.to, name
 
 

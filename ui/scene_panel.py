@@ -5,7 +5,7 @@ from __future__ import annotations
 import bpy
 
 from ..plgs_blender.engine_environment import status
-from ..plgs_blender.errors import ErrorCode, one_line, plural
+from ..plgs_blender.errors import ErrorCode, one_line, plural, sentence
 from ..plgs_blender.frame_pictures import DEPTH, MASKS, range_shown, why_no_picture
 from ..plgs_blender.frames import PHOTO, SHOWN
 from ..plgs_blender.lift_collection import lifts_in
@@ -226,7 +226,7 @@ def _draw_details(
         if not each.is_possible:
             tell(layout, context, f"{each.what}: {each.why}", "X")
     for warning in warnings:
-        tell(layout, context, f"{warning[:1].upper()}{warning[1:]}", "ERROR")
+        tell(layout, context, sentence(warning), "ERROR")
     for text, is_doubtful in survey.inferred:
         if not is_doubtful:
             tell(layout, context, text, "INFO")

@@ -41,7 +41,7 @@ def class_of(classes: ClassTable, said: int | str) -> int:
     found = [] if isinstance(said, int) else named(names, said.strip())
     found = sorted({*found, *(number for number in names if str(number) == str(said))})
     if len(found) != 1:
-        what = f"{said} may be the class {' or '.join(f'{one} {names[one]}' for one in found)}"
+        what = f"'{said}' may be the class {' or '.join(f'{one} {names[one]}' for one in found)}"
         known = ", ".join(f"{number} {name}" for number, name in names.items())
         raise PlgsError(what if found else f"there is no class {said}", CORRECTIONS, f"The classes are {known}.")
     return found[0]

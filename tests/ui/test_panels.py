@@ -17,6 +17,7 @@ from plgs.engine.errors import ErrorCode, PlgsError, lacks_part
 from plgs.engine.job import LiftState
 from plgs.engine.job.task import BAKE, TaskState
 from plgs.operators import diagnose, masks
+from plgs.plgs_blender import corrections
 from plgs.plgs_blender.chosen_scene import ChosenScene
 from plgs.plgs_blender.engine_environment import choices, tasks
 from plgs.plgs_blender.inspecting import text_boxes
@@ -26,10 +27,7 @@ from plgs.plgs_blender.running import adding, lifts, survey
 from plgs.plgs_blender.running.preparation import PoseMaking
 from plgs.plgs_blender.settings import chosen_scene
 from plgs.plgs_blender.tasks import registry
-from plgs.ui import (
-    lists,
-    sidebar,
-)
+from plgs.ui import corrections_panel, lists, sidebar
 
 for each in (Path(__file__).parents[1] / "plgs_blender", Path(__file__).parents[1]):
     if str(each) not in sys.path:
@@ -96,6 +94,17 @@ def test_a_lift_that_another_blender_began_shows_its_progress(tmp_path: Path) ->
     bar = shown.index("75 %, 1 min 40 s left")
     assert shown.index("Stage 2 of 3: lift, ") < shown.index("Half of it, loss 0.5000") < bar
     assert bar < shown.index("plgs.cancel_lift")
+
+
+def test_names_of_classes_are_shown_as_they_are(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two may differ in capitals only."""
+    place_lift(tiny_lift.write_tiny_lift(tmp_path / "lift").path, bpy.context.scene)
+    monkeypatch.setattr(corrections, "class_choices", lambda root, instance: ["TV set", "tv set"])
+    seen: list[str] = []
+    menu = SimpleNamespace(layout=Layout(seen), to="NEW")
+    context = SimpleNamespace(scene=bpy.context.scene, active_object=None)
+    corrections_panel.OfClasses.draw(menu, context)  # type: ignore[arg-type]
+    assert [line.removeprefix("plgs.assign_points ") for line in seen] == ["TV set", "tv set"]
 
 
 def test_nothing_is_chosen_yet() -> None:

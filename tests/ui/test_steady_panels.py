@@ -173,7 +173,7 @@ def test_the_surface_that_is_made_by_itself_moves_no_list(tmp_path: Path) -> Non
     follower.error = PlgsError("is full", "the disk", "Make room.")
     shown = drawn()
     assert rows_above("Points, score") == heads
-    assert "the disk is full. Make room." in shown.partition("plgs.show_all")[2].partition("Source Masks")[0]
+    assert "The disk is full. Make room." in shown.partition("plgs.show_all")[2].partition("Source Masks")[0]
 
 
 def test_what_edits_and_their_engines_bring_moves_no_button_that_edits(tmp_path: Path) -> None:

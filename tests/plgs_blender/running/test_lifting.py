@@ -65,6 +65,11 @@ def test_the_advice_about_a_running_lift(tmp_path: Path) -> None:
         (PlgsError("is none", "/a/ --up b", "Give --classes."), "/a/ --up b is none. Give Classes."),
         (PlgsError("there is none", "/a/--up", "Give --up."), "There is none: /a/--up. Give Up."),
         (PlgsError("nothing is left", "", ""), "Nothing is left"),
+        (PlgsError("is full", "the disk", "Make room."), "The disk is full. Make room."),
+        (PlgsError("rgbd/3.jpg is missing", "a.r3d", ""), "rgbd/3.jpg is missing: a.r3d"),
+        (PlgsError("'chair' may be two", "", ""), "'chair' may be two"),
+        (PlgsError("depth_scale is not above 0", "a", ""), "depth_scale is not above 0: a"),
+        (PlgsError("a.png, b.png are gone", "a", ""), "a.png, b.png are gone: a"),
     ],
 )
 def test_advice_names_the_panels_fields(said: str | PlgsError, told: str) -> None:
