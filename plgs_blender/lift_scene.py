@@ -46,7 +46,7 @@ from .owned import KEY, LIFT, OwnedDataBlocks, key_of, text_of
 from .passes import check_layers, place_passes, place_shots
 from .results import LiftResult, read_result, reading_result, result_of
 from .reuse import leave_holes
-from .splats import place_gaussians, placing_gaussians
+from .splats import are_outdated, gaussians_of, place_gaussians, placing_gaussians
 from .surfaces import SurfaceGrid
 from .timeline import mark_timeline, places_of
 from .viewport import all_views, areas_of, show_materials_in, show_room, start_file
@@ -369,10 +369,10 @@ def _choose_what_is_shown(root: bpy.types.Collection) -> None:
 
 
 def show_lift_as(root: bpy.types.Collection, scene: bpy.types.Scene, kind: str) -> None:
-    """Show a lift as POINTS, SPLATS or SURFACE. Splats are placed when they are not there. Raises PlgsError when they
-    cannot be, or when no meshes were made.
+    """Show a lift as POINTS, SPLATS or SURFACE. Splats are placed when they are not there, or are squares of a Blender
+    without splats of its own. Raises PlgsError when they cannot be placed, or when no meshes were made.
     """
-    if kind == SPLATS and not has(root, SPLATS):
+    if kind == SPLATS and (not has(root, SPLATS) or (are_outdated(root) and gaussians_of(root).is_file())):
         place_gaussians(root, scene)
         apply_look(root)
     if kind == SURFACE and not has(root, SURFACE):

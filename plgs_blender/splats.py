@@ -21,7 +21,7 @@ from . import native_splats
 from .inspecting.lookup import ids_of
 from .lift_collection import FOLDER, GAUSSIANS, Placed, child_collection
 from .native_splats import HARMONIC, Splats
-from .owned import KEY, LIFT, OwnedDataBlocks, text_of
+from .owned import KEY, LIFT, OwnedDataBlocks, key_of, text_of
 from .squares import EXTENT, Squares, across, joined, place_squares
 from .surfaces import SurfaceGrid, towards_nearest
 
@@ -62,6 +62,14 @@ def gaussians_of(root: bpy.types.Collection) -> Path:
     return Path(bpy.path.abspath(text_of(root, FOLDER))) / "result" / "gaussians.ply"
 
 
+def are_outdated(root: bpy.types.Collection) -> bool:
+    """Whether a lift's splats are of the kind that another Blender shows."""
+    return any(
+        key_of(ob, root[LIFT]) == GAUSSIANS and (ob.type == "POINTCLOUD") != native_splats.are_known()
+        for ob in root.all_objects
+    )
+
+
 def place_gaussians(root: bpy.types.Collection, scene: bpy.types.Scene) -> None:
     """Put the Gaussians of a lift into its collection as splats, in place of earlier ones.
 
@@ -96,9 +104,8 @@ def placing_gaussians(
         return
     root, scene = found
     owned, parent = OwnedDataBlocks(root[LIFT], scene), child_collection(root, "Gaussians", scene)
-    known = owned.known(GAUSSIANS)
-    if known is not None and (known.type == "POINTCLOUD") != are_native:
-        owned.drop_object(GAUSSIANS)  # the other kind, of another Blender
+    if are_outdated(root):
+        owned.drop_object(GAUSSIANS)
     place = native_splats.place_splats if are_native else place_squares
     splats = place(owned, parent, GAUSSIANS, "Gaussians", joined(parts))
     splats.hide_select = True  # a click is meant for the box within

@@ -177,7 +177,8 @@ def test_splats_that_another_blender_made_are_replaced(lift: Path, monkeypatch: 
         for name in ("plgs_lift", "plgs_key"):
             block[name] = made[name]
     bpy.data.objects.remove(made)
-    splats.place_gaussians(root, bpy.context.scene)
+    with registered():
+        lift_scene.show_lift_as(root, bpy.context.scene, "SPLATS")
     (found,) = [ob for ob in bpy.data.objects if ob.name.startswith("Gaussians")]
     assert len(found.data.attributes["position"].data) == 2 and found.type != {"MESH": "MESH"}.get(type(data).__name__)
 
