@@ -56,6 +56,7 @@ def test_a_set_up_is_followed_and_cancelled(preferences: Window) -> None:
         preferences.run(f"import os; os.environ['PIP_DEFAULT_TIMEOUT'] = '{OUTLASTS_S:.0f}'")
         assert preferences.run(f"answer = list(bpy.ops.plgs.set_up_engine({arguments}))\n") == ["FINISHED"]
         preferences.wait_for("not set_up().is_running or set_up().progress.stage_index == 3")
+        assert preferences.ask("str(set_up().error)") == "None", "it needs 5 GB on the disk of the home"
         preferences.settle()
         preferences.screenshot("preferences-set-up")
         preferences.run("bpy.ops.plgs.cancel_engine_set_up(); del os.environ['PIP_DEFAULT_TIMEOUT']")
