@@ -177,6 +177,7 @@ def _placing_splats(read: ReadLift, root: bpy.types.Collection, scene: bpy.types
         root, scene = found
         _choose_what_is_shown(root)
         with registered():
+            apply_visibility(root)
             if root.plgs.look != PHOTO:
                 apply_look(root)
             show_materials_in(scene)
@@ -374,6 +375,7 @@ def show_lift_as(root: bpy.types.Collection, scene: bpy.types.Scene, kind: str) 
     """
     if kind == SPLATS and (not has(root, SPLATS) or (are_outdated(root) and gaussians_of(root).is_file())):
         place_gaussians(root, scene)
+        apply_visibility(root)
         apply_look(root)
     if kind == SURFACE and not has(root, SURFACE):
         raise PlgsError("has no meshes yet", root.name, "Make them first: plgs.make_meshes.")

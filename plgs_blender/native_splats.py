@@ -62,6 +62,8 @@ def place_splats(
         _BASE: ("FLOAT4", rgba[1]),
         **{each: ("INT", numbers) for each, numbers in splats.ids.items()},
     }
+    for old in {layer.name for layer in cloud.attributes} - columns.keys():  # such as what was hidden
+        cloud.attributes.remove(cloud.attributes[old])
     for attribute, (kind, values) in columns.items():
         layer = cloud.attributes.get(attribute) or cloud.attributes.new(attribute, kind, "POINT")
         layer.data.foreach_set(_FIELDS[kind], np.ascontiguousarray(values).ravel())

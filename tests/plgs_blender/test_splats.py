@@ -15,6 +15,7 @@ from plgs.engine.passes.ply import columns_of, write_ply_table
 from plgs.engine.posed.splat_file import read_gaussians
 from plgs.plgs_blender import lift_scene, native_splats, splats
 from plgs.plgs_blender.inspecting.lists import registered
+from plgs.plgs_blender.reuse import make_objects
 from plgs.plgs_blender.surfaces import SurfaceGrid
 from tiny_lift import mend_manifest, write_tiny_lift
 from tiny_scene import CHAIR_ID
@@ -167,7 +168,26 @@ def test_blenders_own_splats_of_a_wall_are_left_out_from_behind(lift: Path) -> N
         assert len(evaluated().points) == count
 
 
-def test_splats_that_another_blender_made_are_replaced(lift: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_splats_that_are_placed_again_have_the_new_colours_and_holes(lift: Path) -> None:
+    with registered():
+        root = lift_scene.place_lift(lift, bpy.context.scene)
+        root.plgs.look = "INSTANCES"
+        make_objects(root, [1], as_assets=False)  # what the lift shows of it is hidden
+        path = lift / "result" / "gaussians.ply"
+        rows = read_gaussians(path)[[1, 1, 0]].copy()
+        rows["f_dc_1"], rows["f_dc_0"] = 1.7724539, -1.7724539  # green
+        write_ply_table(path, {name: np.ascontiguousarray(rows[name]) for name in rows.dtype.names})
+        mend_manifest(lift)
+        root = lift_scene.place_lift(lift, bpy.context.scene)
+        data = bpy.data.objects["Gaussians"].data
+        hidden = np.zeros(3, bool)
+        data.attributes["plgs_hidden"].data.foreach_get("value", hidden)
+        assert hidden.tolist() == [False, False, True]
+        root.plgs.look = "PHOTO"
+        assert values_of(data, "Col", "color", 4) == pytest.approx(np.tile([0.0, 1.0, 0.0, 1.0], (3, 1)), abs=1e-3)
+
+
+def test_splats_that_another_blender_made_are_replaced(lift: Path) -> None:
     root = lift_scene.place_lift(lift, bpy.context.scene)
     made = bpy.data.objects["Gaussians"]
     data = (bpy.data.meshes if native_splats.are_known() else bpy.data.pointclouds).new("Gaussians")
@@ -180,7 +200,8 @@ def test_splats_that_another_blender_made_are_replaced(lift: Path, monkeypatch: 
     with registered():
         lift_scene.show_lift_as(root, bpy.context.scene, "SPLATS")
     (found,) = [ob for ob in bpy.data.objects if ob.name.startswith("Gaussians")]
-    assert len(found.data.attributes["position"].data) == 2 and found.type != {"MESH": "MESH"}.get(type(data).__name__)
+    assert len(found.data.attributes["position"].data) == 2
+    assert found.type == ("POINTCLOUD" if native_splats.are_known() else "MESH")
 
 
 def test_a_lift_opens_as_splats_in_photo_colours_and_is_recoloured(lift: Path) -> None:

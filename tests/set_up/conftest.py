@@ -5,6 +5,7 @@ from __future__ import annotations
 import shutil
 import sys
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -30,11 +31,18 @@ else:
 """
 
 
-@pytest.fixture(scope="session", autouse=True)
+@contextmanager
 def large_disk() -> Iterator[None]:
     """A disk with room for real packages: what these tests say must not depend on this machine's."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(shutil, "disk_usage", lambda folder: shutil._ntuple_diskusage(1 << 40, 0, 1 << 40))
+        yield
+
+
+@pytest.fixture(autouse=True)
+def room_on_the_disk() -> Iterator[None]:
+    """For each test alone: those of other folders, between two of these, have the machine's own disk."""
+    with large_disk():
         yield
 
 
@@ -71,9 +79,10 @@ def index(code: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterat
 def empty_environment(code: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """What the set-up's second step made: a real environment with a real pip, cancelled there."""
     folder = tmp_path_factory.mktemp("empty")
-    running = RunningSetUp(SetUpRequest(Path(sys.executable), index_url="http://127.0.0.1:9"), code, folder)
-    running.wait(until=lambda: any(Notes.read(each) for each in folder.glob("engine-*")))
-    running.cancel()
+    with large_disk():
+        running = RunningSetUp(SetUpRequest(Path(sys.executable), index_url="http://127.0.0.1:9"), code, folder)
+        running.wait(until=lambda: any(Notes.read(each) for each in folder.glob("engine-*")))
+        running.cancel()
     return next(folder.glob("engine-*"))
 
 
