@@ -5,7 +5,7 @@ from __future__ import annotations
 import bpy
 
 from ..plgs_blender.engine_environment import status
-from ..plgs_blender.errors import ErrorCode, one_line, plural, sentence
+from ..plgs_blender.errors import ErrorCode, one_line, plural, sentence, with_field_names
 from ..plgs_blender.frame_pictures import DEPTH, MASKS, range_shown, why_no_picture
 from ..plgs_blender.frames import PHOTO, SHOWN
 from ..plgs_blender.lift_collection import lifts_in
@@ -26,6 +26,7 @@ from .sidebar import (
     draw_news,
     draw_task,
     draw_warnings,
+    fitted,
     from_panel,
     how_far,
     tell,
@@ -179,7 +180,7 @@ def _survey(context: bpy.types.Context) -> Survey | None:
 
 def _draw_survey(layout: bpy.types.UILayout, context: bpy.types.Context, survey: Survey | None) -> None:
     """Draw what is known of a scene in rows that stand there from the start, so that what is read moves nothing. What
-    varies in length can be opened, and the row that opens it says whether there are warnings.
+    varies in length can be opened, and the row that opens it tells the first warning.
     """
     known = survey if survey is not None and not survey.is_looking else None
     column = layout.box().column(align=True)
@@ -195,7 +196,9 @@ def _draw_survey(layout: bpy.types.UILayout, context: bpy.types.Context, survey:
         column.label(text=fact, icon=icon)
     warnings = () if known is None else (*(text for text, doubtful in known.inferred if doubtful), *known.warnings)
     header, body = layout.panel("plgs_scene_details", default_closed=True)
-    header.label(text=plural(len(warnings), "warning") if warnings else "Details", icon="ERROR" if warnings else "NONE")
+    # A guess or a warning is seen without a click; more than one, and the end of a long one, by opening this.
+    first = f"{plural(len(warnings), 'warning')}: {warnings[0]}" if warnings else "Details"
+    header.label(text=fitted(context, with_field_names(first)), icon="ERROR" if warnings else "NONE")
     if body is not None and known is not None:
         _draw_details(body, context, known, warnings)
 

@@ -64,6 +64,12 @@ def lines_of(context: bpy.types.Context, text: str) -> list[str]:
     return textwrap.wrap(text, max(20, int(context.region.width / (_PIXELS_A_LETTER * scale)) - 5)) or [""]
 
 
+def fitted(context: bpy.types.Context, text: str) -> str:
+    """The first of a text's lines, with a mark where there are more."""
+    first, *more = lines_of(context, text)
+    return f"{first}…" if more else first
+
+
 def draw_task(layout: bpy.types.UILayout, context: bpy.types.Context, task: Task) -> None:
     """Draw any task: its progress and Cancel while it runs; afterwards its error and what fixes it."""
     if task.is_running:

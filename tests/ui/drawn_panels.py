@@ -93,9 +93,9 @@ def _context(width: int) -> Any:
     )
 
 
-def drawn(*, opened: bool = True) -> str:
-    """What all panels and the preferences show now. ``opened`` as in `Layout`."""
-    context = _context(10_000)
+def drawn(*, opened: bool = True, width: int = 10_000) -> str:
+    """What all panels and the preferences show now, in a sidebar so many pixels wide. ``opened`` as in `Layout`."""
+    context = _context(width)
     seen: list[str] = []
     for module in PANELS:
         for panel in module.CLASSES:

@@ -75,9 +75,9 @@ def test_what_is_read_of_a_scene_moves_nothing_below_it(tmp_path: Path, monkeypa
     assert rows_above("plgs.lift_scene") == before
     worse = replace(found, warnings=("one", "two"), inferred=(("Up: z: a guess", True),), has_depth=False)
     monkeypatch.setattr(survey, "_latest", replace(worse, depth_range=None, has_masks=False, left_out=2))
-    shown = drawn(opened=False)
-    assert "3 warnings" in shown and "No masks: make them below" in shown and "Up: z: a guess" not in shown
-    assert rows_above("plgs.lift_scene") == before and "Up: z: a guess" in drawn()
+    shown = drawn(opened=False, width=280)
+    assert "3 warnings: Up: z: a guess" in shown and "No masks: make them below" in shown and "two" not in shown
+    assert rows_above("plgs.lift_scene") == before and "\nTwo\n" in drawn()
 
 
 def test_the_frames_that_are_made_have_their_bar_where_import_was(tmp_path: Path) -> None:
