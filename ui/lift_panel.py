@@ -22,8 +22,8 @@ from .sidebar import (
     draw_progress,
     draw_warnings,
     duration,
+    fitted,
     from_panel,
-    lines_of,
     tell,
     work_of,
 )
@@ -119,8 +119,9 @@ def _draw_running(layout: bpy.types.UILayout, context: bpy.types.Context, follow
     """
     folder, progress = followed.folder, followed.progress
     stage = f"Stage {progress.stage_index} of {progress.stage_count}: " if progress.stage_count > 1 else ""
-    layout.label(text=one_line(f"{stage}{folder.path.name}, {folder.request.preset}"), icon="RENDER_ANIMATION")
-    layout.label(text=lines_of(context, one_line(work_of(followed)))[0], icon="SORTTIME")
+    name = one_line(f"{stage}{folder.path.name}, {folder.request.preset}")
+    layout.label(text=fitted(context, name), icon="RENDER_ANIMATION")
+    layout.label(text=fitted(context, one_line(work_of(followed))), icon="SORTTIME")
     draw_progress(layout, followed)
     row = layout.split(factor=_LABEL, align=True)
     draw_cancel(row, followed)
@@ -137,8 +138,8 @@ def _draw_start(layout: bpy.types.UILayout, context: bpy.types.Context, followed
     layout.prop(settings, "preset", expand=True)
     cost = "Time and memory are not known yet"
     if estimate is not None:
-        cost = f"About {duration(estimate.seconds)}, {estimate.peak_bytes / 1e9:.1f} GB of memory"
-    layout.label(text=lines_of(context, cost)[0], icon="TIME")
+        cost = f"About {duration(estimate.seconds)}, {estimate.peak_bytes / 1e9:.1f} GB memory"
+    layout.label(text=fitted(context, cost), icon="TIME")
     row = from_panel(layout.row(), context)
     row.scale_y = 1.4
     row.operator("plgs.lift_scene", icon="PLAY")

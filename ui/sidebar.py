@@ -124,7 +124,7 @@ def work_of(task: Task) -> str:
     """What a running task does now."""
     progress = task.progress
     if progress.stage == "train" and not progress.step:
-        return "Compiling: up to two minutes"  # once per computer
+        return "First step (may compile for 2 min)"  # which it does once per computer
     loss = "" if progress.loss is None else f", loss {progress.loss:.4f}"
     return f"{progress.label if progress.stage else task.label}{loss}"
 

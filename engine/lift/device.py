@@ -29,7 +29,7 @@ def refuse_missing_device(device: str, stages: StageReporter) -> None:
     missing = what_is_missing()
     if missing is not None:
         raise PlgsError(missing, where, f"Do that, {on_cpu}", option="--device")
-    with stages.stage("check", "Trying the GPU; gsplat is compiled for it once"):
+    with stages.stage("check", "Trying gsplat (compiles once)"):
         fails = what_fails(device)
     if fails is not None:
         find_out = f'{sys.executable} -c "from gsplat.cuda import _backend"'

@@ -27,7 +27,7 @@ from plgs.plgs_blender.running import adding, lifts, survey
 from plgs.plgs_blender.running.preparation import PoseMaking
 from plgs.plgs_blender.settings import chosen_scene
 from plgs.plgs_blender.tasks import registry
-from plgs.ui import corrections_panel, lists, sidebar
+from plgs.ui import corrections_panel, lift_panel, lists, sidebar
 
 for each in (Path(__file__).parents[1] / "plgs_blender", Path(__file__).parents[1]):
     if str(each) not in sys.path:
@@ -105,6 +105,21 @@ def test_names_of_classes_are_shown_as_they_are(tmp_path: Path, monkeypatch: pyt
     context = SimpleNamespace(scene=bpy.context.scene, active_object=None)
     corrections_panel.OfClasses.draw(menu, context)  # type: ignore[arg-type]
     assert [line.removeprefix("plgs.assign_points ") for line in seen] == ["TV set", "tv set"]
+
+
+def test_no_text_of_a_lift_is_cut_without_a_mark(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """In a sidebar as wide as Blender opens it, where the rows of a lift are one line high."""
+    estimate = SimpleNamespace(seconds=3580.0, peak_bytes=110.4e9)
+    monkeypatch.setattr(lift_panel, "estimate_of", lambda settings: estimate)
+    assert "About 59 min 40 s, 110.4 GB memory" in drawn(width=280)
+    lift = tiny_lift.write_tiny_lift(tmp_path / "a lift of the long name of a room").path
+    bpy.context.scene.plgs.lift_folder = str(lift)
+    followed = lifts.lift_of(lift)
+    assert followed is not None
+    follower: Any = Pretended(TaskState.RUNNING)
+    follower.progress.stage, follower.progress.step, followed.follower = "train", 0, follower
+    shown = drawn(width=280)
+    assert "Stage 2 of 3: a lift of the long…" in shown and "First step (may compile for 2 min)" in shown
 
 
 def test_nothing_is_chosen_yet() -> None:

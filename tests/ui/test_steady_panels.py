@@ -140,7 +140,7 @@ def test_a_lift_that_begins_or_ends_moves_nothing_below_it(tmp_path: Path) -> No
     followed.follower = follower
     assert "plgs.cancel_lift" in drawn() and height_of(panel) == before
     follower.progress.stage, follower.progress.step = "train", 0
-    assert "Compiling" in drawn() and height_of(panel) == before
+    assert "First step (may compile" in drawn() and height_of(panel) == before
     follower.kind = BAKE
     assert "are being baked" in drawn() and height_of(panel) == before
     follower.kind, follower.state, follower.is_running = LIFT, TaskState.CANCELLED, False
