@@ -191,7 +191,7 @@ class PLGS_OT_split_by_views(OnInstance, StartsTask, bpy.types.Operator):
 
 
 class PLGS_OT_cancel_split(CancelsTask, bpy.types.Operator):
-    """Stop reading the masks; the object stays as it is"""
+    """Stop reading the masks; the object stays as it is, unless it is split already"""
 
     bl_idname, bl_label = "plgs.cancel_split", "Cancel"
     cancelled_kind = SplitByViews

@@ -54,7 +54,8 @@ class _Segment:
 
 
 Told = Callable[[int, int], object]
-"""Called before each frame is read with how many were and how many will be. It may raise, to stop."""
+"""Called before each frame is read, and after the last, with how many were and how many will be. It may raise, to
+stop."""
 
 
 def split_by_views(
@@ -111,6 +112,7 @@ def _segments(frames: Sequence[Frame], xyz: NDArray[np.floating], told: Told) ->
     for done, number in enumerate(best):
         told(done, len(best))
         found += _of_frame(number, frames[number], xyz)
+    told(len(best), len(best))
     return found
 
 

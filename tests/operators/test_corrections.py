@@ -7,13 +7,16 @@ import shutil
 from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import bpy
 import numpy as np
 import pytest
-from plgs.engine.corrections import CORRECTIONS, entropy_of_views, read_corrected, read_edits
+from plgs.engine.corrections import CORRECTIONS, correct, entropy_of_views, making, read_corrected, read_edits
 from plgs.engine.errors import PlgsError
 from plgs.engine.job import LiftFolder
+from plgs.engine.job.task import TaskProgress, TaskState
 from plgs.engine.result_files import write_arrays
 from plgs.engine.scene_of_lift import scene_of_lift
 from plgs.plgs_blender import corrections, engine_environment, lift_scene, proposals
@@ -291,6 +294,22 @@ def test_masks_split_what_was_merged(
     with pytest.raises(RuntimeError, match="does not fall into parts"):
         bpy.ops.plgs.split_by_views(instance=new_id(again()))
     registry.forget_all()
+
+
+def test_a_split_that_was_written_before_its_engine_was_stopped_is_shown(mine: Path) -> None:
+    """The engine may be killed between writing the edit and its answer."""
+    root = lift_scene.place_lift(mine, bpy.context.scene)
+    known = {edit.uid for edit in read_edits(mine)}
+    follower: Any = SimpleNamespace(state=TaskState.CANCELLED, is_running=False, error=None, poll=bool, close=bool)
+    follower.progress = TaskProgress()
+    unmade = splitting.SplitByViews(mine, follower, known)
+    unmade.poll(bpy.context.scene)
+    assert unmade.was_cancelled and not unmade.undo_step and "cancelled" in unmade.message
+    correct(mine, lambda state, free: making.split(state, CHAIR, np.arange(len(state.points_of(CHAIR))) % 2, free))
+    split = splitting.SplitByViews(mine, follower, known)
+    split.poll(bpy.context.scene)
+    assert split.has_finished and not split.was_cancelled and split.message == "1 new object" and split.undo_step
+    assert new_id(root) in boxes_of(root) and new_id(root) not in {CABINET, CHAIR}
 
 
 def new_id(root: bpy.types.Collection) -> int:

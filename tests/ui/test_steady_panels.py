@@ -182,7 +182,7 @@ def test_what_edits_and_their_engines_bring_moves_no_button_that_edits(tmp_path:
     (root,) = lifts_in(bpy.context.scene)
     before = rows_above("plgs.undo_correction")
     split = rows_above("plgs.split_by_views")
-    registry.follow(SplitByViews(lift, Pretended(TaskState.RUNNING)))  # type: ignore[arg-type]
+    registry.follow(SplitByViews(lift, Pretended(TaskState.RUNNING), ()))  # type: ignore[arg-type]
     assert rows_above("Views 50 %") == split == rows_above("plgs.cancel_split") - 1
     one = proposals.Proposal(1, "chair 1", 1.0, "few frames saw it", "delete")
     root[proposals.PROPOSALS] = json.dumps({"open": [asdict(one)], "progress": "0 of 1 looked at"})
