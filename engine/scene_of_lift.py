@@ -12,7 +12,7 @@ from typing import Any, NoReturn
 
 import numpy as np
 
-from .errors import ErrorCode, PlgsError
+from .errors import ErrorCode, PlgsError, is_silence
 from .job import LiftFolder, LiftState, read_manifest, write_atomically
 from .job.folder import BLOCKS
 from .known_scene import FIND_SCENE, has_known, known_scene, read_known, write_known
@@ -169,13 +169,19 @@ def is_done(folder: LiftFolder, masks: str = "") -> bool:
 
 
 def digest_of_blocks(folder: LiftFolder) -> str:
-    """Of what the lifts of a building's blocks made, by their manifests, without measured times; empty without any."""
+    """Of what the lifts of a building's blocks made, by their manifests, without measured times; empty without any. A
+    block with a damaged manifest counts as not lifted, and is lifted again. Raises PlgsError for a silent disk."""
     if not (folder.path / BLOCKS).exists():
         return ""
     found = sha256()
     for number in range(1, (folder.request.blocks or 0) + 1):
         block = LiftFolder(folder.path / BLOCKS / str(number), folder.request)
-        files = read_manifest(block.result_path).files if block.manifest_path.is_file() else ()
+        try:
+            files = read_manifest(block.result_path).files
+        except PlgsError as error:
+            if is_silence(error):
+                raise
+            files = ()
         lifted = [each for each in files if len(each.path.parts) == 1 and each.path.name != "metrics.json"]
         found.update(repr([(str(each.path), each.sha256) for each in lifted]).encode())
     return found.hexdigest()[:16]

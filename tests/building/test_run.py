@@ -106,6 +106,9 @@ def test_a_building_in_two_blocks(building: LiftFolder, monkeypatch: pytest.Monk
     assert again.confidence.sum() < points.confidence.sum() and is_done(building)
     assert (building.path / EARLIER / "1" / "passes" / "0001.exr").is_file() and not building.passes_path.exists()
 
+    elsewhere.manifest_path.write_text("{")
+    assert not is_done(building), "a damaged block is lifted again"
+
 
 def refuse_in(block: LiftFolder) -> Unshown:
     """As if a cabinet had been tried on the floor before a block was trained, twice: in its cell, and out of it."""
