@@ -32,7 +32,7 @@ def add_correct(parser: argparse.ArgumentParser, make_task: AddTask) -> None:
     rename.add_argument("name", metavar="NAME", help="the name")
     reclass = known.add_parser("reclass", help="give objects another class; with stuff they become points of it")
     reclass.add_argument("id", type=int, nargs="+", metavar="ID", help=one)
-    reclass.add_argument("class_name", metavar="CLASS", help="name or id of one of the lift's classes")
+    reclass.add_argument("class_name", metavar="CLASS", help="a class's name, or its id, or both: '3 chair'")
     merge = known.add_parser("merge", help="join objects into one, with the name and the class of the first")
     merge.add_argument("id", type=int, nargs="+", metavar="ID", help=one)
     delete = known.add_parser("delete", help="delete a false object: its points become part of what is around them")

@@ -36,10 +36,11 @@ def rename(state: Replay, number: int, name: str) -> Edit:
 
 
 def class_of(classes: ClassTable, said: int | str) -> int:
-    """The id of the class with this number, or of the only one with this name or number as text. Raises PlgsError."""
-    names = {one.id: one.name for one in classes.categories}
-    found = [] if isinstance(said, int) else named(names, said.strip())
-    found = sorted({*found, *(number for number in names if str(number) == str(said))})
+    """The id of the class with this number, or of the only one that a text says by its name, or else by its number, or
+    by both, as in "3 chair". Raises PlgsError."""
+    names, text = {one.id: one.name for one in classes.categories}, str(said).strip()
+    found = named(names, text) if isinstance(said, str) else []
+    found = found or [number for number, name in names.items() if text in (str(number), f"{number} {name}")]
     if len(found) != 1:
         what = f"'{said}' may be the class {' or '.join(f'{one} {names[one]}' for one in found)}"
         known = ", ".join(f"{number} {name}" for number, name in names.items())
