@@ -55,7 +55,7 @@ def class_map(labels: Sequence[ClassLabel] | None, choice: ClassChoice | None, w
     if not own and not objects:
         fix = f'Write {FILE_NAME} beside them, such as table = "nyu40", or name a table with --classes.'
         raise PlgsError("the masks do not say what their classes are", where, fix, option="--classes")
-    into = _targets(own, rows)
+    into = _targets(own, rows, choice)
     if choice.to_reduced:
         final, class_of = _reduced(own, into, choice)
     else:
@@ -114,8 +114,11 @@ def _only(names: Mapping[int, str], text: str, choice: ClassChoice) -> int | Non
     """The number whose name is ``text``; None where there is none. Raises PlgsError where there are several."""
     found = named(names, text)
     if len(found) > 1:
-        what = f'several classes are called "{text}" but for capitals ({listed(found)})'
+        what = f'several classes have names that differ from "{text}" only in capitals ({listed(found)})'
         fix = "Write it as one of them does, or give them other names by their numbers as id."
+        if names[found[0]] == text:
+            what = f'several classes are called "{text}" ({listed(found)})'
+            fix = f'Join them: for one of them write into = "{text}" with its number as id. Or give it another name so.'
         raise PlgsError(what, choice.path or FILE_NAME, fix)
     return found[0] if found else None
 
@@ -138,10 +141,19 @@ def _labels(
     return found
 
 
-def _targets(labels: Mapping[int, ClassLabel], rows: Sequence[tuple[int, ClassRow]]) -> dict[int, str]:
-    """The names that merged labels count into, by number."""
-    names = {number: label.name for number, label in labels.items()}
-    return {number: row.into for number, row in rows if row.into is not None and number not in named(names, row.into)}
+def _targets(
+    labels: Mapping[int, ClassLabel], rows: Sequence[tuple[int, ClassRow]], choice: ClassChoice
+) -> dict[int, str]:
+    """The names that merged labels count into, by number. Raises PlgsError for one in the capitals of no class."""
+    names, into = {number: label.name for number, label in labels.items()}, {}
+    for number, row in rows:
+        found = [] if row.into is None else named(names, row.into)
+        if row.into is None or found == [number] or (choice.to_reduced and number in found):
+            continue  # it stays what it is
+        if number in found and names[number] != row.into:
+            _only(names, row.into, choice)
+        into[number] = row.into
+    return into
 
 
 def _merged(

@@ -220,13 +220,17 @@ def _lens_warnings(cameras: Mapping[str, Camera]) -> Iterable[str]:
 
 
 def _alike(frames: Iterable[str], classes: ClassTable) -> Iterable[str]:
-    """Warnings of names that differ in capitals only."""
+    """Warnings of names that are the same, or differ only in capitals."""
     for found in _same_but_for_capitals((name, name) for name in frames):
-        what = f"frames {listed(found)} have the same name but for capitals"
+        what = f"frames {listed(found)} have names that differ only in capitals"
         yield f"{what}: on a disk of Windows or macOS the passes of one take the place of the other's"
     for found in _same_but_for_capitals((each.name, f"{each.id} {each.name}") for each in classes.categories):
-        what = f"classes {listed(found)} have the same name but for capitals, and are kept apart"
-        yield f'{what}: to join them, write into = "..." for one in classes.toml, in the capitals of the other'
+        if len({told.partition(" ")[2] for told in found}) == 1:
+            what, how = "the same name", "with its number in the masks as id"
+        else:
+            what, how = "names that differ only in capitals", "in the capitals of the other"
+        join = f'to join them, write into = "..." for one in classes.toml, {how}'
+        yield f"classes {listed(found)} have {what}, and are kept apart: {join}"
 
 
 def _same_but_for_capitals(named: Iterable[tuple[str, str]]) -> list[list[str]]:

@@ -101,16 +101,34 @@ def test_names_that_differ_in_capitals_are_two_classes_that_can_be_joined() -> N
     assert classes_of(ClassRow(name="chair", into="Chair"), ClassRow(name="stool", into="CHAIR")) == [3, 3, 3]
     assert classes_of(ClassRow(name="stool", into="chair")) == [3, 7, 7]
     assert classes_of(ClassRow(name="Stool", into="Chair")) == [3, 7, 3]
-    for row in (ClassRow(name="CHAIR", into="stool"), ClassRow(name="stool", into="CHAIR")):
-        with pytest.raises(PlgsError, match=r'"CHAIR" but for capitals \(3, 7\).*Write it as one of them does'):
+    pairs = ("CHAIR", "stool"), ("stool", "CHAIR"), ("chair", "CHAIR")
+    for row in (ClassRow(name=name, into=into) for name, into in pairs):
+        with pytest.raises(PlgsError, match=r'"CHAIR" only in capitals \(3, 7\).*Write it as one of them does'):
             classes_of(row)
     rows = named_classes(CAPITALS, ClassChoice(rows=(ClassRow(name="Chair", into="chair"),)))
     assert named_classes(CAPITALS, choice_of(rows)) == rows
 
 
+def test_classes_of_the_very_same_name_can_be_joined() -> None:
+    """What is said of them can be done."""
+    labels = (ClassLabel(3, "chair", True), ClassLabel(7, "chair", True), ClassLabel(8, "stool", True))
+
+    def classes_of(*rows: ClassRow, to_reduced: bool = False) -> list[int]:
+        known = class_map(labels, ClassChoice(rows=rows, to_reduced=to_reduced), HERE, objects=False)
+        return [known.class_of[label.id] for label in labels]
+
+    stool, joined = ClassRow(name="stool", into="chair"), ClassRow(id=3, into="chair")
+    with pytest.raises(PlgsError, match=r'called "chair" \(3, 7\): .*into = "chair" with its number as id'):
+        classes_of(stool)
+    assert classes_of(joined) == [7, 7, 8] and classes_of(stool, joined) == [7, 7, 7]
+    assert classes_of(joined, stool, to_reduced=True) == classes_of(stool, to_reduced=True)
+
+
 def test_names_that_differ_in_capitals_are_told(tmp_path: Path) -> None:
-    scene = open_scene(scene_with(tmp_path, '[[class]]\nid = 3\nname = "Chair"\n'))
-    assert any("classes 3 Chair, 5 chair have the same name but for capitals" in told for told in scene.warnings)
+    scene = open_scene(scene_with(tmp_path / "a", '[[class]]\nid = 3\nname = "Chair"\n'))
+    assert any("classes 3 Chair, 5 chair have names that differ only in capitals" in told for told in scene.warnings)
+    scene = open_scene(scene_with(tmp_path / "b", '[[class]]\nid = 3\nname = "chair"\n'))
+    assert any("3 chair, 5 chair have the same name" in told and "number" in told for told in scene.warnings)
 
 
 def test_the_user_decides_between_thing_and_stuff(tmp_path: Path) -> None:

@@ -31,7 +31,7 @@ def test_frames_whose_names_differ_in_capitals_are_told(tmp_path: Path) -> None:
     for path in [*folder.glob("color/000[12].*"), *folder.glob("depth/000[12].*"), *folder.glob("pose/000[12].*")]:
         path.rename(path.with_stem("view_a" if "1" in path.stem else "View_A"))
     warnings = open_scene(folder).warnings
-    assert sum("frames View_A, view_a have the same name but for capitals" in told for told in warnings) == 1
+    assert sum("frames View_A, view_a have names that differ only in capitals" in told for told in warnings) == 1
 
 
 def test_jpeg_colour_is_close_and_in_rgb(tmp_path: Path) -> None:
