@@ -186,9 +186,8 @@ def frames(options: argparse.Namespace, events: EventWriter, stop: StopSignal) -
 
 def poses(options: argparse.Namespace, events: EventWriter, stop: StopSignal) -> None:
     from ..poses import make_poses
-    from ..poses.making import FILM_PICTURES
 
-    made = make_poses(options.scene, events, stop, options.pictures or FILM_PICTURES)
+    made = make_poses(options.scene, events, stop, options.pictures)
     unit = "" if made.scale is None else ", in metres by the depth beside them"
     text = f"Poses of {made.posed} of {made.photos} photos{unit}: {made.folder}"
     events.answer({"folder": str(made.folder), **made.to_json()}, text)

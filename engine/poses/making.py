@@ -41,6 +41,7 @@ class Made:
     """``folder``: the scene. ``posed`` of ``photos`` pictures have a pose. ``scale`` is the metres per length of the
     reconstruction, None without measured depth. ``files``, ``depth`` and ``film`` are digests of the photos, of the
     depth and of the film, empty where an earlier version made the poses; ``film`` is "none" for photos.
+    ``asked`` is how many pictures a film was to give, which may have fewer; 0 for photos, and where it is not known.
     """
 
     folder: Path
@@ -51,6 +52,7 @@ class Made:
     files: str = ""
     depth: str = ""
     film: str = ""
+    asked: int = 0
 
     def to_json(self) -> dict[str, Json]:
         """What is kept beside the model."""
@@ -66,31 +68,33 @@ class Made:
         data: Mapping[str, Any] = read_object(path, fix)
         try:
             counts = int(data["posed"]), int(data["photos"]), int(data["points"])
-            return cls(
-                folder, *counts, data["scale"], *(str(data.get(name, "")) for name in ("files", "depth", "film"))
-            )
+            digests = (str(data.get(name, "")) for name in ("files", "depth", "film"))
+            return cls(folder, *counts, data["scale"], *digests, asked=int(data.get("asked", 0)))
         except (KeyError, TypeError, ValueError) as error:
             raise PlgsError("this is not a record of made poses", path, fix) from error
 
 
-def make_poses(place: Path, events: EventWriter, stop: StopSignal, pictures: int = FILM_PICTURES) -> Made:
+def make_poses(place: Path, events: EventWriter, stop: StopSignal, pictures: int | None = None) -> Made:
     """Find the poses of the photos in a folder, or of a film's pictures, and write them beside the photos.
 
-    A film's pictures go into a folder of the film's name. Existing files are never overwritten; poses that an earlier
-    call made are used. Raises PlgsError, also where what they were found by has changed since; OSError; Cancelled.
+    A film's ``pictures``, at most 150 where nothing is asked, go into a folder of the film's name. Existing files are
+    never overwritten; poses that an earlier call made are used. Raises PlgsError, also where what they were found by
+    has changed since; OSError; Cancelled.
     """
     made = Made.read(place.with_suffix("") if is_film(place) else place)
     if made is not None:
         _refuse_changed(made, place)
-        if is_film(place) and pictures not in (FILM_PICTURES, made.photos):
+        is_all = made.photos < made.asked  # the film has no more
+        if is_film(place) and pictures and (pictures < made.photos or pictures > made.photos and not is_all):
             fix = f"move the folder {made.folder.name} away for others"
             events.warning(f"the poses of {made.photos} pictures that were found before are used: {fix}")
         return made
     colmap(place)  # before minutes of work
-    folder, photos = _photos_of(place, events, stop, pictures)
+    asked = (pictures or FILM_PICTURES) if is_film(place) else 0
+    folder, photos = _photos_of(place, events, stop, asked)
     try:
         film = digests_of_files([(place,)])[0] if is_film(place) else _NO_FILM
-        return _map(folder, photos, film, events, stop)
+        return _map(folder, photos, film, asked, events, stop)
     except BaseException:
         if is_film(place):  # its pictures, which this call wrote
             shutil.rmtree(folder, ignore_errors=True)
@@ -127,7 +131,7 @@ def _depths(folder: Path) -> Mapping[str, Path]:
     return files_if_any(folder / "depth", {".png", ".npy"}, "Remove the folder depth.")
 
 
-def _map(folder: Path, photos: Path, film: str, events: EventWriter, stop: StopSignal) -> Made:
+def _map(folder: Path, photos: Path, film: str, asked: int, events: EventWriter, stop: StopSignal) -> Made:
     names, others = sorted_out(photos)
     if others:
         what = "show depth or confidence by their names or as grey PNGs of 16 bits"
@@ -150,7 +154,7 @@ def _map(folder: Path, photos: Path, film: str, events: EventWriter, stop: StopS
         model.write(out)
         metres = None if scale is None else scale.metres
         counts = model.num_reg_images(), len(names), model.num_points3D()
-        made = Made(folder, *counts, metres, files, _digest_of([*depths.values()]), film)
+        made = Made(folder, *counts, metres, files, _digest_of([*depths.values()]), film, asked)
         (out / MADE_BY).write_bytes(to_line(made.to_json()))
         read_model(out)  # what a lift will read
         if (folder / "sparse").exists():

@@ -121,6 +121,22 @@ def write_film(path: Path, seed: int) -> None:
     film.release()
 
 
+def told_of(film: Path, pictures: int | None) -> str:
+    """The events of finding the poses of so many pictures."""
+    told = film.with_name("told.jsonl")
+    told.write_text("")
+    make_poses(film, EventWriter(told), StopSignal(), pictures)
+    return told.read_text()
+
+
+def test_poses_of_fewer_pictures_than_are_asked_for_are_reported(mapped: None, tmp_path: Path) -> None:
+    film = tmp_path / "walk.mp4"
+    write_film(film, 0)
+    told_of(film, 3)
+    assert told_of(film, 3) == told_of(film, None) == ""
+    assert "the poses of 3 pictures that were found before are used" in told_of(film, 150)
+
+
 def test_a_film_does_not_take_the_poses_of_another_of_its_name(mapped: None, tmp_path: Path) -> None:
     """Nor of one whose name has another end, nor those that were found for photos in a folder of its name."""
     film = tmp_path / "walk.mp4"
@@ -128,8 +144,8 @@ def test_a_film_does_not_take_the_poses_of_another_of_its_name(mapped: None, tmp
     find_poses(film, tmp_path)
     find_poses(film, tmp_path)
     assert "are used" not in (tmp_path / "events.jsonl").read_text()
-    make_poses(film, EventWriter(tmp_path / "events.jsonl"), StopSignal(), pictures=3)
-    assert "the poses of 4 pictures that were found before are used" in (tmp_path / "events.jsonl").read_text()
+    assert told_of(film, 300) == told_of(film, 150) == told_of(film, 4) == "", "the film has no more"
+    assert "the poses of 4 pictures that were found before are used" in told_of(film, 3)
     shutil.copytree(tmp_path / "walk", tmp_path / "moved")
     film = film.rename(tmp_path / "moved.mp4")
     find_poses(film, tmp_path)
