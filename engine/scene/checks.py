@@ -220,10 +220,11 @@ def _pixel_warnings(facts: Sequence[FrameFacts]) -> Iterable[str]:
 def _colour_warnings(brightest: Mapping[str, int]) -> Iterable[str]:
     """Cameras write 10, 12 or 14 bits into PNGs of 16. Photos may be dark, too, so none is made brighter."""
     name = max(brightest, key=brightest.__getitem__, default="")
-    bits = next((bits for bits in _BITS if brightest.get(name, 1 << 16) < 1 << bits), None)
+    bits = next((bits for bits in _BITS if 0 < brightest.get(name, 0) < 1 << bits), None)  # 0: a covered lens
     if bits is not None:
+        how = "dark" if bits > 12 else "nearly black"
         yield (
-            f"photos of 16 bits are nearly black, as if they had {bits} bits (the largest value is {brightest[name]}, "
+            f"photos of 16 bits are {how}, as if they had {bits} bits (the largest value is {brightest[name]}, "
             f"in {name}): they are read as they are; if so, multiply their values by {1 << 16 - bits} and write them "
             "again"
         )

@@ -65,7 +65,14 @@ def test_photos_of_12_bits_in_16_are_told_and_not_made_brighter(tmp_path: Path) 
 def test_photos_of_other_depths_are_told_by_their_brightest(tmp_path: Path, bits: int) -> None:
     folder = write_tiny_scene(tmp_path, frames=5)
     in_16_bits(folder, bits)
-    assert f"had {bits} bits" in check_scene(open_scene(folder))[0]
+    how = "dark" if bits == 14 else "nearly black"
+    assert f"are {how}, as if they had {bits} bits" in check_scene(open_scene(folder))[0]
+
+
+def test_photos_of_a_covered_lens_have_no_number_of_bits(tmp_path: Path) -> None:
+    folder = write_tiny_scene(tmp_path, frames=5)
+    in_16_bits(folder, 0)
+    assert check_scene(open_scene(folder)) == ()
 
 
 def test_a_dark_photo_among_others_of_16_bits_is_no_warning(tmp_path: Path) -> None:
