@@ -7,12 +7,11 @@ from collections.abc import Iterator
 import bpy
 
 from ..engine.errors import PlgsError
-from ..engine.posed.classes import matte_names
 from . import compat
 from .inspecting.lookup import class_row_of, row_of
 from .owned import KEY, LIFT, key_of
 from .pass_nodes import CLASSES, INSTANCES, PANOPTIC, PASSES, has_nodes, node_of, panoptic_node
-from .passes import SHOT, passes_scene_of
+from .passes import SHOT, matte_ids, passes_scene_of
 
 _SHOWING = ("Recolour", "Outline", "Isolate", "Hold out")
 """Controls of the group that make a matte visible."""
@@ -42,7 +41,7 @@ def panoptic_of(scene: bpy.types.Scene) -> bpy.types.Node | None:
 def matte_instance(root: bpy.types.Collection, instance: int) -> str:
     """Let the compositor's matte be an instance (0: the list's active one), and return its name. Raises PlgsError."""
     row = row_of(root, instance)
-    names = matte_names({each.instance_id: each.name for each in root.plgs.instances})
+    names = matte_ids({each.instance_id: each.name for each in root.plgs.instances})
     _set(root, INSTANCES, names[row.instance_id], by_class=0.0)
     return str(row.name)
 
@@ -52,7 +51,7 @@ def matte_class(root: bpy.types.Collection, class_id: int) -> str:
     row = class_row_of(root, class_id)
     if row.class_id == 0:
         raise PlgsError("points without a class have no matte", root.name, "Choose a class in the list.")
-    names = matte_names({each.class_id: each.name for each in root.plgs.classes})
+    names = matte_ids({each.class_id: each.name for each in root.plgs.classes})
     _set(root, CLASSES, names[row.class_id], by_class=1.0)
     return str(row.name)
 

@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 import re
 import tempfile
+from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -247,12 +248,21 @@ def _fill_palette(
     scale.inputs[1].default_value, scale.inputs[2].default_value = 1.0 / width, compat.IN_A_PIXEL / width
 
 
+def matte_ids(names: Mapping[int, str]) -> dict[int, str]:
+    """What shows a matte, by class or instance. Where names differ only in capitals, this is the name with its id,
+    and the plain one of views that an earlier version baked: a name that a view lacks shows nothing."""
+    told = matte_names(names)
+    plain = {key: matte_names({key: name})[key] for key, name in names.items()}
+    several = {name for name, count in Counter(plain.values()).items() if count > 1}
+    return {key: name if plain[key] in {name, *several} else f"{name},{plain[key]}" for key, name in told.items()}
+
+
 def _first_mattes(tree: bpy.types.NodeTree, result: LiftResult) -> None:
     """Let the matte nodes show the first instance and its class."""
     if result.instances:
         first = result.instances[0]
-        node_of(tree, INSTANCES).matte_id = matte_names({each.id: each.name for each in result.instances})[first.id]
-        names = matte_names({each.id: each.name for each in result.classes.categories})
+        node_of(tree, INSTANCES).matte_id = matte_ids({each.id: each.name for each in result.instances})[first.id]
+        names = matte_ids({each.id: each.name for each in result.classes.categories})
         node_of(tree, CLASSES).matte_id = names.get(first.class_id, "")
 
 
