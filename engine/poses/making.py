@@ -68,8 +68,8 @@ class Made:
         data: Mapping[str, Any] = read_object(path, fix)
         try:
             counts = int(data["posed"]), int(data["photos"]), int(data["points"])
-            digests = (str(data.get(name, "")) for name in ("files", "depth", "film"))
-            return cls(folder, *counts, data["scale"], *digests, asked=int(data.get("asked", 0)))
+            files, depth, film = (str(data.get(name, "")) for name in ("files", "depth", "film"))
+            return cls(folder, *counts, data["scale"], files, depth, film, int(data.get("asked", 0)))
         except (KeyError, TypeError, ValueError) as error:
             raise PlgsError("this is not a record of made poses", path, fix) from error
 
