@@ -106,8 +106,8 @@ def placing_gaussians(
     owned, parent = OwnedDataBlocks(root[LIFT], scene), child_collection(root, "Gaussians", scene)
     if are_outdated(root):
         owned.drop_object(GAUSSIANS)
-    place = native_splats.place_splats if are_native else place_squares
-    splats = place(owned, parent, GAUSSIANS, "Gaussians", joined(parts))
+    where, whole = (owned, parent, GAUSSIANS, "Gaussians"), joined(parts)
+    splats = place_squares(*where, whole) if isinstance(whole, Squares) else native_splats.place_splats(*where, whole)
     splats.hide_select = True  # a click is meant for the box within
 
 
