@@ -108,6 +108,8 @@ def test_a_building_in_two_blocks(building: LiftFolder, monkeypatch: pytest.Monk
 
     elsewhere.manifest_path.write_text("{")
     assert not is_done(building), "a damaged block is lifted again"
+    lift(building, resume=True)
+    assert is_done(building) and elsewhere.is_whole()
 
 
 def refuse_in(block: LiftFolder) -> Unshown:
