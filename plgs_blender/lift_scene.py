@@ -6,7 +6,7 @@ are bound to our cameras, and scenes for the passes. Placing a lift of the same 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator, Iterable, Iterator
+from collections.abc import Callable, Generator, Iterator
 from dataclasses import dataclass
 from functools import partial
 from itertools import groupby
@@ -26,7 +26,8 @@ from .clouds import place_anchors, place_depth_clouds, place_semantic_points
 from .corrections import remember
 from .frames import place_camera, place_camera_path, place_frames
 from .inspecting.lists import fill_lists, fill_masks, fill_not_shown, registered
-from .inspecting.looks import PHOTO, POINTS, SPLATS, SURFACE, apply_look, has, places
+from .inspecting.looks import PHOTO, POINTS, SPLATS, SURFACE, apply_look, has
+from .inspecting.views import look_at_room
 from .inspecting.visibility import apply_colours, apply_visibility
 from .lift_collection import (
     FOLDER,
@@ -49,7 +50,7 @@ from .reuse import leave_holes
 from .splats import are_outdated, gaussians_of, place_gaussians, placing_gaussians
 from .surfaces import SurfaceGrid
 from .timeline import mark_timeline, places_of
-from .viewport import all_views, areas_of, show_materials_in, show_room, start_file
+from .viewport import all_views, show_materials_in, start_file
 
 _VIEWPOINTS = 200
 """At most this many cameras decide which side of a surface was seen; of more, every n-th is used."""
@@ -358,7 +359,7 @@ def _dress(scene: bpy.types.Scene, root: bpy.types.Collection) -> None:
     scene.camera = overview
     scene.view_layers[0].update()
     with registered():
-        _look_at(root, overview, all_views())
+        look_at_room(root, overview, all_views())
 
 
 def _choose_what_is_shown(root: bpy.types.Collection) -> None:
@@ -381,23 +382,3 @@ def show_lift_as(root: bpy.types.Collection, scene: bpy.types.Scene, kind: str) 
         raise PlgsError("has no meshes yet", root.name, "Make them first: plgs.make_meshes.")
     root.plgs.show_as, root[_WAS_ASKED] = kind, True
     show_materials_in(scene)
-
-
-def look_at_placed(root: bpy.types.Collection, scene: bpy.types.Scene) -> None:
-    """Point the 3D views that show the scene at its lift, in the colours of what it is shown as."""
-    overview = overview_of(root)
-    if overview is not None and len(root.plgs.classes):
-        scene.view_layers[0].update()
-        _look_at(root, overview, areas_of(scene))
-
-
-def _look_at(root: bpy.types.Collection, overview: bpy.types.Object, areas: Iterable[bpy.types.Area]) -> None:
-    show_room(areas, overview.matrix_world.to_quaternion(), _corners(root))
-
-
-def _corners(root: bpy.types.Collection) -> NDArray[np.float64]:
-    """The corners [8, 3], metres, of the box around all semantic points except a few stray ones."""
-    # A hidden cloud has no bounding box.
-    clouds = [ob for ob in root.all_objects if ob.type == "POINTCLOUD" and "class_id" in ob]
-    low, high = np.percentile(np.concatenate([places(ob.data) for ob in clouds]), (1.0, 99.0), axis=0)
-    return np.array([[x, y, z] for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2])])

@@ -93,7 +93,7 @@ def placing_gaussians(
     are_native = native_splats.are_known()
     clouds = [ob for ob in root.all_objects if text_of(ob, KEY).startswith("class:")]
     surface = SeenSurface.of(clouds, with_objects=not are_native)
-    rows, make = rows[seen(rows, _FAINTEST_NATIVE if are_native else _FAINTEST)], as_they_are if are_native else squares
+    rows, make = rows[seen(rows, _FAINTEST_NATIVE if are_native else _FAINTEST)], splats_of if are_native else squares
     parts = [make(rows[:0], surface, eyes)]
     for start in range(0, len(rows), _AT_ONCE):
         yield
@@ -151,7 +151,7 @@ def seen(rows: NDArray[np.void], faintest: float) -> NDArray[np.int64]:
     return chosen
 
 
-def as_they_are(rows: NDArray[np.void], surface: SeenSurface, eyes: Eyes) -> Splats:
+def splats_of(rows: NDArray[np.void], surface: SeenSurface, eyes: Eyes) -> Splats:
     """Gaussians [M] for a Blender that draws them by itself. Only those of no object have normals: walls and ceilings
     are left out where they face away."""
     xyz, size, ids = _places(rows), _size(rows).T, _ids(rows)

@@ -1,17 +1,21 @@
-"""Moving the view: to an instance, and to the camera of a frame that saw it."""
+"""Moving the view: to a whole lift, to an instance, and to the camera of a frame that saw it."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from typing import Any
 
 import bpy
 import numpy as np
 from mathutils import Vector
+from numpy.typing import NDArray
 
 from ...engine.errors import PlgsError
+from ..lift_collection import overview_of
 from ..timeline import follow_camera, is_of_lift, places_of
-from ..viewport import look_through
+from ..viewport import areas_of, look_through, show_room
+from .looks import places
 from .lookup import box_of, objects_by_key, row_of
 
 _VIEW_SENSOR = 72.0
@@ -99,3 +103,24 @@ def look_from_frame(
             view.camera = camera
         look_through(view, scene)
     return camera
+
+
+def look_at_placed(root: bpy.types.Collection, scene: bpy.types.Scene) -> None:
+    """Point the 3D views that show the scene at its lift, in the colours of what it is shown as."""
+    overview = overview_of(root)
+    if overview is not None and len(root.plgs.classes):
+        scene.view_layers[0].update()
+        look_at_room(root, overview, areas_of(scene))
+
+
+def look_at_room(root: bpy.types.Collection, overview: bpy.types.Object, areas: Iterable[bpy.types.Area]) -> None:
+    """Point these 3D views at a lift, turned as its overview camera is."""
+    show_room(areas, overview.matrix_world.to_quaternion(), _corners(root))
+
+
+def _corners(root: bpy.types.Collection) -> NDArray[np.float64]:
+    """The corners [8, 3], metres, of the box around all semantic points except a few stray ones."""
+    # A hidden cloud has no bounding box.
+    clouds = [ob for ob in root.all_objects if ob.type == "POINTCLOUD" and "class_id" in ob]
+    low, high = np.percentile(np.concatenate([places(ob.data) for ob in clouds]), (1.0, 99.0), axis=0)
+    return np.array([[x, y, z] for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2])])

@@ -16,8 +16,9 @@ from ...engine.job.follower import TaskFollower, start_bake
 from ...engine.job.process import engine_command
 from ...engine.job.recent import RecentLift, recent_lifts
 from ...engine.job.task import BAKE, LIFT, TaskState
+from ..inspecting.views import look_at_placed
 from ..lift_collection import Placed, is_placed
-from ..lift_scene import look_at_placed, place_passes_anew, place_room, reading_lift, result_of
+from ..lift_scene import place_passes_anew, place_room, reading_lift, result_of
 from ..settings import adopt, chosen_lift
 from ..startup_file import taking_over
 from ..tasks import registry, timer
