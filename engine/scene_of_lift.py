@@ -12,9 +12,8 @@ from typing import Any, NoReturn
 
 import numpy as np
 
-from .errors import ErrorCode, PlgsError, is_silence
-from .job import LiftFolder, LiftState, read_manifest, write_atomically
-from .job.folder import BLOCKS
+from .errors import ErrorCode, PlgsError
+from .job import LiftFolder, LiftState, write_atomically
 from .known_scene import FIND_SCENE, has_known, known_scene, read_known, write_known
 from .posed.scene_record import StoredScene, stored_scene
 from .result_files import INSTANCES, read_instances
@@ -78,18 +77,8 @@ def remember_scene(folder: LiftFolder, scene: Scene, warn: Callable[[str], objec
         _move_baked(folder, warn)
     known, files = stored_scene(scene, scene.frames, masks), _digests_of(scene.frames)
     frames = tuple(replace(one, files=found, read=how) for one, (found, how) in zip(known.frames, files, strict=True))
-    write_known(folder, replace(known, frames=frames, joined="" if before is None else before.joined))
+    write_known(folder, replace(known, frames=frames))
     return masks
-
-
-def remember_blocks(folder: LiftFolder, warn: Callable[[str], object]) -> None:
-    """Write into the same file what the blocks are that a building is joined from now. What was baked of others is
-    moved out of the result before, with a warning. Raises PlgsError, OSError."""
-    known, joined = read_known(folder), digest_of_blocks(folder)
-    if known is not None:
-        if known.joined not in ("", joined):
-            _move_baked(folder, warn)
-        write_known(folder, replace(known, joined=joined))
 
 
 def _move_baked(folder: LiftFolder, warn: Callable[[str], object]) -> None:
@@ -152,39 +141,18 @@ def complete_known_scene(folder: LiftFolder, scene: Scene) -> None:
 
 def is_done(folder: LiftFolder, masks: str = "") -> bool:
     """Whether nothing is left to lift, for a caller who knows that no engine is at work: the result is there, as it was
-    written byte by byte, and the masks and their classes, or the blocks of a building, are those that it was lifted
+    written byte by byte, and the masks and their classes are those that it was lifted
     from. ``masks`` is the `digest_of_masks` of the scene for a caller who has just read them. Raises PlgsError, also
     for a scene that has changed otherwise.
     """
     if folder.state_at_rest() is not LiftState.FINISHED or not folder.is_whole():
         return False
     known = read_known(folder)
-    if known is not None and known.joined and digest_of_blocks(folder) not in ("", known.joined):
-        return False
     if known is None or not known.masks or not os.path.exists(folder.request.scene):
         return True  # not known, or gone
     scene = open_asked(folder.request)
     refuse_changed(folder, scene)
     return not have_classes_changed(folder, scene) and known.masks == (masks or digest_of_masks(scene))
-
-
-def digest_of_blocks(folder: LiftFolder) -> str:
-    """Of what the lifts of a building's blocks made, by their manifests, without measured times; empty without any. A
-    block with a damaged manifest counts as not lifted, and is lifted again. Raises PlgsError for a silent disk."""
-    if not (folder.path / BLOCKS).exists():
-        return ""
-    found = sha256()
-    for number in range(1, (folder.request.blocks or 0) + 1):
-        block = LiftFolder(folder.path / BLOCKS / str(number), folder.request)
-        try:
-            files = read_manifest(block.result_path).files
-        except PlgsError as error:
-            if is_silence(error):
-                raise
-            files = ()
-        lifted = [each for each in files if len(each.path.parts) == 1 and each.path.name != "metrics.json"]
-        found.update(repr([(str(each.path), each.sha256) for each in lifted]).encode())
-    return found.hexdigest()[:16]
 
 
 def have_classes_changed(folder: LiftFolder, scene: Scene) -> bool:

@@ -8,7 +8,6 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import re
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -32,8 +31,6 @@ from .baselines.options import with_baseline_options
 SAMPLE = "sample/room"
 OF_THE_ENGINE = ("lift", "bake", "export", "evaluate", "presets")
 """Commands of the engine that also take the baselines' options here."""
-FEWEST_OF_A_CAPTURE = 10
-"""Frames of a long capture: 8 of them are held out."""
 
 
 def main(arguments: Sequence[str]) -> int:
@@ -70,11 +67,7 @@ def make_parser() -> argparse.ArgumentParser:
     weighing.set_defaults(run=run_evidence)
     correcting = known.add_parser("correct", help="correct a lift as its scene's ground truth says, and score it")
     correcting.add_argument("lift", type=Path, metavar="LIFT", help="the folder of a finished lift; it is corrected")
-    correcting.add_argument("--film", type=Path, metavar="FOLDER", help="write five pictures of it there, from above")
     correcting.set_defaults(run=run_correct)
-    surfaces = known.add_parser("meshes", help="how complete a lift's meshes are, before and after they are mended")
-    surfaces.add_argument("lift", type=Path, metavar="LIFT", help="the folder of a finished lift")
-    surfaces.set_defaults(run=run_meshes)
     sureness = known.add_parser("reliability", help="how often pixels are right, by their confidence")
     sureness.add_argument("lifts", nargs="+", type=Path, metavar="LIFT", help="finished lifts of scenes with truth")
     sureness.add_argument("--picture", type=Path, metavar="FILE", help="draw the diagram there; needs matplotlib")
@@ -125,30 +118,8 @@ def _add_experiments(parser: argparse.ArgumentParser) -> None:
 
 
 def _add_bench(parser: argparse.ArgumentParser) -> None:
-    parser.description = (
-        "raster: the rasteriser on a furnished room, by stage. "
-        "step: a training step of a lift of the sample, by part, and drawing what was lifted. "
-        "long: lifts of long captures made from the sample, by stage, with their memory. "
-        "farm: what a batch takes on 1, 2, 10 and 100 workers, of the times of its pieces."
-    )
-    parser.add_argument("what", choices=("raster", "step", "long", "farm"))
-    parser.add_argument(
-        "--frames", type=_enough_frames, nargs="+", default=[100, 300], metavar="N",
-        help="long: frames of each capture (default: 100 300)",
-    )  # fmt: skip
-    parser.add_argument("--preset", choices=PRESETS, default="preview", help="long: as for lift (default: preview)")
-    parser.add_argument(
-        "-o", "--output", type=Path, default=Path("lifts/long"), metavar="FOLDER",
-        help="long: where the captures are kept (default: lifts/long)",
-    )  # fmt: skip
-    parser.add_argument(
-        "--times", type=float, nargs=4, default=(600.0, 60.0, 3.0, 4.0), metavar="S",
-        help="farm: seconds of a lift, of a piece of its bakes, of its score, and besides for each piece",
-    )  # fmt: skip
-    parser.add_argument(
-        "--pieces", type=int, default=4, metavar="N", help="farm: pieces of a scene's bakes (default: 4)"
-    )
-    parser.add_argument("--scenes", type=int, default=1000, metavar="N", help="farm: scenes (default: 1000)")
+    parser.description = "step: a training step of a lift of the sample, by part, and drawing what was lifted."
+    parser.add_argument("what", choices=("step",))
     parser.add_argument("--json", type=Path, metavar="FILE", help="also write the figures to a file")
     parser.set_defaults(run=run_bench)
 
@@ -167,24 +138,11 @@ def run_evidence(options: argparse.Namespace) -> int:
 def run_correct(options: argparse.Namespace) -> int:
     """Make the edits, and print them with PQ before and after. Raises PlgsError, OSError."""
     from .correcting import before_and_after, correct_by_truth
-    from .correction_film import Film
 
-    film = Film(options.lift)
-    for number, said in enumerate(correct_by_truth(options.lift, after_each=film.take), start=1):
+    for number, said in enumerate(correct_by_truth(options.lift), start=1):
         print(f"{number:3}  {said}")
-    for path in film.write(options.film) if options.film is not None else ():
-        print(path)
     before, after = before_and_after(options.lift)
     print(f"PQ {100 * before:.1f} % -> {100 * after:.1f} %")
-    return ExitCode.FINISHED
-
-
-def run_meshes(options: argparse.Namespace) -> int:
-    """Print the figures of the lift's meshes. Raises PlgsError, OSError."""
-    from .meshes import mesh_table
-
-    for line in mesh_table(options.lift):
-        print(line, flush=True)
     return ExitCode.FINISHED
 
 
@@ -244,20 +202,12 @@ def run_experiments(options: argparse.Namespace) -> int:
 
 
 def run_bench(options: argparse.Namespace) -> ExitCode:
-    """Run one bench, print its figures and write them to a file. Raises PlgsError."""
-    from .bench import farm, long, raster, step
+    """Run the bench, print its figures and write them to a file. Raises PlgsError."""
+    from .bench_step import bench_step
 
     if options.json is not None:
         _refuse_unwritable(options.json)
-    figures: object
-    if options.what == "long":
-        figures = long.bench_long(options.frames, options.output, options.preset)
-    elif options.what == "farm":
-        lift_s, bake_s, score_s, overhead_s = options.times
-        times = farm.BatchTimes(lift_s, bake_s, options.pieces, score_s, overhead_s)
-        figures = farm.bench_farm(times, options.scenes)
-    else:
-        figures = raster.bench_raster() if options.what == "raster" else step.bench_step()
+    figures = bench_step()
     if options.json is not None:
         options.json.write_text(json.dumps(figures, indent=1), encoding="utf-8")
     return ExitCode.FINISHED
@@ -282,10 +232,3 @@ def _seeds(text: str) -> list[int]:
     if not all(seed.isdecimal() for seed in seeds):
         raise argparse.ArgumentTypeError(f"{text!r} is not a list of whole numbers such as 0,1,2")
     return list(dict.fromkeys(map(int, seeds)))
-
-
-def _enough_frames(text: str) -> int:
-    """For a long capture; for argparse, so it raises ArgumentTypeError."""
-    if not re.fullmatch(r"[0-9]{1,7}", text) or int(text) < FEWEST_OF_A_CAPTURE:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a number of frames, at least {FEWEST_OF_A_CAPTURE}")
-    return int(text)

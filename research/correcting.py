@@ -142,17 +142,13 @@ def _merge(kept: int, other: int) -> Make:
     return lambda state, _: making.merge(state, [kept, other])
 
 
-def correct_by_truth(
-    lift: Path, most: int = MOST_EDITS, after_each: Callable[[list[str]], object] = lambda said: None
-) -> list[str]:
-    """Make at most ``most`` edits of a finished lift; ``after_each`` is called with the descriptions of all so far, at
-    first with none. Returns the descriptions. Raises PlgsError, OSError."""
+def correct_by_truth(lift: Path, most: int = MOST_EDITS) -> list[str]:
+    """Make at most ``most`` edits of a finished lift, and return their descriptions. Raises PlgsError, OSError."""
     folder = LiftFolder.open(lift)
     corrected = read_corrected(folder.path)
     truth = true_labels(open_asked(folder.request), corrected.points.xyz)
     said: list[str] = []
     left_alone = set[str]()
-    after_each(said)
     while len(said) < most:
         left = [each for each in mistakes(folder, corrected, truth) if each.said not in left_alone]
         if not left:
@@ -163,7 +159,6 @@ def correct_by_truth(
             left_alone.add(left[0].said)
         else:
             said.append(left[0].said)
-            after_each(said)
     return said
 
 

@@ -49,7 +49,6 @@ BEHAVIOURS = {
     "frames of TUM": "scene/formats/test_tum.py::test_points_lie_on_the_room",
     "bad scenes and masks are one line": "scene/test_bad_input.py",
     "a scene is diagnosed and mended": "diagnosis/test_mend.py::test_the_command_reports_shows_and_fixes",
-    "a building is lifted in blocks": "building/test_run.py::test_a_building_in_two_blocks",
     "exports: clouds": "export/test_export.py::test_clouds_hold_each_pixel_in_the_world",
     "exports: COCO panoptic": "export/test_export.py::test_coco_is_exported",
     "exports: label images": "export/test_export.py::test_labels_are_exported",

@@ -13,7 +13,7 @@ from typing import Any
 
 from ..errors import PlgsError
 from ..gates import inner_path
-from ..job import LiftFolder, LiftRequest, write_atomically
+from ..job import LiftRequest, write_atomically
 from ..job.manifest import check_sizes, read_manifest
 from ..json_file import Json, read_object
 
@@ -57,10 +57,6 @@ class BatchPlan:
             "request": job.request.to_json(job.lift), "bakes": bool(self.chunk), "exports": sorted(self.exports),
             "files": job.files,
         }  # fmt: skip
-        if job.request.blocks:
-            from ..scene_of_lift import digest_of_blocks  # late: it reads masks
-
-            about["blocks"] = digest_of_blocks(LiftFolder(job.lift, job.request))
         return hashlib.sha256(json.dumps(about, sort_keys=True, default=str).encode()).hexdigest()
 
 

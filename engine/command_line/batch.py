@@ -189,8 +189,6 @@ def _job(own: argparse.Namespace, output: Path, name: str, bakes_all: bool) -> S
         opened, files = open_scene_to_lift(request), state_of_files(request, output)  # walked only if readable
     except PlgsError as error:
         return SceneJob(name, lift, request, problem=str(error))
-    if request.blocks > 1:
-        return SceneJob(name, lift, request, files=files)  # the needs of its blocks' engines are not predicted
     peak = predicted_lift(opened, request.chosen_preset, USUAL_MASKS).peak_bytes
     return SceneJob(name, lift, request, round(peak / 1e9, 2), files=files)
 

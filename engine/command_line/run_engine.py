@@ -178,10 +178,6 @@ def _refuse_no_scene(folder: LiftFolder) -> None:
 
 def _run_lift(folder: LiftFolder, lift: LiftWork | None) -> LiftWork:
     """``lift``, or the real one, imported late: it loads torch, and by now the watchdog can stop even a slow import."""
-    if folder.request.blocks and not folder.request.block:
-        from ..building.run import run_building
-
-        return run_building
     if lift is not None:
         return lift
     from ..lift import run_lift

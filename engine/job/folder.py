@@ -20,9 +20,6 @@ from .own_files import refuse_foreign, refuse_foreign_below
 from .request import LiftRequest, refuse_unwritable_name
 from .task import LIVE_PREVIEW, TaskPlace
 
-BLOCKS = "blocks"
-"""The folder in a building's lift with the lifts of its blocks, by their numbers."""
-
 
 class LiftState(Enum):
     """The state of a lift. In all states except RUNNING and FINISHED it can be resumed."""
@@ -225,7 +222,7 @@ class LiftFolder:
         """Whether no engine got as far as a checkpoint: it never started, or it refused the input."""
         if not self.path.is_dir():  # someone deleted it during the lift, as the error says
             return False
-        if self.is_running or self.checkpoints.exists or (self.path / BLOCKS).exists():
+        if self.is_running or self.checkpoints.exists:
             return False
         state = self.state_at_rest()
         return state is LiftState.NOT_STARTED or (
@@ -250,7 +247,7 @@ class LiftFolder:
         (self.path / "request.json").unlink()  # first, as a folder without it is not a lift
         for path in (self.cancel_path, self.preview_request_path, self.log_path, self.path / "scene.json"):
             path.unlink(missing_ok=True)
-        for folder in (self.result_path, self.path / "bake", *self.path.glob("preparation*")):
+        for folder in (self.result_path, self.path / "bake"):
             if folder.is_dir():
                 shutil.rmtree(folder)
         remove_parts(self.path)
@@ -277,8 +274,7 @@ def refuse_used(path: Path) -> None:
         fix = "Add --resume to continue it, or choose another output folder."
         raise PlgsError("already holds a lift", path, fix, option="--resume")
     for entry in path.iterdir():
-        # A kill while a lift folder is made leaves such a name, and blocks may be lifted before their building.
-        if not entry.name.startswith(PART) and entry.name != BLOCKS:
+        if not entry.name.startswith(PART):  # a kill while a lift folder is made leaves such a name
             what = f"is not empty (it holds '{entry.name}') and is not a lift folder"
             raise PlgsError(what, path, "Choose another output folder.")
 

@@ -57,7 +57,7 @@ def add_lift_options(parser: argparse.ArgumentParser, more_bakes: Mapping[str, s
         "--poses", choices=("colmap",),
         help="SCENE is photos or a film: let COLMAP find the poses first, and write them beside the photos",
     )  # fmt: skip
-    add_options(parser, "blocks", "block", "names_from", "device")
+    add_options(parser, "names_from", "device")
     parser.add_argument(
         "--bake",
         choices=(*BAKES, *more_bakes),

@@ -65,7 +65,7 @@ def doubt_of_frames(metrics: Mapping[str, Json]) -> dict[str, float]:
 def _missed(one: Mapping[str, Json]) -> str:
     what = f"{'' if one.get('whole_class') else 'one '}{one.get('name')}: {_number(one.get('views'), 1, 0)} near views"
     what += f", shown as {one['shown_as']}" if one.get("shown_as") else ""
-    return printable(what + (f"; tried before training, refused: {one['refused']}" if one.get("refused") else ""))
+    return printable(what)
 
 
 def _classes_text(tables: Iterable[Mapping[str, Json]]) -> Iterator[str]:

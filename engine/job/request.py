@@ -24,7 +24,6 @@ FURTHER_LAYERS = ("normal", "position")
 the colour, or more."""
 BAKES: tuple[str, ...] = get_args(Bake)
 DEVICES: tuple[str, ...] = get_args(Device)
-MOST_BLOCKS = 1000
 _PLACES = ("scene", "masks", "depth", "names_from")
 _FIX = "Fix it, or delete the folder and lift again."
 
@@ -71,26 +70,6 @@ class LiftRequest(SceneSource):
             "an earlier lift of the same scene: objects that are still there keep their names and ids", "LIFT", Path
         ),
     )
-    blocks: int = field(
-        default=0,
-        metadata={
-            **option(
-                "cut a building into N blocks with about equally many points, lift them in turn, and join them",
-                "N",
-                int,
-            ),
-            "least": 0,
-            "most": MOST_BLOCKS,
-        },
-    )
-    block: int = field(
-        default=0,
-        metadata={
-            **option("lift only this block, counted from 1", "I", int),
-            "least": 0,
-            "most": MOST_BLOCKS,
-        },
-    )
     engine_version: str = __version__
 
     def __post_init__(self) -> None:
@@ -103,14 +82,6 @@ class LiftRequest(SceneSource):
                 refuse_unwritable_name(path)
         changed = changed_options(PRESETS[self.preset], checked_options(self.options))
         object.__setattr__(self, "options", changed)
-        self._check_blocks()
-
-    def _check_blocks(self) -> None:
-        if self.blocks == 1:
-            raise PlgsError("one block is not a building", "blocks = 1", f"Give from 2 to {MOST_BLOCKS} blocks.")
-        if self.block > self.blocks:
-            fix = f"Give one from 1 to {self.blocks}." if self.blocks else "Give the number of blocks with --blocks."
-            raise PlgsError("is not a block of the building", f"block = {self.block}", fix)
 
     @property
     def chosen_preset(self) -> Preset:

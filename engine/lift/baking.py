@@ -18,7 +18,6 @@ from ..job.report import read_metrics
 from ..job.system import peak_bytes
 from ..metrics.calibration import UNCALIBRATED, Calibration
 from ..metrics.report import LIFTED, PredictedView, Report, add_input_masks
-from ..metrics.unshown import Refused
 from ..model.render import render_bands
 from ..model.rendering import ClipRange
 from ..model.scene_labels import shown_labels
@@ -163,11 +162,9 @@ def bake_and_evaluate(
     held_back: Sequence[View],
     events: EventWriter,
     stages: StageReporter,
-    refused: Sequence[Refused] = (),
 ) -> None:
-    """Let the masks of the training ``views`` and of those ``held_back`` judge the lift and the trials that were
-    ``refused``, which calibrates ``baker``; bake ``wanted``, score the held-out frames, and write the contact sheet and
-    metrics.json.
+    """Let the masks of the training ``views`` and of those ``held_back`` judge the lift, which calibrates ``baker``;
+    bake ``wanted``, score the held-out frames, and write the contact sheet and metrics.json.
 
     Ground truth is used for metrics.json only. Raises Cancelled, PlgsError, OSError.
     """
@@ -177,7 +174,7 @@ def bake_and_evaluate(
     report, rows, seconds, names = Report(scene.classes), [], [], names_of_files(folder)
     with stages.stage("evaluate") as progress:
         add_input_masks(report, scene)
-        judgement = judge(baker.seen, scene, views, held_back, progress, folder.path, refused)
+        judgement = judge(baker.seen, scene, views, held_back, progress, folder.path)
         judgement.tell(events)
         baker.calibration = judgement.calibration
     with stages.stage("bake") as progress:

@@ -8,8 +8,7 @@ from dataclasses import replace
 import numpy as np
 import torch
 
-from ..corrections import CORRECTIONS, CorrectedResult
-from ..errors import PlgsError
+from ..corrections import CorrectedResult
 from ..model.structured import GaussianLabels, LabelChannels, StructuredScene
 
 KEPT = 6
@@ -22,14 +21,9 @@ CHUNK = 16384
 def corrected_scene(scene: StructuredScene, corrected: CorrectedResult) -> StructuredScene:
     """The scene with the classes and objects of ``corrected``. Its Gaussians keep only their likeliest labels, as if
     the views had voted, and each object has one class. A scene whose labels no edit changes is returned as it is.
-
-    Raises PlgsError for a baseline whose labels do not belong to Gaussians.
     """
     if not corrected.changes_labels:
         return scene
-    if scene.decoders.draws_own_labels:
-        what = "the labels of this baseline cannot be corrected"
-        raise PlgsError(what, corrected.folder / CORRECTIONS, "Correct a lift of the engine, or move the file away.")
     channels = scene.channels
     codes = np.array([*(-one for one in channels.class_ids), *channels.shown_ids], np.int32)
     voted = scene.voted or _likeliest(scene, corrected)

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +16,7 @@ from ..job.report import not_shown
 from ..json_file import Json
 from ..metrics.calibration import MOST_SAMPLES, Calibration, Samples, calibrate, samples_of
 from ..metrics.panoptic import PanopticEvaluation
-from ..metrics.unshown import SHOWN, JudgedView, Refused, Unshown, find_unshown
+from ..metrics.unshown import JudgedView, Unshown, find_unshown
 from ..scene import (
     Camera,
     ClassTable,
@@ -37,8 +37,7 @@ log = logging.getLogger("plgs.lift")
 MOST_VIEWS = 100
 """The most training views that judge, evenly chosen. Each is drawn once, at the size of training."""
 MOST_NAMED = 5
-"""The most missing objects that the warning names, and the most of those that were tried and refused. metrics.json
-lists all."""
+"""The most missing objects that the warning names. metrics.json lists all."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,12 +75,8 @@ class Judgement:
             log.info("no masks were held back: those that were trained on say how likely a class is right")
         for line in _lines(self.not_shown):
             log.info("not shown: %s", line)
-        told: list[str] = []
-        for is_refused, how in ((False, ""), (True, ", tried and refused")):
-            # Reasons are too long for a warning.
-            lines = _lines(replace(one, refused="") for one in self.not_shown if bool(one.refused) == is_refused)
-            told += [line + how for line in lines[:MOST_NAMED]]
-            told += [f"and {len(lines) - MOST_NAMED} more{how}"] if len(lines) > MOST_NAMED else []
+        lines = _lines(self.not_shown)
+        told = [*lines[:MOST_NAMED], *([f"and {len(lines) - MOST_NAMED} more"] if len(lines) > MOST_NAMED else [])]
         if told:
             events.warning(f"some masks show objects that the lift does not: {'; '.join(told)}")
 
@@ -98,10 +93,8 @@ def judge(
     held_back: Sequence[View],
     progress: Callable[[int, int], object],
     scratch: Path | None = None,
-    refused: Sequence[Refused] = (),
 ) -> Judgement:
-    """Judge the finished lift by the training ``views`` and those that were ``held_back``. ``refused``: trials before
-    training, which are told if the lift does not show what they tried.
+    """Judge the finished lift by the training ``views`` and those that were ``held_back``.
 
     ``draw`` returns what a camera sees of it. Raises PlgsError, OSError, and what ``progress`` raises.
     """
@@ -116,7 +109,7 @@ def judge(
     return Judgement(
         trained=_agreement(judges[: len(trained)], scene.classes),
         held_back=_agreement(judges[len(trained) :], scene.classes),
-        not_shown=tuple(find_unshown(judges, scene.classes, SHOWN, refused)),
+        not_shown=tuple(find_unshown(judges, scene.classes)),
         calibration=calibration,
         doubt={view.name: round(calibration.doubt(seen), 4) for view, seen in zip(every, samples, strict=True)},
     )

@@ -27,12 +27,10 @@ from ..instances.records import ObjectMask, SceneObject, object_of_mask
 from ..instances.segment_votes import view_labels, vote_panoptic_labels
 from ..instances.segments import SegmentOptions
 from ..instances.surface_neighbours import neighbours_on_a_thing
-from ..metrics.unshown import Refused
 from ..presets.preset import EvidenceKind, Preset
 from ..scene import VOID, ClassTable, OnDemand, Progress, View, stored, watched
 from ..semantics.point_cloud import SemanticPointCloud
 from ..train.progress import StageProgress
-from .repairs import Labelled, repaired
 
 CONSENSUS = ConsensusOptions()
 LARGEST_GAP = 0.15
@@ -57,7 +55,7 @@ class Matching:
     """The ``cloud`` with its final classes, the ``instances`` with ids 1.., the instance of each point int32 [N] (0 =
     none), and the number of instances ``dropped``. ``label_maps``: the panoptic label of each view's pixels, int16
     [H, W] (-1 = unknown), if segments and points voted on them. ``point_of_pixel``: the point of the cloud that each
-    pixel of the views shows, int32 [H, W] (-1 = none), if it was looked up. ``refused``: the trials that were."""
+    pixel of the views shows, int32 [H, W] (-1 = none), if it was looked up."""
 
     cloud: SemanticPointCloud
     instances: list[SceneObject]
@@ -65,7 +63,6 @@ class Matching:
     dropped: int
     label_maps: Sequence[NDArray[np.int16]] | None = None
     point_of_pixel: Sequence[NDArray[np.int32]] | None = None
-    refused: tuple[Refused, ...] = ()
 
 
 def instances_by_boxes(given: ViewsToMatch, preset: Preset, progress: StageProgress) -> Matching:
@@ -102,16 +99,12 @@ def objects_by_agreement(given: ViewsToMatch, preset: Preset, progress: StagePro
     # A point that lost its object was on the ragged edge of a few masks, so their class is no evidence for it either.
     is_fragment = (object_of_point > 0) & (owner == 0)
     cloud = replace(cloud, class_id=np.where(is_fragment, VOID, cloud.class_id).astype(np.int32))
-    labelled = Labelled(cloud, owner, things)
-    mended = repaired(labelled, training, given.classes, reach_of(cloud), progress.part(0.92, 0.94))
-    cloud, owner, things = mended.cloud, mended.owner, mended.things
-
-    watching = watched(things, progress.part(0.94, 0.95))
+    watching = watched(things, progress.part(0.92, 0.95))
     placed = placed_objects(training.views, watching, cloud.xyz, owner, preset.voxel_size)
     instances, instance_of_point, dropped = limit_instances(placed, owner, preset.most_instances)
     maps = watched(maps_of_points(training, cloud, instances, instance_of_point), progress.part(0.95, 1.0))
     maps = stored(maps, given.scratch)
-    return Matching(cloud, instances, instance_of_point, dropped, maps, training.point_of_pixel, mended.refused)
+    return Matching(cloud, instances, instance_of_point, dropped, maps, training.point_of_pixel)
 
 
 def voted_points(

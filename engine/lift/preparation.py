@@ -21,7 +21,6 @@ from ..semantics.consistency import ConsistencyOptions, consistency_masks, views
 from ..semantics.point_cloud import CloudOptions, SemanticPointCloud, build_point_cloud
 from ..train.progress import StageProgress, StageReporter
 from ..train.targets import ViewTargets
-from .kept_preparation import KeptPreparation
 from .objects import MATCHINGS, Matching, ViewsToMatch
 from .starting_scene import label_channels, starting_anchors, starting_scene
 from .targets_of_views import Photos, compared_photos, targets_of
@@ -48,27 +47,16 @@ def prepare(
     stages: StageReporter,
     scratch: Path | None = None,
     others: Sequence[View] = (),
-    kept: KeptPreparation | None = None,
 ) -> PreparedLift:
     """Do everything before the first step. Arrays of every view are stored in temporary files in ``scratch`` (None: in
-    the system's folder for them). ``others`` are views that vote, but are not trained on. What was ``kept`` is not
-    found again. Raises what the progress callbacks raise (Cancelled), and OSError if the disk is full."""
-    known = None if kept is None else kept.read(views, len(others))
-    if known is None:
-        matching, photos, placed = find(views, classes, preset, stages, scratch, others)
-        if kept is not None:
-            kept.write(views, len(others), matching, photos)
-    else:
-        stages.leave_out("consistency", "match")
-        matching, photos = known
-        is_needed = preset.fill_holes and matching.label_maps is None
-        placed = filled_views(views, scratch) if is_needed else views
+    the system's folder for them). ``others`` are views that vote, but are not trained on. Raises what the
+    progress callbacks raise (Cancelled), and OSError if the disk is full."""
+    matching, photos, placed = find(views, classes, preset, stages, scratch, others)
     with stages.stage("prepare") as progress:
         channels = label_channels(used_classes(views), matching.instances, preset)
         viewpoints = np.array([view.camera.centre for view in views])
         start = starting_anchors(matching.cloud, matching.instance_of_point, preset)
-        is_replaced = (lambda scene: False) if kept is None else kept.replaces
-        scene = starting_scene(start, channels, viewpoints, preset, seed, is_replaced=is_replaced, progress=progress)
+        scene = starting_scene(start, channels, viewpoints, preset, seed, progress=progress)
         targets = targets_of(views, placed, matching, photos, channels, classes, preset, scratch)
     class_of_instance = {one.id: one.class_id for one in matching.instances} if channels.class_of_slot else None
     return PreparedLift(**vars(matching), scene=scene, targets=targets, class_of_instance=class_of_instance)

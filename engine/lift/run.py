@@ -10,7 +10,6 @@ import logging
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, replace
-from functools import partial
 from pathlib import Path
 from statistics import median
 from typing import Protocol
@@ -47,7 +46,6 @@ from ..scene import (
     size_within,
     survey_scene,
 )
-from ..scene.blocks import scene_of_block
 from ..scene_of_lift import masks_last_run, refuse_changed, remember_scene
 from ..train.progress import Course, StageProgress, StageReporter
 from ..train.state import OtherLabels, restore, trainer_state
@@ -57,7 +55,6 @@ from .device import be_repeatable, refuse_missing_device
 from .fitting import check_disk, predicted_lift
 from .frame_sets import FRAMES, FrameSets, frames_to_bake, sets_of_frames
 from .judging import read_held_back
-from .kept_preparation import KeptPreparation
 from .lasting_names import keep_names, read_earlier, refuse_names_of_no_objects, take_over_edits, write_names
 from .live_previews import LivePreviews
 from .preparation import PreparedLift, prepare
@@ -123,15 +120,14 @@ def run_lift(
     stop: StopSignal,
     *,
     resume: bool,
-    preparing: Preparing | None = None,
+    preparing: Preparing = prepare,
     training: Callable[[PreparedLift, Sequence[View], Preset, int], Trainer] = new_trainer,
-    finishing: Callable[[Trainer, PreparedLift, ClassTable, StageProgress], PreparedLift] | None = None,
     sources: Sequence[str] = ("engine",),
 ) -> None:
     """Do the lift that ``folder`` asks for, or what is left of it.
 
-    Methods other than PLGS pass their own ``preparing``, ``training``, and ``finishing``, which is called after the
-    last step, and ``sources``, the folders of the repository whose digest the manifest holds. Raises PlgsError for
+    Methods other than PLGS pass their own ``preparing`` and ``training``, and ``sources``, the folders of the
+    repository whose digest the manifest holds. Raises PlgsError for
     input that cannot be lifted, and Cancelled if stopped. The folder can then be resumed.
     """
     request, stages = folder.request, StageReporter(events, stop, STAGES)
@@ -140,8 +136,7 @@ def run_lift(
     refuse_names_of_no_objects(request, preset)
     be_repeatable(request.device)
     checkpoint = folder.checkpoints.latest() if resume else None
-    at_work = code_digest(*sources)
-    code = code_of(at_work, checkpoint, events)
+    code = code_of(code_digest(*sources), checkpoint, events)
     with drawing_on(request.device):
         with stages.stage("check") as progress:
             frames, masks_changed = checked_frames(folder, preset, checkpoint, progress, events)
@@ -154,9 +149,6 @@ def run_lift(
 
         preset = preset.for_views(len(views))
         classes = frames.all.classes
-        if preparing is None:
-            kept = KeptPreparation(folder, resume and not masks_changed, checkpoint, at_work)
-            preparing = partial(prepare, kept=kept)
         prepared = preparing(views, classes, preset, request.seed, stages, folder.path, others)
         trainer = training(prepared, views, preset, request.seed)
         if checkpoint is not None:
@@ -167,8 +159,6 @@ def run_lift(
         paces = train(trainer, folder, facts, stages, previews)
 
         with stages.stage("result") as progress:
-            if finishing is not None:
-                prepared = finishing(trainer, prepared, classes, progress)
             if preset.shows_votes:
                 told = progress.part(0.0, VOTED)
                 trainer.scene.voted = voted_labels(trainer.scene, frames, prepared, preset, told, folder.path)
@@ -186,7 +176,7 @@ def run_lift(
                 take_over_edits(folder, earlier, events)
         baker = FrameBaker(classes, trainer.scene, shown_instances(prepared, names))
         wanted = frames_to_bake(frames.all, request.bake)
-        bake_and_evaluate(folder, frames.chosen, baker, wanted, views, held_back, events, stages, prepared.refused)
+        bake_and_evaluate(folder, frames.chosen, baker, wanted, views, held_back, events, stages)
     previews.clear_away()
     finish(folder, preset, stages, code)
     remember_pace(paces, trainer)
@@ -216,8 +206,7 @@ def checked_frames(
     if checkpoint is not None:
         refuse_changed(folder, scene)
         before = str(checkpoint.state.get(MASKS, before))  # scene.json may be of a run that was killed since
-    own = scene_of_block(scene, request.blocks, request.block, progress) if request.block else scene
-    frames = sets_of_frames(own, request, checkpoint, progress, events)
+    frames = sets_of_frames(scene, request, checkpoint, progress, events)
     survey = survey_scene(frames.chosen, progress)
     tell(frames.chosen, survey, events)
     masks_changed = remember_scene(folder, scene, events.warning) != before != ""

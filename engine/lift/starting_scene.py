@@ -3,7 +3,7 @@ section "Structured Panoptic-Aware Scene Representation")."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -64,12 +64,10 @@ def starting_scene(
     viewpoints: NDArray[np.float64],
     preset: Preset,
     seed: int,
-    new_decoders: Callable[[DecoderShape, int], Decoders] = Decoders,
-    is_replaced: Callable[[StructuredScene], bool] = lambda scene: False,
     progress: Progress = lambda *_: None,
 ) -> StructuredScene:
     """The anchors with features, and decoders drawn from the seed. The preset decides whether the decoders are fitted
-    to the anchors; they are not where the scene ``is_replaced`` by that of a checkpoint."""
+    to the anchors."""
     feature = np.zeros((len(start.positions), FEATURES), np.float32)
     if preset.seeded_features:
         feature = seeded_features(start.rgb, start.classes, start.owners, features=FEATURES, seed=seed)
@@ -88,8 +86,8 @@ def starting_scene(
         distance_input=preset.distance_input,
         label_view_input=preset.label_view_input,
     )
-    scene = StructuredScene(anchors, new_decoders(shape, seed), channels, preset.voxel_size)
-    if preset.warm_start and not is_replaced(scene):
+    scene = StructuredScene(anchors, Decoders(shape, seed), channels, preset.voxel_size)
+    if preset.warm_start:
         owners = start.owners if preset.objects != "none" else None
         warm_start(scene, start.rgb, owners, viewpoints, seed, progress)
     return scene

@@ -6,7 +6,7 @@ A view asks about the segments that it resolves, and near views answer (``scene/
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -24,8 +24,6 @@ AGREED = 2 / 3
 """Share of the near views that must name the place this way. Networks confuse some classes in half of their masks."""
 SHOWN = 0.1
 """The lift does not show a place's class if it gives fewer than this share of the place's points that class."""
-SHOWN_TRIAL = 0.5
-"""The same before training, and in the lift where a trial was refused."""
 POINTS = 64
 """The number of points that represent a segment."""
 MOST_CANDIDATES = 500
@@ -49,8 +47,7 @@ class Unshown:
 
     ``views`` near views name it, of ``near`` that see the place. ``frame`` shows it best: there it is ``segment``,
     with ``pixels`` pixels at the frame's own size, at ``resolution`` pixels per centimetre. ``shown_as``: the class
-    that the lift shows there most, "" = none. ``centre``: world metres. ``refused``: why it was not shown after a trial
-    before training (``lift/repairs.py``), "" without one. If it is told for that alone, all else is of that time.
+    that the lift shows there most, "" = none. ``centre``: world metres.
     """
 
     class_id: int
@@ -64,20 +61,11 @@ class Unshown:
     resolution: float
     shown_as: str
     centre: tuple[float, float, float]
-    refused: str = ""
-
-
-@dataclass(frozen=True)
-class Refused:
-    """A ``finding`` whose trial was refused, and its ``places``: at most POINTS points of its segment, world metres."""
-
-    finding: Unshown
-    places: tuple[tuple[float, float, float], ...]
 
 
 class _Candidate(NamedTuple):
     """A resolved segment of which the lift shows too small a share as its class in the segment's own view. ``xyz``
-    float64 [POINTS or fewer, 3]. ``refused``: its trial, if there was one; then ``shown_as`` is not known."""
+    float64 [POINTS or fewer, 3]."""
 
     resolution: float
     class_id: int
@@ -86,12 +74,6 @@ class _Candidate(NamedTuple):
     pixels: int
     shown_as: int
     xyz: NDArray[np.float64]
-    refused: Unshown | None = None
-
-    @classmethod
-    def of(cls, trial: Refused) -> _Candidate:
-        one, xyz = trial.finding, np.array(trial.places, np.float64)
-        return cls(one.resolution, one.class_id, one.frame, one.segment, one.pixels, VOID, xyz, one)
 
     @property
     def centre(self) -> NDArray[np.float64]:
@@ -105,49 +87,36 @@ class _Candidate(NamedTuple):
         return bool(((low <= other.centre) & (other.centre <= high)).all())
 
 
-def find_unshown(
-    views: Sequence[JudgedView], classes: ClassTable, least: float = SHOWN, refused: Sequence[Refused] = ()
-) -> list[Unshown]:
-    """The classes and objects that the lift lacks: whole classes first, then objects, each by resolution. A place shows
-    a class if it gives at least the share ``least`` of its points that class; SHOWN_TRIAL where a trial was
-    ``refused``, which its near views agreed on. Such a trial gives its reason to what is found at its place without it;
-    else it is told itself if there are near views. Each view is read twice."""
+def find_unshown(views: Sequence[JudgedView], classes: ClassTable) -> list[Unshown]:
+    """The classes and objects that the lift lacks: whole classes first, then objects, each by resolution. Each view is
+    read twice."""
     found: list[_Candidate] = []
     shown: set[int] = set()
     for judged in views:
-        candidates, kept = _segments(judged, least)
+        candidates, kept = _segments(judged)
         found += candidates
         shown |= kept
     found = sorted(found, key=lambda each: (-each.resolution, each.frame, each.segment))[:MOST_CANDIDATES]
-    found += map(_Candidate.of, refused)  # the last, so that they hide nothing that is found without them
     answers = _Answers(found)
     for judged in views:
         answers.add(judged)
-    return sorted(_told(found, answers, shown, classes, least), key=lambda one: (not one.whole_class, -one.resolution))
+    return sorted(_told(found, answers, shown, classes), key=lambda one: (not one.whole_class, -one.resolution))
 
 
-def _told(
-    found: list[_Candidate], answers: _Answers, shown: set[int], classes: ClassTable, least_shown: float
-) -> list[Unshown]:
+def _told(found: list[_Candidate], answers: _Answers, shown: set[int], classes: ClassTable) -> list[Unshown]:
     told: list[Unshown] = []
     places: list[_Candidate] = []
     for number, one in enumerate(found):
-        whole, trial = one.class_id not in shown, one.refused
-        same = [k for k, other in enumerate(places) if other.holds(one) or (trial is not None and one.holds(other))]
-        named, near, kept = answers.of(number)
-        if same:
-            if trial is not None and kept < SHOWN_TRIAL:
-                told[same[0]] = replace(told[same[0]], refused=told[same[0]].refused or trial.refused)
+        if any(other.holds(one) for other in places):
             continue
-        if trial is None:
-            least = LEAST_VIEWS_OF_CLASS if whole else LEAST_VIEWS_OF_OBJECT
-            is_missed = named >= max(least, AGREED * near) and kept < least_shown
-        else:
-            is_missed = near > 0 and kept < SHOWN_TRIAL
+        whole = one.class_id not in shown
+        named, near, kept = answers.of(number)
+        least = LEAST_VIEWS_OF_CLASS if whole else LEAST_VIEWS_OF_OBJECT
+        is_missed = named >= max(least, AGREED * near) and kept < SHOWN
         if not is_missed or (whole and any(other.class_id == one.class_id for other in told)):
             continue  # a class is reported once, by its best view
         places.append(one)
-        told.append(_unshown(one, named, near, classes, whole) if trial is None else replace(trial, whole_class=whole))
+        told.append(_unshown(one, named, near, classes, whole))
     return told
 
 
@@ -168,8 +137,8 @@ def _unshown(one: _Candidate, named: int, near: int, classes: ClassTable, is_who
     )
 
 
-def _segments(judged: JudgedView, least: float) -> tuple[list[_Candidate], set[int]]:
-    """The resolved segments of which the lift does not show the share ``least`` in their own view, and the classes that
+def _segments(judged: JudgedView) -> tuple[list[_Candidate], set[int]]:
+    """The resolved segments of which the lift does not show the share SHOWN in their own view, and the classes that
     it does show on one of their segments."""
     view, shown = judged
     seen = view.depth > 0
@@ -180,7 +149,7 @@ def _segments(judged: JudgedView, least: float) -> tuple[list[_Candidate], set[i
         if segment.class_id == VOID or count < LEAST_SEEN or not resolves(count, view.mask_scale):
             continue
         here = shown[where]
-        if np.mean(here == segment.class_id) >= least:
+        if np.mean(here == segment.class_id) >= SHOWN:
             kept.add(segment.class_id)
             continue
         rows, columns = np.nonzero(where)
@@ -203,7 +172,7 @@ def _unproject(view: View, rows: NDArray[np.int64], columns: NDArray[np.int64]) 
 
 class _Judgement(NamedTuple):
     """The number of views ``near`` a place, the number that ``named`` it, and the largest share of it that the lift
-    shows as its class in one of these, or, of a refused trial, in one that is near."""
+    shows as its class in one of these."""
 
     named: int
     near: int
@@ -247,5 +216,4 @@ class _Answers:
         resolution, named, kept = answers.T
         near = are_near(resolution, self.found[number].resolution)
         naming = near & (named >= NAMES)
-        judging = naming if self.found[number].refused is None else near
-        return _Judgement(int(naming.sum()), int(near.sum()), float(kept[judging].max(initial=0.0)))
+        return _Judgement(int(naming.sum()), int(near.sum()), float(kept[naming].max(initial=0.0)))

@@ -130,8 +130,7 @@ def bake(
             by_class, by_slot = decoded.labels[:, :classes], decoded.labels[:, classes:]
             labels = shown_probabilities(by_class, by_slot, scene.channels).numpy()
         else:
-            drawn = known.of(decoded.rows(k))
-            labels = known.shown(drawn, torch.ones(len(drawn))).numpy()
+            labels = known.of(decoded.rows(k)).numpy()
         owner, weight = (decoded.kept // k).numpy(), decoded.opacities.numpy()
         if scene.finest is not None:
             decoded = replace(decoded, scales=widened(decoded.scales, scene.finest[rows][owner]))

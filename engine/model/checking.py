@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import torch
 
 from ..posed.classes import LARGEST_ID
-from .decoders import DECODERS, Decoders
+from .decoders import DECODERS, Decoders, DecoderShape
 
 MOST_ANCHORS = 20_000_000
 MOST_LABELS = 64
@@ -67,7 +67,6 @@ def wanted_of_model(facts: Mapping[str, Any], anchors: int, labels: int | None) 
         raise ValueError("class_of_slot does not fit the slots")
     if not 0 <= anchors <= MOST_ANCHORS:
         raise ValueError(f"there are {anchors} anchors, but at most {MOST_ANCHORS} are allowed")
-    kind.check_anchors(shape, anchors)
     k = shape.gaussians_per_anchor
     wanted = {
         "anchors.position": Wanted((anchors, 3), least=-FARTHEST, most=FARTHEST),
@@ -103,20 +102,20 @@ def check_model(tensors: Mapping[str, torch.Tensor], facts: Mapping[str, Any]) -
     check_tensors(tensors, wanted)
 
 
-def decoders_of(facts: Mapping[str, Any]) -> tuple[type[Decoders], Any]:
+def decoders_of(facts: Mapping[str, Any]) -> tuple[type[Decoders], DecoderShape]:
     """The kind of decoders that a file names, and their shape. Raises ValueError for a kind that this version does not
     know."""
     kind = DECODERS.get(facts.get("kind", Decoders.kind))
     known = {name: value for name, value in facts.items() if name != "kind" and (name, value) not in _NO_MORE}
-    if kind is None or set(known) != {each.name for each in fields(kind.shape_type)}:
+    if kind is None or set(known) != {each.name for each in fields(DecoderShape)}:
         raise ValueError("the decoders' shape is unknown: they may belong to a baseline, which only research can read")
-    for each in fields(kind.shape_type):
+    for each in fields(DecoderShape):
         value = known[each.name]
         if each.type == "bool" and type(value) is not bool:
             raise ValueError(f"{each.name} of the decoders is neither on nor off")
         if each.type == "int" and (type(value) is not int or value < 1):
             raise ValueError(f"{each.name} of the decoders is not a positive integer")
-    shape = kind.shape_type(**known)
+    shape = DecoderShape(**known)
     if shape.gaussians_per_anchor > MOST_PER_ANCHOR or max(shape.classes, shape.instance_slots) > LARGEST_ID:
         raise ValueError("the decoders have too many Gaussians or labels")
     kind.check_shape(shape)

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
-from typing import Any, ClassVar, Protocol
+from typing import ClassVar
 
 import torch
 from torch import nn
@@ -34,16 +34,6 @@ class DecoderShape:
     instance_slots: int
     distance_input: bool
     label_view_input: bool
-
-    @property
-    def instance_outputs(self) -> int:
-        """The number of outputs of the instance decoder for each Gaussian."""
-        return self.instance_slots
-
-    @property
-    def instance_channels(self) -> int:
-        """The number of channels that are drawn for instances."""
-        return self.instance_outputs
 
     @property
     def view_inputs(self) -> int:
@@ -76,18 +66,6 @@ def drawn_layer(inputs: int, outputs: int, generator: torch.Generator) -> nn.Lin
     return layer
 
 
-class ShownLabels(Protocol):
-    """What the Gaussians of a scene show, for any number of frames."""
-
-    def of(self, rows: torch.Tensor) -> torch.Tensor:
-        """The values to draw for the Gaussians of ``rows`` int64 [N], float32 [N, D]."""
-        ...
-
-    def shown(self, drawn: torch.Tensor, alpha: torch.Tensor) -> torch.Tensor:
-        """The coverage [..., C + U] of classes and instances, from the values drawn with a total of ``alpha`` [...]."""
-        ...
-
-
 class Decoders(nn.Module):
     """Opacity, covariance, colour, semantic and instance decoders.
 
@@ -95,9 +73,7 @@ class Decoders(nn.Module):
     """
 
     kind: ClassVar[str] = "structured"
-    shape_type: ClassVar[type[DecoderShape]] = DecoderShape
-    shape: Any
-    """An instance of ``shape_type``."""
+    shape: DecoderShape
 
     def __init__(self, shape: DecoderShape, seed: int) -> None:
         super().__init__()
@@ -111,7 +87,7 @@ class Decoders(nn.Module):
         self.instance = _mlp(*sides["instance"], generator)
 
     @classmethod
-    def sides(cls, shape: Any) -> dict[str, tuple[int, int]]:
+    def sides(cls, shape: DecoderShape) -> dict[str, tuple[int, int]]:
         """The numbers of inputs and outputs of each decoder, by name."""
         k, seen = shape.gaussians_per_anchor, shape.features + shape.view_inputs
         labelled = seen if shape.label_view_input else shape.features
@@ -120,11 +96,11 @@ class Decoders(nn.Module):
             "covariance": (seen, 7 * k),
             "colour": (seen, 3 * k),
             "semantic": (labelled, shape.classes * k),
-            "instance": (labelled, shape.instance_outputs * k),
+            "instance": (labelled, shape.instance_slots * k),
         }
 
     @classmethod
-    def weight_sizes(cls, shape: Any) -> dict[str, tuple[int, ...]]:
+    def weight_sizes(cls, shape: DecoderShape) -> dict[str, tuple[int, ...]]:
         """The size of each tensor of weights, by name."""
         return {
             f"{name}.{layer}.{part}": size
@@ -138,14 +114,10 @@ class Decoders(nn.Module):
         }
 
     @classmethod
-    def check_shape(cls, shape: Any) -> None:
+    def check_shape(cls, shape: DecoderShape) -> None:
         """Raise ValueError for a shape that these decoders cannot have."""
         if not 1 <= shape.features <= MOST_FEATURES:
             raise ValueError(f"features of the decoders is not a number between 1 and {MOST_FEATURES}")
-
-    @classmethod
-    def check_anchors(cls, shape: Any, anchors: int) -> None:
-        """Raise ValueError for a number of anchors that these decoders cannot have."""
 
     @property
     def facts(self) -> dict[str, object]:
@@ -175,30 +147,18 @@ class Decoders(nn.Module):
         opacity, covariance, colour = run_side_by_side(seen, self.opacity, self.covariance, self.colour)
         return opacity, covariance, colour
 
-    def label_outputs(self, feature: torch.Tensor, seen: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """Outputs of the semantic [V, k, C] and instance decoders [V, k, S]. ``seen``: the output of
-        ``view_input``."""
+    def label_logits(self, feature: torch.Tensor, seen: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Semantic [V, k, C] and instance [V, k, S] logits. ``seen``: the output of ``view_input``."""
         given = seen if self.shape.label_view_input else feature
         shape, count = self.shape, len(given)
         semantic, instance = run_side_by_side(given, self.semantic, self.instance)
         return (
             semantic.view(count, shape.gaussians_per_anchor, shape.classes),
-            instance.view(count, shape.gaussians_per_anchor, shape.instance_outputs),
+            instance.view(count, shape.gaussians_per_anchor, shape.instance_slots),
         )
-
-    def label_logits(self, feature: torch.Tensor, seen: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """Semantic [V, k, C] and instance [V, k, S] logits."""
-        return self.label_outputs(feature, seen)
-
-    def drawn_instances(self, outputs: torch.Tensor) -> torch.Tensor:
-        """The values to draw for outputs of the instance decoder [N, S]: the probabilities of the slots."""
-        return torch.softmax(outputs, dim=1)
 
     decodes_all_anchors: ClassVar[bool] = False
     """Whether all anchors are decoded; otherwise only those whose position the camera sees."""
-    draws_own_labels: ClassVar[bool] = False
-    """Whether the drawn channels are not probabilities, so that only ``own_labels`` tells what a picture shows."""
-
     def own_decoding(
         self,
         anchors: Anchors,
@@ -208,11 +168,6 @@ class Decoders(nn.Module):
         known_labels: torch.Tensor | None,
     ) -> NeuralGaussians | None:
         """The result of ``decode_rows``, for decoders with their own method; None otherwise."""
-        return None
-
-    def own_labels(self, anchors: Anchors, channels: Any) -> ShownLabels | None:
-        """The result of ``scene_labels``, for decoders with their own method; None otherwise. ``channels``: the
-        scene's ``LabelChannels``."""
         return None
 
 

@@ -95,8 +95,7 @@ def decode_rows(
     own = decoders.own_decoding(anchors, visible, centre, channels, known_labels)
     if own is not None:
         return own
-    feature, gives_probabilities = anchors.feature, not decoders.draws_own_labels
-    is_compiled = gives_probabilities and feature.dtype == torch.float32 and feature.device.type == "cpu"
+    is_compiled = anchors.feature.dtype == torch.float32 and anchors.feature.device.type == "cpu"
     decode_with = decode_natively if is_compiled else decode_in_torch
     return decode_with(anchors, decoders, visible, centre, channels, known_labels)
 

@@ -48,7 +48,7 @@ def render_bands(
 
     ``most_bytes`` limits a band's label coverage; None: all rows at once. ``labels`` is as for ``render_view``.
     """
-    if labels is None and (scene.voted is not None or scene.decoders.draws_own_labels):
+    if labels is None and scene.voted is not None:
         labels = shown_labels(scene)
     known = None if labels is None else no_labels(scene.anchors)
     drawn = decode(scene.anchors, scene.decoders, camera, known_labels=known)
@@ -129,8 +129,6 @@ def _draw_rows(
     classes, coverage = len(channels.class_ids), rendering.labels
     if labels is None:
         coverage = shown_probabilities(coverage[..., :classes], coverage[..., classes:], channels)
-    else:
-        coverage = labels.shown(coverage, rendering.alpha)
     return PanopticRendering(
         camera=camera.of_rows(*rows),
         image=rendering.image.clamp_(0.0, 1.0).numpy(),

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 import torch
 
-from .decoders import ShownLabels
 from .structured import GaussianLabels, LabelChannels, StructuredScene
 
 CHUNK = 16384
@@ -25,10 +24,6 @@ class SceneLabels:
     def of(self, rows: torch.Tensor) -> torch.Tensor:
         """The probabilities of the Gaussians of ``rows`` int64 [N], float32 [N, C + U]."""
         return self.probabilities.index_select(0, rows)
-
-    def shown(self, drawn: torch.Tensor, alpha: torch.Tensor) -> torch.Tensor:
-        """The coverage [..., C + U] of classes and instances, from the values drawn with a total of ``alpha`` [...]."""
-        return drawn
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,9 +50,8 @@ class VotedLabels:
         owned = torch.where(label >= self.classes, share, torch.zeros_like(share))
         return table.scatter_add_(1, label, owned)
 
-    def shown(self, drawn: torch.Tensor, alpha: torch.Tensor) -> torch.Tensor:
-        """The same as ``SceneLabels.shown``."""
-        return drawn
+
+ShownLabels = SceneLabels | VotedLabels
 
 
 def shown_probabilities(classes: torch.Tensor, slots: torch.Tensor, channels: LabelChannels) -> torch.Tensor:
@@ -91,9 +85,6 @@ def scene_labels(scene: StructuredScene) -> ShownLabels | None:
     None if labels depend on the view, or if there are too many to keep.
     """
     anchors, decoders, channels = scene.anchors, scene.decoders, scene.channels
-    own = decoders.own_labels(anchors, channels)
-    if own is not None:
-        return own
     gaussians = len(anchors) * anchors.gaussians_per_anchor
     width = len(channels.class_ids) + len(channels.instance_slots)
     if decoders.shape.label_view_input or 4 * gaussians * width > MOST_BYTES:

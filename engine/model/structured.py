@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 import torch
 
-from . import block_decoders as block_decoders  # whose kind a file may name
 from .anchors import Anchors
 from .checking import check_model, decoders_of
 from .decoders import Decoders

@@ -37,9 +37,10 @@ def decode_in_torch(
     if known_labels is not None:
         labels = known_labels.index_select(0, visible.index_select(0, owner) * k + kept % k)
     else:
-        classes, instances = decoders.label_outputs(feature, seen)
+        classes, instances = decoders.label_logits(feature, seen)
         by_class = torch.softmax(take_rows(classes.flatten(0, 1), kept), dim=1)
-        labels = torch.cat([by_class, decoders.drawn_instances(take_rows(instances.flatten(0, 1), kept))], dim=1)
+        by_slot = torch.softmax(take_rows(instances.flatten(0, 1), kept), dim=1)
+        labels = torch.cat([by_class, by_slot], dim=1)
         if channels is not None:
             cluster = cluster_loss(classes, channels.index_select(0, visible))
     return NeuralGaussians(

@@ -50,13 +50,12 @@ class StoredFrame:
 @dataclass(frozen=True)
 class StoredScene:
     """Posed frames in recording order. ``layout`` names the format's reader; ``masks`` is the digest of the masks that
-    a lift was made from, ``joined`` that of a building's blocks, empty where nothing was lifted."""
+    a lift was made from, empty where nothing was lifted."""
 
     frames: tuple[StoredFrame, ...]
     masks: str = ""
     layout: str = ""
     warnings: tuple[str, ...] = ()
-    joined: str = ""
 
     def posed_frames(self, scene: Path) -> tuple[PosedFrame, ...]:
         """The frames with paths below the ``scene``'s folder."""

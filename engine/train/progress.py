@@ -101,12 +101,6 @@ class StageReporter:
         yield StageProgress(name, self.events, self.stop, self.course)
         self.timings[name] = round(time.monotonic() - began, 3)
 
-    def leave_out(self, *names: str) -> None:
-        """Count these stages as done: a resumed lift has their results."""
-        if self.course is not None:
-            for name in names:
-                self.course.skip(name, 1.0)
-
 
 class StepClock:
     """Called where a part of a training step ends. This one does nothing; ``research/bench/step.py`` measures."""

@@ -173,7 +173,7 @@ class Trainer:
     def _channel_counts(self) -> tuple[int, int]:
         """The number of label channels that belong to classes, and the number of all label channels."""
         classes = len(self.scene.channels.class_ids)
-        return classes, classes + self.scene.decoders.shape.instance_channels
+        return classes, classes + self.scene.decoders.shape.instance_slots
 
     def _losses(
         self, gaussians: NeuralGaussians, rendering: Rendering, target: ViewTargets, columns: torch.Tensor | None

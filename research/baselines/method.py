@@ -18,37 +18,24 @@ from engine.lift.objects import labels_of
 from engine.lift.preparation import PreparedLift, prepare
 from engine.lift.run import run_lift
 from engine.lift.starting_scene import starting_anchors, starting_scene
-from engine.model.decoders import Decoders, DecoderShape
 from engine.model.structured import StructuredScene
 from engine.presets.preset import Preset
 from engine.scene import ClassTable, OnDemand, View, stored
-from engine.train.progress import StageProgress, StageReporter
+from engine.train.progress import StageReporter
 from engine.train.targets import ViewTargets, columns_of, slots_of
 from engine.train.trainer import Trainer
 
 from ..results import SOURCES
-from . import contrastive_loss, identity_loss
-from .embedding_clusters import with_clusters
-from .encodings import EncodedDecoders, EncodedShape, FollowedDecoders, TwiceEncodedShape
 from .gaussian_splatting import PlainDecoders, plain_gaussians
-from .options import BaselinePreset, refuse_clashing_options
-from .trainer import EncodingTrainer, SegmentTrainer, SplattingTrainer
+from .options import BaselinePreset
+from .trainer import SegmentTrainer, SplattingTrainer
 
 
 def lift_baseline(folder: LiftFolder, events: EventWriter, stop: StopSignal, *, resume: bool) -> None:
-    """`run_lift` by whichever baseline the preset's options name; without any, PLGS itself. Raises what that raises,
-    and PlgsError for options that clash."""
-    preset = cast(BaselinePreset, folder.request.chosen_preset)
-    refuse_clashing_options(preset)
+    """`run_lift` by whichever baseline the preset's options name; without any, PLGS itself. Raises what that
+    raises."""
     run_lift(
-        folder,
-        events,
-        stop,
-        resume=resume,
-        preparing=prepare_baseline,
-        training=new_trainer,
-        finishing=with_instances,
-        sources=SOURCES,
+        folder, events, stop, resume=resume, preparing=prepare_baseline, training=new_trainer, sources=SOURCES
     )
 
 
@@ -63,7 +50,7 @@ def prepare_baseline(
 ) -> PreparedLift:
     """PLGS's start, with another scene, other targets or other label maps in place of its own."""
     options = cast(BaselinePreset, preset)
-    has_own_start = options.representation != "structured" or options.instances != "slots" or not options.labelled_start
+    has_own_start = options.representation != "structured" or not options.labelled_start
     first = replace(preset, warm_start=False) if has_own_start else preset
     prepared = prepare(views, classes, first, seed, stages, scratch, others)
     if options.vote_from == "masks" and prepared.label_maps is not None:
@@ -79,22 +66,8 @@ def prepare_baseline(
 def new_trainer(prepared: PreparedLift, views: Sequence[View], preset: Preset, seed: int) -> Trainer:
     """The trainer of the preset's baseline."""
     options = cast(BaselinePreset, preset)
-    kind: type[Trainer] = SegmentTrainer
-    if options.representation == "plain":
-        kind = SplattingTrainer
-    elif options.instances != "slots":
-        kind = EncodingTrainer
+    kind: type[Trainer] = SplattingTrainer if options.representation == "plain" else SegmentTrainer
     return kind(prepared.scene, prepared.targets, views, preset, seed)
-
-
-def with_instances(
-    trainer: Trainer, prepared: PreparedLift, classes: ClassTable, progress: StageProgress
-) -> PreparedLift:
-    """After the last step the clusters of contrastive embeddings become the instances."""
-    if isinstance(trainer.scene.decoders, FollowedDecoders):
-        trainer.scene = with_clusters(trainer.scene, trainer.views, classes.thing_ids, trainer.seed, progress)
-        prepared = replace(prepared, scene=trainer.scene)
-    return prepared
 
 
 def baseline_scene(
@@ -109,15 +82,7 @@ def baseline_scene(
         decoders = PlainDecoders.of_labels(len(channels.class_ids), len(channels.slot_ids))
         gaussians = plain_gaussians(start.positions, start.classes, start.rgb, decoders.shape)
         return StructuredScene(gaussians, decoders, channels, options.voxel_size)
-
-    def new_decoders(shape: DecoderShape, seed: int) -> Decoders:
-        if options.instances == "identity":
-            return EncodedDecoders(EncodedShape(**vars(shape), encoding=identity_loss.CHANNELS), seed)
-        if options.instances == "contrastive":
-            return FollowedDecoders(TwiceEncodedShape(**vars(shape), encoding=contrastive_loss.CHANNELS), seed)
-        return Decoders(shape, seed)
-
-    return starting_scene(start, channels, viewpoints, options, seed, new_decoders)
+    return starting_scene(start, channels, viewpoints, options, seed)
 
 
 def with_labels_of_masks(prepared: PreparedLift, views: Sequence[View], scratch: Path | None) -> PreparedLift:

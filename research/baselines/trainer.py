@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from functools import cached_property
 from typing import ClassVar
 
@@ -18,53 +17,8 @@ from engine.train.optimiser import RATES
 from engine.train.targets import ViewTargets
 from engine.train.trainer import GrowthSchedule, Trainer
 
-from . import contrastive_loss, identity_loss, segment_loss
-from .encodings import EncodedDecoders, FollowedDecoders
+from . import segment_loss
 from .gaussian_splatting import PlainRules, clone_split_prune, reset_opacities
-
-
-class EncodingTrainer(Trainer):
-    """Instances are told apart by encodings, which are drawn like a colour."""
-
-    def _columns_to_draw(self, target: ViewTargets) -> torch.Tensor:
-        """The classes of the view's targets, and the whole encoding."""
-        classes, total = self._channel_counts()
-        used = torch.zeros(total + 1, dtype=torch.bool)  # the last one has no target
-        used[target.semantic.long()] = True
-        used[classes:total] = True
-        return torch.nonzero(used[:-1]).reshape(-1)
-
-    def _compare_labels(
-        self, gaussians: NeuralGaussians, rendering: Rendering, target: ViewTargets, columns: torch.Tensor
-    ) -> tuple[torch.Tensor, torch.Tensor]:
-        without_slots = replace(target, matched=torch.full_like(target.slot, -1), pseudo_slot=None)
-        by_class, _ = super()._compare_labels(gaussians, rendering, without_slots, columns)
-        classes = int((columns < self._channel_counts()[0]).sum())
-        assert rendering.labels is not None  # drawn with labels
-        by_encoding = self._encoding_loss(gaussians, rendering.labels[..., classes:], rendering.alpha, target)
-        self.clock.lap("label losses")
-        return by_class, by_encoding
-
-    def _encoding_loss(
-        self, gaussians: NeuralGaussians, blended: torch.Tensor, alpha: torch.Tensor, target: ViewTargets
-    ) -> torch.Tensor:
-        """L_ins of encodings [H, W, E]."""
-        random = np.random.default_rng([self.seed, 4, self.step_number])
-        decoders = self.scene.decoders
-        if isinstance(decoders, FollowedDecoders):
-            return contrastive_loss.contrastive_loss(blended, alpha, target.things, random)
-        assert isinstance(decoders, EncodedDecoders)  # as the preset has it
-        loss = identity_loss.identity_loss(blended, alpha, target.slot, decoders)
-        if self.step_number // self.preset.label_every % identity_loss.NEIGHBOUR_EVERY == 0:
-            encodings = gaussians.labels[:, self._channel_counts()[0] :]
-            near = identity_loss.neighbour_loss(gaussians.means, encodings, decoders, random)
-            loss = loss + identity_loss.NEIGHBOUR_WEIGHT * near
-        return loss
-
-    def _after_step(self, with_labels: bool) -> None:
-        if with_labels and isinstance(self.scene.decoders, FollowedDecoders):
-            self.scene.decoders.follow(contrastive_loss.MOMENTUM)
-        super()._after_step(with_labels)
 
 
 class SegmentTrainer(Trainer):

@@ -51,16 +51,6 @@ def test_a_folder_is_named_after_where_it_is(tmp_path: Path) -> None:
     assert names_of([tmp_path / "a" / "-o" / ".." / "-o", tmp_path / "a" / "-o" / ".."]) == ["-o", "a"]
 
 
-def test_a_damaged_block_counts_as_not_lifted(tmp_path: Path) -> None:
-    """Its lift, not the whole batch, answers for it."""
-    job = SceneJob("room", tmp_path / "room", LiftRequest(scene=tmp_path / "scene", blocks=2))
-    manifest = job.lift / "blocks" / "1" / "result" / "manifest.json"
-    manifest.parent.mkdir(parents=True)
-    before = BatchPlan(tmp_path, (job,)).asked(job)
-    manifest.write_text("{")
-    assert BatchPlan(tmp_path, (job,)).asked(job) == before
-
-
 @pytest.mark.parametrize("lost", ["result/passes/0001.exr", "exports/ply"])
 def test_missing_results_are_not_counted_as_done(lost: str, tmp_path: Path) -> None:
     job = SceneJob("room", tmp_path / "room", LiftRequest(scene=tmp_path / "scene"))

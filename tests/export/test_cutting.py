@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from research.meshes import sharp_turns
 from scipy.spatial import cKDTree
 
 from engine.export.cutting import cut_by_label, even_labels
 from engine.export.fusion import Ints, Surface
-from research.meshes import sharp_turns
 from tests.export.test_mending import STEP, area, sheet
 
 

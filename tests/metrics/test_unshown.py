@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 from numpy.typing import NDArray
 
-from engine.metrics.unshown import JudgedView, Refused, Unshown, find_unshown
+from engine.metrics.unshown import JudgedView, Unshown, find_unshown
 from engine.scene import Camera, Category, ClassTable, PanopticMask, Segment, View
 
 TOP, SINK = 1, 2
@@ -84,45 +82,3 @@ def test_what_no_view_resolves_is_not_reported() -> None:
     coarse = [flat_view(f"{k}", 3.0, 0.05 * k, ONE, scale=1.0) for k in range(4)]
     assert find_unshown(coarse, CLASSES) == []
     assert find_unshown([], CLASSES) == []
-
-
-def refused_at(x: float) -> Refused:
-    """A trial of a sink there that was refused; nine near views named it before training."""
-    finding = replace(only(find_unshown([*FAR, *NEAR], CLASSES)), refused="too few views", views=9)
-    some = np.random.default_rng(0).uniform(-0.14, 0.14, (64, 2))
-    return Refused(finding, tuple((x + float(dx), float(y), 0.0) for dx, y in some))
-
-
-DENYING = flat_view("denying", 1.0, 0.0, ONE, draws=False)
-
-
-def test_a_refused_trial_is_told_with_its_reason_unless_the_lift_shows_half_of_it() -> None:
-    trial = refused_at(0.0)
-    assert only(find_unshown([DENYING, *FAR, NEAR[1]], CLASSES, refused=[trial])) == trial.finding
-    a_third = [showing(view, (0.2, 0.0)) for view in (*FAR, *NEAR)]
-    assert only(find_unshown(a_third, CLASSES, refused=[trial])) == replace(trial.finding, whole_class=False)
-    assert find_unshown(a_third, CLASSES) == []
-    two_thirds = [showing(view, (0.1, 0.0)) for view in (*FAR, *NEAR)]
-    assert find_unshown(two_thirds, CLASSES, refused=[trial]) == []
-
-
-def test_a_refused_trial_is_told_only_if_a_near_view_sees_that_the_lift_does_not_show_it() -> None:
-    trial = refused_at(0.0)
-    assert find_unshown(FAR, CLASSES, refused=[trial]) == []
-    assert find_unshown([*FAR, showing(DENYING, (0.0, 0.0))], CLASSES, refused=[trial]) == []
-
-
-def test_a_refused_trial_hides_nothing_and_gives_its_reason_to_what_is_found_there() -> None:
-    beside = [flat_view(f"{k}", 1.0 + 0.02 * k, 0.2 + 0.02 * k, [(0.45, 0.0)]) for k in range(4)]
-    found = only(find_unshown(beside, CLASSES))
-    assert only(find_unshown(beside, CLASSES, refused=[refused_at(0.0)])) == found
-    told = only(find_unshown(beside, CLASSES, refused=[refused_at(0.0), refused_at(0.45)]))
-    assert told == replace(found, refused="too few views") and found.views == 4
-
-
-def test_refused_trials_of_a_class_that_is_shown_nowhere_are_one_entry() -> None:
-    trials = [refused_at(0.0), refused_at(0.45), refused_at(0.02)]
-    assert find_unshown([DENYING], CLASSES, refused=trials) == [trials[0].finding]
-    elsewhere = showing(flat_view("elsewhere", 1.0, 3.0, [(3.0, 0.0)]), (3.0, 0.0))
-    told = find_unshown([DENYING, elsewhere], CLASSES, refused=trials)
-    assert told == [replace(each.finding, whole_class=False) for each in trials[:2]]

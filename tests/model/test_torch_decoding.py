@@ -53,7 +53,7 @@ def test_each_network_gives_the_same_as_alone() -> None:
         case = case_of(shape, 50)
         given, networks = case.anchors, case.decoders
         seen = networks.view_input(given.feature, given.position, case.centre)
-        together = (*networks.shape_outputs(seen), *networks.label_outputs(given.feature, seen))
+        together = (*networks.shape_outputs(seen), *networks.label_logits(given.feature, seen))
         labelled = seen if shape.label_view_input else given.feature
         alone = (*(networks.get_submodule(each)(seen) for each in ("opacity", "covariance", "colour")),)
         alone += (networks.semantic(labelled), networks.instance(labelled))

@@ -30,7 +30,7 @@ logging.getLogger("plgs").setLevel(logging.INFO)
 start = time.process_time()
 from engine.machine import compiled
 from engine.raster import rasterize
-from research.bench.room import room_workload
+from tests.raster.room_workload import room_workload
 work = room_workload(200, 64, 48)
 tensors = [torch.from_numpy(array).requires_grad_() for array in
     (work.means, work.scales, work.quats, work.opacities, work.colours, work.labels)]

@@ -14,8 +14,8 @@ from engine.machine import memory
 from engine.raster import rasterize
 from engine.raster.blending.backward_tile import scratch_size
 from engine.raster.records import MEMBERS
-from research.bench.room import Workload, room_workload
 from tests.machine.held_bytes import held_bytes
+from tests.raster.room_workload import Workload, room_workload
 
 
 def test_a_kept_picture_is_not_overwritten() -> None:

@@ -25,7 +25,7 @@ CPUCodeLibrary._optimize_final_module = keep_and_optimise
 
 import torch
 from engine.raster import rasterize
-from research.bench.room import room_workload
+from tests.raster.room_workload import room_workload
 work = room_workload(200, 64, 48)
 tensors = [torch.from_numpy(array).requires_grad_() for array in
     (work.means, work.scales, work.quats, work.opacities, work.colours, work.labels)]

@@ -21,7 +21,7 @@ from scenes import (
 
 from engine.raster import Rendering, rasterize
 from engine.raster.conventions import NEAR
-from research.bench.room import room_workload
+from tests.raster.room_workload import room_workload
 
 SCENES = hard_scenes() | scenes_by_channels()
 MOST_NEAR_A_THRESHOLD = 0.03

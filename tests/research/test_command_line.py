@@ -34,10 +34,6 @@ def test_it_runs_as_a_module(root: Path) -> None:
 def test_wrong_arguments_are_refused(capsys: pytest.CaptureFixture[str]) -> None:
     assert code_of("experiments", "--seeds", "0,one") == 2
     assert "'0,one' is not a list of whole numbers such as 0,1,2" in capsys.readouterr().err
-    for text in ("-5", "0", "many"):
-        assert code_of("bench", "long", "--frames", text) == 2
-        *_, told = capsys.readouterr().err.strip().splitlines()
-        assert "argument --frames" in told and "number" in told
 
 
 def test_the_last_words_of_ctrl_c(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
@@ -53,16 +49,15 @@ def test_the_last_words_of_ctrl_c(capsys: pytest.CaptureFixture[str], monkeypatc
     assert capsys.readouterr().err.splitlines() == ["Stopped. The same command continues."]
 
 
-@pytest.mark.parametrize("what", ["raster", "step"])
 def test_bench_measures_and_refuses_a_file_that_it_cannot_write_before_it_does(
-    what: str, capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     measured: list[str] = []
-    monkeypatch.setattr(f"research.bench.{what}.bench_{what}", lambda: measured.append(what) or {"ms": 1})
+    monkeypatch.setattr("research.bench_step.bench_step", lambda: measured.append("step") or {"ms": 1})
     for file in (tmp_path / "missing" / "figures.json", tmp_path):
-        assert code_of("bench", what, "--json", file) == 2
+        assert code_of("bench", "step", "--json", file) == 2
         captured = capsys.readouterr()
         assert captured.err.startswith("error: ") and captured.err.count("\n") == 1
         assert str(tmp_path) in captured.err and not captured.out
-    assert main(["bench", what]) == main(["bench", what, "--json", str(tmp_path / "figures.json")]) == 0
-    assert measured == [what, what] and json.loads((tmp_path / "figures.json").read_text()) == {"ms": 1}
+    assert main(["bench", "step"]) == main(["bench", "step", "--json", str(tmp_path / "figures.json")]) == 0
+    assert measured == ["step", "step"] and json.loads((tmp_path / "figures.json").read_text()) == {"ms": 1}

@@ -92,7 +92,7 @@ def layout_of(shape: DecoderShape) -> Layout:
     labelled = seen if shape.label_view_input else shape.features
     padded_features = _rounded(shape.features, LANES)
     sides = [(seen, k), (seen, 7 * k), (seen, 3 * k)]
-    sides += [(labelled, shape.classes * k), (labelled, shape.instance_outputs * k)]
+    sides += [(labelled, shape.classes * k), (labelled, shape.instance_slots * k)]
     at, places = 0, []
     for inputs, outputs in sides:
         padded = _rounded(outputs, LANES)
@@ -113,7 +113,7 @@ def layout_of(shape: DecoderShape) -> Layout:
         distance=int(shape.distance_input),
         k=k,
         classes=shape.classes,
-        slots=shape.instance_outputs,
+        slots=shape.instance_slots,
         inputs=inputs,
         hidden_at=begins[1],
         d_hidden_at=begins[2],

@@ -9,11 +9,9 @@ import pytest
 import torch
 
 from engine.model import gaussians as dispatch
-from engine.model.decoders import Decoders
 from tests.model.decoding_cases import (
     OUTPUTS,
     STANDARD,
-    Case,
     asking,
     assert_matches,
     by_kernels,
@@ -64,13 +62,7 @@ def test_what_one_step_keeps_the_next_does_not_overwrite() -> None:
     assert all(torch.equal(found[name], copies[name]) for name in found)
 
 
-class OwnLabels(Decoders):
-    """Decoders that draw something else than probabilities."""
-
-    draws_own_labels = True
-
-
-@pytest.mark.parametrize("kind", ["float64", "own labels", "plain"])
+@pytest.mark.parametrize("kind", ["float64", "plain"])
 def test_the_kernels_decode_probabilities_in_float32(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(dispatch, "decode_natively", lambda *asked: pytest.fail("by kernels"))
     case = case_of(STANDARD, 20)
@@ -78,8 +70,5 @@ def test_the_kernels_decode_probabilities_in_float32(kind: str, monkeypatch: pyt
         with pytest.raises(pytest.fail.Exception, match="by kernels"):
             by_kernels(case)
         return
-    if kind == "float64":
-        case = case.in_double()
-    else:
-        case = Case(case.anchors, OwnLabels(STANDARD, 0), case.visible, case.centre, case.channels)
+    case = case.in_double()
     assert torch.equal(by_kernels(case).labels, by_torch(case).labels)

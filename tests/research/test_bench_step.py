@@ -8,8 +8,8 @@ from dataclasses import replace
 
 import pytest
 
-from research.bench import step
-from research.bench.step import DECODE, LOSSES, OPTIMISE, RASTERISE, SAMPLE, StepProfile, profile_lift, typical
+from research import bench_step as step
+from research.bench_step import DECODE, LOSSES, OPTIMISE, RASTERISE, SAMPLE, StepProfile, profile_lift, typical
 from tests.train.tiny_lift import TINY, views_of
 
 WITHOUT_GROWTH = replace(TINY, steps=1000)
@@ -44,7 +44,7 @@ def test_a_disturbed_step_is_left_out_and_parts_add_up() -> None:
 
 def test_ratios_are_relative_to_the_rasteriser() -> None:
     parts = dict.fromkeys((*DECODE, *RASTERISE), 10.0)
-    profile = StepProfile("any", 2, 5, 4, 3, parts | {"optimiser": 5.0}, 40.0, 10.0)
+    profile = StepProfile(2, 5, 4, 3, parts | {"optimiser": 5.0}, 40.0, 10.0)
     assert profile.ratio(DECODE) == 1.0 and profile.ratio((*LOSSES, *OPTIMISE)) == 0.25 and profile.step == 45.0
     assert profile.frame == 50.0
 
@@ -56,5 +56,5 @@ def test_the_figures_are_printed_and_written(
     monkeypatch.setattr(step, "profile_lift", lambda views, classes, preset: profile)
     assert step.bench_step() == profile.facts()
     said = capsys.readouterr().out
-    assert profile.processor in said and "whole step" in said and "at most 0.5" in said and "a second" in said
+    assert "whole step" in said and "at most 0.5" in said and "a second" in said
     assert SAMPLE.is_dir()

@@ -24,9 +24,7 @@ from engine.scene import ClassTable, View, load_view, open_scene
 from engine.train.progress import StageReporter, StepClock
 from engine.train.trainer import Trainer
 
-from .raster import processor_name
-
-SAMPLE = Path(__file__).resolve().parents[2] / "sample" / "room"
+SAMPLE = Path(__file__).resolve().parents[1] / "sample" / "room"
 SIZE = (640, 480)
 """The sample's frames are enlarged to this: what is measured is time, not what is seen."""
 EVERY = 4
@@ -70,7 +68,6 @@ class StepProfile:
     """Milliseconds of a training step by part, and what they were measured on. ``visible`` anchors and ``gaussians``
     are means over the steps; ``draw`` and ``decide`` make a panoptic frame: drawn, and every pixel decided."""
 
-    processor: str
     threads: int
     anchors: int
     visible: int
@@ -94,7 +91,6 @@ class StepProfile:
     def facts(self) -> dict[str, object]:
         """For JSON."""
         return {
-            "cpu": self.processor,
             "threads": self.threads,
             "anchors": self.anchors,
             "visible_anchors": self.visible,
@@ -114,7 +110,7 @@ def bench_step() -> dict[str, object]:
     preset = replace(PRESETS["standard"], size=SIZE, voxel_size=VOXEL_SIZE)
     scene = open_scene(SAMPLE, None, "z")
     views = [load_view(frame, SIZE) for frame in scene.train_frames[::EVERY]]
-    print(f"{processor_name()}, {torch.get_num_threads()} threads")
+    print(f"{torch.get_num_threads()} threads")
     print(f"preparing a lift of {len(views)} views of {SIZE[0]}x{SIZE[1]} ...", flush=True)
     profile = profile_lift(views, scene.classes, preset)
     print_profile(profile)
@@ -136,7 +132,6 @@ def profile_lift(views: Sequence[View], classes: ClassTable, preset: Preset, epo
     anchors = trainer.scene.anchors
     draw, decided = _frame_times(prepared, trainer, views, classes, epochs)
     return StepProfile(
-        processor=processor_name(),
         threads=torch.get_num_threads(),
         anchors=len(anchors),
         visible=round(np.mean([len(visible_anchors(anchors, view.camera)) for view in views])),
