@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import json
 import shutil
 import sys
@@ -32,22 +31,6 @@ def run(make: Callable[[], str]) -> int:
         print(f"error: {error}", file=sys.stderr)
         return 2
     return 0
-
-
-def run_on_data(make_scene: Callable[[Path, Path, int], int], about: str, data: str, every: int, closing: str) -> int:
-    """The command line DATA OUT [--every N] of a program that makes a scene from public data; returns the exit code.
-
-    ``make_scene`` takes these three and returns the number of frames. ``about`` is the program's docstring, ``data``
-    says what DATA is, ``every`` is the default, and ``closing`` ends the last line.
-    """
-    parser = argparse.ArgumentParser(description=about.splitlines()[0])
-    parser.add_argument("data", type=Path, metavar="DATA", help=data)
-    parser.add_argument("out", type=Path, metavar="OUT", help="scene folder to make")
-    parser.add_argument("--every", type=int, default=every, metavar="N", help=f"every N-th frame (default {every})")
-    options = parser.parse_args()
-    if options.every < 1:
-        parser.error("--every takes a whole number of at least 1")
-    return run(lambda: f"{make_scene(options.data, options.out, options.every)} frames in {options.out}; {closing}")
 
 
 @contextmanager

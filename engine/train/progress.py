@@ -103,7 +103,7 @@ class StageReporter:
 
 
 class StepClock:
-    """Called where a part of a training step ends. This one does nothing; ``research/bench/step.py`` measures."""
+    """Called where a part of a training step ends. This one does nothing; ``research/bench_step.py`` measures."""
 
     def start(self) -> None:
         """Called when a step begins."""

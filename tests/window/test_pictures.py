@@ -1,7 +1,6 @@
 """The pictures of docs/blender.md, of the sample in Blender's window; and its splats look like its photos.
 
     PLGS_WINDOW_TREE=build/blender-trixie .venv/bin/python -m pytest tests/window/test_pictures.py
-    .venv/bin/python -m docs.make_pictures.window          sheets of the screenshots
 
 With PLGS_PICTURES_LIFT, a finished lift of another scene with its surface exported, the same pictures are taken of that
 lift and named after its folder: look at them. The lift and its scene have to be in this clone, below build.
