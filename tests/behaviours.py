@@ -8,9 +8,7 @@ tests/test_architecture.py checks that each is there. A test that is renamed or 
 from __future__ import annotations
 
 BEHAVIOURS = {
-    "a lift writes the files of docs/lift-folder.md": (
-        "lift/test_lift.py::test_the_files_are_those_of_the_design"
-    ),
+    "a lift writes the files of docs/lift-folder.md": ("lift/test_lift.py::test_the_files_are_those_of_the_design"),
     "a lift's arrays: points and anchors": "lift/test_lift.py::test_the_points_and_anchors_are_written",
     "a lift's arrays: instances": "lift/test_lift.py::test_the_instances_are_written",
     "a lift's passes have the frames' own size": (
@@ -38,8 +36,6 @@ BEHAVIOURS = {
     "frames of Hypersim": "scene/formats/test_hypersim.py::test_points_lie_on_the_room",
     "frames of Nerfstudio": "scene/formats/test_nerfstudio.py::test_points_lie_on_the_room",
     "frames of Polycam": "scene/formats/test_polycam.py::test_points_lie_on_the_room",
-    "frames of posed images": "scene/formats/test_posed_images.py::test_posed_images_with_depth_are_read",
-    "frames of Open3D's logs": "scene/formats/test_open3d_log.py::test_a_log_with_the_usual_lens",
     "frames of Record3D": "scene/formats/test_record3d.py::test_points_lie_on_the_room",
     "frames of Replica": "scene/formats/test_replica.py::test_nice_slams_layout_is_read",
     "frames of ScanNet's archives": "scene/formats/test_sens.py::test_points_lie_on_the_room",

@@ -21,15 +21,8 @@ SCENE_FORMAT_NAMES = (
     FormatName("nerfstudio", "transforms.json (nerfstudio)", "transforms.json"),
     FormatName("colmap", "COLMAP", "cameras and images, .bin or .txt, in sparse/0, sparse, model or colmap/sparse/0"),
     FormatName("tum", "TUM RGB-D", "groundtruth.txt with the folder rgb"),
-    FormatName("icl", "ICL-NUIM", "*.gt.freiburg, or groundtruth.txt with whole numbers as time stamps, with rgb"),
     FormatName("7scenes", "7-Scenes", "frame-000000.pose.txt and .color.png, in the folder or in seq-01"),
-    FormatName(
-        "tsdf-fusion", "tsdf-fusion, 3DMatch",
-        "frame-000000.pose.txt and .color.png, in the folder or in seq-01, with camera-intrinsics.txt",
-    ),  # fmt: skip
     FormatName("replica", "Replica (NICE-SLAM)", "traj.txt with results/frame000000.jpg"),
-    FormatName("vmap", "Replica (vMAP)", "traj_w_c.txt with the folders rgb and depth"),
-    FormatName("posed-images", "ScanNet posed_images", "intrinsic.txt with 00000.jpg and 00000.txt"),
     FormatName("sens", "ScanNet .sens", "a .sens file"),
     FormatName("polycam", "Polycam", "keyframes/cameras and keyframes/images"),
     FormatName("record3d", "Record3D .r3d", "a .r3d file, or metadata with the folder rgbd"),
@@ -37,10 +30,6 @@ SCENE_FORMAT_NAMES = (
     FormatName("scanner-app", "3D Scanner App", "frame_00000.jpg and frame_00000.json with cameraPoseARFrame"),
     FormatName("scannetpp", "ScanNet++ iPhone", "iphone/pose_intrinsic_imu.json"),
     FormatName("hypersim", "Hypersim", "_detail/metadata_scene.csv and images/scene_cam_00_geometry_hdf5"),
-    FormatName(
-        "open3d", "Open3D trajectory",
-        "a .log trajectory (or trajectory.json) with the folders depth and color, image or rgb",
-    ),  # fmt: skip
 )
 
 MASK_FORMAT_NAMES = (
@@ -54,13 +43,21 @@ MASK_FORMAT_NAMES = (
     FormatName("sam2", "sam2", "<frame>.png with a palette, or <object number>/<frame>.png"),
     FormatName("palette", "palette", "<frame>.png with a palette, or grey, whose values are classes"),
     FormatName(
-        "detections", "detections",
+        "detections",
+        "detections",
         "<frame>.npz with masks, classes and scores, or <frame>/<k>_<class>_<score>.png",
     ),  # fmt: skip
-    FormatName("cryptomatte", "cryptomatte", "<frame>.exr with Cryptomatte"),
-    FormatName("object-index", "object-index", "<frame>.exr with the channel Object Index or IndexOB"),
     FormatName("arrays", "arrays", "<frame>.npy or .npz with classes [H, W], or with probabilities [C, H, W]"),
 )
+
+_PLAIN = "Convert it to the folders color, depth, pose and intrinsic, as docs/captures.md describes them."
+_AS_COCO = "Write the ids of your renders as COCO panoptic PNGs with panoptic.json, as docs/masks.md describes them."
+GONE_FORMATS = {
+    **dict.fromkeys(("icl", "vmap", "posed-images", "open3d"), _PLAIN),
+    "tsdf-fusion": "Name it 7scenes, which reads camera-intrinsics.txt.",
+    **dict.fromkeys(("cryptomatte", "object-index"), _AS_COCO),
+}
+"""What to do with formats of earlier versions."""
 
 TABLES = ("coco", "ade20k", "cityscapes", "nyu40", "nyu13", "scannet", "scannet200", "replica", "reduced")
 """The public tables of classes."""

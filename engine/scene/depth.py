@@ -183,19 +183,17 @@ def registered(depth: NDArray[np.float32], camera: Camera, colour: Camera) -> ND
     return nearest.reshape(height, width)
 
 
-def open_depth(
-    scene: Path, lenses: Mapping[str, Camera], unit: float = MILLIMETRES
-) -> tuple[dict[str, DepthMap], tuple[Inferred, ...]]:
+def open_depth(scene: Path, lenses: Mapping[str, Camera]) -> tuple[dict[str, DepthMap], tuple[Inferred, ...]]:
     """Depth maps of the frames in the folder ``depth``, and what was inferred of their lens; only headers are read.
     Raises PlgsError.
 
-    ``lenses`` are the colour cameras by frame, ``unit`` is the length of one step in metres.
+    ``lenses`` are the colour cameras by frame.
     """
     folder = scene / "depth"
     files = files_by_stem(folder, {".png"}, "Give 16-bit PNGs in millimetres, named like the colour images.")
     fix = "Add depth/<name>.png, or remove their colour images."
     there = require_most(list(lenses), files, "depth", folder, fix)
-    maps = {name: png_depth(files[name], lenses[name], unit) for name in there}
+    maps = {name: png_depth(files[name], lenses[name]) for name in there}
     path = scene / "intrinsic" / "intrinsic_depth.txt"
     path = path if path.is_file() else scene / "intrinsics_depth.txt"
     whole = [each.path for each in maps.values() if each.fault is None]

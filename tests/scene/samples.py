@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import zipfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -16,9 +15,7 @@ from tests.scene.formats import (
     test_colmap,
     test_hypersim,
     test_nerfstudio,
-    test_open3d_log,
     test_polycam,
-    test_posed_images,
     test_record3d,
     test_replica,
     test_scanner_app,
@@ -30,18 +27,11 @@ from tests.scene.formats import (
 )
 from tests.scene.mask_formats import (
     test_detections,
-    test_exr_masks,
     test_label_images,
     test_segment_maps,
     test_tracks,
 )
 from tests.tiny_scene import write_tiny_scene
-
-
-def open3d(folder: Path) -> None:
-    test_open3d_log.write_images(folder, test_open3d_log.PRIMESENSE)
-    (folder / "a.log").write_text(test_open3d_log.log(test_open3d_log.views()))
-    (folder / "intrinsic.json").write_text(json.dumps(test_open3d_log.intrinsic(test_open3d_log.PRIMESENSE)))
 
 
 def arrays(folder: Path) -> None:
@@ -67,7 +57,6 @@ WRITERS: dict[str, Callable[[Path], object]] = {
     "tum": test_tum.write_tum,
     "7scenes": test_seven_scenes.write_seven,
     "replica": test_replica.write_nice,
-    "posed-images": test_posed_images.write_posed_images,
     "sens": lambda folder: (folder / "a.sens").write_bytes(test_sens.sens()),
     "polycam": test_polycam.write_polycam,
     "scanner-app": test_scanner_app.write_scanner_app,
@@ -76,13 +65,11 @@ WRITERS: dict[str, Callable[[Path], object]] = {
     "stray": test_stray.write_stray,
     "scannetpp": lambda folder: test_scannetpp.write_scannetpp(folder, test_scannetpp.lz4_blocks),
     "hypersim": lambda folder: test_hypersim.write_hypersim(folder / "ai_001_001", test_hypersim.USUAL),
-    "open3d": open3d,
     "panoptic-lifting": lambda folder: write_tiny_scene(folder, frames=3, size=(32, 24), masks="panoptic_lifting"),
     "pairs": lambda folder: test_label_images.write_pairs(folder, ("semantic", "instance")),
     "arrays": arrays,
     "detections": test_detections.write_stacks,
     "detection-pictures": test_detections.write_pictures,
-    "cryptomatte": test_exr_masks.write_mattes,
     "detectron2": lambda folder: test_segment_maps.write_detectron2(folder, test_segment_maps.COCO_NUMBERS, {5}),
     "transformers": test_segment_maps.write_transformers,
     "sam2": test_tracks.write_palettes,

@@ -21,8 +21,7 @@ from engine.json_file import read_value
 from engine.job.events import last_events
 from engine.posed.array_file import read_npz, read_npy
 from engine.json_file import read_json_object
-from engine.posed.exr_header import read_exr_header
-from engine.scene.exr_file import read_channels
+from engine.scene.formats.record3d import _read_exr
 from engine.scene.pixels import decode, decode_single_channel
 
 cv2.setNumThreads(1)
@@ -36,7 +35,7 @@ readers = {
     "mask": lambda: decode_single_channel(folder / "mask.png"),
     "jpeg": lambda: decode(folder / "a.jpg", as_colour=True),
     "events": lambda: last_events(folder / "events.jsonl"),
-    "exr": lambda: read_channels(folder / "a.exr", read_exr_header(folder / "a.exr"), ["A", "B"]),
+    "exr": lambda: _read_exr(folder / "a.exr"),
 }
 """
 
@@ -50,7 +49,7 @@ def test_each_reader_reports_it(root: Path, tmp_path: Path) -> None:
     cv2.imwrite(str(tmp_path / "mask.png"), values[..., 0])
     cv2.imwrite(str(tmp_path / "a.jpg"), values)
     (tmp_path / "events.jsonl").write_text('{"seq": 1, "time": 0, "event": "warning", "message": "x"}\\n' * 100_000)
-    with OpenEXR.File({}, {"A": np.ones((1500, 2000), np.float32), "B": np.ones((1500, 2000), np.float32)}) as file:
+    with OpenEXR.File({}, {"A": np.ones((1500, 2000), np.float32), "R": np.ones((1500, 2000), np.float32)}) as file:
         file.write(str(tmp_path / "a.exr"))
     told = told_by(READ, root, tmp_path)
     check_told(told)

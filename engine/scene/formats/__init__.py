@@ -11,15 +11,14 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from ...errors import ErrorCode, PlgsError
+from ...posed.format_names import GONE_FORMATS
 from ...posed.layout import listed, shown
 from . import (
     colmap,
     folders,
     hypersim,
     nerfstudio,
-    open3d_log,
     polycam,
-    posed_images,
     record3d,
     replica,
     scanner_app,
@@ -36,13 +35,9 @@ FORMATS: tuple[SceneFormat, ...] = (
     folders.FORMAT,
     nerfstudio.FORMAT,
     colmap.FORMAT,
-    tum.TUM,
-    tum.ICL,
-    seven_scenes.SEVEN_SCENES,
-    seven_scenes.TSDF_FUSION,
-    replica.NICE_SLAM,
-    replica.VMAP,
-    posed_images.FORMAT,
+    tum.FORMAT,
+    seven_scenes.FORMAT,
+    replica.FORMAT,
     sens.FORMAT,
     polycam.FORMAT,
     record3d.FORMAT,
@@ -50,7 +45,6 @@ FORMATS: tuple[SceneFormat, ...] = (
     scanner_app.FORMAT,
     scannetpp.FORMAT,
     hypersim.FORMAT,
-    open3d_log.FORMAT,
 )
 
 _EXPORT_SCAN = (
@@ -77,7 +71,8 @@ def find_format(place: Path, name: str | None = None) -> SceneFormat:
     known = {each.name: each for each in FORMATS}
     if name is not None:
         if name not in known:
-            raise PlgsError(f'no format is called "{shown(name)}"', place, f"Choose one of {', '.join(known)}.")
+            fix = GONE_FORMATS.get(name) or f"Choose one of {', '.join(known)}."
+            raise PlgsError(f'no format is called "{shown(name)}"', place, fix, option="--format")
         return known[name]
     try:
         found = [each for each in FORMATS if each.recognises(place)]

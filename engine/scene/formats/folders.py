@@ -8,7 +8,7 @@
   to the size that most colour images have (at a tie, to the first's) and is scaled for frames of another size and the
   same shape. ``intrinsic/<name>.txt`` overrides it for one frame, at that frame's own size.
 * Where the folder ``intrinsic`` has no such file, ``intrinsics_color.txt`` beside the folders, as in ScanNet's
-  ``frames_25k``, in pixels of each picture; or a file that ``sensor_lens.py`` reads.
+  ``frames_25k``, in pixels of each picture.
 * ``intrinsic/intrinsic_depth.txt`` or ``intrinsics_depth.txt``, optional, in pixels of the depth images. If its lens
   differs from the colour's, depth is read through it (same centre, other lens, as in ScanNet's sensor). Without it
   the two pictures coincide.
@@ -24,30 +24,21 @@ from ...posed.camera import Camera
 from ...posed.image_header import read_image_header
 from ...posed.matrices import read_intrinsics
 from ...posed.plain_folders import NAME, read_folders, recognises
-from ..depth import MILLIMETRES, fault_of, open_depth
+from ..depth import fault_of, open_depth
 from .capture import Capture, SceneFormat, Shot
-from .lens import STRAIGHT
-from .sensor_lens import find_sensor_lens
 
 
 def _read(folder: Path) -> Capture:
     """Open the frames; only headers of images are read. Raises PlgsError."""
     has_own, beside = any((folder / "intrinsic").glob("*.txt")), folder / "intrinsics_color.txt"
-    sensor = None if has_own or beside.is_file() else find_sensor_lens(folder) or find_sensor_lens(folder / "intrinsic")
     lens_of = partial(_lens_beside, beside) if not has_own and beside.is_file() else None
-    found = read_folders(folder, sensor.fitting if sensor else lens_of)
-    unit, bend = (sensor.step or MILLIMETRES, sensor.distortion) if sensor else (MILLIMETRES, STRAIGHT)
-    depths, inferred = open_depth(folder, found.cameras, unit) if (folder / "depth").is_dir() else ({}, ())
-    shots = {
-        name: Shot(name, camera, found.pictures[name], depths.get(name), distortion=bend)
-        for name, camera in found.cameras.items()
-    }
+    found = read_folders(folder, lens_of)
+    depths, inferred = open_depth(folder, found.cameras) if (folder / "depth").is_dir() else ({}, ())
+    shots = {name: Shot(name, camera, found.pictures[name], depths.get(name)) for name, camera in found.cameras.items()}
     faults = {name: fault_of(path) for name, path in found.pictures.items() if name not in shots}
     kept = [(name, shots.get(name) or faults.get(name)) for name in found.names]
     kept = [(name, shot) for name, shot in kept if shot is not None or name in found.lost]
-    if sensor is None:
-        return Capture(kept, "z", split=found.split, inferred=inferred)
-    return Capture(kept, "z", sensor.warnings, split=found.split, inferred=(*inferred, *sensor.inferred))
+    return Capture(kept, "z", split=found.split, inferred=inferred)
 
 
 def _lens_beside(path: Path, picture: Path) -> Camera:

@@ -34,7 +34,6 @@ from ...posed.matrices import take_matrix, take_numbers
 from ...posed.up_axis import upright_rotation
 from ...scene_source import UpAxis
 from ..depth import DepthMap, drop_untrusted, fault_of, only_depth
-from ..exr_file import read_channels
 from ..frame import Size
 from ..pixels import decode_bytes
 from .capture import Capture, SceneFormat, Shot
@@ -172,8 +171,20 @@ def _exr_shots(folder: Path) -> Iterator[tuple[str, Shot | PlgsError | None]]:
 
 
 def _read_exr(path: Path) -> NDArray[np.float32]:
-    header = read_exr_header(path)
-    return only_depth(read_channels(path, header, ["R"])[0])
+    """The channel R of an OpenEXR file. Raises PlgsError."""
+    read_exr_header(path)  # the library takes memory for all that a header claims
+    try:
+        import OpenEXR
+    except ImportError as error:
+        fix = "Install it with the engine's Python: python -m pip install -r requirements/engine.txt."
+        raise PlgsError("EXR files need the package OpenEXR", path, fix) from error
+    try:
+        with OpenEXR.File(str(path), separate_channels=True) as file:
+            return only_depth(file.channels()["R"].pixels.astype(np.float32))
+    except (RuntimeError, ValueError, OSError, KeyError) as error:
+        raise PlgsError("the OpenEXR file cannot be read, is cut off, or lacks the channel R", path, _FIX) from error
+    except MemoryError as error:
+        raise PlgsError("no memory is left for the OpenEXR file", path, "Close other programs.") from error
 
 
 def _up(shots: list[Shot]) -> UpAxis | None:

@@ -1,8 +1,7 @@
-"""Replica as NICE-SLAM rendered it, and as Semantic-NeRF and vMAP did.
+"""Replica as NICE-SLAM rendered it.
 
-* NICE-SLAM: ``results/frame000000.jpg`` and ``results/depth000000.png``, ``traj.txt``; ``cam_params.json`` in the
-  folder above says fx fy cx cy and the depth's steps per metre, 6553.5.
-* Semantic-NeRF, vMAP: ``rgb/rgb_0.png`` and ``depth/depth_0.png`` in millimetres, ``traj_w_c.txt``.
+``results/frame000000.jpg`` and ``results/depth000000.png``, ``traj.txt``; ``cam_params.json`` there or in the folder
+above says fx fy cx cy and the depth's steps per metre, 6553.5.
 
 A trajectory has 16 numbers per line: camera-to-world, OpenCV axes, metres, z up; line n is picture n. Pixel centres are
 integers. Without a file of intrinsics the lens is assumed to see 90 degrees: f = w / 2, c = (w - 1) / 2 and
@@ -23,7 +22,7 @@ from ...json_file import read_json_object, take_number
 from ...posed.camera import Camera
 from ...posed.image_header import read_image_header
 from ...posed.layout import files_by_stem
-from ..depth import MILLIMETRES, fault_of, png_depth
+from ..depth import fault_of, png_depth
 from ..noted import Inferred
 from .capture import Capture, SceneFormat, Shot, with_picture
 from .lens import assumed, fitted, pinhole
@@ -41,39 +40,13 @@ def _recognises(place: Path) -> bool:
     return (place / "traj.txt").is_file() and (place / "results").is_dir()
 
 
-def _recognises_vmap(place: Path) -> bool:
-    return (place / "traj_w_c.txt").is_file() and (place / "rgb").is_dir()
-
-
 def _read(place: Path) -> Capture:
-    """Open a scene of NICE-SLAM's; only headers of images are read. Raises PlgsError."""
-    results = _numbered(place / "results", _IMAGES, "frame")
-    depths = _numbered(place / "results", {".png"}, "depth") if any((place / "results").glob("depth*.png")) else {}
-    return _capture(place / "traj.txt", results, depths, 1.0 / _STEPS_A_METRE)
-
-
-def _read_vmap(place: Path) -> Capture:
-    """Open a scene of Semantic-NeRF's or vMAP's; only headers of images are read. Raises PlgsError."""
-    depths = _numbered(place / "depth", {".png"}, "depth") if (place / "depth").is_dir() else {}
-    return _capture(place / "traj_w_c.txt", _numbered(place / "rgb", _IMAGES, "rgb"), depths, MILLIMETRES)
-
-
-def _numbered(folder: Path, suffixes: set[str], kind: str) -> dict[int, Path]:
-    """Images by the number in their names, which begin with ``kind``. Raises PlgsError."""
-    found = {}
-    for stem, path in files_by_stem(folder, suffixes, f"Name pictures {kind} and a number.").items():
-        number = re.fullmatch(rf"{kind}_?(\d+)", stem)
-        if number:
-            found[int(number[1])] = path
-    if not found:
-        raise PlgsError(f"no picture is named {kind} and a number", folder, "Name them by their trajectory's lines.")
-    return dict(sorted(found.items()))
-
-
-def _capture(trajectory: Path, colours: dict[int, Path], depths: dict[int, Path], unit: float) -> Capture:
-    """The frames; ``unit`` is a step of depth in metres where no cam_params.json says another. Raises PlgsError."""
-    said = _read_parameters(trajectory.parent)
-    lens, unit = said or (None, unit)
+    """Open the frames; only headers of images are read. Raises PlgsError."""
+    results, trajectory = place / "results", place / "traj.txt"
+    colours = _numbered(results, _IMAGES, "frame")
+    depths = _numbered(results, {".png"}, "depth") if any(results.glob("depth*.png")) else {}
+    lens, unit = _read_parameters(place) or (None, 1.0 / _STEPS_A_METRE)
+    is_assumed = lens is None
     matrices = list(matrix_rows(trajectory, _FIX))
     if colours and max(colours) >= len(matrices):
         what = f"there are {len(matrices)} poses, but a picture {max(colours)}"
@@ -88,10 +61,22 @@ def _capture(trajectory: Path, colours: dict[int, Path], depths: dict[int, Path]
             width, height = read_image_header(path).size
             lens = Camera(width, height, width / 2.0, width / 2.0, width / 2.0, height / 2.0, np.eye(4))
         found.append((path.stem, with_picture(path, partial(_shot, path, depths.get(number), unit, lens, pose))))
-    if said or lens is None:
+    if not is_assumed or lens is None:
         return Capture(found, "z")
     steps = Inferred("units", f"a step of depth is {unit:.4g} m", "no cam_params.json says another", is_doubtful=False)
     return Capture(found, "z", inferred=(assumed("Replica's", lens, "cam_params.json"), steps))
+
+
+def _numbered(folder: Path, suffixes: set[str], kind: str) -> dict[int, Path]:
+    """Images by the number in their names, which begin with ``kind``. Raises PlgsError."""
+    found = {}
+    for stem, path in files_by_stem(folder, suffixes, f"Name pictures {kind} and a number.").items():
+        number = re.fullmatch(rf"{kind}_?(\d+)", stem)
+        if number:
+            found[int(number[1])] = path
+    if not found:
+        raise PlgsError(f"no picture is named {kind} and a number", folder, "Name them by their trajectory's lines.")
+    return dict(sorted(found.items()))
 
 
 def _shot(path: Path, depth: Path | None, unit: float, lens: Camera | None, pose: NDArray[np.float64]) -> Shot:
@@ -116,5 +101,4 @@ def _read_parameters(place: Path) -> tuple[Camera, float] | None:
     return pinhole(width, height, fx, fy, cx + 0.5, cy + 0.5, path=path, fix=fix), 1.0 / scale
 
 
-NICE_SLAM = SceneFormat("replica", _recognises, _read)
-VMAP = SceneFormat("vmap", _recognises_vmap, _read_vmap)
+FORMAT = SceneFormat("replica", _recognises, _read)

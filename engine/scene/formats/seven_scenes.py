@@ -1,14 +1,12 @@
-"""``frame-000000.{color,depth,pose}``: 7-Scenes, BundleFusion, 12-Scenes, tsdf-fusion and 3DMatch.
+"""``frame-000000.{color,depth,pose}``: 7-Scenes, BundleFusion, 12-Scenes and 3DMatch.
 
 Frames lie in the folder or in its folders ``seq-01``, ... or ``data``. Poses are camera-to-world, 4x4, OpenCV axes,
 metres. Depth is a 16-bit PNG in millimetres; 0 and 65535 are none. The world stands as the first camera did.
 
-* With ``camera-intrinsics.txt`` (tsdf-fusion, 3DMatch) or ``camera-intrinsics.color.txt``: 3x3, integer pixel
-  centres, for colour and depth alike.
+* With ``camera-intrinsics.txt`` there or in the folder above: 3x3, integer pixel centres, for colour and depth alike.
 * With ``info.txt`` (BundleFusion, 12-Scenes) there or in the folder above: ``m_calibrationColorIntrinsic`` and
   ``m_calibrationDepthIntrinsic``, 4x4, integer pixel centres, for pictures of the sizes that it says, and
   ``m_depthShift`` steps of depth per metre.
-* With a file that ``sensor_lens.py`` reads: its lens, and depth that is registered to colour.
 * Without (7-Scenes): raw pictures of a Kinect. Poses and depth are the depth camera's, f 585; the colour camera, f
   525, stands 2.5 cm beside it. Depth is read from ``frame-000000.depth.proj.png`` if that exists: there it is
   registered to colour already. Else it is registered with a Kinect's calibration (LIRIS), as ACE does.
@@ -29,12 +27,11 @@ from ...posed.camera import Camera
 from ...posed.image_header import read_image_header
 from ...posed.layout import natural_order, read_text
 from ...posed.matrices import as_lens, read_intrinsics, read_poses
-from ..depth import MILLIMETRES, fitting_alignment, png_depth, registered
+from ..depth import fitting_alignment, png_depth, registered
 from ..noted import Inferred
 from .capture import Capture, SceneFormat, Shot, with_picture
 from .lens import assumed, fitted
 from .poses import inverse
-from .sensor_lens import SensorLens, find_sensor_lens
 
 _MOST_INFO = 1 << 16
 _DEPTH_TO_COLOUR = np.array(
@@ -56,15 +53,7 @@ _Reader = Callable[[str, Path, NDArray[np.float64], Path], Shot]
 
 
 def _recognises(place: Path) -> bool:
-    return _has_frames(place) and _find_intrinsics(place) is None
-
-
-def _recognises_tsdf(place: Path) -> bool:
-    return _has_frames(place) and _find_intrinsics(place) is not None
-
-
-def _find_intrinsics(place: Path) -> Path | None:
-    return _find(place, _OWN_LENS, "camera-intrinsics.color.txt")
+    return place.is_dir() and any(next(folder.glob("frame-*.pose.txt"), None) for folder in _folders(place))
 
 
 def _find_info(place: Path) -> Path | None:
@@ -78,19 +67,15 @@ def _find(place: Path, *names: str) -> Path | None:
     return next((path for path in found if path.is_file()), None)
 
 
-def _has_frames(place: Path) -> bool:
-    return place.is_dir() and any(next(folder.glob("frame-*.pose.txt"), None) for folder in _folders(place))
-
-
 def _folders(place: Path) -> list[Path]:
     return [place, *sorted(path for path in (*place.glob("seq-*"), place / "data") if path.is_dir())]
 
 
 def _read(place: Path) -> Capture:
-    """Open 7-Scenes, or frames with ``info.txt``; only headers of images are read. Raises PlgsError."""
-    path, sensor = _find_info(place), find_sensor_lens(place)
-    if path is None and sensor is not None:
-        return _capture(place, partial(_sensors_shot, sensor), sensor.warnings, sensor.inferred)
+    """Open the frames; only headers of images are read. Raises PlgsError."""
+    own, path = _find(place, _OWN_LENS), _find_info(place)
+    if own is not None:
+        return _capture(place, partial(_one_lens_shot, own))
     if path is None:
         return _capture(place, _kinects_shot, inferred=(assumed("a Kinect's", _kinect(_COLOUR_F), _OWN_LENS),))
     info = _read_info(path)
@@ -140,20 +125,6 @@ def _is_one_camera(info: dict[str, str], path: Path) -> bool:
     return bool(np.abs(places[0] - places[1]).max() < 1e-3)
 
 
-def _read_tsdf(place: Path) -> Capture:
-    """Open frames with ``camera-intrinsics.txt``; only headers of images are read. Raises PlgsError."""
-    intrinsics = _find_intrinsics(place)
-    if intrinsics is None:
-        fix = "Write the 3x3 matrix of colour and depth there."
-        raise PlgsError("the intrinsics are missing", place / _OWN_LENS, fix)
-
-    def shot(name: str, base: Path, pose: NDArray[np.float64], picture: Path) -> Shot:
-        lens = read_intrinsics(intrinsics, read_image_header(picture).size)
-        return Shot(name, lens.at(pose), picture, png_depth(_depth_file(base), lens))
-
-    return _capture(place, shot)
-
-
 def _capture(
     place: Path, shot: _Reader, warnings: tuple[str, ...] = (), inferred: tuple[Inferred, ...] = ()
 ) -> Capture:
@@ -183,11 +154,10 @@ def _depth_file(base: Path) -> Path:
     return base.with_name(f"{base.name}.depth.png")
 
 
-def _sensors_shot(sensor: SensorLens, name: str, base: Path, pose: NDArray[np.float64], colour: Path) -> Shot:
-    """A frame of a sensor whose own file says its lens; depth is registered to colour. Raises PlgsError."""
-    lens = sensor.fitting(colour)
-    depth = png_depth(_depth_file(base), lens, sensor.step or MILLIMETRES)
-    return Shot(name, lens.at(pose), colour, depth, distortion=sensor.distortion)
+def _one_lens_shot(intrinsics: Path, name: str, base: Path, pose: NDArray[np.float64], colour: Path) -> Shot:
+    """A frame whose colour and depth have the lens in a file. Raises PlgsError."""
+    lens = read_intrinsics(intrinsics, read_image_header(colour).size)
+    return Shot(name, lens.at(pose), colour, png_depth(_depth_file(base), lens))
 
 
 def _kinects_shot(name: str, base: Path, pose: NDArray[np.float64], colour: Path) -> Shot:
@@ -207,5 +177,4 @@ def _kinect(focal_length: float) -> Camera:
     return Camera(640, 480, focal_length, focal_length, 320.5, 240.5, np.eye(4))
 
 
-SEVEN_SCENES = SceneFormat("7scenes", _recognises, _read)
-TSDF_FUSION = SceneFormat("tsdf-fusion", _recognises_tsdf, _read_tsdf)
+FORMAT = SceneFormat("7scenes", _recognises, _read)

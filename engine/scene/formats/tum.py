@@ -1,24 +1,23 @@
-"""TUM RGB-D sequences, those recorded in their layout (Bonn, ETH3D SLAM), and ICL-NUIM's TUM-compatible ones.
+"""TUM RGB-D sequences, and those recorded in their layout (Bonn, ETH3D SLAM).
 
 * ``rgb.txt`` and ``depth.txt``: a time stamp and a file name per line; or ``associations.txt`` (``associated.txt``)
   with a colour and a depth image per line. Without either, the names of the images in ``rgb/`` and ``depth/`` are the
   stamps.
-* ``groundtruth.txt`` (ICL: ``*.gt.freiburg``): ``t tx ty tz qx qy qz qw``, camera-to-world, OpenCV axes, metres.
+* ``groundtruth.txt``: ``t tx ty tz qx qy qz qw``, camera-to-world, OpenCV axes, metres.
   RTAB-Map adds a whole number, by which it names pictures if asked to.
 * Depth: 16-bit PNG, registered to colour, planar, 5000 steps per metre, 0 = none.
 * Intrinsics are not in the files: TUM's are those of its documentation, told apart by "freiburg1", "freiburg2" or
   "freiburg3" in the folder's name, else a Kinect's are assumed; a warning says so. ETH3D has them in
-  ``calibration.txt``: ``fx fy cx cy``, with integer pixel centres. ``sensor_lens.py`` reads those of other sensors.
+  ``calibration.txt``: ``fx fy cx cy``, with integer pixel centres.
 
-ICL-NUIM was rendered with a y axis that points up in pictures (its fy is negative): camera and world are mirrored in
-y.
+ICL-NUIM, whose stamps are whole numbers, is refused: its camera and world are mirrored in y.
 """
 
 from __future__ import annotations
 
 from bisect import bisect_left
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
@@ -27,17 +26,17 @@ from numpy.typing import NDArray
 
 from ...errors import PlgsError
 from ...posed.camera import Camera
+from ...posed.format_names import GONE_FORMATS
 from ...posed.image_header import read_image_header
 from ...posed.layout import file_inside, files_by_stem
 from ...scene_source import UpAxis
-from ..depth import fault_of, png_depth
+from ..depth import png_depth
 from ..frame import Size
 from ..noted import Inferred, left_out
 from .capture import Capture, SceneFormat, Shot, frame_names, with_picture
 from .lens import Distortion, assumed, fitted, pinhole
-from .poses import finite_pose, quaternion_pose
+from .poses import quaternion_pose
 from .rows import numbers, read_rows
-from .sensor_lens import SensorLens, find_sensor_lens
 
 _STEP = 1.0 / 5000.0
 _APART = 0.02
@@ -46,15 +45,13 @@ _POSE_FIX = "Write one pose on each line, t tx ty tz qx qy qz qw, with points in
 _LIST_FIX = "Write a time stamp and a file name on each line."
 _CALIBRATION = "calibration.txt"
 _LENS_FIX = f"Write fx fy cx cy of the pictures into {_CALIBRATION}."
-_MIRROR = np.diag([1.0, -1.0, 1.0, 1.0])
 
 
 @dataclass(frozen=True)
 class _Lens:
     """Intrinsics with integer pixel centres, and k1 k2 p1 p2 k3 of the distortion.
 
-    ``up`` is the axis that points up in the lens's world. ``size`` is the size of its pictures, None for any. ``step``
-    is the length of a step of depth in metres.
+    ``up`` is the axis that points up in the lens's world. ``size`` is the size of its pictures, None for any.
     """
 
     fx: float
@@ -64,7 +61,6 @@ class _Lens:
     bent: tuple[float, ...] = ()
     up: UpAxis | None = None
     size: Size | None = (640, 480)
-    step: float = _STEP
 
 
 _LENSES = {
@@ -74,7 +70,6 @@ _LENSES = {
     "bonn": _Lens(542.822841, 542.576870, 315.593520, 237.756098),
 }  # fmt: skip
 _KINECT = _Lens(525.0, 525.0, 319.5, 239.5)
-_ICL = _Lens(481.2, 480.0, 319.5, 239.5, up="-y")
 
 
 @dataclass(frozen=True)
@@ -90,28 +85,7 @@ _Pose = tuple[float, NDArray[np.float64] | None, float | None]
 
 
 def _recognises(place: Path) -> bool:
-    path = place / "groundtruth.txt"
-    return (place / "rgb").is_dir() and path.is_file() and not _recognises_icl(place)
-
-
-def _recognises_icl(place: Path) -> bool:
-    if not (place / "rgb").is_dir():
-        return False
-    if any(place.glob("*.gt.freiburg")):
-        return True
-    path = place / "groundtruth.txt"
-    if not path.is_file():
-        return False
-    with path.open(encoding="utf-8", errors="replace") as file:
-        start = file.read(4096)
-    first = next((line.split()[0] for line in start.splitlines() if line.strip() and not line.startswith("#")), "")
-    return first.isdecimal()
-
-
-def _read(place: Path) -> Capture:
-    """Open a TUM RGB-D sequence; only headers of images are read. Raises PlgsError."""
-    name = next((name for name in _LENSES if name in place.resolve().name.lower()), "a Kinect")
-    return _capture(place, place / "groundtruth.txt", name, _LENSES.get(name, _KINECT))
+    return (place / "rgb").is_dir() and (place / "groundtruth.txt").is_file()
 
 
 def _read_calibration(path: Path) -> _Lens:
@@ -123,24 +97,16 @@ def _read_calibration(path: Path) -> _Lens:
     return _Lens(fx, fy, cx, cy, size=None)
 
 
-def _read_icl(place: Path) -> Capture:
-    """Open a sequence of ICL-NUIM; only headers of images are read. Raises PlgsError."""
-    trajectory = next(iter(sorted(place.glob("*.gt.freiburg"))), place / "groundtruth.txt")
-    return _capture(place, trajectory, "ICL-NUIM", _ICL, mirrored=True)
-
-
-def _capture(place: Path, trajectory: Path, whose: str, lens: _Lens, mirrored: bool = False) -> Capture:
-    """The frames; ``lens`` is assumed to be theirs, ``whose`` it is, where calibration.txt does not say another."""
-    calibration, pairs, inferred, warnings = place / _CALIBRATION, _pairs(place), list[Inferred](), tuple[str, ...]()
-    sensor = None if calibration.is_file() or mirrored or not pairs else find_sensor_lens(place)
+def _read(place: Path) -> Capture:
+    """Open a sequence; only headers of images are read. Raises PlgsError."""
+    calibration, pairs, inferred = place / _CALIBRATION, _pairs(place), tuple[Inferred, ...]()
     if calibration.is_file():
-        lens = replace(_read_calibration(calibration), up=lens.up if mirrored else None)
-    elif sensor is not None:
-        whole = next((colour.path for colour, _ in pairs if fault_of(colour.path) is None), pairs[0][0].path)
-        lens, warnings, inferred = _sensors_lens(sensor, whole), sensor.warnings, [*sensor.inferred]
+        lens = _read_calibration(calibration)
     else:
-        inferred.append(assumed(f"{whose}'s", _camera(lens, lens.size or (640, 480), place), _CALIBRATION))
-    poses = _named_by(pairs, _read_poses(trajectory, mirrored))
+        whose = next((name for name in _LENSES if name in place.resolve().name.lower()), "a Kinect")
+        lens = _LENSES.get(whose, _KINECT)
+        inferred = (assumed(f"{whose}'s", _camera(lens, lens.size or (640, 480), place), _CALIBRATION),)
+    poses = _named_by(pairs, _read_poses(place / "groundtruth.txt"))
     times = [time for time, _, _ in poses]
     names = frame_names([colour.path.relative_to(place).as_posix() for colour, _ in pairs])
     found: list[tuple[str, Shot | PlgsError | None]] = []
@@ -156,13 +122,7 @@ def _capture(place: Path, trajectory: Path, whose: str, lens: _Lens, mirrored: b
     else:
         blind = []
     without = left_out(f"depth within {_APART} s", blind)
-    return Capture(found, lens.up, warnings, left_out=without, inferred=tuple(inferred))
-
-
-def _sensors_lens(sensor: SensorLens, picture: Path) -> _Lens:
-    """The lens of a sensor's own file for pictures of the size of ``picture``. Raises PlgsError."""
-    own, bent = sensor.fitting(picture), sensor.distortion.coefficients
-    return _Lens(own.fx, own.fy, own.cx - 0.5, own.cy - 0.5, bent, size=own.size, step=sensor.step or _STEP)
+    return Capture(found, lens.up, left_out=without, inferred=inferred)
 
 
 def _pairs(place: Path) -> list[tuple[_Stamped, _Stamped | None]]:
@@ -215,18 +175,18 @@ def _named_by(pairs: Sequence[tuple[_Stamped, object]], poses: list[_Pose]) -> l
     return sorted(((number, pose, number) for _, pose, number in poses if number), key=lambda each: each[0])
 
 
-def _read_poses(path: Path, mirrored: bool) -> list[_Pose]:
+def _read_poses(path: Path) -> list[_Pose]:
     """Poses by ascending time, with the numbers that RTAB-Map gives them. Raises PlgsError."""
     poses: list[_Pose] = []
     for row in read_rows(path, _POSE_FIX):
+        if row.words[0].isdecimal():
+            raise PlgsError("time stamps are whole numbers, as ICL-NUIM's", path, GONE_FORMATS["icl"])
         has_number = len(row.words) == 9 and row.words[8].isdecimal()
         values = numbers(row, path, _POSE_FIX, 9 if has_number else 8).tolist()
         time, tx, ty, tz, qx, qy, qz, qw = values[:8]
         pose = None
         if np.isfinite([tx, ty, tz, qx, qy, qz, qw]).all():
             pose = quaternion_pose((qw, qx, qy, qz), (tx, ty, tz), path)
-        if pose is not None and mirrored:
-            pose = finite_pose(_MIRROR @ pose @ _MIRROR, path)
         poses.append((time, pose, values[8] if has_number else None))
     return sorted(poses, key=lambda each: each[0])
 
@@ -234,7 +194,7 @@ def _read_poses(path: Path, mirrored: bool) -> list[_Pose]:
 def _shot(name: str, colour: Path, depth: Path | None, lens: _Lens, pose: NDArray[np.float64]) -> Shot:
     own = _camera(lens, lens.size or read_image_header(colour).size, colour.parent.parent)
     camera = fitted(own, colour, _LENS_FIX).at(pose)
-    depth_map = None if depth is None else png_depth(depth, camera, lens.step)
+    depth_map = None if depth is None else png_depth(depth, camera, _STEP)
     return Shot(name, camera, colour, depth_map, distortion=Distortion("brown", lens.bent))
 
 
@@ -243,5 +203,4 @@ def _camera(lens: _Lens, size: Size, place: Path) -> Camera:
     return pinhole(*size, lens.fx, lens.fy, lens.cx + 0.5, lens.cy + 0.5, path=place, fix=_LENS_FIX)
 
 
-TUM = SceneFormat("tum", _recognises, _read)
-ICL = SceneFormat("icl", _recognises_icl, _read_icl)
+FORMAT = SceneFormat("tum", _recognises, _read)

@@ -9,13 +9,12 @@ from __future__ import annotations
 from pathlib import Path
 
 from ...errors import PlgsError
-from ...posed.format_names import MASK_FORMAT_NAMES
+from ...posed.format_names import GONE_FORMATS, MASK_FORMAT_NAMES
 from ...posed.layout import listed, shown
 from . import (
     class_arrays,
     coco,
     detections,
-    exr_masks,
     grounded_sam2,
     label_pairs,
     panoptic_lifting,
@@ -35,8 +34,6 @@ MASK_FORMATS: tuple[MaskFormat, ...] = (
     sam2.FORMAT,
     label_pairs.PALETTE,
     detections.FORMAT,
-    exr_masks.CRYPTOMATTE,
-    exr_masks.OBJECT_INDEX,
     class_arrays.FORMAT,
 )
 _PICKLES = {".pkl", ".pickle", ".pt", ".pth", ".ptz", ".joblib"}
@@ -50,7 +47,8 @@ def find_mask_format(place: Path, name: str | None = None) -> MaskFormat:
     known = {each.name: each for each in MASK_FORMATS}
     if name is not None:
         if name not in known:
-            raise PlgsError(f'no mask format is called "{shown(name)}"', place, f"Choose one of {', '.join(known)}.")
+            fix = GONE_FORMATS.get(name) or f"Choose one of {', '.join(known)}."
+            raise PlgsError(f'no mask format is called "{shown(name)}"', place, fix, option="--mask-format")
         return known[name]
     if not place.exists():
         raise PlgsError("there are no masks", place, "Name a folder of masks.")

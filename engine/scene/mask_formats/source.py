@@ -90,11 +90,11 @@ class MaskFormat:
     own_names: bool = False
 
 
-def segments_of_pairs(labels: NDArray[np.integer], instances: NDArray[np.integer], tracked: bool = False) -> FoundMask:
+def segments_of_pairs(labels: NDArray[np.integer], instances: NDArray[np.integer]) -> FoundMask:
     """A segment for each pair of a class in ``labels`` [H, W] (< 0 = void) and an instance in ``instances`` [H, W].
 
     Instances <= 0 are none. Segments are numbered from 1; those of the class 0, which is void in most tables, come
-    last. ``tracked``: instances are the same in all frames.
+    last.
     """
     pairs = labels.astype(np.int64) << 32 | np.maximum(instances, 0).astype(np.int64)
     present, inverse = np.unique(pairs, return_inverse=True)
@@ -103,8 +103,7 @@ def segments_of_pairs(labels: NDArray[np.integer], instances: NDArray[np.integer
     for place in sorted(np.flatnonzero(present >= 0).tolist(), key=lambda place: (present[place] >> 32 == 0, place)):
         label, instance = int(present[place]) >> 32, int(present[place]) & 0xFFFFFFFF
         number[place] = len(segments) + 1
-        track = instance if tracked and instance else None
-        segments.append(FoundSegment(len(segments) + 1, label, has_instance=instance != 0, track=track))
+        segments.append(FoundSegment(len(segments) + 1, label, has_instance=instance != 0))
     return FoundMask(number[inverse.reshape(pairs.shape)], tuple(segments))
 
 

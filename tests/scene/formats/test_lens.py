@@ -12,16 +12,8 @@ import pytest
 
 from engine.posed.camera import Camera
 from engine.scene import open_scene
-from tests.scene.formats import test_nerfstudio, test_open3d_log, test_replica, test_seven_scenes, test_tum
-from tests.scene.formats.room import views
+from tests.scene.formats import test_nerfstudio, test_replica, test_seven_scenes, test_tum
 from tests.scene.refusing import refuses
-
-
-def open3d(folder: Path) -> Path:
-    test_open3d_log.write_images(folder, test_open3d_log.PRIMESENSE)
-    (folder / "trajectory.log").write_text(test_open3d_log.log(views()))
-    return folder
-
 
 CAMERA = {"w": 64, "h": 48, "fx": 32, "fy": 32, "cx": 31.5, "cy": 23.5, "scale": 1000}
 # Who writes the scene, what the warning tells, and the file with which there is none.
@@ -35,28 +27,10 @@ ASSUMED: list[tuple[Callable[[Path], Path], str, str, str]] = [
         "53.54 53.92 31.56 24.31",
     ),
     (
-        lambda folder: test_tum.write_icl(folder, "groundtruth.txt"),
-        "ICL-NUIM's lens is assumed (481.2 480 319.5 239.5",
-        "calibration.txt",
-        "48.12 48 31.5 23.5",
-    ),
-    (
-        lambda folder: test_replica.write_nice(folder, test_replica.SEMANTIC, 1000),
+        lambda folder: test_replica.write_nice(folder, test_replica.HALF, 1000),
         "Replica's lens is assumed (32 32 31.5 23.5 for 64x48)",
         "cam_params.json",
         json.dumps({"camera": CAMERA}),
-    ),
-    (
-        test_replica.write_semantic_nerf,
-        "Replica's lens is assumed (32 32 31.5 23.5 for 64x48)",
-        "cam_params.json",
-        json.dumps({"camera": CAMERA}),
-    ),
-    (
-        open3d,
-        "a PrimeSense's lens is assumed (525 525 319.5 239.5",
-        "camera_intrinsic.json",
-        json.dumps(test_open3d_log.intrinsic(test_open3d_log.PRIMESENSE)),
     ),
     (lambda folder: test_nerfstudio.write_scene(folder, cx=None), "principal point of the lens is assumed", "", ""),
     (test_nerfstudio.write_scene, "", "", ""),

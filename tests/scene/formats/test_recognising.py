@@ -7,10 +7,11 @@ from pathlib import Path
 import pytest
 
 from engine.errors import ErrorCode, PlgsError
-from engine.posed.format_names import MASK_FORMAT_NAMES, SCENE_FORMAT_NAMES
+from engine.posed.format_names import GONE_FORMATS, MASK_FORMAT_NAMES, SCENE_FORMAT_NAMES
 from engine.posed.plain_folders import NAME
 from engine.scene import FORMATS, open_scene
-from engine.scene.mask_formats import MASK_FORMATS
+from engine.scene.formats import find_format
+from engine.scene.mask_formats import MASK_FORMATS, find_mask_format
 from tests.scene.formats import test_colmap, test_nerfstudio
 from tests.scene.formats.room import check_colours
 from tests.scene.refusing import refuses
@@ -21,9 +22,9 @@ def test_each_format_has_its_own_name_and_says_what_it_looks_for() -> None:
         names = [each.name for each in formats]
         assert len({*names}) == len(names) and names == [each.name for each in told]
         assert all(each.label and each.looks_for for each in told)
-    assert FORMATS[0].name == NAME and (len(FORMATS), len(MASK_FORMATS)) == (18, 13)
+    assert FORMATS[0].name == NAME and (len(FORMATS), len(MASK_FORMATS)) == (13, 11)
     readme = (Path(__file__).parents[3] / "README.md").read_text()
-    assert "Eighteen layouts are recognised" in readme and "Thirteen kinds of masks are recognised" in readme
+    assert "Thirteen layouts are recognised" in readme and "Eleven kinds of masks are recognised" in readme
 
 
 def test_two_formats_in_one_folder_require_a_choice(tmp_path: Path) -> None:
@@ -74,3 +75,11 @@ def test_a_named_format_that_is_not_there_is_a_one_line_error(tmp_path: Path, na
     with pytest.raises(PlgsError) as caught:
         open_scene(tmp_path / place, scene_format=name)
     assert "\n" not in str(caught.value) and caught.value.fix
+
+
+@pytest.mark.parametrize("name", GONE_FORMATS)
+def test_a_format_of_an_earlier_version_says_what_to_do(tmp_path: Path, name: str) -> None:
+    for find in (find_format, find_mask_format):
+        with pytest.raises(PlgsError) as caught:
+            find(tmp_path, name)
+        assert caught.value.fix == GONE_FORMATS[name]

@@ -1,4 +1,4 @@
-"""Replica's renderings: NICE-SLAM's, and Semantic-NeRF's, which vMAP follows."""
+"""Replica's renderings as NICE-SLAM has them."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from engine.scene import open_scene
 from tests.scene.formats.room import Lens, View, check_on_room, look, opencv_pose, views
 from tests.scene.formats.writing import write_pair
 
-# 600 600 599.5 339.5 of 1200x680 and 320 320 319.5 239.5 of 640x480, integer centres, for a tenth of the size.
+# 600 600 599.5 339.5 of 1200x680, integer centres, for a tenth of the size; and another lens that sees 90 degrees.
 NICE = Lens(120, 68, 60.0, 60.0, 60.0, 34.0)
-SEMANTIC = Lens(64, 48, 32.0, 32.0, 32.0, 24.0)
+HALF = Lens(64, 48, 32.0, 32.0, 32.0, 24.0)
 
 
 def trajectory(seen: list[View]) -> str:
@@ -39,18 +39,3 @@ def test_nice_slams_camera_file(tmp_path: Path) -> None:
     camera = {"w": 64, "h": 48, "fx": lens.fx, "fy": lens.fy, "cx": lens.cx - 0.5, "cy": lens.cy - 0.5, "scale": 1000.0}
     (tmp_path / "cam_params.json").write_text(json.dumps({"camera": camera}))
     check_on_room(open_scene(tmp_path / "office0"), colour_step=60)
-
-
-def write_semantic_nerf(folder: Path) -> Path:
-    """Eleven pictures, so that rgb_10 comes after rgb_9."""
-    every = views(11)
-    for i, view in enumerate(every):
-        write_pair(folder / "rgb" / f"rgb_{i}.png", folder / "depth" / f"depth_{i}.png", look(view, SEMANTIC))
-    (folder / "traj_w_c.txt").write_text(trajectory(every))
-    return folder
-
-
-def test_semantic_nerf(tmp_path: Path) -> None:
-    scene = open_scene(write_semantic_nerf(tmp_path))
-    assert scene.format == "vmap" and [frame.name for frame in scene.frames] == [f"rgb_{i}" for i in range(11)]
-    check_on_room(scene)

@@ -1,4 +1,4 @@
-"""7-Scenes as its page describes it, and tsdf-fusion's layout."""
+"""7-Scenes as its page describes it, and with files that say the lens."""
 
 from __future__ import annotations
 
@@ -70,10 +70,8 @@ def test_registered_depth_is_used_if_it_exists(tmp_path: Path) -> None:
     check_on_room(open_scene(tmp_path))
 
 
-@pytest.mark.parametrize(
-    "where", ["camera-intrinsics.txt", "scans/camera-intrinsics.txt", "camera-intrinsics.color.txt"]
-)
-def test_tsdf_fusion(tmp_path: Path, where: str) -> None:
+@pytest.mark.parametrize("where", ["camera-intrinsics.txt", "scans/camera-intrinsics.txt"])
+def test_camera_intrinsics_txt_says_the_lens(tmp_path: Path, where: str) -> None:
     lens = Lens()
     folder = tmp_path / "scans"
     for i, view in enumerate(views()):
@@ -87,7 +85,7 @@ def test_tsdf_fusion(tmp_path: Path, where: str) -> None:
     np.savetxt(tmp_path / where, [[lens.fx, 0, lens.cx - 0.5], [0, lens.fy, lens.cy - 0.5], [0, 0, 1]])  # fmt: skip
     np.savetxt(folder / "frame-000006.pose.txt", np.full((4, 4), np.inf))
     scene = open_scene(folder)
-    assert scene.format == "tsdf-fusion" and "1 frame without a pose is left out: frame-000006" in scene.warnings
+    assert scene.format == "7scenes" and "1 frame without a pose is left out: frame-000006" in scene.warnings
     check_on_room(scene, colour_step=60)
     assert not scene.frames[0].depth()[:3].any()
 
@@ -164,7 +162,6 @@ def test_lost_frames_as_windows_wrote_them(tmp_path: Path) -> None:
 
 def test_what_is_missing_is_named(tmp_path: Path) -> None:
     write_seven(tmp_path)
-    refuses(r"intrinsics are missing: .*camera-intrinsics\.txt", tmp_path, scene_format="tsdf-fusion")
     for path in sorted(tmp_path.rglob("*.depth.png"))[2:]:
         path.unlink()
     refuses(r"cannot be read .*frame-000002\.depth\.png", tmp_path)

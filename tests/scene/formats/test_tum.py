@@ -1,4 +1,4 @@
-"""TUM RGB-D's file formats as its documentation has them, and ICL-NUIM's TUM-compatible sequences."""
+"""TUM RGB-D's file formats as its documentation has them."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from engine.scene import open_scene
-from tests.scene.formats.room import Lens, View, check_on_room, look, quaternion, views, y_up
+from tests.scene.formats.room import Lens, check_on_room, look, quaternion, views, y_up
 from tests.scene.formats.writing import write_colour, write_pair
+from tests.scene.refusing import refuses
 
 # 525 525 319.5 239.5 of 640x480, integer centres, for a tenth of the size with centres at +0.5.
 KINECT = Lens(64, 48, 52.5, 52.5, 32.0, 24.0)
-ICL = Lens(64, 48, 48.12, 48.0, 32.0, 24.0)
 
 
 def tum_line(stamp: float | int, right: np.ndarray, down: np.ndarray, forward: np.ndarray, eye: np.ndarray) -> str:
@@ -98,31 +98,10 @@ def test_stamps_from_file_names_and_no_depth(tmp_path: Path) -> None:
     assert not open_scene(tmp_path).has_depth
 
 
-def mirrored(view: View) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """POV-Ray's left-handed world and camera: y up, z forward. The room's x, height and depth are its x, y and z."""
-    swap = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, 1.0, 0.0]])
-    return swap @ view.right, swap @ view.up, swap @ view.forward, swap @ view.eye
-
-
-def write_icl(folder: Path, truth: str) -> Path:
-    """Frame 0 has a picture and no pose; x right, y up, z forward of the camera are the columns of the rotation."""
-    text, pairs = "", "0 depth/0.png 0 rgb/0.png\n"
-    for i, view in enumerate([views()[0], *views()]):
-        write_pair(folder / "rgb" / f"{i}.png", folder / "depth" / f"{i}.png", look(view, ICL), 5000)
-        if i:
-            text += tum_line(i, *mirrored(view))
-            pairs += f"{i} depth/{i}.png {i} rgb/{i}.png\n"
-    (folder / truth).write_text(text)
-    (folder / "associations.txt").write_text(pairs)
-    return folder
-
-
-@pytest.mark.parametrize("truth", ["livingRoom2.gt.freiburg", "groundtruth.txt"])
-def test_icl_nuim_is_mirrored_back(tmp_path: Path, truth: str) -> None:
-    scene = open_scene(write_icl(tmp_path, truth))
-    assert scene.format == "icl" and [frame.name for frame in scene.frames] == ["1", "2", "3", "4", "5", "6"]
-    assert scene.warnings[0] == "1 frame without a pose is left out: 0"
-    check_on_room(scene)
+def test_icl_nuim_is_refused(tmp_path: Path) -> None:
+    write_tum(tmp_path)
+    (tmp_path / "groundtruth.txt").write_text("1 0 0 0 0 0 0 1\n")
+    refuses("ICL-NUIM's: .*Convert it to the folders color", tmp_path)
 
 
 def test_a_world_with_another_up_axis_is_rotated(tmp_path: Path) -> None:
