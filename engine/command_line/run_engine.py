@@ -57,7 +57,7 @@ def run_engine(
             def work(events: EventWriter, stop: StopSignal) -> None:
                 if lift is None and state is LiftState.NOT_STARTED:
                     _refuse_no_scene(folder)
-                _run_lift(folder, lift)(folder, events, stop, resume=resume)
+                _run_lift(lift)(folder, events, stop, resume=resume)
 
             command = Command(
                 LIFT,
@@ -176,7 +176,7 @@ def _refuse_no_scene(folder: LiftFolder) -> None:
     find_format(folder.request.scene, folder.request.scene_format)
 
 
-def _run_lift(folder: LiftFolder, lift: LiftWork | None) -> LiftWork:
+def _run_lift(lift: LiftWork | None) -> LiftWork:
     """``lift``, or the real one, imported late: it loads torch, and by now the watchdog can stop even a slow import."""
     if lift is not None:
         return lift

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import difflib
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
@@ -17,7 +17,7 @@ from ..presets.preset import PRESETS
 from ..presets.toml_file import read_preset_file
 from ..scene_source import UP_OPTIONS, SceneSource
 from .folder import LiftFolder
-from .request import BAKES, LiftRequest
+from .request import BAKES, GONE, LiftRequest
 
 _NONE: Mapping[str, str] = {}
 DEFAULTS = LiftRequest(scene=Path(Path(__file__).anchor))
@@ -58,12 +58,23 @@ def add_lift_options(parser: argparse.ArgumentParser, more_bakes: Mapping[str, s
         help="SCENE is photos or a film: let COLMAP find the poses first, and write them beside the photos",
     )  # fmt: skip
     add_options(parser, "names_from", "device")
+    for name, instead in GONE.items():
+        parser.add_argument(f"--{name}", type=_gone(instead), help=argparse.SUPPRESS)
     parser.add_argument(
         "--bake",
         choices=(*BAKES, *more_bakes),
         help=f"which frames to render as passes: the held-out ones, all, or none (default: {DEFAULTS.bake})"
         + "".join(f"; {name}: {meaning}" for name, meaning in more_bakes.items()),
     )
+
+
+def _gone(instead: str) -> Callable[[str], None]:
+    """A type for argparse that refuses whatever is given."""
+
+    def refuse(_: str) -> None:
+        raise argparse.ArgumentTypeError(instead)
+
+    return refuse
 
 
 def add_amount_options(parser: argparse.ArgumentParser) -> None:

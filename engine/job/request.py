@@ -24,6 +24,9 @@ FURTHER_LAYERS = ("normal", "position")
 the colour, or more."""
 BAKES: tuple[str, ...] = get_args(Bake)
 DEVICES: tuple[str, ...] = get_args(Device)
+_NO_BLOCKS = "A long capture fits without blocks: lift anew without them, with fewer --frames if memory is short"
+GONE = {"blocks": _NO_BLOCKS, "block": _NO_BLOCKS}
+"""Fields of earlier versions' requests, which were options, too, and what to do instead."""
 _PLACES = ("scene", "masks", "depth", "names_from")
 _FIX = "Fix it, or delete the folder and lift again."
 
@@ -34,8 +37,7 @@ class LiftRequest(SceneSource):
 
     ``options`` are the changed options of the preset, by name (see ``engine/presets``). ``fit`` uses fewer frames if
     memory is limited. ``device`` draws the Gaussians. ``names_from`` is the folder of an earlier lift whose objects
-    keep their names and ids. A building is lifted in this many ``blocks`` (0: it is not a building); ``block`` is the
-    one of them, from 1, that this lift is for (0: it is for all).
+    keep their names and ids.
 
     Raises PlgsError if a value is out of range. Files are not checked, as this is the scene's task.
     """
@@ -103,6 +105,8 @@ class LiftRequest(SceneSource):
         """The request in a file. Raises PlgsError, which names the file and the key that is wrong."""
         content: dict[str, Any] = read_object(path, _FIX)
         refuse_other_format(content, path)
+        for name in sorted(set(GONE) & set(content)):
+            raise PlgsError(f"this lift was asked for with --{name}", path, f"{GONE[name]}.")
         overrides, relative = content.pop("overrides", None) or {}, content.pop("relative", {})
         if not isinstance(overrides, dict):
             raise PlgsError("'overrides' is not a JSON object", path, _FIX)

@@ -135,8 +135,6 @@ def lift_options(experiment: Experiment, scene: SceneToLift, row: Row, seed: int
         device=experiment.device,
         names_from=None,
         poses=None,
-        blocks=None,
-        block=None,
         bake="none",
         resume=True,
     )

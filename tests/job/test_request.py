@@ -56,6 +56,8 @@ def test_it_has_the_documented_form() -> None:
         ({"format": 2}, "format 2"),
         ({"format": None}, "format None"),
         ({"colour": 1}, "'colour'"),
+        ({"blocks": 3}, "with --blocks"),
+        ({"blocks": 3, "block": 1}, "with --block"),
         ({"overrides": {"step": 3}}, "'step'"),
         ({"overrides": [1]}, "'overrides'"),
         ({"overrides": {"options": [1]}}, "'options'"),

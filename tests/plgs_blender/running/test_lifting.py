@@ -81,7 +81,7 @@ def test_every_option_that_an_error_names_is_a_field_or_has_a_name(root: Path) -
     files = [path for part in ("scene", "lift", "segment") for path in (root / "engine" / part).rglob("*.py")]
     texts = [path.read_text() for path in files]
     declared = {option for text in texts for option in re.findall(r'option="(--[a-z-]+)"', text)}
-    of_commands = {"--blocks", "--download", "--resume"}
+    of_commands = {"--download", "--resume"}
     assert {option for option in declared if field_of_option(option) is None} <= of_commands
 
 
