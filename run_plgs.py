@@ -61,7 +61,7 @@ from plgs.engine.errors import ExitCode, PlgsError
 from plgs.engine.gates import open_plain, open_to_append
 from plgs.engine.job import FURTHER_LAYERS, LiftFolder, read_manifest
 from plgs.engine.job.frame_numbers import frame_numbers
-from plgs.engine.job.lock import lock_on
+from plgs.engine.job.lock import FileLock
 from plgs.engine.job.options import add_lift_options, add_progress_option, given_lift_options, readable
 from plgs.engine.job.process import clean_environment, engine_python, missing_modules
 from plgs.engine.job.report import made_files, metrics_text, read_metrics
@@ -285,7 +285,8 @@ def build_blend(lift: LiftFolder, blend: Path) -> ExitCode:
         from plgs.plgs_blender.lift_scene import save_lift  # brings bpy
 
         (lift.path / "bake").mkdir(exist_ok=True)
-        with lock_on(lift.path / "bake" / "blend.lock", BLEND_S):  # commands that were given together also end together
+        # Commands that were given together also end together.
+        with FileLock(lift.path / "bake" / "blend.lock", BLEND_S):
             save_lift(lift.path, blend)
     except PlgsError:
         raise

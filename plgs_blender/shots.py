@@ -22,7 +22,7 @@ from ..engine.errors import ErrorCode, PlgsError
 from ..engine.job import BakeCamera, ExitCode, LiftFolder, write_atomically
 from ..engine.job.cameras import LARGEST_SIDE, PreviewCamera, safe_name, write_cameras
 from ..engine.job.follower import start_bake
-from ..engine.job.lock import lock_on
+from ..engine.job.lock import FileLock
 from ..engine.job.process import engine_python
 from ..engine.job.task import TaskState
 from ..engine.job.terminal import Interrupts, LiveLine, follow
@@ -139,7 +139,7 @@ def _claim(folder: Path, name: str, source: ShotSource, *, replace: bool) -> Non
     replaced."""
     path = folder / f"{name}.shot.json"
     path.parent.mkdir(parents=True, exist_ok=True)
-    with lock_on(path.with_suffix(".lock"), _CLAIM_S, brief=True):  # others may begin to bake the same shot
+    with FileLock(path.with_suffix(".lock"), _CLAIM_S):  # others may begin to bake the same shot
         if path.exists():
             other = read_record(ShotSource, path, "Delete it, if no other file bakes a shot of this name.")
             if other == source:

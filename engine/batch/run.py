@@ -12,7 +12,7 @@ from uuid import uuid4
 
 from ..errors import ErrorCode, ExitCode, PlgsError
 from ..job import EventWriter, LiftFolder
-from ..job.lock import FileLock, Lease, lock_on
+from ..job.lock import FileLock
 from ..job.terminal import Interrupts
 from ..json_file import Json
 from .cluster import RETURN_S, Farm, Place, opened, reconnected
@@ -92,9 +92,9 @@ def run_batch(plan: BatchPlan, place: Place, interrupts: Interrupts, events: Eve
     return ExitCode(next((row.exit_code for row in ordered if row.exit_code), 0))
 
 
-def _turn(plan: BatchPlan) -> FileLock | Lease:
+def _turn(plan: BatchPlan) -> FileLock:
     """The right to write rows and tables, as another batch may write the same ones in this moment; for ``with``."""
-    return lock_on(plan.output / RECORDS / "table.lock", _TABLE_S)
+    return FileLock(plan.output / RECORDS / "table.lock", _TABLE_S)
 
 
 def _has_module(name: str) -> bool:

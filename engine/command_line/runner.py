@@ -18,7 +18,7 @@ from typing import TextIO
 
 from ..errors import Cancelled, ErrorCode, ExitCode, PlgsError
 from ..job import EventWriter, StopSignal, Watchdog
-from ..job.lock import lock_on
+from ..job.lock import FileLock
 from ..job.system import usable_cpus
 from ..job.task import TaskPlace
 from ..job.terminal import Interrupted, Interrupts
@@ -99,7 +99,7 @@ def run_task(
 ) -> ExitCode:
     """Run it in the terminal or, if a place is given, there. Raises PlgsError if another process uses the place."""
     if place is not None:
-        with lock_on(place.events), output_to(place.log) as terminal:
+        with FileLock(place.events), output_to(place.log) as terminal:
             return run_at(command, place, terminal, parent_pipe=parent_pipe, also_stops=also_stops, echo=echo)
     if echo is None:
         return run_in_terminal(command, as_json=as_json, parent_pipe=parent_pipe)

@@ -1,7 +1,7 @@
 """corrections.json: the edits of a lift, in the order in which they were made.
 
 No edit is ever removed: an undone edit is marked as undone. Writers take turns, and each writes what it has just read,
-so two Blenders that edit the same lift lose nothing. That holds for one that sleeps past its lease, too.
+so two Blenders that edit the same lift lose nothing.
 """
 
 from __future__ import annotations
@@ -11,7 +11,8 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from ..errors import ErrorCode, PlgsError
-from ..job.lock import lock_on
+from ..job import write_atomically
+from ..job.lock import FileLock
 from ..json_file import read_object, take_objects, take_whole_number, to_text
 from .edits import CORRECTIONS, MEND, Edit, edit_of
 
@@ -47,13 +48,13 @@ def editing(lift: Path) -> Iterator[list[Edit]]:
     folder = lift / "bake"
     folder.mkdir(exist_ok=True)
     try:
-        with lock_on(folder / "corrections.lock", _WAIT_S, brief=True) as lock:
+        with FileLock(folder / "corrections.lock", _WAIT_S):
             before = read_edits(lift)
             edits = list(before)
             yield edits
             if tuple(edits) != before:
                 content = {"format": FORMAT, "edits": [edit.to_json() for edit in edits]}
-                lock.write(lift / CORRECTIONS, to_text(content))
+                write_atomically(lift / CORRECTIONS, to_text(content))
     except PlgsError as error:
         if error.code is not ErrorCode.BUSY:
             raise

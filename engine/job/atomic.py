@@ -17,22 +17,17 @@ PART = ".part-"
 """Prefix of names that are still being written. A kill leaves them behind; `remove_parts` deletes them."""
 
 
-def write_atomically(
-    path: Path,
-    content: bytes | str | Callable[[Path], object],
-    part: Path | None = None,
-    check: Callable[[], object] = lambda: None,
-) -> None:
+def write_atomically(path: Path, content: bytes | str | Callable[[Path], object]) -> None:
     """Write a file so that readers, also after a kill at any point, see the old content or the new, never a mixture.
 
     ``content`` is the bytes, a text (written as UTF-8), or a function that writes the file at the path it is
     given. That path is in the same folder and ends like ``path``, so libraries that choose a format by
-    suffix choose the right one. One process at a time may write a given path, or a given ``part``. Raises what the
-    function, the file system, or the last ``check`` before the renaming raises, and PlgsError if another process
-    removed the part; ``path`` is then as it was. An OSError names the file.
+    suffix choose the right one. One process at a time may write a given path. Raises what the function or the file
+    system raises, and PlgsError if another process removed the part; ``path`` is then as it was. An OSError names the
+    file.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
-    part = part or path.with_name(PART + path.name)
+    part = path.with_name(PART + path.name)
     try:
         if callable(content):
             part.unlink(missing_ok=True)  # a link that someone left there would lead elsewhere
@@ -42,7 +37,6 @@ def write_atomically(
                 file.write(content.encode() if isinstance(content, str) else content)
         try:
             flush_to_disk(part)
-            check()
             os.replace(part, path)
         except FileNotFoundError as error:
             if callable(content):  # perhaps it wrote nothing

@@ -13,8 +13,7 @@ from ..gates import create_plain
 from .atomic import PART, flush_to_disk, remove_parts
 from .checkpoint import CheckpointStore
 from .events import last_events
-from .lease import Lease
-from .lock import BakeLocks, FileLock, is_worked_on, lock_on
+from .lock import BakeLocks, FileLock, is_locked
 from .manifest import changed_files, check_sizes, verify
 from .own_files import refuse_foreign, refuse_foreign_below
 from .request import LiftRequest, refuse_unwritable_name
@@ -129,11 +128,11 @@ class LiftFolder:
     @property
     def is_running(self) -> bool:
         """Whether an engine is working in this folder."""
-        return is_worked_on(self.events_path)
+        return is_locked(self.events_path)
 
-    def lock(self) -> FileLock | Lease:
+    def lock(self) -> FileLock:
         """The engine's exclusive right to write here; for ``with``. Raises PlgsError if another has it, and OSError."""
-        return lock_on(self.events_path)
+        return FileLock(self.events_path)
 
     def refuse_foreign(self) -> None:
         """Raise PlgsError, before anything is written or deleted, if a link or anything else that no lift has is in the
@@ -235,7 +234,7 @@ class LiftFolder:
         Only for the caller that has just created it. Raises PlgsError if it holds something that took time to make.
         """
         self.refuse_foreign()
-        with lock_on(self.events_path, wait_s=0.0, brief=True):  # no engine begins in the meantime
+        with FileLock(self.events_path, wait_s=0.0):  # no engine begins in the meantime
             self._discard()
         self.events_path.unlink(missing_ok=True)  # now that it is closed, as Windows cannot delete an open file
         if not any(self.path.iterdir()):

@@ -12,7 +12,7 @@ from ..errors import ErrorCode, ExitCode, PlgsError, is_silence
 from ..json_file import Json
 from .events import Event, EventReader
 from .folder import LiftFolder, LiftState
-from .lock import is_worked_on
+from .lock import is_locked
 from .process import EngineProcess, engine_call
 from .task import BAKE, LIFT, TaskPlace, TaskProgress, TaskState
 
@@ -83,7 +83,7 @@ class TaskFollower:
         Raises PlgsError if it does not start, and OSError.
         """
         reader = EventReader(place.events, from_end=True, hurried=True)
-        if not is_worked_on(place.events):
+        if not is_locked(place.events):
             # Before the engine starts: a cancel file that is made from now on is meant for it.
             place.cancel.unlink(missing_ok=True)
         command = [*command, *place.arguments, *(["--stay-with-parent"] if stays_with_parent else [])]
@@ -161,7 +161,7 @@ class TaskFollower:
     def _poll(self) -> bool:
         """Do one poll. Raises OSError or PlgsError if the folder cannot be read."""
         code = None if self._process is None else self._process.exit_code()
-        has_ended = not is_worked_on(self.place.events) if self._process is None else code is not None
+        has_ended = not is_locked(self.place.events) if self._process is None else code is not None
         events = self._reader.poll()  # read after the check of the process, so that the last events are included
         for event in events:
             self._take(event)

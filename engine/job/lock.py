@@ -1,5 +1,5 @@
-"""Advisory locks of the operating system: they end with the process that holds them, however it ends. On a disk that
-machines share, leases replace them (see `lease`).
+"""Advisory locks of the operating system: they end with the process that holds them, however it ends. A disk that
+machines share must have locks between them, as NFS has.
 
 Several processes may bake one lift at once. Their locks are empty files in bake/ in the lift folder. They tell who is
 at work, who bakes which view, and whose turn it is to change the manifest.
@@ -17,9 +17,7 @@ from uuid import uuid4
 
 from ..errors import ErrorCode, PlgsError
 from ..gates import open_plain, open_to_append
-from .atomic import write_atomically
 from .events import at_work
-from .lease import Lease, is_leased, is_on_shared_disk
 from .system import OPEN_FILES_KEEP_NAMES, try_lock
 
 MANIFEST_S = 60.0
@@ -68,8 +66,6 @@ class FileLock:
         """The locked file's descriptor. A POSIX child that inherits it holds the lock too, until it ends."""
         return self._descriptor
 
-    write = staticmethod(write_atomically)  # as `Lease.write`: of a file that only holders write
-
     def __exit__(self, *_: object) -> None:
         os.close(self._descriptor)  # closing releases it, on every system
 
@@ -101,20 +97,8 @@ def _try_lock(descriptor: int, path: Path, shared: bool = False) -> bool:
     try:
         return try_lock(descriptor, shared)
     except OSError as error:
-        fix = "Put the lift on a local disk."
+        fix = "Put the lift on a local disk, or on a shared one with locks: NFS 4, or NFS 3 with lockd."
         raise PlgsError(f"its file system cannot lock files ({error.strerror})", path, fix) from error
-
-
-def lock_on(path: Path, wait_s: float = 1.0, *, brief: bool = False) -> FileLock | Lease:
-    """The right to work on a file of a lift; for ``with``. ``brief``: for at most a few seconds, as in Blender. Raises
-    PlgsError if another process has it, and OSError.
-    """
-    return Lease(path, wait_s, beats=not brief) if is_on_shared_disk(path) else FileLock(path, wait_s)
-
-
-def is_worked_on(path: Path) -> bool:
-    """Whether a process holds what `lock_on` gives. Raises PlgsError like `is_locked`, and OSError."""
-    return is_leased(path) if is_on_shared_disk(path) else is_locked(path)
 
 
 class BakeLocks:
@@ -123,12 +107,12 @@ class BakeLocks:
     def __init__(self, lift: Path) -> None:
         self._folder = lift / "bake"
         self._own = self._folder / f"process-{uuid4().hex}.lock"
-        self._held: FileLock | Lease | None = None
+        self._held: FileLock | None = None
 
     def __enter__(self) -> BakeLocks:
         self._folder.mkdir(exist_ok=True)
         self._own.touch()
-        self._held = lock_on(self._own).__enter__()
+        self._held = FileLock(self._own).__enter__()
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -138,7 +122,7 @@ class BakeLocks:
 
     def others_at_work(self) -> bool:
         """Whether another process is baking this lift."""
-        return any(is_worked_on(path) for path in self._folder.glob("process-*.lock") if path != self._own)
+        return any(is_locked(path) for path in self._folder.glob("process-*.lock") if path != self._own)
 
     @contextmanager
     def claim(self, view: str) -> Iterator[bool]:
@@ -146,7 +130,7 @@ class BakeLocks:
         PlgsError if the file system does not support locks."""
         path = self._folder / f"view-{sha256(view.encode()).hexdigest()[:16]}.lock"  # so that any text is a name
         try:
-            lock = lock_on(path, wait_s=0.0).__enter__()
+            lock = FileLock(path, wait_s=0.0).__enter__()
         except PlgsError as error:
             if error.code is not ErrorCode.BUSY:
                 raise
@@ -159,6 +143,6 @@ class BakeLocks:
         finally:
             lock.__exit__()
 
-    def manifest(self) -> FileLock | Lease:
+    def manifest(self) -> FileLock:
         """The right to change the manifest; for ``with``."""
-        return lock_on(self._folder / "manifest.lock", MANIFEST_S)
+        return FileLock(self._folder / "manifest.lock", MANIFEST_S)

@@ -13,7 +13,6 @@ from ..json_file import Json
 from .events import at_work
 from .folder import LiftFolder, LiftState
 from .follower import TaskFollower
-from .lease import may_have_crashed
 from .options import request_from, resumable
 from .process import engine_call, engine_command, engine_python
 from .task import LIFT, TaskPlace, TaskState
@@ -79,19 +78,14 @@ def ask_engine(python: Path, interrupts: Interrupts, kind: str, *arguments: str 
 
 
 def _state_when_left_alone(lift: LiftFolder) -> LiftState:
-    """The state of a lift that no engine works on. Raises PlgsError if one still does after two seconds. An engine on a
-    machine that may have crashed is watched until it shows a sign of life, or its lease is free.
+    """The state of a lift that no engine works on. Raises PlgsError if one still does after two seconds.
 
     This is done before an engine is started in vain: on Ctrl-C its cancel file would stop the other engine.
     """
-    give_up, is_told = time.monotonic() + _ENDING_S, False
+    give_up = time.monotonic() + _ENDING_S
     while (state := lift.state()) is LiftState.RUNNING:
         if time.monotonic() > give_up:
-            if not may_have_crashed(lift.events_path):
-                raise at_work(lift.events_path)
-            if not is_told:
-                is_told = True
-                print("Another machine has begun this lift. Waiting for a sign of life ...", file=sys.stderr)
+            raise at_work(lift.events_path)
         time.sleep(0.05)
     return state
 

@@ -1,7 +1,7 @@
-"""Editors of one lift that are killed, or that sleep amid an edit. Run as a script, with the environment's locks:
+"""Editors of one lift that are killed, or that sleep amid an edit. Run as a script:
 
 editors.py LIFT kills COUNT     four editors at once, killed again and again, until COUNT edits were answered
-editors.py LIFT sleeps          an editor sleeps at each call to the file system in turn, past its lease
+editors.py LIFT sleeps          an editor sleeps at each call to the file system in turn
 
 Prints a JSON object: the uids of all edits that were ``answered`` with success, those of them that were ``lost`` (with
 what happened), the editors that were ``killed``, and the calls at which one ``slept``.
@@ -25,7 +25,6 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 from engine.corrections import correct, edits, file, making, read_edits
 from engine.errors import ErrorCode, PlgsError
-from engine.job import lease
 
 DESK = 2
 CALLS = ("open", "fdopen", "fsync", "replace", "link", "unlink", "mkdir", "scandir", "stat")
@@ -51,7 +50,6 @@ class Editor:
         if self.pid == 0:
             os.close(reading)
             try:
-                lease.MACHINE = name
                 if sleeps_at:
                     self._sleep_at(sleeps_at, writing)
                 for number in range(count):
@@ -144,10 +142,7 @@ def sleeps(lift: Path) -> dict[str, object]:
 if __name__ == "__main__":
     edits.datetime = Backwards  # type: ignore[misc]
     os.fsync = lambda descriptor: None  # a kill loses nothing that was written, synced or not
-    lease.STALE_S = 5.0
     if sys.argv[2] == "sleeps":  # nobody else is awake then
-        lease.STALE_S, lease.BEAT_S = 0.03, 0.02
-        if os.environ[lease.VARIABLE] == "0":
-            file._WAIT_S = 0.02  # the system's lock ends with its process alone
+        file._WAIT_S = 0.02  # the lock ends with its process alone
     place = Path(sys.argv[1])
     print(json.dumps(kills(place, int(sys.argv[3])) if sys.argv[2] == "kills" else sleeps(place)))

@@ -1,7 +1,6 @@
 """Whoever edits a lift at once, is killed, or sleeps: an edit that was answered with success stays in the file.
 
-Each is tried with the system's locks and, as on a disk that machines share, with leases. PLGS_EDITS is the number of
-edits that are made amid kills.
+PLGS_EDITS is the number of edits that are made amid kills.
 """
 
 from __future__ import annotations
@@ -14,31 +13,27 @@ from pathlib import Path
 
 import pytest
 
-from engine.job.lease import VARIABLE
 from tests.corrections.two_rooms import write_result
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="POSIX signals")
 EDITORS = Path(__file__).with_name("editors.py")
 EDITS = os.environ.get("PLGS_EDITS", "40")
-shared = pytest.mark.parametrize("shared", ["0", "1"], ids=["locks", "leases"])
 
 
-def editors(lift: Path, shared: str, *attack: str) -> dict[str, list[str]]:
+def editors(lift: Path, *attack: str) -> dict[str, list[str]]:
     """What `editors` tells of an attack."""
     command = [sys.executable, str(EDITORS), str(write_result(lift)), *attack]
-    ended = subprocess.run(command, env=os.environ | {VARIABLE: shared}, capture_output=True, text=True, timeout=500)
+    ended = subprocess.run(command, capture_output=True, text=True, timeout=500)
     assert ended.returncode == 0, ended.stderr
     told: dict[str, list[str]] = json.loads(ended.stdout)
     return told
 
 
-@shared
-def test_four_editors_are_killed_while_their_clocks_go_back(tmp_path: Path, shared: str) -> None:
-    told = editors(tmp_path / "lift", shared, "kills", EDITS)
+def test_four_editors_are_killed_while_their_clocks_go_back(tmp_path: Path) -> None:
+    told = editors(tmp_path / "lift", "kills", EDITS)
     assert len(told["answered"]) >= int(EDITS) and not told["lost"], told["lost"]
 
 
-@shared
-def test_an_editor_sleeps_past_its_lease_at_any_call(tmp_path: Path, shared: str) -> None:
-    told = editors(tmp_path / "lift", shared, "sleeps")
+def test_an_editor_sleeps_at_any_call(tmp_path: Path) -> None:
+    told = editors(tmp_path / "lift", "sleeps")
     assert len(told["slept"]) > 10 and not told["lost"], told["lost"]

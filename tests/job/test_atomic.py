@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from engine.errors import ErrorCode, PlgsError
-from engine.job import write_atomically
+from engine.job import atomic, write_atomically
 from engine.job.atomic import PART, files_below, remove_parts
 
 
@@ -49,9 +49,10 @@ def test_it_clears_leftovers_away(tmp_path: Path) -> None:
     assert not (tmp_path / "deep" / (PART + "folder")).exists()
 
 
-def test_a_part_that_another_process_removed(tmp_path: Path) -> None:
+def test_a_part_that_another_process_removed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "file"
     path.write_text("old")
+    monkeypatch.setattr(atomic, "flush_to_disk", Path.unlink)
     with pytest.raises(PlgsError, match="another process took over") as met:
-        write_atomically(path, "new", check=(tmp_path / ".part-file").unlink)
+        write_atomically(path, "new")
     assert met.value.code is ErrorCode.BUSY and path.read_text() == "old"

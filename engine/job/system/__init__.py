@@ -16,7 +16,6 @@ try_lock = system.try_lock
 flush_folder = system.flush_folder
 start_options = system.start_options
 kill_with_children = system.kill_with_children
-is_alive = system.is_alive
 usable_cpus = system.usable_cpus
 peak_bytes = system.peak_bytes
 OPEN_FILES_KEEP_NAMES = system.OPEN_FILES_KEEP_NAMES

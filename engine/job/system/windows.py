@@ -48,11 +48,6 @@ def kill_with_children(process: subprocess.Popen[bytes]) -> None:
     process.kill()
 
 
-def is_alive(pid: int) -> bool:
-    """True, as this is not checked here."""
-    return True
-
-
 def usable_cpus() -> int:
     """The number of CPUs of this computer."""
     return os.cpu_count() or 1

@@ -1,0 +1,134 @@
+"""Locks of a lift between processes: while a holder lives, others are busy; after its end, the next has its turn."""
+
+from __future__ import annotations
+
+import errno
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import pytest
+
+from engine.errors import ErrorCode, ExitCode, PlgsError
+from engine.job import BakeLocks, LiftState, lock
+from engine.job.lock import FileLock, is_locked
+from engine.job.system import OPEN_FILES_KEEP_NAMES
+from tests.job.lift_folders import new_lift
+
+posix = pytest.mark.skipif(sys.platform == "win32", reason="POSIX signals")
+HOLDER = """
+import sys
+from pathlib import Path
+from engine.job.lock import FileLock
+with FileLock(Path(sys.argv[1])):
+    print("held", flush=True)
+    sys.stdin.readline()
+"""
+
+
+@pytest.fixture
+def holder(root: Path, tmp_path: Path) -> Iterator[subprocess.Popen[str]]:
+    """A process that holds the lock of the file "work"."""
+    command = [sys.executable, "-c", HOLDER, str(tmp_path / "work")]
+    with subprocess.Popen(command, cwd=root, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None and process.stdout.readline() == "held\n"
+        yield process
+        process.kill()
+
+
+@posix
+def test_a_suspended_holder_keeps_its_lock(holder: subprocess.Popen[str], tmp_path: Path) -> None:
+    holder.send_signal(signal.SIGSTOP)
+    for wait_s in (0.0, 0.2):
+        with pytest.raises(PlgsError) as refused, FileLock(tmp_path / "work", wait_s):
+            pass
+        assert refused.value.code is ErrorCode.BUSY and refused.value.exit_code is ExitCode.BUSY
+    assert is_locked(tmp_path / "work")
+
+
+@posix
+def test_only_one_of_many_takes_over_after_a_kill(holder: subprocess.Popen[str], tmp_path: Path) -> None:
+    holder.kill()
+    holder.wait()
+    assert not is_locked(tmp_path / "work")
+    held: list[int] = []
+
+    def take(number: int) -> bool:
+        try:
+            with FileLock(tmp_path / "work", 0.2):
+                held.append(number)
+                assert held == [number], "two at once"
+                time.sleep(0.4)
+                held.remove(number)
+        except PlgsError as error:
+            assert error.code is ErrorCode.BUSY
+            return False
+        return True
+
+    with ThreadPoolExecutor(8) as pool:
+        assert any(list(pool.map(take, range(8))))
+
+
+@pytest.mark.parametrize("number", [errno.ENOLCK, errno.EOPNOTSUPP, errno.ENOSYS])
+def test_a_disk_without_locks_is_refused_in_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: int
+) -> None:
+    """Such as NFS 3 without lockd. Nothing is begun there."""
+    lift = new_lift(tmp_path / "lift")
+    lift.events_path.touch()
+
+    def fail(descriptor: int, shared: bool = False) -> bool:
+        raise OSError(number, os.strerror(number))
+
+    monkeypatch.setattr(lock, "try_lock", fail)
+    for use in (lambda: lift.lock().__enter__(), lift.state, BakeLocks(lift.path).__enter__):
+        with pytest.raises(PlgsError, match="cannot lock files") as refused:
+            use()
+        assert "NFS 4" in refused.value.fix and "\n" not in str(refused.value)
+
+
+def test_a_lift_that_is_locked_is_running(tmp_path: Path) -> None:
+    lift = new_lift(tmp_path)
+    with lift.lock():
+        assert lift.state() is LiftState.RUNNING
+        with pytest.raises(PlgsError), lift.lock():
+            pass
+    with BakeLocks(lift.path) as locks, BakeLocks(lift.path) as others:
+        assert locks.others_at_work()
+        with locks.claim("a") as ours, others.claim("a") as theirs:
+            assert (ours, theirs) == (True, False)
+    lift.discard()
+    assert not lift.path.exists()
+
+
+def test_each_view_belongs_to_one_process(tmp_path: Path) -> None:
+    with BakeLocks(tmp_path) as locks:
+        with locks.claim("shot / 1") as first, locks.claim("shot / 1") as second, locks.claim("shot / 2") as other:
+            assert (first, second, other) == (True, False, True)
+        with locks.claim("shot / 1") as again:
+            assert again
+        assert OPEN_FILES_KEEP_NAMES or not list((tmp_path / "bake").glob("view-*.lock")), "none is left behind"
+
+
+def test_it_knows_whether_others_are_baking(tmp_path: Path) -> None:
+    assert not BakeLocks(tmp_path).others_at_work()
+    with BakeLocks(tmp_path) as locks:
+        assert not locks.others_at_work()
+        left_behind = tmp_path / "bake" / "process-0.lock"
+        left_behind.touch()  # by a kill: nobody holds it
+        assert not locks.others_at_work()
+        with FileLock(left_behind):
+            assert locks.others_at_work()
+    assert not (tmp_path / "bake").joinpath(locks._own.name).exists()
+
+
+def test_one_after_the_other_at_the_manifest(tmp_path: Path) -> None:
+    with BakeLocks(tmp_path) as locks, locks.manifest():
+        pass
+    with locks.manifest():
+        pass
