@@ -1,16 +1,25 @@
-"""A lift.blend that somebody else put beside a lift: nothing in it is run, and nothing elsewhere is written."""
+"""A lift.blend that somebody else put beside a lift: nothing in it is run, nothing elsewhere is written, and
+odd values in it do no harm."""
 
 from __future__ import annotations
 
 import os
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import bpy
 import pytest
 from file_contents import contents
 from plgs.engine.errors import PlgsError
 from plgs.plgs_blender import lift_scene
+from tiny_lift import write_tiny_lift
+
+EXPECTED = (PlgsError, OSError)
+ODD: list[Any] = [7, 1.5, True, [1, 2], {"a": 1}, "", "instance:x", "//", "/dev/zero", "\\\\host\\share", None]
+"""None: the property is gone."""
+KINDS = ("scenes", "collections", "objects", "cameras", "pointclouds", "meshes", "images", "node_groups")
+OURS = ("plgs_", "frame", "class_id")
 
 
 def write_hostile(blend: Path, marker: Path) -> None:
@@ -83,3 +92,33 @@ def test_a_link_is_replaced_and_what_it_leads_to_stays(lift: Path, tmp_path: Pat
     blend.symlink_to(theirs)
     lift_scene.save_lift(lift, blend)
     assert theirs.read_bytes() == before and not blend.is_symlink()
+
+
+@pytest.mark.parametrize("every", [6, pytest.param(1, marks=pytest.mark.slow)], ids=["some", "all"])
+def test_odd_custom_properties(tmp_path: Path, every: int) -> None:
+    """Each of ours, on one block of each kind, with other values: none of Python's own errors comes of it."""
+    small, placed = write_tiny_lift(tmp_path / "lift", frames=5, size=(16, 12)).path, tmp_path / "file.blend"
+    bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
+    lift_scene.place_lift(small, bpy.context.scene)
+    bpy.ops.wm.save_as_mainfile(filepath=str(placed))
+    found = {
+        (kind, name): block.name
+        for kind in KINDS
+        for block in getattr(bpy.data, kind)
+        for name in block.keys()
+        if name.startswith(OURS)
+    }
+    assert len(found) > 10
+    for number, ((kind, name), block) in enumerate(found.items()):
+        for value in ODD[number % every :: every]:
+            bpy.ops.wm.open_mainfile(filepath=str(placed))
+            spoilt, scene = getattr(bpy.data, kind)[block], bpy.context.scene
+            if value is None:
+                del spoilt[name]
+            else:
+                spoilt[name] = value
+            for act in (lift_scene.place_lift, lift_scene.place_passes_anew):
+                try:
+                    act(small, scene)
+                except EXPECTED as error:
+                    assert "\n" not in str(error)

@@ -1,4 +1,4 @@
-"""Whatever stands in a file of splats, it is read, or refused by one line"""
+"""Files of splats that are read in part, or refused."""
 
 from __future__ import annotations
 
@@ -6,13 +6,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from engine.errors import PlgsError
 from engine.passes.ply import columns_of, write_ply_table
 from engine.posed.splat_file import read_gaussians
-from tests.fuzzing import damaged, examples
 
 COUNT = 6
 
@@ -23,19 +20,6 @@ def original(tmp_path: Path) -> bytes:
     columns = columns_of("x y z f_dc_0 f_dc_1 f_dc_2 opacity scale_0 scale_1 scale_2 rot_0 rot_1 rot_2 rot_3", random)
     write_ply_table(tmp_path / "splats.ply", {**columns, "class_id": np.arange(COUNT, dtype=np.int32)})
     return (tmp_path / "splats.ply").read_bytes()
-
-
-@examples(25)
-@given(data=st.data())
-def test_damaged_splats(original: bytes, tmp_path: Path, data: st.DataObject) -> None:
-    path = tmp_path / "damaged.ply"
-    path.write_bytes(damaged(data.draw, original))
-    try:
-        rows = read_gaussians(path)
-    except PlgsError as error:
-        assert "\n" not in str(error)
-        return
-    assert all(np.isfinite(rows[name]).all() and np.abs(rows[name]).max(initial=0) <= 1e6 for name in "xyz")
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -1e30])
