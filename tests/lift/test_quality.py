@@ -8,6 +8,8 @@ import sys
 from collections.abc import Mapping
 from pathlib import Path
 
+import pytest
+
 from engine.job import LiftRequest
 from tests.train.tiny_lift import lift_into
 
@@ -30,6 +32,7 @@ def scores(folder: Path) -> Mapping[str, Mapping[str, float]]:
     return {table["name"]: table for table in tables if table["mode"] == "strict"}
 
 
+@pytest.mark.slow  # test_near_and_far.py is the short one of this kind
 def test_a_lift_beats_its_masks_and_a_vote(tmp_path: Path) -> None:
     """One test, so that workers side by side make its lift once."""
     found = scores(tmp_path)

@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 from plgs.engine.job import LiftFolder, LiftRequest, write_manifest
 from plgs.engine.scene import Frame, Scene, open_scene
 from plgs.engine.scene_of_lift import remember_scene
-from tiny_scene import (
+
+from tests.tiny_scene import (
     CABINET,
     CABINET_ID,
     CATEGORIES,
