@@ -23,18 +23,25 @@ from capture_noise import (
     Pixels,
     blurred_frames,
     border_mask,
+    chance_of_holes,
     colour_gains,
+    flying_pixels,
+    half_size,
+    holes,
     linear,
     misplaced,
     motion_blur,
+    noisy,
+    polish_waves,
     pose_errors,
+    quantised,
     srgb,
 )
-from class_belief import stream
-from depth_sensor import chance_of_holes, flying_pixels, half_size, holes, noisy, polish_waves, quantised
 from numpy.typing import NDArray
-from scene_files import PlgsError, run, write_image
+from shared import stream, write_image
 
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+from engine.errors import PlgsError
 from engine.scene import Camera, Frame, open_scene
 
 JPEG = (cv2.IMWRITE_JPEG_QUALITY, 98, cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444)
@@ -47,7 +54,12 @@ def main() -> int:
     parser.add_argument("out", type=Path, help="scene folder to make; an existing one is refused")
     parser.add_argument("--seed", type=int, default=0, help="different seeds give different faults (default 0)")
     options = parser.parse_args()
-    return run(lambda: write_hand_held(options.scene, options.out, options.seed))
+    try:
+        print(write_hand_held(options.scene, options.out, options.seed))
+    except (PlgsError, OSError) as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
+    return 0
 
 
 def write_hand_held(scene: Path, out: Path, seed: int, noise: CaptureNoise | None = None) -> str:

@@ -2,8 +2,8 @@
 
 SCENE holds ``gt/semantic``, ``gt/instance``, ``gt/classes.json``, ``depth``, ``pose`` and ``intrinsic``. It writes
 ``panoptic.json`` (COCO panoptic, own categories, a score for each segment) and ``panoptic/*.png`` (segment id = R + 256
-G + 65536 B, 0 = void). All other programs use the ground truth only for evaluation. ``class_belief.BeliefNoise``
-and ``mask_noise.MaskNoise`` say what a network gets wrong, and how often.
+G + 65536 B, 0 = void). All other programs use the ground truth only for evaluation. ``BeliefNoise`` and
+``MaskNoise`` of mask_noise.py say what a network gets wrong, and how often.
 """
 
 from __future__ import annotations
@@ -15,10 +15,12 @@ from typing import Any
 
 import cv2
 import numpy as np
-from class_belief import Sight
-from mask_noise import Ids, MaskNoise, Region, TrueRegion, detect
+from mask_noise import Ids, MaskNoise, Region, Sight, TrueRegion, detect
 from numpy.typing import NDArray
-from scene_files import Segments, mask_pixels, write_image, write_mask_table
+from shared import write_image
+
+Segments = list[dict[str, Any]]
+"""COCO's ``segments_info``."""
 
 SMALLEST_STUFF = 40
 """Pixels. A smaller piece of stuff goes with the largest piece of its class."""
@@ -40,10 +42,18 @@ def write_masks(scene: Path, out: Path, seed: int, noise: MaskNoise | None = Non
     masks, images = {}, []
     for path in sorted((scene / "gt/semantic").glob("*.png")):
         ids, masks[path.stem] = mask_of_frame(scene, path.stem, categories, seed, noise or MaskNoise())
-        write_image(out / f"{name}/{path.stem}.png", mask_pixels(ids), [cv2.IMWRITE_PNG_COMPRESSION, 9])
+        pixels = np.stack([ids >> 16, ids >> 8 & 255, ids & 255], -1).astype(np.uint8)  # B, G, R
+        write_image(out / f"{name}/{path.stem}.png", pixels, [cv2.IMWRITE_PNG_COMPRESSION, 9])
         height, width = ids.shape
         images.append({"id": path.stem, "file_name": f"{path.stem}.jpg", "width": width, "height": height})
-    write_mask_table(out / f"{name}.json", masks, categories, images)
+    annotations = [
+        {"image_id": frame, "file_name": f"{frame}.png", "segments_info": segments} for frame, segments in masks.items()
+    ]
+    blocks = []  # one entry a line
+    for key, entries in (("images", images), ("annotations", annotations), ("categories", categories)):
+        lines = ",\n".join(" " + json.dumps(entry) for entry in entries)
+        blocks.append(f'"{key}": [\n{lines}\n]')
+    (out / f"{name}.json").write_text("{\n" + ",\n".join(blocks) + "\n}\n")
 
 
 def mask_of_frame(

@@ -1,19 +1,23 @@
-"""The hand-held twin of a scene: what it degrades, by how much, and what it leaves alone."""
+"""The sample's programs: the hand-held twin of a scene, and masks as a network would draw them."""
 
 from __future__ import annotations
 
+import importlib
 import json
 import sys
 from pathlib import Path
 
 import cv2
-import hand_held
 import numpy as np
 import pytest
 
-from engine.errors import PlgsError
 from engine.scene import check_scene, open_scene
 from tests.tiny_scene import write_tiny_scene
+
+SAMPLE = Path(__file__).resolve().parents[1] / "sample"
+ROOM = SAMPLE / "room"
+sys.path.append(str(SAMPLE))  # its programs import each other as scripts do
+hand_held, network_masks = importlib.import_module("hand_held"), importlib.import_module("network_masks")
 
 FRAMES = 12
 
@@ -57,6 +61,8 @@ def test_truth_masks_split_and_intrinsics_stay(exact: Path, captured: Path) -> N
     kept = [name for name in before if name.split("/")[0] not in ("color", "depth", "pose")]
     assert {name.split("/")[0] for name in kept} == {"gt", "intrinsic", "panoptic", "panoptic.json", "splits.json"}
     assert [name for name in kept if before[name] != after[name]] == []
+    faults = json.loads(after["hand_held.json"])
+    assert faults["seed"] == 0 and [frame["frame"] for frame in faults["frames"]] == [f"{i:04d}" for i in range(FRAMES)]
 
 
 def test_poses_are_a_little_wrong_and_rigid(exact: Path, captured: Path) -> None:
@@ -82,13 +88,6 @@ def test_depth_with_its_own_lens_is_aligned_with_the_colours(tmp_path: Path) -> 
     assert known.mean() > 0.5 and np.median(np.abs(sensed - read)[known]) < 0.03
 
 
-def test_what_was_done_is_written_down(captured: Path) -> None:
-    faults = json.loads((captured / "hand_held.json").read_text())
-    assert faults["seed"] == 0 and faults["noise"]["gain"] == 2.0
-    assert [frame["frame"] for frame in faults["frames"]] == [f"{i:04d}" for i in range(FRAMES)]
-    assert sum(any(frame["blur"]) for frame in faults["frames"]) == 1
-
-
 @pytest.mark.parametrize("bad", ["exists", "inside", "no scene", "few poses"])
 def test_bad_arguments_are_refused_in_one_line(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], bad: str
@@ -108,5 +107,19 @@ def test_bad_arguments_are_refused_in_one_line(
     told = capsys.readouterr().err
     assert told.startswith("error: ") and told.count("\n") == 1
     assert not (out.exists() and any(out.iterdir()))
-    with pytest.raises(PlgsError):
-        hand_held.write_hand_held(scene, out, seed=0)
+
+
+def test_committed_masks_are_what_the_program_makes_and_coco_panoptic() -> None:
+    table, splits = json.loads((ROOM / "panoptic.json").read_text()), json.loads((ROOM / "splits.json").read_text())
+    things = {entry["id"]: entry["isthing"] for entry in table["categories"]}
+    assert [image["id"] for image in table["images"]] == sorted(splits["train"] + splits["test"])
+    for annotation in table["annotations"][5::24]:
+        frame = annotation["image_id"]
+        ids, segments = network_masks.mask_of_frame(ROOM, frame, table["categories"], 0, network_masks.MaskNoise())
+        picture = cv2.imread(str(ROOM / "panoptic" / annotation["file_name"]), cv2.IMREAD_COLOR).astype(np.int32)
+        assert np.array_equal(ids, picture[..., 2] + 256 * picture[..., 1] + 65536 * picture[..., 0])
+        assert segments == annotation["segments_info"]
+        numbers, counts = np.unique(ids[ids > 0], return_counts=True)
+        painted = dict(zip(numbers.tolist(), counts.tolist(), strict=True))
+        assert painted == {segment["id"]: segment["area"] for segment in segments}
+        assert all(segment["isthing"] == things[segment["category_id"]] for segment in segments)
