@@ -17,7 +17,7 @@ from .job import LiftFolder, LiftState, write_atomically
 from .known_scene import FIND_SCENE, has_known, known_scene, read_known, write_known
 from .posed.scene_record import StoredScene, stored_scene
 from .result_files import INSTANCES, read_instances
-from .scene import Camera, Frame, OtherClasses, PosedFrame, Scene, digests_of_files, open_asked
+from .scene import Camera, Frame, MaskReader, PosedFrame, Scene, digests_of_files, open_asked
 
 EARLIER = "earlier"
 """The folder in a lift's folder with what was baked of earlier results."""
@@ -70,10 +70,10 @@ def names_of_frames(folder: LiftFolder) -> tuple[str, ...]:
 
 def remember_scene(folder: LiftFolder, scene: Scene, warn: Callable[[str], object] = lambda _: None) -> str:
     """Write the cameras of a lift's scene, and the digests of its files, beside its request. Returns that of the masks.
-    What was baked with other masks or classes is moved out of the result before, with a warning. Raises PlgsError for a
-    mask with unknown classes, OSError."""
+    What was baked with other masks or classes is moved out of the result before, with a warning. Raises PlgsError,
+    OSError."""
     masks, before = digest_of_masks(scene), read_known(folder)
-    if (before is not None and before.masks not in ("", masks)) or have_classes_changed(folder, scene):
+    if (before is not None and masks_differ(before.masks, masks)) or have_classes_changed(folder, scene):
         _move_baked(folder, warn)
     known, files = stored_scene(scene, scene.frames, masks), _digests_of(scene.frames)
     frames = tuple(replace(one, files=found, read=how) for one, (found, how) in zip(known.frames, files, strict=True))
@@ -152,7 +152,7 @@ def is_done(folder: LiftFolder, masks: str = "") -> bool:
         return True  # not known, or gone
     scene = open_asked(folder.request)
     refuse_changed(folder, scene)
-    return not have_classes_changed(folder, scene) and known.masks == (masks or digest_of_masks(scene))
+    return not have_classes_changed(folder, scene) and not masks_differ(known.masks, masks or digest_of_masks(scene))
 
 
 def have_classes_changed(folder: LiftFolder, scene: Scene) -> bool:
@@ -174,20 +174,15 @@ def masks_last_run(folder: LiftFolder) -> str:
 
 
 def digest_of_masks(scene: Scene) -> str:
-    """SHA-256 of the masks of all frames with their segments. Raises OtherClasses."""
-    found = sha256()
-    for frame in scene.frames:
-        if frame.read_mask is not None:
-            try:
-                mask = frame.mask()
-            except OtherClasses:
-                raise
-            except PlgsError:  # the check leaves this frame out
-                found.update(f"{frame.name} is unreadable".encode())
-                continue
-            found.update(f"{frame.name} {mask.segments}".encode())
-            found.update(np.ascontiguousarray(mask.ids).tobytes())
-    return found.hexdigest()
+    """The start of the SHA-256 of the files of all masks and of what they are read as; no mask is decoded."""
+    readers = {frame.name: frame.read_mask for frame in scene.frames}
+    digests = [(name, read.digest()) for name, read in readers.items() if isinstance(read, MaskReader)]
+    return sha256(repr(digests).encode()).hexdigest()[:16]
+
+
+def masks_differ(before: str, now: str) -> bool:
+    """Whether masks have changed, by their digests. That of an earlier version, which is longer, says nothing."""
+    return len(before) == len(now) and before != now
 
 
 def relink(folder: LiftFolder, place: Path) -> LiftFolder:

@@ -46,7 +46,7 @@ from ..scene import (
     size_within,
     survey_scene,
 )
-from ..scene_of_lift import masks_last_run, refuse_changed, remember_scene
+from ..scene_of_lift import masks_differ, masks_last_run, refuse_changed, remember_scene
 from ..train.progress import Course, StageProgress, StageReporter
 from ..train.state import OtherLabels, restore, trainer_state
 from ..train.trainer import Trainer
@@ -207,9 +207,9 @@ def checked_frames(
         refuse_changed(folder, scene)
         before = str(checkpoint.state.get(MASKS, before))  # scene.json may be of a run that was killed since
     frames = sets_of_frames(scene, request, checkpoint, progress, events)
-    survey = survey_scene(frames.chosen, progress)
+    survey = survey_scene(frames.chosen, progress, preset.size)
     tell(frames.chosen, survey, events)
-    masks_changed = remember_scene(folder, scene, events.warning) != before != ""
+    masks_changed = masks_differ(before, remember_scene(folder, scene, events.warning))
     return frames.only(survey.scene), masks_changed
 
 

@@ -24,7 +24,7 @@ import numpy as np
 from ..errors import PlgsError
 from ..job import EventWriter
 from ..presets.preset import Preset
-from ..scene import Frame, Size, StoredViews, View, read_ahead, size_within
+from ..scene import Frame, OtherClasses, Size, StoredViews, View, read_ahead, size_within
 
 SMALLER = 2
 """The factor by which voters are smaller than the training frames, in width and in height."""
@@ -56,6 +56,8 @@ def _read_voter(frame: Frame, trained_within: Size) -> View | PlgsError:
     size = max(1, width // SMALLER), max(1, height // SMALLER)
     try:
         depth, mask = frame.depth(size), frame.mask(size)
+    except OtherClasses:
+        raise
     except PlgsError as error:
         return error
     colour = np.zeros((*depth.shape, 3), np.uint8)

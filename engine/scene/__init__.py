@@ -22,7 +22,7 @@ from .files_of_frames import digests_of_files
 from .formats import FORMATS, SceneFormat
 from .frame import Frame, GroundTruth, PanopticMask, Scene, Segment, Size, SparsePoints
 from .frame_choice import choose_frames, evenly_spread, photo_detail
-from .masks import OtherClasses
+from .masks import MaskReader, OtherClasses
 from .noted import Inferred, LeftOut, counted
 from .on_demand import OnDemand, Progress, StoredArrays, StoredViews, chained, part_of, stored, watched
 from .opening import open_asked, open_scene, open_scene_to_lift, require_liftable, splits_path

@@ -10,13 +10,14 @@ from numpy.typing import NDArray
 
 from ..errors import MEMORY_IS_GONE, PlgsError
 from ..posed.classes import VOID
+from ..posed.frames import size_within
 from ..posed.image_header import check_image_file
 from ..posed.layout import listed, plural
 from .files_of_frames import IMAGES
 from .frame import Frame, PanopticMask, Scene, Size
 from .frame_choice import evenly_spread
 from .ground_truth import GroundTruthReader
-from .masks import OtherClasses
+from .masks import KeptMask, OtherClasses
 from .on_demand import Progress
 from .opening import complete, require_liftable
 from .overlap import Thumbnail, measure_overlap
@@ -74,13 +75,13 @@ class FrameFacts:
     brightest: int | None
 
 
-_Look = tuple[FrameFacts, Thumbnail | None]
+_Look = tuple[FrameFacts, Thumbnail | None, Frame]
 
 
 @dataclass(frozen=True, eq=False)
 class Survey:
     """The scene without frames whose files cannot be read, the facts of the others, and warnings besides those of
-    opening it."""
+    opening it. Its frames keep their masks where that was asked for."""
 
     scene: Scene
     frames: tuple[FrameFacts, ...]
@@ -99,12 +100,15 @@ def check_scene(scene: Scene, progress: Progress | None = None) -> tuple[str, ..
     return survey_scene(scene, progress).warnings
 
 
-def survey_scene(scene: Scene, progress: Progress | None = None) -> Survey:
-    """``check_scene`` with the scene and the facts of the frames that can be read. Depth and masks may be missing."""
+def survey_scene(scene: Scene, progress: Progress | None = None, keep_within: Size | None = None) -> Survey:
+    """``check_scene`` with the scene and the facts of the frames that can be read. Depth and masks may be missing.
+
+    Masks are kept at the size that frames have within ``keep_within``: whoever reads them at this size later decodes no
+    file."""
     tick = progress or (lambda done, total: None)
-    looks, scene, told = _readable(scene, tick)
-    facts = [fact for fact, _ in looks]
-    thumbnails = [thumbnail for _, thumbnail in looks if thumbnail is not None]
+    looks, scene, told = _readable(scene, tick, keep_within)
+    facts = [fact for fact, *_ in looks]
+    thumbnails = [thumbnail for _, thumbnail, _ in looks if thumbnail is not None]
     depths = [fact.depth for fact in facts if fact.depth is not None]
     farthest = max((depth.range[2] for depth in depths), default=_LOOKS_LIKE_METRES)
     if farthest < _LOOKS_LIKE_METRES:
@@ -122,7 +126,7 @@ def survey_scene(scene: Scene, progress: Progress | None = None) -> Survey:
     return Survey(scene, tuple(facts), (*told, *_pixel_warnings(facts), *overlap_warnings))
 
 
-def _readable(scene: Scene, tick: Progress) -> tuple[list[_Look], Scene, tuple[str, ...]]:
+def _readable(scene: Scene, tick: Progress, keep_within: Size | None) -> tuple[list[_Look], Scene, tuple[str, ...]]:
     """What the frames show, the scene without those whose files cannot be read, and warnings that name these.
 
     Raises PlgsError where more than half of all frames, or all to train on, cannot be read; and for what is wrong
@@ -136,7 +140,7 @@ def _readable(scene: Scene, tick: Progress) -> tuple[list[_Look], Scene, tuple[s
         truth = frame.read_ground_truth
         unknown = truth.unknown() if isinstance(truth, GroundTruthReader) else frozenset[int | str]()
         try:
-            looks[frame.name] = _look(frame, unknown, decode=position in decoded)
+            looks[frame.name] = _look(frame, unknown, keep_within, decode=position in decoded)
         except OtherClasses:
             raise
         except PlgsError as error:
@@ -145,23 +149,29 @@ def _readable(scene: Scene, tick: Progress) -> tuple[list[_Look], Scene, tuple[s
             errors[frame.name] = error
         tick(position + 1, total)
     if not errors:
-        return list(looks.values()), scene, ()
+        return list(looks.values()), replace(scene, frames=tuple(frame for *_, frame in looks.values())), ()
     first = next(iter(errors.values()))
-    kept, gone, told = complete(scene.frames, "readable files", lambda frame: frame.name in looks)
+    _, gone, told = complete(scene.frames, "readable files", lambda frame: frame.name in looks)
     if not gone:
         raise first
+    kept = tuple(frame for *_, frame in looks.values())
     scene = replace(scene, frames=kept, left_out=(*scene.left_out, *gone))
     return list(looks.values()), scene, (f"{gone[0]} (the first: {first.what}: {first.where})", *told)
 
 
-def _look(frame: Frame, unknown_truth: frozenset[int | str], decode: bool) -> _Look:
+def _look(frame: Frame, unknown_truth: frozenset[int | str], keep_within: Size | None, decode: bool) -> _Look:
     """Raises PlgsError where a file cannot be read."""
     brightest = _check_colour(frame, decode)
     depth = None if frame.read_depth is None else frame.read_depth(None)
-    mask = None if frame.read_mask is None else _mask_facts(frame.read_mask(None))
+    mask = None
+    if frame.read_mask is not None:
+        whole = frame.read_mask(None)
+        mask = _mask_facts(whole)
+        if keep_within is not None:
+            frame = replace(frame, read_mask=KeptMask.of(whole, size_within(frame.size, keep_within), frame.read_mask))
     measured = None if depth is None else _depth_facts(frame, depth)
     facts = FrameFacts(frame.name, measured, mask, unknown_truth, brightest)
-    return facts, None if depth is None else _thumbnail(frame, depth)
+    return facts, None if depth is None else _thumbnail(frame, depth), frame
 
 
 def _check_colour(frame: Frame, decode: bool) -> int | None:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from hashlib import sha256
 from pathlib import Path
+from zlib import compress, decompress
 
 import numpy as np
 
@@ -13,6 +15,7 @@ from ..posed.classes import VOID, ClassTable
 from ..posed.layout import listed
 from .class_choice import FILE_NAME, find_class_choice
 from .class_map import ClassMap, class_map
+from .files_of_frames import digests_of_files
 from .frame import PanopticMask, Segment, Size
 from .mask_formats import MASK_FORMATS, FoundSegment, MaskSource, StoredMask, find_mask_format
 from .noted import Inferred
@@ -68,6 +71,13 @@ class MaskReader:
             ids = number[ids]
         return PanopticMask(resize_nearest(ids, size) if size else ids, tuple(segments))
 
+    def digest(self) -> str:
+        """The start of the SHA-256 of the mask's files and of what they are read as, without decoding them."""
+        classes = [(each.id, each.is_thing) for each in self.known.classes.categories]
+        read_as = (sorted(self.known.class_of.items()), self.known.others, classes, sorted(self.void), self.fuses)
+        files = digests_of_files([self.stored.files])
+        return sha256(f"{files} {self.stored.about} {read_as}".encode()).hexdigest()[:16]
+
     def _class_of(self, one: FoundSegment) -> int | None:
         """The class id of a segment, 0 = void, None if it is unknown."""
         known = self.known.class_of.get(one.label, self.known.others)
@@ -81,6 +91,27 @@ class MaskReader:
         is_group = is_thing and not one.has_instance
         track = one.track if is_thing else None
         return Segment(one.id, class_id, is_thing and not is_group, one.score, is_group, track)
+
+
+@dataclass(frozen=True, eq=False)
+class KeptMask:
+    """A mask that was decoded before and is kept, ``packed``, at one ``size``; ``read`` reads it at others."""
+
+    size: Size
+    packed: bytes
+    segments: tuple[Segment, ...]
+    read: Callable[[Size | None], PanopticMask]
+
+    @classmethod
+    def of(cls, mask: PanopticMask, size: Size, read: Callable[[Size | None], PanopticMask]) -> KeptMask:
+        """``mask``, which is whole, as it is at ``size``."""
+        return cls(size, compress(resize_nearest(mask.ids, size).tobytes(), 1), mask.segments, read)
+
+    def __call__(self, size: Size | None = None) -> PanopticMask:
+        """The mask at ``size`` (width, height) or its own. Raises what ``read`` raises."""
+        if size != self.size:
+            return self.read(size)
+        return PanopticMask(np.frombuffer(decompress(self.packed), np.int32).reshape(size[::-1]), self.segments)
 
 
 def fused(segments: Sequence[Segment]) -> tuple[list[Segment], dict[int, int]]:

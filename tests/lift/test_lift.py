@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -25,6 +26,7 @@ from engine.model.structured import from_tensors
 from engine.posed.splat_file import read_gaussians
 from engine.result_files import Anchors, SemanticPoints, read_arrays
 from engine.scene import open_scene
+from engine.scene.mask_formats import coco
 from engine.train import progress
 from tests.tiny_scene import CABINET_ID, CHAIR_ID, write_tiny_scene
 from tests.train.tiny_lift import TINY, lift_into, presets_as
@@ -114,6 +116,20 @@ def test_splats_lie_near_what_was_measured(lifts: Lifts, monkeypatch: pytest.Mon
     assert steps == sorted(steps) and len({step for step in steps if step > 100 * lift_run.SIFTED}) > 8
     listed = json.loads((half.result_path / "instances.json").read_text())["instances"]
     assert [one["points"] for one in listed] == [np.count_nonzero(points.instance_id == one["id"]) for one in listed]
+
+
+def test_a_mask_is_decoded_once_before_training_and_once_to_vote(
+    lifts: Lifts, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    decoded, before = Counter[str](), Counter[str]()
+    read, train = coco._read_ids, lift_run.train
+    monkeypatch.setattr(coco, "_read_ids", lambda png: decoded.update([png.stem]) or read(png))
+    monkeypatch.setattr(lift_run, "train", lambda *all: before.update(decoded) or train(*all))
+    monkeypatch.setattr(frame_sets, "main_memory", lambda: None)  # else it looks at some masks to predict the memory
+    scene = shutil.copytree(lifts.scene, lifts.root / "without truth", ignore=shutil.ignore_patterns("gt"))
+    run(LiftFolder.create(lifts.root / "decoded", LiftRequest(scene=scene, options={"size": (32, 24)})))
+    names = {frame.name for frame in open_scene(scene).train_frames}
+    assert {before[name] for name in names} == {1} and {decoded[name] for name in names} == {2}
 
 
 def test_the_instances_are_written(lifts: Lifts) -> None:

@@ -32,7 +32,7 @@ from .source import FoundMask, FoundSegment, MaskFormat, MaskSource, StoredMask
 _LARGEST_SEGMENT_ID = 256**3 - 1
 
 
-def _read_mask(png: Path, table: Path, segments: tuple[FoundSegment, ...], crowd_ids: frozenset[int]) -> FoundMask:
+def _read_mask(png: Path, table: str, segments: tuple[FoundSegment, ...], crowd_ids: frozenset[int]) -> FoundMask:
     """One frame's mask. ``crowd_ids`` are regions of uncounted objects, which become void.
 
     Raises PlgsError for an id that the JSON does not have.
@@ -42,7 +42,7 @@ def _read_mask(png: Path, table: Path, segments: tuple[FoundSegment, ...], crowd
     unknown = sorted({*found.tolist()} - {0} - {segment.id for segment in segments} - crowd_ids)
     if unknown:
         fix = "Add them to this frame's segments_info, or paint them 0 (id = R + 256 G + 65536 B)."
-        raise PlgsError(f"segment ids {listed(unknown)} of the PNG are missing from {table.name}", png, fix)
+        raise PlgsError(f"segment ids {listed(unknown)} of the PNG are missing from {table}", png, fix)
     if crowd_ids:
         ids[np.isin(ids, list(crowd_ids))] = 0
     return FoundMask(ids, segments)
@@ -170,7 +170,8 @@ def _open_frame(
         else:
             segments[segment.id] = segment
     ordered = tuple(segments[key] for key in sorted(segments))
-    return StoredMask(png, header.size, partial(_read_mask, png, table, ordered, frozenset(crowd_ids))), bool(crowd_ids)
+    read = partial(_read_mask, png, table.name, ordered, frozenset(crowd_ids))
+    return StoredMask(png, header.size, read), bool(crowd_ids)
 
 
 def _segment(info: dict[str, Any], name: str, table: Path, known: frozenset[int]) -> FoundSegment:

@@ -24,13 +24,13 @@ _FIX = "Name the folder that Grounded-SAM-2 wrote, with mask_data and json_data.
 _LARGEST_OBJECT = 65535
 
 
-def _read_mask(array: Path, table: Path, segments: Mapping[int, FoundSegment]) -> FoundMask:
+def _read_mask(array: Path, table: str, segments: Mapping[int, FoundSegment]) -> FoundMask:
     """One frame; ``segments`` by the object's number. Raises PlgsError for an object that the JSON does not have."""
     ids = read_label_map(array)
     present = [int(value) for value in np.unique(ids) if value]
     unknown = [value for value in present if value not in segments]
     if unknown:
-        raise PlgsError(f"objects {listed(unknown)} are missing from {table.name}", array, _FIX)
+        raise PlgsError(f"objects {listed(unknown)} are missing from {table}", array, _FIX)
     return FoundMask(ids.astype(np.int32), tuple(segments[value] for value in present))
 
 
@@ -51,7 +51,8 @@ def _read(place: Path, names: Sequence[str]) -> MaskSource:
     for name, found in objects.items():
         path = arrays[name]
         segments = {number: FoundSegment(number, label_of[word], track=number) for number, word in found.items()}
-        masks[name] = StoredMask(path, label_map_size(path), partial(_read_mask, path, tables[name], segments))
+        read = partial(_read_mask, path, tables[name].name, segments)
+        masks[name] = StoredMask(path, label_map_size(path), read)
     return MaskSource(masks, labels or None, tells_no_class=not labels)
 
 

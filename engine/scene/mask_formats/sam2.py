@@ -81,7 +81,7 @@ def _read_map(path: Path) -> FoundMask:
 def _pile(segments: Sequence[FoundSegment], paths: Sequence[Path], fix: str) -> StoredMask:
     """A frame's mask out of a black and white PNG for each segment. Smaller ones are on top."""
     size = label_header(paths[0]).size
-    return StoredMask(paths[0], size, partial(painted_files, paths, segments, size, fix))
+    return StoredMask(paths[0], size, partial(painted_files, (*paths,), segments, size, fix))
 
 
 def _picture_folders(place: Path) -> list[Path]:

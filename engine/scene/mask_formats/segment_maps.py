@@ -38,7 +38,7 @@ _CONFIG = "config.json"
 _COCO_THINGS = 80
 
 
-def _read_mask(picture: Path, table: Path, segments: Mapping[int, FoundSegment]) -> FoundMask:
+def _read_mask(picture: Path, table: str, segments: Mapping[int, FoundSegment]) -> FoundMask:
     """One frame; ``segments`` by their id in the picture. Raises PlgsError for an id that the JSON should have."""
     ids = read_label_map(picture)
     present = np.unique(ids)
@@ -50,7 +50,7 @@ def _read_mask(picture: Path, table: Path, segments: Mapping[int, FoundSegment])
     unknown = [int(value) for value in present if int(value) not in void and int(value) not in segments]
     if unknown:
         fix = "Save picture and segments from the same call; with transformers, without label_ids_to_fuse."
-        raise PlgsError(f"segment ids {listed(unknown)} are missing from {table.name}", picture, fix)
+        raise PlgsError(f"segment ids {listed(unknown)} are missing from {table}", picture, fix)
     number = np.array([segments[int(v)].id if int(v) in segments else 0 for v in present], np.int32)
     painted = number[np.searchsorted(present, ids)]
     return FoundMask(painted, tuple(sorted(segments.values(), key=lambda segment: segment.id)))
@@ -149,7 +149,9 @@ def _masks(
     pictures: Mapping[str, Path], tables: Mapping[str, Path], segments: Mapping[str, Mapping[int, FoundSegment]]
 ) -> dict[str, StoredMask]:
     return {
-        name: StoredMask(tables[name], label_map_size(path), partial(_read_mask, path, tables[name], segments[name]))
+        name: StoredMask(
+            tables[name], label_map_size(path), partial(_read_mask, path, tables[name].name, segments[name])
+        )
         for name, path in pictures.items()
     }
 

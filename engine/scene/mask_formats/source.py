@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -48,7 +49,22 @@ class StoredMask:
 
     path: Path
     size: Size
-    read: Callable[[], FoundMask]
+    read: partial[FoundMask]
+
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """The files that ``read`` decodes."""
+        given = (one if isinstance(one, tuple) else (one,) for one in self.read.args)
+        return tuple(path for each in given for path in each if isinstance(path, Path))
+
+    @property
+    def about(self) -> str:
+        """What else ``read`` is given, such as the segments that a table lists."""
+        return repr([one for one in self.read.args if not isinstance(one, Path) and not _is_paths(one)])
+
+
+def _is_paths(given: object) -> bool:
+    return isinstance(given, tuple) and bool(given) and all(isinstance(one, Path) for one in given)
 
 
 @dataclass(frozen=True)
