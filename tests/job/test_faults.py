@@ -30,9 +30,8 @@ from engine.job import (
     write_manifest,
 )
 from engine.job.recent import remember_lift, remembered_lifts
-from tests.job.faults import Faults, every_fault
+from tests.faults import Faults, Recorder, after_power_cuts, every_fault
 from tests.job.lift_folders import new_lift, tiny_lift
-from tests.job.lost_writes import Recorder, after_power_cuts
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="descriptors are looked up as Linux has them")
 

@@ -111,8 +111,8 @@ def tables(tmp_path_factory: pytest.TempPathFactory) -> Mapping[str, Mapping[str
     """The tables of a short lift and of the vote in voxels, ``strict``, by method."""
     folder = tmp_path_factory.mktemp("near_and_far")
     scene = write_near_and_far(folder / "scene")
-    request = LiftRequest(scene=scene, options={"steps": 120, "steps_a_view": 0.0, "size": [120, 90]}, bake="none")
-    with short_warm_start(100):
+    request = LiftRequest(scene=scene, options={"steps": 100, "steps_a_view": 0.0, "size": [96, 72]}, bake="none")
+    with short_warm_start(60):
         lift = lift_into(folder / "lift", request)
     found = json.loads((lift.result_path / "metrics.json").read_text())["tables"]
     report = Report(open_scene(scene).classes)

@@ -17,7 +17,7 @@ from engine.job.environment import is_complete, python_in
 from engine.job.handshake import EngineAnswer
 from engine.set_up import SetUp, SetUpRequest
 from engine.set_up.base_python import PROBE
-from tests.job.faults import Faults, every_fault
+from tests.faults import Faults, every_fault
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="descriptors are looked up as Linux has them")
 PACKAGES = 3

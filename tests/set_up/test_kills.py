@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from engine.job.environment import is_complete
-from tests.job.faults import Faults
+from tests.faults import Faults
 from tests.killed_engine import Changes, Moment
 from tests.set_up.test_faults import PACKAGES, environment_in, set_up_in
 
