@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from engine.command_line.main import main as run_command
-from engine.command_line.parser import make_parser as parser_of_the_engine
+from engine.command_line.main import make_parser as parser_of_the_engine
 from engine.errors import PlgsError
 from engine.job import ExitCode
 from engine.job.options import (

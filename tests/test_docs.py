@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from engine.command_line.parser import make_parser
+from engine.command_line.main import make_parser
 from engine.scene import FORMATS
 from engine.scene.mask_formats import MASK_FORMATS
 from tests.tiny_scene import write_tiny_scene

@@ -4,8 +4,8 @@ Every piece of work is one engine, in its own process, on a lift folder that all
 killed, hang, or come back: what it did is kept, and another worker continues.
 """
 
+from .cluster import run_worker
 from .plan import BatchPlan, SceneJob
 from .run import run_batch
-from .worker import run_worker
 
 __all__ = ["BatchPlan", "SceneJob", "run_batch", "run_worker"]

@@ -3,20 +3,23 @@
 from __future__ import annotations
 
 import argparse
+import csv
+import io
 import math
 import sys
-from collections.abc import Sequence
+import tomllib
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, NoReturn
 
 from ..errors import ExitCode, PlgsError
-from ..job.options import add_lift_options, add_progress_option, request_from
+from ..gates import read_plain
+from ..job.options import add_lift_options, add_progress_option, readable, request_from
 
 if TYPE_CHECKING:
     from ..batch import SceneJob
-    from ..batch.cluster import Place
-    from ..batch.worker import Tls
+    from ..batch.cluster import Place, Tls
 
 SLURM = {"queue": "--queue", "account": "--account", "walltime": "--walltime"}
 
@@ -78,7 +81,7 @@ def _add_tls(parser: argparse._ActionsContainer) -> None:
 
 def _tls(options: argparse.Namespace) -> Tls | None:
     """Raises PlgsError if only one of the two files is given."""
-    from ..batch.worker import Tls
+    from ..batch.cluster import Tls
 
     ca, own = options.tls_ca, options.tls_certificate
     if (ca is None) != (own is None):
@@ -144,7 +147,6 @@ def _asked_scenes(options: argparse.Namespace) -> list[argparse.Namespace]:
     """The options of each scene, with its ``scene`` and its ``scene_name``, which is empty if it was not given. Raises
     PlgsError."""
     from ..batch.plan import refuse_shared
-    from .scene_table import read_scene_table
 
     if options.poses is not None:
         raise PlgsError("finds the poses of one scene only", "--poses", "Find them first: python -m engine poses.")
@@ -175,7 +177,7 @@ def _job(own: argparse.Namespace, output: Path, name: str, bakes_all: bool) -> S
     from ..batch import SceneJob
     from ..batch.plan import of_scene, state_of_files
     from ..job.prediction import USUAL_MASKS
-    from ..lift.fitting import predicted_lift
+    from ..lift.frame_sets import predicted_lift
     from ..scene import open_scene_to_lift
 
     scene, lift = own.scene, output / name
@@ -208,3 +210,78 @@ def _place(options: argparse.Namespace, gigabytes: Sequence[float]) -> Place:
     share = total / workers if is_here else max([*gigabytes, 4.0])
     threads = options.threads or (max(1, cpus // workers) if is_here else 4)
     return Place(workers, options.scheduler, slurm, round(options.memory or share, 2), threads, _tls(options))
+
+
+_MOST_BYTES = 1 << 26
+_PATHS = ("scene", "masks", "depth", "names-from")
+_OF_ALL = ("bake", "poses")
+_FIX = "Write a column (CSV) or a key of a [[scene]] (TOML) 'scene', and others named as options of lift."
+
+
+def read_scene_table(path: Path, options: argparse.Namespace) -> list[argparse.Namespace]:
+    """The ``options`` of a command line for each scene of the table, changed as it says, with ``scene`` and
+    ``scene_name`` (empty if it is not given). Paths in it are relative to its folder. Raises PlgsError, with the number
+    of the scene."""
+    found = []
+    for number, row in enumerate(_rows(path), start=1):
+        where = f"{path}, scene {number}"
+        if not row.get("scene"):
+            raise PlgsError("a scene has no 'scene'", where, _FIX)
+        if of_all := [name for name in _OF_ALL if row.get(name)]:
+            raise PlgsError(f"{of_all[0]} cannot differ between scenes", where, "Give it on the command line.")
+        parser = _RowParser(where)
+        parser.add_argument("--scene", type=Path)
+        parser.add_argument("--name", dest="scene_name")
+        add_lift_options(parser)
+        arguments = [each for name, value in row.items() for each in _arguments(name, value, path.parent, where)]
+        given = argparse.Namespace(**{**vars(options), "scene": None, "scene_name": ""})
+        found.append(parser.parse_args(readable(arguments), given))
+    return found
+
+
+class _RowParser(argparse.ArgumentParser):
+    """The options of a row, whose errors are a PlgsError."""
+
+    def __init__(self, where: str) -> None:
+        super().__init__(add_help=False, allow_abbrev=False)
+        self._where = where
+
+    def error(self, message: str) -> NoReturn:
+        raise PlgsError(message, self._where, _FIX)
+
+
+def _arguments(name: str, value: Any, folder: Path, where: str) -> Iterator[str]:
+    """A cell as on a command line. Raises PlgsError for a value that is not a text, a number, true, or a list."""
+    if isinstance(value, list):
+        for each in value:
+            yield from _arguments(name, each, folder, where)
+    elif value is True or (name == "fit" and str(value).lower() in ("true", "yes", "1")):
+        yield f"--{name}"
+    elif name == "fit" and str(value).lower() in ("false", "no", "0"):
+        return
+    elif isinstance(value, str | int | float) and value is not False:
+        is_path = name in _PATHS or str(value).endswith(".toml")
+        yield f"--{name}={folder / str(value) if is_path else value}"
+    elif value is not False:
+        raise PlgsError(f"{name} is {value!r}", where, _FIX)
+
+
+def _rows(path: Path) -> list[Mapping[str, Any]]:
+    """The scenes with the names of their options, without empty cells. Raises PlgsError."""
+    try:
+        text = read_plain(path, _MOST_BYTES).decode("utf-8-sig")
+        if path.suffix.lower() == ".toml":
+            rows: Any = tomllib.loads(text).get("scene")
+        else:
+            rows = [*csv.DictReader(io.StringIO(text), restkey="", strict=True)]
+        found: list[Mapping[str, Any]] = [
+            {str(name).strip().replace("_", "-"): value for name, value in row.items() if value not in (None, "")}
+            for row in rows
+        ]
+    except OSError as error:
+        raise PlgsError(f"cannot be read ({error.strerror})", path, "Name a CSV or TOML file of scenes.") from error
+    except (ValueError, TypeError, AttributeError, csv.Error) as error:
+        raise PlgsError(f"is not a table of scenes ({error})", path, _FIX) from error
+    if not found:
+        raise PlgsError("names no scene", path, _FIX)
+    return found

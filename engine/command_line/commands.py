@@ -4,18 +4,23 @@
 from __future__ import annotations
 
 import argparse
+import json
+import math
 import os
 import sys
 import time
 from collections.abc import Callable, Mapping
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 from ..errors import ErrorCode, PlgsError
 from ..job import EventWriter, ExitCode, LiftFolder, StopSignal, verify
-from ..job.options import given_lift_options, source_of
+from ..job.options import chosen_options, given_lift_options, source_of
 from ..job.task import TaskPlace
 from ..json_file import Json
+from ..presets.options import option_value, parsed_options, preset_options, preset_text, with_options
+from ..presets.preset import PRESETS, Preset
 from ..records import to_json
 
 
@@ -42,8 +47,7 @@ def lift(options: argparse.Namespace) -> int:
 
 def _lift_in_terminal(options: argparse.Namespace) -> int:
     from ..job.report import made_files, metrics_text, read_metrics
-    from ..job.session import lift_in_terminal
-    from ..job.terminal import Interrupted, Interrupts
+    from ..job.terminal import Interrupted, Interrupts, lift_in_terminal
 
     try:
         with Interrupts() as interrupts:
@@ -258,12 +262,6 @@ def warm_up(options: argparse.Namespace, events: EventWriter, stop: StopSignal) 
     warm_up()
 
 
-def presets(options: argparse.Namespace) -> ExitCode:
-    from .presets import presets
-
-    return presets(options.name, options.set, as_json=options.json)
-
-
 def _progress(stage: str, events: EventWriter, stop: StopSignal) -> Callable[..., None]:
     """Called with the steps done, the number of steps and, if an earlier run did some, those of this run. It writes
     progress with the time left, and raises Cancelled when the command should stop.
@@ -278,3 +276,30 @@ def _progress(stage: str, events: EventWriter, stop: StopSignal) -> Callable[...
         stop.check()
 
     return progress
+
+
+def presets(options: argparse.Namespace) -> ExitCode:
+    """Print the names of all presets or, as a file for --preset, one preset (a name or a file) with some options
+    changed. With --json: all options with their values in each preset, or the values of the one. Raises PlgsError."""
+    if options.name is not None or options.set:
+        base, changed = chosen_options(options.name, parsed_options(options.set or ()))
+        chosen = with_options(PRESETS[base], changed)
+        values = {option: option_value(chosen, option) for option in preset_options()}
+        print(json.dumps(values) + "\n" if options.json else preset_text(base, changed), end="")
+    elif options.json:
+        print(json.dumps([_entry(option) for option in preset_options()], indent=1))
+    else:
+        print(*map(_line, PRESETS.values()), "", "'presets NAME' prints all options of one.", sep="\n")
+    return ExitCode.FINISHED
+
+
+def _entry(name: str) -> dict[str, object]:
+    facts = {key: value for key, value in asdict(preset_options()[name]).items() if value and value != math.inf}
+    return {**facts, "values": {base: option_value(preset, name) for base, preset in PRESETS.items()}}
+
+
+def _line(preset: Preset) -> str:
+    """A line such as "preview   500 steps, pictures within 200x200, objects by agreement, labels by votes"."""
+    width, height = preset.size
+    told = f"{preset.steps} steps, pictures within {width}x{height}, anchors every {preset.voxel_size} m"
+    return f"{preset.name:<9} {told}, objects by {preset.objects}, labels by {preset.labels}"

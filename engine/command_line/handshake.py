@@ -9,8 +9,7 @@ import sys
 from pathlib import Path
 
 from .. import __version__
-from ..job.capabilities import CAPABILITIES, Capability
-from ..job.handshake import EngineAnswer
+from ..job.handshake import CAPABILITIES, Capability, EngineAnswer
 from ..job.process import ROOT
 from ..job.requirements import module_of, needed_packages
 from ..job.system import usable_cpus

@@ -11,8 +11,7 @@ from ..errors import ErrorCode, ExitCode, PlgsError
 from ..job import EventWriter, LiftFolder, LiftState, StopSignal, verify_lifted
 from ..job.recent import remember_lift
 from ..job.task import BAKE, LIFT, TaskPlace
-from .log_output import output_to
-from .runner import Command, Work, run_at, run_task
+from .runner import Command, Work, output_to, run_at, run_task
 
 log = logging.getLogger("plgs.engine")
 

@@ -3,27 +3,30 @@
 from __future__ import annotations
 
 import errno
+import faulthandler
+import io
+import logging
 import os
 import re
 import signal
 import sys
 import threading
 import traceback
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, redirect_stderr, redirect_stdout, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
-from typing import TextIO
+from typing import Any, TextIO
 
 from ..errors import Cancelled, ErrorCode, ExitCode, PlgsError
-from ..job import EventWriter, StopSignal, Watchdog
+from ..gates import open_to_append, printable
+from ..job import Event, EventWriter, StopSignal, Watchdog
 from ..job.lock import FileLock
 from ..job.system import usable_cpus
-from ..job.task import TaskPlace
-from ..job.terminal import Interrupted, Interrupts
-from .log_output import output_to
-from .shown_events import ShownEvents, ShownWarnings
+from ..job.task import TaskPlace, TaskProgress
+from ..job.terminal import Interrupted, Interrupts, LiveLine
+from ..json_file import to_line
 
 Work = Callable[[EventWriter, StopSignal], object]
 
@@ -195,3 +198,109 @@ def _threads() -> int:
     if given.isdecimal() and int(given) > 0:
         return int(given)
     return usable_cpus()
+
+
+class ShownEvents(EventWriter):
+    """Events of a command that no other process follows: progress is shown on ``stream``, and the answer is printed on
+    standard output, as one line of JSON or as text.
+    """
+
+    def __init__(self, stream: TextIO, *, as_json: bool) -> None:
+        self._folder, self._as_json = Path(), as_json
+        self._line, self._progress = LiveLine(stream), TaskProgress()
+
+    def answer(self, answer: Mapping[str, object], text: str = "") -> None:
+        self._line.end()
+        sys.stdout.flush()
+        said = (
+            (printable(text) + "\n").encode(errors="backslashreplace")
+            if text and not self._as_json
+            else to_line(answer)
+        )
+        sys.stdout.buffer.write(said)  # UTF-8 on every system, as a path may need
+        sys.stdout.flush()
+
+    def close(self) -> None:
+        self._line.end()
+
+    def _write(self, event: str, /, **data: Any) -> None:
+        if event == "warning":
+            self._line.say(f"warning: {data['message']}")
+        elif event in ("stage", "progress"):
+            self._progress.take(Event(0, 0.0, event, data), self._folder)
+            if event == "progress":
+                self._line.show(self._progress)
+        else:
+            self._line.end()
+
+
+class ShownWarnings(EventWriter):
+    """Events in a file, of a command that no other process follows: warnings are shown on ``stream``, too."""
+
+    def __init__(self, path: Path, echo: int | None, stream: TextIO) -> None:
+        super().__init__(path, echo)
+        self._stream = stream
+
+    def warning(self, message: str) -> None:
+        super().warning(message)
+        print(f"warning: {printable(message)}", file=self._stream)
+
+
+@contextmanager
+def output_to(log: Path) -> Iterator[TextIO]:
+    """Append all output to ``log`` in this context. Yields the real standard error, for the few lines for the user.
+
+    Python's streams and logging go there, and the file descriptors below them, so that the output of C++ and the Python
+    traceback of a crash in it get there too.
+    """
+    sys.stdout.flush()
+    sys.stderr.flush()
+    out, err = os.dup(1), os.dup(2)
+    with (
+        _open_log(log) as file,
+        os.fdopen(os.dup(2), "w", encoding="utf-8", errors="replace", buffering=1) as terminal,
+    ):
+        os.dup2(file.fileno(), 1)
+        os.dup2(file.fileno(), 2)
+        try:
+            with redirect_stdout(file), redirect_stderr(file), _logging_to(file):
+                yield terminal
+        finally:
+            for saved, number in ((out, 1), (err, 2)):
+                os.dup2(saved, number)
+                os.close(saved)
+
+
+class _BestEffortFile(io.FileIO):
+    """Output that does not fit on a full disk is lost: a log must neither make a lift fail nor hide its error."""
+
+    def write(self, data: Any) -> int:
+        try:
+            return super().write(data)
+        except OSError:
+            return memoryview(data).nbytes
+
+
+def _open_log(log: Path) -> TextIO:
+    raw = io.BufferedWriter(_BestEffortFile(open_to_append(log), "ab"))
+    return io.TextIOWrapper(raw, encoding="utf-8", errors="replace", line_buffering=True)
+
+
+@contextmanager
+def _logging_to(file: TextIO) -> Iterator[None]:
+    handler = logging.StreamHandler(file)
+    handler.setFormatter(logging.Formatter("%(asctime)s %(name)s: %(message)s"))
+    root = logging.getLogger()
+    level, were_faults_told = root.level, faulthandler.is_enabled()
+    root.addHandler(handler)
+    root.setLevel(logging.INFO)
+    faulthandler.enable(file=file)
+    try:
+        yield
+    finally:
+        root.removeHandler(handler)
+        root.setLevel(level)
+        if were_faults_told:
+            faulthandler.enable(file=sys.__stderr__ or 2)
+        else:
+            faulthandler.disable()

@@ -21,4 +21,4 @@ from .manifest import (
     write_manifest,
 )
 from .request import BAKES, FURTHER_LAYERS, LiftRequest
-from .stop import StopSignal, Watchdog
+from .task import StopSignal, Watchdog

@@ -12,9 +12,8 @@ from typing import Any
 
 from ..errors import PlgsError
 from ..json_file import Json
-from ..presets.options import parsed_options
+from ..presets.options import parsed_options, read_preset_file
 from ..presets.preset import PRESETS
-from ..presets.toml_file import read_preset_file
 from ..scene_source import UP_OPTIONS, SceneSource
 from .folder import LiftFolder
 from .request import BAKES, GONE, LiftRequest

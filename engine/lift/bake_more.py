@@ -26,8 +26,7 @@ from ..job import (
     read_cameras,
     read_manifest,
 )
-from ..job.cameras import refuse_equal_names
-from ..job.frame_numbers import frame_numbers
+from ..job.cameras import frame_numbers, refuse_equal_names
 from ..model.rendering import ClipRange
 from ..passes.baked_view import BakedView
 from ..passes.exr import further_layers, read_note, write_exr
@@ -39,9 +38,9 @@ from ..scene_of_lift import complete_known_scene, names_of_frames, scene_of_lift
 from ..train.progress import StageReporter
 from .baking import CORRECTIONS_NOTE, FrameBaker, baked_files, names_of_files, read_baker
 from .device import be_repeatable
-from .fitting import check_disk
+from .frame_sets import check_disk
+from .judging import Unresolved, tell_unresolved, unresolved
 from .scene_files import MODEL
-from .unresolved import Unresolved, tell_unresolved, unresolved
 
 STAGES = {"open": "Opening the lifted scene", "bake": "Baking panoptic passes"}
 KEEP_EVERY_S = 20.0

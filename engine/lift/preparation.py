@@ -4,26 +4,34 @@ semantic point cloud, Algorithm 1, anchors by voxelisation, and the projected ta
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
+from ..instances.masks import restrict_to_things
+from ..instances.records import SceneObject
 from ..job import EventWriter
-from ..model.structured import StructuredScene
+from ..model.anchors import initial_anchors, seeded_features
+from ..model.decoders import Decoders, DecoderShape
+from ..model.structured import NO_OBJECT, SPARE, LabelChannels, StructuredScene
 from ..posed.layout import plural
 from ..presets.preset import Preset
-from ..scene import ClassTable, OnDemand, View, stored
+from ..scene import VOID, ClassTable, OnDemand, Progress, View, stored
 from ..scene.hole_filling import fill_holes
 from ..semantics.adaptive_spacing import ENLARGED
+from ..semantics.anchor_labels import label_anchors, voxelise
 from ..semantics.consistency import ConsistencyOptions, consistency_masks, views_are_sparse
 from ..semantics.point_cloud import CloudOptions, SemanticPointCloud, build_point_cloud
+from ..semantics.projection import LabelledPoints
+from ..train.photos import exposure_gains, sharpness_weights
 from ..train.progress import StageProgress, StageReporter
-from ..train.targets import ViewTargets
-from .objects import MATCHINGS, Matching, ViewsToMatch
-from .starting_scene import label_channels, starting_anchors, starting_scene
-from .targets_of_views import Photos, compared_photos, targets_of
+from ..train.targets import ViewTargets, view_targets
+from ..train.warm_start import warm_start
+from .objects import MATCHINGS, Matching, ViewsToMatch, labels_of, point_of_pixels
 
 log = logging.getLogger("plgs.lift")
 
@@ -124,3 +132,176 @@ def consistency_options(views: Sequence[View], preset: Preset) -> ConsistencyOpt
     if not preset.neighbours:
         return options
     return ConsistencyOptions(neighbours=0) if views_are_sparse(views, options) else options
+
+
+FEATURES = 32
+"""The number of entries in an anchor's feature, as in Scaffold-GS."""
+
+
+def label_channels(class_ids: tuple[int, ...], instances: Sequence[SceneObject], preset: Preset) -> LabelChannels:
+    """A channel for every class, a slot for every instance and one for "no object", and spare slots up to the preset's
+    minimum. If nothing was matched, all slots except that for "no object" may be shown."""
+    if preset.objects == "none":
+        return LabelChannels(class_ids, (*range(1, preset.instance_slots + 1), NO_OBJECT))
+    ids = [instance.id for instance in instances]
+    spare = max(0, preset.instance_slots - len(ids))
+    slots = (*ids, NO_OBJECT, *[SPARE] * spare)
+    if not preset.one_class_an_object:
+        return LabelChannels(class_ids, slots)
+    class_of = {instance.id: instance.class_id for instance in instances}
+    return LabelChannels(class_ids, slots, tuple(class_of.get(slot, VOID) for slot in slots))
+
+
+class StartingAnchors(NamedTuple):
+    """The anchors before the first step: ``positions`` float32 [M, 3] metres, and, from the semantic point cloud,
+    ``classes`` and ``owners`` (instance ids) int32 [M], 0 = unknown, and ``rgb`` uint8 [M, 3]."""
+
+    positions: NDArray[np.float32]
+    classes: NDArray[np.int32]
+    owners: NDArray[np.int32]
+    rgb: NDArray[np.uint8]
+
+
+def starting_anchors(
+    cloud: SemanticPointCloud, instance_of_point: NDArray[np.int32], preset: Preset
+) -> StartingAnchors:
+    """An anchor in each voxel of the semantic point cloud."""
+    positions = voxelise(cloud.xyz, preset.voxel_size)
+    classes, owners = label_anchors(cloud, instance_of_point, positions, preset.voxel_size)
+    nearest = cloud.index().nearest(positions.astype(np.float64), 2 * preset.voxel_size)
+    rgb = np.where(nearest[:, None] >= 0, cloud.rgb[nearest], 128).astype(np.uint8)
+    return StartingAnchors(positions, classes, owners, rgb)
+
+
+def starting_scene(
+    start: StartingAnchors,
+    channels: LabelChannels,
+    viewpoints: NDArray[np.float64],
+    preset: Preset,
+    seed: int,
+    progress: Progress = lambda *_: None,
+) -> StructuredScene:
+    """The anchors with features, and decoders drawn from the seed. The preset decides whether the decoders are fitted
+    to the anchors."""
+    feature = np.zeros((len(start.positions), FEATURES), np.float32)
+    if preset.seeded_features:
+        feature = seeded_features(start.rgb, start.classes, start.owners, features=FEATURES, seed=seed)
+    anchors = initial_anchors(
+        start.positions,
+        start.classes,
+        gaussians_per_anchor=preset.gaussians_per_anchor,
+        feature=feature,
+        voxel_size=preset.voxel_size,
+    )
+    shape = DecoderShape(
+        features=FEATURES,
+        gaussians_per_anchor=preset.gaussians_per_anchor,
+        classes=len(channels.class_ids),
+        instance_slots=len(channels.slot_ids),
+        distance_input=preset.distance_input,
+        label_view_input=preset.label_view_input,
+    )
+    scene = StructuredScene(anchors, Decoders(shape, seed), channels, preset.voxel_size)
+    if preset.warm_start:
+        owners = start.owners if preset.objects != "none" else None
+        warm_start(scene, start.rgb, owners, viewpoints, seed, progress)
+    return scene
+
+
+@dataclass(frozen=True, eq=False)
+class Photos:
+    """How much each photo counts, ``weights`` float64 [N], and how bright it is, ``gains`` float64 [N, 3] or None."""
+
+    weights: NDArray[np.float64]
+    gains: NDArray[np.float64] | None
+
+
+def compared_photos(
+    views: Sequence[View], placed: Sequence[View], matching: Matching, preset: Preset, scratch: Path | None = None
+) -> Photos:
+    """The photos of the views, compared as the preset asks. ``placed``, ``scratch``: see `targets_of`."""
+    weights = sharpness_weights(view.colour for view in views) if preset.weigh_sharpness else np.ones(len(views))
+    return Photos(weights, _exposures(views, placed, matching, scratch) if preset.fit_exposure else None)
+
+
+def targets_of(
+    views: Sequence[View],
+    placed: Sequence[View],
+    matching: Matching,
+    photos: Photos,
+    channels: LabelChannels,
+    classes: ClassTable,
+    preset: Preset,
+    scratch: Path | None = None,
+) -> OnDemand[ViewTargets]:
+    """The targets of each view, computed on demand: the labels voted for its segments, or else the projected cloud's
+    semantic mask and M_match. ``placed`` are the views with the depth that places pixels in space; ``scratch`` is the
+    folder for temporary files."""
+    weights, gains = photos.weights, photos.gains
+    if matching.label_maps is not None:
+        masks = _voted_masks(matching)
+    else:
+        masks = _projected_masks(placed, matching, classes, preset, scratch)
+
+    with_objects = preset.objects != "none"  # without a matching there are no targets for objects
+
+    def targets(number: int) -> ViewTargets:
+        view = views[number]
+        projected, matched = masks(number)
+        return view_targets(
+            view,
+            channels,
+            projected_class=projected,
+            matched_instance=matched if with_objects else None,
+            weight=float(weights[number]),
+            gain=None if gains is None else gains[number],
+        )
+
+    return OnDemand(len(views), targets)
+
+
+def _exposures(
+    views: Sequence[View], placed: Sequence[View], matching: Matching, scratch: Path | None
+) -> NDArray[np.float64]:
+    """``exposure_gains`` of every second pixel of every second row."""
+    rows = matching.point_of_pixel or point_of_pixels(placed, matching.cloud, scratch)
+    photos = OnDemand(len(views), lambda number: views[number].colour[::2, ::2])
+    points = OnDemand(len(views), lambda number: rows[number][::2, ::2])
+    return exposure_gains(photos, points, len(matching.cloud))
+
+
+Masks = tuple[NDArray[np.int32], NDArray[np.int32]]
+"""Class ids and instance ids of a view's pixels, int32 [H, W] each."""
+
+
+def _voted_masks(matching: Matching) -> Callable[[int], Masks]:
+    assert matching.label_maps is not None
+    maps = matching.label_maps
+    labels = labels_of(matching.cloud, matching.instances)
+
+    def decide(number: int) -> Masks:
+        voted = maps[number]
+        return labels.classes(voted), labels.objects(voted)
+
+    return decide
+
+
+def _projected_masks(
+    placed: Sequence[View], matching: Matching, classes: ClassTable, preset: Preset, scratch: Path | None
+) -> Callable[[int], Masks]:
+    cloud, reach = matching.cloud, 2 * preset.voxel_size
+    classed = LabelledPoints(cloud.xyz, cloud.class_id)
+    owned = LabelledPoints(cloud.xyz, matching.instance_of_point)
+
+    def project(view: View) -> NDArray[np.int32]:
+        projected = classed.project(view.camera, view.depth, reach)
+        instances = owned.project(view.camera, view.depth, reach)
+        return np.stack([projected, restrict_to_things(instances, projected, classes.thing_ids)])
+
+    both = stored((project(view) for view in placed), scratch)
+
+    def masks(number: int) -> Masks:
+        projected, instances = both[number]
+        return projected, instances
+
+    return masks

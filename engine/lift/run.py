@@ -52,15 +52,13 @@ from ..train.state import OtherLabels, restore, trainer_state
 from ..train.trainer import Trainer
 from .baking import FrameBaker, bake_and_evaluate, names_of_files, renamed_frames
 from .device import be_repeatable, refuse_missing_device
-from .fitting import check_disk, predicted_lift
-from .frame_sets import FRAMES, FrameSets, frames_to_bake, sets_of_frames
+from .frame_sets import FRAMES, FrameSets, check_disk, frames_to_bake, predicted_lift, sets_of_frames
 from .judging import read_held_back
 from .lasting_names import keep_names, read_earlier, refuse_names_of_no_objects, take_over_edits, write_names
 from .live_previews import LivePreviews
 from .preparation import PreparedLift, prepare
 from .scene_files import instance_names, points_to_write, shown_instances, write_scene_files
-from .voters import read_voters
-from .voting import vote_labels
+from .voting import read_voters, vote_labels
 
 log = logging.getLogger("plgs.lift")
 

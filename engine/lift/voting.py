@@ -2,19 +2,33 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..errors import PlgsError
 from ..instances.segment_votes import segment_labels
+from ..job import EventWriter
 from ..model.label_voting import Contributors, LabelVotes, contributors, pixel_labels
 from ..model.settling import NamedGaussians, OwnedPoints, settled
 from ..model.structured import GaussianLabels, StructuredScene
 from ..presets.preset import Preset
-from ..scene import Frame, PanopticMask, Progress, Segment, Size, StoredArrays, size_within
+from ..scene import (
+    Frame,
+    OtherClasses,
+    PanopticMask,
+    Progress,
+    Segment,
+    Size,
+    StoredArrays,
+    StoredViews,
+    View,
+    read_ahead,
+    size_within,
+)
 from ..scene.hole_filling import fill_holes
 from ..scene.pixels import resize_nearest
 
@@ -100,3 +114,41 @@ def _rendered(scene: StructuredScene, frame: Frame, preset: Preset) -> _VotingFr
     mask, depth = frame.mask(size), frame.depth(size)
     seen = contributors(scene, frame.camera.resized(*size))
     return _VotingFrame(seen, mask, fill_holes(depth, mask.ids))
+
+
+SMALLER = 2
+"""The factor by which voters are smaller than the training frames, in width and in height."""
+
+
+def read_voters(
+    frames: Sequence[Frame], preset: Preset, progress: Callable[[int], object], events: EventWriter, scratch: Path
+) -> StoredViews:
+    """The depth and masks of ``frames``, on disk. Frames that cannot be read do not vote; a warning says so.
+    ``progress`` is called with the number of frames read. Raises OSError if the disk is full."""
+    problems: list[PlgsError] = []
+
+    def good() -> Iterator[View]:
+        for done, read in enumerate(read_ahead(frames, lambda frame: _read_voter(frame, preset.size)), start=1):
+            if isinstance(read, PlgsError):
+                problems.append(read)
+            else:
+                yield read
+            progress(done)
+
+    views = StoredViews(good(), scratch)
+    if problems:
+        events.warning(f"{len(problems)} of {len(frames)} frames that are not trained on do not vote: {problems[0]}")
+    return views
+
+
+def _read_voter(frame: Frame, trained_within: Size) -> View | PlgsError:
+    width, height = size_within(frame.size, trained_within)
+    size = max(1, width // SMALLER), max(1, height // SMALLER)
+    try:
+        depth, mask = frame.depth(size), frame.mask(size)
+    except OtherClasses:
+        raise
+    except PlgsError as error:
+        return error
+    colour = np.zeros((*depth.shape, 3), np.uint8)
+    return View(frame.name, frame.camera.resized(*size), colour, depth, mask, mask_scale=frame.size[0] / size[0])

@@ -3,7 +3,7 @@
 A hand-held camera takes more pictures than a room needs. As in Panoptic Lifting, the recording is cut into windows, and
 the sharpest frame of each is kept. Windows are equal in time and motion together: a camera that stands still needs few
 frames, and one that turns quickly needs all. The masks of the other frames vote all the same
-(``engine/lift/voters.py``).
+(``engine/lift/voting.py``).
 """
 
 from __future__ import annotations

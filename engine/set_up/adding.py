@@ -14,8 +14,8 @@ from pathlib import Path
 
 from ..errors import PlgsError
 from ..job import EventWriter, StopSignal, write_atomically
-from ..job.capabilities import CAPABILITIES, addition_hashes_path, refuse_unknown, requirements_path
 from ..job.environment import python_in
+from ..job.handshake import CAPABILITIES, addition_hashes_path, refuse_unknown, requirements_path
 from ..job.lock import FileLock
 from ..job.process import ROOT, missing_modules
 from . import programs

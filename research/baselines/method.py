@@ -15,9 +15,8 @@ from engine.instances.records import object_of_mask
 from engine.instances.segment_votes import member_labels
 from engine.job import EventWriter, LiftFolder, StopSignal
 from engine.lift.objects import labels_of
-from engine.lift.preparation import PreparedLift, prepare
+from engine.lift.preparation import PreparedLift, prepare, starting_anchors, starting_scene
 from engine.lift.run import run_lift
-from engine.lift.starting_scene import starting_anchors, starting_scene
 from engine.model.structured import StructuredScene
 from engine.presets.preset import Preset
 from engine.scene import ClassTable, OnDemand, View, stored

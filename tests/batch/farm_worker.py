@@ -15,7 +15,7 @@ ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT))
 # ruff: noqa: E402 - what follows is found only now
 
-from engine.batch import BatchPlan, SceneJob, piece, run_batch, worker
+from engine.batch import BatchPlan, SceneJob, cluster, piece, run_batch
 from engine.batch.cluster import Place
 from engine.command_line.run_engine import run_engine
 from engine.errors import ErrorCode, PlgsError
@@ -61,7 +61,7 @@ def pretend(kind: str) -> None:
     piece._started = lambda each, variables: started(each, variables) if each.kind is piece.Kind.LIFT else None
     piece.engine_command = command
     if kind == "another-engine":
-        worker.engine_tag = lambda: "plgs-0.0.0-00000000"
+        cluster.engine_tag = lambda: "plgs-0.0.0-00000000"
     if kind == "full":
         piece._followed = full
     if kind == "unmounted":
@@ -83,7 +83,7 @@ def work(kind: str, address: str, *files: Path) -> None:
     """A worker: usual, another-engine, unmounted or full. ``files``: the authority's certificate, and its own."""
     _be_quiet()
     pretend(kind)
-    worker.run_worker(address, threads=1, patience_s=PATIENCE_S, tls=worker.Tls(*files) if files else None)
+    cluster.run_worker(address, threads=1, patience_s=PATIENCE_S, tls=cluster.Tls(*files) if files else None)
 
 
 def batch(address: str, output: Path, *scenes: Path) -> None:

@@ -12,8 +12,7 @@ from pathlib import Path
 import pytest
 
 from engine.batch import BatchPlan, SceneJob, cluster, run_worker
-from engine.batch.cluster import Place
-from engine.batch.worker import Tls
+from engine.batch.cluster import Place, Tls
 from engine.command_line.main import main
 from engine.errors import ExitCode, PlgsError
 from tests.batch import farm_worker

@@ -14,9 +14,8 @@ import pytest
 
 pytest.importorskip("dask_jobqueue", reason="dask-jobqueue is not installed: python -m engine add farm")
 # ruff: noqa: E402 - without it the rest is not tested
-from engine.batch.cluster import Farm, Place, slurm_cluster
+from engine.batch.cluster import Farm, Place, Tls, slurm_cluster
 from engine.batch.piece import engine_tag
-from engine.batch.worker import Tls
 from engine.errors import ExitCode, PlgsError
 from engine.job import EventWriter, LiftFolder, StopSignal
 from tests.batch.farm import plan_of, rows_of, run

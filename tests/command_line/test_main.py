@@ -139,7 +139,7 @@ def test_a_bad_scene_leaves_no_folder(
 
 INTERRUPTED = (
     (
-        "job.session.lift_in_terminal",
+        "job.terminal.lift_in_terminal",
         ["lift", "SCENE", "-o", "OUT"],
         "Give the same command with --resume to continue: OUT",
     ),

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from engine.command_line import log_output
+from engine.command_line import runner
 from engine.command_line.run_engine import run_engine
 from engine.errors import PlgsError
 from engine.job import EventWriter, ExitCode, LiftFolder, LiftState, StopSignal, add_files, last_run, write_atomically
@@ -71,7 +71,7 @@ def test_a_lift_that_fails(
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full")
 def test_a_log_without_room(tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
     folder = new_lift(tmp_path)
-    monkeypatch.setattr(log_output, "open_to_append", lambda path: os.open("/dev/full", os.O_WRONLY))
+    monkeypatch.setattr(runner, "open_to_append", lambda path: os.open("/dev/full", os.O_WRONLY))
     assert run_engine(folder, lift=raising(OSError(28, "No space left on device"))) == 1  # type: ignore[arg-type]
     said = capfd.readouterr().err
     assert said.startswith("error: the disk is full") and said.count("\n") == 1

@@ -11,9 +11,8 @@ from pathlib import Path
 
 import pytest
 
-from engine.command_line.log_output import output_to
 from engine.command_line.main import main
-from engine.command_line.runner import Command, run_at, run_in_terminal
+from engine.command_line.runner import Command, output_to, run_at, run_in_terminal
 from engine.errors import ErrorCode, PlgsError
 from engine.job import EventWriter, ExitCode, StopSignal, last_run, write_atomically
 from engine.job.follower import TaskFollower

@@ -8,8 +8,8 @@ from typing import Any
 
 import pytest
 
-from engine.command_line.parser import make_parser
-from engine.command_line.scene_table import read_scene_table
+from engine.command_line.batch import read_scene_table
+from engine.command_line.main import make_parser
 from engine.errors import PlgsError
 
 

@@ -13,8 +13,7 @@ import cv2
 import numpy as np
 import pytest
 
-from engine.command_line.main import main
-from engine.command_line.parser import EXPORTS
+from engine.command_line.main import EXPORTS, main
 from engine.export.run import KINDS
 from engine.export.source import FinishedLift
 from engine.job import LiftFolder

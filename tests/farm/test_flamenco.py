@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 
-from engine.command_line.parser import make_parser
+from engine.command_line.main import make_parser
 from engine.job import LiftFolder, LiftRequest, verify
 from engine.job.options import resumable
 from tests.tiny_scene import write_tiny_scene

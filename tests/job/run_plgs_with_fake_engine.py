@@ -25,7 +25,7 @@ def main(behaviour: str, arguments: list[str]) -> int:
     signal.signal(signal.SIGINT, signal.default_int_handler)
     signal.signal(signal.SIGHUP, signal.SIG_DFL)
     run_plgs.load_package()
-    session = importlib.import_module("plgs.engine.job.session")
+    session = importlib.import_module("plgs.engine.job.terminal")
 
     def fake_command(python: Path, lift: Path, *, resume: bool, program: str) -> list[str | Path]:
         fake = Path(__file__).with_name("fake_engine.py")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from engine.job.frame_numbers import frame_numbers
+from engine.job.cameras import frame_numbers
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,7 @@ import pytest
 
 from engine.command_line.run_engine import run_engine
 from engine.job import EventReader, ExitCode, LiftFolder, LiftRequest, verify
-from engine.job.own_files import FILES, FOLDERS
+from engine.job.folder import FILES, FOLDERS
 from tests.job.lift_folders import tiny_lift
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="POSIX signals")

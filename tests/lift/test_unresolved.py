@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from engine.job import EventWriter
-from engine.lift.unresolved import Unresolved, tell_unresolved, unresolved
+from engine.lift.judging import Unresolved, tell_unresolved, unresolved
 from engine.passes.layers import PanopticLayers
 from engine.scene import Camera
 

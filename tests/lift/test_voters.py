@@ -14,7 +14,7 @@ from engine.job import EventWriter, StopSignal, last_run
 from engine.lift.frame_sets import frames_to_vote
 from engine.lift.preparation import PreparedLift, prepare
 from engine.lift.run import STAGES
-from engine.lift.voters import SMALLER, read_voters
+from engine.lift.voting import SMALLER, read_voters
 from engine.presets.preset import PRESETS
 from engine.scene import Frame, PanopticMask, Scene, Segment, Size, View, load_view, open_scene
 from engine.train.progress import StageReporter

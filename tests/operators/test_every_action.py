@@ -10,7 +10,7 @@ from pathlib import Path
 
 import bpy
 import pytest
-from plgs.engine.job.capabilities import ADDED
+from plgs.engine.job.handshake import ADDED
 from plgs.operators.base import StartsTask
 from plgs.plgs_blender.engine_environment import EngineState, choices, status, tasks
 from plgs.plgs_blender.lift_collection import lifts_in

@@ -5,8 +5,7 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-from plgs.engine.job.capabilities import CAPABILITIES
-from plgs.engine.job.handshake import VERSION, EngineAnswer
+from plgs.engine.job.handshake import CAPABILITIES, VERSION, EngineAnswer
 from plgs.engine.json_file import to_line
 
 WANTED = {"torch": "2.0", "numba": "1.0"}

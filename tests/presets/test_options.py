@@ -10,9 +10,8 @@ import pytest
 from engine.errors import PlgsError
 from engine.job import LiftRequest
 from engine.job.options import add_lift_options, chosen_options, request_from
-from engine.presets.options import changed_options, parsed_options, shown_options
+from engine.presets.options import changed_options, parsed_options, preset_text, read_preset_file, shown_options
 from engine.presets.preset import PRESETS
-from engine.presets.toml_file import preset_text, read_preset_file
 
 
 def request_of(*arguments: str) -> LiftRequest:

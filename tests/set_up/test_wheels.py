@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from engine.job.capabilities import ADDED, addition_hashes_path
+from engine.job.handshake import ADDED, addition_hashes_path
 from engine.job.requirements import Version, hashes_path, needed_packages, pinned_versions
 
 SYSTEMS = {"win_amd64": "win32", "macosx_14_0_arm64": "darwin"}

@@ -47,7 +47,7 @@ def behave(monkeypatch: pytest.MonkeyPatch, quick_python: Path) -> Behave:
         return [*command, "--resume"] if resume else command
 
     monkeypatch.setenv("PLGS_ENGINE_PYTHON", sys.executable)
-    monkeypatch.setattr("engine.job.session.engine_command", fake_command)
+    monkeypatch.setattr("engine.job.terminal.engine_command", fake_command)
     return behaviours.__setitem__
 
 
