@@ -62,9 +62,9 @@ from plgs.engine.gates import open_plain, open_to_append
 from plgs.engine.job import FURTHER_LAYERS, LiftFolder, read_manifest
 from plgs.engine.job.cameras import frame_numbers
 from plgs.engine.job.lock import FileLock
-from plgs.engine.job.options import add_lift_options, add_progress_option, given_lift_options, readable
 from plgs.engine.job.process import clean_environment, engine_python, missing_modules
 from plgs.engine.job.report import made_files, metrics_text, read_metrics
+from plgs.engine.job.request import add_lift_options, add_progress_option, given_lift_options, readable
 from plgs.engine.job.terminal import Interrupted, Interrupts, ask_engine, lift_in_terminal, stdout_for_events
 
 

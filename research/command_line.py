@@ -16,7 +16,7 @@ from engine.command_line.main import main as run_command
 from engine.command_line.main import make_parser as parser_of_the_engine
 from engine.errors import PlgsError
 from engine.job import ExitCode
-from engine.job.options import (
+from engine.job.request import (
     add_amount_options,
     add_options,
     add_set_option,

@@ -385,13 +385,13 @@ def test_a_scene_needs_only_numpy_until_it_reads_pixels_or_a_special_format() ->
 
 
 def test_what_only_one_system_has_is_behind_one_module() -> None:
-    """The rights of folders and the memory of a Mac are asked in branches that Windows does not reach."""
+    """The rights of folders are asked in a branch that Windows does not reach."""
     alone = {"fcntl", "msvcrt", "resource", "pwd", "grp", "termios"}
     calls = {"fork", "getpgid", "getuid", "killpg", "mkfifo", "sched_getaffinity", "setsid", "sysconf", "SIGKILL"}
-    branches = {"engine/machine/cache_folder.py", "engine/job/main_memory.py"}
+    branches = {"engine/machine/cache_folder.py"}
     wrong = []
     for path in modules_under("engine", *EXTENSION, "run_plgs.py"):
-        if path.is_relative_to(ROOT / "engine/job/system"):
+        if path == ROOT / "engine/job/system.py":
             continue
         wrong += [i.line for i in imports_of(path) if first(i.module) in alone]
         for node in nodes_of(path, calls):

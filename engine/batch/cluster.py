@@ -1,4 +1,4 @@
-"""Where a batch runs: on its own workers on this machine, at an existing scheduler, or on Slurm."""
+"""Where a batch runs: on its own workers on this machine, at an existing scheduler, or on Slurm; and the worker."""
 
 from __future__ import annotations
 
@@ -18,9 +18,8 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import ExitCode, PlgsError, lacks_part
-from ..job.main_memory import main_memory
 from ..job.process import ROOT, EngineProcess, engine_call
-from ..job.system import usable_cpus
+from ..job.system import main_memory, usable_cpus
 from ..job.task import await_end
 from .piece import GIGABYTES, THREADS, engine_tag
 

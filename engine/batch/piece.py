@@ -14,8 +14,8 @@ from .. import __version__
 from ..errors import ErrorCode, ExitCode, PlgsError
 from ..job import LiftFolder, LiftRequest
 from ..job.follower import TaskFollower
-from ..job.main_memory import SHARE
 from ..job.process import ROOT, engine_call, engine_command
+from ..job.system import SHARE
 from ..job.task import BAKE, LIFT, TaskPlace, TaskProgress
 from ..json_file import Json
 from ..machine.code_digest import code_digest

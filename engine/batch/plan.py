@@ -1,4 +1,4 @@
-"""What a batch has to do: one job per scene, and which of them an earlier batch did."""
+"""What a batch has to do: one job per scene, and which of them an earlier batch did; and its table."""
 
 from __future__ import annotations
 

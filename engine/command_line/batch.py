@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 
 from ..errors import ExitCode, PlgsError
 from ..gates import read_plain
-from ..job.options import add_lift_options, add_progress_option, readable, request_from
+from ..job.request import add_lift_options, add_progress_option, readable, request_from
 
 if TYPE_CHECKING:
     from ..batch import SceneJob
@@ -198,8 +198,7 @@ def _job(own: argparse.Namespace, output: Path, name: str, bakes_all: bool) -> S
 def _place(options: argparse.Namespace, gigabytes: Sequence[float]) -> Place:
     """As many workers on this machine as its memory and processors allow, unless the options give a number."""
     from ..batch.cluster import Place
-    from ..job.main_memory import main_memory
-    from ..job.system import usable_cpus
+    from ..job.system import main_memory, usable_cpus
 
     slurm = {name: getattr(options, name) for name in SLURM} if options.slurm else None
     memory = main_memory()

@@ -16,7 +16,7 @@ from typing import Any
 
 from ..errors import ErrorCode, PlgsError
 from ..job import EventWriter, ExitCode, LiftFolder, StopSignal, verify
-from ..job.options import chosen_options, given_lift_options, source_of
+from ..job.request import chosen_options, given_lift_options, source_of
 from ..job.task import TaskPlace
 from ..json_file import Json
 from ..presets.options import option_value, parsed_options, preset_options, preset_text, with_options
@@ -229,7 +229,7 @@ def segment(options: argparse.Namespace, events: EventWriter, stop: StopSignal) 
 
 
 def handshake(options: argparse.Namespace, events: EventWriter, stop: StopSignal) -> None:
-    from .handshake import answer
+    from ..job.handshake import answer
 
     events.answer(answer().to_json())
 

@@ -14,7 +14,7 @@ from ..errors import PlgsError
 from ..gates import printable
 from ..job import FURTHER_LAYERS, EventWriter, ExitCode, StopSignal
 from ..job.handshake import ADDED, CAPABILITIES
-from ..job.options import (
+from ..job.request import (
     add_lift_options,
     add_options,
     add_progress_option,

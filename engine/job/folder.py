@@ -1,4 +1,7 @@
-"""The lift folder: the only thing that the engine and Blender share."""
+"""The lift folder: the only thing that the engine and Blender share. Everything in it belongs to it alone: no links, no
+FIFOs, no devices. A lift may come from someone else: if its log were a link, resuming it would append to the link's
+target.
+"""
 
 from __future__ import annotations
 

@@ -1,8 +1,12 @@
-"""An engine's answer to the question what it is and what it lacks."""
+"""What an engine is, what it can do, and what it lacks: the question and the answer. It imports nothing heavy."""
 
 from __future__ import annotations
 
+import importlib.metadata
+import importlib.util
 import json
+import re
+import sys
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -12,6 +16,9 @@ from .. import __version__
 from ..errors import PlgsError
 from ..json_file import to_line
 from ..records import record_of, refuse_other_format, to_json
+from .environment import module_of, needed_packages
+from .process import ROOT
+from .system import usable_cpus
 
 VERSION = __version__
 """The version of the engine that comes with this extension."""
@@ -138,3 +145,49 @@ def refuse_unknown(name: str) -> None:
     """Raise PlgsError for a name that cannot be added."""
     if name not in ADDED:
         raise PlgsError(f'nothing called "{name}" can be added to an engine', "add", f"Choose {', '.join(ADDED)}.")
+
+
+_CUDA = re.compile(r"^cuda\b[^=]*= *['\"]([^'\"]+)['\"]", re.MULTILINE)
+
+
+def answer(root: Path = ROOT) -> EngineAnswer:
+    """The answer about this Python. Raises PlgsError if the requirements cannot be read."""
+    wanted = needed_packages(root, sys.version_info[:2])
+    packages, cuda = {name: _version(name) for name in wanted}, _cuda_of_torch()
+    missing = [name for name, version in packages.items() if version is None]
+    return EngineAnswer(
+        engine=__version__,
+        python=".".join(map(str, sys.version_info[:3])),
+        executable=Path(sys.executable),
+        packages=packages,
+        wanted=wanted,
+        cpus=usable_cpus(),
+        cuda=cuda,
+        capabilities={name: (*missing, *_lacking(each, cuda)) for name, each in CAPABILITIES.items()},
+    )
+
+
+def _lacking(capability: Capability, cuda: str | None) -> list[str]:
+    """What an otherwise complete engine lacks for an ability."""
+    modules = capability.packages.items()
+    lacking = [package for package, module in modules if importlib.util.find_spec(module) is None]
+    return [*lacking, *(["torch for CUDA"] if capability.needs_cuda and cuda is None else [])]
+
+
+def _version(package: str) -> str | None:
+    if importlib.util.find_spec(module_of(package)) is None:
+        return None
+    try:
+        return importlib.metadata.version(package)
+    except importlib.metadata.PackageNotFoundError:  # another package installed the module, such as opencv-python
+        return "unknown"
+
+
+def _cuda_of_torch() -> str | None:
+    """The version of CUDA, from the text of torch's version.py, as importing torch takes a second."""
+    torch = importlib.util.find_spec("torch")
+    if torch is None or torch.origin is None:
+        return None
+    text = Path(torch.origin).with_name("version.py")
+    found = _CUDA.search(text.read_text(encoding="utf-8")) if text.is_file() else None
+    return found.group(1) if found else None

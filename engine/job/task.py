@@ -1,4 +1,5 @@
-"""A task is one run of an engine's command that another process follows: where its files are, and how far it is."""
+"""A task is one run of an engine's command that another process follows: where its files are, how far it is, and how it
+is stopped."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A task in a terminal: one live line, and Ctrl-C that ends both processes within a second."""
+"""Tasks and whole lifts in a terminal: one live line, and Ctrl-C that ends both processes within a second."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ from ..json_file import Json
 from .events import at_work, echoed
 from .folder import LiftFolder, LiftState
 from .follower import TaskFollower
-from .options import request_from, resumable
 from .process import engine_call, engine_command, engine_python
+from .request import request_from
 from .task import LIFT, TaskPlace, TaskProgress, TaskState
 
 _POLL_S = 0.05
@@ -261,6 +261,22 @@ def lift_in_terminal(
     if code is ExitCode.FINISHED and finished_at == lift.manifest_path.stat().st_mtime_ns:
         print(f"This lift is finished already: {lift.path}", file=sys.stderr)
     return lift, code
+
+
+def resumable(options: argparse.Namespace) -> LiftFolder | None:
+    """The lift in ``options.output`` that --resume continues; None if there is nothing to continue.
+
+    Raises PlgsError if the options ask for a lift that differs from the one there.
+    """
+    folder: Path = options.output
+    if not options.resume or not (folder / "request.json").exists():
+        return None
+    lift = LiftFolder.open(folder)
+    differing = request_from(options, base=lift.request).differences(lift.request)
+    if differing:
+        fix = "Leave these options as they were, or choose another output folder."
+        raise PlgsError(f"holds a lift with a different {', '.join(differing)}", lift.path, fix)
+    return lift
 
 
 def ask_engine(python: Path, interrupts: Interrupts, kind: str, *arguments: str | Path) -> Mapping[str, Json]:

@@ -1,5 +1,5 @@
-"""The frames of a lift by their purpose. They are chosen when it begins, and stay the same on whichever machine it is
-resumed."""
+"""The frames of a lift by their purpose, as many as fit into memory. They are chosen when it begins, and stay the same on
+whichever machine it is resumed."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ import numpy as np
 
 from ..errors import ErrorCode, PlgsError
 from ..job import Checkpoint, EventWriter, LiftRequest
-from ..job.main_memory import MainMemory, main_memory
 from ..job.prediction import PIXEL, Prediction, predict
+from ..job.system import MainMemory, main_memory
 from ..posed.layout import of_most
 from ..presets.options import with_options
 from ..presets.preset import PRESETS, Preset

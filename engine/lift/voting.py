@@ -1,4 +1,5 @@
-"""After training: the views' labels are voted onto the finished Gaussians, at the masks' own resolution."""
+"""After training: the views' labels are voted onto the finished Gaussians, at the masks' own resolution. Frames that are
+not trained on vote before it."""
 
 from __future__ import annotations
 

@@ -8,7 +8,7 @@ import torch
 from safetensors import SafetensorError, safe_open
 
 from ..gates import refuse_special
-from ..job.main_memory import main_memory
+from ..job.system import main_memory
 
 MOST_BYTES = 1 << 35
 """The largest model (see `checking`) is smaller, and so is a checkpoint of it."""

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from ..errors import PlgsError
 from ..gates import refuse_special
 from ..job import FURTHER_LAYERS, write_atomically
-from ..job.main_memory import main_memory
+from ..job.system import main_memory
 from ..machine.threads import worker_count
 from ..posed.exr_header import read_exr_header
 from . import cryptomatte

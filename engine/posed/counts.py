@@ -8,7 +8,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from ..errors import PlgsError
-from ..job.main_memory import main_memory
+from ..job.system import main_memory
 
 _SHARE_OF_MEMORY = 0.5
 """The share of the free memory that one file may take: the rest of the scene needs some as well."""

@@ -1,4 +1,5 @@
-"""The options of a preset by name, such as ``weights.depth``: they are parsed, checked, set in a preset, and shown."""
+"""The options of a preset by name, such as ``weights.depth``: they are parsed, checked, set in a preset, and shown; and
+presets in TOML files."""
 
 from __future__ import annotations
 

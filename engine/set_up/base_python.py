@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from ..job.requirements import Version
+from ..job.environment import Version
 
 PROBE = (
     "import importlib.util, json, sys; "

@@ -14,11 +14,20 @@ from pathlib import Path
 
 from ..errors import PlgsError
 from ..job import EventWriter, StopSignal, write_atomically
-from ..job.environment import COMPLETE, environment_name, environments_folder, is_complete, python_in
+from ..job.environment import (
+    COMPLETE,
+    constraints_path,
+    environment_name,
+    environments_folder,
+    hashes_path,
+    is_complete,
+    needed_packages,
+    pinned_versions,
+    python_in,
+)
 from ..job.handshake import EngineAnswer
 from ..job.lock import FileLock, is_locked
 from ..job.process import ROOT, clean_environment, engine_call
-from ..job.requirements import constraints_path, hashes_path, needed_packages, pinned_versions
 from . import programs
 from .base_python import PROBE, BasePython, candidates, judge
 from .environments import LOCK, LOG, Notes, bytes_in, empty_trash, throw_away

@@ -11,7 +11,7 @@ from pathlib import Path
 from engine.batch.plan import refuse_shared
 from engine.errors import Cancelled, PlgsError
 from engine.job import ExitCode, LiftFolder, refuse_used
-from engine.job.options import request_from
+from engine.job.request import request_from
 from engine.job.terminal import Interrupts, lift_in_terminal
 from engine.posed.layout import listed
 from engine.scene import open_scene_to_lift

@@ -10,8 +10,7 @@ from pathlib import Path
 import pytest
 
 from engine import __version__
-from engine.command_line.handshake import answer
-from engine.job.handshake import TOO_OLD, EngineAnswer
+from engine.job.handshake import TOO_OLD, EngineAnswer, answer
 from engine.json_file import to_line
 
 NO_SITE = [sys.executable, "-S", "-m", "engine", "handshake"]

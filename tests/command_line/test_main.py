@@ -16,7 +16,7 @@ import pytest
 
 from engine.command_line.main import main
 from engine.job import LiftFolder, LiftRequest, write_atomically, write_manifest
-from engine.job.options import add_options
+from engine.job.request import add_options
 from engine.scene_source import SceneSource, UpAxis
 from tests.commands import exit_code, refuse_heavy_help
 from tests.job.lift_folders import new_lift

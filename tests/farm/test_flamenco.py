@@ -15,7 +15,7 @@ import pytest
 
 from engine.command_line.main import make_parser
 from engine.job import LiftFolder, LiftRequest, verify
-from engine.job.options import resumable
+from engine.job.terminal import resumable
 from tests.tiny_scene import write_tiny_scene
 
 py_mini_racer = pytest.importorskip("py_mini_racer", reason="mini-racer is not installed: requirements/test.txt")

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from engine.job.main_memory import SHARE, MainMemory, main_memory
+from engine.job.system import SHARE, MainMemory, main_memory
 
 INFO = "MemTotal:       1000 kB\nMemFree:         100 kB\nMemAvailable:    600 kB\nHugePages_Total:   0\n"
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from engine.errors import PlgsError
-from engine.job.requirements import constraints_path, digest, module_of, needed_packages, pinned_versions
+from engine.job.environment import constraints_path, digest, module_of, needed_packages, pinned_versions
 
 
 def test_everything_that_a_lift_imports_is_pinned(root: Path) -> None:

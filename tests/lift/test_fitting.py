@@ -10,8 +10,8 @@ import pytest
 
 from engine.errors import ErrorCode, PlgsError
 from engine.job import EventWriter, LiftRequest, last_run
-from engine.job.main_memory import MainMemory
 from engine.job.prediction import predict
+from engine.job.system import MainMemory
 from engine.lift.frame_sets import LEAST_PIXEL, check_disk, frames_that_fit, masks_a_frame
 from engine.presets.preset import PRESETS
 from engine.scene import Scene, open_scene

@@ -9,7 +9,7 @@ import pytest
 
 from engine.errors import PlgsError
 from engine.job import Checkpoint, EventWriter, LiftRequest, StopSignal, last_run
-from engine.job.main_memory import MainMemory
+from engine.job.system import MainMemory
 from engine.lift import frame_sets
 from engine.lift.frame_sets import sets_of_frames
 from engine.scene import Scene, open_scene

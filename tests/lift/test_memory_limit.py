@@ -11,7 +11,7 @@ import pytest
 import torch
 from safetensors.torch import save_file
 
-from engine.job.main_memory import main_memory
+from engine.job.system import main_memory
 from engine.model.tensor_file import read_tensors
 from engine.passes.exr import LAYER, read_exr
 from tests.limited_memory import check_told, told_by

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from engine.errors import PlgsError
-from engine.job.main_memory import MainMemory
+from engine.job.system import MainMemory
 from engine.posed import counts
 from engine.posed.camera import Camera
 from engine.posed.classes import Category, ClassLabel

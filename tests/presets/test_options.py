@@ -9,7 +9,7 @@ import pytest
 
 from engine.errors import PlgsError
 from engine.job import LiftRequest
-from engine.job.options import add_lift_options, chosen_options, request_from
+from engine.job.request import add_lift_options, chosen_options, request_from
 from engine.presets.options import changed_options, parsed_options, preset_text, read_preset_file, shown_options
 from engine.presets.preset import PRESETS
 

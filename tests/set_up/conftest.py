@@ -10,8 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from engine.job.environment import python_in
-from engine.job.requirements import hashes_path, module_of, needed_packages
+from engine.job.environment import hashes_path, module_of, needed_packages, python_in
 from engine.set_up import SetUpRequest
 from engine.set_up.environments import Notes
 from tests.set_up.package_index import PackageIndex

@@ -11,11 +11,10 @@ from pathlib import Path
 
 import pytest
 
-from engine.command_line.handshake import answer
 from engine.errors import Cancelled, PlgsError
 from engine.job import EventWriter, StopSignal
 from engine.job.environment import python_in
-from engine.job.handshake import ADDED, CAPABILITIES, EngineAnswer, addition_hashes_path, requirements_path
+from engine.job.handshake import ADDED, CAPABILITIES, EngineAnswer, addition_hashes_path, answer, requirements_path
 from engine.job.process import engine_call, missing_modules
 from engine.set_up import Addition
 from tests.set_up.package_index import PackageIndex, wheel

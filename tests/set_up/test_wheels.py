@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
+from engine.job.environment import Version, hashes_path, needed_packages, pinned_versions
 from engine.job.handshake import ADDED, addition_hashes_path
-from engine.job.requirements import Version, hashes_path, needed_packages, pinned_versions
 
 SYSTEMS = {"win_amd64": "win32", "macosx_14_0_arm64": "darwin"}
 """The names of the systems in wheels, and what Python calls them. torch has no wheel for an older macOS."""

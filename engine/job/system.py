@@ -1,0 +1,164 @@
+"""What differs between POSIX and Windows: locks, processes, folders on disk, memory. The rest of the engine uses this.
+
+Modules that the other system lacks are imported where they are needed.
+"""
+
+from __future__ import annotations
+
+import importlib
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+WINDOWS = os.name == "nt"
+OPEN_FILES_KEEP_NAMES = WINDOWS
+"""Whether an open file can be neither deleted nor renamed."""
+LOCKED_BYTE = 2**30
+"""On Windows others cannot read a locked range, so the locked byte is beyond the size that any log reaches."""
+_NEW_GROUP, _NO_WINDOW = 0x200, 0x8000000
+"""CREATE_NEW_PROCESS_GROUP and CREATE_NO_WINDOW, which `subprocess` has on Windows only."""
+
+
+def try_lock(descriptor: int, shared: bool = False) -> bool:
+    """Try to lock the open file, for this process alone or ``shared`` with others, and return whether it is locked. On
+    Windows all locks are exclusive.
+
+    Raises OSError if the file system does not support locks.
+    """
+    try:
+        if WINDOWS:
+            msvcrt: Any = importlib.import_module("msvcrt")
+            os.lseek(descriptor, LOCKED_BYTE, os.SEEK_SET)
+            msvcrt.locking(descriptor, msvcrt.LK_NBLCK, 1)
+        else:
+            fcntl: Any = importlib.import_module("fcntl")
+            fcntl.flock(descriptor, (fcntl.LOCK_SH if shared else fcntl.LOCK_EX) | fcntl.LOCK_NB)
+    except (BlockingIOError, PermissionError):
+        return False
+    return True
+
+
+def flush_folder(path: Path) -> None:
+    """Wait until a folder's list of names would survive a power cut; NTFS itself journals it. Raises OSError."""
+    if WINDOWS:
+        return
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+def start_options(keep_open: Sequence[int] = ()) -> dict[str, Any]:
+    """Options of `Popen` for a program in its own group, without a window: Ctrl-C in the terminal reaches only its
+    parent, which then asks it to stop. Descriptors in ``keep_open`` stay open in it, but not on Windows."""
+    if WINDOWS:
+        return {"creationflags": _NEW_GROUP | _NO_WINDOW}
+    return {"start_new_session": True, "pass_fds": tuple(keep_open)}
+
+
+def kill_with_children(process: subprocess.Popen[bytes]) -> None:
+    """End a process that was started with `start_options`, and everything that it started, at once. On Windows a child
+    that outlived its parent is not found."""
+    if not WINDOWS:
+        os.killpg(process.pid, signal.SIGKILL)
+        return
+    tree = ["taskkill", "/F", "/T", "/PID", str(process.pid)]
+    try:
+        subprocess.run(tree, stdin=subprocess.DEVNULL, capture_output=True, creationflags=_NO_WINDOW, timeout=10)
+    except (OSError, subprocess.TimeoutExpired):  # on a Windows without taskkill, at least the process itself ends
+        pass
+    process.kill()
+
+
+def usable_cpus() -> int:
+    """The number of CPUs that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def peak_bytes() -> int | None:
+    """The most bytes of memory that this process has held; None on Windows, where this is not measured."""
+    if WINDOWS:
+        return None
+    resource: Any = importlib.import_module("resource")
+    most: int = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return most if sys.platform == "darwin" else 1024 * most
+
+
+CGROUP = Path("/sys/fs/cgroup")
+SHARE = "PLGS_MEMORY_GB"
+"""The variable by which several engines share this computer: the GB that each may use."""
+
+
+class MainMemory(NamedTuple):
+    """The total and the free bytes. A container's limit, and SHARE, count as the computer's memory."""
+
+    total: int
+    free: int
+
+
+def main_memory(proc: Path = Path("/proc/meminfo"), cgroup: Path = CGROUP) -> MainMemory | None:
+    """The current memory; None if the system does not tell. Never raises."""
+    try:
+        if sys.platform == "win32":
+            return _share(_of_windows())
+        if proc.exists():
+            return _share(_within(_of_linux(proc), cgroup))
+        total = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+        return _share(MainMemory(total, total))
+    except (OSError, ValueError, KeyError, IndexError, OverflowError):
+        return None
+
+
+def _share(memory: MainMemory) -> MainMemory:
+    share = int(float(os.environ[SHARE]) * 1e9) if SHARE in os.environ else memory.total
+    return MainMemory(min(memory.total, share), min(memory.free, share))
+
+
+def _of_linux(proc: Path) -> MainMemory:
+    """The memory on Linux. Raises OSError, ValueError, KeyError, IndexError."""
+    lines = (line.split(":") for line in proc.read_text().splitlines() if ":" in line)
+    bytes_of = {name: 1024 * int(value.split()[0]) for name, value in lines}
+    return MainMemory(bytes_of["MemTotal"], bytes_of["MemAvailable"])
+
+
+def _within(memory: MainMemory, cgroup: Path) -> MainMemory:
+    """The memory within a container's limit, if there is one."""
+    try:
+        limit = int((cgroup / "memory.max").read_text())
+        held = int((cgroup / "memory.current").read_text()) - _given_back(cgroup)
+    except (OSError, ValueError):  # no such file, or "max"
+        return memory
+    return MainMemory(min(memory.total, limit), min(memory.free, max(0, limit - held)))
+
+
+def _given_back(cgroup: Path) -> int:
+    """Bytes of files that the system keeps in a container's memory until it is needed."""
+    try:
+        lines = (line.split() for line in (cgroup / "memory.stat").read_text().splitlines())
+        return next((int(line[1]) for line in lines if line[:1] == ["inactive_file"]), 0)
+    except (OSError, ValueError, IndexError):  # older systems do not tell
+        return 0
+
+
+def _of_windows() -> MainMemory:
+    """The memory on Windows. Raises OSError."""
+    import ctypes
+
+    class Status(ctypes.Structure):
+        """MEMORYSTATUSEX of the Windows API."""
+
+        _fields_ = (
+            ("length", ctypes.c_ulong),
+            ("load", ctypes.c_ulong),
+            *((name, ctypes.c_ulonglong) for name in ("total", "free", "page", "page_free", "own", "own_free", "more")),
+        )
+
+    status = Status(length=ctypes.sizeof(Status))
+    if not ctypes.windll.kernel32.GlobalMemoryStatusEx(ctypes.byref(status)):  # type: ignore[attr-defined,unused-ignore]
+        raise OSError("GlobalMemoryStatusEx failed")
+    return MainMemory(int(status.total), int(status.free))
