@@ -1,5 +1,5 @@
-"""The packages that the engine needs, as pinned in ``requirements/``, and what PLGS keeps in the user's cache, also after
-the extension is uninstalled: environments and notes."""
+"""The packages that the engine needs, as pinned in ``requirements/``, and what PLGS keeps in the user's cache, also
+after the extension is uninstalled: environments and notes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Rendering of the frames: passes and previews of the requested ones, with corrections, and scores of the held-out ones."""
+"""Rendering of the frames: passes and previews of the requested ones with corrections, scores of the held-out ones."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
-"""The frames of a lift by their purpose, as many as fit into memory. They are chosen when it begins, and stay the same on
-whichever machine it is resumed."""
+"""The frames of a lift by their purpose, as many as fit into memory. They are chosen when it begins, and stay the same
+on whichever machine it is resumed."""
 
 from __future__ import annotations
 
