@@ -9,10 +9,9 @@ from typing import Any
 import bpy
 from bpy.props import BoolProperty, EnumProperty, IntProperty, PointerProperty, StringProperty
 
-from engine.job.request import chosen_options
-
 from ..engine.errors import PlgsError
 from ..engine.job import LiftRequest
+from ..engine.job.request import chosen_options
 from ..engine.presets.options import (
     checked_options,
     option_value,

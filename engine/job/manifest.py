@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path, PurePosixPath
 from stat import S_ISREG
@@ -16,7 +16,6 @@ from .atomic import ListedFile, files_below, remove_parts, sha256, write_atomica
 _Facts = Mapping[str, Json]
 _Names = Mapping[str, str]
 NAME = "manifest.json"
-Write = Callable[[Path, str], object]
 MAKE_ANEW = "Resume the lift: 'python -m engine lift LIFT --resume' makes the result again."
 """The advice for a result that has changed since it was written."""
 
@@ -52,29 +51,27 @@ def write_manifest(
     _write(result, Manifest(__version__, versions, seed, settings, timings, files, frames or {}))
 
 
-def add_files(
-    result: Path, paths: Sequence[Path], frames: _Names | None = None, write: Write = write_atomically
-) -> None:
+def add_files(result: Path, paths: Sequence[Path], frames: _Names | None = None) -> None:
     """List more files, or changed ones, in the manifest of a finished lift; the rest of it stays as it is.
 
-    The result is complete before and after, even if the process is killed in between. ``frames`` is as in `Manifest`,
-    ``write`` as in the manifest's lock. Raises PlgsError if there is no manifest, and OSError.
+    The result is complete before and after, even if the process is killed in between. ``frames`` is as in `Manifest`.
+    Raises PlgsError if there is no manifest, and OSError.
     """
     manifest = read_manifest(result)
     files = {file.path: file for file in (*manifest.files, *(ListedFile.of(path, result) for path in paths))}
     names = {**manifest.frames, **(frames or {})}
-    _write(result, replace(manifest, files=tuple(files[path] for path in sorted(files)), frames=names), write)
+    _write(result, replace(manifest, files=tuple(files[path] for path in sorted(files)), frames=names))
 
 
-def drop_files(result: Path, paths: Sequence[Path], write: Write = write_atomically) -> None:
+def drop_files(result: Path, paths: Sequence[Path]) -> None:
     """Remove files that are about to be made again from the list. Otherwise like ``add_files``."""
     manifest = read_manifest(result)
     dropped = {PurePosixPath(path.relative_to(result)) for path in paths}
-    _write(result, replace(manifest, files=tuple(file for file in manifest.files if file.path not in dropped)), write)
+    _write(result, replace(manifest, files=tuple(file for file in manifest.files if file.path not in dropped)))
 
 
-def _write(result: Path, manifest: Manifest, write: Write = write_atomically) -> None:
-    write(result / NAME, record_text(manifest))
+def _write(result: Path, manifest: Manifest) -> None:
+    write_atomically(result / NAME, record_text(manifest))
 
 
 def read_manifest(result: Path) -> Manifest:

@@ -288,8 +288,8 @@ class _Result:
         OSError."""
         old = self._listed().intersection(baked_files(self._folder, view.name))
         if old:
-            with self._locks.manifest() as lock:
-                drop_files(self._folder.result_path, sorted(old), lock.write)
+            with self._locks.manifest():
+                drop_files(self._folder.result_path, sorted(old))
 
     def _listed(self) -> frozenset[Path]:
         """The files in the manifest, which is read again only when it was replaced: with thousands of views, reading
@@ -314,7 +314,7 @@ class _Result:
         """Add the new views to the manifest. Raises OSError."""
         files = [path for view in self._views for path in baked_files(self._folder, view.name)]
         if files:
-            with self._locks.manifest() as lock:
+            with self._locks.manifest():
                 own = {view.name: view.frame for view in self._views if view.frame not in ("", view.name)}
-                add_files(self._folder.result_path, files, own, lock.write)
+                add_files(self._folder.result_path, files, own)
         self._views, self._kept_at = [], time.monotonic()

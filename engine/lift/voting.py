@@ -1,5 +1,5 @@
-"""After training: the views' labels are voted onto the finished Gaussians, at the masks' own resolution. Before it, frames
-that are not trained on are read to vote."""
+"""After training: the views' labels are voted onto the finished Gaussians, at the masks' own resolution. Before it,
+frames that are not trained on are read to vote."""
 
 from __future__ import annotations
 

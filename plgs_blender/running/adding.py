@@ -5,10 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from engine.job.handshake import ADDED, CAPABILITIES
-
 from ...engine.errors import PlgsError
 from ...engine.job.follower import TaskFollower
+from ...engine.job.handshake import ADDED, CAPABILITIES
 from ..engine_environment import status, tasks
 from ..engine_environment.choices import set_up_choice
 from ..settings import chosen_scene

@@ -7,9 +7,8 @@ from pathlib import Path
 
 import bpy
 
-from engine.job.folder import refuse_foreign
-
 from ...engine.errors import PlgsError
+from ...engine.job.folder import refuse_foreign
 from ...engine.job.recent import remembered_lifts
 from ...engine.result_files import INSTANCES
 from .. import settings as panel
