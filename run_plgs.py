@@ -231,7 +231,7 @@ def finished_lift(folder: Path, scene: Path | None, interrupts: Interrupts) -> L
 def bake_camera(lift: LiftFolder, blend: Path, options: argparse.Namespace, interrupts: Interrupts) -> ExitCode:
     """Bake the camera that the options name; the lift's own .blend then shows the passes. Raises PlgsError."""
     lift.refuse_read_only()
-    from plgs.plgs_blender.shots import bake_shot_in_terminal  # brings bpy
+    from plgs.plgs_blender.shots import bake_shot_in_terminal
 
     if options.blend is None and not blend.exists():
         build_blend(lift, blend)
@@ -301,7 +301,7 @@ def build_blend(lift: LiftFolder, blend: Path) -> ExitCode:
 def end(code: int) -> NoReturn:
     """End the process with this exit code."""
     if "bpy" in sys.modules:
-        from plgs.plgs_blender.module_exit import end_process
+        from plgs.plgs_blender.lifecycle import end_process
 
         end_process(code)
     sys.exit(code)

@@ -5,10 +5,10 @@ All of them work from a script with the same arguments as from their buttons.
 
 from __future__ import annotations
 
-from ..plgs_blender.registration import register_modules, unregister_modules
-from . import corrections, diagnose, engine, export, inspect, lift, masks, passes, pointing, proposals, reuse, scene
+from ..plgs_blender.lifecycle import register_modules, unregister_modules
+from . import corrections, engine, inspect, lift, masks, passes, pointing, scene
 
-_MODULES = (engine, lift, passes, scene, masks, diagnose, inspect, corrections, proposals, export, reuse, pointing)
+_MODULES = (engine, lift, passes, scene, masks, inspect, corrections, pointing)
 
 
 def register() -> None:

@@ -9,9 +9,9 @@ from typing import Any
 import bpy
 from bpy.props import StringProperty
 
+from ..plgs_blender import registry
 from ..plgs_blender.errors import EXPECTED, with_field_names
-from ..plgs_blender.tasks import registry
-from ..plgs_blender.tasks.registry import Task
+from ..plgs_blender.registry import Task
 
 FINISHED, CANCELLED = {"FINISHED"}, {"CANCELLED"}
 RUNNING, PASSED_ON = {"RUNNING_MODAL"}, {"PASS_THROUGH"}

@@ -1,4 +1,4 @@
-"""Correcting what a lift got wrong: names, classes, and which points belong to which object."""
+"""Correcting what a lift got wrong: names, classes, which points belong to which object, and what is proposed."""
 
 from __future__ import annotations
 
@@ -6,17 +6,17 @@ from typing import Any
 
 import bpy
 import numpy as np
-from bpy.props import EnumProperty, FloatVectorProperty, IntProperty, StringProperty
+from bpy.props import BoolProperty, EnumProperty, FloatVectorProperty, IntProperty, StringProperty
 
-from ..plgs_blender import corrections, cutting, painting
+from ..plgs_blender import correction_tools, corrections, registry
+from ..plgs_blender.correction_tools import Painting, SplitByViews, split_by_views
 from ..plgs_blender.engine_environment import why_no_engine
-from ..plgs_blender.errors import EXPECTED, PlgsError, one_line
-from ..plgs_blender.inspecting.lookup import chosen_row, find_lift, row_of
-from ..plgs_blender.lift_collection import folder_of
-from ..plgs_blender.painting import Painting
-from ..plgs_blender.running.splitting import SplitByViews, split_by_views
-from ..plgs_blender.tasks import registry
-from ..plgs_blender.tasks.registry import Task
+from ..plgs_blender.errors import EXPECTED, PlgsError, one_line, plural
+from ..plgs_blender.inspecting import selection, views
+from ..plgs_blender.inspecting.selection import chosen_row, find_lift, row_of
+from ..plgs_blender.owned import folder_of
+from ..plgs_blender.registry import Task
+from ..plgs_blender.viewport import view_of
 from .base import (
     CANCELLED,
     FINISHED,
@@ -164,7 +164,7 @@ class PLGS_OT_split_instance(OnInstance, bpy.types.Operator):
         root = self.root(context)
         number = row_of(root, self.instance).instance_id
         if self.by == "CUT":
-            edit = cutting.split_by_cut(root, number)
+            edit = correction_tools.split_by_cut(root, number)
         elif self.by == "PLANE":
             edit = corrections.split_plane(root, number, (*self.point,), (*self.normal,))
         else:
@@ -205,7 +205,7 @@ class PLGS_OT_place_cut(OnInstance, bpy.types.Operator):
     @reporting
     def execute(self, context: bpy.types.Context) -> set[str]:
         root = self.root(context)
-        cutting.place_cut(root, row_of(root, self.instance).instance_id)
+        correction_tools.place_cut(root, row_of(root, self.instance).instance_id)
         return FINISHED
 
 
@@ -275,7 +275,7 @@ class PLGS_OT_assign_points(OnLift, bpy.types.Operator):
             row_of(root, self.instance)
         else:
             corrections.class_named(root, self.class_name)
-        painting.now[:] = [Painting.of_lift(folder_of(root))]
+        correction_tools.now[:] = [Painting.of_lift(folder_of(root))]
         context.window.cursor_modal_set("PAINT_BRUSH")
         context.window_manager.modal_handler_add(self)
         self._say(context)
@@ -283,10 +283,10 @@ class PLGS_OT_assign_points(OnLift, bpy.types.Operator):
 
     @reporting_events
     def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        if not painting.now or context.area is None:  # another file was opened, or the view closed
+        if not correction_tools.now or context.area is None:  # another file was opened, or the view closed
             self.cancel(context)
             return CANCELLED
-        now = painting.now[0]
+        now = correction_tools.now[0]
         view = next(region for region in context.area.regions if region.type == "WINDOW")
         place = (float(event.mouse_x - view.x), float(event.mouse_y - view.y))
         context.area.tag_redraw()
@@ -314,7 +314,7 @@ class PLGS_OT_assign_points(OnLift, bpy.types.Operator):
 
     def cancel(self, context: bpy.types.Context) -> None:
         """Blender also calls this when it ends the painting itself."""
-        painting.now.clear()
+        correction_tools.now.clear()
         if context.window is not None:
             context.window.cursor_modal_restore()
         if context.area is not None:
@@ -345,6 +345,75 @@ def _is_over(area: bpy.types.Area, event: bpy.types.Event) -> bool:
     return {region.type for region in area.regions if holds(region)} == {"WINDOW"}
 
 
+_UNDOABLE = {"REGISTER", "UNDO"}
+
+
+class PLGS_OT_propose_corrections(OnLift, bpy.types.Operator):
+    """Find objects that may be wrong: views disagree on the class, parts do not touch, or few frames saw the object"""
+
+    bl_idname, bl_label, bl_options = "plgs.propose_corrections", "What May Be Wrong?", _UNDOABLE
+
+    @reporting
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        found = corrections.propose(self.root(context))
+        self.report({"INFO"}, f"{plural(len(found.open), 'proposal')}, {found.progress}")
+        return FINISHED
+
+
+class OnProposal(OnLift):
+    """An operator on the proposal for an instance."""
+
+    instance: IntProperty(  # type: ignore[valid-type]
+        name="Instance", min=0, options={"SKIP_SAVE"}, description="Id of the instance; 0: the most doubtful one"
+    )
+
+
+class PLGS_OT_go_to_proposal(OnProposal, bpy.types.Operator):
+    """Select the object, and look through the camera of the frame that sees it best"""
+
+    bl_idname, bl_label, bl_options = "plgs.go_to_proposal", "Look at It", _UNDOABLE
+
+    @reporting
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        root = self.root(context)
+        one = corrections.proposal_of(root, self.instance)
+        selection.select_instance(root, one.instance, context.view_layer)
+        if one.frame:
+            views.look_from_frame(root, one.frame, context.scene, view_of(context)[0])
+        self.report({"INFO"}, one_line(f"{one.name}: {one.reason}"))
+        return FINISHED
+
+
+class PLGS_OT_answer_proposal(OnProposal, StartsTask, bpy.types.Operator):
+    """Apply the proposal, or keep the object as it is"""
+
+    bl_idname, bl_label, bl_options = "plgs.answer_proposal", "Answer", _UNDOABLE
+
+    keep: BoolProperty(name="Keep", options={"SKIP_SAVE"}, description="The object is correct as it is")  # type: ignore[valid-type]
+
+    def begin(self, context: bpy.types.Context) -> Task | None:
+        root = self.root(context)
+        one = corrections.proposal_of(root, self.instance)
+        if one.answer == corrections.BY_VIEWS and not self.keep:
+            return split_by_views(root, one.instance)
+        corrections.answer(root, one.instance, keep=self.keep)
+        return None
+
+
+class PLGS_OT_next_uncertain_frame(OnLift, bpy.types.Operator):
+    """Go to the frame in which the lift is least sure of the classes; press again for the next one"""
+
+    bl_idname, bl_label, bl_options = "plgs.next_uncertain_frame", "Next Uncertain Frame", _UNDOABLE
+
+    @reporting
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        root = self.root(context)
+        frame, visited, frames = corrections.next_uncertain(root)
+        views.look_from_frame(root, frame, context.scene, view_of(context)[0])
+        self.report({"INFO"}, f"Frame {one_line(frame)}, {visited} of {frames} looked at")
+        return FINISHED
+
+
 CLASSES = (
     PLGS_OT_rename_instance,
     PLGS_OT_reclass_instances,
@@ -358,4 +427,8 @@ CLASSES = (
     PLGS_OT_accept_instances,
     PLGS_OT_undo_correction,
     PLGS_OT_assign_points,
+    PLGS_OT_next_uncertain_frame,
+    PLGS_OT_propose_corrections,
+    PLGS_OT_go_to_proposal,
+    PLGS_OT_answer_proposal,
 )

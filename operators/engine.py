@@ -5,11 +5,11 @@ from __future__ import annotations
 import bpy
 from bpy.props import EnumProperty, StringProperty
 
+from ..plgs_blender import registry
+from ..plgs_blender.chosen_scene import absolute
 from ..plgs_blender.engine_environment import choices, status, tasks, usable_python, why_no_engine
-from ..plgs_blender.paths import absolute
+from ..plgs_blender.registry import Task
 from ..plgs_blender.running import adding
-from ..plgs_blender.tasks import registry
-from ..plgs_blender.tasks.registry import Task
 from .base import CANCELLED, FINISHED, CancelsTask, Explained, StartsTask, reporting, reporting_events
 
 _TORCH_BUILDS = [

@@ -1,15 +1,16 @@
-"""Selecting, showing, colouring and looking at the instances and classes of a lift."""
+"""Selecting, showing, colouring and looking at the instances and classes of a lift, and reusing them elsewhere."""
 
 from __future__ import annotations
 
 import bpy
-from bpy.props import EnumProperty, IntProperty, StringProperty
+from bpy.props import BoolProperty, EnumProperty, IntProperty, StringProperty
 
-from ..plgs_blender.errors import one_line
-from ..plgs_blender.inspecting import looks, selection, views, visibility
-from ..plgs_blender.inspecting.lookup import chosen_row, class_row_of, find_lift, row_of
-from ..plgs_blender.lift_collection import lifts_in
+from ..plgs_blender import corrections, reuse
+from ..plgs_blender.errors import one_line, plural
+from ..plgs_blender.inspecting import looks, selection, views
+from ..plgs_blender.inspecting.selection import chosen_row, class_row_of, find_lift, row_of
 from ..plgs_blender.lift_scene import show_lift_as
+from ..plgs_blender.owned import lifts_in
 from ..plgs_blender.viewport import show_lift_colours, view_of
 from .base import CANCELLED, FINISHED, Explained, panel_of, reporting
 
@@ -122,7 +123,7 @@ class PLGS_OT_isolate_instance(OnInstance, bpy.types.Operator):
 
     @reporting
     def execute(self, context: bpy.types.Context) -> set[str]:
-        visibility.isolate(self.root(context), self.instance)
+        looks.isolate(self.root(context), self.instance)
         return FINISHED
 
 
@@ -133,7 +134,7 @@ class PLGS_OT_show_all(OnLift, bpy.types.Operator):
 
     @reporting
     def execute(self, context: bpy.types.Context) -> set[str]:
-        visibility.show_all(self.root(context))
+        looks.show_all(self.root(context))
         return FINISHED
 
 
@@ -281,6 +282,39 @@ class PLGS_OT_toggle_overlay(OnLift, bpy.types.Operator):
         return FINISHED
 
 
+class PLGS_OT_make_objects(OnInstances, bpy.types.Operator):
+    """Turn each selected object into one mesh in its own collection, to be moved and used elsewhere, with its points
+    hidden under it. A hole is left where it stood"""
+
+    bl_idname, bl_label, bl_options = "plgs.make_objects", "Make Objects", {"REGISTER", "UNDO"}
+
+    as_assets: BoolProperty(  # type: ignore[valid-type]
+        name="As Assets", options={"SKIP_SAVE"}, description="Mark them as assets, each with a preview picture"
+    )
+
+    @reporting
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        root = self.root(context)
+        numbers = corrections.chosen_instances(root, self.instances, context)
+        made = reuse.make_objects(root, numbers, as_assets=self.as_assets)
+        self.report({"INFO"}, one_line(f"Made: {', '.join(each.name for each in made)}"))
+        return FINISHED
+
+
+class PLGS_OT_key_visibility(OnInstances, bpy.types.Operator):
+    """Key the selected objects to be visible only in the timeline's frames whose masks show them"""
+
+    bl_idname, bl_label, bl_options = "plgs.key_visibility", "Key Visibility", {"REGISTER", "UNDO"}
+
+    @reporting
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        root = self.root(context)
+        numbers = corrections.chosen_instances(root, self.instances, context)
+        keyed = reuse.key_visibility(root, numbers, context.scene)
+        self.report({"INFO"}, plural(keyed, "object has keys", "objects have keys"))
+        return FINISHED
+
+
 CLASSES = (
     PLGS_OT_select_instance,
     PLGS_OT_select_class,
@@ -296,4 +330,6 @@ CLASSES = (
     PLGS_OT_go_to_mask,
     PLGS_OT_go_to_frame,
     PLGS_OT_toggle_overlay,
+    PLGS_OT_make_objects,
+    PLGS_OT_key_visibility,
 )

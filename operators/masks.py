@@ -1,19 +1,32 @@
-"""Finding poses for photos, making masks for a scene that has none, and editing the classes of its masks."""
+"""Before a lift: poses for photos, masks and their classes, diagnosing the scene, and writing a fixed copy of it."""
 
 from __future__ import annotations
 
 import bpy
-from bpy.props import EnumProperty, StringProperty
+from bpy.props import EnumProperty, IntProperty, StringProperty
 
+from ..plgs_blender import registry
+from ..plgs_blender.chosen_scene import absolute, free_folder
 from ..plgs_blender.engine_environment import usable_python, why_no_engine
-from ..plgs_blender.mask_classes import OWN_TABLE, TABLE_ITEMS
+from ..plgs_blender.errors import PlgsError, plural, with_field_names
+from ..plgs_blender.inspecting.views import look_from_frame
+from ..plgs_blender.owned import SCENE, is_same_place, lifts_in, text_of
+from ..plgs_blender.registry import Task
 from ..plgs_blender.running.adding import why_lacking
-from ..plgs_blender.running.classes import read_classes, write_classes
-from ..plgs_blender.running.preparation import MaskMaking, PoseMaking, make_masks, make_poses
+from ..plgs_blender.running.diagnosis import Diagnosis, Finding, diagnose, diagnosis_of, leave_out
+from ..plgs_blender.running.preparation import (
+    OWN_TABLE,
+    TABLE_ITEMS,
+    MaskMaking,
+    PoseMaking,
+    make_masks,
+    make_poses,
+    read_classes,
+    write_classes,
+)
 from ..plgs_blender.settings import chosen_scene
-from ..plgs_blender.tasks import registry
-from ..plgs_blender.tasks.registry import Task
-from .base import CancelsTask, StartsTask, panel_of
+from ..plgs_blender.viewport import load_finding, show_beside, view_of
+from .base import CANCELLED, FINISHED, CancelsTask, Explained, StartsTask, panel_of, reporting
 
 
 class PLGS_OT_make_masks(StartsTask, bpy.types.Operator):
@@ -109,6 +122,153 @@ class PLGS_OT_write_classes(StartsTask, bpy.types.Operator):
         return write_classes(context.scene)
 
 
+_NOTHING = "Nothing was found that can safely be fixed"
+
+
+class Measures(StartsTask):
+    """An operator that has an engine measure the panel's scene."""
+
+    @classmethod
+    def why_not(cls, context: bpy.types.Context) -> str | None:
+        if not context.scene.plgs.scene_folder:
+            return "Choose the scene's folder first"
+        if registry.running(Diagnosis):
+            return "The engine is already measuring"
+        # A script waits for the engine's answer; a button is grey until there is one.
+        return None if panel_of(context) is None else why_no_engine()
+
+
+class PLGS_OT_diagnose(Measures, bpy.types.Operator):
+    """Check the scene for problems: axes, poses, depth, intrinsics, order, drift, pictures and labels"""
+
+    bl_idname, bl_label, bl_options = "plgs.diagnose", "Diagnose", {"INTERNAL"}
+
+    def begin(self, context: bpy.types.Context) -> Task:
+        return diagnose(context.scene.plgs)
+
+    def tell(self, context: bpy.types.Context, task: Task | None) -> set[str]:
+        findings = task.findings if isinstance(task, Diagnosis) else ()
+        for finding in findings:
+            self.report({"WARNING" if finding.is_wrong else "INFO"}, f"{finding.cause}: {finding.text}")
+        return FINISHED if findings else super().tell(context, task)
+
+
+class PLGS_OT_fix_scene(Measures, bpy.types.Operator):
+    """Write a copy of the scene with all safe fixes into a new folder, and use that copy; your files do not change"""
+
+    bl_idname, bl_label, bl_options = "plgs.fix_scene", "Fix", {"INTERNAL"}
+
+    folder: StringProperty(  # type: ignore[valid-type]
+        name="Folder", subtype="DIR_PATH", options={"SKIP_SAVE"},
+        description="Where the fixed scene goes: a folder that does not exist yet; empty: beside the scene's folder",
+    )  # fmt: skip
+
+    @classmethod
+    def why_not(cls, context: bpy.types.Context) -> str | None:
+        reason = super().why_not(context)
+        known = None if reason is not None else diagnosis_of(chosen_scene(context.scene.plgs))
+        return reason if known is None or known.can_be_mended else _NOTHING
+
+    def begin(self, context: bpy.types.Context) -> Task:
+        settings = context.scene.plgs
+        scene = chosen_scene(settings).scene
+        return diagnose(settings, absolute(self.folder) if self.folder else free_folder(scene, "mended"))
+
+    def tell(self, context: bpy.types.Context, task: Task | None) -> set[str]:
+        assert isinstance(task, Diagnosis)
+        if task.is_running:
+            self.report({"INFO"}, f"An engine is writing {task.mended}")
+            return FINISHED
+        if not task.is_mended:
+            self.report({"ERROR"}, _NOTHING if task.error is None else with_field_names(task.error))
+            return CANCELLED
+        self.report({"INFO"}, f"The scene is now the fixed copy: {task.mended}")
+        return FINISHED
+
+
+class OnFinding(Explained):
+    """An operator on one finding of the panel's scene."""
+
+    number: IntProperty(name="Number", min=0, options={"SKIP_SAVE"}, description="Number of the finding, from 0")  # type: ignore[valid-type]
+
+    @classmethod
+    def why_not(cls, context: bpy.types.Context) -> str | None:
+        known = _known(context)
+        return None if known is not None and known.findings else "Diagnose the scene first"
+
+    def finding(self, context: bpy.types.Context) -> tuple[Diagnosis, Finding]:
+        """Raises PlgsError."""
+        known = _known(context)
+        if known is None or self.number >= len(known.findings):
+            raise PlgsError("there is no such finding", str(self.number), "Diagnose the scene again.")
+        return known, known.findings[self.number]
+
+
+class PLGS_OT_show_finding(OnFinding, bpy.types.Operator):
+    """Show the picture of a finding in an Image Editor, beside the 3D view if there is none"""
+
+    bl_idname, bl_label, bl_options = "plgs.show_finding", "Show Picture", {"INTERNAL", "UNDO"}
+
+    @reporting
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        picture = self.finding(context)[1].picture
+        if picture is None:
+            self.report({"WARNING"}, "This finding has no picture")
+            return CANCELLED
+        image = load_finding(picture)
+        where = "is in the Image Editor" if show_beside(image, context) else "is loaded"
+        self.report({"INFO"}, f"{image.name} {where}")
+        return FINISHED
+
+
+class PLGS_OT_go_to_finding(OnFinding, bpy.types.Operator):
+    """Look through the camera of this frame"""
+
+    bl_idname, bl_label, bl_options = "plgs.go_to_finding", "Go to Frame", {"INTERNAL", "UNDO"}
+
+    frame: StringProperty(name="Frame", options={"SKIP_SAVE"})  # type: ignore[valid-type]
+
+    @reporting
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        place = self.finding(context)[0].chosen.scene
+        for root in lifts_in(context.scene):
+            if is_same_place(text_of(root, SCENE), place):
+                look_from_frame(root, self.frame, context.scene, view_of(context)[0])
+                return FINISHED
+        raise PlgsError("has no cameras in this scene", place, "Press Import Cameras and Images first.")
+
+
+class PLGS_OT_leave_out(OnFinding, bpy.types.Operator):
+    """Write the capture's splits.json so that a lift neither trains on these frames nor holds them out. A splits.json
+    of yours is kept as splits.before.json. To take the frames back, delete splits.json, and rename the kept one"""
+
+    bl_idname, bl_label, bl_options = "plgs.leave_out", "Leave Out", {"INTERNAL"}
+
+    @reporting
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        known, finding = self.finding(context)
+        if known.split is None or not known.split.has_any(finding.leave_out):
+            self.report({"WARNING"}, "There is no frame to leave out")
+            return CANCELLED
+        path, kept = leave_out(known, finding)
+        earlier = "" if kept is None else f"; the earlier file is {kept.name} beside it"
+        self.report({"INFO"}, f"{plural(len(finding.leave_out), 'frame')} left out by {path}{earlier}")
+        return FINISHED
+
+
+class PLGS_OT_cancel_diagnosis(CancelsTask, bpy.types.Operator):
+    """Stop measuring; your files do not change"""
+
+    bl_idname, bl_label, bl_options = "plgs.cancel_diagnosis", "Cancel", {"INTERNAL"}
+    cancelled_kind = Diagnosis
+
+
+def _known(context: bpy.types.Context) -> Diagnosis | None:
+    """What is known about the panel's scene."""
+    settings = context.scene.plgs
+    return diagnosis_of(chosen_scene(settings)) if settings.scene_folder else None
+
+
 CLASSES = (
     PLGS_OT_make_poses,
     PLGS_OT_cancel_poses,
@@ -116,4 +276,10 @@ CLASSES = (
     PLGS_OT_cancel_masks,
     PLGS_OT_read_classes,
     PLGS_OT_write_classes,
+    PLGS_OT_diagnose,
+    PLGS_OT_fix_scene,
+    PLGS_OT_show_finding,
+    PLGS_OT_go_to_finding,
+    PLGS_OT_leave_out,
+    PLGS_OT_cancel_diagnosis,
 )

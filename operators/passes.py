@@ -7,15 +7,15 @@ import math
 import bpy
 from bpy.props import BoolProperty, EnumProperty, IntProperty, StringProperty
 
-from ..plgs_blender import mattes
+from ..plgs_blender import compositing
 from ..plgs_blender.compositing import show_compositor, show_room
 from ..plgs_blender.engine_environment import why_no_engine
 from ..plgs_blender.errors import PlgsError, one_line
 from ..plgs_blender.owned import KEY
 from ..plgs_blender.passes import open_passes, passes_scene_of
+from ..plgs_blender.registry import Task
 from ..plgs_blender.running import lifting
 from ..plgs_blender.shots import ShotReader, shot_of
-from ..plgs_blender.tasks.registry import Task
 from .base import (
     CANCELLED,
     FINISHED,
@@ -217,7 +217,7 @@ class PLGS_OT_matte_instance(OnInstance, bpy.types.Operator):
 
     @reporting
     def execute(self, context: bpy.types.Context) -> set[str]:
-        name = one_line(mattes.matte_instance(self.root(context), self.instance))
+        name = one_line(compositing.matte_instance(self.root(context), self.instance))
         self.report({"INFO"}, f"The compositor's matte is {name}")
         return FINISHED
 
@@ -229,7 +229,7 @@ class PLGS_OT_matte_class(OnClass, bpy.types.Operator):
 
     @reporting
     def execute(self, context: bpy.types.Context) -> set[str]:
-        name = one_line(mattes.matte_class(self.root(context), self.class_id))
+        name = one_line(compositing.matte_class(self.root(context), self.class_id))
         self.report({"INFO"}, f"The compositor's matte is {name}")
         return FINISHED
 

@@ -7,14 +7,13 @@ from typing import Any
 import bpy
 from bpy.props import BoolProperty
 
+from ..plgs_blender.correction_tools import CUT
 from ..plgs_blender.corrections import delete_around
-from ..plgs_blender.cutting import CUT
 from ..plgs_blender.errors import EXPECTED, one_line, plural, with_field_names
 from ..plgs_blender.inspecting import picking, selection
-from ..plgs_blender.inspecting.lookup import objects_by_key
-from ..plgs_blender.inspecting.names import hovered
-from ..plgs_blender.lift_collection import lifts_in
-from ..plgs_blender.owned import KEY, LIFT, text_of
+from ..plgs_blender.inspecting.picking import hovered
+from ..plgs_blender.inspecting.selection import objects_by_key
+from ..plgs_blender.owned import KEY, LIFT, lifts_in, text_of
 from .base import CANCELLED, FINISHED, PASSED_ON, reporting_events
 
 

@@ -8,19 +8,16 @@ from typing import Any
 import bpy
 from bpy.props import BoolProperty, EnumProperty, StringProperty
 
-from ..plgs_blender.dropping import lift_or_scene, scene_at
+from ..plgs_blender import registry
+from ..plgs_blender.cameras import PHOTO
+from ..plgs_blender.chosen_scene import AUTOMATIC, FILE_SUFFIXES, absolute, lift_or_scene, scene_at
 from ..plgs_blender.errors import one_line, plural, with_field_names
 from ..plgs_blender.frame_pictures import DEPTH, MASKS, range_shown, why_no_picture
-from ..plgs_blender.frames import PHOTO
-from ..plgs_blender.paths import absolute
-from ..plgs_blender.running.chosen_picture import choose_picture
-from ..plgs_blender.running.importing import FrameMaking, begin_import, imported, what_is_missing
+from ..plgs_blender.registry import Task
+from ..plgs_blender.running.importing import FrameMaking, begin_import, choose_picture, imported, what_is_missing
 from ..plgs_blender.running.lifting import why_no_scene
 from ..plgs_blender.running.looking import look_at_scene
-from ..plgs_blender.scene_formats import AUTOMATIC, FILE_SUFFIXES
 from ..plgs_blender.settings import SceneOptions, chosen_scene, option_names
-from ..plgs_blender.tasks import registry
-from ..plgs_blender.tasks.registry import Task
 from ..plgs_blender.viewport import look_through, show_materials_in
 from .base import (
     CANCELLED,

@@ -12,25 +12,24 @@ from types import ModuleType
 def _modules() -> tuple[ModuleType, ...]:
     """The modules that Blender has to know about, in order. They are imported late: a script that only reads a result
     needs none of them."""
-    from . import compositing, corrections, mask_classes, settings, timeline
+    from . import compositing, corrections, registry, settings, timeline
     from .engine_environment import tasks
     from .inspecting import lists, selection
-    from .running import chosen_picture, looking, used_options
-    from .tasks import timer
+    from .running import estimate, importing, looking, preparation
 
-    first = settings, used_options, mask_classes, lists, selection, timer
-    return *first, tasks, looking, chosen_picture, corrections, timeline, compositing
+    first = settings, estimate, preparation, lists, selection, registry
+    return *first, tasks, looking, importing, corrections, timeline, compositing
 
 
 def register() -> None:
     """Called when the extension is switched on, before operators and panels."""
-    from .registration import register_modules
+    from .lifecycle import register_modules
 
     register_modules(_modules())
 
 
 def unregister() -> None:
     """Called when the extension is switched off, after operators and panels."""
-    from .registration import unregister_modules
+    from .lifecycle import unregister_modules
 
     unregister_modules(_modules())

@@ -1,16 +1,59 @@
-"""Which scene the user chose, and how it is read."""
+"""Which scene the user chose, how it is read, and which scene or lift a chosen or dropped file belongs to."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
 
+import bpy
+
 from ..engine.errors import PlgsError
+from ..engine.posed.format_names import MASK_FORMAT_NAMES, SCENE_FORMAT_NAMES
 from ..engine.posed.frames import PosedScene
 from ..engine.posed.plain_folders import NAME, open_plain_folders, recognises
 from ..engine.scene_source import SceneSource, UpAxis
-from .paths import absolute
-from .scene_formats import AUTOMATIC, chosen_format
+
+
+def absolute(path: str) -> Path:
+    """A path made absolute, where "//" is the .blend's folder; without a trailing slash."""
+    return Path(bpy.path.abspath(path)).absolute()
+
+
+def free_folder(beside: Path, ending: str) -> Path:
+    """A folder that is not there yet: ``beside`` with the ending "lift" is "room_lift", or "room_lift_2" and so on."""
+    number, folder = 1, beside.with_name(f"{beside.name}_{ending}")
+    while folder.exists():
+        number += 1
+        folder = beside.with_name(f"{beside.name}_{ending}_{number}")
+    return folder
+
+
+AUTOMATIC = "auto"
+"""The choice that lets the format be recognised by the scene's files."""
+
+FORMAT_ITEMS = [
+    (AUTOMATIC, "Automatic", "Recognised by the names of the files"),
+    *map(tuple, SCENE_FORMAT_NAMES),
+]
+"""For an EnumProperty."""
+MASK_FORMAT_ITEMS = [
+    (AUTOMATIC, "Automatic", "Recognised by the names of the files"),
+    *map(tuple, MASK_FORMAT_NAMES),
+]
+"""For an EnumProperty, too."""
+
+FILE_SUFFIXES = (".json", ".txt", ".jsonl", ".sens", ".r3d", ".log", ".bin", ".csv")
+"""Files by which people name a scene, in file browsers and by dropping them."""
+
+
+def label_of(name: str) -> str:
+    """What people call a format."""
+    return next((each.label for each in SCENE_FORMAT_NAMES if each.name == name), name)
+
+
+def chosen_format(choice: str) -> str | None:
+    """The format that a choice of FORMAT_ITEMS or MASK_FORMAT_ITEMS names; None: it is recognised."""
+    return None if choice in ("", AUTOMATIC) else choice
 
 
 @dataclass(frozen=True)
@@ -67,3 +110,39 @@ def needs_engine(chosen: ChosenScene) -> PlgsError:
     """The error for a scene that Blender cannot read alone."""
     what = "Blender alone can read only the folders color, pose and intrinsic, and this is another layout"
     return PlgsError(what, chosen.scene, "Set up the engine, which can read it.")
+
+
+_SCENE_FILES = (".sens", ".r3d")
+"""Suffixes of files that are whole scenes."""
+_PARTS = {
+    "color", "depth", "pose", "intrinsic", "rgb", "image", "images", "input", "results", "panoptic", "semantic",
+    "instance", "masks", "keyframes", "cameras", "corrected_cameras", "corrected_images", "corrected_depth",
+    "confidence", "iphone", "rgbd", "sparse", "0", "model", "colmap", "_detail", "m2f_semantics", "m2f_instance",
+}  # fmt: skip
+"""Names of folders that lie inside a scene. The engine tells formats apart; this only finds the scene's folder."""
+_HIGHEST = 3
+"""At most this many folders up are searched: result/passes/0001.exr lies two below its lift."""
+
+
+def lift_or_scene(path: Path) -> tuple[Path | None, Path | None]:
+    """The lift's folder and the scene's folder or file that a file or folder belongs to, one of them None."""
+    path = path.absolute()
+    for folder in [path, *path.parents][: _HIGHEST + 1]:
+        if (folder / "request.json").is_file():
+            return folder, None
+    return None, scene_at(path)
+
+
+def scene_at(path: Path) -> Path:
+    """The scene's folder or file that a file or folder belongs to. Raises PlgsError where nothing is there."""
+    path = path.absolute()
+    if not path.exists():
+        raise PlgsError("there is no such file", path, "Choose the scene's folder, or a file in it.")
+    if path.is_file() and path.suffix.lower() in _SCENE_FILES:
+        return path
+    folder = path if path.is_dir() else path.parent
+    for _ in range(_HIGHEST):
+        if folder.name.lower() not in _PARTS and not folder.name.startswith("scene_cam_"):
+            break
+        folder = folder.parent
+    return folder

@@ -1,12 +1,15 @@
-"""The semantic points and the anchors as Blender point clouds.
+"""The semantic points and the anchors as Blender point clouds, and the spacing and normals of points on surfaces, which
+let us look into a room from outside.
 
 Solid shading has one colour for each object, so each class of semantic points is a cloud in the class's colour. The
-photo's colours are in the attribute Col, which the material shows in Cycles and EEVEE.
+photo's colours are in the attribute Col, which the material shows in Cycles and EEVEE. Spacing and normals come from
+one grid of small cells instead of neighbours, so a million points take a moment.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -18,10 +21,135 @@ from ..engine.corrections import entropy_of
 from ..engine.posed import VOID, ClassTable
 from ..engine.result_files import Anchors, SemanticPoints, read_arrays
 from .compat import new_point_clouds
-from .lift_collection import child_collection
 from .materials import UNKNOWN, linear_rgba, object_colour, point_material
-from .owned import OwnedDataBlocks, tag
-from .surfaces import SurfaceGrid
+from .owned import OwnedDataBlocks, child_collection, tag
+
+_CELL = 4.0
+"""Side of a cell in point spacings. A cell then holds about sixteen points, enough for a plane."""
+_TOUCHING = 0.75
+"""Radius in spacings with which neighbours touch. It is over a half because points are not evenly spread."""
+_AT_ONCE = 8192
+"""Cells whose distances are measured at once, so that they fit into the processor's cache."""
+_THICKNESS = 0.3
+"""Largest ratio of the variances along the third and the second axis of a cell's points that lie in a plane."""
+
+
+@dataclass(frozen=True, eq=False)
+class SurfaceGrid:
+    """Points `xyz` float [N, 3] sorted into cells: `cell` int [N] of each point, `count` int [C] points of each cell.
+
+    `side` is the side of a cell in the points' unit. It is 0 when there are too few points to have a spacing: then all
+    are in one cell.
+    """
+
+    xyz: NDArray[np.floating]
+    cell: NDArray[np.int64]
+    count: NDArray[np.int64]
+    side: float
+
+    @classmethod
+    def of(cls, xyz: NDArray[np.floating]) -> SurfaceGrid:
+        spacing = _point_spacing(xyz)
+        if spacing == 0.0:
+            return cls(xyz, np.zeros(len(xyz), np.int64), np.array([len(xyz)]), 0.0)
+        side = spacing * _CELL
+        _, cell, count = np.unique(_cell_numbers(xyz, side), return_inverse=True, return_counts=True)
+        return cls(xyz, cell.ravel(), count, side)
+
+    @property
+    def spacing(self) -> float:
+        """Typical distance between neighbours, in the points' unit."""
+        return self.side / _CELL
+
+    def radii(self, smallest: float, largest: float) -> NDArray[np.float32]:
+        """Radii float32 [N] with which points just touch, larger where points are rarer, within limits, all in the
+        points' unit.
+        """
+        # A surface crosses a cell with about a face's area. Cells that it only grazes have few points.
+        local = np.minimum(self.side / np.sqrt(np.maximum(self.count, 1)), 2.0 * self.spacing)
+        return np.clip(_TOUCHING * local, smallest, largest).astype(np.float32)[self.cell]
+
+    def beside(self, places: NDArray[np.floating]) -> NDArray[np.int64]:
+        """The index of a point in the cell of each place [M, 3], int64 [M]; -1 where that cell has none."""
+        if self.side == 0.0:
+            return np.full(len(places), -1, np.int64)
+        low, high = self.xyz.min(axis=0), self.xyz.max(axis=0)
+        inside = ((places >= low) & (places <= high)).all(axis=1)
+        both = np.concatenate([self.xyz, np.where(inside[:, None], places, low)])
+        numbers = _cell_numbers(both, self.side)
+        known, first = np.unique(numbers[: len(self.xyz)], return_index=True)
+        at = np.minimum(np.searchsorted(known, numbers[len(self.xyz) :]), len(known) - 1)
+        return np.where(inside & (known[at] == numbers[len(self.xyz) :]), first[at], -1)
+
+    def normals(self, viewpoints: NDArray[np.floating]) -> NDArray[np.float32]:
+        """Unit normals float32 [N, 3] of points that were seen from viewpoints [V, 3]; zeros without viewpoints.
+
+        A plane is fitted to the points of each cell and turned towards the nearest viewpoint, because scanned surfaces
+        face their cameras. Where there is no plane, the normal is the direction to that viewpoint. This is coarse, but
+        it separates a wall's outside from its inside.
+        """
+        if self.side == 0.0 or not len(viewpoints):
+            return np.zeros((len(self.xyz), 3), np.float32)
+        mean, spread = self._moments()
+        lengths, axes = np.linalg.eigh(spread)
+        normal = axes[:, :, 0]
+        towards = towards_nearest(mean, viewpoints)
+        normal *= np.where(np.einsum("ij,ij->i", normal, towards) < 0.0, -1.0, 1.0)[:, None]
+        no_plane = (self.count < 4) | (lengths[:, 0] > _THICKNESS * lengths[:, 1])
+        distance = np.linalg.norm(towards, axis=1, keepdims=True)
+        normal[no_plane] = (towards / np.maximum(distance, 1e-9))[no_plane]
+        return normal.astype(np.float32)[self.cell]
+
+    def _moments(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Mean [C, 3] and covariance [C, 3, 3] of the points of each cell."""
+        middle = self.xyz.mean(axis=0, dtype=np.float64)  # sums of squares lose digits far from the origin
+        local = [self.xyz[:, axis] - middle[axis] for axis in range(3)]
+        mean = np.stack([np.bincount(self.cell, column) / self.count for column in local], axis=1)
+        spread = np.empty((len(self.count), 3, 3))
+        for row in range(3):
+            for column in range(row, 3):
+                product = np.bincount(self.cell, local[row] * local[column]) / self.count
+                spread[:, row, column] = spread[:, column, row] = product - mean[:, row] * mean[:, column]
+        return mean + middle, spread
+
+
+def _point_spacing(xyz: NDArray[np.floating]) -> float:
+    """Typical distance between neighbours, from the number of cells that the surfaces cross; 0 when all is one point.
+    """
+    if len(xyz) < 2:
+        return 0.0
+    extent = float(max(np.ptp(xyz[:, axis]) for axis in range(3)))
+    if extent == 0.0:
+        return 0.0
+    # Cells that hold about two dozen points: fine enough to follow surfaces, coarse enough to have no gaps.
+    side = extent / max(1.0, np.sqrt(len(xyz) / 24.0))
+    numbers = np.sort(_cell_numbers(xyz, side))
+    occupied = 1 + np.count_nonzero(numbers[1:] != numbers[:-1])
+    return side * float(np.sqrt(occupied / len(xyz)))
+
+
+def _cell_numbers(xyz: NDArray[np.floating], side: float) -> NDArray[np.int64]:
+    """The number of each point's cell [N] in a grid with this side."""
+    numbers = np.zeros(len(xyz), np.int64)
+    for axis in range(3):
+        column = xyz[:, axis]
+        cells = ((column - column.min()) / side).astype(np.int64)
+        numbers = numbers * (int(cells.max()) + 1) + cells
+    return numbers
+
+
+def towards_nearest(points: NDArray[np.float64], viewpoints: NDArray[np.floating]) -> NDArray[np.float64]:
+    """Vectors [N, 3] from each point to its nearest viewpoint."""
+    middle = viewpoints.mean(axis=0)  # differences of squares lose digits far from the origin
+    views = viewpoints - middle
+    nearest = np.empty(len(points), np.int64)
+    for start in range(0, len(points), _AT_ONCE):
+        # |view - point|² less |point|², which is the same for all views.
+        part = slice(start, start + _AT_ONCE)
+        distance = np.einsum("ij,ij->i", views, views) - 2.0 * (points[part] - middle) @ views.T
+        nearest[part] = distance.argmin(axis=1)
+    return viewpoints[nearest] - points
+
 
 _SMALLEST, _LARGEST = 0.002, 0.03
 """Limits to the radius of a point, metres."""

@@ -1,4 +1,5 @@
-"""Corrections of a placed lift: saved on disk, shown in the scene at once, and undone with Blender's own undo.
+"""Corrections of a placed lift: saved on disk, shown in the scene at once, and undone with Blender's own undo; and what
+may be wrong with it.
 
 The lift's collection stores which edits the scene shows. Undo and redo change that along with everything else, and the
 handlers here update the file. They never touch the edits of other programs.
@@ -6,7 +7,9 @@ handlers here update the file. They never touch the edits of other programs.
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Sequence
+from dataclasses import asdict
 from functools import partial
 
 import bpy
@@ -17,28 +20,92 @@ from ..engine.corrections import (
     BY_VIEWS,
     CorrectedResult,
     Edit,
+    Proposal,
+    Proposals,
     class_of_parts,
     correct,
+    entropy_of_views,
     making,
+    proposals_of,
+    read_corrected,
     read_edits,
     set_undone,
     undo,
 )
 from ..engine.corrections.replay import Replay
 from ..engine.errors import PlgsError
+from ..engine.job import LiftFolder
+from ..engine.job.report import doubt_of_frames, read_metrics
+from ..engine.known_scene import known_scene
 from .boxes import INSTANCE, TOGETHER, name_box, place_boxes
-from .clouds import place_anchors, place_semantic_points
+from .clouds import SurfaceGrid, place_anchors, place_semantic_points
 from .errors import EXPECTED, with_field_names
 from .inspecting.lists import fill_lists, fill_masks
-from .inspecting.lookup import box_of, boxes_of, objects_by_key, row_of
-from .inspecting.selection import renaming, select_instance, selected_instances
-from .instances_in_parts import listed_in
-from .lift_collection import FOLDER, child_collection, folder_of, lifts_in
+from .inspecting.selection import (
+    box_of,
+    boxes_of,
+    objects_by_key,
+    renaming,
+    row_of,
+    select_instance,
+    selected_instances,
+)
 from .meshes import CORRECTIONS
-from .owned import LIFT, OwnedDataBlocks, text_of
-from .proposals import PROPOSALS, keep_proposals, proposal_of
-from .results import LiftResult
-from .surfaces import SurfaceGrid
+from .owned import FOLDER, LIFT, OwnedDataBlocks, child_collection, folder_of, lifts_in, text_of
+from .results import LiftResult, listed_in
+
+PROPOSALS = "plgs_proposals"
+"""Property of a lift's collection: what may be wrong with it, JSON."""
+VISITED = "plgs_visited"
+"""Property of a lift's collection: the uncertain frames that were viewed, one per line."""
+
+
+def propose(root: bpy.types.Collection) -> Proposals:
+    """Look for what may be wrong with a placed lift, and keep it for the panel. Raises PlgsError."""
+    return keep_proposals(root, read_corrected(folder_of(root)))
+
+
+def keep_proposals(root: bpy.types.Collection, result: CorrectedResult) -> Proposals:
+    """Look again, at a lift that was just read."""
+    found = proposals_of(result)
+    root[PROPOSALS] = json.dumps({"open": [asdict(one) for one in found.open], "progress": found.progress})
+    return found
+
+
+def kept_proposals(root: bpy.types.Collection) -> tuple[list[Proposal], str]:
+    """What `propose` found, less what was answered since, and the user's progress ("" before `propose`)."""
+    try:
+        content = json.loads(text_of(root, PROPOSALS) or "{}")
+        return [Proposal(**one) for one in content.get("open", ())], str(content.get("progress", ""))
+    except (ValueError, TypeError, AttributeError):  # a file may come from somebody else
+        return [], ""
+
+
+def proposal_of(root: bpy.types.Collection, instance: int) -> Proposal:
+    """The proposal for an object, the most doubtful one where ``instance`` is 0. Raises PlgsError."""
+    for one in kept_proposals(root)[0]:
+        if instance in (0, one.instance):
+            return one
+    raise PlgsError("nothing is proposed", root.name, "Press What May Be Wrong?, or look at another object.")
+
+
+def next_uncertain(root: bpy.types.Collection) -> tuple[str, int, int]:
+    """The unvisited frame of the most doubt, how many frames are then visited, and of how many. After the last
+    frame it starts again. Raises PlgsError."""
+    folder = LiftFolder.open(folder_of(root))
+    frames = known_scene(folder).frames
+    drawn = doubt_of_frames(read_metrics(folder)) if (folder.result_path / "metrics.json").is_file() else {}
+    points = entropy_of_views(read_corrected(folder.path).points, [frame.camera for frame in frames])
+    # Frames that were not drawn when the lift was scored come last, by the points that they see.
+    order = sorted(range(len(frames)), key=lambda number: (-drawn.get(frames[number].name, -1.0), -points[number]))
+    ranked = [frames[number].name for number in order]
+    visited = set(text_of(root, VISITED).split("\n")).intersection(ranked)
+    if len(visited) == len(ranked):
+        visited = set()
+    chosen = next(name for name in ranked if name not in visited)
+    root[VISITED] = "\n".join(sorted({*visited, chosen}))
+    return chosen, len(visited) + 1, len(ranked)
+
 
 EDITS = "plgs_edits"
 """Property of a lift's collection: the uids of the edits that the scene shows, in one text."""

@@ -1,23 +1,127 @@
-"""A frame's photo, depth or masks in front of its camera's view, on demand.
+"""A frame's photo, depth or masks in front of its camera's view, on demand, and the coloured cloud.
 
-Blender's Python decodes neither depth nor masks: an engine draws them as image files.
+Blender's Python decodes neither depth nor masks: an engine makes them of a scene's frames as files in one folder.
 """
 
 from __future__ import annotations
 
+import os
+from collections.abc import Iterable, Iterator
 from dataclasses import fields
+from hashlib import sha256
+from itertools import chain
 from pathlib import Path
 
 import bpy
+import numpy as np
+from numpy.typing import NDArray
 
 from ..engine.errors import PlgsError
 from ..engine.job import LiftFolder
-from ..engine.posed.made_frames import MadeFrame
-from .chosen_scene import ChosenScene
-from .frames import PHOTO, SHOWN, put_before, show_photo
-from .lift_collection import FOLDER, PLACE, SCENE, lifts_in
-from .owned import LIFT, OwnedDataBlocks
-from .paths import absolute
+from ..engine.job.environment import notes_folder
+from ..engine.posed import ClassTable
+from ..engine.posed.array_file import read_npz
+from ..engine.posed.frames import PosedFrame, PosedScene, SparsePoints
+from ..engine.posed.made_frames import MadeFrame, MadeFrames, is_newer, made_of
+from ..engine.scene_source import SceneSource
+from .cameras import PHOTO, SHOWN, put_before, show_photo
+from .chosen_scene import ChosenScene, absolute
+from .owned import FOLDER, LIFT, PLACE, SCENE, OwnedDataBlocks, lifts_in
+
+_MOST_BESIDE = 9
+"""At most this many folders of frames lie beside a scene."""
+
+
+def frames_folder(source: SceneSource) -> Path:
+    """The folder for a scene's pictures, which may not be there yet. It lies beside the scene, as lifts do:
+    "room_frames", or "room_frames_2" where that holds another scene's. Where nothing can be written beside the scene,
+    it lies in the user's cache. Raises PlgsError when no place is left.
+    """
+    for folder in _candidates(source):
+        try:
+            made_of(folder, source)
+        except PlgsError:
+            continue
+        return folder
+    fix = "Delete the folders of frames beside the scene that are no longer needed."
+    raise PlgsError("there are too many folders of frames", source.scene.parent, fix)
+
+
+def made_before(source: SceneSource) -> MadeFrames | None:
+    """What an earlier run made of this scene; None when there is nothing. Raises PlgsError."""
+    return made_of(frames_folder(source), source)
+
+
+def photos(made: MadeFrames | None, frames: Iterable[PosedFrame] = ()) -> dict[str, Path]:
+    """The pictures that were made, by frame name. Pictures that are gone, and those older than the source of their
+    frame in ``frames``, are left out.
+    """
+    known = {} if made is None else made.frames
+    found = {name: each.colour for name, each in known.items() if each.colour is not None and each.colour.is_file()}
+    sources = {frame.name: frame.colour_path for frame in frames}
+    return {name: path for name, path in found.items() if name not in sources or is_newer(path, sources[name])}
+
+
+def is_depth_current(made: MadeFrames, name: str) -> bool:
+    """Whether the depth of a frame was drawn after its source was last changed. Of masks only an engine can tell: no
+    one else knows their files.
+    """
+    drawn = made.frames[name]
+    stored = next((each for each in made.scene.frames if each.name == name), None)
+    if stored is None or drawn.depth is None or drawn.depth_range is None:
+        return False
+    frame = stored.posed(made.source.scene)
+    return is_newer(drawn.depth, frame.depth_path or frame.colour_path)
+
+
+def cloud_of(made: MadeFrames | None, frames: Iterable[PosedFrame]) -> Path | None:
+    """The cloud that was made; None where there is none, or where the depth of ``frames`` is newer."""
+    if made is None or made.cloud is None or not made.cloud.is_file():
+        return None
+    sources = {frame.depth_path for frame in frames if frame.depth_path is not None}
+    return made.cloud if all(is_newer(made.cloud, source) for source in sources) else None
+
+
+def has_cameras_of(made: MadeFrames, frames: Iterable[PosedFrame]) -> bool:
+    """Whether an engine read the cameras that ``frames`` have. It leaves out frames without a good mask or depth file,
+    of which Blender does not know: frames that only one of the two has say nothing, but one must be common to both."""
+    cameras = {frame.name: frame.camera for frame in frames}
+    both = [(cameras[stored.name], stored) for stored in made.scene.frames if stored.name in cameras]
+    here = [(*one.size, one.fx, one.fy, one.cx, one.cy, *one.camera_to_world.ravel().tolist()) for one, _ in both]
+    there = [(*stored.size, *stored.lens, *chain.from_iterable(stored.camera_to_world)) for _, stored in both]
+    return bool(both) and np.allclose(here, there, rtol=0, atol=1e-4)
+
+
+def scene_of(made: MadeFrames) -> PosedScene:
+    """The frames of a scene as an engine read them: cameras, pictures, and the points of the reconstruction."""
+    folder = made.source.scene
+    points = None if made.points is None or not made.points.is_file() else SparsePoints(*read_cloud(made.points))
+    scene = made.scene
+    return PosedScene(folder, scene.posed_frames(folder), ClassTable(()), scene.warnings, scene.layout, points)
+
+
+def read_cloud(path: Path) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
+    """A cloud's xyz float32 [N, 3] metres and rgb uint8 [N, 3] sRGB. Raises PlgsError."""
+    fix = "Delete the file and import the scene again."
+    try:
+        stored = read_npz(path, fix, ("xyz", "rgb"))
+    except PlgsError as error:
+        raise PlgsError(error.what, path, fix) from error
+    xyz, rgb = stored["xyz"], stored["rgb"]
+    if xyz.dtype != np.float32 or rgb.dtype != np.uint8 or xyz.shape != rgb.shape or xyz.shape[1:] != (3,):
+        raise PlgsError("is not a coloured cloud", path, fix)
+    return xyz, rgb
+
+
+def _candidates(source: SceneSource) -> Iterator[Path]:
+    scene = source.scene
+    name = f"{scene.stem if scene.is_file() else scene.name}_frames"
+    if os.access(scene.parent, os.W_OK):
+        yield scene.with_name(name)
+        yield from (scene.with_name(f"{name}_{number}") for number in range(2, _MOST_BESIDE + 1))
+    mark = sha256(repr(source).encode(errors="surrogateescape")).hexdigest()[:12]
+    yield notes_folder() / "frames" / f"{name}-{mark}"
+
 
 DEPTH, MASKS = "DEPTH", "MASKS"
 KIND_OF = {DEPTH: "depth", MASKS: "masks", PHOTO: "colour"}

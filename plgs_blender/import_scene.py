@@ -12,15 +12,13 @@ from numpy.typing import NDArray
 
 from ..engine.posed.frames import PosedScene
 from ..engine.posed.made_frames import MadeFrames
-from .cameras import object_matrix, overview_camera
+from .cameras import object_matrix, overview_camera, picture_of, place_camera_path, place_frames, show_photo
 from .chosen_scene import ChosenScene
-from .frames import picture_of, place_camera_path, place_frames, show_photo
+from .frame_pictures import cloud_of, has_cameras_of, photos, read_cloud, scene_of
 from .inspecting.looks import places
-from .inspecting.lookup import objects_by_key
-from .lift_collection import FOLDER, PLACE, child_collection, overview_of, root_collection, scene_to_fill
-from .made_pictures import cloud_of, has_cameras_of, photos, read_cloud, scene_of
-from .owned import LIFT, OwnedDataBlocks
-from .squares import place_points
+from .inspecting.selection import objects_by_key
+from .owned import FOLDER, LIFT, PLACE, OwnedDataBlocks, child_collection, overview_of, root_collection, scene_to_fill
+from .splat_objects import place_points
 from .timeline import mark_timeline
 from .viewport import areas_of, areas_that_show, frame_room, show_room
 

@@ -21,34 +21,35 @@ from ..engine.posed import Camera, ClassTable
 from ..engine.posed.splat_file import read_gaussians
 from ..engine.result_files import Instance
 from .boxes import INSTANCE, TOGETHER, place_boxes, place_together, shared_out
-from .cameras import overview_camera
-from .clouds import place_anchors, place_depth_clouds, place_semantic_points
+from .cameras import overview_camera, place_camera, place_camera_path, place_frames
+from .clouds import SurfaceGrid, place_anchors, place_depth_clouds, place_semantic_points
 from .corrections import remember
-from .frames import place_camera, place_camera_path, place_frames
 from .inspecting.lists import fill_lists, fill_masks, fill_not_shown, registered
-from .inspecting.looks import PHOTO, POINTS, SPLATS, SURFACE, apply_look, has
+from .inspecting.looks import PHOTO, POINTS, SPLATS, SURFACE, apply_colours, apply_look, apply_visibility, has
 from .inspecting.views import look_at_room
-from .inspecting.visibility import apply_colours, apply_visibility
-from .lift_collection import (
+from .meshes import ReadMeshes, placing_meshes, reading_meshes
+from .owned import (
     FOLDER,
     GAUSSIANS,
+    KEY,
+    LIFT,
+    OwnedDataBlocks,
     Placed,
     child_collection,
     is_same_place,
+    key_of,
     lifts_in,
     overview_of,
     root_collection,
     root_of_placed,
     scene_to_fill,
+    text_of,
 )
-from .meshes import ReadMeshes, placing_meshes, reading_meshes
-from .open_room import open_room
-from .owned import KEY, LIFT, OwnedDataBlocks, key_of, text_of
 from .passes import check_layers, place_passes, place_shots
 from .results import LiftResult, read_result, reading_result, result_of
 from .reuse import leave_holes
+from .splat_objects import open_room
 from .splats import are_outdated, gaussians_of, place_gaussians, placing_gaussians
-from .surfaces import SurfaceGrid
 from .timeline import mark_timeline, places_of
 from .viewport import all_views, show_materials_in, start_file
 

@@ -12,9 +12,8 @@ import numpy as np
 
 from ..engine.posed.labelled_surface import LabelledSurface, read_surface
 from .compat import forget_selection
-from .lift_collection import Placed, child_collection
 from .materials import object_colour, surface_material
-from .owned import LIFT, OwnedDataBlocks, text_of
+from .owned import LIFT, OwnedDataBlocks, Placed, child_collection, text_of
 from .results import LiftResult
 
 CORRECTIONS, _OF_MESHES = "plgs_corrections", "plgs_meshes_of"

@@ -1,15 +1,158 @@
-"""The compositor nodes of a passes scene. Nodes are found by their tag, so users may move, rename and link them."""
+"""The compositor nodes of a passes scene, and their group "PLGS Panoptic": a matte by class or instance, and what
+artists do with one.
+
+Nodes are found by their tag, so users may move, rename and link them. The group lays the ids' colours over the picture,
+gives the matte's pixels another hue, draws a line around the matte, and cuts out the rest or the matte itself, in this
+order. All controls are inputs of the group, so they can be linked and animated.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 from typing import Any
 
 import bpy
 
 from . import compat
 from .owned import KEY, tag
-from .panoptic_group import NAME, panoptic_group
+
+NAME = "PLGS Panoptic"
+MARK = "panoptic group"
+LINE_PIXELS = 2
+"""Width of the outline, pixels."""
+_OUTLINE, _RECOLOUR = (1.0, 0.6, 0.05, 1.0), (0.05, 0.25, 0.9, 1.0)
+
+
+@dataclass(frozen=True)
+class Control:
+    """A factor of the group, 0 to 1, which begins as 0."""
+
+    name: str
+    description: str
+
+
+CONTROLS = (
+    Control("By class", "0: the instances' matte, 1: the classes' matte"),
+    Control("Overlay", "How strongly the colours of the instances, or classes, lie over the picture"),
+    Control("Recolour", "How far the matte's pixels take the hue of the colour below; they keep their light and shade"),
+    Control("Outline", "How strong the line around the matte is"),
+    Control("Isolate", "How far everything but the matte is cut out"),
+    Control("Hold out", "How far the matte itself is cut out"),
+)
+PICTURES = ("Image", "Instance colours", "Class colours")
+MATTES = ("Instance matte", "Class matte", "Instance")
+COLOURS = {"Outline colour": _OUTLINE, "Recolour to": _RECOLOUR}
+
+
+def panoptic_group() -> bpy.types.NodeTree:
+    """The file's group, made where there is none. A group that was linked in, or that lacks an input, is left alone."""
+    wanted = {*PICTURES, *MATTES, *COLOURS, *(control.name for control in CONTROLS)}
+    for group in bpy.data.node_groups:
+        if group.get(KEY) == MARK and group.library is None:
+            if wanted <= {item.name for item in group.interface.items_tree}:
+                return group
+    group = bpy.data.node_groups.new(NAME, "CompositorNodeTree")
+    group[KEY] = MARK
+    _declare(group)
+    _Wiring(group).build()
+    return group
+
+
+def _declare(group: bpy.types.NodeTree) -> None:
+    """Make the group's sockets, in the order in which they are shown."""
+    face = group.interface
+    for name in ("Image", "Matte", "Outline"):
+        kind = "NodeSocketColor" if name == "Image" else "NodeSocketFloat"
+        face.new_socket(name, in_out="OUTPUT", socket_type=kind)
+    for name in PICTURES:
+        face.new_socket(name, in_out="INPUT", socket_type="NodeSocketColor")
+    for name in MATTES:
+        socket = face.new_socket(name, in_out="INPUT", socket_type="NodeSocketFloat")
+        socket.hide_value = True
+    for control in CONTROLS:
+        socket = face.new_socket(control.name, in_out="INPUT", socket_type="NodeSocketFloat")
+        socket.subtype, socket.min_value, socket.max_value = "FACTOR", 0.0, 1.0
+        socket.default_value, socket.description = 0.0, control.description
+    for name, colour in COLOURS.items():
+        face.new_socket(name, in_out="INPUT", socket_type="NodeSocketColor").default_value = colour
+
+
+class _Wiring:
+    """Builds the nodes inside the group."""
+
+    def __init__(self, group: bpy.types.NodeTree) -> None:
+        self._group, self._column = group, 0
+        self._in = group.nodes.new("NodeGroupInput").outputs
+        self._out = group.nodes.new("NodeGroupOutput").inputs
+
+    def build(self) -> None:
+        given = self._in
+        matte = self._chosen(given["Instance matte"], given["Class matte"])
+        line = self._product(self._ring(matte), given["Outline"])
+        colours = self._mixed(given["By class"], given["Instance colours"], given["Class colours"])
+        is_shown = self._larger(self._over_half(given["Instance"]), given["By class"])
+        image = self._mixed(self._product(given["Overlay"], is_shown), given["Image"], colours)
+        image = self._mixed(self._product(given["Recolour"], matte), image, given["Recolour to"], "COLOR")
+        image = self._mixed(line, image, given["Outline colour"])
+        kept = self._without(given["Isolate"], self._without(None, self._larger(matte, line)))
+        kept = self._product(kept, self._without(given["Hold out"], matte))
+        for name, socket in (("Image", self._cut(image, kept)), ("Matte", matte), ("Outline", line)):
+            self._group.links.new(socket, self._out[name])
+
+    def _chosen(self, instances: Any, classes: Any) -> Any:
+        """instances + by_class * (classes - instances)."""
+        difference = self._math("SUBTRACT", classes, instances)
+        return self._math("ADD", instances, self._product(difference, self._in["By class"]))
+
+    def _ring(self, matte: Any) -> Any:
+        """The line around the matte: the grown matte less the matte."""
+        node = self._place(compat.new_dilation(self._group, LINE_PIXELS))
+        self._group.links.new(matte, node.inputs[0])
+        return self._math("SUBTRACT", node.outputs[0], matte)
+
+    def _without(self, factor: Any | None, what: Any) -> Any:
+        """1 - factor * what."""
+        return self._math("SUBTRACT", 1.0, what if factor is None else self._product(factor, what))
+
+    def _product(self, one: Any, other: Any) -> Any:
+        return self._math("MULTIPLY", one, other)
+
+    def _larger(self, one: Any, other: Any) -> Any:
+        return self._math("MAXIMUM", one, other)
+
+    def _over_half(self, value: Any) -> Any:
+        return self._math("GREATER_THAN", value, 0.5)
+
+    def _math(self, operation: str, one: Any, other: Any) -> Any:
+        node = self._place(compat.new_node(self._group, "ShaderNodeMath", "CompositorNodeMath"))
+        node.operation = operation
+        for socket, value in zip(node.inputs, (one, other), strict=False):
+            if isinstance(value, float):
+                socket.default_value = value
+            else:
+                self._group.links.new(value, socket)
+        return node.outputs[0]
+
+    def _mixed(self, factor: Any, first: Any, second: Any, blend: str = "MIX") -> Any:
+        node, *sockets, result = compat.new_colour_mix(self._group)
+        self._place(node).blend_type = blend
+        for value, socket in zip((factor, first, second), sockets, strict=True):
+            self._group.links.new(value, socket)
+        return result
+
+    def _cut(self, image: Any, kept: Any) -> Any:
+        node = self._place(compat.new_alpha_factor(self._group))
+        self._group.links.new(image, node.inputs["Image"])
+        self._group.links.new(kept, node.inputs["Alpha"])
+        return node.outputs[0]
+
+    def _place(self, node: bpy.types.Node) -> bpy.types.Node:
+        """Move a node to its place. Nodes stand in rows of six, in the order in which they were made."""
+        self._column += 1
+        node.location = (200 * (self._column % 6), -220 * (self._column // 6))
+        return node
+
 
 LAYER = "PLGS"
 PASSES, INSTANCES, CLASSES, PANOPTIC = "passes", "CryptoInstance", "CryptoClass", "panoptic"

@@ -29,9 +29,8 @@ from ..engine.job.manifest import MAKE_ANEW
 from ..engine.posed.classes import matte_names
 from ..engine.posed.exr_header import one_pixel_of, read_exr_header
 from . import compat
-from .lift_collection import lifts_in
 from .materials import linear_rgba
-from .owned import KEY, LIFT, OwnedDataBlocks, key_of, tag, text_of
+from .owned import KEY, LIFT, OwnedDataBlocks, key_of, lifts_in, tag, text_of
 from .pass_nodes import CLASSES, INSTANCES, PASSES, build, has_nodes, node_of, reading_nodes, use_image
 from .results import LiftResult
 

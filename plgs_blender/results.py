@@ -1,11 +1,17 @@
-"""Reading a finished lift folder: what it holds is checked before any of it is used."""
+"""Reading a finished lift folder: what it holds is checked before any of it is used, as somebody else may have written
+it. instances.json is read in parts, for a window that must not wait.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Generator, Iterable, Mapping
+import json
+import math
+import re
+import time
+from collections.abc import Generator, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TypeVar, cast
+from typing import Any, NoReturn, TypeVar, cast
 
 from ..engine.corrections import Edit, read_corrected
 from ..engine.errors import PlgsError
@@ -16,13 +22,163 @@ from ..engine.known_scene import known_scene
 from ..engine.posed import ClassTable, PosedScene
 from ..engine.result_files import (
     ANCHORS,
+    BAD,
     INSTANCES,
     SEMANTIC_POINTS,
     Anchors,
     Instance,
+    Listed,
     SemanticPoints,
+    instance_of,
+    instances_text,
+    read_instances,
 )
-from .instances_in_parts import reading_listed, refuse_too_many, version_of
+
+MOST_INSTANCES = 5_000
+"""A lift finds at most 4000 objects. A file with more is not a lift's, and would keep Blender busy for minutes."""
+_USUAL, _LONGEST, _TABLE = 1 << 16, 1 << 23, 1 << 24
+"""Characters of one object with its masks, usually and at most (ten thousand masks), and of the table of classes, which
+may be 65 534. Four million are read in a fifth of a second."""
+_SPACE = re.compile(r"[ \t\n\r]*")
+
+
+def _refuse(name: str) -> NoReturn:
+    raise ValueError(f"{name} is not a number")
+
+
+_DECODER = json.JSONDecoder(parse_constant=_refuse)
+
+
+def reading_instances(path: Path) -> Generator[None, None, Listed]:
+    """What `read_instances` reads, object by object, so that no part takes long. Raises PlgsError, also for a file that
+    lists more than MOST_INSTANCES objects, as soon as one too many is found."""
+    try:
+        content: dict[str, Any] = {"instances": []}
+        for key, value in _Reader(instances_text(path)).members():
+            if key != "instances":
+                content[key] = value
+                continue
+            content[key].append(instance_of(value))
+            refuse_too_many(content[key], path)
+            yield
+    except BAD as error:
+        if "format" in content:  # of another version, whose objects are others
+            read_instances(path, content | {"classes": [], "instances": []})
+        raise PlgsError(f"cannot be read ({error!r})", path, MAKE_ANEW) from error
+    return read_instances(path, content)
+
+
+Version = tuple[Path, tuple[int, int] | None]
+"""The path of an instances.json, its time in nanoseconds and its bytes; None for these if there is no such file."""
+_kept: dict[Version, Listed] = {}  # what was read last
+_begun: dict[Version, Generator[None, None, Listed]] = {}  # what is being read
+
+
+def version_of(lift: Path) -> Version:
+    """The version of a lift's instances.json as it is now."""
+    path = lift / "result" / INSTANCES
+    at = path.stat() if path.is_file() else None
+    return path, at and (at.st_mtime_ns, at.st_size)
+
+
+def reading_listed(version: Version) -> Generator[None, None, Listed]:
+    """What the file of this version lists, read in parts; it is kept, and nothing else. Raises PlgsError."""
+    listed = yield from reading_instances(version[0])
+    _kept.clear()
+    _kept[version] = listed
+    return listed
+
+
+def listed_in(lift: Path) -> Listed:
+    """What the instances.json of a lift lists, kept or read now: an edit follows another, and thousands of objects take
+    half a second. Raises PlgsError."""
+    version = begin_to_read(lift)
+    read_on(math.inf)
+    return _kept[version]
+
+
+def begin_to_read(lift: Path) -> Version:
+    """``read_on`` reads what the instances.json of this lift lists, unless it was read, and nothing else."""
+    version = version_of(lift)
+    parts = _begun.get(version)
+    _begun.clear()
+    if version not in _kept:
+        _begun[version] = parts or reading_listed(version)
+    return version
+
+
+def read_on(seconds: float) -> bool:
+    """Read on for about so many seconds. Returns whether something is left. Raises PlgsError."""
+    until = time.monotonic() + seconds
+    for version, parts in [*_begun.items()]:
+        del _begun[version]
+        for _ in parts:
+            if time.monotonic() >= until:
+                _begun[version] = parts
+                return True
+    return False
+
+
+def refuse_too_many(instances: Sequence[object], path: Path) -> None:
+    """Raise PlgsError when these are more objects than Blender shows."""
+    if len(instances) > MOST_INSTANCES:
+        what = f"has more than {MOST_INSTANCES} objects, which are too many for Blender"
+        raise PlgsError(what, path, "Lift it again with a smaller most_instances.")
+
+
+class _Reader:
+    """Reads a JSON text piece by piece. Its methods raise ValueError and RecursionError."""
+
+    def __init__(self, text: str) -> None:
+        self._text, self._at = text, 0
+
+    def members(self) -> Iterator[tuple[str, Any]]:
+        """The keys and values of an object; of its list of instances each element, with the list's key."""
+        mark = self._mark("{") and ","
+        while mark == ",":
+            key = self._value()
+            self._mark(":")
+            if key != "instances":
+                yield key, self._value(_TABLE)
+            elif self._mark("[") and not self._mark("]", needed=False):
+                each = ","
+                while each == ",":
+                    yield key, self._value()
+                    each = self._mark(",]")
+            mark = self._mark(",}")
+        if self._next() < len(self._text):
+            raise ValueError("something follows the JSON object")
+
+    def _mark(self, marks: str, *, needed: bool = True) -> str:
+        """The next character if it is one of these, which is then behind; empty if it is another and not ``needed``."""
+        at = self._next()
+        found = self._text[at : at + 1]
+        if found and found in marks:
+            self._at = at + 1
+            return found
+        if needed:
+            raise ValueError(f"the JSON is cut off or broken at character {at}")
+        return ""
+
+    def _value(self, longest: int = _LONGEST) -> Any:
+        at = self._next()
+        for size in (_USUAL, longest):
+            try:
+                value, used = _DECODER.raw_decode(self._text[at : at + size])
+                break
+            except json.JSONDecodeError:
+                if at + size >= len(self._text):
+                    raise
+                if size == longest:
+                    what = f"of more than {longest} characters, which would keep Blender's window waiting"
+                    raise ValueError(f"something {what}, begins at character {at}") from None
+        self._at = at + used
+        return value
+
+    def _next(self) -> int:
+        found = _SPACE.match(self._text, self._at)
+        return found.end() if found else self._at
+
 
 _READ = (SEMANTIC_POINTS, ANCHORS, INSTANCES)
 _MOST_HASHED = 1 << 26

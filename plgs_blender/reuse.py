@@ -20,11 +20,10 @@ from ..engine.errors import PlgsError
 from ..engine.result_files import Instance
 from .compat import add_keys, new_point_clouds
 from .inspecting.lists import registered
-from .inspecting.lookup import boxes_of, clouds_of, ids_of, is_box, surfaces_of
-from .inspecting.visibility import HIDDEN, apply_visibility
-from .lift_collection import folder_of
+from .inspecting.looks import HIDDEN, apply_visibility
+from .inspecting.selection import boxes_of, clouds_of, ids_of, is_box, surfaces_of
 from .materials import object_colour, surface_material
-from .owned import LIFT, OwnedDataBlocks, text_of, untag
+from .owned import LIFT, OwnedDataBlocks, folder_of, text_of, untag
 from .timeline import places_of
 
 OBJECTS, INSTANCE, PLACED = "plgs_objects_of", "plgs_instance", "plgs_placed"

@@ -21,10 +21,8 @@ from ..engine.presets.options import (
     shown_value,
 )
 from ..engine.presets.preset import LONGEST_SIDE, PRESETS, SHORTEST_SIDE
-from .chosen_scene import ChosenScene
+from .chosen_scene import AUTOMATIC, FORMAT_ITEMS, MASK_FORMAT_ITEMS, ChosenScene, absolute
 from .errors import with_field_names
-from .paths import absolute
-from .scene_formats import AUTOMATIC, FORMAT_ITEMS, MASK_FORMAT_ITEMS
 
 _PRESETS = [
     ("preview", "Preview", "Takes minutes: to see whether frames, poses and masks fit together"),

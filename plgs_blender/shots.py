@@ -1,4 +1,4 @@
-"""A camera of the user's over a range of frames, as the engine bakes it: each frame is a separate camera.
+"""A camera of the user's over a range of frames, as the engine or a farm bakes it: each frame is a separate camera.
 
 The lift's world is Blender's: a camera sees the lifted scene from its place among the lift's objects.
 """
@@ -6,6 +6,7 @@ The lift's world is Blender's: a camera sees the lifted scene from its place amo
 from __future__ import annotations
 
 import difflib
+import json
 import math
 import sys
 import time
@@ -28,7 +29,7 @@ from ..engine.job.task import TaskState
 from ..engine.job.terminal import Interrupts, LiveLine, follow
 from ..engine.posed import Camera
 from ..engine.records import read_record, record_text
-from .frames import seen_by
+from .cameras import seen_by
 from .lift_scene import open_blend
 from .passes import shot_name
 
@@ -354,3 +355,45 @@ def bake_shot_in_terminal(
     else:
         print(f"Baked: {output or lift.passes_path}", file=sys.stderr)
     return follower.exit_code
+
+
+JOB = "farm.json"
+_CHUNK = 50
+"""Frames that one task of the farm bakes."""
+_PLATFORMS = {"win32": "windows", "darwin": "darwin"}
+
+
+def write_farm_job(scene: bpy.types.Scene, lift: LiftFolder, shot: Shot) -> Path:
+    """Write the job that bakes a shot of the scene, of a finished lift, into the lift's folder, and return the file.
+    The farm reads the camera from this .blend, as last saved. Raises PlgsError if it never was, OSError.
+    """
+    blend = bpy.data.filepath
+    if not blend:
+        fix = "Save it where the farm can read it, then try again."
+        raise PlgsError("the farm reads the camera from a file, and this one has no name", scene.name, fix)
+    frames = shot.frames
+    settings = {
+        "scene": str(lift.request.scene),
+        "output": str(lift.path),
+        "preset": lift.request.preset,
+        "lift_options": "",
+        "lifted": True,
+        "bake": "camera",
+        "blend": blend,
+        "camera": shot.camera.name,
+        "shot": shot.given,
+        "frames": f"{frames[0]}-{frames[-1]}" if shot.step == 1 else ",".join(map(str, frames)),
+        "chunk_size": _CHUNK,
+        "layers": " ".join(sorted(scene.plgs.layers)),
+    }
+    job = {
+        "name": f"{lift.path.name}: {shot.camera.name}",
+        "type": "plgs",
+        "priority": 50,
+        "submitter_platform": _PLATFORMS.get(sys.platform, "linux"),
+        "settings": settings,
+    }
+    path = lift.path / "bake" / JOB
+    path.parent.mkdir(exist_ok=True)
+    write_atomically(path, json.dumps(job, indent=2) + "\n")
+    return path

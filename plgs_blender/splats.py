@@ -17,13 +17,11 @@ from numpy.typing import NDArray
 
 from ..engine.errors import PlgsError
 from ..engine.posed.splat_file import read_gaussians
-from . import native_splats
-from .inspecting.lookup import ids_of
-from .lift_collection import FOLDER, GAUSSIANS, Placed, child_collection
-from .native_splats import HARMONIC, Splats
-from .owned import KEY, LIFT, OwnedDataBlocks, key_of, text_of
-from .squares import EXTENT, Squares, across, joined, place_squares
-from .surfaces import SurfaceGrid, towards_nearest
+from . import splat_objects
+from .clouds import SurfaceGrid, towards_nearest
+from .inspecting.selection import ids_of
+from .owned import FOLDER, GAUSSIANS, KEY, LIFT, OwnedDataBlocks, Placed, child_collection, key_of, text_of
+from .splat_objects import EXTENT, HARMONIC, Splats, Squares, across, joined, place_squares
 
 _FAINTEST, _FAINTEST_NATIVE = 0.1, 0.01
 """Opacity below which a Gaussian has no square, and no splat of Blender's own, of which many faint ones add up."""
@@ -65,7 +63,7 @@ def gaussians_of(root: bpy.types.Collection) -> Path:
 def are_outdated(root: bpy.types.Collection) -> bool:
     """Whether a lift's splats are of the kind that another Blender shows."""
     return any(
-        key_of(ob, root[LIFT]) == GAUSSIANS and (ob.type == "POINTCLOUD") != native_splats.are_known()
+        key_of(ob, root[LIFT]) == GAUSSIANS and (ob.type == "POINTCLOUD") != splat_objects.are_known()
         for ob in root.all_objects
     )
 
@@ -90,7 +88,7 @@ def placing_gaussians(
     """
     placed = Placed(root[LIFT], scene.name)
     eyes = Eyes.of([ob for ob in root.all_objects if text_of(ob, KEY).startswith("frame:")])
-    are_native = native_splats.are_known()
+    are_native = splat_objects.are_known()
     clouds = [ob for ob in root.all_objects if text_of(ob, KEY).startswith("class:")]
     surface = SeenSurface.of(clouds, with_objects=not are_native)
     rows, make = rows[seen(rows, _FAINTEST_NATIVE if are_native else _FAINTEST)], splats_of if are_native else squares
@@ -107,7 +105,7 @@ def placing_gaussians(
     if are_outdated(root):
         owned.drop_object(GAUSSIANS)
     where, whole = (owned, parent, GAUSSIANS, "Gaussians"), joined(parts)
-    splats = place_squares(*where, whole) if isinstance(whole, Squares) else native_splats.place_splats(*where, whole)
+    splats = place_squares(*where, whole) if isinstance(whole, Squares) else splat_objects.place_splats(*where, whole)
     splats.hide_select = True  # a click is meant for the box within
 
 

@@ -13,8 +13,7 @@ from itertools import pairwise
 
 import bpy
 
-from .lift_collection import lifts_in
-from .owned import LIFT, key_of, originals, text_of
+from .owned import LIFT, key_of, lifts_in, originals, text_of
 
 _FIRST_FRAME = "plgs_first_frame"
 """Property of a lift's collection: the place of its first marker on the timeline; 0: frames have their numbers."""

@@ -52,7 +52,7 @@ def _end_the_process() -> None:
     """End here, without C++'s destructors. Blender's sound waits in one of them for ever when a reference to bpy is
     left over, for then Blender was not closed before."""
     if HAS_BLENDER and _exit_codes:
-        from plgs_blender.module_exit import drop_session_folder
+        from plgs_blender.lifecycle import drop_session_folder
 
         drop_session_folder(Path(bpy.app.tempdir))
         sys.stdout.flush()

@@ -5,12 +5,10 @@ Nothing here looks at the disk while it draws.
 
 from __future__ import annotations
 
-from ..plgs_blender.registration import register_modules, unregister_modules
+from ..plgs_blender.lifecycle import register_modules, unregister_modules
 from . import (
     corrections_panel,
-    export_panel,
     lift_panel,
-    lists,
     menus,
     overlay,
     passes_panel,
@@ -23,10 +21,8 @@ from . import (
 _MODULES = (
     preferences,
     sidebar,
-    lists,
     lift_panel,
     passes_panel,
-    export_panel,
     scene_panel,
     result_panel,
     corrections_panel,

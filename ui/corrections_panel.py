@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import bpy
 
-from ..plgs_blender import corrections, proposals
+from ..plgs_blender import corrections, registry
+from ..plgs_blender.correction_tools import SplitByViews
 from ..plgs_blender.errors import EXPECTED, one_line, plural
 from ..plgs_blender.inspecting.looks import SURFACE, has
-from ..plgs_blender.inspecting.lookup import active_lift, chosen_row
+from ..plgs_blender.inspecting.selection import active_lift, chosen_row
 from ..plgs_blender.meshes import are_stale
 from ..plgs_blender.running.exports import making_meshes
-from ..plgs_blender.running.splitting import SplitByViews
-from ..plgs_blender.tasks import registry
 from .result_panel import OfResult
 from .sidebar import draw_bar, draw_task, from_panel, tell
 
@@ -74,7 +73,7 @@ def _draw_proposals(
     layout: bpy.types.UILayout, context: bpy.types.Context, root: bpy.types.Collection
 ) -> None:
     """The most doubtful objects, each with its reason and its one-press answers."""
-    found, progress = proposals.kept_proposals(root)
+    found, progress = corrections.kept_proposals(root)
     layout.operator("plgs.propose_corrections", text=one_line(progress) or "What May Be Wrong?", icon="VIEWZOOM")
     layout.operator("plgs.next_uncertain_frame", icon="CAMERA_DATA")
     for one in found[:_SHOWN]:

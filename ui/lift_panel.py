@@ -5,13 +5,12 @@ from __future__ import annotations
 import bpy
 
 from ..plgs_blender import engine_environment
+from ..plgs_blender.cameras import camera_seen
 from ..plgs_blender.errors import PlgsError, one_line
-from ..plgs_blender.frames import camera_seen
 from ..plgs_blender.running import lifts
-from ..plgs_blender.running.estimate import estimate_of
+from ..plgs_blender.running.estimate import NAMES, estimate_of
 from ..plgs_blender.running.lifting import followed_lift, why_no_device
 from ..plgs_blender.running.lifts import Lift, LiftState
-from ..plgs_blender.running.used_options import NAMES
 from ..plgs_blender.settings import chosen_lift, shown_preset, why_no_options
 from .sidebar import (
     Sidebar,

@@ -7,7 +7,7 @@ from typing import Any
 import bpy
 
 from ..plgs_blender.errors import one_line
-from ..plgs_blender.inspecting.lookup import chosen_row, instance_of
+from ..plgs_blender.inspecting.selection import chosen_row, instance_of
 
 Entries = tuple[tuple[str, dict[str, Any], str], ...]
 """Operators, their properties and their texts; an empty text stands for the operator's own."""

@@ -10,12 +10,14 @@ from typing import Any
 
 import bpy
 
-from ..plgs_blender import painting
-from ..plgs_blender.cutting import CUT
+from ..plgs_blender import correction_tools
+from ..plgs_blender.cameras import SHOWN
+from ..plgs_blender.correction_tools import CUT
 from ..plgs_blender.frame_pictures import MASKS
-from ..plgs_blender.frames import SHOWN
-from ..plgs_blender.inspecting import highlight, names
+from ..plgs_blender.inspecting import highlight, picking
 from ..plgs_blender.inspecting.drawing import (
+    Colour,
+    ViewRegion,
     brightened,
     draw_face,
     draw_mark,
@@ -24,15 +26,15 @@ from ..plgs_blender.inspecting.drawing import (
     draw_picture,
     draw_text_boxes,
     forget_pictures,
+    legend_text_boxes,
+    shown_classes,
 )
 from ..plgs_blender.inspecting.looks import CLASSES as BY_CLASS
 from ..plgs_blender.inspecting.looks import POINTS, SURENESS, UNCERTAINTY
-from ..plgs_blender.inspecting.lookup import objects_by_key
-from ..plgs_blender.inspecting.names import camera_of, names_to_draw, outline_of, outlined
-from ..plgs_blender.inspecting.selection import selected_instance
-from ..plgs_blender.inspecting.text_boxes import Colour, ViewRegion, legend_text_boxes, shown_classes
-from ..plgs_blender.lift_collection import lifts_in
-from ..plgs_blender.running import live_preview
+from ..plgs_blender.inspecting.picking import camera_of, names_to_draw, outline_of, outlined
+from ..plgs_blender.inspecting.selection import objects_by_key, selected_instance
+from ..plgs_blender.owned import lifts_in
+from ..plgs_blender.running import lifts
 from ..plgs_blender.running.survey import survey_of
 from ..plgs_blender.settings import chosen_scene
 
@@ -82,7 +84,7 @@ def _draw_on_top() -> None:
     if not _is_wanted(context):
         return
     _draw_preview(context)
-    for each in painting.now:
+    for each in correction_tools.now:
         each.draw(context.region_data, _size(context))
     region = ViewRegion.of(context)
     for root in _lifts(context):
@@ -118,7 +120,7 @@ def legend_of(context: bpy.types.Context, root: bpy.types.Collection) -> list[tu
     """
     camera, lists = camera_of(context), root.plgs
     if camera is not None and camera == context.scene.camera:
-        if live_preview.picture_for(context.scene) is not None:
+        if lifts.picture_for(context.scene) is not None:
             stuff = classes_of_scene(context.scene, stuff_only=True)
             return [(_OBJECTS, None), *stuff]
         if camera.get(SHOWN) == MASKS:
@@ -141,7 +143,7 @@ def _draw_preview(context: bpy.types.Context) -> None:
     looks = space.camera if space.use_local_camera else scene.camera
     if context.region_data.view_perspective != "CAMERA" or looks != scene.camera:
         return
-    picture = live_preview.picture_for(scene)
+    picture = lifts.picture_for(scene)
     if picture is not None:
         at, turned, _ = looks.matrix_world.decompose()
         frame = [at + turned @ corner for corner in looks.data.view_frame(scene=scene)]
@@ -167,5 +169,5 @@ def unregister() -> None:
         bpy.types.SpaceView3D.draw_handler_remove(_handles.pop(), "WINDOW")
     highlight.forget()
     forget_pictures()
-    painting.now.clear()
-    names.forget()
+    correction_tools.now.clear()
+    picking.forget()

@@ -5,11 +5,11 @@ from __future__ import annotations
 import bpy
 from bpy.props import EnumProperty, StringProperty
 
+from ..plgs_blender import registry
 from ..plgs_blender.engine_environment import EngineState, status, tasks
 from ..plgs_blender.engine_environment.choices import EXTENSION, TORCH_BUILDS
 from ..plgs_blender.engine_environment.tasks import SetUp
 from ..plgs_blender.running.adding import ADDED
-from ..plgs_blender.tasks import registry
 from .sidebar import draw_lacking, draw_log, draw_task, tell
 
 _ICONS = {

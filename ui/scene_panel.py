@@ -4,19 +4,18 @@ from __future__ import annotations
 
 import bpy
 
+from ..plgs_blender import registry
+from ..plgs_blender.cameras import PHOTO, SHOWN
+from ..plgs_blender.chosen_scene import label_of
 from ..plgs_blender.engine_environment import status
 from ..plgs_blender.errors import ErrorCode, one_line, plural, sentence, with_field_names
 from ..plgs_blender.frame_pictures import DEPTH, MASKS, range_shown, why_no_picture
-from ..plgs_blender.frames import PHOTO, SHOWN
-from ..plgs_blender.lift_collection import lifts_in
-from ..plgs_blender.owned import LIFT
+from ..plgs_blender.owned import LIFT, lifts_in
 from ..plgs_blender.running.diagnosis import Diagnosis, diagnosis_of
 from ..plgs_blender.running.importing import FrameMaking
 from ..plgs_blender.running.preparation import MaskMaking, PoseMaking
 from ..plgs_blender.running.survey import SceneLook, Survey, possibilities, survey_of
-from ..plgs_blender.scene_formats import label_of
 from ..plgs_blender.settings import chosen_scene
-from ..plgs_blender.tasks import registry
 from .sidebar import (
     Sidebar,
     Step,

@@ -6,11 +6,11 @@ import textwrap
 
 import bpy
 
+from ..plgs_blender import registry
 from ..plgs_blender.errors import ErrorCode, PlgsError, field_of_option, one_line, with_field_names
 from ..plgs_blender.owned import KEY
+from ..plgs_blender.registry import Task
 from ..plgs_blender.running.adding import ADDED, Adding, size_of, why_lacking, why_not_added
-from ..plgs_blender.tasks import registry
-from ..plgs_blender.tasks.registry import Task
 
 _PIXELS_A_LETTER = 7.0
 """Mean width in pixels of a letter in the interface's font at scale 1."""

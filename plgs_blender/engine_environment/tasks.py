@@ -14,8 +14,8 @@ from ...engine.job.environment import environments_folder
 from ...engine.job.follower import TaskFollower
 from ...engine.job.process import ROOT, ChosenPython, choose_python
 from ...engine.job.task import last_lines
-from ..tasks import registry, timer
-from ..tasks.registry import Task, start_engine
+from .. import registry
+from ..registry import Task, start_engine
 from . import status as states
 from .choices import SetUpChoice, choose, chosen_python, own_python
 from .status import EngineStatus
@@ -114,11 +114,11 @@ def check() -> EngineCheck | None:
         choice = choose_python(ROOT, os.environ, chosen_python())
     except PlgsError as error:
         _status = states.without_python(error)
-        timer.redraw_panels()
+        registry.redraw_panels()
         return None
     _status = states.checking(choice)
     try:
-        return timer.begin(EngineCheck(choice, start_engine("handshake", choice.python)))
+        return registry.begin(EngineCheck(choice, start_engine("handshake", choice.python)))
     except (PlgsError, OSError) as error:
         what, fix = (error.what, error.fix) if isinstance(error, PlgsError) else (str(error), "Try again.")
         _status = states.failed(choice, f"{what}: {choice.python}", fix)
@@ -154,7 +154,7 @@ def set_up(choice: SetUpChoice) -> SetUp:
     reason = why_no_set_up()
     if reason is not None:
         raise PlgsError("the engine cannot be set up now", "Set Up Engine", reason)
-    return timer.begin(SetUp(start_engine(
+    return registry.begin(SetUp(start_engine(
         "set-up", own_python(), environments_folder(), *choice.arguments(), variables=choice.variables()
     )))  # fmt: skip
 
@@ -163,7 +163,7 @@ def remove() -> Removal:
     """Delete all environments that "Set Up Engine" made, and nothing else. Raises PlgsError, OSError."""
     if running_set_up() is not None:
         raise PlgsError("the engine is being set up", environments_folder(), "Wait until it is done, or cancel it.")
-    return timer.begin(Removal(start_engine("set-up", own_python(), environments_folder(), "--remove")))
+    return registry.begin(Removal(start_engine("set-up", own_python(), environments_folder(), "--remove")))
 
 
 def register() -> None:

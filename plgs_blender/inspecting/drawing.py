@@ -1,21 +1,204 @@
-"""Drawing over 3D views with Blender's GPU module. Other modules decide what is drawn, and where."""
+"""Drawing over 3D views with Blender's GPU module, and the places of labels at boxes and of the legend, in pixels."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
 
 import blf
+import bpy
 import gpu
 import numpy as np
 from gpu_extras.batch import batch_for_shader
-from mathutils import Vector
+from mathutils import Matrix, Vector
 from numpy.typing import NDArray
 
 from ..compat import to_overlay
+from ..errors import one_line
 from .highlight import Mark
-from .text_boxes import Colour, TextBox
+
+Colour = tuple[float, float, float]
+Rectangle = tuple[float, float, float, float]
+"""Left, low, right and high, in pixels."""
+
+_TEXT = 11.0
+_PADDING = 5.0
+"""Pixels at interface scale 1."""
+_MOST_COVERED = 0.03
+"""Share of the view that names may cover."""
+_APART = 0.5
+"""Heights of a label between two of them, at least."""
+_DARK = (0.09, 0.095, 0.105)
+
+
+@dataclass(frozen=True)
+class ViewRegion:
+    """A 3D view's region: `width` and `height` in pixels, the pixels that toolbars cover on the `left`, the matrix from
+    world to clip space, and the interface's scale.
+    """
+
+    width: int
+    height: int
+    left: int
+    perspective: Matrix
+    scale: float
+
+    @classmethod
+    def of(cls, context: bpy.types.Context) -> ViewRegion:
+        region, area = context.region, context.area
+        tools = next((each for each in area.regions if each.type == "TOOLS"), None)
+        covered = tools is not None and tools.x < region.x + tools.width and tools.x >= region.x
+        left = tools.width if tools is not None and covered else 0
+        scale = context.preferences.system.ui_scale
+        return cls(region.width, region.height, left, context.region_data.perspective_matrix.copy(), scale)
+
+    def pixel_of(self, point: Vector) -> tuple[float, float] | None:
+        """The pixel of a world point, counted from the lower left; None when the point is behind the eye."""
+        x, y, _, w = self.perspective @ Vector((*point, 1.0))
+        return (self.width * (0.5 + 0.5 * x / w), self.height * (0.5 + 0.5 * y / w)) if w > 1e-6 else None
+
+
+@dataclass(frozen=True)
+class TextBox:
+    """A rectangle with a text. Its lower left corner, width, height and the text's size are in pixels, colours are sRGB
+    0..1. A swatch of colour stands before the text where `swatch` is not None. `instance`: whose name it is, or 0.
+    """
+
+    x: float
+    y: float
+    width: float
+    height: float
+    text: str
+    size: float
+    ground: Colour
+    opacity: float
+    ink: Colour = (1.0, 1.0, 1.0)
+    swatch: Colour | None = None
+    instance: int = 0
+
+
+def label_text_boxes(
+    rows: Any,
+    boxes: Mapping[int, bpy.types.Object],
+    active: int,
+    region: ViewRegion,
+    hovered: int = 0,
+    keep_free: Sequence[Rectangle] = (),
+) -> list[TextBox]:
+    """Names above the boxes of instances, as many as have room: the `active` one in its full colour, the one that the
+    mouse is over, and then those that look largest. None covers another or a rectangle to `keep_free`. The active one
+    says where it is out of view.
+    """
+    size, padding = _TEXT * region.scale, _PADDING * region.scale
+    height = size + 1.4 * padding
+    found: list[tuple[tuple[bool, bool, float], Any, str, tuple[float, float]]] = []
+    for row in rows:
+        box, name = boxes.get(row.instance_id), one_line(row.name)
+        if box is None:
+            continue
+        top = top_of(box)
+        at, distance = region.pixel_of(top), (region.perspective @ Vector((*top, 1.0))).w
+        if row.instance_id == active and _is_out(box, region):
+            at, name = (region.left + 0.3 * region.width, 2.0 * height), f"{name} is out of view: Frame Selected"
+        if at is not None:
+            looks = max(box.dimensions) / max(distance, 1e-6)
+            rank = (row.instance_id != active, row.instance_id != hovered, -looks)
+            found.append((rank, row, name, (at[0], at[1] + padding)))
+    found.sort(key=lambda each: each[0])
+    widths = [_text_width(name, size) + 2.0 * padding for _, _, name, _ in found]
+    places = place_labels([at for *_, at in found], widths, height, (region.width, region.height), keep_free)
+    text_boxes = []
+    for index, (x, y) in places.items():
+        _, row, name, _ = found[index]
+        red, green, blue = row.colour
+        bright = row.instance_id in (active, hovered)
+        shade = 1.0 if bright else 0.42
+        luminance = 0.3 * red + 0.6 * green + 0.1 * blue
+        text_boxes.append(
+            TextBox(
+                x, y, widths[index], height, name, size,
+                ground=(red * shade, green * shade, blue * shade),
+                opacity=0.95 if bright else 0.8,
+                ink=_DARK if bright and luminance > 0.5 else (1.0, 1.0, 1.0),
+                instance=row.instance_id,
+            )
+        )  # fmt: skip
+    return text_boxes
+
+
+def _is_out(box: bpy.types.Object, region: ViewRegion) -> bool:
+    """Whether no corner of a box is within the region."""
+    seen = [region.pixel_of(box.matrix_world @ Vector(corner)) for corner in box.bound_box]
+    return not any(at and 0.0 <= at[0] <= region.width and 0.0 <= at[1] <= region.height for at in seen)
+
+
+def place_labels(
+    anchors: Sequence[tuple[float, float]],
+    widths: Sequence[float],
+    height: float,
+    space: tuple[float, float],
+    keep_free: Sequence[Rectangle] = (),
+) -> dict[int, tuple[float, float]]:
+    """The lower left corners of labels above their anchors [(x, y)], by the labels' indices, within a space (width,
+    height), all in pixels. The first come first: a label that would cover another, or a rectangle to `keep_free`, or
+    that is one too many, is left out. Anchors outside the space have no label.
+    """
+    placed: dict[int, tuple[float, float]] = {}
+    taken, room = [*keep_free], _MOST_COVERED * space[0] * space[1]
+    for index, ((x, y), width) in enumerate(zip(anchors, widths, strict=True)):
+        if not (0.0 <= x <= space[0] and 0.0 <= y <= space[1]):
+            continue
+        left = min(max(x - width / 2.0, 0.0), max(space[0] - width, 0.0))
+        low = min(y, max(space[1] - height, 0.0))
+        right, high = left + width, low + height
+        if any(left < end and start < right and low < top and base < high for start, base, end, top in taken):
+            continue
+        room -= width * height
+        if room < 0.0 and placed:
+            break
+        placed[index] = (left, low)
+        margin = _APART * height
+        taken.append((left - margin, low - margin, right + margin, high + margin))
+    return placed
+
+
+def shown_classes(rows: Any) -> list[tuple[str, Colour]]:
+    """The names and colours of the classes that are shown, those with most points first."""
+    shown = sorted((row for row in rows if row.visible), key=lambda row: (-row.points, row.name))
+    return [(one_line(row.name), tuple(row.colour)) for row in shown]
+
+
+def legend_text_boxes(shown: Sequence[tuple[str, Colour | None]], region: ViewRegion) -> list[TextBox]:
+    """As many of the classes, names and colours, as fit into the lower left corner, in order."""
+    size, padding = _TEXT * region.scale, _PADDING * region.scale
+    line = size + 1.2 * padding
+    room = max(1, int((0.7 * region.height) / line))
+    texts: list[tuple[str, Colour | None]] = [*shown[:room]]
+    if len(shown) > room:
+        texts[-1] = (f"and {len(shown) - room + 1} more", None)
+    if not texts:
+        return []
+    width = max(_text_width(text, size) for text, _ in texts) + size + 4.0 * padding
+    x, y = region.left + 3.0 * padding, 3.0 * padding
+    return [
+        TextBox(x, y + line * (len(texts) - 1 - place), width, line, text, size, _DARK, 0.72, swatch=swatch)
+        for place, (text, swatch) in enumerate(texts)
+    ]
+
+
+def top_of(box: bpy.types.Object) -> Vector:
+    """The middle of a box's upper face, world metres."""
+    corners = [box.matrix_world @ Vector(corner) for corner in box.bound_box]
+    middle = sum(corners, Vector()) / 8.0
+    return Vector((middle.x, middle.y, max(corner.z for corner in corners)))
+
+
+def _text_width(text: str, size: float) -> float:
+    blf.size(0, size)
+    return float(blf.dimensions(0, text)[0])
+
 
 _PATH_COLOUR = (1.0, 0.78, 0.3, 0.9)
 _JUMP = 6.0

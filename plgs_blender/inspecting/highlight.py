@@ -14,8 +14,8 @@ import numpy as np
 from mathutils import Vector
 from numpy.typing import NDArray
 
-from .lookup import clouds_of, ids_of
-from .text_boxes import Colour, Rectangle
+from .drawing import Colour, Rectangle
+from .selection import clouds_of, ids_of
 
 _LINE = 0.95
 """Opacity of the outline."""

@@ -27,12 +27,10 @@ from bpy.props import (
 from ...engine.corrections import CorrectedResult
 from ...engine.posed import VOID, ClassTable
 from ...engine.result_files import Instance, MatchedSegment
+from ..lifecycle import register_modules, unregister_modules
 from ..materials import UNKNOWN
-from ..registration import register_modules, unregister_modules
 from ..results import LiftResult
-from .looks import (
-    CLASSES as BY_CLASS,
-)
+from .looks import CLASSES as BY_CLASS
 from .looks import (
     INSTANCES,
     PHOTO,
@@ -40,12 +38,14 @@ from .looks import (
     SPLATS,
     SURFACE,
     UNCERTAINTY,
+    apply_colours,
     apply_lit,
     apply_look,
     apply_show_as,
+    apply_visibility,
+    size_cameras,
 )
 from .selection import renaming, select_row
-from .visibility import apply_colours, apply_visibility, size_cameras
 
 NO_COST, NO_AGREEMENT = 1.0, -1.0
 """Values of a mask's `cost` and `agreement` that say there is none."""

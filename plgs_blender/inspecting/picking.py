@@ -1,4 +1,4 @@
-"""What is under the mouse in a 3D view: the instance of a name, or what the lift shows there.
+"""The names that a 3D view shows, and what is under the mouse: a name's instance, or what the lift shows there.
 
 Blender knows a lift's points as one object a class, its splats as one object, and boxes by their lines. The semantic
 points lie on what is seen, however the lift is shown, and corrections change them at once. So they decide.
@@ -13,12 +13,107 @@ import bpy
 import numpy as np
 from numpy.typing import NDArray
 
-from ..lift_collection import lifts_in
-from .highlight import state_of
-from .lookup import clouds_of, ids_of
-from .names import shown_names
-from .text_boxes import TextBox, ViewRegion
-from .visibility import leaving_out
+from ..owned import lifts_in
+from .drawing import Rectangle, TextBox, ViewRegion, label_text_boxes
+from .highlight import outline_in_space, state_of
+from .looks import instances_left_out, leaving_out
+from .selection import boxes_of, clouds_of, ids_of, objects_by_key, selected_instance
+
+hovered: list[tuple[int, int]] = []
+"""The instance that the mouse is over, for its name, after the session uid of its lift's collection; at most one. One
+Blender has one mouse."""
+
+
+@dataclass(frozen=True)
+class DrawnNames:
+    """The names of a lift that a 3D view showed when it was drawn last."""
+
+    region: ViewRegion
+    names: list[TextBox]
+
+
+_drawn: dict[tuple[int, int], DrawnNames] = {}
+"""By the pointer of the view's region and the session uid of the lift's collection. Blender draws a view again when
+what it shows changes. The mouse moves far more often, and its names come from here."""
+_MOST_KEPT = 16
+
+
+def forget_names() -> None:
+    """Free what is kept."""
+    hovered.clear()
+    _drawn.clear()
+
+
+def camera_of(context: bpy.types.Context) -> bpy.types.Object | None:
+    """The camera that a 3D view looks through; None when it looks through none."""
+    view = context.space_data
+    if view.region_3d.view_perspective != "CAMERA":
+        return None
+    return view.camera if view.use_local_camera else context.scene.camera
+
+
+def outlined(context: bpy.types.Context, root: bpy.types.Collection) -> Any:
+    """The chosen instance's row, if the view looks through the camera of its chosen mask's frame."""
+    lists, camera = root.plgs, camera_of(context)
+    if camera is None or not 0 <= lists.instance_index < len(lists.instances):
+        return None
+    row = lists.instances[lists.instance_index]
+    if not 0 <= row.mask_index < len(row.masks):
+        return None
+    mask = row.masks[row.mask_index]
+    is_here = objects_by_key(root).get(f"frame:{mask.frame}") == camera and mask.rectangle[2] > 0.0
+    return row if is_here else None
+
+
+def outline_of(context: bpy.types.Context, row: Any, region: ViewRegion) -> list[list[tuple[float, float]]]:
+    """The polygons, in pixels, of the chosen mask of an `outlined` row."""
+    mask, found = row.masks[row.mask_index], []
+    for polygon in outline_in_space(camera_of(context), mask.outline, tuple(mask.rectangle)):
+        corners = [at for at in map(region.pixel_of, polygon) if at is not None]
+        if len(corners) == len(polygon):
+            found.append(corners)
+    return found
+
+
+def names_to_draw(context: bpy.types.Context, root: bpy.types.Collection, region: ViewRegion) -> list[TextBox]:
+    """The names at the boxes of a lift in the view of the context, which is being drawn. `shown_names` has them then.
+    None covers a mask that is outlined.
+    """
+    key = context.region.as_pointer(), root.session_uid
+    _drawn.pop(key, None)
+    _drawn[key] = DrawnNames(region, _names(context, root, region) if root.plgs.show_labels else [])
+    while len(_drawn) > _MOST_KEPT:
+        del _drawn[next(iter(_drawn))]
+    return _drawn[key].names
+
+
+def shown_names(context: bpy.types.Context, root: bpy.types.Collection, region: ViewRegion) -> list[TextBox]:
+    """The names of a lift that the view of the context shows: those that were drawn last."""
+    if not context.space_data.overlay.show_overlays:
+        return []
+    drawn = _drawn.get((context.region.as_pointer(), root.session_uid))
+    return drawn.names if drawn is not None and drawn.region == region else names_to_draw(context, root, region)
+
+
+def _names(context: bpy.types.Context, root: bpy.types.Collection, region: ViewRegion) -> list[TextBox]:
+    boxes = _shown_boxes(context, root)
+    row, free = outlined(context, root), list[Rectangle]()
+    for polygon in outline_of(context, row, region) if row is not None else ():
+        across, up = zip(*polygon, strict=True)
+        free.append((min(across), min(up), max(across), max(up)))
+    active = selected_instance(root, context.view_layer.objects.active)
+    under = next((instance for lift, instance in hovered if lift == root.session_uid), 0)
+    return label_text_boxes(root.plgs.instances, boxes, active, region, under, free)
+
+
+def _shown_boxes(context: bpy.types.Context, root: bpy.types.Collection) -> dict[int, bpy.types.Object]:
+    """The boxes, by instance, that are in the view, or would be if boxes were on."""
+    boxes = boxes_of(root)
+    if root.plgs.show_boxes:
+        return {number: box for number, box in boxes.items() if box.visible_in_viewport_get(context.space_data)}
+    hidden = dict(zip(boxes, instances_left_out(root.plgs, boxes), strict=True))
+    return {number: box for number, box in boxes.items() if not hidden[number]}
+
 
 _GAP = 12.0
 """Pixels to the nearest point, where no point covers the mouse."""

@@ -12,11 +12,11 @@ from mathutils import Vector
 from numpy.typing import NDArray
 
 from ...engine.errors import PlgsError
-from ..lift_collection import overview_of
+from ..owned import overview_of
 from ..timeline import follow_camera, is_of_lift, places_of
 from ..viewport import areas_of, look_through, show_room
 from .looks import places
-from .lookup import box_of, objects_by_key, row_of
+from .selection import box_of, objects_by_key, row_of
 
 _VIEW_SENSOR = 72.0
 """Width of a 3D view's sensor in millimetres: twice that of a camera."""

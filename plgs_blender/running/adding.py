@@ -8,11 +8,11 @@ from typing import Any
 from ...engine.errors import PlgsError
 from ...engine.job.follower import TaskFollower
 from ...engine.job.handshake import ADDED, CAPABILITIES
+from .. import registry
 from ..engine_environment import status, tasks
 from ..engine_environment.choices import set_up_choice
+from ..registry import Task, start_engine
 from ..settings import chosen_scene
-from ..tasks import registry, timer
-from ..tasks.registry import Task, start_engine
 from . import looking
 from .survey import survey_of
 
@@ -70,4 +70,4 @@ def add(name: str, python: Path, index_url: str = "") -> Adding:
     if reason is not None:
         raise PlgsError("nothing can be added to the engine now", CAPABILITIES[name].label, reason)
     variables = set_up_choice(index_url=index_url).variables()
-    return timer.begin(Adding(name, start_engine("add", python, name, variables=variables)))
+    return registry.begin(Adding(name, start_engine("add", python, name, variables=variables)))

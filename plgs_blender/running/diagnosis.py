@@ -18,12 +18,11 @@ import bpy
 from ...engine.errors import PlgsError
 from ...engine.job import write_atomically
 from ...engine.job.follower import TaskFollower
-from ..chosen_scene import ChosenScene
+from .. import registry
+from ..chosen_scene import AUTOMATIC, ChosenScene
 from ..engine_environment import usable_python
-from ..scene_formats import AUTOMATIC
+from ..registry import Task, start_engine
 from ..settings import PLGS_PG_settings, chosen_scene
-from ..tasks import registry, timer
-from ..tasks.registry import Task, start_engine
 from . import looking
 
 
@@ -134,7 +133,7 @@ def diagnose(settings: PLGS_PG_settings, mended: Path | None = None) -> Diagnosi
     except BaseException:
         shutil.rmtree(folder, ignore_errors=True)
         raise
-    return timer.begin(Diagnosis(chosen, mended, folder, follower))
+    return registry.begin(Diagnosis(chosen, mended, folder, follower))
 
 
 _written: dict[Path, bytes] = {}

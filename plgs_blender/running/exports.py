@@ -10,13 +10,12 @@ import bpy
 
 from ...engine.errors import PlgsError
 from ...engine.job.follower import TaskFollower
-from .. import engine_environment
+from .. import engine_environment, registry
 from ..errors import plural
-from ..lift_collection import root_of_placed
 from ..lift_scene import place_depth_clouds_anew, placing_meshes_anew
 from ..meshes import SURFACE, mesh_folder
-from ..tasks import registry, timer
-from ..tasks.registry import Task, start_engine
+from ..owned import root_of_placed
+from ..registry import Task, start_engine
 
 FORMS = {
     "coco": ("COCO Panoptic", "panoptic.json and PNGs of segments"),
@@ -104,7 +103,7 @@ def export(
     seen = ["--frames", *frames] if cameras is None else ["--cameras", cameras]
     arguments: list[str | Path] = [lift, "--to", form, "-o", output, *seen]
     follower = start_engine("export", python, *arguments)
-    return timer.begin(Export(lift, form, output, shown_in, follower, asked=asked))
+    return registry.begin(Export(lift, form, output, shown_in, follower, asked=asked))
 
 
 def make_meshes(lift: Path, scene: bpy.types.Scene, frames: str = "all", *, asked: bool = True) -> Export:

@@ -1,7 +1,9 @@
-"""Importing the panel's scene into Blender, with an engine that makes what Blender cannot read of its frames.
+"""Importing the panel's scene into Blender, with an engine that makes what Blender cannot read of its frames, and one
+choice of photo, depth or masks for all of them.
 
 An engine's files are shown when it is done, in the import or lift with the same key: so undo, another file or a removed
-camera do no harm. Where these are gone, nothing is shown.
+camera do no harm. The picture of a frame is made when its camera has been the scene's for a moment, and neither an
+animation plays nor a render runs: so scrubbing is not held up, and a render shows what it began with.
 """
 
 from __future__ import annotations
@@ -18,21 +20,30 @@ from ...engine.job import LiftFolder
 from ...engine.job.follower import TaskFollower
 from ...engine.known_scene import known_scene
 from ...engine.posed.made_frames import MadeFrames, made_of
-from .. import engine_environment
-from ..chosen_scene import ChosenScene, needs_engine
+from .. import engine_environment, registry
+from ..cameras import PHOTO, SHOWN, picture_of, show_photo
+from ..chosen_scene import ChosenScene, absolute, needs_engine
 from ..engine_environment import why_no_engine
-from ..frame_pictures import DEPTH, KIND_OF, has_picture, place_of_root, root_of, show_made, why_no_picture
-from ..frames import PHOTO, picture_of, show_photo
+from ..frame_pictures import (
+    DEPTH,
+    KIND_OF,
+    frames_folder,
+    has_picture,
+    is_depth_current,
+    made_before,
+    photos,
+    place_of_root,
+    root_of,
+    scene_of,
+    show_made,
+    why_no_picture,
+)
 from ..import_scene import MISSING, add_made, look_at_imported, place_scene
-from ..inspecting.lookup import objects_by_key
-from ..lift_collection import FOLDER, SCENE, is_same_place, lifts_in
-from ..made_pictures import frames_folder, is_depth_current, made_before, photos, scene_of
-from ..owned import LIFT, OwnedDataBlocks, text_of
-from ..paths import absolute
+from ..inspecting.selection import objects_by_key
+from ..owned import FOLDER, LIFT, SCENE, OwnedDataBlocks, is_same_place, lifts_in, text_of
+from ..registry import Task, start_engine
 from ..settings import chosen_scene
-from ..startup_file import taking_over
-from ..tasks import registry, timer
-from ..tasks.registry import Task, start_engine
+from ..viewport import taking_over
 
 _NAMES = {"colour": "pictures", "cloud": "a coloured cloud"}
 
@@ -112,7 +123,7 @@ def make_frames(order: FrameOrder, python: Path) -> FrameMaking:
     folder = frames_folder(order.chosen.resolved)
     command: list[str | Path] = [*order.chosen.arguments(), "-o", folder, "--make", *order.kinds]
     command += ["--frames", order.frame] if order.frame else []
-    return timer.begin(FrameMaking(order, folder, start_engine("frames", python, *command)))
+    return registry.begin(FrameMaking(order, folder, start_engine("frames", python, *command)))
 
 
 def _place(
@@ -211,3 +222,80 @@ def _picture_file(
     if frame is None:
         raise PlgsError("is not a frame of the scene any more", name, "Import the scene again.")
     return picture_of(frame, photos(made, [frame]))
+
+
+_CHOSEN = "plgs_picture"
+"""Property of an import's or a lift's collection: what was chosen to be in front of its cameras' views."""
+_REST_S = 0.4
+"""Seconds for which a camera must stay the scene's."""
+_tried: list[tuple[str, str]] = []
+"""The camera and the picture that was asked for last: what an engine cannot make is not asked for again."""
+
+
+def choose_picture(scene: bpy.types.Scene, kind: str, *, asked: bool = True) -> FrameMaking | None:
+    """Show this picture in front of the view of the active camera, and of each that becomes the active one later. If
+    that takes an engine, its task is returned. It adds an undo step where a user ``asked``. Raises PlgsError, OSError.
+    """
+    making = show_picture(scene, kind, asked=asked)
+    root_of(scene, scene.camera)[_CHOSEN] = kind
+    _tried[:] = [(scene.camera.name, kind)]
+    return making
+
+
+def wanted(scene: bpy.types.Scene) -> str:
+    """The picture that the scene's camera should show and does not; empty when all is as it was chosen."""
+    if why_no_picture(scene) is not None:
+        return ""
+    try:
+        kind = text_of(root_of(scene, scene.camera), _CHOSEN)
+    except PlgsError:  # a camera without its collection shows what it shows
+        return ""
+    is_tried = (scene.camera.name, kind) in _tried
+    return "" if is_tried or kind == scene.camera.get(SHOWN, PHOTO) else kind
+
+
+def catch_up() -> float | None:
+    """Show what the camera should show. Returns the seconds to wait while an engine makes another picture, an animation
+    plays or a render runs.
+    """
+    scene = bpy.context.scene
+    kind = wanted(scene)
+    if not kind:
+        return None
+    if registry.running(FrameMaking) or _is_moving():
+        return _REST_S
+    try:
+        choose_picture(scene, kind, asked=False)
+    except (PlgsError, OSError):  # the panel's buttons say what the camera shows, and a press says why
+        root_of(scene, scene.camera)[_CHOSEN] = text_of(scene.camera, SHOWN) or PHOTO
+    return None
+
+
+@bpy.app.handlers.persistent
+def _on_change(scene: bpy.types.Scene, *_arguments: object) -> None:
+    if bpy.app.is_job_running("RENDER") or not wanted(scene):
+        return
+    if bpy.app.timers.is_registered(catch_up):
+        bpy.app.timers.unregister(catch_up)
+    bpy.app.timers.register(catch_up, first_interval=_REST_S)
+
+
+def _is_moving() -> bool:
+    """Whether a render or an animation changes the frame."""
+    windows = bpy.context.window_manager.windows
+    return bpy.app.is_job_running("RENDER") or any(window.screen.is_animation_playing for window in windows)
+
+
+def register() -> None:
+    if not bpy.app.background:
+        bpy.app.handlers.depsgraph_update_post.append(_on_change)
+        bpy.app.handlers.frame_change_post.append(_on_change)
+
+
+def unregister() -> None:
+    for handlers in (bpy.app.handlers.depsgraph_update_post, bpy.app.handlers.frame_change_post):
+        if _on_change in handlers:
+            handlers.remove(_on_change)
+    if bpy.app.timers.is_registered(catch_up):
+        bpy.app.timers.unregister(catch_up)
+    _tried.clear()

@@ -12,19 +12,16 @@ import bpy
 from ...engine.errors import ErrorCode, PlgsError
 from ...engine.job import LiftFolder, read_manifest
 from ...engine.job.follower import TaskFollower
-from .. import engine_environment
+from .. import engine_environment, registry
+from ..chosen_scene import absolute, free_folder
 from ..clouds import cloud_folder
 from ..engine_environment import why_no_engine
 from ..errors import with_field_names
-from ..farm_job import write_farm_job
-from ..inspecting.lookup import objects_by_key
-from ..lift_collection import FOLDER, Placed, is_same_place, lift_of_scene, lifts_in, root_of_placed
-from ..owned import text_of
-from ..paths import absolute, free_folder
+from ..inspecting.selection import objects_by_key
+from ..owned import FOLDER, Placed, is_same_place, lift_of_scene, lifts_in, root_of_placed, text_of
+from ..registry import Task, start_engine
 from ..settings import PLGS_PG_settings, adopt, chosen_lift, chosen_scene, request_of, why_no_options
-from ..shots import Shot, ShotReader, shot_of, write_view
-from ..tasks import registry, timer
-from ..tasks.registry import Task, start_engine
+from ..shots import Shot, ShotReader, shot_of, write_farm_job, write_view
 from . import exports, lifts
 from .adding import lacking
 from .lifts import Lift
@@ -145,7 +142,7 @@ def find_scene(scene: bpy.types.Scene, place: Path, folder: str = "") -> SceneFi
     registry.refuse_second(SceneFinding)
     lift = lift_at(scene.plgs, folder)
     follower = start_engine("find-scene", engine_environment.usable_python(), lift.path, place)
-    return timer.begin(SceneFinding(lift, follower))
+    return registry.begin(SceneFinding(lift, follower))
 
 
 def join_lift(scene: bpy.types.Scene, folder: str = "") -> Lift:
@@ -156,7 +153,7 @@ def join_lift(scene: bpy.types.Scene, folder: str = "") -> Lift:
     followed = lifts.attach(lift.path)
     adopt(scene.plgs, lift.request, lift.path)
     followed.is_taken = False  # also while older events are still read, part by part
-    timer.go_on()
+    registry.go_on()
     return followed
 
 

@@ -11,16 +11,14 @@ from ...engine.errors import PlgsError
 from ...engine.job.folder import refuse_foreign
 from ...engine.job.recent import remembered_lifts
 from ...engine.result_files import INSTANCES
+from .. import registry
 from .. import settings as panel
-from ..chosen_scene import ChosenScene
+from ..chosen_scene import ChosenScene, absolute
 from ..engine_environment import engine_python
-from ..instances_in_parts import begin_to_read, read_on
-from ..lift_collection import FOLDER, folder_of, lifts_in
-from ..owned import text_of
-from ..paths import absolute
+from ..owned import FOLDER, folder_of, lifts_in, text_of
+from ..results import begin_to_read, read_on
 from ..settings import PLGS_PG_settings, chosen_lift, chosen_scene
-from ..tasks import timer
-from . import estimate, lifts, live_preview, survey
+from . import estimate, lifts, survey
 
 _PARTS_S = 0.02
 """Seconds for which a list is read without a pause, and of the pause."""
@@ -36,7 +34,7 @@ def look_at_scene(chosen: ChosenScene) -> None:
 def look_at_lift(folder: Path) -> None:
     """Follow the lift in this folder, if there is one: running or ended, of this Blender or another."""
     if lifts.look_at(folder) is not None:
-        timer.go_on()
+        registry.go_on()
 
 
 def find_own_lifts() -> None:
@@ -114,4 +112,4 @@ def unregister() -> None:
         if bpy.app.timers.is_registered(each):
             bpy.app.timers.unregister(each)
     lifts.forget_refusals()
-    live_preview.forget()
+    lifts.forget()

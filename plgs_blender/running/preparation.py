@@ -1,18 +1,148 @@
-"""Engines that prepare a scene for its lift: one makes masks, one finds the poses of photos or of a film."""
+"""Engines that prepare a scene for its lift: they make masks, find the poses of photos or of a film, and list and write
+the classes of the masks, which the panel edits as the rows of `scene.plgs_masks`.
+"""
 
 from __future__ import annotations
 
+import json
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import bpy
+from bpy.props import BoolProperty, CollectionProperty, IntProperty, PointerProperty, StringProperty
+
 from ...engine.errors import PlgsError
 from ...engine.job.follower import TaskFollower
-from ..chosen_scene import ChosenScene
-from ..paths import absolute
+from ...engine.posed.format_names import NUMBERINGS, TABLES
+from .. import registry
+from ..chosen_scene import ChosenScene, absolute
+from ..engine_environment import usable_python
+from ..registry import Task, start_engine
 from ..settings import chosen_scene
-from ..tasks import registry, timer
-from ..tasks.registry import Task, start_engine
 from . import looking
+
+OWN_TABLE = "OWN"
+TABLE_ITEMS = [
+    (OWN_TABLE, "The masks' own", "As their files say"),
+    *((name, name, f"Start from the classes of {name}") for name in (*TABLES, *NUMBERINGS)),
+]
+
+
+class PLGS_PG_mask_class(bpy.types.PropertyGroup):
+    """One class of the masks. `into` names the class that it counts as; empty: itself."""
+
+    label: IntProperty(name="Number", description="Its number in the masks")
+    into: StringProperty(
+        name="Counts As", description="The class that it is merged into; void: it is dropped; empty: it stays"
+    )
+    is_thing: BoolProperty(
+        name="Thing", description="Countable objects, such as chairs; stuff, such as walls, has no instances"
+    )
+
+
+class PLGS_PG_masks(bpy.types.PropertyGroup):
+    """`scene.plgs_masks`: the list of classes, the file that it goes into, and the network that makes masks."""
+
+    classes: CollectionProperty(type=PLGS_PG_mask_class)
+    active: IntProperty()
+    path: StringProperty()
+    void: StringProperty()
+    model: StringProperty(
+        name="Model", description="A folder with a Mask2Former, or its name on the Hugging Face Hub; empty: the default"
+    )
+
+
+def fill_classes(masks: PLGS_PG_masks, listed: Mapping[str, Any]) -> None:
+    """Put the answer of the engine's command ``classes`` into the rows. Raises ValueError, TypeError, KeyError."""
+    masks.classes.clear()
+    masks.path, masks.active = str(listed["path"]), 0
+    masks.void = " ".join(str(int(number)) for number in listed.get("void", ()))
+    for each in listed["rows"]:
+        row = masks.classes.add()
+        row.name, row.label, row.is_thing = str(each["name"]), int(each["label"]), bool(each["is_thing"])
+        row.into = "" if each["into"] == each["name"] else str(each["into"])
+
+
+def edited_classes(masks: PLGS_PG_masks) -> dict[str, Any]:
+    """The rows as the engine's command ``classes --write`` takes them. Raises PlgsError."""
+    rows = [
+        {"label": row.label, "name": row.name, "into": row.into or row.name, "is_thing": row.is_thing}
+        for row in masks.classes
+    ]
+    try:
+        void = [int(word) for word in masks.void.split()]
+    except ValueError as error:
+        raise PlgsError("the numbers of void cannot be read", masks.void, "Read the classes again.") from error
+    return {"path": str(absolute(masks.path)), "rows": rows, "void": void}
+
+
+CLASSES = (PLGS_PG_mask_class, PLGS_PG_masks)
+
+
+def register() -> None:
+    bpy.types.Scene.plgs_masks = PointerProperty(type=PLGS_PG_masks)
+
+
+def unregister() -> None:
+    del bpy.types.Scene.plgs_masks
+
+
+class ClassListing(Task):
+    """The list goes into the rows of the scene called ``target``; after writing, the panel looks at the masks again."""
+
+    kind, label = "classes", "Reading the classes"
+    undo_step = "PLGS Read Classes"
+
+    def __init__(self, chosen: ChosenScene, target: str, follower: TaskFollower) -> None:
+        super().__init__(follower)
+        self.chosen, self._target = chosen, target
+
+    def done(self, scene: Any) -> None:
+        target = bpy.data.scenes.get(self._target)
+        if self.answer is None or target is None:
+            return
+        try:
+            fill_classes(target.plgs_masks, self.answer)
+        except (ValueError, TypeError, KeyError) as fault:
+            what = f"the engine's list is not understood ({fault!r})"
+            raise PlgsError(what, self.chosen.scene, "Read the classes again.") from fault
+
+
+class ClassWriting(Task):
+    """Writes classes.toml."""
+
+    kind, label = "write_classes", "Writing the classes"
+
+    def __init__(self, chosen: ChosenScene, follower: TaskFollower) -> None:
+        super().__init__(follower)
+        self.chosen = chosen
+        self.message = ""
+
+    def done(self, scene: Any) -> None:
+        if self.answer is not None:
+            self.message = f"Classes written to {self.answer.get('path')}"
+            looking.look_at_scene(self.chosen)
+
+
+def read_classes(scene: bpy.types.Scene, table: str = OWN_TABLE) -> ClassListing:
+    """Let an engine list the classes of the panel's scene. Raises PlgsError, OSError."""
+    registry.refuse_second(ClassListing)
+    chosen = chosen_scene(scene.plgs)
+    more = [] if table == OWN_TABLE else ["--table", table]
+    follower = start_engine("classes", usable_python(), *chosen.arguments(), *more)
+    return registry.begin(ClassListing(chosen, scene.name, follower))
+
+
+def write_classes(scene: bpy.types.Scene) -> ClassWriting:
+    """Let an engine write the rows into the classes.toml beside the masks. Raises PlgsError, OSError."""
+    registry.refuse_second(ClassWriting)
+    chosen = chosen_scene(scene.plgs)
+    edited = json.dumps(edited_classes(scene.plgs_masks))
+    path = Path(bpy.app.tempdir) / "plgs-classes.json"
+    path.write_text(edited, encoding="utf-8")
+    follower = start_engine("classes", usable_python(), *chosen.arguments(), "--write", path)
+    return registry.begin(ClassWriting(chosen, follower))
 
 
 class Preparation(Task):
@@ -67,10 +197,10 @@ def make_masks(chosen: ChosenScene, python: Path, model: str, *, download: bool)
     command: list[str | Path] = [chosen.scene, f"--up={chosen.up_option}"]
     command += [] if chosen.scene_format is None else ["--format", chosen.scene_format]
     command += [*(["--model", model] if model else []), *(["--download"] if download else [])]
-    return timer.begin(MaskMaking(chosen, start_engine("segment", python, *command)))
+    return registry.begin(MaskMaking(chosen, start_engine("segment", python, *command)))
 
 
 def make_poses(chosen: ChosenScene, python: Path) -> PoseMaking:
     """Start an engine. Raises PlgsError when one is already running or cannot be started, OSError."""
     registry.refuse_second(PoseMaking)
-    return timer.begin(PoseMaking(chosen, start_engine("poses", python, chosen.scene)))
+    return registry.begin(PoseMaking(chosen, start_engine("poses", python, chosen.scene)))

@@ -16,11 +16,11 @@ from typing import Any, NamedTuple
 from ...engine.errors import PlgsError
 from ...engine.job.follower import TaskFollower
 from ...engine.posed.frames import PosedScene, Size
+from .. import registry
 from ..chosen_scene import ChosenScene, needs_engine
 from ..engine_environment import engine_python
-from ..inspecting.text_boxes import Colour
-from ..tasks import registry, timer
-from ..tasks.registry import Task, start_engine
+from ..inspecting.drawing import Colour
+from ..registry import Task, start_engine
 
 _ENGINE_MAKES_THEM = "set up the engine, which makes them"
 _GIVE = {"depth": "give depth maps", "masks": "give or make masks"}
@@ -117,7 +117,7 @@ def _begin_look(chosen: ChosenScene, python: Path) -> bool:
     """Whether an engine could be started. If not, its status says what is wrong with that Python."""
     global _latest
     try:
-        timer.begin(SceneLook(chosen, start_engine("inspect", python, *chosen.arguments())))
+        registry.begin(SceneLook(chosen, start_engine("inspect", python, *chosen.arguments())))
     except (PlgsError, OSError):
         return False
     _latest = Survey(chosen, is_looking=True)

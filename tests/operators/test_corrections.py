@@ -19,12 +19,10 @@ from plgs.engine.job import LiftFolder
 from plgs.engine.job.task import TaskProgress, TaskState
 from plgs.engine.result_files import write_arrays
 from plgs.engine.scene_of_lift import scene_of_lift
-from plgs.plgs_blender import corrections, engine_environment, lift_scene, proposals
-from plgs.plgs_blender.inspecting.lookup import boxes_of, clouds_of, ids_of
-from plgs.plgs_blender.lift_collection import lifts_in
-from plgs.plgs_blender.painting import Painting, painted
-from plgs.plgs_blender.running import splitting
-from plgs.plgs_blender.tasks import registry
+from plgs.plgs_blender import correction_tools, corrections, engine_environment, lift_scene, registry
+from plgs.plgs_blender.correction_tools import Painting, painted
+from plgs.plgs_blender.inspecting.selection import boxes_of, clouds_of, ids_of
+from plgs.plgs_blender.owned import lifts_in
 
 CHAIR, CABINET = 1, 2
 
@@ -209,17 +207,17 @@ def test_proposals_are_answered_one_by_one(root: bpy.types.Collection, mine: Pat
     with pytest.raises(RuntimeError, match="[Nn]othing is proposed"):
         bpy.ops.plgs.answer_proposal()
     assert bpy.ops.plgs.propose_corrections() == {"FINISHED"}
-    (one,), progress = proposals.kept_proposals(root)
+    (one,), progress = corrections.kept_proposals(root)
     assert (one.instance, one.answer, progress) == (CABINET, "reclass", "0 of 2 looked at")
     assert bpy.ops.plgs.go_to_proposal() == {"FINISHED"}
     assert bpy.context.view_layer.objects.active == boxes_of(root)[CABINET]
     bpy.ops.plgs.answer_proposal(instance=CABINET)
     assert {row.class_name for row in root.plgs.instances} == {"chair"}
-    assert proposals.kept_proposals(root) == ([], "1 of 2 looked at")
+    assert corrections.kept_proposals(root) == ([], "1 of 2 looked at")
     bpy.ops.plgs.undo_correction()
     bpy.ops.plgs.answer_proposal(keep=True)
     assert [row.class_name for row in root.plgs.instances] == ["chair", "cabinet"]
-    assert proposals.kept_proposals(root) == ([], "1 of 2 looked at")
+    assert corrections.kept_proposals(root) == ([], "1 of 2 looked at")
 
 
 @pytest.mark.skipif(find_spec("torch") is None, reason="the engine runs in another Python")
@@ -235,10 +233,10 @@ def test_the_masks_answer_a_proposal(
         one["segments"] = [{**each, "pixels": 100} for each in one["segments"] for _ in range(1 + (one["id"] == CHAIR))]
     path.write_text(json.dumps(content))
     bpy.ops.plgs.propose_corrections()
-    assert {one.instance: one.answer for one in proposals.kept_proposals(root)[0]} == {CHAIR: corrections.BY_VIEWS}
+    assert {one.instance: one.answer for one in corrections.kept_proposals(root)[0]} == {CHAIR: corrections.BY_VIEWS}
     with pytest.raises(RuntimeError, match="does not fall into parts"):  # the masks know better
         bpy.ops.plgs.answer_proposal()
-    assert bpy.ops.plgs.answer_proposal(keep=True) == {"FINISHED"} and not proposals.kept_proposals(root)[0]
+    assert bpy.ops.plgs.answer_proposal(keep=True) == {"FINISHED"} and not corrections.kept_proposals(root)[0]
     registry.forget_all()
 
 
@@ -281,7 +279,7 @@ def test_masks_split_what_was_merged(
     count = points_of(root, CHAIR)
     bpy.ops.plgs.merge_instances(instances=f"{CABINET} {CHAIR}")
     bpy.ops.ed.undo_push(message="merged")
-    stopped = splitting.split_by_views(root, CABINET)
+    stopped = correction_tools.split_by_views(root, CABINET)
     assert bpy.ops.plgs.cancel_split() == {"FINISHED"} and stopped.was_cancelled and stopped.error is None
     assert [edit.kind for edit in read_edits(mine)] == ["merge"] and not bpy.ops.plgs.cancel_split.poll()
     assert bpy.ops.plgs.split_by_views(instance=CABINET) == {"FINISHED"}
@@ -302,11 +300,11 @@ def test_a_split_that_was_written_before_its_engine_was_stopped_is_shown(mine: P
     known = {edit.uid for edit in read_edits(mine)}
     follower: Any = SimpleNamespace(state=TaskState.CANCELLED, is_running=False, error=None, poll=bool, close=bool)
     follower.progress = TaskProgress()
-    unmade = splitting.SplitByViews(mine, follower, known)
+    unmade = correction_tools.SplitByViews(mine, follower, known)
     unmade.poll(bpy.context.scene)
     assert unmade.was_cancelled and not unmade.undo_step and "cancelled" in unmade.message
     correct(mine, lambda state, free: making.split(state, CHAIR, np.arange(len(state.points_of(CHAIR))) % 2, free))
-    split = splitting.SplitByViews(mine, follower, known)
+    split = correction_tools.SplitByViews(mine, follower, known)
     split.poll(bpy.context.scene)
     assert split.has_finished and not split.was_cancelled and split.message == "1 new object" and split.undo_step
     assert new_id(root) in boxes_of(root) and new_id(root) not in {CABINET, CHAIR}

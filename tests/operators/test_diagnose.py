@@ -11,9 +11,9 @@ import cv2
 import numpy as np
 import pytest
 from plgs.engine.errors import PlgsError
+from plgs.plgs_blender import registry
 from plgs.plgs_blender.running.diagnosis import Diagnosis, diagnose, diagnosis_of, leave_out
 from plgs.plgs_blender.settings import chosen_scene
-from plgs.plgs_blender.tasks import registry
 from tiny_scene import write_tiny_scene
 
 

@@ -12,11 +12,11 @@ import bpy
 import pytest
 from plgs.engine.job.handshake import ADDED
 from plgs.operators.base import StartsTask
+from plgs.plgs_blender import registry
 from plgs.plgs_blender.engine_environment import EngineState, choices, status, tasks
-from plgs.plgs_blender.lift_collection import lifts_in
+from plgs.plgs_blender.owned import lifts_in
 from plgs.plgs_blender.running import adding
 from plgs.plgs_blender.running.exports import FORMS
-from plgs.plgs_blender.tasks import registry
 from tiny_scene import write_tiny_scene
 
 pytestmark = [

@@ -20,9 +20,8 @@ from plgs.engine.job import read_cameras
 from plgs.engine.job.follower import TaskFollower
 from plgs.engine.job.process import EngineProcess
 from plgs.engine.job.task import TaskPlace
-from plgs.plgs_blender import engine_environment
+from plgs.plgs_blender import engine_environment, registry
 from plgs.plgs_blender.running import exports
-from plgs.plgs_blender.tasks import registry
 
 PRETENCE = """
 import sys

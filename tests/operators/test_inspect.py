@@ -8,7 +8,7 @@ from pathlib import Path
 import bpy
 import pytest
 from plgs.plgs_blender.inspecting.lists import fill_not_shown
-from plgs.plgs_blender.inspecting.lookup import boxes_of
+from plgs.plgs_blender.inspecting.selection import boxes_of
 from plgs.plgs_blender.lift_scene import place_lift
 from plgs.plgs_blender.results import read_result
 from tiny_lift import CABINET_NAME, CHAIR_NAME

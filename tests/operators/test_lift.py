@@ -13,9 +13,8 @@ import bpy
 import pytest
 from plgs.engine.job import EventWriter, LiftFolder
 from plgs.engine.job.recent import remember_lift
-from plgs.plgs_blender import engine_environment
+from plgs.plgs_blender import engine_environment, registry
 from plgs.plgs_blender.running import lifts, survey
-from plgs.plgs_blender.tasks import registry
 
 from tests.job.bytes_read import bytes_read
 

@@ -8,10 +8,9 @@ from pathlib import Path
 
 import bpy
 import pytest
-from plgs.plgs_blender import engine_environment
+from plgs.plgs_blender import engine_environment, registry
 from plgs.plgs_blender.running.preparation import MaskMaking
 from plgs.plgs_blender.settings import chosen_scene
-from plgs.plgs_blender.tasks import registry
 
 from engine.scene import open_scene
 from tests.tiny_scene import write_tiny_scene

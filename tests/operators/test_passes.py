@@ -16,10 +16,9 @@ import pytest
 from plgs.engine.job import BakeCamera, LiftFolder, read_cameras
 from plgs.engine.job.follower import TaskFollower
 from plgs.operators import passes
-from plgs.plgs_blender import engine_environment
+from plgs.plgs_blender import engine_environment, registry
 from plgs.plgs_blender.running import lifts
 from plgs.plgs_blender.shots import ShotReader, shot_of
-from plgs.plgs_blender.tasks import registry
 
 PRETENCE = """
 import sys

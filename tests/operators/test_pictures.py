@@ -16,13 +16,12 @@ import numpy as np
 import pytest
 from plgs.engine.errors import PlgsError
 from plgs.engine.scene import open_scene
-from plgs.plgs_blender import import_scene
+from plgs.plgs_blender import import_scene, registry
 from plgs.plgs_blender.chosen_scene import ChosenScene
-from plgs.plgs_blender.made_pictures import read_cloud
-from plgs.plgs_blender.running import chosen_picture
+from plgs.plgs_blender.frame_pictures import read_cloud
+from plgs.plgs_blender.running import importing
 from plgs.plgs_blender.running.importing import FrameMaking, FrameOrder, make_frames
 from plgs.plgs_blender.settings import chosen_scene
-from plgs.plgs_blender.tasks import registry
 
 from tests.scene.formats.room import distance_to_room
 from tests.scene.formats.test_hypersim import USUAL, write_hypersim
@@ -226,17 +225,17 @@ def test_one_choice_of_picture_is_for_all_cameras(room: Path, monkeypatch: pytes
     assert bpy.ops.plgs.show_picture(what="MASKS") == {"FINISHED"}
     for name in ("0004", "0005"):
         scene.camera = frames()[name]
-        assert chosen_picture.wanted(scene) == "MASKS"
-        assert chosen_picture.catch_up() is None
+        assert importing.wanted(scene) == "MASKS"
+        assert importing.catch_up() is None
         (making,) = registry.running(FrameMaking)
         registry.wait_for(making, scene)
-        assert frames()[name]["plgs_shown"] == "MASKS" and not chosen_picture.wanted(scene)
+        assert frames()[name]["plgs_shown"] == "MASKS" and not importing.wanted(scene)
     scene.camera = frames()["0006"]
     monkeypatch.setenv("PLGS_ENGINE_PYTHON", "/nowhere/python")
-    assert chosen_picture.catch_up() is None and not chosen_picture.wanted(scene), "without an engine photos stay"
+    assert importing.catch_up() is None and not importing.wanted(scene), "without an engine photos stay"
     assert bpy.ops.plgs.show_picture(what="PHOTO") == {"FINISHED"}
     scene.camera = frames()["0004"]
-    assert chosen_picture.catch_up() is None and frames()["0004"]["plgs_shown"] == "PHOTO"
+    assert importing.catch_up() is None and frames()["0004"]["plgs_shown"] == "PHOTO"
 
 
 def test_depth_that_was_drawn_is_shown_until_its_file_changes(room: Path, tmp_path: Path) -> None:
@@ -246,9 +245,9 @@ def test_depth_that_was_drawn_is_shown_until_its_file_changes(room: Path, tmp_pa
     scene.camera = frames()["0003"]
     for what in ("DEPTH", "PHOTO"):
         assert bpy.ops.plgs.show_picture(what=what) == {"FINISHED"}
-    assert chosen_picture.choose_picture(scene, "DEPTH") is None and frames()["0003"]["plgs_shown"] == "DEPTH"
+    assert importing.choose_picture(scene, "DEPTH") is None and frames()["0003"]["plgs_shown"] == "DEPTH"
     os.utime(room / "depth" / "0003.png", (2**32, 2**32))
-    making = chosen_picture.choose_picture(scene, "DEPTH")
+    making = importing.choose_picture(scene, "DEPTH")
     assert making is not None
     registry.wait_for(making, scene)
     assert making.undo_step
@@ -267,15 +266,15 @@ def test_a_picture_waits_until_nothing_moves(room: Path, monkeypatch: pytest.Mon
     )
     jobs = {"RENDER"}
     app = SimpleNamespace(timers=timers, is_job_running=jobs.__contains__)
-    monkeypatch.setattr(chosen_picture, "bpy", SimpleNamespace(app=app, context=bpy.context))
-    chosen_picture._on_change(scene)
-    assert not at and chosen_picture.catch_up() and not registry.running(FrameMaking), "not while a render runs"
+    monkeypatch.setattr(importing, "bpy", SimpleNamespace(app=app, context=bpy.context))
+    importing._on_change(scene)
+    assert not at and importing.catch_up() and not registry.running(FrameMaking), "not while a render runs"
     jobs.clear()
-    chosen_picture._on_change(scene)
+    importing._on_change(scene)
     at[:] = [0.01]  # it has waited
-    chosen_picture._on_change(scene)
+    importing._on_change(scene)
     assert len(at) == 1 and at[0] > 0.01, "each change sets it back"
-    assert chosen_picture.catch_up() is None
+    assert importing.catch_up() is None
     (making,) = registry.running(FrameMaking)
     registry.wait_for(making, scene)
     assert frames()["0004"]["plgs_shown"] == "DEPTH" and not making.undo_step, "nobody pressed a button"

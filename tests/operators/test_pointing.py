@@ -11,7 +11,7 @@ from plgs.engine.corrections import read_edits
 from plgs.engine.errors import PlgsError
 from plgs.operators import pointing
 from plgs.plgs_blender import corrections, lift_scene
-from plgs.plgs_blender.inspecting.lookup import boxes_of, clouds_of
+from plgs.plgs_blender.inspecting.selection import boxes_of, clouds_of
 
 CHAIR, CABINET = 1, 2
 

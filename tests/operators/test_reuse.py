@@ -11,8 +11,8 @@ import pytest
 from mathutils import Matrix, Vector
 from plgs.engine.corrections import read_corrected
 from plgs.plgs_blender import lift_scene
-from plgs.plgs_blender.inspecting.lookup import boxes_of, clouds_of, ids_of
-from plgs.plgs_blender.inspecting.visibility import HIDDEN
+from plgs.plgs_blender.inspecting.looks import HIDDEN
+from plgs.plgs_blender.inspecting.selection import boxes_of, clouds_of, ids_of
 from plgs.plgs_blender.meshes import mesh_folder
 from plgs.plgs_blender.reuse import picture_of_points
 from surface_file import write_surface

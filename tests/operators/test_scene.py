@@ -9,13 +9,13 @@ from types import SimpleNamespace
 import bpy
 import pytest
 from plgs.engine.scene import FORMATS, open_scene
+from plgs.plgs_blender import registry
+from plgs.plgs_blender.cameras import SHOWN
 from plgs.plgs_blender.frame_pictures import MASKS
-from plgs.plgs_blender.frames import SHOWN
-from plgs.plgs_blender.lift_collection import lifts_in
+from plgs.plgs_blender.owned import lifts_in
 from plgs.plgs_blender.running.estimate import estimate_of
 from plgs.plgs_blender.running.survey import SceneLook, Survey, look, possibilities, survey_of
 from plgs.plgs_blender.settings import chosen_scene, request_of
-from plgs.plgs_blender.tasks import registry
 from plgs.ui import overlay
 
 from tests.scene.formats.test_colmap import write_text

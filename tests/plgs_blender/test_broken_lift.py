@@ -18,9 +18,8 @@ from plgs.plgs_blender.chosen_scene import ChosenScene
 from plgs.plgs_blender.import_scene import place_scene
 from plgs.plgs_blender.inspecting import views
 from plgs.plgs_blender.inspecting.lists import registered
-from plgs.plgs_blender.inspecting.lookup import boxes_of
-from plgs.plgs_blender.instances_in_parts import MOST_INSTANCES
-from plgs.plgs_blender.results import read_result
+from plgs.plgs_blender.inspecting.selection import boxes_of
+from plgs.plgs_blender.results import MOST_INSTANCES, read_result
 from plgs.plgs_blender.viewport import all_views
 from tiny_lift import mend_manifest, write_tiny_lift
 

@@ -9,8 +9,7 @@ from bpy_extras.object_utils import world_to_camera_view
 from frame_size import look_through
 from mathutils import Matrix, Vector
 from plgs.engine.scene import Camera
-from plgs.plgs_blender.cameras import camera_from, lens_of, object_matrix
-from plgs.plgs_blender.frames import camera_seen, set_lens
+from plgs.plgs_blender.cameras import camera_from, camera_seen, lens_of, object_matrix, set_lens
 
 INTRINSICS = {
     "plain": (640, 480, 500.0, 500.0, 320.0, 240.0),

@@ -10,9 +10,8 @@ import bpy
 import numpy as np
 from plgs.engine.result_files import Anchors, SemanticPoints
 from plgs.engine.scene import Category, ClassTable
-from plgs.plgs_blender.clouds import place_anchors, place_semantic_points
+from plgs.plgs_blender.clouds import SurfaceGrid, place_anchors, place_semantic_points
 from plgs.plgs_blender.owned import OwnedDataBlocks
-from plgs.plgs_blender.surfaces import SurfaceGrid
 
 CLASSES = ClassTable(tuple(Category(k, f"class {k}", k > 3, (10 * k, 250 - 9 * k, 5 * k)) for k in range(1, 22)))
 

@@ -8,8 +8,8 @@ import bpy
 import numpy as np
 import pytest
 from plgs.engine.scene import Camera, Frame
+from plgs.plgs_blender.cameras import place_camera_path
 from plgs.plgs_blender.chosen_scene import ChosenScene
-from plgs.plgs_blender.frames import place_camera_path
 from plgs.plgs_blender.import_scene import place_scene
 from plgs.plgs_blender.owned import OwnedDataBlocks
 from tiny_scene import write_tiny_scene

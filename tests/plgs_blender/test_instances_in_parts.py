@@ -8,8 +8,7 @@ from pathlib import Path
 import pytest
 from plgs.engine.errors import PlgsError
 from plgs.engine.result_files import read_instances
-from plgs.plgs_blender.instances_in_parts import reading_instances
-from plgs.plgs_blender.results import result_of
+from plgs.plgs_blender.results import reading_instances, result_of
 
 ONE = {
     "id": 1, "name": "chair 1", "class_id": 1, "class_name": "chair", "colour": [1, 2, 3], "centre": [0, 0, 0.5],

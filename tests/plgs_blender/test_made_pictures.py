@@ -12,7 +12,7 @@ from plgs.engine.posed.frames import PosedFrame, PosedScene
 from plgs.engine.posed.made_frames import MadeFrames
 from plgs.engine.posed.scene_record import stored_scene
 from plgs.engine.scene_source import SceneSource
-from plgs.plgs_blender.made_pictures import has_cameras_of
+from plgs.plgs_blender.frame_pictures import has_cameras_of
 
 SCENE = Path("/scene")
 

@@ -16,13 +16,11 @@ import pytest
 from plgs.engine.corrections import read_edits
 from plgs.engine.errors import PlgsError
 from plgs.engine.job import LiftFolder
-from plgs.plgs_blender import boxes, corrections, instances_in_parts, lift_scene
-from plgs.plgs_blender.inspecting import selection, views, visibility
-from plgs.plgs_blender.inspecting.looks import CLASSES
-from plgs.plgs_blender.inspecting.lookup import box_of, boxes_of, find_lift, objects_by_key
-from plgs.plgs_blender.inspecting.visibility import HIDDEN
-from plgs.plgs_blender.instances_in_parts import MOST_INSTANCES
-from plgs.plgs_blender.results import reading_result, result_of
+from plgs.plgs_blender import boxes, corrections, lift_scene, results
+from plgs.plgs_blender.inspecting import looks, selection, views
+from plgs.plgs_blender.inspecting.looks import CLASSES, HIDDEN
+from plgs.plgs_blender.inspecting.selection import box_of, boxes_of, find_lift, objects_by_key
+from plgs.plgs_blender.results import MOST_INSTANCES, reading_result, result_of
 from plgs.plgs_blender.running import lifts, looking
 from tiny_lift import mend_manifest
 from tiny_scene import CHAIR_ID
@@ -108,7 +106,7 @@ def seconds_at_once(many: Path, few: Path) -> list[float]:
     edits = [lambda root: corrections.delete(root, 9, around=False), corrections.undo_last]
     edited = [seconds(partial(each, find_lift(bpy.context.scene))) for each in edits]
     bpy.ops.wm.save_as_mainfile(filepath=str(many / "lift.blend"))
-    instances_in_parts._kept.clear()
+    results._kept.clear()
     bpy.ops.wm.open_mainfile(filepath=str(many / "lift.blend"))
     read = parts_read()
     first = [seconds(partial(each, find_lift(bpy.context.scene))) for each in edits]
@@ -223,8 +221,8 @@ def test_an_undo_between_two_parts_leaves_earlier_edits(lift: Path, tmp_path: Pa
 
 def test_an_edit_brings_objects_in_line_once(lift: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     root = lift_scene.place_lift(lift_of(lift, tmp_path / "some", 20), bpy.context.scene)
-    apply, calls = visibility.apply_visibility._apply, []
-    monkeypatch.setattr(visibility.apply_visibility, "_apply", lambda root: (calls.append(root), apply(root)))
+    apply, calls = looks.apply_visibility._apply, []
+    monkeypatch.setattr(looks.apply_visibility, "_apply", lambda root: (calls.append(root), apply(root)))
     corrections.delete(root, 3, around=False)
     assert 0 < len(calls) <= 2
 
@@ -252,7 +250,7 @@ def test_an_edit_leaves_the_other_objects_as_they_are(
     box = box_of(root, 11)
     box.data.vertices[0].co.x += 1.0
     moved = box.data.vertices[0].co.copy()
-    monkeypatch.setattr(instances_in_parts, "reading_instances", lambda path: pytest.fail("it was read before"))
+    monkeypatch.setattr(results, "reading_instances", lambda path: pytest.fail("it was read before"))
     corrections.delete(root, 5, around=False)
     assert [row.instance_id for row in root.plgs.instances] == [*range(1, 5), *range(6, 21)]
     corrections.rename(root, 6, "stool")
@@ -270,7 +268,7 @@ def test_what_an_edit_reads_is_as_new_as_the_file(lift: Path, tmp_path: Path) ->
     lift_scene.place_lift(some, bpy.context.scene)
     path = some / "result" / "instances.json"
     path.write_text(path.read_text().replace("chair 2", "another"))
-    assert [one.name for one in instances_in_parts.listed_in(some)[1]] == ["chair 1", "another", "chair 3"]
+    assert [one.name for one in results.listed_in(some)[1]] == ["chair 1", "another", "chair 3"]
 
 
 def test_a_file_that_is_replaced_while_it_is_read_is_read_again(lift: Path, tmp_path: Path) -> None:
@@ -281,4 +279,4 @@ def test_a_file_that_is_replaced_while_it_is_read_is_read_again(lift: Path, tmp_
     next(parts)  # the first object of three
     path.write_text(path.read_text().replace("chair 2", "another"))
     result_of(parts)
-    assert [one.name for one in instances_in_parts.listed_in(some)[1]] == ["chair 1", "another", "chair 3"]
+    assert [one.name for one in results.listed_in(some)[1]] == ["chair 1", "another", "chair 3"]

@@ -13,9 +13,9 @@ from plgs.engine.errors import PlgsError
 from plgs.engine.posed.labelled_surface import read_surface
 from plgs.plgs_blender import lift_scene
 from plgs.plgs_blender.inspecting.lists import registered
-from plgs.plgs_blender.inspecting.lookup import surfaces_of
-from plgs.plgs_blender.lift_collection import lifts_in
+from plgs.plgs_blender.inspecting.selection import surfaces_of
 from plgs.plgs_blender.meshes import mesh_folder
+from plgs.plgs_blender.owned import lifts_in
 from plgs.plgs_blender.results import result_of
 from surface_file import SIDE, write_surface
 from tiny_scene import CHAIR_ID, FLOOR_ID

@@ -6,7 +6,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from plgs_blender.module_exit import drop_session_folder
+from plgs_blender.lifecycle import drop_session_folder
 
 LEFT_OVER = """
 import ctypes, sys, bpy

@@ -13,12 +13,11 @@ import numpy as np
 import OpenEXR
 import pytest
 from plgs.engine.errors import PlgsError
-from plgs.plgs_blender import compat, lift_scene, mattes
+from plgs.plgs_blender import compat, compositing, lift_scene
 from plgs.plgs_blender.inspecting.lists import registered
-from plgs.plgs_blender.lift_collection import lifts_in
 from plgs.plgs_blender.materials import linear_rgba
-from plgs.plgs_blender.panoptic_group import LINE_PIXELS, NAME
-from plgs.plgs_blender.pass_nodes import output_of, panoptic_node
+from plgs.plgs_blender.owned import lifts_in
+from plgs.plgs_blender.pass_nodes import LINE_PIXELS, NAME, output_of, panoptic_node
 from plgs.plgs_blender.passes import show_view
 from tiny_lift import FRAMES
 from tiny_scene import CABINET_ID, TinyView, tiny_intrinsics, tiny_pose, trace_view
@@ -37,7 +36,7 @@ def root(lift: Path) -> Iterator[bpy.types.Collection]:
 @pytest.fixture
 def scene(root: bpy.types.Collection) -> bpy.types.Scene:
     """With nothing but the picture to be seen."""
-    scene, tree = next(mattes.compositors_of(root))
+    scene, tree = next(compositing.compositors_of(root))
     panoptic_node(tree).inputs["Overlay"].default_value = 0.0
     show_view(scene, scene.timeline_markers[1].name)
     return scene
@@ -85,19 +84,19 @@ def test_a_matte_by_instance_and_by_class(
     root: bpy.types.Collection, scene: bpy.types.Scene, view: TinyView, tmp_path: Path
 ) -> None:
     for number in (CABINET, CHAIR):
-        mattes.matte_instance(root, number)
+        compositing.matte_instance(root, number)
         assert np.array_equal(rendered(scene, "Matte", tmp_path)[..., 0], view.instance == number)
     for class_id in (CABINET_ID, 2):
-        mattes.matte_class(root, class_id)
+        compositing.matte_class(root, class_id)
         assert np.array_equal(rendered(scene, "Matte", tmp_path)[..., 0], view.semantic == class_id)
-    mattes.matte_instance(root, CHAIR)
+    compositing.matte_instance(root, CHAIR)
     assert np.array_equal(rendered(scene, "Matte", tmp_path)[..., 0], view.instance == CHAIR)
 
 
 def test_isolate_and_hold_out(
     root: bpy.types.Collection, scene: bpy.types.Scene, view: TinyView, tmp_path: Path
 ) -> None:
-    mattes.matte_instance(root, CHAIR)
+    compositing.matte_instance(root, CHAIR)
     matte = (view.instance == CHAIR)[..., None]
     alone = rendered(scene, "Overlay", tmp_path, Outline=0.0, Isolate=1.0)
     assert np.allclose(alone, picture(view) * matte, atol=1e-5)
@@ -106,7 +105,7 @@ def test_isolate_and_hold_out(
 
 
 def test_outline(root: bpy.types.Collection, scene: bpy.types.Scene, view: TinyView, tmp_path: Path) -> None:
-    mattes.matte_instance(root, CHAIR)  # which turns the outline on, as nothing else shows the matte
+    compositing.matte_instance(root, CHAIR)  # which turns the outline on, as nothing else shows the matte
     matte, colour = view.instance == CHAIR, (0.2, 0.7, 0.1, 1.0)
     shown = rendered(scene, "Overlay", tmp_path, Outline_colour=colour)
     line = ring(matte)
@@ -119,7 +118,7 @@ def test_outline(root: bpy.types.Collection, scene: bpy.types.Scene, view: TinyV
 def test_recolour_keeps_light_and_shade(
     root: bpy.types.Collection, scene: bpy.types.Scene, view: TinyView, tmp_path: Path
 ) -> None:
-    mattes.matte_instance(root, CHAIR)
+    compositing.matte_instance(root, CHAIR)
     matte, colour = view.instance == CHAIR, (0.1, 0.3, 0.8, 1.0)
     shown = rendered(scene, "Overlay", tmp_path, Outline=0.0, Recolour=1.0, Recolour_to=colour)
     before = picture(view)
@@ -147,20 +146,20 @@ def assert_mixed(shown: np.ndarray, before: np.ndarray, where: np.ndarray, srgb:
 
 
 def test_there_is_one_group_per_file_and_it_stays_as_the_user_set_it(lift: Path, root: bpy.types.Collection) -> None:
-    _, tree = next(mattes.compositors_of(root))
+    _, tree = next(compositing.compositors_of(root))
     panoptic_node(tree).inputs["Hold out"].default_value = 0.25
     lift_scene.place_lift(lift, bpy.context.scene)
-    _, tree = next(mattes.compositors_of(root))
+    _, tree = next(compositing.compositors_of(root))
     assert panoptic_node(tree).inputs["Hold out"].default_value == 0.25
     assert [group.name for group in bpy.data.node_groups if group.name.startswith(NAME)] == [NAME]
 
 
 def test_without_passes_there_is_nothing_to_matte(lift: Path, root: bpy.types.Collection) -> None:
-    scene, _ = next(mattes.compositors_of(root))
+    scene, _ = next(compositing.compositors_of(root))
     bpy.data.scenes.remove(scene)
     with pytest.raises(PlgsError, match="no passes in a compositor"):
-        mattes.matte_instance(root, CHAIR)
-    assert mattes.panoptic_of(bpy.context.scene) is None
+        compositing.matte_instance(root, CHAIR)
+    assert compositing.panoptic_of(bpy.context.scene) is None
 
 
 @pytest.mark.parametrize(("version", "tried"), [((4, 3, 2), "CompositorNodeMath"), ((4, 5, 0), "ShaderNodeMath")])

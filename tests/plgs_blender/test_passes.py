@@ -10,7 +10,7 @@ import OpenEXR
 import pytest
 from plgs.engine.job import LiftFolder, write_manifest
 from plgs.engine.scene import open_scene
-from plgs.plgs_blender import compat, lift_scene, mattes, passes
+from plgs.plgs_blender import compat, compositing, lift_scene, passes
 from plgs.plgs_blender.materials import linear_rgba
 from plgs.plgs_blender.pass_nodes import CLASSES, INSTANCES, PASSES, node_of, output_of, panoptic_node
 from plgs.plgs_blender.passes import numbered, sequences
@@ -240,7 +240,7 @@ def test_the_active_camera_decides_which_passes_are_opened(tmp_path: Path) -> No
     for name, expected in {"my dolly-2": dolly, "still": still, "new": frames}.items():
         mine.camera = cameras[name]
         assert passes.passes_scene_of(mine) == expected, name
-        assert mattes.panoptic_of(mine) == panoptic_node(compat.compositor_tree(expected))
+        assert compositing.panoptic_of(mine) == panoptic_node(compat.compositor_tree(expected))
     mine.camera = cameras["my dolly-2"]
     assert passes.open_passes(mine) == dolly and dolly.frame_current == 2
     assert passes.passes_scene_of(dolly) == dolly

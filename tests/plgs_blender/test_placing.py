@@ -8,7 +8,7 @@ import bpy
 import pytest
 from plgs.engine.job import LiftFolder
 from plgs.plgs_blender import lift_scene
-from plgs.plgs_blender.lift_collection import LIFT
+from plgs.plgs_blender.owned import LIFT
 from plgs.plgs_blender.running import lifts
 
 

@@ -13,10 +13,10 @@ from mathutils import Matrix
 from plgs.engine.errors import PlgsError
 from plgs.engine.passes.ply import columns_of, write_ply_table
 from plgs.engine.posed.splat_file import read_gaussians
-from plgs.plgs_blender import lift_scene, native_splats, splats
+from plgs.plgs_blender import lift_scene, splat_objects, splats
+from plgs.plgs_blender.clouds import SurfaceGrid
 from plgs.plgs_blender.inspecting.lists import registered
 from plgs.plgs_blender.reuse import make_objects
-from plgs.plgs_blender.surfaces import SurfaceGrid
 from tiny_lift import mend_manifest, write_tiny_lift
 from tiny_scene import CHAIR_ID
 
@@ -127,7 +127,7 @@ def values_of(data: Any, name: str, field: str, width: int) -> np.ndarray:
     return values.reshape(-1, width)
 
 
-@pytest.mark.skipif(native_splats.are_known(), reason="this Blender has splats of its own")
+@pytest.mark.skipif(splat_objects.are_known(), reason="this Blender has splats of its own")
 def test_a_square_is_drawn_for_each_gaussian(lift: Path) -> None:
     lift_scene.place_lift(lift, bpy.context.scene)
     drawn = evaluated()
@@ -136,7 +136,7 @@ def test_a_square_is_drawn_for_each_gaussian(lift: Path) -> None:
     assert sorted(map(tuple, corners)) == [(x, y, 0.0) for x in (-2.0, 2.0) for y in (-2.0, 2.0)]
 
 
-@pytest.mark.skipif(not native_splats.are_known(), reason="only Blender 5.3 and later have splats of their own")
+@pytest.mark.skipif(not splat_objects.are_known(), reason="only Blender 5.3 and later have splats of their own")
 def test_blenders_own_splats_are_as_its_importer_makes_them(lift: Path) -> None:
     root = lift_scene.place_lift(lift, bpy.context.scene)
     ours = bpy.data.objects["Gaussians"].data
@@ -156,7 +156,7 @@ def test_blenders_own_splats_are_as_its_importer_makes_them(lift: Path) -> None:
         assert evaluated().type == "GAUSSIAN_SPLAT" and len(evaluated().points) == 1
 
 
-@pytest.mark.skipif(not native_splats.are_known(), reason="only Blender 5.3 and later have splats of their own")
+@pytest.mark.skipif(not splat_objects.are_known(), reason="only Blender 5.3 and later have splats of their own")
 def test_blenders_own_splats_of_a_wall_are_left_out_from_behind(lift: Path) -> None:
     lift_scene.place_lift(lift, bpy.context.scene)
     normal = values_of(bpy.data.objects["Gaussians"].data, "normal", "vector", 3)
@@ -190,7 +190,7 @@ def test_splats_that_are_placed_again_have_the_new_colours_and_holes(lift: Path)
 def test_splats_that_another_blender_made_are_replaced(lift: Path) -> None:
     root = lift_scene.place_lift(lift, bpy.context.scene)
     made = bpy.data.objects["Gaussians"]
-    data = (bpy.data.meshes if native_splats.are_known() else bpy.data.pointclouds).new("Gaussians")
+    data = (bpy.data.meshes if splat_objects.are_known() else bpy.data.pointclouds).new("Gaussians")
     other = bpy.data.objects.new("Gaussians", data)
     made.users_collection[0].objects.link(other)
     for block in (other, data):
@@ -201,7 +201,7 @@ def test_splats_that_another_blender_made_are_replaced(lift: Path) -> None:
         lift_scene.show_lift_as(root, bpy.context.scene, "SPLATS")
     (found,) = [ob for ob in bpy.data.objects if ob.name.startswith("Gaussians")]
     assert len(found.data.attributes["position"].data) == 2
-    assert found.type == ("POINTCLOUD" if native_splats.are_known() else "MESH")
+    assert found.type == ("POINTCLOUD" if splat_objects.are_known() else "MESH")
 
 
 def test_a_lift_opens_as_splats_in_photo_colours_and_is_recoloured(lift: Path) -> None:

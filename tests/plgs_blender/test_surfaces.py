@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from plgs.plgs_blender.cameras import overview_camera
-from plgs.plgs_blender.surfaces import SurfaceGrid
+from plgs.plgs_blender.clouds import SurfaceGrid
 
 
 def room(step: float = 0.05) -> tuple[np.ndarray, np.ndarray]:

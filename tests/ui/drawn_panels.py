@@ -10,23 +10,14 @@ import bpy
 from plgs.engine.errors import PlgsError
 from plgs.engine.job.task import LIFT, TaskProgress, TaskState
 from plgs.plgs_blender.engine_environment.tasks import SetUp
+from plgs.plgs_blender.registry import Task
 from plgs.plgs_blender.running.exports import Export
 from plgs.plgs_blender.running.importing import FrameMaking, FrameOrder
 from plgs.plgs_blender.running.preparation import MaskMaking
 from plgs.plgs_blender.settings import chosen_scene
-from plgs.plgs_blender.tasks.registry import Task
-from plgs.ui import (
-    corrections_panel,
-    export_panel,
-    lift_panel,
-    passes_panel,
-    preferences,
-    result_panel,
-    scene_panel,
-    sidebar,
-)
+from plgs.ui import corrections_panel, lift_panel, passes_panel, preferences, result_panel, scene_panel, sidebar
 
-PANELS = (sidebar, scene_panel, lift_panel, result_panel, corrections_panel, passes_panel, export_panel)
+PANELS = (sidebar, scene_panel, lift_panel, result_panel, corrections_panel, passes_panel)
 
 
 class Layout:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from types import SimpleNamespace
 
 import pytest
-from plgs.ui.lists import places_of, shown_rows
+from plgs.ui.result_panel import places_of, shown_rows
 
 ROWS = [
     SimpleNamespace(name="chair 10", points=5, score=0.2),

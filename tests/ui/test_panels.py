@@ -16,18 +16,17 @@ import pytest
 from plgs.engine.errors import ErrorCode, PlgsError, lacks_part
 from plgs.engine.job import LiftState
 from plgs.engine.job.task import BAKE, TaskState
-from plgs.operators import diagnose, masks
-from plgs.plgs_blender import corrections
+from plgs.operators import masks
+from plgs.plgs_blender import corrections, registry
 from plgs.plgs_blender.chosen_scene import ChosenScene
 from plgs.plgs_blender.engine_environment import choices, tasks
-from plgs.plgs_blender.inspecting import text_boxes
-from plgs.plgs_blender.lift_collection import lifts_in
+from plgs.plgs_blender.inspecting import drawing
 from plgs.plgs_blender.lift_scene import place_lift
+from plgs.plgs_blender.owned import lifts_in
 from plgs.plgs_blender.running import adding, lifts, survey
 from plgs.plgs_blender.running.preparation import PoseMaking
 from plgs.plgs_blender.settings import chosen_scene
-from plgs.plgs_blender.tasks import registry
-from plgs.ui import corrections_panel, lift_panel, lists, sidebar
+from plgs.ui import corrections_panel, lift_panel, result_panel, sidebar
 
 for each in (Path(__file__).parents[1] / "plgs_blender", Path(__file__).parents[1]):
     if str(each) not in sys.path:
@@ -73,10 +72,10 @@ def test_texts_of_a_strangers_file_are_printable_lines(tmp_path: Path, monkeypat
     settings.lift_folder = ""  # the lift goes on beside the panel's
     seen += drawn().split("\n")
     layout, rows = Layout(seen), root.plgs.instances
-    lists.PLGS_UL_instances.draw_item(None, None, layout, root.plgs, rows[0], 0, None, "")
-    lists.PLGS_UL_classes.draw_item(None, None, layout, root.plgs, root.plgs.classes[0], 0, None, "")
-    lists.PLGS_UL_masks.draw_item(None, None, layout, rows[0], rows[0].masks[0], 0, None, "", 0)
-    seen += [name for name, _ in text_boxes.shown_classes(root.plgs.classes)]
+    result_panel.PLGS_UL_instances.draw_item(None, None, layout, root.plgs, rows[0], 0, None, "")
+    result_panel.PLGS_UL_classes.draw_item(None, None, layout, root.plgs, root.plgs.classes[0], 0, None, "")
+    result_panel.PLGS_UL_masks.draw_item(None, None, layout, rows[0], rows[0].masks[0], 0, None, "", 0)
+    seen += [name for name, _ in drawing.shown_classes(root.plgs.classes)]
     assert [line for line in seen if not line.isprintable()] == []
     assert sum("a?b?c?[31md" in line for line in seen) >= 15
 
@@ -170,7 +169,7 @@ def test_what_the_engine_lacks_is_shown_with_the_button_that_adds_it(
         bpy.ops.plgs.add_to_engine(capability="segment")
     panel = SimpleNamespace(plgs_panel=bpy.context.scene.plgs, scene=bpy.context.scene)
     assert masks.PLGS_OT_make_masks.why_not(panel) == adding.why_lacking("segment") is not None
-    assert diagnose.PLGS_OT_diagnose.why_not(panel) is None
+    assert masks.PLGS_OT_diagnose.why_not(panel) is None
     registry.follow(adding.Adding("segment", Pretended(TaskState.RUNNING)))  # type: ignore[arg-type]
     shown = drawn()
     assert "plgs.cancel_adding" in shown and "plgs.add_to_engine" not in shown

@@ -12,16 +12,15 @@ import bpy
 import pytest
 from plgs.engine.errors import PlgsError
 from plgs.engine.job.task import BAKE, LIFT, TaskState
-from plgs.plgs_blender import proposals
+from plgs.plgs_blender import corrections, registry
 from plgs.plgs_blender.chosen_scene import ChosenScene
+from plgs.plgs_blender.correction_tools import SplitByViews
 from plgs.plgs_blender.engine_environment import choices, tasks
-from plgs.plgs_blender.lift_collection import lifts_in
 from plgs.plgs_blender.lift_scene import place_lift
+from plgs.plgs_blender.owned import lifts_in
 from plgs.plgs_blender.running import lifts, survey
 from plgs.plgs_blender.running.exports import FORMS, Export
-from plgs.plgs_blender.running.splitting import SplitByViews
 from plgs.plgs_blender.settings import chosen_scene
-from plgs.plgs_blender.tasks import registry
 from plgs.ui import lift_panel, scene_panel
 
 for each in (Path(__file__).parents[1] / "plgs_blender", Path(__file__).parents[1]):
@@ -184,8 +183,8 @@ def test_what_edits_and_their_engines_bring_moves_no_button_that_edits(tmp_path:
     split = rows_above("plgs.split_by_views")
     registry.follow(SplitByViews(lift, Pretended(TaskState.RUNNING), ()))  # type: ignore[arg-type]
     assert rows_above("Views 50 %") == split == rows_above("plgs.cancel_split") - 1
-    one = proposals.Proposal(1, "chair 1", 1.0, "few frames saw it", "delete")
-    root[proposals.PROPOSALS] = json.dumps({"open": [asdict(one)], "progress": "0 of 1 looked at"})
+    one = corrections.Proposal(1, "chair 1", 1.0, "few frames saw it", "delete")
+    root[corrections.PROPOSALS] = json.dumps({"open": [asdict(one)], "progress": "0 of 1 looked at"})
     shown = drawn()
     assert "few frames saw it" in shown
     assert rows_above("plgs.undo_correction") == before + 1, "the cross that cancels is beside the bar, in the same row"

@@ -372,7 +372,7 @@ for space in [area.spaces.active for screen in bpy.data.screens for area in scre
 """
 _HOLD = """
 import sys
-news = sys.modules[EXTENSION + '.plgs_blender.tasks.timer']
+news = sys.modules[EXTENSION + '.plgs_blender.registry']
 held = bpy.app.timers.is_registered(news.tick)
 if held:
     bpy.app.timers.unregister(news.tick)

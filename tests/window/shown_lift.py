@@ -34,7 +34,7 @@ _TOOLS = """
 import sys
 import numpy as np
 from bpy_extras.view3d_utils import location_3d_to_region_2d
-inspecting = sys.modules[EXTENSION + '.plgs_blender.inspecting.lookup']
+inspecting = sys.modules[EXTENSION + '.plgs_blender.inspecting.selection']
 
 def lift():
     return inspecting.active_lift(bpy.context.window_manager.windows[0].scene, None)

@@ -16,7 +16,7 @@ from tests.scene.formats.test_sens import sens  # noqa: E402
 
 MODULES = """
 import sys
-registry = sys.modules[EXTENSION + '.plgs_blender.tasks.registry']
+registry = sys.modules[EXTENSION + '.plgs_blender.registry']
 making = lambda: registry.latest(sys.modules[EXTENSION + '.plgs_blender.running.importing'].FrameMaking)
 """
 PICTURES = "sum(len(each.data.background_images) for each in bpy.context.scene.objects if 'frame' in each)"

@@ -120,6 +120,6 @@ def test_another_class_by_typing_its_name(window: Window, mine: Path) -> None:
 def test_the_objects_of_an_opened_file_are_read_by_themselves(window: Window, mine: Path) -> None:
     saved = str(mine / "lift.blend")
     window.run(f"bpy.ops.wm.save_as_mainfile(filepath={saved!r})")
-    window.run("lists = sys.modules[EXTENSION + '.plgs_blender.instances_in_parts']; lists._kept.clear()")
+    window.run("lists = sys.modules[EXTENSION + '.plgs_blender.results']; lists._kept.clear()")
     window.run(f"bpy.ops.wm.open_mainfile(filepath={saved!r})")
     window.wait_for("len(lists._kept) == 1 and not lists._begun")

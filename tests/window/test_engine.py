@@ -14,8 +14,8 @@ from tests.waiting import OUTLASTS_S
 MODULES = """
 import sys
 engine = sys.modules[EXTENSION + '.plgs_blender.engine_environment.tasks']
-registry = sys.modules[EXTENSION + '.plgs_blender.tasks.registry']
-timer = sys.modules[EXTENSION + '.plgs_blender.tasks.timer']
+registry = sys.modules[EXTENSION + '.plgs_blender.registry']
+timer = sys.modules[EXTENSION + '.plgs_blender.registry']
 set_up = lambda: registry.latest(engine.SetUp)
 """
 PREFERENCES = """

@@ -24,7 +24,7 @@ import numpy as np
 lifts = sys.modules[EXTENSION + '.plgs_blender.running.lifts']
 settings = lambda: bpy.context.scene.plgs
 followed = lambda: lifts.lift_of(pathlib.Path(settings().lift_folder))
-picture = lambda: sys.modules[EXTENSION + '.plgs_blender.running.live_preview'].picture_for(bpy.context.scene)
+picture = lambda: sys.modules[EXTENSION + '.plgs_blender.running.lifts'].picture_for(bpy.context.scene)
 """
 AT_ONCE = "warm_start=false"
 """Options of a lift that trains as soon as it can. Its first pictures show little."""

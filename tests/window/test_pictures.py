@@ -33,7 +33,7 @@ PATIENCE_S = 400
 """For a lift of a real capture, drawn without a GPU beside other work."""
 _IN_VIEW = """
 import sys
-lookup = sys.modules[EXTENSION + '.plgs_blender.inspecting.lookup']
+lookup = sys.modules[EXTENSION + '.plgs_blender.inspecting.selection']
 window = bpy.context.window_manager.windows[0]
 area = next(each for each in window.screen.areas if each.type == 'VIEW_3D')
 region = next(each for each in area.regions if each.type == 'WINDOW')

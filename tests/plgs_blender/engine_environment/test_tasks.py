@@ -16,11 +16,10 @@ from plgs.engine.job.follower import TaskFollower
 from plgs.engine.job.handshake import TOO_OLD, VERSION
 from plgs.engine.job.process import EngineProcess
 from plgs.engine.job.task import TaskPlace
-from plgs.plgs_blender import engine_environment
+from plgs.plgs_blender import engine_environment, registry
 from plgs.plgs_blender.engine_environment import EngineState, choices, tasks
 from plgs.plgs_blender.engine_environment.choices import SetUpChoice
 from plgs.plgs_blender.engine_environment.status import EngineStatus
-from plgs.plgs_blender.tasks import registry, timer
 from pretended_python import pretended_python
 
 from tests.waiting import wait_until
@@ -229,7 +228,7 @@ def test_switching_online_access_off_ends_it(online: None, monkeypatch: pytest.M
 def test_the_timer_asks_and_then_stops(python: Python) -> None:
     choices.choose(python())
     tasks.check()
-    wait_until(lambda: timer.tick() is None)
+    wait_until(lambda: registry.tick() is None)
     assert engine_environment.status().state is EngineState.READY
 
 

@@ -15,7 +15,7 @@ from plgs.engine.job import write_manifest
 from plgs.engine.result_files import MatchedSegment
 from plgs.plgs_blender import lift_scene
 from plgs.plgs_blender.inspecting.lists import _fill_instances, best_view, fill_masks
-from plgs.plgs_blender.lift_collection import lifts_in
+from plgs.plgs_blender.owned import lifts_in
 from plgs.plgs_blender.results import reading_result, result_of
 from tiny_lift import CABINET_NAME, CHAIR_NAME
 from tiny_scene import CHAIR_ID

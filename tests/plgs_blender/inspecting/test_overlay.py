@@ -12,15 +12,19 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from mathutils import Matrix, Vector
 from plgs.plgs_blender.inspecting import highlight
-from plgs.plgs_blender.inspecting.drawing import brightened, draw_mark, draw_outline, draw_path, draw_text_boxes
-from plgs.plgs_blender.inspecting.lookup import boxes_of
-from plgs.plgs_blender.inspecting.text_boxes import (
+from plgs.plgs_blender.inspecting.drawing import (
     ViewRegion,
+    brightened,
+    draw_mark,
+    draw_outline,
+    draw_path,
+    draw_text_boxes,
     label_text_boxes,
     legend_text_boxes,
     place_labels,
     shown_classes,
 )
+from plgs.plgs_blender.inspecting.selection import boxes_of
 
 WIDTH, HEIGHT = 480, 300
 

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from mathutils import Matrix, Vector
 from plgs.plgs_blender import lift_scene
-from plgs.plgs_blender.inspecting import names, picking, visibility
-from plgs.plgs_blender.inspecting.lookup import boxes_of
-from plgs.plgs_blender.inspecting.text_boxes import TextBox, ViewRegion, label_text_boxes
+from plgs.plgs_blender.inspecting import looks, picking
+from plgs.plgs_blender.inspecting.drawing import TextBox, ViewRegion, label_text_boxes
+from plgs.plgs_blender.inspecting.selection import boxes_of
 from tiny_lift import write_tiny_lift
 from tiny_scene import CABINET_ID, CHAIR_ID, tiny_intrinsics, trace_view, write_tiny_scene
 
@@ -110,16 +110,16 @@ def test_a_view_finds_its_names_once_when_it_is_drawn(
 ) -> None:
     context, region, lists = *drawn_from(root, Vector((1.5, 1.5, 3.0))), root.plgs
     lists.show_labels, lists.show_boxes = True, False
-    calls = counted(monkeypatch, visibility, "leaving_out")
-    drawn = names.names_to_draw(context, root, region)
+    calls = counted(monkeypatch, looks, "leaving_out")
+    drawn = picking.names_to_draw(context, root, region)
     assert {each.instance for each in drawn} == {1, 2} and len(calls) == 1, "once for all boxes"
-    assert names.shown_names(context, root, region) == drawn and len(calls) == 1, "the mouse asks for what was drawn"
+    assert picking.shown_names(context, root, region) == drawn and len(calls) == 1, "the mouse asks for what was drawn"
     lists.instances[0].visible = False
-    assert len(names.names_to_draw(context, root, region)) == len(names.shown_names(context, root, region)) == 1
+    assert len(picking.names_to_draw(context, root, region)) == len(picking.shown_names(context, root, region)) == 1
     wider = ViewRegion(2 * SIZE[0], *SIZE[1:], 0, region.perspective, 1.0)
-    assert names.shown_names(context, root, wider) != names.shown_names(context, root, region)
+    assert picking.shown_names(context, root, wider) != picking.shown_names(context, root, region)
     context.space_data.overlay.show_overlays = False
-    assert names.shown_names(context, root, region) == []
+    assert picking.shown_names(context, root, region) == []
 
 
 def test_the_mouse_lights_the_name_of_one_lift(root: bpy.types.Collection, lift: Path, tmp_path: Path) -> None:
@@ -129,10 +129,10 @@ def test_the_mouse_lights_the_name_of_one_lift(root: bpy.types.Collection, lift:
     context, region = drawn_from(root, Vector((1.5, 1.5, 3.0)))
     root.plgs.show_boxes = other.plgs.show_boxes = False
     for under, beside in ((root, other), (other, root)):
-        names.hovered[:] = [(under.session_uid, 1)]
-        lit, dull = (opacities(names.names_to_draw(context, each, region)) for each in (under, beside))
+        picking.hovered[:] = [(under.session_uid, 1)]
+        lit, dull = (opacities(picking.names_to_draw(context, each, region)) for each in (under, beside))
         assert lit[1] > lit[2] == dull[1] == dull[2]
-    names.forget()
+    picking.forget()
 
 
 def opacities(drawn: list[TextBox]) -> dict[int, float]:

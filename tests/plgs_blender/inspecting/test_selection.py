@@ -14,8 +14,8 @@ from plgs.plgs_blender import corrections, lift_scene
 from plgs.plgs_blender.chosen_scene import ChosenScene
 from plgs.plgs_blender.import_scene import place_scene
 from plgs.plgs_blender.inspecting import highlight, selection
-from plgs.plgs_blender.inspecting.lookup import active_lift, boxes_of, find_lift, objects_by_key
-from plgs.plgs_blender.lift_collection import lifts_in
+from plgs.plgs_blender.inspecting.selection import active_lift, boxes_of, find_lift, objects_by_key
+from plgs.plgs_blender.owned import lifts_in
 from tiny_lift import write_tiny_lift
 from tiny_scene import write_tiny_scene
 

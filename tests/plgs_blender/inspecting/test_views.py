@@ -11,8 +11,8 @@ from plgs.engine.errors import PlgsError
 from plgs.engine.scene import open_scene
 from plgs.plgs_blender.inspecting import views
 from plgs.plgs_blender.inspecting.highlight import outline_in_space
-from plgs.plgs_blender.inspecting.lookup import boxes_of, objects_by_key, row_of
-from plgs.plgs_blender.lift_collection import SCENE
+from plgs.plgs_blender.inspecting.selection import boxes_of, objects_by_key, row_of
+from plgs.plgs_blender.owned import SCENE
 
 
 def test_the_best_view_is_that_of_the_largest_mask(root: bpy.types.Collection) -> None:

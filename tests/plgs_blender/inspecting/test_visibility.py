@@ -6,9 +6,9 @@ from pathlib import Path
 
 import bpy
 import numpy as np
-from plgs.plgs_blender.frames import PATH
-from plgs.plgs_blender.inspecting import visibility
-from plgs.plgs_blender.inspecting.lookup import boxes_of, class_row_of, clouds_of, objects_by_key, row_of
+from plgs.plgs_blender.cameras import PATH
+from plgs.plgs_blender.inspecting import looks
+from plgs.plgs_blender.inspecting.selection import boxes_of, class_row_of, clouds_of, objects_by_key, row_of
 from tiny_scene import CHAIR_ID
 
 
@@ -45,34 +45,34 @@ def test_an_instance_takes_its_box_points_and_anchors_with_it(root: bpy.types.Co
     assert sum(before.values()) - left == (instance_id == 1).sum()
     anchors = next(cloud for cloud in clouds_of(root) if cloud.name == "Anchors")
     hidden = np.zeros(len(anchors.data.points), bool)
-    anchors.data.attributes[visibility.HIDDEN].data.foreach_get("value", hidden)
+    anchors.data.attributes[looks.HIDDEN].data.foreach_get("value", hidden)
     assert np.array_equal(hidden, np.load(lift / "result" / "anchors.npz")["instance_id"] == 1)
     row.visible = True
     assert seen(root) == before
-    assert not any(visibility.HIDDEN in cloud.data.attributes for cloud in clouds_of(root))
-    assert not any(cloud.modifiers.get(visibility.MODIFIER) for cloud in clouds_of(root))
+    assert not any(looks.HIDDEN in cloud.data.attributes for cloud in clouds_of(root))
+    assert not any(cloud.modifiers.get(looks.MODIFIER) for cloud in clouds_of(root))
 
 
 def test_a_class_takes_its_instances_with_it(root: bpy.types.Collection) -> None:
     before = seen(root)
     class_row_of(root, CHAIR_ID).visible = False
     assert set(before) - set(seen(root)) == {"chair", "chair 1"}
-    visibility.show_all(root)
+    looks.show_all(root)
     assert seen(root) == before and all(row.visible for row in root.plgs.classes)
 
 
 def test_isolating_one_and_returning_to_what_was_shown(root: bpy.types.Collection, lift: Path) -> None:
     row_of(root, 2).visible = False
     before = seen(root)
-    visibility.isolate(root, 1)
+    looks.isolate(root, 1)
     alone = seen(root)
     assert set(alone) == {"chair", "chair 1"} and alone["chair"] == (stored(lift)[1] == 1).sum()
-    visibility.isolate(root, 2)
+    looks.isolate(root, 2)
     assert set(seen(root)) == {"cabinet", "cabinet 1"}, "alone even though its eye is closed"
-    visibility.isolate(root, 2)
+    looks.isolate(root, 2)
     assert seen(root) == before and not row_of(root, 2).visible
-    visibility.isolate(root, 1)
-    visibility.show_all(root)
+    looks.isolate(root, 1)
+    looks.show_all(root)
     assert root.plgs.isolated == 0 and {"chair 1", "cabinet 1"} <= set(seen(root))
 
 
@@ -80,8 +80,8 @@ def test_what_is_not_ours_keeps_its_visibility(root: bpy.types.Collection) -> No
     mine = bpy.data.objects.new("mine", None)
     bpy.context.scene.collection.objects.link(mine)
     mine.hide_set(True)
-    visibility.isolate(root, 1)
-    visibility.show_all(root)
+    looks.isolate(root, 1)
+    looks.show_all(root)
     assert mine.hide_get() and not mine.hide_render
 
 
@@ -100,7 +100,7 @@ def test_what_hides_points_is_made_again(root: bpy.types.Collection) -> None:
     before = seen(root)
     bpy.data.node_groups.remove(bpy.data.node_groups["PLGS hidden instances"])
     assert seen(root) != before
-    visibility.apply_visibility(root)
+    looks.apply_visibility(root)
     assert seen(root) == before
 
 

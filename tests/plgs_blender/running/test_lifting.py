@@ -13,6 +13,7 @@ from plgs.engine.errors import PlgsError
 from plgs.engine.job import LiftFolder, LiftRequest
 from plgs.engine.posed.made_frames import MadeFrames
 from plgs.engine.posed.scene_record import StoredScene
+from plgs.plgs_blender import registry
 from plgs.plgs_blender.engine_environment import choices, tasks
 from plgs.plgs_blender.errors import field_of_option, with_field_names
 from plgs.plgs_blender.running import lifting
@@ -23,7 +24,6 @@ from plgs.plgs_blender.settings import (
     shown_preset,
     why_no_options,
 )
-from plgs.plgs_blender.tasks import registry
 from pretended_python import pretended_python
 
 

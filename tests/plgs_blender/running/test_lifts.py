@@ -12,8 +12,8 @@ from types import SimpleNamespace
 import pytest
 from plgs.engine.errors import ErrorCode, PlgsError
 from plgs.engine.job import LiftFolder, LiftRequest, LiftState
+from plgs.plgs_blender import registry
 from plgs.plgs_blender.running import lifts
-from plgs.plgs_blender.tasks import registry
 
 from tests.waiting import wait_until
 

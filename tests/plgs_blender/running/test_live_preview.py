@@ -15,7 +15,7 @@ from plgs.engine.job.cameras import PreviewCamera, read_preview_request
 from plgs.engine.scene import Camera, open_scene
 from plgs.plgs_blender.chosen_scene import ChosenScene
 from plgs.plgs_blender.import_scene import place_scene
-from plgs.plgs_blender.running import live_preview
+from plgs.plgs_blender.running import lifts
 
 
 @pytest.fixture
@@ -54,20 +54,20 @@ def test_the_active_camera_is_requested_once(growing: LiftFolder) -> None:
     frame = next(each for each in open_scene(growing.request.scene).frames if each.name == scene.camera["frame"])
     look_through(scene, scene.camera)
     bpy.context.view_layer.update()
-    live_preview.follow_camera(growing, bpy.data.scenes)
+    lifts.follow_camera(growing, bpy.data.scenes)
     asked = seen_by_the_engine(growing)
     assert np.allclose(asked.camera_to_world, frame.camera.camera_to_world, atol=1e-5)
     assert np.allclose(asked.K, frame.camera.K, rtol=1e-5)
     growing.preview_request_path.unlink()
-    live_preview.follow_camera(growing, bpy.data.scenes)
+    lifts.follow_camera(growing, bpy.data.scenes)
     assert not growing.preview_request_path.exists()
 
 
 def shown(growing: LiftFolder) -> bool:
     """Ask for the picture of the scene's camera, and show it."""
-    live_preview.follow_camera(growing, bpy.data.scenes)
+    lifts.follow_camera(growing, bpy.data.scenes)
     path = growing.live_preview_path if growing.live_preview_path.exists() else picture(growing)
-    return live_preview.show(growing, path, fingerprint(growing))
+    return lifts.show(growing, path, fingerprint(growing))
 
 
 def fingerprint(growing: LiftFolder) -> str:
@@ -78,33 +78,33 @@ def fingerprint(growing: LiftFolder) -> str:
 
 def test_the_preview_is_seen_while_the_camera_stays_and_leaves_nothing(growing: LiftFolder) -> None:
     scene, before = bpy.context.scene, set(bpy.data.images)
-    assert live_preview.picture_for(scene) is None
+    assert lifts.picture_for(scene) is None
     assert shown(growing) and shown(growing)
-    pixels = live_preview.picture_for(scene)
+    pixels = lifts.picture_for(scene)
     assert pixels is not None and pixels.shape == (6, 8, 4) and set(bpy.data.images) - before == set()
     assert np.allclose(pixels[0, 0], (1.0, 0.5, 0.25, 1.0), atol=1e-2)  # as in the file, the lowest row first
     at = scene.camera.location.copy()
     scene.camera.location.x += 1.0
     bpy.context.view_layer.update()
-    assert live_preview.picture_for(scene) is None
+    assert lifts.picture_for(scene) is None
     scene.camera.location = at
     bpy.context.view_layer.update()
-    assert live_preview.picture_for(scene) is pixels
+    assert lifts.picture_for(scene) is pixels
     scene.plgs.live_preview = False
-    assert live_preview.picture_for(scene) is None
+    assert lifts.picture_for(scene) is None
     scene.plgs.live_preview = True
-    live_preview.forget(growing.path)
-    assert live_preview.picture_for(scene) is None
+    lifts.forget(growing.path)
+    assert lifts.picture_for(scene) is None
 
 
 def test_a_picture_that_another_camera_saw_is_not_shown_but_requested_again(growing: LiftFolder) -> None:
     scene = bpy.context.scene
-    live_preview.follow_camera(growing, bpy.data.scenes)
+    lifts.follow_camera(growing, bpy.data.scenes)
     own = fingerprint(growing)
     growing.preview_request_path.unlink()  # as another Blender does that asks for its own
-    assert not live_preview.show(growing, picture(growing), "of another")
-    assert live_preview.picture_for(scene) is None
-    live_preview.follow_camera(growing, bpy.data.scenes)
+    assert not lifts.show(growing, picture(growing), "of another")
+    assert lifts.picture_for(scene) is None
+    lifts.follow_camera(growing, bpy.data.scenes)
     assert fingerprint(growing) == own
 
 
@@ -114,7 +114,7 @@ def test_the_users_own_camera_shows_it_too_and_is_left_alone(growing: LiftFolder
     scene.collection.objects.link(mine)
     mine.location = (1.0, 2.0, 3.0)
     bpy.context.view_layer.update()
-    assert shown(growing) and live_preview.picture_for(scene) is not None
+    assert shown(growing) and lifts.picture_for(scene) is not None
     assert seen_by_the_engine(growing).camera_to_world[:3, 3].tolist() == [1.0, 2.0, 3.0]
     assert not mine.data.background_images and not mine.data.show_background_images
 
@@ -123,14 +123,14 @@ def test_a_scene_without_a_camera_does_not_hide_another(growing: LiftFolder) -> 
     scene = bpy.context.scene
     other = bpy.data.scenes.new("other")
     other.plgs.lift_folder = scene.plgs.lift_folder
-    live_preview.follow_camera(growing, [other, scene])
-    assert live_preview.show(growing, picture(growing), fingerprint(growing))
-    assert live_preview.picture_for(other) is None and live_preview.picture_for(scene) is not None
+    lifts.follow_camera(growing, [other, scene])
+    assert lifts.show(growing, picture(growing), fingerprint(growing))
+    assert lifts.picture_for(other) is None and lifts.picture_for(scene) is not None
 
 
 def test_a_smaller_version_of_a_huge_picture_is_requested(growing: LiftFolder) -> None:
     render = bpy.context.scene.render
     render.resolution_x, render.resolution_y = 40_000, 20_000
-    live_preview.follow_camera(growing, bpy.data.scenes)
+    lifts.follow_camera(growing, bpy.data.scenes)
     asked = seen_by_the_engine(growing)
     assert (asked.width, asked.height) == (1024, 512)

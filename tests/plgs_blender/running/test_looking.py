@@ -11,8 +11,8 @@ import bpy
 import pytest
 from plgs.engine.errors import PlgsError
 from plgs.engine.job.recent import remember_lift
-from plgs.plgs_blender import corrections, instances_in_parts, lift_scene
-from plgs.plgs_blender.inspecting.lookup import find_lift
+from plgs.plgs_blender import corrections, lift_scene, results
+from plgs.plgs_blender.inspecting.selection import find_lift
 from plgs.plgs_blender.running import looking
 
 Read = list[Path]
@@ -28,8 +28,8 @@ def extension(plgs: ModuleType, empty_file: None) -> Iterator[None]:
 @pytest.fixture
 def read(monkeypatch: pytest.MonkeyPatch) -> Read:
     """The instances.json of which a first part was read since a file was ``opened``."""
-    paths, reading = [], instances_in_parts.reading_instances
-    monkeypatch.setattr(instances_in_parts, "reading_instances", lambda path: (paths.append(path), reading(path))[1])
+    paths, reading = [], results.reading_instances
+    monkeypatch.setattr(results, "reading_instances", lambda path: (paths.append(path), reading(path))[1])
     monkeypatch.setattr(looking, "_PARTS_S", 0.0)  # an object in each part
     return paths
 
@@ -40,8 +40,8 @@ def opened(lift: Path, folder: Path, blend: str, read: Read, *, linked: bool = F
     shutil.copytree(lift, folder)
     lift_scene.place_lift(folder, bpy.context.scene)
     bpy.ops.wm.save_as_mainfile(filepath=str(folder / blend))
-    instances_in_parts._kept.clear()
-    instances_in_parts._begun.clear()
+    results._kept.clear()
+    results._begun.clear()
     read.clear()
     if linked:
         listed = folder / "result" / "instances.json"
@@ -84,7 +84,7 @@ def test_a_link_in_its_place_is_left_alone(lift: Path, tmp_path: Path, read: Rea
 def test_the_edit_says_what_is_wrong_with_the_list(lift: Path, tmp_path: Path, read: Read) -> None:
     mine = opened(lift, tmp_path / "mine", "lift.blend", read)
     (mine / "result" / "instances.json").write_text('{"instances": [7')
-    instances_in_parts.begin_to_read(mine)
+    results.begin_to_read(mine)
     assert looking._read_objects() is None
     with pytest.raises(PlgsError, match="cannot be read"):
         corrections.delete(find_lift(bpy.context.scene), 2, around=False)

@@ -8,9 +8,9 @@ from dataclasses import asdict
 from pathlib import Path
 
 import pytest
+from plgs.plgs_blender import registry
 from plgs.plgs_blender.chosen_scene import ChosenScene
 from plgs.plgs_blender.running import survey
-from plgs.plgs_blender.tasks import registry
 
 from engine.scene import counted, describe, open_scene
 from tests.tiny_scene import write_tiny_scene

@@ -9,7 +9,7 @@ import bpy
 import plgs
 import pytest
 from plgs.engine.presets.preset import PRESETS
-from plgs.plgs_blender.running import used_options
+from plgs.plgs_blender.running import estimate
 from plgs.plgs_blender.settings import request_of
 
 
@@ -21,7 +21,7 @@ def shown() -> Iterator[bpy.types.PropertyGroup]:
 
 
 def values(shown: bpy.types.PropertyGroup) -> tuple[int, ...]:
-    return tuple(getattr(shown, name) for name in used_options.NAMES)
+    return tuple(getattr(shown, name) for name in estimate.NAMES)
 
 
 def test_without_a_scene_they_are_the_presets(shown: bpy.types.PropertyGroup) -> None:
@@ -34,7 +34,7 @@ def test_of_a_known_scene_they_are_what_the_lift_takes(
     shown: bpy.types.PropertyGroup, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     known = SimpleNamespace(error=None, sizes=[((640, 480), 300)], train_frames=300)
-    monkeypatch.setattr(used_options, "survey_of", lambda chosen: known)
+    monkeypatch.setattr(estimate, "survey_of", lambda chosen: known)
     settings = bpy.context.scene.plgs
     settings.scene_folder = "/room"
     preset = PRESETS["preview"]

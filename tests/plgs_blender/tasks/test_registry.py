@@ -13,8 +13,8 @@ from plgs.engine.errors import PlgsError
 from plgs.engine.job.follower import TaskFollower
 from plgs.engine.job.process import EngineProcess
 from plgs.engine.job.task import TaskPlace
-from plgs.plgs_blender.tasks import registry, timer
-from plgs.plgs_blender.tasks.registry import Task
+from plgs.plgs_blender import registry
+from plgs.plgs_blender.registry import Task
 
 from tests.waiting import wait_until
 
@@ -92,15 +92,15 @@ def test_a_new_task_ends_the_one_with_its_key() -> None:
 def test_the_timer_polls_until_the_end(monkeypatch: pytest.MonkeyPatch) -> None:
     task, steps = begin(ANSWERING), list[str]()
     task.undo_step = "Pretended"
-    monkeypatch.setattr(timer, "_push_undo", steps.append)
-    wait_until(lambda: timer.tick() is None)
+    monkeypatch.setattr(registry, "_push_undo", steps.append)
+    wait_until(lambda: registry.tick() is None)
     assert task.taken == (bpy.context.scene, {"number": 7}) and steps == ["Pretended"]
 
 
 def test_a_defect_stops_no_other_task(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> None:
     task = begin(ANSWERING)
     task.raises = ZeroDivisionError("a defect")
-    wait_until(lambda: timer.tick() is None)
+    wait_until(lambda: registry.tick() is None)
     assert "ZeroDivisionError: a defect" in capfd.readouterr().err
 
 

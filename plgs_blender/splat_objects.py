@@ -1,23 +1,158 @@
-"""Points as one mesh of squares: imported clouds and the lift's Gaussians.
+"""Splats as objects: points that Blender itself draws as splats, from 5.3 on, and points as one mesh of squares:
+imported clouds, and before 5.3 the lift's Gaussians. From outside, a room lies open, like a doll's house.
 
 The mesh has nothing but vertices: the points. A modifier makes each into a square, so squares take no room in the file.
-A square shows its front alone, so a room lies open from outside, like a doll's house.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
+from functools import partial
 from typing import Any, TypeVar
 
 import bpy
 import numpy as np
 from numpy.typing import NDArray
 
+from .clouds import SurfaceGrid
 from .compat import forget_selection, new_geometry_group
-from .materials import splat_material
+from .materials import point_material, splat_material
 from .owned import OwnedDataBlocks
-from .surfaces import SurfaceGrid
+
+NAME = "Open room"
+
+
+def open_room(owned: OwnedDataBlocks, clouds: Iterable[bpy.types.Object]) -> None:
+    """Put the modifier on clouds that have the attribute `normal`; those that have it keep their settings."""
+    for cloud in clouds:
+        material, of_splats = (point_material(owned), "") if cloud.data.materials else (None, " of splats")
+        group = owned.block("node_groups", f"open room{of_splats}", partial(_group, material))
+        modifier = cloud.modifiers.get(NAME)
+        if modifier is None:
+            modifier = cloud.modifiers.new(NAME, "NODES")
+        modifier.node_group = group
+
+
+def _group(material: bpy.types.Material | None) -> bpy.types.NodeTree:
+    """Delete a point where normal · (position - camera) > 0. Points whose normal is zero stay."""
+    tree = bpy.data.node_groups.new("PLGS open room", "GeometryNodeTree")
+    for direction in ("INPUT", "OUTPUT"):
+        tree.interface.new_socket("Geometry", in_out=direction, socket_type="NodeSocketGeometry")
+    tree.is_modifier = True
+    columns = {
+        "NodeGroupInput": 0,
+        "GeometryNodeInputActiveCamera": 0,
+        "GeometryNodeObjectInfo": 1,
+        "GeometryNodeInputPosition": 1,
+        "GeometryNodeInputNamedAttribute": 2,
+    }
+    nodes = {}
+    for row, (kind, column) in enumerate(columns.items()):
+        nodes[kind] = tree.nodes.new(kind)
+        nodes[kind].location = (220 * column, -160 * row)
+    start, camera, place, position, normal = nodes.values()
+    place.transform_space = "RELATIVE"
+    normal.data_type = "FLOAT_VECTOR"
+    normal.inputs["Name"].default_value = "normal"
+    away, facing = tree.nodes.new("ShaderNodeVectorMath"), tree.nodes.new("ShaderNodeVectorMath")
+    behind = tree.nodes.new("ShaderNodeMath")
+    remove, dye = tree.nodes.new("GeometryNodeDeleteGeometry"), tree.nodes.new("GeometryNodeSetMaterial")
+    end = tree.nodes.new("NodeGroupOutput")
+    for column, node in enumerate((away, facing, behind, remove, dye, end), start=3):
+        node.location = (220 * column, 0)
+    away.operation, facing.operation, behind.operation = "SUBTRACT", "DOT_PRODUCT", "GREATER_THAN"
+    behind.inputs[1].default_value = 0.0
+    remove.domain = "POINT"
+    link = tree.links.new
+    link(camera.outputs[0], place.inputs["Object"])
+    link(position.outputs[0], away.inputs[0])
+    link(place.outputs["Location"], away.inputs[1])
+    link(away.outputs["Vector"], facing.inputs[0])
+    link(
+        next(socket for socket in normal.outputs if socket.enabled and socket.name == "Attribute"),
+        facing.inputs[1],
+    )
+    link(facing.outputs["Value"], behind.inputs[0])
+    link(behind.outputs[0], remove.inputs["Selection"])
+    link(start.outputs[0], remove.inputs["Geometry"])
+    # Geometry nodes lose the materials of point clouds. Splats have none.
+    dye.inputs["Material"].default_value = material
+    dye.inputs["Selection"].default_value = material is not None
+    link(remove.outputs[0], dye.inputs["Geometry"])
+    link(dye.outputs[0], end.inputs[0])
+    return tree
+
+
+HARMONIC = 0.28209479177387814
+_KIND, _BASE = "GAUSSIAN_SPLAT", "radiance:base"
+_FIELDS = {"FLOAT_VECTOR": "vector", "QUATERNION": "value", "FLOAT4": "vector", "INT": "value",
+           "BYTE_COLOR": "color_srgb"}  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class Splats:
+    """``xyz`` float32 [N, 3] m; ``deviations`` float32 [N, 3] m along axes that are turned by ``turns`` float32 [N, 4],
+    quaternions wxyz; ``opacity`` float32 [N]; ``rgb`` uint8 [N, 3] sRGB; ``normal`` float32 [N, 3]: a splat is left out
+    where it points away from the camera; ``ids`` int32 [N] by the names of more attributes."""
+
+    xyz: NDArray[np.float32]
+    deviations: NDArray[np.float32]
+    turns: NDArray[np.float32]
+    opacity: NDArray[np.float32]
+    rgb: NDArray[np.uint8]
+    normal: NDArray[np.float32]
+    ids: Mapping[str, NDArray[np.int32]]
+
+
+def are_known() -> bool:
+    """Whether this Blender has such clouds."""
+    kind = bpy.types.PointCloud.bl_rna.properties.get("type")
+    return kind is not None and _KIND in kind.enum_items
+
+
+def place_splats(
+    owned: OwnedDataBlocks, parent: bpy.types.Collection, key: str, name: str, splats: Splats
+) -> bpy.types.Object:
+    """Our object `key` with these splats, in the colours of their attribute Col: `dye` them after it changed."""
+    cloud: Any = owned.data(key, lambda: bpy.data.pointclouds.new(name))
+    cloud.resize(len(splats.xyz))
+    cloud.type = _KIND
+    rgba = np.ones((2, len(splats.xyz), 4), np.float32)
+    rgba[0, :, :3], rgba[1, :, 3] = splats.rgb / np.float32(255), splats.opacity
+    columns = {
+        "position": ("FLOAT_VECTOR", splats.xyz),
+        "scale": ("FLOAT_VECTOR", splats.deviations),
+        "rotation": ("QUATERNION", splats.turns),
+        "normal": ("FLOAT_VECTOR", splats.normal),
+        "Col": ("BYTE_COLOR", rgba[0]),
+        _BASE: ("FLOAT4", rgba[1]),
+        **{each: ("INT", numbers) for each, numbers in splats.ids.items()},
+    }
+    for old in {layer.name for layer in cloud.attributes} - columns.keys():  # such as what was hidden
+        cloud.attributes.remove(cloud.attributes[old])
+    for attribute, (kind, values) in columns.items():
+        layer = cloud.attributes.get(attribute) or cloud.attributes.new(attribute, kind, "POINT")
+        layer.data.foreach_set(_FIELDS[kind], np.ascontiguousarray(values).ravel())
+    dye(cloud)
+    ob = owned.object(key, name, cloud, parent)
+    open_room(owned, [ob])
+    ob["points"] = len(splats.xyz)
+    return ob
+
+
+def dye(cloud: bpy.types.PointCloud) -> None:
+    """Give splats the colours of their attribute Col. Other clouds and meshes stay as they are."""
+    base = cloud.attributes.get(_BASE)
+    if base is None:
+        return
+    values, colours = np.empty((2, len(base.data), 4), np.float32)
+    base.data.foreach_get("vector", values.ravel())
+    cloud.attributes["Col"].data.foreach_get("color_srgb", colours.ravel())
+    values[:, :3] = (colours[:, :3] - 0.5) / HARMONIC
+    base.data.foreach_set("vector", values.ravel())
+    cloud.update_tag()
+
 
 EXTENT = 2.0
 """Half the side of a square, in standard deviations of its colour's fading."""

@@ -1,19 +1,75 @@
-"""Which points the user paints in a 3D view, with a brush or a rectangle, and what the view shows of it meanwhile."""
+"""Tools that correct an object by hand or by its masks: a cutting plane, painted points, and a split by the views."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import bpy
 import numpy as np
+from mathutils import Matrix, Vector
 from numpy.typing import NDArray
 
-from ..engine.corrections import read_corrected
+from ..engine.corrections import Edit, read_corrected, read_edits
 from ..engine.errors import PlgsError
+from ..engine.job.follower import TaskFollower
+from . import corrections, engine_environment, registry
+from .corrections import split_plane
+from .errors import plural
 from .inspecting.drawing import draw_mark, draw_outline
 from .inspecting.highlight import Highlight, mark_of
+from .inspecting.selection import box_of, deselect_all, objects_by_key
+from .owned import FOLDER, LIFT, OwnedDataBlocks, folder_of, is_same_place, lifts_in, text_of
+from .registry import Task, start_engine
+from .viewport import show_gizmos
+
+CUT = "cut"
+"""Key of the plane that splits an object."""
+_GIZMOS = "plgs_gizmos"
+"""Property of the plane: whether the views show the arrows that move it only because of it."""
+_LARGER = 1.2
+"""How many times larger than the object the plane is."""
+
+
+def place_cut(root: bpy.types.Collection, instance: int) -> bpy.types.Object:
+    """Put an upright plane through the middle of an object's box, across its longest side, for the user to drag. Raises
+    PlgsError."""
+    box = box_of(root, instance)
+    owned = OwnedDataBlocks(root[LIFT], bpy.context.scene)
+    mesh = owned.data(CUT, lambda: bpy.data.meshes.new("Cut"))
+    size = [side * _LARGER / 2.0 for side in box["size"]]
+    axis = int(np.argmax(size[:2]))
+    across, up = size[1 - axis], size[2]
+    mesh.clear_geometry()
+    mesh.from_pydata([(-across, -up, 0), (across, -up, 0), (across, up, 0), (-across, up, 0)], [], [(0, 1, 2, 3)])
+    plane = owned.object(CUT, "Cut", mesh, root)
+    normal, upward = Vector((1.0 - axis, float(axis), 0.0)), Vector((0.0, 0.0, 1.0))
+    axes = Matrix((upward.cross(normal), upward, normal)).transposed().to_4x4()
+    turned = box.matrix_world.to_3x3().normalized().to_4x4()
+    plane.matrix_world = Matrix.Translation(box.matrix_world.translation) @ turned @ axes
+    plane.display_type, plane.hide_render = "WIRE", True
+    plane.show_in_front = True
+    deselect_all(bpy.context.view_layer)
+    plane.select_set(True)
+    bpy.context.view_layer.objects.active = plane
+    plane[_GIZMOS] = show_gizmos(bpy.context.scene, True)
+    return plane
+
+
+def split_by_cut(root: bpy.types.Collection, instance: int) -> Edit:
+    """Split an object by the plane that `place_cut` placed, which is then taken away. Raises PlgsError."""
+    plane = objects_by_key(root).get(CUT)
+    if plane is None:
+        raise PlgsError("there is no cutting plane", root.name, "Press Add Plane below Correct, then drag the plane.")
+    normal = (plane.matrix_world.to_3x3() @ Vector((0.0, 0.0, 1.0))).normalized()
+    made = split_plane(root, instance, plane.matrix_world.translation[:], normal[:])
+    if plane.get(_GIZMOS):
+        show_gizmos(bpy.context.scene, False)
+    bpy.data.objects.remove(objects_by_key(root)[CUT])
+    return made
+
 
 _CELL = 8
 """Pixels: in each such square the nearest point hides what lies behind it."""
@@ -141,3 +197,52 @@ def _chosen(rows: NDArray[np.int64], count: int) -> NDArray[np.bool_]:
     chosen = np.zeros(count, bool)
     chosen[rows] = True
     return chosen
+
+
+class SplitByViews(Task):
+    """The split of one object of a placed lift. The edit is in the lift's file when it is done, and then shown."""
+
+    kind, label, cancel_operator = "split", "Reading the masks", "plgs.cancel_split"
+
+    def __init__(self, lift: Path, follower: TaskFollower, known: Collection[str]) -> None:
+        """``known``: the uids of the edits before it."""
+        super().__init__(follower)
+        self._lift, self._known = lift, known
+        self._edit: Edit | None = None
+
+    @property
+    def has_finished(self) -> bool:
+        """Whether the edit was made: an engine may be stopped between writing it and its answer."""
+        return self._edit is not None
+
+    @property
+    def was_cancelled(self) -> bool:
+        return super().was_cancelled and not self.has_finished
+
+    @property
+    def message(self) -> str:
+        """One line about what it made."""
+        if self.was_cancelled:
+            return "The split was cancelled"
+        return plural(0 if self._edit is None else len(self._edit.made), "new object")
+
+    def done(self, scene: Any) -> None:
+        made = [edit for edit in read_edits(self._lift) if edit.uid not in self._known and edit.kind == "split"]
+        self._edit = made[-1] if made else None
+        every = {root for each in bpy.data.scenes for root in lifts_in(each)}
+        shown = [root for root in every if is_same_place(text_of(root, FOLDER), self._lift)]
+        if self._edit is None or not shown:
+            return
+        result = read_corrected(self._lift)
+        for root in shown:
+            corrections.show_edit(root, self._edit.uid, result)
+        self.undo_step = "Split by Views"
+
+
+def split_by_views(root: bpy.types.Collection, instance: int) -> SplitByViews:
+    """Start to split an object of a placed lift into the parts that the masks separate. Raises PlgsError, OSError."""
+    registry.refuse_second(SplitByViews)
+    lift, python = folder_of(root), engine_environment.usable_python()
+    known = {edit.uid for edit in read_edits(lift)}
+    follower = start_engine("correct", python, lift, "split", str(instance), "--views")
+    return registry.begin(SplitByViews(lift, follower, known))

@@ -1,1 +1,0 @@
-"""Engines that this Blender follows: `registry` knows them, `timer` polls them from Blender."""
