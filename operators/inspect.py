@@ -147,7 +147,7 @@ class PLGS_OT_colour_by(OnLift, bpy.types.Operator):
         name="Colours",
         items=[
             (looks.PHOTO, "Photo", "The colours of the photos"),
-            (looks.CLASSES, "Classes", "The colours of the classes"),
+            (looks.BY_CLASS, "Classes", "The colours of the classes"),
             (looks.INSTANCES, "Instances", "Each instance in its own colour"),
             (looks.UNCERTAINTY, "Uncertainty", "Bright where the frames were not sure of the class"),
         ],

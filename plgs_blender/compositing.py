@@ -11,7 +11,7 @@ from ..engine.errors import PlgsError
 from . import compat
 from .inspecting.selection import class_row_of, row_of
 from .owned import KEY, LIFT, key_of, scene_to_fill
-from .pass_nodes import CLASSES, INSTANCES, PANOPTIC, PASSES, has_nodes, node_of, panoptic_node
+from .pass_nodes import CRYPTO_CLASSES, CRYPTO_INSTANCES, PANOPTIC, PASSES, has_nodes, node_of, panoptic_node
 from .passes import SHOT, matte_ids, passes_scene_of
 
 _TREE = "CompositorNodeTree"
@@ -176,7 +176,7 @@ def matte_instance(root: bpy.types.Collection, instance: int) -> str:
     """Let the compositor's matte be an instance (0: the list's active one), and return its name. Raises PlgsError."""
     row = row_of(root, instance)
     names = matte_ids({each.instance_id: each.name for each in root.plgs.instances})
-    _set(root, INSTANCES, names[row.instance_id], by_class=0.0)
+    _set(root, CRYPTO_INSTANCES, names[row.instance_id], by_class=0.0)
     return str(row.name)
 
 
@@ -186,7 +186,7 @@ def matte_class(root: bpy.types.Collection, class_id: int) -> str:
     if row.class_id == 0:
         raise PlgsError("points without a class have no matte", root.name, "Choose a class in the list.")
     names = matte_ids({each.class_id: each.name for each in root.plgs.classes})
-    _set(root, CLASSES, names[row.class_id], by_class=1.0)
+    _set(root, CRYPTO_CLASSES, names[row.class_id], by_class=1.0)
     return str(row.name)
 
 

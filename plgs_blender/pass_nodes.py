@@ -155,7 +155,7 @@ class _Wiring:
 
 
 LAYER = "PLGS"
-PASSES, INSTANCES, CLASSES, PANOPTIC = "passes", "CryptoInstance", "CryptoClass", "panoptic"
+PASSES, CRYPTO_INSTANCES, CRYPTO_CLASSES, PANOPTIC = "passes", "CryptoInstance", "CryptoClass", "panoptic"
 _STRENGTH = 0.55
 """Opacity of the instances' colours over the picture."""
 _LOWER = 240.0
@@ -165,8 +165,8 @@ _LOWER = 240.0
 _OUTPUTS = {
     "Instance colours": ("Instance colours", "Image"),
     "Class colours": ("Class colours", "Image"),
-    "Instance matte": (INSTANCES, "Matte"),
-    "Class matte": (CLASSES, "Matte"),
+    "Instance matte": (CRYPTO_INSTANCES, "Matte"),
+    "Class matte": (CRYPTO_CLASSES, "Matte"),
     "Overlay": (PANOPTIC, "Image"),
     "Matte": (PANOPTIC, "Matte"),
     "Outline": (PANOPTIC, "Outline"),
@@ -186,7 +186,7 @@ def has_nodes(tree: bpy.types.NodeTree | None) -> bool:
     """Whether these nodes were built there before, and no node that we fill is missing."""
     keys = {node.get(KEY) for node in tree.nodes} if tree is not None else set()
     filled = {f"{what} {part}" for what in ("Instance", "Class") for part in ("palette", "scale")}
-    return {PASSES, INSTANCES, CLASSES, *filled} <= keys
+    return {PASSES, CRYPTO_INSTANCES, CRYPTO_CLASSES, *filled} <= keys
 
 
 def output_of(tree: bpy.types.NodeTree, name: str) -> Any:
@@ -206,13 +206,13 @@ def use_image(tree: bpy.types.NodeTree, image: bpy.types.Image) -> None:
     for node in reading_nodes(tree):
         node.image = image
     node_of(tree, PASSES).layer = LAYER
-    for key in (INSTANCES, CLASSES):
+    for key in (CRYPTO_INSTANCES, CRYPTO_CLASSES):
         node_of(tree, key).layer_name = key
 
 
 def reading_nodes(tree: bpy.types.NodeTree) -> Iterator[bpy.types.Node]:
     """The nodes that read the EXR of the current view."""
-    return (node_of(tree, key) for key in (PASSES, INSTANCES, CLASSES))
+    return (node_of(tree, key) for key in (PASSES, CRYPTO_INSTANCES, CRYPTO_CLASSES))
 
 
 class _NodeBuilder:
@@ -237,7 +237,7 @@ def build(tree: bpy.types.NodeTree, lift: str, image: bpy.types.Image) -> None:
     """Build all nodes and links, which read `image`. The result shows the instances' colours over the picture."""
     make = _NodeBuilder(tree, lift)
     make.add(PASSES, "PLGS passes", 0, 200, "CompositorNodeImage")
-    for key, label, row in ((INSTANCES, "Matte of instances", -320), (CLASSES, "Matte of classes", -720)):
+    for key, label, row in ((CRYPTO_INSTANCES, "Matte of instances", -320), (CRYPTO_CLASSES, "Matte of classes", -720)):
         make.add(key, label, 0, row, "CompositorNodeCryptomatteV2").source = "IMAGE"
     use_image(tree, image)
     _colour_code(make, "Instance", "Instance", -60)

@@ -31,7 +31,7 @@ from ..engine.posed.exr_header import one_pixel_of, read_exr_header
 from . import compat
 from .materials import linear_rgba
 from .owned import KEY, LIFT, OwnedDataBlocks, key_of, lifts_in, tag, text_of
-from .pass_nodes import CLASSES, INSTANCES, PASSES, build, has_nodes, node_of, reading_nodes, use_image
+from .pass_nodes import CRYPTO_CLASSES, CRYPTO_INSTANCES, PASSES, build, has_nodes, node_of, reading_nodes, use_image
 from .results import LiftResult
 
 SHOT = "shot:"
@@ -259,10 +259,10 @@ def matte_ids(names: Mapping[int, str]) -> dict[int, str]:
 def _first_mattes(tree: bpy.types.NodeTree, result: LiftResult) -> None:
     """Let the matte nodes show the first instance and its class."""
     if result.instances:
-        first = result.instances[0]
-        node_of(tree, INSTANCES).matte_id = matte_ids({each.id: each.name for each in result.instances})[first.id]
+        first, names = result.instances[0], matte_ids({each.id: each.name for each in result.instances})
+        node_of(tree, CRYPTO_INSTANCES).matte_id = names[first.id]
         names = matte_ids({each.id: each.name for each in result.classes.categories})
-        node_of(tree, CLASSES).matte_id = names.get(first.class_id, "")
+        node_of(tree, CRYPTO_CLASSES).matte_id = names.get(first.class_id, "")
 
 
 def _mark_views(scene: bpy.types.Scene, names: Collection[str]) -> None:

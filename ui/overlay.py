@@ -29,8 +29,7 @@ from ..plgs_blender.inspecting.drawing import (
     legend_text_boxes,
     shown_classes,
 )
-from ..plgs_blender.inspecting.looks import CLASSES as BY_CLASS
-from ..plgs_blender.inspecting.looks import POINTS, SURENESS, UNCERTAINTY
+from ..plgs_blender.inspecting.looks import BY_CLASS, POINTS, SURENESS, UNCERTAINTY
 from ..plgs_blender.inspecting.picking import camera_of, names_to_draw, outline_of, outlined
 from ..plgs_blender.inspecting.selection import objects_by_key, selected_instance
 from ..plgs_blender.owned import lifts_in

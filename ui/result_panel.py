@@ -10,8 +10,7 @@ from bpy.props import EnumProperty
 from ..plgs_blender import registry
 from ..plgs_blender.compat import STORED_COLOURS
 from ..plgs_blender.errors import one_line, plural
-from ..plgs_blender.inspecting.looks import CLASSES as BY_CLASS
-from ..plgs_blender.inspecting.looks import POINTS, SPLATS, SURFACE, has
+from ..plgs_blender.inspecting.looks import BY_CLASS, POINTS, SPLATS, SURFACE, has
 from ..plgs_blender.inspecting.selection import active_lift, chosen_row
 from ..plgs_blender.meshes import are_stale
 from ..plgs_blender.running.exports import Export, making_meshes

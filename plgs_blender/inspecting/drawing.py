@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 
 from ..compat import to_overlay
 from ..errors import one_line
-from .highlight import Mark
 
 Colour = tuple[float, float, float]
 Rectangle = tuple[float, float, float, float]
@@ -31,6 +30,15 @@ _MOST_COVERED = 0.03
 _APART = 0.5
 """Heights of a label between two of them, at least."""
 _DARK = (0.09, 0.095, 0.105)
+
+
+@dataclass(frozen=True, eq=False)
+class Mark:
+    """A picture float32 [H, W, 4] in sRGB, lowest row first, of an outline, and the pixels that it is drawn over."""
+
+    key: tuple[Any, ...]
+    pixels: NDArray[np.float32]
+    place: Rectangle
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ import numpy as np
 from mathutils import Vector
 from numpy.typing import NDArray
 
-from .drawing import Colour, Rectangle
+from .drawing import Colour, Mark
 from .selection import clouds_of, ids_of
 
 _LINE = 0.95
@@ -40,15 +40,6 @@ class Highlight:
     key: tuple[Any, ...]
     xyz: NDArray[np.float32]
     radius: float
-
-
-@dataclass(frozen=True, eq=False)
-class Mark:
-    """A picture float32 [H, W, 4] in sRGB, lowest row first, of an outline, and the pixels that it is drawn over."""
-
-    key: tuple[Any, ...]
-    pixels: NDArray[np.float32]
-    place: Rectangle
 
 
 _last: list[Highlight] = []

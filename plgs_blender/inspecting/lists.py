@@ -30,8 +30,8 @@ from ...engine.result_files import Instance, MatchedSegment
 from ..lifecycle import register_modules, unregister_modules
 from ..materials import UNKNOWN
 from ..results import LiftResult
-from .looks import CLASSES as BY_CLASS
 from .looks import (
+    BY_CLASS,
     INSTANCES,
     PHOTO,
     POINTS,

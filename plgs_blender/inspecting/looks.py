@@ -25,7 +25,7 @@ from ..owned import KEY, LIFT, is_child, key_of, tag, text_of
 from ..splat_objects import dye
 from .selection import boxes_of, clouds_of, ids_of, objects_by_key, row_of, surfaces_of
 
-PHOTO, CLASSES, INSTANCES, UNCERTAINTY = "PHOTO", "CLASSES", "INSTANCES", "UNCERTAINTY"
+PHOTO, BY_CLASS, INSTANCES, UNCERTAINTY = "PHOTO", "CLASSES", "INSTANCES", "UNCERTAINTY"
 """Values of a lift's `look`."""
 POINTS, SPLATS, SURFACE = "POINTS", "SPLATS", "SURFACE"
 """Values of a lift's `show_as`."""
@@ -49,12 +49,12 @@ def apply_look(root: bpy.types.Collection) -> None:
     coloured = [ob for ob in objects_by_key(root).values() if _has_colours(ob)]
     sure = _Sureness(coloured) if look == UNCERTAINTY else None
     palette = {}
-    if look in (CLASSES, INSTANCES):
-        rows, name = (root.plgs.classes, "class_id") if look == CLASSES else (root.plgs.instances, "instance_id")
+    if look in (BY_CLASS, INSTANCES):
+        rows, name = (root.plgs.classes, "class_id") if look == BY_CLASS else (root.plgs.instances, "instance_id")
         palette = {getattr(row, name): _linear(row.colour) for row in rows}
     for ob in coloured:
         photo = _photo(ob.data)
-        if look == CLASSES:
+        if look == BY_CLASS:
             colours = _by_id(ids_of(ob.data, "class_id"), palette, photo)
         elif look == INSTANCES:
             colours = _by_id(ids_of(ob.data, "instance_id"), palette, photo)
@@ -242,7 +242,7 @@ def apply_colours(root: bpy.types.Collection) -> None:
         box = boxes.get(row.instance_id)
         if box is not None:
             own = _box_colour(row.colour)
-            box.color = of_class.get(row.class_id, own) if lists.look == CLASSES else own
+            box.color = of_class.get(row.class_id, own) if lists.look == BY_CLASS else own
 
 
 def _box_colour(srgb: bpy.types.bpy_prop_array) -> tuple[float, float, float, float]:

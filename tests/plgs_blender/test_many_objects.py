@@ -18,7 +18,7 @@ from plgs.engine.errors import PlgsError
 from plgs.engine.job import LiftFolder
 from plgs.plgs_blender import boxes, corrections, lift_scene, results
 from plgs.plgs_blender.inspecting import looks, selection, views
-from plgs.plgs_blender.inspecting.looks import CLASSES, HIDDEN
+from plgs.plgs_blender.inspecting.looks import BY_CLASS, HIDDEN
 from plgs.plgs_blender.inspecting.selection import box_of, boxes_of, find_lift, objects_by_key
 from plgs.plgs_blender.results import MOST_INSTANCES, reading_result, result_of
 from plgs.plgs_blender.running import lifts, looking
@@ -190,7 +190,7 @@ def test_what_was_chosen_before_holds_for_boxes_that_come_later(
 ) -> None:
     many = lift_of(lift, tmp_path / "many", MANY)
     root = lift_scene.place_lift(many, bpy.context.scene)
-    root.plgs.show_boxes, root.plgs.look = False, CLASSES
+    root.plgs.show_boxes, root.plgs.look = False, BY_CLASS
     for box in boxes_of(root).values():
         bpy.data.objects.remove(box)
     assert lift_scene.place_lift(many, bpy.context.scene) == root

@@ -11,7 +11,7 @@ from plgs_blender.lifecycle import drop_session_folder
 LEFT_OVER = """
 import ctypes, sys, bpy
 ctypes.pythonapi.Py_IncRef(ctypes.py_object(bpy))
-from plgs_blender.module_exit import end_process
+from plgs_blender.lifecycle import end_process
 print(bpy.app.tempdir)
 end_process(3)
 """

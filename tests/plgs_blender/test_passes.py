@@ -12,7 +12,7 @@ from plgs.engine.job import LiftFolder, write_manifest
 from plgs.engine.scene import open_scene
 from plgs.plgs_blender import compat, compositing, lift_scene, passes
 from plgs.plgs_blender.materials import linear_rgba
-from plgs.plgs_blender.pass_nodes import CLASSES, INSTANCES, PASSES, node_of, output_of, panoptic_node
+from plgs.plgs_blender.pass_nodes import CRYPTO_CLASSES, CRYPTO_INSTANCES, PASSES, node_of, output_of, panoptic_node
 from plgs.plgs_blender.passes import numbered, sequences
 from tiny_lift import CABINET_NAME, CHAIR_NAME, FRAMES, mend_manifest, write_passes, write_tiny_lift
 from tiny_scene import CHAIR_ID, TinyView, tiny_intrinsics, tiny_pose, trace_view, write_tiny_scene
@@ -77,10 +77,10 @@ def test_the_matte_of_a_named_instance(scene: bpy.types.Scene, tmp_path: Path) -
     before = passes.matte_ids({1: CHAIR_NAME, 9: CHAIR_NAME.upper()})[1]  # the views were baked without an id in it
     pairs = ([CHAIR_NAME], {1}), ([CABINET_NAME], {2}), ([CHAIR_NAME, CABINET_NAME], {1, 2}), ([before], {1})
     for names, ids in pairs:
-        set_matte(scene, INSTANCES, *names)
+        set_matte(scene, CRYPTO_INSTANCES, *names)
         matte = rendered(scene, "Instance matte", tmp_path)[..., 0]
         assert np.array_equal(matte, np.isin(view.instance, list(ids)).astype(np.float32))
-    set_matte(scene, CLASSES, "chair")
+    set_matte(scene, CRYPTO_CLASSES, "chair")
     assert np.array_equal(rendered(scene, "Class matte", tmp_path)[..., 0], view.semantic == CHAIR_ID)
 
 
@@ -147,7 +147,7 @@ def test_views_without_numbers_are_swapped(tmp_path: Path) -> None:
         scene.render.resolution_x, scene.render.resolution_y = size
         view = truth(str(index), size, frames=2)
         assert np.array_equal(rendered(scene, "Instance", tmp_path)[..., 0], view.instance)
-        set_matte(scene, INSTANCES, CHAIR_NAME)
+        set_matte(scene, CRYPTO_INSTANCES, CHAIR_NAME)
         assert np.array_equal(rendered(scene, "Instance matte", tmp_path)[..., 0], view.instance == 1)
 
 
@@ -156,7 +156,7 @@ def test_the_first_view_is_shown_at_once(lift: Path, tmp_path: Path) -> None:
     scene = passes_scene()
     view = truth(scene.timeline_markers[0].name)
     tree = compat.compositor_tree(scene)
-    shown = {node_of(tree, key).frame_offset + 1 for key in (INSTANCES, CLASSES)}
+    shown = {node_of(tree, key).frame_offset + 1 for key in (CRYPTO_INSTANCES, CRYPTO_CLASSES)}
     assert shown == {int(scene.timeline_markers[0].name)}
     assert np.array_equal(rendered(scene, "Instance", tmp_path)[..., 0], view.instance)
 
@@ -167,7 +167,7 @@ def test_another_view_is_shown_at_once(lift: Path) -> None:
     marker = scene.timeline_markers[-1]
     passes.show_view(scene, marker.name)
     tree = compat.compositor_tree(scene)
-    offsets = {node_of(tree, key).frame_offset for key in (PASSES, INSTANCES, CLASSES)}
+    offsets = {node_of(tree, key).frame_offset for key in (PASSES, CRYPTO_INSTANCES, CRYPTO_CLASSES)}
     assert offsets == {int(marker.name) - marker.frame}
 
 
@@ -202,7 +202,7 @@ def test_a_shot_has_a_scene_with_the_frames_of_its_own(tmp_path: Path) -> None:
     for frame, index in reversed(shown.items()):
         scene.frame_set(frame)
         assert np.array_equal(rendered(scene, "Instance", tmp_path)[..., 0], truth(str(index)).instance)
-    set_matte(scene, INSTANCES, CHAIR_NAME)
+    set_matte(scene, CRYPTO_INSTANCES, CHAIR_NAME)
     assert np.array_equal(rendered(scene, "Instance matte", tmp_path)[..., 0], truth("3").instance == 1)
     still = bpy.data.scenes["PLGS tiny room still"]
     assert np.array_equal(rendered(still, "Instance", tmp_path)[..., 0], truth("2").instance)
