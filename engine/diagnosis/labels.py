@@ -1,4 +1,4 @@
-"""Do all views give a surface the same class? Masks and classes that contradict each other between views."""
+"""Do all views give a surface the same class? Masks that contradict each other between views."""
 
 from __future__ import annotations
 
@@ -26,17 +26,13 @@ _FOREIGN, _PROBABLY_FOREIGN = 0.25, 0.35
 _LESS = 0.25
 """A foreign mask is also this much below the median. Where masks have one class, or one has nearly all points, even
 foreign ones agree, and nothing is told of them."""
-_CONFUSED, _CONFUSED_SHARE = 0.25, 0.01
-"""A class is contradicted if another class takes this share of its points, and this share of all points."""
 
 
 class LabelAgreement(NamedTuple):
-    """``counts`` float64 [C, C]: points of one class in one view and of another in the other view. Rows and columns are
-    in the order of ``class_ids``, without void. ``by_look`` float64 [F]: share of a look's points that other views give
-    the same class, nan where there are too few.
+    """``counts`` float64 [C, C]: points of one class in one view and of another in the other view, without void.
+    ``by_look`` float64 [F]: share of a look's points that other views give the same class, nan where there are too few.
     """
 
-    class_ids: tuple[int, ...]
     counts: Floats
     by_look: Floats
 
@@ -82,7 +78,7 @@ def measure_labels(examined: Examined, assumed: Assumption) -> LabelAgreement | 
         for look in (one, other):
             same[look] += float((a == b).sum())
             total[look] += len(a)
-    return LabelAgreement(ids, counts, np.where(total >= _FEWEST_POINTS, same / np.maximum(total, 1.0), np.nan))
+    return LabelAgreement(counts, np.where(total >= _FEWEST_POINTS, same / np.maximum(total, 1.0), np.nan))
 
 
 def _reduced(classes: NDArray[np.int32]) -> NDArray[np.int32]:
@@ -98,7 +94,7 @@ def label_findings(examined: Examined, assumed: Assumption) -> list[Finding]:
     if labels.share < _UNRELATED:
         return [_unrelated_masks(examined, labels)]
     odd = odd_looks(labels)
-    return [*([_odd_masks(examined, labels, odd)] if odd else []), *_confused_classes(examined, labels)]
+    return [_odd_masks(examined, labels, odd)] if odd else []
 
 
 def odd_looks(labels: LabelAgreement) -> list[int]:
@@ -134,34 +130,6 @@ def _odd_masks(examined: Examined, labels: LabelAgreement, rows: list[int]) -> F
         leave_out=names,
         picture=_masks_shown(examined, [max(rows[0] - 1, 0), rows[0]]),
     )
-
-
-def _confused_classes(examined: Examined, labels: LabelAgreement) -> list[Finding]:
-    """Pairs of classes that views exchange, the most frequent first."""
-    total = labels.counts.sum()
-    found = []
-    for row, column in zip(*np.nonzero(labels.counts), strict=True):
-        seen = float(labels.counts[row].sum())
-        part = float(labels.counts[row, column]) / seen
-        is_much = labels.counts[row, column] > _CONFUSED_SHARE * total and seen >= _FEWEST_POINTS
-        if row != column and part > _CONFUSED and is_much:
-            ids = [labels.class_ids[each] for each in (row, column)]
-            one, other = (examined.scene.classes[each].name for each in ids)
-            finding = Finding(
-                cause="contradicting classes",
-                severity="note",
-                text=f"views contradict each other: {part:.0%} of what one calls {one}, another calls {other}",
-                option="no change is needed, as a lift takes a vote; check that all masks use the same class table",
-                figures={"share": part, "class": one, "other": other},
-                picture=_masks_shown(examined, [_look_with_most(examined, each) for each in ids]),
-            )
-            found.append((float(labels.counts[row, column]), finding))
-    return [finding for _, finding in sorted(found, key=lambda each: -each[0])]
-
-
-def _look_with_most(examined: Examined, class_id: int) -> int:
-    """The look that shows a class most."""
-    return int(np.argmax([(look.frame.mask(None).class_map() == class_id).mean() for look in examined.looks]))
 
 
 def _masks_shown(examined: Examined, rows: list[int]) -> NDArray[np.uint8]:

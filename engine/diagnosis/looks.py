@@ -49,14 +49,11 @@ class Look:
 
 @dataclass(frozen=True, eq=False)
 class Photo:
-    """A frame's picture. ``grey`` uint8 [H, W] is at most 320 pixels wide. ``detail`` is the mean Laplacian over the
-    mean brightness of the picture at most 640 wide, so exposure does not change it.
-    """
+    """A frame's picture. ``grey`` uint8 [H, W] is at most 320 pixels wide."""
 
     number: int
     name: str
     grey: NDArray[np.uint8]
-    detail: float
 
     @property
     def clipped(self) -> float:
@@ -111,12 +108,11 @@ def _load_photo(number: int, frame: Frame) -> Photo:
     step = _stride_for(width)
     if step > 1:
         grey = cv2.resize(grey, (width // step, height // step), interpolation=cv2.INTER_AREA)
-    detail = float(np.abs(cv2.Laplacian(grey, cv2.CV_32F)).mean()) / max(float(grey.mean()), 1.0)
     height, width = grey.shape
     if width > _PHOTO_WIDTH:
         size = (_PHOTO_WIDTH, round(height * _PHOTO_WIDTH / width))
         grey = cv2.resize(grey, size, interpolation=cv2.INTER_AREA)
-    return Photo(number, frame.name, grey.astype(np.uint8), detail)
+    return Photo(number, frame.name, grey.astype(np.uint8))
 
 
 def values_at(pixels: NDArray[Any], places: Floats) -> NDArray[Any]:

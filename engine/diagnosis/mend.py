@@ -112,7 +112,7 @@ def _lens(camera: Camera, assumed: Assumption) -> tuple[float, float, float, flo
     given = np.array(
         [[camera.fx / camera.width, camera.fy / camera.height, camera.cx / camera.width, camera.cy / camera.height]]
     )
-    fx, fy, cx, cy = lens_under(given, np.array([camera.width / camera.height]), assumed)[0].tolist()
+    fx, fy, cx, cy = lens_under(given, assumed)[0].tolist()
     return fx, fy, cx, cy
 
 

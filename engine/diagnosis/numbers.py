@@ -68,18 +68,8 @@ _WORDS = {
         "depth is the distance to the camera's centre, not along its axis",
         f"divide it by {_RAY}",
     ),
-    "not ray": _CauseWords(
-        "depth divided by the ray",
-        "depth along the axis",
-        "depth was divided by the length of the ray, although it was already along the axis",
-        f"multiply it by {_RAY}",
-    ),
-    "swapped": _CauseWords(
-        "swapped focal lengths", "fx and fy swapped", "fx and fy have changed places", "swap them"
-    ),
     "lens size": _CauseWords("intrinsics of another size", "intrinsics scaled"),
     "focal": _CauseWords("focal length", "another focal length"),
-    "centre": _CauseWords("principal point", "another principal point"),
     "length": _CauseWords("pose unit", "another unit of the poses"),
     "lag": _CauseWords("frames off", "poses of other frames"),
     "mirrored": _CauseWords(
@@ -90,7 +80,7 @@ _WORDS = {
     ),
 }  # fmt: skip
 
-NUMBER_CAUSES = frozenset(words.name for words in _WORDS.values())
+NUMBER_CAUSES = frozenset({*(words.name for words in _WORDS.values()), "principal point"})
 """What findings on poses, depth and intrinsics are called."""
 _OTHERS_FOLLOW = "what else is wrong with the numbers may follow from it"
 _ONLY_TOLD = ("lag", "mirrored")
@@ -185,9 +175,6 @@ def _cause_texts(examined: Examined, cause: FoundCause, before: Assumption) -> t
     if cause.cause == "focal":
         factor = now.focal / before.focal
         return f"fx and fy are {_off(factor)}", f"multiply them by {factor:.4f}", {"factor": factor}
-    if cause.cause == "centre":
-        x, y = (np.median(examined.views.lens_of(now)[:, 2:], axis=0) * (width, height)).tolist()
-        return "the principal point is wrong", f"set cx, cy to {x:.1f}, {y:.1f}", {"cx": x, "cy": y}
     return _WORDS[cause.cause].text, _WORDS[cause.cause].option, {}
 
 

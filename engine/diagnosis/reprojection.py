@@ -28,11 +28,10 @@ class Assumption(NamedTuple):
     """What the numbers of a scene might mean. The defaults are how the scene was read.
 
     ``inverted``: poses are world-to-camera. ``opengl``: cameras have y up and z backward. ``unit``: factor of depth.
-    ``ray``: 1 when depth is the distance to the camera, -1 when it was divided by the ray's length needlessly.
-    ``lens_scale``: factor of fx, fy, cx, cy. ``focal``: further factor of fx and fy. ``aspect``: further factor of fx.
-    ``swapped``: fx and fy are exchanged. ``centred``: the principal point is in the middle. ``shift``: added to the
-    principal point, in shares of the picture. ``length``: factor of the cameras' places. ``lag``: a frame's pose is
-    that of the frame so many places later. ``mirrored``: pictures and depth have left and right exchanged.
+    ``ray``: 1 when depth is the distance to the camera. ``lens_scale``: factor of fx, fy, cx, cy. ``focal``: further
+    factor of fx and fy. ``aspect``: further factor of fx. ``shift``: added to the principal point, in shares of the
+    picture. ``length``: factor of the cameras' places. ``lag``: a frame's pose is that of the frame so many places
+    later. ``mirrored``: pictures and depth have left and right exchanged.
     """
 
     inverted: bool = False
@@ -42,8 +41,6 @@ class Assumption(NamedTuple):
     lens_scale: float = 1.0
     focal: float = 1.0
     aspect: float = 1.0
-    swapped: bool = False
-    centred: bool = False
     shift: tuple[float, float] = (0.0, 0.0)
     length: float = 1.0
     lag: int = 0
@@ -55,15 +52,13 @@ class Comparison(NamedTuple):
 
     ``error`` float64: logarithm of the depth seen over the depth expected, nan where the other view shows nothing.
     ``agrees`` float64: 1 for no error, 0 from 5 % on and where nothing is seen. ``known`` bool: the point exists.
-    ``place`` float64 [P, M, 2]: in shares of the other picture, nan behind its camera. ``scale`` float64: distance
-    to the other camera over distance to its own.
+    ``place`` float64 [P, M, 2]: in shares of the other picture, nan behind its camera.
     """
 
     error: Floats
     agrees: Floats
     known: NDArray[np.bool_]
     place: Floats
-    scale: Floats
 
 
 class Surface(NamedTuple):
@@ -104,7 +99,7 @@ class Views:
 
     def lens_of(self, assumed: Assumption) -> Lens:
         """The lenses under an assumption, float64 [F, 4]."""
-        return lens_under(self.lens, self.size[:, 0] / self.size[:, 1], assumed)
+        return lens_under(self.lens, assumed)
 
     def poses_of(self, assumed: Assumption) -> Floats:
         """Camera-to-world poses in the scene's world under an assumption, float64 [F, 4, 4]."""
@@ -128,9 +123,8 @@ class Views:
             error = np.where(seen > 0.0, np.log(seen / safe), np.nan)
         share = np.square(np.nan_to_num(error, nan=1.0) / _AGREES_WITHIN)
         agrees = np.square(np.clip(1.0 - share, 0.0, 1.0))
-        own = np.where(known, planar(self.values[:, :points], self.places[:, :points], lens, assumed), 1.0)
         place = np.where(front[..., None], place, np.nan)
-        return Comparison(error, agrees, known[one], place, np.where(front, safe / own[one], np.nan))
+        return Comparison(error, agrees, known[one], place)
 
     def world_points(
         self, assumed: Assumption, lens: Lens, poses: Floats, points: int | None = None
@@ -181,16 +175,12 @@ class Views:
         return Surface(np.where(sound, (normal * (local - at)).sum(1), np.nan), normal)
 
 
-def lens_under(lens: Lens, aspect: Floats, assumed: Assumption) -> Lens:
-    """Lenses [F, 4] of pictures with an ``aspect`` [F] (width over height), under an assumption."""
+def lens_under(lens: Lens, assumed: Assumption) -> Lens:
+    """Lenses [F, 4] under an assumption."""
     meant = lens.copy()
-    if assumed.swapped:
-        meant[:, 0], meant[:, 1] = lens[:, 1] / aspect, lens[:, 0] * aspect
     meant *= assumed.lens_scale
     meant[:, :2] *= assumed.focal
     meant[:, 0] *= assumed.aspect
-    if assumed.centred:
-        meant[:, 2:] = 0.5
     meant[:, 2:] += assumed.shift
     if assumed.mirrored:
         meant[:, 0], meant[:, 2] = -meant[:, 0], 1.0 - meant[:, 2]

@@ -6,15 +6,16 @@ from dataclasses import replace
 
 import numpy as np
 
+from ..posed.layout import listed
 from ..scene import Scene
-from .appearance import blur_findings, blur_findings_on_surfaces, clipped_findings, exposure_findings
 from .class_table import table_findings
 from .findings import Diagnosis, Finding, Mending
 from .labels import label_findings
-from .looks import load_photos
+from .looks import Photo, load_photos
 from .numbers import NUMBER_CAUSES, lens_findings, number_findings
 from .order import measure_order, order_findings, repeat_findings
 from .photometry import picture_findings
+from .pictures import side_by_side
 from .poses import pose_findings
 from .registration import SHIFT
 from .reprojection import Assumption, examine
@@ -22,6 +23,8 @@ from .trials import Agreement, agreement
 from .up import measure_tilt, tilt_finding, turn_to_z
 
 _Z = np.array([0.0, 0.0, 1.0])
+_CLIPPED = 0.5
+"""Share of black and white pixels above which a photo shows too little."""
 
 
 def diagnose(scene: Scene) -> Diagnosis:
@@ -40,13 +43,11 @@ def diagnose(scene: Scene) -> Diagnosis:
     if order is None or not order.is_shuffled:
         poses = pose_findings(examined, assumed)
         findings, untested = [*findings, *poses.found], poses.untested
-        findings += blur_findings_on_surfaces(examined, assumed)
         pictures = picture_findings(examined, assumed)
         if pictures:  # depth's edges fit pictures of other frames only by chance
             findings, shift = [each for each in findings if each.cause != SHIFT], (0.0, 0.0)
         findings += pictures
     findings += clipped_findings(examined.photos)
-    findings += exposure_findings(examined, assumed)
     findings += label_findings(examined, assumed)
     findings += table_findings(examined, assumed, _Z if tilt is None else tilt.axis)
     turn = None if tilt is None else turn_to_z(tilt.axis)
@@ -60,10 +61,7 @@ def diagnose(scene: Scene) -> Diagnosis:
 def _without_depth(scene: Scene) -> Diagnosis:
     photos = load_photos(scene.frames)
     order = measure_order(scene, Assumption())
-    findings = [*order_findings(scene, order), *repeat_findings(scene)]
-    if order is None or not order.is_shuffled:
-        findings += blur_findings(photos)
-    findings += clipped_findings(photos)
+    findings = [*order_findings(scene, order), *repeat_findings(scene), *clipped_findings(photos)]
     return _diagnosis(scene, findings, Mending(dropped=_dropped(findings)), len(photos), None)
 
 
@@ -77,3 +75,23 @@ def _diagnosis(
     found = [*lens_findings(scene, findings), *findings]
     worst_first = sorted(found, key=lambda finding: finding.severity != "wrong")
     return Diagnosis(tuple(worst_first), mending, len(scene.frames), looked, agreeing)
+
+
+def clipped_findings(photos: dict[int, Photo]) -> list[Finding]:
+    """Frames that are mostly black or white."""
+    clipped = [shot for shot in photos.values() if shot.clipped > _CLIPPED]
+    if not clipped:
+        return []
+    names = tuple(shot.name for shot in clipped)
+    return [
+        Finding(
+            cause="exposure",
+            severity="note",
+            text=f"in {len(clipped)} of {len(photos)} frames most pixels are black or white: {listed(names)}",
+            option="leave them out with a splits.json",
+            figures={"frames": float(len(clipped)), "clipped": max(shot.clipped for shot in clipped)},
+            frames=names,
+            leave_out=names,
+            picture=side_by_side([(shot.name, shot.grey) for shot in clipped[:2]]),
+        )
+    ]

@@ -28,7 +28,7 @@ _MOST_CAUSES = 4
 _POOR = 0.4
 """Share of the points seen by two views. Where fewer agree, two causes at once are tried."""
 _POSE_CAUSES = ("inverted", "opengl", "inverted opengl")
-_LENS_CAUSES = ("swapped", "lens size", "focal", "centre")
+_LENS_CAUSES = ("lens size", "focal")
 _ASIDE = 0.1
 """Share of the picture. A principal point farther from the middle may belong to pictures of another size."""
 _KINDS_COMPARED = 4
@@ -206,18 +206,12 @@ def _trials(views: Views, now: Assumption) -> Iterator[Trial]:
     for unit in _UNITS:
         yield Trial("unit", now._replace(unit=now.unit * unit), ("unit",))
     yield Trial("ray", now._replace(ray=now.ray + 1.0))
-    yield Trial("not ray", now._replace(ray=now.ray - 1.0))
     for lag in _LAGS:
         yield Trial("lag", now._replace(lag=lag))
     yield Trial("mirrored", now._replace(mirrored=not now.mirrored))
-    lens = views.lens_of(now)
-    if np.abs(views.size[:, 0] * lens[:, 0] / (views.size[:, 1] * lens[:, 1]) - 1.0).max() > 0.02:
-        yield Trial("swapped", now._replace(swapped=not now.swapped))
-    middle = np.median(lens[:, 2:], axis=0)
+    middle = np.median(views.lens_of(now)[:, 2:], axis=0)
     scales = {*_SCALES, *((0.5 / middle).tolist() if np.abs(middle - 0.5).max() > _ASIDE else ())}
     for scale in sorted(scales):
         yield Trial("lens size", now._replace(lens_scale=now.lens_scale * scale))
     for focal in _FOCALS:
         yield Trial("focal", now._replace(focal=now.focal * focal), ("focal",))
-    if np.abs(middle - 0.5).max() > _ASIDE / 2:
-        yield Trial("centre", now._replace(centred=True, shift=(0.0, 0.0)), ("x", "y"))

@@ -40,7 +40,7 @@ def _focal(times: float) -> Callable[[Path], None]:
     return lambda folder: spoiling.intrinsics(folder, lambda matrix: matrix * factors)
 
 
-def _ray(folder: Path) -> None:
+def ray_depth(folder: Path) -> None:
     spoiling.depths(folder, lambda steps: steps * spoiling.ray_lengths(folder, steps.shape))
 
 
@@ -133,7 +133,7 @@ FAULTS: dict[str, Fault] = {
     "poses of the next frame": Fault(_poses_of_the_next, ("frames off",)),
     "depth in 5000 steps per metre": Fault(lambda f: spoiling.depths(f, lambda d: d * 5.0), ("depth unit",)),
     "depth in centimetres": Fault(lambda f: spoiling.depths(f, lambda d: d * 0.1), ("depth unit",)),
-    "depth along the ray": Fault(_ray, ("ray depth",)),
+    "depth along the ray": Fault(ray_depth, ("ray depth",)),
     "depth of the next frame": Fault(_of_the_next("depth"), ("frames off",)),
     "depth moved by 5 pixels": Fault(
         lambda f: spoiling.depths(f, lambda d: np.roll(d, 5, 1)), ("colour-to-depth shift",)
@@ -162,7 +162,7 @@ FAULTS: dict[str, Fault] = {
     "masks of other frames, three": Fault(_masks_of_others, ("contradicting masks",)),
     "class ids off by one": Fault(_next_class, ("class table",)),
 }
-NOTES = {"contradicting classes", "exposure", "blur"}
+NOTES = {"exposure"}
 """Causes that say nothing about a fault planted here."""
 
 

@@ -77,13 +77,3 @@ def repeat(folder: Path, name: str, instead_of: str, kinds: tuple[str, ...] = ("
     for kind in kinds:
         (source,) = (folder / kind).glob(f"{name}.*")
         shutil.copyfile(source, folder / kind / f"{instead_of}{source.suffix}")
-
-
-def rename_class(folder: Path, names: set[str], one: int, other: int) -> None:
-    """Exchange two classes in the masks of some frames."""
-    table = folder / "panoptic.json"
-    content = json.loads(table.read_text())
-    for entry in content["annotations"]:
-        for segment in entry["segments_info"] if entry["image_id"] in names else ():
-            segment["category_id"] = {one: other, other: one}.get(segment["category_id"], segment["category_id"])
-    table.write_text(json.dumps(content))

@@ -16,7 +16,7 @@ import pytest
 from engine.diagnosis import Diagnosis, diagnose, labels, poses, write_mended
 from engine.scene import Inferred, open_scene
 from tests.diagnosis import matrix, spoiling
-from tests.tiny_scene import CABINET_ID, CATEGORIES, CHAIR_ID, write_tiny_scene
+from tests.tiny_scene import CATEGORIES, write_tiny_scene
 
 FRAMES, SIZE = 20, (96, 72)
 LARGE = 26, (128, 96)
@@ -60,13 +60,6 @@ def added(x: float, y: float) -> Callable[[np.ndarray], np.ndarray]:
     return lambda matrix: matrix + np.array([[0, 0, x, 0], [0, 0, y, 0], [0] * 4, [0] * 4])
 
 
-def longer(sign: int) -> Callable[[Path], None]:
-    def plant(folder: Path) -> None:
-        spoiling.depths(folder, lambda steps: steps * spoiling.ray_lengths(folder, steps.shape) ** sign)
-
-    return plant
-
-
 @pytest.mark.parametrize(("factor", "severity"), [(1.0, "note"), (1.25, "wrong")])
 def test_an_assumed_lens_is_the_first_hypothesis(scene: Path, factor: float, severity: str) -> None:
     spoiling.intrinsics(scene, scaled(factor, factor, 1, 1))
@@ -86,8 +79,7 @@ SAFE: dict[str, tuple[Callable[[Path], None], str]] = {
     "5000 steps per metre": (lambda f: spoiling.depths(f, lambda d: d * 5.0), "depth unit"),
     "6553.5 steps per metre": (lambda f: spoiling.depths(f, lambda d: d * 6.5535), "depth unit"),
     "centimetres": (lambda f: spoiling.depths(f, lambda d: d * 0.1), "depth unit"),
-    "ray depth": (longer(1), "ray depth"),
-    "divided by the ray": (longer(-1), "depth divided by the ray"),
+    "ray depth": (matrix.ray_depth, "ray depth"),
     "half the size": (lambda f: spoiling.intrinsics(f, scaled(0.5, 0.5, 0.5, 0.5)), "intrinsics of another size"),
     "a fifth too long": (lambda f: spoiling.intrinsics(f, scaled(1.2, 1.2, 1, 1)), "focal length"),
     "principal point": (lambda f: spoiling.intrinsics(f, added(6.0, -3.0)), "principal point"),
@@ -124,23 +116,6 @@ def test_nothing_is_found_in_a_good_scene(good: Path) -> None:
     diagnosis = diagnose(open_scene(good))
     assert diagnosis.findings == () and not diagnosis.mending.is_needed
     assert diagnosis.agreement is not None and diagnosis.agreement.error < 1e-3
-
-
-@pytest.mark.slow
-def test_swapped_focal_lengths(scene: Path) -> None:
-    """Pictures stretched to another shape have two focal lengths."""
-    wide = (128, 72)
-    for kind, way in (("color", cv2.INTER_AREA), ("depth", cv2.INTER_NEAREST)):
-        for path in (scene / kind).iterdir():
-            pixels = cv2.resize(cv2.imread(str(path), cv2.IMREAD_UNCHANGED), wide, interpolation=way)
-            cv2.imwrite(str(path), pixels)
-    shutil.rmtree(scene / "panoptic")
-    (scene / "panoptic.json").unlink()
-    shutil.rmtree(scene / "gt")
-    spoiling.intrinsics(scene, scaled(1, 0.75, 1, 0.75))
-    assert wrong_in(diagnose(open_scene(scene))) == []
-    spoiling.intrinsics(scene, lambda k: np.where(np.eye(4) > 0, np.diag(k.diagonal()[[1, 0, 2, 3]]), k))
-    assert wrong_in(diagnose(open_scene(scene))) == ["swapped focal lengths"]
 
 
 def test_another_axis_up_is_found_and_the_option_named(tmp_path: Path) -> None:
@@ -250,26 +225,6 @@ def test_pictures_of_another_lens_than_depth_are_reported(scene: Path) -> None:
     assert diagnosis.findings[0].figures["scale"] == pytest.approx(1.12, abs=0.02)
 
 
-def test_blur_and_exposure_are_only_notes(scene: Path) -> None:
-    def shot(number: int, picture: np.ndarray) -> np.ndarray:
-        darker = (picture * (1.0 if number % 4 else 0.45)).astype(np.uint8)
-        return cv2.GaussianBlur(darker, (0, 0), 4.0) if number in (7, 15) else darker
-
-    spoiling.colours(scene, shot)
-    diagnosis = diagnose(open_scene(scene))
-    assert wrong_in(diagnosis) == []
-    notes = {finding.cause: finding for finding in diagnosis.findings}
-    assert {*notes} == {"blur", "exposure"} and {*notes["blur"].frames} == {"0007", "0015"}
-    assert notes["exposure"].figures["times"] == pytest.approx(1 / 0.45, rel=0.2)
-
-
-def test_classes_that_views_swap_are_a_note(scene: Path) -> None:
-    spoiling.rename_class(scene, {f"{number:04d}" for number in range(0, FRAMES, 2)}, CHAIR_ID, CABINET_ID)
-    diagnosis = diagnose(open_scene(scene))
-    assert {finding.cause for finding in diagnosis.findings} == {"contradicting classes"}
-    assert {diagnosis.findings[0].figures["class"], diagnosis.findings[0].figures["other"]} == {"chair", "cabinet"}
-
-
 @pytest.mark.parametrize(("kept", "frames"), [(["chair"], 10), (["wall"], 10), (["wall", "chair"], 4)])
 def test_true_masks_of_few_classes_or_frames_contradict_nothing(tmp_path: Path, kept: list[str], frames: int) -> None:
     folder = write_tiny_scene(tmp_path / "scene", frames, SIZE)
@@ -293,7 +248,7 @@ def test_true_masks_of_few_classes_or_frames_contradict_nothing(tmp_path: Path, 
 def test_masks_contradict_where_they_could_have_agreed(
     counts: list[list[float]], by_look: list[float], odd: list[int]
 ) -> None:
-    measured = labels.LabelAgreement((*range(1, len(counts) + 1),), np.array(counts), np.array(by_look))
+    measured = labels.LabelAgreement(np.array(counts), np.array(by_look))
     assert labels.odd_looks(measured) == odd
 
 
@@ -320,9 +275,9 @@ def test_nothing_is_found_in_the_sample(root: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_hand_held_capture_is_blurred_and_exposed_and_nothing_is_wrong(root: Path, tmp_path: Path) -> None:
+def test_nothing_is_wrong_with_a_hand_held_capture(root: Path, tmp_path: Path) -> None:
     """Poses 5 mm off, depth with noise and holes, black borders: none of it is a wrong number."""
     command = [sys.executable, root / "sample" / "hand_held.py", root / "sample" / "room", tmp_path / "twin"]
     subprocess.run([str(part) for part in command], check=True, timeout=600)
     diagnosis = diagnose(open_scene(tmp_path / "twin"))
-    assert {finding.cause for finding in diagnosis.findings} <= {"blur", "exposure"} and wrong_in(diagnosis) == []
+    assert wrong_in(diagnosis) == []
