@@ -32,9 +32,9 @@ def class_of_parts(lift: Path, state: Replay, number: int, part: NDArray[np.inte
         camera = cameras.get(segment.frame)
         if camera is None or segment.class_id not in state.classes.thing_ids:
             continue
-        pixel, depth = camera.project(xyz)
-        place = np.where(depth[:, None] > 0, pixel / np.array(camera.size), np.nan)
-        fits = [_overlap(place[part == each], segment.rectangle) for each in numbers]
+        rows, pixel, _ = camera.seen(xyz)
+        place, shown = pixel / camera.size, part[rows]
+        fits = [_overlap(place[shown == each], segment.rectangle) for each in numbers]
         if max(fits) >= FITS:
             own = votes.setdefault(numbers[int(np.argmax(fits))], {})
             own[segment.class_id] = own.get(segment.class_id, 0.0) + segment.pixels
@@ -42,12 +42,10 @@ def class_of_parts(lift: Path, state: Replay, number: int, part: NDArray[np.inte
 
 
 def _overlap(place: NDArray[np.float64], rectangle: tuple[float, float, float, float]) -> float:
-    """Intersection over union of the rectangle around points [n, 2], as far as they lie in the picture (0..1), with
-    another one (left, top, right, bottom)."""
-    inside = place[((place >= 0) & (place <= 1)).all(axis=1)]
-    if not len(inside):
+    """Intersection over union of the rectangle around points [n, 2] with another one (left, top, right, bottom)."""
+    if not len(place):
         return 0.0
-    (left, top), (right, bottom) = np.percentile(inside, INNER, axis=0)
+    (left, top), (right, bottom) = np.percentile(place, INNER, axis=0)
     width = min(right, rectangle[2]) - max(left, rectangle[0])
     height = min(bottom, rectangle[3]) - max(top, rectangle[1])
     common = max(float(width), 0.0) * max(float(height), 0.0)

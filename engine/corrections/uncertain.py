@@ -26,13 +26,11 @@ def entropy_of_views(points: SemanticPoints, cameras: Sequence[Camera]) -> NDArr
     """The mean ``entropy_of`` the points that each camera sees, float64 [V]; 0 where it sees none."""
     doubt, found = entropy_of(points.confidence), np.zeros(len(cameras))
     for number, camera in enumerate(cameras):
-        pixel, depth = camera.project(points.xyz)
-        inside = (depth > 0) & (pixel >= 0).all(axis=1) & (pixel < np.array(camera.size)).all(axis=1)
-        rows = np.flatnonzero(inside)
-        column, row = (pixel[rows] * (_CELLS / camera.width)).astype(np.int64).T
+        rows, pixel, depth = camera.seen(points.xyz)
+        column, row = (pixel * (_CELLS / camera.width)).astype(np.int64).T
         cell = row * _CELLS + column
         nearest = np.full(int(cell.max(initial=0)) + 1, np.inf)
-        np.minimum.at(nearest, cell, depth[rows])
-        seen = rows[depth[rows] <= nearest[cell] + _BEHIND]
+        np.minimum.at(nearest, cell, depth)
+        seen = rows[depth <= nearest[cell] + _BEHIND]
         found[number] = doubt[seen].mean() if len(seen) else 0.0
     return found

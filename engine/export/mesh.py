@@ -146,14 +146,10 @@ def vertex_labels(xyz: NDArray[np.float32], views: list[SmallView], times: int =
     known = np.unique(np.concatenate([np.unique(view.label) for view in views]))
     votes = np.zeros((len(xyz), len(known)), np.uint16)
     for view in views:
-        pixel, depth = view.camera.project(xyz)
-        large = view.large_depth(times)
-        column, row = (np.floor(pixel[:, axis]).astype(np.int64) for axis in (0, 1))
-        inside = (depth > 0) & (column >= 0) & (column < view.camera.width) & (row >= 0) & (row < view.camera.height)
-        vertex = np.flatnonzero(inside)
-        row, column = row[vertex], column[vertex]
-        there = large[tuple(np.floor(times * pixel[vertex, axis]).astype(np.int64) for axis in (1, 0))]
-        seen = np.abs(there - depth[vertex]) < SEEN_WITHIN
+        vertex, pixel, depth = view.camera.seen(xyz)
+        column, row = pixel.astype(np.int64).T
+        x, y = (times * pixel).astype(np.int64).T
+        seen = np.abs(view.large_depth(times)[y, x] - depth) < SEEN_WITHIN
         place = np.searchsorted(known, view.label[row[seen], column[seen]])
         votes[vertex[seen], place] += 1
     return np.where(votes.any(axis=1), known[votes.argmax(axis=1)], 0)

@@ -104,9 +104,7 @@ def _segments(frames: Sequence[Frame], xyz: NDArray[np.floating], told: Told) ->
     """The segments of things that hold the object's points, from the frames that see most of them."""
     inside = []
     for number, frame in enumerate(frames):
-        pixel, far = frame.camera.project(xyz)
-        count = ((far > 0) & (pixel >= 0).all(axis=1) & (pixel < np.array(frame.size)).all(axis=1)).sum()
-        inside.append((-int(count), number))
+        inside.append((-len(frame.camera.seen(xyz)[0]), number))
     best = sorted(number for count, number in sorted(inside)[:MOST_FRAMES] if count)
     found: list[_Segment] = []
     for done, number in enumerate(best):
@@ -117,22 +115,21 @@ def _segments(frames: Sequence[Frame], xyz: NDArray[np.floating], told: Told) ->
 
 
 def _of_frame(number: int, frame: Frame, xyz: NDArray[np.floating]) -> list[_Segment]:
-    pixel, far = frame.camera.project(xyz)
-    column, row = np.floor(pixel).astype(np.int64).T
-    rows = np.flatnonzero((far > 0) & (column >= 0) & (column < frame.size[0]) & (row >= 0) & (row < frame.size[1]))
+    rows, pixel, far = frame.camera.seen(xyz)
+    column, row = pixel.astype(np.int64).T
     depth, mask = frame.depth(frame.size), frame.mask(frame.size)
-    rows = rows[np.abs(depth[row[rows], column[rows]] - far[rows]) < SEEN_WITHIN]
-    shown = mask.ids[row[rows], column[rows]]
+    near = np.abs(depth[row, column] - far) < SEEN_WITHIN
+    rows, shown, far = rows[near], mask.ids[row[near], column[near]], far[near]
     word = resolution_on(frame.camera, far.astype(np.float32), 1.0) ** 2  # as many votes as pixels
     things = {one.id: one.class_id for one in mask.segments if one.is_thing and not one.is_group}
     seen = np.zeros(len(xyz), np.float32)
     known = np.isin(shown, [*things])
-    seen[rows[known]] = word[rows[known]]
+    seen[rows[known]] = word[known]
     found = []
     for one, count in zip(*np.unique(shown[known], return_counts=True), strict=True):
         if count >= LEAST_SHARE * len(rows):
             holds = np.zeros(len(xyz), np.float32)
-            holds[rows[shown == one]] = word[rows[shown == one]]
+            holds[rows[shown == one]] = word[shown == one]
             found.append(_Segment(number, things[int(one)], holds, seen))
     return found
 

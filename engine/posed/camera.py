@@ -84,3 +84,10 @@ class Camera:
         safe = np.where(np.abs(z) < 1e-9, 1e-9, z)
         uv = np.stack([local[..., 0] / safe * self.fx + self.cx, local[..., 1] / safe * self.fy + self.cy], axis=-1)
         return uv, z
+
+    def seen(self, points: NDArray[np.floating]) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]:
+        """The rows [n] of the world points [N, 3] that lie within the picture, whatever stands before them, and the
+        continuous pixel coordinates (x, y), float64 [n, 2], and the planar depth [n] of each."""
+        pixel, depth = self.project(points)
+        rows = np.flatnonzero((depth > 0) & ((pixel >= 0) & (pixel < np.array(self.size))).all(axis=1))
+        return rows, pixel[rows], depth[rows]

@@ -173,12 +173,11 @@ def registered(depth: NDArray[np.float32], camera: Camera, colour: Camera) -> ND
     """Depth [H, W] that ``camera`` measured, as the camera ``colour`` beside it sees it, 0 = none."""
     height, width = depth.shape
     points = camera.resized(width, height).unproject(depth)[depth > 0.0]
-    pixels, z = colour.resized(width, height).project(points)
-    columns, rows = np.floor(pixels).astype(np.int64).T
-    inside = (z > 0.0) & (columns >= 0) & (columns < width) & (rows >= 0) & (rows < height)
+    _, pixels, z = colour.resized(width, height).seen(points)
+    columns, rows = pixels.astype(np.int64).T
     nearest = np.full(height * width, np.inf, np.float32)
     # Of all surfaces that fall into a pixel, the nearest hides the others.
-    np.minimum.at(nearest, rows[inside] * width + columns[inside], z[inside].astype(np.float32))
+    np.minimum.at(nearest, rows * width + columns, z.astype(np.float32))
     nearest[np.isinf(nearest)] = 0.0
     return nearest.reshape(height, width)
 

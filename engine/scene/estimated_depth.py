@@ -180,7 +180,5 @@ def _with_depth(frame: Frame, path: Path, read: Callable[[Path], NDArray[np.floa
 def _seen_points(frame: Frame, points: SparsePoints) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """(x, y) of a frame's points in shares of the picture, and their depth. Without tracks: all points in view."""
     xyz = points.xyz[points.seen_by.get(frame.name, np.zeros(0, np.int64))] if points.seen_by else points.xyz
-    pixels, depths = frame.camera.project(xyz)
-    shares = pixels / [frame.camera.width, frame.camera.height]
-    inside = (depths > 1e-6) & (shares >= 0.0).all(-1) & (shares < 1.0).all(-1)
-    return shares[inside], depths[inside]
+    _, pixels, depths = frame.camera.seen(xyz)
+    return pixels / frame.camera.size, depths

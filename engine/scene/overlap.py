@@ -81,11 +81,8 @@ def _share_seen(one: Thumbnail, other: Thumbnail) -> tuple[float, float]:
     points = one.camera.unproject(one.depth)[valid]
     if not len(points):
         return 0.0, 0.0
-    height, width = other.depth.shape
-    pixels, z = other.camera.project(points)
-    columns, rows = np.floor(pixels[:, 0]), np.floor(pixels[:, 1])
-    inside = (z > 0.0) & (columns >= 0) & (columns < width) & (rows >= 0) & (rows < height)
-    seen = other.depth[rows[inside].astype(np.int64), columns[inside].astype(np.int64)]
-    expected = z[inside]
+    _, pixels, expected = other.camera.seen(points)
+    columns, rows = pixels.astype(np.int64).T
+    seen = other.depth[rows, columns]
     agrees = (seen > 0.0) & (np.abs(seen - expected) <= np.maximum(_TOLERANCE, 0.05 * expected))
     return float((seen > 0.0).sum() / len(points)), float(agrees.sum() / len(points))

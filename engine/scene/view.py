@@ -44,10 +44,9 @@ class View:
     def places_in(self, xyz: NDArray[np.floating]) -> tuple[Rows, Rows, Rows, NDArray[np.float64]]:
         """The rows [n] of the world's places ``xyz`` [N, 3] that lie within the picture, whatever stands before them;
         the row and the column of each one's pixel, and its planar depth, float64 [n]."""
-        pixel, depth = self.camera.project(xyz)
-        number = np.flatnonzero((depth > 0) & ((pixel >= 0) & (pixel < np.array(self.camera.size))).all(axis=1))
-        x, y = pixel[number].astype(np.int64).T
-        return number, y, x, depth[number]
+        number, pixel, depth = self.camera.seen(xyz)
+        x, y = pixel.astype(np.int64).T
+        return number, y, x, depth
 
     def seen_of(self, xyz: NDArray[np.floating], near: float = NEAR) -> tuple[Rows, Rows, Rows]:
         """The rows [n] of those places ``xyz`` [N, 3] that the view's own depth shows, within ``near`` metres or
