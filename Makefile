@@ -27,7 +27,7 @@ LINT := $(PYTHON) -m ruff check . && mkdir -p build/types && ln -sfn ../.. build
 	$(PYTHON) -m mypy $(addprefix -p plgs.,engine plgs_blender operators ui) -m plgs.run_plgs -p research
 # Tests of what runs in the next Blender's own Python.
 NEXT_TESTS := tests/plgs_blender tests/operators tests/ui tests/test_register.py tests/test_extension.py tests/posed \
-	tests/job/test_folder.py tests/job/test_following_events.py
+	tests/job/test_folder.py tests/job/test_events.py
 # Which examples `make search` tries first, and how many times as many as `make test`.
 SEED := $(or $(SEED),$(shell od -An -N3 -tu4 /dev/urandom | tr -d ' '))
 PLGS_FUZZ ?= 25

@@ -9,6 +9,8 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
+import pytest
+
 from engine.command_line.run_engine import run_engine
 from engine.errors import ExitCode
 from engine.job import LiftFolder
@@ -52,3 +54,14 @@ def command_after_another(python: Path, lift: Path, *, resume: bool) -> list[str
     """In place of `engine_command`: another engine does the lift before the one that the command starts begins."""
     assert run_engine(LiftFolder.open(lift), lift=tiny_lift) is ExitCode.FINISHED
     return [python, FAKE, "short", lift, *(["--resume"] if resume else [])]
+
+
+COUNTERS = Path("/proc/self/io")
+
+
+def bytes_read() -> int:
+    """Bytes that this process has read so far, as Linux counts them. Skips the test where nobody counts."""
+    if not COUNTERS.exists():
+        pytest.skip("needs Linux's count of bytes read")
+    counts = dict(line.split(": ") for line in COUNTERS.read_text().splitlines())
+    return int(counts["rchar"])

@@ -11,7 +11,13 @@ import pytest
 
 from engine.errors import PlgsError
 from engine.job import read_cameras
-from engine.job.cameras import refuse_equal_names
+from engine.job.cameras import (
+    PreviewCamera,
+    frame_numbers,
+    read_preview_request,
+    refuse_equal_names,
+    write_preview_request,
+)
 
 POSE = [[1, 0, 0, 0.5], [0, 1, 0, 0], [0, 0, 1, 2], [0, 0, 0, 1]]
 LENS = {"fx": 50, "fy": 51.5, "cx": 40, "cy": 22.5}
@@ -67,3 +73,71 @@ def test_what_is_invalid_is_refused(tmp_path: Path, content: object, says: str) 
 def test_a_frames_name_is_taken() -> None:
     with pytest.raises(PlgsError, match="a frame of the scene is named 'A'"):
         refuse_equal_names(["b", "A"], Path("cameras.json"), taken=["a"])
+
+
+SEEN_FROM = ((0.0, 0.0, 1.0, 4.0), (1.0, 0.0, 0.0, 5.0), (0.0, 1.0, 0.0, 6.0), (0.0, 0.0, 0.0, 1.0))
+PINHOLE = ((300.0, 0.0, 160.0), (0.0, 310.0, 120.0), (0.0, 0.0, 1.0))
+CAMERA = PreviewCamera(SEEN_FROM, PINHOLE, 320, 240)
+
+
+def test_what_is_written_is_read_again(tmp_path: Path) -> None:
+    path = tmp_path / "preview.json"
+    assert read_preview_request(path) is None
+    for wanted in ("0004", CAMERA):
+        write_preview_request(path, wanted)
+        assert read_preview_request(path) == wanted
+    assert [each.name for each in tmp_path.iterdir()] == ["preview.json"]
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"camera_to_world": None},
+        {"camera_to_world": [[1, 0, 0, 0]] * 4},
+        {"camera_to_world": [[2, 0, 0, 0], [0, 2, 0, 0], [0, 0, 2, 0], [0, 0, 0, 1]]},
+        {"camera_to_world": [[1, 0, 0, 1e999], *([0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1])]},
+        {"K": [[0, 0, 160], [0, 310, 120], [0, 0, 1]]},
+        {"K": [[300, 5, 160], [0, 310, 120], [0, 0, 1]]},
+        {"K": [["300", 0, 160], [0, 310, 120], [0, 0, 1]]},
+        {"width": 0},
+        {"height": 1e9},
+        {"height": True},
+        {"frame": 4, "width": None},
+    ],
+)
+def test_what_is_not_a_camera_is_refused(tmp_path: Path, change: dict[str, object]) -> None:
+    path = tmp_path / "preview.json"
+    whole = {"camera_to_world": SEEN_FROM, "K": PINHOLE, "width": 320, "height": 240}
+    path.write_text(json.dumps(whole | change))
+    with pytest.raises(PlgsError):
+        read_preview_request(path)
+
+
+@pytest.mark.parametrize("content", ["", "{", "[]", "{}", "\0\0"])
+def test_a_broken_file_is_refused(tmp_path: Path, content: str) -> None:
+    path = tmp_path / "preview.json"
+    path.write_text(content)
+    with pytest.raises(PlgsError):
+        read_preview_request(path)
+
+
+@pytest.mark.parametrize(
+    ("text", "frames"),
+    [
+        ("1001", [1001]),
+        ("1001,1003", [1001, 1003]),
+        ("10-16:2", [10, 12, 14, 16]),
+        ("10-16x3, 7", [10, 13, 16, 7]),
+        ("0003-0005", [3, 4, 5]),
+        ("-3-1", [-3, -2, -1, 0, 1]),
+        ("-3--1:2, -7", [-3, -1, -7]),
+    ],
+)
+def test_lists_and_ranges(text: str, frames: list[int]) -> None:
+    assert [frame for each in frame_numbers(text) for frame in each] == frames
+
+
+@pytest.mark.parametrize("text", ["", "1-", "5-1", "1-5:0", "a", "1;2", "-3--5", "--3", "1,,2"])
+def test_what_is_no_list_of_frames_is_refused(text: str) -> None:
+    with pytest.raises(ValueError, match="such as|looks like"):
+        frame_numbers(text)

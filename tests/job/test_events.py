@@ -2,17 +2,25 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
+import sys
 import threading
 from pathlib import Path
 
 import pytest
 
 from engine.errors import PlgsError
-from engine.job import EventReader, EventWriter, last_run
+from engine.job import EventReader, EventWriter, LiftFolder, LiftState, last_run
 from engine.job.events import MOST_BYTES, TAIL_BYTES, last_events
-from tests.job.bytes_read import bytes_read
+from engine.job.follower import TaskFollower
+from engine.job.lock import FileLock
+from engine.job.task import LOG_BYTES, TaskState, last_lines
+from tests.job.following import Start, bytes_read, follow, watch
+from tests.job.lift_folders import new_lift
+
+posix = pytest.mark.skipif(sys.platform == "win32", reason="POSIX signals")
 
 
 def lines(path: Path) -> list[dict[str, object]]:
@@ -243,3 +251,108 @@ def test_texts_that_are_not_utf8_are_escaped(tmp_path: Path) -> None:
     writer = EventWriter(tmp_path / "events.jsonl")
     writer.warning("b\udce9d")
     assert [event.data["message"] for event in EventReader(tmp_path / "events.jsonl").poll()] == ["b\udce9d"]
+
+
+@posix
+def test_a_poll_is_quick_however_much_was_reported(folder: LiftFolder) -> None:
+    events = EventWriter(folder.events_path)
+    events.hello(threads=1, resumed=False)
+    events.stage("train", 1, 1, "Training")
+    events.close()
+    line = '{"seq": 3, "time": 1.5, "event": "%s", "stage": "train", "step": %d, "steps": 90000, "message": ""}\n'
+    with folder.events_path.open("a") as file:
+        file.writelines(line % ("warning" if step % 25 == 0 else "progress", step) for step in range(60000))
+    with folder.lock():
+        watcher = watch(folder)
+        while watcher.progress.step < 59999:
+            before, step = bytes_read(), watcher.progress.step
+            assert watcher.poll()
+            assert bytes_read() - before < 2 * MOST_BYTES
+            assert watcher.is_running and watcher.progress.step > step
+        before = bytes_read()
+        folder.state()
+        assert bytes_read() - before < 3 * TAIL_BYTES
+    watcher.poll()
+    assert not watcher.is_running and watcher.progress.label == "Training"
+
+
+@posix
+@pytest.mark.parametrize(
+    ("said", "state"),
+    [("finished", TaskState.FINISHED), ("cancelled", TaskState.CANCELLED), (None, TaskState.FAILED)],
+)
+def test_the_end_of_a_bake_is_not_the_state_of_the_lift(
+    folder: LiftFolder, start: Start, said: str | None, state: TaskState
+) -> None:
+    follow(start("short"))
+    events = EventWriter(folder.events_path)
+    events.hello(threads=1, resumed=False, task="bake")
+    events.stage("bake", 1, 1, "Baking")
+    if said is not None:
+        events.done(said)
+    events.close()
+    watcher = watch(folder)
+    follow(watcher)
+    assert watcher.kind == "bake" and watcher.state is state
+    assert folder.state() is LiftState.FINISHED
+
+
+@posix
+@pytest.mark.parametrize("number", ["NaN", "Infinity", "-Infinity", "1e999", "1" + "0" * 400, '"x"', "null"])
+def test_invalid_numbers_are_skipped(folder: LiftFolder, number: str) -> None:
+    line = f'{{"seq": 1, "time": 0, "event": "progress", "step": {number}, "steps": 9, "loss": 1, "eta_s": {number}}}'
+    folder.events_path.write_text(line + "\n")
+    watcher = watch(folder)
+    watcher.poll()
+    status = watcher.progress
+    assert (status.step, status.steps, status.loss, status.eta_s) == (0, 9, 1.0, None)
+
+
+@posix
+@pytest.mark.parametrize("number", [errno.EIO, errno.ESTALE])
+def test_a_lift_survives_a_disk_that_does_not_answer_for_a_moment(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: int
+) -> None:
+    folder, now = new_lift(tmp_path), [0.0]
+    writer = EventWriter(folder.events_path)
+    writer.hello(threads=1, resumed=False)
+    watcher = TaskFollower(folder.place, lift=folder, clock=lambda: now[0])
+
+    def no_answer(*_: object, **__: object) -> object:
+        raise OSError(number, os.strerror(number))
+
+    with FileLock(folder.events_path):
+        watcher.poll()
+        writer.warning("goes on")
+        for module in ("engine.job.lock", "engine.job.events"):
+            with monkeypatch.context() as patch:
+                patch.setattr(f"{module}.open_plain", no_answer)
+                now[0] += 4.0
+                assert not watcher.poll() and watcher.is_running
+        now[0] += 100.0
+        assert watcher.poll() and watcher.progress.warnings == ["goes on"] and watcher.is_running
+        monkeypatch.setattr("engine.job.events.open_plain", no_answer)
+        assert not watcher.poll()
+        now[0] += 100.0
+        assert watcher.poll() and watcher.state is TaskState.FAILED
+        assert "can no longer be followed" in str(watcher.error)
+
+
+def test_the_last_lines_that_say_something(tmp_path: Path) -> None:
+    log = tmp_path / "log.txt"
+    log.write_bytes(b"one\n\ntwo \r\n  three\n\xff four\n\n")
+    assert last_lines(log, 3) == ("two", "  three", "\N{REPLACEMENT CHARACTER} four")
+    assert last_lines(log) == ("one", *last_lines(log, 3))
+    assert last_lines(tmp_path / "missing") == ()
+
+
+def test_a_huge_log_is_not_read_whole(tmp_path: Path) -> None:
+    log = tmp_path / "log.txt"
+    with log.open("wb") as file:
+        file.truncate(1 << 30)  # sparse: takes no room
+        file.seek(0, 2)
+        file.write(b"\n" + b"x" * 5000 + b"\nthe end\n")
+    before = bytes_read()
+    *_, long, end = last_lines(log)
+    assert bytes_read() - before < 2 * LOG_BYTES
+    assert long == "x" * 500 and end == "the end"

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import json
+import os
+import shutil
 from pathlib import Path
 
 import pytest
 
-from engine.errors import PlgsError
-from engine.job import check_sizes, read_manifest, verify, write_manifest
+from engine.errors import ErrorCode, PlgsError
+from engine.job import CheckpointStore, atomic, check_sizes, read_manifest, verify, write_atomically, write_manifest
+from engine.job.atomic import PART, files_below, remove_parts
 
 
 @pytest.fixture
@@ -76,3 +79,121 @@ def test_it_refuses_a_damaged_manifest(result: Path) -> None:
     path.unlink()
     with pytest.raises(PlgsError, match="not finished"):
         read_manifest(result)
+
+
+def test_it_writes_bytes_text_and_by_function(tmp_path: Path) -> None:
+    write_atomically(tmp_path / "deep" / "a.bin", b"\0\1")
+    write_atomically(tmp_path / "b.txt", "für")
+    write_atomically(tmp_path / "c.png", lambda path: path.write_bytes(path.suffix.encode()))
+    assert (tmp_path / "deep" / "a.bin").read_bytes() == b"\0\1"
+    assert (tmp_path / "b.txt").read_text(encoding="utf-8") == "für"
+    assert (tmp_path / "c.png").read_bytes() == b".png"
+
+
+def test_a_failing_writer_leaves_the_old_content(tmp_path: Path) -> None:
+    path = tmp_path / "a.bin"
+    write_atomically(path, b"old")
+
+    def fail(part: Path) -> None:
+        part.write_bytes(b"half of the n")
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        write_atomically(path, fail)
+    assert path.read_bytes() == b"old"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_writer_that_writes_nothing_is_an_error(tmp_path: Path) -> None:
+    with pytest.raises(FileNotFoundError):
+        write_atomically(tmp_path / "a.bin", lambda part: None)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_it_clears_leftovers_away(tmp_path: Path) -> None:
+    (tmp_path / "deep" / (PART + "folder")).mkdir(parents=True)
+    for path in (tmp_path / (PART + "x"), tmp_path / "deep" / (PART + "folder") / "y", tmp_path / "deep" / "kept"):
+        path.write_bytes(b"")
+    remove_parts(tmp_path)
+    assert list(files_below(tmp_path)) == [tmp_path / "deep" / "kept"]
+    assert not (tmp_path / "deep" / (PART + "folder")).exists()
+
+
+def test_a_part_that_another_process_removed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "file"
+    path.write_text("old")
+    monkeypatch.setattr(atomic, "flush_to_disk", Path.unlink)
+    with pytest.raises(PlgsError, match="another process took over") as met:
+        write_atomically(path, "new")
+    assert met.value.code is ErrorCode.BUSY and path.read_text() == "old"
+
+
+def save(store: CheckpointStore, step: int) -> None:
+    def write(folder: Path) -> None:
+        (folder / "model.bin").write_bytes(bytes([step]) * 100)
+        (folder / "deep").mkdir()
+        (folder / "deep" / "optimiser.bin").write_bytes(bytes([step]) * 50)
+
+    store.save({"step": step}, write)
+
+
+def step_of(store: CheckpointStore) -> int:
+    """The step of the newest checkpoint, its files included; 0 when there is none."""
+    checkpoint = store.latest()
+    if checkpoint is None:
+        return 0
+    step = checkpoint.state["step"]
+    assert isinstance(step, int)
+    assert (checkpoint.path / "model.bin").read_bytes() == bytes([step]) * 100
+    assert (checkpoint.path / "deep" / "optimiser.bin").read_bytes() == bytes([step]) * 50
+    return step
+
+
+def test_the_newest_counts(tmp_path: Path) -> None:
+    store = CheckpointStore(tmp_path)
+    assert store.latest() is None and not store.exists
+    for step in (1, 2, 3):
+        save(store, step)
+        assert step_of(store) == step
+        assert [path.name for path in tmp_path.iterdir()] == ["checkpoint"]
+
+
+@pytest.fixture(autouse=True)
+def _no_waiting_for_the_disk(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(os, "fsync", lambda descriptor: None)
+
+
+def test_a_failing_writer_leaves_the_last_checkpoint(tmp_path: Path) -> None:
+    store = CheckpointStore(tmp_path)
+    save(store, 1)
+    with pytest.raises(OSError, match="no space"):
+        store.save({"step": 2}, lambda folder: (_ for _ in ()).throw(OSError("no space")))
+    assert step_of(store) == 1
+
+
+def test_it_falls_back_to_an_older_complete_checkpoint(tmp_path: Path) -> None:
+    store = CheckpointStore(tmp_path)
+    save(store, 1)
+    shutil.copytree(tmp_path / "checkpoint", tmp_path / "checkpoint.old")
+    (tmp_path / "checkpoint" / "model.bin").write_bytes(b"torn")
+    checkpoint = store.latest()
+    assert checkpoint is not None and checkpoint.path.name == "checkpoint.old"
+
+
+@pytest.mark.parametrize("damage", ["changed", "missing", "no index", "format"])
+def test_a_damaged_checkpoint_is_an_error_and_not_a_silent_restart(tmp_path: Path, damage: str) -> None:
+    store = CheckpointStore(tmp_path)
+    save(store, 1)
+    model, index = tmp_path / "checkpoint" / "model.bin", tmp_path / "checkpoint" / "state.json"
+    match damage:
+        case "changed":
+            model.write_bytes(b"\2" * 100)
+        case "missing":
+            model.unlink()
+        case "no index":
+            index.unlink()
+        case "format":
+            index.write_text(index.read_text().replace('"format": 1', '"format": 7'))
+    with pytest.raises(PlgsError):
+        store.latest()
+    assert store.exists

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -12,10 +13,15 @@ import pytest
 from engine.errors import PlgsError
 from engine.job.environment import (
     COMPLETE,
+    constraints_path,
+    digest,
     environment_name,
     environments_folder,
     is_complete,
     made_environment,
+    module_of,
+    needed_packages,
+    pinned_versions,
     python_in,
 )
 from engine.job.handshake import VERSION
@@ -28,6 +34,7 @@ from engine.job.process import (
     engine_python,
     missing_modules,
 )
+from engine.job.system import SHARE, MainMemory, main_memory
 from engine.user_cache import user_cache_folder
 from tests.waiting import wait_until
 
@@ -179,3 +186,84 @@ def test_a_module_in_the_current_folder_is_never_run(
     said = subprocess.run([*command, "inspect", "."], capture_output=True, text=True, timeout=60)
     assert said.returncode == 2 and "no scene of a known format is here" in said.stderr
     assert not (tmp_path / "run").exists()
+
+
+def test_everything_that_a_lift_imports_is_pinned(root: Path) -> None:
+    assert pinned_versions(root) == ((3, 11), (3, 13))
+    for version in pinned_versions(root):
+        needed = needed_packages(root, version)
+        assert next(iter(needed)) == "torch" and all(needed.values())
+        assert {module_of(name) for name in needed} == {
+            "torch", "open3d", "cv2", "OpenEXR", "numba", "scipy", "safetensors", "lz4", "numpy",
+        }  # fmt: skip
+    assert needed_packages(root, (3, 11))["scipy"] != needed_packages(root, (3, 13))["scipy"]
+    assert needed_packages(root, (3, 12))["numpy"] is None
+
+
+@pytest.mark.parametrize("platform", ["linux", "win32", "darwin"])
+def test_every_system_needs_the_same(root: Path, platform: str) -> None:
+    modules = {module_of(name): pin for name, pin in needed_packages(root, (3, 11), platform).items()}
+    assert modules == {module_of(name): pin for name, pin in needed_packages(root, (3, 11)).items()}
+
+
+def test_a_different_text_means_a_different_environment(root: Path, tmp_path: Path) -> None:
+    shutil.copytree(root / "requirements", tmp_path / "requirements")
+    before = digest(tmp_path, (3, 11))
+    assert before == digest(root, (3, 11)) != digest(root, (3, 13))
+    with constraints_path(tmp_path, (3, 11)).open("a") as file:
+        file.write("one-more==1.0\n")
+    assert digest(tmp_path, (3, 11)) != before
+
+
+def test_what_cannot_be_read_is_reported(root: Path, tmp_path: Path) -> None:
+    with pytest.raises(PlgsError, match="torch.txt"):
+        needed_packages(tmp_path, (3, 11))
+    shutil.copytree(root / "requirements", tmp_path / "requirements")
+    (tmp_path / "requirements" / "torch.txt").write_text('torch==1.0; os_name == "nt"\n')
+    with pytest.raises(PlgsError, match="os_name"):
+        needed_packages(tmp_path, (3, 11))
+
+
+INFO = "MemTotal:       1000 kB\nMemFree:         100 kB\nMemAvailable:    600 kB\nHugePages_Total:   0\n"
+
+
+@pytest.fixture
+def proc(tmp_path: Path) -> Path:
+    path = tmp_path / "meminfo"
+    path.write_text(INFO)
+    return path
+
+
+def limit(folder: Path, most: str, held: int) -> Path:
+    (folder / "memory.max").write_text(most)
+    (folder / "memory.current").write_text(str(held))
+    return folder
+
+
+def test_the_memory_of_the_machine(proc: Path, tmp_path: Path) -> None:
+    assert main_memory(proc, tmp_path) == MainMemory(1_024_000, 614_400)
+    assert main_memory(proc, limit(tmp_path, "max\n", 5)) == MainMemory(1_024_000, 614_400)
+
+
+def test_the_memory_limit_of_a_container(proc: Path, tmp_path: Path) -> None:
+    assert main_memory(proc, limit(tmp_path, "500000\n", 100_000)) == MainMemory(500_000, 400_000)
+    assert main_memory(proc, limit(tmp_path, "500000", 900_000)) == MainMemory(500_000, 0)
+    assert main_memory(proc, limit(tmp_path, "900000000", 0)) == MainMemory(1_024_000, 614_400)
+
+
+def test_a_part_of_the_memory(proc: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv(SHARE, "0.0005")
+    assert main_memory(proc, tmp_path) == MainMemory(500_000, 500_000)
+    monkeypatch.setenv(SHARE, "5")
+    assert main_memory(proc, tmp_path) == MainMemory(1_024_000, 614_400)
+
+
+@pytest.mark.parametrize("text", ["", "MemTotal: 5 kB", "MemTotal: x\n", "MemTotal:\nMemAvailable:\n"])
+def test_what_cannot_be_read_is_unknown(proc: Path, tmp_path: Path, text: str) -> None:
+    proc.write_text(text)
+    assert main_memory(proc, tmp_path) is None
+
+
+def test_of_this_machine() -> None:
+    memory = main_memory()
+    assert memory is None or memory.total >= memory.free > 0

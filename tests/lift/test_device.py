@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -9,19 +10,21 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from numba.core.dispatcher import Dispatcher
 
 from engine.command_line.run_engine import run_engine
 from engine.errors import PlgsError
 from engine.job import EventWriter, ExitCode, LiftFolder, LiftRequest, StopSignal
-from engine.lift import device
+from engine.lift import device, warm_up
 from engine.lift.device import refuse_missing_device
 from engine.lift.run import STAGES
-from engine.model.render import render_view
+from engine.model.render import render_bands, render_view
+from engine.passes.baked_view import ShownInstances, bake_view
 from engine.raster import interface
 from engine.train.progress import StageReporter
 from tests.raster.gsplat_in_torch import use_a_stand_in
 from tests.tiny_scene import write_tiny_scene
-from tests.train.tiny_lift import TINY, trainer_of, views_of
+from tests.train.tiny_lift import TINY, colour_error, trainer_of, views_of
 
 
 def test_without_a_cuda_device_a_lift_is_refused_before_any_work(
@@ -95,3 +98,27 @@ def test_a_lift_trains_and_renders_on_the_back_end_for_cuda(tmp_path: Path, monk
     redrawn = render_view(ours.scene, views[0].camera)
     np.testing.assert_allclose(redrawn.image, drawn.image, atol=1e-3)
     np.testing.assert_allclose(redrawn.class_coverage, drawn.class_coverage, atol=1e-3)
+
+
+def compiled() -> dict[str, int]:
+    """How many machine code versions each of the engine's kernels has in this process."""
+    kernels = [each for each in gc.get_objects() if issubclass(type(each), Dispatcher)]  # asks nothing of the others
+    ours = [kernel for kernel in kernels if kernel.__module__.startswith("engine.")]
+    return {f"{kernel.__module__}.{kernel.__name__}": len(kernel.signatures) for kernel in ours}
+
+
+def test_nothing_is_left_to_compile(tmp_path: Path) -> None:
+    warm_up()
+    before = compiled()
+    assert len(before) > 10 and sum(before.values()) > 10
+    views, classes = views_of(tmp_path / "scene")
+    trainer = trainer_of(views, classes, TINY, tmp_path)
+    while not trainer.finished:
+        trainer.step()
+    colour_error(views, trainer)
+    for owned in (None, {1: 5}):
+        camera = views[0].camera
+        for most_bytes in (None, 1):  # whole, and in bands
+            bands = render_bands(trainer.scene, camera, most_bytes=most_bytes)
+            bake_view(bands, camera, classes, ShownInstances({}, owned))
+    assert compiled() == before

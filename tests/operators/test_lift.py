@@ -16,7 +16,7 @@ from plgs.engine.job.recent import remember_lift
 from plgs.plgs_blender import engine_environment, registry
 from plgs.plgs_blender.running import lifts, survey
 
-from tests.job.bytes_read import bytes_read
+from tests.job.following import bytes_read
 
 ENGINE = Path(__file__).resolve().parents[1] / "job" / "fake_engine.py"
 Behaves = Callable[[str], None]
