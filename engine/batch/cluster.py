@@ -212,11 +212,6 @@ def require_dask(name: str = "distributed") -> Any:
         raise lacks_part("batches need Dask, which this engine lacks", sys.executable, "farm") from error
 
 
-def is_address(text: str) -> bool:
-    """Whether this may be a scheduler's address. For others, Dask waits long and ends with its own errors."""
-    return re.fullmatch(r"[a-z]+://[^\s/]+:[0-9]{1,5}", text) is not None
-
-
 def is_here(address: str) -> bool:
     """Whether an address is only for programs on this machine."""
     host = address.rpartition("//")[2].rpartition(":")[0].strip("[]")
@@ -246,7 +241,7 @@ class Tls:
 
 def security_for(address: str, tls: Tls | None, fix: str) -> Any:
     """Dask's settings for an address, or None. Raises PlgsError if they do not fit, or if it is no address."""
-    if not is_address(address):
+    if re.fullmatch(r"[a-z]+://[^\s/]+:[0-9]{1,5}", address) is None:  # Dask waits long, and ends with its own errors
         raise PlgsError("is not the address of a scheduler", address, fix)
     if tls is None:
         return None

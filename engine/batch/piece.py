@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import sys
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 from pathlib import Path
@@ -115,7 +115,11 @@ def do(piece: Piece, tell: Tell, threads: int = 0, worker: str = "", gigabytes: 
         _refuse_unfit_place(piece)
         follower = _followed(piece, tell, variables)
         is_done = follower is None or follower.error is None and follower.exit_code is ExitCode.FINISHED
-        frames: list[Json] = [*_frames_of(piece.lift)] if piece.tells_frames and is_done else []
+        frames = list[Json]()
+        if piece.tells_frames and is_done:
+            from ..scene_of_lift import scene_of_lift  # late: it reads masks
+
+            frames += [frame.name for frame in scene_of_lift(LiftFolder.open(piece.lift)).frames]
     except PlgsError as error:
         return outcome(Ended.ELSEWHERE if error.code in _PLACE_CODES else Ended.FAILED, error)
     except OSError as error:
@@ -184,8 +188,10 @@ def _followed(piece: Piece, tell: Tell, variables: Mapping[str, str]) -> TaskFol
 
 def _started(piece: Piece, variables: Mapping[str, str]) -> TaskFollower | None:
     if piece.kind is Kind.LIFT:
+        from ..scene_of_lift import is_done  # late: it reads masks
+
         lift = _lift_folder(piece)
-        if not lift.is_running and _is_done(lift):
+        if not lift.is_running and is_done(lift):
             return None
         # Also a new lift: before this engine begins, that of another batch may have begun it, or done it.
         command = engine_command(Path(sys.executable), lift.path, resume=True)
@@ -209,18 +215,6 @@ def _lift_folder(piece: Piece) -> LiftFolder:
         fix = "Leave these options as they were, or choose another output folder."
         raise PlgsError(f"holds a lift with a different {', '.join(differing)}", lift.path, fix)
     return lift
-
-
-def _is_done(lift: LiftFolder) -> bool:
-    from ..scene_of_lift import is_done  # late: it reads masks
-
-    return is_done(lift)
-
-
-def _frames_of(lift: Path) -> Sequence[str]:
-    from ..scene_of_lift import scene_of_lift
-
-    return [frame.name for frame in scene_of_lift(LiftFolder.open(lift)).frames]
 
 
 def do_on_dask(piece: Piece) -> Outcome:

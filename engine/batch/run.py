@@ -7,6 +7,7 @@ import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field, replace
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 from uuid import uuid4
@@ -74,7 +75,7 @@ def run_batch(plan: BatchPlan, place: Place, interrupts: Interrupts, events: Eve
     missing = [job for job in plan.jobs if job.name not in rows]
     if missing:
         with opened(place) as farm:
-            dashboard = "" if _has_module("bokeh") else " (its pages need the package bokeh)"
+            dashboard = "" if find_spec("bokeh") else " (its pages need the package bokeh)"
             report.say(f"Scheduler: {farm.address}. Dashboard: {farm.client.dashboard_link}{dashboard}")
             batch = _Batch(plan, farm, report, rows)
             batch.run(missing, interrupts)
@@ -97,12 +98,6 @@ def _turn(plan: BatchPlan) -> FileLock:
     return FileLock(plan.output / RECORDS / "table.lock", _TABLE_S)
 
 
-def _has_module(name: str) -> bool:
-    from importlib.util import find_spec
-
-    return find_spec(name) is not None
-
-
 class _Batch:
     """The submitted pieces, and their outcomes."""
 
@@ -118,7 +113,9 @@ class _Batch:
     def run(self, jobs: Sequence[SceneJob], interrupts: Interrupts) -> None:
         self._listen()
         for place, job in enumerate(jobs):
-            _clear_cancel(job)
+            cancel: Path = job.lift / "cancel"  # of an earlier batch: it would stop a bake
+            if cancel.exists() and not LiftFolder.open(job.lift).is_running:
+                cancel.unlink(missing_ok=True)  # another batch may do so in this moment
             self._scenes[job.name] = _Scene(job, place, iter(()))
         for scene in self._scenes.values():
             scene.stages = self._stages(scene)
@@ -320,13 +317,6 @@ def lifted_metrics(metrics: Mapping[str, Json]) -> dict[str, Json]:
         if isinstance(table, dict) and table.get("name") == LIFTED and table.get("mode") in (STRICT, None):
             return {key: value for key, value in table.items() if key != "per_class"}
     return {}
-
-
-def _clear_cancel(job: SceneJob) -> None:
-    """Delete an earlier batch's cancel file, which would stop a bake."""
-    cancel: Path = job.lift / "cancel"
-    if cancel.exists() and not LiftFolder.open(job.lift).is_running:
-        cancel.unlink(missing_ok=True)  # another batch may do so in this moment
 
 
 BATCH = "batch"

@@ -54,9 +54,15 @@ def run_engine(
                 folder.prepare_run()
 
             def work(events: EventWriter, stop: StopSignal) -> None:
-                if lift is None and state is LiftState.NOT_STARTED:
-                    _refuse_no_scene(folder)
-                _run_lift(lift)(folder, events, stop, resume=resume)
+                if lift is not None:
+                    return lift(folder, events, stop, resume=resume)
+                if state is LiftState.NOT_STARTED:  # refused at once, not only after torch was loaded
+                    from ..scene.formats import find_format
+
+                    find_format(folder.request.scene, folder.request.scene_format)
+                from ..lift import run_lift  # late: it loads torch, and by now the watchdog can stop a slow import
+
+                run_lift(folder, events, stop, resume=resume)
 
             command = Command(
                 LIFT,
@@ -95,7 +101,7 @@ def run_bake(
     """
 
     def work(events: EventWriter, stop: StopSignal) -> None:
-        from ..lift import BakeOptions, bake_cameras, bake_frames  # late, as in `_run_lift`
+        from ..lift import BakeOptions, bake_cameras, bake_frames  # late: it loads torch
 
         options = BakeOptions(tuple(layers), output)
         if cameras is not None:
@@ -166,19 +172,3 @@ def _refuse_unfinished(folder: LiftFolder) -> None:
         what = f"this lift is not finished ({folder.state_at_rest().value})"
         raise PlgsError(what, folder.path, "Resume it first.", code=ErrorCode.NOT_FINISHED)
     verify_lifted(folder.result_path)
-
-
-def _refuse_no_scene(folder: LiftFolder) -> None:
-    """Raises PlgsError at once, not only after torch was loaded."""
-    from ..scene.formats import find_format
-
-    find_format(folder.request.scene, folder.request.scene_format)
-
-
-def _run_lift(lift: LiftWork | None) -> LiftWork:
-    """``lift``, or the real one, imported late: it loads torch, and by now the watchdog can stop even a slow import."""
-    if lift is not None:
-        return lift
-    from ..lift import run_lift
-
-    return run_lift

@@ -146,7 +146,9 @@ def _failure(error: Exception, command: Command, place: TaskPlace | None) -> Plg
     if isinstance(error, ModuleNotFoundError):
         fix = f"Set the environment up again with 'make set-up', then {command.again}."
         return PlgsError(str(error), sys.executable, fix, code=ErrorCode.INTERNAL)
-    if isinstance(error, MemoryError) or _is_of_lacking_memory(error):
+    # Libraries in C++ have their own errors: torch on the CPU and the GPU, OpenCV.
+    lacks_memory = isinstance(error, MemoryError) or type(error).__name__ == "OutOfMemoryError"
+    if lacks_memory or any(words in str(error) for words in _NO_MEMORY):
         return PlgsError("memory ran out", where.parent, command.with_less_memory, code=ErrorCode.INTERNAL)
     at = str(getattr(error, "filename", None) or ("" if place is None else where.parent))
     number = _number_of(error)
@@ -158,12 +160,6 @@ def _failure(error: Exception, command: Command, place: TaskPlace | None) -> Plg
     what = f"the engine failed ({type(error).__name__}: {(str(error).splitlines() or [''])[0][:300]})"
     fix = f"The log has the details. Once the cause is fixed, {command.again}."
     return PlgsError(what, where, fix, code=ErrorCode.INTERNAL)
-
-
-def _is_of_lacking_memory(error: Exception) -> bool:
-    """Whether memory ran out. Libraries in C++ have their own errors: torch on the CPU and the GPU, OpenCV."""
-    said = str(error)
-    return type(error).__name__ == "OutOfMemoryError" or any(words in said for words in _NO_MEMORY)
 
 
 def _number_of(error: Exception) -> int | None:

@@ -302,9 +302,7 @@ def _write_new(path: Path, text: str) -> None:
 
 
 FILES = ("request.json", "corrections.json", "scene.json", "events.jsonl", "cancel", "preview.json", "log.txt")
-FOLDERS = ("result", "bake", *(name + end for name in ("checkpoint", "preparation") for end in ("", ".next", ".old")))
-_BEGINNINGS = (PART, "bake-")
-"""The prefixes of files that are being written, and of logs that earlier versions left beside them."""
+FOLDERS = ("result", "bake", "checkpoint", "checkpoint.next", "checkpoint.old")
 
 
 def refuse_foreign(lift: Path, *more: str) -> None:
@@ -320,7 +318,7 @@ def refuse_foreign_below(lift: Path) -> None:
     """Like `refuse_foreign`, for everything in the lift's folders. Call it before writing or deleting there."""
     refuse_foreign(lift)
     tops = [lift / name for name in FOLDERS]
-    tops += [path for path in _entries(lift) if path.name.startswith(_BEGINNINGS)]
+    tops += [path for path in _entries(lift) if path.name.startswith(PART)]
     while tops:
         path = tops.pop()
         _refuse(path, lambda mode: S_ISREG(mode) or S_ISDIR(mode))

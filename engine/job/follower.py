@@ -121,8 +121,9 @@ class TaskFollower:
         try:
             has_news = self._poll()
         except (OSError, PlgsError) as error:
-            if is_silence(error) and self._is_patient():  # a disk may fail to answer for a moment (EIO, ESTALE)
-                return False
+            self._silent_since = self._clock() if self._silent_since is None else self._silent_since
+            if is_silence(error) and self._clock() - self._silent_since <= PATIENCE_S:
+                return False  # a disk may fail to answer for a moment (EIO, ESTALE)
             if self._process is not None:
                 self._process.kill()
             fix = "Check its disk, then try again."
@@ -187,10 +188,6 @@ class TaskFollower:
                 self._done = str(data["state"])
             case _:
                 self.progress.take(event, self.place.events.parent)
-
-    def _is_patient(self) -> bool:
-        self._silent_since = self._clock() if self._silent_since is None else self._silent_since
-        return self._clock() - self._silent_since <= PATIENCE_S
 
     def _begin_waiting(self) -> None:
         if self.kill_at is None:
@@ -277,9 +274,8 @@ def start_bake(
 
 
 def _error(data: Mapping[str, Json]) -> PlgsError:
-    """The error in an event. Engines before version 0.2 wrote no code."""
+    """The error in an event. A later version may know more codes."""
     said = str(data.get("code"))
-    usual = ErrorCode.BAD_INPUT if data.get("exit_code") == ExitCode.BAD_INPUT else ErrorCode.INTERNAL
-    code = ErrorCode(said) if said in list(ErrorCode) else usual
+    code = ErrorCode(said) if said in list(ErrorCode) else ErrorCode.INTERNAL
     what, where, fix = (str(data[key]) for key in ("what", "where", "fix"))
     return PlgsError(what, where, fix, code=code, option=str(data.get("option") or ""))

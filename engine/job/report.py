@@ -55,9 +55,9 @@ def not_shown(metrics: Mapping[str, Json]) -> list[tuple[str, str]]:
 
 
 def doubt_of_frames(metrics: Mapping[str, Json]) -> dict[str, float]:
-    """How likely classes are wrong in each frame that was drawn to score the lift; in older lifts, their entropy."""
+    """How likely classes are wrong in each frame that was drawn to score the lift."""
     judges = metrics.get("masks_as_judges")
-    entries = judges.get("doubt", judges.get("entropy")) if isinstance(judges, dict) else None
+    entries = judges.get("doubt") if isinstance(judges, dict) else None
     known = entries.items() if isinstance(entries, dict) else ()
     return {name: float(value) for name, value in known if isinstance(value, int | float)}
 

@@ -123,7 +123,7 @@ class LiftRequest(SceneSource):
             raise PlgsError("'overrides' is not a JSON object", path, _FIX)
         if not isinstance(relative, dict) or not all(isinstance(value, str) for value in relative.values()):
             raise PlgsError("'relative' is not an object of texts", path, _FIX)
-        content |= {"options": _options(overrides, path), "fit": overrides.get("fit", False)}
+        content |= {"fit": overrides.pop("fit", False), "options": overrides}
         for name in _PLACES:
             if isinstance(content.get(name), str) and name in relative:
                 content[name] = _place(content[name], relative[name], path)
@@ -151,16 +151,6 @@ def refuse_unwritable_name(path: Path) -> None:
     except UnicodeEncodeError as error:
         what, fix = "has a name with broken characters (it is not UTF-8)", "Rename it, or the folder it is in."
         raise PlgsError(what, path, fix) from error
-
-
-def _options(overrides: Mapping[str, Json], path: Path) -> dict[str, Json]:
-    """The options among the overrides. Earlier versions wrote most of them as a separate object, and null for steps and
-    size that were left to the preset."""
-    inner = overrides.get("options", {})
-    if not isinstance(inner, dict):
-        raise PlgsError("'options' is not a JSON object", path, _FIX)
-    unset = [name for name in ("steps", "size") if overrides.get(name) is None]
-    return {name: value for name, value in overrides.items() if name not in ("fit", "options", *unset)} | inner
 
 
 def _relative(request: LiftRequest, lift: Path) -> dict[str, Json]:

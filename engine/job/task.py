@@ -208,21 +208,15 @@ class StopSignal:
         """Why the task should stop; None if it should continue."""
         if self._reason is None:
             for path in self._cancel_paths:
-                if _is_there(path):
-                    self._reason = f"the file '{path.name}' exists"
+                with suppress(OSError):  # the disk may not answer now (EIO, ESTALE); the next check will show
+                    if path.exists():
+                        self._reason = f"the file '{path.name}' exists"
         return self._reason
 
     def ask(self, reason: str, exit_code: ExitCode = ExitCode.CANCELLED) -> None:
         """Make the next check raise, and the process end with this code."""
         self.exit_code = exit_code
         self._reason = reason
-
-
-def _is_there(path: Path) -> bool:
-    try:
-        return path.exists()
-    except OSError:  # the disk may not answer now (EIO, ESTALE); the next check will show
-        return False
 
 
 class Watchdog:

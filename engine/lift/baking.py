@@ -131,16 +131,13 @@ def baked_files(folder: LiftFolder, frame: str) -> tuple[Path, Path, Path, Path]
 
 def names_of_files(folder: LiftFolder) -> dict[str, str]:
     """The name of each frame's files: a number has as many digits as the longest needs, at least DIGITS ("3" is
-    "0003"). The frames keep their names if two files would have the same one, or if passes of an earlier version have
-    them. Empty if the frames are not known. Raises PlgsError."""
+    "0003"). The frames keep their names if two files would have the same one. Empty if the frames are not known. Raises
+    PlgsError."""
     found = {name: _NUMBERED.fullmatch(name) for name in names_of_frames(folder)}
     digits = max([DIGITS, *(len(match[2]) for match in found.values() if match)])
     padded = {name: match[1] + match[2].zfill(digits) if match else name for name, match in found.items()}
-    renamed = [name for name, file in padded.items() if name != file]
     is_clear = len({file.casefold() for file in padded.values()}) == len(padded)
-    if is_clear and not any(baked_files(folder, name)[0].exists() for name in renamed):
-        return padded
-    return {name: name for name in padded}
+    return padded if is_clear else {name: name for name in padded}
 
 
 def renamed_frames(names: Mapping[str, str]) -> dict[str, str]:

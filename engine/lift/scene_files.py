@@ -61,7 +61,8 @@ def write_scene_files(
 ) -> None:
     """Write every part of the result that needs no rendering. ``views`` are those it was lifted from, and those that
     were ``held_back`` judge its points, of which ``seen`` bool [N] are written; ``names`` are those of the instances.
-    Raises OSError if the disk is full, and what ``progress`` raises.
+    Gaussians and anchors far from all points are not written, but to the model. Raises OSError if the disk is full, and
+    what ``progress`` raises.
     """
     cloud, owner = prepared.cloud, prepared.instance_of_point
     judged, listed, baked = (part_of(progress, part / 3, (part + 1) / 3) for part in range(3))
@@ -72,7 +73,17 @@ def write_scene_files(
         cloud.xyz[seen], cloud.rgb[seen], cloud.class_id[seen], owner[seen], likely(cloud.confidence[seen])
     )
     instances = listed_instances(watched(views, listed), prepared, owner[seen], scene.classes, names)
-    write_lifted(folder, scene.classes, viewpoint, points, instances, lifted, events, baked)
+    result = folder.result_path
+    gaussians, anchors = bake(lifted, viewpoint, scene.classes.thing_ids, baked)
+    near = is_within(max(FILLED, 2 * lifted.voxel_size), anchors.xyz, points.xyz)
+    anchors = Anchors(**{field.name: getattr(anchors, field.name)[near] for field in fields(anchors)})
+    write_arrays(result / SEMANTIC_POINTS, points)
+    write_instances(result / INSTANCES, scene.classes, instances)
+    write_arrays(result / ANCHORS, anchors)
+    write_splats(result / "gaussians.ply", gaussians.without_floaters(points.xyz))
+    write_model(folder, lifted)
+    for name in (SEMANTIC_POINTS, INSTANCES, ANCHORS, "gaussians.ply", MODEL):
+        events.artifact(result / name, name.partition(".")[0])
 
 
 def points_to_write(
@@ -107,32 +118,6 @@ def shown_by_depth(cloud: SemanticPointCloud, views: Sequence[View], progress: P
             break
     progress(1, 1)
     return ~np.isin(np.arange(len(cloud)), left)
-
-
-def write_lifted(
-    folder: LiftFolder,
-    classes: ClassTable,
-    viewpoint: NDArray[np.float64],
-    points: SemanticPoints,
-    instances: Sequence[Instance],
-    lifted: StructuredScene,
-    events: EventWriter,
-    progress: Progress,
-) -> None:
-    """Write the same for instances that are listed already. ``viewpoint`` float64 [3] metres: the point from which the
-    Gaussians' colours are seen (see ``bake``). Those far from all points are not written, nor are such anchors, but to
-    the model. Raises OSError, and what ``progress`` raises."""
-    result = folder.result_path
-    gaussians, anchors = bake(lifted, viewpoint, classes.thing_ids, progress)
-    near = is_within(max(FILLED, 2 * lifted.voxel_size), anchors.xyz, points.xyz)
-    anchors = Anchors(**{field.name: getattr(anchors, field.name)[near] for field in fields(anchors)})
-    write_arrays(result / SEMANTIC_POINTS, points)
-    write_instances(result / INSTANCES, classes, instances)
-    write_arrays(result / ANCHORS, anchors)
-    write_splats(result / "gaussians.ply", gaussians.without_floaters(points.xyz))
-    write_model(folder, lifted)
-    for name in (SEMANTIC_POINTS, INSTANCES, ANCHORS, "gaussians.ply", MODEL):
-        events.artifact(result / name, name.partition(".")[0])
 
 
 def write_model(folder: LiftFolder, lifted: StructuredScene) -> None:

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import errno
 import os
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -72,37 +70,30 @@ def test_it_refuses_what_is_not_a_lift(tmp_path: Path) -> None:
 
 
 def test_the_state_is_what_happened(tmp_path: Path) -> None:
+    """A quick look finds the same, without reading the files."""
     folder = new_lift(tmp_path)
     events = EventWriter(folder.events_path)
-    assert folder.state() is LiftState.NOT_STARTED
-    events.hello(threads=1, resumed=False)
-    assert folder.state() is LiftState.INTERRUPTED
-    events.error(PlgsError("broke", "here", "Mend it."))
-    assert folder.state() is LiftState.FAILED and folder.last_exit_code() == 2
-    events.hello(threads=1, resumed=True)
-    assert folder.state() is LiftState.INTERRUPTED and folder.last_exit_code() is None
-    events.done("cancelled")
-    assert folder.state() is LiftState.CANCELLED
-    with folder.lock():
-        assert folder.state() is LiftState.RUNNING
-    run_tiny(folder)
-    assert folder.state() is LiftState.FINISHED
 
+    def state() -> LiftState:
+        assert folder.state_at_a_glance() is folder.state()
+        return folder.state()
 
-def test_a_quick_look_finds_the_same_without_reading_the_files(tmp_path: Path) -> None:
-    folder = new_lift(tmp_path)
-    assert folder.state_at_a_glance() is LiftState.NOT_STARTED
-    events = EventWriter(folder.events_path)
+    assert state() is LiftState.NOT_STARTED
     events.hello(threads=1, resumed=False)
-    assert folder.state_at_a_glance() is LiftState.INTERRUPTED
-    with folder.lock():
-        assert folder.state_at_a_glance() is LiftState.RUNNING
+    assert state() is LiftState.INTERRUPTED
     events.error(PlgsError("broke", "here", "Mend it."))
-    assert folder.state_at_a_glance() is LiftState.FAILED
+    assert state() is LiftState.FAILED and folder.last_exit_code() == 2
     events.done("cancelled")  # an engine that was asked to stop while it failed
-    assert folder.state_at_a_glance() is folder.state() is LiftState.FAILED
+    assert state() is LiftState.FAILED
+    events = EventWriter(folder.events_path)
+    events.hello(threads=1, resumed=True)
+    assert state() is LiftState.INTERRUPTED and folder.last_exit_code() is None
+    events.done("cancelled")
+    assert state() is LiftState.CANCELLED
+    with folder.lock():
+        assert state() is LiftState.RUNNING
     run_tiny(folder)
-    assert folder.state_at_a_glance() is LiftState.FINISHED
+    assert state() is LiftState.FINISHED
 
 
 def test_events_alone_never_make_it_finished(tmp_path: Path) -> None:
@@ -158,32 +149,6 @@ def test_it_discards_only_what_was_never_started(tmp_path: Path) -> None:
     (kept.path / "lift.blend").write_bytes(b"somebody's")
     kept.discard()
     assert [path.name for path in kept.path.iterdir()] == ["lift.blend"]
-
-
-def test_only_one_engine_at_a_time(tmp_path: Path) -> None:
-    folder = new_lift(tmp_path)
-    with folder.lock(), pytest.raises(PlgsError, match="another engine"), folder.lock():
-        pass
-    with folder.lock():
-        pass
-
-
-def test_the_lock_ends_with_its_process(tmp_path: Path, root: Path) -> None:
-    folder = new_lift(tmp_path)
-    code = (
-        "import sys, time; from pathlib import Path; from engine.job import LiftFolder\n"
-        "with LiftFolder.open(Path(sys.argv[1])).lock(): print(flush=True); time.sleep(600)"
-    )
-    holder = subprocess.Popen([sys.executable, "-c", code, folder.path], cwd=root, stdout=subprocess.PIPE)
-    with holder:
-        assert holder.stdout is not None
-        holder.stdout.readline()
-        assert folder.is_running
-        for _ in range(5):  # looking does not disturb the holder
-            assert folder.state() is LiftState.RUNNING
-        holder.kill()
-        holder.wait()
-        assert not folder.is_running
 
 
 def test_paths_that_no_folder_can_have(tmp_path: Path) -> None:

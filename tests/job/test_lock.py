@@ -125,10 +125,3 @@ def test_it_knows_whether_others_are_baking(tmp_path: Path) -> None:
         with FileLock(left_behind):
             assert locks.others_at_work()
     assert not (tmp_path / "bake").joinpath(locks._own.name).exists()
-
-
-def test_one_after_the_other_at_the_manifest(tmp_path: Path) -> None:
-    with BakeLocks(tmp_path) as locks, locks.manifest():
-        pass
-    with locks.manifest():
-        pass

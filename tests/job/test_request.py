@@ -60,13 +60,12 @@ def test_it_has_the_documented_form() -> None:
         ({"blocks": 3, "block": 1}, "with --block"),
         ({"overrides": {"step": 3}}, "'step'"),
         ({"overrides": [1]}, "'overrides'"),
-        ({"overrides": {"options": [1]}}, "'options'"),
-        ({"overrides": {"options": {"weights.dept": 0}}}, "weights.depth"),
-        ({"overrides": {"options": {"objects": "box"}}}, "boxes"),
+        ({"overrides": {"weights.dept": 0}}, "weights.depth"),
+        ({"overrides": {"objects": "box"}}, "boxes"),
         ({"overrides": {"steps": "many"}}, "steps = 'many'"),
         ({"overrides": {"steps": 0}}, "steps = 0"),
         ({"overrides": {"steps": True}}, "steps = True"),
-        ({"overrides": {"options": {"rates.feature": [1, 1]}}}, "'rates.feature'"),
+        ({"overrides": {"rates.feature": [1, 1]}}, "'rates.feature'"),
         ({"overrides": {"frames": -1}}, "frames = -1"),
         ({"overrides": {"frames": "all"}}, "frames = 'all'"),
         ({"overrides": {"fit": 1}}, "'fit' has to be true or false, not 1"),
@@ -110,15 +109,6 @@ def test_it_refuses_what_is_not_a_request(tmp_path: Path, content: bytes) -> Non
     path.write_bytes(content)
     with pytest.raises(PlgsError, match=r"request\.json"):
         LiftRequest.read(path)
-
-
-def test_an_earlier_versions_overrides_are_read(tmp_path: Path) -> None:
-    """They had the options in an object of their own, and null for what was left to the preset."""
-    content = json.loads(FULL.to_json())
-    own = {"steps": None, "size": [64, 48], "frames": 0, "fit": True, "options": {"weights.depth": 0.5}}
-    (tmp_path / "request.json").write_text(json.dumps(content | {"overrides": own}))
-    read = LiftRequest.read(tmp_path / "request.json")
-    assert (read.fit, read.options) == (True, {"size": [64, 48], "frames": 0, "weights.depth": 0.5})
 
 
 def test_it_says_what_differs() -> None:

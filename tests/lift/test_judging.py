@@ -57,8 +57,7 @@ def test_a_true_lift_agrees_with_true_masks(scene_path: Path) -> None:
     assert found.calibration(np.array([0.5], np.float32))[0] > min(0.95, score - 0.05), "half of the votes, but right"
     doubt = doubt_of_frames({"masks_as_judges": found.to_json()})
     assert len(doubt) == 8 and max(doubt.values()) < 1.05 - min(0.95, score - 0.05)
-    for name in ("doubt", "entropy"):  # the second is of older lifts
-        assert doubt_of_frames({"masks_as_judges": {name: {"0": "x", "1": 0.5}}}) == {"1": 0.5}
+    assert doubt_of_frames({"masks_as_judges": {"doubt": {"0": "x", "1": 0.5}}}) == {"1": 0.5}
     assert doubt_of_frames({}) == {}
 
 

@@ -8,19 +8,13 @@ the sink apart from the cabinet, and take the chair for a second cabinet. With o
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
-import pytest
 
 from engine.job import LiftRequest
-from engine.metrics.report import Report
-from engine.scene import open_scene
-from research.baselines.voxel_vote import VOXEL_VOTE, add_voxel_vote
 from tests.tiny_scene import CABINET, CABINET_ID, CATEGORIES, CHAIR, CHAIR_ID, TinyView, tiny_intrinsics, trace_view
 from tests.train.tiny_lift import lift_into, short_warm_start
 
@@ -106,28 +100,14 @@ def write_near_and_far(folder: Path) -> Path:
     return folder
 
 
-@pytest.fixture(scope="module")
-def tables(tmp_path_factory: pytest.TempPathFactory) -> Mapping[str, Mapping[str, Any]]:
-    """The tables of a short lift and of the vote in voxels, ``strict``, by method."""
-    folder = tmp_path_factory.mktemp("near_and_far")
-    scene = write_near_and_far(folder / "scene")
-    request = LiftRequest(scene=scene, options={"steps": 100, "steps_a_view": 0.0, "size": [96, 72]}, bake="none")
-    with short_warm_start(60):
-        lift = lift_into(folder / "lift", request)
+def test_the_sink_is_an_object_of_its_own_and_the_lift_beats_its_masks(tmp_path: Path) -> None:
+    scene = write_near_and_far(tmp_path / "scene")
+    request = LiftRequest(scene=scene, options={"steps": 120, "steps_a_view": 0.0, "size": [120, 90]}, bake="none")
+    with short_warm_start(100):
+        lift = lift_into(tmp_path / "lift", request)
     found = json.loads((lift.result_path / "metrics.json").read_text())["tables"]
-    report = Report(open_scene(scene).classes)
-    add_voxel_vote(report, open_scene(scene))
-    voted: Any = report.to_json()["tables"]
-    return {table["name"]: table for table in [*found, *voted] if table["mode"] == "strict"}
-
-
-def test_the_sink_is_an_object_of_its_own(tables: Mapping[str, Mapping[str, Any]]) -> None:
-    sink = next(each for each in tables["lifted"]["per_class"] if each["class_id"] == SINK_ID)
+    tables = {table["name"]: table for table in found if table["mode"] == "strict"}
+    lifted, masks = tables["lifted"], tables["input masks"]
+    sink = next(each for each in lifted["per_class"] if each["class_id"] == SINK_ID)
     assert sink["iou"] > 0.5 and sink["pq"] > 0.5
-
-
-def test_the_lift_beats_its_masks_and_the_vote_by_pixels(tables: Mapping[str, Mapping[str, Any]]) -> None:
-    """The vote knows the depth of the held-out frames: of classes it has sharper outlines than so short a lift."""
-    lifted, masks, vote = tables["lifted"], tables["input masks"], tables[VOXEL_VOTE]
     assert lifted["miou_true"] > masks["miou_true"] + 0.02 and lifted["pq"] > masks["pq"] + 0.08
-    assert lifted["pq"] > vote["pq"] + 0.06
