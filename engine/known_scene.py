@@ -1,21 +1,106 @@
-"""A lift's scene.json: its frames and cameras, which Blender places and bakes without the scene itself."""
+"""What is known of a scene's frames without reading the scene: scene.json of a lift, frames.json of made pictures.
+
+Blender's Python has no OpenCV, and reads no layout except plain folders: it takes the cameras of all other scenes, and
+pictures that lie in a video or an archive or have to be undistorted, from these files.
+"""
 
 from __future__ import annotations
 
 import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
+
+import numpy as np
 
 from .errors import PlgsError
 from .job import LiftFolder, write_atomically
-from .posed import ClassTable, PosedScene
-from .posed.scene_record import StoredScene
+from .posed import Camera, ClassTable, PosedFrame, PosedScene
 from .records import read_record, record_text
 from .result_files import INSTANCES, read_instances
+from .scene_source import SceneSource
+
+Row = tuple[float, float, float, float]
+
+
+@dataclass(frozen=True)
+class StoredFrame:
+    """A posed frame. ``size`` is (width, height) in pixels, ``lens`` fx, fy, cx, cy in pixels with centres at +0.5.
+
+    ``camera_to_world`` has OpenCV's axes and metres. ``colour`` and ``depth`` are paths, relative where they lie in the
+    scene's folder. ``is_picture`` says that the file at ``colour`` shows the frame as it is, ``files`` is the digest of
+    both when a lift was last run, ``read`` that of how they are read, confidence included. Lifts of earlier versions
+    lack some of these: their photos are left to an engine, and what is not known is not compared.
+    """
+
+    name: str = field(metadata={"shown": True})
+    held_out: bool
+    size: tuple[int, int] = field(metadata={"least": 1, "most": 1 << 20})
+    lens: Row
+    camera_to_world: tuple[Row, Row, Row, Row]
+    colour: str
+    depth: str | None = None
+    is_picture: bool = False
+    files: str = ""
+    read: str = ""
+
+    def posed(self, scene: Path) -> PosedFrame:
+        """The frame with paths below the ``scene``'s folder."""
+        camera = Camera(*self.size, *self.lens, np.array(self.camera_to_world))
+        depth = None if self.depth is None else scene / self.depth
+        return PosedFrame(
+            self.name, camera, self.held_out, scene / self.colour, depth, file_shows_colour=self.is_picture
+        )
+
+
+@dataclass(frozen=True)
+class StoredScene:
+    """Posed frames in recording order. ``layout`` names the format's reader; ``masks`` is the digest of the masks that
+    a lift was made from, empty where nothing was lifted."""
+
+    frames: tuple[StoredFrame, ...]
+    masks: str = ""
+    layout: str = ""
+    warnings: tuple[str, ...] = ()
+
+    def posed_frames(self, scene: Path) -> tuple[PosedFrame, ...]:
+        """The frames with paths below the ``scene``'s folder."""
+        return tuple(frame.posed(scene) for frame in self.frames)
+
+
+def stored_scene(scene: PosedScene, frames: Sequence[PosedFrame], masks: str = "") -> StoredScene:
+    """``frames`` of a scene as a record."""
+    return StoredScene(tuple(_stored(frame, scene.folder) for frame in frames), masks, scene.format, scene.warnings)
+
+
+def _stored(frame: PosedFrame, scene: Path) -> StoredFrame:
+    camera = frame.camera
+    depth = None if frame.depth_path is None else _relative(frame.depth_path, scene)
+    return StoredFrame(
+        frame.name,
+        frame.held_out,
+        camera.size,
+        (camera.fx, camera.fy, camera.cx, camera.cy),
+        _rows(camera),
+        _relative(frame.colour_path, scene),
+        depth,
+        frame.file_shows_colour,
+    )
+
+
+def _rows(camera: Camera) -> tuple[Row, Row, Row, Row]:
+    one, two, three, four = (tuple(row) for row in camera.camera_to_world.tolist())
+    return one, two, three, four
+
+
+def _relative(path: Path, scene: Path) -> str:
+    return path.relative_to(scene).as_posix() if path.is_relative_to(scene) else str(path)
+
 
 KNOWN_SCENE = "scene.json"
 """File of a lift folder: the frames of its scene with their cameras."""
 FIND_SCENE = "Say where the scene is now, with Find Scene or --scene."
-_FIX = "Delete this file, then let an engine bake a frame of the lift, which writes it again."
+_BAKE_FIX = "Delete this file, then let an engine bake a frame of the lift, which writes it again."
 
 
 def known_scene(folder: LiftFolder, classes: ClassTable | None = None) -> PosedScene:
@@ -37,7 +122,7 @@ def known_scene(folder: LiftFolder, classes: ClassTable | None = None) -> PosedS
 def read_known(folder: LiftFolder) -> StoredScene | None:
     """What a lift's scene.json holds; None without the file. Raises PlgsError for a damaged one."""
     path = folder.path / KNOWN_SCENE
-    return read_record(StoredScene, path, _FIX) if path.is_file() else None
+    return read_record(StoredScene, path, _BAKE_FIX) if path.is_file() else None
 
 
 def write_known(folder: LiftFolder, known: StoredScene) -> None:
@@ -48,3 +133,69 @@ def write_known(folder: LiftFolder, known: StoredScene) -> None:
 def has_known(lift: Path) -> bool:
     """Whether the folder of a lift has the list of its frames."""
     return (lift / KNOWN_SCENE).is_file()
+
+
+FILE = "frames.json"
+VERSION = 2
+"""The version of frames.json. Version 1 had no cameras of frames without a picture."""
+_MADE_FIX = "Delete the folder; it will be made again."
+_INSIDE = {"inside": True}
+
+
+@dataclass(frozen=True)
+class MadeFrame:
+    """One frame's pictures, None where it has none: its ``colour`` undistorted, its ``depth`` and ``masks`` drawn in
+    colours. ``depth_range`` is the nearest and the farthest depth in metres that the drawing distinguishes.
+    """
+
+    colour: Path | None = field(default=None, metadata=_INSIDE)
+    depth: Path | None = field(default=None, metadata=_INSIDE)
+    depth_range: tuple[float, float] | None = None
+    masks: Path | None = field(default=None, metadata=_INSIDE)
+
+
+@dataclass(frozen=True)
+class MadeFrames:
+    """What lies in ``folder``: the cameras of all frames of the ``scene``, and the pictures by frame name. ``cloud`` is
+    made of depth, ``points`` are those of the reconstruction behind the poses: .npz files with xyz float32 [N, 3]
+    metres and rgb uint8 [N, 3], None where there are none.
+    """
+
+    folder: Path = field(metadata={"apart": True})
+    source: SceneSource
+    scene: StoredScene
+    frames: Mapping[str, MadeFrame] = field(default_factory=dict)
+    cloud: Path | None = field(default=None, metadata=_INSIDE)
+    points: Path | None = field(default=None, metadata=_INSIDE)
+
+    def write(self) -> None:
+        """Put frames.json into the folder. Raises OSError."""
+        write_atomically(self.folder / FILE, record_text(self, self.folder, VERSION))
+
+    @classmethod
+    def read(cls, folder: Path) -> MadeFrames:
+        """Read the frames.json of a folder. Raises PlgsError when it is missing, of another version, or damaged."""
+        return read_record(cls, folder / FILE, _MADE_FIX, VERSION, folder=folder)
+
+
+def made_of(folder: Path, source: SceneSource) -> MadeFrames | None:
+    """What an earlier run made of this very scene in ``folder``; None when nothing is there. Raises PlgsError when the
+    folder holds something else.
+    """
+    if not folder.exists():
+        return None
+    if (folder / FILE).is_file():
+        made = MadeFrames.read(folder)
+        if made.source == source:
+            return made
+    elif folder.is_dir() and not any(folder.iterdir()):
+        return None
+    raise PlgsError("the folder exists already and holds something else", folder, "Name another folder.")
+
+
+def is_newer(path: Path, source: Path) -> bool:
+    """Whether a file was made after its source was last changed."""
+    try:
+        return path.stat().st_mtime >= source.stat().st_mtime
+    except OSError:
+        return False

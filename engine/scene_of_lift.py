@@ -14,8 +14,7 @@ import numpy as np
 
 from .errors import ErrorCode, PlgsError
 from .job import LiftFolder, LiftState, write_atomically
-from .known_scene import FIND_SCENE, has_known, known_scene, read_known, write_known
-from .posed.scene_record import StoredScene, stored_scene
+from .known_scene import FIND_SCENE, StoredScene, has_known, known_scene, read_known, stored_scene, write_known
 from .result_files import INSTANCES, read_instances
 from .scene import Camera, Frame, MaskReader, PosedFrame, Scene, digests_of_files, open_asked
 

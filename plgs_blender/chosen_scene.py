@@ -8,10 +8,9 @@ from pathlib import Path
 import bpy
 
 from ..engine.errors import PlgsError
-from ..engine.posed.format_names import MASK_FORMAT_NAMES, SCENE_FORMAT_NAMES
 from ..engine.posed.frames import PosedScene
 from ..engine.posed.plain_folders import NAME, open_plain_folders, recognises
-from ..engine.scene_source import SceneSource, UpAxis
+from ..engine.scene_source import MASK_FORMAT_NAMES, SCENE_FORMAT_NAMES, SceneSource, UpAxis
 
 
 def absolute(path: str) -> Path:

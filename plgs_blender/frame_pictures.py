@@ -19,10 +19,10 @@ from numpy.typing import NDArray
 from ..engine.errors import PlgsError
 from ..engine.job import LiftFolder
 from ..engine.job.environment import notes_folder
+from ..engine.known_scene import MadeFrame, MadeFrames, is_newer, made_of
 from ..engine.posed import ClassTable
 from ..engine.posed.array_file import read_npz
 from ..engine.posed.frames import PosedFrame, PosedScene, SparsePoints
-from ..engine.posed.made_frames import MadeFrame, MadeFrames, is_newer, made_of
 from ..engine.scene_source import SceneSource
 from .cameras import PHOTO, SHOWN, put_before, show_photo
 from .chosen_scene import ChosenScene, absolute

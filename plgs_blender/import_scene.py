@@ -10,8 +10,8 @@ import numpy as np
 from mathutils import Matrix, Quaternion
 from numpy.typing import NDArray
 
+from ..engine.known_scene import MadeFrames
 from ..engine.posed.frames import PosedScene
-from ..engine.posed.made_frames import MadeFrames
 from .cameras import object_matrix, overview_camera, picture_of, place_camera_path, place_frames, show_photo
 from .chosen_scene import ChosenScene
 from .frame_pictures import cloud_of, has_cameras_of, photos, read_cloud, scene_of

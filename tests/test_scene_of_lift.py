@@ -11,8 +11,7 @@ import pytest
 
 from engine.errors import PlgsError
 from engine.job import LiftFolder, LiftRequest
-from engine.known_scene import write_known
-from engine.posed.scene_record import stored_scene
+from engine.known_scene import stored_scene, write_known
 from engine.scene import digests_of_files
 from engine.scene_of_lift import _digests_of, refuse_changed, remember_scene
 from tests.scene.formats.test_record3d import lzfse  # noqa: F401 - a fixture

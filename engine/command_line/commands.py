@@ -154,7 +154,7 @@ def inspect(options: argparse.Namespace, events: EventWriter, stop: StopSignal) 
 
 
 def classes(options: argparse.Namespace, events: EventWriter, stop: StopSignal) -> None:
-    from ..scene.class_listing import list_classes, write_class_list
+    from ..scene.report import list_classes, write_class_list
 
     source = source_of(options)
     if options.write is not None:

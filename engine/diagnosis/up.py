@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..posed.up_axis import shortest_rotation
+from ..posed.matrices import shortest_rotation
 from .findings import Finding
 from .looks import Floats
 from .pictures import level_surfaces

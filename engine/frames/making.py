@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 
 from ..errors import PlgsError
 from ..job import write_atomically
-from ..posed.made_frames import MadeFrame, MadeFrames, is_newer, made_of
-from ..posed.scene_record import stored_scene
+from ..known_scene import MadeFrame, MadeFrames, is_newer, made_of, stored_scene
 from ..scene import Frame, Scene
 from ..scene.frame_colours import depth_colours, mask_colours
 from ..scene_source import SceneSource

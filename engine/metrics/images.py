@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..scene.borders import border_mask
+from ..scene.view import border_mask
 
 BEST_PSNR = 100.0
 """The decibels of identical pictures, so that a mean over frames and a JSON file stay finite."""

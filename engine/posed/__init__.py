@@ -2,6 +2,5 @@
 
 from __future__ import annotations
 
-from .camera import Camera
 from .classes import VOID, Category, ClassTable, distinct_colour
-from .frames import PosedFrame, PosedScene, Size, SparsePoints, size_within
+from .frames import Camera, PosedFrame, PosedScene, Size, SparsePoints, size_within

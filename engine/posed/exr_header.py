@@ -12,7 +12,7 @@ from pathlib import Path
 from ..errors import PlgsError
 from ..gates import open_plain
 from .frames import Size
-from .limits import LARGEST_PIXELS
+from .layout import LARGEST_PIXELS
 
 _MAGIC = b"\x76\x2f\x31\x01"
 _HEADER_SIZES = (2**18, 2**26)

@@ -1,16 +1,101 @@
-"""Posed frames: where each picture was taken, and the file that shows it. This is all that Blender needs of a scene."""
+"""Posed pinhole cameras, and posed frames: all that Blender needs of a scene.
+
+One convention everywhere in the engine: OpenCV axes (x right, y down, z forward), camera-to-world matrices in metres,
+world z up, and pixel (i, j) centred at (i + 0.5, j + 0.5), so that ``cx = width / 2`` is the middle of the picture.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from .camera import Camera
 from .classes import ClassTable
+
+
+@dataclass(frozen=True, eq=False)
+class Camera:
+    """Intrinsics in pixels of a ``width`` x ``height`` picture and the pose, a rigid float64 [4, 4] camera-to-world."""
+
+    width: int
+    height: int
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    camera_to_world: NDArray[np.float64]
+
+    @property
+    def size(self) -> tuple[int, int]:
+        return self.width, self.height
+
+    @property
+    def K(self) -> NDArray[np.float64]:
+        """The intrinsic matrix, float64 [3, 3], pixel centres at +0.5."""
+        return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
+
+    @property
+    def world_to_camera(self) -> NDArray[np.float64]:
+        """The inverse pose, float64 [4, 4]; exact for a rigid matrix."""
+        rotation = self.camera_to_world[:3, :3]
+        inverse = np.eye(4)
+        inverse[:3, :3] = rotation.T
+        inverse[:3, 3] = -rotation.T @ self.camera_to_world[:3, 3]
+        return inverse
+
+    @property
+    def centre(self) -> NDArray[np.float64]:
+        """Camera centre in world metres, float64 [3]."""
+        return self.camera_to_world[:3, 3]
+
+    def resized(self, width: int, height: int) -> Camera:
+        """The same camera for a picture of another size (edges stay edges, so no half-pixel shift arises)."""
+        x, y = width / self.width, height / self.height
+        return Camera(width, height, self.fx * x, self.fy * y, self.cx * x, self.cy * y, self.camera_to_world)
+
+    def at(self, pose: NDArray[np.float64]) -> Camera:
+        """The same lens at another pose, float64 [4, 4] camera-to-world."""
+        return replace(self, camera_to_world=pose)
+
+    def of_rows(self, first: int, end: int) -> Camera:
+        """The camera whose picture is rows ``first`` to ``end`` (not included) of this one's."""
+        return Camera(self.width, end - first, self.fx, self.fy, self.cx, self.cy - first, self.camera_to_world)
+
+    def unproject(self, depth: NDArray[np.float32]) -> NDArray[np.float64]:
+        """Lift planar depth, float [height, width] metres, to world points, float64 [height, width, 3].
+
+        Equation "ProjectionEquation" of the paper with the camera centre counted once. Pixels without depth (0) land on
+        the camera centre: mask them out.
+        """
+        if depth.shape != (self.height, self.width):
+            raise ValueError(f"depth is {depth.shape[1]}x{depth.shape[0]}, the camera {self.width}x{self.height}")
+        x = (np.arange(self.width) + 0.5 - self.cx) / self.fx
+        y = (np.arange(self.height) + 0.5 - self.cy) / self.fy
+        d = depth.astype(np.float64)
+        local = np.stack([x[None, :] * d, y[:, None] * d, d], axis=-1)
+        return local @ self.camera_to_world[:3, :3].T + self.camera_to_world[:3, 3]
+
+    def project(self, points: NDArray[np.floating]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """World points [..., 3] to continuous pixel coordinates float64 [..., 2] (x, y) and planar depth [...].
+
+        Where depth <= 0 the coordinates are meaningless (but finite).
+        """
+        local = (points - self.centre) @ self.camera_to_world[:3, :3]
+        z = local[..., 2]
+        safe = np.where(np.abs(z) < 1e-9, 1e-9, z)
+        uv = np.stack([local[..., 0] / safe * self.fx + self.cx, local[..., 1] / safe * self.fy + self.cy], axis=-1)
+        return uv, z
+
+    def seen(self, points: NDArray[np.floating]) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]:
+        """The rows [n] of the world points [N, 3] that lie within the picture, whatever stands before them, and the
+        continuous pixel coordinates (x, y), float64 [n, 2], and the planar depth [n] of each."""
+        pixel, depth = self.project(points)
+        rows = np.flatnonzero((depth > 0) & ((pixel >= 0) & (pixel < np.array(self.size))).all(axis=1))
+        return rows, pixel[rows], depth[rows]
+
 
 Size = tuple[int, int]
 """(width, height) in pixels."""

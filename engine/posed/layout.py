@@ -1,4 +1,8 @@
-"""Files of a scene: reading them, and which of them belong to which frame by their stems."""
+"""Files of a scene: reading them, which of them belong to which frame, and what they may claim.
+
+Every reader asks here with what it knows: a count in a header, the bytes left, the memory that one thing takes. Every
+format's frames pass here when a scene is opened, so that readers need no limits of their own.
+"""
 
 from __future__ import annotations
 
@@ -9,8 +13,8 @@ from typing import TypeVar
 
 from ..errors import MEMORY_IS_GONE, PlgsError
 from ..gates import read_plain
-from .counts import check_memory
-from .frames import Size
+from ..job.system import main_memory
+from .frames import Camera, Size
 
 Read = TypeVar("Read")
 _SAME_SHAPE = 0.02
@@ -139,3 +143,65 @@ def same_shape(one: Size, other: Size) -> bool:
 def shown_size(size: Size) -> str:
     """ "640x480" """
     return f"{size[0]}x{size[1]}"
+
+
+_SHARE_OF_MEMORY = 0.5
+"""The share of the free memory that one file may take: the rest of the scene needs some as well."""
+
+_SMALL = 1 << 25
+"""Bytes up to which the free memory is not asked for."""
+
+
+def check_count(count: int, things: str, path: Path, fix: str, *, most: int, room: int, made: int) -> None:
+    """Raise PlgsError for a ``count`` of ``things`` in the file ``path`` that cannot be true, or cannot be read here.
+
+    ``room`` is the most that the bytes left in the file can hold; ``most`` how many are read within ten seconds;
+    ``made`` how many bytes of memory one of them takes.
+    """
+    if count > room:
+        raise PlgsError("the file is cut off", path, fix)
+    check_most(count, things, path, fix, most)
+    check_memory(count * made, path)
+
+
+def check_most(count: int, things: str, path: Path | str, fix: str, most: int) -> None:
+    """Raise PlgsError for more than ``most`` things, counted as they are found."""
+    if count > most:
+        raise PlgsError(f"the file has more than {most} {things}", path, fix)
+
+
+def check_memory(size: int, path: Path) -> None:
+    """Raise PlgsError when what the file ``path`` becomes, ``size`` bytes, is more than half of the free memory."""
+    memory = main_memory() if size > _SMALL else None
+    if memory is not None and size > _SHARE_OF_MEMORY * memory.free:
+        what = f"it takes {size / 1e9:.2g} GB of memory, but only {memory.free / 1e9:.2g} GB are free"
+        raise PlgsError(what, path, "Close other programs, or use a computer with more memory.")
+
+
+LARGEST_PIXELS = 2**27
+_SMALLEST_SIDE = 4
+_LONGEST_SHAPE = 20
+"""The longer side of a picture by the shorter one."""
+_FOCAL_LENGTHS = (0.001, 1000.0)
+"""In longer sides of the picture: an angle of view of 179.9 degrees, and of 0.06."""
+
+
+def check_camera(name: str, camera: Camera, path: Path) -> None:
+    """Raise PlgsError, with the frame's ``name``, for a lens or picture that no camera has, or a name that cannot be
+    shown: it goes into panels, tables and logs as it is. ``path`` is its picture.
+    """
+    if not name.isprintable():
+        raise PlgsError(f"the name of frame {shown(name)} cannot be shown as text", path.parent, "Rename it.")
+    check_size(f"the picture of frame {shown(name)}", camera.size, path)
+    least, most = (share * max(camera.size) for share in _FOCAL_LENGTHS)
+    if not (least <= camera.fx <= most and least <= camera.fy <= most):
+        size = shown_size(camera.size)
+        what = f"frame {shown(name)} has focal lengths of {camera.fx:.4g} and {camera.fy:.4g} pixels at {size}"
+        raise PlgsError(what, path, "Give its camera's focal lengths in pixels of the picture.")
+
+
+def check_size(what: str, size: Size, path: Path) -> None:
+    """Raise PlgsError, which begins with ``what``, for a size that no camera makes."""
+    if min(size) < _SMALLEST_SIDE or max(size) > _LONGEST_SHAPE * min(size):
+        fix = f"Use at least {_SMALLEST_SIDE} pixels a side, and no side over {_LONGEST_SHAPE} times the other."
+        raise PlgsError(f"{what} is {shown_size(size)}, which no camera makes", path, fix)

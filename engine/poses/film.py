@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import PlgsError
-from ..scene.formats.video import Video
+from ..scene.formats.photos import Video
 from ..scene.frame_choice import CANDIDATES, photo_detail
 
 _QUALITY = 95

@@ -14,14 +14,12 @@ from numpy.typing import NDArray
 
 from ..errors import MEMORY_IS_GONE, PlgsError
 from ..posed.array_file import read_npy
-from ..posed.camera import Camera
+from ..posed.frames import Camera
 from ..posed.image_header import read_image_header
-from ..posed.layout import files_by_stem, require_most, same_shape, shown, shown_size
-from ..posed.limits import check_size
+from ..posed.layout import check_size, files_by_stem, require_most, same_shape, shown, shown_size
 from ..posed.matrices import read_intrinsics
 from .files_of_frames import whole_file
-from .frame import Size
-from .noted import Inferred
+from .frame import Inferred, Size
 from .pixels import Alignment, decode_depth, decode_single_channel, resize_aligned
 
 MILLIMETRES = 0.001

@@ -19,8 +19,7 @@ from ..errors import PlgsError
 from ..posed.image_header import read_image_header
 from .depth import DepthMap, depth_check, in_metres, read_depth_array
 from .files_of_frames import files_of_frames
-from .frame import Frame, SparsePoints
-from .noted import Inferred, LeftOut, left_out
+from .frame import Frame, Inferred, LeftOut, SparsePoints, left_out
 from .pixels import decode_depth
 
 _AS_METRES = Inferred(

@@ -14,7 +14,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from ..posed.camera import Camera
+from ..posed.frames import Camera
 from ..presets.preset import EvidenceKind
 from .view import View
 

@@ -1,22 +1,213 @@
-"""Ground truth for the metrics: never read by the lift itself."""
+"""Ground truth for the metrics, never read by the lift itself, and which classes its numbers mean.
+
+It may name its own table, whose numbering is told as that of masks. Else its numbers are the class ids of the masks,
+unless it agrees far better with the masks as another table: then it has that, and the scene says so.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections import Counter
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
+import numpy as np
+from numpy.typing import NDArray
+
 from ..errors import PlgsError
-from ..posed.classes import VOID
+from ..posed.classes import VOID, ClassTable
 from ..posed.image_header import check_image_file
-from ..posed.layout import files_by_stem, natural_order, same_shape, shown_size
-from .frame import GroundTruth, Size
-from .label_image import check_label_header
-from .mask_formats.source import IGNORED
+from ..posed.layout import files_by_stem, listed, natural_order, same_shape, shown_size
+from .class_choice import FILE_NAME, ClassChoice, find_class_choice
+from .class_map import class_map
+from .class_tables import NUMBERINGS, REDUCED, TABLES, known_table, numberings_of, reduced_by_name
+from .frame import GroundTruth, Inferred, Size
+from .frame_choice import evenly_spread
+from .mask_formats.label_pairs import label_pairs
+from .mask_formats.source import IGNORED, MaskSource
 from .masks import MaskSet
-from .noted import Inferred
-from .pixels import decode_single_channel, distinct_ids, resize_nearest
-from .truth_numbers import in_classes, numbers_of_truth
+from .numbering import Asking, numbered
+from .pixels import check_label_header, decode_single_channel, distinct_ids, read_indices, resize_nearest
+
+_ANYTHING = 21
+"""The last of the paper's classes: all other things."""
+LOOKED_AT = 6
+"""Frames in which a ground truth is compared with the masks."""
+_FEWEST = 500
+"""Pixels from which on agreement says something."""
+_POOR, _AGREES = 0.1, 0.2
+"""Shares of pixels that agree: less is hardly any, and the least of a table that is told by it."""
+_DOUBTED, _REFUTED, _EQUAL = 0.8, 0.6, 0.95
+"""How much of the best table's agreement the class ids of the masks have if they are doubted, or wrong; and another
+table if it is as good."""
+_ASKING = Asking("the ground truth's", 'table = "{}"', f"write {{}} into {FILE_NAME} beside its folder", "")
+_IN_FILES = "the numbers in the masks' files"
+
+Joint = Mapping[tuple[int, int], int]
+"""The number of pixels with each number of the ground truth and each class of the masks. What is or may be void is left
+out: a table whose 0 is a wall is told by its other numbers."""
+
+
+@dataclass(frozen=True)
+class Numbers:
+    """``class_of`` maps the ground truth's numbers to the masks' classes. ``names`` are those of its own table;
+    ``looks_like`` is its name if the numbers tell it."""
+
+    class_of: Mapping[int, int]
+    names: Mapping[int, str] = field(default_factory=dict)
+    looks_like: str | None = None
+    inferred: tuple[Inferred, ...] = ()
+
+
+def numbers_of_truth(folder: Path, files: Mapping[str, Path], masks: MaskSet) -> Numbers:
+    """What the numbers in a ``folder`` mean, whose ``files`` have the names of frames. Its table is that of
+    ``classes.toml`` beside it or the one that its name ends with, such as ``semantic_nyu40``; in ``rs_semantics`` the
+    paper's 21. Raises PlgsError where it may be one of two.
+    """
+    choice = _own_choice(folder)
+    if choice is None:
+        return numbers_by_agreement(_compared(files, masks), masks.classes, folder, _numbers_in_files(masks))
+    source = MaskSource(label_pairs(files, {}), void=IGNORED)
+    _, choice, inferred = numbered(source, choice, folder, _ASKING)
+    names = _names(choice, folder)
+    return Numbers(classes_by_name(names, masks.classes), names, inferred=inferred)
+
+
+def _own_choice(folder: Path) -> ClassChoice | None:
+    choice = find_class_choice(None, folder.parent) if folder.parent.name == "gt" else None
+    table = REDUCED if folder.name == "rs_semantics" else folder.name.removeprefix("semantics").removeprefix("semantic")
+    if choice is None and table.strip("_-") in TABLES:
+        choice = ClassChoice(table=table.strip("_-"))
+    return choice
+
+
+def _names(choice: ClassChoice | None, where: Path) -> dict[int, str]:
+    own = class_map(None, choice, where, objects=False)
+    return {n: "void" if class_id == VOID else own.classes[class_id].name for n, class_id in own.class_of.items()}
+
+
+def _numbers_in_files(masks: MaskSet) -> Mapping[int, int]:
+    """The classes of the numbers in the masks' own files, which differ from class ids where they count from 0."""
+    return next((reader.known.class_of for reader in masks.readers.values()), {})
+
+
+def _compared(files: Mapping[str, Path], masks: MaskSet) -> Joint:
+    """How ground truth and masks agree in some frames. Files that cannot be read are left out."""
+    joint = Counter[tuple[int, int]]()
+    for name in evenly_spread([name for name in masks.readers if name in files], LOOKED_AT):
+        try:
+            numbers = read_indices(files[name])
+            classes = masks.readers[name]((numbers.shape[1], numbers.shape[0])).class_map()
+        except PlgsError:  # whoever reads it later says so
+            continue
+        joint.update(joined(numbers, classes))
+    return joint
+
+
+def joined(numbers: NDArray[np.integer], classes: NDArray[np.integer]) -> Counter[tuple[int, int]]:
+    """The pixels of each pair out of a ground truth [H, W] and classes [H, W], where neither may be void."""
+    pairs = numbers.astype(np.int64) << 32 | classes
+    known = pairs[(classes != VOID) & ~np.isin(numbers, [*IGNORED])]
+    values, counts = (found.tolist() for found in np.unique(known, return_counts=True))
+    return Counter({(pair >> 32, pair & 0xFFFFFFFF): count for pair, count in zip(values, counts, strict=True)})
+
+
+def numbers_by_agreement(
+    joint: Joint, classes: ClassTable, where: Path, in_files: Mapping[int, int] | None = None
+) -> Numbers:
+    """The numbers as ids of ``classes``, unless they agree far better with the masks as another table, or as the
+    numbers ``in_files``. Raises PlgsError where two tables agree as well."""
+    usual = Numbers({number: number for number in classes.ids})
+    total, own = sum(joint.values()), _agreement(joint, usual)
+    numbers = {number for number, _ in joint}
+    if total < _FEWEST or len(numbers) < 2 or len({class_id for _, class_id in joint}) < 2 or own >= _DOUBTED * total:
+        return usual
+    ways = dict(_ways(classes, where, in_files or {}, numbers))
+    found = {name: _agreement(joint, way) for name, way in ways.items()}
+    best = max(found.values(), default=0)
+    if best < _AGREES * total or own >= _DOUBTED * best:
+        poor = f"{own / total:.0%} of the pixels agree with the masks then; if that is wrong, {_advice()}"
+        return replace(usual, inferred=(_read_as("class ids of the masks", poor),) if own < _POOR * total else ())
+    equals = [name for name, pixels in found.items() if pixels >= _EQUAL * best]
+    meanings = {tuple(ways[name].class_of.get(n, VOID) for n in sorted(numbers)): name for name in equals[::-1]}
+    first, *others = [*meanings.values()][::-1]
+    told = f"{best / total:.0%} of the pixels agree with the masks then, and {own / total:.0%} as the masks' class ids"
+    if own >= _REFUTED * best:
+        doubt = _read_as(f"class ids of the masks, but look like {first}", f"{told}; if they are, {_advice(first)}")
+        return replace(usual, looks_like=first, inferred=(doubt,))
+    if others:
+        what = f"the ground truth's numbers look like {listed([first, *others], 3)}: {told}"
+        raise PlgsError(what, where, f"{_advice(first, *others).capitalize()}.")
+    said = _read_as(first, f"{told}; if that is wrong, {_advice()}")
+    return replace(ways[first], looks_like=first, inferred=(said,))
+
+
+def _read_as(what: str, reason: str) -> Inferred:
+    return Inferred("numbering", f"the ground truth's numbers are read as {what}", reason)
+
+
+def _advice(*tables: str) -> str:
+    named = [table for table in tables if table != _IN_FILES]
+    return _ASKING.advice(*named) if named else _ASKING.how.format("its table")
+
+
+def _agreement(joint: Joint, way: Numbers) -> int:
+    """The pixels that have the masks' class."""
+    return sum(pixels for (number, class_id), pixels in joint.items() if way.class_of.get(number) == class_id)
+
+
+def _ways(
+    classes: ClassTable, where: Path, in_files: Mapping[int, int], numbers: set[int]
+) -> Iterable[tuple[str, Numbers]]:
+    """All tables that have the ``numbers``, and the numbers in the masks' files."""
+    for table in (*NUMBERINGS, *(each for each in TABLES if each == numberings_of(each)[0])):
+        names = _names(ClassChoice(table=table), where)
+        if numbers <= names.keys():
+            yield table, Numbers(classes_by_name(names, classes), names)
+    if numbers <= in_files.keys():
+        yield _IN_FILES, Numbers(in_files)
+
+
+def in_classes(semantic: NDArray[np.integer], class_of: Mapping[int, int]) -> NDArray[np.int32]:
+    """Class ids [H, W] from 0 on, each as ``class_of`` maps it, and void where that lacks it."""
+    known = np.zeros(int(semantic.max(initial=0)) + 1, np.int32)
+    for number, class_id in class_of.items():
+        if number < len(known):
+            known[number] = class_id
+    return known[semantic]
+
+
+def classes_by_name(names: Mapping[int, str], classes: ClassTable) -> dict[int, int]:
+    """The class in ``classes`` for each number of another table with ``names``; numbers without any are left out.
+
+    Names match if they are the same, or else differ only in case and in endings such as COCO's "-merged". Else the
+    paper's 21 classes decide: a class matches if it is the only one in ``classes`` with the same of the 21.
+    """
+    by_name = {spell(each.name): each.id for spell in (_plain, str) for each in reversed(classes.categories)}
+    by_name["void"] = VOID
+    by_reduced: dict[int | None, list[int]] = {}
+    for each in classes.categories:
+        by_reduced.setdefault(reduced_by_name(each.name), []).append(each.id)
+    is_reduced = {each.name for each in classes.categories} == {label.name for label in known_table(REDUCED).labels}
+    found = {}
+    for number, name in names.items():
+        words = [name, _plain(name), *map(_plain, name.split(","))]
+        same = [by_name[word] for word in words if word in by_name]
+        reduced = reduced_by_name(name, with_raw=True)
+        if not same and reduced is not None and reduced != VOID and (is_reduced or reduced != _ANYTHING):
+            same = by_reduced.get(reduced, [])
+            same = same if len(same) == 1 else []
+        if same:
+            found[number] = same[0]
+    return found
+
+
+def _plain(name: str) -> str:
+    name = name.casefold().strip().replace("_", " ")
+    for ending in ("-merged", "-stuff"):
+        name = name.removesuffix(ending)
+    return name
+
 
 _FIX = "Correct it, or remove the ground truth: only the metrics need it."
 

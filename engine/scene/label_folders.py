@@ -15,17 +15,14 @@ from ..errors import PlgsError
 from ..json_file import read_json_object, take_flag, take_objects, take_text, take_whole_number
 from ..posed.classes import VOID, ClassLabel, ClassTable
 from ..posed.layout import files_by_stem, require_all
-from .class_colours import coloured
-from .class_map import class_map
+from .class_map import class_map, coloured
 from .class_tables import REDUCED, known_table
 from .frame import GroundTruth, PanopticMask
 from .frame_choice import evenly_spread
-from .ground_truth import read_label_pair
-from .label_image import check_label_header
+from .ground_truth import LOOKED_AT, classes_by_name, in_classes, joined, numbers_by_agreement, read_label_pair
 from .mask_formats import label_pairs
 from .masks import open_masks
-from .pixels import resize_nearest
-from .truth_numbers import LOOKED_AT, classes_by_name, in_classes, joined, numbers_by_agreement
+from .pixels import check_label_header, resize_nearest
 
 PAIRS = (
     ("gt/semantic", "gt/instance"),

@@ -16,9 +16,8 @@ from ..posed.layout import listed
 from .class_choice import FILE_NAME, find_class_choice
 from .class_map import ClassMap, class_map
 from .files_of_frames import digests_of_files
-from .frame import PanopticMask, Segment, Size
+from .frame import Inferred, PanopticMask, Segment, Size
 from .mask_formats import MASK_FORMATS, FoundSegment, MaskSource, StoredMask, find_mask_format
-from .noted import Inferred
 from .numbering import numbered, other_numberings
 from .pixels import resize_nearest
 

@@ -20,9 +20,9 @@ from ..errors import PlgsError
 from ..posed.layout import listed
 from .class_choice import FILE_NAME, ClassChoice
 from .class_tables import TABLES, base_of, known_table, numberings_of
+from .frame import Inferred
 from .frame_choice import evenly_spread
 from .mask_formats import MaskSource
-from .noted import Inferred
 
 _LOOKED_AT = 16
 """Frames whose masks are read."""

@@ -16,24 +16,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import ErrorCode, PlgsError
-from ..posed.camera import Camera
 from ..posed.classes import ClassTable
-from ..posed.format_names import SCENE_FORMAT_NAMES
-from ..posed.layout import listed, of_most, same_shape, shown_size
-from ..posed.limits import check_camera
-from ..posed.plain_folders import NAME, complete_frames
-from ..posed.splits import find_split
-from ..posed.up_axis import turned, upright_turn
-from ..scene_source import SceneSource, UpAxis
+from ..posed.frames import Camera
+from ..posed.layout import check_camera, listed, of_most, same_shape, shown_size
+from ..posed.matrices import turned, upright_turn
+from ..posed.plain_folders import NAME, complete_frames, find_split
+from ..scene_source import SCENE_FORMAT_NAMES, SceneSource, UpAxis
 from .depth import DepthMap, depth_check
 from .estimated_depth import with_estimated_depth
 from .formats import Capture, SceneFormat, Shot, find_format
 from .formats.lens import UNDISTORTED, undistorted
 from .formats.photos import LET_COLMAP, photos_in
-from .frame import Frame, Scene, Size
+from .frame import Frame, Inferred, LeftOut, Scene, Size, doubts, left_out
 from .ground_truth import open_ground_truth
 from .masks import MaskSet, find_masks, no_masks
-from .noted import Inferred, LeftOut, doubts, left_out
 from .pixels import ColourReader, decode
 
 _FAR_ASIDE = 0.2

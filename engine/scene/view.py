@@ -1,20 +1,74 @@
-"""Views: a frame's pixels, all brought to one size, for the lift; and frames read ahead by threads."""
+"""Views: a frame's pixels, all brought to one size, for the lift; frames read ahead by threads, and sequences that hold
+nothing: each item is made on demand, or read back from disk.
+
+Black borders that an undistortion leaves along a picture's sides are told: the camera saw nothing there.
+"""
 
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import TypeVar
+from math import prod
+from os import SEEK_END
+from pathlib import Path
+from tempfile import TemporaryFile
+from typing import Any, TypeVar, overload
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..posed.camera import Camera
-from .borders import border_mask
-from .frame import Frame, PanopticMask, Size
+from ..posed.frames import Camera
+from .frame import Frame, PanopticMask, Segment, Size
 from .pixels import resize_colour, resize_nearest
+
+BLACK, JPEG_BLACK = 2, 12
+"""Largest median brightness of a border, and of its pixels: JPEG brightens those near the picture."""
+THICKEST = 0.1
+"""Share of the picture that a border at most reaches inwards. Thicker dark areas are things in the picture."""
+SHORTEST = 0.125
+"""The least share of a side that a border runs along."""
+STEEPEST = 2
+"""Pixels by which the thickness of a border changes at most from one pixel along the side to the next: an undistortion
+is smooth, the outlines of furniture are not."""
+SEAM = 2
+"""Pixels beside a border in which resampling and JPEG have mixed it with the picture."""
+
+
+def border_mask(colour: NDArray[np.uint8]) -> NDArray[np.bool_]:
+    """The pixels of a picture uint8 [H, W, 3] that show only a black border; bool [H, W].
+
+    A border is thin, black, smooth and runs along a side, at full size: measure it before the picture is made smaller.
+    Dark things that touch the edge stay: they reach too far in, have ragged outlines or are not quite black.
+    """
+    import cv2
+
+    sides = (colour[0], colour[-1], colour[:, 0], colour[:, -1])
+    if all((side.max(axis=1) <= JPEG_BLACK).mean() < SHORTEST for side in sides):
+        return np.zeros(colour.shape[:2], np.bool_)
+    brightest = colour.max(axis=2)
+    dark = cv2.medianBlur(brightest, 3) <= JPEG_BLACK  # the median: single pixels that JPEG made brighter
+    border = np.zeros(dark.shape, np.bool_)
+    for turns in range(4):  # each side in its turn is the upper one; a turned view writes into ``border`` itself
+        _add_upper(np.rot90(border, turns), np.rot90(dark, turns), np.rot90(brightest, turns))
+    if border.any():
+        kernel = np.ones((2 * SEAM + 1, 2 * SEAM + 1), np.uint8)
+        border = cv2.dilate(border.view(np.uint8), kernel).astype(np.bool_)
+    return border
+
+
+def _add_upper(border: NDArray[np.bool_], dark: NDArray[np.bool_], brightest: NDArray[np.uint8]) -> None:
+    """Mark the border along the upper side, all [H, W], in ``border``."""
+    height, width = dark.shape
+    thickness = np.where(dark.all(axis=0), height, dark.argmin(axis=0))
+    is_thin = (thickness > 0) & (thickness <= THICKEST * height)
+    is_torn = ~is_thin[1:] | ~is_thin[:-1] | (np.abs(np.diff(thickness)) > STEEPEST)
+    for stretch in np.split(np.arange(width), np.flatnonzero(is_torn) + 1):
+        inside = np.arange(height)[:, None] < np.where(is_thin, thickness, 0)[stretch]
+        if len(stretch) >= SHORTEST * width and inside.any() and np.median(brightest[:, stretch][inside]) <= BLACK:
+            border[:, stretch] |= inside
+
 
 Read = TypeVar("Read")
 READERS = 2
@@ -94,3 +148,121 @@ def read_ahead(frames: Sequence[Frame], read: Callable[[Frame], Read]) -> Iterat
                 yield waiting.popleft().result()
         finally:
             pool.shutdown(wait=True, cancel_futures=True)
+
+
+Item = TypeVar("Item", covariant=True)
+
+
+class OnDemand(Sequence[Item]):
+    """``count`` items, each made by ``make`` from its number (0..) at every access."""
+
+    def __init__(self, count: int, make: Callable[[int], Item]) -> None:
+        self._count, self._make = count, make
+
+    def __len__(self) -> int:
+        return self._count
+
+    @overload
+    def __getitem__(self, place: int) -> Item: ...
+
+    @overload
+    def __getitem__(self, place: slice) -> Sequence[Item]: ...
+
+    def __getitem__(self, place: int | slice) -> Item | Sequence[Item]:
+        if isinstance(place, slice):
+            chosen = range(self._count)[place]
+            return OnDemand(len(chosen), lambda number: self._make(chosen[number]))
+        return self._make(range(self._count)[place])  # the range raises IndexError, and takes negative numbers
+
+
+def chained(first: Sequence[Item], second: Sequence[Item]) -> OnDemand[Item]:
+    """The items of ``first``, then those of ``second``, each fetched on demand."""
+    start = len(first)
+    return OnDemand(start + len(second), lambda place: first[place] if place < start else second[place - start])
+
+
+Progress = Callable[[int, int], object]
+"""Called with (done, total); may raise to stop."""
+
+
+def part_of(whole: Progress, begin: float, end: float) -> Progress:
+    """The progress of a part, which lasts from one share of the whole to another. The whole is told whole per cents."""
+    return lambda done, total: whole(round(100 * (begin + (end - begin) * done / max(total, 1))), 100)
+
+
+def watched(items: Sequence[Item], progress: Progress) -> OnDemand[Item]:
+    """The items; ``progress`` is called with (number, count) before each is fetched."""
+    return OnDemand(len(items), lambda place: (progress(place, len(items)), items[place])[1])
+
+
+class StoredArrays:
+    """Arrays on disk, read back by number. For one thread.
+
+    The file lies in ``folder`` (None: the system's for temporary files), has no name if the system allows that, and is
+    deleted with this object or at the end of the process. Raises OSError when the disk is full.
+    """
+
+    def __init__(self, folder: Path | None = None) -> None:
+        self._file = TemporaryFile(dir=folder, buffering=0)  # noqa: SIM115 - open until this object is gone
+        self._places: list[tuple[int, np.dtype[Any], tuple[int, ...]]] = []
+
+    def __len__(self) -> int:
+        return len(self._places)
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of all arrays together."""
+        return self._file.seek(0, SEEK_END)
+
+    def append(self, array: NDArray[Any]) -> int:
+        """Store an array; returns its number."""
+        whole = np.ascontiguousarray(array)
+        self._places.append((self.nbytes, whole.dtype, whole.shape))
+        whole.tofile(self._file)  # without a header, whose reading takes longer than that of a small array
+        return len(self) - 1
+
+    def __getitem__(self, number: int) -> NDArray[Any]:
+        """The array, bit for bit as it was."""
+        start, dtype, shape = self._places[number]
+        self._file.seek(start)
+        return np.fromfile(self._file, dtype, prod(shape)).reshape(shape)
+
+
+def stored(arrays: Iterable[NDArray[Any]], folder: Path | None = None) -> OnDemand[NDArray[Any]]:
+    """The arrays, read back from disk on demand (see StoredArrays)."""
+    on_disk = StoredArrays(folder)
+    for array in arrays:
+        on_disk.append(array)
+    return OnDemand(len(on_disk), on_disk.__getitem__)
+
+
+class StoredViews(OnDemand[View]):
+    """Views on disk, in their order, each read back on demand, bit for bit: a long scan does not fit into memory.
+
+    They are stored one after another in ``folder`` (see StoredArrays). ``stored`` is called with their number so far.
+    """
+
+    def __init__(
+        self, views: Iterable[View], folder: Path | None = None, stored: Callable[[int], object] | None = None
+    ) -> None:
+        self._arrays = StoredArrays(folder)
+        self._about: list[tuple[str, Camera, tuple[Segment, ...], int | None, float]] = []
+        for view in views:
+            for array in (view.colour, view.depth, view.mask.ids):
+                self._arrays.append(array)
+            border = None if view.border is None else self._arrays.append(view.border)
+            self._about.append((view.name, view.camera, view.mask.segments, border, view.mask_scale))
+            if stored is not None:
+                stored(len(self._about))
+        self._first = np.cumsum([0, *(3 + (border is not None) for *_, border, _ in self._about)]).tolist()
+        super().__init__(len(self._about), self._read)
+
+    @property
+    def cameras(self) -> list[Camera]:
+        return [camera for _, camera, *_ in self._about]
+
+    def _read(self, number: int) -> View:
+        name, camera, segments, border, scale = self._about[number]
+        colour, depth, ids = (self._arrays[self._first[number] + place] for place in range(3))
+        edge = None if border is None else self._arrays[border]
+        return View(name, camera, colour, depth, PanopticMask(ids, segments), edge, scale)

@@ -18,8 +18,7 @@ import bpy
 from ...engine.errors import ErrorCode, PlgsError
 from ...engine.job import LiftFolder
 from ...engine.job.follower import TaskFollower
-from ...engine.known_scene import known_scene
-from ...engine.posed.made_frames import MadeFrames, made_of
+from ...engine.known_scene import MadeFrames, known_scene, made_of
 from .. import engine_environment, registry
 from ..cameras import PHOTO, SHOWN, picture_of, show_photo
 from ..chosen_scene import ChosenScene, absolute, needs_engine

@@ -14,7 +14,7 @@ from bpy.props import BoolProperty, CollectionProperty, IntProperty, PointerProp
 
 from ...engine.errors import PlgsError
 from ...engine.job.follower import TaskFollower
-from ...engine.posed.format_names import NUMBERINGS, TABLES
+from ...engine.scene_source import NUMBERINGS, TABLES
 from .. import registry
 from ..chosen_scene import ChosenScene, absolute
 from ..engine_environment import usable_python

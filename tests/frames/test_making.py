@@ -14,7 +14,7 @@ import pytest
 from engine.errors import PlgsError
 from engine.frames import make_frames
 from engine.frames.cloud import CloudBuilder
-from engine.posed.made_frames import MadeFrames
+from engine.known_scene import MadeFrames
 from engine.scene import Camera, open_scene
 from engine.scene_source import SceneSource
 from tests.scene.formats.room import distance_to_room

@@ -32,13 +32,12 @@ from engine.job import (
     read_manifest,
     verify,
 )
-from engine.known_scene import write_known
+from engine.known_scene import stored_scene, write_known
 from engine.lift import bake_frames, bake_more
 from engine.lift.bake_more import frames_named
 from engine.lift.baking import FrameBaker, names_of_files
 from engine.passes.exr import further_layers, read_exr
 from engine.posed import Camera, ClassTable, PosedFrame, PosedScene
-from engine.posed.scene_record import stored_scene
 from engine.presets.preset import PRESETS
 from engine.result_files import Instance
 from engine.scene_of_lift import scene_of_lift

@@ -7,8 +7,7 @@ from pathlib import Path
 import bpy
 import numpy as np
 import pytest
-from plgs.engine.posed.made_frames import MadeFrames
-from plgs.engine.posed.scene_record import StoredScene
+from plgs.engine.known_scene import MadeFrames, StoredScene
 from plgs.plgs_blender.chosen_scene import ChosenScene
 from plgs.plgs_blender.import_scene import add_made
 

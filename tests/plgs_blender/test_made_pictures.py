@@ -7,10 +7,9 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from plgs.engine.known_scene import MadeFrames, stored_scene
 from plgs.engine.posed import Camera, ClassTable
 from plgs.engine.posed.frames import PosedFrame, PosedScene
-from plgs.engine.posed.made_frames import MadeFrames
-from plgs.engine.posed.scene_record import stored_scene
 from plgs.engine.scene_source import SceneSource
 from plgs.plgs_blender.frame_pictures import has_cameras_of
 

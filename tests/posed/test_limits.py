@@ -12,18 +12,17 @@ import pytest
 
 from engine.errors import PlgsError
 from engine.job.system import MainMemory
-from engine.posed import counts
-from engine.posed.camera import Camera
+from engine.posed import layout
 from engine.posed.classes import Category, ClassLabel
-from engine.posed.layout import read_file
-from engine.posed.limits import check_camera
+from engine.posed.frames import Camera
+from engine.posed.layout import check_camera, read_file
 from engine.scene import open_scene
 from engine.scene.depth import depth_check
 from engine.scene.formats.colmap_model import _binary_points, _text_points
 from engine.scene.formats.lens import Distortion, undistorted
-from engine.scene.formats.ply_points import read_ply_points
+from engine.scene.formats.nerfstudio import read_ply_points
+from engine.scene.formats.photos import Video
 from engine.scene.formats.scannetpp import _find_blocks
-from engine.scene.formats.video import Video
 from tests.scene.refusing import refuses
 from tests.tiny_scene import write_tiny_scene
 
@@ -117,10 +116,10 @@ def test_class_names_are_one_printable_line() -> None:
 
 def test_what_a_file_becomes_fits_into_the_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     points = sparse(tmp_path / "points.bin", struct.pack("<Q", 1_000_000), 51 * 1_000_000 + 8)
-    monkeypatch.setattr(counts, "main_memory", lambda: MainMemory(1 << 34, 101_000_000))
+    monkeypatch.setattr(layout, "main_memory", lambda: MainMemory(1 << 34, 101_000_000))
     with pytest.raises(PlgsError, match="it takes 0.051 GB of memory, but only 0.1 GB are free"):
         _binary_points(points)
-    monkeypatch.setattr(counts, "main_memory", lambda: MainMemory(1 << 34, 60_000_000))
+    monkeypatch.setattr(layout, "main_memory", lambda: MainMemory(1 << 34, 60_000_000))
     with pytest.raises(PlgsError, match="it takes 0.051 GB of memory"):
         read_file(points, 1 << 30)
     head = ply(2_000_000, "binary_little_endian", "uchar")

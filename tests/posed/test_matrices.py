@@ -8,8 +8,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from engine.errors import PlgsError
-from engine.posed.matrices import read_intrinsics, read_matrix, read_poses
-from engine.posed.up_axis import to_z_up, turned, up_axis_warning
+from engine.posed.matrices import read_intrinsics, read_matrix, read_poses, to_z_up, turned, up_axis_warning
 from engine.scene import UpAxis
 from tests.tiny_scene import tiny_pose
 

@@ -3,7 +3,7 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-from engine.posed.splits import default_split, read_split
+from engine.posed.plain_folders import default_split, read_split
 
 NAMES = tuple(f"{index:03d}" for index in range(20))
 

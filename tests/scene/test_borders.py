@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from engine.scene.borders import border_mask
+from engine.scene.view import border_mask
 
 WIDTH, HEIGHT = 640, 480
 Picture = NDArray[np.uint8]

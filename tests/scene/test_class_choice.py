@@ -14,9 +14,9 @@ from engine.posed.classes import ClassLabel
 from engine.records import to_json
 from engine.scene import list_classes, open_scene
 from engine.scene.class_choice import ClassChoice, ClassRow, class_choice_text, read_class_choice
-from engine.scene.class_listing import write_class_list
 from engine.scene.class_map import choice_of, class_map, named_classes
 from engine.scene.class_tables import TABLES, known_table, reduced_by_name
+from engine.scene.report import write_class_list
 from engine.scene_source import SceneSource
 from tests.scene.mask_formats.test_label_images import write_pairs
 from tests.scene.refusing import refuses

@@ -12,10 +12,9 @@ from engine.posed.classes import LARGEST_CLASS_ID, PALETTE, ClassLabel
 from engine.records import to_json
 from engine.scene import list_classes, open_scene
 from engine.scene.class_choice import ClassChoice, ClassRow
-from engine.scene.class_colours import coloured
-from engine.scene.class_listing import write_class_list
-from engine.scene.class_map import class_map
+from engine.scene.class_map import class_map, coloured
 from engine.scene.class_tables import known_table
+from engine.scene.report import write_class_list
 from engine.scene_source import SceneSource
 from tests.posed.test_classes import nearest_pair
 from tests.scene.test_class_choice import scene_with

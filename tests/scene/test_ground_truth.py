@@ -11,7 +11,7 @@ import pytest
 from engine.scene import ClassTable, Scene, check_scene, load_view, open_scene
 from engine.scene.class_map import class_map
 from engine.scene.class_tables import known_table
-from engine.scene.truth_numbers import classes_by_name
+from engine.scene.ground_truth import classes_by_name
 from tests.tiny_scene import write_tiny_scene
 
 

@@ -12,8 +12,8 @@ import pytest
 from engine.json_file import to_text
 from engine.records import to_json
 from engine.scene import list_classes, open_scene
-from engine.scene.class_listing import write_class_list
 from engine.scene.class_tables import NUMBERINGS, known_table
+from engine.scene.report import write_class_list
 from engine.scene_source import SceneSource
 from tests.scene.mask_formats.labelled_room import COCO_NAMES, COCO_NUMBERS, NAMES, Truth, check_on_room, write_frames
 from tests.scene.mask_formats.test_segment_maps import write_detectron2

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from engine.scene import Scene, check_scene, open_scene
-from engine.scene.overlap import Thumbnail, measure_overlap
+from engine.scene.checks import Thumbnail, measure_overlap
 from tests.tiny_scene import write_tiny_scene
 
 

@@ -11,7 +11,7 @@ import pytest
 
 from engine.errors import PlgsError
 from engine.scene import Category, ClassTable, GroundTruth, describe, open_scene
-from engine.scene.truth_numbers import numbers_by_agreement
+from engine.scene.ground_truth import numbers_by_agreement
 from tests.scene.refusing import refuses
 from tests.scene.test_numbering import ADE, ADE_DATA, COCO_DATA, NYU13, NYU40, RAW
 from tests.tiny_scene import write_tiny_scene

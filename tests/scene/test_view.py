@@ -12,8 +12,7 @@ import pytest
 
 from engine.errors import PlgsError
 from engine.scene import Camera, Frame, load_view, open_scene, size_within
-from engine.scene.borders import SEAM
-from engine.scene.view import READERS, read_ahead
+from engine.scene.view import READERS, SEAM, read_ahead
 from tests.tiny_scene import write_tiny_scene
 
 SIZE, HALF = (320, 240), (160, 120)

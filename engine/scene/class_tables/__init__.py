@@ -16,8 +16,8 @@ from functools import cache
 from pathlib import Path
 
 from ...posed.classes import VOID, ClassLabel
-from ...posed.format_names import NUMBERINGS as NUMBERINGS
-from ...posed.format_names import TABLES as TABLES
+from ...scene_source import NUMBERINGS as NUMBERINGS
+from ...scene_source import TABLES as TABLES
 
 REDUCED = "reduced"
 _OF_NETWORKS = tuple(name for name in TABLES if name != "scannet")

@@ -11,19 +11,18 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from ...errors import ErrorCode, PlgsError
-from ...posed.format_names import GONE_FORMATS
 from ...posed.layout import listed, shown
+from ...scene_source import GONE_FORMATS
 from . import (
     colmap,
-    folders,
     hypersim,
     nerfstudio,
     polycam,
     record3d,
     replica,
     scanner_app,
+    scannet,
     scannetpp,
-    sens,
     seven_scenes,
     stray,
     tum,
@@ -32,13 +31,13 @@ from .capture import Capture, SceneFormat, Shot
 from .photos import LET_COLMAP, finished_models, is_film, photos_in
 
 FORMATS: tuple[SceneFormat, ...] = (
-    folders.FORMAT,
+    scannet.FOLDERS,
     nerfstudio.FORMAT,
     colmap.FORMAT,
     tum.FORMAT,
     seven_scenes.FORMAT,
     replica.FORMAT,
-    sens.FORMAT,
+    scannet.SENS,
     polycam.FORMAT,
     record3d.FORMAT,
     stray.FORMAT,

@@ -11,12 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import PlgsError
-from ...posed.camera import Camera
-from ...posed.splits import Split
+from ...posed.frames import Camera
+from ...posed.plain_folders import Split
 from ...scene_source import UpAxis
 from ..depth import DepthMap, fault_of
-from ..frame import SparsePoints
-from ..noted import Inferred, LeftOut
+from ..frame import Inferred, LeftOut, SparsePoints
 from .lens import STRAIGHT, Distortion
 
 _NOT_IN_NAMES = re.compile(r'[\x00-\x1f<>:"|?*]')

@@ -19,12 +19,11 @@ from numpy.typing import NDArray
 
 from ...errors import PlgsError
 from ...json_file import read_object
-from ...posed.camera import Camera
+from ...posed.frames import Camera
 from ...posed.layout import file_inside, listed, natural_order, read_file
 from ..depth import DepthMap, fault_of, npy_depth, only_depth, png_depth
 from ..files_of_frames import files_if_any
-from ..frame import SparsePoints
-from ..noted import Inferred, left_out
+from ..frame import Inferred, SparsePoints, left_out
 from .capture import Capture, SceneFormat, Shot, frame_names, with_picture
 from .colmap_model import (
     EXPORT_AGAIN,

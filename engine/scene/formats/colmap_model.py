@@ -11,8 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import PlgsError
-from ...posed.counts import check_count
-from ...posed.layout import read_file, read_text
+from ...posed.layout import check_count, read_file, read_text
 from ..frame import SparsePoints
 
 _MODELS = (

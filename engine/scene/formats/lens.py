@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import PlgsError
-from ...posed.camera import Camera
+from ...posed.frames import Camera
 from ...posed.image_header import read_image_header
 from ...posed.layout import same_shape, shown_size
-from ..noted import Inferred
+from ..frame import Inferred
 
 _LEAST_SEEN = 0.1
 """Share of an undistorted picture that the distorted one shows, at least. Wide fisheyes show all of it."""

@@ -20,7 +20,7 @@ from ...posed.image_header import read_image_header
 from ...posed.layout import files_by_stem, listed, natural_order, of_most
 from ..depth import png_depth, trusted
 from ..files_of_frames import files_if_any
-from ..noted import Inferred
+from ..frame import Inferred
 from .capture import Capture, SceneFormat, Shot, with_picture
 from .lens import fitted, pinhole
 from .poses import finite_pose, from_opengl

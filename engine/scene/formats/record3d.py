@@ -27,11 +27,10 @@ from numpy.typing import NDArray
 from ...errors import PlgsError, lacks_part
 from ...gates import refuse_special
 from ...json_file import parse_json_object, read_json_object, take_list, take_number
-from ...posed.camera import Camera
 from ...posed.exr_header import read_exr_header
+from ...posed.frames import Camera
 from ...posed.layout import files_by_stem, read_file
-from ...posed.matrices import take_matrix, take_numbers
-from ...posed.up_axis import upright_rotation
+from ...posed.matrices import take_matrix, take_numbers, upright_rotation
 from ...scene_source import UpAxis
 from ..depth import DepthMap, drop_untrusted, fault_of, only_depth
 from ..frame import Size

@@ -19,15 +19,14 @@ from numpy.typing import NDArray
 
 from ...errors import PlgsError
 from ...json_file import read_json_object, take_number
-from ...posed.camera import Camera
+from ...posed.frames import Camera
 from ...posed.image_header import read_image_header
 from ...posed.layout import files_by_stem
 from ..depth import fault_of, png_depth
-from ..noted import Inferred
+from ..frame import Inferred
 from .capture import Capture, SceneFormat, Shot, with_picture
 from .lens import assumed, fitted, pinhole
-from .poses import finite_pose
-from .rows import matrix_rows
+from .poses import finite_pose, matrix_rows
 
 _STEPS_A_METRE = 6553.5
 _FIX = "Write 16 numbers per line, camera-to-world."

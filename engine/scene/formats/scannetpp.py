@@ -26,17 +26,16 @@ from numpy.typing import NDArray
 from ...errors import PlgsError
 from ...gates import open_plain
 from ...json_file import read_json_object
-from ...posed.camera import Camera
-from ...posed.counts import check_most
+from ...posed.frames import Camera
 from ...posed.image_header import read_image_header
-from ...posed.layout import natural_order
+from ...posed.layout import check_most, natural_order
 from ...posed.matrices import take_matrix
 from ..depth import DepthMap, fault_of, only_depth, png_depth
 from ..files_of_frames import files_if_any
 from .capture import Capture, SceneFormat, Shot
 from .lens import pinhole
+from .photos import Video
 from .poses import finite_pose
-from .video import Video
 
 _FIX = "Download the iPhone data of the scene again."
 _TABLE = "pose_intrinsic_imu.json"

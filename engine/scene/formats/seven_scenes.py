@@ -23,12 +23,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import PlgsError
-from ...posed.camera import Camera
+from ...posed.frames import Camera
 from ...posed.image_header import read_image_header
 from ...posed.layout import natural_order, read_text
 from ...posed.matrices import as_lens, read_intrinsics, read_poses
 from ..depth import fitting_alignment, png_depth, registered
-from ..noted import Inferred
+from ..frame import Inferred
 from .capture import Capture, SceneFormat, Shot, with_picture
 from .lens import assumed, fitted
 from .poses import inverse

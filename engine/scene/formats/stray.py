@@ -19,9 +19,8 @@ from ..depth import npy_depth, png_depth, trusted
 from ..files_of_frames import files_if_any
 from .capture import Capture, SceneFormat, Shot
 from .lens import pinhole
-from .poses import quaternion_pose
-from .rows import Row, numbers, read_rows
-from .video import Video
+from .photos import Video
+from .poses import Row, numbers, quaternion_pose, read_rows
 
 _COLUMNS = ("frame", "x", "y", "z", "qx", "qy", "qz", "qw")
 _LENS = ("fx", "fy", "cx", "cy")

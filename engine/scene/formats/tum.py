@@ -25,18 +25,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import PlgsError
-from ...posed.camera import Camera
-from ...posed.format_names import GONE_FORMATS
+from ...posed.frames import Camera
 from ...posed.image_header import read_image_header
 from ...posed.layout import file_inside, files_by_stem
-from ...scene_source import UpAxis
+from ...scene_source import GONE_FORMATS, UpAxis
 from ..depth import png_depth
-from ..frame import Size
-from ..noted import Inferred, left_out
+from ..frame import Inferred, Size, left_out
 from .capture import Capture, SceneFormat, Shot, frame_names, with_picture
 from .lens import Distortion, assumed, fitted, pinhole
-from .poses import quaternion_pose
-from .rows import numbers, read_rows
+from .poses import numbers, quaternion_pose, read_rows
 
 _STEP = 1.0 / 5000.0
 _APART = 0.02

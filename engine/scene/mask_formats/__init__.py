@@ -9,24 +9,15 @@ from __future__ import annotations
 from pathlib import Path
 
 from ...errors import PlgsError
-from ...posed.format_names import GONE_FORMATS, MASK_FORMAT_NAMES
 from ...posed.layout import listed, shown
-from . import (
-    class_arrays,
-    coco,
-    detections,
-    grounded_sam2,
-    label_pairs,
-    panoptic_lifting,
-    sam2,
-    segment_maps,
-)
+from ...scene_source import GONE_FORMATS, MASK_FORMAT_NAMES
+from . import class_arrays, coco, detections, label_pairs, sam2, segment_maps
 from .source import FoundMask, FoundSegment, MaskFormat, MaskSource, StoredMask
 
 MASK_FORMATS: tuple[MaskFormat, ...] = (
     coco.FORMAT,
-    panoptic_lifting.FORMAT,
-    grounded_sam2.FORMAT,
+    label_pairs.PANOPTIC_LIFTING,
+    sam2.GROUNDED,
     sam2.PICTURES,
     label_pairs.PAIRS_FORMAT,
     segment_maps.TRANSFORMERS,

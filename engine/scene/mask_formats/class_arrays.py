@@ -19,7 +19,7 @@ from ...errors import PlgsError
 from ...posed.array_file import array_headers, read_array
 from ..files_of_frames import files_of_frames
 from ..frame import Size
-from ..label_image import whole_numbers
+from ..pixels import whole_numbers
 from .source import (
     IGNORED,
     FoundMask,

@@ -23,8 +23,7 @@ from ...errors import PlgsError
 from ...json_file import read_json_object, take_flag, take_list, take_objects, take_text, take_whole_number, wrong_type
 from ...posed.classes import LARGEST_CLASS_ID, ClassLabel
 from ...posed.image_header import read_image_header
-from ...posed.layout import file_inside, listed, of_most, require_most
-from ...posed.limits import LARGEST_PIXELS
+from ...posed.layout import LARGEST_PIXELS, file_inside, listed, of_most, require_most
 from ..files_of_frames import whole_file
 from ..pixels import decode, distinct_ids
 from .source import FoundMask, FoundSegment, MaskFormat, MaskSource, StoredMask

@@ -23,7 +23,7 @@ from ...posed.array_file import array_headers, read_array
 from ...posed.classes import LARGEST_CLASS_ID, ClassLabel
 from ...posed.layout import listed, natural_order, require_most
 from ..files_of_frames import files_of_frames
-from ..label_image import label_header
+from ..pixels import label_header
 from .source import (
     FoundMask,
     FoundSegment,

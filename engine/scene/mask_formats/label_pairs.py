@@ -2,6 +2,10 @@
 
 The values are the class's number in a table that the user names (``--classes``, ``classes.toml``). 0, 255 and 65535
 mean nothing unless the table has them. Instance 0 is none: such a region may be several objects.
+
+Panoptic Lifting's network masks are folders ``<prefix>_semantics`` and ``<prefix>_instance`` of label images.
+There are two sets. The one with test-time augmentation (``m2f_``) is preferred to ``m2f_notta_``, because that
+project's readers load it; the paper seems to use the other. A warning says how to choose.
 """
 
 from __future__ import annotations
@@ -12,8 +16,9 @@ from pathlib import Path
 
 from ...errors import PlgsError
 from ...posed.layout import shown_size
+from ..class_tables import REDUCED, known_table
 from ..files_of_frames import files_of_both, files_of_frames
-from ..label_image import SUFFIXES, label_map_size, read_label_map
+from ..pixels import SUFFIXES, check_label_header, label_map_size, read_label_map
 from .source import IGNORED, FoundMask, MaskFormat, MaskSource, StoredMask, segments_of_labels, segments_of_pairs
 
 PAIRS = (
@@ -81,3 +86,40 @@ def _read_pair(classes: Path, instances: Path | None) -> FoundMask:
 
 PAIRS_FORMAT = MaskFormat("pairs", _recognises_pairs, _read_pairs, own_names=True)
 PALETTE = MaskFormat("palette", _recognises_palette, _read_palette)
+
+
+_LIFTING_FIX = "Panoptic Lifting's masks are the folders m2f_semantics and m2f_instance."
+_BOTH = "masks with test-time augmentation are used; for those without, name m2f_notta_semantics as the masks"
+
+
+def _recognises_lifting(place: Path) -> bool:
+    return _semantics_of(place) is not None
+
+
+def _semantics_of(place: Path) -> Path | None:
+    """The folder of classes: ``place`` itself or one of those in it."""
+    if place.name.endswith("_semantics"):
+        return place if place.is_dir() else None
+    return next((each for each in (place / "m2f_semantics", place / "m2f_notta_semantics") if each.is_dir()), None)
+
+
+def _read_lifting(place: Path, names: Sequence[str]) -> MaskSource:
+    """Open ``<prefix>_semantics`` and the ``<prefix>_instance`` beside it; headers only. Raises PlgsError."""
+    semantics = _semantics_of(place)
+    if semantics is None:
+        raise PlgsError("there are no masks", place, _LIFTING_FIX)
+    instances = semantics.with_name(semantics.name.removesuffix("_semantics") + "_instance")
+    fix = "Add PNGs named like the colour images."
+    semantic_files, instance_files = files_of_both(semantics, instances, names, {".png"}, fix)
+    for path in (*semantic_files.values(), *instance_files.values()):
+        check_label_header(path)
+    has_both = semantics != place and semantics.name == "m2f_semantics" and (place / "m2f_notta_semantics").is_dir()
+    return MaskSource(
+        label_pairs(semantic_files, instance_files),
+        labels=known_table(REDUCED).labels,
+        warnings=(_BOTH,) if has_both else (),
+        table="Panoptic Lifting's reduced table (0 to 21)",
+    )
+
+
+PANOPTIC_LIFTING = MaskFormat("panoptic-lifting", _recognises_lifting, _read_lifting, in_scene=True, own_names=True)

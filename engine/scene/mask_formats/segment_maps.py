@@ -28,7 +28,7 @@ from ...posed.classes import LARGEST_CLASS_ID, ClassLabel
 from ...posed.layout import listed, read_file
 from ..class_tables import is_thing_by_name, nearest_tables
 from ..files_of_frames import files_of_frames
-from ..label_image import SUFFIXES, label_map_size, read_label_map
+from ..pixels import SUFFIXES, label_map_size, read_label_map
 from .coco import take_score
 from .source import FoundMask, FoundSegment, MaskFormat, MaskSource, StoredMask
 

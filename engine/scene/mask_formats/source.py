@@ -15,7 +15,7 @@ from ...posed.classes import ClassLabel
 from ...posed.layout import shown, shown_size
 from ..class_tables import is_thing_by_name
 from ..frame import Size
-from ..label_image import read_indices
+from ..pixels import read_indices
 
 IGNORED = frozenset({0, 255, 65535})
 """Labels that mean nothing in most label images, unless their table has them."""

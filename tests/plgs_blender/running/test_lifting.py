@@ -11,8 +11,7 @@ import plgs
 import pytest
 from plgs.engine.errors import PlgsError
 from plgs.engine.job import LiftFolder, LiftRequest
-from plgs.engine.posed.made_frames import MadeFrames
-from plgs.engine.posed.scene_record import StoredScene
+from plgs.engine.known_scene import MadeFrames, StoredScene
 from plgs.plgs_blender import registry
 from plgs.plgs_blender.engine_environment import choices, tasks
 from plgs.plgs_blender.errors import field_of_option, with_field_names

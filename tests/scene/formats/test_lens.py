@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 import pytest
 
-from engine.posed.camera import Camera
+from engine.posed.frames import Camera
 from engine.scene import open_scene
 from tests.scene.formats import test_nerfstudio, test_replica, test_seven_scenes, test_tum
 from tests.scene.refusing import refuses

@@ -7,11 +7,11 @@ from pathlib import Path
 import pytest
 
 from engine.errors import ErrorCode, PlgsError
-from engine.posed.format_names import GONE_FORMATS, MASK_FORMAT_NAMES, SCENE_FORMAT_NAMES
 from engine.posed.plain_folders import NAME
 from engine.scene import FORMATS, open_scene
 from engine.scene.formats import find_format
 from engine.scene.mask_formats import MASK_FORMATS, find_mask_format
+from engine.scene_source import GONE_FORMATS, MASK_FORMAT_NAMES, SCENE_FORMAT_NAMES
 from tests.scene.formats import test_colmap, test_nerfstudio
 from tests.scene.formats.room import check_colours
 from tests.scene.refusing import refuses

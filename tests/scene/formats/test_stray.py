@@ -10,7 +10,7 @@ import pytest
 
 from engine.errors import PlgsError
 from engine.scene import open_scene
-from engine.scene.formats.video import Video
+from engine.scene.formats.photos import Video
 from tests.scene.formats.room import Lens, View, check_on_room, look, quaternion, views, y_up
 from tests.scene.formats.writing import in_steps, write_grey
 
