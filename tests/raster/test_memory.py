@@ -12,7 +12,7 @@ from scenes import LAYERS, random_scene, render
 
 from engine.machine import memory
 from engine.raster import rasterize
-from engine.raster.blending.backward_tile import scratch_size
+from engine.raster.blending.backward_tile import backward_scratch_size
 from engine.raster.records import MEMBERS
 from tests.machine.held_bytes import held_bytes
 from tests.raster.room_workload import Workload, room_workload
@@ -113,7 +113,7 @@ def test_it_stays_within_its_bound_when_one_tile_has_everything() -> None:
         torch.autograd.backward([out.image, out.labels], [out.image.detach(), out.labels.detach()])
     finally:
         torch.set_num_threads(threads)
-    scratch = 16 * 4 * (scratch_size(work.labels.shape[1]) + MEMBERS)  # each worker's on the way back
+    scratch = 16 * 4 * (backward_scratch_size(work.labels.shape[1]) + MEMBERS)  # each worker's on the way back
     assert held_bytes() <= 2500 * count + 450 * 48 * 48 + scratch
 
 
