@@ -119,7 +119,7 @@ def evaluate(options: argparse.Namespace, events: EventWriter, stop: StopSignal)
         verify(lift.result_path)
         metrics: Mapping[str, Any] = _corrected_metrics(lift, events, stop) or read_metrics(lift)
     else:
-        from ..metrics.folders import score_folders, unscored
+        from ..metrics.report import score_folders, unscored
         from ..scene.label_folders import open_label_folder
 
         predicted = open_label_folder(options.predictions, is_truth=False)

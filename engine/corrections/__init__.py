@@ -8,9 +8,6 @@ import this, so it needs only numpy.
 from __future__ import annotations
 
 from . import making
-from .edits import CORRECTIONS, Edit
-from .file import editing, read_edits
-from .part_classes import class_of_parts
-from .proposals import BY_VIEWS, Proposal, Proposals, proposals_of
+from .edits import CORRECTIONS, Edit, editing, read_edits
+from .proposals import BY_VIEWS, Proposal, Proposals, class_of_parts, entropy_of, entropy_of_views, proposals_of
 from .result import CorrectedResult, correct, read_corrected, set_undone, undo
-from .uncertain import entropy_of, entropy_of_views

@@ -1,20 +1,25 @@
-"""One edit: what it does, when it was made, and what it refers to. Its form in corrections.json.
+"""One edit: what it does, when it was made, and what it refers to; and corrections.json, the edits of a lift in the
+order in which they were made.
 
 A label is one number for class and object together: the object's id, or minus the class where there is no object (0 is
-unknown).
+unknown). No edit is ever removed: an undone edit is marked as undone. Writers take turns, and each writes what it has
+just read, so two Blenders that edit the same lift lose nothing. That holds for one that sleeps past its lease, too.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 from uuid import uuid4
 
-from ..errors import PlgsError
-from ..json_file import Json
+from ..errors import ErrorCode, PlgsError
+from ..job import write_atomically
+from ..job.lock import FileLock
+from ..json_file import Json, read_object, take_objects, take_whole_number, to_text
 from ..records import record_of, to_json
 
 CORRECTIONS = "corrections.json"
@@ -128,3 +133,49 @@ def no_object(what: str, where: Path | str, known: list[int]) -> PlgsError:
     """The error for an object that is not there."""
     ids = ", ".join(map(str, known)) or "none"
     return PlgsError(what, where, f"Its objects are {ids}.")
+
+
+FORMAT = 1
+_WAIT_S = 20.0
+
+
+def read_edits(lift: Path) -> tuple[Edit, ...]:
+    """The edits of the lift in this folder, including undone ones; none where there is no file.
+
+    Raises PlgsError when the file is damaged or from a later version; its edits are then neither shown nor changed.
+    """
+    path = lift / CORRECTIONS
+    if not path.exists():
+        return ()
+    content = read_object(path, MEND)
+    version = take_whole_number(content, "format", "the file", path)
+    if version != FORMAT:
+        fix = "Use the version of PLGS that wrote it. The file was not changed."
+        raise PlgsError(f"the file has format {version}, but this version reads {FORMAT}", path, fix)
+    edits = tuple(edit_of(entry, path) for entry in take_objects(content, "edits", "the file", path))
+    if len({edit.uid for edit in edits}) < len(edits):
+        raise PlgsError("two edits have the same uid", path, MEND)
+    return edits
+
+
+@contextmanager
+def editing(lift: Path) -> Iterator[list[Edit]]:
+    """The edits, to be changed inside the ``with`` block and written at its end. Other writers wait until then.
+
+    Raises PlgsError when the file cannot be read or is busy, and OSError. Nothing is then written.
+    """
+    folder = lift / "bake"
+    folder.mkdir(exist_ok=True)
+    try:
+        with FileLock(folder / "corrections.lock", _WAIT_S):
+            before = read_edits(lift)
+            edits = list(before)
+            yield edits
+            if tuple(edits) != before:
+                content = {"format": FORMAT, "edits": [edit.to_json() for edit in edits]}
+                write_atomically(lift / CORRECTIONS, to_text(content))
+    except PlgsError as error:
+        if error.code is not ErrorCode.BUSY:
+            raise
+        fix = "Try again in a moment."
+        raise PlgsError("another program is editing this lift", lift / CORRECTIONS, fix, code=ErrorCode.BUSY) from error

@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 from ..errors import PlgsError
 from ..posed.classes import ClassTable, named
 from .edits import CORRECTIONS, Edit, MovedPoints, NewObject, ObjectMark, no_object
-from .nearest import nearest
-from .relabelling import Labels
+from .relabelling import Labels, nearest
 from .replay import Replay, in_millimetres
 
 PART_GAP = 0.15

@@ -1,14 +1,22 @@
-"""What may be wrong with a lift: its objects, the most doubtful first, each with a reason and an answer."""
+"""What may be wrong with a lift: its objects, the most doubtful first, each with a reason and an answer; the class that
+the masks give each part of a split object; and how uncertain the points are that each camera sees."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
+from ..job import LiftFolder
+from ..known_scene import read_known
+from ..posed import Camera
 from ..posed.layout import plural
-from ..result_files import Instance
+from ..result_files import Instance, SemanticPoints
 from .making import parts_of
+from .replay import INNER, Replay
 from .result import CorrectedResult
 
 BY_VIEWS = "split by views"
@@ -120,3 +128,71 @@ def _gap(one: Instance, other: Instance) -> float:
     """Metres between two boxes along the axis on which they are farthest apart, as if they stood upright."""
     apart = np.abs(np.subtract(one.centre, other.centre)) - (np.array(one.size) + np.array(other.size)) / 2
     return float(apart.max())
+
+
+FITS = 0.5
+"""Least intersection over union with a mask's rectangle at which the mask shows this part and little else."""
+
+
+def class_of_parts(lift: Path, state: Replay, number: int, part: NDArray[np.integer]) -> dict[int, int]:
+    """The class that most masks of an object give each ``part``, int [n] of its points in their order. A mask votes for
+    the part whose points fill its rectangle, weighted by its pixels; a part without votes is left out.
+
+    Raises PlgsError for a damaged list of the lift's frames.
+    """
+    folder = LiftFolder.open(lift)
+    known = read_known(folder)
+    if number not in state.objects or known is None:
+        return {}
+    cameras = {frame.name: frame.camera for frame in known.posed_frames(folder.request.scene)}
+    xyz, numbers = state.points_of(number), np.unique(part).tolist()
+    votes: dict[int, dict[int, float]] = {}
+    for segment in state.objects[number].segments:
+        camera = cameras.get(segment.frame)
+        if camera is None or segment.class_id not in state.classes.thing_ids:
+            continue
+        rows, pixel, _ = camera.seen(xyz)
+        place, shown = pixel / camera.size, part[rows]
+        fits = [_overlap(place[shown == each], segment.rectangle) for each in numbers]
+        if max(fits) >= FITS:
+            own = votes.setdefault(numbers[int(np.argmax(fits))], {})
+            own[segment.class_id] = own.get(segment.class_id, 0.0) + segment.pixels
+    return {each: max(sorted(own), key=lambda kind: own[kind]) for each, own in votes.items()}
+
+
+def _overlap(place: NDArray[np.float64], rectangle: tuple[float, float, float, float]) -> float:
+    """Intersection over union of the rectangle around points [n, 2] with another one (left, top, right, bottom)."""
+    if not len(place):
+        return 0.0
+    (left, top), (right, bottom) = np.percentile(place, INNER, axis=0)
+    width = min(right, rectangle[2]) - max(left, rectangle[0])
+    height = min(bottom, rectangle[3]) - max(top, rectangle[1])
+    common = max(float(width), 0.0) * max(float(height), 0.0)
+    other = (rectangle[2] - rectangle[0]) * (rectangle[3] - rectangle[1])
+    return common / max(float((right - left) * (bottom - top)) + other - common, 1e-9)
+
+
+_CELLS = 48
+"""Cells across the picture. In each, the nearest point hides what lies behind it."""
+_BEHIND = 0.15
+"""Metres that a point may lie behind the nearest one and still be seen."""
+
+
+def entropy_of(confidence: NDArray[np.floating]) -> NDArray[np.float64]:
+    """Bits of doubt [N] between a class that is right with this probability and all others: 0 is sure, 1 undecided."""
+    share = np.clip(confidence.astype(np.float64), 1e-6, 1 - 1e-6)
+    return np.asarray(np.where(share < 0.5, 1.0, -share * np.log2(share) - (1 - share) * np.log2(1 - share)))
+
+
+def entropy_of_views(points: SemanticPoints, cameras: Sequence[Camera]) -> NDArray[np.float64]:
+    """The mean ``entropy_of`` the points that each camera sees, float64 [V]; 0 where it sees none."""
+    doubt, found = entropy_of(points.confidence), np.zeros(len(cameras))
+    for number, camera in enumerate(cameras):
+        rows, pixel, depth = camera.seen(points.xyz)
+        column, row = (pixel * (_CELLS / camera.width)).astype(np.int64).T
+        cell = row * _CELLS + column
+        nearest = np.full(int(cell.max(initial=0)) + 1, np.inf)
+        np.minimum.at(nearest, cell, depth)
+        seen = rows[depth <= nearest[cell] + _BEHIND]
+        found[number] = doubt[seen].mean() if len(seen) else 0.0
+    return found

@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 from ..posed import ClassTable, distinct_colour
 from ..result_files import Instance, SemanticPoints
 from .edits import KINDS, MOVES, PER_METRE, Edit, MovedPoints, ObjectMark
-from .nearest import nearest
-from .relabelling import Labels, Relabelling, Step, labels_of, step_of
+from .relabelling import Labels, Relabelling, Step, labels_of, nearest, step_of
 
 LEAST_OVERLAP = 0.2
 """Least intersection over union of the boxes at which an object is the one that an edit means."""

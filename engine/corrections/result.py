@@ -23,8 +23,7 @@ from ..result_files import (
     read_arrays,
     read_instances,
 )
-from .edits import CORRECTIONS, Edit
-from .file import editing, read_edits
+from .edits import CORRECTIONS, Edit, editing, read_edits
 from .relabelling import Relabelling, labels_of
 from .replay import Replay
 

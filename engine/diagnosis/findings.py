@@ -1,12 +1,12 @@
-"""What a diagnosis says: findings, and what has to be done to the scene. findings.json and its pictures on disk."""
+"""What a diagnosis says: findings with their pictures, and what has to be done to the scene. findings.json on disk."""
 
 from __future__ import annotations
 
 import json
 import os
 import re
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -15,9 +15,119 @@ from numpy.typing import NDArray
 
 from ..errors import PlgsError
 from ..job.atomic import PART, write_atomically
-from .pictures import png_bytes
-from .reprojection import Assumption
+from .reprojection import Assumption, Floats, Look, Views
 from .trials import Agreement
+
+Picture = NDArray[np.uint8]
+_WIDTH = 480
+_CAPTION = 22
+_WORST = 0.2
+"""Relative error of depth that is drawn in the strongest red."""
+
+
+def depth_errors(views: Views, one: int, other: int, assumed: Sequence[tuple[str, Assumption]]) -> Picture:
+    """How well a look's surfaces agree with another's depth, once for each assumption under its caption. Green agrees,
+    yellow and red do not, and dark is not seen by the other view.
+    """
+    look = views.looks[one]
+    height, width = look.depth.shape
+    step = max(1, width // 240)
+    rows, columns = np.meshgrid(np.arange(0, height, step), np.arange(0, width, step), indexing="ij")
+    known = look.depth[rows, columns] > 0.0
+    points = np.stack([columns[known], rows[known]], -1).astype(np.int32)
+    pair = Views([replace(look, points=points), views.looks[other]], views.turn, views.recorded)
+    panels = []
+    for caption, assumption in assumed:
+        error = np.full(rows.shape, np.nan)
+        error[known] = np.abs(pair.compare(np.array([[0, 1]]), assumption).error[0, : len(points)])
+        panels.append(_captioned(_fitted(_error_colours(error)), caption))
+    return np.concatenate(panels, axis=1)
+
+
+def _error_colours(error: Floats) -> Picture:
+    """Green for no error, then yellow, red at 20 % and more, dark for nan. uint8 [H, W, 3]."""
+    share = np.clip(np.nan_to_num(error, nan=0.0) / _WORST, 0.0, 1.0)
+    red, green = np.clip(share * 4.0, 0.0, 1.0), np.clip(1.5 - 1.5 * share, 0.0, 0.75)
+    colours = np.stack([red * 230, green * 255, np.full(share.shape, 40.0)], -1)
+    return np.where(np.isfinite(error)[..., None], colours, 30.0).astype(np.uint8)
+
+
+def edges_on(grey: NDArray[np.uint8], edges: Floats, moved: Floats) -> Picture:
+    """Depth's edges, float64 [N, 2] in shares of the picture, drawn where they lie and where they fit."""
+    panels = []
+    for caption, places in (("depth's edges as they lie", edges), ("where they fit", moved)):
+        panel = np.repeat(_fitted(grey)[..., None] // 2 + 40, 3, axis=2)
+        height, width = panel.shape[:2]
+        columns, rows = (places * (width, height)).astype(np.int64).T
+        inside = (columns >= 0) & (columns < width) & (rows >= 0) & (rows < height)
+        panel[rows[inside], columns[inside]] = (255, 90, 40)
+        panels.append(_captioned(panel, caption))
+    return np.concatenate(panels, axis=1)
+
+
+def level_surfaces(look: Look, cosine: Floats, caption: str) -> Picture:
+    """A look's points by the cosine of their normals with up, float64 [N]: level is green, upright blue."""
+    height, width = look.depth.shape
+    far = max(float(look.depth.max()), 1e-6)
+    panel = np.repeat((60.0 + 120.0 * look.depth[..., None] / far).astype(np.uint8), 3, axis=2)
+    for (column, row), value in zip(look.points[: len(cosine)].tolist(), np.abs(cosine).tolist(), strict=True):
+        size = max(1, width // 160)
+        colour = (60, 220, 60) if value > 0.99 else (70, 110, 255) if value < 0.1 else (200, 200, 60)
+        panel[max(0, row - size) : row + size + 1, max(0, column - size) : column + size + 1] = colour
+    return _captioned(_fitted(panel), caption)
+
+
+def side_by_side(pictures: Sequence[tuple[str, NDArray[np.uint8]]]) -> Picture:
+    """Pictures [H, W] or [H, W, 3] in a row, under their captions."""
+    panels = [_captioned(_fitted(picture), caption) for caption, picture in pictures]
+    height = max(len(panel) for panel in panels)
+    return np.concatenate([np.pad(p, ((0, height - len(p)), (0, 0), (0, 0))) for p in panels], axis=1)
+
+
+def scatter(x: Floats, y: Floats, caption: str) -> Picture:
+    """Points on axes from 0 to the largest x and the 98th percentile of y."""
+    import cv2
+
+    height = 300
+    panel = np.full((height, _WIDTH, 3), 245, np.uint8)
+    top = max(float(np.quantile(y, 0.98)), 1e-9)
+    columns = (20 + x / max(float(x.max()), 1e-9) * (_WIDTH - 40)).astype(int)
+    rows = (height - 20 - np.minimum(y / top, 1.0) * (height - 40)).astype(int)
+    cv2.line(panel, (20, height - 20), (_WIDTH - 20, height - 20), (90, 90, 90), 1)
+    cv2.line(panel, (20, 20), (20, height - 20), (90, 90, 90), 1)
+    for column, row in zip(columns.tolist(), rows.tolist(), strict=True):
+        cv2.circle(panel, (column, row), 2, (200, 60, 40), -1)
+    return _captioned(panel, caption)
+
+
+def png_bytes(pixels: NDArray[np.integer[Any]]) -> bytes:
+    """Pixels in OpenCV's order of channels as a PNG. Raises OSError."""
+    import cv2
+
+    written, encoded = cv2.imencode(".png", np.ascontiguousarray(pixels))
+    if not written:
+        raise OSError(0, "a picture cannot be encoded")
+    return encoded.tobytes()
+
+
+def _fitted(picture: NDArray[np.uint8]) -> Picture:
+    """The picture 480 pixels wide."""
+    import cv2
+
+    height, width = picture.shape[:2]
+    size = (_WIDTH, max(1, round(height * _WIDTH / width)))
+    shrinks = width > _WIDTH
+    return cv2.resize(picture, size, interpolation=cv2.INTER_AREA if shrinks else cv2.INTER_NEAREST)  # type: ignore[return-value]
+
+
+def _captioned(picture: NDArray[np.uint8], caption: str) -> Picture:
+    import cv2
+
+    coloured = picture if picture.ndim == 3 else np.repeat(picture[..., None], 3, axis=2)
+    bar = np.full((_CAPTION, coloured.shape[1], 3), 20, np.uint8)
+    cv2.putText(bar, caption, (6, 15), cv2.FONT_HERSHEY_SIMPLEX, 0.42, (235, 235, 235), 1, cv2.LINE_AA)
+    return np.ascontiguousarray(np.concatenate([bar, coloured]))
+
 
 FINDINGS = "findings.json"
 FIX = "--fix OUT writes a scene in which it is mended"

@@ -9,12 +9,10 @@ import numpy as np
 
 from ..scene import Scene
 from ..scene.depth import DepthMap
-from .calibration import Calibration, calibrate, moved
-from .findings import FIX, Finding
-from .pictures import depth_errors
+from .findings import FIX, Finding, depth_errors
 from .registration import Shift, measure_registration, registration_findings
 from .reprojection import Assumption, Examined
-from .trials import Agreement, FoundCause, agreement, find_causes, is_far_better
+from .trials import Agreement, Calibration, FoundCause, agreement, calibrate, find_causes, is_far_better, moved
 
 _OFF_UNIT, _OFF_FOCAL = 0.025, 0.03
 """Logarithms. Sensors' own scales and calibrations differ by one or two per cent."""

@@ -8,17 +8,12 @@ import numpy as np
 
 from ..posed.layout import listed
 from ..scene import Scene
-from .class_table import table_findings
-from .findings import Diagnosis, Finding, Mending
-from .labels import label_findings
-from .looks import Photo, load_photos
+from .findings import Diagnosis, Finding, Mending, side_by_side
+from .labels import label_findings, table_findings
 from .numbers import NUMBER_CAUSES, lens_findings, number_findings
-from .order import measure_order, order_findings, repeat_findings
-from .photometry import picture_findings
-from .pictures import side_by_side
-from .poses import pose_findings
-from .registration import SHIFT
-from .reprojection import Assumption, examine
+from .poses import measure_order, order_findings, pose_findings, repeat_findings
+from .registration import SHIFT, picture_findings
+from .reprojection import Assumption, Photo, examine, load_photos
 from .trials import Agreement, agreement
 from .up import measure_tilt, tilt_finding, turn_to_z
 

@@ -8,10 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..posed.matrices import shortest_rotation
-from .findings import Finding
-from .looks import Floats
-from .pictures import level_surfaces
-from .reprojection import Assumption, Examined, Views
+from .findings import Finding, level_surfaces
+from .reprojection import Assumption, Examined, Floats, Views
 
 _CLEARLY_UP = 0.6
 _CONES = (40.0, 25.0, 15.0, 8.0, 5.0, 5.0, 5.0)

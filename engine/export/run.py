@@ -10,10 +10,11 @@ from pathlib import Path
 
 from ..errors import PlgsError, lacks_part
 from ..job import LiftFolder, verify_lifted, write_atomically
-from .boxes import export_boxes
 from .frame_images import export_coco, export_depth, export_label_images, export_scannet
-from .points import export_clouds, export_points, export_splats
+from .mesh import export_gltf, export_mesh
+from .points import export_boxes, export_clouds, export_points, export_splats
 from .source import FinishedLift, Progress
+from .view_surface import export_surface
 
 NOTE = "export.json"
 """File in an export's folder that names its form, its lift and its frames."""
@@ -69,24 +70,6 @@ def make_room(folder: LiftFolder, output: Path, export: Mapping[str, object]) ->
     write_atomically(note, text)
 
 
-def _export_mesh(lift: FinishedLift, output: Path) -> None:
-    from .mesh import export_mesh
-
-    export_mesh(lift, output)
-
-
-def _export_surface(lift: FinishedLift, output: Path) -> None:
-    from .view_surface import export_surface
-
-    export_surface(lift, output)
-
-
-def _export_gltf(lift: FinishedLift, output: Path) -> None:
-    from .mesh import export_gltf
-
-    export_gltf(lift, output)
-
-
 def _export_usd(lift: FinishedLift, output: Path) -> None:
     from .usd import export_usd
 
@@ -102,9 +85,9 @@ KINDS: Mapping[str, Callable[[FinishedLift, Path], None]] = {
     "points": export_points,
     "splats": export_splats,
     "boxes": export_boxes,
-    "mesh": _export_mesh,
-    "surface": _export_surface,
-    "gltf": _export_gltf,
+    "mesh": export_mesh,
+    "surface": export_surface,
+    "gltf": export_gltf,
     "usd": _export_usd,
     "depth": export_depth,
     "clouds": export_clouds,

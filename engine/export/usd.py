@@ -15,8 +15,7 @@ from ..passes.layers import linear
 from ..posed.classes import VOID
 from ..result_files import Instance
 from ..scene import Camera
-from .mesh import MOST_INSTANCES, parts_of
-from .parts import Part
+from .mesh import MOST_INSTANCES, Part, parts_of
 from .source import FinishedLift
 
 FOCAL_LENGTH = 24.0

@@ -13,9 +13,17 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from .cutting import cut_by_label, even_labels
 from .fusion import GRAZED, Grain, Ints, SmallView, Surface, fuse
-from .mending import HAND, close_holes, open_edges, without_crumbs, without_flakes, without_fringe
+from .mending import (
+    HAND,
+    close_holes,
+    cut_by_label,
+    even_labels,
+    open_edges,
+    without_crumbs,
+    without_flakes,
+    without_fringe,
+)
 from .mesh import MOST_INSTANCES, refuse_none, vertex_labels, views_of, write_surface
 from .source import FinishedLift
 

@@ -16,8 +16,7 @@ from scipy.optimize import linear_sum_assignment
 
 from ..presets.preset import Matching
 from ..scene import Progress, View
-from .oriented_box import OrientedBox, fit_box, intersection_volume
-from .records import ObjectMask, SceneObject
+from .records import ObjectMask, OrientedBox, SceneObject, fit_box, intersection_volume
 from .segments import SegmentOptions, local_instances, thin
 
 

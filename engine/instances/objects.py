@@ -1,23 +1,30 @@
-"""The objects that the views agree on: the class of each, by a vote of the views, and its points with their box.
+"""The objects that the views agree on: the class of each, by a vote of the views, its points with their box, and the
+connected pieces that it consists of.
 
 The class vote is ours, beyond the paper. A detector is wrong about a whole object in a view far more often than about
 a pixel: it takes the sofa for a bed. So the class of all points of an object is decided together. A view that resolves
 the object better has more votes.
+
+Clustering masks can put two separate things into one object. It can also leave one thing in two objects when it was
+seen from both ends of a room. So the views decide again, on connected pieces of points instead of masks: a view that
+sees enough of two pieces either shows both inside one mask, or does not.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
 
 from ..presets.preset import EvidenceKind
-from ..scene import View, evidence
+from ..scene import Progress, View, evidence, watched
 from .agreement import ViewPoints
-from .oriented_box import fit_box
-from .records import SceneObject
+from .records import SceneObject, fit_box
 
 LEAST_SHARE = 0.4
 """Of the votes on an object, the share that its class needs. Masks that share a place and not a class are not one
@@ -81,3 +88,110 @@ def placed_objects(
         masks = tuple(replace(mask, pixels=pixels.get(mask.key, 0)) for mask in one.masks)
         placed.append(replace(one, points=points, box=fit_box(points, min_thickness), masks=masks))
     return placed
+
+
+@dataclass(frozen=True)
+class PieceRules:
+    """Points nearer than ``reach`` metres are connected. A piece of fewer than ``min_points`` points, or of less than
+    ``fragment`` of its object's largest piece, is a fragment: a mask's ragged edge on the wall behind. A view judges a
+    piece when it sees ``min_points`` of it, and shows it inside a mask that has ``contained`` of these. Pieces of one
+    object stay together when at least ``stay`` of the views that judge both join them. Pieces of two objects of one
+    class that touch become one object when at least ``join`` of these views, and at least two views, join them.
+    """
+
+    reach: float = 0.15
+    min_points: int = 5
+    fragment: float = 0.1
+    contained: float = 0.7
+    stay: float = 0.3
+    join: float = 0.6
+
+
+def regroup_pieces(
+    xyz: NDArray[np.floating],
+    object_of_point: NDArray[np.int32],
+    class_of_object: Sequence[int],
+    summaries: Sequence[ViewPoints],
+    rules: PieceRules,
+    progress: Progress = lambda *_: None,
+) -> tuple[NDArray[np.int32], list[int]]:
+    """The new object of each point, int32 [N], numbered 1.. (0 = none), and the old object that each one comes from.
+
+    ``xyz`` [N, 3] metres; ``object_of_point`` int32 [N], 0 = none; ``class_of_object``: the class of objects 1.. ;
+    ``summaries``: what each view shows at the points; ``progress`` counts the objects 1.. .
+    """
+    piece, owner = _pieces(xyz, object_of_point, rules, progress)
+    if not len(owner):
+        return np.zeros(len(xyz), np.int32), []
+    joined, judged = _views_on_pairs(piece, len(owner), summaries, rules)
+    same_object = owner[:, None] == owner[None]
+    share = joined / np.maximum(judged, 1)
+    together = same_object & (judged > 0) & (share >= rules.stay)
+    kind = np.asarray(class_of_object)[owner - 1]
+    merge = ~same_object & (kind[:, None] == kind[None]) & (joined >= 2) & (share >= rules.join)
+    merge &= _touching(xyz, piece, len(owner), rules.reach)
+    count, group = connected_components(coo_matrix(together | merge), directed=False)
+    # A group belongs to the object that contributed most of its points.
+    size = np.bincount(piece[piece >= 0], minlength=len(owner))
+    origin = [int(owner[group == number][size[group == number].argmax()]) for number in range(count)]
+    order = np.argsort(origin, kind="stable")
+    number_of_group = np.empty(count, np.int32)
+    number_of_group[order] = np.arange(1, count + 1)
+    table = np.append(number_of_group[group], 0).astype(np.int32)
+    return table[piece], [origin[each] for each in order]
+
+
+def _pieces(
+    xyz: NDArray[np.floating], object_of_point: NDArray[np.int32], rules: PieceRules, progress: Progress
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """The piece of each point, int64 [N], -1 for none and for fragments; and the object of each piece, int64 [P]."""
+    piece = np.full(len(xyz), -1, np.int64)
+    owner: list[int] = []
+    for number in watched(range(1, int(object_of_point.max(initial=0)) + 1), progress):
+        rows = np.flatnonzero(object_of_point == number)
+        if len(rows) < rules.min_points:
+            continue
+        part = connected_pieces(np.asarray(xyz[rows], np.float64), rules.reach)
+        size = np.bincount(part)
+        for each in np.flatnonzero(size >= max(rules.min_points, rules.fragment * size.max())):
+            piece[rows[part == each]] = len(owner)
+            owner.append(number)
+    return piece, np.array(owner, np.int64)
+
+
+def connected_pieces(points: NDArray[np.float64], reach: float) -> NDArray[np.int32]:
+    """The connected piece of each point [n, 3], int32 [n]: points nearer than ``reach`` metres are connected."""
+    pairs = cKDTree(points).query_pairs(reach, output_type="ndarray")
+    graph = coo_matrix((np.ones(len(pairs), bool), (pairs[:, 0], pairs[:, 1])), shape=(len(points), len(points)))
+    piece: NDArray[np.int32] = connected_components(graph, directed=False)[1]
+    return piece
+
+
+def _views_on_pairs(
+    piece: NDArray[np.int64], pieces: int, summaries: Sequence[ViewPoints], rules: PieceRules
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """How many views show two pieces inside one mask, and how many judge both; each float64 [P, P]."""
+    joined, judged = np.zeros((pieces, pieces)), np.zeros((pieces, pieces))
+    for summary in summaries:
+        shown = piece[summary.row]
+        voting = (shown >= 0) & (summary.segment > 0)
+        segments, column = np.unique(summary.segment[voting], return_inverse=True)
+        if not len(segments):
+            continue
+        cells = np.bincount(shown[voting] * len(segments) + column.reshape(-1), minlength=pieces * len(segments))
+        cells = cells.reshape(pieces, len(segments))
+        seen, most = cells.sum(1), cells.max(1)
+        judges = np.flatnonzero((seen >= rules.min_points) & (most >= rules.contained * seen))
+        mask = cells[judges].argmax(1)
+        judged[np.ix_(judges, judges)] += 1
+        joined[np.ix_(judges, judges)] += mask[:, None] == mask[None]
+    return joined, judged
+
+
+def _touching(xyz: NDArray[np.floating], piece: NDArray[np.int64], pieces: int, reach: float) -> NDArray[np.bool_]:
+    """Which pieces come within ``reach`` metres of each other, bool [P, P]."""
+    rows = np.flatnonzero(piece >= 0)
+    pairs = cKDTree(np.asarray(xyz[rows], np.float64)).query_pairs(reach, output_type="ndarray")
+    touching = np.zeros((pieces, pieces), bool)
+    touching[piece[rows[pairs[:, 0]]], piece[rows[pairs[:, 1]]]] = True
+    return touching | touching.T

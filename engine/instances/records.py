@@ -1,15 +1,115 @@
-"""Records of a mask and of an object. Each stage of a lift fills in what it finds out about them."""
+"""Records of a mask and of an object, which each stage of a lift fills in, and boxes oriented about the up axis.
+
+The paper assumes boxes "oriented around z-axis for simplification" (its section "Consistent Instance Mask Generation"):
+the smallest rectangle around the points as seen from above, extended over their range of z.
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from ..scene import Segment
-from .oriented_box import OrientedBox
+
+
+@dataclass(frozen=True, eq=False)
+class OrientedBox:
+    """``centre`` float64 [3] and ``size`` float64 [3] in metres (size[0] >= size[1]). ``yaw``: direction of the first
+    axis in radians about +z, in [-pi/2, pi/2)."""
+
+    centre: NDArray[np.float64]
+    size: NDArray[np.float64]
+    yaw: float
+
+    @property
+    def volume(self) -> float:
+        """The volume in cubic metres."""
+        return float(np.prod(self.size))
+
+    @property
+    def rotation(self) -> tuple[float, float, float, float]:
+        """The yaw as a unit quaternion (w, x, y, z)."""
+        return math.cos(self.yaw / 2), 0.0, 0.0, math.sin(self.yaw / 2)
+
+    @property
+    def footprint(self) -> NDArray[np.float64]:
+        """The corners as seen from above, counter-clockwise, float64 [4, 2]."""
+        x, y = self.size[:2] / 2
+        cos, sin = math.cos(self.yaw), math.sin(self.yaw)
+        local = np.array([[-x, -y], [x, -y], [x, y], [-x, y]])
+        return local @ np.array([[cos, sin], [-sin, cos]]) + self.centre[:2]
+
+    @property
+    def corners(self) -> NDArray[np.float64]:
+        """The eight corners, float64 [8, 3]: the footprint at the bottom, then at the top."""
+        low, high = self.centre[2] - self.size[2] / 2, self.centre[2] + self.size[2] / 2
+        foot = self.footprint
+        return np.concatenate([np.column_stack([foot, np.full(4, z)]) for z in (low, high)])
+
+
+def fit_box(points: NDArray[np.floating], min_thickness: float) -> OrientedBox:
+    """The smallest box about z around points [N, 3], with no side shorter than ``min_thickness`` metres.
+
+    Raises ValueError if there are no points.
+    """
+    if not len(points):
+        raise ValueError("a box needs at least one point")
+    xyz = np.asarray(points, np.float64)
+    # OpenCV uses single precision. Coordinates relative to the middle of the points keep millimetres anywhere.
+    origin = (xyz.min(0) + xyz.max(0)) / 2
+    (x, y), (width, depth), degrees = cv2.minAreaRect((xyz[:, :2] - origin[:2]).astype(np.float32))
+    yaw = math.radians(degrees)
+    if depth > width:
+        width, depth, yaw = depth, width, yaw + math.pi / 2
+    yaw = (yaw + math.pi / 2) % math.pi - math.pi / 2
+    low, high = xyz[:, 2].min(), xyz[:, 2].max()
+    centre = np.array([x + origin[0], y + origin[1], (low + high) / 2])
+    return OrientedBox(centre, np.maximum([width, depth, high - low], min_thickness), yaw)
+
+
+def intersection_volume(first: OrientedBox, second: OrientedBox) -> float:
+    """||inter(B1, B2)|| in cubic metres: the area of the clipped footprints times the overlap in z."""
+    overlap = min(_top(first), _top(second)) - max(_bottom(first), _bottom(second))
+    reach = (math.hypot(*first.size[:2]) + math.hypot(*second.size[:2])) / 2
+    if overlap <= 0 or math.dist(first.centre[:2], second.centre[:2]) >= reach:
+        return 0.0
+    return overlap * _area(_clip(first.footprint.tolist(), second.footprint.tolist()))
+
+
+def _bottom(box: OrientedBox) -> float:
+    return float(box.centre[2] - box.size[2] / 2)
+
+
+def _top(box: OrientedBox) -> float:
+    return float(box.centre[2] + box.size[2] / 2)
+
+
+def _clip(polygon: list[list[float]], window: list[list[float]]) -> list[list[float]]:
+    """The part of a convex polygon inside a counter-clockwise convex window (Sutherland and Hodgman's algorithm)."""
+    for (ax, ay), (bx, by) in zip(window, window[1:] + window[:1], strict=True):
+        side = [(bx - ax) * (y - ay) - (by - ay) * (x - ax) for x, y in polygon]
+        kept: list[list[float]] = []
+        for i, (here, point) in enumerate(zip(side, polygon, strict=True)):
+            before, previous = side[i - 1], polygon[i - 1]
+            if (here >= 0) != (before >= 0):
+                t = before / (before - here)
+                kept.append([p + t * (q - p) for p, q in zip(previous, point, strict=True)])
+            if here >= 0:
+                kept.append(point)
+        polygon = kept
+    return polygon
+
+
+def _area(polygon: Sequence[Sequence[float]]) -> float:
+    if len(polygon) < 3:
+        return 0.0
+    x, y = np.array(polygon).T
+    return abs(float(x @ np.roll(y, -1) - y @ np.roll(x, -1))) / 2
 
 
 @dataclass(frozen=True)

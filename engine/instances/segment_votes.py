@@ -6,8 +6,12 @@ paper's self-training, "Self-training with Consistency-enhanced Segments", witho
 whose points agree on no label votes point by point. So outlines stay those of the masks, and all views together decide
 what they enclose.
 
-Points share their votes with their neighbours on the same thing. And near views may overrule the others on what they
-show as a whole. From far away, a network takes a sink for the countertop; from nearby, a part of a table for the floor.
+Points share their votes with their neighbours on the same thing: a point that few views see has few votes, and ragged
+masks leave it with wrong ones. Two points are on one thing if most views, by what they resolve, show both in one
+segment. So votes do not cross the outline of a picture or a rug in the plane of its wall or floor. OVSeg3R (arXiv
+2509.23541) cuts its superpoints at such outlines; there are no superpoints here. And near views may overrule the others
+on what they show as a whole. From far away, a network takes a sink for the countertop; from nearby, a part of a table
+for the floor.
 """
 
 from __future__ import annotations
@@ -20,10 +24,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
+from scipy.spatial import cKDTree
 
+from ..machine.threads import worker_count
 from ..presets.preset import EvidenceKind, SegmentVoting
 from ..scene import VOID, OnDemand, PanopticMask, Progress, View, evidence, resolution_of, watched
-from .agreement import ViewsOnCloud
+from .agreement import ViewPoints, ViewsOnCloud
 from .panoptic_labels import UNKNOWN_LABEL, PanopticLabels, decide_labels
 
 CELLS_AT_A_TIME = 1 << 23
@@ -208,3 +214,33 @@ def _winners(
 ) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
     parts = [decide_labels(votes[some].toarray(), labels, LEAST_SHARE) for some in slices]
     return np.concatenate([label for label, _ in parts]), np.concatenate([share for _, share in parts])
+
+
+NEIGHBOURS = 6
+"""The most neighbours of a point, as in a plane of cells that are packed closely."""
+REACH = 2.0
+"""Neighbours are within this many spacings of the cloud."""
+
+
+def neighbours_on_a_thing(xyz: NDArray[np.floating], spacing: float, seen: Iterable[ViewPoints]) -> Any:
+    """The weight of each point's neighbours, sparse float32 [N, N]. A row's sum is 1, or 0 for a point without any.
+
+    ``xyz`` [N, 3] and ``spacing`` of the cloud in metres; ``seen``: what each view shows at the points.
+    """
+    points, count = np.asarray(xyz, np.float64), len(xyz)
+    reach = np.nextafter(REACH * spacing, np.inf)
+    nearest = cKDTree(points).query(points, NEIGHBOURS + 1, distance_upper_bound=reach, workers=worker_count())[1]
+    other = nearest[:, 1:]  # without the point itself; N stands for no neighbour
+    both, same = np.zeros(other.shape, np.float32), np.zeros(other.shape, np.float32)
+    segment, resolution = np.zeros(count + 1, np.int32), np.zeros(count + 1, np.float32)
+    for one in seen:
+        segment[one.row], resolution[one.row] = one.segment, one.resolution
+        there, here = segment[other[one.row]], one.segment[:, None]
+        weight = np.minimum(resolution[other[one.row]], one.resolution[:, None]) * ((there > 0) & (here > 0))
+        both[one.row] += weight
+        same[one.row] += weight * (there == here)
+        segment[one.row] = 0
+    share = np.where(same > 0.5 * both, same / np.maximum(both, 1e-12), 0.0)
+    weight = share / np.maximum(share.sum(1, keepdims=True), 1e-12)
+    row, place = np.nonzero(share)
+    return sparse.csr_matrix((weight[row, place].astype(np.float32), (row, other[row, place])), (count, count))

@@ -29,8 +29,7 @@ from ..job import (
 from ..job.cameras import frame_numbers, refuse_equal_names
 from ..model.rendering import ClipRange
 from ..passes.baked_view import BakedView
-from ..passes.exr import further_layers, read_note, write_exr
-from ..passes.frame_header import ShownFrame, number_in
+from ..passes.exr import ShownFrame, further_layers, number_in, read_note, write_exr
 from ..posed.layout import listed
 from ..result_files import INSTANCES
 from ..scene import Camera, Frame, Scene, size_within

@@ -26,11 +26,9 @@ from ..model.rendering import ClipRange
 from ..model.scene_labels import shown_labels
 from ..model.structured import GaussianLabels, LabelChannels, StructuredScene
 from ..passes.baked_view import BakedView, ShownInstances, bake_view, joined
-from ..passes.contact_sheet import SheetRow, chosen, write_contact_sheet
-from ..passes.exr import write_exr
-from ..passes.frame_header import NOTHING_SHOWN, ShownFrame
+from ..passes.exr import NOTHING_SHOWN, ShownFrame, write_exr
 from ..passes.layers import PanopticLayers, decide
-from ..passes.previews import colour_picture, preview_paths, write_previews
+from ..passes.previews import SheetRow, chosen, colour_picture, preview_paths, write_contact_sheet, write_previews
 from ..scene import Camera, ClassTable, Frame, Scene, View, counted
 from ..scene_of_lift import another, have_classes_changed, names_of_frames, opened_scene, refuse_other_pictures
 from ..train.progress import StageReporter

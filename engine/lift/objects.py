@@ -18,15 +18,12 @@ from numpy.typing import NDArray
 
 from ..instances.agreement import ViewPoints, ViewsOnCloud, shown_classes
 from ..instances.consensus import ConsensusOptions, FoundObjects, find_objects, with_masks_of
-from ..instances.masks import vote_instances
 from ..instances.matching import limit_instances, match_views
-from ..instances.objects import object_classes, placed_objects, vote_classes
+from ..instances.objects import PieceRules, object_classes, placed_objects, regroup_pieces, vote_classes
 from ..instances.panoptic_labels import PanopticLabels
-from ..instances.pieces import PieceRules, regroup_pieces
 from ..instances.records import ObjectMask, SceneObject, object_of_mask
-from ..instances.segment_votes import view_labels, vote_panoptic_labels
-from ..instances.segments import SegmentOptions
-from ..instances.surface_neighbours import neighbours_on_a_thing
+from ..instances.segment_votes import neighbours_on_a_thing, view_labels, vote_panoptic_labels
+from ..instances.segments import SegmentOptions, vote_instances
 from ..presets.preset import EvidenceKind, Preset
 from ..scene import VOID, ClassTable, OnDemand, Progress, View, stored, watched
 from ..semantics.point_cloud import SemanticPointCloud

@@ -12,8 +12,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..instances.masks import restrict_to_things
 from ..instances.records import SceneObject
+from ..instances.segments import restrict_to_things
 from ..job import EventWriter
 from ..model.anchors import initial_anchors, seeded_features
 from ..model.decoders import Decoders, DecoderShape
@@ -22,11 +22,10 @@ from ..posed.layout import plural
 from ..presets.preset import Preset
 from ..scene import VOID, ClassTable, OnDemand, Progress, View, stored
 from ..scene.hole_filling import fill_holes
-from ..semantics.adaptive_spacing import ENLARGED
-from ..semantics.anchor_labels import label_anchors, voxelise
+from ..semantics.cloud_index import LabelledPoints
+from ..semantics.clustering import ENLARGED
 from ..semantics.consistency import ConsistencyOptions, consistency_masks, views_are_sparse
-from ..semantics.point_cloud import CloudOptions, SemanticPointCloud, build_point_cloud
-from ..semantics.projection import LabelledPoints
+from ..semantics.point_cloud import CloudOptions, SemanticPointCloud, build_point_cloud, label_anchors, voxelise
 from ..train.photos import exposure_gains, sharpness_weights
 from ..train.progress import StageProgress, StageReporter
 from ..train.targets import ViewTargets, view_targets

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..corrections import Edit, making
-from ..corrections.nearest import nearest
+from ..corrections.relabelling import nearest
 from ..corrections.replay import Replay
 from ..instances.consensus import join
 from ..job import LiftFolder

@@ -11,7 +11,7 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from ..instances.class_first import LEAST_OF_CLASS, objects_of_classes
+from ..instances.panoptic_labels import LEAST_OF_CLASS, objects_of_classes
 from ..machine.distinct_rows import distinct_rows
 from ..result_files import Anchors
 from ..scene import Progress, watched

@@ -14,7 +14,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from ..instances.class_first import LEAST_OF_CLASS, object_of_class
+from ..instances.panoptic_labels import LEAST_OF_CLASS, object_of_class
 from ..machine.compiled import compiled, device_function
 from ..presets.preset import EvidenceKind, Voting
 from ..scene import Camera, evidence_of_pixels, evidence_of_resolution, resolution_on

@@ -1,19 +1,120 @@
-"""A baked view: its layers and its mattes, from a rendering in bands of rows."""
+"""A baked view: its layers and its mattes, from a rendering in bands of rows, and the position and the normal of the
+rendered surface in the world."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, fields
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..machine.compiled import Array, compiled, parallel_kernel
+from ..machine.threads import parallel_for, worker_count
 from ..model.rendering import PanopticRendering
 from ..scene import Camera, ClassTable, distinct_colour
-from .cryptomatte import MatteLayer, class_layer, instance_layer
+from .cryptomatte import RANKS, MatteLayer, class_layer, instance_layer, rank_coverage
 from .layers import PanopticLayers, decide, tell_in_coverage
-from .ranking import RANKS, rank_coverage
-from .surface import Surface, surface_of
+
+REACH = 0.01
+"""The window of a normal's fit reaches this share of the picture's width to each side."""
+SAME_SURFACE = 0.06
+"""Pixels whose inverse depths differ by more than this ratio belong to different surfaces."""
+LEAST_SPREAD = 1e-3
+"""Points whose spread is less than this share of the window's own lie on a line, and define no plane."""
+
+
+class Surface(NamedTuple):
+    """``position`` float32 [3, H, W], world metres; ``normal`` float32 [3, H, W], world, of length 1, towards the
+    camera. Both are 0 where nothing was rendered."""
+
+    position: NDArray[np.float32]
+    normal: NDArray[np.float32]
+
+
+def surface_of(depth: NDArray[np.float32], camera: Camera) -> Surface:
+    """Position and normal of every pixel from its depth float32 [H, W], planar metres, 0 = none.
+
+    A plane's inverse depth is linear in the pixel coordinates. So a plane is fitted by least squares to the inverse
+    depths of the 25 pixels around a pixel (those on the same surface), and its normal is the pixel's. The median error
+    of these normals is 3 to 8 degrees. That of the Gaussians' own shortest axes is 20 to 30 degrees.
+    """
+    inverse = np.divide(1.0, depth, out=np.zeros_like(depth), where=depth > 0)
+    step = max(1, round(REACH * camera.width / 2))
+    surface = Surface(np.empty((3, *depth.shape), np.float32), np.empty((3, *depth.shape), np.float32))
+    lens = np.array([camera.fx, camera.fy, camera.cx, camera.cy])
+    pose = np.ascontiguousarray(camera.camera_to_world, np.float64)
+    parallel_for(worker_count(), fit_rows, inverse, step, lens, pose, surface.position, surface.normal)
+    return surface
+
+
+@parallel_kernel
+def fit_rows(
+    worker: int, workers: int, inverse: Array, step: int, lens: Array, pose: Array, position: Array, normal: Array
+) -> None:
+    """Fit every ``workers``-th row. ``lens`` float64 [4]: fx, fy, cx, cy; ``pose`` float64 [4, 4], camera to world."""
+    height, width = inverse.shape
+    for row in range(worker, height, workers):
+        for column in range(width):
+            q = inverse[row, column]
+            if q <= 0:
+                position[:, row, column] = 0.0
+                normal[:, row, column] = 0.0
+                continue
+            x, y = (column + 0.5 - lens[2]) / lens[0], (row + 0.5 - lens[3]) / lens[1]
+            right, down, mean = inverse_slopes(inverse, row, column, step)
+            # q = (n . (x, y, 1)) / d for the plane n . p = d, so its slopes give n / d
+            nx, ny = right * lens[0], down * lens[1]
+            nz = mean - nx * x - ny * y
+            to_camera = -1.0 / math.sqrt(nx * nx + ny * ny + nz * nz)
+            for axis in range(3):
+                turned = pose[axis, 0] * nx + pose[axis, 1] * ny + pose[axis, 2] * nz
+                ray = pose[axis, 0] * x + pose[axis, 1] * y + pose[axis, 2]
+                normal[axis, row, column] = turned * to_camera
+                position[axis, row, column] = ray / q + pose[axis, 3]
+
+
+@compiled
+def inverse_slopes(inverse: Array, row: int, column: int, step: int) -> tuple[float, float, float]:
+    """Least squares over 5 x 5 pixels ``step`` apart: the change of the inverse depth from a pixel to the next one
+    right and down, and its value at the pixel. The change is 0 if too few pixels are on the same surface."""
+    height, width = inverse.shape
+    q = inverse[row, column]
+    count = su = sv = sq = suu = suv = svv = suq = svq = 0.0
+    for v in range(-2, 3):
+        y = row + v * step
+        if y < 0 or y >= height:
+            continue
+        for u in range(-2, 3):
+            x = column + u * step
+            if x < 0 or x >= width:
+                continue
+            other = inverse[y, x] - q
+            if abs(other) > SAME_SURFACE * q:
+                continue
+            count += 1.0
+            su += u
+            sv += v
+            sq += other
+            suu += u * u
+            suv += u * v
+            svv += v * v
+            suq += u * other
+            svq += v * other
+    suu -= su * su / count
+    suv -= su * sv / count
+    svv -= sv * sv / count
+    suq -= su * sq / count
+    svq -= sv * sq / count
+    spread = suu * svv - suv * suv
+    if spread <= LEAST_SPREAD * suu * svv or suu <= 0.0 or svv <= 0.0:
+        return 0.0, 0.0, q
+    right = (suq * svv - svq * suv) / spread
+    down = (svq * suu - suq * suv) / spread
+    mean = q + (sq - right * su - down * sv) / count
+    return right / step, down / step, mean
 
 
 @dataclass(frozen=True, eq=False)

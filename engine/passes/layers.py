@@ -5,15 +5,189 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..instances.panoptic_labels import LEAST_OF_CLASS, object_of_class
 from ..machine import memory
+from ..machine.compiled import Array, compiled, parallel_kernel
 from ..machine.threads import parallel_for, worker_count
 from ..model.rendering import PanopticRendering
 from ..scene import VOID, ClassTable
-from .deciding import Columns, Decided, Pixels, decide_pixels, tell_decision
+
+CHUNK = 4096
+"""Pixels that a worker takes at once."""
+NOTHING = 1e-3
+"""Alpha below which nothing was rendered: the pixel's labels, depth and confidence are 0."""
+
+LEAST_SHARE_OF_CLASS = np.float32(LEAST_OF_CLASS)
+
+FAINT, LEAST_TOTAL, LEAST_SHARE = np.float32(NOTHING), np.float32(1e-8), np.float32(1e-12)
+ZERO, ONE = np.float32(0), np.float32(1)
+STEPS, STEPS_OF_DEPTH = np.float32(1024), np.float32(4096)
+"""Shares and metres are whole multiples of 1 / this. Finer digits would be noise, which does not compress."""
+OVER_HALF = np.float32(0.5 + 1 / 256)
+"""The least share of a pixel that the decided class and object cover, so that their mattes show it."""
+
+
+class Columns(NamedTuple):
+    """The meaning of the channels; ties go to the first. ``of_class`` int64 [C]: the channel of each class but void;
+    ``class_ids`` int32 [C]; ``is_thing`` bool [C]; ``of_slot`` int64 [S]: the channel of each slot but spare ones;
+    ``slot_ids`` int32 [S]; ``class_of_slot`` int64 [S]: place among the classes, -1 = none; ``one_class``: whether an
+    object has one class throughout."""
+
+    of_class: NDArray[np.int64]
+    class_ids: NDArray[np.int32]
+    is_thing: NDArray[np.bool_]
+    of_slot: NDArray[np.int64]
+    slot_ids: NDArray[np.int32]
+    class_of_slot: NDArray[np.int64]
+    one_class: bool
+
+
+class Pixels(NamedTuple):
+    """A rendering's pixels, float32: ``image`` [P, 3], ``alpha`` [P], ``depth`` [P], ``classes`` [P, >= C], ``slots``
+    [P, >= S]."""
+
+    image: NDArray[np.float32]
+    alpha: NDArray[np.float32]
+    depth: NDArray[np.float32]
+    classes: NDArray[np.float32]
+    slots: NDArray[np.float32]
+
+
+class Decided(NamedTuple):
+    """The fields of ``PanopticLayers``: ``combined`` [P, 4], the others [P]."""
+
+    combined: NDArray[np.float32]
+    depth: NDArray[np.float32]
+    semantic: NDArray[np.int32]
+    instance: NDArray[np.int32]
+    confidence: NDArray[np.float32]
+    entropy: NDArray[np.float32]
+
+
+@parallel_kernel
+def decide_pixels(worker: int, workers: int, pixels: Any, columns: Any, linear_light: Array, decided: Any) -> None:
+    """Decide every ``workers``-th chunk of pixels. ``linear_light`` float32 [N + 1]: linear values of 0, 1/N, ... 1
+    (sRGB-encoded)."""
+    count = len(pixels.alpha)
+    for start in range(worker * CHUNK, count, workers * CHUNK):
+        for pixel in range(start, min(start + CHUNK, count)):
+            decide_labels(pixels, columns, pixel, decided)
+            combine(pixels, pixel, linear_light, decided.combined)
+
+
+@compiled
+def decide_labels(pixels: Any, columns: Any, pixel: int, decided: Any) -> None:
+    """Decide class, instance, confidence, normalised entropy and depth of a pixel; all 0 if nothing was rendered."""
+    decided.semantic[pixel] = decided.instance[pixel] = 0
+    decided.confidence[pixel] = decided.entropy[pixel] = decided.depth[pixel] = ZERO
+    if pixels.alpha[pixel] < FAINT:
+        return
+    coverage, classes = pixels.classes[pixel], len(columns.of_class)
+    place, most, total, weighted = 0, ZERO, ZERO, ZERO
+    for number in range(classes):
+        value = coverage[columns.of_class[number]]
+        total += value
+        if value > most:
+            place, most = number, value
+        if value > LEAST_SHARE:
+            weighted += value * np.log(value)
+    total = max(total, LEAST_TOTAL)
+    # the sum of -p log p for p = value / total
+    entropy = (np.log(total) - weighted / total) / np.float32(np.log(max(classes, 2)))
+    decided.semantic[pixel] = columns.class_ids[place]
+    decided.confidence[pixel] = np.rint(STEPS * most / total) / STEPS
+    decided.entropy[pixel] = np.rint(STEPS * max(entropy, ZERO)) / STEPS
+    decided.depth[pixel] = np.rint(STEPS_OF_DEPTH * pixels.depth[pixel]) / STEPS_OF_DEPTH
+    if columns.is_thing[place]:
+        slot = best_slot(pixels, columns, pixel, place)
+        if slot >= 0:
+            decided.instance[pixel] = columns.slot_ids[slot]
+
+
+@compiled
+def best_slot(pixels: Any, columns: Any, pixel: int, place: int) -> int:
+    """The slot that a pixel of class ``place`` shows (the first if several tie), -1 for no object.
+
+    If objects have one class throughout, ``class_first`` decides. Otherwise it is the slot with the largest coverage,
+    if that is more than the coverage of no object.
+    """
+    coverage, best, most, instances = pixels.slots[pixel], -1, ZERO, ZERO
+    if columns.one_class:
+        least = LEAST_SHARE_OF_CLASS * pixels.classes[pixel, columns.of_class[place]]
+        return object_of_class(coverage, columns.of_slot, columns.class_of_slot, place, least)
+    for slot in range(len(columns.of_slot)):
+        weight = coverage[columns.of_slot[slot]]
+        instances += weight
+        if weight > most:
+            best, most = slot, weight
+    return best if most > pixels.alpha[pixel] - instances else -1
+
+
+@parallel_kernel
+def tell_decision(
+    worker: int, workers: int, pixels: Any, columns: Any, decided: Any, best: Array, owned: Array
+) -> None:
+    """For every ``workers``-th chunk of pixels, make ``pixels.classes`` and ``pixels.slots`` agree with ``decided``.
+    ``best`` int64 and ``owned`` float32 [workers, C] are scratch."""
+    for start in range(worker * CHUNK, len(pixels.alpha), workers * CHUNK):
+        for pixel in range(start, min(start + CHUNK, len(pixels.alpha))):
+            if columns.one_class:
+                give_to_owners(pixels, columns, pixel, best[worker], owned[worker])
+            for place in range(len(columns.of_class)):
+                if columns.class_ids[place] == decided.semantic[pixel]:
+                    raise_over_half(pixels.classes[pixel], columns.of_class, place, pixels.alpha[pixel])
+            for slot in range(len(columns.of_slot)):
+                if columns.slot_ids[slot] == decided.instance[pixel]:
+                    raise_over_half(pixels.slots[pixel], columns.of_slot, slot, pixels.alpha[pixel])
+
+
+@compiled
+def give_to_owners(pixels: Any, columns: Any, pixel: int, largest: Array, total: Array) -> None:
+    """Give the coverage of a class that no object has to the pixel's largest object of that class. Scratch, [C] each:
+    ``largest`` is a class's largest slot, ``total`` the coverage of all its slots."""
+    coverage, by_class = pixels.slots[pixel], pixels.classes[pixel]
+    for place in range(len(columns.of_class)):
+        largest[place], total[place] = -1, ZERO
+    for slot in range(len(columns.of_slot)):
+        place, value = columns.class_of_slot[slot], coverage[columns.of_slot[slot]]
+        if place >= 0:
+            total[place] += value
+            if value > ZERO and (largest[place] < 0 or value > coverage[columns.of_slot[largest[place]]]):
+                largest[place] = slot
+    for place in range(len(columns.of_class)):
+        if largest[place] >= 0:
+            column, shown = columns.of_slot[largest[place]], by_class[columns.of_class[place]]
+            if coverage[column] > LEAST_SHARE_OF_CLASS * shown:
+                coverage[column] += max(shown - total[place], ZERO)
+
+
+@compiled
+def raise_over_half(coverage: Array, columns: Array, winner: int, alpha: Any) -> None:
+    """Raise the winner to more than half of a pixel, at the expense of all other columns."""
+    own = coverage[columns[winner]]
+    wanted = min(OVER_HALF, alpha)
+    if own < wanted:
+        for place in range(len(columns)):
+            coverage[columns[place]] *= (alpha - wanted) / (alpha - own)
+        coverage[columns[winner]] = wanted
+
+
+@compiled
+def combine(pixels: Any, pixel: int, linear_light: Array, combined: Array) -> None:
+    """Fill in the colour in linear light, interpolated in the table, and alpha."""
+    steps = len(linear_light) - 1
+    for channel in range(3):
+        value = min(max(pixels.image[pixel, channel], ZERO), ONE) * np.float32(steps)
+        low = min(int(value), steps - 1)
+        part = value - np.float32(low)
+        combined[pixel, channel] = linear_light[low] + part * (linear_light[low + 1] - linear_light[low])
+    combined[pixel, 3] = min(max(pixels.alpha[pixel], ZERO), ONE)
+
 
 LINEAR_STEPS = 4096
 """Steps of the encoded values in the table of linear light. Interpolation between them is exact to 1e-7."""

@@ -16,7 +16,7 @@ from ..model.baking import decided_labels
 from ..model.rendering import PanopticRendering
 from ..model.structured import LabelChannels
 from ..scene import VOID, PanopticMask
-from ..semantics.pseudo_labels import pseudo_labels
+from ..semantics.consistency import pseudo_labels
 from .targets import ViewTargets, columns_of, slots_of
 
 

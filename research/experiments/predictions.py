@@ -9,7 +9,7 @@ from pathlib import Path
 
 from engine.batch.plan import of_scene
 from engine.errors import PlgsError
-from engine.metrics.folders import PREDICTIONS, score_folders
+from engine.metrics.report import PREDICTIONS, score_folders
 from engine.scene import Frame, GroundTruth, Scene, open_asked
 from engine.scene.label_folders import LabelFolder, open_label_folder
 

@@ -17,8 +17,7 @@ import numpy as np
 from engine.errors import PlgsError
 from engine.gates import plot_label
 from engine.job import write_atomically
-from engine.passes.contact_sheet import first_row
-from engine.passes.previews import png_bytes
+from engine.passes.previews import first_row, png_bytes
 
 from ..results import csv_text, results_text
 from .rows import Row

@@ -23,7 +23,7 @@ from typing import Any
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 # ruff: noqa: E402 - what follows is found only now
 
-from engine.corrections import correct, edits, file, making, read_edits
+from engine.corrections import correct, edits, making, read_edits
 from engine.errors import ErrorCode, PlgsError
 
 DESK = 2
@@ -143,6 +143,6 @@ if __name__ == "__main__":
     edits.datetime = Backwards  # type: ignore[misc]
     os.fsync = lambda descriptor: None  # a kill loses nothing that was written, synced or not
     if sys.argv[2] == "sleeps":  # nobody else is awake then
-        file._WAIT_S = 0.02  # the lock ends with its process alone
+        edits._WAIT_S = 0.02  # the lock ends with its process alone
     place = Path(sys.argv[1])
     print(json.dumps(kills(place, int(sys.argv[3])) if sys.argv[2] == "kills" else sleeps(place)))

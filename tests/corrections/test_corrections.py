@@ -25,7 +25,7 @@ from engine.corrections import (
     undo,
 )
 from engine.corrections import making as m
-from engine.corrections.nearest import nearest
+from engine.corrections.relabelling import nearest
 from engine.corrections.replay import Replay
 from engine.errors import PlgsError
 from engine.result_files import Instance, MatchedSegment

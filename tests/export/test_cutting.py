@@ -8,8 +8,8 @@ import numpy as np
 from research.meshes import sharp_turns
 from scipy.spatial import cKDTree
 
-from engine.export.cutting import cut_by_label, even_labels
 from engine.export.fusion import Ints, Surface
+from engine.export.mending import cut_by_label, even_labels
 from tests.export.test_mending import STEP, area, sheet
 
 

@@ -12,8 +12,7 @@ import numpy as np
 import pytest
 
 from engine.errors import PlgsError
-from engine.frames import make_frames
-from engine.frames.cloud import CloudBuilder
+from engine.frames import CloudBuilder, make_frames
 from engine.known_scene import MadeFrames
 from engine.scene import Camera, open_scene
 from engine.scene_source import SceneSource

@@ -9,8 +9,7 @@ from hypothesis import strategies as st
 from scipy import sparse
 
 from engine.instances.agreement import MasksInSpace
-from engine.instances.consensus import ConsensusOptions, objects_of_masks
-from engine.instances.keyframes import SIGHTINGS, WORTH_IT, choose_keyframes
+from engine.instances.consensus import SIGHTINGS, WORTH_IT, ConsensusOptions, choose_keyframes, objects_of_masks
 from engine.instances.records import ObjectMask
 from engine.scene import Segment
 from tests.instances.two_chairs import CHAIR, WALL

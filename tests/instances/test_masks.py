@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from engine.instances.masks import instance_map, restrict_to_things, vote_instances
+from engine.instances.segments import instance_map, restrict_to_things, vote_instances
 from engine.scene import Camera, PanopticMask, Segment, View
 
 CAMERA = Camera(4, 1, 1.0, 1.0, 2.0, 0.5, np.eye(4))

@@ -12,8 +12,7 @@ from engine.instances.matching import (
     pair_cost,
     update_instances,
 )
-from engine.instances.oriented_box import OrientedBox
-from engine.instances.records import ObjectMask
+from engine.instances.records import ObjectMask, OrientedBox
 from engine.instances.segments import SegmentOptions, local_instances
 from engine.presets.preset import Matching
 from engine.scene import Camera, PanopticMask, Segment, View

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from engine.instances.oriented_box import OrientedBox, fit_box, intersection_volume
+from engine.instances.records import OrientedBox, fit_box, intersection_volume
 
 
 def box(centre: tuple[float, float, float], size: tuple[float, float, float], yaw: float) -> OrientedBox:

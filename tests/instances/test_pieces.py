@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from engine.instances.agreement import ViewPoints
-from engine.instances.pieces import PieceRules, connected_pieces, regroup_pieces
+from engine.instances.objects import PieceRules, connected_pieces, regroup_pieces
 from tests.instances.two_chairs import CHAIR, SOFA
 
 RULES = PieceRules(reach=0.15)

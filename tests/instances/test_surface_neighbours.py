@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from engine.instances.agreement import ViewPoints
-from engine.instances.surface_neighbours import neighbours_on_a_thing
+from engine.instances.segment_votes import neighbours_on_a_thing
 
 SPACING = 0.05
 WIDTH = 6

@@ -10,8 +10,7 @@ import pytest
 import torch
 from numpy.typing import NDArray
 
-from engine.metrics.frame_quality import FrameQuality
-from engine.metrics.panoptic import PanopticEvaluation
+from engine.metrics.panoptic import FrameQuality, PanopticEvaluation
 from engine.scene import Category, ClassTable
 
 THINGS, STUFF = (2, 5), (1, 3, 4)

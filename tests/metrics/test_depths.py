@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from engine.metrics.depths import DepthErrors
+from engine.metrics.images import DepthErrors
 
 
 def _plane(metres: float) -> np.ndarray:

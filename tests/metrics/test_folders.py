@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from engine.command_line.main import main
 from engine.errors import PlgsError
 from engine.export.frame_images import write_coco
-from engine.metrics.folders import score_folders
+from engine.metrics.report import score_folders
 from engine.scene import Camera, Category, ClassTable
 from engine.scene.label_folders import open_label_folder
 

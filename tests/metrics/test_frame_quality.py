@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from engine.metrics.frame_quality import FrameQuality, IdChanges
-from engine.metrics.panoptic import PanopticEvaluation
+from engine.metrics.panoptic import FrameQuality, IdChanges, PanopticEvaluation
 from engine.scene import Category, ClassTable
 
 CLASSES = ClassTable((Category(1, "wall", False, (9, 9, 9)), Category(5, "chair", True, (200, 9, 9))))

@@ -9,7 +9,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from engine.instances.class_first import LEAST_OF_CLASS
+from engine.instances.panoptic_labels import LEAST_OF_CLASS
 from engine.model.baking import BakedGaussians, bake, decided_labels
 from engine.model.rendering import PanopticRendering
 from engine.model.structured import NO_OBJECT, SPARE, GaussianLabels, LabelChannels

@@ -10,8 +10,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from engine.instances.class_first import LEAST_OF_CLASS
-from engine.instances.panoptic_labels import PanopticLabels, decide_labels
+from engine.instances.panoptic_labels import LEAST_OF_CLASS, PanopticLabels, decide_labels
 from engine.model import label_voting
 from engine.model.gaussians import decode
 from engine.model.label_voting import (

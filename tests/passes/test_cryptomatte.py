@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 
 from engine.passes import cryptomatte
 from engine.passes.baked_view import ShownInstances, bake_view
-from engine.passes.deciding import STEPS
-from engine.passes.ranking import RANKS
+from engine.passes.cryptomatte import RANKS
+from engine.passes.layers import STEPS
 from engine.posed.classes import matte_names
 from tests.passes.views import CHAIR, CLASSES, EDGE, LEFT, NAMES, NOTHING, RIGHT, WALL, made_rendering
 

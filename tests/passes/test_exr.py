@@ -14,8 +14,7 @@ import pytest
 
 from engine.job import FURTHER_LAYERS
 from engine.passes.baked_view import BakedView, ShownInstances, bake_view
-from engine.passes.exr import further_layers, read_exr, write_exr
-from engine.passes.frame_header import ShownFrame
+from engine.passes.exr import ShownFrame, further_layers, read_exr, write_exr
 from engine.passes.layers import decide
 from tests.passes.views import CLASSES, EDGE, LEFT, NAMES, NOTHING, RIGHT, made_rendering
 

@@ -11,10 +11,9 @@ import pytest
 
 from engine.export.frame_images import write_coco
 from engine.model.baking import BakedGaussians
-from engine.passes.contact_sheet import SheetRow, chosen, write_contact_sheet
 from engine.passes.layers import decide
 from engine.passes.ply import write_splats
-from engine.passes.previews import write_previews
+from engine.passes.previews import SheetRow, chosen, write_contact_sheet, write_previews
 from tests.passes.read_ply import read_ply
 from tests.passes.views import CLASSES, made_rendering
 

@@ -10,12 +10,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from engine.instances.class_first import LEAST_OF_CLASS
+from engine.instances.panoptic_labels import LEAST_OF_CLASS
 from engine.model.rendering import PanopticRendering
 from engine.passes.baked_view import ShownInstances, bake_view
 from engine.passes.cryptomatte import CRYPTO_CLASS
-from engine.passes.deciding import STEPS
-from engine.passes.layers import decide, encoded, linear, tell_in_coverage
+from engine.passes.layers import STEPS, decide, encoded, linear, tell_in_coverage
 from engine.scene import Camera, Category, ClassTable
 from tests.passes.views import CHAIR, CLASSES, EDGE, LEFT, NOTHING, RIGHT, SOFA, WALL, made_rendering
 

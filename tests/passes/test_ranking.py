@@ -6,8 +6,8 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from engine.passes.deciding import STEPS
-from engine.passes.ranking import RANKS, SMALLEST, rank_coverage
+from engine.passes.cryptomatte import RANKS, SMALLEST, rank_coverage
+from engine.passes.layers import STEPS
 
 
 def sorted_pairs(shares: np.ndarray, ids: np.ndarray, limit: float | None) -> list[tuple[float, float]]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from engine.passes.surface import surface_of
+from engine.passes.baked_view import surface_of
 from engine.scene import Camera
 from tests.tiny_scene import tiny_intrinsics, tiny_pose, trace_view
 

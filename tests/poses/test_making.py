@@ -13,12 +13,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from engine import poses
 from engine.command_line.main import main
 from engine.errors import ErrorCode, PlgsError
 from engine.job import EventWriter, StopSignal
-from engine.poses import make_poses, making
-from engine.poses.film import write_pictures
-from engine.poses.scale import _median
+from engine.poses import Made, _digest_of, _median, make_poses, write_pictures
 from engine.scene import open_scene
 from tests.scene.formats.test_colmap import write_text
 from tests.scene.formats.writing import write_grey
@@ -64,7 +63,7 @@ def test_photos_are_refused_in_two_lines_with_the_way_to_poses(photos: Path, tmp
 def test_a_scene_with_poses_and_one_without_photos_are_left_alone(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(making, "colmap", lambda photos: None)  # it is not asked for anything
+    monkeypatch.setattr(poses, "colmap", lambda photos: None)  # it is not asked for anything
     write_text(tmp_path / "walk")
     with pytest.raises(PlgsError, match="has poses already"):
         find_poses(tmp_path / "walk", tmp_path)
@@ -76,7 +75,7 @@ def test_a_scene_with_poses_and_one_without_photos_are_left_alone(
 def test_poses_of_photos_that_have_changed_are_not_used(photos: Path, tmp_path: Path) -> None:
     """Whatever lay there by now had the poses that were found for others."""
     (photos / "sparse" / "0").mkdir(parents=True)
-    made = making.Made(photos, 6, 6, 100, None, making._digest_of(sorted(photos.glob("*.png"))))
+    made = Made(photos, 6, 6, 100, None, _digest_of(sorted(photos.glob("*.png"))))
     (photos / "sparse" / "0" / "made_by.json").write_text(json.dumps(made.to_json()))
     assert make_poses(photos, EventWriter(tmp_path / "events.jsonl"), StopSignal()) == made
     (photos / "0001.png").write_bytes((photos / "0002.png").read_bytes())
@@ -107,7 +106,7 @@ def mapped(monkeypatch: pytest.MonkeyPatch) -> None:
         ("read_model", lambda folder: None),
         ("metres_per_length", lambda model, depths: unit),
     ):
-        monkeypatch.setattr(making, name, stand_in)
+        monkeypatch.setattr(poses, name, stand_in)
 
 
 def write_film(path: Path, seed: int) -> None:
@@ -177,8 +176,8 @@ def test_depth_and_confidence_are_no_photos(
 ) -> None:
     """As 3D Scanner App, NeRFCapture and others keep them, beside the photos; the last is known by its 16 bits."""
     given: list[str] = []
-    monkeypatch.setattr(making, "colmap", lambda photos: None)
-    monkeypatch.setattr(making, "map_photos", lambda photos, names, *others: given.extend(names))
+    monkeypatch.setattr(poses, "colmap", lambda photos: None)
+    monkeypatch.setattr(poses, "map_photos", lambda photos, names, *others: given.extend(names))
     wanted = sorted(path.name for path in photos.iterdir())
     for number in range(7):
         write_grey(photos / f"{name.format(number)}.png", np.zeros((6, 8), np.uint16 if "mm" in name else np.uint8))

@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 
 from engine.errors import PlgsError
 from engine.scene import ClassLabel, check_scene, open_scene
-from engine.segment import Job, begin_job, make_masks
-from engine.segment.merging import MadeSegment
+from engine.segment import Job, MadeSegment, begin_job, make_masks
 from tests.tiny_scene import write_tiny_scene
 
 LABELS = (ClassLabel(0, "wall", False), ClassLabel(1, "chair", True))

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import torch
 
-from engine.segment.merging import MadeSegment, merge_queries
+from engine.segment import MadeSegment, merge_queries
 
 STUFF = frozenset({0})
 """Label 0 is a wall, 1 a chair; 2 stands for no object."""

@@ -7,8 +7,7 @@ from collections.abc import Iterable
 import numpy as np
 from scipy.spatial import cKDTree
 
-from engine.semantics.adaptive_spacing import ColumnedPoints, adapted_centres
-from engine.semantics.clustering import seed_centres
+from engine.semantics.clustering import ColumnedPoints, adapted_centres, seed_centres
 
 SIDE, WANTED, CAP = 20.0, 0.05, 10_000
 RUG = ((4.0, 9.0), (11.0, 16.0))

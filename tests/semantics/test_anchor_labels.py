@@ -2,8 +2,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from engine.semantics.anchor_labels import label_anchors, voxelise
-from engine.semantics.point_cloud import SemanticPointCloud
+from engine.semantics.point_cloud import SemanticPointCloud, label_anchors, voxelise
 
 
 def cloud_of(xyz: np.ndarray, class_id: list[int]) -> SemanticPointCloud:

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from engine.semantics.projection import LabelledPoints
+from engine.semantics.cloud_index import LabelledPoints
 from tests.semantics.plane_views import SOFA, WALL, wall_view
 
 

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 
 from engine.scene import PanopticMask, Segment
-from engine.semantics.pseudo_labels import LEAST_AREA, pseudo_labels, regions
+from engine.semantics.consistency import LEAST_AREA, pseudo_labels, regions
 
 WALL, CHAIR, SOFA = 1, 5, 6
 

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from engine.passes.contact_sheet import BACKGROUND, GAP, HEADING, MARGIN, TILE_WIDTH
+from engine.passes.previews import BACKGROUND, GAP, HEADING, MARGIN, TILE_WIDTH
 from research.experiments.report import SHEET, bars_of, with_tables, write_plots, write_sheet
 from research.experiments.table import MEANS, Tables
 from tests.research.experiments.made_up import OFFICE, ROWS

@@ -1,31 +1,208 @@
-"""From photos to a COLMAP model beside them: ``sparse/0``, where COLMAP itself puts it, and ``made_by.json`` in it.
+"""Poses of photos and films, by COLMAP's mapping (the package pycolmap), followed step by step so that it can be
+stopped.
 
-A reconstruction has no unit of length. Where measured depth lies beside the photos, in ``depth``, it gives the unit.
+From photos comes a COLMAP model beside them: ``sparse/0``, where COLMAP itself puts it, and ``made_by.json`` in it. A
+reconstruction has no unit of length. Where measured depth lies beside the photos, in ``depth``, it gives the unit.
 """
 
 from __future__ import annotations
 
 import shutil
 import tempfile
-from collections.abc import Mapping, Sequence
+import threading
+import time
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
-from ..errors import PlgsError
-from ..job import EventWriter, StopSignal
-from ..json_file import Json, read_object, to_line
-from ..posed.layout import listed
-from ..scene.files_of_frames import digests_of_files, files_if_any
-from ..scene.formats import FORMATS
-from ..scene.formats.colmap_model import MADE_BY, read_model
-from ..scene.formats.photos import LEAST, is_film, photos_in, sorted_out
-from .film import write_pictures
-from .mapping import colmap, map_photos
-from .scale import metres_per_length
+import numpy as np
+from numpy.typing import NDArray
+
+from .errors import PlgsError, lacks_part
+from .job import EventWriter, StopSignal
+from .json_file import Json, read_object, to_line
+from .posed.layout import listed
+from .scene.depth import in_metres, read_depth_array
+from .scene.files_of_frames import digests_of_files, files_if_any
+from .scene.formats import FORMATS
+from .scene.formats.colmap_model import MADE_BY, read_model
+from .scene.formats.photos import LEAST, Video, is_film, photos_in, sorted_out
+from .scene.frame_choice import CANDIDATES, photo_detail
+from .scene.pixels import decode
+
+_QUALITY = 95
+
+
+def write_pictures(film: Path, folder: Path, most: int, progress: Callable[[int, int], object]) -> None:
+    """Write at most ``most`` pictures of a film as ``folder/NNNNNN.jpg``, named by their number in the film.
+
+    ``progress`` is called with the numbers of pictures done and of all. Raises PlgsError, OSError.
+    """
+    import cv2
+
+    video = Video(film)
+    count = video.count()
+    edges = np.linspace(0, count, min(most, count) + 1).astype(int)
+    folder.mkdir(parents=True)
+    for done, (first, after) in enumerate(zip(edges[:-1], edges[1:], strict=True), start=1):
+        numbers = np.unique(np.linspace(first, after - 1, CANDIDATES).round().astype(int))
+        pictures = {int(number): video.frame(int(number)) for number in numbers}
+        sharpest = max(pictures, key=lambda number: photo_detail(pictures[number]))
+        options = [cv2.IMWRITE_JPEG_QUALITY, _QUALITY]
+        good, data = cv2.imencode(".jpg", np.ascontiguousarray(pictures[sharpest][..., ::-1]), options)
+        if not good:
+            raise PlgsError(f"picture {sharpest} of the film cannot be written", film, "Extract its pictures yourself.")
+        (folder / f"{sharpest:06d}.jpg").write_bytes(data.tobytes())
+        progress(done, len(edges) - 1)
+
 
 STAGE = "poses"
+_ALL_PAIRS = 200
+"""Photos up to which every one is compared with every other. More are compared with those near in their order."""
+_NEAR = 20
+_POLL_S = 0.1
+
+
+def colmap(photos: Path) -> Any:
+    """The package pycolmap. Raises PlgsError where it is not installed."""
+    try:
+        import pycolmap
+    except ImportError as error:
+        raise lacks_part("poses of photos are made with the package pycolmap", photos, "colmap") from error
+    return pycolmap
+
+
+def map_photos(photos: Path, names: Sequence[str], workplace: Path, events: EventWriter, stop: StopSignal) -> Any:
+    """The largest reconstruction of photos that one camera took (pycolmap's Reconstruction); None when there is none.
+
+    The same photos give the same poses, except for what threads change. Raises PlgsError without pycolmap; Cancelled.
+    """
+    pycolmap = colmap(photos)
+    pycolmap.logging.minloglevel = 2
+    pycolmap.set_random_seed(0)
+    database, token = workplace / "photos.db", pycolmap.CancellationToken()
+    lens = pycolmap.ImageReaderOptions()
+    lens.camera_model = "SIMPLE_RADIAL"
+
+    def step(number: int, label: str, work: Callable[[], Any]) -> Any:
+        events.stage(STAGE, number, 4, label)
+        return _followed(work, token, stop)
+
+    step(2, "Looking for features", lambda: pycolmap.extract_features(
+        database, photos, image_names=list(names), camera_mode=pycolmap.CameraMode.SINGLE, reader_options=lens,
+        cancellation_token=token,
+    ))  # fmt: skip
+    if len(names) <= _ALL_PAIRS:
+        match = lambda: pycolmap.match_exhaustive(database, cancellation_token=token)  # noqa: E731
+    else:
+        near = pycolmap.SequentialPairingOptions(overlap=_NEAR)
+        match = lambda: pycolmap.match_sequential(  # noqa: E731
+            database, pairing_options=near, cancellation_token=token
+        )
+    step(3, "Comparing photos", match)
+    options = pycolmap.IncrementalPipelineOptions(random_seed=0)
+    registered = 0
+
+    def told() -> None:
+        nonlocal registered
+        registered = min(registered + 1, len(names))
+        events.progress(STAGE, registered, len(names))
+
+    found = step(4, "Finding poses", lambda: pycolmap.incremental_mapping(
+        database, photos, workplace, options=options, next_image_callback=told, cancellation_token=token,
+    ))  # fmt: skip
+    return max(found.values(), key=lambda model: model.num_reg_images(), default=None)
+
+
+def _followed(work: Callable[[], Any], token: Any, stop: StopSignal) -> Any:
+    """The result of ``work``, done in its own thread until it is stopped. Raises what ``work`` raises; Cancelled."""
+    answers: list[Any] = []
+    errors: list[BaseException] = []
+
+    def run() -> None:
+        try:
+            answers.append(work())
+        except BaseException as error:  # handed on to the caller below
+            errors.append(error)
+
+    thread = threading.Thread(target=run, daemon=True)
+    thread.start()
+    try:
+        while thread.is_alive():
+            stop.check()
+            time.sleep(_POLL_S)
+    except BaseException:
+        token.cancel()
+        thread.join()
+        raise
+    if errors:
+        raise errors[0]
+    return answers[0]
+
+
+_LEAST_POINTS = 50
+_MOST_SPREAD = 0.2
+
+
+@dataclass(frozen=True)
+class Scale:
+    """``metres`` that a length of the reconstruction is, the median over ``points`` places; half of them agree within
+    the share ``spread``.
+    """
+
+    metres: float
+    spread: float
+    points: int
+
+    def apply(self, model: Any) -> None:
+        """Bring a pycolmap Reconstruction into metres."""
+        import pycolmap
+
+        model.transform(pycolmap.Sim3d(self.metres, pycolmap.Rotation3d(), np.zeros((3, 1))))
+
+
+def metres_per_length(model: Any, depths: Mapping[str, Path]) -> Scale | None:
+    """The median of measured depth over a point's depth in the reconstruction, over all photos' points.
+
+    ``depths`` are files by the photos' stems. None where too few points have depth, or their ratios disagree. Raises
+    PlgsError for a file that is not a depth map.
+    """
+    ratios: list[NDArray[np.float64]] = []
+    for image in model.images.values():
+        path = depths.get(Path(image.name).stem)
+        if path is None or not image.has_pose:
+            continue
+        seen = [point for point in image.points2D if point.has_point3D()]
+        if not seen:
+            continue
+        world = np.array([model.points3D[point.point3D_id].xyz for point in seen])
+        pose = image.cam_from_world().matrix()
+        z = world @ pose[2, :3] + pose[2, 3]
+        depth = _read(path)
+        height, width = depth.shape
+        size = model.cameras[image.camera_id]
+        pixels = np.array([point.xy for point in seen]) * [width / size.width, height / size.height]
+        columns, rows = np.floor(pixels).astype(np.int64).T
+        measured = depth[rows.clip(0, height - 1), columns.clip(0, width - 1)]
+        good = (measured > 0.0) & (z > 0.0)
+        ratios.append(measured[good] / z[good])
+    return _median(np.concatenate(ratios)) if ratios else None
+
+
+def _median(ratios: NDArray[np.float64]) -> Scale | None:
+    if len(ratios) < _LEAST_POINTS:
+        return None
+    metres = float(np.median(ratios))
+    spread = float(np.median(np.abs(ratios / metres - 1.0)))
+    return Scale(metres, spread, len(ratios)) if spread <= _MOST_SPREAD else None
+
+
+def _read(path: Path) -> NDArray[np.float32]:
+    return in_metres(read_depth_array(path) if path.suffix.lower() == ".npy" else decode(path, as_colour=False))
+
+
 FILM_PICTURES = 150
 """The largest number of pictures that are taken from a film."""
 _LEAST_SHARE = 0.5

@@ -1,0 +1,285 @@
+"""Masks by transformers' Mask2Former, for scenes that have none: all frames as COCO panoptic, frame by frame. Frames
+with a mask are not made again.
+
+``panoptic/<frame>.png`` and ``.json`` are written one by one; ``panoptic/made_by.json`` names the model.
+``panoptic.json`` is written last, and without it there are no masks yet. The network comes from a folder or, with the
+user's consent, from Hugging Face's hub. Only safetensors are read: no pickles, and no code that comes with a model.
+transformers is imported late; its own post-processing works at 384x384 for pictures of any shape and does not fuse
+stuff by default. Asked to fuse, it gives one id to several segments.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Callable, Sequence, Set
+from dataclasses import dataclass
+from hashlib import sha256
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from .errors import PlgsError, lacks_part
+from .job import write_atomically
+from .json_file import read_object, read_value
+from .scene import ClassLabel, Frame, Scene, digests_of_files, is_thing_by_name, nearest_tables, size_within
+
+LEAST_SCORE = 0.5
+"""The least score of a query that is a segment."""
+INSIDE = 0.5
+"""The least probability of a pixel of a query's mask."""
+VISIBLE = 0.8
+"""Share of a segment that the others must leave visible; else it is dropped."""
+
+
+@dataclass(frozen=True)
+class MadeSegment:
+    """Its value ``id`` in the mask, the network's ``label``, and its score in [0, 1]."""
+
+    id: int
+    label: int
+    score: float
+
+
+def merge_queries(
+    class_logits: torch.Tensor, mask_probabilities: torch.Tensor, stuff: Set[int]
+) -> tuple[NDArray[np.int32], list[MadeSegment]]:
+    """Segment ids, int32 [H, W] with 0 = none, and the segments.
+
+    ``class_logits`` is float [Q, C + 1], with no object as the last class, ``mask_probabilities`` float [Q, H, W]. A
+    pixel goes to the query with the greatest score times probability. ``stuff`` are labels with one segment per
+    picture; its score is the mean of its queries', weighted by pixels.
+    """
+    ids = np.zeros(mask_probabilities.shape[1:], np.int32)
+    scores, labels = class_logits.softmax(-1).max(-1)
+    kept = (labels < class_logits.shape[-1] - 1) & (scores > LEAST_SCORE)
+    if not bool(kept.any()):
+        return ids, []
+    masks = mask_probabilities[kept]
+    owner = (masks * scores[kept, None, None]).argmax(0)
+    found: dict[int, list[tuple[float, int]]] = {}
+    label_of: dict[int, int] = {}
+    stuff_id: dict[int, int] = {}
+    for query, (label, score) in enumerate(zip(labels[kept].tolist(), scores[kept].tolist(), strict=True)):
+        inside = masks[query] >= INSIDE
+        region = (inside & (owner == query)).numpy()
+        pixels = int(region.sum())
+        if pixels == 0 or pixels < VISIBLE * int(inside.sum()):
+            continue
+        number = len(found) + 1
+        if label in stuff:
+            number = stuff_id.setdefault(label, number)
+        label_of[number] = label
+        found.setdefault(number, []).append((score, pixels))
+        ids[region] = number
+    return ids, [MadeSegment(number, label_of[number], _mean(parts)) for number, parts in found.items()]
+
+
+def _mean(parts: list[tuple[float, int]]) -> float:
+    """The mean score, weighted by pixels."""
+    return sum(score * pixels for score, pixels in parts) / sum(pixels for _, pixels in parts)
+
+
+_LARGEST_SIDE = 1280
+"""The largest number of pixels of a mask's longer side: networks see less than that anyway."""
+
+
+@dataclass(frozen=True)
+class Mask2Former:
+    """A loaded network: its ``name`` on loading, and its classes as ``labels``."""
+
+    name: str
+    labels: tuple[ClassLabel, ...]
+    network: Any
+    processor: Any
+
+    @torch.inference_mode()
+    def segment(self, colour: NDArray[np.uint8]) -> tuple[NDArray[np.int32], list[MadeSegment]]:
+        """The panoptic mask of a picture uint8 [H, W, 3] RGB: see ``merge_queries``."""
+        height, width = colour.shape[:2]
+        inputs = self.processor(images=colour, return_tensors="pt", input_data_format="channels_last")
+        seen = self.network(pixel_values=inputs["pixel_values"])
+        masks = _resized(seen.masks_queries_logits, inputs["pixel_values"].shape[-2:])
+        valid = inputs["pixel_mask"][0]  # the rest is padding
+        masks = masks[..., : int(valid[:, 0].sum()), : int(valid[0].sum())]
+        width, height = size_within((width, height), (_LARGEST_SIDE, _LARGEST_SIDE))
+        stuff = frozenset(label.id for label in self.labels if not label.is_thing)
+        return merge_queries(seen.class_queries_logits[0], _resized(masks, (height, width))[0].sigmoid(), stuff)
+
+
+def _resized(masks: torch.Tensor, size: tuple[int, ...]) -> torch.Tensor:
+    return torch.nn.functional.interpolate(masks, size=tuple(size), mode="bilinear", align_corners=False)
+
+
+def load_model(name: str, *, download: bool) -> Mask2Former:
+    """Load the network in the folder ``name``, or the one of this name on the hub. Raises PlgsError.
+
+    It is fetched only with ``download``; otherwise it has to be on this machine already.
+    """
+    _refuse_other_folders(name)
+    if not download:  # transformers reads this when it is imported
+        os.environ["HF_HUB_OFFLINE"] = "1"
+    try:
+        from safetensors import SafetensorError
+        from transformers import Mask2FormerForUniversalSegmentation, Mask2FormerImageProcessorPil
+        from transformers.utils import logging
+    except ImportError as error:
+        raise lacks_part(f"masks are made with the package transformers ({error})", name, "segment") from error
+    logging.set_verbosity_error()
+    logging.disable_progress_bar()
+    place: dict[str, Any] = {"local_files_only": not download, "trust_remote_code": False}
+    try:
+        processor = Mask2FormerImageProcessorPil.from_pretrained(name, **place)
+        network = Mask2FormerForUniversalSegmentation.from_pretrained(name, use_safetensors=True, **place)
+    except (OSError, ValueError, KeyError, RuntimeError, SafetensorError) as error:
+        raise _not_loaded(name, download, error) from error
+    names: dict[Any, Any] = network.config.id2label or {}
+    tables = nearest_tables(map(str, names.values()))
+    labels = tuple(
+        ClassLabel(int(number), str(word), is_thing_by_name(str(word), tables) is not False)
+        for number, word in sorted(names.items())
+    )
+    return Mask2Former(name, labels, network.eval(), processor)
+
+
+def _refuse_other_folders(name: str) -> None:
+    """A folder has to hold a model in safetensors; a name looks like OWNER/MODEL."""
+    folder = Path(name)
+    if folder.is_dir():
+        if not (folder / "config.json").is_file() or not any(folder.glob("*.safetensors")):
+            fix = "Name a folder that transformers' save_pretrained wrote, with config.json and safetensors."
+            raise PlgsError("there is no model in this folder", folder, fix)
+    elif name.count("/") != 1 or name.startswith((".", "/", "~")):
+        raise PlgsError("there is no such folder or model", name, "Name a folder, or a model as OWNER/NAME.")
+
+
+def _not_loaded(name: str, download: bool, error: Exception) -> PlgsError:
+    if not download and not Path(name).is_dir():
+        fix = "Add --download to fetch it from huggingface.co, or name a folder that holds it."
+        return PlgsError("the model is not on this computer", name, fix, option="--download")
+    lines = str(error).splitlines() or [type(error).__name__]
+    return PlgsError(f"the model cannot be loaded ({lines[0][:200]})", name, "Name another one, or fetch it again.")
+
+
+TABLE, FOLDER, MADE_BY = "panoptic.json", "panoptic", "made_by.json"
+_OTHER_MASKS = ("m2f_semantics", "m2f_notta_semantics", "masks")
+Progress = Callable[[int, int, int], object]
+"""Called after each frame with the numbers done, of all, and made in this run. Its errors end the work."""
+
+
+class Segmenter(Protocol):
+    """A network: its ``name``, its classes, and the mask of a picture (see ``merge_queries``)."""
+
+    @property
+    def name(self) -> str: ...
+
+    @property
+    def labels(self) -> tuple[ClassLabel, ...]: ...
+
+    def segment(self, colour: NDArray[np.uint8]) -> tuple[NDArray[np.int32], list[MadeSegment]]: ...
+
+
+@dataclass(frozen=True)
+class Job:
+    """The folder of the masks, whether an earlier run began with them, and whether they are complete."""
+
+    folder: Path
+    is_begun: bool
+    is_finished: bool
+
+    @property
+    def pictures(self) -> Path:
+        return self.folder / FOLDER
+
+    def discard_if_empty(self) -> None:
+        """Remove the files of ``begin_job`` if there is no mask yet."""
+        if not self.is_begun:
+            (self.pictures / MADE_BY).unlink(missing_ok=True)
+            self.pictures.rmdir()
+
+
+def begin_job(folder: Path, model: str, frames: Sequence[Frame]) -> Job:
+    """Begin in ``folder``, or continue there. Raises PlgsError for masks of other programs, another model or other
+    photos: nothing is overwritten."""
+    made_by, of_files = folder / FOLDER / MADE_BY, digests_of_files([(frame.colour_path,) for frame in frames])
+    named = [*zip((frame.name for frame in frames), of_files, strict=True)]
+    photos = sha256(repr(named).encode()).hexdigest() if all(of_files) else ""  # not known
+    fix = "Name another folder with -o, or remove these."
+    if made_by.is_file():
+        content = read_object(made_by, fix)
+        if content.get("model") != model or content.get("frames") != len(frames):
+            raise PlgsError(f"masks by {content.get('model')} of {content.get('frames')} frames are here", folder, fix)
+        if photos and content.get("photos", "") not in ("", photos):
+            raise PlgsError("the photos have changed since masks of them were made here", folder, fix)
+        return Job(folder, True, (folder / TABLE).is_file())
+    others = [name for name in (TABLE, FOLDER, *_OTHER_MASKS) if (folder / name).exists()]
+    if others:
+        raise PlgsError(f"there are masks already ({others[0]})", folder, fix)
+    try:
+        write_atomically(made_by, json.dumps({"model": model, "frames": len(frames), "photos": photos}) + "\n")
+    except OSError as error:
+        raise PlgsError(f"this cannot be written ({error.strerror})", folder, "Name another with -o.") from error
+    return Job(folder, False, False)
+
+
+def make_masks(scene: Scene, job: Job, network: Segmenter, progress: Progress) -> None:
+    """Make the masks that are missing, then the table. Raises PlgsError, OSError."""
+    made = 0
+    for done, frame in enumerate(scene.frames, start=1):
+        segments, picture = (job.pictures / f"{frame.name}{suffix}" for suffix in (".json", ".png"))
+        if not (segments.is_file() and picture.is_file()):
+            ids, found = network.segment(frame.read_colour(None))
+            write_atomically(picture, _png(ids))
+            write_atomically(segments, json.dumps(_segments(ids, found)))
+            made += 1
+        progress(done, len(scene.frames), made)
+    names = [frame.name for frame in scene.frames]
+    annotations = [
+        {"image_id": name, "file_name": f"{name}.png", "segments_info": read_list(job.pictures / f"{name}.json")}
+        for name in names
+    ]
+    content = {"annotations": annotations, "categories": [_category(label) for label in network.labels]}
+    write_atomically(job.folder / TABLE, json.dumps(content, ensure_ascii=False) + "\n")
+    for name in names:
+        (job.pictures / f"{name}.json").unlink()
+
+
+def read_list(path: Path) -> list[object]:
+    """The segments of a frame that was made before. Raises PlgsError when the file is damaged."""
+    fix = "Delete this file, then start again."
+    content = read_value(path, fix)
+    if not isinstance(content, list):
+        raise PlgsError("this frame's segments are not a list", path, fix)
+    return list(content)
+
+
+def _segments(ids: NDArray[np.int32], found: list[MadeSegment]) -> list[dict[str, object]]:
+    return [
+        {
+            "id": one.id,
+            "category_id": one.label + 1,
+            "score": round(one.score, 4),
+            "area": int((ids == one.id).sum()),
+            "iscrowd": 0,
+        }
+        for one in found
+    ]
+
+
+def _category(label: ClassLabel) -> dict[str, object]:
+    """Category ids count from 1, as 0 is void."""
+    return {"id": label.id + 1, "name": label.name, "isthing": int(label.is_thing)}
+
+
+def _png(ids: NDArray[np.int32]) -> bytes:
+    """Ids int32 [H, W] as R + 256 G + 65536 B."""
+    import cv2
+
+    colours = np.stack([ids >> 16 & 255, ids >> 8 & 255, ids & 255], axis=-1).astype(np.uint8)  # OpenCV's B, G, R
+    done, data = cv2.imencode(".png", colours)
+    if not done:
+        raise ValueError(f"cannot encode ids of shape {ids.shape} as PNG")
+    return data.tobytes()
