@@ -5,11 +5,10 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from research.meshes import sharp_turns
 from scipy.spatial import cKDTree
 
 from engine.export.fusion import Ints, Surface
-from engine.export.mending import cut_by_label, even_labels
+from engine.export.mending import cut_by_label, even_labels, open_edges
 from tests.export.test_mending import STEP, area, sheet
 
 
@@ -17,6 +16,17 @@ def widest_gap(whole: Surface, cut: Surface) -> float:
     """The largest distance in metres of a vertex on a cut from its nearest copy, which another side has."""
     copies = cut.xyz[len(whole.xyz) :]
     return float(cKDTree(copies).query(copies, k=2)[0][:, 1].max())
+
+
+def sharp_turns(surface: Surface, triangles: Ints) -> int:
+    """How many turns of more than 60 degrees the rim of these triangles [T, 3] makes."""
+    rim = open_edges(triangles)
+    following = np.full(len(surface.xyz), -1)
+    following[rim[:, 0]] = rim[:, 1]
+    way = surface.xyz[rim[:, 1]] - surface.xyz[rim[:, 0]]
+    on = surface.xyz[following[rim[:, 1]]] - surface.xyz[rim[:, 1]]
+    cosine = (way * on).sum(axis=1) / np.maximum(np.linalg.norm(way, axis=1) * np.linalg.norm(on, axis=1), 1e-12)
+    return int((cosine < 0.5).sum())
 
 
 def jagged(surface: Surface, towards: tuple[float, float]) -> Ints:
