@@ -78,12 +78,6 @@ class Farm:
         known = self.client.scheduler_info(n_workers=-1)["workers"]
         return {address: told for address, told in known.items() if engine_tag() in told.get("resources", {})}
 
-    def strangers(self) -> list[str]:
-        """The different engines that the other workers have."""
-        known = self.client.scheduler_info(n_workers=-1)["workers"].values()
-        tags = {name for told in known for name in told.get("resources", {}) if name.startswith("plgs-")}
-        return sorted(tags - {engine_tag()})
-
     def largest(self) -> float:
         """The memory of the largest worker in GB; on Slurm that of each worker, even before it has started."""
         if self.place.slurm is not None:
@@ -147,7 +141,8 @@ def wait_for_workers(farm: Farm, seconds: float) -> None:
     give_up = time.monotonic() + seconds
     while not farm.workers():
         if time.monotonic() > give_up:
-            others = farm.strangers()
+            known = farm.client.scheduler_info(n_workers=-1)["workers"].values()
+            others = sorted({name for told in known for name in told.get("resources", {}) if name.startswith("plgs-")})
             has = f"its workers have different engines ({', '.join(others)})" if others else "it has no workers"
             fix = f"Start some with this engine: python -m engine worker {farm.address}"
             raise PlgsError(f"{has}; this one is {engine_tag()}", farm.address, fix, option="--scheduler")

@@ -41,14 +41,17 @@ def run_engine(
         if not (folder.path / "request.json").exists():
             raise PlgsError("was removed in the meantime", folder.path, "Lift the scene again.")
         state = folder.state_at_rest()
-        if resume and _is_done(folder):
-            print(f"This lift is finished already: {folder.result_path}")
-            return ExitCode.FINISHED
-        if state is not LiftState.NOT_STARTED and not resume:
-            is_done = state is LiftState.FINISHED
-            fix = "Choose another folder." if is_done else "Add --resume to continue it."
+        if resume:
+            from ..scene_of_lift import is_done  # late: it needs numpy
+
+            if is_done(folder):
+                print(f"This lift is finished already: {folder.result_path}")
+                return ExitCode.FINISHED
+        elif state is not LiftState.NOT_STARTED:
+            is_whole = state is LiftState.FINISHED
+            fix = "Choose another folder." if is_whole else "Add --resume to continue it."
             what = f"holds a lift that was begun before ({state.value})"
-            raise PlgsError(what, folder.path, fix, option="" if is_done else "--resume")
+            raise PlgsError(what, folder.path, fix, option="" if is_whole else "--resume")
         with output_to(folder.log_path) as terminal:
             if resume:
                 folder.prepare_run()
@@ -73,12 +76,6 @@ def run_engine(
                 with_less_memory="Resume after closing other programs, or lift again with a smaller --size.",
             )
             return run_at(command, folder.place, terminal, parent_pipe=parent_pipe, echo=echo)
-
-
-def _is_done(folder: LiftFolder) -> bool:
-    from ..scene_of_lift import is_done  # late: it needs numpy
-
-    return is_done(folder)
 
 
 def run_bake(

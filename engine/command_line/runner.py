@@ -77,7 +77,9 @@ def run_at(
     """
     events = EventWriter(place.events, echo) if parent_pipe is not None else ShownWarnings(place.events, echo, terminal)
     try:
-        events.hello(task=command.kind, threads=_threads(), resumed=command.resumed)
+        given = os.environ.get("OMP_NUM_THREADS", "")
+        threads = int(given) if given.isdecimal() and int(given) > 0 else usable_cpus()
+        events.hello(task=command.kind, threads=threads, resumed=command.resumed)
         stop = StopSignal(place.cancel, *also_stops)
         with _signals_ask(stop), Watchdog(stop, events, parent_pipe=parent_pipe):
             code = _do(command, events, stop, terminal, place)
@@ -187,13 +189,6 @@ def _signals_ask(stop: StopSignal) -> Iterator[None]:
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
-
-
-def _threads() -> int:
-    given = os.environ.get("OMP_NUM_THREADS", "")
-    if given.isdecimal() and int(given) > 0:
-        return int(given)
-    return usable_cpus()
 
 
 class ShownEvents(EventWriter):

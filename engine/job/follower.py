@@ -22,6 +22,9 @@ CANCEL_WAIT_S = 0.65
 """Seconds that an engine may take to stop before it is killed. Its own watchdog needs at most 0.6."""
 
 
+_CANCELLED = (ExitCode.CANCELLED, ExitCode.INTERRUPTED, ExitCode.TERMINATED)
+
+
 class Engine(Protocol):
     """An engine that this process started, such as an `EngineProcess`."""
 
@@ -212,7 +215,7 @@ class TaskFollower:
             self._fail(self._error_of_output(code))
         elif self._has_finished(code):
             self.state = TaskState.FINISHED
-        elif self._was_cancelled(code):
+        elif self._done == "cancelled" or self.kill_at is not None or code in _CANCELLED:
             self.state = TaskState.CANCELLED
         elif code is not None and code < 0:
             hint = " (often: out of memory)" if code == -9 else ""
@@ -225,10 +228,6 @@ class TaskFollower:
         if self.lift is not None and self.kind == LIFT:  # the result decides, whatever the events say
             return self.lift.state_at_rest() is LiftState.FINISHED
         return self._done == "finished" or code == ExitCode.FINISHED
-
-    def _was_cancelled(self, code: int | None) -> bool:
-        ended_by = (ExitCode.CANCELLED, ExitCode.INTERRUPTED, ExitCode.TERMINATED)
-        return self._done == "cancelled" or self.kill_at is not None or code in ended_by
 
     def _fail(self, error: PlgsError) -> None:
         self.state, self.error = TaskState.FAILED, error

@@ -95,8 +95,13 @@ def engine_python(root: Path = ROOT, environ: Mapping[str, str] = os.environ, ch
     none. Takes about 0.1 s.
     """
     choice = choose_python(root, environ, chosen)
-    _refuse_unfit(choice.python, choice.fix)
-    return choice.python
+    what = "the engine's Python does not exist"
+    if choice.python.exists():
+        missing = missing_modules(choice.python, _ENGINE_MODULES)
+        if not missing:
+            return choice.python
+        what = f"the engine's Python lacks {', '.join(missing)}"
+    raise PlgsError(what, choice.python, choice.fix, code=ErrorCode.NO_ENGINE)
 
 
 def missing_modules(python: Path, names: Sequence[str]) -> list[str]:
@@ -228,11 +233,3 @@ def engine_call(python: Path, root: Path = ROOT, program: str = "engine") -> lis
 def engine_command(python: Path, lift: Path, *, resume: bool, program: str = "engine") -> list[str | Path]:
     """The command that works on a lift folder."""
     return [*engine_call(python, program=program), "lift", lift, *(["--resume"] if resume else [])]
-
-
-def _refuse_unfit(python: Path, fix: str) -> None:
-    if not python.exists():
-        raise PlgsError("the engine's Python does not exist", python, fix, code=ErrorCode.NO_ENGINE)
-    missing = missing_modules(python, _ENGINE_MODULES)
-    if missing:
-        raise PlgsError(f"the engine's Python lacks {', '.join(missing)}", python, fix, code=ErrorCode.NO_ENGINE)

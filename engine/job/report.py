@@ -75,7 +75,9 @@ def _classes_text(tables: Iterable[Mapping[str, Json]]) -> Iterator[str]:
         if entries:
             heading = f"{table.get('name')}, {table.get('mode')}"
             rows = [[heading, *(title for _, title in _CLASS_SHARES), *(key.upper() for key in _COUNTS)]]
-            rows += [_class_row(entry) for entry in entries]
+            for entry in entries:
+                shares = [_number(entry.get(key), 100.0, 1) for key, _ in _CLASS_SHARES]
+                rows.append([str(entry.get("name")), *shares, *(_number(entry.get(key), 1, 0) for key in _COUNTS)])
             yield _aligned(rows, left=1)
 
 
@@ -87,11 +89,6 @@ def made_files(lift: LiftFolder) -> list[Path]:
 def read_metrics(lift: LiftFolder) -> dict[str, Json]:
     """The content of metrics.json. Raises PlgsError."""
     return read_object(lift.result_path / "metrics.json", MAKE_ANEW)
-
-
-def _class_row(entry: Mapping[str, Json]) -> list[str]:
-    shares = [_number(entry.get(key), 100.0, 1) for key, _ in _CLASS_SHARES]
-    return [str(entry.get("name")), *shares, *(_number(entry.get(key), 1, 0) for key in _COUNTS)]
 
 
 def _list(value: Json) -> list[Json]:

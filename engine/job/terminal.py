@@ -98,7 +98,8 @@ def follow(follower: TaskFollower, interrupts: Interrupts, line: LiveLine, echo:
             line.show(follower.progress)
             if line.is_lost and not is_told:
                 is_told = True
-                _tell_log(follower, "The terminal is gone. The work continues.")
+                with suppress(OSError), os.fdopen(open_to_append(follower.place.log), "a", encoding="utf-8") as log:
+                    log.write("The terminal is gone. The work continues.\n")  # if there is room
             if interrupts.pending is not None and not is_asked:
                 is_asked = True
                 line.say("Stopping ...")
@@ -110,11 +111,6 @@ def follow(follower: TaskFollower, interrupts: Interrupts, line: LiveLine, echo:
         if follower.is_running:  # after an error such as a full disk: never leave an engine behind
             follower.kill()
         follower.close()
-
-
-def _tell_log(follower: TaskFollower, text: str) -> None:
-    with suppress(OSError), os.fdopen(open_to_append(follower.place.log), "a", encoding="utf-8") as log:
-        log.write(text + "\n")  # best effort, as a full disk is no reason to end the work
 
 
 def stdout_for_events(progress: str) -> int | None:

@@ -99,7 +99,9 @@ def semantic_cloud(
     views: Sequence[View], class_ids: tuple[int, ...], preset: Preset, events: EventWriter, progress: StageProgress
 ) -> SemanticPointCloud:
     """The semantic point cloud. The labels of the consistency-enhanced masks vote on its classes."""
-    comparison = consistency_options(views, preset)
+    comparison = ConsistencyOptions(neighbours=preset.neighbours)
+    if preset.neighbours and views_are_sparse(views, comparison):  # none, as in the paper on HyperSim
+        comparison = ConsistencyOptions(neighbours=0)
     if comparison.neighbours < preset.neighbours:
         events.warning("neighbouring views overlap too little to compare their labels: all labels are used")
     options = CloudOptions(
@@ -123,14 +125,6 @@ def filled_views(views: Sequence[View], scratch: Path | None = None) -> OnDemand
 def used_classes(views: Sequence[View]) -> tuple[int, ...]:
     """The ids of the classes that the masks use, ascending: the semantic channels."""
     return tuple(sorted({segment.class_id for view in views for segment in view.mask.segments} - {0}))
-
-
-def consistency_options(views: Sequence[View], preset: Preset) -> ConsistencyOptions:
-    """The preset's choice, or no comparison if views are too sparse for one (as in the paper on HyperSim)."""
-    options = ConsistencyOptions(neighbours=preset.neighbours)
-    if not preset.neighbours:
-        return options
-    return ConsistencyOptions(neighbours=0) if views_are_sparse(views, options) else options
 
 
 FEATURES = 32

@@ -37,7 +37,6 @@ from ..scene import (
     Progress,
     Scene,
     StoredViews,
-    Survey,
     View,
     chained,
     load_view,
@@ -125,8 +124,8 @@ def run_lift(
     """Do the lift that ``folder`` asks for, or what is left of it.
 
     Methods other than PLGS pass their own ``preparing`` and ``training``, and ``sources``, the folders of the
-    repository whose digest the manifest holds. Raises PlgsError for
-    input that cannot be lifted, and Cancelled if stopped. The folder can then be resumed.
+    repository whose digest the manifest holds. Raises PlgsError for input that cannot be lifted, and Cancelled if
+    stopped. The folder can then be resumed.
     """
     request, stages = folder.request, StageReporter(events, stop, STAGES)
     preset = request.chosen_preset
@@ -206,17 +205,12 @@ def checked_frames(
         before = str(checkpoint.state.get(MASKS, before))  # scene.json may be of a run that was killed since
     frames = sets_of_frames(scene, request, checkpoint, progress, events)
     survey = survey_scene(frames.chosen, progress, preset.size)
-    tell(frames.chosen, survey, events)
+    for warning in (*frames.chosen.warnings, *survey.warnings):
+        events.warning(warning)
+    for each in frames.chosen.inferred:
+        log.info("inferred: %s: %s", each.about, each)
     masks_changed = masks_differ(before, remember_scene(folder, scene, events.warning))
     return frames.only(survey.scene), masks_changed
-
-
-def tell(scene: Scene, survey: Survey, events: EventWriter) -> None:
-    """Warn of what is wrong with a scene and its pixels, and log what was inferred of it."""
-    for warning in (*scene.warnings, *survey.warnings):
-        events.warning(warning)
-    for each in scene.inferred:
-        log.info("inferred: %s: %s", each.about, each)
 
 
 def read_views(
@@ -265,9 +259,7 @@ def tell_long(course: Course, events: EventWriter) -> None:
     seconds = sum(course.seconds.values())
     if seconds > LONG_S:
         hours = f"{seconds / 3600:.1f} h"
-        events.warning(
-            f"this lift is predicted to take {hours} in all here; it can be stopped and resumed"
-        )
+        events.warning(f"this lift is predicted to take {hours} in all here; it can be stopped and resumed")
 
 
 def code_of(code: str, checkpoint: Checkpoint | None, events: EventWriter) -> str:

@@ -156,15 +156,6 @@ def test_what_one_worker_cannot_do_another_does(
     assert said in capsys.readouterr().err
 
 
-def test_what_no_worker_can_do_is_reported(tmp_path: Path, farm: Farm, address: str) -> None:
-    plan = plan_of(tmp_path, "a")
-    farm.workers(address, "unmounted")
-    assert run(plan, Place(scheduler=address)) is not ExitCode.FINISHED
-    reason = rows_of(plan)["a"]["reason"]
-    assert "no worker can do it" in reason and "does not exist on this worker" in reason
-    assert ".." not in reason, "the sentence of each worker ends once"
-
-
 @pytest.mark.slow
 def test_from_the_command_line_on_this_machine(tmp_path: Path, root: Path) -> None:
     """Real lifts, bakes in pieces, an export and scores, by workers that the batch starts."""

@@ -154,7 +154,9 @@ def test_when_no_fit_worker_is_left_all_pieces_of_the_scene_are_withdrawn(
     del batch.farm.there["two"]
     batch.look()
     batch.look(run.RETURN_S + 2.0)
-    assert "no worker can do it" in batch.rows["a"].reason and not batch.batch._out and not batch.batch._pins
+    reason = batch.rows["a"].reason
+    assert "no worker can do it" in reason and not batch.batch._out and not batch.batch._pins
+    assert ".." not in reason, "the sentence of each worker ends once"
 
 
 @pytest.mark.parametrize("lacked", [False, True])
@@ -170,14 +172,6 @@ def test_a_piece_whose_engine_was_killed_is_resumed_once(
     assert batch.line.said == [f"a: why. It is resumed once{about}."]
     batch.end(batch.farm.asked[1], Ended.KILLED, "host two", lacked)
     assert len(batch.farm.asked) == 2 and batch.rows["a"].state == "failed" and batch.rows["a"].exit_code
-
-
-def test_each_piece_of_a_scene_may_be_killed_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    batch = Batch(tmp_path, monkeypatch, "one")
-    batch.end(batch.farm.asked[0], Ended.KILLED)
-    batch.end(batch.farm.asked[1], Ended.DONE, frames=["1", "2"])
-    batch.end(batch.farm.asked[2], Ended.KILLED)
-    assert batch.farm.asked[-1].piece.names == ("1",) and not batch.rows
 
 
 def test_a_row_is_written_while_no_other_batch_writes_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

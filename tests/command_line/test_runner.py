@@ -231,15 +231,6 @@ def test_resume_starts_a_new_lift_and_leaves_a_finished_one(tmp_path: Path, capf
     assert folder.events_path.read_bytes() == before
 
 
-def test_a_broken_result_is_made_again(tmp_path: Path) -> None:
-    folder = new_lift(tmp_path)
-    run_engine(folder, lift=tiny_lift)
-    (folder.result_path / "metrics.json").unlink()
-    assert folder.state() is LiftState.INTERRUPTED
-    assert run_engine(folder, resume=True, lift=tiny_lift) is ExitCode.FINISHED
-    assert folder.state() is LiftState.FINISHED
-
-
 def test_a_corrupt_result_is_made_again(tmp_path: Path) -> None:
     folder = new_lift(tmp_path)
     run_engine(folder, lift=tiny_lift)

@@ -167,18 +167,6 @@ def test_what_stops_it_before_it_begins_is_reported(folder: LiftFolder, start: S
     nonsense.close()
 
 
-def test_a_finished_lift_is_left_as_it_is(folder: LiftFolder, start: Start) -> None:
-    follow(start("short"))
-    before = {path: path.stat().st_mtime_ns for path in folder.path.rglob("*")}
-    again = start("short", resume=True)
-    follow(again)
-    assert again.state is TaskState.FINISHED
-    refused = start("short")
-    follow(refused)
-    assert "begun before (finished)" in str(refused.error)
-    assert {path: path.stat().st_mtime_ns for path in folder.path.rglob("*")} == before
-
-
 def test_without_resume_a_begun_lift_is_refused(folder: LiftFolder, start: Start) -> None:
     follower = start("patient")
     follow(follower, step_reached(follower, 2))
