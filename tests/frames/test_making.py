@@ -18,7 +18,7 @@ from engine.scene import Camera, open_scene
 from engine.scene_source import SceneSource
 from tests.scene.formats.room import distance_to_room
 from tests.scene.formats.test_nerfstudio import write_scene
-from tests.scene.formats.test_sens import COLOUR, sens
+from tests.scene.formats.test_scannet import COLOUR, sens
 from tests.tiny_scene import write_tiny_scene
 
 

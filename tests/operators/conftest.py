@@ -19,7 +19,7 @@ from tiny_scene import write_tiny_scene  # noqa: E402
 
 from tests.scene.formats.test_colmap import write_text  # noqa: E402
 from tests.scene.formats.test_nerfstudio import write_scene  # noqa: E402
-from tests.scene.formats.test_sens import sens  # noqa: E402
+from tests.scene.formats.test_scannet import sens  # noqa: E402
 
 
 @pytest.fixture(autouse=True)

@@ -1,8 +1,9 @@
-"""What the pixels say about a scene; ``test_bad_input`` has the errors."""
+"""What is checked of a scene before a lift, and what a lift needs of it."""
 
 from __future__ import annotations
 
 import json
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 
@@ -10,9 +11,68 @@ import cv2
 import numpy as np
 import pytest
 
+from engine.command_line.main import main
 from engine.errors import PlgsError
-from engine.scene import check_scene, describe, open_scene, report_of, survey_scene
+from engine.posed.plain_folders import open_plain_folders
+from engine.scene import (
+    Scene,
+    check_scene,
+    describe,
+    load_view,
+    open_scene,
+    open_scene_to_lift,
+    report_of,
+    require_liftable,
+    survey_scene,
+)
+from engine.scene.checks import Thumbnail, measure_overlap
+from engine.scene_source import SceneSource
+from tests.scene.formats.room import check_on_room
+from tests.scene.formats.test_nerfstudio import write_scene
+from tests.scene.refusing import refuses
 from tests.tiny_scene import write_tiny_scene
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory: pytest.TempPathFactory) -> Scene:
+    return open_scene(write_tiny_scene(tmp_path_factory.mktemp("scene"), frames=8))
+
+
+def thumbnails(scene: Scene, axes: np.ndarray | None = None, scale: float = 1.0) -> list[Thumbnail]:
+    found = []
+    for frame in scene.frames:
+        camera = frame.camera.resized(40, 30)
+        camera = camera.at(camera.camera_to_world @ (np.eye(4) if axes is None else axes))
+        found.append(Thumbnail(frame.name, camera, frame.read_depth((40, 30)) * np.float32(scale)))
+    return found
+
+
+def test_frames_of_one_room_agree(scene: Scene) -> None:
+    overlap = measure_overlap(thumbnails(scene))
+    assert overlap.overlaps and overlap.lonely == ()
+    assert overlap.in_view > 0.5 and overlap.agreement > 0.55
+
+
+@pytest.mark.parametrize("wrong", [{"axes": np.diag([1.0, -1.0, -1.0, 1.0])}, {"scale": 5.0}, {"scale": 0.1}])
+def test_wrong_axes_and_units_give_disagreement(scene: Scene, wrong: dict[str, object]) -> None:
+    assert measure_overlap(thumbnails(scene, **wrong)).agreement < 0.2  # type: ignore[arg-type]
+
+
+def test_a_frame_elsewhere_is_lonely(scene: Scene) -> None:
+    views = thumbnails(scene)
+    pose = views[3].camera.camera_to_world.copy()
+    pose[2, 3] += 50.0
+    views[3] = Thumbnail("far", views[3].camera.at(pose), views[3].depth)
+    assert measure_overlap(views).lonely == ("far",)
+
+
+def test_opengl_poses_get_two_warnings(tmp_path: Path) -> None:
+    folder = write_tiny_scene(tmp_path, frames=8)
+    for path in (folder / "pose").iterdir():
+        np.savetxt(path, np.loadtxt(path) @ np.diag([1.0, -1.0, -1.0, 1.0]))
+    scene = open_scene(folder)
+    assert "OpenGL" in scene.warnings[0]
+    assert check_scene(scene)[0].startswith("frames disagree about where surfaces are")
 
 
 def repaint(folder: Path, scale: float) -> None:
@@ -165,3 +225,79 @@ def test_what_is_inferred_is_listed_once_with_its_reason(tmp_path: Path) -> None
     report = describe(open_scene(write_tiny_scene(tmp_path, frames=5)))
     assert [each.about for each in report.inferred] == ["format", "split"]
     assert all(each.taken and each.reason and str(each) not in report.warnings for each in report.inferred)
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    return write_tiny_scene(tmp_path / "scene", frames=6)
+
+
+def test_up_to_half_of_the_frames_may_lack_depth(tmp_path: Path) -> None:
+    """A file that does not name depth for every frame, as some apps write it."""
+    write_scene(tmp_path)
+    content = json.loads((tmp_path / "transforms.json").read_text())
+    last = sorted(content["frames"], key=lambda frame: -int(frame["file_path"].split("_")[1][:-4]))
+    for lacking, frame in enumerate(last[:4], start=1):
+        del frame["depth_file_path"]
+        (tmp_path / "transforms.json").write_text(json.dumps(content))
+        scene = open_scene(tmp_path)
+        assert scene.has_depth is (lacking <= 3) and len(scene.frames) == (6 - lacking if lacking <= 3 else 6)
+        some = f"{lacking} frames without readable depth are" if lacking > 1 else "1 frame without readable depth is"
+        how = f"{some} left out: " if lacking <= 3 else "4 of 6 frames have no "
+        assert any(warning.startswith(how) for warning in scene.warnings)
+        if lacking == 1:
+            check_on_room(scene)
+    with pytest.raises(PlgsError, match="4 of 6 frames have no depth .frame_"):
+        require_liftable(scene)
+
+
+def test_nothing_is_left_to_measure_when_the_held_out_frames_lack_depth(folder: Path) -> None:
+    (folder / "depth" / "0004.png").unlink()
+    scene = open_scene(folder)
+    assert not scene.test_frames and scene.warnings == (
+        "1 frame without readable depth is left out: 0004",
+        "no frame is held out: nothing is measured on unseen views",
+    )
+    assert [frame.name for frame in open_plain_folders(SceneSource(folder)).frames] == [
+        frame.name for frame in scene.frames
+    ]
+
+
+@pytest.mark.parametrize(("without", "told"), [("panoptic.json", "there are no masks"), ("depth", "has no depth")])
+def test_it_opens_without_masks_but_does_not_lift(folder: Path, without: str, told: str) -> None:
+    path = folder / without
+    shutil.rmtree(path) if path.is_dir() else path.unlink()
+    scene = open_scene(folder)
+    assert len(scene.frames) == 6
+    assert (scene.has_masks, scene.has_depth) == (without != "panoptic.json", without != "depth")
+    report = describe(scene)
+    assert (report.segments_per_frame is None) is not scene.has_masks
+    assert (report.depth_range is None) is not scene.has_depth
+    for needs_both in (check_scene, lambda scene: load_view(scene.frames[0])):
+        with pytest.raises(PlgsError):
+            needs_both(scene)
+    with pytest.raises(PlgsError, match=told):
+        open_scene_to_lift(SceneSource(folder))
+
+
+def test_the_command_line_explains_itself(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (folder / "panoptic.json").unlink()
+    assert main(["inspect", str(folder)]) == 0
+    out = capsys.readouterr().out
+    assert "masks     none" in out and "format    scannet" in out
+    assert main(["lift", str(folder), "-o", str(tmp_path / "out")]) == 2
+    assert "there are no masks" in capsys.readouterr().err and not (tmp_path / "out").exists()
+
+
+def test_an_unknown_format_is_refused_and_a_known_one_can_be_named(folder: Path) -> None:
+    assert open_scene(folder, scene_format="scannet").format == "scannet"
+    refuses('no format is called "photos".*Choose one of scannet', folder, scene_format="photos")
+
+
+def test_an_unknown_layout_is_answered_with_advice(tmp_path: Path) -> None:
+    (tmp_path / "photos").mkdir()
+    refuses("need poses: .*COLMAP.*--format scannet", tmp_path)
+    with pytest.raises(PlgsError) as caught:
+        open_scene(tmp_path)
+    assert len(caught.value.fix) < 400
+    refuses("the folders color|color", tmp_path, scene_format="scannet")

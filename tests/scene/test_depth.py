@@ -1,3 +1,5 @@
+"""Depth, measured and estimated."""
+
 from __future__ import annotations
 
 from pathlib import Path
@@ -6,7 +8,13 @@ import cv2
 import numpy as np
 import pytest
 
-from engine.scene import open_scene
+from engine.errors import PlgsError
+from engine.scene import open_scene, open_scene_to_lift
+from engine.scene.estimated_depth import fit_depth
+from engine.scene_source import SceneSource
+from tests.scene.formats.room import Lens, elsewhere, look, quaternion, views
+from tests.scene.formats.writing import in_steps, write_colour
+from tests.scene.refusing import refuses
 from tests.tiny_scene import tiny_intrinsics, tiny_pose, trace_view, write_tiny_scene
 
 
@@ -93,3 +101,110 @@ def test_an_impossible_depth_lens_is_ignored_with_a_warning(tmp_path: Path, foca
     scene = open_scene(folder)
     assert scene.warnings[0].startswith("intrinsic_depth.txt is ignored")
     np.testing.assert_array_equal(scene.frames[1].read_depth(None), before)
+
+
+LENS = Lens()
+POINTS = 60
+
+
+@pytest.mark.parametrize("inverse", [False, True])
+def test_scale_and_shift_come_back_through_noise_and_wrong_points(inverse: bool) -> None:
+    random = np.random.default_rng(5)
+    depths = random.uniform(0.8, 6.0, 300)
+    noisy = depths * (1.0 + 0.01 * random.standard_normal(300))
+    values = (1.0 / noisy if inverse else noisy) * 37.0 + 5.0
+    values[:100] = random.uniform(values.min(), values.max(), 100)
+    fit = fit_depth(values, depths)
+    assert fit is not None and fit.is_inverse is inverse
+    assert fit.scale == pytest.approx(1 / 37, rel=0.02) and fit.shift == pytest.approx(-5 / 37, abs=0.02)
+    right = depths[100:]
+    assert np.median(np.abs(fit.depth(values[100:]) / right - 1.0)) < 0.01
+
+
+def test_a_map_without_information_is_refused() -> None:
+    depths = np.linspace(1.0, 3.0, 40)
+    assert fit_depth(np.full(40, 3.0), depths) is None
+    assert fit_depth(depths[:8], depths[:8]) is None
+    assert fit_depth(np.full(40, np.nan), depths) is None
+
+
+def write_colmap(folder: Path) -> Path:
+    """Points on the room's surfaces, each in the track of the picture that it was taken from."""
+    sparse = folder / "sparse" / "0"
+    sparse.mkdir(parents=True)
+    (sparse / "cameras.txt").write_text(f"1 PINHOLE 64 48 {LENS.fx} {LENS.fy} {LENS.cx} {LENS.cy}\n")
+    images, points = "", ""
+    random = np.random.default_rng(2)
+    for i, plain in enumerate(views()):
+        view, picture = elsewhere(plain), look(plain, LENS)
+        write_colour(folder / "images" / f"{i}.png", picture.colour)
+        track = ""
+        for k in range(POINTS if i else 5):
+            column, row = int(random.integers(0, 64)), int(random.integers(0, 48))
+            x, y, z = (column + 0.5 - LENS.cx) / LENS.fx, (row + 0.5 - LENS.cy) / LENS.fy, picture.depth[row, column]
+            xyz = view.eye + z * (view.forward + x * view.right - y * view.up)
+            points += f"{1000 * i + k + 1} {xyz[0]} {xyz[1]} {xyz[2]} 1 2 3 0.1 {i + 1} {k}\n"
+            track += f"{column + 0.5} {row + 0.5} {1000 * i + k + 1} "
+        rows = np.stack([view.right, -view.up, view.forward])
+        q, t = quaternion(rows), -rows @ view.eye
+        images += f"{i + 1} {' '.join(map(repr, map(float, (*q, *t))))} 1 {i}.png\n{track}\n"
+    (sparse / "images.txt").write_text(images)
+    (sparse / "points3D.txt").write_text(points)
+    return folder
+
+
+@pytest.mark.parametrize("kind", ["npy", "png", "three equal channels"])
+def test_colmap_with_a_networks_maps(tmp_path: Path, kind: str) -> None:
+    """Inverse depth as floats, of another size than the pictures; or depth in steps of its own."""
+    write_colmap(tmp_path / "scene")
+    (tmp_path / "maps").mkdir()
+    for i, view in enumerate(views()):
+        if kind == "npy":
+            values = 300.0 / look(view, LENS.scaled(2)).depth - 20.0 * i
+            np.save(tmp_path / "maps" / f"{i}.npy", values[None].astype(np.float32))
+        else:
+            steps = in_steps(look(view, LENS).depth, 900 + 100 * i) + 50
+            assert cv2.imwrite(str(tmp_path / "maps" / f"{i}.png"), steps if kind == "png" else np.dstack([steps] * 3))
+    with pytest.raises(PlgsError, match="has no depth.*--depth"):
+        open_scene_to_lift(SceneSource(tmp_path / "scene"))
+    scene = open_scene(tmp_path / "scene", depth=tmp_path / "maps")
+    assert scene.has_depth and [frame.name for frame in scene.frames] == ["1", "2", "3", "4", "5"]
+    assert "1 frame without 12 points of the reconstruction in view is left out: 0" in scene.warnings
+    for frame, view in zip(scene.frames, views()[1:], strict=True):
+        depth = frame.depth()
+        off = np.abs(depth / look(view, LENS.scaled(depth.shape[1] / 64)).depth - 1.0)
+        assert (depth > 0.0).mean() > 0.99 and np.median(off) < 0.01 and np.quantile(off, 0.9) < 0.03
+
+
+def test_missing_and_wrong_maps_are_one_line_errors(tmp_path: Path) -> None:
+    write_colmap(tmp_path / "scene")
+    (tmp_path / "maps").mkdir()
+    for i in range(2):
+        np.save(tmp_path / "maps" / f"{i}.npy", np.ones((48, 64), np.float32))
+    refuses("4 of 6 frames have no depth map", tmp_path / "scene", depth=tmp_path / "maps")
+    for i in range(2, 5):
+        np.save(tmp_path / "maps" / f"{i}.npy", np.ones((48, 64), np.float32))
+    scene = open_scene(tmp_path / "scene", depth=tmp_path / "maps")
+    assert "1 frame without a readable depth map is left out: 5" in scene.warnings and len(scene.frames) == 4
+    np.save(tmp_path / "maps" / "5.npy", np.ones((48, 64), np.float32))
+    scene = open_scene(tmp_path / "scene", depth=tmp_path / "maps")
+    with pytest.raises(PlgsError, match="does not rise or fall"):
+        scene.frames[0].depth()
+    (tmp_path / "scene" / "sparse" / "0" / "points3D.txt").unlink()
+    metric = open_scene(tmp_path / "scene", depth=tmp_path / "maps")
+    assert any("no sparse points" in warning for warning in metric.warnings)
+    np.testing.assert_array_equal(metric.frames[0].depth(), np.ones((48, 64), np.float32))
+
+
+def test_an_8_bit_map_is_fitted_or_refused_and_never_read_as_millimetres(tmp_path: Path) -> None:
+    """Depth Anything's run.py --grayscale: inverse depth from 0 to 255 in three equal channels."""
+    write_colmap(tmp_path / "scene")
+    (tmp_path / "maps").mkdir()
+    for i, view in enumerate(views()):
+        near = 1.0 / look(view, LENS).depth
+        grey = np.round(near / near.max() * 255).astype(np.uint8)
+        assert cv2.imwrite(str(tmp_path / "maps" / f"{i}.png"), np.dstack([grey] * 3))
+    frame = open_scene(tmp_path / "scene", depth=tmp_path / "maps").frames[2]
+    assert np.median(np.abs(frame.depth() / look(views()[3], LENS).depth - 1.0)) < 0.01
+    (tmp_path / "scene" / "sparse" / "0" / "points3D.txt").unlink()
+    refuses("8 bits holds no lengths", tmp_path / "scene", depth=tmp_path / "maps")

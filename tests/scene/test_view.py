@@ -1,7 +1,8 @@
-"""Frames read at the size of the lift, and by several threads: in their order, and only a few ahead."""
+"""Views: a frame's pixels at one size, its black borders, and sequences that hold nothing."""
 
 from __future__ import annotations
 
+import sys
 import threading
 from dataclasses import replace
 from pathlib import Path
@@ -9,11 +10,108 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from engine.errors import PlgsError
-from engine.scene import Camera, Frame, load_view, open_scene, size_within
-from engine.scene.view import READERS, SEAM, read_ahead
+from engine.scene import (
+    Camera,
+    Frame,
+    OnDemand,
+    StoredArrays,
+    StoredViews,
+    chained,
+    load_view,
+    open_scene,
+    size_within,
+    stored,
+)
+from engine.scene.view import READERS, SEAM, border_mask, read_ahead
 from tests.tiny_scene import write_tiny_scene
+
+WIDTH, HEIGHT = 640, 480
+Picture = NDArray[np.uint8]
+Mask = NDArray[np.bool_]
+
+
+def room() -> Picture:
+    """A made-up photo: soft shapes, sensor noise, nothing black at its sides."""
+    random = np.random.default_rng(0)
+    shapes = cv2.resize(random.uniform(60, 230, (6, 8, 3)), (WIDTH, HEIGHT), interpolation=cv2.INTER_CUBIC)
+    return np.clip(shapes + random.normal(0, 4, shapes.shape), 40, 255).astype(np.uint8)
+
+
+def as_jpeg(picture: Picture) -> Picture:
+    done, data = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, 92])
+    assert done
+    return np.asarray(cv2.imdecode(data, cv2.IMREAD_COLOR), np.uint8)
+
+
+def undistorted(picture: Picture, bend: float) -> tuple[Picture, Mask]:
+    """A photo of a lens with this radial distortion, made straight, and where nothing was seen."""
+    camera = np.array([[500.0, 0.0, 325.0], [0.0, 500.0, 236.0], [0.0, 0.0, 1.0]])
+    lens = np.array([bend, 0.0, 0.0, 0.0])
+    # All that was seen stays in the picture, as tools do it that keep every pixel.
+    straight, _ = cv2.getOptimalNewCameraMatrix(camera, lens, (WIDTH, HEIGHT), 1) if bend < 0 else (camera, None)
+    seen = cv2.undistort(np.full((HEIGHT, WIDTH), 255, np.uint8), camera, lens, None, straight)
+    return np.asarray(cv2.undistort(picture, camera, lens, None, straight), np.uint8), seen == 0
+
+
+@pytest.mark.parametrize("bend", [-0.1, 0.1])
+def test_an_undistorted_photo(bend: float) -> None:
+    """Barrel distortion leaves bows along the sides, pincushion distortion wedges in the corners."""
+    photo, unseen = undistorted(room(), bend)
+    assert 0.02 < unseen.mean() < 0.1
+    found = border_mask(as_jpeg(photo))
+    assert found[unseen].mean() > 0.95
+    near = cv2.dilate(unseen.astype(np.uint8), np.ones((11, 11), np.uint8)) > 0
+    assert not found[~near].any()
+
+
+@pytest.mark.parametrize("thick", [1, 24])
+def test_a_straight_bar_and_the_seam_beside_it(thick: int) -> None:
+    for turns in range(4):
+        photo, expected = room(), np.zeros((HEIGHT, WIDTH), bool)
+        np.rot90(photo, turns)[:thick] = 0
+        np.rot90(expected, turns)[: thick + 2] = True
+        np.testing.assert_array_equal(border_mask(photo), expected)
+
+
+def dark_cupboard() -> Picture:
+    """Black, but a real surface: noise, and some light in it."""
+    photo = room()
+    random = np.random.default_rng(1)
+    photo[HEIGHT - 40 :, 100:400] = random.normal(6, 2, (40, 300, 3)).clip(0, 12).astype(np.uint8)
+    return photo
+
+
+def deep_shadow() -> Picture:
+    """Black without any light, but it reaches far into the picture."""
+    photo = room()
+    photo[HEIGHT // 2 :, :300] = 0
+    return photo
+
+
+def plant() -> Picture:
+    """Black leaves at the upper edge: thin, but ragged."""
+    photo = room()
+    for column, length in enumerate(np.random.default_rng(2).integers(1, 40, 300).tolist(), start=200):
+        photo[:length, column] = 0
+    return photo
+
+
+DARK = {
+    "a room": lambda: as_jpeg(room()),
+    "a cupboard": dark_cupboard,
+    "a shadow": deep_shadow,
+    "leaves": plant,
+    "a covered lens": lambda: np.zeros((HEIGHT, WIDTH, 3), np.uint8),
+}
+
+
+@pytest.mark.parametrize("picture", DARK)
+def test_dark_things_are_not_a_border(picture: str) -> None:
+    assert not border_mask(DARK[picture]()).any()
+
 
 SIZE, HALF = (320, 240), (160, 120)
 THICK = 12
@@ -116,3 +214,63 @@ def test_a_view_sees_what_its_own_depth_shows(folder: Path) -> None:
     places = view.camera.unproject(moved)[y, x]
     number, rows, columns = replace(view, depth=depth).seen_of(places)
     assert [*number] == [0, 1] and [*rows] == [10, 60] and [*columns] == [20, 100]
+
+
+def test_items_are_made_on_demand() -> None:
+    made: list[int] = []
+
+    def make(number: int) -> int:
+        made.append(number)
+        return 10 * number
+
+    items = OnDemand(4, make)
+    assert len(items) == 4 and not made
+    assert items[-1] == 30 and made == [3]
+    part = items[1:3]
+    assert len(part) == 2 and made == [3] and list(part) == [10, 20]
+    assert list(items) == [0, 10, 20, 30]
+    with pytest.raises(IndexError):
+        items[4]
+
+
+def test_two_sequences_are_one() -> None:
+    made: list[int] = []
+    first = OnDemand(2, lambda number: made.append(number) or number)  # type: ignore[func-returns-value]
+    both = chained(first, "ab")  # type: ignore[misc]
+    assert len(both) == 4 and not made
+    assert list(both) == [0, 1, "a", "b"] and list(both[1:3]) == [1, "a"] and both[-1] == "b"
+    assert list(chained([], [])) == []
+
+
+def test_arrays_come_back_as_they_were(tmp_path: Path) -> None:
+    arrays = [
+        np.arange(12, dtype=np.int16).reshape(3, 4)[:, ::2],
+        np.array([[np.nan, -0.0]], np.float32),
+        np.zeros((0, 3), np.uint8),
+        np.array([True, False]),
+    ]
+    on_disk = stored(arrays, tmp_path)
+    assert not list(tmp_path.iterdir()) or sys.platform == "win32", "the file has no name"
+    for there, array in reversed(list(zip(on_disk, arrays, strict=True))):
+        assert there.dtype == array.dtype and there.shape == array.shape
+        assert there.tobytes() == np.ascontiguousarray(array).tobytes()
+    arrays_on_disk = StoredArrays(tmp_path)
+    first = arrays_on_disk.append(np.arange(1000))
+    assert arrays_on_disk[first].sum() == 499_500
+    second = arrays_on_disk.append(np.full((7, 7), 3.5))  # after another one was read
+    assert (arrays_on_disk[second] == 3.5).all() and (arrays_on_disk[first] == np.arange(1000)).all()
+
+
+def test_views_come_back_as_they_were(tmp_path: Path) -> None:
+    scene = open_scene(write_tiny_scene(tmp_path / "scene", frames=3, size=(32, 24)))
+    views = [load_view(frame) for frame in scene.frames]
+    views[1] = replace(views[1], border=views[1].depth > 2.0)
+    told: list[int] = []
+    there = StoredViews(iter(views), tmp_path, told.append)
+    assert told == [1, 2, 3] and len(there) == 3
+    for one, two in zip(there, views, strict=True):
+        assert one.name == two.name and one.camera is two.camera and one.mask.segments == two.mask.segments
+        for array, other in ((one.colour, two.colour), (one.depth, two.depth), (one.mask.ids, two.mask.ids)):
+            assert array.dtype == other.dtype and (array == other).all()
+        assert (one.border is None) == (two.border is None)
+    assert there[1].border is not None and (there[1].border == views[1].border).all()

@@ -12,7 +12,7 @@ for folder in (Path(__file__).parent.parent, Path(__file__).parent.parent.parent
     if str(folder) not in sys.path:
         sys.path.insert(0, str(folder))
 
-from tests.scene.formats.test_sens import sens  # noqa: E402
+from tests.scene.formats.test_scannet import sens  # noqa: E402
 
 MODULES = """
 import sys

@@ -13,20 +13,7 @@ from pathlib import Path
 from ...errors import ErrorCode, PlgsError
 from ...posed.layout import listed, shown
 from ...scene_source import GONE_FORMATS
-from . import (
-    colmap,
-    hypersim,
-    nerfstudio,
-    polycam,
-    record3d,
-    replica,
-    scanner_app,
-    scannet,
-    scannetpp,
-    seven_scenes,
-    stray,
-    tum,
-)
+from . import colmap, hypersim, nerfstudio, phone_apps, record3d, replica, scannet, scannetpp, seven_scenes, tum
 from .capture import Capture, SceneFormat, Shot
 from .photos import LET_COLMAP, finished_models, is_film, photos_in
 
@@ -38,10 +25,10 @@ FORMATS: tuple[SceneFormat, ...] = (
     seven_scenes.FORMAT,
     replica.FORMAT,
     scannet.SENS,
-    polycam.FORMAT,
+    phone_apps.POLYCAM,
     record3d.FORMAT,
-    stray.FORMAT,
-    scanner_app.FORMAT,
+    phone_apps.STRAY,
+    phone_apps.SCANNER_APP,
     scannetpp.FORMAT,
     hypersim.FORMAT,
 )

@@ -10,11 +10,20 @@ from engine.errors import ErrorCode, PlgsError
 from engine.posed.plain_folders import NAME
 from engine.scene import FORMATS, open_scene
 from engine.scene.formats import find_format
+from engine.scene.formats.capture import frame_names
 from engine.scene.mask_formats import MASK_FORMATS, find_mask_format
 from engine.scene_source import GONE_FORMATS, MASK_FORMAT_NAMES, SCENE_FORMAT_NAMES
 from tests.scene.formats import test_colmap, test_nerfstudio
 from tests.scene.formats.room import check_colours
 from tests.scene.refusing import refuses
+
+
+@pytest.mark.parametrize("odd", ["", ".", "/", "//", "\\", "..", "./."])
+def test_a_path_without_a_name_is_a_frame_too(odd: str) -> None:
+    """Random search found it in a COLMAP model: an image whose name was cut off."""
+    names = frame_names(["a/0001.png", odd])
+    assert names[0] == "0001" and names[1] and "/" not in names[1]
+    assert all(frame_names([odd, odd, "a/0001.png", "b/0001.png"]))
 
 
 def test_each_format_has_its_own_name_and_says_what_it_looks_for() -> None:

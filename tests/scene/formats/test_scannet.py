@@ -1,4 +1,4 @@
-"""ScanNet's .sens, written as the structures of its SensReader lie in the file."""
+"""ScanNet's folders and its .sens."""
 
 from __future__ import annotations
 
@@ -10,9 +10,30 @@ import cv2
 import numpy as np
 import pytest
 
-from engine.scene import open_scene
+from engine.scene import Scene, open_scene
 from tests.scene.formats.room import Lens, check_on_room, look, opencv_pose, views
+from tests.scene.formats.writing import write_pair
 from tests.scene.refusing import refuses
+
+
+@pytest.fixture
+def scene(tmp_path: Path) -> Scene:
+    """As ScanNet's SensReader exports, with Panoptic Lifting's names of frames; K has integer pixel centres."""
+    lens = Lens()
+    for i, view in enumerate(views()):
+        write_pair(tmp_path / "color" / f"0_{i:04d}.png", tmp_path / "depth" / f"0_{i:04d}.png", look(view, lens))
+        (tmp_path / "pose").mkdir(exist_ok=True)
+        np.savetxt(tmp_path / "pose" / f"0_{i:04d}.txt", opencv_pose(view), "%.6f")
+    K = [[lens.fx, 0, lens.cx - 0.5, 0], [0, lens.fy, lens.cy - 0.5, 0], [0, 0, 1, 0], [0, 0, 0, 1]]
+    (tmp_path / "intrinsic").mkdir()
+    np.savetxt(tmp_path / "intrinsic" / "intrinsic_color.txt", K, "%.6f")
+    return open_scene(tmp_path)
+
+
+def test_folders_points_lie_on_the_room(scene: Scene) -> None:
+    assert scene.format == "scannet" and scene.frames[0].name == "0_0000"
+    check_on_room(scene)
+
 
 COLOUR = Lens(108, 80, 97.0, 97.5, 54.3, 40.2)
 DEPTH = Lens(64, 48, 58.0, 58.4, 32.4, 24.1)
@@ -46,7 +67,7 @@ def sens(compressed: bool = True, lost: int | None = None) -> bytes:
 
 @pytest.mark.parametrize("compressed", [True, False])
 @pytest.mark.parametrize("place", ["", "scene0000_00.sens"])
-def test_points_lie_on_the_room(tmp_path: Path, compressed: bool, place: str) -> None:
+def test_sens_points_lie_on_the_room(tmp_path: Path, compressed: bool, place: str) -> None:
     (tmp_path / "scene0000_00.sens").write_bytes(sens(compressed, lost=2))
     scene = open_scene(tmp_path / place)
     assert scene.format == "sens" and [frame.name for frame in scene.frames] == ["0", "1", "3", "4", "5", "6"]

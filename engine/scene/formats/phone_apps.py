@@ -1,0 +1,245 @@
+"""Exports of apps of phones that measure depth: Polycam, 3D Scanner App and Stray Scanner.
+
+Polycam's raw export: ``keyframes/`` with images, cameras, depth and confidence named by microseconds.
+
+A camera is a JSON file: ``t_00`` ... ``t_23``, the rows of camera-to-world, OpenGL axes, metres, y up; ``fx fy cx cy
+width height``; corrected ones may lack the last two. After Polycam's optimisation there are ``corrected_images`` and
+``corrected_cameras``, undistorted and better; they are preferred, and keyframes without them are left out. Depth is a
+16-bit PNG in millimetres, smaller than colour; pixels of the lowest confidence are dropped.
+
+3D Scanner App's *All Data*: ``frame_00000.jpg``, ``frame_00000.json``, ``depth_00000.png``, ``conf_00000.png``.
+
+A JSON file holds ``cameraPoseARFrame``, 4x4 row by row: camera-to-world, OpenGL axes, metres, ARKit's world with y up;
+and ``intrinsics``, 3x3 row by row, in pixels of the picture. There is one for each depth map; the app keeps a picture
+for every few of them, and only these are frames. Depth is a 16-bit PNG in millimetres, smaller than colour; pixels of
+the lowest confidence are dropped.
+
+Stray Scanner: ``rgb.mp4``, ``odometry.csv``, ``camera_matrix.csv``, ``depth/000000.png``, ``confidence/000000.png``.
+
+A line of the odometry is a frame of the video: ``timestamp, frame, x, y, z, qx, qy, qz, qw``, camera-to-world, OpenCV
+axes, metres, ARKit's world with y up; newer files add ``fx, fy, cx, cy`` for each. The matrix is for the video's
+size. Today's app writes two more columns, whose values are empty; only columns that are read need a number. Depth is
+planar, in millimetres (older scans: .npy), 256x192; pixels of the lowest confidence are dropped.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from functools import partial
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ...errors import PlgsError
+from ...gates import open_plain
+from ...json_file import read_json_object, take_number
+from ...posed.image_header import read_image_header
+from ...posed.layout import files_by_stem, listed, natural_order, of_most
+from ...posed.matrices import read_matrix, take_numbers
+from ..depth import npy_depth, png_depth, trusted
+from ..files_of_frames import files_if_any
+from ..frame import Inferred
+from .capture import Capture, SceneFormat, Shot, with_picture
+from .lens import fitted, pinhole
+from .photos import Video
+from .poses import Row, finite_pose, from_opengl, numbers, quaternion_pose, read_rows
+
+_POLYCAM_FIX = "Export the raw data from Polycam again."
+_POLYCAM_POSE = tuple(f"t_{row}{column}" for row in range(3) for column in range(4))
+_SIZE = ("width", "height")
+_POLYCAM_LENS = ("fx", "fy", "cx", "cy")
+_IMAGES = {".jpg", ".jpeg", ".png"}
+_NOT_OPTIMISED = "the poses were not optimised (no corrected_cameras): they are ARKit's own, and pictures are distorted"
+
+
+def _recognises_polycam(place: Path) -> bool:
+    return (place / "keyframes").is_dir()
+
+
+def _read_polycam(place: Path) -> Capture:
+    """Open the keyframes; only headers of images are read. Raises PlgsError."""
+    folder = place / "keyframes"
+    is_corrected = any(folder.glob("corrected_cameras/*.json")) and (folder / "corrected_images").is_dir()
+    prefix = "corrected_" if is_corrected else ""
+    cameras = files_by_stem(folder / f"{prefix}cameras", {".json"}, _POLYCAM_FIX)
+    images = files_by_stem(folder / f"{prefix}images", _IMAGES, _POLYCAM_FIX)
+    raw = {path.stem: path for path in (folder / "cameras").glob("*.json")} if is_corrected else cameras
+    depths = files_if_any(folder / "depth", {".png"}, _POLYCAM_FIX)
+    levels = files_if_any(folder / "confidence", {".png"}, _POLYCAM_FIX)
+    entries = of_most([name for name in cameras if name in images], lambda name: read_json_object(cameras[name]))
+    if not entries:
+        raise PlgsError("no image has a camera", folder, _POLYCAM_FIX)
+    found: dict[str, Shot | PlgsError | None] = dict.fromkeys(sorted({*raw, *cameras, *images}, key=natural_order))
+    for name, entry in entries.items():
+        size = _size(entry, images[name], cameras[name], raw.get(name))
+        make = partial(
+            _shot_polycam, name, entry, size, images[name], cameras[name], depths.get(name), levels.get(name)
+        )
+        found[name] = with_picture(images[name], make)
+    told = [] if is_corrected else [_NOT_OPTIMISED]
+    if len(entries) < len(found):
+        lost = len(found) - len(entries)
+        told.append(f"{lost} of {len(found)} keyframes are not in both {prefix}cameras and {prefix}images")
+    sizeless = [name for name, entry in entries.items() if not _has_size(entry)]
+    taken = f"the size of the pictures of {len(sizeless)} cameras, which do not say it, is inferred"
+    reason = f"their principal points are nearest to its middle ({listed(sizeless)})"
+    inferred = (Inferred("lens", taken, reason),) if sizeless else ()
+    return Capture([*found.items()], "y", tuple(told), up_is_known=True, inferred=inferred)
+
+
+def _has_size(entry: dict[str, Any]) -> bool:
+    return all(key in entry for key in _SIZE)
+
+
+def _size(entry: dict[str, Any], image: Path, path: Path, raw: Path | None) -> tuple[float, ...]:
+    """The width and height that a camera's numbers are for. If it does not say, those of its picture or of the camera
+    before optimisation, whose middle is nearer the principal point. Raises PlgsError."""
+    if _has_size(entry):
+        return tuple(take_number(entry, key, "the camera", path) for key in _SIZE)
+    sizes: list[tuple[float, ...]] = [read_image_header(image).size]
+    if raw is not None and _has_size(other := read_json_object(raw)):
+        sizes.append(tuple(take_number(other, key, "the camera", raw) for key in _SIZE))
+    middle = [take_number(entry, key, "the camera", path) for key in ("cx", "cy")]
+    return min(sizes, key=lambda size: sum(abs(c - side / 2.0) for c, side in zip(middle, size, strict=True)))
+
+
+def _shot_polycam(
+    name: str, entry: dict[str, Any], size: tuple[float, ...], image: Path, path: Path, depth: Path | None,
+    level: Path | None,
+) -> Shot:  # fmt: skip
+    values = [take_number(entry, key, "the camera", path) for key in _POLYCAM_POSE]
+    pose = finite_pose(np.array(values).reshape(3, 4), path)
+    assert pose is not None  # take_number takes finite numbers only
+    lens = pinhole(
+        *size, *(take_number(entry, key, "the camera", path) for key in _POLYCAM_LENS), path=path, fix=_POLYCAM_FIX
+    )
+    lens = fitted(lens, image, _POLYCAM_FIX)
+    depth_map = None if depth is None else trusted(png_depth(depth, lens), level)
+    return Shot(name, lens.at(from_opengl(pose)), image, depth_map)
+
+
+POLYCAM = SceneFormat("polycam", _recognises_polycam, _read_polycam)
+
+
+_SCANNER_APP_POSE, _SCANNER_APP_LENS = "cameraPoseARFrame", "intrinsics"
+_SCANNER_APP_FIX = "Share the scan from the app again, as All Data."
+_FIXED = np.array([[False, True, False], [True, False, False], [True, True, True]])
+"""Elements of every camera's matrix that are 0 0 0 0 1."""
+_LOOKED_AT = 4
+"""Pictures whose JSON files are searched for a pose: other programs name theirs frame_00000.json, too."""
+
+
+def _recognises_scanner_app(place: Path) -> bool:
+    tables = (path.with_suffix(".json") for path in place.glob("frame_*.jpg"))
+    return any(_has_pose(path) for path in islice(filter(Path.is_file, tables), _LOOKED_AT))
+
+
+def _has_pose(path: Path) -> bool:
+    with open_plain(path) as file:
+        return _SCANNER_APP_POSE.encode() in file.read(1 << 16)
+
+
+def _read_scanner_app(place: Path) -> Capture:
+    """Open the pictures; only their headers are read. Raises PlgsError."""
+    pictures = _files(place, ".jpg", "frame_")
+    tables = _files(place, ".json", "frame_")
+    depths, levels = _files(place, ".png", "depth_"), _files(place, ".png", "conf_")
+    found: list[tuple[str, Shot | PlgsError | None]] = []
+    for number, picture in pictures.items():
+        table, depth, level = (files.get(number) for files in (tables, depths, levels))
+        make = None if table is None else partial(_shot_scanner_app, picture, table, depth, level)
+        found.append((picture.stem, None if make is None else with_picture(picture, make)))
+    if not any(shot for _, shot in found):
+        raise PlgsError("no picture frame_<number>.jpg has its frame_<number>.json", place, _SCANNER_APP_FIX)
+    return Capture(found, "y", up_is_known=True)
+
+
+def _files(place: Path, suffix: str, kind: str) -> dict[str, Path]:
+    """Files of one kind by the number in their names; there may be none. Raises PlgsError."""
+    if place.is_dir() and not any(place.glob(f"{kind}*{suffix}")):
+        return {}
+    files = files_by_stem(place, {suffix}, _SCANNER_APP_FIX)
+    return {stem.removeprefix(kind): path for stem, path in files.items() if stem.startswith(kind)}
+
+
+def _shot_scanner_app(picture: Path, table: Path, depth: Path | None, level: Path | None) -> Shot | None:
+    """None where the pose is not finite. Raises PlgsError."""
+    entry = read_json_object(table)
+    matrix = take_numbers(entry, _SCANNER_APP_POSE, "the frame", table, 16).reshape(4, 4)
+    K = take_numbers(entry, _SCANNER_APP_LENS, "the frame", table, 9).reshape(3, 3)
+    if not np.array_equal(K[_FIXED], [0.0, 0.0, 0.0, 0.0, 1.0]):
+        raise PlgsError(f"{_SCANNER_APP_LENS} are not fx 0 cx, 0 fy cy, 0 0 1", table, _SCANNER_APP_FIX)
+    pose = finite_pose(matrix, table)
+    if pose is None:
+        return None
+    width, height = read_image_header(picture).size
+    lens = pinhole(width, height, K[0, 0], K[1, 1], K[0, 2], K[1, 2], path=table, fix=_SCANNER_APP_FIX)
+    depth_map = None if depth is None else trusted(png_depth(depth, lens), level)
+    return Shot(picture.stem, lens.at(from_opengl(pose)), picture, depth_map)
+
+
+SCANNER_APP = SceneFormat("scanner-app", _recognises_scanner_app, _read_scanner_app)
+
+
+_COLUMNS = ("frame", "x", "y", "z", "qx", "qy", "qz", "qw")
+_STRAY_LENS = ("fx", "fy", "cx", "cy")
+_STRAY_FIX = "Copy the scan from the device again."
+
+
+def _recognises_stray(place: Path) -> bool:
+    return (place / "odometry.csv").is_file() and (place / "camera_matrix.csv").is_file()
+
+
+def _read_stray(place: Path) -> Capture:
+    """Open the frames; no picture is decoded. Raises PlgsError."""
+    return Capture(list(_shots(place)), "y", up_is_known=True)
+
+
+def _shots(place: Path) -> Iterator[tuple[str, Shot | None]]:
+    video = Video(place / "rgb.mp4")
+    if not video.path.is_file():
+        raise PlgsError("the video is missing", video.path, _STRAY_FIX)
+    size = video.size()
+    matrix = read_matrix(place / "camera_matrix.csv", ((3, 3),))
+    shared = [matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2]]
+    depths = files_if_any(place / "depth", {".png", ".npy"}, _STRAY_FIX)
+    levels = files_if_any(place / "confidence", {".png"}, _STRAY_FIX)
+    for row in _read_odometry(place / "odometry.csv"):
+        name = f"{int(row['frame']):06d}"
+        x, y, z, qx, qy, qz, qw = values = [row[key] for key in _COLUMNS[1:]]
+        if not np.isfinite(values).all():
+            yield name, None
+            continue
+        pose = quaternion_pose((qw, qx, qy, qz), (x, y, z), place / "odometry.csv")
+        intrinsics = [row[key] for key in _STRAY_LENS] if "fx" in row else shared
+        lens = pinhole(*size, *intrinsics, path=place / "camera_matrix.csv", fix=_STRAY_FIX, whose=f"frame {name}")
+        depth = None
+        if name in depths:
+            depth = npy_depth(depths[name]) if depths[name].suffix.lower() == ".npy" else png_depth(depths[name], lens)
+            depth = trusted(depth, levels.get(name))
+        yield name, Shot(name, lens.at(pose), video.path, depth, video.reader(int(row["frame"])))
+
+
+def _read_odometry(path: Path) -> list[dict[str, float]]:
+    """The rows by the names of their columns. Raises PlgsError."""
+    rows = read_rows(path, _STRAY_FIX, ",", titles=True)
+    head = next(rows, None)
+    if head is None or not {*_COLUMNS} <= {*head.words}:
+        raise PlgsError(f"the first line does not name {', '.join(_COLUMNS)}", path, _STRAY_FIX)
+    found, wanted = [], {*_COLUMNS, *(_STRAY_LENS if {*_STRAY_LENS} <= {*head.words} else ())}
+    for row in rows:
+        if len(row.words) != len(head.words):
+            raise PlgsError(f"line {row.line} holds {len(row.words)} numbers, not {len(head.words)}", path, _STRAY_FIX)
+        given = {name: word for name, word in zip(head.words, row.words, strict=True) if name in wanted}
+        if all(given[name] == "" for name in given.keys() & {*_STRAY_LENS}):
+            given = {name: given[name] for name in _COLUMNS}
+        values = dict(zip(given, numbers(Row(row.line, [*given.values()]), path, _STRAY_FIX).tolist(), strict=True))
+        if not 0.0 <= values["frame"] < 1e9:
+            raise PlgsError(f"line {row.line} does not name a frame's number", path, _STRAY_FIX)
+        found.append(values)
+    return found
+
+
+STRAY = SceneFormat("stray", _recognises_stray, _read_stray)

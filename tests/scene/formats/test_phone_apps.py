@@ -1,0 +1,251 @@
+"""What apps of phones with depth export: Polycam, 3D Scanner App, Stray Scanner."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from engine.errors import PlgsError
+from engine.scene import open_scene
+from engine.scene.formats.photos import Video
+from tests.scene.formats.room import Lens, View, check_on_room, look, opengl_pose, quaternion, views, y_up
+from tests.scene.formats.writing import in_steps, write_colour, write_grey
+from tests.scene.refusing import refuses
+
+POLYCAM_LENS = Lens().scaled(2)
+POLYCAM_DEPTH = Lens()
+
+
+def camera_json(view: View, lens: Lens) -> str:
+    """ARKit's world, y up; the camera's x right, y up, z backward are the columns of t."""
+    seen = y_up(view)
+    t = np.stack([seen.right, seen.up, -seen.forward, seen.eye], axis=1)
+    entry = {f"t_{row}{column}": float(t[row, column]) for row in range(3) for column in range(4)}
+    entry |= {"fx": lens.fx, "fy": lens.fy, "cx": lens.cx, "cy": lens.cy, "width": lens.width, "height": lens.height}
+    return json.dumps(entry | {"blur_score": 81.2, "timestamp": 1})
+
+
+def write_polycam(folder: Path, corrected: bool = True) -> Path:
+    """The plain images and cameras are not as good as the corrected ones: here they are grey and elsewhere."""
+    keyframes = folder / "keyframes"
+    for kind in ("cameras", "corrected_cameras"):
+        (keyframes / kind).mkdir(parents=True)
+    for i, view in enumerate(views()):
+        name = str(98765432100 + 7 * i)
+        moved = View(view.eye + 0.3, view.right, view.up, view.forward)
+        for prefix, seen in (("", moved if corrected else view), ("corrected_", view)):
+            write_colour(keyframes / f"{prefix}images" / f"{name}.png", look(seen, POLYCAM_LENS).colour)
+            (keyframes / f"{prefix}cameras" / f"{name}.json").write_text(camera_json(seen, POLYCAM_LENS))
+        depth, level = in_steps(look(view, POLYCAM_DEPTH).depth, 1000), np.full((48, 64), 127, np.uint8)
+        depth[:5], level[:5] = 4999, 0
+        write_grey(keyframes / "depth" / f"{name}.png", depth)
+        write_grey(keyframes / "confidence" / f"{name}.png", level)
+    if not corrected:
+        for kind in ("corrected_cameras", "corrected_images"):
+            shutil.rmtree(keyframes / kind)
+    return folder
+
+
+@pytest.mark.parametrize("corrected", [True, False])
+def test_polycam_points_lie_on_the_room(tmp_path: Path, corrected: bool) -> None:
+    scene = open_scene(write_polycam(tmp_path, corrected))
+    assert scene.format == "polycam" and scene.frames[0].name == "98765432100"
+    assert any("not optimised" in warning for warning in scene.warnings) is not corrected
+    check_on_room(scene)
+    assert not scene.frames[0].depth()[:5].any()
+
+
+def without_size(folder: Path, kind: str = "corrected_cameras", **other: float) -> None:
+    for path in (folder / "keyframes" / kind).iterdir():
+        entry = json.loads(path.read_text())
+        path.write_text(json.dumps({key: entry[key] for key in entry if key not in ("width", "height")} | other))
+
+
+@pytest.mark.parametrize("scale", [1, 2])
+def test_a_size_that_cameras_do_not_say_is_inferred(tmp_path: Path, scale: int) -> None:
+    """Newer exports have no width and height in corrected_cameras. Its numbers may be for larger pictures."""
+    write_polycam(tmp_path)
+    lens = POLYCAM_LENS.scaled(scale)
+    numbers = {"fx": lens.fx, "fy": lens.fy, "cx": lens.cx, "cy": lens.cy}
+    without_size(tmp_path, **numbers)
+    without_size(tmp_path, "cameras", **numbers, width=128 * scale, height=96 * scale)
+    scene = open_scene(tmp_path)
+    check_on_room(scene)
+    assert any("the size of the pictures of 6 cameras" in warning for warning in scene.warnings)
+
+
+@pytest.mark.parametrize("kept", [3, 1, 0])
+def test_keyframes_that_were_not_optimised_are_counted(tmp_path: Path, kept: int) -> None:
+    """Their own cameras stand elsewhere, so they are no substitute, unless no keyframe was optimised."""
+    keyframes = write_polycam(tmp_path, corrected=kept > 0) / "keyframes"
+    names = sorted(path.stem for path in (keyframes / "cameras").iterdir())
+    for kind in ("cameras", "images"):
+        (keyframes / f"corrected_{kind}").mkdir(exist_ok=True)
+    for name in names[kept:] if kept else []:
+        (keyframes / "corrected_cameras" / f"{name}.json").unlink()
+        (keyframes / "corrected_images" / f"{name}.png").unlink()
+    scene = open_scene(tmp_path)
+    assert [frame.name for frame in scene.frames] == names[: kept or 6]
+    told = f"{6 - kept} of 6 keyframes are not in both corrected_cameras" if kept else "the poses were not optimised"
+    assert any(warning.startswith(told) for warning in scene.warnings)
+    check_on_room(scene)
+
+
+SCANNER_APP_LENS = Lens().scaled(2)
+SCANNER_APP_DEPTH = Lens()
+
+
+def table(view: View) -> dict[str, object]:
+    """ARKit's world, y up; the matrices row by row."""
+    pose = opengl_pose(y_up(view))
+    intrinsics = [SCANNER_APP_LENS.fx, 0, SCANNER_APP_LENS.cx, 0, SCANNER_APP_LENS.fy, SCANNER_APP_LENS.cy, 0, 0, 1]
+    return {"cameraPoseARFrame": pose.ravel().tolist(), "intrinsics": intrinsics, "motionQuality": 1}
+
+
+def write_scanner_app(folder: Path) -> Path:
+    folder.mkdir(exist_ok=True)
+    for i, view in enumerate(views()):
+        for number in (2 * i, 2 * i + 1):
+            depth, level = in_steps(look(view, SCANNER_APP_DEPTH).depth, 1000), np.full((48, 64), 2, np.uint8)
+            depth[:5], level[:5] = 4999, 0
+            write_grey(folder / f"depth_{number:05d}.png", depth)
+            write_grey(folder / f"conf_{number:05d}.png", level)
+            (folder / f"frame_{number:05d}.json").write_text(json.dumps(table(view)))
+        write_colour(folder / f"frame_{2 * i:05d}.jpg", look(view, SCANNER_APP_LENS).colour)
+    write_colour(folder / "thumb_00000.jpg", np.zeros((8, 8, 3), np.uint8))
+    (folder / "info.json").write_text('{"title": "Scan"}')
+    return folder
+
+
+def test_scanner_app_points_lie_on_the_room(tmp_path: Path) -> None:
+    scene = open_scene(write_scanner_app(tmp_path))
+    assert scene.format == "scanner-app" and [frame.name for frame in scene.frames][1] == "frame_00002"
+    check_on_room(scene, colour_step=60)
+    assert not scene.frames[0].depth()[:5].any()
+
+
+def test_a_scan_without_depth_and_a_picture_without_a_pose(tmp_path: Path) -> None:
+    for path in (*write_scanner_app(tmp_path).glob("*.png"), tmp_path / "frame_00004.json"):
+        path.unlink()
+    scene = open_scene(tmp_path)
+    assert len(scene.frames) == len(views()) - 1 and not scene.has_depth
+    assert any("without a pose is left out: frame_00004" in warning for warning in scene.warnings)
+
+
+@pytest.mark.parametrize(
+    ("changed", "told"),
+    [
+        (
+            {
+                "intrinsics": [
+                    SCANNER_APP_LENS.fx,
+                    0,
+                    0,
+                    0,
+                    SCANNER_APP_LENS.fy,
+                    0,
+                    SCANNER_APP_LENS.cx,
+                    SCANNER_APP_LENS.cy,
+                    1,
+                ]
+            },
+            "intrinsics are not fx 0 cx",
+        ),
+        ({"cameraPoseARFrame": np.ravel(opengl_pose(views()[0]), "F").tolist()}, "last row of the pose"),
+        ({"cameraPoseARFrame": [0.0]}, '"cameraPoseARFrame" of the frame must be 16 numbers'),
+    ],
+)
+def test_what_is_not_written_row_by_row_is_refused(tmp_path: Path, changed: dict[str, object], told: str) -> None:
+    write_scanner_app(tmp_path)
+    (tmp_path / "frame_00002.json").write_text(json.dumps(table(views()[1]) | changed))
+    refuses(told, tmp_path)
+
+
+def test_photos_with_notes_of_another_program_are_still_photos(tmp_path: Path) -> None:
+    for path in write_scanner_app(tmp_path).glob("frame_*.json"):
+        path.write_text('{"shapes": []}')
+    refuses("Photos need poses", tmp_path)
+
+
+STRAY_LENS = Lens().scaled(4)
+STRAY_DEPTH = Lens()
+
+
+def held_upright(view: View) -> View:
+    """A phone held upright: its pictures lie on their side."""
+    return View(view.eye, -view.up, view.right, view.forward)
+
+
+def write_stray(folder: Path, older: bool = False, sideways: bool = False) -> Path:
+    """The odometry starts with a frame that tracking had lost, and skips a frame of the video."""
+    folder.mkdir(exist_ok=True)
+    video = cv2.VideoWriter(
+        str(folder / "rgb.mp4"), cv2.VideoWriter.fourcc(*"mp4v"), 60, (STRAY_LENS.width, STRAY_LENS.height)
+    )
+    lines = "timestamp, frame, x, y, z, qx, qy, qz, qw\n1.5, 000000, nan, 0, 0, 0, 0, 0, 1\n"
+    for i, plain in enumerate([views()[0], views()[0], *views()]):
+        view = held_upright(plain) if sideways else plain
+        video.write(np.ascontiguousarray(look(view, STRAY_LENS).colour[..., ::-1]))
+        if i == 1:
+            continue
+        depth, level = in_steps(look(view, STRAY_DEPTH).depth, 1000), np.full((48, 64), 1, np.uint8)
+        depth[:5], level[:5] = 4999, 0
+        if older:
+            (folder / "depth").mkdir(exist_ok=True)
+            np.save(folder / "depth" / f"{i:06d}.npy", depth)
+        else:
+            write_grey(folder / "depth" / f"{i:06d}.png", depth)
+        write_grey(folder / "confidence" / f"{i:06d}.png", level)
+        if i > 1:
+            seen = y_up(view)
+            w, x, y, z = quaternion(np.stack([seen.right, -seen.up, seen.forward], axis=1))
+            lines += f"{2 + i / 60:.4f}, {i:06d}, " + ", ".join(f"{v:.7f}" for v in (*seen.eye, x, y, z, w)) + "\n"
+    video.release()
+    (folder / "odometry.csv").write_text(lines)
+    rows = [[STRAY_LENS.fx, 0.0, STRAY_LENS.cx], [0.0, STRAY_LENS.fy, STRAY_LENS.cy], [0.0, 0.0, 1.0]]
+    (folder / "camera_matrix.csv").write_text("".join(", ".join(map(str, row)) + "\n" for row in rows))
+    return folder
+
+
+@pytest.mark.parametrize("older", [True, False])
+def test_stray_points_lie_on_the_room(tmp_path: Path, older: bool) -> None:
+    scene = open_scene(write_stray(tmp_path, older))
+    assert scene.format == "stray" and [frame.name for frame in scene.frames] == [f"{i:06d}" for i in range(2, 8)]
+    assert "1 frame without a pose is left out: 000000" in scene.warnings
+    check_on_room(scene, colour_step=60)  # the video's compression
+    assert not scene.frames[0].depth()[:5].any() and not scene.frames[0].file_shows_colour
+
+
+def test_todays_app_writes_two_more_columns_which_are_empty(tmp_path: Path) -> None:
+    write_stray(tmp_path)
+    path = tmp_path / "odometry.csv"
+    head, *rows = path.read_text().splitlines()
+    path.write_text("\n".join([f"{head}, horizontal_accuracy, heading", *(f"{row}, , " for row in rows)]) + "\n")
+    check_on_room(open_scene(tmp_path), colour_step=60)
+
+
+def test_pictures_come_in_any_order(tmp_path: Path) -> None:
+    scene = open_scene(write_stray(tmp_path))
+    last = scene.frames[5].read_colour(None)
+    first = scene.frames[0].read_colour(None)
+    assert np.abs(first.astype(int) - last).mean() > 20
+    np.testing.assert_array_equal(scene.frames[5].read_colour(None), last)
+
+
+def test_a_phone_held_upright_still_has_y_up(tmp_path: Path) -> None:
+    scene = open_scene(write_stray(tmp_path, sideways=True))
+    assert not any("up" in warning for warning in scene.warnings)
+    check_on_room(scene, colour_step=60)
+
+
+def test_the_size_comes_from_the_header(tmp_path: Path) -> None:
+    write_stray(tmp_path)
+    assert Video(tmp_path / "rgb.mp4").size() == (STRAY_LENS.width, STRAY_LENS.height)
+    (tmp_path / "other.mkv").write_bytes(b"\x1a\x45\xdf\xa3" * 20)
+    with pytest.raises(PlgsError, match="cannot be opened"):
+        Video(tmp_path / "other.mkv").size()
