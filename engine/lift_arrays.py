@@ -16,7 +16,7 @@ from .job.manifest import check_sizes
 from .json_file import Json, read_object
 from .known_scene import known_scene
 from .posed import ClassTable, PosedFrame
-from .posed.splat_file import read_gaussians
+from .posed.ply import read_gaussians
 from .result_files import Anchors, Instance, SemanticPoints
 
 _SH_DEGREE_0 = 0.5 / math.sqrt(math.pi)

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from ..engine.errors import PlgsError
 from ..engine.posed import Camera, ClassTable
-from ..engine.posed.splat_file import read_gaussians
+from ..engine.posed.ply import read_gaussians
 from ..engine.result_files import Instance
 from .boxes import INSTANCE, TOGETHER, place_boxes, place_together, shared_out
 from .cameras import overview_camera, place_camera, place_camera_path, place_frames

@@ -10,7 +10,7 @@ from pathlib import Path
 import bpy
 import numpy as np
 
-from ..engine.posed.labelled_surface import LabelledSurface, read_surface
+from ..engine.posed.ply import LabelledSurface, read_surface
 from .compat import forget_selection
 from .materials import object_colour, surface_material
 from .owned import LIFT, OwnedDataBlocks, Placed, child_collection, text_of

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..engine.errors import PlgsError
-from ..engine.posed.splat_file import read_gaussians
+from ..engine.posed.ply import read_gaussians
 from . import splat_objects
 from .clouds import SurfaceGrid, towards_nearest
 from .inspecting.selection import ids_of

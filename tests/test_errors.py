@@ -8,7 +8,7 @@ import pytest
 
 from engine import gates
 from engine.errors import PlgsError
-from engine.posed.splat_file import read_gaussians
+from engine.posed.ply import read_gaussians
 
 
 def test_what_ran_out_of_memory_is_not_lifted_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

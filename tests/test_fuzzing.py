@@ -34,7 +34,7 @@ from engine.job.terminal import describe
 from engine.passes.exr import read_exr, read_note
 from engine.passes.ply import columns_of, write_ply_table
 from engine.posed.image_header import check_image_file, read_image_header
-from engine.posed.splat_file import read_gaussians
+from engine.posed.ply import read_gaussians
 from engine.scene import open_scene
 from engine.scene.checks import survey_scene
 from tests.conftest import HAS_BLENDER

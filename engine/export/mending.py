@@ -10,7 +10,7 @@ from scipy.sparse import coo_matrix, csr_matrix, diags
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from ..posed.labelled_surface import triangles_by_label
+from ..posed.ply import triangles_by_label
 from .fusion import Ints, Surface
 
 HAND = 0.1

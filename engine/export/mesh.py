@@ -24,7 +24,7 @@ from ..passes.layers import PanopticLayers, linear
 from ..passes.ply import columns_of, write_ply_table
 from ..passes.previews import colour_picture
 from ..posed.classes import matte_names
-from ..posed.labelled_surface import LEAST_TRIANGLES, triangles_by_label
+from ..posed.ply import LEAST_TRIANGLES, triangles_by_label
 from ..scene import Camera, ClassTable
 from .fusion import SmallView, Surface, fuse
 from .mending import close_holes, cut_by_label, even_labels, without_crumbs, without_flakes, without_fringe

@@ -20,7 +20,7 @@ from ..passes.baked_view import ShownInstances
 from ..passes.exr import read_exr, read_note
 from ..passes.layers import PanopticLayers
 from ..posed.layout import listed
-from ..posed.splat_file import read_gaussians
+from ..posed.ply import read_gaussians
 from ..result_files import Instance
 from ..scene import Camera, ClassTable, Frame, Scene, evenly_spread
 from ..scene_of_lift import scene_of_lift

@@ -224,7 +224,7 @@ def test_meshes_are_exported(lift: LiftFolder, tmp_path: Path) -> None:
     np.testing.assert_allclose(np.asarray(surface.vertices), xyz)
     assert len(surface.triangles) > 1000 and set(np.unique(labels)) <= {0, 1, 2, 3, 5, 13}
     if HAS_BLENDER:
-        from plgs.engine.posed.labelled_surface import read_surface
+        from plgs.engine.posed.ply import read_surface
 
         shown = read_surface(tmp_path / "mesh.ply")
         np.testing.assert_array_equal(shown.xyz, xyz)

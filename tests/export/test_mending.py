@@ -15,7 +15,7 @@ from engine.export.mending import (
     without_fringe,
 )
 from engine.export.mesh import mended
-from engine.posed.labelled_surface import triangles_by_label
+from engine.posed.ply import triangles_by_label
 
 STEP = 0.02
 """Metres between the vertices of a sheet."""

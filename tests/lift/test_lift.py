@@ -23,7 +23,7 @@ from engine.lift.run import STAGES
 from engine.lift.scene_files import read_model
 from engine.model.baking import FLOATS
 from engine.model.structured import from_tensors
-from engine.posed.splat_file import read_gaussians
+from engine.posed.ply import read_gaussians
 from engine.result_files import Anchors, SemanticPoints, read_arrays
 from engine.scene import open_scene
 from engine.scene.mask_formats import coco

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from plgs.engine.corrections import correct, making
 from plgs.engine.errors import PlgsError
-from plgs.engine.posed.labelled_surface import read_surface
+from plgs.engine.posed.ply import read_surface
 from plgs.plgs_blender import lift_scene
 from plgs.plgs_blender.inspecting.lists import registered
 from plgs.plgs_blender.inspecting.selection import surfaces_of

@@ -12,7 +12,7 @@ import pytest
 from mathutils import Matrix
 from plgs.engine.errors import PlgsError
 from plgs.engine.passes.ply import columns_of, write_ply_table
-from plgs.engine.posed.splat_file import read_gaussians
+from plgs.engine.posed.ply import read_gaussians
 from plgs.plgs_blender import lift_scene, splat_objects, splats
 from plgs.plgs_blender.clouds import SurfaceGrid
 from plgs.plgs_blender.inspecting.lists import registered

@@ -9,7 +9,7 @@ import pytest
 
 from engine.errors import PlgsError
 from engine.passes.ply import columns_of, write_ply_table
-from engine.posed.splat_file import read_gaussians
+from engine.posed.ply import read_gaussians
 
 COUNT = 6
 

@@ -1,4 +1,4 @@
-"""The lifted surface with a class and an instance at each vertex, as `engine export --to mesh` writes it to mesh.ply.
+"""PLY files that lifts write: Gaussians, whose format other programs use too, and the surface in mesh.ply.
 """
 
 from __future__ import annotations
@@ -18,9 +18,13 @@ LEAST_TRIANGLES = 20
 _KINDS = {"float": "<f4", "int": "<i4", "uchar": "u1"}
 _FACE = np.dtype([("count", "u1"), ("corners", "<i4", 3)])
 _COLUMNS = {"x", "y", "z", "red", "green", "blue", "class_id", "instance_id"}
-_MOST_BYTES = 1 << 30
+_MOST_OF_SURFACE, _MOST_OF_SPLATS = 1 << 30, 4 << 30
 _LONGEST_HEADER = 8192
-_FIX = "Delete it, then make the meshes again."
+_MESH_FIX, _SPLATS_FIX = "Delete it, then make the meshes again.", "Lift the scene again."
+_FARTHEST = 1e6
+"""Metres, as for points."""
+_NEEDED = {"x", "y", "z", "f_dc_0", "f_dc_1", "f_dc_2", "opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1",
+           "rot_2", "rot_3"}  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,21 +69,16 @@ def triangles_by_label(
 
 def read_surface(path: Path) -> LabelledSurface:
     """The surface in a mesh.ply. Raises PlgsError for a file that holds none."""
-    try:
-        content = read_plain(path, _MOST_BYTES)
-    except OSError as error:
-        raise PlgsError(f"the file cannot be read ({error.strerror})", path, _FIX) from error
-    end = content.find(b"end_header\n", 0, _LONGEST_HEADER) + len(b"end_header\n")
-    columns, vertices, faces = _header(content[:end])
-    if not content.startswith(b"ply\nformat binary_little_endian") or not _COLUMNS <= {name for name, _ in columns}:
-        raise PlgsError("this is not a labelled surface", path, _FIX)
-    row = np.dtype(columns)
+    content, end, columns, (vertices, faces) = _read(path, _MOST_OF_SURFACE, _MESH_FIX)
+    if not _COLUMNS <= {*columns}:
+        raise PlgsError("this is not a labelled surface", path, _MESH_FIX)
+    row = np.dtype([*columns.items()])
     if len(content) != end + vertices * row.itemsize + faces * _FACE.itemsize:
-        raise PlgsError("the file is damaged", path, _FIX)
+        raise PlgsError("the file is damaged", path, _MESH_FIX)
     table = np.frombuffer(content, row, vertices, end)
     triangles = np.frombuffer(content, _FACE, faces, end + vertices * row.itemsize)["corners"]
     if faces and not 0 <= int(triangles.min()) <= int(triangles.max()) < vertices:
-        raise PlgsError("the file is damaged", path, _FIX)
+        raise PlgsError("the file is damaged", path, _MESH_FIX)
     return LabelledSurface(
         np.stack([table[axis] for axis in "xyz"], axis=1),
         np.stack([table[channel] for channel in ("red", "green", "blue")], axis=1),
@@ -89,13 +88,38 @@ def read_surface(path: Path) -> LabelledSurface:
     )
 
 
-def _header(content: bytes) -> tuple[list[tuple[str, str]], int, int]:
-    """The vertices' columns, and the numbers of vertices and faces."""
-    columns, counts = [], {"vertex": 0, "face": 0}
-    for line in content.decode("ascii", "replace").splitlines():
+def read_gaussians(path: Path) -> NDArray[np.void]:
+    """The rows of a splat file, a structured array [N] by its columns' names. Raises PlgsError for other files. Rows
+    with numbers that are not finite, or that lie absurdly far away, are left out.
+    """
+    content, end, columns, (count, _) = _read(path, _MOST_OF_SPLATS, _SPLATS_FIX)
+    if not _NEEDED <= {*columns}:
+        raise PlgsError("the file holds no splats", path, _SPLATS_FIX)
+    row = np.dtype([*columns.items()])
+    if len(content) != end + count * row.itemsize:
+        raise PlgsError("the file is damaged", path, _SPLATS_FIX)
+    rows = np.frombuffer(content, row, count, end)
+    is_sound = np.all([np.isfinite(rows[name]) for name in sorted(_NEEDED)], axis=0)
+    is_sound &= np.all([np.abs(rows[name]) <= _FARTHEST for name in "xyz"], axis=0)
+    return rows if is_sound.all() else rows[is_sound]
+
+
+def _read(path: Path, most_bytes: int, fix: str) -> tuple[bytes, int, dict[str, str], tuple[int, int]]:
+    """A file's bytes, where its header ends, the vertices' columns, and the numbers of vertices and faces. There are no
+    columns in a file of another kind, nor where a name occurs twice. Raises PlgsError, with ``fix`` as the advice."""
+    try:
+        content = read_plain(path, most_bytes)
+    except OSError as error:
+        raise PlgsError(f"the file cannot be read ({error.strerror})", path, fix) from error
+    end = content.find(b"end_header\n", 0, _LONGEST_HEADER) + len(b"end_header\n")
+    columns, counts, properties = dict[str, str](), {"vertex": 0, "face": 0}, 0
+    for line in content[:end].decode("ascii", "replace").splitlines():
         match line.split():
             case ["element", name, count] if name in counts and count.isdecimal():
                 counts[name] = int(count)
-            case ["property", kind, name] if kind in _KINDS:
-                columns.append((name, _KINDS[kind]))
-    return columns, counts["vertex"], counts["face"]
+            case ["property", kind, name]:
+                properties += 1
+                columns[name] = _KINDS.get(kind, "")
+    is_ours = content.startswith(b"ply\nformat binary_little_endian") and "" not in columns.values()
+    columns = columns if is_ours and len(columns) == properties else {}
+    return content, end, columns, (counts["vertex"], counts["face"])
