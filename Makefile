@@ -65,7 +65,7 @@ test-slow: set-up-next extension
 
 # Each command while one of its calls to the file system fails; 0 faults are all of them. Its table is in docs/trust.md.
 test-failing-calls: set-up
-	PLGS_FAULTS=$(PLGS_FAULTS) $(PYTHON) $(PYTEST) -s -m slow tests/failing_calls
+	PLGS_FAULTS=$(PLGS_FAULTS) $(PYTHON) $(PYTEST) -s -m slow tests/test_failing_calls.py
 
 # The extension's zip, built and validated by Blender's own tool.
 extension: set-up

@@ -1,10 +1,9 @@
-"""Engines that are killed at a moment of their work. Run as a script:
+"""Real engines that are killed at a moment of their work, or of which one call to the file system fails. As a script:
 
 killed_engine.py SCENE LIFT
     Lifts SCENE, so that all is loaded and compiled, then forks a real engine for each line of standard input: a JSON
-    object with its ``arguments``, the `Moment` ``at`` which it is killed (null: never), and the file ``counted``, to
-    which it writes how many changes there were in each stage. Its exit code is a line of standard output. A fork takes
-    the time of the work alone: to start a Python with torch takes longer than a tiny lift.
+    object, see `run_forked`. Its exit code is a line of standard output. A fork takes the time of the work alone: to
+    start a Python with torch takes longer than a tiny lift.
 """
 
 from __future__ import annotations
@@ -14,16 +13,19 @@ import gc
 import json
 import os
 import signal
+import subprocess
 import sys
+import traceback
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-CHANGES = ("open", "write", "rename", "replace", "link", "unlink", "mkdir", "rmdir", "fsync", "ftruncate", "fdopen")
+from tests.faults import CHANGES  # noqa: E402
+
 LONGEST_S = 300.0
-"""An engine that takes longer hangs: it ends, and tells where in the lift's log."""
+"""An engine that takes longer hangs: it ends, and tells where in its output."""
 
 
 class Moment(NamedTuple):
@@ -37,6 +39,14 @@ class Moment(NamedTuple):
     delay_s: float = 0.0
 
 
+class Fault(NamedTuple):
+    """Call number ``at`` (from 1; 0: none) for a file below ``below`` fails with ``error``."""
+
+    below: str
+    at: int = 0
+    error: int = 0
+
+
 class Changes:
     """Counts an engine's changes to files, whichever thread makes them, and kills it at a moment."""
 
@@ -46,7 +56,7 @@ class Changes:
 
     def begin(self) -> None:
         """From now on."""
-        for name in CHANGES:
+        for name in (*CHANGES, "fdopen"):
             setattr(os, name, self._counted(getattr(os, name)))
 
     def begin_stage(self, number: int) -> None:
@@ -69,10 +79,53 @@ class Changes:
         signal.setitimer(signal.ITIMER_REAL, delay_s)  # nobody handles its signal: the kernel ends the process at once
 
 
-def serve(scene: Path, lift: Path, run: Callable[[Mapping[str, Any]], None]) -> None:
-    """Lift a scene, then ``run`` each line of standard input in a fork, which it ends."""
+class Engines:
+    """Commands of the real engine, one after another, with one thread each: forks of a process that has all loaded."""
+
+    def __init__(self, scene: Path, folder: Path) -> None:
+        one_thread = {name: "1" for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "OPENCV_FOR_THREADS_NUM")}
+        self._counted, self._said = folder / "count", folder / "said"
+        self._server = subprocess.Popen(
+            [sys.executable, __file__, str(scene), str(folder / "warm")], env=os.environ | one_thread, text=True,
+            bufsize=1, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL,
+        )  # fmt: skip
+        assert self._answer() == 0
+
+    def run(self, *arguments: str | Path, at: Moment | None = None, fault: Fault | None = None) -> int:
+        """The exit code of an engine that is killed at a moment, or of which a call fails."""
+        assert self._server.stdin is not None
+        self._counted.unlink(missing_ok=True)
+        asked = {"arguments": [str(part) for part in arguments], "at": at, "fault": fault,
+                 "counted": str(self._counted), "said": str(self._said)}  # fmt: skip
+        self._server.stdin.write(json.dumps(asked) + "\n")
+        return self._answer()
+
+    @property
+    def said(self) -> str:
+        """What the last engine printed."""
+        return self._said.read_text(errors="replace")
+
+    def counted(self) -> Any:
+        """Of the last engine that was not killed: its changes to files in each stage, or with a `Fault` the calls, each
+        a kind and a file, and which failed."""
+        return json.loads(self._counted.read_text())
+
+    def close(self) -> None:
+        self._server.kill()
+        self._server.wait()
+
+    def _answer(self) -> int:
+        assert self._server.stdout is not None
+        return int(self._server.stdout.readline())
+
+
+def serve(scene: Path, lift: Path) -> None:
+    """Lift a scene, then run each line of standard input in a fork."""
     import OpenEXR
 
+    import engine.corrections
+    import engine.export.mesh
+    import engine.export.run  # noqa: F401 - so that forks have it
     from engine.command_line.run_engine import run_engine
     from engine.job import LiftFolder, LiftRequest
     from engine.lift import bake_more
@@ -89,13 +142,33 @@ def serve(scene: Path, lift: Path, run: Callable[[Mapping[str, Any]], None]) -> 
     for line in sys.stdin:
         child = os.fork()
         if child == 0:
-            run(json.loads(line))
+            run_forked(json.loads(line))
         answers.write(f"{os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])}\n")
 
 
 def run_forked(asked: Mapping[str, Any]) -> None:
-    """Does not return."""
+    """The ``arguments`` of a command, which prints into the file ``said`` and writes what was ``counted``, ``at`` a
+    `Moment` or with a ``fault``. Does not return."""
     from engine.command_line.main import main as engine
+
+    output = os.open(asked["said"], os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
+    os.dup2(output, 1)
+    os.dup2(output, 2)
+    faulthandler.dump_traceback_later(LONGEST_S, exit=True)
+    code = 99
+    try:
+        code = _with_fault(engine, asked) if asked["fault"] else _until_killed(engine, asked)
+    except SystemExit as error:
+        code = int(error.code or 0)
+    except BaseException:
+        traceback.print_exc()
+    finally:
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(code)
+
+
+def _until_killed(engine: Callable[[list[str]], int], asked: Mapping[str, Any]) -> int:
     from engine.job import EventWriter
 
     changes = Changes(Moment(*asked["at"]) if asked["at"] else None)
@@ -106,16 +179,26 @@ def run_forked(asked: Mapping[str, Any]) -> None:
         announce(self, name, index, count, label)
 
     EventWriter.stage = stage  # type: ignore[method-assign]
-    code = 99
-    faulthandler.dump_traceback_later(LONGEST_S, exit=True)
+    changes.begin()
+    code = int(engine(asked["arguments"]))
+    Path(asked["counted"]).write_text(json.dumps(changes.made))
+    return code
+
+
+def _with_fault(engine: Callable[[list[str]], int], asked: Mapping[str, Any]) -> int:
+    import pytest
+
+    from tests.faults import Faults
+
+    fault = Fault(*asked["fault"])
+    faults = Faults(Path(fault.below), pytest.MonkeyPatch(), everywhere=True)
     try:
-        changes.begin()
-        code = int(engine(asked["arguments"]))
-        Path(asked["counted"]).write_text(json.dumps(changes.made))
+        with faults.failing(fault.at, fault.error, calls=CHANGES):
+            return int(engine(asked["arguments"]))
     finally:
-        os._exit(code)
+        Path(asked["counted"]).write_text(json.dumps([faults.calls, faults.failed]))
 
 
 if __name__ == "__main__":
     os.fsync = lambda descriptor: None  # a kill loses nothing that was written, synced or not
-    serve(Path(sys.argv[1]), Path(sys.argv[2]), run_forked)
+    serve(Path(sys.argv[1]), Path(sys.argv[2]))

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import json
 import os
 import random
 import shutil
 import signal
-import subprocess
 import sys
 from collections import Counter
 from pathlib import Path
@@ -15,11 +13,10 @@ from pathlib import Path
 import pytest
 
 from engine.job import LiftFolder, LiftRequest, verify
-from tests.killed_engine import Moment
+from tests.killed_engine import Engines, Moment
 from tests.tiny_scene import write_tiny_scene
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="POSIX signals")
-KILLED = Path(__file__).with_name("killed_engine.py")
 MANY, SEED = int(os.environ.get("PLGS_KILLS", "200")), int(os.environ.get("PLGS_KILLS_SEED", "0"))
 STEPS = 8
 
@@ -30,37 +27,9 @@ def lift_of(folder: Path, scene: Path) -> Path:
     return LiftFolder.create(folder, request).path
 
 
-class Engines:
-    """Real engines, one after another, with one thread each: forks of a process that has all loaded."""
-
-    def __init__(self, scene: Path, folder: Path) -> None:
-        one_thread = {name: "1" for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "OPENCV_FOR_THREADS_NUM")}
-        command = [sys.executable, KILLED, scene, folder / "warm"]
-        self._counted = folder / "count"
-        self._server = subprocess.Popen(
-            [str(part) for part in command], env=os.environ | one_thread, text=True, bufsize=1,
-            stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL,
-        )  # fmt: skip
-        assert self._answer() == 0
-
-    def run(self, *arguments: str | Path, at: Moment | None = None) -> int:
-        """An engine that is killed at a moment; its exit code."""
-        assert self._server.stdin is not None
-        asked = {"arguments": [str(part) for part in arguments], "at": at, "counted": str(self._counted)}
-        self._server.stdin.write(json.dumps(asked) + "\n")
-        return self._answer()
-
-    def changes(self) -> dict[int, int]:
-        """Changes to files in each stage of the last engine that got to its end."""
-        return {int(stage): count for stage, count in json.loads(self._counted.read_text()).items()}
-
-    def close(self) -> None:
-        self._server.kill()
-        self._server.wait()
-
-    def _answer(self) -> int:
-        assert self._server.stdout is not None
-        return int(self._server.stdout.readline())
+def changes_of(engines: Engines) -> dict[int, int]:
+    """Changes to files in each stage of the last engine, which got to its end."""
+    return {int(stage): count for stage, count in engines.counted().items()}
 
 
 def log_of(lift: Path) -> str:
@@ -90,9 +59,9 @@ def test_a_lift_that_is_killed_and_resumed_has_the_same_bytes(tmp_path: Path, ki
     kills: Counter[tuple[str, int]] = Counter()
     try:
         assert engines.run("lift", calm) == 0
-        lifted = engines.changes()
+        lifted = changes_of(engines)
         assert engines.run("bake", calm) == 0
-        baked, whole = engines.changes(), verify(calm / "result").files
+        baked, whole = changes_of(engines), verify(calm / "result").files
         while kills.total() < kills_in_all:
             rough = lift_of(tmp_path / f"rough {kills.total()}", scene)
             for task, changes, count, more in (("lift", lifted, 12, ["--resume"]), ("bake", baked, 5, [])):

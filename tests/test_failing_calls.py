@@ -7,8 +7,9 @@ sampled: the first and the last of each kind and file before others.
 
 from __future__ import annotations
 
+import errno
 import os
-import subprocess
+import shutil
 import sys
 from collections import Counter
 from collections.abc import Callable, Iterator
@@ -21,17 +22,17 @@ import pytest
 from engine.corrections import read_corrected
 from engine.job import LiftFolder, LiftRequest, verify, write_manifest
 from tests.corrections.two_rooms import write_result
-from tests.failing_calls.failing import Commands, State, faults_of, renewed
+from tests.killed_engine import Engines, Fault
 from tests.tiny_scene import write_tiny_scene
 
 pytestmark = [
     pytest.mark.slow,
-    pytest.mark.skipif(sys.platform != "linux", reason="a library is preloaded"),
+    pytest.mark.skipif(sys.platform != "linux", reason="descriptors are looked up as Linux has them"),
 ]
 MOST = int(os.environ.get("PLGS_FAULTS", "30")) or sys.maxsize
 TINY = ("--steps", "2", "--set", "warm_start=false")
 FORMS = ("coco", "instances", "scannet", "points", "boxes", "mesh", "depth", "clouds")
-Run = Callable[..., tuple[int, str]]
+ERRORS = (errno.EIO, errno.ENOSPC, errno.EDQUOT)
 
 
 @dataclass(frozen=True)
@@ -53,20 +54,14 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def state(place: Path) -> State:
-    return State(place, place / "work")
-
-
-@pytest.fixture(scope="module")
-def commands(place: Path, state: State) -> Iterator[Commands]:
-    scene = write_tiny_scene(place / "scene", frames=5, size=(32, 24))
-    started = Commands(scene, place, state)
+def engines(place: Path) -> Iterator[Engines]:
+    started = Engines(write_tiny_scene(place / "scene", frames=5, size=(32, 24)), place)
     yield started
     started.close()
 
 
 @pytest.fixture(scope="module")
-def asked(place: Path, commands: Commands) -> Path:
+def asked(place: Path, engines: Engines) -> Path:
     """A folder with a lift that was not begun."""
     request = LiftRequest(scene=place / "scene", options={"steps": 2, "warm_start": False})
     LiftFolder.create(place / "asked" / "lift", request)
@@ -74,103 +69,102 @@ def asked(place: Path, commands: Commands) -> Path:
 
 
 @pytest.fixture(scope="module")
-def lifted(place: Path, asked: Path, commands: Commands) -> Path:
+def lifted(place: Path, asked: Path, engines: Engines) -> Path:
     renewed(place / "lifted", asked)
-    assert commands.run("lift", place / "lifted" / "lift")[0] == 0
+    assert engines.run("lift", place / "lifted" / "lift") == 0
     return place / "lifted"
 
 
-def test_lift(place: Path, asked: Path, state: State, commands: Commands) -> None:
+def test_lift(place: Path, asked: Path, engines: Engines) -> None:
     work = place / "work" / "lift"
-    lift = Attacked("lift", asked, ("lift", work, "--resume"), result_of, whole_result)
-    attack(lift, state, commands.run, work.parent)
+    attack(Attacked("lift", asked, ("lift", work, "--resume"), result_of, whole_result), engines, work.parent)
 
 
-def test_resume(place: Path, asked: Path, state: State, commands: Commands) -> None:
+def test_resume(place: Path, asked: Path, engines: Engines) -> None:
     """A lift that was stopped when its second checkpoint was due."""
     work = place / "work" / "lift"
     renewed(work.parent, asked)
-    state.set()
-    assert commands.run("lift", work)[0] == 0
-    at = [number for number, (_, file) in enumerate(state.calls(), start=1) if ".part-checkpoint" in file][-1]
+    assert engines.run("lift", work, fault=Fault(str(work.parent))) == 0
+    at = [number for number, (_, file) in enumerate(engines.counted()[0], start=1) if ".part-checkpoint" in file][-1]
     renewed(work.parent, asked)
-    state.set(at, 5)
-    assert commands.run("lift", work)[0] != 0 and state.failed
+    assert engines.run("lift", work, fault=Fault(str(work.parent), at, errno.EIO)) != 0 and engines.counted()[1]
     renewed(place / "stopped", work.parent)
     stopped = Attacked("resume", place / "stopped", ("lift", work, "--resume"), result_of, whole_result)
-    attack(stopped, state, commands.run, work.parent)
+    attack(stopped, engines, work.parent)
 
 
-def test_bake(place: Path, lifted: Path, state: State, commands: Commands) -> None:
+def test_bake(place: Path, lifted: Path, engines: Engines) -> None:
     work = place / "work" / "lift"
-    attack(Attacked("bake", lifted, ("bake", work), result_of, whole_result), state, commands.run, work.parent)
+    attack(Attacked("bake", lifted, ("bake", work), result_of, whole_result), engines, work.parent)
 
 
 @pytest.mark.parametrize("form", FORMS)
-def test_export(place: Path, lifted: Path, state: State, commands: Commands, form: str) -> None:
+def test_export(place: Path, lifted: Path, engines: Engines, form: str) -> None:
     work = place / "work"
     export = ("export", work / "lift", "--to", form, "-o", work / "out")
-    attack(Attacked(f"export --to {form}", lifted, export, exported, whole_files), state, commands.run, work)
+    attack(Attacked(f"export --to {form}", lifted, export, exported, whole_files), engines, work)
 
 
-def test_correct(place: Path, state: State, commands: Commands) -> None:
+def test_correct(place: Path, engines: Engines) -> None:
     lift = LiftFolder.create(place / "made" / "lift", LiftRequest(scene=place / "scene")).path
     write_manifest(write_result(lift) / "result", versions={}, seed=0, settings={}, timings={})
     work = place / "work"
     rename = ("correct", work / "lift", "rename", "1", "two chairs")
-    attack(Attacked("correct", place / "made", rename, corrected), state, commands.run, work)
+    attack(Attacked("correct", place / "made", rename, corrected), engines, work)
 
 
-def test_lift_in_a_terminal(place: Path, root: Path, state: State, commands: Commands) -> None:
-    """Calls of the process that shows the progress. It starts another for the lift, of which none fails."""
-    work = place / "work"
-    lift = ("lift", place / "scene", "-o", work / "lift", "--resume", "--bake", "none", *TINY)
-    attacked = Attacked("lift in a terminal", empty(place), lift, result_of, whole_result, most=max(4, MOST // 4))
-    attack(attacked, state, started(root, state.variables | {"PLGS_FAIL_ALONE": "1"}), work)
+@pytest.mark.parametrize("command", ["lift", "batch"])
+def test_commands_that_start_others(place: Path, engines: Engines, command: str) -> None:
+    """Calls of the process that shows the progress. Those that it starts make those of `test_lift`, and none fails."""
+    work, empty = place / "work", place / "empty"
+    empty.mkdir(exist_ok=True)
+    options = ("-o", work / "lift", "--resume") if command == "lift" else ("-o", work / "out", "--workers", "1")
+    arguments = (command, place / "scene", *options, "--bake", "none", *TINY)
+    found, half = (result_of, whole_result) if command == "lift" else (batched, lambda folder, calm: None)
+    attack(Attacked(command, empty, arguments, found, half, most=max(4, MOST // 4)), engines, work)
 
 
-def test_batch(place: Path, root: Path, state: State, commands: Commands) -> None:
-    """Calls of the batch and its worker. Its engines, which leave LD_PRELOAD behind, make those of `test_lift`."""
-    work = place / "work"
-    batch = ("batch", place / "scene", "-o", work / "out", "--workers", "1", "--bake", "none", *TINY)
-    attacked = Attacked("batch", empty(place), batch, batched, most=max(4, MOST // 4))
-    attack(attacked, state, started(root, state.variables), work)
+def renewed(folder: Path, before: Path) -> None:
+    """Make ``folder`` a copy of ``before``."""
+    shutil.rmtree(folder, ignore_errors=True)
+    shutil.copytree(before, folder)
 
 
-def empty(place: Path) -> Path:
-    (place / "empty").mkdir(exist_ok=True)
-    return place / "empty"
+def faults_of(calls: list[tuple[str, str]], below: Path, most: int) -> list[Fault]:
+    """Each call with each error that it may have. Where that is more than ``most``: calls at equal distances of the
+    first and the last of each kind and file, with errors in turns."""
+
+    def errors(kind: str) -> tuple[int, ...]:
+        return (*ERRORS, errno.EMFILE) if kind == "open" else ERRORS
+
+    numbered = [(at, (kind, file)) for at, (kind, file) in enumerate(calls, start=1)]
+    every = [Fault(str(below), at, error) for at, (kind, _) in numbered for error in errors(kind)]
+    if len(every) <= most:
+        return every
+    ends = sorted({*dict((call, at) for at, call in numbered).values(),
+                   *dict((call, at) for at, call in reversed(numbered)).values()})  # fmt: skip
+    sampled = ends if len(ends) <= most else [ends[number * len(ends) // most] for number in range(most)]
+    found = []
+    for turn, at in enumerate(sampled):
+        able = errors(calls[at - 1][0])
+        found.append(Fault(str(below), at, able[turn % len(able)]))
+    return found
 
 
-def started(root: Path, variables: dict[str, str]) -> Run:
-    """Runs a command in a process of its own."""
-
-    def run(*arguments: str | Path) -> tuple[int, str]:
-        command = [sys.executable, "-m", "engine", *map(str, arguments)]
-        ended = subprocess.run(
-            command, cwd=root, env=os.environ | variables, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, timeout=400
-        )
-        return ended.returncode, ended.stdout.decode(errors="replace")
-
-    return run
-
-
-def attack(attacked: Attacked, state: State, run: Run, work: Path) -> None:
+def attack(attacked: Attacked, engines: Engines, work: Path) -> None:
     """Run it undisturbed, then with each fault. All that is wrong is told at the end."""
     renewed(work, attacked.before)
-    state.set()
-    code, said = run(*attacked.arguments)
-    assert code == 0, said
-    calls, calm = state.calls(), attacked.found(work)
+    code = engines.run(*attacked.arguments, fault=Fault(str(work)))
+    assert code == 0, engines.said
+    calls, calm = engines.counted()[0], attacked.found(work)
     met: Counter[str] = Counter()
     wrong = []
-    for fault in faults_of(calls, attacked.most):
+    for fault in faults_of(calls, work, attacked.most):
         renewed(work, attacked.before)
-        state.set(fault.at, fault.error)
         try:
-            met[_disturbed(attacked, calm, state, run, work)] += 1
+            met[_disturbed(attacked, calm, engines, fault, work)] += 1
         except AssertionError as error:
-            wrong.append(f"{fault} ({state.failed}): {error}")
+            wrong.append(f"{errno.errorcode[fault.error]} at {fault.at}, {calls[fault.at - 1]}: {error}")
             print(wrong[-1], flush=True)
     kinds = ", ".join(f"{count} {kind}" for kind, count in sorted(Counter(kind for kind, _ in calls).items()))
     row = (attacked.name, kinds, met.total(), *(met[how] for how in ("told", "did without", "not reached")))
@@ -178,9 +172,10 @@ def attack(attacked: Attacked, state: State, run: Run, work: Path) -> None:
     assert not wrong, f"{len(wrong)} faults:\n" + "\n".join(wrong)
 
 
-def _disturbed(attacked: Attacked, calm: object, state: State, run: Run, work: Path) -> str:
-    code, said = run(*attacked.arguments)
-    how = "not reached" if not state.failed else "told" if code else "did without"
+def _disturbed(attacked: Attacked, calm: object, engines: Engines, fault: Fault, work: Path) -> str:
+    code = engines.run(*attacked.arguments, fault=fault)
+    said, (_, failed) = engines.said, engines.counted()
+    how = "not reached" if not failed else "told" if code else "did without"
     errors = [line for line in said.splitlines() if line.startswith("error: ")]
     assert "Traceback" not in said, said
     if code:  # a batch's table has the line of each scene
@@ -188,9 +183,8 @@ def _disturbed(attacked: Attacked, calm: object, state: State, run: Run, work: P
         attacked.half(work, calm)
     else:
         assert attacked.found(work) == calm, "ended with code 0 and other bits"
-    state.set()
-    code, said = run(*attacked.arguments)
-    assert code == 0, f"again: code {code}: {said}"
+    code = engines.run(*attacked.arguments)
+    assert code == 0, f"again: code {code}: {engines.said}"
     assert attacked.found(work) == calm, "again: other bits"
     return how
 
