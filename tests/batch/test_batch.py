@@ -57,7 +57,11 @@ def test_a_killed_worker_loses_little_and_its_work_goes_elsewhere(tmp_path: Path
 
 @pytest.mark.parametrize(
     ("number", "kills", "state"),
-    [(signal.SIGKILL, 1, "done"), (signal.SIGTERM, 1, "done"), (signal.SIGKILL, 2, "failed")],
+    [
+        pytest.param(signal.SIGKILL, 1, "done", marks=pytest.mark.slow),
+        (signal.SIGTERM, 1, "done"),
+        (signal.SIGKILL, 2, "failed"),
+    ],
 )
 def test_an_engine_that_is_killed_is_resumed_once(
     number: signal.Signals, kills: int, state: str, tmp_path: Path, farm: Farm, address: str
@@ -95,6 +99,7 @@ def test_two_batches_in_one_folder(tmp_path: Path, farm: Farm, address: str) -> 
     assert len(hellos(plan.output / "b")) == 1
 
 
+@pytest.mark.slow
 def test_a_worker_that_hangs(tmp_path: Path, farm: Farm) -> None:
     """The scheduler gives it up. Its engine lives, so the other worker waits for that, and finds the lift finished."""
     address = f"tcp://127.0.0.1:{farm.scheduler(ttl_s=5.0)[1]}"

@@ -44,6 +44,7 @@ def test_the_engine_adds_pictures_and_a_cloud_while_the_window_keeps_working(win
     window.screenshot("capture")
 
 
+@pytest.mark.slow
 def test_depth_is_shown_and_undone(window: Window, archive: Path) -> None:
     window.open_sidebar()
     window.run(f"bpy.context.scene.plgs.scene_folder = {str(archive)!r}")

@@ -68,6 +68,7 @@ def test_points_are_painted(window: Window, mine: Path) -> None:
     assert kinds(mine) == []
 
 
+@pytest.mark.slow
 def test_points_in_a_rectangle_become_a_new_object(window: Window, mine: Path) -> None:
     window.run(f"choose({CHAIR})")
     x, y = over(window, CABINET)
@@ -80,6 +81,7 @@ def test_points_in_a_rectangle_become_a_new_object(window: Window, mine: Path) -
     assert window.ask("ids()") == [CHAIR, CABINET, 3] and window.ask("points(3)") > 0 and kinds(mine) == ["assign"]
 
 
+@pytest.mark.slow
 def test_corrections_by_plane_box_and_class_and_without_an_object(window: Window, mine: Path) -> None:
     whole = window.ask(f"points({CABINET})")
     window.run(f"choose({CABINET})")
@@ -99,6 +101,7 @@ def test_corrections_by_plane_box_and_class_and_without_an_object(window: Window
     assert window.ask("ids()") == [CHAIR, CABINET] and kinds(mine) == ["split", "assign", "accept", "delete"]
 
 
+@pytest.mark.slow
 def test_another_class_by_typing_its_name(window: Window, mine: Path) -> None:
     window.run(f"choose({CHAIR})")
     at, height = window.press("plgs.reclass_instances")

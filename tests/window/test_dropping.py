@@ -30,7 +30,9 @@ def folders(window: Window) -> list[str]:
     return chosen
 
 
-@pytest.mark.parametrize("names", [["panoptic.json"], ["pose/0000.txt"], ["pose/0000.txt", "pose/0001.txt"]])
+@pytest.mark.parametrize(
+    "names", [["panoptic.json"], pytest.param(["pose/0000.txt", "pose/0001.txt"], marks=pytest.mark.slow)]
+)
 def test_files_of_a_scene(window: Window, scene: Path, names: list[str]) -> None:
     window.drop(*IN_THE_VIEW, *(scene / name for name in names))
     assert folders(window) == [str(scene), ""]

@@ -100,6 +100,7 @@ def end(window: Window) -> None:
     window.wait_for("not lifts.running()")
 
 
+@pytest.mark.slow
 def test_undo_and_another_file_leave_the_lift_in_the_panel(window: Window, scene: Path) -> None:
     lift = begin(window, scene, "through undo")
     window.run("bpy.ops.mesh.primitive_cube_add(); bpy.ops.ed.undo_push(message='cube')")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
+import pytest
 from blender import Window
 
 from tests.waiting import wait_until
@@ -55,6 +56,7 @@ def test_the_compositor_opens_in_one_press(window: Window, work_folder: Path) ->
     assert window.ask(place) == ["Scene", "Compositing"], "the user's own nodes, until the passes are asked for again"
 
 
+@pytest.mark.slow
 def test_the_window_responds_while_a_long_range_is_read_and_esc_stops_it(window: Window, work_folder: Path) -> None:
     lift = tiny_lift.write_tiny_lift(work_folder / "long range" / "lift")
     window.place(lift.path)

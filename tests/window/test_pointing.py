@@ -88,6 +88,7 @@ def test_keys_act_on_what_was_clicked(window: Window, mine: Path) -> None:
     assert window.ask("ids()") == [CHAIR, CABINET] and kinds(mine) == ["rename", "rename"]
 
 
+@pytest.mark.slow
 def test_search_and_the_context_menu_find_the_commands(window: Window, mine: Path) -> None:
     x, y = over(window, CHAIR)
     window.click(x, y)
@@ -104,6 +105,7 @@ def test_search_and_the_context_menu_find_the_commands(window: Window, mine: Pat
     window.key("Escape", "Escape")
 
 
+@pytest.mark.slow
 def test_the_cutting_plane_is_ready_to_be_moved(window: Window, mine: Path) -> None:
     window.click(*over(window, CABINET))
     window.press("plgs.place_cut")

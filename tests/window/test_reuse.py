@@ -43,6 +43,7 @@ def test_objects_are_made_keyed_and_undone(window: Window, mine: Path) -> None:
     assert shown and all(visible == (name in shown) for name, visible in seen.items() if name != "Overview")
 
 
+@pytest.mark.slow
 def test_a_depth_cloud_of_the_frame_that_the_view_looks_from(window: Window, mine: Path) -> None:
     frame = next(path.stem for path in sorted((mine / "result" / "passes").glob("*.exr")))
     window.run(f"bpy.ops.plgs.go_to_frame(frame={frame!r})")
