@@ -55,7 +55,7 @@ class _Watched:
     def _opening(self, opening: Call) -> Call:
         def opened(file: Any, mode: str = "r", *rest: Any, **options: Any) -> Any:
             file = self._opened(file, mode)
-            if "r" in mode or self._path(file) is None:
+            if "r" in mode or "opener" in options or self._path(file) is None:
                 return opening(file, mode, *rest, **options)
             raw = io.BufferedWriter(_Raw(file, mode.replace("t", "").replace("b", "")))
             return raw if "b" in mode else io.TextIOWrapper(raw, options.get("encoding"), write_through=True)
