@@ -8,9 +8,13 @@ import sys
 from collections.abc import Mapping
 from pathlib import Path
 
+import cv2
+import numpy as np
 import pytest
 
-from engine.job import LiftRequest
+from engine.job import LiftFolder, LiftRequest
+from engine.passes.exr import read_exr
+from tests.passes.agreement import pairs_of
 from tests.train.tiny_lift import lift_into
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -21,11 +25,15 @@ VOXEL_VOTE = {"miou": 0.566, "pq": 0.346}
 """What a vote in voxels reaches with all frames (research/baselines/voxel_vote.py)."""
 
 
-def scores(folder: Path) -> Mapping[str, Mapping[str, float]]:
-    """The tables of a short lift, ``strict``, by method."""
-    scene = folder / "scene"
+def hand_held(scene: Path) -> Path:
     made = [sys.executable, "sample/hand_held.py", "sample/room", str(scene), "--seed", "0"]
     subprocess.run(made, cwd=ROOT, check=True, capture_output=True, timeout=900)
+    return scene
+
+
+def scores(folder: Path) -> Mapping[str, Mapping[str, float]]:
+    """The tables of a short lift, ``strict``, by method."""
+    scene = hand_held(folder / "scene")
     request = LiftRequest(scene=scene, options=LITTLE_WORK, bake="none")
     lift = lift_into(folder / "lift", request)
     tables = json.loads((lift.result_path / "metrics.json").read_text())["tables"]
@@ -42,3 +50,40 @@ def test_a_lift_beats_its_masks_and_a_vote(tmp_path: Path) -> None:
     assert lifted["miou"] > VOXEL_VOTE["miou"] + 0.14
     assert lifted["pq"] > VOXEL_VOTE["pq"] + 0.25
     assert lifted["depth_error_m"] < 0.08
+
+
+CHAIR = 3
+"""A dining chair among others, in the ground truth."""
+
+
+@pytest.fixture(scope="module")
+def lift(tmp_path_factory: pytest.TempPathFactory) -> LiftFolder:
+    """All frames of a short lift, baked."""
+    folder = tmp_path_factory.mktemp("agreeing")
+    scene = hand_held(folder / "scene")
+    for mask in sorted((scene / "panoptic").glob("*.png")):
+        pixels, truth = (cv2.imread(str(path), -1) for path in (mask, scene / "gt/instance" / mask.name))
+        pixels[cv2.dilate((truth == CHAIR).astype(np.uint8), np.ones((5, 5))) > 0] = 0
+        cv2.imwrite(str(mask), pixels)
+    request = LiftRequest(scene=scene, options={"steps": 200, "size": [160, 120]}, bake="all")
+    return lift_into(folder / "lift", request)
+
+
+@pytest.mark.slow
+def test_ids_and_mattes_agree(lift: LiftFolder) -> None:
+    ious = np.array([pair.iou for pair in pairs_of(lift.path)])
+    assert len(ious) > 300
+    assert ious.min() >= 0.5 and (ious >= 0.8).mean() >= 0.95
+
+
+@pytest.mark.slow
+def test_what_no_mask_named_is_unassigned_and_uncertain(lift: LiftFolder) -> None:
+    owned, confidence, usual = [], [], []
+    for truth in sorted((ROOT / "sample/room/gt/instance").glob("*.png")):
+        layers, ids = read_exr(lift.passes_path / f"{truth.stem}.exr"), cv2.imread(str(truth), -1)
+        inside = cv2.erode((ids == CHAIR).astype(np.uint8), np.ones((5, 5))) > 0
+        owned.append(layers.instance[inside] > 0)
+        confidence.append(layers.confidence[inside])
+        usual.append(layers.confidence[(ids > 0) & (ids != CHAIR)])
+    assert np.concatenate(owned).mean() < 0.25
+    assert np.concatenate(confidence).mean() < np.concatenate(usual).mean() - 0.2
