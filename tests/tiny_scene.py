@@ -11,9 +11,10 @@ in the COCO masks and in the ground truth).
 from __future__ import annotations
 
 import json
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import cv2
 import numpy as np
@@ -75,11 +76,11 @@ def trace_view(pose: NDArray[np.float64], intrinsics: NDArray[np.float64], size:
     rays = np.where(np.abs(rays) < 1e-12, 1e-12, rays)
     origin = pose[:3, 3]
 
-    depth, face = _slab(ROOM, origin, rays, leaving=True)
+    depth, face = box_hits(ROOM, origin, rays, leaving=True)
     semantic = np.choose(np.where(face == 2, 1 + (rays[..., 2] > 0), 0), [WALL_ID, FLOOR_ID, CEILING_ID])
     instance = np.zeros_like(semantic)
     for number, (box, class_id) in enumerate([(CHAIR, CHAIR_ID), (CABINET, CABINET_ID)], start=1):
-        near, near_face = _slab(box, origin, rays, leaving=False)
+        near, near_face = box_hits(box, origin, rays, leaving=False)
         hit = near < depth
         depth, face = np.where(hit, near, depth), np.where(hit, near_face, face)
         semantic, instance = np.where(hit, class_id, semantic), np.where(hit, number, instance)
@@ -105,40 +106,48 @@ def write_tiny_scene(
     *,
     depth_size: tuple[int, int] | None = None,
     mask_size: tuple[int, int] | None = None,
-    masks: Literal["coco", "panoptic_lifting"] = "coco",
+    masks: Literal["coco", "panoptic_lifting", "none"] = "coco",
     noise: float = 0.0,
+    depth_noise: float = 0.0,
     seed: int = 0,
     colour_format: Literal["png", "jpg"] = "png",
     ground_truth: bool = True,
     splits: dict[str, list[str]] | None = None,
     up: Literal["z", "y", "-y"] = "z",
+    poses: Sequence[NDArray[np.float64]] | None = None,
+    shown: Callable[[TinyView, NDArray[np.float64]], TinyView] = lambda view, pose: view,
+    seen: Callable[[TinyView, int], TinyView] = lambda view, number: view,
+    categories: list[dict[str, Any]] = CATEGORIES,
 ) -> Path:
     """Write a scene into ``folder`` (made when missing) and return it. Frames are named 0000, 0001, ...
 
     ``noise`` 0..1 is the share of thing segments whose class is wrong, and also how ragged the mask edges are.
-    Segment ids are new in every view. ``up`` says which axis of the written poses points up; the room itself stays
-    the same.
+    Segment ids are new in every view. ``depth_noise`` is a share of the depth. ``up`` says which axis of the written
+    poses points up; the room itself stays the same. ``poses`` are others than those of the orbit. ``shown`` makes of a
+    view at a pose what is there, ``seen`` what the masks see of the view of that number.
     """
     folder = Path(folder)
     random = np.random.default_rng(seed)
     annotations = []
     next_id = 1
     world = _turned(up)
-    for index in range(frames):
-        name, pose = f"{index:04d}", tiny_pose(index, frames)
-        view = trace_view(pose, tiny_intrinsics(size), size)
+    orbit = [tiny_pose(index, frames) for index in range(frames)]
+    for index, pose in enumerate(orbit if poses is None else poses):
+        name, view = f"{index:04d}", shown(trace_view(pose, tiny_intrinsics(size), size), pose)
         depth = trace_view(pose, tiny_intrinsics(depth_size), depth_size).depth if depth_size else view.depth
         labels = trace_view(pose, tiny_intrinsics(mask_size), mask_size) if mask_size else view
         _write_image(folder / "color" / f"{name}.{colour_format}", view.colour[..., ::-1])
+        if depth_noise:
+            depth = depth * (1 + depth_noise * random.standard_normal(depth.shape))
         _write_image(folder / "depth" / f"{name}.png", np.round(depth * 1000.0).astype(np.uint16))
         _write_matrix(folder / "pose" / f"{name}.txt", world @ pose)
-        ids, segments = _machine_mask(labels, next_id, noise, random)
+        ids, segments = _machine_mask(seen(labels, index), next_id, noise, random)
         next_id += len(segments)
         if masks == "coco":
             rgb = np.stack([ids % 256, ids // 256 % 256, ids // 65536], axis=-1).astype(np.uint8)
             _write_image(folder / "panoptic" / f"{name}.png", rgb[..., ::-1])
             annotations.append({"image_id": name, "file_name": f"{name}.png", "segments_info": segments})
-        else:
+        elif masks == "panoptic_lifting":
             _write_panoptic_lifting(folder, name, ids, segments)
         if ground_truth:
             _write_image(folder / "gt" / "semantic" / f"{name}.png", view.semantic.astype(np.uint8))
@@ -148,13 +157,13 @@ def write_tiny_scene(
     integer_centres[:2, 2] -= 0.5
     _write_matrix(folder / "intrinsic" / "intrinsic_color.txt", integer_centres)
     if masks == "coco":
-        _write_json(folder / "panoptic.json", {"annotations": annotations, "categories": CATEGORIES})
+        _write_json(folder / "panoptic.json", {"annotations": annotations, "categories": categories})
     if splits is not None:
         _write_json(folder / "splits.json", splits)
     return folder
 
 
-def _slab(
+def box_hits(
     box: NDArray[np.float64], origin: NDArray[np.float64], rays: NDArray[np.float64], leaving: bool
 ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     """Where rays enter (or leave) a box: ray parameter [H, W], inf for a miss, and the axis of the face."""

@@ -11,11 +11,19 @@ import json
 from dataclasses import replace
 from pathlib import Path
 
-import cv2
 import numpy as np
 
 from engine.job import LiftRequest
-from tests.tiny_scene import CABINET, CABINET_ID, CATEGORIES, CHAIR, CHAIR_ID, TinyView, tiny_intrinsics, trace_view
+from tests.tiny_scene import (
+    CABINET,
+    CABINET_ID,
+    CATEGORIES,
+    CHAIR,
+    CHAIR_ID,
+    TinyView,
+    tiny_intrinsics,
+    write_tiny_scene,
+)
 from tests.train.tiny_lift import lift_into, short_warm_start
 
 SIZE = (160, 120)
@@ -46,9 +54,8 @@ def poses() -> list[np.ndarray]:
     return [looking_at(target, eye) for target, eye in (*near, *far)]
 
 
-def view_of(pose: np.ndarray) -> TinyView:
+def with_sink(view: TinyView, pose: np.ndarray) -> TinyView:
     """The tiny room with a sink, object 3, in the cabinet's top."""
-    view = trace_view(pose, tiny_intrinsics(SIZE), SIZE)
     camera = tiny_intrinsics(SIZE)
     x, y = np.meshgrid(np.arange(SIZE[0]) + 0.5 - camera[0, 2], np.arange(SIZE[1]) + 0.5 - camera[1, 2])
     local = np.stack([x / camera[0, 0], y / camera[1, 1], np.ones_like(x)], -1) * view.depth[..., None]
@@ -63,41 +70,24 @@ def view_of(pose: np.ndarray) -> TinyView:
     )
 
 
-def write(path: Path, pixels: np.ndarray) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    assert cv2.imwrite(str(path), pixels)
+def as_detected(view: TinyView, number: int) -> TinyView:
+    """From far the sink is part of the cabinet, object 2, and the chair another cabinet."""
+    if number < NEAR:
+        return view
+    return replace(
+        view,
+        semantic=np.where(np.isin(view.semantic, [SINK_ID, CHAIR_ID]), CABINET_ID, view.semantic).astype(np.int32),
+        instance=np.where(view.semantic == SINK_ID, 2, view.instance).astype(np.int32),
+    )
 
 
 def write_near_and_far(folder: Path) -> Path:
-    annotations, random = [], np.random.default_rng(0)
-    for number, pose in enumerate(poses()):
-        name, view = f"{number:04d}", view_of(pose)
-        write(folder / "color" / f"{name}.png", np.ascontiguousarray(view.colour[..., ::-1]))
-        measured = view.depth * (1 + SENSOR_NOISE * random.standard_normal(view.depth.shape))
-        write(folder / "depth" / f"{name}.png", np.round(1000 * measured).astype(np.uint16))
-        write(folder / "gt" / "semantic" / f"{name}.png", view.semantic.astype(np.uint8))
-        write(folder / "gt" / "instance" / f"{name}.png", view.instance.astype(np.uint16))
-        drawn, called = view.semantic, {}
-        if number >= NEAR:
-            drawn, called = np.where(drawn == SINK_ID, CABINET_ID, drawn), {CHAIR_ID: CABINET_ID}
-        write(folder / "panoptic" / f"{name}.png", np.stack([0 * drawn, 0 * drawn, drawn + 1], -1))
-        segments = [
-            {"id": one + 1, "category_id": called.get(one, one), "score": 0.9} for one in np.unique(drawn).tolist()
-        ]
-        annotations.append({"image_id": name, "file_name": f"{name}.png", "segments_info": segments})
-        (folder / "pose").mkdir(exist_ok=True)
-        np.savetxt(folder / "pose" / f"{name}.txt", pose)
-    integer_centres = np.eye(4)
-    integer_centres[:3, :3] = tiny_intrinsics(SIZE)
-    integer_centres[:2, 2] -= 0.5
-    (folder / "intrinsic").mkdir()
-    np.savetxt(folder / "intrinsic" / "intrinsic_color.txt", integer_centres)
-    categories = [*CATEGORIES, {"id": SINK_ID, "name": "sink", "isthing": 1, "color": [90, 200, 210]}]
-    (folder / "panoptic.json").write_text(json.dumps({"annotations": annotations, "categories": categories}))
     names = [f"{number:04d}" for number in range(NEAR + FAR)]
-    splits = {"train": [name for name in names if name not in HELD_OUT], "test": sorted(HELD_OUT)}
-    (folder / "splits.json").write_text(json.dumps(splits))
-    return folder
+    return write_tiny_scene(
+        folder, size=SIZE, poses=poses(), shown=with_sink, seen=as_detected, depth_noise=SENSOR_NOISE,
+        categories=[*CATEGORIES, {"id": SINK_ID, "name": "sink", "isthing": 1, "color": [90, 200, 210]}],
+        splits={"train": [name for name in names if name not in HELD_OUT], "test": sorted(HELD_OUT)},
+    )  # fmt: skip
 
 
 def test_the_sink_is_an_object_of_its_own_and_the_lift_beats_its_masks(tmp_path: Path) -> None:

@@ -19,8 +19,8 @@ from engine.errors import ErrorCode, PlgsError
 from engine.job import EventWriter, StopSignal
 from engine.poses import Made, _digest_of, _median, make_poses, write_pictures
 from engine.scene import open_scene
+from tests.scene.formats.room import write_grey
 from tests.scene.formats.test_colmap import write_text
-from tests.scene.formats.writing import write_grey
 from tests.tiny_scene import write_tiny_scene
 
 needs_colmap = pytest.mark.skipif(find_spec("pycolmap") is None, reason="needs pycolmap (engine add colmap)")

@@ -12,8 +12,7 @@ from engine.errors import PlgsError
 from engine.scene import open_scene, open_scene_to_lift
 from engine.scene.estimated_depth import fit_depth
 from engine.scene_source import SceneSource
-from tests.scene.formats.room import Lens, elsewhere, look, quaternion, views
-from tests.scene.formats.writing import in_steps, write_colour
+from tests.scene.formats.room import Lens, elsewhere, in_steps, look, quaternion, views, write_colour
 from tests.scene.refusing import refuses
 from tests.tiny_scene import tiny_intrinsics, tiny_pose, trace_view, write_tiny_scene
 

@@ -9,11 +9,14 @@ surfaces, in the right colours?
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from engine.scene import Scene
+from tests.tiny_scene import box_hits
 
 LOW, HIGH = np.array([-1.0, -2.0, 0.0]), np.array([3.0, 1.5, 2.4])
 BOX_LOW, BOX_HIGH = np.array([0.9, -0.7, 0.0]), np.array([1.7, 0.1, 1.1])
@@ -84,19 +87,12 @@ def look(view: View, lens: Lens) -> Picture:
 def cast(view: View, rays: NDArray[np.float64]) -> Picture:
     """The picture along ``rays``, float64 [H, W, 3], whose length along ``forward`` is 1."""
     rays = np.where(np.abs(rays) < 1e-9, 1e-9, rays)
-    far = np.where(rays > 0.0, HIGH, LOW)
-    walls = (far - view.eye) / rays
-    axis = walls.argmin(-1)
-    depth = walls.min(-1)
+    depth, axis = box_hits(np.stack([LOW, HIGH]), view.eye, rays, leaving=True)
     face = 2 * axis + (np.take_along_axis(rays, axis[..., None], -1)[..., 0] > 0.0)
-    colour = WALL_COLOURS[face].astype(np.float64)
-    one, two = (BOX_LOW - view.eye) / rays, (BOX_HIGH - view.eye) / rays
-    enter, leave = np.minimum(one, two), np.maximum(one, two)
-    hit = (enter.max(-1) < leave.min(-1)) & (enter.max(-1) > 0.0)
-    depth = np.where(hit, enter.max(-1), depth)
-    axis = enter.argmax(-1)
+    near, axis = box_hits(np.stack([BOX_LOW, BOX_HIGH]), view.eye, rays, leaving=False)
     box_face = 2 * axis + (np.take_along_axis(rays, axis[..., None], -1)[..., 0] < 0.0)
-    colour = np.where(hit[..., None], WALL_COLOURS[box_face] * 0.5, colour).astype(np.uint8)
+    hit, depth = near < depth, np.minimum(near, depth)
+    colour = np.where(hit[..., None], WALL_COLOURS[box_face] * 0.5, WALL_COLOURS[face]).astype(np.uint8)
     return Picture(colour, depth, depth * np.linalg.norm(rays, axis=-1))
 
 
@@ -209,3 +205,28 @@ def _matrix(*columns: NDArray[np.float64]) -> NDArray[np.float64]:
     pose = np.eye(4)
     pose[:3] = np.stack(columns, axis=1)
     return pose
+
+
+def write_colour(path: Path, rgb: NDArray[np.uint8]) -> None:
+    """uint8 [H, W, 3] RGB as PNG or as JPEG of the best quality."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    if not cv2.imwrite(str(path), np.ascontiguousarray(rgb[..., ::-1]), [cv2.IMWRITE_JPEG_QUALITY, 100]):
+        raise OSError(path)
+
+
+def write_grey(path: Path, values: NDArray[np.generic]) -> None:
+    """A PNG with one channel, as deep as ``values``."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    if not cv2.imwrite(str(path), values):
+        raise OSError(path)
+
+
+def in_steps(depth: NDArray[np.float64], steps_a_metre: float) -> NDArray[np.uint16]:
+    """Depth in metres as 16-bit whole steps."""
+    return np.round(depth * steps_a_metre).astype(np.uint16)
+
+
+def write_pair(colour: Path, depth: Path, picture: Picture, steps_a_metre: float = 1000) -> None:
+    """A picture's colour as an image, its planar depth as a PNG of 16 bits."""
+    write_colour(colour, picture.colour)
+    write_grey(depth, in_steps(picture.depth, steps_a_metre))

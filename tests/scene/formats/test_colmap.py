@@ -11,8 +11,18 @@ import pytest
 
 from engine.errors import PlgsError
 from engine.scene import describe, open_scene
-from tests.scene.formats.room import Lens, View, cast, check_colours, check_on_room, elsewhere, look, quaternion, views
-from tests.scene.formats.writing import write_colour
+from tests.scene.formats.room import (
+    Lens,
+    View,
+    cast,
+    check_colours,
+    check_on_room,
+    elsewhere,
+    look,
+    quaternion,
+    views,
+    write_colour,
+)
 from tests.scene.refusing import refuses
 
 LENS = Lens().scaled(2)

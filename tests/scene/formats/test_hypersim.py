@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from engine.scene import open_scene
-from tests.scene.formats.room import cast, check_on_room, views
-from tests.scene.formats.writing import write_colour
+from tests.scene.formats.room import cast, check_on_room, views, write_colour
 from tests.scene.refusing import refuses
 
 USUAL = np.array([[0.5773502886169104, 0.0, 0.0], [0.0, 0.4330127164626828, 0.0], [0.0, 0.0, -1.0]])

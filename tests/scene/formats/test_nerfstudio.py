@@ -12,8 +12,20 @@ import numpy as np
 import pytest
 
 from engine.scene import open_scene
-from tests.scene.formats.room import Lens, cast, check_colours, check_on_room, elsewhere, look, opengl_pose, views
-from tests.scene.formats.writing import in_steps, write_colour, write_grey, write_pair
+from tests.scene.formats.room import (
+    Lens,
+    cast,
+    check_colours,
+    check_on_room,
+    elsewhere,
+    in_steps,
+    look,
+    opengl_pose,
+    views,
+    write_colour,
+    write_grey,
+    write_pair,
+)
 
 LENS = Lens()
 SHARED = {"w": 64, "h": 48, "fl_x": LENS.fx, "fl_y": LENS.fy, "cx": LENS.cx, "cy": LENS.cy, "camera_model": "OPENCV"}

@@ -13,8 +13,19 @@ import pytest
 from engine.errors import PlgsError
 from engine.scene import open_scene
 from engine.scene.formats.photos import Video
-from tests.scene.formats.room import Lens, View, check_on_room, look, opengl_pose, quaternion, views, y_up
-from tests.scene.formats.writing import in_steps, write_colour, write_grey
+from tests.scene.formats.room import (
+    Lens,
+    View,
+    check_on_room,
+    in_steps,
+    look,
+    opengl_pose,
+    quaternion,
+    views,
+    write_colour,
+    write_grey,
+    y_up,
+)
 from tests.scene.refusing import refuses
 
 POLYCAM_LENS = Lens().scaled(2)

@@ -19,8 +19,7 @@ import pytest
 from engine.errors import PlgsError
 from engine.scene import open_scene
 from engine.scene.formats.record3d import unpack_lzfse
-from tests.scene.formats.room import Lens, check_on_room, look, quaternion, views, y_up
-from tests.scene.formats.writing import write_colour
+from tests.scene.formats.room import Lens, check_on_room, look, quaternion, views, write_colour, y_up
 from tests.scene.refusing import refuses
 
 LENS = Lens(144, 192, 150.0, 150.0, 74.0, 93.0)

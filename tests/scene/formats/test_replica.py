@@ -6,8 +6,7 @@ import json
 from pathlib import Path
 
 from engine.scene import open_scene
-from tests.scene.formats.room import Lens, View, check_on_room, look, opencv_pose, views
-from tests.scene.formats.writing import write_pair
+from tests.scene.formats.room import Lens, View, check_on_room, look, opencv_pose, views, write_pair
 
 # 600 600 599.5 339.5 of 1200x680, integer centres, for a tenth of the size; and another lens that sees 90 degrees.
 NICE = Lens(120, 68, 60.0, 60.0, 60.0, 34.0)

@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 
 from engine.scene import Scene, open_scene
-from tests.scene.formats.room import Lens, check_on_room, look, opencv_pose, views
-from tests.scene.formats.writing import write_pair
+from tests.scene.formats.room import Lens, check_on_room, look, opencv_pose, views, write_pair
 from tests.scene.refusing import refuses
 
 

@@ -15,8 +15,7 @@ import pytest
 
 from engine.errors import PlgsError
 from engine.scene import open_scene
-from tests.scene.formats.room import Lens, check_on_room, look, opencv_pose, views
-from tests.scene.formats.writing import in_steps, write_colour, write_grey
+from tests.scene.formats.room import Lens, check_on_room, in_steps, look, opencv_pose, views, write_colour, write_grey
 
 DEPTH = Lens(256, 192, 220.0, 220.0, 131.0, 93.0)
 LENS = DEPTH.scaled(0.75)

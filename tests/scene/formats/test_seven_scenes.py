@@ -8,8 +8,17 @@ import numpy as np
 import pytest
 
 from engine.scene import open_scene
-from tests.scene.formats.room import Lens, View, check_on_room, look, opencv_pose, views
-from tests.scene.formats.writing import in_steps, write_colour, write_grey
+from tests.scene.formats.room import (
+    Lens,
+    View,
+    check_on_room,
+    in_steps,
+    look,
+    opencv_pose,
+    views,
+    write_colour,
+    write_grey,
+)
 from tests.scene.refusing import refuses
 
 # The Kinect's two lenses for pictures of 160x120, a quarter of the size; the principal point is the integer pixel

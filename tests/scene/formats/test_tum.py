@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from engine.scene import open_scene
-from tests.scene.formats.room import Lens, check_on_room, look, quaternion, views, y_up
-from tests.scene.formats.writing import write_colour, write_pair
+from tests.scene.formats.room import Lens, check_on_room, look, quaternion, views, write_colour, write_pair, y_up
 from tests.scene.refusing import refuses
 
 # 525 525 319.5 239.5 of 640x480, integer centres, for a tenth of the size with centres at +0.5.

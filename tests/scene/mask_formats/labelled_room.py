@@ -5,17 +5,15 @@
 
 from __future__ import annotations
 
-import shutil
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from engine.scene import Frame, PanopticMask, Scene
-from tests.tiny_scene import CATEGORIES, write_tiny_scene
+from tests.tiny_scene import CATEGORIES, tiny_intrinsics, tiny_pose, trace_view, write_tiny_scene
 
 NAMES = {category["id"]: str(category["name"]) for category in CATEGORIES}
 """1 wall, 2 floor, 3 cabinet (an object), 5 chair (an object), 13 ceiling."""
@@ -45,18 +43,9 @@ class Truth:
 
 def write_frames(folder: Path, frames: int = 3) -> tuple[Path, list[Truth]]:
     """A scene without masks, and what they should say."""
-    write_tiny_scene(folder, frames=frames, size=SIZE)
-    (folder / "panoptic.json").unlink()
-    shutil.rmtree(folder / "panoptic")
-    truths = []
-    for path in sorted((folder / "gt" / "semantic").iterdir()):
-        semantic, instance = (
-            cv2.imread(str(folder / "gt" / kind / path.name), cv2.IMREAD_UNCHANGED).astype(np.int32)
-            for kind in ("semantic", "instance")
-        )
-        truths.append(Truth(path.stem, semantic, instance))
-    shutil.rmtree(folder / "gt")
-    return folder, truths
+    write_tiny_scene(folder, frames=frames, size=SIZE, masks="none", ground_truth=False)
+    views = [trace_view(tiny_pose(number, frames), tiny_intrinsics(SIZE), SIZE) for number in range(frames)]
+    return folder, [Truth(f"{number:04d}", view.semantic, view.instance) for number, view in enumerate(views)]
 
 
 def mask_of(scene: Scene, place: int = 0) -> PanopticMask:
