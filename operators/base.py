@@ -134,6 +134,13 @@ class CancelsTask(Explained):
         return FINISHED
 
 
+def cancels(kind: type[Task], about: str) -> type:
+    """The operator that a kind of task names to cancel it; ``about`` is what its button says."""
+    names = {"bl_idname": kind.cancel_operator, "bl_label": "Cancel", "bl_options": {"INTERNAL"}}
+    name = f"PLGS_OT_{kind.cancel_operator.partition('.')[2]}"
+    return type(name, (CancelsTask, bpy.types.Operator), {"__doc__": about, "cancelled_kind": kind, **names})
+
+
 class OnLiftFolder:
     """An operator on a lift that is named by its folder."""
 

@@ -22,8 +22,8 @@ from .base import (
     FINISHED,
     PASSED_ON,
     RUNNING,
-    CancelsTask,
     StartsTask,
+    cancels,
     panel_of,
     reporting,
     reporting_events,
@@ -77,11 +77,8 @@ class PLGS_OT_rename_instance(AsksForOne, OnInstance, bpy.types.Operator):
         self.name = row_of(self.root(context), self.instance).name
         return set(context.window_manager.invoke_props_dialog(self))
 
-    @reporting
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        root = self.root(context)
+    def act(self, context: bpy.types.Context, root: bpy.types.Collection) -> None:
         corrections.rename(root, row_of(root, self.instance).instance_id, self.name)
-        return FINISHED
 
 
 class PLGS_OT_reclass_instances(AsksForOne, OnInstances, bpy.types.Operator):
@@ -96,12 +93,9 @@ class PLGS_OT_reclass_instances(AsksForOne, OnInstances, bpy.types.Operator):
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         return set(context.window_manager.invoke_props_dialog(self))
 
-    @reporting
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        root = self.root(context)
+    def act(self, context: bpy.types.Context, root: bpy.types.Collection) -> None:
         numbers = corrections.chosen_instances(root, self.instances, context)
         corrections.reclass(root, numbers, self.class_name)
-        return FINISHED
 
 
 class PLGS_OT_merge_instances(OnInstances, bpy.types.Operator):
@@ -109,11 +103,8 @@ class PLGS_OT_merge_instances(OnInstances, bpy.types.Operator):
 
     bl_idname, bl_label, bl_options = "plgs.merge_instances", "Merge Selected", _UNDOABLE
 
-    @reporting
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        root = self.root(context)
+    def act(self, context: bpy.types.Context, root: bpy.types.Collection) -> None:
         corrections.merge(root, corrections.chosen_instances(root, self.instances, context))
-        return FINISHED
 
 
 class PLGS_OT_delete_instance(OnInstance, bpy.types.Operator):
@@ -129,11 +120,8 @@ class PLGS_OT_delete_instance(OnInstance, bpy.types.Operator):
         ],
     )
 
-    @reporting
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        root = self.root(context)
+    def act(self, context: bpy.types.Context, root: bpy.types.Collection) -> None:
         corrections.delete(root, row_of(root, self.instance).instance_id, around=self.becomes == "AROUND")
-        return FINISHED
 
 
 _SPLITS = [
@@ -159,9 +147,7 @@ class PLGS_OT_split_instance(OnInstance, bpy.types.Operator):
     def description(cls, context: bpy.types.Context, properties: bpy.types.OperatorProperties) -> str:
         return next(text for way, _, text in _SPLITS if way == properties.by)
 
-    @reporting
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        root = self.root(context)
+    def act(self, context: bpy.types.Context, root: bpy.types.Collection) -> None:
         number = row_of(root, self.instance).instance_id
         if self.by == "CUT":
             edit = correction_tools.split_by_cut(root, number)
@@ -170,10 +156,9 @@ class PLGS_OT_split_instance(OnInstance, bpy.types.Operator):
         else:
             edit = corrections.split_parts(root, number)
         self.report({"INFO"}, one_line(f"New: {', '.join(one.name for one in edit.made)}"))
-        return FINISHED
 
 
-class PLGS_OT_split_by_views(OnInstance, StartsTask, bpy.types.Operator):
+class PLGS_OT_split_by_views(StartsTask, OnInstance, bpy.types.Operator):
     """Split the object into the parts that masks of at least two frames separate, each with the class that they give"""
 
     bl_idname, bl_label = "plgs.split_by_views", "Split by Views"
@@ -190,23 +175,13 @@ class PLGS_OT_split_by_views(OnInstance, StartsTask, bpy.types.Operator):
         return split_by_views(root, row_of(root, self.instance).instance_id)
 
 
-class PLGS_OT_cancel_split(CancelsTask, bpy.types.Operator):
-    """Stop reading the masks; the object stays as it is, unless it is split already"""
-
-    bl_idname, bl_label = "plgs.cancel_split", "Cancel"
-    cancelled_kind = SplitByViews
-
-
 class PLGS_OT_place_cut(OnInstance, bpy.types.Operator):
     """Add a plane through the object. Move and rotate it to where the object should be split"""
 
     bl_idname, bl_label, bl_options = "plgs.place_cut", "Add Cutting Plane", _UNDOABLE
 
-    @reporting
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        root = self.root(context)
+    def act(self, context: bpy.types.Context, root: bpy.types.Collection) -> None:
         correction_tools.place_cut(root, row_of(root, self.instance).instance_id)
-        return FINISHED
 
 
 class PLGS_OT_crop_instance(OnInstance, bpy.types.Operator):
@@ -214,11 +189,8 @@ class PLGS_OT_crop_instance(OnInstance, bpy.types.Operator):
 
     bl_idname, bl_label, bl_options = "plgs.crop_instance", "Crop to Its Box", _UNDOABLE
 
-    @reporting
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        root = self.root(context)
+    def act(self, context: bpy.types.Context, root: bpy.types.Collection) -> None:
         corrections.crop(root, row_of(root, self.instance).instance_id)
-        return FINISHED
 
 
 class PLGS_OT_accept_instances(OnInstances, bpy.types.Operator):
@@ -226,11 +198,8 @@ class PLGS_OT_accept_instances(OnInstances, bpy.types.Operator):
 
     bl_idname, bl_label, bl_options = "plgs.accept_instances", "Accept", _UNDOABLE
 
-    @reporting
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        root = self.root(context)
+    def act(self, context: bpy.types.Context, root: bpy.types.Collection) -> None:
         corrections.accept(root, corrections.chosen_instances(root, self.instances, context))
-        return FINISHED
 
 
 class PLGS_OT_undo_correction(OnLift, bpy.types.Operator):
@@ -238,11 +207,9 @@ class PLGS_OT_undo_correction(OnLift, bpy.types.Operator):
 
     bl_idname, bl_label, bl_options = "plgs.undo_correction", "Undo Last Correction", _UNDOABLE
 
-    @reporting
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        edit = corrections.undo_last(self.root(context))
+    def act(self, context: bpy.types.Context, root: bpy.types.Collection) -> None:
+        edit = corrections.undo_last(root)
         self.report({"INFO"}, f"Undone: {edit.kind}")
-        return FINISHED
 
 
 class PLGS_OT_assign_points(OnLift, bpy.types.Operator):
@@ -353,11 +320,9 @@ class PLGS_OT_propose_corrections(OnLift, bpy.types.Operator):
 
     bl_idname, bl_label, bl_options = "plgs.propose_corrections", "What May Be Wrong?", _UNDOABLE
 
-    @reporting
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        found = corrections.propose(self.root(context))
+    def act(self, context: bpy.types.Context, root: bpy.types.Collection) -> None:
+        found = corrections.propose(root)
         self.report({"INFO"}, f"{plural(len(found.open), 'proposal')}, {found.progress}")
-        return FINISHED
 
 
 class OnProposal(OnLift):
@@ -373,18 +338,15 @@ class PLGS_OT_go_to_proposal(OnProposal, bpy.types.Operator):
 
     bl_idname, bl_label, bl_options = "plgs.go_to_proposal", "Look at It", _UNDOABLE
 
-    @reporting
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        root = self.root(context)
+    def act(self, context: bpy.types.Context, root: bpy.types.Collection) -> None:
         one = corrections.proposal_of(root, self.instance)
         selection.select_instance(root, one.instance, context.view_layer)
         if one.frame:
             views.look_from_frame(root, one.frame, context.scene, view_of(context)[0])
         self.report({"INFO"}, one_line(f"{one.name}: {one.reason}"))
-        return FINISHED
 
 
-class PLGS_OT_answer_proposal(OnProposal, StartsTask, bpy.types.Operator):
+class PLGS_OT_answer_proposal(StartsTask, OnProposal, bpy.types.Operator):
     """Apply the proposal, or keep the object as it is"""
 
     bl_idname, bl_label, bl_options = "plgs.answer_proposal", "Answer", _UNDOABLE
@@ -405,13 +367,10 @@ class PLGS_OT_next_uncertain_frame(OnLift, bpy.types.Operator):
 
     bl_idname, bl_label, bl_options = "plgs.next_uncertain_frame", "Next Uncertain Frame", _UNDOABLE
 
-    @reporting
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        root = self.root(context)
+    def act(self, context: bpy.types.Context, root: bpy.types.Collection) -> None:
         frame, visited, frames = corrections.next_uncertain(root)
         views.look_from_frame(root, frame, context.scene, view_of(context)[0])
         self.report({"INFO"}, f"Frame {one_line(frame)}, {visited} of {frames} looked at")
-        return FINISHED
 
 
 CLASSES = (
@@ -421,7 +380,7 @@ CLASSES = (
     PLGS_OT_delete_instance,
     PLGS_OT_split_instance,
     PLGS_OT_split_by_views,
-    PLGS_OT_cancel_split,
+    cancels(SplitByViews, "Stop reading the masks; the object stays as it is, unless it is split already"),
     PLGS_OT_place_cut,
     PLGS_OT_crop_instance,
     PLGS_OT_accept_instances,

@@ -10,7 +10,7 @@ from ..plgs_blender.chosen_scene import absolute
 from ..plgs_blender.engine_environment import choices, status, tasks, usable_python, why_no_engine
 from ..plgs_blender.registry import Task
 from ..plgs_blender.running import adding
-from .base import CANCELLED, FINISHED, CancelsTask, Explained, StartsTask, reporting, reporting_events
+from .base import CANCELLED, FINISHED, Explained, StartsTask, cancels, reporting, reporting_events
 
 _TORCH_BUILDS = [
     ("preferences", "As in the Preferences", "What the add-on's preferences say"),
@@ -70,13 +70,6 @@ class PLGS_OT_set_up_engine(AsksEngine, bpy.types.Operator):
         return super().tell(context, task)
 
 
-class PLGS_OT_cancel_engine_set_up(CancelsTask, bpy.types.Operator):
-    """Stop setting up the engine. Finished downloads are kept, and the next set-up continues from there"""
-
-    bl_idname, bl_label = "plgs.cancel_engine_set_up", "Cancel"
-    cancelled_kind = tasks.SetUp
-
-
 class PLGS_OT_add_to_engine(StartsTask, bpy.types.Operator):
     """Download optional packages and add them to the engine. Cancelling leaves the engine as it was"""
 
@@ -99,7 +92,7 @@ class PLGS_OT_add_to_engine(StartsTask, bpy.types.Operator):
         return adding.add(self.capability, usable_python(), self.index_url)
 
 
-class PLGS_OT_cancel_adding(CancelsTask, bpy.types.Operator):
+class PLGS_OT_cancel_adding(cancels, bpy.types.Operator):
     """Stop adding packages; the engine stays as it was"""
 
     bl_idname, bl_label = "plgs.cancel_adding", "Cancel"
@@ -188,9 +181,9 @@ class PLGS_OT_show_preferences(Explained, bpy.types.Operator):
 
 CLASSES = (
     PLGS_OT_set_up_engine,
-    PLGS_OT_cancel_engine_set_up,
+    cancels(tasks.SetUp, "Stop setting up the engine. Finished downloads are kept, and the next set-up continues"),
     PLGS_OT_add_to_engine,
-    PLGS_OT_cancel_adding,
+    cancels(adding.Adding, "Stop adding packages; the engine stays as it was"),
     PLGS_OT_use_this_python,
     PLGS_OT_check_engine,
     PLGS_OT_open_set_up_log,

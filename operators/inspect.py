@@ -32,6 +32,15 @@ class OnLift(Explained):
         """The lift's collection. Raises PlgsError."""
         return find_lift(context.scene, self.lift, context.active_object)
 
+    @reporting
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        self.act(context, self.root(context))
+        return FINISHED
+
+    def act(self, context: bpy.types.Context, root: bpy.types.Collection) -> None:
+        """What it does. Raises PlgsError, OSError."""
+        raise NotImplementedError
+
 
 class OnInstance(OnLift):
     """An operator on one instance of a lift."""
@@ -67,14 +76,11 @@ class PLGS_OT_select_instance(OnInstance, bpy.types.Operator):
 
     bl_idname, bl_label, bl_options = "plgs.select_instance", "Select Instance", {"REGISTER", "UNDO"}
 
-    @reporting
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        root = self.root(context)
+    def act(self, context: bpy.types.Context, root: bpy.types.Collection) -> None:
         selection.select_instance(root, self.instance, context.view_layer)
         row = row_of(root, self.instance)
         if selection.selected_instance(root, context.view_layer.objects.active) != row.instance_id:
             self.report({"WARNING"}, f"The box of {one_line(row.name)} is hidden or gone: only its row is selected")
-        return FINISHED
 
 
 class PLGS_OT_select_class(OnClass, bpy.types.Operator):
@@ -97,23 +103,9 @@ class PLGS_OT_toggle_instance_visibility(OnInstance, bpy.types.Operator):
 
     bl_idname, bl_label, bl_options = "plgs.toggle_instance_visibility", "Hide or Show Instance", {"REGISTER", "UNDO"}
 
-    @reporting
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        row = row_of(self.root(context), self.instance)
+    def act(self, context: bpy.types.Context, root: bpy.types.Collection) -> None:
+        row = row_of(root, self.instance)
         row.visible = not row.visible
-        return FINISHED
-
-
-class PLGS_OT_toggle_class_visibility(OnClass, bpy.types.Operator):
-    """Hide or show a class: its points, its anchors and the boxes of its instances"""
-
-    bl_idname, bl_label, bl_options = "plgs.toggle_class_visibility", "Hide or Show Class", {"REGISTER", "UNDO"}
-
-    @reporting
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        row = class_row_of(self.root(context), self.class_id)
-        row.visible = not row.visible
-        return FINISHED
 
 
 class PLGS_OT_isolate_instance(OnInstance, bpy.types.Operator):
@@ -121,10 +113,8 @@ class PLGS_OT_isolate_instance(OnInstance, bpy.types.Operator):
 
     bl_idname, bl_label, bl_options = "plgs.isolate_instance", "Isolate", {"REGISTER", "UNDO"}
 
-    @reporting
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        looks.isolate(self.root(context), self.instance)
-        return FINISHED
+    def act(self, context: bpy.types.Context, root: bpy.types.Collection) -> None:
+        looks.isolate(root, self.instance)
 
 
 class PLGS_OT_show_all(OnLift, bpy.types.Operator):
@@ -132,31 +122,8 @@ class PLGS_OT_show_all(OnLift, bpy.types.Operator):
 
     bl_idname, bl_label, bl_options = "plgs.show_all", "Show All", {"REGISTER", "UNDO"}
 
-    @reporting
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        looks.show_all(self.root(context))
-        return FINISHED
-
-
-class PLGS_OT_colour_by(OnLift, bpy.types.Operator):
-    """Choose what the colours of the lift mean"""
-
-    bl_idname, bl_label, bl_options = "plgs.colour_by", "Colour By", {"REGISTER", "UNDO"}
-
-    look: EnumProperty(  # type: ignore[valid-type]
-        name="Colours",
-        items=[
-            (looks.PHOTO, "Photo", "The colours of the photos"),
-            (looks.BY_CLASS, "Classes", "The colours of the classes"),
-            (looks.INSTANCES, "Instances", "Each instance in its own colour"),
-            (looks.UNCERTAINTY, "Uncertainty", "Bright where the frames were not sure of the class"),
-        ],
-    )
-
-    @reporting
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        self.root(context).plgs.look = self.look
-        return FINISHED
+    def act(self, context: bpy.types.Context, root: bpy.types.Collection) -> None:
+        looks.show_all(root)
 
 
 class PLGS_OT_show_as(OnLift, bpy.types.Operator):
@@ -173,10 +140,8 @@ class PLGS_OT_show_as(OnLift, bpy.types.Operator):
         ],
     )
 
-    @reporting
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        show_lift_as(self.root(context), context.scene, self.kind)
-        return FINISHED
+    def act(self, context: bpy.types.Context, root: bpy.types.Collection) -> None:
+        show_lift_as(root, context.scene, self.kind)
 
 
 class PLGS_OT_show_colours(Explained, bpy.types.Operator):
@@ -214,13 +179,10 @@ class PLGS_OT_go_to_best_view(OnInstance, bpy.types.Operator):
 
     bl_idname, bl_label, bl_options = "plgs.go_to_best_view", "Go to Its Best View", {"REGISTER", "UNDO"}
 
-    @reporting
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        root = self.root(context)
+    def act(self, context: bpy.types.Context, root: bpy.types.Collection) -> None:
         frame = views.best_frame(root, self.instance)
         views.look_from_frame(root, frame, context.scene, view_of(context)[0])
         self.report({"INFO"}, f"Frame {one_line(frame)}")
-        return FINISHED
 
 
 class PLGS_OT_go_to_mask(OnInstance, bpy.types.Operator):
@@ -237,12 +199,9 @@ class PLGS_OT_go_to_mask(OnInstance, bpy.types.Operator):
         description="Id of the segment in the frame's mask; 0: the first one that made the instance",
     )  # fmt: skip
 
-    @reporting
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        root = self.root(context)
+    def act(self, context: bpy.types.Context, root: bpy.types.Collection) -> None:
         frame = views.mask_frame(root, self.instance, self.frame, self.segment)
         views.look_from_frame(root, frame, context.scene, view_of(context)[0])
-        return FINISHED
 
 
 class PLGS_OT_go_to_frame(OnLift, bpy.types.Operator):
@@ -252,34 +211,8 @@ class PLGS_OT_go_to_frame(OnLift, bpy.types.Operator):
 
     frame: StringProperty(name="Frame", options={"SKIP_SAVE"})  # type: ignore[valid-type]
 
-    @reporting
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        views.look_from_frame(self.root(context), self.frame, context.scene, view_of(context)[0])
-        return FINISHED
-
-
-class PLGS_OT_toggle_overlay(OnLift, bpy.types.Operator):
-    """Draw names, a legend or the outline of the selected instance over the 3D views, or stop drawing them"""
-
-    bl_idname, bl_label, bl_options = "plgs.toggle_overlay", "Toggle Overlay", {"REGISTER", "UNDO"}
-
-    part: EnumProperty(  # type: ignore[valid-type]
-        name="Part",
-        options={"SKIP_SAVE"},
-        items=[
-            ("LABELS", "Labels", "The instances' names at their boxes"),
-            ("LEGEND", "Legend", "The classes and their colours"),
-            ("SELECTED", "Outline", "The outline of the selected instance"),
-        ],
-        default="LABELS",
-    )
-
-    @reporting
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        lists = self.root(context).plgs
-        name = {"LABELS": "show_labels", "LEGEND": "show_legend", "SELECTED": "show_selected"}[self.part]
-        setattr(lists, name, not getattr(lists, name))
-        return FINISHED
+    def act(self, context: bpy.types.Context, root: bpy.types.Collection) -> None:
+        views.look_from_frame(root, self.frame, context.scene, view_of(context)[0])
 
 
 class PLGS_OT_make_objects(OnInstances, bpy.types.Operator):
@@ -292,13 +225,10 @@ class PLGS_OT_make_objects(OnInstances, bpy.types.Operator):
         name="As Assets", options={"SKIP_SAVE"}, description="Mark them as assets, each with a preview picture"
     )
 
-    @reporting
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        root = self.root(context)
+    def act(self, context: bpy.types.Context, root: bpy.types.Collection) -> None:
         numbers = corrections.chosen_instances(root, self.instances, context)
         made = reuse.make_objects(root, numbers, as_assets=self.as_assets)
         self.report({"INFO"}, one_line(f"Made: {', '.join(each.name for each in made)}"))
-        return FINISHED
 
 
 class PLGS_OT_key_visibility(OnInstances, bpy.types.Operator):
@@ -306,30 +236,24 @@ class PLGS_OT_key_visibility(OnInstances, bpy.types.Operator):
 
     bl_idname, bl_label, bl_options = "plgs.key_visibility", "Key Visibility", {"REGISTER", "UNDO"}
 
-    @reporting
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        root = self.root(context)
+    def act(self, context: bpy.types.Context, root: bpy.types.Collection) -> None:
         numbers = corrections.chosen_instances(root, self.instances, context)
         keyed = reuse.key_visibility(root, numbers, context.scene)
         self.report({"INFO"}, plural(keyed, "object has keys", "objects have keys"))
-        return FINISHED
 
 
 CLASSES = (
     PLGS_OT_select_instance,
     PLGS_OT_select_class,
     PLGS_OT_toggle_instance_visibility,
-    PLGS_OT_toggle_class_visibility,
     PLGS_OT_isolate_instance,
     PLGS_OT_show_all,
-    PLGS_OT_colour_by,
     PLGS_OT_show_as,
     PLGS_OT_show_colours,
     PLGS_OT_frame_instance,
     PLGS_OT_go_to_best_view,
     PLGS_OT_go_to_mask,
     PLGS_OT_go_to_frame,
-    PLGS_OT_toggle_overlay,
     PLGS_OT_make_objects,
     PLGS_OT_key_visibility,
 )

@@ -22,9 +22,9 @@ from .base import (
     FINISHED,
     PASSED_ON,
     RUNNING,
-    CancelsTask,
     OnLiftFolder,
     StartsTask,
+    cancels,
     panel_of,
     reporting,
     reporting_events,
@@ -301,13 +301,6 @@ class PLGS_OT_make_depth_cloud(Exports, bpy.types.Operator):
         return lifting.make_depth_cloud(context.scene, self.frame, self.lift_of(context))
 
 
-class PLGS_OT_cancel_export(CancelsTask, bpy.types.Operator):
-    """Stop the export; files that are already written stay"""
-
-    bl_idname, bl_label = "plgs.cancel_export", "Cancel"
-    cancelled_kind = exports.Export
-
-
 CLASSES = (
     PLGS_OT_lift_scene,
     PLGS_OT_resume_lift,
@@ -321,5 +314,5 @@ CLASSES = (
     PLGS_OT_export_lift,
     PLGS_OT_make_meshes,
     PLGS_OT_make_depth_cloud,
-    PLGS_OT_cancel_export,
+    cancels(exports.Export, "Stop the export; files that are already written stay"),
 )

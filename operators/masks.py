@@ -26,7 +26,7 @@ from ..plgs_blender.running.preparation import (
 )
 from ..plgs_blender.settings import chosen_scene
 from ..plgs_blender.viewport import load_finding, show_beside, view_of
-from .base import CANCELLED, FINISHED, CancelsTask, Explained, StartsTask, panel_of, reporting
+from .base import CANCELLED, FINISHED, Explained, StartsTask, cancels, panel_of, reporting
 
 
 class PLGS_OT_make_masks(StartsTask, bpy.types.Operator):
@@ -73,14 +73,7 @@ class PLGS_OT_make_poses(StartsTask, bpy.types.Operator):
         return make_poses(chosen_scene(context.scene.plgs), usable_python())
 
 
-class PLGS_OT_cancel_poses(CancelsTask, bpy.types.Operator):
-    """Stop finding poses; nothing is written"""
-
-    bl_idname, bl_label = "plgs.cancel_poses", "Cancel"
-    cancelled_kind = PoseMaking
-
-
-class PLGS_OT_cancel_masks(CancelsTask, bpy.types.Operator):
+class PLGS_OT_cancel_masks(cancels, bpy.types.Operator):
     """Stop making masks; finished masks are kept, and the next run continues"""
 
     bl_idname, bl_label = "plgs.cancel_masks", "Cancel"
@@ -256,7 +249,7 @@ class PLGS_OT_leave_out(OnFinding, bpy.types.Operator):
         return FINISHED
 
 
-class PLGS_OT_cancel_diagnosis(CancelsTask, bpy.types.Operator):
+class PLGS_OT_cancel_diagnosis(cancels, bpy.types.Operator):
     """Stop measuring; your files do not change"""
 
     bl_idname, bl_label, bl_options = "plgs.cancel_diagnosis", "Cancel", {"INTERNAL"}
@@ -271,9 +264,9 @@ def _known(context: bpy.types.Context) -> Diagnosis | None:
 
 CLASSES = (
     PLGS_OT_make_poses,
-    PLGS_OT_cancel_poses,
+    cancels(PoseMaking, "Stop finding poses; nothing is written"),
     PLGS_OT_make_masks,
-    PLGS_OT_cancel_masks,
+    cancels(MaskMaking, "Stop making masks; finished masks are kept, and the next run continues"),
     PLGS_OT_read_classes,
     PLGS_OT_write_classes,
     PLGS_OT_diagnose,
@@ -281,5 +274,5 @@ CLASSES = (
     PLGS_OT_show_finding,
     PLGS_OT_go_to_finding,
     PLGS_OT_leave_out,
-    PLGS_OT_cancel_diagnosis,
+    cancels(Diagnosis, "Stop measuring; your files do not change"),
 )

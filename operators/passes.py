@@ -215,11 +215,9 @@ class PLGS_OT_matte_instance(OnInstance, bpy.types.Operator):
 
     bl_idname, bl_label, bl_options = "plgs.matte_instance", "Matte", {"REGISTER", "UNDO"}
 
-    @reporting
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        name = one_line(compositing.matte_instance(self.root(context), self.instance))
+    def act(self, context: bpy.types.Context, root: bpy.types.Collection) -> None:
+        name = one_line(compositing.matte_instance(root, self.instance))
         self.report({"INFO"}, f"The compositor's matte is {name}")
-        return FINISHED
 
 
 class PLGS_OT_matte_class(OnClass, bpy.types.Operator):
@@ -227,11 +225,9 @@ class PLGS_OT_matte_class(OnClass, bpy.types.Operator):
 
     bl_idname, bl_label, bl_options = "plgs.matte_class", "Matte", {"REGISTER", "UNDO"}
 
-    @reporting
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        name = one_line(compositing.matte_class(self.root(context), self.class_id))
+    def act(self, context: bpy.types.Context, root: bpy.types.Collection) -> None:
+        name = one_line(compositing.matte_class(root, self.class_id))
         self.report({"INFO"}, f"The compositor's matte is {name}")
-        return FINISHED
 
 
 CLASSES = (

@@ -23,9 +23,9 @@ from .base import (
     CANCELLED,
     FINISHED,
     RUNNING,
-    CancelsTask,
     Explained,
     StartsTask,
+    cancels,
     panel_of,
     reporting,
     reporting_events,
@@ -174,13 +174,6 @@ class PLGS_OT_show_picture(StartsTask, bpy.types.Operator):
         return super().tell(context, task)
 
 
-class PLGS_OT_cancel_frames(CancelsTask, bpy.types.Operator):
-    """Stop making pictures and the cloud. Finished ones are kept: importing again continues"""
-
-    bl_idname, bl_label, bl_options = "plgs.cancel_frames", "Cancel", {"INTERNAL"}
-    cancelled_kind = FrameMaking
-
-
 class PLGS_OT_look_at_scene(Explained, bpy.types.Operator):
     """Look again at what is in the scene's folder"""
 
@@ -234,7 +227,7 @@ CLASSES = (
     PLGS_OT_import_scene,
     PLGS_OT_browse_scene,
     PLGS_OT_show_picture,
-    PLGS_OT_cancel_frames,
+    cancels(FrameMaking, "Stop making pictures and the cloud. Finished ones are kept: importing again continues"),
     PLGS_OT_look_at_scene,
     PLGS_OT_open_dropped,
     PLGS_FH_scene,

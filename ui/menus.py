@@ -7,7 +7,7 @@ from typing import Any
 import bpy
 
 from ..plgs_blender.errors import one_line
-from ..plgs_blender.inspecting.selection import chosen_row, instance_of
+from ..plgs_blender.inspecting.selection import active_lift, chosen_row, instance_of
 
 Entries = tuple[tuple[str, dict[str, Any], str], ...]
 """Operators, their properties and their texts; an empty text stands for the operator's own."""
@@ -36,11 +36,7 @@ _OBJECT: Entries = (
 _RESULT: Entries = (
     ("plgs.show_all", {}, ""),
     ("plgs.show_colours", {}, ""),
-    *(("plgs.colour_by", {"look": look}, f"Colours: {look.capitalize()}")
-       for look in ("PHOTO", "CLASSES", "INSTANCES", "UNCERTAINTY")),
     *(("plgs.show_as", {"kind": kind}, f"Show as {kind.capitalize()}") for kind in ("POINTS", "SPLATS", "SURFACE")),
-    *((("plgs.toggle_overlay", {"part": part}, f"Toggle {text}")
-       for part, text in (("LABELS", "Names"), ("LEGEND", "Legend"), ("SELECTED", "Outline")))),
     ("plgs.propose_corrections", {}, ""),
     ("plgs.go_to_proposal", {}, "Look at the Proposal"),
     ("plgs.answer_proposal", {}, "Apply the Proposal"),
@@ -100,6 +96,14 @@ class PLGS_MT_result(OfEntries, bpy.types.Menu):
     """How a lift is shown, and what may be wrong with it"""
 
     bl_idname, bl_label, entries = "PLGS_MT_result", "Lift", _RESULT
+
+    def draw(self, context: bpy.types.Context) -> None:
+        super().draw(context)
+        root = active_lift(context.scene, context.active_object)
+        if root is not None:
+            self.layout.props_enum(root.plgs, "look")
+            for name in ("show_labels", "show_legend", "show_selected"):
+                self.layout.prop(root.plgs, name)
 
 
 class PLGS_MT_work(OfEntries, bpy.types.Menu):

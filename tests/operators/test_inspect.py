@@ -8,16 +8,14 @@ from pathlib import Path
 import bpy
 import pytest
 from plgs.plgs_blender.inspecting.lists import fill_not_shown
-from plgs.plgs_blender.inspecting.selection import boxes_of
 from plgs.plgs_blender.lift_scene import place_lift
 from plgs.plgs_blender.results import read_result
 from tiny_lift import CABINET_NAME, CHAIR_NAME
 from tiny_scene import CHAIR_ID
 
 NAMES = (
-    "select_instance", "select_class", "toggle_instance_visibility", "toggle_class_visibility", "isolate_instance",
-    "show_all", "colour_by", "show_as", "frame_instance", "go_to_best_view", "go_to_mask", "go_to_frame",
-    "toggle_overlay",
+    "select_instance", "select_class", "toggle_instance_visibility", "isolate_instance",
+    "show_all", "show_as", "frame_instance", "go_to_best_view", "go_to_mask", "go_to_frame",
 )  # fmt: skip
 
 
@@ -57,22 +55,22 @@ def test_zero_means_the_one_selected_in_the_list(root: bpy.types.Collection) -> 
 
 def test_the_eyes_in_the_list(root: bpy.types.Collection) -> None:
     bpy.ops.plgs.toggle_instance_visibility(instance=1)
-    bpy.ops.plgs.toggle_class_visibility(class_id=CHAIR_ID)
+    next(row for row in root.plgs.classes if row.class_id == CHAIR_ID).visible = False
     assert bpy.data.objects[CHAIR_NAME].hide_get() and bpy.data.objects["chair"].hide_get()
     assert bpy.ops.plgs.select_instance(instance=1) == {"FINISHED"}, "the row is selected all the same"
     bpy.ops.plgs.show_all()
     assert not bpy.data.objects[CHAIR_NAME].hide_get() and not bpy.data.objects["chair"].hide_get()
     assert bpy.ops.plgs.select_class(class_id=CHAIR_ID) == {"FINISHED"}
     with pytest.raises(RuntimeError, match="no points of class 77"):
-        bpy.ops.plgs.toggle_class_visibility(class_id=77)
+        bpy.ops.plgs.select_class(class_id=77)
 
 
 def test_boxes_by_class_and_back(root: bpy.types.Collection) -> None:
     chair, cloud = bpy.data.objects[CHAIR_NAME], bpy.data.objects["chair"]
     own = tuple(chair.color)
-    bpy.ops.plgs.colour_by(look="CLASSES")
+    root.plgs.look = "CLASSES"
     assert tuple(chair.color) == pytest.approx(tuple(cloud.color)) != pytest.approx(own)
-    bpy.ops.plgs.colour_by(look="INSTANCES")
+    root.plgs.look = "INSTANCES"
     assert tuple(chair.color) == pytest.approx(own)
     root.plgs.instances[0].colour = (1.0, 0.0, 0.0)
     assert tuple(chair.color) == pytest.approx((1.0, 0.0, 0.0, 1.0)), "a colour chosen in the list is the box's"
@@ -100,16 +98,6 @@ def test_what_the_lift_does_not_show_is_listed(lift: Path) -> None:
     assert bpy.context.scene.camera["frame"] == "0002"
     with pytest.raises(RuntimeError):
         bpy.ops.plgs.go_to_frame(frame="nowhere")
-
-
-def test_overlays_can_be_toggled(root: bpy.types.Collection) -> None:
-    box = boxes_of(root)[1]
-    assert root.plgs.show_labels and not box.show_name
-    bpy.ops.plgs.toggle_overlay(part="LEGEND")
-    bpy.ops.plgs.toggle_overlay(part="SELECTED")
-    assert root.plgs.show_legend and not root.plgs.show_selected
-    bpy.ops.plgs.toggle_overlay(part="LABELS")
-    assert not root.plgs.show_labels and not box.show_name, "no names at all"
 
 
 def test_a_file_without_splats_leaves_nothing(root: bpy.types.Collection, tmp_path: Path) -> None:

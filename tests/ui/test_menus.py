@@ -10,7 +10,7 @@ from plgs.ui.menus import CLASSES
 ELSEWHERE = {
     # of the mouse and keys in a 3D view, and of rows in lists
     "pick", "point_at", "rename_selected", "delete_selected", "select_instance", "select_class",
-    "toggle_class_visibility", "matte_class", "go_to_mask", "go_to_frame",
+    "matte_class", "go_to_mask", "go_to_frame",
     # File > Import and Export, and files that are dropped
     "browse_scene", "export_lift", "open_dropped",
     # beside what they look at, cancel or mend
