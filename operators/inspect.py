@@ -8,6 +8,7 @@ from bpy.props import BoolProperty, EnumProperty, IntProperty, StringProperty
 from ..plgs_blender import corrections, reuse
 from ..plgs_blender.errors import one_line, plural
 from ..plgs_blender.inspecting import looks, selection, views
+from ..plgs_blender.inspecting.lists import WAYS_TO_SHOW
 from ..plgs_blender.inspecting.selection import chosen_row, class_row_of, find_lift, row_of
 from ..plgs_blender.lift_scene import show_lift_as
 from ..plgs_blender.owned import lifts_in
@@ -131,14 +132,7 @@ class PLGS_OT_show_as(OnLift, bpy.types.Operator):
 
     bl_idname, bl_label, bl_options = "plgs.show_as", "Show As", {"REGISTER", "UNDO"}
 
-    kind: EnumProperty(  # type: ignore[valid-type]
-        name="Kind",
-        items=[
-            (looks.POINTS, "Points", "The semantic points"),
-            (looks.SPLATS, "Splats", "The Gaussians of the lifted model"),
-            (looks.SURFACE, "Surface", "The meshes, once they have been made"),
-        ],
-    )
+    kind: EnumProperty(name="Kind", items=WAYS_TO_SHOW)  # type: ignore[valid-type]
 
     def act(self, context: bpy.types.Context, root: bpy.types.Collection) -> None:
         show_lift_as(root, context.scene, self.kind)

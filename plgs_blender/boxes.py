@@ -76,7 +76,7 @@ def _place(owned: OwnedDataBlocks, parent: bpy.types.Collection, instance: Insta
     if where is None:
         name_box(ob, name)
     ob[NAME], ob[PLACED] = instance.name, placed
-    ob.matrix_world = where or _where_placed(ob)
+    ob.matrix_world = where or Matrix.LocRotScale(Vector(placed[:3]), Quaternion(placed[6:]), None)
     ob.color = object_colour(instance.colour)
     # Only meshes with faces have lines in the object's colour. Views that render show nothing of the clear faces.
     ob.display_type, ob.hide_render = "WIRE", True
@@ -119,11 +119,6 @@ def _numbers(ob: bpy.types.Object, name: str) -> list[float]:
     """A custom property; empty when there is none, or when it is not a list of numbers."""
     value = ob.get(name)
     return [*value] if getattr(value, "typecode", "") == "d" else []
-
-
-def _where_placed(ob: bpy.types.Object) -> Matrix:
-    centre, rotation = ob[PLACED][:3], ob[PLACED][6:]
-    return Matrix.LocRotScale(Vector(centre), Quaternion(rotation), None)
 
 
 def _describe(ob: bpy.types.Object, instance: Instance) -> None:

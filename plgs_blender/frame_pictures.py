@@ -173,10 +173,14 @@ def show_made(scene: bpy.types.Scene, ob: bpy.types.Object, what: str, made: Mad
     owned = OwnedDataBlocks(root_of(scene, ob)[LIFT], scene)
     if what == PHOTO:
         show_photo(ob, owned, path)
-    else:
-        image = bpy.data.images.load(str(path), check_existing=False)
-        image.name = _name(what, ob["frame"])
-        _show(ob, owned, what, image, made.depth_range if what == DEPTH else None)
+        return
+    image, key = bpy.data.images.load(str(path), check_existing=False), f"{KIND_OF[what]}:{ob['frame']}"
+    image.name = f"{KIND_OF[what].capitalize()} {ob['frame']}"
+    owned.drop("images", key)
+    owned.block("images", key, lambda: image)
+    if what == DEPTH and made.depth_range is not None:
+        image[_NEAR], image[_FAR] = made.depth_range
+    put_before(ob, image, what, 1.0)
 
 
 def range_shown(ob: bpy.types.Object) -> tuple[float, float] | None:
@@ -185,22 +189,3 @@ def range_shown(ob: bpy.types.Object) -> tuple[float, float] | None:
         return None
     image = ob.data.background_images[0].image
     return None if image is None or _NEAR not in image else (image[_NEAR], image[_FAR])
-
-
-def _show(
-    ob: bpy.types.Object,
-    owned: OwnedDataBlocks,
-    what: str,
-    image: bpy.types.Image,
-    span: tuple[float, float] | None = None,
-) -> None:
-    key = f"{KIND_OF[what]}:{ob['frame']}"
-    owned.drop("images", key)
-    owned.block("images", key, lambda: image)
-    if span is not None:
-        image[_NEAR], image[_FAR] = span
-    put_before(ob, image, what, 1.0)
-
-
-def _name(what: str, frame: str) -> str:
-    return f"{KIND_OF[what].capitalize()} {frame}"

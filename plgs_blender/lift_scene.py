@@ -146,7 +146,8 @@ def _objects_in_turn(result: LiftResult) -> Iterator[Callable[[bpy.types.Collect
         yield lambda root, scene: apply_colours(root)
     masks = np.cumsum([1 + len(one.segments) for one in result.instances])
     for _, turn in groupby(enumerate(result.instances), key=lambda each: masks[each[0]] // _MASKS_AT_ONCE):
-        yield partial(_list_masks, [one for _, one in turn], result.classes)
+        some = [one for _, one in turn]
+        yield lambda root, scene, some=some: fill_masks(root, some, result.classes)
 
 
 def _list_objects(result: LiftResult, root: bpy.types.Collection, scene: bpy.types.Scene) -> None:
@@ -162,12 +163,6 @@ def _place_late(
     listed = {row.instance_id for row in root.plgs.instances}
     owned, parent = OwnedDataBlocks(root[LIFT], scene), child_collection(root, "Instances")
     place(owned, parent, [one for one in instances if one.id in listed])
-
-
-def _list_masks(
-    instances: list[Instance], classes: ClassTable, root: bpy.types.Collection, scene: bpy.types.Scene
-) -> None:
-    fill_masks(root, instances, classes)
 
 
 def _placing_splats(read: ReadLift, root: bpy.types.Collection, scene: bpy.types.Scene) -> Iterator[None]:

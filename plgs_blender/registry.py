@@ -268,8 +268,9 @@ def _poll() -> None:
         with_news = poll_all(bpy.context.scene)
         for task in with_news:
             if task.is_taken and task.undo_step and task.has_finished:
-                _push_undo(task.undo_step)
-        scenes = _scenes()
+                if not bpy.app.background:  # so that undo removes what it put into the file, and nothing before it
+                    bpy.ops.ed.undo_push(message=task.undo_step)
+        scenes = [*(window.scene for window in bpy.context.window_manager.windows), *bpy.data.scenes]
         watched = [*running(Task), *(task for task in with_news if task.is_taken)]
         are_views_outdated = [task.watch(scenes, task in with_news) for task in watched]
     global _drawn_at
@@ -291,12 +292,6 @@ def redraw_panels(*, views_too: bool = False) -> None:
                         region.tag_redraw()
 
 
-def _push_undo(step: str) -> None:
-    """Let undo remove what a task put into the file, and nothing before it."""
-    if not bpy.app.background:
-        bpy.ops.ed.undo_push(message=step)
-
-
 @contextmanager
 def _in_window() -> Iterator[None]:
     """Undo steps and view layers need a window, which Blender's timers do not have."""
@@ -306,11 +301,6 @@ def _in_window() -> Iterator[None]:
     else:
         with bpy.context.temp_override(window=window):
             yield
-
-
-def _scenes() -> list[bpy.types.Scene]:
-    """All scenes of the file, those that windows show first."""
-    return [*(window.scene for window in bpy.context.window_manager.windows), *bpy.data.scenes]
 
 
 def register() -> None:

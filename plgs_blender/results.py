@@ -234,7 +234,8 @@ def reading_result(folder: Path) -> Generator[None, None, LiftResult]:
     lift.refuse_foreign()
     manifest = check_sizes(lift.result_path)
     listed = {str(file.path): file for file in manifest.files}
-    exrs = _listed_passes(lift, listed)
+    paths = (lift.result_path / path for path in listed)
+    exrs = sorted(path for path in paths if path.parent == lift.passes_path and path.suffix == ".exr")
     _verify(lift, [*_READ, *(path.relative_to(lift.result_path).as_posix() for path in exrs)], listed)
     yield
     instances = yield from reading_listed(version_of(lift.path))
@@ -274,9 +275,3 @@ def _verify(lift: LiftFolder, paths: Iterable[str], listed: Mapping[str, ListedF
             break
         files.append(listed[path])
     verify_files(lift.result_path, files)
-
-
-def _listed_passes(lift: LiftFolder, listed: Iterable[str]) -> list[Path]:
-    """The EXR files that the manifest lists, by name."""
-    paths = (lift.result_path / path for path in listed)
-    return sorted(path for path in paths if path.parent == lift.passes_path and path.suffix == ".exr")

@@ -313,13 +313,10 @@ def _is_startup_object(ob: bpy.types.Object) -> bool:
     if place is None or ob.animation_data is not None or len(ob.modifiers) or len(ob.constraints):
         return False
     is_there = (ob.location - Vector(place)).length < 1e-3 and ob.scale == Vector((1.0, 1.0, 1.0))
-    return is_there and (ob.type != "MESH" or _is_cube(ob.data))
-
-
-def _is_cube(mesh: bpy.types.Mesh) -> bool:
-    """Whether a mesh is the cube of two metres that Blender starts with."""
-    xyz = np.array([vertex.co for vertex in mesh.vertices]).reshape(-1, 3)
-    return len(xyz) == 8 and bool((np.abs(xyz) == 1.0).all())
+    if not is_there or ob.type != "MESH":
+        return is_there
+    xyz = np.array([vertex.co for vertex in ob.data.vertices]).reshape(-1, 3)
+    return len(xyz) == 8 and bool((np.abs(xyz) == 1.0).all())  # the cube of two metres
 
 
 def _hide_startup_objects(scene: bpy.types.Scene) -> None:

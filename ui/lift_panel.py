@@ -45,7 +45,9 @@ class PLGS_PT_lift(Step, bpy.types.Panel):
             _draw_start(layout, context, followed)
         for other in lifts.running():
             if other is not followed:
-                _draw_other(layout, context, other)
+                # It continues while the panel is set to another, or to none after an undo.
+                tell(layout, context, f"{other.folder.path.name}: {other.progress.label}", "RENDER_ANIMATION")
+                layout.operator("plgs.watch_lift", text="Watch").lift_folder = str(other.folder.path)
 
 
 class PLGS_PT_lift_options(Sidebar, bpy.types.Panel):
@@ -176,12 +178,6 @@ def _draw_used(column: bpy.types.UILayout, context: bpy.types.Context, name: str
     if getattr(context.scene.plgs, name):
         back = row.operator("wm.context_set_int", text="", icon="LOOP_BACK")
         back.data_path, back.value = f"scene.plgs.{name}", 0
-
-
-def _draw_other(layout: bpy.types.UILayout, context: bpy.types.Context, other: Lift) -> None:
-    """Draw a lift that continues while the panel is set to another, or to none after an undo."""
-    tell(layout, context, f"{other.folder.path.name}: {other.progress.label}", "RENDER_ANIMATION")
-    layout.operator("plgs.watch_lift", text="Watch").lift_folder = str(other.folder.path)
 
 
 def _draw_engine(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:

@@ -34,8 +34,7 @@ from ..plgs_blender.inspecting.picking import camera_of, names_to_draw, outline_
 from ..plgs_blender.inspecting.selection import objects_by_key, selected_instance
 from ..plgs_blender.owned import lifts_in
 from ..plgs_blender.running import lifts
-from ..plgs_blender.running.survey import survey_of
-from ..plgs_blender.settings import chosen_scene
+from ..plgs_blender.running.survey import survey_of_panel
 
 _CUT_COLOUR = (1.0, 0.55, 0.1, 0.25)
 _OBJECTS = "Objects: each in its own colour"
@@ -131,7 +130,7 @@ def legend_of(context: bpy.types.Context, root: bpy.types.Collection) -> list[tu
 
 def classes_of_scene(scene: bpy.types.Scene, *, stuff_only: bool = False) -> tuple[tuple[str, Colour], ...]:
     """The classes of the scene that the panel shows, as far as they are known."""
-    survey = survey_of(chosen_scene(scene.plgs)) if scene.plgs.scene_folder else None
+    survey = survey_of_panel(scene.plgs)
     classes = survey.classes if survey is not None else ()
     return tuple(each for each in classes if not stuff_only or (survey is not None and each[0] not in survey.things))
 

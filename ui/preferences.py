@@ -21,10 +21,6 @@ _ICONS = {
 }
 
 
-def _ask_again(preferences: bpy.types.AddonPreferences, context: bpy.types.Context) -> None:
-    tasks.ask_chosen()
-
-
 class PLGS_AP_preferences(bpy.types.AddonPreferences):
     """Blender keeps these with its own preferences."""
 
@@ -33,7 +29,7 @@ class PLGS_AP_preferences(bpy.types.AddonPreferences):
     engine_python: StringProperty(  # type: ignore[valid-type]
         name="Use This Python",
         subtype="FILE_PATH",
-        update=_ask_again,
+        update=lambda _, context: tasks.ask_chosen(),
         description="The Python that runs the engine. Empty: the one that 'Set Up Engine' made",
     )
     base_python: StringProperty(  # type: ignore[valid-type]
@@ -60,7 +56,9 @@ class PLGS_AP_preferences(bpy.types.AddonPreferences):
             row.operator("plgs.set_up_engine", icon="IMPORT")
             row.operator("plgs.check_engine", icon="FILE_REFRESH")
         if set_up is not None:
-            _draw_set_up(layout, context, set_up)
+            draw_task(layout, context, set_up)
+            if set_up.is_running or set_up.error is not None:
+                draw_log(layout, (str(tasks.log_path()), *set_up.log_lines))
         for name in ADDED:
             draw_lacking(layout, context, name)
         self._draw_choices(layout)
@@ -93,12 +91,6 @@ def _draw_status(layout: bpy.types.UILayout, context: bpy.types.Context, is_set_
         layout.prop(context.preferences.system, "use_online_access")
     if engine.python is not None:
         tell(layout, context, str(engine.python), "BLANK1")
-
-
-def _draw_set_up(layout: bpy.types.UILayout, context: bpy.types.Context, set_up: SetUp) -> None:
-    draw_task(layout, context, set_up)
-    if set_up.is_running or set_up.error is not None:
-        draw_log(layout, (str(tasks.log_path()), *set_up.log_lines))
 
 
 CLASSES = (PLGS_AP_preferences,)

@@ -14,7 +14,7 @@ from ..plgs_blender.owned import LIFT, lifts_in
 from ..plgs_blender.running.diagnosis import Diagnosis, diagnosis_of
 from ..plgs_blender.running.importing import FrameMaking
 from ..plgs_blender.running.preparation import MaskMaking, PoseMaking
-from ..plgs_blender.running.survey import SceneLook, Survey, possibilities, survey_of
+from ..plgs_blender.running.survey import SceneLook, Survey, possibilities, survey_of_panel
 from ..plgs_blender.settings import chosen_scene
 from .sidebar import (
     Sidebar,
@@ -52,7 +52,7 @@ class PLGS_PT_scene(Step, bpy.types.Panel):
             draw_bar(row, making, "Images")
         else:
             row.operator("plgs.import_scene", icon="OUTLINER_OB_CAMERA")
-        survey = _survey(context)
+        survey = survey_of_panel(settings)
         if not settings.scene_folder:
             tell(layout, context, "Choose a capture's folder or file, or drop one of its files here", "INFO")
         elif survey is not None and survey.error is not None:
@@ -169,12 +169,6 @@ def _draw_poses(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
         draw_task(layout, context, making)
     layout.operator("plgs.make_poses", icon="TRACKING_FORWARDS")
     draw_lacking(layout, context, "colmap")
-
-
-def _survey(context: bpy.types.Context) -> Survey | None:
-    """What is known about the panel's scene."""
-    settings = context.scene.plgs
-    return survey_of(chosen_scene(settings)) if settings.scene_folder else None
 
 
 def _draw_survey(layout: bpy.types.UILayout, context: bpy.types.Context, survey: Survey | None) -> None:

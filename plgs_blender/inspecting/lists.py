@@ -47,6 +47,11 @@ from .looks import (
 )
 from .selection import renaming, select_row
 
+WAYS_TO_SHOW = [
+    (POINTS, "Points", "The semantic points"),
+    (SPLATS, "Splats", "The Gaussians of the lifted model"),
+    (SURFACE, "Surface", "Meshes, one for each instance and each stuff class"),
+]
 NO_COST, NO_AGREEMENT = 1.0, -1.0
 """Values of a mask's `cost` and `agreement` that say there is none."""
 
@@ -66,25 +71,9 @@ def _update_name(row: bpy.types.PropertyGroup, _context: bpy.types.Context) -> N
         rename(row.id_data, row.instance_id, row.name)
 
 
-def _update_selection(lists: bpy.types.PropertyGroup, context: bpy.types.Context) -> None:
-    select_row(lists.id_data, context.view_layer)
-
-
 def _update_look(lists: bpy.types.PropertyGroup, _context: bpy.types.Context) -> None:
     apply_look(lists.id_data)
     apply_colours(lists.id_data)
-
-
-def _update_show_as(lists: bpy.types.PropertyGroup, _context: bpy.types.Context) -> None:
-    apply_show_as(lists.id_data)
-
-
-def _update_lit(lists: bpy.types.PropertyGroup, _context: bpy.types.Context) -> None:
-    apply_lit(lists.id_data)
-
-
-def _update_cameras(lists: bpy.types.PropertyGroup, _context: bpy.types.Context) -> None:
-    size_cameras(lists.id_data, lists.show_cameras)
 
 
 class PLGS_PG_mask(bpy.types.PropertyGroup):
@@ -164,7 +153,9 @@ class PLGS_PG_lift(bpy.types.PropertyGroup):
     """`collection.plgs` of a lift's collection."""
 
     instances: CollectionProperty(type=PLGS_PG_instance)
-    instance_index: IntProperty(name="Instance", default=-1, update=_update_selection)
+    instance_index: IntProperty(
+        name="Instance", default=-1, update=lambda lists, context: select_row(lists.id_data, context.view_layer)
+    )
     classes: CollectionProperty(type=PLGS_PG_class)
     class_index: IntProperty(name="Class", default=-1)
     not_shown: CollectionProperty(type=PLGS_PG_unshown)
@@ -188,19 +179,17 @@ class PLGS_PG_lift(bpy.types.PropertyGroup):
         ],
     )  # fmt: skip
     show_as: EnumProperty(
-        name="Show As", update=_update_show_as, description="How the lift is shown",
-        items=[
-            (POINTS, "Points", "The semantic points"),
-            (SPLATS, "Splats", "The Gaussians of the lifted model"),
-            (SURFACE, "Surface", "Meshes, one for each instance and each stuff class"),
-        ],
+        name="Show As", update=lambda lists, _: apply_show_as(lists.id_data), description="How the lift is shown",
+        items=WAYS_TO_SHOW,
     )  # fmt: skip
     lit: BoolProperty(
-        name="Lit", update=_update_lit, description="Let the scene's lights light the surface, not the photos' own"
-    )
+        name="Lit", update=lambda lists, _: apply_lit(lists.id_data),
+        description="Let the scene's lights light the surface, not the photos' own",
+    )  # fmt: skip
     show_cameras: BoolProperty(
-        name="Cameras", update=_update_cameras, description="Draw the frames' cameras and their path"
-    )
+        name="Cameras", update=lambda lists, _: size_cameras(lists.id_data, lists.show_cameras),
+        description="Draw the frames' cameras and their path",
+    )  # fmt: skip
     show_labels: BoolProperty(
         name="Labels", default=True, description="Draw the instances' names over the view"
     )

@@ -62,7 +62,8 @@ def apply_look(root: bpy.types.Collection) -> None:
             colours = sure.colours(ob)
         else:
             colours = photo
-        _write(ob.data, COLOUR, colours)
+        values = np.ascontiguousarray(colours, np.float32).ravel()
+        ob.data.attributes[COLOUR].data.foreach_set("color", values)
         dye(ob.data)
         kept = ob.data.attributes.get(KEPT)
         if look == PHOTO and kept is not None:
@@ -111,10 +112,6 @@ def _read(data: Any, name: str) -> NDArray[np.float32]:
     values = np.empty(4 * len(data.attributes[name].data), np.float32)
     data.attributes[name].data.foreach_get("color", values)
     return values.reshape(-1, 4)
-
-
-def _write(data: Any, name: str, colours: NDArray[np.float32]) -> None:
-    data.attributes[name].data.foreach_set("color", np.ascontiguousarray(colours, np.float32).ravel())
 
 
 def _linear(srgb: Any) -> NDArray[np.float32]:

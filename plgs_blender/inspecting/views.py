@@ -38,15 +38,9 @@ def frame_instance(root: bpy.types.Collection, instance: int, view: bpy.types.Sp
         region.view_rotation = view.camera.matrix_world.to_quaternion()
         region.view_perspective = "PERSP"
     region.view_location = Vector(centre.tolist())
-    region.view_distance = _distance_to_see(_ROOM_AROUND * radius, view.lens, aspect)
-
-
-def _distance_to_see(radius: float, lens: float, aspect: float) -> float:
-    """The distance in metres at which a 3D view with this lens in millimetres just holds a ball of this radius in
-    metres. The longer side of the view has the lens's angle; `aspect` is width by height.
-    """
-    half_angle = math.atan(_VIEW_SENSOR / 2.0 / lens * min(aspect, 1.0 / aspect))
-    return radius / math.sin(half_angle)
+    # The longer side of the view has the lens's angle.
+    half_angle = math.atan(_VIEW_SENSOR / 2.0 / view.lens * min(aspect, 1.0 / aspect))
+    region.view_distance = _ROOM_AROUND * radius / math.sin(half_angle)
 
 
 def best_frame(root: bpy.types.Collection, instance: int = 0) -> str:

@@ -13,8 +13,8 @@ from ...engine.job.prediction import USUAL_CLASSES, BakeCost, Prediction, machin
 from ...engine.posed import size_within
 from ...engine.presets.options import with_options
 from ...engine.presets.preset import PRESETS
-from ..settings import PLGS_PG_settings, asked_of_preset, chosen_scene, why_no_options
-from .survey import survey_of
+from ..settings import PLGS_PG_settings, asked_of_preset, why_no_options
+from .survey import survey_of_panel
 
 _slowness = 1.0
 """How many times longer this computer takes than the one that the predictions were measured on."""
@@ -37,7 +37,7 @@ def estimate_of(settings: PLGS_PG_settings) -> Prediction | None:
     """Time and memory of the lift that the settings ask for; None while the scene is not known, or the settings are
     wrong. Never reads the disk: panels call it.
     """
-    survey = survey_of(chosen_scene(settings)) if settings.scene_folder else None
+    survey = survey_of_panel(settings)
     if survey is None or survey.error is not None or not survey.sizes or why_no_options(settings):
         return None
     preset, options = asked_of_preset(settings)
@@ -74,7 +74,7 @@ def used_options(settings: PLGS_PG_settings) -> UsedOptions:
     except PlgsError:
         name, options = settings.preset, {}
     preset = with_options(PRESETS[name], options)
-    survey = survey_of(chosen_scene(settings)) if settings.scene_folder else None
+    survey = survey_of_panel(settings)
     if survey is None or survey.error is not None or not survey.sizes:
         return UsedOptions(preset.steps, *preset.size, preset.frames)
     (size, _), *_ = survey.sizes

@@ -20,12 +20,12 @@ from ..errors import with_field_names
 from ..inspecting.selection import objects_by_key
 from ..owned import FOLDER, Placed, is_same_place, lift_of_scene, lifts_in, root_of_placed, text_of
 from ..registry import Task, start_engine
-from ..settings import PLGS_PG_settings, adopt, chosen_lift, chosen_scene, request_of, why_no_options
+from ..settings import PLGS_PG_settings, adopt, chosen_lift, request_of, why_no_options
 from ..shots import Shot, ShotReader, shot_of, write_farm_job, write_view
 from . import exports, lifts
 from .adding import lacking
 from .lifts import Lift
-from .survey import survey_of, why_not_liftable
+from .survey import survey_of_panel, why_not_liftable
 
 
 def followed_lift(settings: PLGS_PG_settings) -> Lift | None:
@@ -38,7 +38,7 @@ def why_no_scene(settings: PLGS_PG_settings) -> str | None:
     """Why the panel's scene cannot be used; None when it can, or it is not known yet. Never reads the disk."""
     if not settings.scene_folder:
         return "Choose the scene's folder first"
-    survey = survey_of(chosen_scene(settings))
+    survey = survey_of_panel(settings)
     return None if survey is None or survey.error is None else with_field_names(survey.error)
 
 
@@ -47,7 +47,7 @@ def why_no_lift(settings: PLGS_PG_settings) -> str | None:
     followed = followed_lift(settings)
     if followed is not None and followed.is_running:
         return "Passes of this lift are being baked" if followed.is_baking else "This lift is already running"
-    survey = survey_of(chosen_scene(settings)) if settings.scene_folder else None
+    survey = survey_of_panel(settings)
     return (
         why_no_engine()
         or why_no_options(settings)

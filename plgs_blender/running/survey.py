@@ -21,6 +21,7 @@ from ..chosen_scene import ChosenScene, needs_engine
 from ..engine_environment import engine_python
 from ..inspecting.drawing import Colour
 from ..registry import Task, start_engine
+from ..settings import PLGS_PG_settings, chosen_scene
 
 _ENGINE_MAKES_THEM = "set up the engine, which makes them"
 _GIVE = {"depth": "give depth maps", "masks": "give or make masks"}
@@ -83,6 +84,11 @@ _latest: Survey | None = None
 def survey_of(chosen: ChosenScene) -> Survey | None:
     """What is known about this scene; None when nobody has looked yet."""
     return _latest if _latest is not None and _latest.chosen == chosen else None
+
+
+def survey_of_panel(settings: PLGS_PG_settings) -> Survey | None:
+    """What is known about the scene that the panel is set to."""
+    return survey_of(chosen_scene(settings)) if settings.scene_folder else None
 
 
 def look(chosen: ChosenScene, python: Path | None) -> Survey:
@@ -166,16 +172,15 @@ def _with_answer(survey: Survey, answer: Mapping[str, Any] | None, error: PlgsEr
             has_masks=_is_of_all(answer, "mask_sizes"),
             sparse_points=int(answer["sparse_points"]),
             picture_files=int(answer["picture_files"]),
-            inferred=tuple(_inferred(each) for each in answer["inferred"]),
+            inferred=tuple(
+                (f"{str(each['about']).capitalize()}: {each['taken']}: {each['reason']}", bool(each["is_doubtful"]))
+                for each in answer["inferred"]
+            ),
             left_out=sum(int(each["count"]) for each in answer["left_out"]),
         )
     except (ValueError, TypeError, KeyError) as fault:
         what = f"the engine's answer is not understood ({fault!r})"
         return replace(survey, error=PlgsError(what, survey.chosen.scene, "Look again."))
-
-
-def _inferred(found: Mapping[str, Any]) -> tuple[str, bool]:
-    return f"{str(found['about']).capitalize()}: {found['taken']}: {found['reason']}", bool(found["is_doubtful"])
 
 
 def _colour(colour: Sequence[int]) -> Colour:
