@@ -79,7 +79,7 @@ repository = bpy.context.preferences.extensions.repos.new(
 bpy.ops.preferences.addon_enable(module="bl_ext.plgsdev.plgs")
 preferences = bpy.context.preferences.addons["bl_ext.plgsdev.plgs"].preferences
 from bl_ext.plgsdev.plgs.plgs_blender.engine_environment import choices, tasks
-from bl_ext.plgsdev.plgs.plgs_blender.tasks import registry
+from bl_ext.plgsdev.plgs.plgs_blender import registry
 assert choices.are_in_preferences() and choices.chosen_python() is None
 preferences.engine_python = sys.argv[2]  # asks at once
 assert tasks.status().state.value == "checking", tasks.status()

@@ -34,7 +34,7 @@ def test_of_a_known_scene_they_are_what_the_lift_takes(
     shown: bpy.types.PropertyGroup, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     known = SimpleNamespace(error=None, sizes=[((640, 480), 300)], train_frames=300)
-    monkeypatch.setattr(estimate, "survey_of", lambda chosen: known)
+    monkeypatch.setattr(estimate, "survey_of_panel", lambda settings: known)
     settings = bpy.context.scene.plgs
     settings.scene_folder = "/room"
     preset = PRESETS["preview"]
