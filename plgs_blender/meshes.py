@@ -44,8 +44,6 @@ def reading_meshes(lift: Path) -> Generator[None, None, ReadMeshes]:
     file."""
     path = mesh_folder(lift) / "mesh.ply"
     if not path.is_file():
-        path = lift / "exports" / "mesh" / "mesh.ply"  # as earlier versions, or an export, made them
-    if not path.is_file():
         return ReadMeshes({})
     surface, parts = read_surface(path), {}
     with path.open("rb") as file:

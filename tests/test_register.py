@@ -47,13 +47,6 @@ def noting(
     return noted
 
 
-def test_a_draw_handler_is_noticed(draw_handlers: list[object]) -> None:
-    handle = bpy.types.SpaceView3D.draw_handler_add(print, (), "WINDOW", "POST_VIEW")
-    assert draw_handlers == [handle]
-    bpy.types.SpaceView3D.draw_handler_remove(handle, "WINDOW")
-    assert draw_handlers == []
-
-
 def test_switching_on_and_off_leaves_nothing_behind(plgs: ModuleType, draw_handlers: list[object]) -> None:
     before = footprint()
     for _ in range(3):

@@ -20,7 +20,7 @@ from plgs.engine.job.task import TaskProgress, TaskState
 from plgs.engine.result_files import write_arrays
 from plgs.engine.scene_of_lift import scene_of_lift
 from plgs.plgs_blender import correction_tools, corrections, engine_environment, lift_scene, registry
-from plgs.plgs_blender.correction_tools import Painting, painted
+from plgs.plgs_blender.correction_tools import Painting
 from plgs.plgs_blender.inspecting.selection import boxes_of, clouds_of, ids_of
 from plgs.plgs_blender.owned import lifts_in
 
@@ -170,13 +170,6 @@ def test_what_cannot_be_done_is_a_one_line_error(root: bpy.types.Collection, min
         bpy.ops.plgs.rename_instance(instance=CHAIR, name="x")
 
 
-def test_the_brush_paints_what_is_in_front() -> None:
-    near, far = np.array([[0.0, 0.0, -1.0], [0.02, 0.0, -1.0], [0.9, 0.0, -1.0]]), np.array([[0.0, 0.0, -3.0]])
-    to_view = np.array([[1.0, 0, 0, 0], [0, 1, 0, 0], [0, 0, -1, -0.2], [0, 0, -1, 0]])
-    chosen = painted(np.concatenate([near, far]).astype(np.float32), to_view, (200, 100), [(100.0, 50.0)], 10.0)
-    assert chosen.tolist() == [True, True, False, False]
-
-
 def test_strokes_rectangles_and_erasing() -> None:
     xyz = np.array([[x, 0.0, -1.0] for x in (-0.5, 0.0, 0.5)], np.float32)
     to_view = np.array([[1.0, 0, 0, 0], [0, 1, 0, 0], [0, 0, -1, -0.2], [0, 0, -1, 0]])
@@ -220,26 +213,6 @@ def test_proposals_are_answered_one_by_one(root: bpy.types.Collection, mine: Pat
     assert corrections.kept_proposals(root) == ([], "1 of 2 looked at")
 
 
-@pytest.mark.skipif(find_spec("torch") is None, reason="the engine runs in another Python")
-def test_the_masks_answer_a_proposal(
-    lift: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, quick_python: Path
-) -> None:
-    monkeypatch.setattr(engine_environment, "usable_python", lambda: quick_python)
-    mine = Path(shutil.copytree(lift.parent, tmp_path / "both")) / lift.name
-    root = lift_scene.place_lift(mine, bpy.context.scene)
-    path = mine / "result" / "instances.json"
-    content = json.loads(path.read_text())
-    for one in content["instances"]:
-        one["segments"] = [{**each, "pixels": 100} for each in one["segments"] for _ in range(1 + (one["id"] == CHAIR))]
-    path.write_text(json.dumps(content))
-    bpy.ops.plgs.propose_corrections()
-    assert {one.instance: one.answer for one in corrections.kept_proposals(root)[0]} == {CHAIR: corrections.BY_VIEWS}
-    with pytest.raises(RuntimeError, match="does not fall into parts"):  # the masks know better
-        bpy.ops.plgs.answer_proposal()
-    assert bpy.ops.plgs.answer_proposal(keep=True) == {"FINISHED"} and not corrections.kept_proposals(root)[0]
-    registry.forget_all()
-
-
 def test_the_next_uncertain_frame(root: bpy.types.Collection, mine: Path) -> None:
     points = read_corrected(mine).points
     frames = [ob for ob in root.all_objects if ob.type == "CAMERA" and "frame" in ob]
@@ -256,17 +229,6 @@ def test_the_next_uncertain_frame(root: bpy.types.Collection, mine: Path) -> Non
     assert (np.diff(entropy) <= 0).all() and entropy[0] > entropy[-1] >= 0
     bpy.ops.plgs.next_uncertain_frame()
     assert bpy.context.scene.camera["frame"] == visited[0], "after the last it begins again"
-
-
-def test_the_rendering_says_which_frame_is_the_most_uncertain(root: bpy.types.Collection, mine: Path) -> None:
-    names = [ob["frame"] for ob in root.all_objects if ob.type == "CAMERA" and "frame" in ob]
-    drawn = {names[3]: 0.2, names[5]: 0.4, names[1]: 0.3}
-    (mine / "result" / "metrics.json").write_text(json.dumps({"masks_as_judges": {"doubt": drawn}}))
-    visited = []
-    for _ in range(3):
-        bpy.ops.plgs.next_uncertain_frame()
-        visited.append(bpy.context.scene.camera["frame"])
-    assert visited == [names[5], names[1], names[3]]
 
 
 @pytest.mark.skipif(find_spec("torch") is None, reason="the engine runs in another Python")

@@ -91,9 +91,3 @@ def test_a_measurement_can_be_cancelled(inverted: Path) -> None:
     assert bpy.ops.plgs.cancel_diagnosis() == {"FINISHED"}
     assert not registry.running(Diagnosis) and bpy.ops.plgs.diagnose.poll()
     assert diagnosis.was_cancelled and diagnosis_of(chosen_scene(bpy.context.scene.plgs)) is None
-
-
-def test_a_folder_without_a_scene_is_an_error(tmp_path: Path) -> None:
-    bpy.context.scene.plgs.scene_folder = str(tmp_path)
-    with pytest.raises(RuntimeError, match="[Nn]o scene of a known format"):
-        bpy.ops.plgs.diagnose()

@@ -35,12 +35,6 @@ def test_use_this_python_answers_or_says_what_it_lacks(tmp_path: Path) -> None:
         bpy.ops.plgs.use_this_python(python="/nowhere/python")
 
 
-def test_without_a_path_blenders_own_python_is_used(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(tasks, "check", lambda: None)
-    bpy.ops.plgs.use_this_python()
-    assert choices.chosen_python() == Path(sys.executable)
-
-
 def test_what_cannot_be_done_says_why() -> None:
     assert not bpy.ops.plgs.set_up_engine.poll()
     with pytest.raises(RuntimeError, match="Allow online access in Preferences > System"):

@@ -11,7 +11,6 @@ from plgs.plgs_blender.inspecting.lists import fill_not_shown
 from plgs.plgs_blender.lift_scene import place_lift
 from plgs.plgs_blender.results import read_result
 from tiny_lift import CABINET_NAME, CHAIR_NAME
-from tiny_scene import CHAIR_ID
 
 NAMES = (
     "select_instance", "select_class", "toggle_instance_visibility", "isolate_instance",
@@ -51,18 +50,6 @@ def test_zero_means_the_one_selected_in_the_list(root: bpy.types.Collection) -> 
     assert root.plgs.isolated == 0
     with pytest.raises(RuntimeError, match="no instance 9"):
         bpy.ops.plgs.isolate_instance(instance=9)
-
-
-def test_the_eyes_in_the_list(root: bpy.types.Collection) -> None:
-    bpy.ops.plgs.toggle_instance_visibility(instance=1)
-    next(row for row in root.plgs.classes if row.class_id == CHAIR_ID).visible = False
-    assert bpy.data.objects[CHAIR_NAME].hide_get() and bpy.data.objects["chair"].hide_get()
-    assert bpy.ops.plgs.select_instance(instance=1) == {"FINISHED"}, "the row is selected all the same"
-    bpy.ops.plgs.show_all()
-    assert not bpy.data.objects[CHAIR_NAME].hide_get() and not bpy.data.objects["chair"].hide_get()
-    assert bpy.ops.plgs.select_class(class_id=CHAIR_ID) == {"FINISHED"}
-    with pytest.raises(RuntimeError, match="no points of class 77"):
-        bpy.ops.plgs.select_class(class_id=77)
 
 
 def test_boxes_by_class_and_back(root: bpy.types.Collection) -> None:

@@ -49,19 +49,6 @@ def test_a_script_waits_for_the_lift(behaves: Behaves, room: Path, tmp_path: Pat
     assert (settings.preset, settings.steps, settings.seed) == ("standard", 7, 3), "the panel shows what is lifted"
 
 
-def test_options_of_the_preset(behaves: Behaves, room: Path, tmp_path: Path) -> None:
-    behaves("short")
-    settings = bpy.context.scene.plgs
-    settings.place_when_done = False
-    bpy.ops.plgs.lift_scene(
-        scene_folder=str(room), lift_folder=str(tmp_path / "lift"), preset_options="objects=boxes weights.depth=0"
-    )
-    assert LiftFolder.open(tmp_path / "lift").request.options == {"objects": "boxes", "weights.depth": 0.0}
-    with pytest.raises(RuntimeError, match=r"Did you mean weights\.depth"):
-        bpy.ops.plgs.lift_scene(lift_folder=str(tmp_path / "other"), preset_options="weights.dept=0")
-    assert not (tmp_path / "other").exists()
-
-
 def test_without_a_lift_folder_one_is_made_beside_the_scene(behaves: Behaves, room: Path, tmp_path: Path) -> None:
     behaves("short")
     own = shutil.copytree(room, tmp_path / "room")
@@ -117,11 +104,6 @@ def test_a_bad_scene_leaves_no_folder(tmp_path: Path) -> None:
     assert not (tmp_path / "lift").exists()
 
 
-def test_a_missing_scene_is_reported(behaves: Behaves) -> None:
-    with pytest.raises(RuntimeError, match="[Nn]o scene is chosen"):
-        bpy.ops.plgs.lift_scene()
-
-
 @pytest.mark.parametrize(
     ("how", "events_of_bake"), [("watch", 0), ("open", 0), ("open after a bake", 0), ("open after a bake", 20_000)]
 )
@@ -143,11 +125,6 @@ def test_watching_or_opening_a_finished_lift_places_it(
         assert bpy.ops.plgs.open_lift(directory=str(lift)) == {"FINISHED"}
     assert any(ob.type == "POINTCLOUD" for ob in bpy.context.scene.objects)
     assert Path(bpy.context.scene.plgs.scene_folder) == LiftFolder.open(lift).request.scene
-
-
-def test_opening_what_is_not_a_lift_is_reported(tmp_path: Path) -> None:
-    with pytest.raises(RuntimeError, match="is not a lift folder"):
-        bpy.ops.plgs.open_lift(directory=str(tmp_path))
 
 
 def test_opening_a_file_finds_its_lift_again(lift: Path, tmp_path: Path) -> None:
@@ -207,29 +184,6 @@ def test_a_folder_that_a_script_names_is_never_replaced(behaves: Behaves, room: 
     bpy.ops.plgs.lift_scene(scene_folder=str(room), lift_folder=str(tmp_path / "lift"))
     with pytest.raises(RuntimeError, match="already holds a lift"):
         bpy.ops.plgs.lift_scene(lift_folder=str(tmp_path / "lift"))
-
-
-def test_an_engine_that_cannot_be_started_leaves_no_folder(
-    behaves: Behaves, room: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    behaves("short")
-    monkeypatch.setattr(engine_environment, "usable_python", lambda: tmp_path / "no python")
-    with pytest.raises(RuntimeError, match="cannot be run"):
-        bpy.ops.plgs.lift_scene(scene_folder=str(room), lift_folder=str(tmp_path / "lift"))
-    assert not (tmp_path / "lift").exists()
-
-
-def test_a_missing_log_is_reported(lift: Path) -> None:
-    with pytest.raises(RuntimeError, match="the engine never began"):
-        bpy.ops.plgs.open_log(lift_folder=str(lift))
-
-
-def test_showing_a_lift_changes_no_setting_that_says_the_same(lift: Path) -> None:
-    settings = bpy.context.scene.plgs
-    bpy.ops.plgs.place_lift(lift_folder=str(lift))
-    settings.scene_folder += "/"
-    bpy.ops.plgs.place_lift()
-    assert settings.scene_folder.endswith("/")
 
 
 def test_a_scene_that_was_lifted_before_keeps_its_names(behaves: Behaves, lift: Path, tmp_path: Path) -> None:

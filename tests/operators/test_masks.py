@@ -49,20 +49,6 @@ def test_classes_are_read_merged_and_written(folder: Path) -> None:
     }  # fmt: skip
 
 
-def test_the_list_starts_from_a_table(folder: Path) -> None:
-    bpy.context.scene.plgs.scene_folder = str(folder)
-    bpy.ops.plgs.read_classes(table="reduced")
-    assert len(bpy.context.scene.plgs_masks.classes) == 21
-
-
-def test_having_nothing_to_write_is_reported(folder: Path) -> None:
-    bpy.context.scene.plgs_masks.classes.clear()
-    assert not bpy.ops.plgs.write_classes.poll()
-    bpy.context.scene.plgs.scene_folder = ""
-    assert not bpy.ops.plgs.read_classes.poll() and not bpy.ops.plgs.cancel_masks.poll()
-    assert not (folder / "classes.toml").exists()
-
-
 def test_a_file_that_the_blend_names_is_not_overwritten(folder: Path, tmp_path: Path) -> None:
     bpy.context.scene.plgs.scene_folder = str(folder)
     bpy.ops.plgs.read_classes()
@@ -82,14 +68,6 @@ def test_what_is_not_a_list_of_classes_is_not_replaced(folder: Path, tmp_path: P
     with pytest.raises(RuntimeError, match="[Aa] link or a folder, not a file"):
         bpy.ops.plgs.write_classes()
     assert target.is_symlink()
-
-
-def test_invalid_void_numbers_are_reported(folder: Path) -> None:
-    bpy.context.scene.plgs.scene_folder = str(folder)
-    bpy.ops.plgs.read_classes()
-    bpy.context.scene.plgs_masks.void = "1 x"
-    with pytest.raises(RuntimeError, match="numbers of void cannot be read: 1 x"):
-        bpy.ops.plgs.write_classes()
 
 
 def test_a_missing_model_is_reported(bare: Path) -> None:

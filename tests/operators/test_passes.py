@@ -9,16 +9,13 @@ import sys
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from types import SimpleNamespace
 
 import bpy
 import pytest
 from plgs.engine.job import BakeCamera, LiftFolder, read_cameras
 from plgs.engine.job.follower import TaskFollower
-from plgs.operators import passes
 from plgs.plgs_blender import engine_environment, registry
 from plgs.plgs_blender.running import lifts
-from plgs.plgs_blender.shots import ShotReader, shot_of
 
 PRETENCE = """
 import sys
@@ -68,10 +65,6 @@ def test_passes_open_in_the_compositor_at_the_active_camera(lift: Path) -> None:
     scene.camera = next(ob for ob in scene.objects if ob.get("frame") == baked[-1])
     assert bpy.ops.plgs.show_passes() == {"FINISHED"}
     assert {marker.name: marker.frame for marker in passes.timeline_markers}[baked[-1]] == passes.frame_current
-
-
-def test_without_passes_the_button_is_grey() -> None:
-    assert not bpy.ops.plgs.show_passes.poll()
 
 
 def test_the_frame_of_the_active_camera_is_baked(lift: Path, baked: Asked, tmp_path: Path) -> None:
@@ -140,32 +133,3 @@ def test_a_job_for_a_farm_is_written_from_a_saved_file(lift: Path, tmp_path: Pat
     assert job["type"] == "plgs" and set(job["settings"]) == known
     assert job["settings"]["frames"] == "3,5,7" and job["settings"]["camera"] == scene.camera.name
     assert (job["settings"]["output"], job["settings"]["blend"]) == (str(lift), str(tmp_path / "shot.blend"))
-
-
-def test_blender_responds_while_a_long_range_is_read(lift: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(passes, "_READ_S", 0.0)
-    bpy.ops.plgs.place_lift(lift_folder=str(lift))
-    told: list[str | None] = []
-    context = SimpleNamespace(workspace=SimpleNamespace(status_text_set=told.append))
-    pressed = SimpleNamespace(report=lambda *_: None, run=lambda *_, waits: {"FINISHED"})
-    shot = ShotReader(bpy.context.scene, shot_of(bpy.context.scene, "", 1, 3))
-
-    def answer(kind: str) -> set[str]:
-        event = SimpleNamespace(type=kind, value="PRESS")
-        return passes.PLGS_OT_bake_camera._read_on(pressed, context, event, shot)  # type: ignore[arg-type]
-
-    assert [answer("TIMER"), answer("MOUSEMOVE"), answer("TIMER")] == [
-        {"RUNNING_MODAL"}, {"PASS_THROUGH"}, {"RUNNING_MODAL"}
-    ]  # fmt: skip
-    assert told == [f"Reading the camera: {done} of 3 frames. Esc stops" for done in (1, 2)]
-    assert answer("ESC") == {"CANCELLED"} and shot.progress == (2, 3)
-    answer("TIMER")
-    assert shot.progress == (3, 3) and told[-1] is None
-
-
-def test_a_camera_that_no_engine_can_draw_is_refused(lift: Path, baked: Asked) -> None:
-    bpy.ops.plgs.place_lift(lift_folder=str(lift))
-    bpy.context.scene.camera.data.type = "ORTHO"
-    with pytest.raises(RuntimeError, match="orthographic"):
-        bpy.ops.plgs.bake_camera()
-    assert not baked.cameras

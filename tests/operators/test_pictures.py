@@ -193,11 +193,6 @@ def test_a_file_is_chosen_in_the_browser(own: Path) -> None:
         bpy.ops.plgs.browse_scene(filepath=str(own))
 
 
-def test_the_menu_offers_it() -> None:
-    drawn = getattr(bpy.types.TOPBAR_MT_file_import.draw, "_draw_funcs", ())
-    assert any("scene_panel" in each.__module__ for each in drawn)
-
-
 def test_depth_and_masks_are_shown_in_front_of_a_camera(room: Path) -> None:
     bpy.ops.plgs.import_scene(scene_folder=str(room), cloud=False)
     camera = frames()["0003"]
@@ -294,22 +289,6 @@ def test_lens_distortion_is_removed_from_pictures_and_depth(own: Path) -> None:
         bpy.ops.plgs.show_picture(what="MASKS")
 
 
-def test_only_frames_cameras_have_pictures(room: Path) -> None:
-    assert not bpy.ops.plgs.show_picture.poll()
-    bpy.ops.plgs.import_scene(scene_folder=str(room), cloud=False)
-    assert bpy.ops.plgs.show_picture.poll() and not bpy.ops.plgs.cancel_frames.poll()
-    bpy.context.scene.camera = bpy.context.scene.objects["Camera path"]
-    assert not bpy.ops.plgs.show_picture.poll()
-
-
-def test_depth_of_a_lifts_frame(lift: Path) -> None:
-    bpy.ops.plgs.place_lift(lift_folder=str(lift))
-    bpy.context.scene.camera = frames()["0002"]
-    assert bpy.ops.plgs.show_picture(what="DEPTH") == {"FINISHED"}
-    bpy.ops.plgs.place_lift(lift_folder=str(lift))
-    assert not any(image.name.startswith("Depth") for image in bpy.data.images), "placing again shows photos"
-
-
 def test_what_an_engine_cannot_make_is_reported(own: Path, capfd: pytest.CaptureFixture[str]) -> None:
     """The last frame's depth is damaged: pictures come, the cloud does not."""
     place = own / "scans" / "one.sens"
@@ -330,17 +309,6 @@ def test_what_an_engine_cannot_make_is_reported(own: Path, capfd: pytest.Capture
     bpy.ops.plgs.import_scene(scene_folder=str(own / "studio"), cloud=False)
     other = registry.latest(FrameMaking)
     assert other is None or other.error is None, "another import"
-
-
-def test_importing_leaves_the_users_data_alone(own: Path) -> None:
-    scene = bpy.context.scene
-    mine = bpy.data.objects.new("mine", bpy.data.cameras.new("mine"))
-    scene.collection.objects.link(mine)
-    scene.camera, scene.frame_end = mine, 40
-    before = (scene.render.resolution_x, scene.frame_start, scene.frame_end, scene.unit_settings.scale_length)
-    bpy.ops.plgs.import_scene(scene_folder=str(own / "walk"))
-    assert scene.camera == mine and [*scene.collection.objects] == [mine] and mine.animation_data is None
-    assert before == (scene.render.resolution_x, scene.frame_start, scene.frame_end, scene.unit_settings.scale_length)
 
 
 def test_what_the_engine_read_is_there_without_it_later(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -373,11 +341,3 @@ def test_switching_off_ends_the_engine(captures: Path, tmp_path: Path, plgs: Mod
     plgs.unregister()
     assert registry.latest(FrameMaking) is None
     plgs.register()
-
-
-def test_files_that_are_no_longer_wanted_are_not_shown(captures: Path, tmp_path: Path) -> None:
-    """Another file was opened meanwhile."""
-    chosen = ChosenScene(shutil.copytree(captures / "studio", tmp_path / "studio"))
-    making = make_frames(FrameOrder(chosen, "nobody's", ("cloud",)), Path(sys.executable))
-    registry.wait_for(making, bpy.context.scene)
-    assert making.error is None and not bpy.data.objects and not bpy.data.meshes

@@ -94,17 +94,6 @@ def cabinet_stays(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(corrections.making, "delete", one_only)
 
 
-def test_what_was_deleted_before_an_error_is_shown(
-    root: bpy.types.Collection, mine: Path, cabinet_stays: None
-) -> None:
-    boxes = boxes_of(root)
-    choose(boxes[CHAIR], *boxes.values(), own("Cube"))
-    with pytest.raises(RuntimeError, match="[Tt]he disk is full"):
-        bpy.ops.plgs.delete_selected()
-    assert [*boxes_of(root)] == [CABINET] == [row.instance_id for row in root.plgs.instances]
-    assert "Cube" in bpy.data.objects and len(read_edits(mine)) == 1
-
-
 @pytest.mark.parametrize("chosen", [(CHAIR, CABINET), (CABINET,)])
 def test_undo_takes_back_what_was_deleted_before_an_error_and_nothing_else(
     root: bpy.types.Collection, mine: Path, cabinet_stays: None, chosen: tuple[int, ...]

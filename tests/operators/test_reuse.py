@@ -8,13 +8,12 @@ from pathlib import Path
 import bpy
 import numpy as np
 import pytest
-from mathutils import Matrix, Vector
+from mathutils import Vector
 from plgs.engine.corrections import read_corrected
 from plgs.plgs_blender import lift_scene
 from plgs.plgs_blender.inspecting.looks import HIDDEN
 from plgs.plgs_blender.inspecting.selection import boxes_of, clouds_of, ids_of
 from plgs.plgs_blender.meshes import mesh_folder
-from plgs.plgs_blender.reuse import picture_of_points
 from surface_file import write_surface
 
 CHAIR, CABINET = 1, 2
@@ -82,29 +81,12 @@ def test_moved_and_made_again_it_stays_where_it_was_moved(root: bpy.types.Collec
     assert "chair 1.001" not in bpy.data.collections and len(bpy.data.collections["chair 1"].objects) == 2
 
 
-def test_made_and_undone(root: bpy.types.Collection) -> None:
-    bpy.ops.ed.undo_push(message="placed")
-    bpy.ops.plgs.make_objects(instances=str(CHAIR))
-    bpy.ops.ed.undo_push(message="made")
-    bpy.ops.ed.undo()
-    assert "chair 1" not in bpy.data.collections and "chair 1 surface" not in bpy.data.objects
-
-
 def test_assets_have_a_picture(root: bpy.types.Collection) -> None:
     bpy.ops.plgs.make_objects(instances=str(CHAIR), as_assets=True)
     made = bpy.data.collections["chair 1"]
     assert made.asset_data is not None and "chair" in {tag.name for tag in made.asset_data.tags}
     pixels = np.array(made.preview.image_pixels_float).reshape(128, 128, 4)
     assert 0.1 < (pixels[..., 3] > 0).mean() < 0.95 and pixels[..., :3].max() > 0.1
-
-
-def test_the_picture_shows_what_is_in_front() -> None:
-    eye = np.array([0.54, -0.72, 0.44])
-    side = np.array([0.8, 0.6, 0.0])
-    points = np.stack([eye, -eye, 3 * side, -3 * side])
-    picture = picture_of_points(points, np.array([[1.0, 0, 0], [0, 0, 1.0], [0, 1.0, 0], [0, 1.0, 0]]))
-    assert picture[64, 64].tolist() == [1.0, 0.0, 0.0, 1.0]
-    assert picture[64, 124].tolist() == [0.0, 1.0, 0.0, 1.0] and picture[20, 64, 3] == 0.0
 
 
 def test_visible_where_frames_show_it(root: bpy.types.Collection) -> None:
@@ -123,9 +105,3 @@ def test_visible_where_frames_show_it(root: bpy.types.Collection) -> None:
     row.masks.clear()
     with pytest.raises(RuntimeError, match="[Nn]o frame shows instance 1"):
         bpy.ops.plgs.key_visibility(instances=str(CHAIR))
-
-
-def test_what_is_missing_is_a_one_line_error(root: bpy.types.Collection) -> None:
-    with pytest.raises(RuntimeError, match="has no instance 77"):
-        bpy.ops.plgs.make_objects(instances="77")
-    assert Matrix() == bpy.data.objects["chair 1"].matrix_parent_inverse and len(bpy.data.collections) > 0

@@ -8,14 +8,13 @@ from types import SimpleNamespace
 
 import bpy
 import pytest
-from plgs.engine.scene import FORMATS, open_scene
+from plgs.engine.scene import open_scene
 from plgs.plgs_blender import registry
 from plgs.plgs_blender.cameras import SHOWN
 from plgs.plgs_blender.frame_pictures import MASKS
 from plgs.plgs_blender.owned import lifts_in
-from plgs.plgs_blender.running.estimate import estimate_of
 from plgs.plgs_blender.running.survey import SceneLook, Survey, look, possibilities, survey_of
-from plgs.plgs_blender.settings import chosen_scene, request_of
+from plgs.plgs_blender.settings import chosen_scene
 from plgs.ui import overlay
 
 from tests.scene.formats.test_colmap import write_text
@@ -30,13 +29,6 @@ def test_importing_cameras_lifts_nothing(room: Path) -> None:
     assert all(camera.data.background_images[0].image for camera in cameras)
     assert len(scene.timeline_markers) == 8 and scene.camera in cameras
     assert Path(bpy.path.abspath(scene.plgs.scene_folder)) == room
-
-
-def test_importing_twice_changes_nothing(room: Path) -> None:
-    bpy.ops.plgs.import_scene(scene_folder=str(room))
-    names = sorted(ob.name for ob in bpy.context.scene.objects)
-    bpy.ops.plgs.import_scene()
-    assert sorted(ob.name for ob in bpy.context.scene.objects) == names
 
 
 def test_a_lift_fills_the_collection_of_its_imported_scene(lift: Path) -> None:
@@ -108,31 +100,6 @@ def test_the_panel_says_what_is_possible(room: Path, tmp_path: Path) -> None:
     assert not (tmp_path / "lift").exists()
 
 
-def test_the_panel_names_the_format(room: Path) -> None:
-    settings = bpy.context.scene.plgs
-    settings.scene_folder = str(room)
-    settings.format = "colmap"
-    survey = looked_at(settings)
-    assert survey.error is not None and "no COLMAP model" in survey.error.what
-    assert request_of(settings).scene_format == "colmap"
-    offered = {item.identifier for item in settings.bl_rna.properties["format"].enum_items}
-    assert offered == {"auto", *(each.name for each in FORMATS)}
-
-
-def test_the_panel_predicts_what_a_lift_takes(room: Path) -> None:
-    settings = bpy.context.scene.plgs
-    assert estimate_of(settings) is None
-    settings.scene_folder = str(room)
-    short, long = estimate_of(settings), None
-    settings.preset = "standard"
-    long = estimate_of(settings)
-    assert short is not None and long is not None
-    assert 0 < short.seconds < long.seconds and short.peak_bytes > 1e8
-    settings.steps = 1
-    fewer = estimate_of(settings)
-    assert fewer is not None and fewer.seconds < long.seconds
-
-
 def test_a_bad_folder_is_reported_and_greys_out_the_button(tmp_path: Path) -> None:
     settings = bpy.context.scene.plgs
     settings.scene_folder = str(tmp_path)
@@ -143,18 +110,6 @@ def test_a_bad_folder_is_reported_and_greys_out_the_button(tmp_path: Path) -> No
     with pytest.raises(RuntimeError, match=str(tmp_path)):
         bpy.ops.plgs.import_scene()
     assert len(bpy.data.objects) == 0
-
-
-def test_a_bad_scene_does_not_stop_a_script_from_the_next(room: Path, tmp_path: Path) -> None:
-    with pytest.raises(RuntimeError):
-        bpy.ops.plgs.import_scene(scene_folder=str(tmp_path))
-    assert bpy.ops.plgs.import_scene(scene_folder=str(room)) == {"FINISHED"}
-
-
-def test_without_a_scene_the_panel_says_so() -> None:
-    with bpy.context.temp_override(plgs_panel=bpy.context.scene.plgs):
-        assert not bpy.ops.plgs.import_scene.poll() and not bpy.ops.plgs.lift_scene.poll()
-    assert bpy.ops.plgs.import_scene.poll(), "a script may name one"
 
 
 def test_a_dropped_file_opens_its_scene_or_its_lift(room: Path, lift: Path) -> None:
@@ -187,8 +142,3 @@ def test_a_dropped_scene_does_not_use_the_masks_of_the_earlier_scene(room: Path,
 def test_a_dropped_file_opens_any_capture(captures: Path, file: str, scene: str) -> None:
     bpy.ops.plgs.open_dropped(filepath=str(captures / file))
     assert Path(bpy.context.scene.plgs.scene_folder) == captures / scene
-
-
-def test_a_missing_file_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(RuntimeError, match="[Tt]here is no such file"):
-        bpy.ops.plgs.open_dropped(filepath=str(tmp_path / "notes.txt"))

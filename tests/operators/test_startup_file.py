@@ -57,18 +57,6 @@ def test_the_views_look_at_the_room(room: Path) -> None:
         assert min((eye - view.view_location).length for eye in eyes) < view.view_distance
 
 
-def test_other_objects_keep_their_look(room: Path) -> None:
-    """Views turn to Material Preview, where lights, materials and objects are Blender's own; and only once."""
-    import_room(room)
-    areas = [area for window in bpy.context.window_manager.windows for area in window.screen.areas]
-    shadings = [area.spaces.active.shading for area in areas if area.type == "VIEW_3D"]
-    assert {(each.type, each.light, each.color_type) for each in shadings} == {("MATERIAL", "STUDIO", "MATERIAL")}
-    for each in shadings:
-        each.type = "SOLID"
-    import_room(room)
-    assert {each.type for each in shadings} == {"SOLID"}
-
-
 def test_undo_takes_it_back_as_one_step(room: Path) -> None:
     bpy.ops.ed.undo_push(message="before")
     import_room(room)
@@ -102,12 +90,6 @@ def test_what_the_user_has_touched_stays(room: Path, touch: str) -> None:
     for frame in (scene.frame_start, scene.frame_end):
         scene.frame_set(frame)
         assert scene.camera.name == "Camera"
-
-
-def test_a_refused_import_changes_nothing(tmp_path: Path) -> None:
-    with pytest.raises(RuntimeError):
-        bpy.ops.plgs.import_scene(scene_folder=str(tmp_path))
-    assert bpy.context.scene.camera.name == "Camera" and bpy.data.objects["Cube"].visible_get()
 
 
 def test_a_result_has_its_overview_behind_the_frames(lift: Path) -> None:

@@ -70,12 +70,6 @@ def test_endless_brackets_change_nothing(lift: Path, tmp_path: Path) -> None:
     with_instances(lift, tmp_path, "[" * 100_000)
 
 
-def test_class_ids_are_limited_because_each_has_a_place_in_the_palette(lift: Path, tmp_path: Path) -> None:
-    content = json.loads((lift / "result" / "instances.json").read_text())
-    content["classes"][-1]["id"] = 2**31 - 2  # 34 GB of colours
-    with_instances(lift, tmp_path, json.dumps(content))
-
-
 @pytest.mark.parametrize(
     ("xyz", "message"),
     [

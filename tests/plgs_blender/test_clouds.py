@@ -2,10 +2,6 @@
 
 from __future__ import annotations
 
-import sys
-from types import FrameType
-from typing import Any
-
 import bpy
 import numpy as np
 from plgs.engine.result_files import Anchors, SemanticPoints
@@ -65,31 +61,3 @@ def test_each_class_has_its_own_points_in_their_order() -> None:
         assert np.array_equal(read(cloud, "position", "vector", 3, np.float32), points.xyz[mine])
         assert np.array_equal(read(cloud, "instance_id", "value", 1, np.int32)[:, 0], points.instance_id[mine])
         assert np.array_equal(read(cloud, "confidence", "value", 1, np.float32)[:, 0], points.confidence[mine])
-
-
-def test_no_points_give_no_clouds() -> None:
-    assert place(many_points(0)) == []
-
-
-def lines_run(points: SemanticPoints) -> int:
-    """How many lines of Python it takes to place the points."""
-    count = 0
-
-    def trace(frame: FrameType, event: str, argument: Any) -> Any:
-        nonlocal count
-        count += event == "line"
-        return trace
-
-    before = sys.gettrace()
-    sys.settrace(trace)
-    try:
-        place(points)
-    finally:
-        sys.settrace(before)
-    return count
-
-
-def test_no_line_of_python_runs_once_per_point() -> None:
-    few, many = many_points(4_000), many_points(40_000)
-    place(few)  # what runs only the first time is over
-    assert lines_run(many) < lines_run(few) + 4_000

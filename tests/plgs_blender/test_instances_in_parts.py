@@ -65,16 +65,3 @@ def test_a_million_objects_are_refused_before_they_are_read(tmp_path: Path) -> N
     path.write_text(PLAIN[: PLAIN.index("[{", 100) + 1] + ",".join([several] * 200_000))
     with pytest.raises(PlgsError, match="more than 5000 objects"):
         result_of(reading_instances(path))
-
-
-def test_too_many_masks_of_one_object_are_told(tmp_path: Path) -> None:
-    path = tmp_path / "instances.json"
-    path.write_text(json.dumps(WHOLE | {"instances": [ONE | {"segments": [MASK] * 50_000}]}))
-    with pytest.raises(PlgsError, match="of more than 8388608 characters"):
-        result_of(reading_instances(path))
-
-
-def test_each_object_is_a_part(tmp_path: Path) -> None:
-    path = tmp_path / "instances.json"
-    path.write_text(json.dumps(WHOLE | {"instances": [ONE | {"id": number} for number in range(1, 101)]}))
-    assert sum(1 for _ in reading_instances(path)) == 100

@@ -59,16 +59,6 @@ def test_cameras_stand_where_the_frames_were_taken(lift: Path) -> None:
         assert Path(bpy.path.abspath(picture.filepath)) == frame.colour_path
 
 
-def test_scrubbing_goes_through_the_frames(lift: Path) -> None:
-    scene = bpy.context.scene
-    lift_scene.place_lift(lift, scene)
-    for number in (0, 3):
-        scene.frame_set(number)
-        assert scene.camera["frame"] == f"{number:04}", "a frame has its number"
-    scene.frame_set(FRAMES)
-    assert scene.camera.name == "Overview"
-
-
 def test_points_keep_their_attributes_through_a_file(lift: Path, tmp_path: Path) -> None:
     blend = tmp_path / "lift.blend"
     lift_scene.save_lift(lift, blend)
@@ -222,18 +212,6 @@ def test_the_users_file_keeps_its_look(lift: Path, tmp_path: Path) -> None:
     assert len(lift_scene.lifts_in(scene)) == 1
 
 
-def test_a_new_file_shows_colours(lift: Path, tmp_path: Path) -> None:
-    lift_scene.save_lift(lift, tmp_path / "lift.blend")
-    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "lift.blend"))
-    scene = bpy.context.scene
-    assert scene.camera.name == "Overview"
-    assert (scene.frame_start, scene.frame_end, scene.unit_settings.system) == (0, FRAMES, "METRIC")
-    areas = [area for screen in bpy.data.screens for area in screen.areas]
-    views = [space for area in areas for space in area.spaces if space.type == "VIEW_3D"]
-    assert views and {view.shading.type for view in views} == {"MATERIAL"}
-    assert {view.shading.wireframe_color_type for view in views} == {"OBJECT"}
-
-
 def test_a_new_file_opens_with_a_view_that_the_room_fills(lift: Path, tmp_path: Path) -> None:
     lift_scene.save_lift(lift, tmp_path / "lift.blend")
     bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "lift.blend"))
@@ -267,28 +245,6 @@ def test_an_unfinished_lift_changes_nothing(lift: Path, tmp_path: Path) -> None:
     with pytest.raises(PlgsError, match="not finished"):
         lift_scene.save_lift(tmp_path / "half", tmp_path / "x.blend")
     assert contents() == before and not (tmp_path / "x.blend").exists()
-
-
-def test_a_file_that_is_not_a_blend_is_left_alone(lift: Path, tmp_path: Path) -> None:
-    path = tmp_path / "notes.blend"
-    path.write_text("not a .blend")
-    with pytest.raises(PlgsError, match="cannot be opened"):
-        lift_scene.save_lift(lift, path)
-    assert path.read_text() == "not a .blend"
-
-
-def test_a_lift_without_instances(tmp_path: Path) -> None:
-    lift = write_tiny_lift(tmp_path / "lift", frames=4, instances=0).path
-    root = lift_scene.place_lift(lift, bpy.context.scene)
-    assert not child(root, "Instances").objects
-
-
-def test_a_hidden_default_stays_as_the_user_set_it(lift: Path) -> None:
-    scene = bpy.context.scene
-    root = lift_scene.place_lift(lift, scene)
-    child(root, "Anchors").hide_render = False
-    lift_scene.place_lift(lift, scene)
-    assert not child(root, "Anchors").hide_render
 
 
 def test_what_was_taken_out_of_the_scene_comes_back(lift: Path) -> None:
@@ -344,13 +300,3 @@ def test_an_override_of_a_linked_lift_is_skipped(lift: Path, tmp_path: Path) -> 
     root = lift_scene.place_lift(lift, scene)
     assert root.override_library is None and root != override and root.library is None
     assert sorted(ob["instance_id"] for ob in root.all_objects if "instance_id" in ob) == [1, 2]
-
-
-def test_it_is_placed_again_without_the_properties_of_its_collection(lift: Path, tmp_path: Path) -> None:
-    root = lift_scene.place_lift(lift, bpy.context.scene)
-    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "a.blend"))
-    root = lift_scene.lifts_in(bpy.context.scene)[0]
-    del root["plgs_lift_folder"]
-    assert lift_scene.place_lift(lift, bpy.context.scene) == root
-    del root["plgs_lift_folder"]
-    lift_scene.relate_paths(root, tmp_path)

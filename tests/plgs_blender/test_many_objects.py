@@ -17,8 +17,7 @@ from plgs.engine.corrections import read_edits
 from plgs.engine.errors import PlgsError
 from plgs.engine.job import LiftFolder
 from plgs.plgs_blender import boxes, corrections, lift_scene, results
-from plgs.plgs_blender.inspecting import looks, selection, views
-from plgs.plgs_blender.inspecting.looks import BY_CLASS, HIDDEN
+from plgs.plgs_blender.inspecting import selection, views
 from plgs.plgs_blender.inspecting.selection import box_of, boxes_of, find_lift, objects_by_key
 from plgs.plgs_blender.results import MOST_INSTANCES, reading_result, result_of
 from plgs.plgs_blender.running import lifts, looking
@@ -174,30 +173,6 @@ def corners_of_its_own(lift: Path, folder: Path, number: int) -> set[tuple[float
     return {tuple(round(part, 3) for part in box.matrix_world @ vertex.co) for vertex in box.data.vertices}
 
 
-def test_what_is_hidden_has_no_box_among_the_others(lift: Path, tmp_path: Path, few_boxes: None) -> None:
-    root = lift_scene.place_lift(lift_of(lift, tmp_path / "many", MANY), bpy.context.scene)
-    together = objects_by_key(root)[boxes.TOGETHER]
-    root.plgs.instances[0].visible = False
-    hidden = [each.value for each in together.data.attributes[HIDDEN].data]
-    assert hidden == [True] * 8 + [False] * (8 * (MANY - MOST - 1))
-    assert together.hide_render and not together.hide_get()
-    root.plgs.show_boxes = False
-    assert together.hide_get() and all(box.hide_get() for box in boxes_of(root).values())
-
-
-def test_what_was_chosen_before_holds_for_boxes_that_come_later(
-    lift: Path, tmp_path: Path, few_boxes: None
-) -> None:
-    many = lift_of(lift, tmp_path / "many", MANY)
-    root = lift_scene.place_lift(many, bpy.context.scene)
-    root.plgs.show_boxes, root.plgs.look = False, BY_CLASS
-    for box in boxes_of(root).values():
-        bpy.data.objects.remove(box)
-    assert lift_scene.place_lift(many, bpy.context.scene) == root
-    shown = boxes_of(root).values()
-    assert len(shown) == MOST and all(box.hide_get() for box in shown) and len({tuple(box.color) for box in shown}) == 1
-
-
 def test_an_object_that_is_deleted_gives_its_box_to_another(lift: Path, tmp_path: Path, few_boxes: None) -> None:
     root = lift_scene.place_lift(lift_of(lift, tmp_path / "many", MOST + 1), bpy.context.scene)
     moved = box_of(root, MOST)
@@ -217,14 +192,6 @@ def test_an_undo_between_two_parts_leaves_earlier_edits(lift: Path, tmp_path: Pa
     lift_scene.place_room(lift_scene.result_of(lift_scene.reading_lift(few)), bpy.context.scene)
     corrections._follow_undo()
     assert [edit.undone for edit in read_edits(few)] == [False] and not corrections.failed
-
-
-def test_an_edit_brings_objects_in_line_once(lift: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    root = lift_scene.place_lift(lift_of(lift, tmp_path / "some", 20), bpy.context.scene)
-    apply, calls = looks.apply_visibility._apply, []
-    monkeypatch.setattr(looks.apply_visibility, "_apply", lambda root: (calls.append(root), apply(root)))
-    corrections.delete(root, 3, around=False)
-    assert 0 < len(calls) <= 2
 
 
 def test_what_is_corrected_between_two_parts_stays_corrected(
@@ -261,14 +228,6 @@ def test_an_edit_leaves_the_other_objects_as_they_are(
     assert rows[5].name == rows[5].known_name == "chair 6" and rows[4].best_mask == rows[5].best_mask
     assert rows[10].mask_index == 3 and box_of(root, 11).data.vertices[0].co == moved
     assert [row.instance_id for row in rows if not row.visible] == [13]
-
-
-def test_what_an_edit_reads_is_as_new_as_the_file(lift: Path, tmp_path: Path) -> None:
-    some = lift_of(lift, tmp_path / "some", 3)
-    lift_scene.place_lift(some, bpy.context.scene)
-    path = some / "result" / "instances.json"
-    path.write_text(path.read_text().replace("chair 2", "another"))
-    assert [one.name for one in results.listed_in(some)[1]] == ["chair 1", "another", "chair 3"]
 
 
 def test_a_file_that_is_replaced_while_it_is_read_is_read_again(lift: Path, tmp_path: Path) -> None:

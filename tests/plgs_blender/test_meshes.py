@@ -13,7 +13,6 @@ from plgs.engine.errors import PlgsError
 from plgs.engine.posed.ply import read_surface
 from plgs.plgs_blender import lift_scene
 from plgs.plgs_blender.inspecting.lists import registered
-from plgs.plgs_blender.inspecting.selection import surfaces_of
 from plgs.plgs_blender.meshes import mesh_folder
 from plgs.plgs_blender.owned import lifts_in
 from plgs.plgs_blender.results import result_of
@@ -75,27 +74,6 @@ def test_the_mesh_of_an_object_that_was_corrected_away_goes_with_the_next_surfac
     name = chair.name
     place_anew(lift)
     assert name not in bpy.data.objects
-
-
-def test_each_comes_in_a_part_of_its_own_and_none_after_the_lift_was_removed(lift: Path) -> None:
-    placed(lift)
-    (root,) = lifts_in(bpy.context.scene)
-    placing = lift_scene.placing_meshes_anew(lift, bpy.context.scene)
-    for mesh in (ob.data for ob in surfaces_of(root)):
-        mesh.clear_geometry()
-    filled = [0]
-    while filled[-1] < 1:
-        next(placing)
-        filled.append(sum(bool(ob.data.polygons) for ob in surfaces_of(root)))
-    bpy.data.collections.remove(root)
-    assert result_of(placing) == 0
-
-
-def test_meshes_of_an_earlier_version_are_placed(lift: Path) -> None:
-    mesh_folder(lift).rename(mesh_folder(lift).with_name("mesh"))
-    root = lift_scene.place_lift(lift, bpy.context.scene)
-    with registered():
-        assert root.plgs.show_as == "SURFACE"
 
 
 def test_a_surface_that_nobody_asked_for_is_shown_unless_something_else_was(lift: Path) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import colorsys
 from collections.abc import Iterator
 from pathlib import Path
-from types import SimpleNamespace
 
 import bpy
 import cv2
@@ -74,10 +73,6 @@ def ring(matte: np.ndarray) -> np.ndarray:
     """What lies within LINE_PIXELS around a matte, bool [H, W]."""
     side = 2 * LINE_PIXELS + 1
     return cv2.dilate(matte.astype(np.uint8), np.ones((side, side), np.uint8)).astype(bool) & ~matte
-
-
-def test_unmodified_it_is_the_picture(scene: bpy.types.Scene, view: TinyView, tmp_path: Path) -> None:
-    assert np.allclose(rendered(scene, "Overlay", tmp_path), picture(view), atol=1e-5)
 
 
 def test_a_matte_by_instance_and_by_class(
@@ -160,14 +155,3 @@ def test_without_passes_there_is_nothing_to_matte(lift: Path, root: bpy.types.Co
     with pytest.raises(PlgsError, match="no passes in a compositor"):
         compositing.matte_instance(root, CHAIR)
     assert compositing.panoptic_of(bpy.context.scene) is None
-
-
-@pytest.mark.parametrize(("version", "tried"), [((4, 3, 2), "CompositorNodeMath"), ((4, 5, 0), "ShaderNodeMath")])
-def test_an_older_blender_is_never_asked_for_a_node_that_it_lacks(
-    version: tuple[int, int, int], tried: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """It writes a line to the terminal for each."""
-    asked: list[str] = []
-    monkeypatch.setattr(compat, "bpy", SimpleNamespace(app=SimpleNamespace(version=version)))
-    compat.new_node(SimpleNamespace(nodes=SimpleNamespace(new=asked.append)), "ShaderNodeMath", "CompositorNodeMath")
-    assert asked == [tried]

@@ -99,16 +99,6 @@ def test_ids_in_their_colours(scene: bpy.types.Scene, tmp_path: Path) -> None:
     assert np.allclose(colours[view.semantic == CHAIR_ID], linear_rgba((210, 70, 60))[:3], atol=1e-5)
 
 
-def test_the_result_is_the_picture_with_the_instances_over_it(scene: bpy.types.Scene, tmp_path: Path) -> None:
-    view = truth(scene.timeline_markers[0].name)
-    passes.show_view(scene, scene.timeline_markers[0].name)
-    overlay = rendered(scene, "Overlay", tmp_path)
-    picture = (view.colour / 255.0) ** 2.2
-    assert np.allclose(overlay[view.instance == 0], picture[view.instance == 0], atol=1e-5)
-    expected = 0.45 * picture + 0.55 * linear_rgba((250, 180, 20))[:3]
-    assert np.allclose(overlay[view.instance == 1], expected[view.instance == 1], atol=1e-5)
-
-
 def place_two_views(folder: Path, files: dict[str, str], sizes: tuple[tuple[int, int], tuple[int, int]]) -> None:
     """Place a lift of two frames with these names and files, with passes of these sizes."""
     room, old = write_tiny_scene(folder / "tiny room", frames=2, ground_truth=False), ("0000", "0001")
@@ -159,16 +149,6 @@ def test_the_first_view_is_shown_at_once(lift: Path, tmp_path: Path) -> None:
     shown = {node_of(tree, key).frame_offset + 1 for key in (CRYPTO_INSTANCES, CRYPTO_CLASSES)}
     assert shown == {int(scene.timeline_markers[0].name)}
     assert np.array_equal(rendered(scene, "Instance", tmp_path)[..., 0], view.instance)
-
-
-def test_another_view_is_shown_at_once(lift: Path) -> None:
-    lift_scene.place_lift(lift, bpy.context.scene)
-    scene = passes_scene()
-    marker = scene.timeline_markers[-1]
-    passes.show_view(scene, marker.name)
-    tree = compat.compositor_tree(scene)
-    offsets = {node_of(tree, key).frame_offset for key in (PASSES, CRYPTO_INSTANCES, CRYPTO_CLASSES)}
-    assert offsets == {int(marker.name) - marker.frame}
 
 
 def test_placing_reads_no_picture(lift: Path) -> None:

@@ -173,28 +173,6 @@ def test_a_camera_that_stands_still_is_one_picture(scene: bpy.types.Scene) -> No
     assert [camera.name for camera in cameras_of(scene, shot_of(scene))] == ["dolly.0001"]
 
 
-def test_names_that_are_not_files(scene: bpy.types.Scene, tmp_path: Path) -> None:
-    scene.camera.name = 'a/b: "c"?'
-    assert cameras_of(scene, shot_of(scene))[0].name == "a_b_ _c__.0001"
-    scene.camera.name = "c" * 60
-    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / f"{'b' * 99}.blend"))
-    for given, name in (("", f"{'b' * 40}_{'c' * 40}"), ("g" * 200, "g" * 80)):
-        assert read_cameras(write_shot(tmp_path, scene, shot_of(scene, given=given)))[0].name == f"{name}.0001"
-
-
-def test_cameras_with_similar_names_are_listed_first(scene: bpy.types.Scene) -> None:
-    for number in range(20):
-        frame = bpy.data.objects.new(f"{number:04d}", bpy.data.cameras.new("frame"))
-        frame["frame"] = frame.name
-        scene.collection.objects.link(frame)
-    scene.collection.objects.link(bpy.data.objects.new("crane", bpy.data.cameras.new("crane")))
-    with pytest.raises(PlgsError, match=r"'crane', 'dolly', '0000', .*, '0005' and 14 more\.") as told:
-        shot_of(scene, "nobody")
-    assert "\n" not in str(told.value)
-    with pytest.raises(PlgsError, match="cameras: 'dolly', 'crane'"):
-        shot_of(scene, "dollly")
-
-
 def test_what_cannot_be_baked_is_refused_in_one_line(scene: bpy.types.Scene) -> None:
     def refused(line: str, **asked: int) -> None:
         with pytest.raises(PlgsError, match=line) as told:
@@ -233,23 +211,6 @@ def test_parts_of_a_shot_name_a_camera_that_stands_still_alike(scene: bpy.types.
     scene.camera.data.animation_data_clear()
     for first, last in ((1, 4), (5, 8), (7, 7)):
         assert [camera.name for camera in cameras_of(scene, shot_of(scene, "", first, last))] == ["dolly.0001"]
-
-
-def test_only_some_frames_of_a_shot(scene: bpy.types.Scene, tmp_path: Path) -> None:
-    shots = [shot_of(scene, only=only) for only in ((1, 3), (1, 2, 3))]
-    assert [camera.name for camera in cameras_of(scene, shots[0])] == ["dolly.0001", "dolly.0003"]
-    assert len({write_shot(tmp_path, scene, shot) for shot in shots}) == 2
-
-
-def test_what_is_not_baked_is_told(scene: bpy.types.Scene) -> None:
-    assert shot_of(scene).not_baked == []
-    scene.camera.data.dof.use_dof = scene.render.use_motion_blur = True
-    assert [told.split(" is ")[0] for told in shot_of(scene).not_baked] == ["depth of field", "motion blur"]
-
-
-def test_shots_that_differ_in_their_step_have_files_of_their_own(scene: bpy.types.Scene, tmp_path: Path) -> None:
-    files = {write_shot(tmp_path, scene, shot_of(scene, "", 1, 4, step)).name for step in (1, 2)}
-    assert files == {"dolly.1-4x1.json", "dolly.1-4x2.json"}
 
 
 def test_shots_of_two_files_do_not_replace_each_other(scene: bpy.types.Scene, tmp_path: Path) -> None:

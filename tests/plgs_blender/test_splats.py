@@ -91,23 +91,6 @@ def test_objects_that_cameras_see_from_both_sides_have_two_squares(tmp_path: Pat
     assert normals(wall, (2.0, down), (-9.0, up)) == [1.0], "walls and ceilings are open from behind"
 
 
-def test_splats_have_the_colour_around_them_if_the_file_has_it(tmp_path: Path) -> None:
-    write_gaussians(tmp_path / "gaussians.ply")
-    rows = read_gaussians(tmp_path / "gaussians.ply")
-    told = np.zeros(len(rows), rows.dtype.descr + [(name, "u1") for name in ("red", "green", "blue")])
-    for name in rows.dtype.names:
-        told[name] = rows[name]
-    told["green"] = 255
-    assert splats.squares(rows, floor(1.0), NOWHERE).rgb[0].tolist() == [255, 0, 0]
-    assert splats.squares(told, floor(1.0), NOWHERE).rgb[0].tolist() == [0, 255, 0]
-
-
-def test_a_file_without_splats_is_refused(tmp_path: Path) -> None:
-    write_ply_table(tmp_path / "points.ply", columns_of("x y z", np.zeros((2, 3), np.float32)))
-    with pytest.raises(PlgsError, match="holds no splats"):
-        read_gaussians(tmp_path / "points.ply")
-
-
 @pytest.fixture
 def lift(tmp_path: Path) -> Path:
     lift = write_tiny_lift(tmp_path / "lift", frames=4, bake=False).path

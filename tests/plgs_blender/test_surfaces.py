@@ -24,20 +24,6 @@ def room(step: float = 0.05) -> tuple[np.ndarray, np.ndarray]:
     return np.concatenate(xyz), np.concatenate(normals)
 
 
-def test_spacing_of_a_grid() -> None:
-    xyz, _ = room(0.05)
-    assert 0.03 < SurfaceGrid.of(xyz).spacing < 0.09
-    assert [SurfaceGrid.of(np.zeros((count, 3))).spacing for count in (0, 1, 9)] == [0.0, 0.0, 0.0]
-
-
-def test_radii_grow_where_points_are_rare() -> None:
-    dense, sparse = room(0.02)[0], room(0.08)[0] + [10.0, 0.0, 0.0]
-    radii = SurfaceGrid.of(np.concatenate([dense, sparse])).radii(0.001, 1.0)
-    assert radii[: len(dense)].mean() < radii[len(dense) :].mean()
-    assert (SurfaceGrid.of(np.zeros((3, 3))).radii(0.01, 0.1) == np.float32(0.01)).all()
-    assert SurfaceGrid.of(np.zeros((0, 3))).radii(0.01, 0.1).shape == (0,)
-
-
 def test_walls_face_the_camera_in_the_room() -> None:
     xyz, inward = room()
     normals = SurfaceGrid.of(xyz.astype(np.float32)).normals(np.array([[2.0, 1.5, 1.5]]))

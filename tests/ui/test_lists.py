@@ -34,7 +34,3 @@ def test_all_words_are_searched_for_ignoring_case() -> None:
 def test_the_list_can_be_sorted(order: str, names: list[str]) -> None:
     places = places_of(ROWS, order)
     assert [row.name for _, row in sorted(zip(places, ROWS, strict=True), key=lambda pair: pair[0])] == names
-
-
-def test_digits_that_are_not_a_number_are_text() -> None:
-    assert places_of([SimpleNamespace(name="chair ²"), SimpleNamespace(name="bin 1")], "NAME") == [1, 0]

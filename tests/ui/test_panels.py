@@ -17,7 +17,7 @@ from plgs.engine.errors import ErrorCode, PlgsError, lacks_part
 from plgs.engine.job import LiftState
 from plgs.engine.job.task import BAKE, TaskState
 from plgs.operators import masks
-from plgs.plgs_blender import corrections, registry
+from plgs.plgs_blender import registry
 from plgs.plgs_blender.chosen_scene import ChosenScene
 from plgs.plgs_blender.engine_environment import choices, tasks
 from plgs.plgs_blender.inspecting import drawing
@@ -26,7 +26,7 @@ from plgs.plgs_blender.owned import lifts_in
 from plgs.plgs_blender.running import adding, lifts, survey
 from plgs.plgs_blender.running.preparation import PoseMaking
 from plgs.plgs_blender.settings import chosen_scene
-from plgs.ui import corrections_panel, lift_panel, result_panel, sidebar
+from plgs.ui import lift_panel, result_panel, sidebar
 
 for each in (Path(__file__).parents[1] / "plgs_blender", Path(__file__).parents[1]):
     if str(each) not in sys.path:
@@ -95,17 +95,6 @@ def test_a_lift_that_another_blender_began_shows_its_progress(tmp_path: Path) ->
     assert bar < shown.index("plgs.cancel_lift")
 
 
-def test_names_of_classes_are_shown_as_they_are(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Two may differ in capitals only."""
-    place_lift(tiny_lift.write_tiny_lift(tmp_path / "lift").path, bpy.context.scene)
-    monkeypatch.setattr(corrections, "class_choices", lambda root, instance: ["TV set", "tv set"])
-    seen: list[str] = []
-    menu = SimpleNamespace(layout=Layout(seen), to="NEW")
-    context = SimpleNamespace(scene=bpy.context.scene, active_object=None)
-    corrections_panel.OfClasses.draw(menu, context)  # type: ignore[arg-type]
-    assert [line.removeprefix("plgs.assign_points ") for line in seen] == ["TV set", "tv set"]
-
-
 def test_no_text_of_a_lift_is_cut_without_a_mark(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """In a sidebar as wide as Blender opens it, where the rows of a lift are one line high."""
     estimate = SimpleNamespace(seconds=3580.0, peak_bytes=110.4e9)
@@ -137,17 +126,6 @@ def test_a_bad_scene_shows_what_fixes_it(code: ErrorCode, tmp_path: Path) -> Non
     shown = drawn()
     assert shown.count("here is bad. Give Masks.") == 4
     assert "set-up.log" in shown and ("plgs.show_preferences" in shown) >= (code is ErrorCode.NO_ENGINE)
-
-
-def test_an_error_shows_every_field_that_it_names(tmp_path: Path) -> None:
-    bpy.context.scene.plgs.scene_folder = str(tmp_path)
-    error = PlgsError("needs too much memory", "here", "Use --fit.", code=ErrorCode.NO_MEMORY, option="--fit --preset")
-    before = drawn()
-    task = tasks_with(Pretended(TaskState.FAILED, error), tmp_path)[0]
-    task.is_taken = True
-    registry.follow(task)
-    shown = drawn()
-    assert all(shown.count(field) == before.count(field) + 1 for field in ("field fit\n", "field preset\n"))
 
 
 def test_what_the_engine_lacks_is_shown_with_the_button_that_adds_it(

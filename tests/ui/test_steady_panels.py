@@ -146,17 +146,6 @@ def test_a_lift_that_begins_or_ends_moves_nothing_below_it(tmp_path: Path) -> No
     assert "plgs.place_lift" in drawn() and height_of(panel) == before
 
 
-def test_a_bake_moves_no_button(tmp_path: Path) -> None:
-    settings = bpy.context.scene.plgs
-    settings.lift_folder = str(tiny_lift.write_tiny_lift(tmp_path / "lift").path)
-    followed = lifts.lift_of(Path(settings.lift_folder))
-    assert followed is not None
-    before = rows_above("plgs.show_passes")
-    follower: Any = Pretended(TaskState.RUNNING)
-    followed.follower, follower.kind = follower, BAKE
-    assert rows_above("plgs.show_passes") == before < rows_above("plgs.cancel_lift")
-
-
 def test_the_surface_that_is_made_by_itself_moves_no_list(tmp_path: Path) -> None:
     """It begins and ends when nobody expects it; it fails in sight."""
     lift = tiny_lift.write_tiny_lift(tmp_path / "lift").path
@@ -236,12 +225,3 @@ def test_a_picture_that_is_made_leaves_its_buttons_live_and_refuses_another(tmp_
     assert bpy.ops.plgs.show_picture.poll()
     with pytest.raises(RuntimeError, match="already running"):
         bpy.ops.plgs.show_picture(what="PHOTO")
-
-
-def test_frames_that_come_move_nothing_below_them(tmp_path: Path) -> None:
-    """An import's come when the engine has made them, a lift's when it ends."""
-    scene = bpy.context.scene
-    scene.plgs.scene_folder = str(tmp_path)
-    before = rows_above("plgs.lift_scene")
-    place_lift(tiny_lift.write_tiny_lift(tmp_path / "lift").path, scene)
-    assert rows_above("plgs.lift_scene") == before

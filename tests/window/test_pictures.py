@@ -75,8 +75,8 @@ for area in bpy.context.window_manager.windows[0].screen.areas:
 """Lets the panel call the scene that it has read by another name than that of this machine's folder."""
 _IS_READ = "not __import__('sys').modules[EXTENSION + '.plgs_blender.running.survey']._latest.is_looking"
 _SHOWN = "max(root.plgs.instances, key=lambda each: (each.class_name == 'sofa', each.points))"
-_MODULES = "__import__('sys').modules[EXTENSION + '.plgs_blender.running.{}']"
-_RUNNING, _PREVIEW = _MODULES.format("lifts") + ".running()", _MODULES.format("live_preview")
+_LIFTS = "__import__('sys').modules[EXTENSION + '.plgs_blender.running.lifts']"
+_RUNNING = f"{_LIFTS}.running()"
 
 
 @pytest.fixture(scope="module")
@@ -175,7 +175,7 @@ def test_a_running_lift(window: Window, scene: Path) -> None:
     window.run(_LOOK_THROUGH)
     window.compile_kernels()
     window.run("bpy.ops.plgs.lift_scene('INVOKE_DEFAULT')")
-    step, seen = f"{_RUNNING}[0].progress.step", f"{_PREVIEW}.picture_for(bpy.context.scene) is not None"
+    step, seen = f"{_RUNNING}[0].progress.step", f"{_LIFTS}.picture_for(bpy.context.scene) is not None"
     window.wait_for(f"{_RUNNING} and {step} > 250 and {seen}", timeout=300)
     window.run(_CALLED)
     window.wait_for(f"{step} > 260")

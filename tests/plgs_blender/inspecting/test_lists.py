@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import shutil
 from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
@@ -11,7 +10,6 @@ from types import ModuleType
 import bpy
 import numpy as np
 import pytest
-from plgs.engine.job import write_manifest
 from plgs.engine.result_files import MatchedSegment
 from plgs.plgs_blender import lift_scene
 from plgs.plgs_blender.inspecting.lists import _fill_instances, best_view, fill_masks
@@ -19,12 +17,6 @@ from plgs.plgs_blender.owned import lifts_in
 from plgs.plgs_blender.results import reading_result, result_of
 from tiny_lift import CABINET_NAME, CHAIR_NAME
 from tiny_scene import CHAIR_ID
-
-
-def summary(root: bpy.types.Collection) -> list[tuple]:
-    lists = root.plgs
-    rows = [(row.instance_id, row.name, row.class_name, row.points, len(row.masks)) for row in lists.instances]
-    return [*rows, *((row.class_id, row.name, row.points, row.is_thing) for row in lists.classes)]
 
 
 def test_they_say_the_same_as_the_result(root: bpy.types.Collection, lift: Path) -> None:
@@ -62,14 +54,6 @@ def test_they_stay_in_the_file_even_if_a_script_placed_it(lift: Path, tmp_path: 
         plgs.unregister()
 
 
-def test_another_lift_refills_them(root: bpy.types.Collection, lift: Path) -> None:
-    before = summary(root)
-    root.plgs.instance_index, root.plgs.show_legend = 1, True
-    assert lift_scene.place_lift(lift, bpy.context.scene) == root
-    assert summary(root) == before
-    assert root.plgs.instance_index == -1 and root.plgs.show_legend, "what is shown is the user's choice"
-
-
 def test_another_split_with_as_many_masks_lists_its_own(root: bpy.types.Collection, lift: Path) -> None:
     result = result_of(reading_result(lift))
     first, *others = result.instances
@@ -79,38 +63,6 @@ def test_another_split_with_as_many_masks_lists_its_own(root: bpy.types.Collecti
     row, other = root.plgs.instances[0], root.plgs.instances[1]
     assert row.score == 0.125 and {mask.segment for mask in row.masks} == {77}
     assert {mask.segment for mask in other.masks} == {each.segment_id for each in others[0].segments}
-
-
-def test_undo_brings_them_back(root: bpy.types.Collection) -> None:
-    before = summary(root)
-    bpy.ops.ed.undo_push(message="placed")
-    root.plgs.instances.clear()
-    assert all(0.0 < row.score <= 1.0 for row in root.plgs.classes)
-    root.plgs.classes[0].visible = False
-    bpy.ops.ed.undo_push(message="cleared")
-    bpy.ops.ed.undo()
-    (again,) = lifts_in(bpy.context.scene)
-    assert summary(again) == before and again.plgs.classes[0].visible
-
-
-@pytest.mark.parametrize("has_masks", [True, False])
-def test_lifts_of_older_versions_know_less(extension: None, lift: Path, tmp_path: Path, has_masks: bool) -> None:
-    shutil.copytree(lift, tmp_path / "old")
-    path = tmp_path / "old" / "result" / "instances.json"
-    content = json.loads(path.read_text())
-    for entry in content["instances"]:
-        for mask in entry["segments"]:
-            for name in ("agreement", "pixels", "share", "rectangle"):
-                del mask[name]
-        if not has_masks:
-            del entry["segments"]
-    path.write_text(json.dumps(content))
-    (tmp_path / "old" / "result" / "manifest.json").unlink()
-    write_manifest(tmp_path / "old" / "result", versions={}, seed=0, settings={}, timings={})
-    root = lift_scene.place_lift(tmp_path / "old", bpy.context.scene)
-    row = root.plgs.instances[0]
-    assert bool(len(row.masks)) == has_masks and row.best_mask == -1
-    assert {(mask.class_id, mask.pixels, mask.reason) for mask in row.masks} <= {(CHAIR_ID, 0, "")}
 
 
 def mask(share: float, *rectangle: float) -> MatchedSegment:

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from mathutils import Matrix, Vector
 from plgs.plgs_blender import lift_scene
-from plgs.plgs_blender.inspecting import looks, picking
+from plgs.plgs_blender.inspecting import picking
 from plgs.plgs_blender.inspecting.drawing import TextBox, ViewRegion, label_text_boxes
 from plgs.plgs_blender.inspecting.selection import boxes_of
 from tiny_lift import write_tiny_lift
@@ -89,13 +89,6 @@ def test_a_name_is_its_object(root: bpy.types.Collection) -> None:
     assert picking.name_under(names, (-1.0, -1.0)) == 0
 
 
-def counted(monkeypatch: pytest.MonkeyPatch, module: object, name: str) -> list[object]:
-    """The first arguments of each call of a function from now on."""
-    calls, function = list[object](), getattr(module, name)
-    monkeypatch.setattr(module, name, lambda first, *rest: (calls.append(first), function(first, *rest))[1])
-    return calls
-
-
 def drawn_from(root: bpy.types.Collection, aside: Vector) -> tuple[SimpleNamespace, ViewRegion]:
     """The context of a view that looks at the first object from beside it, and the view's region."""
     seen = Seen(middle(root, 1) + aside, middle(root, 1))
@@ -103,23 +96,6 @@ def drawn_from(root: bpy.types.Collection, aside: Vector) -> tuple[SimpleNamespa
     area = SimpleNamespace(as_pointer=lambda: 1)
     context = SimpleNamespace(space_data=view, region=area, view_layer=bpy.context.view_layer)
     return context, ViewRegion(*SIZE, 0, seen.window_matrix @ seen.view_matrix, 1.0)
-
-
-def test_a_view_finds_its_names_once_when_it_is_drawn(
-    root: bpy.types.Collection, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    context, region, lists = *drawn_from(root, Vector((1.5, 1.5, 3.0))), root.plgs
-    lists.show_labels, lists.show_boxes = True, False
-    calls = counted(monkeypatch, looks, "leaving_out")
-    drawn = picking.names_to_draw(context, root, region)
-    assert {each.instance for each in drawn} == {1, 2} and len(calls) == 1, "once for all boxes"
-    assert picking.shown_names(context, root, region) == drawn and len(calls) == 1, "the mouse asks for what was drawn"
-    lists.instances[0].visible = False
-    assert len(picking.names_to_draw(context, root, region)) == len(picking.shown_names(context, root, region)) == 1
-    wider = ViewRegion(2 * SIZE[0], *SIZE[1:], 0, region.perspective, 1.0)
-    assert picking.shown_names(context, root, wider) != picking.shown_names(context, root, region)
-    context.space_data.overlay.show_overlays = False
-    assert picking.shown_names(context, root, region) == []
 
 
 def test_the_mouse_lights_the_name_of_one_lift(root: bpy.types.Collection, lift: Path, tmp_path: Path) -> None:
@@ -137,16 +113,3 @@ def test_the_mouse_lights_the_name_of_one_lift(root: bpy.types.Collection, lift:
 
 def opacities(drawn: list[TextBox]) -> dict[int, float]:
     return {each.instance: each.opacity for each in drawn}
-
-
-def test_points_are_placed_once_for_each_of_several_lifts(
-    root: bpy.types.Collection, lift: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    roots = root, lift_scene.place_lift(lift, bpy.data.scenes.new("other"))
-    seen = Seen(middle(root, 1) + Vector((0.4, 0.3, 2.0)), middle(root, 1))
-    calls = counted(monkeypatch, picking, "_seen")
-    for each in roots * 2:
-        found = picking.point_under(each, seen, SIZE, seen.pixel(middle(root, 1)))
-        assert found is not None and found.root == each
-    classes = [cloud for cloud in picking.clouds_of(root) if "class_id" in cloud]
-    assert [calls.count(each) for each in roots] == [len(classes)] * 2

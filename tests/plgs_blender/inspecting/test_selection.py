@@ -103,12 +103,6 @@ def test_the_points_of_the_selected_instance_glow(root: bpy.types.Collection, li
     assert len(highlight.highlight_of(root, 99, lambda cloud: True).xyz) == 0
 
 
-def test_a_class_selects_its_boxes(root: bpy.types.Collection) -> None:
-    box = boxes_of(root)[1]
-    assert selection.select_class(root, box["class_id"], bpy.context.view_layer) == 1
-    assert selected() == [box.name]
-
-
 def test_what_was_moved_to_another_collection_still_belongs(root: bpy.types.Collection) -> None:
     mine = bpy.data.collections.new("mine")
     bpy.context.scene.collection.children.link(mine)
@@ -119,26 +113,6 @@ def test_what_was_moved_to_another_collection_still_belongs(root: bpy.types.Coll
     assert {"instance:1", "frame:0003"} <= set(objects_by_key(root))
     selection.select_instance(root, 1, bpy.context.view_layer)
     assert selected() == [boxes_of(root)[1].name]
-
-
-def test_a_duplicate_does_not_stand_for_its_original(root: bpy.types.Collection) -> None:
-    box = boxes_of(root)[1]
-    copy = box.copy()
-    box.users_collection[0].objects.link(copy)
-    box.name, copy.name = "zebra", "zebra.001"
-    assert boxes_of(root)[1] == box
-
-
-def test_boxes_without_their_properties_are_known(root: bpy.types.Collection) -> None:
-    box = boxes_of(root)[1]
-    number = box["class_id"]
-    del box["class_id"], box["instance_id"]
-    assert boxes_of(root)[1] == box
-    assert selection.select_class(root, number, bpy.context.view_layer) == 1
-    root.plgs.instances[1].visible = False
-    del root["plgs_lift_folder"]
-    with pytest.raises(PlgsError, match="not in this scene"):
-        find_lift(bpy.context.scene, "elsewhere")
 
 
 def test_a_lift_with_a_result_comes_before_an_imported_scene(extension: None, lift: Path, tmp_path: Path) -> None:

@@ -39,17 +39,6 @@ def test_looking_from_a_frame_goes_there_on_the_timeline(root: bpy.types.Collect
         views.look_from_frame(root, "0005", scene)
 
 
-def test_a_mask_is_found_by_its_frame_and_segment(root: bpy.types.Collection) -> None:
-    row = row_of(root, 1)
-    wanted = row.masks[2].frame
-    assert views.mask_frame(root, 1, wanted) == wanted and row.mask_index == 2
-    assert views.mask_frame(root, 1, "") == wanted, "the one chosen in the list"
-    with pytest.raises(PlgsError, match="no mask in frame 'none'"):
-        views.mask_frame(root, 1, "none")
-    with pytest.raises(PlgsError):
-        views.mask_frame(root, 1, wanted, segment=99)
-
-
 @pytest.mark.parametrize("aspect", [0.5, 1.0, 2.2])
 def test_a_framed_box_fills_the_view_and_no_more(root: bpy.types.Collection, aspect: float) -> None:
     view = next(s for screen in bpy.data.screens for a in screen.areas for s in a.spaces if s.type == "VIEW_3D")
@@ -82,9 +71,3 @@ def test_an_outline_matches_the_photo(outline: str, root: bpy.types.Collection) 
     seen = [[world_to_camera_view(scene, camera, corner)[:2] for corner in polygon] for polygon in polygons]
     assert np.allclose(seen[0], [(0.25, 0.9), (0.75, 0.9), (0.75, 0.4), (0.25, 0.4)], atol=1e-4)
     assert not outline or np.allclose(seen[1], [(0, 1), (1, 1), (1, 0)], atol=1e-4)
-
-
-def test_a_camera_without_its_properties_has_no_outline(root: bpy.types.Collection) -> None:
-    camera = bpy.data.objects["0003"]
-    del camera["cx"]
-    assert outline_in_space(camera, "", (0.1, 0.1, 0.2, 0.2)) == []

@@ -76,15 +76,6 @@ def test_isolating_one_and_returning_to_what_was_shown(root: bpy.types.Collectio
     assert root.plgs.isolated == 0 and {"chair 1", "cabinet 1"} <= set(seen(root))
 
 
-def test_what_is_not_ours_keeps_its_visibility(root: bpy.types.Collection) -> None:
-    mine = bpy.data.objects.new("mine", None)
-    bpy.context.scene.collection.objects.link(mine)
-    mine.hide_set(True)
-    looks.isolate(root, 1)
-    looks.show_all(root)
-    assert mine.hide_get() and not mine.hide_render
-
-
 def test_hidden_stays_hidden_in_the_file(root: bpy.types.Collection, tmp_path: Path) -> None:
     row_of(root, 1).visible = False
     before = seen(root)
@@ -93,15 +84,6 @@ def test_hidden_stays_hidden_in_the_file(root: bpy.types.Collection, tmp_path: P
     (again,) = [each for each in bpy.data.collections if each.name == "PLGS tiny room"]
     assert seen(again) == before
     assert not again.plgs.instances[0].visible
-
-
-def test_what_hides_points_is_made_again(root: bpy.types.Collection) -> None:
-    row_of(root, 1).visible = False
-    before = seen(root)
-    bpy.data.node_groups.remove(bpy.data.node_groups["PLGS hidden instances"])
-    assert seen(root) != before
-    looks.apply_visibility(root)
-    assert seen(root) == before
 
 
 def test_cameras_that_are_off_are_as_small_as_blender_draws_them(root: bpy.types.Collection) -> None:

@@ -13,7 +13,6 @@ from plgs.engine.errors import PlgsError
 from plgs.engine.job import LiftFolder, LiftRequest
 from plgs.engine.known_scene import MadeFrames, StoredScene
 from plgs.plgs_blender import registry
-from plgs.plgs_blender.engine_environment import choices, tasks
 from plgs.plgs_blender.errors import field_of_option, with_field_names
 from plgs.plgs_blender.running import lifting
 from plgs.plgs_blender.settings import (
@@ -23,7 +22,6 @@ from plgs.plgs_blender.settings import (
     shown_preset,
     why_no_options,
 )
-from pretended_python import pretended_python
 
 
 @pytest.fixture(autouse=True)
@@ -92,19 +90,6 @@ def test_the_panel_chooses_the_device(tmp_path: Path) -> None:
     settings.device = "cpu"
     adopt(settings, request, tmp_path / "lift")
     assert settings.device == "cuda"
-
-
-def test_a_lift_on_a_gpu_is_grey_where_the_engine_lacks_what_it_needs(tmp_path: Path) -> None:
-    settings = bpy.context.scene.plgs
-    settings.scene_folder, settings.device = str(tmp_path), "cuda"
-    choices.choose(pretended_python(tmp_path / "python", lacks="cuda"))
-    try:
-        registry.wait_for(tasks.check(), bpy.context.scene)  # type: ignore[arg-type]
-        assert "Device CUDA: the engine lacks a-package" in str(lifting.why_no_lift(settings))
-        settings.device = "cpu"
-        assert "CUDA" not in str(lifting.why_no_lift(settings))
-    finally:
-        choices.choose(None)
 
 
 def test_all_options_of_the_preset() -> None:

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import shutil
 import sys
-import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
-from plgs.engine.errors import ErrorCode, PlgsError
+from plgs.engine.errors import ErrorCode
 from plgs.engine.job import LiftFolder, LiftRequest, LiftState
 from plgs.plgs_blender import registry
 from plgs.plgs_blender.running import lifts
@@ -88,15 +87,6 @@ def test_an_engine_that_dies_leaves_a_message(behaves: Behaves, lift: LiftFolder
     assert followed.error is not None and followed.error.code is code and followed.can_be_resumed
 
 
-def test_two_cannot_work_in_one_folder(behaves: Behaves, lift: LiftFolder) -> None:
-    behaves("long")
-    followed = lifts.start(lift, PYTHON)
-    poll_until(followed, lambda: followed.progress.step > 0)
-    with pytest.raises(PlgsError, match="another engine"):
-        lifts.start(lift, PYTHON)
-    assert lifts.attach(lift.path) is followed
-
-
 def test_another_blender_watches_and_cancels(behaves: Behaves, lift: LiftFolder) -> None:
     """Two followers of one folder, the second without a process, as in another Blender."""
     behaves("long")
@@ -110,28 +100,6 @@ def test_another_blender_watches_and_cancels(behaves: Behaves, lift: LiftFolder)
     registry.wait_for(theirs, SCENE)
     assert theirs.was_cancelled and theirs.lift_state is LiftState.CANCELLED
     ours.let_go()
-
-
-def test_a_running_lift_is_found_again(behaves: Behaves, lift: LiftFolder) -> None:
-    behaves("long", "--go-on")
-    followed = lifts.start(lift, PYTHON, keep_running=True)
-    poll_until(followed, lambda: followed.progress.step > 0)
-    registry.forget_all()
-    time.sleep(0.3)
-    assert lift.is_running, "it outlives its Blender"
-    again = lifts.look_at(lift.path)
-    assert again is not None and again.is_running
-    again.cancel()
-    registry.wait_for(again, SCENE)
-    assert again.was_cancelled
-
-
-def test_a_lift_that_is_not_to_outlive_blender_ends_with_it(behaves: Behaves, lift: LiftFolder) -> None:
-    behaves("long")
-    followed = lifts.start(lift, PYTHON)
-    poll_until(followed, lambda: followed.progress.step > 0)
-    registry.forget_all()
-    wait_until(lambda: not lift.is_running, lift.path)
 
 
 def test_looking_at_what_is_not_a_lift(tmp_path: Path) -> None:
@@ -164,14 +132,3 @@ def test_a_lift_that_can_no_longer_be_read_ends(lift: LiftFolder) -> None:
     lift.events_path.mkdir()
     assert followed.poll(SCENE) and not followed.is_running
     assert "can no longer be followed" in str(followed.error)
-
-
-@pytest.mark.parametrize("name", ["a" * 300, "a\0b", "a\ud800b"])
-def test_looking_at_paths_that_cannot_be(tmp_path: Path, name: str) -> None:
-    assert lifts.look_at(tmp_path / name) is None
-
-
-def test_looking_at_a_lift_whose_events_are_a_folder(lift: LiftFolder) -> None:
-    lift.events_path.mkdir()
-    assert lifts.look_at(lift.path) is None
-    assert "events.jsonl" in str(lifts.refusal_of(lift.path))

@@ -117,20 +117,3 @@ def test_the_users_own_camera_shows_it_too_and_is_left_alone(growing: LiftFolder
     assert shown(growing) and lifts.picture_for(scene) is not None
     assert seen_by_the_engine(growing).camera_to_world[:3, 3].tolist() == [1.0, 2.0, 3.0]
     assert not mine.data.background_images and not mine.data.show_background_images
-
-
-def test_a_scene_without_a_camera_does_not_hide_another(growing: LiftFolder) -> None:
-    scene = bpy.context.scene
-    other = bpy.data.scenes.new("other")
-    other.plgs.lift_folder = scene.plgs.lift_folder
-    lifts.follow_camera(growing, [other, scene])
-    assert lifts.show(growing, picture(growing), fingerprint(growing))
-    assert lifts.picture_for(other) is None and lifts.picture_for(scene) is not None
-
-
-def test_a_smaller_version_of_a_huge_picture_is_requested(growing: LiftFolder) -> None:
-    render = bpy.context.scene.render
-    render.resolution_x, render.resolution_y = 40_000, 20_000
-    lifts.follow_camera(growing, bpy.data.scenes)
-    asked = seen_by_the_engine(growing)
-    assert (asked.width, asked.height) == (1024, 512)

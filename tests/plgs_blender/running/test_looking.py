@@ -9,7 +9,6 @@ from types import ModuleType
 
 import bpy
 import pytest
-from plgs.engine.errors import PlgsError
 from plgs.engine.job.recent import remember_lift
 from plgs.plgs_blender import corrections, lift_scene, results
 from plgs.plgs_blender.inspecting.selection import find_lift
@@ -61,13 +60,6 @@ def test_an_edit_of_an_opened_file_waits_for_no_reading(lift: Path, tmp_path: Pa
     assert read == [mine / "result" / "instances.json"]
 
 
-def test_an_edit_before_its_end_reads_the_rest(lift: Path, tmp_path: Path, read: Read) -> None:
-    mine = opened(lift, tmp_path / "mine", "lift.blend", read)
-    assert looking._read_objects() is not None
-    corrections.delete(find_lift(bpy.context.scene), 2, around=False)
-    assert looking._read_objects() is None and read == [mine / "result" / "instances.json"]
-
-
 def test_a_path_that_a_file_names_is_read_only_if_it_is_ones_own(lift: Path, tmp_path: Path, read: Read) -> None:
     mine = opened(lift, tmp_path / "mine", "../elsewhere.blend", read)
     assert looking._read_objects() is None and not read
@@ -79,12 +71,3 @@ def test_a_path_that_a_file_names_is_read_only_if_it_is_ones_own(lift: Path, tmp
 def test_a_link_in_its_place_is_left_alone(lift: Path, tmp_path: Path, read: Read) -> None:
     opened(lift, tmp_path / "mine", "lift.blend", read, linked=True)
     assert looking._read_objects() is None and not read
-
-
-def test_the_edit_says_what_is_wrong_with_the_list(lift: Path, tmp_path: Path, read: Read) -> None:
-    mine = opened(lift, tmp_path / "mine", "lift.blend", read)
-    (mine / "result" / "instances.json").write_text('{"instances": [7')
-    results.begin_to_read(mine)
-    assert looking._read_objects() is None
-    with pytest.raises(PlgsError, match="cannot be read"):
-        corrections.delete(find_lift(bpy.context.scene), 2, around=False)

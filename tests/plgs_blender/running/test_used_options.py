@@ -46,8 +46,3 @@ def test_of_a_known_scene_they_are_what_the_lift_takes(
     assert values(shown) == (77, 320, 240, 50) and request_of(settings).options["steps"] == 77
     settings.steps = settings.frames = settings.height = 0
     assert values(shown) == (round(300 * preset.steps_a_view), 200, 150, 300), "0 leaves it to the preset"
-
-
-def test_a_wrong_option_does_not_hide_the_options(shown: bpy.types.PropertyGroup) -> None:
-    bpy.context.scene.plgs.preset_options = "nonsense=1"
-    assert values(shown)[0] == PRESETS["preview"].steps
