@@ -11,11 +11,7 @@ from types import ModuleType
 
 import bpy
 import pytest
-
-if str(Path(__file__).parent) not in sys.path:
-    sys.path.insert(0, str(Path(__file__).parent))
-
-from footprint import difference, footprint, running_timers  # noqa: E402  (beside this file)
+from footprint import difference, footprint, running_timers
 
 
 @pytest.fixture

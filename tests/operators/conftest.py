@@ -2,24 +2,18 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 from types import ModuleType
 
 import bpy
 import pytest
+import tiny_lift
+from tiny_scene import write_tiny_scene
 
-for folder in (Path(__file__).parents[1] / "plgs_blender", Path(__file__).parents[1]):
-    if str(folder) not in sys.path:
-        sys.path.insert(0, str(folder))
-
-import tiny_lift  # noqa: E402  (beside the tests of plgs_blender)
-from tiny_scene import write_tiny_scene  # noqa: E402
-
-from tests.scene.formats.test_colmap import write_text  # noqa: E402
-from tests.scene.formats.test_nerfstudio import write_scene  # noqa: E402
-from tests.scene.formats.test_scannet import sens  # noqa: E402
+from tests.scene.formats.test_colmap import write_text
+from tests.scene.formats.test_nerfstudio import write_scene
+from tests.scene.formats.test_scannet import sens
 
 
 @pytest.fixture(autouse=True)

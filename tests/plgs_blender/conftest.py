@@ -2,18 +2,12 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 
 import bpy
 import pytest
-
-for folder in (Path(__file__).parent, Path(__file__).parent.parent):
-    if str(folder) not in sys.path:
-        sys.path.insert(0, str(folder))
-
-import tiny_lift  # noqa: E402  (beside this file)
+import tiny_lift
 
 
 @pytest.fixture(autouse=True)

@@ -13,6 +13,7 @@ from typing import Any
 
 import bpy
 import pytest
+import tiny_lift
 from plgs.engine.errors import ErrorCode, PlgsError, lacks_part
 from plgs.engine.job import LiftState
 from plgs.engine.job.task import BAKE, TaskState
@@ -27,15 +28,9 @@ from plgs.plgs_blender.running import adding, lifts, survey
 from plgs.plgs_blender.running.preparation import PoseMaking
 from plgs.plgs_blender.settings import chosen_scene
 from plgs.ui import lift_panel, result_panel, sidebar
+from pretended_python import pretended_python
 
-for each in (Path(__file__).parents[1] / "plgs_blender", Path(__file__).parents[1]):
-    if str(each) not in sys.path:
-        sys.path.insert(0, str(each))
-
-import tiny_lift  # noqa: E402
-from pretended_python import pretended_python  # noqa: E402
-
-from tests.ui.drawn_panels import Layout, Pretended, drawn, tasks_with  # noqa: E402
+from tests.ui.drawn_panels import Layout, Pretended, drawn, tasks_with
 
 pytestmark = pytest.mark.usefixtures("extension")
 

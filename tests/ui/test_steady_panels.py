@@ -10,6 +10,7 @@ from typing import Any
 
 import bpy
 import pytest
+import tiny_lift
 from plgs.engine.errors import PlgsError
 from plgs.engine.job.task import BAKE, LIFT, TaskState
 from plgs.plgs_blender import corrections, registry
@@ -22,16 +23,10 @@ from plgs.plgs_blender.running import lifts, survey
 from plgs.plgs_blender.running.exports import FORMS, Export
 from plgs.plgs_blender.settings import chosen_scene
 from plgs.ui import lift_panel, scene_panel
+from pretended_python import pretended_python
+from tiny_scene import write_tiny_scene
 
-for each in (Path(__file__).parents[1] / "plgs_blender", Path(__file__).parents[1]):
-    if str(each) not in sys.path:
-        sys.path.insert(0, str(each))
-
-import tiny_lift  # noqa: E402
-from pretended_python import pretended_python  # noqa: E402
-from tiny_scene import write_tiny_scene  # noqa: E402
-
-from tests.ui.drawn_panels import Pretended, drawn, height_of, tasks_with  # noqa: E402
+from tests.ui.drawn_panels import Pretended, drawn, height_of, tasks_with
 
 pytestmark = pytest.mark.usefixtures("extension")
 

@@ -3,16 +3,11 @@ panel."""
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 from blender import SIZE, Window
-
-for folder in (Path(__file__).parents[1] / "plgs_blender", Path(__file__).parents[1]):
-    if str(folder) not in sys.path:
-        sys.path.insert(0, str(folder))
 
 CHAIR, CABINET = 1, 2
 _OWN_TAB = """
@@ -75,7 +70,7 @@ def choose(*numbers):
 @contextmanager
 def shown_lift(window: Window, folder: Path, panel: str, tab: str, *, bake: bool = False) -> Iterator[Path]:
     """A lift of its own in ``folder``, shown, with this panel open."""
-    import tiny_lift  # beside the tests of plgs_blender
+    import tiny_lift
 
     lift = tiny_lift.write_tiny_lift(folder / "lift", bake=bake).path
     window.run(_OWN_TAB.format(panel=panel, tab=tab))

@@ -2,17 +2,12 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 
 import pytest
 from blender import Window
 
-for folder in (Path(__file__).parent.parent, Path(__file__).parent.parent.parent):
-    if str(folder) not in sys.path:
-        sys.path.insert(0, str(folder))
-
-from tests.scene.formats.test_scannet import sens  # noqa: E402
+from tests.scene.formats.test_scannet import sens
 
 MODULES = """
 import sys

@@ -2,18 +2,13 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 
 import pytest
 from blender import SIZE, Window
+from tiny_scene import write_tiny_scene
 
-if str(Path(__file__).parent.parent) not in sys.path:
-    sys.path.insert(0, str(Path(__file__).parent.parent))
-
-from tiny_scene import write_tiny_scene  # noqa: E402  (beside this folder)
-
-from engine.job import LiftFolder, LiftRequest  # noqa: E402
+from engine.job import LiftFolder, LiftRequest
 
 IN_THE_VIEW = SIZE[0] // 2 - 100, SIZE[1] // 2
 

@@ -2,17 +2,11 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 
+import tiny_lift
 from blender import SIZE, Window
-
-for folder in (Path(__file__).parents[1] / "plgs_blender", Path(__file__).parents[1]):
-    if str(folder) not in sys.path:
-        sys.path.insert(0, str(folder))
-
-import tiny_lift  # noqa: E402  (beside the tests of plgs_blender)
-from tiny_scene import tiny_intrinsics, tiny_pose, trace_view  # noqa: E402
+from tiny_scene import tiny_intrinsics, tiny_pose, trace_view
 
 ZOOM = 8
 NODE = "__import__('sys').modules[EXTENSION + '.plgs_blender.pass_nodes'].node_of(tree, 'CryptoInstance')"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 
 import cv2
@@ -10,11 +9,7 @@ import numpy as np
 import pytest
 from blender import Window
 
-for folder in (Path(__file__).parent.parent, Path(__file__).parent.parent.parent):
-    if str(folder) not in sys.path:
-        sys.path.insert(0, str(folder))
-
-from tests.tiny_scene import write_tiny_scene  # noqa: E402
+from tests.tiny_scene import write_tiny_scene
 
 EDITORS = "[a.spaces.active.image.name for a in bpy.context.screen.areas if a.type == 'IMAGE_EDITOR']"
 MEASURED = """

@@ -3,20 +3,15 @@
 from __future__ import annotations
 
 import signal
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 from blender import SIZE, Window
 from numpy.typing import NDArray
+from tiny_scene import write_tiny_scene
 
-if str(Path(__file__).parent.parent) not in sys.path:
-    sys.path.insert(0, str(Path(__file__).parent.parent))
-
-from tiny_scene import write_tiny_scene  # noqa: E402  (beside this folder)
-
-from engine.job import EventReader, LiftFolder  # noqa: E402
+from engine.job import EventReader, LiftFolder
 
 MODULES = """
 import sys, pathlib

@@ -2,16 +2,11 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 
 import pytest
 from blender import SIZE, Window
-
-if str(Path(__file__).parent.parent) not in sys.path:
-    sys.path.insert(0, str(Path(__file__).parent.parent))
-
-from tiny_scene import write_tiny_scene  # noqa: E402  (beside this folder)
+from tiny_scene import write_tiny_scene
 
 STEPS = 200
 LIFTS = "__import__('sys').modules[EXTENSION + '.plgs_blender.running.lifts']"

@@ -2,19 +2,13 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 
 import pytest
+import tiny_lift
 from blender import Window
 
 from tests.waiting import wait_until
-
-for folder in (Path(__file__).parents[1] / "plgs_blender", Path(__file__).parents[1]):
-    if str(folder) not in sys.path:
-        sys.path.insert(0, str(folder))
-
-import tiny_lift  # noqa: E402  (beside the tests of plgs_blender)
 
 SHOWN = """
 editors = [each for each in bpy.context.window.screen.areas if each.ui_type == 'CompositorNodeTree']

@@ -2,17 +2,11 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 
 import pytest
 from blender import Window
-
-for folder in (Path(__file__).parent.parent, Path(__file__).parent.parent / "plgs_blender"):
-    if str(folder) not in sys.path:
-        sys.path.insert(0, str(folder))
-
-from tiny_lift import write_tiny_lift  # noqa: E402  (beside this folder)
+from tiny_lift import write_tiny_lift
 
 # Where the corners of the lift's boxes lie in the view, in shares of what the sidebar leaves free.
 PLACES = """

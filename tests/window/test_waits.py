@@ -3,22 +3,16 @@
 from __future__ import annotations
 
 import shutil
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
+import tiny_lift
 from blender import Window
+from tiny_scene import write_tiny_scene
 
-for folder in (Path(__file__).parents[1] / "plgs_blender", Path(__file__).parents[1]):
-    if str(folder) not in sys.path:
-        sys.path.insert(0, str(folder))
-
-import tiny_lift  # noqa: E402  (beside the tests of plgs_blender)
-from tiny_scene import write_tiny_scene  # noqa: E402
-
-from engine.passes.ply import columns_of, write_ply_table  # noqa: E402
-from engine.scene import open_scene  # noqa: E402
+from engine.passes.ply import columns_of, write_ply_table
+from engine.scene import open_scene
 
 FRAMES, SIZE = 13, (1296, 968)
 SPLATS = 400_000
