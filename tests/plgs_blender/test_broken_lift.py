@@ -1,4 +1,4 @@
-"""A lift or a scene with something in it that cannot be changes nothing in the open file."""
+"""A lift, a scene or a lift.blend of somebody else, or damaged, changes nothing in the open file, and runs nothing."""
 
 from __future__ import annotations
 
@@ -7,19 +7,21 @@ import os
 import shutil
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import bpy
 import numpy as np
 import pytest
-from file_contents import contents
+from blender_helpers import contents
 from plgs.engine.errors import PlgsError
+from plgs.engine.result_files import read_instances
 from plgs.plgs_blender import lift_scene
 from plgs.plgs_blender.chosen_scene import ChosenScene
 from plgs.plgs_blender.import_scene import place_scene
 from plgs.plgs_blender.inspecting import views
 from plgs.plgs_blender.inspecting.lists import registered
 from plgs.plgs_blender.inspecting.selection import boxes_of
-from plgs.plgs_blender.results import MOST_INSTANCES, read_result
+from plgs.plgs_blender.results import MOST_INSTANCES, read_result, reading_instances, result_of
 from plgs.plgs_blender.viewport import all_views
 from tiny_lift import mend_manifest, write_tiny_lift
 
@@ -174,3 +176,169 @@ def test_odd_instances_are_clean_objects(lift: Path, tmp_path: Path, name: str, 
         assert root.plgs.instances[0].name.isprintable()
         views.frame_instance(root, box["instance_id"], all_views()[0].spaces.active)
         assert np.isfinite(np.array(all_views()[0].spaces.active.region_3d.view_location)).all()
+
+
+EXPECTED = (PlgsError, OSError)
+ODD: list[Any] = [7, 1.5, True, [1, 2], {"a": 1}, "", "instance:x", "//", "/dev/zero", "\\\\host\\share", None]
+"""None: the property is gone."""
+KINDS = ("scenes", "collections", "objects", "cameras", "pointclouds", "meshes", "images", "node_groups")
+OURS = ("plgs_", "frame", "class_id")
+
+
+def write_hostile(blend: Path, marker: Path) -> None:
+    """A file with a script that runs when it is opened, and with drivers, where scripts are allowed."""
+    harm = f"open({str(marker)!r}, 'a').close()"
+    text = bpy.data.texts.new("harm.py")
+    text.write(harm)
+    text.use_module = True
+    ob = bpy.data.objects.new("driven", None)
+    bpy.context.scene.collection.objects.link(ob)
+    for expression in (harm, f"[each for each in [open({str(marker)!r}, 'a')]] and 1.0"):
+        driver = ob.driver_add("location", 0 if expression == harm else 1).driver
+        driver.type, driver.expression = "SCRIPTED", expression
+    bpy.ops.wm.save_as_mainfile(filepath=str(blend))
+    marker.unlink(missing_ok=True)  # what it does while we make it
+    bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
+
+
+@pytest.mark.parametrize("are_scripts_allowed", [False, True])
+def test_nothing_in_it_is_run(lift: Path, tmp_path: Path, are_scripts_allowed: bool) -> None:
+    blend, marker = tmp_path / "lift.blend", tmp_path / "marker"
+    write_hostile(blend, marker)
+    settings = bpy.context.preferences.filepaths
+    before = settings.use_scripts_auto_execute
+    settings.use_scripts_auto_execute = are_scripts_allowed
+    try:
+        lift_scene.save_lift(lift, blend)
+        bpy.context.scene.frame_set(3)
+        bpy.context.view_layer.update()
+    finally:
+        settings.use_scripts_auto_execute = before
+    assert not marker.exists()
+    assert len(lift_scene.lifts_in(bpy.context.scene)) == 1 and "driven" in bpy.data.objects
+
+
+def fifo(path: Path) -> None:
+    os.mkfifo(path)
+
+
+def folder(path: Path) -> None:
+    path.mkdir()
+
+
+def noise(path: Path) -> None:
+    path.write_bytes(b"BLENDER-v405" + bytes(range(256)))
+
+
+def link_to_a_text(path: Path) -> None:
+    (path.parent / "precious").write_text("precious")
+    path.symlink_to(path.parent / "precious")
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="this system has no FIFOs")
+@pytest.mark.parametrize("make", [fifo, folder, noise, link_to_a_text])
+def test_what_is_no_blend_is_one_line(lift: Path, tmp_path: Path, make: Callable[[Path], None]) -> None:
+    """Blender would wait for ever for whoever writes into the FIFO."""
+    blend = tmp_path / "lift.blend"
+    make(blend)
+    before, there = contents(), sorted(tmp_path.rglob("*"))
+    with pytest.raises(PlgsError) as error:
+        lift_scene.save_lift(lift, blend)
+    assert "\n" not in str(error.value) and "lift.blend" in str(error.value)
+    assert contents() == before and sorted(tmp_path.rglob("*")) == there
+
+
+def test_a_link_is_replaced_and_what_it_leads_to_stays(lift: Path, tmp_path: Path) -> None:
+    theirs, blend = tmp_path / "theirs.blend", tmp_path / "lift.blend"
+    bpy.ops.wm.save_as_mainfile(filepath=str(theirs))
+    before = theirs.read_bytes()
+    blend.symlink_to(theirs)
+    lift_scene.save_lift(lift, blend)
+    assert theirs.read_bytes() == before and not blend.is_symlink()
+
+
+@pytest.mark.parametrize("every", [6, pytest.param(1, marks=pytest.mark.slow)], ids=["some", "all"])
+def test_odd_custom_properties(tmp_path: Path, every: int) -> None:
+    """Each of ours, on one block of each kind, with other values: none of Python's own errors comes of it."""
+    small, placed = write_tiny_lift(tmp_path / "lift", frames=5, size=(16, 12)).path, tmp_path / "file.blend"
+    bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
+    lift_scene.place_lift(small, bpy.context.scene)
+    bpy.ops.wm.save_as_mainfile(filepath=str(placed))
+    found = {
+        (kind, name): block.name
+        for kind in KINDS
+        for block in getattr(bpy.data, kind)
+        for name in block.keys()
+        if name.startswith(OURS)
+    }
+    assert len(found) > 10
+    for number, ((kind, name), block) in enumerate(found.items()):
+        for value in ODD[number % every :: every]:
+            bpy.ops.wm.open_mainfile(filepath=str(placed))
+            spoilt, scene = getattr(bpy.data, kind)[block], bpy.context.scene
+            if value is None:
+                del spoilt[name]
+            else:
+                spoilt[name] = value
+            for act in (lift_scene.place_lift, lift_scene.place_passes_anew):
+                try:
+                    act(small, scene)
+                except EXPECTED as error:
+                    assert "\n" not in str(error)
+
+
+ONE = {
+    "id": 1, "name": "chair 1", "class_id": 1, "class_name": "chair", "colour": [1, 2, 3], "centre": [0, 0, 0.5],
+    "size": [1, 1, 1], "yaw": 0.0, "rotation": [1, 0, 0, 0], "views": 1, "score": 0.5, "points": 7,
+}  # fmt: skip
+CLASSES = [{"id": 1, "name": "chair", "is_thing": True, "colour": [9, 9, 9]}]
+WHOLE = {"format": 1, "up": "z", "classes": CLASSES, "instances": [ONE, ONE | {"id": 2, "name": "\ttürkis\u2028"}]}
+MASK = {"frame": "0001", "segment_id": 3, "class_id": 1, "score": 0.5, "outline": ";".join(["0.100,0.200"] * 9)}
+LONG = WHOLE | {"instances": [ONE | {"segments": [MASK] * 1500}]}
+GOOD = [
+    json.dumps(WHOLE), json.dumps(WHOLE, indent=1, ensure_ascii=False), "\ufeff" + json.dumps(WHOLE), json.dumps(LONG),
+    json.dumps(WHOLE | {"instances": []}), json.dumps(dict(reversed(WHOLE.items()))),
+    json.dumps(WHOLE).replace(",", " \n,\r\t").replace(":", " : "),
+    json.dumps(WHOLE | {"classes": [CLASSES[0] | {"id": number} for number in range(1, 65_535)]}),
+]  # fmt: skip
+PLAIN = json.dumps(WHOLE)
+BAD = [
+    "", "[]", "7", "{", "}", "{}", PLAIN[:-1], PLAIN[:-2], PLAIN[:200], PLAIN + "}", PLAIN.replace(":", ";"),
+    PLAIN.replace('"up": "z",', '"up"'), PLAIN.replace("}, {", "} {"), PLAIN.replace("}]}", "},]}"),
+    PLAIN.replace("0.5", "NaN"), PLAIN.replace('"instances": [', '"instances": '),
+    PLAIN.replace('"instances": [', '"instances": [7, '), '{"instances": ' + "[" * 5000,
+    '{"instances": [' + "[" * 100_000,
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("text", GOOD, ids=range(len(GOOD)))
+def test_it_is_the_same(tmp_path: Path, text: str) -> None:
+    path = tmp_path / "instances.json"
+    path.write_text(text, encoding="utf-8")
+    assert result_of(reading_instances(path)) == read_instances(path)
+
+
+@pytest.mark.parametrize("text", BAD, ids=range(len(BAD)))
+def test_what_is_broken_is_one_line(tmp_path: Path, text: str) -> None:
+    path = tmp_path / "instances.json"
+    path.write_text(text, encoding="utf-8")
+    for read in (read_instances, lambda path: result_of(reading_instances(path))):
+        with pytest.raises(PlgsError) as error:
+            read(path)
+        assert "\n" not in str(error.value) and len(str(error.value)) < 2000
+
+
+def test_another_version_is_named_whatever_its_objects_are(tmp_path: Path) -> None:
+    path = tmp_path / "instances.json"
+    path.write_text(json.dumps(WHOLE | {"format": 2, "instances": [{"id": "chair"}]}))
+    for read in (read_instances, lambda path: result_of(reading_instances(path))):
+        with pytest.raises(PlgsError, match="has format 2, but this version reads 1"):
+            read(path)
+
+
+def test_a_million_objects_are_refused_before_they_are_read(tmp_path: Path) -> None:
+    path = tmp_path / "instances.json"
+    several = json.dumps(ONE)[:-1] + ', "segments": []}'
+    path.write_text(PLAIN[: PLAIN.index("[{", 100) + 1] + ",".join([several] * 200_000))
+    with pytest.raises(PlgsError, match="more than 5000 objects"):
+        result_of(reading_instances(path))

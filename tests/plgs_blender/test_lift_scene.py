@@ -10,7 +10,7 @@ from types import SimpleNamespace
 import bpy
 import numpy as np
 import pytest
-from file_contents import DATA, contents, counts
+from blender_helpers import DATA, contents, counts
 from plgs.engine.errors import PlgsError
 from plgs.engine.scene import open_scene
 from plgs.plgs_blender import lift_scene

@@ -1,14 +1,22 @@
-"""A 3D view holds a room, whatever its shape and whatever the sidebar covers."""
+"""What a file shows: a view that holds the room, colours of any OCIO configuration, markers on the timeline."""
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
 from itertools import product
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import bpy
 import numpy as np
 import pytest
 from mathutils import Euler
+from plgs.plgs_blender import lift_scene, timeline
+from plgs.plgs_blender.inspecting.views import look_from_frame
 from plgs.plgs_blender.viewport import frame_room
 
 
@@ -35,3 +43,115 @@ def test_all_corners_are_in_the_free_part(size: tuple[float, ...], width: int, h
     free = np.array([[-width / 2, -height / 2], [width / 2 - covered, height / 2]])
     assert (seen >= free[0]).all() and (seen <= free[1]).all()
     assert (np.ptp(seen, axis=0) / np.ptp(free, axis=0)).max() > 0.9
+
+
+CONFIGURATION = """ocio_profile_version: 2
+roles: {{default: raw, scene_linear: lin, data: raw, color_picking: disp}}
+displays:
+  Monitor:
+{views}
+colorspaces:
+  - !<ColorSpace> {{name: raw, isdata: true}}
+  - !<ColorSpace> {{name: lin, isdata: false}}
+  - !<ColorSpace>
+    name: disp
+    isdata: false
+    from_scene_reference: !<ExponentTransform> {{value: [2.2, 2.2, 2.2, 1], direction: inverse}}
+"""
+START = """
+import tests.conftest
+from plgs.plgs_blender.passes import _new_scene
+from plgs.plgs_blender.viewport import start_file
+print("chosen:", start_file().view_settings.view_transform, _new_scene("x").view_settings.view_transform, sep="|")
+"""
+
+
+@pytest.mark.parametrize(
+    ("views", "chosen"),
+    [(None, "Standard"), (["ACES 1.0 - SDR Video", "Un-tone-mapped", "Raw"], "Un-tone-mapped"), (["Plain"], "Plain")],
+    ids=["Blender's own", "like ACES", "minimal"],
+)
+def test_a_file_is_made_with_any_configuration(
+    views: list[str] | None, chosen: str, tmp_path: Path, root: Path
+) -> None:
+    environment = {name: value for name, value in os.environ.items() if name != "OCIO"} | {"PYTHONPATH": str(root)}
+    if views is not None:
+        lines = "\n".join(f'    - !<View> {{name: "{view}", colorspace: disp}}' for view in views)
+        (tmp_path / "config.ocio").write_text(CONFIGURATION.format(views=lines))
+        environment["OCIO"] = str(tmp_path / "config.ocio")
+    done = subprocess.run(
+        [sys.executable, "-c", START], cwd=root, env=environment, capture_output=True, text=True, timeout=300
+    )
+    assert f"chosen:|{chosen}|{chosen}" in done.stdout, done.stdout + done.stderr
+
+
+@pytest.fixture
+def following() -> Iterator[None]:
+    """As while the extension is on."""
+    timeline.register()
+    yield
+    timeline.unregister()
+
+
+@pytest.mark.parametrize(
+    ("names", "places"),
+    [
+        (("0012", "0013", "0040"), [12, 13, 40]),
+        (("rgb_7.color", "rgb_8.color"), [7, 8]),
+        (("b", "a"), [0, 1]),
+        (("9", "8"), [0, 1]),
+        (("1305031102175304", "1305031102211214"), [0, 1]),
+    ],
+)
+def test_frames_are_at_their_numbers(names: tuple[str, ...], places: list[int]) -> None:
+    scene, root = bpy.context.scene, bpy.data.collections.new("PLGS")
+    root["plgs_lift"], root["plgs_key"] = "a lift", "lift"
+    scene.collection.children.link(root)
+    cameras = []
+    for name in (*names, "Overview"):
+        camera = bpy.data.objects.new(name, bpy.data.cameras.new(name))
+        camera["plgs_lift"], camera["plgs_key"] = "a lift", f"frame:{name}"
+        if name != "Overview":
+            camera["frame"] = name
+        root.objects.link(camera)
+        cameras.append(camera)
+    assert timeline.mark_timeline(scene, root, cameras[-1], cameras[:-1]) == places
+    assert timeline.places_of(root, scene) == dict(zip(cameras, [*places, places[-1] + 1], strict=True))
+
+
+@pytest.mark.usefixtures("following")
+def test_a_camera_that_the_user_adds_later_stays_active(lift: Path) -> None:
+    scene = bpy.context.scene
+    root = lift_scene.place_lift(lift, scene)
+    scene.timeline_markers["0002"].frame = 40  # markers may be moved
+    before = {marker.name: marker.frame for marker in scene.timeline_markers}
+    mine = bpy.data.objects.new("mine", bpy.data.cameras.new("mine"))
+    copy = bpy.data.objects["0001"].copy()
+    cut = scene.timeline_markers.new("cut", frame=3)
+    for camera in (mine, copy, bpy.data.objects["Camera path"]):
+        if camera.name not in scene.objects:
+            scene.collection.objects.link(camera)
+        scene.camera = camera
+        for frame in (0, 2, 40):
+            scene.frame_set(frame)
+            assert scene.camera == camera
+        assert scene.timeline_markers[:] == [cut]
+    look_from_frame(root, "0002", scene)
+    assert scene.frame_current == 40
+    scene.timeline_markers.remove(cut)
+    assert {marker.name: marker.frame for marker in scene.timeline_markers} == before
+    scene.frame_set(1)
+    assert scene.camera["frame"] == "0001"
+
+
+def test_the_users_marker_at_a_copy_of_our_camera_stays(lift: Path) -> None:
+    scene = bpy.context.scene
+    lift_scene.place_lift(lift, scene)
+    copy = bpy.data.objects["0001"].copy()
+    scene.collection.objects.link(copy)
+    cut = scene.timeline_markers.new("cut", frame=3)
+    cut.camera = scene.camera = copy
+    timeline.follow_camera(scene)
+    assert [(marker.name, marker.camera) for marker in scene.timeline_markers] == [("cut", copy)]
+    lift_scene.place_lift(lift, scene)
+    assert ("cut", copy) in [(marker.name, marker.camera) for marker in scene.timeline_markers]

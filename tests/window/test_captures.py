@@ -1,13 +1,87 @@
-"""A capture whose pictures no image file shows: imported with a button, completed by an engine in the background."""
+"""In a window: the installed extension, captures that are dropped, imported, and diagnosed."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
+import cv2
+import numpy as np
 import pytest
-from blender import Window
+from blender import SIZE, Window
+from tiny_scene import write_tiny_scene
 
+from engine.job import LiftFolder, LiftRequest
 from tests.scene.formats.test_scannet import sens
+
+FOOTPRINT = (Path(__file__).parent.parent / "footprint.py").read_text()
+
+
+def test_the_zip_is_installed_and_switched_on(window: Window) -> None:
+    where = window.ask("__import__('sys').modules[EXTENSION].__file__")
+    assert where == str(window.folder / "resources/extensions/user_default/plgs/__init__.py")
+    assert window.ask("EXTENSION in bpy.context.preferences.addons and hasattr(bpy.context.scene, 'plgs')")
+
+
+def test_the_sidebar_has_the_tab_and_its_buttons(window: Window) -> None:
+    window.open_sidebar()
+    window.screenshot("sidebar")
+    window.find_button("plgs.import_scene")
+
+
+def test_switching_off_and_on_and_reloading_leaves_nothing_behind(window: Window) -> None:
+    """By name, for add-ons of Blender's own do leave something; tests/test_register.py looks at everything."""
+    window.open_sidebar()
+    window.run(FOOTPRINT)
+    window.run("def ours(): return [each for each in _lines(footprint()) if 'plgs' in each.lower()]")
+    switched_on = window.ask("ours()")
+    assert any("Scene.plgs" in each for each in switched_on) and any("PLGS_PT_" in each for each in switched_on)
+    for _ in range(3):
+        window.run("bpy.ops.script.reload()")
+        window.settle()
+        assert window.ask("ours()") == switched_on
+        window.run("bpy.ops.preferences.addon_disable(module=EXTENSION)")
+        window.settle()
+        assert window.ask("ours()") == []
+        assert window.ask("running_timers(EXTENSION)") == []
+        window.run("bpy.ops.preferences.addon_enable(module=EXTENSION)")
+        window.settle()
+        assert window.ask("ours()") == switched_on
+
+
+IN_THE_VIEW = SIZE[0] // 2 - 100, SIZE[1] // 2
+
+
+@pytest.fixture(scope="module")
+def scene(work_folder: Path) -> Path:
+    """Under a name that has to be encoded on its way from the file manager."""
+    return write_tiny_scene(work_folder / "dropped" / "my 100% räum", frames=2)
+
+
+def folders(window: Window) -> list[str]:
+    """The panel's scene folder and its lift folder."""
+    chosen: list[str] = window.ask("bpy.context.scene.plgs.scene_folder, bpy.context.scene.plgs.lift_folder")
+    return chosen
+
+
+@pytest.mark.parametrize(
+    "names", [["panoptic.json"], pytest.param(["pose/0000.txt", "pose/0001.txt"], marks=pytest.mark.slow)]
+)
+def test_files_of_a_scene(window: Window, scene: Path, names: list[str]) -> None:
+    window.drop(*IN_THE_VIEW, *(scene / name for name in names))
+    assert folders(window) == [str(scene), ""]
+
+
+def test_a_file_of_a_lift(window: Window, scene: Path) -> None:
+    lift = LiftFolder.create(scene.parent / "my lift", LiftRequest(scene=scene))
+    window.drop(*IN_THE_VIEW, lift.path / "request.json")
+    assert folders(window) == ["", str(lift.path)]
+
+
+def test_blender_never_asks_extensions_about_a_folder(window: Window, scene: Path) -> None:
+    """By its rule that a handler is found by the ending of a name. Were that to change, README.md could say so."""
+    window.drop(*IN_THE_VIEW, scene)
+    assert folders(window) == ["", ""]
+
 
 MODULES = """
 import sys
@@ -56,3 +130,40 @@ def test_depth_is_shown_and_undone(window: Window, archive: Path) -> None:
     assert window.ask(f"{SHOWN}.startswith('Depth')") is False
     window.run("bpy.ops.ed.undo(); bpy.ops.ed.undo()")
     assert window.is_running
+
+
+EDITORS = "[a.spaces.active.image.name for a in bpy.context.screen.areas if a.type == 'IMAGE_EDITOR']"
+MEASURED = """
+import sys
+diagnosis = sys.modules[EXTENSION + '.plgs_blender.running.diagnosis']
+known = lambda: diagnosis.registry.latest(diagnosis.Diagnosis)
+"""
+
+
+@pytest.fixture(scope="module")
+def dark(work_folder: Path) -> tuple[Path, str]:
+    """A scene with one black photo, and that frame's name."""
+    scene = write_tiny_scene(work_folder / "dark room", frames=14, size=(96, 72))
+    photo = sorted((scene / "color").iterdir())[6]
+    cv2.imwrite(str(photo), np.zeros((72, 96, 3), np.uint8))
+    return scene, photo.stem
+
+
+def test_a_finding_is_a_picture_and_buttons(window: Window, dark: tuple[Path, str]) -> None:
+    scene, frame = dark
+    window.open_sidebar()
+    window.run(f"bpy.context.scene.plgs.scene_folder = {str(scene)!r}")
+    window.press("plgs.import_scene")
+    window.wait_for("'Camera path' in bpy.context.scene.objects")
+    window.run(MEASURED + "bpy.ops.plgs.diagnose('INVOKE_DEFAULT')")
+    window.wait_for("known() is not None and not known().is_running and known().is_taken")
+    assert window.ask("known().error") is None
+    number = window.ask("next(n for n, each in enumerate(known().findings) if each.frames)")
+    window.run(f"bpy.ops.plgs.show_finding(number={number})")
+    window.settle()
+    assert window.ask(EDITORS) != [], "it opens beside the view, which had no image editor"
+    window.run(f"bpy.ops.plgs.go_to_finding(number={number}, frame={frame!r})")
+    assert window.ask("bpy.context.scene.camera['frame']") == frame
+    window.screenshot("findings")
+    window.run(f"bpy.ops.plgs.leave_out(number={number})")
+    assert frame not in (scene / "splits.json").read_text()

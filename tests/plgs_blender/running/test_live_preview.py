@@ -9,7 +9,7 @@ from types import ModuleType
 import bpy
 import numpy as np
 import pytest
-from frame_size import look_through
+from blender_helpers import look_through
 from plgs.engine.job import LiftFolder
 from plgs.engine.job.cameras import PreviewCamera, read_preview_request
 from plgs.engine.scene import Camera, open_scene

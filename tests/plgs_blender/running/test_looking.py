@@ -1,18 +1,26 @@
-"""What a file that is opened makes Blender read before anybody asks: the list of its lift's objects, in parts."""
+"""What Blender reads before anybody asks: the objects of an opened file's lift, and what is in the panel's scene."""
 
 from __future__ import annotations
 
 import shutil
+import sys
 from collections.abc import Iterator
+from dataclasses import asdict
 from pathlib import Path
-from types import ModuleType
+from types import ModuleType, SimpleNamespace
 
 import bpy
 import pytest
 from plgs.engine.job.recent import remember_lift
-from plgs.plgs_blender import corrections, lift_scene, results
+from plgs.engine.presets.preset import PRESETS
+from plgs.plgs_blender import corrections, lift_scene, registry, results
+from plgs.plgs_blender.chosen_scene import ChosenScene
 from plgs.plgs_blender.inspecting.selection import find_lift
-from plgs.plgs_blender.running import looking
+from plgs.plgs_blender.running import estimate, looking, survey
+from plgs.plgs_blender.settings import request_of
+
+from engine.scene import counted, describe, open_scene
+from tests.tiny_scene import write_tiny_scene
 
 Read = list[Path]
 
@@ -71,3 +79,61 @@ def test_a_path_that_a_file_names_is_read_only_if_it_is_ones_own(lift: Path, tmp
 def test_a_link_in_its_place_is_left_alone(lift: Path, tmp_path: Path, read: Read) -> None:
     opened(lift, tmp_path / "mine", "lift.blend", read, linked=True)
     assert looking._read_objects() is None and not read
+
+
+@pytest.fixture(autouse=True)
+def no_inspector() -> Iterator[None]:
+    yield
+    registry.forget_all()
+
+
+@pytest.mark.parametrize("name", ["a" * 300, "a\0b", "a\ud800b"], ids=["long", "null", "surrogate"])
+def test_paths_that_cannot_be(tmp_path: Path, name: str) -> None:
+    for chosen in (ChosenScene(tmp_path / name, None, "z"), ChosenScene(tmp_path, tmp_path / name, "z")):
+        seen = survey.look(chosen, None)
+        assert seen.error is not None and seen.error.fix and not seen.is_looking
+    if name.isascii() and "\0" in name:  # no program can be told it
+        assert survey.look(ChosenScene(tmp_path / name, None, "z"), Path(sys.executable)).error
+
+
+def test_the_panel_has_what_the_engine_inferred_and_left_out(tmp_path: Path) -> None:
+    broken = sorted((write_tiny_scene(tmp_path, frames=5) / "depth").iterdir())[1]
+    broken.write_bytes(broken.read_bytes()[:-30] + bytes(30))
+    report = describe(open_scene(tmp_path))
+    answer = {**asdict(report), "left_out": counted(report.left_out)}
+    found = survey._with_answer(survey.Survey(ChosenScene(tmp_path, None, "z")), answer, None)
+    assert found.error is None and found.left_out == 1
+    assert [text.split(":")[0] for text, doubtful in found.inferred if not doubtful] == ["Format", "Split"]
+
+
+@pytest.fixture
+def shown() -> bpy.types.PropertyGroup:
+    return bpy.context.scene.plgs_used
+
+
+def values(shown: bpy.types.PropertyGroup) -> tuple[int, ...]:
+    return tuple(getattr(shown, name) for name in estimate.NAMES)
+
+
+def test_without_a_scene_they_are_the_presets(shown: bpy.types.PropertyGroup) -> None:
+    for name, preset in PRESETS.items():
+        bpy.context.scene.plgs.preset = name
+        assert values(shown) == (preset.steps, *preset.size, preset.frames)
+
+
+def test_of_a_known_scene_they_are_what_the_lift_takes(
+    shown: bpy.types.PropertyGroup, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    known = SimpleNamespace(error=None, sizes=[((640, 480), 300)], train_frames=300)
+    monkeypatch.setattr(estimate, "survey_of_panel", lambda settings: known)
+    settings = bpy.context.scene.plgs
+    settings.scene_folder = "/room"
+    preset = PRESETS["preview"]
+    assert values(shown) == (round(300 * preset.steps_a_view), 200, 150, 300)
+    shown.frames, shown.height = 50, 240
+    assert (settings.frames, settings.height) == (50, 240)
+    assert values(shown) == (preset.steps, 320, 240, 50)
+    shown.steps = 77
+    assert values(shown) == (77, 320, 240, 50) and request_of(settings).options["steps"] == 77
+    settings.steps = settings.frames = settings.height = 0
+    assert values(shown) == (round(300 * preset.steps_a_view), 200, 150, 300), "0 leaves it to the preset"

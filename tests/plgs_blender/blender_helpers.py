@@ -1,4 +1,4 @@
-"""What the open Blender file holds."""
+"""What the open Blender file holds, and a scene that renders what a frame's camera sees, at the frame's size."""
 
 from __future__ import annotations
 
@@ -29,3 +29,14 @@ def contents() -> dict[str, Any]:
         kind: sorted(block.name for block in getattr(bpy.data, kind) if getattr(block, "source", "") != "VIEWER")
         for kind in DATA
     }
+
+
+def look_through(scene: bpy.types.Scene, ob: bpy.types.Object) -> None:
+    """Make one of our cameras the scene's, with the size and pixel aspect of its frame: what is rendered then lies on
+    the photo pixel by pixel.
+    """
+    render = scene.render
+    scene.camera = ob
+    render.resolution_x, render.resolution_y, render.resolution_percentage = ob["width"], ob["height"], 100
+    aspect = ob["fx"] / ob["fy"]
+    render.pixel_aspect_x, render.pixel_aspect_y = (1.0, aspect) if aspect >= 1.0 else (1.0 / aspect, 1.0)

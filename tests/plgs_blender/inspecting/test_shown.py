@@ -1,0 +1,224 @@
+"""The lists that a lift's collection carries, where to look from, and what the eyes in the lists hide."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from types import ModuleType
+
+import bpy
+import numpy as np
+import pytest
+from bpy_extras.object_utils import world_to_camera_view
+from mathutils import Vector
+from plgs.engine.errors import PlgsError
+from plgs.engine.result_files import MatchedSegment
+from plgs.engine.scene import open_scene
+from plgs.plgs_blender import lift_scene
+from plgs.plgs_blender.cameras import PATH
+from plgs.plgs_blender.inspecting import looks, views
+from plgs.plgs_blender.inspecting.highlight import outline_in_space
+from plgs.plgs_blender.inspecting.lists import _fill_instances, best_view, fill_masks
+from plgs.plgs_blender.inspecting.selection import boxes_of, class_row_of, clouds_of, objects_by_key, row_of
+from plgs.plgs_blender.owned import SCENE, lifts_in
+from plgs.plgs_blender.results import reading_result, result_of
+from tiny_lift import CABINET_NAME, CHAIR_NAME
+from tiny_scene import CHAIR_ID
+
+
+def test_they_say_the_same_as_the_result(root: bpy.types.Collection, lift: Path) -> None:
+    told = json.loads((lift / "result" / "instances.json").read_text())["instances"]
+    for row, entry in zip(root.plgs.instances, told, strict=True):
+        assert (row.instance_id, row.name, row.class_id) == (entry["id"], entry["name"], entry["class_id"])
+        assert (row.points, row.views, row.score) == (entry["points"], entry["views"], pytest.approx(entry["score"]))
+        assert [round(255 * channel) for channel in row.colour] == entry["colour"]
+        assert [mask.frame for mask in row.masks] == [each["frame"] for each in entry["segments"]]
+        assert [mask.segment for mask in row.masks] == [each["segment_id"] for each in entry["segments"]]
+        first, stored = row.masks[0], entry["segments"][0]
+        assert (first.class_name, first.pixels) == (entry["class_name"], stored["pixels"])
+        assert first.reason == "75 % agreement"
+        assert list(first.rectangle) == pytest.approx(stored["rectangle"])
+    points = np.load(lift / "result" / "semantic_points.npz")["class_id"]
+    assert {row.class_id: row.points for row in root.plgs.classes} == {
+        int(each): int((points == each).sum()) for each in np.unique(points)
+    }
+    assert {row.name for row in root.plgs.classes if row.is_thing} == {"chair", "cabinet"}
+    assert all(row.visible for row in (*root.plgs.instances, *root.plgs.classes))
+    assert root.plgs.instance_index == -1
+
+
+def test_they_stay_in_the_file_even_if_a_script_placed_it(lift: Path, tmp_path: Path, plgs: ModuleType) -> None:
+    assert not hasattr(bpy.types.Collection, "plgs")
+    lift_scene.save_lift(lift, tmp_path / "lift.blend")
+    assert not hasattr(bpy.types.Collection, "plgs"), "a script that places a lift switches nothing on"
+    plgs.register()
+    try:
+        bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "lift.blend"))
+        (root,) = lifts_in(bpy.context.scene)
+        assert [row.name for row in root.plgs.instances] == [CHAIR_NAME, CABINET_NAME]
+        assert all(len(row.masks) for row in root.plgs.instances)
+    finally:
+        plgs.unregister()
+
+
+def test_another_split_with_as_many_masks_lists_its_own(root: bpy.types.Collection, lift: Path) -> None:
+    result = result_of(reading_result(lift))
+    first, *others = result.instances
+    moved = replace(first, score=0.125, segments=tuple(replace(each, segment_id=77) for each in first.segments))
+    _fill_instances(root.plgs.instances, [moved, *others])
+    fill_masks(root, [moved, *others], result.classes)
+    row, other = root.plgs.instances[0], root.plgs.instances[1]
+    assert row.score == 0.125 and {mask.segment for mask in row.masks} == {77}
+    assert {mask.segment for mask in other.masks} == {each.segment_id for each in others[0].segments}
+
+
+def mask(share: float, *rectangle: float) -> MatchedSegment:
+    return MatchedSegment("0001", 1, CHAIR_ID, 0.9, None, 0.5, 100, share, rectangle)  # type: ignore[arg-type]
+
+
+def test_the_best_view_sees_much_and_all_of_it() -> None:
+    small, large, cut = mask(0.05, 0.4, 0.4, 0.6, 0.6), mask(0.2, 0.2, 0.2, 0.8, 0.8), mask(0.3, 0.0, 0.2, 0.7, 0.9)
+    assert best_view([small, large, cut]) == 1
+    assert best_view([small, cut]) == 1, "half of what is cut off is still more"
+    assert best_view([]) == best_view([mask(0.0, 0.0, 0.0, 0.0, 0.0)]) == -1
+
+
+def test_the_best_view_is_that_of_the_largest_mask(root: bpy.types.Collection) -> None:
+    row = row_of(root, 1)
+    frame = views.best_frame(root, 1)
+    assert frame == row.masks[row.best_mask].frame == row.masks[row.mask_index].frame
+    whole = [m.share for m in row.masks if min(m.rectangle[:2]) > 0.0 and max(m.rectangle[2:]) < 1.0]
+    assert row.masks[row.best_mask].share == max(whole)
+    held_out = {frame.name for frame in open_scene(root[SCENE]).test_frames}  # type: ignore[arg-type]
+    assert frame not in held_out
+
+
+def test_looking_from_a_frame_goes_there_on_the_timeline(root: bpy.types.Collection) -> None:
+    scene = bpy.context.scene
+    scene.render.resolution_x = 333
+    view = next(s for screen in bpy.data.screens for a in screen.areas for s in a.spaces if s.type == "VIEW_3D")
+    camera = views.look_from_frame(root, "0005", scene, view)
+    assert scene.camera == camera and camera["frame"] == "0005"
+    assert scene.frame_current == next(m.frame for m in scene.timeline_markers if m.name == "0005")
+    assert view.region_3d.view_perspective == "CAMERA"
+    assert scene.render.resolution_x == 333, "the size of the user's renders is theirs"
+    bpy.data.objects.remove(camera)
+    with pytest.raises(PlgsError, match="no camera of frame 0005"):
+        views.look_from_frame(root, "0005", scene)
+
+
+@pytest.mark.parametrize("aspect", [0.5, 1.0, 2.2])
+def test_a_framed_box_fills_the_view_and_no_more(root: bpy.types.Collection, aspect: float) -> None:
+    view = next(s for screen in bpy.data.screens for a in screen.areas for s in a.spaces if s.type == "VIEW_3D")
+    region = view.region_3d
+    region.view_perspective = "PERSP"
+    turned = region.view_rotation.copy()
+    views.frame_instance(root, 1, view, aspect)
+    box = boxes_of(root)[1]
+    corners = np.array([box.matrix_world @ Vector(corner) for corner in box.bound_box])
+    assert np.allclose(region.view_location, corners.mean(axis=0), atol=1e-6) and region.view_rotation == turned
+    radius = np.linalg.norm(corners - corners.mean(axis=0), axis=1).max()
+    # Blender's view of a lens: 72 mm along the longer side.
+    half = 36.0 / view.lens * min(1.0, 1.0 / aspect if aspect > 1.0 else aspect)
+    fills = radius / (region.view_distance * half)
+    assert 0.4 < fills < 1.0
+
+
+TWO_POLYGONS = "0.250,0.100 0.750,0.100 0.750,0.600 0.250,0.600;0.000,0.000 1.000,0.000 1.000,1.000"
+
+
+@pytest.mark.parametrize("outline", ["", TWO_POLYGONS])
+def test_an_outline_matches_the_photo(outline: str, root: bpy.types.Collection) -> None:
+    camera = objects_by_key(root)["frame:0003"]
+    scene = bpy.context.scene
+    scene.camera = camera
+    scene.render.resolution_x, scene.render.resolution_y = camera["width"], camera["height"]
+    bpy.context.view_layer.update()
+    rectangle = (0.25, 0.1, 0.75, 0.6)
+    polygons = outline_in_space(camera, outline, rectangle)
+    seen = [[world_to_camera_view(scene, camera, corner)[:2] for corner in polygon] for polygon in polygons]
+    assert np.allclose(seen[0], [(0.25, 0.9), (0.75, 0.9), (0.75, 0.4), (0.25, 0.4)], atol=1e-4)
+    assert not outline or np.allclose(seen[1], [(0, 1), (1, 1), (1, 0)], atol=1e-4)
+
+
+def seen(root: bpy.types.Collection) -> dict[str, int]:
+    """How many points each cloud that is shown has left after its modifiers, and which boxes are shown."""
+    bpy.context.view_layer.update()
+    graph = bpy.context.evaluated_depsgraph_get()
+    for cloud in clouds_of(root):
+        opened = cloud.modifiers.get("Open room")
+        if opened is not None:
+            opened.show_viewport = False
+    bpy.context.view_layer.update()
+    clouds = {
+        ob.name: len(ob.evaluated_get(graph).data.points)
+        for ob in clouds_of(root)
+        if ob.name != "Anchors" and not ob.hide_get()
+    }
+    boxes = {ob.name: 0 for ob in boxes_of(root).values() if not ob.hide_get()}
+    return {name: count for name, count in clouds.items() if count} | boxes
+
+
+def stored(lift: Path) -> np.ndarray:
+    points = np.load(lift / "result" / "semantic_points.npz")
+    return np.stack([points["class_id"], points["instance_id"]])
+
+
+def test_an_instance_takes_its_box_points_and_anchors_with_it(root: bpy.types.Collection, lift: Path) -> None:
+    before, row = seen(root), row_of(root, 1)
+    row.visible = False
+    after = seen(root)
+    assert row.name in before and row.name not in after
+    class_id, instance_id = stored(lift)
+    left = sum(count for name, count in after.items())
+    assert sum(before.values()) - left == (instance_id == 1).sum()
+    anchors = next(cloud for cloud in clouds_of(root) if cloud.name == "Anchors")
+    hidden = np.zeros(len(anchors.data.points), bool)
+    anchors.data.attributes[looks.HIDDEN].data.foreach_get("value", hidden)
+    assert np.array_equal(hidden, np.load(lift / "result" / "anchors.npz")["instance_id"] == 1)
+    row.visible = True
+    assert seen(root) == before
+    assert not any(looks.HIDDEN in cloud.data.attributes for cloud in clouds_of(root))
+    assert not any(cloud.modifiers.get(looks.MODIFIER) for cloud in clouds_of(root))
+
+
+def test_a_class_takes_its_instances_with_it(root: bpy.types.Collection) -> None:
+    before = seen(root)
+    class_row_of(root, CHAIR_ID).visible = False
+    assert set(before) - set(seen(root)) == {"chair", "chair 1"}
+    looks.show_all(root)
+    assert seen(root) == before and all(row.visible for row in root.plgs.classes)
+
+
+def test_isolating_one_and_returning_to_what_was_shown(root: bpy.types.Collection, lift: Path) -> None:
+    row_of(root, 2).visible = False
+    before = seen(root)
+    looks.isolate(root, 1)
+    alone = seen(root)
+    assert set(alone) == {"chair", "chair 1"} and alone["chair"] == (stored(lift)[1] == 1).sum()
+    looks.isolate(root, 2)
+    assert set(seen(root)) == {"cabinet", "cabinet 1"}, "alone even though its eye is closed"
+    looks.isolate(root, 2)
+    assert seen(root) == before and not row_of(root, 2).visible
+    looks.isolate(root, 1)
+    looks.show_all(root)
+    assert root.plgs.isolated == 0 and {"chair 1", "cabinet 1"} <= set(seen(root))
+
+
+def test_hidden_stays_hidden_in_the_file(root: bpy.types.Collection, tmp_path: Path) -> None:
+    row_of(root, 1).visible = False
+    before = seen(root)
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "a.blend"))
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "a.blend"))
+    (again,) = [each for each in bpy.data.collections if each.name == "PLGS tiny room"]
+    assert seen(again) == before
+    assert not again.plgs.instances[0].visible
+
+
+def test_cameras_that_are_off_are_as_small_as_blender_draws_them(root: bpy.types.Collection) -> None:
+    ours = [ob for key, ob in objects_by_key(root).items() if key.startswith(("frame:", PATH)) and ob.type == "CAMERA"]
+    smallest = ours[0].data.bl_rna.properties["display_size"].hard_min
+    assert len(ours) > 1 and {round(ob.data.display_size, 6) for ob in ours} == {round(smallest, 6)}
+    root.plgs.show_cameras = True
+    assert min(ob.data.display_size for ob in ours) > 10 * smallest
