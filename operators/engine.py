@@ -92,13 +92,6 @@ class PLGS_OT_add_to_engine(StartsTask, bpy.types.Operator):
         return adding.add(self.capability, usable_python(), self.index_url)
 
 
-class PLGS_OT_cancel_adding(cancels, bpy.types.Operator):
-    """Stop adding packages; the engine stays as it was"""
-
-    bl_idname, bl_label = "plgs.cancel_adding", "Cancel"
-    cancelled_kind = adding.Adding
-
-
 class PLGS_OT_use_this_python(AsksEngine, bpy.types.Operator):
     """Run the engine with this Python. It needs torch and the engine's other pinned packages"""
 

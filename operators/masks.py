@@ -73,13 +73,6 @@ class PLGS_OT_make_poses(StartsTask, bpy.types.Operator):
         return make_poses(chosen_scene(context.scene.plgs), usable_python())
 
 
-class PLGS_OT_cancel_masks(cancels, bpy.types.Operator):
-    """Stop making masks; finished masks are kept, and the next run continues"""
-
-    bl_idname, bl_label = "plgs.cancel_masks", "Cancel"
-    cancelled_kind = MaskMaking
-
-
 class PLGS_OT_read_classes(StartsTask, bpy.types.Operator):
     """List the classes of the scene's masks, to name and merge them"""
 
@@ -247,13 +240,6 @@ class PLGS_OT_leave_out(OnFinding, bpy.types.Operator):
         earlier = "" if kept is None else f"; the earlier file is {kept.name} beside it"
         self.report({"INFO"}, f"{plural(len(finding.leave_out), 'frame')} left out by {path}{earlier}")
         return FINISHED
-
-
-class PLGS_OT_cancel_diagnosis(cancels, bpy.types.Operator):
-    """Stop measuring; your files do not change"""
-
-    bl_idname, bl_label, bl_options = "plgs.cancel_diagnosis", "Cancel", {"INTERNAL"}
-    cancelled_kind = Diagnosis
 
 
 def _known(context: bpy.types.Context) -> Diagnosis | None:

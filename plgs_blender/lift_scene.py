@@ -146,14 +146,19 @@ def _objects_in_turn(result: LiftResult) -> Iterator[Callable[[bpy.types.Collect
         yield lambda root, scene: apply_colours(root)
     masks = np.cumsum([1 + len(one.segments) for one in result.instances])
     for _, turn in groupby(enumerate(result.instances), key=lambda each: masks[each[0]] // _MASKS_AT_ONCE):
-        some = [one for _, one in turn]
-        yield lambda root, scene, some=some: fill_masks(root, some, result.classes)
+        yield partial(_list_masks, [one for _, one in turn], result.classes)
 
 
 def _list_objects(result: LiftResult, root: bpy.types.Collection, scene: bpy.types.Scene) -> None:
     fill_lists(root, result)
     fill_not_shown(root, result)
     leave_holes(root)
+
+
+def _list_masks(
+    instances: list[Instance], classes: ClassTable, root: bpy.types.Collection, scene: bpy.types.Scene
+) -> None:
+    fill_masks(root, instances, classes)
 
 
 def _place_late(
