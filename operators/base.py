@@ -116,6 +116,21 @@ class StartsTask(Explained):
         """Called for each new step while a script waits for the task."""
 
 
+class ChoosesFile(StartsTask):
+    """One whose button opens the file browser. A script, which names the file, waits for the end."""
+
+    was_invoked = False
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        self.was_invoked = True
+        context.window_manager.fileselect_add(self)
+        return RUNNING
+
+    @reporting
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        return self.run(context, waits=not self.was_invoked)
+
+
 class CancelsTask(Explained):
     """An operator that cancels the running tasks of one kind. A script waits until they have ended, within a second."""
 

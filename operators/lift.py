@@ -22,6 +22,7 @@ from .base import (
     FINISHED,
     PASSED_ON,
     RUNNING,
+    ChoosesFile,
     OnLiftFolder,
     StartsTask,
     cancels,
@@ -69,11 +70,10 @@ class PLGS_OT_resume_lift(OnLiftFolder, StartsTask, bpy.types.Operator):
         return lifting.resume_lift(context.scene.plgs, self.lift_folder)
 
 
-class PLGS_OT_find_scene(OnLiftFolder, StartsTask, bpy.types.Operator):
+class PLGS_OT_find_scene(OnLiftFolder, ChoosesFile, bpy.types.Operator):
     """Tell a lift where its scene is after it was moved. The frames there are compared with those of the lift"""
 
     bl_idname, bl_label, bl_options = "plgs.find_scene", "Find Scene", {"UNDO"}
-    was_invoked = False
 
     filepath: StringProperty(  # type: ignore[valid-type]
         name="Scene", subtype="FILE_PATH", options={"SKIP_SAVE"}, description="The scene's folder, or its one file"
@@ -82,15 +82,6 @@ class PLGS_OT_find_scene(OnLiftFolder, StartsTask, bpy.types.Operator):
     @classmethod
     def why_not(cls, context: bpy.types.Context) -> str | None:
         return why_no_engine()
-
-    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        self.was_invoked = True
-        context.window_manager.fileselect_add(self)
-        return RUNNING
-
-    @reporting
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        return self.run(context, waits=not self.was_invoked)
 
     def begin(self, context: bpy.types.Context) -> Task:
         return lifting.find_scene(context.scene, absolute(self.filepath), self.lift_folder)
@@ -106,7 +97,7 @@ class PLGS_OT_watch_lift(OnLiftFolder, StartsTask, bpy.types.Operator):
         return lifting.join_lift(context.scene, self.lift_folder)
 
 
-class PLGS_OT_open_lift(StartsTask, bpy.types.Operator):
+class PLGS_OT_open_lift(ChoosesFile, bpy.types.Operator):
     """Choose the folder of a lift: its result is put into the scene, or the lift is followed while it runs"""
 
     bl_idname, bl_label = "plgs.open_lift", "Open Lift"
@@ -118,10 +109,6 @@ class PLGS_OT_open_lift(StartsTask, bpy.types.Operator):
 
     def begin(self, context: bpy.types.Context) -> Task:
         return lifting.join_lift(context.scene, str(absolute(self.directory)))
-
-    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        context.window_manager.fileselect_add(self)
-        return RUNNING
 
     @reporting
     def execute(self, context: bpy.types.Context) -> set[str]:
@@ -248,7 +235,7 @@ class Exports(OnLiftFolder, StartsTask):
         return str(absolute(root.get(FOLDER, ""))) if root is not None and root.get(FOLDER) else ""
 
 
-class PLGS_OT_export_lift(Exports, bpy.types.Operator):
+class PLGS_OT_export_lift(Exports, ChoosesFile, bpy.types.Operator):
     """Write a finished lift to a folder, in a format that other programs can read"""
 
     bl_idname, bl_label = "plgs.export_lift", "Export"
@@ -257,16 +244,6 @@ class PLGS_OT_export_lift(Exports, bpy.types.Operator):
     directory: StringProperty(  # type: ignore[valid-type]
         name="Folder", subtype="DIR_PATH", options={"SKIP_SAVE"}, description="Where the files go"
     )
-    was_invoked = False
-
-    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        self.was_invoked = True
-        context.window_manager.fileselect_add(self)
-        return RUNNING
-
-    @reporting
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        return self.run(context, waits=not self.was_invoked)
 
     def begin(self, context: bpy.types.Context) -> Task:
         return lifting.export_lift(

@@ -22,7 +22,7 @@ from ..plgs_blender.viewport import look_through, show_materials_in
 from .base import (
     CANCELLED,
     FINISHED,
-    RUNNING,
+    ChoosesFile,
     Explained,
     StartsTask,
     cancels,
@@ -104,7 +104,7 @@ class PLGS_OT_import_scene(ImportsScene, bpy.types.Operator):
         return super().begin(context)
 
 
-class PLGS_OT_browse_scene(ImportsScene, bpy.types.Operator):
+class PLGS_OT_browse_scene(ImportsScene, ChoosesFile, bpy.types.Operator):
     """Import the cameras and images of posed frames: a folder, or a file such as transforms.json, .sens or .r3d"""
 
     bl_idname, bl_label, bl_options = "plgs.browse_scene", "PLGS Scene", {"UNDO", "PRESET"}
@@ -116,17 +116,6 @@ class PLGS_OT_browse_scene(ImportsScene, bpy.types.Operator):
     filter_glob: StringProperty(  # type: ignore[valid-type]
         default=";".join(f"*{suffix}" for suffix in FILE_SUFFIXES), options={"HIDDEN", "SKIP_SAVE"}
     )
-    was_invoked = False
-
-    @reporting_events
-    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        self.was_invoked = True
-        context.window_manager.fileselect_add(self)
-        return RUNNING
-
-    @reporting
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        return self.run(context, waits=not self.was_invoked)
 
     def begin(self, context: bpy.types.Context) -> Task | None:
         settings = context.scene.plgs
