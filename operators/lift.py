@@ -264,7 +264,8 @@ class PLGS_OT_make_meshes(Exports, bpy.types.Operator):
         return "Make the surface again: it shows the state before the last corrections" if is_old else ""
 
     def begin(self, context: bpy.types.Context) -> Task:
-        return lifting.make_meshes(context.scene, self.frames, self.lift_of(context))
+        lift = lifting.lift_at(context.scene.plgs, self.lift_of(context))
+        return exports.make_meshes(lift.path, context.scene, self.frames)
 
 
 class PLGS_OT_make_depth_cloud(Exports, bpy.types.Operator):

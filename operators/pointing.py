@@ -191,4 +191,3 @@ def unregister() -> None:
     while _added:
         keymap, item = _added.pop()
         keymap.keymap_items.remove(item)
-    picking.forget()

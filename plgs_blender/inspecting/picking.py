@@ -38,12 +38,6 @@ what it shows changes. The mouse moves far more often, and its names come from h
 _MOST_KEPT = 16
 
 
-def forget_names() -> None:
-    """Free what is kept."""
-    hovered.clear()
-    _drawn.clear()
-
-
 def camera_of(context: bpy.types.Context) -> bpy.types.Object | None:
     """The camera that a 3D view looks through; None when it looks through none."""
     view = context.space_data
@@ -172,6 +166,8 @@ _last: dict[int, SeenPoints] = {}
 
 def forget() -> None:
     """Free what is kept."""
+    hovered.clear()
+    _drawn.clear()
     _last.clear()
 
 

@@ -228,13 +228,6 @@ def export_lift(settings: PLGS_PG_settings, form: str, output: str, frames: str,
     return exports.export(lift.path, form, absolute(output), engine_environment.usable_python(), [frames])
 
 
-def make_meshes(scene: bpy.types.Scene, frames: str, folder: str = "") -> exports.Export:
-    """Let an engine make the meshes of a finished lift that is placed in the scene, and put them there. Raises
-    PlgsError, OSError.
-    """
-    return exports.make_meshes(lift_at(scene.plgs, folder).path, scene, frames)
-
-
 def make_depth_cloud(scene: bpy.types.Scene, frame: str, folder: str = "") -> exports.Export:
     """Let an engine unproject what a frame's camera sees of a placed lift, and put the labelled points into the scene.
     Where ``frame`` is empty, what the active camera sees now, a frame's or any other. Raises PlgsError, OSError."""
