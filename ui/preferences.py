@@ -21,6 +21,10 @@ _ICONS = {
 }
 
 
+def _ask_again(preferences: bpy.types.AddonPreferences, context: bpy.types.Context) -> None:
+    tasks.ask_chosen()
+
+
 class PLGS_AP_preferences(bpy.types.AddonPreferences):
     """Blender keeps these with its own preferences."""
 
@@ -29,7 +33,7 @@ class PLGS_AP_preferences(bpy.types.AddonPreferences):
     engine_python: StringProperty(  # type: ignore[valid-type]
         name="Use This Python",
         subtype="FILE_PATH",
-        update=lambda _, context: tasks.ask_chosen(),
+        update=_ask_again,
         description="The Python that runs the engine. Empty: the one that 'Set Up Engine' made",
     )
     base_python: StringProperty(  # type: ignore[valid-type]

@@ -76,6 +76,22 @@ def _update_look(lists: bpy.types.PropertyGroup, _context: bpy.types.Context) ->
     apply_colours(lists.id_data)
 
 
+def _update_selection(lists: bpy.types.PropertyGroup, context: bpy.types.Context) -> None:
+    select_row(lists.id_data, context.view_layer)
+
+
+def _update_show_as(lists: bpy.types.PropertyGroup, _context: bpy.types.Context) -> None:
+    apply_show_as(lists.id_data)
+
+
+def _update_lit(lists: bpy.types.PropertyGroup, _context: bpy.types.Context) -> None:
+    apply_lit(lists.id_data)
+
+
+def _update_cameras(lists: bpy.types.PropertyGroup, _context: bpy.types.Context) -> None:
+    size_cameras(lists.id_data, lists.show_cameras)
+
+
 class PLGS_PG_mask(bpy.types.PropertyGroup):
     """One mask that was matched to an instance. `rectangle` and `outline` are as `MatchedSegment` has them."""
 
@@ -153,9 +169,7 @@ class PLGS_PG_lift(bpy.types.PropertyGroup):
     """`collection.plgs` of a lift's collection."""
 
     instances: CollectionProperty(type=PLGS_PG_instance)
-    instance_index: IntProperty(
-        name="Instance", default=-1, update=lambda lists, context: select_row(lists.id_data, context.view_layer)
-    )
+    instance_index: IntProperty(name="Instance", default=-1, update=_update_selection)
     classes: CollectionProperty(type=PLGS_PG_class)
     class_index: IntProperty(name="Class", default=-1)
     not_shown: CollectionProperty(type=PLGS_PG_unshown)
@@ -179,15 +193,15 @@ class PLGS_PG_lift(bpy.types.PropertyGroup):
         ],
     )  # fmt: skip
     show_as: EnumProperty(
-        name="Show As", update=lambda lists, _: apply_show_as(lists.id_data), description="How the lift is shown",
+        name="Show As", update=_update_show_as, description="How the lift is shown",
         items=WAYS_TO_SHOW,
     )  # fmt: skip
     lit: BoolProperty(
-        name="Lit", update=lambda lists, _: apply_lit(lists.id_data),
+        name="Lit", update=_update_lit,
         description="Let the scene's lights light the surface, not the photos' own",
     )  # fmt: skip
     show_cameras: BoolProperty(
-        name="Cameras", update=lambda lists, _: size_cameras(lists.id_data, lists.show_cameras),
+        name="Cameras", update=_update_cameras,
         description="Draw the frames' cameras and their path",
     )  # fmt: skip
     show_labels: BoolProperty(
