@@ -62,10 +62,6 @@ _MOST_BROKEN = 0.5
 """Share of a depth map that may be such numbers. COLMAP itself writes 0, or less, where it finds no depth."""
 
 
-def _recognises(place: Path) -> bool:
-    return _find_model(place) is not None
-
-
 def _find_model(place: Path) -> Path | None:
     return next((place / name for name in _MODELS if has_model(place / name)), None)
 
@@ -214,4 +210,4 @@ def _read_dense(path: Path) -> NDArray[np.float32]:
     return np.where(is_broken, np.float32(0.0), only_depth(values))
 
 
-FORMAT = SceneFormat("colmap", _recognises, _read)
+FORMAT = SceneFormat("colmap", lambda place: _find_model(place) is not None, _read)

@@ -45,10 +45,6 @@ _CENTRED = Inferred(
 )
 
 
-def _recognises(place: Path) -> bool:
-    return any(path.is_file() for path in _files(place))
-
-
 def _files(place: Path) -> list[Path]:
     """The files with the frames: one for all, or one to train on and one to hold out."""
     if place.is_file():
@@ -214,7 +210,7 @@ def _points(content: dict[str, Any], path: Path) -> SparsePoints | None:
     return read_ply_points(ply) if ply.is_file() else None
 
 
-FORMAT = SceneFormat("nerfstudio", _recognises, _read)
+FORMAT = SceneFormat("nerfstudio", lambda place: any(path.is_file() for path in _files(place)), _read)
 
 
 _MOST_BYTES = 1 << 30

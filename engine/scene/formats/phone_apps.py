@@ -54,10 +54,6 @@ _IMAGES = {".jpg", ".jpeg", ".png"}
 _NOT_OPTIMISED = "the poses were not optimised (no corrected_cameras): they are ARKit's own, and pictures are distorted"
 
 
-def _recognises_polycam(place: Path) -> bool:
-    return (place / "keyframes").is_dir()
-
-
 def _read_polycam(place: Path) -> Capture:
     """Open the keyframes; only headers of images are read. Raises PlgsError."""
     folder = place / "keyframes"
@@ -120,7 +116,7 @@ def _shot_polycam(
     return Shot(name, lens.at(from_opengl(pose)), image, depth_map)
 
 
-POLYCAM = SceneFormat("polycam", _recognises_polycam, _read_polycam)
+POLYCAM = SceneFormat("polycam", lambda place: (place / "keyframes").is_dir(), _read_polycam)
 
 
 _SCANNER_APP_POSE, _SCANNER_APP_LENS = "cameraPoseARFrame", "intrinsics"

@@ -35,10 +35,6 @@ _LENS_FIX = "Write w, h, fx, fy, cx, cy and scale of the pictures into cam_param
 _PARAMETERS = ("w", "h", "fx", "fy", "cx", "cy", "scale")
 
 
-def _recognises(place: Path) -> bool:
-    return (place / "traj.txt").is_file() and (place / "results").is_dir()
-
-
 def _read(place: Path) -> Capture:
     """Open the frames; only headers of images are read. Raises PlgsError."""
     results, trajectory = place / "results", place / "traj.txt"
@@ -100,4 +96,4 @@ def _read_parameters(place: Path) -> tuple[Camera, float] | None:
     return pinhole(width, height, fx, fy, cx + 0.5, cy + 0.5, path=path, fix=fix), 1.0 / scale
 
 
-FORMAT = SceneFormat("replica", _recognises, _read)
+FORMAT = SceneFormat("replica", lambda place: (place / "traj.txt").is_file() and (place / "results").is_dir(), _read)

@@ -110,10 +110,6 @@ class _Block:
         return data
 
 
-def _recognises(place: Path) -> bool:
-    return _find(place) is not None
-
-
 def _find(place: Path) -> Path | None:
     """The .sens file that is meant: the place itself, or the only one in it."""
     if place.is_file():
@@ -210,4 +206,4 @@ def _read_depth(block: _Block, header: _Header) -> NDArray[np.float32]:
     return np.frombuffer(data, "<u2").reshape(height, width) * np.float32(header.unit)
 
 
-SENS = SceneFormat("sens", _recognises, _read_sens)
+SENS = SceneFormat("sens", lambda place: _find(place) is not None, _read_sens)

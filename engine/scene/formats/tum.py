@@ -81,10 +81,6 @@ _Pose = tuple[float, NDArray[np.float64] | None, float | None]
 """When a picture was taken, in seconds, its pose, None where a number in it is not finite, and its number, if any."""
 
 
-def _recognises(place: Path) -> bool:
-    return (place / "rgb").is_dir() and (place / "groundtruth.txt").is_file()
-
-
 def _read_calibration(path: Path) -> _Lens:
     fix = "Write fx fy cx cy."
     row = next(read_rows(path, fix), None)
@@ -200,4 +196,4 @@ def _camera(lens: _Lens, size: Size, place: Path) -> Camera:
     return pinhole(*size, lens.fx, lens.fy, lens.cx + 0.5, lens.cy + 0.5, path=place, fix=_LENS_FIX)
 
 
-FORMAT = SceneFormat("tum", _recognises, _read)
+FORMAT = SceneFormat("tum", lambda place: (place / "rgb").is_dir() and (place / "groundtruth.txt").is_file(), _read)

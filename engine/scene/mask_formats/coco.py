@@ -60,10 +60,6 @@ def _read_ids(png: Path) -> NDArray[np.int32]:
     return ids
 
 
-def _recognises(place: Path) -> bool:
-    return _table_of(place).is_file()
-
-
 def _table_of(place: Path) -> Path:
     return place if place.suffix.lower() == ".json" else place / "panoptic.json"
 
@@ -201,4 +197,4 @@ def take_score(info: dict[str, Any], context: str, table: Path) -> float:
     return float(score)
 
 
-FORMAT = MaskFormat("coco", _recognises, _read, in_scene=True, own_names=True)
+FORMAT = MaskFormat("coco", lambda place: _table_of(place).is_file(), _read, in_scene=True, own_names=True)

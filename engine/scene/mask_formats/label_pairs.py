@@ -35,10 +35,6 @@ _LOOKS_FOR = "folders semantic and instance (or class, label-filt, semantic_clas
 _FIX = "Give a label image for every frame, with the frame's name."
 
 
-def _recognises_pairs(place: Path) -> bool:
-    return _pair_in(place) is not None
-
-
 def _recognises_palette(place: Path) -> bool:
     return place.is_dir() and not any(place.glob("*.json")) and any(place.glob("*.png"))
 
@@ -84,7 +80,7 @@ def _read_pair(classes: Path, instances: Path | None) -> FoundMask:
     return segments_of_pairs(labels, objects)
 
 
-PAIRS_FORMAT = MaskFormat("pairs", _recognises_pairs, _read_pairs, own_names=True)
+PAIRS_FORMAT = MaskFormat("pairs", lambda place: _pair_in(place) is not None, _read_pairs, own_names=True)
 PALETTE = MaskFormat("palette", _recognises_palette, _read_palette)
 
 

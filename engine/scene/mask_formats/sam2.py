@@ -99,10 +99,6 @@ def _picture_folders(place: Path) -> list[Path]:
     return [path.parent for path in lists if any(path.parent.glob("*.png"))]
 
 
-def _recognises_pictures(place: Path) -> bool:
-    return bool(_picture_folders(place))
-
-
 def _read_pictures(place: Path, names: Sequence[str]) -> MaskSource:
     """Open the masks of ``amg.py``; headers and lists only. Raises PlgsError."""
     require_all(names, [path.name for path in _picture_folders(place)], f"PNGs with {_LIST}", place, _LIST_FIX)
@@ -122,7 +118,7 @@ def _regions(folder: Path) -> StoredMask:
 
 
 FORMAT = MaskFormat("sam2", _recognises, _read)
-PICTURES = MaskFormat("sam", _recognises_pictures, _read_pictures, own_names=True)
+PICTURES = MaskFormat("sam", lambda place: bool(_picture_folders(place)), _read_pictures, own_names=True)
 
 
 _GROUNDED_FIX = "Name the folder that Grounded-SAM-2 wrote, with mask_data and json_data."

@@ -56,14 +56,6 @@ def _read_mask(picture: Path, table: str, segments: Mapping[int, FoundSegment]) 
     return FoundMask(painted, tuple(sorted(segments.values(), key=lambda segment: segment.id)))
 
 
-def _recognises_transformers(place: Path) -> bool:
-    return _key_of(place) == "label_id"
-
-
-def _recognises_detectron2(place: Path) -> bool:
-    return _key_of(place) == "category_id"
-
-
 def _key_of(place: Path) -> str | None:
     """The key of the segments' classes, None in other files. Without any segment it is transformers'."""
     if not place.is_dir():
@@ -197,5 +189,5 @@ def _labels_of_config(config: Path, fused: set[int]) -> tuple[ClassLabel, ...]:
     return tuple(labels[key] for key in sorted(labels))
 
 
-TRANSFORMERS = MaskFormat("transformers", _recognises_transformers, _read_transformers)
-DETECTRON2 = MaskFormat("detectron2", _recognises_detectron2, _read_detectron2)
+TRANSFORMERS = MaskFormat("transformers", lambda place: _key_of(place) == "label_id", _read_transformers)
+DETECTRON2 = MaskFormat("detectron2", lambda place: _key_of(place) == "category_id", _read_detectron2)
