@@ -14,7 +14,7 @@ import pytest
 
 pytest.importorskip("dask_jobqueue", reason="dask-jobqueue is not installed: python -m engine add farm")
 # ruff: noqa: E402 - without it the rest is not tested
-from engine.batch.cluster import Farm, Place, Tls, slurm_cluster
+from engine.batch.cluster import Place, Tls, slurm_cluster
 from engine.batch.piece import engine_tag
 from engine.errors import ExitCode, PlgsError
 from engine.job import EventWriter, LiftFolder, StopSignal
@@ -57,10 +57,6 @@ def test_the_job_script(slurm: Path, root: Path) -> None:
     assert "#SBATCH -A" not in script and f'export PYTHONPATH="{root}"' in script
     offered = re.search(r"--resources (\S+)", script)
     assert offered is not None and set(offered[1].split(",")) == {f"{engine_tag()}=1", "PLGS_GB=16", "PLGS_THREADS=8"}
-
-
-def test_a_job_has_the_requested_size_before_it_starts() -> None:
-    assert Farm(client=None, address="", place=Place(slurm={}, gigabytes=8.0)).largest() == 8.0
 
 
 def test_no_slurm(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

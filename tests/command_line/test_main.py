@@ -48,13 +48,6 @@ def test_what_is_not_there_is_told_before_torch_is_loaded(root: Path, tmp_path: 
     assert "gone" in said.stderr and said.stdout.splitlines()[-1] == "2 set()"
 
 
-def test_it_runs_as_a_module(root: Path) -> None:
-    said = subprocess.run(
-        [sys.executable, "-m", "engine", "--version"], cwd=root, capture_output=True, text=True, timeout=120
-    )
-    assert said.returncode == 0 and said.stdout.strip()
-
-
 @pytest.mark.skipif(sys.platform == "win32", reason="a broken pipe is another error there")
 @pytest.mark.parametrize("arguments", [["presets"], ["presets", "--json"]])
 def test_a_reader_that_stops_early_is_not_an_error(root: Path, arguments: list[str]) -> None:

@@ -246,12 +246,6 @@ def test_a_corrupt_result_is_made_again(tmp_path: Path) -> None:
     assert not later.exists(), "it is not listed as it is, but baked again when it is asked for"
 
 
-def test_signals_are_given_back(tmp_path: Path) -> None:
-    before = signal.getsignal(signal.SIGTERM)
-    run_engine(new_lift(tmp_path), lift=tiny_lift)
-    assert signal.getsignal(signal.SIGTERM) is before
-
-
 def test_ctrl_c_has_its_own_code(tmp_path: Path) -> None:
     def interrupted(folder: LiftFolder, events: EventWriter, stop: StopSignal, *, resume: bool) -> None:
         os.kill(os.getpid(), signal.SIGINT)

@@ -58,11 +58,6 @@ def test_it_says_when_it_may_not_write(tmp_path: Path) -> None:
         new_lift(tmp_path)
 
 
-def test_it_says_when_a_folder_cannot_be_made(tmp_path: Path) -> None:
-    with pytest.raises(PlgsError, match="cannot be written"):
-        new_lift(tmp_path, "n" * 300)
-
-
 def test_it_refuses_what_is_not_a_lift(tmp_path: Path) -> None:
     for path in (tmp_path, tmp_path / "missing"):
         with pytest.raises(PlgsError):
