@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-import cv2
 import pytest
 
 from engine.corrections import correct, making, read_corrected
@@ -31,12 +30,9 @@ def test_what_is_wrong_is_fixed_and_scored(tmp_path: Path, capsys: Capture) -> N
     correct(lift, lambda state, _: making.reclass(state, [one.id], other.id))
     assert before_and_after(lift)[1] < best
     capsys.readouterr()
-    stills = tmp_path / "stills"
-    assert main(["correct", str(lift), "--film", str(stills)]) == 0
+    assert main(["correct", str(lift)]) == 0
     said = capsys.readouterr().out
     assert f"{one.name} is {one.class_name}" in said and f"-> {100 * best:.1f} %" in said
-    first, *_, last = (cv2.imread(str(path)) for path in sorted(stills.iterdir()))
-    assert first.shape == last.shape and (first != last).any()
 
 
 def test_what_was_merged_is_split_and_what_was_deleted_is_painted(tmp_path: Path) -> None:
@@ -55,16 +51,14 @@ def test_what_was_merged_is_split_and_what_was_deleted_is_painted(tmp_path: Path
 
 @pytest.mark.slow
 def test_the_sample_is_better_after_fewer_than_20_edits(root: Path, tmp_path: Path, capsys: Capture) -> None:
-    """The script of the film in docs/corrections.md, on a short lift."""
     request = LiftRequest(scene=root / "sample" / "room", options={"steps": 200, "size": [160, 120]}, bake="none")
     lift = lift_into(tmp_path / "lift", request).path
     made = {path: path.read_bytes() for path in (lift / "result").rglob("*") if path.is_file()}
     capsys.readouterr()
-    assert main(["correct", str(lift), "--film", str(tmp_path / "stills")]) == 0
+    assert main(["correct", str(lift)]) == 0
     *said, last = capsys.readouterr().out.splitlines()
     before, after = map(float, re.fullmatch(r"PQ (\S+) % -> (\S+) %", last).groups())  # type: ignore[union-attr]
-    stills = sorted((tmp_path / "stills").iterdir())
-    assert 0 < len(said) - len(stills) < 20 and len(stills) == 5
+    assert 0 < len(said) < 20
     assert after > before + 1.0
     assert all(path.read_bytes() == content for path, content in made.items()), "result/ is as the engine made it"
 

@@ -25,9 +25,11 @@ from engine.corrections import (
     undo,
 )
 from engine.corrections import making as m
+from engine.corrections.making import class_of
 from engine.corrections.relabelling import nearest
 from engine.corrections.replay import Replay
 from engine.errors import PlgsError
+from engine.posed.classes import Category, ClassTable
 from engine.result_files import Instance, MatchedSegment
 from tests.corrections.two_rooms import CHAIR, CHAIRS, CRUMB, DESK, FLOOR, SOFA, TABLE, write_result
 
@@ -111,13 +113,6 @@ def test_together_again_is_one_object_with_all_points(lift: Path) -> None:
     correct(lift, merge(CHAIRS, 4))
     found = objects(lift)
     assert 4 not in found and found[CHAIRS].points == points
-
-
-def test_merging_across_classes_takes_the_class_of_the_first(lift: Path) -> None:
-    correct(lift, merge(DESK, CHAIRS))
-    result = read_corrected(lift)
-    assert [one.class_id for one in result.instances] == [TABLE, TABLE]
-    assert (result.points.class_id == CHAIR).sum() == 0
 
 
 def test_a_crumb_becomes_what_surrounds_it(lift: Path) -> None:
@@ -210,13 +205,6 @@ def test_corrections_of_another_scene(tmp_path: Path, lift: Path) -> None:
     assert "object 2 (table 1) is a different one here" in result.warnings[0] and not result.fingerprint
 
 
-def test_a_thousand_edits(lift: Path) -> None:
-    with editing(lift) as edits:
-        state = Replay.of(read_corrected(lift).classes, read_corrected(lift).made, read_corrected(lift).points)
-        edits += [m.rename(state, DESK, f"desk {number}") for number in range(1000)]
-    assert objects(lift)[DESK].name == "desk 999"
-
-
 def test_later_versions_are_refused_or_kept(lift: Path) -> None:
     correct(lift, lambda state, _: m.rename(state, DESK, "desk"))
     path = lift / CORRECTIONS
@@ -289,3 +277,30 @@ def test_nearest_is_the_nearest() -> None:
     index, distance = nearest(queries, points)
     every = np.linalg.norm(queries[:, None].astype(float) - points[None], axis=2)
     assert (index == every.argmin(axis=1)).all() and np.allclose(distance, every.min(axis=1), atol=1e-6)
+
+
+_NAMES = {3: "Chair", 7: "chair", 8: "desk", 9: "lamp", 10: "rug", 12: "11", 13: "12", 14: "mat", 15: "mat"}
+ALIKE = ClassTable(tuple(Category(number, name, True, (1, 2, 3)) for number, name in _NAMES.items()))
+
+
+@pytest.mark.parametrize(
+    ("text", "found"),
+    [("chair", 7), ("Chair", 3), (" desk ", 8), ("DESK", 8), ("7", 7), ("lamp", 9), ("10", 10), ("11", 12), ("12", 13),
+     ("12 11", 12), ("14", 14), ("15 mat", 15), (12, 12), (np.int64(3), 3)],
+)  # fmt: skip
+def test_a_class_by_its_name_or_number(text: int | str, found: int) -> None:
+    assert class_of(ALIKE, text) == found
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("CHAIR", "may be the class 3 Chair or 7 chair: "),
+        ("mat", "may be the class 14 mat or 15 mat: "),
+        ("sofa", "there is no class sofa.*The classes are 3 Chair, 7 chair, 8 desk"),
+        ("99", "there is no class 99"),
+    ],
+)
+def test_a_class_is_not_guessed(text: str, told: str) -> None:
+    with pytest.raises(PlgsError, match=told):
+        class_of(ALIKE, text)

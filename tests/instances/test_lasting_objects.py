@@ -34,12 +34,6 @@ def test_whatever_their_numbers_and_spacing() -> None:
     assert found(old, new) == LastingObjects({9: 5, 1: 2, 3: 1}, {}, {})
 
 
-def test_an_object_that_was_half_seen_is_the_same() -> None:
-    old = cloud(0.03, (1, (0, 0, 0), (0.7, 0.8, 0.7)))
-    new = cloud(0.03, (2, (0, 0, 0), TABLE))
-    assert found(old, new).old_of == {2: 1}
-
-
 def test_what_was_split_and_what_was_merged() -> None:
     whole = cloud(0.03, (1, (0, 0, 0), TABLE))
     halves = cloud(0.03, (1, (0, 0, 0), (0.9, 0.8, 0.7)), (2, (0.9, 0, 0), (0.5, 0.8, 0.7)))

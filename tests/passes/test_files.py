@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 
-from engine.export.frame_images import write_coco
 from engine.model.baking import BakedGaussians
 from engine.passes.layers import decide
 from engine.passes.ply import write_splats
-from engine.passes.previews import SheetRow, chosen, write_contact_sheet, write_previews
+from engine.passes.previews import SheetRow, write_contact_sheet, write_previews
 from tests.passes.read_ply import read_ply
 from tests.passes.views import CLASSES, made_rendering
 
@@ -57,33 +55,6 @@ def test_ply_is_what_splat_viewers_expect(tmp_path: Path) -> None:
     assert head[-5:] == ["property int class_id", "property int instance_id", *blended]
 
 
-@pytest.mark.slow
-def test_open3d_reads_the_ply(tmp_path: Path) -> None:
-    open3d = pytest.importorskip("open3d")
-    splats = _splats()
-    write_splats(tmp_path / "a.ply", splats)
-    cloud = open3d.t.io.read_point_cloud(str(tmp_path / "a.ply"))
-    assert cloud.point.positions.numpy() == pytest.approx(splats.means)
-
-
-def test_coco_round_trip(tmp_path: Path) -> None:
-    layers = decide(made_rendering(), CLASSES)
-    instance = np.where(layers.instance == 70001, 4, layers.instance).astype(np.int32)
-    camera = made_rendering().camera
-    write_coco(tmp_path, CLASSES, [("0001", layers.semantic, instance, camera)], {})
-    content = json.loads((tmp_path / "panoptic.json").read_text())
-    bgr = cv2.imread(str(tmp_path / "panoptic" / "0001.png")).astype(np.int64)
-    ids = bgr[..., 2] + 256 * bgr[..., 1] + 65536 * bgr[..., 0]
-    segments = content["annotations"][0]["segments_info"]
-    assert {s["id"] for s in segments} == set(np.unique(ids[ids > 0]).tolist())
-    category = {s["id"]: s["category_id"] for s in segments} | {0: 0}
-    assert (np.vectorize(category.get)(ids) == layers.semantic).all()
-    assert sum(s["area"] for s in segments) == (layers.semantic > 0).sum()
-    assert segments[0]["bbox"] == [3, 0, 2, 6]
-    with pytest.raises(ValueError, match="below 4096"):
-        write_coco(tmp_path, CLASSES, [("0001", layers.semantic, layers.instance, camera)], {})
-
-
 def test_the_previews_are_written(tmp_path: Path) -> None:
     layers = decide(made_rendering(), CLASSES)
     paths = write_previews(tmp_path, "0001", layers, CLASSES, {3: (1, 2, 3)})
@@ -107,8 +78,3 @@ def test_the_contact_sheet_is_drawn(tmp_path: Path) -> None:
     assert two.shape[0] - one.shape[0] == 246
     with pytest.raises(ValueError, match="at least one"):
         write_contact_sheet(tmp_path / "c.png", [], CLASSES)
-
-
-def test_a_sheet_shows_eight_frames_spread_evenly() -> None:
-    assert chosen(3) == [0, 1, 2]
-    assert chosen(40) == [0, 6, 11, 17, 22, 28, 33, 39]

@@ -177,21 +177,6 @@ def test_every_pixel_gets_the_specified_label(seed: int) -> None:
     np.testing.assert_allclose(layers.combined, light, atol=1e-6)
 
 
-def test_the_number_of_threads_changes_no_bit() -> None:
-    import torch
-
-    rendering, classes = coarse_rendering(5, 61, 83)
-    threads, seen = torch.get_num_threads(), []
-    try:
-        for count in (1, 2, 3):
-            torch.set_num_threads(count)
-            layers = decide(rendering, classes, {3: 5})
-            seen.append(b"".join(getattr(layers, name).tobytes() for name in sorted(vars(layers))))
-    finally:
-        torch.set_num_threads(threads)
-    assert seen[0] == seen[1] == seen[2]
-
-
 def test_a_rendering_without_classes_is_refused() -> None:
     with pytest.raises(ValueError, match="no classes"):
         decide(replace(made_rendering(), class_ids=(0,), class_coverage=np.zeros((6, 8, 1), np.float32)), CLASSES)

@@ -1,11 +1,17 @@
+"""Pixels that neighbouring views agree with, and pseudo labels."""
+
 from __future__ import annotations
 
 import numpy as np
 
+from engine.scene import PanopticMask, Segment
 from engine.semantics.consistency import (
+    LEAST_AREA,
     ConsistencyOptions,
     consistency_masks,
     neighbour_indices,
+    pseudo_labels,
+    regions,
     view_overlap,
     views_are_sparse,
 )
@@ -45,11 +51,6 @@ def test_a_pixel_that_no_neighbour_sees_is_kept() -> None:
     assert next(consistency_masks([wall_view("a", 0.0), wall_view("b", 1.5)], PRODUCT)).all()
 
 
-def test_pixels_without_depth_are_not_kept() -> None:
-    kept = next(consistency_masks([wall_view("a", 0.0, square(0.0, 3.0, slice(0, 5)))], PRODUCT))
-    assert not kept[10:20, :5].any() and kept[:, 5:].all()
-
-
 def test_neighbours_are_the_nearest_in_recording_order() -> None:
     assert neighbour_indices(5, 10, 4) == [3, 4, 6, 7]
     assert neighbour_indices(0, 10, 4) == [1, 2, 3, 4]
@@ -64,3 +65,45 @@ def test_far_apart_views_are_sparse() -> None:
     assert view_overlap(near[0], near[0], options) == 1.0
     assert not views_are_sparse(near, options)
     assert views_are_sparse([wall_view(str(i), 2.5 * i) for i in range(4)], options)
+
+
+def two_chairs() -> PanopticMask:
+    """Wall with two chairs that touch, a third that touches one by a corner only, and void at the bottom."""
+    ids = np.full((12, 16), 1, np.int32)
+    ids[0:4, 0:6], ids[0:4, 6:12], ids[4:8, 12:16] = 2, 3, 4
+    ids[10:] = 0
+    return PanopticMask(ids, (Segment(1, WALL, False), *(Segment(i, CHAIR, True) for i in (2, 3, 4))))
+
+
+def test_regions_split_by_class_at_corners_but_not_between_touching_chairs() -> None:
+    region = regions(two_chairs())
+    assert region[0, 0] == region[0, 11] != region[5, 13]
+    # The two chairs and the third, which meet at a corner, cut the wall in two.
+    assert region[0, 13] != region[5, 0]
+    assert (region[10:] == 0).all() and region.max() == 4
+
+
+def test_a_region_takes_the_majority_of_the_rendered_classes() -> None:
+    mask = two_chairs()
+    rendered = np.full((12, 16), WALL, np.int32)
+    rendered[0:4, 0:12] = CHAIR
+    rendered[0:4, 0:6] = SOFA
+    rendered[0, 11] = 0
+    # 24 sofa against 23 chair pixels in the joint region.
+    label = pseudo_labels(mask, rendered)
+    assert (label[0:4, 0:12] == SOFA).all() and (label[10:] == 0).all()
+    assert (label[4:8, 12:16] == WALL).all()
+
+
+def test_ties_go_to_the_lower_class_and_unrendered_regions_have_no_loss() -> None:
+    mask = PanopticMask(np.full((4, 8), 1, np.int32), (Segment(1, WALL, False),))
+    half = np.where(np.arange(8) < 4, SOFA, CHAIR) * np.ones((4, 1), np.int32)
+    assert (pseudo_labels(mask, half.astype(np.int32)) == CHAIR).all()
+    assert (pseudo_labels(mask, np.zeros((4, 8), np.int32)) == 0).all()
+
+
+def test_small_regions_keep_what_is_rendered() -> None:
+    for width, is_small in ((LEAST_AREA - 1, True), (LEAST_AREA, False)):
+        mask = PanopticMask(np.full((1, width), 1, np.int32), (Segment(1, WALL, False),))
+        rendered = np.where(np.arange(width) > 4, 7, 3).astype(np.int32)[None]
+        np.testing.assert_array_equal(pseudo_labels(mask, rendered), rendered if is_small else 7)

@@ -1,9 +1,18 @@
+"""The semantic point cloud, and the labels that anchors take from it."""
+
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from engine.semantics.point_cloud import CloudOptions, build_point_cloud, majority_vote
+from engine.semantics.point_cloud import (
+    CloudOptions,
+    SemanticPointCloud,
+    build_point_cloud,
+    label_anchors,
+    majority_vote,
+    voxelise,
+)
 from tests.semantics.plane_views import CLASS_IDS, SOFA, WALL, square, wall_view
 
 OPTIONS = CloudOptions(spacing=0.2)
@@ -37,11 +46,6 @@ def test_no_majority_is_unknown_and_ties_go_to_the_lower_id() -> None:
     np.testing.assert_allclose(share, [0.4, 0.5, 0.0, 0.9], rtol=1e-6)
 
 
-def test_labels_outside_the_table_do_not_vote() -> None:
-    views = [wall_view("a", 0.0, classes=SOFA)]
-    assert (build_point_cloud(views, everything(views), (WALL,), OPTIONS).class_id == 0).all()
-
-
 def test_the_same_views_give_the_same_cloud_and_progress_counts_up() -> None:
     views = [wall_view("a", 0.0), wall_view("b", 0.4, classes=square(SOFA, WALL, slice(5, 15)))]
     seen: list[tuple[int, int]] = []
@@ -72,3 +76,28 @@ def test_a_room_too_large_for_an_even_cloud_has_its_points_where_labels_change()
     flat = build_point_cloud(one_class, everything(one_class), CLASS_IDS, CloudOptions(spacing=0.075, cap=cap)).xyz
     near, far = np.abs(flat[:, 0]) < 0.15, np.abs(flat[:, 0]) > 0.6
     assert near.sum() / 0.3 < 1.5 * far.sum() / (width - 1.2), "without an edge the points are even"
+
+
+def cloud_of(xyz: np.ndarray, class_id: list[int]) -> SemanticPointCloud:
+    count = len(xyz)
+    return SemanticPointCloud(
+        xyz.astype(np.float32), np.zeros((count, 3), np.uint8), np.array(class_id, np.int32),
+        np.ones(count, np.float32), np.zeros((count, 0), np.float32), (), 0.1,
+    )  # fmt: skip
+
+
+def test_voxelisation_rounds_half_to_even_and_removes_duplicates() -> None:
+    points = np.array([[0.5, 1.5, 2.5], [0.49, 1.9, 2.1], [-0.5, 0.0, 0.0], [-0.2, 0.3, 0.0]])
+    np.testing.assert_array_equal(voxelise(points, 1.0), [[0, 0, 0], [0, 2, 2]])
+    np.testing.assert_allclose(voxelise(points * 0.02, 0.02), np.array([[0, 0, 0], [0, 2, 2]]) * 0.02, rtol=1e-6)
+
+
+def test_anchors_take_the_majority_of_their_voxel() -> None:
+    xyz = np.array([[0.1, 0, 0], [0.2, 0, 0], [-0.1, 0, 0], [1.0, 0, 0], [1.1, 0, 0], [2.0, 0, 0]])
+    cloud = cloud_of(xyz, [5, 5, 3, 6, 4, 0])
+    instance = np.array([7, 8, 9, 2, 1, 4], np.int32)
+    anchors = np.array([[2, 0, 0], [0, 0, 0], [1, 0, 0], [9, 0, 0]], np.float32)
+    class_id, instance_id = label_anchors(cloud, instance, anchors, 1.0)
+    # Voxel 0: two of three say 5, instances 7 and 8 tie. Voxel 1: a tie. Voxel 2: unknown. No voxel at 9.
+    assert class_id.tolist() == [0, 5, 4, 0]
+    assert instance_id.tolist() == [4, 7, 1, 0]
