@@ -125,7 +125,8 @@ def make_frames(
         if progress is not None:
             progress(position + 1, len(todo))
     is_new = in_cloud and problem is None
-    cloud = _write_cloud(builder, folder / "cloud.npz") if is_new else made.cloud
+    found = builder.cloud()
+    cloud = _write_points(folder / "cloud.npz", found.xyz, found.rgb) if is_new else made.cloud
     result = replace(made, frames=done, cloud=cloud)
     result.write()
     if problem is not None:
@@ -197,11 +198,6 @@ def _add_to_cloud(builder: CloudBuilder, frame: Frame, stride: int) -> None:
     # The stride is that of the picture; depth often has fewer pixels.
     own = max(1, round(stride * width / frame.camera.width))
     builder.add(frame.camera.resized(width, height), depth, frame.read_colour((width, height)), own)
-
-
-def _write_cloud(builder: CloudBuilder, path: Path) -> Path:
-    cloud = builder.cloud()
-    return _write_points(path, cloud.xyz, cloud.rgb)
 
 
 def _points(scene: Scene, folder: Path) -> Path | None:

@@ -241,7 +241,10 @@ def make_masks(scene: Scene, job: Job, network: Segmenter, progress: Progress) -
         {"image_id": name, "file_name": f"{name}.png", "segments_info": read_list(job.pictures / f"{name}.json")}
         for name in names
     ]
-    content = {"annotations": annotations, "categories": [_category(label) for label in network.labels]}
+    categories = [  # ids count from 1, as 0 is void
+        {"id": label.id + 1, "name": label.name, "isthing": int(label.is_thing)} for label in network.labels
+    ]
+    content = {"annotations": annotations, "categories": categories}
     write_atomically(job.folder / TABLE, json.dumps(content, ensure_ascii=False) + "\n")
     for name in names:
         (job.pictures / f"{name}.json").unlink()
@@ -267,11 +270,6 @@ def _segments(ids: NDArray[np.int32], found: list[MadeSegment]) -> list[dict[str
         }
         for one in found
     ]
-
-
-def _category(label: ClassLabel) -> dict[str, object]:
-    """Category ids count from 1, as 0 is void."""
-    return {"id": label.id + 1, "name": label.name, "isthing": int(label.is_thing)}
 
 
 def _png(ids: NDArray[np.int32]) -> bytes:

@@ -70,7 +70,9 @@ def _write(scene: Scene, frames: list[Frame], diagnosis: Diagnosis, folder: Path
         np.savetxt(folder / "pose" / f"{frame.name}.txt", camera.camera_to_world, "%.12g")
         np.savetxt(folder / "intrinsic" / f"{frame.name}.txt", _matrix(camera), "%.12g")
         if frame.read_depth is not None:
-            _write_depth(frame, diagnosis.mending, folder / "depth")
+            millimetres = np.round(_mended_depth(frame, diagnosis.mending) / MILLIMETRES)
+            millimetres[millimetres > _DEEPEST] = 0
+            _write_image(folder / "depth" / f"{frame.name}.png", millimetres.astype(np.uint16))
         if frame.read_ground_truth is not None:
             truth = frame.read_ground_truth(None)
             _write_image(folder / "gt" / "semantic" / f"{frame.name}.png", truth.semantic.astype(np.uint16))
@@ -137,12 +139,6 @@ def _link_or_copy(source: Path, target: Path) -> None:
         os.link(source, target)
     except OSError:
         shutil.copyfile(source, target)
-
-
-def _write_depth(frame: Frame, mending: Mending, folder: Path) -> None:
-    millimetres = np.round(_mended_depth(frame, mending) / MILLIMETRES)
-    millimetres[millimetres > _DEEPEST] = 0
-    _write_image(folder / f"{frame.name}.png", millimetres.astype(np.uint16))
 
 
 def _mended_depth(frame: Frame, mending: Mending) -> NDArray[np.float64]:

@@ -80,7 +80,9 @@ def pose_findings(examined: Examined, assumed: Assumption) -> PoseFindings:
     drift = _measure_drift(distances, lags, len(examined.looks))
     depth = float(np.median(examined.views.values[examined.views.values > 0.0])) * assumed.unit
     least = max(_DRIFTED, _DRIFTED_SHARE * depth)
-    found = [_drift_finding(drift)] if drift is not None and _is_drifting(drift, least) else []
+    found = []
+    if drift is not None and drift.far > max(least, _GROWN * drift.near) and drift.certainty > _CERTAIN:
+        found = [_drift_finding(drift)]
     gap = None if found else _measure_gap(distances, numbers[examined.pairs])
     if gap is not None and gap.across > max(least, _GROWN * gap.within):
         found.append(_gap_finding(examined, gap))
@@ -161,10 +163,6 @@ def _gap_finding(examined: Examined, gap: Gap) -> Finding:
         figures={"across_m": gap.across, "within_m": gap.within, "frame": name},
         frames=(name,),
     )
-
-
-def _is_drifting(drift: Drift, least: float) -> bool:
-    return drift.far > least and drift.far > _GROWN * drift.near and drift.certainty > _CERTAIN
 
 
 def _drift_finding(drift: Drift, along: str = "") -> Finding:

@@ -84,16 +84,17 @@ def pairs_of(count: int) -> NDArray[np.int64]:
 
 def load_looks(frames: Sequence[Frame]) -> list[Look]:
     """Load the depth of the chosen frames that have depth. Raises PlgsError for bad files."""
-    with_depth = [number for number in chosen_numbers(len(frames)) if frames[number].read_depth is not None]
-    return [look for number in with_depth if (look := _load_look(number, frames[number])) is not None]
-
-
-def _load_look(number: int, frame: Frame) -> Look | None:
-    depth = frame.depth(None)
-    depth = _thinned(depth, _stride_for(depth.shape[1]))
-    height, width = depth.shape
-    points = _smooth_points(depth, np.random.default_rng(number))
-    return Look(number, frame, frame.camera.resized(width, height), depth, points) if len(points) else None
+    looks = []
+    for number in chosen_numbers(len(frames)):
+        frame = frames[number]
+        if frame.read_depth is None:
+            continue
+        depth = frame.depth(None)
+        depth = _thinned(depth, _stride_for(depth.shape[1]))
+        points = _smooth_points(depth, np.random.default_rng(number))
+        if len(points):
+            looks.append(Look(number, frame, frame.camera.resized(*depth.shape[::-1]), depth, points))
+    return looks
 
 
 def load_photos(frames: Sequence[Frame]) -> dict[int, Photo]:

@@ -20,12 +20,12 @@ from numpy.typing import NDArray
 
 from ..errors import PlgsError
 from ..job import write_atomically
-from ..passes.layers import PanopticLayers, linear
+from ..passes.layers import linear
 from ..passes.ply import columns_of, write_ply_table
 from ..passes.previews import colour_picture
 from ..posed.classes import matte_names
 from ..posed.ply import LEAST_TRIANGLES, triangles_by_label
-from ..scene import Camera, ClassTable
+from ..scene import ClassTable
 from .fusion import SmallView, Surface, fuse
 from .mending import close_holes, cut_by_label, even_labels, without_crumbs, without_flakes, without_fringe
 from .source import FinishedLift
@@ -212,13 +212,12 @@ def mended(surface: Surface, label: NDArray[np.int64]) -> tuple[Surface, NDArray
 
 def views_of(lift: FinishedLift, width: int, most: int) -> list[SmallView]:
     """At most ``most`` of the lift's views, as large as they are fused. Raises PlgsError, OSError."""
-    return [_small(camera, layers) for camera, layers in lift.small_views(width, most)]
-
-
-def _small(camera: Camera, layers: PanopticLayers) -> SmallView:
-    depth = np.where(layers.combined[..., 3] >= LEAST_ALPHA, layers.depth, 0).astype(np.float32)
-    label = layers.semantic.astype(np.int64) * MOST_INSTANCES + layers.instance
-    return SmallView(camera, depth, colour_picture(layers), label)
+    views = []
+    for camera, layers in lift.small_views(width, most):
+        depth = np.where(layers.combined[..., 3] >= LEAST_ALPHA, layers.depth, 0).astype(np.float32)
+        label = layers.semantic.astype(np.int64) * MOST_INSTANCES + layers.instance
+        views.append(SmallView(camera, depth, colour_picture(layers), label))
+    return views
 
 
 def vertex_labels(xyz: NDArray[np.float32], views: list[SmallView], times: int = 1) -> NDArray[np.int64]:

@@ -124,8 +124,8 @@ NEIGHBOURS = 30
 
 
 def export_points(lift: FinishedLift, output: Path) -> None:
-    """points.ply: the semantic points with colours, normals, class_id, instance_id and confidence; gaussians.ply: the
-    Gaussians, class_id and instance_id included. Raises PlgsError, OSError."""
+    """points.ply: the semantic points with colours, normals, class_id, instance_id and confidence. Raises PlgsError,
+    OSError."""
     points = lift.corrected.points
     centres = np.array([frame.camera.centre for frame in lift.scene.frames])
     columns = {
@@ -135,19 +135,14 @@ def export_points(lift: FinishedLift, output: Path) -> None:
         **{name: getattr(points, name) for name in ("class_id", "instance_id", "confidence")},
     }
     write_ply_table(output / "points.ply", columns)
-    _write_splats(output / "gaussians.ply", lift)
 
 
 def export_splats(lift: FinishedLift, output: Path) -> None:
     """splats.ply: the wanted Gaussians as the authors of 3D Gaussian Splatting write them (colour as spherical
     harmonics of degree 0, logit of opacity, logarithm of scale, rotation wxyz), and class_id and instance_id.
     labels.json names these ids. Raises PlgsError, OSError."""
-    _write_splats(output / "splats.ply", lift)
+    write_ply_table(output / "splats.ply", {name: lift.splats[name] for name in lift.splats.dtype.names or ()})
     write_atomically(output / "labels.json", labels_text(lift.classes, lift.instances))
-
-
-def _write_splats(path: Path, lift: FinishedLift) -> None:
-    write_ply_table(path, {name: lift.splats[name] for name in lift.splats.dtype.names or ()})
 
 
 def export_clouds(lift: FinishedLift, output: Path) -> None:

@@ -121,8 +121,8 @@ class PanopticEvaluation:
             raise ValueError("nothing to score: no pixel has ground truth")
         ids = (VOID, *self.classes.ids)
         areas = _ClassAreas.of(self.pixels)
-        in_miou = {c for c in ids if areas.is_kept_for_miou(c, self.mode)}
-        in_pq = {c for c in ids if areas.is_kept_for_pq(c, self.mode)}
+        in_miou = {c for c in ids if areas.is_kept(c, self.mode, for_pq=False)}
+        in_pq = {c for c in ids if areas.is_kept(c, self.mode, for_pq=True)}
         matches = _match(self.pixels, in_pq, excuse_void=self.mode == "pl_compat")
         rows = tuple(
             matches.score(
@@ -170,16 +170,12 @@ class _ClassAreas:
         shared = self.both[class_id]
         return shared / (self.predicted[class_id] + self.true[class_id] - shared)
 
-    def is_kept_for_miou(self, class_id: int, mode: Mode) -> bool:
+    def is_kept(self, class_id: int, mode: Mode, for_pq: bool) -> bool:
         predicted, true = self.predicted[class_id] / self.total, self.true[class_id] / self.total
         if mode == "strict":
             return class_id != VOID and (predicted > 0 or true > 0)
-        return predicted >= RARE or true >= RARE
-
-    def is_kept_for_pq(self, class_id: int, mode: Mode) -> bool:
-        predicted, true = self.predicted[class_id] / self.total, self.true[class_id] / self.total
-        if mode == "strict":
-            return class_id != VOID and (predicted > 0 or true > 0)
+        if not for_pq:
+            return predicted >= RARE or true >= RARE
         # As in the original, a class predicted on 0.3 % is dropped, while one predicted nowhere stays and scores 0.
         rare = 0 < predicted < RARE or 0 < true < RARE
         return (predicted > 0 or true > 0) and not rare

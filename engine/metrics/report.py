@@ -15,7 +15,7 @@ from ..scene import ClassTable, Frame, GroundTruth, PanopticMask, Scene
 from ..scene.label_folders import LabelFolder, in_one_table
 from ..scene.pixels import resize_nearest
 from .images import DepthErrors, PictureScores, score_picture
-from .panoptic import MODES, FrameQuality, IdChanges, PanopticEvaluation, PanopticScores
+from .panoptic import MODES, FrameQuality, IdChanges, PanopticEvaluation
 
 FORMAT = 1
 INPUT_MASKS = "input masks"
@@ -106,13 +106,16 @@ class Report:
 
     def _tables(self, method: str) -> Iterator[dict[str, object]]:
         """One table per mode, or one without a mode if no labels could be scored."""
-        rendered = {**self._picture_scores(method), **self._depth_scores(method)}
+        errors = self._depths.get(method, DepthErrors())
+        depth = {"depth_error_m": errors.median, "depth_within_5cm": errors.close_share}
+        rendered = {**self._picture_scores(method), **depth}
         labels = self._labels.get(method)
         scores = [] if labels is None else [one.result() for one in labels.modes.values() if not one.is_empty]
         for score in scores:
             assert labels is not None
+            rows = [asdict(row) for row in score.per_class]
             followed = labels.followed() if score.mode == "strict" else dict.fromkeys(_FOLLOWED)
-            yield {"name": method, **_label_scores(score), **followed, **rendered}
+            yield {"name": method, **asdict(score), "per_class": rows, **followed, **rendered}
         if not scores and any(value is not None for value in rendered.values()):
             yield {"name": method, **_NO_LABEL_SCORES, **rendered}
 
@@ -123,14 +126,6 @@ class Report:
             return dict.fromkeys(PictureScores._fields)
         means = [sum(of_views) / len(pictures) for of_views in zip(*pictures, strict=True)]
         return PictureScores(*means)._asdict()
-
-    def _depth_scores(self, method: str) -> dict[str, float | None]:
-        errors = self._depths.get(method, DepthErrors())
-        return {"depth_error_m": errors.median, "depth_within_5cm": errors.close_share}
-
-
-def _label_scores(scores: PanopticScores) -> dict[str, object]:
-    return {**asdict(scores), "per_class": [asdict(row) for row in scores.per_class]}
 
 
 def _place(method: str) -> tuple[int, str]:

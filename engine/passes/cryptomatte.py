@@ -154,12 +154,9 @@ def instance_layer(
 ) -> MatteLayer:
     """The layer of every instance. Those of stuff are left out if ``instance_classes`` (instance id to class id) is
     given. ``instance_ids`` are those of the columns of ``instance_coverage``."""
-    ids = [one for one in instance_ids if one and _is_thing(one, classes, instance_classes)]
+    kinds, things = instance_classes, classes.thing_ids
+    ids = [one for one in instance_ids if one and (kinds is None or kinds.get(one) in things)]
     return _layer(CRYPTO_INSTANCE, instance_ids, matte_names({i: instance_names.get(i, f"instance {i}") for i in ids}))
-
-
-def _is_thing(instance: int, classes: ClassTable, instance_classes: Mapping[int, int] | None) -> bool:
-    return instance_classes is None or instance_classes.get(instance) in classes.thing_ids
 
 
 def _layer(name: str, ids: Sequence[int], names: Mapping[int, str]) -> MatteLayer:

@@ -24,7 +24,7 @@ from ..gates import refuse_special
 from ..job import FURTHER_LAYERS, write_atomically
 from ..job.system import main_memory
 from ..machine.threads import worker_count
-from ..posed.exr_header import read_exr_header
+from ..posed.exr_header import ExrHeader, read_exr_header
 from ..scene import Camera
 from . import cryptomatte
 from .baked_view import BakedView
@@ -162,20 +162,17 @@ def further_layers(path: Path) -> set[str]:
 def read_note(path: Path, name: str) -> str | None:
     """An attribute of a baked view's header, None if it does not have it. Raises ValueError if the file is damaged, and
     OSError if it cannot be read."""
-    value = _header(path).get(name)
-    return value if isinstance(value, str) else None
+    kind, value = _header(path).attributes.get(name.encode(), (b"", b""))
+    return value.decode() if kind == b"string" else None
 
 
-def _header(path: Path) -> dict[str, Any]:
+def _header(path: Path) -> ExrHeader:
     """The header of a file. Raises ValueError if it is damaged, and OSError."""
-    import OpenEXR
-
     refuse_special(path)
     try:
-        with OpenEXR.File(str(path), header_only=True) as file:
-            return dict(file.header())  # a copy: the library empties its own when it closes the file
-    except Exception as error:  # the library raises errors of several kinds
-        raise ValueError(f"{path} is damaged ({error})") from error
+        return read_exr_header(path)
+    except PlgsError as error:
+        raise ValueError(f"{path} is damaged ({error.what})") from error
 
 
 def _channels(path: Path) -> dict[str, NDArray[Any]]:
@@ -194,14 +191,9 @@ def _channels(path: Path) -> dict[str, NDArray[Any]]:
 def _refuse_vast(path: Path) -> None:
     """Refuse a file whose header claims more than a picture has, or than memory holds, as reading takes memory for
     everything that the header claims. Raises ValueError, OSError."""
-    refuse_special(path)
-    try:
-        header = read_exr_header(path)
-    except PlgsError as error:
-        raise ValueError(f"{path} is damaged ({error.what})") from error
-    memory = main_memory()
-    if memory is not None and 4 * header.numbers > memory.free:
-        raise ValueError(f"{path} takes {4e-9 * header.numbers:.1f} GB, but {memory.free / 1e9:.1f} GB are free")
+    memory, numbers = main_memory(), _header(path).numbers
+    if memory is not None and 4 * numbers > memory.free:
+        raise ValueError(f"{path} takes {4e-9 * numbers:.1f} GB, but {memory.free / 1e9:.1f} GB are free")
 
 
 def _pass_channels(view: BakedView, further: Collection[str]) -> dict[str, NDArray[np.floating]]:

@@ -151,7 +151,8 @@ def write_contact_sheet(
     rows = [rows[k] for k in chosen(len(rows))]
     tiles = [_tiles(row, classes, instance_colours) for row in rows]
     headings = list(dict.fromkeys(heading for row in tiles for heading in row))
-    seen = sorted({c for row in rows for m in _class_maps(row) for c in np.unique(m).tolist() if c in classes})
+    maps = [each for row in rows for each in (row.mask_classes, row.layers.semantic)]
+    seen = sorted({one for each in maps for one in np.unique(each).tolist() if one in classes})
     width = 2 * MARGIN + len(headings) * (TILE_WIDTH + GAP) - GAP
     bands = [_headings(headings, width)]
     bands += [_band(row, name.name, headings, width) for row, name in zip(tiles, rows, strict=True)]
@@ -164,10 +165,6 @@ def chosen(count: int) -> list[int]:
     if count <= MOST_ROWS:
         return list(range(count))
     return [round(k * (count - 1) / (MOST_ROWS - 1)) for k in range(MOST_ROWS)]
-
-
-def _class_maps(row: SheetRow) -> list[NDArray[np.int32]]:
-    return [row.mask_classes, row.layers.semantic]
 
 
 def _tiles(row: SheetRow, classes: ClassTable, colours: Mapping[int, Colour] | None) -> dict[str, Picture]:

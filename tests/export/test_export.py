@@ -128,7 +128,6 @@ def test_points_are_read_by_open3d(lift: LiftFolder, tmp_path: Path) -> None:
     np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1, atol=1e-3)
     floor = cloud.positions.numpy()[:, 2] < 0.02
     assert floor.any() and np.median(normals[floor, 2]) > 0.9  # up, towards the cameras
-    assert (tmp_path / "gaussians.ply").read_bytes() == (lift.result_path / "gaussians.ply").read_bytes()
 
 
 def test_boxes_are_exported(lift: LiftFolder, tmp_path: Path) -> None:

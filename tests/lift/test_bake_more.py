@@ -311,11 +311,11 @@ def test_a_corrected_lift_is_baked_exported_and_scored_as_corrected(
     with OpenEXR.File(str(passes), header_only=True) as file:
         manifests = [value for name, value in file.header().items() if name.endswith("/manifest")]
     assert any("The one" in str(manifest) for manifest in manifests)
-    for form in ("boxes", "points"):
+    for form in ("boxes", "splats"):
         assert main(["export", str(lift.path), "--to", form, "-o", str(tmp_path / form)]) == 0
     boxes = json.loads((tmp_path / "boxes" / "boxes.json").read_text())["boxes"]
     assert [box["class_name"] for box in boxes if box["name"] == "The one"] == [other.name]
-    splats = read_ply(tmp_path / "points" / "gaussians.ply")
+    splats = read_ply(tmp_path / "splats" / "splats.ply")
     assert (splats.class_id[splats.instance_id == one.id] == other.id).all()
     capsys.readouterr()
     assert main(["evaluate", str(lift.path), "--json"]) == 0

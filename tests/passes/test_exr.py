@@ -124,6 +124,7 @@ def test_the_header_tells_frame_and_camera(name: str, shown: ShownFrame, told: d
 
 def test_openimageio_reads_the_same(tmp_path: Path) -> None:
     import OpenImageIO as oiio
+
     path = write_layers(tmp_path / "a.exr")
     read = oiio.ImageInput.open(str(path))
     spec, pixels = read.spec(), read.read_image("float")
