@@ -29,7 +29,7 @@ LINT := $(PYTHON) -m ruff check . && mkdir -p build/types && ln -sfn ../.. build
 NEXT_TESTS := tests/plgs_blender tests/operators tests/ui tests/test_register.py tests/test_extension.py tests/posed \
 	tests/job/test_folder.py tests/job/test_events.py
 NEXT_QUICK := $(addprefix tests/plgs_blender/test_,lift_scene.py passes.py cameras.py meshes.py splats.py \
-	panoptic_group.py shots.py timeline.py) tests/plgs_blender/inspecting tests/ui tests/test_register.py \
+	panoptic_group.py shots.py viewport.py) tests/plgs_blender/inspecting tests/ui tests/test_register.py \
 	tests/test_extension.py $(addprefix tests/operators/test_,startup_file.py scene.py lift.py export.py passes.py)
 # Which examples `make search` tries first, and how many times as many as `make test`.
 SEED := $(or $(SEED),$(shell od -An -N3 -tu4 /dev/urandom | tr -d ' '))
