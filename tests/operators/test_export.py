@@ -46,7 +46,7 @@ needs_engine = pytest.mark.skipif(find_spec("torch") is None, reason="the engine
 
 
 def test_the_command_knows_every_format(root: Path) -> None:
-    text = (root / "engine" / "command_line" / "parser.py").read_text()
+    text = (root / "engine" / "command_line" / "main.py").read_text()
     known = re.search(r"^EXPORTS = (\(.*?\))", text, re.DOTALL | re.MULTILINE)
     assert known is not None and literal_eval(known[1]) == (*exports.FORMS,)
 

@@ -261,7 +261,7 @@ def test_a_picture_waits_until_nothing_moves(room: Path, monkeypatch: pytest.Mon
     )
     jobs = {"RENDER"}
     app = SimpleNamespace(timers=timers, is_job_running=jobs.__contains__)
-    monkeypatch.setattr(importing, "bpy", SimpleNamespace(app=app, context=bpy.context))
+    monkeypatch.setattr(importing, "bpy", SimpleNamespace(app=app, context=bpy.context, data=bpy.data))
     importing._on_change(scene)
     assert not at and importing.catch_up() and not registry.running(FrameMaking), "not while a render runs"
     jobs.clear()
