@@ -17,6 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import isotonic_regression
 
 from ..scene import VOID, View
 
@@ -136,11 +137,5 @@ def fitted(share: NDArray[np.floating], right: NDArray[np.floating]) -> tuple[tu
     number = np.searchsorted(edges, share, side="right")
     count = np.bincount(number, minlength=len(edges) + 1)
     count, sums = count[count > 0], [np.bincount(number, each)[count > 0] for each in (share, right)]
-    samples, found = np.append(0, np.cumsum(count)), np.append(0.0, np.cumsum(sums[1]))
-
-    def mean(first: int, end: int) -> float:
-        return float((found[end] - found[first]) / (samples[end] - samples[first]))
-
-    bins = range(len(count))
-    pooled = [max(min(mean(a, b + 1) for b in bins[i:]) for a in bins[: i + 1]) for i in bins]
-    return (0.0, *np.round(sums[0] / count, 6).tolist()), (0.0, *(round(one, 6) for one in pooled))
+    pooled = isotonic_regression(sums[1] / count, weights=count).x
+    return (0.0, *np.round(sums[0] / count, 6).tolist()), (0.0, *np.round(pooled, 6).tolist())
