@@ -81,20 +81,13 @@ def with_masks_of(found: FoundObjects, others: ViewsOnCloud, rules: JudgingRules
     masks = [list(one.masks) for one in found.objects]
     for view, seen in zip(others.views, others.seen, strict=True):
         for segment, rows in masks_of_view(view, seen, rules.min_points):
-            number = containing_object(found.object_of_point[rows], rules.contained)
-            if number:
+            owned = np.bincount(found.object_of_point[rows], minlength=1)
+            owned[0] = 0  # no object
+            number = int(owned.argmax())
+            if number and owned[number] >= rules.contained * len(rows):
                 masks[number - 1].append(ObjectMask(view.name, segment))
     objects = [replace(one, masks=tuple(own)) for one, own in zip(found.objects, masks, strict=True)]
     return FoundObjects(found.object_of_point, objects)
-
-
-def containing_object(owner: NDArray[np.int32], contained: float) -> int:
-    """The object that owns at least the share ``contained`` of the points, 0 if none does; ``owner`` int32 [n] is the
-    object of each point, 0 = none."""
-    owned = np.bincount(owner, minlength=1)
-    owned[0] = 0
-    largest = int(owned.argmax())
-    return largest if owned[largest] >= contained * len(owner) else 0
 
 
 def objects_of_masks(space: MasksInSpace, options: ConsensusOptions, told: Progress = lambda *_: None) -> FoundObjects:

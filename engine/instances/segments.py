@@ -88,7 +88,12 @@ def local_instances(view: View, class_ids: frozenset[int], options: SegmentOptio
         pixels = int(inside.sum())
         if segment.class_id not in class_ids or segment.is_group or pixels < options.min_points:
             continue
-        kept = _eroded(inside, margin, options)
+        radius = min(
+            float(math.ceil(options.erosion_share * inside.shape[1])),
+            options.erosion_of_inradius * float(margin[inside].max()),
+        )
+        kept = inside & (margin > radius)
+        kept = kept if int(kept.sum()) >= options.min_eroded else inside
         thinned = thin(points[kept], options.voxel_size)
         box, mask = fit_box(thinned, options.voxel_size), ObjectMask(view.name, segment, pixels)
         found.append(SceneObject(0, (mask,), segment.class_id, thinned, box))
@@ -121,13 +126,6 @@ def thin(points: NDArray[np.float64], voxel_size: float) -> NDArray[np.float64]:
     voxel = voxel.reshape(-1)
     count = np.bincount(voxel)
     return np.column_stack([np.bincount(voxel, points[:, axis]) / count for axis in range(3)])
-
-
-def _eroded(inside: NDArray[np.bool_], margin: NDArray[np.float32], options: SegmentOptions) -> NDArray[np.bool_]:
-    wanted = math.ceil(options.erosion_share * inside.shape[1])
-    radius = min(float(wanted), options.erosion_of_inradius * float(margin[inside].max()))
-    kept = inside & (margin > radius)
-    return kept if int(kept.sum()) >= options.min_eroded else inside
 
 
 PointOfPixel = Callable[[View], NDArray[np.int32]]

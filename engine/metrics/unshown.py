@@ -141,7 +141,7 @@ def _segments(judged: JudgedView) -> tuple[list[_Candidate], set[int]]:
     """The resolved segments of which the lift does not show the share SHOWN in their own view, and the classes that
     it does show on one of their segments."""
     view, shown = judged
-    seen = view.depth > 0
+    seen, places = view.depth > 0, view.camera.unproject(view.depth)
     candidates, kept = [], set()
     for segment in view.mask.segments:
         where = (view.mask.ids == segment.id) & seen
@@ -157,17 +157,10 @@ def _segments(judged: JudgedView) -> tuple[list[_Candidate], set[int]]:
         rows, columns = rows[chosen], columns[chosen]
         resolution = float(resolution_on(view.camera, np.median(view.depth[where]), view.mask_scale))
         pixels = round(count * view.mask_scale**2)
-        xyz = _unproject(view, rows, columns)
+        xyz = places[rows, columns]
         most = int(np.bincount(here).argmax())
         candidates.append(_Candidate(resolution, segment.class_id, view.name, segment.id, pixels, most, xyz))
     return candidates, kept
-
-
-def _unproject(view: View, rows: NDArray[np.int64], columns: NDArray[np.int64]) -> NDArray[np.float64]:
-    camera, depth = view.camera, view.depth[rows, columns].astype(np.float64)
-    x, y = (columns + 0.5 - camera.cx) / camera.fx, (rows + 0.5 - camera.cy) / camera.fy
-    local = np.stack([x * depth, y * depth, depth], axis=-1)
-    return local @ camera.camera_to_world[:3, :3].T + camera.centre
 
 
 class _Judgement(NamedTuple):
