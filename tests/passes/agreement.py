@@ -7,9 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 import OpenEXR
-from engine.passes.ranking import RANKS
 
-from engine.passes.cryptomatte import CRYPTO_INSTANCE, name_float
+from engine.passes.cryptomatte import CRYPTO_INSTANCE, RANKS, name_float
 from engine.posed.classes import matte_names
 from engine.result_files import INSTANCES, read_instances
 

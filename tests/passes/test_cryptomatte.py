@@ -14,6 +14,7 @@ from engine.passes.baked_view import ShownInstances, bake_view
 from engine.passes.cryptomatte import RANKS, SMALLEST, rank_coverage
 from engine.passes.layers import STEPS
 from engine.posed.classes import matte_names
+from tests.passes.agreement import coverage_of
 from tests.passes.views import CHAIR, CLASSES, EDGE, LEFT, NAMES, NOTHING, RIGHT, WALL, made_rendering
 
 LAYERS = ("CryptoInstance", "CryptoClass")
@@ -37,13 +38,6 @@ def mattes(instance_classes: dict[int, int] | None = None) -> dict[str, np.ndarr
     for matte in view.mattes:
         found |= cryptomatte.channels(matte.layer.name, matte.ranks)
     return found
-
-
-def coverage_of(found: dict[str, np.ndarray], layer: str, name: str) -> np.ndarray:
-    """What a matte of this name pulls, float32 [H, W]."""
-    bits = np.float32(cryptomatte.name_float(name))
-    pairs = [(f"{layer}0{rank // 2}.{'rb'[rank % 2]}", f"{layer}0{rank // 2}.{'ga'[rank % 2]}") for rank in range(6)]
-    return sum(np.where(found[ids] == bits, found[shares], 0) for ids, shares in pairs)
 
 
 def test_instances_get_no_more_than_the_coverage_of_things() -> None:
