@@ -183,7 +183,7 @@ def python_with_blender() -> Path | None:
     python = engine_python()
     if missing_modules(python, ["bpy"]):
         fix = f"Run 'make set-up' in {ROOT}, or let Blender run this script: blender -b --python run_plgs.py -- ..."
-        raise PlgsError("has no bpy, the Blender module", python, fix)
+        raise PlgsError("no-bpy", "has no bpy, the Blender module", python, fix)
     return python
 
 
@@ -251,11 +251,14 @@ def blend_path(options: argparse.Namespace) -> Path:
     blend: Path = options.save.absolute()
     is_in_lift = blend.parent == options.output.absolute()  # which need not exist yet
     if blend.suffix != ".blend" or blend.is_dir():
-        raise PlgsError("is not a name for a .blend", blend, "Give --save a file name that ends in .blend.")
+        what = "is not a name for a .blend"
+        raise PlgsError("not-blend", what, blend, "Give --save a file name that ends in .blend.")
     if not is_in_lift and not os.access(blend.parent, os.W_OK):
-        raise PlgsError("cannot be written to, or does not exist", blend.parent, "Give --save another folder.")
+        what = "cannot be written to, or does not exist"
+        raise PlgsError("unwritable", what, blend.parent, "Give --save another folder.")
     if blend.exists() and not is_blend(blend):
-        raise PlgsError("already exists and is not a Blender file", blend, "Give --save another file name.")
+        what = "already exists and is not a Blender file"
+        raise PlgsError("not-blend", what, blend, "Give --save another file name.")
     return blend
 
 
@@ -265,7 +268,8 @@ def refuse_no_blend(named: Path | None) -> None:
         return
     what = "is not a Blender file" if named.is_file() else "is not there"
     if not named.is_file() or not is_blend(named):
-        raise PlgsError(what, named, "Give --blend the Blender file that has the camera.", option="--blend")
+        fix = "Give --blend the Blender file that has the camera."
+        raise PlgsError("not-blend", what, named, fix, option="--blend")
 
 
 def is_blend(path: Path) -> bool:

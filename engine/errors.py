@@ -60,6 +60,7 @@ class ErrorCode(StrEnum):
         return ExitCode.BAD_INPUT
 
 
+_USUAL = ErrorCode.BAD_INPUT
 MEMORY_IS_GONE = "no memory is left"
 """Words in every reader's error that only more memory mends."""
 
@@ -67,24 +68,26 @@ MEMORY_IS_GONE = "no memory is left"
 class PlgsError(Exception):
     """Input, a lift folder or a computer that cannot be used: what is wrong, where, and what to do.
 
+    ``key`` names the kind of fault, such as "no-frame", and stays when its sentence is worded anew; a kind that occurs
+    in several places has one key.
     ``option`` is the command-line option that ``fix`` means, spelt as in ``fix``, such as "--masks"; several are
     separated by blanks, and an empty text means none. The panel shows its own fields' names instead. With LACKS_PART it
     is the name of the part. ``what`` may quote a library's long text: it is shortened to one line.
     """
 
     def __init__(
-        self, what: str, where: Path | str, fix: str, *, code: ErrorCode = ErrorCode.BAD_INPUT, option: str = ""
+        self, key: str, what: str, where: Path | str, fix: str, *, code: ErrorCode = _USUAL, option: str = ""
     ) -> None:
         self.what = shortened(what, _LONGEST)
         if MEMORY_IS_GONE in self.what:  # whatever it was read for: the file may be sound
             fix, option = "Close other programs, or use a computer with more memory.", ""
-        self.where, self.fix, self.code, self.option = str(where), fix, code, option
+        self.key, self.where, self.fix, self.code, self.option = key, str(where), fix, code, option
         subject = f"{self.what}: {where}" if self.where else self.what
         super().__init__(one_line(f"{subject}. {fix}" if fix else subject))
 
     def __reduce__(self) -> tuple[Any, ...]:
         """How pickle rebuilds it, for example in another process."""
-        return partial(type(self), code=self.code, option=self.option), (self.what, self.where, self.fix)
+        return partial(type(self), code=self.code, option=self.option), (self.key, self.what, self.where, self.fix)
 
     @property
     def exit_code(self) -> ExitCode:
@@ -94,7 +97,7 @@ class PlgsError(Exception):
 def lacks_part(what: str, where: Path | str, name: str) -> PlgsError:
     """The error for an engine that lacks the packages of ``name``, a part that `python -m engine add` knows."""
     fix = f"Add it to the engine: {sys.executable} -m engine add {name}."
-    return PlgsError(what, where, fix, code=ErrorCode.LACKS_PART, option=name)
+    return PlgsError("lacks-part", what, where, fix, code=ErrorCode.LACKS_PART, option=name)
 
 
 class Cancelled(Exception):

@@ -139,7 +139,7 @@ def _chosen(scene: Scene, names: Collection[str] | None) -> set[str]:
     strange = sorted(set(names or ()) - known)
     if strange:
         fix = "Give names as inspect and Blender's cameras show them."
-        raise PlgsError("this is not a frame of the scene", strange[0], fix)
+        raise PlgsError("not-a-frame", "this is not a frame of the scene", strange[0], fix)
     return known if names is None else set(names)
 
 
@@ -156,7 +156,7 @@ def _refuse_nothing(scene: Scene, chosen: Collection[str], kinds: Collection[str
         lacking = " and no ".join(dict.fromkeys("depth" if kind == "cloud" else kind for kind in kinds))
         fix = "Name other things to make, or name their folders with --masks or --depth."
         what = f"there are no frames to write, as these have no {lacking}"
-        raise PlgsError(what, scene.folder, fix, option="--masks --depth")
+        raise PlgsError("nothing-to-write", what, scene.folder, fix, option="--masks --depth")
 
 
 def _make(scene: Scene, frame: Frame, folder: Path, kinds: Collection[str], made: MadeFrame) -> MadeFrame:
@@ -220,5 +220,5 @@ def _write_image(path: Path, rgb: NDArray[Any]) -> None:
     bgr = np.ascontiguousarray(rgb[..., ::-1])
     good, data = cv2.imencode(path.suffix, bgr, [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])
     if not good:
-        raise PlgsError("the picture cannot be encoded", path, "Check the size of the scene's pictures.")
+        raise PlgsError("unencodable", "the picture cannot be encoded", path, "Check the size of the scene's pictures.")
     write_atomically(path, data.tobytes())

@@ -77,31 +77,31 @@ def _read(path: Path, most_bytes: int, fix: str) -> bytes:
     try:
         return read_plain(path, most_bytes)
     except OSError as error:
-        raise PlgsError(f"the file cannot be read ({error.strerror})", path, fix) from error
+        raise PlgsError("unreadable", f"the file cannot be read ({error.strerror})", path, fix) from error
 
 
 def _parsed(data: bytes, path: Path, fix: str) -> Any:
     try:
         text = data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
-        raise PlgsError("this is not a JSON text", path, fix) from error
+        raise PlgsError("not-json", "this is not a JSON text", path, fix) from error
     if not text.strip():
-        raise PlgsError("the JSON file is empty", path, fix)
+        raise PlgsError("json-empty", "the JSON file is empty", path, fix)
     try:
         return json.loads(text, parse_constant=_refuse_constant)
     except json.JSONDecodeError as error:
         what = f"the JSON is cut off or broken (line {error.lineno}: {error.msg})"
-        raise PlgsError(what, path, fix) from error
+        raise PlgsError("json-broken", what, path, fix) from error
     except RecursionError as error:
-        raise PlgsError("the JSON is nested too deeply", path, fix) from error
+        raise PlgsError("json-deep", "the JSON is nested too deeply", path, fix) from error
     except (ValueError, MemoryError) as error:
         reason = str(error) or "no memory is left for it"
-        raise PlgsError(f"the JSON cannot be used ({reason})", path, fix) from error
+        raise PlgsError("json-unusable", f"the JSON cannot be used ({reason})", path, fix) from error
 
 
 def _object(value: Any, path: Path, fix: str) -> dict[str, Any]:
     if not isinstance(value, dict):
-        raise PlgsError(f"the file holds {_kind_of(value)}, not an object", path, fix)
+        raise PlgsError("not-object", f"the file holds {_kind_of(value)}, not an object", path, fix)
     return value
 
 
@@ -157,7 +157,8 @@ def take_text(entry: dict[str, Any], key: str, context: str, path: Path) -> str:
     if not isinstance(value, str) or not value:
         raise wrong_type(key, "a text", value, context, path)
     if any(unicodedata.category(character) in ("Cc", "Cs") for character in value):  # nothing could show or store it
-        raise PlgsError(f'"{key}" of {context} has characters that no name can have', path, "Correct the file.")
+        what = f'"{key}" of {context} has characters that no name can have'
+        raise PlgsError("bad-characters", what, path, "Correct the file.")
     return value
 
 
@@ -171,13 +172,14 @@ def take_flag(entry: dict[str, Any], key: str, context: str, path: Path) -> bool
 
 def _take(entry: dict[str, Any], key: str, context: str, path: Path) -> Any:
     if key not in entry:
-        raise PlgsError(f'{context} has no "{key}"', path, "Add it.")
+        raise PlgsError("lacks-field", f'{context} has no "{key}"', path, "Add it.")
     return entry[key]
 
 
 def wrong_type(key: str, wanted: str, value: object, context: str, path: Path) -> PlgsError:
     """The error for a value of another kind than wanted."""
-    return PlgsError(f'"{key}" of {context} must be {wanted}, not {shown_json(value)}', path, "Correct the file.")
+    what = f'"{key}" of {context} must be {wanted}, not {shown_json(value)}'
+    return PlgsError("wrong-type", what, path, "Correct the file.")
 
 
 def shown_json(value: object) -> str:

@@ -111,7 +111,7 @@ def known_scene(folder: LiftFolder, classes: ClassTable | None = None) -> PosedS
     scene, known = folder.request.scene, read_known(folder)
     if known is None:
         fix = "Let an engine bake a frame of it, which writes the list."
-        raise PlgsError("an early version made this lift, without a list of its frames", folder.path, fix)
+        raise PlgsError("early-lift", "an early version made this lift, without a list of its frames", folder.path, fix)
     classes = classes or read_instances(folder.result_path / INSTANCES)[0]
     frames, warnings = known.posed_frames(scene), known.warnings
     if not os.path.exists(scene):
@@ -190,7 +190,7 @@ def made_of(folder: Path, source: SceneSource) -> MadeFrames | None:
             return made
     elif folder.is_dir() and not any(folder.iterdir()):
         return None
-    raise PlgsError("the folder exists already and holds something else", folder, "Name another folder.")
+    raise PlgsError("folder-used", "the folder exists already and holds something else", folder, "Name another folder.")
 
 
 def is_newer(path: Path, source: Path) -> bool:

@@ -53,7 +53,8 @@ def write_pictures(film: Path, folder: Path, most: int, progress: Callable[[int,
         options = [cv2.IMWRITE_JPEG_QUALITY, _QUALITY]
         good, data = cv2.imencode(".jpg", np.ascontiguousarray(pictures[sharpest][..., ::-1]), options)
         if not good:
-            raise PlgsError(f"picture {sharpest} of the film cannot be written", film, "Extract its pictures yourself.")
+            what = f"picture {sharpest} of the film cannot be written"
+            raise PlgsError("unwritable", what, film, "Extract its pictures yourself.")
         (folder / f"{sharpest:06d}.jpg").write_bytes(data.tobytes())
         progress(done, len(edges) - 1)
 
@@ -248,7 +249,7 @@ class Made:
             files, depth, film = (str(data.get(name, "")) for name in ("files", "depth", "film"))
             return cls(folder, *counts, data["scale"], files, depth, film, int(data.get("asked", 0)))
         except (KeyError, TypeError, ValueError) as error:
-            raise PlgsError("this is not a record of made poses", path, fix) from error
+            raise PlgsError("not-made-poses", "this is not a record of made poses", path, fix) from error
 
 
 def make_poses(place: Path, events: EventWriter, stop: StopSignal, pictures: int | None = None) -> Made:
@@ -282,15 +283,16 @@ def _refuse_changed(made: Made, place: Path) -> None:
     """Raise PlgsError where the photos, the measured depth that gave the unit, or the film are others. OSError."""
     if is_film(place) and made.film not in ("", *digests_of_files([(place,)])):
         fix = f"Move the folder {made.folder.name} away to find this film's poses, or name that folder."
-        raise PlgsError("the poses here were found for another film, or for photos", made.folder, fix)
+        raise PlgsError("other-photos", "the poses here were found for another film, or for photos", made.folder, fix)
     photos = photos_in(made.folder)
     fix = "Move the folder sparse away to find them again. Without --poses these are used."
     if made.files and (photos is None or made.files != _digest_of(_photos(photos))):
-        raise PlgsError("the photos have changed since their poses were found", made.folder / "sparse", fix)
+        what = "the photos have changed since their poses were found"
+        raise PlgsError("photos-changed", what, made.folder / "sparse", fix)
     depths = [*_depths(made.folder).values()] if made.scale is not None else []
     if depths and made.depth not in ("", _digest_of(depths)):
         what = "the depth has changed since it gave the poses their unit"
-        raise PlgsError(what, made.folder / "sparse", fix)
+        raise PlgsError("depth-changed", what, made.folder / "sparse", fix)
 
 
 def _digest_of(files: Sequence[Path]) -> str:
@@ -319,7 +321,7 @@ def _map(folder: Path, photos: Path, film: str, asked: int, events: EventWriter,
         if model is None or model.num_reg_images() < max(LEAST, _LEAST_SHARE * len(names)):
             found = 0 if model is None else model.num_reg_images()
             fix = "Take more photos, each showing most of what the one before shows, in good light, without blur."
-            raise PlgsError(f"poses were found for only {found} of {len(names)} photos", photos, fix)
+            raise PlgsError("poses-of-few", f"poses were found for only {found} of {len(names)} photos", photos, fix)
         depths = _depths(folder)
         scale = metres_per_length(model, depths) if depths else None
         if scale is not None:
@@ -335,7 +337,7 @@ def _map(folder: Path, photos: Path, film: str, asked: int, events: EventWriter,
         (out / MADE_BY).write_bytes(to_line(made.to_json()))
         read_model(out)  # what a lift will read
         if (folder / "sparse").exists():
-            raise PlgsError("there is a folder of this name already", folder / "sparse", "Move it away.")
+            raise PlgsError("exists", "there is a folder of this name already", folder / "sparse", "Move it away.")
         out.parent.rename(folder / "sparse")
     if scale is None:
         events.warning(_WITHOUT_DEPTH + ".")
@@ -348,7 +350,7 @@ def _photos_of(place: Path, events: EventWriter, stop: StopSignal, pictures: int
         folder = place.with_suffix("")
         if folder.exists():
             fix = "Make the poses of that folder, or move it away."
-            raise PlgsError("the film's pictures would go into a folder that exists already", folder, fix)
+            raise PlgsError("exists", "the film's pictures would go into a folder that exists already", folder, fix)
         part = folder.with_name(f".{folder.name}.part")
         shutil.rmtree(part, ignore_errors=True)
 
@@ -365,8 +367,9 @@ def _photos_of(place: Path, events: EventWriter, stop: StopSignal, pictures: int
         return folder, folder / "images"
     photos = photos_in(place) if place.is_dir() else None
     if photos is None:
-        raise PlgsError("there are no photos here, nor is this a film", place, "Name a folder of photos, or an .mp4.")
+        what = "there are no photos here, nor is this a film"
+        raise PlgsError("no-photos", what, place, "Name a folder of photos, or an .mp4.")
     for each in FORMATS:
         if each.recognises(place):
-            raise PlgsError(f"this scene has poses already ({each.name})", place, "Lift it as it is.")
+            raise PlgsError("has-poses", f"this scene has poses already ({each.name})", place, "Lift it as it is.")
     return place, photos

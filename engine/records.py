@@ -56,7 +56,7 @@ def refuse_other_format(content: dict[str, Any], path: Path | str, version: int 
     found = content.pop("format", None)
     if found != version or isinstance(found, bool):
         what = f"the file has format {found!r}, but this version reads {version}"
-        raise PlgsError(what, path, "Use the version of PLGS that wrote it.")
+        raise PlgsError("other-format", what, path, "Use the version of PLGS that wrote it.")
 
 
 def record_of(
@@ -70,18 +70,18 @@ def record_of(
     unknown = sorted(set(content) - set(declared))
     if unknown:
         what = f"the file has {', '.join(map(repr, unknown))}{_of(context)}, which this version does not know"
-        raise PlgsError(what, path, "Remove it, or use the version of PLGS that wrote it.")
+        raise PlgsError("unknown-field", what, path, "Remove it, or use the version of PLGS that wrote it.")
     values, hints = dict(apart), _hints(cast(Any, kind))
     for name, each in declared.items():
         key = f"{context}.{name}" if context else name
         if name in content:
             values[name] = _Reader(path, fix, each.metadata).value(hints[name], content[name], key)
         elif each.default is MISSING and each.default_factory is MISSING:
-            raise PlgsError(f"the file has no '{key}'", path, fix)
+            raise PlgsError("lacks-field", f"the file has no '{key}'", path, fix)
     try:
         return kind(**values)
     except ValueError as error:
-        raise PlgsError(f"{context or 'the file'}: {error}", path, fix) from error
+        raise PlgsError("bad-record", f"{context or 'the file'}: {error}", path, fix) from error
 
 
 def check_record(record: Any, fix: str) -> None:
@@ -127,7 +127,7 @@ class _Reader:
             except PlgsError:
                 continue
         if not kinds:
-            raise PlgsError(f"'{key}' must not be null", self._path, self._fix)
+            raise PlgsError("field-null", f"'{key}' must not be null", self._path, self._fix)
         return self.value(kinds[-1], given, key)
 
     def _tuple(self, kind: Any, inner: tuple[Any, ...], given: list[Any], key: str) -> Any:
@@ -155,14 +155,14 @@ class _Reader:
         if kind is Path:
             return Path(given)
         if any(unicodedata.category(character) in ("Cc", "Cs") for character in given):
-            raise PlgsError(f"'{key}' has characters that no name can have", self._path, self._fix)
+            raise PlgsError("bad-characters", f"'{key}' has characters that no name can have", self._path, self._fix)
         return (one_line(given) if self._more.get("shown") else given) if kind is str else None
 
     def _inner(self, kind: Any, given: str, key: str) -> Path | PurePosixPath:
         try:
             inside = inner_path(given)
         except ValueError as error:
-            raise PlgsError(f"'{key}': {error}", self._path, self._fix) from error
+            raise PlgsError("bad-field", f"'{key}': {error}", self._path, self._fix) from error
         return Path(self._path).parent / inside if kind is Path else inside
 
     def _number(self, kind: Any, given: Any) -> int | float | None:
@@ -174,7 +174,8 @@ class _Reader:
 
     def wrong(self, kind: Any, given: Any, key: str) -> PlgsError:
         """The error for a value of another kind than ``kind``."""
-        return PlgsError(f"'{key}' has to be {self._words(kind)}, not {shown_json(given)}", self._path, self._fix)
+        what = f"'{key}' has to be {self._words(kind)}, not {shown_json(given)}"
+        return PlgsError("wrong-type", what, self._path, self._fix)
 
     def _words(self, kind: Any) -> str:
         if get_origin(kind) is Literal:

@@ -145,14 +145,14 @@ def read_arrays(path: Path, kind: type[Arrays]) -> Arrays:
     try:
         arrays = read_npz(path, MAKE_ANEW, [field.name for field in fields(kind)])
     except PlgsError as error:
-        raise PlgsError(error.what, path, MAKE_ANEW) from error
+        raise PlgsError(error.key, error.what, path, MAKE_ANEW) from error
     rows: tuple[int, ...] = arrays["xyz"].shape[:1]
     for name, array in arrays.items():
         dtype, tail = _ARRAYS[name]
         if array.shape != rows + tail or array.dtype != dtype:
-            raise PlgsError(f"cannot be read ({name} is {array.dtype} {list(array.shape)})", path, MAKE_ANEW)
+            raise PlgsError("shape", f"cannot be read ({name} is {array.dtype} {list(array.shape)})", path, MAKE_ANEW)
     if not (np.abs(arrays["xyz"]) <= _FARTHEST).all():  # false for NaN, too
-        raise PlgsError("holds positions that are not numbers or are impossibly far away", path, MAKE_ANEW)
+        raise PlgsError("positions", "holds positions that are not numbers or are impossibly far away", path, MAKE_ANEW)
     return kind(**arrays)
 
 
@@ -176,7 +176,8 @@ def read_instances(path: Path, content: Any = None) -> Listed:
     try:
         if content["format"] != _FORMAT:
             fix = "Use the version of PLGS that wrote it, or lift into another folder."
-            raise PlgsError(f"has format {content['format']!r}, but this version reads {_FORMAT}", path, fix)
+            what = f"has format {content['format']!r}, but this version reads {_FORMAT}"
+            raise PlgsError("other-format", what, path, fix)
         categories = [
             Category(_id(each["id"]), _text(each["name"]), bool(each["is_thing"]), _colour(each["colour"]))
             for each in content["classes"]
@@ -187,7 +188,7 @@ def read_instances(path: Path, content: Any = None) -> Listed:
                 raise ValueError(f"two {kind} ids are equal")
         return ClassTable(tuple(sorted(categories, key=lambda category: category.id))), instances
     except BAD as error:
-        raise PlgsError(f"cannot be read ({error!r})", path, MAKE_ANEW) from error
+        raise PlgsError("instances-damaged", f"cannot be read ({error!r})", path, MAKE_ANEW) from error
 
 
 def instances_text(path: Path) -> str:

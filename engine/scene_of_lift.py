@@ -104,7 +104,7 @@ def refuse_changed(folder: LiftFolder, scene: Scene) -> None:
     for frame in known.frames:
         if frame.name not in there:
             fix = "Put back its files, or what splits.json says of it, or lift into another folder."
-            raise PlgsError(f"the scene no longer has frame {frame.name}", scene.folder, fix)
+            raise PlgsError("frame-gone", f"the scene no longer has frame {frame.name}", scene.folder, fix)
         if frame.held_out != (is_held_out := there[frame.name].held_out):
             raise another(f"{frame.name} is {'' if is_held_out else 'not '}held out", scene)
     _refuse_other_pictures(known, scene)
@@ -128,7 +128,7 @@ def _refuse_other_pictures(known: StoredScene, scene: Scene) -> None:
 
 def another(differs: str, scene: Scene) -> PlgsError:
     """The error for a scene that is not the one that a lift was made from."""
-    return PlgsError(f"this is another scene: {differs}", scene.folder, _ANOTHER)
+    return PlgsError("other-scene", f"this is another scene: {differs}", scene.folder, _ANOTHER)
 
 
 def complete_known_scene(folder: LiftFolder, scene: Scene) -> None:
@@ -191,7 +191,8 @@ def relink(folder: LiftFolder, place: Path) -> LiftFolder:
     names, sizes, lenses or poses. Then the request stays as it was.
     """
     if folder.is_running:
-        raise PlgsError("an engine is at work here", folder.path, "Wait for it, or cancel it.", code=ErrorCode.BUSY)
+        what = "an engine is at work here"
+        raise PlgsError("at-work", what, folder.path, "Wait for it, or cancel it.", code=ErrorCode.BUSY)
     request, place = folder.request, place.absolute()
     masks, depth = (_moved(path, request.scene, place) for path in (request.masks, request.depth))
     found = replace(request, scene=place, masks=masks, depth=depth)
@@ -227,7 +228,8 @@ def _gone(scene: Path) -> Callable[[Any], NoReturn]:
     """A reader of pixels that are not there."""
 
     def read(size: Any = None) -> NoReturn:
-        raise PlgsError("the scene is not there, and this needs its pictures", scene, FIND_SCENE, option="--scene")
+        what = "the scene is not there, and this needs its pictures"
+        raise PlgsError("scene-gone", what, scene, FIND_SCENE, option="--scene")
 
     return read
 

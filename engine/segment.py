@@ -151,17 +151,19 @@ def _refuse_other_folders(name: str) -> None:
     if folder.is_dir():
         if not (folder / "config.json").is_file() or not any(folder.glob("*.safetensors")):
             fix = "Name a folder that transformers' save_pretrained wrote, with config.json and safetensors."
-            raise PlgsError("there is no model in this folder", folder, fix)
+            raise PlgsError("no-model", "there is no model in this folder", folder, fix)
     elif name.count("/") != 1 or name.startswith((".", "/", "~")):
-        raise PlgsError("there is no such folder or model", name, "Name a folder, or a model as OWNER/NAME.")
+        what = "there is no such folder or model"
+        raise PlgsError("no-model", what, name, "Name a folder, or a model as OWNER/NAME.")
 
 
 def _not_loaded(name: str, download: bool, error: Exception) -> PlgsError:
     if not download and not Path(name).is_dir():
         fix = "Add --download to fetch it from huggingface.co, or name a folder that holds it."
-        return PlgsError("the model is not on this computer", name, fix, option="--download")
+        return PlgsError("not-downloaded", "the model is not on this computer", name, fix, option="--download")
     lines = str(error).splitlines() or [type(error).__name__]
-    return PlgsError(f"the model cannot be loaded ({lines[0][:200]})", name, "Name another one, or fetch it again.")
+    what = f"the model cannot be loaded ({lines[0][:200]})"
+    return PlgsError("model-unusable", what, name, "Name another one, or fetch it again.")
 
 
 TABLE, FOLDER, MADE_BY = "panoptic.json", "panoptic", "made_by.json"
@@ -211,17 +213,19 @@ def begin_job(folder: Path, model: str, frames: Sequence[Frame]) -> Job:
     if made_by.is_file():
         content = read_object(made_by, fix)
         if content.get("model") != model or content.get("frames") != len(frames):
-            raise PlgsError(f"masks by {content.get('model')} of {content.get('frames')} frames are here", folder, fix)
+            what = f"masks by {content.get('model')} of {content.get('frames')} frames are here"
+            raise PlgsError("other-masks", what, folder, fix)
         if photos and content.get("photos", "") not in ("", photos):
-            raise PlgsError("the photos have changed since masks of them were made here", folder, fix)
+            raise PlgsError("photos-changed", "the photos have changed since masks of them were made here", folder, fix)
         return Job(folder, True, (folder / TABLE).is_file())
     others = [name for name in (TABLE, FOLDER, *_OTHER_MASKS) if (folder / name).exists()]
     if others:
-        raise PlgsError(f"there are masks already ({others[0]})", folder, fix)
+        raise PlgsError("has-masks", f"there are masks already ({others[0]})", folder, fix)
     try:
         write_atomically(made_by, json.dumps({"model": model, "frames": len(frames), "photos": photos}) + "\n")
     except OSError as error:
-        raise PlgsError(f"this cannot be written ({error.strerror})", folder, "Name another with -o.") from error
+        what = f"this cannot be written ({error.strerror})"
+        raise PlgsError("unwritable", what, folder, "Name another with -o.") from error
     return Job(folder, False, False)
 
 
@@ -255,7 +259,7 @@ def read_list(path: Path) -> list[object]:
     fix = "Delete this file, then start again."
     content = read_value(path, fix)
     if not isinstance(content, list):
-        raise PlgsError("this frame's segments are not a list", path, fix)
+        raise PlgsError("not-segments", "this frame's segments are not a list", path, fix)
     return list(content)
 
 

@@ -236,7 +236,8 @@ class PLGS_OT_assign_points(OnLift, bpy.types.Operator):
         if self.region:
             return self.execute(context)
         if context.area is None or context.area.type != "VIEW_3D":
-            raise PlgsError("points are painted in a 3D view", "", "Press the button in a 3D view's sidebar.")
+            what = "points are painted in a 3D view"
+            raise PlgsError("no-3d-view", what, "", "Press the button in a 3D view's sidebar.")
         root = self.root(context)
         if self.to == "INSTANCE":  # report what is missing before anything is painted
             row_of(root, self.instance)

@@ -186,7 +186,7 @@ class OnFinding(Explained):
         """Raises PlgsError."""
         known = _known(context)
         if known is None or self.number >= len(known.findings):
-            raise PlgsError("there is no such finding", str(self.number), "Diagnose the scene again.")
+            raise PlgsError("no-finding", "there is no such finding", str(self.number), "Diagnose the scene again.")
         return known, known.findings[self.number]
 
 
@@ -221,7 +221,7 @@ class PLGS_OT_go_to_finding(OnFinding, bpy.types.Operator):
             if is_same_place(text_of(root, SCENE), place):
                 look_from_frame(root, self.frame, context.scene, view_of(context)[0])
                 return FINISHED
-        raise PlgsError("has no cameras in this scene", place, "Press Import Cameras and Images first.")
+        raise PlgsError("no-cameras", "has no cameras in this scene", place, "Press Import Cameras and Images first.")
 
 
 class PLGS_OT_leave_out(OnFinding, bpy.types.Operator):

@@ -205,7 +205,8 @@ class PLGS_OT_show_room(Explained, bpy.types.Operator):
     @reporting
     def execute(self, context: bpy.types.Context) -> set[str]:
         if context.window is None:
-            raise PlgsError("there is no window to show it in", context.scene.name, "Open this file in a window.")
+            what = "there is no window to show it in"
+            raise PlgsError("no-window", what, context.scene.name, "Open this file in a window.")
         show_room(context.window)
         return FINISHED
 

@@ -93,7 +93,8 @@ class ChosenScene(SceneSource):
         try:
             return open_plain_folders(self)
         except (OSError, ValueError) as error:  # ValueError: a path that this system cannot even look at
-            raise PlgsError(f"cannot be looked at ({error})", self.scene, "Choose other folders.") from error
+            what = f"cannot be looked at ({error})"
+            raise PlgsError("bad-path", what, self.scene, "Choose other folders.") from error
 
     def arguments(self) -> list[str | Path]:
         """The arguments that name it to the engine's commands."""
@@ -108,7 +109,7 @@ class ChosenScene(SceneSource):
 def needs_engine(chosen: ChosenScene) -> PlgsError:
     """The error for a scene that Blender cannot read alone."""
     what = "Blender alone can read only the folders color, pose and intrinsic, and this is another layout"
-    return PlgsError(what, chosen.scene, "Set up the engine, which can read it.")
+    return PlgsError("needs-engine", what, chosen.scene, "Set up the engine, which can read it.")
 
 
 _SCENE_FILES = (".sens", ".r3d")
@@ -136,7 +137,7 @@ def scene_at(path: Path) -> Path:
     """The scene's folder or file that a file or folder belongs to. Raises PlgsError where nothing is there."""
     path = path.absolute()
     if not path.exists():
-        raise PlgsError("there is no such file", path, "Choose the scene's folder, or a file in it.")
+        raise PlgsError("file-missing", "there is no such file", path, "Choose the scene's folder, or a file in it.")
     if path.is_file() and path.suffix.lower() in _SCENE_FILES:
         return path
     folder = path if path.is_dir() else path.parent

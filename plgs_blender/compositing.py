@@ -184,7 +184,7 @@ def matte_class(root: bpy.types.Collection, class_id: int) -> str:
     """Let the compositor's matte be a class, and return its name. Raises PlgsError."""
     row = class_row_of(root, class_id)
     if row.class_id == 0:
-        raise PlgsError("points without a class have no matte", root.name, "Choose a class in the list.")
+        raise PlgsError("classless", "points without a class have no matte", root.name, "Choose a class in the list.")
     names = matte_ids({each.class_id: each.name for each in root.plgs.classes})
     _set(root, CRYPTO_CLASSES, names[row.class_id], by_class=1.0)
     return str(row.name)
@@ -194,7 +194,7 @@ def _set(root: bpy.types.Collection, layer: str, name: str, by_class: float) -> 
     """Set the matte in all scenes with passes of the lift. A matte that no control shows gets an outline."""
     compositors = [tree for _, tree in compositors_of(root)]
     if not compositors:
-        raise PlgsError("has no passes in a compositor", root.name, "Bake some in the Passes panel.")
+        raise PlgsError("no-passes", "has no passes in a compositor", root.name, "Bake some in the Passes panel.")
     for tree in compositors:
         node_of(tree, layer).matte_id = name
         if not any(node.get(KEY) == PANOPTIC for node in tree.nodes):

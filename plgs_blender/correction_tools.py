@@ -62,7 +62,8 @@ def split_by_cut(root: bpy.types.Collection, instance: int) -> Edit:
     """Split an object by the plane that `place_cut` placed, which is then taken away. Raises PlgsError."""
     plane = objects_by_key(root).get(CUT)
     if plane is None:
-        raise PlgsError("there is no cutting plane", root.name, "Press Add Plane below Correct, then drag the plane.")
+        what = "there is no cutting plane"
+        raise PlgsError("no-plane", what, root.name, "Press Add Plane below Correct, then drag the plane.")
     normal = (plane.matrix_world.to_3x3() @ Vector((0.0, 0.0, 1.0))).normalized()
     made = split_plane(root, instance, plane.matrix_world.translation[:], normal[:])
     if plane.get(_GIZMOS):
@@ -129,7 +130,8 @@ class Painting:
     def choose(self, xyz: NDArray[np.float32]) -> NDArray[np.bool_]:
         """What was chosen of a result's points [N, 3], bool [N]. Raises PlgsError when the points have changed."""
         if xyz.shape != self.xyz.shape:
-            raise PlgsError("the lift's points have changed", "Paint Points", "Show its result again, then paint.")
+            what = "the lift's points have changed"
+            raise PlgsError("points-changed", what, "Paint Points", "Show its result again, then paint.")
         return self.chosen
 
     def draw(self, view: bpy.types.RegionView3D, size: tuple[int, int]) -> None:

@@ -86,7 +86,8 @@ def proposal_of(root: bpy.types.Collection, instance: int) -> Proposal:
     for one in kept_proposals(root)[0]:
         if instance in (0, one.instance):
             return one
-    raise PlgsError("nothing is proposed", root.name, "Press What May Be Wrong?, or look at another object.")
+    what = "nothing is proposed"
+    raise PlgsError("no-proposal", what, root.name, "Press What May Be Wrong?, or look at another object.")
 
 
 def next_uncertain(root: bpy.types.Collection) -> tuple[str, int, int]:
@@ -184,7 +185,7 @@ def answer(root: bpy.types.Collection, instance: int, *, keep: bool) -> Edit:
         case "split":
             return split_parts(root, one.instance)
     if one.answer == BY_VIEWS:
-        raise PlgsError("an engine has to read the masks", root.name, "Press Split by Views.")
+        raise PlgsError("needs-engine", "an engine has to read the masks", root.name, "Press Split by Views.")
     return delete(root, one.instance, around=True)
 
 
@@ -203,7 +204,8 @@ def chosen_instances(root: bpy.types.Collection, named: str, context: bpy.types.
         try:
             return [int(each) for each in named.replace(",", " ").split()]
         except ValueError as error:
-            raise PlgsError(f"{named!r} does not name objects", root.name, "Give their ids, such as 3 5.") from error
+            what = f"{named!r} does not name objects"
+            raise PlgsError("not-objects", what, root.name, "Give their ids, such as 3 5.") from error
     return selected_instances(root, context.view_layer) or [row_of(root, 0).instance_id]
 
 
@@ -336,7 +338,7 @@ def in_region(name: str) -> Choose:
     """Chooses the points in the box of the object of this name. Raises PlgsError."""
     region = bpy.data.objects.get(name)
     if region is None:
-        raise PlgsError("there is no such object", name, "Name an object whose box contains the points.")
+        raise PlgsError("no-object", "there is no such object", name, "Name an object whose box contains the points.")
     return partial(inside_box, region)
 
 

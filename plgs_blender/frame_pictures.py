@@ -44,7 +44,7 @@ def frames_folder(source: SceneSource) -> Path:
             continue
         return folder
     fix = "Delete the folders of frames beside the scene that are no longer needed."
-    raise PlgsError("there are too many folders of frames", source.scene.parent, fix)
+    raise PlgsError("too-many", "there are too many folders of frames", source.scene.parent, fix)
 
 
 def made_before(source: SceneSource) -> MadeFrames | None:
@@ -106,10 +106,10 @@ def read_cloud(path: Path) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
     try:
         stored = read_npz(path, fix, ("xyz", "rgb"))
     except PlgsError as error:
-        raise PlgsError(error.what, path, fix) from error
+        raise PlgsError(error.key, error.what, path, fix) from error
     xyz, rgb = stored["xyz"], stored["rgb"]
     if xyz.dtype != np.float32 or rgb.dtype != np.uint8 or xyz.shape != rgb.shape or xyz.shape[1:] != (3,):
-        raise PlgsError("is not a coloured cloud", path, fix)
+        raise PlgsError("not-cloud", "is not a coloured cloud", path, fix)
     return xyz, rgb
 
 
@@ -143,7 +143,7 @@ def root_of(scene: bpy.types.Scene, ob: bpy.types.Object) -> bpy.types.Collectio
     """The collection of the import or lift that a frame's camera belongs to. Raises PlgsError."""
     root = next((each for each in lifts_in(scene) if each[LIFT] == ob.get(LIFT)), None)
     if root is None:
-        raise PlgsError("does not belong to any scene that is here", ob.name, "Import the scene again.")
+        raise PlgsError("scene-gone", "does not belong to any scene that is here", ob.name, "Import the scene again.")
     return root
 
 
@@ -169,7 +169,7 @@ def show_made(scene: bpy.types.Scene, ob: bpy.types.Object, what: str, made: Mad
     """Show what an engine made of the camera's frame. Raises PlgsError when it made none."""
     path = _file_of(made, what)
     if path is None or not has_picture(made, what):
-        raise PlgsError(f"has no {KIND_OF[what]}", ob["frame"], "Import the scene again.")
+        raise PlgsError("no-pictures", f"has no {KIND_OF[what]}", ob["frame"], "Import the scene again.")
     owned = OwnedDataBlocks(root_of(scene, ob)[LIFT], scene)
     if what == PHOTO:
         show_photo(ob, owned, path)

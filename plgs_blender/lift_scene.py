@@ -308,7 +308,7 @@ def _save(blend: Path, keep_backup: bool = True) -> None:
         bpy.ops.wm.save_as_mainfile(filepath=str(blend), compress=True, relative_remap=False)
     except RuntimeError as error:
         fix = "Choose a place that you may write to, on a disk with space."
-        raise PlgsError(f"cannot be written ({str(error).strip()})", blend, fix) from error
+        raise PlgsError("unwritable", f"cannot be written ({str(error).strip()})", blend, fix) from error
     finally:
         settings.save_version = backups
 
@@ -335,18 +335,18 @@ def open_blend(blend: Path, lift: Path, named_by: str = "--save") -> bpy.types.S
     PlgsError with ``named_by``, the option that named the file.
     """
     if not blend.is_file():  # Blender would wait for whoever writes into a FIFO
-        raise PlgsError("is not a file", blend, f"Name another with {named_by}.")
+        raise PlgsError("not-a-file", "is not a file", blend, f"Name another with {named_by}.")
     try:
         bpy.ops.wm.open_mainfile(filepath=str(blend), load_ui=True, use_scripts=False)
     except RuntimeError as error:
         fix = f"Check that it is a Blender file of this version or an older one, or name another with {named_by}."
-        raise PlgsError(f"cannot be opened ({str(error).strip()})", blend, fix) from error
+        raise PlgsError("unopenable", f"cannot be opened ({str(error).strip()})", blend, fix) from error
     scenes = [s for s in bpy.data.scenes if s.library is None and KEY not in s]
     holding = [s for s in scenes if any(is_same_place(text_of(root, FOLDER), lift) for root in lifts_in(s))]
     current = [bpy.context.scene] if bpy.context.scene in scenes else []
     chosen = [*holding, *current, *scenes]
     if not chosen:
-        raise PlgsError("has no scene to put the lift into", blend, f"Name another file with {named_by}.")
+        raise PlgsError("no-scene", "has no scene to put the lift into", blend, f"Name another file with {named_by}.")
     return chosen[0]
 
 
@@ -380,6 +380,6 @@ def show_lift_as(root: bpy.types.Collection, scene: bpy.types.Scene, kind: str) 
         apply_visibility(root)
         apply_look(root)
     if kind == SURFACE and not has(root, SURFACE):
-        raise PlgsError("has no meshes yet", root.name, "Make them first: plgs.make_meshes.")
+        raise PlgsError("no-meshes", "has no meshes yet", root.name, "Make them first: plgs.make_meshes.")
     root.plgs.show_as, root[_WAS_ASKED] = kind, True
     show_materials_in(scene)

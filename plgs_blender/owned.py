@@ -247,7 +247,7 @@ def root_of_placed(lift: Path, scene: bpy.types.Scene) -> bpy.types.Collection:
     for root in lifts_in(scene_to_fill(scene)):
         if is_same_place(text_of(root, FOLDER), lift):
             return root
-    raise PlgsError("is not in this scene", lift, "Show the lift's result first.")
+    raise PlgsError("lift-elsewhere", "is not in this scene", lift, "Show the lift's result first.")
 
 
 @dataclass(frozen=True)
@@ -300,7 +300,7 @@ def scene_to_fill(scene: bpy.types.Scene) -> bpy.types.Scene:
     for other in bpy.data.scenes:
         if KEY not in other and any(root[LIFT] == scene.get(LIFT) for root in lifts_in(other)):
             return other
-    raise PlgsError("is only for the passes of a lift", scene.name, "Switch to a scene of your own.")
+    raise PlgsError("scene-of-passes", "is only for the passes of a lift", scene.name, "Switch to a scene of your own.")
 
 
 def _check_name(folder: Path) -> None:
@@ -310,7 +310,8 @@ def _check_name(folder: Path) -> None:
     if not is_text or (os.sep == "/" and "\\" in path):
         what = "has a name that Blender cannot open"
         shown = path.encode(errors="backslashreplace").decode()
-        raise PlgsError(what, shown, "Rename it: letters of any script, but no backslash and no broken characters.")
+        fix = "Rename it: letters of any script, but no backslash and no broken characters."
+        raise PlgsError("bad-name", what, shown, fix)
 
 
 def is_same_place(stored: str, folder: Path) -> bool:

@@ -57,9 +57,9 @@ def check_layers(files: Iterable[Path]) -> None:
         try:
             missing = _NEEDED - {*read_exr_header(path).channels}
         except PlgsError as error:
-            raise PlgsError(f"is damaged ({error.what})", path, MAKE_ANEW) from error
+            raise PlgsError(error.key, f"is damaged ({error.what})", path, MAKE_ANEW) from error
         if missing:
-            raise PlgsError(f"has no layer {min(missing)}", path, MAKE_ANEW)
+            raise PlgsError("no-layer", f"has no layer {min(missing)}", path, MAKE_ANEW)
 
 
 def size_of(path: Path) -> tuple[int, int]:
@@ -277,7 +277,7 @@ def open_passes(scene: bpy.types.Scene) -> bpy.types.Scene:
     """The passes scene, brought to the view of the active camera where that was baked. Raises PlgsError."""
     passes = passes_scene_of(scene)
     if passes is None:
-        raise PlgsError("has no passes", scene.name, "Bake them in the Passes panel.")
+        raise PlgsError("no-passes", "has no passes", scene.name, "Bake them in the Passes panel.")
     camera = scene.camera
     frame = text_of(camera, "frame") if camera is not None else ""
     if frame in {marker.name for marker in passes.timeline_markers}:

@@ -124,7 +124,7 @@ class Task:
             except PlgsError as error:
                 self._problem = error
             except OSError as error:
-                self._problem = PlgsError(str(error), "", "")
+                self._problem = PlgsError("internal", str(error), "", "")
             return True
         return has_news
 
@@ -193,7 +193,7 @@ def is_any_left() -> bool:
 def refuse_second(kind: type[Task]) -> None:
     """Raise PlgsError when a task of this kind is running."""
     for task in running(kind):
-        raise PlgsError("an engine is already running", task.label, "Wait until it is done, or cancel it.")
+        raise PlgsError("at-work", "an engine is already running", task.label, "Wait until it is done, or cancel it.")
 
 
 def poll_all(scene: Any) -> list[Task]:

@@ -64,7 +64,7 @@ def reading_instances(path: Path) -> Generator[None, None, Listed]:
     except BAD as error:
         if "format" in content:  # of another version, whose objects are others
             read_instances(path, content | {"classes": [], "instances": []})
-        raise PlgsError(f"cannot be read ({error!r})", path, MAKE_ANEW) from error
+        raise PlgsError("instances-damaged", f"cannot be read ({error!r})", path, MAKE_ANEW) from error
     return read_instances(path, content)
 
 
@@ -123,7 +123,7 @@ def refuse_too_many(instances: Sequence[object], path: Path) -> None:
     """Raise PlgsError when these are more objects than Blender shows."""
     if len(instances) > MOST_INSTANCES:
         what = f"has more than {MOST_INSTANCES} objects, which are too many for Blender"
-        raise PlgsError(what, path, "Lift it again with a smaller most_instances.")
+        raise PlgsError("too-many", what, path, "Lift it again with a smaller most_instances.")
 
 
 class _Reader:
@@ -269,7 +269,7 @@ def _verify(lift: LiftFolder, paths: Iterable[str], listed: Mapping[str, ListedF
     files, size = [], 0
     for path in paths:
         if path not in listed:
-            raise PlgsError("is not listed", lift.manifest_path, MAKE_ANEW)
+            raise PlgsError("not-listed", "is not listed", lift.manifest_path, MAKE_ANEW)
         size += listed[path].bytes
         if size > _MOST_HASHED and path not in _READ:
             break

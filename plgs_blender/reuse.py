@@ -43,7 +43,7 @@ def make_objects(root: bpy.types.Collection, numbers: Sequence[int], *, as_asset
     lost = [number for number in numbers if number not in known]
     if lost:
         ids = ", ".join(map(str, known)) or "none"
-        raise PlgsError(f"has no instance {lost[0]}", root.name, f"Its instances are {ids}.")
+        raise PlgsError("no-object", f"has no instance {lost[0]}", root.name, f"Its instances are {ids}.")
     top = _top(root)
     made = [_fill(root, top, known[number]) for number in numbers]
     for collection in made if as_assets else ():
@@ -87,7 +87,8 @@ def key_visibility(root: bpy.types.Collection, numbers: Sequence[int], scene: bp
     for number in numbers:
         frames = sorted(place_of[name] for name in place_of if name in showing.get(number, ()))
         if not frames:
-            raise PlgsError(f"no frame shows instance {number}", root.name, "Show the result, or choose another one.")
+            what = f"no frame shows instance {number}"
+            raise PlgsError("never-seen", what, root.name, "Show the result, or choose another one.")
         every = np.array(sorted(place_of.values()), float)
         hidden = ~np.isin(every, frames)
         for ob in objects.get(number, ()):

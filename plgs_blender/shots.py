@@ -87,7 +87,7 @@ def shot_of(
     ob = scene.objects.get(camera) if camera else scene.camera
     if ob is None or (camera and ob.type != "CAMERA"):
         what = f"has no camera named {camera!r}" if camera else "has no active camera"
-        raise PlgsError(what, scene.name, _cameras_to_choose(scene, camera))
+        raise PlgsError("no-camera", what, scene.name, _cameras_to_choose(scene, camera))
     shot = Shot(
         ob,
         scene.frame_start if first is None else first,
@@ -98,7 +98,8 @@ def shot_of(
     )
     fix = "Set the range in the Output properties: it must end no earlier than it starts."
     if not shot.frames:
-        raise PlgsError(f"cannot be baked: {shot.first} to {shot.last} is not a range of frames", scene.name, fix)
+        what = f"cannot be baked: {shot.first} to {shot.last} is not a range of frames"
+        raise PlgsError("bad-shot-range", what, scene.name, fix)
     return shot
 
 
@@ -148,7 +149,7 @@ def _claim(folder: Path, name: str, source: ShotSource, *, replace: bool) -> Non
             if not replace:
                 what = f"has a shot {name!r} of another file already: camera {other.camera!r} in {other.blend}"
                 fix = "Give this shot another name, or ask to replace the other one."
-                raise PlgsError(what, folder, fix, option="--shot")
+                raise PlgsError("shot-taken", what, folder, fix, option="--shot")
         write_atomically(path, record_text(source))
 
 
@@ -212,7 +213,7 @@ class ShotReader:
         scene = bpy.data.scenes.get(self._scene)
         ob = None if scene is None else scene.objects.get(self._camera)
         if ob is None:
-            raise PlgsError("is gone", f"{self._scene}: {self._camera}", "Bake it again.")
+            raise PlgsError("camera-gone", "is gone", f"{self._scene}: {self._camera}", "Bake it again.")
         with _frame_kept(scene):
             for frame in self._frames[len(self._read) :]:
                 self._read.append(_camera_at(scene, ob, frame, self._name(frame)))
@@ -259,12 +260,13 @@ def _check_pinhole(ob: bpy.types.Object, frame: int) -> None:
     """Raises PlgsError for a camera whose picture no pinhole camera makes."""
     at = f"{ob.name}, frame {frame}"
     if ob.type != "CAMERA":
-        raise PlgsError("is not a camera", at, "Make a camera the scene's active one.")
+        raise PlgsError("not-a-camera", "is not a camera", at, "Make a camera the scene's active one.")
     if ob.data.type != "PERSP":
         kind = {"ORTHO": "orthographic", "PANO": "panoramic"}.get(ob.data.type, ob.data.type.lower())
-        raise PlgsError(f"is {kind}; only perspective cameras can be baked", at, "Set its type to Perspective.")
+        what = f"is {kind}; only perspective cameras can be baked"
+        raise PlgsError("not-perspective", what, at, "Set its type to Perspective.")
     if ob.matrix_world.is_negative:
-        raise PlgsError("shows the world mirrored", at, "Give it and its parents a positive scale.")
+        raise PlgsError("mirrored", "shows the world mirrored", at, "Give it and its parents a positive scale.")
 
 
 def _camera_at(scene: bpy.types.Scene, ob: bpy.types.Object, frame: int, name: str) -> BakeCamera:
@@ -277,7 +279,7 @@ def _camera_now(scene: bpy.types.Scene, ob: bpy.types.Object, frame: int, name: 
     camera, display = _rendered_part(seen_by(ob, scene.render), scene)
     if max(camera.width, camera.height) > LARGEST_SIDE:
         fix = f"Set its resolution to at most {LARGEST_SIDE} pixels per side."
-        raise PlgsError(f"renders {camera.width}x{camera.height} pixels", scene.name, fix)
+        raise PlgsError("other-resolution", f"renders {camera.width}x{camera.height} pixels", scene.name, fix)
     near, far, fps = float(ob.data.clip_start), float(ob.data.clip_end), scene.render.fps / scene.render.fps_base
     return BakeCamera(name, _pinhole(camera), near, far, frame, fps, display)
 
@@ -295,7 +297,8 @@ def _rendered_part(camera: Camera, scene: bpy.types.Scene) -> tuple[Camera, tupl
         left, right = (_pixels(each, width) for each in (render.border_min_x, render.border_max_x))
         bottom, top = (height - _pixels(each, height) for each in (render.border_min_y, render.border_max_y))
         if left >= right or top >= bottom:
-            raise PlgsError("has a render region without a pixel", scene.name, "Draw a larger one, or switch it off.")
+            what = "has a render region without a pixel"
+            raise PlgsError("region-empty", what, scene.name, "Draw a larger one, or switch it off.")
         part = left, top, right, bottom
     elif scene.eevee.use_overscan:
         more = math.ceil(max(width, height) * scene.eevee.overscan_size / 100)
@@ -370,7 +373,7 @@ def write_farm_job(scene: bpy.types.Scene, lift: LiftFolder, shot: Shot) -> Path
     blend = bpy.data.filepath
     if not blend:
         fix = "Save it where the farm can read it, then try again."
-        raise PlgsError("the farm reads the camera from a file, and this one has no name", scene.name, fix)
+        raise PlgsError("unsaved", "the farm reads the camera from a file, and this one has no name", scene.name, fix)
     frames = shot.frames
     settings = {
         "scene": str(lift.request.scene),

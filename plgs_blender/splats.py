@@ -75,7 +75,7 @@ def place_gaussians(root: bpy.types.Collection, scene: bpy.types.Scene) -> None:
     """
     path = gaussians_of(root)
     if not path.is_file():
-        raise PlgsError("is not there", path, "Lift the scene again, or open the lift where it is now.")
+        raise PlgsError("file-missing", "is not there", path, "Lift the scene again, or open the lift where it is now.")
     for _ in placing_gaussians(root, scene, read_gaussians(path)):
         pass
 

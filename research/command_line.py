@@ -171,7 +171,7 @@ def run_experiments(options: argparse.Namespace) -> int:
         print(*rows.listed(), sep="\n")
         return ExitCode.FINISHED
     if options.named_scenes and options.scenes:
-        raise PlgsError("scenes are named twice", "--scenes", "Leave one of the two out.")
+        raise PlgsError("scene-twice", "scenes are named twice", "--scenes", "Leave one of the two out.")
     experiment = Experiment(
         scenes=scenes_from(options.named_scenes or options.scenes or [SAMPLE], options.names),
         folder=options.output,
@@ -216,11 +216,13 @@ def run_bench(options: argparse.Namespace) -> ExitCode:
 def _refuse_unwritable(file: Path) -> None:
     """Before minutes of work: raise PlgsError if ``file`` could not be written."""
     if file.is_dir():
-        raise PlgsError("the figures need a file, but this is a folder", file, "Name a file in it.")
+        raise PlgsError("folder-not-file", "the figures need a file, but this is a folder", file, "Name a file in it.")
     if not file.parent.is_dir():
-        raise PlgsError("there is no such folder for the figures", file.parent, "Make it, or name another file.")
+        what = "there is no such folder for the figures"
+        raise PlgsError("no-folder", what, file.parent, "Make it, or name another file.")
     if not os.access(file if file.exists() else file.parent, os.W_OK):
-        raise PlgsError("this file cannot be written", file, "Name a file in a folder that you may write to.")
+        what = "this file cannot be written"
+        raise PlgsError("unwritable", what, file, "Name a file in a folder that you may write to.")
 
 
 def _names(text: str) -> list[str]:

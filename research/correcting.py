@@ -57,7 +57,7 @@ def true_labels(scene: Scene, xyz: NDArray[np.float32]) -> NDArray[np.int64]:
     PlgsError for a scene without ground truth."""
     frames = [frame for frame in scene.train_frames if frame.read_ground_truth is not None][::EVERY]
     if not frames:
-        raise PlgsError("has no ground truth", scene.folder, "Name a lift of a scene with ground truth.")
+        raise PlgsError("no-truth", "has no ground truth", scene.folder, "Name a lift of a scene with ground truth.")
     votes: dict[int, NDArray[np.int32]] = {}
     for frame in frames:
         assert frame.read_ground_truth is not None
@@ -118,7 +118,7 @@ def _split(folder: LiftFolder, number: int, truth: NDArray[np.int64]) -> Make:
         own = truth[state.label == number]
         part = parts_by_views(scene_of_lift(folder).train_frames, state.points_of(number)).part
         if sum(_most(own[part == each]) for each in np.unique(part)) < _most(own) + MIXED * len(own):
-            raise PlgsError("the parts are not purer than the whole", folder.path, "Leave it.")
+            raise PlgsError("not-purer", "the parts are not purer than the whole", folder.path, "Leave it.")
         return edit
 
     return make

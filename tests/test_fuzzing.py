@@ -116,7 +116,7 @@ def write_lift(folder: Path) -> None:
     writer.progress("train", 1, 2, loss=0.5, eta_s=1.0)
     writer.metric("lifted", {"miou": 0.5})
     writer.preview(lift.live_preview_path, "camera")
-    writer.error(PlgsError("broke", "here", "Mend it.", code=ErrorCode.INTERNAL))
+    writer.error(PlgsError("made-up", "broke", "here", "Mend it.", code=ErrorCode.INTERNAL))
     writer.close()
 
 

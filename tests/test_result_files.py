@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from engine.errors import PlgsError
 from engine.result_files import (
     Anchors,
     Instance,
@@ -20,6 +19,7 @@ from engine.result_files import (
     write_instances,
 )
 from tests.passes.views import CLASSES
+from tests.raises_key import raises_key
 
 RANDOM = np.random.default_rng(5)
 
@@ -36,7 +36,7 @@ def test_arrays_are_read_back_and_their_bytes_repeat(tmp_path: Path) -> None:
     }  # fmt: skip
     for name, array in vars(points).items():
         np.testing.assert_allclose(getattr(read, name), array, rtol=1e-6)
-    with pytest.raises(PlgsError, match="no array"):
+    with raises_key("no-array"):
         read_arrays(tmp_path / "a.npz", Anchors)
     points.__dict__["xyz"] = points.xyz[1:]
     with pytest.raises(ValueError, match="differ in length"):
@@ -79,12 +79,12 @@ def test_bad_instances_are_refused(tmp_path: Path) -> None:
         content = json.loads(path.read_text())
         content["instances"][0][field] = value
         path.write_text(json.dumps(content))
-        with pytest.raises(PlgsError, match="cannot be read"):
+        with raises_key("instances-damaged"):
             read_instances(path)
     for outline in ("0.1,0.2", "0.100,0.200,", "0.100,0.200 " * 3, 7, ["0.100,0.200"], "9.000,0.000"):
         write_instances(path, CLASSES, [made_instance(1)])
         content = json.loads(path.read_text())
         content["instances"][0]["segments"][0]["outline"] = outline
         path.write_text(json.dumps(content))
-        with pytest.raises(PlgsError, match="cannot be read"):
+        with raises_key("instances-damaged"):
             read_instances(path)

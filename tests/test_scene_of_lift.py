@@ -9,11 +9,11 @@ from pathlib import Path
 
 import pytest
 
-from engine.errors import PlgsError
 from engine.job import LiftFolder, LiftRequest
 from engine.known_scene import stored_scene, write_known
 from engine.scene import digests_of_files
 from engine.scene_of_lift import _digests_of, refuse_changed, remember_scene
+from tests.raises_key import raises_key
 from tests.scene.formats.test_record3d import lzfse  # noqa: F401 - a fixture
 from tests.scene.samples import WRITERS, Sample, opened, samples, with_content  # noqa: F401 - a fixture among them
 
@@ -67,6 +67,6 @@ def test_a_lift_does_not_go_on_with_other_pixels(
     folder = LiftFolder.create(tmp_path / "lift", LiftRequest(scene=scene))
     remember_scene(folder, opened(scene, name))
     refuse_changed(folder, opened(scene, name))
-    with with_content(path, change(path.read_bytes())), pytest.raises(PlgsError, match="differs, or the way"):
+    with with_content(path, change(path.read_bytes())), raises_key("other-scene"):
         refuse_changed(folder, opened(scene, name))
     refuse_changed(folder, opened(scene, name))

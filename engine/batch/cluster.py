@@ -118,7 +118,7 @@ def _client(address: str, tls: Tls | None) -> Any:
     try:
         return distributed.Client(address, timeout=CONNECT_S, set_as_default=False, security=security)
     except (OSError, ValueError, RuntimeError) as error:
-        raise PlgsError("no scheduler answers", address, fix, option="--scheduler") from error
+        raise PlgsError("no-scheduler", "no scheduler answers", address, fix, option="--scheduler") from error
 
 
 def reconnected(farm: Farm) -> None:
@@ -145,7 +145,7 @@ def wait_for_workers(farm: Farm, seconds: float) -> None:
             others = sorted({name for told in known for name in told.get("resources", {}) if name.startswith("plgs-")})
             has = f"its workers have different engines ({', '.join(others)})" if others else "it has no workers"
             fix = f"Start some with this engine: python -m engine worker {farm.address}"
-            raise PlgsError(f"{has}; this one is {engine_tag()}", farm.address, fix, option="--scheduler")
+            raise PlgsError("no-worker", f"{has}; this one is {engine_tag()}", farm.address, fix, option="--scheduler")
         farm.tend()
         time.sleep(0.2)
 
@@ -172,7 +172,8 @@ def slurm_cluster(place: Place) -> Any:
     jobqueue = require_dask("dask_jobqueue")
     assert place.slurm is not None
     if shutil.which("sbatch") is None:
-        raise PlgsError("Slurm is not installed here", "sbatch", "Start the batch on a machine of the cluster.")
+        what = "Slurm is not installed here"
+        raise PlgsError("no-slurm", what, "sbatch", "Start the batch on a machine of the cluster.")
     offered = ",".join(f"{name}={value:g}" for name, value in resources(place.gigabytes, place.threads).items())
     options: dict[str, Any] = {name: value for name, value in place.slurm.items() if value}
     if place.tls is not None:
@@ -191,7 +192,8 @@ def slurm_cluster(place: Place) -> Any:
             **options,
         )
     except (OSError, ValueError) as error:
-        raise PlgsError(f"Slurm cannot be used ({error})", "sbatch", "Correct the options of --slurm.") from error
+        what = f"Slurm cannot be used ({error})"
+        raise PlgsError("bad-slurm", what, "sbatch", "Correct the options of --slurm.") from error
 
 
 LOOPBACK = "127.0.0.1"
@@ -228,7 +230,7 @@ class Tls:
             ssl.create_default_context(cafile=ca).load_cert_chain(own)
         except (OSError, ssl.SSLError) as error:
             fix = "Give PEM files: --tls-ca with a certificate, --tls-certificate with a certificate and its key."
-            raise PlgsError(f"TLS cannot be used ({error.strerror or error})", own, fix) from error
+            raise PlgsError("bad-tls", f"TLS cannot be used ({error.strerror or error})", own, fix) from error
         roles = ("client", "scheduler", "worker")
         files = {f"tls_{role}_{part}": own for role in roles for part in ("cert", "key")}
         return require_dask().Security(tls_ca_file=ca, require_encryption=True, **files)
@@ -237,12 +239,12 @@ class Tls:
 def security_for(address: str, tls: Tls | None, fix: str) -> Any:
     """Dask's settings for an address, or None. Raises PlgsError if they do not fit, or if it is no address."""
     if re.fullmatch(r"[a-z]+://[^\s/]+:[0-9]{1,5}", address) is None:  # Dask waits long, and ends with its own errors
-        raise PlgsError("is not the address of a scheduler", address, fix)
+        raise PlgsError("scheduler-address", "is not the address of a scheduler", address, fix)
     if tls is None:
         return None
     if not address.startswith("tls://"):
         fix = "Start the scheduler with --tls-ca-file, --tls-cert and --tls-key, and give the address that it prints."
-        raise PlgsError("is not an address with TLS, which begins with tls://", address, fix)
+        raise PlgsError("address-without-tls", "is not an address with TLS, which begins with tls://", address, fix)
     return tls.security()
 
 
@@ -277,7 +279,7 @@ def run_worker(
         try:
             asyncio.run(_serve(address, offered, patience_s, scratch, security))
         except (OSError, ValueError, RuntimeError) as error:
-            raise PlgsError(f"there is no scheduler ({error})", address, fix) from error
+            raise PlgsError("scheduler-unreachable", f"there is no scheduler ({error})", address, fix) from error
     return ExitCode.FINISHED
 
 

@@ -125,14 +125,15 @@ def do(piece: Piece, tell: Tell, threads: int = 0, worker: str = "", gigabytes: 
     except OSError as error:
         what = f"cannot be used ({error.strerror})"
         where = error.filename or piece.lift
-        return outcome(Ended.FAILED, PlgsError(what, where, "Fix this, then start the batch again."))
+        return outcome(Ended.FAILED, PlgsError("piece-unusable", what, where, "Fix this, then start the batch again."))
     if follower is not None and follower.error is not None:
         ends = {ErrorCode.KILLED: Ended.KILLED, **dict.fromkeys(_PLACE_CODES, Ended.ELSEWHERE)}
         return outcome(ends.get(follower.error.code, Ended.FAILED), follower.error)
     if follower is not None and follower.exit_code is not ExitCode.FINISHED:
         if follower.kill_at is None and not (piece.lift / "cancel").exists():
             what = "the engine was ended by a signal that asks programs to end"
-            return outcome(Ended.KILLED, PlgsError(what, piece.lift, "Start the batch again.", code=ErrorCode.KILLED))
+            fix = "Start the batch again."
+            return outcome(Ended.KILLED, PlgsError("killed", what, piece.lift, fix, code=ErrorCode.KILLED))
         return outcome(Ended.CANCELLED)
     if piece.tells_frames:
         return outcome(Ended.DONE, answer={"frames": frames})
@@ -152,14 +153,14 @@ def _refuse_unfit_place(piece: Piece) -> None:
     """Raise PlgsError, with a code that says that another worker may do the piece, if this one cannot."""
     if engine_tag() != piece.engine:
         fix = f"Start workers of {piece.engine}."
-        raise PlgsError(f"this worker has {engine_tag()}", ROOT, fix, code=ErrorCode.NO_ENGINE)
+        raise PlgsError("worker-other-engine", f"this worker has {engine_tag()}", ROOT, fix, code=ErrorCode.NO_ENGINE)
     needed = [piece.lift.parent] if piece.kind is Kind.LIFT else [piece.lift]
     if piece.kind is not Kind.BAKE:
         needed.insert(0, piece.request.scene)
     for place in needed:
         if not place.exists():
             fix = "Mount it there under the same path."
-            raise PlgsError("does not exist on this worker", place, fix, code=ErrorCode.NO_ENGINE)
+            raise PlgsError("not-on-worker", "does not exist on this worker", place, fix, code=ErrorCode.NO_ENGINE)
 
 
 def _followed(piece: Piece, tell: Tell, variables: Mapping[str, str]) -> TaskFollower | None:
@@ -213,7 +214,7 @@ def _lift_folder(piece: Piece) -> LiftFolder:
     differing = piece.request.differences(lift.request)
     if differing:
         fix = "Leave these options as they were, or choose another output folder."
-        raise PlgsError(f"holds a lift with a different {', '.join(differing)}", lift.path, fix)
+        raise PlgsError("other-options", f"holds a lift with a different {', '.join(differing)}", lift.path, fix)
     return lift
 
 

@@ -117,7 +117,7 @@ def refuse_shared(option: str, path: Path | str | None, scenes: int) -> None:
     """Raise PlgsError for a path of files of one scene that is given for several."""
     if path is not None and SCENE not in str(path) and scenes > 1:
         fix = f"Write {SCENE} where the scene's name belongs, such as {option} 'predictions/{SCENE}'."
-        raise PlgsError(f"{option} names one place for {scenes} scenes", path, fix, option=option)
+        raise PlgsError("shared-place", f"{option} names one place for {scenes} scenes", path, fix, option=option)
 
 
 def names_of(scenes: Sequence[Path], given: Sequence[str] = ()) -> list[str]:
@@ -131,13 +131,13 @@ def names_of(scenes: Sequence[Path], given: Sequence[str] = ()) -> list[str]:
     places = [os.path.realpath(scene) for scene in scenes]
     for name, scene, place in zip(names, scenes, places, strict=True):
         if places.count(place) > 1:
-            raise PlgsError("the scene is given twice", scene, "Name it once.")
+            raise PlgsError("scene-twice", "the scene is given twice", scene, "Name it once.")
         if not _is_folder_name(name):
             fix = "Rename the scene, or name it in a table of scenes (--scenes)."
-            raise PlgsError("its name cannot be that of a result's folder", scene, fix)
+            raise PlgsError("scene-unnamable", "its name cannot be that of a result's folder", scene, fix)
         if folded.count(name.casefold()) > 1 or name.casefold() in (RECORDS, "table.csv", "table.md"):
             fix = "Rename the scene, or name it in a table of scenes (--scenes)."
-            raise PlgsError(f"two scenes, or files of the batch, are named {name!r}", scene, fix)
+            raise PlgsError("names-clash", f"two scenes, or files of the batch, are named {name!r}", scene, fix)
     return names
 
 

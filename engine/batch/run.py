@@ -162,13 +162,14 @@ class _Batch:
             largest = self._farm.largest()
             if largest and scene.job.gigabytes > largest:
                 what = f"the lift needs about {scene.job.gigabytes:.1f} GB, but the largest worker has {largest:.1f} GB"
-                self._fail(scene, PlgsError(what, scene.job.request.scene, "Add --fit, or a larger worker."))
+                self._fail(scene, PlgsError("too-big", what, scene.job.request.scene, "Add --fit, or a larger worker."))
                 return
             wanted[GIGABYTES] = scene.job.gigabytes
         fit = [address for address in self._farm.workers() if address not in scene.unfit] if scene.unfit else None
         if fit == []:
             why = "; ".join(sorted({reason.rstrip(".") for reason in scene.unfit.values()}))
-            self._fail(scene, PlgsError(f"no worker can do it: {why}", "", "Fix this, then start the batch again."))
+            fix = "Fix this, then start the batch again."
+            self._fail(scene, PlgsError("no-fit-worker", f"no worker can do it: {why}", "", fix))
             return
         future = self._farm.client.submit(
             do_on_dask, piece, key=f"{piece.kind}-{piece.scene}-{uuid4().hex}", pure=False, resources=wanted,
@@ -229,7 +230,7 @@ class _Batch:
             scene = self._scenes[piece.scene]
             if future.status == "error":
                 what = f"it ended its workers ({type(future.exception()).__name__}: {future.exception()})"
-                error = PlgsError(what, scene.job.lift, "Their logs may say more.", code=ErrorCode.INTERNAL)
+                error = PlgsError("crashed", what, scene.job.lift, "Their logs may say more.", code=ErrorCode.INTERNAL)
                 self._fail(scene, error)
             else:
                 self._take(scene, future.result())

@@ -85,7 +85,7 @@ def _tls(options: argparse.Namespace) -> Tls | None:
 
     ca, own = options.tls_ca, options.tls_certificate
     if (ca is None) != (own is None):
-        raise PlgsError("TLS needs two files", ca or own, "Give --tls-ca and --tls-certificate.")
+        raise PlgsError("tls-files", "TLS needs two files", ca or own, "Give --tls-ca and --tls-certificate.")
     return None if ca is None else Tls(ca.absolute(), own.absolute())
 
 
@@ -149,12 +149,13 @@ def _asked_scenes(options: argparse.Namespace) -> list[argparse.Namespace]:
     from ..batch.plan import refuse_shared
 
     if options.poses is not None:
-        raise PlgsError("finds the poses of one scene only", "--poses", "Find them first: python -m engine poses.")
+        what = "finds the poses of one scene only"
+        raise PlgsError("one-scene-only", what, "--poses", "Find them first: python -m engine poses.")
     asked = [argparse.Namespace(**{**vars(options), "scene": scene, "scene_name": ""}) for scene in options.scenes]
     if options.table is not None:
         asked += read_scene_table(options.table, options)
     if not asked:
-        raise PlgsError("no scene is named", "batch", "Name scenes, or a table of them with --scenes.")
+        raise PlgsError("no-scene", "no scene is named", "batch", "Name scenes, or a table of them with --scenes.")
     for option in ("--masks", "--depth", "--names-from"):
         refuse_shared(option, getattr(options, option[2:].replace("-", "_")), len(asked))
     return asked
@@ -162,15 +163,16 @@ def _asked_scenes(options: argparse.Namespace) -> list[argparse.Namespace]:
 
 def _refuse_two_places(options: argparse.Namespace) -> None:
     if options.slurm and options.scheduler:
-        raise PlgsError("cannot be used with --scheduler", "--slurm", "Give one of them.")
+        raise PlgsError("scheduler-and-slurm", "cannot be used with --scheduler", "--slurm", "Give one of them.")
     if options.workers and options.scheduler:
-        raise PlgsError("a scheduler has its own workers", "--workers", "Leave out this option, or --scheduler.")
+        what = "a scheduler has its own workers"
+        raise PlgsError("scheduler-workers", what, "--workers", "Leave out this option, or --scheduler.")
     for name, option in SLURM.items():
         if getattr(options, name) and not options.slurm:
-            raise PlgsError("is for Slurm only", option, "Add --slurm, or leave it out.", option=option)
+            raise PlgsError("slurm-only", "is for Slurm only", option, "Add --slurm, or leave it out.", option=option)
     if options.tls_ca and not (options.slurm or options.scheduler):
         fix = "Leave it out: without --slurm and --scheduler nothing listens beyond this machine."
-        raise PlgsError("is for other machines only", "--tls-ca", fix, option="--tls-ca")
+        raise PlgsError("farm-only", "is for other machines only", "--tls-ca", fix, option="--tls-ca")
 
 
 def _job(own: argparse.Namespace, output: Path, name: str, bakes_all: bool) -> SceneJob:
@@ -225,9 +227,10 @@ def read_scene_table(path: Path, options: argparse.Namespace) -> list[argparse.N
     for number, row in enumerate(_rows(path), start=1):
         where = f"{path}, scene {number}"
         if not row.get("scene"):
-            raise PlgsError("a scene has no 'scene'", where, _FIX)
+            raise PlgsError("row-without-scene", "a scene has no 'scene'", where, _FIX)
         if of_all := [name for name in _OF_ALL if row.get(name)]:
-            raise PlgsError(f"{of_all[0]} cannot differ between scenes", where, "Give it on the command line.")
+            what = f"{of_all[0]} cannot differ between scenes"
+            raise PlgsError("option-of-all", what, where, "Give it on the command line.")
         parser = _RowParser(where)
         parser.add_argument("--scene", type=Path)
         parser.add_argument("--name", dest="scene_name")
@@ -246,7 +249,7 @@ class _RowParser(argparse.ArgumentParser):
         self._where = where
 
     def error(self, message: str) -> NoReturn:
-        raise PlgsError(message, self._where, _FIX)
+        raise PlgsError("row-option", message, self._where, _FIX)
 
 
 def _arguments(name: str, value: Any, folder: Path, where: str) -> Iterator[str]:
@@ -262,7 +265,7 @@ def _arguments(name: str, value: Any, folder: Path, where: str) -> Iterator[str]
         is_path = name in _PATHS or str(value).endswith(".toml")
         yield f"--{name}={folder / str(value) if is_path else value}"
     elif value is not False:
-        raise PlgsError(f"{name} is {value!r}", where, _FIX)
+        raise PlgsError("row-value", f"{name} is {value!r}", where, _FIX)
 
 
 def _rows(path: Path) -> list[Mapping[str, Any]]:
@@ -278,9 +281,10 @@ def _rows(path: Path) -> list[Mapping[str, Any]]:
             for row in rows
         ]
     except OSError as error:
-        raise PlgsError(f"cannot be read ({error.strerror})", path, "Name a CSV or TOML file of scenes.") from error
+        what = f"cannot be read ({error.strerror})"
+        raise PlgsError("unreadable", what, path, "Name a CSV or TOML file of scenes.") from error
     except (ValueError, TypeError, AttributeError, csv.Error) as error:
-        raise PlgsError(f"is not a table of scenes ({error})", path, _FIX) from error
+        raise PlgsError("not-scene-table", f"is not a table of scenes ({error})", path, _FIX) from error
     if not found:
-        raise PlgsError("names no scene", path, _FIX)
+        raise PlgsError("empty-scene-table", "names no scene", path, _FIX)
     return found

@@ -29,7 +29,7 @@ def lift(options: argparse.Namespace) -> int:
     if options.output:
         if options.relink is not None:
             fix = "Give LIFT, --scene and --resume, without -o."
-            raise PlgsError("names the place of a lift folder's scene", "--scene", fix)
+            raise PlgsError("scene-option", "names the place of a lift folder's scene", "--scene", fix)
         return _lift_in_terminal(options)
     from .run_engine import run_engine
 
@@ -38,7 +38,7 @@ def lift(options: argparse.Namespace) -> int:
     given = given_lift_options(options)
     if given:
         fix = "Leave them out, or lift a scene into a new folder with -o."
-        raise PlgsError("a lift's request never changes", ", ".join(given), fix)
+        raise PlgsError("request-fixed", "a lift's request never changes", ", ".join(given), fix)
     folder = LiftFolder.open(options.scene)
     pipe = _parent_pipe(options, folder)
     own = getattr(options, "lift", None)  # set by another program that has its own way to lift
@@ -70,7 +70,7 @@ def bake(options: argparse.Namespace) -> ExitCode:
     if options.cameras is not None:
         if not options.cameras.is_file():  # perhaps a camera's name, as "--camera NAME" is read as "--cameras"
             fix = "--help explains what such a file holds; run_plgs.py --bake camera bakes the cameras of a .blend."
-            raise PlgsError("there is no such file of cameras", options.cameras, fix)
+            raise PlgsError("no-cameras-file", "there is no such file of cameras", options.cameras, fix)
         read_cameras(options.cameras)  # so that errors are reported at once, not after the model was read
     place = None if options.events is None else TaskPlace.at(options.events)
     pipe = _parent_pipe(options, folder)
@@ -113,7 +113,7 @@ def evaluate(options: argparse.Namespace, events: EventWriter, stop: StopSignal)
 
     folders = (options.predictions, options.truth)
     if (options.lift is None) == (None in folders) or (options.lift is not None and any(folders)):
-        raise PlgsError("give either LIFT, or --predictions and --truth", "evaluate", "See --help.")
+        raise PlgsError("evaluate-what", "give either LIFT, or --predictions and --truth", "evaluate", "See --help.")
     if options.lift is not None:
         lift = LiftFolder.open(options.lift)
         verify(lift.result_path)
@@ -183,7 +183,8 @@ def frames(options: argparse.Namespace, events: EventWriter, stop: StopSignal) -
         made = make_frames(scene, source.resolved, output, options.make, options.frames, progress)
     except OSError as error:
         fix = "Name a folder that you can write to, on a disk with free space."
-        raise PlgsError(f"cannot be written ({error.strerror})", error.filename or options.output, fix) from error
+        what = f"cannot be written ({error.strerror})"
+        raise PlgsError("unwritable", what, error.filename or options.output, fix) from error
     answer = {"folder": made.folder, "frames": len(made.frames)}
     events.answer(answer, f"{len(made.frames)} frames in {made.folder}")
 
@@ -222,9 +223,8 @@ def segment(options: argparse.Namespace, events: EventWriter, stop: StopSignal) 
         make_masks(scene, job, network, progress)
     except OSError as error:
         fix = "Make room there, then continue."
-        raise PlgsError(
-            f"masks cannot be written ({error.strerror})", job.folder, fix, code=ErrorCode.DISK_FULL
-        ) from error
+        what = f"masks cannot be written ({error.strerror})"
+        raise PlgsError("unwritable", what, job.folder, fix, code=ErrorCode.DISK_FULL) from error
     events.answer(answer, f"Masks of {len(scene.frames)} frames: {folder}")
 
 

@@ -34,7 +34,7 @@ def inspect_scene(
     PlgsError for the first thing that a lift would refuse, after an answer with the findings that may explain it.
     """
     if fix is not None and fix.exists():
-        raise PlgsError("the folder for the mended scene already exists", fix, "Name a new one.")
+        raise PlgsError("exists", "the folder for the mended scene already exists", fix, "Name a new one.")
     events.stage("inspect", 1, 2, "Looking at the scene")
     scene = opened = open_asked(asked)
     report, refusal = None, None

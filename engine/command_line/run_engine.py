@@ -39,7 +39,7 @@ def run_engine(
     folder.refuse_foreign()
     with folder.lock():
         if not (folder.path / "request.json").exists():
-            raise PlgsError("was removed in the meantime", folder.path, "Lift the scene again.")
+            raise PlgsError("lift-removed", "was removed in the meantime", folder.path, "Lift the scene again.")
         state = folder.state_at_rest()
         if resume:
             from ..scene_of_lift import is_done  # late: it needs numpy
@@ -51,7 +51,7 @@ def run_engine(
             is_whole = state is LiftState.FINISHED
             fix = "Choose another folder." if is_whole else "Add --resume to continue it."
             what = f"holds a lift that was begun before ({state.value})"
-            raise PlgsError(what, folder.path, fix, option="" if is_whole else "--resume")
+            raise PlgsError("lift-begun", what, folder.path, fix, option="" if is_whole else "--resume")
         with output_to(folder.log_path) as terminal:
             if resume:
                 folder.prepare_run()
@@ -167,5 +167,5 @@ def _refuse_unfinished(folder: LiftFolder) -> None:
     """Raise PlgsError for a lift that is not finished, or that was finished and is damaged."""
     if not folder.manifest_path.is_file():
         what = f"this lift is not finished ({folder.state_at_rest().value})"
-        raise PlgsError(what, folder.path, "Resume it first.", code=ErrorCode.NOT_FINISHED)
+        raise PlgsError("not-finished", what, folder.path, "Resume it first.", code=ErrorCode.NOT_FINISHED)
     verify_lifted(folder.result_path)

@@ -147,21 +147,22 @@ def _failure(error: Exception, command: Command, place: TaskPlace | None) -> Plg
     where = Path(sys.executable) if place is None else place.log
     if isinstance(error, ModuleNotFoundError):
         fix = f"Set the environment up again with 'make set-up', then {command.again}."
-        return PlgsError(str(error), sys.executable, fix, code=ErrorCode.INTERNAL)
+        return PlgsError("engine-unusable", str(error), sys.executable, fix, code=ErrorCode.INTERNAL)
     # Libraries in C++ have their own errors: torch on the CPU and the GPU, OpenCV.
     lacks_memory = isinstance(error, MemoryError) or type(error).__name__ == "OutOfMemoryError"
     if lacks_memory or any(words in str(error) for words in _NO_MEMORY):
-        return PlgsError("memory ran out", where.parent, command.with_less_memory, code=ErrorCode.INTERNAL)
+        return PlgsError("no-memory", "memory ran out", where.parent, command.with_less_memory, code=ErrorCode.INTERNAL)
     at = str(getattr(error, "filename", None) or ("" if place is None else where.parent))
     number = _number_of(error)
     if number in (errno.ENOSPC, errno.EDQUOT):
-        return PlgsError("the disk is full", at, f"Make room there, then {command.again}.", code=ErrorCode.DISK_FULL)
+        what = "the disk is full"
+        return PlgsError("disk-full", what, at, f"Make room there, then {command.again}.", code=ErrorCode.DISK_FULL)
     if number is not None:
         why = getattr(error, "strerror", None) or os.strerror(number)
-        return PlgsError(f"this cannot be used ({why})", at, f"Fix this, then {command.again}.")
+        return PlgsError("unusable", f"this cannot be used ({why})", at, f"Fix this, then {command.again}.")
     what = f"the engine failed ({type(error).__name__}: {(str(error).splitlines() or [''])[0][:300]})"
     fix = f"The log has the details. Once the cause is fixed, {command.again}."
-    return PlgsError(what, where, fix, code=ErrorCode.INTERNAL)
+    return PlgsError("internal", what, where, fix, code=ErrorCode.INTERNAL)
 
 
 def _number_of(error: Exception) -> int | None:

@@ -119,20 +119,20 @@ def edit_of(entry: dict[str, Any], path: Path) -> Edit:
     """The edit in an entry. Raises PlgsError when it is damaged."""
     for key in ("kind", "uid", "time"):
         if not entry.get(key):
-            raise PlgsError(f"an edit has no '{key}'", path, MEND)
+            raise PlgsError("edit-incomplete", f"an edit has no '{key}'", path, MEND)
     if entry["kind"] not in KINDS:
         shown = record_of(_Unknown, {key: entry[key] for key in ("kind", "uid", "time")}, path, MEND, "an edit")
         return Edit(shown.kind, undone=entry.get("undone") is True, uid=shown.uid, time=shown.time, raw=entry)
     edit = record_of(Edit, entry, path, MEND, str(entry["kind"]), raw=None)
     if edit.kind == "rename" and not edit.name:
-        raise PlgsError("'rename.name' is empty", path, MEND)
+        raise PlgsError("edit-name-empty", "'rename.name' is empty", path, MEND)
     return edit
 
 
 def no_object(what: str, where: Path | str, known: list[int]) -> PlgsError:
     """The error for an object that is not there."""
     ids = ", ".join(map(str, known)) or "none"
-    return PlgsError(what, where, f"Its objects are {ids}.")
+    return PlgsError("no-object", what, where, f"Its objects are {ids}.")
 
 
 FORMAT = 1
@@ -151,10 +151,10 @@ def read_edits(lift: Path) -> tuple[Edit, ...]:
     version = take_whole_number(content, "format", "the file", path)
     if version != FORMAT:
         fix = "Use the version of PLGS that wrote it. The file was not changed."
-        raise PlgsError(f"the file has format {version}, but this version reads {FORMAT}", path, fix)
+        raise PlgsError("other-format", f"the file has format {version}, but this version reads {FORMAT}", path, fix)
     edits = tuple(edit_of(entry, path) for entry in take_objects(content, "edits", "the file", path))
     if len({edit.uid for edit in edits}) < len(edits):
-        raise PlgsError("two edits have the same uid", path, MEND)
+        raise PlgsError("edit-uid-twice", "two edits have the same uid", path, MEND)
     return edits
 
 
@@ -178,4 +178,5 @@ def editing(lift: Path) -> Iterator[list[Edit]]:
         if error.code is not ErrorCode.BUSY:
             raise
         fix = "Try again in a moment."
-        raise PlgsError("another program is editing this lift", lift / CORRECTIONS, fix, code=ErrorCode.BUSY) from error
+        what = "another program is editing this lift"
+        raise PlgsError("corrections-busy", what, lift / CORRECTIONS, fix, code=ErrorCode.BUSY) from error

@@ -30,7 +30,7 @@ def rename(state: Replay, number: int, name: str) -> Edit:
     name = name.strip()
     if not name or len(name) > _LONGEST_NAME or not name.isprintable():
         what = f"{name[:80]!r} is not a name for an object"
-        raise PlgsError(what, CORRECTIONS, f"Give 1 to {_LONGEST_NAME} printable characters.")
+        raise PlgsError("object-name", what, CORRECTIONS, f"Give 1 to {_LONGEST_NAME} printable characters.")
     return Edit("rename", (_mark(state, number),), name=name)
 
 
@@ -42,8 +42,8 @@ def class_of(classes: ClassTable, said: int | str) -> int:
     found = found or [number for number, name in names.items() if text in (str(number), f"{number} {name}")]
     if len(found) != 1:
         what = f"'{said}' may be the class {' or '.join(f'{one} {names[one]}' for one in found)}"
-        known = ", ".join(f"{number} {name}" for number, name in names.items())
-        raise PlgsError(what if found else f"there is no class {said}", CORRECTIONS, f"The classes are {known}.")
+        fix = f"The classes are {', '.join(f'{number} {name}' for number, name in names.items())}."
+        raise PlgsError("no-class", what if found else f"there is no class {said}", CORRECTIONS, fix)
     return found[0]
 
 
@@ -60,7 +60,7 @@ def merge(state: Replay, numbers: Sequence[int]) -> Edit:
     """Merge all objects into the first, which keeps its name and its class."""
     numbers = list(dict.fromkeys(numbers))
     if len(numbers) < 2:
-        raise PlgsError("an object cannot be merged with itself", CORRECTIONS, "Name two or more objects.")
+        raise PlgsError("merge-one", "an object cannot be merged with itself", CORRECTIONS, "Name two or more objects.")
     return Edit("merge", tuple(_mark(state, number) for number in numbers))
 
 
@@ -90,7 +90,7 @@ def split(
     class_of = {each: kind for each, kind in (class_of or {}).items() if kind != one.class_id}
     if len(parts) < 2:
         fix = "Split it by a plane, or by points that you choose."
-        raise PlgsError(f"object {number} ({one.name}) does not fall into parts", CORRECTIONS, fix)
+        raise PlgsError("split-one-part", f"object {number} ({one.name}) does not fall into parts", CORRECTIONS, fix)
     kept, *parts = parts
     kinds = [class_of.get(each, one.class_id) for each in parts]
     made = tuple(
@@ -151,7 +151,7 @@ def assign(
     ``new_id`` of ``class_id``; where ``new_id`` is 0 too, to the class alone."""
     made: tuple[NewObject, ...] = ()
     if not chosen.any():
-        raise PlgsError("no points are chosen", CORRECTIONS, "Select points, or enlarge the region.")
+        raise PlgsError("no-points", "no points are chosen", CORRECTIONS, "Select points, or enlarge the region.")
     if target:
         _mark(state, target)
         label = target
@@ -165,7 +165,7 @@ def assign(
     classes = tuple(-one for one in before.tolist() if one <= 0 and one != label)
     rows = chosen & (state.label != label)
     if not rows.any():
-        raise PlgsError("the chosen points already belong to it", CORRECTIONS, "Choose other points.")
+        raise PlgsError("same-points", "the chosen points already belong to it", CORRECTIONS, "Choose other points.")
     moved = _groups(state.xyz[rows], np.full(int(rows.sum()), label, np.int32))
     return Edit("assign", marks, classes=classes, moved=moved, made=made)
 
@@ -177,9 +177,11 @@ def crop(state: Replay, number: int, within: NDArray[np.bool_]) -> Edit:
     own = state.label == number
     inner, outer = within & (state.label == -kind), own & ~within
     if not (own & within).any() and not inner.any():
-        raise PlgsError(f"no point of {state.objects[number].name} is there", CORRECTIONS, "Move its box back.")
+        what = f"no point of {state.objects[number].name} is there"
+        raise PlgsError("crop-empty", what, CORRECTIONS, "Move its box back.")
     if not inner.any() and not outer.any():
-        raise PlgsError("it already has exactly the points in the box", CORRECTIONS, "Move or scale its box.")
+        what = "it already has exactly the points in the box"
+        raise PlgsError("crop-same", what, CORRECTIONS, "Move or scale its box.")
     rows = inner | outer
     label = np.where(inner, number, -kind).astype(np.int32)
     return Edit("assign", (mark,), classes=(kind,), moved=_groups(state.xyz[rows], label[rows]))
@@ -197,7 +199,7 @@ def _mark(state: Replay, number: int) -> ObjectMark:
 
 def _some(numbers: Sequence[int]) -> list[int]:
     if not numbers:
-        raise PlgsError("no object is named", CORRECTIONS, "Name one or more objects.")
+        raise PlgsError("no-object-named", "no object is named", CORRECTIONS, "Name one or more objects.")
     return list(dict.fromkeys(numbers))
 
 

@@ -164,7 +164,7 @@ def correct(lift: Path, make: Make, listed: Listed | None = None) -> tuple[Edit,
         edit = make(state, free)
         reason = state.apply(edit)
         if reason:
-            raise PlgsError(reason, lift / CORRECTIONS, "Choose objects and classes that exist.")
+            raise PlgsError("edit-impossible", reason, lift / CORRECTIONS, "Choose objects and classes that exist.")
         edits.append(edit)
     return edit, result.corrected(edits, state)
 
@@ -175,7 +175,7 @@ def undo(lift: Path, listed: Listed | None = None) -> tuple[Edit, CorrectedResul
     with editing(lift) as edits:
         last = max((place for place, edit in enumerate(edits) if not edit.undone), default=-1)
         if last < 0:
-            raise PlgsError("there is no edit to undo", lift / CORRECTIONS, "")
+            raise PlgsError("nothing-to-undo", "there is no edit to undo", lift / CORRECTIONS, "")
         edits[last] = replace(edits[last], undone=True)
     return edits[last], _Result.read(lift, listed).corrected(edits)
 

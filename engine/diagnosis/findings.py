@@ -224,7 +224,8 @@ def write_findings(diagnosis: Diagnosis, folder: Path) -> dict[str, Any]:
     """
     try:
         if folder.exists() and any(folder.iterdir()) and not _holds_findings_only(folder):
-            raise PlgsError("the folder for the findings holds other files", folder, "Name a new or an empty folder.")
+            what = "the folder for the findings holds other files"
+            raise PlgsError("folder-used", what, folder, "Name a new or an empty folder.")
         folder.mkdir(parents=True, exist_ok=True)
         entries = []
         for number, finding in enumerate(diagnosis.findings, start=1):
@@ -238,7 +239,7 @@ def write_findings(diagnosis: Diagnosis, folder: Path) -> dict[str, Any]:
         return written
     except OSError as error:
         what = f"the findings cannot be written ({error.strerror or error})"
-        raise PlgsError(what, os.fspath(error.filename or folder), "Choose another folder.") from error
+        raise PlgsError("unwritable", what, os.fspath(error.filename or folder), "Choose another folder.") from error
 
 
 def _holds_findings_only(folder: Path) -> bool:

@@ -34,12 +34,13 @@ def write_mended(scene: Scene, diagnosis: Diagnosis, out: Path) -> str | None:
     are COCO panoptic, and ground truth is images of classes and instances. Raises PlgsError.
     """
     if out.exists():
-        raise PlgsError("the folder for the mended scene already exists", out, "Name a new one.")
+        raise PlgsError("exists", "the folder for the mended scene already exists", out, "Name a new one.")
     if out.resolve().is_relative_to(scene.folder.resolve()):
-        raise PlgsError("the mended scene would lie inside the scene itself", out, "Name a folder outside it.")
+        what = "the mended scene would lie inside the scene itself"
+        raise PlgsError("inside-scene", what, out, "Name a folder outside it.")
     frames = [frame for frame in scene.frames if frame.name not in diagnosis.mending.dropped]
     if not any(not frame.held_out for frame in frames):
-        raise PlgsError("no frame to train on would be left", scene.folder, "Give more frames.")
+        raise PlgsError("no-training-frame", "no frame to train on would be left", scene.folder, "Give more frames.")
     part = out.with_name(PART + out.name)
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
@@ -56,7 +57,8 @@ def write_mended(scene: Scene, diagnosis: Diagnosis, out: Path) -> str | None:
     except OSError as error:
         shutil.rmtree(part, ignore_errors=True)
         where = error.filename or out
-        raise PlgsError(f"this cannot be written ({error.strerror})", where, "Choose another folder.") from error
+        what = f"this cannot be written ({error.strerror})"
+        raise PlgsError("unwritable", what, where, "Choose another folder.") from error
     except BaseException:
         shutil.rmtree(part, ignore_errors=True)
         raise

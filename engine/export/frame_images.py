@@ -33,7 +33,7 @@ def export_coco(lift: FinishedLift, output: Path) -> None:
     try:
         write_coco(output, lift.classes, views, {each.id: each.name for each in lift.corrected.instances})
     except ValueError as error:
-        raise PlgsError(str(error), output, "Export instances instead: they have 16 bits each.") from error
+        raise PlgsError("coco-ids", str(error), output, "Export instances instead: they have 16 bits each.") from error
 
 
 def write_coco(
@@ -144,7 +144,7 @@ def id_bytes(ids: NDArray[np.int32], output: Path) -> bytes:
 
     if int(ids.max(initial=0)) >= MOST_IDS:
         fix = "Export COCO or points instead."
-        raise PlgsError(f"the id {int(ids.max())} does not fit into 16 bits", output, fix)
+        raise PlgsError("id-too-large", f"the id {int(ids.max())} does not fit into 16 bits", output, fix)
     done, data = cv2.imencode(".png", ids.astype(np.uint16))
     if not done:
         raise ValueError(f"cannot encode ids of shape {ids.shape} as PNG")

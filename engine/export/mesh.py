@@ -165,7 +165,8 @@ def parts_of(lift: FinishedLift) -> list[Part]:
     parts = _cut(lift, *finished(lift))
     parts = [each for each in parts if lift.wants(each.class_id, each.instance_id)]
     if not parts:
-        raise PlgsError("the rendered views show no such surface", lift.folder.path, "Export more frames.")
+        what = "the rendered views show no such surface"
+        raise PlgsError("no-such-surface", what, lift.folder.path, "Export more frames.")
     return parts
 
 
@@ -200,7 +201,7 @@ def refuse_none(lift: FinishedLift, surface: Surface) -> None:
     """Raises PlgsError for a surface without triangles."""
     if not len(surface.triangles):
         fix = "Export more frames, or lift the scene with better depth."
-        raise PlgsError("the rendered views show no surface", lift.folder.path, fix)
+        raise PlgsError("no-surface", "the rendered views show no surface", lift.folder.path, fix)
 
 
 def mended(surface: Surface, label: NDArray[np.int64]) -> tuple[Surface, NDArray[np.int64]]:

@@ -41,10 +41,11 @@ def export(
     """
     if cameras is not None and kind != "clouds":
         what = f"{kind} can only show the scene's frames"
-        raise PlgsError(what, cameras, "Give --frames, or export clouds.", option="--cameras")
+        raise PlgsError("export-cameras", what, cameras, "Give --frames, or export clouds.", option="--cameras")
     if objects and kind not in BY_OBJECT:
         what = f"{kind} shows whole frames"
-        raise PlgsError(what, folder.path, f"Export {', '.join(BY_OBJECT)}, or all objects.", option="--objects")
+        fix = f"Export {', '.join(BY_OBJECT)}, or all objects."
+        raise PlgsError("export-objects", what, folder.path, fix, option="--objects")
     if kind == "usd" and find_spec("pxr") is None:
         raise lacks_part("OpenUSD files need the package usd-core", output, "usd")
     verify_lifted(folder.result_path)
@@ -61,12 +62,13 @@ def export(
 def make_room(folder: LiftFolder, output: Path, export: Mapping[str, object]) -> None:
     """Make the folder, with the facts of ``export`` in its note. Raises PlgsError where other files are, OSError."""
     if output.exists() and not output.is_dir():
-        raise PlgsError("the export needs a folder, but this is a file", output, "Name another one.")
+        raise PlgsError("file-not-folder", "the export needs a folder, but this is a file", output, "Name another one.")
     text, note = json.dumps(export, indent=1) + "\n", output / NOTE
     if output.resolve().is_relative_to(folder.path.resolve() / "exports"):
         shutil.rmtree(output, ignore_errors=True)
     elif output.exists() and any(output.iterdir()) and not (note.is_file() and note.read_bytes() == text.encode()):
-        raise PlgsError("the folder for the export holds other files", output, "Name a new or an empty folder.")
+        what = "the folder for the export holds other files"
+        raise PlgsError("folder-used", what, output, "Name a new or an empty folder.")
     write_atomically(note, text)
 
 

@@ -72,7 +72,8 @@ class FinishedLift:
         unknown = [name for name in self.objects if name.casefold() not in {*of_class.values(), *of_instance.values()}]
         if unknown:
             fix = f"Name objects or classes, such as {listed([*self.instances.names.values(), *of_class.values()])}."
-            raise PlgsError(f'the lift has nothing called "{unknown[0]}"', self.folder.path, fix, option="--objects")
+            what = f'the lift has nothing called "{unknown[0]}"'
+            raise PlgsError("no-such-name", what, self.folder.path, fix, option="--objects")
         asked = {name.casefold() for name in self.objects}
         return (
             frozenset(number for number, name in of_class.items() if name in asked),
@@ -156,4 +157,4 @@ def _read(baked: Path) -> PanopticLayers:
     try:
         return read_exr(baked)
     except ValueError as error:
-        raise damaged("a baked frame cannot be read", baked) from error
+        raise damaged("frame-unreadable", "a baked frame cannot be read", baked) from error

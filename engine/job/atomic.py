@@ -41,7 +41,8 @@ def write_atomically(path: Path, content: bytes | str | Callable[[Path], object]
         except FileNotFoundError as error:
             if callable(content):  # perhaps it wrote nothing
                 raise
-            raise PlgsError("another process took over", path, "Try again in a moment.", code=ErrorCode.BUSY) from error
+            what = "another process took over"
+            raise PlgsError("taken-over", what, path, "Try again in a moment.", code=ErrorCode.BUSY) from error
     except BaseException as error:
         part.unlink(missing_ok=True)
         if isinstance(error, OSError) and error.errno and error.filename is None:

@@ -95,11 +95,11 @@ def read_cameras(path: Path) -> tuple[BakeCamera, ...]:
     """The cameras of a file, in order. Raises PlgsError, which names the camera, if one is invalid."""
     listed = read_value(path, _FIX)
     if not isinstance(listed, list) or not listed:
-        raise PlgsError("does not hold a list of cameras", path, _FIX)
+        raise PlgsError("not-cameras", "does not hold a list of cameras", path, _FIX)
     cameras = []
     for number, each in enumerate(listed, start=1):
         if not isinstance(each, dict):
-            raise PlgsError(f"camera {number} is not a JSON object", path, _FIX)
+            raise PlgsError("camera-not-object", f"camera {number} is not a JSON object", path, _FIX)
         cameras.append(record_of(_Entry, each, path, _FIX, f"camera {number}").camera)
     refuse_equal_names([camera.name for camera in cameras], path)
     return tuple(cameras)
@@ -126,9 +126,9 @@ def refuse_equal_names(names: Sequence[str], path: Path, taken: Sequence[str] = 
     for name in names:
         if name.casefold() in frames:
             fix = "Give the camera another name, or bake the frame with --frames."
-            raise PlgsError(f"a frame of the scene is named {name!r}", path, fix, option="--frames")
+            raise PlgsError("camera-is-frame", f"a frame of the scene is named {name!r}", path, fix, option="--frames")
         if name.casefold() in seen:
-            raise PlgsError(f"two cameras are named {name!r}", path, "Give each camera a different name.")
+            raise PlgsError("same-name", f"two cameras are named {name!r}", path, "Give each camera a different name.")
         seen.add(name.casefold())
 
 
@@ -152,7 +152,7 @@ def read_preview_request(path: Path) -> PreviewRequest | None:
     try:
         return _drawable(record_of(PreviewCamera, content, path, _PREVIEW_FIX))
     except ValueError as error:
-        raise PlgsError(f"is not a camera ({error})", path, _PREVIEW_FIX) from error
+        raise PlgsError("not-a-camera", f"is not a camera ({error})", path, _PREVIEW_FIX) from error
 
 
 def _drawable(camera: PreviewCamera) -> PreviewCamera:

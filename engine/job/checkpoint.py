@@ -115,9 +115,9 @@ def _verified_state(folder: Path) -> Mapping[str, Json]:
             is_whole = False
         except OSError as error:
             fix = "Check the disk, then resume again."
-            raise PlgsError(f"cannot be read ({error.strerror})", path, fix) from error
+            raise PlgsError("unreadable", f"cannot be read ({error.strerror})", path, fix) from error
         if not is_whole:
-            raise PlgsError("is damaged", folder, _FIX)
+            raise PlgsError("checkpoint-damaged", "is damaged", folder, _FIX)
     return index.state
 
 

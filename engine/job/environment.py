@@ -118,7 +118,8 @@ def _holds(marker: str, version: Version, platform: str, path: Path) -> bool:
     """Whether a condition of our files holds. pip knows more kinds, but may not be installed."""
     match = _MARKER.fullmatch(marker)
     if match is None:
-        raise PlgsError(f"has a condition that is not understood ({marker})", path, "Write it like the other lines.")
+        what = f"has a condition that is not understood ({marker})"
+        raise PlgsError("odd-condition", what, path, "Write it like the other lines.")
     subject, operator, text = match.groups()
     if subject == "sys_platform":
         return (platform == text) is (operator == "==")
@@ -130,4 +131,5 @@ def _text(path: Path) -> str:
     try:
         return path.read_text(encoding="utf-8")
     except OSError as error:
-        raise PlgsError(f"cannot be read ({error.strerror})", path, "Install PLGS again: it is part of it.") from error
+        what = f"cannot be read ({error.strerror})"
+        raise PlgsError("unreadable", what, path, "Install PLGS again: it is part of it.") from error

@@ -133,7 +133,7 @@ class EventWriter:
 
     def error(self, error: PlgsError) -> None:
         """The run ends because of this."""
-        about = {"what": error.what, "where": error.where, "fix": error.fix}
+        about = {"key": error.key, "what": error.what, "where": error.where, "fix": error.fix}
         self._write("error", **about, code=error.code, option=error.option, exit_code=error.exit_code)
 
     def done(self, state: str) -> None:
@@ -259,7 +259,7 @@ def at_work(path: Path) -> PlgsError:
         since = time.strftime("%Y-%m-%d %H:%M:%S", time.localtime(hello.time))
         who = f" (process {hello.data.get('pid')} on {hello.data.get('machine', 'an unnamed machine')}, since {since})"
     fix = "Wait until it is done, or create a file named 'cancel' there to stop it; end the process if it hangs."
-    return PlgsError(f"another engine is at work here{who}", path.parent, fix, code=ErrorCode.BUSY)
+    return PlgsError("at-work", f"another engine is at work here{who}", path.parent, fix, code=ErrorCode.BUSY)
 
 
 def last_events(path: Path) -> list[Event]:

@@ -56,13 +56,13 @@ class LiftFolder:
             _write_new(path / "request.json", request.to_json(path))
         except FileExistsError as error:
             fix = "Choose another output folder."
-            raise PlgsError("is in the way", error.filename or path, fix) from error
+            raise PlgsError("in-the-way", "is in the way", error.filename or path, fix) from error
         except OSError as error:
             fix = "Choose a folder that you can write to, on a disk with free space."
-            raise PlgsError(f"cannot be written ({error.strerror})", path, fix) from error
+            raise PlgsError("unwritable", f"cannot be written ({error.strerror})", path, fix) from error
         except ValueError as error:
             fix = "Choose another output folder."
-            raise PlgsError(f"cannot be the path of a folder ({error})", repr(str(path)), fix) from error
+            raise PlgsError("bad-path", f"cannot be the path of a folder ({error})", repr(str(path)), fix) from error
         return cls(path, request)
 
     @classmethod
@@ -75,12 +75,14 @@ class LiftFolder:
         try:
             is_folder = path.is_dir()
         except OSError as error:  # a name that is too long, a disk that does not answer
-            raise PlgsError(f"cannot be opened ({error.strerror})", path, "Give the folder of a lift.") from error
+            what = f"cannot be opened ({error.strerror})"
+            raise PlgsError("unopenable", what, path, "Give the folder of a lift.") from error
         if not is_folder:
-            raise PlgsError("there is no such lift folder", path, "Give the folder of a lift.")
+            raise PlgsError("no-lift-folder", "there is no such lift folder", path, "Give the folder of a lift.")
         refuse_foreign(path)
         if not (path / "request.json").is_file():
-            raise PlgsError("is not a lift folder (it has no request.json)", path, "Give the folder of a lift.")
+            what = "is not a lift folder (it has no request.json)"
+            raise PlgsError("not-lift-folder", what, path, "Give the folder of a lift.")
         return cls(path, LiftRequest.read(path / "request.json"))
 
     @property
@@ -148,7 +150,7 @@ class LiftFolder:
         """Raise PlgsError, before any work starts, if nothing can be written here."""
         if not os.access(self.path, os.W_OK | os.X_OK):
             fix = "Copy the lift to a place that you can write to, and use the copy."
-            raise PlgsError("this lift is read-only", self.path, fix)
+            raise PlgsError("read-only", "this lift is read-only", self.path, fix)
 
     def state(self) -> LiftState:
         """The state of the lift. Raises PlgsError if the file system does not support locks."""
@@ -246,7 +248,7 @@ class LiftFolder:
 
     def _discard(self) -> None:
         if self.checkpoints.exists or self._has_result():
-            raise PlgsError("holds finished work", self.path, "Resume it, or delete it yourself.")
+            raise PlgsError("finished-work", "holds finished work", self.path, "Resume it, or delete it yourself.")
         (self.path / "request.json").unlink()  # first, as a folder without it is not a lift
         for path in (self.cancel_path, self.preview_request_path, self.log_path, self.path / "scene.json"):
             path.unlink(missing_ok=True)
@@ -272,14 +274,14 @@ def refuse_used(path: Path) -> None:
     if not path.exists():
         return
     if not path.is_dir():
-        raise PlgsError("is in the way", path, "Choose another output folder.")
+        raise PlgsError("in-the-way", "is in the way", path, "Choose another output folder.")
     if (path / "request.json").exists():
         fix = "Add --resume to continue it, or choose another output folder."
-        raise PlgsError("already holds a lift", path, fix, option="--resume")
+        raise PlgsError("holds-lift", "already holds a lift", path, fix, option="--resume")
     for entry in path.iterdir():
         if not entry.name.startswith(PART):  # a kill while a lift folder is made leaves such a name
             what = f"is not empty (it holds '{entry.name}') and is not a lift folder"
-            raise PlgsError(what, path, "Choose another output folder.")
+            raise PlgsError("folder-used", what, path, "Choose another output folder.")
 
 
 def _write_new(path: Path, text: str) -> None:
@@ -333,7 +335,8 @@ def _entries(folder: Path) -> Iterator[Path]:
     except (FileNotFoundError, NotADirectoryError):
         return
     except OSError as error:
-        raise PlgsError(f"cannot be read ({error.strerror})", folder, "Check its permissions and its disk.") from error
+        what = f"cannot be read ({error.strerror})"
+        raise PlgsError("unreadable", what, folder, "Check its permissions and its disk.") from error
 
 
 def _refuse(path: Path, is_right: Callable[[int], bool]) -> None:
@@ -343,7 +346,8 @@ def _refuse(path: Path, is_right: Callable[[int], bool]) -> None:
         return
     except OSError as error:
         fix = "Check its permissions and its disk."
-        raise PlgsError(f"cannot be examined ({error.strerror})", path, fix) from error
+        raise PlgsError("not-examined", f"cannot be examined ({error.strerror})", path, fix) from error
     if not is_right(mode):
         kind = "a link" if S_ISLNK(mode) else "neither a file nor a folder of a lift"
-        raise PlgsError(f"is {kind}, which a lift never has", path, "Do not trust it. Copy only files you recognise.")
+        what = f"is {kind}, which a lift never has"
+        raise PlgsError("foreign-file", what, path, "Do not trust it. Copy only files you recognise.")

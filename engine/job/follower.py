@@ -130,7 +130,7 @@ class TaskFollower:
             if self._process is not None:
                 self._process.kill()
             fix = "Check its disk, then try again."
-            self._fail(PlgsError(f"the task can no longer be followed ({error})", self.place.events, fix))
+            self._fail(PlgsError("unfollowed", f"the task can no longer be followed ({error})", self.place.events, fix))
             return True
         self._silent_since = None
         return has_news
@@ -208,7 +208,8 @@ class TaskFollower:
         """``code`` is the exit code of the engine's process; None if another process started it."""
         if not self.place.events.parent.is_dir():  # then the engine's own message does not tell what happened
             fix = "Restore it, or start again."
-            self._fail(PlgsError("the folder is gone", self.place.events.parent, fix, code=ErrorCode.INTERNAL))
+            where = self.place.events.parent
+            self._fail(PlgsError("folder-gone", "the folder is gone", where, fix, code=ErrorCode.INTERNAL))
         elif self.error is not None:
             self._fail(self.error)
         elif code in (ExitCode.BAD_INPUT, ExitCode.INTERNAL_ERROR, ExitCode.BUSY):  # without an event: it never began
@@ -220,7 +221,7 @@ class TaskFollower:
         elif code is not None and code < 0:
             hint = " (often: out of memory)" if code == -9 else ""
             what = f"the engine was ended by signal {-code}{hint}"
-            self._fail(PlgsError(what, self.place.events.parent, self._what_is_left(), code=ErrorCode.KILLED))
+            self._fail(PlgsError("killed", what, self.place.events.parent, self._what_is_left(), code=ErrorCode.KILLED))
         else:
             self._fail(self._error_of_output(code))
 
@@ -240,9 +241,9 @@ class TaskFollower:
         kinds: dict[int | None, ErrorCode] = {ExitCode.BAD_INPUT: ErrorCode.BAD_INPUT, ExitCode.BUSY: ErrorCode.BUSY}
         kind = kinds.get(code, ErrorCode.INTERNAL)
         if output:
-            return PlgsError(output.splitlines()[-1].removeprefix("error: "), "", "", code=kind)
+            return PlgsError("engine-said", output.splitlines()[-1].removeprefix("error: "), "", "", code=kind)
         what = "the engine ended without a message (killed, or out of memory?)"
-        return PlgsError(what, self.place.log, f"The log may say more. {self._what_is_left()}", code=kind)
+        return PlgsError("no-message", what, self.place.log, f"The log may say more. {self._what_is_left()}", code=kind)
 
     def _what_is_left(self) -> str:
         return {LIFT: "The lift can be resumed.", BAKE: "The result is whole; bake again."}.get(self.kind, "Try again.")
@@ -277,4 +278,5 @@ def _error(data: Mapping[str, Json]) -> PlgsError:
     said = str(data.get("code"))
     code = ErrorCode(said) if said in list(ErrorCode) else ErrorCode.INTERNAL
     what, where, fix = (str(data[key]) for key in ("what", "where", "fix"))
-    return PlgsError(what, where, fix, code=code, option=str(data.get("option") or ""))
+    key = str(data.get("key") or "engine-said")
+    return PlgsError(key, what, where, fix, code=code, option=str(data.get("option") or ""))

@@ -144,7 +144,8 @@ def addition_hashes_path(root: Path, name: str) -> Path:
 def refuse_unknown(name: str) -> None:
     """Raise PlgsError for a name that cannot be added."""
     if name not in ADDED:
-        raise PlgsError(f'nothing called "{name}" can be added to an engine', "add", f"Choose {', '.join(ADDED)}.")
+        what = f'nothing called "{name}" can be added to an engine'
+        raise PlgsError("not-addable", what, "add", f"Choose {', '.join(ADDED)}.")
 
 
 _CUDA = re.compile(r"^cuda\b[^=]*= *['\"]([^'\"]+)['\"]", re.MULTILINE)

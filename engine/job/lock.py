@@ -88,7 +88,7 @@ def is_locked(path: Path) -> bool:
         return False
     except OSError as error:
         fix = "It must be a file that you can read."
-        raise PlgsError(f"cannot be opened ({error.strerror})", path, fix) from error
+        raise PlgsError("unopenable", f"cannot be opened ({error.strerror})", path, fix) from error
     with file:
         return not _try_lock(file.fileno(), path, shared=True)
 
@@ -98,7 +98,7 @@ def _try_lock(descriptor: int, path: Path, shared: bool = False) -> bool:
         return try_lock(descriptor, shared)
     except OSError as error:
         fix = "Put the lift on a local disk, or on a shared one with locks: NFS 4, or NFS 3 with lockd."
-        raise PlgsError(f"its file system cannot lock files ({error.strerror})", path, fix) from error
+        raise PlgsError("no-file-locks", f"its file system cannot lock files ({error.strerror})", path, fix) from error
 
 
 class BakeLocks:

@@ -20,9 +20,9 @@ MAKE_ANEW = "Resume the lift: 'python -m engine lift LIFT --resume' makes the re
 """The advice for a result that has changed since it was written."""
 
 
-def damaged(what: str, path: Path) -> PlgsError:
+def damaged(key: str, what: str, path: Path) -> PlgsError:
     """The error for a file of the result that has changed since it was written."""
-    return PlgsError(what, path, MAKE_ANEW, code=ErrorCode.DAMAGED, option="--resume")
+    return PlgsError(key, what, path, MAKE_ANEW, code=ErrorCode.DAMAGED, option="--resume")
 
 
 @dataclass(frozen=True)
@@ -79,13 +79,13 @@ def read_manifest(result: Path) -> Manifest:
     path = result / NAME
     if not path.is_file():
         what = "does not exist, so this lift is not finished"
-        raise PlgsError(what, path, "Resume the lift.", code=ErrorCode.NOT_FINISHED)
+        raise PlgsError("not-finished", what, path, "Resume the lift.", code=ErrorCode.NOT_FINISHED)
     try:
         return read_record(Manifest, path, MAKE_ANEW)
     except PlgsError as error:
         if error.fix != MAKE_ANEW:
             raise
-        raise damaged(error.what, path) from (error.__cause__ or error)
+        raise damaged(error.key, error.what, path) from (error.__cause__ or error)
 
 
 def check_sizes(result: Path) -> Manifest:
@@ -96,13 +96,13 @@ def check_sizes(result: Path) -> Manifest:
         try:
             found = path.lstat()
         except OSError as error:
-            raise damaged("is missing", path) from error
+            raise damaged("file-missing", "is missing", path) from error
         except ValueError as error:
-            raise damaged(f"lists a file that cannot exist ({error})", result / NAME) from error
+            raise damaged("impossible-file", f"lists a file that cannot exist ({error})", result / NAME) from error
         if not S_ISREG(found.st_mode):
-            raise damaged("is not a plain file", path)
+            raise damaged("not-a-file", "is not a plain file", path)
         if found.st_size != file.bytes:
-            raise damaged(f"has {found.st_size} bytes, but {file.bytes} were written", path)
+            raise damaged("other-bytes", f"has {found.st_size} bytes, but {file.bytes} were written", path)
     return manifest
 
 
@@ -138,6 +138,6 @@ def verify_files(result: Path, files: Iterable[ListedFile]) -> None:
         try:
             found = sha256(path)
         except OSError as error:
-            raise damaged(f"cannot be read ({error.strerror})", path) from error
+            raise damaged("unreadable", f"cannot be read ({error.strerror})", path) from error
         if found != file.sha256:
-            raise damaged("was changed since it was written", path)
+            raise damaged("file-changed", "was changed since it was written", path)

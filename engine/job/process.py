@@ -87,7 +87,7 @@ def choose_python(
         return ChosenPython(Path(sys.executable), Origin.THIS, "Press 'Set Up Engine' in the preferences.")
     make = f"run 'make set-up' in {root}" if (root / "Makefile").exists() else "press 'Set Up Engine' in Blender"
     fix = f"Please {make}, or set PLGS_ENGINE_PYTHON to a Python that has torch."
-    raise PlgsError("there is no Python for the engine", beside, fix, code=ErrorCode.NO_ENGINE)
+    raise PlgsError("no-python", "there is no Python for the engine", beside, fix, code=ErrorCode.NO_ENGINE)
 
 
 def engine_python(root: Path = ROOT, environ: Mapping[str, str] = os.environ, chosen: Path | None = None) -> Path:
@@ -101,7 +101,7 @@ def engine_python(root: Path = ROOT, environ: Mapping[str, str] = os.environ, ch
         if not missing:
             return choice.python
         what = f"the engine's Python lacks {', '.join(missing)}"
-    raise PlgsError(what, choice.python, choice.fix, code=ErrorCode.NO_ENGINE)
+    raise PlgsError("python-unfit", what, choice.python, choice.fix, code=ErrorCode.NO_ENGINE)
 
 
 def missing_modules(python: Path, names: Sequence[str]) -> list[str]:
@@ -115,13 +115,13 @@ def missing_modules(python: Path, names: Sequence[str]) -> list[str]:
             [python, "-I", "-c", code, *names], env=clean_environment(), capture_output=True, timeout=_ANSWER_S
         )
     except subprocess.TimeoutExpired as error:
-        raise PlgsError(f"does not answer within {_ANSWER_S:g} s", python, "Try it in a terminal.") from error
+        raise PlgsError("silent", f"does not answer within {_ANSWER_S:g} s", python, "Try it in a terminal.") from error
     except OSError as error:
-        raise PlgsError(f"cannot be run ({error.strerror})", python, "It must be a Python.") from error
+        raise PlgsError("not-runnable", f"cannot be run ({error.strerror})", python, "It must be a Python.") from error
     # Only the last line counts, as what a Python runs at its start may also print something.
     *_, line = ["", *answer.stdout.decode(errors="replace").splitlines()]
     if answer.returncode != 0 or not line.startswith(_MISSING):
-        raise PlgsError("does not work as a Python", python, "Try it in a terminal.")
+        raise PlgsError("not-a-python", "does not work as a Python", python, "Try it in a terminal.")
     return line.removeprefix(_MISSING).split()
 
 
@@ -161,10 +161,11 @@ class ChildProcess:
                 **start_options(keep_open),
             )
         except OSError as error:
-            raise PlgsError(f"cannot be run ({error.strerror})", command[0], "It must be a Python.") from error
+            what = f"cannot be run ({error.strerror})"
+            raise PlgsError("not-runnable", what, command[0], "It must be a Python.") from error
         except ValueError as error:
             fix = "Choose folders with different names."
-            raise PlgsError(f"cannot be given such a path ({error})", command[0], fix) from error
+            raise PlgsError("bad-path", f"cannot be given such a path ({error})", command[0], fix) from error
 
     @property
     def pid(self) -> int:

@@ -90,7 +90,7 @@ class LiftRequest(SceneSource):
         for name in _PLACES:
             path = getattr(self, name)
             if path is not None and not path.is_absolute():
-                raise PlgsError(f"the path of '{name}' is not absolute", path, "Give the absolute path.")
+                raise PlgsError("relative", f"the path of '{name}' is not absolute", path, "Give the absolute path.")
             if path is not None:
                 refuse_unwritable_name(path)
         changed = changed_options(PRESETS[self.preset], checked_options(self.options))
@@ -117,12 +117,12 @@ class LiftRequest(SceneSource):
         content: dict[str, Any] = read_object(path, _FIX)
         refuse_other_format(content, path)
         for name in sorted(set(GONE) & set(content)):
-            raise PlgsError(f"this lift was asked for with --{name}", path, f"{GONE[name]}.")
+            raise PlgsError("option-gone", f"this lift was asked for with --{name}", path, f"{GONE[name]}.")
         overrides, relative = content.pop("overrides", None) or {}, content.pop("relative", {})
         if not isinstance(overrides, dict):
-            raise PlgsError("'overrides' is not a JSON object", path, _FIX)
+            raise PlgsError("bad-overrides", "'overrides' is not a JSON object", path, _FIX)
         if not isinstance(relative, dict) or not all(isinstance(value, str) for value in relative.values()):
-            raise PlgsError("'relative' is not an object of texts", path, _FIX)
+            raise PlgsError("bad-relative", "'relative' is not an object of texts", path, _FIX)
         content |= {"fit": overrides.pop("fit", False), "options": overrides}
         for name in _PLACES:
             if isinstance(content.get(name), str) and name in relative:
@@ -133,7 +133,7 @@ class LiftRequest(SceneSource):
             if error.where == str(path):
                 raise
             what = f"{error.where}: {error.what}" if error.where else error.what
-            raise PlgsError(what, path, error.fix) from error
+            raise PlgsError(error.key, what, path, error.fix) from error
 
     def differences(self, other: LiftRequest) -> list[str]:
         """The names of what differs, including the options of the preset, but not the engine's version."""
@@ -150,7 +150,7 @@ def refuse_unwritable_name(path: Path) -> None:
         str(path).encode()
     except UnicodeEncodeError as error:
         what, fix = "has a name with broken characters (it is not UTF-8)", "Rename it, or the folder it is in."
-        raise PlgsError(what, path, fix) from error
+        raise PlgsError("name-not-utf8", what, path, fix) from error
 
 
 def _relative(request: LiftRequest, lift: Path) -> dict[str, Json]:

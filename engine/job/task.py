@@ -63,7 +63,7 @@ class TaskPlace:
         events = events.absolute()
         if events.suffix != ".jsonl" or not events.parent.is_dir():
             fix = "Give --events a name that ends in .jsonl, in a folder that is there."
-            raise PlgsError("the events cannot be written there", events, fix, option="--events")
+            raise PlgsError("unwritable", "the events cannot be written there", events, fix, option="--events")
         return cls(events, events.with_suffix(".cancel"), events.with_suffix(".log"), ("--events", events))
 
     @classmethod

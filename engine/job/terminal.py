@@ -271,7 +271,7 @@ def resumable(options: argparse.Namespace) -> LiftFolder | None:
     differing = request_from(options, base=lift.request).differences(lift.request)
     if differing:
         fix = "Leave these options as they were, or choose another output folder."
-        raise PlgsError(f"holds a lift with a different {', '.join(differing)}", lift.path, fix)
+        raise PlgsError("other-options", f"holds a lift with a different {', '.join(differing)}", lift.path, fix)
     return lift
 
 
@@ -282,7 +282,7 @@ def ask_engine(python: Path, interrupts: Interrupts, kind: str, *arguments: str 
         follower = TaskFollower.start([*engine_call(python), kind, *arguments], TaskPlace.temporary(), kind=kind)
         follow(follower, interrupts, LiveLine(sys.stderr))
     if follower.error is not None or follower.answer is None:
-        raise follower.error or PlgsError("the engine gave no answer", kind, "Give the same command again.")
+        raise follower.error or PlgsError("silent", "the engine gave no answer", kind, "Give the same command again.")
     return follower.answer
 
 

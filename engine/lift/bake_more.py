@@ -210,7 +210,7 @@ def frames_named(scene: Scene, names: Sequence[str]) -> list[Frame]:
         found: Sequence[Frame] = groups[name] if name in groups else _in_range(scene, name)
         if not found and name not in groups:
             fix = f"Give all, test, names of frames, such as {scene.frames[0].name}, or numbers: 10-200:2 or 7,9."
-            raise PlgsError(f"the scene has no frame {name}", scene.folder, fix)
+            raise PlgsError("no-frame", f"the scene has no frame {name}", scene.folder, fix)
         wanted.update(frame.name for frame in found)
     return [frame for frame in scene.frames if frame.name in wanted]
 
@@ -234,7 +234,7 @@ class _OwnFolder:
         assert options.output is not None
         self._output, self._layers = options.output, options.layers
         if self._output.resolve().is_relative_to(folder.result_path.resolve()):
-            raise PlgsError("is within the lift's result", self._output, "Name another folder.", option="-o")
+            raise PlgsError("inside", "is within the lift's result", self._output, "Name another folder.", option="-o")
         files = {str(file.path): file for file in read_manifest(folder.result_path).files}
         self._model = {MODEL_NOTE: f"{files[MODEL].sha256} {files[INSTANCES].sha256}"}
 

@@ -118,7 +118,7 @@ def read_calibration(folder: LiftFolder) -> Calibration:
     try:
         return Calibration(**found) if isinstance(found, dict) else UNCALIBRATED
     except (TypeError, ValueError) as error:
-        raise PlgsError(f"the calibration cannot be used ({error})", path, LIFT_ANEW) from error
+        raise PlgsError("calibration-damaged", f"the calibration cannot be used ({error})", path, LIFT_ANEW) from error
 
 
 def baked_files(folder: LiftFolder, frame: str) -> tuple[Path, Path, Path, Path]:

@@ -100,12 +100,12 @@ def begun_with(scene: Scene, checkpoint: Checkpoint) -> frozenset[str]:
     names = checkpoint.state[FRAMES]
     if not isinstance(names, list) or not names or not all(isinstance(name, str) for name in names):
         fix = "Delete the folders there whose names begin with 'checkpoint'; resume then starts from the beginning."
-        raise PlgsError("the checkpoint names no frames", checkpoint.path, fix)
+        raise PlgsError("checkpoint-frames", "the checkpoint names no frames", checkpoint.path, fix)
     begun = frozenset(map(str, names))
     missing = sorted(begun.difference(frame.name for frame in scene.train_frames))
     if missing:
         what = f"the lift was begun with frame {missing[0]}, which the scene no longer has for training"
-        raise PlgsError(what, scene.folder, "Restore the scene as it was, or lift into another folder.")
+        raise PlgsError("frame-gone", what, scene.folder, "Restore the scene as it was, or lift into another folder.")
     return begun
 
 
@@ -137,7 +137,7 @@ def frames_that_fit(scene: Scene, request: LiftRequest, memory: MainMemory | Non
         return fewer
     advice = _advice(scene, request, preset, masks, memory.total, fewer)
     named = " ".join(option for option in ("--frames", "--fit", "--size", "--preset") if option in advice)
-    raise PlgsError(_too_much(needed, memory), scene.folder, advice, code=ErrorCode.NO_MEMORY, option=named)
+    raise PlgsError("too-much", _too_much(needed, memory), scene.folder, advice, code=ErrorCode.NO_MEMORY, option=named)
 
 
 def check_memory(
@@ -153,7 +153,7 @@ def check_memory(
     if needed > memory.total:
         what = f"{_too_much(needed, memory)}: it was begun with {frames} frames"
         fix = "Resume it on a computer with more memory, or lift into another folder."
-        raise PlgsError(what, scene.folder, fix, code=ErrorCode.NO_MEMORY)
+        raise PlgsError("too-much", what, scene.folder, fix, code=ErrorCode.NO_MEMORY)
     _warn_of_other_programs(needed, memory, events)
 
 
@@ -166,7 +166,7 @@ def check_disk(folder: Path, sizes: Iterable[tuple[int, int]], events: EventWrit
     pixels, free = sum(width * height for width, height in sizes), shutil.disk_usage(there).free
     if free < pixels * LEAST_PIXEL:
         what = f"the passes need at least {_gb(pixels * LEAST_PIXEL)}, and {_gb(free)} of the disk are free"
-        raise PlgsError(what, folder, "Make room there, or bake fewer frames.", code=ErrorCode.DISK_FULL)
+        raise PlgsError("disk-full", what, folder, "Make room there, or bake fewer frames.", code=ErrorCode.DISK_FULL)
     if free < pixels * PIXEL:
         events.warning(f"the passes need about {_gb(pixels * PIXEL)}, and {_gb(free)} of the disk are free")
 

@@ -57,7 +57,7 @@ def refuse_names_of_no_objects(request: LiftRequest, preset: Preset) -> None:
     if request.names_from is not None and preset.objects == "none":
         fix = 'Leave out --names-from, or set objects to "agreement" or "boxes".'
         what = 'with objects = "none" there are no objects whose names could be kept'
-        raise PlgsError(what, request.names_from, fix, option="--names-from")
+        raise PlgsError("names-of-no-objects", what, request.names_from, fix, option="--names-from")
 
 
 def read_earlier(folder: Path) -> EarlierLift:
@@ -75,7 +75,7 @@ def read_earlier(folder: Path) -> EarlierLift:
         largest = max([int(history.get("largest_id", 0)), *ids])
     except (PlgsError, OSError, KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
         what = f"the names of the earlier lift cannot be read ({error})"
-        raise PlgsError(what, result, _FIX, option="--names-from") from error
+        raise PlgsError("names-unreadable", what, result, _FIX, option="--names-from") from error
     for one in listed:
         numbers[one.class_name] = max(numbers.get(one.class_name, 0), _number(one.name, one.class_name))
     names, class_names = {one.id: one.name for one in listed}, {one.id: one.class_name for one in listed}

@@ -114,7 +114,8 @@ class LivePreviews:
         for frame in self.scene.frames:
             if frame.name == wanted:
                 return frame.camera
-        raise PlgsError(f"the scene has no frame {wanted!r}", path, "Choose another camera for the preview.")
+        what = f"the scene has no frame {wanted!r}"
+        raise PlgsError("no-frame", what, path, "Choose another camera for the preview.")
 
 
 def frame_to_show(scene: Scene) -> Frame:

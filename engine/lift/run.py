@@ -284,7 +284,7 @@ def take_up(trainer: Trainer, checkpoint: Checkpoint, events: EventWriter, *, ma
         events.warning(f"the masks no longer give the objects and classes that the lift began with: {TRAINED_ANEW}")
     except (OSError, KeyError, TypeError, ValueError, AttributeError) as error:
         fix = "Delete the folders there whose names begin with 'checkpoint'; resume then starts from the beginning."
-        raise PlgsError(f"the checkpoint cannot be used ({error})", path, fix) from error
+        raise PlgsError("checkpoint-unusable", f"the checkpoint cannot be used ({error})", path, fix) from error
     log.info("resuming after step %d", trainer.step_number)
 
 
@@ -292,10 +292,11 @@ def refuse_empty(views: Sequence[View], scene: Scene) -> None:
     """Raise PlgsError if no depth, or no mask, is left at the size of training."""
     if not any((view.depth > 0).any() for view in views):
         fix = "Lift at a larger --size, or provide denser depth."
-        raise PlgsError("no depth is left at the size of training", scene.folder, fix, option="--size")
+        raise PlgsError("no-depth-left", "no depth is left at the size of training", scene.folder, fix, option="--size")
     if not any((view.mask.class_map() != VOID).any() for view in views):
         fix = "Lift at a larger --size, or provide masks with larger segments."
-        raise PlgsError("nothing of the masks is left at the size of training", scene.folder, fix, option="--size")
+        what = "nothing of the masks is left at the size of training"
+        raise PlgsError("no-masks-left", what, scene.folder, fix, option="--size")
 
 
 def train(

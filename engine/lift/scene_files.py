@@ -135,7 +135,7 @@ def read_model(folder: LiftFolder) -> StructuredScene:
         tensors, notes = read_tensors(path)
         return from_tensors(tensors, json.loads(notes["plgs"]))
     except (OSError, KeyError, TypeError, ValueError, AttributeError, RecursionError, MemoryError) as error:
-        raise PlgsError(f"the model cannot be read ({error})", path, LIFT_ANEW) from error
+        raise PlgsError("model-unreadable", f"the model cannot be read ({error})", path, LIFT_ANEW) from error
 
 
 def shown_instances(prepared: PreparedLift, names: Mapping[int, str]) -> ShownInstances:
@@ -153,7 +153,7 @@ def read_shown_instances(folder: LiftFolder, lifted: StructuredScene, corrected:
     OSError."""
     settings = read_manifest(folder.result_path).settings
     if "one_class_an_object" not in settings:
-        raise PlgsError("does not say whether an object has one class", folder.manifest_path, LIFT_ANEW)
+        raise PlgsError("kind-missing", "does not say whether an object has one class", folder.manifest_path, LIFT_ANEW)
     names, class_of = {one.id: one.name for one in corrected.instances}, corrected.class_of
     one_class = settings["one_class_an_object"] and settings.get("objects") != "none"
     if corrected.changes_labels:

@@ -161,7 +161,8 @@ def score_folders(predictions: LabelFolder, truth: LabelFolder, *, ids_per_frame
     unknown = [name for name in predictions.readers if name not in truth.readers]
     if unknown:
         what = f"{len(unknown)} predicted frames have no ground truth, such as {unknown[0]}"
-        raise PlgsError(what, truth.folder, "Give a frame's images the same name in both folders, or remove these.")
+        fix = "Give a frame's images the same name in both folders, or remove these."
+        raise PlgsError("no-truth", what, truth.folder, fix)
     classes, predictions = in_one_table(predictions, truth)
     report, next_id = Report(classes), 0
     for name, read in predictions.readers.items():
@@ -171,7 +172,7 @@ def score_folders(predictions: LabelFolder, truth: LabelFolder, *, ids_per_frame
         if not same_shape((predicted.semantic.shape[1], predicted.semantic.shape[0]), size):
             what = f"frame {name} has another shape than its ground truth of {shown_size(size)}"
             fix = "Resize predictions of whole pictures to their ground truth's shape."
-            raise PlgsError(what, predictions.folder, fix)
+            raise PlgsError("truth-shape", what, predictions.folder, fix)
         semantic, instance = resize_nearest(predicted.semantic, size), resize_nearest(predicted.instance, size)
         if ids_per_frame:
             instance = instance + (instance > 0) * next_id

@@ -46,14 +46,14 @@ def read_npz(
             size = sum(entry.file_size for entry in wanted.values())
             if size > most_bytes:
                 what = f"it would unpack to {size / 1e6:.0f} MB, but at most {most_bytes / 1e6:.0f} MB are allowed"
-                raise PlgsError(what, path, fix)
+                raise PlgsError("array-too-large", what, path, fix)
             return {name: _array(BytesIO(archive.read(entry))) for name, entry in wanted.items()}
     except PlgsError:
         raise
     except KeyError as error:
-        raise PlgsError(f"it has no array {error}", path, fix) from error
+        raise PlgsError("no-array", f"it has no array {error}", path, fix) from error
     except Exception as error:  # zip, deflate and the parser of headers raise errors of many kinds
-        raise PlgsError(f"the arrays cannot be read ({_reason(error)})", path, fix) from error
+        raise PlgsError("array-unreadable", f"the arrays cannot be read ({_reason(error)})", path, fix) from error
 
 
 def read_npy(path: Path, fix: str, most_bytes: int = MOST_BYTES) -> NDArray[Any]:
@@ -61,9 +61,9 @@ def read_npy(path: Path, fix: str, most_bytes: int = MOST_BYTES) -> NDArray[Any]
     try:
         return _array(BytesIO(read_plain(path, most_bytes)))
     except OSError as error:
-        raise PlgsError(f"the file cannot be read ({error.strerror})", path, fix) from error
+        raise PlgsError("unreadable", f"the file cannot be read ({error.strerror})", path, fix) from error
     except Exception as error:
-        raise PlgsError(f"this is not a NumPy array of numbers ({_reason(error)})", path, fix) from error
+        raise PlgsError("not-array", f"this is not a NumPy array of numbers ({_reason(error)})", path, fix) from error
 
 
 def _array(file: IO[bytes]) -> NDArray[Any]:
@@ -101,16 +101,18 @@ def array_headers(path: Path) -> dict[str, ArrayHeader]:
                             found[info.filename.removesuffix(".npy")] = _header(member, path)
             return found
     except OSError as error:
-        raise PlgsError(f"the file cannot be read ({error.strerror})", path, "Check that it exists.") from error
+        what = f"the file cannot be read ({error.strerror})"
+        raise PlgsError("unreadable", what, path, "Check that it exists.") from error
     except _DAMAGED as error:
-        raise PlgsError(_NO_ARRAYS, path, _SAVE_FIX) from error
+        raise PlgsError("not-array", _NO_ARRAYS, path, _SAVE_FIX) from error
 
 
 def read_array(path: Path, name: str = "") -> NDArray[Any]:
     """The array ``name`` of an .npz, or that of an .npy, with a frame's masks. Raises PlgsError."""
     headers = array_headers(path)
     if name not in headers:
-        raise PlgsError(f'there is no array called "{name}"', path, f"It has {', '.join(headers) or 'none'}.")
+        what = f'there is no array called "{name}"'
+        raise PlgsError("no-array", what, path, f"It has {', '.join(headers) or 'none'}.")
     if not name and path.suffix.lower() == ".npy":
         return read_npy(path, _SAVE_FIX, LARGEST_PICTURE)
     return read_npz(path, _SAVE_FIX, [name], LARGEST_PICTURE)[name]
@@ -121,8 +123,9 @@ def _header(file: IO[bytes], path: Path) -> ArrayHeader:
     shape, _, dtype = _HEADERS.get(version, np.lib.format.read_array_header_2_0)(file)
     if dtype.hasobject:
         fix = "Save numbers with numpy.save, and other data as JSON."
-        raise PlgsError("this is a pickled array, which could run code when it is read", path, fix)
+        raise PlgsError("pickled", "this is a pickled array, which could run code when it is read", path, fix)
     if float(np.prod(shape, dtype=np.float64)) * dtype.itemsize > LARGEST_PICTURE:
         sides = " x ".join(map(str, shape))
-        raise PlgsError(f"an array of {sides} numbers is too large for a picture", path, "Save one frame per file.")
+        what = f"an array of {sides} numbers is too large for a picture"
+        raise PlgsError("array-too-large", what, path, "Save one frame per file.")
     return ArrayHeader(tuple(shape), dtype.kind)

@@ -50,14 +50,14 @@ def read_exr_header(path: Path) -> ExrHeader:
         windows = [struct.unpack("<4i", attributes[name][1]) for name in (b"dataWindow", b"displayWindow")]
         channels = _channels(attributes[b"channels"][1])
     except (KeyError, ValueError, IndexError, struct.error) as error:
-        raise PlgsError("the OpenEXR header is cut off or makes no sense", path, _FIX) from error
+        raise PlgsError("exr-header", "the OpenEXR header is cut off or makes no sense", path, _FIX) from error
     left, top, right, bottom = windows[0]
     width, height = right - left + 1, bottom - top + 1
     if windows[0] != windows[1] or min(width, height) < 1 or width * height > LARGEST_PIXELS:
-        raise PlgsError(f"{width}x{height} is not the size of a picture", path, _FIX)
+        raise PlgsError("bad-size", f"{width}x{height} is not the size of a picture", path, _FIX)
     header = ExrHeader((width, height), channels, start, attributes)
     if header.numbers > _MOST_NUMBERS:
-        raise PlgsError(f"{len(channels)} channels are too many to read", path, _FIX)
+        raise PlgsError("channels", f"{len(channels)} channels are too many to read", path, _FIX)
     return header
 
 
@@ -66,7 +66,7 @@ def one_pixel_of(path: Path) -> bytes:
     tiles, which is not ours."""
     header = read_exr_header(path)
     if int.from_bytes(header.start[4:], "little") & _TILED:
-        raise PlgsError("the passes have tiles", path, _FIX)
+        raise PlgsError("exr-tiles", "the passes have tiles", path, _FIX)
     black = {b"dataWindow": bytes(16), b"displayWindow": bytes(16), b"compression": bytes(1)}
     content = header.start
     for name, (kind, value) in header.attributes.items():
@@ -82,19 +82,20 @@ def _attributes_of(path: Path) -> tuple[bytes, dict[bytes, tuple[bytes, bytes]]]
         with open_plain(path) as file:
             start, size = file.read(8), os.fstat(file.fileno()).st_size
             if not start.startswith(_MAGIC) or len(start) < 8:
-                raise PlgsError("this is not an OpenEXR file", path, _FIX)
+                raise PlgsError("not-exr", "this is not an OpenEXR file", path, _FIX)
             if int.from_bytes(start[4:], "little") & (_DEEP | _PARTS):
-                raise PlgsError("OpenEXR files that are deep or of several parts are not read", path, _FIX)
+                raise PlgsError("deep-exr", "OpenEXR files that are deep or of several parts are not read", path, _FIX)
             for most in _HEADER_SIZES:
                 file.seek(8)
                 data = file.read(min(most, size))
                 with suppress(ValueError, IndexError, struct.error):
                     return start, _attributes(data)
     except OSError as error:
-        raise PlgsError(f"the file cannot be read ({error.strerror})", path, "Check that it exists.") from error
+        what = f"the file cannot be read ({error.strerror})"
+        raise PlgsError("unreadable", what, path, "Check that it exists.") from error
     except MemoryError as error:
-        raise PlgsError("no memory is left for the OpenEXR file", path, "Close other programs.") from error
-    raise PlgsError("the OpenEXR header is cut off or makes no sense", path, _FIX)
+        raise PlgsError("no-memory", "no memory is left for the OpenEXR file", path, "Close other programs.") from error
+    raise PlgsError("exr-header", "the OpenEXR header is cut off or makes no sense", path, _FIX)
 
 
 def _attributes(data: bytes) -> dict[bytes, tuple[bytes, bytes]]:

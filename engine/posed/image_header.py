@@ -50,7 +50,7 @@ def read_image_header(path: Path) -> ImageHeader:
         with open_plain(path) as file:
             start = file.read(33)
             if not start:
-                raise PlgsError("the image is empty", path, "Write this file again.")
+                raise PlgsError("image-empty", "the image is empty", path, "Write this file again.")
             if start.startswith(_PNG_SIGNATURE):
                 header, end = _png_header(start, path), _PNG_END
             elif start.startswith(_JPEG_START):
@@ -62,7 +62,8 @@ def read_image_header(path: Path) -> ImageHeader:
             file.seek(max(after_header, file.seek(0, 2) - _TAIL))
             tail = file.read()
     except OSError as error:
-        raise PlgsError(f"the image cannot be read ({error.strerror})", path, "Check that it exists.") from error
+        what = f"the image cannot be read ({error.strerror})"
+        raise PlgsError("unreadable", what, path, "Check that it exists.") from error
     # Some cameras append data after a JPEG's end; then the whole file has to be searched.
     if end not in tail and (header.format == "png" or not _jpeg_is_whole(_read(path))):
         raise _truncated(path)
@@ -80,7 +81,8 @@ def _read(path: Path) -> bytes:
     try:
         return read_plain(path, _MOST_BYTES)
     except OSError as error:
-        raise PlgsError(f"the image cannot be read ({error.strerror})", path, "Check that it exists.") from error
+        what = f"the image cannot be read ({error.strerror})"
+        raise PlgsError("unreadable", what, path, "Check that it exists.") from error
 
 
 def check_image_bytes(data: bytes, path: Path) -> None:
@@ -89,7 +91,7 @@ def check_image_bytes(data: bytes, path: Path) -> None:
     Raises PlgsError, also for kinds other than PNG and JPEG, which no decoder may read, and for too many pixels.
     """
     if not data:
-        raise PlgsError("the image is empty", path, "Write this file again.")
+        raise PlgsError("image-empty", "the image is empty", path, "Write this file again.")
     if data.startswith(_PNG_SIGNATURE):
         _png_header(data[:33], path)
         _check_png_chunks(data, path)
@@ -102,17 +104,17 @@ def check_image_bytes(data: bytes, path: Path) -> None:
 
 
 def _neither(path: Path) -> PlgsError:
-    return PlgsError("this is neither a PNG nor a JPEG image", path, "Convert it to one of the two.")
+    return PlgsError("not-png-or-jpeg", "this is neither a PNG nor a JPEG image", path, "Convert it to one of the two.")
 
 
 def _refuse_vast(width: int, height: int, path: Path) -> None:
     if width * height > MOST_PIXELS:
         what = f"the image claims {width}x{height} pixels, but at most {MOST_PIXELS // 10**6} million are allowed"
-        raise PlgsError(what, path, "Make it smaller, or write this file again.")
+        raise PlgsError("image-too-large", what, path, "Make it smaller, or write this file again.")
 
 
 def _truncated(path: Path) -> PlgsError:
-    return PlgsError("the image is cut off", path, "Copy or write this file again.")
+    return PlgsError("image-cut-off", "the image is cut off", path, "Copy or write this file again.")
 
 
 def _png_header(start: bytes, path: Path) -> ImageHeader:
@@ -120,7 +122,7 @@ def _png_header(start: bytes, path: Path) -> ImageHeader:
         raise _truncated(path)
     width, height, bit_depth, kind = struct.unpack(">IIBB", start[16:26])
     if kind not in _PNG_CHANNELS or not width or not height:
-        raise PlgsError("the PNG header makes no sense", path, "Write this file again.")
+        raise PlgsError("png-header", "the PNG header makes no sense", path, "Write this file again.")
     _refuse_vast(width, height, path)
     return ImageHeader("png", width, height, bit_depth, _PNG_CHANNELS[kind], palette=kind == 3)
 
@@ -142,7 +144,7 @@ def _jpeg_header(file: BinaryIO, path: Path) -> ImageHeader:
                 raise _truncated(path)
             bit_depth, height, width, channels = struct.unpack(">BHHB", body)
             if not width or not height:
-                raise PlgsError("the JPEG header makes no sense", path, "Write this file again.")
+                raise PlgsError("jpeg-header", "the JPEG header makes no sense", path, "Write this file again.")
             _refuse_vast(width, height, path)
             return ImageHeader("jpeg", width, height, bit_depth, channels)
         file.seek(length - 2, 1)
@@ -170,7 +172,7 @@ def _check_png_chunks(data: bytes, path: Path) -> None:
         if len(checksum) < 4:
             break
         if zlib.crc32(kind_and_body) != int.from_bytes(checksum, "big"):
-            raise PlgsError("the image is damaged (checksum)", path, "Copy or write this file again.")
+            raise PlgsError("image-damaged", "the image is damaged (checksum)", path, "Copy or write this file again.")
         if kind_and_body.startswith(b"IEND"):
             return
         position += 12 + length

@@ -29,7 +29,7 @@ def read_file(path: Path, most_bytes: int, fix: str = "Check that it exists.") -
             check_memory(size, path)
         return read_plain(path, most_bytes)
     except OSError as error:
-        raise PlgsError(f"the file cannot be read ({error.strerror})", path, fix) from error
+        raise PlgsError("unreadable", f"the file cannot be read ({error.strerror})", path, fix) from error
 
 
 def read_text(path: Path, most_bytes: int, fix: str) -> str:
@@ -37,7 +37,7 @@ def read_text(path: Path, most_bytes: int, fix: str) -> str:
     try:
         return read_file(path, most_bytes).decode("utf-8-sig")
     except UnicodeDecodeError as error:
-        raise PlgsError("this is not a text file", path, fix) from error
+        raise PlgsError("not-text", "this is not a text file", path, fix) from error
 
 
 def natural_order(name: str) -> tuple[tuple[int, int, str], ...]:
@@ -52,25 +52,27 @@ def files_by_stem(folder: Path, suffixes: Collection[str], fix: str) -> dict[str
     Raises PlgsError, with ``fix`` as the advice, when there is no such folder or file, or when a stem occurs twice.
     """
     if not folder.is_dir():
-        raise PlgsError("a folder is missing", folder, fix)
+        raise PlgsError("no-folder", "a folder is missing", folder, fix)
     try:
         paths = [*folder.iterdir()]
     except OSError as error:
-        raise PlgsError(f"the folder cannot be read ({error.strerror})", folder, "Check its permissions.") from error
+        what = f"the folder cannot be read ({error.strerror})"
+        raise PlgsError("unreadable", what, folder, "Check its permissions.") from error
     found: dict[str, Path] = {}
     for path in sorted(paths, key=lambda path: (natural_order(path.stem), path.name)):
         # A name that starts with a dot is a file system's own note, such as macOS makes.
         if path.suffix.lower() not in suffixes or path.name.startswith("."):
             continue
         if path.is_symlink() and not path.exists():
-            raise PlgsError("this link leads nowhere", path, "Give the file it should lead to, or remove the link.")
+            what = "this link leads nowhere"
+            raise PlgsError("dead-link", what, path, "Give the file it should lead to, or remove the link.")
         if not path.is_file():
             continue
         if path.stem in found:
-            raise PlgsError(f"there is {found[path.stem].name} as well", path, "Keep one of the two.")
+            raise PlgsError("two-files", f"there is {found[path.stem].name} as well", path, "Keep one of the two.")
         found[path.stem] = path
     if not found:
-        raise PlgsError(f"the folder has no {' or '.join(sorted(suffixes))} files", folder, fix)
+        raise PlgsError("no-files", f"the folder has no {' or '.join(sorted(suffixes))} files", folder, fix)
     return found
 
 
@@ -79,7 +81,7 @@ def require_all(names: Sequence[str], present: Collection[str], what: str, where
     lacking = [name for name in names if name not in present]
     if lacking:
         count = f"{len(lacking)} of {len(names)} frames have" if len(lacking) > 1 else "a frame has"
-        raise PlgsError(f"{count} no {what} ({listed(lacking)})", where, fix)
+        raise PlgsError("lacks-files", f"{count} no {what} ({listed(lacking)})", where, fix)
 
 
 def require_most(names: Sequence[str], present: Collection[str], what: str, where: Path, fix: str) -> list[str]:
@@ -113,7 +115,7 @@ def file_inside(folder: Path, name: str, path: Path) -> Path:
     parts = PureWindowsPath(name)
     if parts.anchor or ".." in parts.parts or "\0" in name or not parts.parts:
         what = f'the file name "{shown(name)}" leaves the folder {folder.name}'
-        raise PlgsError(what, path, "Use plain names of files in that folder.")
+        raise PlgsError("leaves-folder", what, path, "Use plain names of files in that folder.")
     return folder.joinpath(*parts.parts)
 
 
@@ -159,7 +161,7 @@ def check_count(count: int, things: str, path: Path, fix: str, *, most: int, roo
     ``made`` how many bytes of memory one of them takes.
     """
     if count > room:
-        raise PlgsError("the file is cut off", path, fix)
+        raise PlgsError("cut-off", "the file is cut off", path, fix)
     check_most(count, things, path, fix, most)
     check_memory(count * made, path)
 
@@ -167,7 +169,7 @@ def check_count(count: int, things: str, path: Path, fix: str, *, most: int, roo
 def check_most(count: int, things: str, path: Path | str, fix: str, most: int) -> None:
     """Raise PlgsError for more than ``most`` things, counted as they are found."""
     if count > most:
-        raise PlgsError(f"the file has more than {most} {things}", path, fix)
+        raise PlgsError("too-many", f"the file has more than {most} {things}", path, fix)
 
 
 def check_memory(size: int, path: Path) -> None:
@@ -175,7 +177,7 @@ def check_memory(size: int, path: Path) -> None:
     memory = main_memory() if size > _SMALL else None
     if memory is not None and size > _SHARE_OF_MEMORY * memory.free:
         what = f"it takes {size / 1e9:.2g} GB of memory, but only {memory.free / 1e9:.2g} GB are free"
-        raise PlgsError(what, path, "Close other programs, or use a computer with more memory.")
+        raise PlgsError("no-memory", what, path, "Close other programs, or use a computer with more memory.")
 
 
 LARGEST_PIXELS = 2**27
@@ -191,17 +193,18 @@ def check_camera(name: str, camera: Camera, path: Path) -> None:
     shown: it goes into panels, tables and logs as it is. ``path`` is its picture.
     """
     if not name.isprintable():
-        raise PlgsError(f"the name of frame {shown(name)} cannot be shown as text", path.parent, "Rename it.")
+        what = f"the name of frame {shown(name)} cannot be shown as text"
+        raise PlgsError("frame-name", what, path.parent, "Rename it.")
     check_size(f"the picture of frame {shown(name)}", camera.size, path)
     least, most = (share * max(camera.size) for share in _FOCAL_LENGTHS)
     if not (least <= camera.fx <= most and least <= camera.fy <= most):
         size = shown_size(camera.size)
         what = f"frame {shown(name)} has focal lengths of {camera.fx:.4g} and {camera.fy:.4g} pixels at {size}"
-        raise PlgsError(what, path, "Give its camera's focal lengths in pixels of the picture.")
+        raise PlgsError("focal-length", what, path, "Give its camera's focal lengths in pixels of the picture.")
 
 
 def check_size(what: str, size: Size, path: Path) -> None:
     """Raise PlgsError, which begins with ``what``, for a size that no camera makes."""
     if min(size) < _SMALLEST_SIDE or max(size) > _LONGEST_SHAPE * min(size):
         fix = f"Use at least {_SMALLEST_SIDE} pixels a side, and no side over {_LONGEST_SHAPE} times the other."
-        raise PlgsError(f"{what} is {shown_size(size)}, which no camera makes", path, fix)
+        raise PlgsError("impossible-size", f"{what} is {shown_size(size)}, which no camera makes", path, fix)

@@ -30,16 +30,17 @@ def read_matrix(path: Path, shapes: tuple[tuple[int, int], ...]) -> NDArray[np.f
     text = re.sub(r"1\.#INF0*", "inf", text)  # as programs of Visual C++ before 2015 wrote it
     lines = [words for line in text.splitlines() if (words := line.split())]
     if not lines:
-        raise PlgsError("the file is empty", path, f"Write {wanted} numbers.")
+        raise PlgsError("file-empty", "the file is empty", path, f"Write {wanted} numbers.")
     try:
         rows = [[float(value) for value in line] for line in lines]
     except ValueError as error:
-        raise PlgsError(f"there is something other than numbers ({error})", path, f"Write {wanted} numbers.") from error
+        what = f"there is something other than numbers ({error})"
+        raise PlgsError("not-numbers", what, path, f"Write {wanted} numbers.") from error
     if (len(rows), len(rows[0])) not in shapes or len({len(row) for row in rows}) > 1:
-        raise PlgsError(f"the matrix is not {wanted}", path, f"Write {wanted} numbers, one row per line.")
+        raise PlgsError("not-matrix", f"the matrix is not {wanted}", path, f"Write {wanted} numbers, one row per line.")
     matrix = np.array(rows)
     if np.isnan(matrix).any():
-        raise PlgsError("there is a NaN", path, "Write numbers that a camera can have.")
+        raise PlgsError("nan", "there is a NaN", path, "Write numbers that a camera can have.")
     return matrix
 
 
@@ -85,28 +86,25 @@ def rigid(pose: NDArray[np.float64], path: Path) -> NDArray[np.float64]:
     Raises PlgsError for a matrix that is not rigid. The rounding of text is corrected, so that the inverse is exact.
     """
     if not np.allclose(pose[3], [0.0, 0.0, 0.0, 1.0], atol=1e-4):
-        raise PlgsError("the last row of the pose is not 0 0 0 1", path, "Write camera-to-world, one row per line.")
+        what = "the last row of the pose is not 0 0 0 1"
+        raise PlgsError("pose-last-row", what, path, "Write camera-to-world, one row per line.")
     rotation = pose[:3, :3]
     lengths = np.linalg.norm(rotation, axis=0)
     if lengths.min() > 1e-6 and np.abs(lengths / lengths.mean() - 1.0).max() < _RIGID_TOLERANCE:
         scale = float(lengths.mean())
         if abs(scale - 1.0) > _RIGID_TOLERANCE and _is_orthogonal(rotation / scale):
-            raise PlgsError(
-                f"the pose is scaled by {scale:.4g}", path, "Divide its rotation by the scale; lengths are metres."
-            )
+            what = f"the pose is scaled by {scale:.4g}"
+            raise PlgsError("pose-scaled", what, path, "Divide its rotation by the scale; lengths are metres.")
     if not _is_orthogonal(rotation):
-        raise PlgsError("the pose is not rigid", path, "Write a rotation and a translation, camera-to-world.")
+        what = "the pose is not rigid"
+        raise PlgsError("not-rigid", what, path, "Write a rotation and a translation, camera-to-world.")
     if np.linalg.det(rotation) < 0.0:
-        raise PlgsError(
-            "the pose is mirrored", path, "Use right-handed axes: x right, y down, z forward, camera-to-world."
-        )
+        fix = "Use right-handed axes: x right, y down, z forward, camera-to-world."
+        raise PlgsError("pose-mirrored", "the pose is mirrored", path, fix)
     far = float(np.abs(pose[:3, 3]).max())
     if far > _FARTHEST:
-        raise PlgsError(
-            f"the camera is {far:.4g} m from the origin, too far for exact positions",
-            path,
-            "Write metres, and move the scene close to the origin.",
-        )
+        what = f"the camera is {far:.4g} m from the origin, too far for exact positions"
+        raise PlgsError("camera-far", what, path, "Write metres, and move the scene close to the origin.")
     left, _, right = np.linalg.svd(rotation)
     straight = np.eye(4)
     straight[:3, :3] = left @ right
@@ -129,19 +127,17 @@ def as_lens(matrix: NDArray[np.float64], size: Size, path: Path) -> Camera:
     Raises PlgsError for numbers that no camera has.
     """
     if not np.isfinite(matrix).all():
-        raise PlgsError("there is an inf", path, "Write the camera's fx, fy, cx and cy in pixels.")
+        raise PlgsError("inf", "there is an inf", path, "Write the camera's fx, fy, cx and cy in pixels.")
     (fx, skew, cx), (row, fy, cy), last = matrix[0, :3], matrix[1, :3], matrix[2, :3]
     if fx <= 0.0 or fy <= 0.0 or not np.allclose(last, [0.0, 0.0, 1.0]):
-        raise PlgsError("this is not a camera matrix", path, "Write fx 0 cx, 0 fy cy, 0 0 1, with fx and fy above 0.")
+        what = "this is not a camera matrix"
+        raise PlgsError("not-camera-matrix", what, path, "Write fx 0 cx, 0 fy cy, 0 0 1, with fx and fy above 0.")
     if abs(skew) > _NO_SKEW * fx or abs(row) > _NO_SKEW * fy:
-        raise PlgsError("the camera matrix has skew", path, "Rectify the images first.")
+        raise PlgsError("skew", "the camera matrix has skew", path, "Rectify the images first.")
     width, height = size
     if not (0.0 <= cx + 0.5 <= width and 0.0 <= cy + 0.5 <= height):
-        raise PlgsError(
-            f"the principal point {cx:.4g}, {cy:.4g} lies outside the {width}x{height} images",
-            path,
-            "Write the intrinsics in pixels of the colour images.",
-        )
+        what = f"the principal point {cx:.4g}, {cy:.4g} lies outside the {width}x{height} images"
+        raise PlgsError("principal-point", what, path, "Write the intrinsics in pixels of the colour images.")
     return Camera(width, height, float(fx), float(fy), float(cx) + 0.5, float(cy) + 0.5, np.eye(4))
 
 

@@ -45,7 +45,7 @@ def find_split(folder: Path, names: Sequence[str], lost: Sequence[str]) -> Split
     table = folder / "splits.json"
     split = read_split(table, names, lost) if table.is_file() else default_split(names)
     if not split.train:
-        raise PlgsError("there is no frame to train on", table, "Name frames in train.")
+        raise PlgsError("no-training-frame", "there is no frame to train on", table, "Name frames in train.")
     return split
 
 
@@ -77,14 +77,15 @@ def read_split(path: Path, names: Sequence[str], dropped: Sequence[str]) -> Spli
         parts[key] = {*listed_names}
         if len(parts[key]) < len(listed_names):
             twice = sorted({name for name in listed_names if listed_names.count(name) > 1})
-            raise PlgsError(f'"{key}" names frames twice ({listed(twice)})', path, "Name each frame once.")
+            raise PlgsError("twice", f'"{key}" names frames twice ({listed(twice)})', path, "Name each frame once.")
     unknown = sorted((parts["train"] | parts["test"]) - {*names} - {*dropped})
     if unknown:
         fix = "Delete these names or the file; a name is the colour image's without suffix."
-        raise PlgsError(f"frames that do not exist are named ({listed(unknown)})", path, fix)
+        raise PlgsError("no-frame", f"frames that do not exist are named ({listed(unknown)})", path, fix)
     both = sorted(parts["train"] & parts["test"])
     if both:
-        raise PlgsError(f"frames are in train and in test ({listed(both)})", path, "Put each in one of the two.")
+        what = f"frames are in train and in test ({listed(both)})"
+        raise PlgsError("train-and-test", what, path, "Put each in one of the two.")
     chosen = parts["train"] | parts["test"]
     left_out = [name for name in names if name not in chosen]
     some = plural(len(left_out), "frame is", "frames are")
@@ -126,7 +127,7 @@ def read_folders(folder: Path, lens_of: Callable[[Path], Camera] | None = None) 
     poses = read_poses({name: pose_files[name] for name in there})
     lost = tuple(name for name in pictures if poses.get(name) is None)
     if len(lost) == len(pictures):
-        raise PlgsError("every pose holds inf (lost tracking)", folder / "pose", FOLDERS_FIX)
+        raise PlgsError("lost-tracking", "every pose holds inf (lost tracking)", folder / "pose", FOLDERS_FIX)
     split = find_split(folder, [name for name in pictures if name not in lost], lost)
     chosen = {*split.train, *split.test}
     kept = {name: path for name, path in pictures.items() if name in chosen}
@@ -181,7 +182,7 @@ def left_out_warning(names: Sequence[str], what: str) -> str:
 def _read_lenses(folder: Path, sizes: Mapping[str, Size]) -> dict[str, Camera]:
     """Each frame's intrinsics at its colour image's size, as a camera at the origin."""
     if not folder.is_dir():
-        raise PlgsError("a folder is missing", folder, FOLDERS_FIX)
+        raise PlgsError("no-folder", "a folder is missing", folder, FOLDERS_FIX)
     shared_path = folder / "intrinsic_color.txt"
     base = Counter(sizes.values()).most_common(1)[0][0]
     shared = read_intrinsics(shared_path, base) if shared_path.is_file() else None
@@ -191,10 +192,12 @@ def _read_lenses(folder: Path, sizes: Mapping[str, Size]) -> dict[str, Camera]:
         if own_path.is_file():
             lenses[name] = read_intrinsics(own_path, size)
         elif shared is None:
-            raise PlgsError("the intrinsics are missing", shared_path, "Write the colour camera's 4x4 matrix there.")
+            what = "the intrinsics are missing"
+            raise PlgsError("no-intrinsics", what, shared_path, "Write the colour camera's 4x4 matrix there.")
         elif not same_shape(size, base):
             what = f"frame {name} is {shown_size(size)}, which is not the shape of {shown_size(base)}"
-            raise PlgsError(what, shared_path, f"Give the frame intrinsics of its own, intrinsic/{name}.txt.")
+            fix = f"Give the frame intrinsics of its own, intrinsic/{name}.txt."
+            raise PlgsError("other-shape", what, shared_path, fix)
         else:
             lenses[name] = shared.resized(*size)
     return lenses

@@ -71,14 +71,14 @@ def read_surface(path: Path) -> LabelledSurface:
     """The surface in a mesh.ply. Raises PlgsError for a file that holds none."""
     content, end, columns, (vertices, faces) = _read(path, _MOST_OF_SURFACE, _MESH_FIX)
     if not _COLUMNS <= {*columns}:
-        raise PlgsError("this is not a labelled surface", path, _MESH_FIX)
+        raise PlgsError("not-labelled-surface", "this is not a labelled surface", path, _MESH_FIX)
     row = np.dtype([*columns.items()])
     if len(content) != end + vertices * row.itemsize + faces * _FACE.itemsize:
-        raise PlgsError("the file is damaged", path, _MESH_FIX)
+        raise PlgsError("file-damaged", "the file is damaged", path, _MESH_FIX)
     table = np.frombuffer(content, row, vertices, end)
     triangles = np.frombuffer(content, _FACE, faces, end + vertices * row.itemsize)["corners"]
     if faces and not 0 <= int(triangles.min()) <= int(triangles.max()) < vertices:
-        raise PlgsError("the file is damaged", path, _MESH_FIX)
+        raise PlgsError("file-damaged", "the file is damaged", path, _MESH_FIX)
     return LabelledSurface(
         np.stack([table[axis] for axis in "xyz"], axis=1),
         np.stack([table[channel] for channel in ("red", "green", "blue")], axis=1),
@@ -94,10 +94,10 @@ def read_gaussians(path: Path) -> NDArray[np.void]:
     """
     content, end, columns, (count, _) = _read(path, _MOST_OF_SPLATS, _SPLATS_FIX)
     if not _NEEDED <= {*columns}:
-        raise PlgsError("the file holds no splats", path, _SPLATS_FIX)
+        raise PlgsError("no-splats", "the file holds no splats", path, _SPLATS_FIX)
     row = np.dtype([*columns.items()])
     if len(content) != end + count * row.itemsize:
-        raise PlgsError("the file is damaged", path, _SPLATS_FIX)
+        raise PlgsError("file-damaged", "the file is damaged", path, _SPLATS_FIX)
     rows = np.frombuffer(content, row, count, end)
     is_sound = np.all([np.isfinite(rows[name]) for name in sorted(_NEEDED)], axis=0)
     is_sound &= np.all([np.abs(rows[name]) <= _FARTHEST for name in "xyz"], axis=0)
@@ -110,7 +110,7 @@ def _read(path: Path, most_bytes: int, fix: str) -> tuple[bytes, int, dict[str, 
     try:
         content = read_plain(path, most_bytes)
     except OSError as error:
-        raise PlgsError(f"the file cannot be read ({error.strerror})", path, fix) from error
+        raise PlgsError("unreadable", f"the file cannot be read ({error.strerror})", path, fix) from error
     end = content.find(b"end_header\n", 0, _LONGEST_HEADER) + len(b"end_header\n")
     columns, counts, properties = dict[str, str](), {"vertex": 0, "face": 0}, 0
     for line in content[:end].decode("ascii", "replace").splitlines():

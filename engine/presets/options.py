@@ -115,7 +115,8 @@ def parsed_options(texts: Iterable[str]) -> dict[str, Json]:
     for text in texts:
         name, separator, value = text.partition("=")
         if not separator:
-            raise PlgsError("is not an option", f"--set {text}", "Write name=value, such as weights.depth=0.")
+            what = "is not an option"
+            raise PlgsError("no-option", what, f"--set {text}", "Write name=value, such as weights.depth=0.")
         option = known_option(name.strip())
         found[option.name] = checked_value(option, value.strip())
     return found
@@ -136,7 +137,7 @@ def known_option(name: str) -> PresetOption:
     near = last or difflib.get_close_matches(name, options, 1, 0.5)
     hint = f"Did you mean {near[0]}? " if near else ""
     what = f"there is no option {name!r} in this version"
-    raise PlgsError(what, "--set", f"{hint}'{LISTING} preview' lists them all.")
+    raise PlgsError("no-option", what, "--set", f"{hint}'{LISTING} preview' lists them all.")
 
 
 def checked_value(option: PresetOption, value: Json) -> Json:
@@ -158,7 +159,8 @@ def checked_value(option: PresetOption, value: Json) -> Json:
     if checked is None:
         near = difflib.get_close_matches(str(value), option.choices, 1, 0.4)
         fix = f"Did you mean {near[0]}? " if near else ""
-        raise PlgsError("is not a valid value", f"{option.name} = {value!r}", f"{fix}Give {option.expected}.")
+        what = "is not a valid value"
+        raise PlgsError("bad-value", what, f"{option.name} = {value!r}", f"{fix}Give {option.expected}.")
     return checked
 
 
@@ -219,16 +221,17 @@ def read_preset_file(path: Path) -> tuple[str, dict[str, Json]]:
     try:
         content = tomllib.loads(read_plain(path, MOST_BYTES).decode("utf-8"))
     except OSError as error:
-        raise PlgsError(f"cannot be read ({error.strerror})", path, _FIX) from error
+        raise PlgsError("unreadable", f"cannot be read ({error.strerror})", path, _FIX) from error
     except (ValueError, RecursionError) as error:  # broken TOML, broken UTF-8, nested too deeply
-        raise PlgsError(f"is not TOML ({error})", path, _FIX) from error
+        raise PlgsError("not-toml", f"is not TOML ({error})", path, _FIX) from error
     base = content.pop(BASE, None)
     if base not in PRESETS:
-        raise PlgsError(f"names no preset: {BASE} = {base!r}", path, f"Set {BASE} to one of {', '.join(PRESETS)}.")
+        what = f"names no preset: {BASE} = {base!r}"
+        raise PlgsError("preset-base", what, path, f"Set {BASE} to one of {', '.join(PRESETS)}.")
     try:
         return base, dict(_options_in(content))
     except PlgsError as error:
-        raise PlgsError(f"{error.what} ({error.where})", path, error.fix) from error
+        raise PlgsError(error.key, f"{error.what} ({error.where})", path, error.fix) from error
 
 
 def _options_in(content: Mapping[str, Any], before: str = "") -> Iterator[tuple[str, Json]]:

@@ -189,16 +189,14 @@ def survey_scene(scene: Scene, progress: Progress | None = None, keep_within: Si
     depths = [fact.depth for fact in facts if fact.depth is not None]
     farthest = max((depth.range[2] for depth in depths), default=_LOOKS_LIKE_METRES)
     if farthest < _LOOKS_LIKE_METRES:
-        raise PlgsError(
-            f"depth looks like metres, not millimetres (the largest value is {farthest * 1000.0:.0f})",
-            (scene.frames[0].depth_path or scene.folder).parent,
-            "Multiply it by 1000 and save it as 16-bit PNGs.",
-        )
+        what = f"depth looks like metres, not millimetres (the largest value is {farthest * 1000.0:.0f})"
+        fix = "Multiply it by 1000 and save it as 16-bit PNGs."
+        raise PlgsError("depth-not-millimetres", what, (scene.frames[0].depth_path or scene.folder).parent, fix)
     training = [fact.mask for fact, frame in zip(facts, scene.frames, strict=True) if not frame.held_out]
     classes_seen = {class_id for mask in training if mask is not None for class_id, _ in mask.class_pixels}
     if classes_seen == {VOID}:
         fix = "Give masks that have segments in the frames to train on."
-        raise PlgsError("the masks are empty", scene.folder, fix)
+        raise PlgsError("masks-empty", "the masks are empty", scene.folder, fix)
     overlap_warnings = _overlap_warnings(scene, thumbnails, tick) if depths else ()
     return Survey(scene, tuple(facts), (*told, *_pixel_warnings(facts), *overlap_warnings))
 
@@ -272,7 +270,7 @@ def _depth_facts(frame: Frame, depth: NDArray[np.float32]) -> DepthFacts:
     valid = depth[depth > 0.0]
     if not len(valid):
         where = frame.depth_path or frame.colour_path
-        raise PlgsError("depth is 0 everywhere", where, "Give depth, or leave this frame out.")
+        raise PlgsError("depth-zero", "depth is 0 everywhere", where, "Give depth, or leave this frame out.")
     return DepthFacts(
         size=(depth.shape[1], depth.shape[0]),
         range=(float(valid.min()), float(np.median(valid[::_MEDIAN_STEP])), float(valid.max())),
@@ -344,11 +342,9 @@ def _overlap_warnings(scene: Scene, thumbnails: Sequence[Thumbnail], tick: Progr
         return
     overlap = measure_overlap(thumbnails, lambda: tick(len(thumbnails), len(thumbnails)))
     if not overlap.overlaps:
-        raise PlgsError(
-            "no two frames see the same surface",
-            scene.folder / "pose" if (scene.folder / "pose").is_dir() else scene.folder,
-            f"Check that poses are {_POSE_RULES}, and that depth is in millimetres.",
-        )
+        where = scene.folder / "pose" if (scene.folder / "pose").is_dir() else scene.folder
+        fix = f"Check that poses are {_POSE_RULES}, and that depth is in millimetres."
+        raise PlgsError("no-overlap", "no two frames see the same surface", where, fix)
     if overlap.agreement < _DISAGREEING:
         yield (
             f"frames disagree about where surfaces are: only {overlap.agreement:.0%} of the points that another frame "

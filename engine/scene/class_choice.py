@@ -94,7 +94,7 @@ def find_class_choice(named: str | None, beside: Path) -> ClassChoice | None:
         return ClassChoice(table=named)
     if not named.endswith(".toml"):
         fix = f"Name a .toml file, or one of {', '.join(_NAMES)}."
-        raise PlgsError("there is no such table of classes", shown(named), fix)
+        raise PlgsError("no-class-table", "there is no such table of classes", shown(named), fix)
     return read_class_choice(Path(named))
 
 
@@ -104,13 +104,15 @@ def read_class_choice(path: Path) -> ClassChoice:
     try:
         content = tomllib.loads(data.decode("utf-8-sig"))
     except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
-        raise PlgsError(f"this is not a TOML text ({str(error).splitlines()[0]})", path, "Correct it.") from error
+        what = f"this is not a TOML text ({str(error).splitlines()[0]})"
+        raise PlgsError("not-toml", what, path, "Correct it.") from error
     rows = content.pop("class", [])
     if not isinstance(rows, list) or not all(isinstance(row, dict) for row in rows):
-        raise PlgsError('"class" is not a list of tables', path, "Begin each with [[class]].")
+        raise PlgsError("classes-not-list", '"class" is not a list of tables', path, "Begin each with [[class]].")
     said = record_of(_Content, content, path, "Correct it.")
     if said.table is not None and said.table not in _NAMES:
-        raise PlgsError(f"the table {said.table!r} is not known"[:90], path, f"Choose one of {', '.join(_NAMES)}.")
+        what = f"the table {said.table!r} is not known"[:90]
+        raise PlgsError("unknown-table", what, path, f"Choose one of {', '.join(_NAMES)}.")
     chosen = (record_of(ClassRow, row, path, "Correct it.", f"class[{n}]") for n, row in enumerate(rows))
     return ClassChoice(path, said.table, said.to is not None, frozenset(said.void), tuple(chosen))
 

@@ -107,7 +107,7 @@ def class_map(labels: Sequence[ClassLabel] | None, choice: ClassChoice | None, w
     own = _labels(labels, rows, choice)
     if not own and not objects:
         fix = f'Write {FILE_NAME} beside them, such as table = "nyu40", or name a table with --classes.'
-        raise PlgsError("the masks do not say what their classes are", where, fix, option="--classes")
+        raise PlgsError("no-class-names", "the masks do not say what their classes are", where, fix, option="--classes")
     into = _targets(own, rows, choice)
     if choice.to_reduced:
         final, class_of = _reduced(own, into, choice)
@@ -158,7 +158,8 @@ def _numbered(labels: Sequence[ClassLabel], choice: ClassChoice) -> list[tuple[i
         number = row.id if row.id is not None else _only(names, row.name or "", choice)
         if number is None:
             fix = "Correct the name, or give its number in the masks as id."
-            raise PlgsError(f'the masks have no class called "{row.name}"'[:90], choice.path or FILE_NAME, fix)
+            what = f'the masks have no class called "{row.name}"'[:90]
+            raise PlgsError("no-such-class", what, choice.path or FILE_NAME, fix)
         rows.append((number, row))
     return rows
 
@@ -172,7 +173,7 @@ def _only(names: Mapping[int, str], text: str, choice: ClassChoice) -> int | Non
         if names[found[0]] == text:
             what = f'several classes are called "{text}" ({listed(found)})'
             fix = f'Join them: for one of them write into = "{text}" with its number as id. Or give it another name so.'
-        raise PlgsError(what, choice.path or FILE_NAME, fix)
+        raise PlgsError("class-twice", what, choice.path or FILE_NAME, fix)
     return found[0] if found else None
 
 
@@ -186,7 +187,7 @@ def _labels(
         if known is None:
             if row.name is None:
                 what = f"the class {number} has no name"
-                raise PlgsError(what, choice.path or FILE_NAME, "Add name and thing.")
+                raise PlgsError("class-unnamed", what, choice.path or FILE_NAME, "Add name and thing.")
             found[number] = ClassLabel(number, row.name, row.thing is not False)
         else:
             name = known.name if row.name is None or row.id is None else row.name
@@ -247,5 +248,5 @@ def _reduced(
             class_of[number] = class_id
     if unplaced:
         what = f"classes have no place among the paper's 21 ({listed(unplaced)})"
-        raise PlgsError(what, choice.path or FILE_NAME, "Say which class each counts into, with into.")
+        raise PlgsError("unplaced", what, choice.path or FILE_NAME, "Say which class each counts into, with into.")
     return final, class_of

@@ -91,7 +91,7 @@ def fault_of(path: Path) -> PlgsError | None:
 def _read_png(path: Path, unit: float) -> NDArray[np.float32]:
     steps = decode_depth(path, _PNG_FIX)
     if steps.dtype != np.uint16:
-        raise PlgsError("depth is not a 16-bit grey PNG", path, _PNG_FIX)
+        raise PlgsError("depth-png", "depth is not a 16-bit grey PNG", path, _PNG_FIX)
     steps[steps == _LARGEST] = 0
     return steps * np.float32(unit)
 
@@ -101,12 +101,12 @@ def check_depth_header(path: Path, lens: Camera) -> Size:
     header = read_image_header(path)
     is_grey = header.channels == 1 or (header.channels == 3 and header.bit_depth == 16)  # see ``decode_depth``
     if header.format != "png" or not is_grey or header.palette:
-        raise PlgsError("depth is not a grey PNG", path, _PNG_FIX)
+        raise PlgsError("depth-png", "depth is not a grey PNG", path, _PNG_FIX)
     if header.bit_depth != 16:
-        raise PlgsError(f"depth has {header.bit_depth} bits, not 16", path, _PNG_FIX)
+        raise PlgsError("depth-bits", f"depth has {header.bit_depth} bits, not 16", path, _PNG_FIX)
     if not same_shape(header.size, lens.size):
         what = f"depth of {shown_size(header.size)} does not fit the colour of {shown_size(lens.size)}"
-        raise PlgsError(what, path, "Bring depth to the colour images' aspect ratio.")
+        raise PlgsError("depth-shape", what, path, "Bring depth to the colour images' aspect ratio.")
     return header.size
 
 
@@ -121,7 +121,7 @@ def read_depth_array(path: Path) -> NDArray[Any]:
     while values.ndim > 2 and 1 in (values.shape[0], values.shape[-1]):
         values = values[0] if values.shape[0] == 1 else values[..., 0]
     if values.ndim != 2 or values.dtype.kind not in "fiu" or not values.size:
-        raise PlgsError("depth is not a picture of numbers", path, "Save an array [height, width].")
+        raise PlgsError("depth-array", "depth is not a picture of numbers", path, "Save an array [height, width].")
     return values
 
 
@@ -146,7 +146,8 @@ def trusted(depth: DepthMap, confidence: Path | None) -> DepthMap:
 def drop_untrusted(depth: NDArray[np.float32], level: NDArray[np.integer], path: Path) -> NDArray[np.float32]:
     """``depth`` [H, W] where ``level`` [H, W] is above 0, else 0. Raises PlgsError when they differ in size."""
     if depth.shape != level.shape:
-        raise PlgsError("confidence and depth differ in size", path, "Remove the confidence, or copy it again.")
+        what = "confidence and depth differ in size"
+        raise PlgsError("other-size", what, path, "Remove the confidence, or copy it again.")
     return np.where(level > 0, depth, np.float32(0.0))
 
 
@@ -161,7 +162,8 @@ def depth_check(name: str, path: Path) -> Callable[[NDArray[np.float32]], NDArra
         farthest = float(depth.max())
         if farthest > 0.0 and not _DEPTHS[0] <= farthest <= _DEPTHS[1]:
             what = f"the largest depth of frame {shown(name)} is {farthest:.4g} m, which no sensor measures"
-            raise PlgsError(what, path, "Give depth in metres as floats, or in millimetres as whole numbers.")
+            fix = "Give depth in metres as floats, or in millimetres as whole numbers."
+            raise PlgsError("depth-far", what, path, fix)
         return depth
 
     return check

@@ -125,7 +125,7 @@ def fitted_map(path: Path, pixels: NDArray[np.float64], depths: NDArray[np.float
     fit = fit_depth(values[rows, columns].astype(np.float64), depths)
     if fit is None:
         what = "the map does not rise or fall with the depth of the reconstruction's points"
-        raise PlgsError(what, path, "Check that it belongs to this frame, or leave the frame out.")
+        raise PlgsError("depth-unrelated", what, path, "Check that it belongs to this frame, or leave the frame out.")
     return fit.depth(values)
 
 
@@ -150,7 +150,8 @@ def with_estimated_depth(
         bits = read_image_header(path).bit_depth if path.suffix.lower() == ".png" else 16
         if bits < 16 and not has_points:
             what = "a map of 8 bits holds no lengths, and there are no sparse points to fit it to"
-            raise PlgsError(what, path, "Give .png of 16 bits in millimetres or .npy in metres, or points of COLMAP.")
+            fix = "Give .png of 16 bits in millimetres or .npy in metres, or points of COLMAP."
+            raise PlgsError("depth-bits", what, path, fix)
     without = [frame.name for frame in frames if frame.name not in files]
     mapless = left_out("a readable depth map", without)
     frames = [frame for frame in frames if frame.name in files]
@@ -166,7 +167,7 @@ def with_estimated_depth(
         kept.append(_with_depth(frame, files[frame.name], partial(fitted_map, pixels=pixels, depths=depths)))
     if not any(not frame.held_out for frame in kept):
         fix = f"Each needs {LEAST_POINTS} points of the reconstruction."
-        raise PlgsError("no frame to train on sees enough points to fit depth to", folder, fix)
+        raise PlgsError("few-points", "no frame to train on sees enough points to fit depth to", folder, fix)
     return tuple(kept), (*mapless, *left_out(f"{LEAST_POINTS} points of the reconstruction in view", blind)), ()
 
 

@@ -49,7 +49,7 @@ def whole_file(path: Path) -> Path:
     if path.suffix.lower() in IMAGES:
         read_image_header(path)
     elif not path.is_file() or not path.stat().st_size:
-        raise PlgsError("the file is missing, or empty", path, "Write this file again.")
+        raise PlgsError("file-empty", "the file is missing, or empty", path, "Write this file again.")
     return path
 
 

@@ -122,13 +122,13 @@ class Frame(PosedFrame):
     def depth(self, size: Size | None = None) -> NDArray[np.float32]:
         """``read_depth`` of a frame that must have it. Raises PlgsError."""
         if self.read_depth is None:
-            raise PlgsError("a frame has no depth", self.colour_path, "Give depth for every frame.")
+            raise PlgsError("no-depth", "a frame has no depth", self.colour_path, "Give depth for every frame.")
         return self.read_depth(size)
 
     def mask(self, size: Size | None = None) -> PanopticMask:
         """``read_mask`` of a frame that must have it. Raises PlgsError."""
         if self.read_mask is None:
-            raise PlgsError("a frame has no mask", self.colour_path, "Give a panoptic mask for every frame.")
+            raise PlgsError("no-mask", "a frame has no mask", self.colour_path, "Give a panoptic mask for every frame.")
         return self.read_mask(size)
 
 

@@ -137,7 +137,7 @@ def numbers_by_agreement(
         return replace(usual, looks_like=first, inferred=(doubt,))
     if others:
         what = f"the ground truth's numbers look like {listed([first, *others], 3)}: {told}"
-        raise PlgsError(what, where, f"{_advice(first, *others).capitalize()}.")
+        raise PlgsError("truth-numbers", what, where, f"{_advice(first, *others).capitalize()}.")
     said = _read_as(first, f"{told}; if that is wrong, {_advice()}")
     return replace(ways[first], looks_like=first, inferred=(said,))
 
@@ -243,7 +243,7 @@ def read_label_pair(semantic: Path, instance: Path) -> GroundTruth:
     """Class ids and instance ids out of two label images. Raises PlgsError when a file is bad."""
     stored = GroundTruth(decode_single_channel(semantic), decode_single_channel(instance))
     if stored.semantic.shape != stored.instance.shape:
-        raise PlgsError("classes and instances differ in size", instance, "Make both the same size.")
+        raise PlgsError("other-size", "classes and instances differ in size", instance, "Make both the same size.")
     return stored
 
 
@@ -267,7 +267,7 @@ def open_ground_truth(
             own = check_label_header(path)
             if not same_shape(own, sizes[name]):
                 what = f"ground truth of {shown_size(own)} does not fit the colour of {shown_size(sizes[name])}"
-                raise PlgsError(what, path, _FIX)
+                raise PlgsError("truth-shape", what, path, _FIX)
     numbers = numbers_of_truth(folders[0], {name: semantic for name, (semantic, _) in pairs.items()}, masks)
     readers = {name: GroundTruthReader(*paths, numbers.class_of, numbers.names) for name, paths in pairs.items()}
     lacking = f"{len(sizes) - len(readers)} of {len(sizes)} frames have no ground truth in {folders[0].name}"

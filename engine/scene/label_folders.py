@@ -59,13 +59,13 @@ def open_label_folder(folder: Path, *, is_truth: bool) -> LabelFolder:
     Raises PlgsError when there are none, or a file is bad.
     """
     if not folder.is_dir():
-        raise PlgsError("is not a folder", folder, _FIX)
+        raise PlgsError("not-folder", "is not a folder", folder, _FIX)
     table = folder / "panoptic.json"
     pairs = [(folder / one, folder / other) for one, other in PAIRS if (folder / one).is_dir()]
     if table.is_file() and not (is_truth and pairs):
         return _coco(folder)
     if not pairs:
-        raise PlgsError("there are no labels here", folder, _FIX)
+        raise PlgsError("no-labels", "there are no labels here", folder, _FIX)
     semantics, instances = (files_by_stem(each, {".png"}, _FIX) for each in pairs[0])
     require_all(list(semantics), instances, "instance image", pairs[0][1], "Give it the name of the class image.")
     for path in (*semantics.values(), *(instances[name] for name in semantics)):
@@ -99,7 +99,8 @@ def _classes_of_export(path: Path) -> ClassTable:
         whose = f"class {number}"
         class_id = take_whole_number(entry, "id", whose, path)
         if class_id <= VOID or class_id in found:
-            raise PlgsError(f"{whose} has the id {class_id}", path, "Give each class an id of its own, from 1.")
+            what = f"{whose} has the id {class_id}"
+            raise PlgsError("class-id", what, path, "Give each class an id of its own, from 1.")
         name, is_thing = take_text(entry, "name", whose, path), take_flag(entry, "is_thing", whose, path)
         found[class_id] = ClassLabel(class_id, name, is_thing)
     return coloured(found.values())
@@ -114,7 +115,7 @@ def in_one_table(predictions: LabelFolder, truth: LabelFolder) -> tuple[ClassTab
     """
     tables = [each.classes for each in (predictions, truth) if each.classes is not None]
     if not tables:
-        raise PlgsError("there is no table of classes that says which are things", truth.folder, _TABLE_FIX)
+        raise PlgsError("no-table", "there is no table of classes that says which are things", truth.folder, _TABLE_FIX)
     if len(tables) == 1:
         _refuse_other_numbers(*((truth, predictions) if truth.classes is None else (predictions, truth)), tables[0])
     own, true = tables[0], tables[-1]
@@ -125,7 +126,7 @@ def in_one_table(predictions: LabelFolder, truth: LabelFolder) -> tuple[ClassTab
     class_of = classes_by_name({each.id: each.name for each in own.categories}, true)
     if not class_of:
         what = f"its classes have other names than those in {predictions.folder}"
-        raise PlgsError(what, truth.folder, "Use one class table for both.")
+        raise PlgsError("other-classes", what, truth.folder, "Use one class table for both.")
     free = count(max(true.ids) + 1)
     others = tuple(replace(each, id=next(free)) for each in own.categories if each.id not in class_of)
     left = [each.id for each in own.categories if each.id not in class_of]
@@ -144,10 +145,10 @@ def _refuse_other_numbers(folder: LabelFolder, known: LabelFolder, classes: Clas
     try:
         found = numbers_by_agreement(joint, classes, folder.folder)
     except PlgsError as error:
-        raise PlgsError(error.what, folder.folder, _TABLE_FIX) from None
+        raise PlgsError(error.key, error.what, folder.folder, _TABLE_FIX) from None
     if found.looks_like is not None:
         what = f"its numbers look like {found.looks_like}, not like class ids of {known.folder}"
-        raise PlgsError(what, folder.folder, _TABLE_FIX)
+        raise PlgsError("other-numbers", what, folder.folder, _TABLE_FIX)
 
 
 def _in_classes(read: Callable[[], GroundTruth], class_of: Mapping[int, int]) -> GroundTruth:

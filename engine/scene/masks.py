@@ -28,7 +28,7 @@ MASK_FOLDER = "masks"
 def no_masks(scene: Path) -> PlgsError:
     """The error for a scene that has no masks."""
     fix = "Give masks with --masks, such as COCO panoptic ones, or let the command segment make them."
-    return PlgsError("there are no masks", scene, fix, code=ErrorCode.NO_MASKS, option="--masks")
+    return PlgsError("no-masks", "there are no masks", scene, fix, code=ErrorCode.NO_MASKS, option="--masks")
 
 
 class OtherClasses(PlgsError):
@@ -56,7 +56,8 @@ class MaskReader:
         unknown = sorted({one.label for one in found.segments if self._class_of(one) is None})
         if unknown:
             fix = f"Add them to {FILE_NAME} beside the masks: [[class]] with id, name, thing (or into){self.others}."
-            raise OtherClasses(f"class ids {listed(unknown)} are not in {self.table}", self.stored.path, fix)
+            what = f"class ids {listed(unknown)} are not in {self.table}"
+            raise OtherClasses("unknown-classes", what, self.stored.path, fix)
         segments = [segment for one in found.segments if (segment := self._segment(one)) is not None]
         new_id = {one.id: one.id for one in segments}
         if self.fuses:
@@ -186,4 +187,5 @@ def open_mask_source(place: Path, names: Sequence[str], mask_format: str | None 
         return reader.read(place, names)
     except OSError as error:
         fix = "Check that it exists, and its permissions."
-        raise PlgsError(f"this cannot be read ({error.strerror})", error.filename or place, fix) from error
+        what = f"this cannot be read ({error.strerror})"
+        raise PlgsError("unreadable", what, error.filename or place, fix) from error

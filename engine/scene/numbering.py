@@ -136,7 +136,7 @@ def numbered(
     wrong = [] if agreeing or source.kinds is None else _disagreements(usual, choice, is_known=True)
     if wrong:
         what = f"the files' isthing contradicts the table {choice.table}: {listed(wrong, 2)}"
-        raise PlgsError(what, where, _CONTRADICTED, option="--classes")
+        raise PlgsError("isthing-contradicts", what, where, _CONTRADICTED, option="--classes")
     like = _tables_like(choice.table) if choice.table in _ALIKE else ()
     alike = [_Reading(source, each, each) for table in like for each in numberings_of(table)]
     shown = _shown(source, choice)
@@ -145,7 +145,7 @@ def numbered(
         others = [each.table for each in fitting if each is not chosen]
         what = f"{asking.whose} numbers look like {chosen.table}, not {choice.table}: {reason or 'it has all of them'}"
         advice = asking.advice(chosen.table, *(others if reason is None or usual not in fitting else [usual.table]))
-        raise PlgsError(what, where, f"{advice[0].upper()}{advice[1:]}.", option=asking.option)
+        raise PlgsError("other-numbers", what, where, f"{advice[0].upper()}{advice[1:]}.", option=asking.option)
     possible = (*agreeing, *(each for each in alike if each in fitting))
     others = [each.table for each in possible if each is not chosen]
     is_doubtful = chosen is not usual or reason is None

@@ -61,7 +61,8 @@ def open_asked(source: SceneSource) -> Scene:
     try:
         capture = reader.read(place)
     except OSError as error:
-        raise PlgsError(f"this cannot be read ({error.strerror})", error.filename or place, _READABLE) from error
+        what = f"this cannot be read ({error.strerror})"
+        raise PlgsError("unreadable", what, error.filename or place, _READABLE) from error
     unreadable = capture.unreadable
     if 2 * len(unreadable) > len(capture.shots) + len(unreadable):
         raise next(iter(unreadable.values()))
@@ -161,10 +162,11 @@ def _refuse_repeated_names(shots: Sequence[Shot], place: Path) -> None:
         has_photos = place.is_dir() and photos_in(place) is not None
         fix = f"Record again with an app that keeps poses, or {LET_COLMAP}."
         code = ErrorCode.NO_POSES if has_photos else ErrorCode.BAD_INPUT
-        raise PlgsError("there is no picture with a pose", place, fix, code=code)
+        raise PlgsError("no-poses", "there is no picture with a pose", place, fix, code=code)
     twice = [name for name, count in Counter(shot.name for shot in shots).items() if count > 1]
     if twice:
-        raise PlgsError(f"frames share a name ({listed(twice)})", place, "Give each picture a name of its own.")
+        what = f"frames share a name ({listed(twice)})"
+        raise PlgsError("names-clash", what, place, "Give each picture a name of its own.")
 
 
 def _readable_depth(shot: Shot) -> DepthMap | None:
@@ -206,7 +208,7 @@ def _check_mask_shapes(masks: MaskSet, sizes: Mapping[str, Size]) -> None:
         own = reader.stored
         if not same_shape(own.size, sizes[name]):
             what = f"a mask of {shown_size(own.size)} does not fit the colour of {shown_size(sizes[name])}"
-            raise PlgsError(what, own.path, _MASKS_FIX, option="--masks")
+            raise PlgsError("mask-shape", what, own.path, _MASKS_FIX, option="--masks")
 
 
 def _lens_warnings(cameras: Mapping[str, Camera]) -> Iterable[str]:
@@ -248,7 +250,7 @@ def require_liftable(scene: Scene) -> None:
         without = [frame.name for frame in scene.frames if frame.read_depth is None]
         some = f"{len(without)} of {len(scene.frames)} frames have no depth ({listed(without)})"
         what = "the scene has no depth" if len(without) == len(scene.frames) else some
-        raise PlgsError(what, scene.folder, fix, option="--depth")
+        raise PlgsError("no-depth", what, scene.folder, fix, option="--depth")
     if not scene.has_masks:
         raise no_masks(scene.folder)
 

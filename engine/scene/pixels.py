@@ -50,9 +50,9 @@ def decode_bytes(data: bytes, path: Path, as_colour: bool) -> NDArray[Any]:
         pixels = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
     except (cv2.error, MemoryError) as error:
         reason = getattr(error, "err", "no memory is left for it")
-        raise PlgsError(f"the image cannot be decoded ({reason})", path, "Write it again.") from error
+        raise PlgsError("undecodable", f"the image cannot be decoded ({reason})", path, "Write it again.") from error
     if pixels is None:
-        raise PlgsError("the image cannot be decoded", path, "Write this file again.")
+        raise PlgsError("undecodable", "the image cannot be decoded", path, "Write this file again.")
     if pixels.ndim == 3:
         pixels = cv2.cvtColor(pixels, cv2.COLOR_BGRA2RGBA if pixels.shape[2] == 4 else cv2.COLOR_BGR2RGB)
     return pixels
@@ -87,7 +87,7 @@ def decode_depth(path: Path, fix: str) -> NDArray[Any]:
     if pixels.ndim == 3 and pixels.shape[2] == 3 and bool((pixels == pixels[..., :1]).all()):
         return np.ascontiguousarray(pixels[..., 0])
     if pixels.ndim != 2:
-        raise PlgsError("a depth map must have one channel, not colours", path, fix)
+        raise PlgsError("depth-colours", "a depth map must have one channel, not colours", path, fix)
     return pixels
 
 
@@ -95,9 +95,8 @@ def decode_single_channel(path: Path) -> NDArray[np.int32]:
     """Decode a label image of 8 or 16 bits per pixel to int32 [H, W]. Raises PlgsError for a colour image."""
     pixels = decode(path, as_colour=False)
     if pixels.ndim != 2:
-        raise PlgsError(
-            "a label image must have one channel, not colours", path, "Save the ids themselves as 8- or 16-bit grey."
-        )
+        what = "a label image must have one channel, not colours"
+        raise PlgsError("mask-colours", what, path, "Save the ids themselves as 8- or 16-bit grey.")
     return pixels.astype(np.int32)
 
 
@@ -156,7 +155,8 @@ def label_map_size(path: Path) -> Size:
         return label_header(path).size
     shape = array_headers(path)[_only_array(path)].shape
     if len(shape) != 2 or 0 in shape:
-        raise PlgsError("this is not a picture of ids", path, "Save an array [height, width] of whole numbers.")
+        what = "this is not a picture of ids"
+        raise PlgsError("not-ids", what, path, "Save an array [height, width] of whole numbers.")
     return shape[1], shape[0]
 
 
@@ -165,9 +165,10 @@ def label_header(path: Path) -> ImageHeader:
     header = read_image_header(path)
     if header.format != "png" or header.channels != 1:
         fix = "Save the ids themselves as grey values, or as indices of a palette."
-        raise PlgsError("a label image must be a PNG with one channel, not colours", path, fix)
+        raise PlgsError("mask-colours", "a label image must be a PNG with one channel, not colours", path, fix)
     if header.width * header.height > LARGEST_PIXELS:
-        raise PlgsError(f"{header.width}x{header.height} is too large for a mask", path, "Write this file again.")
+        what = f"{header.width}x{header.height} is too large for a mask"
+        raise PlgsError("mask-too-large", what, path, "Write this file again.")
     return header
 
 
@@ -176,7 +177,7 @@ def check_label_header(path: Path) -> Size:
     header = read_image_header(path)
     if header.format != "png" or header.channels != 1 or header.palette or header.bit_depth < 8:
         what = "a label image must be a PNG with one channel of 8 or 16 bits, without a palette"
-        raise PlgsError(what, path, "Save the ids themselves as grey values.")
+        raise PlgsError("mask-png", what, path, "Save the ids themselves as grey values.")
     return header.size
 
 
@@ -194,14 +195,14 @@ def whole_numbers(values: NDArray[np.generic], path: Path) -> NDArray[np.int64]:
     if values.dtype.kind == "f" and np.isfinite(values).all() and bool((values == np.floor(values)).all()):
         numbers = values.astype(np.int64)
     if numbers is None or int(np.abs(numbers).max(initial=0)) > _LARGEST_ID:
-        raise PlgsError("these are not ids", path, f"Save whole numbers from 0 to {_LARGEST_ID}.")
+        raise PlgsError("not-ids", "these are not ids", path, f"Save whole numbers from 0 to {_LARGEST_ID}.")
     return numbers
 
 
 def _only_array(path: Path) -> str:
     names = list(array_headers(path))
     if len(names) != 1:
-        raise PlgsError(f"there are {len(names)} arrays in one file", path, "Save only the picture of ids.")
+        raise PlgsError("arrays", f"there are {len(names)} arrays in one file", path, "Save only the picture of ids.")
     return names[0]
 
 
@@ -213,7 +214,8 @@ def read_indices(path: Path) -> NDArray[np.int32]:
         data = _as_grey(data)
     pixels = decode_bytes(data, path, as_colour=False)
     if pixels.ndim != 2:
-        raise PlgsError("a label image must have one channel, not colours", path, "Save the ids as grey values.")
+        what = "a label image must have one channel, not colours"
+        raise PlgsError("mask-colours", what, path, "Save the ids as grey values.")
     if header.bit_depth < 8:  # decoders stretch 1, 2 and 4 bits over the range of a byte
         pixels = pixels // (255 // (2**header.bit_depth - 1))
     return pixels.astype(np.int32)

@@ -150,7 +150,7 @@ def list_classes(source: SceneSource, table: str | None = None) -> ClassList:
     masks = open_mask_source(place, names, source.mask_format)
     if table is not None and masks.tells_no_class:
         fix = f"Write {FILE_NAME} beside them: [[class]] with id, name and thing for each number."
-        raise PlgsError("the masks number objects and have no classes, so no table fits", place, fix)
+        raise PlgsError("masks-classless", "the masks number objects and have no classes, so no table fits", place, fix)
     masks, choice, _ = numbered(masks, find_class_choice(table, path.parent), place)
     if table is not None and choice is not None:
         return ClassList(path, tuple(named_classes(choice.labels or (), None)))
@@ -168,11 +168,11 @@ def write_class_list(source: SceneSource, edited: Path) -> Path:
     content: dict[str, Any] = read_object(edited, _AGAIN)
     listed, path = record_of(ClassList, content, edited, _AGAIN), class_list_path(source.scene, source.masks)
     if not listed.rows:
-        raise PlgsError("there are no classes to write", "Classes", "Read them from the masks first.")
+        raise PlgsError("no-classes", "there are no classes to write", "Classes", "Read them from the masks first.")
     if not all(row.name.isprintable() and row.name and row.into.isprintable() for row in listed.rows):
-        raise PlgsError("a class has no name", "Classes", "Give each class a name of one line.")
+        raise PlgsError("class-unnamed", "a class has no name", "Classes", "Give each class a name of one line.")
     if listed.path.absolute() != path.absolute():
-        raise PlgsError("the list is of another scene", path, _AGAIN)
+        raise PlgsError("other-scene", "the list is of another scene", path, _AGAIN)
     rows = [replace(row, into=row.into or row.name) for row in listed.rows]
     choice, before = choice_of(rows, frozenset(listed.void)), find_class_choice(None, path.parent)
     colours = {each: row.colour for row in (before.rows if before else ()) for each in (row.id, row.name)}
@@ -190,7 +190,7 @@ def class_list_path(folder: Path, masks: Path | None = None) -> Path:
     beside = place if place.is_dir() else place.parent
     path = beside / FILE_NAME
     if path.is_symlink() or (path.exists() and not path.is_file()):
-        raise PlgsError("this is a link or a folder, not a file", path, "Move it away.")
+        raise PlgsError("not-a-file", "this is a link or a folder, not a file", path, "Move it away.")
     find_class_choice(None, beside)
     return path
 

@@ -78,20 +78,21 @@ class Addition:
         except OSError as error:
             fix = "Make room on the disk, or let PLGS write there, then add it again. The engine is unchanged."
             where = error.filename or self.environment
-            raise PlgsError(f"nothing could be added ({error.strerror})", where, fix) from error
+            raise PlgsError("nothing-added", f"nothing could be added ({error.strerror})", where, fix) from error
         return folder
 
     def _refuse_foreign(self) -> None:
         """Only an environment gets packages: other Pythons belong to the system or to Blender."""
         if not (self.environment / "pyvenv.cfg").is_file():
             fix = "Set up the engine, or let your own Python install the packages that requirements/ pins."
-            raise PlgsError("packages are only added to environments, and this is not one", self.environment, fix)
+            what = "packages are only added to environments, and this is not one"
+            raise PlgsError("not-environment", what, self.environment, fix)
 
     def _refuse_full_disk(self) -> None:
         needed, free = 2 * self.size + _SPARE_BYTES, shutil.disk_usage(self.environment).free
         if free < needed:
             what = f"the disk has {free / 1e9:.1f} GB free, but adding this needs {needed / 1e9:.1f} GB"
-            raise PlgsError(what, self.environment, "Make room, then add it again.")
+            raise PlgsError("disk-full", what, self.environment, "Make room, then add it again.")
 
     def _download(self, lock: FileLock) -> None:
         self._events.stage(STAGE, 1, len(LABELS), LABELS[0])
@@ -108,7 +109,7 @@ class Addition:
         )  # fmt: skip
         if code != 0:
             fix = "Check the connection and the disk, then add it again. The engine is unchanged."
-            raise PlgsError(f"pip could not add it ({programs.complaint(output)})", self.log_path, fix)
+            raise PlgsError("pip-failed", f"pip could not add it ({programs.complaint(output)})", self.log_path, fix)
         shutil.rmtree(temporary)
         for path in packages.iterdir():
             path.rename(self._part / path.name)
@@ -120,7 +121,8 @@ class Addition:
         missing = missing_modules(self._python, modules)
         if missing:
             what = f"the added packages are not found ({', '.join(missing)})"
-            raise PlgsError(what, self._site_packages, "Remove the engine, then set it up and add them again.")
+            fix = "Remove the engine, then set it up and add them again."
+            raise PlgsError("packages-lost", what, self._site_packages, fix)
 
     def _tell(self, line: str) -> None:
         if news := programs.news_of_pip(line):

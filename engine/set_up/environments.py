@@ -84,7 +84,7 @@ def remove_environments(folder: Path) -> None:
     Raises PlgsError while a set-up is running there, OSError.
     """
     if is_locked(folder / LOCK):
-        raise PlgsError("the engine is being set up", folder, "Wait until it is done, or cancel it.")
+        raise PlgsError("being-set-up", "the engine is being set up", folder, "Wait until it is done, or cancel it.")
     for environment in sorted(folder.glob("engine-*")):
         if (environment / "pyvenv.cfg").is_file():
             throw_away(environment, folder)

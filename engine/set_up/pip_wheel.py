@@ -36,9 +36,9 @@ def fetch_pip(folder: Path, index_url: str, pause: Callable[[], object]) -> Path
         link = re.search(rf'href="((?:[^"]*/)?{re.escape(WHEEL)}[^"]*)"', page)
         content = _read(urljoin(index, html.unescape(link[1])), pause) if link else b""
     except (OSError, ValueError, HTTPException) as error:
-        raise PlgsError(f"pip could not be downloaded ({error})", "the package index", fix) from error
+        raise PlgsError("pip-download", f"pip could not be downloaded ({error})", "the package index", fix) from error
     if sha256(content).hexdigest() != SHA256:
-        raise PlgsError(f"has no {WHEEL} as it is pinned here", "the package index", fix)
+        raise PlgsError("no-pip-wheel", f"has no {WHEEL} as it is pinned here", "the package index", fix)
     write_atomically(folder / WHEEL, content)
     return folder / WHEEL
 

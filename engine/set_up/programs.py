@@ -58,7 +58,7 @@ def run(
                 if code is not None and not new:
                     return output, code
                 if limit_s is not None and time.monotonic() - began > limit_s:
-                    raise PlgsError("does not answer", command[0], "Choose another one.")
+                    raise PlgsError("silent", "does not answer", command[0], "Choose another one.")
                 pause()
         finally:
             process.kill()

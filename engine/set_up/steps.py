@@ -108,7 +108,7 @@ class SetUp:
         except OSError as error:
             fix = "Make room on the disk, or let PLGS write there, then set up the engine again."
             where = error.filename or self.folder
-            raise PlgsError(f"the set-up was stopped ({error.strerror})", where, fix) from error
+            raise PlgsError("set-up-stopped", f"the set-up was stopped ({error.strerror})", where, fix) from error
 
     def _do_steps(self) -> Path:
         base = self._find_base_python()
@@ -125,7 +125,8 @@ class SetUp:
     def _find_base_python(self) -> BasePython:
         versions = pinned_versions(self.root)
         if not versions:
-            raise PlgsError("the requirements are missing", self.root / "requirements", "Install PLGS again.")
+            what = "the requirements are missing"
+            raise PlgsError("no-requirements", what, self.root / "requirements", "Install PLGS again.")
         refused = []
         for python in candidates(self.request.base_python, versions):
             self._tell(1, str(python))
@@ -139,7 +140,8 @@ class SetUp:
         self._log("\n".join(refused))
         wanted = " or ".join(f"{major}.{minor}" for major, minor in versions)
         fix = f"Install Python {wanted} with venv and pip, or name one in the preferences."
-        raise PlgsError(f"no Python can make the engine's environment ({'; '.join(refused[:3])})", self.log_path, fix)
+        what = f"no Python can make the engine's environment ({'; '.join(refused[:3])})"
+        raise PlgsError("no-python", what, self.log_path, fix)
 
     def _is_ready(self, environment: Path) -> bool:
         """Whether nothing is left to do. A complete environment that does not answer, or was made with another torch,
@@ -159,7 +161,7 @@ class SetUp:
         needed, free = NEEDED_BYTES[self.request.torch_build], shutil.disk_usage(self.folder).free
         if free < needed:
             what = f"the disk has {free / _GIGABYTE:.1f} GB free, but the engine needs {needed / _GIGABYTE:.0f} GB"
-            raise PlgsError(what, self.folder, "Make room, then set up the engine again.")
+            raise PlgsError("disk-full", what, self.folder, "Make room, then set up the engine again.")
 
     def _make_environment(self, environment: Path, base: BasePython) -> Notes:
         self._tell(2, f"Python {base.version[0]}.{base.version[1]}")
@@ -177,7 +179,7 @@ class SetUp:
             output, code = self._run(programs.install_pip_command(python_in(environment), wheel))
         if code != 0:
             what = f"{base.python} could not make an environment ({programs.complaint(output)})"
-            raise PlgsError(what, self.log_path, "Name another Python in the preferences.")
+            raise PlgsError("environment-failed", what, self.log_path, "Name another Python in the preferences.")
         notes = Notes(self.request.torch_build)
         notes.write(environment)
         return notes
@@ -219,7 +221,8 @@ class SetUp:
         output, code = self._run(command, environment=variables, read_line=read_line)
         if code != 0:
             fix = "Check the connection and the disk, then set up the engine again: it continues there."
-            raise PlgsError(f"pip could not install {step} ({programs.complaint(output)})", self.log_path, fix)
+            what = f"pip could not install {step} ({programs.complaint(output)})"
+            raise PlgsError("pip-failed", what, self.log_path, fix)
         throw_away(temporary, self.folder)
         notes.done.append(step)
         notes.installing = False
@@ -232,13 +235,14 @@ class SetUp:
         output, code = self._run([*engine_call(python_in(environment), self.root), "warm-up"], cwd=self.root)
         if code != 0:
             what = f"the engine does not work in its new environment ({programs.complaint(output)})"
-            raise PlgsError(what, self.log_path, "Remove the engine, then set it up again. The log has the details.")
+            fix = "Remove the engine, then set it up again. The log has the details."
+            raise PlgsError("engine-broken", what, self.log_path, fix)
 
     def _finish(self, environment: Path) -> None:
         answer = self._ask(python_in(environment))
         if answer.missing:
             fix = "Remove the engine, then set it up again."
-            raise PlgsError(f"the new environment lacks {', '.join(answer.missing)}", environment, fix)
+            raise PlgsError("lacks-modules", f"the new environment lacks {', '.join(answer.missing)}", environment, fix)
         # The packages reach the disk before the mark: after a power cut no incomplete environment is marked complete.
         self._run([python_in(environment), "-I", "-c", _SYNC])
         write_atomically(environment / COMPLETE, f"{answer.python}\n")
@@ -251,7 +255,7 @@ class SetUp:
         answer = EngineAnswer.from_line(output.splitlines()[-1]) if code == 0 and output else None
         if answer is None:
             fix = "Remove the engine, then set it up again."
-            raise PlgsError(f"the engine does not answer ({programs.complaint(output)})", python, fix)
+            raise PlgsError("silent", f"the engine does not answer ({programs.complaint(output)})", python, fix)
         return answer
 
     def _run(

@@ -38,7 +38,7 @@ def usable_python() -> Path:
     if bpy.app.background:
         return find_engine_python(ROOT, os.environ, chosen_python())
     if not known.is_usable:
-        raise PlgsError(known.message, known.python or "the engine", known.fix, code=ErrorCode.NO_ENGINE)
+        raise PlgsError("no-engine", known.message, known.python or "the engine", known.fix, code=ErrorCode.NO_ENGINE)
     return _python_to_be_asked()
 
 

@@ -90,7 +90,7 @@ class SetUp(Task):
             choose(None)  # whoever sets up the engine wants to use that one
         check()
         if self._is_offline:
-            raise PlgsError("online access was switched off", "Set Up Engine", OFFLINE_FIX)
+            raise PlgsError("offline", "online access was switched off", "Set Up Engine", OFFLINE_FIX)
 
     def let_go(self) -> None:
         """The engine ends within a second, and first ends the programs that it started."""
@@ -153,7 +153,7 @@ def set_up(choice: SetUpChoice) -> SetUp:
     """Begin to make the engine's environment, or continue it. Raises PlgsError, OSError."""
     reason = why_no_set_up()
     if reason is not None:
-        raise PlgsError("the engine cannot be set up now", "Set Up Engine", reason)
+        raise PlgsError("set-up-refused", "the engine cannot be set up now", "Set Up Engine", reason)
     return registry.begin(SetUp(start_engine(
         "set-up", own_python(), environments_folder(), *choice.arguments(), variables=choice.variables()
     )))  # fmt: skip
@@ -162,7 +162,8 @@ def set_up(choice: SetUpChoice) -> SetUp:
 def remove() -> Removal:
     """Delete all environments that "Set Up Engine" made, and nothing else. Raises PlgsError, OSError."""
     if running_set_up() is not None:
-        raise PlgsError("the engine is being set up", environments_folder(), "Wait until it is done, or cancel it.")
+        what = "the engine is being set up"
+        raise PlgsError("being-set-up", what, environments_folder(), "Wait until it is done, or cancel it.")
     return registry.begin(Removal(start_engine("set-up", own_python(), environments_folder(), "--remove")))
 
 

@@ -31,11 +31,11 @@ def find_lift(scene: bpy.types.Scene, lift: str = "", active: bpy.types.Object |
     if lift:
         named = [root for root in roots if lift == root.name or is_same_place(text_of(root, FOLDER), absolute(lift))]
         if not named:
-            raise PlgsError("is not in this scene", lift, "Name a lift's folder or its collection.")
+            raise PlgsError("lift-elsewhere", "is not in this scene", lift, "Name a lift's folder or its collection.")
         return named[0]
     found = active_lift(scene, active)
     if found is None:
-        raise PlgsError("has no lift in it", scene.name, "Lift a scene, or open a finished lift.")
+        raise PlgsError("no-lift", "has no lift in it", scene.name, "Lift a scene, or open a finished lift.")
     return found
 
 
@@ -75,9 +75,9 @@ def box_of(root: bpy.types.Collection, instance: int) -> bpy.types.Object:
     box = objects.get(f"{INSTANCE}{row.instance_id}")
     if box is None and TOGETHER in objects:
         fix = f"Choose one of the {MOST_BOXES} objects with the most points."
-        raise PlgsError("has no box of its own, as there are so many objects", row.name, fix)
+        raise PlgsError("no-box", "has no box of its own, as there are so many objects", row.name, fix)
     if box is None:
-        raise PlgsError("has no box any more", row.name, "Show the lift's result again.")
+        raise PlgsError("box-gone", "has no box any more", row.name, "Show the lift's result again.")
     return box
 
 
@@ -120,11 +120,12 @@ def row_of(root: bpy.types.Collection, instance: int) -> Any:
     if instance == 0:
         if 0 <= lists.instance_index < len(lists.instances):
             return lists.instances[lists.instance_index]
-        raise PlgsError("has no instance selected", root.name, "Click an object in the view, or a row of the list.")
+        what = "has no instance selected"
+        raise PlgsError("no-selection", what, root.name, "Click an object in the view, or a row of the list.")
     row = next((row for row in lists.instances if row.instance_id == instance), None)
     if row is None:
         ids = ", ".join(str(row.instance_id) for row in lists.instances) or "none"
-        raise PlgsError(f"has no instance {instance}", root.name, f"Its instances are {ids}.")
+        raise PlgsError("no-object", f"has no instance {instance}", root.name, f"Its instances are {ids}.")
     return row
 
 
@@ -133,7 +134,7 @@ def class_row_of(root: bpy.types.Collection, class_id: int) -> Any:
     row = next((row for row in root.plgs.classes if row.class_id == class_id), None)
     if row is None:
         ids = ", ".join(str(row.class_id) for row in root.plgs.classes) or "none"
-        raise PlgsError(f"has no points of class {class_id}", root.name, f"Its classes are {ids}.")
+        raise PlgsError("no-such-class", f"has no points of class {class_id}", root.name, f"Its classes are {ids}.")
     return row
 
 

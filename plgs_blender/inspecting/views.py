@@ -50,7 +50,7 @@ def best_frame(root: bpy.types.Collection, instance: int = 0) -> str:
     row = row_of(root, instance)
     if not 0 <= row.best_mask < len(row.masks):
         fix = "Lift again: lifts of older versions did not record where the masks lie."
-        raise PlgsError("has no masks that say where it is best seen", row.name, fix)
+        raise PlgsError("no-best-frame", "has no masks that say where it is best seen", row.name, fix)
     row.mask_index = row.best_mask
     return str(row.masks[row.best_mask].frame)
 
@@ -68,7 +68,7 @@ def mask_frame(root: bpy.types.Collection, instance: int, frame: str, segment: i
     ]
     if not chosen:
         what = f"has no mask in frame {frame!r}" if frame else "has no mask chosen"
-        raise PlgsError(what, row.name, "Choose one of the masks that made it.")
+        raise PlgsError("no-such-mask", what, row.name, "Choose one of the masks that made it.")
     row.mask_index = chosen[0]
     return str(row.masks[chosen[0]].frame)
 
@@ -82,7 +82,8 @@ def look_from_frame(
     """
     camera = objects_by_key(root).get(f"frame:{frame}")
     if camera is None or camera.name not in scene.objects:
-        raise PlgsError(f"has no camera of frame {frame} any more", root.name, "Show the lift's result again.")
+        what = f"has no camera of frame {frame} any more"
+        raise PlgsError("camera-gone", what, root.name, "Show the lift's result again.")
     is_theirs = scene.camera is not None and not is_of_lift(scene.camera, scene)
     if not is_theirs:
         scene.camera = camera

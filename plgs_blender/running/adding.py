@@ -68,6 +68,6 @@ def add(name: str, python: Path, index_url: str = "") -> Adding:
     """Begin to add one of `ADDED` to the environment of ``python``. Raises PlgsError, OSError."""
     reason = why_not_added()
     if reason is not None:
-        raise PlgsError("nothing can be added to the engine now", CAPABILITIES[name].label, reason)
+        raise PlgsError("adding-refused", "nothing can be added to the engine now", CAPABILITIES[name].label, reason)
     variables = set_up_choice(index_url=index_url).variables()
     return registry.begin(Adding(name, start_engine("add", python, name, variables=variables)))

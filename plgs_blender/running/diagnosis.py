@@ -105,7 +105,7 @@ class Diagnosis(Task):
             self.split = FrameSplit(Path(split["path"]), *(tuple(map(str, split[key])) for key in ("train", "test")))
         except (ValueError, TypeError, KeyError) as fault:
             what = f"the engine's findings are not understood ({fault!r})"
-            raise PlgsError(what, self.chosen.scene, "Diagnose again.") from fault
+            raise PlgsError("bad-answer", what, self.chosen.scene, "Diagnose again.") from fault
 
     def let_go(self) -> None:
         super().let_go()
@@ -148,7 +148,8 @@ def leave_out(known: Diagnosis, finding: Finding) -> tuple[Path, Path | None]:
     assert known.split is not None
     split = known.split.without(finding.leave_out)
     if not split.train:
-        raise PlgsError("no frame to train on would be left", split.path, "Leave fewer frames out.")
+        what = "no frame to train on would be left"
+        raise PlgsError("no-training-frame", what, split.path, "Leave fewer frames out.")
     split.path.parent.mkdir(exist_ok=True)
     kept = _keep(split.path)
     text = json.dumps({"train": split.train, "test": split.test}).encode()

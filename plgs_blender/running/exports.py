@@ -76,7 +76,8 @@ class Export(Task):
             return
         target = bpy.data.scenes.get(self._shown_in)
         if target is None:
-            raise PlgsError("the scene is gone", self._shown_in, "Press the button again in another scene.")
+            what = "the scene is gone"
+            raise PlgsError("scene-gone", what, self._shown_in, "Press the button again in another scene.")
         if self.form == SURFACE:
             self._placed = yield from placing_meshes_anew(self._lift, target, asked=self.asked)
             self.undo_step = "Make Meshes"

@@ -143,7 +143,7 @@ def begin_import(scene: bpy.types.Scene, *, cloud: bool = True) -> FrameMaking |
     Returns the engine's task, None where none was started. Raises PlgsError, OSError.
     """
     if not scene.plgs.scene_folder:
-        raise PlgsError("no scene is chosen", "Scene", "Choose a capture's folder or file.")
+        raise PlgsError("no-scene", "no scene is chosen", "Scene", "Choose a capture's folder or file.")
     chosen = chosen_scene(scene.plgs)
     python = None
     if not registry.running(FrameMaking):
@@ -185,7 +185,7 @@ def show_picture(scene: bpy.types.Scene, shown_kind: str, *, asked: bool = True)
     """
     reason = why_no_picture(scene)
     if reason is not None:
-        raise PlgsError("the active camera is not a frame's", scene.name, f"{reason}.")
+        raise PlgsError("other-camera", "the active camera is not a frame's", scene.name, f"{reason}.")
     ob = scene.camera
     root = root_of(scene, ob)
     chosen = place_of_root(root)
@@ -219,7 +219,7 @@ def _picture_file(
         return None
     frame = next((each for each in opened.frames if each.name == name), None)
     if frame is None:
-        raise PlgsError("is not a frame of the scene any more", name, "Import the scene again.")
+        raise PlgsError("frame-gone", "is not a frame of the scene any more", name, "Import the scene again.")
     return picture_of(frame, photos(made, [frame]))
 
 

@@ -83,7 +83,8 @@ def start_lift(settings: PLGS_PG_settings, *, in_that_folder: bool = False, name
     Raises PlgsError, OSError; then no folder is left behind.
     """
     if not settings.scene_folder:
-        raise PlgsError("no scene is chosen", "Scene", "Choose a folder with color, depth, pose and intrinsic.")
+        what = "no scene is chosen"
+        raise PlgsError("no-scene", what, "Scene", "Choose a folder with color, depth, pose and intrinsic.")
     python = engine_environment.usable_python()
     request = replace(request_of(settings), names_from=absolute(names_from) if names_from else earlier_lift(settings))
     folder = chosen_lift(settings)
@@ -108,7 +109,7 @@ def resume_lift(settings: PLGS_PG_settings, folder: str = "") -> Lift:
     known = lifts.attach(lift.path)
     if not known.can_be_resumed:
         fix = "Watch it, or cancel it first." if known.is_running else "Lift into another folder."
-        raise PlgsError(f"cannot be resumed: it is {known.lift_state.value}", lift.path, fix)
+        raise PlgsError("not-resumable", f"cannot be resumed: it is {known.lift_state.value}", lift.path, fix)
     followed = lifts.start(lift, engine_environment.usable_python(), resume=True, keep_running=settings.keep_running)
     adopt(settings, lift.request, lift.path)
     return followed
@@ -162,12 +163,13 @@ def cancel_lift(settings: PLGS_PG_settings, folder: str = "") -> None:
     lift = lift_at(settings, folder)
     followed = lifts.lift_of(lift.path) or lifts.attach(lift.path)
     if not followed.is_running:
-        raise PlgsError(f"is not running: it is {followed.lift_state.value}", lift.path, "There is nothing to cancel.")
+        what = f"is not running: it is {followed.lift_state.value}"
+        raise PlgsError("not-running", what, lift.path, "There is nothing to cancel.")
     try:
         followed.cancel()
     except OSError as error:
         fix = "Ask whoever started it to cancel it."
-        raise PlgsError(f"cannot be cancelled from here ({error.strerror})", lift.path, fix) from error
+        raise PlgsError("not-cancelled", f"cannot be cancelled from here ({error.strerror})", lift.path, fix) from error
 
 
 def why_no_bake(settings: PLGS_PG_settings) -> str | None:
@@ -190,7 +192,7 @@ def bake_passes(scene: bpy.types.Scene, frames: str, folder: str = "") -> Lift:
         names = [text_of(scene.camera, "frame")] if scene.camera is not None else [""]
         if not names[0]:
             fix = "Choose one of the lift's cameras: select it and press Ctrl+Numpad 0."
-            raise PlgsError("the active camera does not belong to a frame of the lift", scene.name, fix)
+            raise PlgsError("other-camera", "the active camera does not belong to a frame of the lift", scene.name, fix)
     python = engine_environment.usable_python()
     return lifts.bake(lift, python, names, layers=sorted(scene.plgs.layers), keep_running=scene.plgs.keep_running)
 
@@ -224,7 +226,7 @@ def export_lift(settings: PLGS_PG_settings, form: str, output: str, frames: str,
     """Let an engine export a finished lift into the folder ``output``. Raises PlgsError, OSError."""
     lift = lift_at(settings, folder)
     if not output:
-        raise PlgsError("needs a folder", f"Export of {form}", "Choose where the files should go.")
+        raise PlgsError("folder-needed", "needs a folder", f"Export of {form}", "Choose where the files should go.")
     return exports.export(lift.path, form, absolute(output), engine_environment.usable_python(), [frames])
 
 
@@ -251,14 +253,15 @@ def showing_lift(scene: bpy.types.Scene, folder: str = "") -> Generator[None, No
         if not lift.is_running:
             raise
         fix = "Wait until it is finished."
-        raise PlgsError("cannot be shown yet: it is still running", lift.path, fix, code=ErrorCode.BUSY) from error
+        what = "cannot be shown yet: it is still running"
+        raise PlgsError("still-running", what, lift.path, fix, code=ErrorCode.BUSY) from error
 
 
 def log_of(settings: PLGS_PG_settings, folder: str = "") -> Path:
     """The engine's log of the lift in `folder`, or in that of the settings. Raises PlgsError when there is none."""
     log = lift_at(settings, folder).log_path
     if not log.is_file():
-        raise PlgsError("is not there: the engine never began", log, "Start it again.")
+        raise PlgsError("no-log", "is not there: the engine never began", log, "Start it again.")
     return log
 
 
@@ -266,5 +269,5 @@ def lift_at(settings: PLGS_PG_settings, folder: str = "") -> LiftFolder:
     """The lift in `folder`, or in that of the settings. Raises PlgsError when there is none."""
     path: Path | None = absolute(folder) if folder else chosen_lift(settings)
     if path is None:
-        raise PlgsError("no lift is chosen", "Lift Folder", "Start a lift, or choose the folder of one.")
+        raise PlgsError("no-lift", "no lift is chosen", "Lift Folder", "Start a lift, or choose the folder of one.")
     return LiftFolder.open(path)

@@ -294,9 +294,10 @@ def bake(
     known = lift_of(lift.path)
     if known is not None and known.is_running and known.follower.is_own:
         fix = "Wait for it, or cancel it first."
-        raise PlgsError("this Blender is already baking or lifting here", lift.path, fix, code=ErrorCode.BUSY)
+        what = "this Blender is already baking or lifting here"
+        raise PlgsError("blender-busy", what, lift.path, fix, code=ErrorCode.BUSY)
     if known is not None and known.is_being_taken:
-        raise PlgsError("its result is being placed", lift.path, "Wait a moment.", code=ErrorCode.BUSY)
+        raise PlgsError("being-placed", "its result is being placed", lift.path, "Wait a moment.", code=ErrorCode.BUSY)
     if not lift.manifest_path.is_file():
         _refuse_running(lift)
     ties = not keep_running

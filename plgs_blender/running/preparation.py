@@ -73,7 +73,8 @@ def edited_classes(masks: PLGS_PG_masks) -> dict[str, Any]:
     try:
         void = [int(word) for word in masks.void.split()]
     except ValueError as error:
-        raise PlgsError("the numbers of void cannot be read", masks.void, "Read the classes again.") from error
+        what = "the numbers of void cannot be read"
+        raise PlgsError("bad-void", what, masks.void, "Read the classes again.") from error
     return {"path": str(absolute(masks.path)), "rows": rows, "void": void}
 
 
@@ -106,7 +107,7 @@ class ClassListing(Task):
             fill_classes(target.plgs_masks, self.answer)
         except (ValueError, TypeError, KeyError) as fault:
             what = f"the engine's list is not understood ({fault!r})"
-            raise PlgsError(what, self.chosen.scene, "Read the classes again.") from fault
+            raise PlgsError("bad-answer", what, self.chosen.scene, "Read the classes again.") from fault
 
 
 class ClassWriting(Task):

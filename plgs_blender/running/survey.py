@@ -111,7 +111,7 @@ def _look_alone(chosen: ChosenScene) -> Survey | None:
     """What Blender sees alone; None where only an engine can look, and there is one. Raises PlgsError."""
     for path in (chosen.scene, chosen.masks, chosen.depth):
         if path is not None and not os.path.exists(path):
-            raise PlgsError("there is no such file or folder", path, "Choose another one.")
+            raise PlgsError("file-missing", "there is no such file or folder", path, "Choose another one.")
     if chosen.is_plain:
         return _of_plain(chosen, chosen.open_plain())
     if engine_python() is None:
@@ -148,7 +148,7 @@ def _of_plain(chosen: ChosenScene, scene: PosedScene) -> Survey:
 def _with_answer(survey: Survey, answer: Mapping[str, Any] | None, error: PlgsError | None) -> Survey:
     """The survey with the answer of `engine inspect`, or its error."""
     if error is not None or answer is None:
-        unknown = PlgsError("the engine did not say what is in it", survey.chosen.scene, "Look again.")
+        unknown = PlgsError("bad-answer", "the engine did not say what is in it", survey.chosen.scene, "Look again.")
         return replace(survey, error=error or unknown)
     try:
         depth_range = answer["depth_range"]
@@ -180,7 +180,7 @@ def _with_answer(survey: Survey, answer: Mapping[str, Any] | None, error: PlgsEr
         )
     except (ValueError, TypeError, KeyError) as fault:
         what = f"the engine's answer is not understood ({fault!r})"
-        return replace(survey, error=PlgsError(what, survey.chosen.scene, "Look again."))
+        return replace(survey, error=PlgsError("bad-answer", what, survey.chosen.scene, "Look again."))
 
 
 def _colour(colour: Sequence[int]) -> Colour:

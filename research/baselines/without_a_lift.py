@@ -62,7 +62,7 @@ def _add_files(digest: hashlib._Hash, place: Path, results: Path) -> None:
                 line = f"{name}\0{facts.st_size}\0{facts.st_mtime_ns}\n"
                 digest.update(line.encode(errors="surrogateescape"))
     except OSError as error:
-        raise PlgsError(f"its files cannot be read ({error.strerror})", place, fix) from error
+        raise PlgsError("unreadable", f"its files cannot be read ({error.strerror})", place, fix) from error
 
 
 def scores_without_a_lift(source: SceneSource, cache: Path) -> dict[str, Figures]:

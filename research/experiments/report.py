@@ -52,7 +52,7 @@ def write_report(
             print("No plots: matplotlib is not installed (requirements/report.txt).", file=sys.stderr)
     except OSError as error:
         fix = "Make room there, or choose a folder that you may write to with -o."
-        raise PlgsError(f"the results cannot be written ({error.strerror})", folder, fix) from error
+        raise PlgsError("unwritable", f"the results cannot be written ({error.strerror})", folder, fix) from error
     if page is not None:
         _bring_up_to_date(page, tables)
 
@@ -62,7 +62,7 @@ def _bring_up_to_date(page: Path, tables: Tables) -> None:
         write_atomically(page, with_tables(text_of(page), tables.markdown()))
     except OSError as error:
         fix = "Make room there, or name another page with --report."
-        raise PlgsError(f"the report's page cannot be written ({error.strerror})", page, fix) from error
+        raise PlgsError("unwritable", f"the report's page cannot be written ({error.strerror})", page, fix) from error
 
 
 def refuse_unwritable(page: Path) -> None:
@@ -70,7 +70,8 @@ def refuse_unwritable(page: Path) -> None:
     text_of(page)
     folder = next(each for each in page.absolute().parents if each.exists())  # missing folders below it are made
     if not folder.is_dir() or not os.access(folder, os.W_OK):
-        raise PlgsError("the report's page cannot be written", page, "Name a file in a folder that you may write to.")
+        what = "the report's page cannot be written"
+        raise PlgsError("unwritable", what, page, "Name a file in a folder that you may write to.")
 
 
 def text_of(page: Path) -> str:
@@ -78,7 +79,8 @@ def text_of(page: Path) -> str:
     try:
         return page.read_text("utf-8") if page.exists() else ""
     except (OSError, UnicodeDecodeError) as error:
-        raise PlgsError("the report's page is not a text file", page, "Name a Markdown file, or a new one.") from error
+        what = "the report's page is not a text file"
+        raise PlgsError("not-text", what, page, "Name a Markdown file, or a new one.") from error
 
 
 def with_tables(page: str, tables: str) -> str:

@@ -147,7 +147,8 @@ def _still_holds(experiment: Experiment, result: Result) -> bool:
 def make_depth_maps(lift: Path, maps: Path) -> None:
     """The rendered depth of all frames of a lift, written once. Raises PlgsError, as where the lift did not finish."""
     if not has_manifest(lift):
-        raise PlgsError("the lift whose depth it takes is not finished", lift, "Find out why that lift failed.")
+        what = "the lift whose depth it takes is not finished"
+        raise PlgsError("not-finished", what, lift, "Find out why that lift failed.")
     if not (maps / "complete").is_file():
         from engine.export.run import export
 
@@ -193,7 +194,7 @@ def refuse_bad_input(experiment: Experiment, tasks: Sequence[Task]) -> dict[str,
         known = {result.key[:2] for result in experiment.earlier}
         if not known & {(task.scene.name, task.row.name) for task in tasks}:
             held = ", ".join(f"{scene} {row}" for scene, row in sorted(known)[:9])
-            raise PlgsError("the earlier results have none of these scenes and rows", held, _NO_MATCH)
+            raise PlgsError("no-match", "the earlier results have none of these scenes and rows", held, _NO_MATCH)
     for task in tasks:
         request = request_from(task.options)
         output = task.options.output
@@ -208,12 +209,13 @@ def refuse_bad_input(experiment: Experiment, tasks: Sequence[Task]) -> dict[str,
         differing = request.differences(lift.request)  # unlike lift --resume: an option left out asks for the default
         if differing:
             fix = "Give the same options again, or choose another folder with -o."
-            raise PlgsError(f"holds a lift with another {', '.join(differing)}", lift.path, fix)
+            raise PlgsError("other-options", f"holds a lift with another {', '.join(differing)}", lift.path, fix)
     try:
         experiment.folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         fix = "Choose a folder that you may write to."
-        raise PlgsError(f"cannot be made ({error.strerror})", experiment.folder, fix) from error
+        raise PlgsError("unwritable", f"cannot be made ({error.strerror})", experiment.folder, fix) from error
     if not os.access(experiment.folder, os.W_OK):
-        raise PlgsError("cannot be written", experiment.folder, "Choose a folder that you may write to with -o.")
+        what = "cannot be written"
+        raise PlgsError("unwritable", what, experiment.folder, "Choose a folder that you may write to with -o.")
     return errors

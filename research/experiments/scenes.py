@@ -33,7 +33,8 @@ def scenes_from(texts: Sequence[str], names: Sequence[str] | None = None) -> tup
     """
     texts = [each for text in texts for each in _matching(text)]
     if names is not None and len(names) != len(texts):
-        raise PlgsError(f"{len(names)} names for {len(texts)} scenes", ",".join(names), "Give a name for each scene.")
+        what = f"{len(names)} names for {len(texts)} scenes"
+        raise PlgsError("unequal-counts", what, ",".join(names), "Give a name for each scene.")
     scenes = [_scene(text) for text in texts]
     if names is not None:
         scenes = [SceneToLift(name, scene.folder, scene.up) for name, scene in zip(names, scenes, strict=True)]
@@ -41,9 +42,10 @@ def scenes_from(texts: Sequence[str], names: Sequence[str] | None = None) -> tup
     for scene in scenes:
         if not _NAME.fullmatch(scene.name):
             fix = "Give names of letters, digits and - with --names."
-            raise PlgsError(f"{scene.name!r} cannot be a scene's name", scene.folder, fix)
+            raise PlgsError("scene-unnamable", f"{scene.name!r} cannot be a scene's name", scene.folder, fix)
         if scene.name.casefold() in known:  # on some disks Office and office are the same folder
-            raise PlgsError(f"two scenes are called {scene.name}", scene.folder, "Give other names with --names.")
+            what = f"two scenes are called {scene.name}"
+            raise PlgsError("names-clash", what, scene.folder, "Give other names with --names.")
         known.add(scene.name.casefold())
     return tuple(scenes)
 
@@ -56,17 +58,18 @@ def _matching(text: str) -> list[str]:
     axis = text[len(match["folder"]) :]
     found = sorted(folder for folder in glob(match["folder"]) if Path(folder).is_dir())
     if not found:
-        raise PlgsError("no folder matches the pattern", text, "Name folders of scenes, or another pattern.")
+        what = "no folder matches the pattern"
+        raise PlgsError("no-match", what, text, "Name folders of scenes, or another pattern.")
     return [folder + axis for folder in found]
 
 
 def _scene(text: str) -> SceneToLift:
     match = _SCENE.fullmatch(text)
     if match is None:
-        raise PlgsError("is not a scene", repr(text), "Give the scene's folder.")
+        raise PlgsError("not-scene", "is not a scene", repr(text), "Give the scene's folder.")
     up = match["up"] if match["up"] is not None else "auto"
     if up not in UP_OPTIONS:
         fix = f"Write SCENE:up= and one of {', '.join(UP_OPTIONS)}."
-        raise PlgsError(f"{up!r} is not an axis that can point up", text, fix)
+        raise PlgsError("not-axis", f"{up!r} is not an axis that can point up", text, fix)
     folder = Path(match["folder"]).resolve()
     return SceneToLift(folder.name, folder, UP_OPTIONS[up])

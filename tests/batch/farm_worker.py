@@ -29,7 +29,7 @@ STEPS, STEP_S, PAUSE_AFTER = 60, 0.03, 10
 
 def lift(folder: LiftFolder, events: EventWriter, stop: StopSignal, *, resume: bool) -> None:
     if (folder.request.scene / "dark").exists():
-        raise PlgsError("is too dark", folder.request.scene, "Switch the light on.")
+        raise PlgsError("made-up", "is too dark", folder.request.scene, "Switch the light on.")
     events.stage("train", 1, 2, "Training")
     checkpoint = folder.checkpoints.latest() if resume else None
     step = 0 if checkpoint is None else int(str(checkpoint.state["step"]))
@@ -55,7 +55,7 @@ def pretend(kind: str) -> None:
         return [sys.executable, Path(__file__), "lift", lift, *(["--resume"] if resume else [])]
 
     def full(*_: object) -> object:
-        raise PlgsError("the disk is full", "/scratch", "Make room there.", code=ErrorCode.DISK_FULL)
+        raise PlgsError("made-up", "the disk is full", "/scratch", "Make room there.", code=ErrorCode.DISK_FULL)
 
     started = piece._started
     piece._started = lambda each, variables: started(each, variables) if each.kind is piece.Kind.LIFT else None

@@ -19,6 +19,7 @@ from engine.job.terminal import Interrupted
 from engine.machine.code_digest import code_digest
 from tests.batch import farm_worker
 from tests.batch.farm import Farm, hellos, in_the_middle, meanwhile, pause, plan_of, rows_of, run
+from tests.raises_key import worded
 from tests.tiny_scene import write_tiny_scene
 from tests.waiting import PATIENCE_S
 
@@ -183,4 +184,4 @@ def test_from_the_command_line_on_this_machine(tmp_path: Path, root: Path) -> No
         "scene": "mean", "state": "", "seconds": "", "code": "",
     }  # fmt: skip
     assert rows[0]["code"] == code_digest("engine")
-    assert "no scene of a known format" in rows[1]["reason"]
+    assert worded("no-format").search(rows[1]["reason"])

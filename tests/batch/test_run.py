@@ -19,6 +19,7 @@ from engine.job.lock import FileLock
 from engine.scene import open_scene
 from engine.scene_of_lift import remember_scene
 from tests.job.following import FAKE, command_after_another
+from tests.raises_key import worded
 from tests.tiny_scene import write_tiny_scene
 from tests.waiting import PATIENCE_S
 
@@ -133,7 +134,7 @@ def test_a_piece_follows_its_worker_to_a_new_address(tmp_path: Path, monkeypatch
     del batch.farm.there["three"]
     batch.look()
     batch.look(run.RETURN_S + 2.0)
-    assert "no worker can do it" in batch.rows["a"].reason
+    assert worded("no-fit-worker").search(batch.rows["a"].reason)
 
 
 def test_a_line_says_that_no_worker_is_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -161,7 +162,7 @@ def test_when_no_fit_worker_is_left_all_pieces_of_the_scene_are_withdrawn(
     batch.look()
     batch.look(run.RETURN_S + 2.0)
     reason = batch.rows["a"].reason
-    assert "no worker can do it" in reason and not batch.batch._out and not batch.batch._pins
+    assert worded("no-fit-worker").search(reason) and not batch.batch._out and not batch.batch._pins
     assert ".." not in reason, "the sentence of each worker ends once"
 
 
@@ -247,6 +248,6 @@ def test_a_finished_lift_is_lifted_again_when_its_masks_have_changed(
 
 
 def test_an_error_crosses_processes() -> None:
-    error = PlgsError("is dark", "room", "Add light.", code=ErrorCode.NO_MASKS, option="--masks")
+    error = PlgsError("made-up", "is dark", "room", "Add light.", code=ErrorCode.NO_MASKS, option="--masks")
     again = pickle.loads(pickle.dumps(error))
     assert str(again) == str(error) and vars(again) == vars(error)

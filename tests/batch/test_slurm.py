@@ -16,11 +16,12 @@ pytest.importorskip("dask_jobqueue", reason="dask-jobqueue is not installed: pyt
 # ruff: noqa: E402 - without it the rest is not tested
 from engine.batch.cluster import Place, Tls, slurm_cluster
 from engine.batch.piece import engine_tag
-from engine.errors import ExitCode, PlgsError
+from engine.errors import ExitCode
 from engine.job import EventWriter, LiftFolder, StopSignal
 from tests.batch.farm import plan_of, rows_of, run
 from tests.batch.test_cluster import certificates
 from tests.job.lift_folders import tiny_lift
+from tests.raises_key import raises_key
 
 SBATCH = """#!/bin/sh
 cp "$1" {folder}/job.sh  # as Slurm does
@@ -61,7 +62,7 @@ def test_the_job_script(slurm: Path, root: Path) -> None:
 
 def test_no_slurm(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setenv("PATH", str(tmp_path))
-    with pytest.raises(PlgsError, match="Slurm is not installed here"):
+    with raises_key("no-slurm"):
         slurm_cluster(Place(2, "", {}))
 
 

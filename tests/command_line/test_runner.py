@@ -24,6 +24,7 @@ from engine.job.process import engine_call
 from engine.job.task import TaskPlace, TaskState
 from tests.job.following import follow
 from tests.job.lift_folders import new_lift, tiny_lift
+from tests.raises_key import raises_key, worded
 from tests.tiny_scene import write_tiny_scene
 
 
@@ -69,7 +70,7 @@ def test_an_error_of_several_lines_is_cut_to_one_and_the_log_has_the_rest(tmp_pa
         try:
             raise ValueError("Error(s) in loading\n\tsize mismatch for one\n\tsize mismatch for two")
         except ValueError as error:
-            raise PlgsError(f"the model cannot be read ({error})", "model.pt", "Lift again.") from error
+            raise PlgsError("made-up", f"the model cannot be read ({error})", "model.pt", "Lift again.") from error
 
     with FileLock(place.events), output_to(place.log):
         assert run_at(Command("lift", work), place, terminal) is ExitCode.BAD_INPUT
@@ -90,7 +91,7 @@ def test_only_one_process_at_a_time_uses_a_place(tmp_path: Path, capsys: pytest.
     place = TaskPlace.at(tmp_path / "events.jsonl")
     with FileLock(place.events):
         assert main(["handshake", "--events", str(place.events)]) == ExitCode.BUSY
-    assert "at work" in capsys.readouterr().err
+    assert worded("at-work").search(capsys.readouterr().err)
     assert main(["handshake", "--events", str(place.events)]) == 0
     (answer,) = (event.data["answer"] for event in last_run(place.events) if event.kind == "answer")
     assert isinstance(answer, dict) and answer["python"] == sys.version.split()[0]
@@ -142,8 +143,8 @@ def test_a_disk_that_fails_as_a_file_is_flushed_is_a_line_that_names_the_file(
 
 
 def test_an_error_message_omits_empty_parts() -> None:
-    assert str(PlgsError("no engine", "", "")) == "no engine"
-    assert PlgsError("a", "b", "c", code=ErrorCode.BUSY).exit_code is ExitCode.BUSY
+    assert str(PlgsError("made-up", "no engine", "", "")) == "no engine"
+    assert PlgsError("made-up", "a", "b", "c", code=ErrorCode.BUSY).exit_code is ExitCode.BUSY
 
 
 def raising(error: BaseException) -> object:
@@ -177,8 +178,12 @@ def test_a_lift_that_works(tmp_path: Path, capfd: pytest.CaptureFixture[str]) ->
 @pytest.mark.parametrize(
     ("error", "code", "told"),
     [
-        (PlgsError("is 8-bit", "/a/depth.png", "Write 16 bits."), 2, "is 8-bit: /a/depth.png. Write 16 bits."),
-        (PlgsError("is damaged", "/a", "Delete it."), 2, "is damaged: /a. Delete it."),
+        (
+            PlgsError("made-up", "is 8-bit", "/a/depth.png", "Write 16 bits."),
+            2,
+            "is 8-bit: /a/depth.png. Write 16 bits.",
+        ),
+        (PlgsError("made-up", "is damaged", "/a", "Delete it."), 2, "is damaged: /a. Delete it."),
         (MemoryError(), 1, "memory ran out"),
         (ValueError("first line\nsecond"), 1, "ValueError: first line)"),
         (ModuleNotFoundError("No module named 'torch'"), 1, "make set-up"),
@@ -226,7 +231,7 @@ def test_resume_starts_a_new_lift_and_leaves_a_finished_one(tmp_path: Path, capf
     before = folder.events_path.read_bytes()
     assert run_engine(folder, resume=True, lift=raising(ValueError())) is ExitCode.FINISHED  # type: ignore[arg-type]
     assert "finished already" in capfd.readouterr().out
-    with pytest.raises(PlgsError, match="finished"):
+    with raises_key("lift-begun"):
         run_engine(folder, lift=tiny_lift)
     assert folder.events_path.read_bytes() == before
 

@@ -15,6 +15,7 @@ from engine.diagnosis.findings import Diagnosis, Mending
 from engine.diagnosis.reprojection import Assumption
 from engine.errors import PlgsError
 from engine.scene import Scene, open_scene
+from tests.raises_key import raises_key
 from tests.tiny_scene import write_tiny_scene
 
 
@@ -73,7 +74,7 @@ def test_segments_that_may_be_several_objects_stay_so(tmp_path: Path) -> None:
 
 def test_a_folder_that_exists_is_refused(scene: Scene, tmp_path: Path) -> None:
     (tmp_path / "out").mkdir()
-    with pytest.raises(PlgsError, match="exists"):
+    with raises_key("exists"):
         write_mended(scene, treated(scene, Mending(Assumption(unit=2.0))), tmp_path / "out")
     assert main(["inspect", str(scene.folder), "--fix", str(tmp_path / "out")]) == 2
 

@@ -145,6 +145,6 @@ def test_a_plot_label_is_not_a_formula(tmp_path: Path) -> None:
 
 def test_an_error_of_many_lines_is_shortened() -> None:
     said = "Error(s) in loading:\n\t" + "\n\t".join(f"size mismatch for layer.{i}" for i in range(100))
-    error = PlgsError(f"the model cannot be read ({said})", "model", "Lift again.")
+    error = PlgsError("made-up", f"the model cannot be read ({said})", "model", "Lift again.")
     assert error.what.isprintable() and len(error.what) == 600 and "Error(s) in loading: size mismatch" in error.what
     assert str(error) == f"{error.what}: model. Lift again."

@@ -32,7 +32,7 @@ class Pretence:
         print("python talks")
         os.write(1, b"native code talks\n")
         if self.behaviour == "bad input":
-            raise PlgsError("is too dark", folder.request.scene, "Switch the light on.")
+            raise PlgsError("made-up", "is too dark", folder.request.scene, "Switch the light on.")
         events.stage("train", 1, 2, "Training")
         checkpoint = folder.checkpoints.latest() if resume else None
         step = 0 if checkpoint is None else int(str(checkpoint.state["step"]))

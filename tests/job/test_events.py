@@ -37,7 +37,7 @@ def test_it_writes_what_the_contract_says(tmp_path: Path) -> None:
     writer.preview(tmp_path / "result" / "previews" / "a.png")
     writer.artifact(Path("/elsewhere/b.exr"), "pass")
     writer.warning("dark")
-    writer.error(PlgsError("is bad", tmp_path, "Mend it."))
+    writer.error(PlgsError("made-up", "is bad", tmp_path, "Mend it."))
     writer.done("finished")
     written = lines(path)
     assert [entry.pop("seq") for entry in written] == list(range(1, 10))
@@ -49,7 +49,7 @@ def test_it_writes_what_the_contract_says(tmp_path: Path) -> None:
     assert written[3] == {"event": "metric", "name": "lifted", "values": {"miou": 0.5, "psnr": None}}
     assert written[4] == {"event": "preview", "path": "result/previews/a.png"}
     assert written[5] == {"event": "artifact", "path": "/elsewhere/b.exr", "kind": "pass"}
-    error = {"what": "is bad", "where": str(tmp_path), "fix": "Mend it."}
+    error = {"key": "made-up", "what": "is bad", "where": str(tmp_path), "fix": "Mend it."}
     assert written[7] == {"event": "error", **error, "code": "bad-input", "option": "", "exit_code": 2}
     assert written[8]["event"] == "done" and written[8]["state"] == "finished"
 
@@ -172,7 +172,7 @@ def test_the_end_of_a_run_is_read_from_the_end(tmp_path: Path) -> None:
     path = tmp_path / "events.jsonl"
     assert last_events(path) == []
     writer = a_long_run(path)
-    writer.error(PlgsError("broke", "here", "Mend it."))
+    writer.error(PlgsError("made-up", "broke", "here", "Mend it."))
     assert last_events(path)[-1].kind == "error" and len(last_events(path)) < 200
     writer.hello(threads=1, resumed=True)
     writer.warning("again")
@@ -221,7 +221,7 @@ def test_a_full_disk_leaves_no_half_line_that_swallows_the_next(
     with pytest.raises(OSError):
         writer.warning("x" * 200)
     room[0] = 10_000
-    writer.error(PlgsError("the disk is full", "there", "Make room."))
+    writer.error(PlgsError("made-up", "the disk is full", "there", "Make room."))
     assert [(event.seq, event.kind) for event in last_events(path)] == [(1, "error")]
     # the half of a line cannot be taken back: the next begins again
     monkeypatch.setattr(os, "ftruncate", into_what_is_left)
@@ -229,7 +229,7 @@ def test_a_full_disk_leaves_no_half_line_that_swallows_the_next(
     with pytest.raises(OSError):
         writer.warning("x" * 200)
     room[0] = 10_000
-    writer.error(PlgsError("the disk is full", "there", "Make room."))
+    writer.error(PlgsError("made-up", "the disk is full", "there", "Make room."))
     assert [(event.seq, event.kind) for event in last_events(path)] == [(1, "error"), (2, "error")]
 
 
@@ -335,7 +335,7 @@ def test_a_lift_survives_a_disk_that_does_not_answer_for_a_moment(
         assert not watcher.poll()
         now[0] += 100.0
         assert watcher.poll() and watcher.state is TaskState.FAILED
-        assert "can no longer be followed" in str(watcher.error)
+        assert watcher.error.key == "unfollowed"
 
 
 def test_the_last_lines_that_say_something(tmp_path: Path) -> None:

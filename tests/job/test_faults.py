@@ -127,7 +127,7 @@ def test_events(rounds: Rounds, request: pytest.FixtureRequest) -> None:
                 told.append(step)
             except OSError:
                 continue
-        writer.error(PlgsError("broke", "here", "Mend it.", code=ErrorCode.INTERNAL))
+        writer.error(PlgsError("made-up", "broke", "here", "Mend it.", code=ErrorCode.INTERNAL))
 
     def earlier(folder: Path) -> None:
         EventWriter(folder / "events.jsonl").hello(threads=1, resumed=False)

@@ -11,6 +11,7 @@ import pytest
 from engine.errors import PlgsError
 from engine.job import EventWriter, LiftFolder, LiftRequest, LiftState, StopSignal
 from tests.job.lift_folders import new_lift, tiny_lift
+from tests.raises_key import raises_key
 
 
 def run_tiny(folder: LiftFolder) -> None:
@@ -37,12 +38,12 @@ def test_it_takes_an_empty_folder_even_after_a_kill_in_create(tmp_path: Path) ->
 def test_it_never_takes_over_a_folder(tmp_path: Path) -> None:
     folder = new_lift(tmp_path)
     before = (folder.path / "request.json").read_bytes()
-    with pytest.raises(PlgsError, match="already holds a lift.*--resume"):
+    with raises_key("holds-lift --resume"):
         LiftFolder.create(folder.path, LiftRequest(scene=tmp_path, seed=9))
     assert (folder.path / "request.json").read_bytes() == before
     (tmp_path / "photos").mkdir()
     (tmp_path / "photos" / "cat.jpg").write_bytes(b"cat")
-    with pytest.raises(PlgsError, match=r"'cat\.jpg'"):
+    with raises_key("folder-used cat.jpg"):
         new_lift(tmp_path, "photos")
     assert [path.name for path in (tmp_path / "photos").iterdir()] == ["cat.jpg"]
     (tmp_path / "file").write_bytes(b"")
@@ -54,7 +55,7 @@ def test_it_never_takes_over_a_folder(tmp_path: Path) -> None:
 @pytest.mark.skipif(os.name == "nt" or os.geteuid() == 0, reason="root may write everywhere")
 def test_it_says_when_it_may_not_write(tmp_path: Path) -> None:
     tmp_path.chmod(0o500)
-    with pytest.raises(PlgsError, match="cannot be written"):
+    with raises_key("unwritable"):
         new_lift(tmp_path)
 
 
@@ -76,7 +77,7 @@ def test_the_state_is_what_happened(tmp_path: Path) -> None:
     assert state() is LiftState.NOT_STARTED
     events.hello(threads=1, resumed=False)
     assert state() is LiftState.INTERRUPTED
-    events.error(PlgsError("broke", "here", "Mend it."))
+    events.error(PlgsError("made-up", "broke", "here", "Mend it."))
     assert state() is LiftState.FAILED and folder.last_exit_code() == 2
     events.done("cancelled")  # an engine that was asked to stop while it failed
     assert state() is LiftState.FAILED
@@ -137,7 +138,7 @@ def test_it_discards_only_what_was_never_started(tmp_path: Path) -> None:
     running = new_lift(tmp_path, "running")
     with running.lock():
         for folder in (done, begun, running):
-            with pytest.raises(PlgsError, match="holds finished work|is at work"):
+            with raises_key("at-work|finished-work"):
                 folder.discard()
             assert (folder.path / "request.json").exists()
     kept = new_lift(tmp_path, "kept")
@@ -158,5 +159,5 @@ def test_paths_that_no_folder_can_have(tmp_path: Path) -> None:
 def test_a_folder_in_place_of_the_events_is_reported(tmp_path: Path) -> None:
     lift = new_lift(tmp_path)
     lift.events_path.mkdir()
-    with pytest.raises(PlgsError, match=r"cannot be opened.*events\.jsonl"):
+    with raises_key("unopenable events.jsonl"):
         lift.state()

@@ -19,6 +19,7 @@ from engine.job import BakeLocks, LiftState, lock
 from engine.job.lock import FileLock, is_locked
 from engine.job.system import OPEN_FILES_KEEP_NAMES
 from tests.job.lift_folders import new_lift
+from tests.raises_key import raises_key
 
 posix = pytest.mark.skipif(sys.platform == "win32", reason="POSIX signals")
 HOLDER = """
@@ -87,7 +88,7 @@ def test_a_disk_without_locks_is_refused_in_one_line(
 
     monkeypatch.setattr(lock, "try_lock", fail)
     for use in (lambda: lift.lock().__enter__(), lift.state, BakeLocks(lift.path).__enter__):
-        with pytest.raises(PlgsError, match="cannot lock files") as refused:
+        with raises_key("no-file-locks") as refused:
             use()
         assert "NFS 4" in refused.value.fix and "\n" not in str(refused.value)
 

@@ -12,6 +12,7 @@ import pytest
 
 from engine.errors import PlgsError
 from engine.job import LiftFolder, LiftRequest
+from tests.raises_key import raises_key
 
 FULL = LiftRequest(
     scene=Path("/scenes/room"),
@@ -53,53 +54,51 @@ def test_it_has_the_documented_form() -> None:
 @pytest.mark.parametrize(
     ("change", "told"),
     [
-        ({"format": 2}, "format 2"),
-        ({"format": None}, "format None"),
-        ({"colour": 1}, "'colour'"),
-        ({"blocks": 3}, "with --blocks"),
-        ({"blocks": 3, "block": 1}, "with --block"),
-        ({"overrides": {"step": 3}}, "'step'"),
-        ({"overrides": [1]}, "'overrides'"),
-        ({"overrides": {"weights.dept": 0}}, "weights.depth"),
-        ({"overrides": {"objects": "box"}}, "boxes"),
-        ({"overrides": {"steps": "many"}}, "steps = 'many'"),
-        ({"overrides": {"steps": 0}}, "steps = 0"),
-        ({"overrides": {"steps": True}}, "steps = True"),
-        ({"overrides": {"rates.feature": [1, 1]}}, "'rates.feature'"),
-        ({"overrides": {"frames": -1}}, "frames = -1"),
-        ({"overrides": {"frames": "all"}}, "frames = 'all'"),
-        ({"overrides": {"fit": 1}}, "'fit' has to be true or false, not 1"),
-        ({"overrides": {"size": [64]}}, "size = [64]"),
-        ({"overrides": {"size": [64, 4.5]}}, "4.5"),
-        ({"overrides": {"size": "64x48x3"}}, "size = '64x48x3'"),
-        ({"overrides": {"size": [8, 48]}}, "size = [8, 48]"),
-        ({"seed": -1}, "'seed' has to be a whole number from 0 to 4294967295, not -1"),
-        ({"seed": 2**32}, "seed"),
-        ({"seed": None}, "not null"),
-        ({"scene": 5}, "'scene'"),
-        ({"scene": "relative"}, "'scene'"),
-        ({"masks": 5}, "'masks'"),
-        ({"preset": "best"}, "preview, standard, paper"),
-        ({"preset": None}, "'preset'"),
-        ({"up": "x"}, "z, y, -y"),
-        ({"scene_format": 5}, "'scene_format'"),
-        ({"depth": 5}, "'depth'"),
-        ({"mask_format": 5}, "'mask_format'"),
-        ({"classes": ["coco"]}, "'classes'"),
-        ({"depth": "relative"}, "'depth'"),
-        ({"bake": "some"}, "test, all, none"),
-        ({"device": "tpu"}, "cpu, cuda"),
-        ({"device": 0}, "'device'"),
-        ({"engine_version": 1}, "'engine_version'"),
+        ({"format": 2}, "other-format"),
+        ({"format": None}, "other-format None"),
+        ({"colour": 1}, "unknown-field"),
+        ({"blocks": 3}, "option-gone --blocks"),
+        ({"blocks": 3, "block": 1}, "option-gone --block"),
+        ({"overrides": {"step": 3}}, "no-option step"),
+        ({"overrides": [1]}, "bad-overrides"),
+        ({"overrides": {"weights.dept": 0}}, "no-option weights.depth"),
+        ({"overrides": {"objects": "box"}}, "bad-value boxes"),
+        ({"overrides": {"steps": "many"}}, "bad-value steps many"),
+        ({"overrides": {"steps": 0}}, "bad-value steps"),
+        ({"overrides": {"steps": True}}, "bad-value steps"),
+        ({"overrides": {"rates.feature": [1, 1]}}, "no-option rates.feature"),
+        ({"overrides": {"frames": -1}}, "bad-value frames -1"),
+        ({"overrides": {"frames": "all"}}, "bad-value frames all"),
+        ({"overrides": {"fit": 1}}, "wrong-type fit true false"),
+        ({"overrides": {"size": [64]}}, "bad-value size"),
+        ({"overrides": {"size": [64, 4.5]}}, "bad-value 4.5"),
+        ({"overrides": {"size": "64x48x3"}}, "bad-value size 64x48x3"),
+        ({"overrides": {"size": [8, 48]}}, "bad-value size"),
+        ({"seed": -1}, "wrong-type seed 4294967295 -1"),
+        ({"seed": 2**32}, "wrong-type seed"),
+        ({"seed": None}, "wrong-type"),
+        ({"scene": 5}, "wrong-type scene"),
+        ({"scene": "relative"}, "relative scene"),
+        ({"masks": 5}, "wrong-type masks"),
+        ({"preset": "best"}, "wrong-type preview standard paper"),
+        ({"preset": None}, "wrong-type preset"),
+        ({"up": "x"}, "wrong-type -y"),
+        ({"scene_format": 5}, "wrong-type scene_format"),
+        ({"depth": 5}, "wrong-type"),
+        ({"mask_format": 5}, "wrong-type mask_format"),
+        ({"classes": ["coco"]}, "wrong-type classes"),
+        ({"depth": "relative"}, "relative"),
+        ({"bake": "some"}, "wrong-type test all none"),
+        ({"device": "tpu"}, "wrong-type cpu cuda"),
+        ({"device": 0}, "wrong-type device"),
+        ({"engine_version": 1}, "wrong-type engine_version"),
     ],
 )
 def test_it_refuses_bad_input(tmp_path: Path, change: dict[str, Any], told: str) -> None:
     path = tmp_path / "request.json"
     path.write_text(json.dumps(json.loads(FULL.to_json()) | change))
-    with pytest.raises(PlgsError) as caught:
+    with raises_key(f"{told} {path}") as caught:
         LiftRequest.read(path)
-    assert told in str(caught.value)
-    assert str(path) in str(caught.value)
     assert caught.value.fix.endswith(".")
 
 
@@ -107,7 +106,7 @@ def test_it_refuses_bad_input(tmp_path: Path, change: dict[str, Any], told: str)
 def test_it_refuses_what_is_not_a_request(tmp_path: Path, content: bytes) -> None:
     path = tmp_path / "request.json"
     path.write_bytes(content)
-    with pytest.raises(PlgsError, match=r"request\.json"):
+    with raises_key("* request.json"):
         LiftRequest.read(path)
 
 
@@ -123,11 +122,11 @@ def test_it_says_what_differs() -> None:
 def test_names_that_are_not_utf8_are_refused_at_once(tmp_path: Path) -> None:
     broken = Path(os.fsdecode(b"/tmp/r\xf6om"))
     for asked in ({"scene": broken}, {"scene": tmp_path, "masks": broken}, {"scene": tmp_path, "depth": broken}):
-        with pytest.raises(PlgsError, match=r"not UTF-8\): /tmp/r\?om\. Rename it") as refused:
+        with raises_key("name-not-utf8 /tmp/r?om") as refused:
             LiftRequest(**asked)
         str(refused.value).encode()
     for refuse in (lambda path: LiftFolder.create(path, LiftRequest(scene=tmp_path)), LiftFolder.open):
-        with pytest.raises(PlgsError, match="not UTF-8"):
+        with raises_key("name-not-utf8"):
             refuse(tmp_path / broken.name)
     assert not (tmp_path / broken.name).exists()
 

@@ -13,7 +13,6 @@ import torch
 from numba.core.dispatcher import Dispatcher
 
 from engine.command_line.run_engine import run_engine
-from engine.errors import PlgsError
 from engine.job import EventWriter, ExitCode, LiftFolder, LiftRequest, StopSignal
 from engine.lift import device, warm_up
 from engine.lift.device import refuse_missing_device
@@ -22,6 +21,7 @@ from engine.model.render import render_bands, render_view
 from engine.passes.baked_view import ShownInstances, bake_view
 from engine.raster import interface
 from engine.train.progress import StageReporter
+from tests.raises_key import raises_key
 from tests.raster.gsplat_in_torch import use_a_stand_in
 from tests.tiny_scene import write_tiny_scene
 from tests.train.tiny_lift import TINY, colour_error, trainer_of, views_of
@@ -55,13 +55,13 @@ def test_a_torch_for_cpus_is_told_from_a_computer_without_a_gpu(
     stages: StageReporter, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(torch.backends.cuda, "is_built", lambda: False)
-    with pytest.raises(PlgsError, match="torch is a build for CPUs: --device cuda. Make an engine with set-up"):
+    with raises_key("cpu-torch --device"):
         refuse_missing_device("cuda", stages)
 
 
 def test_without_gsplat_the_error_says_how_to_get_it(stages: StageReporter, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(device, "what_is_missing", lambda: "gsplat is not installed; install it")
-    with pytest.raises(PlgsError, match="gsplat is not installed; install it: --device cuda"):
+    with raises_key("gsplat-missing gsplat --device cuda"):
         refuse_missing_device("cuda", stages)
     refuse_missing_device("cpu", stages)
 
@@ -77,7 +77,7 @@ def test_a_gsplat_that_cannot_draw_is_found_before_any_work(
 
     monkeypatch.setattr(device, "what_is_missing", lambda: None)
     monkeypatch.setattr(device, "what_fails", compile_and_fail)
-    with pytest.raises(PlgsError, match="draw here .nvcc failed for cuda.: --device cuda. gsplat needs") as error:
+    with raises_key("gsplat-fails --device") as error:
         refuse_missing_device("cuda", stages)
     assert sys.executable in error.value.fix
     assert "compiles once" in told[0], "before that begins, as it takes minutes"

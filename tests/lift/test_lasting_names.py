@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 
 from engine.corrections import correct, making, read_corrected, read_edits, undo
-from engine.errors import PlgsError
 from engine.instances.records import SceneObject
 from engine.job import EventWriter, LiftFolder, LiftRequest, read_manifest, write_manifest
 from engine.lift import scene_files
@@ -21,6 +20,7 @@ from engine.passes.exr import read_exr
 from engine.result_files import SemanticPoints, read_arrays
 from engine.scene import Category, ClassTable, open_scene
 from tests.corrections.two_rooms import CRUMB, DESK, write_result
+from tests.raises_key import raises_key
 from tests.tiny_scene import CABINET, CHAIR, write_tiny_scene
 from tests.train.tiny_lift import TINY, lift_into, presets_as
 
@@ -141,10 +141,10 @@ def test_the_request_contains_it_and_the_events_count(lifts: tuple[LiftFolder, L
 
 
 def test_what_is_not_a_finished_lift_is_refused(tmp_path: Path, lifts: tuple[LiftFolder, LiftFolder]) -> None:
-    with pytest.raises(PlgsError, match="no such lift folder"):
+    with raises_key("no-lift-folder"):
         read_earlier(tmp_path / "nothing")
     other = LiftFolder.create(tmp_path / "begun", LiftRequest(scene=lifts[0].request.scene))
-    with pytest.raises(PlgsError, match="not finished"):
+    with raises_key("not-finished"):
         read_earlier(other.path)
 
 

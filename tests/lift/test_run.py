@@ -16,6 +16,7 @@ from engine.presets.preset import PRESETS
 from engine.scene import PanopticMask, Segment, load_view, open_scene
 from engine.train.progress import Course, StageReporter
 from engine.train.trainer import StepReport
+from tests.raises_key import raises_key
 from tests.tiny_scene import write_tiny_scene
 
 
@@ -71,7 +72,7 @@ def test_only_whole_states_are_stored(
     assert trainer.stored == stored
 
 
-@pytest.mark.parametrize(("depth", "label", "told"), [(0.0, 1, "no depth is left"), (1.0, 0, "nothing of the masks")])
+@pytest.mark.parametrize(("depth", "label", "told"), [(0.0, 1, "no-depth-left"), (1.0, 0, "no-masks-left")])
 def test_what_is_too_fine_for_the_size_is_refused(depth: float, label: int, told: str, tmp_path: Path) -> None:
     scene = open_scene(write_tiny_scene(tmp_path / "scene", frames=2))
     view = load_view(scene.train_frames[0], (4, 3))
@@ -79,7 +80,7 @@ def test_what_is_too_fine_for_the_size_is_refused(depth: float, label: int, told
     ids = np.full((3, 4), label, np.int32)
     mask = PanopticMask(ids, (Segment(1, 1, False),))
     bad = replace(view, depth=np.full((3, 4), depth, np.float32), mask=mask)
-    with pytest.raises(PlgsError, match=told):
+    with raises_key(told):
         run.refuse_empty([bad], scene)
 
 
@@ -95,7 +96,7 @@ def test_names_are_not_kept_if_no_objects_are_searched_for(tmp_path: Path) -> No
     request = LiftRequest(scene=tmp_path, names_from=tmp_path / "first", options={"objects": "none"})
     folder = LiftFolder.create(tmp_path / "lift", request)
     events = EventWriter(folder.events_path)
-    with pytest.raises(PlgsError, match="no objects whose names could be kept"):
+    with raises_key("names-of-no-objects"):
         run.run_lift(folder, events, StopSignal(folder.cancel_path), resume=False)
     events.close()
 

@@ -103,7 +103,7 @@ def test_without_objects_there_are_classes(tmp_path: Path) -> None:
 
 
 TRAINED_ON = 3
-BAD = "is not a picture", "masks/0002.png", "Mend it."
+BAD = "made-up", "is not a picture", "masks/0002.png", "Mend it."
 COARSE = replace(TINY, voxel_size=0.1)
 
 

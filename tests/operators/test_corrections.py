@@ -14,7 +14,6 @@ import bpy
 import numpy as np
 import pytest
 from plgs.engine.corrections import CORRECTIONS, correct, entropy_of_views, making, read_corrected, read_edits
-from plgs.engine.errors import PlgsError
 from plgs.engine.job import LiftFolder
 from plgs.engine.job.task import TaskProgress, TaskState
 from plgs.engine.result_files import write_arrays
@@ -23,6 +22,8 @@ from plgs.plgs_blender import correction_tools, corrections, engine_environment,
 from plgs.plgs_blender.correction_tools import Painting
 from plgs.plgs_blender.inspecting.selection import boxes_of, clouds_of, ids_of
 from plgs.plgs_blender.owned import lifts_in
+
+from tests.raises_key import raises_key, worded
 
 CHAIR, CABINET = 1, 2
 
@@ -112,7 +113,7 @@ def test_undo_after_the_file_was_saved_and_opened(root: bpy.types.Collection, tm
     assert names(again())[CHAIR] == "Throne"
     assert bpy.ops.plgs.undo_correction() == {"FINISHED"}
     assert names(again())[CHAIR] == "chair 1"
-    with pytest.raises(RuntimeError, match="no edit to undo"):
+    with pytest.raises(RuntimeError, match=worded("nothing-to-undo")):
         bpy.ops.plgs.undo_correction()
 
 
@@ -123,7 +124,7 @@ def test_a_dragged_plane_splits(root: bpy.types.Collection) -> None:
     parts = [number for number in names(root) if number not in (CHAIR, CABINET)]
     assert len(parts) == 1 and points_of(root, CABINET) + points_of(root, parts[0]) == count
     assert 0.2 < points_of(root, parts[0]) / count < 0.8 and "Cut" not in bpy.data.objects
-    with pytest.raises(RuntimeError, match="no cutting plane"):
+    with pytest.raises(RuntimeError, match=worded("no-plane")):
         bpy.ops.plgs.split_instance(instance=CABINET, by="CUT")
 
 
@@ -155,14 +156,14 @@ def test_points_in_a_region_become_a_new_object(root: bpy.types.Collection) -> N
 
 def test_what_cannot_be_done_is_a_one_line_error(root: bpy.types.Collection, mine: Path) -> None:
     calls = [
-        (lambda: bpy.ops.plgs.rename_instance(instance=77, name="x"), "no instance 77"),
-        (lambda: bpy.ops.plgs.reclass_instances(instances="1", class_name="ghost"), "no class ghost"),
-        (lambda: bpy.ops.plgs.merge_instances(instances="1"), "merged with itself"),
-        (lambda: bpy.ops.plgs.merge_instances(instances="a b"), "does not name objects"),
-        (lambda: bpy.ops.plgs.assign_points(to="CLASS", class_name="chair", region="none"), "no such object"),
+        (lambda: bpy.ops.plgs.rename_instance(instance=77, name="x"), "no-object 77"),
+        (lambda: bpy.ops.plgs.reclass_instances(instances="1", class_name="ghost"), "no-class ghost"),
+        (lambda: bpy.ops.plgs.merge_instances(instances="1"), "merge-one"),
+        (lambda: bpy.ops.plgs.merge_instances(instances="a b"), "not-objects"),
+        (lambda: bpy.ops.plgs.assign_points(to="CLASS", class_name="chair", region="none"), "no-object"),
     ]
     for call, line in calls:
-        with pytest.raises(RuntimeError, match=line):
+        with pytest.raises(RuntimeError, match=worded(line)):
             call()
     assert not (mine / CORRECTIONS).exists()
     (mine / CORRECTIONS).write_text(json.dumps({"format": 9, "edits": []}))
@@ -188,7 +189,7 @@ def test_strokes_rectangles_and_erasing() -> None:
     one.move((150.0, 50.0))  # without the button
     one.release(to_view, (200, 100))
     assert one.choose(xyz).tolist() == [True, False, True]
-    with pytest.raises(PlgsError, match="points have changed"):
+    with raises_key("points-changed"):
         one.choose(xyz[:2])
 
 
@@ -197,7 +198,7 @@ def test_proposals_are_answered_one_by_one(root: bpy.types.Collection, mine: Pat
     for segment in content["instances"][1]["segments"]:
         segment["class_id"] = content["instances"][0]["class_id"]
     (mine / "result" / "instances.json").write_text(json.dumps(content))
-    with pytest.raises(RuntimeError, match="[Nn]othing is proposed"):
+    with pytest.raises(RuntimeError, match=worded("no-proposal")):
         bpy.ops.plgs.answer_proposal()
     assert bpy.ops.plgs.propose_corrections() == {"FINISHED"}
     (one,), progress = corrections.kept_proposals(root)
@@ -251,7 +252,7 @@ def test_masks_split_what_was_merged(
     bpy.ops.ed.undo()
     assert [*boxes_of(again())] == [CABINET] and [edit.undone for edit in read_edits(mine)] == [False, True]
     bpy.ops.ed.redo()
-    with pytest.raises(RuntimeError, match="does not fall into parts"):
+    with pytest.raises(RuntimeError, match=worded("split-one-part")):
         bpy.ops.plgs.split_by_views(instance=new_id(again()))
     registry.forget_all()
 

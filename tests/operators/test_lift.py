@@ -17,6 +17,7 @@ from plgs.plgs_blender import engine_environment, registry
 from plgs.plgs_blender.running import lifts, survey
 
 from tests.job.following import bytes_read
+from tests.raises_key import worded
 
 ENGINE = Path(__file__).resolve().parents[1] / "job" / "fake_engine.py"
 Behaves = Callable[[str], None]
@@ -75,7 +76,7 @@ def test_resuming(behaves: Behaves, room: Path, tmp_path: Path) -> None:
         bpy.ops.plgs.lift_scene(scene_folder=str(room), lift_folder=str(tmp_path / "lift"))
     behaves("short")
     assert bpy.ops.plgs.resume_lift(lift_folder=str(tmp_path / "lift")) == {"FINISHED"}
-    with pytest.raises(RuntimeError, match="cannot be resumed: it is finished"):
+    with pytest.raises(RuntimeError, match=worded("not-resumable finished")):
         bpy.ops.plgs.resume_lift()
 
 
@@ -99,7 +100,7 @@ def test_a_lift_without_its_scene_is_placed_and_finds_it(lift: Path, tmp_path: P
 
 
 def test_a_bad_scene_leaves_no_folder(tmp_path: Path) -> None:
-    with pytest.raises(RuntimeError, match="[Nn]o scene of a known format"):
+    with pytest.raises(RuntimeError, match=worded("no-format")):
         bpy.ops.plgs.lift_scene(scene_folder=str(tmp_path), lift_folder=str(tmp_path / "lift"))
     assert not (tmp_path / "lift").exists()
 
@@ -149,7 +150,7 @@ def test_opening_a_file_reads_no_path_of_somebody_else(
     looked.clear()
     reopen_with(theirs, tmp_path)
     assert lifts.lift_of(theirs) is None and lifts.refusal_of(theirs) is None and looked == []
-    with pytest.raises(RuntimeError, match="[Nn]either a file nor a folder of a lift"):
+    with pytest.raises(RuntimeError, match=worded("foreign-file")):
         bpy.ops.plgs.watch_lift()
 
 
@@ -171,9 +172,9 @@ def reopen_with(folder: Path, tmp_path: Path) -> None:
 
 
 def test_cancelling_what_is_not_running_says_so(lift: Path) -> None:
-    with pytest.raises(RuntimeError, match="[Nn]o lift is chosen"):
+    with pytest.raises(RuntimeError, match=worded("no-lift")):
         bpy.ops.plgs.cancel_lift()
-    with pytest.raises(RuntimeError, match="is not running: it is finished"):
+    with pytest.raises(RuntimeError, match=worded("not-running finished")):
         bpy.ops.plgs.cancel_lift(lift_folder=str(lift))
     assert not (lift / "cancel").exists()
 
@@ -182,7 +183,7 @@ def test_a_folder_that_a_script_names_is_never_replaced(behaves: Behaves, room: 
     behaves("short")
     bpy.context.scene.plgs.place_when_done = False
     bpy.ops.plgs.lift_scene(scene_folder=str(room), lift_folder=str(tmp_path / "lift"))
-    with pytest.raises(RuntimeError, match="already holds a lift"):
+    with pytest.raises(RuntimeError, match=worded("holds-lift")):
         bpy.ops.plgs.lift_scene(lift_folder=str(tmp_path / "lift"))
 
 

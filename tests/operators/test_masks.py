@@ -12,7 +12,6 @@ import bpy
 import cv2
 import numpy as np
 import pytest
-from plgs.engine.errors import PlgsError
 from plgs.plgs_blender import engine_environment, registry
 from plgs.plgs_blender.running.diagnosis import Diagnosis, diagnose, diagnosis_of, leave_out
 from plgs.plgs_blender.running.preparation import MaskMaking
@@ -20,6 +19,7 @@ from plgs.plgs_blender.settings import chosen_scene
 from tiny_scene import write_tiny_scene
 
 from engine.scene import open_scene
+from tests.raises_key import raises_key, worded
 
 HAS_TRANSFORMERS = all(importlib.util.find_spec(name) for name in ("torch", "transformers"))
 
@@ -61,7 +61,7 @@ def test_a_file_that_the_blend_names_is_not_overwritten(folder: Path, tmp_path: 
     other = tmp_path / "of_the_user.txt"
     other.write_text("mine")
     bpy.context.scene.plgs_masks.path = str(other)
-    with pytest.raises(RuntimeError, match=r"[Tt]he list is of another scene.*Read the classes again"):
+    with pytest.raises(RuntimeError, match=worded("other-scene")):
         bpy.ops.plgs.write_classes()
     assert other.read_text() == "mine"
 
@@ -71,14 +71,14 @@ def test_what_is_not_a_list_of_classes_is_not_replaced(folder: Path, tmp_path: P
     bpy.ops.plgs.read_classes()
     target = Path(bpy.context.scene.plgs_masks.path)
     target.symlink_to(tmp_path / "elsewhere")
-    with pytest.raises(RuntimeError, match="[Aa] link or a folder, not a file"):
+    with pytest.raises(RuntimeError, match=worded("not-a-file")):
         bpy.ops.plgs.write_classes()
     assert target.is_symlink()
 
 
 def test_a_missing_model_is_reported(bare: Path) -> None:
     bpy.context.scene.plgs.scene_folder = str(bare)
-    with pytest.raises(RuntimeError, match="[Nn]o such folder or model: nowhere"):
+    with pytest.raises(RuntimeError, match=worded("no-model nowhere")):
         bpy.ops.plgs.make_masks(model="nowhere")
     making, settings = registry.latest(MaskMaking), bpy.context.scene.plgs
     assert making is not None and not making.is_running and making.error is not None
@@ -165,7 +165,7 @@ def test_frames_of_a_finding_are_gone_to_and_left_out(tmp_path: Path) -> None:
     path.write_bytes(later := yours + b"\n")
     _, second = leave_out(again, replace(finding, leave_out=()))
     assert second == folder / "splits.before_2.json" and second.read_bytes() == later and kept.read_bytes() == yours
-    with pytest.raises(PlgsError, match="no frame to train on"):
+    with raises_key("no-training-frame"):
         leave_out(again, replace(finding, leave_out=(*again.split.train, *again.split.test)))
 
 

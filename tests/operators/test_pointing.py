@@ -87,7 +87,7 @@ def cabinet_stays(monkeypatch: pytest.MonkeyPatch) -> None:
 
     def one_only(state: object, number: int) -> object:
         if number == CABINET:
-            raise PlgsError("the disk is full", "corrections.json", "Make room.")
+            raise PlgsError("made-up", "the disk is full", "corrections.json", "Make room.")
         return delete(state, number)
 
     delete = corrections.making.delete

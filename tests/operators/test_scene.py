@@ -17,6 +17,7 @@ from plgs.plgs_blender.running.survey import SceneLook, Survey, look, possibilit
 from plgs.plgs_blender.settings import chosen_scene
 from plgs.ui import overlay
 
+from tests.raises_key import worded
 from tests.scene.formats.test_colmap import write_text
 
 
@@ -95,7 +96,7 @@ def test_the_panel_says_what_is_possible(room: Path, tmp_path: Path) -> None:
     assert found["Lift"].why == "there are no depth and no masks: give depth maps and give or make masks below"
     with bpy.context.temp_override(plgs_panel=settings):
         assert bpy.ops.plgs.import_scene.poll() and not bpy.ops.plgs.lift_scene.poll()
-    with pytest.raises(RuntimeError, match="[Tt]he scene has no depth"):
+    with pytest.raises(RuntimeError, match=worded("no-depth")):
         bpy.ops.plgs.lift_scene(lift_folder=str(tmp_path / "lift"))
     assert not (tmp_path / "lift").exists()
 

@@ -25,6 +25,8 @@ from plgs.plgs_blender.results import MOST_INSTANCES, read_result, reading_insta
 from plgs.plgs_blender.viewport import all_views
 from tiny_lift import mend_manifest, write_tiny_lift
 
+from tests.raises_key import raises_key
+
 
 @pytest.mark.parametrize("content", [b"\0", b"v/1\x01\2\0\0\0channels\0chlist"])
 def test_broken_passes_change_nothing(tmp_path: Path, content: bytes) -> None:
@@ -32,7 +34,7 @@ def test_broken_passes_change_nothing(tmp_path: Path, content: bytes) -> None:
     path = next((lift / "result" / "passes").iterdir())
     path.write_bytes(content.ljust(path.stat().st_size, b"\0"))
     before = contents()
-    with pytest.raises(PlgsError, match=path.name):
+    with raises_key(f"file-changed {path.name}"):
         lift_scene.place_lift(lift, bpy.context.scene)
     assert contents() == before
 
@@ -75,8 +77,8 @@ def test_endless_brackets_change_nothing(lift: Path, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("xyz", "message"),
     [
-        (lambda xyz: np.full_like(xyz, 3e38), "semantic_points.npz"),
-        (lambda xyz: np.zeros((30_000_000, 3), np.float32), "would unpack to"),
+        (lambda xyz: np.full_like(xyz, 3e38), "positions semantic_points.npz"),
+        (lambda xyz: np.zeros((30_000_000, 3), np.float32), "array-too-large"),
     ],
     ids=["absurd", "gigabytes"],
 )
@@ -104,11 +106,11 @@ def test_corruption_is_a_one_line_error_and_changes_nothing(
     shutil.copytree(lift, tmp_path / "lift")
     path, before = tmp_path / "lift" / "result" / name, contents()
     path.write_bytes(spoil(path.read_bytes()))
-    with pytest.raises(PlgsError, match=f"was changed since it was written: .*{path.name}"):
+    with raises_key(f"file-changed {path.name}"):
         lift_scene.place_lift(tmp_path / "lift", bpy.context.scene)
     assert contents() == before
     if path.suffix != ".exr":  # that one is Blender's to read: its header is looked at, see above
-        refuses(tmp_path / "lift", path.name)
+        refuses(tmp_path / "lift", f"array-unreadable|instances-damaged {path.name}")
 
 
 def test_passes_that_the_manifest_does_not_list_are_not_opened(lift: Path, tmp_path: Path) -> None:
@@ -121,13 +123,13 @@ def with_instances(lift: Path, folder: Path, text: str) -> None:
     """A copy of the lift with this instances.json is refused."""
     shutil.copytree(lift, folder / "lift")
     (folder / "lift" / "result" / "instances.json").write_text(text)
-    refuses(folder / "lift", "instances.json")
+    refuses(folder / "lift", "instances-damaged|too-many instances.json")
 
 
 def refuses(lift: Path, place: str) -> None:
     mend_manifest(lift)
     before = contents()
-    with pytest.raises(PlgsError, match=place):
+    with raises_key(place):
         lift_scene.place_lift(lift, bpy.context.scene)
     assert contents() == before
 
@@ -141,7 +143,7 @@ def test_folders_that_blender_cannot_name_change_nothing(lift: Path, tmp_path: P
     except OSError:
         pytest.skip("this disk has no such names")
     before = contents()
-    with pytest.raises(PlgsError, match="Rename it"):
+    with raises_key("bad-name"):
         place_scene(ChosenScene(folder), bpy.context.scene)
     assert contents() == before
 
@@ -332,7 +334,7 @@ def test_another_version_is_named_whatever_its_objects_are(tmp_path: Path) -> No
     path = tmp_path / "instances.json"
     path.write_text(json.dumps(WHOLE | {"format": 2, "instances": [{"id": "chair"}]}))
     for read in (read_instances, lambda path: result_of(reading_instances(path))):
-        with pytest.raises(PlgsError, match="has format 2, but this version reads 1"):
+        with raises_key("other-format"):
             read(path)
 
 
@@ -340,5 +342,5 @@ def test_a_million_objects_are_refused_before_they_are_read(tmp_path: Path) -> N
     path = tmp_path / "instances.json"
     several = json.dumps(ONE)[:-1] + ', "segments": []}'
     path.write_text(PLAIN[: PLAIN.index("[{", 100) + 1] + ",".join([several] * 200_000))
-    with pytest.raises(PlgsError, match="more than 5000 objects"):
+    with raises_key("too-many 5000"):
         result_of(reading_instances(path))

@@ -11,7 +11,6 @@ import bpy
 import numpy as np
 import pytest
 from blender_helpers import DATA, contents, counts
-from plgs.engine.errors import PlgsError
 from plgs.engine.scene import open_scene
 from plgs.plgs_blender import lift_scene
 from plgs.plgs_blender.cameras import object_matrix
@@ -22,6 +21,8 @@ from plgs.plgs_blender.materials import linear_rgba
 from plgs.plgs_blender.owned import LIFT
 from tiny_lift import CABINET_NAME, CHAIR_NAME, FRAMES, mend_manifest, write_tiny_lift
 from tiny_scene import CHAIR, CHAIR_ID
+
+from tests.raises_key import raises_key
 
 
 def child(root: bpy.types.Collection, name: str) -> bpy.types.Collection:
@@ -240,9 +241,9 @@ def test_an_unfinished_lift_changes_nothing(lift: Path, tmp_path: Path) -> None:
     shutil.copytree(lift, tmp_path / "half")
     (tmp_path / "half" / "result" / "manifest.json").unlink()
     before = contents()
-    with pytest.raises(PlgsError, match="not finished"):
+    with raises_key("not-finished"):
         lift_scene.place_lift(tmp_path / "half", bpy.context.scene)
-    with pytest.raises(PlgsError, match="not finished"):
+    with raises_key("not-finished"):
         lift_scene.save_lift(tmp_path / "half", tmp_path / "x.blend")
     assert contents() == before and not (tmp_path / "x.blend").exists()
 
@@ -285,7 +286,7 @@ def test_the_scene_of_the_passes_is_left_alone(lift: Path, tmp_path: Path) -> No
     assert place_scene(ChosenScene(lift.parent / "tiny room"), passes) == root
     assert not lift_scene.lifts_in(passes) and not passes.objects
     bpy.data.collections.remove(root)
-    with pytest.raises(PlgsError, match="a scene of your own"):
+    with raises_key("scene-of-passes"):
         lift_scene.place_lift(lift, passes)
 
 

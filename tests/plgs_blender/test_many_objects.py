@@ -14,7 +14,6 @@ import bpy
 import numpy as np
 import pytest
 from plgs.engine.corrections import read_edits
-from plgs.engine.errors import PlgsError
 from plgs.engine.job import LiftFolder
 from plgs.plgs_blender import boxes, corrections, lift_scene, results
 from plgs.plgs_blender.inspecting import selection, views
@@ -24,6 +23,8 @@ from plgs.plgs_blender.results import MOST_INSTANCES, reading_result, result_of
 from plgs.plgs_blender.running import lifts, looking
 from tiny_lift import mend_manifest
 from tiny_scene import CHAIR_ID
+
+from tests.raises_key import raises_key
 
 
 def test_parts_and_the_whole_are_the_same(lift: Path) -> None:
@@ -189,7 +190,7 @@ def test_beyond_the_most_one_object_has_the_other_boxes(lift: Path, tmp_path: Pa
     together = objects_by_key(root)[boxes.TOGETHER].data
     assert len(together.vertices) == 8 * (MANY - MOST) and not together.validate()
     assert corner_sets(together)[MANY - MOST] == corners_of_its_own(lift, tmp_path, MANY - MOST)
-    with pytest.raises(PlgsError, match="has no box of its own"):
+    with raises_key("no-box"):
         views.frame_instance(root, 1, bpy.types.SpaceView3D)
     selection.select_instance(root, MANY, bpy.context.view_layer)
     selection.select_instance(root, 1, bpy.context.view_layer)

@@ -9,7 +9,6 @@ import bpy
 import numpy as np
 import pytest
 from plgs.engine.corrections import correct, making
-from plgs.engine.errors import PlgsError
 from plgs.engine.posed.ply import read_surface
 from plgs.plgs_blender import lift_scene
 from plgs.plgs_blender.inspecting.lists import registered
@@ -18,6 +17,8 @@ from plgs.plgs_blender.owned import lifts_in
 from plgs.plgs_blender.results import result_of
 from surface_file import SIDE, write_surface
 from tiny_scene import CHAIR_ID, FLOOR_ID
+
+from tests.raises_key import raises_key
 
 
 @pytest.fixture
@@ -116,5 +117,5 @@ def test_a_damaged_surface_is_reported_in_one_line(lift: Path) -> None:
     whole = path.read_bytes()
     for content in (whole[:-3], whole.replace(b"class_id", b"klass_id"), b"", b"ply\n"):
         path.write_bytes(content)
-        with pytest.raises(PlgsError, match="is damaged|not a labelled surface"):
+        with raises_key("file-damaged|not-labelled-surface"):
             read_surface(path)

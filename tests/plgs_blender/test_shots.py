@@ -11,9 +11,10 @@ import bpy
 import numpy as np
 import OpenEXR
 import pytest
-from plgs.engine.errors import PlgsError
 from plgs.engine.job import BakeCamera, read_cameras
 from plgs.plgs_blender.shots import Shot, ShotReader, shot_of, write_shot
+
+from tests.raises_key import raises_key
 
 
 @pytest.fixture
@@ -155,7 +156,7 @@ def test_a_long_range_is_read_a_few_frames_at_a_time(scene: bpy.types.Scene, tmp
         assert reader.progress == (done, 4) and scene.frame_current == 2
     assert read_cameras(reader.write(tmp_path)) == read_cameras(write_shot(tmp_path, scene, shot_of(scene)))
     bpy.data.objects.remove(scene.camera)
-    with pytest.raises(PlgsError, match="is gone"):
+    with raises_key("camera-gone"):
         reader.read_for(0.0)
 
 
@@ -175,15 +176,15 @@ def test_a_camera_that_stands_still_is_one_picture(scene: bpy.types.Scene) -> No
 
 def test_what_cannot_be_baked_is_refused_in_one_line(scene: bpy.types.Scene) -> None:
     def refused(line: str, **asked: int) -> None:
-        with pytest.raises(PlgsError, match=line) as told:
+        with raises_key(line) as told:
             cameras_of(scene, shot_of(scene, **asked))
         assert "\n" not in str(told.value)
 
-    refused("not a range", first=5, last=4)
+    refused("bad-shot-range", first=5, last=4)
     scene.render.use_border, scene.render.use_crop_to_border, scene.render.border_max_x = True, True, 0.001
-    refused("without a pixel")
+    refused("region-empty")
     scene.render.use_border = False
-    for kind, line in (("ORTHO", "orthographic"), ("PANO", "panoramic")):
+    for kind, line in (("ORTHO", "not-perspective orthographic"), ("PANO", "not-perspective panoramic")):
         scene.camera.data.type = kind
         refused(line)
     scene.camera.data.type = "PERSP"
@@ -191,16 +192,16 @@ def test_what_cannot_be_baked_is_refused_in_one_line(scene: bpy.types.Scene) -> 
     refused("mirrored")
     scene.camera.scale.x = 1.0
     scene.render.resolution_x = 60000
-    refused("30000x72")
+    refused("other-resolution 30000x72")
     scene.camera = None
-    refused("no active camera")
-    with pytest.raises(PlgsError, match="no active camera.*one of its cameras: 'dolly'"):
+    refused("no-camera")
+    with raises_key("no-camera dolly"):
         shot_of(scene)
     for name in ("nobody", "Cube"):
-        with pytest.raises(PlgsError, match=f"no camera named '{name}'.*'dolly'"):
+        with raises_key(f"no-camera '{name}' dolly"):
             shot_of(scene, name)
     scene.camera = bpy.data.objects["Cube"]
-    refused("is not a camera")
+    refused("not-a-camera")
 
 
 def test_parts_of_a_shot_name_a_camera_that_stands_still_alike(scene: bpy.types.Scene, tmp_path: Path) -> None:
@@ -223,20 +224,14 @@ def test_shots_of_two_files_do_not_replace_each_other(scene: bpy.types.Scene, tm
             write_shot(lift, scene, shot)
             first = write_shot(lift, scene, shot).read_bytes()  # the same file's again
     for output in (None, tmp_path / "passes"):  # each folder has its own shots
-        with (
-            nullcontext()
-            if output
-            else pytest.raises(
-                PlgsError, match=r"has a shot 'pan' of another file already: camera 'dolly' in .*day\.blend"
-            )
-        ):
+        with nullcontext() if output else raises_key("shot-taken pan dolly day.blend"):
             write_shot(lift, scene, shot, output=output)
     assert write_shot(lift, scene, shot_of(scene, given="n 2")).name == "n 2.1-4x1.json"
     assert [camera.name for camera in cameras_of(scene, shot_of(scene, given="n/2"))][0] == "n_2.0001"
     assert write_shot(lift, scene, shot, replace=True).read_bytes() == first
     bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "day.blend"))
     for output in (None, tmp_path / "passes"):
-        with pytest.raises(PlgsError, match=r"night\.blend"):
+        with raises_key("shot-taken night.blend"):
             write_shot(lift, bpy.context.scene, shot_of(bpy.context.scene, given="pan"), output=output)
 
 

@@ -10,7 +10,6 @@ import bpy
 import numpy as np
 import pytest
 from mathutils import Matrix
-from plgs.engine.errors import PlgsError
 from plgs.engine.passes.ply import columns_of, write_ply_table
 from plgs.engine.posed.ply import read_gaussians
 from plgs.plgs_blender import lift_scene, splat_objects, splats
@@ -19,6 +18,8 @@ from plgs.plgs_blender.inspecting.lists import registered
 from plgs.plgs_blender.reuse import make_objects
 from tiny_lift import mend_manifest, write_tiny_lift
 from tiny_scene import CHAIR_ID
+
+from tests.raises_key import raises_key
 
 
 def write_gaussians(path: Path) -> None:
@@ -211,7 +212,7 @@ def test_a_lift_opens_as_splats_in_photo_colours_and_is_recoloured(lift: Path) -
         assert np.array_equal(colours(), photo)
         lift_scene.show_lift_as(root, bpy.context.scene, "POINTS")
         assert bpy.data.objects["Gaussians"].users_collection[0].hide_render
-        with pytest.raises(PlgsError, match="no meshes yet"):
+        with raises_key("no-meshes"):
             lift_scene.show_lift_as(root, bpy.context.scene, "SURFACE")
     lift_scene.place_lift(lift, bpy.context.scene)
     assert [ob.name for ob in bpy.data.objects if ob.name.startswith("Gaussians")] == ["Gaussians"]

@@ -11,7 +11,6 @@ import cv2
 import numpy as np
 import pytest
 
-from engine.errors import PlgsError
 from engine.job.system import MainMemory
 from engine.posed import layout
 from engine.posed.classes import Category, ClassLabel
@@ -26,6 +25,7 @@ from engine.scene.formats.lens import Distortion, undistorted
 from engine.scene.formats.nerfstudio import read_ply_points
 from engine.scene.formats.photos import Video
 from engine.scene.formats.scannetpp import _find_blocks
+from tests.raises_key import raises_key
 from tests.scene.refusing import refuses
 from tests.tiny_scene import write_tiny_scene
 
@@ -82,7 +82,7 @@ def test_long_lists_and_strange_names_stay_on_one_line() -> None:
     "name", ["../a.png", "a/../../b.png", "/a.png", "\\a.png", "C:a.png", "\\\\host\\a.png", "a\0.png", "", "."]
 )
 def test_names_that_leave_the_folder_are_refused(tmp_path: Path, name: str) -> None:
-    with pytest.raises(PlgsError, match="leaves the folder"):
+    with raises_key("leaves-folder"):
         file_inside(tmp_path, name, tmp_path / "table.json")
 
 
@@ -107,16 +107,16 @@ def ply(count: int, form: str = "ascii", kind: str = "float") -> bytes:
 @pytest.mark.parametrize(
     ("read", "content", "told"),
     [
-        (_text_points, b"\n" * 2_000_000, "more than 1000000 lines"),
-        (read_ply_points, ply(60_000_000) + b"\n" * 8_000_000, "cut off"),
-        (read_ply_points, ply(1_100_000) + b"\n" * 8_000_000, "more than 1000000 vertices as text"),
-        (read_ply_points, ply(600_000) + b"\n" * 8_000_000, "not numbers|cut off"),
-        (_find_blocks, struct.pack("<IB", 1, 0) * 600_000, "more than 524288 frames"),
+        (_text_points, b"\n" * 2_000_000, "too-many 1000000"),
+        (read_ply_points, ply(60_000_000) + b"\n" * 8_000_000, "cut-off"),
+        (read_ply_points, ply(1_100_000) + b"\n" * 8_000_000, "too-many 1000000"),
+        (read_ply_points, ply(600_000) + b"\n" * 8_000_000, "ply-not-numbers"),
+        (_find_blocks, struct.pack("<IB", 1, 0) * 600_000, "too-many 524288"),
         (lambda path: Video(path).size(), struct.pack(">I4s", 8, b"ftyp") + struct.pack(">I4s", 8, b"free") * 200_000,
-         "the video"),
-        (_binary_points, (struct.pack("<Q", 40_000_000), 1 << 31), "larger than"),
-        (_binary_points, (struct.pack("<Q", 1 << 62), 1000), "cut off"),
-        (_binary_points, (struct.pack("<Q", 5_000_000), 51 * 5_000_000 + 8), "more than 4000000 points"),
+         "video-unreadable"),
+        (_binary_points, (struct.pack("<Q", 40_000_000), 1 << 31), "unreadable"),
+        (_binary_points, (struct.pack("<Q", 1 << 62), 1000), "cut-off"),
+        (_binary_points, (struct.pack("<Q", 5_000_000), 51 * 5_000_000 + 8), "too-many 4000000"),
     ],
 )  # fmt: skip
 def test_counts_that_no_file_has_are_refused(
@@ -125,7 +125,7 @@ def test_counts_that_no_file_has_are_refused(
     """A file is its bytes, or the bytes that it begins with and its size."""
     path = tmp_path / "file"
     path.write_bytes(content) if isinstance(content, bytes) else sparse(path, *content)
-    with pytest.raises(PlgsError, match=told):
+    with raises_key(told):
         read(path)
 
 
@@ -137,19 +137,19 @@ def test_pictures_that_no_camera_makes(tmp_path: Path, size: tuple[int, int]) ->
     (scene / "intrinsic" / "intrinsic_color.txt").write_text("4 0 1 0\n0 4 1 0\n0 0 1 0\n0 0 0 1\n")
     for path in (scene / "depth").iterdir():
         cv2.imwrite(str(path), np.full((size[1], size[0]), 1000, np.uint16))
-    refuses("the picture of frame .* which no camera makes", scene)
+    refuses("impossible-size", scene)
 
 
 @pytest.mark.parametrize("focal", [1e299, 1e-30])
 def test_focal_lengths_that_no_lens_has(tmp_path: Path, focal: float) -> None:
     scene = write_tiny_scene(tmp_path, frames=3)
     (scene / "intrinsic" / "intrinsic_color.txt").write_text(f"{focal} 0 8 0\n0 {focal} 6 0\n0 0 1 0\n0 0 0 1\n")
-    refuses("frame .* has focal lengths of", scene)
+    refuses("focal-length", scene)
 
 
 @pytest.mark.parametrize("metres", [1e-30, 1e6, 1e38])
 def test_depth_beyond_any_sensors_range(tmp_path: Path, metres: float) -> None:
-    with pytest.raises(PlgsError, match="the largest depth of frame 0001 is .* which no sensor measures"):
+    with raises_key("depth-far 0001"):
         depth_check("0001", tmp_path)(np.full((12, 16), metres, np.float32))
 
 
@@ -159,7 +159,7 @@ def test_estimated_depth_has_the_same_limits(tmp_path: Path) -> None:
     maps.mkdir()
     for path in (scene / "color").iterdir():
         np.save(maps / f"{path.stem}.npy", np.ones((1, 5000), np.float32))
-    with pytest.raises(PlgsError, match="depth of frame 0000 is 5000x1, which no camera makes"):
+    with raises_key("impossible-size 0000 5000x1"):
         open_scene(scene, depth=maps).frames[0].depth()
 
 
@@ -168,7 +168,7 @@ def test_estimated_depth_has_the_same_limits(tmp_path: Path) -> None:
 )
 def test_a_lens_that_leaves_no_picture_is_reported_as_the_fault(tmp_path: Path, lens: Distortion) -> None:
     camera = Camera(64, 48, 60.0, 60.0, 32.0, 24.0, np.eye(4))
-    with pytest.raises(PlgsError, match="the lens distorts so much"):
+    with raises_key("lens-distorts"):
         undistorted(np.ones((48, 64), np.float32), camera, lens, tmp_path, smooth=False)
 
 
@@ -181,19 +181,19 @@ def test_class_names_are_one_printable_line() -> None:
 def test_what_a_file_becomes_fits_into_the_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     points = sparse(tmp_path / "points.bin", struct.pack("<Q", 1_000_000), 51 * 1_000_000 + 8)
     monkeypatch.setattr(layout, "main_memory", lambda: MainMemory(1 << 34, 101_000_000))
-    with pytest.raises(PlgsError, match="it takes 0.051 GB of memory, but only 0.1 GB are free"):
+    with raises_key("no-memory 0.051 0.1"):
         _binary_points(points)
     monkeypatch.setattr(layout, "main_memory", lambda: MainMemory(1 << 34, 60_000_000))
-    with pytest.raises(PlgsError, match="it takes 0.051 GB of memory"):
+    with raises_key("no-memory 0.051"):
         read_file(points, 1 << 30)
     head = ply(2_000_000, "binary_little_endian", "uchar")
-    with pytest.raises(PlgsError, match="it takes 0.096 GB of memory"):
+    with raises_key("no-memory 0.096"):
         read_ply_points(sparse(tmp_path / "points.ply", head, 3 * 2_000_000 + 1000))
 
 
 def test_a_frame_whose_name_cannot_be_shown(tmp_path: Path) -> None:
     camera = Camera(64, 48, 60.0, 60.0, 32.0, 24.0, np.eye(4))
-    with pytest.raises(PlgsError, match=r"the name of frame 0001\?gpj cannot be shown as text"):
+    with raises_key("frame-name 0001?gpj"):
         check_camera("0001\u202egpj", camera, tmp_path / "a.png")
 
 

@@ -19,6 +19,7 @@ from engine.errors import ErrorCode, PlgsError
 from engine.job import EventWriter, StopSignal
 from engine.poses import Made, _digest_of, _median, make_poses, write_pictures
 from engine.scene import open_scene
+from tests.raises_key import raises_key
 from tests.scene.formats.room import write_grey
 from tests.scene.formats.test_colmap import write_text
 from tests.tiny_scene import write_tiny_scene
@@ -42,7 +43,7 @@ def test_without_pycolmap_the_part_is_named_and_nothing_is_written(
     photos: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     before = {path.name for path in photos.iterdir()}
-    with pytest.raises(PlgsError, match="-m engine add colmap") as caught:
+    with raises_key("lacks-part") as caught:
         find_poses(photos, tmp_path)
     assert caught.value.code is ErrorCode.LACKS_PART and caught.value.option == "colmap"
     assert {path.name for path in photos.iterdir()} == before
@@ -51,7 +52,7 @@ def test_without_pycolmap_the_part_is_named_and_nothing_is_written(
 
 
 def test_photos_are_refused_in_two_lines_with_the_way_to_poses(photos: Path, tmp_path: Path) -> None:
-    with pytest.raises(PlgsError, match="let COLMAP find the poses with --poses colmap") as caught:
+    with raises_key("no-poses --poses") as caught:
         open_scene(photos)
     assert caught.value.code is ErrorCode.NO_POSES and len(caught.value.fix) < 200
     (tmp_path / "empty").mkdir()
@@ -65,10 +66,10 @@ def test_a_scene_with_poses_and_one_without_photos_are_left_alone(
 ) -> None:
     monkeypatch.setattr(poses, "colmap", lambda photos: None)  # it is not asked for anything
     write_text(tmp_path / "walk")
-    with pytest.raises(PlgsError, match="has poses already"):
+    with raises_key("has-poses"):
         find_poses(tmp_path / "walk", tmp_path)
     (tmp_path / "empty").mkdir()
-    with pytest.raises(PlgsError, match="there are no photos here"):
+    with raises_key("no-photos"):
         find_poses(tmp_path / "empty", tmp_path)
 
 
@@ -79,7 +80,7 @@ def test_poses_of_photos_that_have_changed_are_not_used(photos: Path, tmp_path: 
     (photos / "sparse" / "0" / "made_by.json").write_text(json.dumps(made.to_json()))
     assert make_poses(photos, EventWriter(tmp_path / "events.jsonl"), StopSignal()) == made
     (photos / "0001.png").write_bytes((photos / "0002.png").read_bytes())
-    with pytest.raises(PlgsError, match=r"photos have changed since.*sparse.*Move the folder"):
+    with raises_key("photos-changed"):
         find_poses(photos, tmp_path)
 
 
@@ -149,14 +150,14 @@ def test_a_film_does_not_take_the_poses_of_another_of_its_name(mapped: None, tmp
     film = film.rename(tmp_path / "moved.mp4")
     find_poses(film, tmp_path)
     write_film(film, 1)
-    with pytest.raises(PlgsError, match=r"found for another film.*moved.*Move the folder moved away"):
+    with raises_key("other-photos moved"):
         find_poses(film, tmp_path)
     write_film(tmp_path / "walk.avi", 1)
-    with pytest.raises(PlgsError, match="found for another film"):
+    with raises_key("other-photos"):
         find_poses(tmp_path / "walk.avi", tmp_path)
     shutil.rmtree(tmp_path / "moved" / "sparse")
     find_poses(tmp_path / "moved", tmp_path)
-    with pytest.raises(PlgsError, match="or for photos"):
+    with raises_key("other-photos"):
         find_poses(film, tmp_path)
 
 
@@ -166,7 +167,7 @@ def test_poses_in_metres_of_other_depth_are_not_used(mapped: None, photos: Path,
     find_poses(photos, tmp_path)
     find_poses(photos, tmp_path)
     write_grey(photos / "depth" / "0001.png", np.full((6, 8), 2000, np.uint16))
-    with pytest.raises(PlgsError, match="depth has changed since it gave the poses their unit"):
+    with raises_key("depth-changed"):
         find_poses(photos, tmp_path)
 
 
@@ -182,13 +183,13 @@ def test_depth_and_confidence_are_no_photos(
     for number in range(7):
         write_grey(photos / f"{name.format(number)}.png", np.zeros((6, 8), np.uint16 if "mm" in name else np.uint8))
     write_grey(photos / "indepth_confocal.png", np.zeros((6, 8), np.uint8))  # a grey photo
-    with pytest.raises(PlgsError, match=r"only 0 of 7 photos"):
+    with raises_key("poses-of-few"):
         find_poses(photos, tmp_path)
     assert given == sorted([*wanted, "indepth_confocal.png"])
     assert "7 pictures are left out, as they show depth or confidence" in (tmp_path / "events.jsonl").read_text()
     for photo in given:
         (photos / photo).unlink()
-    with pytest.raises(PlgsError, match="there are no photos here"):
+    with raises_key("no-photos"):
         find_poses(photos, tmp_path)
 
 

@@ -10,7 +10,6 @@ from typing import get_args
 
 import pytest
 
-from engine.errors import PlgsError
 from engine.job import LiftRequest
 from engine.job.request import PresetName, add_lift_options, chosen_options, request_from
 from engine.presets.options import (
@@ -26,6 +25,7 @@ from engine.presets.options import (
 )
 from engine.presets.preset import PRESETS, Preset
 from engine.train.trainer import Trainer
+from tests.raises_key import raises_key
 
 
 def request_of(*arguments: str) -> LiftRequest:
@@ -50,28 +50,27 @@ def test_texts_become_values() -> None:
 @pytest.mark.parametrize(
     ("text", "told"),
     [
-        ("neighbors=4", "Did you mean neighbours?"),
-        ("depth=0", "Did you mean weights.depth?"),
-        ("objects=bokses", "Did you mean boxes?"),
-        ("neighbours=2.5", "a whole number from 0 to 64"),
-        ("neighbours=-1", "a whole number from 0 to 64"),
-        ("matching.tau_new=nan", "a number from -2 to 0"),
-        ("fill_holes=2", "true or false"),
-        ("voxel_size=none", "a number from 0.001"),
-        ("size=320x", "2 whole numbers"),
-        ("size=8,48", "whole numbers from 16"),
-        ("size_within=320x240", "Did you mean size?"),
-        ("rates.feature=1,1", "in this version"),
-        ("steps=" + "9" * 400, "a whole number from 1"),
-        ("weights.depth=1e999", "a number from 0"),
-        ("weights.depth", "name=value"),
-        ("", "name=value"),
+        ("neighbors=4", "no-option neighbours"),
+        ("depth=0", "no-option weights.depth"),
+        ("objects=bokses", "bad-value boxes"),
+        ("neighbours=2.5", "bad-value 64"),
+        ("neighbours=-1", "bad-value 64"),
+        ("matching.tau_new=nan", "bad-value -2"),
+        ("fill_holes=2", "bad-value true false"),
+        ("voxel_size=none", "bad-value 0.001"),
+        ("size=320x", "bad-value"),
+        ("size=8,48", "bad-value 16"),
+        ("size_within=320x240", "no-option size"),
+        ("rates.feature=1,1", "no-option"),
+        ("steps=" + "9" * 400, "bad-value"),
+        ("weights.depth=1e999", "bad-value"),
+        ("weights.depth", "no-option"),
+        ("", "no-option"),
     ],
 )
 def test_unknown_options_are_refused_with_the_nearest_name(text: str, told: str) -> None:
-    with pytest.raises(PlgsError) as caught:
+    with raises_key(told):
         parsed_options([text])
-    assert told in str(caught.value)
 
 
 @pytest.mark.parametrize("base", PRESETS)
@@ -86,19 +85,18 @@ def test_a_printed_preset_is_read_back(base: str, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("content", "told"),
     [
-        ("steps = ", "TOML"),
-        ("steps = 3", "preview, standard, paper"),
-        ('preset = "preview"\n[weights]\ndept = 1', "weights.depth"),
-        ('preset = "preview"\nobjects = "box"', "boxes"),
-        ('preset = "preview"\nsteps = 2026-11-22', "whole number"),
+        ("steps = ", "not-toml"),
+        ("steps = 3", "preset-base preview standard paper"),
+        ('preset = "preview"\n[weights]\ndept = 1', "no-option weights.depth"),
+        ('preset = "preview"\nobjects = "box"', "bad-value boxes"),
+        ('preset = "preview"\nsteps = 2026-11-22', "bad-value"),
     ],
 )
 def test_a_bad_file_is_named(content: str, told: str, tmp_path: Path) -> None:
     path = tmp_path / "mine.toml"
     path.write_text(content)
-    with pytest.raises(PlgsError) as caught:
+    with raises_key(f"{told} {path}"):
         read_preset_file(path)
-    assert told in str(caught.value) and str(path) in str(caught.value)
 
 
 def test_a_request_from_a_file_and_from_options(tmp_path: Path) -> None:

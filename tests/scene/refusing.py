@@ -5,15 +5,14 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-import pytest
-
 from engine.errors import PlgsError
 from engine.scene import check_scene, open_scene
+from tests.raises_key import raises_key
 
 
 def refuses(told: str, place: Path, look_into_pixels: bool = False, **reading: Any) -> PlgsError:
     """Assert that opening the scene at ``place`` raises a PlgsError with ``told``, in one line and with a fix."""
-    with pytest.raises(PlgsError, match=told) as caught:
+    with raises_key(told) as caught:
         scene = open_scene(place, **reading)
         if look_into_pixels:
             check_scene(scene)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 from collections.abc import Callable
 from functools import partial
@@ -13,8 +14,8 @@ import cv2
 import numpy as np
 import pytest
 
-from engine.errors import PlgsError
 from engine.scene import check_scene, open_scene
+from tests.raises_key import raises_key
 from tests.tiny_scene import write_tiny_scene
 
 
@@ -29,12 +30,13 @@ def folder(good: Path, tmp_path: Path) -> Path:
 
 
 def line(folder: Path) -> str:
-    """The error's one line, without the folder of this test."""
-    with pytest.raises(PlgsError) as caught:
+    """The error's key, its place without the folder of this test, and what it quotes."""
+    with raises_key("*") as caught:
         check_scene(open_scene(folder))
-    text = str(caught.value)
+    key, where, text = caught.value.key, caught.value.where, str(caught.value)
     assert "\n" not in text
-    return text.replace(f"{folder}/", "").replace(str(folder), "SCENE")
+    where = where.replace(f"{folder}/", "").replace(str(folder), "SCENE")
+    return " ".join([key, where, *re.findall(r'"(\w+)"', text)])
 
 
 Spoil = Callable[[Path], object]

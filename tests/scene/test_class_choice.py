@@ -9,7 +9,6 @@ from pathlib import Path
 
 import pytest
 
-from engine.errors import PlgsError
 from engine.json_file import to_text
 from engine.posed.classes import LARGEST_CLASS_ID, PALETTE, ClassLabel
 from engine.records import to_json
@@ -20,6 +19,7 @@ from engine.scene.class_tables import known_table, reduced_by_name
 from engine.scene.report import write_class_list
 from engine.scene_source import SceneSource
 from tests.posed.test_classes import nearest_pair
+from tests.raises_key import raises_key
 from tests.scene.mask_formats.test_label_images import write_pairs
 from tests.scene.refusing import refuses
 from tests.tiny_scene import write_tiny_scene
@@ -170,7 +170,7 @@ def test_names_that_differ_in_capitals_are_two_classes_that_can_be_joined() -> N
     assert classes_of(ClassRow(name="Stool", into="Chair")) == [3, 7, 3]
     pairs = ("CHAIR", "stool"), ("stool", "CHAIR"), ("chair", "CHAIR")
     for row in (ClassRow(name=name, into=into) for name, into in pairs):
-        with pytest.raises(PlgsError, match=r'"CHAIR" only in capitals \(3, 7\).*Write it as one of them does'):
+        with raises_key("class-twice CHAIR"):
             classes_of(row)
     rows = named_classes(CAPITALS, ClassChoice(rows=(ClassRow(name="Chair", into="chair"),)))
     assert named_classes(CAPITALS, choice_of(rows)) == rows
@@ -185,7 +185,7 @@ def test_classes_of_the_very_same_name_can_be_joined() -> None:
         return [known.class_of[label.id] for label in labels]
 
     stool, joined = ClassRow(name="stool", into="chair"), ClassRow(id=3, into="chair")
-    with pytest.raises(PlgsError, match=r'called "chair" \(3, 7\): .*into = "chair" with its number as id'):
+    with raises_key("class-twice chair"):
         classes_of(stool)
     assert classes_of(joined) == [7, 7, 8] and classes_of(stool, joined) == [7, 7, 7]
     assert classes_of(joined, stool, to_reduced=True) == classes_of(stool, to_reduced=True)
@@ -211,7 +211,7 @@ def test_the_papers_classes_by_name(tmp_path: Path) -> None:
     content = json.loads((tmp_path / "panoptic.json").read_text())
     content["categories"][0]["name"] = "Tapete"
     (tmp_path / "panoptic.json").write_text(json.dumps(content))
-    refuses(r"no place among the paper's 21 .Tapete.*classes.toml. Say which class each", tmp_path)
+    refuses("unplaced Tapete classes.toml", tmp_path)
 
 
 def test_a_list_of_classes_survives_a_round_trip(tmp_path: Path) -> None:
@@ -239,33 +239,32 @@ def test_the_text_keeps_what_was_said(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "told"),
     [
-        ("table = 'coco", "not a TOML text"),
-        ("table = 'imagenet'", "'imagenet' is not known"),
-        ("to = 'coco'", "'to' has to be one of reduced, not 'coco'"),
-        ("void = 255", "'void' has to be a list, not 255"),
-        ("classes = []", "has 'classes', which this version does not know"),
-        ("[class]\nid = 1", "not a list of tables"),
-        ("[[class]]\nid = -1", "'class[0].id' has to be a whole number from 0 to"),
-        ("[[class]]\nid = true", "not True"),
-        ("[[class]]\nthing = true", "neither id nor name"),
-        ("[[class]]\nid = 1\nthing = 1", "'class[0].thing' has to be true or false"),
-        ("[[class]]\nid = 1\nname = ''", "class[0]: a name is not a text of one line"),
-        ("[[class]]\nid = 1\nsize = 3", "has 'size' in class[0]"),
-        ("[[class]]\nid = 1\ncolour = 'red'", "class[0]: the text is not a colour such as"),
-        ("[[class]]\nid = 77", "the class 77 has no name"),
-        ("[[class]]\nname = 'sofa'", 'no class called "sofa"'),
+        ("table = 'coco", "not-toml"),
+        ("table = 'imagenet'", "unknown-table imagenet"),
+        ("to = 'coco'", "wrong-type coco"),
+        ("void = 255", "wrong-type void 255"),
+        ("classes = []", "unknown-field classes"),
+        ("[class]\nid = 1", "classes-not-list"),
+        ("[[class]]\nid = -1", "wrong-type class id"),
+        ("[[class]]\nid = true", "wrong-type"),
+        ("[[class]]\nthing = true", "bad-record id"),
+        ("[[class]]\nid = 1\nthing = 1", "wrong-type class thing true false"),
+        ("[[class]]\nid = 1\nname = ''", "bad-record class line"),
+        ("[[class]]\nid = 1\nsize = 3", "unknown-field size class"),
+        ("[[class]]\nid = 1\ncolour = 'red'", "bad-record class"),
+        ("[[class]]\nid = 77", "class-unnamed 77"),
+        ("[[class]]\nname = 'sofa'", "no-such-class sofa"),
     ],
 )
 def test_bad_files_are_one_line_errors(tmp_path: Path, text: str, told: str) -> None:
     folder = scene_with(tmp_path, text)
-    with pytest.raises(PlgsError) as caught:
+    with raises_key(f"{told} classes.toml") as caught:
         open_scene(folder)
-    message = str(caught.value).replace(": " + str(folder), ".")
-    assert told.split(". ")[0] in message and "classes.toml" in str(caught.value) and "\n" not in str(caught.value)
+    assert "\n" not in str(caught.value)
 
 
 def test_a_missing_table_is_reported() -> None:
-    with pytest.raises(PlgsError, match=r"cannot be read .*none.toml"):
+    with raises_key("unreadable none.toml"):
         read_class_choice(Path("none.toml"))
 
 
@@ -281,19 +280,19 @@ def test_the_list_of_a_scene_is_edited_and_written(tmp_path: Path) -> None:
     assert [each.name for each in open_scene(folder).classes.categories] == ["wall", "floor", "furniture", "ceiling"]
     again = list_classes(source)
     assert again.rows == rows and again.void == (9,)
-    wrongs = ({"path": "elsewhere"}, "another scene"), ({"rows": []}, "no classes"), ({"void": 1}, "'void'")
+    wrongs = ({"path": "elsewhere"}, "other-scene"), ({"rows": []}, "no-classes"), ({"void": 1}, "wrong-type void")
     for wrong, told in wrongs:
         edited.write_text(json.dumps({**json.loads(to_text(to_json(listed))), **wrong}))
-        with pytest.raises(PlgsError, match=told):
+        with raises_key(told):
             write_class_list(source, edited)
 
 
 def test_a_table_can_be_named_if_the_files_do_not_tell(tmp_path: Path) -> None:
     write_pairs(tmp_path, ("semantic", "instance"))
     source, edited = SceneSource(tmp_path), tmp_path / "edited.json"
-    with pytest.raises(PlgsError, match="do not say what their classes are"):
+    with raises_key("no-class-names"):
         list_classes(source)
-    with pytest.raises(PlgsError, match="no such table of classes: nyu41"):
+    with raises_key("no-class-table nyu41"):
         list_classes(source, "nyu41")
     listed = list_classes(source, "nyu40")
     assert listed.path == tmp_path / "masks" / "classes.toml" and len(listed.rows) == 40

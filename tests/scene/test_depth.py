@@ -8,10 +8,10 @@ import cv2
 import numpy as np
 import pytest
 
-from engine.errors import PlgsError
 from engine.scene import open_scene, open_scene_to_lift
 from engine.scene.estimated_depth import fit_depth
 from engine.scene_source import SceneSource
+from tests.raises_key import raises_key
 from tests.scene.formats.room import Lens, elsewhere, in_steps, look, quaternion, views, write_colour
 from tests.scene.refusing import refuses
 from tests.tiny_scene import tiny_intrinsics, tiny_pose, trace_view, write_tiny_scene
@@ -164,7 +164,7 @@ def test_colmap_with_a_networks_maps(tmp_path: Path, kind: str) -> None:
         else:
             steps = in_steps(look(view, LENS).depth, 900 + 100 * i) + 50
             assert cv2.imwrite(str(tmp_path / "maps" / f"{i}.png"), steps if kind == "png" else np.dstack([steps] * 3))
-    with pytest.raises(PlgsError, match="has no depth.*--depth"):
+    with raises_key("no-depth --depth"):
         open_scene_to_lift(SceneSource(tmp_path / "scene"))
     scene = open_scene(tmp_path / "scene", depth=tmp_path / "maps")
     assert scene.has_depth and [frame.name for frame in scene.frames] == ["1", "2", "3", "4", "5"]
@@ -180,14 +180,14 @@ def test_missing_and_wrong_maps_are_one_line_errors(tmp_path: Path) -> None:
     (tmp_path / "maps").mkdir()
     for i in range(2):
         np.save(tmp_path / "maps" / f"{i}.npy", np.ones((48, 64), np.float32))
-    refuses("4 of 6 frames have no depth map", tmp_path / "scene", depth=tmp_path / "maps")
+    refuses("lacks-files", tmp_path / "scene", depth=tmp_path / "maps")
     for i in range(2, 5):
         np.save(tmp_path / "maps" / f"{i}.npy", np.ones((48, 64), np.float32))
     scene = open_scene(tmp_path / "scene", depth=tmp_path / "maps")
     assert "1 frame without a readable depth map is left out: 5" in scene.warnings and len(scene.frames) == 4
     np.save(tmp_path / "maps" / "5.npy", np.ones((48, 64), np.float32))
     scene = open_scene(tmp_path / "scene", depth=tmp_path / "maps")
-    with pytest.raises(PlgsError, match="does not rise or fall"):
+    with raises_key("depth-unrelated"):
         scene.frames[0].depth()
     (tmp_path / "scene" / "sparse" / "0" / "points3D.txt").unlink()
     metric = open_scene(tmp_path / "scene", depth=tmp_path / "maps")
@@ -206,4 +206,4 @@ def test_an_8_bit_map_is_fitted_or_refused_and_never_read_as_millimetres(tmp_pat
     frame = open_scene(tmp_path / "scene", depth=tmp_path / "maps").frames[2]
     assert np.median(np.abs(frame.depth() / look(views()[3], LENS).depth - 1.0)) < 0.01
     (tmp_path / "scene" / "sparse" / "0" / "points3D.txt").unlink()
-    refuses("8 bits holds no lengths", tmp_path / "scene", depth=tmp_path / "maps")
+    refuses("depth-bits", tmp_path / "scene", depth=tmp_path / "maps")

@@ -51,18 +51,18 @@ def write_labels(folder: Path, numbers: Mapping[int, int], void: int = 255) -> l
 @pytest.mark.parametrize(
     ("classes", "numbers", "told"),
     [
-        ("nyu40", NYU13, "nyu13:1-13, not nyu40: .*then ceiling.*--classes nyu13:1-13 or --classes nyu40:1-40"),
-        ("nyu40", RAW, "scannet:1-1357, not nyu40: this alone has the numbers 75: .*--classes scannet:1-1357[.]"),
-        ("nyu13", NYU40, "nyu40:1-40, not nyu13: .*--classes nyu40:1-40"),
-        ("scannet", NYU40, "nyu40:1-40, not scannet: .*--classes nyu40:1-40 or --classes scannet:1-1357"),
-        ("scannet", NYU13, "nyu13:1-13, not scannet: .*--classes nyu13:1-13 or"),
+        ("nyu40", NYU13, "other-numbers nyu13:1-13 nyu40 ceiling --classes nyu40:1-40"),
+        ("nyu40", RAW, "other-numbers scannet:1-1357 nyu40 75 --classes"),
+        ("nyu13", NYU40, "other-numbers nyu40:1-40 nyu13 --classes"),
+        ("scannet", NYU40, "other-numbers nyu40:1-40 scannet --classes scannet:1-1357"),
+        ("scannet", NYU13, "other-numbers nyu13:1-13 scannet --classes"),
     ],
 )
 def test_numbers_of_another_table_of_the_same_scans_are_refused(
     tmp_path: Path, classes: str, numbers: dict[int, int], told: str
 ) -> None:
     write_labels(tmp_path, numbers, void=0)
-    assert refuses(f"the masks' numbers look like {told}", tmp_path, classes=classes).option == "--classes"
+    assert refuses(f"{told} masks", tmp_path, classes=classes).option == "--classes"
 
 
 def warned(folder: Path, classes: str) -> list[str]:
@@ -176,7 +176,7 @@ def test_detectron2s_stuff_apart_is_told_by_the_table(tmp_path: Path) -> None:
     names, chairs = COCO_NAMES | {0: ""}, frozenset({"chair"})
     check_on_room(open_scene(tmp_path, classes="coco"), truths, names, chairs)
     assert "stuff numbered apart from things: this alone fits" in warned(tmp_path, "coco")[0]
-    refuses("isthing contradicts the table ade20k: .* in the files.*--classes", tmp_path, classes="ade20k")
+    refuses("isthing-contradicts ade20k --classes", tmp_path, classes="ade20k")
     source, edited = SceneSource(tmp_path), tmp_path / "edited.json"
     listed = list_classes(source, "coco")
     rows = tuple(replace(row, into="floor") if row.name.startswith("floor") else row for row in listed.rows)
@@ -189,7 +189,7 @@ def test_a_table_that_contradicts_things_is_refused_or_overruled(tmp_path: Path)
     """Of Cityscapes' numbers, 13 is a car; the files say it is stuff."""
     numbers = {1: 13, 2: 0, 3: 1, 5: 11, 13: 10}
     truths = write_detectron2(tmp_path, numbers, {5})
-    told = "isthing contradicts the table cityscapes: car is a thing there and stuff in the files"
+    told = "isthing-contradicts cityscapes car there stuff"
     refuses(told, tmp_path, classes="cityscapes")
     (tmp_path / "masks" / "classes.toml").write_text('table = "cityscapes"\n[[class]]\nid = 13\nthing = false\n')
     names = {1: "car", 2: "road", 3: "sidewalk", 5: "person", 13: "sky", 0: ""}

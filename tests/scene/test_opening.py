@@ -157,7 +157,7 @@ def test_a_folder_that_cannot_be_read_says_so(tmp_path: Path) -> None:
     try:
         if os.access(folder / "depth", os.R_OK):
             pytest.skip("this user may read everything")
-        refuses("cannot be read", folder)
+        refuses("unreadable", folder)
     finally:
         (folder / "depth").chmod(0o755)
 

@@ -18,6 +18,7 @@ import pytest
 from engine.job.environment import is_complete, python_in
 from engine.set_up import SetUpRequest, pip_wheel, programs, remove_environments, steps
 from engine.set_up.environments import Notes
+from tests.raises_key import worded
 from tests.set_up.package_index import PackageIndex, wheel
 from tests.set_up.running import RunningSetUp
 from tests.waiting import PATIENCE_S
@@ -205,7 +206,7 @@ def test_where_no_python_can_make_environments_says_why(begin: Begin, tmp_path: 
         python.chmod(0o755)
         error = error_of(begin(base=str(python)))
         assert told in error and "Install Python 3.11 or 3.13" in error
-    assert "cannot be run" in error_of(begin(base=str(tmp_path / "none")))
+    assert worded("not-runnable").search(error_of(begin(base=str(tmp_path / "none"))))
 
 
 def test_a_full_disk_is_reported_before_anything_is_made(
@@ -214,19 +215,19 @@ def test_a_full_disk_is_reported_before_anything_is_made(
     shutil.rmtree(environment_in(folder))
     monkeypatch.setattr(steps, "NEEDED_BYTES", {"cpu": 10**18})
     told = error_of(begin())
-    assert "GB free" in told and "Make room" in told and not list(folder.glob("engine-*"))
+    assert worded("disk-full").search(told) and "Make room" in told and not list(folder.glob("engine-*"))
 
 
 def test_a_folder_that_cannot_be_written_is_reported(code: Path, tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     told = error_of(RunningSetUp(SetUpRequest(), code, tmp_path / "file" / "plgs"))
-    assert "the set-up was stopped" in told and os.fspath(tmp_path / "file") in told
+    assert worded("set-up-stopped").search(told) and os.fspath(tmp_path / "file") in told
 
 
 def test_the_command_says_why_it_ended(tmp_path: Path, root: Path) -> None:
     command = [sys.executable, root / "engine" / "__main__.py", "set-up", tmp_path / "plgs"]
     refused = subprocess.run([*command, "--base-python", "/nowhere/python"], capture_output=True, text=True)
-    assert refused.returncode == 2 and "error: no Python can make the engine's environment" in refused.stderr
+    assert refused.returncode == 2 and worded("no-python").search(refused.stderr)
     made = tmp_path / "plgs" / "engine-3.11-abc"
     made.mkdir()
     (made / "pyvenv.cfg").touch()

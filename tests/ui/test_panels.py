@@ -56,7 +56,7 @@ def test_texts_of_a_strangers_file_are_printable_lines(tmp_path: Path, monkeypat
     root.plgs.instance_index = 0
     followed = lifts.lift_of(lift)
     assert followed is not None
-    follower: Any = Pretended(TaskState.FAILED, PlgsError("is bad", odd, odd))
+    follower: Any = Pretended(TaskState.FAILED, PlgsError("made-up", "is bad", odd, odd))
     follower.log_lines = (odd,)
     follower.progress.label = odd
     followed.follower = follower
@@ -114,7 +114,10 @@ def test_nothing_is_chosen_yet() -> None:
 def test_a_bad_scene_shows_what_fixes_it(code: ErrorCode, tmp_path: Path) -> None:
     bpy.context.scene.plgs.scene_folder = str(tmp_path)
     for task in tasks_with(
-        Pretended(TaskState.FAILED, PlgsError("is bad", "here", "Give --masks.", code=code, option="--masks")), tmp_path
+        Pretended(
+            TaskState.FAILED, PlgsError("made-up", "is bad", "here", "Give --masks.", code=code, option="--masks")
+        ),
+        tmp_path,
     ):
         task.is_taken = True
         registry.follow(task)

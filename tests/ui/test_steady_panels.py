@@ -26,6 +26,7 @@ from plgs.ui import lift_panel, scene_panel
 from pretended_python import pretended_python
 from tiny_scene import write_tiny_scene
 
+from tests.raises_key import worded
 from tests.ui.drawn_panels import Pretended, drawn, height_of, tasks_with
 
 pytestmark = pytest.mark.usefixtures("extension")
@@ -153,7 +154,7 @@ def test_the_surface_that_is_made_by_itself_moves_no_list(tmp_path: Path) -> Non
     assert "Surface 50 %" in shown and "plgs.cancel_export" in shown and "plgs.make_meshes Surface" not in shown
     assert abs(rows_above("Points, score") - heads) <= 1, "a bar and its cross are in the place of the button"
     follower.state, follower.is_running, making.is_taken = TaskState.FAILED, False, True
-    follower.error = PlgsError("is full", "the disk", "Make room.")
+    follower.error = PlgsError("made-up", "is full", "the disk", "Make room.")
     shown = drawn()
     assert rows_above("Points, score") == heads
     assert "The disk is full. Make room." in shown.partition("plgs.show_all")[2].partition("Source Masks")[0]
@@ -218,5 +219,5 @@ def test_a_picture_that_is_made_leaves_its_buttons_live_and_refuses_another(tmp_
     making = tasks_with(Pretended(TaskState.RUNNING), tmp_path)[1]
     registry.follow(making)
     assert bpy.ops.plgs.show_picture.poll()
-    with pytest.raises(RuntimeError, match="already running"):
+    with pytest.raises(RuntimeError, match=worded("at-work")):
         bpy.ops.plgs.show_picture(what="PHOTO")

@@ -53,21 +53,22 @@ def find_format(place: Path, name: str | None = None) -> SceneFormat:
     PlgsError for an unknown name, and when no other format or more than one is recognised.
     """
     if not place.exists():
-        raise PlgsError("there is no such folder", place, "Name the folder of a scene.")
+        raise PlgsError("no-folder", "there is no such folder", place, "Name the folder of a scene.")
     known = {each.name: each for each in FORMATS}
     if name is not None:
         if name not in known:
             fix = GONE_FORMATS.get(name) or f"Choose one of {', '.join(known)}."
-            raise PlgsError(f'no format is called "{shown(name)}"', place, fix, option="--format")
+            raise PlgsError("unknown-format", f'no format is called "{shown(name)}"', place, fix, option="--format")
         return known[name]
     try:
         found = [each for each in FORMATS if each.recognises(place)]
     except OSError as error:
-        raise PlgsError(f"the folder cannot be read ({error.strerror})", place, "Check its permissions.") from error
+        what = f"the folder cannot be read ({error.strerror})"
+        raise PlgsError("unreadable", what, place, "Check its permissions.") from error
     if len(found) > 1 and found[0] is not FORMATS[0]:
         names = " and ".join(each.name for each in found)
         fix = f"Say which one it is, such as --format {found[0].name}."
-        raise PlgsError(f"this looks like {names}", place, fix, option="--format")
+        raise PlgsError("several-formats", f"this looks like {names}", place, fix, option="--format")
     if not found:
         raise _unknown(place, known)
     return found[0]
@@ -79,25 +80,26 @@ def _unknown(place: Path, known: Iterable[str]) -> PlgsError:
     if models:
         app = "Scaniverse exports no such data. " if any("scaniverse" in name.lower() for name in models) else ""
         what = f"there are finished models only ({listed(models)}), without the scan's pictures, depth and poses"
-        return PlgsError(what, place, f"{app}{_EXPORT_SCAN}")
+        return PlgsError("models-only", what, place, f"{app}{_EXPORT_SCAN}")
     if place.suffix.lower() == ".zip" and place.is_file():
-        return PlgsError("this is an archive", place, f"Unpack it ({_UNPACK}), and name the folder.")
+        return PlgsError("archive", "this is an archive", place, f"Unpack it ({_UNPACK}), and name the folder.")
     if place.is_dir() and (place / "rgb").is_dir() and any(place.glob("*poses.txt")):
-        return PlgsError("poses of RTAB-Map are here, but not as this layout has them", place, _RTABMAP)
+        return PlgsError("rtabmap", "poses of RTAB-Map are here, but not as this layout has them", place, _RTABMAP)
     if inner := _scenes_inside(place):
         fix = f"Name one of them, such as {inner[0]}, or lift all: python -m engine batch {place}/* -o OUT."
-        return PlgsError(f"no scene is in this folder, but in {listed([each.name for each in inner])}", place, fix)
+        what = f"no scene is in this folder, but in {listed([each.name for each in inner])}"
+        return PlgsError("inner-scenes", what, place, fix)
     if film or (place.is_dir() and photos_in(place) is not None):
         fix = (
             f"{'A film needs' if film else 'Photos need'} poses: record with an app that keeps them (Record3D, "
             f"Polycam, Stray Scanner), or {LET_COLMAP}."
         )
-        return PlgsError(what, place, fix, code=ErrorCode.NO_POSES)
+        return PlgsError("no-poses", what, place, fix, code=ErrorCode.NO_POSES)
     fix = (
         "Photos and films need poses: record with an app that keeps them (Record3D, Polycam, Stray Scanner), or make "
         f"them with COLMAP. Name a layout to see what it lacks: --format {',  '.join(known)}."
     )
-    return PlgsError(what, place, fix, option="--format")
+    return PlgsError("no-format", what, place, fix, option="--format")
 
 
 def _scenes_inside(place: Path) -> list[Path]:

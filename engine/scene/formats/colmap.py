@@ -83,7 +83,7 @@ def _read(place: Path) -> Capture:
     """Open the registered images; only headers of images are read. Raises PlgsError."""
     folder = _find_model(place)
     if folder is None:
-        raise PlgsError("there is no COLMAP model", place, f"Give {_LOOKS_FOR}, or {LET_COLMAP}.")
+        raise PlgsError("no-colmap-model", "there is no COLMAP model", place, f"Give {_LOOKS_FOR}, or {LET_COLMAP}.")
     depths, warnings = _measured_depth(place, folder), list[str]()
     others = [each.name for each in sorted(folder.parent.glob("[0-9]*")) if each != folder and has_model(each)]
     if folder.name == "0" and others:
@@ -96,7 +96,8 @@ def _read(place: Path) -> Capture:
     model = read_model(folder)
     images = sorted(model.images, key=lambda image: natural_order(image.name))
     if not images:
-        raise PlgsError("the model has no registered image", folder, f"Move {folder.name} away, and {LET_COLMAP}.")
+        what = "the model has no registered image"
+        raise PlgsError("model-empty", what, folder, f"Move {folder.name} away, and {LET_COLMAP}.")
     names = frame_names([image.name for image in images])
     root = _find_images(place, images)
     paths = [file_inside(root, image.name, folder) for image in images]
@@ -124,7 +125,8 @@ def _find_images(place: Path, images: list[ColmapImage]) -> Path:
     for name in _IMAGES:
         if file_inside(place / name, first, place).is_file():
             return place / name
-    raise PlgsError("the pictures are missing", place / "images" / first, "Copy the pictures that COLMAP had there.")
+    what = "the pictures are missing"
+    raise PlgsError("no-pictures", what, place / "images" / first, "Copy the pictures that COLMAP had there.")
 
 
 def _measured_depth(place: Path, folder: Path) -> dict[str, Path]:
@@ -139,7 +141,8 @@ def _shot(
     name: str, image: ColmapImage, path: Path, model: ColmapModel, place: Path, depths: Mapping[str, Path]
 ) -> Shot:
     if image.camera not in model.cameras:
-        raise PlgsError(f"image {name} has camera {image.camera}, which is not there", model.folder, EXPORT_AGAIN)
+        what = f"image {name} has camera {image.camera}, which is not there"
+        raise PlgsError("no-camera", what, model.folder, EXPORT_AGAIN)
     lens, distortion = _lens(model.cameras[image.camera], model.folder)
     lens = fitted(lens, path, "Give COLMAP's own pictures.")
     pose = inverse(quaternion_pose(image.rotation, image.translation, model.folder))
@@ -156,7 +159,7 @@ def _lens(camera: ColmapCamera, folder: Path) -> tuple[Camera, Distortion]:
     model, values = camera.model, camera.parameters
     if model not in (*_BROWN, *_FISHEYES):
         fix = _PANORAMAS if model == "EQUIRECTANGULAR" else UNDISTORT
-        raise PlgsError(f"the camera model {model} is not known here", folder, fix)
+        raise PlgsError("lens-model", f"the camera model {model} is not known here", folder, fix)
     if model.startswith(("SIMPLE", "RADIAL")):
         (f, cx, cy), rest = values[:3], values[3:]
         fx = fy = f
@@ -197,16 +200,16 @@ def _read_dense(path: Path) -> NDArray[np.float32]:
     data = read_file(path, _MOST_DEPTH)
     head = data[:64].split(b"&", 3)
     if len(head) < 4 or not all(part.isdigit() for part in head[:3]):
-        raise PlgsError("this is not one of COLMAP's depth maps", path, _STEREO)
+        raise PlgsError("not-depth-map", "this is not one of COLMAP's depth maps", path, _STEREO)
     width, height, channels = (int(part) for part in head[:3])
     start = sum(len(part) + 1 for part in head[:3])
     if channels != 1 or not width * height or len(data) != start + 4 * width * height:
-        raise PlgsError("the depth map is cut off", path, _STEREO)
+        raise PlgsError("depth-cut-off", "the depth map is cut off", path, _STEREO)
     values = np.frombuffer(data, "<f4", offset=start).reshape(height, width)
     is_broken = ~(np.abs(values) < _FARTHEST)  # also where it is NaN
     if is_broken.mean() > _MOST_BROKEN:
         what = f"{is_broken.mean():.0%} of the depth map is not depth"
-        raise PlgsError(what, path, _STEREO)
+        raise PlgsError("depth-broken", what, path, _STEREO)
     return np.where(is_broken, np.float32(0.0), only_depth(values))
 
 

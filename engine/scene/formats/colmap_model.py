@@ -135,7 +135,7 @@ class _Bytes:
         self.position += size
 
     def _cut_off(self) -> PlgsError:
-        return PlgsError("the file is cut off", self.path, EXPORT_AGAIN)
+        return PlgsError("cut-off", "the file is cut off", self.path, EXPORT_AGAIN)
 
 
 def _binary_cameras(path: Path) -> dict[int, ColmapCamera]:
@@ -143,7 +143,8 @@ def _binary_cameras(path: Path) -> dict[int, ColmapCamera]:
     for _ in range(file.count("cameras", 40)):
         camera, model, width, height = (int(value) for value in file.take("<IiQQ"))
         if not 0 <= model < len(_MODELS):
-            raise PlgsError(f"camera {camera} has the model number {model}, which is not known", path, UNDISTORT)
+            what = f"camera {camera} has the model number {model}, which is not known"
+            raise PlgsError("lens-model", what, path, UNDISTORT)
         name, count = _MODELS[model]
         cameras[camera] = _checked_camera(ColmapCamera(name, width, height, file.take(f"<{count}d")), camera, path)
     return cameras
@@ -185,7 +186,7 @@ def _lines(path: Path) -> Iterator[tuple[int, str]]:
 
 
 def _broken(path: Path, number: int) -> PlgsError:
-    return PlgsError(f"line {number} is not as COLMAP writes it", path, EXPORT_AGAIN)
+    return PlgsError("bad-line", f"line {number} is not as COLMAP writes it", path, EXPORT_AGAIN)
 
 
 def _text_cameras(path: Path) -> dict[int, ColmapCamera]:
@@ -202,14 +203,14 @@ def _text_cameras(path: Path) -> dict[int, ColmapCamera]:
             raise _broken(path, number) from error
         if counts.get(model) != len(parameters):
             what = f"camera {camera} has the model {model[:40]} with {len(parameters)} numbers, which is not known"
-            raise PlgsError(what, path, EXPORT_AGAIN if model in counts else UNDISTORT)
+            raise PlgsError("lens-model", what, path, EXPORT_AGAIN if model in counts else UNDISTORT)
         cameras[camera] = _checked_camera(ColmapCamera(model, width, height, parameters), camera, path)
     return cameras
 
 
 def _checked_camera(camera: ColmapCamera, number: int, path: Path) -> ColmapCamera:
     if not (0 < camera.width < 2**16 and 0 < camera.height < 2**16 and np.isfinite(camera.parameters).all()):
-        raise PlgsError(f"camera {number} has numbers that no camera has", path, EXPORT_AGAIN)
+        raise PlgsError("bad-camera", f"camera {number} has numbers that no camera has", path, EXPORT_AGAIN)
     return camera
 
 

@@ -104,7 +104,7 @@ def planar_depth(path: Path, projection: Projection) -> NDArray[np.float32]:
     """Planar depth, float32 [H, W] metres, 0 = none, of distances to the camera's centre. Raises PlgsError."""
     distance = read_hdf5(path, 2).astype(np.float64)
     if distance.shape != (projection.height, projection.width):
-        raise PlgsError("depth and colour differ in size", path, "Download the scene again.")
+        raise PlgsError("other-size", "depth and colour differ in size", path, "Download the scene again.")
     x, y = np.meshgrid(np.arange(projection.width) + 0.5, np.arange(projection.height) + 0.5)
     rays = np.stack([x, y, np.ones_like(x)], axis=-1) @ projection.ray_of_pixel().T
     depth = distance * rays[..., 2] / np.linalg.norm(rays, axis=-1)
@@ -116,7 +116,7 @@ def tone_mapped(path: Path) -> NDArray[np.uint8]:
     """A linear picture, tone mapped to uint8 [H, W, 3] RGB. Raises PlgsError."""
     linear = np.nan_to_num(read_hdf5(path, 3).astype(np.float32), nan=0.0, posinf=0.0, neginf=0.0)
     if linear.shape[2] != 3:
-        raise PlgsError("the picture does not have three channels", path, "Download it again.")
+        raise PlgsError("not-colour", "the picture does not have three channels", path, "Download it again.")
     bright = float(np.percentile(linear @ np.array([0.3, 0.59, 0.11], np.float32), _BRIGHT_SHARE))
     scale = _BRIGHT ** (1.0 / _GAMMA) / bright if bright > 1e-4 else 0.0
     mapped = np.clip(np.maximum(scale * linear, 0.0) ** _GAMMA, 0.0, 1.0)
@@ -144,17 +144,17 @@ def _dataset(path: Path, dimensions: int) -> Iterator[Any]:
     except ImportError as error:
         raise lacks_part("HDF5 files need the package h5py", path, "hypersim") from error
     if not path.is_file():
-        raise PlgsError("the file is missing", path, _PIXELS_FIX)
+        raise PlgsError("file-missing", "the file is missing", path, _PIXELS_FIX)
     try:
         with h5py.File(path, "r") as file:  # is_file above: no FIFO
             dataset = file.get("dataset")
             if not isinstance(dataset, h5py.Dataset) or dataset.dtype.kind not in "fiu":
-                raise PlgsError('there is no array of numbers called "dataset"', path, _PIXELS_FIX)
+                raise PlgsError("no-array", 'there is no array of numbers called "dataset"', path, _PIXELS_FIX)
             if dataset.ndim != dimensions or not 0 < np.prod(dataset.shape, dtype=np.float64) <= _LARGEST:
-                raise PlgsError(f"the array has the shape {dataset.shape}", path, _PIXELS_FIX)
+                raise PlgsError("shape", f"the array has the shape {dataset.shape}", path, _PIXELS_FIX)
             yield dataset
     except (OSError, KeyError, ValueError, RuntimeError) as error:
-        raise PlgsError("the file cannot be read, or is cut off", path, _PIXELS_FIX) from error
+        raise PlgsError("file-damaged", "the file cannot be read, or is cut off", path, _PIXELS_FIX) from error
 
 
 _FIX = "Download the scene again."
@@ -182,12 +182,12 @@ def _read(place: Path) -> Capture:
         positions = read_hdf5(camera / "camera_keyframe_positions.hdf5", 2)
         turns = read_hdf5(camera / "camera_keyframe_orientations.hdf5", 3)
         if positions.shape[1:] != (3,) or turns.shape != (len(positions), 3, 3):
-            raise PlgsError("positions and orientations do not belong together", camera, _FIX)
+            raise PlgsError("poses-unpaired", "positions and orientations do not belong together", camera, _FIX)
         pictures = list(_pictures(place / "images", camera.name))
         blind += _without_depth(place / "images", camera.name, {number for number, *_ in pictures})
         for number, colour, depth in pictures:
             if number >= len(positions):
-                raise PlgsError(f"frame {number} has no pose", camera, _FIX)
+                raise PlgsError("no-pose", f"frame {number} has no pose", camera, _FIX)
             matrix = np.column_stack([turns[number], positions[number] * metres]).astype(np.float64)
             pose = finite_pose(matrix, camera / "camera_keyframe_orientations.hdf5")
             name = f"{camera.name}_{number:04d}"
@@ -221,7 +221,7 @@ def _shot(name: str, colour: Path, depth: Path, pose: NDArray[np.float64], rays:
     projection = Projection(width, height, tuple(rays.ravel().tolist()))
     lens = projection.pinhole()
     if not (np.isfinite([lens.fx, lens.fy, lens.cx, lens.cy]).all() and lens.fx > 0.0 and lens.fy > 0.0):
-        raise PlgsError("no camera can have these camera parameters", colour, f"Correct {_PARAMETERS}.")
+        raise PlgsError("bad-camera", "no camera can have these camera parameters", colour, f"Correct {_PARAMETERS}.")
     read = partial(decode, colour, as_colour=True) if is_image else partial(tone_mapped, colour)
     if projection.is_tilted:
         read = partial(straightened, read, projection)
@@ -235,10 +235,10 @@ def _metres_a_unit(path: Path) -> float:
             try:
                 metres = float(row.get("parameter_value") or "")
             except ValueError as error:
-                raise PlgsError("meters_per_asset_unit is not a number", path, _FIX) from error
+                raise PlgsError("bad-unit", "meters_per_asset_unit is not a number", path, _FIX) from error
             if 0.0 < metres < 1e6:
                 return metres
-    raise PlgsError("meters_per_asset_unit is missing", path, _FIX)
+    raise PlgsError("no-unit", "meters_per_asset_unit is missing", path, _FIX)
 
 
 def _read_rays(place: Path) -> tuple[NDArray[np.float64], tuple[Inferred, ...]]:
@@ -251,14 +251,15 @@ def _read_rays(place: Path) -> tuple[NDArray[np.float64], tuple[Inferred, ...]]:
     row = next((row for row in _read_table(path) if row.get("scene_name") == name), None)
     if row is None:
         fix = "Keep the folder's name as Hypersim has it, such as ai_001_001."
-        raise PlgsError(f"there are no camera parameters for a scene {name}", path, fix)
+        raise PlgsError("no-camera", f"there are no camera parameters for a scene {name}", path, fix)
     try:
         values = [float(row[f"M_cam_from_uv_{i}{j}"] or "") for i in range(3) for j in range(3)]
     except (KeyError, ValueError) as error:
-        raise PlgsError(f"the camera parameters of {name} are not numbers", path, "Download it again.") from error
+        what = f"the camera parameters of {name} are not numbers"
+        raise PlgsError("bad-camera", what, path, "Download it again.") from error
     rays = np.array(values).reshape(3, 3)
     if not np.isfinite(rays).all() or abs(np.linalg.det(rays)) < 1e-9:
-        raise PlgsError(f"no camera can have the camera parameters of {name}", path, "Download it again.")
+        raise PlgsError("bad-camera", f"no camera can have the camera parameters of {name}", path, "Download it again.")
     return rays, ()
 
 
@@ -270,7 +271,7 @@ def _read_table(path: Path) -> list[dict[str, str]]:
                 for row in csv.DictReader(file, skipinitialspace=True)
             ]
     except (UnicodeDecodeError, csv.Error) as error:
-        raise PlgsError("this is not a table", path, _FIX) from error
+        raise PlgsError("not-table", "this is not a table", path, _FIX) from error
 
 
 FORMAT = SceneFormat("hypersim", _recognises, _read)

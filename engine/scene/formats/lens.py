@@ -40,7 +40,7 @@ def pinhole(
     fits = 0.0 <= cx <= width < 2**16 and 0.0 <= cy <= height < 2**16
     if not (fits and 0.0 < fx < 1e6 and 0.0 < fy < 1e6 and width >= 1.0 and height >= 1.0):
         what = f"{whose} has intrinsics that no camera has with pictures of {width:.0f}x{height:.0f}"
-        raise PlgsError(what, path, fix)
+        raise PlgsError("bad-intrinsics", what, path, fix)
     return Camera(round(width), round(height), float(fx), float(fy), float(cx), float(cy), np.eye(4))
 
 
@@ -48,7 +48,8 @@ def fitted(lens: Camera, picture: Path, fix: str) -> Camera:
     """``lens`` at the size of an image file. Raises PlgsError when it is for pictures of another shape."""
     size = read_image_header(picture).size
     if not same_shape(size, lens.size):
-        raise PlgsError(f"the picture is {shown_size(size)}, but its camera {shown_size(lens.size)}", picture, fix)
+        what = f"the picture is {shown_size(size)}, but its camera {shown_size(lens.size)}"
+        raise PlgsError("other-size", what, picture, fix)
     return lens.resized(*size)
 
 
@@ -88,11 +89,11 @@ def undistorted(pixels: NDArray[Any], lens: Camera, distortion: Distortion, path
         if share < _LEAST_SEEN:
             values = ", ".join(f"{value:.4g}" for value in distortion.coefficients)
             what = f"the lens distorts so much that {share:.0%} of the picture is left (its distortion: {values})"
-            raise PlgsError(what, path, "Correct the distortion, or undistort the pictures first.")
+            raise PlgsError("lens-distorts", what, path, "Correct the distortion, or undistort the pictures first.")
         return cv2.remap(pixels, x, y, cv2.INTER_LINEAR if smooth else cv2.INTER_NEAREST)
     except cv2.error as error:
         fix = "Undistort the pictures first, and give pinhole cameras."
-        raise PlgsError(f"the lens cannot be undistorted ({error.err})", path, fix) from error
+        raise PlgsError("lens-unsolved", f"the lens cannot be undistorted ({error.err})", path, fix) from error
 
 
 @lru_cache(maxsize=4)

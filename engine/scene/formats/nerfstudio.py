@@ -97,7 +97,8 @@ def _frames(content: dict[str, Any], path: Path) -> tuple[list[dict[str, Any]], 
         else:
             absent.append(frame["file_path"])
     if frames and not present:
-        raise PlgsError("the pictures are missing", _image_path(path, frames[0]["file_path"]), "Copy them there.")
+        what = "the pictures are missing"
+        raise PlgsError("no-pictures", what, _image_path(path, frames[0]["file_path"]), "Copy them there.")
     return present, absent
 
 
@@ -165,7 +166,7 @@ def _lens(entry: dict[str, Any], size: Size, context: str, path: Path) -> Camera
 def _focal_length(entry: dict[str, Any], key: str, side: float, context: str, path: Path) -> float:
     angle = take_number(entry, key, context, path)
     if not 0.0 < angle < math.pi:
-        raise PlgsError(f'"{key}" of {context} is not an angle of view in radians', path, "Correct it.")
+        raise PlgsError("bad-angle", f'"{key}" of {context} is not an angle of view in radians', path, "Correct it.")
     return side / 2.0 / math.tan(angle / 2.0)
 
 
@@ -182,7 +183,7 @@ def _distortion(entry: dict[str, Any], context: str, path: Path) -> Distortion:
     if model in _PINHOLES:
         return STRAIGHT
     fix = "Undistort the pictures, and give PINHOLE, OPENCV or OPENCV_FISHEYE."
-    raise PlgsError(f'{context} has the camera model "{str(model)[:40]}", which is not known', path, fix)
+    raise PlgsError("lens-model", f'{context} has the camera model "{str(model)[:40]}", which is not known', path, fix)
 
 
 def _depth(entry: dict[str, Any], lens: Camera, context: str, path: Path) -> DepthMap | None:
@@ -199,7 +200,8 @@ def _depth(entry: dict[str, Any], lens: Camera, context: str, path: Path) -> Dep
     unit = take_number(entry, "integer_depth_scale", context, path) if has_scale else MILLIMETRES
     if not 0.0 < unit < 1.0:
         fix = "Write one such as 0.001; or give 16-bit depth of another source with --depth MAPS."
-        raise PlgsError('"integer_depth_scale" is not the length of a step in metres', path, fix, option="--depth")
+        what = '"integer_depth_scale" is not the length of a step in metres'
+        raise PlgsError("bad-scale", what, path, fix, option="--depth")
     return png_depth(depth_path, lens, unit)
 
 
@@ -234,7 +236,7 @@ def read_ply_points(path: Path) -> SparsePoints:
     end = data.find(b"end_header")
     body = data.find(b"\n", end) + 1
     if not data.startswith(b"ply") or end < 0 or not body:
-        raise PlgsError("this is not a PLY file", path, _PLY_FIX)
+        raise PlgsError("not-ply", "this is not a PLY file", path, _PLY_FIX)
     form, count, fields = _parse_header(data[:end].decode("ascii", "replace"), path)
     vertices = _vertices(data[body:], form, count, np.dtype(fields), path)
     names = vertices.dtype.names or ()
@@ -253,18 +255,19 @@ def _parse_header(header: str, path: Path) -> tuple[str, int, list[tuple[str, st
     elements = [i for i, line in enumerate(lines) if line[:1] == ["element"]]
     vertex = lines[elements[0]] if elements else []
     if len(vertex) != 3 or vertex[1] != "vertex" or not vertex[2].isdecimal():
-        raise PlgsError("the PLY does not begin with vertices", path, _PLY_FIX)
+        raise PlgsError("ply-vertices", "the PLY does not begin with vertices", path, _PLY_FIX)
     last = elements[1] if len(elements) > 1 else len(lines)
     order = ">" if form == "binary_big_endian" else "<"
     fields = []
     for line in lines[elements[0] + 1 : last]:
         if line[:1] == ["property"]:
             if len(line) != 3 or line[1] not in _PLY_TYPES:
-                raise PlgsError("the PLY's vertices have a property that is not understood", path, _PLY_FIX)
+                what = "the PLY's vertices have a property that is not understood"
+                raise PlgsError("ply-property", what, path, _PLY_FIX)
             fields.append((line[2], order + _PLY_TYPES[line[1]]))
     names = [name for name, _ in fields]
     if not {"x", "y", "z"} <= {*names} or len({*names}) < len(names):
-        raise PlgsError("the PLY's vertices have no x, y and z", path, _PLY_FIX)
+        raise PlgsError("ply-positions", "the PLY's vertices have no x, y and z", path, _PLY_FIX)
     return form, int(vertex[2]), fields
 
 
@@ -285,4 +288,4 @@ def _vertices(body: bytes, form: str, count: int, fields: np.dtype[np.void], pat
     try:
         return np.array([tuple(float(value) for value in row) for row in rows], fields)
     except (ValueError, OverflowError) as error:
-        raise PlgsError("the PLY's vertices are not numbers", path, _PLY_FIX) from error
+        raise PlgsError("ply-not-numbers", "the PLY's vertices are not numbers", path, _PLY_FIX) from error

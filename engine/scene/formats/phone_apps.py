@@ -66,7 +66,7 @@ def _read_polycam(place: Path) -> Capture:
     levels = files_if_any(folder / "confidence", {".png"}, _POLYCAM_FIX)
     entries = of_most([name for name in cameras if name in images], lambda name: read_json_object(cameras[name]))
     if not entries:
-        raise PlgsError("no image has a camera", folder, _POLYCAM_FIX)
+        raise PlgsError("no-camera", "no image has a camera", folder, _POLYCAM_FIX)
     found: dict[str, Shot | PlgsError | None] = dict.fromkeys(sorted({*raw, *cameras, *images}, key=natural_order))
     for name, entry in entries.items():
         size = _size(entry, images[name], cameras[name], raw.get(name))
@@ -148,7 +148,8 @@ def _read_scanner_app(place: Path) -> Capture:
         make = None if table is None else partial(_shot_scanner_app, picture, table, depth, level)
         found.append((picture.stem, None if make is None else with_picture(picture, make)))
     if not any(shot for _, shot in found):
-        raise PlgsError("no picture frame_<number>.jpg has its frame_<number>.json", place, _SCANNER_APP_FIX)
+        what = "no picture frame_<number>.jpg has its frame_<number>.json"
+        raise PlgsError("no-pictures", what, place, _SCANNER_APP_FIX)
     return Capture(found, "y", up_is_known=True)
 
 
@@ -166,7 +167,8 @@ def _shot_scanner_app(picture: Path, table: Path, depth: Path | None, level: Pat
     matrix = take_numbers(entry, _SCANNER_APP_POSE, "the frame", table, 16).reshape(4, 4)
     K = take_numbers(entry, _SCANNER_APP_LENS, "the frame", table, 9).reshape(3, 3)
     if not np.array_equal(K[_FIXED], [0.0, 0.0, 0.0, 0.0, 1.0]):
-        raise PlgsError(f"{_SCANNER_APP_LENS} are not fx 0 cx, 0 fy cy, 0 0 1", table, _SCANNER_APP_FIX)
+        what = f"{_SCANNER_APP_LENS} are not fx 0 cx, 0 fy cy, 0 0 1"
+        raise PlgsError("not-camera-matrix", what, table, _SCANNER_APP_FIX)
     pose = finite_pose(matrix, table)
     if pose is None:
         return None
@@ -196,7 +198,7 @@ def _read_stray(place: Path) -> Capture:
 def _shots(place: Path) -> Iterator[tuple[str, Shot | None]]:
     video = Video(place / "rgb.mp4")
     if not video.path.is_file():
-        raise PlgsError("the video is missing", video.path, _STRAY_FIX)
+        raise PlgsError("video-missing", "the video is missing", video.path, _STRAY_FIX)
     size = video.size()
     matrix = read_matrix(place / "camera_matrix.csv", ((3, 3),))
     shared = [matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2]]
@@ -223,17 +225,18 @@ def _read_odometry(path: Path) -> list[dict[str, float]]:
     rows = read_rows(path, _STRAY_FIX, ",", titles=True)
     head = next(rows, None)
     if head is None or not {*_COLUMNS} <= {*head.words}:
-        raise PlgsError(f"the first line does not name {', '.join(_COLUMNS)}", path, _STRAY_FIX)
+        raise PlgsError("no-columns", f"the first line does not name {', '.join(_COLUMNS)}", path, _STRAY_FIX)
     found, wanted = [], {*_COLUMNS, *(_STRAY_LENS if {*_STRAY_LENS} <= {*head.words} else ())}
     for row in rows:
         if len(row.words) != len(head.words):
-            raise PlgsError(f"line {row.line} holds {len(row.words)} numbers, not {len(head.words)}", path, _STRAY_FIX)
+            what = f"line {row.line} holds {len(row.words)} numbers, not {len(head.words)}"
+            raise PlgsError("wrong-count", what, path, _STRAY_FIX)
         given = {name: word for name, word in zip(head.words, row.words, strict=True) if name in wanted}
         if all(given[name] == "" for name in given.keys() & {*_STRAY_LENS}):
             given = {name: given[name] for name in _COLUMNS}
         values = dict(zip(given, numbers(Row(row.line, [*given.values()]), path, _STRAY_FIX).tolist(), strict=True))
         if not 0.0 <= values["frame"] < 1e9:
-            raise PlgsError(f"line {row.line} does not name a frame's number", path, _STRAY_FIX)
+            raise PlgsError("no-frame-number", f"line {row.line} does not name a frame's number", path, _STRAY_FIX)
         found.append(values)
     return found
 

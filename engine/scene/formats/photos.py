@@ -97,7 +97,8 @@ class Video:
             good, pixels = self._capture.read()
             self._next = number + 1
         if not good or pixels is None:
-            raise PlgsError(f"the video has no frame {number}, or it cannot be decoded", self.path, _VIDEO_FIX)
+            what = f"the video has no frame {number}, or it cannot be decoded"
+            raise PlgsError("no-frame", what, self.path, _VIDEO_FIX)
         return np.ascontiguousarray(pixels[..., ::-1])
 
     def reader(self, number: int) -> Callable[[], NDArray[np.uint8]]:
@@ -114,7 +115,7 @@ class Video:
                 int(self._capture.get(side)) for side in (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT)
             )
         if width < 1 or height < 1:
-            raise PlgsError("the video does not say how large its pictures are", self.path, _VIDEO_FIX)
+            raise PlgsError("video-size", "the video does not say how large its pictures are", self.path, _VIDEO_FIX)
         return width, height
 
     def count(self) -> int:
@@ -125,7 +126,7 @@ class Video:
             self._go_to(0)
             count = int(self._capture.get(cv2.CAP_PROP_FRAME_COUNT))
         if count <= 0:
-            raise PlgsError("the video does not say how many pictures it has", self.path, _VIDEO_FIX)
+            raise PlgsError("video-count", "the video does not say how many pictures it has", self.path, _VIDEO_FIX)
         return count
 
     def _go_to(self, number: int) -> None:
@@ -138,7 +139,7 @@ class Video:
             self._next = 0
             if not self._capture.isOpened():
                 self._capture = None
-                raise PlgsError("the video cannot be opened", self.path, _VIDEO_FIX)
+                raise PlgsError("video-unreadable", "the video cannot be opened", self.path, _VIDEO_FIX)
         while self._next < number and self._capture.grab():
             self._next += 1
 
@@ -152,7 +153,7 @@ def _refuse_other_files(path: Path) -> None:
         with open_plain(path) as file:
             start = file.read(12)
     except OSError as error:
-        raise PlgsError(f"the video cannot be read ({error.strerror})", path, _VIDEO_FIX) from error
+        raise PlgsError("unreadable", f"the video cannot be read ({error.strerror})", path, _VIDEO_FIX) from error
     is_avi = start[:4] == b"RIFF" and start[8:] == b"AVI "
     if start[4:8] not in _BOXES and not start.startswith(_MATROSKA) and not is_avi:
-        raise PlgsError("this is not an MP4, MOV, Matroska or AVI video", path, _VIDEO_FIX)
+        raise PlgsError("not-video", "this is not an MP4, MOV, Matroska or AVI video", path, _VIDEO_FIX)

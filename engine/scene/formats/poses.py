@@ -39,7 +39,7 @@ def quaternion_pose(wxyz: Sequence[float], position: Sequence[float], path: Path
     w, x, y, z = (float(value) for value in wxyz)
     square = w * w + x * x + y * y + z * z
     if not square > 1e-12 or not np.isfinite(square):
-        raise PlgsError("a quaternion is zero", path, "Write the rotation as a unit quaternion.")
+        raise PlgsError("zero-quaternion", "a quaternion is zero", path, "Write the rotation as a unit quaternion.")
     s = 2.0 / square
     pose = np.eye(4)
     pose[:3, :3] = [
@@ -84,9 +84,9 @@ def numbers(row: Row, path: Path, fix: str, count: int | None = None) -> NDArray
     try:
         values = np.array([float(word) for word in row.words])
     except ValueError as error:
-        raise PlgsError(f"line {row.line} holds something other than numbers", path, fix) from error
+        raise PlgsError("not-numbers", f"line {row.line} holds something other than numbers", path, fix) from error
     if count is not None and len(values) != count:
-        raise PlgsError(f"line {row.line} holds {len(values)} numbers, not {count}", path, fix)
+        raise PlgsError("wrong-count", f"line {row.line} holds {len(values)} numbers, not {count}", path, fix)
     return values
 
 
@@ -95,5 +95,5 @@ def matrix_rows(path: Path, fix: str) -> Iterator[NDArray[np.float64]]:
     for row in read_rows(path, fix):
         values = numbers(row, path, fix)
         if len(values) not in (12, 16):
-            raise PlgsError(f"line {row.line} holds {len(values)} numbers, not 16", path, fix)
+            raise PlgsError("wrong-count", f"line {row.line} holds {len(values)} numbers, not 16", path, fix)
         yield np.vstack([values.reshape(-1, 4)[:3], [0.0, 0.0, 0.0, 1.0]])

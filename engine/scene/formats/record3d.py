@@ -80,19 +80,19 @@ class _Archive:
         with self._open() as archive:
             try:
                 if archive.getinfo(name).file_size > _LARGEST:
-                    raise PlgsError(f"{name} is too large", self.path, _FIX)
+                    raise PlgsError("too-large", f"{name} is too large", self.path, _FIX)
                 return archive.read(name)
             except KeyError as error:
-                raise PlgsError(f"{name} is missing", self.path, _FIX) from error
+                raise PlgsError("file-missing", f"{name} is missing", self.path, _FIX) from error
             except (BadZipFile, OSError, ValueError, NotImplementedError, RuntimeError, EOFError) as error:
-                raise PlgsError(f"{name} cannot be unpacked", self.path, _FIX) from error
+                raise PlgsError("file-damaged", f"{name} cannot be unpacked", self.path, _FIX) from error
 
     def _open(self) -> ZipFile:
         try:
             refuse_special(self.path)
             return ZipFile(self.path)
         except (BadZipFile, OSError, ValueError, NotImplementedError) as error:
-            raise PlgsError("this is not a .r3d file, or it is cut off", self.path, _FIX) from error
+            raise PlgsError("not-r3d", "this is not a .r3d file, or it is cut off", self.path, _FIX) from error
 
 
 def _recognises(place: Path) -> bool:
@@ -113,7 +113,7 @@ def _read(place: Path) -> Capture:
     """Open the frames; no picture is decoded. Raises PlgsError."""
     path, exported = _find(place), _exr_folder(place)
     if path is None and exported is None:
-        raise PlgsError("there is no .r3d file, or more than one", place, "Name the file.")
+        raise PlgsError("not-one-file", "there is no .r3d file, or more than one", place, "Name the file.")
     found = list(_exr_shots(exported) if path is None and exported else _shots(_Archive(path or place), path or place))
     return Capture(found, _up([shot for _, shot in found if isinstance(shot, Shot)]))
 
@@ -140,7 +140,7 @@ def _cameras(metadata: dict[str, Any], numbers: list[int], path: Path) -> Iterat
     count = len(take_list(metadata, "poses", "metadata", path))
     poses = take_matrix(metadata, "poses", "metadata", path, ((count, 7),))
     if not numbers or numbers[-1] >= count:
-        raise PlgsError(f"there are {count} poses and {len(numbers)} pictures", path, _FIX)
+        raise PlgsError("unequal-counts", f"there are {count} poses and {len(numbers)} pictures", path, _FIX)
     for number in numbers:
         if not np.isfinite(poses[number]).all():
             yield number, None
@@ -176,14 +176,15 @@ def _read_exr(path: Path) -> NDArray[np.float32]:
         import OpenEXR
     except ImportError as error:
         fix = "Install it with the engine's Python: python -m pip install -r requirements/engine.txt."
-        raise PlgsError("EXR files need the package OpenEXR", path, fix) from error
+        raise PlgsError("no-openexr", "EXR files need the package OpenEXR", path, fix) from error
     try:
         with OpenEXR.File(str(path), separate_channels=True) as file:
             return only_depth(file.channels()["R"].pixels.astype(np.float32))
     except (RuntimeError, ValueError, OSError, KeyError) as error:
-        raise PlgsError("the OpenEXR file cannot be read, is cut off, or lacks the channel R", path, _FIX) from error
+        what = "the OpenEXR file cannot be read, is cut off, or lacks the channel R"
+        raise PlgsError("exr-unreadable", what, path, _FIX) from error
     except MemoryError as error:
-        raise PlgsError("no memory is left for the OpenEXR file", path, "Close other programs.") from error
+        raise PlgsError("no-memory", "no memory is left for the OpenEXR file", path, "Close other programs.") from error
 
 
 def _up(shots: list[Shot]) -> UpAxis | None:
@@ -220,7 +221,7 @@ def _read_depth(
     values = np.frombuffer(_unpacked(archive, name, 4, min(width * height, _MOST_DEPTHS)), "<f4")
     width, height = size or _guessed_size(len(values), camera, name, archive.path)
     if width * height != len(values):
-        raise PlgsError(f"{name} does not hold {width}x{height} numbers", archive.path, _FIX)
+        raise PlgsError("other-size", f"{name} does not hold {width}x{height} numbers", archive.path, _FIX)
     depth = only_depth(values.reshape(height, width))
     if confidence is not None:
         level = np.frombuffer(_unpacked(archive, confidence, 1, depth.size), np.uint8)
@@ -234,7 +235,7 @@ def _guessed_size(count: int, camera: Camera, name: str, path: Path) -> Size:
     upright = camera.height > camera.width
     found = [size for size in _DEPTH_SIZES if size[0] * size[1] == count and (size[1] > size[0]) is upright]
     if not found:
-        raise PlgsError(f"{name} has a size that is not known", path, _FIX)
+        raise PlgsError("unknown-size", f"{name} has a size that is not known", path, _FIX)
     return found[0]
 
 
@@ -248,9 +249,9 @@ def _unpacked(archive: _Archive, name: str, step: int, most: int) -> bytes:
     try:
         unpacked = unpack_lzfse(data, most * step, liblzfse.decompress)
     except (liblzfse.error, ValueError, MemoryError) as error:
-        raise PlgsError(f"{name} cannot be decompressed ({error})", archive.path, _FIX) from error
+        raise PlgsError("file-damaged", f"{name} cannot be decompressed ({error})", archive.path, _FIX) from error
     if len(unpacked) % step:
-        raise PlgsError(f"{name} is cut off", archive.path, _FIX)
+        raise PlgsError("cut-off", f"{name} is cut off", archive.path, _FIX)
     return unpacked
 
 

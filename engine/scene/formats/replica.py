@@ -45,7 +45,7 @@ def _read(place: Path) -> Capture:
     matrices = list(matrix_rows(trajectory, _FIX))
     if colours and max(colours) >= len(matrices):
         what = f"there are {len(matrices)} poses, but a picture {max(colours)}"
-        raise PlgsError(what, trajectory, "Number pictures from 0, and give each a pose.")
+        raise PlgsError("unequal-counts", what, trajectory, "Number pictures from 0, and give each a pose.")
     found: list[tuple[str, Shot | PlgsError | None]] = []
     for number, path in colours.items():
         pose = finite_pose(matrices[number], trajectory)
@@ -70,7 +70,8 @@ def _numbered(folder: Path, suffixes: set[str], kind: str) -> dict[int, Path]:
         if number:
             found[int(number[1])] = path
     if not found:
-        raise PlgsError(f"no picture is named {kind} and a number", folder, "Name them by their trajectory's lines.")
+        what = f"no picture is named {kind} and a number"
+        raise PlgsError("unnumbered", what, folder, "Name them by their trajectory's lines.")
     return dict(sorted(found.items()))
 
 
@@ -88,11 +89,11 @@ def _read_parameters(place: Path) -> tuple[Camera, float] | None:
         return None
     camera = read_json_object(path).get("camera")
     if not isinstance(camera, dict):
-        raise PlgsError('the file has no "camera"', path, "Add it, or remove the file.")
+        raise PlgsError("lacks-field", 'the file has no "camera"', path, "Add it, or remove the file.")
     width, height, fx, fy, cx, cy, scale = (take_number(camera, key, "camera", path) for key in _PARAMETERS)
     fix = "Correct it, or remove the file."
     if scale <= 0.0:
-        raise PlgsError("the depth's scale is not above 0", path, fix)
+        raise PlgsError("bad-scale", "the depth's scale is not above 0", path, fix)
     return pinhole(width, height, fx, fy, cx + 0.5, cy + 0.5, path=path, fix=fix), 1.0 / scale
 
 

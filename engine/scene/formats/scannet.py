@@ -104,9 +104,9 @@ class _Block:
                 data = file.read(self.size)
         except OSError as error:
             fix = "Check that it exists."
-            raise PlgsError(f"the file cannot be read ({error.strerror})", self.path, fix) from error
+            raise PlgsError("unreadable", f"the file cannot be read ({error.strerror})", self.path, fix) from error
         if len(data) < self.size:
-            raise PlgsError("the file is cut off", self.path, _FIX)
+            raise PlgsError("cut-off", "the file is cut off", self.path, _FIX)
         return data
 
 
@@ -122,7 +122,7 @@ def _read_sens(place: Path) -> Capture:
     """Open the frames; no picture is decoded. Raises PlgsError."""
     path = _find(place)
     if path is None:
-        raise PlgsError("there is no .sens file, or more than one", place, "Name the file.")
+        raise PlgsError("not-one-file", "there is no .sens file, or more than one", place, "Name the file.")
     with open_plain(path) as file:
         header = _read_header(file, path)
         alignment = fitting_alignment(header.colour, header.depth)
@@ -139,7 +139,7 @@ def _shots(file: BinaryIO, path: Path, header: _Header, alignment: Alignment) ->
         colour_size, depth_size = (int(size) for size in _take(file, "<QQQQ", path)[2:])
         start = file.tell()
         if colour_size + depth_size > end - start:
-            raise PlgsError("the file is cut off", path, _FIX)
+            raise PlgsError("cut-off", "the file is cut off", path, _FIX)
         colour, depth = _Block(path, start, colour_size), _Block(path, start + colour_size, depth_size)
         file.seek(start + colour_size + depth_size)
         pose = finite_pose(matrix, path)
@@ -151,10 +151,10 @@ def _shots(file: BinaryIO, path: Path, header: _Header, alignment: Alignment) ->
 def _read_header(file: BinaryIO, path: Path) -> _Header:
     (version,) = _take(file, "<I", path)
     if version != _VERSION:
-        raise PlgsError(f"this is not a .sens of version {_VERSION}", path, "Give ScanNet's own file.")
+        raise PlgsError("not-sens", f"this is not a .sens of version {_VERSION}", path, "Give ScanNet's own file.")
     (length,) = _take(file, "<Q", path)
     if length > _LARGEST_NAME:
-        raise PlgsError("this is not a .sens file", path, "Give ScanNet's own file.")
+        raise PlgsError("not-sens", "this is not a .sens file", path, "Give ScanNet's own file.")
     _take(file, f"<{int(length)}x", path)
     matrices = np.array(_take(file, "<64f", path), np.float64).reshape(4, 4, 4)
     colour_compression, depth_compression = _take(file, "<ii", path)
@@ -162,9 +162,9 @@ def _read_header(file: BinaryIO, path: Path) -> _Header:
     shift, frames = _take(file, "<fQ", path)
     if colour_compression not in _COLOURS or depth_compression not in (_RAW, _ZLIB):
         fix = "Export it with ScanNet's SensReader, and name the folder."
-        raise PlgsError("colour or depth is compressed in a way that is not known", path, fix)
+        raise PlgsError("unknown-codec", "colour or depth is compressed in a way that is not known", path, fix)
     if not 0.0 < shift < 1e6 or max(depth_width, depth_height) > 2**14:
-        raise PlgsError("the header makes no sense", path, _FIX)
+        raise PlgsError("bad-header", "the header makes no sense", path, _FIX)
     return _Header(
         colour=_lens(colour_width, colour_height, matrices[0], path),
         depth=_lens(depth_width, depth_height, matrices[2], path),
@@ -184,7 +184,7 @@ def _take(file: BinaryIO, layout: str, path: Path) -> tuple[float, ...]:
     size = struct.calcsize(layout)
     data = file.read(size)
     if len(data) < size:
-        raise PlgsError("the file is cut off", path, _FIX)
+        raise PlgsError("cut-off", "the file is cut off", path, _FIX)
     return struct.unpack(layout, data)
 
 
@@ -200,9 +200,9 @@ def _read_depth(block: _Block, header: _Header) -> NDArray[np.float32]:
         try:
             data = zlib.decompressobj().decompress(data, wanted)
         except zlib.error as error:
-            raise PlgsError("depth cannot be decompressed", block.path, _FIX) from error
+            raise PlgsError("depth-damaged", "depth cannot be decompressed", block.path, _FIX) from error
     if len(data) != wanted:
-        raise PlgsError("depth does not have the size that the header says", block.path, _FIX)
+        raise PlgsError("other-size", "depth does not have the size that the header says", block.path, _FIX)
     return np.frombuffer(data, "<u2").reshape(height, width) * np.float32(header.unit)
 
 

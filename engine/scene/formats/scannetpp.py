@@ -68,7 +68,7 @@ def _shots(folder: Path) -> Iterator[tuple[str, Shot | PlgsError | None]]:
         match = re.fullmatch(r"frame_(\d+)", name)
         entry = table[name]
         if match is None or not isinstance(entry, dict):
-            raise PlgsError(f'"{name[:40]}" is not a frame', path, _FIX)
+            raise PlgsError("not-a-frame", f'"{name[:40]}" is not a frame', path, _FIX)
         if pictures and name not in pictures:
             continue  # only some were extracted
         pose = None
@@ -95,7 +95,7 @@ def _video(folder: Path) -> Video:
     for name in ("rgb.mp4", "rgb.mkv"):
         if (folder / name).is_file():
             return Video(folder / name)
-    raise PlgsError("the pictures are missing", folder / "rgb.mkv", _FIX)
+    raise PlgsError("no-pictures", "the pictures are missing", folder / "rgb.mkv", _FIX)
 
 
 def _lens(entry: dict[str, Any], name: str, size: tuple[int, int], path: Path) -> Camera:
@@ -122,12 +122,12 @@ class _DepthStream:
                 with self._lock:
                     return only_depth(self._from_stream(number))
             if number >= len(self._blocks):
-                raise PlgsError(f"there is no depth of frame {number}", self.path, _FIX)
+                raise PlgsError("no-depth", f"there is no depth of frame {number}", self.path, _FIX)
             with open_plain(self.path) as file:
                 file.seek(self._blocks[number][0])
                 return only_depth(_unpack_block(file.read(self._blocks[number][1])))
         except (zlib.error, ValueError, OSError) as error:
-            raise PlgsError(f"depth of frame {number} cannot be unpacked", self.path, _FIX) from error
+            raise PlgsError("depth-damaged", f"depth of frame {number} cannot be unpacked", self.path, _FIX) from error
 
     def _from_stream(self, number: int) -> NDArray[np.float32]:
         if self._file is None or number < self._next:

@@ -83,7 +83,7 @@ def _read(place: Path) -> Capture:
     alignment, unit = fitting_alignment(colour, depth), 1.0 / _info_numbers(info, "m_depthShift", path, 1)[0]
     if alignment is None:
         fix = "Correct them; for depth that is registered to colour, write colour's lens and size for depth, too."
-        raise PlgsError("the lenses of colour and depth are not of one sensor", path, fix)
+        raise PlgsError("lenses-differ", "the lenses of colour and depth are not of one sensor", path, fix)
 
     def shot(name: str, base: Path, pose: NDArray[np.float64], picture: Path) -> Shot:
         lens = fitted(colour, picture, f"Correct {path.name}.")
@@ -107,7 +107,7 @@ def _info_numbers(info: dict[str, str], key: str, path: Path, count: int) -> NDA
         values = np.empty(0)
     if len(values) != count or not np.isfinite(values).all() or (count == 1 and not 0.0 < values[0] < 1e6):
         wanted = "no number above 0" if count == 1 else f"not {count} numbers"
-        raise PlgsError(f"{key} is {wanted if key in info else 'missing'}", path, _INFO_FIX)
+        raise PlgsError("info-value", f"{key} is {wanted if key in info else 'missing'}", path, _INFO_FIX)
     return values
 
 
@@ -150,7 +150,8 @@ def _depth_file(base: Path) -> Path:
     """Depth of the frame whose files begin with ``base``. Raises PlgsError for a .pgm."""
     pgm = base.with_name(f"{base.name}.depth.pgm")
     if pgm.is_file():
-        raise PlgsError("depth is a .pgm", pgm, "Convert all of them, such as with mogrify -format png *.depth.pgm.")
+        what = "depth is a .pgm"
+        raise PlgsError("depth-pgm", what, pgm, "Convert all of them, such as with mogrify -format png *.depth.pgm.")
     return base.with_name(f"{base.name}.depth.png")
 
 

@@ -85,7 +85,7 @@ def _read_calibration(path: Path) -> _Lens:
     fix = "Write fx fy cx cy."
     row = next(read_rows(path, fix), None)
     if row is None or len(row.words) < 4:
-        raise PlgsError("the intrinsics are incomplete", path, fix)
+        raise PlgsError("intrinsics-incomplete", "the intrinsics are incomplete", path, fix)
     fx, fy, cx, cy = numbers(row, path, fix)[:4].tolist()
     return _Lens(fx, fy, cx, cy, size=None)
 
@@ -150,7 +150,7 @@ def _stamped(words: Sequence[str], line: int, path: Path) -> _Stamped:
         stamp = float(time)
     except ValueError as error:
         where = f"line {line}" if line else f'the name "{words[0]}"'
-        raise PlgsError(f"{where} is not a time stamp with a file name", path, _LIST_FIX) from error
+        raise PlgsError("no-time-stamp", f"{where} is not a time stamp with a file name", path, _LIST_FIX) from error
     return _Stamped(stamp, file_inside(path.parent, name, path))
 
 
@@ -173,7 +173,8 @@ def _read_poses(path: Path) -> list[_Pose]:
     poses: list[_Pose] = []
     for row in read_rows(path, _POSE_FIX):
         if row.words[0].isdecimal():
-            raise PlgsError("time stamps are whole numbers, as ICL-NUIM's", path, GONE_FORMATS["icl"])
+            what = "time stamps are whole numbers, as ICL-NUIM's"
+            raise PlgsError("whole-time-stamps", what, path, GONE_FORMATS["icl"])
         has_number = len(row.words) == 9 and row.words[8].isdecimal()
         values = numbers(row, path, _POSE_FIX, 9 if has_number else 8).tolist()
         time, tx, ty, tz, qx, qy, qz, qw = values[:8]

@@ -39,23 +39,25 @@ def find_mask_format(place: Path, name: str | None = None) -> MaskFormat:
     if name is not None:
         if name not in known:
             fix = GONE_FORMATS.get(name) or f"Choose one of {', '.join(known)}."
-            raise PlgsError(f'no mask format is called "{shown(name)}"', place, fix, option="--mask-format")
+            what = f'no mask format is called "{shown(name)}"'
+            raise PlgsError("unknown-format", what, place, fix, option="--mask-format")
         return known[name]
     if not place.exists():
-        raise PlgsError("there are no masks", place, "Name a folder of masks.")
+        raise PlgsError("no-masks", "there are no masks", place, "Name a folder of masks.")
     try:
         seen = [each for each in MASK_FORMATS if each.recognises(place)]
         found = [each for each in seen if each.own_names][:1] or seen
     except OSError as error:
-        raise PlgsError(f"the folder cannot be read ({error.strerror})", place, "Check its permissions.") from error
+        what = f"the folder cannot be read ({error.strerror})"
+        raise PlgsError("unreadable", what, place, "Check its permissions.") from error
     if len(found) > 1:
         names = " and ".join(each.name for each in found)
         fix = f"Say which one it is, such as --mask-format {found[0].name}."
-        raise PlgsError(f"these masks look like {names}", place, fix, option="--mask-format")
+        raise PlgsError("several-formats", f"these masks look like {names}", place, fix, option="--mask-format")
     if not found:
         _refuse_pickles(place)
         wanted = "; ".join(f"{each.name}: {each.looks_for}" for each in MASK_FORMAT_NAMES)
-        raise PlgsError("there are no masks of a known format", place, f"Looked for {wanted}.")
+        raise PlgsError("no-known-masks", "there are no masks of a known format", place, f"Looked for {wanted}.")
     return found[0]
 
 
@@ -65,4 +67,4 @@ def _refuse_pickles(place: Path) -> None:
     if pickles:
         fix = "Save the arrays with numpy.save and other data as JSON."
         what = f"masks are pickled ({listed(pickles, 2)}), which could run code when they are read"
-        raise PlgsError(what, place, fix)
+        raise PlgsError("pickled", what, place, fix)

@@ -46,7 +46,7 @@ def _read_mask(path: Path, name: str, instances_name: str | None) -> FoundMask:
         return segments_of_labels(labels)
     instances = whole_numbers(read_array(path, instances_name), path)
     if instances.shape != labels.shape:
-        raise PlgsError("instances and classes differ in size", path, _FIX)
+        raise PlgsError("other-size", "instances and classes differ in size", path, _FIX)
     return segments_of_pairs(labels, instances)
 
 
@@ -56,9 +56,9 @@ def _most_probable(values: NDArray[Any], path: Path) -> FoundMask:
         values = np.moveaxis(values, -1, 0)
     values = values.astype(np.float32)
     if not np.isfinite(values).all():
-        raise PlgsError("probabilities are not numbers", path, _FIX)
+        raise PlgsError("not-numbers", "probabilities are not numbers", path, _FIX)
     if values.min() < 0.0:
-        raise PlgsError("these are logits, not probabilities", path, "Save them after a softmax.")
+        raise PlgsError("logits", "these are logits, not probabilities", path, "Save them after a softmax.")
     labels, best = values.argmax(0), values.max(0)
     labels = np.where(best > 0.0, labels, -1)
     share = best / np.maximum(values.sum(0), 1e-12)
@@ -95,7 +95,7 @@ def _read(place: Path, names: Sequence[str]) -> MaskSource:
     for name, path in files_of_frames(place, names, {".npy", ".npz"}, "mask", _FIX).items():
         key = _name_of(path)
         if key is None:
-            raise PlgsError("there is no array of classes", path, f"Name it {_CLASSES[0]}. {_FIX}")
+            raise PlgsError("no-class-array", "there is no array of classes", path, f"Name it {_CLASSES[0]}. {_FIX}")
         headers = array_headers(path)
         instances = next((one for one in _INSTANCES if one in headers), None)
         size = _size(headers[key].shape, headers[key].kind, path)
@@ -108,7 +108,7 @@ def _size(shape: tuple[int, ...], kind: str, path: Path) -> Size:
         return shape[1], shape[0]
     if len(shape) == 3 and kind == "f" and 0 not in shape:
         return (shape[1], shape[0]) if _is_channels_last(shape) else (shape[2], shape[1])
-    raise PlgsError(f"an array of the shape {list(shape)} is not a mask", path, _FIX)
+    raise PlgsError("shape", f"an array of the shape {list(shape)} is not a mask", path, _FIX)
 
 
 FORMAT = MaskFormat("arrays", _recognises, _read)

@@ -41,7 +41,7 @@ def _read_mask(png: Path, table: str, segments: tuple[FoundSegment, ...], crowd_
     unknown = sorted({*found.tolist()} - {0} - {segment.id for segment in segments} - crowd_ids)
     if unknown:
         fix = "Add them to this frame's segments_info, or paint them 0 (id = R + 256 G + 65536 B)."
-        raise PlgsError(f"segment ids {listed(unknown)} of the PNG are missing from {table}", png, fix)
+        raise PlgsError("unlisted", f"segment ids {listed(unknown)} of the PNG are missing from {table}", png, fix)
     if crowd_ids:
         ids[np.isin(ids, list(crowd_ids))] = 0
     return FoundMask(ids, segments)
@@ -53,7 +53,7 @@ def _read_ids(png: Path) -> NDArray[np.int32]:
     if pixels.ndim == 2:
         return pixels.astype(np.int32)
     if pixels.dtype != np.uint8 or pixels.shape[2] < 3:
-        raise PlgsError("the mask is not an 8-bit RGB PNG", png, "Save ids as R + 256 G + 65536 B.")
+        raise PlgsError("mask-png", "the mask is not an 8-bit RGB PNG", png, "Save ids as R + 256 G + 65536 B.")
     ids = pixels[..., 0].astype(np.int32)
     for channel in (1, 2):
         ids += pixels[..., channel].astype(np.int32) << 8 * channel
@@ -71,7 +71,8 @@ def _read(place: Path, names: Sequence[str]) -> MaskSource:
     labels = _read_categories(content, table)
     folder = table.with_suffix("")
     if not folder.is_dir():
-        raise PlgsError("the folder of mask images is missing", folder, f"Put the PNGs of {table.name} there.")
+        what = "the folder of mask images is missing"
+        raise PlgsError("no-folder", what, folder, f"Put the PNGs of {table.name} there.")
     entries = _entries_by_frame(content, table, names)
     fix = "Add an annotation whose file name has the colour image's stem."
     there = require_most(names, entries, "mask", table, fix)
@@ -92,11 +93,11 @@ def _read_categories(content: dict[str, Any], table: Path) -> tuple[ClassLabel, 
         context = f"category {position}"
         category_id = take_whole_number(entry, "id", context, table)
         if not 0 <= category_id <= LARGEST_CLASS_ID:
-            raise PlgsError(
-                f"the category id {category_id} is out of range", table, f"Use ids from 1 to {LARGEST_CLASS_ID}."
-            )
+            what = f"the category id {category_id} is out of range"
+            raise PlgsError("class-id", what, table, f"Use ids from 1 to {LARGEST_CLASS_ID}.")
         if category_id in found:
-            raise PlgsError(f"the category id {category_id} occurs twice", table, "Give each category its own id.")
+            what = f"the category id {category_id} occurs twice"
+            raise PlgsError("class-twice", what, table, "Give each category its own id.")
         found[category_id] = ClassLabel(
             id=category_id,
             name=take_text(entry, "name", context, table),
@@ -104,7 +105,7 @@ def _read_categories(content: dict[str, Any], table: Path) -> tuple[ClassLabel, 
             colour=_colour(entry, context, table),
         )
     if not found:
-        raise PlgsError("there are no categories", table, "List the classes of the masks.")
+        raise PlgsError("no-classes", "there are no categories", table, "List the classes of the masks.")
     return tuple(found[category_id] for category_id in sorted(found))
 
 
@@ -131,7 +132,7 @@ def _entries_by_frame(content: dict[str, Any], table: Path, names: Sequence[str]
         name = images.get(str(entry.get("image_id")), stem)
         name = name if name in wanted else stem
         if name in found:
-            raise PlgsError(f"frame {name} has two annotations", table, "Keep one annotation per frame.")
+            raise PlgsError("frame-twice", f"frame {name} has two annotations", table, "Keep one annotation per frame.")
         found[name] = entry
     return found
 
@@ -147,19 +148,18 @@ def _open_frame(
     context = f"the annotation of frame {name}"
     header = read_image_header(png)
     if header.width * header.height > LARGEST_PIXELS:
-        raise PlgsError(f"{header.width}x{header.height} is too large for a mask", png, "Write this file again.")
+        what = f"{header.width}x{header.height} is too large for a mask"
+        raise PlgsError("mask-too-large", what, png, "Write this file again.")
     if header.format != "png" or header.bit_depth < 8:
-        raise PlgsError("masks must be PNGs of 8 or 16 bits per channel", png, "Save ids as R + 256 G + 65536 B.")
+        what = "masks must be PNGs of 8 or 16 bits per channel"
+        raise PlgsError("mask-png", what, png, "Save ids as R + 256 G + 65536 B.")
     segments: dict[int, FoundSegment] = {}
     crowd_ids: set[int] = set()
     for info in take_objects(entry, "segments_info", context, table):
         segment = _segment(info, name, table, known)
         if segment.id in segments or segment.id in crowd_ids:
-            raise PlgsError(
-                f"frame {name} has the segment id {segment.id} twice",
-                table,
-                "Give each segment its own id; with transformers, post-process without label_ids_to_fuse.",
-            )
+            fix = "Give each segment its own id; with transformers, post-process without label_ids_to_fuse."
+            raise PlgsError("segment-twice", f"frame {name} has the segment id {segment.id} twice", table, fix)
         if "iscrowd" in info and take_flag(info, "iscrowd", f"segment {segment.id} of frame {name}", table):
             crowd_ids.add(segment.id)
         else:
@@ -173,15 +173,13 @@ def _segment(info: dict[str, Any], name: str, table: Path, known: frozenset[int]
     segment_id = take_whole_number(info, "id", f"a segment of frame {name}", table)
     context = f"segment {segment_id} of frame {name}"
     if not 1 <= segment_id <= _LARGEST_SEGMENT_ID:
-        raise PlgsError(f"{context} has an id that a PNG cannot hold", table, "Number segments from 1; 0 is void.")
+        what = f"{context} has an id that a PNG cannot hold"
+        raise PlgsError("segment-id", what, table, "Number segments from 1; 0 is void.")
     key = "label_id" if "category_id" not in info and "label_id" in info else "category_id"
     category_id = take_whole_number(info, key, context, table)
     if category_id not in known:
-        raise PlgsError(
-            f"{context} has the category id {category_id}, which is not in the categories",
-            table,
-            "Add the category, or correct the id.",
-        )
+        what = f"{context} has the category id {category_id}, which is not in the categories"
+        raise PlgsError("no-such-class", what, table, "Add the category, or correct the id.")
     return FoundSegment(segment_id, category_id, take_score(info, context, table))
 
 

@@ -79,7 +79,7 @@ def _read(place: Path, names: Sequence[str]) -> MaskSource:
         masks = {name: _stack(path, _segments(found[name], label_of)) for name, path in files.items()}
         no_class = [name for name, path in files.items() if not _has(path, "classes")]
         if no_class and len(no_class) < len(files):
-            raise PlgsError(f"there are classes, but none in {listed(no_class)}", place, _FIX)
+            raise PlgsError("classes-partly", f"there are classes, but none in {listed(no_class)}", place, _FIX)
         return MaskSource(masks, labels, void=frozenset(), tells_no_class=bool(no_class))
     folders = {path.name: path for path in _folders(place)}
     there = require_most(names, folders, "folder of detections", place, _NAME_FIX)
@@ -117,7 +117,7 @@ def _pictures(folder: Path) -> tuple[Path, ...]:
 def _from_name(path: Path) -> Detection:
     match = _NAME.fullmatch(path.stem)
     if match is None or not 0.0 <= float(match[3]) <= 1.0:
-        raise PlgsError("the name does not give class and score", path, _NAME_FIX)
+        raise PlgsError("detection-name", "the name does not give class and score", path, _NAME_FIX)
     return Detection(match[2], float(match[3]))
 
 
@@ -129,13 +129,13 @@ def _detections(path: Path) -> list[Detection]:
     if tracks is not None and not (
         tracks.shape == (count,) and tracks.dtype.kind in "iu" and ((tracks >= 0) & (tracks < LARGEST_CLASS_ID)).all()
     ):
-        raise PlgsError(f"there are {count} masks, but not as many numbers of objects", path, _FIX)
+        raise PlgsError("unequal-counts", f"there are {count} masks, but not as many numbers of objects", path, _FIX)
     classes = tracks if tracks is not None and not _has(path, "classes") else read_array(path, _key(path, "classes"))
     scores = read_array(path, _key(path, "scores"))
     if classes.shape != (count,) or scores.shape != (count,) or classes.dtype.kind not in "iuU":
-        raise PlgsError(f"there are {count} masks, but not as many classes and scores", path, _FIX)
+        raise PlgsError("unequal-counts", f"there are {count} masks, but not as many classes and scores", path, _FIX)
     if scores.dtype.kind != "f" or not ((scores >= 0.0) & (scores <= 1.0)).all():
-        raise PlgsError("scores are not between 0 and 1", path, _FIX)
+        raise PlgsError("bad-scores", "scores are not between 0 and 1", path, _FIX)
     numbers = [None] * count if tracks is None else tracks.tolist()
     rows = zip(classes.tolist(), scores.tolist(), numbers, strict=True)
     return [Detection(str(word), float(score), track) for word, score, track in rows]
@@ -150,12 +150,12 @@ def _key(path: Path, what: str) -> str:
     for key in _KEYS[what]:
         if key in headers:
             return key
-    raise PlgsError(f'there are no "{what}"', path, _FIX)
+    raise PlgsError("no-array", f'there are no "{what}"', path, _FIX)
 
 
 def _count(shape: tuple[int, ...], path: Path) -> int:
     if (len(shape) != 3 and not (len(shape) == 4 and shape[1] == 1)) or 0 in shape[-2:] or shape[0] > _MOST:
-        raise PlgsError(f"masks have the shape {list(shape)}", path, _FIX)
+        raise PlgsError("shape", f"masks have the shape {list(shape)}", path, _FIX)
     return shape[0]
 
 

@@ -48,7 +48,8 @@ def _read_pairs(place: Path, names: Sequence[str]) -> MaskSource:
     """Open both folders; headers only. Raises PlgsError."""
     pair = _pair_in(place)
     if pair is None:
-        raise PlgsError("there is no pair of folders of classes and instances", place, f"Looked for {_LOOKS_FOR}.")
+        what = "there is no pair of folders of classes and instances"
+        raise PlgsError("no-label-pair", what, place, f"Looked for {_LOOKS_FOR}.")
     classes, instances = files_of_both(*pair, names, SUFFIXES, _FIX)
     return MaskSource(label_pairs(classes, instances), void=IGNORED)
 
@@ -65,7 +66,7 @@ def label_pairs(classes: Mapping[str, Path], instances: Mapping[str, Path]) -> d
         size, instance = label_map_size(path), instances.get(name)
         if instance is not None and label_map_size(instance) != size:
             what = f"the instance image is not {shown_size(size)} like the classes"
-            raise PlgsError(what, instance, "Make both the same size.")
+            raise PlgsError("other-size", what, instance, "Make both the same size.")
         masks[name] = StoredMask(path, size, partial(_read_pair, path, instance))
     return masks
 
@@ -76,7 +77,8 @@ def _read_pair(classes: Path, instances: Path | None) -> FoundMask:
         return segments_of_labels(labels)
     objects = read_label_map(instances)
     if labels.shape != objects.shape:
-        raise PlgsError("the instance image has another size", instances, "Make it as large as the classes.")
+        what = "the instance image has another size"
+        raise PlgsError("other-size", what, instances, "Make it as large as the classes.")
     return segments_of_pairs(labels, objects)
 
 
@@ -103,7 +105,7 @@ def _read_lifting(place: Path, names: Sequence[str]) -> MaskSource:
     """Open ``<prefix>_semantics`` and the ``<prefix>_instance`` beside it; headers only. Raises PlgsError."""
     semantics = _semantics_of(place)
     if semantics is None:
-        raise PlgsError("there are no masks", place, _LIFTING_FIX)
+        raise PlgsError("no-masks", "there are no masks", place, _LIFTING_FIX)
     instances = semantics.with_name(semantics.name.removesuffix("_semantics") + "_instance")
     fix = "Add PNGs named like the colour images."
     semantic_files, instance_files = files_of_both(semantics, instances, names, {".png"}, fix)

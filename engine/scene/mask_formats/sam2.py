@@ -112,7 +112,7 @@ def _regions(folder: Path) -> StoredMask:
     lacking = [f"{k}.png" for k in wanted if k not in files]
     if lacking or not wanted:
         what = f"PNGs of {_LIST} are missing ({listed(lacking)})" if wanted else f"{_LIST} lists none of the PNGs"
-        raise PlgsError(what, folder, _LIST_FIX)
+        raise PlgsError("list-unmatched", what, folder, _LIST_FIX)
     segments = [FoundSegment(n, _NO_LABEL) for n in range(1, len(wanted) + 1)]
     return _pile(segments, [files[k] for k in wanted], _LIST_FIX)
 
@@ -131,7 +131,7 @@ def _read_mask(array: Path, table: str, segments: Mapping[int, FoundSegment]) ->
     present = [int(value) for value in np.unique(ids) if value]
     unknown = [value for value in present if value not in segments]
     if unknown:
-        raise PlgsError(f"objects {listed(unknown)} are missing from {table}", array, _GROUNDED_FIX)
+        raise PlgsError("unlisted", f"objects {listed(unknown)} are missing from {table}", array, _GROUNDED_FIX)
     return FoundMask(ids.astype(np.int32), tuple(segments[value] for value in present))
 
 
@@ -174,7 +174,7 @@ def _objects_of(path: Path) -> dict[int, str]:
             raise wrong_type(key[:20], "an object", entry, '"labels"', path)
         number = take_whole_number(entry, "instance_id", f"the object {key[:20]}", path)
         if not 1 <= number <= _LARGEST_OBJECT:
-            raise PlgsError(f"the object {key[:20]} has the number {number}", path, "Count objects from 1.")
+            raise PlgsError("bad-id", f"the object {key[:20]} has the number {number}", path, "Count objects from 1.")
         found[number] = take_text(entry, "class_name", f"the object {number}", path)
     return found
 

@@ -50,7 +50,7 @@ def _read_mask(picture: Path, table: str, segments: Mapping[int, FoundSegment]) 
     unknown = [int(value) for value in present if int(value) not in void and int(value) not in segments]
     if unknown:
         fix = "Save picture and segments from the same call; with transformers, without label_ids_to_fuse."
-        raise PlgsError(f"segment ids {listed(unknown)} are missing from {table}", picture, fix)
+        raise PlgsError("unlisted", f"segment ids {listed(unknown)} are missing from {table}", picture, fix)
     number = np.array([segments[int(v)].id if int(v) in segments else 0 for v in present], np.int32)
     painted = number[np.searchsorted(present, ids)]
     return FoundMask(painted, tuple(sorted(segments.values(), key=lambda segment: segment.id)))
@@ -160,7 +160,7 @@ def _segment(info: dict[str, Any], key: str, name: str, table: Path) -> FoundSeg
     context = f"segment {number} of frame {name}"
     label = take_whole_number(info, key, context, table)
     if not 0 <= number < 2**24 or not 0 <= label < LARGEST_CLASS_ID:
-        raise PlgsError(f"{context} has a number out of range", table, "Save the library's own numbers.")
+        raise PlgsError("bad-id", f"{context} has a number out of range", table, "Save the library's own numbers.")
     return FoundSegment(number, label, take_score(info, context, table))
 
 
@@ -171,7 +171,7 @@ def _add(found: dict[int, FoundSegment], one: FoundSegment, name: str, table: Pa
         found[one.id] = FoundSegment(len(found) + 1, one.label, one.score)
     elif found[one.id].label != one.label:
         fix = "Post-process without label_ids_to_fuse: with it, transformers gives one id to several segments."
-        raise PlgsError(f"frame {name} has the segment id {one.id} twice", table, fix)
+        raise PlgsError("segment-twice", f"frame {name} has the segment id {one.id} twice", table, fix)
 
 
 def _labels_of_config(config: Path, fused: set[int]) -> tuple[ClassLabel, ...]:
@@ -179,11 +179,12 @@ def _labels_of_config(config: Path, fused: set[int]) -> tuple[ClassLabel, ...]:
     names = read_json_object(config).get("id2label")
     fix = "Copy the model's config.json there, or remove it and name a table with --classes."
     if not isinstance(names, dict) or not names:
-        raise PlgsError('the model\'s "id2label" is missing', config, fix, option="--classes")
+        raise PlgsError("no-id2label", 'the model\'s "id2label" is missing', config, fix, option="--classes")
     labels, tables = {}, nearest_tables(str(name) for name in names.values())
     for key, name in names.items():
         if not key.isdecimal() or int(key) > LARGEST_CLASS_ID or not isinstance(name, str) or not name.isprintable():
-            raise PlgsError(f"the class {json.dumps(key)[:40]} of id2label is not a number with a name", config, fix)
+            what = f"the class {json.dumps(key)[:40]} of id2label is not a number with a name"
+            raise PlgsError("bad-id2label", what, config, fix)
         is_thing = is_thing_by_name(name, tables)
         labels[int(key)] = ClassLabel(int(key), name, int(key) not in fused if is_thing is None else is_thing)
     return tuple(labels[key] for key in sorted(labels))

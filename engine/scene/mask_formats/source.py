@@ -152,7 +152,7 @@ def painted_files(paths: Sequence[Path], segments: Sequence[FoundSegment], size:
     masks = [read_indices(path) > 0 for path in paths]
     for path, mask in zip(paths, masks, strict=True):
         if mask.shape != size[::-1]:
-            raise PlgsError(f"this mask is not {shown_size(size)} like the others", path, fix)
+            raise PlgsError("other-size", f"this mask is not {shown_size(size)} like the others", path, fix)
     return painted(masks, segments, size)
 
 

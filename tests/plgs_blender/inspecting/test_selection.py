@@ -9,7 +9,6 @@ import bpy
 import numpy as np
 import pytest
 from plgs.engine.corrections import read_edits
-from plgs.engine.errors import PlgsError
 from plgs.plgs_blender import corrections, lift_scene
 from plgs.plgs_blender.chosen_scene import ChosenScene
 from plgs.plgs_blender.import_scene import place_scene
@@ -18,6 +17,8 @@ from plgs.plgs_blender.inspecting.selection import active_lift, boxes_of, find_l
 from plgs.plgs_blender.owned import lifts_in
 from tiny_lift import write_tiny_lift
 from tiny_scene import write_tiny_scene
+
+from tests.raises_key import raises_key
 
 
 def pick(ob: bpy.types.Object) -> None:
@@ -61,7 +62,7 @@ def test_what_is_hidden_or_gone_is_only_a_row(root: bpy.types.Collection) -> Non
     root.plgs.instance_index = 1
     assert selected() == ["Overview"]
     selection.follow()
-    with pytest.raises(PlgsError, match="no instance 7"):
+    with raises_key("no-object"):
         selection.select_instance(root, 7, bpy.context.view_layer)
 
 
@@ -87,7 +88,7 @@ def test_two_lifts_stay_separate(root: bpy.types.Collection, tmp_path: Path) -> 
     assert find_lift(scene, active=boxes_of(other)[1]) == other and find_lift(scene) == root
     assert find_lift(scene, other.name) == other and find_lift(scene, str(tmp_path / "lift")) == other
     assert active_lift(scene, None) == root
-    with pytest.raises(PlgsError, match="not in this scene"):
+    with raises_key("lift-elsewhere"):
         find_lift(scene, str(tmp_path))
 
 

@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 from bpy_extras.object_utils import world_to_camera_view
 from mathutils import Vector
-from plgs.engine.errors import PlgsError
 from plgs.engine.result_files import MatchedSegment
 from plgs.engine.scene import open_scene
 from plgs.plgs_blender import lift_scene
@@ -25,6 +24,8 @@ from plgs.plgs_blender.owned import SCENE, lifts_in
 from plgs.plgs_blender.results import reading_result, result_of
 from tiny_lift import CABINET_NAME, CHAIR_NAME
 from tiny_scene import CHAIR_ID
+
+from tests.raises_key import raises_key
 
 
 def test_they_say_the_same_as_the_result(root: bpy.types.Collection, lift: Path) -> None:
@@ -104,7 +105,7 @@ def test_looking_from_a_frame_goes_there_on_the_timeline(root: bpy.types.Collect
     assert view.region_3d.view_perspective == "CAMERA"
     assert scene.render.resolution_x == 333, "the size of the user's renders is theirs"
     bpy.data.objects.remove(camera)
-    with pytest.raises(PlgsError, match="no camera of frame 0005"):
+    with raises_key("camera-gone 0005"):
         views.look_from_frame(root, "0005", scene)
 
 

@@ -23,6 +23,8 @@ from plgs.plgs_blender.settings import (
     why_no_options,
 )
 
+from tests.raises_key import raises_key
+
 
 @pytest.fixture(autouse=True)
 def extension() -> Iterator[None]:
@@ -36,12 +38,12 @@ def test_the_advice_about_a_running_lift(tmp_path: Path) -> None:
     lift = LiftFolder.create(tmp_path / "lift", LiftRequest(scene=tmp_path / "room"))
     scene = bpy.context.scene
     with lift.lock():
-        with pytest.raises(PlgsError, match="it is running") as refused:
+        with raises_key("not-resumable") as refused:
             lifting.resume_lift(scene.plgs, str(lift.path))
         assert refused.value.fix == "Watch it, or cancel it first."
-        with pytest.raises(PlgsError, match="still running"):
+        with raises_key("still-running"):
             next(lifting.showing_lift(scene, str(lift.path)))
-    with pytest.raises(PlgsError, match="not finished") as refused:
+    with raises_key("not-finished") as refused:
         next(lifting.showing_lift(scene, str(lift.path)))
     assert "Resume" in refused.value.fix
 
@@ -59,14 +61,14 @@ def test_the_advice_about_a_running_lift(tmp_path: Path) -> None:
         ("read it with --up z, or --fix OUT turns it upright", "read it with Up z, or Fix turns it upright"),
         ("/rooms/a--size 3/x--up", "/rooms/a--size 3/x--up"),
         ("--fits and --unheard-of", "--fits and --unheard-of"),
-        (PlgsError("is none", "/a/ --up b", "Give --classes."), "/a/ --up b is none. Give Classes."),
-        (PlgsError("there is none", "/a/--up", "Give --up."), "There is none: /a/--up. Give Up."),
-        (PlgsError("nothing is left", "", ""), "Nothing is left"),
-        (PlgsError("is full", "the disk", "Make room."), "The disk is full. Make room."),
-        (PlgsError("rgbd/3.jpg is missing", "a.r3d", ""), "rgbd/3.jpg is missing: a.r3d"),
-        (PlgsError("'chair' may be two", "", ""), "'chair' may be two"),
-        (PlgsError("depth_scale is not above 0", "a", ""), "depth_scale is not above 0: a"),
-        (PlgsError("a.png, b.png are gone", "a", ""), "a.png, b.png are gone: a"),
+        (PlgsError("made-up", "is none", "/a/ --up b", "Give --classes."), "/a/ --up b is none. Give Classes."),
+        (PlgsError("made-up", "there is none", "/a/--up", "Give --up."), "There is none: /a/--up. Give Up."),
+        (PlgsError("made-up", "nothing is left", "", ""), "Nothing is left"),
+        (PlgsError("made-up", "is full", "the disk", "Make room."), "The disk is full. Make room."),
+        (PlgsError("made-up", "rgbd/3.jpg is missing", "a.r3d", ""), "rgbd/3.jpg is missing: a.r3d"),
+        (PlgsError("made-up", "'chair' may be two", "", ""), "'chair' may be two"),
+        (PlgsError("made-up", "depth_scale is not above 0", "a", ""), "depth_scale is not above 0: a"),
+        (PlgsError("made-up", "a.png, b.png are gone", "a", ""), "a.png, b.png are gone: a"),
     ],
 )
 def test_advice_names_the_panels_fields(said: str | PlgsError, told: str) -> None:

@@ -106,7 +106,7 @@ def test_looking_at_what_is_not_a_lift(tmp_path: Path) -> None:
     assert lifts.look_at(tmp_path / "nothing") is None and lifts.refusal_of(tmp_path / "nothing") is None
     (tmp_path / "folder").mkdir()
     assert lifts.look_at(tmp_path / "folder") is None
-    assert "is not a lift folder" in str(lifts.refusal_of(tmp_path / "folder"))
+    assert lifts.refusal_of(tmp_path / "folder").key == "not-lift-folder"
 
 
 def test_a_folder_that_was_not_started_can_be_resumed(lift: LiftFolder) -> None:
@@ -121,7 +121,7 @@ def test_the_folder_is_deleted_while_it_lifts(behaves: Behaves, lift: LiftFolder
     followed.follower.kill()
     shutil.rmtree(lift.path)
     registry.wait_for(followed, SCENE)
-    assert followed.error is not None and "folder is gone" in str(followed.error)
+    assert followed.error is not None and followed.error.key == "folder-gone"
 
 
 def test_a_lift_that_can_no_longer_be_read_ends(lift: LiftFolder) -> None:
@@ -131,4 +131,4 @@ def test_a_lift_that_can_no_longer_be_read_ends(lift: LiftFolder) -> None:
     lift.events_path.unlink()
     lift.events_path.mkdir()
     assert followed.poll(SCENE) and not followed.is_running
-    assert "can no longer be followed" in str(followed.error)
+    assert followed.error.key == "unfollowed"

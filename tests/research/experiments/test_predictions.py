@@ -10,7 +10,6 @@ import cv2
 import numpy as np
 import pytest
 
-from engine.errors import PlgsError
 from engine.job import ExitCode
 from engine.job.terminal import Interrupts
 from research.experiments.experiment import Experiment
@@ -19,6 +18,7 @@ from research.experiments.rows import Predicted
 from research.experiments.run import run_experiment
 from research.experiments.scenes import SceneToLift
 from research.results import read_results
+from tests.raises_key import raises_key
 from tests.research.experiments.made_up import ROWS
 from tests.tiny_scene import write_tiny_scene
 
@@ -69,14 +69,14 @@ def test_a_frame_without_a_prediction_fails_the_row(tmp_path: Path) -> None:
 
 
 def test_one_folder_for_several_scenes_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(PlgsError, match="--predictions names one place for 2 scenes"):
+    with raises_key("shared-place --predictions"):
         run(experiment_of(tmp_path, f"theirs too={tmp_path}/true/office"))
 
 
 def test_what_is_not_a_name_and_a_folder() -> None:
     assert predictions_from("a b=x/{scene}:ids=frame").predicted == Predicted(Path("x/{scene}"), True)
     for text in ("x", "=x", "x=", "x=:ids=frame"):
-        with pytest.raises(PlgsError, match="is not a name and a folder"):
+        with raises_key("not-a-prediction"):
             predictions_from(text)
-    with pytest.raises(PlgsError, match="there is a row of this name"):
+    with raises_key("row-twice"):
         with_predictions(ROWS, [replace(predictions_from("Ours=x"))])

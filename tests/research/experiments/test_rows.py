@@ -6,10 +6,10 @@ from pathlib import Path
 
 import pytest
 
-from engine.errors import PlgsError
 from engine.job import LiftRequest
 from engine.metrics.report import INPUT_MASKS
 from research.experiments.rows import read_rows
+from tests.raises_key import raises_key
 from tests.research.experiments.made_up import ROWS
 from tests.research.tiny_baseline import registered
 
@@ -55,23 +55,23 @@ def test_rows_and_tables_are_found_by_name() -> None:
     assert [row.name for row in ROWS.chosen(["Ours", "without depth"])] == ["ours", "without depth"]
     assert ROWS.chosen([]) == ROWS.rows
     assert ROWS.lift_of(ROWS.named("all of it")).name == "theirs"
-    with pytest.raises(PlgsError, match="Did you mean 'without depth'"):
+    with raises_key("no-row"):
         ROWS.chosen(["without deph"])
 
 
 @pytest.mark.parametrize(
     ("content", "told"),
     [
-        ("", "tables"),
-        ('[tables]\na = "A"\n[[row]]\nname = "x"\ntable = "b"', "x"),
-        ('[tables]\na = "A"\n[[row]]\nname = "x"\ntable = "a"\nsame_as = "y"', "not a table of rows"),
-        ('[tables]\na = "A"\n[[row]]\nname = "x"\ntable = "a"\nway = "y"', "ways"),
-        ('[tables]\na = "A"\n[[row]]\nname = "x"\ntable = "a"\n[[row]]\nname = "X"\ntable = "a"', "one name"),
-        ('[tables]\na = "A"\n[[row]]\nname = "x"\ntable = "a"\nset = { neighbors = 3 }', "Did you mean neighbours"),
+        ("", "not-rows tables"),
+        ('[tables]\na = "A"\n[[row]]\nname = "x"\ntable = "b"', "not-rows"),
+        ('[tables]\na = "A"\n[[row]]\nname = "x"\ntable = "a"\nsame_as = "y"', "not-rows"),
+        ('[tables]\na = "A"\n[[row]]\nname = "x"\ntable = "a"\nway = "y"', "not-rows ways"),
+        ('[tables]\na = "A"\n[[row]]\nname = "x"\ntable = "a"\n[[row]]\nname = "X"\ntable = "a"', "row-twice"),
+        ('[tables]\na = "A"\n[[row]]\nname = "x"\ntable = "a"\nset = { neighbors = 3 }', "no-option neighbours"),
     ],
 )
 def test_a_file_that_is_not_a_table_of_rows_is_refused(content: str, told: str, tmp_path: Path) -> None:
     path = tmp_path / "rows.toml"
     path.write_text(content)
-    with pytest.raises(PlgsError, match=told):
+    with raises_key(told):
         read_rows(path)

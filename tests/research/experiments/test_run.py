@@ -14,7 +14,6 @@ import cv2
 import numpy as np
 import pytest
 
-from engine.errors import PlgsError
 from engine.job import EventReader, ExitCode, LiftFolder, LiftRequest
 from engine.job.terminal import Interrupts
 from engine.metrics.report import INPUT_MASKS, Report
@@ -29,6 +28,7 @@ from research.experiments.rows import Rows
 from research.experiments.run import run_experiment
 from research.experiments.scenes import SceneToLift
 from research.results import Figures, read_results
+from tests.raises_key import raises_key
 from tests.research.experiments.made_up import KITCHEN, ROWS
 from tests.tiny_scene import write_tiny_scene
 
@@ -165,7 +165,7 @@ def test_scenes_are_read_as_the_options_say(experiment: Experiment, behave: Beha
     classes.write_text('[[class]]\nname = "chair"\ninto = "wall"\n')
     assert main(["experiments", *arguments, *reading, str(classes)]) == 0
     assert "cabinet" in scores.read_text() and "chair" not in scores.read_text(), "measured again"
-    with pytest.raises(PlgsError, match="mask_format"):
+    with raises_key("other-options mask_format"):
         run(experiment)
 
 
@@ -206,19 +206,19 @@ def test_a_failed_lift_is_resumed_without_a_wait(
 
 
 def test_bad_input_is_reported_before_any_lift(experiment: Experiment, behave: Behave, tmp_path: Path) -> None:
-    with pytest.raises(PlgsError, match="--masks names one place for 2 scenes"):
+    with raises_key("shared-place --masks"):
         run(replace(experiment, masks="predictions"))
-    with pytest.raises(PlgsError, match="steps"):
+    with raises_key("bad-value steps"):
         run(replace(experiment, steps=0))
-    with pytest.raises(PlgsError, match="none of these scenes"):
+    with raises_key("no-match"):
         run(replace(experiment, earlier=(replace(KITCHEN, scene="cellar"),)))
-    with pytest.raises(PlgsError, match="no such row"):
+    with raises_key("no-row"):
         run(replace(experiment, only=("hours",)))
-    with pytest.raises(PlgsError, match="weights.depth"):
+    with raises_key("no-option weights.depth"):
         run(replace(experiment, sets=("weights.dept=0",)))
     (file := tmp_path / "file").write_bytes(b"\xff")
-    for page, told in ((tmp_path, "text file"), (file, "text file"), (file / "page.md", "cannot be written")):
-        with pytest.raises(PlgsError, match=told):
+    for page, told in ((tmp_path, "not-text"), (file, "not-text"), (file / "page.md", "unwritable")):
+        with raises_key(told):
             run(replace(experiment, only=(), page=page))
     assert not experiment.folder.exists()
 
@@ -281,12 +281,12 @@ def test_a_foreign_folder_is_reported_before_any_lift(experiment: Experiment, be
     foreign = experiment.folder / "kitchen-preview"
     foreign.mkdir(parents=True)
     (foreign / "notes.txt").touch()
-    with pytest.raises(PlgsError, match=r"notes\.txt"):
+    with raises_key("folder-used notes.txt"):
         run(experiment)
     (foreign / "notes.txt").unlink()
     foreign.rmdir()
     foreign.touch()
-    with pytest.raises(PlgsError, match="in the way"):
+    with raises_key("in-the-way"):
         run(experiment)
     assert not (experiment.folder / "office-preview").exists()
 
@@ -303,9 +303,9 @@ def test_figures_that_cannot_be_read_are_measured_again(experiment: Experiment, 
 def test_a_finished_lift_with_other_settings_is_not_reused(experiment: Experiment, behave: Behave) -> None:
     with_steps = replace(experiment, steps=7)
     assert run(with_steps) is ExitCode.FINISHED
-    with pytest.raises(PlgsError, match="another steps"):
+    with raises_key("other-options steps"):
         run(experiment)
-    with pytest.raises(PlgsError, match="another weights.depth"):
+    with raises_key("other-options weights.depth"):
         run(replace(with_steps, sets=("weights.depth=0",)))
 
 

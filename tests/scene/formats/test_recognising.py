@@ -38,7 +38,7 @@ def test_each_format_has_its_own_name_and_says_what_it_looks_for() -> None:
 
 def test_two_formats_in_one_folder_require_a_choice(tmp_path: Path) -> None:
     test_colmap.write_text(test_nerfstudio.write_scene(tmp_path))
-    refuses("this looks like nerfstudio and colmap.*--format nerfstudio", tmp_path)
+    refuses("several-formats nerfstudio colmap --format", tmp_path)
     for name in ("nerfstudio", "colmap"):
         scene = open_scene(tmp_path, scene_format=name)
         assert scene.format == name
@@ -48,11 +48,11 @@ def test_two_formats_in_one_folder_require_a_choice(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("files", "told", "code"),
     [
-        (["Scaniverse 2026-01-02.spz"], "finished models only .*Scaniverse exports no such data.*Raw Data", False),
-        (["scan.obj", "scan.mtl", "1.jpg", "2.jpg", "3.jpg"], r"only \(scan.obj\).*Record3D's .r3d", False),
-        (["1.ply", "2.ply"], "finished models only .*EXR", False),
-        (["mesh.ply", "images/1.jpg", "images/2.jpg", "images/3.jpg"], "Photos need poses.*--poses colmap", True),
-        (["rtabmap_poses.txt", "rgb/1.jpg", "rgb/2.jpg", "rgb/3.jpg"], "rtabmap-export .*groundtruth.txt", False),
+        (["Scaniverse 2026-01-02.spz"], "models-only", False),
+        (["scan.obj", "scan.mtl", "1.jpg", "2.jpg", "3.jpg"], "models-only scan.obj", False),
+        (["1.ply", "2.ply"], "models-only", False),
+        (["mesh.ply", "images/1.jpg", "images/2.jpg", "images/3.jpg"], "no-poses --poses", True),
+        (["rtabmap_poses.txt", "rgb/1.jpg", "rgb/2.jpg", "rgb/3.jpg"], "rtabmap groundtruth.txt", False),
     ],
 )
 def test_what_is_no_scene_says_what_to_export(tmp_path: Path, files: list[str], told: str, code: bool) -> None:
@@ -65,12 +65,10 @@ def test_what_is_no_scene_says_what_to_export(tmp_path: Path, files: list[str], 
 def test_a_folder_of_scenes_names_them(tmp_path: Path) -> None:
     (tmp_path / "notes").mkdir()
     test_nerfstudio.write_scene(tmp_path / "room_2")
-    refuses(r"in room_2: .*Name one of them, such as \S+room_2, .* engine batch \S+/\*", tmp_path)
+    refuses("inner-scenes room_2", tmp_path)
 
 
-@pytest.mark.parametrize(
-    ("name", "told"), [("scan.zip", "Unpack it .python -m zipfile -e"), ("Scaniverse.ply", "exports no such data")]
-)
+@pytest.mark.parametrize(("name", "told"), [("scan.zip", "archive"), ("Scaniverse.ply", "models-only")])
 def test_a_file_that_is_no_scene(tmp_path: Path, name: str, told: str) -> None:
     (tmp_path / name).write_bytes(b"")
     refuses(told, tmp_path / name)

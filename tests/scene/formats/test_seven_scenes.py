@@ -140,13 +140,13 @@ def test_info_txt_says_the_lenses(tmp_path: Path, place: str, opened: str, name:
 @pytest.mark.parametrize(
     ("changed", "told"),
     [
-        ({"m_calibrationColorIntrinsic": ""}, "m_calibrationColorIntrinsic is missing"),
-        ({"m_calibrationDepthIntrinsic": "0 " * 16}, "not a camera matrix"),
-        ({"m_calibrationDepthIntrinsic": "1 2 3"}, "m_calibrationDepthIntrinsic is not 16 numbers"),
-        ({"m_colorWidth": "many"}, "m_colorWidth is no number above 0"),
-        ({"m_depthShift": "0"}, "m_depthShift is no number above 0"),
-        ({"m_depthWidth": "260"}, "not of one sensor"),
-        ({"m_colorHeight": "170"}, "but its camera 216x170"),
+        ({"m_calibrationColorIntrinsic": ""}, "info-value m_calibrationColorIntrinsic"),
+        ({"m_calibrationDepthIntrinsic": "0 " * 16}, "not-camera-matrix"),
+        ({"m_calibrationDepthIntrinsic": "1 2 3"}, "info-value m_calibrationDepthIntrinsic 16"),
+        ({"m_colorWidth": "many"}, "info-value m_colorWidth"),
+        ({"m_depthShift": "0"}, "info-value m_depthShift"),
+        ({"m_depthWidth": "260"}, "lenses-differ"),
+        ({"m_colorHeight": "170"}, "other-size 216x170"),
     ],
 )
 def test_a_bad_info_txt_is_refused(tmp_path: Path, changed: dict[str, str], told: str) -> None:
@@ -173,6 +173,6 @@ def test_what_is_missing_is_named(tmp_path: Path) -> None:
     write_seven(tmp_path)
     for path in sorted(tmp_path.rglob("*.depth.png"))[2:]:
         path.unlink()
-    refuses(r"cannot be read .*frame-000002\.depth\.png", tmp_path)
+    refuses("unreadable frame-000002.depth.png", tmp_path)
     (tmp_path / "seq-01" / "frame-000002.depth.pgm").write_bytes(b"P5 160 120 65535\n")
-    refuses(r"depth is a .pgm: .*frame-000002\.depth\.pgm", tmp_path)
+    refuses("depth-pgm frame-000002.depth.pgm", tmp_path)

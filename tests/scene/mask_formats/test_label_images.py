@@ -11,9 +11,9 @@ import cv2
 import numpy as np
 import pytest
 
-from engine.errors import PlgsError
 from engine.scene import Scene, check_scene, open_scene, open_scene_to_lift
 from engine.scene_source import SceneSource
+from tests.raises_key import raises_key
 from tests.scene.mask_formats.labelled_room import NAMES, Truth, check_on_room, mask_of, write_frames
 from tests.scene.mask_formats.test_tracks import palette_png
 from tests.scene.refusing import refuses
@@ -45,7 +45,7 @@ def write_pairs(folder: Path, kinds: tuple[str, str], deep: type = np.uint8) -> 
 def test_pairs_of_images(tmp_path: Path, kinds: tuple[str, str], deep: type) -> None:
     truths = write_pairs(tmp_path, kinds, deep)
     check_on_room(open_scene(tmp_path, classes="nyu40"), truths, NAMES, THINGS)
-    refuses("do not say what their classes are", tmp_path)
+    refuses("no-class-names", tmp_path)
 
 
 @pytest.mark.parametrize(
@@ -138,7 +138,7 @@ def test_a_zip_bomb_is_not_unpacked(tmp_path: Path) -> None:
             archive.writestr("semantic.npy", header_of((2**17, 2**17)) + bytes(2**20))
 
     write_arrays(tmp_path, save)
-    refuses("131072 x 131072 numbers is too large", tmp_path, classes="nyu40")
+    refuses("array-too-large 131072", tmp_path, classes="nyu40")
 
 
 @pytest.mark.parametrize("name", ["0000.pkl", "0000.pt", "panoptic.ptz"])
@@ -146,14 +146,14 @@ def test_pickles_are_named_and_never_read(tmp_path: Path, name: str) -> None:
     scene, _ = write_frames(tmp_path)
     (scene / "masks").mkdir()
     (scene / "masks" / name).write_bytes(b"\x80\x04cos\nsystem\n")
-    refuses(f"pickled .{name}.*numpy.save", tmp_path)
+    refuses(f"pickled {name} numpy.save", tmp_path)
 
 
 def test_an_unknown_format_is_answered_with_the_known_ones(tmp_path: Path) -> None:
     scene, _ = write_frames(tmp_path)
     (scene / "masks").mkdir()
-    refuses(r"no masks of a known format.*Looked for coco: .*arrays: ", tmp_path)
-    refuses('no mask format is called "yolo".*Choose one of coco, ', tmp_path, mask_format="yolo")
+    refuses("no-known-masks coco arrays", tmp_path)
+    refuses("unknown-format yolo coco", tmp_path, mask_format="yolo")
 
 
 @pytest.fixture
@@ -221,10 +221,10 @@ def test_masks_may_lie_elsewhere(folder: Path, tmp_path: Path) -> None:
     for kind in ("semantics", "instance"):
         (tmp_path / "masks").mkdir(exist_ok=True)
         (folder / f"m2f_{kind}").rename(tmp_path / "masks" / f"m2f_{kind}")
-    with pytest.raises(PlgsError, match="no masks"):
+    with raises_key("no-masks"):
         open_scene_to_lift(SceneSource(folder))
     assert len(open_scene(folder, masks=tmp_path / "masks").frames) == 6
-    refuses("no masks", folder, masks=tmp_path / "nowhere")
+    refuses("no-masks", folder, masks=tmp_path / "nowhere")
 
 
 def test_coco_masks_may_be_named_by_file_or_folder(tmp_path: Path) -> None:
