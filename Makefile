@@ -5,7 +5,7 @@
 #   make test, make behaviours, make search [SEED=number] [PLGS_FUZZ=factor], make lint, make clean
 #   make test-slow, make test-window, make test-blender-next, make test-failing-calls [PLGS_FAULTS=number]
 #
-# TORCH_INDEX=<url> names an index of CPU builds of torch for the set-up, if pip does not know one already.
+# TORCH_INDEX=<url> names an index of CPU builds of torch for the set-up, if uv or pip is not configured for one.
 
 SCENE ?= sample/room
 OUT ?= lifts/demo

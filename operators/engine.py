@@ -119,7 +119,7 @@ class PLGS_OT_check_engine(AsksEngine, bpy.types.Operator):
 
 
 class PLGS_OT_open_set_up_log(bpy.types.Operator):
-    """Open the log of the last set-up, with all of pip's output"""
+    """Open the log of the last set-up, with all of uv's output"""
 
     bl_idname, bl_label = "plgs.open_set_up_log", "Open Log"
 

@@ -1,7 +1,7 @@
 """Make one of the project's Python environments, or check that it already exists. Standard library only.
 
     python set_up/environment.py check .venv       # exit code 0: complete and up to date
-    python set_up/environment.py make .venv        # with the Python that the environment is to have
+    python set_up/environment.py make .venv        # with any Python from 3.8 on
 
 `.venv` runs everything. `.venv-next` is for tests of the Blender side on the next Blender; it has no torch, because the
 engine runs in an environment of its own. An environment is complete when its stamp, which is written last, names the
@@ -10,9 +10,10 @@ present requirements. Any other environment is made again.
 
 from __future__ import annotations
 
+import ctypes
 import fcntl
 import hashlib
-import importlib.util
+import importlib
 import os
 import platform
 import re
@@ -26,6 +27,9 @@ from pathlib import Path
 from typing import NamedTuple, NoReturn
 
 ROOT = Path(__file__).resolve().parent.parent
+sys.path.insert(0, str(ROOT / "engine" / "set_up"))
+uv_program = importlib.import_module("uv_program")  # with which Blender sets an engine up, too
+
 STAMP = "complete"
 
 # What bpy, open3d and opencv load from the system: the library's file name and the Debian package that has it. RPM's
@@ -49,9 +53,9 @@ _USER = re.compile(r"(?<=://)[^/@\s]+@")
 
 
 class Recipe(NamedTuple):
-    """What an environment holds: requirement files for each call of pip, and modules that must import at the end."""
+    """What an environment holds: requirement files for each call of uv, and modules that must import at the end."""
 
-    pip_calls: tuple[tuple[str, ...], ...]
+    calls: tuple[tuple[str, ...], ...]
     modules: tuple[str, ...]
 
 
@@ -78,7 +82,7 @@ def constraints(version: tuple[int, int]) -> str:
 
 def stamp_text(environment: str, version: tuple[int, int], requirements: Path) -> str:
     """The text of the stamp: the Python version and the SHA-256 of each requirement file."""
-    names = [name for call in recipe(environment, version).pip_calls for name in call] + [constraints(version)]
+    names = [name for call in recipe(environment, version).calls for name in call] + [constraints(version)]
     lines = [f"{hashlib.sha256((requirements / name).read_bytes()).hexdigest()}  {name}" for name in names]
     return "\n".join([f"Python {version[0]}.{version[1]}", *lines, ""])
 
@@ -90,16 +94,9 @@ def is_complete(folder: Path, version: tuple[int, int], requirements: Path) -> b
 
 
 def missing_packages() -> list[str]:
-    """Debian packages that this machine lacks: parts of Python itself, then the system libraries."""
-    if not sys.platform.startswith("linux"):
-        return []
-    python = f"python{sys.version_info[0]}.{sys.version_info[1]}"
-    if importlib.util.find_spec("ctypes") is None:  # python3-minimal: it cannot even check
-        return [f"{python}-venv", *LIBRARIES.values()]
-    import ctypes
-
-    missing = [] if importlib.util.find_spec("ensurepip") else [f"{python}-venv"]
-    for library, package in LIBRARIES.items():
+    """Debian packages of the system libraries that this machine lacks."""
+    missing = []
+    for library, package in LIBRARIES.items() if sys.platform.startswith("linux") else ():
         try:
             ctypes.CDLL(library)
         except OSError:
@@ -133,60 +130,80 @@ def install_packages(packages: list[str]) -> None:
     run([apt, *quiet, "-y", "--no-install-recommends", "install", *packages], f"{line} failed")
 
 
-def pip_environment() -> dict[str, str]:
-    """The caller's environment without the pip and Python settings that would send packages elsewhere."""
-    elsewhere = ("PIP_TARGET", "PIP_PREFIX", "PIP_ROOT", "PIP_CONSTRAINT", "PYTHONPATH", "PYTHONHOME", "VIRTUAL_ENV")
-    # Python keeps what it compiles here, for all later starts.
-    left_out = (*elsewhere, "PYTHONDONTWRITEBYTECODE")
-    kept = {key: value for key, value in os.environ.items() if key not in left_out}
-    ours = {"PIP_USER": "0", "PIP_DISABLE_PIP_VERSION_CHECK": "1", "PIP_NO_INPUT": "1"}
-    return kept | ours
+def find_python(uv: Path, environment: str) -> tuple[str, tuple[int, int]]:
+    """The Python for an environment, as `uv venv` takes it, and its version; ("", ...) where `.venv-next` gets none.
+
+    `.venv` has the first of BLENDER's versions that is on this computer. Else uv downloads it.
+    """
+    versions = list(BLENDER)
+    if environment == ".venv-next":
+        versions = [(3, 13)] if (ROOT / ".venv/bin/python3.11").exists() else []
+    pyenv = Path(os.environ.get("PYENV_ROOT", str(Path.home() / ".pyenv"))) / "versions"
+    for version in versions:
+        name = "{}.{}".format(*version)
+        # pyenv shows only those that are enabled.
+        for python in (name, *map(str, sorted(pyenv.glob(f"{name}.*/bin/python{name}")))):
+            command = [str(uv), "python", "find", "--no-project", "--no-python-downloads", python]
+            if subprocess.run(command, capture_output=True, env=uv_variables(), check=False).returncode == 0:
+                return python, version
+    return ("3.11", (3, 11)) if environment == ".venv" else ("", (3, 13))
 
 
-def pip_options(files: tuple[str, ...]) -> list[str]:
-    """Options of one `pip install` call. The index of CPU builds that the user named is for torch alone."""
-    # Most files of the packages are never imported. Python compiles the others at their first import.
-    options = ["--no-compile", "--constraint", constraints(sys.version_info[:2])]
+def uv_variables() -> dict[str, str]:
+    return uv_program.variables(os.environ)
+
+
+def install_options(files: tuple[str, ...], version: tuple[int, int]) -> list[str]:
+    """Options of one `uv pip install` call. The index of CPU builds that the user named is for torch alone, which is
+    installed without what it needs: the next call adds that."""
+    options = ["--constraint", constraints(version)]
     for name in files:
         options += ["--requirement", name]
+    if files != ("torch.txt",):
+        return [*options, "--requirement", "torch.txt", "pip"] if "engine.txt" in files else options
     index = os.environ.get("TORCH_INDEX", "")
-    if index and "torch.txt" in files:
-        options += ["--extra-index-url", index]
-    return options
+    return [*options, "--no-deps", *(["--index", index] if index else [])]
 
 
 def make(folder: Path) -> None:
-    """Make the environment in `folder` from nothing, with the Python that runs this."""
+    """Make the environment in `folder` from nothing. `.venv-next` only where its Python is there."""
     started = time.monotonic()
-    wanted = recipe(folder.name, sys.version_info[:2])
     refuse_old_system()
+    try:
+        uv = uv_program.fetch(ROOT / "build", uv_variables())
+    except OSError as error:
+        stop(f"{error}. Check the connection and the package index, then run make again.")
+    request, version = find_python(uv, folder.name)
+    if not request or is_complete(folder, version, ROOT / "requirements"):
+        return
+    wanted = recipe(folder.name, version)
     packages = missing_packages()
     if packages:
         install_packages(packages)
     if folder.exists():
         say(f"{folder.name} is incomplete or has older requirements: making it again")
         shutil.rmtree(folder)
-    say(f"making {folder.name} for Python {sys.version_info[0]}.{sys.version_info[1]} ({sys.executable})")
-    # In a process of its own, as ensurepip may have been installed after this one started.
-    run([sys.executable, "-I", "-m", "venv", str(folder)], f"{folder.name} could not be made")
+    say(f"making {folder.name} for Python {version[0]}.{version[1]}")
+    run([str(uv), "venv", "--no-project", "--python", request, str(folder)], f"{folder.name} could not be made")
     python = str(folder / "bin" / "python")
-    for files in wanted.pip_calls:
-        say(f"installing {', '.join(file.removesuffix('.txt') for file in files)} (this takes a minute or more)")
-        run([python, "-m", "pip", "install", *pip_options(files)], "pip could not install the requirements")
+    for files in wanted.calls:
+        say(f"installing {', '.join(file[:-4] for file in files)} (this takes half a minute or more)")
+        options = install_options(files, version)
+        run([str(uv), "pip", "install", "--python", python, *options], "uv could not install the requirements")
     # This finds a missing system library now, and not in the middle of a lift.
     run([python, "-c", f"import {', '.join(wanted.modules)}"], "an installed module cannot be imported")
     if folder.name == ".venv":
         say("compiling the engine's kernels for this machine (half a minute; otherwise a lift would do it)")
         run([python, "-m", "engine", "warm-up"], "the kernels could not be compiled", cwd=ROOT, strict=False)
-    write_stamp(folder)
+    write_stamp(folder, version)
     say(f"{folder.name} is ready after {time.monotonic() - started:.0f} s")
 
 
-def write_stamp(folder: Path) -> None:
+def write_stamp(folder: Path, version: tuple[int, int]) -> None:
     """Declare the environment complete. The stamp is renamed into place, so it is whole or absent."""
     temporary = folder / f"{STAMP}.tmp"
-    temporary.write_text(stamp_text(folder.name, sys.version_info[:2], ROOT / "requirements"))
-    os.sync()  # after a power cut, the stamp must not outlive the files that pip wrote
+    temporary.write_text(stamp_text(folder.name, version, ROOT / "requirements"))
+    os.sync()  # after a power cut, the stamp must not outlive the files that uv wrote
     temporary.replace(folder / STAMP)
 
 
@@ -197,9 +214,9 @@ def run(command: list[str], failure: str, *, cwd: Path = ROOT / "requirements", 
         log.write(_USER.sub("****@", f"\n$ {' '.join(command)}\n").encode())
         log.flush()
         begin = log.tell()
-        # The lock is passed on (close_fds=False). If this process is killed, it stays held until pip has ended too.
+        # The lock is passed on (close_fds=False). If this process is killed, it stays held until uv has ended too.
         code = subprocess.run(
-            command, cwd=cwd, env=pip_environment(), stdin=subprocess.DEVNULL,
+            command, cwd=cwd, env=uv_variables(), stdin=subprocess.DEVNULL,
             stdout=log, stderr=subprocess.STDOUT, close_fds=False, check=False,
         ).returncode  # fmt: skip
     if code == 0:
@@ -240,12 +257,10 @@ def main(arguments: list[str]) -> int:
     if len(arguments) != 2 or arguments[0] not in ("check", "make") or arguments[1] not in (".venv", ".venv-next"):
         stop("usage: environment.py check|make .venv|.venv-next")
     verb, folder = arguments[0], ROOT / arguments[1]
-    requirements = ROOT / "requirements"
     if verb == "check":
-        return 0 if is_complete(folder, sys.version_info[:2], requirements) else 1
+        return 0 if is_complete(folder, sys.version_info[:2], ROOT / "requirements") else 1
     with alone():
-        if not is_complete(folder, sys.version_info[:2], requirements):
-            make(folder)
+        make(folder)
     return 0
 
 

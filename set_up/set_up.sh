@@ -1,8 +1,8 @@
 #!/bin/sh
-# Make an environment with the first Python that fits, unless it is complete already.
+# Make an environment of the clone, unless it is complete already. Any Python 3 begins; uv brings the right one.
 #
-#   sh set_up/set_up.sh .venv           runs everything: Python 3.11 (Blender 4.5), else 3.13 (Blender 5.3)
-#   sh set_up/set_up.sh .venv-next      Python 3.13 (Blender 5.3), where .venv has 3.11 and both are there; else nothing
+#   sh set_up/set_up.sh .venv           runs everything
+#   sh set_up/set_up.sh .venv-next      where .venv has Python 3.11 and 3.13 is there, too; else nothing
 set -eu
 cd "$(dirname "$0")/.."
 environment=$1
@@ -11,33 +11,16 @@ if [ -x "$environment/bin/python" ] && "$environment/bin/python" -I -S set_up/en
     exit 0
 fi
 
-case $environment in
-    .venv) versions="3.11 3.13" ;;
-    *) if [ -x .venv/bin/python3.11 ]; then versions=3.13; else exit 0; fi ;;
-esac
-
-for version in $versions; do
-    python=$(sh set_up/find_python.sh "$version")
-    if [ -n "$python" ]; then
+# A name on PATH may be a version manager's shim for a Python that is not enabled, or Debian's minimal one.
+for python in python3 python3.13 python3.11 /usr/bin/python3; do
+    if "$python" -I -c 'import ctypes, ssl, sys; sys.exit(sys.version_info < (3, 8))' 2>/dev/null; then
         exec "$python" -I set_up/environment.py make "$environment"
     fi
 done
-
-[ "$environment" = .venv ] || exit 0
-# What has one of them here: the system's packages, where they do, or uv, which needs no root.
-id='' release=''
-if [ -r "${OS_RELEASE:=/etc/os-release}" ]; then
-    # In a shell of its own, as the file sets many names.
-    id=$(. "$OS_RELEASE" && echo "${ID-}")
-    release=$(. "$OS_RELEASE" && echo "${VERSION_ID-}")
+if command -v uv >/dev/null; then
+    exec uv run --no-project --python 3.11 -- python -I set_up/environment.py make "$environment"
 fi
-case "$id $release" in
-    "ubuntu 22.04") line="sudo apt-get install python3.11 python3.11-venv" ;;
-    "ubuntu 25."* | "debian 12" | "debian 13") line="sudo apt-get install python3 python3-venv" ;;
-    fedora*) line="sudo dnf install python3.13" ;;
-esac
-uv="curl -LsSf https://astral.sh/uv/install.sh | sh && ~/.local/bin/uv python install 3.11"
-echo "set-up: no Python 3.11 or 3.13 was found, on PATH or from pyenv or uv. Install one, then run make again:" >&2
+echo "set-up: there is no Python 3. Install your system's python3, or uv, then run make again:" >&2
 echo >&2
-echo "    ${line:-$uv}" >&2
+echo "    curl -LsSf https://astral.sh/uv/install.sh | sh" >&2
 exit 1

@@ -46,7 +46,7 @@ class PLGS_AP_preferences(bpy.types.AddonPreferences):
     )
     index_url: StringProperty(  # type: ignore[valid-type]
         name="Package Index",
-        description="URL of the package index to download from. Empty: where pip is configured to look, "
+        description="URL of the package index to download from. Empty: where uv or pip is configured to look, "
         "and PyTorch's public index for its CPU build",
     )
 

@@ -6,6 +6,7 @@ is there, which is the last step, the environment is as it was.
 
 from __future__ import annotations
 
+import os
 import shutil
 import site
 import sys
@@ -14,11 +15,11 @@ from pathlib import Path
 
 from ..errors import PlgsError
 from ..job import EventWriter, StopSignal, write_atomically
-from ..job.environment import python_in
+from ..job.environment import environments_folder, python_in
 from ..job.handshake import CAPABILITIES, addition_hashes_path, refuse_unknown, requirements_path
 from ..job.lock import FileLock
 from ..job.process import ROOT, missing_modules
-from . import programs
+from . import programs, uv_program
 from .environments import bytes_in
 
 STAGE = "add"
@@ -28,7 +29,7 @@ _FOLDER = "added"
 _PARTS = 1000
 _POLL_S, _MEASURE_S = 0.05, 1.0
 _SPARE_BYTES = 200_000_000
-"""Free bytes beside twice the packages' size: pip unpacks what it has downloaded."""
+"""Free bytes beside twice the packages' size: uv keeps what it has downloaded until it is written."""
 
 
 class Addition:
@@ -43,21 +44,23 @@ class Addition:
         root: Path = ROOT,
         environment: Path = Path(sys.prefix),
         index_url: str = "",
+        tools: Path | None = None,
     ) -> None:
         """``environment``: by default that of the Python that runs this; another environment's has the same version.
-        Raises PlgsError for an unknown name.
+        ``tools`` is the folder for uv; None: the user's cache. Raises PlgsError for an unknown name.
         """
         refuse_unknown(name)
         self.name, self.size = name, CAPABILITIES[name].size
         self.environment, self._python = environment, python_in(environment)
         self._events, self._stop, self._root, self._index_url = events, stop, root, index_url
         self._site_packages = Path(site.getsitepackages([str(environment)])[0])
+        self._tools = tools or environments_folder()
         self._part = environment / _FOLDER / f"{name}.part"
         self._measured_at = 0.0
 
     @property
     def log_path(self) -> Path:
-        """pip's output."""
+        """uv's output."""
         return self.environment / _LOG
 
     def run(self) -> Path:
@@ -97,20 +100,26 @@ class Addition:
     def _download(self, lock: FileLock) -> None:
         self._events.stage(STAGE, 1, len(LABELS), LABELS[0])
         shutil.rmtree(self._part, ignore_errors=True)
-        packages, temporary = self._part / "packages", self._part / "tmp"
-        temporary.mkdir(parents=True)
-        command = programs.add_command(self._python, addition_hashes_path(self._root, self.name), packages)
-        variables = programs.pip_environment(temporary, self._index_url)
-        variables["PIP_CONSTRAINT"] = str(requirements_path(self._root, self.name))  # also for whatever compiles it
+        packages, downloads = self._part / "packages", self._part / "downloads"
+        packages.mkdir(parents=True)
+        variables = uv_program.variables(os.environ, self._index_url) | {"UV_CACHE_DIR": str(downloads)}
         self.log_path.write_bytes(b"")
+        try:
+            uv = uv_program.fetch(self._tools, variables, self._stop.check)
+        except OSError as error:
+            fix = "Check the connection and the package index, then add it again. The engine is unchanged."
+            raise PlgsError("uv-download", str(error), "the package index", fix) from error
+        pins = requirements_path(self._root, self.name)  # also for whatever compiles a package that has no wheel here
+        hashes = ["--no-deps", "--require-hashes", "--requirement", addition_hashes_path(self._root, self.name)]
+        command = [uv, "pip", "install", "--python", self._python, "--target", packages, *hashes]
         output, code = programs.run(
-            command, self.log_path, variables, self._pause, cwd=self._part,
+            [*command, "--build-constraints", pins], self.log_path, variables, self._pause, cwd=self._part,
             read_line=self._tell, keep_open=[lock.descriptor], limit_s=None,
         )  # fmt: skip
         if code != 0:
             fix = "Check the connection and the disk, then add it again. The engine is unchanged."
-            raise PlgsError("pip-failed", f"pip could not add it ({programs.complaint(output)})", self.log_path, fix)
-        shutil.rmtree(temporary)
+            raise PlgsError("uv-failed", f"uv could not add it ({programs.complaint(output)})", self.log_path, fix)
+        shutil.rmtree(downloads, ignore_errors=True)
         for path in packages.iterdir():
             path.rename(self._part / path.name)
         packages.rmdir()
@@ -125,7 +134,7 @@ class Addition:
             raise PlgsError("packages-lost", what, self._site_packages, fix)
 
     def _tell(self, line: str) -> None:
-        if news := programs.news_of_pip(line):
+        if news := programs.news_of_uv(line):
             self._events.stage(STAGE, 1, len(LABELS), f"{LABELS[0]}: {news}")
 
     def _pause(self) -> None:
@@ -134,5 +143,5 @@ class Addition:
         time.sleep(_POLL_S)
         if time.monotonic() - self._measured_at > _MEASURE_S:
             self._measured_at = time.monotonic()
-            done = min(1.0, bytes_in(self._part) / self.size)
+            done = min(1.0, bytes_in(self._part / "downloads") / self.size)
             self._events.progress(STAGE, round(_PARTS * done), _PARTS)

@@ -1,48 +1,19 @@
-"""The folder of environments: what is known about an unfinished one, how large one is, and how one is deleted."""
+"""The folder of environments: what it holds, how large that is, and how it is deleted."""
 
 from __future__ import annotations
 
-import json
 import os
 import shutil
 from contextlib import suppress
-from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
 from ..errors import PlgsError
 from ..job.lock import is_locked
 
 LOG, LOCK = "set-up.log", "set-up.lock"
-_NOTES = "set-up.json"
+DOWNLOADS, PYTHON = "downloads", "python"
+"""What uv has unpacked for an unfinished environment, and the Pythons that it downloaded."""
 _TRASH = "trash-"
-
-
-@dataclass
-class Notes:
-    """The progress of an environment, kept in its folder for the set-up that continues it.
-
-    ``done`` names the finished steps. ``installing`` says that pip has begun to write packages: after a kill these can
-    be half-written.
-    """
-
-    torch_build: str
-    done: list[str] = field(default_factory=list)
-    installing: bool = False
-
-    @classmethod
-    def read(cls, environment: Path) -> Notes | None:
-        """The notes of an environment; None where there are none."""
-        try:
-            data = json.loads((environment / _NOTES).read_text(encoding="utf-8"))
-            return cls(str(data["torch_build"]), [str(step) for step in data["done"]], bool(data["installing"]))
-        except (OSError, ValueError, KeyError, TypeError):
-            return None
-
-    def write(self, environment: Path) -> None:
-        """Replace the notes by rename, so that a kill leaves the old ones or the new. Raises OSError."""
-        part = environment / f"{_NOTES}.part"
-        part.write_text(json.dumps(asdict(self)), encoding="utf-8")
-        part.replace(environment / _NOTES)
 
 
 def bytes_in(folder: Path) -> int:
@@ -79,7 +50,7 @@ def empty_trash(folder: Path) -> None:
 
 
 def remove_environments(folder: Path) -> None:
-    """Delete all environments in ``folder`` that a set-up made, and nothing else.
+    """Delete all environments in ``folder`` that a set-up made and what it made them with, and nothing else.
 
     Raises PlgsError while a set-up is running there, OSError.
     """
@@ -88,4 +59,6 @@ def remove_environments(folder: Path) -> None:
     for environment in sorted(folder.glob("engine-*")):
         if (environment / "pyvenv.cfg").is_file():
             throw_away(environment, folder)
+    for path in (folder / DOWNLOADS, folder / PYTHON, *folder.glob("uv-*")):
+        throw_away(path, folder)
     empty_trash(folder)

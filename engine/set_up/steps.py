@@ -1,13 +1,17 @@
-"""The steps of a set-up, from a base Python to an engine that answers.
+"""The steps of a set-up, from uv to an engine that answers.
 
-What a step finished is noted in the environment. A set-up that was cancelled, killed or cut off continues there.
+What uv has downloaded stays until the environment is complete. A set-up that was cancelled, killed or cut off makes the
+environment anew from it.
 """
 
 from __future__ import annotations
 
+import os
+import re
 import shutil
+import sys
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,6 +20,7 @@ from ..errors import PlgsError
 from ..job import EventWriter, StopSignal, write_atomically
 from ..job.environment import (
     COMPLETE,
+    Version,
     constraints_path,
     environment_name,
     environments_folder,
@@ -28,14 +33,12 @@ from ..job.environment import (
 from ..job.handshake import EngineAnswer
 from ..job.lock import FileLock, is_locked
 from ..job.process import ROOT, clean_environment, engine_call
-from . import programs
-from .base_python import PROBE, BasePython, candidates, judge
-from .environments import LOCK, LOG, Notes, bytes_in, empty_trash, throw_away
-from .pip_wheel import fetch_pip
+from . import programs, uv_program
+from .environments import DOWNLOADS, LOCK, LOG, PYTHON, bytes_in, empty_trash, throw_away
 
 STAGE = "set-up"
 LABELS = (
-    "Looking for a Python",
+    "Downloading uv",
     "Making the environment",
     "Installing torch",
     "Installing the other packages",
@@ -50,7 +53,7 @@ _POLL_S = 0.05
 _MEASURE_S = 1.0
 _GIGABYTE = 10**9
 NEEDED_BYTES = {"cpu": 5 * _GIGABYTE, "cuda": 15 * _GIGABYTE}
-"""Free bytes on the disk for the environment, for what is unpacked meanwhile and for pip's own cache, rounded up."""
+"""Free bytes on the disk for the environment and for what is unpacked meanwhile, rounded up."""
 _INSTALLED_BYTES = {"cpu": 1.8 * _GIGABYTE, "cuda": 7.0 * _GIGABYTE}
 """Bytes that the installed packages take on the disk."""
 _INSTALLED, _COMPILED = 0.8, 0.98
@@ -60,8 +63,8 @@ _SYNC = "import os; getattr(os, 'sync', lambda: None)()"
 
 @dataclass(frozen=True)
 class SetUpRequest:
-    """``base_python`` None takes the first that can make environments. ``torch_build`` is "cpu" or "cuda". An empty
-    ``index_url`` lets packages come from where pip is configured to look.
+    """``base_python`` None takes this one, or another that the packages are pinned for. ``torch_build`` is "cpu" or
+    "cuda". An empty ``index_url`` lets packages come from where uv or pip is configured to look.
     """
 
     base_python: Path | None = None
@@ -85,7 +88,10 @@ class SetUp:
         self.request, self.root = request, root
         self.folder = folder or environments_folder()
         self._events, self._stop = events, stop
-        self._environment: Path | None = None
+        self._variables = uv_program.variables(os.environ, request.index_url) | {
+            "UV_CACHE_DIR": str(self.folder / DOWNLOADS),
+            "UV_PYTHON_INSTALL_DIR": str(self.folder / PYTHON),
+        }
         self._done, self._measured_at = 0.0, 0.0
         self._step, self._label = 0, ""
         self._lock: FileLock | None = None
@@ -111,36 +117,52 @@ class SetUp:
             raise PlgsError("set-up-stopped", f"the set-up was stopped ({error.strerror})", where, fix) from error
 
     def _do_steps(self) -> Path:
-        base = self._find_base_python()
-        environment = self.folder / environment_name(self.root, base.version)
+        given = self.request.base_python
+        if given is not None and not os.access(given, os.X_OK):
+            self.log_path.write_text(f"{given} cannot be run\n", encoding="utf-8")
+            fix = "Name another Python in the preferences."
+            raise PlgsError("no-python", f"{given} cannot be run", self.log_path, fix)
+        uv = self._get_uv()
+        python, version = self._find_python(uv)
+        environment = self.folder / environment_name(self.root, version)
         if not self._is_ready(environment):
             self._check_disk()
-            notes = self._make_environment(environment, base)
-            self._install_packages(environment, base, notes)
+            self._make_environment(uv, environment, python, version)
+            self._install_packages(uv, environment, version)
             self._compile_kernels(environment)
             self._finish(environment)
+        throw_away(self.folder / DOWNLOADS, self.folder)
         empty_trash(self.folder)
         return python_in(environment)
 
-    def _find_base_python(self) -> BasePython:
+    def _get_uv(self) -> Path:
+        self._tell(1)
+        try:
+            return uv_program.fetch(self.folder, self._variables, self._stop.check)
+        except OSError as error:
+            fix = "Check the connection and the package index, then set up the engine again."
+            raise PlgsError("uv-download", str(error), "the package index", fix) from error
+
+    def _find_python(self, uv: Path) -> tuple[str | Path, Version]:
+        """A Python for `uv venv`: the given one, else this one, else one on this computer, else one to download."""
         versions = pinned_versions(self.root)
         if not versions:
             what = "the requirements are missing"
             raise PlgsError("no-requirements", what, self.root / "requirements", "Install PLGS again.")
-        refused = []
-        for python in candidates(self.request.base_python, versions):
-            self._tell(1, str(python))
-            try:
-                verdict = judge(*self._run([python, "-I", "-c", PROBE], limit_s=_ANSWER_S), versions)
-            except PlgsError as error:
-                verdict = error.what
-            if isinstance(verdict, BasePython):
-                return verdict
-            refused.append(f"{python} {verdict}")
-        self._log("\n".join(refused))
-        wanted = " or ".join(f"{major}.{minor}" for major, minor in versions)
-        fix = f"Install Python {wanted} with venv and pip, or name one in the preferences."
-        what = f"no Python can make the engine's environment ({'; '.join(refused[:3])})"
+        given = self.request.base_python
+        names = [f"{major}.{minor}" for major, minor in versions]
+        for python in [given] if given is not None else [sys.executable, *names]:
+            self._tell(2, str(python))
+            command = [uv, "python", "find", "--no-project", "--no-python-downloads", "--show-version", python]
+            output, code = self._run(command, environment=self._variables, limit_s=_ANSWER_S)
+            version = re.match(r"(\d+)\.(\d+)", output)
+            if code == 0 and version is not None and (int(version[1]), int(version[2])) in versions:
+                return python, (int(version[1]), int(version[2]))
+        if given is None:
+            return names[0], versions[0]
+        why = programs.complaint(output) if version is None else f"it is Python {output.strip()}"
+        fix = f"Name a Python {' or '.join(names)} in the preferences, or none: then PLGS finds or downloads one."
+        what = f"{given} cannot make the engine's environment ({why})"
         raise PlgsError("no-python", what, self.log_path, fix)
 
     def _is_ready(self, environment: Path) -> bool:
@@ -149,8 +171,7 @@ class SetUp:
         """
         if not is_complete(environment):
             return False
-        notes = Notes.read(environment)
-        if notes is not None and notes.torch_build == self.request.torch_build:
+        if (environment / COMPLETE).read_text(encoding="utf-8").endswith(f" {self.request.torch_build}\n"):
             with suppress(PlgsError):
                 if not self._ask(python_in(environment)).missing:
                     return True
@@ -163,70 +184,39 @@ class SetUp:
             what = f"the disk has {free / _GIGABYTE:.1f} GB free, but the engine needs {needed / _GIGABYTE:.0f} GB"
             raise PlgsError("disk-full", what, self.folder, "Make room, then set up the engine again.")
 
-    def _make_environment(self, environment: Path, base: BasePython) -> Notes:
-        self._tell(2, f"Python {base.version[0]}.{base.version[1]}")
-        self._environment = environment
-        notes = Notes.read(environment)
-        is_sound = notes is not None and not notes.installing and python_in(environment).exists()
-        if notes is not None and is_sound and notes.torch_build == self.request.torch_build:
-            self._log(f"Continuing {environment}, which has: {', '.join(notes.done)}")
-            return notes
+    def _make_environment(self, uv: Path, environment: Path, python: str | Path, version: Version) -> None:
+        """Make it from nothing, which takes a moment: what was downloaded is kept apart."""
+        self._tell(2, f"Python {version[0]}.{version[1]}")
         throw_away(environment, self.folder)
-        options = [] if base.has_pip else ["--without-pip"]
-        output, code = self._run([base.python, "-I", "-m", "venv", *options, environment])
-        if code == 0 and not base.has_pip:
-            wheel = fetch_pip(environment, self.request.index_url, self._stop.check)
-            output, code = self._run(programs.install_pip_command(python_in(environment), wheel))
+        output, code = self._run(
+            [uv, "venv", "--no-project", "--python", python, environment], environment=self._variables
+        )
         if code != 0:
-            what = f"{base.python} could not make an environment ({programs.complaint(output)})"
+            what = f"{python} could not make an environment ({programs.complaint(output)})"
             raise PlgsError("environment-failed", what, self.log_path, "Name another Python in the preferences.")
-        notes = Notes(self.request.torch_build)
-        notes.write(environment)
-        return notes
 
-    def _install_packages(self, environment: Path, base: BasePython, notes: Notes) -> None:
-        """Install torch alone, then the packages that have hashes, then all. The last call finds these installed and
-        adds what torch needs of CUDA.
-        """
-        needed = needed_packages(self.root, base.version)
-        pins = {name: f"{name}=={pin}" if pin else name for name, pin in needed.items()}
-        constraints, python = constraints_path(self.root, base.version), python_in(environment)
-        build = self.request.torch_build
+    def _install_packages(self, uv: Path, environment: Path, version: Version) -> None:
+        """Install torch, of which no hashes are kept, then all else by its hashes."""
+        torch, python = f"torch=={needed_packages(self.root, version)['torch']}", python_in(environment)
         self._tell(3)
-        options = programs.torch_options(self.request.index_url, build)
-        command = programs.install_command(python, [pins["torch"]], constraints, options)
-        self._install("torch", environment, command, notes)
+        if self.request.torch_build == "cuda":
+            # With what torch needs of CUDA, and pip: gsplat is installed by hand.
+            options = ["--constraint", str(constraints_path(self.root, version)), "pip"]
+        else:
+            # Where the user has an index or a folder of his own, torch's CPU build has to be there.
+            is_public = not self.request.index_url and "UV_FIND_LINKS" not in self._variables
+            options = ["--no-deps", *(["--torch-backend", "cpu"] if sys.platform == "linux" and is_public else [])]
+        self._install("torch", [uv, "pip", "install", "--no-build", "--python", python, *options, torch])
         self._tell(4)
-        hashes = hashes_path(self.root, base.version)
-        if hashes.exists():
-            self._install("packages", environment, programs.install_hashed_command(python, hashes), notes)
-        command = programs.install_command(python, list(pins.values()), constraints)
-        self._install("what is left", environment, command, notes)
+        options = ["--no-deps", "--require-hashes", "--requirement", str(hashes_path(self.root, version))]
+        self._install("packages", [uv, "pip", "install", "--no-build", "--python", python, *options])
 
-    def _install(self, step: str, environment: Path, command: Sequence[str | Path], notes: Notes) -> None:
-        if step in notes.done:
-            return
-        temporary = environment / "tmp"
-        throw_away(temporary, self.folder)
-        temporary.mkdir()
-
-        def read_line(line: str) -> None:
-            if line.startswith(programs.INSTALLING):
-                notes.installing = True
-                notes.write(environment)
-            if news := programs.news_of_pip(line):
-                self._tell(self._step, news)
-
-        variables = programs.pip_environment(temporary, self.request.index_url)
-        output, code = self._run(command, environment=variables, read_line=read_line)
+    def _install(self, what: str, command: Sequence[str | Path]) -> None:
+        output, code = self._run(command, environment=self._variables)
         if code != 0:
             fix = "Check the connection and the disk, then set up the engine again: it continues there."
-            what = f"pip could not install {step} ({programs.complaint(output)})"
-            raise PlgsError("pip-failed", what, self.log_path, fix)
-        throw_away(temporary, self.folder)
-        notes.done.append(step)
-        notes.installing = False
-        notes.write(environment)
+            why = f"uv could not install {what} ({programs.complaint(output)})"
+            raise PlgsError("uv-failed", why, self.log_path, fix)
 
     def _compile_kernels(self, environment: Path) -> None:
         """Compile what a lift runs. This is also the best test that the engine works here."""
@@ -245,7 +235,7 @@ class SetUp:
             raise PlgsError("lacks-modules", f"the new environment lacks {', '.join(answer.missing)}", environment, fix)
         # The packages reach the disk before the mark: after a power cut no incomplete environment is marked complete.
         self._run([python_in(environment), "-I", "-c", _SYNC])
-        write_atomically(environment / COMPLETE, f"{answer.python}\n")
+        write_atomically(environment / COMPLETE, f"{answer.python} {self.request.torch_build}\n")
 
     def _ask(self, python: Path) -> EngineAnswer:
         """The answer of the engine in ``python``. Raises PlgsError when there is none."""
@@ -264,7 +254,6 @@ class SetUp:
         *,
         environment: Mapping[str, str] | None = None,
         cwd: Path | None = None,
-        read_line: Callable[[str], object] = lambda line: None,
         limit_s: float | None = None,
     ) -> tuple[str, int]:
         """Run a program and return its output and its exit code. When this stops, the program ends with its children.
@@ -275,12 +264,12 @@ class SetUp:
         assert self._lock is not None
         return programs.run(
             command, self.log_path, environment or clean_environment(cwd), self._pause,
-            cwd=cwd or self.folder, read_line=read_line, keep_open=[self._lock.descriptor], limit_s=limit_s,
+            cwd=cwd or self.folder, read_line=self._tell_news, keep_open=[self._lock.descriptor], limit_s=limit_s,
         )  # fmt: skip
 
-    def _log(self, text: str) -> None:
-        with self.log_path.open("a", encoding="utf-8") as log:
-            log.write(f"{text}\n")
+    def _tell_news(self, line: str) -> None:
+        if news := programs.news_of_uv(line):
+            self._tell(self._step, news)
 
     def _tell(self, step: int, detail: str = "") -> None:
         """Begin a step, or report more about it."""
@@ -296,9 +285,8 @@ class SetUp:
         time.sleep(_POLL_S)
         if time.monotonic() - self._measured_at > _MEASURE_S:
             self._measured_at = time.monotonic()
-            if self._environment is not None:
-                installed = bytes_in(self._environment) / _INSTALLED_BYTES[self.request.torch_build]
-                self._done = max(self._done, _INSTALLED * min(1.0, installed))
+            unpacked = bytes_in(self.folder / DOWNLOADS) / _INSTALLED_BYTES[self.request.torch_build]
+            self._done = max(self._done, _INSTALLED * min(1.0, unpacked))
             self._tell_progress()
 
     def _tell_progress(self) -> None:

@@ -1,4 +1,4 @@
-"""Adding a part to an engine's environment with a real pip: to the end, cut off, cancelled."""
+"""Adding a part to an engine's environment with a real uv: to the end, cut off, cancelled."""
 
 from __future__ import annotations
 
@@ -37,13 +37,22 @@ def part(code: Path, index: PackageIndex) -> Iterator[PackageIndex]:
 
 
 @pytest.fixture
-def environment(folder: Path) -> Path:
-    return next(folder.glob("engine-*"))
+def environment(uv: Path, folder: Path) -> Path:
+    subprocess.run([uv, "venv", "--quiet", "--python", sys.executable, folder / "engine"], check=True, timeout=120)
+    return folder / "engine"
 
 
 def addition(code: Path, environment: Path, part: PackageIndex, stop: StopSignal | None = None) -> Addition:
     events = EventWriter(Path(tempfile.mkdtemp(prefix="plgs-test-")) / "events.jsonl")
-    return Addition(NAME, events, stop or StopSignal(), root=code, environment=environment, index_url=part.url)
+    return Addition(
+        NAME,
+        events,
+        stop or StopSignal(),
+        root=code,
+        environment=environment,
+        index_url=part.url,
+        tools=environment.parent,
+    )
 
 
 def files_of(environment: Path) -> set[str]:
@@ -81,7 +90,7 @@ def test_a_failure_leaves_the_engine_as_it_was(fault: str, code: Path, environme
         part.wheels["pycolmap"] = name, wheel("pycolmap", name.split("-")[1], "other")[1]
     else:
         part.fault["pycolmap"] = fault
-    with raises_key("pip-failed"):
+    with raises_key("uv-failed"):
         addition(code, environment, part).run()
     assert files_of(environment) == before
 

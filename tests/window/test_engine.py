@@ -9,8 +9,6 @@ from collections.abc import Iterator
 import pytest
 from blender import Window
 
-from tests.waiting import OUTLASTS_S
-
 MODULES = """
 import sys
 engine = sys.modules[EXTENSION + '.plgs_blender.engine_environment.tasks']
@@ -50,28 +48,26 @@ def test_a_set_up_is_followed_and_cancelled(preferences: Window) -> None:
     assert preferences.ask("bpy.ops.plgs.set_up_engine.poll()") is False
     preferences.run("bpy.context.preferences.system.use_online_access = True")
     base = f"{sys.base_prefix}/bin/python{sys.version_info[0]}.{sys.version_info[1]}"
-    with socket.create_server(("127.0.0.1", 0)) as silent:  # pip would wait for minutes
+    with socket.create_server(("127.0.0.1", 0)) as silent:  # uv would wait for minutes
         url = f"http://127.0.0.1:{silent.getsockname()[1]}/simple"
         arguments = f"'INVOKE_DEFAULT', base_python={base!r}, index_url={url!r}"
-        preferences.run(f"import os; os.environ['PIP_DEFAULT_TIMEOUT'] = '{OUTLASTS_S:.0f}'")
         assert preferences.run(f"answer = list(bpy.ops.plgs.set_up_engine({arguments}))\n") == ["FINISHED"]
-        preferences.wait_for("not set_up().is_running or set_up().progress.stage_index == 3")
+        preferences.wait_for("not set_up().is_running or set_up().progress.stage_index == 1")
         assert preferences.ask("str(set_up().error)") == "None", "it needs 5 GB on the disk of the home"
         preferences.settle()
         preferences.screenshot("preferences-set-up")
-        preferences.run("bpy.ops.plgs.cancel_engine_set_up(); del os.environ['PIP_DEFAULT_TIMEOUT']")
+        preferences.run("bpy.ops.plgs.cancel_engine_set_up()")
         preferences.wait_for("not set_up().is_running")
     assert preferences.ask("set_up().was_cancelled and set_up().error is None")
     assert not preferences.slow_calls(0.05)
 
 
-def test_blenders_own_python_serves_without_ensurepip_and_a_missing_index_is_told(preferences: Window) -> None:
-    """The tree has no python3-venv, so that its Python lacks ensurepip; pip's own wheel is asked of the index."""
+def test_a_missing_index_is_told(preferences: Window) -> None:
     preferences.run("bpy.context.preferences.system.use_online_access = True")
     preferences.run("bpy.ops.plgs.set_up_engine('INVOKE_DEFAULT', index_url='http://127.0.0.1:9/simple')")
     preferences.wait_for("not set_up().is_running")
     told = preferences.ask("str(set_up().error)")
-    assert "pip could not be downloaded" in told and "Check the connection and the package index" in told
+    assert "uv could not be downloaded" in told and "Check the connection and the package index" in told
     preferences.wait_for("engine.status().state.value == 'ready'")
     preferences.settle()
     preferences.screenshot("preferences-failed")

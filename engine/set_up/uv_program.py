@@ -1,0 +1,161 @@
+"""uv, which makes environments and installs packages: its pinned wheel from the package index, and its variables.
+
+It imports nothing of PLGS, and any Python from 3.8 on can run it: the set-up of a clone begins with it, too.
+"""
+
+from __future__ import annotations
+
+import configparser
+import hashlib
+import html
+import io
+import os
+import platform
+import re
+import ssl
+import sys
+import zipfile
+from base64 import b64encode
+from collections.abc import Callable, Mapping
+from http.client import HTTPException
+from pathlib import Path
+from urllib.parse import unquote, urljoin, urlsplit
+from urllib.request import Request, urlopen
+
+VERSION = "0.13.9"
+# The end of a wheel's name, and the wheel's SHA-256, by what Python calls the system and the processor.
+_WHEELS = {
+    ("linux", "x86_64"): (
+        "manylinux_2_17_x86_64.manylinux2014_x86_64.whl",
+        "d7f459fe4fd247d830351c75686d3996ace3c6f3f728eb0e85a30b7ada0cef19",
+    ),
+    ("linux", "aarch64"): (
+        "manylinux_2_28_aarch64.whl",
+        "ecb6028d79dc96fbeafffe5c8af62a7099487ebc05a701e76714eebcffd06375",
+    ),
+    ("darwin", "arm64"): (
+        "macosx_11_0_arm64.whl",
+        "66c512266d633bef48384a1f53003f41f2a8e7b36fe6e7fbfd3e0fd52d96fa63",
+    ),
+    ("win32", "amd64"): (
+        "win_amd64.whl",
+        "6a44b2ed8111d2f60d2b92627c5dccda3f7ed7570b18ce115e569cd68c28246b",
+    ),
+}
+_PUBLIC = "https://pypi.org/simple"
+_MOST_BYTES, _AT_ONCE, _PATIENCE_S = 60_000_000, 1 << 16, 15.0
+# What uv calls the settings of pip, which users have for mirrors and proxies.
+_OF_PIP = {
+    "index-url": "UV_DEFAULT_INDEX",
+    "extra-index-url": "UV_INDEX",
+    "find-links": "UV_FIND_LINKS",
+    "no-index": "UV_NO_INDEX",
+    "trusted-host": "UV_INSECURE_HOST",
+    "cert": "SSL_CERT_FILE",
+    "proxy": "ALL_PROXY",
+    "timeout": "UV_HTTP_TIMEOUT",
+    "default-timeout": "UV_HTTP_TIMEOUT",
+    "retries": "UV_HTTP_RETRIES",
+}
+_LEFT_OUT = re.compile(
+    r"PYTHON(PATH|HOME|DONTWRITEBYTECODE)$|VIRTUAL_ENV$|CONDA_PREFIX$|"
+    r"UV_(PYTHON|SYSTEM_PYTHON|TARGET|PREFIX|CONSTRAINT|OVERRIDE|EXCLUDE|PROJECT|WORKING_DIR)$"
+)
+"""Variables that would send packages somewhere other than into the environment, or would bring others."""
+
+
+def variables(environ: Mapping[str, str], index_url: str = "") -> dict[str, str]:
+    """``environ`` for uv, with the user's settings of pip where he has none of uv.
+
+    ``index_url`` takes the place of PyPI. It is no argument, as its password would show in the list of processes.
+    """
+    kept = {name: value for name, value in environ.items() if not _LEFT_OUT.match(name)}
+    for setting, name in _OF_PIP.items():
+        if value := _setting_of_pip(setting, environ):
+            kept.setdefault(name, ",".join(value.split()) if setting == "find-links" else value)
+    if "UV_INDEX" in kept:  # pip takes the best of all indexes
+        kept.setdefault("UV_INDEX_STRATEGY", "unsafe-best-match")
+    if index_url:
+        kept["UV_DEFAULT_INDEX"] = index_url
+    return {"UV_SYSTEM_CERTS": "1", "UV_NO_PROGRESS": "1", **kept}
+
+
+def fetch(folder: Path, variables: Mapping[str, str], pause: Callable[[], object] = lambda: None) -> Path:
+    """uv in a folder, downloaded if it is not there. ``pause`` is called in between, and what it raises ends it.
+
+    Raises OSError with one line for the user.
+    """
+    program = folder / f"uv-{VERSION}" / ("uv.exe" if os.name == "nt" else "uv")
+    if program.exists():
+        return program
+    machine = (sys.platform, platform.machine().replace("AMD64", "amd64"))
+    if machine not in _WHEELS:
+        raise OSError(f"there is no uv for {machine[0]} on {machine[1]} here")
+    ending, digest = _WHEELS[machine]
+    name = f"uv-{VERSION}-py3-none-{ending}"
+    try:
+        content = _wheel(name, variables, pause)
+    except (OSError, ValueError, HTTPException) as error:
+        raise OSError(f"uv could not be downloaded ({error})") from error
+    if hashlib.sha256(content).hexdigest() != digest:
+        raise OSError(f"the package index has no {name} as it is pinned here")
+    program.parent.mkdir(parents=True, exist_ok=True)
+    part = program.with_suffix(".part")
+    with zipfile.ZipFile(io.BytesIO(content)) as archive:
+        part.write_bytes(archive.read(f"uv-{VERSION}.data/scripts/{program.name}"))
+    part.chmod(0o755)
+    part.replace(program)
+    return program
+
+
+def _wheel(name: str, variables: Mapping[str, str], pause: Callable[[], object]) -> bytes:
+    """The wheel's bytes, from a folder of the user's wheels or from the index; empty where neither has it."""
+    for folder in variables.get("UV_FIND_LINKS", "").split(","):
+        if folder and (Path(folder) / name).is_file():
+            return (Path(folder) / name).read_bytes()
+    index = variables.get("UV_DEFAULT_INDEX", _PUBLIC).rstrip("/") + "/uv/"
+    page = _read(index, variables, pause).decode(errors="replace")
+    link = re.search(rf'href="((?:[^"]*/)?{re.escape(name)}[^"]*)"', page)
+    return _read(urljoin(index, html.unescape(link[1])), variables, pause) if link else b""
+
+
+def _read(url: str, variables: Mapping[str, str], pause: Callable[[], object]) -> bytes:
+    """At most _MOST_BYTES of what is there. A name and a password before the host are sent as uv sends them. Raises
+    OSError, ValueError, HTTPException."""
+    trusted = ssl.create_default_context(cafile=variables.get("SSL_CERT_FILE"))
+    parts, content = urlsplit(url), bytearray()
+    request = Request(parts._replace(netloc=parts.netloc.rpartition("@")[2]).geturl())
+    if parts.username:
+        login = f"{unquote(parts.username)}:{unquote(parts.password or '')}"
+        request.add_unredirected_header("Authorization", f"Basic {b64encode(login.encode()).decode()}")
+    with urlopen(request, timeout=_PATIENCE_S, context=trusted) as answer:
+        while len(content) < _MOST_BYTES and (more := answer.read(_AT_ONCE)):
+            content += more
+            pause()
+    return bytes(content)
+
+
+def _setting_of_pip(name: str, environ: Mapping[str, str]) -> str:
+    """A setting of the user's pip, from its variable or its files; empty where there is none."""
+    if value := environ.get("PIP_" + name.upper().replace("-", "_")):
+        return value
+    home = Path(os.path.expanduser("~"))
+    files = [
+        environ.get("PIP_CONFIG_FILE") or os.devnull,
+        Path(environ.get("XDG_CONFIG_HOME") or home / ".config") / "pip" / "pip.conf",
+        home / "Library/Application Support/pip/pip.conf",
+        Path(environ.get("APPDATA") or home) / "pip" / "pip.ini",
+        home / ".pip/pip.conf",
+        "/etc/xdg/pip/pip.conf",
+        "/etc/pip.conf",
+    ]
+    for path in files[:1] if environ.get("PIP_CONFIG_FILE") == os.devnull else files:
+        parser = configparser.RawConfigParser()
+        try:
+            parser.read(path, encoding="utf-8")
+        except (configparser.Error, UnicodeDecodeError):
+            continue
+        for section in ("install", "global"):
+            if value := parser.get(section, name, fallback=""):
+                return value.strip().strip("'\"")
+    return ""
