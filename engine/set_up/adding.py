@@ -11,6 +11,7 @@ import shutil
 import site
 import sys
 import time
+from collections.abc import Sequence
 from pathlib import Path
 
 from ..errors import PlgsError
@@ -104,18 +105,16 @@ class Addition:
         packages.mkdir(parents=True)
         variables = uv_program.variables(os.environ, self._index_url) | {"UV_CACHE_DIR": str(downloads)}
         self.log_path.write_bytes(b"")
-        try:
-            uv = uv_program.fetch(self._tools, variables, self._stop.check)
-        except OSError as error:
-            fix = "Check the connection and the package index, then add it again. The engine is unchanged."
-            raise PlgsError("uv-download", str(error), "the package index", fix) from error
+        uv = uv_program.program_in(self._tools)
+        if not uv.exists():
+            output, code = self._run([sys.executable, "-I", Path(uv_program.__file__), self._tools], variables, lock)
+            if code != 0:
+                fix = "Check the connection and the package index, then add it again. The engine is unchanged."
+                raise PlgsError("uv-download", programs.complaint(output), "the package index", fix)
         pins = requirements_path(self._root, self.name)  # also for whatever compiles a package that has no wheel here
         hashes = ["--no-deps", "--require-hashes", "--requirement", addition_hashes_path(self._root, self.name)]
         command = [uv, "pip", "install", "--python", self._python, "--target", packages, *hashes]
-        output, code = programs.run(
-            [*command, "--build-constraints", pins], self.log_path, variables, self._pause, cwd=self._part,
-            read_line=self._tell, keep_open=[lock.descriptor], limit_s=None,
-        )  # fmt: skip
+        output, code = self._run([*command, "--build-constraints", pins], variables, lock)
         if code != 0:
             fix = "Check the connection and the disk, then add it again. The engine is unchanged."
             raise PlgsError("uv-failed", f"uv could not add it ({programs.complaint(output)})", self.log_path, fix)
@@ -123,6 +122,12 @@ class Addition:
         for path in packages.iterdir():
             path.rename(self._part / path.name)
         packages.rmdir()
+
+    def _run(self, command: Sequence[str | Path], variables: dict[str, str], lock: FileLock) -> tuple[str, int]:
+        return programs.run(
+            command, self.log_path, variables, self._pause, cwd=self._part,
+            read_line=self._tell, keep_open=[lock.descriptor], limit_s=None,
+        )  # fmt: skip
 
     def _look(self) -> None:
         self._events.stage(STAGE, 2, len(LABELS), LABELS[1])

@@ -137,11 +137,14 @@ class SetUp:
 
     def _get_uv(self) -> Path:
         self._tell(1)
-        try:
-            return uv_program.fetch(self.folder, self._variables, self._stop.check)
-        except OSError as error:
-            fix = "Check the connection and the package index, then set up the engine again."
-            raise PlgsError("uv-download", str(error), "the package index", fix) from error
+        uv = uv_program.program_in(self.folder)
+        if not uv.exists():
+            command = [sys.executable, "-I", Path(uv_program.__file__), self.folder]
+            output, code = self._run(command, environment=self._variables)
+            if code != 0:
+                fix = "Check the connection and the package index, then set up the engine again."
+                raise PlgsError("uv-download", programs.complaint(output), "the package index", fix)
+        return uv
 
     def _find_python(self, uv: Path) -> tuple[str | Path, Version]:
         """A Python for `uv venv`: the given one, else this one, else one on this computer, else one to download."""

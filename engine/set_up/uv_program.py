@@ -16,7 +16,7 @@ import ssl
 import sys
 import zipfile
 from base64 import b64encode
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from http.client import HTTPException
 from pathlib import Path
 from urllib.parse import unquote, urljoin, urlsplit
@@ -80,12 +80,14 @@ def variables(environ: Mapping[str, str], index_url: str = "") -> dict[str, str]
     return {"UV_SYSTEM_CERTS": "1", "UV_NO_PROGRESS": "1", **kept}
 
 
-def fetch(folder: Path, variables: Mapping[str, str], pause: Callable[[], object] = lambda: None) -> Path:
-    """uv in a folder, downloaded if it is not there. ``pause`` is called in between, and what it raises ends it.
+def program_in(folder: Path) -> Path:
+    """Where `fetch` puts uv."""
+    return folder / f"uv-{VERSION}" / ("uv.exe" if os.name == "nt" else "uv")
 
-    Raises OSError with one line for the user.
-    """
-    program = folder / f"uv-{VERSION}" / ("uv.exe" if os.name == "nt" else "uv")
+
+def fetch(folder: Path, variables: Mapping[str, str]) -> Path:
+    """uv in a folder, downloaded if it is not there. Raises OSError with one line for the user."""
+    program = program_in(folder)
     if program.exists():
         return program
     machine = (sys.platform, platform.machine().replace("AMD64", "amd64"))
@@ -94,7 +96,7 @@ def fetch(folder: Path, variables: Mapping[str, str], pause: Callable[[], object
     ending, digest = _WHEELS[machine]
     name = f"uv-{VERSION}-py3-none-{ending}"
     try:
-        content = _wheel(name, variables, pause)
+        content = _wheel(name, variables)
     except (OSError, ValueError, HTTPException) as error:
         raise OSError(f"uv could not be downloaded ({error})") from error
     if hashlib.sha256(content).hexdigest() != digest:
@@ -108,18 +110,18 @@ def fetch(folder: Path, variables: Mapping[str, str], pause: Callable[[], object
     return program
 
 
-def _wheel(name: str, variables: Mapping[str, str], pause: Callable[[], object]) -> bytes:
+def _wheel(name: str, variables: Mapping[str, str]) -> bytes:
     """The wheel's bytes, from a folder of the user's wheels or from the index; empty where neither has it."""
     for folder in variables.get("UV_FIND_LINKS", "").split(","):
         if folder and (Path(folder) / name).is_file():
             return (Path(folder) / name).read_bytes()
     index = variables.get("UV_DEFAULT_INDEX", _PUBLIC).rstrip("/") + "/uv/"
-    page = _read(index, variables, pause).decode(errors="replace")
+    page = _read(index, variables).decode(errors="replace")
     link = re.search(rf'href="((?:[^"]*/)?{re.escape(name)}[^"]*)"', page)
-    return _read(urljoin(index, html.unescape(link[1])), variables, pause) if link else b""
+    return _read(urljoin(index, html.unescape(link[1])), variables) if link else b""
 
 
-def _read(url: str, variables: Mapping[str, str], pause: Callable[[], object]) -> bytes:
+def _read(url: str, variables: Mapping[str, str]) -> bytes:
     """At most _MOST_BYTES of what is there. A name and a password before the host are sent as uv sends them. Raises
     OSError, ValueError, HTTPException."""
     trusted = ssl.create_default_context(cafile=variables.get("SSL_CERT_FILE"))
@@ -131,7 +133,6 @@ def _read(url: str, variables: Mapping[str, str], pause: Callable[[], object]) -
     with urlopen(request, timeout=_PATIENCE_S, context=trusted) as answer:
         while len(content) < _MOST_BYTES and (more := answer.read(_AT_ONCE)):
             content += more
-            pause()
     return bytes(content)
 
 
@@ -159,3 +160,10 @@ def _setting_of_pip(name: str, environ: Mapping[str, str]) -> str:
             if value := parser.get(section, name, fallback=""):
                 return value.strip().strip("'\"")
     return ""
+
+
+if __name__ == "__main__":  # in a process of its own, which can be ended while an index is silent
+    try:
+        fetch(Path(sys.argv[1]), os.environ)
+    except OSError as error:
+        sys.exit(f"error: {error}")
