@@ -26,8 +26,8 @@ from numpy.typing import NDArray
 from ..engine.errors import PlgsError
 from ..engine.job.cameras import LARGEST_SIDE, safe_name
 from ..engine.job.manifest import MAKE_ANEW
-from ..engine.posed.classes import matte_names
 from ..engine.posed.exr_header import one_pixel_of, read_exr_header
+from ..engine.posed.names import matte_names
 from . import compat
 from .materials import linear_rgba
 from .owned import KEY, LIFT, OwnedDataBlocks, key_of, lifts_in, tag, text_of

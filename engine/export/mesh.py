@@ -23,7 +23,7 @@ from ..job import write_atomically
 from ..passes.layers import linear
 from ..passes.ply import columns_of, write_ply_table
 from ..passes.previews import colour_picture
-from ..posed.classes import matte_names
+from ..posed.names import matte_names
 from ..posed.ply import LEAST_TRIANGLES, triangles_by_label
 from ..scene import ClassTable
 from .fusion import SmallView, Surface, fuse
@@ -243,5 +243,4 @@ def label_names(labels: NDArray[np.int64], classes: ClassTable, instances: Mappi
         class_id, instance = divmod(value, MOST_INSTANCES)
         if class_id in classes:
             names[value] = instances.get(instance, f"instance {instance}") if instance else classes[class_id].name
-    safe = {value: "".join("-" if c in "<>:/|?*" else c for c in name) for value, name in matte_names(names).items()}
-    return matte_names(safe)
+    return matte_names({value: "".join("-" if c in "<>:/|?*" else c for c in name) for value, name in names.items()})

@@ -13,6 +13,7 @@ from pxr import Gf, Tf, Usd, UsdGeom, UsdSemantics, UsdVol, Vt
 from ..job import write_atomically
 from ..passes.layers import linear
 from ..posed.classes import VOID
+from ..posed.names import unique_names
 from ..result_files import Instance
 from ..scene import Camera
 from .mesh import MOST_INSTANCES, Part, parts_of
@@ -36,14 +37,15 @@ def export_usd(lift: FinishedLift, output: Path) -> None:
     UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
     UsdGeom.SetStageMetersPerUnit(stage, 1.0)
     stage.SetDefaultPrim(UsdGeom.Xform.Define(stage, "/Lift").GetPrim())
-    for part in parts:
+    for path, part in zip(_paths(stage, "Meshes", (part.name for part in parts)), parts, strict=True):
         name = lift.instances.names.get(part.instance_id, "")
-        _label(_add_mesh(stage, part), part.name, part.class_name, name)
+        _label(_add_mesh(stage, path, part), part.name, part.class_name, name)
     _add_splats(stage, lift)
-    for one in lift.listed:
-        _label(_add_box(stage, one), one.name, one.class_name, one.name)
-    for frame in lift.frames:
-        _add_camera(stage, frame.name, frame.camera)
+    for path, one in zip(_paths(stage, "Boxes", (one.name for one in lift.listed)), lift.listed, strict=True):
+        _label(_add_box(stage, path, one), one.name, one.class_name, one.name)
+    paths = _paths(stage, "Cameras", (f"camera_{frame.name}" for frame in lift.frames))
+    for path, frame in zip(paths, lift.frames, strict=True):
+        _add_camera(stage, path, frame.name, frame.camera)
     with TemporaryDirectory() as folder:
         stage.GetRootLayer().Export(f"{folder}/lift.usdc")
         write_atomically(output / "lift.usdc", Path(folder, "lift.usdc").read_bytes())
@@ -56,19 +58,16 @@ def _label(prim: Usd.Prim, name: str, class_name: str, instance: str) -> None:
             UsdSemantics.LabelsAPI.Apply(prim, taxonomy).CreateLabelsAttr([label])
 
 
-def _path(stage: Usd.Stage, scope: str, name: str) -> str:
-    """A free path for a prim of this name."""
-    UsdGeom.Scope.Define(stage, f"/Lift/{scope}")
-    path = wanted = f"/Lift/{scope}/{Tf.MakeValidIdentifier(name)}"
-    number = 1
-    while stage.GetPrimAtPath(path):
-        number += 1
-        path = f"{wanted}_{number}"
-    return path
+def _paths(stage: Usd.Stage, scope: str, names: Iterable[str]) -> Iterable[str]:
+    """The paths of prims of these names."""
+    valid = {number: Tf.MakeValidIdentifier(name) for number, name in enumerate(names, start=1)}
+    if valid:
+        UsdGeom.Scope.Define(stage, f"/Lift/{scope}")
+    return [f"/Lift/{scope}/{name}" for name in unique_names(valid, "_").values()]
 
 
-def _add_mesh(stage: Usd.Stage, part: Part) -> Usd.Prim:
-    mesh = UsdGeom.Mesh.Define(stage, _path(stage, "Meshes", part.name))
+def _add_mesh(stage: Usd.Stage, path: str, part: Part) -> Usd.Prim:
+    mesh = UsdGeom.Mesh.Define(stage, path)
     mesh.CreatePointsAttr(_vectors(part.xyz))
     mesh.CreateNormalsAttr(_vectors(part.normal))
     mesh.SetNormalsInterpolation(UsdGeom.Tokens.vertex)
@@ -85,17 +84,19 @@ def _add_splats(stage: Usd.Stage, lift: FinishedLift) -> None:
     """A field for each instance and stuff class, and one for what has no class."""
     splats = lift.splats
     label = splats["class_id"].astype(np.int64) * MOST_INSTANCES + splats["instance_id"]
+    told = {}
     for value in np.unique(label).tolist():
         class_id, instance_id = divmod(value, MOST_INSTANCES)
         class_name = lift.classes[class_id].name if class_id in lift.classes else ""
         instance = lift.instances.names.get(instance_id, "") if class_id != VOID else ""
-        name = instance or class_name or "unlabelled"
-        _label(_add_field(stage, name, splats[label == value]), name, class_name, instance)
+        told[value] = (instance or class_name or "unlabelled", class_name, instance)
+    for path, value in zip(_paths(stage, "Splats", (name for name, *_ in told.values())), told, strict=True):
+        _label(_add_field(stage, path, splats[label == value]), *told[value])
 
 
-def _add_field(stage: Usd.Stage, name: str, splats: NDArray[np.void]) -> Usd.Prim:
+def _add_field(stage: Usd.Stage, path: str, splats: NDArray[np.void]) -> Usd.Prim:
     """Gaussians by the columns of a splat file. Their colours are sRGB, as training and all viewers have them."""
-    field = UsdVol.ParticleField3DGaussianSplat.Define(stage, _path(stage, "Splats", name))
+    field = UsdVol.ParticleField3DGaussianSplat.Define(stage, path)
     xyz, scales = _columns(splats, "x y z"), np.exp(_columns(splats, "scale_0 scale_1 scale_2"))
     turns = _columns(splats, "rot_0 rot_1 rot_2 rot_3")
     turns /= np.maximum(np.linalg.norm(turns, axis=1, keepdims=True), np.float32(1e-12))
@@ -110,8 +111,8 @@ def _add_field(stage: Usd.Stage, name: str, splats: NDArray[np.void]) -> Usd.Pri
     return field.GetPrim()
 
 
-def _add_box(stage: Usd.Stage, one: Instance) -> Usd.Prim:
-    box = UsdGeom.Cube.Define(stage, _path(stage, "Boxes", one.name))
+def _add_box(stage: Usd.Stage, path: str, one: Instance) -> Usd.Prim:
+    box = UsdGeom.Cube.Define(stage, path)
     box.CreateSizeAttr(1.0)
     box.AddTranslateOp().Set(Gf.Vec3d(*one.centre))
     box.AddOrientOp().Set(Gf.Quatf(*one.rotation))
@@ -121,9 +122,9 @@ def _add_box(stage: Usd.Stage, one: Instance) -> Usd.Prim:
     return box.GetPrim()
 
 
-def _add_camera(stage: Usd.Stage, name: str, camera: Camera) -> None:
+def _add_camera(stage: Usd.Stage, path: str, name: str, camera: Camera) -> None:
     """A camera whose aperture is the whole picture; its offsets carry the principal point."""
-    shown = UsdGeom.Camera.Define(stage, _path(stage, "Cameras", f"camera_{name}"))
+    shown = UsdGeom.Camera.Define(stage, path)
     shown.GetPrim().SetDisplayName(name)
     # The apertures of Usd are in tenths of a unit, as the focal length is: only their ratios matter.
     shown.CreateFocalLengthAttr(FOCAL_LENGTH)

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from ..machine.compiled import Array, compiled, parallel_kernel
 from ..machine.threads import parallel_for, worker_count
-from ..posed.classes import matte_names
+from ..posed.names import matte_names, murmur3, name_bits
 from ..scene import VOID, ClassTable
 from .layers import FAINT, ONE, STEPS, ZERO
 
@@ -184,32 +184,3 @@ def header(layer: str, names: Sequence[str]) -> dict[str, str]:
 def name_float(name: str) -> float:
     """The float that stands for a name in the rank channels."""
     return float(struct.unpack("<f", struct.pack("<I", name_bits(name)))[0])
-
-
-def name_bits(name: str) -> int:
-    """MurmurHash3_32 of the name in UTF-8, with one exponent bit flipped if it would not be an ordinary float."""
-    hashed = murmur3(name.encode())
-    return hashed ^ (1 << 23) if (hashed >> 23 & 255) in (0, 255) else hashed
-
-
-def murmur3(data: bytes, seed: int = 0) -> int:
-    """MurmurHash3, x86, 32 bits (the algorithm is in the public domain)."""
-    whole = len(data) // 4 * 4
-    state = seed
-    for start in range(0, whole, 4):
-        state ^= _scramble(int.from_bytes(data[start : start + 4], "little"))
-        state = (_rotate(state, 13) * 5 + 0xE6546B64) & 0xFFFFFFFF
-    if whole < len(data):
-        state ^= _scramble(int.from_bytes(data[whole:], "little"))
-    state ^= len(data)
-    state = (state ^ state >> 16) * 0x85EBCA6B & 0xFFFFFFFF
-    state = (state ^ state >> 13) * 0xC2B2AE35 & 0xFFFFFFFF
-    return state ^ state >> 16
-
-
-def _scramble(block: int) -> int:
-    return _rotate(block * 0xCC9E2D51 & 0xFFFFFFFF, 15) * 0x1B873593 & 0xFFFFFFFF
-
-
-def _rotate(value: int, bits: int) -> int:
-    return (value << bits | value >> 32 - bits) & 0xFFFFFFFF

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -16,7 +15,6 @@ VOID = 0
 """Class id of pixels without a label. It is never predicted."""
 LARGEST_CLASS_ID = LARGEST_ID - 1
 """Largest class id in mask files: a table that uses 0 is shifted by one."""
-_NOT_IN_MATTES = str.maketrans(dict.fromkeys(",\"'\\", " "))
 _WORDS = Path(__file__).with_name("palette.txt").read_text("ascii").split()
 PALETTE = tuple((red, green, blue) for red, green, blue in map(bytes.fromhex, _WORDS))
 """Colours, sRGB bytes: each is as far from all before it as can be (CIEDE2000; tests/posed/test_classes.py)."""
@@ -87,16 +85,6 @@ class ClassTable:
 def distinct_colour(instance: int) -> tuple[int, int, int]:
     """The colour of an instance. It is none of the first 40, which the commonest classes beside it have."""
     return PALETTE[(39 + instance) % len(PALETTE)]
-
-
-def matte_names(names: Mapping[int, str]) -> dict[int, str]:
-    """The names of classes or instances in Cryptomatte: without commas, quotes and backslashes, and each only once.
-
-    The id follows a name that several have, in whatever case: files are named so, too.
-    """
-    clean = {key: " ".join(name.translate(_NOT_IN_MATTES).split()) or f"id {key}" for key, name in names.items()}
-    seen = Counter(name.casefold() for name in clean.values())
-    return {key: name if seen[name.casefold()] == 1 else f"{name} #{key}" for key, name in clean.items()}
 
 
 def named(names: Mapping[int, str], text: str) -> list[int]:

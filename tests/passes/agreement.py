@@ -9,7 +9,7 @@ import numpy as np
 import OpenEXR
 
 from engine.passes.cryptomatte import CRYPTO_INSTANCE, RANKS, name_float
-from engine.posed.classes import matte_names
+from engine.posed.names import matte_names
 from engine.result_files import INSTANCES, read_instances
 
 LEAST_PIXELS = 300

@@ -13,7 +13,7 @@ from engine.passes import cryptomatte
 from engine.passes.baked_view import ShownInstances, bake_view
 from engine.passes.cryptomatte import RANKS, SMALLEST, rank_coverage
 from engine.passes.layers import STEPS
-from engine.posed.classes import matte_names
+from engine.posed.names import murmur3
 from tests.passes.agreement import coverage_of
 from tests.passes.views import CHAIR, CLASSES, EDGE, LEFT, NAMES, NOTHING, RIGHT, WALL, made_rendering
 
@@ -27,7 +27,7 @@ STEP = 0.5 / STEPS
     [("", 0, 0), ("", 1, 0x514E28B7), ("test", 0, 0xBA6BD213), ("Hello, world!", 0, 0xC0363E43)],
 )
 def test_the_hash_is_murmur3(text: str, seed: int, expected: int) -> None:
-    assert cryptomatte.murmur3(text.encode(), seed) == expected
+    assert murmur3(text.encode(), seed) == expected
 
 
 def mattes(instance_classes: dict[int, int] | None = None) -> dict[str, np.ndarray]:
@@ -82,18 +82,13 @@ def test_every_id_is_in_the_manifest_and_the_manifest_is_blenders() -> None:
     for matte in view.mattes:
         header = cryptomatte.header(matte.layer.name, matte.layer.names)
         (prefix,) = {key.rpartition("/")[0] for key in header}
-        assert prefix == f"cryptomatte/{cryptomatte.murmur3(matte.layer.name.encode()):08x}"[:19]
+        assert prefix == f"cryptomatte/{murmur3(matte.layer.name.encode()):08x}"[:19]
         assert header[f"{prefix}/hash"] == "MurmurHash3_32" and header[f"{prefix}/name"] == matte.layer.name
         assert header[f"{prefix}/conversion"] == "uint32_to_float32"
         bits = {int(value, 16) for value in json.loads(header[f"{prefix}/manifest"]).values()}
         planes = cryptomatte.channels(matte.layer.name, matte.ranks)
         ids = np.concatenate([planes[f"{matte.layer.name}0{k}.{c}"].ravel() for k in range(3) for c in "rb"])
         assert set(ids[ids != 0].view(np.uint32).tolist()) <= bits
-
-
-def test_matte_names_are_unique_and_printable() -> None:
-    names = matte_names({1: "chair 1", 2: 'a "b", c', 3: "chair 1", 4: ",", 5: "Tür"})
-    assert names == {1: "chair 1 #1", 2: "a b c", 3: "chair 1 #3", 4: "id 4", 5: "Tür"}
 
 
 @settings(deadline=None)

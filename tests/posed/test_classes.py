@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from engine.posed.classes import PALETTE, matte_names
+from engine.posed.classes import PALETTE
 from engine.scene import Category, ClassTable, distinct_colour
 
 TAKEN = ((255, 120, 0), (0, 0, 0), (52, 54, 58), (128, 128, 128), (255, 255, 255))
@@ -21,11 +21,6 @@ def test_a_table_finds_its_categories_by_id() -> None:
     assert table[7].name == "class 7" and 7 in table and 3 not in table
     with pytest.raises(KeyError):
         table[3]
-
-
-def test_names_of_files_differ_in_more_than_capitals() -> None:
-    """A disk of Windows or macOS keeps one of two such files."""
-    assert matte_names({3: "Chair 1", 7: "chair 1", 8: "desk"}) == {3: "Chair 1 #3", 7: "chair 1 #7", 8: "desk"}
 
 
 @pytest.mark.parametrize("ids", [(0, 1), (2, 1), (1, 1), (-1,)])
