@@ -112,9 +112,12 @@ class Addition:
                 fix = "Check the connection and the package index, then add it again. The engine is unchanged."
                 raise PlgsError("uv-download", programs.complaint(output), "the package index", fix)
         pins = requirements_path(self._root, self.name)  # also for whatever compiles a package that has no wheel here
-        hashes = ["--no-deps", "--require-hashes", "--requirement", addition_hashes_path(self._root, self.name)]
-        command = [uv, "pip", "install", "--python", self._python, "--target", packages, *hashes]
-        output, code = self._run([*command, "--build-constraints", pins], variables, lock)
+        hashes = addition_hashes_path(self._root, self.name)
+        command: list[str | Path] = [
+            uv, "pip", "install", "--python", self._python, "--target", packages,
+            "--no-deps", "--require-hashes", "--requirement", hashes, "--build-constraints", pins,
+        ]  # fmt: skip
+        output, code = self._run(command, variables, lock)
         if code != 0:
             fix = "Check the connection and the disk, then add it again. The engine is unchanged."
             raise PlgsError("uv-failed", f"uv could not add it ({programs.complaint(output)})", self.log_path, fix)

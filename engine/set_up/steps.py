@@ -139,7 +139,7 @@ class SetUp:
         self._tell(1)
         uv = uv_program.program_in(self.folder)
         if not uv.exists():
-            command = [sys.executable, "-I", Path(uv_program.__file__), self.folder]
+            command: list[str | Path] = [sys.executable, "-I", Path(uv_program.__file__), self.folder]
             output, code = self._run(command, environment=self._variables)
             if code != 0:
                 fix = "Check the connection and the package index, then set up the engine again."
@@ -156,7 +156,15 @@ class SetUp:
         names = [f"{major}.{minor}" for major, minor in versions]
         for python in [given] if given is not None else [sys.executable, *names]:
             self._tell(2, str(python))
-            command = [uv, "python", "find", "--no-project", "--no-python-downloads", "--show-version", python]
+            command: list[str | Path] = [
+                uv,
+                "python",
+                "find",
+                "--no-project",
+                "--no-python-downloads",
+                "--show-version",
+                python,
+            ]
             output, code = self._run(command, environment=self._variables, limit_s=_ANSWER_S)
             version = re.match(r"(\d+)\.(\d+)", output)
             if code == 0 and version is not None and (int(version[1]), int(version[2])) in versions:

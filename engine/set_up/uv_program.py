@@ -153,7 +153,7 @@ def _setting_of_pip(name: str, environ: Mapping[str, str]) -> str:
     for path in files[:1] if environ.get("PIP_CONFIG_FILE") == os.devnull else files:
         parser = configparser.RawConfigParser()
         try:
-            parser.read(path, encoding="utf-8")
+            parser.read(str(path), encoding="utf-8")
         except (configparser.Error, UnicodeDecodeError):
             continue
         for section in ("install", "global"):
