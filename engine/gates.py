@@ -36,7 +36,7 @@ def read_plain(path: Path, most_bytes: int) -> bytes:
     except MemoryError as error:
         raise OSError(errno.ENOMEM, "no memory is left for it", str(path)) from error
     if size > most_bytes or len(content) > most_bytes:
-        raise OSError(errno.EFBIG, f"it is larger than {most_bytes / 1e6:.3g} MB", str(path))
+        raise OSError(errno.EINVAL, f"it is larger than {most_bytes / 1e6:.3g} MB", str(path))
     return content
 
 

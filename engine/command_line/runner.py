@@ -30,6 +30,11 @@ from ..json_file import to_line
 
 Work = Callable[[EventWriter, StopSignal], object]
 
+_NO_ROOM = {
+    errno.ENOSPC: ("the disk is full", "Make room there"),
+    errno.EDQUOT: ("the disk is full", "Make room there"),
+    errno.EFBIG: ("a file is larger than the disk or the limit on files allows", "Raise the limit (ulimit -f)"),
+}
 _NO_MEMORY = ("DefaultCPUAllocator: can't allocate memory", "DefaultCPUAllocator: not enough memory", "std::bad_alloc")
 
 
@@ -154,9 +159,9 @@ def _failure(error: Exception, command: Command, place: TaskPlace | None) -> Plg
         return PlgsError("no-memory", "memory ran out", where.parent, command.with_less_memory, code=ErrorCode.INTERNAL)
     at = str(getattr(error, "filename", None) or ("" if place is None else where.parent))
     number = _number_of(error)
-    if number in (errno.ENOSPC, errno.EDQUOT):
-        what = "the disk is full"
-        return PlgsError("disk-full", what, at, f"Make room there, then {command.again}.", code=ErrorCode.DISK_FULL)
+    if number in _NO_ROOM:
+        what, fix = _NO_ROOM[number]
+        return PlgsError("disk-full", what, at, f"{fix}, then {command.again}.", code=ErrorCode.DISK_FULL)
     if number is not None:
         why = getattr(error, "strerror", None) or os.strerror(number)
         return PlgsError("unusable", f"this cannot be used ({why})", at, f"Fix this, then {command.again}.")
@@ -166,11 +171,14 @@ def _failure(error: Exception, command: Command, place: TaskPlace | None) -> Plg
 
 
 def _number_of(error: Exception) -> int | None:
-    """The system's number of an error. Libraries in Rust have their own errors, with that number in their text."""
+    """The system's number of an error. Libraries in Rust have that number in their errors' texts, those in C++ its
+    words."""
     if isinstance(error, OSError) and error.errno is not None:
         return error.errno
     found = re.search(r"\(os error (\d+)\)", str(error))
-    return None if found is None else int(found[1])
+    if found is not None:
+        return int(found[1])
+    return next((number for number in _NO_ROOM if os.strerror(number) in str(error)), None)
 
 
 @contextmanager

@@ -218,7 +218,9 @@ class StoredArrays:
         """Store an array; returns its number."""
         whole = np.ascontiguousarray(array)
         self._places.append((self.nbytes, whole.dtype, whole.shape))
-        whole.tofile(self._file)  # without a header, whose reading takes longer than that of a small array
+        rest = whole.reshape(-1).view(np.uint8).data  # numpy's tofile raises an OSError without its number
+        while len(rest):
+            rest = rest[self._file.write(rest) :]
         return len(self) - 1
 
     def __getitem__(self, number: int) -> NDArray[Any]:

@@ -189,6 +189,9 @@ def test_a_lift_that_works(tmp_path: Path, capfd: pytest.CaptureFixture[str]) ->
         (ModuleNotFoundError("No module named 'torch'"), 1, "make set-up"),
         (OSError(28, "No space left on device"), 1, "the disk is full"),
         (RuntimeError("I/O error: No space left on device (os error 28)"), 1, "the disk is full"),
+        (RuntimeError('Failed to write to "a.exr". No space left on device.'), 1, "the disk is full"),
+        (OSError(27, "File too large", "a.npz"), 1, "a file is larger than the disk or the limit on files allows: a"),
+        (RuntimeError('Failed to write to "a.exr". File too large.'), 1, "Raise the limit (ulimit -f), then "),
         (RuntimeError("I/O error: File name too long (os error 36)"), 2, "this cannot be used (File name too long)"),
     ],
 )

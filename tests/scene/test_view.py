@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import sys
 import threading
 from dataclasses import replace
@@ -260,6 +261,23 @@ def test_arrays_come_back_as_they_were(tmp_path: Path) -> None:
     assert arrays_on_disk[first].sum() == 499_500
     second = arrays_on_disk.append(np.full((7, 7), 3.5))  # after another one was read
     assert (arrays_on_disk[second] == 3.5).all() and (arrays_on_disk[first] == np.arange(1000)).all()
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no limit on files here")
+@pytest.mark.parametrize("room", [0, 1, 3999, 4000, 4001, 11_999])
+def test_an_array_without_room_is_an_error_with_its_number(room: int, tmp_path: Path) -> None:
+    """As the disk that is full tells it, so that whoever reads the error knows what it is."""
+    import resource
+
+    before, arrays = resource.getrlimit(resource.RLIMIT_FSIZE), StoredArrays(tmp_path)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (room, before[1]))
+    try:
+        with pytest.raises(OSError) as caught:
+            for _ in range(3):
+                arrays.append(np.ones((10, 100), np.float32))
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    assert caught.value.errno == errno.EFBIG
 
 
 def test_views_come_back_as_they_were(tmp_path: Path) -> None:
