@@ -17,7 +17,7 @@ LARGEST_CLASS_ID = LARGEST_ID - 1
 """Largest class id in mask files: a table that uses 0 is shifted by one."""
 _WORDS = Path(__file__).with_name("palette.txt").read_text("ascii").split()
 PALETTE = tuple((red, green, blue) for red, green, blue in map(bytes.fromhex, _WORDS))
-"""Colours, sRGB bytes: each is as far from all before it as can be (CIEDE2000; tests/posed/test_classes.py)."""
+"""Colours, sRGB bytes: each is as far from all before it as can be (CIEDE2000)."""
 
 
 @dataclass(frozen=True)

@@ -97,10 +97,6 @@ def test_paths_that_stay() -> None:
     assert str(inner_path("passes/12:30 ü.exr")) == "passes/12:30 ü.exr"
 
 
-def test_terminal_control_characters() -> None:
-    assert printable("a\x1b[31mb\r\n\tü\udce9\u202e") == "a?[31mb?\n\tü??"
-
-
 def test_passwords_stay_out_of_texts() -> None:
     told = without_credentials("at https://me:secret@host/simple, http://host")
     assert told == "at https://****@host/simple, http://host"

@@ -100,8 +100,3 @@ def test_the_end_of_a_thumbnail_is_not_the_end_of_a_jpeg(tmp_path: Path) -> None
     path.write_bytes(data[:2] + metadata + data[2:-600])
     with raises_key("image-cut-off"):
         read_image_header(path)
-
-
-def test_a_missing_image_is_an_error(tmp_path: Path) -> None:
-    with raises_key("unreadable"):
-        read_image_header(tmp_path / "none.png")

@@ -216,9 +216,3 @@ def test_a_split_file_is_honoured_in_recording_order(tmp_path: Path) -> None:
     split = read_split(path, NAMES[:5], dropped=["lost"])
     assert (split.train, split.test) == (("001", "003"), ("002",))
     assert split.warnings == ("2 frames are left out by splits.json: 000, 004",)
-
-
-def test_nothing_held_out_is_a_warning(tmp_path: Path) -> None:
-    path = tmp_path / "splits.json"
-    path.write_text(json.dumps({"train": list(NAMES), "test": []}))
-    assert read_split(path, NAMES, []).warnings == ("no frame is held out: nothing is measured on unseen views",)

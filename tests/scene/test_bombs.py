@@ -131,16 +131,6 @@ def test_headers_that_claim_missing_data(tmp_path: Path, header: str) -> None:
         assert "\n" not in str(refused.value)
 
 
-def test_arrays_survive_a_round_trip(tmp_path: Path) -> None:
-    table, turned = np.arange(6, dtype=np.int16).reshape(2, 3), np.asfortranarray(np.eye(3))
-    arrays = {"a": table, "b": turned, "c": np.array(1.5)}
-    np.savez_compressed(tmp_path / "x.npz", **arrays)
-    for name, array in read_npz(tmp_path / "x.npz", FIX).items():
-        assert array.dtype == arrays[name].dtype and np.array_equal(array, arrays[name]) and array.flags.writeable
-    np.save(tmp_path / "a.npy", table)
-    assert np.array_equal(read_npy(tmp_path / "a.npy", FIX), table)
-
-
 @pytest.mark.parametrize("damage", ["cut off", "rotten", "no zip", "empty"])
 def test_corruption_in_arrays_is_a_one_line_error(tmp_path: Path, damage: str) -> None:
     path = tmp_path / "points.npz"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -11,7 +10,6 @@ import cv2
 import numpy as np
 import pytest
 
-from engine.command_line.main import main
 from engine.errors import PlgsError
 from engine.posed.plain_folders import open_plain_folders
 from engine.scene import (
@@ -22,14 +20,11 @@ from engine.scene import (
     open_scene,
     open_scene_to_lift,
     report_of,
-    require_liftable,
     survey_scene,
 )
 from engine.scene.checks import Thumbnail, measure_overlap
 from engine.scene_source import SceneSource
-from tests.raises_key import raises_key, worded
-from tests.scene.formats.room import check_on_room
-from tests.scene.formats.test_nerfstudio import write_scene
+from tests.raises_key import raises_key
 from tests.scene.refusing import refuses
 from tests.tiny_scene import write_tiny_scene
 
@@ -76,15 +71,6 @@ def test_opengl_poses_get_two_warnings(tmp_path: Path) -> None:
     assert check_scene(scene)[0].startswith("frames disagree about where surfaces are")
 
 
-def repaint(folder: Path, scale: float) -> None:
-    for path in (folder / "depth").iterdir():
-        cv2.imwrite(str(path), (cv2.imread(str(path), cv2.IMREAD_UNCHANGED) * scale).astype(np.uint16))
-
-
-def test_a_sound_scene_has_no_warnings_noise_or_not(tmp_path: Path) -> None:
-    assert check_scene(open_scene(write_tiny_scene(tmp_path, frames=9, noise=0.4, seed=3))) == ()
-
-
 def test_progress_is_reported_and_may_end_the_check(tmp_path: Path) -> None:
     scene = open_scene(write_tiny_scene(tmp_path, frames=5, size=(32, 24)))
     seen: list[tuple[int, int]] = []
@@ -101,7 +87,8 @@ def test_progress_is_reported_and_may_end_the_check(tmp_path: Path) -> None:
 
 def test_depth_beyond_any_room_is_a_warning(tmp_path: Path) -> None:
     folder = write_tiny_scene(tmp_path, frames=5)
-    repaint(folder, 10.0)
+    for path in (folder / "depth").iterdir():
+        cv2.imwrite(str(path), cv2.imread(str(path), cv2.IMREAD_UNCHANGED) * 10)
     warnings = check_scene(open_scene(folder))
     assert warnings[0].endswith("which is far for a room: is it in millimetres?")
 
@@ -130,16 +117,11 @@ def test_photos_of_other_depths_are_told_by_their_brightest(tmp_path: Path, bits
     assert f"are {how}, as if they had {bits} bits" in check_scene(open_scene(folder))[0]
 
 
-def test_photos_of_a_covered_lens_have_no_number_of_bits(tmp_path: Path) -> None:
+@pytest.mark.parametrize(("bits", "bits_of_one"), [(0, 0), (16, 12)], ids=["a covered lens", "a dark photo"])
+def test_dark_photos_that_say_nothing_of_their_bits(tmp_path: Path, bits: int, bits_of_one: int) -> None:
     folder = write_tiny_scene(tmp_path, frames=5)
-    in_16_bits(folder, 0)
-    assert check_scene(open_scene(folder)) == ()
-
-
-def test_a_dark_photo_among_others_of_16_bits_is_no_warning(tmp_path: Path) -> None:
-    folder = write_tiny_scene(tmp_path, frames=5)
-    in_16_bits(folder, 16)
-    in_16_bits(folder, 12, "0002.png")
+    in_16_bits(folder, bits)
+    in_16_bits(folder, bits_of_one, "0002.png")
     assert check_scene(open_scene(folder)) == ()
 
 
@@ -152,11 +134,6 @@ def test_sparse_depth_and_empty_masks_are_warnings(tmp_path: Path) -> None:
     warnings = check_scene(open_scene(folder))
     assert "1 frame has depth on less than 5 % of the pixels: 0001" in warnings
     assert "1 frame has an empty mask: 0002" in warnings
-
-
-def test_one_frame_alone_is_a_warning(tmp_path: Path) -> None:
-    warnings = check_scene(open_scene(write_tiny_scene(tmp_path, frames=1)))
-    assert warnings[-1] == "there is only one frame: nothing can be checked against another view"
 
 
 def test_a_description_summarises_the_scene(tmp_path: Path) -> None:
@@ -172,14 +149,6 @@ def test_a_description_summarises_the_scene(tmp_path: Path) -> None:
     assert sum(entry.share for entry in report.classes) + report.void_share == pytest.approx(1.0)
     assert report.void_share == 0.0 and report.warnings == ()
     assert all(0.1 < length < 4.0 for length in report.extent)
-
-
-def test_unpainted_segments_do_not_count(tmp_path: Path) -> None:
-    folder = write_tiny_scene(tmp_path, frames=5)
-    content = json.loads((folder / "panoptic.json").read_text())
-    content["annotations"][0]["segments_info"].append({"id": 99, "category_id": 5})
-    (folder / "panoptic.json").write_text(json.dumps(content))
-    assert describe(open_scene(folder)).segments_per_frame[2] == 4
 
 
 def broken_checksum(path: Path) -> None:
@@ -233,25 +202,6 @@ def folder(tmp_path: Path) -> Path:
     return write_tiny_scene(tmp_path / "scene", frames=6)
 
 
-def test_up_to_half_of_the_frames_may_lack_depth(tmp_path: Path) -> None:
-    """A file that does not name depth for every frame, as some apps write it."""
-    write_scene(tmp_path)
-    content = json.loads((tmp_path / "transforms.json").read_text())
-    last = sorted(content["frames"], key=lambda frame: -int(frame["file_path"].split("_")[1][:-4]))
-    for lacking, frame in enumerate(last[:4], start=1):
-        del frame["depth_file_path"]
-        (tmp_path / "transforms.json").write_text(json.dumps(content))
-        scene = open_scene(tmp_path)
-        assert scene.has_depth is (lacking <= 3) and len(scene.frames) == (6 - lacking if lacking <= 3 else 6)
-        some = f"{lacking} frames without readable depth are" if lacking > 1 else "1 frame without readable depth is"
-        how = f"{some} left out: " if lacking <= 3 else "4 of 6 frames have no "
-        assert any(warning.startswith(how) for warning in scene.warnings)
-        if lacking == 1:
-            check_on_room(scene)
-    with raises_key("no-depth frame_"):
-        require_liftable(scene)
-
-
 def test_nothing_is_left_to_measure_when_the_held_out_frames_lack_depth(folder: Path) -> None:
     (folder / "depth" / "0004.png").unlink()
     scene = open_scene(folder)
@@ -281,24 +231,7 @@ def test_it_opens_without_masks_but_does_not_lift(folder: Path, without: str, to
         open_scene_to_lift(SceneSource(folder))
 
 
-def test_the_command_line_explains_itself(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (folder / "panoptic.json").unlink()
-    assert main(["inspect", str(folder)]) == 0
-    out = capsys.readouterr().out
-    assert "masks     none" in out and "format    scannet" in out
-    assert main(["lift", str(folder), "-o", str(tmp_path / "out")]) == 2
-    assert worded("no-masks").search(capsys.readouterr().err) and not (tmp_path / "out").exists()
-
-
-def test_an_unknown_format_is_refused_and_a_known_one_can_be_named(folder: Path) -> None:
-    assert open_scene(folder, scene_format="scannet").format == "scannet"
+def test_unknown_formats_and_layouts_are_answered_with_advice(folder: Path, tmp_path: Path) -> None:
     refuses("unknown-format photos scannet", folder, scene_format="photos")
-
-
-def test_an_unknown_layout_is_answered_with_advice(tmp_path: Path) -> None:
     (tmp_path / "photos").mkdir()
-    refuses("no-format --format scannet", tmp_path)
-    with pytest.raises(PlgsError) as caught:
-        open_scene(tmp_path)
-    assert len(caught.value.fix) < 400
-    refuses("no-folder", tmp_path, scene_format="scannet")
+    assert len(refuses("no-format --format scannet", tmp_path / "photos").fix) < 400

@@ -92,42 +92,7 @@ def test_colours_of_ones_own(tmp_path: Path) -> None:
     assert known.classes[known.class_of[57]].colour == (1, 2, 3)
 
 
-@pytest.mark.parametrize("colour", ["red", "#12345", "#1234567", "0a0b0c"])
-def test_what_is_no_colour_is_refused(colour: str) -> None:
-    with pytest.raises(ValueError, match="not a colour"):
-        ClassRow(id=1, colour=colour)
-
-
 HERE = Path("masks")
-REDUCED = {label.id: label.name for label in known_table("reduced").labels}
-
-
-@pytest.mark.parametrize(
-    ("table", "name", "reduced"),
-    [
-        ("coco", "wall-brick", "wall"), ("coco", "couch", "sofa"), ("coco", "dining table", "table"),
-        ("coco", "tv", "television"), ("coco", "window-blind", "window"), ("coco", "suitcase", "otherprop"),
-        ("coco", "car", None), ("coco", "person", "person"),
-        ("nyu40", "desk", "table"), ("nyu40", "blinds", "otherprop"), ("nyu40", "shower curtain", "curtain"),
-        ("replica", "pillow", "bed"), ("replica", "bench", "table"), ("replica", "vent", "ceiling"),
-    ],
-)  # fmt: skip
-def test_a_class_among_the_papers_21(table: str, name: str, reduced: str | None) -> None:
-    known = known_table(table)
-    (number,) = [label.id for label in known.labels if label.name == name]
-    assert REDUCED.get(known.reduced[number]) == reduced
-
-
-def test_coco_to_the_papers_classes() -> None:
-    known = class_map(None, ClassChoice(table="coco", to_reduced=True), HERE, objects=False)
-    assert len(known.classes) == 21 and known.merges
-    assert known.classes[known.class_of[56]].name == "chair" and known.class_of[2] == 0
-
-
-def test_a_table_from_0_is_shifted_by_one() -> None:
-    known = class_map(known_table("ade20k").labels, None, HERE, objects=False)
-    assert known.class_of[0] == 1 and known.classes[1].name == "wall" and known.classes.ids[-1] == 150
-    assert not known.merges
 
 
 def scene_with(tmp_path: Path, text: str) -> Path:
@@ -153,42 +118,32 @@ def test_classes_are_merged_renamed_and_dropped(tmp_path: Path) -> None:
     assert sum(one.class_id == 3 for one in mask.segments) == 2, "two objects stay two"
 
 
-CAPITALS = (ClassLabel(3, "Chair", True), ClassLabel(7, "chair", True), ClassLabel(8, "stool", True))
+def classes_of(first: str, *rows: ClassRow, to_reduced: bool = False) -> list[int]:
+    """Of three labels, which are called as the first one is, chair and stool."""
+    labels = tuple(ClassLabel(number, name, True) for number, name in ((3, first), (7, "chair"), (8, "stool")))
+    known = class_map(labels, ClassChoice(rows=rows, to_reduced=to_reduced), HERE, objects=False)
+    return [known.class_of[label.id] for label in labels]
 
 
 def test_names_that_differ_in_capitals_are_two_classes_that_can_be_joined() -> None:
     """The first, or the last, stood for both, and joining them did nothing."""
-
-    def classes_of(*rows: ClassRow) -> list[int]:
-        known = class_map(CAPITALS, ClassChoice(rows=rows), HERE, objects=False)
-        return [known.class_of[label.id] for label in CAPITALS]
-
-    assert classes_of() == [3, 7, 8]
-    assert classes_of(ClassRow(name="Chair", into="chair")) == [7, 7, 8]
-    assert classes_of(ClassRow(name="chair", into="Chair"), ClassRow(name="stool", into="CHAIR")) == [3, 3, 3]
-    assert classes_of(ClassRow(name="stool", into="chair")) == [3, 7, 7]
-    assert classes_of(ClassRow(name="Stool", into="Chair")) == [3, 7, 3]
-    pairs = ("CHAIR", "stool"), ("stool", "CHAIR"), ("chair", "CHAIR")
-    for row in (ClassRow(name=name, into=into) for name, into in pairs):
+    assert classes_of("Chair") == [3, 7, 8]
+    assert classes_of("Chair", ClassRow(name="Chair", into="chair")) == [7, 7, 8]
+    into_chair = ClassRow(name="chair", into="Chair"), ClassRow(name="stool", into="CHAIR")
+    assert classes_of("Chair", *into_chair) == [3, 3, 3]
+    assert classes_of("Chair", ClassRow(name="stool", into="chair")) == [3, 7, 7]
+    for name, into in (("CHAIR", "stool"), ("stool", "CHAIR"), ("chair", "CHAIR")):
         with raises_key("class-twice CHAIR"):
-            classes_of(row)
-    rows = named_classes(CAPITALS, ClassChoice(rows=(ClassRow(name="Chair", into="chair"),)))
-    assert named_classes(CAPITALS, choice_of(rows)) == rows
+            classes_of("Chair", ClassRow(name=name, into=into))
 
 
 def test_classes_of_the_very_same_name_can_be_joined() -> None:
     """What is said of them can be done."""
-    labels = (ClassLabel(3, "chair", True), ClassLabel(7, "chair", True), ClassLabel(8, "stool", True))
-
-    def classes_of(*rows: ClassRow, to_reduced: bool = False) -> list[int]:
-        known = class_map(labels, ClassChoice(rows=rows, to_reduced=to_reduced), HERE, objects=False)
-        return [known.class_of[label.id] for label in labels]
-
     stool, joined = ClassRow(name="stool", into="chair"), ClassRow(id=3, into="chair")
     with raises_key("class-twice chair"):
-        classes_of(stool)
-    assert classes_of(joined) == [7, 7, 8] and classes_of(stool, joined) == [7, 7, 7]
-    assert classes_of(joined, stool, to_reduced=True) == classes_of(stool, to_reduced=True)
+        classes_of("chair", stool)
+    assert classes_of("chair", joined) == [7, 7, 8] and classes_of("chair", stool, joined) == [7, 7, 7]
+    assert classes_of("chair", joined, stool, to_reduced=True) == classes_of("chair", stool, to_reduced=True)
 
 
 def test_names_that_differ_in_capitals_are_told(tmp_path: Path) -> None:
@@ -261,11 +216,6 @@ def test_bad_files_are_one_line_errors(tmp_path: Path, text: str, told: str) -> 
     with raises_key(f"{told} classes.toml") as caught:
         open_scene(folder)
     assert "\n" not in str(caught.value)
-
-
-def test_a_missing_table_is_reported() -> None:
-    with raises_key("unreadable none.toml"):
-        read_class_choice(Path("none.toml"))
 
 
 def test_the_list_of_a_scene_is_edited_and_written(tmp_path: Path) -> None:

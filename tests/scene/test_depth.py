@@ -17,14 +17,6 @@ from tests.scene.refusing import refuses
 from tests.tiny_scene import tiny_intrinsics, tiny_pose, trace_view, write_tiny_scene
 
 
-def test_depth_is_metres_as_it_was_traced(tmp_path: Path) -> None:
-    frame = open_scene(write_tiny_scene(tmp_path, frames=5)).frames[2]
-    depth = frame.read_depth(None)
-    assert depth.dtype == np.float32
-    traced = trace_view(tiny_pose(2, 5), tiny_intrinsics((64, 48)), (64, 48)).depth
-    np.testing.assert_allclose(depth, traced, atol=0.00051)
-
-
 def test_no_depth_stays_none_at_any_size(tmp_path: Path) -> None:
     folder = write_tiny_scene(tmp_path, frames=5)
     depth = np.full((48, 64), 2000, np.uint16)

@@ -12,7 +12,7 @@ import pytest
 from engine.json_file import to_text
 from engine.records import to_json
 from engine.scene import list_classes, open_scene
-from engine.scene.class_tables import NUMBERINGS, known_table
+from engine.scene.class_tables import known_table
 from engine.scene.report import write_class_list
 from engine.scene_source import SceneSource
 from tests.scene.mask_formats.labelled_room import COCO_NAMES, COCO_NUMBERS, NAMES, Truth, check_on_room, write_frames
@@ -53,9 +53,7 @@ def write_labels(folder: Path, numbers: Mapping[int, int], void: int = 255) -> l
     [
         ("nyu40", NYU13, "other-numbers nyu13:1-13 nyu40 ceiling --classes nyu40:1-40"),
         ("nyu40", RAW, "other-numbers scannet:1-1357 nyu40 75 --classes"),
-        ("nyu13", NYU40, "other-numbers nyu40:1-40 nyu13 --classes"),
         ("scannet", NYU40, "other-numbers nyu40:1-40 scannet --classes scannet:1-1357"),
-        ("scannet", NYU13, "other-numbers nyu13:1-13 scannet --classes"),
     ],
 )
 def test_numbers_of_another_table_of_the_same_scans_are_refused(
@@ -76,19 +74,14 @@ def warned(folder: Path, classes: str) -> list[str]:
         ("ade20k", ADE_DATA, 0, NAMES, "ade20k:1-150", "% of the pixels are then ceiling, floor, wall"),
         ("ade20k", ADE_DATA | {5: 150}, 0, NAMES | {5: "flag"}, "ade20k:1-150", "this alone has the numbers 150"),
         ("ade20k", {3: 20}, 255, {3: "car"}, "ade20k:0-149", "nothing in them tells"),
-        ("ade20k", {1: 2, 2: 1, 3: 4}, 255, TREES, "ade20k:0-149", "nothing in"),
         ("ade20k:1-150", {3: 20}, 0, {3: "chair"}, "", ""),
-        ("ade20k:0-149", {2: 3, 3: 20}, 255, {2: "floor", 3: "car"}, "", ""),
         ("coco", COCO_NUMBERS, 255, COCO_NAMES, "", ""),
         ("coco", COCO_DATA, 0, COCO_NAMES, "coco:90", "this alone has the numbers 18"),
         ("coco", {3: 62, 5: 63}, 0, {3: "chair", 5: "couch"}, "coco:90", "of the pixels are then "),
-        ("coco", {3: 56, 5: 57}, 255, {3: "chair", 5: "couch"}, "", ""),
         ("coco", {3: 44, 5: 47}, 255, {3: "spoon", 5: "apple"}, "coco:0-132", "name --classes coco:90"),
-        ("coco:90", {3: 44, 5: 47}, 0, {3: "bottle", 5: "cup"}, "", ""),
         ("nyu40", NYU40, 0, NAMES, "", ""),
         ("nyu40", {1: 0, 2: 1, 3: 0, 5: 4}, 255, NAMES | {3: "wall"}, "nyu40:0-39", "then ceiling, floor, wall"),
         ("nyu40", {3: 7, 5: 6}, 0, {3: "table", 5: "sofa"}, "nyu40:1-40", "--classes nyu40:0-39 or --classes scan"),
-        ("nyu40:1-40", {3: 7, 5: 6}, 0, {3: "table", 5: "sofa"}, "", ""),
         ("nyu13", NYU13, 0, NAMES | {3: "furniture"}, "", ""),
         ("scannet", RAW, 0, NAMES | {3: "file cabinet"}, "", ""),
         ("cityscapes", in_table("cityscapes:0-33", TRAFFIC), 4, TRAFFIC, "cityscapes:0-33", "this alone has"),
@@ -110,13 +103,9 @@ def test_each_numbering_is_told_or_named_or_assumed_aloud(
     [
         ("nyu40:1-40", NYU13, 0, "nyu13:1-13"),
         ("nyu13:0-12", {1: 1, 2: 2, 3: 3, 5: 5}, 0, "nyu40:1-40"),
-        ("nyu40:0-39", NYU40, 0, "nyu40:1-40"),
         ("ade20k:0-149", ADE_DATA, 0, "ade20k:1-150"),
-        ("ade20k:1-150", NYU40 | {3: 8}, 0, "nyu40:1-40"),
         ("coco:90", ADE, 255, "ade20k:0-149"),
-        ("coco", ADE, 255, "ade20k:0-149"),
         ("ade20k", COCO_NUMBERS, 255, "coco:0-132"),
-        ("replica", NYU40, 0, "nyu40:1-40"),
         ("cityscapes:0-33", {1: 12, 2: 5, 3: 6, 5: 4}, 0, "nyu13:1-13"),
         ("scannet200", ADE_DATA | {1: 1, 2: 4, 3: 2}, 0, "ade20k:1-150"),
     ],
@@ -194,14 +183,6 @@ def test_a_table_that_contradicts_things_is_refused_or_overruled(tmp_path: Path)
     (tmp_path / "masks" / "classes.toml").write_text('table = "cityscapes"\n[[class]]\nid = 13\nthing = false\n')
     names = {1: "car", 2: "road", 3: "sidewalk", 5: "person", 13: "sky", 0: ""}
     check_on_room(open_scene(tmp_path), truths, names, frozenset({"person"}))
-
-
-def test_numberings_have_all_classes_of_their_table() -> None:
-    for name in NUMBERINGS:
-        base = known_table(name.partition(":")[0])
-        assert [one.name for one in known_table(name).labels] == [one.name for one in base.labels], name
-        assert len({one.id for one in known_table(name).labels}) == len(base.labels), name
-    assert [known_table("cityscapes:0-33").labels[place].id for place in (0, 10, 18)] == [7, 23, 33]
 
 
 def test_a_list_starts_with_the_numbers_that_the_masks_have(tmp_path: Path) -> None:

@@ -93,17 +93,6 @@ def test_dense_depth_lies_on_the_room(tmp_path: Path) -> None:
     check_on_room(open_scene(tmp_path))
 
 
-@pytest.mark.parametrize("content", [None, b""])
-def test_a_picture_without_dense_depth_is_left_out(tmp_path: Path, content: bytes | None) -> None:
-    write_depth(write_text(tmp_path))
-    path = tmp_path / "stereo" / "depth_maps" / f"{image_name(5)}.geometric.bin"
-    path.unlink() if content is None else path.write_bytes(content)
-    scene = open_scene(tmp_path)
-    assert scene.has_depth and [frame.name for frame in scene.frames] == [f"img_{i + 5}" for i in range(5)]
-    assert "1 frame without readable depth is left out: img_10" in scene.warnings
-    check_on_room(scene)
-
-
 @pytest.mark.parametrize("place", ["dense/0", "dense"])
 def test_depth_of_a_workspace_is_found(tmp_path: Path, place: str) -> None:
     """Its pictures are undistorted and of another size than the photos; empty folders are no depth."""
