@@ -208,10 +208,10 @@ def test_frames_may_lack_ground_truth(folder: Path) -> None:
     (folder / "gt" / "instance" / "0001.png").unlink()
     scene = open_scene(folder)
     assert scene.frames[1].read_ground_truth is None and scene.frames[0].read_ground_truth is not None
-    assert scene.warnings == ("1 of 3 frames have no ground truth in semantic",)
+    assert "1 of 3 frames have no ground truth in semantic" in scene.warnings
     shutil.rmtree(folder / "gt")
     scene = open_scene(folder)
-    assert not any(frame.read_ground_truth for frame in scene.frames) and scene.warnings == ()
+    assert not any(frame.read_ground_truth for frame in scene.frames) and "ground truth" not in str(scene.warnings)
 
 
 def test_views_do_not_depend_on_ground_truth(folder: Path) -> None:
