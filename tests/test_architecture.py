@@ -41,7 +41,7 @@ ENGINE_MAY_IMPORT: dict[str, set[str]] = {
     "instances": {"presets", "scene", "machine"},
     "metrics": {"errors", "posed", "scene"},
     "model": {"gates", "presets", "job", "posed", "result_files", "scene", "machine", "raster", "instances"},
-    "train": {"presets", "job", "scene", "machine", "raster", "semantics", "instances", "model"},
+    "train": {"presets", "job", "scene", "machine", "raster", "instances", "model"},
     "passes": {"gates", "errors", "job", "posed", "scene", "machine", "instances", "model"},
     "lift": {
         "errors",
@@ -388,7 +388,7 @@ def test_what_only_one_system_has_is_behind_one_module() -> None:
     """The rights of folders are asked in a branch that Windows does not reach."""
     alone = {"fcntl", "msvcrt", "resource", "pwd", "grp", "termios"}
     calls = {"fork", "getpgid", "getuid", "killpg", "mkfifo", "sched_getaffinity", "setsid", "sysconf", "SIGKILL"}
-    branches = {"engine/machine/cache_folder.py"}
+    branches = {"engine/machine/compiled.py"}
     wrong = []
     for path in modules_under("engine", *EXTENSION, "run_plgs.py"):
         if path == ROOT / "engine/job/system.py":

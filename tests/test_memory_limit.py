@@ -16,7 +16,7 @@ from safetensors.torch import save_file
 
 from engine import gates
 from engine.job.system import main_memory
-from engine.model.tensor_file import read_tensors
+from engine.model.checking import read_tensors
 from engine.passes.exr import LAYER, read_exr
 from engine.posed.ply import read_gaussians
 from tests.raises_key import raises_key
@@ -33,7 +33,7 @@ from engine.posed.array_file import read_npz, read_npy
 from engine.json_file import read_json_object
 from engine.scene.formats.record3d import _read_exr
 from engine.scene.pixels import decode, decode_single_channel
-from engine.model.tensor_file import read_tensors
+from engine.model.checking import read_tensors
 from engine.passes.exr import read_exr, read_note
 
 cv2.setNumThreads(1)

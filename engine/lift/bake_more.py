@@ -27,7 +27,7 @@ from ..job import (
     read_manifest,
 )
 from ..job.cameras import frame_numbers, refuse_equal_names
-from ..model.rendering import ClipRange
+from ..model.neural_gaussians import ClipRange
 from ..passes.baked_view import BakedView
 from ..passes.exr import ShownFrame, further_layers, number_in, read_note, write_exr
 from ..posed.layout import listed

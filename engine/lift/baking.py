@@ -21,8 +21,8 @@ from ..job.report import read_metrics
 from ..job.system import peak_bytes
 from ..metrics.calibration import UNCALIBRATED, Calibration
 from ..metrics.report import LIFTED, PredictedView, Report, add_input_masks
+from ..model.neural_gaussians import ClipRange
 from ..model.render import render_bands
-from ..model.rendering import ClipRange
 from ..model.scene_labels import shown_labels
 from ..model.structured import GaussianLabels, LabelChannels, StructuredScene
 from ..passes.baked_view import BakedView, ShownInstances, bake_view, joined

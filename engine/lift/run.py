@@ -24,10 +24,10 @@ from ..job.prediction import USUAL_MASKS, learn_slowness, machine_slowness
 from ..json_file import Json
 from ..machine.code_digest import code_digest
 from ..machine.log_compilation import log_compilation
+from ..model.checking import read_tensors
 from ..model.detail import finest_pixels
 from ..model.settling import OwnedPoints
 from ..model.structured import GaussianLabels, StructuredScene
-from ..model.tensor_file import read_tensors
 from ..presets.preset import Preset
 from ..raster import drawing_on
 from ..scene import (

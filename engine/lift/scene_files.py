@@ -19,8 +19,8 @@ from ..instances.segments import mask_extents, outline_of
 from ..job import EventWriter, LiftFolder, read_manifest, write_atomically
 from ..metrics.calibration import Samples, calibrate
 from ..model.baking import bake
+from ..model.checking import read_tensors
 from ..model.structured import StructuredScene, from_tensors, to_tensors
-from ..model.tensor_file import read_tensors
 from ..passes.baked_view import ShownInstances
 from ..passes.ply import write_splats
 from ..result_files import (

@@ -14,16 +14,15 @@ import torch
 from ..job import EventWriter, StopSignal
 from ..model.gaussians import decode
 from ..model.label_voting import LabelVotes, contributors, pixel_labels
+from ..model.neural_gaussians import PanopticRendering
 from ..model.render import render_bands
-from ..model.rendering import PanopticRendering
 from ..model.structured import LabelChannels
 from ..passes.baked_view import ShownInstances, bake_view
 from ..presets.preset import PRESETS
 from ..raster import rasterize
 from ..scene import Camera, Category, ClassTable, PanopticMask, Segment, View
-from ..train.losses import reconstruction_loss
 from ..train.progress import StageReporter
-from ..train.trainer import GrowthSchedule, Trainer
+from ..train.trainer import GrowthSchedule, Trainer, reconstruction_loss
 from .preparation import prepare
 from .run import STAGES
 

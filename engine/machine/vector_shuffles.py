@@ -8,8 +8,7 @@ from llvmlite import ir
 from numba import types
 from numba.core import cgutils
 
-from .intrinsics import intrinsic
-from .vectors import FLOAT, INT, INTS_IR, WIDTH, call, constant, lanes, of_values
+from .vectors import FLOAT, INT, INTS_IR, WIDTH, call, constant, intrinsic, lanes, of_values
 
 
 @intrinsic

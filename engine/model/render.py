@@ -13,8 +13,7 @@ from ..raster.conventions import BLUR, NEAR
 from ..scene import Camera
 from .detail import blurred_scales
 from .gaussians import decode, no_labels
-from .neural_gaussians import NeuralGaussians
-from .rendering import ClipRange, PanopticRendering
+from .neural_gaussians import ClipRange, NeuralGaussians, PanopticRendering
 from .scene_labels import ShownLabels, shown_labels, shown_probabilities
 from .structured import LabelChannels, StructuredScene
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from ..machine.compiled import Array, compiled, parallel_kernel
 from ..machine.threads import parallel_for, worker_count
-from ..model.rendering import PanopticRendering
+from ..model.neural_gaussians import PanopticRendering
 from ..scene import Camera, ClassTable, distinct_colour
 from .cryptomatte import RANKS, MatteLayer, class_layer, instance_layer, rank_coverage
 from .layers import PanopticLayers, decide, tell_in_coverage

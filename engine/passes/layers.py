@@ -14,7 +14,7 @@ from ..instances.panoptic_labels import LEAST_OF_CLASS, object_of_class
 from ..machine import memory
 from ..machine.compiled import Array, compiled, parallel_kernel
 from ..machine.threads import parallel_for, worker_count
-from ..model.rendering import PanopticRendering
+from ..model.neural_gaussians import PanopticRendering
 from ..scene import VOID, ClassTable
 
 CHUNK = 4096

@@ -2,7 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+
+import numpy as np
+
+from ..machine.compiled import device_function
 
 NEAR = 0.01
 """Metres. Nothing at or before this depth is drawn."""
@@ -54,3 +59,56 @@ class Pinhole:
             -cy / fy - margin_y,
             (height - cy) / fy + margin_y,
         )
+
+
+# What the kernels know about a projected Gaussian: one cache line of float32, and the form of its footprint.
+#
+# A footprint is kept whitened. With the inverse 2D covariance written as L^T L, L upper triangular, and d the
+# offset of a pixel from the centre, s = sqrt(log2(e) / 2) * L d has |s|^2 = log2(e) * d^T inv(cov) d / 2, so
+# alpha = opacity * 2^-|s|^2. Compared with the usual quadratic form nothing cancels, however long and thin the
+# Gaussian: s1 and s2 are computed to float32 precision from a double origin at each tile, s2 is constant along
+# a row of pixels, and s1 is linear in it.
+
+TILE = 16
+"""The number of pixels along a tile's side, and in a vector."""
+PATCH_WIDTH, PATCH_HEIGHT = TILE // 2, 2
+"""The number of pixels along a patch's sides. A patch fills one vector: eight columns of two rows."""
+assert (PATCH_WIDTH, PATCH_HEIGHT) == (8, 2), "the vector kernels alternate the rows of a patch, in pairs of lanes"
+BATCH = 64
+"""Gaussians of a tile that are blended together. They fill whole vectors, and are no more than the bits of a word."""
+assert BATCH % TILE == 0 and BATCH <= 64
+PENDING = 2 * BATCH
+"""A patch that lists more blended Gaussians than this adds up their labels before the next batch."""
+BACKWARD_BATCH = 96
+"""Gaussians of a tile whose label gradients are added up together."""
+MEMBERS = TILE * (BACKWARD_BATCH + 4)
+"""Places for the Gaussians listed on each patch of a tile, and for placeholders that fill up the last four."""
+assert 2 * (PENDING + BATCH + 4) <= MEMBERS, "the two patches of a strip list more of them"
+
+# columns of a record; the centre is the sum of two floats (a double's precision where it matters)
+CENTRE_X, CENTRE_X_LOW, CENTRE_Y, CENTRE_Y_LOW = 0, 1, 2, 3
+L11, L12, L22 = 4, 5, 6
+OPACITY = 7
+LOG_OPACITY = 8  # to base two
+RED, GREEN, BLUE, DEPTH = 9, 10, 11, 12
+L11_LOW, L12_LOW, L22_LOW = 13, 14, 15  # what float32 rounded off; it matters far from the centre of a long Gaussian
+RECORD = 16
+
+# columns of the gradients of one Gaussian in one tile; g = dLoss/d(ln alpha) summed over pixels
+G, G_S1, G_S1S1, G_S2, G_S1S2, G_S2S2 = 0, 1, 2, 3, 4, 5
+D_RED, D_GREEN, D_BLUE, D_DEPTH = 6, 7, 8, 9
+GRADIENT = 10
+GRADIENT_WIDTH = 16
+"""Floats from one slot's gradients to the next."""
+
+WHITENING = math.sqrt(0.5 * math.log2(math.e))
+"""s = WHITENING * L d."""
+REACH_OVER_LOG_OPACITY = np.float32(math.log2(255.0) + 1e-3)
+"""Added to ``LOG_OPACITY``: the |s|^2 beyond which alpha < 1/255, rounded up by far more than the rounding of s and
+far less than a pixel."""
+
+
+@device_function
+def padded_channels(channels: int) -> int:
+    """The number of channels, rounded up to whole vectors."""
+    return (channels + TILE - 1) // TILE * TILE

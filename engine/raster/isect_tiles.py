@@ -12,11 +12,40 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..machine import memory
-from ..machine.compiled import Array, compiled, parallel_kernel
+from ..machine.compiled import Array, compiled, device_function, parallel_kernel
 from ..machine.threads import parallel_for
+from ..machine.vectors import fetch_add
 from .arrays import Intersections
-from .chunks import chunk_range
-from .records import TILE
+from .conventions import TILE
+
+# Chunks of Gaussians. A worker that has finished one takes the next.
+#
+# With equal shares, the slowest worker, or one that wakes late, would hold up all others.
+
+CHUNK = 256
+"""The approximate number of Gaussians in a chunk. With fewer, taking chunks would cost more."""
+MOST_CHUNKS = 256
+"""There are at most this many chunks: several for each of many workers."""
+
+
+@device_function
+def chunk_count(count: int) -> int:
+    """The number of chunks of ``count`` Gaussians, which is at least one."""
+    return max(1, min(MOST_CHUNKS, (count + CHUNK - 1) // CHUNK))
+
+
+@device_function
+def chunk_range(chunk: int, chunks: int, count: int) -> Any:
+    """The first of ``count`` Gaussians that belongs to a chunk, and the first of the next chunk."""
+    return count * chunk // chunks, count * (chunk + 1) // chunks
+
+
+@device_function
+def next_chunk(next_one: Array, chunks: int, count: int) -> Any:
+    """Take the next chunk, and return its ``chunk_range``. The range is empty if all have been taken."""
+    first, end = chunk_range(fetch_add(next_one), chunks, count)
+    return first, min(end, count)
+
 
 WORTH_SHARING = 1000
 """One worker scatters fewer intersections than this, as waking the others would take longer."""

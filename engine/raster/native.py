@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
 
@@ -12,11 +13,163 @@ from torch import Tensor
 from ..machine import memory
 from ..machine.compiled import Array
 from ..machine.log_compilation import log_compilation
-from .arrays import Gaussians, Shapes
-from .backward_pass import rasterize_backward
-from .conventions import Pinhole
-from .forward_pass import Layers, OnImage, as_array, rasterize_forward, top_contributors
+from ..machine.threads import parallel_for, worker_count
+from .arrays import (
+    Blended,
+    GaussianGradients,
+    Gaussians,
+    Intersections,
+    IsectGradients,
+    PixelGradients,
+    Projected,
+    Scratch,
+    Shapes,
+    Size,
+    Splats,
+    flat,
+)
+from .blending.backward import backward_scratch_size, blend_backward
+from .blending.batch import PATCHES, gather
+from .blending.contributors import list_contributors
+from .blending.forward import blend_forward, scratch_size
+from .conventions import GRADIENT_WIDTH, MEMBERS, RECORD, TILE, Pinhole, padded_channels
+from .isect_tiles import blending_workers, isect_tiles
+from .projection import camera_array, project
 from .rendering import GaussianSet, Rendering
+
+# From Gaussians to pictures: projection, binning, blending.
+
+
+@dataclass(frozen=True, eq=False)
+class ForwardState:
+    """What the forward pass keeps for the backward one.
+
+    ``camera`` float64 [CAMERA]; ``records`` float32 [N, RECORD]; ``final`` and ``last`` float32 [H * W] as in
+    ``Blended``.
+    """
+
+    camera: Array
+    records: Array
+    isects: Intersections
+    final: Array
+    last: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Layers:
+    """Image [H, W, 3], labels [H, W, C], alpha and depth [H, W], float32."""
+
+    image: Array
+    labels: Array
+    alpha: Array
+    depth: Array
+
+    @classmethod
+    def empty(cls, height: int, width: int, channels: int) -> Layers:
+        shapes = ((height, width, 3), (height, width), (height, width))
+        image, alpha, depth = memory.several(*((shape, np.float32) for shape in shapes))
+        return cls(image, memory.empty((height, width, channels), np.float32), alpha, depth)
+
+    def in_order(self) -> tuple[Array, ...]:
+        return self.image, self.labels, self.alpha, self.depth
+
+
+@dataclass(frozen=True, eq=False)
+class OnImage:
+    """Where the forward pass puts each Gaussian: ``means2d`` float32 [N, 2], and ``visible`` bool [N]."""
+
+    means2d: Array
+    visible: Array
+
+
+def as_array(tensor: Tensor) -> Array:
+    """The tensor's numbers as a contiguous array, detached from autograd."""
+    return np.ascontiguousarray(tensor.numpy(force=True))
+
+
+def rasterize_forward(
+    gaussians: Gaussians, labels: Array, pinhole: Pinhole, on_image: OnImage
+) -> tuple[Layers, ForwardState]:
+    """Draw the Gaussians with ``labels`` float32 [N, C], and fill ``on_image``."""
+    count, channels = labels.shape
+    size, camera = Size(pinhole.width, pinhole.height, channels), camera_array(pinhole)
+    layers = Layers.empty(size.height, size.width, channels)
+    pixels = size.height * size.width
+    final, last, records = memory.several((pixels, np.float32), (pixels, np.float32), ((count, RECORD), np.float32))
+    out = Blended(*map(flat, layers.in_order()), final, last)
+
+    boxes, depths = memory.several(((count, 4), np.int32), (count, np.float32))
+    projected = Projected(records, boxes, depths, on_image.means2d, on_image.visible)
+    parallel_for(worker_count(), project, gaussians, camera, size, projected, np.zeros(1, np.int64))
+    isects, longest = isect_tiles(worker_count(), boxes, depths, size.width, size.height)
+    workers = blending_workers(worker_count(), isects, longest)
+    scratch = new_scratch(workers, scratch_size(channels, longest))
+    parallel_for(workers, blend_forward, isects, Splats(flat(records), flat(labels)), out, size, scratch)
+    return layers, ForwardState(camera, records, isects, final, last)
+
+
+def new_scratch(workers: int, floats: int) -> Scratch:
+    """Scratch for ``workers``, with ``floats`` for each.
+
+    Each worker has whole cache lines, as workers that write to the same line would wait for each other.
+    """
+    return Scratch(
+        np.zeros(1, np.int64),
+        *memory.several(
+            ((workers, -(-floats // TILE) * TILE), np.float32),
+            ((workers, MEMBERS), np.int32),
+            ((workers, PATCHES), np.int64),
+        ),
+    )
+
+
+def top_contributors(state: ForwardState, shape: tuple[int, int, int]) -> tuple[Tensor, Tensor]:
+    """The largest weights of each pixel, as Gaussians int32 and weights float32, [H, W, k] each."""
+    indices, weights = torch.empty(shape, dtype=torch.int32), torch.empty(shape, dtype=torch.float32)
+    tops = indices.numpy(), weights.numpy()
+    parallel_for(worker_count(), list_contributors, state.isects, flat(state.records), *tops)
+    return indices, weights
+
+
+# From the gradients of pictures to those of Gaussians: backward blending, sums over tiles, backward projection.
+
+
+def rasterize_backward(state: ForwardState, shapes: Shapes, d_layers: Layers) -> GaussianGradients:
+    """The gradients of everything that was blended.
+
+    ``shapes`` are those of the forward pass; ``d_layers``: the layers' gradients, whose labels have no channels if
+    none are wanted.
+    """
+    height, width, channels = d_layers.labels.shape
+    size, workers = Size(width, height, channels), worker_count()
+    isects = _no_isect_gradients(len(state.isects.flatten_ids), channels)
+    out = _no_gradients(len(state.records), channels)
+    images = map(flat, d_layers.in_order())
+    pixels = PixelGradients(*images, state.final, state.last)
+    scratch = new_scratch(workers, backward_scratch_size(channels))
+    parallel_for(workers, blend_backward, state.isects, flat(state.records), pixels, size, isects, scratch)
+    scene = (shapes, state.records, state.camera)
+    flat_out = out._replace(labels=flat(out.labels))
+    parallel_for(
+        workers, gather, state.isects.gaussian_offsets, isects, channels, scene, flat_out, np.zeros(1, np.int64)
+    )
+    return out
+
+
+def _no_isect_gradients(count: int, channels: int) -> IsectGradients:
+    """Arrays for the gradients of ``count`` intersections, to be filled."""
+    labels = count * padded_channels(channels)
+    return IsectGradients(
+        *memory.several((count, np.uint8), (count * GRADIENT_WIDTH, np.float32), (labels, np.float32))
+    )
+
+
+def _no_gradients(count: int, channels: int) -> GaussianGradients:
+    """Arrays for the gradients of ``count`` Gaussians, to be filled."""
+    shapes = ((count, 3), (count, 3), (count, 4), (count,), (count, 3), (count, 2))
+    *geometry, means2d = memory.several(*((shape, np.float32) for shape in shapes))
+    return GaussianGradients(*geometry, memory.empty((count, channels), np.float32), means2d)
+
 
 LABELS = 5
 """The place of the labels among the arguments."""

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 
 from ..machine.compiled import Array, device_function, parallel_kernel
 from .arrays import Gaussians, Projected, Size
-from .chunks import chunk_count, next_chunk
-from .conventions import ALPHA_MIN, BLUR, TINY_NORM, Pinhole
-from .records import (
+from .conventions import (
+    ALPHA_MIN,
+    BLUR,
     CENTRE_X,
     CENTRE_X_LOW,
     DEPTH,
@@ -25,8 +25,11 @@ from .records import (
     OPACITY,
     RED,
     TILE,
+    TINY_NORM,
     WHITENING,
+    Pinhole,
 )
+from .isect_tiles import chunk_count, next_chunk
 
 LOG2_E = math.log2(math.e)
 LOG_ALPHA_MIN = math.log(ALPHA_MIN)

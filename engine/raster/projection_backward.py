@@ -8,8 +8,7 @@ import numpy as np
 
 from ..machine.compiled import Array, device_function
 from .arrays import GaussianGradients, Shapes
-from .projection import LOG2_E, axes_on_image, camera_point, image_jacobian, quaternion_of, rotation_of, three_of
-from .records import (
+from .conventions import (
     D_DEPTH,
     G_S1,
     G_S1S1,
@@ -24,6 +23,7 @@ from .records import (
     L22_LOW,
     WHITENING,
 )
+from .projection import LOG2_E, axes_on_image, camera_point, image_jacobian, quaternion_of, rotation_of, three_of
 
 
 @device_function

@@ -13,7 +13,7 @@ import torch
 from ..instances.panoptic_labels import UNKNOWN_LABEL, PanopticLabels
 from ..instances.segment_votes import segment_labels
 from ..model.baking import decided_labels
-from ..model.rendering import PanopticRendering
+from ..model.neural_gaussians import PanopticRendering
 from ..model.structured import LabelChannels
 from ..scene import VOID, PanopticMask
 from ..semantics.consistency import pseudo_labels

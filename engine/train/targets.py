@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ..model.structured import NO_OBJECT, LabelChannels
 from ..scene import Camera, View
-from .assignment import ThingSegments
+from .label_losses import ThingSegments
 from .similarity import PhotoMoments
 
 

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import cached_property
 from pathlib import Path
-from typing import cast
+from typing import ClassVar, cast
 
 import numpy as np
 import torch
@@ -17,17 +18,81 @@ from engine.job import EventWriter, LiftFolder, StopSignal
 from engine.lift.objects import labels_of
 from engine.lift.preparation import PreparedLift, prepare, starting_anchors, starting_scene
 from engine.lift.run import run_lift
+from engine.model.growing import GrowthRound
+from engine.model.neural_gaussians import NeuralGaussians
 from engine.model.structured import StructuredScene
 from engine.presets.preset import Preset
+from engine.raster import Rendering
 from engine.scene import ClassTable, OnDemand, View, stored
+from engine.train.label_losses import TINY, ThingSegments, label_losses
+from engine.train.optimiser import RATES
 from engine.train.progress import StageReporter
 from engine.train.targets import ViewTargets, columns_of, slots_of
-from engine.train.trainer import Trainer
+from engine.train.trainer import GrowthSchedule, Trainer
 
 from ..results import SOURCES
-from .gaussian_splatting import PlainDecoders, plain_gaussians
-from .options import BaselinePreset
-from .trainer import SegmentTrainer, SplattingTrainer
+from .gaussian_splatting import (
+    BaselinePreset,
+    PlainDecoders,
+    PlainRules,
+    clone_split_prune,
+    plain_gaussians,
+    reset_opacities,
+)
+
+# The training of baselines: where they differ from ``Trainer``, by the options of ``BaselinePreset``.
+
+
+class SegmentTrainer(Trainer):
+    """In addition, the segments of the input masks are kept consistent, once ``FROM`` of the steps are
+    done."""
+
+    def _keeps_segments(self) -> bool:
+        return bool(self.preset.segment_consistency) and self.step_number >= FROM * self.preset.steps
+
+    def _columns_to_draw(self, target: ViewTargets) -> torch.Tensor:
+        if self._keeps_segments():
+            return torch.arange(self._channel_counts()[1])
+        return super()._columns_to_draw(target)
+
+    def _compare_labels(
+        self, gaussians: NeuralGaussians, rendering: Rendering, target: ViewTargets, columns: torch.Tensor
+    ) -> tuple[torch.Tensor, torch.Tensor]:
+        by_class, by_slot = super()._compare_labels(gaussians, rendering, target, columns)
+        if self._keeps_segments():
+            assert rendering.labels is not None  # drawn with labels
+            classes, mask = self._channel_counts()[0], self._masks[target.name]
+            wanted = segment_targets(rendering.labels, rendering.alpha, classes, mask)
+            nothing = torch.full_like(wanted, -1)
+            loss, _ = label_losses(rendering.labels, rendering.alpha, classes, wanted, (nothing, nothing))
+            by_class = by_class + WEIGHT * loss
+            self.clock.lap("segment consistency")
+        return by_class, by_slot
+
+    @cached_property
+    def _masks(self) -> dict[str, ThingSegments]:
+        """All segments of each view, by its name."""
+        return {view.name: ThingSegments.of(view.mask.ids) for view in self.views}
+
+
+class SplattingTrainer(SegmentTrainer):
+    """3DGS: its own learning rates and growth."""
+
+    growth_schedule: ClassVar = GrowthSchedule(grow_from=500 / 30000)
+    rates: ClassVar = {**RATES, "feature": (0.0025, 0.0025), "offset": (1.6e-4, 1.6e-6)}
+    rules: ClassVar = PlainRules()
+
+    def _growth_round(self, random: np.random.Generator) -> GrowthRound:
+        anchors, extent, most = self.scene.anchors, self.optimiser.extent, self.preset.most_anchors
+        return clone_split_prune(anchors, self.statistics, self.rules, extent=extent, random=random, most=most)
+
+    def _after_step(self, with_labels: bool) -> None:
+        """Growth and, as long as Gaussians grow, resets of opacities."""
+        super()._after_step(with_labels)
+        steps, every = self.preset.steps, round(self.rules.reset_share * self.preset.steps)
+        is_due = every >= self.rules.reset_steps and self.step_number % every == 0
+        if is_due and self.step_number < self.growth_schedule.grow_until * steps:
+            reset_opacities(self.scene.anchors, self.rules)
 
 
 def lift_baseline(folder: LiftFolder, events: EventWriter, stop: StopSignal, *, resume: bool) -> None:
@@ -113,3 +178,29 @@ def with_semantic_targets(prepared: PreparedLift, views: Sequence[View], source:
 
 def _columns(classes: NDArray[np.int32], class_ids: tuple[int, ...]) -> torch.Tensor:
     return columns_of(classes, class_ids).to(torch.int16)
+
+
+# Panoptic Lifting's segment consistency: all of a segment should have one class, whichever it is.
+
+WEIGHT = 1.2
+"""The weight of this loss within L_sem."""
+FROM = 0.6
+"""The share of all steps before which it has no weight: earlier it teaches what is not learnt yet, and all classes
+become one. Panoptic Lifting starts it at its sixth epoch."""
+
+
+def segment_targets(coverage: torch.Tensor, alpha: torch.Tensor, classes: int, segments: ThingSegments) -> torch.Tensor:
+    """The class of each pixel's segment, int16 [H, W], -1 outside of all: that of the largest mean log probability over
+    the segment's pixels, as the model shows it now.
+
+    ``coverage`` float32 [H, W, C + S] holds blended probabilities of ``classes`` C classes first; over ``alpha``
+    [H, W] they are probabilities.
+    """
+    inside = segments.row.reshape(-1) >= 0
+    row = segments.row.reshape(-1)[inside]
+    shown = coverage.detach().reshape(-1, coverage.shape[-1]).numpy()[inside, :classes]
+    logs = np.log(shown / (alpha.detach().reshape(-1, 1).numpy()[inside] + TINY) + TINY)
+    count = len(segments.pixels)
+    sums = np.column_stack([np.bincount(row, column, count) for column in logs.T])
+    best = np.append(sums.argmax(axis=1) if count else [], -1).astype(np.int16)
+    return torch.from_numpy(best[segments.row])  # row -1 is the last entry: no class

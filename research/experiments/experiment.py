@@ -12,8 +12,8 @@ from engine.presets.options import shown_options
 from engine.scene_source import SceneSource
 
 from ..results import Result
+from .predictions import SceneToLift
 from .rows import Row, Rows
-from .scenes import SceneToLift
 from .table import Tables
 
 PROGRAM = "research"

@@ -1,4 +1,4 @@
-"""Linear assignment in plain NumPy: the oracle of ``engine.train.assignment.assigned_slots``."""
+"""Linear assignment in plain NumPy: the oracle of ``engine.train.label_losses.assigned_slots``."""
 
 from __future__ import annotations
 

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from engine.machine import cache_folder
-from engine.machine.cache_folder import choose_cache_folder, why_unsafe
+import engine.machine.compiled as compiled_kernels
+from engine.machine.compiled import choose_cache_folder, why_unsafe
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="rights are kept otherwise there")
 
@@ -19,7 +19,7 @@ def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """The user's cache folder."""
     tmp_path.chmod(0o700)
     monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
-    monkeypatch.setattr(cache_folder, "user_cache_folder", lambda: tmp_path / "home" / ".cache")
+    monkeypatch.setattr(compiled_kernels, "user_cache_folder", lambda: tmp_path / "home" / ".cache")
     return tmp_path / "home" / ".cache"
 
 
@@ -66,7 +66,7 @@ def test_a_sticky_parent_folder_is_harmless(cache: Path, tmp_path: Path) -> None
 
 def test_there_is_no_fallback_to_a_shared_folder(cache: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     (tmp_path / "file").touch()
-    monkeypatch.setattr(cache_folder, "user_cache_folder", lambda: tmp_path / "file")
+    monkeypatch.setattr(compiled_kernels, "user_cache_folder", lambda: tmp_path / "file")
     monkeypatch.setenv("TMPDIR", str(tmp_path))
     one, other = choose_cache_folder("kernels"), choose_cache_folder("kernels")
     assert one != other and one.stat().st_mode & 0o77 == 0

@@ -8,7 +8,6 @@ import numba
 import numpy as np
 import pytest
 
-from engine.machine.vector_functions import exp2, exp2_x4
 from engine.machine.vector_shuffles import (
     deinterleave2,
     deinterleave3,
@@ -17,7 +16,7 @@ from engine.machine.vector_shuffles import (
     interleave2,
     interleave3,
 )
-from engine.machine.vectors import WIDTH, load, load_pairs, store
+from engine.machine.vectors import WIDTH, exp2, exp2_x4, load, load_pairs, store
 
 A = np.random.default_rng(0).normal(size=3 * WIDTH).astype(np.float32)
 

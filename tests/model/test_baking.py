@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from engine.instances.panoptic_labels import LEAST_OF_CLASS
 from engine.model.baking import BakedGaussians, bake, decided_labels
-from engine.model.rendering import PanopticRendering
+from engine.model.neural_gaussians import PanopticRendering
 from engine.model.structured import NO_OBJECT, SPARE, GaussianLabels, LabelChannels
 from engine.passes.layers import decide
 from engine.scene import Camera, Category, ClassTable

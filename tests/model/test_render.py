@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import torch
 
+from engine.model.neural_gaussians import ClipRange, PanopticRendering
 from engine.model.render import render_bands, render_view, row_bands
-from engine.model.rendering import ClipRange, PanopticRendering
 from engine.model.scene_labels import VotedLabels, shown_labels
 from engine.model.structured import GaussianLabels, LabelChannels
 from engine.scene import Camera

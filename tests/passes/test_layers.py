@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from engine.instances.panoptic_labels import LEAST_OF_CLASS
-from engine.model.rendering import PanopticRendering
+from engine.model.neural_gaussians import PanopticRendering
 from engine.passes.baked_view import ShownInstances, bake_view
 from engine.passes.cryptomatte import CRYPTO_CLASS
 from engine.passes.layers import STEPS, decide, encoded, linear, tell_in_coverage

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from engine.model.rendering import PanopticRendering
+from engine.model.neural_gaussians import PanopticRendering
 from engine.scene import Camera, Category, ClassTable
 
 WALL, CHAIR, SOFA = 1, 5, 6

@@ -5,7 +5,7 @@ from __future__ import annotations
 from hypothesis import given
 from hypothesis import strategies as st
 
-from engine.raster.chunks import CHUNK, MOST_CHUNKS, chunk_count, chunk_range
+from engine.raster.isect_tiles import CHUNK, MOST_CHUNKS, chunk_count, chunk_range
 
 
 @given(st.one_of(st.integers(0, 3 * CHUNK), st.integers(0, 10**7)))

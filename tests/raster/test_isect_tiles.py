@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from engine.raster import isect_tiles as listing
 from engine.raster.arrays import Intersections
+from engine.raster.conventions import TILE
 from engine.raster.isect_tiles import blending_workers, isect_tiles
-from engine.raster.records import TILE
 
 WIDTH, HEIGHT = 90, 50
 COLUMNS, ROWS = -(-WIDTH // TILE), -(-HEIGHT // TILE)

@@ -12,8 +12,8 @@ from scenes import LAYERS, random_scene, render
 
 from engine.machine import memory
 from engine.raster import rasterize
-from engine.raster.blending.backward_tile import backward_scratch_size
-from engine.raster.records import MEMBERS
+from engine.raster.blending.backward import backward_scratch_size
+from engine.raster.conventions import MEMBERS
 from tests.machine.held_bytes import held_bytes
 from tests.raster.room_workload import Workload, room_workload
 

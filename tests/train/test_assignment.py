@@ -7,7 +7,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from engine.train.assignment import ThingSegments, assigned_slots
+from engine.train.label_losses import ThingSegments, assigned_slots
 from tests.instances.assign_slots import assign_slots
 
 

@@ -8,7 +8,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from engine.train.losses import NEAR, NOISY, depth_loss
+from engine.train.trainer import NEAR, NOISY, depth_loss
 
 
 def plainly(depth: np.ndarray, alpha: np.ndarray, sensor: np.ndarray) -> float:

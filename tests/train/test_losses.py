@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import torch
 
-from engine.train.losses import reconstruction_loss
 from engine.train.similarity import PhotoMoments, compare
+from engine.train.trainer import reconstruction_loss
 
 
 def test_ssim_matches_a_direct_computation() -> None:

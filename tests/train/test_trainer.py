@@ -14,10 +14,9 @@ from engine.model.render import render_view
 from engine.model.structured import NO_OBJECT
 from engine.presets.preset import LossWeights
 from engine.scene import Camera, ClassTable, View
-from engine.train.losses import reconstruction_loss
 from engine.train.self_training import pseudo_label_steps
 from engine.train.state import restore, trainer_state
-from engine.train.trainer import Trainer
+from engine.train.trainer import Trainer, reconstruction_loss
 from tests.train.tiny_lift import STEPS, TINY, colour_error, trainer_of, views_of
 
 Input = tuple[list[View], ClassTable]

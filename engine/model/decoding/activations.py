@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 
 from ...machine.compiled import Array, inlined
-from ...machine.vector_functions import exp2
 from ...machine.vectors import (
     WIDTH,
     broadcast,
+    exp2,
     fma,
     lane_numbers,
     load,

@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 
 from ...machine.compiled import Array, device_function, parallel_kernel
-from ...machine.intrinsics import fetch_add
-from ...machine.vectors import WIDTH
+from ...machine.vectors import WIDTH, fetch_add
 from .arrays import AnchorArrays, Batch, Batches, Gradients, Labelling, Packed, Work
 from .layers import (
     collect_inputs,

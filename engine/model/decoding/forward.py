@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 
 from ...machine.compiled import Array, device_function, parallel_kernel
-from ...machine.intrinsics import fetch_add
-from ...machine.vectors import WIDTH, load, store
+from ...machine.vectors import WIDTH, fetch_add, load, store
 from .activations import copy, sigmoid, tanh
 from .arrays import AnchorArrays, Batch, Batches, Drawn, Labelling, Packed, Work
 from .layers import collect_inputs, collect_scales, head_of, list_batch, run_head, wanted_class

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from ...machine.compiled import Array, device_function, parallel_kernel
-from ...machine.vector_functions import exp2
 from ...machine.vectors import (
     broadcast,
     broadcast_load,
+    exp2,
     fma,
     fnmadd,
     get,
@@ -21,10 +21,9 @@ from ...machine.vectors import (
     trailing_zeros,
 )
 from ..arrays import Intersections, Tile
-from ..records import L11, RECORD, TILE
-from .backward_tile import EXPONENTS, S1_LEFT, WHITENED, whiten_tile
-from .forward import ENDED, NEARLY_NOTHING, seen_alpha
-from .forward_strip import ONE, ZERO
+from ..conventions import L11, RECORD, TILE
+from .backward import EXPONENTS, S1_LEFT, WHITENED, whiten_tile
+from .forward import ENDED, NEARLY_NOTHING, ONE, ZERO, seen_alpha
 
 
 @device_function

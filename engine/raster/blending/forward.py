@@ -12,27 +12,34 @@ from typing import Any
 import numpy as np
 
 from ...machine.compiled import Array, device_function, inlined, parallel_kernel
-from ...machine.intrinsics import fetch_add
-from ...machine.vector_functions import exp2_x4
+from ...machine.matrix_product import Factors, ListedRows, Rows, add_product
+from ...machine.vector_shuffles import deinterleave2, interleave2, interleave3
 from ...machine.vectors import (
     broadcast,
     broadcast_load,
+    exp2_x4,
+    fetch_add,
     fma,
     fnmadd,
+    get,
+    lane_numbers,
     load,
     load_pairs,
+    masked_load,
+    masked_store,
     maximum,
     minimum,
     movemask,
+    prefetch,
     put,
     select,
     store,
     trailing_zeros,
 )
 from ..arrays import Blended, Intersections, Scratch, Size, Splats, Tile
-from ..conventions import ALPHA_MAX, ALPHA_MIN, TRANSMITTANCE_END
-from ..records import BATCH, PATCH_HEIGHT, PENDING, TILE, padded_channels
+from ..conventions import ALPHA_MAX, ALPHA_MIN, BATCH, PATCH_HEIGHT, PENDING, TILE, TRANSMITTANCE_END, padded_channels
 from .batch import (
+    AHEAD,
     BATCH_FIELDS,
     BLUES,
     DEPTHS,
@@ -42,29 +49,150 @@ from .batch import (
     REDS,
     SLOPE,
     STRIP_EXPONENTS,
+    STRIP_FIELDS,
     STRIP_S1,
     load_batch,
     whiten_strip,
 )
-from .forward_strip import (
-    COLUMNS,
-    FINAL,
-    LAST,
-    LISTED,
-    PATCH_STRIDE,
-    PLANES,
-    STATE,
-    STRIP,
-    STRIP_LABELS,
-    TRANSMITTANCE,
-    WEIGHTS,
-    ZERO,
-    F,
-    start_strip,
-    strip_floats,
-    write_strip,
-)
-from .labels import add_listed_labels, load_labels, write_labels
+
+# A strip of a tile, two rows as two patches side by side: where a worker keeps it, and how the image gets it.
+
+F = np.float32
+ZERO, ONE = F(0.0), F(1.0)
+
+# a worker's scratch, in floats
+STRIP = 0  # the current strip's fields of its members
+WEIGHTS = STRIP + STRIP_FIELDS  # [patch, blended, pixel], with space for those that turn out not to be blended
+LISTED = PENDING + BATCH + 4
+STATE = WEIGHTS + 2 * LISTED * TILE  # [patch, field, pixel]
+COLUMNS, TRANSMITTANCE, FINAL, LAST = 0, TILE, 2 * TILE, 3 * TILE
+PLANES = 4 * TILE  # red, green, blue, depth
+PATCH_STRIDE = 8 * TILE
+STRIP_LABELS = STATE + 2 * PATCH_STRIDE  # [patch, pixel, padded channels]; then fields and labels of each batch
+
+
+@device_function
+def strip_floats(channels: int) -> int:
+    return PATCH_HEIGHT * TILE * padded_channels(channels)
+
+
+@device_function
+def start_strip(columns: int, rows: int, channels: int, scratch: Array) -> None:
+    """Begin a strip of ``columns`` and ``rows`` of the image: nothing is blended yet, and no light passes outside the
+    image."""
+    left, right = interleave2(lane_numbers(), lane_numbers())
+    row, _ = interleave2(broadcast(ZERO), broadcast(ONE))
+    in_rows = row < broadcast(F(rows))
+    for state, column in ((STATE, left), (STATE + PATCH_STRIDE, right)):
+        inside = (column < broadcast(F(columns))) & in_rows
+        store(scratch, state + COLUMNS, column)
+        store(scratch, state + TRANSMITTANCE, select(inside, broadcast(ONE), broadcast(ZERO)))
+        store(scratch, state + FINAL, broadcast(ONE))
+        store(scratch, state + LAST, broadcast(-ONE))
+        for plane in range(4):
+            store(scratch, state + PLANES + plane * TILE, broadcast(ZERO))
+    for at in range(STRIP_LABELS, STRIP_LABELS + strip_floats(channels), TILE):
+        store(scratch, at, broadcast(ZERO))
+
+
+@inlined
+def rows_of(field: int, scratch: Array) -> Any:
+    """A field of the strip's two patches, as its two rows."""
+    return deinterleave2(load(scratch, STATE + field), load(scratch, STATE + PATCH_STRIDE + field))
+
+
+@device_function
+def write_strip(pixel: int, columns: int, rows: int, width: int, scratch: Array, out: Blended) -> None:
+    """Write the ``columns`` and ``rows`` of a strip without labels. Its first pixel has the number ``pixel``."""
+    upper_final, lower_final = rows_of(FINAL, scratch)
+    upper_last, lower_last = rows_of(LAST, scratch)
+    upper_red, lower_red = rows_of(PLANES, scratch)
+    upper_green, lower_green = rows_of(PLANES + TILE, scratch)
+    upper_blue, lower_blue = rows_of(PLANES + 2 * TILE, scratch)
+    upper_depth, lower_depth = rows_of(PLANES + 3 * TILE, scratch)
+    upper = (upper_final, upper_last, upper_red, upper_green, upper_blue, upper_depth)
+    lower = (lower_final, lower_last, lower_red, lower_green, lower_blue, lower_depth)
+    write_row(pixel, columns, upper, out)
+    if rows > 1:
+        write_row(pixel + width, columns, lower, out)
+
+
+@inlined
+def write_row(pixel: int, columns: int, state: Any, out: Blended) -> None:
+    """Write one row of a strip."""
+    final, last, red, green, blue, own_depth = state
+    inside = lane_numbers() < broadcast(F(columns))
+    masked_store(out.final, pixel, final, inside)
+    masked_store(out.alpha, pixel, broadcast(ONE) - final, inside)
+    masked_store(out.depth, pixel, own_depth, inside)
+    masked_store(out.last, pixel, last, inside)
+    write_colours(3 * pixel, 3 * columns, interleave3(red, green, blue), out.image)
+
+
+@inlined
+def write_colours(target: int, floats: int, colours: Any, image: Array) -> None:
+    """Write a row's colours, pixel by pixel, to image[target : target + floats]."""
+    first, second, third = colours
+    masked_store(image, target, first, lane_numbers() < broadcast(F(floats)))
+    masked_store(image, target + TILE, second, lane_numbers() < broadcast(F(floats - TILE)))
+    masked_store(image, target + 2 * TILE, third, lane_numbers() < broadcast(F(floats - 2 * TILE)))
+
+
+# The labels of a strip.
+#
+# The labels of its Gaussians are copied side by side, batch by batch, and added up by their weights on each patch.
+
+
+@device_function
+def copy_labels(gaussian: int, labels: Array, channels: int, scratch: Array, at: int) -> None:
+    """Copy one Gaussian's labels, padded with zeros to whole vectors."""
+    source = gaussian * channels
+    for c in range(0, channels - TILE + 1, TILE):
+        store(scratch, at + c, load(labels, source + c))
+    rest = channels % TILE
+    if rest > 0:
+        c = channels - rest
+        store(scratch, at + c, masked_load(labels, source + c, lane_numbers() < broadcast(F(rest))))
+
+
+@device_function
+def load_labels(
+    first: int, count: int, flatten_ids: Array, labels: Array, channels: int, scratch: Array, at: int
+) -> None:
+    """Copy the labels of a batch's members side by side to scratch[at:]. The batch begins at flatten_ids[first:]."""
+    for m in range(count):
+        ahead = int(get(flatten_ids, first + min(m + AHEAD, count - 1))) * channels
+        for c in range(0, channels, TILE):
+            prefetch(labels, ahead + c)
+        copy_labels(int(get(flatten_ids, first + m)), labels, channels, scratch, at + m * padded_channels(channels))
+
+
+@device_function
+def add_listed_labels(patch: int, end: int, scratch: Array, members: Array, batches: int, padded: int) -> int:
+    """The labels of a patch's pixels += the weights of those blended, whose list ends before ``end``, times their
+    labels, whose offsets in vectors from scratch[batches:] are in ``members``. Returns the end of the empty list.
+    """
+    listed = patch * LISTED
+    out = Rows(scratch, STRIP_LABELS + patch * TILE * padded, padded)
+    weights = Factors(scratch, WEIGHTS + listed * TILE, 1, TILE)
+    add_product(out, weights, ListedRows(scratch, batches, TILE, members, listed), TILE, padded, end - listed)
+    return listed
+
+
+@device_function
+def write_labels(pixel: int, columns: int, rows: int, size: Size, scratch: Array, labels_out: Array) -> None:
+    """Write the labels of a strip of ``columns`` and ``rows`` without their padding. Its first pixel has the number
+    ``pixel``."""
+    channels, padded = size.channels, padded_channels(size.channels)
+    in_tail = lane_numbers() < broadcast(F(channels - padded + TILE))
+    for y in range(rows):
+        for x in range(columns):
+            source = STRIP_LABELS + (PATCH_HEIGHT * x + y) * padded
+            target = (pixel + y * size.width + x) * channels
+            for c in range(0, padded - TILE, TILE):
+                store(labels_out, target + c, load(scratch, source + c))
+            masked_store(labels_out, target + padded - TILE, load(scratch, source + padded - TILE), in_tail)
+
 
 ALPHA_CAP = F(ALPHA_MAX)
 ALPHA_LEAST = F(ALPHA_MIN)

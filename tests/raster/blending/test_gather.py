@@ -9,8 +9,8 @@ import pytest
 
 from engine.machine.compiled import compiled
 from engine.raster.arrays import IsectGradients
-from engine.raster.blending.gather import gather_labels
-from engine.raster.records import TILE
+from engine.raster.blending.batch import gather_labels
+from engine.raster.conventions import TILE
 
 GUARD = 64
 UNTOUCHED = np.float32(12345.0)

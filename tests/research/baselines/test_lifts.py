@@ -13,9 +13,8 @@ from engine.instances.consensus import ConsensusOptions
 from engine.model.structured import NO_OBJECT
 from engine.scene import ClassTable, View
 from engine.train.state import restore, trainer_state
-from research.baselines.gaussian_splatting import PlainRules
-from research.baselines.options import BaselinePreset
-from research.baselines.trainer import SplattingTrainer
+from research.baselines.gaussian_splatting import BaselinePreset, PlainRules
+from research.baselines.method import SplattingTrainer
 from tests.research.tiny_baseline import TINY_BASELINE as TINY
 from tests.research.tiny_baseline import prepared_for, trainer_of
 from tests.train.tiny_lift import STEPS, TinyTrainer, colour_error, views_of
@@ -130,7 +129,7 @@ def test_the_parts_of_the_label_losses(tiny: Input, tmp_path: Path, monkeypatch:
     assert loss_of(tiny, tmp_path, without)[0] < semantic
     consistent = replace(boxes, segment_consistency=True)
     assert loss_of(tiny, tmp_path, consistent)[0] == semantic, "classes are learned first"
-    monkeypatch.setattr("research.baselines.segment_loss.FROM", 0.0)
+    monkeypatch.setattr("research.baselines.method.FROM", 0.0)
     assert loss_of(tiny, tmp_path, consistent)[0] > semantic
     assert loss_of(tiny, tmp_path, replace(boxes, linear_assignment=False))[1] < instance
 

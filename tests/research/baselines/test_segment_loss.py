@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import torch
 
-from engine.train.assignment import ThingSegments
-from research.baselines.segment_loss import segment_targets
+from engine.train.label_losses import ThingSegments
+from research.baselines.method import segment_targets
 
 
 def test_a_segment_takes_the_class_that_it_shows_most_certainly() -> None:

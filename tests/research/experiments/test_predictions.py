@@ -13,10 +13,9 @@ import pytest
 from engine.job import ExitCode
 from engine.job.terminal import Interrupts
 from research.experiments.experiment import Experiment
-from research.experiments.predictions import predictions_from, with_predictions
+from research.experiments.predictions import SceneToLift, predictions_from, with_predictions
 from research.experiments.rows import Predicted
 from research.experiments.run import run_experiment
-from research.experiments.scenes import SceneToLift
 from research.results import read_results
 from tests.raises_key import raises_key
 from tests.research.experiments.made_up import ROWS

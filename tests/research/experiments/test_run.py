@@ -24,9 +24,9 @@ from research.baselines.voxel_vote import VOXEL_VOTE
 from research.baselines.without_a_lift import VOXELS_ALONE, WITHOUT_A_LIFT
 from research.command_line import main
 from research.experiments.experiment import Experiment
+from research.experiments.predictions import SceneToLift
 from research.experiments.rows import Rows
 from research.experiments.run import run_experiment
-from research.experiments.scenes import SceneToLift
 from research.results import Figures, read_results
 from tests.raises_key import raises_key
 from tests.research.experiments.made_up import KITCHEN, ROWS
