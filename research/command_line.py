@@ -26,7 +26,7 @@ from engine.job.terminal import Interrupted, Interrupts
 from engine.presets.preset import PRESETS
 from engine.scene_source import UP_OPTIONS
 
-from .baselines.gaussian_splatting import with_baseline_options
+from .baselines.options import with_baseline_options
 
 SAMPLE = "sample/room"
 OF_THE_ENGINE = ("lift", "bake", "export", "evaluate", "presets")
@@ -126,7 +126,7 @@ def _add_bench(parser: argparse.ArgumentParser) -> None:
 
 def run_evidence(options: argparse.Namespace) -> int:
     """Print the table of the kinds of evidence. Raises PlgsError, OSError."""
-    from .experiments.predictions import scenes_from
+    from .experiments.experiment import scenes_from
     from .labelled_cloud import evidence_table
 
     scenes = scenes_from(options.scenes)
@@ -157,8 +157,8 @@ def run_reliability(options: argparse.Namespace) -> int:
 
 def run_experiments(options: argparse.Namespace) -> int:
     """Run the rows, one process each, and print the tables. Raises PlgsError."""
-    from .experiments.experiment import Experiment
-    from .experiments.predictions import predictions_from, scenes_from, with_predictions
+    from .experiments.experiment import Experiment, scenes_from
+    from .experiments.predictions import predictions_from, with_predictions
     from .experiments.rows import read_rows
     from .experiments.run import run_experiment
     from .results import read_results

@@ -38,7 +38,7 @@ from engine.scene import (
 from engine.scene_source import SceneSource
 from engine.train.progress import StageProgress
 
-from .experiments.predictions import SceneToLift
+from .experiments.experiment import SceneToLift
 
 PLACES = ("objects", "segments", "masks")
 """The places of a view's evidence that the cloud shows. Its points take their classes from the segments' votes, and

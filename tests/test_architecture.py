@@ -41,7 +41,7 @@ ENGINE_MAY_IMPORT: dict[str, set[str]] = {
     "instances": {"presets", "scene", "machine"},
     "metrics": {"errors", "posed", "scene"},
     "model": {"gates", "presets", "job", "posed", "result_files", "scene", "machine", "raster", "instances"},
-    "train": {"presets", "job", "scene", "machine", "raster", "instances", "model"},
+    "train": {"presets", "job", "scene", "machine", "raster", "semantics", "instances", "model"},
     "passes": {"gates", "errors", "job", "posed", "scene", "machine", "instances", "model"},
     "lift": {
         "errors",

@@ -8,7 +8,6 @@ its rate.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 import torch
@@ -22,7 +21,6 @@ from engine.model.decoders import DECODERS, Decoders, DecoderShape
 from engine.model.growing import GrowthRound, GrowthStatistics
 from engine.model.neural_gaussians import NeuralGaussians
 from engine.model.torch_decoding import cluster_loss
-from engine.presets.preset import PRESETS, Preset
 
 OPACITY, SCALE, QUAT, COLOUR, LABELS = slice(0, 1), slice(1, 4), slice(4, 8), slice(8, 11), 11
 """Columns of a feature: the opacity's logit, log scales, quaternion, colour as spherical harmonics of degree 0; from 11
@@ -200,27 +198,3 @@ def reset_opacities(anchors: Anchors, rules: PlainRules) -> None:
 
 def _logit(share: float) -> float:
     return float(np.log(share / (1.0 - share)))
-
-
-# The options of baselines and of ablations that no preset of the engine has.
-
-
-@dataclass(frozen=True)
-class BaselinePreset(Preset):
-    """A preset with these options in addition to the engine's; their defaults leave it as it is."""
-
-    representation: Literal["structured", "plain"] = "structured"
-    """With "plain" it is 3DGS with labels on each Gaussian (``gaussian_splatting``)."""
-    semantic_targets: Literal["projected", "masks", "none"] = "projected"
-    """Classes are learnt from the projected cloud, or the votes; from the input masks; or by L_cluster alone."""
-    labelled_start: bool = True
-    """Without it anchors and decoders start with only the cloud's colours."""
-    vote_from: Literal["objects", "masks"] = "objects"
-    """The labels that are voted onto Gaussians come from the voted objects, or straight from the masks."""
-    segment_consistency: bool = False
-    """All pixels of a segment should have the same class, whichever it is (Panoptic Lifting; see ``segment_loss``)."""
-
-
-def with_baseline_options() -> None:
-    """Let the presets of this process have these options, so that they can be given by name and read from requests."""
-    PRESETS.update({name: BaselinePreset(**vars(preset)) for name, preset in PRESETS.items()})

@@ -32,13 +32,13 @@ from engine.train.trainer import GrowthSchedule, Trainer
 
 from ..results import SOURCES
 from .gaussian_splatting import (
-    BaselinePreset,
     PlainDecoders,
     PlainRules,
     clone_split_prune,
     plain_gaussians,
     reset_opacities,
 )
+from .options import BaselinePreset
 
 # The training of baselines: where they differ from ``Trainer``, by the options of ``BaselinePreset``.
 

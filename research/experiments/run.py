@@ -18,8 +18,8 @@ from engine.scene import open_scene_to_lift
 
 from ..baselines.without_a_lift import scores_without_a_lift
 from ..results import Result, read_result, read_results, this_engine
-from .experiment import Experiment, Task, has_files, has_manifest, lift_folder, lift_options, tasks_of
-from .predictions import SceneToLift, results_of_predictions
+from .experiment import Experiment, SceneToLift, Task, has_files, has_manifest, lift_folder, lift_options, tasks_of
+from .predictions import results_of_predictions
 from .report import refuse_unwritable, write_report
 
 _NO_MATCH = "Compare with results of these scenes, rows and this preset."

@@ -10,7 +10,7 @@ import pytest
 
 from engine.presets.preset import PRESETS, SegmentVoting, ViewEvidence
 from research import labelled_cloud
-from research.experiments.predictions import SceneToLift
+from research.experiments.experiment import SceneToLift
 from tests.tiny_scene import write_tiny_scene
 
 PRESET = replace(PRESETS["preview"], voxel_size=0.2)

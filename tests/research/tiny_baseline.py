@@ -14,8 +14,8 @@ from engine.presets.preset import PRESETS
 from engine.scene import ClassTable, View
 from engine.train.progress import StageReporter
 from engine.train.trainer import Trainer
-from research.baselines.gaussian_splatting import BaselinePreset, with_baseline_options
 from research.baselines.method import new_trainer, prepare_baseline
+from research.baselines.options import BaselinePreset, with_baseline_options
 from tests.train.tiny_lift import TINY, short_warm_start
 
 TINY_BASELINE = BaselinePreset(**{each.name: getattr(TINY, each.name) for each in fields(TINY)})

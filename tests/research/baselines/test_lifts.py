@@ -13,8 +13,9 @@ from engine.instances.consensus import ConsensusOptions
 from engine.model.structured import NO_OBJECT
 from engine.scene import ClassTable, View
 from engine.train.state import restore, trainer_state
-from research.baselines.gaussian_splatting import BaselinePreset, PlainRules
+from research.baselines.gaussian_splatting import PlainRules
 from research.baselines.method import SplattingTrainer
+from research.baselines.options import BaselinePreset
 from tests.research.tiny_baseline import TINY_BASELINE as TINY
 from tests.research.tiny_baseline import prepared_for, trainer_of
 from tests.train.tiny_lift import STEPS, TinyTrainer, colour_error, views_of

@@ -12,8 +12,8 @@ import pytest
 
 from engine.job import ExitCode
 from engine.job.terminal import Interrupts
-from research.experiments.experiment import Experiment
-from research.experiments.predictions import SceneToLift, predictions_from, with_predictions
+from research.experiments.experiment import Experiment, SceneToLift
+from research.experiments.predictions import predictions_from, with_predictions
 from research.experiments.rows import Predicted
 from research.experiments.run import run_experiment
 from research.results import read_results

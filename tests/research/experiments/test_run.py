@@ -23,8 +23,7 @@ from research.baselines import without_a_lift
 from research.baselines.voxel_vote import VOXEL_VOTE
 from research.baselines.without_a_lift import VOXELS_ALONE, WITHOUT_A_LIFT
 from research.command_line import main
-from research.experiments.experiment import Experiment
-from research.experiments.predictions import SceneToLift
+from research.experiments.experiment import Experiment, SceneToLift
 from research.experiments.rows import Rows
 from research.experiments.run import run_experiment
 from research.results import Figures, read_results

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from research.experiments.predictions import SceneToLift, scenes_from
+from research.experiments.experiment import SceneToLift, scenes_from
 from tests.raises_key import raises_key
 
 
