@@ -3,18 +3,14 @@
 from __future__ import annotations
 
 import os
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor, wait
-from contextlib import contextmanager
 from functools import cache
 from typing import Any
 
 import torch
 
 MOST_WORKERS = 256
-
-_stopwatch: dict[str, float] | None = None
 
 
 def worker_count() -> int:
@@ -30,7 +26,6 @@ def parallel_for(workers: int, kernel: Callable[..., None], *arguments: Any) -> 
     """
     if not 1 <= workers <= MOST_WORKERS:
         raise ValueError(f"{workers} workers were requested; there can be 1 to {MOST_WORKERS}")
-    start = time.perf_counter()
     others = [_pool().submit(kernel, worker, workers, *arguments) for worker in range(1, workers)]
     try:
         kernel(0, workers, *arguments)
@@ -38,20 +33,6 @@ def parallel_for(workers: int, kernel: Callable[..., None], *arguments: Any) -> 
         wait(others)
     for other in others:
         other.result()
-    if _stopwatch is not None:
-        name = kernel.__name__
-        _stopwatch[name] = _stopwatch.get(name, 0.0) + time.perf_counter() - start
-
-
-@contextmanager
-def timed() -> Iterator[dict[str, float]]:
-    """Within this context, the wall-clock seconds of every kernel are added up under its name."""
-    global _stopwatch
-    _stopwatch = {}
-    try:
-        yield _stopwatch
-    finally:
-        _stopwatch = None
 
 
 @cache

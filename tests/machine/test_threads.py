@@ -13,7 +13,7 @@ import pytest
 from numpy.typing import NDArray
 
 from engine.machine.compiled import machine_target, parallel_kernel
-from engine.machine.threads import MOST_WORKERS, parallel_for, timed
+from engine.machine.threads import MOST_WORKERS, parallel_for
 
 
 class Pair(NamedTuple):
@@ -117,14 +117,6 @@ def test_a_forked_process_has_threads_of_its_own() -> None:
 def test_an_impossible_number_of_workers_is_refused(workers: int) -> None:
     with pytest.raises(ValueError, match=f"{workers} workers were requested"):
         parallel_for(workers, write_numbers, np.zeros(1, np.int64), -1)
-
-
-def test_the_stopwatch_distinguishes_kernels() -> None:
-    with timed() as seconds:
-        parallel_for(2, write_numbers, np.zeros(2, np.int64), -1)
-        parallel_for(2, toil_at_numbers, np.zeros(2, np.int64), 10)
-    parallel_for(2, write_numbers, np.zeros(2, np.int64), -1)
-    assert set(seconds) == {"write_numbers", "toil_at"}
 
 
 def test_arrays_numbers_and_tuples_of_them_arrive_and_are_not_kept() -> None:
