@@ -11,6 +11,7 @@ import numpy as np
 
 from ...machine.compiled import Array, device_function, parallel_kernel
 from ...machine.vectors import WIDTH, fetch_add
+from .activations import softmax, softmax_backward
 from .arrays import AnchorArrays, Batch, Batches, Gradients, Labelling, Packed, Work
 from .layers import (
     collect_inputs,
@@ -25,7 +26,6 @@ from .layers import (
     wanted_class,
 )
 from .packing import COLOUR, COVARIANCE, INSTANCE, OPACITY, SEMANTIC
-from .softmax import softmax, softmax_backward
 
 F = np.float32
 ZERO, ONE = F(0.0), F(1.0)
