@@ -109,7 +109,7 @@ def _add_experiments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seeds", type=_seeds, default=[0], metavar="0,1,..", help="random seeds (default: 0)")
     parser.add_argument(
         "-o", "--output", type=Path, default=Path("lifts/experiments"), metavar="FOLDER",
-        help="where lifts, results.json, .csv and .md, plots and sheets go (default: lifts/experiments)",
+        help="where lifts, results.json, .csv and .md, and sheets go (default: lifts/experiments)",
     )  # fmt: skip
     parser.add_argument("--report", type=Path, metavar="FILE.md", help="a page whose tables are updated")
     parser.add_argument("--finished", action="store_true", help="lift nothing more: only tables of what is finished")

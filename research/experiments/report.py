@@ -1,32 +1,23 @@
-"""What an experiment leaves behind: results.json and .csv, tables in Markdown, plots, contact sheets, an updated
-page."""
+"""What an experiment leaves behind: results.json and .csv, tables in Markdown, contact sheets, an updated page."""
 
 from __future__ import annotations
 
 import os
 import re
-import sys
-from collections.abc import Iterator, Mapping, Sequence
-from importlib.util import find_spec
+from collections.abc import Mapping
 from pathlib import Path
-from statistics import mean
-from typing import NamedTuple
 
 import numpy as np
 
 from engine.errors import PlgsError
-from engine.gates import plot_label
 from engine.job import write_atomically
 from engine.passes.previews import first_row, png_bytes
 
 from ..results import csv_text, results_text
-from .rows import Row
 from .table import MEANS, Tables
 
 BEGIN, END = "<!-- tables: made by `python -m research experiments` -->", "<!-- end of the tables -->"
 SHEET = Path("result/previews/contact_sheet.png")
-SHOWN = (("miou", "mIoU"), ("pq", "PQ-scene"))
-COLOURS = ("#4c78a8", "#f58518")
 _SKELETON = """# Experiments
 
 The paper's tables on open data, baselines included; `python -m research experiments --report docs/experiments.md`
@@ -39,8 +30,8 @@ the weights of a network.
 def write_report(
     folder: Path, tables: Tables, *, sheets: Mapping[str, Path] | None = None, page: Path | None = None
 ) -> None:
-    """results.json, results.csv and results.md; with ``sheets`` (caption to the lift's folder), at the end, also the
-    plots and sheet.png, and in ``page`` the sections of these scenes. Raises PlgsError when they cannot be written."""
+    """results.json, results.csv and results.md; with ``sheets`` (caption to the lift's folder), at the end, also
+    sheet.png, and in ``page`` the sections of these scenes. Raises PlgsError when they cannot be written."""
     try:
         write_atomically(folder / "results.json", results_text(tables.results))
         write_atomically(folder / "results.csv", csv_text(tables.results))
@@ -48,8 +39,6 @@ def write_report(
         if sheets is None:
             return
         write_sheet(folder / "sheet.png", sheets)
-        if not write_plots(folder / "plots", tables):
-            print("No plots: matplotlib is not installed (requirements/report.txt).", file=sys.stderr)
     except OSError as error:
         fix = "Make room there, or choose a folder that you may write to with -o."
         raise PlgsError("unwritable", f"the results cannot be written ({error.strerror})", folder, fix) from error
@@ -110,55 +99,3 @@ def write_sheet(path: Path, lifts: Mapping[str, Path]) -> None:
         width = max(strip.shape[1] for strip in strips)
         wide = [np.pad(strip, ((0, 0), (0, width - strip.shape[1]), (0, 0))) for strip in strips]
         write_atomically(path, png_bytes(np.concatenate(wide)))
-
-
-class Bars(NamedTuple):
-    """A plot: the names of its rows and, for each of SHOWN, their values in per cent, 0 where there is none."""
-
-    title: str
-    names: list[str]
-    values: list[list[float]]
-
-
-def write_plots(folder: Path, tables: Tables) -> bool:
-    """folder/<scene>-<table>.png; False if matplotlib is not installed. Raises OSError."""
-    if find_spec("matplotlib") is None:
-        return False
-    for scene in dict.fromkeys(result.scene for result in tables.results):
-        for table, heading in tables.rows.tables.items():
-            rows = [row for row in tables.chosen if row.table == table and tables.measured(scene, row)]
-            if len(rows) > 1:
-                folder.mkdir(parents=True, exist_ok=True)
-                _draw(folder / f"{scene}-{table}.png", bars_of(f"{heading} ({scene})", scene, rows, tables))
-    return True
-
-
-def bars_of(title: str, scene: str, rows: Sequence[Row], tables: Tables) -> Bars:
-    """Means over the seeds."""
-    values = [[_mean(scene, row, figure, tables) for row in rows] for figure, _ in SHOWN]
-    return Bars(title, [row.name for row in rows], values)
-
-
-def _mean(scene: str, row: Row, figure: str, tables: Tables) -> float:
-    found: Iterator[float | None] = (getattr(one.figures, figure) for one in tables.measured(scene, row))
-    known = [100 * value for value in found if value is not None]
-    return mean(known) if known else 0.0
-
-
-def _draw(path: Path, bars: Bars) -> None:
-    import matplotlib
-
-    matplotlib.use("Agg")
-    from matplotlib import pyplot
-
-    figure, axes = pyplot.subplots(figsize=(9, 1.2 + 0.5 * len(bars.names)), layout="constrained")
-    places = range(len(bars.names))
-    for number, ((_, label), values) in enumerate(zip(SHOWN, bars.values, strict=True)):
-        drawn = axes.barh([p + 0.4 * number for p in places], values, 0.38, label=label, color=COLOURS[number])
-        axes.bar_label(drawn, fmt="%.1f", padding=3, fontsize=8)
-    axes.set_yticks([p + 0.2 for p in places], [plot_label(name) for name in bars.names])
-    axes.invert_yaxis()
-    axes.set(title=plot_label(bars.title), xlabel="per cent", xlim=(0, 100))
-    axes.legend(loc="lower right")
-    figure.savefig(path, dpi=110)
-    pyplot.close(figure)

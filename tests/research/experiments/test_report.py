@@ -1,4 +1,4 @@
-"""The plots and the sheet of an experiment."""
+"""The page and the sheet of an experiment."""
 
 from __future__ import annotations
 
@@ -6,21 +6,10 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-import pytest
 
 from engine.passes.previews import BACKGROUND, GAP, HEADING, MARGIN, TILE_WIDTH
-from research.experiments.report import SHEET, bars_of, with_tables, write_plots, write_sheet
-from research.experiments.table import MEANS, Tables
-from tests.research.experiments.made_up import OFFICE, ROWS
-
-TABLES = Tables(ROWS, ROWS.rows, OFFICE)
-
-
-def test_bars_show_the_tables_figures() -> None:
-    rows = [row for row in ROWS.rows if TABLES.measured("office", row) and row.table == "systems"]
-    bars = bars_of("Systems", "office", rows, TABLES)
-    assert bars.names == ["ours", "input masks", "theirs"]
-    assert bars.values == [pytest.approx([80.0, 50.0, 60.0]), pytest.approx([70.0, 25.0, 50.0])]
+from research.experiments.report import SHEET, with_tables, write_sheet
+from research.experiments.table import MEANS
 
 
 def test_means_stay_the_pages_last_section() -> None:
@@ -29,19 +18,6 @@ def test_means_stay_the_pages_last_section() -> None:
     assert [line for line in page.splitlines() if line[:3] == "###" or line.isdigit()] == [
         "### office", "1", "### kitchen", "3", MEANS, "4",
     ]  # fmt: skip
-
-
-def test_plots_of_the_tables_with_more_than_one_row(tmp_path: Path) -> None:
-    pytest.importorskip("matplotlib")
-    assert write_plots(tmp_path / "plots", TABLES)
-    assert [path.name for path in (tmp_path / "plots").iterdir()] == ["office-systems.png"]
-    picture = cv2.imread(str(tmp_path / "plots" / "office-systems.png"))
-    assert picture is not None and picture.std() > 10
-
-
-def test_without_matplotlib_there_are_none(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("research.experiments.report.find_spec", lambda name: None)
-    assert not write_plots(tmp_path / "plots", TABLES) and not (tmp_path / "plots").exists()
 
 
 def test_a_sheet_has_the_first_row_of_each_lift(tmp_path: Path) -> None:
