@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import pytest
 import torch
 
+from engine.model import gaussians as dispatch
 from engine.model.torch_decoding import cluster_loss
 from tests.model.decoding_cases import (
     OUTPUTS,
@@ -28,7 +31,7 @@ def decode(request: pytest.FixtureRequest) -> Decode:
     return way
 
 
-@pytest.mark.parametrize("visible", [1, 200])
+@pytest.mark.parametrize("visible", [1, 7, 64, 200])
 @pytest.mark.parametrize("shape", SHAPES)
 def test_float32_agrees_with_float64(decode: Decode, shape: str, visible: int) -> None:
     assert_matches(decode, case_of(SHAPES[shape], visible))
@@ -59,16 +62,6 @@ def test_each_network_gives_the_same_as_alone() -> None:
         alone += (networks.semantic(labelled), networks.instance(labelled))
         for one, other in zip(together, alone, strict=True):
             torch.testing.assert_close(one.flatten(1), other, rtol=1e-5, atol=1e-6, msg=name)
-
-
-def test_the_same_input_gives_the_same_bits(decode: Decode) -> None:
-    case = asking(case_of(STANDARD, 3000))
-    found = []
-    for _ in range(3):
-        gaussians = decode(case)
-        found.append([*(getattr(gaussians, name) for name in OUTPUTS), *gradients(case, gaussians).values()])
-    for other in found[1:]:
-        assert all(torch.equal(one, two) for one, two in zip(found[0], other, strict=True))
 
 
 def test_known_labels_are_shown(decode: Decode) -> None:
@@ -145,3 +138,45 @@ def test_cluster_loss_counts_every_gaussian_of_labelled_anchors_only() -> None:
     log = torch.log_softmax(logits, dim=2)
     expected = -(log[0, :, 0].sum() + log[2, :, 2].sum()) / 4
     torch.testing.assert_close(cluster_loss(logits, target), expected)
+
+
+@pytest.fixture
+def threads() -> Iterator[None]:
+    before = torch.get_num_threads()
+    yield
+    torch.set_num_threads(before)
+
+
+def test_the_same_bits_with_any_number_of_threads(threads: None) -> None:
+    case = asking(case_of(STANDARD, 3000))
+    found = []
+    for count in (1, 2, 3, 1):
+        torch.set_num_threads(count)
+        gaussians = by_kernels(case)
+        found.append([*(getattr(gaussians, name) for name in OUTPUTS), *gradients(case, gaussians).values()])
+    for other in found[1:]:
+        assert all(torch.equal(one, two) for one, two in zip(found[0], other, strict=True))
+
+
+def test_what_one_step_keeps_the_next_does_not_overwrite() -> None:
+    """Outputs and gradients live in memory that is used again."""
+    first, second = asking(case_of(STANDARD, 100)), asking(case_of(STANDARD, 100, seed=1))
+    gaussians = by_kernels(first)
+    kept = {name: getattr(gaussians, name).clone() for name in OUTPUTS}
+    found = gradients(first, gaussians)
+    copies = {name: gradient.clone() for name, gradient in found.items()}
+    gradients(second, by_kernels(second))
+    assert all(torch.equal(getattr(gaussians, name), kept[name]) for name in OUTPUTS)
+    assert all(torch.equal(found[name], copies[name]) for name in found)
+
+
+@pytest.mark.parametrize("kind", ["float64", "plain"])
+def test_the_kernels_decode_probabilities_in_float32(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(dispatch, "decode_natively", lambda *asked: pytest.fail("by kernels"))
+    case = case_of(STANDARD, 20)
+    if kind == "plain":
+        with pytest.raises(pytest.fail.Exception, match="by kernels"):
+            by_kernels(case)
+        return
+    case = case.in_double()
+    assert torch.equal(by_kernels(case).labels, by_torch(case).labels)

@@ -1,17 +1,16 @@
-"""``gsplat.rasterization`` on a CPU: a stand-in that needs no gsplat, and gsplat's own with its torch operators."""
+"""``gsplat.rasterization`` on a CPU: a stand-in that needs no gsplat."""
 
 from __future__ import annotations
 
 import sys
 from types import ModuleType
-from typing import Any
 
 import pytest
 import torch
 from torch import Tensor
 
 from engine.raster import interface
-from engine.raster.conventions import ALPHA_MIN, BLUR, TRANSMITTANCE_END, Pinhole
+from engine.raster.conventions import ALPHA_MIN, BLUR, Pinhole
 from engine.raster.reference import blending_weights, footprint_visible, project, raw_alphas
 
 
@@ -54,62 +53,6 @@ def rasterization(
     deviations = covariances.detach().diagonal(dim1=-2, dim2=-1).sqrt()
     radii = (visible[:, None] * (reach[:, None] * deviations).ceil()).int()[None]
     return drawn.to(means), alpha.to(means), {"radii": radii, "means2d": means2d}
-
-
-def _blend_tiles(
-    means2d: Tensor,
-    conics: Tensor,
-    colors: Tensor,
-    opacities: Tensor,
-    width: int,
-    height: int,
-    tile_size: int,
-    isect_offsets: Tensor,
-    flatten_ids: Tensor,
-    **_: Any,
-) -> tuple[Tensor, Tensor]:
-    """What gsplat 1.5's CUDA kernel makes of its lists. (Its torch counterpart needs CUDA itself.)"""
-    starts = [*isect_offsets.flatten().tolist(), len(flatten_ids)]
-    drawn, alphas = torch.zeros(height, width, colors.shape[-1]), torch.zeros(height, width, 1)
-    for tile, (first, end) in enumerate(zip(starts, starts[1:], strict=False)):
-        row, column = divmod(tile, isect_offsets.shape[-1])
-        ys = torch.arange(row * tile_size, min((row + 1) * tile_size, height))
-        xs = torch.arange(column * tile_size, min((column + 1) * tile_size, width))
-        ids = flatten_ids[first:end].long()
-        dy, dx = (ys[:, None, None] + 0.5 - means2d[0, ids, 1]), (xs[None, :, None] + 0.5 - means2d[0, ids, 0])
-        a, b, c = conics[0, ids].unbind(-1)
-        alpha = (opacities[0, ids] * torch.exp(-0.5 * (a * dx * dx + c * dy * dy) - b * dx * dy)).clamp(max=0.999)
-        alpha = torch.where(alpha >= ALPHA_MIN, alpha, 0.0)
-        after = torch.cumprod(1.0 - alpha, -1)
-        before = torch.cat([torch.ones_like(after[..., :1]), after[..., :-1]], -1)[..., : len(ids)]
-        weights = torch.where(after > TRANSMITTANCE_END, alpha * before, 0.0)
-        place = (ys[:, None].expand(-1, len(xs)), xs[None].expand(len(ys), -1))
-        drawn = drawn.index_put(place, weights @ colors[0, ids])
-        alphas = alphas.index_put(place, weights.sum(-1, keepdim=True))
-    return drawn[None], alphas[None]
-
-
-def use_gsplats_torch_operators(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let ``gsplat.rasterization`` itself run on a CPU; skips the test where gsplat is not installed."""
-    rendering = pytest.importorskip("gsplat.rendering", reason="gsplat is not installed")
-    from gsplat.cuda import _torch_impl
-
-    def project_in_torch(
-        means: Tensor, covars: None, quats: Tensor, scales: Tensor, *camera: Any, **options: Any
-    ) -> tuple[Tensor, ...]:
-        covars, _ = _torch_impl._quat_scale_to_covar_preci(quats, scales, compute_preci=False)
-        chosen = {name: options[name] for name in ("eps2d", "near_plane", "far_plane")}
-        radii, means2d, depths, conics, none = _torch_impl._fully_fused_projection(means, covars, *camera, **chosen)
-        return radii, means2d, depths, conics, none
-
-    def isect_tiles(means2d: Tensor, radii: Tensor, depths: Tensor, *tiles: int, **_: Any) -> tuple[Tensor, ...]:
-        return _torch_impl._isect_tiles(means2d.detach(), radii, depths.detach(), *tiles)
-
-    monkeypatch.setattr(rendering, "fully_fused_projection", project_in_torch)
-    monkeypatch.setattr(rendering, "isect_tiles", isect_tiles)
-    monkeypatch.setattr(rendering, "isect_offset_encode", _torch_impl._isect_offset_encode)
-    monkeypatch.setattr(rendering, "rasterize_to_pixels", _blend_tiles)
-    draw_on_the_cpu(monkeypatch)
 
 
 def use_a_stand_in(monkeypatch: pytest.MonkeyPatch) -> None:

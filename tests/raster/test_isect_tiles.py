@@ -7,12 +7,14 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from engine.raster import isect_tiles as listing
 from engine.raster.arrays import Intersections
 from engine.raster.conventions import TILE
-from engine.raster.isect_tiles import blending_workers, isect_tiles
+from engine.raster.isect_tiles import CHUNK, MOST_CHUNKS, blending_workers, chunk_count, chunk_range, isect_tiles
 
 WIDTH, HEIGHT = 90, 50
 COLUMNS, ROWS = -(-WIDTH // TILE), -(-HEIGHT // TILE)
@@ -76,3 +78,21 @@ def test_few_intersections_are_scattered_by_one_worker(
     monkeypatch.setattr(listing, "parallel_for", lambda workers, *rest: (shares.append(workers), own(workers, *rest)))
     listed, _ = isect_tiles(2, boxes, np.ones(count, np.float32), 10 * TILE, 10 * TILE)
     assert len(listed.flatten_ids) == pairs and shares == [sharing, sharing]
+
+
+@given(st.one_of(st.integers(0, 3 * CHUNK), st.integers(0, 10**7)))
+def test_every_gaussian_is_in_one_chunk(count: int) -> None:
+    chunks = chunk_count(count)
+    ranges = [chunk_range(chunk, chunks, count) for chunk in range(chunks)]
+    assert ranges[0][0] == 0 and ranges[-1][1] == count
+    assert all(end == first for (_, end), (first, _) in zip(ranges, ranges[1:], strict=False))
+    assert 1 <= chunks <= MOST_CHUNKS
+    assert chunks == 1 or all(end - first >= CHUNK // 2 for first, end in ranges)
+
+
+@given(st.integers(0, 10**7), st.integers(0, 20))
+def test_latecomers_get_no_lease(count: int, later: int) -> None:
+    chunks = chunk_count(count)
+    assert chunk_range(chunks - 1, chunks, count)[1] == count
+    first, end = chunk_range(chunks + later, chunks, count)
+    assert first >= min(end, count)

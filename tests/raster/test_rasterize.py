@@ -10,6 +10,7 @@ from scenes import (
     GROUPS,
     LAYERS,
     Scene,
+    assert_labels_affect_nothing_else,
     assert_same_bits_with_any_threads,
     hard_scenes,
     missed_elements,
@@ -19,7 +20,7 @@ from scenes import (
     steady_pixels,
 )
 
-from engine.raster import Rendering, rasterize
+from engine.raster import rasterize
 from engine.raster.conventions import NEAR
 from tests.raster.room_workload import room_workload
 
@@ -102,31 +103,12 @@ def test_the_same_bits_on_a_room() -> None:
     arrays = (work.means, work.scales, work.quats, work.opacities, work.colours, work.labels)
     tensors = tuple(torch.from_numpy(array) for array in arrays)
     scene = Scene(tensors, work.camera_to_world, work.intrinsics, work.width, work.height)
-    before = torch.get_num_threads()
-    first: tuple[Rendering, dict[str, torch.Tensor]] | None = None
-    try:
-        for threads in (1, 2, 3, 3, 1):
-            torch.set_num_threads(threads)
-            out, gradients = render(scene, "numba")
-            first = first or (out, gradients)
-            for layer in LAYERS:
-                assert torch.equal(getattr(out, layer), getattr(first[0], layer)), (layer, threads)
-            for group in GROUPS:
-                assert torch.equal(gradients[group], first[1][group]), (group, threads)
-    finally:
-        torch.set_num_threads(before)
+    assert_same_bits_with_any_threads(scene, "numba")
 
 
 @pytest.mark.parametrize("backend", ["numba", "reference"])
 def test_labels_affect_nothing_but_themselves(backend: str) -> None:
-    scene = random_scene(6, 100, 4, 30, 20)
-    tensors = [tensor.clone().requires_grad_() for tensor in scene.tensors]
-    out = rasterize(*tensors, scene.pose, scene.intrinsics, 30, 20, backend=backend, want_means2d_grad=True)
-    assert out.labels is not None
-    out.labels.square().sum().backward()
-    for tensor in (*tensors[:5], out.means2d):
-        assert tensor.grad is None or not tensor.grad.any()
-    assert tensors[5].grad is not None and tensors[5].grad.any()
+    assert_labels_affect_nothing_else(backend)
 
 
 @pytest.mark.parametrize("layer", LAYERS)

@@ -1,12 +1,15 @@
-"""Label losses against plain formulas, and what their gradients must not reach."""
+"""Label losses against plain formulas, what their gradients must not reach, and the slots that steps assign."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
-from engine.train.label_losses import TINY, label_losses
+from engine.train.label_losses import TINY, ThingSegments, assigned_slots, label_losses
+from tests.instances.assign_slots import assign_slots
 
 Targets = tuple[torch.Tensor, torch.Tensor, torch.Tensor]
 
@@ -83,14 +86,6 @@ def test_without_any_target_losses_are_zero_with_a_gradient() -> None:
     assert semantic.item() == 0 and instance.item() == 0 and (coverage.grad == 0).all()
 
 
-def test_both_instance_targets_add_up_over_the_supervised_pixels() -> None:
-    coverage = torch.tensor([[[0.5, 0.5], [0.25, 0.75], [0.9, 0.1]]])
-    none, assigned, matched = torch.tensor([[-1, -1, -1]]), torch.tensor([[0, -1, -1]]), torch.tensor([[1, 1, -1]])
-    _, loss = label_losses(coverage, torch.ones(1, 3), 0, none, (assigned, matched))
-    expected = -(np.log(0.5) + np.log(0.5) + np.log(0.75)) / 2
-    np.testing.assert_allclose(loss.item(), expected, rtol=1e-5)
-
-
 def test_improbable_targets_have_the_right_loss() -> None:
     """Their product leaves float64 unless logarithms are taken on the way."""
     zeros, none = torch.zeros(40, 40, 2), torch.full((40, 40), -1)
@@ -120,3 +115,25 @@ def test_the_number_of_threads_changes_no_bit() -> None:
     finally:
         torch.set_num_threads(threads)
     assert results[0] == results[1] == results[2]
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.integers(0, 10_000), st.integers(0, 6), st.integers(0, 5), st.integers(0, 3))
+def test_it_is_the_plain_assignment(seed: int, slots: int, instances: int, first: int) -> None:
+    random = np.random.default_rng(seed)
+    coverage = random.random((90, 101, first + slots), dtype=np.float32)
+    alpha = random.uniform(0.1, 1.0, (90, 101)).astype(np.float32)
+    ids = random.integers(0, instances + 1, (90, 101)) * 1000
+    if seed % 2:
+        ids[ids == 0] = 7  # every pixel is of some instance
+    got = assigned_slots(torch.from_numpy(coverage), torch.from_numpy(alpha), first, ThingSegments.of(ids))
+    probability = coverage[..., first:].astype(np.float64) / (alpha[..., None].astype(np.float64) + 1e-8)
+    assert got.dtype == torch.int16
+    assert (got.numpy() == assign_slots(probability, ids)).all()
+
+
+def test_segments_are_counted() -> None:
+    things = ThingSegments.of(np.array([[0, 9, 9], [4, 0, 9]]))
+    assert things.row.tolist() == [[-1, 1, 1], [0, -1, 1]]
+    assert things.pixels.tolist() == [1, 3]
+    assert not len(ThingSegments.of(np.zeros((2, 2), np.int32)).pixels)

@@ -1,35 +1,15 @@
-"""Losses against plain formulas, and what their gradients must not reach."""
+"""The losses of picture, size and depth, against plain formulas."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
-from engine.train.similarity import PhotoMoments, compare
-from engine.train.trainer import reconstruction_loss
-
-
-def test_ssim_matches_a_direct_computation() -> None:
-    from scipy.ndimage import correlate1d
-
-    rng = np.random.default_rng(0)
-    a, b = rng.random((20, 24, 3)), rng.random((20, 24, 3))
-    x = np.arange(11) - 5
-    window = np.exp(-(x**2) / (2 * 1.5**2))
-    window /= window.sum()
-
-    def blur(image: np.ndarray) -> np.ndarray:
-        image = correlate1d(image, window, axis=0, mode="constant")
-        return correlate1d(image, window, axis=1, mode="constant")
-
-    mean_a, mean_b = blur(a), blur(b)
-    variance_a, variance_b = blur(a * a) - mean_a**2, blur(b * b) - mean_b**2
-    covariance = blur(a * b) - mean_a * mean_b
-    ssim = (2 * mean_a * mean_b + 1e-4) * (2 * covariance + 9e-4)
-    ssim /= (mean_a**2 + mean_b**2 + 1e-4) * (variance_a + variance_b + 9e-4)
-    ours = compare(torch.from_numpy(a).float(), PhotoMoments.of(torch.from_numpy(b).float()), 0.0, 1.0)
-    np.testing.assert_allclose(ours.item(), ssim.mean(), atol=1e-5)
+from engine.train.similarity import PhotoMoments
+from engine.train.trainer import NEAR, NOISY, depth_loss, reconstruction_loss
 
 
 def test_equal_images_cost_only_their_volume() -> None:
@@ -50,3 +30,60 @@ def test_a_photo_that_counts_half_leaves_the_volume_as_it_is() -> None:
 
     assert loss(0.5, 0.1) == pytest.approx(0.5 * loss(1.0, 0.0) + loss(0.0, 0.1), rel=1e-5)
     assert loss(0.0, 0.1) == pytest.approx(0.1 * 5 * 0.5**3)
+
+
+def plainly(depth: np.ndarray, alpha: np.ndarray, sensor: np.ndarray) -> float:
+    total = weights = 0.0
+    for drawn, covered, measured in zip(depth.flat, alpha.flat, sensor.flat, strict=True):
+        if measured > 0:
+            gap = abs(drawn - covered * measured) + 0.5 * (1 - covered) * measured
+            weight = 1 / (1 + (measured / NOISY) ** 2)
+            total += weight * min(1.0, gap / max(measured, NEAR))
+            weights += weight
+    return total / weights if weights else 0.0
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.integers(0, 10_000))
+def test_it_is_the_formula(seed: int) -> None:
+    random = np.random.default_rng(seed)
+    alpha = random.uniform(0, 1, (5, 7))
+    sensor = random.uniform(0.1, 8, (5, 7)) * (random.random((5, 7)) < random.choice([0.0, 0.5, 1.0]))
+    depth = alpha * random.uniform(0.1, 8, (5, 7))
+    loss = depth_loss(*(torch.from_numpy(each.astype(np.float32)) for each in (depth, alpha, sensor)))
+    assert loss.item() == pytest.approx(plainly(depth, alpha, sensor), rel=1e-4, abs=1e-6)
+
+
+def test_the_measured_depth_has_no_loss() -> None:
+    sensor = torch.linspace(0.2, 6, 30).reshape(5, 6)
+    assert depth_loss(sensor, torch.ones(5, 6), sensor).item() == 0
+    half_covered = depth_loss(0.5 * sensor, torch.full((5, 6), 0.5), sensor)
+    assert half_covered > 0.05, "a surface is opaque"
+
+
+def gradient(drawn: float, measured: float) -> float:
+    depth = torch.tensor([[drawn, 2.0]], requires_grad=True)
+    depth_loss(depth, torch.ones(1, 2), torch.tensor([[measured, 2.0]])).backward()
+    assert depth.grad is not None
+    return float(depth.grad[0, 0])
+
+
+def test_it_pulls_towards_the_sensors_depth() -> None:
+    assert gradient(1.9, 2.0) < 0 < gradient(2.1, 2.0)
+    assert gradient(1.9, 0.0) == 0, "a pixel without depth says nothing"
+    assert gradient(5.0, 2.0) == 0, "what is wrong by more than its depth is an outlier"
+    assert abs(gradient(1.9 + NOISY, 2.0 + NOISY)) < abs(gradient(1.9, 2.0)), "far depth is noisy"
+
+
+def test_opacity_is_pulled_up() -> None:
+    alpha = torch.full((2, 2), 0.5, requires_grad=True)
+    sensor = torch.full((2, 2), 2.0)
+    depth_loss(alpha * 2.0, alpha, sensor).backward()
+    assert alpha.grad is not None and (alpha.grad < 0).all()
+
+
+def test_a_view_without_depth_costs_nothing_and_can_be_trained_on() -> None:
+    depth = torch.rand(3, 4, requires_grad=True)
+    loss = depth_loss(depth, torch.rand(3, 4), torch.zeros(3, 4))
+    loss.backward()
+    assert loss.item() == 0 and depth.grad is not None and not depth.grad.any()

@@ -12,9 +12,10 @@ import torch
 from engine.instances.consensus import ConsensusOptions
 from engine.model.structured import NO_OBJECT
 from engine.scene import ClassTable, View
+from engine.train.label_losses import ThingSegments
 from engine.train.state import restore, trainer_state
 from research.baselines.gaussian_splatting import PlainRules
-from research.baselines.method import SplattingTrainer
+from research.baselines.method import SplattingTrainer, segment_targets
 from research.baselines.options import BaselinePreset
 from tests.research.tiny_baseline import TINY_BASELINE as TINY
 from tests.research.tiny_baseline import prepared_for, trainer_of
@@ -157,3 +158,19 @@ def test_starting_without_labels(tiny: Input, tmp_path: Path) -> None:
     assert (labelled.anchors.initial_class > 0).any() and not (bare.anchors.initial_class > 0).any()
     assert bare.anchors.feature[:, :3].any() and not bare.anchors.feature[:, 3:].any(), "colours, no labels"
     assert labelled.anchors.feature[:, 3:].any()
+
+
+def test_a_segment_takes_the_class_that_it_shows_most_certainly() -> None:
+    ids = np.array([[3, 3, 3, 0], [9, 9, 9, 9]])
+    shown = np.zeros((2, 4, 3), np.float32)
+    shown[0] = [[0.6, 0.4, 0.1], [0.6, 0.4, 0.1], [0.01, 0.99, 0.1], [1.0, 0.0, 0.1]]  # twice class 0, but unsurely
+    shown[1] = [0.7, 0.3, 0.0]
+    targets = segment_targets(torch.from_numpy(0.5 * shown), torch.full((2, 4), 0.5), 2, ThingSegments.of(ids))
+    assert targets.dtype == torch.int16
+    assert targets.tolist() == [[1, 1, 1, -1], [0, 0, 0, 0]]
+
+
+def test_without_segments_there_is_no_target() -> None:
+    nothing = ThingSegments.of(np.zeros((2, 2), np.int32))
+    targets = segment_targets(torch.ones(2, 2, 3), torch.ones(2, 2), 2, nothing)
+    assert targets.tolist() == [[-1, -1], [-1, -1]]
