@@ -30,11 +30,7 @@ from ..json_file import to_line
 
 Work = Callable[[EventWriter, StopSignal], object]
 
-_NO_ROOM = {
-    errno.ENOSPC: ("the disk is full", "Make room there"),
-    errno.EDQUOT: ("the disk is full", "Make room there"),
-    errno.EFBIG: ("a file is larger than the disk or the limit on files allows", "Raise the limit (ulimit -f)"),
-}
+_NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 _NO_MEMORY = ("DefaultCPUAllocator: can't allocate memory", "DefaultCPUAllocator: not enough memory", "std::bad_alloc")
 
 
@@ -160,8 +156,11 @@ def _failure(error: Exception, command: Command, place: TaskPlace | None) -> Plg
     at = str(getattr(error, "filename", None) or ("" if place is None else where.parent))
     number = _number_of(error)
     if number in _NO_ROOM:
-        what, fix = _NO_ROOM[number]
-        return PlgsError("disk-full", what, at, f"{fix}, then {command.again}.", code=ErrorCode.DISK_FULL)
+        what, fix = "the disk is full", f"Make room there, then {command.again}."
+        if number == errno.EFBIG:
+            what = "a file is larger than the disk or the limit on files allows"
+            fix = f"Raise the limit (ulimit -f), then {command.again}."
+        return PlgsError("disk-full", what, at, fix, code=ErrorCode.DISK_FULL)
     if number is not None:
         why = getattr(error, "strerror", None) or os.strerror(number)
         return PlgsError("unusable", f"this cannot be used ({why})", at, f"Fix this, then {command.again}.")

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 import logging
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -23,9 +23,10 @@ from ..instances.records import SceneObject
 from ..job import EventWriter, LiftFolder, LiftRequest, read_manifest, write_atomically
 from ..json_file import read_object
 from ..model.structured import StructuredScene
+from ..posed.classes import LARGEST_ID
 from ..posed.layout import plural
 from ..presets.preset import Preset
-from ..result_files import INSTANCES, SEMANTIC_POINTS, SemanticPoints, read_arrays, read_instances
+from ..result_files import INSTANCES, SEMANTIC_POINTS, Instance, SemanticPoints, read_arrays, read_instances
 from ..scene import ClassTable
 from .preparation import PreparedLift
 
@@ -33,6 +34,10 @@ log = logging.getLogger("plgs.names")
 
 FORMAT = 1
 NAMES = "names.json"
+MOST_NEW = 1 << 13
+"""Ids that must be left for new objects. No room has so many."""
+LARGEST_NUMBER = 10**9
+"""No name of an object, as in "chair 3", has a larger number."""
 _FIX = "Name another finished lift with --names-from, or none."
 
 
@@ -72,7 +77,9 @@ def read_earlier(folder: Path) -> EarlierLift:
         numbers = {str(kind): int(number) for kind, number in history.get("last_numbers", {}).items()}
         edits = read_edits(lift.path)
         ids = [*(one.id for one in listed), *(edit.largest_id for edit in edits)]
-        largest = max([int(history.get("largest_id", 0)), *ids])
+        before = int(history.get("largest_id", 0))
+        largest = max(before, *ids, 0)
+        _refuse_impossible(listed, points, (before, largest), numbers.values())
     except (PlgsError, OSError, KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
         what = f"the names of the earlier lift cannot be read ({error})"
         raise PlgsError("names-unreadable", what, result, _FIX, option="--names-from") from error
@@ -80,6 +87,17 @@ def read_earlier(folder: Path) -> EarlierLift:
         numbers[one.class_name] = max(numbers.get(one.class_name, 0), _number(one.name, one.class_name))
     names, class_names = {one.id: one.name for one in listed}, {one.id: one.class_name for one in listed}
     return EarlierLift(lift.path, names, class_names, points.xyz, points.instance_id, largest, numbers, edits)
+
+
+def _refuse_impossible(
+    listed: Sequence[Instance], points: SemanticPoints, largest: Iterable[int], numbers: Iterable[int]
+) -> None:
+    """Raise ValueError for ids and numbers that no lift has, or that leave none for new objects."""
+    if unknown := {*np.unique(points.instance_id).tolist()} - {0, *(one.id for one in listed)}:
+        raise ValueError(f"{INSTANCES} lacks the object {min(unknown)} of {SEMANTIC_POINTS}")
+    for given, most in ((largest, LARGEST_ID - MOST_NEW), (numbers, LARGEST_NUMBER)):
+        if wrong := [number for number in given if not 0 <= number <= most]:
+            raise ValueError(f"{wrong[0]} is not a number from 0 to {most}")
 
 
 @dataclass(frozen=True)
@@ -198,4 +216,5 @@ def take_over_edits(folder: LiftFolder, earlier: EarlierLift, events: EventWrite
 def _number(name: str, kind: str) -> int:
     """The number in a name: 3 for "chair 3"; 0 for a name of another form."""
     number = name.removeprefix(f"{kind} ")
-    return int(number) if number != name and number.isdecimal() else 0
+    is_one = number != name and number.isdecimal() and len(number) < len(str(LARGEST_NUMBER))
+    return int(number) if is_one else 0

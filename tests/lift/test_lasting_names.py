@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -146,6 +147,57 @@ def test_what_is_not_a_finished_lift_is_refused(tmp_path: Path, lifts: tuple[Lif
     other = LiftFolder.create(tmp_path / "begun", LiftRequest(scene=lifts[0].request.scene))
     with raises_key("not-finished"):
         read_earlier(other.path)
+
+
+def with_history(folder: LiftFolder, history: object) -> None:
+    (folder.result_path / "names.json").write_text(json.dumps(history))
+
+
+def with_instances(folder: LiftFolder, change: Callable[[list[dict[str, Any]]], object]) -> None:
+    path = folder.result_path / "instances.json"
+    content = json.loads(path.read_text())
+    change(content["instances"])
+    path.write_text(json.dumps(content))
+
+
+IMPOSSIBLE: dict[str, Callable[[LiftFolder], None]] = {
+    **{
+        f"largest id {given!r}": partial(with_history, history={"largest_id": given})
+        for given in (65535, 65536, 2**31, -5, 10**400, "x", None, [1], 1e300)
+    },
+    **{
+        f"last number {given!r}": partial(with_history, history={"last_numbers": given})
+        for given in ({"chair": -1}, {"chair": 10**30}, {"chair": "x"}, {"chair": None}, [3], 3)
+    },
+    "an object that is not listed": partial(with_instances, change=list.pop),
+    "no object listed": partial(with_instances, change=list.clear),
+    "an id too large": partial(with_instances, change=lambda listed: listed[0].update(id=65536)),
+    "an id with no room above": partial(
+        with_instances, change=lambda listed: listed.append({**listed[0], "id": 65535})
+    ),
+}
+
+
+@pytest.mark.parametrize("spoilt", IMPOSSIBLE.values(), ids=IMPOSSIBLE)
+def test_impossible_names_are_refused_before_any_work(spoilt: Callable[[LiftFolder], None], tmp_path: Path) -> None:
+    """In the lift's first stage, in one line that says which option it is about."""
+    earlier = LiftFolder.create(tmp_path / "old", LiftRequest(scene=tmp_path))
+    write_result(earlier.path)
+    spoilt(earlier)
+    write_manifest(earlier.result_path, versions={}, seed=0, settings={}, timings={})
+    scene = write_tiny_scene(tmp_path / "scene", frames=2)
+    with presets_as(preview=TINY), raises_key("names-unreadable") as raised:
+        lift_into(tmp_path / "new", LiftRequest(scene=scene, names_from=earlier.path))
+    stages = [json.loads(line) for line in (tmp_path / "new/events.jsonl").read_text().splitlines()]
+    assert [each["name"] for each in stages if each["event"] == "stage"] == ["check"] and raised.value.option
+
+
+def test_the_longest_name_is_none_with_a_number(tmp_path: Path) -> None:
+    earlier = LiftFolder.create(tmp_path / "old", LiftRequest(scene=tmp_path))
+    write_result(earlier.path)
+    with_instances(earlier, lambda listed: listed[0].update(name=f"{listed[0]['class_name']} {'9' * 5000}"))
+    write_manifest(earlier.result_path, versions={}, seed=0, settings={}, timings={})
+    assert max(read_earlier(earlier.path).last_numbers.values()) < 10
 
 
 def test_corrections_are_carried_over_and_lost_ones_are_reported(tmp_path: Path) -> None:
