@@ -21,7 +21,7 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from ..presets.preset import EvidenceKind
+from ..presets.preset import EvidenceKind, ViewEvidence
 from ..scene import Progress, View, evidence, watched
 from .agreement import ViewPoints
 from .records import SceneObject, fit_box
@@ -57,12 +57,53 @@ def vote_classes(
     return votes
 
 
-def object_classes(votes: NDArray[np.float64], class_ids: tuple[int, ...]) -> NDArray[np.int32]:
+def object_classes(
+    votes: NDArray[np.float64], class_ids: tuple[int, ...], is_one: NDArray[np.bool_]
+) -> NDArray[np.int32]:
     """The class with the most votes for each object, int32 [objects + 1]. Ties go to the lower id. An object has no
-    class, 0, without votes, and if the winner has less than ``LEAST_SHARE`` of them."""
+    class, 0, without votes, and if the winner has less than ``LEAST_SHARE`` of them, unless the views find that it
+    ``is_one`` object (``held_back_agreement``), bool [objects + 1]."""
     winner = np.asarray(class_ids, np.int32)[votes.argmax(1)]
-    is_agreed = votes.max(1) >= LEAST_SHARE * votes.sum(1)
+    is_agreed = (votes.max(1) >= LEAST_SHARE * votes.sum(1)) | is_one
     return np.where(votes.any(1) & is_agreed, winner, 0).astype(np.int32)
+
+
+def held_back_agreement(
+    views: Sequence[tuple[ViewPoints, NDArray[np.int32]]],
+    object_of_point: NDArray[np.int32],
+    objects: int,
+    class_ids: tuple[int, ...],
+    kinds: ViewEvidence,
+) -> NDArray[np.bool_]:
+    """Whether a view that is held back agrees with the class that the others give an object at least as well as with
+    the classes that they give each of its points, bool [objects + 1]. Arguments are those of ``vote_classes``. A point
+    that no other view sees follows its object."""
+    ids, (points, classes, count) = np.asarray(class_ids), (len(object_of_point), len(class_ids), objects + 1)
+    of_points, of_objects = np.zeros((points, classes), np.float32), np.zeros((count, classes))
+    said = []
+    for view, shown in views:
+        column = np.minimum(np.searchsorted(ids, shown), classes - 1)
+        voting = (ids[column] == shown) & (object_of_point[view.row] > 0)
+        row, column, pixels = view.row[voting], column[voting], view.pixels[voting].astype(np.float64)
+        word = evidence(kinds.segments, pixels, view.resolution[voting]).astype(np.float32)
+        of_points[row, column] += word  # a view has each point once
+        owner = object_of_point[row]
+        whole = np.maximum(np.bincount(owner, pixels, count), 1e-12)
+        resolution = np.bincount(owner, pixels * view.resolution[voting], count) / whole
+        share = pixels * (evidence(kinds.objects, whole, resolution) / whole)[owner]
+        own = np.bincount(owner * classes + column, share, count * classes).reshape(count, classes)
+        of_objects += own
+        said.append((row, column, owner, word, share, own))
+    as_one, as_points = np.zeros(count), np.zeros(count)
+    for row, column, owner, word, share, own in said:
+        rest = of_objects - own
+        one = np.where(rest.max(1) > 1e-9, rest.argmax(1), -1)[owner]
+        others = of_points[row]
+        others[np.arange(len(row)), column] -= word
+        each = np.where(others.max(1, initial=0) > 1e-6, others.argmax(1), one)
+        as_one += np.bincount(owner, share * (one == column), count)
+        as_points += np.bincount(owner, share * (each == column), count)
+    return as_one >= as_points
 
 
 def placed_objects(

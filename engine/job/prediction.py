@@ -109,8 +109,7 @@ def predict(
     gaussians = _millions_of_gaussians(preset)
     step = step_seconds(trained_on, gaussians)
     rounds = max(0, min(round(1 / preset.schedule.self_training_every), steps) - 1)
-    vote_rounds = preset.vote_rounds if preset.shows_votes else 0
-    voting = views if vote_rounds else 0
+    voting = views if preset.shows_votes else 0
     voted = voting * _megapixels_within(frame_size, preset.vote_size)
     judged = min(views * masks_a_frame, MOST_MASKS) / 1000
     looked_at = min(train_frames, CANDIDATES * views) if views < train_frames else 0
@@ -127,7 +126,7 @@ def predict(
         + voters * (0.012 + 0.35 * trained_on),
         "prepare": 10.0 + 0.7 * seen,
         "train": steps * step + rounds * views * 0.42 * step,
-        "result": 0.5 + (2.0 + 1.0 * vote_rounds) * voted + 0.12 * voting * own + 2.75 * gaussians,
+        "result": 0.5 + 3.0 * voted + 0.12 * voting * own + 2.75 * gaussians,
         "evaluate": 0.5 + 1.6 * test_frames * own,
         "bake": rendered * _render_s(own) + written * WRITE_S * own,
     }

@@ -19,12 +19,20 @@ from numpy.typing import NDArray
 from ..instances.agreement import ViewPoints, ViewsOnCloud, shown_classes
 from ..instances.consensus import ConsensusOptions, FoundObjects, find_objects, with_masks_of
 from ..instances.matching import limit_instances, match_views
-from ..instances.objects import PieceRules, object_classes, placed_objects, regroup_pieces, vote_classes
+from ..instances.objects import (
+    PieceRules,
+    held_back_agreement,
+    object_classes,
+    placed_objects,
+    regroup_pieces,
+    vote_classes,
+)
 from ..instances.panoptic_labels import PanopticLabels
 from ..instances.records import ObjectMask, SceneObject, object_of_mask
 from ..instances.segment_votes import neighbours_on_a_thing, view_labels, vote_panoptic_labels
 from ..instances.segments import SegmentOptions, vote_instances
-from ..presets.preset import EvidenceKind, Preset
+from ..instances.superpoints import RestOfSuperpoint, trusted_superpoints
+from ..presets.preset import Preset, ViewEvidence
 from ..scene import VOID, ClassTable, OnDemand, Progress, View, stored, watched
 from ..semantics.point_cloud import SemanticPointCloud
 from ..train.progress import StageProgress
@@ -52,7 +60,8 @@ class Matching:
     """The ``cloud`` with its final classes, the ``instances`` with ids 1.., the instance of each point int32 [N] (0 =
     none), and the number of instances ``dropped``. ``label_maps``: the panoptic label of each view's pixels, int16
     [H, W] (-1 = unknown), if segments and points voted on them. ``point_of_pixel``: the point of the cloud that each
-    pixel of the views shows, int32 [H, W] (-1 = none), if it was looked up."""
+    pixel of the views shows, int32 [H, W] (-1 = none), if it was looked up. ``masks_agree``: the views' masks are good
+    enough to say where things end; where they contradict each other, points alone do."""
 
     cloud: SemanticPointCloud
     instances: list[SceneObject]
@@ -60,6 +69,7 @@ class Matching:
     dropped: int
     label_maps: Sequence[NDArray[np.int16]] | None = None
     point_of_pixel: Sequence[NDArray[np.int32]] | None = None
+    masks_agree: bool = True
 
 
 def instances_by_boxes(given: ViewsToMatch, preset: Preset, progress: StageProgress) -> Matching:
@@ -87,10 +97,16 @@ def objects_by_agreement(given: ViewsToMatch, preset: Preset, progress: StagePro
     options = replace(CONSENSUS, evidence=kinds.masks)
     found = find_objects(training, len(cloud), options, progress.part(0.2, 0.4))
     found = with_masks_of(found, voting, CONSENSUS.rules)
-    things = thing_objects(found, everyone, cloud, given.classes, kinds.objects)
+    things = thing_objects(found, everyone, cloud, given.classes, kinds)
 
-    sharing = preset.segment_voting.neighbours
-    neighbours = neighbours_on_a_thing(cloud.xyz, cloud.spacing, training.seen) if sharing else None
+    neighbours: Any = None
+    part = None
+    if preset.segment_voting.superpoints:
+        part = trusted_superpoints(cloud.xyz, cloud.spacing, everyone, cloud.class_ids, kinds.segments)
+    if part is not None:
+        neighbours = RestOfSuperpoint(part)
+    elif preset.segment_voting.neighbours:
+        neighbours = neighbours_on_a_thing(cloud.xyz, cloud.spacing, training.seen)
     cloud, object_of_point = voted_points(everyone, cloud, things, preset, neighbours, progress.part(0.4, 0.85))
     owner, things = pieces_in_space(things, object_of_point, training, cloud, progress.part(0.85, 0.92))
     # A point that lost its object was on the ragged edge of a few masks, so their class is no evidence for it either.
@@ -101,7 +117,7 @@ def objects_by_agreement(given: ViewsToMatch, preset: Preset, progress: StagePro
     instances, instance_of_point, dropped = limit_instances(placed, owner, preset.most_instances)
     maps = watched(maps_of_points(training, cloud, instances, instance_of_point), progress.part(0.95, 1.0))
     maps = stored(maps, given.scratch)
-    return Matching(cloud, instances, instance_of_point, dropped, maps, training.point_of_pixel)
+    return Matching(cloud, instances, instance_of_point, dropped, maps, training.point_of_pixel, part is None)
 
 
 def voted_points(
@@ -155,12 +171,13 @@ MATCHINGS = {"boxes": instances_by_boxes, "agreement": objects_by_agreement, "no
 
 
 def thing_objects(
-    found: FoundObjects, seeing: ViewsOnCloud, cloud: SemanticPointCloud, classes: ClassTable, kind: EvidenceKind
+    found: FoundObjects, seeing: ViewsOnCloud, cloud: SemanticPointCloud, classes: ClassTable, kinds: ViewEvidence
 ) -> list[SceneObject]:
-    """The objects that the views vote to be things, with votes of that ``kind``, renumbered from 1."""
-    shown = ((seen, shown_classes(view, seen)) for view, seen in zip(seeing.views, seeing.seen, strict=True))
-    votes = vote_classes(shown, found.object_of_point, len(found.objects), cloud.class_ids, kind)
-    class_of_object = object_classes(votes, cloud.class_ids).tolist()
+    """The objects that the views vote to be things, renumbered from 1."""
+    shown = [(seen, shown_classes(view, seen)) for view, seen in zip(seeing.views, seeing.seen, strict=True)]
+    asked = found.object_of_point, len(found.objects), cloud.class_ids
+    votes, is_one = vote_classes(shown, *asked, kinds.objects), held_back_agreement(shown, *asked, kinds)
+    class_of_object = object_classes(votes, cloud.class_ids, is_one).tolist()
     things = (one for one in found.objects if class_of_object[one.id] in classes.thing_ids)
     return [replace(one, id=number, class_id=class_of_object[one.id]) for number, one in enumerate(things, start=1)]
 

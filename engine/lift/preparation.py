@@ -99,7 +99,7 @@ def semantic_cloud(
     views: Sequence[View], class_ids: tuple[int, ...], preset: Preset, events: EventWriter, progress: StageProgress
 ) -> SemanticPointCloud:
     """The semantic point cloud. The labels of the consistency-enhanced masks vote on its classes."""
-    comparison = ConsistencyOptions(neighbours=preset.neighbours)
+    comparison = ConsistencyOptions(neighbours=preset.neighbours, agreement=preset.agreement)
     if preset.neighbours and views_are_sparse(views, comparison):  # none, as in the paper on HyperSim
         comparison = ConsistencyOptions(neighbours=0)
     if comparison.neighbours < preset.neighbours:

@@ -26,15 +26,13 @@ from ..machine.code_digest import code_digest
 from ..machine.log_compilation import log_compilation
 from ..model.checking import read_tensors
 from ..model.detail import finest_pixels
-from ..model.settling import OwnedPoints
-from ..model.structured import GaussianLabels, StructuredScene
+from ..model.structured import StructuredScene
 from ..presets.preset import Preset
 from ..raster import drawing_on
 from ..scene import (
     VOID,
     ClassTable,
     Frame,
-    Progress,
     Scene,
     StoredViews,
     View,
@@ -158,7 +156,7 @@ def run_lift(
         with stages.stage("result") as progress:
             if preset.shows_votes:
                 told = progress.part(0.0, VOTED)
-                trainer.scene.voted = voted_labels(trainer.scene, frames, prepared, preset, told, folder.path)
+                trainer.scene.voted = vote_labels(trainer.scene, frames.training, prepared, preset, told)
             trainer.scene.finest = finest_of(trainer.scene, frames.training, preset)
             held_back = read_held_back(frames.chosen, preset.size, folder.path)
             told = progress.part(VOTED, SIFTED)
@@ -224,21 +222,6 @@ def read_views(
     views = StoredViews(read, scratch, lambda done: progress(done, total))
     refuse_empty(views, frames.all)
     return views, read_voters(voting, preset, lambda done: progress(len(training) + done, total), events, scratch)
-
-
-def voted_labels(
-    lifted: StructuredScene,
-    frames: FrameSets,
-    prepared: PreparedLift,
-    preset: Preset,
-    progress: Progress,
-    scratch: Path,
-) -> GaussianLabels:
-    """The labels that the training frames vote onto the Gaussians. Raises what `vote_labels` raises."""
-    maps = prepared.label_maps
-    assert maps is not None  # objects by agreement come with them
-    points = OwnedPoints(prepared.cloud.xyz, prepared.instance_of_point)
-    return vote_labels(lifted, frames.training, maps, preset, progress, points, scratch)
 
 
 def finest_of(lifted: StructuredScene, training: Sequence[Frame], preset: Preset) -> torch.Tensor:

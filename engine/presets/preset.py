@@ -70,11 +70,13 @@ class Growth:
 @dataclass(frozen=True)
 class SegmentVoting:
     """``rounds``: how often segments take the label of their points and vote again. ``neighbours``: points share votes
-    with their neighbours on a thing. ``near``: near views may overrule the others on what they show as a whole."""
+    with their neighbours on a thing. ``near``: near views may overrule the others on what they show as a whole.
+    ``superpoints``: points share all votes of their superpoint, where views that are held back agree with that."""
 
     rounds: int = _ranged(2)
     neighbours: bool = True
     near: bool = True
+    superpoints: bool = True
 
 
 EvidenceKind = Literal["views", "root", "resolution", "pixels", "density"]
@@ -125,6 +127,8 @@ class Preset:
     """The label decoders get both too, so that labels depend on the view."""
     neighbours: int = _ranged(0, 0, 64)
     """N_w: the number of views whose masks are compared with those of a view."""
+    agreement: float = _ranged(1.0, 0.0, 1.0)
+    """Share of these views that must agree with a label that they see; 1 is the paper's product."""
     majority: float = _ranged(0.0, 0.0, 1.0)
     """Share of the votes that the class of a point of the cloud needs."""
     objects: Literal["boxes", "agreement", "none"] = "agreement"
@@ -162,8 +166,6 @@ class Preset:
     objects by agreement, of one class each; otherwise the decoders are used."""
     vote_size: tuple[int, int] = _ranged((320, 320), SHORTEST_SIDE, LONGEST_SIDE)
     """Pixels (width, height) of the box within which the voting masks are read."""
-    vote_rounds: int = _ranged(2, 1, 10)
-    """Rounds in which the views vote on the Gaussians."""
     evidence: ViewEvidence = ViewEvidence()
     label_every: int = _ranged(4, 1)
     """Labels are trained in every step whose number is divisible by this."""
@@ -209,6 +211,7 @@ PRESETS: dict[str, Preset] = {
             voxel_size=0.02,
             gaussians_per_anchor=10,
             instance_slots=25,
+            most_instances=25,
             most_anchors=2_000_000,
             distance_input=True,
             label_view_input=True,
@@ -230,7 +233,6 @@ PRESETS: dict[str, Preset] = {
             fit_exposure=False,
             weigh_sharpness=False,
             labels="decoders",
-            vote_rounds=1,
             label_every=1,
         ),
     )

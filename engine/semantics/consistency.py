@@ -37,7 +37,7 @@ class ConsistencyOptions:
     """
 
     neighbours: int = 8
-    agreement: float = 0.75
+    agreement: float = 1.0
     depth_tolerance_m: float = 0.05
     depth_tolerance_share: float = 0.02
 

@@ -166,7 +166,7 @@ class Trainer:
         gaussians = self._decode(target, with_labels)
         self.clock.lap("decode, forward")
         columns = self._columns_to_draw(target) if with_labels else None
-        labels = None if columns is None else gaussians.labels[:, columns]
+        labels = None if columns is None else _of_columns(gaussians.labels, columns)
         rendering = gaussians.drawn_by(target.camera, labels, want_means2d_grad=True)
         self.clock.lap("rasterise, forward")
         losses = self._losses(gaussians, rendering, target, columns)
@@ -349,3 +349,8 @@ def _extent(views: Sequence[View]) -> float:
     """1.1 times the greatest distance of a camera from the mean camera centre, in metres, as in Scaffold-GS."""
     centres = np.array([view.camera.centre for view in views])
     return 1.1 * max(float(np.linalg.norm(centres - centres.mean(axis=0), axis=1).max()), 1e-2)
+
+
+def _of_columns(labels: torch.Tensor, columns: torch.Tensor) -> torch.Tensor:
+    """These columns of labels [N, L]; all of them as they are, since a copy takes a quarter of the paper's step."""
+    return labels if len(columns) == labels.shape[1] else labels[:, columns]

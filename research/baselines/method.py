@@ -12,10 +12,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from engine.instances.records import object_of_mask
-from engine.instances.segment_votes import member_labels
 from engine.job import EventWriter, LiftFolder, StopSignal
-from engine.lift.objects import labels_of
 from engine.lift.preparation import PreparedLift, prepare, starting_anchors, starting_scene
 from engine.lift.run import run_lift
 from engine.model.growing import GrowthRound
@@ -23,11 +20,11 @@ from engine.model.neural_gaussians import NeuralGaussians
 from engine.model.structured import StructuredScene
 from engine.presets.preset import Preset
 from engine.raster import Rendering
-from engine.scene import ClassTable, OnDemand, View, stored
+from engine.scene import ClassTable, OnDemand, View
 from engine.train.label_losses import TINY, ThingSegments, label_losses
 from engine.train.optimiser import RATES
 from engine.train.progress import StageReporter
-from engine.train.targets import ViewTargets, columns_of, slots_of
+from engine.train.targets import ViewTargets, columns_of
 from engine.train.trainer import GrowthSchedule, Trainer
 
 from ..results import SOURCES
@@ -117,8 +114,6 @@ def prepare_baseline(
     has_own_start = options.representation != "structured" or not options.labelled_start
     first = replace(preset, warm_start=False) if has_own_start else preset
     prepared = prepare(views, classes, first, seed, stages, scratch, others)
-    if options.vote_from == "masks" and prepared.label_maps is not None:
-        prepared = with_labels_of_masks(prepared, views, scratch)
     if has_own_start:
         viewpoints = np.array([view.camera.centre for view in views])
         prepared = replace(prepared, scene=baseline_scene(prepared, viewpoints, options, seed))
@@ -147,21 +142,6 @@ def baseline_scene(
         gaussians = plain_gaussians(start.positions, start.classes, start.rgb, decoders.shape)
         return StructuredScene(gaussians, decoders, channels, options.voxel_size)
     return starting_scene(start, channels, viewpoints, options, seed)
-
-
-def with_labels_of_masks(prepared: PreparedLift, views: Sequence[View], scratch: Path | None) -> PreparedLift:
-    """Label maps straight from the input masks with their objects, and targets of these."""
-    labels = labels_of(prepared.cloud, prepared.instances)
-    object_of = object_of_mask(prepared.instances)
-    maps = stored((member_labels(view, labels, object_of) for view in views), scratch)
-    channels, targets = prepared.scene.channels, prepared.targets
-
-    def target(number: int) -> ViewTargets:
-        classes = labels.classes(maps[number])
-        matched = slots_of(labels.objects(maps[number]), classes != 0, channels)
-        return replace(targets[number], projected=_columns(classes, channels.class_ids), matched=matched)
-
-    return replace(prepared, label_maps=maps, targets=OnDemand(len(views), target))
 
 
 def with_semantic_targets(prepared: PreparedLift, views: Sequence[View], source: str) -> PreparedLift:

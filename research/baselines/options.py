@@ -18,8 +18,6 @@ class BaselinePreset(Preset):
     """Classes are learnt from the projected cloud, or the votes; from the input masks; or by L_cluster alone."""
     labelled_start: bool = True
     """Without it anchors and decoders start with only the cloud's colours."""
-    vote_from: Literal["objects", "masks"] = "objects"
-    """The labels that are voted onto Gaussians come from the voted objects, or straight from the masks."""
     segment_consistency: bool = False
     """All pixels of a segment should have the same class, whichever it is (Panoptic Lifting; ``segment_targets``)."""
 

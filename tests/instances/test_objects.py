@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from engine.instances.agreement import ViewPoints
-from engine.instances.objects import PieceRules, object_classes, regroup_pieces, vote_classes
+from engine.instances.objects import PieceRules, held_back_agreement, object_classes, regroup_pieces, vote_classes
+from engine.presets.preset import ViewEvidence
 from tests.semantics.plane_views import CHAIR, CLASS_IDS, SOFA, WALL
 
 
@@ -34,7 +35,7 @@ def test_a_view_that_resolves_the_object_outvotes_many_that_do_not() -> None:
     far = [showing([0, 1], [CHAIR, CHAIR], [4, 4], resolution=1.0)] * 12
     for kind, expected in (("views", CHAIR), ("pixels", SOFA), ("density", SOFA)):
         votes = vote_classes([near, *far], OWNER, 2, CLASS_IDS, kind)
-        assert object_classes(votes, CLASS_IDS)[1] == expected, kind
+        assert object_classes(votes, CLASS_IDS, np.zeros(len(votes), bool))[1] == expected, kind
 
 
 def test_void_and_unknown_classes_do_not_vote() -> None:
@@ -44,13 +45,25 @@ def test_void_and_unknown_classes_do_not_vote() -> None:
 
 def test_the_class_with_most_votes_is_the_objects() -> None:
     votes = np.array([[0, 0, 0, 0], [0, 0, 1, 3], [5, 0, 0, 5], [0, 0, 0, 0]], np.float64)
-    classes = object_classes(votes, CLASS_IDS)
+    classes = object_classes(votes, CLASS_IDS, np.zeros(len(votes), bool))
     assert classes.tolist() == [0, SOFA, WALL, 0], "ties go to the lower class, without votes there is none"
 
 
-def test_an_object_whose_views_name_many_classes_has_none() -> None:
+def test_an_object_whose_views_name_many_classes_has_none_unless_they_agree_on_it() -> None:
     votes = np.array([[0, 0, 0, 0], [3, 2, 2, 3.2], [2, 2, 2, 4]], np.float64)
-    assert object_classes(votes, CLASS_IDS).tolist() == [0, 0, SOFA]
+    assert object_classes(votes, CLASS_IDS, np.array([False, False, False])).tolist() == [0, 0, SOFA]
+    assert object_classes(votes, CLASS_IDS, np.array([False, True, False])).tolist() == [0, SOFA, SOFA]
+
+
+def test_views_that_are_held_back_tell_one_object_from_two() -> None:
+    """Points 0 to 3 are object 1. Where each view calls all of it one thing, a view agrees with the others' class as
+    often as with their points; where its halves are two things in every view, it agrees with their points alone."""
+    one = [showing([0, 1, 2, 3], [kind] * 4, [10] * 4) for kind in (SOFA, SOFA, CHAIR, WALL, SOFA)]
+    halves = [showing([0, 1, 2, 3], [SOFA, SOFA, CHAIR, CHAIR], [10] * 4) for _ in range(5)]
+    owner, kinds = np.array([1, 1, 1, 1, 0], np.int32), ViewEvidence()
+    assert held_back_agreement(one, owner, 1, CLASS_IDS, kinds).tolist()[1]
+    assert not held_back_agreement(halves, owner, 1, CLASS_IDS, kinds).tolist()[1]
+
 
 
 RULES = PieceRules(reach=0.15)

@@ -17,7 +17,6 @@ from engine.lift.preparation import PreparedLift, prepare
 from engine.lift.run import STAGES
 from engine.lift.voting import SMALLER, read_voters, vote_labels
 from engine.model.render import render_view
-from engine.model.settling import OwnedPoints
 from engine.model.structured import NO_OBJECT
 from engine.passes.layers import decide
 from engine.presets.preset import PRESETS, Preset
@@ -66,19 +65,16 @@ def shares_right(scene: Scene, prepared: PreparedLift) -> Right:
 
 
 def voted(scene: Scene, prepared: PreparedLift, preset: Preset, progress: Callable[[int, int], None]) -> PreparedLift:
-    assert prepared.label_maps is not None
-    points = OwnedPoints(prepared.cloud.xyz, prepared.instance_of_point)
-    labels = vote_labels(prepared.scene, scene.train_frames, prepared.label_maps, preset, progress, points)
+    labels = vote_labels(prepared.scene, scene.train_frames, prepared, preset, progress)
     return replace(prepared, scene=replace(prepared.scene, voted=labels))
 
 
-@pytest.mark.parametrize("rounds", [1, 2])
-def test_voted_labels_are_closer_to_the_masks(lifted: tuple[Scene, PreparedLift], rounds: int) -> None:
+def test_voted_labels_are_closer_to_the_masks(lifted: tuple[Scene, PreparedLift]) -> None:
     scene, prepared = lifted
     calls: list[tuple[int, int]] = []
-    after = voted(scene, prepared, replace(PRESET, vote_rounds=rounds), lambda *count: calls.append(count))
+    after = voted(scene, prepared, PRESET, lambda *count: calls.append(count))
     frames = len(scene.train_frames)
-    assert calls == [(number, rounds * frames) for number in range(1, rounds * frames + 1)]
+    assert calls == [(number, frames) for number in range(1, frames + 1)]
     before, now = shares_right(scene, prepared), shares_right(scene, after)
     assert now.of_class > before.of_class + 0.04 and now.of_object > before.of_object
 

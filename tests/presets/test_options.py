@@ -150,6 +150,7 @@ def test_a_presets_own_values_change_nothing(name: str) -> None:
 
 
 PAPERS_NUMBERS = {"steps": 30_000, "voxel_size": 0.02, "gaussians_per_anchor": 10, "instance_slots": 25}
+PAPERS_NUMBERS |= {"agreement": 1.0, "most_instances": 25}
 PAPERS_WAYS = {
     "objects": "boxes",
     "linear_assignment": True,

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 import torch
 
-from engine.instances.consensus import ConsensusOptions
 from engine.model.structured import NO_OBJECT
 from engine.scene import ClassTable, View
 from engine.train.label_losses import ThingSegments
@@ -134,21 +133,6 @@ def test_the_parts_of_the_label_losses(tiny: Input, tmp_path: Path, monkeypatch:
     monkeypatch.setattr("research.baselines.method.FROM", 0.0)
     assert loss_of(tiny, tmp_path, consistent)[0] > semantic
     assert loss_of(tiny, tmp_path, replace(boxes, linear_assignment=False))[1] < instance
-
-
-def test_labels_straight_from_the_masks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    views, classes = views_of(tmp_path / "scene", noise=0.3)
-    monkeypatch.setattr("engine.lift.objects.CONSENSUS", ConsensusOptions(support=2.0))  # no mask is another's object
-    voted, masks = (
-        prepared_for(views, classes, replace(TINY, vote_from=source), tmp_path).label_maps  # type: ignore[arg-type]
-        for source in ("objects", "masks")
-    )
-    assert voted is not None and masks is not None
-    for view, shown in zip(views, masks, strict=True):
-        assert ((shown >= 0) == (view.mask.class_map() > 0)).all()
-        for segment in np.unique(view.mask.ids[view.mask.ids > 0]):
-            assert len(np.unique(shown[view.mask.ids == segment])) == 1
-    assert any(not np.array_equal(one, other) for one, other in zip(voted, masks, strict=True))
 
 
 def test_starting_without_labels(tiny: Input, tmp_path: Path) -> None:

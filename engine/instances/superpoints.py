@@ -1,0 +1,153 @@
+"""Superpoints: pieces of surface that geometry holds together, for masks that do not agree (ours, beyond the paper).
+
+Points that lie on one smooth or convex piece of surface are most often on one thing. Where views contradict each other,
+this says more than their masks. Where masks are good, it harms: a picture lies in the plane of its wall. So the views
+decide, scene by scene: each is held back in turn, and compared with what the others say of its points, point by point
+and superpoint by superpoint.
+
+The pieces are those of Felzenszwalb and Huttenlocher (2004), on the angle between the normals of neighbouring points.
+"""
+
+from __future__ import annotations
+
+import logging
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+from scipy.spatial import cKDTree
+
+from ..machine.compiled import compiled
+from ..machine.threads import worker_count
+from ..presets.preset import EvidenceKind
+from ..scene import evidence
+from .agreement import ViewsOnCloud, shown_classes
+
+log = logging.getLogger("plgs.lift")
+
+LOOSENESS = 0.01
+"""How much an edge may bend beyond the bends within the pieces that it joins, divided by their sizes."""
+LEAST_POINTS = 20
+"""Smaller pieces join the neighbour that bends least."""
+REACH = 1.8
+"""Points nearer than this times the cloud's spacing are neighbours."""
+PATCH = 12
+"""The number of points that a normal is fitted to."""
+WEAK = 0.78
+"""Views that agree with the others on less than this share of what they show are weak evidence. Scenes with a network's
+masks had 0.52 to 0.77, those with good masks 0.81 to 0.89 (docs/experiments.md)."""
+TOLERANCE = 0.02
+"""The agreement that superpoints may lose and still be trusted: it is about what voxels and ragged masks cost."""
+
+
+def trusted_superpoints(
+    xyz: NDArray[np.floating], spacing: float, seeing: ViewsOnCloud, class_ids: tuple[int, ...], kind: EvidenceKind
+) -> NDArray[np.int64] | None:
+    """The superpoint of each of a cloud's points ``xyz`` [N, 3] metres, ``spacing`` metres apart, int64 [N], if views
+    that are held back prefer them, or are too weak to judge; else None."""
+    if len(xyz) < LEAST_POINTS:
+        return None
+    part = superpoints(xyz, spacing, seeing)
+    by_point, by_part = held_back_agreement(part, seeing, class_ids, kind)
+    are_trusted = by_point < WEAK or by_part >= by_point - TOLERANCE
+    log.info(
+        "a view that is held back agrees with the others by %.3f, and by %.3f with %d superpoints, which are%s used",
+        by_point, by_part, part.max() + 1, "" if are_trusted else " not",
+    )  # fmt: skip
+    return part if are_trusted else None
+
+
+class RestOfSuperpoint:
+    """As a matrix [N, N]: the votes that a point gets besides its own are those of all others of its superpoint."""
+
+    def __init__(self, part: NDArray[np.int64]) -> None:
+        self._member = sparse.csr_matrix((np.ones(len(part), np.float32), (part, np.arange(len(part)))))
+
+    def __matmul__(self, own: Any) -> Any:
+        return self._member.T @ (self._member @ own) - own
+
+
+def superpoints(xyz: NDArray[np.floating], spacing: float, seeing: ViewsOnCloud) -> NDArray[np.int64]:
+    """The superpoint of each point, int64 [N], numbered from 0. Arguments are those of ``trusted_superpoints``."""
+    xyz = np.asarray(xyz, np.float64)
+    tree = cKDTree(xyz)
+    normal = _normals(xyz, tree, seeing)
+    one, two = tree.query_pairs(REACH * spacing, output_type="ndarray").T
+    bend = 1 - (normal[one] * normal[two]).sum(1)
+    is_convex = ((xyz[two] - xyz[one]) * normal[two]).sum(1) > 0
+    bend[is_convex] **= 2  # things bulge, and meet others in concave edges
+    order = np.lexsort((two, one, bend))
+    part = _pieces(one[order], two[order], bend[order], len(xyz), LOOSENESS, LEAST_POINTS)
+    return np.unique(part, return_inverse=True)[1].astype(np.int64)
+
+
+def _normals(xyz: NDArray[np.float64], tree: cKDTree, seeing: ViewsOnCloud) -> NDArray[np.float64]:
+    """Unit normals [N, 3], towards the cameras."""
+    near = xyz[tree.query(xyz, min(PATCH, len(xyz)), workers=worker_count())[1].reshape(len(xyz), -1)]
+    offset = near - near.mean(1, keepdims=True)
+    normal = np.linalg.eigh(np.einsum("nki,nkj->nij", offset, offset))[1][:, :, 0]
+    towards = np.zeros_like(xyz)
+    for view, seen in zip(seeing.views, seeing.seen, strict=True):
+        towards[seen.row] += view.camera.centre - xyz[seen.row]
+    return np.asarray(normal * np.where((normal * towards).sum(1) < 0, -1, 1)[:, None])
+
+
+@compiled
+def _pieces(one: Any, two: Any, bend: Any, points: int, looseness: float, least: int) -> Any:
+    """The root of each point's piece, int64 [points], for edges [E] in the order of their ``bend``."""
+    parent, size, limit = np.arange(points), np.ones(points, np.int64), np.full(points, looseness)
+    for only_small in (False, True):
+        for edge in range(len(one)):
+            i, j = one[edge], two[edge]
+            while parent[i] != i:
+                parent[i] = parent[parent[i]]
+                i = parent[i]
+            while parent[j] != j:
+                parent[j] = parent[parent[j]]
+                j = parent[j]
+            if i == j:
+                continue
+            if (only_small and min(size[i], size[j]) < least) or (
+                not only_small and bend[edge] <= limit[i] and bend[edge] <= limit[j]
+            ):
+                parent[j] = i
+                size[i] += size[j]
+                limit[i] = bend[edge] + looseness / size[i]
+    for point in range(points):
+        root = point
+        while parent[root] != root:
+            root = parent[root]
+        parent[point] = root
+    return parent
+
+
+def held_back_agreement(
+    part: NDArray[np.int64], seeing: ViewsOnCloud, class_ids: tuple[int, ...], kind: EvidenceKind
+) -> tuple[float, float]:
+    """The share of what a view shows that agrees with the votes of all other views: with those on each point, and with
+    those on its whole superpoint. A point that no other view sees follows its superpoint."""
+    ids, points = np.asarray(class_ids), len(part)
+    said = []
+    total = np.zeros((points, len(ids)), np.float32)
+    for view, seen in zip(seeing.views, seeing.seen, strict=True):
+        shown = shown_classes(view, seen)
+        column = np.minimum(np.searchsorted(ids, shown), len(ids) - 1)
+        known = ids[column] == shown
+        word = evidence(kind, seen.pixels[known], seen.resolution[known]).astype(np.float32)
+        said.append((seen.row[known], column[known], word))
+        total[said[-1][:2]] += word  # a view has each point once
+    of_part = sparse.csr_matrix((np.ones(points, np.float32), (part, np.arange(points)))) @ total
+    asked = by_point = by_part = 0.0
+    for row, column, word in said:
+        others = total[row]
+        others[np.arange(len(row)), column] -= word
+        parts, place = np.unique(part[row], return_inverse=True)
+        rest = of_part[parts]
+        np.subtract.at(rest, (place, column), word)
+        whole = np.where(rest.max(1, initial=0) > 1e-5, rest.argmax(1), -1)[place]
+        each = np.where(others.max(1, initial=0) > 1e-5, others.argmax(1), whole)
+        asked += float(word[each >= 0].sum())
+        by_point += float(word[each == column].sum())
+        by_part += float(word[whole == column].sum())
+    return by_point / max(asked, 1e-9), by_part / max(asked, 1e-9)

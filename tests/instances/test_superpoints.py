@@ -1,0 +1,78 @@
+"""Superpoints: what geometry holds together, and whether views that are held back prefer it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy import sparse
+
+from engine.instances import superpoints as module
+from engine.instances.agreement import ViewPoints, ViewsOnCloud
+from engine.instances.superpoints import RestOfSuperpoint, held_back_agreement, superpoints, trusted_superpoints
+from engine.scene import Camera, PanopticMask, Segment, View
+
+FLOOR, BOX, WALL = 1, 2, 3
+SPACING = 0.05
+CLASS_IDS = (FLOOR, BOX, WALL)
+
+
+def box_on_a_floor() -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+    """A floor of 2 x 2 m with a box of 0.5 m on it, a point every 5 cm, and which points are the box's."""
+    side = np.arange(0.0, 2.0, SPACING)
+    x, y = (each.reshape(-1) for each in np.meshgrid(side, side))
+    inside = (np.abs(x - 1) < 0.25) & (np.abs(y - 1) < 0.25)
+    floor = np.stack([x, y, np.zeros_like(x)], 1)[~inside]
+    top = np.stack([x, y, np.full_like(x, 0.5)], 1)[inside]
+    edge = [(a, b) for a in np.arange(0.75, 1.2501, SPACING) for b in (0.75, 1.25)]
+    rim = np.array([(a, b) for a, b in edge] + [(b, a) for a, b in edge])
+    walls = np.concatenate([np.column_stack([rim, np.full(len(rim), z)]) for z in np.arange(SPACING, 0.5, SPACING)])
+    xyz = np.concatenate([floor, top, walls]).astype(np.float32)
+    count = len(xyz)
+    return xyz, np.arange(count) >= len(floor)
+
+
+def seeing(xyz: NDArray[np.float32], shown: list[NDArray[np.int32]]) -> ViewsOnCloud:
+    """Views from above the corners that see every point once, each with the class that it shows there."""
+    views, seen = [], []
+    for number, classes in enumerate(shown):
+        pose = np.eye(4)
+        pose[:3, :3], pose[:3, 3] = np.diag([1.0, -1.0, -1.0]), (2.0 * (number % 2), 2.0 * (number // 2 % 2), 3.0)
+        ids = classes.reshape(1, -1)
+        mask = PanopticMask(ids, tuple(Segment(int(each), int(each), False) for each in np.unique(ids) if each))
+        depth = np.ones(ids.shape, np.float32)
+        camera = Camera(ids.shape[1], 1, 1.0, 1.0, 0.5, 0.5, pose)
+        views.append(View(str(number), camera, np.zeros((*ids.shape, 3), np.uint8), depth, mask))
+        row = np.arange(len(xyz), dtype=np.int32)
+        one = np.ones(len(row), np.float32)
+        seen.append(ViewPoints(row, classes.astype(np.int32), one, one))
+    return ViewsOnCloud(views, [np.arange(len(xyz), dtype=np.int32)[None]] * len(views), seen)
+
+
+def test_a_box_is_not_the_floor_that_it_stands_on() -> None:
+    xyz, is_box = box_on_a_floor()
+    part = superpoints(xyz, SPACING, seeing(xyz, [np.full(len(xyz), FLOOR, np.int32)] * 4))
+    assert np.array_equal(np.unique(part), np.arange(part.max() + 1))
+    assert np.bincount(part).min() >= module.LEAST_POINTS
+    owner = np.array([is_box[part == number].mean() for number in range(part.max() + 1)])[part]
+    assert (np.where(is_box, owner, 1 - owner)).mean() > 0.97, "pieces lie on one side or on the other"
+
+
+def test_views_that_contradict_each_other_trust_superpoints_and_views_that_agree_do_not() -> None:
+    xyz, is_box = box_on_a_floor()
+    true = np.where(is_box, BOX, FLOOR).astype(np.int32)
+    random = np.random.default_rng(0)
+    noisy = [np.where(random.random(len(true)) < 0.45, WALL, true).astype(np.int32) for _ in range(6)]
+    assert trusted_superpoints(xyz, SPACING, seeing(xyz, noisy), CLASS_IDS, "pixels") is not None
+    picture = true.copy()
+    picture[(xyz[:, 0] < 0.7) & ~is_box] = WALL  # what lies in a plane with something else
+    agreeing = seeing(xyz, [picture] * 6)
+    assert trusted_superpoints(xyz, SPACING, agreeing, CLASS_IDS, "pixels") is None
+    by_point, by_part = held_back_agreement(superpoints(xyz, SPACING, agreeing), agreeing, CLASS_IDS, "pixels")
+    assert by_point == pytest.approx(1) and by_part < 0.95
+
+
+def test_a_point_gets_the_votes_of_the_rest_of_its_superpoint() -> None:
+    own = sparse.csr_matrix(np.array([[1, 0], [2, 0], [0, 4]], np.float32))
+    rest = RestOfSuperpoint(np.array([0, 0, 1])) @ own
+    assert rest.toarray().tolist() == [[2, 0], [1, 0], [0, 0]]
