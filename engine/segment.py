@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 from collections.abc import Callable, Sequence, Set
 from dataclasses import dataclass
 from hashlib import sha256
@@ -24,8 +25,9 @@ from numpy.typing import NDArray
 
 from .errors import PlgsError, lacks_part
 from .job import write_atomically
+from .job.atomic import sha256 as digest_of
 from .json_file import read_object, read_value
-from .scene import ClassLabel, Frame, Scene, digests_of_files, is_thing_by_name, nearest_tables, size_within
+from .scene import ClassLabel, Frame, Scene, digests_of_files, labels_of_config, size_within
 
 LEAST_SCORE = 0.5
 """The least score of a query that is a segment."""
@@ -119,10 +121,11 @@ def load_model(name: str, *, download: bool) -> Mask2Former:
 
     It is fetched only with ``download``; otherwise it has to be on this machine already.
     """
-    _refuse_other_folders(name)
-    if not download:  # transformers reads this when it is imported
+    _refuse_other_names(name)
+    if not download:  # the library reads this when it is imported
         os.environ["HF_HUB_OFFLINE"] = "1"
     try:
+        from huggingface_hub import snapshot_download
         from safetensors import SafetensorError
         from transformers import Mask2FormerForUniversalSegmentation, Mask2FormerImageProcessorPil
         from transformers.utils import logging
@@ -130,31 +133,55 @@ def load_model(name: str, *, download: bool) -> Mask2Former:
         raise lacks_part(f"masks are made with the package transformers ({error})", name, "segment") from error
     logging.set_verbosity_error()
     logging.disable_progress_bar()
-    place: dict[str, Any] = {"local_files_only": not download, "trust_remote_code": False}
+    folder, (model, _, revision) = Path(name), name.partition("@")
+    place: dict[str, Any] = {"local_files_only": True, "trust_remote_code": False}
     try:
-        processor = Mask2FormerImageProcessorPil.from_pretrained(name, **place)
-        network = Mask2FormerForUniversalSegmentation.from_pretrained(name, use_safetensors=True, **place)
-    except (OSError, ValueError, KeyError, RuntimeError, SafetensorError) as error:
+        if not folder.is_dir():
+            wanted = {"revision": revision or None, "allow_patterns": ["*.json", "*.safetensors"]}
+            folder = Path(snapshot_download(model, local_files_only=not download, **wanted))
+        labels = _checked_labels(folder, name)
+        processor = Mask2FormerImageProcessorPil.from_pretrained(folder, **place)
+        network, told = Mask2FormerForUniversalSegmentation.from_pretrained(
+            folder, use_safetensors=True, output_loading_info=True, **place
+        )
+    except (OSError, ValueError, KeyError, RuntimeError, TypeError, AttributeError, SafetensorError) as error:
         raise _not_loaded(name, download, error) from error
-    names: dict[Any, Any] = network.config.id2label or {}
-    tables = nearest_tables(map(str, names.values()))
-    labels = tuple(
-        ClassLabel(int(number), str(word), is_thing_by_name(str(word), tables) is not False)
-        for number, word in sorted(names.items())
-    )
+    wrong = {key.partition("_")[0]: keys for key, keys in told.items() if keys}
+    wrong["infinite"] = [key for key, one in network.state_dict().items() if not bool(torch.isfinite(one).all())]
+    for kind, keys in wrong.items():
+        if keys:
+            what = f"{len(keys)} weights of the model are {kind}, such as {min(map(str, keys))}"
+            raise PlgsError("model-broken", what, name, _ANOTHER)
     return Mask2Former(name, labels, network.eval(), processor)
 
 
-def _refuse_other_folders(name: str) -> None:
-    """A folder has to hold a model in safetensors; a name looks like OWNER/MODEL."""
-    folder = Path(name)
-    if folder.is_dir():
-        if not (folder / "config.json").is_file() or not any(folder.glob("*.safetensors")):
-            fix = "Name a folder that transformers' save_pretrained wrote, with config.json and safetensors."
-            raise PlgsError("no-model", "there is no model in this folder", folder, fix)
-    elif name.count("/") != 1 or name.startswith((".", "/", "~")):
-        what = "there is no such folder or model"
-        raise PlgsError("no-model", what, name, "Name a folder, or a model as OWNER/NAME.")
+_ANOTHER = "Name another one, or fetch it again."
+
+
+def _checked_labels(folder: Path, name: str) -> tuple[ClassLabel, ...]:
+    """The classes of the model in this folder, whose weights are safetensors in it, as they were on the hub. Raises
+    PlgsError."""
+    config, index = folder / "config.json", folder / "model.safetensors.index.json"
+    if not config.is_file() or not any(folder.glob("*.safetensors")):
+        fix = "Name a folder that transformers' save_pretrained wrote, with config.json and safetensors."
+        raise PlgsError("no-model", "there is no model in this folder", folder, fix)
+    parts = read_object(index, _ANOTHER).get("weight_map") if index.exists() else {}
+    files = [*parts.values()] if isinstance(parts, dict) else [parts]
+    for file in (*files, read_object(config, _ANOTHER).get("transformers_weights") or "model.safetensors"):
+        if not isinstance(file, str) or not re.fullmatch(r"[\w.-]+\.safetensors", file):
+            raise PlgsError("model-outside", f"{str(file)[:60]!r} is no safetensors in its folder", folder, _ANOTHER)
+    for path in folder.glob("*.safetensors"):
+        digest = path.resolve().name  # the hub's cache links to files that are called by their SHA-256
+        if path.is_symlink() and re.fullmatch("[0-9a-f]{64}", digest) and digest_of(path) != digest:
+            raise PlgsError("model-broken", "the model is not as it is on the hub", path.resolve(), "Delete this file.")
+    return labels_of_config(config)
+
+
+def _refuse_other_names(name: str) -> None:
+    """Raise PlgsError for what is neither a folder nor like OWNER/MODEL or OWNER/MODEL@REVISION."""
+    if not Path(name).is_dir() and (name.count("/") != 1 or name.startswith((".", "/", "~"))):
+        fix = "Name a folder, or a model as OWNER/NAME or OWNER/NAME@REVISION."
+        raise PlgsError("no-model", "there is no such folder or model", name, fix)
 
 
 def _not_loaded(name: str, download: bool, error: Exception) -> PlgsError:
@@ -163,7 +190,7 @@ def _not_loaded(name: str, download: bool, error: Exception) -> PlgsError:
         return PlgsError("not-downloaded", "the model is not on this computer", name, fix, option="--download")
     lines = str(error).splitlines() or [type(error).__name__]
     what = f"the model cannot be loaded ({lines[0][:200]})"
-    return PlgsError("model-unusable", what, name, "Name another one, or fetch it again.")
+    return PlgsError("model-unusable", what, name, _ANOTHER)
 
 
 TABLE, FOLDER, MADE_BY = "panoptic.json", "panoptic", "made_by.json"

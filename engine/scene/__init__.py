@@ -7,7 +7,7 @@ from ..posed.classes import ClassLabel
 from ..scene_source import UpAxis
 from .checks import Survey, check_scene, survey_scene
 from .class_map import NamedClass
-from .class_tables import TABLES, is_thing_by_name, nearest_tables
+from .class_tables import TABLES
 from .evidence import (
     are_near,
     evidence,
@@ -21,6 +21,7 @@ from .files_of_frames import digests_of_files
 from .formats import FORMATS, SceneFormat
 from .frame import Frame, GroundTruth, Inferred, LeftOut, PanopticMask, Scene, Segment, Size, SparsePoints, counted
 from .frame_choice import choose_frames, evenly_spread, photo_detail
+from .mask_formats.segment_maps import labels_of_config
 from .masks import MaskReader, OtherClasses
 from .opening import open_asked, open_scene, open_scene_to_lift, require_liftable, splits_path
 from .pixels import distinct_ids

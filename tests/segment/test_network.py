@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+import json
 import shutil
+from collections.abc import Callable
+from functools import partial
+from hashlib import sha256
 from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
+from safetensors.torch import load_file, save_file
 
 from engine.command_line.main import main
 from engine.scene import check_scene, open_scene
@@ -77,6 +83,102 @@ def test_pickled_weights_are_not_read(model: Path, tmp_path: Path) -> None:
     (tmp_path / "pickled" / "model.safetensors").rename(tmp_path / "pickled" / "pytorch_model.bin")
     with raises_key("no-model"):
         load_model(str(tmp_path / "pickled"), download=False)
+
+
+def with_weights(folder: Path, change: Callable[[dict[str, torch.Tensor]], object]) -> None:
+    weights = load_file(folder / "model.safetensors")
+    change(weights)
+    save_file(weights, folder / "model.safetensors", {"format": "pt"})
+
+
+def with_config(folder: Path, **changes: object) -> None:
+    content = json.loads((folder / "config.json").read_text())
+    (folder / "config.json").write_text(json.dumps(content | changes))
+
+
+def with_index(folder: Path, file: object) -> None:
+    """Of weights that lie in ``file``, which is a pickle for all that is known of it."""
+    names = [*load_file(folder / "model.safetensors")]
+    (folder / "model.safetensors").rename(folder / "part.safetensors")
+    shutil.copy(folder / "part.safetensors", folder / "w.bin")
+    shutil.copy(folder / "part.safetensors", folder.parent / "outside.safetensors")
+    content = {"metadata": {}, "weight_map": dict.fromkeys(names, file)}
+    (folder / "model.safetensors.index.json").write_text(json.dumps(content))
+
+
+def half(weights: dict[str, torch.Tensor]) -> None:
+    for name in sorted(weights)[::2]:
+        del weights[name]
+
+
+def not_a_number(weights: dict[str, torch.Tensor]) -> None:
+    weights["class_predictor.bias"][1] = float("nan")
+
+
+BROKEN: dict[str, tuple[str, Callable[[Path], None]]] = {
+    "no weights": ("model-broken missing", partial(with_weights, change=dict.clear)),
+    "half of the weights": ("model-broken missing", partial(with_weights, change=half)),
+    "one weight too few": ("model-broken missing class_predictor.bias",
+                           partial(with_weights, change=lambda weights: weights.pop("class_predictor.bias"))),
+    "one weight too many": ("model-broken unexpected",
+                            partial(with_weights, change=lambda weights: weights.update(other=torch.ones(3)))),
+    "a weight of another shape": ("model-broken|model-unusable", partial(
+        with_weights, change=lambda weights: weights.update({"class_predictor.bias": torch.ones(3)}))),
+    "not a number": ("model-broken infinite class_predictor.bias", partial(with_weights, change=not_a_number)),
+    "a list of classes": ("no-id2label", partial(with_config, id2label=NAMES)),
+    "classes without numbers": ("bad-id2label", partial(with_config, id2label={"a": "chair"})),
+    "no classes": ("no-id2label", partial(with_config, id2label=None)),
+    "weights elsewhere": ("model-outside", partial(with_config, transformers_weights="../outside.safetensors")),
+    "weights in a pickle": ("model-outside", partial(with_config, transformers_weights="w.bin")),
+    **{f"an index of {file!r}": ("model-outside", partial(with_index, file=file))
+       for file in ("w.bin", "../outside.safetensors", "/tmp/outside.safetensors", "a\\b.safetensors", 3, None)},
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("told", "spoil"), BROKEN.values(), ids=BROKEN)
+def test_a_network_that_is_not_whole_makes_no_masks(
+    told: str, spoil: Callable[[Path], None], model: Path, folder: Path, tmp_path: Path
+) -> None:
+    shutil.copytree(model, tmp_path / "broken")
+    spoil(tmp_path / "broken")
+    with raises_key(told):
+        load_model(str(tmp_path / "broken"), download=False)
+    assert exit_code(main, "segment", folder, "--model", tmp_path / "broken") == 2
+    assert not (folder / "panoptic").exists()
+
+
+def test_an_index_of_parts_in_its_folder_is_read(model: Path, tmp_path: Path) -> None:
+    shutil.copytree(model, tmp_path / "parts")
+    with_index(tmp_path / "parts", "part.safetensors")
+    assert load_model(str(tmp_path / "parts"), download=False).labels
+
+
+@pytest.mark.parametrize("revision", ["", "@" + 40 * "a"])
+def test_weights_that_were_garbled_on_their_way_are_refused(
+    revision: str, model: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As the hub's cache has them: a link in a snapshot to a file that is called by its digest."""
+    import huggingface_hub
+
+    cached = tmp_path / "models--owner--tiny"
+    snapshot = cached / "snapshots" / (40 * "a")
+    shutil.copytree(model, snapshot)
+    (cached / "refs").mkdir()
+    (cached / "refs" / "main").write_text(40 * "a")
+    weights = snapshot / "model.safetensors"
+    blob = cached / "blobs" / sha256(weights.read_bytes()).hexdigest()
+    blob.parent.mkdir()
+    weights.rename(blob)
+    weights.symlink_to(blob)
+    monkeypatch.setattr(huggingface_hub.constants, "HF_HUB_CACHE", str(tmp_path))
+    assert load_model(f"owner/tiny{revision}", download=False).labels
+    content = bytearray(blob.read_bytes())
+    content[-3] ^= 1
+    blob.write_bytes(content)
+    with raises_key("model-broken"):
+        load_model(f"owner/tiny{revision}", download=False)
+    with raises_key("not-downloaded"):
+        load_model("owner/tiny@" + 40 * "b", download=False)
 
 
 def test_a_broken_model_is_a_one_line_error(model: Path, tmp_path: Path) -> None:

@@ -14,7 +14,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, Sequence, Set
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -85,7 +85,7 @@ def _read_transformers(place: Path, names: Sequence[str]) -> MaskSource:
     segments = {name: _transformers_segments(name, tables[name]) for name in tables}
     fused = {one["label_id"] for name in tables for one in _segments_info(tables[name]) if one.get("was_fused")}
     config = place / _CONFIG
-    labels = _labels_of_config(config, fused) if config.is_file() else None
+    labels = labels_of_config(config, fused) if config.is_file() else None
     return MaskSource(_masks(pictures, tables, segments), labels, stuff_in_pieces=True, void=frozenset())
 
 
@@ -174,7 +174,7 @@ def _add(found: dict[int, FoundSegment], one: FoundSegment, name: str, table: Pa
         raise PlgsError("segment-twice", f"frame {name} has the segment id {one.id} twice", table, fix)
 
 
-def _labels_of_config(config: Path, fused: set[int]) -> tuple[ClassLabel, ...]:
+def labels_of_config(config: Path, fused: Set[int] = frozenset()) -> tuple[ClassLabel, ...]:
     """``id2label`` of a model's config.json. Public tables know things by name; other things are what was not fused."""
     names = read_json_object(config).get("id2label")
     fix = "Copy the model's config.json there, or remove it and name a table with --classes."
