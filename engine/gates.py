@@ -47,9 +47,8 @@ def refuse_special(path: Path) -> None:
 
 
 def open_to_append(path: Path) -> int:
-    """A descriptor to read a plain file and append to it; it is made if missing.
-
-    Raises OSError, also for a link and for a file that has a second name elsewhere: its content would change there."""
+    """A descriptor to read a plain file and append to it; it is made if missing. Raises OSError, also for a link and
+    for a file that has a second name elsewhere: its content would change there."""
     descriptor = _open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND, follow_link=False)
     if os.fstat(descriptor).st_nlink > 1:
         os.close(descriptor)
@@ -83,10 +82,8 @@ def _special(path: Path) -> OSError:
 
 
 def inner_path(text: str) -> PurePosixPath:
-    """A relative path of plain names. Raises ValueError for one that leaves its folder.
-
-    Windows' rules decide, which are the stricter ones: drives, shares (looking at one sends the user's credentials
-    there), both kinds of slashes."""
+    """A relative path of plain names. Raises ValueError for one that leaves its folder. Windows' rules decide, which
+    are the stricter ones: drives, shares (looking at one sends the user's credentials there), both kinds of slashes."""
     parts = PureWindowsPath(text)
     if parts.anchor or ".." in parts.parts or not parts.parts or "\0" in text:
         raise ValueError(f"{text!r} leaves the folder")

@@ -145,8 +145,7 @@ _INSIDE = {"inside": True}
 @dataclass(frozen=True)
 class MadeFrame:
     """One frame's pictures, None where it has none: its ``colour`` undistorted, its ``depth`` and ``masks`` drawn in
-    colours. ``depth_range`` is the nearest and the farthest depth in metres that the drawing distinguishes.
-    """
+    colours. ``depth_range`` is the nearest and the farthest depth in metres that the drawing distinguishes."""
 
     colour: Path | None = field(default=None, metadata=_INSIDE)
     depth: Path | None = field(default=None, metadata=_INSIDE)
@@ -158,8 +157,7 @@ class MadeFrame:
 class MadeFrames:
     """What lies in ``folder``: the cameras of all frames of the ``scene``, and the pictures by frame name. ``cloud`` is
     made of depth, ``points`` are those of the reconstruction behind the poses: .npz files with xyz float32 [N, 3]
-    metres and rgb uint8 [N, 3], None where there are none.
-    """
+    metres and rgb uint8 [N, 3], None where there are none."""
 
     folder: Path = field(metadata={"apart": True})
     source: SceneSource
@@ -180,8 +178,7 @@ class MadeFrames:
 
 def made_of(folder: Path, source: SceneSource) -> MadeFrames | None:
     """What an earlier run made of this very scene in ``folder``; None when nothing is there. Raises PlgsError when the
-    folder holds something else.
-    """
+    folder holds something else."""
     if not folder.exists():
         return None
     if (folder / FILE).is_file():

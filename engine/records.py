@@ -62,10 +62,8 @@ def refuse_other_format(content: dict[str, Any], path: Path | str, version: int 
 def record_of(
     kind: type[Record], content: Mapping[str, Any], path: Path | str, fix: str, context: str = "", **apart: Any
 ) -> Record:
-    """The record of a JSON object from the file ``path``. ``context`` is its place there, such as "files[3]".
-
-    Raises a PlgsError that names the file, the key and what it has to be.
-    """
+    """The record of a JSON object from the file ``path``. ``context`` is its place there, such as "files[3]". Raises a
+    PlgsError that names the file, the key and what it has to be."""
     declared = {each.name: each for each in _written(kind)}
     unknown = sorted(set(content) - set(declared))
     if unknown:

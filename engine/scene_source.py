@@ -135,15 +135,6 @@ MASK_FORMAT_NAMES = (
     FormatName("arrays", "arrays", "<frame>.npy or .npz with classes [H, W], or with probabilities [C, H, W]"),
 )
 
-_PLAIN = "Convert it to the folders color, depth, pose and intrinsic, as docs/captures.md describes them."
-_AS_COCO = "Write the ids of your renders as COCO panoptic PNGs with panoptic.json, as docs/masks.md describes them."
-GONE_FORMATS = {
-    **dict.fromkeys(("icl", "vmap", "posed-images", "open3d"), _PLAIN),
-    "tsdf-fusion": "Name it 7scenes, which reads camera-intrinsics.txt.",
-    **dict.fromkeys(("cryptomatte", "object-index"), _AS_COCO),
-}
-"""What to do with formats of earlier versions."""
-
 TABLES = ("coco", "ade20k", "cityscapes", "nyu40", "nyu13", "scannet", "scannet200", "replica", "reduced")
 """The public tables of classes."""
 NUMBERINGS = (

@@ -34,11 +34,8 @@ _HEADERS = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.r
 def read_npz(
     path: Path, fix: str, names: Collection[str] | None = None, most_bytes: int = MOST_BYTES
 ) -> dict[str, NDArray[Any]]:
-    """The arrays of a .npz by name: those of ``names``, or all.
-
-    Raises PlgsError, with ``fix`` as the advice, for a damaged file, a missing array, an array of objects, and more
-    than ``most_bytes`` of unpacked numbers.
-    """
+    """The arrays of a .npz by name: those of ``names``, or all. Raises PlgsError, with ``fix`` as the advice, for a
+    damaged file, a missing array, an array of objects, and more than ``most_bytes`` of unpacked numbers."""
     try:
         with open_plain(path) as file, ZipFile(file) as archive:
             entries = {entry.filename.removesuffix(".npy"): entry for entry in archive.infolist()}

@@ -22,10 +22,8 @@ PALETTE = tuple((red, green, blue) for red, green, blue in map(bytes.fromhex, _W
 
 @dataclass(frozen=True)
 class ClassLabel:
-    """A class with its number in the masks' own files: ``id`` may be 0 there, and ``colour`` None.
-
-    The ``name`` is that of the file in one printable line, wherever it is shown or written later.
-    """
+    """A class with its number in the masks' own files: ``id`` may be 0 there, and ``colour`` None. The ``name`` is that
+    of the file in one printable line, wherever it is shown or written later."""
 
     id: int
     name: str

@@ -79,10 +79,8 @@ class Camera:
         return local @ self.camera_to_world[:3, :3].T + self.camera_to_world[:3, 3]
 
     def project(self, points: NDArray[np.floating]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """World points [..., 3] to continuous pixel coordinates float64 [..., 2] (x, y) and planar depth [...].
-
-        Where depth <= 0 the coordinates are meaningless (but finite).
-        """
+        """World points [..., 3] to continuous pixel coordinates float64 [..., 2] (x, y) and planar depth [...]. Where
+        depth <= 0 the coordinates are meaningless (but finite)."""
         local = (points - self.centre) @ self.camera_to_world[:3, :3]
         z = local[..., 2]
         safe = np.where(np.abs(z) < 1e-9, 1e-9, z)

@@ -86,10 +86,8 @@ def _read(path: Path) -> bytes:
 
 
 def check_image_bytes(data: bytes, path: Path) -> None:
-    """``check_image_file`` for bytes out of the file ``path``.
-
-    Raises PlgsError, also for kinds other than PNG and JPEG, which no decoder may read, and for too many pixels.
-    """
+    """``check_image_file`` for bytes out of the file ``path``. Raises PlgsError, also for kinds other than PNG and
+    JPEG, which no decoder may read, and for too many pixels."""
     if not data:
         raise PlgsError("image-empty", "the image is empty", path, "Write this file again.")
     if data.startswith(_PNG_SIGNATURE):

@@ -47,10 +47,8 @@ def natural_order(name: str) -> tuple[tuple[int, int, str], ...]:
 
 
 def files_by_stem(folder: Path, suffixes: Collection[str], fix: str) -> dict[str, Path]:
-    """Files of ``folder`` with one of ``suffixes`` (lower case, with the dot), by stem, in natural order.
-
-    Raises PlgsError, with ``fix`` as the advice, when there is no such folder or file, or when a stem occurs twice.
-    """
+    """Files of ``folder`` with one of ``suffixes`` (lower case, with the dot), by stem, in natural order. Raises
+    PlgsError, with ``fix`` as the advice, when there is no such folder or file, or when a stem occurs twice."""
     if not folder.is_dir():
         raise PlgsError("no-folder", "a folder is missing", folder, fix)
     try:
@@ -190,8 +188,7 @@ _FOCAL_LENGTHS = (0.001, 1000.0)
 
 def check_camera(name: str, camera: Camera, path: Path) -> None:
     """Raise PlgsError, with the frame's ``name``, for a lens or picture that no camera has, or a name that cannot be
-    shown: it goes into panels, tables and logs as it is. ``path`` is its picture.
-    """
+    shown: it goes into panels, tables and logs as it is. ``path`` is its picture."""
     if not name.isprintable():
         what = f"the name of frame {shown(name)} cannot be shown as text"
         raise PlgsError("frame-name", what, path.parent, "Rename it.")

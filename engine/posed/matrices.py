@@ -81,10 +81,8 @@ def read_poses(files: Mapping[str, Path]) -> dict[str, NDArray[np.float64] | Non
 
 
 def rigid(pose: NDArray[np.float64], path: Path) -> NDArray[np.float64]:
-    """A camera-to-world pose, float64 [4, 4], out of the file ``path``.
-
-    Raises PlgsError for a matrix that is not rigid. The rounding of text is corrected, so that the inverse is exact.
-    """
+    """A camera-to-world pose, float64 [4, 4], out of the file ``path``. Raises PlgsError for a matrix that is not
+    rigid. The rounding of text is corrected, so that the inverse is exact."""
     if not np.allclose(pose[3], [0.0, 0.0, 0.0, 1.0], atol=1e-4):
         what = "the last row of the pose is not 0 0 0 1"
         raise PlgsError("pose-last-row", what, path, "Write camera-to-world, one row per line.")
@@ -123,9 +121,7 @@ def read_intrinsics(path: Path, size: Size) -> Camera:
 
 def as_lens(matrix: NDArray[np.float64], size: Size, path: Path) -> Camera:
     """A camera at the origin, centres at +0.5, from K (integer pixel centres) of a ``size`` picture, out of ``path``.
-
-    Raises PlgsError for numbers that no camera has.
-    """
+    Raises PlgsError for numbers that no camera has."""
     if not np.isfinite(matrix).all():
         raise PlgsError("inf", "there is an inf", path, "Write the camera's fx, fy, cx and cy in pixels.")
     (fx, skew, cx), (row, fy, cy), last = matrix[0, :3], matrix[1, :3], matrix[2, :3]
@@ -141,11 +137,12 @@ def as_lens(matrix: NDArray[np.float64], size: Size, path: Path) -> Camera:
     return Camera(width, height, float(fx), float(fy), float(cx) + 0.5, float(cy) + 0.5, np.eye(4))
 
 
-_TO_Z_UP = {
+TO_Z_UP = {
     "z": np.eye(3),
     "y": np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]]),
     "-y": np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]]),
 }
+"""The rotation of a world with this axis up into one with z up."""
 _CLEARLY_UP = 0.6
 _NEARLY_UPRIGHT = 0.99
 """Cosine of 8 degrees: z that is this close to the cameras' up was meant to be up."""
@@ -164,16 +161,11 @@ def upright_turn(
     axis: UpAxis | None = "z" if asked == "+z" else own if asked == "z" else asked
     if axis is None:
         return upright_rotation(poses), []
-    turn = to_z_up(axis)
+    turn = TO_Z_UP[axis]
     if is_known and axis == own:
         return turn, []
     tilted = up_axis_warning([turned(pose, turn) for pose in poses], axis)
     return turn, [tilted] if tilted else []
-
-
-def to_z_up(up: UpAxis) -> NDArray[np.float64]:
-    """The rotation, float64 [3, 3], of a world whose axis ``up`` points up into one whose z does."""
-    return _TO_Z_UP[up]
 
 
 def turned(pose: NDArray[np.float64], turn: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -194,10 +186,10 @@ def up_axis_warning(poses: Sequence[NDArray[np.float64]], up: UpAxis) -> str | N
     axis = int(np.abs(mean).argmax())
     if abs(mean[axis]) < _CLEARLY_UP or (axis == 2 and mean[2] > 0.0):
         return None
-    written = _TO_Z_UP[up].T @ mean
+    written = TO_Z_UP[up].T @ mean
     axis = int(np.abs(written).argmax())
     name = ("-" if written[axis] < 0.0 else "") + "xyz"[axis]
-    advice = f"lift with --up {name}" if name in _TO_Z_UP else "turn the poses so that z points up"
+    advice = f"lift with --up {name}" if name in TO_Z_UP else "turn the poses so that z points up"
     if mean[2] < -_CLEARLY_UP:
         advice = f"{advice}, or check that poses have y down and z forward (OpenGL's and Blender's are the reverse)"
     return f"the cameras' up is the axis {name}, not {up}, so boxes would be tilted: {advice}"

@@ -38,10 +38,8 @@ class Split:
 
 
 def find_split(folder: Path, names: Sequence[str], lost: Sequence[str]) -> Split:
-    """The split of the frames ``names`` by ``splits.json`` in ``folder``, or the default without that file.
-
-    ``lost`` names frames without a pose. Raises PlgsError as ``read_split`` does, or when no frame is left to train on.
-    """
+    """The split of the frames ``names`` by ``splits.json`` in ``folder``, or the default without that file. ``lost``
+    names frames without a pose. Raises PlgsError as ``read_split`` does, or when no frame is left to train on."""
     table = folder / "splits.json"
     split = read_split(table, names, lost) if table.is_file() else default_split(names)
     if not split.train:
@@ -50,10 +48,8 @@ def find_split(folder: Path, names: Sequence[str], lost: Sequence[str]) -> Split
 
 
 def default_split(names: Sequence[str]) -> Split:
-    """Hold out every 8th frame: the 5th, the 13th, ..., at most 40. Fewer than five frames are all trained on.
-
-    The first frame, and often the last, shows most that no other does, so they are trained on.
-    """
+    """Hold out every 8th frame: the 5th, the 13th, ..., at most 40. Fewer than five frames are all trained on. The
+    first frame, and often the last, shows most that no other does, so they are trained on."""
     every = max(_EVERY, -(-len(names) // _MOST))
     test = names[_FIRST::every]
     train = tuple(name for index, name in enumerate(names) if index % every != _FIRST)

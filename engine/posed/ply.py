@@ -58,8 +58,7 @@ def triangles_by_label(
     triangles: NDArray[np.integer], label: NDArray[np.int64]
 ) -> dict[int, NDArray[Any]]:
     """The triangles [T, 3] of each label, from the labels [V] of the vertices. A triangle has the label that two of its
-    corners share, else that of its first corner.
-    """
+    corners share, else that of its first corner."""
     corners = label[triangles]
     own = np.where(corners[:, 1] == corners[:, 2], corners[:, 1], corners[:, 0])
     order = np.argsort(own, kind="stable")
@@ -90,8 +89,7 @@ def read_surface(path: Path) -> LabelledSurface:
 
 def read_gaussians(path: Path) -> NDArray[np.void]:
     """The rows of a splat file, a structured array [N] by its columns' names. Raises PlgsError for other files. Rows
-    with numbers that are not finite, or that lie absurdly far away, are left out.
-    """
+    with numbers that are not finite, or that lie absurdly far away, are left out."""
     content, end, columns, (count, _) = _read(path, _MOST_OF_SPLATS, _SPLATS_FIX)
     if not _NEEDED <= {*columns}:
         raise PlgsError("no-splats", "the file holds no splats", path, _SPLATS_FIX)

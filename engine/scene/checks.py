@@ -61,10 +61,8 @@ class Overlap:
 
 
 def measure_overlap(thumbnails: Sequence[Thumbnail], tick: Callable[[], object] | None = None) -> Overlap:
-    """Compare every frame with the next three, and 24 frames spread over the scene with each other.
-
-    ``tick`` is called after each pair.
-    """
+    """Compare every frame with the next three, and 24 frames spread over the scene with each other. ``tick`` is called
+    after each pair."""
     count = len(thumbnails)
     spread = np.unique(np.linspace(0, count - 1, min(count, _SPREAD)).round().astype(int)).tolist()
     pairs = {(i, j) for i in range(count) for j in range(i + 1, min(i + 1 + _NEXT, count))}
@@ -126,10 +124,8 @@ class DepthFacts:
 
 @dataclass(frozen=True)
 class MaskFacts:
-    """``segments`` counts the segments with pixels, ``unpainted`` lists those without.
-
-    ``class_pixels`` are (class id, share of the mask's pixels), void (0) included.
-    """
+    """``segments`` counts the segments with pixels, ``unpainted`` lists those without. ``class_pixels`` are (class id,
+    share of the mask's pixels), void (0) included."""
 
     size: Size
     segments: int
@@ -237,16 +233,18 @@ def _readable(scene: Scene, tick: Progress, keep_within: Size | None) -> tuple[l
 def _look(frame: Frame, unknown_truth: frozenset[int | str], keep_within: Size | None, decode: bool) -> _Look:
     """Raises PlgsError where a file cannot be read."""
     brightest = _check_colour(frame, decode)
-    depth = None if frame.read_depth is None else frame.read_depth(None)
-    mask = None
+    measured, thumbnail, mask = None, None, None
+    if frame.read_depth is not None:
+        depth = frame.read_depth(None)
+        measured = _depth_facts(frame, depth)
+        size = (_THUMBNAIL_WIDTH, max(1, round(_THUMBNAIL_WIDTH * frame.camera.height / frame.camera.width)))
+        thumbnail = Thumbnail(frame.name, frame.camera.resized(*size), resize_nearest(depth, size))
     if frame.read_mask is not None:
         whole = frame.read_mask(None)
         mask = _mask_facts(whole)
         if keep_within is not None:
             frame = replace(frame, read_mask=KeptMask.of(whole, size_within(frame.size, keep_within), frame.read_mask))
-    measured = None if depth is None else _depth_facts(frame, depth)
-    facts = FrameFacts(frame.name, measured, mask, unknown_truth, brightest)
-    return facts, None if depth is None else _thumbnail(frame, depth), frame
+    return FrameFacts(frame.name, measured, mask, unknown_truth, brightest), thumbnail, frame
 
 
 def _check_colour(frame: Frame, decode: bool) -> int | None:
@@ -258,12 +256,6 @@ def _check_colour(frame: Frame, decode: bool) -> int | None:
     if is_image:
         check_image_file(frame.colour_path)
     return None
-
-
-def _thumbnail(frame: Frame, depth: NDArray[np.float32]) -> Thumbnail:
-    height = max(1, round(_THUMBNAIL_WIDTH * frame.camera.height / frame.camera.width))
-    size = (_THUMBNAIL_WIDTH, height)
-    return Thumbnail(frame.name, frame.camera.resized(*size), resize_nearest(depth, size))
 
 
 def _depth_facts(frame: Frame, depth: NDArray[np.float32]) -> DepthFacts:

@@ -71,10 +71,8 @@ OBJECT = ClassLabel(0, "object", is_thing=True)
 
 @dataclass(frozen=True)
 class ClassMap:
-    """``class_of`` maps labels to class ids, 0 = void. ``merges``: several labels became one class.
-
-    ``others`` is the class id of all further labels, or None when these are an error.
-    """
+    """``class_of`` maps labels to class ids, 0 = void. ``merges``: several labels became one class. ``others`` is the
+    class id of all further labels, or None when these are an error."""
 
     classes: ClassTable
     class_of: Mapping[int, int]
@@ -84,10 +82,8 @@ class ClassMap:
 
 @dataclass(frozen=True)
 class NamedClass:
-    """One row of a list of classes that a user edits: a ``label`` of the masks, its ``name``, and its kind.
-
-    ``into`` is the name of the class that it counts as: its own, another to merge it, or "void" to drop it.
-    """
+    """One row of a list of classes that a user edits: a ``label`` of the masks, its ``name``, and its kind. ``into`` is
+    the name of the class that it counts as: its own, another to merge it, or "void" to drop it."""
 
     label: int
     name: str

@@ -152,10 +152,8 @@ def drop_untrusted(depth: NDArray[np.float32], level: NDArray[np.integer], path:
 
 
 def depth_check(name: str, path: Path) -> Callable[[NDArray[np.float32]], NDArray[np.float32]]:
-    """A function that checks planar depth, float32 [H, W] metres with 0 = none, and returns it unchanged.
-
-    It raises PlgsError, with the frame's ``name`` and the file ``path``, for a size or lengths that no sensor gives.
-    """
+    """A function that checks planar depth, float32 [H, W] metres with 0 = none, and returns it unchanged. It raises
+    PlgsError, with the frame's ``name`` and the file ``path``, for a size or lengths that no sensor gives."""
 
     def check(depth: NDArray[np.float32]) -> NDArray[np.float32]:
         check_size(f"depth of frame {shown(name)}", (depth.shape[1], depth.shape[0]), path)
@@ -184,10 +182,7 @@ def registered(depth: NDArray[np.float32], camera: Camera, colour: Camera) -> ND
 
 def open_depth(scene: Path, lenses: Mapping[str, Camera]) -> tuple[dict[str, DepthMap], tuple[Inferred, ...]]:
     """Depth maps of the frames in the folder ``depth``, and what was inferred of their lens; only headers are read.
-    Raises PlgsError.
-
-    ``lenses`` are the colour cameras by frame.
-    """
+    Raises PlgsError. ``lenses`` are the colour cameras by frame."""
     folder = scene / "depth"
     files = files_by_stem(folder, {".png"}, "Give 16-bit PNGs in millimetres, named like the colour images.")
     fix = "Add depth/<name>.png, or remove their colour images."
@@ -210,10 +205,8 @@ def open_depth(scene: Path, lenses: Mapping[str, Camera]) -> tuple[dict[str, Dep
 
 
 def fitting_alignment(colour: Camera, depth: Camera) -> Alignment | None:
-    """The alignment of a colour camera with a depth camera at the same centre; None if no sensor is built so.
-
-    Both see the ray (x, y, 1): u = f x + c in either, so that depth's u is a linear function of colour's.
-    """
+    """The alignment of a colour camera with a depth camera at the same centre; None if no sensor is built so. Both see
+    the ray (x, y, 1): u = f x + c in either, so that depth's u is a linear function of colour's."""
     x_scale = (depth.fx / depth.width) / (colour.fx / colour.width)
     y_scale = (depth.fy / depth.height) / (colour.fy / colour.height)
     x_shift = depth.cx / depth.width - x_scale * colour.cx / colour.width

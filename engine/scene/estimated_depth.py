@@ -115,9 +115,7 @@ def _refined(values: Values, depths: Values, scale: float, shift: float, inverse
 
 def fitted_map(path: Path, pixels: NDArray[np.float64], depths: NDArray[np.float64]) -> NDArray[np.float32]:
     """Depth, float32 [H, W] in the world's lengths, 0 = none: a map fitted to points of known ``depths`` [N].
-
-    ``pixels`` [N, 2] are the points' x and y in shares of the picture. Raises PlgsError when nothing fits.
-    """
+    ``pixels`` [N, 2] are the points' x and y in shares of the picture. Raises PlgsError when nothing fits."""
     values = read_map(path)
     height, width = values.shape
     columns = (pixels[:, 0] * width).astype(np.int64).clip(0, width - 1)
@@ -140,10 +138,7 @@ def with_estimated_depth(
     frames: Sequence[Frame], folder: Path, points: SparsePoints | None
 ) -> tuple[tuple[Frame, ...], tuple[LeftOut, ...], tuple[Inferred, ...]]:
     """The frames with depth from the maps in ``folder``, those that are left out, as they see too few points, and what
-    no file says.
-
-    Maps are read on demand. Raises PlgsError when a map is missing, or no frame is left.
-    """
+    no file says. Maps are read on demand. Raises PlgsError when a map is missing, or no frame is left."""
     files = files_of_frames(folder, [frame.name for frame in frames], {".npy", ".png"}, "depth map", _FIX)
     has_points = points is not None and len(points) > 0
     for path in files.values():

@@ -31,10 +31,8 @@ LOOKED_AT_WITHIN = (480, 480)
 
 
 def choose_frames(scene: Scene, most: int, progress: Callable[[int, int], object] | None = None) -> Scene:
-    """The scene with at most ``most`` of the frames to train on; those held out stay.
-
-    ``progress`` is called with the numbers of windows done and of all.
-    """
+    """The scene with at most ``most`` of the frames to train on; those held out stay. ``progress`` is called with the
+    numbers of windows done and of all."""
     frames = scene.train_frames
     if len(frames) <= most:
         return scene
@@ -80,10 +78,8 @@ def frame_detail(frame: Frame) -> float:
 
 
 def photo_detail(photo: NDArray[np.uint8]) -> float:
-    """The detail of a photo uint8 [H, W, 3]: the mean absolute Laplacian over the mean brightness.
-
-    Exposure does not matter. A blurred photo has less detail than its neighbours, which show about the same.
-    """
+    """The detail of a photo uint8 [H, W, 3]: the mean absolute Laplacian over the mean brightness. Exposure does not
+    matter. A blurred photo has less detail than its neighbours, which show about the same."""
     import cv2
 
     grey = photo.mean(axis=2, dtype=np.float32)

@@ -23,10 +23,8 @@ _NONE = (60, 60, 60)
 
 
 class DepthColours(NamedTuple):
-    """``rgb`` uint8 [H, W, 3]: light is ``near``, dark is ``far`` (metres; 0 and 0 without depth).
-
-    A line is drawn at each whole metre.
-    """
+    """``rgb`` uint8 [H, W, 3]: light is ``near``, dark is ``far`` (metres; 0 and 0 without depth). A line is drawn at
+    each whole metre."""
 
     rgb: NDArray[np.uint8]
     near: float

@@ -62,11 +62,12 @@ class Numbers:
 def numbers_of_truth(folder: Path, files: Mapping[str, Path], masks: MaskSet) -> Numbers:
     """What the numbers in a ``folder`` mean, whose ``files`` have the names of frames. Its table is that of
     ``classes.toml`` beside it or the one that its name ends with, such as ``semantic_nyu40``; in ``rs_semantics`` the
-    paper's 21. Raises PlgsError where it may be one of two.
-    """
+    paper's 21. Raises PlgsError where it may be one of two."""
     choice = _own_choice(folder)
     if choice is None:
-        return numbers_by_agreement(_compared(files, masks), masks.classes, folder, _numbers_in_files(masks))
+        # Numbers in the masks' own files differ from class ids where they count from 0.
+        in_files = next((reader.known.class_of for reader in masks.readers.values()), {})
+        return numbers_by_agreement(_compared(files, masks), masks.classes, folder, in_files)
     source = MaskSource(label_pairs(files, {}), void=IGNORED)
     _, choice, inferred = numbered(source, choice, folder, _ASKING)
     names = _names(choice, folder)
@@ -84,11 +85,6 @@ def _own_choice(folder: Path) -> ClassChoice | None:
 def _names(choice: ClassChoice | None, where: Path) -> dict[int, str]:
     own = class_map(None, choice, where, objects=False)
     return {n: "void" if class_id == VOID else own.classes[class_id].name for n, class_id in own.class_of.items()}
-
-
-def _numbers_in_files(masks: MaskSet) -> Mapping[int, int]:
-    """The classes of the numbers in the masks' own files, which differ from class ids where they count from 0."""
-    return next((reader.known.class_of for reader in masks.readers.values()), {})
 
 
 def _compared(files: Mapping[str, Path], masks: MaskSet) -> Joint:

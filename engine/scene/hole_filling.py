@@ -35,10 +35,8 @@ class HoleFilling:
 def fill_holes(
     depth: NDArray[np.float32], segments: NDArray[np.int32], options: HoleFilling | None = None
 ) -> NDArray[np.float32]:
-    """Depth with planar holes filled, float32 [H, W] metres, 0 = unknown.
-
-    ``segments`` int32 [H, W] are the mask's ids: a hole ends where its segment does. Measured depth never changes.
-    """
+    """Depth with planar holes filled, float32 [H, W] metres, 0 = unknown. ``segments`` int32 [H, W] are the mask's ids:
+    a hole ends where its segment does. Measured depth never changes."""
     import cv2
 
     rules = options or HoleFilling()

@@ -47,17 +47,16 @@ class LabelFolder:
     readers: Mapping[str, Callable[[], GroundTruth]]
 
 
-def _as_labels(mask: PanopticMask) -> GroundTruth:
+def _as_labels(read: Callable[[], PanopticMask]) -> GroundTruth:
     """Classes and instances of a mask: a thing's instance is its segment, stuff has none."""
+    mask = read()
     things = [segment.id for segment in mask.segments if segment.is_thing]
     return GroundTruth(mask.class_map(), np.where(np.isin(mask.ids, things), mask.ids, 0).astype(np.int32))
 
 
 def open_label_folder(folder: Path, *, is_truth: bool) -> LabelFolder:
-    """Find the labels in a folder; headers only. In a scene's folder, which may hold both, ``is_truth`` chooses.
-
-    Raises PlgsError when there are none, or a file is bad.
-    """
+    """Find the labels in a folder; headers only. In a scene's folder, which may hold both, ``is_truth`` chooses. Raises
+    PlgsError when there are none, or a file is bad."""
     if not folder.is_dir():
         raise PlgsError("not-folder", "is not a folder", folder, _FIX)
     table = folder / "panoptic.json"
@@ -78,7 +77,7 @@ def _coco(folder: Path) -> LabelFolder:
     names = list(files_by_stem(folder / "panoptic", {".png"}, _FIX))
     masks = open_masks(folder, names, "coco")
     require_all(names, masks.readers, "readable mask", folder / "panoptic.json", _FIX)
-    readers = {name: lambda read=read: _as_labels(read()) for name, read in masks.readers.items()}
+    readers = {name: partial(_as_labels, read) for name, read in masks.readers.items()}
     return LabelFolder(folder, masks.classes, readers)
 
 

@@ -115,10 +115,8 @@ class KeptMask:
 
 
 def fused(segments: Sequence[Segment]) -> tuple[list[Segment], dict[int, int]]:
-    """Stuff and groups of one class as one segment each, which keeps the id and the score of the first one.
-
-    The second value is the new id of each segment.
-    """
+    """Stuff and groups of one class as one segment each, which keeps the id and the score of the first one. The second
+    value is the new id of each segment."""
     first: dict[int, int] = {}
     new_id, kept = {}, []
     for one in segments:
@@ -158,10 +156,8 @@ def mask_place(scene: Path, masks: Path | None) -> Path | None:
 def open_masks(
     place: Path, names: Sequence[str], mask_format: str | None = None, classes: str | None = None
 ) -> MaskSet:
-    """Open the masks at ``place`` of the frames ``names``; headers and tables only. Raises PlgsError.
-
-    ``mask_format`` names their format, which is recognised otherwise. ``classes``: see ``find_class_choice``.
-    """
+    """Open the masks at ``place`` of the frames ``names``; headers and tables only. Raises PlgsError. ``mask_format``
+    names their format, which is recognised otherwise. ``classes``: see ``find_class_choice``."""
     source = open_mask_source(place, names, mask_format)
     choice = find_class_choice(classes, place if place.is_dir() else place.parent)
     source, choice, told = numbered(source, choice, place)

@@ -52,10 +52,8 @@ def open_scene(
 
 
 def open_asked(source: SceneSource) -> Scene:
-    """Open a scene without decoding an image. Masks and depth may be missing, see ``require_liftable``.
-
-    Raises PlgsError for the first thing that is wrong; ``check_scene`` looks into the pixels as well.
-    """
+    """Open a scene without decoding an image. Masks and depth may be missing, see ``require_liftable``. Raises
+    PlgsError for the first thing that is wrong; ``check_scene`` looks into the pixels as well."""
     place, masks = Path(source.scene), None if source.masks is None else Path(source.masks)
     reader = find_format(place, source.scene_format)
     try:
@@ -170,7 +168,7 @@ def _refuse_repeated_names(shots: Sequence[Shot], place: Path) -> None:
 
 
 def _readable_depth(shot: Shot) -> DepthMap | None:
-    """A shot's depth, if it has any. Raises PlgsError for a file that cannot be read."""
+    """Raises PlgsError for a file that cannot be read."""
     if shot.depth is not None and shot.depth.fault is not None:
         raise shot.depth.fault
     return shot.depth
@@ -212,7 +210,8 @@ def _check_mask_shapes(masks: MaskSet, sizes: Mapping[str, Size]) -> None:
 
 
 def _lens_warnings(cameras: Mapping[str, Camera]) -> Iterable[str]:
-    aside = [name for name, lens in cameras.items() if _is_far_aside(lens)]
+    middles = {name: (lens.cx / lens.width, lens.cy / lens.height) for name, lens in cameras.items()}
+    aside = [name for name, middle in middles.items() if max(abs(share - 0.5) for share in middle) > _FAR_ASIDE]
     if aside:
         yield f"{_ASIDE}: {listed(aside)}"
 
@@ -237,10 +236,6 @@ def _same_but_for_capitals(named: Iterable[tuple[str, str]]) -> list[list[str]]:
     for name, told in named:
         found.setdefault(name.casefold(), []).append(told)
     return [each for each in found.values() if len(each) > 1]
-
-
-def _is_far_aside(lens: Camera) -> bool:
-    return abs(lens.cx / lens.width - 0.5) > _FAR_ASIDE or abs(lens.cy / lens.height - 0.5) > _FAR_ASIDE
 
 
 def require_liftable(scene: Scene) -> None:

@@ -80,9 +80,7 @@ class ColourReader:
 
 def decode_depth(path: Path, fix: str) -> NDArray[Any]:
     """Decode a depth picture, uint8 or uint16 [H, W] as it is stored; many tools write grey as three equal channels.
-
-    Raises PlgsError for colours, with ``fix`` as the advice.
-    """
+    Raises PlgsError for colours, with ``fix`` as the advice."""
     pixels = decode(path, as_colour=False)
     if pixels.ndim == 3 and pixels.shape[2] == 3 and bool((pixels == pixels[..., :1]).all()):
         return np.ascontiguousarray(pixels[..., 0])

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -16,7 +15,7 @@ from ..json_file import read_object
 from ..posed.classes import VOID
 from ..records import record_of
 from ..scene_source import SceneSource
-from .checks import DepthFacts, Survey, survey_scene
+from .checks import Survey, survey_scene
 from .class_choice import FILE_NAME, class_choice_text, find_class_choice
 from .class_map import NamedClass, choice_of, named_classes
 from .frame import Inferred, LeftOut, Scene, Size, doubts
@@ -70,10 +69,8 @@ class SceneReport:
 
 
 def describe(scene: Scene) -> SceneReport:
-    """Survey a scene and sum it up. Decodes every frame and raises PlgsError as ``check_scene`` does.
-
-    Depth and masks may be missing.
-    """
+    """Survey a scene and sum it up. Decodes every frame and raises PlgsError as ``check_scene`` does. Depth and masks
+    may be missing."""
     return report_of(survey_scene(scene))
 
 
@@ -86,6 +83,7 @@ def report_of(survey: Survey) -> SceneReport:
     for mask in masks:
         for class_id, share in mask.class_pixels:
             shares[class_id] += share / len(masks)
+    nearest, middle, farthest = ([depth.range[place] for depth in depths] for place in range(3))
     segments = sorted(mask.segments for mask in masks)
     centres = np.array([frame.camera.centre for frame in scene.frames])
     extent = np.ptp(centres, axis=0)
@@ -98,7 +96,7 @@ def report_of(survey: Survey) -> SceneReport:
         colour_sizes=tuple(Counter(frame.size for frame in scene.frames).most_common()),
         depth_sizes=tuple(Counter(depth.size for depth in depths).most_common()),
         mask_sizes=tuple(Counter(mask.size for mask in masks).most_common()),
-        depth_range=_range(depths) if depths else None,
+        depth_range=(min(nearest), float(np.median(middle)), max(farthest)) if depths else None,
         segments_per_frame=(segments[0], segments[len(segments) // 2], segments[-1]) if segments else None,
         classes=tuple(
             ClassReport(category.id, category.name, category.is_thing, category.colour, shares[category.id])
@@ -115,24 +113,13 @@ def report_of(survey: Survey) -> SceneReport:
     )
 
 
-def _range(depths: Sequence[DepthFacts]) -> tuple[float, float, float]:
-    """The nearest, the median and the farthest depth of a scene, in metres."""
-    return (
-        min(depth.range[0] for depth in depths),
-        float(np.median([depth.range[1] for depth in depths])),
-        max(depth.range[2] for depth in depths),
-    )
-
-
 _AGAIN = "Read the classes again."
 
 
 @dataclass(frozen=True)
 class ClassList:
-    """``rows`` in order of the masks' numbers, and numbers that mean nothing (``void``).
-
-    ``path`` is that of the classes.toml beside the masks, which may not be there yet.
-    """
+    """``rows`` in order of the masks' numbers, and numbers that mean nothing (``void``). ``path`` is that of the
+    classes.toml beside the masks, which may not be there yet."""
 
     path: Path
     rows: tuple[NamedClass, ...]
@@ -140,10 +127,8 @@ class ClassList:
 
 
 def list_classes(source: SceneSource, table: str | None = None) -> ClassList:
-    """The classes in the masks' files and in a classes.toml beside them. Opens the scene; raises PlgsError.
-
-    ``table`` starts again with the classes of a table (see ``TABLES``), for masks whose files have none.
-    """
+    """The classes in the masks' files and in a classes.toml beside them. Opens the scene; raises PlgsError. ``table``
+    starts again with the classes of a table (see ``TABLES``), for masks whose files have none."""
     path = class_list_path(source.scene, source.masks)
     scene = open_asked(replace(source, up="z", classes=table))
     place, names = _place_of_masks(source.scene, source.masks), [frame.name for frame in scene.frames]
@@ -162,9 +147,7 @@ def list_classes(source: SceneSource, table: str | None = None) -> ClassList:
 
 def write_class_list(source: SceneSource, edited: Path) -> Path:
     """Write the classes.toml beside a scene's masks from a ClassList that was edited, in a JSON file. Returns its path.
-
-    The colours in it stay. Raises PlgsError for a list of another scene, and for a class without a name.
-    """
+    The colours in it stay. Raises PlgsError for a list of another scene, and for a class without a name."""
     content: dict[str, Any] = read_object(edited, _AGAIN)
     listed, path = record_of(ClassList, content, edited, _AGAIN), class_list_path(source.scene, source.masks)
     if not listed.rows:
@@ -182,10 +165,8 @@ def write_class_list(source: SceneSource, edited: Path) -> Path:
 
 
 def class_list_path(folder: Path, masks: Path | None = None) -> Path:
-    """The classes.toml beside a scene's masks, which may not be there yet.
-
-    Raises PlgsError without masks, and when something else has its name.
-    """
+    """The classes.toml beside a scene's masks, which may not be there yet. Raises PlgsError without masks, and when
+    something else has its name."""
     place = _place_of_masks(folder, masks)
     beside = place if place.is_dir() else place.parent
     path = beside / FILE_NAME

@@ -112,9 +112,8 @@ class View:
 
 
 def load_view(frame: Frame, size: Size | None = None) -> View:
-    """Read a frame at ``size`` (width, height), or at its own size. Raises PlgsError when a file is bad, or when
-    the frame has no depth or no mask.
-    """
+    """Read a frame at ``size`` (width, height), or at its own size. Raises PlgsError when a file is bad, or when the
+    frame has no depth or no mask."""
     width, height = size or frame.size
     colour = frame.read_colour(None)
     border = border_mask(colour)
@@ -130,10 +129,8 @@ def load_view(frame: Frame, size: Size | None = None) -> View:
 
 
 def read_ahead(frames: Sequence[Frame], read: Callable[[Frame], Read]) -> Iterator[Read]:
-    """``read`` of each frame in its order, a few frames ahead. Decoding a picture does not hold Python's lock.
-
-    Frames of one file, such as a video, are read one after another. Errors of ``read`` come at the frame's own place.
-    """
+    """``read`` of each frame in its order, a few frames ahead. Decoding a picture does not hold Python's lock. Frames
+    of one file, such as a video, are read one after another. Errors of ``read`` come at the frame's own place."""
     if not all(frame.file_shows_colour for frame in frames):
         yield from map(read, frames)
         return
@@ -239,10 +236,8 @@ def stored(arrays: Iterable[NDArray[Any]], folder: Path | None = None) -> OnDema
 
 
 class StoredViews(OnDemand[View]):
-    """Views on disk, in their order, each read back on demand, bit for bit: a long scan does not fit into memory.
-
-    They are stored one after another in ``folder`` (see StoredArrays). ``stored`` is called with their number so far.
-    """
+    """Views on disk, in their order, each read back on demand, bit for bit: a long scan does not fit into memory. They
+    are stored one after another in ``folder`` (see StoredArrays). ``stored`` is called with their number so far."""
 
     def __init__(
         self, views: Iterable[View], folder: Path | None = None, stored: Callable[[int], object] | None = None

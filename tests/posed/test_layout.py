@@ -32,15 +32,8 @@ from tests.tiny_scene import write_tiny_scene
 
 def test_frames_come_in_natural_order() -> None:
     names = ["10", "9", "0_0010", "0_0009", "frame2", "frame10", "frame-000001.color"]
-    assert sorted(names, key=natural_order) == [
-        "0_0009",
-        "0_0010",
-        "9",
-        "10",
-        "frame2",
-        "frame10",
-        "frame-000001.color",
-    ]
+    ordered = ["0_0009", "0_0010", "9", "10", "frame2", "frame10", "frame-000001.color"]
+    assert sorted(names, key=natural_order) == ordered
 
 
 def test_files_are_found_by_stem_whatever_the_case_of_their_suffix(tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from engine.posed.matrices import read_intrinsics, read_matrix, read_poses, to_z_up, turned, up_axis_warning
+from engine.posed.matrices import TO_Z_UP, read_intrinsics, read_matrix, read_poses, turned, up_axis_warning
 from engine.scene import Camera, UpAxis
 from tests.raises_key import raises_key
 from tests.tiny_scene import tiny_pose
@@ -85,7 +85,7 @@ def test_a_lost_pose_is_none_and_a_nan_is_an_error(tmp_path: Path) -> None:
 def test_the_named_axis_ends_up_on_z(up: UpAxis, axis: list[int]) -> None:
     pose = np.eye(4)
     pose[:3, 3] = axis
-    upright = turned(pose, to_z_up(up))
+    upright = turned(pose, TO_Z_UP[up])
     np.testing.assert_allclose(upright[:3, 3], [0, 0, 1], atol=1e-15)
     assert np.linalg.det(upright[:3, :3]) == pytest.approx(1.0)
 

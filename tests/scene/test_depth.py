@@ -17,30 +17,16 @@ from tests.scene.refusing import refuses
 from tests.tiny_scene import tiny_intrinsics, tiny_pose, trace_view, write_tiny_scene
 
 
-def test_no_depth_stays_none_at_any_size(tmp_path: Path) -> None:
+@pytest.mark.parametrize("none", [0, 65535])
+@pytest.mark.parametrize("channels", [1, 3])
+def test_no_depth_stays_none_at_any_size(tmp_path: Path, none: int, channels: int) -> None:
+    """The largest value was 65.5 m: a wall of points around the room. Three equal channels are depth, too."""
     folder = write_tiny_scene(tmp_path, frames=5)
-    depth = np.full((48, 64), 2000, np.uint16)
-    depth[::2] = 0
+    depth = np.full((48, 64, channels), 2000, np.uint16)
+    depth[::2] = none
     cv2.imwrite(str(folder / "depth" / "0001.png"), depth)
     read = open_scene(folder).frames[1].read_depth((100, 75))
     assert {*np.unique(read).tolist()} == {0.0, 2.0}, "holes must not be mixed with depth"
-
-
-def test_the_largest_value_is_no_depth(tmp_path: Path) -> None:
-    """It was 65.5 m: a wall of points around the room, without a word."""
-    scene = write_tiny_scene(tmp_path)
-    path = scene / "depth" / "0000.png"
-    steps = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
-    steps[:5] = 65535
-    cv2.imwrite(str(path), steps)
-    depth = open_scene(scene).frames[0].depth()
-    assert not depth[:5].any() and depth[5:].all()
-
-
-def test_grey_in_three_equal_channels_is_depth(tmp_path: Path) -> None:
-    folder = write_tiny_scene(tmp_path, frames=5)
-    cv2.imwrite(str(folder / "depth" / "0001.png"), np.full((48, 64, 3), 1999, np.uint16))
-    np.testing.assert_allclose(open_scene(folder).frames[1].depth(), 1.999)
 
 
 def test_depth_of_another_size_fits_the_colour(tmp_path: Path) -> None:

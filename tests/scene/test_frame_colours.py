@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from engine.scene import Category, ClassTable, PanopticMask, Segment
 from engine.scene.frame_colours import depth_colours, mask_colours
@@ -27,14 +28,10 @@ def test_a_line_is_drawn_at_each_whole_metre() -> None:
     assert [round(float(depth[1, i + 1])) for i in dips] == [1, 2, 3]
 
 
-def test_without_depth_nothing_is_reported() -> None:
-    drawn = depth_colours(np.zeros((2, 3), np.float32))
-    assert (drawn.near, drawn.far) == (0.0, 0.0) and (drawn.rgb == 60).all()
-
-
-def test_one_depth_all_over() -> None:
-    drawn = depth_colours(np.full((4, 4), 2.0, np.float32))
-    assert drawn.near == drawn.far == 2.0 and len(np.unique(drawn.rgb.reshape(-1, 3), axis=0)) == 1
+@pytest.mark.parametrize("metres", [0.0, 2.0])
+def test_no_depth_and_one_depth_all_over_are_one_colour(metres: float) -> None:
+    drawn = depth_colours(np.full((4, 4), metres, np.float32))
+    assert drawn.near == drawn.far == metres and len(np.unique(drawn.rgb.reshape(-1, 3), axis=0)) == 1
 
 
 def test_masks_in_their_classes_colours_with_borders() -> None:
@@ -45,8 +42,5 @@ def test_masks_in_their_classes_colours_with_borders() -> None:
     assert drawn[2, 3].tolist() == [200, 180, 160] and drawn[2, 6].tolist() == [20, 90, 200]
     assert drawn[2, 0].tolist() == [60, 60, 60], "void"
     assert drawn[2, 4].tolist() == [80, 72, 64], "the border of two segments"
-
-
-def test_a_class_that_the_table_lacks_is_grey() -> None:
-    mask = PanopticMask(np.full((2, 2), 4, np.int32), (Segment(4, 99, True),))
-    assert (mask_colours(mask, CLASSES) == 60).all()
+    unknown = PanopticMask(np.full((2, 2), 4, np.int32), (Segment(4, 99, True),))
+    assert (mask_colours(unknown, CLASSES) == 60).all(), "a class that the table lacks"

@@ -103,15 +103,6 @@ def test_a_frame_may_have_intrinsics_and_a_shape_of_its_own(tmp_path: Path) -> N
     np.testing.assert_allclose(open_scene(folder).frames[3].camera.K, tiny_intrinsics((64, 48)), rtol=1e-12)
 
 
-def test_intrinsics_of_smaller_images_are_a_warning(tmp_path: Path) -> None:
-    folder = write_tiny_scene(tmp_path, frames=5)
-    np.savetxt(folder / "intrinsic" / "intrinsic_color.txt", [[25, 0, 16], [0, 25, 12], [0, 0, 1]])
-    assert open_scene(folder).warnings == (
-        "the principal point is far from the middle (are the intrinsics in pixels of the colour images?): "
-        "0000, 0001, 0002, 0003, 0004",
-    )
-
-
 def test_an_orientation_tag_does_not_turn_the_picture(tmp_path: Path) -> None:
     folder = write_tiny_scene(tmp_path, frames=5, colour_format="jpg")
     path = folder / "color" / "0000.jpg"

@@ -1,4 +1,4 @@
-"""Views: a frame's pixels at one size, its black borders, and sequences that hold nothing."""
+"""Views: a frame's pixels at one size, its black borders, how much its word counts, sequences that hold nothing."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ import pytest
 from numpy.typing import NDArray
 
 from engine.errors import PlgsError
+from engine.presets.preset import EvidenceKind
 from engine.scene import (
     Camera,
     Frame,
@@ -21,8 +22,10 @@ from engine.scene import (
     StoredArrays,
     StoredViews,
     chained,
+    evidence,
     load_view,
     open_scene,
+    resolution_of,
     size_within,
     stored,
 )
@@ -220,28 +223,14 @@ def test_a_view_sees_what_its_own_depth_shows(folder: Path) -> None:
 
 def test_items_are_made_on_demand() -> None:
     made: list[int] = []
-
-    def make(number: int) -> int:
-        made.append(number)
-        return 10 * number
-
-    items = OnDemand(4, make)
-    assert len(items) == 4 and not made
+    items = OnDemand(4, lambda number: (made.append(number), 10 * number)[1])
+    assert len(items) == 4 and len(both := chained(items, "ab")) == 6 and not made  # type: ignore[misc]
     assert items[-1] == 30 and made == [3]
     part = items[1:3]
     assert len(part) == 2 and made == [3] and list(part) == [10, 20]
-    assert list(items) == [0, 10, 20, 30]
+    assert list(both) == [0, 10, 20, 30, "a", "b"] and list(both[3:5]) == [30, "a"] and both[-1] == "b"
     with pytest.raises(IndexError):
         items[4]
-
-
-def test_two_sequences_are_one() -> None:
-    made: list[int] = []
-    first = OnDemand(2, lambda number: made.append(number) or number)  # type: ignore[func-returns-value]
-    both = chained(first, "ab")  # type: ignore[misc]
-    assert len(both) == 4 and not made
-    assert list(both) == [0, 1, "a", "b"] and list(both[1:3]) == [1, "a"] and both[-1] == "b"
-    assert list(chained([], [])) == []
 
 
 def test_arrays_come_back_as_they_were(tmp_path: Path) -> None:
@@ -293,3 +282,22 @@ def test_views_come_back_as_they_were(tmp_path: Path) -> None:
             assert array.dtype == other.dtype and (array == other).all()
         assert (one.border is None) == (two.border is None)
     assert there[1].border is not None and (there[1].border == views[1].border).all()
+
+
+@pytest.mark.parametrize(
+    ("kind", "expected"),
+    [("views", [1, 1]), ("root", [3, 4]), ("resolution", [2, 0.5]), ("pixels", [9, 16]), ("density", [4, 0.25])],
+)
+def test_votes_of_each_kind(kind: EvidenceKind, expected: list[float]) -> None:
+    np.testing.assert_allclose(evidence(kind, np.array([9.0, 16.0]), np.array([2.0, 0.5])), expected)
+
+
+def test_the_resolution_is_that_of_the_masks_whatever_size_they_are_read_at(tmp_path) -> None:
+    frame = open_scene(write_tiny_scene(tmp_path / "scene", frames=2)).train_frames[0]
+    whole, half = load_view(frame), load_view(frame, (frame.size[0] // 2, frame.size[1] // 2))
+    assert (whole.mask_scale, half.mask_scale) == (1.0, 2.0)
+    expected = 0.01 * np.sqrt(frame.camera.fx * frame.camera.fy) / whole.depth
+    np.testing.assert_allclose(resolution_of(whole)[whole.depth > 0], expected[whole.depth > 0], rtol=1e-5)
+    assert not resolution_of(whole)[whole.depth <= 0].any()
+    known = half.depth > 0
+    np.testing.assert_allclose(resolution_of(half)[known], 0.01 * frame.camera.fx / half.depth[known], rtol=0.05)

@@ -75,10 +75,8 @@ def nearest_tables(names: Iterable[str]) -> list[str]:
 
 
 def is_thing_by_name(name: str, tables: Sequence[str] = _OF_NETWORKS) -> bool | None:
-    """Whether a class of this name is a thing in the first of the tables that has it; None if no table has it.
-
-    Among synonyms, as ADE20K's networks list them ("road, route"), the first known one counts.
-    """
+    """Whether a class of this name is a thing in the first of the tables that has it; None if no table has it. Among
+    synonyms, as ADE20K's networks list them ("road, route"), the first known one counts."""
     for word in _words(name):
         for table in tables:
             for label in known_table(table).labels:

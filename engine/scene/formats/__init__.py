@@ -12,7 +12,6 @@ from pathlib import Path
 
 from ...errors import ErrorCode, PlgsError
 from ...posed.layout import listed, shown
-from ...scene_source import GONE_FORMATS
 from . import colmap, hypersim, nerfstudio, phone_apps, record3d, replica, scannet, scannetpp, seven_scenes, tum
 from .capture import Capture, SceneFormat, Shot
 from .photos import LET_COLMAP, finished_models, is_film, photos_in
@@ -57,7 +56,7 @@ def find_format(place: Path, name: str | None = None) -> SceneFormat:
     known = {each.name: each for each in FORMATS}
     if name is not None:
         if name not in known:
-            fix = GONE_FORMATS.get(name) or f"Choose one of {', '.join(known)}."
+            fix = f"Choose one of {', '.join(known)}."
             raise PlgsError("unknown-format", f'no format is called "{shown(name)}"', place, fix, option="--format")
         return known[name]
     try:

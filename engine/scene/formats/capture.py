@@ -78,10 +78,8 @@ def with_picture(picture: Path, make: Callable[[], Shot | None]) -> Shot | PlgsE
 
 @dataclass(frozen=True)
 class SceneFormat:
-    """A format of scenes by its ``name``, one of `SCENE_FORMAT_NAMES`.
-
-    ``recognises`` says whether a folder or file has it; nothing is decoded for that. ``read`` raises PlgsError.
-    """
+    """A format of scenes by its ``name``, one of `SCENE_FORMAT_NAMES`. ``recognises`` says whether a folder or file has
+    it; nothing is decoded for that. ``read`` raises PlgsError."""
 
     name: str
     recognises: Callable[[Path], bool]
@@ -89,10 +87,8 @@ class SceneFormat:
 
 
 def frame_names(paths: Sequence[str]) -> list[str]:
-    """The stems of ``paths`` if these are all different, else the whole paths with ``_`` between their parts.
-
-    Other files are named after frames, so each character that no file name can hold becomes ``_`` too.
-    """
+    """The stems of ``paths`` if these are all different, else the whole paths with ``_`` between their parts. Other
+    files are named after frames, so each character that no file name can hold becomes ``_`` too."""
     pure = [PurePosixPath(path.replace("\\", "/")) for path in paths]
     parts = [(each.with_suffix("") if each.name else each).parts for each in pure]
     named = [[part for part in each if part not in (".", "..", "/", "//")] for each in parts]  # perhaps nothing

@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import csv
 import re
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import lru_cache, partial
@@ -46,11 +46,8 @@ _BRIGHT, _BRIGHT_SHARE, _GAMMA = 0.8, 90.0, 1.0 / 2.2
 
 @dataclass(frozen=True)
 class Projection:
-    """The rays of the pixels of a ``width`` x ``height`` picture.
-
-    ``rays`` is M_cam_from_uv, nine numbers, row by row: (u, v, 1), with u to the right and v up in -1..1, to a ray in
-    OpenGL axes.
-    """
+    """The rays of the pixels of a ``width`` x ``height`` picture. ``rays`` is M_cam_from_uv, nine numbers, row by row:
+    (u, v, 1), with u to the right and v up in -1..1, to a ray in OpenGL axes."""
 
     width: int
     height: int
@@ -90,14 +87,10 @@ def _source_pixels(projection: Projection) -> tuple[NDArray[np.float32], NDArray
 
 
 def _straighten(pixels: NDArray[Any], projection: Projection, smooth: bool) -> NDArray[Any]:
+    """The tilted picture straight; black beyond its edges."""
     import cv2
 
     return cv2.remap(pixels, *_source_pixels(projection), cv2.INTER_LINEAR if smooth else cv2.INTER_NEAREST)
-
-
-def straightened(read: Callable[[], NDArray[np.uint8]], projection: Projection) -> NDArray[np.uint8]:
-    """The tilted picture that ``read`` gives, uint8 [H, W, 3], straight; black beyond its edges. Raises PlgsError."""
-    return _straighten(read(), projection, smooth=True)
 
 
 def planar_depth(path: Path, projection: Projection) -> NDArray[np.float32]:
@@ -222,9 +215,8 @@ def _shot(name: str, colour: Path, depth: Path, pose: NDArray[np.float64], rays:
     lens = projection.pinhole()
     if not (np.isfinite([lens.fx, lens.fy, lens.cx, lens.cy]).all() and lens.fx > 0.0 and lens.fy > 0.0):
         raise PlgsError("bad-camera", "no camera can have these camera parameters", colour, f"Correct {_PARAMETERS}.")
-    read = partial(decode, colour, as_colour=True) if is_image else partial(tone_mapped, colour)
-    if projection.is_tilted:
-        read = partial(straightened, read, projection)
+    stored = partial(decode, colour, as_colour=True) if is_image else partial(tone_mapped, colour)
+    read = (lambda: _straighten(stored(), projection, smooth=True)) if projection.is_tilted else stored
     depth_map = DepthMap(depth, partial(planar_depth, depth, projection))
     return Shot(name, lens.at(pose), colour, depth_map, None if is_image and not projection.is_tilted else read)
 
@@ -243,8 +235,7 @@ def _metres_a_unit(path: Path) -> float:
 
 def _read_rays(place: Path) -> tuple[NDArray[np.float64], tuple[Inferred, ...]]:
     """M_cam_from_uv, float64 [3, 3], and that it is assumed."""
-    name = place.resolve().name
-    folders = (place, place.resolve().parent, place.resolve().parent.parent)
+    name, folders = place.resolve().name, (place, place.resolve().parent, place.resolve().parent.parent)
     path = next((folder / _PARAMETERS for folder in folders if (folder / _PARAMETERS).is_file()), None)
     if path is None:
         return _USUAL, (_GUESSED,)

@@ -33,10 +33,8 @@ def pinhole(
     fix: str,
     whose: str = "a camera",
 ) -> Camera:
-    """A camera at the origin, pixel centres at +0.5, for pictures of ``width`` x ``height``.
-
-    Raises PlgsError for intrinsics that no camera has; ``path`` and ``whose`` name their source.
-    """
+    """A camera at the origin, pixel centres at +0.5, for pictures of ``width`` x ``height``. Raises PlgsError for
+    intrinsics that no camera has; ``path`` and ``whose`` name their source."""
     fits = 0.0 <= cx <= width < 2**16 and 0.0 <= cy <= height < 2**16
     if not (fits and 0.0 < fx < 1e6 and 0.0 < fy < 1e6 and width >= 1.0 and height >= 1.0):
         what = f"{whose} has intrinsics that no camera has with pictures of {width:.0f}x{height:.0f}"
@@ -76,10 +74,8 @@ STRAIGHT = Distortion("brown", ())
 
 
 def undistorted(pixels: NDArray[Any], lens: Camera, distortion: Distortion, path: Path, smooth: bool) -> NDArray[Any]:
-    """A picture or depth map [H, W, ...] as a pinhole of the same focal lengths sees it; 0 beyond its edges.
-
-    ``smooth`` mixes neighbouring pixels. Raises PlgsError, naming ``path``, when OpenCV cannot do it.
-    """
+    """A picture or depth map [H, W, ...] as a pinhole of the same focal lengths sees it; 0 beyond its edges. ``smooth``
+    mixes neighbouring pixels. Raises PlgsError, naming ``path``, when OpenCV cannot do it."""
     import cv2
 
     height, width = pixels.shape[:2]
@@ -101,8 +97,7 @@ def _source_pixels(
     width: int, height: int, fx: float, fy: float, cx: float, cy: float, distortion: Distortion
 ) -> tuple[NDArray[np.float32], NDArray[np.float32], float]:
     """Where each pixel of the undistorted picture lies in the distorted one, float32 [H, W] x and y, and the share of
-    those that lie in it.
-    """
+    those that lie in it."""
     import cv2
 
     # OpenCV counts pixels from their centres.

@@ -50,11 +50,8 @@ def _files(place: Path) -> list[Path]:
     if place.is_file():
         return [place] if place.name in (_FILE, _TRAIN) else []
     held_out = [place / name for name in _HELD_OUT if (place / name).is_file()][:1]
-    return [place / _TRAIN, *held_out] if _is_split(place) else [place / _FILE]
-
-
-def _is_split(place: Path) -> bool:
-    return not (place / _FILE).is_file() and (place / _TRAIN).is_file()
+    is_split = not (place / _FILE).is_file() and (place / _TRAIN).is_file()
+    return [place / _TRAIN, *held_out] if is_split else [place / _FILE]
 
 
 def _read(place: Path) -> Capture:

@@ -24,7 +24,6 @@ planar, in millimetres (older scans: .npy), 256x192; pixels of the lowest confid
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from functools import partial
 from itertools import islice
 from pathlib import Path
@@ -192,10 +191,7 @@ def _recognises_stray(place: Path) -> bool:
 
 def _read_stray(place: Path) -> Capture:
     """Open the frames; no picture is decoded. Raises PlgsError."""
-    return Capture(list(_shots(place)), "y", up_is_known=True)
-
-
-def _shots(place: Path) -> Iterator[tuple[str, Shot | None]]:
+    found = list[tuple[str, Shot | None]]()
     video = Video(place / "rgb.mp4")
     if not video.path.is_file():
         raise PlgsError("video-missing", "the video is missing", video.path, _STRAY_FIX)
@@ -208,7 +204,7 @@ def _shots(place: Path) -> Iterator[tuple[str, Shot | None]]:
         name = f"{int(row['frame']):06d}"
         x, y, z, qx, qy, qz, qw = values = [row[key] for key in _COLUMNS[1:]]
         if not np.isfinite(values).all():
-            yield name, None
+            found.append((name, None))
             continue
         pose = quaternion_pose((qw, qx, qy, qz), (x, y, z), place / "odometry.csv")
         intrinsics = [row[key] for key in _STRAY_LENS] if "fx" in row else shared
@@ -217,7 +213,8 @@ def _shots(place: Path) -> Iterator[tuple[str, Shot | None]]:
         if name in depths:
             depth = npy_depth(depths[name]) if depths[name].suffix.lower() == ".npy" else png_depth(depths[name], lens)
             depth = trusted(depth, levels.get(name))
-        yield name, Shot(name, lens.at(pose), video.path, depth, video.reader(int(row["frame"])))
+        found.append((name, Shot(name, lens.at(pose), video.path, depth, video.reader(int(row["frame"])))))
+    return Capture(found, "y", up_is_known=True)
 
 
 def _read_odometry(path: Path) -> list[dict[str, float]]:

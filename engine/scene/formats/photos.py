@@ -79,10 +79,8 @@ _VIDEO_FIX = "Copy or record it again, or extract its pictures with another tool
 
 
 class Video:
-    """One decoder for all frames of a video. It goes forward; an earlier frame restarts it.
-
-    Orientation tags are ignored, as intrinsics refer to the stored pixels.
-    """
+    """One decoder for all frames of a video. It goes forward; an earlier frame restarts it. Orientation tags are
+    ignored, as intrinsics refer to the stored pixels."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -145,10 +143,8 @@ class Video:
 
 
 def _refuse_other_files(path: Path) -> None:
-    """Raise PlgsError unless the first bytes are those of an MP4, MOV, Matroska or AVI.
-
-    The decoder would follow the addresses in a playlist, wherever they lead.
-    """
+    """Raise PlgsError unless the first bytes are those of an MP4, MOV, Matroska or AVI. The decoder would follow the
+    addresses in a playlist, wherever they lead."""
     try:
         with open_plain(path) as file:
             start = file.read(12)

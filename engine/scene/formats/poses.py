@@ -18,10 +18,8 @@ _FROM_OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
 
 
 def finite_pose(matrix: NDArray[np.float64], path: Path) -> NDArray[np.float64] | None:
-    """A camera-to-world pose, float64 [4, 4] or [3, 4], straightened; None when a number in it is not finite.
-
-    Raises PlgsError when it is not rigid.
-    """
+    """A camera-to-world pose, float64 [4, 4] or [3, 4], straightened; None when a number in it is not finite. Raises
+    PlgsError when it is not rigid."""
     if not np.isfinite(matrix).all():
         return None
     pose = np.eye(4)
@@ -68,10 +66,8 @@ class Row:
 
 
 def read_rows(path: Path, fix: str, separator: str | None = None, titles: bool = False) -> Iterator[Row]:
-    """The rows of a text file that are not empty, with its columns' ``titles`` if wanted.
-
-    Raises PlgsError, with ``fix`` as the advice.
-    """
+    """The rows of a text file that are not empty, with its columns' ``titles`` if wanted. Raises PlgsError, with
+    ``fix`` as the advice."""
     for number, line in enumerate(read_text(path, LARGEST_TABLE, fix).splitlines(), start=1):
         words = [word.strip() for word in line.partition("#")[0].split(separator)]
         # TUM's column titles are comments; some tools remove the #.

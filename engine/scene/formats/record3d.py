@@ -151,11 +151,10 @@ def _cameras(metadata: dict[str, Any], numbers: list[int], path: Path) -> Iterat
 
 def _exr_folder(place: Path) -> Path | None:
     """The folder with an export of pictures and OpenEXR files: the place itself, or in it."""
-    return next((each for each in (place, place / "EXR_RGBD") if (each / _EXPORTED).is_file() and _has_rgb(each)), None)
-
-
-def _has_rgb(folder: Path) -> bool:
-    return (folder / "rgb").is_dir() and (folder / "depth").is_dir()
+    for folder in (place, place / "EXR_RGBD"):
+        if (folder / _EXPORTED).is_file() and (folder / "rgb").is_dir() and (folder / "depth").is_dir():
+            return folder
+    return None
 
 
 def _exr_shots(folder: Path) -> Iterator[tuple[str, Shot | PlgsError | None]]:
@@ -263,10 +262,8 @@ class _Block(NamedTuple):
 
 
 def unpack_lzfse(data: bytes, most_bytes: int, decompress: Callable[[bytes], bytes]) -> bytes:
-    """The bytes of a stream. Raises ValueError when it is cut off or holds more than ``most_bytes``.
-
-    Also raises what ``decompress`` raises.
-    """
+    """The bytes of a stream. Raises ValueError when it is cut off or holds more than ``most_bytes``. Also raises what
+    ``decompress`` raises."""
     blocks = _blocks(data, 4 + most_bytes // _FULL_BLOCK)
     if blocks and blocks[-1].unpacked > most_bytes:
         raise ValueError(f"it unpacks to more than {most_bytes} bytes")

@@ -51,19 +51,14 @@ from .poses import finite_pose
 def _read_folders(folder: Path) -> Capture:
     """Open the frames; only headers of images are read. Raises PlgsError."""
     has_own, beside = any((folder / "intrinsic").glob("*.txt")), folder / "intrinsics_color.txt"
-    lens_of = partial(_lens_beside, beside) if not has_own and beside.is_file() else None
-    found = read_folders(folder, lens_of)
+    lens_of = lambda picture: read_intrinsics(beside, read_image_header(picture).size)  # noqa: E731
+    found = read_folders(folder, None if has_own or not beside.is_file() else lens_of)
     depths, inferred = open_depth(folder, found.cameras) if (folder / "depth").is_dir() else ({}, ())
     shots = {name: Shot(name, camera, found.pictures[name], depths.get(name)) for name, camera in found.cameras.items()}
     faults = {name: fault_of(path) for name, path in found.pictures.items() if name not in shots}
     kept = [(name, shots.get(name) or faults.get(name)) for name in found.names]
     kept = [(name, shot) for name, shot in kept if shot is not None or name in found.lost]
     return Capture(kept, "z", split=found.split, inferred=inferred)
-
-
-def _lens_beside(path: Path, picture: Path) -> Camera:
-    """The lens of a picture whose pixels the matrix in the file ``path`` is in. Raises PlgsError."""
-    return read_intrinsics(path, read_image_header(picture).size)
 
 
 FOLDERS = SceneFormat(NAME, recognises, _read_folders)

@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import re
 import zlib
-from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
 from threading import Lock
@@ -53,10 +52,7 @@ def _recognises(place: Path) -> bool:
 def _read(place: Path) -> Capture:
     """Open the frames; reads headers of images, and decodes at most one picture of the video. Raises PlgsError."""
     folder = place if (place / _TABLE).is_file() else place / "iphone"
-    return Capture(list(_shots(folder)), "z", up_is_known=True)
-
-
-def _shots(folder: Path) -> Iterator[tuple[str, Shot | PlgsError | None]]:
+    found = list[tuple[str, Shot | PlgsError | None]]()
     path = folder / _TABLE
     table = read_json_object(path)
     pictures = files_if_any(folder / "rgb", {".jpg", ".png"}, _FIX)
@@ -75,12 +71,12 @@ def _shots(folder: Path) -> Iterator[tuple[str, Shot | PlgsError | None]]:
         if "aligned_pose" in entry:
             pose = finite_pose(take_matrix(entry, "aligned_pose", name, path, ((4, 4),)), path)
         if pose is None:
-            yield name, None
+            found.append((name, None))
             continue
         number, picture = int(match[1]), video.path if video else pictures[name]
         fault = None if video else fault_of(picture)
         if fault is not None:
-            yield name, fault
+            found.append((name, fault))
             continue
         lens = _lens(entry, name, size or read_image_header(picture).size, path)
         depth = None
@@ -88,7 +84,8 @@ def _shots(folder: Path) -> Iterator[tuple[str, Shot | PlgsError | None]]:
             depth = DepthMap(stream.path, partial(stream.frame, number))
         elif name in depths:
             depth = png_depth(depths[name], lens)
-        yield name, Shot(name, lens.at(pose), picture, depth, video.reader(number) if video else None)
+        found.append((name, Shot(name, lens.at(pose), picture, depth, video.reader(number) if video else None)))
+    return Capture(found, "z", up_is_known=True)
 
 
 def _video(folder: Path) -> Video:

@@ -78,7 +78,8 @@ def _read(place: Path) -> Capture:
         return _capture(place, partial(_one_lens_shot, own))
     if path is None:
         return _capture(place, _kinects_shot, inferred=(assumed("a Kinect's", _kinect(_COLOUR_F), _OWN_LENS),))
-    info = _read_info(path)
+    parts = (line.partition("=") for line in read_text(path, _MOST_INFO, _INFO_FIX).splitlines())
+    info = {key.strip(): value.strip() for key, _, value in parts}
     colour, depth = _info_lens(info, "Color", path), _info_lens(info, "Depth", path)
     alignment, unit = fitting_alignment(colour, depth), 1.0 / _info_numbers(info, "m_depthShift", path, 1)[0]
     if alignment is None:
@@ -91,12 +92,6 @@ def _read(place: Path) -> Capture:
         return Shot(name, lens.at(pose), picture, replace(measured, alignment=alignment))
 
     return _capture(place, shot, () if _is_one_camera(info, path) else (_APART,))
-
-
-def _read_info(path: Path) -> dict[str, str]:
-    """The lines "key = value" of a file about a sensor. Raises PlgsError."""
-    parts = (line.partition("=") for line in read_text(path, _MOST_INFO, _INFO_FIX).splitlines())
-    return {key.strip(): value.strip() for key, _, value in parts}
 
 
 def _info_numbers(info: dict[str, str], key: str, path: Path, count: int) -> NDArray[np.float64]:

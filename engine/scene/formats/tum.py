@@ -28,7 +28,7 @@ from ...errors import PlgsError
 from ...posed.frames import Camera
 from ...posed.image_header import read_image_header
 from ...posed.layout import file_inside, files_by_stem
-from ...scene_source import GONE_FORMATS, UpAxis
+from ...scene_source import UpAxis
 from ..depth import png_depth
 from ..frame import Inferred, Size, left_out
 from .capture import Capture, SceneFormat, Shot, frame_names, with_picture
@@ -40,16 +40,15 @@ _APART = 0.02
 """Seconds by which a picture, its depth and its pose may differ at most."""
 _POSE_FIX = "Write one pose on each line, t tx ty tz qx qy qz qw, with points in decimals."
 _LIST_FIX = "Write a time stamp and a file name on each line."
+_ICL_FIX = "Convert it to the folders color, depth, pose and intrinsic, as docs/captures.md describes them."
 _CALIBRATION = "calibration.txt"
 _LENS_FIX = f"Write fx fy cx cy of the pictures into {_CALIBRATION}."
 
 
 @dataclass(frozen=True)
 class _Lens:
-    """Intrinsics with integer pixel centres, and k1 k2 p1 p2 k3 of the distortion.
-
-    ``up`` is the axis that points up in the lens's world. ``size`` is the size of its pictures, None for any.
-    """
+    """Intrinsics with integer pixel centres, and k1 k2 p1 p2 k3 of the distortion. ``up`` is the axis that points up in
+    the lens's world. ``size`` is the size of its pictures, None for any."""
 
     fx: float
     fy: float
@@ -174,7 +173,7 @@ def _read_poses(path: Path) -> list[_Pose]:
     for row in read_rows(path, _POSE_FIX):
         if row.words[0].isdecimal():
             what = "time stamps are whole numbers, as ICL-NUIM's"
-            raise PlgsError("whole-time-stamps", what, path, GONE_FORMATS["icl"])
+            raise PlgsError("whole-time-stamps", what, path, _ICL_FIX)
         has_number = len(row.words) == 9 and row.words[8].isdecimal()
         values = numbers(row, path, _POSE_FIX, 9 if has_number else 8).tolist()
         time, tx, ty, tz, qx, qy, qz, qw = values[:8]

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from ...errors import PlgsError
 from ...posed.layout import listed, shown
-from ...scene_source import GONE_FORMATS, MASK_FORMAT_NAMES
+from ...scene_source import MASK_FORMAT_NAMES
 from . import class_arrays, coco, detections, label_pairs, sam2, segment_maps
 from .source import FoundMask, FoundSegment, MaskFormat, MaskSource, StoredMask
 
@@ -31,14 +31,12 @@ _PICKLES = {".pkl", ".pickle", ".pt", ".pth", ".ptz", ".joblib"}
 
 
 def find_mask_format(place: Path, name: str | None = None) -> MaskFormat:
-    """The format called ``name``, or the one that recognises ``place``, a folder or file.
-
-    Raises PlgsError for an unknown name, and when no format or more than one is recognised.
-    """
+    """The format called ``name``, or the one that recognises ``place``, a folder or file. Raises PlgsError for an
+    unknown name, and when no format or more than one is recognised."""
     known = {each.name: each for each in MASK_FORMATS}
     if name is not None:
         if name not in known:
-            fix = GONE_FORMATS.get(name) or f"Choose one of {', '.join(known)}."
+            fix = f"Choose one of {', '.join(known)}."
             what = f'no mask format is called "{shown(name)}"'
             raise PlgsError("unknown-format", what, place, fix, option="--mask-format")
         return known[name]

@@ -32,10 +32,8 @@ _LARGEST_SEGMENT_ID = 256**3 - 1
 
 
 def _read_mask(png: Path, table: str, segments: tuple[FoundSegment, ...], crowd_ids: frozenset[int]) -> FoundMask:
-    """One frame's mask. ``crowd_ids`` are regions of uncounted objects, which become void.
-
-    Raises PlgsError for an id that the JSON does not have.
-    """
+    """One frame's mask. ``crowd_ids`` are regions of uncounted objects, which become void. Raises PlgsError for an id
+    that the JSON does not have."""
     ids = _read_ids(png)
     found, _ = distinct_ids(ids)
     unknown = sorted({*found.tolist()} - {0} - {segment.id for segment in segments} - crowd_ids)

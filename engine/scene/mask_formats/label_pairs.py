@@ -90,10 +90,6 @@ _LIFTING_FIX = "Panoptic Lifting's masks are the folders m2f_semantics and m2f_i
 _BOTH = "masks with test-time augmentation are used; for those without, name m2f_notta_semantics as the masks"
 
 
-def _recognises_lifting(place: Path) -> bool:
-    return _semantics_of(place) is not None
-
-
 def _semantics_of(place: Path) -> Path | None:
     """The folder of classes: ``place`` itself or one of those in it."""
     if place.name.endswith("_semantics"):
@@ -120,4 +116,6 @@ def _read_lifting(place: Path, names: Sequence[str]) -> MaskSource:
     )
 
 
-PANOPTIC_LIFTING = MaskFormat("panoptic-lifting", _recognises_lifting, _read_lifting, in_scene=True, own_names=True)
+PANOPTIC_LIFTING = MaskFormat(
+    "panoptic-lifting", lambda place: _semantics_of(place) is not None, _read_lifting, in_scene=True, own_names=True
+)

@@ -135,10 +135,6 @@ def _read_mask(array: Path, table: str, segments: Mapping[int, FoundSegment]) ->
     return FoundMask(ids.astype(np.int32), tuple(segments[value] for value in present))
 
 
-def _recognises_grounded(place: Path) -> bool:
-    return (place / "mask_data").is_dir() and (place / "json_data").is_dir()
-
-
 def _read_grounded(place: Path, names: Sequence[str]) -> MaskSource:
     """Open the masks; headers and JSON only. Raises PlgsError."""
     arrays = _by_frame(place / "mask_data", ".npy")
@@ -179,4 +175,7 @@ def _objects_of(path: Path) -> dict[int, str]:
     return found
 
 
-GROUNDED = MaskFormat("grounded-sam2", _recognises_grounded, _read_grounded, own_names=True)
+GROUNDED = MaskFormat(
+    "grounded-sam2", lambda place: (place / "mask_data").is_dir() and (place / "json_data").is_dir(), _read_grounded,
+    own_names=True,
+)  # fmt: skip

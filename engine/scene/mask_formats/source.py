@@ -24,9 +24,7 @@ IGNORED = frozenset({0, 255, 65535})
 @dataclass(frozen=True)
 class FoundSegment:
     """A region: its value ``id`` >= 1 in the pixels, its class ``label`` in the masks' own numbers, its score in 0..1.
-
-    ``has_instance`` is False for the whole area of a class, which may be several objects. ``track``: see Segment.
-    """
+    ``has_instance`` is False for the whole area of a class, which may be several objects. ``track``: see Segment."""
 
     id: int
     label: int
@@ -136,9 +134,7 @@ def segments_of_objects(objects: NDArray[np.integer]) -> FoundMask:
 
 def painted(masks: Sequence[NDArray[np.bool_]], segments: Sequence[FoundSegment], size: Size) -> FoundMask:
     """``masks``, bool [H, W] each, on top of each other, one per segment: the highest score, then the smallest, on top.
-
-    Segments that stay without pixels are left out.
-    """
+    Segments that stay without pixels are left out."""
     ids = np.zeros(size[::-1], np.int32)
     areas = [int(mask.sum()) for mask in masks]
     for place in sorted(range(len(masks)), key=lambda place: (segments[place].score, -areas[place])):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +9,6 @@ import pytest
 
 from engine.scene import open_scene
 from tests.scene.formats.room import cast, check_on_room, views, write_colour
-from tests.scene.refusing import refuses
 
 USUAL = np.array([[0.5773502886169104, 0.0, 0.0], [0.0, 0.4330127164626828, 0.0], [0.0, 0.0, -1.0]])
 # ai_007_005's, whose lens is shifted: its picture's plane is tilted.
@@ -82,13 +80,3 @@ def test_without_the_table_the_usual_lens_is_taken(tmp_path: Path) -> None:
     check_on_room(scene, tolerance=0.005, colour_step=255)
     one = scene.frames[0].read_colour(None).astype(int)
     assert 190 < np.percentile(one @ [0.3, 0.59, 0.11], 90) < 215 and not scene.frames[0].file_shows_colour
-
-
-def test_without_the_package_the_line_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    (tmp_path / "images").mkdir()
-    (tmp_path / "_detail" / "cam_00").mkdir(parents=True)
-    (tmp_path / "_detail" / "metadata_scene.csv").write_text(
-        "parameter_name,parameter_value\nmeters_per_asset_unit,1\n"
-    )
-    monkeypatch.setitem(sys.modules, "h5py", None)
-    refuses("lacks-part hypersim", tmp_path)

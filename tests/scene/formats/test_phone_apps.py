@@ -28,8 +28,14 @@ from tests.scene.formats.room import (
 )
 from tests.scene.refusing import refuses
 
-POLYCAM_LENS = Lens().scaled(2)
-POLYCAM_DEPTH = Lens()
+LENS, DEPTH = Lens().scaled(2), Lens()
+
+
+def depth_and_level(view: View, level: int) -> tuple[np.ndarray, np.ndarray]:
+    """Depth in millimetres and its confidence; of the upper rows neither is to be trusted."""
+    depth, levels = in_steps(look(view, DEPTH).depth, 1000), np.full((48, 64), level, np.uint8)
+    depth[:5], levels[:5] = 4999, 0
+    return depth, levels
 
 
 def camera_json(view: View, lens: Lens) -> str:
@@ -50,10 +56,9 @@ def write_polycam(folder: Path, corrected: bool = True) -> Path:
         name = str(98765432100 + 7 * i)
         moved = View(view.eye + 0.3, view.right, view.up, view.forward)
         for prefix, seen in (("", moved if corrected else view), ("corrected_", view)):
-            write_colour(keyframes / f"{prefix}images" / f"{name}.png", look(seen, POLYCAM_LENS).colour)
-            (keyframes / f"{prefix}cameras" / f"{name}.json").write_text(camera_json(seen, POLYCAM_LENS))
-        depth, level = in_steps(look(view, POLYCAM_DEPTH).depth, 1000), np.full((48, 64), 127, np.uint8)
-        depth[:5], level[:5] = 4999, 0
+            write_colour(keyframes / f"{prefix}images" / f"{name}.png", look(seen, LENS).colour)
+            (keyframes / f"{prefix}cameras" / f"{name}.json").write_text(camera_json(seen, LENS))
+        depth, level = depth_and_level(view, 127)
         write_grey(keyframes / "depth" / f"{name}.png", depth)
         write_grey(keyframes / "confidence" / f"{name}.png", level)
     if not corrected:
@@ -81,7 +86,7 @@ def without_size(folder: Path, kind: str = "corrected_cameras", **other: float) 
 def test_a_size_that_cameras_do_not_say_is_inferred(tmp_path: Path, scale: int) -> None:
     """Newer exports have no width and height in corrected_cameras. Its numbers may be for larger pictures."""
     write_polycam(tmp_path)
-    lens = POLYCAM_LENS.scaled(scale)
+    lens = LENS.scaled(scale)
     numbers = {"fx": lens.fx, "fy": lens.fy, "cx": lens.cx, "cy": lens.cy}
     without_size(tmp_path, **numbers)
     without_size(tmp_path, "cameras", **numbers, width=128 * scale, height=96 * scale)
@@ -107,14 +112,10 @@ def test_keyframes_that_were_not_optimised_are_counted(tmp_path: Path, kept: int
     check_on_room(scene)
 
 
-SCANNER_APP_LENS = Lens().scaled(2)
-SCANNER_APP_DEPTH = Lens()
-
-
 def table(view: View) -> dict[str, object]:
     """ARKit's world, y up; the matrices row by row."""
     pose = opengl_pose(y_up(view))
-    intrinsics = [SCANNER_APP_LENS.fx, 0, SCANNER_APP_LENS.cx, 0, SCANNER_APP_LENS.fy, SCANNER_APP_LENS.cy, 0, 0, 1]
+    intrinsics = [LENS.fx, 0, LENS.cx, 0, LENS.fy, LENS.cy, 0, 0, 1]
     return {"cameraPoseARFrame": pose.ravel().tolist(), "intrinsics": intrinsics, "motionQuality": 1}
 
 
@@ -122,12 +123,11 @@ def write_scanner_app(folder: Path) -> Path:
     folder.mkdir(exist_ok=True)
     for i, view in enumerate(views()):
         for number in (2 * i, 2 * i + 1):
-            depth, level = in_steps(look(view, SCANNER_APP_DEPTH).depth, 1000), np.full((48, 64), 2, np.uint8)
-            depth[:5], level[:5] = 4999, 0
+            depth, level = depth_and_level(view, 2)
             write_grey(folder / f"depth_{number:05d}.png", depth)
             write_grey(folder / f"conf_{number:05d}.png", level)
             (folder / f"frame_{number:05d}.json").write_text(json.dumps(table(view)))
-        write_colour(folder / f"frame_{2 * i:05d}.jpg", look(view, SCANNER_APP_LENS).colour)
+        write_colour(folder / f"frame_{2 * i:05d}.jpg", look(view, LENS).colour)
     write_colour(folder / "thumb_00000.jpg", np.zeros((8, 8, 3), np.uint8))
     (folder / "info.json").write_text('{"title": "Scan"}')
     return folder
@@ -151,22 +151,7 @@ def test_a_scan_without_depth_and_a_picture_without_a_pose(tmp_path: Path) -> No
 @pytest.mark.parametrize(
     ("changed", "told"),
     [
-        (
-            {
-                "intrinsics": [
-                    SCANNER_APP_LENS.fx,
-                    0,
-                    0,
-                    0,
-                    SCANNER_APP_LENS.fy,
-                    0,
-                    SCANNER_APP_LENS.cx,
-                    SCANNER_APP_LENS.cy,
-                    1,
-                ]
-            },
-            "not-camera-matrix",
-        ),
+        ({"intrinsics": [LENS.fx, 0, 0, 0, LENS.fy, 0, LENS.cx, LENS.cy, 1]}, "not-camera-matrix"),
         ({"cameraPoseARFrame": np.ravel(opengl_pose(views()[0]), "F").tolist()}, "pose-last-row"),
         ({"cameraPoseARFrame": [0.0]}, "wrong-type cameraPoseARFrame 16"),
     ],
@@ -184,7 +169,6 @@ def test_photos_with_notes_of_another_program_are_still_photos(tmp_path: Path) -
 
 
 STRAY_LENS = Lens().scaled(4)
-STRAY_DEPTH = Lens()
 
 
 def held_upright(view: View) -> View:
@@ -204,8 +188,7 @@ def write_stray(folder: Path, older: bool = False, sideways: bool = False) -> Pa
         video.write(np.ascontiguousarray(look(view, STRAY_LENS).colour[..., ::-1]))
         if i == 1:
             continue
-        depth, level = in_steps(look(view, STRAY_DEPTH).depth, 1000), np.full((48, 64), 1, np.uint8)
-        depth[:5], level[:5] = 4999, 0
+        depth, level = depth_and_level(view, 1)
         if older:
             (folder / "depth").mkdir(exist_ok=True)
             np.save(folder / "depth" / f"{i:06d}.npy", depth)

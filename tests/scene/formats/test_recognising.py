@@ -9,10 +9,9 @@ import pytest
 from engine.errors import ErrorCode, PlgsError
 from engine.posed.plain_folders import NAME
 from engine.scene import FORMATS, open_scene
-from engine.scene.formats import find_format
 from engine.scene.formats.capture import frame_names
-from engine.scene.mask_formats import MASK_FORMATS, find_mask_format
-from engine.scene_source import GONE_FORMATS, MASK_FORMAT_NAMES, SCENE_FORMAT_NAMES
+from engine.scene.mask_formats import MASK_FORMATS
+from engine.scene_source import MASK_FORMAT_NAMES, SCENE_FORMAT_NAMES
 from tests.scene.formats import test_colmap, test_nerfstudio
 from tests.scene.formats.room import check_colours
 from tests.scene.refusing import refuses
@@ -82,11 +81,3 @@ def test_a_named_format_that_is_not_there_is_a_one_line_error(tmp_path: Path, na
     with pytest.raises(PlgsError) as caught:
         open_scene(tmp_path / place, scene_format=name)
     assert "\n" not in str(caught.value) and caught.value.fix
-
-
-@pytest.mark.parametrize("name", GONE_FORMATS)
-def test_a_format_of_an_earlier_version_says_what_to_do(tmp_path: Path, name: str) -> None:
-    for find in (find_format, find_mask_format):
-        with pytest.raises(PlgsError) as caught:
-            find(tmp_path, name)
-        assert caught.value.fix == GONE_FORMATS[name]
