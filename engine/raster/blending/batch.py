@@ -59,7 +59,7 @@ from ..conventions import (
     padded_channels,
 )
 from ..isect_tiles import chunk_count, next_chunk
-from ..projection_backward import project_backward
+from ..projection import project_backward
 
 F = np.float32
 ZERO = F(0.0)
