@@ -12,7 +12,6 @@ import numpy as np
 from ...machine.compiled import Array, device_function, parallel_kernel
 from ...machine.vectors import WIDTH, fetch_add
 from .activations import softmax, softmax_backward
-from .arrays import AnchorArrays, Batch, Batches, Gradients, Labelling, Packed, Work
 from .layers import (
     collect_inputs,
     collect_scales,
@@ -25,7 +24,20 @@ from .layers import (
     run_head_backward,
     wanted_class,
 )
-from .packing import COLOUR, COVARIANCE, INSTANCE, OPACITY, SEMANTIC
+from .packing import (
+    COLOUR,
+    COVARIANCE,
+    INSTANCE,
+    OPACITY,
+    SEMANTIC,
+    AnchorArrays,
+    Batch,
+    Batches,
+    Gradients,
+    Labelling,
+    Packed,
+    Work,
+)
 
 F = np.float32
 ZERO, ONE = F(0.0), F(1.0)

@@ -10,9 +10,22 @@ import numpy as np
 from ...machine.compiled import Array, device_function, parallel_kernel
 from ...machine.vectors import WIDTH, fetch_add, load, store
 from .activations import copy, sigmoid, softmax, tanh
-from .arrays import AnchorArrays, Batch, Batches, Drawn, Labelling, Packed, Work
 from .layers import collect_inputs, collect_scales, head_of, list_batch, run_head, wanted_class
-from .packing import BATCH, COLOUR, COVARIANCE, INSTANCE, OPACITY, SEMANTIC
+from .packing import (
+    BATCH,
+    COLOUR,
+    COVARIANCE,
+    INSTANCE,
+    OPACITY,
+    SEMANTIC,
+    AnchorArrays,
+    Batch,
+    Batches,
+    Drawn,
+    Labelling,
+    Packed,
+    Work,
+)
 
 F = np.float32
 ZERO = F(0.0)

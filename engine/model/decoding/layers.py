@@ -13,8 +13,7 @@ from ...machine.matrix_product import Factors, Rows, add_product
 from ...machine.vectors import WIDTH, broadcast, lane_numbers, load, masked_load, maximum, select, store
 from ..decoders import HIDDEN
 from .activations import copy, exponential
-from .arrays import AnchorArrays, Batch, Batches, Labelling, Packed
-from .packing import BATCH, ROUND_ROWS, Head
+from .packing import BATCH, ROUND_ROWS, AnchorArrays, Batch, Batches, Head, Labelling, Packed
 
 F = np.float32
 ZERO = F(0.0)

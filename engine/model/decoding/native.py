@@ -14,10 +14,23 @@ from ...machine.threads import parallel_for, worker_count
 from ..anchors import Anchors
 from ..decoders import Decoders
 from ..neural_gaussians import NeuralGaussians
-from .arrays import AnchorArrays, Batches, Drawn, Gradients, Labelling, Packed, Work
 from .backward import decode_backward
 from .forward import decode_gaussians, decode_opacities
-from .packing import BATCH, Layout, layout_of, packed, parameters_of, unpacked
+from .packing import (
+    BATCH,
+    AnchorArrays,
+    Batches,
+    Drawn,
+    Gradients,
+    Labelling,
+    Layout,
+    Packed,
+    Work,
+    layout_of,
+    packed,
+    parameters_of,
+    unpacked,
+)
 
 CHUNKS = 32
 """Chunks of batches whose weight gradients are summed apart. More workers than this find nothing to do."""
