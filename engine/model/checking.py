@@ -24,8 +24,6 @@ FARTHEST = 1e6
 LARGEST_LOG = 50.0
 """The largest logarithm of a scale in metres. Its exponential is still a finite float32."""
 LARGEST_WEIGHT = 1e6
-_NO_MORE = (("plain", False), ("encoding", 0), ("twin", False))
-"""Facts that earlier versions wrote for all decoders."""
 LARGEST_LEVEL = 63
 """The most generations of growth behind an anchor."""
 MOST_PER_ANCHOR = 64
@@ -110,7 +108,7 @@ def decoders_of(facts: Mapping[str, Any]) -> tuple[type[Decoders], DecoderShape]
     """The kind of decoders that a file names, and their shape. Raises ValueError for a kind that this version does not
     know."""
     kind = DECODERS.get(facts.get("kind", Decoders.kind))
-    known = {name: value for name, value in facts.items() if name != "kind" and (name, value) not in _NO_MORE}
+    known = {name: value for name, value in facts.items() if name != "kind"}
     if kind is None or set(known) != {each.name for each in fields(DecoderShape)}:
         raise ValueError("the decoders' shape is unknown: they may belong to a baseline, which only research can read")
     for each in fields(DecoderShape):

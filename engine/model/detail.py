@@ -32,15 +32,11 @@ def finest_pixels(places: NDArray[np.floating], cameras: Sequence[Camera]) -> ND
     return finest
 
 
-def pixel_side(depth: torch.Tensor, camera: Camera) -> torch.Tensor:
-    """The side in metres of a camera's pixel at planar depths in metres."""
-    return depth / math.sqrt(camera.fx * camera.fy)
-
-
 def blurred_scales(scales: torch.Tensor, finest: torch.Tensor, depth: torch.Tensor, camera: Camera) -> torch.Tensor:
     """Standard deviations ``scales`` [N, 3] metres, widened so that the ``camera``, which blurs them once more, shows
     Gaussians at ``depth`` [N] with the blur of pixels with the side ``finest`` [N] metres, if its own are smaller."""
-    return widened(scales, (finest.square() - pixel_side(depth, camera).square()).clamp_min(0.0).sqrt())
+    own = depth / math.sqrt(camera.fx * camera.fy)
+    return widened(scales, (finest.square() - own.square()).clamp_min(0.0).sqrt())
 
 
 def widened(scales: torch.Tensor, pixels: torch.Tensor) -> torch.Tensor:

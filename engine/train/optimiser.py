@@ -90,10 +90,6 @@ class Optimiser:
             adam_step(parameters, moments, self.count, rate, eps=1e-15, fused=True)
         self.count += 1
 
-    def rebound(self, anchors: Anchors, decoders: Decoders) -> Optimiser:
-        """A new optimiser with the same rates for other parameters."""
-        return Optimiser(anchors, decoders, self.rates, self.extent)
-
     def replace_anchors(self, anchors: Anchors, keep: torch.Tensor) -> None:
         """Continue with ``anchors``: rows ``keep`` (bool over the old ones), then new ones with moments of 0."""
         self.anchors = anchors

@@ -13,6 +13,7 @@ from ..model.checking import Wanted, check_tensors
 from ..model.growing import GrowthStatistics
 from ..model.structured import StructuredScene, from_tensors, to_tensors
 from ..scene import Camera
+from .optimiser import Optimiser
 from .self_training import PseudoLabels
 from .trainer import Trainer
 
@@ -44,7 +45,8 @@ def restore(trainer: Trainer, tensors: Mapping[str, torch.Tensor], facts: Mappin
     scene = from_tensors(_under("model.", tensors), facts["model"])
     _check(trainer, scene, tensors, facts)
     trainer.scene = scene
-    trainer.optimiser = trainer.optimiser.rebound(trainer.scene.anchors, trainer.scene.decoders)
+    before = trainer.optimiser
+    trainer.optimiser = Optimiser(scene.anchors, scene.decoders, before.rates, before.extent)
     trainer.optimiser.restore(_under("optimiser.", tensors), facts["optimiser_steps"])
     growth = _under("growth.", tensors)
     trainer.statistics = GrowthStatistics(**{name: tensor.clone() for name, tensor in growth.items()})

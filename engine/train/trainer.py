@@ -283,20 +283,14 @@ class Trainer:
         assert rendering.labels is not None  # drawn with labels
         assigned = torch.full(target.slot.shape, -1, dtype=torch.int16)
         if self.preset.linear_assignment:
-            assigned = self._assigned(rendering, classes, target)
+            no_object = self.scene.channels.slot_ids.index(NO_OBJECT)
+            assigned = assigned_slots(rendering.labels, rendering.alpha, classes, target.things, no_object)
+            self.clock.lap("linear assignment")
         slot = torch.where(target.slot < 0, -1, place[target.slot.long() + of_classes] - classes).to(torch.int16)
         semantic = place[target.semantic.long()]
         losses = label_losses(rendering.labels, rendering.alpha, classes, semantic, (assigned, slot))
         self.clock.lap("label losses")
         return losses
-
-    def _assigned(self, rendering: Rendering, classes: int, target: ViewTargets) -> torch.Tensor:
-        """The slot of each pixel by linear assignment, int16 [H, W]."""
-        assert rendering.labels is not None  # drawn with labels
-        slots = self.scene.channels.slot_ids
-        assigned = assigned_slots(rendering.labels, rendering.alpha, classes, target.things, slots.index(NO_OBJECT))
-        self.clock.lap("linear assignment")
-        return assigned
 
     def _gather_statistics(
         self, gaussians: NeuralGaussians, rendering: Rendering, target: ViewTargets, progress: float
