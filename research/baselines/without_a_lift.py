@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import time
 from pathlib import Path
 
 import numpy as np
 
-from engine.errors import PlgsError
-from engine.job import write_atomically
+from engine.batch.plan import state_of_files
+from engine.job import LiftRequest, write_atomically
 from engine.job.atomic import sha256
 from engine.json_file import Json, read_object
 from engine.metrics.report import INPUT_MASKS, PredictedView, Report, add_input_masks
-from engine.scene import GroundTruth, Scene, open_asked
+from engine.scene import GroundTruth, open_asked
 from engine.scene_source import SceneSource
 
 from ..results import Figures, scores_by_method, this_engine
@@ -22,7 +21,7 @@ from .voxel_vote import VOXEL_VOTE, add_voxel_vote
 
 VOXELS_ALONE = "voxel vote without objects"
 WITHOUT_A_LIFT = (INPUT_MASKS, VOXEL_VOTE, VOXELS_ALONE)
-FORMAT = 3
+FORMAT = 4
 
 
 class _WithoutObjects(Report):
@@ -39,32 +38,6 @@ WITH_IDS = (VOXEL_VOTE,)
 """Those whose ids mean the same in every frame, so that changes of them can be counted."""
 
 
-def files_fingerprint(scene: Scene, source: SceneSource, results: Path) -> str:
-    """A hash of the names, sizes and modification times of all files of the scene, and of masks and depth that lie
-    elsewhere; for a single file, also of those beside it. ``results``: a folder that is left out, as it may lie within
-    the scene's. Raises PlgsError."""
-    digest = hashlib.sha256(scene.format.encode())
-    for place in (scene.folder, source.masks, source.depth):
-        if place is not None:
-            _add_files(digest, place, results.resolve())
-    return digest.hexdigest()
-
-
-def _add_files(digest: hashlib._Hash, place: Path, results: Path) -> None:
-    is_folder = place.is_dir()
-    place = (place if is_folder else place.parent).resolve()
-    digest.update(f"{place}\n".encode(errors="surrogateescape"))
-    fix = "Check that the scene's files are there and may be read."
-    try:
-        for path in sorted(place.rglob("*") if is_folder else (*place.glob("*"), *place.glob("*/*"))):
-            if path.is_file() and results not in path.parents:
-                name, facts = path.relative_to(place), path.stat()
-                line = f"{name}\0{facts.st_size}\0{facts.st_mtime_ns}\n"
-                digest.update(line.encode(errors="surrogateescape"))
-    except OSError as error:
-        raise PlgsError("unreadable", f"its files cannot be read ({error.strerror})", place, fix) from error
-
-
 def scores_without_a_lift(source: SceneSource, cache: Path) -> dict[str, Figures]:
     """Figures by method (WITHOUT_A_LIFT). Empty without ground truth. They are kept in ``cache`` and measured again
     when the engine, a file of the scene, or the format or classes by which its masks are read have changed.
@@ -75,7 +48,8 @@ def scores_without_a_lift(source: SceneSource, cache: Path) -> dict[str, Figures
     made_of: dict[str, Json] = {
         "format": FORMAT,
         "engine_version": this_engine(),
-        "files": files_fingerprint(scene, source, cache.parent),
+        "scene_format": scene.format,
+        "files": state_of_files(LiftRequest(**vars(source)), cache.parent),
         "mask_format": source.mask_format,
         "classes": sha256(Path(classes)) if classes and classes.endswith(".toml") else classes,
     }
