@@ -34,12 +34,6 @@ def test_only_anchors_in_the_picture_are_decoded() -> None:
     assert visible_anchors(anchors, CAMERA).tolist() == [0, 3]
 
 
-@pytest.mark.parametrize("label_view_input", [False, True])
-def test_a_camera_that_sees_no_anchor_sees_no_gaussian(label_view_input: bool) -> None:
-    decoded = decode(some_anchors([[0, 0, -2]]), some_decoders(label_view_input), CAMERA)
-    assert decoded.means.shape == (0, 3) and decoded.labels.shape == (0, 8)
-
-
 def test_gaussians_without_opacity_are_dropped_and_labels_sum_to_one() -> None:
     anchors, decoders = some_anchors([[0, 0, 2], [0.2, 0.1, 3], [-0.3, 0, 2.5]]), some_decoders()
     decoded = decode(anchors, decoders, CAMERA)

@@ -1,16 +1,13 @@
-"""A view in bands of rows is the view; few labels a Gaussian show what a table of all shows."""
+"""A view in bands of rows is the view, and what is clipped is not in it."""
 
 from __future__ import annotations
 
 import numpy as np
-import torch
 
 from engine.model.neural_gaussians import ClipRange, PanopticRendering
 from engine.model.render import render_bands, render_view, row_bands
-from engine.model.scene_labels import VotedLabels, shown_labels
-from engine.model.structured import GaussianLabels, LabelChannels
 from engine.scene import Camera
-from tests.model.test_scene_labels import some_scene
+from tests.model.some_scene import some_scene
 
 CAMERA = Camera(70, 90, 70.0, 75.0, 33.0, 47.0, np.eye(4))
 LAYERS = ("image", "alpha", "depth", "class_coverage", "instance_coverage")
@@ -47,24 +44,3 @@ def test_what_is_clipped_is_not_drawn() -> None:
     assert near.depth.max() < 2.0 and (far.depth[far.alpha > 1e-3] > 2.0 - 1e-5).all()
     (nothing,) = render_bands(scene, CAMERA, clip=ClipRange(near=90.0))
     assert not nothing.alpha.any() and not nothing.depth.any()
-
-
-def test_few_labels_per_gaussian() -> None:
-    channels = LabelChannels((2, 5, 7), (4, 9, 0), (5, 7, 0))
-    label = torch.tensor([[0, 3], [1, 4], [4, 2]], dtype=torch.int16)
-    share = torch.tensor([[0.75, 0.25], [0.5, 0.5], [1.0, 0.0]])
-    labels = VotedLabels.of_scene(GaussianLabels(label, share), channels)
-    expected = [[0.75, 0.25, 0, 0.25, 0], [0, 0.5, 0.5, 0, 0.5], [0, 0, 1, 0, 1]]
-    torch.testing.assert_close(labels.of(torch.tensor([0, 1, 2])), torch.tensor(expected, dtype=torch.float32))
-    torch.testing.assert_close(labels.of(torch.tensor([2])), torch.tensor(expected[2:], dtype=torch.float32))
-
-
-def test_votes_are_shown_in_place_of_the_decoders() -> None:
-    scene = some_scene((4, 9, 0, 0, 0))
-    scene.channels = LabelChannels((2, 5, 7), (4, 9, 0, 0, 0), (5, 7, 0, 0, 0))
-    scene.voted = GaussianLabels(torch.full((320, 1), 4, dtype=torch.int16), torch.ones(320, 1))
-    assert isinstance(shown_labels(scene), VotedLabels)
-    shown = render_view(scene, CAMERA)
-    np.testing.assert_allclose(shown.instance_coverage[..., 1], shown.alpha, atol=1e-5)
-    np.testing.assert_allclose(shown.class_coverage[..., 2], shown.alpha, atol=1e-5)
-    assert not shown.class_coverage[..., :2].any()

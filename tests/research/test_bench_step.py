@@ -42,13 +42,6 @@ def test_a_disturbed_step_is_left_out_and_parts_add_up() -> None:
         typical([])
 
 
-def test_ratios_are_relative_to_the_rasteriser() -> None:
-    parts = dict.fromkeys((*DECODE, *RASTERISE), 10.0)
-    profile = StepProfile(2, 5, 4, 3, parts | {"optimiser": 5.0}, 40.0, 10.0)
-    assert profile.ratio(DECODE) == 1.0 and profile.ratio((*LOSSES, *OPTIMISE)) == 0.25 and profile.step == 45.0
-    assert profile.frame == 50.0
-
-
 def test_the_figures_are_printed_and_written(
     profile: StepProfile, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
