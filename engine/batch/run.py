@@ -14,6 +14,7 @@ from uuid import uuid4
 
 from ..errors import ErrorCode, ExitCode, PlgsError
 from ..job import EventWriter, LiftFolder
+from ..job.folder import refuse_foreign_below
 from ..job.lock import FileLock
 from ..job.task import TaskProgress
 from ..job.terminal import Interrupts, LiveLine
@@ -65,6 +66,7 @@ def run_batch(plan: BatchPlan, place: Place, interrupts: Interrupts, events: Eve
 
     Raises PlgsError if nothing can begin, and OSError.
     """
+    refuse_foreign_below(plan.output, (RECORDS,))
     (plan.output / RECORDS).mkdir(parents=True, exist_ok=True)
     report = BatchReport(events, place.threads)
     rows = {job.name: row for job in plan.jobs if (row := done_before(plan, job)) is not None}

@@ -48,6 +48,7 @@ def export(
         raise PlgsError("export-objects", what, folder.path, fix, option="--objects")
     if kind == "usd" and find_spec("pxr") is None:
         raise lacks_part("OpenUSD files need the package usd-core", output, "usd")
+    folder.refuse_foreign()
     verify_lifted(folder.result_path)
     lift = FinishedLift(folder, frames, progress, cameras, objects)
     shown = [view.name for view in lift.shots] or [frame.name for frame in lift.frames]

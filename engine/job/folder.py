@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import os
 import shutil
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from enum import Enum
 from pathlib import Path
@@ -304,7 +304,7 @@ def _write_new(path: Path, text: str) -> None:
 
 
 FILES = ("request.json", "corrections.json", "scene.json", "events.jsonl", "cancel", "preview.json", "log.txt")
-FOLDERS = ("result", "bake", "checkpoint", "checkpoint.next", "checkpoint.old")
+FOLDERS = ("result", "bake", "checkpoint", "checkpoint.next", "checkpoint.old", "earlier", "exports")
 
 
 def refuse_foreign(lift: Path, *more: str) -> None:
@@ -316,10 +316,12 @@ def refuse_foreign(lift: Path, *more: str) -> None:
         _refuse(lift / name, S_ISDIR)
 
 
-def refuse_foreign_below(lift: Path) -> None:
-    """Like `refuse_foreign`, for everything in the lift's folders. Call it before writing or deleting there."""
-    refuse_foreign(lift)
-    tops = [lift / name for name in FOLDERS]
+def refuse_foreign_below(lift: Path, folders: Sequence[str] = FOLDERS) -> None:
+    """Like `refuse_foreign`, for everything in the lift's folders, or in other ``folders``. Call it before writing or
+    deleting there."""
+    if folders is FOLDERS:
+        refuse_foreign(lift)
+    tops = [lift / name for name in folders]
     tops += [path for path in _entries(lift) if path.name.startswith(PART)]
     while tops:
         path = tops.pop()
@@ -348,6 +350,6 @@ def _refuse(path: Path, is_right: Callable[[int], bool]) -> None:
         fix = "Check its permissions and its disk."
         raise PlgsError("not-examined", f"cannot be examined ({error.strerror})", path, fix) from error
     if not is_right(mode):
-        kind = "a link" if S_ISLNK(mode) else "neither a file nor a folder of a lift"
-        what = f"is {kind}, which a lift never has"
+        kind = "a link" if S_ISLNK(mode) else "neither a file nor a folder"
+        what = f"is {kind}, which no lift or batch has here"
         raise PlgsError("foreign-file", what, path, "Do not trust it. Copy only files you recognise.")

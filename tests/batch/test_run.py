@@ -11,15 +11,17 @@ from typing import Any
 import pytest
 
 from engine.batch import piece, run
+from engine.batch.cluster import Place
 from engine.batch.piece import Ended, Kind, Outcome, Piece, do, engine_tag
 from engine.batch.plan import RECORDS, BatchPlan, SceneJob
 from engine.errors import ErrorCode, PlgsError
 from engine.job import LiftFolder, LiftRequest
 from engine.job.lock import FileLock
+from engine.job.terminal import Interrupts
 from engine.scene import open_scene
 from engine.scene_of_lift import remember_scene
 from tests.job.following import FAKE, command_after_another
-from tests.raises_key import worded
+from tests.raises_key import raises_key, worded
 from tests.tiny_scene import write_tiny_scene
 from tests.waiting import PATIENCE_S
 
@@ -194,6 +196,17 @@ def test_a_row_is_written_while_no_other_batch_writes_it(tmp_path: Path, monkeyp
             assert not [*(tmp_path / RECORDS).glob("*.json")]
         ending.result(PATIENCE_S)
     assert len([*(tmp_path / RECORDS).glob("*.json")]) == 1
+
+
+@pytest.mark.parametrize("name", [RECORDS, f"{RECORDS}/table.lock", f"{RECORDS}/row.json"])
+def test_records_that_lead_elsewhere_are_refused(name: str, tmp_path: Path) -> None:
+    outside, path = tmp_path / "outside", tmp_path / "out" / name
+    outside.mkdir()
+    path.parent.mkdir(parents=True)
+    path.symlink_to(outside if name == RECORDS else outside / "file")
+    with raises_key("foreign-file") as refused:
+        run.run_batch(BatchPlan(tmp_path / "out", ()), Place(), Interrupts())
+    assert refused.value.where == str(path) and not [*outside.iterdir()]
 
 
 @pytest.mark.parametrize("kind", [Kind.LIFT, Kind.EXPORT, Kind.SCORE])

@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from engine.command_line.run_engine import run_bake, run_engine
+from engine.export.run import export
 from engine.job import EventReader, EventWriter, LiftFolder, LiftState, write_atomically
 from engine.job.lock import FileLock
 from tests.job.following import watch
@@ -18,7 +19,8 @@ from tests.raises_key import raises_key
 pytestmark = pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no FIFOs here")
 NAMES = ["request.json", "events.jsonl", "cancel", "preview.json", "log.txt", "result", "bake", "checkpoint",
          "checkpoint.next", "checkpoint.old", ".part-checkpoint", "result/manifest.json", "result/metrics.json",
-         "result/.part-metrics.json", "bake/view-0.lock"]  # fmt: skip
+         "result/.part-metrics.json", "bake/view-0.lock", "earlier", "earlier/1", "earlier/1/passes", "exports",
+         "exports/boxes", "exports/boxes/boxes.csv"]  # fmt: skip
 
 
 def folder_of_theirs(tmp_path: Path) -> Path:
@@ -29,7 +31,7 @@ def folder_of_theirs(tmp_path: Path) -> Path:
 
 
 def link(path: Path, outside: Path) -> None:
-    path.symlink_to(outside if path.name in ("result", "bake") or "checkpoint" in path.name else outside / "precious")
+    path.symlink_to(outside / "precious" if path.suffix in (".json", ".jsonl", ".txt", ".csv") else outside)
 
 
 def fifo(path: Path, outside: Path) -> None:
@@ -41,12 +43,13 @@ def fifo(path: Path, outside: Path) -> None:
 def test_nothing_outside_is_touched(name: str, make: Callable[[Path, Path], None], tmp_path: Path) -> None:
     folder, outside = new_lift(tmp_path), folder_of_theirs(tmp_path)
     path = folder.path / name
-    path.parent.mkdir(exist_ok=True)
+    path.parent.mkdir(parents=True, exist_ok=True)
     path.unlink(missing_ok=True)
     make(path, outside)
     for task in (
         lambda: run_engine(folder, resume=True, lift=tiny_lift),
         lambda: run_bake(folder, ["all"]),
+        lambda: export(folder, "boxes", folder.path / "exports" / "boxes", ["all"]),
         folder.discard,
     ):
         with raises_key("foreign-file") as refused:
