@@ -37,10 +37,7 @@ def test_one_pixel_has_all_channels_and_texts(tmp_path: Path) -> None:
         (lambda data: data[:90], "exr-header"),
         (lambda data: data[:5] + b"\x08" + data[6:], "deep-exr"),
         (lambda data: data[:5] + b"\x10" + data[6:], "deep-exr"),
-        (
-            lambda data: data.replace(WINDOW, WINDOW[:-8] + struct.pack("<2i", 2**20, 2**20)),
-            "bad-size",
-        ),
+        (lambda data: data.replace(WINDOW, WINDOW[:-8] + struct.pack("<2i", 2**20, 2**20)), "bad-size"),
     ],
 )
 def test_a_header_that_makes_no_sense_is_refused(tmp_path: Path, change: Callable[[bytes], bytes], told: str) -> None:
@@ -85,17 +82,13 @@ def test_a_cut_off_image_is_found_without_decoding_it(image: Path, share: float)
         check_image_file(image)
 
 
-def test_what_a_camera_appends_to_a_jpeg_is_harmless(tmp_path: Path) -> None:
-    path = tmp_path / "image.jpg"
-    cv2.imwrite(str(path), np.zeros((48, 64, 3), np.uint8))
-    path.write_bytes(path.read_bytes() + b"trailer" * 1000)
-    assert read_image_header(path).size == (64, 48)
-
-
-def test_the_end_of_a_thumbnail_is_not_the_end_of_a_jpeg(tmp_path: Path) -> None:
+def test_where_a_jpeg_ends(tmp_path: Path) -> None:
+    """What a camera appends is harmless, and the end of a thumbnail is another."""
     path = tmp_path / "image.jpg"
     cv2.imwrite(str(path), np.random.default_rng(0).integers(0, 255, (48, 64, 3), np.uint8))
     data = path.read_bytes()
+    path.write_bytes(data + b"trailer" * 1000)
+    assert read_image_header(path).size == (64, 48)
     metadata = b"\xff\xe1" + (2 + 6).to_bytes(2, "big") + b"\xff\xd8..\xff\xd9"
     path.write_bytes(data[:2] + metadata + data[2:-600])
     with raises_key("image-cut-off"):

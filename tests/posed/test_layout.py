@@ -77,11 +77,7 @@ def test_long_lists_and_strange_names_stay_on_one_line() -> None:
 def test_names_that_leave_the_folder_are_refused(tmp_path: Path, name: str) -> None:
     with raises_key("leaves-folder"):
         file_inside(tmp_path, name, tmp_path / "table.json")
-
-
-@pytest.mark.parametrize("name", ["a.png", "sub/a.png", "..a.png"])
-def test_plain_names_are_accepted(tmp_path: Path, name: str) -> None:
-    assert file_inside(tmp_path, name, tmp_path / "table.json") == tmp_path / name
+    assert file_inside(tmp_path, "sub/..a.png", tmp_path / "table.json") == tmp_path / "sub" / "..a.png"
 
 
 def sparse(path: Path, head: bytes, size: int) -> Path:
@@ -196,11 +192,6 @@ NAMES = tuple(f"{index:03d}" for index in range(20))
 def test_every_eighth_frame_is_held_out_beginning_with_the_fifth() -> None:
     split = default_split(NAMES)
     assert split.test == ("004", "012") and len(split.train) == 18 and split.warnings == ()
-
-
-def test_a_scene_too_short_to_hold_a_frame_out_is_reported() -> None:
-    split = default_split(NAMES[:4])
-    assert split.train == NAMES[:4] and split.test == () and "too few frames" in split.warnings[0]
 
 
 def test_a_split_file_is_honoured_in_recording_order(tmp_path: Path) -> None:

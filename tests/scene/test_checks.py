@@ -157,20 +157,12 @@ def broken_checksum(path: Path) -> None:
     path.write_bytes(bytes(data))
 
 
-def cut_off(path: Path) -> None:
-    path.write_bytes(path.read_bytes()[:-20])
-
-
-def all_zeros(path: Path) -> None:
-    cv2.imwrite(str(path), np.zeros((48, 64), np.uint16))
-
-
 @pytest.mark.parametrize(
     ("kind", "damage"),
     [
-        ("color", broken_checksum), ("color", cut_off), ("color", lambda path: path.write_bytes(b"")),
-        ("depth", broken_checksum), ("depth", cut_off), ("depth", all_zeros),
-        ("panoptic", broken_checksum), ("panoptic", cut_off),
+        ("color", broken_checksum), ("color", lambda path: path.write_bytes(b"")),
+        ("depth", lambda path: cv2.imwrite(str(path), np.zeros((48, 64), np.uint16))),
+        ("panoptic", lambda path: path.write_bytes(path.read_bytes()[:-20])),
     ],
 )  # fmt: skip
 def test_frames_with_a_file_that_cannot_be_read_are_left_out_by_name_up_to_half(

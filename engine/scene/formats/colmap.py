@@ -148,7 +148,9 @@ def _shot(
     pose = inverse(quaternion_pose(image.rotation, image.translation, model.folder))
     measured = depths.get(path.stem)
     if measured is None:
-        depth = _find_depth(place, image.name)
+        dense = (place / _DEPTH_MAPS / f"{image.name}.{kind}.bin" for kind in ("geometric", "photometric"))
+        file = next((each for each in dense if each.is_file()), None)
+        depth = None if file is None else DepthMap(file, partial(_read_dense, file), fault=fault_of(file))
     else:
         depth = npy_depth(measured) if measured.suffix.lower() == ".npy" else png_depth(measured, lens)
     return Shot(name, lens.at(pose), path, depth, distortion=distortion)
@@ -185,14 +187,6 @@ def _points(model: ColmapModel, names: list[str], images: list[ColmapImage]) -> 
         places = np.searchsorted(ids, wanted).clip(0, len(ids) - 1)
         seen_by[name] = order[places[ids[places] == wanted]]
     return SparsePoints(model.points.xyz, model.points.rgb, seen_by)
-
-
-def _find_depth(place: Path, image: str) -> DepthMap | None:
-    """An image's depth map in a dense workspace."""
-    folder = place / _DEPTH_MAPS
-    found = (folder / f"{image}.{kind}.bin" for kind in ("geometric", "photometric"))
-    path = next((path for path in found if path.is_file()), None)
-    return None if path is None else DepthMap(path, partial(_read_dense, path), fault=fault_of(path))
 
 
 def _read_dense(path: Path) -> NDArray[np.float32]:

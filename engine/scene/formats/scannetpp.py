@@ -56,7 +56,10 @@ def _read(place: Path) -> Capture:
     path = folder / _TABLE
     table = read_json_object(path)
     pictures = files_if_any(folder / "rgb", {".jpg", ".png"}, _FIX)
-    video = None if pictures else _video(folder)
+    films = [path for path in (folder / "rgb.mp4", folder / "rgb.mkv") if path.is_file()]
+    if not pictures and not films:
+        raise PlgsError("no-pictures", "the pictures are missing", folder / "rgb.mkv", _FIX)
+    video = None if pictures else Video(films[0])
     size = video.size() if video else None
     depths = files_if_any(folder / "depth", {".png"}, _FIX)
     stream = _DepthStream(folder / "depth.bin") if not depths and (folder / "depth.bin").is_file() else None
@@ -86,13 +89,6 @@ def _read(place: Path) -> Capture:
             depth = png_depth(depths[name], lens)
         found.append((name, Shot(name, lens.at(pose), picture, depth, video.reader(number) if video else None)))
     return Capture(found, "z", up_is_known=True)
-
-
-def _video(folder: Path) -> Video:
-    for name in ("rgb.mp4", "rgb.mkv"):
-        if (folder / name).is_file():
-            return Video(folder / name)
-    raise PlgsError("no-pictures", "the pictures are missing", folder / "rgb.mkv", _FIX)
 
 
 def _lens(entry: dict[str, Any], name: str, size: tuple[int, int], path: Path) -> Camera:

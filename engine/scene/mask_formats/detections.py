@@ -76,7 +76,11 @@ def _read(place: Path, names: Sequence[str]) -> MaskSource:
         files = files_of_frames(place, names, {".npz"}, "detections", _FIX)
         found = {name: _detections(path) for name, path in files.items()}
         label_of, labels = _labels(found.values())
-        masks = {name: _stack(path, _segments(found[name], label_of)) for name, path in files.items()}
+        masks = {}
+        for name, path in files.items():
+            shape = array_headers(path)[_key(path, "masks")].shape
+            read = partial(_read_stack, path, _segments(found[name], label_of))
+            masks[name] = StoredMask(path, (shape[-1], shape[-2]), read)
         no_class = [name for name, path in files.items() if not _has(path, "classes")]
         if no_class and len(no_class) < len(files):
             raise PlgsError("classes-partly", f"there are classes, but none in {listed(no_class)}", place, _FIX)
@@ -91,13 +95,8 @@ def _read(place: Path, names: Sequence[str]) -> MaskSource:
     return MaskSource(masks, labels, void=frozenset())
 
 
-def _stack(path: Path, segments: Sequence[FoundSegment]) -> StoredMask:
-    """The mask in an .npz, with ``segments`` in the order of its detections."""
-    shape = array_headers(path)[_key(path, "masks")].shape
-    return StoredMask(path, (shape[-1], shape[-2]), partial(_read_stack, path, segments))
-
-
 def _read_stack(path: Path, segments: Sequence[FoundSegment]) -> FoundMask:
+    """The mask in an .npz, with ``segments`` in the order of its detections."""
     masks = read_array(path, _key(path, "masks"))
     masks = masks.reshape(-1, *masks.shape[-2:])
     is_inside = [mask > 0.5 if mask.dtype.kind == "f" else mask != 0 for mask in masks]

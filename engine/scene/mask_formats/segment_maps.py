@@ -60,15 +60,12 @@ def _key_of(place: Path) -> str | None:
     """The key of the segments' classes, None in other files. Without any segment it is transformers'."""
     if not place.is_dir():
         return None
-    tables = [path for path in sorted(place.glob("*.json")) if _picture_of(path) is not None]
+    found = sorted(place.glob("*.json"))
+    tables = [path for path in found if any(path.with_suffix(suffix).is_file() for suffix in SUFFIXES)]
     for path in tables[:_MOST_LOOKED_AT]:
         for info in _segments_info(path):
             return next((key for key in ("label_id", "category_id") if key in info), None)
     return "label_id" if tables else None
-
-
-def _picture_of(table: Path) -> Path | None:
-    return next((path for suffix in sorted(SUFFIXES) if (path := table.with_suffix(suffix)).is_file()), None)
 
 
 def _segments_info(path: Path) -> list[dict[str, Any]]:
@@ -82,8 +79,12 @@ def _segments_info(path: Path) -> list[dict[str, Any]]:
 def _read_transformers(place: Path, names: Sequence[str]) -> MaskSource:
     """Open transformers' results; headers and JSON only. Raises PlgsError."""
     pictures, tables = _files(place, names)
-    segments = {name: _transformers_segments(name, tables[name]) for name in tables}
-    fused = {one["label_id"] for name in tables for one in _segments_info(tables[name]) if one.get("was_fused")}
+    segments: dict[str, dict[int, FoundSegment]] = {name: {} for name in tables}
+    fused = set()
+    for name, table in tables.items():
+        for info in _segments_info(table):
+            _add(segments[name], _segment(info, "label_id", name, table), name, table)
+            fused |= {info["label_id"]} if info.get("was_fused") else set()
     config = place / _CONFIG
     labels = labels_of_config(config, fused) if config.is_file() else None
     return MaskSource(_masks(pictures, tables, segments), labels, stuff_in_pieces=True, void=frozenset())
@@ -146,13 +147,6 @@ def _masks(
         )
         for name, path in pictures.items()
     }
-
-
-def _transformers_segments(name: str, table: Path) -> dict[int, FoundSegment]:
-    found: dict[int, FoundSegment] = {}
-    for info in _segments_info(table):
-        _add(found, _segment(info, "label_id", name, table), name, table)
-    return found
 
 
 def _segment(info: dict[str, Any], key: str, name: str, table: Path) -> FoundSegment:

@@ -159,8 +159,7 @@ def check_on_room(
 
 def check_colours(scene: Scene, colour_step: float = 0.0, share: float = 0.97) -> None:
     """Assert that ``share`` of each picture's pixels show the colours that the room has there, through the frame's
-    camera, within ``colour_step``.
-    """
+    camera, within ``colour_step``."""
     turn, shift = _about_z(scene)
     for frame in scene.frames:
         camera = frame.camera
@@ -191,8 +190,7 @@ def _views_of(scene: Scene) -> list[View]:
 
 def _about_z(scene: Scene) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """The turn about z, float64 [3, 3], and the shift that take the scene's world to the room's, from the cameras'
-    centres alone.
-    """
+    centres alone."""
     found = np.array([frame.camera.centre for frame in scene.frames])
     known = np.array([view.eye for view in _views_of(scene)])
     one, other = (found - found.mean(0))[:, :2], (known - known.mean(0))[:, :2]

@@ -6,14 +6,11 @@ import json
 from collections.abc import Callable
 from pathlib import Path
 
-import cv2
-import numpy as np
 import pytest
 
 from engine.posed.frames import Camera
 from engine.scene import open_scene
 from tests.scene.formats import test_nerfstudio, test_replica, test_seven_scenes, test_tum
-from tests.scene.refusing import refuses
 
 CAMERA = {"w": 64, "h": 48, "fx": 32, "fy": 32, "cx": 31.5, "cy": 23.5, "scale": 1000}
 # Who writes the scene, what the warning tells, and the file with which there is none.
@@ -53,18 +50,3 @@ def test_an_assumed_lens_is_a_warning(
 
 def lens_of(camera: Camera) -> list[float]:
     return [camera.fx, camera.fy, camera.cx, camera.cy]
-
-
-@pytest.mark.parametrize(
-    ("write", "picture", "file"),
-    [
-        (test_seven_scenes.write_seven, "seq-01/frame-000000.color.png", "camera-intrinsics.txt"),
-        (test_tum.write_tum, "rgb/1305031102.170000.png", "calibration.txt"),
-    ],
-)
-def test_an_assumed_lens_is_of_pictures_of_its_shape(
-    tmp_path: Path, write: Callable[[Path], Path], picture: str, file: str
-) -> None:
-    write(tmp_path)
-    cv2.imwrite(str(tmp_path / picture), np.zeros((90, 160, 3), np.uint8))
-    refuses(f"other-size 160x90 640x480 {file}", tmp_path)

@@ -5,24 +5,21 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import numpy as np
+
 from engine.scene import open_scene
-from tests.scene.formats.room import Lens, View, check_on_room, look, opencv_pose, views, write_pair
+from tests.scene.formats.room import Lens, check_on_room, look, opencv_pose, views, write_pair
 
 # 600 600 599.5 339.5 of 1200x680, integer centres, for a tenth of the size; and another lens that sees 90 degrees.
 NICE = Lens(120, 68, 60.0, 60.0, 60.0, 34.0)
 HALF = Lens(64, 48, 32.0, 32.0, 32.0, 24.0)
 
 
-def trajectory(seen: list[View]) -> str:
-    return "".join(" ".join(f"{value:.9e}" for value in opencv_pose(view).ravel()) + "\n" for view in seen)
-
-
 def write_nice(folder: Path, lens: Lens = NICE, steps: float = 6553.5) -> Path:
     for i, view in enumerate(views()):
-        write_pair(
-            folder / "results" / f"frame{i:06d}.jpg", folder / "results" / f"depth{i:06d}.png", look(view, lens), steps
-        )
-    (folder / "traj.txt").write_text(trajectory(views()))
+        results = folder / "results"
+        write_pair(results / f"frame{i:06d}.jpg", results / f"depth{i:06d}.png", look(view, lens), steps)
+    np.savetxt(folder / "traj.txt", [opencv_pose(view).ravel() for view in views()], "%.9e")
     return folder
 
 

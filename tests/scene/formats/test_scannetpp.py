@@ -74,10 +74,7 @@ def write_scannetpp(folder: Path, pack: Callable[[list[np.ndarray]], bytes]) -> 
 @pytest.mark.parametrize("pack", [one_stream, lz4_blocks, deflated_blocks])
 def test_points_lie_on_the_room(tmp_path: Path, pack: Callable[[list[np.ndarray]], bytes]) -> None:
     scene = open_scene(write_scannetpp(tmp_path, pack))
-    assert scene.format == "scannetpp" and [frame.name for frame in scene.frames][:2] == [
-        "frame_000000",
-        "frame_000001",
-    ]
+    assert scene.format == "scannetpp" and scene.frames[1].name == "frame_000001"
     assert "1 frame without a pose is left out: frame_000006" in scene.warnings
     check_on_room(scene, colour_step=60)
     assert not scene.frames[0].depth()[3:40].any()

@@ -119,12 +119,7 @@ def write_info(folder: Path, place: str = "", name: str = "info.txt", steps: int
 
 @pytest.mark.parametrize(
     ("place", "opened", "name", "steps"),
-    [
-        ("", "", "info.txt", 1000),
-        ("", "", "_info.txt", 4000),
-        ("data", "", "info.txt", 1000),
-        ("data", "data", "info.txt", 500),
-    ],
+    [("", "", "_info.txt", 4000), ("data", "", "info.txt", 1000), ("data", "data", "info.txt", 500)],
 )
 def test_info_txt_says_the_lenses(tmp_path: Path, place: str, opened: str, name: str, steps: int) -> None:
     """BundleFusion, ScanNet's own reader, and 12-Scenes, whose frames lie in data; pictures of half the size."""

@@ -22,11 +22,8 @@ def tum_line(stamp: float | int, right: np.ndarray, down: np.ndarray, forward: n
 
 def write_tum(folder: Path) -> Path:
     """Depth 12 ms after colour, poses every 10 ms that move on between pictures, pictures before and after them."""
-    rgb, depth, truth = (
-        "# color images\ntimestamp filename\n",
-        "# depth maps\n",
-        "# ground truth trajectory\n# timestamp tx ty tz\n",
-    )
+    rgb, depth = "# color images\ntimestamp filename\n", "# depth maps\n"
+    truth = "# ground truth trajectory\n# timestamp tx ty tz\n"
     for i, view in enumerate(views()):
         at = 1305031102.17 + i / 30
         write_pair(
@@ -67,8 +64,6 @@ def test_rtabmaps_poses_with_numbers(tmp_path: Path, by_number: bool) -> None:
 
 
 def test_the_lens_comes_from_the_name_or_a_file(tmp_path: Path) -> None:
-    scene = open_scene(write_tum(tmp_path / "rgbd_dataset_freiburg3_long_office"))
-    assert scene.frames[0].camera.fx == pytest.approx(53.54) and scene.frames[0].camera.cy == pytest.approx(24.81)
     bent = open_scene(write_tum(tmp_path / "rgbd_dataset_freiburg1_desk"))
     assert not bent.frames[0].file_shows_colour and any("undistorted" in warning for warning in bent.warnings)
     (tmp_path / "rgbd_dataset_freiburg1_desk" / "calibration.txt").write_text("52.5 52.5 31.5 23.5\n")
