@@ -15,6 +15,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
+from shlex import quote
 from typing import Any
 
 from ..errors import ExitCode, PlgsError, lacks_part
@@ -176,18 +177,22 @@ def slurm_cluster(place: Place) -> Any:
         raise PlgsError("no-slurm", what, "sbatch", "Start the batch on a machine of the cluster.")
     offered = ",".join(f"{name}={value:g}" for name, value in resources(place.gigabytes, place.threads).items())
     options: dict[str, Any] = {name: value for name, value in place.slurm.items() if value}
+    for name, value in options.items():
+        if not value.isprintable() or " " in value:
+            fix = f"Give --{name} without blanks and line breaks."
+            raise PlgsError("slurm-option", f"{value!r} cannot stand in a job of Slurm", name, fix, option=f"--{name}")
     if place.tls is not None:
-        options |= {"security": place.tls.security(), "protocol": "tls://"}
+        options |= {"security": place.tls.security(in_a_shell=True), "protocol": "tls://"}
     try:
         return jobqueue.SLURMCluster(
             cores=1,
             job_cpu=place.threads,
             processes=1,
             memory=f"{place.gigabytes:g}GB",
-            python=sys.executable,
+            python=f"{quote(sys.executable)} -P",  # nothing is imported from the folder where a job starts
             nanny=False,
             worker_extra_args=["--resources", offered, "--no-dashboard"],
-            job_script_prologue=[f'export PYTHONPATH="{ROOT}"'],
+            job_script_prologue=["unset PYTHONHOME", f"export PYTHONNOUSERSITE=1 PYTHONPATH={quote(str(ROOT))}"],
             job_directives_skip=["--mem"] if not place.gigabytes else [],
             **options,
         )
@@ -223,8 +228,9 @@ class Tls:
     ca: Path
     certificate: Path
 
-    def security(self) -> Any:
-        """Dask's settings. Raises PlgsError for files that cannot be used."""
+    def security(self, *, in_a_shell: bool = False) -> Any:
+        """Dask's settings, of whose files a worker may be told ``in_a_shell``. Raises PlgsError for files that cannot
+        be used."""
         ca, own = str(self.ca), str(self.certificate)
         try:
             ssl.create_default_context(cafile=ca).load_cert_chain(own)
@@ -233,7 +239,14 @@ class Tls:
             raise PlgsError("bad-tls", f"TLS cannot be used ({error.strerror or error})", own, fix) from error
         roles = ("client", "scheduler", "worker")
         files = {f"tls_{role}_{part}": own for role in roles for part in ("cert", "key")}
-        return require_dask().Security(tls_ca_file=ca, require_encryption=True, **files)
+        of_dask: Any = require_dask().Security
+
+        class Quoted(of_dask):
+            def get_tls_config_for_role(self, role: str) -> dict[str, Any]:
+                told = super().get_tls_config_for_role(role).items()
+                return {name: quote(value) if role == "worker" and value else value for name, value in told}
+
+        return (Quoted if in_a_shell else of_dask)(tls_ca_file=ca, require_encryption=True, **files)
 
 
 def security_for(address: str, tls: Tls | None, fix: str) -> Any:

@@ -6,6 +6,7 @@ import os
 import re
 import shutil
 import signal
+import subprocess
 from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
@@ -14,6 +15,7 @@ import pytest
 
 pytest.importorskip("dask_jobqueue", reason="dask-jobqueue is not installed: python -m engine add farm")
 # ruff: noqa: E402 - without it the rest is not tested
+from engine.batch import cluster as cluster_module
 from engine.batch.cluster import Place, Tls, slurm_cluster
 from engine.batch.piece import engine_tag
 from engine.errors import ExitCode
@@ -55,7 +57,7 @@ def test_the_job_script(slurm: Path, root: Path) -> None:
         script = cluster.job_script()
     for line in ("#SBATCH -p gpu", "#SBATCH -t 02:00:00", "#SBATCH --cpus-per-task=8", "#SBATCH --mem=15G"):
         assert line in script.splitlines(), script
-    assert "#SBATCH -A" not in script and f'export PYTHONPATH="{root}"' in script
+    assert "#SBATCH -A" not in script and f"PYTHONPATH={root}" in script
     offered = re.search(r"--resources (\S+)", script)
     assert offered is not None and set(offered[1].split(",")) == {f"{engine_tag()}=1", "PLGS_GB=16", "PLGS_THREADS=8"}
 
@@ -76,6 +78,49 @@ def test_a_job_works(slurm: Path) -> None:
     assert run(plan, Place(1, "", {}, 1.0, 1)) is ExitCode.FINISHED, (slurm / "job.log").read_text()
     assert rows_of(plan)["a"]["state"] == "done"
     assert "distributed.cli.dask_worker" in (slurm / "job.sh").read_text()
+
+
+@pytest.mark.parametrize("name", ["queue", "account", "walltime"])
+@pytest.mark.parametrize("value", ["gpu\nrm -rf /", "a b", "a\tb", "a\rb", "\u2028"])
+def test_options_are_one_word(name: str, value: str, slurm: Path) -> None:
+    with raises_key(f"slurm-option --{name}"):
+        slurm_cluster(Place(1, "", {name: value}))
+
+
+ODD = 'it\'s $(touch oops) "a" `touch oops` b;touch oops #%s'
+
+
+@pytest.mark.skipif(shutil.which("openssl") is None, reason="needs openssl to make certificates")
+def test_paths_are_words_of_the_shell(slurm: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What the job runs is this Python with these files, whatever their folders are called; and nothing of the folder
+    where it starts."""
+    odd = slurm / ODD
+    odd.mkdir()
+    ca, own = certificates(odd)
+    python = odd / "python"
+    python.write_text('#!/bin/sh\nfor each; do echo "$each"; done > said\nenv >> said\n')
+    python.chmod(0o755)
+    monkeypatch.setattr(cluster_module.sys, "executable", str(python))
+    monkeypatch.setattr(cluster_module, "ROOT", odd)
+    with slurm_cluster(Place(1, "", {"queue": "gpu"}, 1.0, 1, Tls(ca, own))) as cluster:
+        (slurm / "job.sh").write_text(cluster.job_script())
+    monkeypatch.setenv("PYTHONHOME", "/nowhere")
+    subprocess.run(["sh", "job.sh"], cwd=slurm, check=True, timeout=60)
+    said = (slurm / "said").read_text().splitlines()
+    assert said[:3] == ["-P", "-m", "distributed.cli.dask_worker"] and not (slurm / "oops").exists()
+    assert {str(ca), str(own), f"PYTHONPATH={odd}"} < {*said} and "PYTHONHOME=/nowhere" not in said
+
+
+def test_a_job_imports_nothing_of_the_folder_where_it_starts(
+    slurm: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    for name in ("dask", "distributed", "engine"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "__init__.py").write_text("open('oops', 'w')\nraise SystemExit(9)\n")
+    with slurm_cluster(Place(1, "", {}, 1.0, 1)) as cluster:
+        (slurm / "job.sh").write_text(re.sub(r"tcp://\S+", "--version", cluster.job_script()))
+    assert subprocess.run(["sh", "job.sh"], cwd=slurm, capture_output=True, timeout=60).returncode == 0
+    assert not (slurm / "oops").exists()
 
 
 @pytest.mark.skipif(shutil.which("openssl") is None, reason="needs openssl to make certificates")
