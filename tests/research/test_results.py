@@ -1,4 +1,4 @@
-"""results.json, written and read again, and results.csv."""
+"""What was measured of lifts: read from a finished one, written to results.json and read again, and results.csv."""
 
 from __future__ import annotations
 
@@ -8,7 +8,18 @@ from pathlib import Path
 
 import pytest
 
-from research.results import csv_text, read_results, results_text
+from engine.job import Event, LiftFolder, LiftRequest, write_atomically, write_manifest
+from engine.metrics.report import INPUT_MASKS, LIFTED
+from research.results import (
+    Figures,
+    csv_text,
+    lifting_seconds,
+    read_result,
+    read_results,
+    results_text,
+    run_figures,
+    scores_by_method,
+)
 from tests.raises_key import raises_key
 from tests.research.experiments.made_up import KITCHEN, OFFICE
 
@@ -48,3 +59,65 @@ def test_another_file_is_refused(tmp_path: Path, content: str | None, told: str)
         file.write_text(content)
     with raises_key(told):
         read_results(file)
+
+
+RENDERED = {"psnr": 20.0, "psnr_fitted": 22.0, "ssim": 0.5, "ssim_fitted": 0.6, "depth_error_m": 0.02}
+
+
+def test_both_modes_make_one_row() -> None:
+    followed = {"pq_frame": 0.25, "id_changes": 3}
+    rows = scores_by_method(
+        [
+            {"name": INPUT_MASKS, "mode": "strict", "miou": 0.1, "miou_true": 0.15, "pq": 0.2, **followed},
+            {"name": INPUT_MASKS, "mode": "pl_compat", "miou": 0.3, "miou_true": 0.35, "pq": 0.4, "psnr": None},
+            {"name": LIFTED, "mode": "strict", "miou": 0.5, "pq": 0.6, **RENDERED},
+            {"name": LIFTED, "mode": "pl_compat", "miou": 0.7, "pq": 0.8, **RENDERED},
+        ]
+    )
+    assert rows == {
+        INPUT_MASKS: Figures(0.1, 0.15, 0.2, 0.3, 0.35, 0.4, 0.25, 3.0),
+        LIFTED: Figures(0.5, None, 0.6, 0.7, None, 0.8, None, None, 20.0, 22.0, 0.5, 0.02),
+    }
+
+
+def test_without_ground_truth_there_are_no_shares() -> None:
+    rows = scores_by_method([{"name": LIFTED, "mode": None, "miou": None, "pq": None, **RENDERED}])
+    assert rows == {LIFTED: Figures(psnr=20.0, psnr_fitted=22.0, ssim=0.5, depth_error_m=0.02)}
+
+
+def _events(*told: tuple[float, str, dict[str, str]]) -> list[Event]:
+    return [Event(seq, time, kind, dict(data)) for seq, (time, kind, data) in enumerate(told, start=1)]
+
+
+def test_a_lift_takes_the_time_of_all_its_runs() -> None:
+    """One run was killed while it trained, the next one finished, a third baked more frames."""
+    events = _events(
+        (100.0, "hello", {}),
+        (101.0, "stage", {"name": "train"}),
+        (130.0, "progress", {"stage": "train"}),
+        (500.0, "hello", {}),
+        (502.0, "stage", {"name": "train"}),
+        (540.0, "stage", {"name": "bake"}),
+        (560.0, "stage", {"name": "evaluate"}),
+        (590.0, "done", {"state": "finished"}),
+        (900.0, "hello", {"task": "bake"}),
+        (950.0, "done", {"state": "finished"}),
+    )
+    assert lifting_seconds(events) == 30.0 + 40.0
+    assert lifting_seconds([]) is None
+
+
+def test_a_lift_on_disk(tmp_path: Path) -> None:
+    lift = LiftFolder.create(tmp_path / "lift", LiftRequest(scene=tmp_path, preset="standard", seed=4))
+    write_atomically(lift.result_path / "metrics.json", '{"format": 1, "test_frames": [], "tables": []}')
+    write_manifest(lift.result_path, versions={}, seed=4, settings={"steps": 70}, timings={})
+    result = read_result("room", "ours", "mine", lift)
+    assert (result.key, result.steps) == (("room", "ours", "mine", 4), 70)
+    assert result.figures == Figures()
+
+
+def test_memory_and_frames_per_second() -> None:
+    first, last = ({"name": "run", "values": values} for values in ({"peak_bytes": 3e9}, {"peak_bytes": 1e9, "fps": 2}))
+    events = [Event(1, 0.0, "metric", first), Event(2, 1.0, "metric", {"name": "loss", "values": {}})]
+    assert run_figures([*events, Event(3, 2.0, "metric", last)]) == {"peak_bytes": 3e9, "fps": 2.0}
+    assert run_figures([]) == {"peak_bytes": None, "fps": None}
