@@ -82,10 +82,12 @@ def render_in_a_process(code: Path, **changes: str) -> Run:
 
 @pytest.fixture(scope="module")
 def read_only_code(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Engine and benchmark in a folder that nobody may write to; ``listing`` tells when somebody (root may) did."""
+    """Engine and room in a folder that nobody may write to; ``listing`` tells when somebody (root may) did."""
     code = tmp_path_factory.mktemp("code")
-    for folder in ("engine", "research"):
-        shutil.copytree(ROOT / folder, code / folder, ignore=shutil.ignore_patterns("__pycache__"))
+    shutil.copytree(ROOT / "engine", code / "engine", ignore=shutil.ignore_patterns("__pycache__"))
+    room = Path("tests/raster/room_workload.py")
+    (code / room.parent).mkdir(parents=True)
+    shutil.copy(ROOT / room, code / room)
     for path in [code, *code.rglob("*")]:
         path.chmod(path.stat().st_mode & ~0o222)
     return code
