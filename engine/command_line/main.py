@@ -30,7 +30,7 @@ from ..presets.preset import PRESETS
 from . import commands
 from .batch import add_batch, add_worker
 from .correct import add_correct
-from .runner import Command, run_task
+from .runner import Command, drop_output, failure_of, run_task
 
 FRAME_FILES = ("colour", "depth", "masks", "cloud")
 SEGMENT_MODEL = "facebook/mask2former-swin-small-coco-panoptic"
@@ -313,12 +313,13 @@ def main(arguments: Sequence[str], parser: Callable[[], argparse.ArgumentParser]
         finally:
             sys.stdout.flush()  # flushed here, where a closed reader is not yet an error
     except BrokenPipeError:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # Python flushes the rest when it exits
+        drop_output()
         return READER_GONE
     except OSError as error:
-        what = f"this cannot be used ({error.strerror}): {error.filename or 'the disk'}"
-        print(printable(f"error: {what}. Fix this, then try again."), file=sys.stderr)
-        return ExitCode.BAD_INPUT
+        failure = failure_of(error, Command("", lambda events, stop: None))
+        print(printable(f"error: {failure}"), file=sys.stderr)
+        drop_output()
+        return failure.exit_code
     except RuntimeError as error:  # so says Python before 3.13, where later ones go on
         if not str(error).startswith("Symlink loop"):
             raise

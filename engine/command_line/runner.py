@@ -132,7 +132,7 @@ def _do(command: Command, events: EventWriter, stop: StopSignal, terminal: TextI
         if place is not None and "\n" in str(error.__cause__ or "").strip():
             traceback.print_exc()  # into the log, as the line is only a short form
     except Exception as error:  # the process's outermost frame: the log gets the traceback, the user a line
-        failure = _failure(error, command, place)
+        failure = failure_of(error, command, place)
         if place is not None or failure.code is ErrorCode.INTERNAL:
             traceback.print_exc()
     try:
@@ -143,7 +143,12 @@ def _do(command: Command, events: EventWriter, stop: StopSignal, terminal: TextI
     return failure.exit_code
 
 
-def _failure(error: Exception, command: Command, place: TaskPlace | None) -> PlgsError:
+def drop_output() -> None:
+    """Let standard output, which failed, lead nowhere: Python flushes the rest of it when it exits."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+def failure_of(error: Exception, command: Command, place: TaskPlace | None = None) -> PlgsError:
     """The message for an error that is not a PlgsError."""
     where = Path(sys.executable) if place is None else place.log
     if isinstance(error, ModuleNotFoundError):
@@ -216,8 +221,12 @@ class ShownEvents(EventWriter):
             if text and not self._as_json
             else to_line(answer)
         )
-        sys.stdout.buffer.write(said)  # UTF-8 on every system, as a path may need
-        sys.stdout.flush()
+        try:
+            sys.stdout.buffer.write(said)  # UTF-8 on every system, as a path may need
+            sys.stdout.flush()
+        except OSError:
+            drop_output()
+            raise
 
     def close(self) -> None:
         self._line.end()

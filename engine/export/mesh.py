@@ -115,6 +115,8 @@ WIDEST, MOST_VIEWS = 480, 80
 """Largest width in pixels of the views that are fused, and how many of all frames at most."""
 SEEN_WITHIN = 0.05
 """Metres between a vertex and a view's depth there within which the view votes."""
+LONGEST, MOST_BYTES = 60, 180
+"""Characters and bytes of a name in that of a file."""
 MOST_INSTANCES = 1 << 16
 """Factor of the class in a label, which is class * this + instance."""
 
@@ -243,4 +245,5 @@ def label_names(labels: NDArray[np.int64], classes: ClassTable, instances: Mappi
         class_id, instance = divmod(value, MOST_INSTANCES)
         if class_id in classes:
             names[value] = instances.get(instance, f"instance {instance}") if instance else classes[class_id].name
-    return matte_names({value: "".join("-" if c in "<>:/|?*" else c for c in name) for value, name in names.items()})
+    safe = {value: "".join("-" if c in "<>:/|?*" else c for c in name[:LONGEST]) for value, name in names.items()}
+    return matte_names({value: name.encode()[:MOST_BYTES].decode(errors="ignore") for value, name in safe.items()})

@@ -51,6 +51,15 @@ def said_by(
     return said.returncode, said.stdout, said.stderr
 
 
+@pytest.mark.parametrize("unbuffered", ["", "1"])
+@pytest.mark.parametrize("call", ["presets", "presets --json", "handshake", "lift --help"])
+def test_no_room_on_standard_output_is_one_line(call: str, unbuffered: str, root: Path, tmp_path: Path) -> None:
+    if unbuffered and "--help" in call:
+        pytest.skip("argparse says nothing then")
+    code, _, told = said_by(root, tmp_path, *call.split(), shell="exec >/dev/full", PYTHONUNBUFFERED=unbuffered)
+    assert code == 1 and told.startswith(b"error: the disk is full. Make room there, ") and told.count(b"\n") == 1
+
+
 @pytest.mark.parametrize("odd", [*VARIABLES, *SHELLS])
 def test_odd_surroundings_change_no_answer(odd: str, root: Path, tmp_path: Path, scene: Path) -> None:
     code, out, told = said_by(root, tmp_path, "inspect", scene, shell=SHELLS.get(odd, ""), **VARIABLES.get(odd, {}))

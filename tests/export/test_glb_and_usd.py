@@ -13,8 +13,10 @@ import numpy as np
 import pytest
 
 from engine.command_line.main import main
+from engine.export.mesh import MOST_INSTANCES, label_names
 from engine.export.source import FinishedLift
 from engine.job import LiftFolder
+from engine.scene import Category, ClassTable
 from tests.conftest import HAS_BLENDER
 from tests.export.conftest import run
 
@@ -152,3 +154,11 @@ def test_usd_tells_what_the_engine_lacks(
     monkeypatch.setattr("engine.export.run.find_spec", lambda name: None)
     assert main(["export", str(lift.path), "--to", "usd", "-o", str(tmp_path / "out")]) != 0
     assert "engine add usd" in capsys.readouterr().err and not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("letter", ["a", "\N{PILE OF POO}", "/"])
+def test_the_file_of_a_long_name_has_a_name_that_disks_take(letter: str) -> None:
+    classes = ClassTable((Category(1, "chair", True, (1, 2, 3)),))
+    labels = np.array([MOST_INSTANCES + 1, MOST_INSTANCES + 2])
+    names = [*label_names(labels, classes, {1: 300 * letter, 2: 300 * letter + "b"}).values()]
+    assert len({*names}) == 2 and max(len(f".part-{name}.ply".encode()) for name in names) <= 255
