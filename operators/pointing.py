@@ -53,9 +53,7 @@ class PLGS_OT_pick(InView, bpy.types.Operator):
 
 
 def _is_in_front(context: bpy.types.Context, mouse: tuple[int, int], *, extend: bool) -> bool:
-    """Let Blender select what it finds at a pixel; with `extend` as Shift does. Whether that is no part of a lift's
-    picture: an object of the user's, a camera, or the cutting plane. If not, with `extend` the selection stays.
-    """
+    """Let Blender select what it finds at a pixel, and tell whether that is no part of a lift's picture."""
     layer = context.view_layer
     before, active = [ob for ob in layer.objects if ob is not None and ob.select_get()], layer.objects.active
     if "FINISHED" not in bpy.ops.view3d.select(location=mouse, toggle=extend):

@@ -10,8 +10,7 @@ from types import ModuleType
 
 
 def _modules() -> tuple[ModuleType, ...]:
-    """The modules that Blender has to know about, in order. They are imported late: a script that only reads a result
-    needs none of them."""
+    """The modules that Blender has to know about, in order, imported late: who only reads a result needs none."""
     from . import compositing, corrections, registry, settings, timeline
     from .engine_environment import tasks
     from .inspecting import lists, selection

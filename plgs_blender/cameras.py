@@ -104,8 +104,7 @@ def overview_camera(xyz: NDArray[np.floating], normals: NDArray[np.floating]) ->
 
 
 def _axes(azimuth: float) -> NDArray[np.float64]:
-    """Right, down and forward of a camera that looks down at the room from an azimuth, the columns of float64 [3, 3].
-    """
+    """Right, down and forward, the columns of float64 [3, 3], of a camera that looks down from an azimuth."""
     flat = -np.array([np.cos(azimuth), np.sin(azimuth), 0.0])
     forward = flat * np.cos(_ELEVATION) + np.array([0.0, 0.0, -np.sin(_ELEVATION)])
     right = np.array([flat[1], -flat[0], 0.0])

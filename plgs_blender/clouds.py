@@ -114,8 +114,7 @@ class SurfaceGrid:
 
 
 def _point_spacing(xyz: NDArray[np.floating]) -> float:
-    """Typical distance between neighbours, from the number of cells that the surfaces cross; 0 when all is one point.
-    """
+    """Typical distance between neighbours, from the cells that the surfaces cross; 0 when all is one point."""
     if len(xyz) < 2:
         return 0.0
     extent = float(max(np.ptp(xyz[:, axis]) for axis in range(3)))
@@ -246,9 +245,7 @@ def _place(
     radius: NDArray[np.float32],
     attributes: Attributes,
 ) -> bpy.types.Object:
-    """Our cloud object `key` with these points, radii float32 [N] in metres, and attributes (name, type, values [N,
-    ...]).
-    """
+    """Our cloud object `key`: points, radii float32 [N] in metres, attributes (name, type, values [N, ...])."""
     tag(cloud, owned.lift, key)
     sizes = cloud.attributes.get("radius") or cloud.attributes.new("radius", "FLOAT", "POINT")
     sizes.data.foreach_set("value", radius)

@@ -8,11 +8,12 @@ from dataclasses import dataclass
 import bpy
 
 from ..engine.errors import PlgsError
+from ..engine.posed.classes import matte_names
 from . import compat
 from .inspecting.selection import class_row_of, row_of
 from .owned import KEY, LIFT, key_of, scene_to_fill
 from .pass_nodes import CRYPTO_CLASSES, CRYPTO_INSTANCES, PANOPTIC, PASSES, has_nodes, node_of, panoptic_node
-from .passes import SHOT, matte_ids, passes_scene_of
+from .passes import SHOT, passes_scene_of
 
 _TREE = "CompositorNodeTree"
 _SHARE, _ASIDE = (0.45, 0.42), (-0.05, 0.09)
@@ -26,9 +27,7 @@ _MSGBUS_OWNER = object()
 
 @dataclass
 class _Opened:
-    """A window in which the compositor was asked for: the names of the workspace and the scene that it showed then, of
-    the passes scene, and of the workspace that it showed last.
-    """
+    """A window in which the compositor was asked for, by names: what it showed then, and which workspace last."""
 
     workspace: str
     room: str
@@ -175,7 +174,7 @@ def panoptic_of(scene: bpy.types.Scene) -> bpy.types.Node | None:
 def matte_instance(root: bpy.types.Collection, instance: int) -> str:
     """Let the compositor's matte be an instance (0: the list's active one), and return its name. Raises PlgsError."""
     row = row_of(root, instance)
-    names = matte_ids({each.instance_id: each.name for each in root.plgs.instances})
+    names = matte_names({each.instance_id: each.name for each in root.plgs.instances})
     _set(root, CRYPTO_INSTANCES, names[row.instance_id], by_class=0.0)
     return str(row.name)
 
@@ -185,7 +184,7 @@ def matte_class(root: bpy.types.Collection, class_id: int) -> str:
     row = class_row_of(root, class_id)
     if row.class_id == 0:
         raise PlgsError("classless", "points without a class have no matte", root.name, "Choose a class in the list.")
-    names = matte_ids({each.class_id: each.name for each in root.plgs.classes})
+    names = matte_names({each.class_id: each.name for each in root.plgs.classes})
     _set(root, CRYPTO_CLASSES, names[row.class_id], by_class=1.0)
     return str(row.name)
 

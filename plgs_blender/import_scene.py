@@ -72,8 +72,7 @@ def look_at_imported(root: bpy.types.Collection, scene: bpy.types.Scene) -> None
 
 
 def _room(root: bpy.types.Collection, scene: bpy.types.Scene) -> tuple[Quaternion, NDArray[np.float64]]:
-    """The rotation of a camera that overlooks the frames' cameras and the points in front of them, and the corners [8,
-    3] of the box around these, metres."""
+    """The rotation of a camera that overlooks the frames and what they see, and the corners [8, 3] of that, metres."""
     scene.view_layers[0].update()
     matrices = np.array([ob.matrix_world for ob in root.all_objects if "frame" in ob])
     eyes, ahead = matrices[:, :3, 3], -matrices[:, :3, 2]
@@ -108,9 +107,7 @@ def add_made(scene: bpy.types.Scene, root: bpy.types.Collection, made: MadeFrame
 def _place_clouds(
     owned: OwnedDataBlocks, root: bpy.types.Collection, opened: PosedScene, made: MadeFrames | None, cloud: bool
 ) -> list[str]:
-    """Place the points of the reconstruction and the cloud, if there are any. Returns what is left to an
-    engine.
-    """
+    """Place the points of the reconstruction and the cloud, if any. Returns what is left to an engine."""
     eyes = np.array([frame.camera.centre for frame in opened.frames])
     if opened.points is not None and len(opened.points):
         points = np.asarray(opened.points.xyz, np.float32), opened.points.rgb

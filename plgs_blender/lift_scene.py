@@ -113,8 +113,7 @@ def reading_lift(lift: Path) -> Generator[None, None, ReadLift]:
 
 
 def _placing_rest(read: ReadLift, placed: Placed) -> Generator[None, None, None]:
-    """The lists, the other boxes, the masks, the meshes, the splats and the passes, left out when the lift is removed
-    in the meantime."""
+    """The lists, the other boxes, the masks, the meshes, the splats and the passes, unless the lift is removed."""
     for do in _objects_in_turn(read.result):
         found = placed.find()
         if found is None:

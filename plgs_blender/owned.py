@@ -68,11 +68,7 @@ def originals(objects: Iterable[bpy.types.Object], lift: str) -> dict[str, bpy.t
 
 
 def _age(ob: bpy.types.Object) -> tuple[bool, int, int, bool, int]:
-    """A rank that is smaller for an original than for its duplicates.
-
-    Blender numbers the names of copies, and the names of the meshes and cameras that it copies with them, which people
-    hardly ever rename. `session_uid` alone would do until the file is loaded: loading numbers it again, by name.
-    """
+    """A rank that is smaller for an original than for its duplicates, also after loading numbered `session_uid`."""
     is_astray = not any(LIFT in collection for collection in ob.users_collection)
     data = _copy_number(ob.data.name) if ob.data is not None else 0
     return ob.library is not None, data, _copy_number(ob.name), is_astray, ob.session_uid

@@ -91,7 +91,7 @@ class _Wiring:
         matte = self._chosen(given["Instance matte"], given["Class matte"])
         line = self._product(self._ring(matte), given["Outline"])
         colours = self._mixed(given["By class"], given["Instance colours"], given["Class colours"])
-        is_shown = self._larger(self._over_half(given["Instance"]), given["By class"])
+        is_shown = self._larger(self._math("GREATER_THAN", given["Instance"], 0.5), given["By class"])
         image = self._mixed(self._product(given["Overlay"], is_shown), given["Image"], colours)
         image = self._mixed(self._product(given["Recolour"], matte), image, given["Recolour to"], "COLOR")
         image = self._mixed(line, image, given["Outline colour"])
@@ -120,9 +120,6 @@ class _Wiring:
 
     def _larger(self, one: Any, other: Any) -> Any:
         return self._math("MAXIMUM", one, other)
-
-    def _over_half(self, value: Any) -> Any:
-        return self._math("GREATER_THAN", value, 0.5)
 
     def _math(self, operation: str, one: Any, other: Any) -> Any:
         node = self._place(compat.new_node(self._group, "ShaderNodeMath", "CompositorNodeMath"))

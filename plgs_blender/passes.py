@@ -11,7 +11,6 @@ from __future__ import annotations
 import math
 import re
 import tempfile
-from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -133,7 +132,12 @@ def _fill_scene(
         if tree is None or not has_nodes(tree):
             tree = compat.new_compositor_tree(scene, name)
             build(tree, owned.lift, image)
-            _first_mattes(tree, result)
+            if result.instances:
+                first = result.instances[0]
+                names = matte_names({each.id: each.name for each in result.instances})
+                classes = matte_names({each.id: each.name for each in result.classes.categories})
+                node_of(tree, CRYPTO_INSTANCES).matte_id = names[first.id]
+                node_of(tree, CRYPTO_CLASSES).matte_id = classes.get(first.class_id, "")
         if not tree.is_embedded_data:
             tag(tree, owned.lift, f"{key} tree")
             owned.keep(tree)
@@ -159,9 +163,7 @@ def _new_scene(name: str) -> bpy.types.Scene:
 def _images(
     owned: OwnedDataBlocks, key: str, files: Mapping[str, Path], sequence: NumberedNames | None
 ) -> bpy.types.Image:
-    """The EXR files as images, none of them read: one image that counts through all of them, or one image each. Returns
-    the first.
-    """
+    """The first of the files' images, of which none is read: one that counts through all files, or one each."""
     if sequence is not None:
         files = {"": next(path for path in files.values() if path.stem == sequence.first)}
     images = []
@@ -176,9 +178,7 @@ def _images(
 
 @contextmanager
 def _one_pixel_of(image: bpy.types.Image) -> Iterator[None]:
-    """Meanwhile an image is one pixel with the layers of its file. Blender reads the file again for each layer that a
-    node names, and again for a sequence: a third of a second each time at 1296x968. Raises PlgsError.
-    """
+    """Meanwhile an image is one pixel with its file's layers: Blender reads it again for each layer a node names."""
     path = image.filepath
     with tempfile.TemporaryDirectory(prefix="plgs-", dir=bpy.app.tempdir) as folder:
         pixel = Path(folder) / "0001.exr"
@@ -211,9 +211,7 @@ def _count_on(first: int, last: int, _scene: bpy.types.Scene, tree: bpy.types.No
 
 
 def _take_after(scene: bpy.types.Scene, shot: bpy.types.Scene, numbers: Sequence[int], size: tuple[int, int]) -> None:
-    """Take the frames, rate and pixel aspect of the scene in which the shot was made. ``size`` is the files': Blender
-    does not always know it of images with layers.
-    """
+    """Take the frames, rate and pixel aspect of the shot's scene. Blender does not always know the files' size."""
     scene.frame_start, scene.frame_end = min(numbers), max(numbers)
     scene.frame_step = math.gcd(*(number - min(numbers) for number in numbers)) or 1
     scene.frame_set(min(numbers))
@@ -245,24 +243,6 @@ def _fill_palette(
     node_of(tree, f"{what} palette").image = image
     scale = node_of(tree, f"{what} scale")
     scale.inputs[1].default_value, scale.inputs[2].default_value = 1.0 / width, compat.IN_A_PIXEL / width
-
-
-def matte_ids(names: Mapping[int, str]) -> dict[int, str]:
-    """What shows a matte, by class or instance. Where names differ only in capitals, this is the name with its id,
-    and the plain one of views that an earlier version baked: a name that a view lacks shows nothing."""
-    told = matte_names(names)
-    plain = {key: matte_names({key: name})[key] for key, name in names.items()}
-    several = {name for name, count in Counter(plain.values()).items() if count > 1}
-    return {key: name if plain[key] in {name, *several} else f"{name},{plain[key]}" for key, name in told.items()}
-
-
-def _first_mattes(tree: bpy.types.NodeTree, result: LiftResult) -> None:
-    """Let the matte nodes show the first instance and its class."""
-    if result.instances:
-        first, names = result.instances[0], matte_ids({each.id: each.name for each in result.instances})
-        node_of(tree, CRYPTO_INSTANCES).matte_id = names[first.id]
-        names = matte_ids({each.id: each.name for each in result.classes.categories})
-        node_of(tree, CRYPTO_CLASSES).matte_id = names.get(first.class_id, "")
 
 
 def _mark_views(scene: bpy.types.Scene, names: Collection[str]) -> None:
@@ -301,7 +281,7 @@ def passes_scene_of(scene: bpy.types.Scene) -> bpy.types.Scene | None:
         found = {key_of(other, root[LIFT]) or "": other for other in bpy.data.scenes}
         shots = [key for key in found if key.startswith(SHOT)]
         named = () if scene.camera is None else (shot_name(scene.camera), safe_name(scene.camera.name))
-        own = [SHOT + next(iter(sequences([f"{name}.0001"]))) for name in named]  # earlier versions: the camera's alone
+        own = [SHOT + next(iter(sequences([f"{name}.0001"]))) for name in named]  # baked before the file had a name
         for key in (*own, PASSES, *shots):
             if key in found:
                 return found[key]

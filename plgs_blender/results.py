@@ -261,11 +261,7 @@ def reading_result(folder: Path) -> Generator[None, None, LiftResult]:
 
 
 def _verify(lift: LiftFolder, paths: Iterable[str], listed: Mapping[str, ListedFile]) -> None:
-    """Compare what Blender opens with the manifest's checksums, before anything is changed. Raises PlgsError.
-
-    So damage on the disk is reported, not placed. The window waits meanwhile, so only the first passes are compared,
-    up to _MOST_HASHED.
-    """
+    """Compare what Blender opens with the manifest's checksums, of the passes up to _MOST_HASHED. Raises PlgsError."""
     files, size = [], 0
     for path in paths:
         if path not in listed:

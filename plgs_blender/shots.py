@@ -104,9 +104,7 @@ def shot_of(
 
 
 def _cameras_to_choose(scene: bpy.types.Scene, wanted: str) -> str:
-    """What to do when ``wanted`` (empty: the active one) is not a camera: the cameras to choose from, similar
-    names first, cameras of the lift's frames last.
-    """
+    """What to do when ``wanted`` (empty: the active one) is no camera: those to choose from, the likeliest first."""
     cameras = [ob for ob in scene.objects if ob.type == "CAMERA"]
     if not cameras:
         return "Add a camera, select it and press Ctrl+Numpad 0."
@@ -137,8 +135,7 @@ class ShotSource:
 
 
 def _claim(folder: Path, name: str, source: ShotSource, *, replace: bool) -> None:
-    """Note in a folder whose shot ``name`` is. Raises PlgsError if it is another file's or camera's, unless that is
-    replaced."""
+    """Note in a folder whose shot ``name`` is. Raises PlgsError if it is another's that is not replaced."""
     path = folder / f"{name}.shot.json"
     path.parent.mkdir(parents=True, exist_ok=True)
     with FileLock(path.with_suffix(".lock"), _CLAIM_S):  # others may begin to bake the same shot

@@ -251,10 +251,7 @@ def across(normal: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np
 
 
 def _new_group() -> bpy.types.NodeTree:
-    """Move each vertex to a corner of its square, draw it out to a side, and the side to the square. All that is made
-    of a vertex has its attributes, and the mesh keeps its active colour. Drawn out in this order, up before right, the
-    squares show their fronts. `corner` becomes the place on the square in standard deviations.
-    """
+    """Draw each vertex out to its square, up before right: so it shows its front. `corner` is in deviations."""
     tree = new_geometry_group("PLGS squares")
     tree.is_modifier = True
     link = tree.links.new

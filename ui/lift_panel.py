@@ -115,9 +115,7 @@ class PLGS_MT_recent_lifts(bpy.types.Menu):
 
 
 def _draw_running(layout: bpy.types.UILayout, context: bpy.types.Context, followed: Lift) -> None:
-    """Draw a lift's progress in as many rows as `_draw_start` has: nothing moves when it begins or ends. The bar is
-    where Start was, and Cancel where a label will be: a second click cancels nothing, and a late one starts nothing.
-    """
+    """Draw a lift's progress in as many rows as `_draw_start` has, Cancel where no second or late click falls."""
     folder, progress = followed.folder, followed.progress
     stage = f"Stage {progress.stage_index} of {progress.stage_count}: " if progress.stage_count > 1 else ""
     name = one_line(f"{stage}{folder.path.name}, {folder.request.preset}")
@@ -131,9 +129,7 @@ def _draw_running(layout: bpy.types.UILayout, context: bpy.types.Context, follow
 
 
 def _draw_start(layout: bpy.types.UILayout, context: bpy.types.Context, followed: Lift | None) -> None:
-    """Draw Start, below it how the last lift ended, and last what comes and goes with the engine's news: the button
-    stays where it is.
-    """
+    """Draw Start, below it how the last lift ended, and last what comes and goes: the button stays where it is."""
     settings = context.scene.plgs
     folder, estimate = chosen_lift(settings), estimate_of(settings)
     layout.prop(settings, "preset", expand=True)

@@ -70,9 +70,7 @@ def short_count(number: int) -> str:
 
 
 def _swatch_name_numbers(layout: Any, row: Any, coloured: Any, *, can_be_renamed: bool) -> Any:
-    """Draw the beginning of an instance's or a class's row, with the colour of `coloured`: the row itself or its
-    class's. Returns the layout for the rest.
-    """
+    """Draw a row's beginning, with the colour of `coloured`: itself or its class. Returns the rest's layout."""
     line = layout.row(align=True)
     swatch = line.row()
     swatch.ui_units_x = 0.9
@@ -221,9 +219,7 @@ def _draw_look(column: bpy.types.UILayout, context: bpy.types.Context, root: bpy
 
 
 def _draw_surface(cell: bpy.types.UILayout, root: bpy.types.Collection) -> None:
-    """Draw the surface's button, or in its place how far the engine is, which begins by itself after a lift: the list
-    below stays where it is. An error stands below the list.
-    """
+    """Draw the surface's button, or in its place how far the engine is: the list below stays where it is."""
     making = making_meshes()
     if making is not None:
         draw_bar(cell, making, "Surface")

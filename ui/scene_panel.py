@@ -172,9 +172,7 @@ def _draw_poses(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
 
 
 def _draw_survey(layout: bpy.types.UILayout, context: bpy.types.Context, survey: Survey | None) -> None:
-    """Draw what is known of a scene in rows that stand there from the start, so that what is read moves nothing. What
-    varies in length can be opened, and the row that opens it tells the first warning.
-    """
+    """Draw what is known of a scene in rows that stand there from the start, so that what is read moves nothing."""
     known = survey if survey is not None and not survey.is_looking else None
     column = layout.box().column(align=True)
     if survey is not None and survey.is_looking:

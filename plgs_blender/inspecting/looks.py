@@ -46,12 +46,13 @@ _CELL = 0.1
 def apply_look(root: bpy.types.Collection) -> None:
     """Colour points, splats and meshes as the lift's `look` says."""
     look = root.plgs.look
-    coloured = [ob for ob in objects_by_key(root).values() if _has_colours(ob)]
+    objects = [ob for ob in objects_by_key(root).values() if ob.type in ("POINTCLOUD", "MESH")]
+    coloured = [ob for ob in objects if {COLOUR, "class_id"} <= {*ob.data.attributes.keys()}]
     sure = _Sureness(coloured) if look == UNCERTAINTY else None
     palette = {}
     if look in (BY_CLASS, INSTANCES):
         rows, name = (root.plgs.classes, "class_id") if look == BY_CLASS else (root.plgs.instances, "instance_id")
-        palette = {getattr(row, name): _linear(row.colour) for row in rows}
+        palette = {getattr(row, name): linear_rgba([round(255.0 * channel) for channel in row.colour]) for row in rows}
     for ob in coloured:
         photo = _photo(ob.data)
         if look == BY_CLASS:
@@ -92,10 +93,6 @@ def has(root: bpy.types.Collection, kind: str) -> bool:
     return any(is_child(child, root, SHOWN_IN[kind]) and len(child.all_objects) for child in root.children)
 
 
-def _has_colours(ob: bpy.types.Object) -> bool:
-    return ob.type in ("POINTCLOUD", "MESH") and COLOUR in ob.data.attributes and "class_id" in ob.data.attributes
-
-
 def _photo(data: Any) -> NDArray[np.float32]:
     """The photo's linear colours float32 [N, 4]. From the first call on they are kept apart from Col."""
     if KEPT in data.attributes:
@@ -112,10 +109,6 @@ def _read(data: Any, name: str) -> NDArray[np.float32]:
     values = np.empty(4 * len(data.attributes[name].data), np.float32)
     data.attributes[name].data.foreach_get("color", values)
     return values.reshape(-1, 4)
-
-
-def _linear(srgb: Any) -> NDArray[np.float32]:
-    return linear_rgba([round(255.0 * channel) for channel in srgb])
 
 
 def _by_id(
@@ -168,8 +161,7 @@ def places(data: Any) -> NDArray[np.float32]:
 
 
 def _cells(xyz: NDArray[np.float32]) -> NDArray[np.int64]:
-    """The number of each place's cell, int64 [N]. Rooms farther than 100 km from the origin have no cells of their own.
-    """
+    """The number of each place's cell, int64 [N]. Farther than 100 km from the origin, cells are shared."""
     x, y, z = (np.floor(xyz / _CELL).astype(np.int64) + (1 << 20)).T
     return (x << 42) | (y << 21) | z
 
@@ -182,9 +174,7 @@ _WIRES, _DOTS = 0.15, 0.01
 
 
 class _OnceForMany:
-    """A decorated function brings a lift's objects in line with its lists. Within `at_once` it runs once, at the end,
-    however many rows change.
-    """
+    """Decorates what brings a lift's objects in line with its lists: within `at_once` it runs once, at the end."""
 
     def __init__(self, apply: Callable[[bpy.types.Collection], None]) -> None:
         self._apply = apply

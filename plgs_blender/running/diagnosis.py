@@ -161,9 +161,7 @@ def leave_out(known: Diagnosis, finding: Finding) -> tuple[Path, Path | None]:
 
 
 def _keep(path: Path) -> Path | None:
-    """Copy a splits.json that is not of `leave_out` to "splits.before.json", or "splits.before_2.json" and so on; None
-    where there is none. Raises OSError.
-    """
+    """Copy a splits.json that is not of `leave_out` to "splits.before.json" or the like, if any. Raises OSError."""
     before = path.read_bytes() if path.exists() else None
     if before is None or _written.get(path) == before:
         return None
@@ -176,10 +174,7 @@ def _keep(path: Path) -> Path | None:
 
 
 def _choose_mended(settings: PLGS_PG_settings, mended: Path) -> None:
-    """Let the panel show the fixed scene, which contains its masks and has its z axis up.
-
-    Each assignment makes us look at the folder, so only what differs is assigned, and the folder last.
-    """
+    """Let the panel show the fixed scene. Each assignment looks at the folder: only what differs, the folder last."""
     values = {"masks": "", "depth": "", "up": "z", "format": AUTOMATIC, "scene_folder": str(mended)}
     for name, value in values.items():
         if getattr(settings, name) != value:

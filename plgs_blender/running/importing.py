@@ -207,8 +207,7 @@ def show_picture(scene: bpy.types.Scene, shown_kind: str, *, asked: bool = True)
 def _picture_file(
     root: bpy.types.Collection, name: str, chosen: ChosenScene, made: MadeFrames | None
 ) -> Path | None:
-    """The image file that shows a frame of an import or a lift; None where an engine has to make it. Raises
-    PlgsError."""
+    """The image file of an import's or a lift's frame; None where an engine has to make it. Raises PlgsError."""
     if text_of(root, FOLDER):
         opened = known_scene(LiftFolder.open(absolute(root[FOLDER])))
     elif chosen.is_plain:
