@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import bpy
 
 from ..engine.errors import PlgsError
-from ..engine.posed.classes import matte_names
+from ..engine.posed.names import matte_names
 from . import compat
 from .inspecting.selection import class_row_of, row_of
 from .owned import KEY, LIFT, key_of, scene_to_fill
