@@ -156,7 +156,9 @@ def run_lift(
         with stages.stage("result") as progress:
             if preset.shows_votes:
                 told = progress.part(0.0, VOTED)
-                trainer.scene.voted = vote_labels(trainer.scene, frames.training, prepared, preset, told)
+                trainer.scene.voted = vote_labels(
+                    trainer.scene, frames.training, prepared, preset, told, folder.path
+                )
             trainer.scene.finest = finest_of(trainer.scene, frames.training, preset)
             held_back = read_held_back(frames.chosen, preset.size, folder.path)
             told = progress.part(VOTED, SIFTED)

@@ -4,61 +4,140 @@ frames that are not trained on are read to vote."""
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..errors import PlgsError
 from ..instances.panoptic_labels import UNKNOWN_LABEL
 from ..instances.segment_votes import segment_labels
 from ..job import EventWriter
-from ..model.label_voting import LabelVotes, contributors
+from ..model.label_voting import Contributors, LabelVotes, contributors, pixel_labels
 from ..model.settling import NamedGaussians, OwnedPoints, settled
 from ..model.structured import GaussianLabels, StructuredScene
 from ..presets.preset import Preset
 from ..scene import (
     Frame,
     OtherClasses,
+    PanopticMask,
     Progress,
+    Segment,
     Size,
+    StoredArrays,
     StoredViews,
     View,
     read_ahead,
     size_within,
 )
 from ..scene.hole_filling import fill_holes
+from ..scene.pixels import resize_nearest
+from ..semantics.point_cloud import SemanticPointCloud
 from .objects import Matching, labels_of
+
+MOST_BYTES = 1 << 32
+"""The most bytes of frames that are stored on disk between two rounds."""
+ROUNDS = 2
+"""Rounds in which the views vote on the Gaussians where their masks agree."""
 
 
 def vote_labels(
-    scene: StructuredScene, frames: Sequence[Frame], prepared: Matching, preset: Preset, progress: Progress
+    scene: StructuredScene,
+    frames: Sequence[Frame],
+    prepared: Matching,
+    preset: Preset,
+    progress: Progress,
+    scratch: Path | None = None,
 ) -> GaussianLabels:
-    """The labels of every Gaussian, by a vote of the training frames.
+    """The labels of every Gaussian, by a vote of the training frames within ``vote_size``.
 
-    Each pixel of a frame, within ``vote_size``, shows the label of the point of the ``prepared`` cloud that lies there,
-    and votes for the Gaussians that it is blended from. Where masks agree, they know outlines better than points do, so
-    a segment takes the label that most of its pixels show. Where they contradict each other, that would take back what
-    the points gained. Raises PlgsError if a file is bad, and what ``progress`` raises.
+    Where masks agree, they know outlines better than points do. In the first round, the segments of each mask take the
+    labels that its pixels got before training; in the second, those that the Gaussians of the first show. Where masks
+    contradict each other, that would take back what the points gained: each pixel votes once, with the label of the
+    point that lies there. What does not change between rounds is stored in temporary files in ``scratch``. Raises
+    PlgsError if a file is bad, and what ``progress`` raises.
     """
-    cloud = prepared.cloud
+    cloud, maps = prepared.cloud, prepared.label_maps
+    assert maps is not None  # objects by agreement come with them
     labels = labels_of(cloud, prepared.instances)
-    label_of_point = np.append(labels.of_points(cloud.class_id, prepared.instance_of_point), UNKNOWN_LABEL)
-    label_of_point = label_of_point.astype(np.int16)  # the last is that of pixels without a point
-    index, reach = cloud.index(), 2 * cloud.spacing
-    votes = LabelVotes(scene, preset.voting, preset.evidence.gaussians)
+    point_labels = _PointLabels(cloud, labels.of_points(cloud.class_id, prepared.instance_of_point))
+    rounds = ROUNDS if prepared.masks_agree else 1
+    voting_frames = _VotingFrames(scene, frames, preset, scratch)
     named = NamedGaussians(len(scene.anchors) * scene.anchors.gaussians_per_anchor)
-    for done, frame in enumerate(frames, start=1):
-        size = size_within(frame.size, preset.vote_size)
-        camera, mask = frame.camera.resized(*size), frame.mask(size)
-        depth = fill_holes(frame.depth(size), mask.ids)
-        shown = label_of_point[index.nearest_of_pixels(camera, depth, reach)]
-        if prepared.masks_agree:
-            shown = segment_labels(mask, shown, len(labels))
-        seen = contributors(scene, camera)
-        named.add(seen, mask.ids > 0)
-        votes.add(seen, shown, depth, frame.size[0] / size[0])
-        progress(done, len(frames))
-    return settled(scene, votes.result(), named.are_named, OwnedPoints(cloud.xyz, prepared.instance_of_point))
+    voted: GaussianLabels | None = None
+    for number in range(rounds):
+        votes = LabelVotes(scene, preset.voting, preset.evidence.gaussians)
+        for place in range(len(frames)):
+            frame = voting_frames.at(place)
+            if prepared.masks_agree:
+                shown = pixel_labels(scene, voted, frame.seen) if voted else resize_nearest(maps[place], frame.size)
+                shown = segment_labels(frame.mask, shown, len(labels))
+            else:
+                shown = point_labels.of_pixels(frame)
+            if number == 0:
+                named.add(frame.seen, frame.mask.ids > 0)
+            votes.add(frame.seen, shown, frame.depth, frames[place].size[0] / frame.size[0])
+            progress(number * len(frames) + place + 1, rounds * len(frames))
+        voted = votes.result()
+    assert voted is not None  # there is at least one round
+    return settled(scene, voted, named.are_named, OwnedPoints(cloud.xyz, prepared.instance_of_point))
+
+
+class _PointLabels:
+    """The label of each of the cloud's points, int [N], for pixels that show them."""
+
+    def __init__(self, cloud: SemanticPointCloud, label: NDArray[np.integer]) -> None:
+        self._index, self._reach = cloud.index(), 2 * cloud.spacing
+        self._label = np.append(label, UNKNOWN_LABEL).astype(np.int16)  # the last is that of pixels without a point
+
+    def of_pixels(self, frame: _VotingFrame) -> NDArray[np.int16]:
+        """The label of each pixel's point, int16 [H, W]."""
+        return self._label[self._index.nearest_of_pixels(frame.seen.camera, frame.depth, self._reach)]
+
+
+@dataclass(frozen=True, eq=False)
+class _VotingFrame:
+    """What a frame needs to vote: the Gaussians that its pixels show, its mask, and its filled depth."""
+
+    seen: Contributors
+    mask: PanopticMask
+    depth: NDArray[np.float32]
+
+    @property
+    def size(self) -> Size:
+        height, width = self.depth.shape
+        return width, height
+
+
+class _VotingFrames:
+    """The frames that vote. Each is rendered once and read back from disk in later rounds, up to MOST_BYTES of them;
+    the others are rendered again."""
+
+    def __init__(self, scene: StructuredScene, frames: Sequence[Frame], preset: Preset, scratch: Path | None) -> None:
+        self.scene, self.frames, self.preset = scene, frames, preset
+        self._arrays = StoredArrays(scratch)
+        self._stored: dict[int, tuple[list[int], tuple[Segment, ...]]] = {}
+
+    def at(self, place: int) -> _VotingFrame:
+        """The frame at this place. Raises PlgsError, and OSError if the disk is full."""
+        if place in self._stored:
+            numbers, segments = self._stored[place]
+            gaussian, weight, drawn, ids, depth = (self._arrays[number] for number in numbers)
+            camera = self.frames[place].camera.resized(drawn.shape[1], drawn.shape[0])
+            return _VotingFrame(Contributors(gaussian, weight, drawn, camera), PanopticMask(ids, segments), depth)
+        frame = _rendered(self.scene, self.frames[place], self.preset)
+        if self._arrays.nbytes < MOST_BYTES:
+            arrays = (frame.seen.gaussian, frame.seen.weight, frame.seen.depth, frame.mask.ids, frame.depth)
+            self._stored[place] = [self._arrays.append(array) for array in arrays], frame.mask.segments
+        return frame
+
+
+def _rendered(scene: StructuredScene, frame: Frame, preset: Preset) -> _VotingFrame:
+    size = size_within(frame.size, preset.vote_size)
+    mask, depth = frame.mask(size), frame.depth(size)
+    seen = contributors(scene, frame.camera.resized(*size))
+    return _VotingFrame(seen, mask, fill_holes(depth, mask.ids))
 
 
 SMALLER = 2

@@ -13,7 +13,7 @@ import torch
 
 from ..job import EventWriter, StopSignal
 from ..model.gaussians import decode
-from ..model.label_voting import LabelVotes, contributors
+from ..model.label_voting import LabelVotes, contributors, pixel_labels
 from ..model.neural_gaussians import PanopticRendering
 from ..model.render import render_bands
 from ..model.structured import LabelChannels
@@ -89,6 +89,7 @@ def _lift_a_wall(wait_for_rasteriser: Callable[[], object]) -> None:
         votes = LabelVotes(trainer.scene, preset.voting, preset.evidence.gaussians)
         seen = contributors(trainer.scene, views[0].camera)
         votes.add(seen, np.zeros(views[0].depth.shape, np.int16), views[0].depth)
+        pixel_labels(trainer.scene, votes.result(), seen)
         events.close()
 
 

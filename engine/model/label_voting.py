@@ -14,7 +14,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from ..instances.panoptic_labels import LEAST_OF_CLASS
+from ..instances.panoptic_labels import LEAST_OF_CLASS, object_of_class
 from ..machine.compiled import compiled, device_function
 from ..presets.preset import EvidenceKind, Voting
 from ..scene import Camera, evidence_of_pixels, evidence_of_resolution, resolution_on
@@ -131,6 +131,19 @@ class LabelVotes:
         return torch.cat([classes * (1 - instances.sum(dim=1, keepdim=True)), instances], dim=1)
 
 
+def pixel_labels(scene: StructuredScene, voted: GaussianLabels, view: Contributors) -> NDArray[np.int16]:
+    """The label of each pixel, int16 [H, W], -1 where (almost) nothing is drawn. As for a pixel of the passes, the
+    class is decided first, then the object of that class."""
+    channels = scene.channels
+    classes = len(channels.class_ids)
+    of_instance = [channels.class_ids.index(channels.class_of_slot[slot]) for slot in channels.instance_slots]
+    class_of_object, places = np.array(of_instance, np.int64), np.arange(len(of_instance)) + classes
+    out = np.full(view.depth.shape, -1, np.int16)
+    few = voted.label.numpy(), voted.share.numpy()
+    _decide_pixels(view.gaussian, view.weight, *few, class_of_object, places, classes, out)
+    return out
+
+
 @device_function
 def _add_vote(labels: Any, votes: Any, label: Any, amount: Any) -> None:
     """Add votes for a label to those that one Gaussian holds; ``labels`` and ``votes`` are [L] each."""
@@ -170,3 +183,30 @@ def _add_votes(gaussian: Any, weight: Any, label: Any, word: Any, power: Any, se
             for c in range(count):
                 if gaussian[y, x, c] >= 0:
                     seen[gaussian[y, x, c]] = 0
+
+
+@compiled
+def _decide_pixels(
+    gaussian: Any, weight: Any, label: Any, share: Any, class_of_object: Any, places: Any, classes: Any, out: Any
+) -> None:
+    """The loop behind ``pixel_labels``."""
+    height, width, count = weight.shape
+    total = np.zeros(classes + len(places), np.float32)
+    by_class = np.zeros(classes, np.float32)
+    for y in range(height):
+        for x in range(width):
+            total[:] = 0
+            by_class[:] = 0
+            for c in range(count):
+                row = gaussian[y, x, c]
+                if row < 0:
+                    break
+                for n in range(label.shape[1]):
+                    shown, amount = label[row, n], weight[y, x, c] * share[row, n]
+                    total[shown] += amount
+                    by_class[shown if shown < classes else class_of_object[shown - classes]] += amount
+            best = by_class.argmax()
+            if by_class[best] <= 0:
+                continue
+            found = object_of_class(total, places, class_of_object, best, LEAST_SHARE * by_class[best])
+            out[y, x] = best if found < 0 else classes + found

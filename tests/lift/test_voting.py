@@ -69,12 +69,15 @@ def voted(scene: Scene, prepared: PreparedLift, preset: Preset, progress: Callab
     return replace(prepared, scene=replace(prepared.scene, voted=labels))
 
 
-def test_voted_labels_are_closer_to_the_masks(lifted: tuple[Scene, PreparedLift]) -> None:
-    scene, prepared = lifted
+@pytest.mark.parametrize(("masks_agree", "rounds"), [(True, 2), (False, 1)])
+def test_voted_labels_are_closer_to_the_masks(
+    lifted: tuple[Scene, PreparedLift], masks_agree: bool, rounds: int
+) -> None:
+    scene, prepared = lifted[0], replace(lifted[1], masks_agree=masks_agree)
     calls: list[tuple[int, int]] = []
     after = voted(scene, prepared, PRESET, lambda *count: calls.append(count))
     frames = len(scene.train_frames)
-    assert calls == [(number, frames) for number in range(1, frames + 1)]
+    assert calls == [(number, rounds * frames) for number in range(1, rounds * frames + 1)]
     before, now = shares_right(scene, prepared), shares_right(scene, after)
     assert now.of_class > before.of_class + 0.04 and now.of_object > before.of_object
 

@@ -10,6 +10,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from engine.instances.panoptic_labels import LEAST_OF_CLASS, PanopticLabels, decide_labels
 from engine.model import label_voting
 from engine.model.gaussians import decode
 from engine.model.label_voting import (
@@ -19,6 +20,7 @@ from engine.model.label_voting import (
     LabelVotes,
     _add_votes,
     contributors,
+    pixel_labels,
 )
 from engine.model.render import render_view
 from engine.model.scene_labels import VotedLabels, scene_labels
@@ -197,3 +199,23 @@ def test_contributors_add_up_to_the_drawn_depth(scene: StructuredScene) -> None:
     assert not seen.depth[drawn.alpha < 0.29].any()
     assert (np.diff(seen.weight, axis=2) <= 0).all()
     np.testing.assert_array_equal(seen.gaussian < 0, seen.weight == 0)
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.integers(0, 10_000))
+def test_a_pixel_shows_the_labels_voted_for_its_gaussians(scene: StructuredScene, seed: int) -> None:
+    random = np.random.default_rng(seed)
+    label = np.stack([random.permutation(LABELS)[:3] for _ in range(20)])
+    share = random.dirichlet([0.3] * 3, 20)
+    voted = GaussianLabels(torch.from_numpy(label.astype(np.int16)), torch.from_numpy(share.astype(np.float32)))
+    gaussian, weight = random.integers(0, 20, (5, 6, 4)), random.uniform(0, 0.25, (5, 6, 4))
+    gaussian[np.arange(4) >= random.integers(0, 5, (5, 6, 1))] = -1
+    weight = np.where(gaussian < 0, 0, weight)
+    view = Contributors(gaussian, weight.astype(np.float32), np.ones((5, 6), np.float32), CAMERA)
+    totals = np.zeros((5, 6, LABELS))
+    for place in np.ndindex(gaussian.shape):
+        if gaussian[place] >= 0:
+            totals[place[:2]][label[gaussian[place]]] += weight[place] * share[gaussian[place]]
+    panoptic = PanopticLabels(CLASS_IDS, (7, 5))
+    expected, _ = decide_labels(totals.reshape(-1, LABELS), panoptic, LEAST_OF_CLASS)
+    np.testing.assert_array_equal(pixel_labels(scene, voted, view).reshape(-1), expected)
