@@ -192,14 +192,6 @@ def test_impossible_names_are_refused_before_any_work(spoilt: Callable[[LiftFold
     assert [each["name"] for each in stages if each["event"] == "stage"] == ["check"] and raised.value.option
 
 
-def test_the_longest_name_is_none_with_a_number(tmp_path: Path) -> None:
-    earlier = LiftFolder.create(tmp_path / "old", LiftRequest(scene=tmp_path))
-    write_result(earlier.path)
-    with_instances(earlier, lambda listed: listed[0].update(name=f"{listed[0]['class_name']} {'9' * 5000}"))
-    write_manifest(earlier.result_path, versions={}, seed=0, settings={}, timings={})
-    assert max(read_earlier(earlier.path).last_numbers.values()) < 10
-
-
 def test_corrections_are_carried_over_and_lost_ones_are_reported(tmp_path: Path) -> None:
     folders = [LiftFolder.create(tmp_path / name, LiftRequest(scene=tmp_path)) for name in ("old", "new")]
     for folder, (shift, without) in zip(folders, [(0.0, 0), (0.011, CRUMB)], strict=True):
