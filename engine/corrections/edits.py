@@ -3,7 +3,7 @@ order in which they were made.
 
 A label is one number for class and object together: the object's id, or minus the class where there is no object (0 is
 unknown). No edit is ever removed: an undone edit is marked as undone. Writers take turns, and each writes what it has
-just read, so two Blenders that edit the same lift lose nothing. That holds for one that sleeps past its lease, too.
+just read, so two Blenders that edit the same lift lose nothing.
 """
 
 from __future__ import annotations

@@ -7,7 +7,7 @@ format's frames pass here when a scene is opened, so that readers need no limits
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Collection, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from pathlib import Path, PureWindowsPath
 from typing import TypeVar
 
@@ -46,6 +46,18 @@ def natural_order(name: str) -> tuple[tuple[int, int, str], ...]:
     return (*((0, int(part), part) if part.isdecimal() else (1, 0, part) for part in parts),)
 
 
+def is_note(path: Path) -> bool:
+    """Whether a system left this beside somebody's files: ._0001.png and .DS_Store of macOS, Thumbs.db of Windows."""
+    return path.name.startswith(".") or path.name.lower() in ("thumbs.db", "desktop.ini")
+
+
+def shown_files(folder: Path, pattern: str = "*") -> Iterator[Path]:
+    """What lies in ``folder`` and matches, in no order, without notes of the system (``is_note``). Raises OSError only
+    where all is asked for."""
+    found = folder.iterdir() if pattern == "*" else folder.glob(pattern)
+    return (path for path in found if not is_note(path))
+
+
 def files_by_stem(folder: Path, suffixes: Collection[str], fix: str) -> dict[str, Path]:
     """Files of ``folder`` with one of ``suffixes`` (lower case, with the dot), by stem, in natural order. Raises
     PlgsError, with ``fix`` as the advice, when there is no such folder or file, or when a stem occurs twice."""
@@ -58,8 +70,7 @@ def files_by_stem(folder: Path, suffixes: Collection[str], fix: str) -> dict[str
         raise PlgsError("unreadable", what, folder, "Check its permissions.") from error
     found: dict[str, Path] = {}
     for path in sorted(paths, key=lambda path: (natural_order(path.stem), path.name)):
-        # A name that starts with a dot is a file system's own note, such as macOS makes.
-        if path.suffix.lower() not in suffixes or path.name.startswith("."):
+        if path.suffix.lower() not in suffixes or is_note(path):
             continue
         if path.is_symlink() and not path.exists():
             what = "this link leads nowhere"

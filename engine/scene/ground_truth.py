@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from ..errors import PlgsError
 from ..posed.classes import VOID, ClassTable
 from ..posed.image_header import check_image_file
-from ..posed.layout import files_by_stem, listed, natural_order, same_shape, shown_size
+from ..posed.layout import files_by_stem, listed, natural_order, same_shape, shown_files, shown_size
 from .class_choice import FILE_NAME, ClassChoice, find_class_choice
 from .class_map import class_map
 from .class_tables import NUMBERINGS, REDUCED, TABLES, known_table, numberings_of, reduced_by_name
@@ -274,7 +274,7 @@ def _find_folders(scene: Path) -> tuple[Path, Path] | None:
     """The folders of classes and of instances; None when either is missing."""
     if (scene / "rs_semantics").is_dir() and (scene / "rs_instance").is_dir():
         return scene / "rs_semantics", scene / "rs_instance"
-    found = [path for path in (scene / "gt").glob("semantic*") if path.is_dir()]
+    found = [path for path in shown_files(scene / "gt", "semantic*") if path.is_dir()]
     if found and (scene / "gt" / "instance").is_dir():
         return min(found, key=lambda path: natural_order(path.name)), scene / "gt" / "instance"
     return None

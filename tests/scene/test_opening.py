@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from engine.scene import check_scene, digests_of_files, load_view, open_scene
+from tests.scene.samples import WRITERS, opened
 from tests.tiny_scene import tiny_intrinsics, tiny_pose, trace_view, write_tiny_scene
 
 
@@ -121,3 +122,23 @@ def test_a_byte_order_mark_is_harmless(tmp_path: Path, file: str) -> None:
     folder = write_tiny_scene(tmp_path, frames=5, splits={"train": names[:4], "test": names[4:]})
     (folder / file).write_bytes(b"\xef\xbb\xbf" + json.dumps(json.loads((folder / file).read_text())).encode())
     assert len(open_scene(folder).frames) == 5
+
+
+def report(folder: Path, name: str) -> tuple[object, ...]:
+    scene = opened(folder, name)
+    masks = [frame.mask().class_map().tolist() for frame in scene.frames if frame.read_mask is not None]
+    return [(frame.name, frame.held_out) for frame in scene.frames], masks, scene.warnings
+
+
+@pytest.mark.parametrize("name", WRITERS)
+def test_what_macos_and_windows_leave_in_folders_is_no_file_of_the_scene(name: str, tmp_path: Path) -> None:
+    """Each file has a twin ._NAME of other bytes, and each folder has .DS_Store and Thumbs.db."""
+    WRITERS[name](tmp_path)
+    before = report(tmp_path, name)
+    folders = [tmp_path, *(path for path in tmp_path.rglob("*") if path.is_dir())]
+    for path in [path for path in tmp_path.rglob("*") if path.is_file()]:
+        path.with_name(f"._{path.name}").write_bytes(b"\x00\x05\x16\x07Mac OS X")
+    for folder in folders:
+        (folder / ".DS_Store").write_bytes(b"\x00\x00\x00\x01Bud1")
+        (folder / "Thumbs.db").write_bytes(b"\xd0\xcf\x11\xe0")
+    assert report(tmp_path, name) == before

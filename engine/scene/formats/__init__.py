@@ -11,7 +11,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from ...errors import ErrorCode, PlgsError
-from ...posed.layout import listed, shown
+from ...posed.layout import listed, shown, shown_files
 from . import colmap, hypersim, nerfstudio, phone_apps, record3d, replica, scannet, scannetpp, seven_scenes, tum
 from .capture import Capture, SceneFormat, Shot
 from .photos import LET_COLMAP, finished_models, is_film, photos_in
@@ -82,7 +82,7 @@ def _unknown(place: Path, known: Iterable[str]) -> PlgsError:
         return PlgsError("models-only", what, place, f"{app}{_EXPORT_SCAN}")
     if place.suffix.lower() == ".zip" and place.is_file():
         return PlgsError("archive", "this is an archive", place, f"Unpack it ({_UNPACK}), and name the folder.")
-    if place.is_dir() and (place / "rgb").is_dir() and any(place.glob("*poses.txt")):
+    if place.is_dir() and (place / "rgb").is_dir() and any(shown_files(place, "*poses.txt")):
         return PlgsError("rtabmap", "poses of RTAB-Map are here, but not as this layout has them", place, _RTABMAP)
     if inner := _scenes_inside(place):
         fix = f"Name one of them, such as {inner[0]}, or lift all: python -m engine batch {place}/* -o OUT."
@@ -103,6 +103,6 @@ def _unknown(place: Path, known: Iterable[str]) -> PlgsError:
 
 def _scenes_inside(place: Path) -> list[Path]:
     """The folders in ``place`` that hold a scene of a known format."""
-    inside = sorted(place.iterdir()) if place.is_dir() else []
+    inside = sorted(shown_files(place)) if place.is_dir() else []
     folders = [each for each in inside if each.is_dir() and os.access(each, os.R_OK | os.X_OK)]
     return [each for each in folders[:_LOOKED_INTO] if any(known.recognises(each) for known in FORMATS)]

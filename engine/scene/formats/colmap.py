@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from ...errors import PlgsError
 from ...json_file import read_object
 from ...posed.frames import Camera
-from ...posed.layout import file_inside, listed, natural_order, read_file
+from ...posed.layout import file_inside, listed, natural_order, read_file, shown_files
 from ..depth import DepthMap, fault_of, npy_depth, only_depth, png_depth
 from ..files_of_frames import files_if_any
 from ..frame import Inferred, SparsePoints, left_out
@@ -85,7 +85,7 @@ def _read(place: Path) -> Capture:
     if folder is None:
         raise PlgsError("no-colmap-model", "there is no COLMAP model", place, f"Give {_LOOKS_FOR}, or {LET_COLMAP}.")
     depths, warnings = _measured_depth(place, folder), list[str]()
-    others = [each.name for each in sorted(folder.parent.glob("[0-9]*")) if each != folder and has_model(each)]
+    others = [each.name for each in sorted(shown_files(folder.parent, "[0-9]*")) if each != folder and has_model(each)]
     if folder.name == "0" and others:
         warnings.append(f"only the model 0 is read, but there are others: {listed(others)}")
     dense = None if depths else _find_dense(place)
@@ -114,7 +114,7 @@ def _read(place: Path) -> Capture:
 def _unregistered(root: Path, registered: list[Path]) -> list[str]:
     """The pictures beside those of the model, and of their kinds, that are not in it."""
     folders, kinds = {path.parent for path in registered}, {path.suffix.lower() for path in registered}
-    beside = {path for folder in folders if folder.is_dir() for path in folder.iterdir() if path.is_file()}
+    beside = {path for folder in folders if folder.is_dir() for path in shown_files(folder) if path.is_file()}
     others = (path for path in beside.difference(registered) if path.suffix.lower() in kinds)
     return sorted((path.relative_to(root).as_posix() for path in others), key=natural_order)
 

@@ -29,6 +29,7 @@ from numpy.typing import NDArray
 from ...errors import PlgsError, lacks_part
 from ...posed.frames import Camera
 from ...posed.image_header import read_image_header
+from ...posed.layout import shown_files
 from ..depth import DepthMap
 from ..frame import Inferred, left_out
 from ..pixels import decode
@@ -171,7 +172,7 @@ def _read(place: Path) -> Capture:
     metres = _metres_a_unit(place / "_detail" / "metadata_scene.csv")
     rays, inferred = _read_rays(place)
     found, blind = [], list[str]()
-    for camera in sorted(path for path in (place / "_detail").glob("cam_*") if path.is_dir()):
+    for camera in sorted(path for path in shown_files(place / "_detail", "cam_*") if path.is_dir()):
         positions = read_hdf5(camera / "camera_keyframe_positions.hdf5", 2)
         turns = read_hdf5(camera / "camera_keyframe_orientations.hdf5", 3)
         if positions.shape[1:] != (3,) or turns.shape != (len(positions), 3, 3):
@@ -192,7 +193,7 @@ def _read(place: Path) -> Capture:
 def _pictures(images: Path, camera: str) -> Iterator[tuple[int, Path, Path]]:
     """Numbers, pictures and depth files of a camera's frames that have both, by number."""
     geometry = images / f"scene_{camera}_geometry_hdf5"
-    for depth in sorted(geometry.glob("frame.*.depth_meters.hdf5")):
+    for depth in sorted(shown_files(geometry, "frame.*.depth_meters.hdf5")):
         match = re.fullmatch(r"frame\.(\d+)\.depth_meters\.hdf5", depth.name)
         if match is not None:
             preview = images / f"scene_{camera}_final_preview" / f"frame.{match[1]}.tonemap.jpg"
@@ -202,7 +203,7 @@ def _pictures(images: Path, camera: str) -> Iterator[tuple[int, Path, Path]]:
 
 def _without_depth(images: Path, camera: str, with_depth: Collection[int]) -> list[str]:
     """The names of a camera's frames that have a preview, and no depth file."""
-    previews = (images / f"scene_{camera}_final_preview").glob("frame.*.tonemap.jpg")
+    previews = shown_files(images / f"scene_{camera}_final_preview", "frame.*.tonemap.jpg")
     numbers = (path.name.split(".")[1] for path in previews)
     found = sorted(int(number) for number in numbers if number.isdecimal())
     return [f"{camera}_{number:04d}" for number in found if number not in with_depth]

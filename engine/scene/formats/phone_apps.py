@@ -35,7 +35,7 @@ from ...errors import PlgsError
 from ...gates import open_plain
 from ...json_file import read_json_object, take_number
 from ...posed.image_header import read_image_header
-from ...posed.layout import files_by_stem, listed, natural_order, of_most
+from ...posed.layout import files_by_stem, listed, natural_order, of_most, shown_files
 from ...posed.matrices import read_matrix, take_numbers
 from ..depth import npy_depth, png_depth, trusted
 from ..files_of_frames import files_if_any
@@ -56,11 +56,11 @@ _NOT_OPTIMISED = "the poses were not optimised (no corrected_cameras): they are 
 def _read_polycam(place: Path) -> Capture:
     """Open the keyframes; only headers of images are read. Raises PlgsError."""
     folder = place / "keyframes"
-    is_corrected = any(folder.glob("corrected_cameras/*.json")) and (folder / "corrected_images").is_dir()
+    is_corrected = any(shown_files(folder, "corrected_cameras/*.json")) and (folder / "corrected_images").is_dir()
     prefix = "corrected_" if is_corrected else ""
     cameras = files_by_stem(folder / f"{prefix}cameras", {".json"}, _POLYCAM_FIX)
     images = files_by_stem(folder / f"{prefix}images", _IMAGES, _POLYCAM_FIX)
-    raw = {path.stem: path for path in (folder / "cameras").glob("*.json")} if is_corrected else cameras
+    raw = {path.stem: path for path in shown_files(folder / "cameras", "*.json")} if is_corrected else cameras
     depths = files_if_any(folder / "depth", {".png"}, _POLYCAM_FIX)
     levels = files_if_any(folder / "confidence", {".png"}, _POLYCAM_FIX)
     entries = of_most([name for name in cameras if name in images], lambda name: read_json_object(cameras[name]))
@@ -127,7 +127,7 @@ _LOOKED_AT = 4
 
 
 def _recognises_scanner_app(place: Path) -> bool:
-    tables = (path.with_suffix(".json") for path in place.glob("frame_*.jpg"))
+    tables = (path.with_suffix(".json") for path in shown_files(place, "frame_*.jpg"))
     return any(_has_pose(path) for path in islice(filter(Path.is_file, tables), _LOOKED_AT))
 
 
@@ -154,7 +154,7 @@ def _read_scanner_app(place: Path) -> Capture:
 
 def _files(place: Path, suffix: str, kind: str) -> dict[str, Path]:
     """Files of one kind by the number in their names; there may be none. Raises PlgsError."""
-    if place.is_dir() and not any(place.glob(f"{kind}*{suffix}")):
+    if place.is_dir() and not any(shown_files(place, f"{kind}*{suffix}")):
         return {}
     files = files_by_stem(place, {suffix}, _SCANNER_APP_FIX)
     return {stem.removeprefix(kind): path for stem, path in files.items() if stem.startswith(kind)}

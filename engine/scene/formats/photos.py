@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from ...errors import PlgsError
 from ...gates import open_plain
 from ...posed.image_header import read_image_header
+from ...posed.layout import shown_files
 from ..frame import Size
 
 SUFFIXES = {".jpg", ".jpeg", ".png"}
@@ -40,7 +41,7 @@ def photos_in(place: Path) -> Path | None:
 
 def sorted_out(folder: Path) -> tuple[list[str], list[str]]:
     """The names of a folder's photos, and those of pictures that are depth or confidence. Raises OSError."""
-    pictures = sorted(each for each in folder.iterdir() if each.suffix.lower() in SUFFIXES)
+    pictures = sorted(each for each in shown_files(folder) if each.suffix.lower() in SUFFIXES)
     others = {each for each in pictures if _is_measured(each)}
     return [each.name for each in pictures if each not in others], [each.name for each in pictures if each in others]
 
@@ -63,7 +64,7 @@ def is_film(place: Path) -> bool:
 
 def finished_models(place: Path) -> list[str]:
     """The names of meshes, splats and point clouds, if a place holds nothing but them and textures. Raises OSError."""
-    files = [place] if place.is_file() else sorted(place.iterdir())
+    files = [place] if place.is_file() else sorted(shown_files(place))
     if any(each.is_dir() for each in files):
         return []
     models = [each.name for each in files if each.suffix.lower() in _MODELS]

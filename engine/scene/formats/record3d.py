@@ -29,7 +29,7 @@ from ...gates import refuse_special
 from ...json_file import parse_json_object, read_json_object, take_list, take_number
 from ...posed.exr_header import read_exr_header
 from ...posed.frames import Camera
-from ...posed.layout import files_by_stem, read_file
+from ...posed.layout import files_by_stem, read_file, shown_files
 from ...posed.matrices import take_matrix, take_numbers, upright_rotation
 from ...scene_source import UpAxis
 from ..depth import DepthMap, drop_untrusted, fault_of, only_depth
@@ -65,7 +65,7 @@ class _Archive:
 
     def names(self) -> list[str]:
         if self.path.is_dir():
-            return [f"rgbd/{each.name}" for each in (self.path / "rgbd").iterdir()]
+            return [f"rgbd/{each.name}" for each in shown_files(self.path / "rgbd")]
         with self._open() as archive:
             return archive.namelist()
 
@@ -105,7 +105,7 @@ def _find(place: Path) -> Path | None:
     """The archive that is meant: the place itself, or the only one in it."""
     if place.is_file() or ((place / "metadata").is_file() and (place / "rgbd").is_dir()):
         return place
-    found = [path for path in place.glob("*.r3d") if path.is_file()]
+    found = [path for path in shown_files(place, "*.r3d") if path.is_file()]
     return found[0] if len(found) == 1 else None
 
 

@@ -21,7 +21,7 @@ from ...errors import PlgsError
 from ...json_file import read_json_object, take_number
 from ...posed.frames import Camera
 from ...posed.image_header import read_image_header
-from ...posed.layout import files_by_stem
+from ...posed.layout import files_by_stem, shown_files
 from ..depth import fault_of, png_depth
 from ..frame import Inferred
 from .capture import Capture, SceneFormat, Shot, with_picture
@@ -39,7 +39,7 @@ def _read(place: Path) -> Capture:
     """Open the frames; only headers of images are read. Raises PlgsError."""
     results, trajectory = place / "results", place / "traj.txt"
     colours = _numbered(results, _IMAGES, "frame")
-    depths = _numbered(results, {".png"}, "depth") if any(results.glob("depth*.png")) else {}
+    depths = _numbered(results, {".png"}, "depth") if any(shown_files(results, "depth*.png")) else {}
     lens, unit = _read_parameters(place) or (None, 1.0 / _STEPS_A_METRE)
     is_assumed = lens is None
     matrices = list(matrix_rows(trajectory, _FIX))

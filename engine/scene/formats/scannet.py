@@ -39,6 +39,7 @@ from ...errors import PlgsError
 from ...gates import open_plain
 from ...posed.frames import Camera
 from ...posed.image_header import read_image_header
+from ...posed.layout import shown_files
 from ...posed.matrices import read_intrinsics
 from ...posed.plain_folders import NAME, read_folders, recognises
 from ..depth import DepthMap, fault_of, fitting_alignment, open_depth
@@ -50,7 +51,7 @@ from .poses import finite_pose
 
 def _read_folders(folder: Path) -> Capture:
     """Open the frames; only headers of images are read. Raises PlgsError."""
-    has_own, beside = any((folder / "intrinsic").glob("*.txt")), folder / "intrinsics_color.txt"
+    has_own, beside = any(shown_files(folder / "intrinsic", "*.txt")), folder / "intrinsics_color.txt"
     lens_of = lambda picture: read_intrinsics(beside, read_image_header(picture).size)  # noqa: E731
     found = read_folders(folder, None if has_own or not beside.is_file() else lens_of)
     depths, inferred = open_depth(folder, found.cameras) if (folder / "depth").is_dir() else ({}, ())
@@ -109,7 +110,7 @@ def _find(place: Path) -> Path | None:
     """The .sens file that is meant: the place itself, or the only one in it."""
     if place.is_file():
         return place if place.suffix.lower() == ".sens" else None
-    found = [path for path in place.glob("*.sens") if path.is_file()]
+    found = [path for path in shown_files(place, "*.sens") if path.is_file()]
     return found[0] if len(found) == 1 else None
 
 

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from ...errors import PlgsError
 from ...posed.frames import Camera
 from ...posed.image_header import read_image_header
-from ...posed.layout import natural_order, read_text
+from ...posed.layout import natural_order, read_text, shown_files
 from ...posed.matrices import as_lens, read_intrinsics, read_poses
 from ..depth import fitting_alignment, png_depth, registered
 from ..frame import Inferred
@@ -53,7 +53,7 @@ _Reader = Callable[[str, Path, NDArray[np.float64], Path], Shot]
 
 
 def _recognises(place: Path) -> bool:
-    return place.is_dir() and any(next(folder.glob("frame-*.pose.txt"), None) for folder in _folders(place))
+    return place.is_dir() and any(next(shown_files(folder, "frame-*.pose.txt"), None) for folder in _folders(place))
 
 
 def _find_info(place: Path) -> Path | None:
@@ -68,7 +68,7 @@ def _find(place: Path, *names: str) -> Path | None:
 
 
 def _folders(place: Path) -> list[Path]:
-    return [place, *sorted(path for path in (*place.glob("seq-*"), place / "data") if path.is_dir())]
+    return [place, *sorted(path for path in (*shown_files(place, "seq-*"), place / "data") if path.is_dir())]
 
 
 def _read(place: Path) -> Capture:
@@ -125,7 +125,7 @@ def _capture(
 ) -> Capture:
     """All frames; those whose pose is missing, or holds inf, have no shot. Raises PlgsError."""
     kinds = ("frame-*.pose.txt", "frame-*.color.*")
-    files = {path for folder in _folders(place) for kind in kinds for path in folder.glob(kind)}
+    files = {path for folder in _folders(place) for kind in kinds for path in shown_files(folder, kind)}
     bases = {path.with_name(path.name.partition(".")[0]) for path in files}
     named = {
         base.name if base.parent in (place, place / "data") else f"{base.parent.name}_{base.name}": base

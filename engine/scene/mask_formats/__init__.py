@@ -9,7 +9,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from ...errors import PlgsError
-from ...posed.layout import listed, shown
+from ...posed.layout import listed, shown, shown_files
 from ...scene_source import MASK_FORMAT_NAMES
 from . import class_arrays, coco, detections, label_pairs, sam2, segment_maps
 from .source import FoundMask, FoundSegment, MaskFormat, MaskSource, StoredMask
@@ -60,7 +60,7 @@ def find_mask_format(place: Path, name: str | None = None) -> MaskFormat:
 
 
 def _refuse_pickles(place: Path) -> None:
-    files = [place] if place.is_file() else [path for path in sorted(place.iterdir()) if path.is_file()]
+    files = [place] if place.is_file() else [path for path in sorted(shown_files(place)) if path.is_file()]
     pickles = [path.name for path in files if path.suffix.lower() in _PICKLES]
     if pickles:
         fix = "Save the arrays with numpy.save and other data as JSON."

@@ -21,7 +21,7 @@ from pathlib import Path
 from ...errors import PlgsError
 from ...posed.array_file import array_headers, read_array
 from ...posed.classes import LARGEST_CLASS_ID, ClassLabel
-from ...posed.layout import listed, natural_order, require_most
+from ...posed.layout import listed, natural_order, require_most, shown_files
 from ..files_of_frames import files_of_frames
 from ..pixels import label_header
 from .source import (
@@ -60,19 +60,19 @@ class Detection:
 def _recognises(place: Path) -> bool:
     if not place.is_dir():
         return False
-    first = next(iter(sorted(place.glob("*.npz"))), None)
+    first = next(iter(sorted(shown_files(place, "*.npz"))), None)
     if first is not None:
         return any(key in array_headers(first) for key in _KEYS["masks"])
-    return any(_NAME.fullmatch(path.stem) for folder in _folders(place)[:3] for path in folder.glob("*.png"))
+    return any(_NAME.fullmatch(path.stem) for folder in _folders(place)[:3] for path in shown_files(folder, "*.png"))
 
 
 def _folders(place: Path) -> list[Path]:
-    return sorted((path for path in place.iterdir() if path.is_dir()), key=lambda path: natural_order(path.name))
+    return sorted((path for path in shown_files(place) if path.is_dir()), key=lambda path: natural_order(path.name))
 
 
 def _read(place: Path, names: Sequence[str]) -> MaskSource:
     """Open the detections: headers, classes and scores. Raises PlgsError."""
-    if any(place.glob("*.npz")):
+    if any(shown_files(place, "*.npz")):
         files = files_of_frames(place, names, {".npz"}, "detections", _FIX)
         found = {name: _detections(path) for name, path in files.items()}
         label_of, labels = _labels(found.values())
@@ -110,7 +110,7 @@ def _pile(paths: Sequence[Path], segments: Sequence[FoundSegment]) -> StoredMask
 
 
 def _pictures(folder: Path) -> tuple[Path, ...]:
-    return tuple(sorted(folder.glob("*.png"), key=lambda path: natural_order(path.stem)))
+    return tuple(sorted(shown_files(folder, "*.png"), key=lambda path: natural_order(path.stem)))
 
 
 def _from_name(path: Path) -> Detection:

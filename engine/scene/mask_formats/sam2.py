@@ -21,7 +21,7 @@ import numpy as np
 from ...errors import PlgsError
 from ...gates import open_plain
 from ...json_file import read_json_object, take_text, take_whole_number, wrong_type
-from ...posed.layout import files_by_stem, listed, of_most, require_all, require_most
+from ...posed.layout import files_by_stem, listed, of_most, require_all, require_most, shown_files
 from ..files_of_frames import files_of_frames, whole_file
 from ..formats.poses import read_rows
 from ..pixels import label_header, label_map_size, read_indices, read_label_map
@@ -44,20 +44,20 @@ _NO_LABEL = -1
 
 
 def _recognises(place: Path) -> bool:
-    return bool(_object_folders(place)) or (_has_palette(place) and not any(place.glob("*.json")))
+    return bool(_object_folders(place)) or (_has_palette(place) and not any(shown_files(place, "*.json")))
 
 
 def _object_folders(place: Path) -> dict[int, Path]:
     """The folders whose names are numbers, if they hold PNGs and are not those of pictures."""
     if not place.is_dir():
         return {}
-    folders = [path for path in sorted(place.iterdir()) if path.name.isdecimal() and not (path / _LIST).exists()]
-    return {int(path.name): path for path in folders if any(path.glob("*.png"))}
+    folders = [path for path in sorted(shown_files(place)) if path.name.isdecimal() and not (path / _LIST).exists()]
+    return {int(path.name): path for path in folders if any(shown_files(path, "*.png"))}
 
 
 def _has_palette(place: Path) -> bool:
     """Whether the first PNG of a folder has a palette."""
-    first = next(iter(sorted(place.glob("*.png"))), None) if place.is_dir() else None
+    first = next(iter(sorted(shown_files(place, "*.png"))), None) if place.is_dir() else None
     if first is None:
         return False
     with open_plain(first) as file:
@@ -95,8 +95,8 @@ def _pile(segments: Sequence[FoundSegment], paths: Sequence[Path], fix: str) -> 
 
 def _picture_folders(place: Path) -> list[Path]:
     """The folders of the pictures in which ``amg.py`` found regions."""
-    lists = place.glob(f"*/{_LIST}") if place.is_dir() else ()
-    return [path.parent for path in lists if any(path.parent.glob("*.png"))]
+    lists = shown_files(place, f"*/{_LIST}") if place.is_dir() else ()
+    return [path.parent for path in lists if any(shown_files(path.parent, "*.png"))]
 
 
 def _read_pictures(place: Path, names: Sequence[str]) -> MaskSource:
