@@ -63,7 +63,7 @@ def vote_labels(
     labels = labels_of(cloud, prepared.instances)
     point_labels = _PointLabels(cloud, labels.of_points(cloud.class_id, prepared.instance_of_point))
     rounds = ROUNDS if prepared.masks_agree else 1
-    voting_frames = _VotingFrames(scene, frames, preset, scratch)
+    voting_frames = _VotingFrames(scene, frames, preset, scratch, most_bytes=MOST_BYTES if rounds > 1 else 0)
     named = NamedGaussians(len(scene.anchors) * scene.anchors.gaussians_per_anchor)
     voted: GaussianLabels | None = None
     for number in range(rounds):
@@ -111,11 +111,13 @@ class _VotingFrame:
 
 
 class _VotingFrames:
-    """The frames that vote. Each is rendered once and read back from disk in later rounds, up to MOST_BYTES of them;
-    the others are rendered again."""
+    """The frames that vote. Each is rendered once and read back from disk in later rounds, up to ``most_bytes`` of
+    them; the others are rendered again."""
 
-    def __init__(self, scene: StructuredScene, frames: Sequence[Frame], preset: Preset, scratch: Path | None) -> None:
-        self.scene, self.frames, self.preset = scene, frames, preset
+    def __init__(
+        self, scene: StructuredScene, frames: Sequence[Frame], preset: Preset, scratch: Path | None, most_bytes: int
+    ) -> None:
+        self.scene, self.frames, self.preset, self.most_bytes = scene, frames, preset, most_bytes
         self._arrays = StoredArrays(scratch)
         self._stored: dict[int, tuple[list[int], tuple[Segment, ...]]] = {}
 
@@ -127,7 +129,7 @@ class _VotingFrames:
             camera = self.frames[place].camera.resized(drawn.shape[1], drawn.shape[0])
             return _VotingFrame(Contributors(gaussian, weight, drawn, camera), PanopticMask(ids, segments), depth)
         frame = _rendered(self.scene, self.frames[place], self.preset)
-        if self._arrays.nbytes < MOST_BYTES:
+        if self._arrays.nbytes < self.most_bytes:
             arrays = (frame.seen.gaussian, frame.seen.weight, frame.seen.depth, frame.mask.ids, frame.depth)
             self._stored[place] = [self._arrays.append(array) for array in arrays], frame.mask.segments
         return frame
