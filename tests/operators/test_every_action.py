@@ -81,7 +81,8 @@ def test_every_action_works_with_the_engine_that_the_buttons_made(online: None, 
     settings.scene_folder = str(bare)
     called.add(do("make_masks", model=str(save_tiny_mask2former(tmp_path / "model"))))
     settings.scene_folder = str(folder)
-    called |= {do("look_at_scene"), do("import_scene"), do("diagnose"), do("show_picture", what="DEPTH")}
+    called |= {do("look_at_scene"), do("read_classes"), do("import_scene"), do("diagnose")}
+    called.add(do("show_picture", what="DEPTH"))
     lift = tmp_path / "lift"
     called.add(do("lift_scene", scene_folder=str(folder), lift_folder=str(lift), steps=20, bake="none"))
     called |= {do("bake_passes", frames="test"), do("bake_camera", frame_start=1, frame_end=1)}
