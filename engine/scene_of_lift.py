@@ -16,8 +16,10 @@ from .errors import ErrorCode, PlgsError
 from .job import LiftFolder, LiftState, write_atomically
 from .known_scene import FIND_SCENE, StoredScene, has_known, known_scene, read_known, stored_scene, write_known
 from .result_files import INSTANCES, read_instances
-from .scene import Camera, Frame, MaskReader, PosedFrame, Scene, digests_of_files, open_asked
+from .scene import Camera, Frame, MaskReader, OtherClasses, PosedFrame, Scene, digests_of_files, open_asked
 
+DECODED_DIGEST = 64
+"""The length of a digest of decoded masks, which lifts of f11a2595 and before have."""
 EARLIER = "earlier"
 """The folder in a lift's folder with what was baked of earlier results."""
 _ALIKE = 1e-4
@@ -72,7 +74,7 @@ def remember_scene(folder: LiftFolder, scene: Scene, warn: Callable[[str], objec
     What was baked with other masks or classes is moved out of the result before, with a warning. Raises PlgsError,
     OSError."""
     masks, before = digest_of_masks(scene), read_known(folder)
-    if (before is not None and masks_differ(before.masks, masks)) or have_classes_changed(folder, scene):
+    if (before is not None and masks_differ(before.masks, scene, masks)) or have_classes_changed(folder, scene):
         _move_baked(folder, warn)
     known, files = stored_scene(scene, scene.frames, masks), _digests_of(scene.frames)
     frames = tuple(replace(one, files=found, read=how) for one, (found, how) in zip(known.frames, files, strict=True))
@@ -151,7 +153,7 @@ def is_done(folder: LiftFolder, masks: str = "") -> bool:
         return True  # not known, or gone
     scene = open_asked(folder.request)
     refuse_changed(folder, scene)
-    return not have_classes_changed(folder, scene) and not masks_differ(known.masks, masks or digest_of_masks(scene))
+    return not have_classes_changed(folder, scene) and not masks_differ(known.masks, scene, masks)
 
 
 def have_classes_changed(folder: LiftFolder, scene: Scene) -> bool:
@@ -179,9 +181,33 @@ def digest_of_masks(scene: Scene) -> str:
     return sha256(repr(digests).encode()).hexdigest()[:16]
 
 
-def masks_differ(before: str, now: str) -> bool:
-    """Whether masks have changed, by their digests. That of an earlier version, which is longer, says nothing."""
-    return len(before) == len(now) and before != now
+def masks_differ(before: str, scene: Scene, now: str = "") -> bool:
+    """Whether the masks of a scene are others than those of the digest ``before`` ("": not known). ``now`` is their
+    `digest_of_masks` for a caller who has it. A digest of f11a2595 and before is compared as it was made. Raises
+    OtherClasses."""
+    if not before:
+        return False
+    if len(before) == DECODED_DIGEST:
+        return before != _digest_of_decoded(scene)
+    return before != (now or digest_of_masks(scene))
+
+
+def _digest_of_decoded(scene: Scene) -> str:
+    """SHA-256 of the pixels and segments of all masks."""
+    found = sha256()
+    for frame in scene.frames:
+        if frame.read_mask is None:
+            continue
+        try:
+            mask = frame.mask()
+        except OtherClasses:
+            raise
+        except PlgsError:  # the check leaves this frame out
+            found.update(f"{frame.name} is unreadable".encode())
+            continue
+        found.update(f"{frame.name} {mask.segments}".encode())
+        found.update(np.ascontiguousarray(mask.ids).tobytes())
+    return found.hexdigest()
 
 
 def relink(folder: LiftFolder, place: Path) -> LiftFolder:

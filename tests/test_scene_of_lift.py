@@ -7,17 +7,21 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
+import cv2
+import numpy as np
 import pytest
 
 from engine.job import LiftFolder, LiftRequest
 from engine.known_scene import stored_scene, write_known
-from engine.scene import digests_of_files
-from engine.scene_of_lift import _digests_of, refuse_changed, remember_scene
+from engine.scene import digests_of_files, open_scene
+from engine.scene_of_lift import _digests_of, digest_of_masks, masks_differ, refuse_changed, remember_scene
 from tests.raises_key import raises_key
 from tests.scene.formats.test_record3d import lzfse  # noqa: F401 - a fixture
 from tests.scene.samples import WRITERS, Sample, opened, samples, with_content  # noqa: F401 - a fixture among them
+from tests.tiny_scene import write_tiny_scene
 
 Change = Callable[[bytes], bytes]
+BY_F11A2595 = "394666de0c5cef2ef6fe1cf887810192bbaa771761ad9984c0529028b9b64979"
 
 
 def longer(data: bytes) -> bytes:
@@ -70,3 +74,13 @@ def test_a_lift_does_not_go_on_with_other_pixels(
     with with_content(path, change(path.read_bytes())), raises_key("other-scene"):
         refuse_changed(folder, opened(scene, name))
     refuse_changed(folder, opened(scene, name))
+
+
+def test_changed_masks_are_noticed_in_a_lift_whose_digest_is_of_decoded_masks(tmp_path: Path) -> None:
+    """Lifts of f11a2595 and before have such a digest; this one was written by that commit for this scene."""
+    scene = open_scene(write_tiny_scene(tmp_path / "scene", frames=3, size=(16, 12)))
+    assert not masks_differ("", scene) and not masks_differ(digest_of_masks(scene), scene)
+    assert not masks_differ(BY_F11A2595, scene)
+    mask = tmp_path / "scene" / "panoptic" / "0001.png"
+    assert cv2.imwrite(str(mask), np.zeros_like(cv2.imread(str(mask))))
+    assert masks_differ(BY_F11A2595, open_scene(tmp_path / "scene"))

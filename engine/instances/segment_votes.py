@@ -9,7 +9,8 @@ what they enclose.
 Points share their votes with their neighbours on the same thing: a point that few views see has few votes, and ragged
 masks leave it with wrong ones. Two points are on one thing if most views, by what they resolve, show both in one
 segment. So votes do not cross the outline of a picture or a rug in the plane of its wall or floor. OVSeg3R (arXiv
-2509.23541) cuts its superpoints at such outlines; there are no superpoints here. And near views may overrule the others
+2509.23541) cuts its superpoints at such outlines. Where views contradict each other, superpoints take the place of
+neighbours (`superpoints`): a point gets all other votes of its piece. And near views may overrule the others
 on what they show as a whole. From far away, a network takes a sink for the countertop; from nearby, a part of a table
 for the floor.
 """
@@ -63,8 +64,9 @@ def vote_panoptic_labels(
     progress: Progress = lambda *_: None,
 ) -> VotedLabels:
     """The labels of a cloud of ``points`` points. ``object_of_segment`` maps a frame and segment id to the object 1..U
-    that the mask belongs to; ``kind``: the votes that a view has on a point; ``neighbours`` sparse [points, points]:
-    the share of a neighbour's votes that a point gets besides its own, None for none. Raises what ``progress`` raises.
+    that the mask belongs to; ``kind``: the votes that a view has on a point; ``neighbours``: a matrix [points, points]
+    with the share of another point's votes that a point gets besides its own (sparse, or `RestOfSuperpoint`), or None.
+    Raises what ``progress`` raises.
     """
     views, point_of_pixel = seeing.views, seeing.point_of_pixel
     some, done = max(1, CELLS_AT_A_TIME // len(labels)), itertools.count(1)

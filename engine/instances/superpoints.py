@@ -129,15 +129,15 @@ def held_back_agreement(
     those on its whole superpoint. A point that no other view sees follows its superpoint."""
     ids, points = np.asarray(class_ids), len(part)
     said = []
-    total = np.zeros((points, len(ids)), np.float32)
+    total = np.zeros((points, len(ids)))  # float64: what is left after a view is taken out must be 0 where nothing is
     for view, seen in zip(seeing.views, seeing.seen, strict=True):
         shown = shown_classes(view, seen)
         column = np.minimum(np.searchsorted(ids, shown), len(ids) - 1)
         known = ids[column] == shown
-        word = evidence(kind, seen.pixels[known], seen.resolution[known]).astype(np.float32)
+        word = evidence(kind, seen.pixels[known], seen.resolution[known]).astype(np.float64)
         said.append((seen.row[known], column[known], word))
         total[said[-1][:2]] += word  # a view has each point once
-    of_part = sparse.csr_matrix((np.ones(points, np.float32), (part, np.arange(points)))) @ total
+    of_part = sparse.csr_matrix((np.ones(points), (part, np.arange(points)))) @ total
     asked = by_point = by_part = 0.0
     for row, column, word in said:
         others = total[row]

@@ -10,7 +10,7 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from hashlib import sha256
 from pathlib import Path
 from uuid import uuid4
@@ -118,7 +118,8 @@ class BakeLocks:
     def __exit__(self, *_: object) -> None:
         assert self._held is not None
         self._held.__exit__()
-        self._own.unlink(missing_ok=True)
+        with suppress(OSError):  # on Windows, where another process looks at it now
+            self._own.unlink()
 
     def others_at_work(self) -> bool:
         """Whether another process is baking this lift."""

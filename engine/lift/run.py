@@ -209,7 +209,7 @@ def checked_frames(
         events.warning(warning)
     for each in frames.chosen.inferred:
         log.info("inferred: %s: %s", each.about, each)
-    masks_changed = masks_differ(before, remember_scene(folder, scene, events.warning))
+    masks_changed = masks_differ(before, scene, remember_scene(folder, scene, events.warning))
     return frames.only(survey.scene), masks_changed
 
 

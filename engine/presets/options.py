@@ -19,6 +19,8 @@ from ..gates import read_plain
 from ..json_file import Json
 from .preset import PRESETS, Preset
 
+GONE = {"vote_rounds": "segments vote on Gaussians twice, and points once where masks are weak"}
+"""Options that went, and what is done in place of them."""
 LISTING = "python -m engine presets"
 _KINDS = {"int": "a whole number", "float": "a number", "ints": "whole numbers", "bool": "true or false"}
 _BOOLEANS = {"true": True, "yes": True, "on": True, "false": False, "no": False, "off": False}
@@ -133,6 +135,8 @@ def known_option(name: str) -> PresetOption:
     options = preset_options()
     if name in options:
         return options[name]
+    if name in GONE:
+        raise PlgsError("option-gone", f"the option {name!r} is gone", "--set", f"Leave it out: {GONE[name]}.")
     last = [known for known in options if known.rpartition(".")[2] == name]
     near = last or difflib.get_close_matches(name, options, 1, 0.5)
     hint = f"Did you mean {near[0]}? " if near else ""

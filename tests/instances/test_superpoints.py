@@ -76,3 +76,17 @@ def test_a_point_gets_the_votes_of_the_rest_of_its_superpoint() -> None:
     own = sparse.csr_matrix(np.array([[1, 0], [2, 0], [0, 4]], np.float32))
     rest = RestOfSuperpoint(np.array([0, 0, 1])) @ own
     assert rest.toarray().tolist() == [[2, 0], [1, 0], [0, 0]]
+
+
+def test_what_one_view_alone_sees_is_agreed_with_by_nobody() -> None:
+    """Two views that share no point and no piece, each of many: rounding leaves no votes of anybody else."""
+    points, random = 20_000, np.random.default_rng(0)
+    rows = np.arange(2 * points, dtype=np.int32).reshape(2, points)
+    views = seeing(np.zeros((2 * points, 3), np.float32), [np.full(2 * points, FLOOR, np.int32)] * 2)
+    seen = [
+        ViewPoints(row, np.full(points, FLOOR, np.int32), *random.uniform(0.5, 9, (2, points)).astype(np.float32))
+        for row in rows
+    ]
+    apart = ViewsOnCloud(views.views, views.point_of_pixel, seen)
+    for kind in ("root", "resolution", "density"):
+        assert held_back_agreement(np.arange(2 * points) // points, apart, CLASS_IDS, kind) == (0, 0), kind

@@ -59,6 +59,7 @@ def test_it_has_the_documented_form() -> None:
         ({"colour": 1}, "unknown-field"),
         ({"blocks": 3}, "option-gone --blocks"),
         ({"blocks": 3, "block": 1}, "option-gone --block"),
+        ({"overrides": {"vote_rounds": 1}}, "option-gone vote_rounds"),
         ({"overrides": {"step": 3}}, "no-option step"),
         ({"overrides": [1]}, "bad-overrides"),
         ({"overrides": {"weights.dept": 0}}, "no-option weights.depth"),
