@@ -185,7 +185,7 @@ def _frame(shot: Shot, camera: Camera, held_out: bool, depth: DepthMap | None) -
             depth = depth.through(lambda values: undistorted(values, lens, bend, path, smooth=False))
     if depth is not None:
         depth = depth.through(depth_check(shot.name, depth.path))
-    told = (bend.model, *bend.coefficients) if bend.bends else ()
+    told = (bend.is_fisheye, *bend.numbers) if bend.bends else ()
     return Frame(
         name=shot.name,
         camera=camera,

@@ -35,7 +35,7 @@ from .colmap_model import (
     has_model,
     read_model,
 )
-from .lens import STRAIGHT, Distortion, fitted, pinhole
+from .lens import Distortion, fitted, of_colmap, pinhole
 from .photos import LET_COLMAP
 from .poses import inverse, quaternion_pose
 
@@ -47,9 +47,6 @@ _DENSE = ("dense/0", "dense")
 _SCALE = Inferred(
     "units", "COLMAP's lengths have no unit, and a lift reads them as metres", "scale the model if that is far off"
 )
-_BROWN = ("SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "FULL_OPENCV")
-_FISHEYES = ("OPENCV_FISHEYE", "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE")
-"""The camera models that OpenCV straightens, by its two models of distortion."""
 _PANORAMAS = (
     "COLMAP's image_undistorter cannot straighten panoramas: cut them into perspective pictures before COLMAP (its "
     "example panorama_sfm.py does), and name the folder with their model."
@@ -159,20 +156,14 @@ def _shot(
 def _lens(camera: ColmapCamera, folder: Path) -> tuple[Camera, Distortion]:
     """A camera at the origin with the lens's focal lengths, and its distortion. Raises PlgsError."""
     model, values = camera.model, camera.parameters
-    if model not in (*_BROWN, *_FISHEYES):
+    alone = 1 if model.startswith(("SIMPLE", "RADIAL")) else 2
+    (*focal, cx, cy), rest = values[: alone + 2], values[alone + 2 :]
+    distortion = of_colmap(model, rest)
+    if distortion is None:
         fix = _PANORAMAS if model == "EQUIRECTANGULAR" else UNDISTORT
         raise PlgsError("lens-model", f"the camera model {model} is not known here", folder, fix)
-    if model.startswith(("SIMPLE", "RADIAL")):
-        (f, cx, cy), rest = values[:3], values[3:]
-        fx = fy = f
-    else:
-        (fx, fy, cx, cy), rest = values[:4], values[4:]
     fix = "Let COLMAP refine or fix them."
-    lens = pinhole(camera.width, camera.height, fx, fy, cx, cy, path=folder, fix=fix)
-    if model in _FISHEYES:
-        return lens, Distortion("fisheye", (*rest, 0.0, 0.0, 0.0)[:4])
-    count = 8 if model == "FULL_OPENCV" else 4
-    return lens, Distortion("brown", (*rest, *([0.0] * 4))[:count]) if rest else STRAIGHT
+    return pinhole(camera.width, camera.height, focal[0], focal[-1], cx, cy, path=folder, fix=fix), distortion
 
 
 def _points(model: ColmapModel, names: list[str], images: list[ColmapImage]) -> SparsePoints | None:

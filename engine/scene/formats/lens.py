@@ -1,11 +1,17 @@
-"""Lenses: checked intrinsics, and distortion, which is removed on reading so that the engine sees only pinholes."""
+"""Lenses: checked intrinsics, and distortion, which is removed on reading so that the engine sees only pinholes.
+
+Each tool has its own order, and its own meaning, of the numbers of a distortion. ``of_opencv``, ``of_nerfstudio`` and
+``of_colmap`` are the only places that know them.
+"""
 
 from __future__ import annotations
 
+import re
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +21,8 @@ from ...posed.frames import Camera
 from ...posed.image_header import read_image_header
 from ...posed.layout import same_shape, shown_size
 from ..frame import Inferred
+
+Values = NDArray[np.float64]
 
 _LEAST_SEEN = 0.1
 """Share of an undistorted picture that the distorted one shows, at least. Wide fisheyes show all of it."""
@@ -60,49 +68,123 @@ def assumed(whose: str, lens: Camera, file: str) -> Inferred:
 
 @dataclass(frozen=True)
 class Distortion:
-    """OpenCV's coefficients: k1 k2 p1 p2 k3 k4 k5 k6 of its "brown" model, or k1 k2 k3 k4 of its "fisheye" model."""
+    """How a lens bends the picture of a pinhole, in one formula for every tool's numbers; ``bent`` is that formula.
 
-    model: Literal["brown", "fisheye"]
-    coefficients: tuple[float, ...]
+    ``radial`` are the factors of r^2, r^4, ... in its numerator, ``below`` those in its denominator, ``tangential`` p1
+    and p2 in OpenCV's order, ``prism`` s1 s2 s3 s4. ``is_fisheye``: all of them count angles from the axis.
+    """
+
+    radial: tuple[float, ...] = ()
+    below: tuple[float, ...] = ()
+    tangential: tuple[float, float] = (0.0, 0.0)
+    prism: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
+    is_fisheye: bool = False
+
+    @property
+    def numbers(self) -> tuple[float, ...]:
+        return (*self.radial, *self.below, *self.tangential, *self.prism)
 
     @property
     def bends(self) -> bool:
-        return self.model == "fisheye" or any(self.coefficients)
+        return self.is_fisheye or any(self.numbers)
+
+    def bent(self, x: Values, y: Values) -> tuple[Values, Values]:
+        """Where the lens shows what a pinhole of focal length 1 shows at ``x`` and ``y``, floats of any shape.
+
+        OpenCV's formula (calib3d, "Detailed Description"). Its fisheye model is the same formula, applied to
+        coordinates whose length is the angle from the axis, and so is COLMAP's thin prism model (models.h).
+        """
+        if self.is_fisheye:
+            radius = np.maximum(np.hypot(x, y), 1e-12)
+            x, y = (each * np.arctan(radius) / radius for each in (x, y))
+        square = x * x + y * y
+        factor = _series(self.radial, square) / _series(self.below, square)
+        (p1, p2), (s1, s2, s3, s4) = self.tangential, self.prism
+        return (
+            x * factor + 2.0 * p1 * x * y + p2 * (square + 2.0 * x * x) + square * (s1 + square * s2),
+            y * factor + p1 * (square + 2.0 * y * y) + 2.0 * p2 * x * y + square * (s3 + square * s4),
+        )
 
 
-STRAIGHT = Distortion("brown", ())
+def _series(factors: tuple[float, ...], square: Values) -> Values:
+    """1 + k1 r^2 + k2 r^4 + ... for r^2 = ``square``."""
+    total = np.zeros_like(square)
+    for factor in reversed(factors):
+        total = square * (factor + total)
+    return 1.0 + total
+
+
+STRAIGHT = Distortion()
+OPENCV_COUNTS = (0, 4, 5, 8, 12)
+"""How many numbers of its distortion OpenCV takes, without the tilt of its last two."""
+_OPENCV_NAMES = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
+_LENS_NUMBER = re.compile(r"[kpsb]\d|tau_?[xy]|ftheta_p\d|latlong|equirectangular")
+"""Keys of a lens in transforms.json, of nerfstudio, instant-ngp and those who add to them."""
+
+
+def of_opencv(values: Sequence[float]) -> Distortion:
+    """OpenCV's order: k1 k2 p1 p2, then k3, then k4 k5 k6 of the denominator, then s1 s2 s3 s4."""
+    k1, k2, p1, p2, k3, k4, k5, k6, s1, s2, s3, s4 = (*values, *[0.0] * 12)[:12]
+    return Distortion((k1, k2, k3), (k4, k5, k6), (p1, p2), (s1, s2, s3, s4))
+
+
+def of_nerfstudio(named: Mapping[str, float], model: str, is_fisheye: bool) -> Distortion:
+    """The names of transforms.json. nerfstudio's k3 and k4 are factors of r^6 and r^8 (its camera_utils.py), and an
+    OPENCV_FISHEYE counts angles; in a FULL_OPENCV, k4 k5 k6 are OpenCV's. Raises ValueError with the names of other
+    numbers of a lens, which no formula here takes."""
+    is_full = not is_fisheye and (model == "FULL_OPENCV" or "k5" in named or "k6" in named)
+    known = _OPENCV_NAMES if is_full else _OPENCV_NAMES[:6]
+    if others := [name for name, value in named.items() if value and name not in known]:
+        raise ValueError(", ".join(others))
+    values = [named.get(name, 0.0) for name in _OPENCV_NAMES]
+    if is_full:
+        return of_opencv(values)
+    k1, k2, p1, p2, k3, k4 = values[:6]
+    return Distortion((k1, k2, k3, k4), tangential=(p1, p2), is_fisheye=is_fisheye)
+
+
+def is_lens_number(key: str) -> bool:
+    """Whether a key of transforms.json says how the lens bends."""
+    return _LENS_NUMBER.fullmatch(key) is not None
+
+
+def of_colmap(model: str, rest: Sequence[float]) -> Distortion | None:
+    """COLMAP's numbers after the focal lengths and the principal point (models.h); None for another model."""
+    is_fisheye = model.endswith("FISHEYE")
+    if model == "THIN_PRISM_FISHEYE":
+        k1, k2, p1, p2, k3, k4, s1, s3 = rest
+        return Distortion((k1, k2, k3, k4), (), (p1, p2), (s1, 0.0, s3, 0.0), is_fisheye)
+    if model in ("OPENCV_FISHEYE", "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE", "SIMPLE_RADIAL", "RADIAL"):
+        return Distortion((*rest,), is_fisheye=is_fisheye)
+    return of_opencv(rest) if model in ("SIMPLE_PINHOLE", "PINHOLE", "OPENCV", "FULL_OPENCV") else None
 
 
 def undistorted(pixels: NDArray[Any], lens: Camera, distortion: Distortion, path: Path, smooth: bool) -> NDArray[Any]:
-    """A picture or depth map [H, W, ...] as a pinhole of the same focal lengths sees it; 0 beyond its edges. ``smooth``
-    mixes neighbouring pixels. Raises PlgsError, naming ``path``, when OpenCV cannot do it."""
+    """A picture, depth map or mask [H, W, ...] as a pinhole of the same focal lengths sees it; 0 beyond its edges.
+    ``smooth`` mixes neighbouring pixels. Raises PlgsError, naming ``path``, where little is left of it."""
     import cv2
 
     height, width = pixels.shape[:2]
     own = lens.resized(width, height)
-    try:
-        x, y, share = _source_pixels(width, height, own.fx, own.fy, own.cx, own.cy, distortion)
-        if share < _LEAST_SEEN:
-            values = ", ".join(f"{value:.4g}" for value in distortion.coefficients)
-            what = f"the lens distorts so much that {share:.0%} of the picture is left (its distortion: {values})"
-            raise PlgsError("lens-distorts", what, path, "Correct the distortion, or undistort the pictures first.")
-        return cv2.remap(pixels, x, y, cv2.INTER_LINEAR if smooth else cv2.INTER_NEAREST)
-    except cv2.error as error:
-        fix = "Undistort the pictures first, and give pinhole cameras."
-        raise PlgsError("lens-unsolved", f"the lens cannot be undistorted ({error.err})", path, fix) from error
+    x, y, share = _source_pixels(width, height, own.fx, own.fy, own.cx, own.cy, distortion)
+    if share < _LEAST_SEEN:
+        values = ", ".join(f"{value:.4g}" for value in distortion.numbers)
+        what = f"the lens distorts so much that {share:.0%} of the picture is left (its distortion: {values})"
+        raise PlgsError("lens-distorts", what, path, "Correct the distortion, or undistort the pictures first.")
+    taken = pixels.astype(np.float32) if pixels.dtype == np.int32 else pixels  # ids are whole numbers below 2^24
+    shown = cv2.remap(taken, x, y, cv2.INTER_LINEAR if smooth else cv2.INTER_NEAREST)
+    return shown.astype(pixels.dtype, copy=False)
 
 
 @lru_cache(maxsize=4)
 def _source_pixels(
     width: int, height: int, fx: float, fy: float, cx: float, cy: float, distortion: Distortion
 ) -> tuple[NDArray[np.float32], NDArray[np.float32], float]:
-    """Where each pixel of the undistorted picture lies in the distorted one, float32 [H, W] x and y, and the share of
-    those that lie in it."""
-    import cv2
-
-    # OpenCV counts pixels from their centres.
-    K = np.array([[fx, 0.0, cx - 0.5], [0.0, fy, cy - 0.5], [0.0, 0.0, 1.0]])
-    build = cv2.fisheye.initUndistortRectifyMap if distortion.model == "fisheye" else cv2.initUndistortRectifyMap
-    coefficients = np.array(distortion.coefficients)
-    x, y = build(K, coefficients, np.eye(3), K, (width, height), cv2.CV_32FC1)
-    return x, y, float(np.mean((x >= 0.0) & (x < width) & (y >= 0.0) & (y < height)))  # type: ignore[return-value]
+    """Where each pixel of the undistorted picture lies in the distorted one, float32 [H, W] x and y with pixel centres
+    at whole numbers, and the share of those that lie in it."""
+    across, down = (np.arange(width) + 0.5 - cx) / fx, (np.arange(height) + 0.5 - cy) / fy
+    with np.errstate(all="ignore"):
+        x, y = distortion.bent(*np.meshgrid(across, down))
+        x, y = x * fx + cx - 0.5, y * fy + cy - 0.5
+    x, y = (np.where(np.isfinite(each), each.clip(-1e6, 1e6), -1e6).astype(np.float32) for each in (x, y))
+    return x, y, float(np.mean((x >= 0.0) & (x < width) & (y >= 0.0) & (y < height)))

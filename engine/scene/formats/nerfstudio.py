@@ -32,13 +32,13 @@ from ...scene_source import UpAxis
 from ..depth import MILLIMETRES, DepthMap, npy_depth, png_depth
 from ..frame import Inferred, Size, SparsePoints, left_out
 from .capture import Capture, SceneFormat, Shot, frame_names, with_picture
-from .lens import STRAIGHT, Distortion, fitted, pinhole
+from .lens import Distortion, fitted, is_lens_number, of_nerfstudio, pinhole
 from .poses import finite_pose, from_opengl
 
 _FILE, _TRAIN = "transforms.json", "transforms_train.json"
 _HELD_OUT = ("transforms_test.json", "transforms_val.json")
 _PINHOLES = ("PINHOLE", "SIMPLE_PINHOLE", "perspective", "")
-_OPENCV = ("OPENCV", "SIMPLE_RADIAL", "RADIAL", "FULL_OPENCV")
+_OPENCV, _FISHEYE = ("OPENCV", "SIMPLE_RADIAL", "RADIAL", "FULL_OPENCV"), "OPENCV_FISHEYE"
 _IMAGES = (".png", ".jpg", ".jpeg")
 _CENTRED = Inferred(
     "principal point", "the principal point of the lens is assumed in the middle", "write cx and cy if it is not there"
@@ -169,18 +169,22 @@ def _focal_length(entry: dict[str, Any], key: str, side: float, context: str, pa
 
 def _distortion(entry: dict[str, Any], context: str, path: Path) -> Distortion:
     """The lens's distortion. Raises PlgsError for a model that is not known."""
-    k1, k2, k3, k4, p1, p2 = (
-        take_number(entry, key, context, path) if key in entry else 0.0 for key in ("k1", "k2", "k3", "k4", "p1", "p2")
-    )
     model = entry.get("camera_model", "OPENCV")
-    if model == "OPENCV_FISHEYE" or entry.get("is_fisheye") is True:
-        return Distortion("fisheye", (k1, k2, k3, k4))
-    if model in _OPENCV:
-        return Distortion("brown", (k1, k2, p1, p2, k3, k4, 0.0, 0.0))
-    if model in _PINHOLES:
-        return STRAIGHT
-    fix = "Undistort the pictures, and give PINHOLE, OPENCV or OPENCV_FISHEYE."
-    raise PlgsError("lens-model", f'{context} has the camera model "{str(model)[:40]}", which is not known', path, fix)
+    if model not in (*_PINHOLES, *_OPENCV, _FISHEYE):
+        fix = "Undistort the pictures, and give PINHOLE, OPENCV or OPENCV_FISHEYE."
+        what = f'{context} has the camera model "{str(model)[:40]}", which is not known'
+        raise PlgsError("lens-model", what, path, fix)
+    flags = ("latlong", "equirectangular")
+    named = {
+        key: float(value is True) if key in flags else take_number(entry, key, context, path)
+        for key, value in entry.items()
+        if is_lens_number(key)
+    }
+    try:
+        return of_nerfstudio(named, model, model == _FISHEYE or entry.get("is_fisheye") is True)
+    except ValueError as error:
+        what = f"{context} has numbers of a lens that is not known ({error})"
+        raise PlgsError("lens-numbers", what, path, "Undistort the pictures, and remove these numbers.") from error
 
 
 def _depth(entry: dict[str, Any], lens: Camera, context: str, path: Path) -> DepthMap | None:

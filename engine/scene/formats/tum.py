@@ -8,7 +8,7 @@
 * Depth: 16-bit PNG, registered to colour, planar, 5000 steps per metre, 0 = none.
 * Intrinsics are not in the files: TUM's are those of its documentation, told apart by "freiburg1", "freiburg2" or
   "freiburg3" in the folder's name, else a Kinect's are assumed; a warning says so. ETH3D has them in
-  ``calibration.txt``: ``fx fy cx cy``, with integer pixel centres.
+  ``calibration.txt``: ``fx fy cx cy``, with integer pixel centres; numbers after these are OpenCV's distortion.
 
 ICL-NUIM, whose stamps are whole numbers, is refused: its camera and world are mirrored in y.
 """
@@ -32,7 +32,7 @@ from ...scene_source import UpAxis
 from ..depth import png_depth
 from ..frame import Inferred, Size, left_out
 from .capture import Capture, SceneFormat, Shot, frame_names, with_picture
-from .lens import Distortion, assumed, fitted, pinhole
+from .lens import OPENCV_COUNTS, assumed, fitted, of_opencv, pinhole
 from .poses import numbers, quaternion_pose, read_rows
 
 _STEP = 1.0 / 5000.0
@@ -42,13 +42,13 @@ _POSE_FIX = "Write one pose on each line, t tx ty tz qx qy qz qw, with points in
 _LIST_FIX = "Write a time stamp and a file name on each line."
 _ICL_FIX = "Convert it to the folders color, depth, pose and intrinsic, as docs/captures.md describes them."
 _CALIBRATION = "calibration.txt"
-_LENS_FIX = f"Write fx fy cx cy of the pictures into {_CALIBRATION}."
+_LENS_FIX = f"Write fx fy cx cy of the pictures, and k1 k2 p1 p2 k3 if they are distorted, into {_CALIBRATION}."
 
 
 @dataclass(frozen=True)
 class _Lens:
-    """Intrinsics with integer pixel centres, and k1 k2 p1 p2 k3 of the distortion. ``up`` is the axis that points up in
-    the lens's world. ``size`` is the size of its pictures, None for any."""
+    """Intrinsics with integer pixel centres, and OpenCV's numbers of the distortion. ``up`` is the axis that points up
+    in the lens's world. ``size`` is the size of its pictures, None for any."""
 
     fx: float
     fy: float
@@ -81,12 +81,12 @@ _Pose = tuple[float, NDArray[np.float64] | None, float | None]
 
 
 def _read_calibration(path: Path) -> _Lens:
-    fix = "Write fx fy cx cy."
-    row = next(read_rows(path, fix), None)
-    if row is None or len(row.words) < 4:
-        raise PlgsError("intrinsics-incomplete", "the intrinsics are incomplete", path, fix)
-    fx, fy, cx, cy = numbers(row, path, fix)[:4].tolist()
-    return _Lens(fx, fy, cx, cy, size=None)
+    values = [float(each) for row in read_rows(path, _LENS_FIX) for each in numbers(row, path, _LENS_FIX)]
+    if len(values) - 4 not in OPENCV_COUNTS:
+        what = f"there are {len(values)} numbers, not fx fy cx cy and those of OpenCV's distortion"
+        raise PlgsError("intrinsics-incomplete", what, path, _LENS_FIX)
+    fx, fy, cx, cy, *bent = values
+    return _Lens(fx, fy, cx, cy, (*bent,), size=None)
 
 
 def _read(place: Path) -> Capture:
@@ -188,7 +188,7 @@ def _shot(name: str, colour: Path, depth: Path | None, lens: _Lens, pose: NDArra
     own = _camera(lens, lens.size or read_image_header(colour).size, colour.parent.parent)
     camera = fitted(own, colour, _LENS_FIX).at(pose)
     depth_map = None if depth is None else png_depth(depth, camera, _STEP)
-    return Shot(name, camera, colour, depth_map, distortion=Distortion("brown", lens.bent))
+    return Shot(name, camera, colour, depth_map, distortion=of_opencv(lens.bent))
 
 
 def _camera(lens: _Lens, size: Size, place: Path) -> Camera:

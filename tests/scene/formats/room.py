@@ -8,6 +8,7 @@ surfaces, in the right colours?
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -82,6 +83,21 @@ def look(view: View, lens: Lens) -> Picture:
     down = (np.arange(lens.height) + 0.5 - lens.cy) / lens.fy
     rays = view.forward + across[None, :, None] * view.right - down[:, None, None] * view.up
     return cast(view, rays)
+
+
+Bend = Callable[[NDArray[np.float64], NDArray[np.float64]], tuple[NDArray[np.float64], NDArray[np.float64]]]
+"""Where a lens shows what a pinhole of focal length 1 shows at x and y."""
+
+
+def look_bent(view: View, lens: Lens, bend: Bend) -> Picture:
+    """The picture of a lens that bends: the inverse of its formula, found by iteration."""
+    across = (np.arange(lens.width) + 0.5 - lens.cx) / lens.fx
+    bent = np.meshgrid(across, (np.arange(lens.height) + 0.5 - lens.cy) / lens.fy)
+    x, y = bent
+    for _ in range(100):
+        u, v = bend(x, y)
+        x, y = x + bent[0] - u, y + bent[1] - v
+    return cast(view, view.forward + x[..., None] * view.right - y[..., None] * view.up)
 
 
 def cast(view: View, rays: NDArray[np.float64]) -> Picture:
