@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 import unicodedata
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import MISSING, Field, fields, is_dataclass
 from functools import cache
 from pathlib import Path, PurePosixPath
@@ -64,16 +64,17 @@ def record_of(
 ) -> Record:
     """The record of a JSON object from the file ``path``. ``context`` is its place there, such as "files[3]". Raises a
     PlgsError that names the file, the key and what it has to be."""
-    declared = {each.name: each for each in _written(kind)}
-    unknown = sorted(set(content) - set(declared))
-    if unknown:
+    declared, hints = _declared(kind), _hints(cast(Any, kind))
+    if unknown := sorted(content.keys() - declared.keys()):
         what = f"the file has {', '.join(map(repr, unknown))}{_of(context)}, which this version does not know"
         raise PlgsError("unknown-field", what, path, "Remove it, or use the version of PLGS that wrote it.")
-    values, hints = dict(apart), _hints(cast(Any, kind))
+    values = dict(apart)
     for name, each in declared.items():
         key = f"{context}.{name}" if context else name
         if name in content:
-            values[name] = _Reader(path, fix, each.metadata).value(hints[name], content[name], key)
+            given = content[name]
+            usual = type(given) is str and hints[name] is str and given.isprintable() and "longest" not in each.metadata
+            values[name] = given if usual else _Reader(path, fix, each.metadata).value(hints[name], given, key)
         elif each.default is MISSING and each.default_factory is MISSING:
             raise PlgsError("lacks-field", f"the file has no '{key}'", path, fix)
     try:
@@ -85,7 +86,7 @@ def record_of(
 def check_record(record: Any, fix: str) -> None:
     """Raise PlgsError for a field whose value is not what `read_record` would take."""
     hints = _hints(cast(Any, type(record)))
-    for each in _written(type(record)):
+    for each in _declared(type(record)).values():
         value = getattr(record, each.name)
         given = str(value) if isinstance(value, Path) else _plain(value, None)
         _Reader("", fix, each.metadata).value(hints[each.name], given, each.name)
@@ -99,17 +100,16 @@ class _Reader:
         self._least, self._most = more.get("least", -math.inf), more.get("most", math.inf)
 
     def value(self, kind: Any, given: Any, key: str) -> Any:
-        if kind is Any or {list, dict} <= {get_origin(each) for each in get_args(kind)}:  # Json
+        origin, inner = _parts(kind)
+        if origin is Any:
             return given
-        if get_origin(kind) in (Union, UnionType):
-            return self._one_of(get_args(kind), given, key)
-        if is_dataclass(kind) and isinstance(given, dict):
-            assert isinstance(kind, type)
+        if origin is Union:
+            return self._one_of(inner, given, key)
+        if origin is _RECORD and isinstance(given, dict):
             return record_of(kind, given, self._path, self._fix, key)
-        origin, inner = get_origin(kind), get_args(kind)
         if origin is tuple and isinstance(given, list):
             return self._tuple(kind, inner, given, key)
-        if origin is not None and origin is not tuple and origin is not Literal and isinstance(given, dict):
+        if origin not in (None, tuple, Literal, _RECORD) and isinstance(given, dict):
             return {name: self.value(inner[1], each, f"{key}[{name!r}]") for name, each in given.items()}
         found = self._simple(kind, given, key)
         if found is None and kind is not NoneType:
@@ -131,8 +131,9 @@ class _Reader:
     def _tuple(self, kind: Any, inner: tuple[Any, ...], given: list[Any], key: str) -> Any:
         if inner[-1] is not Ellipsis and len(given) != len(inner):
             raise self.wrong(kind, given, key)
-        if inner == (int, ...) and all(type(each) is int and self._least <= each <= self._most for each in given):
-            return tuple(given)  # it may have millions
+        least, most, exact = max(self._least, -1e300), min(self._most, 1e300), inner[0]
+        if exact in (int, float) and all(type(each) is exact and least <= each <= most for each in given):
+            return tuple(given)  # there may be millions
         kinds = inner[:1] * len(given) if inner[-1] is Ellipsis else inner
         return tuple(
             self.value(each, value, f"{key}[{i}]") for i, (each, value) in enumerate(zip(kinds, given, strict=True))
@@ -189,14 +190,30 @@ class _Reader:
         return ("a whole number" if kind is int else "a number") + least + most
 
 
-def _written(kind: Any) -> Iterator[Field[Any]]:
-    return (each for each in fields(kind) if not each.metadata.get("apart"))
+@cache
+def _declared(kind: Any) -> dict[str, Field[Any]]:
+    """The fields of a record that its JSON holds, by name."""
+    return {each.name: each for each in fields(kind) if not each.metadata.get("apart")}
 
 
 def _default(declared: Field[Any]) -> Any:
     if declared.default is not MISSING:
         return declared.default
     return MISSING if declared.default_factory is MISSING else declared.default_factory()
+
+
+_RECORD = "record"
+
+
+@cache
+def _parts(kind: Any) -> tuple[Any, tuple[Any, ...]]:
+    """What kind of annotation it is (Any for Json, too) and the annotations inside it."""
+    origin, inner = get_origin(kind), get_args(kind)
+    if kind is Any or {list, dict} <= {get_origin(each) for each in inner}:
+        return Any, ()
+    if origin in (Union, UnionType):
+        return Union, inner
+    return (_RECORD if is_dataclass(kind) else origin), inner
 
 
 @cache

@@ -169,6 +169,8 @@ def make(folder: Path) -> None:
     """Make the environment in `folder` from nothing. `.venv-next` only where its Python is there."""
     started = time.monotonic()
     refuse_old_system()
+    if setting := uv_program.diverted(os.environ, ROOT / "requirements"):
+        stop(f"{setting} keeps packages out of {folder.name}. Take it out of uv's settings, then run make again.")
     try:
         uv = uv_program.fetch(ROOT / "build", uv_variables())
     except OSError as error:

@@ -38,6 +38,8 @@ class Replay:
     accepted: set[int] = field(default_factory=set)
     steps: list[Step] = field(default_factory=list)
     told: dict[str, str] = field(default_factory=dict)
+    _recognised: set[ObjectMark] = field(default_factory=set)
+    """The marks that fit their objects as the points are labelled now: a mark costs a look at all points."""
 
     @classmethod
     def of(cls, classes: ClassTable, instances: Iterable[Instance], points: SemanticPoints) -> Replay:
@@ -78,6 +80,8 @@ class Replay:
         if reasons and (edit.kind != "assign" or len(reasons) == len(edit.objects)):
             return reasons[0]
         ids = [*dict.fromkeys(mark.id for mark in edit.objects if mark.id in self.objects)]
+        if edit.kind in (*MOVES, "merge"):
+            self._recognised.clear()
         if not ids and (edit.kind != "assign" or not edit.classes):
             return "it names no object"
         if edit.kind in MOVES and (reason := self._no_label(edit)):
@@ -107,11 +111,14 @@ class Replay:
 
     def _missing(self, mark: ObjectMark) -> str:
         """Why the object that a mark means is not there; empty when it is."""
+        if mark in self._recognised:
+            return ""
         if mark.id not in self.objects:
             return f"there is no object {mark.id}"
         now = self.mark(mark.id)
         if mark.points and now.points and _overlap(mark, now) < LEAST_OVERLAP:
             return f"object {mark.id} ({self.objects[mark.id].name}) is a different one here"
+        self._recognised.add(mark)
         return ""
 
     def _reclass(self, ids: Sequence[int], class_id: int) -> str:

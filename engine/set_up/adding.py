@@ -104,6 +104,7 @@ class Addition:
         packages, downloads = self._part / "packages", self._part / "downloads"
         packages.mkdir(parents=True)
         variables = uv_program.variables(os.environ, self._index_url) | {"UV_CACHE_DIR": str(downloads)}
+        programs.refuse_diverted(self._part)
         self.log_path.write_bytes(b"")
         uv = uv_program.program_in(self._tools)
         if not uv.exists():

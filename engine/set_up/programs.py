@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -9,6 +10,7 @@ from pathlib import Path
 from ..errors import PlgsError
 from ..gates import without_credentials
 from ..job.process import ChildProcess
+from . import uv_program
 
 _MOST_BYTES = 200_000
 """Bytes of a program's output that are kept, counted from its end."""
@@ -67,3 +69,10 @@ def complaint(output: str) -> str:
     first = next((index for index, line in enumerate(lines) if line.startswith("error:")), len(lines) - 1)
     said = [line.removeprefix("error:").removeprefix("cause:").strip() for line in lines[max(first, 0) :]]
     return without_credentials((": ".join(said) or "no reason given")[:300])
+
+
+def refuse_diverted(folder: Path) -> None:
+    """Raise PlgsError if the user's settings of uv would send packages elsewhere. ``folder`` is where uv runs."""
+    if setting := uv_program.diverted(os.environ, folder):
+        fix = "Take it out, or name a file without it in UV_CONFIG_FILE, then set up the engine again."
+        raise PlgsError("uv-settings", "a setting of uv keeps packages out of the engine's environment", setting, fix)

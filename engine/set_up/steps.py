@@ -117,6 +117,7 @@ class SetUp:
             raise PlgsError("set-up-stopped", f"the set-up was stopped ({error.strerror})", where, fix) from error
 
     def _do_steps(self) -> Path:
+        programs.refuse_diverted(self.folder)
         given = self.request.base_python
         if given is not None and not os.access(given, os.X_OK):
             self.log_path.write_text(f"{given} cannot be run\n", encoding="utf-8")

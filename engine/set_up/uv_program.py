@@ -63,6 +63,9 @@ _LEFT_OUT = re.compile(
 )
 """Variables that would send packages somewhere other than into the environment, or would bring others."""
 
+_DIVERTING = ("target", "prefix", "python", "system", "require-hashes")
+"""Settings under [pip] in uv's files that change where packages go, or forbid what has no hash."""
+
 
 def variables(environ: Mapping[str, str], index_url: str = "") -> dict[str, str]:
     """``environ`` for uv, with the user's settings of pip where he has none of uv.
@@ -78,6 +81,38 @@ def variables(environ: Mapping[str, str], index_url: str = "") -> dict[str, str]
     if index_url:
         kept["UV_DEFAULT_INDEX"] = index_url
     return {"UV_SYSTEM_CERTS": "1", "UV_NO_PROGRESS": "1", **kept}
+
+
+def diverted(environ: Mapping[str, str], folder: Path) -> str:
+    """The first setting of uv, in words, that would install somewhere else or that the set-up cannot meet (torch comes
+    without hashes); empty if there are none. ``folder`` is where uv runs: it also reads the files above it.
+
+    uv has no option that overrides these alone. A Python before 3.11 cannot read uv's files and finds none.
+    """
+    if environ.get("UV_REQUIRE_HASHES", "0").lower() not in ("", "0", "false"):
+        return "UV_REQUIRE_HASHES"
+    if sys.version_info < (3, 11):
+        return ""
+    import tomllib
+
+    home = Path(os.path.expanduser("~"))
+    users = Path(environ.get("APPDATA" if os.name == "nt" else "XDG_CONFIG_HOME") or home / ".config")
+    systems = [Path(each) for each in environ.get("XDG_CONFIG_DIRS", "/etc/xdg").split(os.pathsep) if each]
+    systems += [Path("/etc"), Path(environ.get("PROGRAMDATA") or "/nowhere")]
+    files = [each / name for each in (folder, *folder.parents) for name in ("uv.toml", "pyproject.toml")]
+    files += [each / "uv" / "uv.toml" for each in (users, *systems)]
+    for path in [Path(environ["UV_CONFIG_FILE"])] if environ.get("UV_CONFIG_FILE") else files:
+        try:
+            content = tomllib.loads(path.read_text(encoding="utf-8"))
+        except (OSError, ValueError):  # uv names a file that it cannot read
+            continue
+        inside = ("tool", "uv", "pip") if path.name == "pyproject.toml" else ("pip",)
+        for key in inside:
+            content = content[key] if isinstance(content.get(key), dict) else {}
+        for name in _DIVERTING:
+            if content.get(name):
+                return f"pip.{name} in {path}"
+    return ""
 
 
 def program_in(folder: Path) -> Path:

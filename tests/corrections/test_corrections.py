@@ -67,6 +67,18 @@ def test_nothing_changes_without_corrections(lift: Path) -> None:
     assert not (lift / CORRECTIONS).exists()
 
 
+def test_edits_cost_the_same_however_many_there_are(lift: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    looks: list[int] = []
+    points_of = Replay.points_of
+    monkeypatch.setattr(Replay, "points_of", lambda state, number: looks.append(number) or points_of(state, number))
+    with editing(lift) as edits:
+        state = Replay.of(*(getattr(read_corrected(lift), name) for name in ("classes", "made", "points")))
+        edits += [m.rename(state, DESK if each % 2 else CHAIRS, f"name {each}") for each in range(300)]
+        state.apply_all(edits)
+    looks.clear()
+    assert objects(lift)[DESK].name == "name 299" and sorted(looks) == [CHAIRS, DESK]
+
+
 def test_a_name_and_a_class(lift: Path) -> None:
     before = {path: path.read_bytes() for path in (lift / "result").iterdir()}
     correct(lift, lambda state, _: m.rename(state, DESK, " Anna's desk "))

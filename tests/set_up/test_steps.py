@@ -171,6 +171,14 @@ def test_a_full_disk_is_reported_before_anything_is_made(
     assert worded("disk-full").search(told) and "Make room" in told and not list(folder.glob("engine-*"))
 
 
+def test_settings_of_uv_that_send_packages_elsewhere_are_refused_before_anything_is_fetched(
+    begin: Begin, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "uv.toml").write_text('pip = {target = "/somewhere/else"}')
+    monkeypatch.setenv("UV_CONFIG_FILE", str(tmp_path / "uv.toml"))
+    assert worded("uv-settings").search(error_of(begin())) and not list(folder.glob("*engine*"))
+
+
 def test_a_folder_that_cannot_be_written_is_reported(code: Path, tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     told = error_of(RunningSetUp(SetUpRequest(), code, tmp_path / "file" / "plgs"))

@@ -100,3 +100,25 @@ def test_the_users_settings_of_pip_serve_and_those_of_uv_come_first(tmp_path: Pa
     assert "UV_PYTHON" not in told and "UV_CONSTRAINT" not in told
     assert uv_program.variables(environ | {"UV_DEFAULT_INDEX": "http://mine"})["UV_DEFAULT_INDEX"] == "http://mine"
     assert uv_program.variables(environ, "http://given")["UV_DEFAULT_INDEX"] == "http://given"
+
+
+@pytest.mark.skipif(sys.version_info < (3, 11), reason="an older Python cannot read uv's files")
+@pytest.mark.parametrize("name", ["target", "prefix", "python", "system", "require-hashes"])
+@pytest.mark.parametrize("where", ["user", "system", "folder", "project", "named"])
+def test_a_setting_of_uv_that_sends_packages_elsewhere_is_found(name: str, where: str, tmp_path: Path) -> None:
+    folder = tmp_path / "above" / "engine"
+    environ = {"XDG_CONFIG_HOME": str(tmp_path / "user"), "XDG_CONFIG_DIRS": str(tmp_path / "system")}
+    path = {
+        "user": tmp_path / "user" / "uv" / "uv.toml",
+        "system": tmp_path / "system" / "uv" / "uv.toml",
+        "folder": folder.parent / "uv.toml",
+        "project": folder.parent / "pyproject.toml",
+        "named": tmp_path / "studio.toml",
+    }[where]
+    section = "tool.uv.pip" if where == "project" else "pip"
+    for setting in ('index-url = "http://mirror"', f'{name} = "here"'):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(f"[{section}]\n{setting}\n")
+        found = uv_program.diverted(environ | ({"UV_CONFIG_FILE": str(path)} if where == "named" else {}), folder)
+        assert found == (f"pip.{name} in {path}" if name in setting else "")
+    assert uv_program.diverted({"UV_CONFIG_FILE": str(tmp_path / "none"), "UV_REQUIRE_HASHES": "1"}, folder)
