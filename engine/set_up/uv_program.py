@@ -18,6 +18,7 @@ import zipfile
 from base64 import b64encode
 from collections.abc import Mapping
 from http.client import HTTPException
+from importlib.util import find_spec
 from pathlib import Path
 from urllib.parse import unquote, urljoin, urlsplit
 from urllib.request import Request, urlopen
@@ -91,7 +92,7 @@ def diverted(environ: Mapping[str, str], folder: Path) -> str:
     """
     if environ.get("UV_REQUIRE_HASHES", "0").lower() not in ("", "0", "false"):
         return "UV_REQUIRE_HASHES"
-    if sys.version_info < (3, 11):
+    if find_spec("tomllib") is None:
         return ""
     import tomllib
 

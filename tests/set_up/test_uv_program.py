@@ -102,7 +102,6 @@ def test_the_users_settings_of_pip_serve_and_those_of_uv_come_first(tmp_path: Pa
     assert uv_program.variables(environ, "http://given")["UV_DEFAULT_INDEX"] == "http://given"
 
 
-@pytest.mark.skipif(sys.version_info < (3, 11), reason="an older Python cannot read uv's files")
 @pytest.mark.parametrize("name", ["target", "prefix", "python", "system", "require-hashes"])
 @pytest.mark.parametrize("where", ["user", "system", "folder", "project", "named"])
 def test_a_setting_of_uv_that_sends_packages_elsewhere_is_found(name: str, where: str, tmp_path: Path) -> None:
