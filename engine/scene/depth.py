@@ -17,7 +17,7 @@ from ..posed.array_file import read_npy
 from ..posed.frames import Camera
 from ..posed.image_header import read_image_header
 from ..posed.layout import check_size, files_by_stem, require_most, same_shape, shown, shown_size
-from ..posed.matrices import read_intrinsics
+from ..posed.matrices import read_intrinsics, read_matrix
 from .files_of_frames import whole_file
 from .frame import Inferred, Size
 from .pixels import Alignment, decode_depth, decode_single_channel, resize_aligned
@@ -28,6 +28,11 @@ _DEPTHS = (0.0005, 10_000.0)
 _LARGEST = 65535
 """The largest value in a PNG of 16 bits."""
 _PNG_FIX = "Save millimetres as a 16-bit grey PNG."
+_ONE_PLACE = 1e-3
+"""Largest difference from the identity, in metres, with which colour and depth have one camera's pose."""
+_FARTHEST_BESIDE = 0.5
+"""Largest distance in metres between the two cameras of a sensor."""
+_APART = "colour and depth stand apart, but not as a sensor's do, and their extrinsics are ignored: depth may not fit"
 _NEARLY_ALIGNED = 0.15
 """Share of the picture by which the lenses of one sensor's colour and depth may differ at most."""
 
@@ -39,6 +44,7 @@ class DepthMap:
     ``read`` gives planar depth, float32 [H, W] metres with 0 = none, at its own size. ``alignment`` says where colour
     pixels lie in it. ``fault`` is why the file cannot be read, as far as its header says. ``step`` is the length of
     a step in metres, None for files that hold lengths. ``confidence`` is the file that says which pixels to trust.
+    ``beside`` is the pose of the camera that measured it, in the colour camera's axes, if it is another one.
     """
 
     path: Path
@@ -47,6 +53,7 @@ class DepthMap:
     fault: PlgsError | None = None
     step: float | None = None
     confidence: Path | None = None
+    beside: tuple[float, ...] = ()
 
     def __call__(self, size: Size | None = None) -> NDArray[np.float32]:
         """Depth in the colour picture at ``size`` (width, height), or at its own size. Raises PlgsError."""
@@ -55,9 +62,10 @@ class DepthMap:
 
     @property
     def unusual(self) -> tuple[float, ...]:
-        """The unit and the alignment, where they are not millimetres and the colour camera's."""
+        """The unit, the alignment and the pose, where they are not millimetres and the colour camera's."""
         is_usual = self.step in (None, MILLIMETRES) and self.alignment == Alignment()
-        return () if is_usual else (float(self.step or 0.0), *map(float, astuple(self.alignment)))
+        usual = () if is_usual else (float(self.step or 0.0), *map(float, astuple(self.alignment)))
+        return (*usual, *self.beside)
 
     def through(self, change: Callable[[NDArray[np.float32]], NDArray[np.float32]]) -> DepthMap:
         """The same map with ``change`` applied after reading."""
@@ -188,20 +196,54 @@ def open_depth(scene: Path, lenses: Mapping[str, Camera]) -> tuple[dict[str, Dep
     fix = "Add depth/<name>.png, or remove their colour images."
     there = require_most(list(lenses), files, "depth", folder, fix)
     maps = {name: png_depth(files[name], lenses[name]) for name in there}
-    path = scene / "intrinsic" / "intrinsic_depth.txt"
-    path = path if path.is_file() else scene / "intrinsics_depth.txt"
+    path, beside_path, of_colour = (
+        next((each for each in (scene / "intrinsic" / f"{name}.txt", scene / f"{plural}.txt") if each.is_file()), None)
+        for name, plural in (
+            ("intrinsic_depth", "intrinsics_depth"), ("extrinsic_depth", "extrinsics_depth"),
+            ("extrinsic_color", "extrinsics_color"),
+        )
+    )  # fmt: skip
     whole = [each.path for each in maps.values() if each.fault is None]
-    if not path.is_file() or not whole:
+    if not whole or (path is None and beside_path is None):
         return maps, ()
-    sizes = Counter(read_image_header(each).size for each in whole)
-    depth_lens = read_intrinsics(path, sizes.most_common(1)[0][0])
+    extrinsics = [np.eye(4) if each is None else read_matrix(each, ((4, 4),)) for each in (beside_path, of_colour)]
+    beside, told = between_cameras(*extrinsics)
+    size = Counter(read_image_header(each).size for each in whole).most_common(1)[0][0]
+    depth_lens = None if path is None else read_intrinsics(path, size)
     own = {name for name in lenses if (scene / "intrinsic" / f"{name}.txt").is_file()}
-    found = {name: Alignment() if name in own else fitting_alignment(lenses[name], depth_lens) for name in maps}
-    alignments = {name: alignment for name, alignment in found.items() if alignment is not None}
-    if len(alignments) == len(maps):
-        return {name: replace(maps[name], alignment=alignment) for name, alignment in alignments.items()}, ()
+    found = {
+        name: seen_by_colour(one, (None if name in own else depth_lens) or lenses[name], lenses[name], beside)
+        for name, one in maps.items()
+    }
+    inferred = tuple(Inferred("depth's lens", *warning.split(": ", 1)) for warning in told)
+    fitting = {name: one for name, one in found.items() if one is not None}
+    if len(fitting) == len(maps) or path is None:
+        return fitting, inferred
     taken = f"{path.name} is ignored, and depth is assumed to fit the colour"
-    return maps, (Inferred("depth's lens", taken, "it does not fit the colour intrinsics"),)
+    return maps, (*inferred, Inferred("depth's lens", taken, "it does not fit the colour intrinsics"))
+
+
+def between_cameras(
+    depth: NDArray[np.float64], colour: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], tuple[str, ...]]:
+    """From points of the depth camera to points of the colour camera, float64 [4, 4], by the extrinsics of both as
+    ScanNet's tools take them (``depthToColor`` of its calibration), and warnings where they are not a sensor's."""
+    is_rigid = np.isfinite(depth).all() and np.abs(depth[:3, :3] @ depth[:3, :3].T - np.eye(3)).max() < 0.01
+    if np.abs(colour - depth).max() < _ONE_PLACE:
+        return np.eye(4), ()
+    if not is_rigid or np.abs(depth[:3, 3]).max() > _FARTHEST_BESIDE or np.abs(colour - np.eye(4)).max() > _ONE_PLACE:
+        return np.eye(4), (_APART,)
+    return depth, ()
+
+
+def seen_by_colour(depth: DepthMap, lens: Camera, colour: Camera, beside: NDArray[np.float64]) -> DepthMap | None:
+    """Depth that a camera with ``lens`` measured, as the ``colour`` camera sees it; None if no sensor is built so.
+    ``beside`` takes points of the first camera to points of the second, see ``between_cameras``."""
+    alignment = fitting_alignment(colour, lens)
+    if alignment is None or np.abs(beside - np.eye(4)).max() < _ONE_PLACE:
+        return None if alignment is None else replace(depth, alignment=alignment)
+    shown = depth.through(lambda values: registered(values, lens.at(beside), colour.at(np.eye(4))))
+    return replace(shown, beside=(*beside.ravel().tolist(),))
 
 
 def fitting_alignment(colour: Camera, depth: Camera) -> Alignment | None:

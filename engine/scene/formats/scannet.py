@@ -12,14 +12,15 @@ Folders ``color/ depth/ pose/ intrinsic/``:
 * Where the folder ``intrinsic`` has no such file, ``intrinsics_color.txt`` beside the folders, as in ScanNet's
   ``frames_25k``, in pixels of each picture.
 * ``intrinsic/intrinsic_depth.txt`` or ``intrinsics_depth.txt``, optional, in pixels of the depth images. If its lens
-  differs from the colour's, depth is read through it (same centre, other lens, as in ScanNet's sensor). Without it
-  the two pictures coincide.
+  differs from the colour's, depth is read through it. Without it the two pictures coincide.
+* ``intrinsic/extrinsic_depth.txt``, optional, 4x4: from points of the depth camera to points of the colour camera.
 * ``splits.json``, optional: ``{"train": [...], "test": [...]}``; frames that it leaves out need no depth.
 
 The ``.sens`` is one file with a header, then frames of a pose, a JPEG or PNG, and compressed depth.
 Camera-to-world, OpenCV axes, metres, z up; -inf when tracking was lost. Intrinsics of colour and of depth, with
-integer pixel centres; depth is planar, 16 bits, ``depth_shift`` steps per metre, and read through its own lens. Frames
-are named by their number, as ScanNet's labels are.
+integer pixel centres; depth is planar, 16 bits, ``depth_shift`` steps per metre, and read through its own lens and
+from its own place (the depth's extrinsic: from its points to those of the colour camera). Frames are named by their
+number, as ScanNet's labels are.
 """
 
 from __future__ import annotations
@@ -42,8 +43,8 @@ from ...posed.image_header import read_image_header
 from ...posed.layout import shown_files
 from ...posed.matrices import read_intrinsics
 from ...posed.plain_folders import NAME, read_folders, recognises
-from ..depth import DepthMap, fault_of, fitting_alignment, open_depth
-from ..pixels import Alignment, decode_bytes
+from ..depth import DepthMap, between_cameras, fault_of, fitting_alignment, open_depth, seen_by_colour
+from ..pixels import decode_bytes
 from .capture import Capture, SceneFormat, Shot
 from .lens import pinhole
 from .poses import finite_pose
@@ -75,13 +76,16 @@ _LARGEST_NAME = 10_000
 
 @dataclass(frozen=True, eq=False)
 class _Header:
-    """Lenses stand at the origin; ``unit`` is a step of depth in metres."""
+    """Lenses stand at the origin; ``unit`` is a step of depth in metres. ``beside`` and ``told``: see
+    ``between_cameras``."""
 
     colour: Camera
     depth: Camera
     depth_compression: int
     unit: float
     frames: int
+    beside: NDArray[np.float64]
+    told: tuple[str, ...]
 
 
 @dataclass(frozen=True)
@@ -121,13 +125,13 @@ def _read_sens(place: Path) -> Capture:
         raise PlgsError("not-one-file", "there is no .sens file, or more than one", place, "Name the file.")
     with open_plain(path) as file:
         header = _read_header(file, path)
-        alignment = fitting_alignment(header.colour, header.depth)
-        found = list(_shots(file, path, header, alignment or Alignment()))
+        fits = fitting_alignment(header.colour, header.depth) is not None
+        found = list(_shots(file, path, header))
     ignored = "the depth camera's intrinsics do not fit the colour camera's and are ignored"
-    return Capture(found, "z", () if alignment else (ignored,))
+    return Capture(found, "z", header.told if fits else (*header.told, ignored))
 
 
-def _shots(file: BinaryIO, path: Path, header: _Header, alignment: Alignment) -> Iterator[tuple[str, Shot | None]]:
+def _shots(file: BinaryIO, path: Path, header: _Header) -> Iterator[tuple[str, Shot | None]]:
     end = path.stat().st_size
     for number in range(header.frames):
         name = str(number)
@@ -139,7 +143,8 @@ def _shots(file: BinaryIO, path: Path, header: _Header, alignment: Alignment) ->
         colour, depth = _Block(path, start, colour_size), _Block(path, start + colour_size, depth_size)
         file.seek(start + colour_size + depth_size)
         pose = finite_pose(matrix, path)
-        depth_map = DepthMap(path, partial(_read_depth, depth, header), alignment)
+        measured = DepthMap(path, partial(_read_depth, depth, header))
+        depth_map = seen_by_colour(measured, header.depth, header.colour, header.beside) or measured
         picture = partial(_read_colour, colour)
         yield name, None if pose is None else Shot(name, header.colour.at(pose), path, depth_map, picture)
 
@@ -161,12 +166,15 @@ def _read_header(file: BinaryIO, path: Path) -> _Header:
         raise PlgsError("unknown-codec", "colour or depth is compressed in a way that is not known", path, fix)
     if not 0.0 < shift < 1e6 or max(depth_width, depth_height) > 2**14:
         raise PlgsError("bad-header", "the header makes no sense", path, _FIX)
+    beside, told = between_cameras(matrices[3], matrices[1])
     return _Header(
         colour=_lens(colour_width, colour_height, matrices[0], path),
         depth=_lens(depth_width, depth_height, matrices[2], path),
         depth_compression=int(depth_compression),
         unit=1.0 / shift,
         frames=int(frames),
+        beside=beside,
+        told=told,
     )
 
 

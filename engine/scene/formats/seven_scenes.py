@@ -3,7 +3,8 @@
 Frames lie in the folder or in its folders ``seq-01``, ... or ``data``. Poses are camera-to-world, 4x4, OpenCV axes,
 metres. Depth is a 16-bit PNG in millimetres; 0 and 65535 are none. The world stands as the first camera did.
 
-* With ``camera-intrinsics.txt`` there or in the folder above: 3x3, integer pixel centres, for colour and depth alike.
+* With ``camera-intrinsics.txt`` there or in the folder above: 3x3, integer pixel centres, for colour and depth alike;
+  or ``colorIntrinsics.txt`` and ``depthIntrinsics.txt`` (Intrinsic3D).
 * With ``info.txt`` (BundleFusion, 12-Scenes) there or in the folder above: ``m_calibrationColorIntrinsic`` and
   ``m_calibrationDepthIntrinsic``, 4x4, integer pixel centres, for pictures of the sizes that it says, and
   ``m_depthShift`` steps of depth per metre.
@@ -15,7 +16,6 @@ metres. Depth is a 16-bit PNG in millimetres; 0 and 65535 are none. The world st
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -27,7 +27,7 @@ from ...posed.frames import Camera
 from ...posed.image_header import read_image_header
 from ...posed.layout import natural_order, read_text, shown_files
 from ...posed.matrices import as_lens, read_intrinsics, read_poses
-from ..depth import fitting_alignment, png_depth, registered
+from ..depth import between_cameras, fitting_alignment, png_depth, registered, seen_by_colour
 from ..frame import Inferred
 from .capture import Capture, SceneFormat, Shot, with_picture
 from .lens import assumed, fitted
@@ -46,7 +46,6 @@ _DEPTH_TO_COLOUR = np.array(
 _DEPTH_F, _COLOUR_F = 585.0, 525.0
 _OWN_LENS = "camera-intrinsics.txt"
 _INFO_FIX = "Copy the file that the recorder wrote again, or correct it."
-_APART = "colour and depth stand apart in info.txt (Extrinsic), which is not corrected: depth may not fit colour"
 
 _Reader = Callable[[str, Path, NDArray[np.float64], Path], Shot]
 """Makes the shot of a name, the files that begin with a path, a pose, and a colour picture."""
@@ -73,25 +72,28 @@ def _folders(place: Path) -> list[Path]:
 
 def _read(place: Path) -> Capture:
     """Open the frames; only headers of images are read. Raises PlgsError."""
-    own, path = _find(place, _OWN_LENS), _find_info(place)
+    own, path = _find(place, _OWN_LENS, "colorIntrinsics.txt"), _find_info(place)
     if own is not None:
-        return _capture(place, partial(_one_lens_shot, own))
+        return _capture(place, partial(_own_lens_shot, own, _find(place, "depthIntrinsics.txt") or own))
     if path is None:
         return _capture(place, _kinects_shot, inferred=(assumed("a Kinect's", _kinect(_COLOUR_F), _OWN_LENS),))
     parts = (line.partition("=") for line in read_text(path, _MOST_INFO, _INFO_FIX).splitlines())
     info = {key.strip(): value.strip() for key, _, value in parts}
     colour, depth = _info_lens(info, "Color", path), _info_lens(info, "Depth", path)
-    alignment, unit = fitting_alignment(colour, depth), 1.0 / _info_numbers(info, "m_depthShift", path, 1)[0]
-    if alignment is None:
+    unit = 1.0 / _info_numbers(info, "m_depthShift", path, 1)[0]
+    keys = ("m_calibrationDepthExtrinsic", "m_calibrationColorExtrinsic")
+    extrinsics = [_info_numbers(info, key, path, 16).reshape(4, 4) if key in info else np.eye(4) for key in keys]
+    beside, told = between_cameras(*extrinsics)
+    if fitting_alignment(colour, depth) is None:
         fix = "Correct them; for depth that is registered to colour, write colour's lens and size for depth, too."
         raise PlgsError("lenses-differ", "the lenses of colour and depth are not of one sensor", path, fix)
 
     def shot(name: str, base: Path, pose: NDArray[np.float64], picture: Path) -> Shot:
         lens = fitted(colour, picture, f"Correct {path.name}.")
         measured = png_depth(_depth_file(base), lens, unit)
-        return Shot(name, lens.at(pose), picture, replace(measured, alignment=alignment))
+        return Shot(name, lens.at(pose), picture, seen_by_colour(measured, depth, lens, beside))
 
-    return _capture(place, shot, () if _is_one_camera(info, path) else (_APART,))
+    return _capture(place, shot, told)
 
 
 def _info_numbers(info: dict[str, str], key: str, path: Path, count: int) -> NDArray[np.float64]:
@@ -111,13 +113,6 @@ def _info_lens(info: dict[str, str], kind: str, path: Path) -> Camera:
     width, height = (round(_info_numbers(info, f"m_{kind.lower()}{side}", path, 1)[0]) for side in ("Width", "Height"))
     matrix = _info_numbers(info, f"m_calibration{kind}Intrinsic", path, 16).reshape(4, 4)
     return as_lens(matrix, (width, height), path)
-
-
-def _is_one_camera(info: dict[str, str], path: Path) -> bool:
-    """Whether colour and depth stand at one place and look the same way, within a millimetre."""
-    keys = [f"m_calibration{kind}Extrinsic" for kind in ("Color", "Depth")]
-    places = [_info_numbers(info, key, path, 16) if key in info else np.eye(4).ravel() for key in keys]
-    return bool(np.abs(places[0] - places[1]).max() < 1e-3)
 
 
 def _capture(
@@ -150,10 +145,16 @@ def _depth_file(base: Path) -> Path:
     return base.with_name(f"{base.name}.depth.png")
 
 
-def _one_lens_shot(intrinsics: Path, name: str, base: Path, pose: NDArray[np.float64], colour: Path) -> Shot:
-    """A frame whose colour and depth have the lens in a file. Raises PlgsError."""
-    lens = read_intrinsics(intrinsics, read_image_header(colour).size)
-    return Shot(name, lens.at(pose), colour, png_depth(_depth_file(base), lens))
+def _own_lens_shot(
+    colour: Path, depth: Path, name: str, base: Path, pose: NDArray[np.float64], picture: Path
+) -> Shot:
+    """A frame with the lenses in two files, which may be one. Raises PlgsError."""
+    lens = read_intrinsics(colour, read_image_header(picture).size)
+    measured = png_depth(_depth_file(base), lens)
+    if depth != colour and measured.fault is None:
+        depth_lens = read_intrinsics(depth, read_image_header(measured.path).size)
+        measured = seen_by_colour(measured, depth_lens, lens, np.eye(4)) or measured
+    return Shot(name, lens.at(pose), picture, measured)
 
 
 def _kinects_shot(name: str, base: Path, pose: NDArray[np.float64], colour: Path) -> Shot:

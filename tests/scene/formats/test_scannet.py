@@ -11,8 +11,28 @@ import numpy as np
 import pytest
 
 from engine.scene import Scene, open_scene
-from tests.scene.formats.room import Lens, check_on_room, look, opencv_pose, views, write_pair
+from tests.scene.formats.room import (
+    Lens,
+    View,
+    check_on_room,
+    in_steps,
+    look,
+    opencv_pose,
+    views,
+    write_grey,
+    write_pair,
+)
 from tests.scene.refusing import refuses
+
+BESIDE = np.eye(4)
+BESIDE[:3, 3] = 0.06, 0.01, -0.004
+"""From points of a depth camera to points of the colour camera."""
+
+
+def moved(view: View) -> View:
+    """The view of that depth camera."""
+    pose = opencv_pose(view) @ BESIDE
+    return View(pose[:3, 3], view.right, view.up, view.forward)
 
 
 @pytest.fixture
@@ -34,6 +54,20 @@ def test_folders_points_lie_on_the_room(scene: Scene) -> None:
     check_on_room(scene)
 
 
+def test_the_extrinsic_of_the_depth_camera_is_applied(scene: Scene) -> None:
+    for i, view in enumerate(views()):
+        write_grey(scene.folder / "depth" / f"0_{i:04d}.png", in_steps(look(moved(view), Lens()).depth, 1000))
+    path = scene.folder / "intrinsic" / "extrinsic_depth.txt"
+    off = np.concatenate([(frame.depth(None) - look(view, Lens()).depth).ravel() for frame, view in zip(
+        open_scene(scene.folder).frames, views(), strict=True)])  # fmt: skip
+    assert (np.abs(off) > 0.05).mean() > 0.1
+    np.savetxt(path, BESIDE)
+    check_on_room(open_scene(scene.folder), tolerance=0.06, share=0.97)
+    for wrong in (BESIDE * 1000, np.zeros((4, 4))):
+        np.savetxt(path, wrong)
+        assert any("extrinsics are ignored" in warning for warning in open_scene(scene.folder).warnings)
+
+
 COLOUR = Lens(108, 80, 97.0, 97.5, 54.3, 40.2)
 DEPTH = Lens(64, 48, 58.0, 58.4, 32.4, 24.1)
 
@@ -45,10 +79,10 @@ def four(lens: Lens) -> np.ndarray:
     return K
 
 
-def sens(compressed: bool = True, lost: int | None = None) -> bytes:
+def sens(compressed: bool = True, lost: int | None = None, beside: np.ndarray | None = None) -> bytes:
     name = b"StructureSensor"
     data = struct.pack("<I", 4) + struct.pack("<Q", len(name)) + name
-    for matrix in (four(COLOUR), np.eye(4), four(DEPTH), np.eye(4)):
+    for matrix in (four(COLOUR), np.eye(4), four(DEPTH), np.eye(4) if beside is None else beside):
         data += struct.pack("<16f", *matrix.ravel())
     data += struct.pack("<ii", 1, 1 if compressed else 0)
     data += struct.pack("<IIIIf", COLOUR.width, COLOUR.height, DEPTH.width, DEPTH.height, 1000.0)
@@ -57,7 +91,7 @@ def sens(compressed: bool = True, lost: int | None = None) -> bytes:
         if i == lost:
             data += struct.pack("<16f", *[-np.inf] * 16) + struct.pack("<QQQQ", 0, 0, 0, 0)
         colour = cv2.imencode(".png", look(view, COLOUR).colour[..., ::-1])[1].tobytes()
-        depth = np.round(look(view, DEPTH).depth * 1000).astype("<u2").tobytes()
+        depth = np.round(look(view if beside is None else moved(view), DEPTH).depth * 1000).astype("<u2").tobytes()
         depth = zlib.compress(depth) if compressed else depth
         data += struct.pack("<16f", *opencv_pose(view).ravel())
         data += struct.pack("<QQQQ", 33 * i, 33 * i, len(colour), len(depth)) + colour + depth
@@ -77,6 +111,13 @@ def test_sens_points_lie_on_the_room(tmp_path: Path, compressed: bool, place: st
     truth = [look(view, COLOUR).depth for view in views()]
     off = np.concatenate([(one - other)[one > 0] for one, other in zip(depth, truth, strict=True)])
     assert abs(np.median(off)) < 0.001 and np.median(np.abs(off)) < 0.008
+
+
+def test_a_depth_camera_beside_the_colour_camera(tmp_path: Path) -> None:
+    (tmp_path / "a.sens").write_bytes(sens(beside=BESIDE))
+    scene = open_scene(tmp_path)
+    assert scene.warnings == ()
+    check_on_room(scene, tolerance=0.06, share=0.97)
 
 
 def test_folders_that_were_exported_come_first(tmp_path: Path) -> None:

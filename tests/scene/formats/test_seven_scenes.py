@@ -158,6 +158,15 @@ def test_what_else_info_txt_may_be(tmp_path: Path) -> None:
     assert any("a Kinect's lens is assumed (525 525" in each for each in open_scene(tmp_path / "text").warnings)
 
 
+def test_intrinsic3ds_two_lenses(tmp_path: Path) -> None:
+    write_info(tmp_path, name="unused.txt")
+    for name, lens in (("color", COLOUR), ("depth", DEPTH)):
+        K = np.diag([lens.fx, lens.fy, 1.0, 1.0])
+        K[:2, 2] = lens.cx - 0.5, lens.cy - 0.5
+        np.savetxt(tmp_path / f"{name}Intrinsics.txt", K)
+    check_on_room(open_scene(tmp_path), tolerance=0.06, share=0.97, colour_step=60)
+
+
 def test_lost_frames_as_windows_wrote_them(tmp_path: Path) -> None:
     write_info(tmp_path)
     (tmp_path / "frame-000001.pose.txt").write_text("-1.#INF -1.#INF -1.#INF00 1.#INF\n" * 4)
