@@ -17,6 +17,7 @@ from ..posed.array_file import array_headers, read_array
 from ..posed.image_header import ImageHeader, check_image_bytes, check_image_file, read_image_header
 from ..posed.layout import LARGEST_PIXELS
 from .frame import Size
+from .values import checked_ids
 
 
 @dataclass(frozen=True)
@@ -182,7 +183,8 @@ def check_label_header(path: Path) -> Size:
 def read_label_map(path: Path) -> NDArray[np.int64]:
     """The ids as stored, int64 [H, W]; they may be negative in an array. Raises PlgsError."""
     if path.suffix.lower() == ".png":
-        return read_indices(path).astype(np.int64)
+        ids = read_indices(path).astype(np.int64)
+        return ids if label_header(path).palette else checked_ids(ids, path)
     label_map_size(path)
     return whole_numbers(read_array(path, _only_array(path)), path)
 
@@ -194,7 +196,7 @@ def whole_numbers(values: NDArray[np.generic], path: Path) -> NDArray[np.int64]:
         numbers = values.astype(np.int64)
     if numbers is None or int(np.abs(numbers).max(initial=0)) > _LARGEST_ID:
         raise PlgsError("not-ids", "these are not ids", path, f"Save whole numbers from 0 to {_LARGEST_ID}.")
-    return numbers
+    return checked_ids(numbers, path)
 
 
 def _only_array(path: Path) -> str:

@@ -73,7 +73,7 @@ def with_one_id_twice(data: bytes) -> bytes:
 # Sample, file, what becomes of it (other text; other values of its JSON; nothing), and what the line tells.
 BAD: list[tuple[str, str, Any, str]] = [
     ("colmap", "sparse/0/cameras.txt", "3 PINHOLE 128 96 1 2 3\n", "lens-model"),
-    ("colmap", "sparse/0/cameras.txt", "3 THIN_PRISM_FISHEYE 128 96" + " 100 100 64 48" * 3, "lens-model"),
+    ("colmap", "sparse/0/cameras.txt", "3 FOV 128 96 100 100 64 48 0.9", "lens-model"),
     ("colmap", "sparse/0/cameras.txt", "3 PINHOLE 128 96 -100 100 64 48", "bad-intrinsics"),
     ("colmap", "sparse/0/cameras.txt", "4 PINHOLE 128 96 100 100 64 48", "no-camera"),
     ("colmap", "sparse/0/cameras.txt", "3 PINHOLE 96 128 100 100 48 48", "other-size 128x96 96x128"),

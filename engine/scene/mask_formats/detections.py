@@ -1,6 +1,6 @@
 """A mask, a class and a score for each detection: one .npz, or one folder of PNGs, per frame.
 
-* ``<frame>.npz``: ``masks`` [N, H, W] (bool, bytes, or shares above 0.5), ``classes`` [N] (numbers or names) and
+* ``<frame>.npz``: ``masks`` [N, H, W] (see ``values.inside``), ``classes`` [N] (numbers or names) and
   ``scores`` [N]; detectron2's ``pred_masks``, ``pred_classes`` and Hugging Face's ``labels`` are read too. So are
   SAM 3's tracks, under the names of Hugging Face (``object_ids``, ``masks``) or of its own package (``out_obj_ids``,
   ``out_binary_masks``): a number is one object in all frames, ``classes`` may be left out, and
@@ -24,6 +24,7 @@ from ...posed.classes import LARGEST_CLASS_ID, ClassLabel
 from ...posed.layout import listed, natural_order, require_most, shown_files
 from ..files_of_frames import files_of_frames
 from ..pixels import label_header
+from ..values import inside
 from .source import (
     FoundMask,
     FoundSegment,
@@ -99,8 +100,7 @@ def _read_stack(path: Path, segments: Sequence[FoundSegment]) -> FoundMask:
     """The mask in an .npz, with ``segments`` in the order of its detections."""
     masks = read_array(path, _key(path, "masks"))
     masks = masks.reshape(-1, *masks.shape[-2:])
-    is_inside = [mask > 0.5 if mask.dtype.kind == "f" else mask != 0 for mask in masks]
-    return painted(is_inside, segments, (masks.shape[2], masks.shape[1]))
+    return painted([inside(mask, path) for mask in masks], segments, (masks.shape[2], masks.shape[1]))
 
 
 def _pile(paths: Sequence[Path], segments: Sequence[FoundSegment]) -> StoredMask:

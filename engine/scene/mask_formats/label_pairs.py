@@ -19,6 +19,7 @@ from ...posed.layout import shown_files, shown_size
 from ..class_tables import REDUCED, known_table
 from ..files_of_frames import files_of_both, files_of_frames
 from ..pixels import SUFFIXES, check_label_header, label_map_size, read_label_map
+from ..values import require_one_palette
 from .source import IGNORED, FoundMask, MaskFormat, MaskSource, StoredMask, segments_of_labels, segments_of_pairs
 
 PAIRS = (
@@ -68,6 +69,7 @@ def label_pairs(classes: Mapping[str, Path], instances: Mapping[str, Path]) -> d
             what = f"the instance image is not {shown_size(size)} like the classes"
             raise PlgsError("other-size", what, instance, "Make both the same size.")
         masks[name] = StoredMask(path, size, partial(_read_pair, path, instance))
+    require_one_palette([path for path in classes.values() if path.suffix.lower() == ".png"])
     return masks
 
 

@@ -1,8 +1,8 @@
 """SAM's masks: of SAM 2, tracks through all frames; of SAM 1's ``amg.py``, regions of one picture. Neither has
 classes; Grounded-SAM-2's tracks have.
 
-* SAM 2: ``<frame>.png`` with a palette, index = object, 0 = none; or ``<object>/<frame>.png``, anything but 0 is the
-  object, whose number may be 0. The numbers are the same in all frames: ``classes.toml`` may give each one a class.
+* SAM 2: ``<frame>.png`` with a palette, index = object, 0 = none; or ``<object>/<frame>.png``, a mask of the object,
+  whose number may be 0. The numbers are the same in all frames: ``classes.toml`` may give each one a class.
 * ``amg.py``: ``<frame>/<k>.png`` beside ``<frame>/metadata.csv``, which lists each k. A smaller region is on top.
 * Grounded-SAM-2: ``mask_data/mask_<frame>.npy`` (object numbers, 0 = none), ``json_data/mask_<frame>.json``. The
   JSON's ``labels`` give each object's ``instance_id``, ``class_name`` (a free text, as it was prompted), box and
@@ -25,6 +25,7 @@ from ...posed.layout import files_by_stem, listed, of_most, require_all, require
 from ..files_of_frames import files_of_frames, whole_file
 from ..formats.poses import read_rows
 from ..pixels import label_header, label_map_size, read_indices, read_label_map
+from ..values import by_colour, numbers_of_colours
 from .source import (
     FoundMask,
     FoundSegment,
@@ -37,6 +38,7 @@ from .source import (
 )
 
 _FIX = "Name the folder that SAM 2 wrote for the video: one PNG per frame, or one folder per object."
+_BY_COLOUR = "the masks have a palette each, so an object is known by its colour"
 _LIST = "metadata.csv"
 _LIST_FIX = "Name the folder that SAM's amg.py wrote: one folder per picture, whole, with its metadata.csv."
 _NO_LABEL = -1
@@ -69,10 +71,10 @@ def _read(place: Path, names: Sequence[str]) -> MaskSource:
     folders = _object_folders(place)
     if not folders:
         files = files_of_frames(place, names, {".png"}, "mask", _FIX)
-        masks = {
-            name: StoredMask(path, label_header(path).size, partial(_read_map, path)) for name, path in files.items()
-        }
-        return MaskSource(masks, tells_no_class=True)
+        sizes = {name: label_header(path).size for name, path in files.items()}
+        numbers = numbers_of_colours([*files.values()])
+        masks = {name: StoredMask(path, sizes[name], partial(_read_map, path, numbers)) for name, path in files.items()}
+        return MaskSource(masks, warnings=(_BY_COLOUR,) if numbers else (), tells_no_class=True)
     # Segments are numbered from 1, objects perhaps from 0.
     segments = {number: FoundSegment(n, number, track=number) for n, number in enumerate(folders, start=1)}
     found = {number: files_by_stem(folder, {".png"}, _FIX) for number, folder in folders.items()}
@@ -83,8 +85,9 @@ def _read(place: Path, names: Sequence[str]) -> MaskSource:
     return MaskSource(masks, tells_no_class=True, void=frozenset())
 
 
-def _read_map(path: Path) -> FoundMask:
-    return segments_of_objects(read_indices(path))
+def _read_map(path: Path, numbers: Mapping[bytes, int] | None) -> FoundMask:
+    ids = read_indices(path)
+    return segments_of_objects(ids if numbers is None else by_colour(ids, path, numbers))
 
 
 def _pile(segments: Sequence[FoundSegment], paths: Sequence[Path], fix: str) -> StoredMask:

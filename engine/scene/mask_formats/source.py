@@ -16,6 +16,7 @@ from ...posed.layout import shown, shown_size
 from ..class_tables import is_thing_by_name
 from ..frame import Size
 from ..pixels import read_indices
+from ..values import inside
 
 IGNORED = frozenset({0, 255, 65535})
 """Labels that mean nothing in most label images, unless their table has them."""
@@ -144,8 +145,8 @@ def painted(masks: Sequence[NDArray[np.bool_]], segments: Sequence[FoundSegment]
 
 
 def painted_files(paths: Sequence[Path], segments: Sequence[FoundSegment], size: Size, fix: str) -> FoundMask:
-    """``painted`` of black and white PNGs. Raises PlgsError, also for one that is not of ``size``."""
-    masks = [read_indices(path) > 0 for path in paths]
+    """``painted`` of PNGs of one object each. Raises PlgsError, also for one that is not of ``size``."""
+    masks = [inside(read_indices(path), path) for path in paths]
     for path, mask in zip(paths, masks, strict=True):
         if mask.shape != size[::-1]:
             raise PlgsError("other-size", f"this mask is not {shown_size(size)} like the others", path, fix)

@@ -1,0 +1,108 @@
+"""A look at the values of a picture before they become masks or ids: what programs do to them when they save again.
+
+A mask of one object may have soft edges, JPEG's noise, or a network's shares in place of two values. A picture of ids
+may have been resized with a filter, which makes ids of the neighbours' mean. Palettes may differ between the frames.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import PlgsError
+from ..gates import open_plain
+
+_MIXED = 0.12
+"""Share of the pixels at edges whose value lies between those of both neighbours. The sample's masks have up to 0.02,
+resized with a filter or saved as JPEG 0.19 to 0.5."""
+_LEAST_EDGES = 100
+_MOST_COLOURS = 4096
+_BLACK = b"\0\0\0"
+_PALETTE_FIX = "Save the ids themselves as grey values, or all frames with one palette."
+
+
+def are_mixed(values: NDArray[Any], every: int = 1) -> bool | None:
+    """Whether values [H, W] pass gradually into one another at edges, as no ids do; None where edges are too few to
+    tell. ``every`` so many rows and columns are looked at."""
+    edges = between = 0
+    for lines in (values[::every], values.T[::every]):
+        before, here, after = lines[:, :-2], lines[:, 1:-1], lines[:, 2:]
+        edges += int((before != after).sum())
+        between += int((((before < here) & (here < after)) | ((before > here) & (here > after))).sum())
+    return between > _MIXED * edges if edges >= _LEAST_EDGES else None
+
+
+def inside(values: NDArray[Any], path: Path) -> NDArray[np.bool_]:
+    """Where the one object of a mask [H, W] is, bool [H, W]: its other value than 0 where there are two, else the half
+    of the range: of shares, of a network's logits, of bytes or of 16 bits. Raises PlgsError for several ids."""
+    if values.dtype.kind == "b" or not values.size:
+        return values.astype(np.bool_)
+    least, most = values.min(), values.max()
+    if values.dtype.kind == "f" and (least < 0.0 or most <= 1.5):
+        return values > (0.0 if least < 0.0 else 0.5)
+    if bool(((values == 0) | (values == most)).all()):
+        return values != 0
+    half = 127 if most < 256 else 32767
+    if most <= half and are_mixed(values) is False:
+        what = f"this is not the mask of one object: it has values up to {most}"
+        raise PlgsError("not-one-object", what, path, "Save one object as 0 and 255, or all as a picture of ids.")
+    return values > half
+
+
+def checked_ids(ids: NDArray[np.int64], path: Path) -> NDArray[np.int64]:
+    """``ids`` [H, W]. Raises PlgsError where a filter has mixed them."""
+    if are_mixed(ids, every=4):
+        fix = "Resize ids with nearest neighbour, and save them as PNG."
+        raise PlgsError("mixed-ids", "ids are mixed at edges, as by a resize with a filter or by JPEG", path, fix)
+    return ids
+
+
+def numbers_of_colours(paths: Sequence[Path]) -> dict[bytes, int] | None:
+    """A number for each colour in the palettes of PNGs, 0 for black; None where all have one palette, or none. Raises
+    PlgsError where colours cannot serve as numbers."""
+    palettes = {path: palette for path in paths if (palette := palette_of(path))}
+    longest = max(palettes.values(), key=len, default=b"")
+    if len(palettes) in (0, len(paths)) and all(longest.startswith(each) for each in palettes.values()):
+        return None
+    colours = {each[i : i + 3] for each in palettes.values() for i in range(0, len(each), 3)}
+    if len(palettes) < len(paths) or _BLACK not in colours or len(colours) > _MOST_COLOURS:
+        raise _palettes_differ(paths[0])
+    return {colour: number for number, colour in enumerate(sorted(colours))}
+
+
+def require_one_palette(paths: Sequence[Path]) -> None:
+    """Raise PlgsError where an index means another colour in each file."""
+    if numbers_of_colours(paths) is not None:
+        raise _palettes_differ(paths[0])
+
+
+def by_colour(indices: NDArray[np.int32], path: Path, numbers: Mapping[bytes, int]) -> NDArray[np.int32]:
+    """The ``numbers`` of the colours that ``indices`` [H, W] have in a PNG's own palette."""
+    palette = palette_of(path)
+    table = [numbers[palette[i : i + 3]] for i in range(0, len(palette), 3)]
+    return np.array(table + [0] * (256 - len(table)), np.int32)[indices]
+
+
+def palette_of(path: Path) -> bytes:
+    """The colours of a PNG's palette, 3 bytes each; empty without one. Raises PlgsError."""
+    try:
+        with open_plain(path) as file:
+            file.seek(8)
+            while len(head := file.read(8)) == 8 and head[4:] not in (b"IDAT", b"IEND"):
+                length = int.from_bytes(head[:4], "big")
+                if head[4:] == b"PLTE" and length <= 768:
+                    return file.read(length)
+                file.seek(length + 4, 1)
+    except OSError as error:
+        what = f"the image cannot be read ({error.strerror})"
+        raise PlgsError("unreadable", what, path, "Check that it exists.") from error
+    return b""
+
+
+def _palettes_differ(path: Path) -> PlgsError:
+    what = "palettes differ between the masks, so an index means something else in each"
+    return PlgsError("palettes-differ", what, path, _PALETTE_FIX)
