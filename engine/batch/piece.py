@@ -25,6 +25,8 @@ TELL_S = 1.0
 """Seconds between two progress reports of a piece."""
 BUSY_S = 1.0
 """Seconds between two tries while another engine is at work, such as that of a worker that does not answer."""
+STALL_S = 300.0
+"""Seconds after which an engine is ended that neither reported anything nor used a processor, such as a stopped one."""
 _PLACE_CODES = (ErrorCode.DISK_FULL, ErrorCode.NO_ENGINE, ErrorCode.LACKS_PART, ErrorCode.NO_MEMORY)
 """Errors that concern the worker rather than the scene."""
 
@@ -71,6 +73,9 @@ class Ended(StrEnum):
     CANCELLED = "cancelled"
     KILLED = "killed"  # a signal ended the engine
     ELSEWHERE = "elsewhere"  # this worker cannot: it lacks the scene, its disk is full, or its engine is different
+
+
+_ENDS = {ErrorCode.KILLED: Ended.KILLED, **dict.fromkeys(_PLACE_CODES, Ended.ELSEWHERE)}
 
 
 @dataclass(frozen=True)
@@ -121,14 +126,13 @@ def do(piece: Piece, tell: Tell, threads: int = 0, worker: str = "", gigabytes: 
 
             frames += [frame.name for frame in scene_of_lift(LiftFolder.open(piece.lift)).frames]
     except PlgsError as error:
-        return outcome(Ended.ELSEWHERE if error.code in _PLACE_CODES else Ended.FAILED, error)
+        return outcome(_ENDS.get(error.code, Ended.FAILED), error)
     except OSError as error:
         what = f"cannot be used ({error.strerror})"
         where = error.filename or piece.lift
         return outcome(Ended.FAILED, PlgsError("piece-unusable", what, where, "Fix this, then start the batch again."))
     if follower is not None and follower.error is not None:
-        ends = {ErrorCode.KILLED: Ended.KILLED, **dict.fromkeys(_PLACE_CODES, Ended.ELSEWHERE)}
-        return outcome(ends.get(follower.error.code, Ended.FAILED), follower.error)
+        return outcome(_ENDS.get(follower.error.code, Ended.FAILED), follower.error)
     if follower is not None and follower.exit_code is not ExitCode.FINISHED:
         if follower.kill_at is None and not (piece.lift / "cancel").exists():
             what = "the engine was ended by a signal that asks programs to end"
@@ -172,10 +176,13 @@ def _followed(piece: Piece, tell: Tell, variables: Mapping[str, str]) -> TaskFol
         follower = _started(piece, variables)
         if follower is None:
             return None
+        pulse = _Pulse(follower)
         try:
             while follower.is_running:
-                follower.poll()
+                if follower.poll():
+                    pulse.beat()
                 if time.monotonic() - told > TELL_S:
+                    pulse.check(piece)
                     told = time.monotonic()
                     tell(follower.progress)
                 time.sleep(POLL_S)
@@ -185,6 +192,36 @@ def _followed(piece: Piece, tell: Tell, variables: Mapping[str, str]) -> TaskFol
         if follower.error is None or follower.error.code is not ErrorCode.BUSY:
             return follower
         time.sleep(BUSY_S)
+
+
+class _Pulse:
+    """Whether an engine still works. A stopped engine, or one that waits for a disk for ever, would hold up a batch."""
+
+    def __init__(self, follower: TaskFollower) -> None:
+        from psutil import Process  # late: distributed brings it, which only batches have
+
+        self._process = Process(follower.pid)
+        self._used = -1.0
+        self.beat()
+
+    def beat(self) -> None:
+        self._last = time.monotonic()
+
+    def check(self, piece: Piece) -> None:
+        """Raise PlgsError with the code KILLED after STALL_S seconds without a beat."""
+        from psutil import Error
+
+        try:
+            used = sum(self._process.cpu_times()[:2])
+        except Error:  # it has ended
+            return
+        if used - self._used > 0.01:
+            self._used = used
+            self.beat()
+        elif time.monotonic() - self._last > STALL_S:
+            what = f"the engine did nothing for {STALL_S / 60:.0f} minutes, so it was ended (stopped, or a silent disk?)"
+            fix = "Start the batch again: it resumes there."
+            raise PlgsError("engine-stalled", what, piece.lift, fix, code=ErrorCode.KILLED)
 
 
 def _started(piece: Piece, variables: Mapping[str, str]) -> TaskFollower | None:

@@ -28,6 +28,8 @@ _CANCELLED = (ExitCode.CANCELLED, ExitCode.INTERRUPTED, ExitCode.TERMINATED)
 class Engine(Protocol):
     """An engine that this process started, such as an `EngineProcess`."""
 
+    @property
+    def pid(self) -> int: ...
     def exit_code(self) -> int | None: ...
     def output_tail(self) -> str: ...
     def kill(self) -> None: ...
@@ -106,6 +108,11 @@ class TaskFollower:
     def is_own(self) -> bool:
         """Whether this process started the engine."""
         return self._process is not None
+
+    @property
+    def pid(self) -> int:
+        """The process id of the follower's own engine; 0 if another process started it."""
+        return 0 if self._process is None else self._process.pid
 
     @property
     def exit_code(self) -> ExitCode:

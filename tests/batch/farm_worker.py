@@ -60,6 +60,8 @@ def pretend(kind: str) -> None:
     started = piece._started
     piece._started = lambda each, variables: started(each, variables) if each.kind is piece.Kind.LIFT else None
     piece.engine_command = command
+    if kind == "impatient":
+        piece.STALL_S = 2.0
     if kind == "another-engine":
         cluster.engine_tag = lambda: "plgs-0.0.0-00000000"
     if kind == "full":
@@ -80,7 +82,7 @@ def schedule(port: int, ttl_s: float, options: tuple[str, ...]) -> None:
 
 
 def work(kind: str, address: str, *files: Path) -> None:
-    """A worker: usual, another-engine, unmounted or full. ``files``: the authority's certificate, and its own."""
+    """A worker: usual, impatient, another-engine, unmounted or full. ``files``: the authority's certificate, and its own."""
     _be_quiet()
     pretend(kind)
     cluster.run_worker(address, threads=1, patience_s=PATIENCE_S, tls=cluster.Tls(*files) if files else None)

@@ -86,6 +86,21 @@ def test_an_engine_that_is_killed_is_resumed_once(
     assert "signal" in rows_of(plan)["a"]["reason"] or state == "done"
 
 
+def test_an_engine_that_is_stopped_is_ended_and_resumed(tmp_path: Path, farm: Farm, address: str) -> None:
+    plan = plan_of(tmp_path, "a")
+    farm.workers(address, "impatient")
+    pause(plan.jobs[0])
+
+    def stop() -> None:
+        in_the_middle(plan.output / "a")
+        os.kill(int(str(hellos(plan.output / "a")[-1]["pid"])), signal.SIGSTOP)
+
+    stopping = meanwhile(stop)
+    assert run(plan, Place(scheduler=address)) is ExitCode.FINISHED
+    stopping.join()
+    assert [each["resumed"] for each in hellos(plan.output / "a")] == [False, True]
+
+
 def test_two_batches_in_one_folder(tmp_path: Path, farm: Farm, address: str) -> None:
     """One waits for the lifts of the other, and the table has the scenes of both."""
     plan = plan_of(tmp_path, "a", "b", "c")

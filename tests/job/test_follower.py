@@ -50,6 +50,8 @@ def test_cancel_stops_it_and_resume_continues_it(folder: LiftFolder, start: Star
 class DeafEngine:
     """An engine that runs until it is killed."""
 
+    pid = 0
+
     def __init__(self) -> None:
         self.killed = False
 
