@@ -67,6 +67,11 @@ def test_odd_surroundings_change_no_answer(odd: str, root: Path, tmp_path: Path,
     assert b"frames    2 for training" in out or odd == "no streams"
 
 
+def test_too_small_a_limit_of_memory_is_refused_before_anything_starts(root: Path, tmp_path: Path) -> None:
+    code, _, told = said_by(root, tmp_path, "lift", "nowhere", shell="ulimit -v 1000000")
+    assert code == 2 and told.startswith(b"error: the memory limit (ulimit -v) is 1.0 GB") and told.count(b"\n") == 1
+
+
 @pytest.mark.parametrize("odd", NAMES)
 def test_an_odd_name_is_read(odd: str, root: Path, tmp_path: Path) -> None:
     place = Path(os.fsdecode(os.fsencode(tmp_path) + b"/" + NAMES[odd]))
