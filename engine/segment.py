@@ -125,7 +125,7 @@ def load_model(name: str, *, download: bool) -> Mask2Former:
     if not download:  # the library reads this when it is imported
         os.environ["HF_HUB_OFFLINE"] = "1"
     try:
-        from huggingface_hub import snapshot_download
+        from huggingface_hub import HfApi, snapshot_download
         from safetensors import SafetensorError
         from transformers import Mask2FormerForUniversalSegmentation, Mask2FormerImageProcessorPil
         from transformers.utils import logging
@@ -138,6 +138,8 @@ def load_model(name: str, *, download: bool) -> Mask2Former:
     try:
         if not folder.is_dir():
             wanted = {"revision": revision or None, "allow_patterns": ["*.json", "*.safetensors"]}
+            if download:
+                _ask_hub(HfApi(), model, revision or None)
             folder = Path(snapshot_download(model, local_files_only=not download, **wanted))
         labels = _checked_labels(folder, name)
         processor = Mask2FormerImageProcessorPil.from_pretrained(folder, **place)
@@ -155,6 +157,8 @@ def load_model(name: str, *, download: bool) -> Mask2Former:
     return Mask2Former(name, labels, network.eval(), processor)
 
 
+_HUB_S = 15.0
+"""Seconds within which huggingface.co must answer."""
 _ANOTHER = "Name another one, or fetch it again."
 
 
@@ -175,6 +179,16 @@ def _checked_labels(folder: Path, name: str) -> tuple[ClassLabel, ...]:
         if path.is_symlink() and re.fullmatch("[0-9a-f]{64}", digest) and digest_of(path) != digest:
             raise PlgsError("model-broken", "the model is not as it is on the hub", path.resolve(), "Delete this file.")
     return labels_of_config(config)
+
+
+def _ask_hub(hub: Any, model: str, revision: str | None) -> None:
+    """Raise PlgsError if the hub does not answer or does not have the model: a download waits for a silent hub."""
+    try:
+        hub.model_info(model, revision=revision, timeout=_HUB_S)
+    except Exception as error:  # of httpx, or of whatever the hub's library uses in its place
+        fix = "Check the name and the connection, or name a folder that holds the model."
+        what = f"huggingface.co does not offer the model ({type(error).__name__})"
+        raise PlgsError("hub-silent", what, model, fix) from error
 
 
 def _refuse_other_names(name: str) -> None:

@@ -212,12 +212,13 @@ def segment(options: argparse.Namespace, events: EventWriter, stop: StopSignal) 
     if job.is_finished:
         events.answer(answer, f"These masks are finished already: {folder}")
         return
+    events.stage("load", 1, 2, "Loading the network")
     try:
         network = load_model(name, download=options.download)
     except PlgsError:
         job.discard_if_empty()
         raise
-    events.stage("segment", 1, 1, "Making masks")
+    events.stage("segment", 2, 2, "Making masks")
     progress = _progress("segment", events, stop)
     try:
         make_masks(scene, job, network, progress)

@@ -72,6 +72,15 @@ def test_nothing_is_downloaded_without_consent() -> None:
         load_model("nobody/no-such-model", download=False)
 
 
+def test_a_silent_hub_is_not_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    def model_info(_hub: object, name: str, *, revision: str | None, timeout: float) -> None:
+        raise TimeoutError(f"{name} at {revision} after {timeout} s")
+
+    monkeypatch.setattr("huggingface_hub.HfApi.model_info", model_info)
+    with raises_key("hub-silent nobody/no-such-model"):
+        load_model("nobody/no-such-model", download=True)
+
+
 @pytest.mark.parametrize(("name", "told"), [("nowhere", "no-model"), ("tests", "no-model")])
 def test_a_missing_model_is_a_one_line_error(name: str, told: str) -> None:
     with raises_key(told):
