@@ -219,7 +219,8 @@ class _Pulse:
             self._used = used
             self.beat()
         elif time.monotonic() - self._last > STALL_S:
-            what = f"the engine did nothing for {STALL_S / 60:.0f} minutes, so it was ended (stopped, or a silent disk?)"
+            minutes = STALL_S / 60
+            what = f"the engine did nothing for {minutes:.0f} minutes (stopped, or a silent disk?), so it was ended"
             fix = "Start the batch again: it resumes there."
             raise PlgsError("engine-stalled", what, piece.lift, fix, code=ErrorCode.KILLED)
 

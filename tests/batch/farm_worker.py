@@ -82,7 +82,7 @@ def schedule(port: int, ttl_s: float, options: tuple[str, ...]) -> None:
 
 
 def work(kind: str, address: str, *files: Path) -> None:
-    """A worker: usual, impatient, another-engine, unmounted or full. ``files``: the authority's certificate, and its own."""
+    """A worker of one of the kinds of `pretend`. ``files``: the authority's certificate, and its own."""
     _be_quiet()
     pretend(kind)
     cluster.run_worker(address, threads=1, patience_s=PATIENCE_S, tls=cluster.Tls(*files) if files else None)
