@@ -24,6 +24,7 @@ from ..job.request import (
     preset_or_file,
     readable,
 )
+from ..job.system import refuse_small_memory
 from ..job.task import TaskPlace
 from ..job.terminal import stdout_for_events
 from ..presets.preset import PRESETS
@@ -343,6 +344,7 @@ def _run(arguments: Sequence[str], parser: argparse.ArgumentParser) -> int:
     options = parser.parse_args(readable(arguments))
     options.echo = stdout_for_events(vars(options).get("progress", "text"))
     try:
+        refuse_small_memory()
         code: int = _run_task(options) if vars(options).get("is_task") else options.run(options)
     except PlgsError as error:
         print(f"error: {error}", file=sys.stderr)

@@ -14,11 +14,15 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from ..errors import ErrorCode, PlgsError
+
 WINDOWS = os.name == "nt"
 OPEN_FILES_KEEP_NAMES = WINDOWS
 """Whether an open file can be neither deleted nor renamed."""
 LOCKED_BYTE = 2**30
 """On Windows others cannot read a locked range, so the locked byte is beyond the size that any log reaches."""
+LEAST_MEMORY = 2_000_000_000
+"""Bytes of address space that the engine needs at least."""
 _NEW_GROUP, _NO_WINDOW = 0x200, 0x8000000
 """CREATE_NEW_PROCESS_GROUP and CREATE_NO_WINDOW, which `subprocess` has on Windows only."""
 
@@ -73,6 +77,19 @@ def kill_with_children(process: subprocess.Popen[bytes]) -> None:
     except (OSError, subprocess.TimeoutExpired):  # on a Windows without taskkill, at least the process itself ends
         pass
     process.kill()
+
+
+def refuse_small_memory() -> None:
+    """Raise PlgsError for a limit of the address space (ulimit -v) with which OpenBLAS and torch fail to start, or
+    start and never end."""
+    if WINDOWS:
+        return
+    resource: Any = importlib.import_module("resource")
+    limit = resource.getrlimit(resource.RLIMIT_AS)[0]
+    if 0 <= limit < LEAST_MEMORY:
+        what = f"the memory limit (ulimit -v) is {limit / 1e9:.1f} GB, too small for the engine"
+        fix = f"Raise it to at least {LEAST_MEMORY / 1e9:.0f} GB."
+        raise PlgsError("memory-limit", what, "", fix, code=ErrorCode.NO_MEMORY)
 
 
 def usable_cpus() -> int:
