@@ -37,7 +37,7 @@ EPOCHS = 2
 
 DECODE = ("decode, forward", "decode, backward")
 RASTERISE = ("rasterise, forward", "rasterise, backward")
-LOSSES = ("SSIM, L1, volume", "label losses", "depth loss", "losses, backward")
+LOSSES = ("SSIM, L1, volume", "label losses", "further losses", "losses, backward")
 OPTIMISE = ("growth statistics", "optimiser")
 
 

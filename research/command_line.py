@@ -23,6 +23,7 @@ from engine.job.request import (
     preset_or_file,
 )
 from engine.job.terminal import Interrupted, Interrupts
+from engine.presets.options import parsed_options, with_options
 from engine.presets.preset import PRESETS
 from engine.scene_source import UP_OPTIONS
 
@@ -65,6 +66,12 @@ def make_parser() -> argparse.ArgumentParser:
     weighing.add_argument("--preset", choices=PRESETS, default="preview", help="sizes as for lift (default: preview)")
     weighing.add_argument("--hold-back", action="store_true", help="let masks judge that are held back, too (slow)")
     weighing.set_defaults(run=run_evidence)
+    stages = known.add_parser("stages", help="where the paper's way loses panoptic quality, before and after training")
+    stages.add_argument("scene", metavar="SCENE[:up=AXIS]", help="a scene with the true labels of its training frames")
+    stages.add_argument("--preset", choices=PRESETS, default="paper", help="as for lift (default: paper)")
+    add_set_option(stages)
+    stages.add_argument("--lift", type=Path, metavar="LIFT", help="a lift of it, with passes of all frames")
+    stages.set_defaults(run=run_stages)
     correcting = known.add_parser("correct", help="correct a lift as its scene's ground truth says, and score it")
     correcting.add_argument("lift", type=Path, metavar="LIFT", help="the folder of a finished lift; it is corrected")
     correcting.set_defaults(run=run_correct)
@@ -131,6 +138,17 @@ def run_evidence(options: argparse.Namespace) -> int:
 
     scenes = scenes_from(options.scenes)
     for line in evidence_table(scenes, PRESETS[options.preset], options.masks, hold_back=options.hold_back):
+        print(line, flush=True)
+    return ExitCode.FINISHED
+
+
+def run_stages(options: argparse.Namespace) -> int:
+    """Print the table of stages. Raises PlgsError, OSError."""
+    from .experiments.experiment import scenes_from
+    from .stages import stages_table
+
+    preset = with_options(PRESETS[options.preset], parsed_options(options.set or ()))
+    for line in stages_table(scenes_from([options.scene])[0], preset, options.lift):
         print(line, flush=True)
     return ExitCode.FINISHED
 

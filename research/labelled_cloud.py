@@ -21,7 +21,7 @@ from scipy.ndimage import distance_transform_edt
 
 from engine.gates import markdown_cell
 from engine.job import EventWriter, StopSignal
-from engine.lift.objects import MATCHINGS, Matching, ViewsToMatch
+from engine.lift.objects import MATCHERS, Matching, ViewsToMatch
 from engine.lift.preparation import filled_views, semantic_cloud, used_classes
 from engine.metrics.panoptic import PanopticEvaluation
 from engine.presets.preset import EvidenceKind, Preset
@@ -123,7 +123,7 @@ def scene_scores(
 
             def matched(views: Sequence[View], way: Preset) -> Matching:
                 cloud = semantic_cloud(views, used_classes(views), way, events, progress)
-                return MATCHINGS[way.objects](ViewsToMatch(views, cloud, scene.classes, scratch=folder), way, progress)
+                return MATCHERS[way.objects](ViewsToMatch(views, cloud, scene.classes, scratch=folder), way, progress)
 
             for _, way in ways(preset):
                 found = score(scene, matched(views, way))

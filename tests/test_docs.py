@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
+import os
 import re
 import subprocess
 from collections.abc import Sequence
@@ -60,3 +63,23 @@ def test_the_script_lifts_a_scene_and_lists_its_objects(root: Path, tmp_path: Pa
     process = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=300)
     assert process.returncode == 0, process.stderr
     assert "8 frames" in process.stdout and "chair 1" in process.stdout and "0004 {" in process.stdout
+
+
+def test_the_scripts_of_a_researcher_lift_with_a_matcher_and_measure_objects(
+    root: Path, tmp_path: Path, quick_python: Path
+) -> None:
+    text = (root / "docs/scripting.md").read_text(encoding="utf-8")
+    matcher, statistics = re.findall(r"```python\n(\"\"\"(?:Lift with|Statistics).*?)```", text, re.DOTALL)[::-1]
+    write_tiny_scene(tmp_path / "scene", 8, (64, 48))
+    for name, script in (("matcher.py", matcher), ("statistics.py", statistics)):
+        (tmp_path / name).write_text(script)
+    for command in (["matcher.py", "scene", "lift", "3"], ["statistics.py", "lift", "table.csv"]):
+        process = subprocess.run(
+            [quick_python, *command], cwd=tmp_path, capture_output=True, text=True, timeout=300,
+            env={**os.environ, "PYTHONPATH": str(root)},
+        )  # fmt: skip
+        assert process.returncode == 0, process.stderr
+    manifest = json.loads((tmp_path / "lift/result/manifest.json").read_text())
+    digest = hashlib.sha256((tmp_path / "matcher.py").read_bytes()).hexdigest()[:8]
+    assert manifest["versions"]["matcher seen_twice"] == digest and manifest["settings"]["objects"] == "seen_twice"
+    assert "chair 1" in (tmp_path / "table.csv").read_text()

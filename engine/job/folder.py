@@ -103,6 +103,11 @@ class LiftFolder:
         return self.path / "log.txt"
 
     @property
+    def training_path(self) -> Path:
+        """training.csv: the losses of every step."""
+        return self.path / "training.csv"
+
+    @property
     def result_path(self) -> Path:
         return self.path / "result"
 
@@ -250,8 +255,8 @@ class LiftFolder:
         if self.checkpoints.exists or self._has_result():
             raise PlgsError("finished-work", "holds finished work", self.path, "Resume it, or delete it yourself.")
         (self.path / "request.json").unlink()  # first, as a folder without it is not a lift
-        for path in (self.cancel_path, self.preview_request_path, self.log_path, self.path / "scene.json"):
-            path.unlink(missing_ok=True)
+        for name in DISCARDED:
+            (self.path / name).unlink(missing_ok=True)
         for folder in (self.result_path, self.path / "bake"):
             if folder.is_dir():
                 shutil.rmtree(folder)
@@ -303,7 +308,8 @@ def _write_new(path: Path, text: str) -> None:
         part.unlink(missing_ok=True)
 
 
-FILES = ("request.json", "corrections.json", "scene.json", "events.jsonl", "cancel", "preview.json", "log.txt")
+DISCARDED = ("request.json", "scene.json", "preview.json", "training.csv", "cancel", "log.txt")
+FILES = (*DISCARDED, "corrections.json", "events.jsonl")
 FOLDERS = ("result", "bake", "checkpoint", "checkpoint.next", "checkpoint.old", "earlier", "exports")
 
 

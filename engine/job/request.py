@@ -44,7 +44,7 @@ _FIX = "Fix it, or delete the folder and lift again."
 
 @dataclass(frozen=True)
 class LiftRequest(SceneSource):
-    """One lift of a scene. Paths are absolute.
+    """One lift of a scene. Relative paths are taken from the working directory, and become absolute.
 
     ``options`` are the changed options of the preset, by name (see ``engine/presets``). ``fit`` uses fewer frames if
     memory is limited. ``device`` draws the Gaussians. ``names_from`` is the folder of an earlier lift whose objects
@@ -89,10 +89,9 @@ class LiftRequest(SceneSource):
         check_record(self, "Give another value.")
         for name in _PLACES:
             path = getattr(self, name)
-            if path is not None and not path.is_absolute():
-                raise PlgsError("relative", f"the path of '{name}' is not absolute", path, "Give the absolute path.")
             if path is not None:
                 refuse_unwritable_name(path)
+                object.__setattr__(self, name, path.absolute())
         changed = changed_options(PRESETS[self.preset], checked_options(self.options))
         object.__setattr__(self, "options", changed)
 
@@ -125,8 +124,11 @@ class LiftRequest(SceneSource):
             raise PlgsError("bad-relative", "'relative' is not an object of texts", path, _FIX)
         content |= {"fit": overrides.pop("fit", False), "options": overrides}
         for name in _PLACES:
-            if isinstance(content.get(name), str) and name in relative:
-                content[name] = _place(content[name], relative[name], path)
+            given = content.get(name)
+            if isinstance(given, str) and not Path(given).is_absolute():
+                raise PlgsError("relative", f"the path of '{name}' is not absolute", path, "Give the absolute path.")
+            if isinstance(given, str) and name in relative:
+                content[name] = _place(given, relative[name], path)
         try:
             return record_of(cls, content, path, _FIX)
         except PlgsError as error:

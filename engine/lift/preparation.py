@@ -16,7 +16,7 @@ from ..instances.records import SceneObject
 from ..instances.segments import restrict_to_things
 from ..job import EventWriter
 from ..model.anchors import initial_anchors, seeded_features
-from ..model.decoders import Decoders, DecoderShape
+from ..model.decoders import DECODERS, DecoderShape
 from ..model.structured import NO_OBJECT, SPARE, LabelChannels, StructuredScene
 from ..posed.layout import plural
 from ..presets.preset import Preset
@@ -30,7 +30,7 @@ from ..train.photos import exposure_gains, sharpness_weights
 from ..train.progress import StageProgress, StageReporter
 from ..train.targets import ViewTargets, view_targets
 from ..train.warm_start import warm_start
-from .objects import MATCHINGS, Matching, ViewsToMatch, labels_of, point_of_pixels
+from .objects import MATCHERS, Matching, ViewsToMatch, labels_of, point_of_pixels
 
 log = logging.getLogger("plgs.lift")
 
@@ -83,7 +83,7 @@ def find(
         cloud = semantic_cloud(placed, used_classes(views), preset, stages.events, progress)
     with stages.stage("match") as progress:
         given = ViewsToMatch(placed, cloud, classes, others, scratch)
-        matching = MATCHINGS[preset.objects](given, preset, progress)
+        matching = MATCHERS.chosen(preset.objects)(given, preset, progress)
         if matching.dropped:
             found = len(matching.instances) + matching.dropped
             stages.events.warning(
@@ -105,7 +105,11 @@ def semantic_cloud(
     if comparison.neighbours < preset.neighbours:
         events.warning("neighbouring views overlap too little to compare their labels: all labels are used")
     options = CloudOptions(
-        spacing=preset.voxel_size / 2, cap=preset.most_points, evidence=preset.evidence.points, majority=preset.majority
+        spacing=preset.voxel_size / 2,
+        cap=preset.most_points,
+        majority=preset.majority,
+        evidence=preset.evidence.points,
+        most_pixels=preset.most_pixels,
     )
     cloud = build_point_cloud(views, consistency_masks(views, comparison), class_ids, options, progress)
     spacing, got = options.spacing, f"the point cloud has one point every {100 * cloud.spacing:.1f} cm"
@@ -194,7 +198,7 @@ def starting_scene(
         distance_input=preset.distance_input,
         label_view_input=preset.label_view_input,
     )
-    scene = StructuredScene(anchors, Decoders(shape, seed), channels, preset.voxel_size)
+    scene = StructuredScene(anchors, DECODERS.chosen(preset.head)(shape, seed), channels, preset.voxel_size)
     if preset.warm_start:
         owners = start.owners if preset.objects != "none" else None
         warm_start(scene, start.rgb, owners, viewpoints, seed, progress)
@@ -234,7 +238,7 @@ def targets_of(
     if matching.label_maps is not None:
         masks = _voted_masks(matching)
     else:
-        masks = _projected_masks(placed, matching, classes, preset, scratch)
+        masks = projected_masks(placed, matching, classes, preset, scratch)
 
     with_objects = preset.objects != "none"  # without a matching there are no targets for objects
 
@@ -246,6 +250,7 @@ def targets_of(
             channels,
             projected_class=projected,
             matched_instance=matched if with_objects else None,
+            teach_no_object=preset.teach_no_object,
             weight=float(weights[number]),
             gain=None if gains is None else gains[number],
         )
@@ -279,9 +284,10 @@ def _voted_masks(matching: Matching) -> Callable[[int], Masks]:
     return decide
 
 
-def _projected_masks(
+def projected_masks(
     placed: Sequence[View], matching: Matching, classes: ClassTable, preset: Preset, scratch: Path | None
 ) -> Callable[[int], Masks]:
+    """The projected semantic mask and M_match of the view of a number."""
     cloud, reach = matching.cloud, 2 * preset.voxel_size
     classed = LabelledPoints(cloud.xyz, cloud.class_id)
     owned = LabelledPoints(cloud.xyz, matching.instance_of_point)

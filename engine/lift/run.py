@@ -6,9 +6,11 @@ Gaussians, write the result, bake the passes, evaluate.
 
 from __future__ import annotations
 
+import hashlib
 import logging
 import time
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import closing
 from dataclasses import asdict, replace
 from pathlib import Path
 from statistics import median
@@ -21,10 +23,12 @@ from safetensors.torch import save_file
 from ..errors import Cancelled, PlgsError
 from ..job import Checkpoint, EventWriter, LiftFolder, StopSignal, write_manifest
 from ..job.prediction import USUAL_MASKS, learn_slowness, machine_slowness
+from ..job.training_log import TrainingLog
 from ..json_file import Json
 from ..machine.code_digest import code_digest
 from ..machine.log_compilation import log_compilation
 from ..model.checking import read_tensors
+from ..model.decoders import DECODERS
 from ..model.detail import finest_pixels
 from ..model.structured import StructuredScene
 from ..presets.preset import Preset
@@ -46,13 +50,14 @@ from ..scene import (
 from ..scene_of_lift import masks_differ, masks_last_run, refuse_changed, remember_scene
 from ..train.progress import Course, StageProgress, StageReporter
 from ..train.state import OtherLabels, restore, trainer_state
-from ..train.trainer import Trainer
+from ..train.trainer import LOSSES, Trainer
 from .baking import FrameBaker, bake_and_evaluate, names_of_files, renamed_frames
 from .device import be_repeatable, refuse_missing_device
 from .frame_sets import FRAMES, FrameSets, check_disk, frames_to_bake, predicted_lift, sets_of_frames
 from .judging import read_held_back
 from .lasting_names import keep_names, read_earlier, refuse_names_of_no_objects, take_over_edits, write_names
 from .live_previews import LivePreviews
+from .objects import MATCHERS
 from .preparation import PreparedLift, prepare
 from .scene_files import instance_names, points_to_write, shown_instances, write_scene_files
 from .voting import read_voters, vote_labels
@@ -131,7 +136,8 @@ def run_lift(
     refuse_names_of_no_objects(request, preset)
     be_repeatable(request.device)
     checkpoint = folder.checkpoints.latest() if resume else None
-    code = code_of(code_digest(*sources), checkpoint, events)
+    parts = own_parts(preset)
+    code = code_of(_with_parts(code_digest(*sources), parts), checkpoint, events)
     with drawing_on(request.device):
         with stages.stage("check") as progress:
             frames, masks_changed = checked_frames(folder, preset, checkpoint, progress, events)
@@ -175,15 +181,29 @@ def run_lift(
         wanted = frames_to_bake(frames.all, request.bake)
         bake_and_evaluate(folder, frames.chosen, baker, wanted, views, held_back, events, stages)
     previews.clear_away()
-    finish(folder, preset, stages, code)
+    finish(folder, preset, stages, code, parts)
     remember_pace(paces, trainer)
 
 
-def finish(folder: LiftFolder, preset: Preset, stages: StageReporter, code: str) -> None:
-    """Write the manifest, with the digest of the ``code``, with which the lift is finished. Raises OSError."""
+def own_parts(preset: Preset) -> dict[str, str]:
+    """The digests of the sources of the matcher, losses and head that a script added and the preset names. Raises
+    PlgsError for a name that this process does not have."""
+    return {
+        **MATCHERS.sources([preset.objects]), **LOSSES.sources(preset.losses), **DECODERS.sources([preset.head])
+    }  # fmt: skip
+
+
+def _with_parts(code: str, parts: Mapping[str, str]) -> str:
+    """The digest of the code with its added parts."""
+    return hashlib.sha256(f"{code} {sorted(parts.items())}".encode()).hexdigest()[:8] if parts else code
+
+
+def finish(folder: LiftFolder, preset: Preset, stages: StageReporter, code: str, parts: Mapping[str, str]) -> None:
+    """Write the manifest, with the digests of the ``code`` and of its added ``parts``, with which the lift is finished.
+    Raises OSError."""
     write_manifest(
         folder.result_path,
-        versions=library_versions(code),
+        versions={**library_versions(code), **parts},
         seed=folder.request.seed,
         settings=asdict(preset),
         timings=stages.timings,
@@ -298,7 +318,7 @@ def train(
     fails, as half a step's changes would replace the last complete state.
     """
     steps, paces = trainer.preset.steps, []
-    with stages.stage("train") as progress:
+    with stages.stage("train") as progress, closing(TrainingLog(folder.training_path, trainer.step_number)) as losses:
         saved_at = time.monotonic()
         compiled = log_compilation("the kernels of a training step", "half a minute")
         done, left = trainer.step_number / steps, None
@@ -312,6 +332,7 @@ def train(
                 began = time.monotonic()
                 report = trainer.step(stages.stop.check)
                 paces.append(time.monotonic() - began)
+                losses.add({**report.numbers(), "seconds": paces[-1]})
                 compiled()
                 if len(paces) == 1 and stages.course is not None:
                     stages.course.leave_out(paces[0])

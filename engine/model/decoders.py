@@ -11,6 +11,7 @@ import torch
 from torch import nn
 from torch.nn import functional
 
+from ..presets.parts import Parts
 from .anchors import Anchors
 from .neural_gaussians import NeuralGaussians
 
@@ -69,7 +70,7 @@ def drawn_layer(inputs: int, outputs: int, generator: torch.Generator) -> nn.Lin
 class Decoders(nn.Module):
     """Opacity, covariance, colour, semantic and instance decoders.
 
-    These are the paper's. Other kinds (in ``research``) override methods, and are registered in ``DECODERS``.
+    These are the paper's. Other kinds override methods, and are registered by ``register_head`` under their ``kind``.
     """
 
     kind: ClassVar[str] = "structured"
@@ -171,5 +172,10 @@ class Decoders(nn.Module):
         return None
 
 
-DECODERS: dict[str, type[Decoders]] = {Decoders.kind: Decoders}
-"""The kinds of decoders that a model's file may name."""
+DECODERS: Parts[type[Decoders]] = Parts("head", {Decoders.kind: Decoders})
+"""The kinds of decoders that a preset (``head``) and a model's file may name."""
+
+
+def register_head(kind: type[Decoders]) -> None:
+    """Add a kind of decoders, by the name in its ``kind``. Who reads its lifts needs it, too."""
+    DECODERS.register(kind.kind, kind)

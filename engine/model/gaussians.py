@@ -96,6 +96,7 @@ def decode_rows(
     if own is not None:
         return own
     is_compiled = anchors.feature.dtype == torch.float32 and anchors.feature.device.type == "cpu"
+    is_compiled &= type(decoders) is Decoders  # the kernels know no others
     decode_with = decode_natively if is_compiled else decode_in_torch
     return decode_with(anchors, decoders, visible, centre, channels, known_labels)
 

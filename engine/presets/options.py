@@ -17,6 +17,7 @@ from typing import Any, Literal, get_args, get_origin, get_type_hints
 from ..errors import PlgsError
 from ..gates import read_plain
 from ..json_file import Json
+from .parts import added_names, is_name
 from .preset import PRESETS, Preset
 
 GONE = {"vote_rounds": "segments vote on Gaussians twice, and points once where masks are weak"}
@@ -29,11 +30,12 @@ _BOOLEANS = {"true": True, "yes": True, "on": True, "false": False, "no": False,
 @dataclass(frozen=True)
 class PresetOption:
     """One option. ``length``: the number of values in a list; ``least`` and ``most`` bound a number, or each one in a
-    list; ``choices``: the texts that are allowed."""
+    list; ``choices``: the texts that are allowed, and ``part`` the kind of parts whose names are, too (``parts``)."""
 
     name: str
-    kind: Literal["bool", "int", "float", "choice", "ints"]
+    kind: Literal["bool", "int", "float", "choice", "ints", "names"]
     choices: tuple[str, ...] = ()
+    part: str = ""
     length: int = 0
     least: float = 0
     most: float = math.inf
@@ -42,11 +44,18 @@ class PresetOption:
     @property
     def expected(self) -> str:
         """What a value must be, in words."""
-        text = _KINDS.get(self.kind, ", ".join(self.choices))
+        text = _KINDS.get(self.kind, ", ".join(self.allowed))
+        text = f"names of {text}" if self.kind == "names" else text
         if self.kind in ("int", "float", "ints"):
             text = f"{text} from {self.least:g}" + ("" if math.isinf(self.most) else f" to {self.most:g}")
         text = f"{self.length} {text}" if self.length else text
         return f"{text}, or none" if self.can_be_none else text
+
+
+    @property
+    def allowed(self) -> list[str]:
+        """The texts that this process allows."""
+        return [*self.choices, *added_names(self.part)]
 
 
 def preset_options() -> Mapping[str, PresetOption]:
@@ -70,6 +79,8 @@ def _options(kind: Any, group: str = "") -> Iterator[PresetOption]:
 
 
 def _option(name: str, kind: Any, declared: Field) -> PresetOption:
+    if "part" in declared.metadata:
+        return PresetOption(name, "choice" if kind is str else "names", **declared.metadata)
     if get_origin(kind) is Literal:
         return PresetOption(name, "choice", get_args(kind))
     if get_origin(kind) is tuple:
@@ -125,8 +136,10 @@ def parsed_options(texts: Iterable[str]) -> dict[str, Json]:
 
 
 def checked_options(options: Mapping[str, Json]) -> dict[str, Json]:
-    """Options as JSON values, in the order of the presets' fields. Raises PlgsError like ``parsed_options``."""
-    checked = {name: checked_value(known_option(name), value) for name, value in options.items()}
+    """Options as JSON values, in the order of the presets' fields. Raises PlgsError like ``parsed_options``, but not
+    for the name of a part that this process may not have: whoever reads a lift need not have the script that made it.
+    """
+    checked = {name: checked_value(known_option(name), value, anybodys=True) for name, value in options.items()}
     return {name: checked[name] for name in preset_options() if name in checked}
 
 
@@ -144,28 +157,34 @@ def known_option(name: str) -> PresetOption:
     raise PlgsError("no-option", what, "--set", f"{hint}'{LISTING} preview' lists them all.")
 
 
-def checked_value(option: PresetOption, value: Json) -> Json:
+def checked_value(option: PresetOption, value: Json, *, anybodys: bool = False) -> Json:
     """The value of a JSON value or a text, with floats where floats are wanted. Raises PlgsError for a value that the
-    option cannot have."""
+    option cannot have. ``anybodys``: a part may have any name."""
     found = _from_text(option, value) if isinstance(value, str) else value
     if found is None and option.can_be_none:
         return None
     checked: Json = None
     if option.kind == "bool" and isinstance(found, bool):
         checked = found
-    elif option.kind == "choice" and found in option.choices:
+    elif option.kind == "choice" and _is_name(option, found, anybodys):
         checked = found
+    elif option.kind == "names" and isinstance(found, list | tuple):
+        checked = list(found) if all(_is_name(option, each, anybodys) for each in found) else None
     elif option.kind in ("int", "float"):
         checked = _number(option, found)
     elif isinstance(found, list | tuple) and len(found) == option.length:
         numbers: list[Json] = [_number(option, each) for each in found]
         checked = None if None in numbers else numbers
     if checked is None:
-        near = difflib.get_close_matches(str(value), option.choices, 1, 0.4)
+        near = difflib.get_close_matches(str(value), option.allowed, 1, 0.4)
         fix = f"Did you mean {near[0]}? " if near else ""
         what = "is not a valid value"
         raise PlgsError("bad-value", what, f"{option.name} = {value!r}", f"{fix}Give {option.expected}.")
     return checked
+
+
+def _is_name(option: PresetOption, value: Json, anybodys: bool) -> bool:
+    return value in option.allowed or bool(option.part and anybodys and is_name(value))
 
 
 def _number(option: PresetOption, value: Json) -> float | int | None:
@@ -181,6 +200,8 @@ def _from_text(option: PresetOption, text: str) -> Json:
     """A text as the JSON value that it means. A text that means no value stays a text, which is refused later."""
     if option.kind == "choice":
         return text
+    if option.kind == "names":
+        return [part.strip() for part in text.split(",") if part.strip()] if text != "none" else []
     if text.lower() == "none":
         return None
     if option.kind == "bool":

@@ -17,6 +17,7 @@ SHORTEST_SIDE, LONGEST_SIDE = 16, 16384
 
 
 Number = TypeVar("Number")
+Names = TypeVar("Names", str, tuple[str, ...])
 
 
 def _ranged(default: Number, least: float = 0, most: float = math.inf) -> Number:
@@ -25,15 +26,37 @@ def _ranged(default: Number, least: float = 0, most: float = math.inf) -> Number
     return value
 
 
+def _named(kind: str, default: Names, *known: str) -> Names:
+    """A field with the name of one of the ``known`` parts of a ``kind``, or with several such names. Scripts can add
+    parts (``parts``)."""
+    value: Names = field(default=default, metadata={"part": kind, "choices": known})
+    return value
+
+
 @dataclass(frozen=True)
 class Matching:
     """Algorithm 1. ``tau_new``: a segment whose least cost is above it is a new instance. ``rule``: "hybrid" takes the
     Hungarian partner if its cost is at most tau, else the best global instance if its cost is, else a new one;
-    "literal" is the text of Algorithm 1. ``cost``: the terms of O; the paper's table of ablations has each alone."""
+    "literal" is the text of Algorithm 1. ``cost``: the terms of O; the paper's table of ablations has each alone.
+    ``merge``: afterwards, global instances of one class become one if at least one view, and this share of those that
+    judge both, show them in one mask. None: never, as in the paper: parts that were seen before the whole stay apart.
+    """
 
     tau_new: float = _ranged(-0.1, -2.0, 0.0)
     rule: Literal["hybrid", "literal"] = "hybrid"
     cost: Literal["IoU+IoM", "IoU", "IoM"] = "IoU+IoM"
+    merge: float | None = _ranged(None, 0.0, 1.0)
+
+
+@dataclass(frozen=True)
+class Segments:
+    """Before Algorithm 1, segments are eroded by ``erosion`` of the picture's width, and those with fewer than
+    ``least_points`` pixels with depth are left out: the paper says nothing of either. Regions of fewer than
+    ``least_region`` pixels keep the rendered classes as pseudo labels."""
+
+    erosion: float = _ranged(2 / 160, 0.0, 0.5)
+    least_points: int = _ranged(30, 1)
+    least_region: int = _ranged(16, 0)
 
 
 @dataclass(frozen=True)
@@ -131,22 +154,31 @@ class Preset:
     """Share of these views that must agree with a label that they see; 1 is the paper's product."""
     majority: float = _ranged(0.0, 0.0, 1.0)
     """Share of the votes that the class of a point of the cloud needs."""
-    objects: Literal["boxes", "agreement", "none"] = "agreement"
+    objects: str = _named("matcher", "agreement", "boxes", "agreement", "none")
     """How segments of all views become instances: Algorithm 1 by ``matching``, or our method, with a vote of the views
     on each object's class. With "none" nothing is matched in space."""
     most_instances: int = _ranged(1000, 1, 4000)
     """At most this many instances are kept, those with the most pixels."""
     one_class_an_object: bool = True
     """Every part of an instance is shown with the instance's class."""
+    teach_no_object: bool = True
+    """Pixels without an object are taught to show none; the paper supervises the pixels of things alone."""
     most_points: int = _ranged(200_000, 1)
     """The semantic point cloud has at most this many points."""
+    most_pixels: int | None = _ranged(16_000_000, 1)
+    """About this many pixels of all views become points, of every s-th row and column; None: all of them."""
     seeded_features: bool = True
     """Features start from the anchors' colours and labels, not from zero."""
     warm_start: bool = True
     """The decoders are fitted to the anchors before training (see ``warm_start``)."""
     matching: Matching = Matching()
+    segments: Segments = Segments()
     schedule: Schedule = Schedule()
     weights: LossWeights = LossWeights()
+    losses: tuple[str, ...] = _named("loss", ("depth",), "depth")
+    """Terms of the loss beside L_recon, L_sem and L_ins; that of "depth" has its weight in ``weights``."""
+    head: str = _named("head", "structured", "structured")
+    """The kind of decoders."""
     growth: Growth = Growth()
     steps_a_view: float = _ranged(5.0)
     """If there are many views, there are enough steps to see each of them this often."""
@@ -220,7 +252,9 @@ PRESETS: dict[str, Preset] = {
             majority=0.5,
             objects="boxes",
             one_class_an_object=False,
+            teach_no_object=False,
             most_points=2_000_000,
+            most_pixels=None,
             seeded_features=False,
             warm_start=False,
             schedule=Schedule(self_training_every=1 / 6),

@@ -140,10 +140,6 @@ def _warp_and_compare(
                 agree[j, i] += 1
 
 
-LEAST_AREA = 16
-"""Pixels that a region needs to decide on one class."""
-
-
 def regions(mask: PanopticMask) -> NDArray[np.int32]:
     """{R_m}: connected regions of equal class, over 4 neighbours. int32 [H, W], 0 = void, 1.. regions."""
     classes = mask.class_map()
@@ -156,11 +152,11 @@ def regions(mask: PanopticMask) -> NDArray[np.int32]:
     return result
 
 
-def pseudo_labels(mask: PanopticMask, rendered_class: NDArray[np.int32]) -> NDArray[np.int32]:
+def pseudo_labels(mask: PanopticMask, rendered_class: NDArray[np.int32], least_area: int) -> NDArray[np.int32]:
     """s_pse: each region takes the majority of the rendered classes in it; int32 [H, W], 0 = no supervision.
 
     ``rendered_class`` int32 [H, W]; 0 = nothing rendered, which does not vote. Ties go to the lower id. Regions of
-    fewer than LEAST_AREA pixels keep the rendered class pixel by pixel; void regions stay 0.
+    fewer than ``least_area`` pixels keep the rendered class pixel by pixel; void regions stay 0.
     """
     region = regions(mask)
     count = int(region.max(initial=0)) + 1
@@ -171,5 +167,5 @@ def pseudo_labels(mask: PanopticMask, rendered_class: NDArray[np.int32]) -> NDAr
     votes[:, ids == VOID] = 0
     winner = np.where(votes.any(1), ids[votes.argmax(1)], VOID).astype(np.int32)
     winner[0] = VOID
-    small = (area < LEAST_AREA)[region] & (region > 0)
+    small = (area < least_area)[region] & (region > 0)
     return np.where(small, rendered_class, winner[region]).astype(np.int32)

@@ -21,8 +21,6 @@ from .clustering import ENLARGED, ColumnedPoints, adapted_centres, lloyd_step, s
 
 LLOYD_STEPS = 1
 """Steps of K-means after the seeding."""
-MOST_PIXELS = 16_000_000
-"""At most about this many pixels of all views are used: every s-th row and column."""
 
 
 @dataclass(frozen=True)
@@ -30,12 +28,13 @@ class CloudOptions:
     """``spacing`` of the clusters in metres (half the anchors' voxel size does well) is enlarged until at most ``cap``
     clusters remain; in very large scenes, less where labels change (`adapted_centres`). A cluster whose winner has less
     than ``majority`` of the votes is unknown. ``evidence``: the votes that a view has on a cluster; the paper's
-    are its "pixels"."""
+    are its "pixels". ``most_pixels``: that many of all views are used, about: every s-th row and column."""
 
     spacing: float = 0.025
     cap: int = 200_000
     majority: float = 0.5
     evidence: EvidenceKind = "pixels"
+    most_pixels: int | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,7 +91,7 @@ def build_point_cloud(
     report = progress or (lambda done, total: None)
     total, done = (2 + LLOYD_STEPS) * len(views), 0
     columns = np.asarray(class_ids)
-    stride = _stride(views)
+    stride = _stride(views, options.most_pixels)
 
     def batches() -> Iterable[NDArray[np.float64]]:
         nonlocal done
@@ -125,11 +124,11 @@ def build_point_cloud(
     )
 
 
-def _stride(views: Sequence[View]) -> int:
+def _stride(views: Sequence[View], most_pixels: int | None) -> int:
     """The step in rows and columns between the pixels that are used."""
     pixels = sum(view.camera.width * view.camera.height for view in views)
     stride = 1
-    while pixels / stride**2 > MOST_PIXELS:
+    while most_pixels is not None and pixels / stride**2 > most_pixels:
         stride += 1
     return stride
 

@@ -82,14 +82,15 @@ def view_targets(
     *,
     projected_class: NDArray[np.int32],
     matched_instance: NDArray[np.int32] | None,
+    teach_no_object: bool = True,
     weight: float = 1.0,
     gain: NDArray[np.float64] | None = None,
 ) -> ViewTargets:
     """Targets of ``view`` from class ids and instance ids, int32 [H, W] each. Where there is a class, instance 0 means
-    no object; without instance ids nothing is known about objects."""
+    no object, which is a target if ``teach_no_object``; without instance ids nothing is known about objects."""
     matched = torch.full(projected_class.shape, -1, dtype=torch.int16)
     if matched_instance is not None:
-        matched = slots_of(matched_instance, projected_class != 0, channels)
+        matched = slots_of(matched_instance, (projected_class != 0) & teach_no_object, channels)
     things = {segment.id for segment in view.mask.segments if segment.is_thing}
     is_thing = np.isin(view.mask.ids, sorted(things))
     return ViewTargets(

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
@@ -16,7 +16,8 @@ from ..model.neural_gaussians import NeuralGaussians
 from ..model.render import render_view
 from ..model.scene_labels import scene_labels
 from ..model.structured import NO_OBJECT, StructuredScene
-from ..presets.preset import Preset
+from ..presets.parts import Parts
+from ..presets.preset import LossWeights, Preset
 from ..raster import Rendering
 from ..scene import View
 from .label_losses import assigned_slots, label_losses
@@ -90,7 +91,8 @@ class GrowthSchedule:
 
 @dataclass(frozen=True)
 class StepReport:
-    """The loss of one step, its parts, and the number of Gaussians drawn."""
+    """The loss of one step, its parts (labels have none in a step that does not train them), the number of Gaussians
+    drawn, and the ``further`` terms by name, as they are added to the loss."""
 
     step: int
     loss: float
@@ -98,15 +100,47 @@ class StepReport:
     semantic: float
     instance: float
     gaussians: int
+    further: Mapping[str, float] = field(default_factory=dict)
+
+    def numbers(self) -> dict[str, float]:
+        """All of it by name."""
+        return {**{name: value for name, value in vars(self).items() if name != "further"}, **self.further}
 
 
 class Losses(NamedTuple):
-    """``total`` is what a step minimises: the weighted sum of the others and of the depth loss."""
+    """``total`` is what a step minimises: the weighted sum of the others and of the ``further`` terms."""
 
     total: torch.Tensor
     reconstruction: torch.Tensor
     semantic: torch.Tensor
     instance: torch.Tensor
+    further: Mapping[str, torch.Tensor]
+
+
+class Step(NamedTuple):
+    """What a further loss is computed from: the Gaussians that the view's camera sees, what was drawn of them (labels
+    are None in a step that does not train them), the view's targets, and the weights of the preset."""
+
+    gaussians: NeuralGaussians
+    rendering: Rendering
+    target: ViewTargets
+    weights: LossWeights
+
+
+def weighted_depth_loss(step: Step) -> torch.Tensor:
+    """``depth_loss`` with its weight."""
+    drawn = step.rendering
+    return step.weights.depth * depth_loss(drawn.depth, drawn.alpha, step.target.depth)
+
+
+LOSSES: Parts[Callable[[Step], torch.Tensor]] = Parts("loss", {"depth": weighted_depth_loss})
+"""The terms of the loss that the preset's ``losses`` name."""
+
+
+def register_loss(name: str, loss: Callable[[Step], torch.Tensor]) -> None:
+    """Let presets name this function among their ``losses``, in lifts by this process. It returns a scalar with its
+    weight in it."""
+    LOSSES.register(name, loss)
 
 
 class Trainer:
@@ -126,6 +160,8 @@ class Trainer:
         self.pseudo: list[PseudoLabels | None] = [None] * len(targets)
         self.step_number = 0
         self.clock = StepClock()
+        named = (name for name in preset.losses if name != "depth" or preset.weights.depth)
+        self.further = {name: LOSSES.chosen(name) for name in named}
         schedule = self.growth_schedule
         self.growth_steps = max(round(schedule.grow_every * preset.steps), schedule.at_least_steps)
         self.pseudo_label_steps = pseudo_label_steps(preset.schedule.self_training_every, preset.steps)
@@ -188,6 +224,7 @@ class Trainer:
             losses.semantic.item(),
             losses.instance.item(),
             len(gaussians.opacities),
+            {name: value.item() for name, value in losses.further.items()},
         )
         self.clock.lap("the rest")
         return report
@@ -236,10 +273,12 @@ class Trainer:
         if columns is not None:
             semantic, instance = self._label_losses(gaussians, rendering, target, columns)
         total = reconstruction + weights.semantic * semantic + weights.instance * instance
-        if weights.depth:
-            total = total + weights.depth * depth_loss(rendering.depth, rendering.alpha, target.depth)
-            self.clock.lap("depth loss")
-        return Losses(total, reconstruction, semantic, instance)
+        given = Step(gaussians, rendering, target, weights)
+        further = {name: loss(given) for name, loss in self.further.items()}
+        for term in further.values():
+            total = total + term
+        self.clock.lap("further losses")
+        return Losses(total, reconstruction, semantic, instance, further)
 
     def _as_photographed(self, image: torch.Tensor, target: ViewTargets) -> torch.Tensor:
         """The rendered picture with the photo's exposure, and with its black border, which then has no gradient."""
@@ -333,9 +372,10 @@ class Trainer:
         """Self-training: make new pseudo labels for all views or, if ``check`` raises, for none."""
         shown, channels = scene_labels(self.scene), self.scene.channels
         fresh: list[PseudoLabels | None] = []
+        least = self.preset.segments.least_region
         for view in self.views:
             check()
-            fresh.append(rendered_labels(view.mask, render_view(self.scene, view.camera, shown), channels))
+            fresh.append(rendered_labels(view.mask, render_view(self.scene, view.camera, shown), channels, least))
         self.pseudo = fresh
 
 

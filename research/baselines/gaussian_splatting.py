@@ -17,7 +17,7 @@ from torch.nn import functional
 
 from engine.model.anchors import UNKNOWN_CLASS, Anchors, spacing
 from engine.model.checking import LARGEST_LEVEL
-from engine.model.decoders import DECODERS, Decoders, DecoderShape
+from engine.model.decoders import Decoders, DecoderShape, register_head
 from engine.model.growing import GrowthRound, GrowthStatistics
 from engine.model.neural_gaussians import NeuralGaussians
 from engine.model.torch_decoding import cluster_loss
@@ -115,7 +115,7 @@ class PlainDecoders(Decoders):
         )
 
 
-DECODERS[PlainDecoders.kind] = PlainDecoders
+register_head(PlainDecoders)
 
 
 def plain_gaussians(

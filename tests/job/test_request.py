@@ -63,7 +63,7 @@ def test_it_has_the_documented_form() -> None:
         ({"overrides": {"step": 3}}, "no-option step"),
         ({"overrides": [1]}, "bad-overrides"),
         ({"overrides": {"weights.dept": 0}}, "no-option weights.depth"),
-        ({"overrides": {"objects": "box"}}, "bad-value boxes"),
+        ({"overrides": {"objects": "two boxes"}}, "bad-value boxes"),
         ({"overrides": {"steps": "many"}}, "bad-value steps many"),
         ({"overrides": {"steps": 0}}, "bad-value steps"),
         ({"overrides": {"steps": True}}, "bad-value steps"),

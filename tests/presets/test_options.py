@@ -149,37 +149,6 @@ def test_a_presets_own_values_change_nothing(name: str) -> None:
     assert with_options(PRESETS[name], values) == PRESETS[name] and changed_options(PRESETS[name], values) == {}
 
 
-PAPERS_NUMBERS = {"steps": 30_000, "voxel_size": 0.02, "gaussians_per_anchor": 10, "instance_slots": 25}
-PAPERS_NUMBERS |= {"agreement": 1.0, "most_instances": 25}
-PAPERS_WAYS = {
-    "objects": "boxes",
-    "linear_assignment": True,
-    "one_class_an_object": False,
-    "seeded_features": False,
-    "warm_start": False,
-    "steps_a_view": 0,
-    "fill_holes": False,
-    "fit_exposure": False,
-    "weigh_sharpness": False,
-    "labels": "decoders",
-}
-
-
-@pytest.mark.parametrize(("field", "value"), (PAPERS_NUMBERS | PAPERS_WAYS).items())
-def test_the_preset_paper_follows_the_paper_to_the_letter(field: str, value: object) -> None:
-    assert getattr(PRESETS["paper"], field) == value
-
-
-def test_the_papers_schedule_and_losses() -> None:
-    """Section "Implementation Details"; growth is Scaffold-GS's, which judges by shares of the steps."""
-    paper, schedule, weights = PRESETS["paper"], Trainer.growth_schedule, PRESETS["paper"].weights
-    assert paper.schedule.self_training_every * paper.steps == pytest.approx(5000)
-    assert (schedule.grow_from * paper.steps, schedule.grow_until * paper.steps) == (1500, 15_000)
-    assert (weights.ssim, weights.volume, weights.semantic, weights.instance) == (0.2, 0.001, 0.2, 0.2)
-    assert weights.depth == 0 and paper.growth.least_visits is None
-    assert paper.distance_input and paper.label_view_input and paper.neighbours > 0
-
-
 def test_many_views_are_each_seen_often_enough() -> None:
     for preset in (PRESETS["preview"], PRESETS["standard"]):
         assert preset.for_views(3) == preset, "few views are seen often anyway"

@@ -6,7 +6,6 @@ import numpy as np
 
 from engine.scene import PanopticMask, Segment
 from engine.semantics.consistency import (
-    LEAST_AREA,
     ConsistencyOptions,
     consistency_masks,
     neighbour_indices,
@@ -90,7 +89,7 @@ def test_a_region_takes_the_majority_of_the_rendered_classes() -> None:
     rendered[0:4, 0:6] = SOFA
     rendered[0, 11] = 0
     # 24 sofa against 23 chair pixels in the joint region.
-    label = pseudo_labels(mask, rendered)
+    label = pseudo_labels(mask, rendered, 16)
     assert (label[0:4, 0:12] == SOFA).all() and (label[10:] == 0).all()
     assert (label[4:8, 12:16] == WALL).all()
 
@@ -98,12 +97,12 @@ def test_a_region_takes_the_majority_of_the_rendered_classes() -> None:
 def test_ties_go_to_the_lower_class_and_unrendered_regions_have_no_loss() -> None:
     mask = PanopticMask(np.full((4, 8), 1, np.int32), (Segment(1, WALL, False),))
     half = np.where(np.arange(8) < 4, SOFA, CHAIR) * np.ones((4, 1), np.int32)
-    assert (pseudo_labels(mask, half.astype(np.int32)) == CHAIR).all()
-    assert (pseudo_labels(mask, np.zeros((4, 8), np.int32)) == 0).all()
+    assert (pseudo_labels(mask, half.astype(np.int32), 16) == CHAIR).all()
+    assert (pseudo_labels(mask, np.zeros((4, 8), np.int32), 16) == 0).all()
 
 
 def test_small_regions_keep_what_is_rendered() -> None:
-    for width, is_small in ((LEAST_AREA - 1, True), (LEAST_AREA, False)):
+    for width, is_small in ((15, True), (16, False)):
         mask = PanopticMask(np.full((1, width), 1, np.int32), (Segment(1, WALL, False),))
         rendered = np.where(np.arange(width) > 4, 7, 3).astype(np.int32)[None]
-        np.testing.assert_array_equal(pseudo_labels(mask, rendered), rendered if is_small else 7)
+        np.testing.assert_array_equal(pseudo_labels(mask, rendered, 16), rendered if is_small else 7)

@@ -1,0 +1,68 @@
+"""Parts of the method that a preset chooses by name and a script can add: matchers, losses and heads.
+
+Functions and classes are registered where they belong (``engine/lift/objects.py``, ``engine/train/trainer.py``,
+``engine/model/decoders.py``). Here is what all of them share. Standard library only.
+"""
+
+from __future__ import annotations
+
+import difflib
+import hashlib
+import inspect
+import re
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import TypeVar
+
+from ..errors import PlgsError
+
+Part = TypeVar("Part", bound=Callable)
+_ADDED: dict[str, list[str]] = {}
+
+
+def added_names(kind: str) -> list[str]:
+    """The names of the parts of this kind ("matcher", "loss", "head") that this process has added."""
+    return _ADDED.get(kind, [])
+
+
+def is_name(value: object) -> bool:
+    """Whether a part can have this name."""
+    return isinstance(value, str) and re.fullmatch(r"\w+", value) is not None
+
+
+class Parts(dict[str, Part]):
+    """The parts of one ``kind`` by name."""
+
+    def __init__(self, kind: str, built_in: dict[str, Part]) -> None:
+        super().__init__(built_in)
+        self.kind, self._built_in = kind, tuple(built_in)
+
+    def register(self, name: str, part: Part) -> None:
+        """Add a part, or replace one that was added. Raises ValueError for the name of a built-in one, and for a name
+        of anything but letters, digits and underscores."""
+        if not is_name(name) or name in self._built_in:
+            raise ValueError(f"{name!r} cannot be the name of a {self.kind} of your own")
+        self[name] = part
+        _ADDED.setdefault(self.kind, []).append(name)
+
+    def chosen(self, name: str) -> Part:
+        """The part with this name. Raises PlgsError if this process has none."""
+        if name not in self:
+            near = difflib.get_close_matches(name, self, 1)
+            hint = f"Did you mean {near[0]}? " if near else ""
+            fix = f"{hint}Choose one of {', '.join(self)}, or lift with the script that registers it."
+            raise PlgsError("no-part", f"there is no {self.kind} {name!r} in this process", "--set", fix)
+        return self[name]
+
+    def sources(self, names: Iterable[str]) -> dict[str, str]:
+        """The digest of the file that holds each of these parts, for those that were added: eight hexadecimal digits,
+        or "unknown" for a part that comes from no file. Raises PlgsError for a name that this process does not have."""
+        own = {name: self.chosen(name) for name in names}
+        return {f"{self.kind} {name}": _digest(part) for name, part in own.items() if name not in self._built_in}
+
+
+def _digest(part: Callable) -> str:
+    try:
+        return hashlib.sha256(Path(inspect.getsourcefile(part) or "").read_bytes()).hexdigest()[:8]
+    except (OSError, TypeError):
+        return "unknown"

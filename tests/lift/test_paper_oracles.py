@@ -1,0 +1,187 @@
+"""The preset "paper" against plain computations that were written from the paper's text alone, section by section."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from scipy.ndimage import correlate1d
+
+from engine.instances.matching import update_instances
+from engine.instances.records import ObjectMask, OrientedBox, SceneObject, fit_box
+from engine.model.torch_decoding import cluster_loss
+from engine.presets.preset import PRESETS
+from engine.scene import PanopticMask, Segment
+from engine.semantics.consistency import ConsistencyOptions, consistency_masks, pseudo_labels
+from engine.semantics.point_cloud import CloudOptions, build_point_cloud, voxelise
+from engine.train.similarity import PhotoMoments
+from engine.train.trainer import reconstruction_loss
+from tests.semantics.plane_views import CHAIR, CLASS_IDS, SIZE, SOFA, WALL, wall_view
+from tests.train.tiny_lift import TinyTrainer, prepared_for, views_of
+
+PAPER = PRESETS["paper"]
+SEEDS = pytest.mark.parametrize("seed", range(4))
+ONE_PIXEL = 3.0 / 40.0
+"""Metres between two cameras of ``wall_view`` whose pictures of the wall are one pixel apart."""
+
+
+@SEEDS
+def test_a_pixel_is_consistent_if_all_its_neighbours_agree(seed: int) -> None:
+    """Section "Consistency-enhanced 2D Mask Generation": q is the product over all pixels that are warped there."""
+    random, width = np.random.default_rng(seed), SIZE[0]
+    labels = np.where(random.random((5, *SIZE[::-1])) < 0.1, SOFA, WALL)
+    views = [wall_view(str(n), ONE_PIXEL * n, classes=labels[n]) for n in range(5)]
+    q = np.ones(SIZE[::-1], bool)
+    for n, v, u in itertools.product((0, 1, 3, 4), range(SIZE[1]), range(width)):
+        warped = u + n - 2
+        if 0 <= warped < width and labels[n, v, u] != labels[2, v, warped]:
+            q[v, warped] = False
+    options = ConsistencyOptions(PAPER.neighbours, PAPER.agreement)
+    np.testing.assert_array_equal(list(consistency_masks(views, options))[2], q)
+
+
+@SEEDS
+def test_the_cloud_takes_every_pixel_and_each_cluster_the_majority(seed: int) -> None:
+    """Section "Robust Semantic Anchor Point Discovery", and the equation of V."""
+    random = np.random.default_rng(seed)
+    views = [
+        wall_view(str(n), 0.3 * n, 3 + random.random(SIZE[::-1]), random.choice([WALL, CHAIR, SOFA], SIZE[::-1]))
+        for n in range(2)
+    ]
+    options = CloudOptions(0.3, 10**6, 0.0, PAPER.evidence.points, PAPER.most_pixels)
+    cloud = build_point_cloud(views, [np.ones(SIZE[::-1], bool)] * 2, CLASS_IDS, options)
+    votes = np.zeros((len(cloud), 10))
+    for view in views:
+        for (v, u), d in np.ndenumerate(view.depth):
+            ray = np.array([(u + 0.5 - 20) / 40, (v + 0.5 - 15) / 40, 1.0])
+            world = view.camera.camera_to_world @ np.append(ray * d, 1.0)
+            nearest = ((cloud.xyz - world[:3]) ** 2).sum(1).argmin()
+            votes[nearest, view.mask.ids[v, u]] += 1
+    assert votes.sum() == cloud.votes.sum() == 2 * SIZE[0] * SIZE[1]
+    np.testing.assert_array_equal(cloud.class_id, votes.argmax(1))
+    anchors = {tuple(round(float(x) / 0.25) for x in point) for point in cloud.xyz}
+    np.testing.assert_allclose(voxelise(cloud.xyz, 0.25), 0.25 * np.array(sorted(anchors)), rtol=1e-6)
+
+
+def test_the_cluster_loss_is_the_mean_over_all_gaussians_of_all_anchors() -> None:
+    """Equation "Cluster Loss"."""
+    random = np.random.default_rng(0)
+    logits, labels = random.normal(size=(6, 10, 4)), random.integers(0, 4, 6)
+    total = 0.0
+    for anchor, k in np.ndindex(6, 10):
+        y = np.exp(logits[anchor, k]) / np.exp(logits[anchor, k]).sum()
+        total -= np.log(y[labels[anchor]])
+    loss = cluster_loss(torch.from_numpy(logits), torch.from_numpy(labels))
+    assert loss.item() == pytest.approx(total / (6 * 10))
+
+
+@SEEDS
+def test_each_connected_region_takes_the_class_that_is_rendered_most(seed: int) -> None:
+    """Section "Self-training with Consistency-enhanced Segments"."""
+    random = np.random.default_rng(seed)
+    classes = np.kron(random.choice([WALL, CHAIR, SOFA], (4, 6)), np.ones((5, 5), int)).astype(np.int32)
+    rendered = random.choice([WALL, CHAIR, SOFA], classes.shape).astype(np.int32)
+    expected, left = np.zeros_like(classes), {*np.ndindex(classes.shape)}
+    while left:
+        region, grown = [], [left.pop()]
+        while grown:
+            v, u = grown.pop()
+            region.append((v, u))
+            for near in ((v - 1, u), (v + 1, u), (v, u - 1), (v, u + 1)):
+                if near in left and classes[near] == classes[v, u]:
+                    left.remove(near)
+                    grown.append(near)
+        count = [sum(rendered[pixel] == x for pixel in region) for x in range(10)]
+        for pixel in region:
+            expected[pixel] = int(np.argmax(count))
+    mask = PanopticMask(classes, tuple(Segment(x, x, x != WALL) for x in (WALL, CHAIR, SOFA)))
+    np.testing.assert_array_equal(pseudo_labels(mask, rendered, PAPER.segments.least_region), expected)
+
+
+def cost(local: OrientedBox, known: OrientedBox) -> float:
+    low = np.maximum(local.centre - local.size / 2, known.centre - known.size / 2)
+    high = np.minimum(local.centre + local.size / 2, known.centre + known.size / 2)
+    inter, one, two = np.prod(np.maximum(high - low, 0)), np.prod(local.size), np.prod(known.size)
+    return float(-inter / (one + two) - inter / min(one, two))
+
+
+def one_box(random: np.random.Generator, number: int) -> SceneObject:
+    points = random.uniform(0, 2, 3) + np.array([*np.ndindex(2, 2, 2)]) * random.uniform(0.3, 1.5, 3)
+    low, high = points.min(0), points.max(0)
+    mask = ObjectMask(str(number), Segment(number, CHAIR, True), 50)
+    return SceneObject(number, (mask,), CHAIR, points, OrientedBox((low + high) / 2, high - low, 0.0))
+
+
+def test_a_view_updates_the_global_set_as_algorithm_1_says() -> None:
+    """Algorithm 1 and its costs, where the Hungarian partner of each segment fits; the text is not clear elsewhere."""
+    random, told, joined = np.random.default_rng(0), PAPER.matching, 0
+    for _ in range(300):
+        known = [one_box(random, n) for n in range(1, 5)]
+        local = [one_box(random, n) for n in range(11, 11 + int(random.integers(1, 4)))]
+        table = [[cost(one.box, g.box) for g in known] for one in local]
+        best = min(itertools.permutations(range(4), len(local)), key=lambda p: sum(map(lambda r, g: r[g], table, p)))
+        target = [None if min(row) > told.tau_new else g for row, g in zip(table, best, strict=True)]
+        if any(g is not None and table[n][g] > told.tau_new for n, g in enumerate(target)):
+            continue
+        joined += sum(g is not None for g in target)
+        found = update_instances(known, local, 1e-6, told)
+        assert len(found) == 4 + target.count(None)
+        for g in range(4):
+            own = [known[g], *(one for one, chosen in zip(local, target, strict=True) if chosen == g)]
+            assert {mask.frame for mask in found[g].masks} == {mask.frame for one in own for mask in one.masks}
+            together = np.concatenate([one.points for one in own])
+            assert len(found[g].points) == len(together)
+            if len(own) > 1:
+                assert found[g].box.volume == pytest.approx(fit_box(together, 1e-6).volume, rel=1e-4)
+    assert joined > 100
+
+
+def test_only_pixels_of_things_have_an_instance_to_learn(tmp_path: Path) -> None:
+    """Section "Consistent Instance Mask Generation", its end: M_match is of things, by projection."""
+    views, classes = views_of(tmp_path)
+    paper = replace(PAPER, voxel_size=0.1)
+    prepared = prepared_for(views, classes, paper, tmp_path)
+    cloud, owner, channels = prepared.cloud, prepared.instance_of_point, prepared.scene.channels
+    labelled, owned = np.flatnonzero(cloud.class_id), np.flatnonzero(owner)
+    view, target, taught = views[2], prepared.targets[2], 0
+    world = view.camera.unproject(view.depth)
+    for v, u in itertools.product(range(0, len(world), 3), range(0, len(world[0]), 3)):
+        distance = np.linalg.norm(cloud.xyz - world[v, u], axis=1)
+        shown, instance = labelled[distance[labelled].argmin()], owned[distance[owned].argmin()]
+        slot = -1
+        if cloud.class_id[shown] in classes.thing_ids and distance[instance] <= 2 * paper.voxel_size:
+            slot = channels.slot_ids.index(owner[instance])
+        assert target.slot[v, u] == slot
+        taught += slot >= 0
+    assert taught > 20
+
+    trainer = TinyTrainer(prepared.scene, prepared.targets, views, replace(paper, steps=12), 0)
+    for _ in range(3):
+        step = trainer.step()
+        parts = step.reconstruction + 0.2 * step.semantic + 0.2 * step.instance
+        assert step.semantic > 0 and step.instance > 0 and step.loss == pytest.approx(parts, rel=1e-5)
+
+
+def test_the_reconstruction_loss_is_l1_ssim_and_volume() -> None:
+    """Section "Loss Functions", with SSIM of Gaussian windows of 11 pixels."""
+    random, window = np.random.default_rng(0), np.exp(-0.5 * (np.arange(-5, 6) / 1.5) ** 2)
+
+    def blurred(x: np.ndarray) -> np.ndarray:
+        for axis in (0, 1):
+            x = correlate1d(x, window / window.sum(), axis, mode="constant")
+        return x
+
+    x, y = random.random((2, 24, 32, 3))
+    mx, my = blurred(x), blurred(y)
+    sx, sy, sxy = blurred(x * x) - mx**2, blurred(y * y) - my**2, blurred(x * y) - mx * my
+    ssim = (2 * mx * my + 0.01**2) * (2 * sxy + 0.03**2) / ((mx**2 + my**2 + 0.01**2) * (sx + sy + 0.03**2))
+    scales = random.random((7, 3))
+    expected = abs(x - y).mean() + 0.2 * (1 - ssim.mean()) + 0.001 * sum(a * b * c for a, b, c in scales)
+    given = [torch.from_numpy(each).float() for each in (x, y, scales)]
+    weights = {"ssim_weight": PAPER.weights.ssim, "volume_weight": PAPER.weights.volume}
+    loss = reconstruction_loss(given[0], PhotoMoments.of(given[1]), given[2], photo_weight=1.0, **weights)
+    assert loss.item() == pytest.approx(expected, rel=1e-4)
