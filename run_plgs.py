@@ -119,10 +119,11 @@ def parse(arguments: Sequence[str]) -> argparse.Namespace:
     shot.add_argument("--blend", type=Path, metavar="FILE.blend", help="has the camera (default: the lift's own)")
     shot.add_argument("--camera", default="", metavar="NAME", help="the camera (default: the file's active one)")
     shot.add_argument(
-        "--shot", default="", metavar="NAME", help="the name of its files (default: the .blend's and the camera's)"
+        "--shot", default="", metavar="NAME",
+        help="its files' name, also with {shot}, {camera}, {version:03d} (default: the .blend's and the camera's)",
     )
     shot.add_argument(
-        "--replace", action="store_true", help="replace a shot of this name that comes from another file or camera"
+        "--replace", action="store_true", help="replace a shot of this name that has another file or camera"
     )
     shot.add_argument(
         "--range", dest="camera_frames", type=frame_range, default=[], metavar="FRAMES",

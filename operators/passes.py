@@ -88,7 +88,7 @@ class PLGS_OT_bake_camera(BakesFinishedLift, bpy.types.Operator):
     replace: BoolProperty(  # type: ignore[valid-type]
         name="Replace",
         options={"SKIP_SAVE"},
-        description="Replace a shot of this name that comes from another file or camera",
+        description="Replace a shot of this name whose file or camera is another one, or has changed",
     )
 
     _shot: ShotReader | None = None

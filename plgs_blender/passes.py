@@ -34,6 +34,10 @@ from .pass_nodes import CRYPTO_CLASSES, CRYPTO_INSTANCES, PASSES, build, has_nod
 from .results import LiftResult
 
 SHOT = "shot:"
+NOTES = ".plgs"
+"""The hidden folder beside the frames that has what is noted of shots, their cameras and locks."""
+VERSION = re.compile(r"[._-]?v(\d{1,6})(?=$|[._-])", re.IGNORECASE)
+"""The version in a file's name, as in "shot_v012.blend"."""
 """Start of the key of a scene whose passes were baked from a camera of the user's."""
 _LAST_NUMBER = re.compile(r"(?s)(.*?)(\d+)(\D*)")
 _BEFORE_0 = re.compile(r"(?s)(.*)\.-\d+")
@@ -288,13 +292,35 @@ def passes_scene_of(scene: bpy.types.Scene) -> bpy.types.Scene | None:
     return None
 
 
-def shot_name(camera: bpy.types.Object, given: str = "") -> str:
+def shot_name(camera: bpy.types.Object, given: str = "", later: int = 0) -> str:
     """What the views of a camera are called, without their numbers: as ``given``, else after the .blend, if it has a
     name, and the camera. Each of the two is short enough for a file's name.
+
+    ``given`` may have the fields of Python's format strings: {shot} (the .blend's name without its version), {camera},
+    {version} (the .blend's, "_v012" or 1, and ``later``), and at the end ".{frame:04d}", which all names have. Raises
+    PlgsError for others.
     """
+    if "{" in given or "}" in given:
+        given = _filled(given, camera, later)
     words = [given] if given else [bpy.path.display_name_from_filepath(bpy.data.filepath), camera.name]
     most = _LONGEST_NAME // len(words)
     return safe_name("_".join(safe_name(word)[:most].rstrip(". ") for word in words if word))
+
+
+_FRAME = re.compile(r"[._]\{frame(:0?\d*d)?\}$")
+
+
+def _filled(template: str, camera: bpy.types.Object, later: int) -> str:
+    blend = bpy.path.display_name_from_filepath(bpy.data.filepath)
+    version = VERSION.search(blend)
+    number = int(version[1]) if version else 1
+    fields = {"shot": VERSION.sub("", blend) or "untitled", "camera": camera.name, "version": number + later}
+    try:
+        return _FRAME.sub("", template).format_map(fields)
+    except (KeyError, ValueError, IndexError, AttributeError, TypeError) as error:
+        fix = "Use {shot}, {camera}, {version:03d}, and {frame:04d} only at its end, after a dot."
+        what = f"the shot's name cannot be filled in ({error})"
+        raise PlgsError("bad-template", what, template, fix, option="--shot") from error
 
 
 def show_view(scene: bpy.types.Scene, name: str) -> None:

@@ -180,7 +180,7 @@ class PLGS_PG_settings(LiftOptions, bpy.types.PropertyGroup):
         name="Shot", description="The name of the files of a camera's passes; empty: the .blend's and the camera's"
     )
     replace_shot: BoolProperty(  # type: ignore[valid-type]
-        name="Replace", description="Replace a shot of this name that comes from another file or camera"
+        name="Replace", description="Replace a shot of this name whose file or camera is another one, or has changed"
     )
     place_when_done: BoolProperty(  # type: ignore[valid-type]
         name="Show When Done", default=True, description="Put the result into this scene as soon as it is finished"

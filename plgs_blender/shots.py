@@ -5,6 +5,7 @@ The lift's world is Blender's: a camera sees the lifted scene from its place amo
 
 from __future__ import annotations
 
+import dataclasses
 import difflib
 import json
 import math
@@ -13,7 +14,7 @@ import time
 import zlib
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import bpy
@@ -31,12 +32,14 @@ from ..engine.posed import Camera
 from ..engine.records import read_record, record_text
 from .cameras import seen_by
 from .lift_scene import open_blend
-from .passes import shot_name
+from .passes import NOTES, VERSION, shot_name
 
 DIGITS = 4
 """Digits of a frame's number in the names of its files, at least."""
 _CLAIM_S = 10.0
 """Seconds that a bake waits while another one notes whose shot it is."""
+_MOST_LATER = 100
+"""Versions of a shot that are tried until one is free or shows the same."""
 _LISTED = 8
 """At most this many cameras are named in an error: a lift has one for each frame."""
 
@@ -55,7 +58,11 @@ class Shot:
 
     @property
     def name(self) -> str:
-        return shot_name(self.camera, self.given)
+        return self.named(0)
+
+    def named(self, later: int) -> str:
+        """The shot's name, ``later`` versions after that of its .blend if the name given has a version."""
+        return shot_name(self.camera, self.given, later)
 
     @property
     def frames(self) -> Sequence[int]:
@@ -128,26 +135,45 @@ def write_shot(
 
 @dataclass(frozen=True)
 class ShotSource:
-    """Where a shot of a lift comes from: its ``camera`` in ``blend``. A file that was never saved is its Blender's."""
+    """Where a shot of a lift comes from: its ``camera`` in ``blend``, and the fingerprint of what the camera shows by
+    the name of each ``frames``. A file that was never saved is its Blender's."""
 
     blend: str
     camera: str
+    frames: dict[str, str] = field(default_factory=dict)
+
+    @property
+    def origin(self) -> tuple[str, str]:
+        """The file, without the version in its name, and the camera."""
+        return VERSION.sub("", self.blend), self.camera
 
 
 def _claim(folder: Path, name: str, source: ShotSource, *, replace: bool) -> None:
-    """Note in a folder whose shot ``name`` is. Raises PlgsError if it is another's that is not replaced."""
+    """Note in a folder whose shot ``name`` is and what its camera shows. Raises PlgsError if the shot is another's or
+    its camera showed something else, and nothing is to be replaced: a bake would overwrite it."""
     path = folder / f"{name}.shot.json"
     path.parent.mkdir(parents=True, exist_ok=True)
     with FileLock(path.with_suffix(".lock"), _CLAIM_S):  # others may begin to bake the same shot
         if path.exists():
             other = read_record(ShotSource, path, "Delete it, if no other file bakes a shot of this name.")
+            if not replace:
+                _refuse_other(folder, name, other, source)
+            source = dataclasses.replace(source, frames=other.frames | source.frames)
             if other == source:
                 return
-            if not replace:
-                what = f"has a shot {name!r} of another file already: camera {other.camera!r} in {other.blend}"
-                fix = "Give this shot another name, or ask to replace the other one."
-                raise PlgsError("shot-taken", what, folder, fix, option="--shot")
         write_atomically(path, record_text(source))
+
+
+def _refuse_other(folder: Path, name: str, other: ShotSource, source: ShotSource) -> None:
+    if other.origin != source.origin:
+        what = f"has a shot {name!r} of another file already: camera {other.camera!r} in {other.blend}"
+        fix = "Give this shot another name, or ask to replace the other one."
+        raise PlgsError("shot-taken", what, folder, fix, option="--shot")
+    changed = [frame for frame, seen in source.frames.items() if other.frames.get(frame, seen) != seen]
+    if changed:
+        what = f"has the shot {name!r} with another camera or size: {len(changed)} frames differ, such as {changed[0]}"
+        fix = "Give it the name of the next version (with {version} that happens by itself), or ask to replace it."
+        raise PlgsError("shot-changed", what, folder, fix, option="--shot")
 
 
 def write_view(lift: Path, scene: bpy.types.Scene) -> Path:
@@ -179,14 +205,15 @@ class ShotReader:
     def __init__(self, scene: bpy.types.Scene, shot: Shot) -> None:
         self._scene, self._camera, self._frames = scene.name, shot.camera.name, shot.frames
         self._read: list[BakeCamera] = []
+        self._names = [shot.named(later) for later in range(_MOST_LATER if "{version" in shot.given else 1)]
+        self._shot = self._names[0]
         self._first, self._last = min(*shot.frames, scene.frame_start), max(*shot.frames, scene.frame_end)
         self._digits = max(DIGITS, *(len(str(abs(frame))) for frame in (self._first, self._last)))
-        self._shot = shot.name
         self._source = ShotSource(bpy.data.filepath or bpy.app.tempdir, shot.camera.name)
         which = f"{shot.first}-{shot.last}x{shot.step}"
         if shot.only:  # two lists of frames may be baked at once
             which = f"{shot.only[0]}-{shot.only[-1]}.{zlib.crc32(repr(shot.only).encode()):08x}"
-        self._file = f"{shot.name}.{which}.json"
+        self._which = which
         self._stands_still: bool | None = None
 
     @property
@@ -199,8 +226,9 @@ class ShotReader:
         """The cameras that were read. A camera that stands still, also before and after, over the scene's whole range,
         is one camera under the name of the first frame there: so all parts of a shot name it alike.
         """
-        still = [replace(self._read[0], name=self._name(self._first), frame=self._first)]
-        return still if self._stands_still else self._read
+        still = [replace(self._read[0], frame=self._first)]
+        read = still if self._stands_still else self._read
+        return [replace(camera, name=self._name(camera.frame or 0)) for camera in read]
 
     def read_for(self, seconds: float) -> bool:
         """Continue reading for at least a frame and about ``seconds``. Returns whether all frames are read. Raises
@@ -213,7 +241,7 @@ class ShotReader:
             raise PlgsError("camera-gone", "is gone", f"{self._scene}: {self._camera}", "Bake it again.")
         with _frame_kept(scene):
             for frame in self._frames[len(self._read) :]:
-                self._read.append(_camera_at(scene, ob, frame, self._name(frame)))
+                self._read.append(_camera_at(scene, ob, frame, ""))
                 if time.monotonic() >= end:
                     break
             is_done = len(self._read) == len(self._frames)
@@ -235,10 +263,20 @@ class ShotReader:
         source = self._source
         if Path(source.blend).parent == lift:  # so that the lift's own file stays its own where the folder is moved
             source = ShotSource(Path(source.blend).name, source.camera)
-        folder = output or lift / "bake"
-        _claim(folder, self._shot, source, replace=replace)
-        file = folder / self._file
-        write_cameras(file, self.cameras)
+        folder = lift / "bake" if output is None else output / NOTES
+        for name in self._names:
+            self._shot = name
+            cameras = self.cameras
+            shown = {numbered_name("", camera.frame or 0, 1)[1:]: camera.fingerprint for camera in cameras}
+            try:
+                _claim(folder, name, dataclasses.replace(source, frames=shown), replace=replace)
+            except PlgsError as error:
+                if error.key != "shot-changed" or name == self._names[-1]:
+                    raise
+                continue
+            break
+        file = folder / f"{name}.{self._which}.json"
+        write_cameras(file, cameras)
         return file
 
 

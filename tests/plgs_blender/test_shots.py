@@ -235,6 +235,40 @@ def test_shots_of_two_files_do_not_replace_each_other(scene: bpy.types.Scene, tm
             write_shot(lift, bpy.context.scene, shot_of(bpy.context.scene, given="pan"), output=output)
 
 
+@pytest.mark.parametrize("change", ["camera", "lens", "size"])
+def test_a_changed_camera_is_another_version_or_is_refused(
+    change: str, scene: bpy.types.Scene, tmp_path: Path
+) -> None:
+    lift = tmp_path / "lift"
+    lift.mkdir()
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "night_v003.blend"))
+    by_version, fixed = "{shot}_{camera}_v{version:03d}.{frame:04d}", "night"
+    for given in (by_version, fixed):
+        write_shot(lift, scene, shot_of(scene, last=3, given=given))
+        write_shot(lift, scene, shot_of(scene, first=2, given=given))  # more of the same
+    for fcurve_owner in (scene.camera, scene.camera.data) if change != "size" else ():
+        fcurve_owner.animation_data_clear()
+    {
+        "camera": lambda: setattr(scene.camera, "location", (2.0, -2.0, 4.0)),
+        "lens": lambda: setattr(scene.camera.data, "lens", 80.0),
+        "size": lambda: setattr(scene.render, "resolution_percentage", 25),
+    }[change]()
+    with raises_key("shot-changed night"):
+        write_shot(lift, scene, shot_of(scene, given=fixed))
+    names = [write_shot(lift, scene, shot_of(scene, given=by_version)).name for _ in range(2)]
+    assert names == ["night_dolly_v004.1-4x1.json"] * 2  # the second one is the same again
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "night_v004.blend"))  # the same shot of a later file
+    assert write_shot(lift, scene, shot_of(scene, given=by_version)).name == names[0]
+    assert write_shot(lift, scene, shot_of(scene, given=fixed), replace=True).name == "night.1-4x1.json"
+    write_shot(lift, scene, shot_of(scene, given=fixed))
+
+
+@pytest.mark.parametrize("template", ["{layer}", "{shot", "{shot.a}", "{version:q}", "{frame:04d}_{shot}", "{}", "}"])
+def test_an_unknown_field_of_a_name_is_refused(template: str, scene: bpy.types.Scene) -> None:
+    with raises_key("bad-template {version:03d}"):
+        ShotReader(scene, shot_of(scene, given=template))
+
+
 def test_a_lifts_own_file_keeps_its_shots_where_the_lift_is_moved(scene: bpy.types.Scene, tmp_path: Path) -> None:
     for place in ("here", "there"):
         (tmp_path / place / "bake").mkdir(parents=True)
