@@ -48,6 +48,8 @@ WAIT_S = 0.2
 """Seconds between two checks of the views that other processes are baking."""
 CAMERA_NOTE = "plgs/camera"
 """Attribute in the header of a view that does not belong to a frame: the fingerprint of its camera."""
+LIFT_NOTE = "plgs/lift"
+"""The attribute of the header that has the name of the lift's folder."""
 MODEL_NOTE = "plgs/model"
 """Attribute in the header of a view in a folder of its own: the SHA-256 of the lift's model, and of its objects."""
 MOST_LOOKS, LOOK_WITHIN = 8, (96, 96)
@@ -232,7 +234,7 @@ class _OwnFolder:
 
     def __init__(self, folder: LiftFolder, options: BakeOptions) -> None:
         assert options.output is not None
-        self._output, self._layers = options.output, options.layers
+        self._output, self._layers, self._lift = options.output, options.layers, folder.path.name
         if self._output.resolve().is_relative_to(folder.result_path.resolve()):
             raise PlgsError("inside", "is within the lift's result", self._output, "Name another folder.", option="-o")
         files = {str(file.path): file for file in read_manifest(folder.result_path).files}
@@ -253,7 +255,7 @@ class _OwnFolder:
     def write(self, view: WantedView, rendered: BakedView, baker: FrameBaker, events: EventWriter) -> None:
         """Write a view. Raises OSError."""
         self._output.mkdir(parents=True, exist_ok=True)
-        notes = {**_notes_of(view), **self._model, **baker.notes}
+        notes = {**_notes_of(view), **self._model, **baker.notes, LIFT_NOTE: self._lift}
         write_exr(self._path_of(view), rendered, notes, self._layers, view.shown)
 
     def keep(self) -> None:

@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from .. import __version__
 from ..errors import PlgsError
 from ..gates import refuse_special
 from ..job import FURTHER_LAYERS, write_atomically
@@ -47,6 +48,8 @@ class ShownFrame:
     display: tuple[int, int, int, int] | None = None
 
 
+REC_709 = (0.64, 0.33, 0.30, 0.60, 0.15, 0.06, 0.3127, 0.3290)
+"""Red, green, blue and white of the colours, which are linear, in CIE x and y."""
 NOTHING_SHOWN = ShownFrame()
 
 
@@ -60,6 +63,14 @@ def frame_header(camera: Camera, shown: ShownFrame, name: str) -> dict[str, Any]
         "dataWindow": _box(-left, -top, *camera.size),
         "displayWindow": _box(0, 0, width, height),
         "pixelAspectRatio": 1.0 if abs(aspect - 1.0) < _SQUARE else aspect,
+        # The picture on a plane at distance 1, y up.
+        "screenWindowWidth": width / camera.fx,
+        "screenWindowCenter": np.array(
+            [(left + width / 2 - camera.cx) / camera.fx, (camera.cy - top - height / 2) / camera.fy], np.float32
+        ),
+        "chromaticities": REC_709,
+        "colorInteropID": "lin_rec709_scene",
+        "software": f"PLGS {__version__}",
         "worldToCamera": _in_rows(np.diag([1.0, -1.0, 1.0, 1.0]) @ camera.world_to_camera),
         "worldToNDC": _in_rows(_to_ndc(camera, left, top, width, height) @ camera.world_to_camera),
     }

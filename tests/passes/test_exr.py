@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from engine import __version__
 from engine.job import FURTHER_LAYERS
 from engine.passes.baked_view import BakedView, ShownInstances, bake_view
 from engine.passes.exr import ShownFrame, further_layers, read_exr, write_exr
@@ -116,6 +117,12 @@ def test_the_header_tells_frame_and_camera(name: str, shown: ShownFrame, told: d
     pixels = np.stack(np.meshgrid(np.arange(8), np.arange(6)), -1).reshape(-1, 2) + 0.5
     expected = (pixels - [left, top]) / [width, height]
     np.testing.assert_allclose(ndc[:, :2] / ndc[:, 3:], expected, atol=1e-5)
+    size = np.array([width / camera.fx, height / camera.fy])
+    assert header["screenWindowWidth"] == pytest.approx(size[0])
+    on_plane = (camera.world_to_camera @ np.append(points[0], 1.0))[:2] / 2.0 * [1, -1]
+    corner = header["screenWindowCenter"] + size / 2 * [-1, 1]
+    per_pixel = size / [width, height]
+    np.testing.assert_allclose(on_plane, corner + per_pixel * ([0.5 - left, top - 0.5]), atol=1e-6)
     assert [corner.tolist() for corner in header["displayWindow"]] == [[0, 0], [width - 1, height - 1]]
     assert [corner.tolist() for corner in header["dataWindow"]] == [[-left, -top], [7 - left, 5 - top]]
     if shown.display is None:
@@ -133,6 +140,9 @@ def test_openimageio_reads_the_same(tmp_path: Path) -> None:
         written = {name: channel.pixels.copy() for name, channel in file.channels().items()}
         header = dict(file.header())
     assert spec.channelnames[:4] == ("R", "G", "B", "A") and set(spec.channelnames) == set(written)
+    assert spec.getattribute("Software") == f"PLGS {__version__}" and spec.getattribute("screenWindowWidth") > 0
+    assert np.allclose(spec.getattribute("chromaticities"), (0.64, 0.33, 0.3, 0.6, 0.15, 0.06, 0.3127, 0.329))
+    assert spec.getattribute("colorInteropID") == "lin_rec709_scene"
     assert spec.getattribute("PixelAspectRatio") == 1.0 and len(spec.getattribute("worldToCamera")) == 16
     for column, name in enumerate(spec.channelnames):
         assert np.array_equal(pixels[..., column], written[name]), name
