@@ -7,6 +7,7 @@ format's frames pass here when a scene is opened, so that readers need no limits
 from __future__ import annotations
 
 import re
+import unicodedata
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from pathlib import Path, PureWindowsPath
 from typing import TypeVar
@@ -40,6 +41,11 @@ def read_text(path: Path, most_bytes: int, fix: str) -> str:
         raise PlgsError("not-text", "this is not a text file", path, fix) from error
 
 
+def composed(name: str) -> str:
+    """A name with composed letters (NFC): macOS writes ü as u and two dots, other systems as one letter."""
+    return unicodedata.normalize("NFC", name)
+
+
 def natural_order(name: str) -> tuple[tuple[int, int, str], ...]:
     """A sorting key by which frame 9 comes before frame 10."""
     parts = re.findall(r"\d+|\D+", name)
@@ -59,8 +65,8 @@ def shown_files(folder: Path, pattern: str = "*") -> Iterator[Path]:
 
 
 def files_by_stem(folder: Path, suffixes: Collection[str], fix: str) -> dict[str, Path]:
-    """Files of ``folder`` with one of ``suffixes`` (lower case, with the dot), by stem, in natural order. Raises
-    PlgsError, with ``fix`` as the advice, when there is no such folder or file, or when a stem occurs twice."""
+    """Files of ``folder`` with one of ``suffixes`` (lower case, with the dot), by ``composed`` stem, in natural order.
+    Raises PlgsError, with ``fix`` as the advice, when there is no such folder or file, or when a stem occurs twice."""
     if not folder.is_dir():
         raise PlgsError("no-folder", "a folder is missing", folder, fix)
     try:
@@ -77,9 +83,10 @@ def files_by_stem(folder: Path, suffixes: Collection[str], fix: str) -> dict[str
             raise PlgsError("dead-link", what, path, "Give the file it should lead to, or remove the link.")
         if not path.is_file():
             continue
-        if path.stem in found:
-            raise PlgsError("two-files", f"there is {found[path.stem].name} as well", path, "Keep one of the two.")
-        found[path.stem] = path
+        stem = composed(path.stem)
+        if stem in found:
+            raise PlgsError("two-files", f"there is {found[stem].name} as well", path, "Keep one of the two.")
+        found[stem] = path
     if not found:
         raise PlgsError("no-files", f"the folder has no {' or '.join(sorted(suffixes))} files", folder, fix)
     return found
@@ -125,7 +132,13 @@ def file_inside(folder: Path, name: str, path: Path) -> Path:
     if parts.anchor or ".." in parts.parts or "\0" in name or not parts.parts:
         what = f'the file name "{shown(name)}" leaves the folder {folder.name}'
         raise PlgsError("leaves-folder", what, path, "Use plain names of files in that folder.")
-    return folder.joinpath(*parts.parts)
+    found = folder
+    for part in parts.parts:
+        here = found / part
+        if not part.isascii() and not here.exists() and found.is_dir():
+            here = next((each for each in found.iterdir() if composed(each.name) == composed(part)), here)
+        found = here
+    return found
 
 
 def plural(number: int, one: str, many: str = "") -> str:

@@ -18,7 +18,7 @@ from ..scene_source import SceneSource
 from .classes import ClassTable
 from .frames import Camera, PosedFrame, PosedScene, Size
 from .image_header import read_image_header
-from .layout import check_camera, files_by_stem, listed, of_most, plural, require_most, same_shape, shown_size
+from .layout import check_camera, composed, files_by_stem, listed, of_most, plural, require_most, same_shape, shown_size
 from .matrices import read_intrinsics, read_poses, turned, upright_turn
 
 NOTHING_MEASURED = "no frame is held out: nothing is measured on unseen views"
@@ -70,7 +70,7 @@ def read_split(path: Path, names: Sequence[str], dropped: Sequence[str]) -> Spli
         for name in listed_names:
             if not isinstance(name, str):
                 raise wrong_type(key, "a list of frame names", name, "the file", path)
-        parts[key] = {*listed_names}
+        parts[key] = {composed(name) for name in listed_names}
         if len(parts[key]) < len(listed_names):
             twice = sorted({name for name in listed_names if listed_names.count(name) > 1})
             raise PlgsError("twice", f'"{key}" names frames twice ({listed(twice)})', path, "Name each frame once.")

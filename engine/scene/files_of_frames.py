@@ -1,4 +1,8 @@
-"""Which file belongs to which frame, where a folder of a capture or of masks has one file per frame."""
+"""Which file belongs to which frame, where a folder of a capture or of masks has one file per frame.
+
+What a folder holds is told by its files, never by its name: its own pictures, or those of a rig's cameras in a folder
+for each, or black and white pictures that say which pixels count.
+"""
 
 from __future__ import annotations
 
@@ -7,13 +11,22 @@ from collections.abc import Collection, Mapping, Sequence
 from functools import cache
 from hashlib import file_digest, sha256
 from pathlib import Path
+from typing import TypeVar
 
 from ..errors import PlgsError
 from ..posed.image_header import read_image_header
-from ..posed.layout import files_by_stem, of_most, require_most
+from ..posed.layout import composed, files_by_stem, of_most, require_most, shown_files
+from .pixels import shows_one_object
 
 IMAGES = frozenset({".png", ".jpg", ".jpeg"})
 """The ends of image files' names, in lower case."""
+AMG_LIST = "metadata.csv"
+"""A file that SAM's amg.py writes into the folder of each picture."""
+DETECTION = re.compile(r"(\d+)_(.+)_(\d*\.?\d+)", re.ASCII)
+"""The stem of a detection's mask: number, class, score."""
+_LOOKED_AT = 3
+_NAMES_TRIED = 5
+Value = TypeVar("Value")
 _COLOUR_WORDS = frozenset("rgb rgba frame image img color colour".split())
 _MASK_WORDS = frozenset(
     "rgb rgba frame image img semantic semantics sem class classes instance instances label labels mask masks seg"
@@ -26,12 +39,40 @@ def files_if_any(folder: Path, suffixes: Collection[str], fix: str) -> dict[str,
     return files_by_stem(folder, suffixes, fix) if folder.is_dir() else {}
 
 
+def mask_files(folder: Path, *suffixes: str) -> list[Path]:
+    """The files of a folder with one of ``suffixes``; where it has none, those in its folders, one for each camera of a
+    rig. Folders that hold an object or a picture each are none of these. Raises OSError."""
+    if not folder.is_dir():
+        return []
+    shown = sorted(shown_files(folder))
+    found = [path for path in shown if path.suffix.lower() in suffixes and path.is_file()]
+    cameras = [] if found else [path for path in shown if path.is_dir() and not _is_of_one(path)]
+    inside = (sorted(shown_files(camera)) for camera in cameras)
+    return found or [path for paths in inside for path in paths if path.suffix.lower() in suffixes and path.is_file()]
+
+
+def _is_of_one(folder: Path) -> bool:
+    """Whether a folder holds the masks of one object, or those of one picture."""
+    pictures = sorted(shown_files(folder, "*.[pP][nN][gG]"))[:_LOOKED_AT]
+    is_listed = (folder / AMG_LIST).exists() or any(DETECTION.fullmatch(path.stem) for path in pictures)
+    return is_listed or (bool(pictures) and all(shows_one_object(path) for path in pictures))
+
+
+def _files(folder: Path, suffixes: Collection[str], fix: str) -> dict[str, Path]:
+    """``files_by_stem``, or the ``mask_files`` of a rig by camera and stem."""
+    inside = [path for path in mask_files(folder, *suffixes) if path.parent != folder]
+    if not inside:
+        return files_by_stem(folder, suffixes, fix)
+    named = (("_".join(path.relative_to(folder).with_suffix("").parts), path) for path in inside)
+    return {composed(name): path for name, path in named}
+
+
 def files_of_frames(
     folder: Path, names: Sequence[str], suffixes: Collection[str], what: str, fix: str
 ) -> dict[str, Path]:
     """The file of each frame of ``names`` in ``folder``, without frames whose file is missing, empty, or an image that
     is cut off. Raises as ``files_by_stem`` and, when these are more than half, ``require_most`` and ``of_most``."""
-    files = of_same_number(names, files_by_stem(folder, suffixes, fix))
+    files = of_same_name(names, _files(folder, suffixes, fix))
     return of_most(require_most(names, files, what, folder, fix), lambda name: whole_file(files[name]))
 
 
@@ -74,17 +115,44 @@ def _digest(path: Path, size: int, changed_ns: int) -> bytes:
         return file_digest(file, "sha256").digest()
 
 
-def of_same_number(names: Sequence[str], files: Mapping[str, Path]) -> Mapping[str, Path]:
-    """The files of the frames ``names``, by name, whose stems differ only in words for kinds of pictures, as ``rgb_0``
-    and ``semantic_class_0`` do; no file that another resembles so. ``files`` themselves where one has a frame's name.
+def of_same_name(names: Sequence[str], files: Mapping[str, Value]) -> Mapping[str, Value]:
+    """The ``files``, by stem, of the frames ``names``: of these names, or of what all programs make of them.
+
+    Those that have the frames' names; else those whose stems have the same before or after the name in all frames, as
+    ``0001_pred`` and ``0001.jpg``, or lack the same in front of it, as ``front_0001`` of ``images_front_0001``; else
+    those that differ only in words for kinds of pictures, as ``rgb_0`` and ``semantic_class_0``, and that no other
+    resembles so.
     """
-    keys = {name: _without(_COLOUR_WORDS, name) for name in names}
-    if any(name in files for name in names) or len({*keys.values()}) < len(names):
+    if any(name in files for name in names):
         return files
-    of_key: dict[tuple[int | str, ...], list[Path]] = {}
-    for stem, path in files.items():
-        of_key.setdefault(_without(_MASK_WORDS, stem), []).append(path)
+    if found := _with_addition(names, files):
+        return found
+    keys = {name: _without(_COLOUR_WORDS, name) for name in names}
+    if len({*keys.values()}) < len(names):
+        return files
+    of_key: dict[tuple[int | str, ...], list[Value]] = {}
+    for stem, value in files.items():
+        of_key.setdefault(_without(_MASK_WORDS, stem), []).append(value)
     return {name: of_key[key][0] for name, key in keys.items() if len(of_key.get(key, ())) == 1}
+
+
+def _with_addition(names: Sequence[str], files: Mapping[str, Value]) -> dict[str, Value]:
+    """The files of most frames whose stems are the names with one addition, or less one beginning; the shortest."""
+    ways: set[tuple[str, str, str]] = set()
+    for name in names[:: max(1, len(names) // _NAMES_TRIED)]:
+        for stem in files:
+            before, found, after = stem.partition(name)
+            if found and not before[-1:].isalnum() and not after[:1].isalnum():
+                ways.add(("", before, after))
+            elif name.endswith(stem) and not name.removesuffix(stem)[-1:].isalnum():
+                ways.add((name.removesuffix(stem), "", ""))
+    found_by = []
+    for lacking, before, after in ways:
+        stems = {name: f"{before}{name.removeprefix(lacking)}{after}" for name in names if name.startswith(lacking)}
+        paired = {name: files[stem] for name, stem in stems.items() if stem in files}
+        found_by.append((-len(paired), len(before) + len(after), before, after, paired))
+    best = min(found_by, default=None, key=lambda each: each[:4])
+    return best[-1] if best is not None and 2 * len(best[-1]) >= len(names) else {}
 
 
 def _without(words: Collection[str], stem: str) -> tuple[int | str, ...]:

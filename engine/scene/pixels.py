@@ -17,7 +17,7 @@ from ..posed.array_file import array_headers, read_array
 from ..posed.image_header import ImageHeader, check_image_bytes, check_image_file, read_image_header
 from ..posed.layout import LARGEST_PIXELS
 from .frame import Size
-from .values import checked_ids
+from .values import checked_ids, inside
 
 
 @dataclass(frozen=True)
@@ -219,6 +219,15 @@ def read_indices(path: Path) -> NDArray[np.int32]:
     if header.bit_depth < 8:  # decoders stretch 1, 2 and 4 bits over the range of a byte
         pixels = pixels // (255 // (2**header.bit_depth - 1))
     return pixels.astype(np.int32)
+
+
+def shows_one_object(path: Path) -> bool:
+    """Whether a PNG has one channel and two values, soft edges aside. False where it cannot be read."""
+    try:
+        inside(values := read_indices(path), path)
+    except PlgsError:
+        return False
+    return int(values.max(initial=0)) >= 128 or len(np.unique(values)) <= 2
 
 
 def _as_grey(data: bytes) -> bytes:

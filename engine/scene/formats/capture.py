@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from ...errors import PlgsError
 from ...posed.frames import Camera
+from ...posed.layout import composed
 from ...posed.plain_folders import Split
 from ...scene_source import UpAxis
 from ..depth import DepthMap, fault_of
@@ -95,4 +96,4 @@ def frame_names(paths: Sequence[str]) -> list[str]:
     stems = [each[-1] if each else "" for each in named]
     if len(set(stems)) < len(stems):
         stems = ["_".join(each) for each in named]
-    return [_NOT_IN_NAMES.sub("_", stem) or "_" for stem in stems]
+    return [_NOT_IN_NAMES.sub("_", composed(stem)) or "_" for stem in stems]

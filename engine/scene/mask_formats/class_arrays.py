@@ -17,8 +17,7 @@ from numpy.typing import NDArray
 
 from ...errors import PlgsError
 from ...posed.array_file import array_headers, read_array
-from ...posed.layout import shown_files
-from ..files_of_frames import files_of_frames
+from ..files_of_frames import files_of_frames, mask_files
 from ..frame import Size
 from ..pixels import whole_numbers
 from .source import (
@@ -76,9 +75,7 @@ def _is_channels_last(shape: tuple[int, ...]) -> bool:
 
 
 def _recognises(place: Path) -> bool:
-    if not place.is_dir() or any(shown_files(place, "*.json")):
-        return False
-    first = next(iter(sorted([*shown_files(place, "*.npy"), *shown_files(place, "*.npz")])), None)
+    first = None if mask_files(place, ".json") else next(iter(mask_files(place, ".npy", ".npz")), None)
     return first is not None and _name_of(first) is not None
 
 

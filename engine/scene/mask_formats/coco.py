@@ -23,8 +23,8 @@ from ...errors import PlgsError
 from ...json_file import read_json_object, take_flag, take_list, take_objects, take_text, take_whole_number, wrong_type
 from ...posed.classes import LARGEST_CLASS_ID, ClassLabel
 from ...posed.image_header import read_image_header
-from ...posed.layout import LARGEST_PIXELS, file_inside, listed, of_most, require_most
-from ..files_of_frames import whole_file
+from ...posed.layout import LARGEST_PIXELS, composed, file_inside, listed, of_most, require_most
+from ..files_of_frames import of_same_name, whole_file
 from ..pixels import decode, distinct_ids
 from .source import FoundMask, FoundSegment, MaskFormat, MaskSource, StoredMask
 
@@ -71,7 +71,7 @@ def _read(place: Path, names: Sequence[str]) -> MaskSource:
     if not folder.is_dir():
         what = "the folder of mask images is missing"
         raise PlgsError("no-folder", what, folder, f"Put the PNGs of {table.name} there.")
-    entries = _entries_by_frame(content, table, names)
+    entries = of_same_name(names, _entries_by_frame(content, table, names))
     fix = "Add an annotation whose file name has the colour image's stem."
     there = require_most(names, entries, "mask", table, fix)
     inside = {name: file_inside(folder, entries[name]["file_name"], table) for name in there}
@@ -136,7 +136,7 @@ def _entries_by_frame(content: dict[str, Any], table: Path, names: Sequence[str]
 
 
 def _stem(file_name: str) -> str:
-    return file_name.replace("\\", "/").rsplit("/", 1)[-1].rsplit(".", 1)[0]
+    return composed(file_name.replace("\\", "/").rsplit("/", 1)[-1].rsplit(".", 1)[0])
 
 
 def _open_frame(

@@ -12,7 +12,6 @@ Of detections that overlap, the one with the highest score is on top. Class numb
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -22,7 +21,7 @@ from ...errors import PlgsError
 from ...posed.array_file import array_headers, read_array
 from ...posed.classes import LARGEST_CLASS_ID, ClassLabel
 from ...posed.layout import listed, natural_order, require_most, shown_files
-from ..files_of_frames import files_of_frames
+from ..files_of_frames import DETECTION, files_of_frames, mask_files
 from ..pixels import label_header
 from ..values import inside
 from .source import (
@@ -42,7 +41,6 @@ _KEYS = {
     "scores": ("scores", "pred_scores", "score", "out_probs"),
     "tracks": ("object_ids", "out_obj_ids"),
 }
-_NAME = re.compile(r"(\d+)_(.+)_(\d*\.?\d+)", re.ASCII)
 _FIX = "Save masks [N, H, W], classes [N] and scores [N] with numpy.savez, one file a frame."
 _NAME_FIX = "Name it <k>_<class>_<score>.png, such as 3_chair_0.92.png."
 _MOST = 10_000
@@ -61,10 +59,11 @@ class Detection:
 def _recognises(place: Path) -> bool:
     if not place.is_dir():
         return False
-    first = next(iter(sorted(shown_files(place, "*.npz"))), None)
+    first = next(iter(mask_files(place, ".npz")), None)
     if first is not None:
         return any(key in array_headers(first) for key in _KEYS["masks"])
-    return any(_NAME.fullmatch(path.stem) for folder in _folders(place)[:3] for path in shown_files(folder, "*.png"))
+    pictures = (path for folder in _folders(place)[:3] for path in shown_files(folder, "*.png"))
+    return any(DETECTION.fullmatch(path.stem) for path in pictures)
 
 
 def _folders(place: Path) -> list[Path]:
@@ -73,7 +72,7 @@ def _folders(place: Path) -> list[Path]:
 
 def _read(place: Path, names: Sequence[str]) -> MaskSource:
     """Open the detections: headers, classes and scores. Raises PlgsError."""
-    if any(shown_files(place, "*.npz")):
+    if mask_files(place, ".npz"):
         files = files_of_frames(place, names, {".npz"}, "detections", _FIX)
         found = {name: _detections(path) for name, path in files.items()}
         label_of, labels = _labels(found.values())
@@ -114,7 +113,7 @@ def _pictures(folder: Path) -> tuple[Path, ...]:
 
 
 def _from_name(path: Path) -> Detection:
-    match = _NAME.fullmatch(path.stem)
+    match = DETECTION.fullmatch(path.stem)
     if match is None or not 0.0 <= float(match[3]) <= 1.0:
         raise PlgsError("detection-name", "the name does not give class and score", path, _NAME_FIX)
     return Detection(match[2], float(match[3]))

@@ -15,9 +15,9 @@ from functools import partial
 from pathlib import Path
 
 from ...errors import PlgsError
-from ...posed.layout import shown_files, shown_size
+from ...posed.layout import shown_size
 from ..class_tables import REDUCED, known_table
-from ..files_of_frames import files_of_both, files_of_frames
+from ..files_of_frames import files_of_both, files_of_frames, mask_files
 from ..pixels import SUFFIXES, check_label_header, label_map_size, read_label_map
 from ..values import require_one_palette
 from .source import IGNORED, FoundMask, MaskFormat, MaskSource, StoredMask, segments_of_labels, segments_of_pairs
@@ -37,7 +37,7 @@ _FIX = "Give a label image for every frame, with the frame's name."
 
 
 def _recognises_palette(place: Path) -> bool:
-    return place.is_dir() and not any(shown_files(place, "*.json")) and any(shown_files(place, "*.png"))
+    return not mask_files(place, ".json") and bool(mask_files(place, ".png"))
 
 
 def _pair_in(place: Path) -> tuple[Path, Path] | None:

@@ -22,9 +22,9 @@ from ...errors import PlgsError
 from ...gates import open_plain
 from ...json_file import read_json_object, take_text, take_whole_number, wrong_type
 from ...posed.layout import files_by_stem, listed, of_most, require_all, require_most, shown_files
-from ..files_of_frames import files_of_frames, whole_file
+from ..files_of_frames import AMG_LIST, files_of_frames, mask_files, whole_file
 from ..formats.poses import read_rows
-from ..pixels import label_header, label_map_size, read_indices, read_label_map
+from ..pixels import label_header, label_map_size, read_indices, read_label_map, shows_one_object
 from ..values import by_colour, numbers_of_colours
 from .source import (
     FoundMask,
@@ -39,27 +39,29 @@ from .source import (
 
 _FIX = "Name the folder that SAM 2 wrote for the video: one PNG per frame, or one folder per object."
 _BY_COLOUR = "the masks have a palette each, so an object is known by its colour"
-_LIST = "metadata.csv"
 _LIST_FIX = "Name the folder that SAM's amg.py wrote: one folder per picture, whole, with its metadata.csv."
 _NO_LABEL = -1
 """No table has this number: a region's number says nothing about its class."""
 
 
 def _recognises(place: Path) -> bool:
-    return bool(_object_folders(place)) or (_has_palette(place) and not any(shown_files(place, "*.json")))
+    return bool(_object_folders(place)) or (_has_palette(place) and not mask_files(place, ".json"))
 
 
 def _object_folders(place: Path) -> dict[int, Path]:
-    """The folders whose names are numbers, if they hold PNGs and are not those of pictures."""
+    """The folders whose names are numbers, if they hold PNGs of an object each, not of a picture or camera."""
     if not place.is_dir():
         return {}
-    folders = [path for path in sorted(shown_files(place)) if path.name.isdecimal() and not (path / _LIST).exists()]
-    return {int(path.name): path for path in folders if any(shown_files(path, "*.png"))}
+    folders = [path for path in sorted(shown_files(place)) if path.name.isdecimal() and not (path / AMG_LIST).exists()]
+    pictures = {path: sorted(shown_files(path, "*.png")) for path in folders}
+    seen = {path: found for path, found in pictures.items() if found}
+    are_cameras = not any(shows_one_object(found[0]) for found in seen.values())
+    return {} if are_cameras else {int(path.name): path for path in seen}
 
 
 def _has_palette(place: Path) -> bool:
     """Whether the first PNG of a folder has a palette."""
-    first = next(iter(sorted(shown_files(place, "*.png"))), None) if place.is_dir() else None
+    first = next(iter(mask_files(place, ".png")), None)
     if first is None:
         return False
     with open_plain(first) as file:
@@ -98,23 +100,23 @@ def _pile(segments: Sequence[FoundSegment], paths: Sequence[Path], fix: str) -> 
 
 def _picture_folders(place: Path) -> list[Path]:
     """The folders of the pictures in which ``amg.py`` found regions."""
-    lists = shown_files(place, f"*/{_LIST}") if place.is_dir() else ()
+    lists = shown_files(place, f"*/{AMG_LIST}") if place.is_dir() else ()
     return [path.parent for path in lists if any(shown_files(path.parent, "*.png"))]
 
 
 def _read_pictures(place: Path, names: Sequence[str]) -> MaskSource:
     """Open the masks of ``amg.py``; headers and lists only. Raises PlgsError."""
-    require_all(names, [path.name for path in _picture_folders(place)], f"PNGs with {_LIST}", place, _LIST_FIX)
+    require_all(names, [path.name for path in _picture_folders(place)], f"PNGs with {AMG_LIST}", place, _LIST_FIX)
     return MaskSource({name: _regions(place / name) for name in names}, tells_no_class=True)
 
 
 def _regions(folder: Path) -> StoredMask:
     """A picture's mask out of the PNGs that its list names. Raises PlgsError unless all are there."""
     files = files_by_stem(folder, {".png"}, _LIST_FIX)
-    wanted = [row.words[0] for row in read_rows(folder / _LIST, _LIST_FIX, ",") if row.words[0].isdecimal()]
+    wanted = [row.words[0] for row in read_rows(folder / AMG_LIST, _LIST_FIX, ",") if row.words[0].isdecimal()]
     lacking = [f"{k}.png" for k in wanted if k not in files]
     if lacking or not wanted:
-        what = f"PNGs of {_LIST} are missing ({listed(lacking)})" if wanted else f"{_LIST} lists none of the PNGs"
+        what = f"PNGs of {AMG_LIST} are missing ({listed(lacking)})" if wanted else f"{AMG_LIST} lists none of the PNGs"
         raise PlgsError("list-unmatched", what, folder, _LIST_FIX)
     segments = [FoundSegment(n, _NO_LABEL) for n in range(1, len(wanted) + 1)]
     return _pile(segments, [files[k] for k in wanted], _LIST_FIX)

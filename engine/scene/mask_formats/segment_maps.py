@@ -25,9 +25,9 @@ import numpy as np
 from ...errors import PlgsError
 from ...json_file import LARGEST_TABLE, parse_json_object, read_json_object, take_flag, take_objects, take_whole_number
 from ...posed.classes import LARGEST_CLASS_ID, ClassLabel
-from ...posed.layout import listed, read_file, shown_files
+from ...posed.layout import listed, read_file
 from ..class_tables import is_thing_by_name, nearest_tables
-from ..files_of_frames import files_of_frames
+from ..files_of_frames import files_of_frames, mask_files
 from ..pixels import SUFFIXES, label_map_size, read_label_map
 from .coco import take_score
 from .source import FoundMask, FoundSegment, MaskFormat, MaskSource, StoredMask
@@ -60,7 +60,7 @@ def _key_of(place: Path) -> str | None:
     """The key of the segments' classes, None in other files. Without any segment it is transformers'."""
     if not place.is_dir():
         return None
-    found = sorted(shown_files(place, "*.json"))
+    found = mask_files(place, ".json")
     tables = [path for path in found if any(path.with_suffix(suffix).is_file() for suffix in SUFFIXES)]
     for path in tables[:_MOST_LOOKED_AT]:
         for info in _segments_info(path):
