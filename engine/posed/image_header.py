@@ -23,6 +23,9 @@ _PNG_CHANNELS = {0: 1, 2: 3, 3: 1, 4: 2, 6: 4}
 _JPEG_START = b"\xff\xd8"
 _JPEG_END = b"\xff\xd9"
 _TAIL = 4096
+_ORIENTATION = 0x112
+_EXIF_LOOKED_AT = 4096
+"""Bytes of a segment in which the orientation is looked for: it is in its first directory."""
 MOST_PIXELS = 160_000_000
 """The largest number of pixels of an image. No camera has more; decoded, they take half a gigabyte."""
 _MOST_BYTES = 1 << 29
@@ -30,7 +33,8 @@ _MOST_BYTES = 1 << 29
 
 @dataclass(frozen=True)
 class ImageHeader:
-    """The header of an image. ``palette`` means that its values are indices into a colour table."""
+    """The header of an image. ``palette`` means that its values are indices into a colour table.
+    ``orientation`` is a JPEG's EXIF tag: 1 upright, 3 upside down, 6 and 8 on one side."""
 
     format: Literal["png", "jpeg"]
     width: int
@@ -38,6 +42,7 @@ class ImageHeader:
     bit_depth: int
     channels: int
     palette: bool = False
+    orientation: int = 1
 
     @property
     def size(self) -> Size:
@@ -128,6 +133,7 @@ def _png_header(start: bytes, path: Path) -> ImageHeader:
 def _jpeg_header(file: BinaryIO, path: Path) -> ImageHeader:
     """Walk the marker segments up to the frame header (SOF)."""
     file.seek(2)
+    orientation = 1
     while True:
         marker = file.read(2)
         while marker == b"\xff\xff":
@@ -144,8 +150,28 @@ def _jpeg_header(file: BinaryIO, path: Path) -> ImageHeader:
             if not width or not height:
                 raise PlgsError("jpeg-header", "the JPEG header makes no sense", path, "Write this file again.")
             _refuse_vast(width, height, path)
-            return ImageHeader("jpeg", width, height, bit_depth, channels)
-        file.seek(length - 2, 1)
+            return ImageHeader("jpeg", width, height, bit_depth, channels, orientation=orientation)
+        if marker[1] == 0xE1:
+            after = file.tell() + length - 2
+            orientation = _orientation(file.read(min(length - 2, _EXIF_LOOKED_AT))) or orientation
+            file.seek(after)
+        else:
+            file.seek(length - 2, 1)
+
+
+def _orientation(segment: bytes) -> int:
+    """The orientation 1 to 8 in the Exif segment of a JPEG; 0 without one, or in another segment."""
+    order = {b"Exif\0\0II": "<", b"Exif\0\0MM": ">"}.get(segment[:8])
+    tiff = segment[6:]
+    if order is None or len(tiff) < 8:
+        return 0
+    (first,) = struct.unpack_from(f"{order}I", tiff, 4)
+    count = struct.unpack_from(f"{order}H", tiff, first)[0] if first + 2 <= len(tiff) else 0
+    for at in range(first + 2, min(first + 2 + 12 * count, len(tiff) - 11), 12):
+        tag, _, _, value = struct.unpack_from(f"{order}HHIH", tiff, at)
+        if tag == _ORIENTATION:
+            return value if 1 <= value <= 8 else 0
+    return 0
 
 
 def _jpeg_is_whole(data: bytes) -> bool:

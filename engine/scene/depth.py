@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import MEMORY_IS_GONE, PlgsError
-from ..posed.array_file import read_npy
+from ..posed.array_file import array_headers, read_array, read_npy
 from ..posed.frames import Camera
 from ..posed.image_header import read_image_header
 from ..posed.layout import check_size, files_by_stem, require_most, same_shape, shown, shown_size
@@ -124,8 +124,13 @@ def npy_depth(path: Path) -> DepthMap:
 
 
 def read_depth_array(path: Path) -> NDArray[Any]:
-    """The numbers [H, W] in a .npy file. Further sides of length 1 are dropped. Raises PlgsError."""
-    values = read_npy(path, "Save one array with numpy.save.")
+    """The numbers [H, W] in a .npy file, or those of an .npz called depth, or its only ones. Further sides of length 1
+    are dropped. Raises PlgsError."""
+    if path.suffix.lower() == ".npz":
+        arrays = list(array_headers(path))
+        values = read_array(path, "depth" if len(arrays) != 1 else arrays[0])
+    else:
+        values = read_npy(path, "Save one array with numpy.save.")
     while values.ndim > 2 and 1 in (values.shape[0], values.shape[-1]):
         values = values[0] if values.shape[0] == 1 else values[..., 0]
     if values.ndim != 2 or values.dtype.kind not in "fiu" or not values.size:

@@ -6,7 +6,7 @@ Both follow from the frame's sparse points, whose depth is known.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -16,18 +16,26 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import PlgsError
+from ..posed.frames import Camera
 from ..posed.image_header import read_image_header
 from .depth import DepthMap, depth_check, in_metres, read_depth_array
-from .files_of_frames import files_of_frames
+from .files_of_frames import files_of_frames, mask_files
+from .formats.lens import Distortion, undistorted
 from .frame import Frame, Inferred, LeftOut, SparsePoints, left_out
+from .frame_choice import evenly_spread
 from .pixels import decode_depth
 
 _AS_METRES = Inferred(
     "units", "depth maps are read as metres (.png: millimetres)", "there are no sparse points to fit depth to"
 )
+_BENT = Inferred(
+    "masks' lens", "depth maps are straightened as the photos are", "they are taken for maps of the photos as they are"
+)
+_ARRAYS = {".npy", ".npz"}
+_LOOKED_AT = 8
 LEAST_POINTS = 12
 """The least number of points that a frame must see to have depth."""
-_FIX = "Give one map per frame, with the frame's name: .npy, or .png of 8 or 16 bits."
+_FIX = "Give one map per frame, with the frame's name: .npy, .npz, or .png of 8 or 16 bits."
 _PAIRS = 256
 _MOST_POINTS = 2000
 _CLOSE = 0.01
@@ -115,31 +123,41 @@ def _refined(values: Values, depths: Values, scale: float, shift: float, inverse
 
 def fitted_map(path: Path, pixels: NDArray[np.float64], depths: NDArray[np.float64]) -> NDArray[np.float32]:
     """Depth, float32 [H, W] in the world's lengths, 0 = none: a map fitted to points of known ``depths`` [N].
-    ``pixels`` [N, 2] are the points' x and y in shares of the picture. Raises PlgsError when nothing fits."""
+    ``pixels`` [N, 2] are the points' x and y in shares of the map. Raises PlgsError when nothing fits."""
     values = read_map(path)
-    height, width = values.shape
-    columns = (pixels[:, 0] * width).astype(np.int64).clip(0, width - 1)
-    rows = (pixels[:, 1] * height).astype(np.int64).clip(0, height - 1)
-    fit = fit_depth(values[rows, columns].astype(np.float64), depths)
+    fit = fit_depth(_at(values, pixels), depths)
     if fit is None:
         what = "the map does not rise or fall with the depth of the reconstruction's points"
         raise PlgsError("depth-unrelated", what, path, "Check that it belongs to this frame, or leave the frame out.")
     return fit.depth(values)
 
 
+def _at(values: NDArray[Any], pixels: NDArray[np.float64]) -> Values:
+    """The values of a map [H, W] at ``pixels`` [N, 2], x and y in shares of it."""
+    size = np.array(values.shape[::-1])
+    columns, rows = (pixels * size).astype(np.int64).clip(0, size - 1).T
+    return values[rows, columns].astype(np.float64)
+
+
 def read_map(path: Path) -> NDArray[Any]:
     """A map as it is stored, [H, W] of numbers. Raises PlgsError."""
-    if path.suffix.lower() == ".npy":
+    if path.suffix.lower() in _ARRAYS:
         return read_depth_array(path)
     return decode_depth(path, _FIX)
 
 
 def with_estimated_depth(
-    frames: Sequence[Frame], folder: Path, points: SparsePoints | None
+    frames: Sequence[Frame],
+    folder: Path,
+    points: SparsePoints | None,
+    lenses: Mapping[str, tuple[Camera, Distortion]],
 ) -> tuple[tuple[Frame, ...], tuple[LeftOut, ...], tuple[Inferred, ...]]:
     """The frames with depth from the maps in ``folder``, those that are left out, as they see too few points, and what
-    no file says. Maps are read on demand. Raises PlgsError when a map is missing, or no frame is left."""
-    files = files_of_frames(folder, [frame.name for frame in frames], {".npy", ".png"}, "depth map", _FIX)
+    no file says. ``lenses`` bent the photos of some. Maps are read on demand, a few to look at them. Raises PlgsError
+    when a map is missing, or no frame is left."""
+    # Networks write pictures to look at beside their arrays.
+    kinds = _ARRAYS if mask_files(folder, *_ARRAYS) else {".png"}
+    files = files_of_frames(folder, [frame.name for frame in frames], kinds, "depth map", _FIX)
     has_points = points is not None and len(points) > 0
     for path in files.values():
         bits = read_image_header(path).bit_depth if path.suffix.lower() == ".png" else 16
@@ -150,26 +168,73 @@ def with_estimated_depth(
     without = [frame.name for frame in frames if frame.name not in files]
     mapless = left_out("a readable depth map", without)
     frames = [frame for frame in frames if frame.name in files]
+    bent = {frame.name: lenses[frame.name] for frame in frames if frame.name in lenses}
     if points is None or not has_points:
-        found = tuple(_with_depth(frame, files[frame.name], lambda path: in_metres(read_map(path))) for frame in frames)
-        return found, mapless, (_AS_METRES,)
+        _refuse_shares([files[frame.name] for frame in frames])
+        found = tuple(
+            _with_depth(frame, files[frame.name], lambda path: in_metres(read_map(path)), bent.get(frame.name))
+            for frame in frames
+        )
+        return found, mapless, (_AS_METRES, *([_BENT] if bent else []))
+    seen = {frame.name: _seen_points(frame, points) for frame in frames}
+    if bent and not _are_of_photos(files, seen, bent):
+        bent = {}
     kept, blind = [], []
     for frame in frames:
-        pixels, depths = _seen_points(frame, points)
+        pixels, depths = seen[frame.name]
         if len(depths) < LEAST_POINTS:
             blind.append(frame.name)
             continue
-        kept.append(_with_depth(frame, files[frame.name], partial(fitted_map, pixels=pixels, depths=depths)))
+        lens = bent.get(frame.name)
+        read = partial(fitted_map, pixels=pixels if lens is None else _bent(pixels, *lens), depths=depths)
+        kept.append(_with_depth(frame, files[frame.name], read, lens))
     if not any(not frame.held_out for frame in kept):
         fix = f"Each needs {LEAST_POINTS} points of the reconstruction."
         raise PlgsError("few-points", "no frame to train on sees enough points to fit depth to", folder, fix)
-    return tuple(kept), (*mapless, *left_out(f"{LEAST_POINTS} points of the reconstruction in view", blind)), ()
+    told = (_BENT,) if bent else ()
+    return tuple(kept), (*mapless, *left_out(f"{LEAST_POINTS} points of the reconstruction in view", blind)), told
 
 
-def _with_depth(frame: Frame, path: Path, read: Callable[[Path], NDArray[np.float32]]) -> Frame:
-    return replace(
-        frame, depth_path=path, read_depth=DepthMap(path, partial(read, path)).through(depth_check(frame.name, path))
-    )
+def _refuse_shares(paths: Sequence[Path]) -> None:
+    """Raise PlgsError where maps of floats hold nothing above 1: shares of an unknown depth, as Marigold writes."""
+    looked = [read_map(path) for path in evenly_spread([path for path in paths if path.suffix in _ARRAYS], _LOOKED_AT)]
+    if looked and all(values.dtype.kind == "f" and float(np.nanmax(values)) <= 1.0 for values in looked):
+        what = "depth maps hold shares from 0 to 1, and there are no sparse points to fit them to"
+        raise PlgsError("depth-relative", what, paths[0], "Give maps in metres, or poses of COLMAP with its points.")
+
+
+def _are_of_photos(
+    files: Mapping[str, Path],
+    seen: Mapping[str, tuple[Values, Values]],
+    lenses: Mapping[str, tuple[Camera, Distortion]],
+) -> bool:
+    """Whether maps show the photos as taken, not straightened: points that the lens moves then fit better."""
+    errors = []
+    for name in evenly_spread([name for name in lenses if len(seen[name][1]) >= LEAST_POINTS], _LOOKED_AT):
+        values, (pixels, depths) = read_map(files[name]), seen[name]
+        fits = [fit_depth(_at(values, each), depths) for each in (_bent(pixels, *lenses[name]), pixels)]
+        errors.append([1.0 if fit is None else fit.error for fit in fits])
+    taken, straight = np.mean(errors, axis=0) if errors else (0.0, 0.0)
+    return bool(taken <= straight)
+
+
+def _bent(pixels: Values, lens: Camera, distortion: Distortion) -> Values:
+    """Where the lens shows ``pixels`` [N, 2] of the straightened picture, both in shares of the picture."""
+    focal, middle, size = np.array([lens.fx, lens.fy]), np.array([lens.cx, lens.cy]), np.array(lens.size)
+    x, y = distortion.bent(*((pixels * size - middle) / focal).T)
+    return (np.stack([x, y], axis=-1) * focal + middle) / size
+
+
+def _with_depth(
+    frame: Frame, path: Path, read: Callable[[Path], NDArray[np.float32]], lens: tuple[Camera, Distortion] | None
+) -> Frame:
+    depth = DepthMap(path, partial(read, path))
+    if lens is not None:
+        depth = depth.through(lambda values: undistorted(values, *lens, path, smooth=False))
+    if frame.read_kept is not None:
+        kept = frame.read_kept
+        depth = depth.through(lambda values: values * kept((values.shape[1], values.shape[0])))
+    return replace(frame, depth_path=path, read_depth=depth.through(depth_check(frame.name, path)))
 
 
 def _seen_points(frame: Frame, points: SparsePoints) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -16,7 +16,7 @@ from typing import TypeVar
 from ..errors import PlgsError
 from ..posed.image_header import read_image_header
 from ..posed.layout import composed, files_by_stem, of_most, require_most, shown_files
-from .pixels import shows_one_object
+from .pixels import is_black_and_white, shows_one_object
 
 IMAGES = frozenset({".png", ".jpg", ".jpeg"})
 """The ends of image files' names, in lower case."""
@@ -24,7 +24,7 @@ AMG_LIST = "metadata.csv"
 """A file that SAM's amg.py writes into the folder of each picture."""
 DETECTION = re.compile(r"(\d+)_(.+)_(\d*\.?\d+)", re.ASCII)
 """The stem of a detection's mask: number, class, score."""
-_LOOKED_AT = 3
+_LOOKED_AT, _FILES_LOOKED_AT = 3, 8
 _NAMES_TRIED = 5
 Value = TypeVar("Value")
 _COLOUR_WORDS = frozenset("rgb rgba frame image img color colour".split())
@@ -56,6 +56,19 @@ def _is_of_one(folder: Path) -> bool:
     pictures = sorted(shown_files(folder, "*.[pP][nN][gG]"))[:_LOOKED_AT]
     is_listed = (folder / AMG_LIST).exists() or any(DETECTION.fullmatch(path.stem) for path in pictures)
     return is_listed or (bool(pictures) and all(shows_one_object(path) for path in pictures))
+
+
+def says_what_counts(folder: Path) -> bool:
+    """Whether the PNGs of a folder are black and white: they say which pixels count, and name no classes. Both values
+    mean nothing in pictures of classes."""
+    pictures = mask_files(folder, ".png") if folder.is_dir() and not mask_files(folder, ".json") else []
+    looked = [pictures[i * len(pictures) // _FILES_LOOKED_AT] for i in range(min(len(pictures), _FILES_LOOKED_AT))]
+    return bool(looked) and all(is_black_and_white(path) for path in looked)
+
+
+def kept_pixels(folder: Path, names: Sequence[str]) -> dict[str, Path]:
+    """The picture of the pixels that count of each frame that has one. Raises PlgsError."""
+    return {name: path for name, path in of_same_name(names, _files(folder, {".png"}, "")).items() if name in {*names}}
 
 
 def _files(folder: Path, suffixes: Collection[str], fix: str) -> dict[str, Path]:

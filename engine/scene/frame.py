@@ -20,7 +20,8 @@ class Inferred:
     """What no file says: ``taken`` instead, for a ``reason``. Where it ``is_doubtful``, it is a warning, too."""
 
     about: Literal[
-        "format", "lens", "principal point", "depth's lens", "units", "axes", "numbering", "split", "up axis"
+        "format", "lens", "principal point", "depth's lens", "units", "axes", "numbering", "split", "up axis",
+        "orientation", "masks' borders", "masks' lens",
     ]  # fmt: skip
     taken: str
     reason: str
@@ -109,7 +110,8 @@ class Frame(PosedFrame):
     ``read_colour`` gives uint8 [H, W, 3] RGB, ``read_depth`` float32 [H, W] planar metres (0 = none), ``read_mask`` a
     PanopticMask, ``read_ground_truth`` a GroundTruth. The last three may be None. Readers raise PlgsError.
     ``confidence_path`` is the file that says which depth to trust. ``read_as`` are the distortion and the unit and lens
-    of depth, as text, where they are not the usual ones.
+    of depth, as text, where they are not the usual ones. ``read_kept`` gives bool [H, W], the pixels that count, where
+    not all do.
     """
 
     read_colour: Callable[[Size | None], NDArray[np.uint8]]
@@ -118,6 +120,7 @@ class Frame(PosedFrame):
     read_ground_truth: Callable[[Size | None], GroundTruth] | None = None
     confidence_path: Path | None = None
     read_as: str = ""
+    read_kept: Callable[[Size], NDArray[np.bool_]] | None = None
 
     def depth(self, size: Size | None = None) -> NDArray[np.float32]:
         """``read_depth`` of a frame that must have it. Raises PlgsError."""

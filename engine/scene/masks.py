@@ -15,8 +15,9 @@ from ..posed.classes import VOID, ClassTable
 from ..posed.layout import listed
 from .class_choice import FILE_NAME, find_class_choice
 from .class_map import ClassMap, class_map
-from .files_of_frames import digests_of_files
+from .files_of_frames import digests_of_files, says_what_counts
 from .frame import Inferred, PanopticMask, Segment, Size
+from .mask_fit import Pictured, Placement, paired, placements
 from .mask_formats import MASK_FORMATS, FoundSegment, MaskSource, StoredMask, find_mask_format
 from .numbering import numbered, other_numberings
 from .pixels import resize_nearest
@@ -40,7 +41,8 @@ class MaskReader:
     """Reads one frame's mask and gives its segments the classes of ``known``.
 
     Labels in ``void`` mean nothing unless the table has them. ``fuses`` joins stuff of one class into one segment.
-    ``table`` is what messages call the classes' table, ``others`` what else to name.
+    ``table`` is what messages call the classes' table, ``others`` what else to name. ``placement`` brings the mask into
+    the picture.
     """
 
     stored: StoredMask
@@ -49,6 +51,7 @@ class MaskReader:
     fuses: bool
     table: str
     others: str = ""
+    placement: Placement | None = None
 
     def __call__(self, size: Size | None = None) -> PanopticMask:
         """The mask at ``size`` (width, height) or its own. Raises OtherClasses, and PlgsError for its file."""
@@ -62,7 +65,7 @@ class MaskReader:
         new_id = {one.id: one.id for one in segments}
         if self.fuses:
             segments, new_id = fused(segments)
-        ids = found.ids
+        ids = found.ids if self.placement is None else self.placement(found.ids)
         if any(new_id.get(one.id) != one.id for one in found.segments):
             number = np.zeros(int(ids.max(initial=0)) + 1, np.int32)
             for old, new in new_id.items():
@@ -75,7 +78,9 @@ class MaskReader:
         """The start of the SHA-256 of the mask's files and of what they are read as, without decoding them."""
         classes = [(each.id, each.is_thing) for each in self.known.classes.categories]
         read_as = (sorted(self.known.class_of.items()), self.known.others, classes, sorted(self.void), self.fuses)
-        files = digests_of_files([self.stored.files])
+        kept = None if self.placement is None or self.placement.kept is None else self.placement.kept.path
+        files = digests_of_files([self.stored.files, *([(kept,)] if kept else [])])
+        read_as = read_as if self.placement in (None, Placement()) else (*read_as, repr(self.placement))
         return sha256(f"{files} {self.stored.about} {read_as}".encode()).hexdigest()[:16]
 
     def _class_of(self, one: FoundSegment) -> int | None:
@@ -137,11 +142,15 @@ class MaskSet:
 
 
 def find_masks(
-    scene: Path, masks: Path | None, names: Sequence[str], mask_format: str | None = None, classes: str | None = None
+    scene: Path,
+    masks: Path | None,
+    pictured: Mapping[str, Pictured],
+    mask_format: str | None = None,
+    classes: str | None = None,
 ) -> MaskSet:
     """``open_masks``, or no masks when none are named and the scene's folder has none. Raises PlgsError."""
     place = mask_place(scene, masks)
-    return MaskSet() if place is None else open_masks(place, names, mask_format, classes)
+    return MaskSet() if place is None else open_masks(place, [*pictured], mask_format, classes, pictured)
 
 
 def mask_place(scene: Path, masks: Path | None) -> Path | None:
@@ -150,23 +159,40 @@ def mask_place(scene: Path, masks: Path | None) -> Path | None:
         return masks
     if any(each.in_scene and each.recognises(scene) for each in MASK_FORMATS):
         return scene
-    return scene / MASK_FOLDER if (scene / MASK_FOLDER).is_dir() else None
+    folder = scene / MASK_FOLDER
+    return folder if folder.is_dir() and not says_what_counts(folder) else None
 
 
 def open_masks(
-    place: Path, names: Sequence[str], mask_format: str | None = None, classes: str | None = None
+    place: Path,
+    names: Sequence[str],
+    mask_format: str | None = None,
+    classes: str | None = None,
+    pictured: Mapping[str, Pictured] | None = None,
 ) -> MaskSet:
     """Open the masks at ``place`` of the frames ``names``; headers and tables only. Raises PlgsError. ``mask_format``
-    names their format, which is recognised otherwise. ``classes``: see ``find_class_choice``."""
-    source = open_mask_source(place, names, mask_format)
+    names their format, which is recognised otherwise. ``classes``: see ``find_class_choice``. With ``pictured``, some
+    masks and pictures are compared where names, sizes or lenses leave a doubt."""
+    told: tuple[Inferred, ...] = ()
+    placed: dict[str, Placement] = {}
+    if pictured is None:
+        source = open_mask_source(place, names, mask_format)
+    else:
+        source, of_names = paired(names, lambda asked: open_mask_source(place, asked, mask_format), pictured)
+        placed, of_pictures = placements(source, pictured)
+        told = (*of_names, *of_pictures)
     choice = find_class_choice(classes, place if place.is_dir() else place.parent)
-    source, choice, told = numbered(source, choice, place)
+    source, choice, of_numbers = numbered(source, choice, place)
     known = class_map(source.labels, choice, place, source.tells_no_class)
     fuses = source.stuff_in_pieces or known.merges
     table = source.table if choice is None else "the class table"
     others = "" if choice is None else other_numberings(choice)
-    readers = {name: MaskReader(mask, known, source.void, fuses, table, others) for name, mask in source.masks.items()}
-    return MaskSet(known.classes, readers, (*source.warnings, *_named_otherwise(source.masks)), told)
+    readers = {
+        name: MaskReader(mask, known, source.void, fuses, table, others, placed.get(name))
+        for name, mask in source.masks.items()
+    }
+    warnings = (*source.warnings, *_named_otherwise(source.masks))
+    return MaskSet(known.classes, readers, warnings, (*told, *of_numbers))
 
 
 def _named_otherwise(masks: Mapping[str, StoredMask]) -> list[str]:

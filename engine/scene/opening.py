@@ -18,23 +18,26 @@ from numpy.typing import NDArray
 from ..errors import ErrorCode, PlgsError
 from ..posed.classes import ClassTable
 from ..posed.frames import Camera
-from ..posed.layout import check_camera, listed, of_most, same_shape, shown_size
+from ..posed.image_header import read_image_header
+from ..posed.layout import check_camera, listed, of_most
 from ..posed.matrices import turned, upright_turn
 from ..posed.plain_folders import NAME, complete_frames, find_split
 from ..scene_source import SCENE_FORMAT_NAMES, SceneSource, UpAxis
 from .depth import DepthMap, depth_check
 from .estimated_depth import with_estimated_depth
+from .files_of_frames import kept_pixels, says_what_counts
 from .formats import Capture, SceneFormat, Shot, find_format
-from .formats.lens import UNDISTORTED, undistorted
+from .formats.lens import UNDISTORTED, Distortion, undistorted
 from .formats.photos import LET_COLMAP, photos_in
-from .frame import Frame, Inferred, LeftOut, Scene, Size, doubts, left_out
+from .frame import Frame, Inferred, LeftOut, Scene, doubts, left_out
 from .ground_truth import open_ground_truth
-from .masks import MaskSet, find_masks, no_masks
+from .mask_fit import KeptPixels, Pictured
+from .masks import MASK_FOLDER, find_masks, no_masks
 from .pixels import ColourReader, decode
 
 _FAR_ASIDE = 0.2
 _ASIDE = "the principal point is far from the middle (are the intrinsics in pixels of the colour images?)"
-_MASKS_FIX = "Give masks of these pictures with --masks FOLDER: python -m engine segment SCENE makes them."
+_KEPT = "some pixels do not count (mask_path, or black and white pictures in masks): they have no class and no depth"
 _READABLE = "Check that it exists, and its permissions."
 
 
@@ -52,8 +55,9 @@ def open_scene(
 
 
 def open_asked(source: SceneSource) -> Scene:
-    """Open a scene without decoding an image. Masks and depth may be missing, see ``require_liftable``. Raises
-    PlgsError for the first thing that is wrong; ``check_scene`` looks into the pixels as well."""
+    """Open a scene; images are decoded only to settle doubts about masks and depth maps. Masks and depth may be
+    missing, see ``require_liftable``. Raises PlgsError for the first thing that is wrong; ``check_scene`` looks into
+    the pixels as well."""
     place, masks = Path(source.scene), None if source.masks is None else Path(source.masks)
     reader = find_format(place, source.scene_format)
     try:
@@ -77,24 +81,26 @@ def open_asked(source: SceneSource) -> Scene:
     turn, turn_warnings = upright_turn(poses, source.up, capture.up, is_known=capture.up_is_known)
     cameras = {shot.name: shot.camera.at(turned(shot.camera.camera_to_world, turn)) for shot in shots}
     sizes = {shot.name: shot.camera.size for shot in shots}
-    mask_set = find_masks(beside, masks, list(sizes), source.mask_format, source.classes)
-    _check_mask_shapes(mask_set, sizes)
-    truth, truth_warnings, of_truth = open_ground_truth(beside, sizes, mask_set)
-    points = None if capture.points is None else capture.points.turned(turn)
     of_shot = {shot.name: shot for shot in shots} if source.depth is None else {}
     depths = of_most(list(of_shot), lambda name: _readable_depth(of_shot[name]))
-    frames = tuple(
-        replace(
-            _frame(shot, cameras[shot.name], shot.name in held_out, depths.get(shot.name)),
-            read_mask=mask_set.readers.get(shot.name),
-            read_ground_truth=truth.get(shot.name),
-        )
+    kept = _kept_pixels(shots, beside)
+    bare = {
+        shot.name: _frame(shot, cameras[shot.name], shot.name in held_out, depths.get(shot.name), kept.get(shot.name))
         for shot in shots
+    }
+    pictured = {shot.name: _pictured(shot, bare[shot.name], kept.get(shot.name)) for shot in shots}
+    mask_set = find_masks(beside, masks, pictured, source.mask_format, source.classes)
+    truth, truth_warnings, of_truth = open_ground_truth(beside, sizes, mask_set)
+    points = None if capture.points is None else capture.points.turned(turn)
+    frames = tuple(
+        replace(frame, read_mask=mask_set.readers.get(name), read_ground_truth=truth.get(name))
+        for name, frame in bare.items()
     )
     gone = (*left_out("a pose", capture.lost), *left_out("a readable picture", unreadable), *capture.left_out)
     inferred = (*_inferred(source, reader, capture, beside, turn), *capture.inferred, *mask_set.inferred, *of_truth)
     if source.depth is not None:
-        frames, mapless, of_depth = with_estimated_depth(frames, Path(source.depth), points)
+        lenses = {shot.name: (shot.camera, shot.distortion) for shot in shots if shot.distortion.bends}
+        frames, mapless, of_depth = with_estimated_depth(frames, Path(source.depth), points, lenses)
         gone, inferred = (*gone, *mapless), (*inferred, *of_depth)
     frames, blind, told_of_depth = complete(frames, "readable depth", lambda frame: frame.read_depth is not None)
     frames, bare, told_of_masks = complete(frames, "a readable mask", lambda frame: frame.read_mask is not None)
@@ -108,6 +114,7 @@ def open_asked(source: SceneSource) -> Scene:
             *split.warnings,
             *turn_warnings,
             *_lens_warnings(cameras),
+            *([_KEPT] if kept else []),
             *([UNDISTORTED] if any(shot.distortion.bends for shot in shots) else []),
             *doubts(inferred),
             *capture.warnings,
@@ -174,8 +181,28 @@ def _readable_depth(shot: Shot) -> DepthMap | None:
     return shot.depth
 
 
-def _frame(shot: Shot, camera: Camera, held_out: bool, depth: DepthMap | None) -> Frame:
-    """The frame of a shot, with ``depth``, without mask and ground truth."""
+def _kept_pixels(shots: Sequence[Shot], beside: Path) -> dict[str, KeptPixels]:
+    """Which pixels of a shot count, where its own file or black and white pictures in the folder of masks say it."""
+    folder = beside / MASK_FOLDER
+    paths = {shot.name: shot.kept_pixels for shot in shots if shot.kept_pixels is not None}
+    if not paths and folder.is_dir() and says_what_counts(folder):
+        paths = kept_pixels(folder, [shot.name for shot in shots])
+    lenses = {shot.name: _bent_lens(shot) for shot in shots}
+    return {name: KeptPixels(path, lenses[name]) for name, path in paths.items()}
+
+
+def _bent_lens(shot: Shot) -> tuple[Camera, Distortion] | None:
+    return (shot.camera, shot.distortion) if shot.distortion.bends else None
+
+
+def _pictured(shot: Shot, frame: Frame, kept: KeptPixels | None) -> Pictured:
+    is_file = shot.read_colour is None
+    orientation = read_image_header(shot.colour_path).orientation if is_file else 1
+    return Pictured(frame.read_colour, shot.camera.size, orientation, _bent_lens(shot), kept)
+
+
+def _frame(shot: Shot, camera: Camera, held_out: bool, depth: DepthMap | None, kept: KeptPixels | None) -> Frame:
+    """The frame of a shot, with ``depth`` where pixels are ``kept``, without mask and ground truth."""
     path, bend = shot.colour_path, shot.distortion
     read = shot.read_colour or partial(decode, path, as_colour=True)
     if bend.bends:
@@ -185,6 +212,8 @@ def _frame(shot: Shot, camera: Camera, held_out: bool, depth: DepthMap | None) -
             depth = depth.through(lambda values: undistorted(values, lens, bend, path, smooth=False))
     if depth is not None:
         depth = depth.through(depth_check(shot.name, depth.path))
+    if depth is not None and kept is not None:
+        depth = depth.through(lambda values: values * kept((values.shape[1], values.shape[0])))
     told = (bend.is_fisheye, *bend.numbers) if bend.bends else ()
     return Frame(
         name=shot.name,
@@ -198,15 +227,8 @@ def _frame(shot: Shot, camera: Camera, held_out: bool, depth: DepthMap | None) -
         confidence_path=None if depth is None else depth.confidence,
         read_as=" ".join(map(str, (*told, *(() if depth is None else depth.unusual)))),
         file_shows_colour=shot.read_colour is None and not bend.bends,
+        read_kept=kept,
     )
-
-
-def _check_mask_shapes(masks: MaskSet, sizes: Mapping[str, Size]) -> None:
-    for name, reader in masks.readers.items():
-        own = reader.stored
-        if not same_shape(own.size, sizes[name]):
-            what = f"a mask of {shown_size(own.size)} does not fit the colour of {shown_size(sizes[name])}"
-            raise PlgsError("mask-shape", what, own.path, _MASKS_FIX, option="--masks")
 
 
 def _lens_warnings(cameras: Mapping[str, Camera]) -> Iterable[str]:

@@ -146,6 +146,8 @@ def distinct_ids(ids: NDArray[np.int32]) -> tuple[NDArray[np.intp], NDArray[np.i
 
 SUFFIXES = {".png", ".npy", ".npz"}
 _LARGEST_ID = 2**24
+_NEARLY = 12
+"""Steps of 8 bits by which JPEG changes black and white."""
 
 
 def label_map_size(path: Path) -> Size:
@@ -228,6 +230,16 @@ def shows_one_object(path: Path) -> bool:
     except PlgsError:
         return False
     return int(values.max(initial=0)) >= 128 or len(np.unique(values)) <= 2
+
+
+def is_black_and_white(path: Path) -> bool:
+    """Whether a PNG of one channel is 0 and 255, soft edges aside, and somewhere white. False where it is not read."""
+    try:
+        values = read_indices(path)
+    except PlgsError:
+        return False
+    is_extreme = (values <= _NEARLY) | (values >= 255 - _NEARLY)
+    return not label_header(path).palette and int(values.max(initial=0)) >= 255 - _NEARLY and is_extreme.mean() > 0.9
 
 
 def _as_grey(data: bytes) -> bytes:

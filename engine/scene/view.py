@@ -83,8 +83,8 @@ Rows = NDArray[np.int64]
 class View:
     """Colour uint8 [H, W, 3], depth float32 [H, W] metres (0 = none) and mask of a frame at the size of ``camera``.
 
-    ``border`` bool [H, W] marks the pixels of a black border. It is None in pictures without one. ``mask_scale`` is how
-    many pixels of the frame's own mask the side of a pixel spans.
+    ``border`` bool [H, W] marks the pixels of a black border, and those that do not count. It is None in pictures
+    without any. ``mask_scale`` is how many pixels of the frame's own mask the side of a pixel spans.
     """
 
     name: str
@@ -117,6 +117,8 @@ def load_view(frame: Frame, size: Size | None = None) -> View:
     width, height = size or frame.size
     colour = frame.read_colour(None)
     border = border_mask(colour)
+    if frame.read_kept is not None:
+        border |= ~frame.read_kept((colour.shape[1], colour.shape[0]))
     return View(
         name=frame.name,
         camera=frame.camera.resized(width, height),

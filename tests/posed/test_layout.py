@@ -19,7 +19,7 @@ from engine.posed.layout import check_camera, file_inside, files_by_stem, listed
 from engine.posed.plain_folders import default_split, read_split
 from engine.scene import open_scene
 from engine.scene.depth import depth_check
-from engine.scene.files_of_frames import of_same_number
+from engine.scene.files_of_frames import of_same_name
 from engine.scene.formats.colmap_model import _binary_points, _text_points
 from engine.scene.formats.lens import Distortion, undistorted
 from engine.scene.formats.nerfstudio import read_ply_points
@@ -56,7 +56,7 @@ def test_files_are_found_by_stem_whatever_the_case_of_their_suffix(tmp_path: Pat
     ],
 )
 def test_files_of_a_frames_number(names: list[str], stems: list[str], found: list[str]) -> None:
-    files = of_same_number(names, {stem: Path(stem) for stem in stems})
+    files = of_same_name(names, {stem: Path(stem) for stem in stems})
     assert [path.name for path in files.values()] == found
 
 

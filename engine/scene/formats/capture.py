@@ -28,6 +28,7 @@ class Shot:
 
     ``read_colour`` gives uint8 [H, W, 3] RGB of the camera's size. It is None when the image file at ``colour_path``
     is the picture. ``distortion`` bends both pictures as they are read; the engine straightens them.
+    ``kept_pixels`` is a picture that is black where pixels do not count.
     """
 
     name: str
@@ -36,6 +37,7 @@ class Shot:
     depth: DepthMap | None = None
     read_colour: Callable[[], NDArray[np.uint8]] | None = None
     distortion: Distortion = STRAIGHT
+    kept_pixels: Path | None = None
 
 
 @dataclass(frozen=True, eq=False)

@@ -26,7 +26,7 @@ Values = NDArray[np.float64]
 
 _LEAST_SEEN = 0.1
 """Share of an undistorted picture that the distorted one shows, at least. Wide fisheyes show all of it."""
-UNDISTORTED = "the lens distorts: pictures are undistorted on reading, and masks must be of the undistorted pictures"
+UNDISTORTED = "the lens distorts: pictures are undistorted on reading, and masks where they fit the photos as taken"
 
 
 def pinhole(

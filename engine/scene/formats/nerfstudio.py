@@ -3,8 +3,12 @@
 ``frames[].file_path`` and ``transform_matrix``, camera-to-world, OpenGL axes. ``fl_x fl_y cx cy w h`` or
 ``camera_angle_x``, and the distortion ``k1 k2 k3 k4 p1 p2`` with ``camera_model``, for all frames or for each; pixel
 centres at +0.5. ``depth_file_path`` (nerfstudio) or ``depth_path`` (instant-ngp): planar depth as 16-bit PNG, in
-millimetres or steps of ``integer_depth_scale``, or as .npy in metres. ``ply_file_path``: the points of the
-reconstruction. The file says nothing about which way is up unless nerfstudio's own preparation did.
+millimetres or steps of ``integer_depth_scale`` or ``depth_unit_scale_factor``, or as .npy in metres.
+``ply_file_path``: the points of the reconstruction. The file says nothing about which way is up unless nerfstudio's own
+preparation did.
+
+``train_filenames`` and ``test_filenames`` (or ``val_filenames``) say the split, or ``test_frames`` holds the frames
+that are held out. Frames with ``is_bad`` are left out. ``mask_path``: black are pixels that do not count.
 
 In place of one file there may be ``transforms_train.json`` and ``transforms_test.json`` (or ``_val``), as NeRF's
 synthetic scenes have them: the frames of the second are held out.
@@ -22,7 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import PlgsError
-from ...json_file import read_json_object, take_number, take_objects, take_text
+from ...json_file import read_json_object, take_list, take_number, take_objects, take_text, wrong_type
 from ...posed.frames import Camera
 from ...posed.image_header import read_image_header
 from ...posed.layout import check_count, file_inside, natural_order, read_file
@@ -31,6 +35,7 @@ from ...posed.plain_folders import Split
 from ...scene_source import UpAxis
 from ..depth import MILLIMETRES, DepthMap, npy_depth, png_depth
 from ..frame import Inferred, Size, SparsePoints, left_out
+from ..pixels import label_header
 from .capture import Capture, SceneFormat, Shot, frame_names, with_picture
 from .lens import Distortion, fitted, is_lens_number, of_nerfstudio, pinhole
 from .poses import finite_pose, from_opengl
@@ -39,6 +44,7 @@ _FILE, _TRAIN = "transforms.json", "transforms_train.json"
 _HELD_OUT = ("transforms_test.json", "transforms_val.json")
 _PINHOLES = ("PINHOLE", "SIMPLE_PINHOLE", "perspective", "")
 _OPENCV, _FISHEYE = ("OPENCV", "SIMPLE_RADIAL", "RADIAL", "FULL_OPENCV"), "OPENCV_FISHEYE"
+_IS_HELD_OUT, _SPLIT = "of test_frames", ("train_filenames", "val_filenames", "test_filenames")
 _IMAGES = (".png", ".jpg", ".jpeg")
 _CENTRED = Inferred(
     "principal point", "the principal point of the lens is assumed in the middle", "write cx and cy if it is not there"
@@ -61,29 +67,65 @@ def _read(place: Path) -> Capture:
     parts = [_frames(content, path) for content, path in zip(contents, paths, strict=True)]
     names = frame_names([frame["file_path"] for frames, _ in parts for frame in frames])
     of_parts = np.split(np.array(names, object), np.cumsum([len(frames) for frames, _ in parts])[:-1])
+    entries = dict(zip(names, (frame for frames, _ in parts for frame in frames), strict=True))
+    bad = [name for name, frame in entries.items() if frame.get("is_bad") is True]
     found = [
         (name, with_picture(_image_path(path, frame["file_path"]), partial(_shot, name, {**content, **frame}, path)))
         for own, (frames, _), content, path in zip(of_parts, parts, contents, paths, strict=True)
         for name, frame in zip(own, frames, strict=True)
+        if name not in bad
     ]
-    missing, warnings = [name for _, absent in parts for name in absent], list[str]()
-    if any("mask_path" in frame for frames, _ in parts for frame in frames):
-        warnings.append("mask_path is not used: it says what to leave out, and names no classes")
+    missing = [name for _, absent in parts for name in absent]
     said = ({**content, **frame} for content, (frames, _) in zip(contents, parts, strict=True) for frame in frames)
     is_centred = any("fl_x" in entry and not ("cx" in entry and "cy" in entry) for entry in said)
     up: UpAxis | None = "z" if contents[0].get("orientation_override") == "none" else None
     posed = {name for name, shot in found if isinstance(shot, Shot)}
     kept = [tuple(name for name in own if name in posed) for own in of_parts]
-    split = Split(*kept) if len(kept) == 2 else None
+    own = {name: frame for name, frame in entries.items() if name in posed}
+    split = Split(*kept) if len(kept) == 2 else _own_split(contents[0], own, paths[0])
+    unused = [] if split is None else [name for name in posed if name not in (*split.train, *split.test)]
     return Capture(
-        found, up, tuple(warnings), _points(contents[0], paths[0]), split, left_out=left_out("a picture", missing),
+        found, up, (), _points(contents[0], paths[0]), split,
+        left_out=(
+            *left_out("a picture", missing), *left_out("a good picture (is_bad)", bad),
+            *left_out("a place in the file's split", sorted(unused, key=natural_order)),
+        ),
         inferred=(_CENTRED,) if is_centred else (),
     )  # fmt: skip
+
+
+def _own_split(content: dict[str, Any], frames: Mapping[str, Mapping[str, Any]], path: Path) -> Split | None:
+    """The split that the file says of ``frames``, by their names; None where it says none. Raises PlgsError."""
+    names = {_plain(frame["file_path"]): name for name, frame in frames.items()}
+    listed = {key: _listed(content, key, names, path) for key in _SPLIT if content.get(key)}
+    held_out = listed.get("test_filenames") or listed.get("val_filenames") or {
+        name for name, frame in frames.items() if frame.get(_IS_HELD_OUT)
+    }
+    train = [name for name in listed.get("train_filenames", frames) if name not in held_out]
+    if not held_out:
+        return None
+    if not train:
+        raise PlgsError("no-training-frame", "there is no frame to train on", path, "Name frames in train_filenames.")
+    return Split(tuple(name for name in frames if name in train), tuple(name for name in frames if name in held_out))
+
+
+def _listed(content: dict[str, Any], key: str, names: Mapping[str, str], path: Path) -> set[str]:
+    """The names of the frames whose pictures a list names; pictures without a frame are left out. Raises PlgsError."""
+    files = take_list(content, key, "the file", path)
+    if not all(isinstance(file, str) for file in files):
+        raise wrong_type(key, "a list of files", files, "the file", path)
+    return {names[_plain(file)] for file in files if _plain(file) in names}
+
+
+def _plain(file: str) -> str:
+    return "/".join(part for part in file.replace("\\", "/").split("/") if part not in ("", "."))
 
 
 def _frames(content: dict[str, Any], path: Path) -> tuple[list[dict[str, Any]], list[str]]:
     """The frames of a file whose pictures are there, in natural order, and those that are not. Raises PlgsError."""
     frames = take_objects(content, "frames", "the file", path)
+    if "test_frames" in content:
+        frames += [{**frame, _IS_HELD_OUT: True} for frame in take_objects(content, "test_frames", "the file", path)]
     for frame in frames:
         take_text(frame, "file_path", "a frame", path)
     frames.sort(key=lambda frame: natural_order(frame["file_path"]))
@@ -110,7 +152,11 @@ def _shot(name: str, frame: Mapping[str, Any], path: Path) -> Shot | None:
     lens = fitted(lens, colour_path, f"Correct w and h of {context} in {path.name}.")
     depth = _depth(entry, lens, context, path)
     camera = lens.at(from_opengl(pose))
-    return Shot(name, camera, colour_path, depth, distortion=_distortion(entry, context, path))
+    kept = None
+    if entry.get("mask_path"):
+        kept = file_inside(path.parent, take_text(entry, "mask_path", context, path), path)
+        label_header(kept)
+    return Shot(name, camera, colour_path, depth, distortion=_distortion(entry, context, path), kept_pixels=kept)
 
 
 def _image_path(path: Path, name: str) -> Path:
@@ -197,11 +243,11 @@ def _depth(entry: dict[str, Any], lens: Camera, context: str, path: Path) -> Dep
         return npy_depth(depth_path)
     if not depth_path.suffix and not depth_path.is_file():
         depth_path = depth_path.with_name(depth_path.name + ".png")
-    has_scale = "integer_depth_scale" in entry
-    unit = take_number(entry, "integer_depth_scale", context, path) if has_scale else MILLIMETRES
+    scale = next((key for key in ("integer_depth_scale", "depth_unit_scale_factor") if key in entry), None)
+    unit = MILLIMETRES if scale is None else take_number(entry, scale, context, path)
     if not 0.0 < unit < 1.0:
         fix = "Write one such as 0.001; or give 16-bit depth of another source with --depth MAPS."
-        what = '"integer_depth_scale" is not the length of a step in metres'
+        what = f'"{scale}" is not the length of a step in metres'
         raise PlgsError("bad-scale", what, path, fix, option="--depth")
     return png_depth(depth_path, lens, unit)
 

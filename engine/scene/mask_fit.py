@@ -1,0 +1,298 @@
+"""Whether masks fit their pictures: paired with the right frames, upright as stored, straightened, without borders.
+
+Programs number masks anew, turn photos as their EXIF tag says, see photos as the lens took them, or add borders that
+make a network's size. Names and sizes don't say so. The pictures do: a mask's outlines lie on their edges.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import PlgsError
+from ..posed.frames import Camera
+from ..posed.layout import listed, same_shape, shown_size
+from .formats.lens import Distortion, undistorted
+from .frame import Inferred, Size
+from .frame_choice import evenly_spread
+from .mask_formats import MaskSource
+from .pixels import read_indices, resize_nearest
+from .values import inside
+
+Ids = NDArray[np.int32]
+Read = Callable[[Size], NDArray[np.uint8]]
+"""Reads a picture at a size."""
+_LOOKED_AT = 16
+_LONGEST = 320
+"""Pixels of the longer side of the pictures that are compared."""
+_LEAST_OUTLINE = 30
+_BLACK = 12
+_SURE = 4.0
+"""Standard errors of the mean difference with which one reading fits better than another. On the sample, masks of the
+next frame are told by 15, masks that a lens bends by 5 pixels by 8, and by 2 pixels not at all."""
+_NETWORK_STEP = 32
+"""Networks take pictures whose sides are multiples of this."""
+_FIX = "Give masks of these pictures with --masks FOLDER: python -m engine segment SCENE makes them."
+_TURNS = {3: 2, 6: 1, 8: 3}
+"""Quarter turns against the clock from the picture as its EXIF orientation shows it to the stored one."""
+_BY_NAMES = "rename the masks after their pictures if that is wrong"
+
+
+@dataclass(frozen=True)
+class Placement:
+    """How a mask comes into the stored and straightened picture: the ``box`` (x, y, width, height) that it fills, its
+    quarter ``turns``, the lens that bent it, and the picture that is black where pixels do not count."""
+
+    box: tuple[int, int, int, int] | None = None
+    turns: int = 0
+    lens: tuple[Camera, Distortion] | None = None
+    kept: KeptPixels | None = None
+
+    def __call__(self, ids: Ids) -> Ids:
+        """Ids int32 [H, W] as they are stored to those of the picture. Raises PlgsError."""
+        if self.box is not None:
+            x, y, width, height = self.box
+            ids = ids[y : y + height, x : x + width]
+        ids = np.rot90(ids, self.turns)
+        if self.lens is not None:
+            ids = undistorted(ids, *self.lens, Path(), smooth=False)
+        if self.kept is not None:
+            ids = np.where(self.kept((ids.shape[1], ids.shape[0])), ids, 0)
+        return np.ascontiguousarray(ids)
+
+    def __repr__(self) -> str:
+        """For digests of masks."""
+        lens = None if self.lens is None else (self.lens[0].K.tolist(), self.lens[1])
+        return f"{self.box} {self.turns} {lens} {self.kept}"
+
+
+@dataclass(frozen=True)
+class KeptPixels:
+    """The pixels of a frame that count: a picture of the photo as taken, black elsewhere, and the photo's lens."""
+
+    path: Path
+    lens: tuple[Camera, Distortion] | None = None
+
+    def __call__(self, size: Size) -> NDArray[np.bool_]:
+        """Bool [H, W] at ``size`` (width, height). Raises PlgsError."""
+        kept = inside(read_indices(self.path), self.path)
+        if self.lens is not None:
+            kept = undistorted(kept.astype(np.uint8), *self.lens, self.path, smooth=False) > 0
+        return resize_nearest(kept, size)
+
+    def __repr__(self) -> str:
+        return f"{self.path.name} {self.path.stat().st_size if self.path.exists() else 0}"
+
+
+def edge_ranks(picture: NDArray[np.uint8]) -> NDArray[np.float32]:
+    """The share of a picture's pixels that have a weaker edge than each one, float32 [H, W]; NaN where it is black, as
+    beyond the edges of a straightened photo, and around."""
+    import cv2
+
+    grey = cv2.GaussianBlur(cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY).astype(np.float32), (0, 0), 1.0)
+    strength = np.hypot(cv2.Sobel(grey, cv2.CV_32F, 1, 0), cv2.Sobel(grey, cv2.CV_32F, 0, 1)).ravel()
+    ranks = np.empty(strength.size, np.float32)
+    ranks[np.argsort(strength)] = np.linspace(0.0, 1.0, strength.size, dtype=np.float32)
+    black = (picture.max(axis=2) <= _BLACK).astype(np.uint8)
+    return np.where(cv2.dilate(black, np.ones((9, 9), np.uint8)) > 0, np.nan, ranks.reshape(grey.shape))
+
+
+def on_edges(ids: Ids, ranks: NDArray[np.float32]) -> float:
+    """The mean of ``edge_ranks`` [H, W] on the outlines of a mask's ids; 0.5 by chance, NaN with hardly any outline."""
+    height, width = ranks.shape
+    ids = resize_nearest(ids, (width, height))
+    outline = np.zeros(ids.shape, np.bool_)
+    outline[:, :-1] |= ids[:, 1:] != ids[:, :-1]
+    outline[:-1] |= ids[1:] != ids[:-1]
+    outline[:2] = outline[-2:] = outline[:, :2] = outline[:, -2:] = False
+    outline &= np.isfinite(ranks)
+    return float(ranks[outline].mean()) if outline.sum() >= _LEAST_OUTLINE else float("nan")
+
+
+def fits_better(pairs: Iterable[tuple[Ids, Ids, Read, Size]]) -> bool | None:
+    """Of ids in two readings, with the picture of each frame and its size, whether the first fits the pictures better,
+    False if the second does, None if neither is sure."""
+    differences = []
+    for one, other, read, size in pairs:
+        if one.shape == other.shape and np.array_equal(one, other):
+            continue
+        scale = min(1.0, _LONGEST / max(size))
+        ranks = edge_ranks(read((round(size[0] * scale), round(size[1] * scale))))
+        differences.append(on_edges(one, ranks) - on_edges(other, ranks))
+    found = np.array([each for each in differences if np.isfinite(each)])
+    if len(found) < 3:
+        return None
+    error = max(float(found.std(ddof=1)) / np.sqrt(len(found)), 1e-6)
+    return None if abs(found.mean()) < _SURE * error else bool(found.mean() > 0.0)
+
+
+def _ids(source: MaskSource, name: str) -> Ids | None:
+    """A mask's ids; None where it cannot be read, which whoever reads it later says."""
+    try:
+        return source.masks[name].read().ids
+    except PlgsError:
+        return None
+
+
+def paired(
+    names: Sequence[str],
+    open_source: Callable[[Sequence[str]], MaskSource],
+    pictured: Mapping[str, Pictured],
+) -> tuple[MaskSource, tuple[Inferred, ...]]:
+    """The masks of the frames ``names``, by their names, or by their numbers counted otherwise where more frames then
+    have a mask and these fit the pictures better; and what was inferred. Raises what ``open_source`` raises."""
+    try:
+        usual, error = open_source(names), None
+    except PlgsError as raised:
+        usual, error = MaskSource({}), raised
+    lacking = [name for name in names if name not in usual.masks]
+    if not lacking or (error is not None and error.key != "lacks-files"):
+        if error is not None:
+            raise error
+        return usual, ()
+    ways = []
+    for how, others in _other_numbers(names):
+        try:
+            source = open_source([*others.values()])
+        except PlgsError:
+            continue
+        masks = {name: source.masks[other] for name, other in others.items() if other in source.masks}
+        if len(masks) > len(usual.masks):
+            ways.append((how, replace(source, masks=masks)))
+    doubts: tuple[Inferred, ...] = ()
+    for how, source in sorted(ways, key=lambda way: -len(way[1].masks)):
+        masks = source.masks
+        # Where no name has its mask, the masks of the next frames are what the pairs have to be better than.
+        against = usual if usual.masks else replace(source, masks=dict(zip(names, [*masks.values()][1:], strict=False)))
+        common = evenly_spread([name for name in masks if name in against.masks], _LOOKED_AT)
+        read = ((_ids(source, name), _ids(against, name), pictured[name]) for name in common)
+        pairs = ((one, other, shown) for one, other, shown in read if one is not None and other is not None)
+        fits = fits_better((one, other, shown.read, shown.size) for one, other, shown in pairs)
+        if fits:
+            what = f"{how}: {names[0]} has {masks[names[0]].path.name if names[0] in masks else 'none'}"
+            return source, (Inferred("numbering", f"masks are paired with frames {what}", f"they fit so; {_BY_NAMES}"),)
+        if fits is None and error is None:
+            what = f"masks may be numbered otherwise than frames: {listed(lacking)} lack one, and some masks a frame"
+            doubts = (Inferred("numbering", what, "the pictures do not tell; rename the masks if so"),)
+    if error is not None:
+        raise error
+    return usual, doubts
+
+
+def _other_numbers(names: Sequence[str]) -> list[tuple[str, dict[str, str]]]:
+    """Other ways to number the frames, and the name of each frame's mask in it."""
+    last = [re.search(r"\d+(?=\D*$)", name) for name in names]
+    found = [(name, match) for name, match in zip(names, last, strict=True) if match is not None]
+    if len(found) < len(names):
+        return []
+
+    def renamed(number: Callable[[int, int], int]) -> dict[str, str]:
+        return {
+            name: f"{name[: at.start()]}{number(int(at[0]), i):0{len(at[0])}d}{name[at.end() :]}"
+            for i, (name, at) in enumerate(found)
+            if number(int(at[0]), i) >= 0
+        }
+
+    return [
+        ("whose number is one less", renamed(lambda number, _: number + 1)),
+        ("whose number is one more", renamed(lambda number, _: number - 1)),
+        ("by their order, counted from 0", renamed(lambda _, place: place)),
+        ("by their order, counted from 1", renamed(lambda _, place: place + 1)),
+    ]
+
+
+@dataclass(frozen=True)
+class Pictured:
+    """What masks are placed by: how a frame's picture is read, its size, the photo's EXIF orientation (1: upright), the
+    lens that bent it, if any, and the pixels that count, if not all."""
+
+    read: Read
+    size: Size
+    orientation: int = 1
+    lens: tuple[Camera, Distortion] | None = None
+    kept: KeptPixels | None = None
+
+
+def placements(
+    source: MaskSource, pictured: Mapping[str, Pictured]
+) -> tuple[dict[str, Placement], tuple[Inferred, ...]]:
+    """How the mask of each frame comes into its picture, and what was inferred. Raises PlgsError for a mask of another
+    shape than its picture."""
+    found = {name: Placement(kept=pictured[name].kept) for name in source.masks}
+    inferred: list[Inferred] = []
+    turned = {name for name in found if pictured[name].orientation in _TURNS}
+    turns = {name: replace(found[name], turns=_TURNS[pictured[name].orientation]) for name in turned}
+    sideways = {n for n in turned if turns[n].turns % 2 and same_shape(source.masks[n].size[::-1], pictured[n].size)}
+    fits = len(sideways) == len(turned) or _fits(source, turns, found, pictured)
+    if turned and fits:
+        found |= turns
+        what = f"masks of photos with an EXIF orientation are turned to the stored pictures ({listed(sorted(turned))})"
+        inferred.append(Inferred("orientation", what, "they fit so"))
+    elif turned and fits is None:
+        what = f"photos with an EXIF orientation are read as they are stored ({listed(sorted(turned))})"
+        inferred.append(Inferred("orientation", what, "poses and depth are of the stored pictures; so must masks be"))
+    boxes = _boxes(source, found, pictured)
+    if boxes:
+        found |= {name: replace(found[name], box=box) for name, box in boxes.items()}
+        name, box = next(iter(boxes.items()))
+        what = f"masks of {shown_size(source.masks[name].size)} are cut to {shown_size(box[2:])}, without their borders"
+        inferred.append(Inferred("masks' borders", what, "networks add such borders, and the masks are empty there"))
+    for name, placement in found.items():
+        width, height = source.masks[name].size if placement.box is None else placement.box[2:]
+        size = (height, width) if placement.turns % 2 else (width, height)
+        if not same_shape(size, pictured[name].size):
+            what = f"a mask of {shown_size(size)} does not fit the colour of {shown_size(pictured[name].size)}"
+            raise PlgsError("mask-shape", what, source.masks[name].path, _FIX, option="--masks")
+    bent = {name: replace(one, lens=pictured[name].lens) for name, one in found.items() if pictured[name].lens}
+    if bent and _fits(source, bent, found, pictured):
+        found |= bent
+        what = "masks are straightened as the photos are"
+        inferred.append(Inferred("masks' lens", what, "they fit the photos as taken"))
+    return found, tuple(inferred)
+
+
+def _fits(
+    source: MaskSource, ones: Mapping[str, Placement], others: Mapping[str, Placement], pictured: Mapping[str, Pictured]
+) -> bool | None:
+    """``fits_better`` of two placements of masks."""
+    names = evenly_spread([*ones], _LOOKED_AT)
+    read = ((name, ids) for name in names if (ids := _ids(source, name)) is not None)
+    ways = [{name: replace(way[name], kept=None) for name in names} for way in (ones, others)]
+    return fits_better(
+        (ways[0][name](ids), ways[1][name](ids), pictured[name].read, pictured[name].size) for name, ids in read
+    )
+
+
+def _boxes(
+    source: MaskSource, found: Mapping[str, Placement], pictured: Mapping[str, Pictured]
+) -> dict[str, tuple[int, int, int, int]]:
+    """The part of each mask that shows its picture, where a network's borders surround it, empty in all masks."""
+    ways: list[dict[str, tuple[int, int, int, int]]] = [{}, {}]
+    for name, mask in source.masks.items():
+        (width, height), size = mask.size, pictured[name].size[:: -1 if found[name].turns % 2 else 1]
+        scale = min(width / size[0], height / size[1])
+        inner = round(size[0] * scale), round(size[1] * scale)
+        over = width - inner[0], height - inner[1]
+        is_networks = width % _NETWORK_STEP == 0 and height % _NETWORK_STEP == 0
+        if max(over) >= 2 and (is_networks or not same_shape(mask.size, size)):
+            ways[0][name] = (round(over[0] / 2 - 0.1), round(over[1] / 2 - 0.1), *inner)
+            ways[1][name] = (0, 0, *inner)
+    for way in ways:
+        ids_of = {name: _ids(source, name) for name in evenly_spread([*way], _LOOKED_AT)}
+        looked = [(way[name], ids) for name, ids in ids_of.items() if ids is not None and ids.any()]
+        if looked and not any(_outside(ids, box).any() for box, ids in looked):
+            return way
+    return {}
+
+
+def _outside(ids: Ids, box: tuple[int, int, int, int]) -> Ids:
+    """The ids beyond a box, 0 in it."""
+    x, y, width, height = box
+    beyond = ids.copy()
+    beyond[y : y + height, x : x + width] = 0
+    return beyond
