@@ -64,7 +64,7 @@ def record_of(
 ) -> Record:
     """The record of a JSON object from the file ``path``. ``context`` is its place there, such as "files[3]". Raises a
     PlgsError that names the file, the key and what it has to be."""
-    declared, hints = _declared(kind), _hints(cast(Any, kind))
+    declared, hints = _declared(cast(Any, kind)), _hints(cast(Any, kind))
     if unknown := sorted(content.keys() - declared.keys()):
         what = f"the file has {', '.join(map(repr, unknown))}{_of(context)}, which this version does not know"
         raise PlgsError("unknown-field", what, path, "Remove it, or use the version of PLGS that wrote it.")
@@ -86,7 +86,7 @@ def record_of(
 def check_record(record: Any, fix: str) -> None:
     """Raise PlgsError for a field whose value is not what `read_record` would take."""
     hints = _hints(cast(Any, type(record)))
-    for each in _declared(type(record)).values():
+    for each in _declared(cast(Any, type(record))).values():
         value = getattr(record, each.name)
         given = str(value) if isinstance(value, Path) else _plain(value, None)
         _Reader("", fix, each.metadata).value(hints[each.name], given, each.name)

@@ -16,6 +16,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import bpy
 import numpy as np
@@ -240,6 +241,9 @@ class ShotReader:
         if ob is None:
             raise PlgsError("camera-gone", "is gone", f"{self._scene}: {self._camera}", "Bake it again.")
         with _frame_kept(scene):
+            if not self._read and not _may_move(scene, ob):  # a range of a million frames need not be looked at
+                self._read, self._stands_still = [_camera_at(scene, ob, self._first, "")], True
+                return True
             for frame in self._frames[len(self._read) :]:
                 self._read.append(_camera_at(scene, ob, frame, ""))
                 if time.monotonic() >= end:
@@ -278,6 +282,22 @@ class ShotReader:
         file = folder / f"{name}.{self._which}.json"
         write_cameras(file, cameras)
         return file
+
+
+def _may_move(scene: bpy.types.Scene, ob: bpy.types.Object) -> bool:
+    """Whether anything could change what a camera sees from frame to frame: animation, drivers, constraints, physics,
+    or a script."""
+    ours, handlers = __package__.rpartition(".")[0], bpy.app.handlers
+    scripts = [*handlers.frame_change_pre, *handlers.frame_change_post, *handlers.depsgraph_update_post]
+    if any(not script.__module__.startswith(ours) for script in scripts):
+        return True
+    owners: list[Any] = [scene, ob.data]
+    while ob is not None:
+        owners.append(ob)
+        if ob.constraints or ob.modifiers or ob.rigid_body is not None or ob.parent_type not in ("OBJECT", "BONE"):
+            return True
+        ob = ob.parent
+    return any(each.animation_data is not None for each in owners)
 
 
 @contextmanager

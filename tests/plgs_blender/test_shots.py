@@ -214,6 +214,19 @@ def test_parts_of_a_shot_name_a_camera_that_stands_still_alike(scene: bpy.types.
         assert [camera.name for camera in cameras_of(scene, shot_of(scene, "", first, last))] == ["dolly.0001"]
 
 
+def test_a_camera_that_cannot_move_is_looked_at_once(
+    scene: bpy.types.Scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scene.camera.animation_data_clear()
+    scene.camera.data.animation_data_clear()
+    scene.frame_end = 1_000_000
+    assert [camera.name for camera in cameras_of(scene, shot_of(scene))] == ["dolly.0000001"]
+    scene.frame_end, scene.camera.parent = 4, bpy.data.objects["Cube"]
+    driven = scene.camera.parent.driver_add("location", 0).driver
+    driven.expression = "frame"
+    assert len(cameras_of(scene, shot_of(scene))) == 4, "what it hangs on moves"
+
+
 def test_shots_of_two_files_do_not_replace_each_other(scene: bpy.types.Scene, tmp_path: Path) -> None:
     lift, shot = tmp_path / "lift", shot_of(scene, given="pan")
     lift.mkdir()
