@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import cycle, islice
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -13,6 +14,7 @@ import torch
 from torch.autograd.graph import register_multi_grad_hook
 
 from engine.job import EventWriter, StopSignal
+from engine.job.system import peak_bytes
 from engine.lift.preparation import PreparedLift, prepare
 from engine.lift.run import STAGES
 from engine.model.gaussians import visible_anchors
@@ -20,7 +22,7 @@ from engine.model.render import render_view
 from engine.model.scene_labels import scene_labels
 from engine.passes.layers import decide
 from engine.presets.preset import PRESETS, Preset
-from engine.scene import ClassTable, View, load_view, open_scene
+from engine.scene import ClassTable, View, load_view, open_scene, size_within
 from engine.train.progress import StageReporter, StepClock
 from engine.train.trainer import Trainer
 
@@ -32,8 +34,8 @@ EVERY = 4
 VOXEL_SIZE = 0.09
 """Metres; makes about 50 000 anchors of the sample."""
 WARM_UP_STEPS = 3
-EPOCHS = 2
-"""How often each view is trained on, and drawn, while the clock runs."""
+STEPS = 32
+"""Steps and pictures that are measured."""
 
 DECODE = ("decode, forward", "decode, backward")
 RASTERISE = ("rasterise, forward", "rasterise, backward")
@@ -66,13 +68,15 @@ class MeasuringClock(StepClock):
 @dataclass(frozen=True)
 class StepProfile:
     """Milliseconds of a training step by part, and what they were measured on. ``visible`` anchors and ``gaussians``
-    are means over the steps; ``draw`` and ``decide`` make a panoptic frame: drawn, and every pixel decided."""
+    are means over the steps; ``cores`` is a step's processor time, milliseconds of all cores together; ``draw`` and
+    ``decide`` make a panoptic frame: drawn, and every pixel decided."""
 
     threads: int
     anchors: int
     visible: int
     gaussians: int
     parts: dict[str, float]
+    cores: float
     draw: float
     decide: float
 
@@ -96,6 +100,8 @@ class StepProfile:
             "visible_anchors": self.visible,
             "gaussians": self.gaussians,
             "step_ms": self.step,
+            "core_ms": self.cores,
+            "peak_bytes": peak_bytes(),
             "parts_ms": self.parts,
             "decode_over_rasterise": self.ratio(DECODE),
             "losses_and_optimiser_over_rasterise": self.ratio((*LOSSES, *OPTIMISE)),
@@ -104,39 +110,50 @@ class StepProfile:
         }
 
 
-def bench_step() -> dict[str, object]:
+def bench_step(preset: Preset | None = None) -> dict[str, object]:
     """Prepare a lift of the bundled sample, measure its steps and its pictures, print and return what they took. Raises
-    PlgsError if the sample is missing."""
-    preset = replace(PRESETS["standard"], size=SIZE, voxel_size=VOXEL_SIZE)
+    PlgsError if the sample is missing.
+
+    With a ``preset`` this is the lift that it asks for. Without one the frames are enlarged: then the rasteriser counts
+    more.
+    """
     scene = open_scene(SAMPLE, None, "z")
-    views = [load_view(frame, SIZE) for frame in scene.train_frames[::EVERY]]
+    if preset is None:
+        preset = replace(PRESETS["standard"], size=SIZE, voxel_size=VOXEL_SIZE)
+        views = [load_view(frame, SIZE) for frame in scene.train_frames[::EVERY]]
+    else:
+        views = [load_view(frame, size_within(frame.size, preset.size)) for frame in scene.train_frames]
     print(f"{torch.get_num_threads()} threads")
-    print(f"preparing a lift of {len(views)} views of {SIZE[0]}x{SIZE[1]} ...", flush=True)
+    print(f"preparing a lift of {len(views)} views by the preset {preset.name} ...", flush=True)
     profile = profile_lift(views, scene.classes, preset)
     print_profile(profile)
+    print(f"peak memory, with the preparation: {(peak_bytes() or 0) / 1e9:.1f} GB")
     return profile.facts()
 
 
-def profile_lift(views: Sequence[View], classes: ClassTable, preset: Preset, epochs: int = EPOCHS) -> StepProfile:
-    """Prepare a lift, train it until all parts take part, then measure ``epochs`` epochs of steps with labels:
-    the others have fewer parts."""
+def profile_lift(views: Sequence[View], classes: ClassTable, preset: Preset, steps: int = STEPS) -> StepProfile:
+    """Prepare a lift, and measure ``steps`` steps with labels, as the others have fewer parts. They begin where
+    statistics of growth are gathered, which is another part."""
     preset = replace(preset, label_every=1)
     prepared = _prepared(views, classes, preset)
     trainer = Trainer(prepared.scene, prepared.targets, list(views), preset, seed=0)
-    first = max(WARM_UP_STEPS, round(Trainer.growth_schedule.statistics_from * preset.steps) + 1)
-    print(f"{len(prepared.scene.anchors)} anchors; {first} steps to warm up ...", flush=True)
-    for _ in range(first):
+    trainer.step_number = round(Trainer.growth_schedule.statistics_from * preset.steps) + 1
+    print(f"{len(prepared.scene.anchors)} anchors; {WARM_UP_STEPS} steps to warm up ...", flush=True)
+    for _ in range(WARM_UP_STEPS):
         trainer.step()
-    clock = trainer.clock = MeasuringClock()
-    reports = [trainer.step() for _ in range(epochs * len(views))]
+    clock, began = MeasuringClock(), time.process_time()
+    trainer.clock = clock
+    reports = [trainer.step() for _ in range(steps)]
+    cores = 1e3 * (time.process_time() - began) / steps
     anchors = trainer.scene.anchors
-    draw, decided = _frame_times(prepared, trainer, views, classes, epochs)
+    draw, decided = _frame_times(prepared, trainer, views, classes, steps)
     return StepProfile(
         threads=torch.get_num_threads(),
         anchors=len(anchors),
         visible=round(np.mean([len(visible_anchors(anchors, view.camera)) for view in views])),
         gaussians=round(np.mean([report.gaussians for report in reports])),
         parts=typical(clock.steps),
+        cores=cores,
         draw=draw,
         decide=decided,
     )
@@ -166,12 +183,12 @@ def typical(steps: Sequence[Mapping[str, float]]) -> dict[str, float]:
 
 
 def _frame_times(
-    prepared: PreparedLift, trainer: Trainer, views: Sequence[View], classes: ClassTable, epochs: int
+    prepared: PreparedLift, trainer: Trainer, views: Sequence[View], classes: ClassTable, frames: int
 ) -> tuple[float, float]:
     """Median milliseconds of drawing a panoptic frame, and of deciding it."""
     seconds = []
     labels = scene_labels(trainer.scene)
-    for view in [views[0], *(list(views) * epochs)]:
+    for view in [views[0], *islice(cycle(views), frames)]:
         began = time.perf_counter()
         rendering = render_view(trainer.scene, view.camera, labels)
         drawn = time.perf_counter()
@@ -185,7 +202,7 @@ def print_profile(profile: StepProfile) -> None:
     print(f"{profile.anchors} anchors, of which a view sees {profile.visible}; {profile.gaussians} Gaussians drawn")
     for name, milliseconds in profile.parts.items():
         print(f"{name:20s} {milliseconds:8.1f} ms")
-    print(f"{'whole step':20s} {profile.step:8.1f} ms")
+    print(f"{'whole step':20s} {profile.step:8.1f} ms, {profile.cores:.1f} ms of processor time")
     print(f"decode / rasterise: {profile.ratio(DECODE):.2f} (at most 1.5)")
     print(f"(losses + optimiser) / rasterise: {profile.ratio((*LOSSES, *OPTIMISE)):.2f} (at most 0.5)")
     print(

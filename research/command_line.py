@@ -127,6 +127,10 @@ def _add_experiments(parser: argparse.ArgumentParser) -> None:
 def _add_bench(parser: argparse.ArgumentParser) -> None:
     parser.description = "step: a training step of a lift of the sample, by part, and drawing what was lifted."
     parser.add_argument("what", choices=("step",))
+    parser.add_argument(
+        "--preset", choices=PRESETS, help="a lift by this preset (default: standard on enlarged frames, coarsely)"
+    )
+    add_set_option(parser)
     parser.add_argument("--json", type=Path, metavar="FILE", help="also write the figures to a file")
     parser.set_defaults(run=run_bench)
 
@@ -224,7 +228,12 @@ def run_bench(options: argparse.Namespace) -> ExitCode:
 
     if options.json is not None:
         _refuse_unwritable(options.json)
-    figures = bench_step()
+    if options.set and options.preset is None:
+        raise PlgsError("bench-set", "--set changes a preset, and none is named", "--set", "Add --preset NAME.")
+    preset = None
+    if options.preset is not None:
+        preset = with_options(PRESETS[options.preset], parsed_options(options.set or ()))
+    figures = bench_step(preset)
     if options.json is not None:
         options.json.write_text(json.dumps(figures, indent=1), encoding="utf-8")
     return ExitCode.FINISHED

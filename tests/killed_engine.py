@@ -133,6 +133,7 @@ def serve(scene: Path, lift: Path) -> None:
 
     # Every step is a checkpoint, every baked view is kept: so there is more to be torn.
     lifting.CHECKPOINT_EVERY_S = bake_more.KEEP_EVERY_S = -1.0
+    lifting.CHECKPOINT_SHARE = float("inf")
     answers = os.fdopen(os.dup(1), "w", buffering=1)
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
     request = LiftRequest(scene=scene, options={"steps": 2, "warm_start": False})

@@ -76,7 +76,9 @@ STAGES = {
     "bake": "Baking and scoring panoptic passes",
 }
 CHECKPOINT_EVERY_S = 20.0
-"""Seconds between two checkpoints: the most work that is lost on a kill. Checkpoints do not change the result."""
+"""Seconds between two checkpoints, unless that is too often. Checkpoints do not change the result."""
+CHECKPOINT_SHARE = 0.02
+"""The largest share of the time that checkpoints take: the longer one takes to write, the rarer they are."""
 NO_VOTES = (
     "the finished scene shows the label decoders, not the views' votes: "
     'votes need objects = "agreement" and one_class_an_object = true'
@@ -314,12 +316,12 @@ def train(
     """Do all remaining steps, and return the seconds that each took. ``facts`` about the run go into its checkpoints;
     ``show`` is called with the model after each step.
 
-    A checkpoint is written every CHECKPOINT_EVERY_S seconds, when stopped, and at the end. None is written if a step
-    fails, as half a step's changes would replace the last complete state.
+    A checkpoint is written every CHECKPOINT_EVERY_S seconds or more, when stopped, and at the end. None is written if a
+    step fails, as half a step's changes would replace the last complete state.
     """
     steps, paces = trainer.preset.steps, []
     with stages.stage("train") as progress, closing(TrainingLog(folder.training_path, trainer.step_number)) as losses:
-        saved_at = time.monotonic()
+        saved_at, pause = time.monotonic(), CHECKPOINT_EVERY_S
         compiled = log_compilation("the kernels of a training step", "half a minute")
         done, left = trainer.step_number / steps, None
         if stages.course is not None:
@@ -338,9 +340,10 @@ def train(
                     stages.course.leave_out(paces[0])
                 progress(report.step, steps, report.loss)
                 show(trainer.scene)
-                if time.monotonic() - saved_at > CHECKPOINT_EVERY_S:
+                if (began := time.monotonic()) - saved_at > pause:
                     save_checkpoint(trainer, folder, facts)
                     saved_at = time.monotonic()
+                    pause = max(CHECKPOINT_EVERY_S, (saved_at - began) / CHECKPOINT_SHARE)
         except Cancelled:
             save_checkpoint(trainer, folder, facts)
             raise

@@ -11,6 +11,7 @@ import math
 import os
 import sys
 import threading
+from bisect import bisect_left, insort
 from typing import Any
 
 import numpy as np
@@ -21,12 +22,16 @@ KEPT_CALLS = 150
 """When a new block is made, blocks that were unused for this many requests are returned to the system."""
 LEAST_STEP = 4096
 """Bytes, a power of two. All sizes are multiples of it."""
+MOST_SPARE = 3
+"""A block of up to this many times the requested size is given out. Views differ by as much in what they see, and a
+larger block is soon wanted for something larger."""
 
 
 class _Block:
-    __slots__ = ("bytes", "start", "used")
+    __slots__ = ("bytes", "size", "start", "used")
 
     def __init__(self, size: int) -> None:
+        self.size = size
         self.bytes = np.empty(size + ALIGNMENT, np.uint8)
         self.start = -self.bytes.ctypes.data % ALIGNMENT
         self.used = 0
@@ -35,8 +40,8 @@ class _Block:
 _unshared = _Block(1)
 _REFERENCES = sys.getrefcount(_unshared.bytes)
 """The reference count of a block's bytes when nothing else holds them. It differs between versions of Python."""
-_blocks: dict[int, list[_Block]] = {}
-"""All blocks, by size in bytes."""
+_blocks: list[_Block] = []
+"""All blocks, by size, the smallest first."""
 _calls = 0
 _lock = threading.Lock()
 
@@ -74,34 +79,42 @@ def several(*wanted: tuple[int | tuple[int, ...], DTypeLike]) -> tuple[NDArray[A
 def _take(size: int) -> tuple[NDArray[Any], int]:
     """The bytes of a free block, which is made if there is none, and the place of the first aligned byte."""
     global _calls
-    size = _rounded(size)
     with _lock:
         _calls += 1
-        block = _free_block(size) or _free_block(_rounded(size + 1)) or _new_block(size)
+        size = max(size, LEAST_STEP)
+        block = _free_block(size) or _new_block(size)
         block.used = _calls
         return block.bytes, block.start  # held from here on, before another thread can look for a free block
 
 
+def _is_free(block: _Block) -> bool:
+    return sys.getrefcount(block.bytes) == _REFERENCES
+
+
 def _free_block(size: int) -> _Block | None:
-    for block in _blocks.get(size, ()):
-        if sys.getrefcount(block.bytes) == _REFERENCES:
+    """The smallest free block that fits."""
+    for place in range(bisect_left(_blocks, size, key=_size), len(_blocks)):
+        block = _blocks[place]
+        if block.size > MOST_SPARE * size:
+            break
+        if _is_free(block):
             return block
     return None
 
 
 def _new_block(size: int) -> _Block:
-    """Make a new block; those that were unused for long are returned to the system."""
-    for blocks in _blocks.values():
-        blocks[:] = [
-            block for block in blocks if sys.getrefcount(block.bytes) != _REFERENCES or block.used > _calls - KEPT_CALLS
-        ]
-    block = _Block(size)
-    _blocks.setdefault(size, []).append(block)
+    """Make a new block. Those that were unused for long are returned to the system, and so is the largest free block
+    that is a little too small: the new one does in its place."""
+    smaller = (block for block in reversed(_blocks) if block.size < size <= MOST_SPARE * block.size)
+    replaced = next(filter(_is_free, smaller), None)
+    _blocks[:] = [
+        each for each in _blocks if each is not replaced and (each.used > _calls - KEPT_CALLS or not _is_free(each))
+    ]
+    step = max(LEAST_STEP, 1 << max(0, size.bit_length() - 4))
+    block = _Block(-(-size // step) * step)  # a little more than requested, as a scene grows slowly
+    insort(_blocks, block, key=_size)
     return block
 
 
-def _rounded(size: int) -> int:
-    """A little more than requested, so that a slowly growing scene finds its blocks again; a shrinking one finds them
-    under the next size."""
-    step = max(LEAST_STEP, 1 << max(0, size.bit_length() - 4))
-    return -(-size // step) * step
+def _size(block: _Block) -> int:
+    return block.size

@@ -243,6 +243,10 @@ minimum = of_values("minimum", lanes, _two, lambda builder, a, b: builder.select
 """minimum(a, b): b where it is less than a, else a."""
 maximum = of_values("maximum", lanes, _two, lambda builder, a, b: builder.select(builder.fcmp_ordered(">", b, a), b, a))
 """maximum(a, b): b where it is greater than a, else a."""
+square_root = of_values(
+    "square_root", lanes, (lanes,), lambda builder, a: call(builder, "llvm.sqrt.v16f32", LANES_IR, [a])
+)
+"""square_root(a), correctly rounded."""
 select = of_values("select", lanes, (flags, lanes, lanes), ir.IRBuilder.select)
 """select(condition, a, b): a where the flag is set, else b."""
 movemask = of_values("movemask", types.int64, (flags,), _bits)

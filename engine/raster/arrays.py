@@ -101,11 +101,21 @@ class PixelGradients(NamedTuple):
     last: Array
 
 
+class TileChannels(NamedTuple):
+    """The label channels that have a gradient in each tile: usually few of all. ``counts`` int64 [tiles]; those of tile
+    t are ``channels`` int32 [tiles * C] from t * C on, ascending. ``padded``: the largest count, in whole vectors."""
+
+    counts: Array
+    channels: Array
+    padded: int
+
+
 class IsectGradients(NamedTuple):
     """The gradients of each intersection, by its number: ``values`` float32 [T * GRADIENT_WIDTH] and ``labels`` [T *
-    padded channels]. They are meaningless where ``touched`` uint8 [T] is 0."""
+    ``used.padded``]. ``tiles`` int32 [T] is the tile, -1 where nothing was blended: the others are then meaningless."""
 
-    touched: Array
+    used: TileChannels
+    tiles: Array
     values: Array
     labels: Array
 

@@ -26,9 +26,10 @@ from .arrays import (
     Shapes,
     Size,
     Splats,
+    TileChannels,
     flat,
 )
-from .blending.backward import backward_scratch_size, blend_backward
+from .blending.backward import backward_scratch_size, blend_backward, list_channels
 from .blending.batch import PATCHES, gather
 from .blending.contributors import list_contributors
 from .blending.forward import blend_forward, scratch_size
@@ -142,11 +143,12 @@ def rasterize_backward(state: ForwardState, shapes: Shapes, d_layers: Layers) ->
     """
     height, width, channels = d_layers.labels.shape
     size, workers = Size(width, height, channels), worker_count()
-    isects = _no_isect_gradients(len(state.isects.flatten_ids), channels)
+    used = _channels_of_tiles(d_layers.labels, size, len(state.isects.isect_offsets) - 1)
+    isects = _no_isect_gradients(len(state.isects.flatten_ids), used)
     out = _no_gradients(len(state.records), channels)
     images = map(flat, d_layers.in_order())
     pixels = PixelGradients(*images, state.final, state.last)
-    scratch = new_scratch(workers, backward_scratch_size(channels))
+    scratch = new_scratch(workers, backward_scratch_size(used.padded))
     parallel_for(workers, blend_backward, state.isects, flat(state.records), pixels, size, isects, scratch)
     scene = (shapes, state.records, state.camera)
     flat_out = out._replace(labels=flat(out.labels))
@@ -156,12 +158,17 @@ def rasterize_backward(state: ForwardState, shapes: Shapes, d_layers: Layers) ->
     return out
 
 
-def _no_isect_gradients(count: int, channels: int) -> IsectGradients:
+def _channels_of_tiles(d_labels: Array, size: Size, tiles: int) -> TileChannels:
+    counts, channels = np.zeros(tiles, np.int64), memory.empty(tiles * size.channels, np.int32)
+    if size.channels:
+        parallel_for(worker_count(), list_channels, flat(d_labels).view(np.int32), size, counts, channels)
+    return TileChannels(counts, channels, padded_channels(int(counts.max())))
+
+
+def _no_isect_gradients(count: int, used: TileChannels) -> IsectGradients:
     """Arrays for the gradients of ``count`` intersections, to be filled."""
-    labels = count * padded_channels(channels)
-    return IsectGradients(
-        *memory.several((count, np.uint8), (count * GRADIENT_WIDTH, np.float32), (labels, np.float32))
-    )
+    values, labels = (count * GRADIENT_WIDTH, np.float32), (count * used.padded, np.float32)
+    return IsectGradients(used, *memory.several((count, np.int32), values, labels))
 
 
 def _no_gradients(count: int, channels: int) -> GaussianGradients:

@@ -18,6 +18,10 @@ from ..scene import distinct_ids
 
 TINY = 1e-8
 """Added to divisors, and to a probability before its logarithm."""
+ONE, LEAST = np.float32(1), np.float32(TINY)
+CHUNK = 8192
+"""Pixels that a thread takes at once. Chunks depend only on the number of pixels, so sums over them have the same
+bits however many threads there are."""
 
 
 def label_losses(
@@ -46,28 +50,63 @@ class _LabelLosses(torch.autograd.Function):
     def forward(
         ctx: Any, coverage: torch.Tensor, alpha: torch.Tensor, classes: int, *targets: torch.Tensor
     ) -> tuple[torch.Tensor, torch.Tensor]:
-        ctx.shape, flat = coverage.shape, coverage.detach().reshape(-1, coverage.shape[-1])
-        numbers = torch.stack([target.reshape(-1) for target in targets], 1).long()  # [P, 3]
-        known = numbers >= 0
-        # channels of the targets; without a target, the first channel, with a probability of 1 and no slope
-        ctx.channels = (numbers + torch.tensor([0, classes, classes])) * known
-        visible = alpha.detach().reshape(-1, 1) + TINY
-        probability = (flat.gather(1, ctx.channels) / visible + TINY).where(known, 1.0)
-        ctx.slopes = known / (-probability * visible)
-        ctx.counts = [max(int(each.sum()), 1) for each in (known[:, 0], known[:, 1] | known[:, 2])]
-        costs = -probability.log().numpy()  # NumPy's sums have the same bits for any number of threads
-        return tuple(
-            coverage.new_tensor(each.sum(dtype=np.float64) / count)
-            for each, count in zip((costs[:, 0], costs[:, 1:]), ctx.counts, strict=True)
-        )  # type: ignore[return-value]
+        ctx.shape, ctx.classes = coverage.shape, classes
+        flat, opaque = _flat(coverage).reshape(-1, coverage.shape[-1]), _flat(alpha)
+        ctx.targets = np.stack([_flat(target).astype(np.int16) for target in targets])
+        ctx.slopes, sums = memory.empty(ctx.targets.shape, np.float32), np.zeros((-(-len(flat) // CHUNK), 4))
+        parallel_for(worker_count(), _add_costs, flat, opaque, classes, ctx.targets, ctx.slopes, sums)
+        *costs, by_class, by_slot = sums.sum(axis=0)
+        ctx.counts = max(by_class, 1.0), max(by_slot, 1.0)
+        semantic, instance = (coverage.new_tensor(cost / count) for cost, count in zip(costs, ctx.counts, strict=True))
+        return semantic, instance
 
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, *gradients: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
-        semantic, instance = (gradient / count for gradient, count in zip(gradients, ctx.counts, strict=True))
-        gradient = torch.from_numpy(memory.empty((len(ctx.slopes), ctx.shape[-1]), np.float32)).zero_()
-        gradient.scatter_add_(1, ctx.channels, ctx.slopes * torch.stack([semantic, instance, instance]))
-        return gradient.view(ctx.shape), None, None, None, None, None
+        semantic, instance = (float(each) / count for each, count in zip(gradients, ctx.counts, strict=True))
+        gradient = memory.empty((ctx.targets.shape[1], ctx.shape[-1]), np.float32)
+        factors = np.array([semantic, instance, instance], np.float32)
+        parallel_for(worker_count(), _write_slopes, ctx.targets, ctx.classes, ctx.slopes, factors, gradient)
+        return torch.from_numpy(gradient).view(ctx.shape), None, None, None, None, None
+
+
+def _flat(tensor: torch.Tensor) -> NDArray[Any]:
+    return tensor.detach().contiguous().numpy().reshape(-1)
+
+
+@parallel_kernel
+def _add_costs(
+    worker: int, workers: int, coverage: Array, alpha: Array, classes: int, targets: Array, slopes: Array, sums: Array
+) -> None:
+    """From the ``targets`` int16 [3, P], the first of which are classes, fill ``slopes`` float32 [3, P], those of the
+    costs by the coverage, and ``sums`` float64 [chunks, 4]: the costs of classes and of slots, and the pixels that have
+    a target of each."""
+    for chunk in range(worker, len(sums), workers):
+        for pixel in range(chunk * CHUNK, min((chunk + 1) * CHUNK, len(alpha))):
+            visible = alpha[pixel] + LEAST
+            for place in range(3):
+                number = targets[place, pixel]
+                if number >= 0:
+                    shown = coverage[pixel, number if place == 0 else number + classes]
+                    probability = shown / visible + LEAST
+                    slopes[place, pixel] = -ONE / (probability * visible)
+                    sums[chunk, min(place, 1)] -= np.log(probability)
+            sums[chunk, 2] += targets[0, pixel] >= 0
+            sums[chunk, 3] += targets[1, pixel] >= 0 or targets[2, pixel] >= 0
+
+
+@parallel_kernel
+def _write_slopes(
+    worker: int, workers: int, targets: Array, classes: int, slopes: Array, factors: Array, gradient: Array
+) -> None:
+    """Fill ``gradient`` [P, C + S]: the slopes times the ``factors`` [3] of their losses, in the targets' channels."""
+    pixels = len(gradient)
+    for pixel in range(pixels * worker // workers, pixels * (worker + 1) // workers):
+        gradient[pixel] = 0
+        for place in range(3):
+            number = targets[place, pixel]
+            if number >= 0:
+                gradient[pixel, number if place == 0 else number + classes] += slopes[place, pixel] * factors[place]
 
 
 # Linear assignment of a view's instances to the model's slots in each step. What never changes about a view is
@@ -77,10 +116,6 @@ class _LabelLosses(torch.autograd.Function):
 # algorithm finds the assignment. If there are more instances than slots, some get none.
 
 NO_SLOT = -1
-ONE, LEAST = np.float32(1), np.float32(TINY)
-CHUNK = 8192
-"""Pixels that a thread takes at once. Chunks depend only on the number of pixels, so sums over them have the same
-bits however many threads there are."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,13 +1,22 @@
-"""Adam over anchors and decoders, with log-linear learning rates. It survives growth and pruning."""
+"""Adam over anchors and decoders, with log-linear learning rates. It survives growth and pruning.
+
+A step moves only the anchors that its view decodes, and only their moments decay. Scaffold-GS moves all of them: an
+anchor that its view does not show then coasts on the moments of the views before. Where a view sees every anchor, the
+two are equal.
+"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
 
+import numpy as np
 import torch
 from torch.optim.adam import adam
 
+from ..machine.compiled import Array, parallel_kernel
+from ..machine.threads import parallel_for, worker_count
+from ..machine.vectors import WIDTH, broadcast, fma, lane_numbers, masked_load, masked_store, square_root
 from ..model.anchors import Anchors
 from ..model.decoders import Decoders
 
@@ -32,6 +41,8 @@ def learning_rate(ends: tuple[float, float], progress: float) -> float:
     return math.exp(math.log(start) * (1 - progress) + math.log(end) * progress)
 
 
+BETA_1, BETA_2, EPSILON = 0.9, 0.999, 1e-15
+"""Adam's constants, as in Scaffold-GS."""
 Moments = tuple[torch.Tensor, torch.Tensor]
 """The running means of a parameter's gradients and of their squares, in the parameter's shape."""
 
@@ -50,10 +61,46 @@ def adam_step(
     counts = [torch.tensor(float(count)) for _ in parameters]
     adam(
         list(parameters), gradients, means, squares, [], counts, foreach=False, fused=fused, amsgrad=False,
-        beta1=0.9, beta2=0.999, lr=rate, weight_decay=0.0, eps=eps, maximize=False,
+        beta1=BETA_1, beta2=BETA_2, lr=rate, weight_decay=0.0, eps=eps, maximize=False,
     )  # fmt: skip
     for parameter in parameters:
         parameter.grad = None
+
+
+@torch.no_grad()
+def move_rows(parameter: torch.Tensor, moments: Moments, rows: torch.Tensor, count: int, rate: float) -> None:
+    """``adam_step`` for ``rows`` int64 [V] of one parameter [M, ...], float32 on the CPU; the others stay as they are,
+    and so do their moments. It drops the gradient."""
+    if parameter.grad is None:
+        return
+    tensors = (*moments, parameter.grad.contiguous(), parameter.detach())
+    rate, root = rate / (1 - BETA_1 ** (count + 1)), math.sqrt(1 - BETA_2 ** (count + 1))
+    factors = np.array([BETA_1, 1 - BETA_1, BETA_2, 1 - BETA_2, rate, 1 / root, EPSILON], np.float32)
+    mean, square, gradient, values = (tensor.view(-1).numpy() for tensor in tensors)
+    columns = len(values) // max(len(parameter), 1)
+    parallel_for(worker_count(), _move_rows, rows.numpy(), columns, factors, (mean, square), gradient, values)
+    parameter.grad = None
+
+
+@parallel_kernel
+def _move_rows(
+    worker: int, workers: int, rows: Array, columns: int, factors: Array, moments: tuple[Array, Array],
+    gradient: Array, values: Array,
+) -> None:  # fmt: skip
+    """The loop behind ``move_rows``; arrays [M * columns]."""
+    mean, square = moments
+    keep_mean, add_mean, keep_square, add_square = factors[0], factors[1], factors[2], factors[3]
+    rate, over_root, epsilon = broadcast(factors[4]), broadcast(factors[5]), broadcast(factors[6])
+    for place in range(len(rows) * worker // workers, len(rows) * (worker + 1) // workers):
+        for column in range(0, columns, WIDTH):
+            at, inside = rows[place] * columns + column, lane_numbers() < broadcast(np.float32(columns - column))
+            slope = masked_load(gradient, at, inside)
+            first = broadcast(keep_mean) * masked_load(mean, at, inside) + broadcast(add_mean) * slope
+            second = broadcast(keep_square) * masked_load(square, at, inside) + broadcast(add_square) * (slope * slope)
+            moved = rate * first / fma(square_root(second), over_root, epsilon)
+            masked_store(mean, at, first, inside)
+            masked_store(square, at, second, inside)
+            masked_store(values, at, masked_load(values, at, inside) - moved, inside)
 
 
 def no_moments(parameter: torch.Tensor) -> Moments:
@@ -62,7 +109,7 @@ def no_moments(parameter: torch.Tensor) -> Moments:
 
 
 class Optimiser:
-    """Adam (eps 1e-15, as in Scaffold-GS). State is kept by name, so that it can be stored, restored and cut."""
+    """Adam. State is kept by name, so that it can be stored, restored and cut."""
 
     def __init__(self, anchors: Anchors, decoders: Decoders, rates: Rates, extent: float) -> None:
         self.anchors, self.decoders, self.rates, self.extent = anchors, decoders, rates, extent
@@ -77,17 +124,20 @@ class Optimiser:
         for name, parameter in self.decoders.named_parameters():
             yield f"decoders.{name}", parameter
 
-    def step(self, progress: float) -> None:
-        """Do one Adam step with the current gradients; ``progress`` is the share of all steps done."""
+    def step(self, progress: float, rows: torch.Tensor) -> None:
+        """Do one Adam step with the current gradients, on the anchors in ``rows`` int64 [V]; ``progress`` is the share
+        of all steps done."""
+        for name, each in self._named():
+            if name not in self.moments and each.requires_grad:
+                self.moments[name] = no_moments(each)
+        for name in Anchors.LEARNT:
+            rate = learning_rate(self.rates[name], progress) * (self.extent if name == "offset" else 1.0)
+            move_rows(getattr(self.anchors, name), self.moments[f"anchors.{name}"], rows, self.count, rate)
         names = {id(parameter): name for name, parameter in self._named()}
-        groups = [(name, [getattr(self.anchors, name)]) for name in Anchors.LEARNT]
-        for group, parameters in (*groups, *self.decoders.learnt()):
-            rate = learning_rate(self.rates[group], progress) * (self.extent if group == "offset" else 1.0)
-            for each in parameters:
-                if names[id(each)] not in self.moments:
-                    self.moments[names[id(each)]] = no_moments(each)
+        for group, parameters in self.decoders.learnt():
             moments = [self.moments[names[id(each)]] for each in parameters]
-            adam_step(parameters, moments, self.count, rate, eps=1e-15, fused=True)
+            rate = learning_rate(self.rates[group], progress)
+            adam_step(parameters, moments, self.count, rate, eps=EPSILON, fused=True)
         self.count += 1
 
     def replace_anchors(self, anchors: Anchors, keep: torch.Tensor) -> None:

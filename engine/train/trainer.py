@@ -213,7 +213,7 @@ class Trainer:
         progress = self.step_number / self.preset.steps
         self._gather_statistics(gaussians, rendering, target, progress)
         self.clock.lap("growth statistics")
-        self.optimiser.step(progress)
+        self.optimiser.step(progress, gaussians.visible)
         self.clock.lap("optimiser")
         self.step_number += 1
         self._after_step(with_labels)

@@ -62,6 +62,7 @@ def test_only_whole_states_are_stored(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:  # fmt: skip
     monkeypatch.setattr(run, "CHECKPOINT_EVERY_S", every_s)
+    monkeypatch.setattr(run, "CHECKPOINT_SHARE", float("inf"))
     monkeypatch.setattr(run, "save_checkpoint", lambda trainer, *_: setattr(trainer, "stored", trainer.step_number))
     trainer, folder = Trainer(failure), LiftFolder.create(tmp_path / "lift", LiftRequest(scene=tmp_path))
     if failure is None:
@@ -70,6 +71,28 @@ def test_only_whole_states_are_stored(
         with pytest.raises(type(failure)):
             run.train(trainer, folder, [], stages, show=lambda scene: None)  # type: ignore[arg-type]
     assert trainer.stored == stored
+
+
+@pytest.mark.parametrize(("seconds", "saves"), [(0.1, 250), (4.0, 24)])
+def test_checkpoints_take_two_percent_of_the_time_at_most(
+    seconds: float, saves: int, stages: StageReporter, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    now, stored = [0.0], []
+    clock = type("Clock", (), {"monotonic": lambda: now[0]})
+
+    def save(*_: object) -> None:
+        now[0] += seconds
+        stored.append(now[0])
+
+    monkeypatch.setattr(run, "time", clock)
+    monkeypatch.setattr(run, "save_checkpoint", save)
+    trainer = Trainer(None)
+    monkeypatch.setattr(Trainer, "finished", property(lambda self: now[0] >= 5000))
+    monkeypatch.setattr(trainer.preset, "steps", 10**6)
+    stages.course = None
+    folder = LiftFolder.create(tmp_path / "lift", LiftRequest(scene=tmp_path))
+    run.train(trainer, folder, {}, stages, show=lambda scene: now.append(now.pop() + 0.5))  # type: ignore[arg-type]
+    assert saves - 8 <= len(stored) <= saves + 2 and seconds * len(stored) <= 0.021 * now[0]
 
 
 @pytest.mark.parametrize(("depth", "label", "told"), [(0.0, 1, "no-depth-left"), (1.0, 0, "no-masks-left")])

@@ -8,4 +8,4 @@ from engine.machine import memory
 def held_bytes() -> int:
     """All of it, free or not."""
     with memory._lock:  # other threads make and drop blocks
-        return sum(block.bytes.size for blocks in memory._blocks.values() for block in blocks)
+        return sum(block.bytes.size for block in memory._blocks)

@@ -56,8 +56,25 @@ def test_a_scene_that_shrinks_a_little_finds_its_blocks_again() -> None:
     size, smaller = 3 << 20, 11 << 18
     address = memory.empty(size, np.uint8).ctypes.data
     held = held_bytes()
-    assert memory._rounded(smaller) != memory._rounded(size)
     assert memory.empty(smaller, np.uint8).ctypes.data == address and held_bytes() == held
+
+
+def test_of_the_free_blocks_the_smallest_that_fits_is_given_out() -> None:
+    memory._blocks.clear()
+    small, large = (memory.empty(size << 20, np.uint8) for size in (4, 7))
+    addresses = small.ctypes.data, large.ctypes.data
+    del small, large
+    first, second = (memory.empty(size << 20, np.uint8) for size in (3, 3))
+    assert (first.ctypes.data, second.ctypes.data) == addresses
+    held = held_bytes()
+    assert memory.empty(1 << 20, np.uint8).ctypes.data not in addresses and held_bytes() > held
+
+
+def test_a_block_that_has_become_too_small_gives_way_to_a_larger_one() -> None:
+    memory._blocks.clear()
+    for size in range(10, 25):
+        assert memory.empty(size << 20, np.uint8).size == size << 20
+        assert held_bytes() < (size + 3) << 20
 
 
 def test_a_tensor_keeps_its_memory() -> None:

@@ -124,10 +124,9 @@ def test_it_reads_nothing_that_was_left_behind() -> None:
         clean, clean_gradients = render(scene, "numba")
         kept = [getattr(clean, layer).clone() for layer in LAYERS], {k: v.clone() for k, v in clean_gradients.items()}
         del clean, clean_gradients
-        for blocks in memory._blocks.values():
-            for block in blocks:
-                if sys.getrefcount(block.bytes) == memory._REFERENCES:
-                    block.bytes[:] = 255
+        for block in memory._blocks:
+            if sys.getrefcount(block.bytes) == memory._REFERENCES:
+                block.bytes[:] = 255
         out, gradients = render(scene, "numba")
         for layer, expected in zip(LAYERS, kept[0], strict=True):
             assert torch.equal(getattr(out, layer), expected), layer

@@ -123,6 +123,26 @@ def test_a_loss_may_use_only_one_layer(layer: str) -> None:
         assert missed_elements(gradient, wanted) <= 1e-4 * gradient.numel(), group
 
 
+def test_labels_have_the_same_gradient_whichever_others_their_tile_compares() -> None:
+    """Tiles copy and add up only the channels that have a gradient in them: none, few or all."""
+    scene, channels = random_scene(11, 900, 37, 70, 50), torch.arange(37)
+    by = torch.randn(50, 70, 37, generator=torch.Generator().manual_seed(0))
+    tile = (torch.arange(50) // 16)[:, None] * 5 + torch.arange(70) // 16
+    few = by * ((channels + tile[..., None]) % 7 == 0) * (tile[..., None] > 2)
+
+    def gradient(by: torch.Tensor) -> torch.Tensor:
+        labels = scene.tensors[5].clone().requires_grad_()
+        drawn = rasterize(*scene.tensors[:5], labels, scene.pose, scene.intrinsics, 70, 50).labels
+        drawn.backward(by)
+        return labels.grad
+
+    alone = gradient(few)
+    for parity in (0, 1):
+        own = channels % 2 == parity
+        assert torch.equal(gradient(torch.where(own, few, by))[:, own], alone[:, own])
+    assert alone.any()
+
+
 def test_without_labels() -> None:
     scene = random_scene(7, 100, 4, 30, 20)
     bare = rasterize(*scene.tensors[:5], None, scene.pose, scene.intrinsics, 30, 20)

@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import pytest
 
+from engine.presets.preset import PRESETS, Preset
 from research import bench_step as step
 from research.bench_step import DECODE, LOSSES, OPTIMISE, RASTERISE, SAMPLE, StepProfile, profile_lift, typical
 from tests.train.tiny_lift import TINY, views_of
@@ -21,7 +22,7 @@ def profile(tmp_path_factory: pytest.TempPathFactory) -> StepProfile:
     folder = tmp_path_factory.mktemp("temporary")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(tempfile, "tempdir", str(folder))
-        measured = profile_lift(views, classes, WITHOUT_GROWTH, epochs=1)
+        measured = profile_lift(views, classes, WITHOUT_GROWTH, steps=6)
     assert not list(folder.glob("tmp*"))  # torch keeps a folder of its own there
     return measured
 
@@ -29,6 +30,7 @@ def profile(tmp_path_factory: pytest.TempPathFactory) -> StepProfile:
 def test_every_part_of_a_step_is_measured(profile: StepProfile) -> None:
     assert set(profile.parts) == {*DECODE, *RASTERISE, *LOSSES, *OPTIMISE, "growth statistics", "the rest"}
     assert all(milliseconds > 0 for milliseconds in profile.parts.values())
+    assert profile.cores > 0
     assert profile.draw > 0 and profile.decide > 0 and 0 < profile.visible <= profile.anchors and profile.gaussians > 0
     facts = json.loads(json.dumps(profile.facts()))
     assert facts["step_ms"] == pytest.approx(sum(facts["parts_ms"].values()))
@@ -46,8 +48,14 @@ def test_the_figures_are_printed_and_written(
     profile: StepProfile, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(step, "load_view", lambda frame, size: frame)
-    monkeypatch.setattr(step, "profile_lift", lambda views, classes, preset: profile)
-    assert step.bench_step() == profile.facts()
+    asked: list[tuple[int, Preset]] = []
+    monkeypatch.setattr(
+        step, "profile_lift", lambda views, classes, preset: asked.append((len(views), preset)) or profile
+    )
+    preset = replace(PRESETS["paper"], voxel_size=0.04)
+    first, second = step.bench_step(), step.bench_step(preset)
+    assert first.keys() == second.keys() == profile.facts().keys() and first["core_ms"] == profile.cores
+    assert asked[0][1].size == step.SIZE and asked[1] == (63, preset)
     said = capsys.readouterr().out
     assert "whole step" in said and "at most 0.5" in said and "a second" in said
     assert SAMPLE.is_dir()

@@ -6,10 +6,12 @@ import json
 import signal
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
+from engine.presets.preset import PRESETS
 from research.command_line import main
 from tests.commands import exit_code, refuse_heavy_help
 
@@ -53,11 +55,14 @@ def test_bench_measures_and_refuses_a_file_that_it_cannot_write_before_it_does(
     capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     measured: list[str] = []
-    monkeypatch.setattr("research.bench_step.bench_step", lambda: measured.append("step") or {"ms": 1})
+    monkeypatch.setattr("research.bench_step.bench_step", lambda preset: measured.append(preset) or {"ms": 1})
     for file in (tmp_path / "missing" / "figures.json", tmp_path):
         assert code_of("bench", "step", "--json", file) == 2
         captured = capsys.readouterr()
         assert captured.err.startswith("error: ") and captured.err.count("\n") == 1
         assert str(tmp_path) in captured.err and not captured.out
     assert main(["bench", "step"]) == main(["bench", "step", "--json", str(tmp_path / "figures.json")]) == 0
-    assert measured == ["step", "step"] and json.loads((tmp_path / "figures.json").read_text()) == {"ms": 1}
+    assert measured == [None, None] and json.loads((tmp_path / "figures.json").read_text()) == {"ms": 1}
+    assert code_of("bench", "step", "--set", "voxel_size=0.04") == 2
+    assert main(["bench", "step", "--preset", "paper", "--set", "voxel_size=0.04"]) == 0
+    assert measured[2] == replace(PRESETS["paper"], voxel_size=0.04)

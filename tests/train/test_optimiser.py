@@ -8,7 +8,7 @@ import torch
 
 from engine.model.anchors import Anchors, initial_anchors
 from engine.model.decoders import Decoders, DecoderShape
-from engine.train.optimiser import RATES, Optimiser, learning_rate
+from engine.train.optimiser import RATES, Optimiser, adam_step, learning_rate
 
 SHAPE = DecoderShape(6, 2, 3, 4, distance_input=False, label_view_input=False)
 
@@ -19,13 +19,13 @@ def anchors_at(count: int) -> Anchors:
     return initial_anchors(positions, np.zeros(count, int), gaussians_per_anchor=2, feature=feature, voxel_size=0.1)
 
 
-def take_steps(optimiser: Optimiser, steps: int, start: int = 0) -> None:
+def take_steps(optimiser: Optimiser, steps: int, start: int = 0, rows: torch.Tensor | None = None) -> None:
     for step in range(start, start + steps):
         generator = torch.Generator().manual_seed(step)
         learnt = [getattr(optimiser.anchors, name) for name in Anchors.LEARNT]
         for parameter in (*learnt, *optimiser.decoders.parameters()):
             (parameter * torch.rand(parameter.shape, generator=generator)).sum().backward()
-        optimiser.step(step / 100)
+        optimiser.step(step / 100, torch.arange(len(optimiser.anchors)) if rows is None else rows)
 
 
 def test_rates_decay_log_linearly() -> None:
@@ -61,3 +61,29 @@ def test_pruning_and_growing_keep_the_moments_of_the_anchors_that_stay() -> None
         assert (after[name][3:] == 0).all()
     assert torch.equal(after["decoders.colour.0.weight.mean"], before["decoders.colour.0.weight.mean"])
     take_steps(optimiser, 1, start=2)
+
+
+def test_rows_that_are_seen_take_adams_step_and_the_others_none() -> None:
+    seen = torch.tensor([4, 0, 3])
+    optimiser = Optimiser(anchors_at(5), Decoders(SHAPE, 0), RATES, extent=2.0)
+    take_steps(optimiser, 3)
+    before = {name: tensor.clone() for name, tensor in optimiser.tensors().items()}
+    start = {name: getattr(optimiser.anchors, name).detach().clone() for name in Anchors.LEARNT}
+    expected = {}
+    for name in Anchors.LEARNT:
+        parameter, (mean, square) = start[name].double().requires_grad_(), optimiser.moments[f"anchors.{name}"]
+        generator = torch.Generator().manual_seed(3)
+        for each in Anchors.LEARNT[: Anchors.LEARNT.index(name) + 1]:
+            factor = torch.rand(start[each].shape, generator=generator)
+        parameter.grad = factor.double()
+        rate = learning_rate(RATES[name], 0.03) * (2.0 if name == "offset" else 1.0)
+        adam_step([parameter], [(mean.double(), square.double())], 3, rate, eps=1e-15, fused=False)
+        expected[name] = parameter.detach().float()
+    take_steps(optimiser, 1, start=3, rows=seen)
+    for name in Anchors.LEARNT:
+        now = getattr(optimiser.anchors, name).detach()
+        torch.testing.assert_close(now[seen], expected[name][seen], rtol=1e-5, atol=1e-7)
+        assert torch.equal(now[1:3], start[name][1:3]) and not torch.equal(now[seen], start[name][seen])
+        for moment in ("mean", "square"):
+            key = f"anchors.{name}.{moment}"
+            assert torch.equal(optimiser.tensors()[key][1:3], before[key][1:3])

@@ -51,10 +51,11 @@ def wanted_class(place: int, visible: Array, labelling: Labelling) -> int:
 
 @device_function
 def list_anchors(
-    number: int, k: int, visible: Array, opacities: Array, labelling: Labelling, listed: Array, owners: Array
+    number: int, k: int, visible: Array, opacities: Array, labelling: Labelling, lists: tuple[Array, Array, Array]
 ) -> Any:
-    """Batch ``number``: fills ``listed`` and ``owners`` with the anchors that have work beyond their opacity. Returns
-    ``rows``, ``drawing`` and ``gaussians`` of ``Batch``."""
+    """Batch ``number``: fills the ``lists`` (``listed``, ``owners`` and ``begins``) with the anchors that have work
+    beyond their opacity. Returns ``rows``, ``drawing`` and ``gaussians`` of ``Batch``."""
+    listed, owners, begins = lists
     start = number * BATCH
     end = min(start + BATCH, visible.shape[0])
     drawing, gaussians = 0, 0
@@ -66,24 +67,25 @@ def list_anchors(
                 owners[2 * gaussians + 1] = g
                 gaussians += 1
         if gaussians > before:
-            listed[drawing] = v
+            listed[drawing], begins[drawing] = v, before
             drawing += 1
     rows, place = drawing, 0
     for v in range(start, end):
         if place < drawing and listed[place] == v:
             place += 1
         elif wanted_class(v, visible, labelling) >= 0:
-            listed[rows] = v
+            listed[rows], begins[rows] = v, gaussians
             rows += 1
     return rows, drawing, gaussians
 
 
 @inlined
 def list_batch(number: int, k: int, visible: Array, batches: Batches, labelling: Labelling, numbers: Array) -> Any:
-    """Batch ``number``; ``numbers`` int64 [BATCH * (1 + 2 k)] is the worker's."""
-    listed, owners = numbers[:BATCH], numbers[BATCH:]
-    rows, drawing, gaussians = list_anchors(number, k, visible, batches.opacities, labelling, listed, owners)
-    return Batch(listed, rows, drawing, owners, batches.starts[number], gaussians)
+    """Batch ``number``; ``numbers`` int64 [BATCH * (4 + 2 k)] is the worker's."""
+    listed, begins, room, owners = numbers[:BATCH], numbers[BATCH:][:BATCH], numbers[2 * BATCH :], numbers[4 * BATCH :]
+    lists = listed, owners, begins
+    rows, drawing, gaussians = list_anchors(number, k, visible, batches.opacities, labelling, lists)
+    return Batch(listed, rows, drawing, owners, begins, room, batches.starts[number], gaussians)
 
 
 @device_function

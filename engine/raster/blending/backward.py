@@ -68,45 +68,83 @@ PAD_INDEX = BACKWARD_BATCH
 """The placeholder where there is no member. Nothing reads its place among the labels."""
 
 
+@parallel_kernel
+def list_channels(worker: int, workers: int, d_labels: Array, size: Size, counts: Array, channels: Array) -> None:
+    """Fill ``TileChannels`` for every ``workers``-th tile. ``d_labels`` int32 [P * C]: the bits of the gradients."""
+    columns, all_channels = (size.width + TILE - 1) // TILE, size.channels
+    bits = np.empty(all_channels, np.int32)
+    for tile in range(worker, counts.shape[0], workers):
+        left, top, found = tile % columns * TILE, tile // columns * TILE, 0
+        bits[:] = 0
+        for row in range(top, min(top + TILE, size.height)):
+            for column in range(left, min(left + TILE, size.width)):
+                at = (row * size.width + column) * all_channels
+                for c in range(all_channels):
+                    bits[c] |= d_labels[at + c]
+        for c in range(all_channels):
+            if bits[c] != 0:
+                channels[tile * all_channels + found] = c
+                found += 1
+        counts[tile] = found
+
+
 @device_function
-def add_label_gradients(tile: Tile, size: Size, d_labels: Array, scratch: Array, lists: PatchLists) -> None:
-    """The batch's label gradients += the weights of each patch times the label gradients of its pixels, which are
-    copied side by side, zeros outside the image."""
-    channels, padded = size.channels, padded_channels(size.channels)
-    copy = BATCH_LABELS + (BACKWARD_BATCH + 1) * padded
+def copy_label_gradients(tile: Tile, size: Size, d_labels: Array, channels: Array, count: int, scratch: Array) -> None:
+    """Copy the gradients of a tile's ``count`` channels side by side, patch by patch, zeros outside the image.
+    ``channels`` int32 are the numbers of these channels."""
+    padded = padded_channels(count)
+    for patch in range(PATCHES):
+        top, left = tile.top + (patch & -2), tile.left + (patch & 1) * PATCH_WIDTH
+        for pixel in range(TILE):
+            row, column = top + (pixel & 1), left + (pixel >> 1)
+            at = pixels_at(padded) + (patch * TILE + pixel) * padded
+            for c in range(0, padded, TILE):
+                store(scratch, at + c, broadcast(ZERO))
+            if row < size.height and column < size.width:
+                number = row * size.width + column
+                if count == size.channels:
+                    copy_labels(number, d_labels, count, scratch, at)
+                else:
+                    for c in range(count):
+                        scratch[at + c] = d_labels[number * size.channels + channels[c]]
+
+
+@inlined
+def pixels_at(padded: int) -> int:
+    """Where a worker's scratch has the label gradients of a tile's pixels."""
+    return BATCH_LABELS + (BACKWARD_BATCH + 1) * padded
+
+
+@device_function
+def add_label_gradients(padded: int, scratch: Array, lists: PatchLists) -> None:
+    """The batch's label gradients += the weights of each patch times the label gradients of its pixels."""
     for patch in range(PATCHES):
         count, listed = get(lists.counts, patch), patch * LISTED
         if count == 0:
             continue
-        top, left = tile.top + (patch & -2), tile.left + (patch & 1) * PATCH_WIDTH
-        for pixel in range(TILE):
-            row, column, at = top + (pixel & 1), left + (pixel >> 1), copy + pixel * padded
-            if row < size.height and column < size.width:
-                copy_labels(row * size.width + column, d_labels, channels, scratch, at)
-            else:
-                for c in range(0, padded, TILE):
-                    store(scratch, at + c, broadcast(ZERO))
         for missing in range(count, count + 3):
             put(lists.members, listed + missing, np.int32(PAD_INDEX))
             store(scratch, WEIGHTS + (listed + missing) * TILE, broadcast(ZERO))
         out = ListedRows(scratch, BATCH_LABELS, padded, lists.members, listed)
         weights = Factors(scratch, WEIGHTS + listed * TILE, TILE, 1)
-        add_product(out, weights, Rows(scratch, copy, padded), (count + 3) & -4, padded, TILE)
+        source = Rows(scratch, pixels_at(padded) + patch * TILE * padded, padded)
+        add_product(out, weights, source, (count + 3) & -4, padded, TILE)
         put(lists.counts, patch, 0)
 
 
 @device_function
 def write_label_gradients(
-    first: int, count: int, isect_ids: Array, scratch: Array, out: IsectGradients, padded: int
+    first: int, count: int, isect_ids: Array, scratch: Array, padded: int, out: IsectGradients
 ) -> None:
     """Write the label gradients of a batch to their intersections, bypassing the cache. The batch has ``count``
     members, the first of which is isect_ids[first]."""
+    stride = out.used.padded
     for member in range(count):
         isect = int(get(isect_ids, first + member))
-        if get(out.touched, isect) != 0:
+        if get(out.tiles, isect) >= 0:
             source = BATCH_LABELS + member * padded
             for c in range(0, padded, TILE):
-                store_nontemporal(out.labels, isect * padded + c, load(scratch, source + c))
+                store_nontemporal(out.labels, isect * stride + c, load(scratch, source + c))
 
 
 # A tile in the backward pass, as patches: where a worker keeps it, and how it is read from the image.
@@ -126,7 +164,7 @@ BEHIND = LAST + TILE
 D_PLANES = BEHIND + TILE  # gradients of red, green, blue, depth
 WEIGHTS = PATCH_STATE + (PATCHES + 1) * PATCH_STRIDE  # [patch, member, pixel]
 LISTED = BACKWARD_BATCH + 4  # of a patch: its members, and those that fill up the last four
-# [member or PAD_INDEX, padded], then a patch's gradients [pixel, padded]
+# [member or PAD_INDEX, padded], then the label gradients of the tile's pixels [patch, pixel, padded]
 BATCH_LABELS = WEIGHTS + PATCHES * LISTED * TILE
 assert PATCHES * LISTED <= MEMBERS
 NO_PATCH = PATCHES
@@ -138,8 +176,8 @@ rows."""
 
 class PatchLists(NamedTuple):
     """The Gaussians of a batch that were blended on each patch: ``counts`` int64 [PATCHES] is their number, ``members``
-    int32 [PATCHES * LISTED] lists them; their weights are in the scratch. Without labels (not ``wanted``) nothing is
-    listed."""
+    int32 [PATCHES * LISTED] lists them; their weights are in the scratch. Where no label has a gradient (not
+    ``wanted``) nothing is listed."""
 
     counts: Array
     members: Array
@@ -147,8 +185,8 @@ class PatchLists(NamedTuple):
 
 
 def backward_scratch_size(channels: int) -> int:
-    """The number of floats of scratch that a worker needs."""
-    floats: int = BATCH_LABELS + (BACKWARD_BATCH + 1 + TILE) * padded_channels(channels)
+    """The number of floats of scratch that a worker needs. ``channels``: the most that have a gradient in one tile."""
+    floats: int = BATCH_LABELS + (BACKWARD_BATCH + 1 + TILE * TILE) * padded_channels(channels)
     return floats
 
 
@@ -366,11 +404,8 @@ def blend_backward(
 ) -> None:
     """Process one tile after another until none is left."""
     scratch, counts = scratches.floats[worker], scratches.counts[worker]
-    lists = PatchLists(counts, scratches.members[worker], size.channels > 0)
-    starts, flatten_ids, isect_ids = isects.isect_offsets, isects.flatten_ids, isects.isect_ids
-    channels, touched = size.channels, out.touched
+    used, starts, flatten_ids, isect_ids = out.used, isects.isect_offsets, isects.flatten_ids, isects.isect_ids
     columns, tiles = (size.width + TILE - 1) // TILE, starts.shape[0] - 1
-    padded = padded_channels(channels)
     start_worker(scratch, counts)
     while True:
         number = fetch_add(scratches.next_one)
@@ -380,9 +415,15 @@ def blend_backward(
         tile = Tile(left, top, first, starts[number + 1] - first)
         far = load_tile(tile, size, pixels, scratch)
         for k in range(first + far + 1, starts[number + 1]):
-            touched[isect_ids[k]] = 0
+            out.tiles[isect_ids[k]] = -1
         if far < 0:
             continue
+        channels = used.counts[number]
+        padded = padded_channels(channels)
+        lists = PatchLists(counts, scratches.members[worker], channels > 0)
+        if channels > 0:
+            own_channels = used.channels[number * size.channels : number * size.channels + channels]
+            copy_label_gradients(tile, size, pixels.labels, own_channels, channels, scratch)
         # each Gaussian is whitened during the one before it, so that the patches it touches are known in time
         own = 0
         patches = whiten_tile(records, int(get(flatten_ids, first + far)) * RECORD, tile, scratch, own)
@@ -396,13 +437,13 @@ def blend_backward(
                 prefetch(records, int(get(flatten_ids, first + max(place - AHEAD, 0))) * RECORD)
                 patches = whiten_tile(records, following, tile, scratch, WHITENED - own)
                 isect = int(get(isect_ids, first + place))
-                touched[isect] = touching != 0
+                out.tiles[isect] = number if touching != 0 else -1
                 if touching != 0:
                     fill_alphas(get(records, at + L11), F(place), touching, scratch, own)
                     sums = blend_gaussian_backward(records, at, place - batch, touching, scratch, own, lists)
                     store_nontemporal(out.values, isect * GRADIENT_WIDTH, sums)
                 own = WHITENED - own
             if channels > 0:
-                add_label_gradients(tile, size, pixels.labels, scratch, lists)
+                add_label_gradients(padded, scratch, lists)
                 count = min(BACKWARD_BATCH, far + 1 - batch)
-                write_label_gradients(first + batch, count, isect_ids, scratch, out, padded)
+                write_label_gradients(first + batch, count, isect_ids, scratch, padded, out)

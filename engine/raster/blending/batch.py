@@ -17,9 +17,7 @@ from ...machine.vectors import (
     broadcast,
     fma,
     get,
-    lane_numbers,
     load,
-    masked_store,
     maximum,
     movemask,
     prefetch,
@@ -56,7 +54,6 @@ from ..conventions import (
     RED,
     TILE,
     G,
-    padded_channels,
 )
 from ..isect_tiles import chunk_count, next_chunk
 from ..projection import project_backward
@@ -205,13 +202,13 @@ def gather_geometry(
     """Write the gradients of the Gaussians of a chunk (the first, and one past the last) except labels, including
     zeros. ``scene``: shapes, records, camera; ``total`` float64 [GRADIENT] is scratch."""
     shapes, records, camera = scene
-    touched, values = isects.touched, isects.values
+    tiles, values = isects.tiles, isects.values
     for i in range(chunk[0], chunk[1]):
         hit = False
         for c in range(GRADIENT):
             total[c] = 0.0
         for isect in range(offsets[i], offsets[i + 1]):
-            if touched[isect] == 0:
+            if tiles[isect] < 0:
                 continue
             for c in range(GRADIENT):
                 total[c] += np.float64(values[isect * GRADIENT_WIDTH + c])
@@ -231,21 +228,22 @@ def gather_labels(
     chunk: tuple[int, int], offsets: Array, isects: IsectGradients, channels: int, d_labels: Array
 ) -> None:
     """Write the label gradients of the Gaussians of a chunk, including zeros, to d_labels [N * C]."""
-    padded, touched, labels = padded_channels(channels), isects.touched, isects.labels
-    first, end = chunk
-    in_tail = lane_numbers() < broadcast(F(channels - padded + TILE))
-    for i in range(first, end):
-        first_isect, last_isect = get(offsets, i), get(offsets, i + 1)
-        for c in range(0, padded, TILE):
-            total = broadcast(ZERO)
-            for isect in range(first_isect, last_isect):
-                if get(touched, isect) != 0:
-                    total = total + load(labels, isect * padded + c)
-            at = i * channels + c
-            if at + TILE <= end * channels:
-                store(d_labels, at, total)  # the next Gaussians overwrite what is too much
+    used, tiles, labels = isects.used, isects.tiles, isects.labels
+    for i in range(chunk[0], chunk[1]):
+        at = i * channels
+        for c in range(at, at + channels):
+            d_labels[c] = F(0.0)
+        for isect in range(offsets[i], offsets[i + 1]):
+            tile, source = tiles[isect], isect * used.padded
+            if tile < 0:
+                continue
+            first, count = tile * channels, used.counts[tile]
+            if count == channels:
+                for c in range(channels):
+                    d_labels[at + c] += labels[source + c]
             else:
-                masked_store(d_labels, at, total, in_tail)
+                for c in range(count):
+                    d_labels[at + used.channels[first + c]] += labels[source + c]
 
 
 @parallel_kernel
