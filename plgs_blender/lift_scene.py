@@ -25,7 +25,17 @@ from .cameras import overview_camera, place_camera, place_camera_path, place_fra
 from .clouds import SurfaceGrid, place_anchors, place_depth_clouds, place_semantic_points
 from .corrections import remember
 from .inspecting.lists import fill_lists, fill_masks, fill_not_shown, registered
-from .inspecting.looks import PHOTO, POINTS, SPLATS, SURFACE, apply_colours, apply_look, apply_visibility, has
+from .inspecting.looks import (
+    PHOTO,
+    POINTS,
+    SPLATS,
+    SURFACE,
+    apply_colours,
+    apply_lit,
+    apply_look,
+    apply_visibility,
+    has,
+)
 from .inspecting.views import look_at_room
 from .meshes import ReadMeshes, placing_meshes, reading_meshes
 from .owned import (
@@ -124,6 +134,8 @@ def _placing_rest(read: ReadLift, placed: Placed) -> Generator[None, None, None]
     yield from placing_meshes(placed, read.result, read.meshes)
     if read.meshes.parts and (found := placed.find()) is not None:
         leave_holes(found[0])
+        with registered():
+            apply_lit(found[0])
     for part in (_placing_splats, _placing_passes):
         found = placed.find()
         if found is None:
@@ -257,6 +269,7 @@ def placing_meshes_anew(lift: Path, scene: bpy.types.Scene, *, asked: bool = Tru
         apply_visibility(root)
         if root.plgs.look != PHOTO:
             apply_look(root)
+        apply_lit(root)
         show_materials_in(scene)
     return count
 

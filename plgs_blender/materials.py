@@ -15,9 +15,10 @@ from numpy.typing import ArrayLike, NDArray
 from .compat import use_nodes
 from .owned import OwnedDataBlocks
 
-CLASS_COLOURS, RELIEF, LIT = "Class colours", "Relief", "Lit"
+CLASS_COLOURS, RELIEF, LIT, PICTURE = "Class colours", "Relief", "Lit", "Picture"
 """Labels of value nodes, 0..1. In the points' material: the share of the class's colour in place of the photo's, and
-the strength of shading by the normal; in the meshes': how far lights light them, instead of the photos' own light.
+the strength of shading by the normal; in the meshes': how far lights light them, instead of the photos' own light, and
+the share of their picture in place of Col.
 """
 UNKNOWN = (96, 96, 96)
 """sRGB colour of points without a class."""
@@ -71,29 +72,48 @@ def clear_material(owned: OwnedDataBlocks) -> bpy.types.Material:
     return material
 
 
-def surface_material(owned: OwnedDataBlocks, *, both_sides: bool = False) -> bpy.types.Material:
-    """The meshes' material, in the colour of the attribute Col. It is unlit, as photos bring their light with them; its
-    value node LIT gives it to the scene's lights instead. Backs are clear, so a room lies open from outside, unless
-    ``both_sides`` show.
+def surface_material(
+    owned: OwnedDataBlocks, *, both_sides: bool = False, image: bpy.types.Image | None = None, of: str = ""
+) -> bpy.types.Material:
+    """The meshes' material, in the colour of the attribute Col; with an ``image``, that ``of`` one mesh, in its
+    colours. It is unlit, as photos bring their light with them; its value node LIT gives it to the scene's lights
+    instead. Backs are clear, so a room lies open from outside, unless ``both_sides`` show.
     """
     name = "PLGS objects" if both_sides else "PLGS surfaces"
-    material = owned.block("materials", "objects" if both_sides else "surfaces", lambda: bpy.data.materials.new(name))
+    key = f"objects {of}" if both_sides else f"surfaces {of}"
+    material = owned.block("materials", key.strip(), lambda: bpy.data.materials.new(name))
     tree = use_nodes(material)
     if value_node(material, LIT) is None:
-        _build_surface(tree, both_sides)
+        _build_surface(tree, both_sides, image is not None)
+    for node in _pictures(material):
+        node.image = image
     material.use_backface_culling = not both_sides
     _cast_no_light(material)
     return material
 
 
-def _build_surface(tree: bpy.types.NodeTree, both_sides: bool) -> None:
+def image_of(material: bpy.types.Material) -> bpy.types.Image | None:
+    """The image of a mesh's own material."""
+    return next((node.image for node in _pictures(material)), None)
+
+
+def _pictures(material: bpy.types.Material) -> list[Any]:
+    return [node for node in material.node_tree.nodes if node.bl_idname == "ShaderNodeTexImage"]
+
+
+def _build_surface(tree: bpy.types.NodeTree, both_sides: bool, has_image: bool) -> None:
     tree.nodes.clear()
     colour, lit = _node(tree, "ShaderNodeAttribute", 0, 0), _node(tree, "ShaderNodeValue", 1, 200)
     colour.attribute_name, lit.label, lit.outputs[0].default_value = "Col", LIT, 0.0
     light, matt = _node(tree, "ShaderNodeEmission", 1, 0), _node(tree, "ShaderNodeBsdfPrincipled", 1, -160)
     matt.inputs["Roughness"].default_value = 0.9
-    tree.links.new(colour.outputs["Color"], light.inputs["Color"])
-    tree.links.new(colour.outputs["Color"], matt.inputs["Base Color"])
+    seen = colour.outputs["Color"]
+    if has_image:
+        picture, share = _node(tree, "ShaderNodeTexImage", 0, -240), _node(tree, "ShaderNodeValue", 0, 200)
+        share.label, share.outputs[0].default_value = "" if both_sides else PICTURE, 1.0
+        seen = _mix(tree, 1, 300, "MIX", share.outputs[0], seen, picture.outputs["Color"])
+    tree.links.new(seen, light.inputs["Color"])
+    tree.links.new(seen, matt.inputs["Base Color"])
     shown = _mix_shaders(tree, 2, lit.outputs[0], light.outputs[0], matt.outputs[0])
     if not both_sides:
         back, clear = _node(tree, "ShaderNodeNewGeometry", 2, 300), _node(tree, "ShaderNodeBsdfTransparent", 2, -200)

@@ -32,11 +32,12 @@ def mesh_folder(lift: Path) -> Path:
 
 @dataclass(frozen=True, eq=False)
 class ReadMeshes:
-    """The surface of each (class, instance) of a lift, and the fingerprint of the corrections that they were made with.
-    """
+    """The surface of each (class, instance) of a lift, the fingerprint of the corrections that they were made with, and
+    the folder of their pictures, CLASS_INSTANCE.jpg."""
 
     parts: Mapping[tuple[int, int], LabelledSurface]
     corrections: str = ""
+    pictures: Path = Path()
 
 
 def reading_meshes(lift: Path) -> Generator[None, None, ReadMeshes]:
@@ -49,10 +50,10 @@ def reading_meshes(lift: Path) -> Generator[None, None, ReadMeshes]:
     with path.open("rb") as file:
         told = _COMMENT.search(file.read(_LONGEST_HEADER).partition(b"end_header")[0])
     yield
-    for label, triangles in surface.parts().items():
+    for label, rows in surface.parts().items():
         yield
-        parts[label] = surface.cut(triangles)
-    return ReadMeshes(parts, told[1].decode() if told else "")
+        parts[label] = surface.cut(rows)
+    return ReadMeshes(parts, told[1].decode() if told else "", path.parent / "pictures")
 
 
 def placing_meshes(placed: Placed, result: LiftResult, read: ReadMeshes) -> Generator[None, None, int]:
@@ -73,6 +74,10 @@ def placing_meshes(placed: Placed, result: LiftResult, read: ReadMeshes) -> Gene
         one = instances.get(instance_id, kind)
         name = f"{one.name} mesh"  # boxes and points have just the names
         mesh = _fill(owned, keys[-1], name, surface)
+        picture = read.pictures / f"{class_id}_{instance_id}.jpg"
+        has_picture = surface.uv is not None and picture.is_file()
+        shown = {"image": _image(owned, keys[-1], picture), "of": keys[-1]} if has_picture else {}
+        mesh.materials.append(surface_material(owned, **shown))
         parent = child_collection(child_collection(root, "Meshes"), f"{kind.name} meshes")
         ob = owned.object(keys[-1], name, mesh, parent)
         ob.color = object_colour(one.colour)
@@ -88,6 +93,14 @@ def placing_meshes(placed: Placed, result: LiftResult, read: ReadMeshes) -> Gene
 def are_stale(root: bpy.types.Collection) -> bool:
     """Whether a lift was corrected since its meshes were made."""
     return text_of(root, _OF_MESHES) != text_of(root, CORRECTIONS)
+
+
+def _image(owned: OwnedDataBlocks, key: str, path: Path) -> bpy.types.Image:
+    """The picture of our mesh `key`, as the file is now."""
+    image: bpy.types.Image = owned.block("images", key, lambda: bpy.data.images.load(str(path)))
+    image.filepath = str(path)
+    image.reload()
+    return image
 
 
 def _fill(owned: OwnedDataBlocks, key: str, name: str, part: LabelledSurface) -> bpy.types.Mesh:
@@ -110,8 +123,9 @@ def _fill(owned: OwnedDataBlocks, key: str, name: str, part: LabelledSurface) ->
         layer = mesh.attributes.new(column, "INT", "POINT")
         layer.data.foreach_set("value", getattr(part, column))
     mesh.color_attributes.active_color = mesh.color_attributes["Col"]
+    if part.uv is not None:
+        mesh.uv_layers.new(name="UVMap").uv.foreach_set("vector", np.ascontiguousarray(part.uv).ravel())
     mesh.materials.clear()
-    mesh.materials.append(surface_material(owned))
     mesh.update()
     mesh.validate()
     forget_selection(mesh)

@@ -22,8 +22,8 @@ from .compat import add_keys, new_point_clouds
 from .inspecting.lists import registered
 from .inspecting.looks import HIDDEN, apply_visibility
 from .inspecting.selection import boxes_of, clouds_of, ids_of, is_box, surfaces_of
-from .materials import object_colour, surface_material
-from .owned import LIFT, OwnedDataBlocks, folder_of, text_of, untag
+from .materials import image_of, object_colour, surface_material
+from .owned import KEY, LIFT, OwnedDataBlocks, folder_of, text_of, untag
 from .timeline import places_of
 
 OBJECTS, INSTANCE, PLACED = "plgs_objects_of", "plgs_instance", "plgs_placed"
@@ -188,7 +188,16 @@ def _surface(root: bpy.types.Collection, one: Instance, inverse: Matrix) -> bpy.
             mesh = ob.data.copy()
             untag(mesh)
             mesh.name = f"{one.name} surface"
-            mesh.materials[0] = surface_material(OwnedDataBlocks(root[LIFT], bpy.context.scene), both_sides=True)
+            image = image_of(mesh.materials[0])
+            if image is not None:
+                image = image.copy()
+                untag(image)
+                image.name = mesh.name
+                image.pack()  # the lift's file changes when its surface is made again
+                image.filepath_raw = f"//{mesh.name}.jpg"
+            owned = OwnedDataBlocks(root[LIFT], bpy.context.scene)
+            of = ob[KEY] if image is not None else ""
+            mesh.materials[0] = surface_material(owned, both_sides=True, image=image, of=of)
             if HIDDEN in mesh.attributes:
                 mesh.attributes.remove(mesh.attributes[HIDDEN])
             mesh.transform(inverse @ ob.matrix_world)

@@ -103,7 +103,8 @@ def export(options: argparse.Namespace, events: EventWriter, stop: StopSignal) -
 
     events.stage("export", 1, 1, "Exporting")
     progress = _progress("export", events, stop)
-    export(folder, options.to, options.output, options.frames, progress, options.cameras, options.objects)
+    chosen = (options.frames, progress, options.cameras, options.objects)
+    export(folder, options.to, options.output, *chosen, events.warning)
     events.answer({"output": options.output}, f"Exported to {options.output}")
 
 

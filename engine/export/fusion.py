@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ..scene import Camera
+from ..scene import Camera, Frame
 
 VOXEL = 0.02
 """Side of a voxel in metres."""
@@ -62,12 +62,14 @@ class Grain:
 
 @dataclass(frozen=True, eq=False)
 class SmallView:
-    """A view as it is fused: ``depth`` float32 [H, W] m, ``rgb`` uint8 [H, W, 3], ``label`` int64 [H, W]."""
+    """A view as it is fused: ``depth`` float32 [H, W] m, ``rgb`` uint8 [H, W, 3], ``label`` int64 [H, W], and the
+    ``frame`` whose photo shows the same."""
 
     camera: Camera
     depth: NDArray[np.float32]
     rgb: NDArray[np.uint8]
     label: NDArray[np.int64]
+    frame: Frame | None = None
 
     def large_depth(self, times: int) -> NDArray[np.float32]:
         """The depth with more pixels, float32 [H * times, W * times] m. What lies between pixels of one surface is

@@ -10,7 +10,7 @@ from scipy.sparse import coo_matrix, csr_matrix, diags
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from ..posed.ply import triangles_by_label
+from ..posed.ply import rows_by_label
 from .fusion import Ints, Surface
 
 HAND = 0.1
@@ -133,10 +133,10 @@ def without_crumbs(surface: Surface, label: Ints, is_stuff: NDArray[np.bool_]) -
     crumbs.
     """
     number, crumbs, stays = np.full(len(label), -1, np.int64), 0, np.zeros(len(label), np.bool_)
-    for value, triangles in triangles_by_label(surface.triangles, label).items():
+    for value, rows in rows_by_label(surface.triangles, label).items():
         if value == 0:
             continue
-        part, used = surface.of(triangles)
+        part, used = surface.of(surface.triangles[rows])
         xyz, piece = part.xyz, pieces(part.triangles, len(used))
         area = np.bincount(piece[part.triangles[:, 0]], _areas(xyz, part.triangles))
         own = label[used] == value

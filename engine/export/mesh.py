@@ -11,10 +11,11 @@ from __future__ import annotations
 import json
 import struct
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -24,11 +25,12 @@ from ..passes.layers import linear
 from ..passes.ply import columns_of, write_ply_table
 from ..passes.previews import colour_picture
 from ..posed.names import matte_names
-from ..posed.ply import LEAST_TRIANGLES, triangles_by_label
+from ..posed.ply import LEAST_TRIANGLES, rows_by_label
 from ..scene import ClassTable
 from .fusion import SmallView, Surface, fuse
 from .mending import close_holes, cut_by_label, even_labels, without_crumbs, without_flakes, without_fringe
 from .source import FinishedLift
+from .texture import Texture, jpeg_bytes, textured
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,6 +38,7 @@ class Part:
     """The mesh of one instance, or of one stuff class (``instance_id`` 0), under a ``name`` that no other part has.
 
     ``xyz`` float32 [V, 3] metres, z up; ``normal`` float32 [V, 3]; ``rgb`` uint8 [V, 3]; ``triangles`` int64 [T, 3].
+    ``uv`` float32 [T, 3, 2] are the places of their corners in a ``picture`` uint8 [H, W, 3], as `Texture` has them.
     """
 
     name: str
@@ -46,6 +49,17 @@ class Part:
     normal: NDArray[np.float32]
     rgb: NDArray[np.uint8]
     triangles: NDArray[np.int64]
+    uv: NDArray[np.float32] | None = None
+    picture: NDArray[np.uint8] | None = None
+
+    def with_seams(self) -> tuple[Part, NDArray[np.float32]]:
+        """The same with one place in the picture for each vertex, which seams double, and these, float32 [V, 2]."""
+        assert self.uv is not None
+        corners = np.column_stack([self.triangles.reshape(-1), self.uv.reshape(-1, 2).astype(np.float64)])
+        rows, number = np.unique(corners, axis=0, return_inverse=True)
+        at, triangles = rows[:, 0].astype(np.int64), number.reshape(-1, 3)
+        part = replace(self, xyz=self.xyz[at], normal=self.normal[at], rgb=self.rgb[at], triangles=triangles)
+        return part, rows[:, 1:].astype(np.float32)
 
 
 _FLOAT, _WHOLE, _VERTICES, _INDICES = 5126, 5125, 34962, 34963
@@ -58,18 +72,31 @@ GENERATOR = "PLGS for Blender"
 
 
 def glb_bytes(parts: Sequence[Part]) -> bytes:
-    """A node and a mesh for each part, in glTF's axes (y up). A node's ``extras`` have its class and its ids."""
+    """A node and a mesh for each part, in glTF's axes (y up). A node's ``extras`` have its class and its ids. Parts
+    without pictures have colours at their vertices, which glTF would multiply with a picture."""
     views: list[dict[str, int]] = []
     accessors: list[dict[str, Any]] = []
     nodes: list[dict[str, Any]] = []
     meshes: list[dict[str, Any]] = []
+    matt = {"metallicFactor": 0.0, "roughnessFactor": 1.0}
+    materials: list[dict[str, Any]] = [{"pbrMetallicRoughness": matt, "doubleSided": True}]
+    images: list[dict[str, Any]] = []
     body = bytearray()
     for part in parts:
+        colours, values, form, number = "COLOR_0", linear(part.rgb / 255), "VEC3", 0
+        if part.picture is not None:
+            encoded = jpeg_bytes(part.picture)
+            (part, values), colours, form, number = part.with_seams(), "TEXCOORD_0", "VEC2", len(materials)
+            shown = matt | {"baseColorTexture": {"index": len(images)}}
+            materials.append({"pbrMetallicRoughness": shown, "doubleSided": True})
+            images.append({"bufferView": len(views), "mimeType": "image/jpeg"})
+            views.append({"buffer": 0, "byteOffset": len(body), "byteLength": len(encoded)})
+            body += encoded + b"\0" * (-len(encoded) % 4)
         xyz = _upright(part.xyz)
         arrays: list[tuple[NDArray[Any], int, str, int]] = [
             (xyz, _FLOAT, "VEC3", _VERTICES),
             (_upright(part.normal), _FLOAT, "VEC3", _VERTICES),
-            (np.ascontiguousarray(linear(part.rgb / 255), "<f4"), _FLOAT, "VEC3", _VERTICES),
+            (np.ascontiguousarray(values, "<f4"), _FLOAT, form, _VERTICES),
             (np.ascontiguousarray(part.triangles.reshape(-1), "<u4"), _WHOLE, "SCALAR", _INDICES),
         ]
         first = len(accessors)
@@ -78,10 +105,10 @@ def glb_bytes(parts: Sequence[Part]) -> bytes:
             views.append({"buffer": 0, "byteOffset": len(body), "byteLength": values.nbytes, "target": target})
             body += values.tobytes()
         accessors[first] |= {"min": xyz.min(axis=0).tolist(), "max": xyz.max(axis=0).tolist()}  # required for positions
-        attributes = {"POSITION": first, "NORMAL": first + 1, "COLOR_0": first + 2}
+        attributes = {"POSITION": first, "NORMAL": first + 1, colours: first + 2}
         labels = {"class": part.class_name, "class_id": part.class_id, "instance_id": part.instance_id}
         nodes.append({"name": part.name, "mesh": len(meshes), "extras": labels})
-        drawn = {"attributes": attributes, "indices": first + 3, "material": 0}
+        drawn = {"attributes": attributes, "indices": first + 3, "material": number}
         meshes.append({"name": part.name, "primitives": [drawn]})
     content = {
         "asset": {"version": "2.0", "generator": GENERATOR},
@@ -89,11 +116,13 @@ def glb_bytes(parts: Sequence[Part]) -> bytes:
         "scenes": [{"nodes": list(range(len(nodes)))}],
         "nodes": nodes,
         "meshes": meshes,
-        "materials": [{"pbrMetallicRoughness": {"metallicFactor": 0.0, "roughnessFactor": 1.0}, "doubleSided": True}],
+        "materials": materials,
         "buffers": [{"byteLength": len(body)}],
         "bufferViews": views,
         "accessors": accessors,
     }
+    if images:
+        content |= {"images": images, "textures": [{"source": each} for each in range(len(images))]}
     head = json.dumps(content, ensure_ascii=False).encode()
     chunks = _chunk(_JSON, head, b" ") + _chunk(_BIN, bytes(body), b"\0")
     return struct.pack("<4sII", _MAGIC, 2, 12 + len(chunks)) + chunks
@@ -113,6 +142,9 @@ LEAST_ALPHA = 0.7
 """Alpha below which a pixel's depth is not a surface."""
 WIDEST, MOST_VIEWS = 480, 80
 """Largest width in pixels of the views that are fused, and how many of all frames at most."""
+_AROUND, _OFF, _OFF_SHARE = 7, 0.1, 0.04
+"""The side in pixels of the square around a pixel whose depths are compared with what was measured there, and by how
+many metres, or what share, that may lie outside them."""
 SEEN_WITHIN = 0.05
 """Metres between a vertex and a view's depth there within which the view votes."""
 LONGEST, MOST_BYTES = 60, 180
@@ -125,9 +157,9 @@ def export_mesh(lift: FinishedLift, output: Path) -> None:
     """mesh.ply, the whole surface with class_id and instance_id of every vertex, and meshes/<name>.glb, one per
     instance and stuff class (glTF's axes, y up). Those of an earlier export whose objects are gone are removed. Raises
     PlgsError where no surface was rendered, OSError."""
-    surface, label = finished(lift)
+    surface, label, texture = finished(lift)
     write_surface(lift, output / "mesh.ply", surface, label)
-    parts = {output / "meshes" / f"{part.name}.glb": part for part in _cut(lift, surface, label)}
+    parts = {output / "meshes" / f"{part.name}.glb": part for part in _cut(lift, surface, label, texture)}
     for path, part in parts.items():
         write_atomically(path, glb_bytes([part]))
     written = {_file_at(path) for path in parts}  # not by names: a disk may list them in other case or Unicode form
@@ -144,8 +176,11 @@ def _file_at(path: Path) -> tuple[int, int]:
     return status.st_dev, status.st_ino
 
 
-def write_surface(lift: FinishedLift, path: Path, surface: Surface, label: NDArray[np.int64]) -> None:
-    """Write a surface with the labels [V] of its vertices as PLY. Raises OSError."""
+def write_surface(
+    lift: FinishedLift, path: Path, surface: Surface, label: NDArray[np.int64], texture: Texture | None = None
+) -> None:
+    """Write a surface with the labels [V] of its vertices as PLY, and the pictures of its texture beside it, as
+    pictures/CLASS_INSTANCE.jpg by their ids. Raises OSError."""
     class_id, instance_id = np.divmod(label, MOST_INSTANCES)
     columns = {
         **columns_of("x y z", surface.xyz),
@@ -154,7 +189,11 @@ def write_surface(lift: FinishedLift, path: Path, surface: Surface, label: NDArr
         **{"class_id": class_id.astype(np.int32), "instance_id": instance_id.astype(np.int32)},
     }
     comment = f"corrections {lift.corrected.fingerprint}" if lift.corrected.fingerprint else ""
-    write_ply_table(path, columns, surface.triangles, comment)
+    for value, picture in (texture.pictures if texture is not None else {}).items():
+        name = "{}_{}.jpg".format(*divmod(value, MOST_INSTANCES))
+        write_atomically(path.parent / "pictures" / name, jpeg_bytes(picture))
+    uv = None if texture is None else texture.uv * np.array([1, -1], np.float32) + np.array([0, 1], np.float32)
+    write_ply_table(path, columns, surface.triangles, comment, uv)
 
 
 def export_gltf(lift: FinishedLift, output: Path) -> None:
@@ -172,31 +211,27 @@ def parts_of(lift: FinishedLift) -> list[Part]:
     return parts
 
 
-def _cut(lift: FinishedLift, surface: Surface, label: NDArray[np.int64]) -> list[Part]:
-    """The parts of a surface with labelled vertices, without scraps."""
+def _cut(lift: FinishedLift, surface: Surface, label: NDArray[np.int64], texture: Texture | None) -> list[Part]:
+    """The parts of a surface with labelled vertices and their pictures, without scraps."""
     names, parts = label_names(np.unique(label), lift.classes, lift.instances.names), []
-    for value, triangles in triangles_by_label(surface.triangles, label).items():
-        if value in names and len(triangles) >= LEAST_TRIANGLES:
-            (part, _), (class_id, instance_id) = surface.of(triangles), divmod(value, MOST_INSTANCES)
+    for value, rows in rows_by_label(surface.triangles, label).items():
+        if value in names and len(rows) >= LEAST_TRIANGLES:
+            (part, _), (class_id, instance_id) = surface.of(surface.triangles[rows]), divmod(value, MOST_INSTANCES)
             shape = (part.xyz, part.normal, part.rgb, part.triangles)
-            parts.append(Part(names[value], lift.classes[class_id].name, class_id, instance_id, *shape))
+            drawn = (None, None) if texture is None else (texture.uv[rows], texture.pictures[value])
+            parts.append(Part(names[value], lift.classes[class_id].name, class_id, instance_id, *shape, *drawn))
     return parts
 
 
-def fused(lift: FinishedLift) -> tuple[Surface, NDArray[np.int64]]:
-    """The surface of the lift's views, and the label of each vertex, int64 [V]. Raises PlgsError where there is none,
-    OSError."""
+def finished(lift: FinishedLift) -> tuple[Surface, NDArray[np.int64], Texture | None]:
+    """The surface of the lift's views, mended and cut, its labels, int64 [V], and its texture where there are photos.
+    Raises PlgsError where there is none, OSError."""
     small = views_of(lift, WIDEST, MOST_VIEWS)
     surface = fuse(small)
     refuse_none(lift, surface)
-    return surface, vertex_labels(surface.xyz, small)
-
-
-def finished(lift: FinishedLift) -> tuple[Surface, NDArray[np.int64]]:
-    """The surface that is written, mended and cut, and its labels, int64 [V]. Raises as ``fused``."""
-    surface, label = cut_by_label(*mended(*fused(lift)))
+    surface, label = cut_by_label(*mended(surface, vertex_labels(surface.xyz, small)))
     refuse_none(lift, surface)
-    return surface, label
+    return surface, label, textured(surface, label, small) if lift.has_photos else None
 
 
 def refuse_none(lift: FinishedLift, surface: Surface) -> None:
@@ -216,11 +251,23 @@ def mended(surface: Surface, label: NDArray[np.int64]) -> tuple[Surface, NDArray
 def views_of(lift: FinishedLift, width: int, most: int) -> list[SmallView]:
     """At most ``most`` of the lift's views, as large as they are fused. Raises PlgsError, OSError."""
     views = []
-    for camera, layers in lift.small_views(width, most):
+    for frame, camera, layers in lift.small_views(width, most):
         depth = np.where(layers.combined[..., 3] >= LEAST_ALPHA, layers.depth, 0).astype(np.float32)
+        if lift.has_photos and frame.read_depth is not None:
+            depth = sharpened(depth, frame.read_depth(camera.size))
         label = layers.semantic.astype(np.int64) * MOST_INSTANCES + layers.instance
-        views.append(SmallView(camera, depth, colour_picture(layers), label))
+        views.append(SmallView(camera, depth, colour_picture(layers), label, frame))
     return views
+
+
+def sharpened(depth: NDArray[np.float32], measured: NDArray[np.float32]) -> NDArray[np.float32]:
+    """A rendered depth [H, W] in metres with the measured one wherever that is among the depths rendered around there:
+    rendered depth is a mixture along the outlines of things, and measured depth may be wrong."""
+    around = np.ones((_AROUND, _AROUND), np.uint8)
+    nearest = cv2.erode(np.where(depth > 0, depth, np.float32(np.inf)), around)
+    off = np.maximum(_OFF, _OFF_SHARE * measured)
+    is_known = (measured > 0) & (measured > nearest - off) & (measured < cv2.dilate(depth, around) + off)
+    return np.where(is_known, measured, depth).astype(np.float32)
 
 
 def vertex_labels(xyz: NDArray[np.float32], views: list[SmallView], times: int = 1) -> NDArray[np.int64]:

@@ -28,6 +28,7 @@ def export(
     progress: Progress | None = None,
     cameras: Path | None = None,
     objects: Sequence[str] = (),
+    warn: Callable[[str], object] | None = None,
 ) -> None:
     """Write ``frames`` ("test", "all", names) of a finished lift as ``kind`` (of KINDS) into the folder ``output``.
     With a file of ``cameras``, which only clouds take, write what these see instead. Of BY_OBJECT, write the
@@ -50,7 +51,7 @@ def export(
         raise lacks_part("OpenUSD files need the package usd-core", output, "usd")
     folder.refuse_foreign()
     verify_lifted(folder.result_path)
-    lift = FinishedLift(folder, frames, progress, cameras, objects)
+    lift = FinishedLift(folder, frames, progress, cameras, objects, warn)
     shown = [view.name for view in lift.shots] or [frame.name for frame in lift.frames]
     facts = {"form": kind, "lift": str(folder.path), "frames": shown}
     if objects:

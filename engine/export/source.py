@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -41,10 +42,20 @@ class FinishedLift:
     """A file of cameras to export in place of the frames."""
     objects: Sequence[str] = ()
     """The names of the instances and of the classes to export. Without them, everything is wanted."""
+    warn: Callable[[str], object] | None = None
 
     @cached_property
     def scene(self) -> Scene:
         return scene_of_lift(self.folder)
+
+    @cached_property
+    def has_photos(self) -> bool:
+        """Whether the scene is there. A surface without its photos has their colours as the lift shows them: then a
+        warning says so."""
+        found = os.path.exists(self.folder.request.scene)
+        if not found and self.warn is not None:
+            self.warn(f"The surface has no pictures: its scene is not at {self.folder.request.scene}.")
+        return found
 
     @property
     def classes(self) -> ClassTable:
@@ -133,13 +144,13 @@ class FinishedLift:
             if self.progress is not None:
                 self.progress(number, len(self.frames))
 
-    def small_views(self, width: int, most: int) -> Iterator[tuple[Camera, PanopticLayers]]:
+    def small_views(self, width: int, most: int) -> Iterator[tuple[Frame, Camera, PanopticLayers]]:
         """At most ``most`` of the frames, evenly spread, as the lift shows them in pictures of at most this width."""
         chosen = evenly_spread(self.frames, most)
         for number, frame in enumerate(chosen, start=1):
             shrunk = min(1.0, width / frame.camera.width)
             camera = frame.camera.resized(*(round(shrunk * side) for side in (frame.camera.width, frame.camera.height)))
-            yield camera, self._baker.decided(camera)
+            yield frame, camera, self._baker.decided(camera)
             if self.progress is not None:
                 self.progress(number, len(chosen))
 

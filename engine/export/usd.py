@@ -8,7 +8,7 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 from numpy.typing import NDArray
-from pxr import Gf, Tf, Usd, UsdGeom, UsdSemantics, UsdVol, Vt
+from pxr import Gf, Sdf, Tf, Usd, UsdGeom, UsdSemantics, UsdShade, UsdVol, Vt
 
 from ..job import write_atomically
 from ..passes.layers import linear
@@ -18,6 +18,7 @@ from ..result_files import Instance
 from ..scene import Camera
 from .mesh import MOST_INSTANCES, Part, parts_of
 from .source import FinishedLift
+from .texture import jpeg_bytes
 
 FOCAL_LENGTH = 24.0
 """Of every camera, in millimetres; the apertures give the angle of view."""
@@ -26,8 +27,8 @@ _TO_USD = np.diag((1.0, -1.0, -1.0, 1.0))
 
 
 def export_usd(lift: FinishedLift, output: Path) -> None:
-    """lift.usdc, in metres, z up: a ParticleField3DGaussianSplat, a mesh and a box (a guide) for each wanted instance,
-    the first two for each wanted stuff class, and the frames' cameras.
+    """lift.usdc, in metres, z up, with the pictures of its meshes in pictures/: a ParticleField3DGaussianSplat, a mesh
+    and a box (a guide) for each wanted instance, the first two for each wanted stuff class, and the frames' cameras.
 
     SemanticsLabelsAPI names the "class" of each of them and, where there is one, the "instance". Raises as
     ``mesh.parts_of``.
@@ -38,6 +39,8 @@ def export_usd(lift: FinishedLift, output: Path) -> None:
     UsdGeom.SetStageMetersPerUnit(stage, 1.0)
     stage.SetDefaultPrim(UsdGeom.Xform.Define(stage, "/Lift").GetPrim())
     for path, part in zip(_paths(stage, "Meshes", (part.name for part in parts)), parts, strict=True):
+        if part.picture is not None:
+            write_atomically(output / _picture(path), jpeg_bytes(part.picture))
         name = lift.instances.names.get(part.instance_id, "")
         _label(_add_mesh(stage, path, part), part.name, part.class_name, name)
     _add_splats(stage, lift)
@@ -77,7 +80,35 @@ def _add_mesh(stage: Usd.Stage, path: str, part: Part) -> Usd.Prim:
     mesh.CreateDoubleSidedAttr(True)
     mesh.CreateExtentAttr(_vectors([part.xyz.min(axis=0), part.xyz.max(axis=0)]))
     mesh.CreateDisplayColorPrimvar(UsdGeom.Tokens.vertex).Set(_vectors(linear(part.rgb / 255)))
+    if part.uv is not None:
+        place = UsdGeom.PrimvarsAPI(mesh).CreatePrimvar("st", Sdf.ValueTypeNames.TexCoord2fArray, "faceVarying")
+        place.Set(Vt.Vec2fArray.FromNumpy(np.ascontiguousarray(part.uv.reshape(-1, 2) * (1, -1) + (0, 1), np.float32)))
+        UsdShade.MaterialBindingAPI.Apply(mesh.GetPrim()).Bind(_add_material(stage, path))
     return mesh.GetPrim()
+
+
+def _picture(path: str) -> str:
+    """The file of a mesh's picture, beside the stage."""
+    return f"pictures/{path.rpartition('/')[2]}.jpg"
+
+
+def _add_material(stage: Usd.Stage, path: str) -> UsdShade.Material:
+    """The picture of the mesh at this path, matt."""
+    material = UsdShade.Material.Define(stage, f"{path}/Material")
+    surface, picture, place = (
+        UsdShade.Shader.Define(stage, f"{path}/Material/{name}") for name in ("Surface", "Picture", "Place")
+    )
+    for shader, kind in ((surface, "UsdPreviewSurface"), (picture, "UsdUVTexture"), (place, "UsdPrimvarReader_float2")):
+        shader.CreateIdAttr(kind)
+    place.CreateInput("varname", Sdf.ValueTypeNames.String).Set("st")
+    picture.CreateInput("file", Sdf.ValueTypeNames.Asset).Set(f"./{_picture(path)}")
+    picture.CreateInput("sourceColorSpace", Sdf.ValueTypeNames.Token).Set("sRGB")
+    picture.CreateInput("st", Sdf.ValueTypeNames.Float2).ConnectToSource(place.ConnectableAPI(), "result")
+    colour = surface.CreateInput("diffuseColor", Sdf.ValueTypeNames.Color3f)
+    colour.ConnectToSource(picture.ConnectableAPI(), "rgb")
+    surface.CreateInput("roughness", Sdf.ValueTypeNames.Float).Set(1.0)
+    material.CreateSurfaceOutput().ConnectToSource(surface.ConnectableAPI(), "surface")
+    return material
 
 
 def _add_splats(stage: Usd.Stage, lift: FinishedLift) -> None:

@@ -26,6 +26,7 @@ from .mending import (
 )
 from .mesh import MOST_INSTANCES, refuse_none, vertex_labels, views_of, write_surface
 from .source import FinishedLift
+from .texture import textured
 
 WIDEST, MOST_VIEWS = 320, 60
 """Largest width in pixels of the views that are fused, and how many of all frames at most."""
@@ -41,12 +42,14 @@ _RIM = 5
 
 
 def export_surface(lift: FinishedLift, output: Path) -> None:
-    """mesh.ply, as `mesh.export_mesh` writes it, to look at. Raises PlgsError where no surface was rendered, OSError.
-    """
+    """mesh.ply, as `mesh.export_mesh` writes it, to look at, and its pictures. Raises PlgsError where no surface was
+    rendered, OSError."""
     views = views_of(lift, WIDEST, MOST_VIEWS)
     surface, label = surface_to_view(views)
     refuse_none(lift, surface)
-    write_surface(lift, output / "mesh.ply", surface, label)
+    write_surface(
+        lift, output / "mesh.ply", surface, label, textured(surface, label, views) if lift.has_photos else None
+    )
 
 
 def surface_to_view(views: list[SmallView]) -> tuple[Surface, Ints]:

@@ -19,7 +19,8 @@ if TYPE_CHECKING:  # tables are also written without torch
 SH_DEGREE_0 = 0.5 / math.sqrt(math.pi)
 """The constant spherical harmonic: colour = 0.5 + SH_DEGREE_0 * f_dc."""
 _KINDS = {"f4": "float", "i4": "int", "u1": "uchar"}
-_TRIANGLE = np.dtype([("count", "u1"), ("corners", "<i4", 3)])
+_TRIANGLE: list[Any] = [("count", "u1"), ("corners", "<i4", 3)]
+_TEXTURED = [*_TRIANGLE, ("values", "u1"), ("uv", "<f4", (3, 2))]
 
 
 def columns_of(names: str, values: NDArray[Any]) -> dict[str, NDArray[Any]]:
@@ -28,10 +29,15 @@ def columns_of(names: str, values: NDArray[Any]) -> dict[str, NDArray[Any]]:
 
 
 def write_ply_table(
-    path: Path, columns: Mapping[str, NDArray[Any]], triangles: NDArray[np.integer] | None = None, comment: str = ""
+    path: Path,
+    columns: Mapping[str, NDArray[Any]],
+    triangles: NDArray[np.integer] | None = None,
+    comment: str = "",
+    uv: NDArray[np.float32] | None = None,
 ) -> None:
-    """Write vertices of float32, int32 or uint8 columns [N], and triangles [T, 3] of them, with a comment. Raises
-    ValueError for columns of other types or of different lengths, and OSError."""
+    """Write vertices of float32, int32 or uint8 columns [N], and triangles [T, 3] of them, with the places ``uv``
+    [T, 3, 2] of their corners in pictures, and a comment. Raises ValueError for columns of other types or of different
+    lengths, and OSError."""
     count = {len(values) for values in columns.values()}
     if len(count) != 1:
         raise ValueError(f"columns differ in length: {', '.join(columns)}")
@@ -47,9 +53,12 @@ def write_ply_table(
     lines += [f"property {_KINDS[kind.str[1:]]} {name}" for name, kind in kinds]
     body = vertices.tobytes()
     if triangles is not None:
-        faces = np.empty(len(triangles), _TRIANGLE)
+        faces = np.empty(len(triangles), _TRIANGLE if uv is None else _TEXTURED)
         faces["count"], faces["corners"] = 3, triangles
         lines += [f"element face {len(faces)}", "property list uchar int vertex_indices"]
+        if uv is not None:
+            faces["values"], faces["uv"] = 6, uv
+            lines.append("property list uchar float texcoord")
         body += faces.tobytes()
     write_atomically(path, "\n".join([*lines, "end_header\n"]).encode() + body)
 

@@ -1,5 +1,4 @@
-"""PLY files that lifts write: Gaussians, whose format other programs use too, and the surface in mesh.ply.
-"""
+"""PLY files that lifts write: Gaussians, whose format other programs use too, and the surface in mesh.ply."""
 
 from __future__ import annotations
 
@@ -16,7 +15,8 @@ from ..gates import read_plain
 LEAST_TRIANGLES = 20
 """Meshes of fewer triangles are fragments and are left out."""
 _KINDS = {"float": "<f4", "int": "<i4", "uchar": "u1"}
-_FACE = np.dtype([("count", "u1"), ("corners", "<i4", 3)])
+_FACE: list[Any] = [("count", "u1"), ("corners", "<i4", 3)]
+_TEXTURED = [*_FACE, ("values", "u1"), ("uv", "<f4", (3, 2))]
 _COLUMNS = {"x", "y", "z", "red", "green", "blue", "class_id", "instance_id"}
 _MOST_OF_SURFACE, _MOST_OF_SPLATS = 1 << 30, 4 << 30
 _LONGEST_HEADER = 8192
@@ -30,52 +30,61 @@ _NEEDED = {"x", "y", "z", "f_dc_0", "f_dc_1", "f_dc_2", "opacity", "scale_0", "s
 @dataclass(frozen=True, eq=False)
 class LabelledSurface:
     """``xyz`` float32 [V, 3] metres, ``rgb`` uint8 [V, 3] sRGB, ``class_id`` and ``instance_id`` int32 [V],
-    ``triangles`` int32 [T, 3]."""
+    ``triangles`` int32 [T, 3]; with pictures, ``uv`` float32 [T, 3, 2] is where in its (class, instance)'s each corner
+    is, in shares of its sides from the lower left."""
 
     xyz: NDArray[np.float32]
     rgb: NDArray[np.uint8]
     class_id: NDArray[np.int32]
     instance_id: NDArray[np.int32]
     triangles: NDArray[np.int32]
+    uv: NDArray[np.float32] | None = None
 
-    def parts(self) -> dict[tuple[int, int], NDArray[np.int32]]:
-        """The triangles [T, 3] of each (class, instance), as `triangles_by_label`. Void and fragments are left out."""
-        found = triangles_by_label(self.triangles, self.class_id.astype(np.int64) << 32 | self.instance_id)
+    def parts(self) -> dict[tuple[int, int], NDArray[np.int64]]:
+        """The rows [T] of each (class, instance)'s triangles, as `rows_by_label`. Void and fragments are left out."""
+        found = rows_by_label(self.triangles, self.class_id.astype(np.int64) << 32 | self.instance_id)
         return {
-            (label >> 32, label & 0xFFFFFFFF): triangles
-            for label, triangles in found.items()
-            if label >> 32 and len(triangles) >= LEAST_TRIANGLES
+            (label >> 32, label & 0xFFFFFFFF): rows
+            for label, rows in found.items()
+            if label >> 32 and len(rows) >= LEAST_TRIANGLES
         }
 
-    def cut(self, triangles: NDArray[np.int32]) -> LabelledSurface:
-        """The vertices of these triangles, and the triangles between them."""
-        used, corners = np.unique(triangles, return_inverse=True)
-        renumbered = corners.reshape(-1, 3).astype(np.int32)
-        return LabelledSurface(self.xyz[used], self.rgb[used], self.class_id[used], self.instance_id[used], renumbered)
+    def cut(self, rows: NDArray[np.int64]) -> LabelledSurface:
+        """The triangles of these rows [T], and their vertices."""
+        used, corners = np.unique(self.triangles[rows], return_inverse=True)
+        renumbered, uv = corners.reshape(-1, 3).astype(np.int32), None if self.uv is None else self.uv[rows]
+        vertices = (self.xyz[used], self.rgb[used], self.class_id[used], self.instance_id[used])
+        return LabelledSurface(*vertices, renumbered, uv)
 
 
-def triangles_by_label(
-    triangles: NDArray[np.integer], label: NDArray[np.int64]
-) -> dict[int, NDArray[Any]]:
-    """The triangles [T, 3] of each label, from the labels [V] of the vertices. A triangle has the label that two of its
-    corners share, else that of its first corner."""
+def labels_of_triangles(triangles: NDArray[np.integer], label: NDArray[np.int64]) -> NDArray[np.int64]:
+    """The labels [T] of triangles [T, 3] from those of the vertices [V]: that which two corners share, else the first
+    corner's."""
     corners = label[triangles]
-    own = np.where(corners[:, 1] == corners[:, 2], corners[:, 1], corners[:, 0])
+    return np.where(corners[:, 1] == corners[:, 2], corners[:, 1], corners[:, 0])
+
+
+def rows_by_label(triangles: NDArray[np.integer], label: NDArray[np.int64]) -> dict[int, NDArray[np.int64]]:
+    """The rows [T] of the triangles [T, 3] of each label, as `labels_of_triangles`."""
+    own = labels_of_triangles(triangles, label)
     order = np.argsort(own, kind="stable")
     values, starts = np.unique(own[order], return_index=True)
-    return dict(zip(values.tolist(), np.split(triangles[order], starts)[1:], strict=True))
+    return dict(zip(values.tolist(), np.split(order, starts)[1:], strict=True))
 
 
 def read_surface(path: Path) -> LabelledSurface:
     """The surface in a mesh.ply. Raises PlgsError for a file that holds none."""
     content, end, columns, (vertices, faces) = _read(path, _MOST_OF_SURFACE, _MESH_FIX)
+    has_uv = b"\nproperty list uchar float texcoord\n" in content[:end]
+    face = np.dtype(_TEXTURED if has_uv else _FACE)
     if not _COLUMNS <= {*columns}:
         raise PlgsError("not-labelled-surface", "this is not a labelled surface", path, _MESH_FIX)
     row = np.dtype([*columns.items()])
-    if len(content) != end + vertices * row.itemsize + faces * _FACE.itemsize:
+    if len(content) != end + vertices * row.itemsize + faces * face.itemsize:
         raise PlgsError("file-damaged", "the file is damaged", path, _MESH_FIX)
     table = np.frombuffer(content, row, vertices, end)
-    triangles = np.frombuffer(content, _FACE, faces, end + vertices * row.itemsize)["corners"]
+    drawn = np.frombuffer(content, face, faces, end + vertices * row.itemsize)
+    triangles = drawn["corners"]
     if faces and not 0 <= int(triangles.min()) <= int(triangles.max()) < vertices:
         raise PlgsError("file-damaged", "the file is damaged", path, _MESH_FIX)
     return LabelledSurface(
@@ -84,6 +93,7 @@ def read_surface(path: Path) -> LabelledSurface:
         table["class_id"].astype(np.int32),
         table["instance_id"].astype(np.int32),
         np.ascontiguousarray(triangles),
+        np.nan_to_num(drawn["uv"]) if has_uv else None,
     )
 
 

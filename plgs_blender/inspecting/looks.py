@@ -20,7 +20,7 @@ from ...engine.posed import VOID
 from .. import compat
 from ..boxes import INSTANCE, TOGETHER
 from ..cameras import PATH
-from ..materials import LIT, linear_rgba, object_colour, value_node
+from ..materials import LIT, PICTURE, linear_rgba, object_colour, value_node
 from ..owned import KEY, LIFT, is_child, key_of, tag, text_of
 from ..splat_objects import dye
 from .selection import boxes_of, clouds_of, ids_of, objects_by_key, row_of, surfaces_of
@@ -70,14 +70,19 @@ def apply_look(root: bpy.types.Collection) -> None:
         if look == PHOTO and kept is not None:
             ob.data.attributes.remove(kept)
         ob.data.update_tag()
+    _set_in_materials(root, PICTURE, look == PHOTO)
 
 
 def apply_lit(root: bpy.types.Collection) -> None:
     """Let the scene's lights light the lift's meshes, or the photos' own light, as the lift's `lit` says."""
+    _set_in_materials(root, LIT, root.plgs.lit)
+
+
+def _set_in_materials(root: bpy.types.Collection, label: str, value: float) -> None:
     for material in bpy.data.materials:
-        node = value_node(material, LIT) if key_of(material, root[LIFT]) is not None else None
+        node = value_node(material, label) if key_of(material, root[LIFT]) is not None else None
         if node is not None:
-            node.outputs[0].default_value = float(root.plgs.lit)
+            node.outputs[0].default_value = float(value)
 
 
 def apply_show_as(root: bpy.types.Collection) -> None:

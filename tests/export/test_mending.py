@@ -20,7 +20,7 @@ from engine.export.mending import (
     without_fringe,
 )
 from engine.export.mesh import mended
-from engine.posed.ply import triangles_by_label
+from engine.posed.ply import rows_by_label
 
 STEP = 0.02
 """Metres between the vertices of a sheet."""
@@ -171,7 +171,7 @@ def test_a_thin_object_stays_alone_or_beside_others_and_with_lone_labels_in_it()
 
 def test_where_nothing_is_left_there_is_nothing() -> None:
     surface, label = mended(sheet(3, 3), np.full(9, 5))  # a flake
-    assert not len(surface.triangles) and not len(label) and triangles_by_label(surface.triangles, label) == {}
+    assert not len(surface.triangles) and not len(label) and rows_by_label(surface.triangles, label) == {}
 
 
 def widest_gap(whole: Surface, cut: Surface) -> float:

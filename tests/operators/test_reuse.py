@@ -13,6 +13,7 @@ from plgs.engine.corrections import read_corrected
 from plgs.plgs_blender import lift_scene
 from plgs.plgs_blender.inspecting.looks import HIDDEN
 from plgs.plgs_blender.inspecting.selection import boxes_of, clouds_of, ids_of
+from plgs.plgs_blender.materials import image_of
 from plgs.plgs_blender.meshes import mesh_folder
 from surface_file import write_surface
 
@@ -65,6 +66,18 @@ def test_an_object_stands_on_its_foot_and_leaves_a_hole(root: bpy.types.Collecti
     assert np.allclose(np.sort(xyz, axis=0), np.sort(result.xyz[result.instance_id == CHAIR], axis=0), atol=1e-4)
     assert {"Col", "confidence", "entropy", "normal", "radius"} <= {each.name for each in points.data.attributes}
     assert hidden(root, CHAIR) and not hidden(root, CABINET)
+
+
+def test_an_object_keeps_its_picture_whatever_becomes_of_the_lift(root: bpy.types.Collection, mine: Path) -> None:
+    write_surface(mesh_folder(mine) / "mesh.ply", 40)
+    lift_scene.place_lift(mine, bpy.context.scene)
+    assert bpy.ops.plgs.make_objects(instances=str(CHAIR)) == {"FINISHED"}
+    surface = bpy.data.objects["chair 1 surface"]
+    image = image_of(surface.data.materials[0])
+    assert image.packed_file is not None and "plgs_lift" not in image and len(surface.data.uv_layers) == 1
+    write_surface(mesh_folder(mine) / "mesh.ply", 200)
+    lift_scene.place_lift(mine, bpy.context.scene)
+    assert image.pixels[0] == pytest.approx(40 / 255, abs=0.02)
 
 
 def test_moved_and_made_again_it_stays_where_it_was_moved(root: bpy.types.Collection, mine: Path) -> None:

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from engine.export.texture import jpeg_bytes
 from engine.passes.ply import write_ply_table
 from tests.tiny_scene import CHAIR_ID, FLOOR_ID
 
@@ -13,8 +14,9 @@ SIDE = 8
 """Points along each side of a square."""
 
 
-def write_surface(path: Path) -> None:
-    """A floor of 4 by 3 m, and above it a patch of 1 by 1 m that is the chair."""
+def write_surface(path: Path, shade: int | None = None) -> None:
+    """A floor of 4 by 3 m, and above it a patch of 1 by 1 m that is the chair; with a ``shade``, each with a picture
+    that has it on its left, and white on its right."""
     floor, chair = net((0.0, 0.0, 0.0), (4.0, 3.0)), net((1.0, 1.0, 0.5), (1.0, 1.0))
     xyz = np.concatenate([floor, chair])
     triangles = np.concatenate([net_triangles(), net_triangles() + len(floor)])
@@ -25,7 +27,16 @@ def write_surface(path: Path) -> None:
     columns["class_id"] = np.where(part == 0, FLOOR_ID, CHAIR_ID).astype(np.int32)
     columns["instance_id"] = part.astype(np.int32)
     path.parent.mkdir(parents=True, exist_ok=True)
-    write_ply_table(path, columns, triangles)
+    if shade is None:
+        return write_ply_table(path, columns, triangles)
+    uv = np.concatenate([(floor / (4, 3, 1))[:, :2], (chair - (1, 1, 0))[:, :2]])[triangles].astype(np.float32)
+    write_ply_table(path, columns, triangles, uv=uv)
+    picture = np.full((32, 64, 3), 255, np.uint8)
+    picture[:, :32] = shade
+    for name in (f"{FLOOR_ID}_0", f"{CHAIR_ID}_1"):
+        (path.parent / "pictures").mkdir(exist_ok=True)
+        (path.parent / "pictures" / f"{name}.jpg").write_bytes(jpeg_bytes(picture))
+    return None
 
 
 def net(corner: tuple[float, float, float], size: tuple[float, float]) -> np.ndarray:

@@ -12,6 +12,7 @@ from plgs.engine.corrections import correct, making
 from plgs.engine.posed.ply import read_surface
 from plgs.plgs_blender import lift_scene
 from plgs.plgs_blender.inspecting.lists import registered
+from plgs.plgs_blender.materials import PICTURE, image_of, value_node
 from plgs.plgs_blender.meshes import mesh_folder
 from plgs.plgs_blender.owned import lifts_in
 from plgs.plgs_blender.results import result_of
@@ -58,6 +59,26 @@ def test_one_mesh_per_instance_and_per_stuff_class(lift: Path) -> None:
             assert {each.value for each in mesh.attributes[attribute].data} == {value}
         assert mesh.color_attributes.active_color.name == "Col"
         assert np.allclose(mesh.color_attributes["Col"].data[0].color, (1.0, 0.2158605, 0.0, 1.0), atol=1e-4)
+
+
+def test_meshes_show_their_pictures_in_photo_colours_alone(lift: Path) -> None:
+    write_surface(mesh_folder(lift) / "mesh.ply", 40)
+    floor = placed(lift)[f"mesh:{FLOOR_ID}:0"]
+    mesh, image = floor.data, image_of(floor.data.materials[0])
+    for loop, place in zip(mesh.loops, mesh.uv_layers[0].uv, strict=True):
+        assert np.allclose(mesh.vertices[loop.vertex_index].co[:2], np.array(place.vector) * (4, 3), atol=1e-5)
+    assert len({each.data.materials[0] for each in placed(lift).values()}) == 2
+    assert tuple(image.size) == (64, 32) and image.pixels[0] == pytest.approx(40 / 255, abs=0.02)
+    share = value_node(mesh.materials[0], PICTURE).outputs[0]
+    (root,) = lifts_in(bpy.context.scene)
+    with registered():
+        for look, seen in (("CLASSES", 0.0), ("PHOTO", 1.0)):
+            root.plgs.look = look
+            assert share.default_value == seen
+    write_surface(mesh_folder(lift) / "mesh.ply", 200)
+    assert place_anew(lift) == 2 and image.pixels[0] == pytest.approx(200 / 255, abs=0.02)
+    write_surface(mesh_folder(lift) / "mesh.ply")
+    assert place_anew(lift) == 2 and image_of(floor.data.materials[0]) is None
 
 
 def test_placed_again_they_are_the_same_objects(lift: Path) -> None:

@@ -1,0 +1,278 @@
+"""Pictures for a surface, cut out of the photos: each triangle shows the pixels of the one photo that sees it best.
+
+The way of "Let There Be Color!" (Waechter, Moehrle, Goesele, ECCV 2014), simplified: a view is chosen for each
+triangle, neighbours preferring the same; connected triangles of one view are a chart, a rectangle of its photo; and the
+seams between charts are levelled by least squares, here with an offset of each chart that is linear in its pixels.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_matrix, diags
+
+from ..posed.ply import labels_of_triangles
+from ..scene import Frame, photo_detail, read_ahead
+from ..scene.view import border_mask
+from .fusion import Ints, SmallView, Surface
+from .mending import pieces
+
+LARGEST = 8192
+"""The pixels of all pictures together are at most the square of this, and photos are not wider."""
+_FILLED = 0.6
+"""The share of a picture that its charts fill, about."""
+_NEAR, _NEAR_SHARE = 0.05, 0.02
+"""A view sees a vertex if its depth there differs by at most so many metres, or this share of it."""
+_STEP, _BESIDE_STEP = 1.1, 0.02
+"""The ratio of depths above which one surface hides another; what a view counts beside such a place, where its photo
+may show the other."""
+_ROUNDS = 12
+"""How often the qualities of views are mixed with those around them, so that neighbours choose the same."""
+_SMALL = 40
+"""Triangles below which a chart gives way to its neighbours."""
+DARK, BRIGHT, LARGEST_GAIN = 12, 243, 4.0
+"""As `engine/train/photos.py` compares photos."""
+_OVEREXPOSED, _ENOUGH = 0.3, 100
+"""What an overexposed pixel counts, and how many pixels are enough to compare a photo's exposure with the room's."""
+_ODD = 30.0
+"""The difference of values from which a photo shows something other than the vertex there."""
+_COARSE, _SPREAD = 4, 0.025
+"""The side in pixels of a cell, and the share of a photo's width, over which its colours are brought to the vertices'.
+"""
+_MARGIN = 3
+"""Pixels around a chart that its picture has, too."""
+_CELL = 4
+"""The side of the square of pixels that a triangle without a view has in the picture."""
+
+
+@dataclass(frozen=True, eq=False)
+class Texture:
+    """``uv`` float32 [T, 3, 2], where in its label's picture each corner of a triangle is, in shares of its sides from
+    the upper left; ``pictures`` uint8 [H, W, 3] of each label."""
+
+    uv: NDArray[np.float32]
+    pictures: dict[int, NDArray[np.uint8]]
+
+
+def jpeg_bytes(picture: NDArray[np.uint8]) -> bytes:
+    """An RGB picture as JPEG with the colours of every pixel. Raises ValueError if it cannot be encoded."""
+    ways = [cv2.IMWRITE_JPEG_QUALITY, 93, cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444]
+    done, data = cv2.imencode(".jpg", np.ascontiguousarray(picture[..., ::-1]), ways)
+    if not done:
+        raise ValueError(f"cannot encode a picture of shape {picture.shape} as JPEG")
+    return data.tobytes()
+
+
+def textured(surface: Surface, label: Ints, views: Sequence[SmallView]) -> Texture:
+    """The pictures of a surface with labelled vertices [V] from the photos of the ``views``. What no photo shows has
+    the colours of its vertices. Raises PlgsError where a photo cannot be read.
+    """
+    frames = [view.frame for view in views if view.frame is not None]
+    quality, gains = _qualities(surface, views, frames)
+    labels = labels_of_triangles(surface.triangles, label)
+    of_triangle, view, of_label = _charts(surface.triangles, labels, _chosen(surface.triangles, quality))
+    wedge, vertex, chart = _wedges(surface.triangles, of_triangle)
+    pixel = np.empty((len(vertex), 2))
+    for number, frame in enumerate(frames):
+        own = view[chart] == number
+        pixel[own] = frame.camera.project(surface.xyz[vertex[own]])[0]
+    boxes = _boxes(pixel, chart, np.array([frame.size for frame in frames])[view])
+    sides, bare = boxes[:, 2:] - boxes[:, :2], of_triangle < 0
+    area = (sides.prod(axis=1).sum() + _CELL**2 * bare.sum()) / _FILLED
+    scale = min(1.0, LARGEST / np.sqrt(max(area, 1.0)), LARGEST / max(sides.max(initial=1), 1))
+    sizes = np.maximum(np.rint(scale * sides), 1).astype(np.int64)
+    crops: list[NDArray[np.uint8]] = [np.empty(0, np.uint8)] * len(boxes)
+    for number, photo in enumerate(read_ahead(frames, _photo)):
+        own = view[chart] == number
+        table = np.rint(np.clip(np.arange(256)[:, None] / gains[number], 0, 255)).astype(np.uint8)
+        even = _evened(
+            np.stack([table[photo[..., each], each] for each in range(3)], axis=-1),
+            pixel[own],
+            surface.rgb[vertex[own]],
+        )
+        for each in np.flatnonzero(view == number).tolist():
+            left, top, right, bottom = boxes[each].tolist()
+            crops[each] = cv2.resize(even[top:bottom, left:right], sizes[each].tolist(), interpolation=cv2.INTER_AREA)
+    uv, pictures = np.zeros((len(labels), 3, 2), np.float32), {}
+    for value in np.unique(labels).tolist():
+        own, cells = np.flatnonzero(of_label == value), np.flatnonzero(bare & (labels == value))
+        picture, corner = _packed([crops[each] for each in own], len(cells))
+        place = np.zeros((len(boxes), 2))
+        place[own] = corner[: len(own)]
+        rows = np.flatnonzero(~bare & (labels == value))
+        at, number = wedge[rows], chart[wedge[rows]]
+        inside = (pixel[at] - boxes[number, :2]) / sides[number] * sizes[number]
+        uv[rows] = (place[number] + inside) / picture.shape[1::-1]
+        uv[cells] = _fill_cells(picture, corner[len(own) :], surface.rgb[surface.triangles[cells]])
+        pictures[value] = picture
+    return Texture(uv, pictures)
+
+
+def _qualities(
+    surface: Surface, views: Sequence[SmallView], frames: Sequence[Frame]
+) -> tuple[NDArray[np.float32], NDArray[np.float64]]:
+    """How well each view shows each vertex, float32 [V, N], 0 for not at all: the pixels that a square metre there
+    takes in its photo, less where it is blurred or overexposed; and how much brighter each photo is than the vertices,
+    [N, 3]."""
+    quality, gains = np.zeros((len(surface.xyz), len(views)), np.float32), np.ones((len(views), 3))
+    detail = np.zeros(len(views))
+    for number, (view, photo) in enumerate(zip(views, read_ahead(frames, _photo), strict=True)):
+        camera, large = view.camera, frames[number].camera
+        seen, pixel, depth = camera.seen(surface.xyz)
+        column, row = pixel.astype(np.int64).T
+        near = cv2.erode(view.depth, np.ones((3, 3), np.uint8))[row, column]
+        away = camera.centre - surface.xyz[seen]
+        cosine = (away * surface.normal[seen]).sum(axis=1) / np.maximum(np.linalg.norm(away, axis=1), 1e-9)
+        shown = np.abs(view.depth[row, column] - depth) < np.maximum(_NEAR, _NEAR_SHARE * depth)
+        worth = large.fx * large.fy * np.maximum(cosine, 0.0) / np.maximum(depth, 1e-3) ** 2
+        worth *= np.where(near * _STEP < depth, _BESIDE_STEP, 1.0) * shown
+        x, y = (pixel * np.divide(photo.shape[1::-1], camera.size)).astype(np.int64).T
+        colour = photo[y, x]
+        worth *= np.where((colour > BRIGHT).any(axis=1), _OVEREXPOSED, 1.0) * colour.any(axis=1)
+        detail[number] = photo_detail(photo)
+        own = surface.rgb[seen]
+        usable = (worth > 0) & (np.minimum(colour, own) >= DARK).all(axis=1) & (colour <= BRIGHT).all(axis=1)
+        if usable.sum() > _ENOUGH:
+            ratio = np.exp(np.median(np.log(colour[usable] / own[usable]), axis=0))
+            gains[number] = ratio.clip(1 / LARGEST_GAIN, LARGEST_GAIN)
+        odd = np.abs(cv2.blur(photo, (3, 3))[y, x] / gains[number] - own).max(axis=1)
+        quality[seen, number] = worth * np.maximum(np.exp(-((odd / _ODD) ** 2)), 1e-3)
+    quality *= (np.minimum(detail / max(float(np.median(detail)), 1e-9), 1.0) ** 2).astype(np.float32)
+    return quality, gains
+
+
+def _photo(frame: Frame) -> NDArray[np.uint8]:
+    """The photo, uint8 [H, W, 3], with black borders entirely black."""
+    photo = frame.read_colour(None)
+    border = border_mask(photo)
+    return np.where(border[..., None], np.uint8(0), photo) if border.any() else photo
+
+
+def _chosen(triangles: Ints, quality: NDArray[np.float32]) -> Ints:
+    """The view of each triangle, -1 where none shows all its corners. [T]"""
+    count = len(quality)
+    best = np.maximum(quality.max(axis=1, keepdims=True), np.float32(1e-9))
+    share = np.sqrt(quality / best)
+    edges = triangles[:, [0, 1, 1, 2, 2, 0, 1, 0, 2, 1, 0, 2]].reshape(-1, 2)
+    beside = coo_matrix((np.ones(len(edges), np.float32), tuple(edges.T)), (count, count)).tocsr()
+    beside.data[:] = 1.0
+    around = (diags(1.0 / np.maximum(np.asarray(beside.sum(axis=1)).ravel(), 1.0)) @ beside).astype(np.float32)
+    for _ in range(_ROUNDS):
+        share = 0.5 * (share + around @ share)
+    view, score = np.full(len(triangles), -1, np.int64), np.zeros(len(triangles), np.float32)
+    for number in range(quality.shape[1]):
+        own = share[:, number][triangles].sum(axis=1) * (quality[:, number][triangles] > 0).all(axis=1)
+        view[own > score], score = number, np.maximum(own, score)
+    return _without_small(triangles, quality, view)
+
+
+def _without_small(triangles: Ints, quality: NDArray[np.float32], view: Ints) -> Ints:
+    """The views [T], those of small charts replaced by those of their neighbours' that show them."""
+    pairs = _adjacent(triangles)
+    for _ in range(6):
+        chart = pieces(pairs[view[pairs[:, 0]] == view[pairs[:, 1]]], len(view))
+        size = np.bincount(chart)[chart]
+        both = np.concatenate([pairs, pairs[:, ::-1]])
+        own, other = both[(size[both[:, 0]] < _SMALL) & (size[both[:, 1]] > size[both[:, 0]])].T
+        wanted = view[other]
+        shows = (wanted >= 0) & (quality[triangles[own], wanted[:, None]] > 0).all(axis=1) & (wanted != view[own])
+        own, other = own[shows], other[shows]
+        if not len(own):
+            break
+        order = np.lexsort((view[other], size[other]))
+        view = view.copy()
+        view[own[order]] = view[other[order]]  # the largest one is the last
+    return view
+
+
+def _adjacent(triangles: Ints) -> Ints:
+    """The pairs [E, 2] of triangles with a common edge."""
+    edges = np.sort(triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
+    key = edges[:, 0] << 32 | edges[:, 1]
+    order = np.argsort(key, kind="stable")
+    same = np.flatnonzero(key[order][1:] == key[order][:-1])
+    return np.stack([order[same] // 3, order[same + 1] // 3], axis=1)
+
+
+def _charts(triangles: Ints, labels: Ints, view: Ints) -> tuple[Ints, Ints, Ints]:
+    """The chart of each triangle, -1 for none, from their labels and views, [T] each; the view and the label of each
+    chart, [C]."""
+    pairs = _adjacent(triangles)
+    first, second = pairs.T
+    joined = (labels[first] == labels[second]) & (view[first] == view[second])
+    number = pieces(pairs[joined], len(view))
+    shown = view >= 0
+    _, where, of_triangle = np.unique(number[shown], return_index=True, return_inverse=True)
+    whole = np.full(len(view), -1, np.int64)
+    whole[shown] = of_triangle
+    return whole, view[shown][where], labels[shown][where]
+
+
+def _wedges(triangles: Ints, chart: Ints) -> tuple[Ints, Ints, Ints]:
+    """Each corner's wedge, which is a vertex within a chart, [T, 3]; the vertex and the chart of each wedge [W]."""
+    shown = chart >= 0
+    charts = int(chart.max(initial=-1)) + 1
+    key, number = np.unique(triangles[shown] * max(charts, 1) + chart[shown, None], return_inverse=True)
+    wedge = np.full(triangles.shape, -1, np.int64)
+    wedge[shown] = number.reshape(-1, 3)
+    return wedge, *np.divmod(key, max(charts, 1))
+
+
+def _boxes(pixel: NDArray[np.float64], chart: Ints, size: Ints) -> Ints:
+    """The rectangle of each chart in its photo of this ``size`` [C, 2]: left, top, right, bottom, int64 [C, 4]."""
+    low, high = np.full(size.shape, np.inf), np.full(size.shape, -np.inf)
+    np.minimum.at(low, chart, pixel)
+    np.maximum.at(high, chart, pixel)
+    ends = np.floor(low) - _MARGIN, np.ceil(high) + _MARGIN
+    return np.concatenate([np.maximum(ends[0], 0), np.minimum(ends[1], size)], axis=1).astype(np.int64)
+
+
+def _evened(photo: NDArray[np.uint8], pixel: NDArray[np.float64], rgb: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """A photo whose colours at ``pixel`` [N, 2] are, broadly, those ``rgb`` [N, 3]; its details stay."""
+    height, width = photo.shape[:2]
+    size = -(-width // _COARSE), -(-height // _COARSE)
+    column, row = pixel.astype(np.int64).clip(0, (width - 1, height - 1)).T
+    away = np.clip(rgb - photo[row, column].astype(np.float64), -_ODD, _ODD)
+    place = row // _COARSE * size[0] + column // _COARSE
+    sums = [np.bincount(place, each, size[0] * size[1]) for each in (*away.T, np.ones(len(place)))]
+    spread = cv2.GaussianBlur(
+        np.stack(sums, axis=-1).reshape(*size[::-1], 4).astype(np.float32), (0, 0), _SPREAD * width / _COARSE
+    )
+    offset = spread[..., :3] / np.maximum(spread[..., 3:], 1e-3)
+    whole = cv2.resize(offset, (size[0] * _COARSE, size[1] * _COARSE), interpolation=cv2.INTER_LINEAR)
+    return np.rint(np.clip(photo + whole[:height, :width], 0, 255)).astype(np.uint8)
+
+
+def _packed(crops: Sequence[NDArray[np.uint8]], cells: int) -> tuple[NDArray[np.uint8], NDArray[np.float64]]:
+    """A picture with all crops, on shelves from high to low, and below them so many cells of _CELL pixels; and where
+    each has its upper left corner, float64 [crops + cells, 2]."""
+    area = sum(crop.shape[0] * crop.shape[1] for crop in crops) + cells * _CELL**2
+    width = max(*(crop.shape[1] for crop in crops), round(np.sqrt(1.1 * area)), _CELL, 0)
+    corner, x, y, height = np.zeros((len(crops) + cells, 2)), 0, 0, 0
+    for each in sorted(range(len(crops)), key=lambda each: (-crops[each].shape[0], each)):
+        if x + crops[each].shape[1] > width:
+            x, y, height = 0, y + height, 0
+        corner[each] = x, y
+        x, height = x + crops[each].shape[1], max(height, crops[each].shape[0])
+    across = width // _CELL
+    down, along = np.divmod(np.arange(cells), across)
+    corner[len(crops) :] = np.stack([_CELL * along, y + height + _CELL * down], axis=1)
+    picture = np.zeros((max(y + height + _CELL * -(-cells // across), 1), width, 3), np.uint8)
+    for crop, (left, top) in zip(crops, corner[: len(crops)].astype(np.int64).tolist(), strict=True):
+        picture[top : top + crop.shape[0], left : left + crop.shape[1]] = crop
+    return picture, corner
+
+
+def _fill_cells(picture: NDArray[np.uint8], corner: NDArray[np.float64], rgb: NDArray[np.uint8]) -> NDArray[np.float32]:
+    """Draw triangles with the colours [N, 3, 3] of their corners into their cells. Where they are, [N, 3, 2]."""
+    places = np.array([[0.5, 0.5], [_CELL - 0.5, 0.5], [0.5, _CELL - 0.5]])
+    y, x = np.indices((_CELL, _CELL)) / (_CELL - 1)
+    mixed = np.einsum("nkc,kyx->nyxc", rgb.astype(np.float32), np.stack([1 - x - y, x, y]))
+    left, top = corner.astype(np.int64).T
+    rows, columns = np.indices((_CELL, _CELL))
+    picture[top[:, None, None] + rows, left[:, None, None] + columns] = np.rint(mixed.clip(0, 255))
+    return ((corner[:, None] + places) / picture.shape[1::-1]).astype(np.float32)
