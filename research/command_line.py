@@ -15,7 +15,7 @@ from pathlib import Path
 from engine.command_line.main import main as run_command
 from engine.command_line.main import make_parser as parser_of_the_engine
 from engine.errors import PlgsError
-from engine.job import ExitCode
+from engine.job import ExitCode, LiftFolder
 from engine.job.request import (
     add_amount_options,
     add_options,
@@ -60,15 +60,9 @@ def make_parser() -> argparse.ArgumentParser:
     known = parser.add_subparsers(required=True, metavar="COMMAND")
     _add_experiments(known.add_parser("experiments", help="lift many scenes and show their figures in one table"))
     _add_bench(known.add_parser("bench", help="measure this machine"))
-    weighing = known.add_parser("evidence", help="how much a view's evidence should count, measured without training")
-    weighing.add_argument("scenes", nargs="+", metavar="SCENE[:up=AXIS]", help="scenes' folders, with ground truth")
-    weighing.add_argument("--masks", metavar="FOLDER", help="the scenes' masks; {scene} stands for a scene's name")
-    weighing.add_argument("--preset", choices=PRESETS, default="preview", help="sizes as for lift (default: preview)")
-    weighing.add_argument("--hold-back", action="store_true", help="let masks judge that are held back, too (slow)")
-    weighing.set_defaults(run=run_evidence)
     stages = known.add_parser("stages", help="where the paper's way loses panoptic quality, before and after training")
     stages.add_argument("scene", metavar="SCENE[:up=AXIS]", help="a scene with the true labels of its training frames")
-    stages.add_argument("--preset", choices=PRESETS, default="paper", help="as for lift (default: paper)")
+    stages.add_argument("--preset", choices=PRESETS, help="as for lift (default: that of --lift, or paper)")
     add_set_option(stages)
     stages.add_argument("--lift", type=Path, metavar="LIFT", help="a lift of it, with passes of all frames")
     stages.set_defaults(run=run_stages)
@@ -135,23 +129,16 @@ def _add_bench(parser: argparse.ArgumentParser) -> None:
     parser.set_defaults(run=run_bench)
 
 
-def run_evidence(options: argparse.Namespace) -> int:
-    """Print the table of the kinds of evidence. Raises PlgsError, OSError."""
-    from .experiments.experiment import scenes_from
-    from .labelled_cloud import evidence_table
-
-    scenes = scenes_from(options.scenes)
-    for line in evidence_table(scenes, PRESETS[options.preset], options.masks, hold_back=options.hold_back):
-        print(line, flush=True)
-    return ExitCode.FINISHED
-
-
 def run_stages(options: argparse.Namespace) -> int:
     """Print the table of stages. Raises PlgsError, OSError."""
     from .experiments.experiment import scenes_from
     from .stages import stages_table
 
-    preset = with_options(PRESETS[options.preset], parsed_options(options.set or ()))
+    with_baseline_options()
+    preset = PRESETS[options.preset or "paper"]
+    if options.lift is not None and options.preset is None:
+        preset = LiftFolder.open(options.lift).request.chosen_preset
+    preset = with_options(preset, parsed_options(options.set or ()))
     for line in stages_table(scenes_from([options.scene])[0], preset, options.lift):
         print(line, flush=True)
     return ExitCode.FINISHED

@@ -47,7 +47,7 @@ def stages_table(place: SceneToLift, preset: Preset, lift: Path | None) -> Itera
         fix = "Choose a scene with the true labels of its training frames."
         raise PlgsError("no-truth", "has no ground truth", place.folder, fix)
     views = [load_view(frame, size_within(frame.size, preset.size)) for frame in frames]
-    truth = [_truth(frame, view) for frame, view in zip(frames, views, strict=True)]
+    truth = [_truth(frame, size_within(frame.size, preset.size)) for frame in frames]
     columns = [
         {name: _scored(stage, truth, scene.classes) for name, stage in stages(of, truth, scene.classes, preset)}
         for of in (views, [_with_true_mask(*pair, scene.classes) for pair in zip(views, truth, strict=True)])
@@ -58,7 +58,8 @@ def stages_table(place: SceneToLift, preset: Preset, lift: Path | None) -> Itera
         yield f"| {name} | {figures} | {columns[1][name]} |"
     if lift is not None:
         baked = [LiftFolder.open(lift).passes_path / f"{frame.name}.exr" for frame in frames]
-        yield f"| trained | {_scored(lambda number: _baked(baked[number], views[number]), truth, scene.classes)} | |"
+        whole = [_truth(frame, frame.size) for frame in frames]
+        yield f"| trained | {_scored(lambda number: _baked(baked[number]), whole, scene.classes)} | |"
 
 
 def stages(
@@ -87,9 +88,9 @@ def stages(
         yield "projected classes, true numbers", lambda n: (projected(n)[0], truth[n].instance)
 
 
-def _truth(frame: Frame, view: View) -> GroundTruth:
+def _truth(frame: Frame, size: tuple[int, int]) -> GroundTruth:
     assert frame.read_ground_truth is not None
-    return frame.read_ground_truth((view.camera.width, view.camera.height))
+    return frame.read_ground_truth(size)
 
 
 def _with_true_mask(view: View, truth: GroundTruth, classes: ClassTable) -> View:
@@ -103,10 +104,9 @@ def _with_true_mask(view: View, truth: GroundTruth, classes: ClassTable) -> View
     return replace(view, mask=PanopticMask(new[number.reshape(truth.semantic.shape)], tuple(segments)))
 
 
-def _baked(path: Path, view: View) -> Labels:
+def _baked(path: Path) -> Labels:
     layers = read_exr(path)
-    step = np.array(layers.semantic.shape) // view.depth.shape
-    return layers.semantic[:: step[0], :: step[1]], layers.instance[:: step[0], :: step[1]]
+    return layers.semantic, layers.instance
 
 
 def _scored(stage: Stage, truth: Sequence[GroundTruth], classes: ClassTable) -> str:

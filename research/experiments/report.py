@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,7 @@ from engine.job import write_atomically
 from engine.passes.previews import first_row, png_bytes
 
 from ..results import csv_text, results_text
-from .table import MEANS, Tables
+from .table import MEANS, ON_PAGE, Tables
 
 BEGIN, END = "<!-- tables: made by `python -m research experiments` -->", "<!-- end of the tables -->"
 SHEET = Path("result/previews/contact_sheet.png")
@@ -43,7 +44,7 @@ def write_report(
         fix = "Make room there, or choose a folder that you may write to with -o."
         raise PlgsError("unwritable", f"the results cannot be written ({error.strerror})", folder, fix) from error
     if page is not None:
-        _bring_up_to_date(page, tables)
+        _bring_up_to_date(page, replace(tables, columns=ON_PAGE))
 
 
 def _bring_up_to_date(page: Path, tables: Tables) -> None:

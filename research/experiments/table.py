@@ -49,6 +49,8 @@ COLUMNS = (
     Column("fps", "panoptic frames/s", 1.0, 1, max),
 )
 
+ON_PAGE = ("scenes", "miou", "pq", "miou_pl_compat", "pq_pl_compat", "psnr", "depth_error_m", "seconds", "state")
+"""The columns of a page for people; results.md has all."""
 HEADINGS = {"scenes": "scenes", **{column.figure: column.heading for column in COLUMNS}, "state": "state"}
 _WIDEST = 60
 MARK = "†"
@@ -59,13 +61,15 @@ MEANS = "### Means: over the scenes"
 @dataclass(frozen=True)
 class Tables:
     """Everything that tables are made of: the ``chosen`` rows of ``rows``, what was measured so far, and earlier
-    results to compare with, "before -> after". ``version`` of the engine: other versions' lifts are marked."""
+    results to compare with, "before -> after". ``version`` of the engine: other versions' lifts are marked.
+    ``columns``: those that are shown."""
 
     rows: Rows
     chosen: tuple[Row, ...]
     results: tuple[Result, ...]
     earlier: tuple[Result, ...] = ()
     version: str = field(default_factory=this_engine)
+    columns: tuple[str, ...] = tuple(HEADINGS)
 
     def markdown(self) -> str:
         """A section with tables for each scene, and one for the means over several scenes. Left out are rows that are
@@ -99,7 +103,7 @@ class Tables:
             for row in rows
         }
         others = {row.name: self._other_versions(scene, row) for row in rows}
-        yield from _table(rows, [_name(row, others[row.name]) for row in rows], cells)
+        yield from self._table(rows, [_name(row, others[row.name]) for row in rows], cells)
         if marked := sorted(set().union(*others.values())):
             yield f"\n{MARK} Lifted by the engine {', '.join(marked)}, not by this one, {self.version}."
 
@@ -113,7 +117,7 @@ class Tables:
             rows = [row for row in rows if any(self._tried(scene, row) for scene in scenes)]
             cells = {row.name: self._mean_cells(row, scenes) for row in rows}
             yield f"**{heading}**\n"
-            yield "\n".join(_table(rows, [row.name for row in rows], cells)) + "\n"
+            yield "\n".join(self._table(rows, [row.name for row in rows], cells)) + "\n"
 
     def _mean_cells(self, row: Row, scenes: Sequence[str]) -> dict[str, str]:
         """Each figure's mean over the scenes that have it, of each the mean, or the best, of its seeds."""
@@ -126,6 +130,18 @@ class Tables:
                 number = f" ({len(found)})" if len(found) < len(measured) else ""
                 cells[column.figure] = f"{mean(found):.{column.digits}f}{number}"
         return cells
+
+    def _table(
+        self, rows: Sequence[Row], names: Sequence[str], cells: Mapping[str, Mapping[str, str]]
+    ) -> Iterator[str]:
+        """A table of the columns that have a figure; ``cells`` by row and column."""
+        shown = [key for key in HEADINGS if key in self.columns and any(cells[row.name].get(key) for row in rows)]
+        paper = ["in the paper"] if any(row.paper for row in rows) else []
+        body = [
+            [name, *(cells[row.name].get(key, "") for key in shown), *(_cited(row.paper) for _ in paper)]
+            for name, row in zip(names, rows, strict=True)
+        ]
+        yield from _aligned([["", *(HEADINGS[key] for key in shown), *paper], *body])
 
     def measured(self, scene: str, row: Row) -> list[Result]:
         """What was measured of a row, seed by seed."""
@@ -187,17 +203,6 @@ def _cited(paper: Cited | None) -> str:
     shares = [f"{value:.1f}" if value is not None else "-" for value in (paper.miou, paper.pq)]
     psnr = [] if paper.psnr is None else [f"{paper.psnr:.1f} dB"]
     return f"{paper.note or ' / '.join([*shares, *psnr])} ({paper.dataset})"
-
-
-def _table(rows: Sequence[Row], names: Sequence[str], cells: Mapping[str, Mapping[str, str]]) -> Iterator[str]:
-    """A table of the columns that have a figure; ``cells`` by row and column."""
-    shown = [key for key in HEADINGS if any(cells[row.name].get(key) for row in rows)]
-    paper = ["in the paper"] if any(row.paper for row in rows) else []
-    body = [
-        [name, *(cells[row.name].get(key, "") for key in shown), *(_cited(row.paper) for _ in paper)]
-        for name, row in zip(names, rows, strict=True)
-    ]
-    yield from _aligned([["", *(HEADINGS[key] for key in shown), *paper], *body])
 
 
 def _aligned(rows: Sequence[Sequence[str]]) -> Iterator[str]:
