@@ -171,6 +171,8 @@ def failure_of(error: Exception, command: Command, place: TaskPlace | None = Non
         return PlgsError("unusable", f"this cannot be used ({why})", at, f"Fix this, then {command.again}.")
     what = f"the engine failed ({type(error).__name__}: {(str(error).splitlines() or [''])[0][:300]})"
     fix = f"The log has the details. Once the cause is fixed, {command.again}."
+    if isinstance(error, ImportError) and os.environ.get("PYTHONPATH"):
+        fix = f"Unset PYTHONPATH, which leads to other programs' modules, then {command.again}."
     return PlgsError("internal", what, where, fix, code=ErrorCode.INTERNAL)
 
 

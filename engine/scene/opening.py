@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import ErrorCode, PlgsError
+from ..job.request import refuse_unwritable_name
 from ..posed.classes import ClassTable
 from ..posed.frames import Camera
 from ..posed.image_header import read_image_header
@@ -59,6 +60,9 @@ def open_asked(source: SceneSource) -> Scene:
     missing, see ``require_liftable``. Raises PlgsError for the first thing that is wrong; ``check_scene`` looks into
     the pixels as well."""
     place, masks = Path(source.scene), None if source.masks is None else Path(source.masks)
+    for path in (place, masks, source.depth):
+        if path is not None:
+            refuse_unwritable_name(Path(path))
     reader = find_format(place, source.scene_format)
     try:
         capture = reader.read(place)

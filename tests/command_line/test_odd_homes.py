@@ -30,7 +30,7 @@ SHELLS = {
     "no room on standard error": "exec 2>/dev/full",
 }
 NAMES = {
-    "odd characters": "\u00e4\u90e8 '\" $x %20 #\t\n ".encode() + b"\xff",
+    "odd characters": "\u00e4\u90e8 '\" $x %20 #\t\n ".encode(),
     "a long path": b"/".join([b"d" * 199] * 18),
 }
 
@@ -80,6 +80,14 @@ def test_an_odd_name_is_read(odd: str, root: Path, tmp_path: Path) -> None:
     (tmp_path / "scene").rename(place)
     code, out, told = said_by(root, tmp_path, "inspect", place)
     assert code == 0 and b"frames    2 for training" in out and b"Traceback" not in told
+
+
+@pytest.mark.parametrize("command", ["inspect", "frames"])
+def test_a_name_that_a_lift_refuses_is_refused_by_all(command: str, root: Path, tmp_path: Path, scene: Path) -> None:
+    place = os.fsencode(tmp_path) + b"/b\xff"
+    shutil.copytree(os.fsencode(scene), place)
+    code, _, told = said_by(root, tmp_path, command, place, *(("-o", "made") if command == "frames" else ()))
+    assert code == 2 and b"is not UTF-8" in told and told.count(b"\n") == 1
 
 
 @pytest.mark.parametrize(

@@ -53,16 +53,19 @@ def find_mask_format(place: Path, name: str | None = None) -> MaskFormat:
         fix = f"Say which one it is, such as --mask-format {found[0].name}."
         raise PlgsError("several-formats", f"these masks look like {names}", place, fix, option="--mask-format")
     if not found:
-        _refuse_pickles(place)
+        _refuse_unread(place)
         wanted = "; ".join(f"{each.name}: {each.looks_for}" for each in MASK_FORMAT_NAMES)
         raise PlgsError("no-known-masks", "there are no masks of a known format", place, f"Looked for {wanted}.")
     return found[0]
 
 
-def _refuse_pickles(place: Path) -> None:
+def _refuse_unread(place: Path) -> None:
     files = [place] if place.is_file() else [path for path in sorted(shown_files(place)) if path.is_file()]
     pickles = [path.name for path in files if path.suffix.lower() in _PICKLES]
     if pickles:
         fix = "Save the arrays with numpy.save and other data as JSON."
         what = f"masks are pickled ({listed(pickles, 2)}), which could run code when they are read"
         raise PlgsError("pickled", what, place, fix)
+    if passes := [path.name for path in files if path.suffix.lower() == ".exr"]:
+        what = f"masks are OpenEXR passes ({listed(passes, 2)}), which are not read, Cryptomattes included"
+        raise PlgsError("exr-masks", what, place, "Write the ids as COCO panoptic PNGs, unfiltered and at full size.")
