@@ -16,13 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import PlgsError
-from ..posed.frames import Camera
 from ..posed.image_header import read_image_header
 from .depth import DepthMap, depth_check, in_metres, read_depth_array
 from .files_of_frames import files_of_frames, mask_files
-from .formats.lens import Distortion, undistorted
 from .frame import Frame, Inferred, LeftOut, SparsePoints, left_out
 from .frame_choice import evenly_spread
+from .mask_fit import Pictured, Placement, other_numbers, turns_of
 from .pixels import decode_depth
 
 _AS_METRES = Inferred(
@@ -31,6 +30,13 @@ _AS_METRES = Inferred(
 _BENT = Inferred(
     "masks' lens", "depth maps are straightened as the photos are", "they are taken for maps of the photos as they are"
 )
+_TURNED = Inferred(
+    "orientation", "depth maps of photos with an EXIF orientation are turned to the stored pictures",
+    "they fit the points so",
+)  # fmt: skip
+_CLEARLY, _NEARLY_0 = 0.7, 0.1
+"""Another reading of maps is taken if its error is at most this share of the usual one's; shares of depth begin below
+the other."""
 _ARRAYS = {".npy", ".npz"}
 _LOOKED_AT = 8
 LEAST_POINTS = 12
@@ -121,15 +127,28 @@ def _refined(values: Values, depths: Values, scale: float, shift: float, inverse
     return (float(solution[0]), float(solution[1])) if rank == 2 else (scale, shift)
 
 
-def fitted_map(path: Path, pixels: NDArray[np.float64], depths: NDArray[np.float64]) -> NDArray[np.float32]:
+def fitted_map(
+    path: Path, placement: Placement, pixels: NDArray[np.float64], depths: NDArray[np.float64]
+) -> NDArray[np.float32]:
     """Depth, float32 [H, W] in the world's lengths, 0 = none: a map fitted to points of known ``depths`` [N].
-    ``pixels`` [N, 2] are the points' x and y in shares of the map. Raises PlgsError when nothing fits."""
-    values = read_map(path)
+    ``pixels`` [N, 2] are the points' x and y in shares of the picture. Raises PlgsError when nothing fits."""
+    values = _placed(path, placement)
     fit = fit_depth(_at(values, pixels), depths)
     if fit is None:
         what = "the map does not rise or fall with the depth of the reconstruction's points"
         raise PlgsError("depth-unrelated", what, path, "Check that it belongs to this frame, or leave the frame out.")
     return fit.depth(values)
+
+
+def _metric_map(path: Path, placement: Placement) -> NDArray[np.float32]:
+    return np.asarray(placement(in_metres(read_map(path))))
+
+
+def _placed(path: Path, placement: Placement) -> NDArray[np.float32]:
+    """The values of a map in the picture, float32 [H, W], NaN beyond the photo's edges. Raises PlgsError."""
+    values = read_map(path).astype(np.float32)
+    shows = placement(np.ones(values.shape, np.int32))
+    return np.where(shows > 0, placement(values), np.float32(np.nan))
 
 
 def _at(values: NDArray[Any], pixels: NDArray[np.float64]) -> Values:
@@ -150,89 +169,117 @@ def with_estimated_depth(
     frames: Sequence[Frame],
     folder: Path,
     points: SparsePoints | None,
-    lenses: Mapping[str, tuple[Camera, Distortion]],
+    pictured: Mapping[str, Pictured],
 ) -> tuple[tuple[Frame, ...], tuple[LeftOut, ...], tuple[Inferred, ...]]:
     """The frames with depth from the maps in ``folder``, those that are left out, as they see too few points, and what
-    no file says. ``lenses`` bent the photos of some. Maps are read on demand, a few to look at them. Raises PlgsError
+    no file says. ``pictured``: see ``mask_fit``. Maps are read on demand, a few to look at them. Raises PlgsError
     when a map is missing, or no frame is left."""
     # Networks write pictures to look at beside their arrays.
     kinds = _ARRAYS if mask_files(folder, *_ARRAYS) else {".png"}
-    files = files_of_frames(folder, [frame.name for frame in frames], kinds, "depth map", _FIX)
-    has_points = points is not None and len(points) > 0
+    names = [frame.name for frame in frames]
+    find = partial(files_of_frames, folder, suffixes=kinds, what="depth map", fix=_FIX)
+    has_points, error = points is not None and len(points) > 0, None
+    try:
+        files: Mapping[str, Path] = find(names)
+    except PlgsError as raised:
+        if raised.key != "lacks-files" or not has_points:
+            raise
+        files, error = {}, raised
     for path in files.values():
         bits = read_image_header(path).bit_depth if path.suffix.lower() == ".png" else 16
         if bits < 16 and not has_points:
             what = "a map of 8 bits holds no lengths, and there are no sparse points to fit it to"
             fix = "Give .png of 16 bits in millimetres or .npy in metres, or points of COLMAP."
             raise PlgsError("depth-bits", what, path, fix)
-    without = [frame.name for frame in frames if frame.name not in files]
-    mapless = left_out("a readable depth map", without)
-    frames = [frame for frame in frames if frame.name in files]
-    bent = {frame.name: lenses[frame.name] for frame in frames if frame.name in lenses}
-    if points is None or not has_points:
-        _refuse_shares([files[frame.name] for frame in frames])
-        found = tuple(
-            _with_depth(frame, files[frame.name], lambda path: in_metres(read_map(path)), bent.get(frame.name))
-            for frame in frames
-        )
-        return found, mapless, (_AS_METRES, *([_BENT] if bent else []))
-    seen = {frame.name: _seen_points(frame, points) for frame in frames}
-    if bent and not _are_of_photos(files, seen, bent):
-        bent = {}
+    usual = {name: Placement(lens=pictured[name].lens) for name in names}
+    seen = {frame.name: _seen_points(frame, points) for frame in frames} if points is not None and has_points else {}
+    told: tuple[Inferred, ...] = ()
+    if seen:
+        files, usual, told = _fitting(find, files, usual, pictured, seen)
+        if error is not None and not files:
+            raise error
+    else:
+        _refuse_shares([*files.values()])
+        told = (_AS_METRES, *([_BENT] if any(each.lens for each in usual.values()) else []))
+    mapless = left_out("a readable depth map", [name for name in names if name not in files])
     kept, blind = [], []
-    for frame in frames:
+    for frame in (frame for frame in frames if frame.name in files):
+        place = usual[frame.name]
+        if not seen:
+            kept.append(_with_depth(frame, files[frame.name], partial(_metric_map, placement=place)))
+            continue
         pixels, depths = seen[frame.name]
         if len(depths) < LEAST_POINTS:
             blind.append(frame.name)
             continue
-        lens = bent.get(frame.name)
-        read = partial(fitted_map, pixels=pixels if lens is None else _bent(pixels, *lens), depths=depths)
-        kept.append(_with_depth(frame, files[frame.name], read, lens))
-    if not any(not frame.held_out for frame in kept):
+        read = partial(fitted_map, placement=place, pixels=pixels, depths=depths)
+        kept.append(_with_depth(frame, files[frame.name], read))
+    if seen and not any(not frame.held_out for frame in kept):
         fix = f"Each needs {LEAST_POINTS} points of the reconstruction."
         raise PlgsError("few-points", "no frame to train on sees enough points to fit depth to", folder, fix)
-    told = (_BENT,) if bent else ()
     return tuple(kept), (*mapless, *left_out(f"{LEAST_POINTS} points of the reconstruction in view", blind)), told
 
 
 def _refuse_shares(paths: Sequence[Path]) -> None:
-    """Raise PlgsError where maps of floats hold nothing above 1: shares of an unknown depth, as Marigold writes."""
+    """Raise PlgsError where maps of floats hold shares of an unknown depth, from about 0 to 1 at most (Marigold)."""
     looked = [read_map(path) for path in evenly_spread([path for path in paths if path.suffix in _ARRAYS], _LOOKED_AT)]
-    if looked and all(values.dtype.kind == "f" and float(np.nanmax(values)) <= 1.0 for values in looked):
+    if looked and all(
+        values.dtype.kind == "f" and float(np.nanmin(values)) < _NEARLY_0 and float(np.nanmax(values)) <= 1.0
+        for values in looked
+    ):
         what = "depth maps hold shares from 0 to 1, and there are no sparse points to fit them to"
         raise PlgsError("depth-relative", what, paths[0], "Give maps in metres, or poses of COLMAP with its points.")
 
 
-def _are_of_photos(
+def _fitting(
+    find: Callable[[list[str]], Mapping[str, Path]],
     files: Mapping[str, Path],
+    usual: dict[str, Placement],
+    pictured: Mapping[str, Pictured],
     seen: Mapping[str, tuple[Values, Values]],
-    lenses: Mapping[str, tuple[Camera, Distortion]],
-) -> bool:
-    """Whether maps show the photos as taken, not straightened: points that the lens moves then fit better."""
+) -> tuple[Mapping[str, Path], dict[str, Placement], tuple[Inferred, ...]]:
+    """Of the ways to pair, turn and straighten maps, the one in which they fit the points that frames have ``seen``."""
+    ways: list[tuple[Mapping[str, Path], dict[str, Placement], tuple[Inferred, ...]]] = []
+    bent = any(each.lens for each in usual.values())
+    straight = {name: Placement() for name in usual}
+    pairings: list[tuple[str, Mapping[str, Path]]] = [("", files)]
+    if len(files) < len(usual):
+        for how, others in other_numbers([*usual]):
+            try:
+                found = find([*others.values()])
+            except PlgsError:
+                continue
+            pairings.append((how, {name: found[other] for name, other in others.items() if other in found}))
+    turns = {name: turns_of(pictured[name].orientation) for name in usual}
+    for how, paired in pairings:
+        of_numbers = Inferred("numbering", f"depth maps are paired with frames {how}", "they fit the points so")
+        for is_turned in (False, True) if any(turns.values()) else (False,):
+            for placements in (usual, straight) if bent else (usual,):
+                placed = {name: replace(one, turns=turns[name] * is_turned) for name, one in placements.items()}
+                said = [(of_numbers, how), (_TURNED, is_turned), (_BENT, bent and placements is usual)]
+                ways.append((paired, placed, tuple(each for each, is_so in said if is_so)))
+    if len(ways) == 1:
+        return ways[0]
+    errors = [_error(paired, placed, seen) for paired, placed, _ in ways]
+    best = int(np.argmin(errors))
+    return ways[best] if errors[best] < _CLEARLY * errors[0] else ways[0]
+
+
+def _error(
+    files: Mapping[str, Path], placements: Mapping[str, Placement], seen: Mapping[str, tuple[Values, Values]]
+) -> float:
+    """The median error of points in maps of some frames, in shares of their depth; 1 where nothing fits."""
     errors = []
-    for name in evenly_spread([name for name in lenses if len(seen[name][1]) >= LEAST_POINTS], _LOOKED_AT):
-        values, (pixels, depths) = read_map(files[name]), seen[name]
-        fits = [fit_depth(_at(values, each), depths) for each in (_bent(pixels, *lenses[name]), pixels)]
-        errors.append([1.0 if fit is None else fit.error for fit in fits])
-    taken, straight = np.mean(errors, axis=0) if errors else (0.0, 0.0)
-    return bool(taken <= straight)
+    for name in evenly_spread([name for name in files if len(seen[name][1]) >= LEAST_POINTS], _LOOKED_AT):
+        pixels, depths = seen[name]
+        fit = fit_depth(_at(_placed(files[name], placements[name]), pixels), depths)
+        errors.append(1.0 if fit is None else fit.error)
+    return float(np.median(errors)) if errors else 1.0
 
 
-def _bent(pixels: Values, lens: Camera, distortion: Distortion) -> Values:
-    """Where the lens shows ``pixels`` [N, 2] of the straightened picture, both in shares of the picture."""
-    focal, middle, size = np.array([lens.fx, lens.fy]), np.array([lens.cx, lens.cy]), np.array(lens.size)
-    x, y = distortion.bent(*((pixels * size - middle) / focal).T)
-    return (np.stack([x, y], axis=-1) * focal + middle) / size
-
-
-def _with_depth(
-    frame: Frame, path: Path, read: Callable[[Path], NDArray[np.float32]], lens: tuple[Camera, Distortion] | None
-) -> Frame:
-    depth = DepthMap(path, partial(read, path))
-    if lens is not None:
-        depth = depth.through(lambda values: undistorted(values, *lens, path, smooth=False))
-    if frame.read_kept is not None:
-        kept = frame.read_kept
+def _with_depth(frame: Frame, path: Path, read: Callable[[Path], NDArray[np.float32]]) -> Frame:
+    depth, kept = DepthMap(path, partial(read, path)), frame.read_kept
+    if kept is not None:
         depth = depth.through(lambda values: values * kept((values.shape[1], values.shape[0])))
     return replace(frame, depth_path=path, read_depth=depth.through(depth_check(frame.name, path)))
 

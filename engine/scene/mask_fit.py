@@ -10,6 +10,7 @@ import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -53,8 +54,8 @@ class Placement:
     lens: tuple[Camera, Distortion] | None = None
     kept: KeptPixels | None = None
 
-    def __call__(self, ids: Ids) -> Ids:
-        """Ids int32 [H, W] as they are stored to those of the picture. Raises PlgsError."""
+    def __call__(self, ids: NDArray[Any]) -> NDArray[Any]:
+        """Ids, or other values [H, W], as they are stored to those of the picture. Raises PlgsError."""
         if self.box is not None:
             x, y, width, height = self.box
             ids = ids[y : y + height, x : x + width]
@@ -156,7 +157,7 @@ def paired(
             raise error
         return usual, ()
     ways = []
-    for how, others in _other_numbers(names):
+    for how, others in other_numbers(names):
         try:
             source = open_source([*others.values()])
         except PlgsError:
@@ -184,16 +185,19 @@ def paired(
     return usual, doubts
 
 
-def _other_numbers(names: Sequence[str]) -> list[tuple[str, dict[str, str]]]:
+def other_numbers(names: Sequence[str]) -> list[tuple[str, dict[str, str]]]:
     """Other ways to number the frames, and the name of each frame's mask in it."""
     last = [re.search(r"\d+(?=\D*$)", name) for name in names]
     found = [(name, match) for name, match in zip(names, last, strict=True) if match is not None]
     if len(found) < len(names):
         return []
 
+    widths = {len(at[0]) for _, at in found}
+    width = max(widths) if len(widths) == 1 else 1  # 0008 and 0013, or 8 and 13
+
     def renamed(number: Callable[[int, int], int]) -> dict[str, str]:
         return {
-            name: f"{name[: at.start()]}{number(int(at[0]), i):0{len(at[0])}d}{name[at.end() :]}"
+            name: f"{name[: at.start()]}{number(int(at[0]), i):0{width}d}{name[at.end() :]}"
             for i, (name, at) in enumerate(found)
             if number(int(at[0]), i) >= 0
         }
@@ -218,6 +222,11 @@ class Pictured:
     kept: KeptPixels | None = None
 
 
+def turns_of(orientation: int) -> int:
+    """The quarter turns that bring what was made of a photo turned upright to its stored pixels."""
+    return _TURNS.get(orientation, 0)
+
+
 def placements(
     source: MaskSource, pictured: Mapping[str, Pictured]
 ) -> tuple[dict[str, Placement], tuple[Inferred, ...]]:
@@ -225,8 +234,8 @@ def placements(
     shape than its picture."""
     found = {name: Placement(kept=pictured[name].kept) for name in source.masks}
     inferred: list[Inferred] = []
-    turned = {name for name in found if pictured[name].orientation in _TURNS}
-    turns = {name: replace(found[name], turns=_TURNS[pictured[name].orientation]) for name in turned}
+    turned = {name for name in found if turns_of(pictured[name].orientation)}
+    turns = {name: replace(found[name], turns=turns_of(pictured[name].orientation)) for name in turned}
     sideways = {n for n in turned if turns[n].turns % 2 and same_shape(source.masks[n].size[::-1], pictured[n].size)}
     fits = len(sideways) == len(turned) or _fits(source, turns, found, pictured)
     if turned and fits:

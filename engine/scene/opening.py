@@ -103,8 +103,7 @@ def open_asked(source: SceneSource) -> Scene:
     gone = (*left_out("a pose", capture.lost), *left_out("a readable picture", unreadable), *capture.left_out)
     inferred = (*_inferred(source, reader, capture, beside, turn), *capture.inferred, *mask_set.inferred, *of_truth)
     if source.depth is not None:
-        lenses = {shot.name: (shot.camera, shot.distortion) for shot in shots if shot.distortion.bends}
-        frames, mapless, of_depth = with_estimated_depth(frames, Path(source.depth), points, lenses)
+        frames, mapless, of_depth = with_estimated_depth(frames, Path(source.depth), points, pictured)
         gone, inferred = (*gone, *mapless), (*inferred, *of_depth)
     frames, blind, told_of_depth = complete(frames, "readable depth", lambda frame: frame.read_depth is not None)
     frames, bare, told_of_masks = complete(frames, "a readable mask", lambda frame: frame.read_mask is not None)

@@ -213,13 +213,17 @@ def test_the_split_and_the_bad_frames_of_a_file(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("as_taken", [True, False])
-@pytest.mark.parametrize("name", ["{}.npy", "{}_raw_depth_meter.npy", "{}_pred.npy", "{}.npz"])
-def test_maps_of_photos_as_taken_are_straightened(tmp_path: Path, as_taken: bool, name: str) -> None:
+@pytest.mark.parametrize(
+    ("name", "first"),
+    [("{}_raw_depth_meter.npy", 8), ("{}_pred.npy", 8), ("{}.npz", 8), ("{}_pred.npy", 9), ("{}.npy", 0)],
+)
+def test_maps_are_paired_and_straightened_as_they_fit(tmp_path: Path, as_taken: bool, name: str, first: int) -> None:
+    """Maps of photos as taken, or of straightened ones, in several files and numbers."""
     write_scene(tmp_path, depth=False, k1=-0.25, k2=0.06)
     for i, view in enumerate(views()):
         write_colour(tmp_path / "images" / f"frame_{i + 8}.png", look_bent(view, LENS, BEND.bent).colour)
         depth = (look_bent(view, LENS, BEND.bent) if as_taken else look(view, LENS)).depth
-        path = tmp_path / "maps" / name.format(f"frame_{i + 8}")
+        path = tmp_path / "maps" / name.format(f"frame_{i + first}")
         path.parent.mkdir(exist_ok=True)
         np.savez(path, depth=depth / 20, focal=1.0) if path.suffix == ".npz" else np.save(path, depth / 20)
         write_colour(tmp_path / "maps" / f"frame_{i + 8}.png", look(view, LENS).colour)  # to look at
@@ -233,14 +237,13 @@ def test_maps_of_photos_as_taken_are_straightened(tmp_path: Path, as_taken: bool
     points = SparsePoints(xyz, np.zeros((len(xyz), 3), np.uint8), seen)
     lens = scene.frames[0].camera.at(np.eye(4))
     frames, _, told = with_estimated_depth(
-        scene.frames, tmp_path / "maps", points, {frame.name: (lens, BEND) for frame in scene.frames}
+        scene.frames, tmp_path / "maps", points,
+        {frame.name: Pictured(frame.read_colour, frame.size, lens=(lens, BEND)) for frame in scene.frames},
     )
-    assert bool(told) is as_taken
+    assert len(told) == as_taken + (first != 8) and len(frames) == 6
     for frame in frames:
         depth = frame.depth()
         off = np.abs(depth - truth[frame.name])[depth > 0]
         assert (off < 0.05).mean() > 0.92 and len(off) > 0.9 * depth.size
     with raises_key("depth-relative"):
-        for path in (tmp_path / "maps").glob("*.np[yz]"):
-            np.savez(path, depth=np.full((4, 5), 0.9)) if path.suffix == ".npz" else np.save(path, np.full((4, 5), 0.9))
         open_scene(tmp_path, depth=tmp_path / "maps")
