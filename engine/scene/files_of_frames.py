@@ -46,9 +46,16 @@ def mask_files(folder: Path, *suffixes: str) -> list[Path]:
         return []
     shown = sorted(shown_files(folder))
     found = [path for path in shown if path.suffix.lower() in suffixes and path.is_file()]
-    cameras = [] if found else [path for path in shown if path.is_dir() and not _is_of_one(path)]
+    folders = [] if found else [path for path in shown if path.is_dir()]
+    cameras = [path for path in folders if is_camera(path) or not _is_of_one(path)]
     inside = (sorted(shown_files(camera)) for camera in cameras)
     return found or [path for paths in inside for path in paths if path.suffix.lower() in suffixes and path.is_file()]
+
+
+def is_camera(folder: Path) -> bool:
+    """Whether another folder beside that of the masks has one of this name, too: pictures of a rig's camera."""
+    beside = (path for path in folder.parent.parent.iterdir() if path.name != folder.parent.name)
+    return any((path / folder.name).is_dir() for path in beside)
 
 
 def _is_of_one(folder: Path) -> bool:

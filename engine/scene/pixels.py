@@ -82,12 +82,18 @@ class ColourReader:
 def decode_depth(path: Path, fix: str) -> NDArray[Any]:
     """Decode a depth picture, uint8 or uint16 [H, W] as it is stored; many tools write grey as three equal channels.
     Raises PlgsError for colours, with ``fix`` as the advice."""
-    pixels = decode(path, as_colour=False)
-    if pixels.ndim == 3 and pixels.shape[2] == 3 and bool((pixels == pixels[..., :1]).all()):
-        return np.ascontiguousarray(pixels[..., 0])
-    if pixels.ndim != 2:
+    pixels = equal_channels(decode(path, as_colour=False))
+    if pixels is None:
         raise PlgsError("depth-colours", "a depth map must have one channel, not colours", path, fix)
     return pixels
+
+
+def equal_channels(pixels: NDArray[Any]) -> NDArray[Any] | None:
+    """The one channel of a picture, or the first of equal colours, alpha aside; None for others."""
+    if pixels.ndim == 2:
+        return pixels
+    are_equal = bool((pixels[..., :3] == pixels[..., :1]).all())
+    return np.ascontiguousarray(pixels[..., 0]) if are_equal else None
 
 
 def decode_single_channel(path: Path) -> NDArray[np.int32]:
@@ -162,9 +168,10 @@ def label_map_size(path: Path) -> Size:
 
 
 def label_header(path: Path) -> ImageHeader:
-    """The header of a PNG with one channel, palettes included. Raises PlgsError."""
+    """The header of a PNG with one channel, palettes included, or with equal ones. Raises PlgsError."""
     header = read_image_header(path)
-    if header.format != "png" or header.channels != 1:
+    is_grey = header.channels == 1 or (header.format == "png" and equal_channels(decode(path, False)) is not None)
+    if header.format != "png" or not is_grey:
         fix = "Save the ids themselves as grey values, or as indices of a palette."
         raise PlgsError("mask-colours", "a label image must be a PNG with one channel, not colours", path, fix)
     if header.width * header.height > LARGEST_PIXELS:
@@ -214,8 +221,8 @@ def read_indices(path: Path) -> NDArray[np.int32]:
     data = check_image_file(path)
     if header.palette:
         data = _as_grey(data)
-    pixels = decode_bytes(data, path, as_colour=False)
-    if pixels.ndim != 2:
+    pixels = equal_channels(decode_bytes(data, path, as_colour=False))
+    if pixels is None:
         what = "a label image must have one channel, not colours"
         raise PlgsError("mask-colours", what, path, "Save the ids as grey values.")
     if header.bit_depth < 8:  # decoders stretch 1, 2 and 4 bits over the range of a byte

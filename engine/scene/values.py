@@ -53,7 +53,7 @@ def inside(values: NDArray[Any], path: Path) -> NDArray[np.bool_]:
     return values > half
 
 
-def checked_ids(ids: NDArray[np.int64], path: Path) -> NDArray[np.int64]:
+def checked_ids(ids: NDArray[Any], path: Path) -> NDArray[Any]:
     """``ids`` [H, W]. Raises PlgsError where a filter has mixed them."""
     if are_mixed(ids, every=4):
         fix = "Resize ids with nearest neighbour, and save them as PNG."

@@ -49,8 +49,8 @@ def test_names_of_macos_are_those_of_other_systems(tmp_path: Path) -> None:
     assert scene.frames[0].name == "Küche_0000" and scene.frames[0].mask().segments
 
 
-@pytest.mark.parametrize("cameras", [("front", "back"), ("0", "1")])
-def test_masks_of_a_rig_lie_in_a_folder_for_each_camera(tmp_path: Path, cameras: tuple[str, str]) -> None:
+def write_rig(tmp_path: Path, cameras: tuple[str, str], mask: Callable[[int], np.ndarray]) -> None:
+    """Pictures and masks in a folder for each of two cameras, which see every second frame."""
     write_scene(tmp_path)
     table = tmp_path / "transforms.json"
     content = json.loads(table.read_text())
@@ -59,10 +59,38 @@ def test_masks_of_a_rig_lie_in_a_folder_for_each_camera(tmp_path: Path, cameras:
         (tmp_path / "images" / name).parent.mkdir(exist_ok=True)
         old.rename(tmp_path / "images" / name)
         frame["file_path"] = f"images/{name}"
-        labels = np.full((48, 64), n + 1, np.uint8)
-        labels[:9], labels[:, :9] = 20, 30
-        write_grey(tmp_path / "masks" / name, labels)
+        write_grey(tmp_path / "masks" / name, mask(n))
     table.write_text(json.dumps(content))
+
+
+def labels_of(number: int) -> np.ndarray:
+    labels = np.full((48, 64), number + 1, np.uint8)
+    labels[:9], labels[:, :9] = 20, 30
+    return labels
+
+
+def kept_of(number: int) -> np.ndarray:
+    kept = np.full((48, 64), 255, np.uint8)
+    kept[5 * number :][:5] = 0
+    return kept
+
+
+CAMERAS = [("front", "back"), ("0", "1")]
+
+
+@pytest.mark.parametrize("cameras", CAMERAS)
+def test_what_counts_for_a_rig_lies_in_a_folder_for_each_camera(tmp_path: Path, cameras: tuple[str, str]) -> None:
+    write_rig(tmp_path, cameras, kept_of)
+    scene = open_scene(tmp_path)
+    assert not scene.has_masks and len(scene.frames) == 6
+    for frame in scene.frames:
+        _, camera, number = frame.name.split("_")
+        np.testing.assert_array_equal(frame.depth() > 0, kept_of(2 * int(number) + cameras.index(camera)) > 0)
+
+
+@pytest.mark.parametrize("cameras", CAMERAS)
+def test_masks_of_a_rig_lie_in_a_folder_for_each_camera(tmp_path: Path, cameras: tuple[str, str]) -> None:
+    write_rig(tmp_path, cameras, labels_of)
     scene = open_scene(tmp_path, classes="nyu40:1-40")
     assert len(scene.frames) == 6
     for frame in scene.frames:

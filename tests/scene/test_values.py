@@ -105,6 +105,15 @@ def test_classes_whose_palettes_differ_are_refused(tmp_path: Path) -> None:
     refuses("palettes-differ", scene, mask_format="palette", classes="nyu40")
 
 
+def test_ids_in_equal_channels_are_ids(tmp_path: Path) -> None:
+    scene, truths = write_frames(tmp_path)
+    (scene / "masks").mkdir()
+    for truth in truths:
+        cv2.imwrite(str(scene / "masks" / f"{truth.name}.png"), np.stack([truth.semantic] * 3, -1))
+    mask = open_scene(scene, mask_format="palette", classes="reduced").frames[1].mask()
+    np.testing.assert_array_equal(mask.class_map(), truths[1].semantic)
+
+
 def test_soft_bytes_of_detections(tmp_path: Path) -> None:
     scene, truths = write_frames(tmp_path)
     (scene / "masks").mkdir()

@@ -1,7 +1,8 @@
 """A COLMAP reconstruction: a sparse model beside the folder ``images``.
 
 World-to-camera poses, OpenCV axes, pixel centres at +0.5; the world is turned and scaled as the reconstruction left
-it. Distorted pictures are undistorted on reading. A dense workspace has depth as well:
+it. Distorted pictures are undistorted on reading. Pictures that ``test.txt`` beside the model lists are held out. A
+dense workspace has depth as well:
 ``stereo/depth_maps/<image>.geometric.bin`` (or ``.photometric.bin``), planar, in the reconstruction's lengths. It may
 lie in ``dense/0``, where COLMAP's automatic reconstruction puts it, or ``dense``: then its model and its undistorted
 pictures are read. Where `python -m engine poses` made the model, depth that was measured beside the photos, in
@@ -18,9 +19,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import PlgsError
-from ...json_file import read_object
+from ...json_file import LARGEST_TABLE, read_object
 from ...posed.frames import Camera
-from ...posed.layout import file_inside, listed, natural_order, read_file, shown_files
+from ...posed.layout import file_inside, listed, natural_order, read_file, read_text, shown_files
+from ...posed.plain_folders import Split
 from ..depth import DepthMap, fault_of, npy_depth, only_depth, png_depth
 from ..files_of_frames import files_if_any
 from ..frame import Inferred, SparsePoints, left_out
@@ -105,7 +107,21 @@ def _read(place: Path) -> Capture:
     lost = left_out("a pose (COLMAP did not register them)", _unregistered(root, paths))
     scale = () if depths else (_SCALE,)
     points = _points(model, names, images)
-    return Capture(found, None, tuple(warnings), points, left_out=lost, inferred=scale)
+    held_out = _held_out(folder, names, images)
+    posed = [name for name, shot in found if isinstance(shot, Shot)]
+    split = Split(*(tuple(name for name in posed if (name in held_out) is is_test) for is_test in (False, True)))
+    return Capture(
+        found, None, tuple(warnings), points, split if split.train and split.test else None, left_out=lost,
+        inferred=scale,
+    )  # fmt: skip
+
+
+def _held_out(folder: Path, names: list[str], images: list[ColmapImage]) -> set[str]:
+    """The frames whose pictures test.txt beside the model lists, as 3D Gaussian Splatting's programs read it."""
+    path = folder / "test.txt"
+    text = read_text(path, LARGEST_TABLE, "Write a picture's name on each line.") if path.is_file() else ""
+    chosen = {line.strip() for line in text.splitlines()}
+    return {name for name, image in zip(names, images, strict=True) if image.name in chosen}
 
 
 def _unregistered(root: Path, registered: list[Path]) -> list[str]:

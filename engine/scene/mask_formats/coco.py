@@ -26,6 +26,7 @@ from ...posed.image_header import read_image_header
 from ...posed.layout import LARGEST_PIXELS, composed, file_inside, listed, of_most, require_most
 from ..files_of_frames import of_same_name, whole_file
 from ..pixels import decode, distinct_ids
+from ..values import checked_ids
 from .source import FoundMask, FoundSegment, MaskFormat, MaskSource, StoredMask
 
 _LARGEST_SEGMENT_ID = 256**3 - 1
@@ -38,6 +39,7 @@ def _read_mask(png: Path, table: str, segments: tuple[FoundSegment, ...], crowd_
     found, _ = distinct_ids(ids)
     unknown = sorted({*found.tolist()} - {0} - {segment.id for segment in segments} - crowd_ids)
     if unknown:
+        checked_ids(ids, png)
         fix = "Add them to this frame's segments_info, or paint them 0 (id = R + 256 G + 65536 B)."
         raise PlgsError("unlisted", f"segment ids {listed(unknown)} of the PNG are missing from {table}", png, fix)
     if crowd_ids:

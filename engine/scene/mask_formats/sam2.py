@@ -22,7 +22,7 @@ from ...errors import PlgsError
 from ...gates import open_plain
 from ...json_file import read_json_object, take_text, take_whole_number, wrong_type
 from ...posed.layout import files_by_stem, listed, of_most, require_all, require_most, shown_files
-from ..files_of_frames import AMG_LIST, files_of_frames, mask_files, whole_file
+from ..files_of_frames import AMG_LIST, DETECTION, files_of_frames, is_camera, mask_files, whole_file
 from ..formats.poses import read_rows
 from ..pixels import label_header, label_map_size, read_indices, read_label_map, shows_one_object
 from ..values import by_colour, numbers_of_colours
@@ -49,14 +49,17 @@ def _recognises(place: Path) -> bool:
 
 
 def _object_folders(place: Path) -> dict[int, Path]:
-    """The folders whose names are numbers, if they hold PNGs of an object each, not of a picture or camera."""
+    """The folders by their objects' numbers, if they hold PNGs of an object each, not of a picture or camera."""
     if not place.is_dir():
         return {}
-    folders = [path for path in sorted(shown_files(place)) if path.name.isdecimal() and not (path / AMG_LIST).exists()]
-    pictures = {path: sorted(shown_files(path, "*.png")) for path in folders}
-    seen = {path: found for path, found in pictures.items() if found}
-    are_cameras = not any(shows_one_object(found[0]) for found in seen.values())
-    return {} if are_cameras else {int(path.name): path for path in seen}
+    pictures = {path: sorted(shown_files(path, "*.png")) for path in sorted(shown_files(place)) if path.is_dir()}
+    seen = {path: found for path, found in pictures.items() if found and not (path / AMG_LIST).exists()}
+    are_numbers = all(path.name.isdecimal() for path in seen)
+    of_one = [shows_one_object(found[0]) for found in seen.values()]
+    are_objects = any(of_one) if are_numbers else all(of_one)
+    if not are_objects or any(is_camera(path) or DETECTION.fullmatch(found[0].stem) for path, found in seen.items()):
+        return {}
+    return {int(path.name) if are_numbers else n: path for n, path in enumerate(seen, start=1)}
 
 
 def _has_palette(place: Path) -> bool:

@@ -207,6 +207,12 @@ def test_other_camera_models_are_named_with_their_mend(tmp_path: Path, number: i
         assert ("panorama" in error.fix) is (model == "EQUIRECTANGULAR")
 
 
+def test_the_test_pictures_of_gaussian_splatting_are_held_out(tmp_path: Path) -> None:
+    write_text(tmp_path)
+    (tmp_path / "sparse" / "0" / "test.txt").write_text(f"{image_name(1)}\n{image_name(4)}\nnot_registered.png\n")
+    assert [frame.name for frame in open_scene(tmp_path).test_frames] == ["img_6", "img_9"]
+
+
 def test_pictures_that_were_not_registered_are_told(tmp_path: Path) -> None:
     folder = write_text(tmp_path)
     first = folder / "images" / image_name(0)

@@ -113,6 +113,13 @@ def test_one_folder_per_object(tmp_path: Path, chair: int) -> None:
     assert tracks(scene, truths) == TRACKS | {1: {chair}}
 
 
+def test_folders_of_objects_may_have_any_names(tmp_path: Path) -> None:
+    truths = write_object_folders(tmp_path)
+    for old, new in (("007", "chair"), ("012", "a cabinet")):
+        (tmp_path / "masks" / old).rename(tmp_path / "masks" / new)
+    assert tracks(open_scene(tmp_path), truths) == {1: {2}, 2: {1}}
+
+
 def test_amg_folders_are_pictures_even_where_their_names_are_numbers(tmp_path: Path) -> None:
     """Their regions are no tracks and have no class, so that a table of classes changes nothing."""
     truths = write_pictures(tmp_path)
