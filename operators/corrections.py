@@ -74,8 +74,11 @@ class PLGS_OT_rename_instance(AsksForOne, OnInstance, bpy.types.Operator):
 
     @reporting_events
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        self.name = row_of(self.root(context), self.instance).name
-        return set(context.window_manager.invoke_props_dialog(self))
+        root = self.root(context)
+        number = row_of(root, self.instance).instance_id
+        root.plgs.instance_index = next(at for at, row in enumerate(root.plgs.instances) if row.instance_id == number)
+        bpy.ops.wm.call_panel(name="PLGS_PT_name", keep_open=False)  # one Return ends it, as Blender's own F2
+        return {"INTERFACE"}
 
     def act(self, context: bpy.types.Context, root: bpy.types.Collection) -> None:
         corrections.rename(root, row_of(root, self.instance).instance_id, self.name)
@@ -108,9 +111,9 @@ class PLGS_OT_merge_instances(OnInstances, bpy.types.Operator):
 
 
 class PLGS_OT_delete_instance(OnInstance, bpy.types.Operator):
-    """Delete an object that was found by mistake"""
+    """Dissolve an object that was found by mistake: what is seen of it becomes part of what is around it"""
 
-    bl_idname, bl_label, bl_options = "plgs.delete_instance", "Delete Object", _UNDOABLE
+    bl_idname, bl_label, bl_options = "plgs.delete_instance", "Dissolve Object", _UNDOABLE
 
     becomes: EnumProperty(  # type: ignore[valid-type]
         name="Points Become",

@@ -110,12 +110,21 @@ class PLGS_OT_toggle_instance_visibility(OnInstance, bpy.types.Operator):
 
 
 class PLGS_OT_isolate_instance(OnInstance, bpy.types.Operator):
-    """Show only this instance; press again to show what was shown before"""
+    """Show only this instance, framed; press again to show what was shown before"""
 
     bl_idname, bl_label, bl_options = "plgs.isolate_instance", "Isolate", {"REGISTER", "UNDO"}
 
+    @classmethod
+    def why_not(cls, context: bpy.types.Context) -> str | None:
+        is_alone = any(root.plgs.isolated for root in lifts_in(context.scene))
+        return OnLift.why_not(context) if is_alone else super().why_not(context)
+
     def act(self, context: bpy.types.Context, root: bpy.types.Collection) -> None:
-        looks.isolate(root, self.instance)
+        nothing_chosen = chosen_row(context.scene, context.active_object) is None
+        looks.isolate(root, self.instance or (root.plgs.isolated if nothing_chosen else 0))
+        view, aspect = view_of(context)
+        if view is not None:
+            views.show_alone(root, view, aspect)
 
 
 class PLGS_OT_show_all(OnLift, bpy.types.Operator):

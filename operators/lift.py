@@ -126,6 +126,23 @@ class PLGS_OT_cancel_lift(OnLiftFolder, bpy.types.Operator):
         return FINISHED
 
 
+class PLGS_OT_quit(bpy.types.Operator):
+    """Quit Blender, which stops the running lift: it can be resumed later"""
+
+    bl_idname, bl_label = "plgs.quit", "Quit Blender"
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        return lifts.stops_with_blender(context.scene)
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        ask = context.window_manager.invoke_confirm
+        return set(ask(self, event, title=self.bl_label, message=self.__doc__ or "", confirm_text="Quit"))
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        return set(bpy.ops.wm.quit_blender("INVOKE_DEFAULT"))
+
+
 class PLGS_OT_refresh_lifts(bpy.types.Operator):
     """Update the list of running and finished lifts, of this Blender and others"""
 
@@ -286,6 +303,7 @@ CLASSES = (
     PLGS_OT_watch_lift,
     PLGS_OT_open_lift,
     PLGS_OT_cancel_lift,
+    PLGS_OT_quit,
     PLGS_OT_refresh_lifts,
     PLGS_OT_place_lift,
     PLGS_OT_open_log,

@@ -5,12 +5,12 @@ from __future__ import annotations
 from typing import Any
 
 import bpy
-from bpy.props import BoolProperty
+from bpy.props import BoolProperty, EnumProperty
 
 from ..plgs_blender.correction_tools import CUT
 from ..plgs_blender.corrections import delete_around
 from ..plgs_blender.errors import EXPECTED, one_line, plural, with_field_names
-from ..plgs_blender.inspecting import picking, selection
+from ..plgs_blender.inspecting import looks, picking, selection
 from ..plgs_blender.inspecting.picking import hovered
 from ..plgs_blender.inspecting.selection import objects_by_key
 from ..plgs_blender.owned import KEY, LIFT, lifts_in, text_of
@@ -38,11 +38,11 @@ class PLGS_OT_pick(InView, bpy.types.Operator):
         keys = context.window_manager.keyconfigs.active.preferences
         if event.type != f"{getattr(keys, 'select_mouse', 'LEFT')}MOUSE":
             return PASSED_ON
-        mouse, layer = (event.mouse_region_x, event.mouse_region_y), context.view_layer
+        mouse, layer = _middle_of(event), context.view_layer
         picked = picking.what_is_under(context, mouse)
         if picked is None or (self.extend and not picked.instance):
             return PASSED_ON
-        if _is_in_front(context, mouse, extend=self.extend):
+        if _is_in_front(context, (event.mouse_region_x, event.mouse_region_y), extend=self.extend):
             return FINISHED
         if picked.instance:
             selection.select_instance(picked.root, picked.instance, layer, extend=self.extend)
@@ -50,6 +50,11 @@ class PLGS_OT_pick(InView, bpy.types.Operator):
             selection.select_nothing(picked.root, picked.class_id, layer)
         context.area.tag_redraw()
         return FINISHED
+
+
+def _middle_of(event: bpy.types.Event) -> tuple[float, float]:
+    """The middle of the pixel under the mouse."""
+    return event.mouse_region_x + 0.5, event.mouse_region_y + 0.5
 
 
 def _is_in_front(context: bpy.types.Context, mouse: tuple[int, int], *, extend: bool) -> bool:
@@ -84,7 +89,7 @@ class PLGS_OT_point_at(InView, bpy.types.Operator):
     bl_idname, bl_label, bl_options = "plgs.point_at", "Name What Is Seen", {"INTERNAL"}
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        picked = picking.what_is_under(context, (event.mouse_region_x, event.mouse_region_y))
+        picked = picking.what_is_under(context, _middle_of(event))
         now = [(picked.root.session_uid, picked.instance)] if picked is not None and picked.instance else []
         if now != hovered:
             hovered[:] = now
@@ -101,15 +106,12 @@ class OnSelected(InView):
 
     @staticmethod
     def chosen(context: bpy.types.Context) -> tuple[bpy.types.Collection, int] | None:
-        """The lift of the active object and its instance. A box that is switched off, which cannot be selected,
-        counts while nothing is selected.
-        """
+        """The lift of the active object and its instance, while that is selected."""
         active = context.active_object
         root = None if active is None else _lift_of(active, context.scene)
-        if root is None or not (active.select_get() or not context.selected_objects):
-            return None
-        number = selection.selected_instance(root, active)
-        return (root, number) if number in {row.instance_id for row in root.plgs.instances} else None
+        number = 0 if root is None else selection.selected_instance(root, active)
+        known = () if root is None else [row.instance_id for row in root.plgs.instances]
+        return (root, number) if root is not None and number in known else None
 
 
 class PLGS_OT_rename_selected(OnSelected, bpy.types.Operator):
@@ -125,9 +127,25 @@ class PLGS_OT_rename_selected(OnSelected, bpy.types.Operator):
 
 
 class PLGS_OT_delete_selected(OnSelected, bpy.types.Operator):
-    """Delete the selected objects of the lift, whose points become what is around them, and the user's selected ones"""
+    """Hide or dissolve the selected objects of the lift, and hide or delete the user's selected ones with them"""
 
-    bl_idname, bl_label, bl_options = "plgs.delete_selected", "Delete Objects", {"UNDO", "INTERNAL"}
+    bl_idname, bl_label, bl_options = "plgs.delete_selected", "Remove Objects", {"UNDO", "INTERNAL"}
+
+    way: EnumProperty(  # type: ignore[valid-type]
+        name="Way", options={"SKIP_SAVE"},
+        items=[
+            ("HIDE", "Hide", "They are gone from the view, and Show All brings them back"),
+            ("DISSOLVE", "Dissolve into Surroundings", "They stay visible, as part of what is around them"),
+        ],
+    )  # fmt: skip
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        def ask(menu: bpy.types.Menu, _context: bpy.types.Context) -> None:
+            menu.layout.operator_context = "EXEC_DEFAULT"
+            menu.layout.operator_enum(self.bl_idname, "way")
+
+        context.window_manager.popup_menu(ask, title=self.bl_label)
+        return {"INTERFACE"}
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         chosen = self.chosen(context)
@@ -137,6 +155,13 @@ class PLGS_OT_delete_selected(OnSelected, bpy.types.Operator):
         names = {row.instance_id: row.name for row in root.plgs.instances}
         numbers = selection.selected_instances(root, context.view_layer) or [active]
         numbers = [number for number in numbers if number in names]
+        if self.way == "HIDE":
+            others = [ob for ob in context.selected_objects if _lift_of(ob, context.scene) is None]
+            looks.hide(root, numbers)
+            for ob in others:
+                ob.hide_set(True)
+            self.report({"INFO"}, one_line(f"Hidden: {', '.join(names[number] for number in numbers)}"))
+            return FINISHED
         selected = {ob.session_uid: _lift_of(ob, context.scene) for ob in context.selected_objects}
         others = {uid for uid, lift in selected.items() if lift is None}
         try:
@@ -152,7 +177,7 @@ class PLGS_OT_delete_selected(OnSelected, bpy.types.Operator):
                 bpy.ops.object.delete()
         kept = sum(ob.session_uid in selected for ob in context.view_layer.objects if ob is not None)
         stays = f". Not deleted: {plural(kept, 'other object')} of a lift" if kept else ""
-        self.report({"INFO"}, one_line(f"Deleted: {', '.join(names[number] for number in numbers)}{stays}"))
+        self.report({"INFO"}, one_line(f"Dissolved: {', '.join(names[number] for number in numbers)}{stays}"))
         return FINISHED
 
 
@@ -167,8 +192,9 @@ _KEYS: tuple[tuple[str, str, str, dict[str, Any], dict[str, Any]], ...] = (
     ("plgs.rename_selected", "F2", "PRESS", {}, {}),
     ("plgs.delete_selected", "X", "PRESS", {}, {}),
     ("plgs.delete_selected", "DEL", "PRESS", {}, {}),
+    ("plgs.quit", "Q", "PRESS", {"ctrl": True}, {}),
 )
-"""Operator, key, event, modifiers, and the operator's properties, in Object Mode of the 3D view."""
+"""Operator, key, event, modifiers, and the operator's properties: in Object Mode, or anywhere for Quit."""
 _added: list[tuple[bpy.types.KeyMap, bpy.types.KeyMapItem]] = []
 
 
@@ -177,8 +203,8 @@ def register() -> None:
     keys = bpy.context.window_manager.keyconfigs.addon
     if keys is None:
         return
-    keymap = keys.keymaps.new("Object Mode", space_type="EMPTY")
     for operator, key, event, modifiers, given in _KEYS:
+        keymap = keys.keymaps.new("Window" if operator == "plgs.quit" else "Object Mode", space_type="EMPTY")
         item = keymap.keymap_items.new(operator, key, event, **modifiers)
         for name, value in given.items():
             setattr(item.properties, name, value)

@@ -258,13 +258,16 @@ def picture_of(frame: PosedFrame, made: Mapping[str, Path] | None = None) -> Pat
     return frame.colour_path if shows_itself else (made or {}).get(frame.name)
 
 
-def show_photo(ob: bpy.types.Object, owned: OwnedDataBlocks, picture: Path) -> None:
-    """Put a frame's photo, half transparent, in front of its camera's view: it shows whether the scene fits it."""
+def show_photo(ob: bpy.types.Object, owned: OwnedDataBlocks, picture: Path, *, asked: bool = False) -> None:
+    """Put a frame's photo in front of its camera's view, half transparent: it shows whether the scene fits it. One that
+    somebody ``asked`` for hides the scene, until it is asked for again.
+    """
+    before = ob.data.background_images[0].alpha if ob.get(SHOWN) == PHOTO and ob.data.background_images else 0.0
     # Blender reads the pixels when somebody looks through the camera.
     load = bpy.data.images.load
     image = owned.block("images", f"picture:{ob['frame']}", lambda: load(str(picture), check_existing=False))
     image.filepath = str(picture)
-    put_before(ob, image, PHOTO, _PHOTO_ALPHA)
+    put_before(ob, image, PHOTO, 1.0 if asked and before < 1.0 else _PHOTO_ALPHA)
 
 
 def put_before(ob: bpy.types.Object, image: bpy.types.Image, what: str, alpha: float) -> None:

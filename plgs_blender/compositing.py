@@ -27,12 +27,35 @@ _MSGBUS_OWNER = object()
 
 @dataclass
 class _Opened:
-    """A window in which the compositor was asked for, by names: what it showed then, and which workspace last."""
+    """A window in which the compositor was asked for, by names: what it showed then, and which workspace last. ``eyes``
+    are the cameras that its 3D views looked through, by the names of their screens and their numbers among its areas.
+    """
 
     workspace: str
     room: str
     passes: str
     last: str
+    eyes: dict[tuple[str, int], str]
+
+    def go_back(self, window: bpy.types.Window, room: bpy.types.Scene) -> None:
+        """Show the room again, through the same cameras: a scene of passes has none, so Blender leaves that view."""
+        window.scene = room
+        for (screen, number), name in self.eyes.items():
+            areas, camera = getattr(bpy.data.screens.get(screen), "areas", ()), room.objects.get(name)
+            if camera is not None and number < len(areas) and areas[number].type == "VIEW_3D":
+                space = areas[number].spaces.active
+                space.camera, space.region_3d.view_perspective = camera, "CAMERA"
+
+
+def _eyes(window: bpy.types.Window) -> dict[tuple[str, int], str]:
+    found = {}
+    for screen in window.workspace.screens:
+        for number, area in enumerate(screen.areas):
+            if area.type == "VIEW_3D" and area.spaces.active.region_3d.view_perspective == "CAMERA":
+                space = area.spaces.active
+                camera = space.camera if space.use_local_camera else window.scene.camera
+                found[screen.name, number] = "" if camera is None else camera.name
+    return found
 
 
 _opened: dict[int, _Opened] = {}
@@ -48,7 +71,10 @@ def show_room(window: bpy.types.Window) -> None:
     workspace = bpy.data.workspaces.get(opened.workspace) if opened is not None else None
     if workspace is not None and window.workspace == compositing_workspace():
         window.workspace = workspace
-    window.scene = room
+    if opened is not None:
+        opened.go_back(window, room)
+    else:
+        window.scene = room
 
 
 def follow_workspace() -> None:
@@ -66,11 +92,13 @@ def follow_workspace() -> None:
         compositing = compositing_workspace()
         if compositing is None or opened.last == before or compositing.name not in (before, opened.last):
             continue
-        shown, other = (passes, room) if window.workspace == compositing else (room, passes)
-        if window.scene == other:
-            window.scene = shown
-        else:
+        to_passes = window.workspace == compositing
+        if window.scene != (room if to_passes else passes):
             del _opened[address]
+        elif to_passes:
+            window.scene = passes
+        else:
+            opened.go_back(window, room)
 
 
 def _follow_soon() -> None:
@@ -85,7 +113,9 @@ def show_compositor(window: bpy.types.Window, passes: bpy.types.Scene) -> None:
     workspace = compositing_workspace()
     if KEY not in window.scene:
         last = window.workspace.name if workspace is None else workspace.name
-        _opened[window.as_pointer()] = _Opened(window.workspace.name, window.scene.name, passes.name, last)
+        _opened[window.as_pointer()] = _Opened(
+            window.workspace.name, window.scene.name, passes.name, last, _eyes(window)
+        )
     if workspace is not None:
         window.workspace = workspace
     window.scene = passes

@@ -129,6 +129,8 @@ KIND_OF = {DEPTH: "depth", MASKS: "masks", PHOTO: "colour"}
 
 _NEAR, _FAR = "near_metres", "far_metres"
 """Properties of a picture of depth: the metres that its lightest and its darkest colour mean."""
+_COLOURS = "colours"
+"""Property of a picture of masks: the numbers of its colours."""
 
 
 def why_no_picture(scene: bpy.types.Scene) -> str | None:
@@ -172,7 +174,7 @@ def show_made(scene: bpy.types.Scene, ob: bpy.types.Object, what: str, made: Mad
         raise PlgsError("no-pictures", f"has no {KIND_OF[what]}", ob["frame"], "Import the scene again.")
     owned = OwnedDataBlocks(root_of(scene, ob)[LIFT], scene)
     if what == PHOTO:
-        show_photo(ob, owned, path)
+        show_photo(ob, owned, path, asked=True)
         return
     image, key = bpy.data.images.load(str(path), check_existing=False), f"{KIND_OF[what]}:{ob['frame']}"
     image.name = f"{KIND_OF[what].capitalize()} {ob['frame']}"
@@ -180,7 +182,29 @@ def show_made(scene: bpy.types.Scene, ob: bpy.types.Object, what: str, made: Mad
     owned.block("images", key, lambda: image)
     if what == DEPTH and made.depth_range is not None:
         image[_NEAR], image[_FAR] = made.depth_range
+    if what == MASKS:
+        image[_COLOURS] = _colours_in(image)
     put_before(ob, image, what, 1.0)
+
+
+def _colours_in(image: bpy.types.Image) -> list[int]:
+    """The colours in an image as numbers. A legend can do without what is smaller than four pixels."""
+    width, height = image.size
+    pixels = np.empty((height, width, 4), np.float32)
+    image.pixels.foreach_get(pixels.ravel())
+    return [*np.unique(colour_numbers(pixels[::2, ::2, :3].reshape(-1, 3))).tolist()]
+
+
+def colour_numbers(srgb: NDArray[np.floating]) -> NDArray[np.int32]:
+    """Colours [N, 3], 0..1, as numbers [N]."""
+    red, green, blue = np.rint(255.0 * srgb).astype(np.int32).T
+    return red << 16 | green << 8 | blue
+
+
+def colours_shown(ob: bpy.types.Object) -> set[int] | None:
+    """The colours of the masks in front of a camera, as numbers; None where they are not known."""
+    image = ob.data.background_images[0].image if ob.data.background_images else None
+    return None if image is None or _COLOURS not in image else {*image[_COLOURS]}
 
 
 def range_shown(ob: bpy.types.Object) -> tuple[float, float] | None:

@@ -28,11 +28,13 @@ from .inspecting.lists import fill_lists, fill_masks, fill_not_shown, registered
 from .inspecting.looks import (
     PHOTO,
     POINTS,
+    SHOWN_IN,
     SPLATS,
     SURFACE,
     apply_colours,
     apply_lit,
     apply_look,
+    apply_show_as,
     apply_visibility,
     has,
 )
@@ -131,6 +133,8 @@ def _placing_rest(read: ReadLift, placed: Placed) -> Generator[None, None, None]
         with registered():
             do(*found)
         yield
+    if read.meshes.parts:
+        _hide_surface_until_whole(placed)
     yield from placing_meshes(placed, read.result, read.meshes)
     if read.meshes.parts and (found := placed.find()) is not None:
         leave_holes(found[0])
@@ -258,6 +262,7 @@ def placing_meshes_anew(lift: Path, scene: bpy.types.Scene, *, asked: bool = Tru
     placed = Placed(root_of_placed(lift, scene)[LIFT], scene.name)
     result = yield from _reading(lift)
     meshes = yield from reading_meshes(lift)
+    _hide_surface_until_whole(placed)
     count = yield from placing_meshes(placed, result, meshes)
     found = placed.find()
     if found is None:
@@ -272,6 +277,14 @@ def placing_meshes_anew(lift: Path, scene: bpy.types.Scene, *, asked: bool = Tru
         apply_lit(root)
         show_materials_in(scene)
     return count
+
+
+def _hide_surface_until_whole(placed: Placed) -> None:
+    """Unless it is what is shown: it and the splats are never seen both."""
+    if (found := placed.find()) is not None:
+        child_collection(found[0], SHOWN_IN[SURFACE])
+        with registered():
+            apply_show_as(found[0])
 
 
 def place_depth_clouds_anew(lift: Path, scene: bpy.types.Scene) -> int:

@@ -27,7 +27,7 @@ LIGHT = (0.35, -0.25, 0.9)
 SHADE, SHADE_CONTRAST = 0.74, 0.3
 """Lightness of a point: SHADE + SHADE_CONTRAST * (LIGHT · normal)."""
 
-_DENSER = 4.0
+DENSER = 4.0
 """How much more of a splat is seen than its opacity says. Blender draws half-transparent things at random, with few
 samples: nearly opaque ones look smooth.
 """
@@ -158,7 +158,7 @@ def splat_material(owned: OwnedDataBlocks) -> bpy.types.Material:
         link(half.outputs[0], power.inputs[0])
         link(power.outputs[0], alpha.inputs[0])
         denser, front = (_node(tree, "ShaderNodeMath", column, -200) for column in (5, 6))
-        denser.operation, denser.inputs[1].default_value, denser.use_clamp = "MULTIPLY", _DENSER, True
+        denser.operation, denser.inputs[1].default_value, denser.use_clamp = "MULTIPLY", DENSER, True
         link(alpha.outputs[0], denser.inputs[0])
         geometry = _node(tree, "ShaderNodeNewGeometry", 0, 200)
         front.operation = "SUBTRACT"

@@ -182,6 +182,9 @@ class PLGS_PG_settings(LiftOptions, bpy.types.PropertyGroup):
     replace_shot: BoolProperty(  # type: ignore[valid-type]
         name="Replace", description="Replace a shot of this name whose file or camera is another one, or has changed"
     )
+    show_steps: BoolProperty(  # type: ignore[valid-type]
+        name="Scene and Lift", description="Show the steps that led to the result, or begin the next lift"
+    )
     place_when_done: BoolProperty(  # type: ignore[valid-type]
         name="Show When Done", default=True, description="Put the result into this scene as soon as it is finished"
     )

@@ -31,7 +31,7 @@ class PLGS_PT_corrections(OfResult, bpy.types.Panel):
         row.operator("plgs.reclass_instances", icon="TAG")
         row = column.row(align=True)
         row.operator("plgs.merge_instances", icon="AUTOMERGE_ON")
-        row.operator("plgs.delete_instance", text="Delete", icon="TRASH").becomes = "AROUND"
+        row.operator("plgs.delete_instance", text="Dissolve", icon="TRASH").becomes = "AROUND"
         row = layout.split(factor=0.45, align=True)
         row.operator("plgs.split_instance", text="Split Parts", icon="MOD_EXPLODE").by = "PARTS"
         split, cell = registry.latest(SplitByViews), row.row(align=True)

@@ -14,7 +14,7 @@ from ..plgs_blender.running.lifts import Lift, LiftState
 from ..plgs_blender.settings import chosen_lift, shown_preset, why_no_options
 from .sidebar import (
     Sidebar,
-    Step,
+    StepBefore,
     draw_cancel,
     draw_error,
     draw_log,
@@ -33,8 +33,8 @@ _LABEL = 0.58
 _ICONS = {LiftState.RUNNING: "RENDER_ANIMATION", LiftState.FINISHED: "CHECKMARK", LiftState.FAILED: "ERROR"}
 
 
-class PLGS_PT_lift(Step, bpy.types.Panel):
-    bl_idname, bl_label, bl_order = "PLGS_PT_lift", "2  Lift", 2
+class PLGS_PT_lift(StepBefore, bpy.types.Panel):
+    bl_idname, bl_label, bl_order = "PLGS_PT_lift", "2  Lift", 20
 
     def draw(self, context: bpy.types.Context) -> None:
         layout, settings = self.layout, context.scene.plgs
@@ -139,7 +139,10 @@ def _draw_start(layout: bpy.types.UILayout, context: bpy.types.Context, followed
     layout.label(text=fitted(context, cost), icon="TIME")
     row = from_panel(layout.row(), context)
     row.scale_y = 1.4
-    row.operator("plgs.lift_scene", icon="PLAY")
+    if followed is not None and followed.can_be_resumed:
+        row.operator("plgs.resume_lift", icon="FILE_REFRESH").lift_folder = str(followed.folder.path)
+    else:
+        row.operator("plgs.lift_scene", icon="PLAY")
     if followed is not None:
         _draw_ending(layout, context, followed)
     elif folder is not None and (refusal := lifts.refusal_of(folder)) is not None:
@@ -165,6 +168,11 @@ def _draw_recent(layout: bpy.types.UILayout) -> None:
 def _in_import_menu(menu: bpy.types.Menu, context: bpy.types.Context) -> None:
     menu.layout.operator("plgs.open_lift", text="PLGS Lift (folder)")
     menu.layout.menu(PLGS_MT_recent_lifts.bl_idname)
+
+
+def _beside_quit(menu: bpy.types.Menu, context: bpy.types.Context) -> None:
+    if lifts.stops_with_blender(context.scene):
+        menu.layout.label(text="Quit stops the lift; it can be resumed", icon="INFO")
 
 
 def _draw_used(column: bpy.types.UILayout, context: bpy.types.Context, name: str) -> None:
@@ -213,7 +221,7 @@ def _draw_ending(layout: bpy.types.UILayout, context: bpy.types.Context, followe
     if followed.is_finished:
         row.operator("plgs.place_lift", icon="IMPORT").lift_folder = path
     if followed.can_be_resumed:
-        row.operator("plgs.resume_lift", icon="FILE_REFRESH").lift_folder = path
+        from_panel(row, context).operator("plgs.lift_scene", text="Start Anew", icon="PLAY")
     if not followed.scene_is_there:
         layout.operator("plgs.find_scene", icon="VIEWZOOM").lift_folder = path
     if error is not None:
@@ -226,7 +234,9 @@ CLASSES = (PLGS_PT_lift, PLGS_PT_lift_options, PLGS_PT_all_options, PLGS_PT_rece
 
 def register() -> None:
     bpy.types.TOPBAR_MT_file_import.append(_in_import_menu)
+    bpy.types.TOPBAR_MT_file.append(_beside_quit)
 
 
 def unregister() -> None:
     bpy.types.TOPBAR_MT_file_import.remove(_in_import_menu)
+    bpy.types.TOPBAR_MT_file.remove(_beside_quit)

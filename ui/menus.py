@@ -31,7 +31,7 @@ _OBJECT: Entries = (
     ("plgs.make_objects", {}, ""),
     ("plgs.make_objects", {"as_assets": True}, "Make Assets"),
     ("plgs.key_visibility", {}, ""),
-    ("plgs.delete_instance", {"becomes": "AROUND"}, ""),
+    ("plgs.delete_instance", {"becomes": "AROUND"}, "Dissolve into Surroundings"),
 )
 _RESULT: Entries = (
     ("plgs.show_all", {}, ""),

@@ -9,11 +9,12 @@ from __future__ import annotations
 from typing import Any
 
 import bpy
+import numpy as np
 
 from ..plgs_blender import correction_tools
 from ..plgs_blender.cameras import SHOWN
 from ..plgs_blender.correction_tools import CUT
-from ..plgs_blender.frame_pictures import MASKS
+from ..plgs_blender.frame_pictures import MASKS, colour_numbers, colours_shown
 from ..plgs_blender.inspecting import highlight, picking
 from ..plgs_blender.inspecting.drawing import (
     Colour,
@@ -122,7 +123,9 @@ def legend_of(context: bpy.types.Context, root: bpy.types.Collection) -> list[tu
             stuff = classes_of_scene(context.scene, stuff_only=True)
             return [(_OBJECTS, None), *stuff]
         if camera.get(SHOWN) == MASKS:
-            return [*classes_of_scene(context.scene)]
+            seen, classes = colours_shown(camera), classes_of_scene(context.scene)
+            numbers = colour_numbers(np.array([colour for _, colour in classes]).reshape(-1, 3)).tolist()
+            return [each for each, number in zip(classes, numbers, strict=True) if seen is None or number in seen]
     if lists.show_legend or (lists.look == BY_CLASS and len(lists.classes)):
         return [*shown_classes(lists.classes)]
     return [*SURENESS] if lists.look == UNCERTAINTY and len(lists.classes) else []

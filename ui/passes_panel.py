@@ -18,7 +18,7 @@ from .sidebar import Sidebar, Step, amount, draw_bar, draw_news, draw_task, dura
 
 
 class PLGS_PT_passes(Step, bpy.types.Panel):
-    bl_idname, bl_label, bl_order = "PLGS_PT_passes", "4  Passes", 4
+    bl_idname, bl_label, bl_order = "PLGS_PT_passes", "4  Passes", 40
 
     def draw(self, context: bpy.types.Context) -> None:
         followed = followed_lift(context.scene.plgs)
@@ -74,7 +74,7 @@ def _draw_cost(layout: bpy.types.UILayout, scene: bpy.types.Scene) -> None:
 
 
 class PLGS_PT_export(Step, bpy.types.Panel):
-    bl_idname, bl_label, bl_order, bl_options = "PLGS_PT_export", "5  Export", 5, {"DEFAULT_CLOSED"}
+    bl_idname, bl_label, bl_order, bl_options = "PLGS_PT_export", "5  Export", 50, {"DEFAULT_CLOSED"}
 
     def draw(self, context: bpy.types.Context) -> None:
         """The export that runs has its bar where its button was; what it tells comes below all buttons."""

@@ -10,6 +10,7 @@ from bpy.props import EnumProperty
 from ..plgs_blender import registry
 from ..plgs_blender.compat import STORED_COLOURS
 from ..plgs_blender.errors import one_line, plural
+from ..plgs_blender.inspecting.drawing import is_rest
 from ..plgs_blender.inspecting.looks import BY_CLASS, POINTS, SPLATS, SURFACE, has
 from ..plgs_blender.inspecting.selection import active_lift, chosen_row
 from ..plgs_blender.meshes import are_stale
@@ -48,12 +49,19 @@ def shown_rows(names: list[str], search: str, flag: int) -> list[int]:
 
 
 def places_of(rows: Any, order: str) -> list[int]:
-    """The place of each row in the order NAME, COUNT or SCORE. Numbers in names count as numbers: 2 before 10."""
+    """The place of each row in the order NAME, COUNT or SCORE. Numbers in names count as numbers: 2 before 10. What is
+    of "other" classes comes last.
+    """
     keys = {"NAME": _by_name, "COUNT": lambda row: -row.points, "SCORE": lambda row: -row.score}
     places = [0] * len(rows)
-    for place, index in enumerate(sorted(range(len(rows)), key=lambda index: keys[order](rows[index]))):
+    in_order = sorted(range(len(rows)), key=lambda index: (_is_rest(rows[index]), keys[order](rows[index])))
+    for place, index in enumerate(in_order):
         places[index] = place
     return places
+
+
+def _is_rest(row: Any) -> bool:
+    return is_rest(getattr(row, "class_name", row.name))
 
 
 def _by_name(row: Any) -> tuple[str, int]:
@@ -169,7 +177,7 @@ def _chosen(context: bpy.types.Context) -> Any | None:
 
 
 class PLGS_PT_result(Step, bpy.types.Panel):
-    bl_idname, bl_label, bl_order = "PLGS_PT_result", "3  Result", 3
+    bl_idname, bl_label, bl_order = "PLGS_PT_result", "3  Result", 30
 
     def draw(self, context: bpy.types.Context) -> None:
         layout, root = self.layout, _lift(context)
@@ -178,7 +186,10 @@ class PLGS_PT_result(Step, bpy.types.Panel):
             layout.operator("plgs.open_lift", text="Open Lift…", icon="FILE_FOLDER")
             return
         lists, row = root.plgs, _chosen(context)
-        layout.label(text=one_line(root.name), icon="OUTLINER_COLLECTION")
+        title = layout.row()
+        title.label(text=one_line(root.name), icon="OUTLINER_COLLECTION")
+        if context.space_data is not None:  # all that is drawn over the view; its key is Shift Alt Z
+            title.prop(context.space_data.overlay, "show_overlays", text="", icon="OVERLAY")
         _draw_look(from_panel(layout.column(align=True), context), context, root)
         layout.prop(lists, "instances_search", text="", icon="VIEWZOOM")
         _draw_heads(layout, "Name", "Points, score")
@@ -188,7 +199,7 @@ class PLGS_PT_result(Step, bpy.types.Panel):
             return
         column = from_panel(layout.column(align=True), context)
         column.operator("plgs.frame_instance", icon="ZOOM_SELECTED")
-        is_alone = row is not None and lists.isolated == row.instance_id
+        is_alone = lists.isolated > 0 and (row is None or lists.isolated == row.instance_id)
         text, icon = ("Exit Isolation", "SOLO_ON") if is_alone else ("Isolate", "SOLO_OFF")
         column.operator("plgs.isolate_instance", text=text, icon=icon, depress=is_alone)
         column.operator("plgs.go_to_best_view", icon="VIEW_CAMERA")
@@ -239,6 +250,21 @@ class OfResult(Sidebar):
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         return _lift(context) is not None
+
+
+class PLGS_PT_name(bpy.types.Panel):
+    """What F2 opens: the chosen instance's name, to be typed over."""
+
+    bl_idname, bl_label, bl_space_type, bl_region_type = "PLGS_PT_name", "Rename Object", "TOPBAR", "HEADER"
+    bl_ui_units_x = 14
+
+    def draw(self, context: bpy.types.Context) -> None:
+        row = _chosen(context)
+        if row is not None:
+            self.layout.label(text="Rename Object")
+            field = self.layout.row()
+            field.activate_init = True
+            field.prop(row, "name", text="")
 
 
 class PLGS_PT_masks(OfResult, bpy.types.Panel):
@@ -322,6 +348,7 @@ CLASSES = (
     PLGS_UL_classes,
     PLGS_UL_masks,
     PLGS_PT_result,
+    PLGS_PT_name,
     PLGS_PT_masks,
     PLGS_PT_classes,
     PLGS_PT_not_shown,

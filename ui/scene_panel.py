@@ -19,6 +19,7 @@ from ..plgs_blender.settings import chosen_scene
 from .sidebar import (
     Sidebar,
     Step,
+    StepBefore,
     draw_bar,
     draw_error,
     draw_lacking,
@@ -37,8 +38,8 @@ _MOST_LINKS, _LINKS_IN_A_ROW = 12, 4
 _PICTURES = ((PHOTO, "Photo", "IMAGE_DATA"), (DEPTH, "Depth", "EMPTY_SINGLE_ARROW"), (MASKS, "Masks", "COLOR"))
 
 
-class PLGS_PT_scene(Step, bpy.types.Panel):
-    bl_idname, bl_label, bl_order = "PLGS_PT_scene", "1  Scene", 1
+class PLGS_PT_scene(StepBefore, bpy.types.Panel):
+    bl_idname, bl_label, bl_order = "PLGS_PT_scene", "1  Scene", 10
 
     def draw(self, context: bpy.types.Context) -> None:
         layout, settings = self.layout, context.scene.plgs
@@ -130,8 +131,8 @@ class PLGS_PT_diagnosis(Sidebar, bpy.types.Panel):
             _draw_findings(layout, context, known)
 
 
-class PLGS_PT_frames(Sidebar, bpy.types.Panel):
-    bl_idname, bl_label, bl_parent_id = "PLGS_PT_frames", "Frames", "PLGS_PT_scene"
+class PLGS_PT_frames(Step, bpy.types.Panel):
+    bl_idname, bl_label, bl_order = "PLGS_PT_frames", "Frames", 15
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
@@ -172,19 +173,20 @@ def _draw_poses(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
 
 
 def _draw_survey(layout: bpy.types.UILayout, context: bpy.types.Context, survey: Survey | None) -> None:
-    """Draw what is known of a scene in rows that stand there from the start, so that what is read moves nothing."""
+    """Draw what is known of a scene in rows that stand there while it is read, so that what is read moves nothing."""
     known = survey if survey is not None and not survey.is_looking else None
+    if survey is None:
+        layout.label(text="Not read yet: press the arrows", icon="QUESTION")
+        return
     column = layout.box().column(align=True)
-    if survey is not None and survey.is_looking:
+    if known is None:
         looks = [how_far(look)[0] for look in registry.running(SceneLook)]
         column.progress(factor=max(looks, default=0.0), type="BAR", text="Reading the scene")
-    elif known is None:
-        column.label(text="Not read yet: press the arrows", icon="QUESTION")
     else:
         column.label(text=label_of(known.format), icon="FILEBROWSER")
-    facts = ("–",) * len(_FACTS) if known is None else _facts(known)
+    facts = ("",) * len(_FACTS) if known is None else _facts(known)
     for icon, fact in zip(_FACTS, facts, strict=True):
-        column.label(text=fact, icon=icon)
+        column.label(text=fact, icon=icon if fact else "BLANK1")
     warnings = () if known is None else (*(text for text, doubtful in known.inferred if doubtful), *known.warnings)
     header, body = layout.panel("plgs_scene_details", default_closed=True)
     # A guess or a warning is seen without a click; more than one, and the end of a long one, by opening this.
@@ -196,7 +198,7 @@ def _draw_survey(layout: bpy.types.UILayout, context: bpy.types.Context, survey:
 
 def _facts(survey: Survey) -> tuple[str, ...]:
     """A line for each of `_FACTS`, which fits the sidebar as Blender opens it."""
-    frames = f"{plural(survey.frames, 'frame')}, {survey.test_frames} held out"
+    frames = plural(survey.frames, "frame")
     if survey.left_out:
         frames += f", {survey.left_out} left out"
     sizes = [f"{width} x {height}" + (f" ({count})" if len(survey.sizes) > 1 else "")
@@ -213,6 +215,7 @@ def _facts(survey: Survey) -> tuple[str, ...]:
 def _draw_details(
     layout: bpy.types.UILayout, context: bpy.types.Context, survey: Survey, warnings: tuple[str, ...]
 ) -> None:
+    tell(layout, context, f"{plural(survey.test_frames, 'frame')} held out of training, to score the lift", "INFO")
     known = possibilities(survey, status().is_usable)
     possible = ", ".join(each.what for each in known if each.is_possible)
     tell(layout, context, f"Possible: {possible.lower()}", "CHECKMARK")

@@ -8,8 +8,9 @@ import bpy
 
 from ..plgs_blender import registry
 from ..plgs_blender.errors import ErrorCode, PlgsError, field_of_option, one_line, with_field_names
-from ..plgs_blender.owned import KEY
+from ..plgs_blender.owned import KEY, lifts_in
 from ..plgs_blender.registry import Task
+from ..plgs_blender.running import lifts
 from ..plgs_blender.running.adding import ADDED, Adding, size_of, why_lacking, why_not_added
 
 _PIXELS_A_LETTER = 7.0
@@ -34,7 +35,16 @@ class PLGS_PT_lift_panoptic_masks(Sidebar, bpy.types.Panel):
 
     def draw(self, context: bpy.types.Context) -> None:
         """The steps below are panels of their own. A scene of passes has nothing for them."""
+        self.layout.label(text="Makes objects of a filmed room")
         draw_way_back(self, context)
+        if has_result(context.scene):
+            icon = "DISCLOSURE_TRI_DOWN" if context.scene.plgs.show_steps else "DISCLOSURE_TRI_RIGHT"
+            self.layout.prop(context.scene.plgs, "show_steps", icon=icon, emboss=False)
+
+
+def has_result(scene: bpy.types.Scene) -> bool:
+    """Whether a lift's result is in a scene."""
+    return any(len(root.plgs.classes) for root in lifts_in(scene))
 
 
 def draw_way_back(bar: bpy.types.Panel | bpy.types.Header, context: bpy.types.Context) -> None:
@@ -47,6 +57,14 @@ class Step(Sidebar):
     """One step of the work, in order: set `bl_order`."""
 
     bl_parent_id = PLGS_PT_lift_panoptic_masks.bl_idname
+
+
+class StepBefore(Step):
+    """A step before the result, folded up once that is shown."""
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        return context.scene.plgs.show_steps or bool(lifts.running()) or not has_result(context.scene)
 
 
 def tell(

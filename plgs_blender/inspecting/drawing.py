@@ -27,6 +27,8 @@ _PADDING = 5.0
 """Pixels at interface scale 1."""
 _MOST_COVERED = 0.03
 """Share of the view that names may cover."""
+_MOST_NAMES = 8
+"""More names than that tell nobody anything."""
 _APART = 0.5
 """Heights of a label between two of them, at least."""
 _DARK = (0.09, 0.095, 0.105)
@@ -95,13 +97,13 @@ def label_text_boxes(
     hovered: int = 0,
     keep_free: Sequence[Rectangle] = (),
 ) -> list[TextBox]:
-    """Names above the boxes of instances, as many as have room: the `active` one in its full colour, the one that the
-    mouse is over, and then those that look largest. None covers another or a rectangle to `keep_free`. The active one
-    says where it is out of view.
+    """Names above the boxes of instances, as many as have room and at most 8: the `active` one in its full colour, the
+    one that the mouse is over, and then those that look largest, of known classes first. None covers another or a
+    rectangle to `keep_free`. The active one says where it is out of view.
     """
     size, padding = _TEXT * region.scale, _PADDING * region.scale
     height = size + 1.4 * padding
-    found: list[tuple[tuple[bool, bool, float], Any, str, tuple[float, float]]] = []
+    found: list[tuple[tuple[bool, bool, bool, float], Any, str, tuple[float, float]]] = []
     for row in rows:
         box, name = boxes.get(row.instance_id), one_line(row.name)
         if box is None:
@@ -112,7 +114,7 @@ def label_text_boxes(
             at, name = (region.left + 0.3 * region.width, 2.0 * height), f"{name} is out of view: Frame Selected"
         if at is not None:
             looks = max(box.dimensions) / max(distance, 1e-6)
-            rank = (row.instance_id != active, row.instance_id != hovered, -looks)
+            rank = (row.instance_id != active, row.instance_id != hovered, is_rest(row.class_name), -looks)
             found.append((rank, row, name, (at[0], at[1] + padding)))
     found.sort(key=lambda each: each[0])
     widths = [_text_width(name, size) + 2.0 * padding for _, _, name, _ in found]
@@ -164,7 +166,7 @@ def place_labels(
         if any(left < end and start < right and low < top and base < high for start, base, end, top in taken):
             continue
         room -= width * height
-        if room < 0.0 and placed:
+        if (room < 0.0 and placed) or len(placed) == _MOST_NAMES:
             break
         placed[index] = (left, low)
         margin = _APART * height
@@ -194,6 +196,11 @@ def legend_text_boxes(shown: Sequence[tuple[str, Colour | None]], region: ViewRe
         TextBox(x, y + line * (len(texts) - 1 - place), width, line, text, size, _DARK, 0.72, swatch=swatch)
         for place, (text, swatch) in enumerate(texts)
     ]
+
+
+def is_rest(class_name: str) -> bool:
+    """Whether a class is what data sets call all else, such as otherfurniture."""
+    return class_name.casefold().startswith("other")
 
 
 def top_of(box: bpy.types.Object) -> Vector:

@@ -212,8 +212,8 @@ class PLGS_PG_lift(bpy.types.PropertyGroup):
         name="Outline Selected", default=True, description="Outline the selected instance, unless it stands alone"
     )
     show_boxes: BoolProperty(
-        name="Boxes", default=True, update=_update_visibility,
-        description="Draw the instances' boxes. Several instances are selected by them",
+        name="All Boxes", update=_update_visibility,
+        description="Draw the boxes of all instances, not just of the selected ones",
     )  # fmt: skip
 
 

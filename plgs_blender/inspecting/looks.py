@@ -171,6 +171,8 @@ def _cells(xyz: NDArray[np.float32]) -> NDArray[np.int64]:
     return (x << 42) | (y << 21) | z
 
 
+_CRUMBS = 0.1
+"""Share of its box's sides by which an instance that stands alone may reach out of it."""
 HIDDEN = "plgs_hidden"
 MODIFIER = "Hidden instances"
 _GROUP = "hidden instances"
@@ -207,15 +209,26 @@ def apply_visibility(root: bpy.types.Collection) -> None:
     lists, is_left_out = root.plgs, leaving_out(root.plgs)
     boxes, together = boxes_of(root), objects_by_key(root).get(TOGETHER)
     for box, hidden in zip(boxes.values(), instances_left_out(lists, boxes), strict=True):
-        _show_object(box, not hidden and lists.show_boxes)
+        _show_object(box, not hidden and (lists.show_boxes or None))
     if together is not None:
         _show_object(together, lists.show_boxes)
     eyes = {row.class_id: row.visible for row in lists.classes}
     for cloud in clouds_of(root):
         if "class_id" in cloud:
             _show_object(cloud, bool(lists.isolated) or eyes.get(cloud["class_id"], True))
+    alone = boxes.get(lists.isolated)
     for ob in (*clouds_of(root), *surfaces_of(root)):
-        _hide_points(root, ob, is_left_out(ids_of(ob.data, "instance_id"), ids_of(ob.data, "class_id")))
+        hidden = is_left_out(ids_of(ob.data, "instance_id"), ids_of(ob.data, "class_id"))
+        _hide_points(root, ob, hidden if alone is None else hidden | _is_crumb(ob, alone))
+
+
+def _is_crumb(ob: bpy.types.Object, box: bpy.types.Object) -> NDArray[np.bool_]:
+    """Whether each point or vertex, bool [N], lies away from an instance's box, and would be a crumb beside it."""
+    to_box = np.array(box.matrix_world.inverted() @ ob.matrix_world, np.float32)
+    corners = np.array(box.bound_box, np.float32)
+    margin = _CRUMBS * np.ptp(corners, axis=0)
+    local = places(ob.data) @ to_box[:3, :3].T + to_box[:3, 3]
+    return ((local < corners.min(axis=0) - margin) | (local > corners.max(axis=0) + margin)).any(axis=1)
 
 
 @_OnceForMany
@@ -259,6 +272,15 @@ def isolate(root: bpy.types.Collection, instance: int = 0) -> None:
     root.plgs.isolated = 0 if root.plgs.isolated == number else number
 
 
+def hide(root: bpy.types.Collection, instances: Collection[int]) -> None:
+    """Hide instances."""
+    with apply_visibility.at_once(root):
+        for row in root.plgs.instances:
+            row.visible = row.visible and row.instance_id not in instances
+        if root.plgs.isolated in instances:
+            root.plgs.isolated = 0
+
+
 def show_all(root: bpy.types.Collection) -> None:
     """Show everything in the lift's lists."""
     with apply_visibility.at_once(root):
@@ -284,16 +306,20 @@ def instances_left_out(lists: bpy.types.PropertyGroup, instances: Collection[int
     return leaving_out(lists)(np.array([*instances], np.int32), classes)
 
 
-def _show_object(ob: bpy.types.Object, shown: bool) -> None:
-    """Show or hide an object in all scenes that have it, and in renders unless it is a box."""
+def _show_object(ob: bpy.types.Object, shown: bool | None) -> None:
+    """Show or hide an object in all scenes that have it, and in renders unless it is a box. None: where it is selected.
+    """
     not_rendered = not shown or text_of(ob, KEY).startswith((INSTANCE, TOGETHER))
     if ob.hide_render != not_rendered:
         ob.hide_render = not_rendered
     for scene in bpy.data.scenes:
         for layer in scene.view_layers:
+            if layer.objects.get(ob.name) != ob:
+                continue
+            wanted = ob.select_get(view_layer=layer) if shown is None else shown
             # Hiding an object makes Blender look through all others, so that of thousands it takes seconds.
-            if ob.hide_get(view_layer=layer) == shown and layer.objects.get(ob.name) == ob:
-                ob.hide_set(not shown, view_layer=layer)
+            if ob.hide_get(view_layer=layer) == wanted:
+                ob.hide_set(not wanted, view_layer=layer)
 
 
 def _hide_points(root: bpy.types.Collection, cloud: bpy.types.Object, hidden: NDArray[np.bool_]) -> None:

@@ -1,9 +1,9 @@
 """Finding a lift and what belongs to it, by our custom properties, and one selection everywhere: the box or mesh that
 is active in the view and the row that is active in the list.
 
-Blender's own selection of them decides. `follow_active` moves the list's active row to it, `select_row` selects
-the box of the list's active row. Each does nothing when both agree, so they cannot chase each other. Blender notifies
-this module when another object becomes active, and after undo and loading: then the lists follow.
+Blender's own selection of them decides. `follow_selected` moves the list's active row to it, `select_row` selects
+the box of the list's active row. Each does nothing when both agree, so they cannot chase each other. When what is
+selected has changed, the lists follow. Boxes that are not selected are hidden, unless the lift shows all.
 """
 
 from __future__ import annotations
@@ -144,12 +144,9 @@ _MSGBUS_OWNER = object()
 
 
 def selected_instance(root: bpy.types.Collection, active: bpy.types.Object | None) -> int:
-    """The instance whose box or mesh is the active object and selected, 0 when none of this lift is. A box that is
-    switched off cannot be selected, and is chosen while it is active.
-    """
-    if active is None or not instance_of(active) or active[LIFT] != root[LIFT]:
-        return 0
-    return instance_of(active) if active.select_get() or not root.plgs.show_boxes else 0
+    """The instance whose box or mesh is the active object and selected, 0 when none of this lift is."""
+    is_ours = instance_of(active) and active[LIFT] == root[LIFT] and active.select_get()
+    return instance_of(active) if is_ours else 0
 
 
 def selected_instances(root: bpy.types.Collection, layer: bpy.types.ViewLayer) -> list[int]:
@@ -185,10 +182,10 @@ def select_instance(
 
 
 def select_nothing(root: bpy.types.Collection, class_id: int, layer: bpy.types.ViewLayer) -> None:
-    """Deselect all objects, and make a class the active row of the list of classes."""
+    """Deselect all objects, also in the lift's list, and make a class the active row of the list of classes."""
     deselect_all(layer)
-    if not root.plgs.show_boxes:
-        layer.objects.active = None
+    layer.objects.active, root.plgs.instance_index = None, -1
+    hide_unselected(root, layer)
     numbers = [row.class_id for row in root.plgs.classes]
     root.plgs.class_index = numbers.index(class_id) if class_id in numbers else -1
 
@@ -197,12 +194,11 @@ def select_class(root: bpy.types.Collection, class_id: int, layer: bpy.types.Vie
     """Select the boxes of a class and nothing else. Returns how many boxes that are."""
     boxes = boxes_of(root)
     of_class = [boxes.get(row.instance_id) for row in root.plgs.instances if row.class_id == class_id]
-    chosen = [box for box in of_class if box is not None and box.visible_get(view_layer=layer)]
     deselect_all(layer)
-    for box in chosen:
-        box.select_set(True, view_layer=layer)
+    chosen = [box for box in of_class if box is not None and _select(root, box, layer)]
     if chosen:
         layer.objects.active = chosen[0]
+    hide_unselected(root, layer)
     return len(chosen)
 
 
@@ -216,46 +212,81 @@ def select_row(root: bpy.types.Collection, layer: bpy.types.ViewLayer) -> None:
         _select_box(root, number, layer)
 
 
-def follow_active(scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> None:
-    """Make the row of the active object active in its lift's list, where that is the box or mesh of an instance."""
-    active = layer.objects.active
-    if not instance_of(active):
-        return
+def follow_selected(scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> None:
+    """Make the row of what is selected active in its lift's list. Where nothing of a lift is, no row stays active whose
+    box could be: those of hidden objects stay.
+    """
     for root in lifts_in(scene):
-        number = selected_instance(root, active)
-        for index, row in enumerate(root.plgs.instances if number else ()):
-            if row.instance_id == number and root.plgs.instance_index != index:
-                root.plgs.instance_index = index
+        lists = root.plgs
+        number = next(iter(selected_instances(root, layer)), 0)
+        rows = {row.instance_id: index for index, row in enumerate(lists.instances)}
+        row = lists.instances[lists.instance_index] if 0 <= lists.instance_index < len(rows) else None
+        box = boxes_of(root).get(row.instance_id) if row is not None and not number else None
+        if number in rows and lists.instance_index != rows[number]:
+            lists.instance_index = rows[number]
+        elif box is not None and not _is_left_out(root, row):
+            lists.instance_index = -1
+        hide_unselected(root, layer)
+
+
+def hide_unselected(root: bpy.types.Collection, layer: bpy.types.ViewLayer) -> None:
+    """Hide the boxes that are not selected, unless the lift shows all boxes."""
+    for box in () if root.plgs.show_boxes else boxes_of(root).values():
+        if layer.objects.get(box.name) == box and not box.select_get(view_layer=layer):
+            if not box.hide_get(view_layer=layer):  # hiding makes Blender look through all objects
+                box.hide_set(True, view_layer=layer)
+
+
+def _is_left_out(root: bpy.types.Collection, row: Any) -> bool:
+    """Whether an instance is hidden in the lift's lists."""
+    lists = root.plgs
+    if lists.isolated:
+        return bool(lists.isolated != row.instance_id)
+    return not row.visible or any(not each.visible and each.class_id == row.class_id for each in lists.classes)
+
+
+def _select(root: bpy.types.Collection, box: bpy.types.Object, layer: bpy.types.ViewLayer) -> bool:
+    """Show and select a box. Returns whether it is selected: that of a hidden object stays as it is."""
+    row = next((row for row in root.plgs.instances if row.instance_id == instance_of(box)), None)
+    if row is None or _is_left_out(root, row) or layer.objects.get(box.name) != box:
+        return False
+    if not root.plgs.show_boxes and box.hide_get(view_layer=layer):
+        box.hide_set(False, view_layer=layer)
+    box.select_set(True, view_layer=layer)
+    return box.select_get(view_layer=layer)
 
 
 def _select_box(root: bpy.types.Collection, number: int, layer: bpy.types.ViewLayer) -> None:
-    box = boxes_of(root).get(number)
-    is_off = not root.plgs.show_boxes
-    if box is None and instance_of(layer.objects.active):  # commands must not act on the object that was active before
-        for ob in objects_by_key(root).values():
+    """Select an instance's box and nothing else. Where that cannot be, no other object of the lift stays selected:
+    commands must not act on it.
+    """
+    box, selected = boxes_of(root).get(number), [ob for ob in layer.objects if ob is not None and ob.select_get()]
+    if box is not None and _select(root, box, layer):
+        deselect_all(layer, but=box)
+        layer.objects.active = box
+    elif instance_of(layer.objects.active):
+        for ob in selected:
             if instance_of(ob):
                 ob.select_set(False, view_layer=layer)
         layer.objects.active = None
-    if box is None or layer.objects.get(box.name) != box or not (is_off or box.visible_get(view_layer=layer)):
-        return
-    deselect_all(layer)
-    if not is_off:
-        box.select_set(True, view_layer=layer)
-    layer.objects.active = box
+    hide_unselected(root, layer)
 
 
-def deselect_all(layer: bpy.types.ViewLayer) -> None:
+def deselect_all(layer: bpy.types.ViewLayer, *, but: bpy.types.Object | None = None) -> None:
     """Deselect all objects; the active one stays active, as Blender has it."""
     for ob in layer.objects:
-        if ob is not None and ob.select_get(view_layer=layer):  # removed objects leave holes until the next update
+        if ob not in (None, but) and ob.select_get(view_layer=layer):  # removed ones leave holes until the next update
             ob.select_set(False, view_layer=layer)
 
 
+_followed: list[Any] = []
+"""The scene, the active object and what was selected when the lists followed last."""
+
+
 def follow() -> None:
-    """Move the lists of the current scene to its active object. Blender calls this; it is safe at any time."""
-    context = bpy.context
-    if context.scene is not None and context.view_layer is not None:
-        follow_active(context.scene, context.view_layer)
+    """Move the lists of the windows' scenes to what is selected there. It is safe at any time."""
+    for window in bpy.context.window_manager.windows:
+        follow_selected(window.scene, window.view_layer)
 
 
 def follow_name() -> None:
@@ -283,16 +314,31 @@ def _after_undo(*_arguments: object) -> None:
 
 
 @bpy.app.handlers.persistent
+def _after_update(scene: bpy.types.Scene, *_arguments: object) -> None:
+    """Follow soon, where it is safe to change what is selected: Blender calls this in the midst of its own work."""
+    layer = bpy.context.view_layer
+    if layer is None or layer.id_data != scene or bpy.app.background:
+        return
+    now = [scene.session_uid, layer.objects.active, *layer.objects.selected]
+    now[1:] = [ob and ob.session_uid for ob in now[1:]]
+    if now != _followed:
+        _followed[:] = now
+        if not bpy.app.timers.is_registered(follow):
+            bpy.app.timers.register(follow, first_interval=0.0)
+
+
+@bpy.app.handlers.persistent
 def _subscribe(*_arguments: object) -> None:
-    """Subscribe to changes of the active object, also after a file was loaded: loading ends all subscriptions."""
+    """Subscribe to changes of names, also after a file was loaded: loading ends all subscriptions."""
     bpy.msgbus.clear_by_owner(_MSGBUS_OWNER)
-    for kind, name, notify in ((bpy.types.LayerObjects, "active", follow), (bpy.types.Object, "name", follow_name)):
-        bpy.msgbus.subscribe_rna(key=(kind, name), owner=_MSGBUS_OWNER, args=(), notify=notify, options={"PERSISTENT"})
+    key = bpy.types.Object, "name"
+    bpy.msgbus.subscribe_rna(key=key, owner=_MSGBUS_OWNER, args=(), notify=follow_name, options={"PERSISTENT"})
 
 
 def _handlers() -> list[tuple[list, object]]:
     at = bpy.app.handlers
-    return [(at.undo_post, _after_undo), (at.redo_post, _after_undo), (at.load_post, _subscribe)]
+    after = [(at.undo_post, _after_undo), (at.redo_post, _after_undo), (at.depsgraph_update_post, _after_update)]
+    return [*after, (at.load_post, _subscribe)]
 
 
 def register() -> None:

@@ -12,6 +12,7 @@ from mathutils import Vector
 from numpy.typing import NDArray
 
 from ...engine.errors import PlgsError
+from ..boxes import INSTANCE
 from ..owned import overview_of
 from ..timeline import follow_camera, is_of_lift, places_of
 from ..viewport import areas_of, look_through, show_room
@@ -41,6 +42,25 @@ def frame_instance(root: bpy.types.Collection, instance: int, view: bpy.types.Sp
     # The longer side of the view has the lens's angle.
     half_angle = math.atan(_VIEW_SENSOR / 2.0 / view.lens * min(aspect, 1.0 / aspect))
     region.view_distance = _ROOM_AROUND * radius / math.sin(half_angle)
+
+
+_before_alone: dict[int, tuple[Any, ...]] = {}
+"""How 3D views stood before an instance was isolated, by their address."""
+
+
+def show_alone(root: bpy.types.Collection, view: bpy.types.SpaceView3D, aspect: float) -> None:
+    """Frame the isolated instance in a 3D view; where none is isolated any more, let it stand as it did before."""
+    region, key = view.region_3d, view.as_pointer()
+    if not root.plgs.isolated:
+        if key in _before_alone:
+            region.view_perspective, region.view_rotation, region.view_location, region.view_distance = (
+                _before_alone.pop(key)
+            )
+        return
+    now = region.view_perspective, region.view_rotation.copy(), region.view_location.copy(), region.view_distance
+    _before_alone.setdefault(key, now)
+    if f"{INSTANCE}{root.plgs.isolated}" in objects_by_key(root):
+        frame_instance(root, root.plgs.isolated, view, aspect)
 
 
 def best_frame(root: bpy.types.Collection, instance: int = 0) -> str:

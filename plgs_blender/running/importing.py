@@ -192,7 +192,7 @@ def show_picture(scene: bpy.types.Scene, shown_kind: str, *, asked: bool = True)
     made = made_before(chosen.resolved)
     picture = _picture_file(root, ob["frame"], chosen, made) if shown_kind == PHOTO else None
     if picture is not None:
-        show_photo(ob, OwnedDataBlocks(root[LIFT], scene), picture)
+        show_photo(ob, OwnedDataBlocks(root[LIFT], scene), picture, asked=True)
         return None
     drawn = None if made is None else made.frames.get(ob["frame"])
     if made is not None and drawn is not None and has_picture(drawn, shown_kind):

@@ -256,6 +256,11 @@ def running() -> list[Lift]:
     return registry.running(Lift)
 
 
+def stops_with_blender(scene: Any) -> bool:
+    """Whether a lift is running that would stop when Blender is quit."""
+    return not scene.plgs.keep_running and any(each.follower.is_own for each in running())
+
+
 def refresh_recent() -> None:
     """Read the user's list of lifts, which takes some milliseconds."""
     global _recent
@@ -318,7 +323,8 @@ def attach(folder: Path) -> Lift:
         if state is LiftState.NOT_STARTED:
             task.follower.state = TaskState.CANCELLED
         else:
-            task.follower.poll()
+            while task.follower.poll() and task.is_running:
+                pass  # to its last event: it must not look as if it ran
     return _follow(task)
 
 

@@ -74,6 +74,7 @@ def test_a_class_moves_points_to_its_cloud(root: bpy.types.Collection, mine: Pat
 
 def test_selected_boxes_become_the_active_one(root: bpy.types.Collection) -> None:
     total = points_of(root, CHAIR) + points_of(root, CABINET)
+    root.plgs.show_boxes = True
     for box in boxes_of(root).values():
         box.select_set(True)
     bpy.context.view_layer.objects.active = boxes_of(root)[CABINET]

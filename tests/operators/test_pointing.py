@@ -32,6 +32,8 @@ def root(mine: Path, monkeypatch: pytest.MonkeyPatch) -> bpy.types.Collection:
 
 def choose(active: bpy.types.Object, *selected: bpy.types.Object) -> None:
     for ob in bpy.context.view_layer.objects:
+        if ob in selected:
+            ob.hide_set(False)
         ob.select_set(ob in selected)
     bpy.context.view_layer.objects.active = active
 
@@ -48,11 +50,21 @@ def test_all_that_is_selected_is_deleted_less_what_only_a_lift_has(root: bpy.typ
     choose(boxes_of(root)[CHAIR], *bpy.context.view_layer.objects)
     cameras = sum(ob.type == "CAMERA" for ob in root.all_objects)
     assert any(cloud.get("class") == "chair" for cloud in clouds_of(root)), "deleting the chair removes its cloud"
-    assert bpy.ops.plgs.delete_selected() == {"FINISHED"}
+    assert bpy.ops.plgs.delete_selected(way="DISSOLVE") == {"FINISHED"}
     assert not boxes_of(root) and "chair 1 of mine" not in bpy.data.objects
     assert [edit.kind for edit in read_edits(mine)] == ["delete", "delete"]
     assert sum(ob.type == "CAMERA" for ob in root.all_objects) == cameras
     assert not any(cloud.get("class") == "chair" for cloud in clouds_of(root)) and clouds_of(root)
+
+
+def test_x_hides_what_is_selected_and_all_can_be_shown_again(root: bpy.types.Collection, mine: Path) -> None:
+    cube, boxes = own("Cube"), boxes_of(root)
+    choose(boxes[CHAIR], boxes[CHAIR], cube)
+    assert bpy.ops.plgs.delete_selected() == {"FINISHED"}
+    assert cube.hide_get() and boxes[CHAIR].hide_get() and not read_edits(mine)
+    assert [row.visible for row in root.plgs.instances] == [False, True]
+    bpy.ops.plgs.show_all()
+    assert all(row.visible for row in root.plgs.instances)
 
 
 @pytest.mark.parametrize("shows_boxes", [True, False])
@@ -66,7 +78,7 @@ def test_the_keys_are_blenders_where_the_chosen_object_is_not_selected(
         assert not key.poll()
     choose(box, box)
     assert bpy.ops.plgs.delete_selected.poll() and bpy.ops.plgs.rename_selected.poll()
-    assert bpy.ops.plgs.delete_selected() == {"FINISHED"} and "Cube" in bpy.data.objects
+    assert bpy.ops.plgs.delete_selected(way="DISSOLVE") == {"FINISHED"} and "Cube" in bpy.data.objects
     assert [*boxes_of(root)] == [CABINET]
 
 
@@ -77,7 +89,7 @@ def test_a_copy_of_a_box_is_blenders(root: bpy.types.Collection) -> None:
     assert not bpy.ops.plgs.delete_selected.poll() and not bpy.ops.plgs.rename_selected.poll()
     choose(boxes_of(root)[CABINET], copy, boxes_of(root)[CABINET])
     name = copy.name
-    assert bpy.ops.plgs.delete_selected() == {"FINISHED"}
+    assert bpy.ops.plgs.delete_selected(way="DISSOLVE") == {"FINISHED"}
     assert [*boxes_of(root)] == [CHAIR] and name not in bpy.data.objects
 
 
@@ -104,7 +116,7 @@ def test_undo_takes_back_what_was_deleted_before_an_error_and_nothing_else(
     boxes = boxes_of(root)
     choose(boxes[chosen[0]], *(boxes[number] for number in chosen))
     with pytest.raises(RuntimeError, match="[Tt]he disk is full"):
-        bpy.ops.plgs.delete_selected("EXEC_DEFAULT", True)  # with its undo step, as a key's
+        bpy.ops.plgs.delete_selected("EXEC_DEFAULT", True, way="DISSOLVE")  # with its undo step, as a key's
     bpy.ops.ed.undo()
     assert sorted(boxes_of(bpy.data.collections[name])) == [CHAIR, CABINET]
     assert all(edit.undone for edit in read_edits(mine)) and len(read_edits(mine)) == len(chosen) - 1

@@ -84,9 +84,11 @@ def _context(width: int) -> Any:
     )
 
 
-def drawn(*, opened: bool = True, width: int = 10_000) -> str:
-    """What all panels and the preferences show now, in a sidebar so many pixels wide. ``opened`` as in `Layout`."""
+def drawn(*, opened: bool = True, width: int = 10_000, steps: bool = True) -> str:
+    """What all panels and the preferences show now, in a sidebar so many pixels wide. ``opened`` as in `Layout`;
+    ``steps``: whether those before the result are open."""
     context = _context(width)
+    bpy.context.scene.plgs.show_steps = steps
     seen: list[str] = []
     for module in PANELS:
         for panel in module.CLASSES:

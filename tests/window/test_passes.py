@@ -20,6 +20,10 @@ answer = [bpy.context.window.scene.name, bpy.context.window.workspace.name, spac
 STATUS_BAR = 20
 """Its height in pixels."""
 READING = "'PLGS_OT_bake_camera' in [each.bl_idname for each in bpy.context.window_manager.windows[0].modal_operators]"
+EYE = """
+space = next(a for a in bpy.data.workspaces['Layout'].screens[0].areas if a.type == 'VIEW_3D').spaces.active
+answer = space.region_3d.view_perspective, bpy.context.window.scene.camera.name
+"""
 PRESS = """
 with bpy.context.temp_override(window=bpy.context.window_manager.windows[0]):
     bpy.ops.plgs.bake_camera('INVOKE_DEFAULT', lift_folder={lift!r})
@@ -31,6 +35,7 @@ def test_the_compositor_opens_in_one_press(window: Window, work_folder: Path) ->
     window.place(lift.path)
     window.run(f"bpy.context.scene.plgs.lift_folder = {str(lift.path)!r}")
     window.open_sidebar()
+    window.run("bpy.ops.plgs.go_to_frame(frame='0001')")
     window.settle()
     window.screenshot("panel-of-passes")
     window.run("bpy.ops.plgs.show_passes()")
@@ -42,10 +47,11 @@ def test_the_compositor_opens_in_one_press(window: Window, work_folder: Path) ->
         window.run(f"bpy.context.window.workspace = bpy.data.workspaces[{workspace!r}]")  # as its tab does
         window.settle()
         assert window.ask(place) == [scene, workspace]
+        assert workspace != "Layout" or window.run(EYE) == ["CAMERA", "0001"]
     window.run("bpy.ops.plgs.show_room()")
     window.settle()
     window.screenshot("back-in-the-room")
-    assert window.ask(place) == ["Scene", "Layout"]
+    assert window.ask(place) == ["Scene", "Layout"] and window.run(EYE) == ["CAMERA", "0001"]
     window.run("bpy.context.window.workspace = bpy.data.workspaces['Compositing']")
     window.settle()
     assert window.ask(place) == ["Scene", "Compositing"], "the user's own nodes, until the passes are asked for again"

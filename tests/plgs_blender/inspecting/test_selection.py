@@ -23,6 +23,7 @@ from tests.raises_key import raises_key
 
 def pick(ob: bpy.types.Object) -> None:
     """What a click in the view does: this object alone is selected and active."""
+    ob.hide_set(False)
     for other in bpy.context.view_layer.objects:
         other.select_set(other == ob)
     bpy.context.view_layer.objects.active = ob
@@ -32,16 +33,24 @@ def selected() -> list[str]:
     return [ob.name for ob in bpy.context.view_layer.objects if ob.select_get()]
 
 
+def follow() -> None:
+    selection.follow_selected(bpy.context.scene, bpy.context.view_layer)
+
+
 def test_a_box_that_is_clicked_is_selected_in_the_list(root: bpy.types.Collection) -> None:
     boxes = boxes_of(root)
     for number in (2, 1):
         pick(boxes[number])
-        selection.follow()
+        follow()
         assert root.plgs.instances[root.plgs.instance_index].instance_id == number
         assert selected() == [boxes[number].name], "following changes no selection"
+        assert [key for key, box in boxes.items() if not box.hide_get()] == [number], "only its box is seen"
     pick(bpy.data.objects["Overview"])
-    selection.follow()
-    assert root.plgs.instances[root.plgs.instance_index].instance_id == 1, "other objects leave the list as it is"
+    follow()
+    assert root.plgs.instance_index == -1 and all(box.hide_get() for box in boxes.values())
+    assert selected() == ["Overview"]
+    root.plgs.show_boxes = True
+    assert not any(box.hide_get() for box in boxes.values())
 
 
 def test_a_row_selects_its_box_and_nothing_else(root: bpy.types.Collection) -> None:
@@ -56,12 +65,16 @@ def test_a_row_selects_its_box_and_nothing_else(root: bpy.types.Collection) -> N
 def test_what_is_hidden_or_gone_is_only_a_row(root: bpy.types.Collection) -> None:
     boxes = boxes_of(root)
     pick(bpy.data.objects["Overview"])
-    boxes[1].hide_set(True)
+    root.plgs.instances[0].visible = False
     root.plgs.instance_index = 0
     bpy.data.objects.remove(boxes[2])
+    assert selected() == ["Overview"]
+    follow()
+    assert root.plgs.instance_index == 0, "what cannot be selected in the view stays the list's"
     root.plgs.instance_index = 1
     assert selected() == ["Overview"]
-    selection.follow()
+    follow()
+    assert root.plgs.instance_index == 1
     with raises_key("no-object"):
         selection.select_instance(root, 7, bpy.context.view_layer)
 
@@ -74,7 +87,7 @@ def test_it_is_found_whatever_it_is_called_and_after_undo(root: bpy.types.Collec
     bpy.ops.ed.undo_push(message="renamed")
     bpy.ops.ed.undo()
     (again,) = lifts_in(bpy.context.scene)
-    selection.follow()
+    follow()
     assert again.plgs.instances[again.plgs.instance_index].instance_id == 2
     assert selection.selected_instance(again, bpy.context.view_layer.objects.active) == 2
 
@@ -83,7 +96,7 @@ def test_two_lifts_stay_separate(root: bpy.types.Collection, tmp_path: Path) -> 
     other = lift_scene.place_lift(write_tiny_lift(tmp_path / "lift", frames=4, bake=False).path, bpy.context.scene)
     scene = bpy.context.scene
     pick(boxes_of(other)[2])
-    selection.follow()
+    follow()
     assert (root.plgs.instance_index, other.plgs.instance_index) == (-1, 1)
     assert find_lift(scene, active=boxes_of(other)[1]) == other and find_lift(scene) == root
     assert find_lift(scene, other.name) == other and find_lift(scene, str(tmp_path / "lift")) == other

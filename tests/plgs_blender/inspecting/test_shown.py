@@ -167,6 +167,7 @@ def stored(lift: Path) -> np.ndarray:
 
 
 def test_an_instance_takes_its_box_points_and_anchors_with_it(root: bpy.types.Collection, lift: Path) -> None:
+    root.plgs.show_boxes = True
     before, row = seen(root), row_of(root, 1)
     row.visible = False
     after = seen(root)
@@ -185,6 +186,7 @@ def test_an_instance_takes_its_box_points_and_anchors_with_it(root: bpy.types.Co
 
 
 def test_a_class_takes_its_instances_with_it(root: bpy.types.Collection) -> None:
+    root.plgs.show_boxes = True
     before = seen(root)
     class_row_of(root, CHAIR_ID).visible = False
     assert set(before) - set(seen(root)) == {"chair", "chair 1"}
@@ -193,7 +195,7 @@ def test_a_class_takes_its_instances_with_it(root: bpy.types.Collection) -> None
 
 
 def test_isolating_one_and_returning_to_what_was_shown(root: bpy.types.Collection, lift: Path) -> None:
-    row_of(root, 2).visible = False
+    root.plgs.show_boxes, row_of(root, 2).visible = True, False
     before = seen(root)
     looks.isolate(root, 1)
     alone = seen(root)

@@ -1,0 +1,272 @@
+"""What a 3D view draws of a lift at a pixel: the first triangle, square, splat or point there, as a ray meets them.
+
+Each object is projected when the mouse comes near it, and kept until the view or the object changes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import bpy
+import numpy as np
+from mathutils import Matrix, Vector
+from numpy.typing import NDArray
+
+from ..materials import DENSER
+from ..meshes import CORRECTIONS
+from ..splat_objects import EXTENT
+from ..splat_objects import NAME as OPEN_ROOM
+from .looks import leaving_out
+from .selection import clouds_of, ids_of, surfaces_of
+
+MISS = 8
+"""Pixels from the mouse within which an instance is taken where nothing is drawn under it."""
+_OFFSETS = np.stack(np.meshgrid(*[np.arange(-MISS, MISS + 1)] * 2), axis=-1).reshape(-1, 2).astype(np.float32)
+_OFFSETS = _OFFSETS[np.hypot(*_OFFSETS.T) <= MISS]
+_OFFSETS = _OFFSETS[np.argsort(np.hypot(*_OFFSETS.T), kind="stable")]
+"""The pixels within MISS, the nearest first."""
+_DRAWN = 0.5
+"""Opacity, summed from the front, from which something is drawn."""
+_COVER = 1.5
+"""Radii that a point covers: the points of a surface leave gaps otherwise, through which nobody means to click."""
+_NATIVE_EXTENT = 3.0
+"""Standard deviations to which Blender draws its own splats."""
+TRIANGLE, SQUARE, SPLAT, POINT = "TRIANGLE", "SQUARE", "SPLAT", "POINT"
+
+
+Rows = tuple[tuple[float, ...], ...]
+"""A matrix that can be compared and kept."""
+
+
+def rows_of(matrix: Matrix) -> Rows:
+    return tuple(map(tuple, matrix))
+
+
+@dataclass(frozen=True)
+class View:
+    """How a view of `width` by `height` pixels draws: its matrices, as a RegionView3D has them; the place of the
+    scene's camera in the world, which decides what walls are left out of points; whether backs are left out, and
+    whether squares fade, which in Solid shading they do not."""
+
+    looks: Rows
+    lens: Rows
+    width: int
+    height: int
+    eye: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    are_backs_open: bool = True
+    is_fading: bool = True
+
+    @classmethod
+    def of(cls, region_data: Any, size: tuple[int, int], scene: bpy.types.Scene, space: Any = None) -> View:
+        shading = space.shading if space is not None else None
+        is_solid = shading is not None and shading.type in ("SOLID", "WIREFRAME")
+        eye = scene.camera.matrix_world.translation if scene.camera is not None else Vector()
+        looks, lens = rows_of(region_data.view_matrix), rows_of(region_data.window_matrix)
+        are_backs_open = not is_solid or shading.show_backface_culling
+        return cls(looks, lens, *size, tuple(eye), are_backs_open, not is_solid)
+
+    @property
+    def is_perspective(self) -> bool:
+        return self.lens[3][3] == 0.0
+
+    def projected(self, xyz: NDArray[np.float32], world: Matrix) -> NDArray[np.float32]:
+        """Pixels x and y of places [N, 3], and how near they are: 1 / depth, and -depth in a view without perspective.
+        Both grow evenly across a flat thing. NaN behind the eye. float32 [N, 3].
+        """
+        to_eye = Matrix(self.looks) @ world
+        whole = np.array(Matrix(self.lens) @ to_eye, np.float32)
+        x, y, _, w = whole[:, :3] @ xyz.T + whole[:, 3:]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            inverse = np.where(w > 1e-6, 1.0 / w, np.nan).astype(np.float32)
+        along = np.array(to_eye[2], np.float32)
+        near = inverse if self.is_perspective else along[:3] @ xyz.T + along[3]
+        half = np.float32(self.width / 2.0), np.float32(self.height / 2.0)
+        return np.stack([half[0] * (1.0 + x * inverse), half[1] * (1.0 + y * inverse), near], axis=1)
+
+
+@dataclass(frozen=True, eq=False)
+class Projected:
+    """N flat things of one `form` in a view: `corners` int32 [N, 3], rows of `vertices` [M, 3], which `View.projected`
+    gave: the beginning of a thing and the ends of its two axes. `bounds` float32 [4, N] in pixels: left, low, right,
+    high. `ids` int32 [N, 2], instances and classes. `opacity` float32 [N], in its middle.
+    """
+
+    form: str
+    vertices: NDArray[np.float32]
+    corners: NDArray[np.int32]
+    bounds: NDArray[np.float32]
+    ids: NDArray[np.int32]
+    opacity: NDArray[np.float32] | None = None
+
+    def at(self, pixels: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.int32]]:
+        """The opacities and nearness float32 [P, n] at pixels [P, 2] of the things that may cover one of them, and the
+        ids [n, 2] of these."""
+        (left, low), (right, high) = pixels.min(axis=0), pixels.max(axis=0)
+        bounds = self.bounds
+        rows = np.flatnonzero((bounds[0] <= right) & (bounds[2] >= left) & (bounds[1] <= high) & (bounds[3] >= low))
+        places = self.vertices[self.corners[rows]]
+        begin, axes = places[:, 0], places[:, 1:] - places[:, :1]
+        x, y = (pixels[:, None, axis] - begin[:, axis] for axis in (0, 1))
+        (a, b), (c, d) = (axes[:, axis, :2].T for axis in (0, 1))
+        with np.errstate(divide="ignore", invalid="ignore"):
+            first, second = (x * d - y * c) / (a * d - b * c), (y * a - x * b) / (a * d - b * c)
+        if self.form == POINT:  # its four sides rise towards the eye
+            first, second = np.abs(first), np.abs(second)
+        near = begin[:, 2] + first * axes[:, 0, 2] + second * axes[:, 1, 2]
+        return self._opacities(first, second, rows), near, self.ids[rows]
+
+    def _opacities(self, first: Any, second: Any, rows: NDArray[np.int64]) -> NDArray[np.float32]:
+        """At places in a thing's own axes."""
+        if self.form == TRIANGLE:
+            return np.float32((first >= 0.0) & (second >= 0.0) & (first + second <= 1.0))
+        if self.form == POINT:
+            return np.float32(first**2 + second**2 <= _COVER**2)
+        extent, deviations, denser = (1.0, EXTENT, DENSER) if self.form == SQUARE else (_NATIVE_EXTENT, 1.0, 1.0)
+        is_within = (np.abs(first) <= extent) & (np.abs(second) <= extent)
+        if self.opacity is None:
+            return np.float32(is_within)
+        alpha = denser * self.opacity[rows] * np.exp(-0.5 * deviations**2 * (first**2 + second**2))
+        return np.where(is_within, np.minimum(alpha, 1.0), 0.0).astype(np.float32)
+
+
+def first_drawn(parts: Sequence[Projected], mouse: tuple[float, float]) -> tuple[int, int, int] | None:
+    """The part, its index, that draws a pixel, and the instance and class there. Where nothing is drawn, those of the
+    nearest instance within MISS pixels, else None.
+    """
+    if not parts:
+        return None
+    pixels = np.array(mouse, np.float32) + _OFFSETS
+    found = [part.at(pixels) for part in parts]
+    opacities, near = (np.concatenate([each[column] for each in found], axis=1) for column in (0, 1))
+    ids = np.concatenate([each[2] for each in found])
+    part_of = np.repeat(np.arange(len(parts)), [len(each[2]) for each in found])
+    for pixel, opacity in enumerate(opacities):
+        covering = np.flatnonzero(opacity > 0.0)
+        covering = covering[np.argsort(-near[pixel, covering], kind="stable")]
+        at = int(np.searchsorted(1.0 - np.cumprod(1.0 - opacity[covering]), _DRAWN))
+        if at < len(covering) and (pixel == 0 or ids[covering[at], 0] > 0):
+            return int(part_of[covering[at]]), *ids[covering[at]].tolist()
+    return None
+
+
+_kept: dict[int, tuple[tuple[Any, ...], Projected]] = {}
+"""By the session uid of the object, after the state of its lift, of itself and of the view."""
+_MOST_KEPT = 64
+
+
+def forget() -> None:
+    """Free what is kept."""
+    _kept.clear()
+
+
+def parts_near(
+    root: bpy.types.Collection, view: View, mouse: tuple[float, float], space: Any = None
+) -> list[Projected]:
+    """The parts of a lift that a view draws near a pixel."""
+    lists = root.plgs
+    hidden = tuple(row.visible for row in (*lists.instances, *lists.classes))
+    state = view, lists.isolated, hidden, root.get(CORRECTIONS)
+    found = []
+    for ob in dict.fromkeys((*clouds_of(root), *surfaces_of(root))):
+        is_shown = ob.visible_get() if space is None else ob.visible_in_viewport_get(space)
+        if not is_shown or "class_id" not in ob.data.attributes or not _is_near(ob, view, mouse):
+            continue
+        key = *state, ob.data.session_uid, len(ob.data.attributes["position"].data), rows_of(ob.matrix_world)
+        known = _kept.get(ob.session_uid)
+        if known is None or known[0] != key:
+            known = _kept[ob.session_uid] = key, _projected(root, ob, view)
+            while len(_kept) > _MOST_KEPT:
+                del _kept[next(iter(_kept))]
+        found.append(known[1])
+    return found
+
+
+def _is_near(ob: bpy.types.Object, view: View, mouse: tuple[float, float]) -> bool:
+    """Whether the object's bounding box covers a pixel or one beside it."""
+    box = view.projected(np.array(ob.bound_box, np.float32), ob.matrix_world)[:, :2]
+    return bool(np.isnan(box).any() or ((box.min(axis=0) - MISS <= mouse) & (box.max(axis=0) + MISS >= mouse)).all())
+
+
+def _projected(root: bpy.types.Collection, ob: bpy.types.Object, view: View) -> Projected:
+    """An object of a lift in a view, without what is hidden in it."""
+    data, world = ob.data, ob.matrix_world
+    xyz, opacity, form = _column(data, "position"), None, _form_of(ob)
+    ids = np.stack([ids_of(data, "instance_id"), ids_of(data, "class_id")], axis=1)
+    shown = ~leaving_out(root.plgs)(*ids.T)
+    if ob.type == "POINTCLOUD" and ob.modifiers.get(OPEN_ROOM) is not None:
+        to_eye = np.array(world.inverted() @ Vector(view.eye), np.float32)
+        shown &= np.einsum("ij,ij->i", _column(data, "normal"), xyz - to_eye) <= 0.0
+    if form == TRIANGLE:
+        corners = np.empty(len(data.loops), np.int32)
+        data.attributes[".corner_vert"].data.foreach_get("value", corners)
+        corners = corners.reshape(-1, 3)[shown[corners[::3]]]
+        vertices, ids = view.projected(xyz, world), ids[corners[:, 0]]
+    else:
+        xyz, ids = xyz[shown], ids[shown]
+        if form == POINT:
+            middle = view.projected(xyz, world)
+            radius = world.median_scale * _column(data, "radius", "value", 1)[shown]
+            shrunk = middle[:, 2:] if view.is_perspective else np.ones_like(radius)
+            reach = radius * shrunk * view.lens[0][0] * view.width / 2.0
+            vertices = _with_axes(middle, reach * (1.0, 0.0), reach * (0.0, 1.0))
+            vertices[: len(xyz), 2:] += radius * shrunk**2
+        elif form == SQUARE:
+            ends = [xyz + _column(data, axis)[shown] for axis in ("right", "up")]
+            vertices = view.projected(np.concatenate([xyz, *ends]), world)
+            opacity = _column(data, "opacity", "value", 1)[shown, 0] if view.is_fading else None
+        else:
+            turns = _column(data, "rotation", "value", 4)[shown]
+            axes = _axes_of_splats(view, world, xyz, _column(data, "scale")[shown], turns)
+            vertices = _with_axes(view.projected(xyz, world), *axes)
+            opacity = _column(data, "radiance:base", "vector", 4)[shown, 3]
+        corners = np.arange(3 * len(xyz), dtype=np.int32).reshape(3, -1).T
+    begin, first, second = vertices[corners, :2].transpose(1, 0, 2)
+    first, second = first - begin, second - begin
+    is_front = first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0] > 0.0
+    kept = np.isfinite(first + second).all(axis=1) & (is_front | (not view.are_backs_open) | (form in (POINT, SPLAT)))
+    corners, ids, begin, first, second = (each[kept] for each in (corners, ids, begin, first, second))
+    if form == TRIANGLE:
+        low = begin + np.minimum(0.0, np.minimum(first, second))
+        high = begin + np.maximum(0.0, np.maximum(first, second))
+    else:
+        reach = {POINT: _COVER, SPLAT: _NATIVE_EXTENT}.get(form, 1.0) * (np.abs(first) + np.abs(second))
+        low, high = begin - reach, begin + reach
+    bounds = np.ascontiguousarray(np.concatenate([low, high], axis=1).T)
+    return Projected(form, vertices, corners, bounds, ids, None if opacity is None else opacity[kept])
+
+
+def _form_of(ob: bpy.types.Object) -> str:
+    if ob.type == "MESH":
+        return SQUARE if "right" in ob.data.attributes else TRIANGLE
+    return SPLAT if "radiance:base" in ob.data.attributes else POINT
+
+
+def _with_axes(middle: NDArray[np.float32], first: NDArray[Any], second: NDArray[Any]) -> NDArray[np.float32]:
+    """Vertices [3 N, 3] of things that face the view, from their middles [N, 3] and axes [N, 2] in pixels."""
+    ends = [np.concatenate([middle[:, :2] + axis, middle[:, 2:]], axis=1) for axis in (first, second)]
+    return np.concatenate([middle, *ends]).astype(np.float32)
+
+
+def _axes_of_splats(
+    view: View, world: Matrix, xyz: NDArray[np.float32], deviations: NDArray[np.float32], turns: NDArray[np.float32]
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """The axes in pixels [N, 2] whose squares sum up to the covariance of Gaussians in the view."""
+    w, x, y, z = turns.T
+    axes = np.array([
+        [1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)],
+        [2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x)],
+        [2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)],
+    ]).transpose(2, 0, 1) * deviations[:, :, None]  # fmt: skip
+    middle = view.projected(xyz, world)[:, :2]
+    aside = np.stack([view.projected(xyz + axes[:, at], world)[:, :2] - middle for at in range(3)], axis=1)
+    a, b, c = (np.einsum("nk,nk->n", aside[:, :, i], aside[:, :, j]) for i, j in ((0, 0), (0, 1), (1, 1)))
+    a = np.sqrt(np.maximum(a, 1e-6))  # Cholesky's factor
+    return np.stack([a, b / a], axis=1), np.stack([0.0 * a, np.sqrt(np.maximum(c - (b / a) ** 2, 1e-6))], axis=1)
+
+
+def _column(data: Any, name: str, field: str = "vector", width: int = 3) -> NDArray[np.float32]:
+    values = np.empty(width * len(data.attributes[name].data), np.float32)
+    data.attributes[name].data.foreach_get(field, values)
+    return values.reshape(-1, width)
