@@ -104,7 +104,7 @@ def _shown_boxes(context: bpy.types.Context, root: bpy.types.Collection) -> dict
     """The boxes, by instance, that are in the view, or would be if boxes were on."""
     boxes = boxes_of(root)
     if root.plgs.show_boxes:
-        return {number: box for number, box in boxes.items() if box.visible_in_viewport_get(context.space_data)}
+        return {number: box for number, box in boxes.items() if box.visible_get(viewport=context.space_data)}
     hidden = dict(zip(boxes, instances_left_out(root.plgs, boxes), strict=True))
     return {number: box for number, box in boxes.items() if not hidden[number]}
 

@@ -170,8 +170,7 @@ def parts_near(
     state = view, lists.isolated, hidden, root.get(CORRECTIONS)
     found = []
     for ob in dict.fromkeys((*clouds_of(root), *surfaces_of(root))):
-        is_shown = ob.visible_get() if space is None else ob.visible_in_viewport_get(space)
-        if not is_shown or "class_id" not in ob.data.attributes or not _is_near(ob, view, mouse):
+        if not ob.visible_get(viewport=space) or "class_id" not in ob.data.attributes or not _is_near(ob, view, mouse):
             continue
         key = *state, ob.data.session_uid, len(ob.data.attributes["position"].data), rows_of(ob.matrix_world)
         known = _kept.get(ob.session_uid)
