@@ -229,7 +229,7 @@ class PLGS_OT_open_log(OnLiftFolder, bpy.types.Operator):
 _FORMS = [(form, label, about) for form, (label, about) in exports.FORMS.items()]
 _FRAMES = [
     ("all", "All Frames", "Every frame; those that are not baked are rendered"),
-    ("test", "Held-Out Frames", "The frames that were held out of training"),
+    ("test", "Test Frames", "The frames that were kept out of training, to check it"),
 ]
 
 

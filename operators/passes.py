@@ -32,7 +32,7 @@ from .inspect import OnClass, OnInstance
 
 _FRAMES = [
     ("all", "All Frames", "Bake every frame that has no passes yet"),
-    ("test", "Held-Out Frames", "Bake the frames that were held out of training"),
+    ("test", "Test Frames", "Bake the frames that were kept out of training, to check it"),
     ("active", "Active Camera", "Bake the frame whose camera is the scene's active one"),
 ]
 _READ_S, _READ_EVERY_S = 0.04, 0.06

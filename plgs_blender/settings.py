@@ -27,7 +27,7 @@ from .errors import with_field_names
 _PRESETS = [
     ("preview", "Preview", "Takes minutes: to see whether frames, poses and masks fit together"),
     ("standard", "Standard", "The best result, in a few times as many minutes"),
-    ("paper", "Paper", "The paper's own method and number of steps: takes hours"),
+    ("paper", "Thorough", "Takes hours: the method and the number of steps of the paper"),
 ]
 UPS = [
     ("z", "Automatic", "The axis that the capture's format says, else the poses' z axis"),
@@ -40,7 +40,7 @@ _LAYERS = [
     ("position", "Position", "The surface's position in the world; more than doubles the disk space"),
 ]
 _BAKES = [
-    ("test", "Held-Out Frames", "Bake the passes of the frames that are held out of training"),
+    ("test", "Test Frames", "Bake the passes of the frames that are kept out of training, to check it"),
     ("all", "All Frames", "Bake the passes of every frame"),
     ("none", "None", "Bake no passes; they can be baked later"),
 ]

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import bpy
+import gpu
 import numpy as np
 from mathutils import Quaternion, Vector
 from numpy.typing import NDArray
@@ -80,15 +81,26 @@ def show_lift_colours(view: bpy.types.SpaceView3D) -> None:
     view.shading.wireframe_color_type = "OBJECT"
 
 
+def draws_in_software() -> bool:
+    """Whether the processor stands in for a graphics card: Material Preview then takes a minute to begin with."""
+    try:
+        return str(gpu.platform.device_type_get()) == "SOFTWARE"
+    except SystemError:  # a Blender without a window has none
+        return False
+
+
 def show_materials(view: bpy.types.SpaceView3D, *, always: bool = False) -> None:
     """Let a 3D view that is as Blender starts it, or ``always``, show materials: our unlit ones have the photos'
-    colours, and other objects look as they always do there; and boxes in coloured lines. Views that somebody has set
-    keep their look, also those that were once here.
+    colours, and other objects look as they always do there; and boxes in coloured lines. Without a graphics card it
+    shows the colours in Solid shading. Views that somebody has set keep their look, also those that were once here.
     """
     shading = view.shading
     is_as_started = shading.type == "SOLID" and shading.color_type == "MATERIAL" and shading.light == "STUDIO"
     if always or (is_as_started and shading.wireframe_color_type == "THEME"):
-        shading.type, shading.show_backface_culling, shading.wireframe_color_type = "MATERIAL", True, "OBJECT"
+        if draws_in_software() and not always:
+            show_lift_colours(view)
+        else:
+            shading.type, shading.show_backface_culling, shading.wireframe_color_type = "MATERIAL", True, "OBJECT"
         view.clip_start = 0.01
         view.overlay.show_relationship_lines = view.overlay.show_floor = False
 

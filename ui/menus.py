@@ -61,7 +61,7 @@ _WORK: Entries = (
     ("plgs.find_scene", {}, "Find the Lift's Scene…"),
     ("plgs.place_lift", {}, ""),
     *((("plgs.bake_passes", {"frames": frames}, f"Bake Passes: {text}")
-       for frames, text in (("all", "All Frames"), ("test", "Held-Out Frames"), ("active", "Active Camera's Frame")))),
+       for frames, text in (("all", "All Frames"), ("test", "Test Frames"), ("active", "Active Camera's Frame")))),
     ("plgs.bake_camera", {}, ""),
     ("plgs.bake_on_farm", {}, ""),
     ("plgs.show_passes", {}, ""),

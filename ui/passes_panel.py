@@ -14,7 +14,19 @@ from ..plgs_blender.pass_nodes import COLOURS, CONTROLS
 from ..plgs_blender.running.estimate import bake_estimate
 from ..plgs_blender.running.exports import FORMS, Export
 from ..plgs_blender.running.lifting import followed_lift
-from .sidebar import Sidebar, Step, amount, draw_bar, draw_news, draw_task, duration, from_panel, how_far, tell
+from .sidebar import (
+    Sidebar,
+    Step,
+    amount,
+    draw_bar,
+    draw_news,
+    draw_task,
+    duration,
+    from_panel,
+    has_result,
+    how_far,
+    tell,
+)
 
 
 class PLGS_PT_passes(Step, bpy.types.Panel):
@@ -29,7 +41,7 @@ class PLGS_PT_passes(Step, bpy.types.Panel):
         column = from_panel(self.layout.column(align=True), context)
         for frames, label in (
             ("all", "Bake All Frames"),
-            ("test", "Bake Held-Out Frames"),
+            ("test", "Bake Test Frames"),
             ("active", "Bake the Active Camera's Frame"),
         ):
             column.operator("plgs.bake_passes", text=label, icon="RENDERLAYERS").frames = frames
@@ -39,7 +51,8 @@ class PLGS_PT_passes(Step, bpy.types.Panel):
         bake = column.operator("plgs.bake_camera", icon="CAMERA_DATA")
         bake.shot, bake.replace = context.scene.plgs.shot, context.scene.plgs.replace_shot
         column.operator("plgs.bake_on_farm", icon="NETWORK_DRIVE")
-        _draw_cost(column, context.scene)
+        if has_result(context.scene):
+            _draw_cost(column, context.scene)
         self.layout.operator("plgs.show_passes", icon="NODE_COMPOSITING")
         if baking is not None and (baking.is_running or baking.error is not None):
             draw_task(self.layout, context, baking)  # below the buttons, which are grey until it ends

@@ -88,7 +88,8 @@ def _draw_status(layout: bpy.types.UILayout, context: bpy.types.Context, is_set_
     tell(layout, context, engine.message, _ICONS[engine.state])
     # Say why the button is grey, if the user needs that button.
     obstacle = None if engine.is_usable or is_set_up_running else tasks.why_no_set_up()
-    for text in (engine.fix, engine.note, obstacle):
+    fix = engine.fix.replace("in Preferences > Add-ons > PLGS", "below").replace("Python there", "Python")
+    for text in (fix, engine.note, obstacle):
         if text:
             tell(layout, context, text, "INFO")
     if obstacle is not None and not bpy.app.online_access:

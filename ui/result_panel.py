@@ -7,7 +7,7 @@ from typing import Any
 import bpy
 from bpy.props import EnumProperty
 
-from ..plgs_blender import registry
+from ..plgs_blender import registry, viewport
 from ..plgs_blender.compat import STORED_COLOURS
 from ..plgs_blender.errors import one_line, plural
 from ..plgs_blender.inspecting.drawing import is_rest
@@ -15,12 +15,12 @@ from ..plgs_blender.inspecting.looks import BY_CLASS, POINTS, SPLATS, SURFACE, h
 from ..plgs_blender.inspecting.selection import active_lift, chosen_row
 from ..plgs_blender.meshes import are_stale
 from ..plgs_blender.running.exports import Export, making_meshes
-from .sidebar import Sidebar, Step, draw_bar, draw_task, from_panel, tell
+from .sidebar import Sidebar, Step, draw_bar, draw_task, fitted, from_panel, tell
 
 _SORTS = [
     ("NAME", "Name", "In alphabetical order"),
     ("COUNT", "Points", "Those with the most points first"),
-    ("SCORE", "Score", "The highest score first"),
+    ("SCORE", "Sureness", "The surest first: 1 is certain"),
 ]
 
 
@@ -190,9 +190,11 @@ class PLGS_PT_result(Step, bpy.types.Panel):
         title.label(text=one_line(root.name), icon="OUTLINER_COLLECTION")
         if context.space_data is not None:  # all that is drawn over the view; its key is Shift Alt Z
             title.prop(context.space_data.overlay, "show_overlays", text="", icon="OVERLAY")
+            if viewport.draws_in_software():
+                layout.label(text=fitted(context, "No GPU: Solid shading is fastest"), icon="INFO")
         _draw_look(from_panel(layout.column(align=True), context), context, root)
         layout.prop(lists, "instances_search", text="", icon="VIEWZOOM")
-        _draw_heads(layout, "Name", "Points, score")
+        _draw_heads(layout, "Name", "Points, sureness")
         layout.template_list("PLGS_UL_instances", "", lists, "instances", lists, "instance_index", rows=6)
         if not len(lists.instances):
             layout.label(text="No instances were found", icon="INFO")
@@ -279,7 +281,7 @@ class PLGS_PT_masks(OfResult, bpy.types.Panel):
             tell(layout, context, "This lift did not record its masks: lift again to see them", "INFO")
             return
         tell(layout, context, f"{row.name}: {plural(len(row.masks), 'mask')} in {plural(row.views, 'frame')}")
-        _draw_heads(layout, "Frame, class", "Score, match")
+        _draw_heads(layout, "Frame, class", "Sureness, match")
         layout.template_list("PLGS_UL_masks", "", row, "masks", row, "mask_index", rows=5, maxrows=12)
         if row.best_mask < 0:
             tell(layout, context, "Lift again to see where they lie and how sure the match was", "INFO")
@@ -298,7 +300,7 @@ class PLGS_PT_classes(OfResult, bpy.types.Panel):
         if root is not None:
             lists = root.plgs
             self.layout.prop(lists, "classes_search", text="", icon="VIEWZOOM")
-            _draw_heads(self.layout, "Name", "Points, score")
+            _draw_heads(self.layout, "Name", "Points, sureness")
             self.layout.template_list("PLGS_UL_classes", "", lists, "classes", lists, "class_index", rows=6)
             if 0 <= lists.class_index < len(lists.classes):
                 matte = self.layout.operator("plgs.matte_class", icon="IMAGE_ALPHA")

@@ -106,12 +106,13 @@ class Window:
     def new_file(self, *, is_solid: bool = True) -> None:
         """File > New, and what was measured is forgotten. Solid shading of a user's own, which the extension keeps:
         Material Preview takes a processor that stands in for a graphics card a minute to begin with, and then long for
-        each frame. Where that is to be seen, ``is_solid`` is False.
+        each frame. Where that is to be seen, ``is_solid`` is False, and the processor is taken for a graphics card.
         """
         if not self.is_running:
             self.start()
         self.space = "VIEW_3D"
         self.run("bpy.ops.wm.read_homefile(use_splash=False)" + (_SOLID if is_solid else ""))
+        self.run(_GRAPHICS_CARD.format(is_solid))
         self.run("watch.begin()")
         self.move(SIZE[0] // 2, SIZE[1] // 2)
 
@@ -369,6 +370,10 @@ for space in [area.spaces.active for screen in bpy.data.screens for area in scre
     space.shading.type, space.shading.color_type, space.shading.wireframe_color_type = 'SOLID', 'OBJECT', 'OBJECT'
     space.shading.show_backface_culling, space.clip_start = True, 0.01
     space.overlay.show_relationship_lines = space.overlay.show_floor = False
+"""
+_GRAPHICS_CARD = """
+import sys
+sys.modules[EXTENSION + '.plgs_blender.viewport'].draws_in_software = lambda: {}
 """
 _HOLD = """
 import sys

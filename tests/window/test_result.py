@@ -57,6 +57,19 @@ def test_the_result_lies_in_the_free_part_of_the_view(window: Window, lift: Path
     assert window.ask(shown) == ["SOLID", "STUDIO", "MATERIAL"], "who turned to Solid shading stays there"
 
 
+def test_without_a_graphics_card_the_first_view_is_solid_with_the_colours(window: Window, lift: Path) -> None:
+    """As this screen is drawn."""
+    viewport = "__import__('sys').modules[EXTENSION + '.plgs_blender.viewport']"
+    window.run(f"__import__('importlib').reload({viewport})")
+    assert window.ask(f"{viewport}.draws_in_software()")
+    window.open_sidebar()
+    window.place(lift)
+    window.settle()
+    window.screenshot("result-in-software")
+    shading = "next(a for a in bpy.context.window.screen.areas if a.type == 'VIEW_3D').spaces.active.shading"
+    assert window.ask(f"({shading}.type, {shading}.color_type)") == ["SOLID", "VERTEX"]
+
+
 def test_a_frame_fills_the_free_part_of_the_view(window: Window, lift: Path) -> None:
     window.open_sidebar()
     window.run(f"bpy.ops.plgs.place_lift(lift_folder={str(lift)!r})")
