@@ -125,7 +125,7 @@ class FinishedLift:
         if self.cameras is None:
             yield from ((frame.name, frame.camera, layers) for frame, layers in self.views())
         for number, view in enumerate(self.shots, start=1):
-            yield view.name, view.camera, self._baker.render(view.camera, view.clip).layers
+            yield view.name, view.camera, self._baker.layers(view.camera, view.clip)
             if self.progress is not None:
                 self.progress(number, len(self.shots))
 
@@ -140,7 +140,7 @@ class FinishedLift:
                 verify_files(result, [listed[baked]])
                 yield frame, _read(baked)
             else:
-                yield frame, self._baker.render(frame.camera).layers
+                yield frame, self._baker.layers(frame.camera)
             if self.progress is not None:
                 self.progress(number, len(self.frames))
 
