@@ -24,7 +24,7 @@ AMG_LIST = "metadata.csv"
 """A file that SAM's amg.py writes into the folder of each picture."""
 DETECTION = re.compile(r"(\d+)_(.+)_(\d*\.?\d+)", re.ASCII)
 """The stem of a detection's mask: number, class, score."""
-_LOOKED_AT, _FILES_LOOKED_AT = 3, 8
+_FOLDERS_LOOKED_AT, _FILES_LOOKED_AT = 2, 8
 _NAMES_TRIED = 5
 Value = TypeVar("Value")
 _COLOUR_WORDS = frozenset("rgb rgba frame image img color colour".split())
@@ -47,8 +47,9 @@ def mask_files(folder: Path, *suffixes: str) -> list[Path]:
     shown = sorted(shown_files(folder))
     found = [path for path in shown if path.suffix.lower() in suffixes and path.is_file()]
     folders = [] if found else [path for path in shown if path.is_dir()]
-    cameras = [path for path in folders if is_camera(path) or not _is_of_one(path)]
-    inside = (sorted(shown_files(camera)) for camera in cameras)
+    if not any(is_camera(path) or not _is_of_one(path) for path in folders[:_FOLDERS_LOOKED_AT]):
+        return found
+    inside = (sorted(shown_files(camera)) for camera in folders)
     return found or [path for paths in inside for path in paths if path.suffix.lower() in suffixes and path.is_file()]
 
 
@@ -60,9 +61,9 @@ def is_camera(folder: Path) -> bool:
 
 def _is_of_one(folder: Path) -> bool:
     """Whether a folder holds the masks of one object, or those of one picture."""
-    pictures = sorted(shown_files(folder, "*.[pP][nN][gG]"))[:_LOOKED_AT]
-    is_listed = (folder / AMG_LIST).exists() or any(DETECTION.fullmatch(path.stem) for path in pictures)
-    return is_listed or (bool(pictures) and all(shows_one_object(path) for path in pictures))
+    first = next(iter(sorted(shown_files(folder, "*.[pP][nN][gG]"))), None)
+    is_listed = (folder / AMG_LIST).exists() or (first is not None and DETECTION.fullmatch(first.stem))
+    return bool(is_listed) or (first is not None and shows_one_object(first))
 
 
 def says_what_counts(folder: Path) -> bool:

@@ -66,7 +66,7 @@ def numbers_of_colours(paths: Sequence[Path]) -> dict[bytes, int] | None:
     PlgsError where colours cannot serve as numbers."""
     palettes = {path: palette for path in paths if (palette := palette_of(path))}
     longest = max(palettes.values(), key=len, default=b"")
-    if len(palettes) in (0, len(paths)) and all(longest.startswith(each) for each in palettes.values()):
+    if all(longest.startswith(each) for each in palettes.values()):
         return None
     colours = {each[i : i + 3] for each in palettes.values() for i in range(0, len(each), 3)}
     if len(palettes) < len(paths) or _BLACK not in colours or len(colours) > _MOST_COLOURS:

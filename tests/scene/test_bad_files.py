@@ -160,7 +160,7 @@ BAD: list[tuple[str, str, Any, str]] = [
         )
     ),
     ("transformers", "masks/0001.json", with_one_id_twice, "segment-twice 0001.json label_ids_to_fuse"),
-    ("sam2", "masks/0001.png", png(np.zeros((48, 64, 3), np.uint8)), "mask-colours"),
+    ("sam2", "masks/0001.png", png(np.full((48, 64, 3), (9, 8, 7), np.uint8)), "mask-colours"),
 ]  # fmt: skip
 
 

@@ -38,6 +38,8 @@ from .source import (
 )
 
 _FIX = "Name the folder that SAM 2 wrote for the video: one PNG per frame, or one folder per object."
+_LOOKED_AT = 8
+"""Folders whose first picture is looked at."""
 _BY_COLOUR = "the masks have a palette each, so an object is known by its colour"
 _LIST_FIX = "Name the folder that SAM's amg.py wrote: one folder per picture, whole, with its metadata.csv."
 _NO_LABEL = -1
@@ -55,7 +57,7 @@ def _object_folders(place: Path) -> dict[int, Path]:
     pictures = {path: sorted(shown_files(path, "*.png")) for path in sorted(shown_files(place)) if path.is_dir()}
     seen = {path: found for path, found in pictures.items() if found and not (path / AMG_LIST).exists()}
     are_numbers = all(path.name.isdecimal() for path in seen)
-    of_one = [shows_one_object(found[0]) for found in seen.values()]
+    of_one = [shows_one_object(found[0]) for found in [*seen.values()][:_LOOKED_AT]]
     are_objects = any(of_one) if are_numbers else all(of_one)
     if not are_objects or any(is_camera(path) or DETECTION.fullmatch(found[0].stem) for path, found in seen.items()):
         return {}
