@@ -17,7 +17,7 @@ import pytest
 from plgs.engine.scene import open_scene
 from plgs.plgs_blender import import_scene, registry
 from plgs.plgs_blender.chosen_scene import ChosenScene
-from plgs.plgs_blender.frame_pictures import read_cloud
+from plgs.plgs_blender.frame_pictures import colours_shown, read_cloud
 from plgs.plgs_blender.running import importing
 from plgs.plgs_blender.running.importing import FrameMaking, FrameOrder, make_frames
 from plgs.plgs_blender.settings import chosen_scene
@@ -207,8 +207,11 @@ def test_depth_and_masks_are_shown_in_front_of_a_camera(room: Path) -> None:
     colours = {tuple(each) for each in shown(camera).reshape(-1, 3).tolist()}
     classes = {each.colour for each in open_scene(room).classes.categories}
     assert len(colours & classes) >= 3
+    kept = colours_shown(camera) or set()
+    assert len(kept) >= 3 and kept <= {red << 16 | green << 8 | blue for red, green, blue in colours}, "for a legend"
     assert bpy.ops.plgs.show_picture(what="PHOTO") == {"FINISHED"}
-    assert camera.data.background_images[0].image == photo
+    assert camera.data.background_images[0].image == photo and camera.data.background_images[0].alpha == 1.0
+    assert bpy.ops.plgs.show_picture(what="PHOTO") == {"FINISHED"} and camera.data.background_images[0].alpha == 0.5
     others = [ob for name, ob in frames().items() if name != "0003"]
     assert all(ob.data.background_images[0].image.name.startswith(ob["frame"]) for ob in others)
 

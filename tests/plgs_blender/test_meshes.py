@@ -42,6 +42,19 @@ def place_anew(lift: Path, *, asked: bool = True) -> int:
     return result_of(lift_scene.placing_meshes_anew(lift, bpy.context.scene, asked=asked))
 
 
+def test_the_surface_comes_whole_where_something_else_is_shown(lift: Path) -> None:
+    path = mesh_folder(lift) / "mesh.ply"
+    path.rename(path.with_suffix(".later"))
+    root = lift_scene.place_lift(lift, bpy.context.scene)
+    path.with_suffix(".later").rename(path)
+    seen = []
+    for _ in lift_scene.placing_meshes_anew(lift, bpy.context.scene):
+        shown = {child.name: not child.hide_viewport for child in root.children}
+        seen.append((shown["Semantic points"], shown.get("Meshes", False)))
+    assert {*seen} == {(True, False)}
+    assert next(child for child in root.children if child.name == "Semantic points").hide_viewport
+
+
 def test_one_mesh_per_instance_and_per_stuff_class(lift: Path) -> None:
     objects = placed(lift)
     assert set(objects) == {f"mesh:{CHAIR_ID}:1", f"mesh:{FLOOR_ID}:0"}

@@ -224,6 +224,38 @@ def test_progress_is_one_true_number(
     assert (round(share, 1), text) == told
 
 
+def test_a_lift_that_was_cancelled_is_resumed_first_and_a_running_one_ends_with_blender(tmp_path: Path) -> None:
+    lift = tiny_lift.write_tiny_lift(tmp_path / "lift").path
+    bpy.context.scene.plgs.lift_folder = str(lift)
+    followed = lifts.lift_of(lift)
+    assert followed is not None
+    follower: Any = Pretended(TaskState.RUNNING)
+    followed.follower, follower.is_own = follower, True
+    assert lifts.stops_with_blender(bpy.context.scene) and bpy.ops.plgs.quit.poll()
+    bpy.context.scene.plgs.keep_running = True
+    assert not bpy.ops.plgs.quit.poll()
+    bpy.context.scene.plgs.keep_running = False
+    follower.state, follower.is_running, followed.lift_state = TaskState.CANCELLED, False, LiftState.CANCELLED
+    shown = drawn()
+    assert shown.index("plgs.resume_lift") < shown.index("plgs.lift_scene Start Anew") and not bpy.ops.plgs.quit.poll()
+
+
+def test_once_a_result_is_shown_the_steps_before_it_are_folded(tmp_path: Path) -> None:
+    assert "plgs.lift_scene" in drawn(steps=False)
+    place_lift(tiny_lift.write_tiny_lift(tmp_path / "lift").path, bpy.context.scene)
+    folded = drawn(steps=False)
+    assert "plgs.lift_scene" not in folded and "plgs.import_scene" not in folded and "Photo" in folded
+    assert "plgs.lift_scene" in drawn()
+    assert folded.startswith("Makes objects of a filmed room")
+
+
+def test_what_is_of_other_classes_is_listed_last() -> None:
+    names = ("otherprop 1", "chair 10", "chair 2", "otherfurniture")
+    rows = [SimpleNamespace(name=name, class_name=name, points=9 - at, score=0.5) for at, name in enumerate(names)]
+    assert result_panel.places_of(rows, "NAME") == [3, 1, 0, 2]
+    assert result_panel.places_of(rows, "COUNT") == [2, 0, 1, 3]
+
+
 def test_a_finished_lift_is_shown(tmp_path: Path) -> None:
     lift = tiny_lift.write_tiny_lift(tmp_path / "lift").path
     settings = bpy.context.scene.plgs

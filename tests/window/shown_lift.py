@@ -54,6 +54,21 @@ def place_of(point):
     at = location_3d_to_region_2d(region, area.spaces.active.region_3d, point)
     return round(region.x + at.x), round(region.y + at.y)
 
+def floor():
+    """A pixel of the window where the floor is seen, and no name."""
+    names = ('picking', 'rays')
+    picking, rays = (sys.modules[EXTENSION + '.plgs_blender.inspecting.' + each] for each in names)
+    window = bpy.context.window_manager.windows[0]
+    area = max((each for each in window.screen.areas if each.type == 'VIEW_3D'), key=lambda each: each.width)
+    region = next(each for each in area.regions if each.type == 'WINDOW')
+    with bpy.context.temp_override(window=window, area=area, region=region):
+        for point in bpy.data.objects['floor'].data.points[::50]:
+            x, y = place_of(point.co)
+            at = x - region.x + 0.5, y - region.y + 0.5
+            found = picking.what_is_under(bpy.context, at)
+            if 100 < at[0] < region.width - 350 and 100 < at[1] and found is not None and not found.instance:
+                return x, y
+
 def sidebar():
     areas = bpy.context.window_manager.windows[0].screen.areas
     area = max((each for each in areas if each.type == 'VIEW_3D'), key=lambda each: each.width)
@@ -61,6 +76,7 @@ def sidebar():
 
 def choose(*numbers):
     for key, box in inspecting.boxes_of(lift()).items():
+        box.hide_set(key not in numbers)
         box.select_set(key in numbers)
     bpy.context.view_layer.objects.active = inspecting.boxes_of(lift())[numbers[0]]
     lift().plgs.instance_index = next(i for i, row in enumerate(lift().plgs.instances) if row.instance_id == numbers[0])

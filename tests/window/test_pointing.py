@@ -62,6 +62,24 @@ def test_a_click_selects_what_is_seen(window: Window, mine: Path) -> None:
     assert window.ask(f"{ACTIVE}.name") == "Suzanne" and window.ask(SELECTED) == [0, CHAIR], "and Shift adds them"
 
 
+def test_a_click_on_the_floor_selects_nothing_anywhere(window: Window, mine: Path) -> None:
+    chosen = "[lift().plgs.instance_index, bpy.ops.plgs.delete_selected.poll()]"
+    for _ in range(2):
+        window.click(*over(window, CHAIR))
+        window.settle()
+        assert window.ask(SELECTED) == [CHAIR] and window.ask("lift().plgs.instance_index") == 0
+        x, y = window.ask("floor()")
+        window.click(x, SIZE[1] - y)
+        window.settle()
+        window.screenshot("pointing-floor")
+        assert window.ask(SELECTED) == [] and window.ask(f"{ACTIVE} is None")
+        assert window.ask(chosen) == [-1, False]
+    window.click(*over(window, CHAIR))
+    window.key("alt+a")  # Blender's own, of which the extension learns a moment later
+    window.wait_for("lift().plgs.instance_index == -1")
+    assert window.ask("all(box.hide_get() for box in boxes().values())"), "only the selected one has a box"
+
+
 def test_keys_act_on_what_was_clicked(window: Window, mine: Path) -> None:
     x, y = over(window, CHAIR)
     window.click(x, y)
@@ -72,8 +90,6 @@ def test_keys_act_on_what_was_clicked(window: Window, mine: Path) -> None:
     window.type("throne")
     window.key("Return")
     window.settle()
-    window.key("Return")
-    window.settle()
     assert "throne" in window.ask(NAMES) and window.ask(f"boxes()[{CHAIR}].name") == "throne"
     assert kinds(mine) == ["rename"]
     window.run(f"boxes()[{CHAIR}].name = 'stool'")  # as the outliner does
@@ -81,6 +97,17 @@ def test_keys_act_on_what_was_clicked(window: Window, mine: Path) -> None:
     assert kinds(mine) == ["rename", "rename"]
     window.click(x, y)
     window.key("x")
+    window.settle()
+    window.screenshot("pointing-x")
+    window.key("h")
+    window.settle()
+    assert window.ask("[row.visible for row in lift().plgs.instances]") == [False, True]
+    window.key("ctrl+z")
+    window.settle()
+    window.click(x, y)
+    window.key("x")
+    window.settle()
+    window.key("d")
     window.settle()
     assert window.ask("ids()") == [CABINET] and kinds(mine) == ["rename", "rename", "delete"]
     window.key("ctrl+z")

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from blender import Window
+from blender import SIZE, Window
 from tiny_lift import write_tiny_lift
 
 # Where the corners of the lift's boxes lie in the view, in shares of what the sidebar leaves free.
@@ -55,6 +55,26 @@ def test_the_result_lies_in_the_free_part_of_the_view(window: Window, lift: Path
     assert window.ask(shown) == ["MATERIAL", "STUDIO", "MATERIAL"], "other objects look as they do in Material Preview"
     window.run(f"{shading}.type = 'SOLID'\nbpy.ops.plgs.place_lift(lift_folder={str(lift)!r})")
     assert window.ask(shown) == ["SOLID", "STUDIO", "MATERIAL"], "who turned to Solid shading stays there"
+
+
+def test_what_is_done_with_an_object_is_in_sight(window: Window, lift: Path) -> None:
+    """In a window 1000 pixels high, with the first steps folded; and few names and no boxes are drawn over the room."""
+    window.open_sidebar()
+    window.place(lift)
+    window.settle()
+    window.screenshot("result-panel")
+    _, y = window.find_button("plgs.matte_instance")
+    assert y < SIZE[1] - 120
+    with pytest.raises(LookupError):
+        window.find_button("plgs.lift_scene")
+    overlays = "next(a for a in bpy.context.window.screen.areas if a.type == 'VIEW_3D').spaces.active.overlay"
+    window.move(SIZE[0] // 3, SIZE[1] // 2)
+    window.key("shift+alt+z")
+    window.settle()
+    assert not window.ask(f"{overlays}.show_overlays")
+    window.key("shift+alt+z")
+    window.settle()
+    assert window.ask(f"{overlays}.show_overlays")
 
 
 def test_without_a_graphics_card_the_first_view_is_solid_with_the_colours(window: Window, lift: Path) -> None:

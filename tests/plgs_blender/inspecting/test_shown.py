@@ -20,6 +20,7 @@ from plgs.plgs_blender.inspecting import looks, views
 from plgs.plgs_blender.inspecting.highlight import outline_in_space
 from plgs.plgs_blender.inspecting.lists import _fill_instances, best_view, fill_masks
 from plgs.plgs_blender.inspecting.selection import boxes_of, class_row_of, clouds_of, objects_by_key, row_of
+from plgs.plgs_blender.inspecting.selection import ids_of as ids
 from plgs.plgs_blender.owned import SCENE, lifts_in
 from plgs.plgs_blender.results import reading_result, result_of
 from tiny_lift import CABINET_NAME, CHAIR_NAME
@@ -192,6 +193,24 @@ def test_a_class_takes_its_instances_with_it(root: bpy.types.Collection) -> None
     assert set(before) - set(seen(root)) == {"chair", "chair 1"}
     looks.show_all(root)
     assert seen(root) == before and all(row.visible for row in root.plgs.classes)
+
+
+def test_what_is_isolated_is_framed_without_crumbs(root: bpy.types.Collection) -> None:
+    view = next(s for screen in bpy.data.screens for a in screen.areas for s in a.spaces if s.type == "VIEW_3D")
+    before = view.region_3d.view_location.copy(), view.region_3d.view_distance
+    cloud = next(ob for ob in clouds_of(root) if ob.get("class_id") == CHAIR_ID)
+    points = len(cloud.data.points)
+    stray = int(np.flatnonzero(ids(cloud.data, "instance_id") == 1)[0])
+    cloud.data.points[stray].co = (30.0, 0.0, 0.0)
+    looks.isolate(root, 1)
+    views.show_alone(root, view, 1.5)
+    hidden = np.empty(points, bool)
+    cloud.data.attributes[looks.HIDDEN].data.foreach_get("value", hidden)
+    assert hidden[stray] and not hidden.all()
+    assert (view.region_3d.view_location - boxes_of(root)[1].matrix_world.translation).length < 1e-3
+    looks.isolate(root, 1)
+    views.show_alone(root, view, 1.5)
+    assert (view.region_3d.view_location, view.region_3d.view_distance) == before
 
 
 def test_isolating_one_and_returning_to_what_was_shown(root: bpy.types.Collection, lift: Path) -> None:

@@ -10,7 +10,8 @@ from types import SimpleNamespace
 
 import pytest
 from plgs.engine.errors import ErrorCode
-from plgs.engine.job import LiftFolder, LiftRequest, LiftState
+from plgs.engine.job import EventWriter, LiftFolder, LiftRequest, LiftState
+from plgs.engine.job.events import MOST_BYTES
 from plgs.plgs_blender import registry
 from plgs.plgs_blender.running import lifts
 
@@ -53,6 +54,18 @@ def poll_until(followed: lifts.Lift, condition: Callable[[], bool]) -> None:
         return condition()
 
     wait_until(is_there, lambda: followed.progress)
+
+
+def test_a_cancelled_lift_that_is_opened_never_looks_as_if_it_ran(lift: LiftFolder) -> None:
+    events = EventWriter(lift.events_path)
+    events.hello(threads=2, resumed=False)
+    for step in range(3000):  # more than a poll reads
+        events.progress("train", step, 3000, loss=0.1, eta_s=1.5, left_s=300.0)
+    events.done("cancelled")
+    events.close()
+    assert lift.events_path.stat().st_size > 2 * MOST_BYTES
+    followed = lifts.attach(lift.path)
+    assert not followed.is_running and followed.was_cancelled and followed.can_be_resumed
 
 
 def test_a_lift_from_start_to_end(behaves: Behaves, lift: LiftFolder) -> None:
