@@ -55,7 +55,7 @@ def place_of(point):
     return round(region.x + at.x), round(region.y + at.y)
 
 def floor():
-    """A pixel of the window where the floor is seen, and no name."""
+    # A pixel of the window where the floor is seen, and no name.
     names = ('picking', 'rays')
     picking, rays = (sys.modules[EXTENSION + '.plgs_blender.inspecting.' + each] for each in names)
     window = bpy.context.window_manager.windows[0]
