@@ -59,7 +59,8 @@ def compile_rasteriser() -> None:
     pose = np.eye(4)
     pose[2, 3] = -1.0
     for shown in (labels, None):
-        picture = rasterize(means, scales, quats, opacities, colours, shown, pose, lens, 64, 48, top_k=1)
+        look = (pose, lens, 64, 48)
+        picture = rasterize(means, scales, quats, opacities, colours, shown, *look, top_k=1, want_surface=True)
         picture.image.sum().backward()
 
 

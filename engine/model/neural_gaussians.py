@@ -77,7 +77,7 @@ class PanopticRendering:
     decided.
 
     ``image`` float32 [H, W, 3], sRGB-encoded in [0, 1] over black; ``alpha`` float32 [H, W]; ``depth`` float32 [H, W],
-    expected planar depth in metres (0 where nothing was hit). ``class_coverage`` float32 [H, W, C] holds
+    planar depth of the surface in metres (0 where nothing was hit). ``class_coverage`` float32 [H, W, C] holds
     sum_i w_i * p_i(class) for the blending weights w_i of the pixel's Gaussians: it sums to alpha over the classes.
     ``instance_coverage`` float32 [H, W, S] is the same for instances; the rest of alpha belongs to no object. Column c
     belongs to ``class_ids[c]``, column s to ``instance_ids[s]``.

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
-import numpy as np
 import torch
 
 from ..raster import rasterize
@@ -122,9 +121,10 @@ def _draw_rows(
         camera.height,
         near=seen.near,
         rows=rows,
+        want_surface=True,
     )
     alpha = rendering.alpha.numpy()
-    assert rendering.labels is not None  # drawn with labels
+    assert rendering.labels is not None and rendering.surface is not None  # as requested
     classes, coverage = len(channels.class_ids), rendering.labels
     if labels is None:
         coverage = shown_probabilities(coverage[..., :classes], coverage[..., classes:], channels)
@@ -132,7 +132,7 @@ def _draw_rows(
         camera=camera.of_rows(*rows),
         image=rendering.image.clamp_(0.0, 1.0).numpy(),
         alpha=alpha,
-        depth=np.divide(rendering.depth.numpy(), alpha, out=np.zeros_like(alpha), where=alpha > 1e-3),
+        depth=rendering.surface.numpy(),
         class_coverage=coverage[..., :classes].numpy(),
         instance_coverage=coverage[..., classes:].numpy(),
         class_ids=channels.class_ids,

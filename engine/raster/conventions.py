@@ -21,6 +21,8 @@ TRANSMITTANCE_END = 1e-4
 """A Gaussian that would leave this transmittance or less is not blended, and the pixel ends."""
 CLAMP_MARGIN = 0.3
 """The Jacobian of the projection is taken outside the image by at most this share of the half field of view."""
+NEAR_MEDIAN = 0.05
+"""A contributor whose depth differs from a pixel's median by at most this share of it belongs to the surface there."""
 TINY_NORM = 1e-12
 """Quaternions shorter than this are divided by it instead of by their norm."""
 

@@ -23,7 +23,7 @@ import torch
 from torch import Tensor
 
 from .conventions import BLUR, NEAR, Pinhole
-from .rendering import GaussianSet, Rendering
+from .rendering import GaussianSet, Rendering, Wanted
 
 OLDEST, TOO_NEW = (1, 5), (1, 7)
 """Versions (major, minor) of gsplat: the first that is known to have the call used here, and the first beyond those."""
@@ -66,18 +66,18 @@ def what_fails(device: str) -> str | None:
     return None
 
 
-def rasterize_gsplat(gaussians: GaussianSet, pinhole: Pinhole, top_k: int, want_means2d_grad: bool) -> Rendering:
-    """``rasterize`` without ``top_k``, for float32 tensors. It requires that `what_is_missing` returns None."""
-    assert top_k == 0, "the back end numba lists contributors"
+def rasterize_gsplat(gaussians: GaussianSet, pinhole: Pinhole, wanted: Wanted) -> Rendering:
+    """``rasterize`` without ``top_k`` and surface, for float32 tensors. `what_is_missing` must return None."""
+    assert wanted.top_k == 0, "the back end numba lists contributors"
     if not len(gaussians.means):
-        return _nothing_drawn(gaussians, pinhole, want_means2d_grad)
+        return _nothing_drawn(gaussians, pinhole, wanted.means2d_grad)
     channels, alpha, about = _call(gaussians, gaussians.colours, pinhole, "RGB+D")
     means2d, above = about["means2d"], torch.tensor([0.0, pinhole.above]).to(gaussians.means)
     centres, radii = means2d.detach()[0] - above, about["radii"][0]
     down = centres[:, 1]
     visible = (radii > 0).all(-1) & (down + radii[:, 1] > 0) & (down - radii[:, 1] < pinhole.height)
     leaf = torch.where(visible[:, None], centres, 0.0)
-    if want_means2d_grad:
+    if wanted.means2d_grad:
         leaf.requires_grad_()
         means2d.register_hook(lambda gradient: setattr(leaf, "grad", gradient[0].contiguous()))
     labels = None

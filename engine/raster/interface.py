@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from .conventions import NEAR, Pinhole
-from .rendering import GaussianSet, Rendering
+from .rendering import GaussianSet, Rendering, Wanted
 
 Backend = Literal["numba", "gsplat", "reference"]
 BACKENDS: tuple[Backend, ...] = ("numba", "gsplat", "reference")
@@ -51,6 +51,7 @@ def rasterize(
     near: float = NEAR,
     rows: tuple[int, int] | None = None,
     top_k: int = 0,
+    want_surface: bool = False,
     want_means2d_grad: bool = False,
     backend: Backend | None = None,
 ) -> Rendering:
@@ -72,7 +73,8 @@ def rasterize(
     same values as in the whole picture.
 
     ``top_k`` > 0 requests the largest contributors of every pixel; such a picture is drawn on the CPU. ``backend`` None
-    picks by device (the tensors', or that of ``drawing_on``): ``numba`` on the CPU, ``gsplat`` on CUDA.
+    picks by device (the tensors', or that of ``drawing_on``): ``numba`` on the CPU, ``gsplat`` on CUDA. The CPU
+    finds the surface for all of them.
 
     Raises ``ValueError`` for shapes, dtypes or devices that do not fit, an empty image, rows that are not in it, skew,
     or an unknown back end.
@@ -86,20 +88,25 @@ def rasterize(
     there = torch.device("cpu") if top_k and backend is None else _device.get() or here
     gaussians = gaussians.changed(lambda tensor: tensor.to(there))
     rasterize_there = _load(_pick(backend, gaussians.means))
-    return _moved(rasterize_there(gaussians, pinhole, top_k, want_means2d_grad), here)
+    drawn = rasterize_there(gaussians, pinhole, Wanted(top_k, want_surface, want_means2d_grad))
+    if want_surface and drawn.surface is None:
+        geometry = gaussians._replace(labels=None).changed(lambda tensor: tensor.detach().cpu().float())
+        surface = _load("numba")(geometry, pinhole, Wanted(0, True, False)).surface
+        drawn = replace(drawn, surface=surface)
+    return _moved(drawn, here)
 
 
 def _moved(drawn: Rendering, device: torch.device) -> Rendering:
     """The layers on this device. ``means2d`` stays where it was drawn: it is the leaf that gets the gradient."""
     if drawn.image.device == device:
         return drawn
-    names = ("image", "labels", "alpha", "depth", "visible", "top_indices", "top_weights")
+    names = ("image", "labels", "alpha", "depth", "visible", "top_indices", "top_weights", "surface")
     layers: dict[str, Any] = {name: layer.to(device) for name in names if (layer := getattr(drawn, name)) is not None}
     return replace(drawn, **layers)
 
 
 @cache
-def _load(backend: Backend) -> Callable[[GaussianSet, Pinhole, int, bool], Rendering]:
+def _load(backend: Backend) -> Callable[[GaussianSet, Pinhole, Wanted], Rendering]:
     """The back end's function. Its module is imported only here, so that a program does not wait for unused ones."""
     if backend == "reference":
         from .reference import rasterize_reference

@@ -31,12 +31,12 @@ from .arrays import (
 )
 from .blending.backward import backward_scratch_size, blend_backward, list_channels
 from .blending.batch import PATCHES, gather
-from .blending.contributors import list_contributors
+from .blending.contributors import find_surface, list_contributors, scratch_sizes
 from .blending.forward import blend_forward, scratch_size
 from .conventions import GRADIENT_WIDTH, MEMBERS, RECORD, TILE, Pinhole, padded_channels
 from .isect_tiles import blending_workers, isect_tiles
 from .projection import camera_array, project
-from .rendering import GaussianSet, Rendering
+from .rendering import GaussianSet, Rendering, Wanted
 
 # From Gaussians to pictures: projection, binning, blending.
 
@@ -126,10 +126,24 @@ def new_scratch(workers: int, floats: int) -> Scratch:
 
 def top_contributors(state: ForwardState, shape: tuple[int, int, int]) -> tuple[Tensor, Tensor]:
     """The largest weights of each pixel, as Gaussians int32 and weights float32, [H, W, k] each."""
-    indices, weights = torch.empty(shape, dtype=torch.int32), torch.empty(shape, dtype=torch.float32)
-    tops = indices.numpy(), weights.numpy()
-    parallel_for(worker_count(), list_contributors, state.isects, flat(state.records), *tops)
+    indices, weights = torch.full(shape, -1, dtype=torch.int32), torch.zeros(shape)
+    _for_contributors(list_contributors, state, indices.numpy(), weights.numpy())
     return indices, weights
+
+
+def surface_depth(state: ForwardState, shape: tuple[int, int]) -> Tensor:
+    """``Rendering.surface``, of this shape [H, W]."""
+    depth = torch.empty(shape, dtype=torch.float32)
+    _for_contributors(find_surface, state, flat(depth.numpy()), shape[1])
+    return depth
+
+
+def _for_contributors(kernel: Any, state: ForwardState, *out: Any) -> None:
+    """Run one of the kernels of ``blending/contributors.py``."""
+    workers, longest = worker_count(), int(np.diff(state.isects.isect_offsets).max(initial=0))
+    floats, integers = scratch_sizes(longest)
+    scratches = memory.several(((workers, floats), np.float32), ((workers, integers), np.int32))
+    parallel_for(workers, kernel, state.isects, flat(state.records), scratches, *out)
 
 
 # From the gradients of pictures to those of Gaussians: backward blending, sums over tiles, backward projection.
@@ -184,15 +198,15 @@ COMPILATION = "10 s"
 """The time to compile a pass, for the log."""
 
 
-def rasterize_native(gaussians: GaussianSet, pinhole: Pinhole, top_k: int, want_means2d_grad: bool) -> Rendering:
+def rasterize_native(gaussians: GaussianSet, pinhole: Pinhole, wanted: Wanted) -> Rendering:
     """``rasterize`` for float32 tensors on the CPU. It uses ``torch.get_num_threads()`` threads."""
     count = gaussians.means.shape[0]
     on_image = OnImage(*memory.several(((count, 2), np.float32), (count, np.bool_)))
     # the kernels write to the array; the tensor is an input so that a gradient can reach it
     centres = torch.from_numpy(on_image.means2d)
-    if want_means2d_grad:
+    if wanted.means2d_grad:
         centres.requires_grad_()
-    image, labels, alpha, depth, *top = _Blend.apply(*gaussians, centres, pinhole, on_image, top_k)
+    image, labels, alpha, depth, *more = _Blend.apply(*gaussians, centres, pinhole, on_image, wanted)
     return Rendering(
         image=image,
         labels=labels if gaussians.labels is not None else None,
@@ -200,8 +214,9 @@ def rasterize_native(gaussians: GaussianSet, pinhole: Pinhole, top_k: int, want_
         depth=depth,
         visible=torch.from_numpy(on_image.visible),
         means2d=centres,
-        top_indices=top[0] if top else None,
-        top_weights=top[1] if top else None,
+        top_indices=more[0] if wanted.top_k else None,
+        top_weights=more[1] if wanted.top_k else None,
+        surface=more[-1] if wanted.surface else None,
     )
 
 
@@ -218,22 +233,24 @@ class _Blend(torch.autograd.Function):
         centres: Tensor,
         pinhole: Pinhole,
         on_image: OnImage,
-        top_k: int,
+        wanted: Wanted,
     ) -> tuple[Tensor, ...]:
         gaussians = Gaussians(*map(as_array, (means, scales, quats, opacities, colours)))
         features = as_array(labels) if labels is not None else np.empty((means.shape[0], 0), np.float32)
         is_compiled = log_compilation("the forward pass of the rasteriser", COMPILATION)
         layers, state = rasterize_forward(gaussians, features, pinhole, on_image)
         is_compiled()
-        top: tuple[Tensor, ...] = ()
-        if top_k:
-            top = top_contributors(state, (pinhole.height, pinhole.width, top_k))
-            ctx.mark_non_differentiable(*top)
+        more: tuple[Tensor, ...] = ()
+        if wanted.top_k:
+            more = top_contributors(state, (pinhole.height, pinhole.width, wanted.top_k))
+        if wanted.surface:
+            more = *more, surface_depth(state, (pinhole.height, pinhole.width))
+        ctx.mark_non_differentiable(*more)
         ctx.save_for_backward(means, scales, quats)
         ctx.state = state
         ctx.size, ctx.labels_shape = (pinhole.height, pinhole.width), features.shape
         ctx.set_materialize_grads(False)
-        return *map(torch.from_numpy, layers.in_order()), *top
+        return *map(torch.from_numpy, layers.in_order()), *more
 
     @staticmethod
     def backward(

@@ -8,15 +8,15 @@ import torch
 from torch import Tensor
 
 from .conventions import ALPHA_MAX, ALPHA_MIN, BLUR, TINY_NORM, TRANSMITTANCE_END, Pinhole
-from .rendering import GaussianSet, Rendering
+from .rendering import GaussianSet, Rendering, Wanted
 
 
-def rasterize_reference(gaussians: GaussianSet, pinhole: Pinhole, top_k: int, want_means2d_grad: bool) -> Rendering:
+def rasterize_reference(gaussians: GaussianSet, pinhole: Pinhole, wanted: Wanted) -> Rendering:
     """``rasterize``, computed in float64 for input of any dtype; the result has the input's dtype."""
     dtype, labels = gaussians.means.dtype, gaussians.labels
     means, scales, quats, opacities, colours = (tensor.double() for tensor in gaussians[:5])
     centres, covariances, depths = project(means, scales, quats, pinhole)
-    handle = centres.detach().clone().requires_grad_(want_means2d_grad)
+    handle = centres.detach().clone().requires_grad_(wanted.means2d_grad)
     # the value stays the same, and the gradient reaches both
     centres = centres + (handle - handle.detach())
     visible = footprint_visible(centres.detach(), covariances.detach(), depths.detach(), opacities.detach(), pinhole)
@@ -30,7 +30,7 @@ def rasterize_reference(gaussians: GaussianSet, pinhole: Pinhole, top_k: int, wa
 
     with torch.no_grad():
         handle[~visible] = 0.0
-    top_indices, top_weights = top_contributors(weights.detach(), order, pinhole, top_k)
+    top_indices, top_weights = top_contributors(weights.detach(), order, pinhole, wanted.top_k)
     return Rendering(
         image=blend(colours, weights),
         labels=None if labels is None else blend(labels.double(), weights.detach()),

@@ -28,6 +28,15 @@ class GaussianSet(NamedTuple):
         )
 
 
+class Wanted(NamedTuple):
+    """What ``rasterize`` is asked for beside the layers: ``top_k`` contributors, the ``surface``, and a gradient of
+    ``means2d``."""
+
+    top_k: int
+    surface: bool
+    means2d_grad: bool
+
+
 @dataclass(frozen=True, eq=False)
 class Rendering:
     """One view of a set of N Gaussians, over black. Float tensors have the dtype and the device of ``means``. Only
@@ -47,7 +56,8 @@ class Rendering:
     ``want_means2d_grad`` it is a leaf whose ``.grad`` [N, 2] holds dLoss/d(2D mean) after ``backward`` (zero
     where not visible). ``top_indices`` int32 [H, W, top_k] and ``top_weights`` [H, W, top_k], or None: the
     Gaussians with the largest weights of each pixel, largest first, -1 and 0 where there are fewer. Not
-    differentiable.
+    differentiable. ``surface`` [H, W], metres, or None: the mean depth of the contributors within NEAR_MEDIAN of the
+    median one, at which half of ``alpha`` is reached; 0 where nothing is drawn. Not differentiable.
     """
 
     image: Tensor
@@ -58,3 +68,4 @@ class Rendering:
     means2d: Tensor
     top_indices: Tensor | None = None
     top_weights: Tensor | None = None
+    surface: Tensor | None = None

@@ -1,6 +1,9 @@
-"""The Gaussians that contribute most to each pixel, with exactly the blending weights of the forward pass."""
+"""The Gaussians that contribute most to each pixel, and the depth of the surface that it shows, with exactly the
+blending weights of the forward pass."""
 
 from __future__ import annotations
+
+from typing import Any
 
 import numpy as np
 
@@ -14,52 +17,84 @@ from ...machine.vectors import (
     get,
     lane_numbers,
     load,
+    masked_store,
     maximum,
     movemask,
+    put,
     select,
     store,
-    trailing_zeros,
 )
 from ..arrays import Intersections, Tile
-from ..conventions import L11, RECORD, TILE
+from ..conventions import DEPTH, L11, NEAR_MEDIAN, RECORD, TILE
 from .backward import EXPONENTS, S1_LEFT, WHITENED, whiten_tile
-from .forward import ENDED, NEARLY_NOTHING, ONE, ZERO, seen_alpha
+from .forward import ENDED, NEARLY_NOTHING, ONE, ZERO, F, seen_alpha
+
+HALF, NEAR = F(0.5), F(NEAR_MEDIAN)
+
+# a worker's scratch, in floats: the pixels' transmittance, a Gaussian's whitened rows, sums over a pixel's contributors
+# (all weights, those up to the median, and for those near it their weights and w (z - median)), and listed weights
+TRANSMITTANCE, OWN = 0, TILE * TILE
+TOTAL = OWN + WHITENED
+REACHED, MEDIAN, WEIGHT = TOTAL + TILE * TILE, TOTAL + 2 * TILE * TILE, TOTAL + 3 * TILE * TILE
+OFFSET, LISTED = TOTAL + 4 * TILE * TILE, TOTAL + 5 * TILE * TILE
+
+
+def scratch_sizes(longest: int) -> tuple[int, int]:
+    """The floats and the integers of scratch that a worker needs if a tile has at most ``longest`` Gaussians."""
+    return LISTED + (longest * TILE + 1) * TILE, 2 * (longest * TILE + 1)
 
 
 @device_function
-def start_tile(tile: Tile, transmittance: Array, indices: Array, weights: Array) -> None:
-    """Start with empty lists, and a transmittance of one inside the image and of zero outside."""
-    height, width = weights.shape[:2]
-    for r in range(TILE):
-        for c in range(TILE):
-            y, x = tile.top + r, tile.left + c
-            inside = y < height and x < width
-            transmittance[r * TILE + c] = ONE if inside else ZERO
-            if inside:
-                indices[y, x, :] = -1
-                weights[y, x, :] = ZERO
-
-
-@device_function
-def any_alive(transmittance: Array) -> bool:
+def any_alive(floats: Array) -> bool:
     """Whether any pixel of the tile still sees anything."""
     for at in range(0, TILE * TILE, TILE):
-        if movemask(load(transmittance, at) > broadcast(ENDED)) != 0:
+        if movemask(load(floats, TRANSMITTANCE + at) > broadcast(ENDED)) != 0:
             return True
     return False
 
 
 @device_function
-def blend_row(records: Array, at: int, r: int, whitened: Array, transmittance: Array, weights: Array) -> int:
-    """Blend one Gaussian on one row of a tile: fill ``weights`` [16], and return the mask of the pixels it is on."""
-    s1 = fma(broadcast_load(records, at + L11), lane_numbers(), broadcast_load(whitened, S1_LEFT + r))
-    alpha = seen_alpha(exp2(fnmadd(s1, s1, broadcast_load(whitened, EXPONENTS + r))))
-    before = load(transmittance, r * TILE)
+def blend_row(records: Array, at: int, r: int, floats: Array, to: int) -> bool:
+    """Blend one Gaussian on one row of a tile. Returns whether any pixel has it. The weights are then at ``to``."""
+    s1 = fma(broadcast_load(records, at + L11), lane_numbers(), broadcast_load(floats, OWN + S1_LEFT + r))
+    alpha = seen_alpha(exp2(fnmadd(s1, s1, broadcast_load(floats, OWN + EXPONENTS + r))))
+    before = load(floats, TRANSMITTANCE + r * TILE)
     after = fnmadd(alpha, before, before)
     blended = (alpha > broadcast(ZERO)) & (after > broadcast(ENDED))
-    store(transmittance, r * TILE, maximum(after, broadcast(NEARLY_NOTHING)))
-    store(weights, 0, select(blended, alpha * before, broadcast(ZERO)))
-    return movemask(blended)
+    store(floats, TRANSMITTANCE + r * TILE, maximum(after, broadcast(NEARLY_NOTHING)))
+    store(floats, to, select(blended, alpha * before, broadcast(ZERO)))
+    return movemask(blended) != 0
+
+
+@device_function
+def blend_tile(tile: Tile, size: tuple[int, int], flatten_ids: Array, records: Array, scratch: Any) -> int:
+    """Blend a tile's Gaussians on its rows, front to back, until no pixel sees anything. Lists in ``scratch`` the
+    number and the row of each Gaussian on a row, and its weights there, and returns how many are listed."""
+    floats, members = scratch
+    rows, count = min(TILE, size[1] - tile.top), 0
+    for r in range(TILE):
+        inside = lane_numbers() < broadcast(F(size[0] - tile.left if r < rows else 0))
+        store(floats, TRANSMITTANCE + r * TILE, select(inside, broadcast(ONE), broadcast(ZERO)))
+    for k in range(tile.length):
+        if k % TILE == 0 and not any_alive(floats):
+            break
+        gaussian = get(flatten_ids, tile.first + k)
+        patches = whiten_tile(records, int(gaussian) * RECORD, tile, floats, OWN)
+        for r in range(rows):
+            if (patches >> (r & -2)) & 3 == 0:
+                continue
+            # what no pixel has is overwritten
+            if blend_row(records, int(gaussian) * RECORD, r, floats, LISTED + count * TILE):
+                put(members, 2 * count, gaussian)
+                put(members, 2 * count + 1, np.int32(r))
+                count += 1
+    return count
+
+
+@device_function
+def tile_of(number: int, width: int, starts: Array) -> Tile:
+    across, first = (width + TILE - 1) // TILE, starts[number]
+    return Tile(number % across * TILE, number // across * TILE, first, starts[number + 1] - first)
 
 
 @device_function
@@ -78,29 +113,68 @@ def keep_largest(gaussian: int, weight: float, indices: Array, weights: Array) -
 
 @parallel_kernel
 def list_contributors(
-    worker: int, workers: int, isects: Intersections, records: Array, indices: Array, weights: Array
+    worker: int, workers: int, isects: Intersections, records: Array, scratches: Any, indices: Array, weights: Array
 ) -> None:
-    """Fill every ``workers``-th tile of indices int32 [H, W, k] and weights [H, W, k]; -1 and 0 if there are fewer than
-    k. ``records`` float32 [N * RECORD]."""
-    starts, flatten_ids = isects.isect_offsets, isects.flatten_ids
-    height, width = weights.shape[:2]
-    columns = (width + TILE - 1) // TILE
-    whitened, own = np.empty(WHITENED, np.float32), np.empty(TILE, np.float32)
-    transmittance = np.empty(TILE * TILE, np.float32)
-    for number in range(worker, starts.shape[0] - 1, workers):
-        left, top, first = number % columns * TILE, number // columns * TILE, starts[number]
-        tile = Tile(left, top, first, starts[number + 1] - first)
-        start_tile(tile, transmittance, indices, weights)
-        for k in range(first, starts[number + 1]):
-            if (k - first) % TILE == 0 and not any_alive(transmittance):
-                break
-            gaussian = int(get(flatten_ids, k))
-            patches = whiten_tile(records, gaussian * RECORD, tile, whitened, 0)
-            for r in range(min(TILE, height - top)):
-                if (patches >> (r & -2)) & 3 == 0:
-                    continue
-                pixels = blend_row(records, gaussian * RECORD, r, whitened, transmittance, own)
-                while pixels != 0:
-                    x = trailing_zeros(pixels)
-                    pixels &= pixels - 1
-                    keep_largest(gaussian, own[x], indices[top + r, left + x], weights[top + r, left + x])
+    """Fill every ``workers``-th tile of indices int32 [H, W, k] and weights [H, W, k]. They hold -1 and 0, which stay
+    where there are fewer than k. ``records`` float32 [N * RECORD]; ``scratches``: rows of ``scratch_sizes``."""
+    size = (weights.shape[1], weights.shape[0])
+    floats, members = scratches[0][worker], scratches[1][worker]
+    for number in range(worker, isects.isect_offsets.shape[0] - 1, workers):
+        tile = tile_of(number, size[0], isects.isect_offsets)
+        for place in range(blend_tile(tile, size, isects.flatten_ids, records, (floats, members))):
+            gaussian, y = get(members, 2 * place), tile.top + get(members, 2 * place + 1)
+            for x in range(tile.left, min(tile.left + TILE, size[0])):
+                weight = get(floats, LISTED + place * TILE + x - tile.left)
+                if weight > ZERO:
+                    keep_largest(gaussian, weight, indices[y, x], weights[y, x])
+
+
+# The depth of the surface.
+#
+# At an outline a pixel is blended of what is in front and what is behind. The mean of all lies between the two, where
+# nothing is. The median, at which half of the pixel's weight is reached, lies on one of the two, but from pixel to
+# pixel it jumps between the Gaussians of a surface. So it only chooses the Gaussians whose mean is taken.
+
+
+@device_function
+def sum_near_median(count: int, records: Array, floats: Array, members: Array) -> None:
+    """Fill the sums of a tile from what ``blend_tile`` listed."""
+    for at in range(TOTAL, LISTED, TILE):
+        store(floats, at, broadcast(ZERO))
+    for place in range(count):
+        at = TILE * get(members, 2 * place + 1)
+        store(floats, TOTAL + at, load(floats, TOTAL + at) + load(floats, LISTED + place * TILE))
+    for place in range(count):
+        at, weight = TILE * get(members, 2 * place + 1), load(floats, LISTED + place * TILE)
+        depth = broadcast_load(records, RECORD * int(get(members, 2 * place)) + DEPTH)
+        reached = load(floats, REACHED + at)
+        is_median = (weight > broadcast(ZERO)) & (reached < load(floats, TOTAL + at) * broadcast(HALF))
+        store(floats, MEDIAN + at, select(is_median, depth, load(floats, MEDIAN + at)))
+        store(floats, REACHED + at, reached + weight)
+    for place in range(count):
+        at = TILE * get(members, 2 * place + 1)
+        median = load(floats, MEDIAN + at)
+        gap = broadcast_load(records, RECORD * int(get(members, 2 * place)) + DEPTH) - median
+        is_near = maximum(gap, broadcast(ZERO) - gap) <= median * broadcast(NEAR)
+        weight = select(is_near, load(floats, LISTED + place * TILE), broadcast(ZERO))
+        store(floats, WEIGHT + at, load(floats, WEIGHT + at) + weight)
+        store(floats, OFFSET + at, fma(weight, gap, load(floats, OFFSET + at)))
+
+
+@parallel_kernel
+def find_surface(
+    worker: int, workers: int, isects: Intersections, records: Array, scratches: Any, depth: Array, width: int
+) -> None:
+    """Fill every ``workers``-th tile of ``depth`` float32 [H * W], metres, 0 where nothing is drawn. The rest is as in
+    ``list_contributors``."""
+    size = (width, depth.shape[0] // width)
+    floats, members = scratches[0][worker], scratches[1][worker]
+    for number in range(worker, isects.isect_offsets.shape[0] - 1, workers):
+        tile = tile_of(number, width, isects.isect_offsets)
+        count = blend_tile(tile, size, isects.flatten_ids, records, (floats, members))
+        sum_near_median(count, records, floats, members)
+        inside = lane_numbers() < broadcast(F(width - tile.left))
+        for r in range(min(TILE, size[1] - tile.top)):
+            weight = maximum(load(floats, WEIGHT + r * TILE), broadcast(NEARLY_NOTHING))
+            mean = load(floats, MEDIAN + r * TILE) + load(floats, OFFSET + r * TILE) / weight
+            masked_store(depth, (tile.top + r) * width + tile.left, mean, inside)
