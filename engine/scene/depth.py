@@ -220,7 +220,8 @@ def open_depth(scene: Path, lenses: Mapping[str, Camera]) -> tuple[dict[str, Dep
         name: seen_by_colour(one, (None if name in own else depth_lens) or lenses[name], lenses[name], beside)
         for name, one in maps.items()
     }
-    inferred = tuple(Inferred("depth's lens", *warning.split(": ", 1)) for warning in told)
+    parts = (warning.partition(": ") for warning in told)
+    inferred = tuple(Inferred("depth's lens", taken, reason) for taken, _, reason in parts)
     fitting = {name: one for name, one in found.items() if one is not None}
     if len(fitting) == len(maps) or path is None:
         return fitting, inferred

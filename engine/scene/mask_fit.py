@@ -167,15 +167,16 @@ def paired(
             ways.append((how, replace(source, masks=masks)))
     doubts: tuple[Inferred, ...] = ()
     for how, source in sorted(ways, key=lambda way: -len(way[1].masks)):
-        masks = source.masks
+        chosen = source.masks
         # Where no name has its mask, the masks of the next frames are what the pairs have to be better than.
-        against = usual if usual.masks else replace(source, masks=dict(zip(names, [*masks.values()][1:], strict=False)))
-        common = evenly_spread([name for name in masks if name in against.masks], _LOOKED_AT)
+        moved = dict(zip(names, [*chosen.values()][1:], strict=False))
+        against = usual if usual.masks else replace(source, masks=moved)
+        common = evenly_spread([name for name in chosen if name in against.masks], _LOOKED_AT)
         read = ((_ids(source, name), _ids(against, name), pictured[name]) for name in common)
         pairs = ((one, other, shown) for one, other, shown in read if one is not None and other is not None)
         fits = fits_better((one, other, shown.read, shown.size) for one, other, shown in pairs)
         if fits:
-            what = f"{how}: {names[0]} has {masks[names[0]].path.name if names[0] in masks else 'none'}"
+            what = f"{how}: {names[0]} has {chosen[names[0]].path.name if names[0] in chosen else 'none'}"
             return source, (Inferred("numbering", f"masks are paired with frames {what}", f"they fit so; {_BY_NAMES}"),)
         if fits is None and error is None:
             what = f"masks may be numbered otherwise than frames: {listed(lacking)} lack one, and some masks a frame"
@@ -283,7 +284,8 @@ def _boxes(
     """The part of each mask that shows its picture, where a network's borders surround it, empty in all masks."""
     ways: list[dict[str, tuple[int, int, int, int]]] = [{}, {}]
     for name, mask in source.masks.items():
-        (width, height), size = mask.size, pictured[name].size[:: -1 if found[name].turns % 2 else 1]
+        (width, height), (across, down) = mask.size, pictured[name].size
+        size = (down, across) if found[name].turns % 2 else (across, down)
         scale = min(width / size[0], height / size[1])
         inner = round(size[0] * scale), round(size[1] * scale)
         over = width - inner[0], height - inner[1]

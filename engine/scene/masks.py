@@ -80,8 +80,8 @@ class MaskReader:
         read_as = (sorted(self.known.class_of.items()), self.known.others, classes, sorted(self.void), self.fuses)
         kept = None if self.placement is None or self.placement.kept is None else self.placement.kept.path
         files = digests_of_files([self.stored.files, *([(kept,)] if kept else [])])
-        read_as = read_as if self.placement in (None, Placement()) else (*read_as, repr(self.placement))
-        return sha256(f"{files} {self.stored.about} {read_as}".encode()).hexdigest()[:16]
+        placed = "" if self.placement in (None, Placement()) else f" {self.placement}"
+        return sha256(f"{files} {self.stored.about} {read_as}{placed}".encode()).hexdigest()[:16]
 
     def _class_of(self, one: FoundSegment) -> int | None:
         """The class id of a segment, 0 = void, None if it is unknown."""

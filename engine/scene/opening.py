@@ -88,17 +88,17 @@ def open_asked(source: SceneSource) -> Scene:
     of_shot = {shot.name: shot for shot in shots} if source.depth is None else {}
     depths = of_most(list(of_shot), lambda name: _readable_depth(of_shot[name]))
     kept = _kept_pixels(shots, beside)
-    bare = {
+    unmasked = {
         shot.name: _frame(shot, cameras[shot.name], shot.name in held_out, depths.get(shot.name), kept.get(shot.name))
         for shot in shots
     }
-    pictured = {shot.name: _pictured(shot, bare[shot.name], kept.get(shot.name)) for shot in shots}
+    pictured = {shot.name: _pictured(shot, unmasked[shot.name], kept.get(shot.name)) for shot in shots}
     mask_set = find_masks(beside, masks, pictured, source.mask_format, source.classes)
     truth, truth_warnings, of_truth = open_ground_truth(beside, sizes, mask_set)
     points = None if capture.points is None else capture.points.turned(turn)
     frames = tuple(
         replace(frame, read_mask=mask_set.readers.get(name), read_ground_truth=truth.get(name))
-        for name, frame in bare.items()
+        for name, frame in unmasked.items()
     )
     gone = (*left_out("a pose", capture.lost), *left_out("a readable picture", unreadable), *capture.left_out)
     inferred = (*_inferred(source, reader, capture, beside, turn), *capture.inferred, *mask_set.inferred, *of_truth)

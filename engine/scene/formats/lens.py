@@ -184,7 +184,7 @@ def _source_pixels(
     at whole numbers, and the share of those that lie in it."""
     across, down = (np.arange(width) + 0.5 - cx) / fx, (np.arange(height) + 0.5 - cy) / fy
     with np.errstate(all="ignore"):
-        x, y = distortion.bent(*np.meshgrid(across, down))
-        x, y = x * fx + cx - 0.5, y * fy + cy - 0.5
-    x, y = (np.where(np.isfinite(each), each.clip(-1e6, 1e6), -1e6).astype(np.float32) for each in (x, y))
+        u, v = distortion.bent(*np.meshgrid(across, down))
+        u, v = u * fx + cx - 0.5, v * fy + cy - 0.5
+    x, y = (np.where(np.isfinite(each), each.clip(-1e6, 1e6), -1e6).astype(np.float32) for each in (u, v))
     return x, y, float(np.mean((x >= 0.0) & (x < width) & (y >= 0.0) & (y < height)))
