@@ -157,6 +157,9 @@ class LiftOptions(SceneOptions):
         options=_SKIP_SAVE, name="Keep Names", default=True,
         description="Objects that the lift shown in this scene already found keep their names and ids",
     )  # fmt: skip
+    anyway: BoolProperty(  # type: ignore[valid-type]
+        options=_SKIP_SAVE, name="Lift Anyway", description="Lift even a scene whose numbers or masks are clearly wrong"
+    )
     keep_running: BoolProperty(  # type: ignore[valid-type]
         options=_SKIP_SAVE,
         name="Outlive Blender",
@@ -216,6 +219,7 @@ def request_of(settings: PLGS_PG_settings) -> LiftRequest:
         preset=preset,
         options=options,
         fit=settings.fit,
+        anyway=settings.anyway,
         seed=settings.seed,
         bake=settings.bake,
         device=settings.device,
@@ -274,6 +278,7 @@ def adopt(settings: PLGS_PG_settings, request: LiftRequest, folder: Path) -> Non
         "height": height,
         "frames": 0 if frames is None else frames or -1,
         "fit": request.fit,
+        "anyway": request.anyway,
         "seed": min(request.seed, 2**31 - 1),
         "bake": request.bake,
         "device": request.device,

@@ -61,6 +61,7 @@ ENGINE_MAY_IMPORT: dict[str, set[str]] = {
         "model",
         "train",
         "passes",
+        "diagnosis",
     },
     "diagnosis": {"errors", "job", "posed", "scene"},
     "export": {

@@ -66,7 +66,7 @@ class PLGS_PT_lift_options(Sidebar, bpy.types.Panel):
         for name in NAMES:
             _draw_used(column, context, name)
         column.prop(settings, "seed")
-        for name in ("fit", "bake", "keep_names"):
+        for name in ("fit", "anyway", "bake", "keep_names"):
             fixed.prop(settings, name)
         column = layout.column(heading="During the Lift")
         column.prop(settings, "live_preview")

@@ -248,12 +248,7 @@ def _lift_folder(piece: Piece) -> LiftFolder:
         except PlgsError:
             if not (piece.lift / "request.json").exists():  # otherwise two workers made it at the same time
                 raise
-    lift = LiftFolder.open(piece.lift)
-    differing = piece.request.differences(lift.request)
-    if differing:
-        fix = "Leave these options as they were, or choose another output folder."
-        raise PlgsError("other-options", f"holds a lift with a different {', '.join(differing)}", lift.path, fix)
-    return lift
+    return LiftFolder.open(piece.lift).asked_again(piece.request)
 
 
 def do_on_dask(piece: Piece) -> Outcome:

@@ -16,6 +16,7 @@ from ..errors import ErrorCode, ExitCode, PlgsError
 from ..job import EventWriter, LiftFolder
 from ..job.folder import refuse_foreign_below
 from ..job.lock import FileLock
+from ..job.report import wrong_with_scene
 from ..job.task import TaskProgress
 from ..job.terminal import Interrupts, LiveLine
 from ..json_file import Json
@@ -48,6 +49,7 @@ class _Scene:
     seconds: float = 0.0
     unfit: dict[str, str] = field(default_factory=dict)
     metrics: Mapping[str, Json] = field(default_factory=dict)
+    wrong: str = ""
     frames: Sequence[str] = ()
 
 
@@ -155,7 +157,7 @@ class _Batch:
                         self._submit(piece)
                 return
         code = lifting_code(scene.job.lift)
-        self._end(scene, Row(scene.job.name, Ended.DONE, scene.seconds, "", 0, scene.metrics, code))
+        self._end(scene, Row(scene.job.name, Ended.DONE, scene.seconds, scene.wrong, 0, scene.metrics, code))
 
     def _submit(self, piece: Piece) -> None:
         scene = self._scenes[piece.scene]
@@ -263,6 +265,7 @@ class _Batch:
             scene.frames = [str(name) for name in frames] if isinstance(frames, list) else []
         if piece.kind is Kind.SCORE:
             scene.metrics = lifted_metrics(outcome.answer)
+            scene.wrong = "; ".join(wrong_with_scene(outcome.answer))
         scene.out -= 1
         if not scene.out:
             self._next_stage(scene)
@@ -351,7 +354,8 @@ class BatchReport:
 
     def ended(self, row: Row) -> None:
         """A scene has its row: the event "metric" with the name "scene"."""
-        about = f": {row.reason}" if row.reason else f" in {row.seconds / 60:.1f} min"
+        about = f" in {row.seconds / 60:.1f} min" if row.state == Ended.DONE else ""
+        about += f": {row.reason}" if row.reason else ""
         self._line.say(" ".join(f"{row.scene}: {row.state}{about}".splitlines()))
         if self._events is not None:
             figures = {name: value for name, value in row.metrics.items() if isinstance(value, int | float | str)}

@@ -216,6 +216,7 @@ def _place(options: argparse.Namespace, gigabytes: Sequence[float]) -> Place:
 _MOST_BYTES = 1 << 26
 _PATHS = ("scene", "masks", "depth", "names-from")
 _OF_ALL = ("bake", "poses")
+_SWITCHES = ("fit", "anyway")
 _FIX = "Write a column (CSV) or a key of a [[scene]] (TOML) 'scene', and others named as options of lift."
 
 
@@ -257,9 +258,9 @@ def _arguments(name: str, value: Any, folder: Path, where: str) -> Iterator[str]
     if isinstance(value, list):
         for each in value:
             yield from _arguments(name, each, folder, where)
-    elif value is True or (name == "fit" and str(value).lower() in ("true", "yes", "1")):
+    elif value is True or (name in _SWITCHES and str(value).lower() in ("true", "yes", "1")):
         yield f"--{name}"
-    elif name == "fit" and str(value).lower() in ("false", "no", "0"):
+    elif name in _SWITCHES and str(value).lower() in ("false", "no", "0"):
         return
     elif isinstance(value, str | int | float) and value is not False:
         is_path = name in _PATHS or str(value).endswith(".toml")

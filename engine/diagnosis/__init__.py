@@ -4,6 +4,6 @@ from __future__ import annotations
 
 from .findings import Diagnosis, Finding, write_findings
 from .mend import write_mended
-from .run import diagnose
+from .run import diagnose, diagnose_quickly
 
-__all__ = ["Diagnosis", "Finding", "diagnose", "write_findings", "write_mended"]
+__all__ = ["Diagnosis", "Finding", "diagnose", "diagnose_quickly", "write_findings", "write_mended"]

@@ -144,7 +144,7 @@ class Finding:
     ``cause`` names it in a word or two. ``text`` says what is wrong, with figures; ``figures`` has these for programs.
     ``option`` says what mends it, and ``is_mended`` whether ``--fix`` does. ``frames`` names the frames concerned, and
     is empty for all frames; those of ``leave_out`` are better left out of a lift. ``picture`` uint8 [H, W, 3] RGB shows
-    it.
+    it. ``stops``: a lift of the scene would be in vain.
     """
 
     cause: str
@@ -156,6 +156,7 @@ class Finding:
     frames: tuple[str, ...] = ()
     leave_out: tuple[str, ...] = ()
     picture: NDArray[np.uint8] | None = None
+    stops: bool = False
 
     def as_json(self) -> dict[str, Any]:
         """Everything but the picture."""
@@ -204,6 +205,11 @@ class Diagnosis:
     looked: int
     agreement: Agreement | None
     untested: tuple[str, ...] = ()
+
+    @property
+    def stopping(self) -> Finding | None:
+        """The worst finding that makes a lift vain."""
+        return next((finding for finding in self.findings if finding.stops), None)
 
     def as_json(self) -> dict[str, Any]:
         """Everything but the pictures."""

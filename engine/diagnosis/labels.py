@@ -11,18 +11,15 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..posed.layout import listed
+from ..posed.layout import listed, plural
 from ..scene import VOID
-from ..scene.pixels import resize_nearest
 from .findings import Finding, side_by_side
 from .reprojection import Assumption, Examined, Floats, values_at
 from .up import world_normals
 
-_WIDTH = 320
-"""The width in pixels of the masks that are compared."""
 _SAME_SURFACE = 0.5
 """Least agreement in depth, 0..1, of two views of one surface: about 2.7 % of the depth."""
-_FEWEST_POINTS = 100
+_FEWEST_POINTS, _FEWEST_OF_PAIR = 100, 30
 _UNRELATED = 0.5
 _FOREIGN, _PROBABLY_FOREIGN = 0.25, 0.35
 """Shares of the median agreement beyond chance. A foreign mask also reaches some: floors are low in all pictures."""
@@ -58,10 +55,9 @@ class LabelAgreement(NamedTuple):
 
 def measure_labels(examined: Examined, assumed: Assumption) -> LabelAgreement | None:
     """Compare the labels of points whose depth agrees. Raises PlgsError."""
-    views, pairs = examined.views, examined.pairs
-    if any(look.frame.read_mask is None for look in views.looks):
+    views, pairs, maps = examined.views, examined.pairs, examined.class_maps
+    if maps is None:
         return None
-    maps = [_reduced(look.frame.mask(None).class_map()) for look in views.looks]
     ids = tuple(sorted({*np.concatenate([np.unique(each) for each in maps]).tolist()} - {VOID}))
     if not ids:
         return None
@@ -84,13 +80,63 @@ def measure_labels(examined: Examined, assumed: Assumption) -> LabelAgreement | 
     return LabelAgreement(counts, np.where(total >= _FEWEST_POINTS, same / np.maximum(total, 1.0), np.nan))
 
 
-def _reduced(classes: NDArray[np.int32]) -> NDArray[np.int32]:
-    height, width = classes.shape
-    return resize_nearest(classes, (_WIDTH, max(1, round(height * _WIDTH / width)))) if width > _WIDTH else classes
+_LAGS = (-2, -1, 1, 2)
+_FEWEST_PAIRS, _FEWEST_LOOKS = 12, 6
+_LEAST_GAIN, _CERTAIN, _SUSPECT = 0.01, 5.0, 2.0
+"""Least gain of the share with the same class, and in its standard errors among the looks: for a finding, and for a
+closer look. Right masks lose by 2.7 or more."""
 
 
-def label_findings(examined: Examined, assumed: Assumption) -> list[Finding]:
-    """Masks that contradict each other where views see the same surface. Raises PlgsError."""
+class MaskLag(NamedTuple):
+    """Masks agree better if each look's is that of the frame ``lag`` places later: the ``share`` of points with the
+    same class ``before`` and ``after``, and the gain in standard errors."""
+
+    lag: int
+    before: float
+    after: float
+    certainty: float
+
+
+def measure_mask_lag(examined: Examined, assumed: Assumption, certain: float = _CERTAIN) -> MaskLag | None:
+    """Whether masks are those of other frames, beyond ``certain`` standard errors. Raises PlgsError."""
+    views, maps = examined.views, examined.class_maps
+    if maps is None:
+        return None
+    comparison = views.compare(examined.pairs, assumed)
+    seen = [agrees > _SAME_SURFACE for agrees in comparison.agrees]
+    row_of = {look.number: row for row, look in enumerate(views.looks)}
+
+    def shares(lag: int) -> Floats:
+        found = np.full(len(examined.pairs), np.nan)
+        for row, (one, other) in enumerate(examined.pairs.tolist()):
+            taken = [row_of.get(views.looks[look].number + lag) for look in (one, other)]
+            if taken[0] is None or taken[1] is None or seen[row].sum() < _FEWEST_OF_PAIR:
+                continue
+            ours = values_at(maps[taken[0]], views.places[one][seen[row]])
+            theirs = values_at(maps[taken[1]], comparison.place[row][seen[row]])
+            found[row] = float((ours == theirs).mean())
+        return found
+
+    as_they_are, best = shares(0), None
+    for lag in _LAGS:
+        gains = shares(lag) - as_they_are
+        known, by_look = np.isfinite(gains), examined.mean_by_look(gains)
+        if known.sum() < _FEWEST_PAIRS or len(by_look) < _FEWEST_LOOKS:
+            continue
+        certainty = float(by_look.mean()) / max(float(by_look.std(ddof=1)) / np.sqrt(len(by_look)), 1e-9)
+        found = MaskLag(lag, float(as_they_are[known].mean()), float((as_they_are + gains)[known].mean()), certainty)
+        is_clear = found.after - found.before > _LEAST_GAIN and certainty > certain
+        if is_clear and (best is None or found.after - found.before > best.after - best.before):
+            best = found
+    return best
+
+
+def label_findings(examined: Examined, assumed: Assumption, is_quick: bool = False) -> list[Finding]:
+    """Masks that contradict each other where views see the same surface. ``is_quick``: what is found is looked at more
+    closely afterwards. Raises PlgsError."""
+    lag = measure_mask_lag(examined, assumed, _SUSPECT if is_quick else _CERTAIN)
+    if lag is not None:
+        return [_masks_of_others(lag)]
     labels = measure_labels(examined, assumed)
     if labels is None or labels.counts.sum() < 10 * _FEWEST_POINTS:
         return []
@@ -108,6 +154,20 @@ def odd_looks(labels: LabelAgreement) -> list[int]:
     return np.flatnonzero(kept < _PROBABLY_FOREIGN).tolist() if (kept < _FOREIGN).any() else []
 
 
+def _masks_of_others(found: MaskLag) -> Finding:
+    way = "earlier" if found.lag > 0 else "later"
+    return Finding(
+        cause="masks of other frames",
+        severity="wrong",
+        text=f"each mask belongs to the frame {plural(abs(found.lag), 'place')} {way}: of what two views see, "
+        f"{found.after:.1%} then has the same class in both, against {found.before:.1%} "
+        f"({found.certainty:.0f} standard errors)",
+        option="give the masks the names of the frames that they belong to",
+        figures={"frames": float(found.lag), "share": found.before, "share_then": found.after},
+        stops=True,
+    )
+
+
 def _unrelated_masks(examined: Examined, labels: LabelAgreement) -> Finding:
     return Finding(
         cause="contradicting masks",
@@ -116,6 +176,7 @@ def _unrelated_masks(examined: Examined, labels: LabelAgreement) -> Finding:
         option="check that each mask belongs to its frame, and that all use the same class table",
         figures={"share": labels.share},
         picture=_masks_shown(examined, [0, 1]),
+        stops=True,
     )
 
 
@@ -184,14 +245,14 @@ Counts = defaultdict[int, Counter[str]]
 
 def measure_table(examined: Examined, assumed: Assumption, up: Floats) -> Counts:
     """How the surfaces of each class look. Raises PlgsError."""
-    views = examined.views
-    if any(look.frame.read_mask is None for look in views.looks):
+    views, maps = examined.views, examined.class_maps
+    if maps is None:
         return defaultdict(Counter)
     level, upright = np.cos(np.radians(_WITHIN)), np.sin(np.radians(_WITHIN))
     counts: Counts = defaultdict(Counter)
     for row, (normals, known) in enumerate(world_normals(views, assumed)):
         at = views.places[row][views.values[row] > 0.0][known]
-        classes = values_at(examined.looks[row].frame.mask(None).class_map(), at)
+        classes = values_at(maps[row], at)
         steep = normals[known] @ up
         is_kind = {"floor": steep > level, "ceiling": steep < -level, "wall": np.abs(steep) < upright}
         for class_id in {*np.unique(classes).tolist()} - {VOID}:
@@ -235,6 +296,7 @@ def table_findings(examined: Examined, assumed: Assumption, up: Floats) -> list[
             text=f"the names of the classes do not fit the surfaces: {told}",
             option=_OPTION,
             figures={f"{kind}_share": each.share for kind, each in found.items()},
+            stops=True,
         )
     ]
 

@@ -19,6 +19,8 @@ _OFF_UNIT, _OFF_FOCAL = 0.025, 0.03
 _OFF_RAY = 0.3
 """Part of the ray's length that is in depth."""
 _OFF_PIXELS = 0.3
+_RUINED = 1.5
+"""Least factor by which views agree better without a cause that makes a lift vain."""
 _ABOVE_NOISE = 2.0
 """A shift of the principal point must move surfaces by at least this many median errors."""
 _HALF, _NEARLY = 0.5, 0.1
@@ -111,6 +113,12 @@ def number_findings(examined: Examined, lens_is_doubtful: bool = False) -> tuple
     return findings, assumed, shift
 
 
+def are_numbers_off(examined: Examined, assumed: Assumption) -> bool:
+    """Whether a fit to few points finds a unit, a lens or depth off, which `number_findings` then measures."""
+    found = calibrate(examined.views, examined.pairs, assumed, points=60)
+    return found is not None and bool(_values_off(examined, found, moved(assumed, found.values), may_move=True))
+
+
 def _cause_finding(examined: Examined, cause: FoundCause, before: Assumption) -> Finding:
     words = _WORDS[cause.cause]
     text, option, figures = _cause_texts(examined, cause, before)
@@ -129,6 +137,7 @@ def _cause_finding(examined: Examined, cause: FoundCause, before: Assumption) ->
         figures={**figures, **after},
         is_mended=is_sure,
         picture=depth_errors(examined.views, one, other, assumptions),
+        stops=cause.after.mean > _RUINED * cause.before.mean,
     )
 
 

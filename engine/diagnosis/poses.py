@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
@@ -337,8 +338,10 @@ def _repeated_frames(frames: Sequence[Frame]) -> list[tuple[int, int]]:
     """(the later frame, the first frame) whose picture files are equal byte by byte. Raises OSError."""
     first: dict[bytes, int] = {}
     repeated = []
+    sizes = [frame.colour_path.stat().st_size if frame.file_shows_colour else 0 for frame in frames]
+    shared = {size for size, count in Counter(sizes).items() if count > 1 and size}
     for number, frame in enumerate(frames):
-        if not frame.file_shows_colour:
+        if sizes[number] not in shared:
             continue
         key = hashlib.blake2b(frame.colour_path.read_bytes(), digest_size=16).digest()
         if first.setdefault(key, number) != number:

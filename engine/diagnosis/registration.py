@@ -255,7 +255,7 @@ def measure_pictures(examined: Examined, assumed: Assumption) -> PictureFit | No
     best = None
     for taken in _OTHERS:
         gains = _correlations(examined, places, taken) - as_they_are
-        by_look = _by_look(gains, pairs, len(views.looks))
+        by_look = examined.mean_by_look(gains)
         known = np.isfinite(gains)
         if known.sum() < _FEWEST_PAIRS or len(by_look) < _FEWEST_LOOKS:
             continue
@@ -293,16 +293,6 @@ def _mirrored(places: Floats) -> Floats:
     return np.stack([1.0 - places[:, 0], places[:, 1]], axis=1)
 
 
-def _by_look(gains: Floats, pairs: NDArray[np.int64], looks: int) -> Floats:
-    """The mean gain of each look that has one, so that looks in many pairs count once."""
-    total, count = np.zeros(looks), np.zeros(looks)
-    known = np.isfinite(gains)
-    for column in (0, 1):
-        np.add.at(total, pairs[known, column], gains[known])
-        np.add.at(count, pairs[known, column], 1.0)
-    return total[count > 0] / count[count > 0]
-
-
 def picture_findings(examined: Examined, assumed: Assumption) -> list[Finding]:
     """Pictures that belong to other frames, or are mirrored, where depth and poses are not."""
     fit = measure_pictures(examined, assumed)
@@ -321,6 +311,7 @@ def picture_findings(examined: Examined, assumed: Assumption) -> list[Finding]:
             option=option,
             figures={"correlation": fit.before, "correlation_then": fit.after, "certainty": fit.certainty},
             picture=side_by_side([(photo.name, photo.grey), ("its depth", depth)]),
+            stops=True,
         )
     ]
 

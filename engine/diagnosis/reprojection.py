@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import combinations
 from typing import Any, NamedTuple
 
@@ -12,19 +13,38 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..scene import Camera, Frame, Scene
+from ..scene.pixels import resize_nearest
 
 Floats = NDArray[np.float64]
 
-_MOST_LOOKS = 120
+
+class Sample(NamedTuple):
+    """Which frames are examined: all, or where there are more than ``most``, ``groups`` spread over the recording.
+    ``steps`` are the frames of a group, counted from its first.
+
+    Neighbours show small errors. Distant views of the same surface show large ones.
+    """
+
+    most: int
+    groups: int
+    steps: tuple[int, ...]
+
+    def numbers(self, count: int) -> list[int]:
+        """The numbers of the examined frames, of ``count``."""
+        if count <= self.most:
+            return [*range(count)]
+        starts = np.linspace(0, count - 1, self.groups).round().astype(int)
+        return sorted({int(min(start + step, count - 1)) for start in starts for step in self.steps})
+
+
+MANY, FEW = Sample(120, 24, (0, 1, 3, 7, 15)), Sample(36, 12, (0, 1, 2))
 _SPREAD = 24
-"""Places in the recording that are compared with each other. Each has a group of frames."""
-_GROUP_STEPS = (0, 1, 3, 7, 15)
-"""Frames of a group, counted from its first."""
+"""Looks that are compared with each other."""
 _NEXT = 3
 """The number of following looks, in recording order, that each look is compared with."""
 _WIDEST = 640
 """The width in pixels to which depth and pictures are reduced."""
-_PHOTO_WIDTH = 320
+_PHOTO_WIDTH = _MASK_WIDTH = 320
 _POINTS = 400
 """The number of points that each look compares with other views."""
 _SMOOTH_AROUND = 1.05
@@ -62,17 +82,6 @@ class Photo:
         return float(((self.grey < _DARK) | (self.grey > _BRIGHT)).mean())
 
 
-def chosen_numbers(count: int) -> list[int]:
-    """Which of ``count`` frames are examined: all, or 24 groups spread over the recording.
-
-    Neighbours show small errors. Distant views of the same surface show large ones.
-    """
-    if count <= _MOST_LOOKS:
-        return [*range(count)]
-    starts = np.linspace(0, count - 1, _SPREAD).round().astype(int)
-    return sorted({int(min(start + step, count - 1)) for start in starts for step in _GROUP_STEPS})
-
-
 def pairs_of(count: int) -> NDArray[np.int64]:
     """The pairs (from, to) that are compared, int64 [P, 2]: each look with the next three, 24 looks with each other."""
     spread = np.unique(np.linspace(0, count - 1, min(count, _SPREAD)).round().astype(int)).tolist()
@@ -82,10 +91,10 @@ def pairs_of(count: int) -> NDArray[np.int64]:
     return np.array([(i, j) if (i + j) % 2 else (j, i) for i, j in sorted(pairs)], np.int64).reshape(-1, 2)
 
 
-def load_looks(frames: Sequence[Frame]) -> list[Look]:
-    """Load the depth of the chosen frames that have depth. Raises PlgsError for bad files."""
+def load_looks(frames: Sequence[Frame], sample: Sample) -> list[Look]:
+    """Load the depth of the sample's frames that have depth. Raises PlgsError for bad files."""
     looks = []
-    for number in chosen_numbers(len(frames)):
+    for number in sample.numbers(len(frames)):
         frame = frames[number]
         if frame.read_depth is None:
             continue
@@ -97,9 +106,9 @@ def load_looks(frames: Sequence[Frame]) -> list[Look]:
     return looks
 
 
-def load_photos(frames: Sequence[Frame]) -> dict[int, Photo]:
-    """The pictures of the chosen frames, by the frames' numbers. Raises PlgsError."""
-    return {number: _load_photo(number, frames[number]) for number in chosen_numbers(len(frames))}
+def load_photos(frames: Sequence[Frame], sample: Sample) -> dict[int, Photo]:
+    """The pictures of the sample's frames, by the frames' numbers. Raises PlgsError."""
+    return {number: _load_photo(number, frames[number]) for number in sample.numbers(len(frames))}
 
 
 def _load_photo(number: int, frame: Frame) -> Photo:
@@ -370,6 +379,23 @@ class Examined:
         """A look's photo."""
         return self.photos[self.looks[row].number]
 
+    @cached_property
+    def class_maps(self) -> list[NDArray[np.int32]] | None:
+        """The class ids of each look's mask, int32 [H, W], at most 320 wide. None if a look has no mask. Raises
+        PlgsError."""
+        if any(look.frame.read_mask is None for look in self.looks):
+            return None
+        return [_reduced(look.frame.mask(None).class_map()) for look in self.looks]
+
+    def mean_by_look(self, values: Floats) -> Floats:
+        """The mean of the pairs' values [P] for each look that has any, so that looks in many pairs count once."""
+        total, count = np.zeros(len(self.looks)), np.zeros(len(self.looks))
+        known = np.isfinite(values)
+        for column in (0, 1):
+            np.add.at(total, self.pairs[known, column], values[known])
+            np.add.at(count, self.pairs[known, column], 1.0)
+        return total[count > 0] / count[count > 0]
+
     def telling_pair(self, assumed: Assumption) -> tuple[int, int]:
         """Two looks for a picture. They show much of the same surface, from places as far apart as that allows."""
         comparison = self.views.compare(self.pairs, assumed)
@@ -380,11 +406,18 @@ class Examined:
         return int(self.pairs[best, 0]), int(self.pairs[best, 1])
 
 
-def examine(scene: Scene) -> Examined | None:
+def _reduced(classes: NDArray[np.int32]) -> NDArray[np.int32]:
+    height, width = classes.shape
+    size = (_MASK_WIDTH, max(1, round(height * _MASK_WIDTH / width)))
+    return resize_nearest(classes, size) if width > _MASK_WIDTH else classes
+
+
+def examine(scene: Scene, sample: Sample = MANY) -> Examined | None:
     """Load what is compared. None where fewer than three frames have depth. Raises PlgsError."""
-    looks = load_looks(scene.frames)
+    looks = load_looks(scene.frames, sample)
     if len(looks) < 3:
         return None
     turn = np.eye(3) if scene.turn is None else scene.turn
     recorded = np.stack([frame.camera.camera_to_world for frame in scene.frames])
-    return Examined(scene, looks, Views(looks, turn, recorded), pairs_of(len(looks)), load_photos(scene.frames))
+    photos = load_photos(scene.frames, sample)
+    return Examined(scene, looks, Views(looks, turn, recorded), pairs_of(len(looks)), photos)

@@ -10,11 +10,11 @@ from ..posed.layout import listed
 from ..scene import Scene
 from .findings import Diagnosis, Finding, Mending, side_by_side
 from .labels import label_findings, table_findings
-from .numbers import NUMBER_CAUSES, lens_findings, number_findings
+from .numbers import NUMBER_CAUSES, are_numbers_off, lens_findings, number_findings
 from .poses import measure_order, order_findings, pose_findings, repeat_findings
 from .registration import SHIFT, picture_findings
-from .reprojection import Assumption, Photo, examine, load_photos
-from .trials import Agreement, agreement
+from .reprojection import FEW, MANY, Assumption, Photo, examine, load_photos
+from .trials import Agreement, agreement, find_causes
 from .up import measure_tilt, tilt_finding, turn_to_z
 
 _Z = np.array([0.0, 0.0, 1.0])
@@ -53,8 +53,28 @@ def diagnose(scene: Scene) -> Diagnosis:
     return replace(_diagnosis(scene, findings, mending, len(examined.looks), as_it_is), untested=untested)
 
 
+def diagnose_quickly(scene: Scene) -> Diagnosis:
+    """What a second or two shows of a scene before its lift: order, axes, units, lens, up, pictures and masks of other
+    frames, and the class table. `diagnose` measures again what seems wrong in these few frames. Raises PlgsError,
+    OSError."""
+    examined, order = examine(scene, FEW), measure_order(scene, Assumption())
+    findings = [*order_findings(scene, order), *repeat_findings(scene)]
+    if examined is None:
+        return Diagnosis(tuple(findings), Mending(), len(scene.frames), 0, None)
+    as_it_is = agreement(examined.views, examined.pairs, Assumption())
+    causes, assumed = find_causes(examined.views, examined.pairs, lens_is_doubtful=bool(scene.assumed_lens))
+    if causes or are_numbers_off(examined, assumed) or measure_tilt(examined.views, assumed) is not None:
+        return diagnose(scene)
+    measured = [*label_findings(examined, assumed, is_quick=True), *table_findings(examined, assumed, _Z)]
+    if order is None or not order.is_shuffled:
+        measured += picture_findings(examined, assumed)
+    if any(finding.severity == "wrong" for finding in measured):
+        return diagnose(scene)
+    return Diagnosis((*findings, *measured), Mending(), len(scene.frames), len(examined.looks), as_it_is)
+
+
 def _without_depth(scene: Scene) -> Diagnosis:
-    photos = load_photos(scene.frames)
+    photos = load_photos(scene.frames, MANY)
     order = measure_order(scene, Assumption())
     findings = [*order_findings(scene, order), *repeat_findings(scene), *clipped_findings(photos)]
     return _diagnosis(scene, findings, Mending(dropped=_dropped(findings)), len(photos), None)

@@ -8,14 +8,14 @@ from __future__ import annotations
 import os
 import shutil
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 from pathlib import Path
 from stat import S_ISDIR, S_ISLNK, S_ISREG
 
 from ..errors import ExitCode, PlgsError, is_silence
 from ..gates import create_plain
-from .atomic import PART, flush_to_disk, remove_parts
+from .atomic import PART, flush_to_disk, remove_parts, write_atomically
 from .checkpoint import CheckpointStore
 from .events import last_events
 from .lock import BakeLocks, FileLock, is_locked
@@ -84,6 +84,19 @@ class LiftFolder:
             what = "is not a lift folder (it has no request.json)"
             raise PlgsError("not-lift-folder", what, path, "Give the folder of a lift.")
         return cls(path, LiftRequest.read(path / "request.json"))
+
+    def asked_again(self, request: LiftRequest) -> LiftFolder:
+        """This lift, for a command that asks for it once more, perhaps now ``anyway``. Raises PlgsError if the request
+        differs in more than that, and OSError."""
+        differing = request.differences(self.request)
+        if differing:
+            fix = "Leave these options as they were, or choose another output folder."
+            raise PlgsError("other-options", f"holds a lift with a different {', '.join(differing)}", self.path, fix)
+        if not request.anyway or self.request.anyway:
+            return self
+        asked = replace(self.request, anyway=True)
+        write_atomically(self.path / "request.json", asked.to_json(self.path))
+        return LiftFolder(self.path, asked)
 
     @property
     def place(self) -> TaskPlace:

@@ -43,8 +43,15 @@ def metrics_text(metrics: Mapping[str, Json], *, per_class: bool = False) -> str
     if not tables:
         return "There are no metrics: they need held-out frames with ground truth."
     missed = [f"Not shown: {text} (see frame {printable(frame)})" for text, frame in not_shown(metrics)]
+    missed += [f"Wrong with the scene: {printable(finding)}" for finding in wrong_with_scene(metrics)]
     parts = [_aligned(rows, left=2), "\n".join(missed), *(_classes_text(tables) if per_class else ())]
     return "\n\n".join(part for part in parts if part)
+
+
+def wrong_with_scene(metrics: Mapping[str, Json]) -> list[str]:
+    """What was found wrong with the scene before it was lifted."""
+    entries = [entry for entry in _list(metrics.get("findings")) if isinstance(entry, dict)]
+    return [f"{entry.get('cause')}: {entry.get('text')}" for entry in entries if entry.get("severity") == "wrong"]
 
 
 def not_shown(metrics: Mapping[str, Json]) -> list[tuple[str, str]]:

@@ -48,7 +48,7 @@ class LiftRequest(SceneSource):
 
     ``options`` are the changed options of the preset, by name (see ``engine/presets``). ``fit`` uses fewer frames if
     memory is limited. ``device`` draws the Gaussians. ``names_from`` is the folder of an earlier lift whose objects
-    keep their names and ids.
+    keep their names and ids. ``anyway`` lifts a scene whose numbers or masks are wrong for certain.
 
     Raises PlgsError if a value is out of range. Files are not checked, as this is the scene's task.
     """
@@ -82,6 +82,12 @@ class LiftRequest(SceneSource):
         metadata=option(
             "an earlier lift of the same scene: objects that are still there keep their names and ids", "LIFT", Path
         ),
+    )
+    anyway: bool = field(
+        default=False,
+        metadata={
+            "option": {"action": "store_true", "default": None, "help": "lift even a scene that is clearly wrong"}
+        },
     )
     engine_version: str = __version__
 
@@ -138,10 +144,11 @@ class LiftRequest(SceneSource):
             raise PlgsError(error.key, what, path, error.fix) from error
 
     def differences(self, other: LiftRequest) -> list[str]:
-        """The names of what differs, including the options of the preset, but not the engine's version."""
+        """The names of what differs, including the options of the preset, but not ``anyway``, which changes nothing of
+        a result, and not the engine's version."""
         mine, theirs = self.chosen_preset, other.chosen_preset
         options = [name for name in preset_options() if option_value(mine, name) != option_value(theirs, name)]
-        names = [each.name for each in fields(self) if each.name not in ("options", "engine_version")]
+        names = [each.name for each in fields(self) if each.name not in ("options", "anyway", "engine_version")]
         differing = [name for name in names if getattr(self, name) != getattr(other, name)]
         return [*differing, *([] if "preset" in differing else options)]
 
@@ -206,7 +213,7 @@ def add_lift_options(parser: argparse.ArgumentParser, more_bakes: Mapping[str, s
         "--poses", choices=("colmap",),
         help="SCENE is photos or a film: let COLMAP find the poses first, and write them beside the photos",
     )  # fmt: skip
-    add_options(parser, "names_from", "device")
+    add_options(parser, "names_from", "device", "anyway")
     for name, instead in GONE.items():
         parser.add_argument(f"--{name}", type=_gone(instead), help=argparse.SUPPRESS)
     parser.add_argument(

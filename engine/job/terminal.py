@@ -268,11 +268,7 @@ def resumable(options: argparse.Namespace) -> LiftFolder | None:
     if not options.resume or not (folder / "request.json").exists():
         return None
     lift = LiftFolder.open(folder)
-    differing = request_from(options, base=lift.request).differences(lift.request)
-    if differing:
-        fix = "Leave these options as they were, or choose another output folder."
-        raise PlgsError("other-options", f"holds a lift with a different {', '.join(differing)}", lift.path, fix)
-    return lift
+    return lift.asked_again(request_from(options, base=lift.request))
 
 
 def ask_engine(python: Path, interrupts: Interrupts, kind: str, *arguments: str | Path) -> Mapping[str, Json]:

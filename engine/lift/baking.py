@@ -15,6 +15,7 @@ import numpy as np
 import torch
 
 from ..corrections import CorrectedResult
+from ..diagnosis import Finding
 from ..errors import PlgsError
 from ..job import EventWriter, LiftFolder, write_atomically
 from ..job.report import read_metrics
@@ -163,9 +164,10 @@ def bake_and_evaluate(
     held_back: Sequence[View],
     events: EventWriter,
     stages: StageReporter,
+    findings: Sequence[Finding] = (),
 ) -> None:
     """Let the masks of the training ``views`` and of those ``held_back`` judge the lift, which calibrates ``baker``;
-    bake ``wanted``, score the held-out frames, and write the contact sheet and metrics.json.
+    bake ``wanted``, score the held-out frames, and write the contact sheet and metrics.json, with the ``findings``.
 
     Ground truth is used for metrics.json only. Raises Cancelled, PlgsError, OSError.
     """
@@ -197,6 +199,7 @@ def bake_and_evaluate(
             events.preview(folder.previews_path / "contact_sheet.png")
         metrics = {
             **report.to_json(), "left_out": counted(scene.left_out), "masks_as_judges": judgement.to_json(),
+            "findings": [finding.as_json() for finding in findings],
         }  # fmt: skip
         write_atomically(folder.result_path / "metrics.json", json.dumps(metrics, indent=1) + "\n")
         fps = 1 / median(seconds) if seconds and median(seconds) > 0 else None
@@ -222,7 +225,7 @@ def score_corrected(
         report.add(LIFTED, frame, predicted(baker.render(frame.camera).layers))
         progress(done, len(scene.test_frames))
     add_input_masks(report, scene)
-    return {**report.to_json(), "left_out": metrics.get("left_out", [])}
+    return {**report.to_json(), "left_out": metrics.get("left_out", []), "findings": metrics.get("findings", [])}
 
 
 KEPT = 6

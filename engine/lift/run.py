@@ -20,6 +20,7 @@ import numpy as np
 import torch
 from safetensors.torch import save_file
 
+from ..diagnosis import Finding, diagnose_quickly
 from ..errors import Cancelled, PlgsError
 from ..job import Checkpoint, EventWriter, LiftFolder, StopSignal, write_manifest
 from ..job.prediction import USUAL_MASKS, learn_slowness, machine_slowness
@@ -142,7 +143,7 @@ def run_lift(
     code = code_of(_with_parts(code_digest(*sources), parts), checkpoint, events)
     with drawing_on(request.device):
         with stages.stage("check") as progress:
-            frames, masks_changed = checked_frames(folder, preset, checkpoint, progress, events)
+            frames, masks_changed, findings = checked_frames(folder, preset, checkpoint, progress, events)
             earlier = None if request.names_from is None else read_earlier(request.names_from)
         stages.course = expected_course(frames, preset, request.bake)
         tell_long(stages.course, events)
@@ -181,7 +182,7 @@ def run_lift(
                 take_over_edits(folder, earlier, events)
         baker = FrameBaker(classes, trainer.scene, shown_instances(prepared, names))
         wanted = frames_to_bake(frames.all, request.bake)
-        bake_and_evaluate(folder, frames.chosen, baker, wanted, views, held_back, events, stages)
+        bake_and_evaluate(folder, frames.chosen, baker, wanted, views, held_back, events, stages, findings)
     previews.clear_away()
     finish(folder, preset, stages, code, parts)
     remember_pace(paces, trainer)
@@ -215,9 +216,9 @@ def finish(folder: LiftFolder, preset: Preset, stages: StageReporter, code: str,
 
 def checked_frames(
     folder: LiftFolder, preset: Preset, checkpoint: Checkpoint | None, progress: StageProgress, events: EventWriter
-) -> tuple[FrameSets, bool]:
-    """The frames of the scene that the folder asks for, by their purpose; and whether its masks have changed since
-    the lift was begun. Raises PlgsError."""
+) -> tuple[FrameSets, bool, tuple[Finding, ...]]:
+    """The frames of the scene that the folder asks for, by their purpose; whether its masks have changed since the
+    lift was begun; and what seems wrong with it. Raises PlgsError."""
     request = folder.request
     if preset.labels == "votes" and not preset.can_vote:
         events.warning(NO_VOTES)
@@ -231,8 +232,25 @@ def checked_frames(
         events.warning(warning)
     for each in frames.chosen.inferred:
         log.info("inferred: %s: %s", each.about, each)
+    findings = ask_what_is_wrong(folder, frames.chosen, events, stops=checkpoint is None)
     masks_changed = masks_differ(before, scene, remember_scene(folder, scene, events.warning))
-    return frames.only(survey.scene), masks_changed
+    return frames.only(survey.scene), masks_changed, findings
+
+
+def ask_what_is_wrong(
+    folder: LiftFolder, scene: Scene, events: EventWriter, *, stops: bool
+) -> tuple[Finding, ...]:
+    """Warn of what is wrong with the scene. Raises PlgsError if a lift would be in vain, it ``stops`` and was not asked
+    for anyway."""
+    asked = diagnose_quickly(scene)
+    log.info("diagnosed: %d of %d frames compared, %d findings", asked.looked, asked.frames, len(asked.findings))
+    for finding in asked.findings:
+        events.warning(f"{finding.cause}: {finding.text}. To mend it, {finding.option}")
+    worst = asked.stopping
+    if worst is not None and stops and not folder.request.anyway:
+        fix = f"To mend it, {worst.option}. Or lift it with --anyway."
+        raise PlgsError("wrong-for-certain", f"{worst.cause}: {worst.text}", scene.folder, fix, option="--anyway")
+    return asked.findings
 
 
 def read_views(

@@ -1,0 +1,99 @@
+"""What a lift asks of its scene before it begins: the cheap half of the diagnosis, and what it stops."""
+
+from __future__ import annotations
+
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+import engine.diagnosis.run as diagnosis_run
+from engine.diagnosis import diagnose_quickly
+from engine.job import EventReader, EventWriter, LiftFolder, LiftRequest, StopSignal
+from engine.job.report import metrics_text
+from engine.lift import run
+from engine.presets.preset import PRESETS
+from engine.scene import open_scene
+from engine.train.progress import StageReporter
+from tests.diagnosis.matrix import FAULTS
+from tests.raises_key import raises_key
+from tests.tiny_scene import write_tiny_scene
+
+STOPPED = (
+    "world-to-camera poses", "OpenGL axes", "poses in centimetres", "depth in centimetres", "poses of the next frame",
+    "intrinsics of half the size", "depth mirrored", "colour mirrored",
+)  # fmt: skip
+TOLD = ("y is up", "one frame repeated", "poses a tenth too far")
+
+
+@pytest.fixture(scope="module")
+def good(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_tiny_scene(tmp_path_factory.mktemp("good") / "scene", 20, (96, 72))
+
+
+def spoilt(good: Path, folder: Path, fault: str) -> Path:
+    scene = Path(shutil.copytree(good, folder / "scene"))
+    FAULTS[fault].plant(scene)
+    return scene
+
+
+def test_a_clean_scene_is_not_measured_twice(good: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(diagnosis_run, "diagnose", None)
+    assert not diagnose_quickly(open_scene(good)).findings
+
+
+@pytest.mark.parametrize("fault", [*STOPPED, *TOLD])
+def test_what_is_wrong_for_certain_stops(good: Path, tmp_path: Path, fault: str) -> None:
+    found = diagnose_quickly(open_scene(spoilt(good, tmp_path, fault)))
+    assert {each.cause for each in found.findings} & {*FAULTS[fault].causes}
+    assert (found.stopping is not None) == (fault in STOPPED)
+
+
+@pytest.mark.parametrize("by", [-1, 1])
+def test_masks_of_neighbours_are_seen(good: Path, by: int) -> None:
+    scene = open_scene(good)
+    masks = [frame.read_mask for frame in scene.frames]
+    last = len(masks) - 1
+    taken = [masks[min(max(number + by, 0), last)] for number in range(len(masks))]
+    frames = tuple(replace(frame, read_mask=mask) for frame, mask in zip(scene.frames, taken, strict=True))
+    found = diagnose_quickly(replace(scene, frames=frames)).stopping
+    assert found is not None and found.cause == "masks of other frames" and found.figures["frames"] == -by
+
+
+@pytest.mark.parametrize(("anyway", "resumed"), [(False, False), (True, False), (False, True)])
+def test_a_lift_stops_unless_it_is_asked_for_anyway(good: Path, tmp_path: Path, anyway: bool, resumed: bool) -> None:
+    scene = spoilt(good, tmp_path, "world-to-camera poses")
+    folder = LiftFolder.create(tmp_path / "lift", LiftRequest(scene=scene, anyway=anyway))
+    events = EventWriter(folder.events_path)
+    opened = open_scene(scene)
+    if anyway or resumed:
+        found = run.ask_what_is_wrong(folder, opened, events, stops=not resumed)
+        text = metrics_text({"findings": [each.as_json() for each in found]})
+        assert "Wrong with the scene: inverted poses" in text
+    else:
+        with raises_key("wrong-for-certain invert --anyway"):
+            run.ask_what_is_wrong(folder, opened, events, stops=True)
+    told = [event.data["message"] for event in EventReader(folder.events_path).poll() if event.kind == "warning"]
+    assert any("inverted poses" in each and "invert them" in each for each in told)
+    events.close()
+
+
+def test_the_check_of_a_lift_asks(good: Path, tmp_path: Path) -> None:
+    folder = LiftFolder.create(tmp_path / "lift", LiftRequest(scene=spoilt(good, tmp_path, "OpenGL axes")))
+    events = EventWriter(folder.events_path)
+    stages = StageReporter(events, StopSignal(folder.cancel_path), run.STAGES)
+    with raises_key("wrong-for-certain"), stages.stage("check") as progress:
+        run.checked_frames(folder, PRESETS["preview"], None, progress, events)
+    events.close()
+
+
+def test_the_same_command_may_add_anyway(tmp_path: Path) -> None:
+    """A lift that was stopped, of a batch or with --resume, is not another lift for that."""
+    plain = LiftRequest(scene=tmp_path)
+    folder = LiftFolder.create(tmp_path / "lift", plain)
+    asked = LiftRequest(scene=tmp_path, anyway=True)
+    assert folder.asked_again(asked).request.anyway and LiftFolder.open(folder.path).request == asked
+    assert LiftFolder.open(folder.path).asked_again(plain).request.anyway
+    with raises_key("other-options"):
+        folder.asked_again(LiftRequest(scene=tmp_path, seed=1, anyway=True))
