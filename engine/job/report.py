@@ -23,6 +23,7 @@ _OTHERS = (
 )
 _CLASS_SHARES = (("iou", "IoU %"), *_SHARES[2:])
 _COUNTS = ("tp", "fp", "fn")
+_NO_METRICS = "There are no metrics: they need held-out frames with ground truth."
 _LARGEST = 1e15
 _SHOWN = ("semantic_points.npz", "instances.json", "gaussians.ply", "metrics.json", "previews", "passes")
 
@@ -40,11 +41,10 @@ def metrics_text(metrics: Mapping[str, Json], *, per_class: bool = False) -> str
         shares = [_number(table.get(key), 100.0, 1) for key, _ in _SHARES]
         rendered = [_number(table.get(key), factor, digits) for key, _, factor, digits in _OTHERS]
         rows.append([str(table.get("name")), str(table.get("mode") or "-"), *shares, *rendered])
-    if not tables:
-        return "There are no metrics: they need held-out frames with ground truth."
+    figures = _aligned(rows, left=2) if tables else _NO_METRICS
     missed = [f"Not shown: {text} (see frame {printable(frame)})" for text, frame in not_shown(metrics)]
     missed += [f"Wrong with the scene: {printable(finding)}" for finding in wrong_with_scene(metrics)]
-    parts = [_aligned(rows, left=2), "\n".join(missed), *(_classes_text(tables) if per_class else ())]
+    parts = [figures, "\n".join(missed), *(_classes_text(tables) if per_class else ())]
     return "\n\n".join(part for part in parts if part)
 
 
