@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..scene import Camera, Frame, Scene
+from ..scene import Camera, Frame, Scene, Size, size_within
 from ..scene.pixels import resize_nearest
 
 Floats = NDArray[np.float64]
@@ -363,13 +363,15 @@ def planar(depth: Floats, place: Floats, lens: Lens, assumed: Assumption) -> Flo
 
 @dataclass(frozen=True, eq=False)
 class Examined:
-    """The loaded part of a scene. ``looks`` are compared in ``pairs`` int64 [P, 2]; ``photos`` is by frame number."""
+    """The loaded part of a scene. ``looks`` are compared in ``pairs`` int64 [P, 2]; ``photos`` is by frame number.
+    Masks are read at the size that frames have ``masks_within``, or at their own."""
 
     scene: Scene
     looks: list[Look]
     views: Views
     pairs: NDArray[np.int64]
     photos: dict[int, Photo]
+    masks_within: Size | None = None
 
     def name(self, row: int) -> str:
         """The name of a look's frame."""
@@ -385,7 +387,9 @@ class Examined:
         PlgsError."""
         if any(look.frame.read_mask is None for look in self.looks):
             return None
-        return [_reduced(look.frame.mask(None).class_map()) for look in self.looks]
+        frames, within = [look.frame for look in self.looks], self.masks_within
+        sizes = [None if within is None else size_within(frame.size, within) for frame in frames]
+        return [_reduced(frame.mask(size).class_map()) for frame, size in zip(frames, sizes, strict=True)]
 
     def mean_by_look(self, values: Floats) -> Floats:
         """The mean of the pairs' values [P] for each look that has any, so that looks in many pairs count once."""
@@ -412,7 +416,7 @@ def _reduced(classes: NDArray[np.int32]) -> NDArray[np.int32]:
     return resize_nearest(classes, size) if width > _MASK_WIDTH else classes
 
 
-def examine(scene: Scene, sample: Sample = MANY) -> Examined | None:
+def examine(scene: Scene, sample: Sample = MANY, masks_within: Size | None = None) -> Examined | None:
     """Load what is compared. None where fewer than three frames have depth. Raises PlgsError."""
     looks = load_looks(scene.frames, sample)
     if len(looks) < 3:
@@ -420,4 +424,4 @@ def examine(scene: Scene, sample: Sample = MANY) -> Examined | None:
     turn = np.eye(3) if scene.turn is None else scene.turn
     recorded = np.stack([frame.camera.camera_to_world for frame in scene.frames])
     photos = load_photos(scene.frames, sample)
-    return Examined(scene, looks, Views(looks, turn, recorded), pairs_of(len(looks)), photos)
+    return Examined(scene, looks, Views(looks, turn, recorded), pairs_of(len(looks)), photos, masks_within)

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from ..posed.layout import listed
-from ..scene import Scene
+from ..scene import Scene, Size
 from .findings import Diagnosis, Finding, Mending, side_by_side
 from .labels import label_findings, table_findings
 from .numbers import NUMBER_CAUSES, are_numbers_off, lens_findings, number_findings
@@ -53,11 +53,11 @@ def diagnose(scene: Scene) -> Diagnosis:
     return replace(_diagnosis(scene, findings, mending, len(examined.looks), as_it_is), untested=untested)
 
 
-def diagnose_quickly(scene: Scene) -> Diagnosis:
+def diagnose_quickly(scene: Scene, masks_within: Size | None = None) -> Diagnosis:
     """What a second or two shows of a scene before its lift: order, axes, units, lens, up, pictures and masks of other
-    frames, and the class table. `diagnose` measures again what seems wrong in these few frames. Raises PlgsError,
-    OSError."""
-    examined, order = examine(scene, FEW), measure_order(scene, Assumption())
+    frames, and the class table. `diagnose` measures again what seems wrong in these few frames. Masks are
+    read at the size that frames have ``masks_within``, or at their own. Raises PlgsError, OSError."""
+    examined, order = examine(scene, FEW, masks_within), measure_order(scene, Assumption())
     findings = [*order_findings(scene, order), *repeat_findings(scene)]
     if examined is None:
         return Diagnosis(tuple(findings), Mending(), len(scene.frames), 0, None)

@@ -39,6 +39,7 @@ from ..scene import (
     ClassTable,
     Frame,
     Scene,
+    Size,
     StoredViews,
     View,
     chained,
@@ -232,17 +233,17 @@ def checked_frames(
         events.warning(warning)
     for each in frames.chosen.inferred:
         log.info("inferred: %s: %s", each.about, each)
-    findings = ask_what_is_wrong(folder, frames.chosen, events, stops=checkpoint is None)
+    findings = ask_what_is_wrong(folder, survey.scene, preset.size, events, stops=checkpoint is None)
     masks_changed = masks_differ(before, scene, remember_scene(folder, scene, events.warning))
     return frames.only(survey.scene), masks_changed, findings
 
 
 def ask_what_is_wrong(
-    folder: LiftFolder, scene: Scene, events: EventWriter, *, stops: bool
+    folder: LiftFolder, scene: Scene, size: Size, events: EventWriter, *, stops: bool
 ) -> tuple[Finding, ...]:
     """Warn of what is wrong with the scene. Raises PlgsError if a lift would be in vain, it ``stops`` and was not asked
     for anyway."""
-    asked = diagnose_quickly(scene)
+    asked = diagnose_quickly(scene, size)
     log.info("diagnosed: %d of %d frames compared, %d findings", asked.looked, asked.frames, len(asked.findings))
     for finding in asked.findings:
         events.warning(f"{finding.cause}: {finding.text}. To mend it, {finding.option}")

@@ -68,12 +68,12 @@ def test_a_lift_stops_unless_it_is_asked_for_anyway(good: Path, tmp_path: Path, 
     events = EventWriter(folder.events_path)
     opened = open_scene(scene)
     if anyway or resumed:
-        found = run.ask_what_is_wrong(folder, opened, events, stops=not resumed)
+        found = run.ask_what_is_wrong(folder, opened, (96, 72), events, stops=not resumed)
         text = metrics_text({"findings": [each.as_json() for each in found]})
         assert "Wrong with the scene: inverted poses" in text
     else:
         with raises_key("wrong-for-certain invert --anyway"):
-            run.ask_what_is_wrong(folder, opened, events, stops=True)
+            run.ask_what_is_wrong(folder, opened, (96, 72), events, stops=True)
     told = [event.data["message"] for event in EventReader(folder.events_path).poll() if event.kind == "warning"]
     assert any("inverted poses" in each and "invert them" in each for each in told)
     events.close()
