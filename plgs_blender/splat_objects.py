@@ -141,6 +141,19 @@ def place_splats(
     return ob
 
 
+def axes_of(turns: NDArray[np.float32]) -> NDArray[np.float32]:
+    """The unit axes of Gaussians that are turned by quaternions wxyz [M, 4], float32 [M, axis, xyz]."""
+    w, x, y, z = turns.T / np.maximum(np.linalg.norm(turns, axis=1), 1e-12)
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)],
+            [2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x)],
+            [2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)],
+        ],
+        np.float32,
+    ).transpose(2, 0, 1)
+
+
 def dye(cloud: bpy.types.PointCloud) -> None:
     """Give splats the colours of their attribute Col. Other clouds and meshes stay as they are."""
     base = cloud.attributes.get(_BASE)

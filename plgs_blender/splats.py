@@ -21,7 +21,7 @@ from . import splat_objects
 from .clouds import SurfaceGrid, towards_nearest
 from .inspecting.selection import ids_of
 from .owned import FOLDER, GAUSSIANS, KEY, LIFT, OwnedDataBlocks, Placed, child_collection, key_of, text_of
-from .splat_objects import EXTENT, HARMONIC, Splats, Squares, across, joined, place_squares
+from .splat_objects import EXTENT, HARMONIC, Splats, Squares, across, axes_of, joined, place_squares
 
 _FAINTEST, _FAINTEST_NATIVE = 0.1, 0.01
 """Opacity below which a Gaussian has no square, and no splat of Blender's own, of which many faint ones add up."""
@@ -222,18 +222,7 @@ def _size(rows: NDArray[np.void]) -> NDArray[np.float32]:
 
 
 def _axes(rows: NDArray[np.void]) -> NDArray[np.float32]:
-    """The unit axes of Gaussians [M], float32 [M, axis, xyz]."""
-    w, x, y, z = np.stack([rows[f"rot_{part}"] for part in range(4)])
-    length = np.sqrt(w * w + x * x + y * y + z * z)
-    w, x, y, z = (part / np.maximum(length, 1e-12) for part in (w, x, y, z))
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)],
-            [2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x)],
-            [2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)],
-        ],
-        np.float32,
-    ).transpose(2, 0, 1)
+    return axes_of(np.stack([rows[f"rot_{part}"] for part in range(4)], axis=1))
 
 
 def _srgb(rows: NDArray[np.void]) -> NDArray[np.uint8]:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from ..materials import DENSER
 from ..meshes import CORRECTIONS
-from ..splat_objects import EXTENT
+from ..splat_objects import EXTENT, axes_of
 from ..splat_objects import NAME as OPEN_ROOM
 from .looks import leaving_out
 from .selection import clouds_of, ids_of, surfaces_of
@@ -183,7 +183,9 @@ def parts_near(
 
 
 def _is_near(ob: bpy.types.Object, view: View, mouse: tuple[float, float]) -> bool:
-    """Whether the object's bounding box covers a pixel or one beside it."""
+    """Whether the object's bounding box covers a pixel or one beside it. That of splats ends at their middles."""
+    if _form_of(ob) == SPLAT:
+        return True
     box = view.projected(np.array(ob.bound_box, np.float32), ob.matrix_world)[:, :2]
     return bool(np.isnan(box).any() or ((box.min(axis=0) - MISS <= mouse) & (box.max(axis=0) + MISS >= mouse)).all())
 
@@ -252,12 +254,7 @@ def _axes_of_splats(
     view: View, world: Matrix, xyz: NDArray[np.float32], deviations: NDArray[np.float32], turns: NDArray[np.float32]
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """The axes in pixels [N, 2] whose squares sum up to the covariance of Gaussians in the view."""
-    w, x, y, z = turns.T
-    axes = np.array([
-        [1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)],
-        [2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x)],
-        [2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)],
-    ]).transpose(2, 0, 1) * deviations[:, :, None]  # fmt: skip
+    axes = axes_of(turns) * deviations[:, :, None]
     middle = view.projected(xyz, world)[:, :2]
     aside = np.stack([view.projected(xyz + axes[:, at], world)[:, :2] - middle for at in range(3)], axis=1)
     a, b, c = (np.einsum("nk,nk->n", aside[:, :, i], aside[:, :, j]) for i, j in ((0, 0), (0, 1), (1, 1)))

@@ -10,13 +10,14 @@ import bpy
 import numpy as np
 import pytest
 from mathutils import Matrix, Vector
+from plgs.engine.passes.ply import columns_of, write_ply_table
 from plgs.plgs_blender import lift_scene
 from plgs.plgs_blender.inspecting import picking, rays
 from plgs.plgs_blender.inspecting.drawing import TextBox, ViewRegion, label_text_boxes
 from plgs.plgs_blender.inspecting.selection import boxes_of
 from plgs.plgs_blender.meshes import mesh_folder
 from surface_file import write_surface
-from tiny_lift import write_tiny_lift
+from tiny_lift import mend_manifest, write_tiny_lift
 from tiny_scene import CABINET_ID, CHAIR_ID, FLOOR_ID, tiny_intrinsics, trace_view, write_tiny_scene
 
 SIZE = (480, 300)
@@ -102,6 +103,36 @@ def test_a_ray_hits_the_first_surface_and_a_miss_takes_the_nearest_object(
         assert (found is not None) == (away < rays.MISS)
     below = Seen(target - Vector((0.1, 0.2, 9.0)), target, is_perspective)
     assert picking.drawn_under([root], below.view, below.pixel(target)) is None
+
+
+@pytest.mark.parametrize("is_perspective", [True, False])
+def test_a_ray_stops_where_splats_have_become_dense(
+    extension: None, empty_file: None, lift: Path, tmp_path: Path, is_perspective: bool
+) -> None:
+    """Squares, or Blender's own splats: a faint one of the cabinet is seen through, down to the chair's."""
+    mine = Path(shutil.copytree(lift, tmp_path / "mine"))
+    instance = np.array([CHAIR_ID, CABINET_ID], np.int32) == CHAIR_ID
+    write_ply_table(
+        mine / "result" / "gaussians.ply",
+        {
+            **columns_of("x y z", np.array([[2.0, 1.5, 1.0], [2.0, 1.5, 1.2]], np.float32)),
+            **columns_of("f_dc_0 f_dc_1 f_dc_2", np.zeros((2, 3), np.float32)),
+            "opacity": np.array([4.0, -2.15], np.float32),  # 0.98, and just above the faintest
+            **columns_of("scale_0 scale_1 scale_2", np.log(np.array([[0.3, 0.15, 0.01]] * 2, np.float32))),
+            **columns_of("rot_0 rot_1 rot_2 rot_3", np.array([[1.0, 0.0, 0.0, 0.0]] * 2, np.float32)),
+            "class_id": np.where(instance, CHAIR_ID, CABINET_ID).astype(np.int32),
+            "instance_id": np.where(instance, 1, 2).astype(np.int32),
+        },
+    )
+    mend_manifest(mine)
+    root = lift_scene.place_lift(mine, bpy.context.scene)
+    bpy.context.view_layer.update()
+    assert root.plgs.show_as == "SPLATS"
+    target = Vector((2.0, 1.5, 1.0))
+    seen = Seen(target + Vector((0.0, -0.01, 5.0)), target, is_perspective)
+    for aside, number in (((0.0, 0.0), 1), ((0.25, 0.0), 1), ((0.0, 0.5), None), ((1.5, 0.0), None)):
+        found = picking.drawn_under([root], seen.view, seen.pixel(target + Vector((*aside, 0.0))))
+        assert (None if found is None else found.instance) == number, aside
 
 
 def test_pixels_of_a_frame_are_what_rays_hit(root: bpy.types.Collection) -> None:
