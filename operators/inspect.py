@@ -228,9 +228,13 @@ class PLGS_OT_make_objects(OnInstances, bpy.types.Operator):
         name="As Assets", options={"SKIP_SAVE"}, description="Mark them as assets, each with a preview picture"
     )
 
+    catch_shadows: BoolProperty(  # type: ignore[valid-type]
+        name="Catch Shadows", options={"SKIP_SAVE"}, description="Let them show nothing but others' shadows"
+    )
+
     def act(self, context: bpy.types.Context, root: bpy.types.Collection) -> None:
         numbers = corrections.chosen_instances(root, self.instances, context)
-        made = reuse.make_objects(root, numbers, as_assets=self.as_assets)
+        made = reuse.make_objects(root, numbers, as_assets=self.as_assets, catch_shadows=self.catch_shadows)
         self.report({"INFO"}, one_line(f"Made: {', '.join(each.name for each in made)}"))
 
 

@@ -31,6 +31,7 @@ from .inspecting.looks import (
     SHOWN_IN,
     SPLATS,
     SURFACE,
+    apply_catcher,
     apply_colours,
     apply_lit,
     apply_look,
@@ -140,6 +141,7 @@ def _placing_rest(read: ReadLift, placed: Placed) -> Generator[None, None, None]
         leave_holes(found[0])
         with registered():
             apply_lit(found[0])
+            apply_catcher(*found)
     for part in (_placing_splats, _placing_passes):
         found = placed.find()
         if found is None:
@@ -275,6 +277,7 @@ def placing_meshes_anew(lift: Path, scene: bpy.types.Scene, *, asked: bool = Tru
         if root.plgs.look != PHOTO:
             apply_look(root)
         apply_lit(root)
+        apply_catcher(root, scene)
         show_materials_in(scene)
     return count
 

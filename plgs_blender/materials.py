@@ -5,11 +5,13 @@ They are unlit: photos bring their light with them.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
 import bpy
 import numpy as np
+from mathutils import Vector
 from numpy.typing import ArrayLike, NDArray
 
 from .compat import use_nodes
@@ -20,6 +22,10 @@ CLASS_COLOURS, RELIEF, LIT, PICTURE = "Class colours", "Relief", "Lit", "Picture
 the strength of shading by the normal; in the meshes': how far lights light them, instead of the photos' own light, and
 the share of their picture in place of Col.
 """
+CATCHER, LIGHT_FROM = "Shadow", "Light from"
+"""Labels of the nodes of shadow catchers that depend on the lights."""
+_GLOSS, _MIRRORED = 0.3, 0.04
+"""The roughness of shadow catchers, and the share of light that they reflect in EEVEE."""
 UNKNOWN = (96, 96, 96)
 """sRGB colour of points without a class."""
 LIGHT = (0.35, -0.25, 0.9)
@@ -92,6 +98,17 @@ def surface_material(
     return material
 
 
+def let_catch(ob: bpy.types.Object, catcher: bpy.types.Material | None) -> None:
+    """Let an object's mesh catch shadows and reflections, with this material, or be seen again, without one. The
+    photo has the room's own shadows, and light comes in through walls: what catches throws none."""
+    ob.is_shadow_catcher = catcher is not None
+    ob.visible_shadow = catcher is None
+    for slot in ob.material_slots:
+        slot.link = "OBJECT"
+        slot.material = catcher
+        slot.link = "OBJECT" if catcher is not None else "DATA"
+
+
 def image_of(material: bpy.types.Material) -> bpy.types.Image | None:
     """The image of a mesh's own material."""
     return next((node.image for node in _pictures(material)), None)
@@ -132,6 +149,76 @@ def _cast_no_light(material: bpy.types.Material) -> None:
     """Let Cycles send no rays to what shines only to be seen."""
     if hasattr(material, "cycles"):  # not in builds without Cycles
         material.cycles.emission_sampling = "NONE"
+
+
+def catcher_material(owned: OwnedDataBlocks, scene: bpy.types.Scene) -> bpy.types.Material:
+    """What shadow catchers have, for the lights of the scene as they are now. Cycles takes its matt colours for bounced
+    light and reflections. EEVEE has no catchers: there it is clear, and black where less light arrives than would
+    without a shadow; its normal is the light's direction, so walls that are turned away are not dark.
+    """
+    material = owned.block("materials", "catcher", lambda: bpy.data.materials.new("PLGS shadow catcher"))
+    tree = use_nodes(material)
+    if value_node(material, CATCHER) is None:
+        tree.nodes.clear()
+        colour, matt = _node(tree, "ShaderNodeAttribute", 0, 200), _node(tree, "ShaderNodeBsdfPrincipled", 1, 200)
+        colour.attribute_name = "Col"
+        white, lit, density = (
+            _node(tree, f"ShaderNode{kind}", column, -200)
+            for column, kind in enumerate(("BsdfDiffuse", "ShaderToRGB", "Math"))
+        )
+        density.operation, density.use_clamp, density.label = "MULTIPLY_ADD", True, CATCHER
+        white.inputs["Color"].default_value = (1.0, 1.0, 1.0, 1.0)
+        facing = _node(tree, "ShaderNodeCombineXYZ", -1, -200)
+        facing.label = LIGHT_FROM
+        clear, black = _node(tree, "ShaderNodeBsdfTransparent", 3, -200), _node(tree, "ShaderNodeEmission", 3, -320)
+        black.inputs["Strength"].default_value = 0.0
+        gloss, both = _node(tree, "ShaderNodeBsdfAnisotropic", 3, -440), _node(tree, "ShaderNodeAddShader", 5, -200)
+        gloss.inputs["Color"].default_value = (_MIRRORED, _MIRRORED, _MIRRORED, 1.0)
+        for node in (matt, gloss):
+            node.inputs["Roughness"].default_value = _GLOSS
+        ends = [_node(tree, "ShaderNodeOutputMaterial", 6, row) for row in (200, -200)]
+        ends[0].target, ends[1].target = "CYCLES", "EEVEE"
+        back = _node(tree, "ShaderNodeNewGeometry", 2, 200)
+        front = _mix_shaders(tree, 4, back.outputs["Backfacing"], matt.outputs[0], clear.outputs[0])
+        shadow = _mix_shaders(tree, 4, density.outputs[0], clear.outputs[0], black.outputs[0])
+        for source, target in (
+            (colour.outputs["Color"], matt.inputs["Base Color"]),
+            (facing.outputs[0], white.inputs["Normal"]),
+            (white.outputs[0], lit.inputs[0]),
+            (lit.outputs["Color"], density.inputs[0]),
+            (shadow, both.inputs[0]),
+            (gloss.outputs[0], both.inputs[1]),
+            (front, ends[0].inputs["Surface"]),
+            (both.outputs[0], ends[1].inputs["Surface"]),
+        ):
+            tree.links.new(source, target)
+    direction, brightness = _light_of(scene)
+    share, facing = value_node(material, CATCHER), value_node(material, LIGHT_FROM)
+    assert share is not None and facing is not None
+    for socket, value in zip(facing.inputs, direction, strict=True):
+        socket.default_value = value
+    share.inputs[1].default_value = -1.0 / brightness if brightness else 0.0
+    share.inputs[2].default_value = 1.0 if brightness else 0.0
+    material.use_backface_culling = material.use_backface_culling_shadow = True
+    material.surface_render_method = "BLENDED"
+    return material
+
+
+def _light_of(scene: bpy.types.Scene) -> tuple[Vector, float]:
+    """The direction to the strongest light of a scene from the origin, and how bright it makes white that faces it. (A
+    sun of strength pi makes it 1; a lamp's power spreads over a sphere, an area's before it.)"""
+    best, brightness = Vector((0.0, 0.0, 1.0)), 0.0
+    for ob in scene.objects:
+        if ob.type != "LIGHT" or ob.hide_render:
+            continue
+        lamp, away = ob.data, ob.matrix_world.translation
+        strength = lamp.energy * max(lamp.color) * 2.0 ** getattr(lamp, "exposure", 0.0) / math.pi
+        if lamp.type != "SUN":
+            strength /= (math.pi if lamp.type == "AREA" else 4.0 * math.pi) * max(away.length_squared, 1e-6)
+        if strength > brightness:
+            back = ob.matrix_world.to_quaternion() @ Vector((0.0, 0.0, 1.0))
+            best, brightness = back if lamp.type == "SUN" else away.normalized(), strength
+    return best, brightness
 
 
 def splat_material(owned: OwnedDataBlocks) -> bpy.types.Material:

@@ -22,7 +22,7 @@ from .compat import add_keys, new_point_clouds
 from .inspecting.lists import registered
 from .inspecting.looks import HIDDEN, apply_visibility
 from .inspecting.selection import boxes_of, clouds_of, ids_of, is_box, surfaces_of
-from .materials import image_of, object_colour, surface_material
+from .materials import catcher_material, image_of, let_catch, object_colour, surface_material
 from .owned import KEY, LIFT, OwnedDataBlocks, folder_of, text_of, untag
 from .timeline import places_of
 
@@ -36,9 +36,12 @@ _DOT = 2
 """Pixels around a point that its colour fills there."""
 
 
-def make_objects(root: bpy.types.Collection, numbers: Sequence[int], *, as_assets: bool) -> list[bpy.types.Collection]:
+def make_objects(
+    root: bpy.types.Collection, numbers: Sequence[int], *, as_assets: bool, catch_shadows: bool = False
+) -> list[bpy.types.Collection]:
     """Make these instances of a placed lift, or make them again, as collections, and select their objects. With
-    ``as_assets`` they are marked as assets with a preview picture. Raises PlgsError when one is not there."""
+    ``as_assets`` they are marked as assets with a preview picture; with ``catch_shadows`` they show nothing but others'
+    shadows. Raises PlgsError when one is not there."""
     known = {one.id: one for one in read_corrected(folder_of(root)).instances}
     lost = [number for number in numbers if number not in known]
     if lost:
@@ -49,7 +52,10 @@ def make_objects(root: bpy.types.Collection, numbers: Sequence[int], *, as_asset
     for collection in made if as_assets else ():
         _mark_as_asset(collection, known[collection[INSTANCE]])
     leave_holes(root)
-    _select([ob for collection in made for ob in collection.objects if PLACED in ob])
+    surfaces = [ob for collection in made for ob in collection.objects if PLACED in ob]
+    for ob in surfaces if catch_shadows else ():
+        let_catch(ob, catcher_material(OwnedDataBlocks(root[LIFT], bpy.context.scene), bpy.context.scene))
+    _select(surfaces)
     return made
 
 

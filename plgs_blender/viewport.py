@@ -15,9 +15,10 @@ from typing import Any
 import bpy
 import gpu
 import numpy as np
-from mathutils import Quaternion, Vector
+from mathutils import Matrix, Quaternion, Vector
 from numpy.typing import NDArray
 
+from ..engine.posed.frames import Camera
 from .cameras import OVERVIEW_SIZE, pixel_aspect
 from .compat import composite_without_gpu, show_stored_colours, use_nodes
 from .owned import KEY, LIFT, lifts_in
@@ -142,6 +143,22 @@ def areas_of(scene: bpy.types.Scene) -> list[bpy.types.Area]:
     """The 3D views of the windows with this scene."""
     windows = [window for window in bpy.context.window_manager.windows if window.scene == scene]
     return [area for window in windows for area in window.screen.areas if area.type == "VIEW_3D"]
+
+
+def own_view(scene: bpy.types.Scene) -> tuple[bpy.types.Area, Camera] | None:
+    """The first 3D view of the windows with this scene, and what it sees, in a picture of its size. None where one of
+    them looks through a camera, and for views without perspective."""
+    areas = [area for area in areas_of(scene) if _free_of_sidebar(area)[0].width > 1]
+    if not areas or any(area.spaces.active.region_3d.view_perspective == "CAMERA" for area in areas):
+        return None
+    space, window = areas[0].spaces.active, _free_of_sidebar(areas[0])[0]
+    view, focal = space.region_3d, max(window.width, window.height) * space.lens / _VIEW_SENSOR
+    if view.view_perspective != "PERSP":
+        return None
+    eye = view.view_location + view.view_rotation @ Vector((0.0, 0.0, view.view_distance))
+    pose = np.array(Matrix.LocRotScale(eye, view.view_rotation, None)) @ np.diag((1.0, -1.0, -1.0, 1.0))
+    middle = window.width / 2.0, window.height / 2.0
+    return areas[0], Camera(window.width, window.height, focal, focal, *middle, pose)
 
 
 def show_gizmos(scene: bpy.types.Scene, shown: bool) -> bool:

@@ -69,6 +69,10 @@ def make_parser() -> argparse.ArgumentParser:
     correcting = known.add_parser("correct", help="correct a lift as its scene's ground truth says, and score it")
     correcting.add_argument("lift", type=Path, metavar="LIFT", help="the folder of a finished lift; it is corrected")
     correcting.set_defaults(run=run_correct)
+    sharpness = known.add_parser("surface", help="how sharp surfaces are, drawn from held-out frames")
+    sharpness.add_argument("lifts", nargs="+", type=Path, metavar="LIFT", help="finished lifts whose scenes are there")
+    sharpness.add_argument("--pictures", type=Path, metavar="FOLDER", help="draw each beside its photo there")
+    sharpness.set_defaults(run=run_surface)
     sureness = known.add_parser("reliability", help="how often pixels are right, by their confidence")
     sureness.add_argument("lifts", nargs="+", type=Path, metavar="LIFT", help="finished lifts of scenes with truth")
     sureness.add_argument("--picture", type=Path, metavar="FILE", help="draw the diagram there; needs matplotlib")
@@ -160,6 +164,15 @@ def run_reliability(options: argparse.Namespace) -> int:
     from .reliability import reliability_table
 
     for line in reliability_table(options.lifts, options.picture):
+        print(line, flush=True)
+    return ExitCode.FINISHED
+
+
+def run_surface(options: argparse.Namespace) -> int:
+    """Print how sharp surfaces are. Raises PlgsError, OSError."""
+    from .surface import sharpness_table
+
+    for line in sharpness_table(options.lifts, options.pictures):
         print(line, flush=True)
     return ExitCode.FINISHED
 

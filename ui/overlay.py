@@ -36,6 +36,7 @@ from ..plgs_blender.inspecting.selection import objects_by_key, selected_instanc
 from ..plgs_blender.owned import lifts_in
 from ..plgs_blender.running import lifts
 from ..plgs_blender.running.survey import survey_of_panel
+from ..plgs_blender.viewport import own_view
 
 _CUT_COLOUR = (1.0, 0.55, 0.1, 0.25)
 _OBJECTS = "Objects: each in its own colour"
@@ -139,8 +140,13 @@ def classes_of_scene(scene: bpy.types.Scene, *, stuff_only: bool = False) -> tup
 
 
 def _draw_preview(context: bpy.types.Context) -> None:
-    """Draw the live preview over the frame of the scene's camera while the view looks through it."""
+    """Draw the live preview over the frame of the scene's camera while the view looks through it, or over the view."""
     space, scene = context.space_data, context.scene
+    own = own_view(scene)
+    if own is not None and own[0] == context.area and (picture := lifts.picture_for(scene)) is not None:
+        width, height = _size(context)
+        draw_picture(picture, [(width, height), (width, 0), (0, 0), (0, height)])
+        return
     looks = space.camera if space.use_local_camera else scene.camera
     if context.region_data.view_perspective != "CAMERA" or looks != scene.camera:
         return

@@ -337,6 +337,7 @@ class PLGS_PT_result_display(OfResult, bpy.types.Panel):
         layout.operator("plgs.show_colours", icon="SHADING_SOLID")
         layout.use_property_split, layout.use_property_decorate = True, False
         layout.prop(lists, "lit")
+        layout.prop(lists, "catch_shadows")
         if context.scene.view_settings.view_transform not in STORED_COLOURS:
             tell(layout, context, "This view transform changes the photos' colours:", "INFO")
             layout.prop(context.scene.view_settings, "view_transform")

@@ -28,7 +28,10 @@ log = logging.getLogger("plgs.lift")
 EVERY_S = 2.0
 """The least number of seconds from one preview to the next."""
 LARGEST_SHARE = 0.05
-"""The largest share of the time that previews take. The pause after each one is long enough for that."""
+"""The largest share of the time that previews take. The pause after each one is long enough for that, but for the
+first, as it may compile what the next ones find compiled."""
+LONGEST_S = 15.0
+"""Seconds from the beginning of one preview to that of the next at most, whatever share they take."""
 SIZE_WITHIN = (480, 480)
 """The largest width and height of a preview in pixels."""
 
@@ -48,7 +51,7 @@ class LivePreviews:
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self.folder, self.scene, self.instances, self.events = folder, scene, instances, events
-        self._clock, self._due = clock, clock() + EVERY_S
+        self._clock, self._due, self._is_first = clock, clock(), True
         self._last_read: tuple[int, int, int] | None = None  # the stamp of preview.json when it was last read
         self._camera, self._fingerprint = frame_to_show(scene).camera, ""
         self._has_warned = False
@@ -60,7 +63,9 @@ class LivePreviews:
             return
         self._draw(lifted)
         ended = self._clock()
-        self._due = ended + max(EVERY_S, (ended - began) * (1 - LARGEST_SHARE) / LARGEST_SHARE)
+        pause = 0.0 if self._is_first else (ended - began) * (1 - LARGEST_SHARE) / LARGEST_SHARE
+        self._due = ended + max(EVERY_S, min(pause, LONGEST_S - (ended - began)))
+        self._is_first = False
 
     def clear_away(self) -> None:
         """Delete the picture, which does not belong to the result. Raises PermissionError if a program keeps it open

@@ -38,6 +38,7 @@ from .looks import (
     SPLATS,
     SURFACE,
     UNCERTAINTY,
+    apply_catcher,
     apply_colours,
     apply_lit,
     apply_look,
@@ -86,6 +87,10 @@ def _update_show_as(lists: bpy.types.PropertyGroup, _context: bpy.types.Context)
 
 def _update_lit(lists: bpy.types.PropertyGroup, _context: bpy.types.Context) -> None:
     apply_lit(lists.id_data)
+
+
+def _update_catcher(lists: bpy.types.PropertyGroup, context: bpy.types.Context) -> None:
+    apply_catcher(lists.id_data, context.scene)
 
 
 def _update_cameras(lists: bpy.types.PropertyGroup, _context: bpy.types.Context) -> None:
@@ -199,6 +204,11 @@ class PLGS_PG_lift(bpy.types.PropertyGroup):
     lit: BoolProperty(
         name="Lit", update=_update_lit,
         description="Let the scene's lights light the surface, not the photos' own",
+    )  # fmt: skip
+    catch_shadows: BoolProperty(
+        name="Catch Shadows", update=_update_catcher,
+        description="Let the surface show nothing but shadows and reflections of other objects, to render them over a "
+        "photo or a baked frame. EEVEE takes the strongest light as it is now",
     )  # fmt: skip
     show_cameras: BoolProperty(
         name="Cameras", update=_update_cameras,

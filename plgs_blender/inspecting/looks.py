@@ -20,8 +20,8 @@ from ...engine.posed import VOID
 from .. import compat
 from ..boxes import INSTANCE, TOGETHER
 from ..cameras import PATH
-from ..materials import LIT, PICTURE, linear_rgba, object_colour, value_node
-from ..owned import KEY, LIFT, is_child, key_of, tag, text_of
+from ..materials import LIT, PICTURE, catcher_material, let_catch, linear_rgba, object_colour, value_node
+from ..owned import KEY, LIFT, OwnedDataBlocks, is_child, key_of, tag, text_of
 from ..splat_objects import dye
 from .selection import boxes_of, clouds_of, ids_of, objects_by_key, row_of, surfaces_of
 
@@ -76,6 +76,16 @@ def apply_look(root: bpy.types.Collection) -> None:
 def apply_lit(root: bpy.types.Collection) -> None:
     """Let the scene's lights light the lift's meshes, or the photos' own light, as the lift's `lit` says."""
     _set_in_materials(root, LIT, root.plgs.lit)
+
+
+def apply_catcher(root: bpy.types.Collection, scene: bpy.types.Scene) -> None:
+    """Let the lift's meshes catch shadows, or be seen, as the lift's `catch_shadows` says. What catches is in a picture
+    over another one, so the background is clear."""
+    catcher = catcher_material(OwnedDataBlocks(root[LIFT], scene), scene) if root.plgs.catch_shadows else None
+    for key, ob in objects_by_key(root).items():
+        if key.startswith("mesh:") and (catcher is not None or ob.is_shadow_catcher):
+            let_catch(ob, catcher)
+    scene.render.film_transparent |= catcher is not None
 
 
 def _set_in_materials(root: bpy.types.Collection, label: str, value: float) -> None:

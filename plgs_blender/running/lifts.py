@@ -34,7 +34,7 @@ from ..lift_scene import place_passes_anew, place_room, reading_lift, result_of
 from ..owned import Placed, is_placed, tag
 from ..registry import Task
 from ..settings import adopt, chosen_lift
-from ..viewport import taking_over
+from ..viewport import own_view, taking_over
 from . import exports
 
 _LARGEST = (1024, 1024)
@@ -85,7 +85,8 @@ def show(lift: LiftFolder, picture: Path, camera: str) -> bool:
 
 
 def picture_for(scene: bpy.types.Scene) -> NDArray[np.float32] | None:
-    """The picture to draw over the frame of the scene's camera; None while there is none of what it sees now."""
+    """The picture to draw over the frame of the scene's camera, or over its `own_view`; None while there is none of
+    what is seen now."""
     for lift, preview in _shown.items():
         view = _view_of(scene) if _shows(scene, lift) else None
         if view is not None and view.fingerprint == preview.camera:
@@ -101,8 +102,10 @@ def forget(lift: Path | None = None) -> None:
 
 
 def _view_of(scene: bpy.types.Scene) -> PreviewCamera | None:
-    """The view of the scene's camera, None when it has none that can be drawn."""
-    camera = camera_seen(scene)
+    """What a 3D view of the scene sees, or the scene's camera where one looks through it; None when neither can be
+    drawn."""
+    own = own_view(scene)
+    camera = own[1] if own is not None else camera_seen(scene)
     if camera is None:
         return None
     camera = camera.resized(*size_within((camera.width, camera.height), _LARGEST))

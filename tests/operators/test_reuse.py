@@ -80,6 +80,15 @@ def test_an_object_keeps_its_picture_whatever_becomes_of_the_lift(root: bpy.type
     assert image.pixels[0] == pytest.approx(40 / 255, abs=0.02)
 
 
+def test_an_object_can_catch_shadows_alone(root: bpy.types.Collection) -> None:
+    assert bpy.ops.plgs.make_objects(instances=str(CHAIR), catch_shadows=True) == {"FINISHED"}
+    surface = bpy.data.objects["chair 1 surface"]
+    assert surface.is_shadow_catcher and not surface.visible_shadow
+    assert surface.material_slots[0].material.name == "PLGS shadow catcher"
+    assert bpy.ops.plgs.make_objects(instances=str(CHAIR)) == {"FINISHED"}
+    assert not bpy.data.objects["chair 1 surface"].is_shadow_catcher
+
+
 def test_moved_and_made_again_it_stays_where_it_was_moved(root: bpy.types.Collection, mine: Path) -> None:
     bpy.ops.plgs.make_objects(instances="all")
     pivot = bpy.data.objects["chair 1 surface"]

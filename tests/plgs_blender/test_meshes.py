@@ -94,6 +94,35 @@ def test_meshes_show_their_pictures_in_photo_colours_alone(lift: Path) -> None:
     assert place_anew(lift) == 2 and image_of(floor.data.materials[0]) is None
 
 
+def test_the_surface_catches_the_shadow_of_what_is_put_into_the_room(lift: Path, tmp_path: Path) -> None:
+    floor, scene = placed(lift)[f"mesh:{FLOOR_ID}:0"], bpy.context.scene
+    (root,) = lifts_in(scene)
+    sun = bpy.data.objects.new("sun", bpy.data.lights.new("sun", "SUN"))
+    sun.data.energy, sun.rotation_euler = 3.0, (0.0, np.radians(30.0), 0.0)  # light falls from +x to -x
+    bpy.ops.mesh.primitive_cube_add(size=0.6, location=(3.0, 1.5, 0.3))
+    eye = bpy.data.objects.new("eye", bpy.data.cameras.new("eye"))
+    eye.location = (2.0, 1.5, 6.0)
+    scene.timeline_markers.clear()  # which bind the frames' cameras
+    for ob in (sun, eye):
+        scene.collection.objects.link(ob)
+    scene.camera, scene.render.engine, scene.cycles.samples = eye, "CYCLES", 16
+    scene.cycles.use_denoising, scene.render.image_settings.color_mode = False, "RGBA"
+    scene.render.resolution_x, scene.render.resolution_y, scene.render.filepath = 48, 36, str(tmp_path / "seen.png")
+    for child in root.children:
+        child.hide_render = child.name != "Meshes"
+    own = floor.material_slots[0].material
+    with registered():
+        root.plgs.catch_shadows = True
+        assert floor.is_shadow_catcher and not floor.visible_shadow and scene.render.film_transparent
+        bpy.ops.render.render(write_still=True)
+        seen = bpy.data.images.load(scene.render.filepath)
+        alpha = np.array(seen.pixels).reshape(36, 48, 4)[..., 3]
+        row, column = round(36 / 2), lambda x: round(24 + 48 * (x - 2.0) / 6.0 / 36 * 50)
+        assert alpha[row, column(3.0)] > 0.95 and alpha[row, column(2.55)] > 0.3 > alpha[row, column(1.2)] + 0.2
+        root.plgs.catch_shadows = False
+    assert floor.material_slots[0].material == own and not floor.is_shadow_catcher and floor.visible_shadow
+
+
 def test_placed_again_they_are_the_same_objects(lift: Path) -> None:
     before = {key: ob.as_pointer() for key, ob in placed(lift).items()}
     assert {key: ob.as_pointer() for key, ob in placed(lift).items()} == before

@@ -10,22 +10,27 @@ import bpy
 import numpy as np
 import pytest
 from blender_helpers import look_through
+from bpy_extras.view3d_utils import location_3d_to_region_2d
+from mathutils import Vector
 from plgs.engine.job import LiftFolder
 from plgs.engine.job.cameras import PreviewCamera, read_preview_request
 from plgs.engine.scene import Camera, open_scene
 from plgs.plgs_blender.chosen_scene import ChosenScene
 from plgs.plgs_blender.import_scene import place_scene
 from plgs.plgs_blender.running import lifts
+from plgs.plgs_blender.viewport import areas_of
 
 
 @pytest.fixture
 def growing(plgs: ModuleType, lift: Path, tmp_path: Path) -> Iterator[LiftFolder]:
-    """A lift that the panel is set to, whose scene is imported and seen from its first frame."""
+    """A lift that the panel is set to, whose scene is imported and seen through its first frame's camera."""
     plgs.register()
     folder = LiftFolder.create(tmp_path / "lift", LiftFolder.open(lift).request)
     scene = bpy.context.scene
     scene.plgs.lift_folder = str(folder.path)
     place_scene(ChosenScene(folder.request.scene), scene)
+    for area in areas_of(scene):
+        area.spaces.active.region_3d.view_perspective = "CAMERA"
     yield folder
     plgs.unregister()
 
@@ -61,6 +66,22 @@ def test_the_active_camera_is_requested_once(growing: LiftFolder) -> None:
     growing.preview_request_path.unlink()
     lifts.follow_camera(growing, bpy.data.scenes)
     assert not growing.preview_request_path.exists()
+
+
+def test_a_view_that_looks_through_no_camera_is_watched_itself(growing: LiftFolder) -> None:
+    (area,) = areas_of(bpy.context.scene)
+    view, window = area.spaces.active.region_3d, next(each for each in area.regions if each.type == "WINDOW")
+    view.view_perspective = "PERSP"
+    lifts.follow_camera(growing, bpy.data.scenes)
+    asked, place = seen_by_the_engine(growing), Vector((0.5, 1.0, 0.7))
+    x, y = asked.project(np.array([place]))[0][0]
+    seen = location_3d_to_region_2d(window, view, place)
+    share = asked.width / window.width
+    assert np.allclose((x / share, window.height - y / share), seen, atol=1.5)
+    before = fingerprint(growing)
+    assert shown(growing) and lifts.picture_for(bpy.context.scene) is not None
+    view.view_location.x += 1.0
+    assert lifts.picture_for(bpy.context.scene) is None and shown(growing) and fingerprint(growing) != before
 
 
 def shown(growing: LiftFolder) -> bool:
