@@ -45,8 +45,9 @@ _BAKES = [
     ("none", "None", "Bake no passes; they can be baked later"),
 ]
 _DEVICES = [
-    ("cpu", "CPU", "Render the Gaussians on the processor"),
-    ("cuda", "CUDA", "Render them on an NVIDIA GPU; the engine needs torch for CUDA, and gsplat"),
+    ("cpu", "CPU", "Train and render on the processor"),
+    ("cuda", "CUDA", "Train and render on an NVIDIA GPU; the engine needs torch for CUDA, and gsplat"),
+    ("auto", "Automatic", "CUDA where the engine and the computer have all that it needs, else CPU"),
 ]
 
 _FORMATS = {name for name, *_ in FORMAT_ITEMS}
@@ -143,8 +144,9 @@ class LiftOptions(SceneOptions):
         description="Which frames become compositor passes",
     )  # fmt: skip
     device: EnumProperty(  # type: ignore[valid-type]
-        options=_SKIP_SAVE, name="Device", items=_DEVICES, default="cpu", description="Where the Gaussians are rendered"
-    )
+        options=_SKIP_SAVE, name="Device", items=_DEVICES, default="cpu",
+        description="Where the lift trains and renders",
+    )  # fmt: skip
     preset_options: StringProperty(  # type: ignore[valid-type]
         options=_SKIP_SAVE, name="Changed",
         description="Any options of the preset, such as: weights.depth=0 objects=boxes; empty uses the preset's",

@@ -37,11 +37,6 @@ WARM_UP_STEPS = 3
 STEPS = 32
 """Steps and pictures that are measured."""
 
-DECODE = ("decode, forward", "decode, backward")
-RASTERISE = ("rasterise, forward", "rasterise, backward")
-LOSSES = ("SSIM, L1, volume", "label losses", "further losses", "losses, backward")
-OPTIMISE = ("growth statistics", "optimiser")
-
 
 class MeasuringClock(StepClock):
     """Keeps the wall seconds of each part of each step in ``steps``. A part reported twice in a step adds up."""
@@ -88,10 +83,6 @@ class StepProfile:
     def step(self) -> float:
         return sum(self.parts.values())
 
-    def ratio(self, names: Sequence[str]) -> float:
-        """Time of these parts divided by the rasteriser's."""
-        return sum(self.parts.get(name, 0.0) for name in names) / sum(self.parts[name] for name in RASTERISE)
-
     def facts(self) -> dict[str, object]:
         """For JSON."""
         return {
@@ -103,8 +94,6 @@ class StepProfile:
             "core_ms": self.cores,
             "peak_bytes": peak_bytes(),
             "parts_ms": self.parts,
-            "decode_over_rasterise": self.ratio(DECODE),
-            "losses_and_optimiser_over_rasterise": self.ratio((*LOSSES, *OPTIMISE)),
             "draw_ms": self.draw,
             "decide_ms": self.decide,
         }
@@ -203,8 +192,6 @@ def print_profile(profile: StepProfile) -> None:
     for name, milliseconds in profile.parts.items():
         print(f"{name:20s} {milliseconds:8.1f} ms")
     print(f"{'whole step':20s} {profile.step:8.1f} ms, {profile.cores:.1f} ms of processor time")
-    print(f"decode / rasterise: {profile.ratio(DECODE):.2f} (at most 1.5)")
-    print(f"(losses + optimiser) / rasterise: {profile.ratio((*LOSSES, *OPTIMISE)):.2f} (at most 0.5)")
     print(
         f"panoptic frame: drawn {profile.draw:.1f} ms, decided {profile.decide:.1f} ms: "
         f"{1e3 / profile.frame:.1f} a second (at least 10)"

@@ -29,7 +29,7 @@ from ..scene_source import UP_OPTIONS, SceneSource, option
 
 PresetName = Literal["preview", "standard", "paper"]
 Bake = Literal["test", "all", "none"]
-Device = Literal["cpu", "cuda"]
+Device = Literal["cpu", "cuda", "auto"]
 FURTHER_LAYERS = ("normal", "position")
 """Layers of the passes that are written only if they are chosen. Both follow from the depth, and take as much space as
 the colour, or more."""
@@ -47,8 +47,8 @@ class LiftRequest(SceneSource):
     """One lift of a scene. Relative paths are taken from the working directory, and become absolute.
 
     ``options`` are the changed options of the preset, by name (see ``engine/presets``). ``fit`` uses fewer frames if
-    memory is limited. ``device`` draws the Gaussians. ``names_from`` is the folder of an earlier lift whose objects
-    keep their names and ids. ``anyway`` lifts a scene whose numbers or masks are wrong for certain.
+    memory is limited. ``device`` trains and draws the Gaussians. ``names_from`` is the folder of an earlier lift whose
+    objects keep their names and ids. ``anyway`` lifts a scene whose numbers or masks are wrong for certain.
 
     Raises PlgsError if a value is out of range. Files are not checked, as this is the scene's task.
     """
@@ -73,7 +73,8 @@ class LiftRequest(SceneSource):
         metadata={
             "option": {
                 "choices": DEVICES,
-                "help": "where Gaussians are drawn (default: cpu); cuda needs gsplat, nvcc, ninja and a C++ compiler",
+                "help": "where to train and draw (default: cpu); cuda needs gsplat, nvcc, ninja and a C++ compiler; "
+                "auto takes cuda where it works",
             }
         },
     )

@@ -1,4 +1,4 @@
-"""Where a lift draws its Gaussians: on the CPU, or on a CUDA device with gsplat."""
+"""Where a lift trains and draws: on the CPU, or on a CUDA device with gsplat."""
 
 from __future__ import annotations
 
@@ -11,15 +11,31 @@ from ..raster.cuda import what_fails, what_is_missing
 from ..train.progress import StageReporter
 
 
-def refuse_missing_device(device: str, stages: StageReporter) -> None:
-    """Raise PlgsError, before any work, if ``device`` is "cuda" and nothing can be drawn there.
+def usable_device(device: str, stages: StageReporter) -> str:
+    """The device that a lift takes: "cuda" if that was asked for, or if "auto" was and it works; otherwise "cpu".
 
-    Drawing is tried within the stage "check". Where gsplat compiles its code for that, *Cancel* ends the process, and
-    the next try begins anew.
+    Drawing is tried within the stage "check", before any work. Where gsplat compiles its code for that, *Cancel* ends
+    the process, and the next try begins anew. What "auto" chose, and why, is told as a stage. Raises PlgsError if
+    "cuda" was asked for and does not work.
     """
-    if device != "cuda":
-        return
-    where, on_cpu = "--device cuda", "or lift with --device cpu."
+    if device == "cpu":
+        return device
+    try:
+        _refuse_missing(f"--device {device}", stages)
+    except PlgsError as error:
+        if device != "auto":
+            raise
+        with stages.stage("check", f"Lifting on the CPU: {error.what}"):
+            return "cpu"
+    if device == "auto":
+        with stages.stage("check", "Lifting on the CUDA device"):
+            pass
+    return "cuda"
+
+
+def _refuse_missing(where: str, stages: StageReporter) -> None:
+    """Raise PlgsError if nothing can be drawn on a CUDA device."""
+    on_cpu = "or lift with --device cpu."
     if not torch.backends.cuda.is_built():
         fix = f"Make an engine with set-up FOLDER --torch cuda (Torch in the preferences' Set-Up Options), {on_cpu}"
         raise PlgsError("cpu-torch", "the engine's torch is a build for CPUs", where, fix, option="--device")
@@ -30,7 +46,7 @@ def refuse_missing_device(device: str, stages: StageReporter) -> None:
     if missing is not None:
         raise PlgsError("gsplat-missing", missing, where, f"Do that, {on_cpu}", option="--device")
     with stages.stage("check", "Trying gsplat (compiles once)"):
-        fails = what_fails(device)
+        fails = what_fails("cuda")
     if fails is not None:
         find_out = f'{sys.executable} -c "from gsplat.cuda import _backend"'
         needs = "gsplat needs nvcc of the CUDA that torch is built for, ninja and a C++ compiler"
@@ -39,6 +55,8 @@ def refuse_missing_device(device: str, stages: StageReporter) -> None:
 
 
 def be_repeatable(device: str = "cpu") -> None:
-    """Make the same input give the same bits. On a CUDA device torch only warns about what it cannot repeat."""
+    """Make the same input give the same bits on the CPU. On a CUDA device gsplat's sums differ from run to run, and
+    torch's repeatable operators would only be slower there."""
     # torch.use_deterministic_algorithms also configures torch's compiler, which takes 3 s to import.
-    torch.set_deterministic_debug_mode("warn" if device == "cuda" else "error")
+    torch.set_deterministic_debug_mode("default" if device == "cuda" else "error")
+    torch.backends.cudnn.allow_tf32 = False  # SSIM's differences of moments would drown in its rounding

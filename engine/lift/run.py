@@ -33,7 +33,6 @@ from ..model.decoders import DECODERS
 from ..model.detail import finest_pixels
 from ..model.structured import StructuredScene
 from ..presets.preset import Preset
-from ..raster import drawing_on
 from ..scene import (
     VOID,
     ClassTable,
@@ -54,7 +53,7 @@ from ..train.progress import Course, StageProgress, StageReporter
 from ..train.state import OtherLabels, restore, trainer_state
 from ..train.trainer import LOSSES, Trainer
 from .baking import FrameBaker, bake_and_evaluate, names_of_files, renamed_frames
-from .device import be_repeatable, refuse_missing_device
+from .device import be_repeatable, usable_device
 from .frame_sets import FRAMES, FrameSets, check_disk, frames_to_bake, predicted_lift, sets_of_frames
 from .judging import read_held_back
 from .lasting_names import keep_names, read_earlier, refuse_names_of_no_objects, take_over_edits, write_names
@@ -136,54 +135,53 @@ def run_lift(
     """
     request, stages = folder.request, StageReporter(events, stop, STAGES)
     preset = request.chosen_preset
-    refuse_missing_device(request.device, stages)
     refuse_names_of_no_objects(request, preset)
-    be_repeatable(request.device)
+    device = usable_device(request.device, stages)
+    be_repeatable(device)
     checkpoint = folder.checkpoints.latest() if resume else None
     parts = own_parts(preset)
     code = code_of(_with_parts(code_digest(*sources), parts), checkpoint, events)
-    with drawing_on(request.device):
-        with stages.stage("check") as progress:
-            frames, masks_changed, findings = checked_frames(folder, preset, checkpoint, progress, events)
-            earlier = None if request.names_from is None else read_earlier(request.names_from)
-        stages.course = expected_course(frames, preset, request.bake)
-        tell_long(stages.course, events)
-        check_disk(folder.path, (frame.size for frame in frames_to_bake(frames.all, request.bake)), events)
-        with stages.stage("read") as progress:
-            views, others = read_views(frames, preset, folder.path, progress, events)
+    with stages.stage("check") as progress:
+        frames, masks_changed, findings = checked_frames(folder, preset, checkpoint, progress, events)
+        earlier = None if request.names_from is None else read_earlier(request.names_from)
+    stages.course = expected_course(frames, preset, request.bake)
+    tell_long(stages.course, events)
+    check_disk(folder.path, (frame.size for frame in frames_to_bake(frames.all, request.bake)), events)
+    with stages.stage("read") as progress:
+        views, others = read_views(frames, preset, folder.path, progress, events)
 
-        preset = preset.for_views(len(views))
-        classes = frames.all.classes
-        prepared = preparing(views, classes, preset, request.seed, stages, folder.path, others)
-        trainer = training(prepared, views, preset, request.seed)
-        if checkpoint is not None:
-            take_up(trainer, checkpoint, events, masks_changed=masks_changed)
-        names: Mapping[int, str] = instance_names(prepared.instances, classes)
-        previews = LivePreviews(folder, frames.all, shown_instances(prepared, names), events)
-        facts: dict[str, Json] = {FRAMES: list(frames.begun_with), CODE: code, MASKS: masks_last_run(folder)}
-        paces = train(trainer, folder, facts, stages, previews)
+    preset = preset.for_views(len(views))
+    classes = frames.all.classes
+    prepared = preparing(views, classes, preset, request.seed, stages, folder.path, others)
+    trainer = training(prepared, views, preset, request.seed)
+    if checkpoint is not None:
+        take_up(trainer, checkpoint, events, masks_changed=masks_changed)
+    names: Mapping[int, str] = instance_names(prepared.instances, classes)
+    previews = LivePreviews(folder, frames.all, shown_instances(prepared, names), events)
+    facts: dict[str, Json] = {FRAMES: list(frames.begun_with), CODE: code, MASKS: masks_last_run(folder)}
+    trainer.move_to(device)
+    paces = train(trainer, folder, facts, stages, previews)
+    trainer.move_to("cpu")
 
-        with stages.stage("result") as progress:
-            if preset.shows_votes:
-                told = progress.part(0.0, VOTED)
-                trainer.scene.voted = vote_labels(
-                    trainer.scene, frames.training, prepared, preset, told, folder.path
-                )
-            trainer.scene.finest = finest_of(trainer.scene, frames.training, preset)
-            held_back = read_held_back(frames.chosen, preset.size, folder.path)
-            told = progress.part(VOTED, SIFTED)
-            seen = points_to_write(prepared.cloud, prepared.instance_of_point, chained(views, held_back), told)
-            if earlier is not None:
-                prepared, lasting = keep_names(earlier, prepared, seen, trainer.scene, classes)
-                names = lasting.names
-                write_names(folder, lasting, events)
-            told, lifted = progress.part(SIFTED, 1.0), trainer.scene
-            write_scene_files(folder, frames.chosen, views, held_back, prepared, seen, lifted, events, names, told)
-            if earlier is not None and earlier.edits:
-                take_over_edits(folder, earlier, events)
-        baker = FrameBaker(classes, trainer.scene, shown_instances(prepared, names))
-        wanted = frames_to_bake(frames.all, request.bake)
-        bake_and_evaluate(folder, frames.chosen, baker, wanted, views, held_back, events, stages, findings)
+    with stages.stage("result") as progress:
+        if preset.shows_votes:
+            told = progress.part(0.0, VOTED)
+            trainer.scene.voted = vote_labels(trainer.scene, frames.training, prepared, preset, told, folder.path)
+        trainer.scene.finest = finest_of(trainer.scene, frames.training, preset)
+        held_back = read_held_back(frames.chosen, preset.size, folder.path)
+        told = progress.part(VOTED, SIFTED)
+        seen = points_to_write(prepared.cloud, prepared.instance_of_point, chained(views, held_back), told)
+        if earlier is not None:
+            prepared, lasting = keep_names(earlier, prepared, seen, trainer.scene, classes)
+            names = lasting.names
+            write_names(folder, lasting, events)
+        told, lifted = progress.part(SIFTED, 1.0), trainer.scene
+        write_scene_files(folder, frames.chosen, views, held_back, prepared, seen, lifted, events, names, told)
+        if earlier is not None and earlier.edits:
+            take_over_edits(folder, earlier, events)
+    baker = FrameBaker(classes, trainer.scene.on(device), shown_instances(prepared, names))
+    wanted = frames_to_bake(frames.all, request.bake)
+    bake_and_evaluate(folder, frames.chosen, baker, wanted, views, held_back, events, stages, findings)
     previews.clear_away()
     finish(folder, preset, stages, code, parts)
     remember_pace(paces, trainer)
@@ -384,7 +382,7 @@ def remember_pace(paces: Sequence[float], trainer: Trainer) -> None:
 
 def save_checkpoint(trainer: Trainer, folder: LiftFolder, facts: Mapping[str, Json]) -> None:
     tensors, state = trainer_state(trainer)
-    contiguous = {name: tensor.contiguous() for name, tensor in tensors.items()}
+    contiguous = {name: tensor.cpu().contiguous() for name, tensor in tensors.items()}
     folder.checkpoints.save({**state, **facts}, lambda path: save_file(contiguous, path / "trainer.safetensors"))
 
 

@@ -49,6 +49,10 @@ class Anchors:
         """All tensors by name; the learnt ones are detached."""
         return {name: getattr(self, name).detach() for name in (*self.LEARNT, *self.FIXED)}
 
+    def on(self, device: torch.device | str) -> Anchors:
+        """The anchors on ``device``, as new leaf tensors if they were elsewhere."""
+        return Anchors(**{name: tensor.to(device) for name, tensor in self.tensors().items()})
+
     def select(self, rows: torch.Tensor) -> Anchors:
         """The anchors at ``rows`` (bool [M] or int64 indices), in order, as new leaf tensors."""
         return Anchors(**{name: tensor[rows].clone() for name, tensor in self.tensors().items()})

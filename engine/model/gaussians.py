@@ -2,13 +2,8 @@
 
 from __future__ import annotations
 
-import math
-from typing import Any
-
-import numpy as np
 import torch
 
-from ..machine.compiled import compiled
 from ..scene import Camera
 from .anchors import Anchors
 from .decoders import Decoders
@@ -20,43 +15,19 @@ NEAR = 0.2
 """Anchors closer to the image plane than this, in metres, are left out (Scaffold-GS's near plane)."""
 
 
+@torch.no_grad()
 def visible_anchors(anchors: Anchors, camera: Camera) -> torch.Tensor:
     """Indices int64 [V] of the anchors whose 3-sigma box touches the picture (Scaffold-GS's pre-filter).
 
     Each anchor is taken as a sphere of its largest offset scale: offsets are learnt in this unit, and rarely exceed 3.
     """
-    intrinsics = np.array([camera.fx, camera.fy, camera.cx, camera.cy])
-    rows = _rows_in_picture(
-        anchors.position.numpy(force=True),
-        anchors.log_scale.numpy(force=True),
-        camera.world_to_camera,
-        intrinsics,
-        camera.width,
-        camera.height,
-    )
-    return torch.from_numpy(rows).to(anchors.position.device)
-
-
-@compiled
-def _rows_in_picture(position: Any, log_scale: Any, to_camera: Any, intrinsics: Any, width: Any, height: Any) -> Any:
-    """The loop behind ``visible_anchors``: one pass over position [M, 3] and log_scale [M, 6]."""
-    fx, fy, cx, cy = intrinsics
-    rows = np.empty(len(position), np.int64)
-    count = 0
-    for row in range(len(position)):
-        x, y, z = position[row, 0], position[row, 1], position[row, 2]
-        depth = to_camera[2, 0] * x + to_camera[2, 1] * y + to_camera[2, 2] * z + to_camera[2, 3]
-        if depth <= NEAR:
-            continue
-        reach = 3.0 * math.exp(max(log_scale[row, 0], log_scale[row, 1], log_scale[row, 2])) / depth
-        right = to_camera[0, 0] * x + to_camera[0, 1] * y + to_camera[0, 2] * z + to_camera[0, 3]
-        down = to_camera[1, 0] * x + to_camera[1, 1] * y + to_camera[1, 2] * z + to_camera[1, 3]
-        u, v = right / depth * fx + cx, down / depth * fy + cy
-        across, along = reach * fx, reach * fy
-        if u + across > 0 and u - across < width and v + along > 0 and v - along < height:
-            rows[count] = row
-            count += 1
-    return rows[:count].copy()
+    to_camera = torch.from_numpy(camera.world_to_camera).to(anchors.position.device, non_blocking=True)
+    right, down, depth = (to_camera[:3, :3] @ anchors.position.double().T + to_camera[:3, 3:]).unbind(0)
+    reach = 3.0 * anchors.log_scale[:, :3].amax(dim=1).double().exp() / depth
+    u, v = right / depth * camera.fx + camera.cx, down / depth * camera.fy + camera.cy
+    across, along = reach * camera.fx, reach * camera.fy
+    beside = (u + across > 0) & (u - across < camera.width) & (v + along > 0) & (v - along < camera.height)
+    return ((depth > NEAR) & beside).nonzero().squeeze(1)
 
 
 def decode(
@@ -66,15 +37,20 @@ def decode(
     *,
     channels: torch.Tensor | None = None,
     known_labels: torch.Tensor | None = None,
+    in_torch: bool = False,
 ) -> NeuralGaussians:
     """Decode the Gaussians of every anchor that ``camera`` can see, and drop those with opacity <= 0. The other
-    arguments are those of ``decode_rows``."""
-    centre = torch.from_numpy(camera.centre.copy()).to(anchors.position)
+    arguments are those of ``decode_rows``; ``in_torch``: without any kernel, even where there are some."""
+    position = anchors.position
+    centre = torch.from_numpy(camera.centre.copy()).to(position.dtype).to(position.device, non_blocking=True)
     if decoders.decodes_all_anchors:
-        visible = torch.arange(len(anchors))
+        visible = torch.arange(len(anchors), device=position.device)
     else:
         visible = visible_anchors(anchors, camera)
-    return decode_rows(anchors, decoders, visible, centre, channels=channels, known_labels=known_labels)
+    if not in_torch:
+        return decode_rows(anchors, decoders, visible, centre, channels=channels, known_labels=known_labels)
+    own = decoders.own_decoding(anchors, visible, centre, channels, known_labels)
+    return own or decode_in_torch(anchors, decoders, visible, centre, channels, known_labels)
 
 
 def decode_rows(
@@ -103,4 +79,4 @@ def decode_rows(
 
 def no_labels(anchors: Anchors) -> torch.Tensor:
     """``known_labels`` for a caller that needs no labels: one channel of zeros."""
-    return torch.zeros(len(anchors) * anchors.gaussians_per_anchor, 1)
+    return anchors.position.new_zeros(len(anchors) * anchors.gaussians_per_anchor, 1)

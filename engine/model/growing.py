@@ -8,17 +8,13 @@ depth loss, if there is one, reach these; label losses never do.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from ..machine.compiled import Array, compiled
 from .anchors import UNKNOWN_CLASS, Anchors
 from .neural_gaussians import NeuralGaussians
-
-ONE, ZERO = np.float32(1), np.float32(0)
 
 
 @dataclass(frozen=True)
@@ -57,56 +53,27 @@ class GrowthStatistics:
 
     @classmethod
     def empty(cls, anchors: Anchors) -> GrowthStatistics:
-        count, k = len(anchors), anchors.gaussians_per_anchor
-        return cls(torch.zeros(count), torch.zeros(count), torch.zeros(count, k), torch.zeros(count, k))
+        count, k, zeros = len(anchors), anchors.gaussians_per_anchor, anchors.position.new_zeros
+        return cls(zeros(count), zeros(count), zeros(count, k), zeros(count, k))
 
     def tensors(self) -> dict[str, torch.Tensor]:
         return {"visits": self.visits, "opacity": self.opacity, "gradient": self.gradient, "drawn": self.drawn}
 
+    def on(self, device: torch.device | str) -> GrowthStatistics:
+        return GrowthStatistics(**{name: tensor.to(device) for name, tensor in self.tensors().items()})
+
     def add(
         self, gaussians: NeuralGaussians, drawn: torch.Tensor, means2d_gradient: torch.Tensor, width: int, height: int
     ) -> None:
-        """Add one step: ``drawn`` bool [N], ``means2d_gradient`` [N, 2] per pixel, which is converted to NDC
-        units."""
-        _add_step(
-            gaussians.visible.numpy(),
-            gaussians.all_opacities.detach().contiguous().numpy(),
-            gaussians.kept.numpy(),
-            drawn.numpy(),
-            means2d_gradient.contiguous().numpy(),
-            np.array([0.5 * width, 0.5 * height], np.float32),
-            _Sums(*(tensor.numpy() for tensor in (self.visits, self.opacity, self.gradient, self.drawn))),
-        )
-
-
-class _Sums(NamedTuple):
-    """The tensors of ``GrowthStatistics``, as arrays."""
-
-    visits: Array
-    opacity: Array
-    gradient: Array
-    drawn: Array
-
-
-@compiled
-def _add_step(
-    visible: Array, opacities: Array, kept: Array, was_drawn: Array, moved: Array, half_size: Array, sums: _Sums
-) -> None:
-    """The loops behind ``GrowthStatistics.add``."""
-    k = sums.gradient.shape[1]
-    for place in range(len(visible)):
-        row = visible[place]
-        sums.visits[row] += ONE
-        total = ZERO
-        for each in range(k):
-            total += max(opacities[place, each], ZERO)
-        sums.opacity[row] += total
-    for place in range(len(kept)):
-        if was_drawn[place]:
-            row, each = visible[kept[place] // k], kept[place] % k
-            across, along = moved[place, 0] * half_size[0], moved[place, 1] * half_size[1]
-            sums.gradient[row, each] += np.sqrt(across * across + along * along)
-            sums.drawn[row, each] += ONE
+        """Add one step: ``drawn`` bool [N], ``means2d_gradient`` [N, 2] per pixel, which is converted to NDC units. No
+        anchor and no Gaussian occurs twice in it."""
+        opacities, rows = gaussians.all_opacities, gaussians.rows(self.gradient.shape[1])
+        self.visits.index_add_(0, gaussians.visible, opacities.new_ones(len(opacities)))
+        self.opacity.index_add_(0, gaussians.visible, opacities.clamp_min(0).sum(dim=1))
+        across, along = means2d_gradient[:, 0] * (0.5 * width), means2d_gradient[:, 1] * (0.5 * height)
+        length = (across.square() + along.square()).sqrt()
+        self.gradient.view(-1).index_add_(0, rows, length * drawn)
+        self.drawn.view(-1).index_add_(0, rows, drawn.float())
 
 
 @dataclass(frozen=True)

@@ -11,6 +11,7 @@ import torch
 from numpy.typing import NDArray
 
 from ..raster import Rendering, rasterize
+from ..raster.rendering import Backend
 from ..scene import Camera
 
 
@@ -41,7 +42,13 @@ class NeuralGaussians:
         return self.visible.index_select(0, self.kept // k) * k + self.kept % k
 
     def drawn_by(
-        self, camera: Camera, labels: torch.Tensor | None = None, *, top_k: int = 0, want_means2d_grad: bool = False
+        self,
+        camera: Camera,
+        labels: torch.Tensor | None = None,
+        *,
+        top_k: int = 0,
+        want_means2d_grad: bool = False,
+        backend: Backend | None = None,
     ) -> Rendering:
         """The camera's whole picture of these Gaussians, with ``labels`` float32 [N, L] of the caller's choice, or
         without labels. The other arguments are those of ``rasterize``."""
@@ -52,12 +59,13 @@ class NeuralGaussians:
             self.opacities,
             self.colours,
             labels,
-            torch.from_numpy(camera.camera_to_world).float(),
-            torch.from_numpy(camera.K).float(),
+            camera.camera_to_world.astype(np.float32),
+            camera.K.astype(np.float32),
             camera.width,
             camera.height,
             top_k=top_k,
             want_means2d_grad=want_means2d_grad,
+            backend=backend,
         )
 
 

@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 
 from ..raster import rasterize
 from ..raster.conventions import BLUR, NEAR
@@ -18,6 +20,8 @@ from .structured import LabelChannels, StructuredScene
 
 MOST_BYTES = 1 << 27
 """The most bytes of a band's label coverage. Larger bands are not faster; smaller ones are slower."""
+KEPT = 16
+"""Classes and instances of a pixel that come back from a device. A pixel seldom shows more than five."""
 TILE_ROWS = 16
 """Bands begin with a row of the rasteriser's tiles."""
 REACH = 3.5
@@ -92,7 +96,7 @@ class _Seen:
 def _see(
     drawn: NeuralGaussians, rows_of: torch.Tensor, finest: torch.Tensor | None, camera: Camera, clip: ClipRange
 ) -> _Seen:
-    to_camera, near = torch.from_numpy(camera.world_to_camera).float(), max(clip.near, NEAR)
+    to_camera, near = torch.from_numpy(camera.world_to_camera).to(drawn.means), max(clip.near, NEAR)
     _, down, depth = (drawn.means @ to_camera[:3, :3].T + to_camera[:3, 3]).unbind(1)
     chosen = ((depth > near) & (depth < clip.far)).nonzero().squeeze(1)
     if finest is not None:
@@ -115,26 +119,36 @@ def _draw_rows(
         seen.of(drawn.opacities),
         seen.of(drawn.colours),
         seen.of(drawn.labels) if labels is None else labels.of(seen.of(seen.rows_of)),
-        torch.from_numpy(camera.camera_to_world).float(),
-        torch.from_numpy(camera.K).float(),
+        camera.camera_to_world.astype(np.float32),
+        camera.K.astype(np.float32),
         camera.width,
         camera.height,
         near=seen.near,
         rows=rows,
         want_surface=True,
     )
-    alpha = rendering.alpha.numpy()
+    alpha = rendering.alpha.numpy(force=True)
     assert rendering.labels is not None and rendering.surface is not None  # as requested
-    classes, coverage = len(channels.class_ids), rendering.labels
+    classes, shown = len(channels.class_ids), rendering.labels
     if labels is None:
-        coverage = shown_probabilities(coverage[..., :classes], coverage[..., classes:], channels)
+        shown = shown_probabilities(shown[..., :classes], shown[..., classes:], channels)
+    coverage = shown.numpy() if shown.device.type == "cpu" else likeliest(shown)
     return PanopticRendering(
         camera=camera.of_rows(*rows),
-        image=rendering.image.clamp_(0.0, 1.0).numpy(),
+        image=rendering.image.clamp_(0.0, 1.0).numpy(force=True),
         alpha=alpha,
-        depth=rendering.surface.numpy(),
-        class_coverage=coverage[..., :classes].numpy(),
-        instance_coverage=coverage[..., classes:].numpy(),
+        depth=rendering.surface.numpy(force=True),
+        class_coverage=coverage[..., :classes],
+        instance_coverage=coverage[..., classes:],
         class_ids=channels.class_ids,
         instance_ids=channels.shown_ids,
     )
+
+
+def likeliest(coverage: torch.Tensor) -> NDArray[np.float32]:
+    """Coverage [H, W, L] on a device as an array, of which only the KEPT largest of each pixel are copied; the others
+    are 0. Copying all of them would take longer than drawing them."""
+    share, label = (each.numpy(force=True) for each in coverage.topk(min(KEPT, coverage.shape[-1]), dim=-1))
+    kept = np.zeros(coverage.shape, np.float32)
+    np.put_along_axis(kept, label, share, axis=-1)
+    return kept

@@ -45,8 +45,8 @@ class VotedLabels:
         """The probabilities of the Gaussians of ``rows`` int64 [N], float32 [N, C + U]."""
         label = self.voted.label.index_select(0, rows).long()
         share = self.voted.share.index_select(0, rows)
-        table = torch.zeros(len(rows), len(self.class_of_label))
-        table.scatter_add_(1, self.class_of_label[label], share)
+        table = share.new_zeros(len(rows), len(self.class_of_label))
+        table.scatter_add_(1, self.class_of_label.to(label.device)[label], share)
         owned = torch.where(label >= self.classes, share, torch.zeros_like(share))
         return table.scatter_add_(1, label, owned)
 
@@ -70,7 +70,7 @@ def shown_probabilities(classes: torch.Tensor, slots: torch.Tensor, channels: La
     total = classes.sum(dim=-1, keepdim=True).clamp_min(1e-8)
     by_class = classes * (alone / total)
     of_class = torch.tensor([channels.class_ids.index(channels.class_of_slot[slot]) for slot in used])
-    return torch.cat([by_class.index_add(-1, of_class, instances), instances], dim=-1)
+    return torch.cat([by_class.index_add(-1, of_class.to(slots.device), instances), instances], dim=-1)
 
 
 def shown_labels(scene: StructuredScene) -> ShownLabels | None:
@@ -89,7 +89,7 @@ def scene_labels(scene: StructuredScene) -> ShownLabels | None:
     width = len(channels.class_ids) + len(channels.instance_slots)
     if decoders.shape.label_view_input or 4 * gaussians * width > MOST_BYTES:
         return None
-    probabilities = torch.empty(gaussians, width)
+    probabilities = anchors.position.new_empty(gaussians, width)
     start = 0
     for feature in anchors.feature.detach().split(CHUNK):
         classes, slots = (logits.flatten(0, 1).softmax(dim=1) for logits in decoders.label_logits(feature, feature))

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from copy import deepcopy
+from dataclasses import dataclass, replace
 
 import torch
 
@@ -69,6 +70,14 @@ class StructuredScene:
     voxel_size: float
     voted: GaussianLabels | None = None
     finest: torch.Tensor | None = None
+
+    def on(self, device: torch.device | str) -> StructuredScene:
+        """A copy of the scene on ``device``; on the CPU, where it is made, the scene itself."""
+        if torch.device(device).type == "cpu":
+            return self
+        voted = None if self.voted is None else GaussianLabels(*(each.to(device) for each in vars(self.voted).values()))
+        finest, decoders = None if self.finest is None else self.finest.to(device), deepcopy(self.decoders).to(device)
+        return replace(self, anchors=self.anchors.on(device), decoders=decoders, voted=voted, finest=finest)
 
 
 def to_tensors(scene: StructuredScene) -> tuple[dict[str, torch.Tensor], dict[str, object]]:

@@ -87,9 +87,8 @@ def cluster_loss(class_logits: torch.Tensor, target: torch.Tensor) -> torch.Tens
 
     All k Gaussians of an anchor count, drawn or not (equation "Cluster Loss").
     """
-    if not bool((target >= 0).any()):
-        return class_logits.sum() * 0.0
-    k = class_logits.shape[1]
-    return functional.cross_entropy(
-        class_logits.reshape(-1, class_logits.shape[2]), target.repeat_interleave(k), ignore_index=-1
-    )
+    known, k = target >= 0, class_logits.shape[1]
+    wanted = target.clamp_min(0)[:, None, None].expand(-1, k, 1)
+    # torch's own cross entropy of millions of rows takes ten times as long on a GPU
+    log = functional.log_softmax(class_logits, dim=2).gather(2, wanted).squeeze(2)
+    return -(log * known[:, None]).sum() / (k * known.sum()).clamp_min(1)

@@ -2,7 +2,7 @@
 
 ``rasterize`` draws anisotropic 3D Gaussians into a pinhole camera and is differentiable in everything that
 describes the Gaussians. Back ends: ``numba`` (CPU, the default), ``gsplat`` (CUDA, if installed),
-``reference`` (dense float64 torch, the oracle of the tests). ``drawing_on`` chooses the device for all calls within it.
+``reference`` (dense float64 torch, the oracle of the tests).
 """
 
 from __future__ import annotations
@@ -10,18 +10,18 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from .interface import drawing_on, rasterize
+    from .interface import rasterize
     from .rendering import Rendering
 
-__all__ = ["Rendering", "drawing_on", "rasterize"]
+__all__ = ["Rendering", "rasterize"]
 
 
 def __getattr__(name: str) -> Any:
     """Import torch only when it is needed."""
-    if name in ("drawing_on", "rasterize"):
-        from . import interface
+    if name == "rasterize":
+        from .interface import rasterize
 
-        return getattr(interface, name)
+        return rasterize
     if name == "Rendering":
         from .rendering import Rendering
 

@@ -1,6 +1,7 @@
 """The back end ``gsplat``, for tensors on a CUDA device: ``gsplat.rasterization`` with colour and depth as channels.
 
-Labels are drawn by a second call with detached geometry, as their gradient must reach only the labels.
+Labels are blended from gsplat's list of the Gaussians that each pixel shows. Its own kernels would blend all channels
+of all Gaussians of a tile, and their gradient would reach the geometry.
 
 gsplat 1.5 differs from the other back ends in these points. It caps alpha at 0.999, not at 0.99 (1.6 caps at 0.99), so
 an opaque Gaussian lets a tenth of the light through. It projects in float32, where the terms of a long thin Gaussian
@@ -16,11 +17,13 @@ from __future__ import annotations
 import logging
 import sys
 from collections.abc import Iterable
+from functools import cache
 from importlib import metadata
 from typing import Any
 
 import torch
 from torch import Tensor
+from torch.nn import functional
 
 from .conventions import BLUR, NEAR, Pinhole
 from .rendering import GaussianSet, Rendering, Wanted
@@ -28,9 +31,8 @@ from .rendering import GaussianSet, Rendering, Wanted
 OLDEST, TOO_NEW = (1, 5), (1, 7)
 """Versions (major, minor) of gsplat: the first that is known to have the call used here, and the first beyond those."""
 
-_CHANNELS = 32
-"""Labels that gsplat blends in one go. Of some rows so many are drawn at a time, and only the rows are kept, so that a
-picture of all labels is never in memory."""
+_TILE = 8
+"""Pixels along a tile's side. With gsplat's 16, a small picture has too few tiles for a large GPU."""
 
 log = logging.getLogger("plgs.raster")
 
@@ -59,7 +61,7 @@ def what_fails(device: str) -> str | None:
     gaussians = GaussianSet(one[:, :3], one[:, :3], one, one[:, 0], one[:, :3], None)
     camera = Pinhole((1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0), (0.0, 0.0, 0.0), (1.0, 1.0), (0.5, 0.5), 1, 1, NEAR)
     try:
-        _call(gaussians, gaussians.colours, camera, "RGB")[0].sum().item()
+        _call(gaussians, camera)[0].sum().item()
     except Exception as error:  # whatever torch's builder, nvcc, the linker and the driver raise
         log.exception("gsplat cannot draw")
         return f"{type(error).__name__}: {error}".splitlines()[0]
@@ -71,8 +73,9 @@ def rasterize_gsplat(gaussians: GaussianSet, pinhole: Pinhole, wanted: Wanted) -
     assert wanted.top_k == 0, "the back end numba lists contributors"
     if not len(gaussians.means):
         return _nothing_drawn(gaussians, pinhole, wanted.means2d_grad)
-    channels, alpha, about = _call(gaussians, gaussians.colours, pinhole, "RGB+D")
-    means2d, above = about["means2d"], torch.tensor([0.0, pinhole.above]).to(gaussians.means)
+    channels, alpha, about = _call(gaussians, pinhole)
+    means2d = about["means2d"]
+    above = torch.tensor([0.0, pinhole.above]).to(gaussians.means, non_blocking=True)
     centres, radii = means2d.detach()[0] - above, about["radii"][0]
     down = centres[:, 1]
     visible = (radii > 0).all(-1) & (down + radii[:, 1] > 0) & (down - radii[:, 1] < pinhole.height)
@@ -80,15 +83,49 @@ def rasterize_gsplat(gaussians: GaussianSet, pinhole: Pinhole, wanted: Wanted) -
     if wanted.means2d_grad:
         leaf.requires_grad_()
         means2d.register_hook(lambda gradient: setattr(leaf, "grad", gradient[0].contiguous()))
-    labels = None
-    if gaussians.labels is not None:
-        still, whole = gaussians.changed(Tensor.detach), pinhole.height == pinhole.whole_height
-        if whole:
-            labels = _call(still, gaussians.labels, pinhole, "RGB")[0]
-        else:  # copied, as rows that are a view would keep the whole picture
-            parts = gaussians.labels.split(_CHANNELS, dim=1)
-            labels = torch.cat([_call(still, part, pinhole, "RGB")[0].clone() for part in parts], dim=-1)
+    labels = None if gaussians.labels is None else _blended_labels(gaussians.labels, pinhole, about)
     return Rendering(channels[..., :3], labels, alpha[..., 0], channels[..., 3], visible, leaf)
+
+
+def _blended_labels(labels: Tensor, pinhole: Pinhole, about: dict[str, Any]) -> Tensor:
+    """``labels`` [N, C] blended as [H, W, C], with the projection and the sorted lists that a call returned."""
+    gaussian, starts, weights = _contributions(pinhole, about)
+    first, pixels = pinhole.above * pinhole.width, pinhole.height * pinhole.width
+    if pixels < len(starts):  # some rows of the picture
+        starts = torch.cat([starts, starts.new_tensor([len(gaussian)])])[first : first + pixels + 1]
+        shown = slice(*starts[[0, -1]].tolist())
+        gaussian, weights, starts = gaussian[shown], weights[shown], starts[:-1] - starts[0]
+    drawn = functional.embedding_bag(gaussian, labels, starts, mode="sum", per_sample_weights=weights)
+    return drawn.view(pinhole.height, pinhole.width, -1)
+
+
+@torch.no_grad()
+def _contributions(pinhole: Pinhole, about: dict[str, Any]) -> tuple[Tensor, Tensor, Tensor]:
+    """The Gaussians that each pixel of the whole picture shows, front to back: their numbers int64 [A], where each
+    pixel's begin int64 [P], and their blending weights float32 [A]."""
+    from gsplat import rasterize_to_indices_in_range
+
+    width, height = pinhole.width, pinhole.whole_height or pinhole.height
+    means2d, conics, opacities = about["means2d"], about["conics"], about["opacities"]
+    lists = width, height, about["tile_size"], about["isect_offsets"], about["flatten_ids"]
+    clear = means2d.new_ones(1, height, width)
+    gaussian, pixel, _ = rasterize_to_indices_in_range(0, 1 << 30, clear, means2d, conics, opacities, *lists)
+    starts = torch.searchsorted(pixel, torch.arange(width * height, device=pixel.device))
+    centre = torch.stack([pixel % width, pixel // width], dim=1) + 0.5
+    across, down = (means2d[0].index_select(0, gaussian) - centre).unbind(1)
+    a, b, c = conics[0].index_select(0, gaussian).unbind(1)
+    fallen = torch.exp(-0.5 * (a * across * across + c * down * down) - b * across * down)
+    alpha = (opacities[0].index_select(0, gaussian) * fallen).clamp_max(alpha_cap())
+    dimmed = torch.log1p(-alpha.double())  # added up over all pixels, hence in double
+    before = dimmed.cumsum(0) - dimmed
+    light = torch.exp(before - before.index_select(0, starts.index_select(0, pixel)))
+    return gaussian, starts, (alpha * light).float()
+
+
+@cache
+def alpha_cap() -> float:
+    """The largest alpha of the installed version of gsplat."""
+    return 0.999 if metadata.version("gsplat").startswith("1.5.") else 0.99
 
 
 def _nothing_drawn(gaussians: GaussianSet, pinhole: Pinhole, want_means2d_grad: bool) -> Rendering:
@@ -106,11 +143,9 @@ def _nothing_drawn(gaussians: GaussianSet, pinhole: Pinhole, want_means2d_grad: 
     return Rendering(image, drawn_labels, alpha, depth, gaussians.opacities.detach() > 0, leaf)
 
 
-def _call(
-    gaussians: GaussianSet, channels: Tensor, pinhole: Pinhole, mode: str
-) -> tuple[Tensor, Tensor, dict[str, Any]]:
-    """``channels`` [N, C] blended as [H, W, C], followed by the depth in ``mode`` "RGB+D"; alpha [H, W, 1]; and what
-    gsplat returns about the Gaussians, in pixels of the whole picture.
+def _call(gaussians: GaussianSet, pinhole: Pinhole) -> tuple[Tensor, Tensor, dict[str, Any]]:
+    """Colour and depth [H, W, 4], alpha [H, W, 1], and what gsplat returns about the Gaussians, in pixels of the whole
+    picture.
 
     Of some rows, the whole picture is drawn: gsplat takes the margins of the Jacobian's point from its height.
     """
@@ -126,15 +161,16 @@ def _call(
         quats=gaussians.quats,
         scales=gaussians.scales,
         opacities=gaussians.opacities,
-        colors=channels,
-        viewmats=to_camera[None].to(channels),
-        Ks=intrinsics[None].to(channels),
+        colors=gaussians.colours,
+        viewmats=to_camera[None].float().to(gaussians.means, non_blocking=True),
+        Ks=intrinsics[None].to(gaussians.means, non_blocking=True),
         width=pinhole.width,
         height=pinhole.whole_height or pinhole.height,
         near_plane=pinhole.near,
         eps2d=BLUR,
         packed=False,
-        render_mode=mode,
+        render_mode="RGB+D",
+        tile_size=_TILE,
     )
     rows = slice(pinhole.above, pinhole.above + pinhole.height)
     return drawn[0, rows], alpha[0, rows], about

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from contextvars import ContextVar
+from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import torch
@@ -16,24 +14,10 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from .conventions import NEAR, Pinhole
-from .rendering import GaussianSet, Rendering, Wanted
-
-Backend = Literal["numba", "gsplat", "reference"]
-BACKENDS: tuple[Backend, ...] = ("numba", "gsplat", "reference")
+from .rendering import BACKENDS, Backend, GaussianSet, Rendering, Wanted
 
 log = logging.getLogger("plgs.raster")
 _announced: set[str] = set()
-_device: ContextVar[torch.device | None] = ContextVar("the device to draw on", default=None)
-
-
-@contextmanager
-def drawing_on(device: torch.device | str) -> Iterator[None]:
-    """Within this context, ``rasterize`` draws on this device. It moves its tensors there and the layers back."""
-    before = _device.set(torch.device(device))
-    try:
-        yield
-    finally:
-        _device.reset(before)
 
 
 def rasterize(
@@ -72,9 +56,8 @@ def rasterize(
     ``rows``: the first row of the picture to draw, and one past the last. The layers have only these rows, with the
     same values as in the whole picture.
 
-    ``top_k`` > 0 requests the largest contributors of every pixel; such a picture is drawn on the CPU. ``backend`` None
-    picks by device (the tensors', or that of ``drawing_on``): ``numba`` on the CPU, ``gsplat`` on CUDA. The CPU
-    finds the surface for all of them.
+    ``top_k`` > 0 requests the largest contributors of every pixel, which ``gsplat`` does not list. ``backend`` None
+    picks by the tensors' device: ``numba`` on the CPU, ``gsplat`` on CUDA. The CPU finds the surface for all of them.
 
     Raises ``ValueError`` for shapes, dtypes or devices that do not fit, an empty image, rows that are not in it, skew,
     or an unknown back end.
@@ -84,25 +67,11 @@ def rasterize(
     pinhole = _pinhole(camera_to_world, K, width, height, near, rows)
     if top_k < 0:
         raise ValueError(f"top_k is {top_k}; it must be 0 or more")
-    here = means.device
-    there = torch.device("cpu") if top_k and backend is None else _device.get() or here
-    gaussians = gaussians.changed(lambda tensor: tensor.to(there))
-    rasterize_there = _load(_pick(backend, gaussians.means))
-    drawn = rasterize_there(gaussians, pinhole, Wanted(top_k, want_surface, want_means2d_grad))
+    drawn = _load(_pick(backend, means))(gaussians, pinhole, Wanted(top_k, want_surface, want_means2d_grad))
     if want_surface and drawn.surface is None:
-        geometry = gaussians._replace(labels=None).changed(lambda tensor: tensor.detach().cpu().float())
-        surface = _load("numba")(geometry, pinhole, Wanted(0, True, False)).surface
-        drawn = replace(drawn, surface=surface)
-    return _moved(drawn, here)
-
-
-def _moved(drawn: Rendering, device: torch.device) -> Rendering:
-    """The layers on this device. ``means2d`` stays where it was drawn: it is the leaf that gets the gradient."""
-    if drawn.image.device == device:
-        return drawn
-    names = ("image", "labels", "alpha", "depth", "visible", "top_indices", "top_weights", "surface")
-    layers: dict[str, Any] = {name: layer.to(device) for name in names if (layer := getattr(drawn, name)) is not None}
-    return replace(drawn, **layers)
+        geometry = GaussianSet(*(each.detach().cpu().float() for each in gaussians[:5]), labels=None)
+        drawn = replace(drawn, surface=_load("numba")(geometry, pinhole, Wanted(0, True, False)).surface)
+    return drawn
 
 
 @cache

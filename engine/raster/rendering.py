@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 from torch import Tensor
+
+Backend = Literal["numba", "gsplat", "reference"]
+BACKENDS: tuple[Backend, ...] = ("numba", "gsplat", "reference")
 
 
 class GaussianSet(NamedTuple):
@@ -20,13 +22,6 @@ class GaussianSet(NamedTuple):
     colours: Tensor
     labels: Tensor | None
 
-    def changed(self, change: Callable[[Tensor], Tensor]) -> GaussianSet:
-        """The set with ``change`` applied to every tensor."""
-        means, scales, quats, opacities, colours = map(change, self[:5])
-        return GaussianSet(
-            means, scales, quats, opacities, colours, None if self.labels is None else change(self.labels)
-        )
-
 
 class Wanted(NamedTuple):
     """What ``rasterize`` is asked for beside the layers: ``top_k`` contributors, the ``surface``, and a gradient of
@@ -39,8 +34,7 @@ class Wanted(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Rendering:
-    """One view of a set of N Gaussians, over black. Float tensors have the dtype and the device of ``means``. Only
-    ``means2d`` stays on the device that the view was drawn on (see ``drawing_on``).
+    """One view of a set of N Gaussians, over black. Float tensors have the dtype and the device of ``means``.
 
     With the blending weights w_i = alpha_i * prod_{j<i} (1 - alpha_j) of a pixel's Gaussians, front to back:
 

@@ -8,7 +8,7 @@ two are equal.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 
 import numpy as np
 import torch
@@ -58,7 +58,7 @@ def adam_step(
     """
     gradients = [torch.zeros_like(each) if each.grad is None else each.grad for each in parameters]
     means, squares = [mean for mean, _ in moments], [square for _, square in moments]
-    counts = [torch.tensor(float(count)) for _ in parameters]
+    counts = [each.new_full((), float(count)) for each in parameters]
     adam(
         list(parameters), gradients, means, squares, [], counts, foreach=False, fused=fused, amsgrad=False,
         beta1=BETA_1, beta2=BETA_2, lr=rate, weight_decay=0.0, eps=eps, maximize=False,
@@ -124,21 +124,28 @@ class Optimiser:
         for name, parameter in self.decoders.named_parameters():
             yield f"decoders.{name}", parameter
 
-    def step(self, progress: float, rows: torch.Tensor) -> None:
+    def step(self, progress: float, rows: torch.Tensor, move: Callable[..., None] = move_rows) -> None:
         """Do one Adam step with the current gradients, on the anchors in ``rows`` int64 [V]; ``progress`` is the share
-        of all steps done."""
+        of all steps done, ``move`` is ``move_rows`` or what stands for it on a device."""
         for name, each in self._named():
             if name not in self.moments and each.requires_grad:
                 self.moments[name] = no_moments(each)
         for name in Anchors.LEARNT:
             rate = learning_rate(self.rates[name], progress) * (self.extent if name == "offset" else 1.0)
-            move_rows(getattr(self.anchors, name), self.moments[f"anchors.{name}"], rows, self.count, rate)
+            move(getattr(self.anchors, name), self.moments[f"anchors.{name}"], rows, self.count, rate)
         names = {id(parameter): name for name, parameter in self._named()}
         for group, parameters in self.decoders.learnt():
             moments = [self.moments[names[id(each)]] for each in parameters]
             rate = learning_rate(self.rates[group], progress)
             adam_step(parameters, moments, self.count, rate, eps=EPSILON, fused=True)
         self.count += 1
+
+    def move_to(self, anchors: Anchors, device: torch.device) -> None:
+        """Continue with the same ``anchors`` on another ``device``, where the decoders already are."""
+        self.anchors = anchors
+        for name in Anchors.LEARNT:
+            getattr(anchors, name).requires_grad_()
+        self.moments = {name: (mean.to(device), square.to(device)) for name, (mean, square) in self.moments.items()}
 
     def replace_anchors(self, anchors: Anchors, keep: torch.Tensor) -> None:
         """Continue with ``anchors``: rows ``keep`` (bool over the old ones), then new ones with moments of 0."""
@@ -167,6 +174,6 @@ class Optimiser:
 
 
 def _resized(rows: torch.Tensor, size: torch.Size) -> torch.Tensor:
-    grown = torch.zeros(size)
+    grown = rows.new_zeros(size)
     grown[: len(rows)] = rows
     return grown

@@ -24,13 +24,18 @@ STRIP_ROWS = 48
 """Rows that a thread compares at once. The intermediate pictures of a strip stay in the processor's cache, and the
 strips depend only on the picture, so that sums have the same bits for any number of threads."""
 
-_WINDOW = cv2.getGaussianKernel(WINDOW, SIGMA, cv2.CV_32F)
+WINDOW_WEIGHTS = cv2.getGaussianKernel(WINDOW, SIGMA, cv2.CV_32F)
 
 
 def _blur(picture: NDArray[np.float32]) -> NDArray[np.float32]:
     """A picture [H, W, 3] blurred by the window, with zeros around it."""
-    blurred = cv2.sepFilter2D(picture, -1, _WINDOW, _WINDOW, borderType=cv2.BORDER_CONSTANT)
+    blurred = cv2.sepFilter2D(picture, -1, WINDOW_WEIGHTS, WINDOW_WEIGHTS, borderType=cv2.BORDER_CONSTANT)
     return blurred.astype(np.float32, copy=False)
+
+
+def photo_values(photo: PhotoMoments | torch.Tensor) -> torch.Tensor:
+    """A photo's colours float32 [H, W, 3] in [0, 1], where they are. On a device it is uint8."""
+    return torch.from_numpy(photo.values) if isinstance(photo, PhotoMoments) else photo.float() / 255.0
 
 
 @dataclass(frozen=True)

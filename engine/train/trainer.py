@@ -9,8 +9,9 @@ from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 
-from ..model.gaussians import decode, no_labels
+from ..model.gaussians import no_labels
 from ..model.growing import GrowthRound, GrowthRules, GrowthStatistics, grow_and_prune
 from ..model.neural_gaussians import NeuralGaussians
 from ..model.render import render_view
@@ -20,11 +21,12 @@ from ..presets.parts import Parts
 from ..presets.preset import LossWeights, Preset
 from ..raster import Rendering
 from ..scene import View
-from .label_losses import assigned_slots, label_losses
+from .arithmetic import IN_TORCH, KERNELS
+from .label_losses import TINY, assigned_slots, label_losses
 from .optimiser import RATES, Optimiser, Rates
 from .progress import StepClock
 from .self_training import PseudoLabels, pseudo_label_steps, rendered_labels
-from .similarity import PhotoMoments, compare
+from .similarity import PhotoMoments, compare, photo_values
 from .targets import ViewTargets, columns_of
 
 # The losses of picture, size and depth; those of labels are in ``label_losses`` (the paper's "Loss Functions").
@@ -39,15 +41,17 @@ NOISY = 4.0
 
 def reconstruction_loss(
     image: torch.Tensor,
-    photo: PhotoMoments,
+    photo: PhotoMoments | torch.Tensor,
     scales: torch.Tensor,
     *,
     photo_weight: float,
     ssim_weight: float,
     volume_weight: float,
+    compare: Callable[..., torch.Tensor] = compare,
 ) -> torch.Tensor:
     """L_recon: L1 + lambda_ssim (1 - SSIM) + lambda_vol sum of prod(scales), of a picture float32 [H, W, 3] in [0, 1]
-    and scales [N, 3] in metres. ``photo_weight`` (1 in the paper) is the weight of the first two terms."""
+    and scales [N, 3] in metres. ``photo_weight`` (1 in the paper) is the weight of the first two terms. ``compare`` is
+    ``similarity.compare`` or what stands for it on a device."""
     volume = (scales[:, 0] * scales[:, 1] * scales[:, 2]).sum()
     picture = compare(image, photo, 1.0, -ssim_weight) + ssim_weight
     return photo_weight * picture + volume_weight * volume
@@ -63,11 +67,9 @@ def depth_loss(depth: torch.Tensor, alpha: torch.Tensor, sensor: torch.Tensor) -
     [H, W] metres, 0 = none. The limit of 1 makes it robust: an error as large as the depth itself counts once.
     """
     known = sensor > 0
-    if not bool(known.any()):
-        return depth.sum() * 0.0
     gap = (depth - alpha * sensor).abs() + 0.5 * (1.0 - alpha) * sensor
     weight = known / (1.0 + (sensor / NOISY) ** 2)
-    return ((gap / sensor.clamp_min(NEAR)).clamp_max(1.0) * weight).sum() / weight.sum()
+    return ((gap / sensor.clamp_min(NEAR)).clamp_max(1.0) * weight).sum() / weight.sum().clamp_min(TINY)
 
 
 SATURATED = 0.99
@@ -167,6 +169,21 @@ class Trainer:
         self.pseudo_label_steps = pseudo_label_steps(preset.schedule.self_training_every, preset.steps)
         self.optimiser = Optimiser(scene.anchors, scene.decoders, self.rates, _extent(views))
         self.statistics = GrowthStatistics.empty(scene.anchors)
+        self.device, self.arithmetic = torch.device("cpu"), KERNELS
+        self._placed: dict[int, ViewTargets] = {}
+        self.follow_anchors()
+
+    def move_to(self, device: torch.device | str) -> None:
+        """Do the steps that follow on this device. The targets of the views stay there, once they were needed."""
+        self.device = torch.device(device)
+        self.arithmetic = KERNELS if self.device.type == "cpu" else IN_TORCH
+        self._placed.clear()
+        self._move_state(self.device)
+
+    def _move_state(self, device: torch.device) -> None:
+        self.scene.anchors, self.statistics = self.scene.anchors.on(device), self.statistics.on(device)
+        self.scene.decoders.to(device)
+        self.optimiser.move_to(self.scene.anchors, device)
         self.follow_anchors()
 
     @property
@@ -175,12 +192,21 @@ class Trainer:
 
     def follow_anchors(self) -> None:
         """Update what is derived from the anchors after they were replaced."""
-        self.initial_channels = columns_of(self.scene.anchors.initial_class.numpy(), self.scene.channels.class_ids)
+        anchors = self.scene.anchors
+        channels = columns_of(anchors.initial_class.numpy(force=True), self.scene.channels.class_ids)
+        self.initial_channels = channels.to(anchors.position.device)
 
     def target(self, number: int) -> ViewTargets:
         """The targets of view ``number``, with its pseudo labels if it has any."""
+        if number in self._placed:
+            return self._placed[number]
         pseudo = self.pseudo[number]
-        return self.targets[number] if pseudo is None else pseudo.teach(self.targets[number])
+        target = self.targets[number] if pseudo is None else pseudo.teach(self.targets[number])
+        if self.arithmetic is KERNELS:  # they are made again for each step: to keep those of all views takes memory
+            return target
+        target = replace(target, columns=self._columns_to_draw(target))
+        self._placed[number] = self.arithmetic.place(target, self.device)
+        return self._placed[number]
 
     def _view_of_step(self, step: int) -> ViewTargets:
         """The view of a step. Each epoch has a new random order of all views."""
@@ -203,29 +229,24 @@ class Trainer:
         self.clock.lap("decode, forward")
         columns = self._columns_to_draw(target) if with_labels else None
         labels = None if columns is None else _of_columns(gaussians.labels, columns)
-        rendering = gaussians.drawn_by(target.camera, labels, want_means2d_grad=True)
+        backend = self.arithmetic.backend
+        rendering = gaussians.drawn_by(target.camera, labels, want_means2d_grad=True, backend=backend)
         self.clock.lap("rasterise, forward")
         losses = self._losses(gaussians, rendering, target, columns)
-        loss = losses.total.item()
+        self._descend(losses.total, gaussians, rendering)
+        terms = torch.stack([each.detach() for each in (*losses[:4], *losses.further.values())])
+        loss, reconstruction, semantic, instance, *further = terms.tolist()  # on a device this waits for the step
         if not math.isfinite(loss):
             raise FloatingPointError(f"the loss of step {self.step_number + 1} is {loss}; the scene diverged")
-        self._descend(losses.total, gaussians, rendering)
         progress = self.step_number / self.preset.steps
         self._gather_statistics(gaussians, rendering, target, progress)
         self.clock.lap("growth statistics")
-        self.optimiser.step(progress, gaussians.visible)
+        self.optimiser.step(progress, gaussians.visible, self.arithmetic.move_rows)
         self.clock.lap("optimiser")
         self.step_number += 1
         self._after_step(with_labels)
-        report = StepReport(
-            self.step_number,
-            loss,
-            losses.reconstruction.item(),
-            losses.semantic.item(),
-            losses.instance.item(),
-            len(gaussians.opacities),
-            {name: value.item() for name, value in losses.further.items()},
-        )
+        named, drawn = dict(zip(losses.further, further, strict=True)), len(gaussians.opacities)
+        report = StepReport(self.step_number, loss, reconstruction, semantic, instance, drawn, named)
         self.clock.lap("the rest")
         return report
 
@@ -234,20 +255,22 @@ class Trainer:
         anchors, decoders = self.scene.anchors, self.scene.decoders
         if with_labels:
             channels = self.initial_channels if self.preset.weights.cluster else None
-            return decode(anchors, decoders, target.camera, channels=channels)
-        return decode(anchors, decoders, target.camera, known_labels=no_labels(anchors))
+            return self.arithmetic.decode(anchors, decoders, target.camera, channels=channels)
+        return self.arithmetic.decode(anchors, decoders, target.camera, known_labels=no_labels(anchors))
 
-    def _columns_to_draw(self, target: ViewTargets) -> torch.Tensor:
-        """The label channels in which the view is compared, ascending int64: those of its targets, as the losses use no
+    def _columns_to_draw(self, target: ViewTargets) -> NDArray[np.int64]:
+        """The label channels in which the view is compared, ascending: those of its targets, as the losses use no
         others; all of them if segments are assigned to slots by what is drawn."""
+        if target.columns is not None:
+            return target.columns
         classes, total = self._channel_counts()
         if self.preset.linear_assignment:
-            return torch.arange(total)
+            return np.arange(total)
         used = torch.zeros(total + 1, dtype=torch.bool)  # the last means no target
         used[target.semantic.long()] = True
         used[torch.where(target.slot < 0, -1, target.slot.long() + classes)] = True
         used[0] |= not used[:-1].any()  # a view without targets still draws one channel
-        return torch.nonzero(used[:-1]).reshape(-1)
+        return used[:-1].numpy().nonzero()[0]
 
     def _channel_counts(self) -> tuple[int, int]:
         """The number of label channels that belong to classes, and the number of all label channels."""
@@ -255,7 +278,7 @@ class Trainer:
         return classes, classes + self.scene.decoders.shape.instance_slots
 
     def _losses(
-        self, gaussians: NeuralGaussians, rendering: Rendering, target: ViewTargets, columns: torch.Tensor | None
+        self, gaussians: NeuralGaussians, rendering: Rendering, target: ViewTargets, columns: NDArray[np.int64] | None
     ) -> Losses:
         """L_total: what was drawn compared with the view's targets. If labels were drawn, ``columns`` are their
         channels; otherwise there are no label losses."""
@@ -267,6 +290,7 @@ class Trainer:
             photo_weight=target.weight,
             ssim_weight=weights.ssim,
             volume_weight=weights.volume,
+            compare=self.arithmetic.compare,
         )
         self.clock.lap("SSIM, L1, volume")
         semantic, instance = reconstruction.new_zeros(2)
@@ -282,7 +306,9 @@ class Trainer:
 
     def _as_photographed(self, image: torch.Tensor, target: ViewTargets) -> torch.Tensor:
         """The rendered picture with the photo's exposure, and with its black border, which then has no gradient."""
-        photo = torch.from_numpy(target.photo.values)
+        if target.gain is None and target.border is None:
+            return image
+        photo = photo_values(target.photo)
         if target.gain is not None:
             image = image * target.gain
             image = torch.where(photo >= SATURATED, image.clamp_max(1.0), image)
@@ -300,7 +326,7 @@ class Trainer:
         self.clock.lap("decode, backward")
 
     def _label_losses(
-        self, gaussians: NeuralGaussians, rendering: Rendering, target: ViewTargets, columns: torch.Tensor
+        self, gaussians: NeuralGaussians, rendering: Rendering, target: ViewTargets, columns: NDArray[np.int64]
     ) -> tuple[torch.Tensor, torch.Tensor]:
         """L_sem (the view's target and L_cluster) and L_ins (linear assignment and M_match).
 
@@ -312,15 +338,16 @@ class Trainer:
         return by_class + self.preset.weights.cluster * gaussians.cluster_loss, by_slot
 
     def _compare_labels(
-        self, gaussians: NeuralGaussians, rendering: Rendering, target: ViewTargets, columns: torch.Tensor
+        self, gaussians: NeuralGaussians, rendering: Rendering, target: ViewTargets, columns: NDArray[np.int64]
     ) -> tuple[torch.Tensor, torch.Tensor]:
         """L_sem without L_cluster, and L_ins."""
         of_classes, total = self._channel_counts()
-        classes = int((columns < of_classes).sum())
+        classes = int(np.searchsorted(columns, of_classes))
         place = torch.full((total + 1,), -1, dtype=torch.int16)  # the last means no target
         place[columns] = torch.arange(len(columns), dtype=torch.int16)
+        place = place.to(target.slot.device, non_blocking=True)
         assert rendering.labels is not None  # drawn with labels
-        assigned = torch.full(target.slot.shape, -1, dtype=torch.int16)
+        assigned = torch.full_like(target.slot, -1)
         if self.preset.linear_assignment:
             no_object = self.scene.channels.slot_ids.index(NO_OBJECT)
             assigned = assigned_slots(rendering.labels, rendering.alpha, classes, target.things, no_object)
@@ -338,7 +365,7 @@ class Trainer:
         if schedule.statistics_from <= progress < schedule.grow_until:
             camera, moved = target.camera, rendering.means2d.grad
             assert moved is not None  # it was requested, and the backward pass is over
-            self.statistics.add(gaussians, rendering.visible, moved.cpu(), camera.width, camera.height)
+            self.statistics.add(gaussians, rendering.visible, moved, camera.width, camera.height)
 
     def _after_step(self, with_labels: bool) -> None:
         """Grow if it is due. ``with_labels``: whether the step has trained labels."""
@@ -348,6 +375,8 @@ class Trainer:
             self._grow()
 
     def _grow(self) -> None:
+        """A round of growth, on the CPU."""
+        self._move_state(torch.device("cpu"))
         round_ = self._growth_round(np.random.default_rng([self.seed, 2, self.step_number]))
         statistics = {name: tensor[round_.keep] for name, tensor in self.statistics.tensors().items()}
         fresh = GrowthStatistics.empty(round_.grown).tensors()
@@ -355,7 +384,7 @@ class Trainer:
         self.scene.anchors = self.scene.anchors.select(round_.keep).extended(round_.grown)
         self.scene.anchors.log_scale.clamp_(max=math.log(LARGEST_SCALE))
         self.optimiser.replace_anchors(self.scene.anchors, round_.keep)
-        self.follow_anchors()
+        self._move_state(self.device)
 
     def _growth_round(self, random: np.random.Generator) -> GrowthRound:
         return grow_and_prune(
@@ -377,6 +406,7 @@ class Trainer:
             check()
             fresh.append(rendered_labels(view.mask, render_view(self.scene, view.camera, shown), channels, least))
         self.pseudo = fresh
+        self._placed.clear()
 
 
 def _extent(views: Sequence[View]) -> float:
@@ -385,6 +415,8 @@ def _extent(views: Sequence[View]) -> float:
     return 1.1 * max(float(np.linalg.norm(centres - centres.mean(axis=0), axis=1).max()), 1e-2)
 
 
-def _of_columns(labels: torch.Tensor, columns: torch.Tensor) -> torch.Tensor:
+def _of_columns(labels: torch.Tensor, columns: NDArray[np.int64]) -> torch.Tensor:
     """These columns of labels [N, L]; all of them as they are, since a copy takes a quarter of the paper's step."""
-    return labels if len(columns) == labels.shape[1] else labels[:, columns]
+    if len(columns) == labels.shape[1]:
+        return labels
+    return labels.index_select(1, torch.from_numpy(columns).to(labels.device, non_blocking=True))

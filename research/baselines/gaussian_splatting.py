@@ -110,7 +110,7 @@ class PlainDecoders(Decoders):
             labels=labels,
             visible=visible,
             all_opacities=opacity.detach(),
-            kept=torch.arange(len(visible)),
+            kept=torch.arange(len(visible), device=visible.device),
             cluster_loss=cluster,
         )
 

@@ -44,16 +44,20 @@ class SegmentTrainer(Trainer):
     """In addition, the segments of the input masks are kept consistent, once ``FROM`` of the steps are
     done."""
 
+    def move_to(self, device: torch.device | str) -> None:
+        """Segments are kept consistent by kernels: such a training stays on the CPU."""
+        super().move_to("cpu" if self.preset.segment_consistency else device)
+
     def _keeps_segments(self) -> bool:
         return bool(self.preset.segment_consistency) and self.step_number >= FROM * self.preset.steps
 
-    def _columns_to_draw(self, target: ViewTargets) -> torch.Tensor:
+    def _columns_to_draw(self, target: ViewTargets) -> NDArray[np.int64]:
         if self._keeps_segments():
-            return torch.arange(self._channel_counts()[1])
+            return np.arange(self._channel_counts()[1])
         return super()._columns_to_draw(target)
 
     def _compare_labels(
-        self, gaussians: NeuralGaussians, rendering: Rendering, target: ViewTargets, columns: torch.Tensor
+        self, gaussians: NeuralGaussians, rendering: Rendering, target: ViewTargets, columns: NDArray[np.int64]
     ) -> tuple[torch.Tensor, torch.Tensor]:
         by_class, by_slot = super()._compare_labels(gaussians, rendering, target, columns)
         if self._keeps_segments():

@@ -4,27 +4,28 @@ from __future__ import annotations
 
 import gc
 import sys
-from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import pytest
 import torch
 from numba.core.dispatcher import Dispatcher
 
 from engine.command_line.run_engine import run_engine
-from engine.job import EventWriter, ExitCode, LiftFolder, LiftRequest, StopSignal
-from engine.lift import device, warm_up
-from engine.lift.device import refuse_missing_device
+from engine.job import EventWriter, ExitCode, LiftFolder, LiftRequest, StopSignal, last_run
+from engine.job.report import read_metrics
+from engine.lift import device, run, warm_up
+from engine.lift.device import usable_device
 from engine.lift.run import STAGES
-from engine.model.render import render_bands, render_view
+from engine.model.render import render_bands
+from engine.model.structured import StructuredScene
 from engine.passes.baked_view import ShownInstances, bake_view
-from engine.raster import interface
+from engine.train.arithmetic import IN_TORCH, KERNELS
 from engine.train.progress import StageReporter
+from engine.train.trainer import Trainer
 from tests.raises_key import raises_key
 from tests.raster.gsplat_in_torch import use_a_stand_in
 from tests.tiny_scene import write_tiny_scene
-from tests.train.tiny_lift import TINY, colour_error, trainer_of, views_of
+from tests.train.tiny_lift import TINY, colour_error, lift_into, presets_as, trainer_of, views_of
 
 
 def test_without_a_cuda_device_a_lift_is_refused_before_any_work(
@@ -56,14 +57,14 @@ def test_a_torch_for_cpus_is_told_from_a_computer_without_a_gpu(
 ) -> None:
     monkeypatch.setattr(torch.backends.cuda, "is_built", lambda: False)
     with raises_key("cpu-torch --device"):
-        refuse_missing_device("cuda", stages)
+        usable_device("cuda", stages)
 
 
 def test_without_gsplat_the_error_says_how_to_get_it(stages: StageReporter, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(device, "what_is_missing", lambda: "gsplat is not installed; install it")
     with raises_key("gsplat-missing gsplat --device cuda"):
-        refuse_missing_device("cuda", stages)
-    refuse_missing_device("cpu", stages)
+        usable_device("cuda", stages)
+    usable_device("cpu", stages)
 
 
 def test_a_gsplat_that_cannot_draw_is_found_before_any_work(
@@ -78,26 +79,47 @@ def test_a_gsplat_that_cannot_draw_is_found_before_any_work(
     monkeypatch.setattr(device, "what_is_missing", lambda: None)
     monkeypatch.setattr(device, "what_fails", compile_and_fail)
     with raises_key("gsplat-fails --device") as error:
-        refuse_missing_device("cuda", stages)
+        usable_device("cuda", stages)
     assert sys.executable in error.value.fix
     assert "compiles once" in told[0], "before that begins, as it takes minutes"
 
 
-def test_a_lift_trains_and_renders_on_the_back_end_for_cuda(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """With tensors on the CPU, and a stand-in in the place of gsplat's call."""
-    views, classes = views_of(tmp_path / "scene", size=(40, 30))
-    preset = replace(TINY, label_every=1)
-    ours, theirs = (trainer_of(views, classes, preset, tmp_path) for _ in range(2))
-    losses = [[ours.step().loss for _ in range(4)]]  # a round of growth is after the third
-    drawn = render_view(ours.scene, views[0].camera)
-    use_a_stand_in(monkeypatch)
-    monkeypatch.setattr(interface, "_pick", lambda backend, means: "gsplat")
-    losses.append([theirs.step().loss for _ in range(4)])
-    np.testing.assert_allclose(losses[1], losses[0], rtol=0.02)
-    assert len(theirs.scene.anchors) == pytest.approx(len(ours.scene.anchors), rel=0.05)
-    redrawn = render_view(ours.scene, views[0].camera)
-    np.testing.assert_allclose(redrawn.image, drawn.image, atol=1e-3)
-    np.testing.assert_allclose(redrawn.class_coverage, drawn.class_coverage, atol=1e-3)
+def test_auto_takes_what_works_and_says_so(
+    stages: StageReporter, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(device, "what_is_missing", lambda: None)
+    monkeypatch.setattr(device, "what_fails", lambda where: None)
+    assert usable_device("auto", stages) == usable_device("cuda", stages) == "cuda"
+    monkeypatch.setattr(device, "what_is_missing", lambda: "gsplat is not installed")
+    assert usable_device("auto", stages) == "cpu"
+    told = [event.data["label"] for event in last_run(tmp_path / "events.jsonl") if event.kind == "stage"]
+    assert "Lifting on the CUDA device" in told and told[-1] == "Lifting on the CPU: gsplat is not installed"
+
+
+def test_a_whole_lift_on_a_device(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """In torch on the CPU, and with a stand-in for gsplat. It gives what a lift with the kernels gives."""
+    scene = write_tiny_scene(tmp_path / "scene", frames=6, size=(40, 30))
+    with presets_as(preview=TINY):
+        plain = lift_into(tmp_path / "plain", LiftRequest(scene=scene))
+        use_a_stand_in(monkeypatch)
+        moved: list[str] = []
+        trained_on = Trainer.move_to
+
+        def pretend(trainer: Trainer, where: str) -> None:
+            moved.append(where)
+            trained_on(trainer, "cpu")
+            trainer.arithmetic = IN_TORCH if where == "cuda" else KERNELS
+
+        monkeypatch.setattr(run, "usable_device", lambda wanted, stages: "cuda")
+        monkeypatch.setattr(Trainer, "move_to", pretend)
+        monkeypatch.setattr(StructuredScene, "on", lambda scene, where: moved.append(f"baked on {where}") or scene)
+        device_lift = lift_into(tmp_path / "device", LiftRequest(scene=scene, device="cuda"))
+    assert moved == ["cuda", "cpu", "baked on cuda"]
+    ours, theirs = (
+        [table["psnr"] for table in read_metrics(each)["tables"] if table["name"] == "lifted"]
+        for each in (plain, device_lift)
+    )
+    assert ours and theirs == pytest.approx(ours, abs=0.5)
 
 
 def compiled() -> dict[str, int]:

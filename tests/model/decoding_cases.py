@@ -82,19 +82,13 @@ Decode = Callable[..., NeuralGaussians]
 """Either of these."""
 
 
-def gradients(
-    case: Case, gaussians: NeuralGaussians, only: tuple[str, ...] = OUTPUTS, *, hidden: bool = False
-) -> dict[str, torch.Tensor]:
-    """Of a random weighting of the outputs, in all inputs. ``hidden``: of two thirds of the anchors no Gaussian is
-    seen, so that only scales and the cluster loss reach them; of the others every second Gaussian is."""
-    total, k = torch.zeros((), dtype=gaussians.means.dtype), case.decoders.shape.gaussians_per_anchor
-    seen = (gaussians.kept // k % 3 == 0) & (gaussians.kept % k % 2 == 0)
+def gradients(case: Case, gaussians: NeuralGaussians, only: tuple[str, ...] = OUTPUTS) -> dict[str, torch.Tensor]:
+    """Of a random weighting of the outputs, in all inputs."""
+    total = torch.zeros((), dtype=gaussians.means.dtype)
     for number, name in enumerate(OUTPUTS):
         output = getattr(gaussians, name)
         weight = torch.randn(output.shape, generator=torch.Generator().manual_seed(number), dtype=torch.float64)
         scale = 100.0 if name == "cluster_loss" else 1.0
-        if hidden and name not in ("cluster_loss", "scales"):
-            weight *= seen.view(-1, *[1] * (output.ndim - 1))
         if name in only:
             total = total + scale * (output * weight.to(output.dtype)).sum()
     inputs = case.inputs()
@@ -111,7 +105,7 @@ def asking(case: Case) -> Case:
     return case
 
 
-def assert_matches(decode: Decode, case: Case, only: tuple[str, ...] = OUTPUTS, *, hidden: bool = False) -> None:
+def assert_matches(decode: Decode, case: Case, only: tuple[str, ...] = OUTPUTS) -> None:
     """Float32 by ``decode`` has the values and gradients of float64 in torch."""
     double = asking(case.in_double())
     ours, theirs = decode(asking(case)), by_torch(double)
@@ -122,7 +116,7 @@ def assert_matches(decode: Decode, case: Case, only: tuple[str, ...] = OUTPUTS, 
         torch.testing.assert_close(
             got.double(), expected, rtol=1e-4, atol=1e-6, msg=lambda text, name=name: f"{name}: {text}"
         )
-    found, wanted = gradients(case, ours, only, hidden=hidden), gradients(double, theirs, only, hidden=hidden)
+    found, wanted = gradients(case, ours, only), gradients(double, theirs, only)
     for name, expected in wanted.items():
         typical = float(expected.square().mean().sqrt()) if expected.numel() else 0.0
         torch.testing.assert_close(

@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import weakref
 from dataclasses import replace
 from importlib import metadata
-from typing import Any
 
-import numpy as np
 import pytest
 import torch
-from gsplat_in_torch import rasterization, use_a_stand_in
+from gsplat_in_torch import use_a_stand_in
 from scenes import (
     GROUPS,
     LAYERS,
@@ -108,24 +105,6 @@ def assert_rows_as_in_the_whole(device: str) -> None:
 @pytest.mark.usefixtures("stand_in")
 def test_rows_of_a_picture_are_those_of_the_whole() -> None:
     assert_rows_as_in_the_whole("cpu")
-
-
-@pytest.mark.usefixtures("stand_in")
-def test_of_some_rows_no_picture_of_all_labels_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
-    scene = random_scene(5, 40, 100, 60, 64)
-    pictures: list[weakref.ref[np.ndarray[Any, Any]]] = []
-    alive: list[int] = []
-
-    def watched(**arguments: Any) -> tuple[torch.Tensor, torch.Tensor, dict[str, torch.Tensor]]:
-        drawn, *others = rasterization(**arguments)
-        memory = drawn.numpy().copy()  # which lives as long as a tensor that has any part of it
-        pictures.append(weakref.ref(memory))
-        alive.append(sum(picture() is not None for picture in pictures))
-        return torch.from_numpy(memory), *others
-
-    monkeypatch.setattr("gsplat.rasterization", watched)
-    rasterize(*scene.tensors, scene.pose, scene.intrinsics, 60, 64, rows=(16, 32), backend="gsplat")
-    assert alive == [1, 2, 2, 2, 2]  # colour and depth, then 32 labels at a time
 
 
 @needs_gpu

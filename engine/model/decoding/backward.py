@@ -25,7 +25,6 @@ from .layers import (
     wanted_class,
 )
 from .packing import (
-    BATCH,
     COLOUR,
     COVARIANCE,
     INSTANCE,
@@ -34,7 +33,6 @@ from .packing import (
     AnchorArrays,
     Batch,
     Batches,
-    Drawn,
     Gradients,
     Labelling,
     Packed,
@@ -46,54 +44,9 @@ ZERO, ONE = F(0.0), F(1.0)
 
 
 @device_function
-def has_gradient(n: int, channels: int, by: Drawn) -> bool:
-    """Whether a gradient reaches the opacity, the colour or one of the ``channels`` labels of Gaussian ``n``."""
-    if by.opacities[n] != ZERO:
-        return True
-    for c in range(3 * n, 3 * n + 3):
-        if by.colours[c] != ZERO:
-            return True
-    for c in range(n * channels, (n + 1) * channels):
-        if by.labels[c] != ZERO:
-            return True
-    return False
-
-
-@device_function
-def bring_forward(batch: Batch, channels: int, by: Drawn) -> int:
-    """Put the rows with a Gaussian that ``has_gradient`` first, and return their number: what is hidden behind others,
-    or shows no label that is compared, needs no way back through the other decoders."""
-    listed, begins, owners = batch.listed, batch.begins, batch.owners
-    places, kept, reached = batch.room[:BATCH], batch.room[BATCH:], 0
-    for row in range(batch.drawing):
-        places[row] = 0
-    for m in range(batch.gaussians):
-        row = owners[2 * m]
-        if places[row] == 0 and has_gradient(batch.first + m, channels, by):
-            places[row] = 1
-            reached += 1
-    front, back = 0, reached
-    for row in range(batch.drawing):
-        if places[row] == 1:
-            places[row], front = front, front + 1
-        else:
-            places[row], back = back, back + 1
-    for array in (listed, begins):
-        for row in range(batch.drawing):
-            kept[row] = array[row]
-        for row in range(batch.drawing):
-            array[places[row]] = kept[row]
-    for m in range(batch.gaussians):
-        owners[2 * m] = places[owners[2 * m]]
-    return reached
-
-
-@device_function
-def opacities_backward(batch: Batch, reached: int, head: Any, sizes: Any, mine: Array, gradients: Gradients) -> None:
+def opacities_backward(batch: Batch, head: Any, sizes: Any, mine: Array, gradients: Gradients) -> None:
     """Through tanh."""
     for m in range(batch.gaussians):
-        if batch.owners[2 * m] >= reached:
-            continue
         n = batch.first + m
         opacity = gradients.drawn.opacities[n]
         at = sizes.out_at + batch.owners[2 * m] * head.padded + batch.owners[2 * m + 1]
@@ -126,11 +79,9 @@ def shapes_backward(
 
 
 @device_function
-def colours_backward(batch: Batch, reached: int, head: Any, sizes: Any, mine: Array, gradients: Gradients) -> None:
+def colours_backward(batch: Batch, head: Any, sizes: Any, mine: Array, gradients: Gradients) -> None:
     """Through the sigmoid."""
     for m in range(batch.gaussians):
-        if batch.owners[2 * m] >= reached:
-            continue
         at = sizes.out_at + batch.owners[2 * m] * head.padded + 3 * batch.owners[2 * m + 1]
         for c in range(3):
             place = 3 * (batch.first + m) + c
@@ -139,12 +90,10 @@ def colours_backward(batch: Batch, reached: int, head: Any, sizes: Any, mine: Ar
 
 
 @device_function
-def instances_backward(batch: Batch, reached: int, head: Any, sizes: Any, mine: Array, gradients: Gradients) -> None:
+def instances_backward(batch: Batch, head: Any, sizes: Any, mine: Array, gradients: Gradients) -> None:
     """Through the softmax, whose values are the labels."""
     slots, channels = sizes.slots, sizes.classes + sizes.slots
     for m in range(batch.gaussians):
-        if batch.owners[2 * m] >= reached:
-            continue
         at = sizes.out_at + batch.owners[2 * m] * head.padded + batch.owners[2 * m + 1] * slots
         label = (batch.first + m) * channels + sizes.classes
         softmax_backward(gradients.drawn.labels, label, gradients.by.labels, ZERO, mine, at, slots)
@@ -156,8 +105,8 @@ def classes_backward(
 ) -> None:
     """Logits in their place become their gradients."""
     k, classes, channels = sizes.k, sizes.classes, sizes.classes + sizes.slots
+    m = 0
     for row in range(batch.rows):
-        m = batch.begins[row]
         wanted = wanted_class(batch.listed[row], visible, labelling)
         weight = F(gradients.by_loss) if wanted >= 0 else ZERO
         for g in range(k):
@@ -187,14 +136,13 @@ def batch_backward(
     gradients: Gradients,
 ) -> None:
     """One batch of anchors; the gradient of the weights is added to ``d_weights``."""
-    sizes, are_decoded = packed.sizes, labelling.known.shape[0] == 0
-    reached = bring_forward(batch, sizes.classes + sizes.slots if are_decoded else 0, gradients.by)
+    sizes = packed.sizes
     collect_inputs(batch.listed, batch.rows, anchors, sizes, mine)
     fill(mine, sizes.d_inputs_at, rounded_rows(batch.rows) * sizes.padded_features, ZERO)
-    last = INSTANCE if are_decoded else COLOUR  # labels decoded before have no gradient
+    last = INSTANCE if labelling.known.shape[0] == 0 else COLOUR  # labels decoded before have no gradient
     for place in range(OPACITY, last + 1):
         head = head_of(packed.heads, place)
-        rows = batch.rows if place == SEMANTIC else batch.drawing if place == COVARIANCE else reached
+        rows = batch.rows if place == SEMANTIC else batch.drawing
         if place == SEMANTIC:
             run_head(head, rows, packed, mine)
             classes_backward(batch, head, anchors.visible, labelling, sizes, mine, gradients)
@@ -202,13 +150,13 @@ def batch_backward(
             run_first_layer(head, rows, packed, mine)
             fill(mine, sizes.out_at, rounded_rows(rows) * head.padded, ZERO)
             if place == OPACITY:
-                opacities_backward(batch, reached, head, sizes, mine, gradients)
+                opacities_backward(batch, head, sizes, mine, gradients)
             elif place == COVARIANCE:
                 shapes_backward(batch, head, anchors, sizes, mine, gradients)
             elif place == COLOUR:
-                colours_backward(batch, reached, head, sizes, mine, gradients)
+                colours_backward(batch, head, sizes, mine, gradients)
             else:
-                instances_backward(batch, reached, head, sizes, mine, gradients)
+                instances_backward(batch, head, sizes, mine, gradients)
         run_head_backward(head, rows, packed, mine, d_weights)
     for i in range(batch.rows):
         to, source = anchors.visible[batch.listed[i]] * sizes.features, sizes.d_inputs_at + i * sizes.padded_features

@@ -51,11 +51,10 @@ def wanted_class(place: int, visible: Array, labelling: Labelling) -> int:
 
 @device_function
 def list_anchors(
-    number: int, k: int, visible: Array, opacities: Array, labelling: Labelling, lists: tuple[Array, Array, Array]
+    number: int, k: int, visible: Array, opacities: Array, labelling: Labelling, listed: Array, owners: Array
 ) -> Any:
-    """Batch ``number``: fills the ``lists`` (``listed``, ``owners`` and ``begins``) with the anchors that have work
-    beyond their opacity. Returns ``rows``, ``drawing`` and ``gaussians`` of ``Batch``."""
-    listed, owners, begins = lists
+    """Batch ``number``: fills ``listed`` and ``owners`` with the anchors that have work beyond their opacity. Returns
+    ``rows``, ``drawing`` and ``gaussians`` of ``Batch``."""
     start = number * BATCH
     end = min(start + BATCH, visible.shape[0])
     drawing, gaussians = 0, 0
@@ -67,25 +66,24 @@ def list_anchors(
                 owners[2 * gaussians + 1] = g
                 gaussians += 1
         if gaussians > before:
-            listed[drawing], begins[drawing] = v, before
+            listed[drawing] = v
             drawing += 1
     rows, place = drawing, 0
     for v in range(start, end):
         if place < drawing and listed[place] == v:
             place += 1
         elif wanted_class(v, visible, labelling) >= 0:
-            listed[rows], begins[rows] = v, gaussians
+            listed[rows] = v
             rows += 1
     return rows, drawing, gaussians
 
 
 @inlined
 def list_batch(number: int, k: int, visible: Array, batches: Batches, labelling: Labelling, numbers: Array) -> Any:
-    """Batch ``number``; ``numbers`` int64 [BATCH * (4 + 2 k)] is the worker's."""
-    listed, begins, room, owners = numbers[:BATCH], numbers[BATCH:][:BATCH], numbers[2 * BATCH :], numbers[4 * BATCH :]
-    lists = listed, owners, begins
-    rows, drawing, gaussians = list_anchors(number, k, visible, batches.opacities, labelling, lists)
-    return Batch(listed, rows, drawing, owners, begins, room, batches.starts[number], gaussians)
+    """Batch ``number``; ``numbers`` int64 [BATCH * (1 + 2 k)] is the worker's."""
+    listed, owners = numbers[:BATCH], numbers[BATCH:]
+    rows, drawing, gaussians = list_anchors(number, k, visible, batches.opacities, labelling, listed, owners)
+    return Batch(listed, rows, drawing, owners, batches.starts[number], gaussians)
 
 
 @device_function

@@ -97,7 +97,7 @@ def _packed(weights: NDArray[np.float32], layout: Layout) -> Packed:
 def _new_work(workers: int, layout: Layout) -> Work:
     sizes = layout.sizes
     floats = memory.empty((workers, sizes.scratch), np.float32)
-    return Work(np.zeros(1, np.int64), floats, memory.empty((workers, BATCH * (4 + 2 * sizes.k)), np.int64))
+    return Work(np.zeros(1, np.int64), floats, memory.empty((workers, BATCH * (1 + 2 * sizes.k)), np.int64))
 
 
 def _empty(shape: tuple[int, ...]) -> Tensor:

@@ -232,7 +232,7 @@ class Gradients(NamedTuple):
 
 class Work(NamedTuple):
     """Room to work in. ``next_one`` int64 [1] is the next batch, or chunk of batches, to take. Each worker has
-    ``floats`` float32 [workers, Sizes.scratch] and ``numbers`` int64 [workers, BATCH * (4 + 2 k)]."""
+    ``floats`` float32 [workers, Sizes.scratch] and ``numbers`` int64 [workers, BATCH * (1 + 2 k)]."""
 
     next_one: Array
     floats: Array
@@ -242,14 +242,11 @@ class Work(NamedTuple):
 class Batch(NamedTuple):
     """Anchors decoded together: their ``rows`` places in ``visible``. The first ``drawing`` of them draw a Gaussian,
     the rest only take part in the cluster loss. ``gaussians`` are drawn, numbered from ``first`` on; the one m places
-    after that is number owners[2 * m + 1] of row owners[2 * m], whose own begin at m = begins[row]. ``room`` int64
-    [2 * BATCH] is free."""
+    after that is number owners[2 * m + 1] of row owners[2 * m]."""
 
     listed: Array
     rows: int
     drawing: int
     owners: Array
-    begins: Array
-    room: Array
     first: int
     gaussians: int
