@@ -21,6 +21,8 @@ from ..splat_objects import NAME as OPEN_ROOM
 from .looks import leaving_out
 from .selection import clouds_of, ids_of, surfaces_of
 
+NEAREST = 0.01
+"""Metres in front of the eye from which views of a lift draw."""
 MISS = 8
 """Pixels from the mouse within which an instance is taken where nothing is drawn under it."""
 _OFFSETS = np.stack(np.meshgrid(*[np.arange(-MISS, MISS + 1)] * 2), axis=-1).reshape(-1, 2).astype(np.float32)
@@ -67,28 +69,20 @@ class View:
         are_backs_open = not is_solid or shading.show_backface_culling
         return cls(looks, lens, *size, tuple(eye), are_backs_open, not is_solid)
 
-    @property
-    def is_perspective(self) -> bool:
-        return self.lens[3][3] == 0.0
-
     def projected(self, xyz: NDArray[np.float32], world: Matrix) -> NDArray[np.float32]:
-        """Pixels x and y of places [N, 3], and how near they are: 1 / depth, and -depth in a view without perspective.
-        Both grow evenly across a flat thing. NaN behind the eye. float32 [N, 3].
+        """Places [N, 3] as X, Y, W and Z, float32 [N, 4]: they are seen at the pixel X / W, Y / W, if W > 0, and Z is
+        their place along the view's own axis in metres, which points to the eye. All four are linear in space.
         """
         to_eye = Matrix(self.looks) @ world
-        whole = np.array(Matrix(self.lens) @ to_eye, np.float32)
+        whole, along = np.array(Matrix(self.lens) @ to_eye, np.float32), np.array(to_eye[2], np.float32)
         x, y, _, w = whole[:, :3] @ xyz.T + whole[:, 3:]
-        with np.errstate(divide="ignore", invalid="ignore"):
-            inverse = np.where(w > 1e-6, 1.0 / w, np.nan).astype(np.float32)
-        along = np.array(to_eye[2], np.float32)
-        near = inverse if self.is_perspective else along[:3] @ xyz.T + along[3]
         half = np.float32(self.width / 2.0), np.float32(self.height / 2.0)
-        return np.stack([half[0] * (1.0 + x * inverse), half[1] * (1.0 + y * inverse), near], axis=1)
+        return np.stack([half[0] * (w + x), half[1] * (w + y), w, along[:3] @ xyz.T + along[3]], axis=1)
 
 
 @dataclass(frozen=True, eq=False)
 class Projected:
-    """N flat things of one `form` in a view: `corners` int32 [N, 3], rows of `vertices` [M, 3], which `View.projected`
+    """N flat things of one `form` in a view: `corners` int32 [N, 3], rows of `vertices` [M, 4], which `View.projected`
     gave: the beginning of a thing and the ends of its two axes. `bounds` float32 [4, N] in pixels: left, low, right,
     high. `ids` int32 [N, 2], instances and classes. `opacity` float32 [N], in its middle.
     """
@@ -107,15 +101,17 @@ class Projected:
         bounds = self.bounds
         rows = np.flatnonzero((bounds[0] <= right) & (bounds[2] >= left) & (bounds[1] <= high) & (bounds[3] >= low))
         places = self.vertices[self.corners[rows]]
-        begin, axes = places[:, 0], places[:, 1:] - places[:, :1]
-        x, y = (pixels[:, None, axis] - begin[:, axis] for axis in (0, 1))
-        (a, b), (c, d) = (axes[:, axis, :2].T for axis in (0, 1))
+        begin, first, second = places[:, 0], places[:, 1] - places[:, 0], places[:, 2] - places[:, 0]
+        # X - x W = 0 and Y - y W = 0 at the pixel (x, y), both linear in the shares of the axes.
+        (x, y), (a, b), (c, d) = (
+            [each[:, axis] - pixels[:, None, axis] * each[:, 2] for axis in (0, 1)] for each in (begin, first, second)
+        )
         with np.errstate(divide="ignore", invalid="ignore"):
-            first, second = (x * d - y * c) / (a * d - b * c), (y * a - x * b) / (a * d - b * c)
-        if self.form == POINT:  # its four sides rise towards the eye
-            first, second = np.abs(first), np.abs(second)
-        near = begin[:, 2] + first * axes[:, 0, 2] + second * axes[:, 1, 2]
-        return self._opacities(first, second, rows), near, self.ids[rows]
+            along, aside = (y * c - x * d) / (a * d - b * c), (x * b - y * a) / (a * d - b * c)
+            if self.form == POINT:  # its four sides rise towards the eye
+                along, aside = np.abs(along), np.abs(aside)
+            w, near = (begin[:, at] + along * first[:, at] + aside * second[:, at] for at in (2, 3))
+            return np.where(w > NEAREST, self._opacities(along, aside, rows), 0.0), near, self.ids[rows]
 
     def _opacities(self, first: Any, second: Any, rows: NDArray[np.int64]) -> NDArray[np.float32]:
         """At places in a thing's own axes."""
@@ -135,19 +131,17 @@ def first_drawn(parts: Sequence[Projected], mouse: tuple[float, float]) -> tuple
     """The part, its index, that draws a pixel, and the instance and class there. Where nothing is drawn, those of the
     nearest instance within MISS pixels, else None.
     """
-    if not parts:
-        return None
-    pixels = np.array(mouse, np.float32) + _OFFSETS
-    found = [part.at(pixels) for part in parts]
-    opacities, near = (np.concatenate([each[column] for each in found], axis=1) for column in (0, 1))
-    ids = np.concatenate([each[2] for each in found])
-    part_of = np.repeat(np.arange(len(parts)), [len(each[2]) for each in found])
-    for pixel, opacity in enumerate(opacities):
-        covering = np.flatnonzero(opacity > 0.0)
-        covering = covering[np.argsort(-near[pixel, covering], kind="stable")]
-        at = int(np.searchsorted(1.0 - np.cumprod(1.0 - opacity[covering]), _DRAWN))
-        if at < len(covering) and (pixel == 0 or ids[covering[at], 0] > 0):
-            return int(part_of[covering[at]]), *ids[covering[at]].tolist()
+    for offsets in (_OFFSETS[:1], _OFFSETS[1:]) if parts else ():  # most often the mouse's own pixel is drawn
+        found = [part.at(np.array(mouse, np.float32) + offsets) for part in parts]
+        opacities, near = (np.concatenate([each[column] for each in found], axis=1) for column in (0, 1))
+        ids = np.concatenate([each[2] for each in found])
+        part_of = np.repeat(np.arange(len(parts)), [len(each[2]) for each in found])
+        for pixel, opacity in enumerate(opacities):
+            covering = np.flatnonzero(opacity > 0.0)
+            covering = covering[np.argsort(-near[pixel, covering], kind="stable")]
+            at = int(np.searchsorted(1.0 - np.cumprod(1.0 - opacity[covering]), _DRAWN))
+            if at < len(covering) and (len(offsets) == 1 or ids[covering[at], 0] > 0):
+                return int(part_of[covering[at]]), *ids[covering[at]].tolist()
     return None
 
 
@@ -186,8 +180,11 @@ def _is_near(ob: bpy.types.Object, view: View, mouse: tuple[float, float]) -> bo
     """Whether the object's bounding box covers a pixel or one beside it. That of splats ends at their middles."""
     if _form_of(ob) == SPLAT:
         return True
-    box = view.projected(np.array(ob.bound_box, np.float32), ob.matrix_world)[:, :2]
-    return bool(np.isnan(box).any() or ((box.min(axis=0) - MISS <= mouse) & (box.max(axis=0) + MISS >= mouse)).all())
+    box = view.projected(np.array(ob.bound_box, np.float32), ob.matrix_world)
+    if (box[:, 2] <= NEAREST).any():
+        return True
+    places = box[:, :2] / box[:, 2:3]
+    return bool(((places.min(axis=0) - MISS <= mouse) & (places.max(axis=0) + MISS >= mouse)).all())
 
 
 def _projected(root: bpy.types.Collection, ob: bpy.types.Object, view: View) -> Projected:
@@ -207,12 +204,10 @@ def _projected(root: bpy.types.Collection, ob: bpy.types.Object, view: View) -> 
     else:
         xyz, ids = xyz[shown], ids[shown]
         if form == POINT:
-            middle = view.projected(xyz, world)
             radius = world.median_scale * _column(data, "radius", "value", 1)[shown]
-            shrunk = middle[:, 2:] if view.is_perspective else np.ones_like(radius)
-            reach = radius * shrunk * view.lens[0][0] * view.width / 2.0
-            vertices = _with_axes(middle, reach * (1.0, 0.0), reach * (0.0, 1.0))
-            vertices[: len(xyz), 2:] += radius * shrunk**2
+            reach = radius * view.lens[0][0] * view.width / 2.0
+            vertices = _with_axes(view.projected(xyz, world), reach * (1.0, 0.0), reach * (0.0, 1.0))
+            vertices[: len(xyz), 3:] += radius
         elif form == SQUARE:
             ends = [xyz + _column(data, axis)[shown] for axis in ("right", "up")]
             vertices = view.projected(np.concatenate([xyz, *ends]), world)
@@ -223,19 +218,22 @@ def _projected(root: bpy.types.Collection, ob: bpy.types.Object, view: View) -> 
             vertices = _with_axes(view.projected(xyz, world), *axes)
             opacity = _column(data, "radiance:base", "vector", 4)[shown, 3]
         corners = np.arange(3 * len(xyz), dtype=np.int32).reshape(3, -1).T
-    begin, first, second = vertices[corners, :2].transpose(1, 0, 2)
+    begin, first, second = vertices[corners].transpose(1, 0, 2)
     first, second = first - begin, second - begin
-    is_front = first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0] > 0.0
-    kept = np.isfinite(first + second).all(axis=1) & (is_front | (not view.are_backs_open) | (form in (POINT, SPLAT)))
-    corners, ids, begin, first, second = (each[kept] for each in (corners, ids, begin, first, second))
-    if form == TRIANGLE:
-        low = begin + np.minimum(0.0, np.minimum(first, second))
-        high = begin + np.maximum(0.0, np.maximum(first, second))
-    else:
-        reach = {POINT: _COVER, SPLAT: _NATIVE_EXTENT}.get(form, 1.0) * (np.abs(first) + np.abs(second))
-        low, high = begin - reach, begin + reach
-    bounds = np.ascontiguousarray(np.concatenate([low, high], axis=1).T)
-    return Projected(form, vertices, corners, bounds, ids, None if opacity is None else opacity[kept])
+    is_front = np.einsum("ij,ij->i", begin[:, :3], np.cross(first[:, :3], second[:, :3])) > 0.0
+    kept = is_front | (not view.are_backs_open) | (form in (POINT, SPLAT))
+    extent = {POINT: _COVER, SPLAT: _NATIVE_EXTENT}.get(form, 1.0)
+    shares = ((0, 0), (1, 0), (0, 1)) if form == TRIANGLE else ((-1, -1), (-1, 1), (1, -1), (1, 1))
+    ends = np.stack([begin + extent * (along * first + aside * second) for along, aside in shares])[..., :3]
+    is_before = ends[..., 2] > NEAREST
+    with np.errstate(divide="ignore", invalid="ignore"):
+        places = ends[..., :2] / ends[..., 2:]
+    kept &= is_before.any(axis=0) & np.isfinite(ends).all(axis=(0, 2))
+    # What reaches behind the eye may be seen anywhere.
+    low, high = (np.where(is_before.all(axis=0)[:, None], each, far) for each, far in
+                 ((places.min(axis=0), -np.inf), (places.max(axis=0), np.inf)))  # fmt: skip
+    bounds = np.ascontiguousarray(np.concatenate([low, high], axis=1)[kept].T, np.float32)
+    return Projected(form, vertices, corners[kept], bounds, ids[kept], None if opacity is None else opacity[kept])
 
 
 def _form_of(ob: bpy.types.Object) -> str:
@@ -245,7 +243,7 @@ def _form_of(ob: bpy.types.Object) -> str:
 
 
 def _with_axes(middle: NDArray[np.float32], first: NDArray[Any], second: NDArray[Any]) -> NDArray[np.float32]:
-    """Vertices [3 N, 3] of things that face the view, from their middles [N, 3] and axes [N, 2] in pixels."""
+    """Vertices [3 N, 4] of things that face the view, from their middles [N, 4] and axes [N, 2] in pixels times W."""
     ends = [np.concatenate([middle[:, :2] + axis, middle[:, 2:]], axis=1) for axis in (first, second)]
     return np.concatenate([middle, *ends]).astype(np.float32)
 
@@ -253,10 +251,13 @@ def _with_axes(middle: NDArray[np.float32], first: NDArray[Any], second: NDArray
 def _axes_of_splats(
     view: View, world: Matrix, xyz: NDArray[np.float32], deviations: NDArray[np.float32], turns: NDArray[np.float32]
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """The axes in pixels [N, 2] whose squares sum up to the covariance of Gaussians in the view."""
+    """The axes in pixels times W [N, 2] whose squares sum up to the covariance of Gaussians in the view."""
     axes = axes_of(turns) * deviations[:, :, None]
-    middle = view.projected(xyz, world)[:, :2]
-    aside = np.stack([view.projected(xyz + axes[:, at], world)[:, :2] - middle for at in range(3)], axis=1)
+    middle = view.projected(xyz, world)
+    ends = np.stack([view.projected(xyz + axes[:, at], world) for at in range(3)], axis=1) - middle[:, None]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        place = middle[:, :2] / middle[:, 2:3]
+    aside = ends[..., :2] - place[:, None] * ends[..., 2:3]  # how the place changes, times W
     a, b, c = (np.einsum("nk,nk->n", aside[:, :, i], aside[:, :, j]) for i, j in ((0, 0), (0, 1), (1, 1)))
     a = np.sqrt(np.maximum(a, 1e-6))  # Cholesky's factor
     return np.stack([a, b / a], axis=1), np.stack([0.0 * a, np.sqrt(np.maximum(c - (b / a) ** 2, 1e-6))], axis=1)
