@@ -61,9 +61,14 @@ def read_object(path: Path, fix: str) -> dict[str, Json]:
     return _object(read_value(path, fix), path, fix)
 
 
+def read_json(path: Path) -> Any:
+    """The JSON value in a table that another program wrote. Raises PlgsError."""
+    return _parsed(_read(path, LARGEST_TABLE, "Check that it exists."), path, _WRITE_AGAIN)
+
+
 def read_json_object(path: Path) -> dict[str, Any]:
     """The JSON object in a table that another program wrote. Raises PlgsError."""
-    return parse_json_object(_read(path, LARGEST_TABLE, "Check that it exists."), path)
+    return _object(read_json(path), path, "Write it as {...}.")
 
 
 def parse_json_object(data: bytes, path: Path) -> dict[str, Any]:

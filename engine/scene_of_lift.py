@@ -16,7 +16,17 @@ from .errors import ErrorCode, PlgsError
 from .job import LiftFolder, LiftState, write_atomically
 from .known_scene import FIND_SCENE, StoredScene, has_known, known_scene, read_known, stored_scene, write_known
 from .result_files import INSTANCES, read_instances
-from .scene import Camera, Frame, MaskReader, OtherClasses, PosedFrame, Scene, digests_of_files, open_asked
+from .scene import (
+    Camera,
+    EvidenceReader,
+    Frame,
+    MaskReader,
+    OtherClasses,
+    PosedFrame,
+    Scene,
+    digests_of_files,
+    open_asked,
+)
 
 DECODED_DIGEST = 64
 """The length of a digest of decoded masks, which lifts of f11a2595 and before have."""
@@ -176,8 +186,8 @@ def masks_last_run(folder: LiftFolder) -> str:
 
 def digest_of_masks(scene: Scene) -> str:
     """The start of the SHA-256 of the files of all masks and of what they are read as; no mask is decoded."""
-    readers = {frame.name: frame.read_mask for frame in scene.frames}
-    digests = [(name, read.digest()) for name, read in readers.items() if isinstance(read, MaskReader)]
+    read = [(frame.name, reader) for frame in scene.frames for reader in (frame.read_mask, frame.read_detections)]
+    digests = [(name, reader.digest()) for name, reader in read if isinstance(reader, MaskReader | EvidenceReader)]
     return sha256(repr(digests).encode()).hexdigest()[:16]
 
 
@@ -220,8 +230,9 @@ def relink(folder: LiftFolder, place: Path) -> LiftFolder:
         what = "an engine is at work here"
         raise PlgsError("at-work", what, folder.path, "Wait for it, or cancel it.", code=ErrorCode.BUSY)
     request, place = folder.request, place.absolute()
-    masks, depth = (_moved(path, request.scene, place) for path in (request.masks, request.depth))
-    found = replace(request, scene=place, masks=masks, depth=depth)
+    named = {name: getattr(request, name) for name in ("masks", "depth", "detections")}
+    moved: dict[str, Any] = {name: _moved(path, request.scene, place) for name, path in named.items()}
+    found = replace(request, scene=place, **moved)
     scene = open_asked(found)
     known = read_known(folder)
     if known is not None:

@@ -7,7 +7,7 @@ A field's metadata holds the keywords of `argparse` for the ``option`` of the co
 from __future__ import annotations
 
 from argparse import ArgumentTypeError
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, get_args
 
@@ -41,7 +41,8 @@ class SceneSource:
     ``masks`` names panoptic masks outside the folder. ``up`` is the axis of the poses' world that points up; "z" leaves
     it to formats that know, "+z" is the z axis whatever they say. ``scene_format`` and ``mask_format`` name formats
     that are recognised otherwise. ``depth`` is a folder of monocular depth maps in place of the scene's depth.
-    ``classes`` is the name of a table of the masks' classes, or the path of a .toml file.
+    ``classes`` is the name of a table of the masks' classes, or the path of a .toml file. ``detections`` is a JSON of
+    segments that may overlap, over the masks.
     """
 
     scene: Path
@@ -79,6 +80,14 @@ class SceneSource:
             class_table,
         ),
     )
+    detections: Path | None = field(
+        default=None,
+        metadata=option(
+            "detections over the masks, which may overlap: COCO results or instances, as RLE or polygons",
+            "FILE.json",
+            Path,
+        ),
+    )
 
     @property
     def up_option(self) -> str:
@@ -88,9 +97,9 @@ class SceneSource:
     @property
     def resolved(self) -> SceneSource:
         """The same with absolute paths without links."""
-        masks, depth = (None if path is None else path.resolve() for path in (self.masks, self.depth))
-        classes = None if self.classes is None else class_table(self.classes)
-        return SceneSource(self.scene.resolve(), masks, self.up, self.scene_format, depth, self.mask_format, classes)
+        given = {name: getattr(self, name) for name in ("scene", "masks", "depth", "detections")}
+        paths = {name: path.resolve() for name, path in given.items() if path is not None}
+        return replace(self, **paths, classes=None if self.classes is None else class_table(self.classes))
 
 
 class FormatName(NamedTuple):
@@ -118,6 +127,11 @@ SCENE_FORMAT_NAMES = (
 )
 
 MASK_FORMAT_NAMES = (
+    FormatName(
+        "coco-detections",
+        "coco-detections",
+        "a JSON of COCO's results, of COCO's or LVIS's instances, or of SA-V's masklets, or one such file a frame",
+    ),
     FormatName("coco", "coco", "panoptic.json and the PNGs in panoptic"),
     FormatName("panoptic-lifting", "panoptic-lifting", "m2f_semantics and m2f_instance"),
     FormatName("grounded-sam2", "grounded-sam2", "mask_data/mask_<frame>.npy and json_data/mask_<frame>.json"),

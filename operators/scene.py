@@ -76,9 +76,11 @@ class ImportsScene(SceneOptions, StartsTask):
 
 
 def _forget_other_scene(settings: Any) -> None:
-    """Clear the panel's masks, depth, up and format before another scene is chosen: they belong to the earlier one."""
+    """Clear the panel's masks, detections, depth, up and format before another scene is chosen: they are the earlier
+    one's."""
     settings.scene_folder = ""  # otherwise each change would look at the earlier scene
-    settings.masks, settings.depth, settings.up, settings.format = "", "", "z", AUTOMATIC
+    settings.masks, settings.detections, settings.depth = "", "", ""
+    settings.up, settings.format = "z", AUTOMATIC
 
 
 class PLGS_OT_import_scene(ImportsScene, bpy.types.Operator):

@@ -62,14 +62,16 @@ class ChosenScene(SceneSource):
     @classmethod
     def of(
         cls, folder: str, *, masks: str = "", up: UpAxis = "z", format: str = AUTOMATIC, depth: str = "",
-        mask_format: str = AUTOMATIC, classes: str = "",
+        mask_format: str = AUTOMATIC, classes: str = "", detections: str = "",
     ) -> ChosenScene:  # fmt: skip
         """From paths as users type them. Empty texts stand for no masks, no depth maps and no classes."""
-        masks_path, depth_path = (absolute(path) if path else None for path in (masks, depth))
+        paths = (absolute(path) if path else None for path in (masks, depth, detections))
+        masks_path, depth_path, detections_path = paths
         table = str(absolute(classes)) if classes.endswith(".toml") else classes or None
         return cls(
-            absolute(folder), masks_path, up, chosen_format(format), depth_path, chosen_format(mask_format), table
-        )
+            absolute(folder), masks_path, up, chosen_format(format), depth_path, chosen_format(mask_format), table,
+            detections_path,
+        )  # fmt: skip
 
     def as_texts(self) -> dict[str, str]:
         """What `of` takes in addition to the folder."""
@@ -80,6 +82,7 @@ class ChosenScene(SceneSource):
             "depth": "" if self.depth is None else str(self.depth),
             "mask_format": self.mask_format or AUTOMATIC,
             "classes": self.classes or "",
+            "detections": "" if self.detections is None else str(self.detections),
         }
 
     @property
@@ -100,7 +103,7 @@ class ChosenScene(SceneSource):
         """The arguments that name it to the engine's commands."""
         arguments: list[str | Path] = [self.scene, f"--up={self.up_option}"]
         given = {"--masks": self.masks, "--format": self.scene_format, "--depth": self.depth}
-        named = {"--mask-format": self.mask_format, "--classes": self.classes}
+        named = {"--mask-format": self.mask_format, "--classes": self.classes, "--detections": self.detections}
         for option, value in (given | named).items():
             arguments += [] if value is None else [option, value]
         return arguments

@@ -52,7 +52,7 @@ _DEVICES = [
 
 _FORMATS = {name for name, *_ in FORMAT_ITEMS}
 _MASK_FORMATS = {name for name, *_ in MASK_FORMAT_ITEMS}
-_PATHS = ("lift_folder", "scene_folder", "masks", "depth")
+_PATHS = ("lift_folder", "scene_folder", "masks", "detections", "depth")
 _SKIP_SAVE = {"SKIP_SAVE"}
 """So that an operator does not remember what a script once passed to it."""
 
@@ -89,6 +89,10 @@ class SceneOptions:
     mask_format: EnumProperty(  # type: ignore[valid-type]
         options=_SKIP_SAVE, name="Mask Format", items=MASK_FORMAT_ITEMS, default=AUTOMATIC, update=_tell_of_scene,
         description="How the masks are laid out, if their files do not tell",
+    )  # fmt: skip
+    detections: StringProperty(  # type: ignore[valid-type]
+        options=_SKIP_SAVE, name="Detections", subtype="FILE_PATH", update=_tell_of_scene,
+        description="Detections over the masks, which may overlap: a JSON of COCO's results or instances",
     )  # fmt: skip
     classes_table: StringProperty(  # type: ignore[valid-type]
         options=_SKIP_SAVE, name="Classes", update=_tell_of_scene,
@@ -204,7 +208,7 @@ def chosen_scene(settings: PLGS_PG_settings) -> ChosenScene:
     """Which scene the settings name."""
     return ChosenScene.of(
         settings.scene_folder, masks=settings.masks, up=settings.up, format=settings.format, depth=settings.depth,
-        mask_format=settings.mask_format, classes=settings.classes_table,
+        mask_format=settings.mask_format, classes=settings.classes_table, detections=settings.detections,
     )  # fmt: skip
 
 
@@ -269,6 +273,7 @@ def adopt(settings: PLGS_PG_settings, request: LiftRequest, folder: Path) -> Non
         "lift_folder": str(folder),
         "scene_folder": str(request.scene),
         "masks": "" if request.masks is None else str(request.masks),
+        "detections": "" if request.detections is None else str(request.detections),
         "up": request.up,
         "format": request.scene_format if request.scene_format in _FORMATS else AUTOMATIC,
         "depth": "" if request.depth is None else str(request.depth),

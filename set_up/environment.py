@@ -60,7 +60,7 @@ class Recipe(NamedTuple):
 
 
 BLENDER = {(3, 11): "blender-4.5.txt", (3, 13): "blender-5.3.txt"}
-ENGINE_MODULES = ("torch", "open3d", "cv2", "OpenEXR", "numba", "scipy", "safetensors", "lz4")
+ENGINE_MODULES = ("torch", "open3d", "cv2", "OpenEXR", "numba", "scipy", "safetensors", "lz4", "pycocotools")
 
 
 def recipe(environment: str, version: tuple[int, int]) -> Recipe:

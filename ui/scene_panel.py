@@ -73,7 +73,7 @@ class PLGS_PT_scene_options(Sidebar, bpy.types.Panel):
         layout.use_property_split, layout.use_property_decorate = True, False
         layout.prop(settings, "format")
         layout.prop(settings, "masks")
-        for name in ("mask_format", "classes_table", "depth", "up"):
+        for name in ("mask_format", "detections", "classes_table", "depth", "up"):
             layout.prop(settings, name)
 
 

@@ -81,7 +81,7 @@ def state_of_files(request: LiftRequest, output: Path) -> str:
     """A name for the names, sizes and times of all files that a lift may read, without those in the batch's ``output``.
     None is opened: where the name is another one, the lift itself reads whether its scene has changed."""
     found, scene, masks, classes = hashlib.sha256(), request.scene, request.masks, request.classes or ""
-    places = [scene, masks, request.depth, Path(classes) if classes.endswith(".toml") else None]
+    places = [scene, masks, request.detections, request.depth, Path(classes) if classes.endswith(".toml") else None]
     if scene.is_file():
         places.append(scene.with_suffix("") if scene.suffix.lower() in _WHOLE_SCENES else scene.parent)
     if masks is not None and masks.is_file():

@@ -29,7 +29,7 @@ def add_batch(parser: argparse.ArgumentParser, exports: Sequence[str]) -> None:
         "Lift, bake, export and score many scenes, on workers of this machine, of a Dask scheduler, or of Slurm. "
         "Results go to OUT/NAME, where NAME is that of the scene's folder or file, and to OUT/table.csv and table.md. "
         "The same command continues with what is missing; one for other scenes adds to the table. {scene} in --masks, "
-        "--depth and --names-from stands for a scene's name. Docs: docs/farms.md."
+        "--detections, --depth and --names-from stands for a scene's name. Docs: docs/farms.md."
     )
     parser.add_argument("scenes", type=Path, nargs="*", metavar="SCENE", help="scenes, as for lift")
     parser.add_argument(
@@ -156,8 +156,8 @@ def _asked_scenes(options: argparse.Namespace) -> list[argparse.Namespace]:
         asked += read_scene_table(options.table, options)
     if not asked:
         raise PlgsError("no-scene", "no scene is named", "batch", "Name scenes, or a table of them with --scenes.")
-    for option in ("--masks", "--depth", "--names-from"):
-        refuse_shared(option, getattr(options, option[2:].replace("-", "_")), len(asked))
+    for option in _PATHS[1:]:
+        refuse_shared(f"--{option}", getattr(options, option.replace("-", "_")), len(asked))
     return asked
 
 
@@ -183,7 +183,8 @@ def _job(own: argparse.Namespace, output: Path, name: str, bakes_all: bool) -> S
     from ..scene import open_scene_to_lift
 
     scene, lift = own.scene, output / name
-    own.masks, own.depth, own.names_from = (of_scene(path, name) for path in (own.masks, own.depth, own.names_from))
+    for option in (each.replace("-", "_") for each in _PATHS[1:]):
+        setattr(own, option, of_scene(getattr(own, option), name))
     request = request_from(own)
     if bakes_all:
         request = replace(request, bake="none")  # passes are baked in pieces after the lift
@@ -214,7 +215,7 @@ def _place(options: argparse.Namespace, gigabytes: Sequence[float]) -> Place:
 
 
 _MOST_BYTES = 1 << 26
-_PATHS = ("scene", "masks", "depth", "names-from")
+_PATHS = ("scene", "masks", "detections", "depth", "names-from")
 _OF_ALL = ("bake", "poses")
 _SWITCHES = ("fit", "anyway")
 _FIX = "Write a column (CSV) or a key of a [[scene]] (TOML) 'scene', and others named as options of lift."

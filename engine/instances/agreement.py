@@ -51,6 +51,19 @@ class ViewsOnCloud:
         rows = chained(self.point_of_pixel, others.point_of_pixel)
         return ViewsOnCloud(chained(self.views, others.views), rows, chained(self.seen, others.seen))
 
+    def layers(self) -> ViewsOnCloud:
+        """The layers of the views, each as a view, in their order."""
+        pairs = [(number, place) for number, view in enumerate(self.views) for place in range(len(view.layers))]
+        views = OnDemand(len(pairs), lambda each: self.views[pairs[each][0]].layer(pairs[each][1]))
+        return ViewsOnCloud.of(views, OnDemand(len(pairs), lambda each: self.point_of_pixel[pairs[each][0]]))
+
+    def by_frame(self) -> list[list[int]]:
+        """The numbers of the views of each frame: its own view and its layers, which are held back together."""
+        of_frame: dict[str, list[int]] = {}
+        for number, view in enumerate(self.views):
+            of_frame.setdefault(view.frame or view.name, []).append(number)
+        return list(of_frame.values())
+
     def looked_at(self, progress: Callable[[int, int], object]) -> ViewsOnCloud:
         """The views with ``seen`` computed now, in memory; ``progress`` is called after each view."""
         seen = []

@@ -74,10 +74,11 @@ def held_back_agreement(
     objects: int,
     class_ids: tuple[int, ...],
     kinds: ViewEvidence,
+    frames: Sequence[Sequence[int]],
 ) -> NDArray[np.bool_]:
-    """Whether a view that is held back agrees with the class that the others give an object at least as well as with
-    the classes that they give each of its points, bool [objects + 1]. Arguments are those of ``vote_classes``. A point
-    that no other view sees follows its object."""
+    """Whether a frame that is held back agrees with the class that the others give an object at least as well as with
+    the classes that they give each of its points, bool [objects + 1]. Arguments are those of ``vote_classes``;
+    ``frames`` are the numbers of each frame's views. A point that no other frame sees follows its object."""
     ids, (points, classes, count) = np.asarray(class_ids), (len(object_of_point), len(class_ids), objects + 1)
     of_points, of_objects = np.zeros((points, classes), np.float32), np.zeros((count, classes))
     said = []
@@ -95,12 +96,15 @@ def held_back_agreement(
         of_objects += own
         said.append((row, column, owner, word, share, own))
     as_one, as_points = np.zeros(count), np.zeros(count)
-    for row, column, owner, word, share, own in said:
-        rest = of_objects - own
+    for numbers in frames:
+        row, column, owner, word, share = (np.concatenate([said[n][k] for n in numbers]) for k in range(5))
+        rest = of_objects - sum(said[n][5] for n in numbers)
         one = np.where(rest.max(1) > 1e-9, rest.argmax(1), -1)[owner]
-        others = of_points[row]
-        others[np.arange(len(row)), column] -= word
-        each = np.where(others.max(1, initial=0) > 1e-6, others.argmax(1), one)
+        seen, at = np.unique(row, return_inverse=True)
+        others = of_points[seen]
+        np.subtract.at(others, (at, column), word)
+        each = np.where(others.max(1, initial=0) > 1e-6, others.argmax(1), -1)[at]
+        each = np.where(each >= 0, each, one)
         as_one += np.bincount(owner, share * (one == column), count)
         as_points += np.bincount(owner, share * (each == column), count)
     return as_one >= as_points

@@ -125,8 +125,8 @@ def _pieces(one: Any, two: Any, bend: Any, points: int, looseness: float, least:
 def held_back_agreement(
     part: NDArray[np.int64], seeing: ViewsOnCloud, class_ids: tuple[int, ...], kind: EvidenceKind
 ) -> tuple[float, float]:
-    """The share of what a view shows that agrees with the votes of all other views: with those on each point, and with
-    those on its whole superpoint. A point that no other view sees follows its superpoint."""
+    """The share of what a frame shows that agrees with the votes of all other frames: with those on each point, and
+    with those on its whole superpoint. A point that no other frame sees follows its superpoint."""
     ids, points = np.asarray(class_ids), len(part)
     said = []
     total = np.zeros((points, len(ids)))  # float64: what is left after a view is taken out must be 0 where nothing is
@@ -139,14 +139,17 @@ def held_back_agreement(
         total[said[-1][:2]] += word  # a view has each point once
     of_part = sparse.csr_matrix((np.ones(points), (part, np.arange(points)))) @ total
     asked = by_point = by_part = 0.0
-    for row, column, word in said:
-        others = total[row]
-        others[np.arange(len(row)), column] -= word
+    for numbers in seeing.by_frame():
+        row, column, word = (np.concatenate([said[number][k] for number in numbers]) for k in range(3))
+        seen, at = np.unique(row, return_inverse=True)
+        others = total[seen]
+        np.subtract.at(others, (at, column), word)
         parts, place = np.unique(part[row], return_inverse=True)
         rest = of_part[parts]
         np.subtract.at(rest, (place, column), word)
         whole = np.where(rest.max(1, initial=0) > 1e-5, rest.argmax(1), -1)[place]
-        each = np.where(others.max(1, initial=0) > 1e-5, others.argmax(1), whole)
+        each = np.where(others.max(1, initial=0) > 1e-5, others.argmax(1), -1)[at]
+        each = np.where(each >= 0, each, whole)
         asked += float(word[each >= 0].sum())
         by_point += float(word[each == column].sum())
         by_part += float(word[whole == column].sum())

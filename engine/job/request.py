@@ -38,7 +38,7 @@ DEVICES: tuple[str, ...] = get_args(Device)
 _NO_BLOCKS = "A long capture fits without blocks: lift anew without them, with fewer --frames if memory is short"
 GONE = {"blocks": _NO_BLOCKS, "block": _NO_BLOCKS}
 """Fields of earlier versions' requests, which were options, too, and what to do instead."""
-_PLACES = ("scene", "masks", "depth", "names_from")
+_PLACES = ("scene", "masks", "detections", "depth", "names_from")
 _FIX = "Fix it, or delete the folder and lift again."
 
 
@@ -271,7 +271,7 @@ def preset_or_file(text: str) -> str:
 
 def add_scene_options(parser: argparse.ArgumentParser) -> None:
     """Add the options that say how to read the scene's folder."""
-    add_options(parser, "masks", "mask_format", "classes", "depth", "up", "scene_format")
+    add_options(parser, "masks", "mask_format", "detections", "classes", "depth", "up", "scene_format")
 
 
 def source_of(options: argparse.Namespace) -> SceneSource:

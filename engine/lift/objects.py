@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from ..instances.agreement import ViewPoints, ViewsOnCloud, shown_classes
 from ..instances.consensus import ConsensusOptions, FoundObjects, find_objects, with_masks_of
+from ..instances.layers import trusted_layers
 from ..instances.matching import limit_instances, match_views, merged
 from ..instances.objects import (
     PieceRules,
@@ -107,6 +108,8 @@ def objects_by_agreement(given: ViewsToMatch, preset: Preset, progress: StagePro
 
     options = replace(CONSENSUS, evidence=kinds.masks)
     found = find_objects(training, len(cloud), options, progress.part(0.2, 0.4))
+    layers = trusted_layers(everyone, len(cloud), cloud.class_ids, kinds.segments)
+    voting, everyone = voting.and_also(layers), everyone.and_also(layers)
     found = with_masks_of(found, voting, CONSENSUS.rules)
     things = thing_objects(found, everyone, cloud, given.classes, kinds)
 
@@ -128,7 +131,8 @@ def objects_by_agreement(given: ViewsToMatch, preset: Preset, progress: StagePro
     instances, instance_of_point, dropped = limit_instances(placed, owner, preset.most_instances)
     maps = watched(maps_of_points(training, cloud, instances, instance_of_point), progress.part(0.95, 1.0))
     maps = stored(maps, given.scratch)
-    return Matching(cloud, instances, instance_of_point, dropped, maps, training.point_of_pixel, part is None)
+    masks_agree = part is None and not len(layers.views)
+    return Matching(cloud, instances, instance_of_point, dropped, maps, training.point_of_pixel, masks_agree)
 
 
 def voted_points(
@@ -195,7 +199,8 @@ def thing_objects(
     """The objects that the views vote to be things, renumbered from 1."""
     shown = [(seen, shown_classes(view, seen)) for view, seen in zip(seeing.views, seeing.seen, strict=True)]
     asked = found.object_of_point, len(found.objects), cloud.class_ids
-    votes, is_one = vote_classes(shown, *asked, kinds.objects), held_back_agreement(shown, *asked, kinds)
+    votes = vote_classes(shown, *asked, kinds.objects)
+    is_one = held_back_agreement(shown, *asked, kinds, seeing.by_frame())
     class_of_object = object_classes(votes, cloud.class_ids, is_one).tolist()
     things = (one for one in found.objects if class_of_object[one.id] in classes.thing_ids)
     return [replace(one, id=number, class_id=class_of_object[one.id]) for number, one in enumerate(things, start=1)]

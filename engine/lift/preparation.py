@@ -127,8 +127,9 @@ def filled_views(views: Sequence[View], scratch: Path | None = None) -> OnDemand
 
 
 def used_classes(views: Sequence[View]) -> tuple[int, ...]:
-    """The ids of the classes that the masks use, ascending: the semantic channels."""
-    return tuple(sorted({segment.class_id for view in views for segment in view.mask.segments} - {0}))
+    """The ids of the classes that masks and detections use, ascending: the semantic channels."""
+    masks = (mask for view in views for mask in (view.mask, *view.layers))
+    return tuple(sorted({segment.class_id for mask in masks for segment in mask.segments} - {0}))
 
 
 FEATURES = 32

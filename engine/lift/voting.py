@@ -171,10 +171,11 @@ def _read_voter(frame: Frame, trained_within: Size) -> View | PlgsError:
     width, height = size_within(frame.size, trained_within)
     size = max(1, width // SMALLER), max(1, height // SMALLER)
     try:
-        depth, mask = frame.depth(size), frame.mask(size)
+        depth, mask, layers = frame.depth(size), frame.mask(size), frame.layers(size)
     except OtherClasses:
         raise
     except PlgsError as error:
         return error
     colour = np.zeros((*depth.shape, 3), np.uint8)
-    return View(frame.name, frame.camera.resized(*size), colour, depth, mask, mask_scale=frame.size[0] / size[0])
+    camera, scale = frame.camera.resized(*size), frame.size[0] / size[0]
+    return View(frame.name, camera, colour, depth, mask, mask_scale=scale, layers=layers)

@@ -19,11 +19,24 @@ from .evidence import (
 )
 from .files_of_frames import digests_of_files
 from .formats import FORMATS, SceneFormat
-from .frame import Frame, GroundTruth, Inferred, LeftOut, PanopticMask, Scene, Segment, Size, SparsePoints, counted
+from .frame import (
+    Evidence,
+    Frame,
+    GroundTruth,
+    Inferred,
+    LeftOut,
+    PanopticMask,
+    Scene,
+    Segment,
+    Size,
+    SparsePoints,
+    counted,
+)
 from .frame_choice import choose_frames, evenly_spread, photo_detail
 from .mask_formats.segment_maps import labels_of_config
 from .masks import MaskReader, OtherClasses
 from .opening import open_asked, open_scene, open_scene_to_lift, require_liftable, splits_path
+from .overlapping import EvidenceReader
 from .pixels import distinct_ids
 from .report import ClassList, ClassReport, SceneReport, describe, list_classes, report_of
 from .view import (

@@ -242,6 +242,8 @@ def _look(frame: Frame, unknown_truth: frozenset[int | str], keep_within: Size |
     if frame.read_mask is not None:
         whole = frame.read_mask(None)
         mask = _mask_facts(whole)
+        if frame.read_detections is not None:
+            frame.read_detections(size_within(frame.size, keep_within or frame.size))
         if keep_within is not None:
             frame = replace(frame, read_mask=KeptMask.of(whole, size_within(frame.size, keep_within), frame.read_mask))
     return FrameFacts(frame.name, measured, mask, unknown_truth, brightest), thumbnail, frame

@@ -91,14 +91,18 @@ class NamedClass:
     is_thing: bool
 
 
-def class_map(labels: Sequence[ClassLabel] | None, choice: ClassChoice | None, where: Path, objects: bool) -> ClassMap:
-    """The classes of masks whose files have ``labels`` (None: no classes), after the user's ``choice``.
+def class_map(
+    labels: Sequence[ClassLabel] | None, choice: ClassChoice | None, where: Path, objects: bool,
+    more: Sequence[ClassLabel] = (),
+) -> ClassMap:  # fmt: skip
+    """The classes of masks whose files have ``labels`` (None: no classes), after the user's ``choice``. ``more`` are
+    classes of detections, which no table has.
 
     A table that uses the number 0 is shifted by one as a whole, as 0 is void here. With ``objects``, labels number
     objects, and those without a name are of the class "object". Raises PlgsError.
     """
     choice = choice or ClassChoice()
-    labels = (labels if choice.labels is None else choice.labels) or ()
+    labels = (*((labels if choice.labels is None else choice.labels) or ()), *more)
     rows = _numbered(labels, choice)
     own = _labels(labels, rows, choice)
     if not own and not objects:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
@@ -59,7 +59,7 @@ def left_out(lacks: str, names: Iterable[str]) -> tuple[LeftOut, ...]:
 
 
 __all__ = [
-    "Frame", "GroundTruth", "PanopticMask", "Scene", "Segment", "Size", "SparsePoints",
+    "Evidence", "Frame", "GroundTruth", "PanopticMask", "Scene", "Segment", "Size", "SparsePoints",
 ]  # fmt: skip
 
 
@@ -96,6 +96,36 @@ class PanopticMask:
 
 
 @dataclass(frozen=True, eq=False)
+class Evidence:
+    """What a network shows in a frame, as segments that may overlap: ``inside`` bool [S, H, W], the pixels of each. A
+    panoptic picture is the case in which none overlap."""
+
+    segments: tuple[Segment, ...]
+    inside: NDArray[np.bool_]
+
+    @classmethod
+    def of(cls, mask: PanopticMask) -> Evidence:
+        """What a panoptic picture shows."""
+        segments = tuple(one for one in mask.segments if (mask.ids == one.id).any())
+        return cls(segments, np.array([mask.ids == one.id for one in segments]).reshape(-1, *mask.ids.shape))
+
+    def layers(self) -> tuple[PanopticMask, ...]:
+        """The segments as panoptic pictures. The best come first, and each goes into the first picture in which it
+        overlaps none; their ids there count from 1."""
+        layers: list[tuple[NDArray[np.int32], list[Segment]]] = []
+        for place in sorted(range(len(self.segments)), key=lambda place: -self.segments[place].score):
+            inside = self.inside[place]
+            layer = next((each for each in layers if not each[0][inside].any()), None)
+            if layer is None:
+                layer = np.zeros(inside.shape, np.int32), []
+                layers.append(layer)
+            ids, segments = layer
+            segments.append(replace(self.segments[place], id=len(segments) + 1))
+            ids[inside] = len(segments)
+        return tuple(PanopticMask(ids, tuple(segments)) for ids, segments in layers)
+
+
+@dataclass(frozen=True, eq=False)
 class GroundTruth:
     """True class ids and instance ids (0 = stuff or none), int32 [H, W] each. Serves metrics only."""
 
@@ -108,7 +138,8 @@ class Frame(PosedFrame):
     """A frame whose pixels are read on demand: each reader is called with a size (width, height), or None for its own.
 
     ``read_colour`` gives uint8 [H, W, 3] RGB, ``read_depth`` float32 [H, W] planar metres (0 = none), ``read_mask`` a
-    PanopticMask, ``read_ground_truth`` a GroundTruth. The last three may be None. Readers raise PlgsError.
+    PanopticMask, ``read_ground_truth`` a GroundTruth, ``read_detections`` the Evidence of segments that lie over the
+    mask. The last four may be None. Readers raise PlgsError.
     ``confidence_path`` is the file that says which depth to trust. ``read_as`` are the distortion and the unit and lens
     of depth, as text, where they are not the usual ones. ``read_kept`` gives bool [H, W], the pixels that count, where
     not all do.
@@ -118,6 +149,7 @@ class Frame(PosedFrame):
     read_depth: Callable[[Size | None], NDArray[np.float32]] | None
     read_mask: Callable[[Size | None], PanopticMask] | None
     read_ground_truth: Callable[[Size | None], GroundTruth] | None = None
+    read_detections: Callable[[Size | None], Evidence] | None = None
     confidence_path: Path | None = None
     read_as: str = ""
     read_kept: Callable[[Size], NDArray[np.bool_]] | None = None
@@ -133,6 +165,10 @@ class Frame(PosedFrame):
         if self.read_mask is None:
             raise PlgsError("no-mask", "a frame has no mask", self.colour_path, "Give a panoptic mask for every frame.")
         return self.read_mask(size)
+
+    def layers(self, size: Size | None = None) -> tuple[PanopticMask, ...]:
+        """The layers of the detections over the mask; none without any. Raises PlgsError."""
+        return () if self.read_detections is None else self.read_detections(size).layers()
 
 
 @dataclass(frozen=True, eq=False)

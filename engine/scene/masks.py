@@ -11,8 +11,9 @@ from zlib import compress, decompress
 import numpy as np
 
 from ..errors import ErrorCode, PlgsError
-from ..posed.classes import VOID, ClassTable
+from ..posed.classes import VOID, ClassLabel, ClassTable
 from ..posed.layout import listed
+from ..scene_source import SceneSource
 from .class_choice import FILE_NAME, find_class_choice
 from .class_map import ClassMap, class_map
 from .files_of_frames import digests_of_files, says_what_counts
@@ -20,6 +21,7 @@ from .frame import Inferred, PanopticMask, Segment, Size
 from .mask_fit import Pictured, Placement, paired, placements
 from .mask_formats import MASK_FORMATS, FoundSegment, MaskSource, StoredMask, find_mask_format
 from .numbering import numbered, other_numberings
+from .overlapping import Detections, EvidenceReader, open_detections
 from .pixels import resize_nearest
 
 MASK_FOLDER = "masks"
@@ -133,24 +135,25 @@ def fused(segments: Sequence[Segment]) -> tuple[list[Segment], dict[int, int]]:
 
 @dataclass(frozen=True)
 class MaskSet:
-    """The masks of a scene's frames: the class table, one reader per frame, warnings, and what no file says."""
+    """The masks of a scene's frames: the class table, one reader per frame, warnings, and what no file says. ``over``
+    reads the detections that lie over the masks of some."""
 
     classes: ClassTable = ClassTable(())
     readers: Mapping[str, MaskReader] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
     inferred: tuple[Inferred, ...] = ()
+    over: Mapping[str, EvidenceReader] = field(default_factory=dict)
 
 
-def find_masks(
-    scene: Path,
-    masks: Path | None,
-    pictured: Mapping[str, Pictured],
-    mask_format: str | None = None,
-    classes: str | None = None,
-) -> MaskSet:
-    """``open_masks``, or no masks when none are named and the scene's folder has none. Raises PlgsError."""
-    place = mask_place(scene, masks)
-    return MaskSet() if place is None else open_masks(place, [*pictured], mask_format, classes, pictured)
+def find_masks(source: SceneSource, scene: Path, pictured: Mapping[str, Pictured]) -> MaskSet:
+    """The masks of the frames, and the detections over them, as the ``source`` of the folder ``scene`` says; no masks
+    when none are named and the folder has none. Raises PlgsError."""
+    place = mask_place(scene, None if source.masks is None else Path(source.masks))
+    if place is None:
+        return MaskSet()
+    sizes = {name: each.size for name, each in pictured.items()}
+    detections = None if source.detections is None else open_detections(source.detections, place, sizes)
+    return open_masks(place, [*pictured], source.mask_format, source.classes, pictured, detections)
 
 
 def mask_place(scene: Path, masks: Path | None) -> Path | None:
@@ -169,10 +172,11 @@ def open_masks(
     mask_format: str | None = None,
     classes: str | None = None,
     pictured: Mapping[str, Pictured] | None = None,
+    detections: Detections | None = None,
 ) -> MaskSet:
     """Open the masks at ``place`` of the frames ``names``; headers and tables only. Raises PlgsError. ``mask_format``
     names their format, which is recognised otherwise. ``classes``: see ``find_class_choice``. With ``pictured``, some
-    masks and pictures are compared where names, sizes or lenses leave a doubt."""
+    masks and pictures are compared where names, sizes or lenses leave a doubt. ``detections`` lie over the masks."""
     told: tuple[Inferred, ...] = ()
     placed: dict[str, Placement] = {}
     if pictured is None:
@@ -183,7 +187,11 @@ def open_masks(
         told = (*of_names, *of_pictures)
     choice = find_class_choice(classes, place if place.is_dir() else place.parent)
     source, choice, of_numbers = numbered(source, choice, place)
-    known = class_map(source.labels, choice, place, source.tells_no_class)
+    number_of: Mapping[int, int] = {}
+    more: tuple[ClassLabel, ...] = ()
+    if detections is not None:
+        number_of, more = detections.joined((choice and choice.labels) or source.labels or ())
+    known = class_map(source.labels, choice, place, source.tells_no_class, more)
     fuses = source.stuff_in_pieces or known.merges
     table = source.table if choice is None else "the class table"
     others = "" if choice is None else other_numberings(choice)
@@ -191,12 +199,25 @@ def open_masks(
         name: MaskReader(mask, known, source.void, fuses, table, others, placed.get(name))
         for name, mask in source.masks.items()
     }
-    warnings = (*source.warnings, *_named_otherwise(source.masks))
-    return MaskSet(known.classes, readers, warnings, (*told, *of_numbers))
+    warnings = [*source.warnings, *_named_otherwise(source.masks)]
+    over = {}
+    if detections is not None:
+        warnings += detections.warnings
+        if more:
+            join = f"to join one with a class of the masks, give it a [[class]] with name and into in {FILE_NAME}"
+            warnings.append(f"detections have classes that the masks lack: {listed(one.name for one in more)}; {join}")
+        over = {
+            name: EvidenceReader(detections.path, detections.sizes[name], found, number_of, known)
+            for name, found in detections.found.items()
+            if name in readers
+        }
+    return MaskSet(known.classes, readers, tuple(warnings), (*told, *of_numbers), over)
 
 
 def _named_otherwise(masks: Mapping[str, StoredMask]) -> list[str]:
-    """A warning of masks whose files do not have their frames' names."""
+    """A warning of masks whose files do not have their frames' names; none of one file for several frames."""
+    if len(masks) > len({mask.path for mask in masks.values()}):
+        return []
     places = {name: f"{mask.path.parent.name}/{mask.path.name}" for name, mask in masks.items()}
     others = [f"{name} has {place}" for name, place in places.items() if name not in place]
     return [f"masks have other names than their frames: {listed(others, 2)}"] if others else []

@@ -50,17 +50,18 @@ def open_scene(
     depth: Path | None = None,
     mask_format: str | None = None,
     classes: str | None = None,
+    detections: Path | None = None,
 ) -> Scene:
     """``open_asked`` of the scene in a folder or file; the arguments are the fields of a SceneSource."""
-    return open_asked(SceneSource(folder, masks, up, scene_format, depth, mask_format, classes))
+    return open_asked(SceneSource(folder, masks, up, scene_format, depth, mask_format, classes, detections))
 
 
 def open_asked(source: SceneSource) -> Scene:
     """Open a scene; images are decoded only to settle doubts about masks and depth maps. Masks and depth may be
     missing, see ``require_liftable``. Raises PlgsError for the first thing that is wrong; ``check_scene`` looks into
     the pixels as well."""
-    place, masks = Path(source.scene), None if source.masks is None else Path(source.masks)
-    for path in (place, masks, source.depth):
+    place = Path(source.scene)
+    for path in (place, source.masks, source.detections, source.depth):
         if path is not None:
             refuse_unwritable_name(Path(path))
     reader = find_format(place, source.scene_format)
@@ -93,11 +94,16 @@ def open_asked(source: SceneSource) -> Scene:
         for shot in shots
     }
     pictured = {shot.name: _pictured(shot, unmasked[shot.name], kept.get(shot.name)) for shot in shots}
-    mask_set = find_masks(beside, masks, pictured, source.mask_format, source.classes)
+    mask_set = find_masks(source, beside, pictured)
     truth, truth_warnings, of_truth = open_ground_truth(beside, sizes, mask_set)
     points = None if capture.points is None else capture.points.turned(turn)
     frames = tuple(
-        replace(frame, read_mask=mask_set.readers.get(name), read_ground_truth=truth.get(name))
+        replace(
+            frame,
+            read_mask=mask_set.readers.get(name),
+            read_ground_truth=truth.get(name),
+            read_detections=mask_set.over.get(name),
+        )
         for name, frame in unmasked.items()
     )
     gone = (*left_out("a pose", capture.lost), *left_out("a readable picture", unreadable), *capture.left_out)

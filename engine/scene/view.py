@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import prod
 from os import SEEK_END
 from pathlib import Path
@@ -84,7 +84,9 @@ class View:
     """Colour uint8 [H, W, 3], depth float32 [H, W] metres (0 = none) and mask of a frame at the size of ``camera``.
 
     ``border`` bool [H, W] marks the pixels of a black border, and those that do not count. It is None in pictures
-    without any. ``mask_scale`` is how many pixels of the frame's own mask the side of a pixel spans.
+    without any. ``mask_scale`` is how many pixels of the frame's own mask the side of a pixel spans. ``layers`` are
+    the detections over the mask, in pictures in which none overlap (see ``Evidence``). ``frame`` is the frame's name,
+    if the view is one of its layers.
     """
 
     name: str
@@ -94,6 +96,13 @@ class View:
     mask: PanopticMask
     border: NDArray[np.bool_] | None = None
     mask_scale: float = 1.0
+    layers: Sequence[PanopticMask] = ()
+    frame: str = ""
+
+    def layer(self, number: int) -> View:
+        """One of the layers as a view of the same frame."""
+        name = f"{self.name}#{number}"
+        return replace(self, name=name, mask=self.layers[number], layers=(), frame=self.name)
 
     def places_in(self, xyz: NDArray[np.floating]) -> tuple[Rows, Rows, Rows, NDArray[np.float64]]:
         """The rows [n] of the world's places ``xyz`` [N, 3] that lie within the picture, whatever stands before them;
@@ -127,6 +136,7 @@ def load_view(frame: Frame, size: Size | None = None) -> View:
         mask=frame.mask((width, height)),
         border=resize_nearest(border, (width, height)) if border.any() else None,
         mask_scale=frame.size[0] / width,
+        layers=frame.layers((width, height)),
     )
 
 
@@ -245,23 +255,28 @@ class StoredViews(OnDemand[View]):
         self, views: Iterable[View], folder: Path | None = None, stored: Callable[[int], object] | None = None
     ) -> None:
         self._arrays = StoredArrays(folder)
-        self._about: list[tuple[str, Camera, tuple[Segment, ...], int | None, float]] = []
+        self._about: list[tuple[str, Camera, float]] = []
+        self._numbers: list[tuple[list[int], int | None]] = []
+        self._segments: list[list[tuple[Segment, ...]]] = []
         for view in views:
-            for array in (view.colour, view.depth, view.mask.ids):
-                self._arrays.append(array)
+            masks = [view.mask, *view.layers]
+            arrays: list[NDArray[Any]] = [view.colour, view.depth, *(mask.ids for mask in masks)]
             border = None if view.border is None else self._arrays.append(view.border)
-            self._about.append((view.name, view.camera, view.mask.segments, border, view.mask_scale))
+            self._numbers.append(([self._arrays.append(array) for array in arrays], border))
+            self._segments.append([mask.segments for mask in masks])
+            self._about.append((view.name, view.camera, view.mask_scale))
             if stored is not None:
                 stored(len(self._about))
-        self._first = np.cumsum([0, *(3 + (border is not None) for *_, border, _ in self._about)]).tolist()
         super().__init__(len(self._about), self._read)
 
     @property
     def cameras(self) -> list[Camera]:
-        return [camera for _, camera, *_ in self._about]
+        return [camera for _, camera, _ in self._about]
 
     def _read(self, number: int) -> View:
-        name, camera, segments, border, scale = self._about[number]
-        colour, depth, ids = (self._arrays[self._first[number] + place] for place in range(3))
+        (name, camera, scale), (arrays, border) = self._about[number], self._numbers[number]
+        colour, depth = (self._arrays[place] for place in arrays[:2])
         edge = None if border is None else self._arrays[border]
-        return View(name, camera, colour, depth, PanopticMask(ids, segments), edge, scale)
+        segments = self._segments[number]
+        masks = OnDemand(len(segments), lambda place: PanopticMask(self._arrays[arrays[2 + place]], segments[place]))
+        return View(name, camera, colour, depth, masks[0], edge, scale, masks[1:])

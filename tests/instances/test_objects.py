@@ -68,8 +68,8 @@ def test_views_that_are_held_back_tell_one_object_from_two() -> None:
     one = [showing([0, 1, 2, 3], [kind] * 4, [10] * 4) for kind in (SOFA, SOFA, CHAIR, WALL, SOFA)]
     halves = [showing([0, 1, 2, 3], [SOFA, SOFA, CHAIR, CHAIR], [10] * 4) for _ in range(5)]
     owner, kinds = np.array([1, 1, 1, 1, 0], np.int32), ViewEvidence()
-    assert held_back_agreement(one, owner, 1, CLASS_IDS, kinds).tolist()[1]
-    assert not held_back_agreement(halves, owner, 1, CLASS_IDS, kinds).tolist()[1]
+    assert held_back_agreement(one, owner, 1, CLASS_IDS, kinds, [[n] for n in range(len(one))]).tolist()[1]
+    assert not held_back_agreement(halves, owner, 1, CLASS_IDS, kinds, [[n] for n in range(len(halves))]).tolist()[1]
 
 
 

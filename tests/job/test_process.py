@@ -194,7 +194,7 @@ def test_everything_that_a_lift_imports_is_pinned(root: Path) -> None:
         needed = needed_packages(root, version)
         assert next(iter(needed)) == "torch" and all(needed.values())
         assert {module_of(name) for name in needed} == {
-            "torch", "open3d", "cv2", "OpenEXR", "numba", "scipy", "safetensors", "lz4", "numpy",
+            "torch", "open3d", "cv2", "OpenEXR", "numba", "scipy", "safetensors", "lz4", "pycocotools", "numpy",
         }  # fmt: skip
     assert needed_packages(root, (3, 11))["scipy"] != needed_packages(root, (3, 13))["scipy"]
     assert needed_packages(root, (3, 12))["numpy"] is None

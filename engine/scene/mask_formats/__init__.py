@@ -11,10 +11,11 @@ from pathlib import Path
 from ...errors import PlgsError
 from ...posed.layout import listed, shown, shown_files
 from ...scene_source import MASK_FORMAT_NAMES
-from . import class_arrays, coco, detections, label_pairs, sam2, segment_maps
+from . import class_arrays, coco, coco_results, detections, label_pairs, sam2, segment_maps
 from .source import FoundMask, FoundSegment, MaskFormat, MaskSource, StoredMask
 
 MASK_FORMATS: tuple[MaskFormat, ...] = (
+    coco_results.FORMAT,
     coco.FORMAT,
     label_pairs.PANOPTIC_LIFTING,
     sam2.GROUNDED,

@@ -120,15 +120,10 @@ def _colour(entry: dict[str, Any], context: str, table: Path) -> tuple[int, int,
 
 def _entries_by_frame(content: dict[str, Any], table: Path, names: Sequence[str]) -> dict[str, dict[str, Any]]:
     """The annotation of each frame. A frame is named after its image's file or, failing that, after the mask's."""
-    images: dict[str, str] = {}
-    if "images" in content:
-        for position, image in enumerate(take_objects(content, "images", "the file", table)):
-            if "id" in image and "file_name" in image:
-                file_name = take_text(image, "file_name", f"image {position}", table)
-                images[str(image["id"])] = _stem(file_name)
+    images = images_of(content, table)
     wanted, found = {*names}, dict[str, dict[str, Any]]()
     for position, entry in enumerate(take_objects(content, "annotations", "the file", table)):
-        stem = _stem(take_text(entry, "file_name", f"annotation {position}", table))
+        stem = stem_of(take_text(entry, "file_name", f"annotation {position}", table))
         name = images.get(str(entry.get("image_id")), stem)
         name = name if name in wanted else stem
         if name in found:
@@ -137,7 +132,18 @@ def _entries_by_frame(content: dict[str, Any], table: Path, names: Sequence[str]
     return found
 
 
-def _stem(file_name: str) -> str:
+def images_of(content: dict[str, Any], table: Path) -> dict[str, str]:
+    """The name of each image's file without its ending, by the image's id as a text. Raises PlgsError."""
+    images: dict[str, str] = {}
+    for position, image in enumerate(take_objects(content, "images", "the file", table) if "images" in content else ()):
+        named = next((key for key in ("file_name", "coco_url") if key in image), None)
+        if "id" in image and named is not None:
+            images[str(image["id"])] = stem_of(take_text(image, named, f"image {position}", table))
+    return images
+
+
+def stem_of(file_name: str) -> str:
+    """The name of a file without its folders, as Windows or others write them, and its ending."""
     return composed(file_name.replace("\\", "/").rsplit("/", 1)[-1].rsplit(".", 1)[0])
 
 

@@ -1,0 +1,60 @@
+"""Whether detections that lie over the masks have a say (ours, beyond the paper).
+
+Weak detections win back what a network's panoptic picture lost, and spoil masks that are good. So the views decide:
+each is held back in turn, and compared with what the others say of its points. Shares of what a view shows cannot tell,
+as walls and floors fill it, on which bad masks agree, too. So each class counts alike.
+"""
+
+from __future__ import annotations
+
+import logging
+
+import numpy as np
+
+from ..presets.preset import EvidenceKind
+from ..scene import evidence
+from .agreement import ViewsOnCloud, shown_classes
+
+log = logging.getLogger("plgs.lift")
+
+WEAK = 0.6
+"""Masks whose views agree with the others on less than this share of a class, in the mean over classes, are weak.
+Scenes with networks' masks had 0.32 to 0.50, those with good masks 0.70 and more (docs/experiments.md)."""
+
+
+def trusted_layers(seeing: ViewsOnCloud, points: int, class_ids: tuple[int, ...], kind: EvidenceKind) -> ViewsOnCloud:
+    """The layers of the views of a cloud of ``points`` points where masks are weak; else none. ``kind``: the votes that
+    a view has on a point."""
+    layers = seeing.layers()
+    if not len(layers.views):
+        return layers
+    agreement = class_agreement(seeing, points, class_ids, kind)
+    are_trusted = agreement < WEAK
+    log.info(
+        "a view that is held back agrees with the others on %.3f of a class: detections%s vote",
+        agreement, "" if are_trusted else " do not",
+    )  # fmt: skip
+    return layers.looked_at(lambda *_: None) if are_trusted else layers.only(np.zeros(0, np.int64))
+
+
+def class_agreement(seeing: ViewsOnCloud, points: int, class_ids: tuple[int, ...], kind: EvidenceKind) -> float:
+    """The share of what a view's mask shows of a class that has this class by the votes of all other views, point by
+    point: the mean over the classes that masks show. Points that no other view sees are not asked."""
+    ids = np.asarray(class_ids)
+    said = []
+    total = np.zeros((points, len(ids)))  # float64: what is left after a view is taken out must be 0 where nothing is
+    for view, seen in zip(seeing.views, seeing.seen, strict=True):
+        shown = shown_classes(view, seen)
+        column = np.minimum(np.searchsorted(ids, shown), len(ids) - 1)
+        known = ids[column] == shown
+        word = evidence(kind, seen.pixels[known], seen.resolution[known])
+        said.append((seen.row[known], column[known], word))
+        total[said[-1][:2]] += word  # a view has each point once
+    asked, agreed = np.zeros(len(ids)), np.zeros(len(ids))
+    for row, column, word in said:
+        others = total[row]
+        others[np.arange(len(row)), column] -= word
+        is_asked = others.max(1, initial=0) > 1e-5
+        asked += np.bincount(column, word * is_asked, len(ids))
+        agreed += np.bincount(column, word * (is_asked & (others.argmax(1) == column)), len(ids))
+    return float(np.mean(agreed[asked > 0] / asked[asked > 0])) if asked.any() else 1.0

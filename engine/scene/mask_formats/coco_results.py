@@ -1,0 +1,287 @@
+"""Detections as COCO writes them: the run lengths (RLE) or polygons of all frames in one JSON.
+
+Read are COCO's results, which detectron2 and ultralytics write, too; instance annotations of COCO and LVIS; SA-1B's and
+SAM's lists for one picture, in a folder of one JSON a frame; and SA-V's masklets, whose places are tracks. As masks by
+themselves, the best detection is on top. Over other masks, they overlap (``overlapping``).
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...errors import PlgsError
+from ...json_file import (
+    LARGEST_TABLE,
+    read_json,
+    shown_json,
+    take_list,
+    take_objects,
+    take_text,
+    take_whole_number,
+    wrong_type,
+)
+from ...posed.classes import LARGEST_CLASS_ID, ClassLabel
+from ...posed.layout import LARGEST_PIXELS, listed, shown, shown_files, shown_size
+from ..class_tables import is_thing_by_name
+from ..frame import Size
+from .coco import images_of, take_score
+from .source import FoundMask, FoundSegment, MaskFormat, MaskSource, StoredMask, painted
+
+_FIX = "Write run lengths with pycocotools' encode, as detectron2 and ultralytics do."
+_SIZE_FIX = "Give the image its width and height under images, or write run lengths."
+_KINDS = "Give COCO results, COCO or LVIS instances, or masklets of SA-V."
+_RLE = re.compile(rb"(?:[P-o]{0,6}[0-O])+")
+"""Compressed run lengths: six bits a character, of which the highest says that the number goes on."""
+_EVERY = 4
+"""SA-V has masklets for every fourth frame of its videos."""
+
+
+@dataclass(frozen=True)
+class DetectedSegment:
+    """``label`` is the class's number in the file (None: it has no class), ``score`` in 0..1, ``runs`` compressed run
+    lengths as COCO has them in a picture of ``size`` (width, height). ``track``: see Segment."""
+
+    label: int | None
+    score: float
+    size: Size
+    runs: bytes
+    track: int | None = None
+
+    def inside(self, path: Path) -> NDArray[np.bool_]:
+        """Its pixels, bool [H, W]. Raises PlgsError, which names the file ``path``, for damaged run lengths."""
+        from pycocotools import mask as rle_tools  # late: a scene is opened without it
+
+        runs = {"size": [*self.size[::-1]], "counts": self.runs}
+        try:
+            pixels = rle_tools.decode(runs)
+        except ValueError:
+            pixels = None
+        # Run lengths that end early leave what follows undefined.
+        if pixels is None or rle_tools.encode(np.asfortranarray(pixels))["counts"] != self.runs:
+            what = f"run lengths of a detection do not fill its picture of {shown_size(self.size)}"
+            raise PlgsError("bad-rle", what, path, _FIX)
+        return pixels.astype(bool)
+
+
+@dataclass(frozen=True)
+class DetectionTable:
+    """The content of a file. ``entries`` pairs a picture's id with what the file says of a detection; ``names`` and
+    ``sizes`` are those of pictures by id, as texts; ``labels`` are its classes, None if it has no names for them. Where
+    ids are places in a video, this has ``video_frames``."""
+
+    path: Path
+    entries: Sequence[tuple[str, dict[str, Any]]]
+    names: Mapping[str, str] = field(default_factory=dict)
+    sizes: Mapping[str, Size] = field(default_factory=dict)
+    labels: tuple[ClassLabel, ...] | None = None
+    video_frames: int = 0
+
+    def of_frames(
+        self, frames: Mapping[str, Size | None], images: Mapping[str, str]
+    ) -> tuple[dict[str, tuple[DetectedSegment, ...]], tuple[str, ...]]:
+        """The detections of the ``frames``, which have these sizes where they are known, and a warning of pictures that
+        are no frames. ``images`` are more names of pictures by id. Raises PlgsError, also if no picture is a frame."""
+        frame_of = self._frames_of({image for image, _ in self.entries}, [*frames], {**images, **self.names})
+        others = sorted({image for image, _ in self.entries} - frame_of.keys())
+        if others and not frame_of:
+            fix = "Let image_id be the name or number of a frame, or list id and file_name of each under images."
+            raise PlgsError("unknown-images", f"no frame has these image ids ({listed(others)})", self.path, fix)
+        found: dict[str, list[DetectedSegment]] = {}
+        for position, (image, entry) in enumerate(self.entries):
+            if image in frame_of and entry.get("iscrowd") != 1:
+                name = frame_of[image]
+                size = self.sizes.get(image) or frames[name]
+                found.setdefault(name, []).append(self._detection(entry, f"detection {position}", size))
+        told = f"{len(others)} of {len(others) + len(frame_of)} images with detections are no frames: {listed(others)}"
+        return {name: tuple(each) for name, each in found.items()}, (told,) if others else ()
+
+    def _frames_of(self, images: set[str], names: Sequence[str], stems: Mapping[str, str]) -> dict[str, str]:
+        """The frame of each picture's id: by the file's name, the id as name or as number of a frame, or a place."""
+        if self.video_frames:
+            step = 1 if self.video_frames == len(names) else _EVERY
+            return {image: names[int(image) * step] for image in images if int(image) * step < len(names)}
+        known = {*names}
+        numbers = {int(digits[-1]): name for name in names if (digits := re.findall(r"\d+", name))}
+        by_number = numbers if len(numbers) == len(names) and not known.intersection(stems.values()) else {}
+        found = {}
+        for image in images:
+            stem = stems.get(image, image)
+            name = stem if stem in known else by_number.get(int(image) if re.fullmatch(r"\d{1,18}", image) else -1)
+            if name is not None:
+                found[image] = name
+        return found
+
+    def _detection(self, entry: dict[str, Any], context: str, size: Size | None) -> DetectedSegment:
+        label = None
+        if entry.get("category_id") is not None:
+            label = take_whole_number(entry, "category_id", context, self.path)
+            if not 0 <= label <= LARGEST_CLASS_ID:
+                raise wrong_type("category_id", f"between 0 and {LARGEST_CLASS_ID}", label, context, self.path)
+        if "score" not in entry and "predicted_iou" in entry:  # SAM's own estimate, which may exceed 1
+            quality = entry["predicted_iou"]
+            entry = entry | {"score": min(quality, 1.0) if isinstance(quality, float) else quality}
+        score = take_score(entry, context, self.path)
+        size, runs = compressed(entry.get("segmentation"), size, context, self.path)
+        return DetectedSegment(label, score, size, runs, entry.get("track"))
+
+
+def compressed(given: Any, size: Size | None, context: str, path: Path) -> tuple[Size, bytes]:
+    """The size and the compressed run lengths of what COCO calls a segmentation: compressed or whole run lengths, or
+    polygons in a picture of this ``size``. Raises PlgsError."""
+    from pycocotools import mask as rle_tools  # late, as above
+
+    if isinstance(given, dict):
+        height, width = _whole_numbers(take_list(given, "size", context, path), "size", 2, context, path)
+        check_picture((width, height), context, path)
+        counts = given.get("counts")
+        if isinstance(counts, str):
+            runs = counts.encode(errors="replace")
+            if not _RLE.fullmatch(runs):
+                raise PlgsError("bad-rle", f"the run lengths of {context} are damaged", path, _FIX)
+            return (width, height), runs
+        whole = _whole_numbers(take_list(given, "counts", context, path), "counts", None, context, path)
+        if sum(whole) != width * height:
+            what = f"the run lengths of {context} do not fill its picture of {shown_size((width, height))}"
+            raise PlgsError("bad-rle", what, path, _FIX)
+        packed = rle_tools.frPyObjects({"size": [height, width], "counts": whole}, height, width)
+        return (width, height), packed["counts"]
+    if not isinstance(given, list):
+        raise wrong_type("segmentation", "run lengths or polygons", given, context, path)
+    if size is None:
+        raise PlgsError("no-size", f"the polygons of {context} lack the size of their picture", path, _SIZE_FIX)
+    check_picture(size, context, path)
+    polygons = [_polygon(one, size, context, path) for one in given]
+    if not polygons:
+        raise PlgsError("bad-polygon", f"{context} has no polygon", path, _FIX)
+    return size, rle_tools.merge(rle_tools.frPyObjects(polygons, size[1], size[0]))["counts"]
+
+
+def check_picture(size: Size, context: str, path: Path) -> None:
+    """Raise PlgsError for a size that no picture has."""
+    if min(size) < 1 or size[0] * size[1] > LARGEST_PIXELS:
+        what = f"the picture of {context} has {size[0]} x {size[1]} pixels"
+        raise PlgsError("bad-picture-size", what, path, "Write its height and width in pixels.")
+
+
+def _whole_numbers(values: list[Any], key: str, count: int | None, context: str, path: Path) -> list[int]:
+    """``values`` as whole numbers from 0 to LARGEST_PIXELS. Raises PlgsError."""
+    wrong = [one for one in values if type(one) is not int or not 0 <= one <= LARGEST_PIXELS]
+    if wrong or (count is not None and len(values) != count):
+        amount = "" if count is None else f"{count} "
+        raise wrong_type(key, f"a list of {amount}numbers of pixels", wrong[0] if wrong else values, context, path)
+    return values
+
+
+def _polygon(values: Any, size: Size, context: str, path: Path) -> list[float]:
+    """x and y of the corners in turn, within the picture. Raises PlgsError."""
+    numbers = values if isinstance(values, list) else []
+    if len(numbers) < 6 or len(numbers) % 2 or not all(type(one) in (int, float) for one in numbers):
+        what = f"a polygon of {context} is not x and y of at least three corners, but {shown_json(values)}"
+        raise PlgsError("bad-polygon", what, path, _FIX)
+    corners = np.clip(np.array(numbers, np.float64).reshape(-1, 2), 0, size)
+    return [*corners.ravel().tolist()]
+
+
+def read_table(place: Path) -> DetectionTable:
+    """The detections in a file, or in a folder of files named like their frames. Raises PlgsError."""
+    if place.is_dir():
+        tables = [(path.stem, _table_of(path)) for path in sorted(shown_files(place, "*.json"))]
+        entries = [(name, entry) for name, table in tables for _, entry in table.entries]
+        return DetectionTable(place, entries)
+    return _table_of(place)
+
+
+def _table_of(path: Path) -> DetectionTable:
+    content = read_json(path)
+    if isinstance(content, list):
+        content = {"annotations": content}
+    if isinstance(content, dict) and "masklet" in content:
+        return _masklets(take_list(content, "masklet", "the file", path), path)
+    if not isinstance(content, dict) or "annotations" not in content:
+        raise PlgsError("not-detections", "the JSON has no detections", path, _KINDS)
+    sizes = {}
+    for position, image in enumerate(take_objects(content, "images", "the file", path) if "images" in content else ()):
+        if "width" in image and "height" in image:
+            context = f"image {position}"
+            width, height = (take_whole_number(image, key, context, path) for key in ("width", "height"))
+            check_picture((width, height), context, path)
+            sizes[str(image.get("id"))] = width, height
+    found = take_objects(content, "annotations", "the file", path)
+    entries = [(str(entry.get("image_id", path.stem)), entry) for entry in found]
+    return DetectionTable(path, entries, images_of(content, path), sizes, _categories(content, path))
+
+
+def _categories(content: dict[str, Any], path: Path) -> tuple[ClassLabel, ...] | None:
+    """The classes that the file names; None if it names none. Raises PlgsError."""
+    if "categories" not in content:
+        return None
+    labels: dict[int, ClassLabel] = {}
+    for position, entry in enumerate(take_objects(content, "categories", "the file", path)):
+        context = f"category {position}"
+        number, name = take_whole_number(entry, "id", context, path), take_text(entry, "name", context, path)
+        if number in labels or not 0 <= number <= LARGEST_CLASS_ID:
+            what = f"the category id {number} occurs twice, or is out of range"
+            raise PlgsError("class-id", what, path, f"Use ids from 1 to {LARGEST_CLASS_ID}, each once.")
+        is_thing = entry.get("isthing", is_thing_by_name(name) is not False)
+        labels[number] = ClassLabel(number, shown(name), bool(is_thing))
+    return tuple(labels.values()) or None
+
+
+def _masklets(frames: list[Any], path: Path) -> DetectionTable:
+    """SA-V: for each frame, the run lengths of each object in turn."""
+    entries = []
+    for position, objects in enumerate(frames):
+        if not isinstance(objects, list):
+            raise wrong_type("masklet", "a list of lists", objects, "the file", path)
+        for track, runs in enumerate(objects, start=1):
+            entries.append((str(position), {"segmentation": runs, "track": track}))
+    return DetectionTable(path, entries, video_frames=len(frames))
+
+
+def is_detections(place: Path) -> bool:
+    """Whether a file, or the first one of a folder of JSON alone, has detections. No JSON is parsed."""
+    if place.is_dir():
+        named = sorted(path for path in shown_files(place) if path.name != "classes.toml")
+        return bool(named) and all(path.suffix == ".json" for path in named) and is_detections(named[0])
+    if place.suffix.lower() != ".json" or not place.is_file() or place.stat().st_size > LARGEST_TABLE:
+        return False
+    data = place.read_bytes()
+    return b'"segments_info"' not in data and (b'"segmentation"' in data or b'"masklet"' in data)
+
+
+def _read(place: Path, names: Sequence[str]) -> MaskSource:
+    """The detections as panoptic pictures. Raises PlgsError."""
+    table = read_table(place)
+    found, told = table.of_frames(dict.fromkeys(names), {})
+    classless = all(one.label is None for each in found.values() for one in each)
+    sizes = {one.size for each in found.values() for one in each}
+    masks = {}
+    for name in names:  # where nothing was detected, nothing is shown
+        detected = found.get(name, ())
+        own = {one.size for one in detected} or sizes
+        if len(own) > 1:
+            what = f"detections of frame {name} are of pictures of several sizes"
+            raise PlgsError("other-size", what, place, _FIX)
+        if own:
+            size = next(iter(own))
+            masks[name] = StoredMask(place, size, partial(_painted, place, detected, size))
+    return MaskSource(masks, table.labels, told, tells_no_class=classless, void=frozenset())
+
+
+def _painted(path: Path, detected: Sequence[DetectedSegment], size: Size) -> FoundMask:
+    segments = [
+        FoundSegment(number, one.track or 0 if one.label is None else one.label, one.score, track=one.track)
+        for number, one in enumerate(detected, start=1)
+    ]
+    return painted([one.inside(path) for one in detected], segments, size)
+
+
+FORMAT = MaskFormat("coco-detections", is_detections, _read, own_names=True)

@@ -1,0 +1,125 @@
+"""Detections over a scene's masks: segments of a frame that may overlap each other and what lies under them.
+
+A panoptic picture has one segment a pixel, and so loses what a network was less sure of: a chair that it took for a
+sofa from most places, a pillow on a bed. The rest may come as a JSON of detections (``coco_results``).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from hashlib import sha256
+from pathlib import Path
+
+import numpy as np
+
+from ..errors import PlgsError
+from ..json_file import read_json_object
+from ..posed.classes import VOID, ClassLabel
+from ..posed.layout import listed, same_shape, shown_size
+from .class_choice import find_class_choice
+from .class_map import ClassMap
+from .frame import Evidence, Segment, Size
+from .mask_formats.coco import images_of
+from .mask_formats.coco_results import DetectedSegment, read_table
+from .pixels import resize_nearest
+
+TABLE = "panoptic.json"
+"""The name of the masks' table, which may name pictures by id."""
+LEAST_SCORE = 0.1
+"""The least score of a detection that counts. A weak detection is evidence, too."""
+_FIX = "Name their classes under categories, or name the table of their numbers in a classes.toml beside them."
+
+
+@dataclass(frozen=True)
+class EvidenceReader:
+    """Reads one frame's detections ``found`` in the file ``path``, of a frame of the size ``own`` (width, height).
+    ``number_of`` is the number that each of their labels has in ``known``."""
+
+    path: Path
+    own: Size
+    found: tuple[DetectedSegment, ...]
+    number_of: Mapping[int, int]
+    known: ClassMap
+
+    def __call__(self, size: Size | None = None) -> Evidence:
+        """The evidence at ``size`` (width, height) or the frame's own. Raises PlgsError for damaged run lengths."""
+        width, height = size or self.own
+        segments: list[Segment] = []
+        inside = np.zeros((len(self.found), height, width), bool)
+        for one in self.found:
+            class_id = VOID if one.label is None else self.known.class_of.get(self.number_of[one.label], VOID)
+            pixels = resize_nearest(one.inside(self.path).view(np.uint8), (width, height)).astype(bool)
+            if class_id != VOID and pixels.any():
+                inside[len(segments)] = pixels
+                is_thing = self.known.classes[class_id].is_thing
+                segments.append(Segment(len(segments) + 1, class_id, is_thing, one.score, track=one.track))
+        return Evidence(tuple(segments), inside[: len(segments)])
+
+    def digest(self) -> str:
+        """The start of the SHA-256 of the detections and of what they are read as."""
+        read_as = {label: self.known.class_of.get(number) for label, number in self.number_of.items()}
+        return sha256(repr((self.found, sorted(read_as.items()))).encode()).hexdigest()[:16]
+
+
+@dataclass(frozen=True)
+class Detections:
+    """The detections of a scene's frames, which have these ``sizes`` (width, height). ``labels`` are their classes,
+    None if the file does not name them."""
+
+    path: Path
+    sizes: Mapping[str, Size]
+    found: Mapping[str, tuple[DetectedSegment, ...]]
+    labels: tuple[ClassLabel, ...] | None
+    warnings: tuple[str, ...] = ()
+
+    def joined(self, labels: Sequence[ClassLabel]) -> tuple[dict[int, int], tuple[ClassLabel, ...]]:
+        """The number that each label of the detections has among the masks' ``labels``, which have the same names; and
+        the classes that these lack, with free numbers. Raises PlgsError where nothing says what a number means."""
+        used = sorted({one.label for each in self.found.values() for one in each if one.label is not None})
+        if not used and any(self.found.values()):
+            raise PlgsError("no-class-names", "the detections have no classes", self.path, _FIX, option="--detections")
+        own = labels if self.labels is None else self.labels
+        name_of = {label.id: label for label in own}
+        unknown = [number for number in used if number not in name_of]
+        if unknown:
+            what = f"detections have class ids that nothing names ({listed(unknown)})"
+            raise PlgsError("unknown-classes", what, self.path, _FIX, option="--detections")
+        if self.labels is None:
+            return {number: number for number in used}, ()
+        number_of = {_word(label.name): label.id for label in reversed(labels)}
+        more: list[ClassLabel] = []
+        free = max((label.id for label in labels), default=0) + 1
+        for number in used:
+            word = _word(name_of[number].name)
+            if word not in number_of:
+                number_of[word] = free + len(more)
+                more.append(replace(name_of[number], id=number_of[word], colour=None))
+        return {number: number_of[_word(name_of[number].name)] for number in used}, tuple(more)
+
+
+def _word(name: str) -> str:
+    return " ".join(name.casefold().replace("-", " ").replace("_", " ").split())
+
+
+def open_detections(path: Path, masks: Path, sizes: Mapping[str, Size]) -> Detections:
+    """The detections in the file ``path``, over ``masks``, of the frames whose sizes these are. Raises PlgsError; run
+    lengths are decoded later."""
+    folder = masks if masks.is_dir() else masks.parent
+    if not path.exists():
+        raise PlgsError("no-detections", "there are no detections", path, "Name a JSON file.", option="--detections")
+    table, panoptic = read_table(path), folder / TABLE
+    images = images_of(read_json_object(panoptic), panoptic) if panoptic.is_file() else {}
+    found, told = table.of_frames(sizes, images)
+    for name, each in found.items():
+        for one in each:
+            if not same_shape(one.size, sizes[name]):
+                what = f"a detection in {shown_size(one.size)} does not fit frame {name} of {shown_size(sizes[name])}"
+                raise PlgsError("mask-shape", what, path, "Give detections of these pictures.", option="--detections")
+    labels, choice = table.labels, find_class_choice(None, path.parent) if path.parent != folder else None
+    if labels is None and choice is not None:
+        rows = (row for row in choice.rows if row.id is not None)
+        named_rows = (ClassLabel(row.id or 0, row.into or row.name or "", row.thing is not False) for row in rows)
+        labels = (*(choice.labels or ()), *(label for label in named_rows if label.name))
+    kept = {name: tuple(one for one in each if one.score >= LEAST_SCORE) for name, each in found.items()}
+    return Detections(path, sizes, kept, labels, told)
