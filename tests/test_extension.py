@@ -13,6 +13,8 @@ from pathlib import Path
 
 import pytest
 
+from engine import __version__
+
 INSIDE = """
 import sys
 import bpy
@@ -69,10 +71,12 @@ def test_the_zip_holds_what_runs_and_what_the_engine_is_set_up_from(root: Path, 
     assert tops == files | {*parts, "farm", "requirements"}
 
 
-def test_one_zip_serves_every_platform(package: Path) -> None:
+def test_one_zip_serves_every_platform(root: Path, package: Path) -> None:
     with zipfile.ZipFile(package) as zipped:
         manifest = tomllib.loads(zipped.read("blender_manifest.toml").decode())
         endings = {Path(name).suffix for name in zipped.namelist()}
+    project = tomllib.loads((root / "pyproject.toml").read_text(encoding="utf-8"))
+    assert manifest["version"] == project["project"]["version"] == __version__
     assert manifest["id"] == "plgs" and manifest["blender_version_min"] == "4.2.0"
     assert not {"wheels", "platforms", "blender_version_max"} & set(manifest)
     assert endings <= {".py", ".txt", ".toml", ".json", ".md", ".csv", ".js", ""}

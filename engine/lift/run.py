@@ -20,6 +20,7 @@ import numpy as np
 import torch
 from safetensors.torch import save_file
 
+from .. import __version__
 from ..diagnosis import Finding, diagnose_quickly
 from ..errors import Cancelled, PlgsError
 from ..job import Checkpoint, EventWriter, LiftFolder, StopSignal, write_manifest
@@ -387,7 +388,7 @@ def save_checkpoint(trainer: Trainer, folder: LiftFolder, facts: Mapping[str, Js
 
 
 def library_versions(code: str) -> dict[str, str]:
-    """The ``code`` and the versions of the libraries that computed the result."""
+    """The versions of PLGS, its ``code`` and the libraries that computed the result."""
     import platform
 
     import cv2
@@ -395,6 +396,7 @@ def library_versions(code: str) -> dict[str, str]:
     import scipy
 
     return {
+        "plgs": __version__,
         "code": code,
         "python": platform.python_version(),
         "numpy": np.__version__,
