@@ -69,7 +69,7 @@ def rasterize(
         raise ValueError(f"top_k is {top_k}; it must be 0 or more")
     drawn = _load(_pick(backend, means))(gaussians, pinhole, Wanted(top_k, want_surface, want_means2d_grad))
     if want_surface and drawn.surface is None:
-        geometry = GaussianSet(*(each.detach().cpu().float() for each in gaussians[:5]), labels=None)
+        geometry = GaussianSet._make([*(each.detach().cpu().float() for each in gaussians[:5]), None])
         drawn = replace(drawn, surface=_load("numba")(geometry, pinhole, Wanted(0, True, False)).surface)
     return drawn
 
