@@ -32,8 +32,6 @@ _STEP, _BESIDE_STEP = 1.1, 0.02
 may show the other."""
 _ROUNDS = 12
 """How often the qualities of views are mixed with those around them, so that neighbours choose the same."""
-_SMALL = 40
-"""Triangles below which a chart gives way to its neighbours."""
 DARK, BRIGHT, LARGEST_GAIN = 12, 243, 4.0
 """As `engine/train/photos.py` compares photos."""
 _OVEREXPOSED, _ENOUGH = 0.3, 100
@@ -167,25 +165,6 @@ def _chosen(triangles: Ints, quality: NDArray[np.float32]) -> Ints:
     for number in range(quality.shape[1]):
         own = share[:, number][triangles].sum(axis=1) * (quality[:, number][triangles] > 0).all(axis=1)
         view[own > score], score = number, np.maximum(own, score)
-    return _without_small(triangles, quality, view)
-
-
-def _without_small(triangles: Ints, quality: NDArray[np.float32], view: Ints) -> Ints:
-    """The views [T], those of small charts replaced by those of their neighbours' that show them."""
-    pairs = _adjacent(triangles)
-    for _ in range(6):
-        chart = pieces(pairs[view[pairs[:, 0]] == view[pairs[:, 1]]], len(view))
-        size = np.bincount(chart)[chart]
-        both = np.concatenate([pairs, pairs[:, ::-1]])
-        own, other = both[(size[both[:, 0]] < _SMALL) & (size[both[:, 1]] > size[both[:, 0]])].T
-        wanted = view[other]
-        shows = (wanted >= 0) & (quality[triangles[own], wanted[:, None]] > 0).all(axis=1) & (wanted != view[own])
-        own, other = own[shows], other[shows]
-        if not len(own):
-            break
-        order = np.lexsort((view[other], size[other]))
-        view = view.copy()
-        view[own[order]] = view[other[order]]  # the largest one is the last
     return view
 
 
