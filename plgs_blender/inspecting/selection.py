@@ -178,6 +178,8 @@ def select_instance(
             break
     _select_box(root, row.instance_id, layer)
     for ob in others:
+        if instance_of(ob):
+            ob.hide_set(False, view_layer=layer)
         ob.select_set(True, view_layer=layer)
 
 

@@ -54,20 +54,21 @@ def place_of(point):
     at = location_3d_to_region_2d(region, area.spaces.active.region_3d, point)
     return round(region.x + at.x), round(region.y + at.y)
 
-def floor():
-    # A pixel of the window where the floor is seen, and no name.
+def seen(number):
+    # A pixel of the window where an object is seen near its middle, or the floor (0), and no name.
     names = ('picking', 'rays')
     picking, rays = (sys.modules[EXTENSION + '.plgs_blender.inspecting.' + each] for each in names)
     window = bpy.context.window_manager.windows[0]
     area = max((each for each in window.screen.areas if each.type == 'VIEW_3D'), key=lambda each: each.width)
     region = next(each for each in area.regions if each.type == 'WINDOW')
+    x, y = place(number) if number else (region.x + region.width // 3, region.y + region.height // 3)
     with bpy.context.temp_override(window=window, area=area, region=region):
-        for point in bpy.data.objects['floor'].data.points[::50]:
-            x, y = place_of(point.co)
-            at = x - region.x + 0.5, y - region.y + 0.5
-            found = picking.what_is_under(bpy.context, at)
-            if 100 < at[0] < region.width - 350 and 100 < at[1] and found is not None and not found.instance:
-                return x, y
+        for step in range(0, 200, 4):
+            for aside, up in ((step, 0), (-step, 0), (0, step), (0, -step)):
+                at = x + aside - region.x + 0.5, y + up - region.y + 0.5
+                found = picking.what_is_under(bpy.context, at)
+                if found is not None and found.instance == number:
+                    return x + aside, y + up
 
 def sidebar():
     areas = bpy.context.window_manager.windows[0].screen.areas
@@ -105,4 +106,10 @@ def shown_lift(window: Window, folder: Path, panel: str, tab: str, *, bake: bool
 def over(window: Window, number: int) -> tuple[int, int]:
     """Where an object's middle is on the screen."""
     x, y = window.ask(f"place({number})")
+    return x, SIZE[1] - y
+
+
+def upon(window: Window, number: int) -> tuple[int, int]:
+    """Where an object, or the floor (0), is seen on the screen: points leave gaps."""
+    x, y = window.ask(f"seen({number})")
     return x, SIZE[1] - y

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 from blender import SIZE, Window
-from shown_lift import CABINET, CHAIR, over, shown_lift
+from shown_lift import CABINET, CHAIR, over, shown_lift, upon
 
 ACTIVE = "bpy.context.view_layer.objects.active"
 CHOSEN = f"[lift().plgs.instances[lift().plgs.instance_index].instance_id, inspecting.instance_of({ACTIVE})]"
@@ -34,11 +34,11 @@ def kinds(lift: Path) -> list[str]:
 
 def test_a_click_selects_what_is_seen(window: Window, mine: Path) -> None:
     for number in (CHAIR, CABINET, CHAIR):
-        window.click(*over(window, number))
+        window.click(*upon(window, number))
         window.settle()
         assert window.ask(CHOSEN) == [number, number] and window.ask(SELECTED) == [number]
     window.screenshot("pointing-selected")
-    x, y = over(window, CABINET)
+    x, y = upon(window, CABINET)
     window.move(x, y)
     window._input("keydown", "shift")
     window.click(x, y)
@@ -65,11 +65,10 @@ def test_a_click_selects_what_is_seen(window: Window, mine: Path) -> None:
 def test_a_click_on_the_floor_selects_nothing_anywhere(window: Window, mine: Path) -> None:
     chosen = "[lift().plgs.instance_index, bpy.ops.plgs.delete_selected.poll()]"
     for _ in range(2):
-        window.click(*over(window, CHAIR))
+        window.click(*upon(window, CHAIR))
         window.settle()
         assert window.ask(SELECTED) == [CHAIR] and window.ask("lift().plgs.instance_index") == 0
-        x, y = window.ask("floor()")
-        window.click(x, SIZE[1] - y)
+        window.click(*upon(window, 0))
         window.settle()
         window.screenshot("pointing-floor")
         assert window.ask(SELECTED) == [] and window.ask(f"{ACTIVE} is None")

@@ -62,6 +62,15 @@ def test_a_row_selects_its_box_and_nothing_else(root: bpy.types.Collection) -> N
     assert selected() == [boxes_of(root)[1].name] and root.plgs.instance_index == 0
 
 
+def test_several_are_selected_one_after_the_other(root: bpy.types.Collection) -> None:
+    layer, boxes = bpy.context.view_layer, boxes_of(root)
+    for number, extend in ((1, False), (2, True)):
+        selection.select_instance(root, number, layer, extend=extend)
+    assert selection.selected_instances(root, layer) == [2, 1] and not any(box.hide_get() for box in boxes.values())
+    selection.select_instance(root, 2, layer, extend=True)
+    assert selection.selected_instances(root, layer) == [1]
+
+
 def test_what_is_hidden_or_gone_is_only_a_row(root: bpy.types.Collection) -> None:
     boxes = boxes_of(root)
     pick(bpy.data.objects["Overview"])
