@@ -62,7 +62,7 @@ class Part:
         return part, rows[:, 1:].astype(np.float32)
 
 
-_FLOAT, _WHOLE, _VERTICES, _INDICES = 5126, 5125, 34962, 34963
+FLOAT, _WHOLE, VERTICES, _INDICES = 5126, 5125, 34962, 34963
 """glTF's codes for float32, uint32, and what buffers hold."""
 _MAGIC, _JSON, _BIN = b"glTF", b"JSON", b"BIN\0"
 
@@ -92,11 +92,11 @@ def glb_bytes(parts: Sequence[Part]) -> bytes:
             images.append({"bufferView": len(views), "mimeType": "image/jpeg"})
             views.append({"buffer": 0, "byteOffset": len(body), "byteLength": len(encoded)})
             body += encoded + b"\0" * (-len(encoded) % 4)
-        xyz = _upright(part.xyz)
+        xyz = upright(part.xyz)
         arrays: list[tuple[NDArray[Any], int, str, int]] = [
-            (xyz, _FLOAT, "VEC3", _VERTICES),
-            (_upright(part.normal), _FLOAT, "VEC3", _VERTICES),
-            (np.ascontiguousarray(values, "<f4"), _FLOAT, form, _VERTICES),
+            (xyz, FLOAT, "VEC3", VERTICES),
+            (upright(part.normal), FLOAT, "VEC3", VERTICES),
+            (np.ascontiguousarray(values, "<f4"), FLOAT, form, VERTICES),
             (np.ascontiguousarray(part.triangles.reshape(-1), "<u4"), _WHOLE, "SCALAR", _INDICES),
         ]
         first = len(accessors)
@@ -123,12 +123,17 @@ def glb_bytes(parts: Sequence[Part]) -> bytes:
     }
     if images:
         content |= {"images": images, "textures": [{"source": each} for each in range(len(images))]}
+    return glb_file(content, bytes(body))
+
+
+def glb_file(content: Mapping[str, Any], body: bytes) -> bytes:
+    """A GLB file of glTF's JSON and its one buffer."""
     head = json.dumps(content, ensure_ascii=False).encode()
-    chunks = _chunk(_JSON, head, b" ") + _chunk(_BIN, bytes(body), b"\0")
+    chunks = _chunk(_JSON, head, b" ") + _chunk(_BIN, body, b"\0")
     return struct.pack("<4sII", _MAGIC, 2, 12 + len(chunks)) + chunks
 
 
-def _upright(values: NDArray[np.float32]) -> NDArray[np.float32]:
+def upright(values: NDArray[np.float32]) -> NDArray[np.float32]:
     """From z up to glTF's y up."""
     return np.ascontiguousarray(values[:, (0, 2, 1)] * np.array([1, 1, -1], np.float32), "<f4")
 

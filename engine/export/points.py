@@ -22,6 +22,7 @@ from ..result_files import Instance, SemanticPoints, write_arrays
 from ..scene import ClassTable
 from .frame_images import LEAST_COVERAGE, labels_text
 from .source import FinishedLift
+from .splat_files import splats_glb, spz_bytes
 
 FIELDS = ("id", "name", "class_id", "class_name", "centre", "size", "yaw", "rotation", "score", "points", "views")
 """Fields of an `Instance` that are exported: metres in the world, z up; ``yaw`` in radians about +z, ``rotation`` the
@@ -139,9 +140,14 @@ def export_points(lift: FinishedLift, output: Path) -> None:
 
 def export_splats(lift: FinishedLift, output: Path) -> None:
     """splats.ply: the wanted Gaussians as the authors of 3D Gaussian Splatting write them (colour as spherical
-    harmonics of degree 0, logit of opacity, logarithm of scale, rotation wxyz), and class_id and instance_id.
-    labels.json names these ids. Raises PlgsError, OSError."""
-    write_ply_table(output / "splats.ply", {name: lift.splats[name] for name in lift.splats.dtype.names or ()})
+    harmonics of degree 0, logit of opacity, logarithm of scale, rotation wxyz), and class_id and instance_id, all as
+    floats. splats.spz, in the same order without ids, and splats.glb: see `splat_files`. labels.json names the ids.
+    Raises PlgsError, OSError."""
+    rows = lift.splats
+    write_ply_table(output / "splats.ply", {name: rows[name].astype(np.float32) for name in rows.dtype.names or ()})
+    write_atomically(output / "splats.spz", spz_bytes(rows))
+    if len(rows):  # glTF has no empty arrays
+        write_atomically(output / "splats.glb", splats_glb(rows))
     write_atomically(output / "labels.json", labels_text(lift.classes, lift.instances))
 
 

@@ -18,6 +18,7 @@ from ..result_files import Instance
 from ..scene import Camera
 from .mesh import MOST_INSTANCES, Part, parts_of
 from .source import FinishedLift
+from .splat_files import columns, opacities, unit_turns
 from .texture import jpeg_bytes
 
 FOCAL_LENGTH = 24.0
@@ -128,15 +129,14 @@ def _add_splats(stage: Usd.Stage, lift: FinishedLift) -> None:
 def _add_field(stage: Usd.Stage, path: str, splats: NDArray[np.void]) -> Usd.Prim:
     """Gaussians by the columns of a splat file. Their colours are sRGB, as training and all viewers have them."""
     field = UsdVol.ParticleField3DGaussianSplat.Define(stage, path)
-    xyz, scales = _columns(splats, "x y z"), np.exp(_columns(splats, "scale_0 scale_1 scale_2"))
-    turns = _columns(splats, "rot_0 rot_1 rot_2 rot_3")
-    turns /= np.maximum(np.linalg.norm(turns, axis=1, keepdims=True), np.float32(1e-12))
+    Usd.ColorSpaceAPI.Apply(field.GetPrim()).CreateColorSpaceNameAttr("srgb_rec709_display")
+    xyz, scales = columns(splats, "x y z"), np.exp(columns(splats, "scale_0 scale_1 scale_2"))
     field.CreatePositionsAttr(_vectors(xyz))
-    field.CreateOrientationsAttr(Vt.QuatfArray.FromNumpy(np.ascontiguousarray(turns[:, (1, 2, 3, 0)])))
+    field.CreateOrientationsAttr(Vt.QuatfArray.FromNumpy(np.ascontiguousarray(unit_turns(splats)[:, (1, 2, 3, 0)])))
     field.CreateScalesAttr(_vectors(scales))
-    field.CreateOpacitiesAttr(Vt.FloatArray.FromNumpy(1 / (1 + np.exp(-splats["opacity"]))))
+    field.CreateOpacitiesAttr(Vt.FloatArray.FromNumpy(opacities(splats)))
     field.CreateRadianceSphericalHarmonicsDegreeAttr(0)
-    field.CreateRadianceSphericalHarmonicsCoefficientsAttr(_vectors(_columns(splats, "f_dc_0 f_dc_1 f_dc_2")))
+    field.CreateRadianceSphericalHarmonicsCoefficientsAttr(_vectors(columns(splats, "f_dc_0 f_dc_1 f_dc_2")))
     reach = 3 * scales.max(axis=1, keepdims=True)
     field.CreateExtentAttr(_vectors([(xyz - reach).min(axis=0), (xyz + reach).max(axis=0)]))
     return field.GetPrim()
@@ -165,10 +165,6 @@ def _add_camera(stage: Usd.Stage, path: str, name: str, camera: Camera) -> None:
     shown.CreateVerticalApertureOffsetAttr(FOCAL_LENGTH * (camera.cy - camera.height / 2) / camera.fy)
     shown.CreateClippingRangeAttr(Gf.Vec2f(0.01, 1000.0))
     shown.AddTransformOp().Set(Gf.Matrix4d((camera.camera_to_world @ _TO_USD).T.tolist()))  # it has rows for columns
-
-
-def _columns(splats: NDArray[np.void], names: str) -> NDArray[np.float32]:
-    return np.stack([splats[name] for name in names.split()], axis=1)
 
 
 def _vectors(rows: Iterable[object] | NDArray[np.floating]) -> Vt.Vec3fArray:

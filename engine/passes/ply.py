@@ -65,7 +65,8 @@ def write_ply_table(
 
 def write_splats(path: Path, splats: BakedGaussians) -> None:
     """Write spherical harmonics of degree 0, opacity as logit, scale as logarithm; class and instance of every
-    Gaussian, and its blended colour as red, green and blue. Raises OSError."""
+    Gaussian, and its blended colour as red, green and blue. All are floats, as other readers refuse files with other
+    columns. Raises OSError."""
     opacity = np.clip(splats.opacities.astype(np.float64), 1e-6, 1 - 1e-6)
     floats = {
         **columns_of("x y z", splats.means),
@@ -75,7 +76,7 @@ def write_splats(path: Path, splats: BakedGaussians) -> None:
         **columns_of("scale_0 scale_1 scale_2", np.log(np.maximum(splats.scales, 1e-9))),
         **columns_of("rot_0 rot_1 rot_2 rot_3", splats.quats),
     }
-    blended = np.rint(255 * np.clip(splats.blended_colours(), 0, 1)).astype(np.uint8)
+    blended = columns_of("red green blue", np.rint(255 * np.clip(splats.blended_colours(), 0, 1)))
     labels = {"class_id": splats.class_id, "instance_id": splats.instance_id}
-    columns: dict[str, NDArray[Any]] = {name: column.astype(np.float32) for name, column in floats.items()}
-    write_ply_table(path, columns | labels | columns_of("red green blue", blended))
+    columns = {name: column.astype(np.float32) for name, column in (floats | labels | blended).items()}
+    write_ply_table(path, columns)

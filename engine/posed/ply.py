@@ -23,6 +23,8 @@ _LONGEST_HEADER = 8192
 _MESH_FIX, _SPLATS_FIX = "Delete it, then make the meshes again.", "Lift the scene again."
 _FARTHEST = 1e6
 """Metres, as for points."""
+_WHOLE = {"class_id": "<i4", "instance_id": "<i4", "red": "u1", "green": "u1", "blue": "u1"}
+"""Columns of splat files that hold whole numbers, whatever their type."""
 _NEEDED = {"x", "y", "z", "f_dc_0", "f_dc_1", "f_dc_2", "opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1",
            "rot_2", "rot_3"}  # fmt: skip
 
@@ -99,7 +101,7 @@ def read_surface(path: Path) -> LabelledSurface:
 
 def read_gaussians(path: Path) -> NDArray[np.void]:
     """The rows of a splat file, a structured array [N] by its columns' names. Raises PlgsError for other files. Rows
-    with numbers that are not finite, or that lie absurdly far away, are left out."""
+    with numbers that are not finite, or that lie absurdly far away, are left out. Ids are int32, colours uint8."""
     content, end, columns, (count, _) = _read(path, _MOST_OF_SPLATS, _SPLATS_FIX)
     if not _NEEDED <= {*columns}:
         raise PlgsError("no-splats", "the file holds no splats", path, _SPLATS_FIX)
@@ -107,9 +109,12 @@ def read_gaussians(path: Path) -> NDArray[np.void]:
     if len(content) != end + count * row.itemsize:
         raise PlgsError("file-damaged", "the file is damaged", path, _SPLATS_FIX)
     rows = np.frombuffer(content, row, count, end)
-    is_sound = np.all([np.isfinite(rows[name]) for name in sorted(_NEEDED)], axis=0)
+    whole = {name: kind for name, kind in _WHOLE.items() if name in columns}
+    is_sound = np.all([np.isfinite(rows[name]) for name in sorted({*_NEEDED, *whole})], axis=0)
     is_sound &= np.all([np.abs(rows[name]) <= _FARTHEST for name in "xyz"], axis=0)
-    return rows if is_sound.all() else rows[is_sound]
+    limits = {name: np.iinfo(np.dtype(kind)) for name, kind in whole.items()}
+    is_sound &= np.all([(rows[name] >= of.min) & (rows[name] < of.max + 1) for name, of in limits.items()], axis=0)
+    return (rows if is_sound.all() else rows[is_sound]).astype([*(columns | whole).items()])
 
 
 def _read(path: Path, most_bytes: int, fix: str) -> tuple[bytes, int, dict[str, str], tuple[int, int]]:

@@ -22,7 +22,7 @@ FORMS = {
     "instances": ("Label Images", "16-bit PNGs of classes and instances, and coloured PNGs"),
     "scannet": ("ScanNet Labels", "label-filt, instance-filt and their table"),
     "points": ("Labelled Points", "PLY of the semantic points, and of the Gaussians"),
-    "splats": ("Splats", "PLY of the Gaussians alone, with the names of their ids"),
+    "splats": ("Splats", "PLY, SPZ and GLB of the Gaussians alone, with the names of their ids"),
     "boxes": ("Boxes", "The objects' oriented boxes as JSON and CSV, and for labelCloud and CVAT"),
     "mesh": ("Meshes", "The surface as PLY, and a GLB for each instance and each stuff class"),
     "surface": ("Surface to View", "The surface as one PLY, coarser where there are no objects: what Blender shows"),

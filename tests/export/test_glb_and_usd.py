@@ -128,6 +128,7 @@ def test_gaussians_and_cameras_in_usd(lift: LiftFolder, tmp_path: Path) -> None:
     for prim in stage.GetPrimAtPath("/Lift/Splats").GetChildren():
         field = UsdVol.ParticleField3DGaussianSplat(prim)
         assert field and field.GetRadianceSphericalHarmonicsDegreeAttr().Get() == 0
+        assert usd.ColorSpaceAPI(prim).GetColorSpaceNameAttr().Get() == "srgb_rec709_display"
         of = {each: UsdSemantics.LabelsAPI(prim, each).GetLabelsAttr().Get() for each in ("class", "instance")}
         names = lifted.instances.names
         own = np.array([names.get(each, "") for each in rows["instance_id"].tolist()]) == (of["instance"] or [""])[0]
