@@ -124,6 +124,7 @@ SCENE_FORMAT_NAMES = (
     FormatName("scanner-app", "3D Scanner App", "frame_00000.jpg and frame_00000.json with cameraPoseARFrame"),
     FormatName("scannetpp", "ScanNet++ iPhone", "iphone/pose_intrinsic_imu.json"),
     FormatName("hypersim", "Hypersim", "_detail/metadata_scene.csv and images/scene_cam_00_geometry_hdf5"),
+    FormatName("arkitscenes", "ARKitScenes", "lowres_wide.traj with pictures in wide, vga_wide or lowres_wide"),
 )
 
 MASK_FORMAT_NAMES = (

@@ -12,7 +12,19 @@ from pathlib import Path
 
 from ...errors import ErrorCode, PlgsError
 from ...posed.layout import listed, shown, shown_files
-from . import colmap, hypersim, nerfstudio, phone_apps, record3d, replica, scannet, scannetpp, seven_scenes, tum
+from . import (
+    arkitscenes,
+    colmap,
+    hypersim,
+    nerfstudio,
+    phone_apps,
+    record3d,
+    replica,
+    scannet,
+    scannetpp,
+    seven_scenes,
+    tum,
+)
 from .capture import Capture, SceneFormat, Shot
 from .photos import LET_COLMAP, finished_models, is_film, photos_in
 
@@ -30,6 +42,7 @@ FORMATS: tuple[SceneFormat, ...] = (
     phone_apps.SCANNER_APP,
     scannetpp.FORMAT,
     hypersim.FORMAT,
+    arkitscenes.FORMAT,
 )
 
 _EXPORT_SCAN = (

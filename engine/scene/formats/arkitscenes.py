@@ -1,0 +1,129 @@
+"""ARKitScenes (Apple): a video's folder of ``raw``, or of ``3dod`` with the same in ``VIDEO_frames``.
+
+* ``wide/``, ``vga_wide/`` or ``lowres_wide/``: pictures ``VIDEO_SECONDS.png``; the largest are read. Their lenses are
+  in ``<kind>_intrinsics/VIDEO_SECONDS.pincam``: ``width height fx fy cx cy``.
+* ``lowres_wide.traj``: a pose on each line, seconds, the rotation (its axis times radians) and the translation in
+  metres, of world-to-camera, OpenCV axes; the world has z up. Poses come ten times a second, so pictures between two
+  get one in between.
+* ``lowres_depth/``: 16-bit PNG in millimetres, 256x192; ``confidence/`` 0 to 2: pixels with 0 are dropped.
+
+See DATA.md of github.com/apple/ARKitScenes, and its ``TrajStringToMatrix``. It does not say where pixels count from;
+their corners are assumed.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_left
+from collections.abc import Mapping, Sequence
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...errors import PlgsError
+from ...posed.layout import files_by_stem, shown_files
+from ..depth import png_depth, trusted
+from ..files_of_frames import files_if_any
+from .capture import Capture, SceneFormat, Shot, with_picture
+from .lens import fitted, pinhole
+from .poses import inverse, numbers, read_rows
+
+_FIX = "Download the video's wide or lowres_wide, its intrinsics, lowres_depth and lowres_wide.traj again."
+_KINDS, _TRAJECTORY = ("wide", "vga_wide", "lowres_wide"), "lowres_wide.traj"
+_SAME = 0.02
+"""Seconds by which files of one frame may differ."""
+_GAP = 0.25
+"""Seconds between two poses, at most, for a pose in between."""
+
+
+def _folder(place: Path) -> Path | None:
+    """The folder with the trajectory: the place itself, or the one of frames in it."""
+    inside = [each for each in shown_files(place, "*_frames")] if place.is_dir() else []
+    return next((each for each in (place, *inside) if (each / _TRAJECTORY).is_file()), None)
+
+
+def _read(place: Path) -> Capture:
+    """Open the frames; only headers of pictures are read. Raises PlgsError."""
+    folder = _folder(place)
+    kind = next((kind for kind in _KINDS if folder is not None and any(shown_files(folder / kind, "*.png"))), None)
+    if folder is None or kind is None:
+        what = f"{_TRAJECTORY} with pictures in {' or '.join(_KINDS)} is not here"
+        raise PlgsError("no-arkitscenes", what, place, _FIX)
+    pictures = files_by_stem(folder / kind, {".png"}, _FIX)
+    lenses = _by_time(files_by_stem(folder / f"{kind}_intrinsics", {".pincam"}, _FIX))
+    depths, levels = (_by_time(files_if_any(folder / name, {".png"}, _FIX)) for name in ("lowres_depth", "confidence"))
+    poses = _read_trajectory(folder / _TRAJECTORY)
+    found: list[tuple[str, Shot | PlgsError | None]] = []
+    for seconds, picture in sorted(_by_time(pictures).items()):
+        pose, lens = _pose_at(poses, seconds), _nearest(lenses, seconds)
+        if pose is None or lens is None:
+            found.append((picture.stem, None))
+            continue
+        make = partial(_shot, picture, lens, _nearest(depths, seconds), _nearest(levels, seconds), pose)
+        found.append((picture.stem, with_picture(picture, make)))
+    return Capture(found, "z", up_is_known=True)
+
+
+def _by_time(files: Mapping[str, Path]) -> dict[float, Path]:
+    """Files by the seconds at the end of their names. Raises PlgsError."""
+    found = {}
+    for stem, path in files.items():
+        try:
+            found[float(stem.rpartition("_")[2])] = path
+        except ValueError as error:
+            raise PlgsError("no-time-stamp", "the name does not end in seconds, as VIDEO_98.764", path, _FIX) from error
+    return dict(sorted(found.items()))
+
+
+def _nearest(files: Mapping[float, Path], seconds: float) -> Path | None:
+    """The file of this time."""
+    times = [*files]
+    after = bisect_left(times, seconds)
+    near = [time for time in times[max(after - 1, 0) : after + 1] if abs(time - seconds) <= _SAME]
+    return files[min(near, key=lambda time: abs(time - seconds))] if near else None
+
+
+def _read_trajectory(path: Path) -> dict[float, NDArray[np.float64]]:
+    """Camera-to-world poses, float64 [4, 4], by ascending seconds. Raises PlgsError."""
+    import cv2
+
+    found = {}
+    for row in read_rows(path, _FIX):
+        values = numbers(row, path, _FIX, 7)
+        if np.isfinite(values).all():
+            pose = np.eye(4)
+            pose[:3, :3], pose[:3, 3] = cv2.Rodrigues(values[1:4])[0], values[4:]
+            found[float(values[0])] = inverse(pose)
+    if not found:
+        raise PlgsError("no-poses-left", "the file holds no pose", path, _FIX)
+    return dict(sorted(found.items()))
+
+
+def _pose_at(poses: Mapping[float, NDArray[np.float64]], seconds: float) -> NDArray[np.float64] | None:
+    """The pose at this time, between the two around it; None where poses are too far away."""
+    from scipy.spatial.transform import Rotation, Slerp
+
+    times: Sequence[float] = [*poses]
+    after = bisect_left(times, seconds)
+    if 0 < after < len(times) and times[after] - times[after - 1] <= _GAP:
+        one, other = times[after - 1], times[after]
+        share = (seconds - one) / (other - one)
+        between = (1 - share) * poses[one] + share * poses[other]
+        ends = Rotation.from_matrix([poses[one][:3, :3], poses[other][:3, :3]])
+        between[:3, :3] = Slerp([0.0, 1.0], ends)(share).as_matrix()
+        return between
+    near = [time for time in times[max(after - 1, 0) : after + 1] if abs(time - seconds) <= _SAME]
+    return poses[min(near, key=lambda time: abs(time - seconds))] if near else None
+
+
+def _shot(picture: Path, lens: Path, depth: Path | None, level: Path | None, pose: NDArray[np.float64]) -> Shot:
+    row = next(read_rows(lens, _FIX), None)
+    if row is None:
+        raise PlgsError("no-camera", "the file holds no camera", lens, _FIX)
+    camera = fitted(pinhole(*numbers(row, lens, _FIX, 6).tolist(), path=lens, fix=_FIX), picture, _FIX)
+    depth_map = None if depth is None else trusted(png_depth(depth, camera), level)
+    return Shot(picture.stem, camera.at(pose), picture, depth_map)
+
+
+FORMAT = SceneFormat("arkitscenes", lambda place: _folder(place) is not None, _read)
