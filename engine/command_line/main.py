@@ -123,9 +123,9 @@ def _add_export(parser: argparse.ArgumentParser) -> None:
         "coco: COCO panoptic (panoptic.json, panoptic/). instances: 16-bit PNGs of classes and instances, and in "
         "colours. scannet: label-filt/ and instance-filt/. points: the labelled points and Gaussians (PLY). splats: "
         "Gaussians alone (PLY, SPZ, GLB). boxes: the objects' boxes (JSON, CSV, for labelCloud and CVAT). mesh: the "
-        "surface, cut into one mesh per instance and per stuff class (PLY, GLB). gltf: these in one file (GLB). usd: Gaussians, "
-        "meshes, boxes and cameras (OpenUSD). depth: a map in metres per frame (NPY), as lift --depth takes it. "
-        "clouds: the pixels of a frame, or of any camera, as labelled points (NPZ). Frames that are not baked are "
+        "surface, cut into one mesh per instance and per stuff class (PLY, GLB). gltf: these in one file (GLB). usd: "
+        "Gaussians, meshes, boxes and cameras (OpenUSD). depth: a map in metres per frame (NPY), as lift --depth takes "
+        "it. clouds: the pixels of a frame, or of any camera, as labelled points (NPZ). Frames that are not baked are "
         "rendered."
     )
     parser.add_argument("lift", type=Path, metavar="LIFT", help="the folder of a finished lift")
