@@ -7,6 +7,7 @@ reconstruction has no unit of length. Where measured depth lies beside the photo
 
 from __future__ import annotations
 
+import json
 import shutil
 import tempfile
 import threading
@@ -21,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .errors import PlgsError, lacks_part
+from .gates import open_plain
 from .job import EventWriter, StopSignal
 from .json_file import Json, read_object, to_line
 from .posed.layout import listed
@@ -36,19 +38,21 @@ _QUALITY = 95
 
 
 def write_pictures(film: Path, folder: Path, most: int, progress: Callable[[int, int], object]) -> None:
-    """Write at most ``most`` pictures of a film as ``folder/NNNNNN.jpg``, named by their number in the film.
+    """Write at most ``most`` pictures of a film as ``folder/NNNNNN.jpg``, named by their number in the film. Of
+    Record3D's film also the depth, as ``folder/depth/NNNNNN.npy``.
 
     ``progress`` is called with the numbers of pictures done and of all. Raises PlgsError, OSError.
     """
     import cv2
 
-    video = Video(film)
+    video, encoded = Video(film), encoded_depth(film)
     count = video.count()
     edges = np.linspace(0, count, min(most, count) + 1).astype(int)
     folder.mkdir(parents=True)
     for done, (first, after) in enumerate(zip(edges[:-1], edges[1:], strict=True), start=1):
         numbers = np.unique(np.linspace(first, after - 1, CANDIDATES).round().astype(int))
-        pictures = {int(number): video.frame(int(number)) for number in numbers}
+        whole = {int(number): video.frame(int(number)) for number in numbers}
+        pictures = whole if encoded is None else {at: both[:, both.shape[1] // 2 :] for at, both in whole.items()}
         sharpest = max(pictures, key=lambda number: photo_detail(pictures[number]))
         options = [cv2.IMWRITE_JPEG_QUALITY, _QUALITY]
         good, data = cv2.imencode(".jpg", np.ascontiguousarray(pictures[sharpest][..., ::-1]), options)
@@ -56,7 +60,41 @@ def write_pictures(film: Path, folder: Path, most: int, progress: Callable[[int,
             what = f"picture {sharpest} of the film cannot be written"
             raise PlgsError("unwritable", what, film, "Extract its pictures yourself.")
         (folder / f"{sharpest:06d}.jpg").write_bytes(data.tobytes())
+        if encoded is not None:
+            (folder / "depth").mkdir(exist_ok=True)
+            left = whole[sharpest][:, : whole[sharpest].shape[1] // 2]
+            np.save(folder / "depth" / f"{sharpest:06d}.npy", decoded_depth(left, *encoded))
         progress(done, len(edges) - 1)
+
+
+_RECORD3D, _SEARCHED = b'{"intrinsic', 1 << 20
+"""How the text in Record3D's films begins, and the bytes at the end of a film in which it is looked for."""
+_COLOURED, _BRIGHT = 96, 96
+"""Least saturation and value, 0..255, of a pixel that shows depth: Record3D leaves others black, and codecs blur."""
+
+
+def encoded_depth(film: Path) -> tuple[float, float] | None:
+    """The metres that the hues 0 and 1 mean in Record3D's "RGBD video" (depth left, picture right), by the text in it:
+    ``{"intrinsicMatrix": …, "rangeOfEncodedDepth": [0, 3]}``. None for other films. Raises OSError."""
+    with open_plain(film) as file:
+        file.seek(max(0, film.stat().st_size - _SEARCHED))
+        content = file.read(_SEARCHED)
+    start = content.rfind(_RECORD3D)
+    text = content[start : content.find(b"}", start) + 1] if start >= 0 else b""
+    try:
+        low, high = json.loads(text)["rangeOfEncodedDepth"]
+        return (float(low), float(high)) if 0.0 <= low < high < 100.0 else None
+    except (ValueError, KeyError, TypeError):
+        return None
+
+
+def decoded_depth(shown: NDArray[np.uint8], low: float, high: float) -> NDArray[np.float32]:
+    """Planar depth, float32 [H, W] metres, 0 = none, of a picture [H, W, 3] whose hue says it."""
+    import cv2
+
+    hue, saturation, value = np.moveaxis(cv2.cvtColor(np.ascontiguousarray(shown), cv2.COLOR_RGB2HSV_FULL), -1, 0)
+    depth = low + (high - low) * hue.astype(np.float32) / 256
+    return np.where((saturation >= _COLOURED) & (value >= _BRIGHT) & (depth > 0), depth, np.float32(0))
 
 
 STAGE = "poses"
