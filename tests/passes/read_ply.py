@@ -10,9 +10,8 @@ from numpy.typing import NDArray
 from engine.model.baking import BakedGaussians
 from engine.passes.ply import SH_DEGREE_0
 
-_FLOATS = "x y z nx ny nz f_dc_0 f_dc_1 f_dc_2 opacity scale_0 scale_1 scale_2 rot_0 rot_1 rot_2 rot_3".split()
-_COLUMNS = {"<f4": _FLOATS, "<i4": ["class_id", "instance_id"], "u1": ["red", "green", "blue"]}
-_VERTEX = np.dtype([(name, kind) for kind, names in _COLUMNS.items() for name in names])
+_OF_OTHERS = "x y z nx ny nz f_dc_0 f_dc_1 f_dc_2 opacity scale_0 scale_1 scale_2 rot_0 rot_1 rot_2 rot_3"
+_VERTEX = np.dtype([(name, "<f4") for name in f"{_OF_OTHERS} class_id instance_id red green blue".split()])
 
 
 def read_ply(path: Path) -> BakedGaussians:
@@ -28,8 +27,8 @@ def read_ply(path: Path) -> BakedGaussians:
         quats=_get(vertices, ("rot_0", "rot_1", "rot_2", "rot_3")),
         opacities=1 / (1 + np.exp(-vertices["opacity"])),
         colours=0.5 + np.float32(SH_DEGREE_0) * _get(vertices, ("f_dc_0", "f_dc_1", "f_dc_2")),
-        class_id=vertices["class_id"].copy(),
-        instance_id=vertices["instance_id"].copy(),
+        class_id=vertices["class_id"].astype(np.int32),
+        instance_id=vertices["instance_id"].astype(np.int32),
     )
 
 

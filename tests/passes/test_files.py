@@ -45,14 +45,14 @@ def test_ply_round_trip(tmp_path: Path) -> None:
 def test_ply_is_what_splat_viewers_expect(tmp_path: Path) -> None:
     write_splats(tmp_path / "a.ply", _splats())
     head = (tmp_path / "a.ply").read_bytes().split(b"end_header\n")[0].decode().splitlines()
+    assert [line for line in head if line.startswith("property") and " float " not in line] == []
     names = [line.split()[-1] for line in head if line.startswith("property float")]
     assert names[:6] == ["x", "y", "z", "nx", "ny", "nz"]
-    assert names[6:] == [*(f"f_dc_{k}" for k in range(3)), "opacity"] + [
+    assert names[6:-5] == [*(f"f_dc_{k}" for k in range(3)), "opacity"] + [
         *(f"scale_{k}" for k in range(3)),
         *(f"rot_{k}" for k in range(4)),
     ]
-    blended = [f"property uchar {name}" for name in ("red", "green", "blue")]
-    assert head[-5:] == ["property int class_id", "property int instance_id", *blended]
+    assert names[-5:] == ["class_id", "instance_id", "red", "green", "blue"]
 
 
 def test_the_previews_are_written(tmp_path: Path) -> None:
