@@ -20,7 +20,9 @@ from .up import world_normals
 _SAME_SURFACE = 0.5
 """Least agreement in depth, 0..1, of two views of one surface: about 2.7 % of the depth."""
 _FEWEST_POINTS, _FEWEST_OF_PAIR = 100, 30
-_UNRELATED = 0.5
+_UNRELATED, _ABOVE_CHANCE = 0.5, 0.1
+"""The share with the same class below which masks contradict each other, as weak networks' do; and how near to chance
+they are of no use."""
 _FOREIGN, _PROBABLY_FOREIGN = 0.25, 0.35
 """Shares of the median agreement beyond chance. A foreign mask also reaches some: floors are low in all pictures."""
 _LESS = 0.25
@@ -176,7 +178,7 @@ def _unrelated_masks(examined: Examined, labels: LabelAgreement) -> Finding:
         option="check that each mask belongs to its frame, and that all use the same class table",
         figures={"share": labels.share},
         picture=_masks_shown(examined, [0, 1]),
-        stops=True,
+        stops=labels.share < labels.chance + _ABOVE_CHANCE,
     )
 
 
@@ -216,6 +218,8 @@ _WHAT = {"floor": "is level, seen from above", "ceiling": "is level, seen from b
 _WITHIN = 25.0
 """Degrees by which a surface may differ from level or upright, as clothes, shelves and noise do."""
 _FEWEST_OF_KIND = 200
+_CONTRADICTED = 0.05
+"""The share below which a table is wrong for certain: of tables off by one, 1 % fit; of far and noisy floors, 20 %."""
 _SUITS, _DIFFERS = 0.5, 0.25
 """Shares of a kind's points that fit its name: the least in a right table, and the most in a wrong one."""
 _LARGE, _FEW, _LOOKS = 0.05, 0.2, 0.75
@@ -296,7 +300,7 @@ def table_findings(examined: Examined, assumed: Assumption, up: Floats) -> list[
             text=f"the names of the classes do not fit the surfaces: {told}",
             option=_OPTION,
             figures={f"{kind}_share": each.share for kind, each in found.items()},
-            stops=True,
+            stops=all(each.share < _CONTRADICTED for each in wrong.values()),
         )
     ]
 
