@@ -102,7 +102,7 @@ def _read_trajectory(path: Path) -> dict[float, NDArray[np.float64]]:
 
 def _pose_at(poses: Mapping[float, NDArray[np.float64]], seconds: float) -> NDArray[np.float64] | None:
     """The pose at this time, between the two around it; None where poses are too far away."""
-    from scipy.spatial.transform import Rotation, Slerp
+    import cv2
 
     times: Sequence[float] = [*poses]
     after = bisect_left(times, seconds)
@@ -110,8 +110,8 @@ def _pose_at(poses: Mapping[float, NDArray[np.float64]], seconds: float) -> NDAr
         one, other = times[after - 1], times[after]
         share = (seconds - one) / (other - one)
         between = (1 - share) * poses[one] + share * poses[other]
-        ends = Rotation.from_matrix([poses[one][:3, :3], poses[other][:3, :3]])
-        between[:3, :3] = Slerp([0.0, 1.0], ends)(share).as_matrix()
+        turn = cv2.Rodrigues(poses[one][:3, :3].T @ poses[other][:3, :3])[0]
+        between[:3, :3] = poses[one][:3, :3] @ cv2.Rodrigues(share * turn)[0]
         return between
     near = [time for time in times[max(after - 1, 0) : after + 1] if abs(time - seconds) <= _SAME]
     return poses[min(near, key=lambda time: abs(time - seconds))] if near else None
