@@ -42,14 +42,17 @@ def write_coco(
     views: Iterable[tuple[str, NDArray[np.int32], NDArray[np.int32], Camera]],
     names: Mapping[int, str],
 ) -> None:
-    """Write ``panoptic.json`` and ``panoptic/<frame>.png`` into ``folder``.
+    """Write ``panoptic.json`` and ``panoptic/<frame>.png`` into ``folder``, and ``instances.json``: the objects again,
+    as COCO's instance annotations with run lengths.
 
     ``views``: frame name, class ids and instance ids, int32 [H, W] each, and the camera. A segment's id is class * 4096
     + instance. So, unlike a detector's, it means the same object in every view. Beside what COCO asks for, a segment
     has the ``instance_id`` and the ``name`` of its instance (``names``) or class, and an image its ``K`` and its
     ``camera_to_world`` (OpenCV's axes, metres). Raises ValueError for ids of 4096 or more, OSError.
     """
-    images, annotations = [], []
+    from pycocotools import mask as rle_tools  # late: no other export needs it
+
+    images, annotations, instances = [], [], list[dict[str, object]]()
     for number, (name, semantic, instance, camera) in enumerate(views, start=1):
         if max(int(semantic.max(initial=0)), int(instance.max(initial=0))) >= MOST_COCO_IDS:
             raise ValueError(f"{name}: class and instance ids must be below {MOST_COCO_IDS} for COCO panoptic")
@@ -63,11 +66,17 @@ def write_coco(
         })  # fmt: skip
         segments = _segments(ids, classes, names)
         annotations.append({"image_id": number, "file_name": f"{name}.png", "segments_info": segments})
+        for one in segments:
+            if one["instance_id"]:
+                runs = rle_tools.encode(np.asfortranarray(ids == one["id"], np.uint8))
+                packed = {"size": runs["size"], "counts": runs["counts"].decode()}
+                instances.append({**one, "id": len(instances) + 1, "image_id": number, "segmentation": packed})
     categories = [
         {"id": c.id, "name": c.name, "isthing": int(c.is_thing), "color": list(c.colour)} for c in classes.categories
     ]
-    content = {"images": images, "annotations": annotations, "categories": categories}
-    write_atomically(folder / "panoptic.json", json.dumps(content, ensure_ascii=False) + "\n")
+    for file, found in (("panoptic.json", annotations), ("instances.json", instances)):
+        content = {"images": images, "annotations": found, "categories": categories}
+        write_atomically(folder / file, json.dumps(content, ensure_ascii=False) + "\n")
 
 
 def _segments(ids: NDArray[np.int32], classes: ClassTable, names: Mapping[int, str]) -> list[dict[str, object]]:

@@ -19,7 +19,7 @@ log = logging.getLogger("plgs.lift")
 
 WEAK = 0.6
 """Masks whose views agree with the others on less than this share of a class, in the mean over classes, are weak.
-Scenes with networks' masks had 0.32 to 0.50, those with good masks 0.70 and more (docs/experiments.md)."""
+Scenes with networks' masks had 0.32 to 0.50, those with good masks 0.66 to 0.71 (docs/experiments.md)."""
 
 
 def trusted_layers(seeing: ViewsOnCloud, points: int, class_ids: tuple[int, ...], kind: EvidenceKind) -> ViewsOnCloud:

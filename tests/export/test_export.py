@@ -91,6 +91,11 @@ def test_coco_is_exported(lift: LiftFolder, truth: dict[str, tuple[np.ndarray, n
             of_class = categories[segment["category_id"]]["name"]
             assert segment["name"] == names.get(segment["instance_id"], of_class)
             assert categories[segment["category_id"]]["isthing"] or not instance[pixels].any()
+    found = json.loads((tmp_path / "instances.json").read_text())["annotations"]
+    assert len(found) == sum(len(np.unique(instance[instance > 0])) for _, instance in truth.values())
+    for one in found:
+        instance = truth[Path(images[one["image_id"]]["file_name"]).stem][1]
+        assert np.array_equal(mask.decode(one["segmentation"]) > 0, instance == one["instance_id"])
 
 
 def test_labels_are_exported(lift: LiftFolder, truth: dict[str, tuple[np.ndarray, np.ndarray]], tmp_path: Path) -> None:
