@@ -149,7 +149,9 @@ def find_masks(source: SceneSource, scene: Path, pictured: Mapping[str, Pictured
     """The masks of the frames, and the detections over them, as the ``source`` of the folder ``scene`` says; no masks
     when none are named and the folder has none. Raises PlgsError."""
     place = mask_place(scene, None if source.masks is None else Path(source.masks))
-    if place is None:
+    kept = [each.kept.path for each in pictured.values() if each.kept is not None]
+    are_kept = source.masks is None and place is not None and any(path.is_relative_to(place) for path in kept)
+    if place is None or (are_kept and place == scene / MASK_FOLDER):  # mask_path: these pictures are no classes
         return MaskSet()
     sizes = {name: each.size for name, each in pictured.items()}
     detections = None if source.detections is None else open_detections(source.detections, place, sizes)

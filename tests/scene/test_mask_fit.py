@@ -165,19 +165,19 @@ def test_the_borders_of_a_network_are_cut_off(height: int, is_centred: bool) -> 
             placements(source([np.ones((320, 320), np.int32)] * 4), shown)
 
 
-@pytest.mark.parametrize("by_key", [True, False])
-def test_pictures_of_what_counts_are_no_classes(tmp_path: Path, by_key: bool) -> None:
+@pytest.mark.parametrize(("folder", "white"), [("keep", 255), ("masks", 255), ("masks", 1)])
+def test_pictures_of_what_counts_are_no_classes(tmp_path: Path, folder: str, white: int) -> None:
+    """As mask_path says, or by their values alone."""
     write_scene(tmp_path)
     table = tmp_path / "transforms.json"
     content = json.loads(table.read_text())
-    kept = np.full((48, 64), 255, np.uint8)
+    kept = np.full((48, 64), white, np.uint8)
     kept[30:, 20:40] = 0
-    folder = "keep" if by_key else "masks"
     for frame in content["frames"]:
         name = Path(frame["file_path"]).name
         write_grey(tmp_path / folder / f"{name}.png", kept)
-        if by_key:
-            frame["mask_path"] = f"keep/{name}.png"
+        if (folder, white) != ("masks", 255):
+            frame["mask_path"] = f"{folder}/{name}.png"
     table.write_text(json.dumps(content))
     scene = open_scene(tmp_path)
     assert not scene.has_masks and any("do not count" in warning for warning in scene.warnings)
