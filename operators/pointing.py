@@ -156,9 +156,9 @@ class PLGS_OT_delete_selected(OnSelected, bpy.types.Operator):
         numbers = selection.selected_instances(root, context.view_layer) or [active]
         numbers = [number for number in numbers if number in names]
         if self.way == "HIDE":
-            others = [ob for ob in context.selected_objects if _lift_of(ob, context.scene) is None]
+            theirs = [ob for ob in context.selected_objects if _lift_of(ob, context.scene) is None]
             looks.hide(root, numbers)
-            for ob in others:
+            for ob in theirs:
                 ob.hide_set(True)
             self.report({"INFO"}, one_line(f"Hidden: {', '.join(names[number] for number in numbers)}"))
             return FINISHED

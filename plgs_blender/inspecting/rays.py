@@ -66,7 +66,7 @@ class View:
         is_solid = shading is not None and shading.type in ("SOLID", "WIREFRAME")
         eye = scene.camera.matrix_world.translation if scene.camera is not None else Vector()
         looks, lens = rows_of(region_data.view_matrix), rows_of(region_data.window_matrix)
-        are_backs_open = not is_solid or shading.show_backface_culling
+        are_backs_open = shading is None or not is_solid or shading.show_backface_culling
         return cls(looks, lens, *size, tuple(eye), are_backs_open, not is_solid)
 
     def projected(self, xyz: NDArray[np.float32], world: Matrix) -> NDArray[np.float32]:
@@ -113,7 +113,7 @@ class Projected:
             w, near = (begin[:, at] + along * first[:, at] + aside * second[:, at] for at in (2, 3))
             return np.where(w > NEAREST, self._opacities(along, aside, rows), 0.0), near, self.ids[rows]
 
-    def _opacities(self, first: Any, second: Any, rows: NDArray[np.int64]) -> NDArray[np.float32]:
+    def _opacities(self, first: Any, second: Any, rows: NDArray[np.int64]) -> Any:
         """At places in a thing's own axes."""
         if self.form == TRIANGLE:
             return np.float32((first >= 0.0) & (second >= 0.0) & (first + second <= 1.0))

@@ -145,8 +145,9 @@ _MSGBUS_OWNER = object()
 
 def selected_instance(root: bpy.types.Collection, active: bpy.types.Object | None) -> int:
     """The instance whose box or mesh is the active object and selected, 0 when none of this lift is."""
-    is_ours = instance_of(active) and active[LIFT] == root[LIFT] and active.select_get()
-    return instance_of(active) if is_ours else 0
+    if active is None or not instance_of(active) or active[LIFT] != root[LIFT]:
+        return 0
+    return instance_of(active) if active.select_get() else 0
 
 
 def selected_instances(root: bpy.types.Collection, layer: bpy.types.ViewLayer) -> list[int]:
