@@ -48,7 +48,7 @@ def spz_bytes(rows: NDArray[np.void]) -> bytes:
     """A file of SPZ version 3 (github.com/nianticlabs/spz): x right, y up, z backward, colours of degree 0."""
     steps = np.rint(upright(columns(rows, "x y z")).astype(np.float64) * (1 << _FRACTIONAL_BITS))
     whole = np.clip(steps, -(1 << 23), (1 << 23) - 1).astype("<i4")
-    parts = [
+    parts: list[NDArray[Any]] = [
         np.ascontiguousarray(whole).view(np.uint8).reshape(-1, 3, 4)[..., :3],
         _bytes(255 * opacities(rows)),
         _bytes(255 * (_SPZ_COLOUR * columns(rows, "f_dc_0 f_dc_1 f_dc_2") + 0.5)),
@@ -93,11 +93,11 @@ def splats_glb(rows: NDArray[np.void]) -> bytes:
     kinds, body = {1: "SCALAR", 3: "VEC3", 4: "VEC4"}, bytearray()
     accessors, views = list[dict[str, Any]](), list[dict[str, int]]()
     for number, values in enumerate(arrays.values()):
-        content = np.ascontiguousarray(values, "<f4")
-        kind = kinds[content.size // len(content)]
-        accessors.append({"bufferView": number, "componentType": FLOAT, "count": len(content), "type": kind})
-        views.append({"buffer": 0, "byteOffset": len(body), "byteLength": content.nbytes, "target": VERTICES})
-        body += content.tobytes()
+        stored = np.ascontiguousarray(values, "<f4")
+        kind = kinds[stored.size // len(stored)]
+        accessors.append({"bufferView": number, "componentType": FLOAT, "count": len(stored), "type": kind})
+        views.append({"buffer": 0, "byteOffset": len(body), "byteLength": stored.nbytes, "target": VERTICES})
+        body += stored.tobytes()
     accessors[0] |= {"min": xyz.min(axis=0).tolist(), "max": xyz.max(axis=0).tolist()}  # required for positions
     shown = {"kernel": "ellipse", "colorSpace": _COLOUR_SPACE}
     points = {"attributes": dict(zip(arrays, range(len(arrays)), strict=True)), "mode": 0}
