@@ -7,7 +7,7 @@ A field's metadata holds the keywords of `argparse` for the ``option`` of the co
 from __future__ import annotations
 
 from argparse import ArgumentTypeError
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, get_args
 
@@ -97,9 +97,10 @@ class SceneSource:
     @property
     def resolved(self) -> SceneSource:
         """The same with absolute paths without links."""
-        given = {name: getattr(self, name) for name in ("scene", "masks", "depth", "detections")}
-        paths = {name: path.resolve() for name, path in given.items() if path is not None}
-        return replace(self, **paths, classes=None if self.classes is None else class_table(self.classes))
+        given: dict[str, Any] = {each.name: getattr(self, each.name) for each in fields(SceneSource)}
+        paths = {name: value.resolve() for name, value in given.items() if isinstance(value, Path)}
+        table = None if self.classes is None else class_table(self.classes)
+        return SceneSource(**{**given, **paths, "classes": table})
 
 
 class FormatName(NamedTuple):
