@@ -11,7 +11,6 @@ import torch
 
 from engine.errors import Cancelled
 from engine.model.gaussians import decode
-from engine.model.render import render_view
 from engine.model.structured import NO_OBJECT
 from engine.presets.preset import LossWeights
 from engine.raster import rasterize
