@@ -2,6 +2,7 @@
 with a mask are not made again.
 
 ``panoptic/<frame>.png`` and ``.json`` are written one by one; ``panoptic/made_by.json`` names the model.
+``detections.json`` has every query that could be something, for ``lift --detections``: masks leave most out.
 ``panoptic.json`` is written last, and without it there are no masks yet. The network comes from a folder or, with the
 user's consent, from Hugging Face's hub. Only safetensors are read: no pickles, and no code that comes with a model.
 transformers is imported late; its own post-processing works at 384x384 for pictures of any shape and does not fuse
@@ -13,7 +14,7 @@ from __future__ import annotations
 import json
 import os
 import re
-from collections.abc import Callable, Sequence, Set
+from collections.abc import Callable, Mapping, Sequence, Set
 from dataclasses import dataclass
 from hashlib import sha256
 from pathlib import Path
@@ -33,6 +34,8 @@ LEAST_SCORE = 0.5
 """The least score of a query that is a segment."""
 INSIDE = 0.5
 """The least probability of a pixel of a query's mask."""
+LEAST_DETECTION = 0.1
+"""The least score of a query that is kept beside the panoptic masks."""
 VISIBLE = 0.8
 """Share of a segment that the others must leave visible; else it is dropped."""
 
@@ -80,6 +83,34 @@ def merge_queries(
     return ids, [MadeSegment(number, label_of[number], _mean(parts)) for number, parts in found.items()]
 
 
+@dataclass(frozen=True)
+class Detection:
+    """A query before the merge: the network's ``label``, its score in [0, 1], and its ``pixels``, bool [H, W]."""
+
+    label: int
+    score: float
+    pixels: NDArray[np.bool_]
+
+    def to_json(self) -> dict[str, object]:
+        """Its class, score and run lengths as COCO has them, for a table whose class ids count from 1."""
+        from pycocotools import mask as rle_tools
+
+        runs = rle_tools.encode(np.asfortranarray(self.pixels, np.uint8))
+        counts = {"size": runs["size"], "counts": runs["counts"].decode("ascii")}
+        return {"category_id": self.label + 1, "score": round(self.score, 4), "segmentation": counts}
+
+
+def detections_of(class_logits: torch.Tensor, mask_probabilities: torch.Tensor) -> list[Detection]:
+    """The queries whose likeliest class has LEAST_DETECTION or more, with the arguments of ``merge_queries``."""
+    scores, labels = class_logits.softmax(-1)[:, :-1].max(-1)
+    inside = (mask_probabilities >= INSIDE).numpy()
+    return [
+        Detection(label, score, pixels)
+        for label, score, pixels in zip(labels.tolist(), scores.tolist(), inside, strict=True)
+        if score >= LEAST_DETECTION and pixels.any()
+    ]
+
+
 def _mean(parts: list[tuple[float, int]]) -> float:
     """The mean score, weighted by pixels."""
     return sum(score * pixels for score, pixels in parts) / sum(pixels for _, pixels in parts)
@@ -99,8 +130,9 @@ class Mask2Former:
     processor: Any
 
     @torch.inference_mode()
-    def segment(self, colour: NDArray[np.uint8]) -> tuple[NDArray[np.int32], list[MadeSegment]]:
-        """The panoptic mask of a picture uint8 [H, W, 3] RGB: see ``merge_queries``."""
+    def segment(self, colour: NDArray[np.uint8]) -> tuple[NDArray[np.int32], list[MadeSegment], list[Detection]]:
+        """The panoptic mask of a picture uint8 [H, W, 3] RGB, and what it left out: see ``merge_queries`` and
+        ``detections_of``."""
         height, width = colour.shape[:2]
         inputs = self.processor(images=colour, return_tensors="pt", input_data_format="channels_last")
         seen = self.network(pixel_values=inputs["pixel_values"])
@@ -109,7 +141,8 @@ class Mask2Former:
         masks = masks[..., : int(valid[:, 0].sum()), : int(valid[0].sum())]
         width, height = size_within((width, height), (_LARGEST_SIDE, _LARGEST_SIDE))
         stuff = frozenset(label.id for label in self.labels if not label.is_thing)
-        return merge_queries(seen.class_queries_logits[0], _resized(masks, (height, width))[0].sigmoid(), stuff)
+        classes, inside = seen.class_queries_logits[0], _resized(masks, (height, width))[0].sigmoid()
+        return *merge_queries(classes, inside, stuff), detections_of(classes, inside)
 
 
 def _resized(masks: torch.Tensor, size: tuple[int, ...]) -> torch.Tensor:
@@ -207,14 +240,14 @@ def _not_loaded(name: str, download: bool, error: Exception) -> PlgsError:
     return PlgsError("model-unusable", what, name, _ANOTHER)
 
 
-TABLE, FOLDER, MADE_BY = "panoptic.json", "panoptic", "made_by.json"
+TABLE, FOLDER, MADE_BY, DETECTIONS = "panoptic.json", "panoptic", "made_by.json", "detections.json"
 _OTHER_MASKS = ("m2f_semantics", "m2f_notta_semantics", "masks")
 Progress = Callable[[int, int, int], object]
 """Called after each frame with the numbers done, of all, and made in this run. Its errors end the work."""
 
 
 class Segmenter(Protocol):
-    """A network: its ``name``, its classes, and the mask of a picture (see ``merge_queries``)."""
+    """A network: its ``name``, its classes, and the mask of a picture with its detections (see `Mask2Former`)."""
 
     @property
     def name(self) -> str: ...
@@ -222,7 +255,7 @@ class Segmenter(Protocol):
     @property
     def labels(self) -> tuple[ClassLabel, ...]: ...
 
-    def segment(self, colour: NDArray[np.uint8]) -> tuple[NDArray[np.int32], list[MadeSegment]]: ...
+    def segment(self, colour: NDArray[np.uint8]) -> tuple[NDArray[np.int32], list[MadeSegment], list[Detection]]: ...
 
 
 @dataclass(frozen=True)
@@ -276,8 +309,10 @@ def make_masks(scene: Scene, job: Job, network: Segmenter, progress: Progress) -
     for done, frame in enumerate(scene.frames, start=1):
         segments, picture = (job.pictures / f"{frame.name}{suffix}" for suffix in (".json", ".png"))
         if not (segments.is_file() and picture.is_file()):
-            ids, found = network.segment(frame.read_colour(None))
+            ids, found, detections = network.segment(frame.read_colour(None))
             write_atomically(picture, _png(ids))
+            seen = {"width": ids.shape[1], "height": ids.shape[0], "detections": [one.to_json() for one in detections]}
+            write_atomically(job.pictures / f"{frame.name}.detections.json", json.dumps(seen))
             write_atomically(segments, json.dumps(_segments(ids, found)))
             made += 1
         progress(done, len(scene.frames), made)
@@ -289,10 +324,30 @@ def make_masks(scene: Scene, job: Job, network: Segmenter, progress: Progress) -
     categories = [  # ids count from 1, as 0 is void
         {"id": label.id + 1, "name": label.name, "isthing": int(label.is_thing)} for label in network.labels
     ]
+    _write_detections(job, names, categories)
     content = {"annotations": annotations, "categories": categories}
     write_atomically(job.folder / TABLE, json.dumps(content, ensure_ascii=False) + "\n")
     for name in names:
         (job.pictures / f"{name}.json").unlink()
+        (job.pictures / f"{name}.detections.json").unlink(missing_ok=True)
+
+
+def _write_detections(job: Job, names: Sequence[str], categories: Sequence[Mapping[str, object]]) -> None:
+    """Write detections.json, unless an earlier version, which kept none, made masks of some frames. Raises PlgsError,
+    OSError."""
+    found = [job.pictures / f"{name}.detections.json" for name in names]
+    if not all(path.is_file() for path in found):
+        return
+    images: list[dict[str, object]] = []
+    annotations: list[dict[str, object]] = []
+    for name, path in zip(names, found, strict=True):
+        seen: Any = read_object(path, "Delete this file and the mask beside it, then start again.")
+        number = len(images) + 1
+        images.append({"id": number, "file_name": f"{name}.png", "width": seen["width"], "height": seen["height"]})
+        first = len(annotations) + 1
+        annotations += [{"id": first + k, "image_id": number, **one} for k, one in enumerate(seen["detections"])]
+    content = {"images": images, "annotations": annotations, "categories": [*categories]}
+    write_atomically(job.folder / DETECTIONS, json.dumps(content, ensure_ascii=False) + "\n")
 
 
 def read_list(path: Path) -> list[object]:

@@ -13,7 +13,7 @@ import torch
 from numpy.typing import NDArray
 
 from engine.scene import ClassLabel, check_scene, open_scene
-from engine.segment import Job, MadeSegment, begin_job, make_masks, merge_queries
+from engine.segment import Detection, Job, MadeSegment, begin_job, detections_of, make_masks, merge_queries
 from tests.raises_key import raises_key
 from tests.tiny_scene import write_tiny_scene
 
@@ -28,12 +28,12 @@ class Halves:
     labels: tuple[ClassLabel, ...] = LABELS
     seen: list[tuple[int, ...]] = field(default_factory=list)
 
-    def segment(self, colour: NDArray[np.uint8]) -> tuple[NDArray[np.int32], list[MadeSegment]]:
+    def segment(self, colour: NDArray[np.uint8]) -> tuple[NDArray[np.int32], list[MadeSegment], list[Detection]]:
         self.seen.append(colour.shape)
         ids = np.zeros(colour.shape[:2], np.int32)
         ids[:, : ids.shape[1] // 2] = 1
         ids[4:, -8:] = 70000
-        return ids, [MadeSegment(1, 0, 0.9), MadeSegment(70000, 1, 0.75)]
+        return ids, [MadeSegment(1, 0, 0.9), MadeSegment(70000, 1, 0.75)], [Detection(1, 0.25, ids > 0)]
 
 
 @pytest.fixture
@@ -66,6 +66,11 @@ def test_masks_are_a_scenes_own(folder: Path) -> None:
     table = json.loads((folder / "panoptic.json").read_text())
     assert table["annotations"][0]["segments_info"][1]["area"] == 20 * 8
     assert begun(folder).is_finished
+    over = open_scene(folder, detections=folder / "detections.json").frames[2]
+    (layer,) = over.layers()
+    assert [(one.class_id, one.score) for one in layer.segments] == [(2, 0.25)]
+    assert ((layer.ids > 0) == (mask.ids > 0)).all() and (over.mask().ids == mask.ids).all()
+    assert not [*(folder / "panoptic").glob("*.json")][1:], "made_by.json alone is left"
 
 
 def test_what_was_stopped_continues(folder: Path) -> None:
@@ -166,3 +171,11 @@ def test_empty_and_uncertain_queries_are_not_segments() -> None:
 def test_a_segment_keeps_its_score() -> None:
     _, found = merge_queries(logits((0.2, 0.8, 1e-9)), strips(slice(0, 3)), STUFF)
     assert found == [MadeSegment(1, 1, found[0].score)] and abs(found[0].score - 0.8) < 1e-6
+
+
+def test_weak_queries_are_kept_beside_the_masks() -> None:
+    shares = logits((0.15, 0.05, 0.8), (0.05, 0.04, 0.91), (0.1, 0.85, 0.05))
+    masks = strips(slice(0, 6), slice(0, 2), slice(4, 8))
+    found = detections_of(shares, masks)
+    shown = [(one.label, round(one.score, 2), int(one.pixels.sum(1)[0])) for one in found]
+    assert shown == [(0, 0.15, 6), (1, 0.85, 4)]

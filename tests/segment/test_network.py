@@ -44,14 +44,15 @@ def test_a_model_in_a_folder(model: Path) -> None:
     assert [label.name for label in network.labels] == NAMES
     assert [label.is_thing for label in network.labels] == [False, False, True, True]
     colour = np.random.default_rng(0).integers(0, 255, (48, 80, 3), np.uint8)
-    ids, found = network.segment(colour)
+    ids, found, detections = network.segment(colour)
     assert ids.shape == (48, 80) and {*np.unique(ids).tolist()} - {0} == {one.id for one in found} != set()
-    again, _ = network.segment(colour)
+    assert all(one.score >= 0.1 and one.pixels.shape == ids.shape for one in detections)
+    again, *_ = network.segment(colour)
     np.testing.assert_array_equal(ids, again)
 
 
 def test_large_pictures_have_smaller_masks_of_the_same_shape(model: Path) -> None:
-    ids, _ = load_model(str(model), download=False).segment(np.zeros((1000, 2000, 3), np.uint8))
+    ids, *_ = load_model(str(model), download=False).segment(np.zeros((1000, 2000, 3), np.uint8))
     assert ids.shape == (640, 1280)
 
 
