@@ -1,1 +1,1 @@
-"""What measures PLGS from outside: baselines, experiments and benches. It imports the engine; nothing imports it."""
+"""Measures PLGS from outside: baselines, experiments and benches. It imports the engine; nothing imports it."""

@@ -28,11 +28,11 @@ from engine.train.trainer import Trainer
 
 SAMPLE = Path(__file__).resolve().parents[1] / "sample" / "room"
 SIZE = (640, 480)
-"""The sample's frames are enlarged to this: what is measured is time, not what is seen."""
+"""Pixels to which the sample's frames are enlarged: only time is measured, not what is seen."""
 EVERY = 4
-"""Every fourth training frame is lifted: enough to see all of the room."""
+"""Every n-th training frame is lifted: enough to see all of the room."""
 VOXEL_SIZE = 0.09
-"""Metres; makes about 50 000 anchors of the sample."""
+"""Metres; gives about 50 000 anchors for the sample."""
 WARM_UP_STEPS = 3
 STEPS = 32
 """Steps and pictures that are measured."""
@@ -62,9 +62,9 @@ class MeasuringClock(StepClock):
 
 @dataclass(frozen=True)
 class StepProfile:
-    """Milliseconds of a training step by part, and what they were measured on. ``visible`` anchors and ``gaussians``
-    are means over the steps; ``cores`` is a step's processor time, milliseconds of all cores together; ``draw`` and
-    ``decide`` make a panoptic frame: drawn, and every pixel decided."""
+    """Milliseconds of a training step by part, and the size of what was measured. ``visible`` anchors and ``gaussians``
+    are means over the steps; ``cores`` is a step's processor time, in milliseconds of all cores together; ``draw`` and
+    ``decide`` are the two parts of a panoptic frame."""
 
     threads: int
     anchors: int
@@ -100,11 +100,10 @@ class StepProfile:
 
 
 def bench_step(preset: Preset | None = None) -> dict[str, object]:
-    """Prepare a lift of the bundled sample, measure its steps and its pictures, print and return what they took. Raises
+    """Prepare a lift of the bundled sample, measure its steps and its pictures, print the times and return them. Raises
     PlgsError if the sample is missing.
 
-    With a ``preset`` this is the lift that it asks for. Without one the frames are enlarged: then the rasteriser counts
-    more.
+    A ``preset`` is lifted as it is. Without one the frames are enlarged, so that the rasteriser counts more.
     """
     scene = open_scene(SAMPLE, None, "z")
     if preset is None:
@@ -121,8 +120,8 @@ def bench_step(preset: Preset | None = None) -> dict[str, object]:
 
 
 def profile_lift(views: Sequence[View], classes: ClassTable, preset: Preset, steps: int = STEPS) -> StepProfile:
-    """Prepare a lift, and measure ``steps`` steps with labels, as the others have fewer parts. They begin where
-    statistics of growth are gathered, which is another part."""
+    """Prepare a lift, and measure ``steps`` steps with labels, as the others have fewer parts. The first step measured
+    is the one at which the statistics of growth begin, which are another part."""
     preset = replace(preset, label_every=1)
     prepared = _prepared(views, classes, preset)
     trainer = Trainer(prepared.scene, prepared.targets, list(views), preset, seed=0)
@@ -159,9 +158,10 @@ def _prepared(views: Sequence[View], classes: ClassTable, preset: Preset) -> Pre
 
 
 def typical(steps: Sequence[Mapping[str, float]]) -> dict[str, float]:
-    """Mean milliseconds of each part over the middle half of the steps by their whole time.
+    """Mean milliseconds of each part over the middle half of the steps, by their whole time.
 
-    As robust against a disturbed step as a median, and the parts add up to the whole. Raises ValueError for no steps.
+    This is as robust against a disturbed step as a median, and the parts add up to the whole. Raises ValueError for no
+    steps.
     """
     if not steps:
         raise ValueError("there is no step to report")

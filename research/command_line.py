@@ -43,7 +43,7 @@ def main(arguments: Sequence[str]) -> int:
 
 
 def _parser_of_the_engine() -> argparse.ArgumentParser:
-    """With lifts done by a process of this program, as the baselines do them."""
+    """The engine's parser, with lifts done by a process of this program, which knows the baselines."""
     from .baselines.method import lift_baseline  # which registers the baselines' kinds of decoders
 
     parser = parser_of_the_engine()

@@ -1,8 +1,8 @@
-"""How much an artist who sees what is wrong fixes with few corrections: edits that the truth suggests, scored.
+"""How much an artist who sees what is wrong can fix with few corrections: edits that the truth suggests, scored.
 
-The true label of each point is what most frames that are not held out show there. The held-out frames score. Objects
-are corrected as a person would, the largest mistake first: another class, one object made of several, several of one by
-the views, back into its stuff, and points painted. The truth paints better than a hand.
+The true label of each point is the one that most training frames show there; held-out frames score the result. Objects
+are corrected as a person would, the largest mistake first: give an object another class, merge several objects into
+one, split one by the views, return it to its stuff, or paint points. The truth paints better than a hand.
 """
 
 from __future__ import annotations
@@ -28,24 +28,24 @@ from engine.scene_of_lift import scene_of_lift
 
 MOST_EDITS = 19
 SEEN_WITHIN = 0.05
-"""Metres between a point and a frame's depth there within which the frame counts for it."""
+"""Metres between a point and a frame's depth there within which the frame counts as seeing it."""
 EVERY = 4
 """Every n-th frame counts."""
 LEAST_SHARE = 0.5
-"""Share of an object's points that have one true label: below it a person would not say what the object is."""
+"""Share of an object's points with one true label below which a person would not say what the object is."""
 MIXED = 0.15
-"""Share of an object's points of a second true thing above which a person sees that it is several."""
+"""Share of an object's points from a second true thing above which a person sees that it is several."""
 WORTH_PAINTING = 100
-"""How many unassigned points of an object there must be for somebody to paint them."""
+"""Least number of an object's unassigned points that somebody would paint."""
 MANY = 1 << 16
-"""Factor of the class in a true label, which is class * this factor + instance."""
+"""A true label is class * MANY + instance."""
 
 Make = Callable[[Replay, int], Edit]
 
 
 @dataclass(frozen=True)
 class Mistake:
-    """What is wrong, with how many points, and the edit that fixes it."""
+    """What is wrong, the number of points affected, and the edit that fixes it."""
 
     points: int
     said: str
@@ -53,7 +53,7 @@ class Mistake:
 
 
 def true_labels(scene: Scene, xyz: NDArray[np.float32]) -> NDArray[np.int64]:
-    """The true label of each point [N, 3] by most of the frames that see it, int64 [N], 0 where none does. Raises
+    """The true label of each point [N, 3] by most of the frames that see it, int64 [N], 0 where no frame does. Raises
     PlgsError for a scene without ground truth."""
     frames = [frame for frame in scene.train_frames if frame.read_ground_truth is not None][::EVERY]
     if not frames:
@@ -77,8 +77,8 @@ def true_labels(scene: Scene, xyz: NDArray[np.float32]) -> NDArray[np.int64]:
 
 
 def mistakes(folder: LiftFolder, corrected: CorrectedResult, truth: NDArray[np.int64]) -> list[Mistake]:
-    """What is wrong with objects, the most points first: their class, two that are one, one that is two which the views
-    separate, and points of an object that something else has, as somebody would paint them."""
+    """What is wrong with objects, the most points first: a wrong class, two objects that are one, one that is two which
+    the views separate, and unassigned points of an object, which somebody would paint."""
     found, holders = [], dict[int, Instance]()
     things, points = corrected.classes.thing_ids, corrected.points
     for one in sorted(corrected.instances, key=lambda each: -each.points):
@@ -111,7 +111,7 @@ def mistakes(folder: LiftFolder, corrected: CorrectedResult, truth: NDArray[np.i
 
 
 def _split(folder: LiftFolder, number: int, truth: NDArray[np.int64]) -> Make:
-    """A split by views, which is not made if the parts are no purer than the whole."""
+    """A split by views. It is refused if the parts are no purer than the whole."""
 
     def make(state: Replay, first_id: int) -> Edit:
         edit = split_by_views(folder, state, number, first_id)
@@ -125,7 +125,7 @@ def _split(folder: LiftFolder, number: int, truth: NDArray[np.int64]) -> Make:
 
 
 def _most(labels: NDArray[np.int64]) -> int:
-    """How many points have the commonest true label."""
+    """The number of points with the commonest true label."""
     known = labels[labels > 0]
     return int(np.unique(known, return_counts=True)[1].max(initial=0))
 

@@ -18,7 +18,8 @@ from engine.scene import VOID, open_asked, size_within
 
 BINS = 10
 Curve = NDArray[np.float64]
-"""float64 [3, BINS]: for each bin of the probability how many pixels, their mean probability, how many are right."""
+"""float64 [3, BINS]: for each bin of the probability, the number of pixels, their mean probability, and the number of
+right ones."""
 
 
 def reliability(probability: NDArray[np.floating], right: NDArray[np.floating]) -> Curve:
@@ -34,8 +35,8 @@ def error(curve: Curve) -> float:
 
 
 def pixels_of(lift: Path) -> NDArray[np.float32]:
-    """Of all pixels of the held-out frames with ground truth, at the size of training: the share of the votes, the
-    confidence, and whether they are right, float32 [3, N]. Raises PlgsError, OSError."""
+    """For all pixels of the held-out frames with ground truth, at the size of training: the share of the votes, the
+    confidence, and whether the pixel is right, float32 [3, N]. Raises PlgsError, OSError."""
     folder, found = LiftFolder.open(lift), [np.zeros((3, 0), np.float32)]
     verify_lifted(folder.result_path)
     be_repeatable()
@@ -67,7 +68,8 @@ def reliability_table(lifts: Sequence[Path], picture: Path | None) -> Iterator[s
 
 
 def draw(path: Path, curves: dict[str, list[Curve]]) -> None:
-    """The diagram: how much is right over the share, and over the confidence. Needs matplotlib. Raises OSError."""
+    """The diagram: the share of right pixels over the share of votes, and over the confidence. Needs matplotlib. Raises
+    OSError."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(7, 3.6), layout="constrained")

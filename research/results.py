@@ -1,4 +1,4 @@
-"""What was measured of lifts: read from finished lifts, and kept in results.json and results.csv."""
+"""Results of lifts: read from finished lifts, and kept in results.json and results.csv."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _TEXTS = ("scene", "row", "preset", "engine_version")
 
 
 class Figures(NamedTuple):
-    """What was measured of a row: shares in [0, 1], decibels, metres, seconds; None if something was not measured.
+    """The figures of a row: shares in [0, 1], decibels, metres, seconds; None if something was not measured.
 
     ``miou``, ``miou_true`` (over the classes that the ground truth has) and ``pq`` are of the mode ``strict``;
     ``pq_frame`` is PQ frame by frame, ``id_changes`` how often an object changes its id over the held-out frames;
@@ -52,8 +52,8 @@ class Figures(NamedTuple):
 
 @dataclass(frozen=True)
 class Result:
-    """What was measured of one row on one scene; ``steps`` is 0 if nothing was trained. ``engine_version`` also names
-    the code, as `this_engine`. ``failed`` says why there is nothing."""
+    """The figures of one row on one scene; ``steps`` is 0 if nothing was trained. ``engine_version`` includes the
+    digest of the code, like `this_engine`. ``failed`` says why there are no figures."""
 
     scene: str
     row: str
@@ -66,7 +66,7 @@ class Result:
 
     @property
     def key(self) -> tuple[str, str, str, int]:
-        """What it is a result of."""
+        """Identifies the result: two results with one key are of the same thing."""
         return self.scene, self.row, self.preset, self.seed
 
 
@@ -84,7 +84,7 @@ def read_result(scene: str, row: str, preset: str, lift: LiftFolder) -> Result:
 
 
 def this_engine() -> str:
-    """The version of the engine that is at work, with the digest of its code, such as "0.1.0 1a2b3c4d"."""
+    """The version of the running engine, with the digest of its code, such as "0.1.0 1a2b3c4d"."""
     return f"{__version__} {code_digest(*SOURCES)}"
 
 
@@ -114,7 +114,7 @@ def run_figures(events: Sequence[Event]) -> dict[str, float | None]:
 
 
 def lifting_seconds(events: Sequence[Event]) -> float | None:
-    """How long a lift took, all its runs together; None when there was none.
+    """How long a lift took, all its runs together; None if it never ran.
 
     From the beginning of a run until the held-out frames are drawn: drawing and scoring them does not belong to a lift.
     """
@@ -156,7 +156,7 @@ def csv_text(results: Sequence[Result]) -> str:
 
 
 def read_results(path: Path) -> tuple[Result, ...]:
-    """What `results_text` wrote. Raises PlgsError when the file holds something else."""
+    """Inverse of `results_text`. Raises PlgsError if the file holds something else."""
     content = read_object(path, _FIX)
     if content.get("format") != FORMAT:
         what = f"has format {content.get('format')!r}, this version reads {FORMAT}"

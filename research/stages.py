@@ -1,7 +1,7 @@
-"""What each stage of the paper's way makes of the masks: the classes and objects of the training views' pixels.
+"""Where each stage of the paper's method loses panoptic quality: the classes and objects of the training views' pixels.
 
-Each row changes one thing, so that the table tells where panoptic quality is lost. It is computed from masks that the
-scene has, and from true masks whose numbers are drawn anew in each view.
+Each row changes one thing. The table is computed from the scene's masks, and from true masks whose ids are shuffled in
+each view.
 """
 
 from __future__ import annotations
@@ -35,12 +35,12 @@ from .experiments.experiment import SceneToLift
 Labels = tuple[NDArray[np.int32], NDArray[np.int32]]
 """Classes and instances of a view's pixels, int32 [H, W] each."""
 Stage = Callable[[int], Labels]
-"""The labels of the view of a number."""
+"""The labels of the view with this number."""
 
 
 def stages_table(place: SceneToLift, preset: Preset, lift: Path | None) -> Iterator[str]:
-    """The lines of a Markdown table: one row per stage, mIoU / PQ-scene ``strict`` of the training views. ``lift``: one
-    whose passes of the training frames are baked, for a last row. Raises PlgsError."""
+    """The lines of a Markdown table: one row per stage, mIoU / PQ-scene ``strict`` of the training views. ``lift``:
+    adds a last row, and needs baked passes of the training frames. Raises PlgsError."""
     scene = open_scene(SceneSource(place.folder, up=place.up))
     frames = [frame for frame in scene.train_frames if frame.read_ground_truth is not None]
     if not frames:
@@ -65,7 +65,7 @@ def stages_table(place: SceneToLift, preset: Preset, lift: Path | None) -> Itera
 def stages(
     views: Sequence[View], truth: Sequence[GroundTruth], classes: ClassTable, preset: Preset
 ) -> Iterator[tuple[str, Stage]]:
-    """The stages by name, as far as they need no training."""
+    """The stages that need no training, by name."""
     with TemporaryDirectory() as name, closing(EventWriter(Path(name, "events.jsonl"))) as events:
         progress = StageProgress("stages", events, StopSignal())
         placed = filled_views(views, Path(name)) if preset.fill_holes else views

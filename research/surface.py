@@ -1,7 +1,7 @@
-"""How sharp a lift's surface is, drawn from the held-out frames with its pictures and with its vertices' colours.
+"""How sharp a lift's surface is, drawn from the held-out frames with its texture and with its vertices' colours.
 
-The surface is made of training frames. Three sets of pixels are compared: all where the surface is drawn; those where
-it lies where the frame measured it, for the pictures can't mend a wrong shape; and of these the near ones.
+The surface is made of training frames. Three sets of pixels are compared: all pixels of the surface; those where it
+lies where the frame measured it, as textures can't mend a wrong shape; and of these the near ones.
 """
 
 from __future__ import annotations
@@ -31,8 +31,8 @@ RIGHT, RIGHT_SHARE = 0.05, 0.02
 
 
 def sharpness_table(lifts: Sequence[Path], pictures: Path | None) -> Iterator[str]:
-    """Lines of a table. With ``pictures``, a folder, each held-out photo is put there beside the two. Raises
-    PlgsError, OSError."""
+    """Lines of a table. With ``pictures``, a folder, each held-out photo is written there beside the two drawings.
+    Raises PlgsError, OSError."""
     yield "| lift | pixels | vertex colours, dB | pictures, dB | detail of the photo | seconds |"
     yield "|---|---|---|---|---|---|"
     for path in lifts:

@@ -1,8 +1,8 @@
-"""``compiled``, the decorator of every kernel, and where the machine code is kept.
+"""``compiled``, the decorator of every kernel, and the cache of machine code.
 
-Numba only notices a change in a function's own file, but kernels are compiled into one another across files.
-So the cache is a folder named after the text of all packages that have kernels: a new version never runs old code.
-``choose_cache_folder`` chooses its place; the package itself may be read-only.
+Numba only notices a change in a function's own file, but kernels are compiled into one another across files. So the
+cache folder is named after the text of all packages that have kernels: a new version never runs old code.
+``choose_cache_folder`` chooses where it is; the package itself may be read-only.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from ..user_cache import user_cache_folder
 
 
 def choose_cache_folder(name: str) -> Path:
-    """The folder ``name``, made in the first place that is safe: the user's setting, or else the user's cache folder.
+    """The folder ``name`` in the first safe location: the user's setting, or else the user's cache folder.
 
     If neither is safe, it is a folder for this process alone. Then every start compiles again, and the log says why.
     """
@@ -52,7 +52,7 @@ def choose_cache_folder(name: str) -> Path:
 
 
 def _make(folder: Path) -> str | None:
-    """Why kernels cannot be kept in a folder; None if it exists and is safe."""
+    """Make the folder. Returns why kernels cannot be kept in it, or None."""
     try:
         missing = [each for each in (folder, *folder.parents) if not each.exists()]
         for each in reversed(missing):
@@ -92,9 +92,9 @@ log = logging.getLogger("plgs.machine")
 
 
 def _version() -> str:
-    """A name for the text of every package of the engine that has kernels, and for the versions of the compilers.
+    """A name that changes with the text of every package that has kernels, and with the versions of the compilers.
 
-    The whole package is included, as kernels freeze the constants that they use.
+    Whole packages are included, as kernels freeze the constants that they use.
     """
     digest = hashlib.sha256(f"{sys.version_info[:2]} {numba.__version__}".encode())
     texts = {source: source.read_bytes() for source in sorted(Path(__file__).parent.parent.rglob("*.py"))}
@@ -148,16 +148,16 @@ compiled = _compiler()
 weight, bit for bit."""
 
 contracted = _compiler(fastmath={"contract"})
-"""A kernel for sums of products that only one pass computes. Multiply-add may be fused."""
+"""A kernel for sums of products that only one of the two passes computes. Multiply-add may be fused."""
 
 parallel_kernel = compiled
 """A kernel for ``threads.parallel_for``, written as ``kernel(worker, workers, *arguments)``: it does this worker's
 share of the work. The result does not depend on the number of workers."""
 
 device_function: Callable[[Callable[..., Any]], Any] = register_jitable(**_PART)
-"""A function that only kernels call, compiled like ``compiled``. This takes far less time: it has no entry from Python
-(where it remains a Python function) and no place in the cache. It does not count references, so it can neither make
-arrays nor return them, not even within a tuple."""
+"""A function that only kernels call, compiled like ``compiled``. It compiles far faster, as it has no entry from Python
+(where it remains a Python function) and is not cached. It does not count references, so it can neither make arrays nor
+return them, not even within a tuple."""
 
 inlined = _compiler(inline="always")
-"""A piece of one or two kernels. It is compiled only as part of them, never separately, which takes less time."""
+"""Part of one or two kernels. It is compiled only as part of them, never separately, which takes less time."""

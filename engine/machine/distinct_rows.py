@@ -8,14 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 MOST_PLACES = 2**62
-"""Of the box around all rows, so that the number of each place is an int64."""
+"""Cells of the box around all rows, at most: each cell's number must fit an int64."""
 
 
 def distinct_rows(rows: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """The distinct rows of ``rows`` int64 [N, D] in lexical order, int64 [M, D]; and the place of each row among
-    them, int64 [N].
+    """The distinct rows of ``rows`` int64 [N, D] in lexical order, int64 [M, D]; and the index of each row among them,
+    int64 [N].
 
-    As ``numpy.unique`` with ``axis=0``, in a tenth of its time, as one number is sorted for each row.
+    Like ``numpy.unique`` with ``axis=0``, but ten times as fast, as each row is sorted as a single number.
     """
     lowest, highest = (rows.min(axis=0), rows.max(axis=0)) if len(rows) else (np.zeros(rows.shape[1], int),) * 2
     extent = [high - low + 1 for low, high in zip(lowest.tolist(), highest.tolist(), strict=True)]

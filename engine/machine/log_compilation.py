@@ -1,4 +1,4 @@
-"""Log that kernels are being compiled, once on each machine. It takes a while, and nothing else shows it."""
+"""Logs that kernels are being compiled, once on each machine: it takes a while, and nothing else shows it."""
 
 from __future__ import annotations
 

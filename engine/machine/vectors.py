@@ -20,13 +20,13 @@ from numba.extending import lower_builtin, models, register_model, type_callable
 # Common parts of functions that write LLVM code themselves, and an atomic counter.
 
 intrinsic: Any = extending.intrinsic
-"""It is called without the typing context that it is declared with, which no type checker can know."""
+"""Untyped, as an intrinsic is called without the typing context in its signature, which no type checker can know."""
 
 
 def element_pointer(
     context: Any, builder: ir.IRBuilder, array_type: types.Array, array: ir.Value, index: ir.Value
 ) -> ir.Value:
-    """A pointer to the element at this place in the memory of a contiguous array, unchecked."""
+    """A pointer to the element at this index of a contiguous array, unchecked."""
     data = context.make_array(array_type)(context, builder, array).data
     return builder.gep(data, [index])
 
@@ -105,8 +105,8 @@ def _intrinsic(define: Any, name: str, count: int) -> Any:
 def _on_floats(
     name: str, result: types.Type, given: tuple[types.Type, ...], emit: Callable[..., ir.Value | None]
 ) -> Any:
-    """An operation on array[index] of a flat contiguous float32 array, which is unchecked. ``emit`` takes the builder,
-    a pointer to that element, and what else is ``given``."""
+    """An operation on array[index] of a flat contiguous float32 array, unchecked. ``emit`` takes the builder, a pointer
+    to that element, and the arguments of the types ``given``."""
 
     def define(typing_context: Any, array: Any, index: Any, *more: Any) -> Any:
         if not is_flat(array, types.float32) or more != given:
@@ -252,7 +252,7 @@ select = of_values("select", lanes, (flags, lanes, lanes), ir.IRBuilder.select)
 movemask = of_values("movemask", types.int64, (flags,), _bits)
 """movemask(condition): the flags as an integer, lane 0 lowest."""
 trailing_zeros = of_values("trailing_zeros", types.int64, (types.int64,), _lowest_bit)
-"""trailing_zeros(bits): the place of the lowest set bit, 64 if there is none."""
+"""trailing_zeros(bits): the index of the lowest set bit, 64 if there is none."""
 
 
 def _register_arithmetic() -> None:
@@ -317,7 +317,7 @@ Values = list[ir.Value]
 
 
 def _powers(builder: ir.IRBuilder, exponents: Values) -> Values:
-    """Do each step for all exponents before the next step."""
+    """Each step is done for all exponents before the next step."""
     lowest, rounding = constant(_LOWEST), constant(_ROUNDING)
     exponents = [builder.select(builder.fcmp_ordered(">", a, lowest), a, lowest) for a in exponents]
     shifted = [builder.fadd(a, rounding) for a in exponents]
@@ -340,5 +340,4 @@ exp2 = of_values("exp2", lanes, (lanes,), lambda builder, a: _powers(builder, [a
 exp2_x4 = of_values(
     "exp2_x4", types.UniTuple(lanes, 4), (lanes,) * 4, lambda builder, *four: _powers(builder, list(four))
 )
-"""exp2_x4(a, b, c, d): ``exp2`` of each, side by side: a single one is a chain of ten operations that wait for one
-another."""
+"""exp2_x4(a, b, c, d): ``exp2`` of each, interleaved, as a single one is a chain of ten dependent operations."""

@@ -1,12 +1,12 @@
-"""How often a share of the votes is right: the masks calibrate it, without any ground truth.
+"""How often a share of the votes is right: calibrated by the masks, without any ground truth.
 
-A pixel shows a class with a share of its coverage. Two questions make a probability of that share. Does the lift show
-what the masks of all views together say of the place? And are the masks together right? One mask is often wrong where
-many are right together, so a single mask does not answer the first: the class that most views name there does. The
-second cannot be read from the masks' agreement. But masks that agree with the lift more often than their own scores
-claim to be right are wrong together, and that much is taken off.
+A pixel shows a class with a share of its coverage. To turn that share into a probability, two questions are asked.
+First: does the lift show what the masks of all views together say of this point? A single mask is too often wrong to
+answer, so the class that most views name there does. Second: are the masks together right? Their agreement cannot
+answer this. But if masks agree with the lift more often than their own scores claim to be right, they are wrong
+together, and the difference is subtracted.
 
-What is left: networks that call a sofa a bed from everywhere, with scores that are too high, are believed.
+A limit remains: networks that call a sofa a bed from every view, with scores that are too high, are believed.
 """
 
 from __future__ import annotations
@@ -22,18 +22,19 @@ from scipy.optimize import isotonic_regression
 from ..scene import VOID, View
 
 STEPS = 1024
-"""Probabilities are whole multiples of 1 / this, like the shares of the passes."""
+"""Probabilities are whole multiples of 1 / STEPS, like the shares of the passes."""
 BINS = 20
-"""Bins of the fit, each with about equally many samples."""
+"""Bins of the fit, each with about equally many points."""
 LEAST_VIEWS, LEAST_SAMPLES, MOST_SAMPLES = 2, 200, 60_000
-"""A place is judged if this many views name it. With fewer places nothing is calibrated; more are not looked at."""
+"""Views that must name a point before it is judged; points below which nothing is calibrated; points looked at, at
+most."""
 
 
 @dataclass(frozen=True)
 class Calibration:
-    """The probability ``right`` for each ``share`` in ascending order, with straight lines between them. Without any,
-    a share is taken as it is. ``factor``: how far the masks together are believed, which is part of ``right``;
-    ``samples``: how many places the masks judged."""
+    """The probability ``right`` for each ``share`` in ascending order, interpolated linearly. If empty, a share is its
+    own probability. ``factor``: how far the masks together are believed, which is already part of ``right``;
+    ``samples``: the number of points that the masks judged."""
 
     share: tuple[float, ...] = ()
     right: tuple[float, ...] = ()
@@ -41,20 +42,20 @@ class Calibration:
     samples: int = 0
 
     def __post_init__(self) -> None:
-        """Raises ValueError for what is not a monotone map of [0, 1] to [0, 1]."""
+        """Raises ValueError unless this is a monotone map of [0, 1] to [0, 1]."""
         values = np.array([self.share, self.right], np.float64)
         if not ((values >= 0) & (values <= 1)).all() or (np.diff(values) < 0).any():
             raise ValueError("the calibration is not a monotone map")
 
     def __call__(self, share: NDArray[np.float32]) -> NDArray[np.float32]:
-        """The probabilities of shares, float32 of the same shape; 0, which is nothing, stays 0."""
+        """The probabilities of shares, float32 of the same shape; 0 (nothing rendered) stays 0."""
         if not self.share:
             return share
         found = np.rint(STEPS * np.interp(share, self.share, self.right)) / STEPS
         return np.where(share > 0, found, 0).astype(np.float32)
 
     def doubt(self, samples: Samples) -> float:
-        """How likely one of them is wrong; 0 without any."""
+        """The mean probability that a sample is wrong; 0 without samples."""
         return float(np.mean(1 - self(samples.share))) if len(samples.share) else 0.0
 
 
@@ -62,7 +63,7 @@ UNCALIBRATED = Calibration()
 
 
 class Samples(NamedTuple):
-    """Places: ``xyz`` float32 [N, 3] world metres, ``class_id`` int32 [N] (0 = none), ``share`` float32 [N]."""
+    """Points: ``xyz`` float32 [N, 3] world metres, ``class_id`` int32 [N] (0 = none), ``share`` float32 [N]."""
 
     xyz: NDArray[np.float32]
     class_id: NDArray[np.int32]
@@ -78,8 +79,8 @@ def samples_of(view: View, class_id: NDArray[np.int32], share: NDArray[np.float3
 
 
 def calibrate(samples: Samples, trained: Sequence[View], held_back: Sequence[View]) -> Calibration:
-    """Let the masks of all views judge places, at most MOST_SAMPLES. The masks that were ``held_back`` say how far
-    masks are believed; if none were, those that the lift was ``trained`` on do. Each view is read once."""
+    """Let the masks of all views judge at most MOST_SAMPLES points. The masks that were ``held_back`` decide how far
+    masks are believed; if there are none, the ``trained`` ones do. Each view is read once."""
     rows = np.flatnonzero(samples.class_id)
     rows = rows[:: -(-len(rows) // MOST_SAMPLES) or 1]
     samples = Samples(samples.xyz[rows], samples.class_id[rows], samples.share[rows])
@@ -97,8 +98,8 @@ def calibrate(samples: Samples, trained: Sequence[View], held_back: Sequence[Vie
 
 
 class _Named:
-    """What views name places: ``views`` float32 [N] is how many views name each place. ``agreeing``: how often judges
-    name the class that the place shows; ``score``: the sum of their scores."""
+    """How views name points: ``views`` float32 [N] is the number of views that name each point; ``agreeing``: how often
+    judges name the class that the point shows; ``score``: the sum of their scores."""
 
     def __init__(self, samples: Samples) -> None:
         self._xyz = samples.xyz
@@ -107,7 +108,7 @@ class _Named:
         self.agreeing = self.score = 0.0
 
     def add(self, view: View, *, is_judge: bool) -> None:
-        """Count the classes that a view's mask gives to the places that it sees."""
+        """Count the classes that a view's mask gives to the points that it sees."""
         row, y, x = view.seen_of(self._xyz)
         mask, named = view.mask.ids[y, x], view.mask.class_map()[y, x]
         counts = named != VOID
@@ -123,7 +124,7 @@ class _Named:
             self.agreeing += float((named == self._ids[self._column[row]]).sum())
 
     def verdict(self) -> NDArray[np.float64]:
-        """Whether most views name the class that each place shows, float64 [N]; a part of 1 where several tie."""
+        """Whether most views name the class that each point shows, float64 [N]; a fraction of 1 where several tie."""
         most = self._votes.max(axis=1, initial=0)
         own = self._votes[np.arange(len(self._votes)), self._column]
         wins = (own == most) & (own > 0) & (own >= self.views - self._votes.sum(axis=1))  # the classes that none shows
@@ -132,7 +133,7 @@ class _Named:
 
 def fitted(share: NDArray[np.floating], right: NDArray[np.floating]) -> tuple[tuple[float, ...], tuple[float, ...]]:
     """The isotonic fit to samples [N], by bins of about equally many: ascending shares, and how often each is right. It
-    begins at 0, where nothing is."""
+    begins at 0 for a share of 0."""
     edges = np.unique(np.quantile(share, np.linspace(0, 1, BINS + 1)[1:-1]))
     number = np.searchsorted(edges, share, side="right")
     count = np.bincount(number, minlength=len(edges) + 1)

@@ -1,4 +1,4 @@
-"""How close rendered pictures are to photos (PSNR, SSIM), and rendered depth to what the sensor measured."""
+"""Scores of rendered pictures against photos (PSNR, SSIM), and of rendered depth against the sensor's."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from ..scene.view import border_mask
 
 BEST_PSNR = 100.0
-"""The decibels of identical pictures, so that a mean over frames and a JSON file stay finite."""
+"""Decibels of identical pictures: finite, so that means and JSON files stay finite."""
 
 WINDOW, SIGMA = 11, 1.5
 C1, C2 = 0.01**2, 0.03**2
@@ -106,18 +106,18 @@ def _window_mean(values: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 LEAST_ALPHA = 0.5
-"""Alpha from which a pixel counts. Below it the model draws a hole, which has no depth."""
+"""Least alpha of a pixel that counts. Below it the model draws a hole, which has no depth."""
 CLOSE = 0.05
-"""Metres within which a rendered depth is right."""
+"""Metres within which a rendered depth counts as right."""
 BIN, BINS = 1e-4, 100_000
-"""The width in metres of the bins for counting errors, and their number. Errors above 10 m go into the last bin."""
+"""The width in metres of the error bins, and their number. Errors above 10 m go into the last bin."""
 
 
 class DepthErrors:
-    """Absolute errors of all pixels of all views, counted in bins, so that a thousand views need no more memory than
-    one.
+    """Absolute errors of all pixels of all views, counted in bins, so that memory does not grow with the number of
+    views.
 
-    The median is that of all pixels, not the mean of the views' medians, as a view with little depth tells little.
+    The median is over all pixels, not the mean of the views' medians, as a view with little depth says little.
     """
 
     def __init__(self) -> None:

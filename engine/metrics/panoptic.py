@@ -5,8 +5,8 @@ its peculiarities: every map is stretched to 512x512, rare classes are dropped, 
 of its own. ``strict`` uses the native resolution and drops no class; predicted void is a miss but never a class.
 
 Both first remove the pixels whose ground truth is void. Both count a segment as a distinct (class, instance) pair over
-ALL views (PQ-scene): an object that changes its id between views is wrong. How good single frames are, and how often an
-object changes its id, PQ-scene does not separate: ``FrameQuality`` and ``IdChanges`` do.
+ALL views (PQ-scene): an object that changes its id between views is wrong. PQ-scene does not say how good single frames
+are, nor how often an object changes its id: ``FrameQuality`` and ``IdChanges`` do.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ Pair = tuple[Segment, Segment]
 
 @dataclass(frozen=True)
 class ClassScore:
-    """The scores of one class. ``iou`` (or ``pq``, ``sq``, ``rq``) is None if the class does not enter that mean."""
+    """The scores of one class. ``iou`` (or ``pq``, ``sq``, ``rq``) is None if the class is not part of that mean."""
 
     class_id: int
     name: str
@@ -68,7 +68,7 @@ class PanopticScores:
 
 
 class PanopticEvaluation:
-    """Takes one view after another, and keeps only the number of ``pixels`` that each pair of segments shares."""
+    """Takes one view after another, and keeps only the number of ``pixels`` shared by each pair of segments."""
 
     def __init__(self, classes: ClassTable, mode: Mode) -> None:
         if mode not in MODES:
@@ -291,8 +291,8 @@ class FrameQuality:
 
 class IdChanges:
     """Follows every true object over the frames in order. It is tracked in a frame if a predicted segment of its class
-    has an IoU above 0.5 with it. It has changed its id if this segment's id differs from that of the segment in which
-    it was last tracked."""
+    has an IoU above 0.5 with it. It has changed its id if this segment's id differs from the one at its last tracked
+    frame."""
 
     def __init__(self, classes: ClassTable) -> None:
         self.classes = classes

@@ -1,4 +1,4 @@
-"""The figures of a lift, or of labels in folders that any program made: the scores of each method, in the form of
+"""The figures of a lift, or of label folders made by any program: the scores of each method, in the form of
 metrics.json."""
 
 from __future__ import annotations
@@ -156,7 +156,7 @@ def score_folders(predictions: LabelFolder, truth: LabelFolder, *, ids_per_frame
     """The scores of all predicted frames, in the form of metrics.json. All of them need ground truth.
 
     ``ids_per_frame``: an instance id is valid only within its frame, like a detector's. Predictions are resized to the
-    ground truth. Raises PlgsError if a file is bad, or shows another cut of the picture.
+    ground truth. Raises PlgsError if a file is bad, or if it is a different crop of the picture.
     """
     unknown = [name for name in predictions.readers if name not in truth.readers]
     if unknown:

@@ -1,4 +1,4 @@
-"""What the masks show clearly from nearby and the lift shows nowhere. The masks judge, without any ground truth.
+"""Things that the masks show clearly from nearby and the lift shows nowhere. The masks judge, without any ground truth.
 
 A view asks about the segments that it resolves, and near views answer (``scene/evidence.py``).
 """
@@ -15,21 +15,22 @@ from numpy.typing import NDArray
 from ..scene import VOID, ClassTable, View, are_near, resolution_on, resolves
 
 LEAST_SEEN = 8
-"""The least pixels of a segment at the size of the judged views. Smaller ones are edges."""
+"""Least pixels of a segment at the size of the judged views. Smaller ones are edges."""
 LEAST_VIEWS_OF_OBJECT, LEAST_VIEWS_OF_CLASS = 3, 2
-"""The number of near views that must show an object whose class is shown elsewhere, or a class shown nowhere."""
+"""Near views that must show an object whose class is shown elsewhere, and those that must show a class shown
+nowhere."""
 NAMES = 0.5
-"""A mask names a place by a class if it gives at least this share of the place's points that class."""
+"""Share of a segment's points that a mask must give the class, so that it names the segment by it."""
 AGREED = 2 / 3
-"""Share of the near views that must name the place this way. Networks confuse some classes in half of their masks."""
+"""Share of the near views that must name the segment this way. Networks confuse some classes in half of their masks."""
 SHOWN = 0.1
-"""The lift does not show a place's class if it gives fewer than this share of the place's points that class."""
+"""Share of a segment's points below which the lift does not show the segment's class."""
 POINTS = 64
-"""The number of points that represent a segment."""
+"""Points that represent a segment."""
 MOST_CANDIDATES = 500
-"""The most segments that are asked about, the best resolved first."""
+"""Segments that are asked about, at most, the best resolved first."""
 BEHIND = 0.05
-"""A point is hidden if it lies behind the measured depth by more than this share of it, and at least 5 cm."""
+"""Share of the measured depth by which a hidden point lies behind it, and at least 5 cm."""
 MARGIN = 0.1
 """Metres around an object within which another segment of its class shows the same object."""
 
@@ -45,9 +46,9 @@ class JudgedView(NamedTuple):
 class Unshown:
     """A class, or one object of it (``whole_class`` false), that the masks show and the lift does not.
 
-    ``views`` near views name it, of ``near`` that see the place. ``frame`` shows it best: there it is ``segment``,
-    with ``pixels`` pixels at the frame's own size, at ``resolution`` pixels per centimetre. ``shown_as``: the class
-    that the lift shows there most, "" = none. ``centre``: world metres.
+    Of the ``near`` views that see the spot, ``views`` name it. ``frame`` shows it best, as ``segment`` with ``pixels``
+    pixels at the frame's own size and ``resolution`` pixels per centimetre. ``shown_as``: the class that the lift
+    mostly shows there, "" = none. ``centre``: world metres.
     """
 
     class_id: int
@@ -80,7 +81,7 @@ class _Candidate(NamedTuple):
         return np.asarray(np.median(self.xyz, axis=0))
 
     def holds(self, other: _Candidate) -> bool:
-        """Whether the other shows the same: it is of the same class, and its centre lies in this one's box."""
+        """Whether the other shows the same thing: it has the same class, and its centre lies in this one's box."""
         if self.class_id != other.class_id:
             return False
         low, high = self.xyz.min(axis=0) - MARGIN, self.xyz.max(axis=0) + MARGIN
@@ -138,8 +139,8 @@ def _unshown(one: _Candidate, named: int, near: int, classes: ClassTable, is_who
 
 
 def _segments(judged: JudgedView) -> tuple[list[_Candidate], set[int]]:
-    """The resolved segments of which the lift does not show the share SHOWN in their own view, and the classes that
-    it does show on one of their segments."""
+    """The resolved segments of which the lift shows less than the share SHOWN in their own view, and the classes that
+    the lift shows on at least one of their segments."""
     view, shown = judged
     seen, places = view.depth > 0, view.camera.unproject(view.depth)
     candidates, kept = [], set()
@@ -164,8 +165,8 @@ def _segments(judged: JudgedView) -> tuple[list[_Candidate], set[int]]:
 
 
 class _Judgement(NamedTuple):
-    """The number of views ``near`` a place, the number that ``named`` it, and the largest share of it that the lift
-    shows as its class in one of these."""
+    """The number of ``near`` views of a candidate, the number that ``named`` it, and the largest share of it that the
+    lift shows as its class in one of these."""
 
     named: int
     near: int
@@ -184,8 +185,8 @@ class _Answers:
         self._rows: list[tuple[NDArray[np.floating], NDArray[np.floating], NDArray[np.floating]]] = []
 
     def add(self, judged: JudgedView) -> None:
-        """Ask a view. It keeps the resolution (0 if the view sees less than half of the points), and the shares of
-        the seen points that have the candidate's class in the mask and in the lift."""
+        """Ask a view. Keeps its resolution (0 if the view sees less than half of the points), and the shares of the
+        seen points that have the candidate's class in the mask and in the lift."""
         if not self.found:
             return
         view, shown = judged

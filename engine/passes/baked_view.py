@@ -1,5 +1,5 @@
-"""A baked view: its layers and its mattes, from a rendering in bands of rows, and the position and the normal of the
-rendered surface in the world."""
+"""A baked view: its layers and its mattes, made from a rendering in bands of rows, and the world position and normal of
+the rendered surface."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ REACH = 0.01
 SAME_SURFACE = 0.06
 """Pixels whose inverse depths differ by more than this ratio belong to different surfaces."""
 LEAST_SPREAD = 1e-3
-"""Points whose spread is less than this share of the window's own lie on a line, and define no plane."""
+"""Share of the window's own spread below which points lie on a line and define no plane."""
 
 
 class Surface(NamedTuple):
@@ -135,7 +135,7 @@ class BakedView:
 
     @property
     def surface(self) -> Surface:
-        """The surface, which is computed on demand."""
+        """The surface, computed on demand."""
         return surface_of(self.layers.depth, self.camera)
 
 
@@ -155,8 +155,9 @@ class ShownInstances:
 def bake_view(
     bands: Iterable[PanopticRendering], camera: Camera, classes: ClassTable, instances: ShownInstances
 ) -> BakedView:
-    """Decide and rank ``bands`` (all rows of ``camera``'s picture, from the top) one after another, so that the
-    coverage of only one is held. It is changed (see ``tell_in_coverage``). Raises ValueError if there are no bands."""
+    """Decide and rank ``bands`` (all rows of ``camera``'s picture, from the top) one after another, so that only one
+    band's coverage is in memory. The coverage is changed (see ``align_mattes``). Raises ValueError if there are no
+    bands."""
     shape = (2 * RANKS, camera.height, camera.width)
     of_instances, of_classes = np.empty(shape, np.float32), np.empty(shape, np.float32)
     layers: list[PanopticLayers] = []

@@ -24,9 +24,9 @@ from .layers import FAINT, ONE, STEPS, ZERO
 RANKS = 6
 """Pairs per pixel: three layers of channels with two pairs each."""
 SMALLEST = 1 / 256
-"""Pairs with less coverage than this are left out: no picture shows them, and noise does not compress."""
+"""Coverage below which pairs are left out: no picture shows them, and noise does not compress."""
 CHUNK = 4096
-"""Pixels that a worker takes at once."""
+"""Pixels that a worker takes at a time."""
 
 _LEAST = np.float32(SMALLEST)
 
@@ -72,7 +72,7 @@ def rank_pixels(
     worker: int, workers: int, pixels: RankedPixels, columns: Array, ids: Array, best: Array, out: Array, first: int
 ) -> None:
     """Rank every ``workers``-th chunk of the pixels. ``best`` float32 [workers, 2, RANKS] is scratch: ids and shares;
-    ``first``: the place of the first pixel in ``out``."""
+    ``first``: the index of the first pixel in ``out``."""
     coverage, alpha, limit = pixels.coverage, pixels.alpha, pixels.limit
     own_ids, own_shares = best[worker, 0], best[worker, 1]
     for start in range(worker * CHUNK, len(alpha), workers * CHUNK):

@@ -1,11 +1,10 @@
-"""One multilayer EXR per view: single part, ZIP, names as Blender's compositor reads them. The colour is there
-twice: as R, G, B and A, which every viewer shows, and as a layer among the others.
+"""One multilayer EXR per view: single part, ZIP, names as Blender's compositor reads them. The colour is stored twice:
+as R, G, B and A, which every viewer shows, and as a layer among the others.
 
-Ids, depth and Cryptomatte are 32-bit floats and exact. Colour, confidence, entropy and normals are half floats. The
-header says of frame and camera what OpenEXR's standard attributes can
-(https://openexr.com/en/latest/StandardAttributes.html). Its matrices are multiplied from the left by points in rows.
-Its camera looks along +z with x to the right and y up. (0, 0) to (1, 1) in its NDC is the display window, from the
-upper left corner to the lower right one.
+Ids, depth and Cryptomatte are 32-bit floats and exact. Colour, confidence, entropy and normals are half floats. Frame
+and camera are described by OpenEXR's standard attributes (https://openexr.com/en/latest/StandardAttributes.html). Its
+matrices are multiplied from the left by points in rows. Its camera looks along +z with x to the right and y up. (0, 0)
+to (1, 1) in its NDC is the display window, from the upper left corner to the lower right one.
 """
 
 from __future__ import annotations
@@ -32,7 +31,7 @@ from .baked_view import BakedView
 from .layers import PanopticLayers
 
 _SQUARE = 0.01
-"""Pixels that are square but for this share are noted as square: a calibration is no more exact."""
+"""Largest deviation of a pixel's aspect from 1 that is written as square: a calibration is no more exact."""
 _MOST_RATE = 60
 """Frames per second that a time code can count."""
 
@@ -54,7 +53,7 @@ NOTHING_SHOWN = ShownFrame()
 
 
 def frame_header(camera: Camera, shown: ShownFrame, name: str) -> dict[str, Any]:
-    """The attributes of the view ``name``, whose picture ``camera`` shows."""
+    """The header's attributes for the view ``name``, whose picture ``camera`` shows."""
     import OpenEXR
 
     left, top, width, height = shown.display or (0, 0, *camera.size)
@@ -120,8 +119,8 @@ def write_exr(
     layers: Collection[str] = (),
     shown: ShownFrame = NOTHING_SHOWN,
 ) -> None:
-    """Write a baked view, completely or not at all. The same input gives the same bytes. ``notes``: more attributes of
-    the header; ``layers``: those wanted from FURTHER_LAYERS; ``shown``: what the header says of the view's frame.
+    """Write a baked view, completely or not at all. The same input gives the same bytes. ``notes``: further attributes
+    of the header; ``layers``: the wanted ones of FURTHER_LAYERS; ``shown``: the view's frame, for the header.
 
     Raises ValueError for ids that a 32-bit float cannot hold, and OSError if the file cannot be written.
     """
@@ -200,8 +199,8 @@ def _channels(path: Path) -> dict[str, NDArray[Any]]:
 
 
 def _refuse_vast(path: Path) -> None:
-    """Refuse a file whose header claims more than a picture has, or than memory holds, as reading takes memory for
-    everything that the header claims. Raises ValueError, OSError."""
+    """Refuse a file whose header claims more than a picture has or than memory holds, as reading allocates all that the
+    header claims. Raises ValueError, OSError."""
     memory, numbers = main_memory(), _header(path).numbers
     if memory is not None and 4 * numbers > memory.free:
         raise ValueError(f"{path} takes {4e-9 * numbers:.1f} GB, but {memory.free / 1e9:.1f} GB are free")

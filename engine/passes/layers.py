@@ -18,7 +18,7 @@ from ..model.neural_gaussians import PanopticRendering
 from ..scene import VOID, ClassTable
 
 CHUNK = 4096
-"""Pixels that a worker takes at once."""
+"""Pixels that a worker takes at a time."""
 NOTHING = 1e-3
 """Alpha below which nothing was rendered: the pixel's labels, depth and confidence are 0."""
 
@@ -27,15 +27,15 @@ LEAST_SHARE_OF_CLASS = np.float32(LEAST_OF_CLASS)
 FAINT, LEAST_TOTAL, LEAST_SHARE = np.float32(NOTHING), np.float32(1e-8), np.float32(1e-12)
 ZERO, ONE = np.float32(0), np.float32(1)
 STEPS, STEPS_OF_DEPTH = np.float32(1024), np.float32(4096)
-"""Shares and metres are whole multiples of 1 / this. Finer digits would be noise, which does not compress."""
+"""Shares and metres are whole multiples of 1 / these. Finer digits would be noise, which does not compress."""
 OVER_HALF = np.float32(0.5 + 1 / 256)
-"""The least share of a pixel that the decided class and object cover, so that their mattes show it."""
+"""Least share of a pixel that the decided class and object cover, so that their mattes show it."""
 
 
 class Columns(NamedTuple):
     """The meaning of the channels; ties go to the first. ``of_class`` int64 [C]: the channel of each class but void;
     ``class_ids`` int32 [C]; ``is_thing`` bool [C]; ``of_slot`` int64 [S]: the channel of each slot but spare ones;
-    ``slot_ids`` int32 [S]; ``class_of_slot`` int64 [S]: place among the classes, -1 = none; ``one_class``: whether an
+    ``slot_ids`` int32 [S]; ``class_of_slot`` int64 [S]: index among the classes, -1 = none; ``one_class``: whether an
     object has one class throughout."""
 
     of_class: NDArray[np.int64]
@@ -111,10 +111,10 @@ def decide_labels(pixels: Any, columns: Any, pixel: int, decided: Any) -> None:
 
 @compiled
 def best_slot(pixels: Any, columns: Any, pixel: int, place: int) -> int:
-    """The slot that a pixel of class ``place`` shows (the first if several tie), -1 for no object.
+    """The slot that a pixel of the class with index ``winner`` shows (the first if several tie), -1 for no object.
 
-    If objects have one class throughout, ``class_first`` decides. Otherwise it is the slot with the largest coverage,
-    if that is more than the coverage of no object.
+    If objects have one class throughout, ``object_of_class`` decides. Otherwise it is the slot with the largest
+    coverage, if that is more than the coverage of no object.
     """
     coverage, best, most, instances = pixels.slots[pixel], -1, ZERO, ZERO
     if columns.one_class:
@@ -222,7 +222,7 @@ def decide(
     of the classes' coverage. A pixel of a thing class shows the instance with the largest coverage, unless "no object"
     has more. With ``instance_classes`` (instance id to class id) an object has one class throughout. Its coverage is
     then part of its class's (see ``scene_labels``), and a pixel shows only an instance of its class with LEAST_OF_CLASS
-    of that class's coverage. So what no object owns shows its own class and no instance.
+    of that class's coverage. So pixels that no object owns show their own class and no instance.
     """
     height, width = rendering.alpha.shape
     columns = _columns(rendering, classes, instance_classes or {})
@@ -246,9 +246,9 @@ def tell_in_coverage(
 ) -> None:
     """Change the coverages of a rendering so that its mattes agree with what was ``decided``.
 
-    A pixel of the class chair shows the chair that has LEAST_OF_CLASS of it. So if an object has one class, that
-    chair gets all of the class's coverage that no other chair has. Where three or more share a pixel, the decided
-    class and object may cover less than half of it. They get just over half. Edges stay soft.
+    A pixel of the class chair shows the chair that has LEAST_OF_CLASS of it. So if an object has one class, that chair
+    gets all of the class's coverage that no other chair has. Where three or more share a pixel, the decided class and
+    object may cover less than half of it: they are raised to just over half. Edges stay soft.
     """
     columns, workers = _columns(rendering, classes, instance_classes or {}), worker_count()
     best, owned = (np.empty((workers, len(columns.of_class)), dtype) for dtype in (np.int64, np.float32))
@@ -278,7 +278,7 @@ def _pixels(rendering: PanopticRendering) -> Pixels:
 
 
 def _columns(rendering: PanopticRendering, classes: ClassTable, instance_classes: Mapping[int, int]) -> Columns:
-    """The channels to decide between, by ascending id. Raises ValueError if the rendering has no class."""
+    """The channels to choose from, by ascending id. Raises ValueError if the rendering has no class."""
     of_class, of_slot = _by_id(rendering.class_ids), _by_id(rendering.instance_ids)
     if not of_class:
         raise ValueError("the rendering has no classes")
@@ -297,7 +297,7 @@ def _columns(rendering: PanopticRendering, classes: ClassTable, instance_classes
 
 
 def _by_id(ids: Sequence[int]) -> list[int]:
-    """The places of all ids but 0, by ascending id."""
+    """The indices of all ids but 0, by ascending id."""
     return sorted((place for place, one in enumerate(ids) if one), key=lambda place: ids[place])
 
 

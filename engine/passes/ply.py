@@ -35,8 +35,8 @@ def write_ply_table(
     comment: str = "",
     uv: NDArray[np.float32] | None = None,
 ) -> None:
-    """Write vertices of float32, int32 or uint8 columns [N], and triangles [T, 3] of them, with the places ``uv``
-    [T, 3, 2] of their corners in pictures, and a comment. Raises ValueError for columns of other types or of different
+    """Write vertices of float32, int32 or uint8 columns [N], and triangles [T, 3] of them, with the texture coordinates
+    ``uv`` [T, 3, 2] of their corners, and a comment. Raises ValueError for columns of other types or of different
     lengths, and OSError."""
     count = {len(values) for values in columns.values()}
     if len(count) != 1:
@@ -65,8 +65,8 @@ def write_ply_table(
 
 def write_splats(path: Path, splats: BakedGaussians) -> None:
     """Write spherical harmonics of degree 0, opacity as logit, scale as logarithm; class and instance of every
-    Gaussian, and its blended colour as red, green and blue. All are floats, as other readers refuse files with other
-    columns. Raises OSError."""
+    Gaussian, and its blended colour as red, green and blue. All are floats, as other readers refuse files with columns
+    of other types. Raises OSError."""
     opacity = np.clip(splats.opacities.astype(np.float64), 1e-6, 1 - 1e-6)
     floats = {
         **columns_of("x y z", splats.means),

@@ -24,7 +24,7 @@ STUFF = (52, 54, 58)
 LINEAR_STEPS = (1 << 16) - 1
 """Steps of linear light in the table of bytes. The smallest byte is 20 steps wide."""
 MOST_COLOURS = 1 << 16
-"""Each id below this has a place in a table."""
+"""Ids below this are looked up in a table."""
 LUMA = np.array([0.2126, 0.7152, 0.0722], np.float32)
 
 

@@ -1,1 +1,1 @@
-"""How a lift is done: the three presets and all their options. It uses only the standard library."""
+"""The options of a lift, and the three presets. Standard library only."""

@@ -1,5 +1,5 @@
-"""The options of a preset by name, such as ``weights.depth``: they are parsed, checked, set in a preset, and shown; and
-presets in TOML files."""
+"""The options of a preset by name, such as ``weights.depth``: parsing, checking, setting and printing them; and presets
+in TOML files."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from .parts import added_names, is_name
 from .preset import PRESETS, Preset
 
 GONE = {"vote_rounds": "segments vote on Gaussians twice, and points once where masks are weak"}
-"""Options that went, and what is done in place of them."""
+"""Removed options, and what happens instead."""
 LISTING = "python -m engine presets"
 _KINDS = {"int": "a whole number", "float": "a number", "ints": "whole numbers", "bool": "true or false"}
 _BOOLEANS = {"true": True, "yes": True, "on": True, "false": False, "no": False, "off": False}
@@ -30,7 +30,7 @@ _BOOLEANS = {"true": True, "yes": True, "on": True, "false": False, "no": False,
 @dataclass(frozen=True)
 class PresetOption:
     """One option. ``length``: the number of values in a list; ``least`` and ``most`` bound a number, or each one in a
-    list; ``choices``: the texts that are allowed, and ``part`` the kind of parts whose names are, too (``parts``)."""
+    list; ``choices``: the allowed texts; ``part``: the kind of parts whose names are allowed, too (``parts``)."""
 
     name: str
     kind: Literal["bool", "int", "float", "choice", "ints", "names"]
@@ -43,7 +43,7 @@ class PresetOption:
 
     @property
     def expected(self) -> str:
-        """What a value must be, in words."""
+        """The valid values, in words."""
         text = _KINDS.get(self.kind, ", ".join(self.allowed))
         text = f"names of {text}" if self.kind == "names" else text
         if self.kind in ("int", "float", "ints"):
@@ -54,7 +54,7 @@ class PresetOption:
 
     @property
     def allowed(self) -> list[str]:
-        """The texts that this process allows."""
+        """The texts that are valid in this process."""
         return [*self.choices, *added_names(self.part)]
 
 
@@ -110,7 +110,7 @@ def with_options(preset: Preset, options: Mapping[str, Json]) -> Preset:
 
 
 def changed_options(preset: Preset, options: Mapping[str, Json]) -> dict[str, Json]:
-    """The options that differ from the preset's."""
+    """The options whose values differ from the preset's."""
     chosen = with_options(preset, options)
     same_steps = (chosen.steps, chosen.steps_a_view) == (preset.steps, preset.steps_a_view)
 
@@ -136,15 +136,14 @@ def parsed_options(texts: Iterable[str]) -> dict[str, Json]:
 
 
 def checked_options(options: Mapping[str, Json]) -> dict[str, Json]:
-    """Options as JSON values, in the order of the presets' fields. Raises PlgsError like ``parsed_options``, but not
-    for the name of a part that this process may not have: whoever reads a lift need not have the script that made it.
-    """
+    """Options as JSON values, in the order of the presets' fields. Raises PlgsError like ``parsed_options``, but
+    accepts names of parts that this process lacks: reading a lift does not need the script that made it."""
     checked = {name: checked_value(known_option(name), value, anybodys=True) for name, value in options.items()}
     return {name: checked[name] for name in preset_options() if name in checked}
 
 
 def known_option(name: str) -> PresetOption:
-    """The option with this name. If there is none, raises PlgsError, which names the nearest one."""
+    """The option with this name. Raises PlgsError with the closest name if there is none."""
     options = preset_options()
     if name in options:
         return options[name]
@@ -158,8 +157,8 @@ def known_option(name: str) -> PresetOption:
 
 
 def checked_value(option: PresetOption, value: Json, *, anybodys: bool = False) -> Json:
-    """The value of a JSON value or a text, with floats where floats are wanted. Raises PlgsError for a value that the
-    option cannot have. ``anybodys``: a part may have any name."""
+    """The checked value of a JSON value or a text, with floats where floats are wanted. Raises PlgsError for an invalid
+    value. ``anybodys``: a part may have any name."""
     found = _from_text(option, value) if isinstance(value, str) else value
     if found is None and option.can_be_none:
         return None
@@ -197,7 +196,7 @@ def _number(option: PresetOption, value: Json) -> float | int | None:
 
 
 def _from_text(option: PresetOption, text: str) -> Json:
-    """A text as the JSON value that it means. A text that means no value stays a text, which is refused later."""
+    """A text as the JSON value that it means. A text without such a meaning stays a text, which is refused later."""
     if option.kind == "choice":
         return text
     if option.kind == "names":
@@ -235,9 +234,9 @@ def shown_options(options: Mapping[str, Json]) -> list[str]:
 
 
 BASE = "preset"
-"""The key that names the preset which the file changes."""
+"""Key of the preset that the file changes."""
 MOST_BYTES = 1 << 20
-"""The most bytes of such a file; a whole preset has a few thousand."""
+"""Bytes of a preset file, at most; a whole preset has a few thousand."""
 _FIX = "'python -m engine presets preview' prints one that can be changed."
 
 
@@ -269,7 +268,7 @@ def _options_in(content: Mapping[str, Any], before: str = "") -> Iterator[tuple[
 
 
 def preset_text(base: str, options: Mapping[str, Json]) -> str:
-    """The text of a preset with some options changed, which ``read_preset_file`` reads."""
+    """The text of a preset file with some options changed, which ``read_preset_file`` reads."""
     preset, chosen = PRESETS[base], with_options(PRESETS[base], options)
     lines = [f'{BASE} = "{base}"']
     table = ""

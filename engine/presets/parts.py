@@ -1,7 +1,7 @@
 """Parts of the method that a preset chooses by name and a script can add: matchers, losses and heads.
 
 Functions and classes are registered where they belong (``engine/lift/objects.py``, ``engine/train/trainer.py``,
-``engine/model/decoders.py``). Here is what all of them share. Standard library only.
+``engine/model/decoders.py``). This module has what they share. Standard library only.
 """
 
 from __future__ import annotations
@@ -38,8 +38,8 @@ class Parts(dict[str, Part]):
         self.kind, self._built_in = kind, tuple(built_in)
 
     def register(self, name: str, part: Part) -> None:
-        """Add a part, or replace one that was added. Raises ValueError for the name of a built-in one, and for a name
-        of anything but letters, digits and underscores."""
+        """Add a part, or replace one that was added. Raises ValueError for the name of a built-in part, and for a name
+        with anything but letters, digits and underscores."""
         if not is_name(name) or name in self._built_in:
             raise ValueError(f"{name!r} cannot be the name of a {self.kind} of your own")
         self[name] = part

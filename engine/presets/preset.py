@@ -1,8 +1,8 @@
-"""The options of a lift and their values in the three presets, all in one place.
+"""All options of a lift, and their values in the three presets.
 
-Each field is an option. It has the same name here, after --set, in a preset's file and in request.json; one in a group
-is called ``group.field``. What neither a preset nor an experiment varies is a constant beside the code that uses it.
-Every schedule point is a fraction of the steps, so that a preset with 500 steps goes through the same stages as the
+Each field is an option. It has the same name here, after --set, in a preset's file and in request.json; a field of a
+group is called ``group.field``. What neither a preset nor an experiment varies is a constant beside the code that uses
+it. Every schedule point is a fraction of the steps, so that a preset with 500 steps goes through the same stages as the
 paper's 30 000 (see its "Implementation Details").
 """
 
@@ -38,9 +38,9 @@ class Matching:
     """Algorithm 1. ``tau_new``: a segment whose least cost is above it is a new instance. ``rule``: "hybrid" takes the
     Hungarian partner if its cost is at most tau, else the best global instance if its cost is, else a new one;
     "literal" is the text of Algorithm 1. ``cost``: the terms of O; the paper's table of ablations has each alone.
-    ``merge``: afterwards, global instances of one class become one if at least one view, and this share of those that
-    judge both, show them in one mask. None: never, as in the paper: parts that were seen before the whole stay apart.
-    """
+    ``merge``: afterwards, global instances of one class are merged if at least one view, and this share of the views
+    that judge both, show them in one mask. None: never, as in the paper: parts that were seen before the whole stay
+    separate."""
 
     tau_new: float = _ranged(-0.1, -2.0, 0.0)
     rule: Literal["hybrid", "literal"] = "hybrid"
@@ -51,8 +51,8 @@ class Matching:
 @dataclass(frozen=True)
 class Segments:
     """Before Algorithm 1, segments are eroded by ``erosion`` of the picture's width, and those with fewer than
-    ``least_points`` pixels with depth are left out: the paper says nothing of either. Regions of fewer than
-    ``least_region`` pixels keep the rendered classes as pseudo labels."""
+    ``least_points`` pixels with depth are left out; the paper mentions neither. Regions of fewer than ``least_region``
+    pixels keep the rendered classes as pseudo labels."""
 
     erosion: float = _ranged(2 / 160, 0.0, 0.5)
     least_points: int = _ranged(30, 1)
@@ -62,7 +62,7 @@ class Segments:
 @dataclass(frozen=True)
 class Schedule:
     """``self_training_every``: the share of the steps after which each round of pseudo labels is made. With 1 there is
-    no round; the paper's is 5k of 30k, and the first round ends its initial stage."""
+    no round. The paper makes one every 5k of 30k steps; the first round ends its initial stage."""
 
     self_training_every: float = _ranged(1.0, 0.001, 1.0)
 
@@ -83,8 +83,8 @@ class LossWeights:
 
 @dataclass(frozen=True)
 class Growth:
-    """``least_visits``: this many visits suffice to judge an anchor, however many steps lie between two rounds. In a
-    short lift of many views, an anchor that few of them see would otherwise never be judged. None: only Scaffold-GS's
+    """``least_visits``: this many visits suffice to judge an anchor, however many steps lie between two rounds.
+    Otherwise a short lift of many views would never judge an anchor that few of them see. None: only Scaffold-GS's
     shares of the steps count (``GrowthRules``)."""
 
     least_visits: int | None = _ranged(10)
@@ -92,9 +92,9 @@ class Growth:
 
 @dataclass(frozen=True)
 class SegmentVoting:
-    """``rounds``: how often segments take the label of their points and vote again. ``neighbours``: points share votes
-    with their neighbours on a thing. ``near``: near views may overrule the others on what they show as a whole.
-    ``superpoints``: points share all votes of their superpoint, where views that are held back agree with that."""
+    """``rounds``: how often segments take the label of their points and vote again. ``neighbours``: neighbouring points
+    on a thing share votes. ``near``: near views may overrule the others on what they show as a whole. ``superpoints``:
+    points share all votes of their superpoint, if held-back views agree with the result."""
 
     rounds: int = _ranged(2)
     neighbours: bool = True
@@ -109,9 +109,9 @@ EvidenceKind = Literal["views", "root", "resolution", "pixels", "density"]
 
 @dataclass(frozen=True)
 class ViewEvidence:
-    """The weight of a view's evidence on the ``points`` of the cloud, on the classes of ``objects``, on the labels that
-    ``segments`` give to points, and on the ``gaussians``. For ``masks``, a view that judges two masks is weighted by
-    how well it resolves them, compared with the views that have them."""
+    """How a view's evidence is weighted: on the ``points`` of the cloud, on the classes of ``objects``, on the labels
+    that ``segments`` give to points, and on the ``gaussians``. For ``masks``, a view that judges two masks is weighted
+    by how well it resolves them, compared with the views that have them."""
 
     points: EvidenceKind = "density"
     objects: EvidenceKind = "root"
@@ -129,7 +129,7 @@ class Voting:
 
 @dataclass(frozen=True)
 class Preset:
-    """Everything that shapes a lift except its input and its seed. The defaults are those of "preview"."""
+    """Everything that shapes a lift except its input and its seed. The defaults are the preset "preview"."""
 
     name: str
     steps: int = _ranged(500, 1, 10_000_000)
@@ -141,19 +141,19 @@ class Preset:
     """Metres (the paper's epsilon)."""
     gaussians_per_anchor: int = _ranged(4, 1, 32)
     instance_slots: int = _ranged(0, 0, 1000)
-    """The least number of slots. With ``objects`` "none" there are exactly this many, and the linear assignment decides
-    their meaning."""
+    """Least number of slots. With ``objects`` "none" there are exactly this many, and the linear assignment decides
+    what they mean."""
     most_anchors: int = _ranged(400_000, 1)
     distance_input: bool = False
     """Decoders get the camera's distance in addition to its direction, as in the paper's formula."""
     label_view_input: bool = False
-    """The label decoders get both too, so that labels depend on the view."""
+    """The label decoders get distance and direction too, so that labels depend on the view."""
     neighbours: int = _ranged(0, 0, 64)
-    """N_w: the number of views whose masks are compared with those of a view."""
+    """N_w: the number of neighbouring views whose masks are compared with a view's."""
     agreement: float = _ranged(1.0, 0.0, 1.0)
-    """Share of these views that must agree with a label that they see; 1 is the paper's product."""
+    """Share of these views that must agree with a label if they see it; 1 is the paper's product."""
     majority: float = _ranged(0.0, 0.0, 1.0)
-    """Share of the votes that the class of a point of the cloud needs."""
+    """Share of the votes that a point of the cloud needs to get a class."""
     objects: str = _named("matcher", "agreement", "boxes", "agreement", "none")
     """How segments of all views become instances: Algorithm 1 by ``matching``, or our method, with a vote of the views
     on each object's class. With "none" nothing is matched in space."""
@@ -164,9 +164,9 @@ class Preset:
     teach_no_object: bool = True
     """Pixels without an object are taught to show none; the paper supervises the pixels of things alone."""
     most_points: int = _ranged(200_000, 1)
-    """The semantic point cloud has at most this many points."""
+    """Points of the semantic point cloud, at most."""
     most_pixels: int | None = _ranged(16_000_000, 1)
-    """About this many pixels of all views become points, of every s-th row and column; None: all of them."""
+    """Pixels of all views that become points, about: every s-th row and column; None: all of them."""
     seeded_features: bool = True
     """Features start from the anchors' colours and labels, not from zero."""
     warm_start: bool = True
@@ -176,23 +176,23 @@ class Preset:
     schedule: Schedule = Schedule()
     weights: LossWeights = LossWeights()
     losses: tuple[str, ...] = _named("loss", ("depth",), "depth")
-    """Terms of the loss beside L_recon, L_sem and L_ins; that of "depth" has its weight in ``weights``."""
+    """Terms of the loss besides L_recon, L_sem and L_ins; "depth" has its weight in ``weights``."""
     head: str = _named("head", "structured", "structured")
     """The kind of decoders."""
     growth: Growth = Growth()
     steps_a_view: float = _ranged(5.0)
-    """If there are many views, there are enough steps to see each of them this often."""
+    """With many views, the steps suffice to see each view this often."""
     all_frames_vote: bool = True
-    """Frames that are not trained on vote on the classes of objects and points."""
+    """Frames that are not trained on also vote on the classes of objects and points."""
     fill_holes: bool = True
-    """Planar holes of the depth are filled before anything is placed in space."""
+    """Planar holes in the depth are filled before pixels are unprojected."""
     segment_voting: SegmentVoting = SegmentVoting()
     linear_assignment: bool = False
-    """A view's segments are assigned to slots in each step, by what is drawn."""
+    """In each step, a view's segments are assigned to slots by what is drawn."""
     fit_exposure: bool = True
     """Each photo is compared with the model's picture at the photo's exposure."""
     weigh_sharpness: bool = True
-    """Blurred photos count less."""
+    """Blurred photos have less weight."""
     labels: Literal["decoders", "votes"] = "votes"
     """What the finished scene shows: the output of the label decoders, or the views' votes on its Gaussians. Votes need
     objects by agreement, of one class each; otherwise the decoders are used."""

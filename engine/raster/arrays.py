@@ -78,8 +78,7 @@ class Splats(NamedTuple):
 
 class Blended(NamedTuple):
     """The blended pixels, float32: ``image`` [P * 3], ``labels`` [P * C], ``alpha``, ``depth`` and the ``final``
-    transmittance [P]. ``last`` [P] is the last Gaussian blended, as its place in the tile's list; -1 means
-    none."""
+    transmittance [P]. ``last`` [P] is the last Gaussian blended, as its index in the tile's list; -1 means none."""
 
     image: Array
     labels: Array

@@ -20,9 +20,10 @@ ALPHA_MIN = 1.0 / 255.0
 TRANSMITTANCE_END = 1e-4
 """A Gaussian that would leave this transmittance or less is not blended, and the pixel ends."""
 CLAMP_MARGIN = 0.3
-"""The Jacobian of the projection is taken outside the image by at most this share of the half field of view."""
+"""Share of the half field of view by which a point may lie outside the image before the Jacobian is taken at a clamped
+point."""
 NEAR_MEDIAN = 0.05
-"""A contributor whose depth differs from a pixel's median by at most this share of it belongs to the surface there."""
+"""Contributors whose depth differs from a pixel's median by at most this share of it belong to the surface there."""
 TINY_NORM = 1e-12
 """Quaternions shorter than this are divided by it instead of by their norm."""
 
@@ -32,8 +33,8 @@ class Pinhole:
     """A pinhole camera.
 
     ``rotation`` 3 by 3, row by row, world to camera (OpenCV axes); ``centre`` metres, world; ``focal`` and
-    ``principal`` (x, y) in pixels; ``width``, ``height`` in pixels; ``near`` in metres. If only some rows of a
-    picture are drawn, ``height`` counts them, ``above`` those before them and ``whole_height`` all of the picture.
+    ``principal`` (x, y) in pixels; ``width``, ``height`` in pixels; ``near`` in metres. If only some rows of a picture
+    are drawn, ``height`` counts them, ``above`` counts the rows before them, and ``whole_height`` all rows.
     """
 
     rotation: tuple[float, ...]
@@ -84,7 +85,7 @@ PENDING = 2 * BATCH
 BACKWARD_BATCH = 96
 """Gaussians of a tile whose label gradients are added up together."""
 MEMBERS = TILE * (BACKWARD_BATCH + 4)
-"""Places for the Gaussians listed on each patch of a tile, and for placeholders that fill up the last four."""
+"""Slots for the Gaussians listed on each patch of a tile, and for placeholders that fill up the last four."""
 assert 2 * (PENDING + BATCH + 4) <= MEMBERS, "the two patches of a strip list more of them"
 
 # columns of a record; the centre is the sum of two floats (a double's precision where it matters)
@@ -101,7 +102,7 @@ G, G_S1, G_S1S1, G_S2, G_S1S2, G_S2S2 = 0, 1, 2, 3, 4, 5
 D_RED, D_GREEN, D_BLUE, D_DEPTH = 6, 7, 8, 9
 GRADIENT = 10
 GRADIENT_WIDTH = 16
-"""Floats from one slot's gradients to the next."""
+"""Floats per gradient slot."""
 
 WHITENING = math.sqrt(0.5 * math.log2(math.e))
 """s = WHITENING * L d."""

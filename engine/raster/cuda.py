@@ -4,12 +4,12 @@ Labels are blended from gsplat's list of the Gaussians that each pixel shows. It
 of all Gaussians of a tile, and their gradient would reach the geometry.
 
 gsplat 1.5 differs from the other back ends in these points. It caps alpha at 0.999, not at 0.99 (1.6 caps at 0.99), so
-an opaque Gaussian lets a tenth of the light through. It projects in float32, where the terms of a long thin Gaussian
-cancel. It uses rounded boxes to decide what is ``visible``. The blur of 0.3 px^2, the clamp margins, the near plane,
-the least alpha of 1/255 and the end of a pixel at 1e-4 agree. It sums gradients in any order, so no two lifts are the
-same, bit for bit.
+an opaque Gaussian lets a tenth as much light through. It projects in float32, where the terms of a long thin Gaussian
+cancel. It uses rounded boxes to decide what is ``visible``. It sums gradients in any order, so no two lifts are the
+same, bit for bit. The blur of 0.3 px^2, the clamp margins, the near plane, the least alpha of 1/255 and the end of a
+pixel at 1e-4 agree.
 
-``docs/speed.md`` tells how it did on a GPU.
+``docs/speed.md`` has measurements on a GPU.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from .conventions import BLUR, NEAR, Pinhole
 from .rendering import GaussianSet, Rendering, Wanted
 
 OLDEST, TOO_NEW = (1, 5), (1, 7)
-"""Versions (major, minor) of gsplat: the first that is known to have the call used here, and the first beyond those."""
+"""gsplat versions (major, minor): the first known to have the call used here, and the first that is not tested."""
 
 _TILE = 8
 """Pixels along a tile's side. With gsplat's 16, a small picture has too few tiles for a large GPU."""
@@ -54,8 +54,8 @@ def what_is_missing() -> str | None:
 def what_fails(device: str) -> str | None:
     """Draw one Gaussian on ``device``, and return the error's first line, or None. `what_is_missing` must return None.
 
-    At the first use gsplat compiles its CUDA code, which takes minutes and can fail for many reasons: so this comes
-    before a lift's work, not in the midst of it.
+    At the first use gsplat compiles its CUDA code, which takes minutes and can fail for many reasons. So call this
+    before a lift's work begins.
     """
     one = torch.ones(1, 4, device=device)
     gaussians = GaussianSet(one[:, :3], one[:, :3], one, one[:, 0], one[:, :3], None)
@@ -129,7 +129,7 @@ def alpha_cap() -> float:
 
 
 def _nothing_drawn(gaussians: GaussianSet, pinhole: Pinhole, want_means2d_grad: bool) -> Rendering:
-    """The rendering of no Gaussians. gsplat 1.5 divides by their number, which ends the process."""
+    """The rendering of no Gaussians. gsplat 1.5 would divide by their number, and the process would crash."""
     height, width, labels = pinhole.height, pinhole.width, gaussians.labels
 
     def blank(depends_on: Iterable[Tensor], *shape: int) -> Tensor:
@@ -147,7 +147,8 @@ def _call(gaussians: GaussianSet, pinhole: Pinhole) -> tuple[Tensor, Tensor, dic
     """Colour and depth [H, W, 4], alpha [H, W, 1], and what gsplat returns about the Gaussians, in pixels of the whole
     picture.
 
-    Of some rows, the whole picture is drawn: gsplat takes the margins of the Jacobian's point from its height.
+    The whole picture is drawn even if only some rows are wanted: gsplat derives the Jacobian's clamp margins from the
+    height.
     """
     from gsplat import rasterization
 

@@ -23,9 +23,9 @@ from .conventions import TILE
 # With equal shares, the slowest worker, or one that wakes late, would hold up all others.
 
 CHUNK = 256
-"""The approximate number of Gaussians in a chunk. With fewer, taking chunks would cost more."""
+"""The approximate number of Gaussians in a chunk. Smaller chunks would cost more to hand out."""
 MOST_CHUNKS = 256
-"""There are at most this many chunks: several for each of many workers."""
+"""The largest number of chunks, which is several for each of many workers."""
 
 
 @device_function
@@ -48,7 +48,7 @@ def next_chunk(next_one: Array, chunks: int, count: int) -> Any:
 
 
 WORTH_SHARING = 1000
-"""One worker scatters fewer intersections than this, as waking the others would take longer."""
+"""Below this many intersections one worker scatters alone, as waking the others would take longer."""
 
 
 def isect_tiles(
@@ -77,14 +77,15 @@ def isect_tiles(
 
 
 def blending_workers(workers: int, isects: Intersections, longest: int) -> int:
-    """The number of workers that blend. Each has space for the longest list, so there are no more than such lists."""
+    """The number of workers that blend: at most as many as lists of the longest length fit into all intersections, as
+    each worker has space for one such list."""
     return min(workers, max(1, -(-len(isects.flatten_ids) // max(1, longest))))
 
 
 @compiled
 def list_visible(boxes: Array, depth_bits: Array, keys: Array, gaussian_offsets: Array) -> int:
-    """Fill in the keys by which visible Gaussians are sorted (depth, then index), and the running sum of the tiles that
-    each touches. Returns the number of visible ones."""
+    """Fill in the sort keys of visible Gaussians (depth, then index), and the running sum of the tiles that each
+    touches. Returns the number of visible ones."""
     shown, isect = 0, 0
     for i in range(boxes.shape[0]):
         gaussian_offsets[i] = isect
@@ -100,7 +101,7 @@ def list_visible(boxes: Array, depth_bits: Array, keys: Array, gaussian_offsets:
 
 @parallel_kernel
 def count_tiles(worker: int, workers: int, order: Array, boxes: Array, columns: int, counts: Array) -> None:
-    """Add the number of Gaussians on each tile in the worker's part to ``counts`` int64 [workers, tiles]."""
+    """Count the Gaussians on each tile in the worker's part: added to ``counts`` int64 [workers, tiles]."""
     first, end = chunk_range(worker, workers, order.shape[0])
     for k in range(first, end):
         i = order[k]
@@ -111,8 +112,8 @@ def count_tiles(worker: int, workers: int, order: Array, boxes: Array, columns: 
 
 @compiled
 def running_starts(counts: Array, starts: Array) -> Any:
-    """Turn counts [workers, tiles] into the places where each worker begins in each tile, and fill ``starts``
-    [tiles + 1] with the tiles' places. Returns the largest tile's count."""
+    """Turn counts [workers, tiles] into the index at which each worker begins in each tile, and fill ``starts`` [tiles
+    + 1] with the tiles' first indices. Returns the largest tile's count."""
     workers, tiles = counts.shape
     total, largest = 0, 0
     for tile in range(tiles):

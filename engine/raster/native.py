@@ -193,7 +193,7 @@ def _no_gradients(count: int, channels: int) -> GaussianGradients:
 
 
 LABELS = 5
-"""The place of the labels among the arguments."""
+"""Index of the labels among the arguments."""
 COMPILATION = "10 s"
 """The time to compile a pass, for the log."""
 
@@ -279,7 +279,7 @@ class _Blend(torch.autograd.Function):
 
 
 def _or_zeros(gradient: Tensor | None, shape: tuple[int, ...]) -> Array:
-    """A layer's gradient, or zeros, as torch gives None if no loss uses the layer."""
+    """A layer's gradient. torch gives None if no loss uses the layer: then zeros."""
     return _zeros(shape) if gradient is None else as_array(gradient)
 
 

@@ -1,4 +1,4 @@
-"""3D Gaussians to records on the image plane (EWA splatting), and from a Gaussian's gradients there back to those of
+"""Projects 3D Gaussians to records on the image plane (EWA splatting), and takes a Gaussian's gradients there back to
 its 3D parameters.
 
 Everything is in double: this is cheap compared with the blending, and thin Gaussians need it.

@@ -84,7 +84,7 @@ def rotation_matrices(quats: Tensor) -> Tensor:
 def footprint_visible(
     centres: Tensor, covariances: Tensor, depths: Tensor, opacities: Tensor, pinhole: Pinhole
 ) -> Tensor:
-    """bool [N]: beyond the near plane, and the box around {alpha >= 1/255} holds a pixel centre of the image."""
+    """bool [N]: beyond the near plane, and the box around {alpha >= 1/255} contains a pixel centre of the image."""
     reach = 2.0 * torch.log(opacities.clamp(min=1e-30) / ALPHA_MIN)
     extent = torch.sqrt(reach.clamp(min=0.0)[:, None] * torch.diagonal(covariances, dim1=-2, dim2=-1))
     size = torch.tensor([pinhole.width, pinhole.height], dtype=centres.dtype)

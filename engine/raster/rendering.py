@@ -24,7 +24,7 @@ class GaussianSet(NamedTuple):
 
 
 class Wanted(NamedTuple):
-    """What ``rasterize`` is asked for beside the layers: ``top_k`` contributors, the ``surface``, and a gradient of
+    """What ``rasterize`` returns besides the layers: ``top_k`` contributors, the ``surface``, and a gradient of
     ``means2d``."""
 
     top_k: int

@@ -1,1 +1,1 @@
-"""Which labels are consistent? Consistency-enhanced masks, the semantic point cloud, pseudo labels."""
+"""Label consistency between views: consistency-enhanced masks, the semantic point cloud, pseudo labels."""

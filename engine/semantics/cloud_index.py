@@ -1,9 +1,9 @@
 """The nearest point of a cloud, and the projection of a labelled cloud onto a view (paper, section "Reliable Anchor
 Point Regularization").
 
-These masks supervise newly grown Gaussians before self-training. The same projection makes the consistent instance
-masks M_match. The paper gives no splat size, and does not treat occlusion and holes. Here each pixel's surface takes
-the nearest labelled point.
+Projected masks supervise newly grown Gaussians before self-training, and give the consistent instance masks M_match.
+The paper gives no splat size, and does not treat occlusion and holes. Here each pixel's surface takes the nearest
+labelled point.
 """
 
 from __future__ import annotations

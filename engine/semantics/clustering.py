@@ -1,9 +1,9 @@
 """Clustering the primary point cloud (paper: K-means, section "Robust Semantic Anchor Point Discovery").
 
-The paper gives neither K nor the seeding nor the iterations. Here the seeds are the means of a grid's occupied cells.
-A few Lloyd steps follow, in which each point moves to the nearest centre within one spacing. So K-means needs no
-randomness, and its time grows linearly with the points. A large scene has more surface than the cloud may have points:
-there, points are dense where labels change, and sparse in between, on walls and floors.
+The paper gives neither K nor the seeding nor the iterations. Here the seeds are the means of a grid's occupied cells. A
+few Lloyd steps follow, in which each point moves to the nearest centre within one spacing. So K-means needs no
+randomness, and its time grows linearly with the points. In a scene too large for an even cloud, points are dense where
+labels change, and sparse in between, on walls and floors.
 """
 
 from __future__ import annotations
@@ -18,10 +18,10 @@ from numpy.typing import NDArray
 from .cloud_index import CloudIndex
 
 PointBatches = Callable[[], Iterable[NDArray[np.float64]]]
-"""Gives the primary cloud from its start each time it is called, in batches of world points, float64 [n, 3]."""
+"""Returns the primary cloud from its start each time it is called, in batches of world points, float64 [n, 3]."""
 
 _PENDING_ROWS = 2_000_000
-"""Rows of merged batches that are held before they are merged with each other."""
+"""Rows of merged batches that are collected before they are merged with each other."""
 _BITS = 21
 """Bits of a cell's key for each axis."""
 _OFFSET = 1 << (_BITS - 1)
@@ -100,7 +100,7 @@ def lloyd_step(batches: PointBatches, centres: NDArray[np.float64], spacing: flo
 ENLARGED = 2.0
 """Spacing adapts above this multiple of the wanted spacing. Smaller rooms are sampled evenly."""
 MIXED = 0.2
-"""Share of the votes against a cell's winner above which labels change within the cell."""
+"""Share of a cell's votes against its winner above which labels change within the cell."""
 LEAST_GAIN = 0.8
 """Share of the cells with changing labels above which an even spacing does just as well."""
 
@@ -127,10 +127,10 @@ def adapted_centres(
     batches: LabelledBatches, centres: NDArray[np.float64], spacing: float, classes: int, wanted: float, cap: int
 ) -> NDArray[np.float64]:
     """Centres float64 [K, 3] that are dense where labels change, and twice as far apart elsewhere. There are about as
-    many as ``centres``, and at most ``cap``; none are nearer than ``wanted`` metres.
+    many as ``centres``, and at most ``cap``; none are closer than ``wanted`` metres.
 
     ``centres``: one for every occupied cell of ``spacing`` metres, in the order of the cells; ``classes``: the number
-    of classes that the columns stand for.
+    of columns of votes.
     """
     cells = _edges(batches, np.sort(cell_keys(centres, spacing)), spacing, classes)
     share = float(cells.is_edge.mean())
@@ -146,7 +146,7 @@ def adapted_centres(
 
 
 def _edges(batches: LabelledBatches, keys: NDArray[np.int64], spacing: float, classes: int) -> _Cells:
-    """Where labels change: within a cell, or from it to one of its 26 neighbours."""
+    """Whether labels change in each cell, or from it to one of its 26 neighbours."""
     votes = np.zeros(len(keys) * classes)
     for points, column in batches():
         own = cell_keys(points, spacing)

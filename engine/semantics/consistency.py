@@ -1,8 +1,8 @@
 """Consistency-enhanced 2D masks: which pixels do neighbouring views agree with? And pseudo labels for self-training.
 
 Paper, section "Consistency-enhanced 2D Mask Generation": q(u) is the product of 1{s_u = s_u'} over the pixels u' that
-the neighbouring views warp onto u. The warp is backward here: each reference pixel is lifted by its own depth and
-looked up in each neighbour, which leaves no holes. A depth test (ours; the paper has none) leaves out surfaces that the
+the neighbouring views warp onto u. The warp is backward here: each reference pixel is unprojected by its own depth and
+looked up in each neighbour, which leaves no holes. A depth test (ours; the paper has none) skips surfaces that the
 neighbour does not see, so that an occluder's label cannot veto a correct pixel.
 """
 
@@ -110,7 +110,8 @@ def _compare(
 def _warp_and_compare(
     one: LabelledDepth, two: LabelledDepth, relative: Any, metres: Any, share: Any, agree: Any, seen: Any
 ) -> None:
-    """w(u): lift by depth, move into the neighbour's camera, project, take the nearest pixel (its centre is +0.5)."""
+    """w(u): unproject by depth, move into the neighbour's camera, project, take the nearest pixel (its centre is
+    +0.5)."""
     fx, fy, cx, cy = one.intrinsics
     gx, gy, hx, hy = two.intrinsics
     depth, label = one.depth, one.label

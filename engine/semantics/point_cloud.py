@@ -1,8 +1,8 @@
 """The robust semantic point cloud (paper, section "Robust Semantic Anchor Point Discovery"), and anchors by
 voxelisation with the label of each (section "Structured Panoptic-Aware Scene Representation").
 
-Consistent labels are placed in space by depth and clustered. Each cluster takes the majority of its members' labels.
-Pixels without a consistent label still give geometry; otherwise walls behind rejected edges would have no anchors.
+Consistent labels are unprojected by depth and clustered. Each cluster takes the majority of its members' labels. Pixels
+without a consistent label still give geometry; otherwise walls behind rejected edges would have no anchors.
 """
 
 from __future__ import annotations
@@ -25,10 +25,10 @@ LLOYD_STEPS = 1
 
 @dataclass(frozen=True)
 class CloudOptions:
-    """``spacing`` of the clusters in metres (half the anchors' voxel size does well) is enlarged until at most ``cap``
+    """``spacing`` of the clusters in metres (half the anchors' voxel size works well) is enlarged until at most ``cap``
     clusters remain; in very large scenes, less where labels change (`adapted_centres`). A cluster whose winner has less
-    than ``majority`` of the votes is unknown. ``evidence``: the votes that a view has on a cluster; the paper's
-    are its "pixels". ``most_pixels``: that many of all views are used, about: every s-th row and column."""
+    than ``majority`` of the votes is unknown. ``evidence``: how many votes a view has on a cluster; the paper's choice
+    is its "pixels". ``most_pixels``: about this many pixels of all views are used: every s-th row and column."""
 
     spacing: float = 0.025
     cap: int = 200_000
@@ -141,15 +141,15 @@ def _points(view: View, stride: int) -> NDArray[np.float64]:
 
 
 def _labelled_points(view: View, stride: int, class_ids: NDArray[np.int64]) -> ColumnedPoints:
-    """``_points``, and the column of each one's class in ``class_ids``, -1 where it has none."""
+    """``_points``, and the column in ``class_ids`` of each one's class, -1 if it has none."""
     label = view.mask.class_map()[::stride, ::stride][view.depth[::stride, ::stride] > 0]
     column = np.minimum(np.searchsorted(class_ids, label), len(class_ids) - 1)
     return _points(view, stride), np.where(class_ids[column] == label, column, -1)
 
 
 class _Tally:
-    """What the views say of clusters at ``centres`` float64 [K, 3]: ``votes`` float32 [K, C] for the classes, and their
-    mean colour."""
+    """The votes of the views on clusters at ``centres`` float64 [K, 3]: ``votes`` float32 [K, C] for the classes, and
+    their mean colour."""
 
     def __init__(
         self, centres: NDArray[np.float64], spacing: float, class_ids: NDArray[np.int64], kind: EvidenceKind

@@ -1,8 +1,8 @@
 """3D Gaussian Splatting (3DGS): every Gaussian has its own shape, colour and labels, and no decoder makes them smooth.
 
-It uses the same tensors as the structured scene, so that everything else can be the same: an anchor is one Gaussian,
-its offset is how far it has moved, in metres, and its feature holds what else is learnt, column by column, in units of
-its rate.
+It uses the tensors of the structured scene, so that everything else can be the same. An anchor is one Gaussian, its
+offset is how far it has moved, in metres, and its feature holds everything else that is learnt, column by column, in
+units of its rate.
 """
 
 from __future__ import annotations
@@ -26,9 +26,9 @@ OPACITY, SCALE, QUAT, COLOUR, LABELS = slice(0, 1), slice(1, 4), slice(4, 8), sl
 """Columns of a feature: the opacity's logit, log scales, quaternion, colour as spherical harmonics of degree 0; from 11
 on logits of the classes, then of the slots."""
 OPACITY_RATE, SCALE_RATE, QUAT_RATE, COLOUR_RATE = 20.0, 2.0, 0.4, 1.0
-"""How much faster than a colour each is learnt: 3DGS's rates 0.05, 0.005, 0.001 over its 0.0025."""
+"""Learning rates relative to a colour's: 3DGS's rates 0.05, 0.005, 0.001 over its 0.0025."""
 LABEL_RATE = 20.0
-"""3DGS has no labels; logits start at 0 and have hundreds of steps."""
+"""3DGS has no labels. Logits start at 0 and have hundreds of steps."""
 HARMONIC = 0.28209479177387814
 """The spherical harmonic of degree 0."""
 
@@ -51,7 +51,7 @@ class PlainRules:
 
 
 class PlainDecoders(Decoders):
-    """What stands in for the decoders: nothing is learnt here, labels are columns of the features."""
+    """Stands in for the decoders: it learns nothing, as labels are columns of the features."""
 
     kind = "3dgs"
     decodes_all_anchors = True  # they have moved away from where they started
@@ -62,7 +62,7 @@ class PlainDecoders(Decoders):
 
     @classmethod
     def of_labels(cls, classes: int, instance_slots: int) -> PlainDecoders:
-        """For that many labels."""
+        """The decoders for that many labels."""
         features = LABELS + classes + instance_slots
         return cls(DecoderShape(features, 1, classes, instance_slots, distance_input=False, label_view_input=False))
 

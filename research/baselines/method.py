@@ -1,4 +1,4 @@
-"""Lifts of baselines: as in PLGS, except for what the options of ``BaselinePreset`` say."""
+"""Lifts of baselines: PLGS, changed by the options of ``BaselinePreset``."""
 
 from __future__ import annotations
 
@@ -41,11 +41,10 @@ from .options import BaselinePreset
 
 
 class SegmentTrainer(Trainer):
-    """In addition, the segments of the input masks are kept consistent, once ``FROM`` of the steps are
-    done."""
+    """Also keeps the segments of the input masks consistent, once ``FROM`` of the steps are done."""
 
     def move_to(self, device: torch.device | str) -> None:
-        """Segments are kept consistent by kernels: such a training stays on the CPU."""
+        """Stays on the CPU, as kernels keep the segments consistent."""
         super().move_to("cpu" if self.preset.segment_consistency else device)
 
     def _keeps_segments(self) -> bool:
@@ -97,7 +96,7 @@ class SplattingTrainer(SegmentTrainer):
 
 
 def lift_baseline(folder: LiftFolder, events: EventWriter, stop: StopSignal, *, resume: bool) -> None:
-    """`run_lift` by whichever baseline the preset's options name; without any, PLGS itself. Raises what that
+    """`run_lift` by the baseline that the preset's options name; without any, PLGS itself. Raises what `run_lift`
     raises."""
     run_lift(
         folder, events, stop, resume=resume, preparing=prepare_baseline, training=new_trainer, sources=SOURCES
@@ -113,7 +112,7 @@ def prepare_baseline(
     scratch: Path | None = None,
     others: Sequence[View] = (),
 ) -> PreparedLift:
-    """PLGS's start, with another scene, other targets or other label maps in place of its own."""
+    """PLGS's start, with another scene, other targets or other label maps instead of its own."""
     options = cast(BaselinePreset, preset)
     has_own_start = options.representation != "structured" or not options.labelled_start
     first = replace(preset, warm_start=False) if has_own_start else preset
@@ -169,16 +168,16 @@ def _columns(classes: NDArray[np.int32], class_ids: tuple[int, ...]) -> torch.Te
 WEIGHT = 1.2
 """The weight of this loss within L_sem."""
 FROM = 0.6
-"""The share of all steps before which it has no weight: earlier it teaches what is not learnt yet, and all classes
-become one. Panoptic Lifting starts it at its sixth epoch."""
+"""The share of all steps before which it has no weight: earlier it would teach what is not learnt yet, and all classes
+would become one. Panoptic Lifting starts it at its sixth epoch."""
 
 
 def segment_targets(coverage: torch.Tensor, alpha: torch.Tensor, classes: int, segments: ThingSegments) -> torch.Tensor:
-    """The class of each pixel's segment, int16 [H, W], -1 outside of all: that of the largest mean log probability over
-    the segment's pixels, as the model shows it now.
+    """The class of each pixel's segment, int16 [H, W], -1 outside of all: the one with the largest mean log probability
+    over the segment's pixels, as the model currently shows it.
 
-    ``coverage`` float32 [H, W, C + S] holds blended probabilities of ``classes`` C classes first; over ``alpha``
-    [H, W] they are probabilities.
+    ``coverage`` float32 [H, W, C + S] holds blended probabilities, those of the C ``classes`` first; divided by
+    ``alpha`` [H, W] they are probabilities.
     """
     inside = segments.row.reshape(-1) >= 0
     row = segments.row.reshape(-1)[inside]

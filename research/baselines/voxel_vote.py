@@ -18,12 +18,13 @@ VOXEL_VOTE = "voxel vote (with test depth)"
 VOXEL_SIZE = 0.05
 """Metres."""
 SMALLEST_OBJECT = 20
-"""Voxels; 20 voxels of 5 cm are 0.05 m^2 of surface. Smaller fragments share instance 0, else each would count
-as an invented object and the baseline would look worse than it is."""
+"""Voxels; 20 voxels of 5 cm are 0.05 m^2 of surface. Smaller fragments share instance 0. Otherwise each would count as
+an invented object, and the baseline would look worse than it is."""
 VOTING_WIDTH = 320
-"""Pixels: training views vote at most this wide. A pixel is still far smaller than a voxel, and rooms take seconds."""
+"""Pixels: largest width at which training views vote. A pixel is still far smaller than a voxel, and rooms take
+seconds."""
 MOST_VOTERS = 500
-"""At most this many training views vote, evenly spread: every voxel has had its votes by then."""
+"""Training views that vote, at most, evenly spread: every voxel has had its votes by then."""
 
 _BITS, _HALF = 21, 1 << 20
 

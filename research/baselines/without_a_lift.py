@@ -25,7 +25,7 @@ FORMAT = 4
 
 
 class _WithoutObjects(Report):
-    """Scores each answer of the voxels a second time, with no object distinguished from others of its class."""
+    """Scores each answer of the voxels a second time, with all objects of a class merged into one."""
 
     def add_labels(self, method: str, frame: str, view: PredictedView, truth: GroundTruth) -> None:
         super().add_labels(method, frame, view, truth)
@@ -35,12 +35,12 @@ class _WithoutObjects(Report):
 
 
 WITH_IDS = (VOXEL_VOTE,)
-"""Those whose ids mean the same in every frame, so that changes of them can be counted."""
+"""Methods whose ids mean the same in every frame, so that changes of them can be counted."""
 
 
 def scores_without_a_lift(source: SceneSource, cache: Path) -> dict[str, Figures]:
-    """Figures by method (WITHOUT_A_LIFT). Empty without ground truth. They are kept in ``cache`` and measured again
-    when the engine, a file of the scene, or the format or classes by which its masks are read have changed.
+    """Figures by method (WITHOUT_A_LIFT). Empty without ground truth. They are kept in ``cache``, and measured again if
+    the engine, a file of the scene, or the format or classes of its masks have changed.
 
     Raises PlgsError when a file or the cache is bad.
     """

@@ -1,4 +1,4 @@
-"""An experiment, its scenes, and the lifts that it needs: which row on which scene, into which folder, with which
+"""An experiment, its scenes, and the lifts that it needs: which row on which scene, in which folder, with which
 options."""
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from .rows import Row, Rows
 from .table import Tables
 
 PROGRAM = "research"
-"""This program knows the options of the baselines."""
+"""The program that lifts, as it knows the options of the baselines."""
 FIRST = "ours"
 """The row whose lift is the preset itself: its folder's name contains no row."""
 
@@ -34,7 +34,7 @@ _NAME = re.compile(r"\w[\w .+-]*")
 
 @dataclass(frozen=True)
 class SceneToLift:
-    """A scene's folder (absolute), the axis of its poses that points up, and what tables call it."""
+    """A scene's folder (absolute), the axis of its poses that points up, and its name in the tables."""
 
     name: str
     folder: Path
@@ -45,7 +45,8 @@ def scenes_from(texts: Sequence[str], names: Sequence[str] | None = None) -> tup
     """The scenes of ``texts``, each ``SCENE`` or ``SCENE:up=AXIS``, called ``names`` or as their folders are. SCENE may
     be a pattern of folders, such as ``scans/scene*``, which stands for all of them in the order of their names.
 
-    Raises PlgsError when an axis or a name is invalid, when two names are the same, or when the numbers differ.
+    Raises PlgsError if an axis or a name is invalid, if two names are the same, or if there are more or fewer names
+    than scenes.
     """
     texts = [each for text in texts for each in _matching(text)]
     if names is not None and len(names) != len(texts):
@@ -95,10 +96,9 @@ def _scene(text: str) -> SceneToLift:
 class Experiment:
     """Rows of the tables (``only`` some: of these names or tables) on ``scenes``, into ``folder``. All start from
     ``preset`` (a name, or a file) with ``steps`` and the options ``sets`` (name=value); all scenes are read by
-    ``scene_format``, ``mask_format`` and ``classes``, from at most ``frames``, with ``fit`` and ``device``, as a
-    LiftRequest has them. ``masks`` and ``depth`` are paths in which {scene} stands for the scene's name. ``earlier``:
-    results to compare with; ``page``: a Markdown file whose tables are updated; ``only_finished``: nothing more is
-    lifted."""
+    ``scene_format``, ``mask_format`` and ``classes``, from at most ``frames``, with ``fit`` and ``device``, as in a
+    LiftRequest. ``masks`` and ``depth`` are paths in which {scene} stands for the scene's name. ``earlier``: results to
+    compare with; ``page``: a Markdown file whose tables are updated; ``only_finished``: nothing more is lifted."""
 
     scenes: tuple[SceneToLift, ...]
     folder: Path
@@ -141,8 +141,8 @@ class Experiment:
 
 @dataclass(frozen=True)
 class Task:
-    """One row on one scene with one seed; ``options``: as the command ``lift`` would have been given; ``depth_of``:
-    the folder of the lift whose rendered depth it takes."""
+    """One row on one scene with one seed; ``options``: those of the command ``lift``; ``depth_of``: the folder of the
+    lift whose rendered depth it takes."""
 
     scene: SceneToLift
     row: Row
@@ -171,7 +171,7 @@ def tasks_of(experiment: Experiment) -> Iterator[Task]:
 
 
 def has_files(row: Row, scene: SceneToLift) -> bool:
-    """Whether a scene has the files that a row uses in place of the usual ones."""
+    """Whether a scene has the files that a row uses instead of the usual ones."""
     return row.masks is None or (scene.folder / row.masks).exists()
 
 
@@ -182,7 +182,7 @@ def lift_folder(experiment: Experiment, scene: SceneToLift, row: Row, seed: int)
 
 
 def lift_options(experiment: Experiment, scene: SceneToLift, row: Row, seed: int) -> argparse.Namespace:
-    """What ``lift SCENE -o FOLDER/SCENE-PRESET-ROW --bake none --resume`` would have been given."""
+    """The options of ``lift SCENE -o FOLDER/SCENE-PRESET-ROW --bake none --resume``."""
     output = lift_folder(experiment, scene, row, seed)
     return argparse.Namespace(
         program=PROGRAM,

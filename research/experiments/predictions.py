@@ -42,7 +42,7 @@ def predictions_from(text: str) -> NamedPredictions:
 
 
 def with_predictions(rows: Rows, given: list[NamedPredictions]) -> Rows:
-    """The rows, and one more of the first table for each of the predictions. Raises PlgsError for a name that a row
+    """The rows, plus one in the first table for each of the predictions. Raises PlgsError for a name that a row already
     has."""
     known = {row.name.casefold() for row in rows.rows}
     for each in given:
@@ -55,7 +55,8 @@ def with_predictions(rows: Rows, given: list[NamedPredictions]) -> Rows:
 
 
 def results_of_predictions(experiment: Experiment, errors: dict[str, PlgsError]) -> Iterator[Result]:
-    """The results of the rows that are predictions. If one fails, it has the reason, and ``errors`` gets it."""
+    """The results of the rows that are predictions. A failed one carries its reason, which is also put into
+    ``errors``."""
     rows = [row for row in experiment.rows.rows if row.predicted]
     for scene in experiment.scenes if rows else ():
         for row in rows:
@@ -68,8 +69,8 @@ def results_of_predictions(experiment: Experiment, errors: dict[str, PlgsError])
 
 
 def scores_of(row: Row, scene: SceneToLift, opened: Scene) -> Figures:
-    """The figures of a row's predictions of the held-out frames of a scene. Raises PlgsError, also if one of the
-    frames that have ground truth lacks a prediction: figures of fewer frames compare with nothing."""
+    """The figures of a row's predictions of the held-out frames of a scene. Raises PlgsError, also if a frame with
+    ground truth lacks a prediction: figures over fewer frames could not be compared."""
     assert row.predicted is not None
     place = of_scene(row.predicted.folder, scene.name)
     assert place is not None

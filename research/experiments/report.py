@@ -1,4 +1,4 @@
-"""What an experiment leaves behind: results.json and .csv, tables in Markdown, contact sheets, an updated page."""
+"""The output of an experiment: results.json and .csv, tables in Markdown, contact sheets, an updated page."""
 
 from __future__ import annotations
 
@@ -31,8 +31,9 @@ the weights of a network.
 def write_report(
     folder: Path, tables: Tables, *, sheets: Mapping[str, Path] | None = None, page: Path | None = None
 ) -> None:
-    """results.json, results.csv and results.md; with ``sheets`` (caption to the lift's folder), at the end, also
-    sheet.png, and in ``page`` the sections of these scenes. Raises PlgsError when they cannot be written."""
+    """Write results.json, results.csv and results.md. With ``sheets`` (caption to the lift's folder), which are given
+    at the end, also write sheet.png and update the sections of these scenes in ``page``. Raises PlgsError if this
+    fails."""
     try:
         write_atomically(folder / "results.json", results_text(tables.results))
         write_atomically(folder / "results.csv", csv_text(tables.results))
@@ -74,8 +75,7 @@ def text_of(page: Path) -> str:
 
 
 def with_tables(page: str, tables: str) -> str:
-    """The page with these scenes' sections between its marks, in place of the ones of the same scenes there; at its end
-    if it has no marks."""
+    """The page with the sections of these scenes replaced between its marks; they go to its end if it has no marks."""
     if BEGIN not in page or END not in page:
         page = f"{page or _SKELETON}\n{BEGIN}\n{END}\n"
     before, _, rest = page.partition(BEGIN)
@@ -87,14 +87,14 @@ def with_tables(page: str, tables: str) -> str:
 
 
 def _sections(tables: str) -> dict[str, str]:
-    """The sections of a text by the scenes that head them."""
+    """The sections of a text, by the scenes in their headings."""
     parts = re.split(r"^(?=### )", tables, flags=re.MULTILINE)
     return {part.partition("\n")[0]: part.rstrip("\n") + "\n" for part in parts if part.startswith("### ")}
 
 
 def write_sheet(path: Path, lifts: Mapping[str, Path]) -> None:
     """The first held-out frame of each lift (caption to folder): photo, input mask, lifted classes and instances.
-    Nothing where no lift has a contact sheet. Raises OSError."""
+    Writes nothing if no lift has a contact sheet. Raises OSError."""
     strips = [first_row(lift / SHEET, caption) for caption, lift in lifts.items() if (lift / SHEET).is_file()]
     if strips:
         width = max(strip.shape[1] for strip in strips)

@@ -20,7 +20,7 @@ _FIX = "Fix rows.toml."
 
 @dataclass(frozen=True)
 class Cited:
-    """What the paper reports, in per cent and decibels, of the scenes of ``dataset``."""
+    """The paper's figures, in per cent and decibels, for the scenes of ``dataset``."""
 
     dataset: str
     miou: float | None = None
@@ -32,7 +32,7 @@ class Cited:
 @dataclass(frozen=True)
 class Predicted:
     """Labels by another program: the ``folder`` of a scene, in which {scene} stands for its name. ``ids_per_frame``: an
-    instance's id holds within a frame only."""
+    instance id is valid only within its frame."""
 
     folder: Path
     ids_per_frame: bool = False
@@ -40,9 +40,10 @@ class Predicted:
 
 @dataclass(frozen=True)
 class Row:
-    """A row of a table: a lift with ``options`` changed, with the scene's file ``masks`` in place of the usual ones, or
-    with the depth that the lift of the row ``depth_from`` renders, not the sensor's. Or ``method``, which needs no
-    lift; or what was ``predicted``; or ``same_as``, the lift of another row; or, ``is_cited``, the paper's figures."""
+    """A row of a table: a lift with ``options`` changed, with the scene's file ``masks`` instead of the usual ones, or
+    with the depth that the lift of the row ``depth_from`` renders instead of the sensor's. Or ``method``, which needs
+    no lift; or what was ``predicted``; or ``same_as``, the lift of another row; or, if ``is_cited``, the paper's
+    figures."""
 
     name: str
     table: str
@@ -61,7 +62,7 @@ class Row:
 
     @property
     def measured_as(self) -> str:
-        """What its results are called."""
+        """The name of its results."""
         return f"{self.method}, {self.masks}" if self.method and self.masks else self.method or self.name
 
     @property
@@ -86,14 +87,14 @@ class Rows:
         return self.named(row.same_as) if row.same_as else row
 
     def listed(self) -> Iterator[str]:
-        """One line for each row, under the name of its table."""
+        """One line for each row, grouped by table."""
         for table, heading in self.tables.items():
             yield f"{table}: {heading}"
             yield from (f"    {row.name}" for row in self.rows if row.table == table and not row.is_cited)
 
     def chosen(self, only: Sequence[str]) -> tuple[Row, ...]:
-        """The rows of these names, or of the tables of these names; all of them without any. Raises PlgsError, which
-        suggests the nearest name."""
+        """The rows with these names, or in tables with these names; without any, all rows. Raises PlgsError, which
+        suggests the closest name."""
         known = {name.casefold(): name for name in (*self.tables, *(row.name for row in self.rows))}
         for wanted in only:
             if wanted.casefold() not in known:

@@ -26,11 +26,11 @@ _NO_MATCH = "Compare with results of these scenes, rows and this preset."
 
 
 def run_experiment(experiment: Experiment, interrupts: Interrupts) -> ExitCode:
-    """Lift what has not been lifted yet, print the tables of the chosen rows, and write the report of all that is
-    finished in the folder, which grows lift by lift. Scenes of earlier calls stay in it.
+    """Lift what has not been lifted yet, print the tables of the chosen rows, and write a report of everything finished
+    to the folder, which grows lift by lift. Scenes of earlier calls stay in it.
 
-    What fails is a row of the tables with its reason, and the others are still tried; returns the first failure's exit
-    code. Raises PlgsError before any lift for what concerns all; Interrupted on Ctrl-C: the same call continues.
+    A lift that fails becomes a row with its reason, and the others are still tried; returns the first failure's exit
+    code. Raises PlgsError before any lift for errors that concern all; Interrupted on Ctrl-C: the same call continues.
     """
     tasks = list(tasks_of(experiment))
     if experiment.only_finished:
@@ -71,7 +71,7 @@ def run_experiment(experiment: Experiment, interrupts: Interrupts) -> ExitCode:
 
 
 def lifted(experiment: Experiment, task: Task, interrupts: Interrupts) -> Result:
-    """The figures of a task, which is lifted if it is not finished. Raises PlgsError, Cancelled, Interrupted."""
+    """The figures of a task, which is lifted first if it is not finished. Raises PlgsError, Cancelled, Interrupted."""
     if experiment.only_finished:
         return result_of(experiment, task)
     if task.depth_of is not None:
@@ -86,7 +86,7 @@ def lifted(experiment: Experiment, task: Task, interrupts: Interrupts) -> Result
 
 
 def tell_other_code(task: Task, result: Result) -> None:
-    """Say so where a finished lift was not made by the code at hand."""
+    """Warn if a finished lift was made by other code than this."""
     if result.engine_version != this_engine():
         fix = f"To lift it again, delete {task.options.output}"
         print(f"{task.name}: lifted by {result.engine_version}, this is {this_engine()}. {fix}", file=sys.stderr)
@@ -99,7 +99,7 @@ def result_of(experiment: Experiment, task: Task) -> Result:
 
 
 def results_before(experiment: Experiment, others: list[Task]) -> Iterator[tuple[str, Result]]:
-    """Name and figures of those lifts that are finished already. One that cannot be read is left out with a line."""
+    """Name and figures of the lifts that are finished already. Unreadable ones are left out with a warning."""
     for task in others:
         try:
             if is_finished(task):
@@ -116,8 +116,8 @@ def is_finished(task: Task) -> bool:
 
 
 def results_kept(experiment: Experiment) -> Iterator[Result]:
-    """What an earlier report in the folder has of other scenes, as far as its lifts were made with these options; and
-    what failed."""
+    """The other scenes' results of an earlier report in the folder, if their lifts were made with these options, and
+    its failures."""
     path = experiment.folder / "results.json"
     try:
         before = read_results(path) if path.is_file() else ()
@@ -131,7 +131,7 @@ def results_kept(experiment: Experiment) -> Iterator[Result]:
 
 
 def _still_holds(experiment: Experiment, result: Result) -> bool:
-    """Whether the lift of a result is there, made with these options, or none was needed. Raises PlgsError."""
+    """Whether the lift of a result still exists, made with these options, or none was needed. Raises PlgsError."""
     row = next((row for row in experiment.rows.rows if row.is_lift and row.name == result.row), None)
     if row is None:
         return result.preset == "-"
@@ -144,7 +144,7 @@ def _still_holds(experiment: Experiment, result: Result) -> bool:
 
 
 def make_depth_maps(lift: Path, maps: Path) -> None:
-    """The rendered depth of all frames of a lift, written once. Raises PlgsError, as where the lift did not finish."""
+    """The rendered depth of all frames of a lift, written once. Raises PlgsError, also if the lift is not finished."""
     if not has_manifest(lift):
         what = "the lift whose depth it takes is not finished"
         raise PlgsError("not-finished", what, lift, "Find out why that lift failed.")
@@ -156,8 +156,8 @@ def make_depth_maps(lift: Path, maps: Path) -> None:
 
 
 def results_without_a_lift(experiment: Experiment, errors: dict[str, PlgsError]) -> Iterator[Result]:
-    """What needs no lift, if rows ask for it or it was measured before. If that fails, the rows that ask for it have
-    the reason, and ``errors`` gets it."""
+    """Results that need no lift, if rows ask for them or they were measured before. If this fails, the rows that ask
+    carry the reason, which is also put into ``errors``."""
     wanted = experiment.rows.chosen(experiment.only)
     for scene in experiment.scenes:
         rows = [row for row in experiment.rows.rows if row.method and has_files(row, scene)]
@@ -179,8 +179,8 @@ def results_without_a_lift(experiment: Experiment, errors: dict[str, PlgsError])
 
 
 def refuse_bad_input(experiment: Experiment, tasks: Sequence[Task]) -> dict[str, PlgsError]:
-    """Before hours of work: raise PlgsError for the first thing that is wrong for all, and return what is wrong with a
-    scene by its task's name."""
+    """Before hours of work: raise PlgsError for the first thing that is wrong for all tasks, and return the errors of
+    single scenes by task name."""
     errors: dict[str, PlgsError] = {}
     for option, path in (("--masks", experiment.masks), ("--depth", experiment.depth)):
         refuse_shared(option, path, len(experiment.scenes))

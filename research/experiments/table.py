@@ -1,4 +1,4 @@
-"""The figures of all rows as tables in Markdown, next to those that the paper reports."""
+"""The figures of all rows as tables in Markdown, beside the paper's."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from .rows import Cited, Row, Rows
 @dataclass(frozen=True)
 class Column:
     """How a figure (a field of Figures, or "steps") is shown: times ``factor``, with ``digits`` after the point.
-    ``best``: which of several seeds' is shown, as for times, which other work only makes worse; without it, their mean
-    and standard deviation are shown."""
+    ``best``: which of several seeds is shown, as for times, which other load only makes worse. Without it, mean and
+    standard deviation are shown."""
 
     figure: str
     heading: str
@@ -25,7 +25,7 @@ class Column:
     best: Callable[[Sequence[float]], float] | None = None
 
     def values(self, seeds: Sequence[Result]) -> list[float]:
-        """As they are shown, of the seeds in which it was measured."""
+        """The figures as shown, of the seeds in which they were measured."""
         found = [one.steps or None if self.figure == "steps" else getattr(one.figures, self.figure) for one in seeds]
         return [value * self.factor for value in found if value is not None]
 
@@ -55,14 +55,13 @@ HEADINGS = {"scenes": "scenes", **{column.figure: column.heading for column in C
 _WIDEST = 60
 MARK = "†"
 MEANS = "### Means: over the scenes"
-"""Not a scene's heading: no name contains a colon."""
+"""Never a scene's heading: no name contains a colon."""
 
 
 @dataclass(frozen=True)
 class Tables:
-    """Everything that tables are made of: the ``chosen`` rows of ``rows``, what was measured so far, and earlier
-    results to compare with, "before -> after". ``version`` of the engine: other versions' lifts are marked.
-    ``columns``: those that are shown."""
+    """Everything in the tables: the ``chosen`` rows of ``rows``, the results so far, and earlier results to compare
+    with, "before -> after". ``version`` of the engine: lifts by other versions are marked. ``columns``: those shown."""
 
     rows: Rows
     chosen: tuple[Row, ...]
@@ -72,8 +71,8 @@ class Tables:
     columns: tuple[str, ...] = tuple(HEADINGS)
 
     def markdown(self) -> str:
-        """A section with tables for each scene, and one for the means over several scenes. Left out are rows that are
-        not measured yet, tables whose rows are all in another one, and after the first scene the cited systems."""
+        """A section with tables for each scene, and one for the means over several scenes. It leaves out rows that are
+        not measured yet, tables whose rows all appear in another one and, after the first scene, the cited systems."""
         scenes = list(dict.fromkeys(result.scene for result in self.results))
         lines = [text for k, scene in enumerate(scenes) for text in self._of_scene(scene, with_cited=k == 0)]
         return "\n".join([*lines, *(self._means(scenes) if len(scenes) > 1 else ())])
@@ -120,7 +119,8 @@ class Tables:
             yield "\n".join(self._table(rows, [row.name for row in rows], cells)) + "\n"
 
     def _mean_cells(self, row: Row, scenes: Sequence[str]) -> dict[str, str]:
-        """Each figure's mean over the scenes that have it, of each the mean, or the best, of its seeds."""
+        """The mean of each figure over the scenes that have it; for each scene it is the mean, or the best, of its
+        seeds."""
         measured = [seeds for scene in scenes if (seeds := self.measured(scene, row))]
         failed = sum(bool(self._failures(scene, row)) for scene in scenes)
         cells = {"scenes": str(len(measured)), "state": f"{failed} failed" if failed else ""}
@@ -144,11 +144,11 @@ class Tables:
         yield from _aligned([["", *(HEADINGS[key] for key in shown), *paper], *body])
 
     def measured(self, scene: str, row: Row) -> list[Result]:
-        """What was measured of a row, seed by seed."""
+        """The results of a row, seed by seed."""
         return [result for result in self._tried(scene, row) if not result.failed]
 
     def _tried(self, scene: str, row: Row) -> list[Result]:
-        """What was measured of a row, and what failed."""
+        """The results of a row, and its failures."""
         return _of_row(self.results, scene, self.measured_as(row))
 
     def _failures(self, scene: str, row: Row) -> str:
@@ -164,7 +164,7 @@ class Tables:
         return {result.engine_version for result in self.measured(scene, row)} - {self.version}
 
     def measured_as(self, row: Row) -> str:
-        """What a row's results are called."""
+        """The name of a row's results."""
         return self.rows.lift_of(row).measured_as
 
 

@@ -1,4 +1,4 @@
-"""What the memory that is used again holds."""
+"""The size of the memory kept for reuse."""
 
 from __future__ import annotations
 
@@ -6,6 +6,6 @@ from engine.machine import memory
 
 
 def held_bytes() -> int:
-    """All of it, free or not."""
+    """All of it, in use or not."""
     with memory._lock:  # other threads make and drop blocks
         return sum(block.bytes.size for block in memory._blocks)

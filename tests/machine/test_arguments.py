@@ -1,4 +1,4 @@
-"""No kernel is called with so many arguments that their order must be kept by hand."""
+"""No kernel takes so many arguments that their order must be kept by hand."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ DECORATORS = ("compiled", "contracted", "inlined", "parallel_kernel", "device_fu
 
 
 def kernels_of(source: Path) -> dict[str, int]:
-    """How many arguments each kernel of a file has."""
+    """The number of arguments of each kernel in a file."""
     return {
         node.name: len(node.args.args)
         for node in ast.walk(ast.parse(source.read_text(encoding="utf-8")))

@@ -1,4 +1,4 @@
-"""Compiled kernels are kept under a name that changes with all that is compiled into them."""
+"""Compiled kernels are kept under a name that changes with everything compiled into them."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def twice(value: object) -> object:
 
 
 def test_what_two_processes_compile_at_once_is_not_mixed_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """For floats and for integers, of the same kernel: neither sees what the other is about to list."""
+    """One compiles the kernel for floats, the other for integers: neither sees what the other is about to list."""
     monkeypatch.setattr(compiled, "CACHE_FOLDER", tmp_path)
     ours, theirs, later = (compiled.compiled(twice)._cache._cache_file for _ in range(3))
     save = ours._save_data

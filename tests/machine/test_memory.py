@@ -1,4 +1,4 @@
-"""Blocks of memory that are used again."""
+"""Blocks of memory that are reused."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Kernels on a thread for each worker: all of them run, mistakes arrive, and nobody leaves early."""
+"""Kernels with one thread per worker: all of them run, errors are raised, and nobody returns early."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def write_numbers(worker: int, workers: int, numbers: NDArray[Any], at_fault: in
 
 
 def toil_at(worker: int, workers: int, numbers: NDArray[Any], toil: int) -> None:
-    """All but the first take long."""
+    """All workers but the first take long."""
     value = np.int64(worker)
     for _ in range(toil if worker > 0 else 0):
         value = (value * 1_103_515_245 + 12_345) % 2_147_483_648 ^ (value >> 7)  # no compiler foresees it
@@ -132,7 +132,7 @@ def test_arrays_numbers_and_tuples_of_them_arrive_and_are_not_kept() -> None:
 
 @pytest.mark.skipif("+fma" not in machine_target()[2], reason="no fused multiply-add here")
 def test_a_product_is_not_fused_with_a_sum() -> None:
-    """(1 + e)^2 - (1 + 2 e) is e^2, which a product that is rounded loses."""
+    """(1 + e)^2 - (1 + 2 e) is e^2, which is lost if the product is rounded."""
     e = np.float32(2.0**-13)
     a, out = np.array([1 + e, 1 + e, 1 + 2 * e], np.float32), np.ones(1, np.float32)
     parallel_for(1, multiply_add, a, out)

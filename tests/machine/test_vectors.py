@@ -1,4 +1,4 @@
-"""Sixteen float32 at a time: what the vector kernels are made of does what NumPy does."""
+"""Sixteen float32 at a time: the vector operations do what NumPy does."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ A = np.random.default_rng(0).normal(size=3 * WIDTH).astype(np.float32)
 
 
 def apply(function: Any, values: np.ndarray, results: int) -> np.ndarray:
-    """What a function of a flat array and an array for its results leaves in the latter, vector after vector."""
+    """The results that a function of a flat array writes to another one, vector by vector."""
     out = np.zeros(results * WIDTH, np.float32)
     numba.njit(function)(values, out)
     return out.reshape(results, WIDTH)

@@ -31,7 +31,8 @@ def noisy_views(count: int, score: float, wrong: float) -> list[View]:
 
 
 def shown(right: float, low: float = 0.6) -> Samples:
-    """Pixels of the wall: the left half shows it with share ``low`` in ``right`` of the cases, the rest surely."""
+    """Pixels of the wall: the left half shows it with share ``low``, and is right in ``right`` of the cases; the rest
+    is certain."""
     rng = np.random.default_rng(3)
     left = np.arange(SIZE[0])[None] < SIZE[0] // 2
     is_wrong = left & (rng.random(SIZE[::-1]) >= right)

@@ -1,5 +1,5 @@
-"""mIoU and PQ against the published evaluator's values, by hand, and against torchmetrics, which is nobody's of this
-project, on random labels without void: COCO excuses what lies on it, the mode ``strict`` deletes it."""
+"""mIoU and PQ against the published evaluator's values, by hand, and against torchmetrics, an independent program, on
+random labels without void: COCO excuses what lies on it, the mode ``strict`` deletes it."""
 
 from __future__ import annotations
 
@@ -163,7 +163,7 @@ CHAIRS = np.array([[0, 0, 0, 1, 1, 2, 2, 2]], np.int32)
 
 
 def scores_of(predicted_ids: list[list[int]]) -> tuple[FrameQuality, IdChanges]:
-    """Of frames with the right classes and these ids."""
+    """The scores of frames with the right classes and these ids."""
     quality, changes = FrameQuality(TWO_CLASSES), IdChanges(TWO_CLASSES)
     for ids in predicted_ids:
         maps = TRUE_CLASS, np.array([ids], np.int32), TRUE_CLASS, CHAIRS
@@ -200,7 +200,7 @@ Maps = tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.int32], NDArray[np
 
 
 def random_views(seed: int, frames: int) -> list[Maps]:
-    """True labels in blocks, and predictions that follow them but for noise, other classes and other ids."""
+    """True labels in blocks, and predictions that differ by noise, other classes and other ids."""
     random = np.random.default_rng(seed)
     views = []
     for _ in range(frames):
@@ -220,7 +220,7 @@ def random_views(seed: int, frames: int) -> list[Maps]:
 
 
 def panoptic_quality(pairs: list[tuple[NDArray[np.int32], NDArray[np.int32]]]) -> float:
-    """By torchmetrics, of predicted and true (class, instance) pictures [H, W, 2]."""
+    """PQ by torchmetrics, of predicted and true (class, instance) pictures [H, W, 2]."""
     from torchmetrics.detection import PanopticQuality  # takes seconds to import
 
     metric = PanopticQuality(set(OBJECTS), set(STUFF), allow_unknown_preds_category=True)

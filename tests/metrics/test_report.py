@@ -1,4 +1,4 @@
-"""The report over a scene held in memory, and over labels in folders, in the layouts of several programs."""
+"""The report over a scene in memory, and over label folders in the layouts of several programs."""
 
 from __future__ import annotations
 
@@ -137,7 +137,7 @@ def test_masks_against_pngs(pair: tuple[str, str], tmp_path: Path) -> None:
 
 
 def test_another_cut_of_the_picture_is_not_stretched_over_it(tmp_path: Path) -> None:
-    """Square crops were scored as if they showed the whole picture."""
+    """Square crops used to be scored as if they showed the whole picture."""
     truth, predictions = write_masks(tmp_path / "truth"), write_pngs(tmp_path / "cut", "class", "instance")
     for path in predictions.rglob("*.png"):
         cv2.imwrite(str(path), cv2.imread(str(path), cv2.IMREAD_UNCHANGED)[:, 2:14])
@@ -173,7 +173,7 @@ def test_the_classes_of_an_export(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(("second", "pq"), [("chair", 1.0), ("robot", 1 / 3)])
 def test_predictions_in_another_table_are_mapped_by_name(second: str, pq: float, tmp_path: Path) -> None:
-    """The truth has each other's numbers. A class that it lacks is an error wherever it is predicted."""
+    """The truth swaps the two numbers. A class that it lacks is an error wherever it is predicted."""
     predictions = write_pngs(tmp_path / "predictions", "class", "instance")
     truth = write_pngs(tmp_path / "truth", "semantic", "instance")
     for path in (truth / "semantic").iterdir():

@@ -36,7 +36,7 @@ def flat_view(
 
 
 def showing(judged: JudgedView, place: tuple[float, float]) -> JudgedView:
-    """The same view of a lift that shows a sink there."""
+    """The same view of a lift that shows a sink at ``centre``."""
     xyz = judged.view.camera.unproject(judged.view.depth)
     inside = (np.abs(xyz[..., :2] - place) <= 0.15).all(axis=-1)
     shown: NDArray[np.int32] = np.where(inside, SINK, judged.shown).astype(np.int32)

@@ -1,4 +1,4 @@
-"""Do the instance pass and Cryptomatte tell one story?"""
+"""Do the instance pass and Cryptomatte agree?"""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class Pair(NamedTuple):
 
 
 def pairs_of(lift: Path) -> list[Pair]:
-    """All objects of a finished lift that have LEAST_PIXELS in a baked frame, by id or by matte."""
+    """All objects of a finished lift with at least LEAST_PIXELS in a baked frame, by id or by matte."""
     names = matte_names({one.id: one.name for one in read_instances(lift / "result" / INSTANCES)[1]})
     pairs: list[Pair] = []
     for path in sorted((lift / "result/passes").glob("*.exr")):

@@ -19,7 +19,7 @@ from tests.passes.views import CHAIR, CLASSES, EDGE, LEFT, NAMES, NOTHING, RIGHT
 
 LAYERS = ("CryptoInstance", "CryptoClass")
 STEP = 0.5 / STEPS
-"""What rounding changes at most."""
+"""The largest change by rounding."""
 
 
 @pytest.mark.parametrize(
@@ -31,7 +31,7 @@ def test_the_hash_is_murmur3(text: str, seed: int, expected: int) -> None:
 
 
 def mattes(instance_classes: dict[int, int] | None = None) -> dict[str, np.ndarray]:
-    """Every rank channel of the rendering made by hand."""
+    """Every rank channel of the hand-made rendering."""
     rendering = made_rendering()
     view = bake_view([rendering], rendering.camera, CLASSES, ShownInstances(NAMES, instance_classes))
     found: dict[str, np.ndarray] = {}
@@ -100,7 +100,7 @@ def test_names_become_ordinary_floats(name: str) -> None:
 
 
 def sorted_pairs(shares: np.ndarray, ids: np.ndarray, limit: float | None) -> list[tuple[float, float]]:
-    """The pairs of one pixel, as the docstring of ``rank_coverage`` has them."""
+    """The pairs of one pixel, as the docstring of ``rank_coverage`` defines them."""
     counted = [(float(share), float(one)) for share, one in zip(shares, ids, strict=True) if share >= SMALLEST]
     ordered = sorted(counted, key=lambda pair: -pair[0])  # stable: ties to the earlier
     total = sum(share for share, _ in ordered)

@@ -1,4 +1,5 @@
-"""PLY, COCO, npz, instances.json and pictures: what was written is what is read, and twice the same."""
+"""PLY, COCO, npz, instances.json and pictures: reading returns what was written, and writing twice gives the same
+bytes."""
 
 from __future__ import annotations
 

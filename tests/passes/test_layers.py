@@ -110,8 +110,8 @@ def test_combined_is_linear() -> None:
 
 
 def coarse_rendering(seed: int, height: int = 23, width: int = 29) -> tuple[PanopticRendering, ClassTable]:
-    """Coverages of few values, so that ties abound, and of few bits, so that sums are exact in any order; void and
-    spare channels, ids in no order, some pixels empty."""
+    """Coverages with few distinct values, so that ties abound, and of few bits, so that sums are exact in any order;
+    void and spare channels, unordered ids, some pixels empty."""
     random = np.random.default_rng(seed)
     classes, slots = int(random.integers(1, 12)), int(random.integers(0, 9))
     class_ids = random.permutation(20)[:classes] + (0 if seed % 3 else 1)
@@ -131,7 +131,7 @@ def coarse_rendering(seed: int, height: int = 23, width: int = 29) -> tuple[Pano
 def plain_decision(
     rendering: PanopticRendering, classes: ClassTable, owned: Mapping[int, int]
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Semantic, instance, confidence and entropy, pixel by pixel as the docstring of ``decide`` tells it."""
+    """Semantic, instance, confidence and entropy, pixel by pixel as the docstring of ``decide`` defines them."""
     order = sorted((one, c) for c, one in enumerate(rendering.class_ids) if one)
     slots = sorted((one, s) for s, one in enumerate(rendering.instance_ids) if one)
     shape = rendering.alpha.shape
@@ -194,7 +194,7 @@ def test_the_rest_of_a_class_is_its_largest_objects() -> None:
 @settings(max_examples=25, deadline=None)
 @given(st.integers(0, 10_000))
 def test_what_is_decided_has_the_matte(seed: int) -> None:
-    """And nothing else has it, where objects have one class, whose coverage holds theirs."""
+    """And no other matte does, if objects have one class, whose coverage holds theirs."""
     rendering, classes = coarse_rendering(seed)
     random = np.random.default_rng(seed + 1)
     owned = {one: int(random.choice([c for c in rendering.class_ids if c])) for one in rendering.instance_ids}

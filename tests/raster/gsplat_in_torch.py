@@ -32,7 +32,7 @@ def rasterization(
     render_mode: str,
     tile_size: int,
 ) -> tuple[Tensor, Tensor, dict[str, Any]]:
-    """gsplat's call with the reference's arithmetic, for one camera and what is not ``packed``."""
+    """gsplat's call with the reference's arithmetic, for one camera and without ``packed``."""
     assert eps2d == BLUR and not packed and render_mode == "RGB+D"
     pose, (fx, _, cx, _, fy, cy, *_) = viewmats[0].double(), Ks[0].double().flatten().tolist()
     rotation, centre = pose[:3, :3], -pose[:3, :3].T @ pose[:3, 3]
@@ -71,7 +71,7 @@ def rasterize_to_indices_in_range(
     first: int, end: int, light: Tensor, means2d: Tensor, conics: Tensor, opacities: Tensor, width: int, height: int,
     tile_size: int, isect_offsets: None, flatten_ids: Tensor,
 ) -> tuple[Tensor, Tensor, Tensor]:  # fmt: skip
-    """gsplat's call for lists that one tile has for all: what each pixel shows, pixel by pixel, front to back."""
+    """gsplat's call for the lists of one tile: what each pixel shows, pixel by pixel, front to back."""
     y, x = torch.meshgrid(torch.arange(height) + 0.5, torch.arange(width) + 0.5, indexing="ij")
     centres = means2d[0, flatten_ids].double()
     dx, dy = centres[:, 0] - x.reshape(-1, 1), centres[:, 1] - y.reshape(-1, 1)
@@ -84,7 +84,7 @@ def rasterize_to_indices_in_range(
 
 
 def use_a_stand_in(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Put the stand-in above in the place of gsplat."""
+    """Replace gsplat by the stand-in above."""
     gsplat = ModuleType("gsplat")
     gsplat.rasterization = rasterization  # type: ignore[attr-defined]
     gsplat.rasterize_to_indices_in_range = rasterize_to_indices_in_range  # type: ignore[attr-defined]

@@ -36,7 +36,7 @@ class Workload(NamedTuple):
 
 
 def room_workload(count: int, width: int = WIDTH, height: int = HEIGHT) -> Workload:
-    """``count`` Gaussians, flat, on the sides of the boxes, as wide as they are far apart; another size scales the
+    """``count`` flat Gaussians on the sides of the boxes, as wide as they are far apart. Another size scales the
     intrinsics."""
     random = np.random.default_rng(20240607 + count)
     low, high = (np.repeat(corner, 6, axis=0) for corner in np.swapaxes(np.array(BOXES), 0, 1))

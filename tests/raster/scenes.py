@@ -105,7 +105,7 @@ def edge_on_discs(scene: Scene) -> Scene:
 
 
 def across_the_near_plane(scene: Scene) -> Scene:
-    """Centres from before the near plane to five times its depth, footprints on both sides of it."""
+    """Centres from before the near plane to five times its depth, with footprints on both sides of it."""
     count = len(scene.tensors[0])
     generator = torch.Generator().manual_seed(11)
     depth = torch.rand(count, generator=generator) * 0.05
@@ -117,7 +117,7 @@ def across_the_near_plane(scene: Scene) -> Scene:
 
 
 def long_lists(seed: int = 12) -> Scene:
-    """A thousand Gaussians on each tile, all of them seen: many chunks, the last one not full."""
+    """A thousand visible Gaussians on each tile: many chunks, the last one not full."""
     scene = random_scene(seed, 1000, 5, 20, 17)
     generator = torch.Generator().manual_seed(seed)
     beside = torch.rand(1000, 2, generator=generator) - 0.5
@@ -128,7 +128,7 @@ def long_lists(seed: int = 12) -> Scene:
 
 
 def partly_saturated(scene: Scene) -> Scene:
-    """Closed on one side by few Gaussians, open on the other: the pixels of a row end at different places."""
+    """Closed on one side by few Gaussians, open on the other: the pixels of a row end at different depths."""
     opacities = torch.where(scene.tensors[0][:, 0] < 0.0, 1.0, 0.02)
     return scene.changed(3, opacities).changed(1, scene.tensors[1] * 3.0)
 
@@ -174,7 +174,7 @@ def render(
 
 
 def missed_elements(got: Tensor, expected: Tensor) -> int:
-    """How many have |err| > 1e-3 |ref| + 1e-6 rms."""
+    """The number of elements with |err| > 1e-3 |ref| + 1e-6 rms."""
     got, expected = got.double(), expected.double()
     if expected.numel() == 0:
         return 0

@@ -1,4 +1,4 @@
-"""The back end gsplat against the float64 reference: with a stand-in, and on a GPU where there is one."""
+"""The back end gsplat against the float64 reference: with a stand-in, and on a GPU if there is one."""
 
 from __future__ import annotations
 
@@ -113,7 +113,7 @@ def test_rows_of_a_gpus_picture_are_those_of_the_whole() -> None:
 
 
 def test_no_gaussians_are_drawn_without_gsplat(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Of none gsplat makes a division by zero, which ends the process."""
+    """gsplat divides by the number of Gaussians: 0 would end the process."""
     use_a_stand_in(monkeypatch)
     monkeypatch.setattr("gsplat.rasterization", None)
     scene = random_scene(8, 20, 3, 24, 17)

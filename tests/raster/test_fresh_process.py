@@ -1,6 +1,6 @@
-"""What a new process pays before the first picture, with an empty cache and a full one.
+"""What a new process spends before the first picture, with an empty cache and a full one.
 
-Processor time is measured, so that the figures do not depend on who else is busy.
+Processor time is measured, so that the figures do not depend on the machine's load.
 """
 
 from __future__ import annotations
@@ -82,7 +82,7 @@ def render_in_a_process(code: Path, **changes: str) -> Run:
 
 @pytest.fixture(scope="module")
 def read_only_code(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Engine and room in a folder that nobody may write to; ``listing`` tells when somebody (root may) did."""
+    """Engine and room in a read-only folder; ``listing`` shows whether somebody (root may) wrote to it."""
     code = tmp_path_factory.mktemp("code")
     shutil.copytree(ROOT / "engine", code / "engine", ignore=shutil.ignore_patterns("__pycache__"))
     room = Path("tests/raster/room_workload.py")
@@ -139,7 +139,7 @@ def test_drawing_alone_does_not_wait_for_the_backward_pass(tmp_path: Path) -> No
 
 @pytest.mark.slow
 def test_it_needs_neither_a_home_nor_a_setting(read_only_code: Path, tmp_path: Path) -> None:
-    """A temporary folder of this process alone takes the machine code where nothing else can."""
+    """Machine code goes to a temporary folder of this process if no other folder will do."""
     before = listing(read_only_code)
     run = render_in_a_process(read_only_code, HOME=NO_HOME, TMPDIR=str(tmp_path))
     assert run.cache.parent == tmp_path

@@ -1,4 +1,4 @@
-"""Each tile's list, by one worker or by several: the same Gaussians, front to back, each with a place of its own."""
+"""Each tile's list, by one worker or by several: the same Gaussians, front to back, each in a slot of its own."""
 
 from __future__ import annotations
 

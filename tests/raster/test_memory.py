@@ -1,4 +1,4 @@
-"""Memory is used again, never under somebody's feet, and stays within its bound."""
+"""Memory is reused, never while somebody uses it, and stays within its bound."""
 
 from __future__ import annotations
 
@@ -29,7 +29,8 @@ def test_a_kept_picture_is_not_overwritten() -> None:
 
 
 def test_a_backward_pass_that_is_late_or_repeated_gives_the_same() -> None:
-    """What the first picture left for it is overwritten neither by other pictures nor by the way back itself."""
+    """What the first picture keeps for its backward pass is overwritten neither by other pictures nor by that pass
+    itself."""
     scene, other = random_scene(3, 200, 6, 50, 40), random_scene(4, 200, 6, 50, 40)
     gradients = []
     for pictures_between in (0, 3):
@@ -97,7 +98,7 @@ def test_steps_of_a_slowly_changing_scene_allocate_nothing(count: int) -> None:
 
 
 def test_it_stays_within_its_bound_when_one_tile_has_everything() -> None:
-    """Seen from afar, with more threads than there is work for."""
+    """Everything is seen from afar, with more threads than there is work for."""
     work, count = room_workload(4000), 4000
     memory._blocks.clear()
     arrays = (work.means * 1e-3, work.scales, work.quats, work.opacities, work.colours, work.labels)
@@ -118,7 +119,7 @@ def test_it_stays_within_its_bound_when_one_tile_has_everything() -> None:
 
 
 def test_it_reads_nothing_that_was_left_behind() -> None:
-    """Free memory full of NaN changes no bit, whatever the count of Gaussians leaves unused of it."""
+    """Filling free memory with NaN changes no bit."""
     for count in (1, 3, 17, 50, 130, 700):
         scene = random_scene(count, count, 5, 33, 18)
         clean, clean_gradients = render(scene, "numba")

@@ -1,5 +1,5 @@
-"""The kernels on processors that this machine is not: LLVM compiles for Apple's and other ARM processors without an
-error, and into their vector instructions; Numba's settings for lesser x86 processors are kept."""
+"""The kernels on other processors: LLVM compiles them for ARM processors, Apple's included, without an error and into
+vector instructions; Numba's settings for lesser x86 processors are respected."""
 
 from __future__ import annotations
 
@@ -95,5 +95,5 @@ def test_llvm_compiles_the_kernels_for_arm(tmp_path: Path) -> None:
 @pytest.mark.slow
 @pytest.mark.skipif(not IS_X86, reason="about x86 processors")
 def test_it_matches_the_reference_on_a_machine_without_avx512(tmp_path: Path) -> None:
-    """The processor's name alone is not enough: Numba would still use all that this one can."""
+    """The processor's name alone is not enough: Numba would still use all features of this machine."""
     run(LESSER_MACHINE, tmp_path, NUMBA_CPU_NAME="haswell", NUMBA_CPU_FEATURES="")

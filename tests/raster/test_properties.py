@@ -1,4 +1,4 @@
-"""What must hold for any scene."""
+"""Properties that hold for any scene."""
 
 from __future__ import annotations
 

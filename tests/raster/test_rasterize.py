@@ -26,12 +26,12 @@ from tests.raster.room_workload import room_workload
 
 SCENES = hard_scenes() | scenes_by_channels()
 MOST_NEAR_A_THRESHOLD = 0.03
-"""Share of a scene's pixels; float32 may decide these otherwise, so they are counted and left out."""
+"""Share of a scene's pixels near a threshold, at most. Float32 may decide these otherwise, so they are left out."""
 MAY_MISS = {"long lists": 3} | dict.fromkeys(scenes_by_channels(), 1)
-"""So many elements of a group may miss the bound on gradients, beside 1e-4 of them (which is none of so few). Float32
-is good to about 1e-6 of a Gaussian's gradient, and an element that happens to be a thousandth of its neighbours misses
-its own thousandth; through a list of a thousand the transmittance, rounded at each, wanders off by 2e-6. Over all
-scenes together it is 1e-4."""
+"""Elements of a group that may miss the bound on gradients, besides 1e-4 of them (which is none in a small group).
+Float32 is good to about 1e-6 of a Gaussian's gradient, and an element that happens to be a thousandth of its neighbours
+misses its own thousandth; through a list of a thousand the transmittance, rounded at each, drifts by 2e-6. Over all
+scenes together 1e-4 may miss."""
 
 
 @pytest.mark.parametrize("name", SCENES)
@@ -113,7 +113,7 @@ def test_labels_affect_nothing_but_themselves(backend: str) -> None:
 
 @pytest.mark.parametrize("layer", LAYERS)
 def test_a_loss_may_use_only_one_layer(layer: str) -> None:
-    """The others have no gradient then, which is not one of the pass before."""
+    """The other layers have no gradient then, not even one left over from the pass before."""
     scene = random_scene(9, 100, 4, 30, 20)
     render(scene, "numba")
     steady = steady_pixels(scene)
@@ -124,7 +124,7 @@ def test_a_loss_may_use_only_one_layer(layer: str) -> None:
 
 
 def test_labels_have_the_same_gradient_whichever_others_their_tile_compares() -> None:
-    """Tiles copy and add up only the channels that have a gradient in them: none, few or all."""
+    """Tiles copy and add up only the channels with a gradient in them: none, few or all."""
     scene, channels = random_scene(11, 900, 37, 70, 50), torch.arange(37)
     by = torch.randn(50, 70, 37, generator=torch.Generator().manual_seed(0))
     tile = (torch.arange(50) // 16)[:, None] * 5 + torch.arange(70) // 16

@@ -35,7 +35,7 @@ def seen_straight(means: np.ndarray, scale: float, opacities: object, width: int
 
 
 def plane(depth: float, columns: np.ndarray) -> np.ndarray:
-    """Centres in a plane across the view, 2 % before and behind it in turns."""
+    """Centres in a plane across the view, alternately 2 % before and behind it."""
     x, y = (each.ravel() for each in np.meshgrid(columns, np.linspace(-3, 3, 61)))
     z = depth * (1 + 0.02 * np.where(np.arange(len(x)) % 2, 1, -1))
     return np.stack([x, y, z], 1)

@@ -1,4 +1,4 @@
-"""``python -m research``: what it answers, and with which exit code."""
+"""``python -m research``: its output and exit codes."""
 
 from __future__ import annotations
 

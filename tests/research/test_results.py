@@ -1,4 +1,4 @@
-"""What was measured of lifts: read from a finished one, written to results.json and read again, and results.csv."""
+"""Results of lifts: read from a finished one, written to results.json and read again, and results.csv."""
 
 from __future__ import annotations
 

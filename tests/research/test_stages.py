@@ -1,4 +1,4 @@
-"""Where the paper's way loses panoptic quality."""
+"""Where the paper's method loses panoptic quality."""
 
 from __future__ import annotations
 

@@ -23,7 +23,7 @@ TINY_BASELINE = BaselinePreset(**{each.name: getattr(TINY, each.name) for each i
 
 @contextmanager
 def registered() -> Iterator[None]:
-    """The presets have the baselines' options meanwhile."""
+    """Meanwhile the presets have the baselines' options."""
     presets = dict(PRESETS)
     with_baseline_options()
     try:

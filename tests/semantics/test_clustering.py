@@ -49,7 +49,7 @@ def test_cells_are_floors_and_far_points_are_refused() -> None:
 
 SIDE, WANTED, CAP = 20.0, 0.05, 10_000
 RUG = ((4.0, 9.0), (11.0, 16.0))
-"""Of a floor of 20 x 20 m, metres."""
+"""Corners of a rug on a floor of 20 x 20 m, metres."""
 
 
 def is_rug(points: np.ndarray) -> np.ndarray:
@@ -64,7 +64,7 @@ def floor(seed: int) -> np.ndarray:
 
 
 def views(rug: int) -> Iterable[ColumnedPoints]:
-    """Ten views of all of it; the rug is of the class in place ``rug``."""
+    """Ten views of the whole floor; the rug has the class with index ``rug``."""
     for seed in range(10):
         points = floor(seed)
         yield points, np.where(is_rug(points), rug, 0)
@@ -75,7 +75,7 @@ def even() -> tuple[np.ndarray, float]:
 
 
 def gaps(centres: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """How far each point is from its nearest centre."""
+    """The distance from each point to its nearest centre."""
     return np.asarray(cKDTree(centres).query(points)[0])
 
 

@@ -1,13 +1,13 @@
 """Back-to-front gradients of the blending, a patch of sixteen pixels at a time.
 
-Walking back, T_i = T_{i+1} / (1 - alpha_i), and one running value per pixel is all that is needed. Let v_i =
-colour_i . dL/dimage + z_i * dL/ddepth. Behind Gaussian i lies B_i = alpha_{i+1} v_{i+1} + (1 - alpha_{i+1}) B_{i+1},
-and dL/d(ln alpha_i) = alpha_i T_i (v_i - B_i). At the far end B = -dL/dalpha, as if a last Gaussian closed the pixel:
-this stays exact where the final transmittance is tiny.
+Walking back, T_i = T_{i+1} / (1 - alpha_i), so one running value per pixel is enough. Let v_i = colour_i . dL/dimage +
+z_i * dL/ddepth. Behind Gaussian i lies B_i = alpha_{i+1} v_{i+1} + (1 - alpha_{i+1}) B_{i+1}, and dL/d(ln alpha_i) =
+alpha_i T_i (v_i - B_i). At the far end B = -dL/dalpha, as if a last Gaussian closed the pixel: this stays exact where
+the final transmittance is tiny.
 
 The Gaussians are processed one after another, each on all its patches of the tile, so that its sums stay in registers;
-the patches' state is in the first-level cache. Each Gaussian's gradient in each tile has its own place; ``gather`` adds
-them in order.
+the patches' state is in the first-level cache. Each pair of Gaussian and tile has its own gradient slot; ``gather``
+adds them in order.
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ from .forward import ALPHA_CAP, ALPHA_LEAST, ONE, ZERO, F, copy_labels, take_fou
 # The label gradients of a batch of Gaussians: its weights on each patch times the gradients of the pixels' labels.
 
 PAD_INDEX = BACKWARD_BATCH
-"""The placeholder where there is no member. Nothing reads its place among the labels."""
+"""Index used where there is no member. Nothing reads its labels."""
 
 
 @parallel_kernel
@@ -91,7 +91,7 @@ def list_channels(worker: int, workers: int, d_labels: Array, size: Size, counts
 @device_function
 def copy_label_gradients(tile: Tile, size: Size, d_labels: Array, channels: Array, count: int, scratch: Array) -> None:
     """Copy the gradients of a tile's ``count`` channels side by side, patch by patch, zeros outside the image.
-    ``channels`` int32 are the numbers of these channels."""
+    ``channels`` int32 lists these channels."""
     padded = padded_channels(count)
     for patch in range(PATCHES):
         top, left = tile.top + (patch & -2), tile.left + (patch & 1) * PATCH_WIDTH
@@ -111,7 +111,7 @@ def copy_label_gradients(tile: Tile, size: Size, d_labels: Array, channels: Arra
 
 @inlined
 def pixels_at(padded: int) -> int:
-    """Where a worker's scratch has the label gradients of a tile's pixels."""
+    """Offset in a worker's scratch of the label gradients of a tile's pixels."""
     return BATCH_LABELS + (BACKWARD_BATCH + 1) * padded
 
 
@@ -168,10 +168,9 @@ LISTED = BACKWARD_BATCH + 4  # of a patch: its members, and those that fill up t
 BATCH_LABELS = WEIGHTS + PATCHES * LISTED * TILE
 assert PATCHES * LISTED <= MEMBERS
 NO_PATCH = PATCHES
-"""The patch that fills up a group of four. Nothing is ever blended on it."""
+"""A dummy patch that fills up a group of four. Nothing is ever blended on it."""
 EVEN = 0x5555
-"""The even bits of a word of patches: those of the left patches of strips, whose numbers are also those of their first
-rows."""
+"""The even bits of a word of patches: the left patches of the strips. Their numbers equal those of their first rows."""
 
 
 class PatchLists(NamedTuple):
@@ -216,7 +215,7 @@ def store_strip(upper: Any, lower: Any, at: int, scratch: Array) -> None:
 
 @device_function
 def load_tile(tile: Tile, size: Size, pixels: PixelGradients, scratch: Array) -> Any:
-    """Load the tile's state at its far end; zeros outside the image. Returns the largest place blended in the tile."""
+    """Load the tile's state at its far end; zeros outside the image. Returns the largest index blended in the tile."""
     left, top, width, height = tile.left, tile.top, size.width, size.height
     far = -1
     columns = min(TILE, width - left)

@@ -80,8 +80,8 @@ BATCH_FIELDS = 11 * BATCH + TILE  # the last one has a place for PAD_INDEX too
 STRIP_S1 = 0  # s1 at the row's first pixel
 STRIP_EXPONENTS = 2 * BATCH  # log2(opacity) - s2^2
 PAD_INDEX = BATCH
-"""The placeholder where there is no member. Its place in STRIP_EXPONENTS makes it reach no pixel. Its other fields are
-read too: they are the first member's next fields, which are finite numbers."""
+"""Index used where there is no member. Its entry in STRIP_EXPONENTS makes it reach no pixel. Its other fields are read
+too: they are the first member's next fields, which are finite numbers."""
 STRIP_FIELDS = 4 * BATCH + TILE
 
 
@@ -101,7 +101,7 @@ def origin_of(records: Array, at: int, tile: Tile) -> Any:
 def load_batch(
     flatten_ids: Array, records: Array, tile: Tile, place: int, count: int, fields: Array, base: int
 ) -> None:
-    """Put ``count`` Gaussians of a tile, starting at ``place`` in its list, into fields[base:]. The members that fill
+    """Put ``count`` Gaussians of a tile, from index ``start`` of its list on, into fields[base:]. The members that fill
     up the last sixteen reach no pixel."""
     first = tile.first + place
     for m in range(count):

@@ -1,5 +1,5 @@
-"""The Gaussians that contribute most to each pixel, and the depth of the surface that it shows, with exactly the
-blending weights of the forward pass."""
+"""The largest contributors to each pixel, and the depth of its surface, with exactly the blending weights of the
+forward pass."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def scratch_sizes(longest: int) -> tuple[int, int]:
 
 @device_function
 def any_alive(floats: Array) -> bool:
-    """Whether any pixel of the tile still sees anything."""
+    """Whether any pixel of the tile still lets light through."""
     for at in range(0, TILE * TILE, TILE):
         if movemask(load(floats, TRANSMITTANCE + at) > broadcast(ENDED)) != 0:
             return True
@@ -55,7 +55,7 @@ def any_alive(floats: Array) -> bool:
 
 @device_function
 def blend_row(records: Array, at: int, r: int, floats: Array, to: int) -> bool:
-    """Blend one Gaussian on one row of a tile. Returns whether any pixel has it. The weights are then at ``to``."""
+    """Blend one Gaussian on one row of a tile, and put its weights at ``to``. Returns whether any pixel shows it."""
     s1 = fma(broadcast_load(records, at + L11), lane_numbers(), broadcast_load(floats, OWN + S1_LEFT + r))
     alpha = seen_alpha(exp2(fnmadd(s1, s1, broadcast_load(floats, OWN + EXPONENTS + r))))
     before = load(floats, TRANSMITTANCE + r * TILE)
@@ -68,8 +68,8 @@ def blend_row(records: Array, at: int, r: int, floats: Array, to: int) -> bool:
 
 @device_function
 def blend_tile(tile: Tile, size: tuple[int, int], flatten_ids: Array, records: Array, scratch: Any) -> int:
-    """Blend a tile's Gaussians on its rows, front to back, until no pixel sees anything. Lists in ``scratch`` the
-    number and the row of each Gaussian on a row, and its weights there, and returns how many are listed."""
+    """Blend a tile's Gaussians on its rows, front to back, until all pixels are closed. Lists in ``scratch`` each pair
+    of Gaussian and row, with its weights, and returns the number of pairs."""
     floats, members = scratch
     rows, count = min(TILE, size[1] - tile.top), 0
     for r in range(TILE):
@@ -99,7 +99,7 @@ def tile_of(number: int, width: int, starts: Array) -> Tile:
 
 @device_function
 def keep_largest(gaussian: int, weight: float, indices: Array, weights: Array) -> None:
-    """Put one contributor into a pixel's lists, largest first. Of two equal ones, the one in front stays first."""
+    """Insert one contributor into a pixel's lists, largest first. Of two equal ones, the one in front stays first."""
     place = weights.shape[0] - 1
     if weight <= weights[place]:
         return
@@ -115,8 +115,9 @@ def keep_largest(gaussian: int, weight: float, indices: Array, weights: Array) -
 def list_contributors(
     worker: int, workers: int, isects: Intersections, records: Array, scratches: Any, indices: Array, weights: Array
 ) -> None:
-    """Fill every ``workers``-th tile of indices int32 [H, W, k] and weights [H, W, k]. They hold -1 and 0, which stay
-    where there are fewer than k. ``records`` float32 [N * RECORD]; ``scratches``: rows of ``scratch_sizes``."""
+    """Fill every ``workers``-th tile of indices int32 [H, W, k] and weights [H, W, k]. They are initialised to -1 and
+    0, which remain where there are fewer than k. ``records`` float32 [N * RECORD]; ``scratches``: rows of
+    ``scratch_sizes``."""
     size = (weights.shape[1], weights.shape[0])
     floats, members = scratches[0][worker], scratches[1][worker]
     for number in range(worker, isects.isect_offsets.shape[0] - 1, workers):
@@ -165,8 +166,8 @@ def sum_near_median(count: int, records: Array, floats: Array, members: Array) -
 def find_surface(
     worker: int, workers: int, isects: Intersections, records: Array, scratches: Any, depth: Array, width: int
 ) -> None:
-    """Fill every ``workers``-th tile of ``depth`` float32 [H * W], metres, 0 where nothing is drawn. The rest is as in
-    ``list_contributors``."""
+    """Fill every ``workers``-th tile of ``depth`` float32 [H * W], metres, 0 where nothing is drawn. The other
+    arguments are those of ``list_contributors``."""
     size = (width, depth.shape[0] // width)
     floats, members = scratches[0][worker], scratches[1][worker]
     for number in range(worker, isects.isect_offsets.shape[0] - 1, workers):

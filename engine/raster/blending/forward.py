@@ -1,8 +1,8 @@
 """Front-to-back blending, a patch of sixteen pixels at a time.
 
-A patch takes all members of a batch one after another, with its state in registers, and lists those that it sees with
-their weights; the labels of a whole list are added up at once, also in registers. Two patches side by side make a strip
-of a tile, which is written row by row.
+A patch takes all members of a batch one after another, keeps its state in registers, and lists the members it shows
+with their weights; the labels of a whole list are added up at once, also in registers. Two patches side by side make a
+strip of a tile, which is written row by row.
 """
 
 from __future__ import annotations
@@ -169,9 +169,9 @@ def load_labels(
 
 @device_function
 def add_listed_labels(patch: int, end: int, scratch: Array, members: Array, batches: int, padded: int) -> int:
-    """The labels of a patch's pixels += the weights of those blended, whose list ends before ``end``, times their
-    labels, whose offsets in vectors from scratch[batches:] are in ``members``. Returns the end of the empty list.
-    """
+    """The labels of a patch's pixels += the sum of weight times label over the patch's list. The list ends before
+    ``end``; ``members`` holds the offsets of its labels, in vectors from scratch[batches:]. Returns the end of the
+    emptied list."""
     listed = patch * LISTED
     out = Rows(scratch, STRIP_LABELS + patch * TILE * padded, padded)
     weights = Factors(scratch, WEIGHTS + listed * TILE, 1, TILE)
@@ -198,7 +198,7 @@ ALPHA_CAP = F(ALPHA_MAX)
 ALPHA_LEAST = F(ALPHA_MIN)
 ENDED = F(TRANSMITTANCE_END)
 NEARLY_NOTHING = F(1e-20)
-"""A transmittance is not multiplied below this, as subnormal numbers are slow."""
+"""Transmittances stop shrinking below this, as subnormal numbers are slow."""
 
 
 @device_function
@@ -229,9 +229,9 @@ def seen_alpha(raw: Any) -> Any:
 def blend_member(
     m: int, alpha: Any, state: Any, end: int, scratch: Array, fields: int, members: Array, labels: Any
 ) -> Any:
-    """Blend one member. Returns the patch's new state, and the new end of the list of those blended.
+    """Blend one member. Returns the patch's new state, and the new end of its list of blended members.
 
-    A pixel has ended once its transmittance is too small; the product continues, so it stays so for all that follow.
+    A pixel ends once its transmittance is too small. The product continues, so it stays ended for all that follow.
     """
     transmittance, final, last, red, green, blue, depth = state
     after = fnmadd(alpha, transmittance, transmittance)
@@ -252,7 +252,7 @@ def blend_member(
 
 @inlined
 def take_four(mask: int, missing: int) -> Any:
-    """The places of the four lowest bits of a mask (``missing`` if it has fewer), and the mask without them."""
+    """The indices of the four lowest set bits of a mask (``missing`` if it has fewer), and the mask without them."""
     first = trailing_zeros(mask)
     mask &= mask - 1
     second = min(trailing_zeros(mask), missing)
@@ -278,7 +278,7 @@ def alphas_of(four: Any, columns: Any, scratch: Array, fields: int) -> Any:
 def blend_four(
     four: Any, alphas: Any, state: Any, end: int, scratch: Array, fields: int, members: Array, labels: Any
 ) -> Any:
-    """Blend four members in turn, like ``blend_member``. Returns also whether the patch still sees anything."""
+    """Blend four members in turn, like ``blend_member``. Also returns whether the patch is still open."""
     m0, m1, m2, m3 = four
     alpha0, alpha1, alpha2, alpha3 = alphas
     state, end = blend_member(m0, alpha0, state, end, scratch, fields, members, labels)
@@ -297,9 +297,9 @@ def blend_patch(
     """Blend the members of a mask on the patch whose state is at scratch[at:], four at a time, so that none waits for
     another's alpha.
 
-    Those that are blended anywhere are added, in order, to the list that ends before ``end``: their weights and, in
-    ``members``, the places of their labels, for which ``labels`` gives the first member's place and the length in
-    vectors. Returns the list's new end, and whether the patch still sees anything.
+    Members blended on any pixel are appended, in order, to the list that ends before ``end``: their weights and, in
+    ``members``, the offsets of their labels. ``labels``: the first member's offset, and the labels' length in vectors.
+    Returns the list's new end, and whether the patch is still open.
     """
     columns = load(scratch, at + COLUMNS)
     state = (

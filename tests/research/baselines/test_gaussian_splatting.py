@@ -1,4 +1,4 @@
-"""Plain 3D Gaussians: what is drawn of them, how they grow, and that they are stored as others are."""
+"""Plain 3D Gaussians: how they are drawn, grow and are stored."""
 
 from __future__ import annotations
 

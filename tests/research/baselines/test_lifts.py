@@ -40,7 +40,7 @@ def tiny(tmp_path_factory: pytest.TempPathFactory) -> Input:
 
 @pytest.fixture
 def often(monkeypatch: pytest.MonkeyPatch) -> None:
-    """3DGS grows as soon as the tiny lift does, and whatever moves."""
+    """Let 3DGS grow as early as the tiny lift does, whatever moves."""
     monkeypatch.setattr(SplattingTrainer, "growth_schedule", TinyTrainer.growth_schedule)
     monkeypatch.setattr(SplattingTrainer, "rules", PlainRules(gradient=1e-6))
 

@@ -1,4 +1,4 @@
-"""Other people's predictions are rows beside ours, of the same held-out frames or of none."""
+"""Other people's predictions are rows beside ours, scored on the same held-out frames."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The rows as data: those there are can be run, and what is asked for is found."""
+"""The rows as data: each of them can be run, and is found by name."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A whole experiment: around an engine that pretends, and, slowly, around the real one."""
+"""A whole experiment: around a pretended engine and, slowly, around the real one."""
 
 from __future__ import annotations
 
@@ -371,7 +371,7 @@ def test_a_page_keeps_its_text(experiment: Experiment, behave: Behave, tmp_path:
 def test_the_real_engine(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, quick_python: Path
 ) -> None:
-    """Two rows, few steps: so that the command does not rot."""
+    """Two rows, few steps: proves that the command still works."""
     monkeypatch.setenv("PLGS_ENGINE_PYTHON", str(quick_python))
     room, out = write_tiny_scene(tmp_path / "room", frames=6, noise=0.1), tmp_path / "out"
     arguments = ["--scenes", str(room), "--steps", "3", "--set", "warm_start=false", "-o", str(out)]

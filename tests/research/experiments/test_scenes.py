@@ -1,4 +1,4 @@
-"""The scenes that a command line names."""
+"""The scenes named on a command line."""
 
 from __future__ import annotations
 
