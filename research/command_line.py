@@ -152,8 +152,8 @@ def run_correct(options: argparse.Namespace) -> int:
     """Make the edits, and print them with PQ before and after. Raises PlgsError, OSError."""
     from .correcting import before_and_after, correct_by_truth
 
-    for number, said in enumerate(correct_by_truth(options.lift), start=1):
-        print(f"{number:3}  {said}")
+    for number, edit in enumerate(correct_by_truth(options.lift), start=1):
+        print(f"{number:3}  {edit}")
     before, after = before_and_after(options.lift)
     print(f"PQ {100 * before:.1f} % -> {100 * after:.1f} %")
     return ExitCode.FINISHED

@@ -48,7 +48,7 @@ class Mistake:
     """What is wrong, the number of points affected, and the edit that fixes it."""
 
     points: int
-    said: str
+    description: str
     make: Make
 
 
@@ -95,8 +95,8 @@ def mistakes(folder: LiftFolder, corrected: CorrectedResult, truth: NDArray[np.i
             continue
         class_id = label // MANY
         if class_id in corrected.classes and class_id and class_id != one.class_id:
-            said = f"{one.name} is {corrected.classes[class_id].name}"
-            found.append(Mistake(count, said, _reclass(one.id, class_id)))
+            description = f"{one.name} is {corrected.classes[class_id].name}"
+            found.append(Mistake(count, description, _reclass(one.id, class_id)))
         if class_id in things and label in holders:
             whole = holders[label]
             found.append(Mistake(count, f"{one.name} is a part of {whole.name}", _merge(whole.id, one.id)))
@@ -105,8 +105,8 @@ def mistakes(folder: LiftFolder, corrected: CorrectedResult, truth: NDArray[np.i
     for label, one in holders.items():
         astray = (truth == label) & (points.instance_id == 0)
         if astray.sum() >= WORTH_PAINTING:
-            said = f"points of {one.name} are unassigned"
-            found.append(Mistake(int(astray.sum()), said, _paint(one.id, astray)))
+            description = f"points of {one.name} are unassigned"
+            found.append(Mistake(int(astray.sum()), description, _paint(one.id, astray)))
     return sorted(found, key=lambda each: -each.points)
 
 
@@ -147,19 +147,19 @@ def correct_by_truth(lift: Path, most: int = MOST_EDITS) -> list[str]:
     folder = LiftFolder.open(lift)
     corrected = read_corrected(folder.path)
     truth = true_labels(open_asked(folder.request), corrected.points.xyz)
-    said: list[str] = []
+    descriptions: list[str] = []
     left_alone = set[str]()
-    while len(said) < most:
-        left = [each for each in mistakes(folder, corrected, truth) if each.said not in left_alone]
+    while len(descriptions) < most:
+        left = [each for each in mistakes(folder, corrected, truth) if each.description not in left_alone]
         if not left:
             break
         try:
             _, corrected = correct(folder.path, left[0].make)
         except PlgsError:  # what the views do not separate stays together
-            left_alone.add(left[0].said)
+            left_alone.add(left[0].description)
         else:
-            said.append(left[0].said)
-    return said
+            descriptions.append(left[0].description)
+    return descriptions
 
 
 def before_and_after(lift: Path) -> tuple[float, float]:

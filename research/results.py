@@ -107,8 +107,8 @@ def scores_by_method(tables: Sequence[Mapping[str, Json]]) -> dict[str, Figures]
 
 def run_figures(events: Sequence[Event]) -> dict[str, float | None]:
     """Frames per second of a lift's last run, and the most memory of all its runs."""
-    told = [event.data["values"] for event in events if event.kind == "metric" and event.data.get("name") == "run"]
-    values = [each for each in told if isinstance(each, dict)]
+    reported = [event.data["values"] for event in events if event.kind == "metric" and event.data.get("name") == "run"]
+    values = [each for each in reported if isinstance(each, dict)]
     peaks = [peak for each in values if (peak := number(each.get("peak_bytes"))) is not None]
     return {"peak_bytes": max(peaks, default=None), "fps": number(values[-1].get("fps")) if values else None}
 

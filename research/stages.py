@@ -38,14 +38,14 @@ Stage = Callable[[int], Labels]
 """The labels of the view with this number."""
 
 
-def stages_table(place: SceneToLift, preset: Preset, lift: Path | None) -> Iterator[str]:
+def stages_table(asked: SceneToLift, preset: Preset, lift: Path | None) -> Iterator[str]:
     """The lines of a Markdown table: one row per stage, mIoU / PQ-scene ``strict`` of the training views. ``lift``:
     adds a last row, and needs baked passes of the training frames. Raises PlgsError."""
-    scene = open_scene(SceneSource(place.folder, up=place.up))
+    scene = open_scene(SceneSource(asked.folder, up=asked.up))
     frames = [frame for frame in scene.train_frames if frame.read_ground_truth is not None]
     if not frames:
         fix = "Choose a scene with the true labels of its training frames."
-        raise PlgsError("no-truth", "has no ground truth", place.folder, fix)
+        raise PlgsError("no-truth", "has no ground truth", asked.folder, fix)
     views = [load_view(frame, size_within(frame.size, preset.size)) for frame in frames]
     truth = [_truth(frame, size_within(frame.size, preset.size)) for frame in frames]
     columns = [
@@ -68,11 +68,11 @@ def stages(
     """The stages that need no training, by name."""
     with TemporaryDirectory() as name, closing(EventWriter(Path(name, "events.jsonl"))) as events:
         progress = StageProgress("stages", events, StopSignal())
-        placed = filled_views(views, Path(name)) if preset.fill_holes else views
-        cloud = semantic_cloud(placed, used_classes(views), preset, events, progress)
-        matching: Matching = MATCHERS.chosen(preset.objects)(ViewsToMatch(placed, cloud, classes), preset, progress)
-        number_of = object_of_mask(match_views(placed, classes.thing_ids, segment_options(preset), preset.matching))
-        projected = projected_masks(placed, matching, classes, preset, Path(name))
+        filled = filled_views(views, Path(name)) if preset.fill_holes else views
+        cloud = semantic_cloud(filled, used_classes(views), preset, events, progress)
+        matching: Matching = MATCHERS.chosen(preset.objects)(ViewsToMatch(filled, cloud, classes), preset, progress)
+        number_of = object_of_mask(match_views(filled, classes.thing_ids, segment_options(preset), preset.matching))
+        projected = projected_masks(filled, matching, classes, preset, Path(name))
         shown = [view.mask.class_map() for view in views]
         class_of = np.array([0, *(one.class_id for one in matching.instances)], np.int32)
 

@@ -82,12 +82,12 @@ def draw(
     triangle, second = hits["primitive_ids"][is_hit].astype(np.int64), hits["primitive_uvs"][is_hit]
     weight = np.concatenate([1 - second.sum(axis=1, keepdims=True), second], axis=1)[..., None]
     plain = (surface.rgb[surface.triangles[triangle]] * weight).sum(axis=1)
-    place, sharp = (texture.uv[triangle] * weight).sum(axis=1), np.empty((len(triangle), 3))
+    uv, sharp = (texture.uv[triangle] * weight).sum(axis=1), np.empty((len(triangle), 3))
     of_pixel = labels_of_triangles(surface.triangles, label)[triangle]
     for value in np.unique(of_pixel).tolist():
         picture, rows = texture.pictures[value], np.flatnonzero(of_pixel == value)
         for part in np.array_split(rows, len(rows) // 30_000 + 1):
-            x, y = (place[part] * picture.shape[1::-1] - 0.5).astype(np.float32).T
+            x, y = (uv[part] * picture.shape[1::-1] - 0.5).astype(np.float32).T
             sharp[part] = cv2.remap(picture, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)[:, 0]
     drawn = []
     for colours in (plain, sharp):

@@ -7,7 +7,7 @@ from math import prod
 import numpy as np
 from numpy.typing import NDArray
 
-MOST_PLACES = 2**62
+MOST_CELLS = 2**62
 """Cells of the box around all rows, at most: each cell's number must fit an int64."""
 
 
@@ -19,8 +19,8 @@ def distinct_rows(rows: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[n
     """
     lowest, highest = (rows.min(axis=0), rows.max(axis=0)) if len(rows) else (np.zeros(rows.shape[1], int),) * 2
     extent = [high - low + 1 for low, high in zip(lowest.tolist(), highest.tolist(), strict=True)]
-    if prod(extent) > MOST_PLACES:
-        distinct, place = np.unique(rows, axis=0, return_inverse=True)
-        return distinct, place.reshape(-1)
-    numbers, place = np.unique(np.ravel_multi_index(tuple((rows - lowest).T), extent), return_inverse=True)
-    return np.stack(np.unravel_index(numbers, extent), axis=1) + lowest, place
+    if prod(extent) > MOST_CELLS:
+        distinct, index = np.unique(rows, axis=0, return_inverse=True)
+        return distinct, index.reshape(-1)
+    numbers, index = np.unique(np.ravel_multi_index(tuple((rows - lowest).T), extent), return_inverse=True)
+    return np.stack(np.unravel_index(numbers, extent), axis=1) + lowest, index

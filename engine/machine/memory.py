@@ -93,8 +93,8 @@ def _is_free(block: _Block) -> bool:
 
 def _free_block(size: int) -> _Block | None:
     """The smallest free block that fits."""
-    for place in range(bisect_left(_blocks, size, key=_size), len(_blocks)):
-        block = _blocks[place]
+    for number in range(bisect_left(_blocks, size, key=_size), len(_blocks)):
+        block = _blocks[number]
         if block.size > MOST_SPARE * size:
             break
         if _is_free(block):

@@ -45,16 +45,16 @@ def _fold(builder: ir.IRBuilder, a: ir.Value | None, b: ir.Value | None, width: 
     )
 
 
-def _shuffled(builder: ir.IRBuilder, a: ir.Value, b: ir.Value, places: list[int]) -> ir.Value:
-    return builder.shuffle_vector(a, b, ir.Constant(INTS_IR, places))
+def _shuffled(builder: ir.IRBuilder, a: ir.Value, b: ir.Value, indices: list[int]) -> ir.Value:
+    return builder.shuffle_vector(a, b, ir.Constant(INTS_IR, indices))
 
 
 def _to_pixels(builder: ir.IRBuilder, a: ir.Value, b: ir.Value, c: ir.Value) -> list[ir.Value]:
     vectors = []
     for start in range(0, 3 * WIDTH, WIDTH):
-        places = [divmod(start + lane, 3) for lane in range(WIDTH)]
-        pairs = _shuffled(builder, a, b, [pixel + WIDTH * (plane == 1) for pixel, plane in places])
-        mixed = [WIDTH + pixel if plane == 2 else lane for lane, (pixel, plane) in enumerate(places)]
+        indices = [divmod(start + lane, 3) for lane in range(WIDTH)]
+        pairs = _shuffled(builder, a, b, [pixel + WIDTH * (plane == 1) for pixel, plane in indices])
+        mixed = [WIDTH + pixel if plane == 2 else lane for lane, (pixel, plane) in enumerate(indices)]
         vectors.append(_shuffled(builder, pairs, c, mixed))
     return vectors
 
@@ -62,9 +62,9 @@ def _to_pixels(builder: ir.IRBuilder, a: ir.Value, b: ir.Value, c: ir.Value) -> 
 def _to_planes(builder: ir.IRBuilder, a: ir.Value, b: ir.Value, c: ir.Value) -> list[ir.Value]:
     planes = []
     for plane in range(3):
-        places = [3 * lane + plane for lane in range(WIDTH)]
-        both = _shuffled(builder, a, b, [place if place < 2 * WIDTH else 0 for place in places])
-        mixed = [WIDTH + place - 2 * WIDTH if place >= 2 * WIDTH else lane for lane, place in enumerate(places)]
+        indices = [3 * lane + plane for lane in range(WIDTH)]
+        both = _shuffled(builder, a, b, [index if index < 2 * WIDTH else 0 for index in indices])
+        mixed = [WIDTH + index - 2 * WIDTH if index >= 2 * WIDTH else lane for lane, index in enumerate(indices)]
         planes.append(_shuffled(builder, both, c, mixed))
     return planes
 

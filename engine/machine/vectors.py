@@ -129,8 +129,8 @@ def _sixteen(builder: ir.IRBuilder, pointer: ir.Value) -> ir.Value:
 def _pairs(builder: ir.IRBuilder, pointer: ir.Value) -> ir.Value:
     two = ir.VectorType(FLOAT, 2)
     pair = builder.load(builder.bitcast(pointer, two.as_pointer()), align=4)
-    places = ir.Constant(INTS_IR, [lane % 2 for lane in range(WIDTH)])
-    return builder.shuffle_vector(pair, ir.Constant(two, ir.Undefined), places)
+    indices = ir.Constant(INTS_IR, [lane % 2 for lane in range(WIDTH)])
+    return builder.shuffle_vector(pair, ir.Constant(two, ir.Undefined), indices)
 
 
 def _past_the_cache(builder: ir.IRBuilder, pointer: ir.Value, values: ir.Value) -> None:

@@ -101,24 +101,24 @@ def find_unshown(views: Sequence[JudgedView], classes: ClassTable) -> list[Unsho
     answers = _Answers(found)
     for judged in views:
         answers.add(judged)
-    return sorted(_told(found, answers, shown, classes), key=lambda one: (not one.whole_class, -one.resolution))
+    return sorted(_missed(found, answers, shown, classes), key=lambda one: (not one.whole_class, -one.resolution))
 
 
-def _told(found: list[_Candidate], answers: _Answers, shown: set[int], classes: ClassTable) -> list[Unshown]:
-    told: list[Unshown] = []
-    places: list[_Candidate] = []
+def _missed(found: list[_Candidate], answers: _Answers, shown: set[int], classes: ClassTable) -> list[Unshown]:
+    unshown: list[Unshown] = []
+    reported: list[_Candidate] = []
     for number, one in enumerate(found):
-        if any(other.holds(one) for other in places):
+        if any(other.holds(one) for other in reported):
             continue
         whole = one.class_id not in shown
         named, near, kept = answers.of(number)
         least = LEAST_VIEWS_OF_CLASS if whole else LEAST_VIEWS_OF_OBJECT
         is_missed = named >= max(least, AGREED * near) and kept < SHOWN
-        if not is_missed or (whole and any(other.class_id == one.class_id for other in told)):
+        if not is_missed or (whole and any(other.class_id == one.class_id for other in unshown)):
             continue  # a class is reported once, by its best view
-        places.append(one)
-        told.append(_unshown(one, named, near, classes, whole))
-    return told
+        reported.append(one)
+        unshown.append(_unshown(one, named, near, classes, whole))
+    return unshown
 
 
 def _unshown(one: _Candidate, named: int, near: int, classes: ClassTable, is_whole: bool) -> Unshown:
@@ -142,7 +142,7 @@ def _segments(judged: JudgedView) -> tuple[list[_Candidate], set[int]]:
     """The resolved segments of which the lift shows less than the share SHOWN in their own view, and the classes that
     the lift shows on at least one of their segments."""
     view, shown = judged
-    seen, places = view.depth > 0, view.camera.unproject(view.depth)
+    seen, xyz_of_pixels = view.depth > 0, view.camera.unproject(view.depth)
     candidates, kept = [], set()
     for segment in view.mask.segments:
         where = (view.mask.ids == segment.id) & seen
@@ -158,7 +158,7 @@ def _segments(judged: JudgedView) -> tuple[list[_Candidate], set[int]]:
         rows, columns = rows[chosen], columns[chosen]
         resolution = float(resolution_on(view.camera, np.median(view.depth[where]), view.mask_scale))
         pixels = round(count * view.mask_scale**2)
-        xyz = places[rows, columns]
+        xyz = xyz_of_pixels[rows, columns]
         most = int(np.bincount(here).argmax())
         candidates.append(_Candidate(resolution, segment.class_id, view.name, segment.id, pixels, most, xyz))
     return candidates, kept
@@ -190,16 +190,16 @@ class _Answers:
         if not self.found:
             return
         view, shown = judged
-        place, row, column, z = view.places_in(self._xyz)
+        index, row, column, z = view.places_in(self._xyz)
         depth = view.depth[row, column]
         seen = (depth > 0) & (np.abs(depth - z) <= np.maximum(BEHIND, BEHIND * z))
-        count, of = len(self.found), self._owner[place]
+        count, of = len(self.found), self._owner[index]
         number = np.bincount(of[seen], minlength=count)
         safe = np.maximum(number, 1)
         mean_z = np.bincount(of[seen], z[seen], count) / safe
         resolution = resolution_on(view.camera, np.where(2 * number >= self._sizes, mean_z, 0.0), view.mask_scale)
-        named = seen & (view.mask.class_map()[row, column] == self._class[place])
-        kept = seen & (shown[row, column] == self._class[place])
+        named = seen & (view.mask.class_map()[row, column] == self._class[index])
+        kept = seen & (shown[row, column] == self._class[index])
         self._rows.append(
             (resolution, np.bincount(of[named], minlength=count) / safe, np.bincount(of[kept], minlength=count) / safe)
         )

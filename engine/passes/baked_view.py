@@ -16,7 +16,7 @@ from ..machine.threads import parallel_for, worker_count
 from ..model.neural_gaussians import PanopticRendering
 from ..scene import Camera, ClassTable, distinct_colour
 from .cryptomatte import RANKS, MatteLayer, class_layer, instance_layer, rank_coverage
-from .layers import PanopticLayers, decide, tell_in_coverage
+from .layers import PanopticLayers, align_mattes, decide
 
 REACH = 0.01
 """The window of a normal's fit reaches this share of the picture's width to each side."""
@@ -164,7 +164,7 @@ def bake_view(
     row = 0
     for band in bands:
         layers.append(decide(band, classes, instances.class_of))
-        tell_in_coverage(band, classes, instances.class_of, layers[-1])
+        align_mattes(band, classes, instances.class_of, layers[-1])
         by_class = class_layer(band.class_ids, classes)
         rank_coverage(band.class_coverage, by_class.columns, by_class.ids, band.alpha, None, of_classes, row)
         by_instance = instance_layer(band.instance_ids, instances.names, classes, instances.class_of)

@@ -96,8 +96,8 @@ def largest_first(coverage: Array, columns: Array, ids: Array, own_ids: Array, o
     total, last = ZERO, RANKS - 1
     for rank in range(RANKS):
         own_ids[rank] = own_shares[rank] = ZERO
-    for place in range(len(columns)):
-        value = coverage[columns[place]]
+    for number in range(len(columns)):
+        value = coverage[columns[number]]
         if value < _LEAST:
             continue
         total += value
@@ -107,7 +107,7 @@ def largest_first(coverage: Array, columns: Array, ids: Array, own_ids: Array, o
         while rank > 0 and own_shares[rank - 1] < value:
             own_ids[rank], own_shares[rank] = own_ids[rank - 1], own_shares[rank - 1]
             rank -= 1
-        own_ids[rank], own_shares[rank] = ids[place], value
+        own_ids[rank], own_shares[rank] = ids[number], value
     return total
 
 

@@ -88,29 +88,29 @@ def decide_labels(pixels: Any, columns: Any, pixel: int, decided: Any) -> None:
     if pixels.alpha[pixel] < FAINT:
         return
     coverage, classes = pixels.classes[pixel], len(columns.of_class)
-    place, most, total, weighted = 0, ZERO, ZERO, ZERO
+    winner, most, total, weighted = 0, ZERO, ZERO, ZERO
     for number in range(classes):
         value = coverage[columns.of_class[number]]
         total += value
         if value > most:
-            place, most = number, value
+            winner, most = number, value
         if value > LEAST_SHARE:
             weighted += value * np.log(value)
     total = max(total, LEAST_TOTAL)
     # the sum of -p log p for p = value / total
     entropy = (np.log(total) - weighted / total) / np.float32(np.log(max(classes, 2)))
-    decided.semantic[pixel] = columns.class_ids[place]
+    decided.semantic[pixel] = columns.class_ids[winner]
     decided.confidence[pixel] = np.rint(STEPS * most / total) / STEPS
     decided.entropy[pixel] = np.rint(STEPS * max(entropy, ZERO)) / STEPS
     decided.depth[pixel] = np.rint(STEPS_OF_DEPTH * pixels.depth[pixel]) / STEPS_OF_DEPTH
-    if columns.is_thing[place]:
-        slot = best_slot(pixels, columns, pixel, place)
+    if columns.is_thing[winner]:
+        slot = best_slot(pixels, columns, pixel, winner)
         if slot >= 0:
             decided.instance[pixel] = columns.slot_ids[slot]
 
 
 @compiled
-def best_slot(pixels: Any, columns: Any, pixel: int, place: int) -> int:
+def best_slot(pixels: Any, columns: Any, pixel: int, winner: int) -> int:
     """The slot that a pixel of the class with index ``winner`` shows (the first if several tie), -1 for no object.
 
     If objects have one class throughout, ``object_of_class`` decides. Otherwise it is the slot with the largest
@@ -118,8 +118,8 @@ def best_slot(pixels: Any, columns: Any, pixel: int, place: int) -> int:
     """
     coverage, best, most, instances = pixels.slots[pixel], -1, ZERO, ZERO
     if columns.one_class:
-        least = LEAST_SHARE_OF_CLASS * pixels.classes[pixel, columns.of_class[place]]
-        return object_of_class(coverage, columns.of_slot, columns.class_of_slot, place, least)
+        least = LEAST_SHARE_OF_CLASS * pixels.classes[pixel, columns.of_class[winner]]
+        return object_of_class(coverage, columns.of_slot, columns.class_of_slot, winner, least)
     for slot in range(len(columns.of_slot)):
         weight = coverage[columns.of_slot[slot]]
         instances += weight
@@ -129,7 +129,7 @@ def best_slot(pixels: Any, columns: Any, pixel: int, place: int) -> int:
 
 
 @parallel_kernel
-def tell_decision(
+def align_pixels(
     worker: int, workers: int, pixels: Any, columns: Any, decided: Any, best: Array, owned: Array
 ) -> None:
     """For every ``workers``-th chunk of pixels, make ``pixels.classes`` and ``pixels.slots`` agree with ``decided``.
@@ -138,9 +138,9 @@ def tell_decision(
         for pixel in range(start, min(start + CHUNK, len(pixels.alpha))):
             if columns.one_class:
                 give_to_owners(pixels, columns, pixel, best[worker], owned[worker])
-            for place in range(len(columns.of_class)):
-                if columns.class_ids[place] == decided.semantic[pixel]:
-                    raise_over_half(pixels.classes[pixel], columns.of_class, place, pixels.alpha[pixel])
+            for number in range(len(columns.of_class)):
+                if columns.class_ids[number] == decided.semantic[pixel]:
+                    raise_over_half(pixels.classes[pixel], columns.of_class, number, pixels.alpha[pixel])
             for slot in range(len(columns.of_slot)):
                 if columns.slot_ids[slot] == decided.instance[pixel]:
                     raise_over_half(pixels.slots[pixel], columns.of_slot, slot, pixels.alpha[pixel])
@@ -151,19 +151,19 @@ def give_to_owners(pixels: Any, columns: Any, pixel: int, largest: Array, total:
     """Give the coverage of a class that no object has to the pixel's largest object of that class. Scratch, [C] each:
     ``largest`` is a class's largest slot, ``total`` the coverage of all its slots."""
     coverage, by_class = pixels.slots[pixel], pixels.classes[pixel]
-    for place in range(len(columns.of_class)):
-        largest[place], total[place] = -1, ZERO
+    for number in range(len(columns.of_class)):
+        largest[number], total[number] = -1, ZERO
     for slot in range(len(columns.of_slot)):
-        place, value = columns.class_of_slot[slot], coverage[columns.of_slot[slot]]
-        if place >= 0:
-            total[place] += value
-            if value > ZERO and (largest[place] < 0 or value > coverage[columns.of_slot[largest[place]]]):
-                largest[place] = slot
-    for place in range(len(columns.of_class)):
-        if largest[place] >= 0:
-            column, shown = columns.of_slot[largest[place]], by_class[columns.of_class[place]]
+        number, value = columns.class_of_slot[slot], coverage[columns.of_slot[slot]]
+        if number >= 0:
+            total[number] += value
+            if value > ZERO and (largest[number] < 0 or value > coverage[columns.of_slot[largest[number]]]):
+                largest[number] = slot
+    for number in range(len(columns.of_class)):
+        if largest[number] >= 0:
+            column, shown = columns.of_slot[largest[number]], by_class[columns.of_class[number]]
             if coverage[column] > LEAST_SHARE_OF_CLASS * shown:
-                coverage[column] += max(shown - total[place], ZERO)
+                coverage[column] += max(shown - total[number], ZERO)
 
 
 @compiled
@@ -172,8 +172,8 @@ def raise_over_half(coverage: Array, columns: Array, winner: int, alpha: Any) ->
     own = coverage[columns[winner]]
     wanted = min(OVER_HALF, alpha)
     if own < wanted:
-        for place in range(len(columns)):
-            coverage[columns[place]] *= (alpha - wanted) / (alpha - own)
+        for number in range(len(columns)):
+            coverage[columns[number]] *= (alpha - wanted) / (alpha - own)
         coverage[columns[winner]] = wanted
 
 
@@ -238,7 +238,7 @@ def decide(
     return layers
 
 
-def tell_in_coverage(
+def align_mattes(
     rendering: PanopticRendering,
     classes: ClassTable,
     instance_classes: Mapping[int, int] | None,
@@ -252,7 +252,7 @@ def tell_in_coverage(
     """
     columns, workers = _columns(rendering, classes, instance_classes or {}), worker_count()
     best, owned = (np.empty((workers, len(columns.of_class)), dtype) for dtype in (np.int64, np.float32))
-    parallel_for(workers, tell_decision, _pixels(rendering), columns, _flat(decided), best, owned)
+    parallel_for(workers, align_pixels, _pixels(rendering), columns, _flat(decided), best, owned)
 
 
 def _flat(layers: PanopticLayers) -> Decided:
@@ -284,21 +284,21 @@ def _columns(rendering: PanopticRendering, classes: ClassTable, instance_classes
         raise ValueError("the rendering has no classes")
     class_ids = [rendering.class_ids[column] for column in of_class]
     slot_ids = [rendering.instance_ids[column] for column in of_slot]
-    place = {class_id: number for number, class_id in enumerate(class_ids)}
+    index_of = {class_id: number for number, class_id in enumerate(class_ids)}
     return Columns(
         of_class=np.array(of_class, np.int64),
         class_ids=np.array(class_ids, np.int32),
         is_thing=np.isin(class_ids, sorted(classes.thing_ids)),
         of_slot=np.array(of_slot, np.int64),
         slot_ids=np.array(slot_ids, np.int32),
-        class_of_slot=np.array([place.get(instance_classes.get(one, VOID), -1) for one in slot_ids], np.int64),
+        class_of_slot=np.array([index_of.get(instance_classes.get(one, VOID), -1) for one in slot_ids], np.int64),
         one_class=bool(instance_classes),
     )
 
 
 def _by_id(ids: Sequence[int]) -> list[int]:
     """The indices of all ids but 0, by ascending id."""
-    return sorted((place for place, one in enumerate(ids) if one), key=lambda place: ids[place])
+    return sorted((index for index, one in enumerate(ids) if one), key=lambda index: ids[index])
 
 
 def linear(encoded: NDArray[np.floating]) -> NDArray[np.float32]:

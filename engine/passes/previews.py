@@ -78,13 +78,13 @@ def instance_picture(instance: NDArray[np.int32], colours: Mapping[int, Colour] 
     """One colour per instance (``distinct_colour`` of its id unless ``colours`` has one), dark grey elsewhere."""
     given = colours or {}
     if int(instance.max(initial=0)) >= MOST_COLOURS:
-        ids, place = np.unique(instance, return_inverse=True)
-        place = place.reshape(instance.shape)
+        ids, index = np.unique(instance, return_inverse=True)
+        index = index.reshape(instance.shape)
     else:
-        present, place = np.bincount(instance.ravel()), instance
+        present, index = np.bincount(instance.ravel()), instance
         ids = np.arange(len(present)) * (present > 0)
     table = [STUFF if i == 0 else given.get(i, distinct_colour(i)) for i in ids.tolist()]
-    return np.array(table, np.uint8).reshape(-1, 3)[place]
+    return np.array(table, np.uint8).reshape(-1, 3)[index]
 
 
 def panoptic_picture(layers: PanopticLayers, classes: ClassTable, instance_colours: Mapping[int, Colour]) -> Picture:
@@ -204,16 +204,16 @@ def _band(tiles: Mapping[str, Picture], name: str, headings: Sequence[str], widt
 
 def _legend(class_ids: Sequence[int], classes: ClassTable, width: int) -> Picture:
     """A swatch and a name for every class on the sheet. Names of things, which have instances, are brighter."""
-    places: list[tuple[int, int, int]] = []
+    entries: list[tuple[int, int, int]] = []
     left, line = MARGIN, 0
     for class_id in class_ids:
         needed = 22 + _text_width(classes[class_id].name) + 22
         if left > MARGIN and left + needed > width - MARGIN:
             left, line = MARGIN, line + 1
-        places.append((class_id, left, line))
+        entries.append((class_id, left, line))
         left += needed
     band = _blank(14 + (line + 1) * LEGEND_LINE + MARGIN - 8, width)
-    for class_id, left, line in places:
+    for class_id, left, line in entries:
         category, top = classes[class_id], 14 + line * LEGEND_LINE
         band[top : top + 14, left : left + 14] = category.colour
         _write(band, category.name, (left + 22, top + 12), TEXT if category.is_thing else FAINT)

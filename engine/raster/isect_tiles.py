@@ -69,10 +69,10 @@ def isect_tiles(
     )
     np.copyto(order.view(np.uint32), keys, casting="unsafe")
     isects = Intersections(offsets, *listed)
-    places = np.zeros((workers, columns * rows), np.int64)
-    parallel_for(workers, count_tiles, order, boxes, columns, places)
-    longest = running_starts(places, isects.isect_offsets)
-    parallel_for(workers, scatter_tiles, order, boxes, columns, places, isects)
+    cursors = np.zeros((workers, columns * rows), np.int64)
+    parallel_for(workers, count_tiles, order, boxes, columns, cursors)
+    longest = running_starts(cursors, isects.isect_offsets)
+    parallel_for(workers, scatter_tiles, order, boxes, columns, cursors, isects)
     return isects, int(longest)
 
 
@@ -129,7 +129,7 @@ def running_starts(counts: Array, starts: Array) -> Any:
 
 @parallel_kernel
 def scatter_tiles(
-    worker: int, workers: int, order: Array, boxes: Array, columns: int, places: Array, out: Intersections
+    worker: int, workers: int, order: Array, boxes: Array, columns: int, cursors: Array, out: Intersections
 ) -> None:
     """Fill ``flatten_ids`` and ``isect_ids`` from the worker's part."""
     first, end = chunk_range(worker, workers, order.shape[0])
@@ -139,8 +139,8 @@ def scatter_tiles(
         for row in range(boxes[i, 2], boxes[i, 3]):
             for column in range(boxes[i, 0], boxes[i, 1]):
                 tile = row * columns + column
-                place = places[worker, tile]
-                places[worker, tile] = place + 1
-                out.flatten_ids[place] = i
-                out.isect_ids[place] = isect
+                index = cursors[worker, tile]
+                cursors[worker, tile] = index + 1
+                out.flatten_ids[index] = i
+                out.isect_ids[index] = isect
                 isect += 1

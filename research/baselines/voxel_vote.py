@@ -39,9 +39,9 @@ class VoxelVote:
     def add(self, camera: Camera, depth: NDArray[np.float32], class_map: NDArray[np.int32]) -> None:
         """A training view: depth float32 [H, W] metres (0 = none) and class ids int32 [H, W] (0 abstains)."""
         voting = (depth > 0) & np.isin(class_map, self.classes.ids)
-        voxels, place = np.unique(_pack(camera.unproject(depth)[voting]), return_inverse=True)
+        voxels, voxel_of = np.unique(_pack(camera.unproject(depth)[voting]), return_inverse=True)
         classes = max(self.classes.ids) + 1
-        pairs, votes = np.unique(place.reshape(-1) * classes + class_map[voting], return_counts=True)
+        pairs, votes = np.unique(voxel_of.reshape(-1) * classes + class_map[voting], return_counts=True)
         self._votes.append(np.column_stack([voxels[pairs // classes], pairs % classes, votes]))
 
     @property
@@ -112,11 +112,11 @@ def add_voxel_vote(report: Report, scene: Scene) -> None:
 def vote(scene: Scene) -> VoxelMap | None:
     """The voxels that the training views vote on, or None when no pixel could vote. Raises PlgsError."""
     votes = VoxelVote(scene.classes)
-    there = scene.train_frames
-    for place in np.linspace(0, len(there) - 1, min(len(there), MOST_VOTERS)).round().astype(int):
-        width, height = there[place].size
+    frames = scene.train_frames
+    for index in np.linspace(0, len(frames) - 1, min(len(frames), MOST_VOTERS)).round().astype(int):
+        width, height = frames[index].size
         scale = min(1.0, VOTING_WIDTH / width)
-        view = load_view(there[place], (round(width * scale), max(1, round(height * scale))))
+        view = load_view(frames[index], (round(width * scale), max(1, round(height * scale))))
         votes.add(view.camera, view.depth, view.mask.class_map())
     return None if votes.is_empty else votes.result()
 

@@ -72,16 +72,16 @@ def scores_of(row: Row, scene: SceneToLift, opened: Scene) -> Figures:
     """The figures of a row's predictions of the held-out frames of a scene. Raises PlgsError, also if a frame with
     ground truth lacks a prediction: figures over fewer frames could not be compared."""
     assert row.predicted is not None
-    place = of_scene(row.predicted.folder, scene.name)
-    assert place is not None
-    found = open_label_folder(place, is_truth=False)
+    folder = of_scene(row.predicted.folder, scene.name)
+    assert folder is not None
+    found = open_label_folder(folder, is_truth=False)
     readers = {frame.name: partial(_truth, frame) for frame in opened.test_frames if frame.read_ground_truth}
     if not readers:
         what = "no held-out frame has ground truth"
         raise PlgsError("no-truth", what, opened.folder, "Compare on scenes that have it.")
     if lacking := [name for name in readers if name not in found.readers]:
         what = f"{len(lacking)} of {len(readers)} held-out frames have no prediction, such as {lacking[0]}"
-        raise PlgsError("no-prediction", what, place, "Give an image the name of its frame.")
+        raise PlgsError("no-prediction", what, folder, "Give an image the name of its frame.")
     predictions = replace(found, readers={name: found.readers[name] for name in readers})
     truth = LabelFolder(opened.folder, opened.classes, readers)
     tables = score_folders(predictions, truth, ids_per_frame=row.predicted.ids_per_frame)["tables"]

@@ -50,7 +50,7 @@ def run_experiment(experiment: Experiment, interrupts: Interrupts) -> ExitCode:
             if task.name in errors:
                 raise errors[task.name]
             results.append(lifted(experiment, task, interrupts))
-            tell_other_code(task, results[-1])
+            warn_of_other_code(task, results[-1])
         except PlgsError as error:
             errors[task.name] = error
             print(f"{task.name}: failed: {error}", file=sys.stderr)
@@ -85,7 +85,7 @@ def lifted(experiment: Experiment, task: Task, interrupts: Interrupts) -> Result
     return read_result(task.scene.name, task.row.name, experiment.preset_name, lift)
 
 
-def tell_other_code(task: Task, result: Result) -> None:
+def warn_of_other_code(task: Task, result: Result) -> None:
     """Warn if a finished lift was made by other code than this."""
     if result.engine_version != this_engine():
         fix = f"To lift it again, delete {task.options.output}"

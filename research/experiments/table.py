@@ -208,8 +208,8 @@ def _cited(paper: Cited | None) -> str:
 def _aligned(rows: Sequence[Sequence[str]]) -> Iterator[str]:
     """The first column flush left, figures flush right; a reason may be wider than its column."""
     rows = [[markdown_cell(cell) for cell in row] for row in rows]
-    widths = [max(3, *(min(len(row[place]), _WIDEST) for row in rows)) for place in range(len(rows[0]))]
+    widths = [max(3, *(min(len(row[column]), _WIDEST) for row in rows)) for column in range(len(rows[0]))]
     rule = ["-" * widths[0], *("-" * (width - 1) + ":" for width in widths[1:])]
     for row in [rows[0], rule, *rows[1:]]:
         cells = zip(row, widths, strict=True)
-        yield f"| {' | '.join(c.rjust(w) if place else c.ljust(w) for place, (c, w) in enumerate(cells))} |"
+        yield f"| {' | '.join(c.rjust(w) if column else c.ljust(w) for column, (c, w) in enumerate(cells))} |"

@@ -33,20 +33,20 @@ def test_what_is_made_is_readable_only_by_the_user(cache: Path) -> None:
     assert all(each.stat().st_mode & 0o77 == 0 for each in (folder, folder.parent, cache))
 
 
-@pytest.mark.parametrize("place", ["kernels", "plgs", ".cache", "home"])
-def test_nothing_is_kept_where_others_may_write(cache: Path, place: str, caplog: pytest.LogCaptureFixture) -> None:
+@pytest.mark.parametrize("unsafe", ["kernels", "plgs", ".cache", "home"])
+def test_nothing_is_kept_where_others_may_write(cache: Path, unsafe: str, caplog: pytest.LogCaptureFixture) -> None:
     folder = choose_cache_folder("kernels")
-    next(each for each in (folder, *folder.parents) if each.name == place).chmod(0o777)
+    next(each for each in (folder, *folder.parents) if each.name == unsafe).chmod(0o777)
     own = choose_cache_folder("kernels")
     assert own != folder and why_unsafe(own) is None and own.stat().st_mode & 0o77 == 0
     assert "others may write" in caplog.text
 
 
 @pytest.mark.skipif(not hasattr(os, "geteuid") or os.geteuid() != 0, reason="only root gives folders away")
-@pytest.mark.parametrize("place", ["kernels", "plgs", ".cache"])
-def test_what_another_user_owns_is_not_used(cache: Path, place: str) -> None:
+@pytest.mark.parametrize("unsafe", ["kernels", "plgs", ".cache"])
+def test_what_another_user_owns_is_not_used(cache: Path, unsafe: str) -> None:
     folder = choose_cache_folder("kernels")
-    os.chown(next(each for each in (folder, *folder.parents) if each.name == place), 12345, 12345)
+    os.chown(next(each for each in (folder, *folder.parents) if each.name == unsafe), 12345, 12345)
     assert choose_cache_folder("kernels") != folder
 
 

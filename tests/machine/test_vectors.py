@@ -74,8 +74,8 @@ def test_pairs_alternate_and_lanes_are_summed_up() -> None:
 @pytest.mark.parametrize("span", [(-63.9, 126.9), (-8.0, 0.0), (-1e-3, 1e-3)])
 def test_powers_of_two(span: tuple[float, float]) -> None:
     def power(values: Any, out: Any) -> None:
-        for place in range(4):
-            store(out, 16 * place, exp2(load(values, 16 * place)))
+        for number in range(4):
+            store(out, 16 * number, exp2(load(values, 16 * number)))
         a, b, c, d = exp2_x4(load(values, 0), load(values, 16), load(values, 32), load(values, 48))
         store(out, 64, a)
         store(out, 80, b)

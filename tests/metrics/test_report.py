@@ -204,9 +204,9 @@ def test_one_or_the_other(arguments: list[str], capsys: pytest.CaptureFixture[st
 
 def test_a_folder_without_labels(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     truth = write_masks(tmp_path / "truth")
-    for folder, told in ((tmp_path / "none", "not-folder"), (tmp_path, "no-labels")):
+    for folder, key in ((tmp_path / "none", "not-folder"), (tmp_path, "no-labels")):
         assert main(["evaluate", "--predictions", str(folder), "--truth", str(truth)]) == 2
-        assert worded(told).search(capsys.readouterr().err)
+        assert worded(key).search(capsys.readouterr().err)
 
 
 def test_numbers_of_another_table_are_refused(tmp_path: Path) -> None:

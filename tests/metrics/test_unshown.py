@@ -25,8 +25,8 @@ def flat_view(
     depth = np.full((HEIGHT, WIDTH), distance, np.float32)
     xyz = camera.unproject(depth)
     ids, segments = np.full((HEIGHT, WIDTH), 1, np.int32), [Segment(1, TOP, False)]
-    for number, place in enumerate(sinks, start=2):
-        inside = (np.abs(xyz[..., :2] - place) <= 0.15).all(axis=-1)
+    for number, centre in enumerate(sinks, start=2):
+        inside = (np.abs(xyz[..., :2] - centre) <= 0.15).all(axis=-1)
         if draws and inside.any():
             ids[inside] = number
             segments.append(Segment(number, SINK, True))
@@ -35,10 +35,10 @@ def flat_view(
     return JudgedView(view, np.full((HEIGHT, WIDTH), TOP, np.int32))
 
 
-def showing(judged: JudgedView, place: tuple[float, float]) -> JudgedView:
+def showing(judged: JudgedView, centre: tuple[float, float]) -> JudgedView:
     """The same view of a lift that shows a sink at ``centre``."""
     xyz = judged.view.camera.unproject(judged.view.depth)
-    inside = (np.abs(xyz[..., :2] - place) <= 0.15).all(axis=-1)
+    inside = (np.abs(xyz[..., :2] - centre) <= 0.15).all(axis=-1)
     shown: NDArray[np.int32] = np.where(inside, SINK, judged.shown).astype(np.int32)
     return judged._replace(shown=shown)
 

@@ -14,7 +14,7 @@ from engine.instances.panoptic_labels import LEAST_OF_CLASS
 from engine.model.neural_gaussians import PanopticRendering
 from engine.passes.baked_view import ShownInstances, bake_view
 from engine.passes.cryptomatte import CRYPTO_CLASS
-from engine.passes.layers import STEPS, decide, encoded, linear, tell_in_coverage
+from engine.passes.layers import STEPS, align_mattes, decide, encoded, linear
 from engine.scene import Camera, Category, ClassTable
 from tests.passes.views import CHAIR, CLASSES, EDGE, LEFT, NOTHING, RIGHT, SOFA, WALL, made_rendering
 
@@ -184,10 +184,10 @@ def test_a_rendering_without_classes_is_refused() -> None:
 
 def test_the_rest_of_a_class_is_its_largest_objects() -> None:
     rendering, of_class = with_right_chair({3: 0.2, 70001: 0.1}), {3: CHAIR, 70001: CHAIR}
-    tell_in_coverage(rendering, CLASSES, of_class, decide(rendering, CLASSES, of_class))
+    align_mattes(rendering, CLASSES, of_class, decide(rendering, CLASSES, of_class))
     assert rendering.instance_coverage[RIGHT][0, 0].tolist() == pytest.approx([0.65, 0.1])
     rendering = with_right_chair({3: 0.9 * LEAST_OF_CLASS * 0.75})
-    tell_in_coverage(rendering, CLASSES, of_class, decide(rendering, CLASSES, of_class))
+    align_mattes(rendering, CLASSES, of_class, decide(rendering, CLASSES, of_class))
     assert rendering.instance_coverage[RIGHT][0, 0, 0] == np.float32(0.9 * LEAST_OF_CLASS * 0.75)
 
 

@@ -48,7 +48,7 @@ def test_texts_become_values() -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "told"),
+    ("text", "key"),
     [
         ("neighbors=4", "no-option neighbours"),
         ("depth=0", "no-option weights.depth"),
@@ -68,8 +68,8 @@ def test_texts_become_values() -> None:
         ("", "no-option"),
     ],
 )
-def test_unknown_options_are_refused_with_the_nearest_name(text: str, told: str) -> None:
-    with raises_key(told):
+def test_unknown_options_are_refused_with_the_nearest_name(text: str, key: str) -> None:
+    with raises_key(key):
         parsed_options([text])
 
 
@@ -83,7 +83,7 @@ def test_a_printed_preset_is_read_back(base: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("content", "told"),
+    ("content", "key"),
     [
         ("steps = ", "not-toml"),
         ("steps = 3", "preset-base preview standard paper"),
@@ -92,10 +92,10 @@ def test_a_printed_preset_is_read_back(base: str, tmp_path: Path) -> None:
         ('preset = "preview"\nsteps = 2026-11-22', "bad-value"),
     ],
 )
-def test_a_bad_file_is_named(content: str, told: str, tmp_path: Path) -> None:
+def test_a_bad_file_is_named(content: str, key: str, tmp_path: Path) -> None:
     path = tmp_path / "mine.toml"
     path.write_text(content)
-    with raises_key(f"{told} {path}"):
+    with raises_key(f"{key} {path}"):
         read_preset_file(path)
 
 

@@ -79,8 +79,8 @@ def rasterize_to_indices_in_range(
     alpha = opacities[0, flatten_ids] * torch.exp(-0.5 * (a * dx * dx + c * dy * dy) - b * dx * dy)
     alpha = torch.where(alpha >= ALPHA_MIN, alpha.clamp(max=ALPHA_MAX), 0.0)
     goes_on = torch.cumprod(1.0 - alpha, 1) > TRANSMITTANCE_END
-    pixel, place = ((alpha > 0) & goes_on).nonzero().unbind(1)
-    return flatten_ids[place], pixel, torch.zeros_like(pixel)
+    pixel, index = ((alpha > 0) & goes_on).nonzero().unbind(1)
+    return flatten_ids[index], pixel, torch.zeros_like(pixel)
 
 
 def use_a_stand_in(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -26,9 +26,9 @@ class Scene:
     width: int
     height: int
 
-    def changed(self, place: int, values: Tensor) -> Scene:
+    def changed(self, number: int, values: Tensor) -> Scene:
         tensors = list(self.tensors)
-        tensors[place] = values
+        tensors[number] = values
         return replace(self, tensors=tuple(tensors))
 
 

@@ -42,7 +42,7 @@ def test_no_csv_cell_is_a_formula() -> None:
 
 
 @pytest.mark.parametrize(
-    ("content", "told"),
+    ("content", "key"),
     [
         (None, "unreadable"),
         ("not JSON", "json-broken"),
@@ -53,11 +53,11 @@ def test_no_csv_cell_is_a_formula() -> None:
         (results_text([]), "results-empty"),
     ],
 )
-def test_another_file_is_refused(tmp_path: Path, content: str | None, told: str) -> None:
+def test_another_file_is_refused(tmp_path: Path, content: str | None, key: str) -> None:
     file = tmp_path / "results.json"
     if content is not None:
         file.write_text(content)
-    with raises_key(told):
+    with raises_key(key):
         read_results(file)
 
 
@@ -85,8 +85,8 @@ def test_without_ground_truth_there_are_no_shares() -> None:
     assert rows == {LIFTED: Figures(psnr=20.0, psnr_fitted=22.0, ssim=0.5, depth_error_m=0.02)}
 
 
-def _events(*told: tuple[float, str, dict[str, str]]) -> list[Event]:
-    return [Event(seq, time, kind, dict(data)) for seq, (time, kind, data) in enumerate(told, start=1)]
+def _events(*written: tuple[float, str, dict[str, str]]) -> list[Event]:
+    return [Event(seq, time, kind, dict(data)) for seq, (time, kind, data) in enumerate(written, start=1)]
 
 
 def test_a_lift_takes_the_time_of_all_its_runs() -> None:

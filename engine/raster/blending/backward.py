@@ -324,10 +324,10 @@ def keep_alpha(patch: int, raw: Any, scratch: Array) -> None:
 
 
 @device_function
-def fill_alphas(slope: float, place: float, patches: int, scratch: Array, own: int) -> None:
+def fill_alphas(slope: float, index: float, patches: int, scratch: Array, own: int) -> None:
     """Fill RAW_ALPHAS and OVERS on the patches of a mask, with the same bits as in the forward pass; four at a time, so
     that none waits for another."""
-    slopes, here = broadcast(slope), broadcast(place)
+    slopes, here = broadcast(slope), broadcast(index)
     while patches != 0:
         (p0, p1, p2, p3), patches = take_four(patches, NO_PATCH)
         e0, e1 = exponent_of(p0, slopes, scratch, own), exponent_of(p1, slopes, scratch, own)
@@ -429,17 +429,17 @@ def blend_backward(
         for batch in range(far // BACKWARD_BATCH * BACKWARD_BATCH, -1, -BACKWARD_BATCH):
             for at in range(BATCH_LABELS, BATCH_LABELS + BACKWARD_BATCH * padded, TILE):
                 store(scratch, at, broadcast(ZERO))
-            for place in range(min(batch + BACKWARD_BATCH - 1, far), batch - 1, -1):
-                touching = patches & movemask(load(scratch, LAST_OF_PATCH) >= broadcast(F(place)))
-                at = int(get(flatten_ids, first + place)) * RECORD
-                following = int(get(flatten_ids, first + max(place - 1, 0))) * RECORD
-                prefetch(records, int(get(flatten_ids, first + max(place - AHEAD, 0))) * RECORD)
+            for index in range(min(batch + BACKWARD_BATCH - 1, far), batch - 1, -1):
+                touching = patches & movemask(load(scratch, LAST_OF_PATCH) >= broadcast(F(index)))
+                at = int(get(flatten_ids, first + index)) * RECORD
+                following = int(get(flatten_ids, first + max(index - 1, 0))) * RECORD
+                prefetch(records, int(get(flatten_ids, first + max(index - AHEAD, 0))) * RECORD)
                 patches = whiten_tile(records, following, tile, scratch, WHITENED - own)
-                isect = int(get(isect_ids, first + place))
+                isect = int(get(isect_ids, first + index))
                 out.tiles[isect] = number if touching != 0 else -1
                 if touching != 0:
-                    fill_alphas(get(records, at + L11), F(place), touching, scratch, own)
-                    sums = blend_gaussian_backward(records, at, place - batch, touching, scratch, own, lists)
+                    fill_alphas(get(records, at + L11), F(index), touching, scratch, own)
+                    sums = blend_gaussian_backward(records, at, index - batch, touching, scratch, own, lists)
                     store_nontemporal(out.values, isect * GRADIENT_WIDTH, sums)
                 own = WHITENED - own
             if channels > 0:

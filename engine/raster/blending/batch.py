@@ -73,7 +73,7 @@ ORIGIN_S1, ORIGIN_S2 = 0, BATCH  # s at the centre of the tile's first pixel
 SLOPE, SHEAR, DROP = 2 * BATCH, 3 * BATCH, 4 * BATCH  # L11, L12, L22
 LOG_OPACITIES = 5 * BATCH
 REDS, GREENS, BLUES, DEPTHS = 6 * BATCH, 7 * BATCH, 8 * BATCH, 9 * BATCH
-PLACES = 10 * BATCH  # in the tile's list
+INDICES = 10 * BATCH  # in the tile's list
 BATCH_FIELDS = 11 * BATCH + TILE  # the last one has a place for PAD_INDEX too
 
 # fields of one strip, as offsets in floats from their start; a pair for every member, one for each row
@@ -99,11 +99,11 @@ def origin_of(records: Array, at: int, tile: Tile) -> Any:
 
 @device_function
 def load_batch(
-    flatten_ids: Array, records: Array, tile: Tile, place: int, count: int, fields: Array, base: int
+    flatten_ids: Array, records: Array, tile: Tile, start: int, count: int, fields: Array, base: int
 ) -> None:
     """Put ``count`` Gaussians of a tile, from index ``start`` of its list on, into fields[base:]. The members that fill
     up the last sixteen reach no pixel."""
-    first = tile.first + place
+    first = tile.first + start
     for m in range(count):
         at = int(get(flatten_ids, first + m)) * RECORD
         prefetch(records, int(get(flatten_ids, first + min(m + AHEAD, count - 1))) * RECORD)
@@ -118,7 +118,7 @@ def load_batch(
         put(fields, base + GREENS + m, get(records, at + GREEN))
         put(fields, base + BLUES + m, get(records, at + BLUE))
         put(fields, base + DEPTHS + m, get(records, at + DEPTH))
-        put(fields, base + PLACES + m, F(place + m))
+        put(fields, base + INDICES + m, F(start + m))
     for m in range(count, (count + TILE - 1) // TILE * TILE):
         put(fields, base + LOG_OPACITIES + m, NEVER)
 

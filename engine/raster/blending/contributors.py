@@ -100,15 +100,15 @@ def tile_of(number: int, width: int, starts: Array) -> Tile:
 @device_function
 def keep_largest(gaussian: int, weight: float, indices: Array, weights: Array) -> None:
     """Insert one contributor into a pixel's lists, largest first. Of two equal ones, the one in front stays first."""
-    place = weights.shape[0] - 1
-    if weight <= weights[place]:
+    rank = weights.shape[0] - 1
+    if weight <= weights[rank]:
         return
-    while place > 0 and weight > weights[place - 1]:
-        weights[place] = weights[place - 1]
-        indices[place] = indices[place - 1]
-        place -= 1
-    weights[place] = weight
-    indices[place] = gaussian
+    while rank > 0 and weight > weights[rank - 1]:
+        weights[rank] = weights[rank - 1]
+        indices[rank] = indices[rank - 1]
+        rank -= 1
+    weights[rank] = weight
+    indices[rank] = gaussian
 
 
 @parallel_kernel
@@ -122,10 +122,10 @@ def list_contributors(
     floats, members = scratches[0][worker], scratches[1][worker]
     for number in range(worker, isects.isect_offsets.shape[0] - 1, workers):
         tile = tile_of(number, size[0], isects.isect_offsets)
-        for place in range(blend_tile(tile, size, isects.flatten_ids, records, (floats, members))):
-            gaussian, y = get(members, 2 * place), tile.top + get(members, 2 * place + 1)
+        for pair in range(blend_tile(tile, size, isects.flatten_ids, records, (floats, members))):
+            gaussian, y = get(members, 2 * pair), tile.top + get(members, 2 * pair + 1)
             for x in range(tile.left, min(tile.left + TILE, size[0])):
-                weight = get(floats, LISTED + place * TILE + x - tile.left)
+                weight = get(floats, LISTED + pair * TILE + x - tile.left)
                 if weight > ZERO:
                     keep_largest(gaussian, weight, indices[y, x], weights[y, x])
 
@@ -142,22 +142,22 @@ def sum_near_median(count: int, records: Array, floats: Array, members: Array) -
     """Fill the sums of a tile from what ``blend_tile`` listed."""
     for at in range(TOTAL, LISTED, TILE):
         store(floats, at, broadcast(ZERO))
-    for place in range(count):
-        at = TILE * get(members, 2 * place + 1)
-        store(floats, TOTAL + at, load(floats, TOTAL + at) + load(floats, LISTED + place * TILE))
-    for place in range(count):
-        at, weight = TILE * get(members, 2 * place + 1), load(floats, LISTED + place * TILE)
-        depth = broadcast_load(records, RECORD * int(get(members, 2 * place)) + DEPTH)
+    for pair in range(count):
+        at = TILE * get(members, 2 * pair + 1)
+        store(floats, TOTAL + at, load(floats, TOTAL + at) + load(floats, LISTED + pair * TILE))
+    for pair in range(count):
+        at, weight = TILE * get(members, 2 * pair + 1), load(floats, LISTED + pair * TILE)
+        depth = broadcast_load(records, RECORD * int(get(members, 2 * pair)) + DEPTH)
         reached = load(floats, REACHED + at)
         is_median = (weight > broadcast(ZERO)) & (reached < load(floats, TOTAL + at) * broadcast(HALF))
         store(floats, MEDIAN + at, select(is_median, depth, load(floats, MEDIAN + at)))
         store(floats, REACHED + at, reached + weight)
-    for place in range(count):
-        at = TILE * get(members, 2 * place + 1)
+    for pair in range(count):
+        at = TILE * get(members, 2 * pair + 1)
         median = load(floats, MEDIAN + at)
-        gap = broadcast_load(records, RECORD * int(get(members, 2 * place)) + DEPTH) - median
+        gap = broadcast_load(records, RECORD * int(get(members, 2 * pair)) + DEPTH) - median
         is_near = maximum(gap, broadcast(ZERO) - gap) <= median * broadcast(NEAR)
-        weight = select(is_near, load(floats, LISTED + place * TILE), broadcast(ZERO))
+        weight = select(is_near, load(floats, LISTED + pair * TILE), broadcast(ZERO))
         store(floats, WEIGHT + at, load(floats, WEIGHT + at) + weight)
         store(floats, OFFSET + at, fma(weight, gap, load(floats, OFFSET + at)))
 

@@ -44,8 +44,8 @@ from .batch import (
     BLUES,
     DEPTHS,
     GREENS,
+    INDICES,
     PAD_INDEX,
-    PLACES,
     REDS,
     SLOPE,
     STRIP_EXPONENTS,
@@ -238,7 +238,7 @@ def blend_member(
     blended = (alpha > broadcast(ZERO)) & (after > broadcast(ENDED))
     weight = select(blended, alpha * transmittance, broadcast(ZERO))
     final = select(blended, after, final)
-    last = select(blended, broadcast_load(scratch, fields + PLACES + m), last)
+    last = select(blended, broadcast_load(scratch, fields + INDICES + m), last)
     red = fma(weight, broadcast_load(scratch, fields + REDS + m), red)
     green = fma(weight, broadcast_load(scratch, fields + GREENS + m), green)
     blue = fma(weight, broadcast_load(scratch, fields + BLUES + m), blue)
@@ -358,15 +358,15 @@ def blend_forward(
             pixel = (top + r) * width + left
             start_strip(pixels, rows, channels, scratch)
             ends = (0, LISTED)
-            for place in range(0, tile.length, BATCH):
-                fields = batches + place // BATCH * batch_floats(channels)
+            for start in range(0, tile.length, BATCH):
+                fields = batches + start // BATCH * batch_floats(channels)
                 own_labels = fields + BATCH_FIELDS
                 in_vectors = ((own_labels - batches) // TILE, padded // TILE)
-                count = min(BATCH, tile.length - place)
-                if place == loaded:
-                    load_batch(flatten_ids, records, tile, place, count, scratch, fields)
+                count = min(BATCH, tile.length - start)
+                if start == loaded:
+                    load_batch(flatten_ids, records, tile, start, count, scratch, fields)
                     if channels > 0:
-                        load_labels(tile.first + place, count, flatten_ids, labels, channels, scratch, own_labels)
+                        load_labels(tile.first + start, count, flatten_ids, labels, channels, scratch, own_labels)
                     loaded += BATCH
                 touching = whiten_strip(r, count, scratch, fields, STRIP)
                 strip_sees = False

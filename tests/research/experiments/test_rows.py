@@ -60,7 +60,7 @@ def test_rows_and_tables_are_found_by_name() -> None:
 
 
 @pytest.mark.parametrize(
-    ("content", "told"),
+    ("content", "key"),
     [
         ("", "not-rows tables"),
         ('[tables]\na = "A"\n[[row]]\nname = "x"\ntable = "b"', "not-rows"),
@@ -70,8 +70,8 @@ def test_rows_and_tables_are_found_by_name() -> None:
         ('[tables]\na = "A"\n[[row]]\nname = "x"\ntable = "a"\nset = { neighbors = 3 }', "no-option neighbours"),
     ],
 )
-def test_a_file_that_is_not_a_table_of_rows_is_refused(content: str, told: str, tmp_path: Path) -> None:
+def test_a_file_that_is_not_a_table_of_rows_is_refused(content: str, key: str, tmp_path: Path) -> None:
     path = tmp_path / "rows.toml"
     path.write_text(content)
-    with raises_key(told):
+    with raises_key(key):
         read_rows(path)

@@ -128,17 +128,17 @@ def test_baselines_without_a_lift_are_measured_again_when_the_scene_or_the_engin
         real(report, scene)
 
     monkeypatch.setattr(without_a_lift, "add_voxel_vote", counted)
-    place = experiment.scenes[0].folder
-    cache = place / "lifts" / "office.json"
-    first = without_a_lift.scores_without_a_lift(SceneSource(place), cache)
+    folder = experiment.scenes[0].folder
+    cache = folder / "lifts" / "office.json"
+    first = without_a_lift.scores_without_a_lift(SceneSource(folder), cache)
     assert set(first) == set(WITHOUT_A_LIFT)
     (cache.parent / "another.txt").touch()
-    assert without_a_lift.scores_without_a_lift(SceneSource(place), cache) == first and len(measured) == 1
-    os.utime(place / "panoptic.json", (1, 1))
-    assert without_a_lift.scores_without_a_lift(SceneSource(place), cache) == first and len(measured) == 2
+    assert without_a_lift.scores_without_a_lift(SceneSource(folder), cache) == first and len(measured) == 1
+    os.utime(folder / "panoptic.json", (1, 1))
+    assert without_a_lift.scores_without_a_lift(SceneSource(folder), cache) == first and len(measured) == 2
     monkeypatch.setattr(without_a_lift, "this_engine", lambda: "another")
     for _ in range(2):
-        assert without_a_lift.scores_without_a_lift(SceneSource(place), cache) == first and len(measured) == 3
+        assert without_a_lift.scores_without_a_lift(SceneSource(folder), cache) == first and len(measured) == 3
 
 
 def test_other_masks_are_lifted_if_there_are_any(experiment: Experiment, behave: Behave) -> None:
@@ -196,8 +196,8 @@ def test_a_failed_lift_is_resumed_without_a_wait(
     assert run(experiment) is ExitCode.INTERNAL_ERROR
     office, kitchen = read_results(experiment.folder / "results.json")
     assert office.failed and not kitchen.failed and kitchen.figures.seconds is not None
-    told = capsys.readouterr()
-    assert "Failed: office: ours." in told.err and f"failed: {office.failed}" in told.out
+    printed = capsys.readouterr()
+    assert "Failed: office: ours." in printed.err and f"failed: {office.failed}" in printed.out
     behave("office-preview", "short")
     assert run(experiment) is ExitCode.FINISHED
     assert runs_of(experiment, "office-preview") == [False, True]
@@ -216,8 +216,8 @@ def test_bad_input_is_reported_before_any_lift(experiment: Experiment, behave: B
     with raises_key("no-option weights.depth"):
         run(replace(experiment, sets=("weights.dept=0",)))
     (file := tmp_path / "file").write_bytes(b"\xff")
-    for page, told in ((tmp_path, "not-text"), (file, "not-text"), (file / "page.md", "unwritable")):
-        with raises_key(told):
+    for page, key in ((tmp_path, "not-text"), (file, "not-text"), (file / "page.md", "unwritable")):
+        with raises_key(key):
             run(replace(experiment, only=(), page=page))
     assert not experiment.folder.exists()
 

@@ -39,7 +39,7 @@ def test_they_have_their_own_names() -> None:
 
 
 @pytest.mark.parametrize(
-    ("texts", "names", "told"),
+    ("texts", "names", "key"),
     [
         (["room:up=x"], None, "not-axis"),
         (["room:up="], None, "not-axis"),
@@ -52,6 +52,6 @@ def test_they_have_their_own_names() -> None:
         ([""], None, "not-scene"),
     ],
 )
-def test_what_is_refused(texts: list[str], names: list[str] | None, told: str) -> None:
-    with raises_key(told):
+def test_what_is_refused(texts: list[str], names: list[str] | None, key: str) -> None:
+    with raises_key(key):
         scenes_from(texts, names)
