@@ -87,7 +87,7 @@ def test_what_is_invalid_is_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "shown", "written"),
+    ("name", "shown", "noted"),
     [
         ("a.1001", ShownFrame(), {"imageCounter": 1001}),
         ("a.0001", ShownFrame(fps=24.0), {"imageCounter": 1, "timeCode": (0, 0, 0, 1)}),
@@ -97,7 +97,7 @@ def test_what_is_invalid_is_refused(tmp_path: Path) -> None:
         ("wide", ShownFrame(display=(-1, 2, 4, 3)), {}),
     ],
 )
-def test_the_header_tells_frame_and_camera(name: str, shown: ShownFrame, written: dict[str, Any], tmp_path: Path) -> None:
+def test_the_header_tells_frame_and_camera(name: str, shown: ShownFrame, noted: dict[str, Any], tmp_path: Path) -> None:
     view, path = _baked(), tmp_path / f"{name}.exr"
     camera = replace(view.camera, fy=view.camera.fy * 1.5)
     write_exr(path, replace(view, camera=camera), shown=shown)
@@ -106,7 +106,7 @@ def test_the_header_tells_frame_and_camera(name: str, shown: ShownFrame, written
     code = header.pop("timeCode", None)
     found = {key: header[key] for key in ("imageCounter",) if key in header}
     found |= {"timeCode": (code.hours, code.minutes, code.seconds, code.frame)} if code is not None else {}
-    assert found == written and header["pixelAspectRatio"] == pytest.approx(1.5)
+    assert found == noted and header["pixelAspectRatio"] == pytest.approx(1.5)
     points = camera.unproject(np.full((camera.height, camera.width), 2.0, np.float32)).reshape(-1, 3)
     rows = np.concatenate([points, np.ones((len(points), 1))], axis=1)
     seen = rows @ header["worldToCamera"]
