@@ -188,7 +188,7 @@ def _frame_times(
 
 
 def print_profile(profile: StepProfile) -> None:
-    print(f"{profile.anchors} anchors, of which a view sees {profile.visible}; {profile.gaussians} Gaussians drawn")
+    print(f"{profile.anchors} anchors, {profile.visible} visible in a view; {profile.gaussians} Gaussians drawn")
     for name, milliseconds in profile.parts.items():
         print(f"{name:20s} {milliseconds:8.1f} ms")
     print(f"{'whole step':20s} {profile.step:8.1f} ms, {profile.cores:.1f} ms of processor time")

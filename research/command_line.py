@@ -60,37 +60,37 @@ def make_parser() -> argparse.ArgumentParser:
     known = parser.add_subparsers(required=True, metavar="COMMAND")
     _add_experiments(known.add_parser("experiments", help="lift many scenes and show their figures in one table"))
     _add_bench(known.add_parser("bench", help="measure this machine"))
-    stages = known.add_parser("stages", help="where the paper's way loses panoptic quality, before and after training")
+    stages = known.add_parser("stages", help="where the paper's method loses panoptic quality, stage by stage")
     stages.add_argument("scene", metavar="SCENE[:up=AXIS]", help="a scene with the true labels of its training frames")
     stages.add_argument("--preset", choices=PRESETS, help="as for lift (default: that of --lift, or paper)")
     add_set_option(stages)
-    stages.add_argument("--lift", type=Path, metavar="LIFT", help="a lift of it, with passes of all frames")
+    stages.add_argument("--lift", type=Path, metavar="LIFT", help="a lift of the scene, with passes of all frames")
     stages.set_defaults(run=run_stages)
-    correcting = known.add_parser("correct", help="correct a lift as its scene's ground truth says, and score it")
-    correcting.add_argument("lift", type=Path, metavar="LIFT", help="the folder of a finished lift; it is corrected")
+    correcting = known.add_parser("correct", help="correct a lift by its scene's ground truth, and score it")
+    correcting.add_argument("lift", type=Path, metavar="LIFT", help="the folder of a finished lift, which is changed")
     correcting.set_defaults(run=run_correct)
-    sharpness = known.add_parser("surface", help="how sharp surfaces are, drawn from held-out frames")
-    sharpness.add_argument("lifts", nargs="+", type=Path, metavar="LIFT", help="finished lifts whose scenes are there")
-    sharpness.add_argument("--pictures", type=Path, metavar="FOLDER", help="draw each beside its photo there")
+    sharpness = known.add_parser("surface", help="how sharp surfaces are, seen from held-out frames")
+    sharpness.add_argument("lifts", nargs="+", type=Path, metavar="LIFT", help="finished lifts with their scenes")
+    sharpness.add_argument("--pictures", type=Path, metavar="FOLDER", help="save each drawing there, beside its photo")
     sharpness.set_defaults(run=run_surface)
-    sureness = known.add_parser("reliability", help="how often pixels are right, by their confidence")
-    sureness.add_argument("lifts", nargs="+", type=Path, metavar="LIFT", help="finished lifts of scenes with truth")
-    sureness.add_argument("--picture", type=Path, metavar="FILE", help="draw the diagram there; needs matplotlib")
-    sureness.set_defaults(run=run_reliability)
+    reliability = known.add_parser("reliability", help="how often pixels are right, by their confidence")
+    reliability.add_argument("lifts", nargs="+", type=Path, metavar="LIFT", help="finished lifts with ground truth")
+    reliability.add_argument("--picture", type=Path, metavar="FILE", help="save the diagram there (needs matplotlib)")
+    reliability.set_defaults(run=run_reliability)
     return parser
 
 
 def _add_experiments(parser: argparse.ArgumentParser) -> None:
     parser.description = (
-        "Lift every scene in the ways of the rows, each in its own process and without passes, and print the "
-        "paper's tables in Markdown: baselines, ablations, departures. What is finished in FOLDER is not lifted again, "
-        "what was stopped continues."
+        "Lift every scene once per row, each in its own process and without passes, and print the "
+        "paper's tables in Markdown: baselines, ablations, departures. Finished lifts in FOLDER are kept, stopped ones "
+        "continue."
     )
     about = f"a scene's folder; AXIS is one of {', '.join(UP_OPTIONS)}"
     parser.add_argument("scenes", nargs="*", metavar="SCENE[:up=AXIS]", help=f"{about} (default: {SAMPLE})")
     parser.add_argument("--scenes", nargs="+", dest="named_scenes", metavar="SCENE[:up=AXIS]", help="the same")
-    parser.add_argument("--names", type=_names, metavar="A,B,..", help="their names (default: those of their folders)")
-    parser.add_argument("--only", nargs="+", default=[], metavar="ROW|TABLE", help="these rows, or the rows of a table")
+    parser.add_argument("--names", type=_names, metavar="A,B,..", help="scene names (default: their folders' names)")
+    parser.add_argument("--only", nargs="+", default=[], metavar="ROW|TABLE", help="only these rows or tables")
     parser.add_argument("--list", action="store_true", help="list the tables and rows")
     parser.add_argument(
         "--preset", type=preset_or_file, default="preview", metavar="NAME|FILE.toml",
@@ -99,15 +99,15 @@ def _add_experiments(parser: argparse.ArgumentParser) -> None:
     add_set_option(parser)
     parser.add_argument(
         "--masks", type=Path, metavar="PATH",
-        help="panoptic masks, where not in SCENE itself, such as 'predictions/{scene}': {scene} is the scene's name",
+        help="panoptic masks outside SCENE, such as 'predictions/{scene}', in which {scene} is the scene's name",
     )  # fmt: skip
     parser.add_argument(
-        "--depth", type=Path, metavar="FOLDER", help="depth maps of a network, as for lift: 'depths/{scene}'"
+        "--depth", type=Path, metavar="FOLDER", help="depth maps of a network, as for lift, such as 'depths/{scene}'"
     )
     parser.add_argument(
         "--predictions", nargs="+", default=[], metavar="NAME=FOLDER",
-        help="a row NAME of labels by another program, as evaluate reads them: 'theirs=predictions/{scene}'; with "
-        ":ids=frame at its end where an instance's id holds within a frame only",
+        help="a row NAME with another program's labels, in the formats of evaluate: 'theirs=predictions/{scene}'; "
+        "append :ids=frame if instance ids are valid only within a frame",
     )  # fmt: skip
     add_options(parser, "mask_format", "classes", "scene_format", "device")
     add_amount_options(parser)
@@ -116,14 +116,14 @@ def _add_experiments(parser: argparse.ArgumentParser) -> None:
         "-o", "--output", type=Path, default=Path("lifts/experiments"), metavar="FOLDER",
         help="where lifts, results.json, .csv and .md, and sheets go (default: lifts/experiments)",
     )  # fmt: skip
-    parser.add_argument("--report", type=Path, metavar="FILE.md", help="a page whose tables are updated")
-    parser.add_argument("--finished", action="store_true", help="lift nothing more: only tables of what is finished")
-    parser.add_argument("--against", type=Path, metavar="FILE.json", help="an earlier results.json: before -> after")
+    parser.add_argument("--report", type=Path, metavar="FILE.md", help="a Markdown page whose tables are updated")
+    parser.add_argument("--finished", action="store_true", help="lift nothing: print tables of the finished lifts")
+    parser.add_argument("--against", type=Path, metavar="FILE.json", help="an earlier results.json to compare with")
     parser.set_defaults(run=run_experiments)
 
 
 def _add_bench(parser: argparse.ArgumentParser) -> None:
-    parser.description = "step: a training step of a lift of the sample, by part, and drawing what was lifted."
+    parser.description = "step: time the parts of a training step of a lift of the sample, and drawing the result."
     parser.add_argument("what", choices=("step",))
     parser.add_argument(
         "--preset", choices=PRESETS, help="a lift by this preset (default: standard on enlarged frames, coarsely)"
@@ -192,7 +192,7 @@ def run_experiments(options: argparse.Namespace) -> int:
         print(*rows.listed(), sep="\n")
         return ExitCode.FINISHED
     if options.named_scenes and options.scenes:
-        raise PlgsError("scene-twice", "scenes are named twice", "--scenes", "Leave one of the two out.")
+        raise PlgsError("scene-twice", "scenes are given twice", "--scenes", "Give them in one way only.")
     experiment = Experiment(
         scenes=scenes_from(options.named_scenes or options.scenes or [SAMPLE], options.names),
         folder=options.output,
@@ -229,7 +229,7 @@ def run_bench(options: argparse.Namespace) -> ExitCode:
     if options.json is not None:
         _refuse_unwritable(options.json)
     if options.set and options.preset is None:
-        raise PlgsError("bench-set", "--set changes a preset, and none is named", "--set", "Add --preset NAME.")
+        raise PlgsError("bench-set", "--set needs a preset to change", "--set", "Add --preset NAME.")
     preset = None
     if options.preset is not None:
         preset = with_options(PRESETS[options.preset], parsed_options(options.set or ()))
@@ -242,12 +242,12 @@ def run_bench(options: argparse.Namespace) -> ExitCode:
 def _refuse_unwritable(file: Path) -> None:
     """Before minutes of work: raise PlgsError if ``file`` could not be written."""
     if file.is_dir():
-        raise PlgsError("folder-not-file", "the figures need a file, but this is a folder", file, "Name a file in it.")
+        raise PlgsError("folder-not-file", "the figures cannot be written to a folder", file, "Name a file in it.")
     if not file.parent.is_dir():
-        what = "there is no such folder for the figures"
-        raise PlgsError("no-folder", what, file.parent, "Make it, or name another file.")
+        what = "the folder for the figures does not exist"
+        raise PlgsError("no-folder", what, file.parent, "Create it, or name another file.")
     if not os.access(file if file.exists() else file.parent, os.W_OK):
-        what = "this file cannot be written"
+        what = "the file cannot be written"
         raise PlgsError("unwritable", what, file, "Name a file in a folder that you may write to.")
 
 

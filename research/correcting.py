@@ -118,7 +118,7 @@ def _split(folder: LiftFolder, number: int, truth: NDArray[np.int64]) -> Make:
         own = truth[state.label == number]
         part = parts_by_views(scene_of_lift(folder).train_frames, state.points_of(number)).part
         if sum(_most(own[part == each]) for each in np.unique(part)) < _most(own) + MIXED * len(own):
-            raise PlgsError("not-purer", "the parts are not purer than the whole", folder.path, "Leave it.")
+            raise PlgsError("not-purer", "the parts are not purer than the whole", folder.path, "Leave it whole.")
         return edit
 
     return make

@@ -159,14 +159,14 @@ def read_results(path: Path) -> tuple[Result, ...]:
     """Inverse of `results_text`. Raises PlgsError if the file holds something else."""
     content = read_object(path, _FIX)
     if content.get("format") != FORMAT:
-        what = f"has format {content.get('format')!r}, this version reads {FORMAT}"
+        what = f"has format {content.get('format')!r}, but this version reads {FORMAT}"
         raise PlgsError("other-format", what, path, _FIX)
     try:
         results = tuple(_from_json(entry) for entry in _objects(content["results"]))
     except (KeyError, TypeError) as error:
         raise PlgsError("results-damaged", f"is damaged ({error!r})", path, _FIX) from error
     if not results:
-        raise PlgsError("results-empty", "holds no results", path, _FIX)
+        raise PlgsError("results-empty", "contains no results", path, _FIX)
     return results
 
 

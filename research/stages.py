@@ -52,7 +52,7 @@ def stages_table(asked: SceneToLift, preset: Preset, lift: Path | None) -> Itera
         {name: _scored(stage, truth, scene.classes) for name, stage in stages(of, truth, scene.classes, preset)}
         for of in (views, [_with_true_mask(*pair, scene.classes) for pair in zip(views, truth, strict=True)])
     ]
-    yield "| | its masks | true masks, numbered anew in each view |"
+    yield "| | its masks | true masks, renumbered in each view |"
     yield "|---|---|---|"
     for name, figures in columns[0].items():
         yield f"| {name} | {figures} | {columns[1][name]} |"

@@ -170,7 +170,7 @@ def score_folders(predictions: LabelFolder, truth: LabelFolder, *, ids_per_frame
         height, width = true.semantic.shape
         size = width, height
         if not same_shape((predicted.semantic.shape[1], predicted.semantic.shape[0]), size):
-            what = f"frame {name} has another shape than its ground truth of {shown_size(size)}"
+            what = f"frame {name} and its ground truth of {shown_size(size)} have different shapes"
             fix = "Resize predictions of whole pictures to their ground truth's shape."
             raise PlgsError("truth-shape", what, predictions.folder, fix)
         semantic, instance = resize_nearest(predicted.semantic, size), resize_nearest(predicted.instance, size)

@@ -148,11 +148,11 @@ def known_option(name: str) -> PresetOption:
     if name in options:
         return options[name]
     if name in GONE:
-        raise PlgsError("option-gone", f"the option {name!r} is gone", "--set", f"Leave it out: {GONE[name]}.")
+        raise PlgsError("option-gone", f"the option {name!r} was removed", "--set", f"Omit it: {GONE[name]}.")
     last = [known for known in options if known.rpartition(".")[2] == name]
     near = last or difflib.get_close_matches(name, options, 1, 0.5)
     hint = f"Did you mean {near[0]}? " if near else ""
-    what = f"there is no option {name!r} in this version"
+    what = f"{name!r} is not an option of this version"
     raise PlgsError("no-option", what, "--set", f"{hint}'{LISTING} preview' lists them all.")
 
 
@@ -250,7 +250,7 @@ def read_preset_file(path: Path) -> tuple[str, dict[str, Json]]:
         raise PlgsError("not-toml", f"is not TOML ({error})", path, _FIX) from error
     base = content.pop(BASE, None)
     if base not in PRESETS:
-        what = f"names no preset: {BASE} = {base!r}"
+        what = f"does not name a preset: {BASE} = {base!r}"
         raise PlgsError("preset-base", what, path, f"Set {BASE} to one of {', '.join(PRESETS)}.")
     try:
         return base, dict(_options_in(content))

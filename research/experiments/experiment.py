@@ -51,15 +51,15 @@ def scenes_from(texts: Sequence[str], names: Sequence[str] | None = None) -> tup
     texts = [each for text in texts for each in _matching(text)]
     if names is not None and len(names) != len(texts):
         what = f"{len(names)} names for {len(texts)} scenes"
-        raise PlgsError("unequal-counts", what, ",".join(names), "Give a name for each scene.")
+        raise PlgsError("unequal-counts", what, ",".join(names), "Give one name per scene.")
     scenes = [_scene(text) for text in texts]
     if names is not None:
         scenes = [SceneToLift(name, scene.folder, scene.up) for name, scene in zip(names, scenes, strict=True)]
     known: set[str] = set()
     for scene in scenes:
         if not _NAME.fullmatch(scene.name):
-            fix = "Give names of letters, digits and - with --names."
-            raise PlgsError("scene-unnamable", f"{scene.name!r} cannot be a scene's name", scene.folder, fix)
+            fix = "Give names with --names, of letters, digits and hyphens."
+            raise PlgsError("scene-unnamable", f"{scene.name!r} is not a valid scene name", scene.folder, fix)
         if scene.name.casefold() in known:  # on some disks Office and office are the same folder
             what = f"two scenes are called {scene.name}"
             raise PlgsError("names-clash", what, scene.folder, "Give other names with --names.")
@@ -76,7 +76,7 @@ def _matching(text: str) -> list[str]:
     found = sorted(folder for folder in glob(match["folder"]) if Path(folder).is_dir())
     if not found:
         what = "no folder matches the pattern"
-        raise PlgsError("no-match", what, text, "Name folders of scenes, or another pattern.")
+        raise PlgsError("no-match", what, text, "Name scene folders, or give another pattern.")
     return [folder + axis for folder in found]
 
 
@@ -87,7 +87,7 @@ def _scene(text: str) -> SceneToLift:
     up = match["up"] if match["up"] is not None else "auto"
     if up not in UP_OPTIONS:
         fix = f"Write SCENE:up= and one of {', '.join(UP_OPTIONS)}."
-        raise PlgsError("not-axis", f"{up!r} is not an axis that can point up", text, fix)
+        raise PlgsError("not-axis", f"{up!r} is not an up axis", text, fix)
     folder = Path(match["folder"]).resolve()
     return SceneToLift(folder.name, folder, UP_OPTIONS[up])
 

@@ -19,7 +19,7 @@ from .rows import Predicted, Row, Rows
 
 _PER_FRAME = ":ids=frame"
 _FIX = (
-    f"Write NAME=FOLDER, such as 'other=predictions/{{scene}}', and add {_PER_FRAME} if ids hold within a frame only."
+    f"Write NAME=FOLDER, such as 'other=predictions/{{scene}}', and add {_PER_FRAME} if ids hold only within a frame."
 )
 
 
@@ -37,7 +37,7 @@ def predictions_from(text: str) -> NamedPredictions:
     name, per_frame = name.strip(), folder.endswith(_PER_FRAME)
     folder = folder.removesuffix(_PER_FRAME)
     if not equals or not name or not folder or not name.isprintable():
-        raise PlgsError("not-a-prediction", "is not a name and a folder", text, _FIX, option="--predictions")
+        raise PlgsError("not-a-prediction", "is not of the form NAME=FOLDER", text, _FIX, option="--predictions")
     return NamedPredictions(name, Predicted(Path(folder), per_frame))
 
 
@@ -47,8 +47,8 @@ def with_predictions(rows: Rows, given: list[NamedPredictions]) -> Rows:
     known = {row.name.casefold() for row in rows.rows}
     for each in given:
         if each.name.casefold() in known:
-            what = "there is a row of this name"
-            raise PlgsError("row-twice", what, each.name, "Give another.", option="--predictions")
+            what = "a row already has this name"
+            raise PlgsError("row-twice", what, each.name, "Give another name.", option="--predictions")
         known.add(each.name.casefold())
     first = next(iter(rows.tables))
     return replace(rows, rows=(*rows.rows, *(Row(each.name, first, predicted=each.predicted) for each in given)))
@@ -78,10 +78,10 @@ def scores_of(row: Row, scene: SceneToLift, opened: Scene) -> Figures:
     readers = {frame.name: partial(_truth, frame) for frame in opened.test_frames if frame.read_ground_truth}
     if not readers:
         what = "no held-out frame has ground truth"
-        raise PlgsError("no-truth", what, opened.folder, "Compare on scenes that have it.")
+        raise PlgsError("no-truth", what, opened.folder, "Choose scenes with ground truth.")
     if lacking := [name for name in readers if name not in found.readers]:
         what = f"{len(lacking)} of {len(readers)} held-out frames have no prediction, such as {lacking[0]}"
-        raise PlgsError("no-prediction", what, folder, "Give an image the name of its frame.")
+        raise PlgsError("no-prediction", what, folder, "Name each image after its frame.")
     predictions = replace(found, readers={name: found.readers[name] for name in readers})
     truth = LabelFolder(opened.folder, opened.classes, readers)
     tables = score_folders(predictions, truth, ids_per_frame=row.predicted.ids_per_frame)["tables"]

@@ -101,7 +101,7 @@ class Rows:
                 near = difflib.get_close_matches(wanted.casefold(), known, 1, 0.4)
                 hint = f"Did you mean {known[near[0]]!r}? " if near else ""
                 fix = f"{hint}There are the tables {', '.join(self.tables)} and their rows, see rows.toml."
-                raise PlgsError("no-row", "there is no such row or table", wanted, fix)
+                raise PlgsError("no-row", "no row or table has this name", wanted, fix)
         names = {wanted.casefold() for wanted in only}
         return tuple(row for row in self.rows if not only or {row.name.casefold(), row.table.casefold()} & names)
 
@@ -119,7 +119,7 @@ def read_rows(path: Path = ROWS) -> Rows:
     except (OSError, ValueError, KeyError, TypeError, StopIteration) as error:
         raise PlgsError("not-rows", f"is not a table of rows ({error!r})", path, _FIX) from error
     if len({row.slug for row in rows}) != len(rows):
-        raise PlgsError("row-twice", "two rows have one name", path, _FIX)
+        raise PlgsError("row-twice", "two rows have the same name", path, _FIX)
     return found
 
 

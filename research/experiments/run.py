@@ -22,7 +22,7 @@ from .experiment import Experiment, SceneToLift, Task, has_files, has_manifest, 
 from .predictions import results_of_predictions
 from .report import refuse_unwritable, write_report
 
-_NO_MATCH = "Compare with results of these scenes, rows and this preset."
+_NO_MATCH = "Compare with results of the same scenes, rows and preset."
 
 
 def run_experiment(experiment: Experiment, interrupts: Interrupts) -> ExitCode:
@@ -89,7 +89,7 @@ def warn_of_other_code(task: Task, result: Result) -> None:
     """Warn if a finished lift was made by other code than this."""
     if result.engine_version != this_engine():
         fix = f"To lift it again, delete {task.options.output}"
-        print(f"{task.name}: lifted by {result.engine_version}, this is {this_engine()}. {fix}", file=sys.stderr)
+        print(f"{task.name}: lifted by {result.engine_version}, not by this {this_engine()}. {fix}", file=sys.stderr)
 
 
 def result_of(experiment: Experiment, task: Task) -> Result:
@@ -146,7 +146,7 @@ def _still_holds(experiment: Experiment, result: Result) -> bool:
 def make_depth_maps(lift: Path, maps: Path) -> None:
     """The rendered depth of all frames of a lift, written once. Raises PlgsError, also if the lift is not finished."""
     if not has_manifest(lift):
-        what = "the lift whose depth it takes is not finished"
+        what = "the lift whose depth is needed is not finished"
         raise PlgsError("not-finished", what, lift, "Find out why that lift failed.")
     if not (maps / "complete").is_file():
         from engine.export.run import export
@@ -193,7 +193,7 @@ def refuse_bad_input(experiment: Experiment, tasks: Sequence[Task]) -> dict[str,
         known = {result.key[:2] for result in experiment.earlier}
         if not known & {(task.scene.name, task.row.name) for task in tasks}:
             held = ", ".join(f"{scene} {row}" for scene, row in sorted(known)[:9])
-            raise PlgsError("no-match", "the earlier results have none of these scenes and rows", held, _NO_MATCH)
+            raise PlgsError("no-match", "the earlier results contain none of these scenes and rows", held, _NO_MATCH)
     for task in tasks:
         request = request_from(task.options)
         output = task.options.output
@@ -208,12 +208,12 @@ def refuse_bad_input(experiment: Experiment, tasks: Sequence[Task]) -> dict[str,
         differing = request.differences(lift.request)  # unlike lift --resume: an option left out asks for the default
         if differing:
             fix = "Give the same options again, or choose another folder with -o."
-            raise PlgsError("other-options", f"holds a lift with another {', '.join(differing)}", lift.path, fix)
+            raise PlgsError("other-options", f"holds a lift with a different {', '.join(differing)}", lift.path, fix)
     try:
         experiment.folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         fix = "Choose a folder that you may write to."
-        raise PlgsError("unwritable", f"cannot be made ({error.strerror})", experiment.folder, fix) from error
+        raise PlgsError("unwritable", f"cannot be created ({error.strerror})", experiment.folder, fix) from error
     if not os.access(experiment.folder, os.W_OK):
         what = "cannot be written"
         raise PlgsError("unwritable", what, experiment.folder, "Choose a folder that you may write to with -o.")
