@@ -20,7 +20,7 @@ import bpy
 from ..engine.errors import PlgsError
 from ..engine.job.follower import TaskFollower
 from ..engine.job.process import engine_call
-from ..engine.job.task import TaskPlace, TaskProgress, TaskState
+from ..engine.job.task import TaskFiles, TaskProgress, TaskState
 
 _POLL_S = 0.05
 _PARTS_S = 0.05
@@ -160,7 +160,7 @@ def start_engine(
 ) -> TaskFollower:
     """Start the engine's command ``kind``, which ends when this Blender does. Raises PlgsError, OSError."""
     command = [*engine_call(python), kind, *arguments]
-    return TaskFollower.start(command, TaskPlace.temporary(), kind=kind, variables=variables or {})
+    return TaskFollower.start(command, TaskFiles.temporary(), kind=kind, variables=variables or {})
 
 
 def follow(task: Kind) -> Kind:

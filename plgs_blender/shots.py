@@ -404,7 +404,7 @@ def bake_shot_in_terminal(
             follower = start_bake(lift, python, cameras=cameras, layers=layers, output=output)
             follow(follower, interrupts, LiveLine(sys.stderr), echo)
             is_busy = follower.error is not None and follower.error.code is ErrorCode.BUSY
-            if not is_busy or follower.place != lift.place or interrupts.pending is not None:
+            if not is_busy or follower.files != lift.task_files or interrupts.pending is not None:
                 break  # else another bake took the lift's own place first: bake beside it
     if follower.error is not None:
         print(f"error: {follower.error}", file=sys.stderr)

@@ -134,10 +134,10 @@ def border_mask(size: Size, noise: CaptureNoise, random: np.random.Generator) ->
     narrow, wide = noise.border[0] * width, noise.border[1] * width
     insets = []
     for along in (height, height, width, width):
-        place = (np.arange(along) + 0.5) / along * 2.0 - 1.0
+        along_edge = (np.arange(along) + 0.5) / along * 2.0 - 1.0
         start, bend, centre, wave, phase = random.random(5)
-        curve = 0.3 * start + 0.6 * (0.5 + bend) * (place - 0.4 * (centre - 0.5)) ** 2
-        curve += 0.1 * np.sin(2.0 * np.pi * ((2.0 + 3.0 * wave) * place + phase))
+        curve = 0.3 * start + 0.6 * (0.5 + bend) * (along_edge - 0.4 * (centre - 0.5)) ** 2
+        curve += 0.1 * np.sin(2.0 * np.pi * ((2.0 + 3.0 * wave) * along_edge + phase))
         insets.append(narrow + (wide - narrow) * curve.clip(0.0, 1.0))
     left, right, top, bottom = insets
     x, y = np.arange(width) + 0.5, (np.arange(height) + 0.5)[:, None]

@@ -35,7 +35,7 @@ END_S = 5.0
 
 
 @dataclass(frozen=True)
-class Place:
+class FarmOptions:
     """``workers`` on this machine, unless the address of a ``scheduler``, or ``slurm`` with its options, is given.
 
     ``gigabytes`` and ``threads`` are those of one worker. Without scheduler or Slurm nothing listens on the network;
@@ -56,7 +56,7 @@ class Farm:
 
     client: Any
     address: str
-    place: Place
+    options: FarmOptions
     own: list[EngineProcess] = field(default_factory=list)
 
     def tend(self) -> None:
@@ -64,7 +64,7 @@ class Farm:
         for number, worker in enumerate(self.own):
             if worker.exit_code() is not None:
                 worker.close()
-                self.own[number] = _start_worker(self.address, self.place)
+                self.own[number] = _start_worker(self.address, self.options)
 
     def use_fewer(self, name: str) -> bool:
         """Go on with one of our own workers less, that of the name if it is one. False if there is only one."""
@@ -77,38 +77,38 @@ class Farm:
     def workers(self) -> dict[str, dict[str, Any]]:
         """The workers that run the same engine as this process, by address."""
         known = self.client.scheduler_info(n_workers=-1)["workers"]
-        return {address: told for address, told in known.items() if engine_tag() in told.get("resources", {})}
+        return {address: worker for address, worker in known.items() if engine_tag() in worker.get("resources", {})}
 
     def largest(self) -> float:
         """The memory of the largest worker in GB; on Slurm that of each worker, even before it has started."""
-        if self.place.slurm is not None:
-            return self.place.gigabytes
-        return max((told["resources"].get(GIGABYTES, 0.0) for told in self.workers().values()), default=0.0)
+        if self.options.slurm is not None:
+            return self.options.gigabytes
+        return max((worker["resources"].get(GIGABYTES, 0.0) for worker in self.workers().values()), default=0.0)
 
 
 @contextmanager
-def opened(place: Place) -> Iterator[Farm]:
-    """Connect, and start what the place needs. Raises PlgsError, also if no worker comes within NO_WORKER_S (on Slurm
-    a job may wait in the queue for any time)."""
+def opened(farm_options: FarmOptions) -> Iterator[Farm]:
+    """Connect, and start the workers that the options ask for. Raises PlgsError, also if no worker comes within
+    NO_WORKER_S (on Slurm a job may wait in the queue for any time)."""
     distributed = require_dask()
     with ExitStack() as stack:
-        if place.scheduler:
-            address = place.scheduler
-        elif place.slurm is not None:
-            cluster = stack.enter_context(slurm_cluster(place))
-            cluster.adapt(minimum=place.workers, maximum=place.workers)  # a job that ends is replaced
+        if farm_options.scheduler:
+            address = farm_options.scheduler
+        elif farm_options.slurm is not None:
+            cluster = stack.enter_context(slurm_cluster(farm_options))
+            cluster.adapt(minimum=farm_options.workers, maximum=farm_options.workers)  # a job that ends is replaced
             address = cluster.scheduler_address
         else:
             local = distributed.LocalCluster(
                 n_workers=0, host=LOOPBACK, protocol="tcp://", dashboard_address=f"{LOOPBACK}:0", silence_logs=50
             )
             address = stack.enter_context(local).scheduler_address
-        farm = Farm(_client(address, place.tls), address, place)
+        farm = Farm(_client(address, farm_options.tls), address, farm_options)
         stack.callback(_close, farm)
-        if not place.scheduler and place.slurm is None:
-            farm.own += [_start_worker(address, place) for _ in range(place.workers)]
-        if place.slurm is None:
-            wait_for_workers(farm, NO_WORKER_S if place.scheduler else 6 * NO_WORKER_S)
+        if not farm_options.scheduler and farm_options.slurm is None:
+            farm.own += [_start_worker(address, farm_options) for _ in range(farm_options.workers)]
+        if farm_options.slurm is None:
+            wait_for_workers(farm, NO_WORKER_S if farm_options.scheduler else 6 * NO_WORKER_S)
         yield farm
 
 
@@ -129,7 +129,7 @@ def reconnected(farm: Farm) -> None:
     give_up = time.monotonic() + RETURN_S
     while True:
         try:
-            farm.client = _client(farm.address, farm.place.tls)
+            farm.client = _client(farm.address, farm.options.tls)
             return wait_for_workers(farm, RETURN_S)
         except PlgsError:
             if time.monotonic() > give_up:
@@ -143,7 +143,9 @@ def wait_for_workers(farm: Farm, seconds: float) -> None:
     while not farm.workers():
         if time.monotonic() > give_up:
             known = farm.client.scheduler_info(n_workers=-1)["workers"].values()
-            others = sorted({name for told in known for name in told.get("resources", {}) if name.startswith("plgs-")})
+            others = sorted(
+                {name for worker in known for name in worker.get("resources", {}) if name.startswith("plgs-")}
+            )
             has = f"its workers have different engines ({', '.join(others)})" if others else "it has no workers"
             fix = f"Start some with this engine: python -m engine worker {farm.address}"
             raise PlgsError("no-worker", f"{has}; this one is {engine_tag()}", farm.address, fix, option="--scheduler")
@@ -151,8 +153,8 @@ def wait_for_workers(farm: Farm, seconds: float) -> None:
         time.sleep(0.2)
 
 
-def _start_worker(address: str, place: Place) -> EngineProcess:
-    options = ["--memory", str(place.gigabytes), "--threads", str(place.threads), "--stay-with-parent"]
+def _start_worker(address: str, farm_options: FarmOptions) -> EngineProcess:
+    options = ["--memory", str(farm_options.gigabytes), "--threads", str(farm_options.threads), "--stay-with-parent"]
     return EngineProcess([*engine_call(Path(sys.executable)), "worker", address, *options])
 
 
@@ -168,32 +170,34 @@ def _close(farm: Farm) -> None:
         worker.kill()
 
 
-def slurm_cluster(place: Place) -> Any:
+def slurm_cluster(farm_options: FarmOptions) -> Any:
     """dask-jobqueue's cluster, whose jobs run one worker each. Raises PlgsError."""
     jobqueue = require_dask("dask_jobqueue")
-    assert place.slurm is not None
+    assert farm_options.slurm is not None
     if shutil.which("sbatch") is None:
         what = "Slurm is not installed here"
         raise PlgsError("no-slurm", what, "sbatch", "Start the batch on a machine of the cluster.")
-    offered = ",".join(f"{name}={value:g}" for name, value in resources(place.gigabytes, place.threads).items())
-    options: dict[str, Any] = {name: value for name, value in place.slurm.items() if value}
+    offered = ",".join(
+        f"{name}={value:g}" for name, value in resources(farm_options.gigabytes, farm_options.threads).items()
+    )
+    options: dict[str, Any] = {name: value for name, value in farm_options.slurm.items() if value}
     for name, value in options.items():
         if not value.isprintable() or " " in value:
             fix = f"Give --{name} without blanks and line breaks."
             raise PlgsError("slurm-option", f"{value!r} cannot stand in a job of Slurm", name, fix, option=f"--{name}")
-    if place.tls is not None:
-        options |= {"security": place.tls.security(in_a_shell=True), "protocol": "tls://"}
+    if farm_options.tls is not None:
+        options |= {"security": farm_options.tls.security(in_a_shell=True), "protocol": "tls://"}
     try:
         return jobqueue.SLURMCluster(
             cores=1,
-            job_cpu=place.threads,
+            job_cpu=farm_options.threads,
             processes=1,
-            memory=f"{place.gigabytes:g}GB",
+            memory=f"{farm_options.gigabytes:g}GB",
             python=f"{quote(sys.executable)} -P",  # nothing is imported from the folder where a job starts
             nanny=False,
             worker_extra_args=["--resources", offered, "--no-dashboard"],
             job_script_prologue=["unset PYTHONHOME", f"export PYTHONNOUSERSITE=1 PYTHONPATH={quote(str(ROOT))}"],
-            job_directives_skip=["--mem"] if not place.gigabytes else [],
+            job_directives_skip=["--mem"] if not farm_options.gigabytes else [],
             **options,
         )
     except (OSError, ValueError) as error:
@@ -229,8 +233,7 @@ class Tls:
     certificate: Path
 
     def security(self, *, in_a_shell: bool = False) -> Any:
-        """Dask's settings, of whose files a worker may be told ``in_a_shell``. Raises PlgsError for files that cannot
-        be used."""
+        """Dask's settings; ``in_a_shell`` quotes workers' paths for a shell. Raises PlgsError for unusable files."""
         ca, own = str(self.ca), str(self.certificate)
         try:
             ssl.create_default_context(cafile=ca).load_cert_chain(own)
@@ -243,8 +246,8 @@ class Tls:
 
         class Quoted(of_dask):
             def get_tls_config_for_role(self, role: str) -> dict[str, Any]:
-                told = super().get_tls_config_for_role(role).items()
-                return {name: quote(value) if role == "worker" and value else value for name, value in told}
+                files = super().get_tls_config_for_role(role).items()
+                return {name: quote(value) if role == "worker" and value else value for name, value in files}
 
         return (Quoted if in_a_shell else of_dask)(tls_ca_file=ca, require_encryption=True, **files)
 

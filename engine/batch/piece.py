@@ -16,7 +16,7 @@ from ..job import LiftFolder, LiftRequest
 from ..job.follower import TaskFollower
 from ..job.process import ROOT, engine_call, engine_command
 from ..job.system import SHARE
-from ..job.task import BAKE, LIFT, TaskPlace, TaskProgress
+from ..job.task import BAKE, LIFT, TaskFiles, TaskProgress
 from ..json_file import Json
 from ..machine.code_digest import code_digest
 
@@ -27,7 +27,7 @@ BUSY_S = 1.0
 """Seconds between two tries while another engine is at work, such as that of a worker that does not answer."""
 STALL_S = 300.0
 """Seconds after which an engine is ended that neither reported anything nor used a processor, such as a stopped one."""
-_PLACE_CODES = (ErrorCode.DISK_FULL, ErrorCode.NO_ENGINE, ErrorCode.LACKS_PART, ErrorCode.NO_MEMORY)
+_WORKER_CODES = (ErrorCode.DISK_FULL, ErrorCode.NO_ENGINE, ErrorCode.LACKS_PART, ErrorCode.NO_MEMORY)
 """Errors that concern the worker rather than the scene."""
 
 
@@ -75,7 +75,7 @@ class Ended(StrEnum):
     ELSEWHERE = "elsewhere"  # this worker cannot: it lacks the scene, its disk is full, or its engine is different
 
 
-_ENDS = {ErrorCode.KILLED: Ended.KILLED, **dict.fromkeys(_PLACE_CODES, Ended.ELSEWHERE)}
+_ENDS = {ErrorCode.KILLED: Ended.KILLED, **dict.fromkeys(_WORKER_CODES, Ended.ELSEWHERE)}
 
 
 @dataclass(frozen=True)
@@ -117,7 +117,7 @@ def do(piece: Piece, tell: Tell, threads: int = 0, worker: str = "", gigabytes: 
         return Outcome(piece, ended, time.monotonic() - began, reason, code, worker, answer or {}, lacked)
 
     try:
-        _refuse_unfit_place(piece)
+        _refuse_unfit_worker(piece)
         follower = _followed(piece, tell, variables)
         is_done = follower is None or follower.error is None and follower.exit_code is ExitCode.FINISHED
         frames = list[Json]()
@@ -153,7 +153,7 @@ def memory_kills() -> int | None:
         return None
 
 
-def _refuse_unfit_place(piece: Piece) -> None:
+def _refuse_unfit_worker(piece: Piece) -> None:
     """Raise PlgsError, with a code that says that another worker may do the piece, if this one cannot."""
     if engine_tag() != piece.engine:
         fix = f"Start workers of {piece.engine}."
@@ -161,17 +161,17 @@ def _refuse_unfit_place(piece: Piece) -> None:
     needed = [piece.lift.parent] if piece.kind is Kind.LIFT else [piece.lift]
     if piece.kind is not Kind.BAKE:
         needed.insert(0, piece.request.scene)
-    for place in needed:
-        if not place.exists():
+    for path in needed:
+        if not path.exists():
             fix = "Mount it there under the same path."
-            raise PlgsError("not-on-worker", "does not exist on this worker", place, fix, code=ErrorCode.NO_ENGINE)
+            raise PlgsError("not-on-worker", "does not exist on this worker", path, fix, code=ErrorCode.NO_ENGINE)
 
 
 def _followed(piece: Piece, tell: Tell, variables: Mapping[str, str]) -> TaskFollower | None:
     """The piece's engine after it has ended; None if there was nothing to do. If another engine is at work there, wait
     for it first.
     """
-    told = 0.0
+    reported = 0.0
     while True:
         follower = _started(piece, variables)
         if follower is None:
@@ -181,9 +181,9 @@ def _followed(piece: Piece, tell: Tell, variables: Mapping[str, str]) -> TaskFol
             while follower.is_running:
                 if follower.poll():
                     pulse.beat()
-                if time.monotonic() - told > TELL_S:
+                if time.monotonic() - reported > TELL_S:
                     pulse.check(piece)
-                    told = time.monotonic()
+                    reported = time.monotonic()
                     tell(follower.progress)
                 time.sleep(POLL_S)
         finally:
@@ -234,10 +234,10 @@ def _started(piece: Piece, variables: Mapping[str, str]) -> TaskFollower | None:
             return None
         # Also a new lift: before this engine begins, that of another batch may have begun it, or done it.
         command = engine_command(Path(sys.executable), lift.path, resume=True)
-        return TaskFollower.start(command, lift.place, kind=LIFT, lift=lift, variables=variables)
+        return TaskFollower.start(command, lift.task_files, kind=LIFT, lift=lift, variables=variables)
     lift = LiftFolder.open(piece.lift)
     kind = BAKE if piece.kind is Kind.BAKE else str(piece.kind)
-    return TaskFollower.start(piece.needs_engine(), TaskPlace.temporary(), kind=kind, lift=lift, variables=variables)
+    return TaskFollower.start(piece.needs_engine(), TaskFiles.temporary(), kind=kind, lift=lift, variables=variables)
 
 
 def _lift_folder(piece: Piece) -> LiftFolder:

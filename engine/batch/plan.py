@@ -81,27 +81,27 @@ def state_of_files(request: LiftRequest, output: Path) -> str:
     """A name for the names, sizes and times of all files that a lift may read, without those in the batch's ``output``.
     None is opened: where the name is another one, the lift itself reads whether its scene has changed."""
     found, scene, masks, classes = hashlib.sha256(), request.scene, request.masks, request.classes or ""
-    places = [scene, masks, request.detections, request.depth, Path(classes) if classes.endswith(".toml") else None]
+    paths = [scene, masks, request.detections, request.depth, Path(classes) if classes.endswith(".toml") else None]
     if scene.is_file():
-        places.append(scene.with_suffix("") if scene.suffix.lower() in _WHOLE_SCENES else scene.parent)
+        paths.append(scene.with_suffix("") if scene.suffix.lower() in _WHOLE_SCENES else scene.parent)
     if masks is not None and masks.is_file():
-        places += [masks.with_suffix(""), masks.with_name("classes.toml")]
-    for path in (path for place in places if place is not None for path in _files_in(place, output)):
+        paths += [masks.with_suffix(""), masks.with_name("classes.toml")]
+    for path in (path for top in paths if top is not None for path in _files_in(top, output)):
         with suppress(OSError):  # a link that leads nowhere, or a file that has gone since
             state = os.stat(path)
             found.update(os.fsencode(path) + f"\0{state.st_size} {state.st_mtime_ns}\0".encode())
     return found.hexdigest()
 
 
-def _files_in(place: Path, output: Path) -> Iterator[Path]:
+def _files_in(top: Path, output: Path) -> Iterator[Path]:
     """The file itself, or all files in a folder, also behind links, each folder once; none that systems hide, nor those
     of lifts and of ``output`` inside it."""
-    seen = {os.path.realpath(output)} - {os.path.realpath(place)}
-    if place.is_file():
-        yield place
-    for folder, folders, names in os.walk(place, followlinks=True):
+    seen = {os.path.realpath(output)} - {os.path.realpath(top)}
+    if top.is_file():
+        yield top
+    for folder, folders, names in os.walk(top, followlinks=True):
         there = os.path.realpath(folder)
-        is_left_out = there in seen or ("request.json" in names and Path(folder) != place)
+        is_left_out = there in seen or ("request.json" in names and Path(folder) != top)
         folders[:] = [] if is_left_out else sorted(name for name in folders if name[0] != ".")
         shown = (name for name in sorted(names) if name[0] != "." and name.lower() not in _NOTES_OF_SYSTEMS)
         yield from () if is_left_out else (Path(folder, name) for name in shown)
@@ -109,7 +109,7 @@ def _files_in(place: Path, output: Path) -> Iterator[Path]:
 
 
 def of_scene(path: Path | None, name: str) -> Path | None:
-    """The path for the scene of this name, which takes the place of SCENE."""
+    """The path for the scene of this name, with SCENE replaced."""
     return None if path is None else Path(str(path).replace(SCENE, name))
 
 
@@ -117,7 +117,7 @@ def refuse_shared(option: str, path: Path | str | None, scenes: int) -> None:
     """Raise PlgsError for a path of files of one scene that is given for several."""
     if path is not None and SCENE not in str(path) and scenes > 1:
         fix = f"Write {SCENE} where the scene's name belongs, such as {option} 'predictions/{SCENE}'."
-        raise PlgsError("shared-place", f"{option} names one place for {scenes} scenes", path, fix, option=option)
+        raise PlgsError("shared-path", f"{option} names one path for {scenes} scenes", path, fix, option=option)
 
 
 def names_of(scenes: Sequence[Path], given: Sequence[str] = ()) -> list[str]:
@@ -128,9 +128,9 @@ def names_of(scenes: Sequence[Path], given: Sequence[str] = ()) -> list[str]:
     """
     names = [name or _name(scene) for name, scene in zip(given or [""] * len(scenes), scenes, strict=True)]
     folded = [name.casefold() for name in names]
-    places = [os.path.realpath(scene) for scene in scenes]
-    for name, scene, place in zip(names, scenes, places, strict=True):
-        if places.count(place) > 1:
+    real = [os.path.realpath(scene) for scene in scenes]
+    for name, scene, path in zip(names, scenes, real, strict=True):
+        if real.count(path) > 1:
             raise PlgsError("scene-twice", "the scene is given twice", scene, "Name it once.")
         if not _is_folder_name(name):
             fix = "Rename the scene, or name it in a table of scenes (--scenes)."
@@ -161,12 +161,12 @@ def done_before(plan: BatchPlan, job: SceneJob) -> Row | None:
     found = _read(_record(plan.output, job.name))
     if found is None or found[1].state != "done":
         return None
-    told, row = found
+    record, row = found
     try:
         check_sizes(job.lift / "result")
     except PlgsError:
         return None
-    is_same = told.get("asked") == plan.asked(job) and told.get("result") == _result(job.lift)
+    is_same = record.get("asked") == plan.asked(job) and record.get("result") == _result(job.lift)
     return row if is_same and all((job.lift / "exports" / form).exists() for form in plan.exports) else None
 
 
@@ -175,11 +175,11 @@ def rows_kept(plan: BatchPlan) -> Iterator[Row]:
     nor has one that failed and is gone. A result that has changed is no longer "done"."""
     names = {job.name for job in plan.jobs}
     found = [_read(path) for path in sorted((plan.output / RECORDS).glob("*.json"))]
-    for told, row in sorted(filter(None, found), key=lambda each: each[1].scene):
+    for record, row in sorted(filter(None, found), key=lambda each: each[1].scene):
         result = _result(plan.output / row.scene)
-        if row.scene in names or not (result if row.state == "done" else os.path.exists(str(told.get("scene")))):
+        if row.scene in names or not (result if row.state == "done" else os.path.exists(str(record.get("scene")))):
             continue
-        if row.state == "done" and result != told.get("result"):
+        if row.state == "done" and result != record.get("result"):
             row = replace(row, state="changed", reason="was corrected or lifted again: give it to the batch again")
         yield row
 
@@ -207,9 +207,9 @@ def _record(output: Path, name: str) -> Path:
 def _read(path: Path) -> tuple[dict[str, Json], Row] | None:
     """What `remember` wrote; None if there is nothing, or it is damaged: the pieces then find out what is done."""
     try:
-        told = read_object(path, "Delete it.")
-        row: Any = told["row"]
-        return told, Row(**{**row, "scene": str(row["scene"]), "seconds": float(row["seconds"])})
+        record = read_object(path, "Delete it.")
+        row: Any = record["row"]
+        return record, Row(**{**row, "scene": str(row["scene"]), "seconds": float(row["seconds"])})
     except (PlgsError, KeyError, TypeError, ValueError):
         return None
 

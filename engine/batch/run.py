@@ -20,7 +20,7 @@ from ..job.report import wrong_with_scene
 from ..job.task import TaskProgress
 from ..job.terminal import Interrupts, LiveLine
 from ..json_file import Json
-from .cluster import RETURN_S, Farm, Place, opened, reconnected
+from .cluster import RETURN_S, Farm, FarmOptions, opened, reconnected
 from .piece import GIGABYTES, TOPIC, Ended, Kind, Outcome, Piece, do_on_dask, engine_tag
 from .plan import RECORDS, BatchPlan, Row, SceneJob, done_before, lifting_code, remember, rows_kept, write_tables
 
@@ -43,7 +43,7 @@ class _Scene:
     """The progress of a scene: the stages that follow, the submitted pieces, and the workers that cannot do it."""
 
     job: SceneJob
-    place: int
+    index: int
     stages: Iterator[list[Piece]]
     out: int = 0
     seconds: float = 0.0
@@ -61,7 +61,9 @@ class _Pin:
     seen: float
 
 
-def run_batch(plan: BatchPlan, place: Place, interrupts: Interrupts, events: EventWriter | None = None) -> ExitCode:
+def run_batch(
+    plan: BatchPlan, farm_options: FarmOptions, interrupts: Interrupts, events: EventWriter | None = None
+) -> ExitCode:
     """Do what is missing, show it on standard error and in ``events``, write the table and print it, with the rows of
     earlier batches in the same folder. Failed scenes are rows with their reason; the exit code is that of the first of
     them. Call it inside `interrupts.deferred()`.
@@ -70,7 +72,7 @@ def run_batch(plan: BatchPlan, place: Place, interrupts: Interrupts, events: Eve
     """
     refuse_foreign_below(plan.output, (RECORDS,))
     (plan.output / RECORDS).mkdir(parents=True, exist_ok=True)
-    report = BatchReport(events, place.threads)
+    report = BatchReport(events, farm_options.threads)
     rows = {job.name: row for job in plan.jobs if (row := done_before(plan, job)) is not None}
     for job in plan.jobs:
         if job.problem:
@@ -78,7 +80,7 @@ def run_batch(plan: BatchPlan, place: Place, interrupts: Interrupts, events: Eve
             report.ended(row)
     missing = [job for job in plan.jobs if job.name not in rows]
     if missing:
-        with opened(place) as farm:
+        with opened(farm_options) as farm:
             dashboard = "" if find_spec("bokeh") else " (its pages need the package bokeh)"
             report.say(f"Scheduler: {farm.address}. Dashboard: {farm.client.dashboard_link}{dashboard}")
             batch = _Batch(plan, farm, report, rows)
@@ -110,17 +112,17 @@ class _Batch:
         self._scenes: dict[str, _Scene] = {}
         self._out: dict[Any, Piece] = {}
         self._pins: dict[Any, _Pin] = {}
-        self._told: dict[str, str] = {}
+        self._progress_texts: dict[str, str] = {}
         self._looked = self._staffed = time.monotonic()
         self._is_missed = False
 
     def run(self, jobs: Sequence[SceneJob], interrupts: Interrupts) -> None:
         self._listen()
-        for place, job in enumerate(jobs):
+        for index, job in enumerate(jobs):
             cancel: Path = job.lift / "cancel"  # of an earlier batch: it would stop a bake
             if cancel.exists() and not LiftFolder.open(job.lift).is_running:
                 cancel.unlink(missing_ok=True)  # another batch may do so in this moment
-            self._scenes[job.name] = _Scene(job, place, iter(()))
+            self._scenes[job.name] = _Scene(job, index, iter(()))
         for scene in self._scenes.values():
             scene.stages = self._stages(scene)
             self._next_stage(scene)
@@ -177,7 +179,7 @@ class _Batch:
             return
         future = self._farm.client.submit(
             do_on_dask, piece, key=f"{piece.kind}-{piece.scene}-{uuid4().hex}", pure=False, resources=wanted,
-            priority=_PRIORITY[piece.kind] * len(self._scenes) - scene.place, workers=fit,
+            priority=_PRIORITY[piece.kind] * len(self._scenes) - scene.index, workers=fit,
         )  # fmt: skip
         self._out[future] = piece
         if fit is not None:
@@ -242,11 +244,11 @@ class _Batch:
     def _take(self, scene: _Scene, outcome: Outcome) -> None:
         piece = outcome.piece
         scene.seconds += outcome.seconds
-        self._told.pop(piece.scene, None)
+        self._progress_texts.pop(piece.scene, None)
         if outcome.ended is Ended.ELSEWHERE:
             self._report.say(f"{piece.scene}: not possible on {outcome.worker}: {outcome.reason}")
             workers = self._farm.workers()
-            unfit = [each for each, told in workers.items() if str(told["name"]) == outcome.worker.split()[-1]]
+            unfit = [each for each, worker in workers.items() if str(worker["name"]) == outcome.worker.split()[-1]]
             scene.unfit |= {each: f"{outcome.worker}: {outcome.reason}" for each in unfit}
             self._submit(piece)
             return
@@ -276,7 +278,7 @@ class _Batch:
     def _end(self, scene: _Scene, row: Row) -> None:
         name = scene.job.name
         self._rows[name] = row
-        self._told.pop(name, None)
+        self._progress_texts.pop(name, None)
         for future in [future for future, piece in self._out.items() if piece.scene == name]:
             self._withdraw(future)
         if row.state == Ended.DONE:
@@ -286,12 +288,12 @@ class _Batch:
 
     def _show(self) -> None:
         left = [scene for name, scene in self._scenes.items() if name not in self._rows]
-        running = "; ".join(self._told.values())
+        running = "; ".join(self._progress_texts.values())
         self._report.show(len(self._scenes) - len(left), len(self._scenes), running)
 
     def _listen(self) -> None:
         def hear(event: tuple[float, Mapping[str, str]]) -> None:
-            self._told[event[1]["scene"]] = f"{event[1]['scene']}: {event[1]['text']}"
+            self._progress_texts[event[1]["scene"]] = f"{event[1]['scene']}: {event[1]['text']}"
 
         self._farm.client.subscribe_topic(TOPIC, hear)
 
@@ -303,7 +305,7 @@ class _Batch:
             self._farm.client.cancel([*self._out], asynchronous=False)
         folders = [LiftFolder.open(lift) for lift in lifts if (lift / "request.json").exists()]
         for folder in folders:
-            folder.place.ask_to_cancel()
+            folder.task_files.ask_to_cancel()
         give_up = time.monotonic() + _ENDING_S
         while any(folder.is_running for folder in folders) and time.monotonic() < give_up:
             time.sleep(_POLL_S)

@@ -19,7 +19,7 @@ from ..job.request import add_lift_options, add_progress_option, readable, reque
 
 if TYPE_CHECKING:
     from ..batch import SceneJob
-    from ..batch.cluster import Place, Tls
+    from ..batch.cluster import FarmOptions, Tls
 
 SLURM = {"queue": "--queue", "account": "--account", "walltime": "--walltime"}
 
@@ -42,17 +42,17 @@ def add_batch(parser: argparse.ArgumentParser, exports: Sequence[str]) -> None:
     forms = f"forms to export: {', '.join(exports)}"
     parser.add_argument("--export", nargs="+", choices=exports, default=(), metavar="FORM", help=forms)
     add_progress_option(parser)
-    place = parser.add_argument_group("where", "Without any of these, workers run on this machine within its memory.")
-    place.add_argument("--workers", type=positive, metavar="N", help="workers on this machine, or Slurm jobs")
-    place.add_argument(
+    where = parser.add_argument_group("where", "Without any of these, workers run on this machine within its memory.")
+    where.add_argument("--workers", type=positive, metavar="N", help="workers on this machine, or Slurm jobs")
+    where.add_argument(
         "--scheduler", default="", metavar="ADDRESS", help="a Dask scheduler, such as tcp://machine:8786"
     )
-    place.add_argument("--slurm", action="store_true", help="let Slurm start the workers, with dask-jobqueue")
-    place.add_argument("--memory", type=float, default=0.0, metavar="GB", help="memory of one worker")
-    place.add_argument("--threads", type=positive, metavar="N", help="compute threads of one worker")
+    where.add_argument("--slurm", action="store_true", help="let Slurm start the workers, with dask-jobqueue")
+    where.add_argument("--memory", type=float, default=0.0, metavar="GB", help="memory of one worker")
+    where.add_argument("--threads", type=positive, metavar="N", help="compute threads of one worker")
     for name, option in SLURM.items():
-        place.add_argument(option, default="", metavar=name.upper(), help=f"with --slurm: sbatch's {name}")
-    _add_tls(place)
+        where.add_argument(option, default="", metavar=name.upper(), help=f"with --slurm: sbatch's {name}")
+    _add_tls(where)
     parser.set_defaults(run=batch)
 
 
@@ -107,7 +107,7 @@ def batch(options: argparse.Namespace) -> int:
     from ..batch import BatchPlan, run_batch
     from ..batch.plan import names_of
     from ..job import EventWriter
-    from ..job.task import TaskPlace
+    from ..job.task import TaskFiles
     from ..job.terminal import Interrupted, Interrupts
 
     scenes = _asked_scenes(options)
@@ -115,16 +115,16 @@ def batch(options: argparse.Namespace) -> int:
     if ".." in options.output.parts:
         options.output = options.output.resolve()
     bakes_all = options.bake == "all"
-    _refuse_two_places(options)
+    _refuse_conflicts(options)
     jobs = tuple(_job(own, options.output.absolute(), name, bakes_all) for own, name in zip(scenes, names, strict=True))
     plan = BatchPlan(options.output.absolute(), jobs, options.chunk if bakes_all else 0, tuple(options.export))
-    place = _place(options, [job.gigabytes for job in jobs])
-    own = TaskPlace.temporary() if options.echo is not None else None
+    farm_options = _farm_options(options, [job.gigabytes for job in jobs])
+    own = TaskFiles.temporary() if options.echo is not None else None
     events = EventWriter(own.events, options.echo) if own is not None else None
     state = ""
     try:
         with Interrupts() as interrupts, interrupts.deferred():
-            ended = run_batch(plan, place, interrupts, events)
+            ended = run_batch(plan, farm_options, interrupts, events)
         state = "finished"
         return ended
     except PlgsError as error:
@@ -161,7 +161,7 @@ def _asked_scenes(options: argparse.Namespace) -> list[argparse.Namespace]:
     return asked
 
 
-def _refuse_two_places(options: argparse.Namespace) -> None:
+def _refuse_conflicts(options: argparse.Namespace) -> None:
     if options.slurm and options.scheduler:
         raise PlgsError("scheduler-and-slurm", "cannot be used with --scheduler", "--slurm", "Give one of them.")
     if options.workers and options.scheduler:
@@ -198,9 +198,9 @@ def _job(own: argparse.Namespace, output: Path, name: str, bakes_all: bool) -> S
     return SceneJob(name, lift, request, round(peak / 1e9, 2), files=files)
 
 
-def _place(options: argparse.Namespace, gigabytes: Sequence[float]) -> Place:
+def _farm_options(options: argparse.Namespace, gigabytes: Sequence[float]) -> FarmOptions:
     """As many workers on this machine as its memory and processors allow, unless the options give a number."""
-    from ..batch.cluster import Place
+    from ..batch.cluster import FarmOptions
     from ..job.system import main_memory, usable_cpus
 
     slurm = {name: getattr(options, name) for name in SLURM} if options.slurm else None
@@ -211,7 +211,7 @@ def _place(options: argparse.Namespace, gigabytes: Sequence[float]) -> Place:
     is_here = slurm is None and not options.scheduler
     share = total / workers if is_here else max([*gigabytes, 4.0])
     threads = options.threads or (max(1, cpus // workers) if is_here else 4)
-    return Place(workers, options.scheduler, slurm, round(options.memory or share, 2), threads, _tls(options))
+    return FarmOptions(workers, options.scheduler, slurm, round(options.memory or share, 2), threads, _tls(options))
 
 
 _MOST_BYTES = 1 << 26

@@ -17,7 +17,7 @@ from typing import Any
 from ..errors import ErrorCode, PlgsError
 from ..job import EventWriter, ExitCode, LiftFolder, StopSignal, verify
 from ..job.request import chosen_options, given_lift_options, source_of
-from ..job.task import TaskPlace
+from ..job.task import TaskFiles
 from ..json_file import Json
 from ..presets.options import option_value, parsed_options, preset_options, preset_text, with_options
 from ..presets.preset import PRESETS, Preset
@@ -72,11 +72,11 @@ def bake(options: argparse.Namespace) -> ExitCode:
             fix = "--help explains what such a file holds; run_plgs.py --bake camera bakes the cameras of a .blend."
             raise PlgsError("no-cameras-file", "there is no such file of cameras", options.cameras, fix)
         read_cameras(options.cameras)  # so that errors are reported at once, not after the model was read
-    place = None if options.events is None else TaskPlace.at(options.events)
+    files = None if options.events is None else TaskFiles.at(options.events)
     pipe = _parent_pipe(options, folder)
     return run_bake(
         folder, frames, cameras=options.cameras, layers=options.layers, output=options.output, parent_pipe=pipe,
-        place=place, echo=options.echo,
+        files=files, echo=options.echo,
     )  # fmt: skip
 
 
@@ -204,9 +204,9 @@ def segment(options: argparse.Namespace, events: EventWriter, stop: StopSignal) 
     from ..scene import open_scene
     from ..segment import begin_job, load_model, make_masks
 
-    place: Path = options.scene
-    scene = open_scene(place, None, options.up or "z", options.scene_format)
-    folder: Path = options.output or (place if place.is_dir() else place.with_suffix(""))
+    source: Path = options.scene
+    scene = open_scene(source, None, options.up or "z", options.scene_format)
+    folder: Path = options.output or (source if source.is_dir() else source.with_suffix(""))
     name = str(Path(options.model).resolve()) if Path(options.model).is_dir() else options.model
     job = begin_job(folder, name, scene.frames)
     answer: dict[str, Json] = {"folder": str(folder), "frames": len(scene.frames)}
@@ -303,5 +303,5 @@ def _entry(name: str) -> dict[str, object]:
 def _line(preset: Preset) -> str:
     """A line such as "preview   500 steps, pictures within 200x200, objects by agreement, labels by votes"."""
     width, height = preset.size
-    told = f"{preset.steps} steps, pictures within {width}x{height}, anchors every {preset.voxel_size} m"
-    return f"{preset.name:<9} {told}, objects by {preset.objects}, labels by {preset.labels}"
+    text = f"{preset.steps} steps, pictures within {width}x{height}, anchors every {preset.voxel_size} m"
+    return f"{preset.name:<9} {text}, objects by {preset.objects}, labels by {preset.labels}"

@@ -73,24 +73,28 @@ def correct(options: argparse.Namespace, events: EventWriter, stop: StopSignal) 
         events.answer(answer, "\n".join([*lines, found.progress]))
         return
 
-    def told(done: int, count: int) -> None:
+    def progress(done: int, count: int) -> None:
         stop.check()
         events.progress("split", done, count)
 
     if options.edit == "undo":
         edit, corrected = undo(folder.path)
     else:
-        edit, corrected = correct(folder.path, partial(_edit, options, folder, told))
+        edit, corrected = correct(folder.path, partial(_edit, options, folder, progress))
     for line in corrected.warnings:
         events.warning(line)
     answer = {"uid": edit.uid, "kind": edit.kind, "undone": edit.undone, "made": [one.id for one in edit.made]}
-    events.answer(answer, _told(edit, corrected))
+    events.answer(answer, _described(edit, corrected))
 
 
 def _edit(
-    options: argparse.Namespace, folder: LiftFolder, told: Callable[[int, int], object], state: Replay, first_id: int
+    options: argparse.Namespace,
+    folder: LiftFolder,
+    progress: Callable[[int, int], object],
+    state: Replay,
+    first_id: int,
 ) -> Edit:
-    """The edit that the options name; ``told`` hears of the frames that are read for it. Raises PlgsError."""
+    """The edit that the options name; ``progress`` is called for each frame that is read for it. Raises PlgsError."""
     from ..corrections import class_of_parts, making
 
     match options.edit:
@@ -108,12 +112,12 @@ def _edit(
     if options.views:
         from ..lift.separating import split_by_views
 
-        return split_by_views(folder, state, options.id, first_id, told)
+        return split_by_views(folder, state, options.id, first_id, progress)
     part = making.parts_of(xyz) if options.parts else making.sides_of(xyz, options.plane[:3], options.plane[3:])
     return making.split(state, options.id, part, first_id, class_of_parts(folder.path, state, options.id, part))
 
 
-def _told(edit: Edit, corrected: CorrectedResult) -> str:
+def _described(edit: Edit, corrected: CorrectedResult) -> str:
     names = {one.id: one.name for one in (*corrected.made, *corrected.instances)}
     objects = ", ".join(f"{mark.id} {names.get(mark.id, '')}".strip() for mark in edit.objects)
     made = "".join(f"; new: {one.id} {one.name}" for one in edit.made)
@@ -134,7 +138,8 @@ def _content(corrected: CorrectedResult) -> dict[str, object]:
     ]
     edits = [
         {"uid": edit.uid, "time": edit.time, "kind": edit.kind, "objects": [mark.id for mark in edit.objects],
-         "made": [one.id for one in edit.made], "undone": edit.undone, "not_applied": corrected.told.get(edit.uid)}
+         "made": [one.id for one in edit.made], "undone": edit.undone,
+         "not_applied": corrected.not_applied.get(edit.uid)}
         for edit in corrected.edits
     ]  # fmt: skip
     return {"objects": objects, "edits": edits}
@@ -144,6 +149,6 @@ def _listing(corrected: CorrectedResult) -> str:
     lines = [f"{one.id:5}  {one.name}  ({one.class_name}, {one.points} points)" for one in corrected.instances]
     lines += ["", f"{len(corrected.edits)} edits"]
     for edit in corrected.edits:
-        why = corrected.told.get(edit.uid)
-        lines.append(f"{edit.time}  {_told(edit, corrected)}" + (f"  NOT APPLIED: {why}" if why else ""))
+        why = corrected.not_applied.get(edit.uid)
+        lines.append(f"{edit.time}  {_described(edit, corrected)}" + (f"  NOT APPLIED: {why}" if why else ""))
     return "\n".join(lines)

@@ -25,7 +25,7 @@ from ..job.request import (
     readable,
 )
 from ..job.system import refuse_small_memory
-from ..job.task import TaskPlace
+from ..job.task import TaskFiles
 from ..job.terminal import stdout_for_events
 from ..presets.preset import PRESETS
 from . import commands
@@ -356,7 +356,7 @@ def _run(arguments: Sequence[str], parser: argparse.ArgumentParser) -> int:
 
 
 def _run_task(options: argparse.Namespace) -> int:
-    place = None if options.events is None else TaskPlace.at(options.events)
+    files = None if options.events is None else TaskFiles.at(options.events)
     command = Command(options.command, partial(options.run, options), when_stopped=options.when_stopped)
     pipe = sys.stdin.fileno() if options.stay_with_parent else None
-    return run_task(command, place, as_json=options.json, parent_pipe=pipe, echo=options.echo)
+    return run_task(command, files, as_json=options.json, parent_pipe=pipe, echo=options.echo)

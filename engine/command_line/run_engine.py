@@ -10,7 +10,7 @@ from typing import Protocol
 from ..errors import ErrorCode, ExitCode, PlgsError
 from ..job import EventWriter, LiftFolder, LiftState, StopSignal, verify_lifted
 from ..job.recent import remember_lift
-from ..job.task import BAKE, LIFT, TaskPlace
+from ..job.task import BAKE, LIFT, TaskFiles
 from .runner import Command, Work, output_to, run_at, run_task
 
 log = logging.getLogger("plgs.engine")
@@ -75,7 +75,7 @@ def run_engine(
                 again="resume",
                 with_less_memory="Resume after closing other programs, or lift again with a smaller --size.",
             )
-            return run_at(command, folder.place, terminal, parent_pipe=parent_pipe, echo=echo)
+            return run_at(command, folder.task_files, terminal, parent_pipe=parent_pipe, echo=echo)
 
 
 def run_bake(
@@ -86,14 +86,14 @@ def run_bake(
     layers: Sequence[str] = (),
     output: Path | None = None,
     parent_pipe: int | None = None,
-    place: TaskPlace | None = None,
+    files: TaskFiles | None = None,
     echo: int | None = None,
 ) -> ExitCode:
     """Bake more of a finished lift, frames ("test", "all", or their names) or the cameras in a file, and return how it
     ended. ``layers`` and ``output`` are those of ``BakeOptions``.
 
     Whatever happens, the lift stays finished and earlier passes are kept. If another process is baking already, this
-    one bakes at the same time: with events in ``place`` or, if no program follows it (no ``parent_pipe``), in its own
+    one bakes at the same time: with events in ``files`` or, if no program follows it (no ``parent_pipe``), in its own
     folder below bake/. The lift's file 'cancel' stops all of them. The rest is as in `run_engine`.
     """
 
@@ -114,9 +114,9 @@ def run_bake(
         with_less_memory="Bake again after closing other programs.",
     )
     folder.refuse_foreign()
-    if place is not None:
+    if files is not None:
         _refuse_unfinished(folder)
-        return _bake_beside(folder, command, place, parent_pipe, echo)
+        return _bake_beside(folder, command, files, parent_pipe, echo)
     try:
         lock = folder.lock().__enter__()
     except PlgsError as error:
@@ -125,7 +125,7 @@ def run_bake(
         if parent_pipe is not None or folder.state_at_rest() is not LiftState.FINISHED:
             raise
         (folder.path / "bake").mkdir(exist_ok=True)
-        beside = TaskPlace.temporary(folder.path / "bake")
+        beside = TaskFiles.temporary(folder.path / "bake")
         code = _bake_beside(folder, command, beside, None, echo)
         if code is ExitCode.FINISHED:
             beside.discard()
@@ -134,15 +134,15 @@ def run_bake(
         _refuse_unfinished(folder)
         with output_to(folder.log_path) as terminal:
             folder.prepare_bake()
-            return run_at(command, folder.place, terminal, parent_pipe=parent_pipe, echo=echo)
+            return run_at(command, folder.task_files, terminal, parent_pipe=parent_pipe, echo=echo)
     finally:
         lock.__exit__(None, None, None)
 
 
 def _bake_beside(
-    folder: LiftFolder, command: Command, place: TaskPlace, parent_pipe: int | None, echo: int | None
+    folder: LiftFolder, command: Command, files: TaskFiles, parent_pipe: int | None, echo: int | None
 ) -> ExitCode:
-    return run_task(command, place, parent_pipe=parent_pipe, also_stops=(folder.place.cancel,), echo=echo)
+    return run_task(command, files, parent_pipe=parent_pipe, also_stops=(folder.task_files.cancel,), echo=echo)
 
 
 def _do_in(folder: LiftFolder, events: EventWriter, stop: StopSignal, work: Work) -> None:

@@ -24,7 +24,7 @@ from ..gates import open_to_append, printable
 from ..job import Event, EventWriter, StopSignal, Watchdog
 from ..job.lock import FileLock
 from ..job.system import usable_cpus
-from ..job.task import TaskPlace, TaskProgress
+from ..job.task import TaskFiles, TaskProgress
 from ..job.terminal import Interrupted, Interrupts, LiveLine
 from ..json_file import to_line
 
@@ -65,25 +65,25 @@ def run_in_terminal(command: Command, *, as_json: bool = False, parent_pipe: int
 
 def run_at(
     command: Command,
-    place: TaskPlace,
+    files: TaskFiles,
     terminal: TextIO,
     *,
     parent_pipe: int | None = None,
     also_stops: tuple[Path, ...] = (),
     echo: int | None = None,
 ) -> ExitCode:
-    """Run it with events in ``place``, whose lock this process holds and to whose log all output goes. ``terminal`` is
-    for the few lines for the user. The files ``also_stops`` stop it like the place's own cancel file. Events also go to
+    """Run it with events in ``files``, whose lock this process holds and to whose log all output goes. ``terminal`` is
+    for the few lines for the user. The files ``also_stops`` stop it as its own cancel file does. Events also go to
     the descriptor ``echo``.
     """
-    events = EventWriter(place.events, echo) if parent_pipe is not None else ShownWarnings(place.events, echo, terminal)
+    events = EventWriter(files.events, echo) if parent_pipe is not None else ShownWarnings(files.events, echo, terminal)
     try:
         given = os.environ.get("OMP_NUM_THREADS", "")
         threads = int(given) if given.isdecimal() and int(given) > 0 else usable_cpus()
         events.hello(task=command.kind, threads=threads, resumed=command.resumed)
-        stop = StopSignal(place.cancel, *also_stops)
+        stop = StopSignal(files.cancel, *also_stops)
         with _signals_ask(stop), Watchdog(stop, events, parent_pipe=parent_pipe):
-            code = _do(command, events, stop, terminal, place)
+            code = _do(command, events, stop, terminal, files)
         with suppress(OSError):  # the disk may be full; the result and the exit code tell it too
             if code is ExitCode.FINISHED:
                 events.done("finished")
@@ -96,27 +96,27 @@ def run_at(
 
 def run_task(
     command: Command,
-    place: TaskPlace | None,
+    files: TaskFiles | None,
     *,
     as_json: bool = False,
     parent_pipe: int | None = None,
     also_stops: tuple[Path, ...] = (),
     echo: int | None = None,
 ) -> ExitCode:
-    """Run it in the terminal or, if a place is given, there. Raises PlgsError if another process uses the place."""
-    if place is not None:
-        with FileLock(place.events), output_to(place.log) as terminal:
-            return run_at(command, place, terminal, parent_pipe=parent_pipe, also_stops=also_stops, echo=echo)
+    """Run it in the terminal or, given ``files``, with its events there. Raises PlgsError if they are in use."""
+    if files is not None:
+        with FileLock(files.events), output_to(files.log) as terminal:
+            return run_at(command, files, terminal, parent_pipe=parent_pipe, also_stops=also_stops, echo=echo)
     if echo is None:
         return run_in_terminal(command, as_json=as_json, parent_pipe=parent_pipe)
-    own = TaskPlace.temporary()
+    own = TaskFiles.temporary()
     try:
         return run_at(command, own, sys.stderr, parent_pipe=parent_pipe, echo=echo)
     finally:
         own.discard()
 
 
-def _do(command: Command, events: EventWriter, stop: StopSignal, terminal: TextIO, place: TaskPlace | None) -> ExitCode:
+def _do(command: Command, events: EventWriter, stop: StopSignal, terminal: TextIO, files: TaskFiles | None) -> ExitCode:
     """Do the work. What it raises becomes an event, a line for the user, and an exit code."""
     try:
         stop.check()
@@ -129,11 +129,11 @@ def _do(command: Command, events: EventWriter, stop: StopSignal, terminal: TextI
         raise
     except PlgsError as error:
         failure = error
-        if place is not None and "\n" in str(error.__cause__ or "").strip():
+        if files is not None and "\n" in str(error.__cause__ or "").strip():
             traceback.print_exc()  # into the log, as the line is only a short form
     except Exception as error:  # the process's outermost frame: the log gets the traceback, the user a line
-        failure = failure_of(error, command, place)
-        if place is not None or failure.code is ErrorCode.INTERNAL:
+        failure = failure_of(error, command, files)
+        if files is not None or failure.code is ErrorCode.INTERNAL:
             traceback.print_exc()
     try:
         events.error(failure)
@@ -148,9 +148,9 @@ def drop_output() -> None:
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
-def failure_of(error: Exception, command: Command, place: TaskPlace | None = None) -> PlgsError:
+def failure_of(error: Exception, command: Command, files: TaskFiles | None = None) -> PlgsError:
     """The message for an error that is not a PlgsError."""
-    where = Path(sys.executable) if place is None else place.log
+    where = Path(sys.executable) if files is None else files.log
     if isinstance(error, ModuleNotFoundError):
         fix = f"Set the environment up again with 'make set-up', then {command.again}."
         return PlgsError("engine-unusable", str(error), sys.executable, fix, code=ErrorCode.INTERNAL)
@@ -158,7 +158,7 @@ def failure_of(error: Exception, command: Command, place: TaskPlace | None = Non
     lacks_memory = isinstance(error, MemoryError) or type(error).__name__ == "OutOfMemoryError"
     if lacks_memory or any(words in str(error) for words in _NO_MEMORY):
         return PlgsError("no-memory", "memory ran out", where.parent, command.with_less_memory, code=ErrorCode.INTERNAL)
-    at = str(getattr(error, "filename", None) or ("" if place is None else where.parent))
+    at = str(getattr(error, "filename", None) or ("" if files is None else where.parent))
     number = _number_of(error)
     if number in _NO_ROOM:
         what, fix = "the disk is full", f"Make room there, then {command.again}."

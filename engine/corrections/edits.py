@@ -32,7 +32,7 @@ MOVES = ("delete", "split", "assign")
 PER_METRE = 1000
 """Points are kept in millimetres."""
 _FARTHEST = 10**9
-"""The farthest place of a point, in millimetres."""
+"""Millimetres: the largest coordinate of a point."""
 _BOUNDS = {"least": -_FARTHEST, "most": _FARTHEST}
 _SHOWN = {"shown": True}
 MEND = "Repair it, or move it away to see the lift as the engine made it."

@@ -94,8 +94,8 @@ def split(
     kept, *parts = parts
     kinds = [class_of.get(each, one.class_id) for each in parts]
     made = tuple(
-        NewObject(first_id + place, _new_name(state, kind, kinds[:place].count(kind)), kind)
-        for place, kind in enumerate(kinds)
+        NewObject(first_id + index, _new_name(state, kind, kinds[:index].count(kind)), kind)
+        for index, kind in enumerate(kinds)
     )
     label = np.full(len(part), number, np.int32)
     for new, each in zip(made, parts, strict=True):
@@ -112,7 +112,7 @@ def parts_of(xyz: NDArray[np.floating], gap: float = PART_GAP) -> NDArray[np.int
         return np.zeros(0, np.int64)
     cells, cell = np.unique(np.floor(xyz / (gap / 2)).astype(np.int64), axis=0, return_inverse=True)
     cell = cell.ravel()
-    place = {tuple(each): index for index, each in enumerate(cells.tolist())}
+    index_of = {tuple(each): index for index, each in enumerate(cells.tolist())}
     around = [(x, y, z) for x in (-1, 0, 1) for y in (-1, 0, 1) for z in (-1, 0, 1)]
     component = np.full(len(cells), -1, np.int64)
     count = 0
@@ -123,7 +123,7 @@ def parts_of(xyz: NDArray[np.floating], gap: float = PART_GAP) -> NDArray[np.int
         while waiting:
             x, y, z = cells[waiting.pop()].tolist()
             for dx, dy, dz in around:
-                other = place.get((x + dx, y + dy, z + dz))
+                other = index_of.get((x + dx, y + dy, z + dz))
                 if other is not None and component[other] < 0:
                     component[other] = count
                     waiting.append(other)

@@ -67,7 +67,7 @@ class Proposals:
 def proposals_of(corrected: CorrectedResult) -> Proposals:
     """At most one proposal per object, the most doubtful; none for objects that an edit refers to."""
     known = {one.id for one in corrected.instances}
-    edits = [edit for edit in corrected.edits if not edit.undone and edit.uid not in corrected.told]
+    edits = [edit for edit in corrected.edits if not edit.undone and edit.uid not in corrected.not_applied]
     looked_at = {mark.id for edit in edits for mark in edit.objects} | {new.id for edit in edits for new in edit.made}
     doubts = [_doubts(corrected, one) for one in corrected.instances if one.id not in looked_at]
     found = [max(each, key=lambda proposal: proposal.doubt) for each in doubts if each]
@@ -152,19 +152,19 @@ def class_of_parts(lift: Path, state: Replay, number: int, part: NDArray[np.inte
         if camera is None or segment.class_id not in state.classes.thing_ids:
             continue
         rows, pixel, _ = camera.seen(xyz)
-        place, shown = pixel / camera.size, part[rows]
-        fits = [_overlap(place[shown == each], segment.rectangle) for each in numbers]
+        points, shown = pixel / camera.size, part[rows]
+        fits = [_overlap(points[shown == each], segment.rectangle) for each in numbers]
         if max(fits) >= FITS:
             own = votes.setdefault(numbers[int(np.argmax(fits))], {})
             own[segment.class_id] = own.get(segment.class_id, 0.0) + segment.pixels
     return {each: max(sorted(own), key=lambda kind: own[kind]) for each, own in votes.items()}
 
 
-def _overlap(place: NDArray[np.float64], rectangle: tuple[float, float, float, float]) -> float:
+def _overlap(points: NDArray[np.float64], rectangle: tuple[float, float, float, float]) -> float:
     """Intersection over union of the rectangle around points [n, 2] with another one (left, top, right, bottom)."""
-    if not len(place):
+    if not len(points):
         return 0.0
-    (left, top), (right, bottom) = np.percentile(place, INNER, axis=0)
+    (left, top), (right, bottom) = np.percentile(points, INNER, axis=0)
     width = min(right, rectangle[2]) - max(left, rectangle[0])
     height = min(bottom, rectangle[3]) - max(top, rectangle[1])
     common = max(float(width), 0.0) * max(float(height), 0.0)

@@ -29,7 +29,7 @@ OUTER = (0.5, 99.5)
 
 @dataclass(eq=False)
 class Replay:
-    """The state between two edits. ``label`` int32 [N]: each point's. ``told``: why an edit was not applied, by uid."""
+    """The state between two edits. ``label`` int32 [N]: each point's. ``not_applied``: reasons, by the edits' uid."""
 
     classes: ClassTable
     xyz: NDArray[np.float32]
@@ -37,7 +37,7 @@ class Replay:
     objects: dict[int, Instance]
     accepted: set[int] = field(default_factory=set)
     steps: list[Step] = field(default_factory=list)
-    told: dict[str, str] = field(default_factory=dict)
+    not_applied: dict[str, str] = field(default_factory=dict)
     _recognised: set[ObjectMark] = field(default_factory=set)
     """The marks that fit their objects as the points are labelled now: a mark costs a look at all points."""
 
@@ -52,7 +52,7 @@ class Replay:
             if not edit.undone:
                 reason = self.apply(edit)
                 if reason:
-                    self.told[edit.uid] = reason
+                    self.not_applied[edit.uid] = reason
 
     @property
     def relabelling(self) -> Relabelling:
@@ -207,13 +207,13 @@ def _take_moved(xyz: NDArray[np.float32], after: Labels, groups: Sequence[MovedP
         return
     keys, own = _keys(wanted), _keys(in_millimetres(xyz))
     order = np.argsort(keys, kind="stable")
-    place = order[np.minimum(np.searchsorted(keys, own, sorter=order), len(keys) - 1)]
-    found = keys[place] == own
+    index = order[np.minimum(np.searchsorted(keys, own, sorter=order), len(keys) - 1)]
+    found = keys[index] == own
     if np.isin(keys, own).mean() >= 1.0 - MOST_LOST:
-        after[found] = target[place[found]]
+        after[found] = target[index[found]]
         return
-    place, distance = nearest(xyz, wanted / PER_METRE)
-    after[distance <= REACH] = target[place[distance <= REACH]]
+    index, distance = nearest(xyz, wanted / PER_METRE)
+    after[distance <= REACH] = target[index[distance <= REACH]]
 
 
 def in_millimetres(xyz: NDArray[np.floating]) -> NDArray[np.int64]:

@@ -33,7 +33,7 @@ class CorrectedResult:
     """The objects and points of a result after the edits.
 
     ``made`` are the objects as the engine made them. ``accepted`` are ids of objects that are right as they are.
-    ``told``: why an edit was not applied, by its uid. ``fingerprint`` is that of the edits that change what is shown;
+    ``not_applied``: the reasons, by the edits' uid. ``fingerprint`` is that of the edits that change what is shown;
     it is empty where there are none.
     """
 
@@ -45,16 +45,16 @@ class CorrectedResult:
     edits: tuple[Edit, ...]
     relabelling: Relabelling
     accepted: frozenset[int]
-    told: dict[str, str]
+    not_applied: dict[str, str]
     fingerprint: str
 
     @property
     def warnings(self) -> list[str]:
         """A line for each edit that was not applied."""
         return [
-            f"{edit.kind} of {edit.time} was not applied: {self.told[edit.uid]}"
+            f"{edit.kind} of {edit.time} was not applied: {self.not_applied[edit.uid]}"
             for edit in self.edits
-            if edit.uid in self.told
+            if edit.uid in self.not_applied
         ]
 
     @property
@@ -129,7 +129,11 @@ class _Result:
     def corrected(self, edits: Sequence[Edit], state: Replay | None = None) -> CorrectedResult:
         """The result after the edits. ``state`` is their replay, if it has already been made."""
         state = state or self.replay(edits)
-        shown = [edit.uid for edit in edits if not edit.undone and edit.kind != "accept" and edit.uid not in state.told]
+        shown = [
+            edit.uid
+            for edit in edits
+            if not edit.undone and edit.kind != "accept" and edit.uid not in state.not_applied
+        ]
         fingerprint = sha256("\n".join(shown).encode()).hexdigest()[:32] if shown else ""
         corrected = CorrectedResult(
             self.lift,
@@ -140,7 +144,7 @@ class _Result:
             tuple(edits),
             state.relabelling,
             frozenset(state.accepted),
-            state.told,
+            state.not_applied,
             fingerprint,
         )
         if not corrected.changes_labels:
@@ -173,7 +177,7 @@ def undo(lift: Path, listed: Listed | None = None) -> tuple[Edit, CorrectedResul
     """Undo the last edit that is not undone, whoever made it. Returns the edit and the result without it. Raises
     PlgsError when there is none, and OSError."""
     with editing(lift) as edits:
-        last = max((place for place, edit in enumerate(edits) if not edit.undone), default=-1)
+        last = max((index for index, edit in enumerate(edits) if not edit.undone), default=-1)
         if last < 0:
             raise PlgsError("nothing-to-undo", "there is no edit to undo", lift / CORRECTIONS, "")
         edits[last] = replace(edits[last], undone=True)

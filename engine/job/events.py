@@ -228,7 +228,7 @@ class EventReader:
 def _without_outdated(lines: list[bytes]) -> list[bytes]:
     """The lines without progress that the next line replaces."""
     is_progress = [_PROGRESS in line for line in lines] + [False]
-    return [line for place, line in enumerate(lines) if not (is_progress[place] and is_progress[place + 1])]
+    return [line for index, line in enumerate(lines) if not (is_progress[index] and is_progress[index + 1])]
 
 
 def last_run(path: Path) -> list[Event]:

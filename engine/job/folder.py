@@ -21,7 +21,7 @@ from .events import last_events
 from .lock import BakeLocks, FileLock, is_locked
 from .manifest import changed_files, check_sizes, verify
 from .request import LiftRequest, refuse_unwritable_name
-from .task import LIVE_PREVIEW, TaskPlace
+from .task import LIVE_PREVIEW, TaskFiles
 
 
 class LiftState(Enum):
@@ -99,9 +99,9 @@ class LiftFolder:
         return LiftFolder(self.path, asked)
 
     @property
-    def place(self) -> TaskPlace:
+    def task_files(self) -> TaskFiles:
         """The files that the lift's engine and its followers share."""
-        return TaskPlace.of_lift(self.path)
+        return TaskFiles.of_lift(self.path)
 
     @property
     def events_path(self) -> Path:

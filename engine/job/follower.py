@@ -14,7 +14,7 @@ from .events import Event, EventReader
 from .folder import LiftFolder, LiftState
 from .lock import is_locked
 from .process import EngineProcess, engine_call
-from .task import BAKE, LIFT, TaskPlace, TaskProgress, TaskState
+from .task import BAKE, LIFT, TaskFiles, TaskProgress, TaskState
 
 PATIENCE_S = 5.0
 """Seconds for which a folder may be unreachable before its task counts as lost."""
@@ -46,7 +46,7 @@ class TaskFollower:
 
     def __init__(
         self,
-        place: TaskPlace,
+        files: TaskFiles,
         process: Engine | None = None,
         *,
         kind: str = LIFT,
@@ -57,7 +57,7 @@ class TaskFollower:
         """With ``process`` the follower owns the engine; without one it watches an engine that another process started,
         on this computer or another. ``lift`` is the lift folder that the task works in.
         """
-        self.place, self.lift, self.kind = place, lift, kind
+        self.files, self.lift, self.kind = files, lift, kind
         self.state = TaskState.RUNNING
         self.progress = TaskProgress()
         self.answer: Mapping[str, Json] | None = None
@@ -65,7 +65,7 @@ class TaskFollower:
         self.log_lines: tuple[str, ...] = ()
         self.on_event: Callable[[Event], object] | None = None
         self._process, self._clock = process, clock
-        self._reader = reader or EventReader(place.events, hurried=True)
+        self._reader = reader or EventReader(files.events, hurried=True)
         self.kill_at: float | None = None
         self._silent_since: float | None = None
         self._done: str | None = None
@@ -74,31 +74,31 @@ class TaskFollower:
     def start(
         cls,
         command: Sequence[str | Path],
-        place: TaskPlace,
+        files: TaskFiles,
         *,
         kind: str,
         lift: LiftFolder | None = None,
         stays_with_parent: bool = True,
         variables: Mapping[str, str] | None = None,
     ) -> TaskFollower:
-        """Start an engine and follow it. ``command`` is one from `engine_call`, to which the arguments for ``place``
+        """Start an engine and follow it. ``command`` is one from `engine_call`, to which the arguments for ``files``
         and its parent are added. Without ``stays_with_parent`` it continues when this process ends. ``variables`` are
         added to its environment, for values that must not appear in the list of processes.
 
         Raises PlgsError if it does not start, and OSError.
         """
-        reader = EventReader(place.events, from_end=True, hurried=True)
-        if not is_locked(place.events):
+        reader = EventReader(files.events, from_end=True, hurried=True)
+        if not is_locked(files.events):
             # Before the engine starts: a cancel file that is made from now on is meant for it.
-            place.cancel.unlink(missing_ok=True)
-        command = [*command, *place.arguments, *(["--stay-with-parent"] if stays_with_parent else [])]
+            files.cancel.unlink(missing_ok=True)
+        command = [*command, *files.arguments, *(["--stay-with-parent"] if stays_with_parent else [])]
         process = EngineProcess(command, is_tied=stays_with_parent, variables=variables)
-        return cls(place, process, kind=kind, lift=lift, reader=reader)
+        return cls(files, process, kind=kind, lift=lift, reader=reader)
 
     @classmethod
-    def attach(cls, place: TaskPlace, *, lift: LiftFolder | None = None) -> TaskFollower:
+    def attach(cls, files: TaskFiles, *, lift: LiftFolder | None = None) -> TaskFollower:
         """Follow what another process started. What earlier runs wrote there is skipped."""
-        return cls(place, lift=lift)
+        return cls(files, lift=lift)
 
     @property
     def is_running(self) -> bool:
@@ -137,7 +137,7 @@ class TaskFollower:
             if self._process is not None:
                 self._process.kill()
             fix = "Check its disk, then try again."
-            self._fail(PlgsError("unfollowed", f"the task can no longer be followed ({error})", self.place.events, fix))
+            self._fail(PlgsError("unfollowed", f"the task can no longer be followed ({error})", self.files.events, fix))
             return True
         self._silent_since = None
         return has_news
@@ -148,7 +148,7 @@ class TaskFollower:
         Raises OSError if the cancel file cannot be made and another process started the engine.
         """
         try:
-            self.place.ask_to_cancel()
+            self.files.ask_to_cancel()
         except OSError:
             if self._process is None:
                 raise
@@ -164,15 +164,15 @@ class TaskFollower:
         if self._process is None:
             return
         self._process.close()
-        if self.place.folder is not None and self._process.exit_code() is not None:
+        if self.files.folder is not None and self._process.exit_code() is not None:
             with suppress(OSError):
-                self.place.discard()
+                self.files.discard()
         self._process = None
 
     def _poll(self) -> bool:
         """Do one poll. Raises OSError or PlgsError if the folder cannot be read."""
         code = None if self._process is None else self._process.exit_code()
-        has_ended = not is_locked(self.place.events) if self._process is None else code is not None
+        has_ended = not is_locked(self.files.events) if self._process is None else code is not None
         events = self._reader.poll()  # read after the check of the process, so that the last events are included
         for event in events:
             self._take(event)
@@ -197,7 +197,7 @@ class TaskFollower:
             case "done":
                 self._done = str(data["state"])
             case _:
-                self.progress.take(event, self.place.events.parent)
+                self.progress.take(event, self.files.events.parent)
 
     def _begin_waiting(self) -> None:
         if self.kill_at is None:
@@ -205,7 +205,7 @@ class TaskFollower:
 
     def _kill_if_deaf(self, process: Engine) -> None:
         """Another process may have made the cancel file, and native code can prevent the engine's watchdog."""
-        is_asked = self.place.cancel.exists() or (self.lift is not None and self.lift.place.cancel.exists())
+        is_asked = self.files.cancel.exists() or (self.lift is not None and self.lift.task_files.cancel.exists())
         if is_asked:
             self._begin_waiting()
         if self.kill_at is not None and self._clock() >= self.kill_at:
@@ -213,9 +213,9 @@ class TaskFollower:
 
     def _end(self, code: int | None) -> None:
         """``code`` is the exit code of the engine's process; None if another process started it."""
-        if not self.place.events.parent.is_dir():  # then the engine's own message does not tell what happened
+        if not self.files.events.parent.is_dir():  # then the engine's own message does not tell what happened
             fix = "Restore it, or start again."
-            where = self.place.events.parent
+            where = self.files.events.parent
             self._fail(PlgsError("folder-gone", "the folder is gone", where, fix, code=ErrorCode.INTERNAL))
         elif self.error is not None:
             self._fail(self.error)
@@ -228,7 +228,7 @@ class TaskFollower:
         elif code is not None and code < 0:
             hint = " (often: out of memory)" if code == -9 else ""
             what = f"the engine was ended by signal {-code}{hint}"
-            self._fail(PlgsError("killed", what, self.place.events.parent, self._what_is_left(), code=ErrorCode.KILLED))
+            self._fail(PlgsError("killed", what, self.files.events.parent, self._what_is_left(), code=ErrorCode.KILLED))
         else:
             self._fail(self._error_of_output(code))
 
@@ -240,7 +240,7 @@ class TaskFollower:
     def _fail(self, error: PlgsError) -> None:
         self.state, self.error = TaskState.FAILED, error
         if error.exit_code is ExitCode.INTERNAL_ERROR:
-            self.log_lines = self.place.last_lines()
+            self.log_lines = self.files.last_lines()
 
     def _error_of_output(self, code: int | None) -> PlgsError:
         """The last message of an engine that ended without an event."""
@@ -250,7 +250,7 @@ class TaskFollower:
         if output:
             return PlgsError("engine-said", output.splitlines()[-1].removeprefix("error: "), "", "", code=kind)
         what = "the engine ended without a message (killed, or out of memory?)"
-        return PlgsError("no-message", what, self.place.log, f"The log may say more. {self._what_is_left()}", code=kind)
+        return PlgsError("no-message", what, self.files.log, f"The log may say more. {self._what_is_left()}", code=kind)
 
     def _what_is_left(self) -> str:
         return {LIFT: "The lift can be resumed.", BAKE: "The result is whole; bake again."}.get(self.kind, "Try again.")
@@ -273,11 +273,11 @@ def start_bake(
     command: list[str | Path] = [*engine_call(python), "bake", lift.path]
     for option, values in (("--cameras", [cameras]), ("-o", [output]), ("--frames", frames), ("--layers", layers)):
         command += [option, *(each for each in values if each)] if any(values) else []
-    place = lift.place
+    files = lift.task_files
     if lift.is_running:
         (lift.path / "bake").mkdir(exist_ok=True)
-        place = TaskPlace.temporary(lift.path / "bake")
-    return TaskFollower.start(command, place, kind=BAKE, lift=lift, stays_with_parent=stays_with_parent)
+        files = TaskFiles.temporary(lift.path / "bake")
+    return TaskFollower.start(command, files, kind=BAKE, lift=lift, stays_with_parent=stays_with_parent)
 
 
 def _error(data: Mapping[str, Json]) -> PlgsError:

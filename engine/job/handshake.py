@@ -69,8 +69,8 @@ class EngineAnswer:
 
     def to_json(self) -> dict[str, object]:
         """The answer as the engine gives it. Further values for the user are derived from the others."""
-        told = {"missing": list(self.missing), "others": list(self.others), "fix": self.fix}
-        return {"format": FORMAT, **to_json(self), **told}
+        derived = {"missing": list(self.missing), "others": list(self.others), "fix": self.fix}
+        return {"format": FORMAT, **to_json(self), **derived}
 
     def to_line(self) -> bytes:
         return to_line(self.to_json())

@@ -135,7 +135,7 @@ class LiftRequest(SceneSource):
             if isinstance(given, str) and not Path(given).is_absolute():
                 raise PlgsError("relative", f"the path of '{name}' is not absolute", path, "Give the absolute path.")
             if isinstance(given, str) and name in relative:
-                content[name] = _place(given, relative[name], path)
+                content[name] = _current_path(given, relative[name], path)
         try:
             return record_of(cls, content, path, _FIX)
         except PlgsError as error:
@@ -170,10 +170,10 @@ def _relative(request: LiftRequest, lift: Path) -> dict[str, Json]:
     return {name: Path(os.path.relpath(path, lift)).as_posix() for name, path in inside.items()}
 
 
-def _place(place: str, relative: str, request: Path) -> str:
-    """Where a path of the request leads: to its old place, or else to its present place relative to the lift."""
+def _current_path(path: str, relative: str, request: Path) -> str:
+    """Where a path of the request leads: the old path if it exists, or else the one relative to the lift."""
     moved = os.path.normpath(request.parent.absolute() / relative)
-    return moved if not os.path.exists(place) and os.path.exists(moved) else place
+    return moved if not os.path.exists(path) and os.path.exists(moved) else path
 
 
 _NONE: Mapping[str, str] = {}

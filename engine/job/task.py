@@ -40,7 +40,7 @@ class TaskState(StrEnum):
 
 
 @dataclass(frozen=True)
-class TaskPlace:
+class TaskFiles:
     """The three files that a task shares with its follower: its ``events``, the ``cancel`` file that stops it, and its
     ``log``. ``arguments`` tell a command to use them; a lift's are those of its folder, which the command knows.
     ``folder`` is a temporary one that goes with the task.
@@ -53,12 +53,12 @@ class TaskPlace:
     folder: Path | None = None
 
     @classmethod
-    def of_lift(cls, lift: Path) -> TaskPlace:
+    def of_lift(cls, lift: Path) -> TaskFiles:
         """The files of a lift folder."""
         return cls(lift / "events.jsonl", lift / "cancel", lift / "log.txt")
 
     @classmethod
-    def at(cls, events: Path) -> TaskPlace:
+    def at(cls, events: Path) -> TaskFiles:
         """The files beside ``events``, whose name ends in .jsonl. Raises PlgsError for one that a task cannot have."""
         events = events.absolute()
         if events.suffix != ".jsonl" or not events.parent.is_dir():
@@ -67,12 +67,12 @@ class TaskPlace:
         return cls(events, events.with_suffix(".cancel"), events.with_suffix(".log"), ("--events", events))
 
     @classmethod
-    def temporary(cls, parent: Path | None = None) -> TaskPlace:
+    def temporary(cls, parent: Path | None = None) -> TaskFiles:
         """Files in a new folder that only this user may read, in the system's temporary folder unless ``parent`` is
         given. `discard` removes it. Raises OSError.
         """
-        place = cls.at(Path(tempfile.mkdtemp(prefix="plgs-task-", dir=parent)) / "events.jsonl")
-        return replace(place, folder=place.events.parent)
+        files = cls.at(Path(tempfile.mkdtemp(prefix="plgs-task-", dir=parent)) / "events.jsonl")
+        return replace(files, folder=files.events.parent)
 
     def ask_to_cancel(self) -> None:
         """Make the cancel file: the engine stops at its next step. A link is not followed. Raises OSError."""
@@ -158,8 +158,8 @@ def last_lines(log: Path, count: int = LOG_LINES) -> tuple[str, ...]:
     except OSError:  # never begun, or deleted
         return ()
     lines = content.decode("utf-8", errors="replace").splitlines()
-    told = [line.rstrip()[:_LONGEST_LINE] for line in lines[1 if start else 0 :] if line.strip()]
-    return tuple(told[-count:])
+    shown = [line.rstrip()[:_LONGEST_LINE] for line in lines[1 if start else 0 :] if line.strip()]
+    return tuple(shown[-count:])
 
 
 def _inside(path: Json, folder: Path) -> Path | None:

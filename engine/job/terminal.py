@@ -22,7 +22,7 @@ from .folder import LiftFolder, LiftState
 from .follower import TaskFollower
 from .process import engine_call, engine_command, engine_python
 from .request import request_from
-from .task import LIFT, TaskPlace, TaskProgress, TaskState
+from .task import LIFT, TaskFiles, TaskProgress, TaskState
 
 _POLL_S = 0.05
 _PLAIN_LINE_S = 5.0
@@ -98,7 +98,7 @@ def follow(follower: TaskFollower, interrupts: Interrupts, line: LiveLine, echo:
             line.show(follower.progress)
             if line.is_lost and not is_told:
                 is_told = True
-                with suppress(OSError), os.fdopen(open_to_append(follower.place.log), "a", encoding="utf-8") as log:
+                with suppress(OSError), os.fdopen(open_to_append(follower.files.log), "a", encoding="utf-8") as log:
                     log.write("The terminal is gone. The work continues.\n")  # if there is room
             if interrupts.pending is not None and not is_asked:
                 is_asked = True
@@ -192,8 +192,8 @@ class LiveLine:
 
 def describe(progress: TaskProgress) -> str:
     """A text such as "[3/6] Training  1200/3000  loss 0.0123  2:31 left  3:20 to the end"."""
-    place = f"[{progress.stage_index}/{progress.stage_count}] " if progress.stage_count > 1 else ""
-    parts = [place + progress.label]
+    stage = f"[{progress.stage_index}/{progress.stage_count}] " if progress.stage_count > 1 else ""
+    parts = [stage + progress.label]
     if progress.steps:
         parts.append(f"{progress.step}/{progress.steps}")
     if progress.loss is not None:
@@ -275,7 +275,7 @@ def ask_engine(python: Path, interrupts: Interrupts, kind: str, *arguments: str 
     """Run the engine's command ``kind`` to its end, with progress on stderr, and return its answer. Raises PlgsError,
     Interrupted."""
     with interrupts.deferred():
-        follower = TaskFollower.start([*engine_call(python), kind, *arguments], TaskPlace.temporary(), kind=kind)
+        follower = TaskFollower.start([*engine_call(python), kind, *arguments], TaskFiles.temporary(), kind=kind)
         follow(follower, interrupts, LiveLine(sys.stderr))
     if follower.error is not None or follower.answer is None:
         raise follower.error or PlgsError("silent", "the engine gave no answer", kind, "Give the same command again.")
@@ -303,7 +303,7 @@ def _run(
     on_error: Callable[[PlgsError], object],
 ) -> ExitCode:
     with interrupts.deferred():
-        follower = TaskFollower.start(command, lift.place, kind=LIFT, lift=lift)
+        follower = TaskFollower.start(command, lift.task_files, kind=LIFT, lift=lift)
         follow(follower, interrupts, LiveLine(sys.stderr), echo)
     if follower.error is not None:
         on_error(follower.error)

@@ -206,7 +206,7 @@ def take_over_edits(folder: LiftFolder, earlier: EarlierLift, events: EventWrite
         known = {edit.uid for edit in edits}
         edits += [edit for edit in earlier.edits if not edit.undone and edit.uid not in known]
     corrected = read_corrected(folder.path)
-    applied = sum(not edit.undone and edit.uid not in corrected.told for edit in corrected.edits)
+    applied = sum(not edit.undone and edit.uid not in corrected.not_applied for edit in corrected.edits)
     some = plural(applied, "correction of the earlier lift applies", "corrections of the earlier lift apply")
     told = f"{some} here; passes show them once they are baked again"
     for line in (*corrected.warnings, told):

@@ -126,10 +126,10 @@ def fetch(folder: Path, variables: Mapping[str, str]) -> Path:
     program = program_in(folder)
     if program.exists():
         return program
-    machine = (sys.platform, platform.machine().replace("AMD64", "amd64"))
-    if machine not in _WHEELS:
-        raise OSError(f"there is no uv for {machine[0]} on {machine[1]} here")
-    ending, digest = _WHEELS[machine]
+    system = (sys.platform, platform.machine().replace("AMD64", "amd64"))
+    if system not in _WHEELS:
+        raise OSError(f"there is no uv for {system[0]} on {system[1]} here")
+    ending, digest = _WHEELS[system]
     name = f"uv-{VERSION}-py3-none-{ending}"
     try:
         content = _wheel(name, variables)

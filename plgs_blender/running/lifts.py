@@ -282,7 +282,7 @@ def start(lift: LiftFolder, python: Path, *, resume: bool = False, keep_running:
     """
     _refuse_running(lift)
     command = engine_command(python, lift.path, resume=resume)
-    started = TaskFollower.start(command, lift.place, kind=LIFT, lift=lift, stays_with_parent=not keep_running)
+    started = TaskFollower.start(command, lift.task_files, kind=LIFT, lift=lift, stays_with_parent=not keep_running)
     return _follow(Lift(started, is_new=not resume))
 
 
@@ -320,7 +320,7 @@ def attach(folder: Path) -> Lift:
         return known
     lift = LiftFolder.open(folder)
     state = lift.state()
-    task = Lift(TaskFollower.attach(lift.place, lift=lift), state)
+    task = Lift(TaskFollower.attach(lift.task_files, lift=lift), state)
     if state is not LiftState.RUNNING:  # nobody asked for its result yet
         task.is_taken = True
         if state is LiftState.NOT_STARTED:

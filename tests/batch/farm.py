@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from engine.batch import BatchPlan, SceneJob, run_batch
-from engine.batch.cluster import Place
+from engine.batch.cluster import FarmOptions
 from engine.errors import ExitCode
 from engine.job import LiftRequest
 from engine.job.terminal import Interrupts
@@ -80,9 +80,9 @@ def plan_of(folder: Path, *names: str) -> BatchPlan:
     return BatchPlan(folder / "out", tuple(jobs))
 
 
-def run(plan: BatchPlan, place: Place) -> ExitCode:
+def run(plan: BatchPlan, farm_options: FarmOptions) -> ExitCode:
     with Interrupts() as interrupts, interrupts.deferred():
-        return run_batch(plan, place, interrupts)
+        return run_batch(plan, farm_options, interrupts)
 
 
 def rows_of(plan: BatchPlan) -> dict[str, dict[str, str]]:
@@ -93,7 +93,7 @@ def rows_of(plan: BatchPlan) -> dict[str, dict[str, str]]:
 def hellos(lift: Path) -> list[dict[str, object]]:
     text = (lift / "events.jsonl").read_text() if (lift / "events.jsonl").exists() else ""
     whole = text.split("\n")[:-1]  # an engine may be writing the last line
-    return [told for line in whole if (told := json.loads(line))["event"] == "hello"]
+    return [event for line in whole if (event := json.loads(line))["event"] == "hello"]
 
 
 def pause(job: SceneJob, runs: int = 1) -> Path:

@@ -16,7 +16,7 @@ sys.path.insert(0, str(ROOT))
 # ruff: noqa: E402 - what follows is found only now
 
 from engine.batch import BatchPlan, SceneJob, cluster, piece, run_batch
-from engine.batch.cluster import Place
+from engine.batch.cluster import FarmOptions
 from engine.command_line.run_engine import run_engine
 from engine.errors import ErrorCode, PlgsError
 from engine.job import EventWriter, LiftFolder, LiftRequest, StopSignal
@@ -92,7 +92,7 @@ def batch(address: str, output: Path, *scenes: Path) -> None:
     _be_quiet()
     jobs = tuple(SceneJob(scene.name, output / scene.name, LiftRequest(scene=scene)) for scene in scenes)
     with Interrupts() as interrupts, interrupts.deferred():
-        sys.exit(run_batch(BatchPlan(output, jobs), Place(scheduler=address), interrupts))
+        sys.exit(run_batch(BatchPlan(output, jobs), FarmOptions(scheduler=address), interrupts))
 
 
 def _be_quiet() -> None:

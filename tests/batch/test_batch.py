@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from engine.batch import BatchPlan
-from engine.batch.cluster import Place
+from engine.batch.cluster import FarmOptions
 from engine.errors import ExitCode
 from engine.job import LiftFolder, verify
 from engine.job.terminal import Interrupted
@@ -31,14 +31,14 @@ def test_scenes_are_shared_and_a_failed_one_is_a_row(
 ) -> None:
     plan = plan_of(tmp_path, "a", "b", "dark", "c")
     farm.workers(address, "usual", "usual")
-    assert run(plan, Place(scheduler=address)) is ExitCode.BAD_INPUT
+    assert run(plan, FarmOptions(scheduler=address)) is ExitCode.BAD_INPUT
     rows = rows_of(plan)
     assert [row["state"] for row in rows.values()] == ["done", "done", "failed", "done", ""]
     assert "is too dark" in rows["dark"]["reason"] and "| dark | failed |" in capsys.readouterr().out
     assert (plan.output / "table.md").read_text().count("\n") == 7
     began = {name: hellos(plan.output / name) for name in ("a", "b", "c", "dark")}
     (plan.jobs[2].request.scene / "dark").unlink()
-    assert run(plan, Place(scheduler=address)) is ExitCode.FINISHED  # what was missing, and no more
+    assert run(plan, FarmOptions(scheduler=address)) is ExitCode.FINISHED  # what was missing, and no more
     assert [row["state"] for row in rows_of(plan).values()] == ["done"] * 4 + [""]
     again = {name: hellos(plan.output / name) for name in began}
     assert {name for name in began if again[name] != began[name]} == {"dark"}
@@ -49,7 +49,7 @@ def test_a_killed_worker_loses_little_and_its_work_goes_elsewhere(tmp_path: Path
     farm.workers(address, "usual", "usual")
     pause(plan.jobs[0])
     killing = meanwhile(lambda: os.kill(in_the_middle(plan.output / "a"), signal.SIGKILL))
-    assert run(plan, Place(scheduler=address)) is ExitCode.FINISHED
+    assert run(plan, FarmOptions(scheduler=address)) is ExitCode.FINISHED
     killing.join()
     assert [each["resumed"] for each in hellos(plan.output / "a")] == [False, True]
     assert len(hellos(plan.output / "b")) == 1
@@ -78,7 +78,7 @@ def test_an_engine_that_is_killed_is_resumed_once(
             os.kill(int(str(hellos(plan.output / "a")[-1]["pid"])), number)
 
     killing = meanwhile(kill)
-    code = run(plan, Place(scheduler=address))
+    code = run(plan, FarmOptions(scheduler=address))
     killing.join()
     assert [row["state"] for row in rows_of(plan).values()] == [state, "done", ""]
     assert (code is ExitCode.FINISHED) == (state == "done")
@@ -96,7 +96,7 @@ def test_an_engine_that_is_stopped_is_ended_and_resumed(tmp_path: Path, farm: Fa
         os.kill(int(str(hellos(plan.output / "a")[-1]["pid"])), signal.SIGSTOP)
 
     stopping = meanwhile(stop)
-    assert run(plan, Place(scheduler=address)) is ExitCode.FINISHED
+    assert run(plan, FarmOptions(scheduler=address)) is ExitCode.FINISHED
     stopping.join()
     assert [each["resumed"] for each in hellos(plan.output / "a")] == [False, True]
 
@@ -107,7 +107,7 @@ def test_two_batches_in_one_folder(tmp_path: Path, farm: Farm, address: str) -> 
     farm.workers(address, *["usual"] * 3)
     other = farm.start(farm_worker.batch, address, plan.output, *(job.request.scene for job in plan.jobs[:2]))
     half = BatchPlan(plan.output, plan.jobs[1:])
-    assert run(half, Place(scheduler=address)) is ExitCode.FINISHED
+    assert run(half, FarmOptions(scheduler=address)) is ExitCode.FINISHED
     other.join(PATIENCE_S)
     assert other.exitcode == 0
     states = {name: row["state"] for name, row in rows_of(plan).items()}
@@ -123,7 +123,7 @@ def test_a_worker_that_hangs(tmp_path: Path, farm: Farm) -> None:
     farm.workers(address, "usual", "usual")
     paused = pause(plan.jobs[0])
     hanging = meanwhile(lambda: (os.kill(in_the_middle(plan.output / "a"), signal.SIGSTOP), paused.unlink()))
-    assert run(plan, Place(scheduler=address)) is ExitCode.FINISHED
+    assert run(plan, FarmOptions(scheduler=address)) is ExitCode.FINISHED
     hanging.join()
     assert rows_of(plan)["a"]["state"] == "done" and len(hellos(plan.output / "a")) == 1
 
@@ -144,7 +144,7 @@ def test_a_scheduler_that_is_restarted(tmp_path: Path, farm: Farm) -> None:
         paused.unlink()
 
     restarting = meanwhile(restart)
-    assert run(plan, Place(scheduler=address)) is ExitCode.FINISHED
+    assert run(plan, FarmOptions(scheduler=address)) is ExitCode.FINISHED
     restarting.join()
     assert {row["state"] for row in rows_of(plan).values()} == {"done", ""}
 
@@ -156,11 +156,11 @@ def test_ctrl_c_leaves_everything_resumable(tmp_path: Path, farm: Farm, address:
     signal.signal(signal.SIGINT, signal.default_int_handler)
     stopping = meanwhile(lambda: (in_the_middle(plan.output / "a"), os.kill(os.getpid(), signal.SIGINT)))
     with pytest.raises(Interrupted):
-        run(plan, Place(scheduler=address))
+        run(plan, FarmOptions(scheduler=address))
     stopping.join()
     assert not LiftFolder.open(plan.output / "a").is_running
     assert [row["state"] for row in rows_of(plan).values()] == ["stopped", "stopped", ""]
-    assert run(plan, Place(scheduler=address)) is ExitCode.FINISHED
+    assert run(plan, FarmOptions(scheduler=address)) is ExitCode.FINISHED
     assert [each["resumed"] for each in hellos(plan.output / "a")] == [False, True]
 
 
@@ -172,7 +172,7 @@ def test_what_one_worker_cannot_do_another_does(
     farm.workers(address, unfit, "usual")
     with distributed.Client(address) as client:
         client.wait_for_workers(2, timeout=PATIENCE_S)
-    assert run(plan, Place(scheduler=address)) is ExitCode.FINISHED
+    assert run(plan, FarmOptions(scheduler=address)) is ExitCode.FINISHED
     said = {"unmounted": "does not exist on this worker", "full": "the disk is full"}[unfit]
     assert said in capsys.readouterr().err
 

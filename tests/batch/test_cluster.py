@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from engine.batch import BatchPlan, SceneJob, cluster, run_worker
-from engine.batch.cluster import Place, Tls
+from engine.batch.cluster import FarmOptions, Tls
 from engine.command_line.main import main
 from engine.errors import ExitCode
 from tests.batch import farm_worker
@@ -27,14 +27,16 @@ USUAL_WAIT_S = cluster.NO_WORKER_S
 def test_a_batch_on_this_machine_is_not_reached_from_others(monkeypatch: pytest.MonkeyPatch) -> None:
     """Neither its scheduler, nor the dashboard, nor its workers; and with a worker less it goes on."""
     monkeypatch.setattr(cluster, "NO_WORKER_S", PATIENCE_S)
-    with cluster.opened(Place(workers=2)) as farm:
+    with cluster.opened(FarmOptions(workers=2)) as farm:
         numbers = [os.getpid(), *(worker.pid for worker in farm.own)]
         wait_until(lambda: len(farm.workers()) == 2)
         listening = {each for number in numbers for each in sockets_of(number)}
         first = next(iter(farm.workers().values()))
         assert farm.use_fewer(f"machine {first['name']}") and len(farm.own) == 1
         wait_until(lambda: len(farm.workers()) == 1)
-        assert first["name"] not in [told["name"] for told in farm.workers().values()] and not farm.use_fewer("machine")
+        assert first["name"] not in [worker["name"] for worker in farm.workers().values()] and not farm.use_fewer(
+            "machine"
+        )
     assert len(listening) >= 4 and {host for host, _ in listening} == {"127.0.0.1"}
 
 
@@ -72,23 +74,21 @@ def test_with_tls(tmp_path: Path, farm: Farm) -> None:
     tls = Tls(ca, own)
     plan = plan_of(tmp_path, "a")
     with raises_key("address-without-tls"):
-        run(plan, Place(scheduler=address.replace("tls://", "tcp://"), tls=tls))
+        run(plan, FarmOptions(scheduler=address.replace("tls://", "tcp://"), tls=tls))
     with raises_key("bad-tls"):
-        run(plan, Place(scheduler=address, tls=Tls(ca, ca)))
+        run(plan, FarmOptions(scheduler=address, tls=Tls(ca, ca)))
     with raises_key("no-scheduler"):
-        run(plan, Place(scheduler=address.replace("tls://", "tcp://")))
+        run(plan, FarmOptions(scheduler=address.replace("tls://", "tcp://")))
     farm.start(farm_worker.work, "usual", address, ca, own)
-    assert run(plan, Place(scheduler=address, tls=tls)) is ExitCode.FINISHED
+    assert run(plan, FarmOptions(scheduler=address, tls=tls)) is ExitCode.FINISHED
 
 
-def test_a_scheduler_without_workers_says_so(
-    tmp_path: Path, address: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_scheduler_without_workers_says_so(tmp_path: Path, address: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """By the seconds that it allows; here workers get half a second, and the machine as long as it takes."""
     assert cluster.CONNECT_S + USUAL_WAIT_S <= 10.0
     monkeypatch.setattr(cluster, "NO_WORKER_S", 0.5)
     with raises_key("no-worker"):
-        run(plan_of(tmp_path, "a"), Place(scheduler=address))
+        run(plan_of(tmp_path, "a"), FarmOptions(scheduler=address))
 
 
 def test_workers_with_another_engine_get_nothing(
@@ -100,26 +100,26 @@ def test_workers_with_another_engine_get_nothing(
     monkeypatch.setattr(cluster, "NO_WORKER_S", 1.0)
     plan = plan_of(tmp_path, "a")
     with raises_key("no-worker plgs-0.0.0-00000000 plgs-"):
-        run(plan, Place(scheduler=address))
+        run(plan, FarmOptions(scheduler=address))
     assert not (plan.output / "a").exists()
 
 
 def test_no_scheduler(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(cluster, "CONNECT_S", 0.5)
     with raises_key("no-scheduler"):
-        run(plan_of(tmp_path, "a"), Place(scheduler="tcp://127.0.0.1:9"))
+        run(plan_of(tmp_path, "a"), FarmOptions(scheduler="tcp://127.0.0.1:9"))
 
 
 @pytest.mark.parametrize("address", ["nonsense", "machine:8786", "tcp://machine", "tcp://a b:1"])
 def test_an_invalid_address(address: str, tmp_path: Path) -> None:
     with raises_key("scheduler-address"):
-        run(plan_of(tmp_path, "a"), Place(scheduler=address))
+        run(plan_of(tmp_path, "a"), FarmOptions(scheduler=address))
     with raises_key("scheduler-address"):
         run_worker(address)
 
 
 @pytest.mark.parametrize("options", ["--slurm --scheduler tcp://a:1", "--workers 2 --scheduler tcp://a:1", "--queue q"])
-def test_options_of_two_places(options: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_conflicting_options_are_refused(options: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["batch", str(tmp_path / "a"), "-o", str(tmp_path / "out"), *options.split()]) == ExitCode.BAD_INPUT
     assert capsys.readouterr().err.count("\n") == 1 and not (tmp_path / "out").exists()
 
@@ -129,5 +129,5 @@ def test_a_lift_for_which_no_worker_is_large_enough(tmp_path: Path, farm: Farm, 
     job = SceneJob("a", plan.jobs[0].lift, plan.jobs[0].request, gigabytes=1e6)
     farm.workers(address, "usual")
     large = BatchPlan(plan.output, (job,))
-    assert run(large, Place(scheduler=address)) is not ExitCode.FINISHED
+    assert run(large, FarmOptions(scheduler=address)) is not ExitCode.FINISHED
     assert "needs about 1000000.0 GB" in rows_of(large)["a"]["reason"]

@@ -182,7 +182,7 @@ def test_scenes_of_one_name_can_be_given_others() -> None:
 def test_one_place_for_the_files_of_several_scenes_is_refused() -> None:
     refuse_shared("--masks", Path("masks"), 1)
     refuse_shared("--masks", Path("masks/{scene}"), 2)
-    with raises_key("shared-place --masks masks {scene}"):
+    with raises_key("shared-path --masks masks {scene}"):
         refuse_shared("--masks", Path("masks"), 2)
     assert of_scene(Path("masks/{scene}.json"), "room") == Path("masks/room.json")
 

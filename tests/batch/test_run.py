@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from engine.batch import piece, run
-from engine.batch.cluster import Place
+from engine.batch.cluster import FarmOptions
 from engine.batch.piece import Ended, Kind, Outcome, Piece, do, engine_tag
 from engine.batch.plan import RECORDS, BatchPlan, SceneJob
 from engine.errors import ErrorCode, PlgsError
@@ -205,7 +205,7 @@ def test_records_that_lead_elsewhere_are_refused(name: str, tmp_path: Path) -> N
     path.parent.mkdir(parents=True)
     path.symlink_to(outside if name == RECORDS else outside / "file")
     with raises_key("foreign-file") as refused:
-        run.run_batch(BatchPlan(tmp_path / "out", ()), Place(), Interrupts())
+        run.run_batch(BatchPlan(tmp_path / "out", ()), FarmOptions(), Interrupts())
     assert refused.value.where == str(path) and not [*outside.iterdir()]
 
 

@@ -16,7 +16,7 @@ import pytest
 pytest.importorskip("dask_jobqueue", reason="dask-jobqueue is not installed: python -m engine add farm")
 # ruff: noqa: E402 - without it the rest is not tested
 from engine.batch import cluster as cluster_module
-from engine.batch.cluster import Place, Tls, slurm_cluster
+from engine.batch.cluster import FarmOptions, Tls, slurm_cluster
 from engine.batch.piece import engine_tag
 from engine.errors import ExitCode
 from engine.job import EventWriter, LiftFolder, StopSignal
@@ -52,8 +52,8 @@ def slurm(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
 
 
 def test_the_job_script(slurm: Path, root: Path) -> None:
-    place = Place(2, "", {"queue": "gpu", "account": "", "walltime": "02:00:00"}, gigabytes=16.0, threads=8)
-    with slurm_cluster(place) as cluster:
+    options = FarmOptions(2, "", {"queue": "gpu", "account": "", "walltime": "02:00:00"}, gigabytes=16.0, threads=8)
+    with slurm_cluster(options) as cluster:
         script = cluster.job_script()
     for line in ("#SBATCH -p gpu", "#SBATCH -t 02:00:00", "#SBATCH --cpus-per-task=8", "#SBATCH --mem=15G"):
         assert line in script.splitlines(), script
@@ -65,7 +65,7 @@ def test_the_job_script(slurm: Path, root: Path) -> None:
 def test_no_slurm(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setenv("PATH", str(tmp_path))
     with raises_key("no-slurm"):
-        slurm_cluster(Place(2, "", {}))
+        slurm_cluster(FarmOptions(2, "", {}))
 
 
 def test_a_job_works(slurm: Path) -> None:
@@ -75,7 +75,7 @@ def test_a_job_works(slurm: Path) -> None:
     events = EventWriter(lift.events_path)
     tiny_lift(lift, events, StopSignal(lift.cancel_path), resume=False)
     events.close()
-    assert run(plan, Place(1, "", {}, 1.0, 1)) is ExitCode.FINISHED, (slurm / "job.log").read_text()
+    assert run(plan, FarmOptions(1, "", {}, 1.0, 1)) is ExitCode.FINISHED, (slurm / "job.log").read_text()
     assert rows_of(plan)["a"]["state"] == "done"
     assert "distributed.cli.dask_worker" in (slurm / "job.sh").read_text()
 
@@ -84,7 +84,7 @@ def test_a_job_works(slurm: Path) -> None:
 @pytest.mark.parametrize("value", ["gpu\nrm -rf /", "a b", "a\tb", "a\rb", "\u2028"])
 def test_options_are_one_word(name: str, value: str, slurm: Path) -> None:
     with raises_key(f"slurm-option --{name}"):
-        slurm_cluster(Place(1, "", {name: value}))
+        slurm_cluster(FarmOptions(1, "", {name: value}))
 
 
 ODD = 'it\'s $(touch oops) "a" `touch oops` b;touch oops #%s'
@@ -102,7 +102,7 @@ def test_paths_are_words_of_the_shell(slurm: Path, monkeypatch: pytest.MonkeyPat
     python.chmod(0o755)
     monkeypatch.setattr(cluster_module.sys, "executable", str(python))
     monkeypatch.setattr(cluster_module, "ROOT", odd)
-    with slurm_cluster(Place(1, "", {"queue": "gpu"}, 1.0, 1, Tls(ca, own))) as cluster:
+    with slurm_cluster(FarmOptions(1, "", {"queue": "gpu"}, 1.0, 1, Tls(ca, own))) as cluster:
         (slurm / "job.sh").write_text(cluster.job_script())
     monkeypatch.setenv("PYTHONHOME", "/nowhere")
     subprocess.run(["sh", "job.sh"], cwd=slurm, check=True, timeout=60)
@@ -117,7 +117,7 @@ def test_a_job_imports_nothing_of_the_folder_where_it_starts(
     for name in ("dask", "distributed", "engine"):
         (tmp_path / name).mkdir()
         (tmp_path / name / "__init__.py").write_text("open('oops', 'w')\nraise SystemExit(9)\n")
-    with slurm_cluster(Place(1, "", {}, 1.0, 1)) as cluster:
+    with slurm_cluster(FarmOptions(1, "", {}, 1.0, 1)) as cluster:
         (slurm / "job.sh").write_text(re.sub(r"tcp://\S+", "--version", cluster.job_script()))
     assert subprocess.run(["sh", "job.sh"], cwd=slurm, capture_output=True, timeout=60).returncode == 0
     assert not (slurm / "oops").exists()
@@ -126,6 +126,6 @@ def test_a_job_imports_nothing_of_the_folder_where_it_starts(
 @pytest.mark.skipif(shutil.which("openssl") is None, reason="needs openssl to make certificates")
 def test_a_job_with_tls(slurm: Path) -> None:
     ca, own = certificates(slurm)
-    with slurm_cluster(Place(1, "", {}, 1.0, 1, Tls(ca, own))) as cluster:
+    with slurm_cluster(FarmOptions(1, "", {}, 1.0, 1, Tls(ca, own))) as cluster:
         script, address = cluster.job_script(), cluster.scheduler_address
     assert address.startswith("tls://") and f"--tls-ca-file {ca} --tls-cert {own} --tls-key {own}" in script

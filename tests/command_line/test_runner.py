@@ -21,42 +21,42 @@ from engine.job import EventWriter, ExitCode, LiftFolder, LiftState, StopSignal,
 from engine.job.follower import TaskFollower
 from engine.job.lock import FileLock
 from engine.job.process import engine_call
-from engine.job.task import TaskPlace, TaskState
+from engine.job.task import TaskFiles, TaskState
 from tests.job.following import follow
 from tests.job.lift_folders import new_lift, tiny_lift
 from tests.raises_key import raises_key, worded
 from tests.tiny_scene import write_tiny_scene
 
 
-def followed(place: TaskPlace, *arguments: str | Path) -> TaskFollower:
+def followed(files: TaskFiles, *arguments: str | Path) -> TaskFollower:
     """The command in a process of its own, followed to its end."""
     command = [*engine_call(Path(sys.executable)), *arguments]
-    follower = TaskFollower.start(command, place, kind=str(arguments[0]))
+    follower = TaskFollower.start(command, files, kind=str(arguments[0]))
     follow(follower)
     return follower
 
 
 def test_any_command_is_followed_to_its_answer(tmp_path: Path) -> None:
-    room, place = write_tiny_scene(tmp_path / "room", frames=9), TaskPlace.temporary(tmp_path)
-    inspected = followed(place, "inspect", room)
+    room, files = write_tiny_scene(tmp_path / "room", frames=9), TaskFiles.temporary(tmp_path)
+    inspected = followed(files, "inspect", room)
     assert inspected.state is TaskState.FINISHED and inspected.kind == "inspect" and inspected.error is None
     assert inspected.answer is not None and inspected.answer["test_frames"] == 1
     assert "diagnosis" in inspected.answer and inspected.progress.stage == "diagnose"
-    kinds = [event.kind for event in last_run(place.events)]
+    kinds = [event.kind for event in last_run(files.events)]
     assert kinds == ["hello", "stage", "stage", "answer", "done"]
-    frames = followed(place, "frames", room, "-o", tmp_path / "out", "--make", "depth")
+    frames = followed(files, "frames", room, "-o", tmp_path / "out", "--make", "depth")
     assert frames.state is TaskState.FINISHED and frames.answer is not None and frames.answer["frames"] == 9
     assert (frames.progress.step, frames.progress.steps) == (9, 9)
     for follower in (inspected, frames):
         follower.close()
-    assert place.folder is not None and not place.folder.exists()
+    assert files.folder is not None and not files.folder.exists()
 
 
 def test_an_error_gives_its_code_and_the_option_that_fixes_it(tmp_path: Path) -> None:
-    room, place = write_tiny_scene(tmp_path / "room", frames=3), TaskPlace.temporary(tmp_path)
+    room, files = write_tiny_scene(tmp_path / "room", frames=3), TaskFiles.temporary(tmp_path)
     (room / "panoptic.json").rename(tmp_path / "masks.json")
     (room / "panoptic").rename(tmp_path / "masks")
-    failed = followed(place, "frames", room, "-o", tmp_path / "out", "--make", "masks")
+    failed = followed(files, "frames", room, "-o", tmp_path / "out", "--make", "masks")
     assert failed.state is TaskState.FAILED and failed.error is not None and failed.answer is None
     assert (failed.error.code, failed.error.option) == (ErrorCode.BAD_INPUT, "--masks --depth")
     assert all(option in failed.error.fix for option in failed.error.option.split())
@@ -64,7 +64,7 @@ def test_an_error_gives_its_code_and_the_option_that_fixes_it(tmp_path: Path) ->
 
 
 def test_an_error_of_several_lines_is_cut_to_one_and_the_log_has_the_rest(tmp_path: Path) -> None:
-    place, terminal = TaskPlace.at(tmp_path / "events.jsonl"), io.StringIO()
+    files, terminal = TaskFiles.at(tmp_path / "events.jsonl"), io.StringIO()
 
     def work(events: EventWriter, stop: StopSignal) -> None:
         try:
@@ -72,28 +72,28 @@ def test_an_error_of_several_lines_is_cut_to_one_and_the_log_has_the_rest(tmp_pa
         except ValueError as error:
             raise PlgsError("made-up", f"the model cannot be read ({error})", "model.pt", "Lift again.") from error
 
-    with FileLock(place.events), output_to(place.log):
-        assert run_at(Command("lift", work), place, terminal) is ExitCode.BAD_INPUT
+    with FileLock(files.events), output_to(files.log):
+        assert run_at(Command("lift", work), files, terminal) is ExitCode.BAD_INPUT
     assert terminal.getvalue().count("\n") == 1 and "the model cannot be read" in terminal.getvalue()
-    assert "\tsize mismatch for two" in place.log.read_text() and "Traceback" in place.log.read_text()
+    assert "\tsize mismatch for two" in files.log.read_text() and "Traceback" in files.log.read_text()
 
 
 def test_a_cancelled_command_says_so(tmp_path: Path) -> None:
-    room, place = write_tiny_scene(tmp_path / "room", frames=40), TaskPlace.temporary(tmp_path)
+    room, files = write_tiny_scene(tmp_path / "room", frames=40), TaskFiles.temporary(tmp_path)
     command = [*engine_call(Path(sys.executable)), "frames", room, "-o", tmp_path / "out"]
-    follower = TaskFollower.start(command, place, kind="frames")
+    follower = TaskFollower.start(command, files, kind="frames")
     follower.cancel()
     follow(follower)
     assert follower.state is TaskState.CANCELLED and follower.error is None
 
 
 def test_only_one_process_at_a_time_uses_a_place(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    place = TaskPlace.at(tmp_path / "events.jsonl")
-    with FileLock(place.events):
-        assert main(["handshake", "--events", str(place.events)]) == ExitCode.BUSY
+    files = TaskFiles.at(tmp_path / "events.jsonl")
+    with FileLock(files.events):
+        assert main(["handshake", "--events", str(files.events)]) == ExitCode.BUSY
     assert worded("at-work").search(capsys.readouterr().err)
-    assert main(["handshake", "--events", str(place.events)]) == 0
-    (answer,) = (event.data["answer"] for event in last_run(place.events) if event.kind == "answer")
+    assert main(["handshake", "--events", str(files.events)]) == 0
+    (answer,) = (event.data["answer"] for event in last_run(files.events) if event.kind == "answer")
     assert isinstance(answer, dict) and answer["python"] == sys.version.split()[0]
     assert capsys.readouterr() == ("", "")
 
@@ -222,7 +222,7 @@ def test_a_lift_without_a_manifest_is_not_a_success(tmp_path: Path) -> None:
 
 def test_cancelled_before_it_began(tmp_path: Path) -> None:
     folder = new_lift(tmp_path)
-    folder.place.ask_to_cancel()
+    folder.task_files.ask_to_cancel()
     assert run_engine(folder, lift=tiny_lift) is ExitCode.CANCELLED
     assert folder.state() is LiftState.CANCELLED
     assert run_engine(folder, resume=True, lift=tiny_lift) is ExitCode.FINISHED

@@ -41,13 +41,13 @@ def step_reached(follower: TaskFollower, step: int) -> Callable[[], bool]:
 
 def watch(folder: LiftFolder) -> TaskFollower:
     """Follow a lift that somebody else started."""
-    return TaskFollower.attach(folder.place, lift=folder)
+    return TaskFollower.attach(folder.task_files, lift=folder)
 
 
 def start_fake(folder: LiftFolder, behaviour: str, *more: str, stays_with_parent: bool = True) -> TaskFollower:
     """Start an engine that pretends to lift."""
     command = [sys.executable, FAKE, behaviour, folder.path, *more]
-    return TaskFollower.start(command, folder.place, kind=LIFT, lift=folder, stays_with_parent=stays_with_parent)
+    return TaskFollower.start(command, folder.task_files, kind=LIFT, lift=folder, stays_with_parent=stays_with_parent)
 
 
 def command_after_another(python: Path, lift: Path, *, resume: bool) -> list[str | Path]:

@@ -316,7 +316,7 @@ def test_a_lift_survives_a_disk_that_does_not_answer_for_a_moment(
     folder, now = new_lift(tmp_path), [0.0]
     writer = EventWriter(folder.events_path)
     writer.hello(threads=1, resumed=False)
-    watcher = TaskFollower(folder.place, lift=folder, clock=lambda: now[0])
+    watcher = TaskFollower(folder.task_files, lift=folder, clock=lambda: now[0])
 
     def no_answer(*_: object, **__: object) -> object:
         raise OSError(number, os.strerror(number))

@@ -105,7 +105,7 @@ def test_preparing_a_run_clears_what_must_not_outlive_the_last_one(tmp_path: Pat
     folder = new_lift(tmp_path)
     run_tiny(folder)
     folder.checkpoints.save({"step": 1}, lambda path: (path / "m").write_bytes(b""))
-    folder.place.ask_to_cancel()
+    folder.task_files.ask_to_cancel()
     (folder.result_path / ".part-x.exr").write_bytes(b"")
     folder.prepare_run()
     assert not folder.cancel_path.exists() and not folder.manifest_path.exists()

@@ -14,7 +14,7 @@ from engine.errors import ErrorCode
 from engine.job import EventReader, LiftFolder, LiftState
 from engine.job.follower import TaskFollower
 from engine.job.process import EngineProcess
-from engine.job.task import TaskPlace, TaskState
+from engine.job.task import TaskFiles, TaskState
 from tests.job.following import FAKE, Start, follow, start_fake, step_reached, watch
 from tests.raises_key import worded
 from tests.waiting import wait_until
@@ -71,7 +71,7 @@ class DeafEngine:
 @pytest.mark.parametrize("asked_by", ["us", "somebody else"])
 def test_a_hanging_engine_gets_between_half_a_second_and_one_second(folder: LiftFolder, asked_by: str) -> None:
     now, engine = [100.0], DeafEngine()
-    follower = TaskFollower(folder.place, engine, lift=folder, clock=lambda: now[0])
+    follower = TaskFollower(folder.task_files, engine, lift=folder, clock=lambda: now[0])
     follower.poll()
     now[0] = 200.0
     if asked_by == "us":
@@ -102,7 +102,7 @@ def test_cancel_needs_no_room_on_the_disk(folder: LiftFolder, start: Start, monk
 
     follower = start("patient")
     follow(follower, step_reached(follower, 2))
-    monkeypatch.setattr(TaskPlace, "ask_to_cancel", full)
+    monkeypatch.setattr(TaskFiles, "ask_to_cancel", full)
     follower.cancel()
     follow(follower)
     assert follower.state is TaskState.CANCELLED and not folder.cancel_path.exists()
@@ -164,7 +164,7 @@ def test_what_stops_it_before_it_begins_is_reported(folder: LiftFolder, start: S
     assert str(follower.error).startswith("another engine is at work")
     assert follower.error is not None and follower.error.code is ErrorCode.BUSY
     said = EngineProcess([sys.executable, "-c", "raise SystemExit('no such thing')"])
-    nonsense = TaskFollower(folder.place, said, lift=folder)
+    nonsense = TaskFollower(folder.task_files, said, lift=folder)
     follow(nonsense)
     assert str(nonsense.error) == "no such thing"
     nonsense.close()

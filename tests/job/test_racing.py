@@ -36,7 +36,7 @@ actions = {
     "create": lambda: LiftFolder.create(path, LiftRequest(scene=Path("/scene"))),
     "start": lambda: lift(False),
     "resume": lambda: lift(True),
-    "cancel": lambda: LiftFolder.open(path).place.ask_to_cancel(),
+    "cancel": lambda: LiftFolder.open(path).task_files.ask_to_cancel(),
     "discard": lambda: LiftFolder.open(path).discard(),
     "bake": lambda: bake(path, ("x", "y", "z")),
 }

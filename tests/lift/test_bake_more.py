@@ -110,7 +110,7 @@ def test_numbers_in_the_names_of_files(frames: list[str], files: list[str], tmp_
 
 
 def test_as_a_run_of_the_engine(lift: LiftFolder, capfd: pytest.CaptureFixture[str]) -> None:
-    lift.place.ask_to_cancel()  # an old one
+    lift.task_files.ask_to_cancel()  # an old one
     seq = len(lift.events_path.read_bytes().splitlines())
     assert run_bake(lift, ["0000"]) is ExitCode.FINISHED
     told = [json.loads(line) for line in lift.events_path.read_bytes().splitlines()[seq:]]

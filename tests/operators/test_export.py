@@ -18,7 +18,7 @@ import pytest
 from plgs.engine.job import read_cameras
 from plgs.engine.job.follower import TaskFollower
 from plgs.engine.job.process import EngineProcess
-from plgs.engine.job.task import TaskPlace
+from plgs.engine.job.task import TaskFiles
 from plgs.plgs_blender import engine_environment, registry
 from plgs.plgs_blender.running import exports
 
@@ -83,7 +83,7 @@ def pretend(monkeypatch: pytest.MonkeyPatch, program: str, *arguments: object) -
         asked.append([str(each) for each in given])
         output = given[given.index("-o") + 1]
         command = [sys.executable, "-c", program, output, *arguments]
-        return TaskFollower(TaskPlace.temporary(), EngineProcess(command), kind=kind)
+        return TaskFollower(TaskFiles.temporary(), EngineProcess(command), kind=kind)
 
     monkeypatch.setattr(exports, "start_engine", start_engine)
     return asked

@@ -51,7 +51,7 @@ def baked(monkeypatch: pytest.MonkeyPatch) -> Iterator[Asked]:
         asked.frames.extend(frames)
         asked.layers.append(layers)
         asked.cameras.extend(read_cameras(cameras) if cameras is not None else ())
-        return TaskFollower.start([python, "-c", PRETENCE, lift.path], lift.place, kind="bake", lift=lift)
+        return TaskFollower.start([python, "-c", PRETENCE, lift.path], lift.task_files, kind="bake", lift=lift)
 
     monkeypatch.setattr(engine_environment, "usable_python", lambda: Path(sys.executable))
     monkeypatch.setattr(lifts, "start_bake", start_bake)

@@ -12,7 +12,7 @@ import pytest
 from plgs.engine.errors import PlgsError
 from plgs.engine.job.follower import TaskFollower
 from plgs.engine.job.process import EngineProcess
-from plgs.engine.job.task import TaskPlace
+from plgs.engine.job.task import TaskFiles
 from plgs.plgs_blender import registry
 from plgs.plgs_blender.registry import Task
 
@@ -50,9 +50,9 @@ def nothing_followed() -> Iterator[None]:
 
 
 def begin(program: str) -> Pretended:
-    place = TaskPlace.temporary()
-    process = EngineProcess([sys.executable, "-c", program, place.events])
-    return registry.follow(Pretended(TaskFollower(place, process, kind=Pretended.kind)))
+    files = TaskFiles.temporary()
+    process = EngineProcess([sys.executable, "-c", program, files.events])
+    return registry.follow(Pretended(TaskFollower(files, process, kind=Pretended.kind)))
 
 
 def test_an_answer_is_taken_once() -> None:
@@ -66,7 +66,7 @@ def test_an_answer_is_taken_once() -> None:
     registry.wait_for(task, "scene")
     assert registry.poll_all("scene") == [] and task.taken is None
     assert registry.running(Task) == [] and registry.latest(Pretended) is task
-    assert task.follower.place.folder is not None and not task.follower.place.folder.exists()
+    assert task.follower.files.folder is not None and not task.follower.files.folder.exists()
 
 
 @pytest.mark.parametrize("error", [PlgsError("made-up", "is gone", "here", "Again."), OSError("the disk is gone")])

@@ -15,7 +15,7 @@ from plgs.engine.errors import PlgsError
 from plgs.engine.job.follower import TaskFollower
 from plgs.engine.job.handshake import TOO_OLD, VERSION
 from plgs.engine.job.process import EngineProcess
-from plgs.engine.job.task import TaskPlace
+from plgs.engine.job.task import TaskFiles
 from plgs.plgs_blender import engine_environment, registry
 from plgs.plgs_blender.engine_environment import EngineState, choices, tasks
 from plgs.plgs_blender.engine_environment.choices import SetUpChoice
@@ -190,7 +190,7 @@ def pretend(monkeypatch: pytest.MonkeyPatch, program: str) -> None:
     def start_engine(kind: str, python: Path, *arguments: str | Path, **others: object) -> TaskFollower:
         if kind != "set-up":
             return ask(kind, python, *arguments)
-        return TaskFollower(TaskPlace.temporary(), EngineProcess([sys.executable, "-c", program]), kind=kind)
+        return TaskFollower(TaskFiles.temporary(), EngineProcess([sys.executable, "-c", program]), kind=kind)
 
     monkeypatch.setattr(tasks, "start_engine", start_engine)
 

@@ -68,7 +68,7 @@ def test_a_frame_without_a_prediction_fails_the_row(tmp_path: Path) -> None:
 
 
 def test_one_folder_for_several_scenes_is_refused(tmp_path: Path) -> None:
-    with raises_key("shared-place --predictions"):
+    with raises_key("shared-path --predictions"):
         run(experiment_of(tmp_path, f"theirs too={tmp_path}/true/office"))
 
 

@@ -205,7 +205,7 @@ def test_a_failed_lift_is_resumed_without_a_wait(
 
 
 def test_bad_input_is_reported_before_any_lift(experiment: Experiment, behave: Behave, tmp_path: Path) -> None:
-    with raises_key("shared-place --masks"):
+    with raises_key("shared-path --masks"):
         run(replace(experiment, masks="predictions"))
     with raises_key("bad-value steps"):
         run(replace(experiment, steps=0))
