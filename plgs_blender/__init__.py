@@ -1,7 +1,7 @@
-"""From a lift's result to Blender's data-blocks, and back to pictures.
+"""Turns a lift's result into Blender data-blocks, and those back into pictures.
 
-Functions here work the same from a script, a test, or an operator: they take a folder and a scene and never
-look at selections, modes or windows. Start with `lift_scene.place_lift` and `lift_scene.save_lift`.
+These functions behave the same in a script, a test or an operator: they take a folder and a scene and never look at
+selections, modes or windows. Start with `lift_scene.place_lift` and `lift_scene.save_lift`.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from types import ModuleType
 
 
 def _modules() -> tuple[ModuleType, ...]:
-    """The modules that Blender has to know about, in order, imported late: who only reads a result needs none."""
+    """The modules with classes to register, in order. Imported late, as readers of results need none of them."""
     from . import compositing, corrections, registry, settings, timeline
     from .engine_environment import tasks
     from .inspecting import lists, selection
@@ -21,14 +21,14 @@ def _modules() -> tuple[ModuleType, ...]:
 
 
 def register() -> None:
-    """Called when the extension is switched on, before operators and panels."""
+    """Called when the extension is enabled, before operators and panels."""
     from .lifecycle import register_modules
 
     register_modules(_modules())
 
 
 def unregister() -> None:
-    """Called when the extension is switched off, after operators and panels."""
+    """Called when the extension is disabled, after operators and panels."""
     from .lifecycle import unregister_modules
 
     unregister_modules(_modules())

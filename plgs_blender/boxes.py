@@ -1,4 +1,4 @@
-"""One oriented box for each instance, drawn as coloured lines. Renders show none."""
+"""One oriented box per instance, drawn as coloured lines and never rendered."""
 
 from __future__ import annotations
 
@@ -16,29 +16,28 @@ from .owned import OwnedDataBlocks, text_of
 _CORNERS = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
 _FACES = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
 INSTANCE = "instance:"
-"""Start of the key of an instance's box. The instance's id follows."""
+"""Prefix of the key of an instance's box; the instance's id follows."""
 TOGETHER = "boxes"
-"""Key of the object with the boxes of all instances that have none of their own."""
+"""Key of the object that holds the boxes of all instances without an object of their own."""
 MOST_BOXES = 500
-"""Blender takes a second to add an object to 5 000, and ten to hide them all."""
+"""With 5 000 objects, Blender takes a second to add one, and ten to hide them all."""
 NAME, SHOWN, PLACED = "plgs_name", "plgs_shown_name", "plgs_placed"
-"""Properties of a box: its instance's name, what Blender made of that (shorter, or with a number), and the centre, size
-and rotation that it was placed with."""
+"""Properties of a box: its instance's name, the name that Blender gave it (maybe shortened or numbered), and the
+centre, size and rotation at which we placed it."""
 
 
 def place_boxes(
     owned: OwnedDataBlocks, parent: bpy.types.Collection, instances: Iterable[Instance], *, anew: bool = True
 ) -> list[bpy.types.Object]:
-    """One mesh object per instance, with the engine's name and its true size (object scale 1). If an object has not
-    changed, its box keeps the place and the name that the user gave it, and unless all are made ``anew`` is left as it
-    is. Of very many instances, those with the most points have an object of their own, and one object has the boxes of
-    all others."""
+    """One mesh object per instance, with the engine's name and its true size (object scale 1). The box of an unchanged
+    instance keeps the transform and name that the user gave it, and is not touched at all unless ``anew``. If there are
+    very many instances, those with the most points get objects of their own, and one object holds all other boxes."""
     own, others = shared_out(instances)
     return [*(_place(owned, parent, one, anew) for one in own), *place_together(owned, parent, others)]
 
 
 def shared_out(instances: Iterable[Instance]) -> tuple[list[Instance], list[Instance]]:
-    """The instances that have a box of their own, and the others."""
+    """The instances that get a box object of their own, and the others."""
     given = [*instances]
     most = {one.id for one in sorted(given, key=lambda one: (-one.points, one.id))[:MOST_BOXES]}
     return [one for one in given if one.id in most], [one for one in given if one.id not in most]
@@ -51,7 +50,7 @@ def name_box(box: bpy.types.Object, name: str) -> None:
 
 
 def corners_of(size: Sequence[float]) -> tuple[NDArray[np.float64], list[tuple[int, int, int, int]]]:
-    """The corners [8, 3] of a box of this size around its middle, and its faces."""
+    """The corners [8, 3] of a box of this size, centred on the origin, and its faces."""
     return _CORNERS * size, _FACES
 
 
@@ -89,7 +88,7 @@ def _place(owned: OwnedDataBlocks, parent: bpy.types.Collection, instance: Insta
 def place_together(
     owned: OwnedDataBlocks, parent: bpy.types.Collection, instances: Sequence[Instance]
 ) -> list[bpy.types.Object]:
-    """One object with the boxes of these instances, whose vertices have their ids and classes."""
+    """One object with the boxes of these instances; its vertices carry their ids and classes."""
     if not instances:
         return []
     mesh = owned.data(TOGETHER, lambda: bpy.data.meshes.new("Other boxes"))
@@ -116,7 +115,7 @@ def place_together(
 
 
 def _numbers(ob: bpy.types.Object, name: str) -> list[float]:
-    """A custom property; empty when there is none, or when it is not a list of numbers."""
+    """A custom property's numbers; empty if it is missing or not a list of numbers."""
     value = ob.get(name)
     return [*value] if getattr(value, "typecode", "") == "d" else []
 

@@ -1,10 +1,10 @@
 """The engine's cameras in Blender's terms: a scene's frames as camera objects with their photos in front of the view,
 one moving camera, and one that overlooks a room.
 
-Blender's camera looks along -z with y up, so its axes are OpenCV's with y and z reversed. Its picture is given by
-the focal length on a sensor, in millimetres, and by a shift of the sensor, in widths of the picture. We always fit the
-width (sensor_fit HORIZONTAL): then portrait pictures and off-centre principal points need no special case. Where fx and
-fy differ, pixels are not square. In Blender that is a setting of the scene, its pixel aspect.
+Blender's camera looks along -z with y up: OpenCV's axes with y and z reversed. Its intrinsics are a focal length and a
+sensor width in millimetres, and a shift in picture widths. We always fit the width (sensor_fit HORIZONTAL), so portrait
+pictures and off-centre principal points need no special case. If fx and fy differ, pixels are not square, which in
+Blender is a setting of the scene: its pixel aspect.
 """
 
 from __future__ import annotations
@@ -35,20 +35,21 @@ _ELEVATION = np.radians(42.0)
 _FOCAL_WIDTHS = 1.45
 """Focal length in picture widths: a 52 mm lens, which keeps the walls nearly upright."""
 _MARGIN = 0.88
-"""Share of the picture that the points fill."""
+"""Fraction of the picture that the points fill."""
 _DIRECTIONS = 16
 """Directions around the room that are tried."""
 _STRAY, _BEYOND = 1.0, 0.06
-"""Percent of the points that are stray on each side where they lie farther out than this share of what the others take
-up: a sensor's noise reaches metres out of a room."""
+"""Outliers: this percentage of the points at each end, if they lie farther out than this fraction of the others'
+extent. Sensor noise reaches metres out of a room."""
 _ENOUGH = 100_000
-"""At most this many points determine the place; of more points, every n-th is used."""
+"""The overview is fitted to at most this many points; of more, every n-th is used."""
 _DEFAULT_ROOM = np.array([[-2.0, -2.0, 0.0], [2.0, 2.0, 2.5]])
 
 
 @dataclass(frozen=True)
 class Lens:
-    """Focal length in millimetres on a sensor of SENSOR_WIDTH, shifts in picture widths, pixel aspect of the scene."""
+    """Focal length in millimetres on a sensor of SENSOR_WIDTH, shifts in picture widths, and the scene's pixel
+    aspect."""
 
     focal_length: float
     shift_x: float
@@ -68,7 +69,7 @@ def lens_of(camera: Camera) -> Lens:
 
 
 def pixel_aspect(fx: float, fy: float) -> tuple[float, float]:
-    """The scene's pixel aspect for focal lengths in pixels. Blender accepts none below 1."""
+    """The scene's pixel aspect for focal lengths in pixels. Blender accepts no component below 1."""
     return (1.0, fx / fy) if fx >= fy else (fy / fx, 1.0)
 
 
@@ -87,9 +88,9 @@ def camera_from(lens: Lens, matrix: NDArray[np.float64], width: int, height: int
 
 
 def overview_camera(xyz: NDArray[np.floating], normals: NDArray[np.floating]) -> Camera:
-    """A camera outside and above points [N, 3] in metres, whose picture of OVERVIEW_SIZE holds the points that face it.
+    """A camera outside and above points [N, 3] in metres, whose picture of OVERVIEW_SIZE shows all points that face it.
 
-    It stands on the side that most points face. `normals` [N, 3] are zero where they are unknown.
+    It stands on the side that most points face. `normals` [N, 3] are zero where unknown.
     """
     if not len(xyz):
         xyz, normals = _DEFAULT_ROOM, np.zeros_like(_DEFAULT_ROOM)
@@ -104,7 +105,7 @@ def overview_camera(xyz: NDArray[np.floating], normals: NDArray[np.floating]) ->
 
 
 def _axes(azimuth: float) -> NDArray[np.float64]:
-    """Right, down and forward, the columns of float64 [3, 3], of a camera that looks down from an azimuth."""
+    """Right, down and forward, the columns of float64 [3, 3], of a camera looking down from an azimuth."""
     flat = -np.array([np.cos(azimuth), np.sin(azimuth), 0.0])
     forward = flat * np.cos(_ELEVATION) + np.array([0.0, 0.0, -np.sin(_ELEVATION)])
     right = np.array([flat[1], -flat[0], 0.0])
@@ -112,7 +113,7 @@ def _axes(azimuth: float) -> NDArray[np.float64]:
 
 
 def _framed(axes: NDArray[np.float64], xyz: NDArray[np.float64]) -> Camera:
-    """A camera with these axes, just far enough back for the points to fit, and centred on them."""
+    """A camera with these axes, centred on the points and just far enough back to show them all."""
     width, height = OVERVIEW_SIZE
     focal = _FOCAL_WIDTHS * width
     half = np.array([width, height]) / 2.0 * _MARGIN / focal
@@ -132,12 +133,12 @@ def _framed(axes: NDArray[np.float64], xyz: NDArray[np.float64]) -> Camera:
 
 
 SHOWN, PHOTO = "plgs_shown", "PHOTO"
-"""Property of a frame's camera that says what is in front of its view, and its value for the photo."""
+"""Property of a frame's camera: which picture is in front of its view; and its value for the photo."""
 PATH = "camera_path"
 """Key of the moving camera in its lift."""
 
 _DISPLAY_SIZE = 0.15
-"""Metres. Cameras of this size stay readable between furniture."""
+"""Metres: small enough to tell cameras apart between furniture."""
 _PHOTO_ALPHA = 0.5
 
 
@@ -149,7 +150,7 @@ def place_camera(
     camera: Camera,
     display_size: float = _DISPLAY_SIZE,
 ) -> bpy.types.Object:
-    """Our camera object `key` with the lens and the pose of the engine's camera, in `parent` when it is new."""
+    """Our camera object `key` with the engine camera's lens and pose; linked to `parent` if it is new."""
     data = owned.data(key, lambda: bpy.data.cameras.new(name))
     set_lens(data, camera)
     data.display_size = display_size
@@ -159,9 +160,8 @@ def place_camera(
 
 
 def set_lens(data: bpy.types.Camera, camera: Camera) -> None:
-    """Give a Blender camera the engine camera's intrinsics. Sizes of pictures and pixels belong to the scene, and so to
-    the user.
-    """
+    """Give a Blender camera the engine camera's intrinsics. Picture size and pixel aspect belong to the scene, so they
+    are left to the user."""
     lens = lens_of(camera)
     data.type, data.lens_unit, data.sensor_fit = "PERSP", "MILLIMETERS", "HORIZONTAL"
     data.sensor_width = SENSOR_WIDTH
@@ -175,9 +175,8 @@ def place_frames(
     frames: Sequence[PosedFrame],
     made: Mapping[str, Path] | None = None,
 ) -> list[bpy.types.Object]:
-    """One camera per frame in `parent`, with the frame's photo in front of its view and what is known as properties.
-    `made`: pictures by frame name that an engine made for frames without an image file.
-    """
+    """One camera per frame in `parent`, with the frame's photo in front of its view and its data as properties. `made`:
+    pictures, by frame name, that an engine made for frames without an image file."""
     cameras = []
     for frame in frames:
         ob = place_camera(owned, parent, f"frame:{frame.name}", frame.name, frame.camera)
@@ -192,9 +191,8 @@ def place_frames(
 
 
 def camera_seen(scene: bpy.types.Scene) -> Camera | None:
-    """What the scene's active camera sees, whoever made it, in a picture of the scene's size. None without an active
-    camera in perspective, and for a camera that shows the world mirrored.
-    """
+    """The view of the scene's active camera at the scene's resolution, whoever made the camera. None if there is no
+    active perspective camera, or if it mirrors the world."""
     ob = scene.camera
     if ob is None or ob.type != "CAMERA" or ob.data.type != "PERSP" or ob.matrix_world.is_negative:
         return None
@@ -202,7 +200,7 @@ def camera_seen(scene: bpy.types.Scene) -> Camera | None:
 
 
 def seen_by(ob: bpy.types.Object, render: bpy.types.RenderSettings) -> Camera:
-    """What a camera in perspective sees, in a picture of the render's size."""
+    """The view of a perspective camera at the render's resolution."""
     width, height = (
         max(1, side * render.resolution_percentage // 100) for side in (render.resolution_x, render.resolution_y)
     )
@@ -218,10 +216,10 @@ def seen_by(ob: bpy.types.Object, render: bpy.types.RenderSettings) -> Camera:
 def place_camera_path(
     owned: OwnedDataBlocks, parent: bpy.types.Collection, frames: Sequence[PosedFrame], places: Sequence[int]
 ) -> bpy.types.Object:
-    """A camera with one key for each frame, at these places on the timeline: an animation that other programs can read.
+    """A camera with one key per frame, at these frames of the timeline: an animation that other programs can read.
 
-    Between two frames the pose moves linearly, for motion blur. The lens jumps, because it is another picture's. Keys
-    that the user set on the camera are removed.
+    The pose moves linearly between frames, for motion blur. The lens jumps, because each picture has its own. Keys that
+    the user set on the camera are removed.
     """
     ob = place_camera(owned, parent, PATH, "Camera path", frames[0].camera)
     ob.rotation_mode, ob.scale = "QUATERNION", (1.0, 1.0, 1.0)
@@ -238,7 +236,7 @@ def place_camera_path(
 
 
 def _new_action(owned: OwnedDataBlocks, part: str) -> bpy.types.Action:
-    """An empty action, in place of the one from an earlier placement."""
+    """An empty action that replaces the one of an earlier placement."""
     key = f"{PATH}:{part}"
     owned.drop("actions", key)
     action: bpy.types.Action = owned.block("actions", key, lambda: bpy.data.actions.new(f"Camera path {part}"))
@@ -246,22 +244,20 @@ def _new_action(owned: OwnedDataBlocks, part: str) -> bpy.types.Action:
 
 
 def _continuous(turns: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The same rotations as quaternions [N, 4], none of them more than half a turn from the one before."""
+    """The same rotations as quaternions [N, 4], none more than half a turn from the one before."""
     signs = np.where((turns[1:] * turns[:-1]).sum(axis=1) < 0.0, -1.0, 1.0)
     return turns * np.concatenate([[1.0], np.cumprod(signs)])[:, None]
 
 
 def picture_of(frame: PosedFrame, made: Mapping[str, Path] | None = None) -> Path | None:
-    """The image file that shows what the frame's camera saw; None while there is none. `made` is as in `place_frames`.
-    """
+    """The image file of what the frame's camera saw; None if there is none yet. `made` is as in `place_frames`."""
     shows_itself = frame.file_shows_colour and frame.colour_path.is_file()
     return frame.colour_path if shows_itself else (made or {}).get(frame.name)
 
 
 def show_photo(ob: bpy.types.Object, owned: OwnedDataBlocks, picture: Path, *, asked: bool = False) -> None:
-    """Put a frame's photo in front of its camera's view, half transparent: it shows whether the scene fits it. One that
-    somebody ``asked`` for hides the scene, until it is asked for again.
-    """
+    """Put a frame's photo in front of its camera's view: half transparent, to check it against the scene; but opaque if
+    a user ``asked`` for it, until they ask again."""
     before = ob.data.background_images[0].alpha if ob.get(SHOWN) == PHOTO and ob.data.background_images else 0.0
     # Blender reads the pixels when somebody looks through the camera.
     load = bpy.data.images.load
@@ -271,7 +267,7 @@ def show_photo(ob: bpy.types.Object, owned: OwnedDataBlocks, picture: Path, *, a
 
 
 def put_before(ob: bpy.types.Object, image: bpy.types.Image, what: str, alpha: float) -> None:
-    """Put an image in front of the view of a frame's camera, replacing the one there, and note `what` it is."""
+    """Put an image in front of a frame camera's view in place of the one there, and record `what` it is."""
     ob[SHOWN] = what
     data = ob.data
     for old in data.background_images:

@@ -1,4 +1,4 @@
-"""Which scene the user chose, how it is read, and which scene or lift a chosen or dropped file belongs to."""
+"""The scene that the user chose, how it is read, and the scene or lift that a chosen or dropped file belongs to."""
 
 from __future__ import annotations
 
@@ -14,12 +14,13 @@ from ..engine.scene_source import MASK_FORMAT_NAMES, SCENE_FORMAT_NAMES, SceneSo
 
 
 def absolute(path: str) -> Path:
-    """A path made absolute, where "//" is the .blend's folder; without a trailing slash."""
+    """The path made absolute, without a trailing slash; "//" stands for the .blend's folder."""
     return Path(bpy.path.abspath(path)).absolute()
 
 
 def free_folder(beside: Path, ending: str) -> Path:
-    """A folder that is not there yet: ``beside`` with the ending "lift" is "room_lift", or "room_lift_2" and so on."""
+    """A folder that does not exist yet: ``beside`` with the ending "lift" is "room_lift", or "room_lift_2" and so
+    on."""
     number, folder = 1, beside.with_name(f"{beside.name}_{ending}")
     while folder.exists():
         number += 1
@@ -28,43 +29,43 @@ def free_folder(beside: Path, ending: str) -> Path:
 
 
 AUTOMATIC = "auto"
-"""The choice that lets the format be recognised by the scene's files."""
+"""The choice that detects the format from the scene's files."""
 
 FORMAT_ITEMS = [
     (AUTOMATIC, "Automatic", "Recognised by the names of the files"),
     *map(tuple, SCENE_FORMAT_NAMES),
 ]
-"""For an EnumProperty."""
+"""Items of an EnumProperty."""
 MASK_FORMAT_ITEMS = [
     (AUTOMATIC, "Automatic", "Recognised by the names of the files"),
     *map(tuple, MASK_FORMAT_NAMES),
 ]
-"""For an EnumProperty, too."""
+"""Items of an EnumProperty."""
 
 FILE_SUFFIXES = (".json", ".txt", ".jsonl", ".sens", ".r3d", ".log", ".bin", ".csv")
-"""Files by which people name a scene, in file browsers and by dropping them."""
+"""Suffixes of files by which users name a scene, in a file browser or by dropping them."""
 
 
 def label_of(name: str) -> str:
-    """What people call a format."""
+    """The format's name for users."""
     return next((each.label for each in SCENE_FORMAT_NAMES if each.name == name), name)
 
 
 def chosen_format(choice: str) -> str | None:
-    """The format that a choice of FORMAT_ITEMS or MASK_FORMAT_ITEMS names; None: it is recognised."""
+    """The format that a choice of FORMAT_ITEMS or MASK_FORMAT_ITEMS names; None means that it is detected."""
     return None if choice in ("", AUTOMATIC) else choice
 
 
 @dataclass(frozen=True)
 class ChosenScene(SceneSource):
-    """A scene by absolute paths, as the user typed them."""
+    """The paths of a scene and its parts, made absolute."""
 
     @classmethod
     def of(
         cls, folder: str, *, masks: str = "", up: UpAxis = "z", format: str = AUTOMATIC, depth: str = "",
         mask_format: str = AUTOMATIC, classes: str = "", detections: str = "",
     ) -> ChosenScene:  # fmt: skip
-        """From paths as users type them. Empty texts stand for no masks, no depth maps and no classes."""
+        """From paths as users type them; empty ones mean no masks, no depth maps and no classes."""
         paths = (absolute(path) if path else None for path in (masks, depth, detections))
         masks_path, depth_path, detections_path = paths
         table = str(absolute(classes)) if classes.endswith(".toml") else classes or None
@@ -74,7 +75,7 @@ class ChosenScene(SceneSource):
         )  # fmt: skip
 
     def as_texts(self) -> dict[str, str]:
-        """What `of` takes in addition to the folder."""
+        """The arguments of `of` besides the folder."""
         return {
             "masks": "" if self.masks is None else str(self.masks),
             "up": self.up,
@@ -87,12 +88,13 @@ class ChosenScene(SceneSource):
 
     @property
     def is_plain(self) -> bool:
-        """Whether it is in plain folders, whose cameras and pictures Blender can read alone. Reads the disk."""
+        """Whether Blender can read its cameras and pictures without an engine: they are in plain folders. Reads the
+        disk."""
         has_lens = (self.scene / "intrinsic").is_dir()  # else a sensor's own file may say it, which the engine reads
         return self.scene_format in (None, NAME) and has_lens and recognises(self.scene)
 
     def open_plain(self) -> PosedScene:
-        """The cameras and pictures of plain folders; of pictures only the headers are read. Raises PlgsError."""
+        """Opens the cameras and pictures of plain folders, reading only the headers of pictures. Raises PlgsError."""
         try:
             return open_plain_folders(self)
         except (OSError, ValueError) as error:  # ValueError: a path that this system cannot even look at
@@ -100,7 +102,7 @@ class ChosenScene(SceneSource):
             raise PlgsError("bad-path", what, self.scene, "Choose other folders.") from error
 
     def arguments(self) -> list[str | Path]:
-        """The arguments that name it to the engine's commands."""
+        """The arguments that name this scene to the engine's commands."""
         arguments: list[str | Path] = [self.scene, f"--up={self.up_option}"]
         given = {"--masks": self.masks, "--format": self.scene_format, "--depth": self.depth}
         named = {"--mask-format": self.mask_format, "--classes": self.classes, "--detections": self.detections}
@@ -110,7 +112,7 @@ class ChosenScene(SceneSource):
 
 
 def needs_engine(chosen: ChosenScene) -> PlgsError:
-    """The error for a scene that Blender cannot read alone."""
+    """The error for a scene that Blender cannot read without an engine."""
     what = "Blender alone can read only the folders color, pose and intrinsic, and this is another layout"
     return PlgsError("needs-engine", what, chosen.scene, "Set up the engine, which can read it.")
 
@@ -122,13 +124,13 @@ _PARTS = {
     "instance", "masks", "keyframes", "cameras", "corrected_cameras", "corrected_images", "corrected_depth",
     "confidence", "iphone", "rgbd", "sparse", "0", "model", "colmap", "_detail", "m2f_semantics", "m2f_instance",
 }  # fmt: skip
-"""Names of folders that lie inside a scene. The engine tells formats apart; this only finds the scene's folder."""
+"""Names of folders inside a scene. They only help to find the scene's folder; the engine detects the format."""
 _HIGHEST = 3
-"""At most this many folders up are searched: result/passes/0001.exr lies two below its lift."""
+"""Search at most this many folders up: result/passes/0001.exr lies two below its lift."""
 
 
 def lift_or_scene(path: Path) -> tuple[Path | None, Path | None]:
-    """The lift's folder and the scene's folder or file that a file or folder belongs to, one of them None."""
+    """The lift's folder, or the scene's folder or file, that a path belongs to; the other one is None."""
     path = path.absolute()
     for folder in [path, *path.parents][: _HIGHEST + 1]:
         if (folder / "request.json").is_file():
@@ -137,7 +139,7 @@ def lift_or_scene(path: Path) -> tuple[Path | None, Path | None]:
 
 
 def scene_at(path: Path) -> Path:
-    """The scene's folder or file that a file or folder belongs to. Raises PlgsError where nothing is there."""
+    """The scene's folder or file that a path belongs to. Raises PlgsError if the path does not exist."""
     path = path.absolute()
     if not path.exists():
         raise PlgsError("file-missing", "there is no such file", path, "Choose the scene's folder, or a file in it.")

@@ -1,9 +1,9 @@
-"""The semantic points and the anchors as Blender point clouds, and the spacing and normals of points on surfaces, which
-let us look into a room from outside.
+"""Semantic points and anchors as Blender point clouds, and the spacing and normals of surface points, which let a
+camera look into a room from outside.
 
-Solid shading has one colour for each object, so each class of semantic points is a cloud in the class's colour. The
-photo's colours are in the attribute Col, which the material shows in Cycles and EEVEE. Spacing and normals come from
-one grid of small cells instead of neighbours, so a million points take a moment.
+Solid shading has one colour per object, so each class of semantic points is a cloud in the class's colour. The photos'
+colours are in the attribute Col, which the material shows in Cycles and EEVEE. Spacing and normals come from one grid
+of small cells instead of a neighbour search, so a million points take a moment.
 """
 
 from __future__ import annotations
@@ -25,21 +25,22 @@ from .materials import UNKNOWN, linear_rgba, object_colour, point_material
 from .owned import OwnedDataBlocks, child_collection, tag
 
 _CELL = 4.0
-"""Side of a cell in point spacings. A cell then holds about sixteen points, enough for a plane."""
+"""Side of a cell, in point spacings. A cell then holds about sixteen points, enough to fit a plane."""
 _TOUCHING = 0.75
-"""Radius in spacings with which neighbours touch. It is over a half because points are not evenly spread."""
+"""Radius, in spacings, at which neighbours touch; more than a half, because points are not evenly spread."""
 _AT_ONCE = 8192
-"""Cells whose distances are measured at once, so that they fit into the processor's cache."""
+"""Number of cells whose distances are measured at once, so that they fit into the processor's cache."""
 _THICKNESS = 0.3
-"""Largest ratio of the variances along the third and the second axis of a cell's points that lie in a plane."""
+"""A cell's points count as a plane if the third variance is at most this fraction of the second."""
 
 
 @dataclass(frozen=True, eq=False)
 class SurfaceGrid:
-    """Points `xyz` float [N, 3] sorted into cells: `cell` int [N] of each point, `count` int [C] points of each cell.
+    """Points `xyz` float [N, 3] sorted into cells: `cell` int [N] is each point's cell, `count` int [C] the points per
+    cell.
 
-    `side` is the side of a cell in the points' unit. It is 0 when there are too few points to have a spacing: then all
-    are in one cell.
+    `side` is the length of a cell in the points' unit; 0 if there are too few points to have a spacing, which then
+    share one cell.
     """
 
     xyz: NDArray[np.floating]
@@ -62,15 +63,14 @@ class SurfaceGrid:
         return self.side / _CELL
 
     def radii(self, smallest: float, largest: float) -> NDArray[np.float32]:
-        """Radii float32 [N] with which points just touch, larger where points are rarer, within limits, all in the
-        points' unit.
-        """
+        """Radii float32 [N], in the points' unit and within limits, at which points just touch: larger where points are
+        sparse."""
         # A surface crosses a cell with about a face's area. Cells that it only grazes have few points.
         local = np.minimum(self.side / np.sqrt(np.maximum(self.count, 1)), 2.0 * self.spacing)
         return np.clip(_TOUCHING * local, smallest, largest).astype(np.float32)[self.cell]
 
     def beside(self, places: NDArray[np.floating]) -> NDArray[np.int64]:
-        """The index of a point in the cell of each place [M, 3], int64 [M]; -1 where that cell has none."""
+        """The index of a point in the cell of each position [M, 3], int64 [M]; -1 for empty cells."""
         if self.side == 0.0:
             return np.full(len(places), -1, np.int64)
         low, high = self.xyz.min(axis=0), self.xyz.max(axis=0)
@@ -84,9 +84,9 @@ class SurfaceGrid:
     def normals(self, viewpoints: NDArray[np.floating]) -> NDArray[np.float32]:
         """Unit normals float32 [N, 3] of points that were seen from viewpoints [V, 3]; zeros without viewpoints.
 
-        A plane is fitted to the points of each cell and turned towards the nearest viewpoint, because scanned surfaces
-        face their cameras. Where there is no plane, the normal is the direction to that viewpoint. This is coarse, but
-        it separates a wall's outside from its inside.
+        A plane is fitted to each cell's points and turned towards the nearest viewpoint, because scanned surfaces face
+        their cameras. If no plane fits, the normal is the direction to that viewpoint. This is coarse, but it tells the
+        two sides of a wall apart.
         """
         if self.side == 0.0 or not len(viewpoints):
             return np.zeros((len(self.xyz), 3), np.float32)
@@ -114,7 +114,7 @@ class SurfaceGrid:
 
 
 def _point_spacing(xyz: NDArray[np.floating]) -> float:
-    """Typical distance between neighbours, from the cells that the surfaces cross; 0 when all is one point."""
+    """Typical distance between neighbours, from the cells that surfaces cross; 0 if all points coincide."""
     if len(xyz) < 2:
         return 0.0
     extent = float(max(np.ptp(xyz[:, axis]) for axis in range(3)))
@@ -151,7 +151,7 @@ def towards_nearest(points: NDArray[np.float64], viewpoints: NDArray[np.floating
 
 
 _SMALLEST, _LARGEST = 0.002, 0.03
-"""Limits to the radius of a point, metres."""
+"""Limits of a point's radius in metres."""
 Attributes = list[tuple[str, str, NDArray[Any]]]
 _FOREACH = {"FLOAT_COLOR": "color", "FLOAT_VECTOR": "vector", "INT": "value", "FLOAT": "value"}
 
@@ -164,8 +164,8 @@ def place_semantic_points(
     normals: NDArray[np.float32],
     classes: ClassTable,
 ) -> list[bpy.types.Object]:
-    """One cloud for each class that has points, with Col, class_id, instance_id, confidence, entropy (bits of doubt
-    between the winner and all else) and normal [N, 3]."""
+    """One cloud for each class that has points, with Col, class_id, instance_id, confidence, entropy (in bits, between
+    the winner and all other labels) and normal [N, 3]."""
     radius = grid.radii(_SMALLEST, _LARGEST)
     placed, groups = [], [*_groups(points.class_id)]
     looks = [_name_and_colour(class_id, classes) for class_id, _ in groups]
@@ -202,8 +202,8 @@ def cloud_folder(lift: Path) -> Path:
 
 
 def place_depth_clouds(owned: OwnedDataBlocks, root: bpy.types.Collection, lift: Path) -> int:
-    """Place the depth clouds that were made of the lift, one object per frame. Returns the number of points. Raises
-    PlgsError for a damaged file."""
+    """Place the depth clouds made of the lift, one object per frame, and return the number of points. Raises PlgsError
+    for a damaged file."""
     count = 0
     for path in sorted(cloud_folder(lift).glob("*.npz")):
         points = read_arrays(path, SemanticPoints)
@@ -218,7 +218,7 @@ def place_depth_clouds(owned: OwnedDataBlocks, root: bpy.types.Collection, lift:
 
 
 def _label_attributes(points: SemanticPoints, rows: NDArray[np.int64] | slice = slice(None)) -> Attributes:
-    """What every labelled point carries."""
+    """Attributes of every labelled point."""
     return [
         ("Col", "FLOAT_COLOR", linear_rgba(points.rgb[rows])),
         ("class_id", "INT", points.class_id[rows]),
@@ -229,7 +229,7 @@ def _label_attributes(points: SemanticPoints, rows: NDArray[np.int64] | slice = 
 
 
 def _groups(values: NDArray[np.integer]) -> Iterator[tuple[int, NDArray[np.int64]]]:
-    """Each value of an array [N] with the indices of its elements, both in ascending order."""
+    """Each distinct value of an array [N] with the indices of its elements, both in ascending order."""
     # Sorted once, each value is one run. Comparing every point with every value takes a second with a million.
     order = np.argsort(values, kind="stable")
     found, counts = np.unique(values, return_counts=True)

@@ -1,4 +1,4 @@
-"""What differs between Blender 4.2 and 5.3, and nothing else: the rest of the extension works one way."""
+"""The differences between Blender 4.2 and 5.3, and nothing else: the rest of the extension needs no version checks."""
 
 from __future__ import annotations
 
@@ -28,14 +28,14 @@ def new_point_clouds(names: Sequence[str], xyz: Sequence[NDArray[np.float32]]) -
 
 
 def forget_selection(mesh: bpy.types.Mesh) -> None:
-    """Leave a new mesh without the marks of what is selected in Edit Mode, which are a byte for each element."""
+    """Drop a new mesh's record of what is selected in Edit Mode: it costs a byte per element."""
     for name in (".select_vert", ".select_edge", ".select_poly"):
         if name in mesh.attributes:
             mesh.attributes.remove(mesh.attributes[name])
 
 
 def _clouds_by_nodes(counts: Sequence[int]) -> list[bpy.types.PointCloud]:
-    """Clouds that geometry nodes make from the vertices of meshes, in a scene of their own."""
+    """Clouds that geometry nodes make from mesh vertices, in a temporary scene."""
     scene, group = bpy.data.scenes.new("PLGS conversion"), new_geometry_group("PLGS conversion")
     objects: list[bpy.types.Object] = []
     try:
@@ -59,7 +59,7 @@ def _clouds_by_nodes(counts: Sequence[int]) -> list[bpy.types.PointCloud]:
 
 
 def new_geometry_group(name: str) -> bpy.types.NodeTree:
-    """An empty group of geometry nodes from one geometry to another."""
+    """An empty geometry node group with one geometry input and one output."""
     group = bpy.data.node_groups.new(name, "GeometryNodeTree")
     for direction in ("INPUT", "OUTPUT"):
         group.interface.new_socket("Geometry", in_out=direction, socket_type="NodeSocketGeometry")
@@ -67,21 +67,21 @@ def new_geometry_group(name: str) -> bpy.types.NodeTree:
 
 
 def use_nodes(block: Any) -> bpy.types.NodeTree:
-    """The shader nodes of a material or world. From 5.0 on it always has them."""
+    """The shader nodes of a material or world, enabled before 5.0, where they can be off."""
     if bpy.app.version < (5, 0, 0):
         block.use_nodes = True
     return block.node_tree
 
 
 def compositor_tree(scene: bpy.types.Scene) -> bpy.types.NodeTree | None:
-    """The scene's compositor nodes; None when it has none."""
+    """The scene's compositor nodes, or None."""
     if _COMPOSITOR_IS_A_GROUP:
         return scene.compositing_node_group
     return scene.node_tree if scene.use_nodes else None
 
 
 def new_compositor_tree(scene: bpy.types.Scene, name: str) -> bpy.types.NodeTree:
-    """An empty compositor for the scene, with one image as its result."""
+    """An empty compositor for the scene, with one image output."""
     if not _COMPOSITOR_IS_A_GROUP:
         scene.use_nodes = True
         scene.node_tree.nodes.clear()
@@ -93,11 +93,12 @@ def new_compositor_tree(scene: bpy.types.Scene, name: str) -> bpy.types.NodeTree
 
 
 COMPOSITE_OUTPUT = "NodeGroupOutput" if _COMPOSITOR_IS_A_GROUP else "CompositorNodeComposite"
-"""The node whose first input is what a render writes."""
+"""The node whose first input is the image that a render writes."""
 
 
 def new_node(tree: bpy.types.NodeTree, *kinds: str) -> bpy.types.Node:
-    """A node of the first of these kinds (newest first) that this Blender knows. RuntimeError if it knows none."""
+    """A node of the first of these kinds (newest first) that this Blender knows. Raises RuntimeError if it knows
+    none."""
     # Before 4.5 a compositor refuses the new kinds, and writes a line to the terminal for each that is tried.
     for kind in kinds if bpy.app.version >= (4, 5) else kinds[::-1]:
         try:
@@ -117,7 +118,7 @@ def new_colour_mix(tree: bpy.types.NodeTree) -> tuple[bpy.types.Node, Any, Any, 
 
 
 def _set_option(node: bpy.types.Node, socket: str, value: Any, name: str, earlier: Any) -> None:
-    """Set an option of a node that is a socket in newer versions and was a property in earlier ones."""
+    """Set a node's option that is a socket in newer versions and a property in older ones."""
     if socket in node.inputs:
         node.inputs[socket].default_value = value
     else:
@@ -125,7 +126,7 @@ def _set_option(node: bpy.types.Node, socket: str, value: Any, name: str, earlie
 
 
 def new_dilation(tree: bpy.types.NodeTree, pixels: int) -> bpy.types.Node:
-    """A compositor node that makes a mask grow by whole pixels. Input Mask; output 0."""
+    """A compositor node that grows a mask by whole pixels. Input Mask; output 0."""
     node = tree.nodes.new("CompositorNodeDilateErode")
     _set_option(node, "Size", pixels, "distance", pixels)
     if "Type" not in node.inputs:
@@ -134,27 +135,26 @@ def new_dilation(tree: bpy.types.NodeTree, pixels: int) -> bpy.types.Node:
 
 
 def new_alpha_factor(tree: bpy.types.NodeTree) -> bpy.types.Node:
-    """A compositor node that multiplies a picture, its alpha too, by a mask. Inputs Image, Alpha; output 0."""
+    """A compositor node that multiplies a picture, including its alpha, by a mask. Inputs Image, Alpha; output 0."""
     node = tree.nodes.new("CompositorNodeSetAlpha")
     _set_option(node, "Type", "Apply Mask", "mode", "APPLY")
     return node
 
 
 IN_A_PIXEL = 0.25
-"""Place in a pixel at which `new_palette_lookup` has to look, in pixels from the lower left corner. The middle would
-do, but 4.3 takes the pixel whose corner is nearest.
-"""
+"""Where in a pixel `new_palette_lookup` must sample, in pixels from the lower left corner. The middle would do, but 4.3
+takes the pixel whose corner is nearest."""
 
 
 def new_palette_lookup(tree: bpy.types.NodeTree) -> bpy.types.Node:
-    """A Map UV node that takes the nearest pixel and blends nothing. Inputs Image, UV; output 0."""
+    """A Map UV node that samples the nearest pixel without blending. Inputs Image, UV; output 0."""
     node = tree.nodes.new("CompositorNodeMapUV")
     _set_option(node, "Interpolation", "Nearest", "filter_type", "NEAREST")
     return node
 
 
 def constant_keys(tree: bpy.types.NodeTree, path: str, values: list[int]) -> None:
-    """Give a property of the tree one value per frame, from frame 1, uninterpolated, in place of earlier keys."""
+    """Give a property of the tree one value per frame from frame 1, without interpolation, replacing earlier keys."""
     action = tree.animation_data_create().action or bpy.data.actions.new(f"{tree.name} frames")
     add_keys(tree, action, path, np.arange(1.0, len(values) + 1.0), np.array(values), "CONSTANT")
 
@@ -167,10 +167,9 @@ def add_keys(
     values: NDArray[np.floating],
     interpolation: str,
 ) -> None:
-    """Key a property of ``block`` with values [N] or [N, K] at frames [N], in place of the keys that the action has of
-    it.
+    """Key a property of ``block`` with values [N] or [N, K] at frames [N], replacing the action's earlier keys of it.
 
-    The action becomes the block's. Before 4.4 an action has no slots. From 5.0 on its curves belong to one.
+    The action is assigned to the block. Actions have no slots before 4.4; from 5.0 on their curves belong to one.
     """
     animation = block.animation_data_create()
     if animation.action != action:
@@ -190,11 +189,11 @@ def add_keys(
 
 
 STORED_COLOURS = ("Standard", "Un-tone-mapped")
-"""View transforms that only encode colours for the display: Blender's own, and that of ACES configurations."""
+"""View transforms that only encode colours for the display: Blender's own and that of ACES configurations."""
 
 
 def show_stored_colours(scene: bpy.types.Scene) -> None:
-    """Choose one of STORED_COLOURS, as far as the OCIO configuration has one. Elsewhere its default stays."""
+    """Choose one of STORED_COLOURS if the OCIO configuration has one; otherwise its default stays."""
     for name in STORED_COLOURS:
         try:
             scene.view_settings.view_transform = name
@@ -204,14 +203,14 @@ def show_stored_colours(scene: bpy.types.Scene) -> None:
 
 
 def composite_without_gpu(scene: bpy.types.Scene) -> None:
-    """Composite on the processor in full precision: ids stay whole, and computers without a GPU can do it."""
+    """Composite on the CPU in full precision: ids stay whole, and no GPU is needed."""
     scene.render.compositor_device = "CPU"
     scene.render.compositor_precision = "FULL"
 
 
 def to_overlay(srgb: NDArray[np.float32]) -> NDArray[np.float32]:
-    """sRGB pixels [H, W, 4] as a shader must write them over a 3D view. Before 5.0 the view turns them to sRGB itself.
-    """
+    """sRGB pixels [H, W, 4] as a shader must write them over a 3D view, which converts them to sRGB itself before
+    5.0."""
     if bpy.app.version >= (5, 0, 0):
         return srgb
     linear = np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)

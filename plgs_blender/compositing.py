@@ -1,4 +1,4 @@
-"""The window for compositing: the Compositing workspace, the passes behind the nodes, the group selected, its matte."""
+"""The compositing window: the Compositing workspace, the passes behind the nodes, the selected group and its matte."""
 
 from __future__ import annotations
 
@@ -17,19 +17,17 @@ from .passes import SHOT, passes_scene_of
 
 _TREE = "CompositorNodeTree"
 _SHARE, _ASIDE = (0.45, 0.42), (-0.05, 0.09)
-"""Shares of the window's width and height: what the picture behind the nodes fills at most, and how far it is placed
-left of the middle and above it, where neither nodes nor the sidebar cover it.
-"""
+"""Fractions of the window's width and height: the largest backdrop behind the nodes, and its offset to the left of and
+above the middle, where neither nodes nor the sidebar cover it."""
 _LARGEST = 3.0
-"""The picture is enlarged at most this much."""
+"""Largest magnification of the backdrop."""
 _MSGBUS_OWNER = object()
 
 
 @dataclass
 class _Opened:
-    """A window in which the compositor was asked for, by names: what it showed then, and which workspace last. ``eyes``
-    are the cameras that its 3D views looked through, by the names of their screens and their numbers among its areas.
-    """
+    """A window from which the compositor was opened: the names of what it showed then and of its last workspace.
+    ``eyes`` are the cameras that its 3D views looked through, by screen name and area index."""
 
     workspace: str
     room: str
@@ -38,7 +36,7 @@ class _Opened:
     eyes: dict[tuple[str, int], str]
 
     def go_back(self, window: bpy.types.Window, room: bpy.types.Scene) -> None:
-        """Show the room again, through the same cameras: a scene of passes has none, so Blender leaves that view."""
+        """Show the room again, through the same cameras: a passes scene has none, so Blender leaves the camera view."""
         window.scene = room
         for (screen, number), name in self.eyes.items():
             areas, camera = getattr(bpy.data.screens.get(screen), "areas", ()), room.objects.get(name)
@@ -59,13 +57,12 @@ def _eyes(window: bpy.types.Window) -> dict[tuple[str, int], str]:
 
 
 _opened: dict[int, _Opened] = {}
-"""By the address of the window."""
+"""Opened windows by their address."""
 
 
 def show_room(window: bpy.types.Window) -> None:
-    """Show the scene with the lift again that a passes scene belongs to, in the workspace from which the compositor was
-    asked for. Raises PlgsError when the lift's scene is gone.
-    """
+    """From a passes scene, return to the scene with its lift, in the workspace from which the compositor was opened.
+    Raises PlgsError if the lift's scene is gone."""
     room = scene_to_fill(window.scene)
     opened = _opened.pop(window.as_pointer(), None)
     workspace = bpy.data.workspaces.get(opened.workspace) if opened is not None else None
@@ -78,9 +75,8 @@ def show_room(window: bpy.types.Window) -> None:
 
 
 def follow_workspace() -> None:
-    """Show the room in a window in which the compositor was asked for and that leaves its workspace, and the passes
-    when it returns. A window in which the user chose another scene is theirs.
-    """
+    """In a window from which the compositor was opened, show the room when its workspace is left, and the passes on
+    return. If the user chose another scene there, the window is left alone."""
     windows = {window.as_pointer(): window for window in bpy.context.window_manager.windows}
     for address, opened in [*_opened.items()]:
         window = windows.get(address)
@@ -102,14 +98,14 @@ def follow_workspace() -> None:
 
 
 def _follow_soon() -> None:
-    """Blender tells of a workspace before its window has it."""
+    """Blender announces a workspace before its window has switched to it, so wait a moment."""
     if not bpy.app.timers.is_registered(follow_workspace):
         bpy.app.timers.register(follow_workspace)
 
 
 def show_compositor(window: bpy.types.Window, passes: bpy.types.Scene) -> None:
-    """Show a passes scene in a compositor of a window: that of the Compositing workspace, or of another one that has a
-    compositor. If there is none, the largest area of the window becomes one."""
+    """Show a passes scene in a compositor of a window: in the Compositing workspace, else in another one with a
+    compositor, else in the window's largest area."""
     workspace = compositing_workspace()
     if KEY not in window.scene:
         last = window.workspace.name if workspace is None else workspace.name
@@ -135,7 +131,7 @@ def show_compositor(window: bpy.types.Window, passes: bpy.types.Scene) -> None:
 
 
 def compositing_workspace() -> bpy.types.WorkSpace | None:
-    """The workspace Compositing, or else the first with a compositor; None when the file has none."""
+    """The workspace Compositing, else the first with a compositor, else None."""
     spaces = bpy.data.workspaces
     with_compositor = (
         each for each in spaces if any(area.ui_type == _TREE for screen in each.screens for area in screen.areas)
@@ -144,7 +140,7 @@ def compositing_workspace() -> bpy.types.WorkSpace | None:
 
 
 def select_group(passes: bpy.types.Scene) -> None:
-    """Select only the node with the group, unless the user has removed it."""
+    """Select only the panoptic group's node, unless the user has removed it."""
     tree = compat.compositor_tree(passes)
     group = None if tree is None else next((node for node in tree.nodes if node.get(KEY) == PANOPTIC), None)
     if tree is None or group is None:
@@ -156,7 +152,7 @@ def select_group(passes: bpy.types.Scene) -> None:
 
 @bpy.app.handlers.persistent
 def _subscribe(*_arguments: object) -> None:
-    """Subscribe to changes of windows' workspaces, also after a file was loaded: loading ends all subscriptions."""
+    """Subscribe to workspace changes; loading a file ends all subscriptions, so this is called again afterwards."""
     _opened.clear()
     bpy.msgbus.clear_by_owner(_MSGBUS_OWNER)
     key = (bpy.types.Window, "workspace")
@@ -181,9 +177,8 @@ _SHOWING = ("Recolour", "Outline", "Isolate", "Hold out")
 
 
 def compositors_of(root: bpy.types.Collection) -> Iterator[tuple[bpy.types.Scene, bpy.types.NodeTree]]:
-    """The scenes that hold the passes of a lift, the scene of its frames first, with their nodes. Scenes whose nodes
-    the user has taken apart are left out.
-    """
+    """The scenes with a lift's passes and their group nodes, the scene of its frames first. Scenes whose nodes the user
+    has taken apart are left out."""
     found = []
     for scene in bpy.data.scenes:
         key, tree = key_of(scene, root[LIFT]) or "", compat.compositor_tree(scene)
@@ -194,15 +189,14 @@ def compositors_of(root: bpy.types.Collection) -> Iterator[tuple[bpy.types.Scene
 
 
 def panoptic_of(scene: bpy.types.Scene) -> bpy.types.Node | None:
-    """The node of the group, with its controls, in the compositor that is opened from a scene; None when there is
-    none."""
+    """The group node, which has the controls, in the compositor that opens from a scene; or None."""
     passes = passes_scene_of(scene)
     tree = None if passes is None else compat.compositor_tree(passes)
     return None if tree is None else next((node for node in tree.nodes if node.get(KEY) == PANOPTIC), None)
 
 
 def matte_instance(root: bpy.types.Collection, instance: int) -> str:
-    """Let the compositor's matte be an instance (0: the list's active one), and return its name. Raises PlgsError."""
+    """Make an instance (0: the list's active one) the compositor's matte, and return its name. Raises PlgsError."""
     row = row_of(root, instance)
     names = matte_names({each.instance_id: each.name for each in root.plgs.instances})
     _set(root, CRYPTO_INSTANCES, names[row.instance_id], by_class=0.0)
@@ -210,7 +204,7 @@ def matte_instance(root: bpy.types.Collection, instance: int) -> str:
 
 
 def matte_class(root: bpy.types.Collection, class_id: int) -> str:
-    """Let the compositor's matte be a class, and return its name. Raises PlgsError."""
+    """Make a class the compositor's matte, and return its name. Raises PlgsError."""
     row = class_row_of(root, class_id)
     if row.class_id == 0:
         raise PlgsError("classless", "points without a class have no matte", root.name, "Choose a class in the list.")
@@ -220,7 +214,7 @@ def matte_class(root: bpy.types.Collection, class_id: int) -> str:
 
 
 def _set(root: bpy.types.Collection, layer: str, name: str, by_class: float) -> None:
-    """Set the matte in all scenes with passes of the lift. A matte that no control shows gets an outline."""
+    """Set the matte in all passes scenes of the lift. If no control makes it visible, it gets an outline."""
     compositors = [tree for _, tree in compositors_of(root)]
     if not compositors:
         raise PlgsError("no-passes", "has no passes in a compositor", root.name, "Bake some in the Passes panel.")

@@ -1,4 +1,4 @@
-"""Tools that correct an object by hand or by its masks: a cutting plane, painted points, and a split by the views."""
+"""Tools that correct an object: a cutting plane, painted points, and a split by the views' masks."""
 
 from __future__ import annotations
 
@@ -28,13 +28,13 @@ from .viewport import show_gizmos
 CUT = "cut"
 """Key of the plane that splits an object."""
 _GIZMOS = "plgs_gizmos"
-"""Property of the plane: whether the views show the arrows that move it only because of it."""
+"""Property of the plane: whether its move arrows were switched on in the views only for it."""
 _LARGER = 1.2
-"""How many times larger than the object the plane is."""
+"""Size of the plane relative to the object."""
 
 
 def place_cut(root: bpy.types.Collection, instance: int) -> bpy.types.Object:
-    """Put an upright plane through the middle of an object's box, across its longest side, for the user to drag. Raises
+    """Put an upright plane through the middle of an object's box, across its longest side, for the user to move. Raises
     PlgsError."""
     box = box_of(root, instance)
     owned = OwnedDataBlocks(root[LIFT], bpy.context.scene)
@@ -59,7 +59,7 @@ def place_cut(root: bpy.types.Collection, instance: int) -> bpy.types.Object:
 
 
 def split_by_cut(root: bpy.types.Collection, instance: int) -> Edit:
-    """Split an object by the plane that `place_cut` placed, which is then taken away. Raises PlgsError."""
+    """Split an object by the plane of `place_cut` and remove the plane. Raises PlgsError."""
     plane = objects_by_key(root).get(CUT)
     if plane is None:
         what = "there is no cutting plane"
@@ -73,24 +73,23 @@ def split_by_cut(root: bpy.types.Collection, instance: int) -> Edit:
 
 
 _CELL = 8
-"""Pixels: in each such square the nearest point hides what lies behind it."""
+"""Pixels: in each square of this side, the nearest point hides those behind it."""
 _BEHIND = 0.15
 """Metres that a point may lie behind the nearest one and still be painted."""
 _RADIUS = 24.0
 """The brush's initial radius in pixels."""
 _COLOUR = (1.0, 0.55, 0.1)
 _POINT, _TINT = 0.01, 0.4
-"""Radius in metres of a painted point as it is shown, and the opacity of its colour."""
+"""Drawing radius of a painted point in metres, and the opacity of its colour."""
 
 Place = tuple[float, float]
 
 
 @dataclass(eq=False)
 class Painting:
-    """One painting, until Enter. ``xyz`` float32 [N, 3]: the lift's points, ``chosen`` bool [N]: those that are
-    painted. ``places``: where the mouse was since its button went down, pixels of the view, y up; ``mouse``: where it
-    is. The drag is a rectangle where it ``is_box``, and takes points away where it ``is_eraser``.
-    """
+    """A painting session, which ends with Enter. ``xyz`` float32 [N, 3] are the lift's points, ``chosen`` bool [N] the
+    painted ones. ``places``: the mouse positions since its button was pressed, in pixels of the view, y up; ``mouse``:
+    its current one. ``is_box``: the drag is a rectangle; ``is_eraser``: it removes points."""
 
     xyz: NDArray[np.float32]
     chosen: NDArray[np.bool_]
@@ -103,39 +102,39 @@ class Painting:
 
     @classmethod
     def of(cls, xyz: NDArray[np.float32]) -> Painting:
-        """Nothing is painted yet."""
+        """A painting in which no point is chosen yet."""
         return cls(xyz, np.zeros(len(xyz), bool))
 
     @classmethod
     def of_lift(cls, folder: Path) -> Painting:
-        """The same, on the points of the lift in a folder. Raises PlgsError."""
+        """An empty painting of the lift in a folder. Raises PlgsError."""
         return cls.of(read_corrected(folder).points.xyz)
 
     def press(self, place: Place, *, is_box: bool, is_eraser: bool) -> None:
         self.places, self.is_box, self.is_eraser = [place], is_box, is_eraser
 
     def move(self, place: Place) -> None:
-        """The mouse moves; with its button down the stroke goes on."""
+        """Follow the mouse; while its button is down, extend the stroke."""
         self.mouse = place
         if self.places:
             self.places.append(place)
 
     def release(self, to_view: NDArray[np.float64], size: tuple[int, int]) -> None:
-        """End the drag. Its points are found at once, so the view may be turned before the next one."""
+        """End the drag and find its points at once, so the view may be turned before the next one."""
         if self.places:
             pick = boxed if self.is_box else painted
             self.chosen[pick(self.xyz, to_view, size, self.places, self.radius)] = not self.is_eraser
             self.places, self._shown = [], None
 
     def choose(self, xyz: NDArray[np.float32]) -> NDArray[np.bool_]:
-        """What was chosen of a result's points [N, 3], bool [N]. Raises PlgsError when the points have changed."""
+        """Which of a result's points [N, 3] were painted, bool [N]. Raises PlgsError if the points have changed."""
         if xyz.shape != self.xyz.shape:
             what = "the lift's points have changed"
             raise PlgsError("points-changed", what, "Paint Points", "Show its result again, then paint.")
         return self.chosen
 
     def draw(self, view: bpy.types.RegionView3D, size: tuple[int, int]) -> None:
-        """In pixels: the chosen points, and the brush or the rectangle that is dragged."""
+        """Draw, in pixels, the painted points and the brush or the dragged rectangle."""
         if self._shown is None:
             self._shown = Highlight(("painted", self.chosen.tobytes()), self.xyz[self.chosen], _POINT)
         draw_mark(mark_of(self._shown, view, size, _COLOUR, _TINT))
@@ -150,13 +149,13 @@ class Painting:
 
 
 now: list[Painting] = []
-"""The painting in progress, for the overlay; at most one."""
+"""The current painting, for the overlay; at most one."""
 
 
 def visible(
     xyz: NDArray[np.float32], to_view: NDArray[np.float64], size: tuple[int, int]
 ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """The points of [N, 3] that nothing hides in a view: int64 [n], and their pixels, float64 [n, 2], y up.
+    """The points of [N, 3] that nothing hides in a view: their indices int64 [n] and pixels float64 [n, 2], y up.
     ``to_view`` [4, 4] is the view's perspective matrix, ``size`` its width and height in pixels."""
     seen = np.c_[xyz, np.ones(len(xyz))] @ to_view.T
     depth = seen[:, 3]
@@ -177,8 +176,8 @@ def painted(
     stroke: Sequence[Place],
     radius: float,
 ) -> NDArray[np.bool_]:
-    """The ``visible`` points under a stroke, bool [N]. ``stroke``: the brush's places in pixels, and ``radius`` its
-    own."""
+    """The ``visible`` points under a stroke, bool [N]. ``stroke`` and ``radius`` are the brush's positions and radius
+    in pixels."""
     rows, pixel = visible(xyz, to_view, size)
     under = np.zeros(len(rows), bool)
     for place in stroke:
@@ -202,19 +201,19 @@ def _chosen(rows: NDArray[np.int64], count: int) -> NDArray[np.bool_]:
 
 
 class SplitByViews(Task):
-    """The split of one object of a placed lift. The edit is in the lift's file when it is done, and then shown."""
+    """Splits one object of a placed lift. The engine writes the edit to the lift's file; then it is shown."""
 
     kind, label, cancel_operator = "split", "Reading the masks", "plgs.cancel_split"
 
     def __init__(self, lift: Path, follower: TaskFollower, known: Collection[str]) -> None:
-        """``known``: the uids of the edits before it."""
+        """``known``: the uids of the edits that existed before."""
         super().__init__(follower)
         self._lift, self._known = lift, known
         self._edit: Edit | None = None
 
     @property
     def has_finished(self) -> bool:
-        """Whether the edit was made: an engine may be stopped between writing it and its answer."""
+        """Whether the edit was made; an engine may be stopped after writing it but before answering."""
         return self._edit is not None
 
     @property
@@ -223,7 +222,7 @@ class SplitByViews(Task):
 
     @property
     def message(self) -> str:
-        """One line about what it made."""
+        """One line about the resulting objects."""
         if self.was_cancelled:
             return "The split was cancelled"
         return plural(0 if self._edit is None else len(self._edit.made), "new object")
@@ -242,7 +241,7 @@ class SplitByViews(Task):
 
 
 def split_by_views(root: bpy.types.Collection, instance: int) -> SplitByViews:
-    """Start to split an object of a placed lift into the parts that the masks separate. Raises PlgsError, OSError."""
+    """Start splitting an object of a placed lift into the parts that the masks separate. Raises PlgsError, OSError."""
     registry.refuse_second(SplitByViews)
     lift, python = folder_of(root), engine_environment.usable_python()
     known = {edit.uid for edit in read_edits(lift)}

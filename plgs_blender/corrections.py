@@ -1,8 +1,8 @@
-"""Corrections of a placed lift: saved on disk, shown in the scene at once, and undone with Blender's own undo; and what
-may be wrong with it.
+"""Corrections of a placed lift, saved on disk, shown in the scene at once and undone with Blender's own undo; and
+proposals of what to correct.
 
-The lift's collection stores which edits the scene shows. Undo and redo change that along with everything else, and the
-handlers here update the file. They never touch the edits of other programs.
+The lift's collection stores which edits the scene shows. Undo and redo change that along with everything else, and
+handlers here update the file to match. They never touch the edits of other programs.
 """
 
 from __future__ import annotations
@@ -55,25 +55,25 @@ from .owned import FOLDER, LIFT, OwnedDataBlocks, child_collection, folder_of, l
 from .results import LiftResult, listed_in
 
 PROPOSALS = "plgs_proposals"
-"""Property of a lift's collection: what may be wrong with it, JSON."""
+"""Property of a lift's collection: the proposed corrections as JSON."""
 VISITED = "plgs_visited"
-"""Property of a lift's collection: the uncertain frames that were viewed, one per line."""
+"""Property of a lift's collection: the uncertain frames already viewed, one per line."""
 
 
 def propose(root: bpy.types.Collection) -> Proposals:
-    """Look for what may be wrong with a placed lift, and keep it for the panel. Raises PlgsError."""
+    """Find what may be wrong with a placed lift, and store it for the panel. Raises PlgsError."""
     return keep_proposals(root, read_corrected(folder_of(root)))
 
 
 def keep_proposals(root: bpy.types.Collection, result: CorrectedResult) -> Proposals:
-    """Look again, at a lift that was just read."""
+    """Find and store proposals for a result that was just read."""
     found = proposals_of(result)
     root[PROPOSALS] = json.dumps({"open": [asdict(one) for one in found.open], "progress": found.progress})
     return found
 
 
 def kept_proposals(root: bpy.types.Collection) -> tuple[list[Proposal], str]:
-    """What `propose` found, less what was answered since, and the user's progress ("" before `propose`)."""
+    """The open proposals, without those answered since `propose`, and the user's progress ("" before `propose`)."""
     try:
         content = json.loads(text_of(root, PROPOSALS) or "{}")
         return [Proposal(**one) for one in content.get("open", ())], str(content.get("progress", ""))
@@ -82,7 +82,7 @@ def kept_proposals(root: bpy.types.Collection) -> tuple[list[Proposal], str]:
 
 
 def proposal_of(root: bpy.types.Collection, instance: int) -> Proposal:
-    """The proposal for an object, the most doubtful one where ``instance`` is 0. Raises PlgsError."""
+    """The proposal for an object, or the most doubtful one if ``instance`` is 0. Raises PlgsError."""
     for one in kept_proposals(root)[0]:
         if instance in (0, one.instance):
             return one
@@ -91,8 +91,8 @@ def proposal_of(root: bpy.types.Collection, instance: int) -> Proposal:
 
 
 def next_uncertain(root: bpy.types.Collection) -> tuple[str, int, int]:
-    """The unvisited frame of the most doubt, how many frames are then visited, and of how many. After the last
-    frame it starts again. Raises PlgsError."""
+    """The most uncertain unvisited frame, the number of frames then visited, and their total. After the last frame it
+    starts again. Raises PlgsError."""
     folder = LiftFolder.open(folder_of(root))
     frames = known_scene(folder).frames
     drawn = doubt_of_frames(read_metrics(folder)) if (folder.result_path / "metrics.json").is_file() else {}
@@ -109,12 +109,12 @@ def next_uncertain(root: bpy.types.Collection) -> tuple[str, int, int]:
 
 
 EDITS = "plgs_edits"
-"""Property of a lift's collection: the uids of the edits that the scene shows, in one text."""
+"""Property of a lift's collection: the uids of the edits that the scene shows, as one text."""
 
 _mine: dict[str, set[str]] = {}
-"""By lift folder: the uids of the edits that this Blender made since it was started."""
+"""By lift folder: the uids of the edits made by this Blender process."""
 failed: list[str] = []
-"""Why the file could not follow the last undo, for the panel; empty when it could."""
+"""Why the file could not follow the last undo, for the panel; empty if it could."""
 
 Make = Callable[[Replay, int], Edit]
 Choose = Callable[[NDArray[np.float32]], NDArray[np.bool_]]
@@ -133,21 +133,21 @@ def _correct(root: bpy.types.Collection, make: Make) -> tuple[Edit, CorrectedRes
 
 
 def show_edit(root: bpy.types.Collection, uid: str, result: CorrectedResult) -> None:
-    """Show an edit that was made from this Blender, whose undo takes it back. Raises PlgsError."""
+    """Show an edit made from this Blender, so that undo reverts it. Raises PlgsError."""
     _mine.setdefault(str(folder_of(root)), set()).add(uid)
     show_corrections(root, result)
 
 
 def undo_last(root: bpy.types.Collection) -> Edit:
-    """Undo the last edit in the file, no matter who made it or when, and show the result. Raises PlgsError, OSError."""
+    """Undo the last edit in the file, whoever made it and whenever, and show the result. Raises PlgsError, OSError."""
     undone, result = undo(folder_of(root), listed_in(folder_of(root)))
     show_corrections(root, result)
     return undone
 
 
 def show_corrections(root: bpy.types.Collection, result: CorrectedResult) -> None:
-    """Bring points, anchors, boxes and lists of a placed lift in line with its corrections; what the user moved or
-    renamed stays. Raises PlgsError."""
+    """Update the points, anchors, boxes and lists of a placed lift to its corrections; what the user moved or renamed
+    stays. Raises PlgsError."""
     scene, layer = bpy.context.scene, bpy.context.view_layer
     owned = OwnedDataBlocks(root[LIFT], scene)
     cameras = [ob for key, ob in objects_by_key(root).items() if key.startswith("frame:") and ob.type == "CAMERA"]
@@ -172,8 +172,8 @@ def show_corrections(root: bpy.types.Collection, result: CorrectedResult) -> Non
 
 
 def answer(root: bpy.types.Collection, instance: int, *, keep: bool) -> Edit:
-    """Apply the proposal for an object, or accept the object as it is. Raises PlgsError, also for ``BY_VIEWS``,
-    which an engine does, and OSError."""
+    """Apply the proposal for an object, or accept the object as it is. Raises OSError and PlgsError, also for
+    ``BY_VIEWS``, which needs an engine."""
     one = proposal_of(root, instance)
     if keep:
         return accept(root, [one.instance])
@@ -196,8 +196,8 @@ def remember(root: bpy.types.Collection, result: LiftResult | CorrectedResult) -
 
 
 def chosen_instances(root: bpy.types.Collection, named: str, context: bpy.types.Context) -> list[int]:
-    """The ids in a text such as "3 5"; those of all for "all"; for an empty text those of the selected boxes, the
-    active one first, or else of the list's active row. Raises PlgsError."""
+    """The ids in a text such as "3 5"; all ids for "all"; for an empty text, those of the selected boxes, the active
+    one first, else of the list's active row. Raises PlgsError."""
     if named.strip() == "all":
         return [row.instance_id for row in root.plgs.instances]
     if named.strip():
@@ -210,13 +210,13 @@ def chosen_instances(root: bpy.types.Collection, named: str, context: bpy.types.
 
 
 def class_named(root: bpy.types.Collection, name: str) -> int:
-    """The id of the class of this name or number among those of the lift. Raises PlgsError."""
+    """The id of the lift's class with this name or number. Raises PlgsError."""
     return making.class_of(listed_in(folder_of(root))[0], name)
 
 
 def class_choices(root: bpy.types.Collection, instance: int) -> list[str]:
-    """All classes of the lift by name. Those that the object's masks give it come first, the most frequent at the
-    top. Raises PlgsError."""
+    """All class names of the lift, first those that the object's masks voted for, the most frequent at the top. Raises
+    PlgsError."""
     votes: dict[str, float] = {}
     for row in root.plgs.instances:
         if row.instance_id == instance:
@@ -227,7 +227,7 @@ def class_choices(root: bpy.types.Collection, instance: int) -> list[str]:
 
 
 def rename(root: bpy.types.Collection, instance: int, name: str) -> Edit:
-    """Rename an object. Only its row and its box change, as it may be their field that renames it. Raises PlgsError,
+    """Rename an object. Only its row and box change, as the call may come from their own name field. Raises PlgsError,
     OSError, as all edits here do."""
     made, result = _correct(root, lambda state, _: making.rename(state, instance, name))
     _mine.setdefault(str(folder_of(root)), set()).add(made.uid)
@@ -242,7 +242,7 @@ def rename(root: bpy.types.Collection, instance: int, name: str) -> Edit:
 
 
 def _rename_by_field(root: bpy.types.Collection, instance: int, name: str) -> None:
-    """A list's field or the outliner renamed an object. Where it cannot be, its name is back and `failed` says why."""
+    """Apply a rename made in a list or the outliner. If that fails, restore the old name; `failed` says why."""
     failed.clear()
     try:
         rename(root, instance, name)
@@ -261,18 +261,18 @@ def reclass(root: bpy.types.Collection, instances: Sequence[int], class_name: st
 
 
 def merge(root: bpy.types.Collection, instances: Sequence[int]) -> Edit:
-    """Merge all into the first."""
+    """Merge all objects into the first."""
     return edit(root, lambda state, _: making.merge(state, instances))
 
 
 def delete(root: bpy.types.Collection, instance: int, *, around: bool) -> Edit:
-    """Delete an object: its points become what is around them, or belong to no object."""
+    """Delete an object. Its points join what is around them, or belong to no object."""
     return edit(root, lambda state, _: making.delete(state, instance, around=around))
 
 
 def delete_around(root: bpy.types.Collection, instances: Sequence[int]) -> None:
-    """Delete objects, whose points become what is around them, and show the result once. Raises PlgsError, OSError;
-    what was deleted until then is deleted."""
+    """Delete objects, whose points join what is around them, and update the scene once. Raises PlgsError, OSError;
+    objects deleted before an error stay deleted."""
     result = None
     try:
         for instance in instances:
@@ -298,14 +298,14 @@ def split_parts(root: bpy.types.Collection, instance: int) -> Edit:
 
 
 def split_plane(root: bpy.types.Collection, instance: int, point: Sequence[float], normal: Sequence[float]) -> Edit:
-    """Split an object by the plane through ``point`` across ``normal``, world metres."""
+    """Split an object by the plane through ``point`` with this ``normal``, in world metres."""
     return _split(root, instance, lambda xyz: making.sides_of(xyz, point, normal))
 
 
 def _split(
     root: bpy.types.Collection, instance: int, part_of: Callable[[NDArray[np.float32]], NDArray[np.int64]]
 ) -> Edit:
-    """Split an object; ``part_of`` gives the part of each of its points [n, 3]."""
+    """Split an object; ``part_of`` maps its points [n, 3] to part numbers."""
 
     def make(state: Replay, first_id: int) -> Edit:
         part = part_of(state.points_of(instance))
@@ -315,7 +315,7 @@ def _split(
 
 
 def crop(root: bpy.types.Collection, instance: int) -> Edit:
-    """Give an object the points of its class that are inside its box as it is now."""
+    """Give an object the points of its class that are inside its box, as the user left the box."""
     box = box_of(root, instance)
     return edit(root, lambda state, _: making.crop(state, instance, inside_box(box, state.xyz)))
 
@@ -323,7 +323,7 @@ def crop(root: bpy.types.Collection, instance: int) -> Edit:
 def assign(
     root: bpy.types.Collection, choose: Choose, instance: int, class_name: str = "", *, is_new: bool = False
 ) -> Edit:
-    """Give the points that ``choose`` chooses to an object; where ``instance`` is 0 to a class, or a new object of
+    """Assign the points that ``choose`` selects to an object or, if ``instance`` is 0, to a class or a new object of
     it."""
     class_id = 0 if instance else class_named(root, class_name)
 
@@ -335,7 +335,7 @@ def assign(
 
 
 def in_region(name: str) -> Choose:
-    """Chooses the points in the box of the object of this name. Raises PlgsError."""
+    """Selects the points in the box of the object with this name. Raises PlgsError."""
     region = bpy.data.objects.get(name)
     if region is None:
         raise PlgsError("no-object", "there is no such object", name, "Name an object whose box contains the points.")
@@ -343,14 +343,14 @@ def in_region(name: str) -> Choose:
 
 
 def inside_box(box: bpy.types.Object, xyz: NDArray[np.float32]) -> NDArray[np.bool_]:
-    """Which points [N, 3] lie within an object's bounding box as it is now, bool [N]."""
+    """Which points [N, 3] lie within an object's current bounding box, bool [N]."""
     corners = np.array([corner[:] for corner in box.bound_box])
     local = np.c_[xyz, np.ones(len(xyz))] @ np.array(box.matrix_world.inverted_safe()).T
     return ((local[:, :3] >= corners.min(axis=0)) & (local[:, :3] <= corners.max(axis=0))).all(axis=1)
 
 
 def _follow_undo(*_arguments: object) -> None:
-    """Undo and redo in the file what Blender undid or redid."""
+    """Repeat Blender's undo or redo in the file."""
     failed.clear()
     for scene in bpy.data.scenes if _mine else ():
         for root in lifts_in(scene):

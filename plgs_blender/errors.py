@@ -1,4 +1,4 @@
-"""What users are told: errors, with the names of the panel's fields in place of a command's options, and counts."""
+"""Errors and counts as users see them, with the panel's field names in place of command-line options."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ __all__ = [
 ]  # fmt: skip
 
 EXPECTED = (PlgsError, OSError)
-"""The errors that an operator reports in one line. Anything else is a defect of ours and shows its traceback."""
+"""Errors that an operator reports in one line. Any other is a bug of ours and shows its traceback."""
 _FIELD_OF_OPTION = {"classes": "classes_table", "set": "preset_options", "size": "width", "names-from": "keep_names"}
-"""The fields whose names differ from the engine's option."""
+"""Fields whose names differ from the engine's option."""
 _OTHER_NAMES = {
     "size": "Width and Height",
     "fix": "Fix",
@@ -25,18 +25,18 @@ _OTHER_NAMES = {
     "poses": "Find Poses",
     "download": "online access in Preferences > System",
 }
-"""The names in Blender of options that no field, or more than one, stands for."""
+"""Blender's names of options that match no field, or more than one."""
 _OPTION = re.compile(r"(?<![\w-])--([a-z-]+)(?: [A-Z]+\b| colmap\b)?")
 _LACKS_SUBJECT = re.compile(r"(already|is|was|has|cannot|does|needs|renders|shows|names|holds|finds) ")
-"""The beginning of what is wrong when its subject is where it is wrong."""
+"""Beginnings of error texts whose subject is the thing named in `where`."""
 _PLAIN_WORD = re.compile(r"[a-z]+(?=[ ,:;.]?( |$))")
 
 
 def with_field_names(said: PlgsError | OSError | str) -> str:
-    """What the engine said, with the names of the panel's fields in place of the options of a command line, in one
-    printable line. An error becomes a sentence: "room has no poses", where a terminal says "has no poses: room".
+    """The engine's message in one printable line, with the panel's field names in place of command-line options. An
+    error becomes a sentence: "room has no poses", where a terminal says "has no poses: room".
 
-    Paths stay as they are. The placeholder of an option, such as OUT, is removed with it.
+    Paths stay as they are. An option's placeholder, such as OUT, is removed with it.
     """
     if not isinstance(said, PlgsError):
         return one_line(_OPTION.sub(_name_in_panel, str(said)))
@@ -50,12 +50,12 @@ def with_field_names(said: PlgsError | OSError | str) -> str:
 
 
 def sentence(text: str) -> str:
-    """A text with a capital first letter, unless it begins with a name: of a file, a key or anything in quotes."""
+    """The text with a capital first letter, unless it begins with a file name, a key or anything in quotes."""
     return f"{text[0].upper()}{text[1:]}" if _PLAIN_WORD.match(text) else text
 
 
 def field_of_option(option: str) -> str | None:
-    """The name of the settings' property that stands for an option of a command line, such as "--masks"."""
+    """The property of the settings for a command-line option such as "--masks"."""
     name = option.removeprefix("--")
     field = _FIELD_OF_OPTION.get(name, name.replace("-", "_"))
     return field if field in _fields() else None
@@ -70,5 +70,5 @@ def _name_in_panel(option: re.Match[str]) -> str:
 
 
 def _fields() -> Any:
-    """The properties of the panel's settings. Importing their module would make a cycle."""
+    """The properties of the panel's settings; importing their module here would make a cycle."""
     return bpy.types.Scene.bl_rna.properties["plgs"].fixed_type.properties

@@ -1,6 +1,6 @@
 """A frame's photo, depth or masks in front of its camera's view, on demand, and the coloured cloud.
 
-Blender's Python decodes neither depth nor masks: an engine makes them of a scene's frames as files in one folder.
+Blender's Python decodes neither depth nor masks, so an engine writes them as files into one folder per scene.
 """
 
 from __future__ import annotations
@@ -29,14 +29,13 @@ from .chosen_scene import ChosenScene, absolute
 from .owned import FOLDER, LIFT, PLACE, SCENE, OwnedDataBlocks, lifts_in
 
 _MOST_BESIDE = 9
-"""At most this many folders of frames lie beside a scene."""
+"""Maximum number of frame folders beside a scene."""
 
 
 def frames_folder(source: SceneSource) -> Path:
-    """The folder for a scene's pictures, which may not be there yet. It lies beside the scene, as lifts do:
-    "room_frames", or "room_frames_2" where that holds another scene's. Where nothing can be written beside the scene,
-    it lies in the user's cache. Raises PlgsError when no place is left.
-    """
+    """The folder for a scene's pictures, which may not exist yet. It lies beside the scene, as lifts do: "room_frames",
+    or "room_frames_2" if that belongs to another scene. If that location is read-only, it lies in the user's cache.
+    Raises PlgsError if no folder is left."""
     for folder in _candidates(source):
         try:
             made_of(folder, source)
@@ -48,14 +47,13 @@ def frames_folder(source: SceneSource) -> Path:
 
 
 def made_before(source: SceneSource) -> MadeFrames | None:
-    """What an earlier run made of this scene; None when there is nothing. Raises PlgsError."""
+    """What an earlier run made of this scene, or None. Raises PlgsError."""
     return made_of(frames_folder(source), source)
 
 
 def photos(made: MadeFrames | None, frames: Iterable[PosedFrame] = ()) -> dict[str, Path]:
-    """The pictures that were made, by frame name. Pictures that are gone, and those older than the source of their
-    frame in ``frames``, are left out.
-    """
+    """The pictures that were made, by frame name, except those that are gone or older than their frame's source in
+    ``frames``."""
     known = {} if made is None else made.frames
     found = {name: each.colour for name, each in known.items() if each.colour is not None and each.colour.is_file()}
     sources = {frame.name: frame.colour_path for frame in frames}
@@ -63,9 +61,8 @@ def photos(made: MadeFrames | None, frames: Iterable[PosedFrame] = ()) -> dict[s
 
 
 def is_depth_current(made: MadeFrames, name: str) -> bool:
-    """Whether the depth of a frame was drawn after its source was last changed. Of masks only an engine can tell: no
-    one else knows their files.
-    """
+    """Whether a frame's depth picture is newer than its source. Only an engine can check masks, as only it knows their
+    files."""
     drawn = made.frames[name]
     stored = next((each for each in made.scene.frames if each.name == name), None)
     if stored is None or drawn.depth is None or drawn.depth_range is None:
@@ -75,7 +72,7 @@ def is_depth_current(made: MadeFrames, name: str) -> bool:
 
 
 def cloud_of(made: MadeFrames | None, frames: Iterable[PosedFrame]) -> Path | None:
-    """The cloud that was made; None where there is none, or where the depth of ``frames`` is newer."""
+    """The cloud that was made; None if there is none, or if the depth of ``frames`` is newer."""
     if made is None or made.cloud is None or not made.cloud.is_file():
         return None
     sources = {frame.depth_path for frame in frames if frame.depth_path is not None}
@@ -83,8 +80,8 @@ def cloud_of(made: MadeFrames | None, frames: Iterable[PosedFrame]) -> Path | No
 
 
 def has_cameras_of(made: MadeFrames, frames: Iterable[PosedFrame]) -> bool:
-    """Whether an engine read the cameras that ``frames`` have. It leaves out frames without a good mask or depth file,
-    of which Blender does not know: frames that only one of the two has say nothing, but one must be common to both."""
+    """Whether an engine read the same cameras as ``frames`` has. It skips frames without a good mask or depth file,
+    unknown to Blender, so frames in only one of the two are ignored; but they must share at least one."""
     cameras = {frame.name: frame.camera for frame in frames}
     both = [(cameras[stored.name], stored) for stored in made.scene.frames if stored.name in cameras]
     here = [(*one.size, one.fx, one.fy, one.cx, one.cy, *one.camera_to_world.ravel().tolist()) for one, _ in both]
@@ -93,7 +90,7 @@ def has_cameras_of(made: MadeFrames, frames: Iterable[PosedFrame]) -> bool:
 
 
 def scene_of(made: MadeFrames) -> PosedScene:
-    """The frames of a scene as an engine read them: cameras, pictures, and the points of the reconstruction."""
+    """A scene as an engine read it: its frames' cameras and pictures, and the points of the reconstruction."""
     folder = made.source.scene
     points = None if made.points is None or not made.points.is_file() else SparsePoints(*read_cloud(made.points))
     scene = made.scene
@@ -128,13 +125,13 @@ KIND_OF = {DEPTH: "depth", MASKS: "masks", PHOTO: "colour"}
 """The engine's names of the pictures."""
 
 _NEAR, _FAR = "near_metres", "far_metres"
-"""Properties of a picture of depth: the metres that its lightest and its darkest colour mean."""
+"""Properties of a depth picture: the depths in metres of its lightest and darkest colour."""
 _COLOURS = "colours"
-"""Property of a picture of masks: the numbers of its colours."""
+"""Property of a mask picture: its colours as numbers."""
 
 
 def why_no_picture(scene: bpy.types.Scene) -> str | None:
-    """Why nothing can be shown in front of the active camera; None when something can. Never reads the disk."""
+    """Why nothing can be shown in front of the active camera, or None. Never reads the disk."""
     ob = scene.camera
     if ob is None or "frame" not in ob or LIFT not in ob:
         return "Look through a frame's camera first: select it and press Ctrl+Numpad 0"
@@ -150,7 +147,7 @@ def root_of(scene: bpy.types.Scene, ob: bpy.types.Object) -> bpy.types.Collectio
 
 
 def place_of_root(root: bpy.types.Collection) -> ChosenScene:
-    """The scene that the frames of an import or a lift come from. Raises PlgsError when its lift folder is gone."""
+    """The scene that an import's or lift's frames come from. Raises PlgsError if its lift folder is gone."""
     if root.get(FOLDER):
         request = LiftFolder.open(absolute(root[FOLDER])).request
         return ChosenScene(**{each.name: getattr(request, each.name) for each in fields(ChosenScene)})
@@ -158,7 +155,7 @@ def place_of_root(root: bpy.types.Collection) -> ChosenScene:
 
 
 def has_picture(made: MadeFrame, what: str) -> bool:
-    """Whether an engine made the photo, depth or masks of a frame, and the file is still there."""
+    """Whether an engine made the photo, depth or masks of a frame and the file still exists."""
     path = _file_of(made, what)
     return path is not None and path.is_file()
 
@@ -168,7 +165,7 @@ def _file_of(made: MadeFrame, what: str) -> Path | None:
 
 
 def show_made(scene: bpy.types.Scene, ob: bpy.types.Object, what: str, made: MadeFrame) -> None:
-    """Show what an engine made of the camera's frame. Raises PlgsError when it made none."""
+    """Show the picture that an engine made of the camera's frame. Raises PlgsError if there is none."""
     path = _file_of(made, what)
     if path is None or not has_picture(made, what):
         raise PlgsError("no-pictures", f"has no {KIND_OF[what]}", ob["frame"], "Import the scene again.")
@@ -188,7 +185,7 @@ def show_made(scene: bpy.types.Scene, ob: bpy.types.Object, what: str, made: Mad
 
 
 def _colours_in(image: bpy.types.Image) -> list[int]:
-    """The colours in an image as numbers. A legend can do without what is smaller than four pixels."""
+    """The colours in an image as numbers. Areas of fewer than four pixels are left out, as a legend needs none."""
     width, height = image.size
     pixels = np.empty((height, width, 4), np.float32)
     image.pixels.foreach_get(pixels.ravel())
@@ -202,13 +199,13 @@ def colour_numbers(srgb: NDArray[np.floating]) -> NDArray[np.int32]:
 
 
 def colours_shown(ob: bpy.types.Object) -> set[int] | None:
-    """The colours of the masks in front of a camera, as numbers; None where they are not known."""
+    """The colours, as numbers, of the masks in front of a camera; None if unknown."""
     image = ob.data.background_images[0].image if ob.data.background_images else None
     return None if image is None or _COLOURS not in image else {*image[_COLOURS]}
 
 
 def range_shown(ob: bpy.types.Object) -> tuple[float, float] | None:
-    """The metres that the lightest and darkest colour of the depth in front of a camera mean; None without depth."""
+    """The depths in metres of the lightest and darkest colour in front of a camera; None if it shows no depth."""
     if ob.get(SHOWN) != DEPTH or not ob.data.background_images:
         return None
     image = ob.data.background_images[0].image

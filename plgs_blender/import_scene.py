@@ -1,4 +1,4 @@
-"""The frames of a scene in Blender before it is lifted. They show whether poses, lenses and pictures fit."""
+"""Shows a scene's frames in Blender before it is lifted, to check that poses, lenses and pictures fit."""
 
 from __future__ import annotations
 
@@ -23,28 +23,28 @@ from .timeline import mark_timeline
 from .viewport import areas_of, areas_that_show, frame_room, show_room
 
 MISSING = "plgs_missing"
-"""Property of an imported scene's collection: what an engine still has to make of it, "colour" and "cloud" as its
-command calls them."""
+"""Property of an imported scene's collection: what an engine still has to make, "colour" and "cloud" as in its
+command."""
 
 _CLOUDS, _CLOUD, _SPARSE = "Coloured points", "cloud", "sparse_points"
 """The collection of the clouds, and their keys."""
 _AHEAD = 2.0
-"""How many metres a room extends in front of its cameras, if no points tell."""
+"""Assumed extent of a room in front of its cameras, in metres, if there are no points."""
 _INNER = (0.2, 99.8)
-"""Percentiles of a cloud's places between which the room lies."""
+"""Percentiles of a cloud's coordinates that bound the room."""
 
 
 def place_scene(
     place: ChosenScene, scene: bpy.types.Scene, made: MadeFrames | None = None, *, cloud: bool = True
 ) -> bpy.types.Collection:
-    """Put the frames of a scene into Blender's scene: one camera for each frame, with its picture and timeline marker,
-    a camera that moves along them, the points of the reconstruction, and what an engine ``made`` of the scene before.
-    Blender reads plain folders itself; for other layouts the engine has made the list of cameras. With ``cloud`` a
-    cloud is wanted too, if the scene has depth. Returns the collection, whose property MISSING says what is left to an
-    engine.
+    """Put the frames of a scene into Blender's scene: one camera per frame, with its picture and timeline marker, a
+    camera that moves along them, the points of the reconstruction, and what an engine ``made`` of the scene before.
+    Blender reads plain folders itself; for other layouts the engine has listed the cameras. With ``cloud``, the scene's
+    coloured cloud is wanted too, if it has depth. Returns the collection, whose property MISSING lists what an engine
+    must still make.
 
-    A lift of the same frames later fills the same collection. A lift that is there already keeps all else. Raises
-    PlgsError before anything is changed.
+    A later lift of the same frames fills the same collection, and an existing lift keeps everything else. Raises
+    PlgsError before anything changes.
     """
     is_plain = made is None or place.is_plain
     opened = place.open_plain() if made is None or is_plain else scene_of(made)
@@ -67,12 +67,13 @@ def place_scene(
 
 
 def look_at_imported(root: bpy.types.Collection, scene: bpy.types.Scene) -> None:
-    """Point the 3D views that show the scene down at the frames' cameras and the points in front of them."""
+    """Point the 3D views that show the scene at the frames' cameras and the points in front of them, from above."""
     show_room(areas_of(scene), *_room(root, scene))
 
 
 def _room(root: bpy.types.Collection, scene: bpy.types.Scene) -> tuple[Quaternion, NDArray[np.float64]]:
-    """The rotation of a camera that overlooks the frames and what they see, and the corners [8, 3] of that, metres."""
+    """The rotation of a camera that overlooks the frames and what they see, and the corners [8, 3] of that region in
+    metres."""
     scene.view_layers[0].update()
     matrices = np.array([ob.matrix_world for ob in root.all_objects if "frame" in ob])
     eyes, ahead = matrices[:, :3, 3], -matrices[:, :3, 2]
@@ -85,8 +86,8 @@ def _room(root: bpy.types.Collection, scene: bpy.types.Scene) -> tuple[Quaternio
 
 
 def add_made(scene: bpy.types.Scene, root: bpy.types.Collection, made: MadeFrames) -> None:
-    """Add what an engine made since the import: photos in front of the cameras, and the cloud. The 3D views that nobody
-    has moved since the import then look at all of it. Raises PlgsError."""
+    """Add what an engine made since the import: photos in front of the cameras, and the cloud. 3D views that the user
+    has not moved since the import then show all of it. Raises PlgsError."""
     owned = OwnedDataBlocks(root[LIFT], scene)
     cameras = {ob["frame"]: ob for key, ob in objects_by_key(root).items() if key.startswith("frame:")}
     for name, picture in photos(made).items():
@@ -107,7 +108,7 @@ def add_made(scene: bpy.types.Scene, root: bpy.types.Collection, made: MadeFrame
 def _place_clouds(
     owned: OwnedDataBlocks, root: bpy.types.Collection, opened: PosedScene, made: MadeFrames | None, cloud: bool
 ) -> list[str]:
-    """Place the points of the reconstruction and the cloud, if any. Returns what is left to an engine."""
+    """Place the reconstruction's points and the cloud, if any. Returns what an engine must still make."""
     eyes = np.array([frame.camera.centre for frame in opened.frames])
     if opened.points is not None and len(opened.points):
         points = np.asarray(opened.points.xyz, np.float32), opened.points.rgb

@@ -1,6 +1,6 @@
-"""The engine's Python: which one, whether an engine answers in it, and how one is made.
+"""The engine's Python: which one it is, whether an engine answers in it, and how to make one.
 
-`status` is what is known, for panels; `usable_python` is for whoever starts an engine. `tasks` asks a Python, and sets
+`status` returns what is known, for panels; `usable_python` is for starting an engine; `tasks` checks a Python and sets
 the engine up.
 """
 
@@ -22,15 +22,15 @@ __all__ = ["EngineState", "EngineStatus", "engine_python", "status", "usable_pyt
 
 
 def why_no_engine() -> str | None:
-    """Why no engine can be started now; None when one can. Never reads the disk."""
+    """Why no engine can be started now, or None if one can. Never reads the disk."""
     engine = status()
     return None if engine.is_usable else f"{engine.message}. {engine.fix}"
 
 
 def usable_python() -> Path:
-    """The Python to run the engine with. Raises PlgsError when it is known, or found, that none has what it needs.
+    """The Python to run the engine with. Raises PlgsError if none has what the engine needs.
 
-    In a window this returns at once what the engine last answered; a script without one waits 0.1 s to ask it.
+    In a window this returns the engine's last answer at once; without a window it takes 0.1 s to ask.
     """
     known = status()
     if known.state is EngineState.READY and known.python is not None:
@@ -43,7 +43,7 @@ def usable_python() -> Path:
 
 
 def engine_python() -> Path | None:
-    """The same, or None when no engine can be used; `status` then says why."""
+    """The same, or None if no engine can be used; `status` then says why."""
     known = status()
     try:
         if known.state is EngineState.CHECKING:  # the answer comes in a moment; a caller that needs it now may try

@@ -1,4 +1,4 @@
-"""What the user chose about the engine: in the add-on's preferences or, without an installation, for this session."""
+"""The user's engine choices, stored in the add-on's preferences or, if it is not installed, for this session."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any
 import bpy
 
 EXTENSION = __package__.rsplit(".", 2)[0]
-"""The name under which Blender knows the extension, which its preferences use."""
+"""The extension's name in Blender, under which its preferences are stored."""
 
 TORCH_BUILDS = [
     ("cpu", "CPU", "The small build, which is all that a lift on the CPU uses"),
@@ -20,7 +20,7 @@ TORCH_BUILDS = [
 
 @dataclass(frozen=True)
 class SetUpChoice:
-    """What "Set Up Engine" makes, as the engine's command takes it."""
+    """What "Set Up Engine" installs, as arguments of the engine's command."""
 
     base_python: Path | None = None
     torch_build: str = "cpu"
@@ -32,14 +32,14 @@ class SetUpChoice:
         return arguments if self.base_python is None else [*arguments, "--base-python", self.base_python]
 
     def variables(self) -> dict[str, str]:
-        """The command's variables. As an argument, a password in the index's URL would show in the list of
-        processes."""
+        """The command's environment variables. The index's URL may hold a password, which an argument would expose in
+        the list of processes."""
         return {"PLGS_INDEX_URL": self.index_url} if self.index_url else {}
 
 
 @dataclass
 class _SessionChoices:
-    """The choices where there are no preferences."""
+    """The choices of a session without preferences."""
 
     engine_python: str = ""
     base_python: str = ""
@@ -51,17 +51,17 @@ _session = _SessionChoices()
 
 
 def chosen_python() -> Path | None:
-    """The Python of "Use This Python"; None when it is left to PLGS."""
+    """The Python chosen with "Use This Python"; None lets PLGS choose."""
     return _path(_choices().engine_python)
 
 
 def choose(python: Path | None) -> None:
-    """Use this Python from now on; None leaves it to PLGS again."""
+    """Use this Python from now on; None lets PLGS choose again."""
     _choices().engine_python = str(python) if python is not None else ""
 
 
 def set_up_choice(base_python: str = "", torch_build: str = "", index_url: str = "") -> SetUpChoice:
-    """What "Set Up Engine" makes: as given, and as the preferences say where an argument is empty."""
+    """What "Set Up Engine" installs; the preferences replace empty arguments."""
     choices = _choices()
     return SetUpChoice(
         _path(base_python or choices.base_python),
@@ -76,7 +76,7 @@ def own_python() -> Path:
 
 
 def are_in_preferences() -> bool:
-    """Whether the extension is installed, so that Blender keeps its preferences."""
+    """Whether the extension is installed, so that Blender stores its preferences."""
     return _preferences() is not None
 
 

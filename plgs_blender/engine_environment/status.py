@@ -1,4 +1,4 @@
-"""What is known about the engine, in words for the user."""
+"""What is known about the engine, as text for users."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class EngineState(Enum):
 
 @dataclass(frozen=True)
 class EngineStatus:
-    """One line for the user, and what to do if the engine cannot be used. ``note`` says what is odd but may work."""
+    """One line for the user, and a fix if the engine cannot be used. ``note`` mentions what is unusual but may work."""
 
     state: EngineState
     message: str = ""
@@ -39,7 +39,7 @@ class EngineStatus:
 
     @property
     def is_usable(self) -> bool:
-        """Whether nothing is known that prevents its use."""
+        """Whether nothing known prevents its use."""
         return self.state not in (EngineState.MISSING, EngineState.FAILED)
 
 
@@ -47,17 +47,17 @@ UNKNOWN = EngineStatus(EngineState.UNKNOWN, "The engine has not been checked yet
 
 
 def checking(choice: ChosenPython) -> EngineStatus:
-    """The status while a Python is asked."""
+    """The status while a Python is being checked."""
     return EngineStatus(EngineState.CHECKING, "Asking the engine", python=choice.python)
 
 
 def without_python(error: PlgsError) -> EngineStatus:
-    """There is no Python that could run it."""
+    """The status if no Python could run the engine."""
     return EngineStatus(EngineState.MISSING, _capital(error.what), _SET_UP)
 
 
 def of_answer(choice: ChosenPython, answer: Mapping[str, Any] | None) -> EngineStatus:
-    """A Python ended with this answer; None when it gave none."""
+    """The status after a Python answered; None if it ended without an answer."""
     engine = EngineAnswer.from_json(answer or {})
     if engine is None:
         message = f"{choice.python} answers, but not as a Python with this engine should"
@@ -74,19 +74,19 @@ def of_answer(choice: ChosenPython, answer: Mapping[str, Any] | None) -> EngineS
 
 
 def of_error(choice: ChosenPython, error: PlgsError) -> EngineStatus:
-    """A Python does not run the engine."""
+    """The status if a Python cannot run the engine."""
     if TOO_OLD in error.what:
         return failed(choice, error.what, "Choose a newer Python, or set the engine up.")
     return failed(choice, f"{choice.python} does not run the engine ({str(error)[:200]})", _OTHER_PYTHON)
 
 
 def without_answer(choice: ChosenPython) -> EngineStatus:
-    """A Python did not answer in time."""
+    """The status if a Python did not answer in time."""
     return failed(choice, f"{choice.python} did not answer", "Check the engine again, or choose another Python.")
 
 
 def failed(choice: ChosenPython, message: str, fix: str) -> EngineStatus:
-    """No engine answers."""
+    """The status if no engine answers."""
     fix = fix if choice.origin is Origin.CHOSEN else f"{fix} {choice.fix}"
     return EngineStatus(EngineState.FAILED, _capital(message), fix, "", choice.python)
 

@@ -1,4 +1,4 @@
-"""Asking a Python what engine it has, setting the engine up, and removing it."""
+"""Checks which engine a Python has, sets the engine up, and removes it."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ from .choices import SetUpChoice, choose, chosen_python, own_python
 from .status import EngineStatus
 
 PATIENCE_S = 60.0
-"""Seconds within which a Python must answer. An answer takes some tenths of a second, the first from a cold disk a few
-seconds, on a busy machine ten."""
+"""Seconds within which a Python must answer: it takes tenths of a second, a few seconds from a cold disk, ten on a busy
+machine."""
 OFFLINE_FIX = "Allow online access in Preferences > System."
 _FIRST_CHECK_S = 0.5
 _LOG_NAME = "set-up.log"
@@ -38,7 +38,7 @@ def status() -> EngineStatus:
 
 
 class EngineCheck(Task):
-    """Asks a Python what engine it has."""
+    """Checks which engine a Python has."""
 
     kind, label = "check", "Asking the engine"
 
@@ -64,7 +64,7 @@ class EngineCheck(Task):
 
 
 class SetUp(Task):
-    """Makes the engine's environment. When it is cancelled, the next set-up continues where this one stopped."""
+    """Makes the engine's environment. After a cancel, the next set-up continues where this one stopped."""
 
     kind, label, cancel_operator = "set-up", "Setting the engine up", "plgs.cancel_engine_set_up"
     counts_steps = False
@@ -72,7 +72,7 @@ class SetUp(Task):
     def __init__(self, follower: TaskFollower) -> None:
         super().__init__(follower)
         self.log_lines: tuple[str, ...] = ()
-        """The last lines of the log, about a second old."""
+        """The last lines of the log, up to a second old."""
         self._log_seen_at = 0.0
         self._is_offline = False
 
@@ -93,7 +93,7 @@ class SetUp(Task):
             raise PlgsError("offline", "online access was switched off", "Set Up Engine", OFFLINE_FIX)
 
     def let_go(self) -> None:
-        """The engine ends within a second, and first ends the programs that it started."""
+        """The engine ends within a second, after ending the programs it started."""
         self.follower.close()
 
 
@@ -107,7 +107,7 @@ class Removal(Task):
 
 
 def check() -> EngineCheck | None:
-    """Ask the chosen Python; `status` knows the answer a moment later. None when no Python is chosen."""
+    """Check the chosen Python in the background; `status` then has its answer. Returns None if no Python is chosen."""
     global _status
     registry.forget(EngineCheck.kind)
     try:
@@ -126,31 +126,31 @@ def check() -> EngineCheck | None:
 
 
 def ask_chosen() -> EngineCheck | None:
-    """`check` another Python that was chosen. How the last set-up of the former one ended matters no more."""
+    """`check` a newly chosen Python, and forget how the last set-up ended, which concerned the old one."""
     if running_set_up() is None:
         registry.forget(SetUp.kind)
     return check()
 
 
 def running_set_up() -> SetUp | None:
-    """The running set-up; None when there is none."""
+    """The running set-up, or None."""
     return next(iter(registry.running(SetUp)), None)
 
 
 def log_path() -> Path:
-    """The set-up's log; it may be missing."""
+    """The path of the set-up's log, which may not exist."""
     return environments_folder() / _LOG_NAME
 
 
 def why_no_set_up() -> str | None:
-    """Why the engine cannot be set up now; None when it can. Never reads the disk."""
+    """Why the engine cannot be set up now, or None if it can. Never reads the disk."""
     if running_set_up() is not None:
         return "The engine is already being set up"
     return None if bpy.app.online_access else f"Packages have to be downloaded. {OFFLINE_FIX}"
 
 
 def set_up(choice: SetUpChoice) -> SetUp:
-    """Begin to make the engine's environment, or continue it. Raises PlgsError, OSError."""
+    """Start making the engine's environment, or continue it. Raises PlgsError, OSError."""
     reason = why_no_set_up()
     if reason is not None:
         raise PlgsError("set-up-refused", "the engine cannot be set up now", "Set Up Engine", reason)
@@ -168,7 +168,7 @@ def remove() -> Removal:
 
 
 def register() -> None:
-    """Ask the engine a moment from now: while extensions are switched on there may be no preferences."""
+    """Check the engine a moment later, as preferences may not exist yet while extensions are enabled."""
     if not bpy.app.background:
         bpy.app.timers.register(_first_check, first_interval=_FIRST_CHECK_S, persistent=True)
 
