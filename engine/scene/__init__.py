@@ -1,4 +1,4 @@
-"""What are the frames? Cameras, frames, class tables, and one reader per format."""
+"""Scenes: cameras, frames, class tables, and one reader per format."""
 
 from __future__ import annotations
 

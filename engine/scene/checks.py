@@ -1,7 +1,7 @@
-"""Checking every frame's pixels before any work starts: a bad file is found in seconds, not after an hour.
+"""Checks every frame's pixels before any work starts: a bad file is found in seconds, not after an hour.
 
 The cheapest test that poses, intrinsics and depth belong together: lift one frame's depth, project it into another and
-compare with the depth there (equation "ProjectionEquation" of the paper, with a depth test).
+compare it with the depth there (equation "ProjectionEquation" of the paper, with a depth test).
 """
 
 from __future__ import annotations
@@ -49,9 +49,9 @@ class Overlap:
     """How well frames fit together.
 
     ``lonely`` names frames that share less than 5 % of their pixels with every frame they were compared with;
-    ``overlaps`` is whether any two frames share more. ``in_view`` and ``agreement`` are medians over the pairs in which
-    at least a fifth of one frame's points falls into the other's picture: the share that does, and the share of these
-    with the depth expected there.
+    ``overlaps`` says whether any two frames share more. ``in_view`` and ``agreement`` are medians over the pairs in
+    which at least a fifth of one frame's points projects into the other: the fraction that does, and the fraction of
+    those with the depth expected there.
     """
 
     lonely: tuple[str, ...]
@@ -86,7 +86,8 @@ def measure_overlap(thumbnails: Sequence[Thumbnail], tick: Callable[[], object] 
 
 
 def _share_seen(one: Thumbnail, other: Thumbnail) -> tuple[float, float]:
-    """The share of one frame's points that falls on depth of the other, and the share that agrees with it."""
+    """The fraction of one frame's points that projects onto depth of the other, and the fraction of those that
+    agrees."""
     valid = one.depth > 0.0
     points = one.camera.unproject(one.depth)[valid]
     if not len(points):
@@ -101,12 +102,12 @@ def _share_seen(one: Thumbnail, other: Thumbnail) -> tuple[float, float]:
 _THUMBNAIL_WIDTH = 40
 _COLOURS_DECODED = 16
 _MEDIAN_STEP = 7
-"""The step between the pixels that count for the median depth: a seventh of a frame is plenty."""
+"""Every seventh pixel is enough for the median depth."""
 _LOOKS_LIKE_METRES = 0.1
-"""Metres that some depth of a scene in millimetres exceeds."""
+"""Metres. A scene in millimetres has some depth above this."""
 _LOOKS_TOO_FAR = 15.0
 _BITS = (8, 10, 12, 14)
-"""Of photos that were written into PNGs of 16 bits as they are."""
+"""Bit depths of sensors whose photos are stored unscaled in 16-bit PNGs."""
 _SPARSE_DEPTH = 0.05
 _DISAGREEING = 0.4
 _LONELY_SHARE = 0.2
@@ -124,8 +125,8 @@ class DepthFacts:
 
 @dataclass(frozen=True)
 class MaskFacts:
-    """``segments`` counts the segments with pixels, ``unpainted`` lists those without. ``class_pixels`` are (class id,
-    share of the mask's pixels), void (0) included."""
+    """``segments`` counts the segments with pixels, ``unpainted`` lists those without. ``class_pixels`` holds (class
+    id, fraction of the mask's pixels), void (0) included."""
 
     size: Size
     segments: int
@@ -135,10 +136,10 @@ class MaskFacts:
 
 @dataclass(frozen=True)
 class FrameFacts:
-    """The facts of one frame's pixels, None without such pixels.
+    """What was measured on one frame's pixels; None where it has no such pixels.
 
-    ``unknown_truth`` are classes of the ground truth that the masks' table does not have. ``brightest`` is the largest
-    value of a photo of 16 bits, None for others and where the photo was not decoded.
+    ``unknown_truth`` lists classes of the ground truth that the masks' table lacks. ``brightest`` is the largest value
+    of a 16-bit photo, None for other photos and for those not decoded.
     """
 
     name: str
@@ -153,8 +154,8 @@ _Look = tuple[FrameFacts, Thumbnail | None, Frame]
 
 @dataclass(frozen=True, eq=False)
 class Survey:
-    """The scene without frames whose files cannot be read, the facts of the others, and warnings besides those of
-    opening it. Its frames keep their masks where that was asked for."""
+    """The scene without unreadable frames, the facts of the others, and warnings besides those from opening the scene.
+    Frames keep their decoded masks on request."""
 
     scene: Scene
     frames: tuple[FrameFacts, ...]
@@ -174,10 +175,11 @@ def check_scene(scene: Scene, progress: Progress | None = None) -> tuple[str, ..
 
 
 def survey_scene(scene: Scene, progress: Progress | None = None, keep_within: Size | None = None) -> Survey:
-    """``check_scene`` with the scene and the facts of the frames that can be read. Depth and masks may be missing.
+    """Like ``check_scene``, but also returns the scene and the facts of the readable frames. Depth and masks may be
+    missing.
 
-    Masks are kept at the size that frames have within ``keep_within``: whoever reads them at this size later decodes no
-    file."""
+    Masks are kept at the size that frames have within ``keep_within``, so a later read at this size decodes no file.
+    """
     tick = progress or (lambda done, total: None)
     looks, scene, told = _readable(scene, tick, keep_within)
     facts = [fact for fact, *_ in looks]
@@ -198,10 +200,10 @@ def survey_scene(scene: Scene, progress: Progress | None = None, keep_within: Si
 
 
 def _readable(scene: Scene, tick: Progress, keep_within: Size | None) -> tuple[list[_Look], Scene, tuple[str, ...]]:
-    """What the frames show, the scene without those whose files cannot be read, and warnings that name these.
+    """The facts of the frames, the scene without unreadable frames, and warnings that name these.
 
-    Raises PlgsError where more than half of all frames, or all to train on, cannot be read; and for what is wrong
-    with the class table, the memory or the ground truth, which no lift needs.
+    Raises PlgsError if more than half of all frames, or all training frames, cannot be read, if memory runs out, and
+    for a wrong class table or an unreadable ground truth, which no lift needs.
     """
     looks: dict[str, _Look] = {}
     errors: dict[str, PlgsError] = {}
@@ -250,7 +252,7 @@ def _look(frame: Frame, unknown_truth: frozenset[int | str], keep_within: Size |
 
 
 def _check_colour(frame: Frame, decode: bool) -> int | None:
-    """The largest value of a photo of 16 bits that is decoded."""
+    """The largest value of a 16-bit photo, if decoded."""
     is_image = frame.colour_path.suffix.lower() in IMAGES
     if decode:
         frame.read_colour(None)
@@ -297,7 +299,7 @@ def _pixel_warnings(facts: Sequence[FrameFacts]) -> Iterable[str]:
 
 
 def _colour_warnings(brightest: Mapping[str, int]) -> Iterable[str]:
-    """Cameras write 10, 12 or 14 bits into PNGs of 16. Photos may be dark, too, so none is made brighter."""
+    """Cameras write 10, 12 or 14 bits into 16-bit PNGs. Since a photo may simply be dark, none is brightened."""
     name = max(brightest, key=brightest.__getitem__, default="")
     bits = next((bits for bits in _BITS if 0 < brightest.get(name, 0) < 1 << bits), None)  # 0: a covered lens
     if bits is not None:

@@ -1,15 +1,10 @@
-"""The user's choice of the masks' classes: a small TOML file, ``classes.toml`` beside the masks or a named one.
+"""The user's choice of the masks' classes: a small TOML file, ``classes.toml`` beside the masks or one given by path.
 
-table = "coco"        # the table of the masks' numbers, if their files have none: one of ``TABLES`` or ``NUMBERINGS``
-to = "reduced"        # turn the classes into the paper's 21
-void = [255]          # numbers that mean nothing
+table = "coco" # the table of the masks' numbers, if their files have none: one of ``TABLES`` or ``NUMBERINGS`` to =
+"reduced" # map the classes to the paper's 21 void = [255] # numbers that mean nothing
 
-[[class]]
-id = 56               # the number in the masks, or a name that they have
-name = "chair"
-thing = true
-into = "seat"         # counts as that class; "void": counts as nothing
-colour = "#c8a064"    # of the class that it is or counts as
+[[class]] id = 56 # the number in the masks, or a name that they have name = "chair" thing = true into = "seat" # counts
+as that class; "void": counts as nothing colour = "#c8a064" # of the class that it is or counts as
 """
 
 from __future__ import annotations
@@ -35,7 +30,7 @@ _NAMES = (*TABLES, *NUMBERINGS)
 
 @dataclass(frozen=True)
 class ClassRow:
-    """The choice for one class. Fields that it leaves alone are None."""
+    """The choice for one class. Fields that it does not set are None."""
 
     id: int | None = field(default=None, metadata={"least": 0, "most": LARGEST_CLASS_ID})
     name: str | None = None
@@ -59,7 +54,7 @@ class ClassRow:
 
 @dataclass(frozen=True)
 class _Content:
-    """What the file says beside its classes."""
+    """What the file says apart from its classes."""
 
     table: str | None = None
     to: Literal["reduced"] | None = None
@@ -68,7 +63,7 @@ class _Content:
 
 @dataclass(frozen=True)
 class ClassChoice:
-    """The file's content. ``path`` is None for a table that was named without a file."""
+    """The file's content. ``path`` is None if the user named a table instead of a file."""
 
     path: Path | None = None
     table: str | None = None
@@ -97,7 +92,7 @@ def find_class_choice(named: str | None, beside: Path) -> ClassChoice | None:
 
 
 def read_class_choice(path: Path) -> ClassChoice:
-    """The choice in a file. Raises a PlgsError that names the file and the key that is wrong."""
+    """Reads the choice from a file. Raises a PlgsError that names the file and the wrong key."""
     data = read_file(path, _LARGEST_FILE)
     try:
         content = tomllib.loads(data.decode("utf-8-sig"))
@@ -116,7 +111,7 @@ def read_class_choice(path: Path) -> ClassChoice:
 
 
 def class_choice_text(choice: ClassChoice) -> str:
-    """The text of a file with this choice."""
+    """The choice as the text of a file."""
     lines = []
     if choice.table is not None:
         lines.append(f"table = {_quoted(choice.table)}")

@@ -1,4 +1,4 @@
-"""Classes of masks: what each number of their files means, and the colour that each class has."""
+"""Classes of masks: what each number in their files means, and each class's colour."""
 
 from __future__ import annotations
 
@@ -15,19 +15,22 @@ from .class_choice import FILE_NAME, ClassChoice, ClassRow
 from .class_tables import REDUCED, known_table, reduced_by_name
 
 _FIRST, _OTHERS = ("reduced", "nyu40"), ("nyu13", "scannet200", "replica", "coco", "ade20k", "cityscapes")
-"""Public tables whose names take colours, the farthest first: those of rooms in their order, then what most tables
-have. A table that is added here changes colours."""
+"""Public tables whose names take colours, most distinct colours first: tables of rooms in this order, then names by how
+many tables share them. Adding a table here changes colours."""
 _CALM = {"wall": 24, "floor": 21, "ceiling": 26}
-"""Places of greyish colours for what fills most pictures. The names that were there take the bright ones."""
+"""Palette indices of greyish colours for the classes that fill most pictures. Names that had these take the bright
+ones."""
 _FAR = 128
-"""The first colours of the palette, among which no two are nearer than 9.5 by CIEDE2000. Others have 5.5."""
+"""The number of leading palette colours that differ by at least 9.5 (CIEDE2000) from each other. The rest differ by
+5.5."""
 
 
 def coloured(labels: Iterable[ClassLabel]) -> ClassTable:
-    """The table of ``labels`` in ascending order of id. A colour of their own stays.
+    """The table of ``labels`` in ascending order of id. Labels keep a colour of their own.
 
-    Else the palette has a place for each name of the public tables. Another name's place is drawn by a hash among the
-    `_FAR`; if a class of this table has that, the next free one is taken. Raises ValueError as `ClassTable`.
+    Otherwise each name of the public tables has a fixed palette index. Any other name gets one by a hash, among the
+    first `_FAR`; if a class of this table has that index, the next free one is taken. Raises ValueError as `ClassTable`
+    does.
     """
     labels = sorted(labels, key=lambda label: label.id)
     places = _places()
@@ -50,7 +53,7 @@ def coloured(labels: Iterable[ClassLabel]) -> ClassTable:
 
 @cache
 def _places() -> dict[str, int]:
-    """The place in the palette of every name in a public table."""
+    """The palette index of every name in a public table."""
     first, others = ([_words(label.name)[0] for table in tables for label in known_table(table).labels]
                      for tables in (_FIRST, _OTHERS))  # fmt: skip
     by_tables = sorted(dict.fromkeys(others), key=lambda name: -others.count(name))
@@ -61,7 +64,7 @@ def _places() -> dict[str, int]:
 
 
 def _words(name: str) -> tuple[str, ...]:
-    """A name as tables are searched for it, then each of its synonyms ("road, route")."""
+    """A name normalised for look-up, then each of its synonyms ("road, route")."""
     plain = " ".join(name.casefold().replace("-", " ").replace("_", " ").split())
     return plain, *(word.strip() for word in plain.split(","))
 
@@ -72,7 +75,7 @@ OBJECT = ClassLabel(0, "object", is_thing=True)
 @dataclass(frozen=True)
 class ClassMap:
     """``class_of`` maps labels to class ids, 0 = void. ``merges``: several labels became one class. ``others`` is the
-    class id of all further labels, or None when these are an error."""
+    class id of all further labels; None makes these an error."""
 
     classes: ClassTable
     class_of: Mapping[int, int]
@@ -82,8 +85,8 @@ class ClassMap:
 
 @dataclass(frozen=True)
 class NamedClass:
-    """One row of a list of classes that a user edits: a ``label`` of the masks, its ``name``, and its kind. ``into`` is
-    the name of the class that it counts as: its own, another to merge it, or "void" to drop it."""
+    """One row of a class list that a user edits: a ``label`` of the masks, its ``name``, and its kind. ``into`` names
+    the class that it counts as: its own, another to merge it, or "void" to drop it."""
 
     label: int
     name: str
@@ -96,10 +99,10 @@ def class_map(
     more: Sequence[ClassLabel] = (),
 ) -> ClassMap:  # fmt: skip
     """The classes of masks whose files have ``labels`` (None: no classes), after the user's ``choice``. ``more`` are
-    classes of detections, which no table has.
+    classes of detections that no table lists.
 
     A table that uses the number 0 is shifted by one as a whole, as 0 is void here. With ``objects``, labels number
-    objects, and those without a name are of the class "object". Raises PlgsError.
+    objects, and those without a name get the class "object". Raises PlgsError.
     """
     choice = choice or ClassChoice()
     labels = (*((labels if choice.labels is None else choice.labels) or ()), *more)
@@ -127,7 +130,7 @@ def class_map(
 
 
 def named_classes(labels: Sequence[ClassLabel], choice: ClassChoice | None) -> list[NamedClass]:
-    """The classes of masks as a list to edit, in order of their numbers. Raises PlgsError for a wrong choice."""
+    """The classes of masks as an editable list, in order of their numbers. Raises PlgsError for a wrong choice."""
     known = class_map(labels, choice, Path(FILE_NAME), objects=False)
     choice = choice or ClassChoice()
     labels = labels if choice.labels is None else choice.labels
@@ -141,7 +144,7 @@ def named_classes(labels: Sequence[ClassLabel], choice: ClassChoice | None) -> l
 
 
 def choice_of(rows: Sequence[NamedClass], void: frozenset[int] = frozenset()) -> ClassChoice:
-    """The choice in an edited list: every class with its number, so that it needs no other table."""
+    """The choice made by an edited list. Every class has its number, so no other table is needed."""
     return ClassChoice(
         void=void,
         rows=tuple(
@@ -152,7 +155,7 @@ def choice_of(rows: Sequence[NamedClass], void: frozenset[int] = frozenset()) ->
 
 
 def _numbered(labels: Sequence[ClassLabel], choice: ClassChoice) -> list[tuple[int, ClassRow]]:
-    """The choice's rows, each with the number of its label. Raises PlgsError for a name of none, or of several."""
+    """The choice's rows, each with its label's number. Raises PlgsError for an unknown or ambiguous name."""
     names, rows = {label.id: label.name for label in labels}, []
     for row in choice.rows:
         number = row.id if row.id is not None else _only(names, row.name or "", choice)
@@ -165,7 +168,7 @@ def _numbered(labels: Sequence[ClassLabel], choice: ClassChoice) -> list[tuple[i
 
 
 def _only(names: Mapping[int, str], text: str, choice: ClassChoice) -> int | None:
-    """The number whose name is ``text``; None where there is none. Raises PlgsError where there are several."""
+    """The number whose name is ``text``, or None. Raises PlgsError if several have it."""
     found = named(names, text)
     if len(found) > 1:
         what = f'several classes have names that differ from "{text}" only in capitals ({listed(found)})'
@@ -198,7 +201,8 @@ def _labels(
 def _targets(
     labels: Mapping[int, ClassLabel], rows: Sequence[tuple[int, ClassRow]], choice: ClassChoice
 ) -> dict[int, str]:
-    """The names that merged labels count into, by number. Raises PlgsError for one in the capitals of no class."""
+    """The names that merged labels count into, by number. Raises PlgsError for a name that differs from a class's only
+    in case."""
     names, into = {number: label.name for number, label in labels.items()}, {}
     for number, row in rows:
         found = [] if row.into is None else named(names, row.into)
@@ -213,7 +217,7 @@ def _targets(
 def _merged(
     labels: Mapping[int, ClassLabel], into: Mapping[int, str], choice: ClassChoice
 ) -> tuple[list[ClassLabel], dict[int, int]]:
-    """The classes that are left, in order of id, and the class id of each label. Raises PlgsError."""
+    """The remaining classes, in order of id, and the class id of each label. Raises PlgsError."""
     shift = 1 if 0 in labels else 0
     class_of = {number: number + shift for number in labels if number not in into}
     final = {class_id: replace(labels[number], id=class_id) for number, class_id in class_of.items()}
@@ -233,7 +237,7 @@ def _merged(
 def _reduced(
     labels: Mapping[int, ClassLabel], into: Mapping[int, str], choice: ClassChoice
 ) -> tuple[list[ClassLabel], dict[int, int]]:
-    """The paper's 21 classes, and which of them each label is. Raises PlgsError for labels without a place."""
+    """The paper's 21 classes, and which of them each label is. Raises PlgsError for labels that match none."""
     final = list(known_table(REDUCED).labels)
     by_name = {label.name: label.id for label in final} | {"void": VOID}
     table = {} if choice.table is None else known_table(choice.table).reduced

@@ -1,4 +1,4 @@
-"""Depth maps: planar metres, from 16-bit PNGs or NumPy arrays, in the picture of the colour camera."""
+"""Depth maps: planar metres, from 16-bit PNGs or NumPy arrays, aligned with the colour camera's picture."""
 
 from __future__ import annotations
 
@@ -24,27 +24,28 @@ from .pixels import Alignment, decode_depth, decode_single_channel, resize_align
 
 MILLIMETRES = 0.001
 _DEPTHS = (0.0005, 10_000.0)
-"""Metres. Half a step of the 16-bit images that hold millimetres, and as far as a camera may be from the origin."""
+"""Metres: half a step of a 16-bit image in millimetres, and the largest allowed distance of a camera from the
+origin."""
 _LARGEST = 65535
 """The largest value in a PNG of 16 bits."""
 _PNG_FIX = "Save millimetres as a 16-bit grey PNG."
 _ONE_PLACE = 1e-3
-"""Largest difference from the identity, in metres, with which colour and depth have one camera's pose."""
+"""Metres. Colour and depth share a pose if their transform differs from the identity by no more."""
 _FARTHEST_BESIDE = 0.5
-"""Largest distance in metres between the two cameras of a sensor."""
+"""Maximum distance in metres between a sensor's two cameras."""
 _APART = "colour and depth stand apart, but not as a sensor's do, and their extrinsics are ignored: depth may not fit"
 _NEARLY_ALIGNED = 0.15
-"""Share of the picture by which the lenses of one sensor's colour and depth may differ at most."""
+"""Maximum difference between a sensor's colour and depth lenses, as a fraction of the picture."""
 
 
 @dataclass(frozen=True, eq=False)
 class DepthMap:
-    """One frame's depth. ``path`` is the file that holds it.
+    """One frame's depth. ``path`` is its file.
 
-    ``read`` gives planar depth, float32 [H, W] metres with 0 = none, at its own size. ``alignment`` says where colour
-    pixels lie in it. ``fault`` is why the file cannot be read, as far as its header says. ``step`` is the length of
-    a step in metres, None for files that hold lengths. ``confidence`` is the file that says which pixels to trust.
-    ``beside`` is the pose of the camera that measured it, in the colour camera's axes, if it is another one.
+    ``read`` returns planar depth, float32 [H, W] metres with 0 = none, at its own size. ``alignment`` maps colour
+    pixels to depth pixels. ``fault`` says why the file cannot be read, judging by its header. ``step`` is the length of
+    one step in metres, None for files that store lengths. ``confidence`` is the file that says which pixels to trust.
+    ``beside`` is the depth camera's pose in the colour camera's axes, if they differ.
     """
 
     path: Path
@@ -62,7 +63,7 @@ class DepthMap:
 
     @property
     def unusual(self) -> tuple[float, ...]:
-        """The unit, the alignment and the pose, where they are not millimetres and the colour camera's."""
+        """The unit, alignment and pose, where they are not millimetres and the colour camera's."""
         is_usual = self.step in (None, MILLIMETRES) and self.alignment == Alignment()
         usual = () if is_usual else (float(self.step or 0.0), *map(float, astuple(self.alignment)))
         return (*usual, *self.beside)
@@ -77,7 +78,7 @@ def png_depth(path: Path, lens: Camera, unit: float = MILLIMETRES) -> DepthMap:
     other kinds of images.
 
     ``unit`` is the length of one step in metres. The largest value means no depth, as 0 does: sensors write it where
-    they measured none, and where a surface is farther than a PNG can say.
+    they measured nothing, and where a surface is beyond the PNG's range.
     """
     fault = fault_of(path)
     if fault is None:
@@ -86,7 +87,7 @@ def png_depth(path: Path, lens: Camera, unit: float = MILLIMETRES) -> DepthMap:
 
 
 def fault_of(path: Path) -> PlgsError | None:
-    """Why a file cannot be read, as ``whole_file`` finds it. Raises PlgsError where memory is what lacks."""
+    """Why a file cannot be read, as found by ``whole_file``. Raises PlgsError if memory runs out."""
     try:
         whole_file(path)
     except PlgsError as error:
@@ -124,7 +125,7 @@ def npy_depth(path: Path) -> DepthMap:
 
 
 def read_depth_array(path: Path) -> NDArray[Any]:
-    """The numbers [H, W] in a .npy file, or those of an .npz called depth, or its only ones. Further sides of length 1
+    """The numbers [H, W] in a .npy file, or the array "depth" (or the only one) in an .npz. Further axes of length 1
     are dropped. Raises PlgsError."""
     if path.suffix.lower() == ".npz":
         arrays = list(array_headers(path))
@@ -139,7 +140,7 @@ def read_depth_array(path: Path) -> NDArray[Any]:
 
 
 def in_metres(values: NDArray[Any]) -> NDArray[np.float32]:
-    """Depth, float32 [H, W], of metres as floats or of millimetres as whole numbers. See ``only_depth``."""
+    """Depth, float32 [H, W], from metres as floats or millimetres as whole numbers. See ``only_depth``."""
     return only_depth(values.astype(np.float32) * np.float32(1.0 if values.dtype.kind == "f" else MILLIMETRES))
 
 
@@ -149,7 +150,7 @@ def only_depth(depth: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 def trusted(depth: DepthMap, confidence: Path | None) -> DepthMap:
-    """``depth`` without the pixels that the image ``confidence`` shows as 0, the lowest of ARKit's levels."""
+    """``depth`` without the pixels whose ``confidence`` is 0, the lowest of ARKit's levels."""
     if confidence is None:
         return depth
     shown = depth.through(lambda values: drop_untrusted(values, decode_single_channel(confidence), confidence))
@@ -165,8 +166,8 @@ def drop_untrusted(depth: NDArray[np.float32], level: NDArray[np.integer], path:
 
 
 def depth_check(name: str, path: Path) -> Callable[[NDArray[np.float32]], NDArray[np.float32]]:
-    """A function that checks planar depth, float32 [H, W] metres with 0 = none, and returns it unchanged. It raises
-    PlgsError, with the frame's ``name`` and the file ``path``, for a size or lengths that no sensor gives."""
+    """Returns a function that checks planar depth, float32 [H, W] metres with 0 = none, and returns it unchanged. It
+    raises PlgsError, with the frame's ``name`` and the file ``path``, for a size or lengths that no sensor gives."""
 
     def check(depth: NDArray[np.float32]) -> NDArray[np.float32]:
         check_size(f"depth of frame {shown(name)}", (depth.shape[1], depth.shape[0]), path)
@@ -181,7 +182,7 @@ def depth_check(name: str, path: Path) -> Callable[[NDArray[np.float32]], NDArra
 
 
 def registered(depth: NDArray[np.float32], camera: Camera, colour: Camera) -> NDArray[np.float32]:
-    """Depth [H, W] that ``camera`` measured, as the camera ``colour`` beside it sees it, 0 = none."""
+    """Depth [H, W] measured by ``camera``, as the ``colour`` camera beside it sees it, 0 = none."""
     height, width = depth.shape
     points = camera.resized(width, height).unproject(depth)[depth > 0.0]
     _, pixels, z = colour.resized(width, height).seen(points)
@@ -194,7 +195,7 @@ def registered(depth: NDArray[np.float32], camera: Camera, colour: Camera) -> ND
 
 
 def open_depth(scene: Path, lenses: Mapping[str, Camera]) -> tuple[dict[str, DepthMap], tuple[Inferred, ...]]:
-    """Depth maps of the frames in the folder ``depth``, and what was inferred of their lens; only headers are read.
+    """Depth maps of the frames in the folder ``depth``, and what was inferred about their lens; only headers are read.
     Raises PlgsError. ``lenses`` are the colour cameras by frame."""
     folder = scene / "depth"
     files = files_by_stem(folder, {".png"}, "Give 16-bit PNGs in millimetres, named like the colour images.")
@@ -232,8 +233,8 @@ def open_depth(scene: Path, lenses: Mapping[str, Camera]) -> tuple[dict[str, Dep
 def between_cameras(
     depth: NDArray[np.float64], colour: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], tuple[str, ...]]:
-    """From points of the depth camera to points of the colour camera, float64 [4, 4], by the extrinsics of both as
-    ScanNet's tools take them (``depthToColor`` of its calibration), and warnings where they are not a sensor's."""
+    """The transform from depth-camera points to colour-camera points, float64 [4, 4], from both extrinsics as ScanNet's
+    tools use them (``depthToColor`` of its calibration), and warnings if no sensor is built so."""
     is_rigid = np.isfinite(depth).all() and np.abs(depth[:3, :3] @ depth[:3, :3].T - np.eye(3)).max() < 0.01
     if np.abs(colour - depth).max() < _ONE_PLACE:
         return np.eye(4), ()
@@ -243,8 +244,8 @@ def between_cameras(
 
 
 def seen_by_colour(depth: DepthMap, lens: Camera, colour: Camera, beside: NDArray[np.float64]) -> DepthMap | None:
-    """Depth that a camera with ``lens`` measured, as the ``colour`` camera sees it; None if no sensor is built so.
-    ``beside`` takes points of the first camera to points of the second, see ``between_cameras``."""
+    """Depth measured by a camera with ``lens``, as the ``colour`` camera sees it; None if no sensor is built so.
+    ``beside`` maps points of the first camera to points of the second, see ``between_cameras``."""
     alignment = fitting_alignment(colour, lens)
     if alignment is None or np.abs(beside - np.eye(4)).max() < _ONE_PLACE:
         return None if alignment is None else replace(depth, alignment=alignment)
@@ -254,7 +255,7 @@ def seen_by_colour(depth: DepthMap, lens: Camera, colour: Camera, beside: NDArra
 
 def fitting_alignment(colour: Camera, depth: Camera) -> Alignment | None:
     """The alignment of a colour camera with a depth camera at the same centre; None if no sensor is built so. Both see
-    the ray (x, y, 1): u = f x + c in either, so that depth's u is a linear function of colour's."""
+    the ray (x, y, 1): u = f x + c in either, so depth's u is a linear function of colour's."""
     x_scale = (depth.fx / depth.width) / (colour.fx / colour.width)
     y_scale = (depth.fy / depth.height) / (colour.fy / colour.height)
     x_shift = depth.cx / depth.width - x_scale * colour.cx / colour.width

@@ -1,6 +1,6 @@
 """Monocular depth maps fitted to a reconstruction's sparse points: the paper's estimated-depth path.
 
-A network's map of one picture is right except for a scale and a shift, of depth or, with many networks, of its inverse.
+A network's map of one picture is correct up to a scale and a shift, of depth or, for many networks, of its inverse.
 Both follow from the frame's sparse points, whose depth is known.
 """
 
@@ -35,18 +35,18 @@ _TURNED = Inferred(
     "they fit the points so",
 )  # fmt: skip
 _CLEARLY, _NEARLY_0 = 0.7, 0.1
-"""Another reading of maps is taken if its error is at most this share of the usual one's; shares of depth begin below
-the other."""
+"""An alternative reading of the maps is taken if its error is at most the first fraction of the usual one's. The second
+separates fractional maps: their smallest values lie below it."""
 _ARRAYS = {".npy", ".npz"}
 _LOOKED_AT = 8
 LEAST_POINTS = 12
-"""The least number of points that a frame must see to have depth."""
+"""A frame needs at least this many visible points to get depth."""
 _FIX = "Give one map per frame, with the frame's name: .npy, .npz, or .png of 8 or 16 bits."
 _PAIRS = 256
 _MOST_POINTS = 2000
 _CLOSE = 0.01
 _FARTHEST = 3.0
-"""Times the depth of the farthest point, beyond which a map's depth is a guess and dropped."""
+"""A multiple of the farthest point's depth. Depth beyond it is a guess and dropped."""
 
 Values = NDArray[np.float64]
 
@@ -55,7 +55,7 @@ Values = NDArray[np.float64]
 class DepthFit:
     """Depth is ``scale`` * value + ``shift``, or 1 / that if ``is_inverse``, and at most ``farthest``.
 
-    ``error`` is the median error of the points in shares of their depth.
+    ``error`` is the points' median error relative to their depth.
     """
 
     scale: float
@@ -73,10 +73,10 @@ class DepthFit:
 
 
 def fit_depth(values: Values, depths: Values) -> DepthFit | None:
-    """The scale and shift that make depth of a map's ``values`` [N] at points of known ``depths`` [N] (> 0).
+    """The scale and shift that turn a map's ``values`` [N] into the known ``depths`` [N] (> 0).
 
-    Depth and inverse depth are both tried. Up to half of the points may be wrong: the line with the least median error
-    among those through two points is refined on the points that agree with it. None when no line rises.
+    Depth and inverse depth are both tried. Up to half of the points may be wrong: of the lines through two points, the
+    one with the least median error is refined on the points that agree with it. None if no line rises.
     """
     good = np.isfinite(values) & np.isfinite(depths) & (depths > 0.0)
     values, depths = values[good], depths[good]
@@ -110,7 +110,7 @@ def _fit_line(values: Values, depths: Values, inverse: bool) -> DepthFit | None:
 
 
 def _relative_errors(values: Values, depths: Values, scale: Any, shift: Any, inverse: bool) -> Values:
-    """Errors in shares of the depth, inf without a depth."""
+    """Errors relative to the depth, inf without a depth."""
     line = scale * values + shift
     with np.errstate(divide="ignore", invalid="ignore"):
         found = 1.0 / line if inverse else line
@@ -130,8 +130,8 @@ def _refined(values: Values, depths: Values, scale: float, shift: float, inverse
 def fitted_map(
     path: Path, placement: Placement, pixels: NDArray[np.float64], depths: NDArray[np.float64]
 ) -> NDArray[np.float32]:
-    """Depth, float32 [H, W] in the world's lengths, 0 = none: a map fitted to points of known ``depths`` [N].
-    ``pixels`` [N, 2] are the points' x and y in shares of the picture. Raises PlgsError when nothing fits."""
+    """Depth, float32 [H, W] in the world's unit, 0 = none: a map fitted to points of known ``depths`` [N]. ``pixels``
+    [N, 2] are the points' x and y as fractions of the picture. Raises PlgsError if nothing fits."""
     values = _placed(path, placement)
     fit = fit_depth(_at(values, pixels), depths)
     if fit is None:
@@ -152,7 +152,7 @@ def _placed(path: Path, placement: Placement) -> NDArray[np.float32]:
 
 
 def _at(values: NDArray[Any], pixels: NDArray[np.float64]) -> Values:
-    """The values of a map [H, W] at ``pixels`` [N, 2], x and y in shares of it."""
+    """The values of a map [H, W] at ``pixels`` [N, 2], x and y as fractions of its size."""
     size = np.array(values.shape[::-1])
     columns, rows = (pixels * size).astype(np.int64).clip(0, size - 1).T
     return values[rows, columns].astype(np.float64)
@@ -171,9 +171,9 @@ def with_estimated_depth(
     points: SparsePoints | None,
     pictured: Mapping[str, Pictured],
 ) -> tuple[tuple[Frame, ...], tuple[LeftOut, ...], tuple[Inferred, ...]]:
-    """The frames with depth from the maps in ``folder``, those that are left out, as they see too few points, and what
-    no file says. ``pictured``: see ``mask_fit``. Maps are read on demand, a few to look at them. Raises PlgsError
-    when a map is missing, or no frame is left."""
+    """The frames with depth from the maps in ``folder``, those left out because they see too few points, and what was
+    inferred. ``pictured``: see ``mask_fit``. Maps are read on demand, a few of them right away to inspect them. Raises
+    PlgsError if a map is missing, or no frame is left."""
     # Networks write pictures to look at beside their arrays.
     kinds = _ARRAYS if mask_files(folder, *_ARRAYS) else {".png"}
     names = [frame.name for frame in frames]
@@ -221,7 +221,7 @@ def with_estimated_depth(
 
 
 def _refuse_shares(paths: Sequence[Path]) -> None:
-    """Raise PlgsError where maps of floats hold shares of an unknown depth, from about 0 to 1 at most (Marigold)."""
+    """Raise PlgsError for float maps of relative depth without a unit, from about 0 to at most 1 (Marigold)."""
     looked = [read_map(path) for path in evenly_spread([path for path in paths if path.suffix in _ARRAYS], _LOOKED_AT)]
     if looked and all(
         values.dtype.kind == "f" and float(np.nanmin(values)) < _NEARLY_0 and float(np.nanmax(values)) <= 1.0
@@ -238,7 +238,8 @@ def _fitting(
     pictured: Mapping[str, Pictured],
     seen: Mapping[str, tuple[Values, Values]],
 ) -> tuple[Mapping[str, Path], dict[str, Placement], tuple[Inferred, ...]]:
-    """Of the ways to pair, turn and straighten maps, the one in which they fit the points that frames have ``seen``."""
+    """The best of the ways to pair, turn and undistort maps: the one that fits the points ``seen`` by the frames
+    best."""
     ways: list[tuple[Mapping[str, Path], dict[str, Placement], tuple[Inferred, ...]]] = []
     bent = any(each.lens for each in usual.values())
     straight = {name: Placement() for name in usual}
@@ -268,7 +269,7 @@ def _fitting(
 def _error(
     files: Mapping[str, Path], placements: Mapping[str, Placement], seen: Mapping[str, tuple[Values, Values]]
 ) -> float:
-    """The median error of points in maps of some frames, in shares of their depth; 1 where nothing fits."""
+    """The median relative depth error of points in some frames' maps; 1 if nothing fits."""
     errors = []
     for name in evenly_spread([name for name in files if len(seen[name][1]) >= LEAST_POINTS], _LOOKED_AT):
         pixels, depths = seen[name]
@@ -285,7 +286,8 @@ def _with_depth(frame: Frame, path: Path, read: Callable[[Path], NDArray[np.floa
 
 
 def _seen_points(frame: Frame, points: SparsePoints) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """(x, y) of a frame's points in shares of the picture, and their depth. Without tracks: all points in view."""
+    """The (x, y) of a frame's points as fractions of the picture, and their depth. Without tracks: all points in
+    view."""
     xyz = points.xyz[points.seen_by.get(frame.name, np.zeros(0, np.int64))] if points.seen_by else points.xyz
     _, pixels, depths = frame.camera.seen(xyz)
     return pixels / frame.camera.size, depths

@@ -1,10 +1,10 @@
 """How much a view's vote counts: by how well it resolves what it votes on (ours, beyond the paper).
 
-A network knows a sink from 1 m away and calls it a countertop from 4 m. There are more far views than near ones. So a
-view has as many votes on a point, an object, a Gaussian, or on two masks, as its kind of evidence says. All of these
-are counted at the size of the frame's own mask, whatever size the frame is read at.
+A network recognises a sink from 1 m away and calls it a countertop from 4 m, and far views outnumber near ones. So a
+view's votes on a point, an object, a Gaussian, or a pair of masks are weighted by the chosen kind of evidence. Pixels
+and resolution are counted at the size of the frame's own mask, whatever size the frame is read at.
 
-Where the masks judge a finished lift, a view names only what it ``resolves``, and only near views answer.
+When masks judge a finished lift, a view names only what it ``resolves``, and only near views answer.
 """
 
 from __future__ import annotations
@@ -25,29 +25,29 @@ _POWERS: dict[EvidenceKind, tuple[float, float]] = {
     "pixels": (1.0, 0.0),
     "density": (0.0, 2.0),
 }
-"""The powers of the pixels and of the resolution."""
+"""Exponents of the pixel count and of the resolution."""
 
 LEAST_PIXELS = 100
-"""A view resolves a segment of at least this many pixels."""
+"""A view resolves a segment with at least this many pixels."""
 NEAR = 0.5
-"""A view is near if it has at least this share of the best view's resolution."""
+"""A view is near if its resolution is at least this fraction of the best view's."""
 
 Amounts = TypeVar("Amounts", float, NDArray[np.floating])
 
 
 def evidence_of_pixels(kind: EvidenceKind) -> float:
-    """The power of the pixels in a view's votes."""
+    """The exponent of the pixel count in a view's votes."""
     return _POWERS[kind][0]
 
 
 def evidence_of_resolution(kind: EvidenceKind, resolution: Amounts) -> Amounts:
-    """The factor that the ``resolution`` [...], in pixels per centimetre, gives to a view's votes."""
+    """The factor that ``resolution`` [...], in pixels per centimetre, applies to a view's votes."""
     return resolution ** _POWERS[kind][1]
 
 
 def evidence(kind: EvidenceKind, pixels: NDArray[np.floating], resolution: NDArray[np.floating]) -> NDArray[np.float64]:
-    """A view's votes on things that it shows with ``pixels`` [n] at a mean ``resolution`` [n] in pixels per centimetre,
-    float64 [n]."""
+    """The weights of a view's votes on things that it shows with ``pixels`` [n] at a mean ``resolution`` [n] in pixels
+    per centimetre, float64 [n]."""
     of_pixels = np.power(np.asarray(pixels, np.float64), evidence_of_pixels(kind))
     return of_pixels * evidence_of_resolution(kind, np.asarray(resolution, np.float64))
 
@@ -60,15 +60,16 @@ def resolution_on(camera: Camera, depth: NDArray[np.floating], mask_scale: float
 
 
 def resolution_of(view: View) -> NDArray[np.float32]:
-    """The ``resolution_on`` what a view sees."""
+    """The resolution of a view on the surfaces that it sees, see ``resolution_on``."""
     return resolution_on(view.camera, view.depth, view.mask_scale)
 
 
 def resolves(pixels: float, mask_scale: float) -> bool:
-    """Whether a view resolves a segment of so many of its own ``pixels``."""
+    """Whether a view resolves a segment with this many of its own ``pixels``."""
     return pixels * mask_scale**2 >= LEAST_PIXELS
 
 
 def are_near(resolution: NDArray[np.floating], best: float) -> NDArray[np.bool_]:
-    """Which views with this ``resolution`` [V] of a place are near it, bool [V]; ``best``: that of the best view."""
+    """Which of the views of a point are near it, bool [V], given their ``resolution`` [V] and that of the ``best``
+    view."""
     return resolution >= NEAR * best

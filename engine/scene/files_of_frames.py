@@ -1,7 +1,7 @@
-"""Which file belongs to which frame, where a folder of a capture or of masks has one file per frame.
+"""Matches files to frames, in folders of a capture or of masks with one file per frame.
 
-What a folder holds is told by its files, never by its name: its own pictures, or those of a rig's cameras in a folder
-for each, or black and white pictures that say which pixels count.
+A folder's content is recognised by its files, never by its name: its own pictures, one folder per camera of a rig, or
+black-and-white pictures that say which pixels count.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from ..posed.layout import composed, files_by_stem, of_most, require_most, shown
 from .pixels import is_black_and_white, shows_one_object
 
 IMAGES = frozenset({".png", ".jpg", ".jpeg"})
-"""The ends of image files' names, in lower case."""
+"""Suffixes of image files, in lower case."""
 AMG_LIST = "metadata.csv"
 """A file that SAM's amg.py writes into the folder of each picture."""
 DETECTION = re.compile(r"(\d+)_(.+)_(\d*\.?\d+)", re.ASCII)
@@ -35,13 +35,13 @@ _MASK_WORDS = frozenset(
 
 
 def files_if_any(folder: Path, suffixes: Collection[str], fix: str) -> dict[str, Path]:
-    """``files_by_stem``, but no files at all when there is no such folder."""
+    """Like ``files_by_stem``, but empty if there is no such folder."""
     return files_by_stem(folder, suffixes, fix) if folder.is_dir() else {}
 
 
 def mask_files(folder: Path, *suffixes: str) -> list[Path]:
-    """The files of a folder with one of ``suffixes``; where it has none, those in its folders, one for each camera of a
-    rig. Folders that hold an object or a picture each are none of these. Raises OSError."""
+    """The files of a folder with one of ``suffixes``; if it has none, those in its subfolders, one per camera of a rig.
+    Subfolders for one object or one picture each do not count. Raises OSError."""
     if not folder.is_dir():
         return []
     shown = sorted(shown_files(folder))
@@ -54,33 +54,34 @@ def mask_files(folder: Path, *suffixes: str) -> list[Path]:
 
 
 def is_camera(folder: Path) -> bool:
-    """Whether another folder beside that of the masks has one of this name, too: pictures of a rig's camera."""
+    """Whether another folder beside the masks' has a subfolder of the same name: the pictures of one camera of a
+    rig."""
     beside = (path for path in folder.parent.parent.iterdir() if path.name != folder.parent.name)
     return any((path / folder.name).is_dir() for path in beside)
 
 
 def _is_of_one(folder: Path) -> bool:
-    """Whether a folder holds the masks of one object, or those of one picture."""
+    """Whether a folder holds the masks of a single object or of a single picture."""
     first = next(iter(sorted(shown_files(folder, "*.[pP][nN][gG]"))), None)
     is_listed = (folder / AMG_LIST).exists() or (first is not None and DETECTION.fullmatch(first.stem))
     return bool(is_listed) or (first is not None and shows_one_object(first))
 
 
 def says_what_counts(folder: Path) -> bool:
-    """Whether the PNGs of a folder are black and white: they say which pixels count, and name no classes. Both values
-    mean nothing in pictures of classes."""
+    """Whether a folder's PNGs are black and white, so that they say which pixels count and name no classes. As class
+    numbers, both values would mean nothing."""
     pictures = mask_files(folder, ".png") if folder.is_dir() and not mask_files(folder, ".json") else []
     looked = [pictures[i * len(pictures) // _FILES_LOOKED_AT] for i in range(min(len(pictures), _FILES_LOOKED_AT))]
     return bool(looked) and all(is_black_and_white(path) for path in looked)
 
 
 def kept_pixels(folder: Path, names: Sequence[str]) -> dict[str, Path]:
-    """The picture of the pixels that count of each frame that has one. Raises PlgsError."""
+    """For each frame that has one, the picture that says which of its pixels count. Raises PlgsError."""
     return {name: path for name, path in of_same_name(names, _files(folder, {".png"}, "")).items() if name in {*names}}
 
 
 def _files(folder: Path, suffixes: Collection[str], fix: str) -> dict[str, Path]:
-    """``files_by_stem``, or the ``mask_files`` of a rig by camera and stem."""
+    """``files_by_stem``, or a rig's ``mask_files`` by camera and stem."""
     inside = [path for path in mask_files(folder, *suffixes) if path.parent != folder]
     if not inside:
         return files_by_stem(folder, suffixes, fix)
@@ -91,8 +92,8 @@ def _files(folder: Path, suffixes: Collection[str], fix: str) -> dict[str, Path]
 def files_of_frames(
     folder: Path, names: Sequence[str], suffixes: Collection[str], what: str, fix: str
 ) -> dict[str, Path]:
-    """The file of each frame of ``names`` in ``folder``, without frames whose file is missing, empty, or an image that
-    is cut off. Raises as ``files_by_stem`` and, when these are more than half, ``require_most`` and ``of_most``."""
+    """The file in ``folder`` of each frame in ``names``, without frames whose file is missing, empty, or a truncated
+    image. Raises as ``files_by_stem`` does and, if these are more than half, as ``require_most`` and ``of_most`` do."""
     files = of_same_name(names, _files(folder, suffixes, fix))
     return of_most(require_most(names, files, what, folder, fix), lambda name: whole_file(files[name]))
 
@@ -100,14 +101,14 @@ def files_of_frames(
 def files_of_both(
     one: Path, other: Path, names: Sequence[str], suffixes: Collection[str], fix: str
 ) -> tuple[dict[str, Path], dict[str, Path]]:
-    """The masks of each frame in two folders, as ``files_of_frames`` finds them; frames that have both."""
+    """The mask files of frames that have one in both folders, as found by ``files_of_frames``."""
     first = files_of_frames(one, names, suffixes, "mask", fix)
     second = files_of_frames(other, list(first), suffixes, "mask", fix)
     return {name: first[name] for name in second}, second
 
 
 def whole_file(path: Path) -> Path:
-    """``path``. Raises PlgsError for an empty file, and for an image without an end."""
+    """``path``. Raises PlgsError for an empty file or a truncated image."""
     if path.suffix.lower() in IMAGES:
         read_image_header(path)
     elif not path.is_file() or not path.stat().st_size:
@@ -116,8 +117,8 @@ def whole_file(path: Path) -> Path:
 
 
 def digests_of_files(groups: Sequence[tuple[Path | None, ...]]) -> list[str]:
-    """For each group of files the start of the SHA-256 of what is in them, where None stands for no file; empty where
-    one of them cannot be read, or is a folder. A file is read once in each process, unless it changes."""
+    """The start of the SHA-256 of each group of files, where None stands for no file; empty if a file cannot be read or
+    is a folder. Each process reads a file once, unless it changes."""
     found = []
     for group in groups:
         try:
@@ -137,12 +138,12 @@ def _digest(path: Path, size: int, changed_ns: int) -> bytes:
 
 
 def of_same_name(names: Sequence[str], files: Mapping[str, Value]) -> Mapping[str, Value]:
-    """The ``files``, by stem, of the frames ``names``: of these names, or of what all programs make of them.
+    """The ``files``, by stem, of the frames ``names``, allowing for how common programs rename them.
 
-    Those that have the frames' names; else those whose stems have the same before or after the name in all frames, as
-    ``0001_pred`` and ``0001.jpg``, or lack the same in front of it, as ``front_0001`` of ``images_front_0001``; else
-    those that differ only in words for kinds of pictures, as ``rgb_0`` and ``semantic_class_0``, and that no other
-    resembles so.
+    First choice: files with the frames' names. Second: files whose stems have the same addition before or after the
+    name in all frames, as ``0001_pred`` for ``0001.jpg``, or lack the same beginning, as ``front_0001`` for
+    ``images_front_0001``. Third: files whose names differ only in words for kinds of pictures, as ``rgb_0`` and
+    ``semantic_class_0``, if only one does.
     """
     if any(name in files for name in names):
         return files
@@ -158,7 +159,8 @@ def of_same_name(names: Sequence[str], files: Mapping[str, Value]) -> Mapping[st
 
 
 def _with_addition(names: Sequence[str], files: Mapping[str, Value]) -> dict[str, Value]:
-    """The files of most frames whose stems are the names with one addition, or less one beginning; the shortest."""
+    """The files of most frames whose stems are the names plus one addition, or minus one beginning; the shortest
+    wins."""
     ways: set[tuple[str, str, str]] = set()
     for name in names[:: max(1, len(names) // _NAMES_TRIED)]:
         for stem in files:
@@ -177,6 +179,6 @@ def _with_addition(names: Sequence[str], files: Mapping[str, Value]) -> dict[str
 
 
 def _without(words: Collection[str], stem: str) -> tuple[int | str, ...]:
-    """The numbers and the other words of a name; a name without numbers as it is."""
+    """A name's numbers and remaining words; a name without numbers as it is."""
     parts = [part for part in re.findall(r"\d+|[^\W\d_]+", stem.casefold()) if part not in words]
     return tuple(int(part) if part.isdecimal() else part for part in parts) if re.search(r"\d", stem) else (stem,)

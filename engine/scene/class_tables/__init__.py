@@ -1,10 +1,10 @@
-"""Public tables of classes: names of a data set's ids, which of them are things, and their class of the paper's 21.
+"""Public class tables: the names of a data set's ids, which of them are things, and their class among the paper's 21.
 
 One CSV per table: ``id`` in the results of networks trained on it, ``name``, ``thing`` (1 or 0), and in some tables
 ``reduced``, the class of ``reduced.csv`` (0 = void). ``coco.csv`` counts from 0 to 132; ``coco_id`` is the category id
-of the data set's own files, 1 to 90 for things. ``cityscapes.csv`` has the 19 numbers that networks are trained on, and
-as ``label_id`` the data set's own; ``nyu40.csv`` has those of ScanNet's 20 classes too. ``scannet.csv`` has the ids
-of ScanNet's raw labels, and ``scannet200.csv`` the commonest of them.
+in the data set's own files, 1 to 90 for things. ``cityscapes.csv`` has the 19 numbers that networks are trained on, and
+the data set's own as ``label_id``; ``nyu40.csv`` has those of ScanNet's 20 classes too. ``scannet.csv`` has the ids of
+ScanNet's raw labels, and ``scannet200.csv`` the commonest of them.
 """
 
 from __future__ import annotations
@@ -21,7 +21,8 @@ from ...scene_source import TABLES as TABLES
 
 REDUCED = "reduced"
 _OF_NETWORKS = tuple(name for name in TABLES if name != "scannet")
-"""Those that know classes by name. ScanNet's raw labels have nearly all names, but no network tells them apart."""
+"""Tables that tell things from stuff by name. ScanNet's raw labels have nearly every name, but no network predicts
+them."""
 _NUMBERS: Mapping[str, Callable[[Mapping[str, str]], int]] = {
     "ade20k:1-150": lambda row: int(row["id"]) + 1,
     "cityscapes:0-33": lambda row: int(row["label_id"]),
@@ -29,7 +30,7 @@ _NUMBERS: Mapping[str, Callable[[Mapping[str, str]], int]] = {
     "nyu13:0-12": lambda row: int(row["id"]) - 1,
     "nyu40:0-39": lambda row: int(row["id"]) - 1,
 }
-"""The number of a row in a numbering other than that of its ``id``."""
+"""A row's number in each numbering other than ``id``."""
 _ANYTHING = 21
 """The last of the paper's classes: all other things."""
 _VOID_NAMES = ("void", "unlabeled", "unlabelled")
@@ -58,7 +59,7 @@ def known_table(name: str) -> KnownTable:
 
 
 def numberings_of(table: str) -> tuple[str, ...]:
-    """The names in ``NUMBERINGS`` of a table that is named alone, the usual one first; else the name as it is."""
+    """The names in ``NUMBERINGS`` of a table named without one, the usual one first; otherwise the name unchanged."""
     return tuple(each for each in NUMBERINGS if base_of(each) == table) or (table,)
 
 
@@ -68,15 +69,15 @@ def base_of(table: str) -> str:
 
 
 def nearest_tables(names: Iterable[str]) -> list[str]:
-    """``TABLES``, the one with the most classes of these names first, as another table may mean something else by them:
-    COCO counts traffic lights, Cityscapes does not."""
+    """``TABLES``, starting with the one that has most of these names, as tables may disagree on a class: COCO counts
+    traffic lights as things, Cityscapes does not."""
     words = {word for name in names for word in _words(name)}
     return sorted(_OF_NETWORKS, key=lambda table: -sum(label.name in words for label in known_table(table).labels))
 
 
 def is_thing_by_name(name: str, tables: Sequence[str] = _OF_NETWORKS) -> bool | None:
-    """Whether a class of this name is a thing in the first of the tables that has it; None if no table has it. Among
-    synonyms, as ADE20K's networks list them ("road, route"), the first known one counts."""
+    """Whether a class of this name is a thing in the first of the tables that has it; None if no table does. Of
+    synonyms, which ADE20K's networks list ("road, route"), the first known one counts."""
     for word in _words(name):
         for table in tables:
             for label in known_table(table).labels:
@@ -90,8 +91,8 @@ def _words(name: str) -> tuple[str, ...]:
 
 
 def reduced_by_name(name: str, with_raw: bool = False) -> int | None:
-    """The class among the paper's 21 that a class of this name is, 0 = void; None if no table has it. ``with_raw``:
-    ScanNet's raw labels count, too, unless they are of the last class."""
+    """The class among the paper's 21 for a name, 0 = void; None if no table has it. ``with_raw`` also accepts ScanNet's
+    raw labels, unless they belong to the last class."""
     found = _reduced_names().get(name.casefold(), VOID if name.casefold() in _VOID_NAMES else None)
     if found is not None or not with_raw:
         return found
@@ -102,7 +103,7 @@ def reduced_by_name(name: str, with_raw: bool = False) -> int | None:
 
 @cache
 def _reduced_names() -> dict[str, int]:
-    """The class of the paper's 21 for each name in a table; the first table counts."""
+    """The class among the paper's 21 for each name in a table; the first table counts."""
     found: dict[str, int] = {}
     for known in map(known_table, _OF_NETWORKS):
         for label in known.labels:
