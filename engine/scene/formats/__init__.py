@@ -1,6 +1,6 @@
 """The formats of scenes: one reader each, which recognises its files by their names and reads posed pictures.
 
-A new format is a module with a ``SceneFormat`` in this folder, its entry in ``FORMATS``, and its name in
+To add a format, put a module with a ``SceneFormat`` into this folder, add it to ``FORMATS``, and add its name to
 ``format_names.py``, from which the panel takes its list.
 """
 
@@ -54,15 +54,15 @@ _RTABMAP = (
     "write fx fy cx cy of calib into calibration.txt."
 )
 _LOOKED_INTO = 100
-"""Folders in which scenes are looked for where a folder holds none itself."""
+"""Maximum number of subfolders searched for scenes if a folder holds none itself."""
 _UNPACK = "python -m zipfile -e FILE FOLDER"
 
 
 def find_format(place: Path, name: str | None = None) -> SceneFormat:
     """The format called ``name``, or the one that recognises ``place``, a folder or file.
 
-    The first format comes before all others: prepared folders often also hold what they were made from. Raises
-    PlgsError for an unknown name, and when no other format or more than one is recognised.
+    The first format takes precedence: prepared folders often also hold what they were made from. Raises PlgsError for
+    an unknown name, and if no other format or more than one is recognised.
     """
     if not place.exists():
         raise PlgsError("no-folder", "there is no such folder", place, "Name the folder of a scene.")
@@ -87,7 +87,7 @@ def find_format(place: Path, name: str | None = None) -> SceneFormat:
 
 
 def _unknown(place: Path, known: Iterable[str]) -> PlgsError:
-    """The error for a place that no format recognises."""
+    """The error for a folder or file that no format recognises."""
     what, film, models = "no scene of a known format is here", is_film(place), finished_models(place)
     if models:
         app = "Scaniverse exports no such data. " if any("scaniverse" in name.lower() for name in models) else ""

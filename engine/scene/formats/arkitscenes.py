@@ -32,13 +32,13 @@ from .poses import inverse, numbers, read_rows
 _FIX = "Download the video's wide or lowres_wide, its intrinsics, lowres_depth and lowres_wide.traj again."
 _KINDS, _TRAJECTORY = ("wide", "vga_wide", "lowres_wide"), "lowres_wide.traj"
 _SAME = 0.02
-"""Seconds by which files of one frame may differ."""
+"""Maximum difference in seconds between the files of one frame."""
 _GAP = 0.25
-"""Seconds between two poses, at most, for a pose in between."""
+"""Maximum seconds between two poses to interpolate between them."""
 
 
 def _folder(place: Path) -> Path | None:
-    """The folder with the trajectory: the place itself, or the one of frames in it."""
+    """The folder with the trajectory: the given one, or its subfolder of frames."""
     inside = [each for each in shown_files(place, "*_frames")] if place.is_dir() else []
     return next((each for each in (place, *inside) if (each / _TRAJECTORY).is_file()), None)
 
@@ -77,7 +77,7 @@ def _by_time(files: Mapping[str, Path]) -> dict[float, Path]:
 
 
 def _nearest(files: Mapping[float, Path], seconds: float) -> Path | None:
-    """The file of this time."""
+    """The file closest to this time, within the tolerance."""
     times = [*files]
     after = bisect_left(times, seconds)
     near = [time for time in times[max(after - 1, 0) : after + 1] if abs(time - seconds) <= _SAME]
@@ -101,7 +101,7 @@ def _read_trajectory(path: Path) -> dict[float, NDArray[np.float64]]:
 
 
 def _pose_at(poses: Mapping[float, NDArray[np.float64]], seconds: float) -> NDArray[np.float64] | None:
-    """The pose at this time, between the two around it; None where poses are too far away."""
+    """The interpolated pose at this time; None if the poses around it are too far apart."""
     import cv2
 
     times: Sequence[float] = [*poses]

@@ -1,4 +1,4 @@
-"""Formats of scenes and the results of their readers: posed pictures in one convention, without masks and split."""
+"""Formats of scenes and the results of their readers: posed pictures in one convention, without masks or split."""
 
 from __future__ import annotations
 
@@ -24,10 +24,10 @@ _NOT_IN_NAMES = re.compile(r'[\x00-\x1f<>:"|?*]')
 
 @dataclass(frozen=True, eq=False)
 class Shot:
-    """One posed picture. The camera stands in the format's own world, and its pose has OpenCV's axes and metres.
+    """One posed picture. The camera is in the format's own world; its pose uses OpenCV's axes and metres.
 
-    ``read_colour`` gives uint8 [H, W, 3] RGB of the camera's size. It is None when the image file at ``colour_path``
-    is the picture. ``distortion`` bends both pictures as they are read; the engine straightens them.
+    ``read_colour`` returns uint8 [H, W, 3] RGB at the camera's size. It is None if the image file at ``colour_path`` is
+    the picture. ``distortion`` applies to the colour and depth files; the engine undistorts them on reading.
     ``kept_pixels`` is a picture that is black where pixels do not count.
     """
 
@@ -42,12 +42,12 @@ class Shot:
 
 @dataclass(frozen=True, eq=False)
 class Capture:
-    """All pictures in recording order: ``found`` holds their names with a Shot each, None without a pose, or why the
-    picture cannot be read (``with_picture``).
+    """All pictures in recording order: ``found`` pairs each name with a Shot, None if it has no pose, or the reason why
+    the picture cannot be read (``with_picture``).
 
-    ``up`` is the axis of the format's world that points up, None if the format does not say. ``up_is_known`` means
-    that it was measured, so that cameras held sideways are no reason for a warning. ``split`` is given by readers that
-    need it themselves. ``left_out`` are frames besides those of ``found``, ``inferred`` is what no file says.
+    ``up`` is the axis of the format's world that points up, None if the format does not say. ``up_is_known`` means that
+    it was measured, so sideways cameras cause no warning. ``split`` is set by readers whose format defines one.
+    ``left_out`` lists frames besides those of ``found``, ``inferred`` what no file says.
     """
 
     found: Sequence[tuple[str, Shot | PlgsError | None]]
@@ -75,7 +75,7 @@ class Capture:
 
 
 def with_picture(picture: Path, make: Callable[[], Shot | None]) -> Shot | PlgsError | None:
-    """What ``make`` gives for the file ``picture``, or why this cannot be read, as far as its header says."""
+    """What ``make`` returns for the file ``picture``, or the reason why it cannot be read, judging by its header."""
     return fault_of(picture) or make()
 
 
@@ -90,8 +90,8 @@ class SceneFormat:
 
 
 def frame_names(paths: Sequence[str]) -> list[str]:
-    """The stems of ``paths`` if these are all different, else the whole paths with ``_`` between their parts. Other
-    files are named after frames, so each character that no file name can hold becomes ``_`` too."""
+    """The stems of ``paths`` if these are all different, otherwise the whole paths with ``_`` between their parts.
+    Other files are named after frames, so characters not allowed in file names become ``_`` too."""
     pure = [PurePosixPath(path.replace("\\", "/")) for path in paths]
     parts = [(each.with_suffix("") if each.name else each).parts for each in pure]
     named = [[part for part in each if part not in (".", "..", "/", "//")] for each in parts]  # perhaps nothing

@@ -1,12 +1,11 @@
 """A COLMAP reconstruction: a sparse model beside the folder ``images``.
 
-World-to-camera poses, OpenCV axes, pixel centres at +0.5; the world is turned and scaled as the reconstruction left
-it. Distorted pictures are undistorted on reading. Pictures that ``test.txt`` beside the model lists are held out. A
-dense workspace has depth as well:
-``stereo/depth_maps/<image>.geometric.bin`` (or ``.photometric.bin``), planar, in the reconstruction's lengths. It may
-lie in ``dense/0``, where COLMAP's automatic reconstruction puts it, or ``dense``: then its model and its undistorted
-pictures are read. Where `python -m engine poses` made the model, depth that was measured beside the photos, in
-``depth``, is read as well.
+World-to-camera poses, OpenCV axes, pixel centres at +0.5; the world keeps the reconstruction's rotation and scale.
+Distorted pictures are undistorted on reading. Pictures listed in ``test.txt`` beside the model are held out. A dense
+workspace has depth as well: ``stereo/depth_maps/<image>.geometric.bin`` (or ``.photometric.bin``), planar, in the
+reconstruction's unit. It may be in ``dense/0``, where COLMAP's automatic reconstruction puts it, or in ``dense``: then
+its model and its undistorted pictures are read. If `python -m engine poses` made the model, depth measured beside the
+photos, in ``depth``, is read as well.
 """
 
 from __future__ import annotations
@@ -56,9 +55,9 @@ _PANORAMAS = (
 _STEREO = "Let COLMAP write it again, or delete it: the frame then has no depth."
 _MOST_DEPTH = 1 << 30
 _FARTHEST = 1e6
-"""Lengths of the reconstruction. A stereo that was cut off leaves other numbers in its file."""
+"""In the reconstruction's unit. An interrupted stereo run leaves larger numbers in its file."""
 _MOST_BROKEN = 0.5
-"""Share of a depth map that may be such numbers. COLMAP itself writes 0, or less, where it finds no depth."""
+"""Maximum fraction of such numbers in a depth map. COLMAP itself writes 0, or less, where it finds no depth."""
 
 
 def _find_model(place: Path) -> Path | None:
@@ -66,7 +65,8 @@ def _find_model(place: Path) -> Path | None:
 
 
 def _find_dense(place: Path) -> tuple[Path, Path] | None:
-    """The workspace with depth inside ``place``, and its model; None where the place has depth itself, or none has."""
+    """The workspace with depth inside ``place``, and its model; None if ``place`` itself has depth, or no workspace
+    does."""
     if _has_depth(place):
         return None
     found = ((place / name, _find_model(place / name)) for name in _DENSE if _has_depth(place / name))
@@ -74,7 +74,7 @@ def _find_dense(place: Path) -> tuple[Path, Path] | None:
 
 
 def _has_depth(place: Path) -> bool:
-    """Whether there are maps: COLMAP's image_undistorter makes empty folders for them."""
+    """Whether there are depth maps: COLMAP's image_undistorter creates empty folders for them."""
     return any((place / _DEPTH_MAPS).rglob("*.bin"))
 
 
@@ -117,7 +117,7 @@ def _read(place: Path) -> Capture:
 
 
 def _held_out(folder: Path, names: list[str], images: list[ColmapImage]) -> set[str]:
-    """The frames whose pictures test.txt beside the model lists, as 3D Gaussian Splatting's programs read it."""
+    """The frames listed in test.txt beside the model, in the format of 3D Gaussian Splatting's programs."""
     path = folder / "test.txt"
     text = read_text(path, LARGEST_TABLE, "Write a picture's name on each line.") if path.is_file() else ""
     chosen = {line.strip() for line in text.splitlines()}
@@ -125,7 +125,7 @@ def _held_out(folder: Path, names: list[str], images: list[ColmapImage]) -> set[
 
 
 def _unregistered(root: Path, registered: list[Path]) -> list[str]:
-    """The pictures beside those of the model, and of their kinds, that are not in it."""
+    """Pictures of the same kinds beside the model's that are not in the model."""
     folders, kinds = {path.parent for path in registered}, {path.suffix.lower() for path in registered}
     beside = {path for folder in folders if folder.is_dir() for path in shown_files(folder) if path.is_file()}
     others = (path for path in beside.difference(registered) if path.suffix.lower() in kinds)
@@ -133,7 +133,7 @@ def _unregistered(root: Path, registered: list[Path]) -> list[str]:
 
 
 def _find_images(place: Path, images: list[ColmapImage]) -> Path:
-    """The folder that image names start from: the first that has the first image. Raises PlgsError."""
+    """The folder that image names are relative to: the first that has the first image. Raises PlgsError."""
     first = images[0].name
     for name in _IMAGES:
         if file_inside(place / name, first, place).is_file():
@@ -143,7 +143,7 @@ def _find_images(place: Path, images: list[ColmapImage]) -> Path:
 
 
 def _measured_depth(place: Path, folder: Path) -> dict[str, Path]:
-    """The depth beside photos, by their stems, where the model was brought into metres by it; else none."""
+    """The depth files beside the photos, by stem, if they were used to scale the model to metres; otherwise none."""
     path = folder / MADE_BY
     if not path.is_file() or read_object(path, "Make the poses again.").get("scale") is None:
         return {}

@@ -1,4 +1,4 @@
-"""COLMAP's sparse model, text or binary: cameras, images, points3D. As COLMAP's documentation describes them."""
+"""COLMAP's sparse model, text or binary: cameras, images and points3D, as described in COLMAP's documentation."""
 
 from __future__ import annotations
 
@@ -20,19 +20,20 @@ _MODELS = (
     ("RAD_TAN_THIN_PRISM_FISHEYE", 16), ("SIMPLE_DIVISION", 4), ("DIVISION", 5), ("SIMPLE_FISHEYE", 3), ("FISHEYE", 4),
     ("EUCM", 6), ("EQUIRECTANGULAR", 2),
 )  # fmt: skip
-"""Each model's name and number of parameters. Its place in the list is its number in binary files."""
+"""Each model's name and number of parameters. Its index is its number in binary files."""
 MADE_BY = "made_by.json"
-"""A file in a model that `python -m engine poses` made: whether its lengths are metres, by the depth beside it."""
+"""A file in models made by `python -m engine poses`: whether depth beside the photos gave the model its metric
+scale."""
 _SUFFIXES = ("bin", "txt")
 _MOST_BYTES = 1 << 31
 _MOST_POINTS = 4_000_000
-"""The largest number of points of a model: as many take seven seconds. Models of rooms have some hundred thousand."""
+"""Maximum number of points in a model, which take seven seconds. Models of rooms have several hundred thousand."""
 _MOST_LINES = 1_000_000
-"""The largest number of lines of a text file: as many take some seconds."""
+"""Maximum number of lines in a text file, which take some seconds."""
 _LINE_IN_MEMORY = 500
-"""Bytes of a line of text, and of the numbers that are read from it."""
+"""Bytes for a line of text and the numbers parsed from it."""
 _POINT_BYTES = 51
-"""The least number of bytes of a point in a binary file."""
+"""Minimum bytes per point in a binary file."""
 _MOST_POINT_BYTES = _MOST_TEXT = 1 << 29
 _POINTS_2D = np.dtype([("xy", "<f8", 2), ("point", "<i8")])
 EXPORT_AGAIN = "Let COLMAP write the model again, such as with colmap model_converter."
@@ -54,7 +55,8 @@ class ColmapCamera:
 
 @dataclass(frozen=True, eq=False)
 class ColmapImage:
-    """A registered picture: world-to-camera as quaternion w x y z and translation, and the ids of points it shows."""
+    """A registered picture: world-to-camera as quaternion w x y z and translation, and the ids of the points it
+    shows."""
 
     name: str
     camera: int
@@ -95,13 +97,13 @@ def read_model(folder: Path) -> ColmapModel:
 
 
 class _Bytes:
-    """A binary file read from front to back. Raises PlgsError when it is shorter than it says."""
+    """A binary file read from front to back. Raises PlgsError if it is shorter than it claims."""
 
     def __init__(self, path: Path, most_bytes: int = _MOST_BYTES) -> None:
         self.path, self.position, self.data = path, 0, read_file(path, most_bytes)
 
     def take(self, layout: str) -> tuple[float, ...]:
-        """The next values, as ``struct`` calls them."""
+        """The next values; ``layout`` is a format of ``struct``."""
         size = struct.calcsize(layout)
         if self.position + size > len(self.data):
             raise self._cut_off()
@@ -109,7 +111,7 @@ class _Bytes:
         return struct.unpack_from(layout, self.data, self.position - size)
 
     def count(self, things: str, least_bytes: int, most: int = _MOST_BYTES) -> int:
-        """How many ``things`` follow, of ``least_bytes`` each at least; in memory they take no more."""
+        """How many ``things`` follow, of at least ``least_bytes`` each, which bounds their memory too."""
         count = int(self.take("<Q")[0])
         room = (len(self.data) - self.position) // least_bytes
         check_count(count, things, self.path, EXPORT_AGAIN, most=most, room=room, made=least_bytes)
@@ -179,7 +181,7 @@ def _as_points(
 
 
 def _lines(path: Path) -> Iterator[tuple[int, str]]:
-    """Lines with their numbers, comments left out. Raises PlgsError."""
+    """Lines with their numbers, without comments. Raises PlgsError."""
     text = read_text(path, _MOST_TEXT, EXPORT_AGAIN)
     check_count(text.count("\n"), "lines", path, EXPORT_AGAIN, most=_MOST_LINES, room=len(text), made=_LINE_IN_MEMORY)
     return ((number, line) for number, line in enumerate(text.split("\n"), start=1) if not line.startswith("#"))

@@ -42,7 +42,7 @@ _LARGEST = 2**27
 """The largest number of values in one array: a picture of 8192x5461 in colour."""
 _PIXELS_FIX = "Download this file again."
 _BRIGHT, _BRIGHT_SHARE, _GAMMA = 0.8, 90.0, 1.0 / 2.2
-"""The project's tool brings the 90th percentile of brightness to 0.8, after a gamma of 1 / 2.2."""
+"""The project's tool maps the 90th percentile of brightness to 0.8, after a gamma of 1 / 2.2."""
 
 
 @dataclass(frozen=True)
@@ -67,7 +67,7 @@ class Projection:
         return np.asarray(matrix / (matrix[2] @ [self.width / 2.0, self.height / 2.0, 1.0]))
 
     def pinhole(self) -> Camera:
-        """A camera at the origin that sees the same in the middle, and everywhere if the lens is not tilted."""
+        """A camera at the origin that matches the rays in the middle, and everywhere if the lens is not tilted."""
         ray = self.ray_of_pixel()
         middle = ray @ [self.width / 2.0, self.height / 2.0, 1.0]
         fx, fy = 1.0 / ray[0, 0], 1.0 / ray[1, 1]
@@ -77,7 +77,8 @@ class Projection:
 
 @lru_cache(maxsize=4)
 def _source_pixels(projection: Projection) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """The place of each pixel of the pinhole's picture in the tilted one, from centres, float32 [H, W] x and y."""
+    """For each pixel of the pinhole's picture, its position in the tilted one, float32 [H, W] x and y, pixel centres at
+    integers."""
     warp = np.linalg.inv(projection.ray_of_pixel()) @ np.linalg.inv(projection.pinhole().K)
     x, y = np.meshgrid(np.arange(projection.width) + 0.5, np.arange(projection.height) + 0.5)
     source = np.stack([x, y, np.ones_like(x)], axis=-1) @ warp.T
@@ -88,14 +89,14 @@ def _source_pixels(projection: Projection) -> tuple[NDArray[np.float32], NDArray
 
 
 def _straighten(pixels: NDArray[Any], projection: Projection, smooth: bool) -> NDArray[Any]:
-    """The tilted picture straight; black beyond its edges."""
+    """The tilted picture, rectified; black beyond its edges."""
     import cv2
 
     return cv2.remap(pixels, *_source_pixels(projection), cv2.INTER_LINEAR if smooth else cv2.INTER_NEAREST)
 
 
 def planar_depth(path: Path, projection: Projection) -> NDArray[np.float32]:
-    """Planar depth, float32 [H, W] metres, 0 = none, of distances to the camera's centre. Raises PlgsError."""
+    """Planar depth, float32 [H, W] metres, 0 = none, from distances to the camera's centre. Raises PlgsError."""
     distance = read_hdf5(path, 2).astype(np.float64)
     if distance.shape != (projection.height, projection.width):
         raise PlgsError("other-size", "depth and colour differ in size", path, "Download the scene again.")
@@ -154,7 +155,7 @@ def _dataset(path: Path, dimensions: int) -> Iterator[Any]:
 _FIX = "Download the scene again."
 _PARAMETERS = "metadata_camera_parameters.csv"
 _USUAL = np.diag([0.5773502886169104, 0.4330127164626828, -1.0])
-"""M_cam_from_uv of a lens that sees 60 degrees of 1024x768: f = 886.81."""
+"""M_cam_from_uv of a lens with a 60 degree field of view at 1024x768: f = 886.81."""
 _GUESSED = Inferred(
     "lens",
     f"{_PARAMETERS} is missing, so the usual lens is assumed",
@@ -191,7 +192,7 @@ def _read(place: Path) -> Capture:
 
 
 def _pictures(images: Path, camera: str) -> Iterator[tuple[int, Path, Path]]:
-    """Numbers, pictures and depth files of a camera's frames that have both, by number."""
+    """The numbers of a camera's frames, and by number the pictures and depth files of those that have both."""
     geometry = images / f"scene_{camera}_geometry_hdf5"
     for depth in sorted(shown_files(geometry, "frame.*.depth_meters.hdf5")):
         match = re.fullmatch(r"frame\.(\d+)\.depth_meters\.hdf5", depth.name)
@@ -202,7 +203,7 @@ def _pictures(images: Path, camera: str) -> Iterator[tuple[int, Path, Path]]:
 
 
 def _without_depth(images: Path, camera: str, with_depth: Collection[int]) -> list[str]:
-    """The names of a camera's frames that have a preview, and no depth file."""
+    """The names of a camera's frames that have a preview but no depth file."""
     previews = shown_files(images / f"scene_{camera}_final_preview", "frame.*.tonemap.jpg")
     numbers = (path.name.split(".")[1] for path in previews)
     found = sorted(int(number) for number in numbers if number.isdecimal())
@@ -235,7 +236,7 @@ def _metres_a_unit(path: Path) -> float:
 
 
 def _read_rays(place: Path) -> tuple[NDArray[np.float64], tuple[Inferred, ...]]:
-    """M_cam_from_uv, float64 [3, 3], and that it is assumed."""
+    """M_cam_from_uv, float64 [3, 3], and a note if it is assumed."""
     name, folders = place.resolve().name, (place, place.resolve().parent, place.resolve().parent.parent)
     path = next((folder / _PARAMETERS for folder in folders if (folder / _PARAMETERS).is_file()), None)
     if path is None:

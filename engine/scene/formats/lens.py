@@ -1,7 +1,7 @@
 """Lenses: checked intrinsics, and distortion, which is removed on reading so that the engine sees only pinholes.
 
-Each tool has its own order, and its own meaning, of the numbers of a distortion. ``of_opencv``, ``of_nerfstudio`` and
-``of_colmap`` are the only places that know them.
+Each tool orders and defines the coefficients of a distortion differently. Only ``of_opencv``, ``of_nerfstudio`` and
+``of_colmap`` know about this.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from ..frame import Inferred
 Values = NDArray[np.float64]
 
 _LEAST_SEEN = 0.1
-"""Share of an undistorted picture that the distorted one shows, at least. Wide fisheyes show all of it."""
+"""Minimum fraction of an undistorted picture that the distorted one covers. Wide fisheyes cover all of it."""
 UNDISTORTED = "the lens distorts: pictures are undistorted on reading, and masks where they fit the photos as taken"
 
 
@@ -51,7 +51,7 @@ def pinhole(
 
 
 def fitted(lens: Camera, picture: Path, fix: str) -> Camera:
-    """``lens`` at the size of an image file. Raises PlgsError when it is for pictures of another shape."""
+    """``lens`` scaled to the size of an image file. Raises PlgsError if it is for pictures of another shape."""
     size = read_image_header(picture).size
     if not same_shape(size, lens.size):
         what = f"the picture is {shown_size(size)}, but its camera {shown_size(lens.size)}"
@@ -60,7 +60,7 @@ def fitted(lens: Camera, picture: Path, fix: str) -> Camera:
 
 
 def assumed(whose: str, lens: Camera, file: str) -> Inferred:
-    """What a scene notes when no file says its lens, and ``whose`` is taken; ``file`` can say it."""
+    """A note that no file describes the lens, so ``whose`` is used; ``file`` can describe it."""
     values = " ".join(f"{value:.6g}" for value in (lens.fx, lens.fy, lens.cx - 0.5, lens.cy - 0.5))
     taken = f"{whose} lens is assumed ({values} for {shown_size(lens.size)})"
     return Inferred("lens", taken, f"no file says theirs; write it into {file} if it is another")
@@ -68,10 +68,10 @@ def assumed(whose: str, lens: Camera, file: str) -> Inferred:
 
 @dataclass(frozen=True)
 class Distortion:
-    """How a lens bends the picture of a pinhole, in one formula for every tool's numbers; ``bent`` is that formula.
+    """How a lens distorts a pinhole's picture, in one formula for every tool's coefficients: ``bent``.
 
     ``radial`` are the factors of r^2, r^4, ... in its numerator, ``below`` those in its denominator, ``tangential`` p1
-    and p2 in OpenCV's order, ``prism`` s1 s2 s3 s4. ``is_fisheye``: all of them count angles from the axis.
+    and p2 in OpenCV's order, ``prism`` s1 s2 s3 s4. With ``is_fisheye``, all of them apply to angles from the axis.
     """
 
     radial: tuple[float, ...] = ()
@@ -89,7 +89,8 @@ class Distortion:
         return self.is_fisheye or any(self.numbers)
 
     def bent(self, x: Values, y: Values) -> tuple[Values, Values]:
-        """Where the lens shows what a pinhole of focal length 1 shows at ``x`` and ``y``, floats of any shape.
+        """Where the lens shows the point that a pinhole of focal length 1 shows at ``x`` and ``y``, floats of any
+        shape.
 
         OpenCV's formula (calib3d, "Detailed Description"). Its fisheye model is the same formula, applied to
         coordinates whose length is the angle from the axis, and so is COLMAP's thin prism model (models.h).
@@ -116,10 +117,10 @@ def _series(factors: tuple[float, ...], square: Values) -> Values:
 
 STRAIGHT = Distortion()
 OPENCV_COUNTS = (0, 4, 5, 8, 12)
-"""How many numbers of its distortion OpenCV takes, without the tilt of its last two."""
+"""Numbers of distortion coefficients that OpenCV accepts, without the tilt of its last two."""
 _OPENCV_NAMES = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
 _LENS_NUMBER = re.compile(r"[kpsb]\d|tau_?[xy]|ftheta_p\d|latlong|equirectangular")
-"""Keys of a lens in transforms.json, of nerfstudio, instant-ngp and those who add to them."""
+"""Lens keys in transforms.json, from nerfstudio, instant-ngp and programs that extend them."""
 
 
 def of_opencv(values: Sequence[float]) -> Distortion:
@@ -129,9 +130,9 @@ def of_opencv(values: Sequence[float]) -> Distortion:
 
 
 def of_nerfstudio(named: Mapping[str, float], model: str, is_fisheye: bool) -> Distortion:
-    """The names of transforms.json. nerfstudio's k3 and k4 are factors of r^6 and r^8 (its camera_utils.py), and an
-    OPENCV_FISHEYE counts angles; in a FULL_OPENCV, k4 k5 k6 are OpenCV's. Raises ValueError with the names of other
-    numbers of a lens, which no formula here takes."""
+    """Coefficients by their names in transforms.json. nerfstudio's k3 and k4 are factors of r^6 and r^8 (its
+    camera_utils.py), and an OPENCV_FISHEYE uses angles; in a FULL_OPENCV, k4 k5 k6 are OpenCV's. Raises ValueError with
+    the names of other lens coefficients, which no formula here supports."""
     is_full = not is_fisheye and (model == "FULL_OPENCV" or "k5" in named or "k6" in named)
     known = _OPENCV_NAMES if is_full else _OPENCV_NAMES[:6]
     if others := [name for name, value in named.items() if value and name not in known]:
@@ -144,7 +145,7 @@ def of_nerfstudio(named: Mapping[str, float], model: str, is_fisheye: bool) -> D
 
 
 def is_lens_number(key: str) -> bool:
-    """Whether a key of transforms.json says how the lens bends."""
+    """Whether a key of transforms.json describes distortion."""
     return _LENS_NUMBER.fullmatch(key) is not None
 
 
@@ -161,7 +162,7 @@ def of_colmap(model: str, rest: Sequence[float]) -> Distortion | None:
 
 def undistorted(pixels: NDArray[Any], lens: Camera, distortion: Distortion, path: Path, smooth: bool) -> NDArray[Any]:
     """A picture, depth map or mask [H, W, ...] as a pinhole of the same focal lengths sees it; 0 beyond its edges.
-    ``smooth`` mixes neighbouring pixels. Raises PlgsError, naming ``path``, where little is left of it."""
+    ``smooth`` interpolates. Raises PlgsError, naming ``path``, if little is left of it."""
     import cv2
 
     height, width = pixels.shape[:2]
@@ -180,8 +181,8 @@ def undistorted(pixels: NDArray[Any], lens: Camera, distortion: Distortion, path
 def _source_pixels(
     width: int, height: int, fx: float, fy: float, cx: float, cy: float, distortion: Distortion
 ) -> tuple[NDArray[np.float32], NDArray[np.float32], float]:
-    """Where each pixel of the undistorted picture lies in the distorted one, float32 [H, W] x and y with pixel centres
-    at whole numbers, and the share of those that lie in it."""
+    """For each pixel of the undistorted picture, its position in the distorted one, float32 [H, W] x and y with pixel
+    centres at integers, and the fraction of them that lies inside it."""
     across, down = (np.arange(width) + 0.5 - cx) / fx, (np.arange(height) + 0.5 - cy) / fy
     with np.errstate(all="ignore"):
         u, v = distortion.bent(*np.meshgrid(across, down))

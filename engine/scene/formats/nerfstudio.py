@@ -52,7 +52,7 @@ _CENTRED = Inferred(
 
 
 def _files(place: Path) -> list[Path]:
-    """The files with the frames: one for all, or one to train on and one to hold out."""
+    """The files with the frames: one for all, or one for training and one held out."""
     if place.is_file():
         return [place] if place.name in (_FILE, _TRAIN) else []
     held_out = [place / name for name in _HELD_OUT if (place / name).is_file()][:1]
@@ -95,7 +95,7 @@ def _read(place: Path) -> Capture:
 
 
 def _own_split(content: dict[str, Any], frames: Mapping[str, Mapping[str, Any]], path: Path) -> Split | None:
-    """The split that the file says of ``frames``, by their names; None where it says none. Raises PlgsError."""
+    """The split that the file defines for ``frames``, by name; None if it defines none. Raises PlgsError."""
     names = {_plain(frame["file_path"]): name for name, frame in frames.items()}
     listed = {key: _listed(content, key, names, path) for key in _SPLIT if content.get(key)}
     held_out = listed.get("test_filenames") or listed.get("val_filenames") or {
@@ -110,7 +110,7 @@ def _own_split(content: dict[str, Any], frames: Mapping[str, Mapping[str, Any]],
 
 
 def _listed(content: dict[str, Any], key: str, names: Mapping[str, str], path: Path) -> set[str]:
-    """The names of the frames whose pictures a list names; pictures without a frame are left out. Raises PlgsError."""
+    """The frames whose pictures a list names; pictures without a frame are ignored. Raises PlgsError."""
     files = take_list(content, key, "the file", path)
     if not all(isinstance(file, str) for file in files):
         raise wrong_type(key, "a list of files", files, "the file", path)
@@ -122,7 +122,7 @@ def _plain(file: str) -> str:
 
 
 def _frames(content: dict[str, Any], path: Path) -> tuple[list[dict[str, Any]], list[str]]:
-    """The frames of a file whose pictures are there, in natural order, and those that are not. Raises PlgsError."""
+    """The frames whose pictures exist, in natural order, and those whose pictures do not. Raises PlgsError."""
     frames = take_objects(content, "frames", "the file", path)
     if "test_frames" in content:
         frames += [{**frame, _IS_HELD_OUT: True} for frame in take_objects(content, "test_frames", "the file", path)]
@@ -142,7 +142,7 @@ def _frames(content: dict[str, Any], path: Path) -> tuple[list[dict[str, Any]], 
 
 
 def _shot(name: str, frame: Mapping[str, Any], path: Path) -> Shot | None:
-    """One frame, by its own entry and, for what that lacks, the one for all; None when its pose is not finite."""
+    """One frame from its own entry, falling back to the file's for missing keys; None if its pose is not finite."""
     entry, context = dict(frame), f"frame {name}"
     pose = finite_pose(take_matrix(entry, "transform_matrix", context, path, ((4, 4), (3, 4))), path)
     if pose is None:
@@ -160,7 +160,7 @@ def _shot(name: str, frame: Mapping[str, Any], path: Path) -> Shot | None:
 
 
 def _image_path(path: Path, name: str) -> Path:
-    """The image called ``file_path``; some writers omit its suffix. Raises PlgsError when it is outside."""
+    """The image called ``file_path``; some writers omit its suffix. Raises PlgsError if it is outside the folder."""
     plain = name.replace("\\", "/")
     try:
         image = file_inside(path.parent, name, path)
@@ -177,7 +177,7 @@ def _image_path(path: Path, name: str) -> Path:
 
 
 def _beside(path: Path, name: str) -> Path | None:
-    """The image of a name relative to another folder: its last parts name a file below the JSON's folder."""
+    """An image named relative to another folder: the last parts of its name give a file below the JSON's folder."""
     parts = [part for part in name.split("/") if part not in ("", ".", "..")]
     tails = (path.parent.joinpath(*parts[start:]) for start in range(1, len(parts)))
     paths = (tail.with_name(tail.name + suffix) for tail in tails for suffix in ("", *_IMAGES))
@@ -214,7 +214,7 @@ def _focal_length(entry: dict[str, Any], key: str, side: float, context: str, pa
 
 
 def _distortion(entry: dict[str, Any], context: str, path: Path) -> Distortion:
-    """The lens's distortion. Raises PlgsError for a model that is not known."""
+    """The lens's distortion. Raises PlgsError for an unknown model."""
     model = entry.get("camera_model", "OPENCV")
     if model not in (*_PINHOLES, *_OPENCV, _FISHEYE):
         fix = "Undistort the pictures, and give PINHOLE, OPENCV or OPENCV_FISHEYE."
@@ -264,7 +264,7 @@ FORMAT = SceneFormat("nerfstudio", lambda place: any(path.is_file() for path in 
 
 _MOST_BYTES = 1 << 30
 _MOST_IN_TEXT = 1_000_000
-"""The largest number of vertices as text: as many take some seconds."""
+"""Maximum number of vertices as text, which take some seconds."""
 _PLY_TYPES = {
     **dict.fromkeys(("char", "int8"), "i1"), **dict.fromkeys(("uchar", "uint8"), "u1"),
     **dict.fromkeys(("short", "int16"), "i2"), **dict.fromkeys(("ushort", "uint16"), "u2"),
@@ -272,7 +272,7 @@ _PLY_TYPES = {
     **dict.fromkeys(("float", "float32"), "f4"), **dict.fromkeys(("double", "float64"), "f8"),
 }  # fmt: skip
 _VERTEX_IN_MEMORY, _VALUE_IN_MEMORY = 48, 200
-"""Bytes of a vertex with its colour, and of a number in a line of text with its text."""
+"""Bytes for a vertex with its colour, and for a number in a line of text with its text."""
 _SHORT = "Write this file again."
 _PLY_FIX = "Write a PLY whose first element is vertex, with x, y, z."
 

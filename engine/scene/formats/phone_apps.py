@@ -1,4 +1,4 @@
-"""Exports of apps of phones that measure depth: Polycam, 3D Scanner App and Stray Scanner.
+"""Exports of phone apps that measure depth: Polycam, 3D Scanner App and Stray Scanner.
 
 Polycam's raw export: ``keyframes/`` with images, cameras, depth and confidence named by microseconds.
 
@@ -16,10 +16,10 @@ the lowest confidence are dropped.
 
 Stray Scanner: ``rgb.mp4``, ``odometry.csv``, ``camera_matrix.csv``, ``depth/000000.png``, ``confidence/000000.png``.
 
-A line of the odometry is a frame of the video: ``timestamp, frame, x, y, z, qx, qy, qz, qw``, camera-to-world, OpenCV
-axes, metres, ARKit's world with y up; newer files add ``fx, fy, cx, cy`` for each. The matrix is for the video's
-size. Today's app writes two more columns, whose values are empty; only columns that are read need a number. Depth is
-planar, in millimetres (older scans: .npy), 256x192; pixels of the lowest confidence are dropped.
+A line of the odometry describes a frame of the video: ``timestamp, frame, x, y, z, qx, qy, qz, qw``, camera-to-world,
+OpenCV axes, metres, ARKit's world with y up; newer files add ``fx, fy, cx, cy`` for each. The matrix is for the video's
+size. The current app writes two more columns without values; only the columns read here need numbers. Depth is planar,
+in millimetres (older scans: .npy), 256x192; pixels of the lowest confidence are dropped.
 """
 
 from __future__ import annotations
@@ -89,8 +89,8 @@ def _has_size(entry: dict[str, Any]) -> bool:
 
 
 def _size(entry: dict[str, Any], image: Path, path: Path, raw: Path | None) -> tuple[float, ...]:
-    """The width and height that a camera's numbers are for. If it does not say, those of its picture or of the camera
-    before optimisation, whose middle is nearer the principal point. Raises PlgsError."""
+    """The width and height that a camera's intrinsics refer to. If it does not say: those of its picture or of the
+    camera before optimisation, whichever has its middle nearer to the principal point. Raises PlgsError."""
     if _has_size(entry):
         return tuple(take_number(entry, key, "the camera", path) for key in _SIZE)
     sizes: list[tuple[float, ...]] = [read_image_header(image).size]
@@ -123,7 +123,8 @@ _SCANNER_APP_FIX = "Share the scan from the app again, as All Data."
 _FIXED = np.array([[False, True, False], [True, False, False], [True, True, True]])
 """Elements of every camera's matrix that are 0 0 0 0 1."""
 _LOOKED_AT = 4
-"""Pictures whose JSON files are searched for a pose: other programs name theirs frame_00000.json, too."""
+"""The number of pictures whose JSON files are searched for a pose: other programs use the name frame_00000.json,
+too."""
 
 
 def _recognises_scanner_app(place: Path) -> bool:

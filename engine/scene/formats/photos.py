@@ -1,4 +1,4 @@
-"""Pictures without poses: a folder of photos, or a film, whose pictures are decoded on demand; COLMAP finds poses."""
+"""Pictures without poses: a folder of photos, or a video decoded on demand; COLMAP finds the poses."""
 
 from __future__ import annotations
 
@@ -22,16 +22,16 @@ SUFFIXES = {".jpg", ".jpeg", ".png"}
 _MODELS = {".ply", ".spz", ".splat", ".obj", ".glb", ".gltf", ".usdz", ".fbx", ".stl", ".las", ".laz"}
 FILMS = {".mp4", ".mov", ".m4v", ".avi", ".mkv"}
 LET_COLMAP = "let COLMAP find the poses with --poses colmap"
-"""What to do about missing poses, for the end of a sentence."""
+"""The fix for missing poses, for the end of a sentence."""
 LEAST = 3
-"""The least number of photos whose poses can be found."""
+"""The fewest photos whose poses can be found."""
 _NO_PHOTO = re.compile(r"(?<![a-z])(depths?|depth_?maps?|conf|confidence)(?![a-z])", re.IGNORECASE)
 _FOLDERS = ("images", "image", "rgb", "color", "input", ".")
-"""Where photos lie, in the order in which the reader of COLMAP's models looks for them."""
+"""Folders searched for photos, in the same order as the reader of COLMAP's models uses."""
 
 
 def photos_in(place: Path) -> Path | None:
-    """The folder that holds a place's photos; None where there are none. Raises OSError."""
+    """The folder that holds a scene's photos; None if there are none. Raises OSError."""
     for name in _FOLDERS:
         folder = place / name
         if folder.is_dir() and len(sorted_out(folder)[0]) >= LEAST:
@@ -40,7 +40,7 @@ def photos_in(place: Path) -> Path | None:
 
 
 def sorted_out(folder: Path) -> tuple[list[str], list[str]]:
-    """The names of a folder's photos, and those of pictures that are depth or confidence. Raises OSError."""
+    """The names of a folder's photos, and of its depth or confidence pictures. Raises OSError."""
     pictures = sorted(each for each in shown_files(folder) if each.suffix.lower() in SUFFIXES)
     others = {each for each in pictures if _is_measured(each)}
     return [each.name for each in pictures if each not in others], [each.name for each in pictures if each in others]
@@ -58,12 +58,12 @@ def _is_measured(picture: Path) -> bool:
 
 
 def is_film(place: Path) -> bool:
-    """Whether a place is a film, by its name."""
+    """Whether a path is a video, by its name."""
     return place.suffix.lower() in FILMS and place.is_file()
 
 
 def finished_models(place: Path) -> list[str]:
-    """The names of meshes, splats and point clouds, if a place holds nothing but them and textures. Raises OSError."""
+    """The names of meshes, splats and point clouds, if a folder holds only these and textures. Raises OSError."""
     files = [place] if place.is_file() else sorted(shown_files(place))
     if any(each.is_dir() for each in files):
         return []
@@ -80,8 +80,8 @@ _VIDEO_FIX = "Copy or record it again, or extract its pictures with another tool
 
 
 class Video:
-    """One decoder for all frames of a video. It goes forward; an earlier frame restarts it. Orientation tags are
-    ignored, as intrinsics refer to the stored pixels."""
+    """One decoder for all frames of a video. It decodes forward; reading an earlier frame restarts it. Orientation tags
+    are ignored, as intrinsics refer to the stored pixels."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -105,7 +105,7 @@ class Video:
         return partial(self.frame, number)
 
     def size(self) -> Size:
-        """(width, height) of its pictures, as its header says. Raises PlgsError."""
+        """(width, height) of its pictures, from its header. Raises PlgsError."""
         import cv2
 
         with self._lock:
@@ -118,7 +118,7 @@ class Video:
         return width, height
 
     def count(self) -> int:
-        """How many pictures it has, as its header says. Raises PlgsError when it cannot be opened, or says none."""
+        """The number of pictures, from its header. Raises PlgsError if it cannot be opened or does not say."""
         import cv2
 
         with self._lock:
@@ -144,8 +144,8 @@ class Video:
 
 
 def _refuse_other_files(path: Path) -> None:
-    """Raise PlgsError unless the first bytes are those of an MP4, MOV, Matroska or AVI. The decoder would follow the
-    addresses in a playlist, wherever they lead."""
+    """Raise PlgsError unless the first bytes are those of an MP4, MOV, Matroska or AVI. Otherwise the decoder would
+    open whatever addresses a playlist lists."""
     try:
         with open_plain(path) as file:
             start = file.read(12)

@@ -1,4 +1,4 @@
-"""Poses as files have them (quaternions, OpenGL's axes, world-to-camera), and text files of rows of numbers."""
+"""Poses as stored in files (quaternions, OpenGL's axes, world-to-camera), and text files of rows of numbers."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ _FROM_OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
 
 
 def finite_pose(matrix: NDArray[np.float64], path: Path) -> NDArray[np.float64] | None:
-    """A camera-to-world pose, float64 [4, 4] or [3, 4], straightened; None when a number in it is not finite. Raises
-    PlgsError when it is not rigid."""
+    """A camera-to-world pose, float64 [4, 4] or [3, 4], made exactly rigid; None if a number in it is not finite.
+    Raises PlgsError if it is not rigid."""
     if not np.isfinite(matrix).all():
         return None
     pose = np.eye(4)
@@ -28,12 +28,12 @@ def finite_pose(matrix: NDArray[np.float64], path: Path) -> NDArray[np.float64] 
 
 
 def from_opengl(pose: NDArray[np.float64]) -> NDArray[np.float64]:
-    """A pose, float64 [4, 4], of a camera with y up and z backward as one with y down and z forward."""
+    """Converts a pose, float64 [4, 4], from y up and z backward to y down and z forward."""
     return pose @ _FROM_OPENGL
 
 
 def quaternion_pose(wxyz: Sequence[float], position: Sequence[float], path: Path) -> NDArray[np.float64]:
-    """The pose, float64 [4, 4], that turns by a quaternion and then moves. Raises PlgsError for a zero quaternion."""
+    """The pose, float64 [4, 4], with this rotation and position. Raises PlgsError for a zero quaternion."""
     w, x, y, z = (float(value) for value in wxyz)
     square = w * w + x * x + y * y + z * z
     if not square > 1e-12 or not np.isfinite(square):
@@ -66,8 +66,8 @@ class Row:
 
 
 def read_rows(path: Path, fix: str, separator: str | None = None, titles: bool = False) -> Iterator[Row]:
-    """The rows of a text file that are not empty, with its columns' ``titles`` if wanted. Raises PlgsError, with
-    ``fix`` as the advice."""
+    """The non-empty rows of a text file, with its columns' ``titles`` if requested. Raises PlgsError, with ``fix`` as
+    the advice."""
     for number, line in enumerate(read_text(path, LARGEST_TABLE, fix).splitlines(), start=1):
         words = [word.strip() for word in line.partition("#")[0].split(separator)]
         # TUM's column titles are comments; some tools remove the #.
@@ -87,7 +87,8 @@ def numbers(row: Row, path: Path, fix: str, count: int | None = None) -> NDArray
 
 
 def matrix_rows(path: Path, fix: str) -> Iterator[NDArray[np.float64]]:
-    """Matrices, float64 [4, 4], of a file with 16 (or, without the last row, 12) numbers per line. Raises PlgsError."""
+    """Matrices, float64 [4, 4], from a file with 16 (or, without the last row, 12) numbers per line. Raises
+    PlgsError."""
     for row in read_rows(path, fix):
         values = numbers(row, path, fix)
         if len(values) not in (12, 16):

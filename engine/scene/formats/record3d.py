@@ -42,24 +42,24 @@ from .poses import from_opengl, quaternion_pose
 _FIX = "Export it from Record3D again."
 _EXPORTED = "metadata.json"
 _LARGEST = 2**28
-"""The largest number of bytes of one unpacked picture or depth map."""
+"""Maximum size in bytes of one unpacked picture or depth map."""
 _DEPTH_SIZES = ((192, 256), (256, 192), (480, 640), (640, 480))
-"""(width, height) of LiDAR and TrueDepth, upright and lying, for metadata without a size."""
+"""(width, height) of LiDAR and TrueDepth, portrait and landscape, for metadata without a size."""
 _MOST_DEPTHS = 2**22
-"""The largest number of values in a depth map."""
+"""Maximum number of values in a depth map."""
 _CLEARLY_Y = 0.9
 """Cosine of 25 degrees."""
 _STORED, _SHORT, _USUAL, _END = b"bvx-", b"bvxn", b"bvx2", b"bvx$"
 """Kinds of LZFSE's blocks."""
 _FULL_BLOCK = 10_000
-"""Bytes that all blocks but the last exceed: they are full with 10 000 matches or 40 000 literals."""
+"""Minimum bytes of all blocks but the last: they are full with 10 000 matches or 40 000 literals."""
 _AT_ONCE = 8
-"""Blocks that are unpacked before their size is compared with the claims: no block can grow beyond 27 MB."""
+"""Blocks unpacked before their size is compared with the claims. No block can grow beyond 27 MB."""
 
 
 @dataclass(frozen=True)
 class _Archive:
-    """A .r3d, or the folder that it was unpacked to."""
+    """A .r3d file, or the folder that it was unpacked to."""
 
     path: Path
 
@@ -70,7 +70,7 @@ class _Archive:
             return archive.namelist()
 
     def file(self, name: str) -> Path:
-        """The file that holds what has this name."""
+        """The file that holds the entry ``name``."""
         return self.path / name if self.path.is_dir() else self.path
 
     def read(self, name: str) -> bytes:
@@ -102,7 +102,7 @@ def _recognises(place: Path) -> bool:
 
 
 def _find(place: Path) -> Path | None:
-    """The archive that is meant: the place itself, or the only one in it."""
+    """The archive: ``place`` itself, or the only one in it."""
     if place.is_file() or ((place / "metadata").is_file() and (place / "rgbd").is_dir()):
         return place
     found = [path for path in shown_files(place, "*.r3d") if path.is_file()]
@@ -150,7 +150,7 @@ def _cameras(metadata: dict[str, Any], numbers: list[int], path: Path) -> Iterat
 
 
 def _exr_folder(place: Path) -> Path | None:
-    """The folder with an export of pictures and OpenEXR files: the place itself, or in it."""
+    """The folder with pictures and OpenEXR files: ``place`` itself, or its subfolder."""
     for folder in (place, place / "EXR_RGBD"):
         if (folder / _EXPORTED).is_file() and (folder / "rgb").is_dir() and (folder / "depth").is_dir():
             return folder
@@ -187,7 +187,7 @@ def _read_exr(path: Path) -> NDArray[np.float32]:
 
 
 def _up(shots: list[Shot]) -> UpAxis | None:
-    """ARKit's y, unless the cameras stand otherwise: some recordings start from their first pose."""
+    """ARKit's y, unless the cameras disagree: some recordings start from their first pose."""
     up = upright_rotation([shot.camera.camera_to_world for shot in shots])[2] if shots else np.zeros(3)
     return "y" if up[1] > _CLEARLY_Y else None
 
@@ -197,7 +197,7 @@ def _has_depth_size(metadata: dict[str, Any]) -> bool:
 
 
 def _lens(metadata: dict[str, Any], number: int, path: Path) -> Camera:
-    """A picture's camera at the origin. The file does not say where pixels count from; their corners are assumed."""
+    """A picture's camera at the origin. The file does not say where pixels are counted from; corners are assumed."""
     width, height = (take_number(metadata, key, "metadata", path) for key in "wh")
     each, whose = metadata.get("perFrameIntrinsicCoeffs"), f"frame {number}"
     if isinstance(each, list) and len(each) > number:
@@ -230,7 +230,7 @@ def _read_depth(
 
 
 def _guessed_size(count: int, camera: Camera, name: str, path: Path) -> Size:
-    """Which of the sensors' sizes has ``count`` pixels, lying or upright as the picture is. Raises PlgsError."""
+    """Which of the sensors' sizes has ``count`` pixels, in the picture's orientation. Raises PlgsError."""
     upright = camera.height > camera.width
     found = [size for size in _DEPTH_SIZES if size[0] * size[1] == count and (size[1] > size[0]) is upright]
     if not found:
@@ -255,15 +255,15 @@ def _unpacked(archive: _Archive, name: str, step: int, most: int) -> bytes:
 
 
 class _Block(NamedTuple):
-    """Where a block ends in its stream, and the unpacked bytes that all blocks up to it claim."""
+    """Where a block ends in its stream, and the unpacked size claimed by all blocks up to it."""
 
     end: int
     unpacked: int
 
 
 def unpack_lzfse(data: bytes, most_bytes: int, decompress: Callable[[bytes], bytes]) -> bytes:
-    """The bytes of a stream. Raises ValueError when it is cut off or holds more than ``most_bytes``. Also raises what
-    ``decompress`` raises."""
+    """The unpacked bytes of a stream. Raises ValueError if it is truncated or holds more than ``most_bytes``, and
+    whatever ``decompress`` raises."""
     blocks = _blocks(data, 4 + most_bytes // _FULL_BLOCK)
     if blocks and blocks[-1].unpacked > most_bytes:
         raise ValueError(f"it unpacks to more than {most_bytes} bytes")
@@ -280,7 +280,7 @@ def _refuse_more(unpacked: bytes, claimed: int) -> None:
 
 
 def _blocks(data: bytes, most: int) -> list[_Block]:
-    """The blocks of a stream. Raises ValueError when it is cut off or has more than ``most``."""
+    """The blocks of a stream. Raises ValueError if it is truncated or has more than ``most``."""
     found, place, unpacked = list[_Block](), 0, 0
     try:
         while (kind := data[place : place + 4]) != _END:
@@ -295,7 +295,7 @@ def _blocks(data: bytes, most: int) -> list[_Block]:
 
 
 def _length(data: bytes, place: int, kind: bytes, claimed: int) -> int:
-    """The bytes of a block with its header. Raises ValueError, struct.error."""
+    """The length in bytes of a block including its header. Raises ValueError, struct.error."""
     if kind == _STORED:
         return 8 + claimed
     if kind == _SHORT:

@@ -1,11 +1,11 @@
-"""Replica as NICE-SLAM rendered it.
+"""Replica as rendered by NICE-SLAM.
 
 ``results/frame000000.jpg`` and ``results/depth000000.png``, ``traj.txt``; ``cam_params.json`` there or in the folder
-above says fx fy cx cy and the depth's steps per metre, 6553.5.
+above gives fx fy cx cy and the depth's steps per metre, 6553.5.
 
 A trajectory has 16 numbers per line: camera-to-world, OpenCV axes, metres, z up; line n is picture n. Pixel centres are
-integers. Without a file of intrinsics the lens is assumed to see 90 degrees: f = w / 2, c = (w - 1) / 2 and
-(h - 1) / 2.
+integers. Without a file of intrinsics, a field of view of 90 degrees is assumed: f = w / 2, c = (w - 1) / 2 and (h - 1)
+/ 2.
 """
 
 from __future__ import annotations
@@ -82,7 +82,7 @@ def _shot(path: Path, depth: Path | None, unit: float, lens: Camera | None, pose
 
 
 def _read_parameters(place: Path) -> tuple[Camera, float] | None:
-    """The lens and the length of a step of depth that a file there or in the folder above says. Raises PlgsError."""
+    """The lens and the length of a depth step, from a file there or in the folder above. Raises PlgsError."""
     files = (folder / "cam_params.json" for folder in (place, place.parent))
     path = next((path for path in files if path.is_file()), None)
     if path is None:

@@ -90,7 +90,7 @@ class _Header:
 
 @dataclass(frozen=True)
 class _Block:
-    """Bytes in the file."""
+    """A range of bytes in the file."""
 
     path: Path
     start: int
@@ -111,7 +111,7 @@ class _Block:
 
 
 def _find(place: Path) -> Path | None:
-    """The .sens file that is meant: the place itself, or the only one in it."""
+    """The .sens file: ``place`` itself, or the only one in it."""
     if place.is_file():
         return place if place.suffix.lower() == ".sens" else None
     found = [path for path in shown_files(place, "*.sens") if path.is_file()]
@@ -184,7 +184,7 @@ def _lens(width: float, height: float, K: NDArray[np.float64], path: Path) -> Ca
 
 
 def _take(file: BinaryIO, layout: str, path: Path) -> tuple[float, ...]:
-    """The next values, as ``struct`` calls them. Raises PlgsError."""
+    """The next values; ``layout`` is a format of ``struct``. Raises PlgsError."""
     size = struct.calcsize(layout)
     data = file.read(size)
     if len(data) < size:

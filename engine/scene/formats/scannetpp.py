@@ -92,13 +92,13 @@ def _read(place: Path) -> Capture:
 
 
 def _lens(entry: dict[str, Any], name: str, size: tuple[int, int], path: Path) -> Camera:
-    """A camera at the origin. The file does not say where pixels are counted from; their corners are assumed."""
+    """A camera at the origin. The file does not say where pixels are counted from; corners are assumed."""
     K = take_matrix(entry, "intrinsic", name, path, ((3, 3),))
     return pinhole(*size, K[0, 0], K[1, 1], K[0, 2], K[1, 2], path=path, fix=_FIX, whose=name)
 
 
 class _DepthStream:
-    """A depth.bin. A single stream is unpacked forward; an earlier frame restarts it."""
+    """A depth.bin. A single stream is unpacked forward; reading an earlier frame restarts it."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -149,7 +149,7 @@ class _DepthStream:
 
 
 def _find_blocks(path: Path) -> list[tuple[int, int]] | None:
-    """Where each frame's block starts and how long it is; None when the sizes do not lead to the file's end."""
+    """Where each frame's block starts and how long it is; None if the sizes do not add up to the file's."""
     blocks: list[tuple[int, int]] = []
     end, start = path.stat().st_size, 0
     with open_plain(path) as file:

@@ -56,7 +56,7 @@ def _recognises(place: Path) -> bool:
 
 
 def _find_info(place: Path) -> Path | None:
-    """The file about the sensor; ScanNet's own reader calls it _info.txt. People call other texts so, too."""
+    """The file about the sensor; ScanNet's own reader calls it _info.txt. Unrelated texts may have the same name."""
     path = _find(place, "info.txt", "_info.txt")
     return path if path is not None and b"m_calibration" in path.open("rb").read(_MOST_INFO) else None
 
@@ -109,7 +109,7 @@ def _info_numbers(info: dict[str, str], key: str, path: Path, count: int) -> NDA
 
 
 def _info_lens(info: dict[str, str], kind: str, path: Path) -> Camera:
-    """The lens of Color or Depth at the size that the file says, at the origin. Raises PlgsError."""
+    """The lens of Color or Depth at the size given by the file, at the origin. Raises PlgsError."""
     width, height = (round(_info_numbers(info, f"m_{kind.lower()}{side}", path, 1)[0]) for side in ("Width", "Height"))
     matrix = _info_numbers(info, f"m_calibration{kind}Intrinsic", path, 16).reshape(4, 4)
     return as_lens(matrix, (width, height), path)
@@ -118,7 +118,7 @@ def _info_lens(info: dict[str, str], kind: str, path: Path) -> Camera:
 def _capture(
     place: Path, shot: _Reader, warnings: tuple[str, ...] = (), inferred: tuple[Inferred, ...] = ()
 ) -> Capture:
-    """All frames; those whose pose is missing, or holds inf, have no shot. Raises PlgsError."""
+    """All frames; those whose pose is missing or not finite have no shot. Raises PlgsError."""
     kinds = ("frame-*.pose.txt", "frame-*.color.*")
     files = {path for folder in _folders(place) for kind in kinds for path in shown_files(folder, kind)}
     bases = {path.with_name(path.name.partition(".")[0]) for path in files}
@@ -148,7 +148,7 @@ def _depth_file(base: Path) -> Path:
 def _own_lens_shot(
     colour: Path, depth: Path, name: str, base: Path, pose: NDArray[np.float64], picture: Path
 ) -> Shot:
-    """A frame with the lenses in two files, which may be one. Raises PlgsError."""
+    """A frame with one lens file for colour and one for depth, which may be the same. Raises PlgsError."""
     lens = read_intrinsics(colour, read_image_header(picture).size)
     measured = png_depth(_depth_file(base), lens)
     if depth != colour and measured.fault is None:

@@ -4,10 +4,10 @@
   with a colour and a depth image per line. Without either, the names of the images in ``rgb/`` and ``depth/`` are the
   stamps.
 * ``groundtruth.txt``: ``t tx ty tz qx qy qz qw``, camera-to-world, OpenCV axes, metres.
-  RTAB-Map adds a whole number, by which it names pictures if asked to.
+  RTAB-Map adds a whole number, and optionally names pictures by it.
 * Depth: 16-bit PNG, registered to colour, planar, 5000 steps per metre, 0 = none.
-* Intrinsics are not in the files: TUM's are those of its documentation, told apart by "freiburg1", "freiburg2" or
-  "freiburg3" in the folder's name, else a Kinect's are assumed; a warning says so. ETH3D has them in
+* Intrinsics are not in the files. TUM's documented ones are chosen by "freiburg1", "freiburg2" or "freiburg3" in the
+  folder's name; otherwise a Kinect's are assumed, with a warning. ETH3D has them in
   ``calibration.txt``: ``fx fy cx cy``, with integer pixel centres; numbers after these are OpenCV's distortion.
 
 ICL-NUIM, whose stamps are whole numbers, is refused: its camera and world are mirrored in y.
@@ -37,7 +37,7 @@ from .poses import numbers, quaternion_pose, read_rows
 
 _STEP = 1.0 / 5000.0
 _APART = 0.02
-"""Seconds by which a picture, its depth and its pose may differ at most."""
+"""Maximum difference in seconds between a picture, its depth and its pose."""
 _POSE_FIX = "Write one pose on each line, t tx ty tz qx qy qz qw, with points in decimals."
 _LIST_FIX = "Write a time stamp and a file name on each line."
 _ICL_FIX = "Convert it to the folders color, depth, pose and intrinsic, as docs/captures.md describes them."
@@ -47,8 +47,8 @@ _LENS_FIX = f"Write fx fy cx cy of the pictures, and k1 k2 p1 p2 k3 if they are 
 
 @dataclass(frozen=True)
 class _Lens:
-    """Intrinsics with integer pixel centres, and OpenCV's numbers of the distortion. ``up`` is the axis that points up
-    in the lens's world. ``size`` is the size of its pictures, None for any."""
+    """Intrinsics with integer pixel centres, and OpenCV's distortion coefficients. ``up`` is the axis that points up in
+    the lens's world. ``size`` is the size of its pictures, None for any."""
 
     fx: float
     fy: float
@@ -77,7 +77,7 @@ class _Stamped:
 
 
 _Pose = tuple[float, NDArray[np.float64] | None, float | None]
-"""When a picture was taken, in seconds, its pose, None where a number in it is not finite, and its number, if any."""
+"""When a picture was taken, in seconds; its pose, None if a number in it is not finite; and its number, if any."""
 
 
 def _read_calibration(path: Path) -> _Lens:
@@ -118,7 +118,7 @@ def _read(place: Path) -> Capture:
 
 
 def _pairs(place: Path) -> list[tuple[_Stamped, _Stamped | None]]:
-    """Colour images in the order of time, each with the depth image next to it in time. Raises PlgsError."""
+    """Colour images in order of time, each with the depth image closest in time. Raises PlgsError."""
     lists = [place / name for name in ("associations.txt", "associated.txt") if (place / name).is_file()]
     if lists:
         pairs = []
@@ -154,14 +154,14 @@ def _stamped(words: Sequence[str], line: int, path: Path) -> _Stamped:
 
 
 def _nearest(times: Sequence[float], time: float) -> int | None:
-    """The index of the nearest of ascending ``times``, None when it is too far away."""
+    """The index of the closest of ascending ``times``, None if it is too far away."""
     after = bisect_left(times, time)
     near = [i for i in (after - 1, after) if 0 <= i < len(times) and abs(times[i] - time) <= _APART]
     return min(near, key=lambda i: abs(times[i] - time), default=None)
 
 
 def _named_by(pairs: Sequence[tuple[_Stamped, object]], poses: list[_Pose]) -> list[_Pose]:
-    """The poses with their numbers in place of times, where all pictures are named by these."""
+    """The poses with their numbers in place of times, if every picture's name is such a number."""
     if not pairs or not {colour.time for colour, _ in pairs} <= {number for _, _, number in poses}:
         return poses
     return sorted(((number, pose, number) for _, pose, number in poses if number), key=lambda each: each[0])
