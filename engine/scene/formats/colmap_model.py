@@ -111,7 +111,7 @@ class _Bytes:
         return struct.unpack_from(layout, self.data, self.position - size)
 
     def count(self, things: str, least_bytes: int, most: int = _MOST_BYTES) -> int:
-        """How many ``things`` follow, of at least ``least_bytes`` each, which bounds their memory too."""
+        """How many ``things`` follow, of at least ``least_bytes`` each; in memory they take no more."""
         count = int(self.take("<Q")[0])
         room = (len(self.data) - self.position) // least_bytes
         check_count(count, things, self.path, EXPORT_AGAIN, most=most, room=room, made=least_bytes)

@@ -192,7 +192,7 @@ def _read(place: Path) -> Capture:
 
 
 def _pictures(images: Path, camera: str) -> Iterator[tuple[int, Path, Path]]:
-    """The numbers of a camera's frames, and by number the pictures and depth files of those that have both."""
+    """The number, picture and depth file of each of a camera's frames that has both, in order of number."""
     geometry = images / f"scene_{camera}_geometry_hdf5"
     for depth in sorted(shown_files(geometry, "frame.*.depth_meters.hdf5")):
         match = re.fullmatch(r"frame\.(\d+)\.depth_meters\.hdf5", depth.name)
