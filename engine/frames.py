@@ -1,6 +1,7 @@
-"""A scene's frames as files that any program can open: undistorted pictures, depth and masks in colours, a cloud.
+"""Exports a scene's frames in formats that any program can open: undistorted pictures, coloured depth and masks, a
+cloud.
 
-They are written in one pass; pixels are read once.
+Everything is written in one pass, so that pixels are read once.
 """
 
 from __future__ import annotations
@@ -21,9 +22,9 @@ from .scene.frame_colours import depth_colours, mask_colours
 from .scene_source import SceneSource
 
 _CELLS_DEEP = 200.0
-"""The number of cells in the median depth of the first frame: a cell is about a centimetre in a room."""
+"""Cells per median depth of the first frame: a cell is about a centimetre in a room."""
 _SIDE = 2**20
-"""Cells along an axis, from -_SIDE to _SIDE."""
+"""Cells in each direction along an axis."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,9 +36,9 @@ class ColouredCloud:
 
 
 class CloudBuilder:
-    """Collects pixels in cells of a grid; a cell becomes one point, the mean of its pixels.
+    """Collects pixels in the cells of a grid; each cell becomes one point, the mean of its pixels.
 
-    When more than ``cap`` cells are taken, every eight of them become one, so that memory stays bounded.
+    Whenever more than ``cap`` cells are filled, the grid becomes twice as coarse, so that memory stays bounded.
     """
 
     def __init__(self, cap: int = 400_000) -> None:
@@ -78,11 +79,11 @@ class CloudBuilder:
 
 KINDS = ("colour", "depth", "masks", "cloud")
 Progress = Callable[[int, int], object]
-"""Called after each frame with the number of frames done and of all. An error that it raises ends the work."""
+"""Called after each frame with the number of frames done and their total. An error that it raises ends the work."""
 
 _JPEG_QUALITY = 95
 _CLOUD_FRAMES, _CLOUD_PIXELS = 300, 8_000_000
-"""About the largest numbers of frames, evenly spread, and of their pixels that the cloud is made of."""
+"""Approximate maximum numbers of frames, evenly spread, and of pixels for the cloud."""
 
 
 def make_frames(
@@ -95,12 +96,13 @@ def make_frames(
 ) -> MadeFrames:
     """Write ``kinds`` of files of the frames ``names`` (None: all) into ``folder``.
 
-    frames.json is written first with all cameras, so that a reader need not wait for pictures, and last with what was
-    made. A picture is written if no image file shows it as it is. Depth and masks that the scene lacks are left out.
-    Files of an earlier run on the same scene are kept, unless their source is newer, or the frame's camera is another
-    one: then other pictures may lie in the scene's place, and be older. Raises PlgsError when the folder
-    holds something else, a frame is not there, or the scene has none of ``kinds``; and when a file of the scene is bad.
-    Bad depth for the cloud is reported after the pictures are written.
+    frames.json is written first with all cameras, so that a reader need not wait for pictures, and last with the files.
+    Pictures that an image file already shows unchanged are not written, nor are depth and masks that the scene lacks.
+    Files of an earlier run are kept, unless their source is newer or the frame's camera differs: then another scene,
+    with older pictures, may have taken this one's path.
+
+    Raises PlgsError if the folder holds something else, a frame is missing, the scene has none of ``kinds``, or a file
+    of the scene is bad. Bad depth for the cloud is reported after the pictures are written.
     """
     made = made_of(folder, source)
     chosen = _chosen(scene, names)
@@ -144,7 +146,7 @@ def _chosen(scene: Scene, names: Collection[str] | None) -> set[str]:
 
 
 def _refuse_nothing(scene: Scene, chosen: Collection[str], kinds: Collection[str]) -> None:
-    """Raise PlgsError if no frame has anything of these ``kinds``."""
+    """Raise PlgsError if no frame has any of these ``kinds``."""
     frames = [frame for frame in scene.frames if frame.name in chosen]
     there = {
         "colour": True,
@@ -201,7 +203,7 @@ def _add_to_cloud(builder: CloudBuilder, frame: Frame, stride: int) -> None:
 
 
 def _points(scene: Scene, folder: Path) -> Path | None:
-    """The file of the points of the reconstruction; None where there are none."""
+    """The file of the reconstruction's points, or None."""
     if scene.points is None or not len(scene.points):
         return None
     return _write_points(folder / "points.npz", scene.points.xyz.astype(np.float32), scene.points.rgb)

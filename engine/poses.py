@@ -1,8 +1,7 @@
-"""Poses of photos and films, by COLMAP's mapping (the package pycolmap), followed step by step so that it can be
-stopped.
+"""Finds the poses of photos and films with COLMAP (the package pycolmap), step by step so that it can be stopped.
 
-From photos comes a COLMAP model beside them: ``sparse/0``, where COLMAP itself puts it, and ``made_by.json`` in it. A
-reconstruction has no unit of length. Where measured depth lies beside the photos, in ``depth``, it gives the unit.
+The result is a COLMAP model beside the photos: ``sparse/0``, where COLMAP itself puts it, with ``made_by.json`` in it.
+A reconstruction has no unit of length; measured depth in ``depth``, beside the photos, gives it one.
 """
 
 from __future__ import annotations
@@ -38,10 +37,10 @@ _QUALITY = 95
 
 
 def write_pictures(film: Path, folder: Path, most: int, progress: Callable[[int, int], object]) -> None:
-    """Write at most ``most`` pictures of a film as ``folder/NNNNNN.jpg``, named by their number in the film. Of
-    Record3D's film also the depth, as ``folder/depth/NNNNNN.npy``.
+    """Write at most ``most`` pictures of a film as ``folder/NNNNNN.jpg``, named by their number in the film. For a
+    Record3D film, also write the depth, as ``folder/depth/NNNNNN.npy``.
 
-    ``progress`` is called with the numbers of pictures done and of all. Raises PlgsError, OSError.
+    ``progress`` is called with the number of pictures done and their total. Raises PlgsError, OSError.
     """
     import cv2
 
@@ -68,13 +67,13 @@ def write_pictures(film: Path, folder: Path, most: int, progress: Callable[[int,
 
 
 _RECORD3D, _SEARCHED = b'{"intrinsic', 1 << 20
-"""How the text in Record3D's films begins, and the bytes at the end of a film in which it is looked for."""
+"""The beginning of the metadata in Record3D's films, and how many bytes at the end of a film are searched for it."""
 _COLOURED, _BRIGHT = 96, 96
-"""Least saturation and value, 0..255, of a pixel that shows depth: Record3D leaves others black, and codecs blur."""
+"""Minimum saturation and value, 0..255, of a pixel with depth: Record3D leaves others black, and codecs blur."""
 
 
 def encoded_depth(film: Path) -> tuple[float, float] | None:
-    """The metres that the hues 0 and 1 mean in Record3D's "RGBD video" (depth left, picture right), by the text in it:
+    """The metres at the hues 0 and 1 of Record3D's "RGBD video" (depth left, picture right), from its metadata:
     ``{"intrinsicMatrix": …, "rangeOfEncodedDepth": [0, 3]}``. None for other films. Raises OSError."""
     with open_plain(film) as file:
         file.seek(max(0, film.stat().st_size - _SEARCHED))
@@ -89,7 +88,7 @@ def encoded_depth(film: Path) -> tuple[float, float] | None:
 
 
 def decoded_depth(shown: NDArray[np.uint8], low: float, high: float) -> NDArray[np.float32]:
-    """Planar depth, float32 [H, W] metres, 0 = none, of a picture [H, W, 3] whose hue says it."""
+    """Planar depth, float32 [H, W] metres, 0 = none, of a picture [H, W, 3] that encodes it as hue."""
     import cv2
 
     hue, saturation, value = np.moveaxis(cv2.cvtColor(np.ascontiguousarray(shown), cv2.COLOR_RGB2HSV_FULL), -1, 0)
@@ -99,13 +98,13 @@ def decoded_depth(shown: NDArray[np.uint8], low: float, high: float) -> NDArray[
 
 STAGE = "poses"
 _ALL_PAIRS = 200
-"""Photos up to which every one is compared with every other. More are compared with those near in their order."""
+"""The most photos of which all pairs are compared. With more, each is compared with its neighbours in order."""
 _NEAR = 20
 _POLL_S = 0.1
 
 
 def colmap(photos: Path) -> Any:
-    """The package pycolmap. Raises PlgsError where it is not installed."""
+    """The package pycolmap. Raises PlgsError if it is not installed."""
     try:
         import pycolmap
     except ImportError as error:
@@ -114,9 +113,9 @@ def colmap(photos: Path) -> Any:
 
 
 def map_photos(photos: Path, names: Sequence[str], workplace: Path, events: EventWriter, stop: StopSignal) -> Any:
-    """The largest reconstruction of photos that one camera took (pycolmap's Reconstruction); None when there is none.
+    """The largest reconstruction of photos from one camera (pycolmap's Reconstruction), or None.
 
-    The same photos give the same poses, except for what threads change. Raises PlgsError without pycolmap; Cancelled.
+    The same photos give the same poses, except for effects of threading. Raises PlgsError without pycolmap; Cancelled.
     """
     pycolmap = colmap(photos)
     pycolmap.logging.minloglevel = 2
@@ -156,7 +155,8 @@ def map_photos(photos: Path, names: Sequence[str], workplace: Path, events: Even
 
 
 def _followed(work: Callable[[], Any], token: Any, stop: StopSignal) -> Any:
-    """The result of ``work``, done in its own thread until it is stopped. Raises what ``work`` raises; Cancelled."""
+    """The result of ``work``, which runs in its own thread until it is stopped. Raises what ``work`` raises;
+    Cancelled."""
     answers: list[Any] = []
     errors: list[BaseException] = []
 
@@ -187,9 +187,8 @@ _MOST_SPREAD = 0.2
 
 @dataclass(frozen=True)
 class Scale:
-    """``metres`` that a length of the reconstruction is, the median over ``points`` places; half of them agree within
-    the share ``spread``.
-    """
+    """The ``metres`` per unit of the reconstruction, the median over ``points`` points; half of them agree within the
+    fraction ``spread``."""
 
     metres: float
     spread: float
@@ -205,7 +204,7 @@ class Scale:
 def metres_per_length(model: Any, depths: Mapping[str, Path]) -> Scale | None:
     """The median of measured depth over a point's depth in the reconstruction, over all photos' points.
 
-    ``depths`` are files by the photos' stems. None where too few points have depth, or their ratios disagree. Raises
+    ``depths`` are files by the photos' stems. None if too few points have depth, or their ratios disagree. Raises
     PlgsError for a file that is not a depth map.
     """
     ratios: list[NDArray[np.float64]] = []
@@ -254,11 +253,10 @@ _WITHOUT_DEPTH = (
 
 @dataclass(frozen=True)
 class Made:
-    """``folder``: the scene. ``posed`` of ``photos`` pictures have a pose. ``scale`` is the metres per length of the
-    reconstruction, None without measured depth. ``files``, ``depth`` and ``film`` are digests of the photos, of the
-    depth and of the film, empty where an earlier version made the poses; ``film`` is "none" for photos.
-    ``asked`` is how many pictures a film was to give, which may have fewer; 0 for photos, and where it is not known.
-    """
+    """``folder``: the scene. ``posed`` of ``photos`` pictures have a pose. ``scale`` is the metres per unit of the
+    reconstruction, None without measured depth. ``files``, ``depth`` and ``film`` are digests of the photos, the depth
+    and the film, empty if an earlier version made the poses; ``film`` is "none" for photos. ``asked`` is the number of
+    pictures requested from a film, which may have fewer; 0 for photos, and if unknown."""
 
     folder: Path
     posed: int
@@ -271,12 +269,12 @@ class Made:
     asked: int = 0
 
     def to_json(self) -> dict[str, Json]:
-        """What is kept beside the model."""
+        """The record that is kept beside the model."""
         return {name: value for name, value in asdict(self).items() if name != "folder"}
 
     @classmethod
     def read(cls, folder: Path) -> Made | None:
-        """What an earlier call made of a folder; None where it made nothing. Raises PlgsError."""
+        """The record of an earlier call in a folder, or None. Raises PlgsError."""
         path = folder / "sparse" / "0" / MADE_BY
         if not path.is_file():
             return None
@@ -293,9 +291,9 @@ class Made:
 def make_poses(place: Path, events: EventWriter, stop: StopSignal, pictures: int | None = None) -> Made:
     """Find the poses of the photos in a folder, or of a film's pictures, and write them beside the photos.
 
-    A film's ``pictures``, at most 150 where nothing is asked, go into a folder of the film's name. Existing files are
-    never overwritten; poses that an earlier call made are used. Raises PlgsError, also where what they were found by
-    has changed since; OSError; Cancelled.
+    A film's ``pictures`` (by default at most 150) go into a folder of the film's name. Existing files are never
+    overwritten; poses of an earlier call are reused. Raises PlgsError, also if the input has changed since; OSError;
+    Cancelled.
     """
     made = Made.read(place.with_suffix("") if is_film(place) else place)
     if made is not None:
@@ -318,7 +316,7 @@ def make_poses(place: Path, events: EventWriter, stop: StopSignal, pictures: int
 
 
 def _refuse_changed(made: Made, place: Path) -> None:
-    """Raise PlgsError where the photos, the measured depth that gave the unit, or the film are others. OSError."""
+    """Raise PlgsError if the photos, the measured depth that gave the unit, or the film have changed. OSError."""
     if is_film(place) and made.film not in ("", *digests_of_files([(place,)])):
         fix = f"Move the folder {made.folder.name} away to find this film's poses, or name that folder."
         raise PlgsError("other-photos", "the poses here were found for another film, or for photos", made.folder, fix)
@@ -334,7 +332,7 @@ def _refuse_changed(made: Made, place: Path) -> None:
 
 
 def _digest_of(files: Sequence[Path]) -> str:
-    """Of files and their names."""
+    """The digest of files and their names."""
     named = [[each.name for each in files], digests_of_files([(each,) for each in files])]
     return sha256(repr(named).encode()).hexdigest()
 
@@ -383,7 +381,7 @@ def _map(folder: Path, photos: Path, film: str, asked: int, events: EventWriter,
 
 
 def _photos_of(place: Path, events: EventWriter, stop: StopSignal, pictures: int) -> tuple[Path, Path]:
-    """The scene's folder, and the folder of its photos. Raises PlgsError where there are none, or poses already."""
+    """The scene's folder, and the folder of its photos. Raises PlgsError if there are no photos, or poses already."""
     if is_film(place):
         folder = place.with_suffix("")
         if folder.exists():

@@ -33,7 +33,7 @@ _FORMAT = 1
 _LARGEST = 2**31 - 1
 """The largest whole number that Blender can store."""
 _FARTHEST = 1e6
-"""Metres. No room is this large. Numbers near the largest float would make sums overflow."""
+"""Metres. No room is this large, and sums of numbers near the largest float would overflow."""
 BAD = (OSError, KeyError, ValueError, TypeError, AttributeError, OverflowError, RecursionError)
 """The errors that are raised when content has the wrong form."""
 _CORNER = r"[01]\.\d{3},[01]\.\d{3}"
@@ -79,12 +79,13 @@ class Anchors:
 class MatchedSegment:
     """A mask's segment that was matched to an instance, with its own class and score.
 
-    ``cost`` and ``agreement`` tell why it was matched; one of them is None. ``cost`` is that of Algorithm 1, from -1.5
+    ``cost`` and ``agreement`` say why it was matched; one of them is None. ``cost`` is that of Algorithm 1, from -1.5
     (same box) to 0, and None for the segment that founded the instance. ``agreement`` is the share of the views'
-    judgements that join it with the instance's other masks. ``pixels``: the number of pixels with depth at the size
-    of the lift; ``share`` of the picture's pixels; ``rectangle`` around it: left, top, right, bottom, 0..1;
-    ``outline``: polygons around its parts, "x,y x,y x,y;x,y x,y x,y" in shares of the picture. The first versions of
-    this file lack the last five: then they are None, 0 and empty."""
+    judgements that join it with the instance's other masks. ``pixels``: the number of pixels with depth at the size of
+    the lift; ``share`` of the picture's pixels; ``rectangle`` around it: left, top, right, bottom, 0..1; ``outline``:
+    polygons around its parts, "x,y x,y x,y;x,y x,y x,y" in fractions of the picture. The last five are None, 0 and
+    empty for the first versions of this file.
+    """
 
     frame: str
     segment_id: int
@@ -247,7 +248,7 @@ def _whole(value: Any) -> int:
 
 
 def _id(value: Any, least: int = 0) -> int:
-    """An id. It is limited, as palettes and lists have a place for each id up to the largest."""
+    """An id within limits, as palettes and lists have an entry for each id up to the largest."""
     return _within(int(value), least, LARGEST_ID)
 
 

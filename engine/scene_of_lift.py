@@ -1,4 +1,4 @@
-"""The scene of a lift with its pixels, where its request says; where it was moved, its cameras alone."""
+"""Opens the scene of a lift at its requested path; if it was moved, only its cameras are available."""
 
 from __future__ import annotations
 
@@ -29,19 +29,19 @@ from .scene import (
 )
 
 DECODED_DIGEST = 64
-"""The length of a digest of decoded masks, which lifts of f11a2595 and before have."""
+"""The length of a digest of decoded masks, as in lifts up to f11a2595."""
 EARLIER = "earlier"
-"""The folder in a lift's folder with what was baked of earlier results."""
+"""The folder, within a lift's folder, for passes of earlier results."""
 _ALIKE = 1e-4
-"""Metres, pixels and entries of rotations by which the cameras of the same frames may differ."""
+"""Tolerance in metres, pixels and entries of rotations when cameras of the same frame are compared."""
 _ANOTHER = "Restore it as it was, say where it is with Find Scene or --scene, or lift into another folder."
 
 
 def scene_of_lift(folder: LiftFolder) -> Scene:
-    """The scene that a lift was made from, with the classes of the result. Where it is gone, its frames and cameras:
-    enough to place, bake and export what needs no pictures; their readers raise.
+    """The scene that a lift was made from, with the classes of the result. If it is gone, its frames and cameras, which
+    suffice to place, bake and export anything that needs no pictures; their readers raise.
 
-    Raises PlgsError for a scene that is there and cannot be read, or is another one now, or is gone and not known.
+    Raises PlgsError for a scene that cannot be read, has been replaced by another, or is gone without a record.
     """
     if os.path.exists(folder.request.scene) or not has_known(folder.path):
         scene = opened_scene(folder)
@@ -56,8 +56,8 @@ def scene_of_lift(folder: LiftFolder) -> Scene:
 
 
 def opened_scene(folder: LiftFolder) -> Scene:
-    """The scene that a lift was made from, as its files are now. Raises PlgsError also where other frames with the same
-    names, or mostly others, are there by now."""
+    """The scene that a lift was made from, as its files are now. Raises PlgsError also if frames of the same names
+    differ, or most frames are gone."""
     scene, known = open_asked(folder.request), read_known(folder)
     if known is not None:
         _refuse_another(known, scene)
@@ -65,8 +65,8 @@ def opened_scene(folder: LiftFolder) -> Scene:
 
 
 def _refuse_another(known: StoredScene, scene: Scene) -> None:
-    """Raise PlgsError where a camera differs, or most of the known frames are gone. Some may have been left out or lost
-    since."""
+    """Raise PlgsError if a camera differs, or most of the known frames are gone. A few may have been left out or
+    lost."""
     there = {frame.name for frame in scene.frames}
     kept = [frame for frame in known.frames if frame.name in there]
     compared = kept if 2 * len(kept) >= len(known.frames) else known.frames
@@ -74,15 +74,15 @@ def _refuse_another(known: StoredScene, scene: Scene) -> None:
 
 
 def names_of_frames(folder: LiftFolder) -> tuple[str, ...]:
-    """The names of all frames of a lift's scene; none where they are not known. Raises PlgsError."""
+    """The names of all frames of a lift's scene; empty if unknown. Raises PlgsError."""
     known = read_known(folder)
     return () if known is None else tuple(frame.name for frame in known.frames)
 
 
 def remember_scene(folder: LiftFolder, scene: Scene, warn: Callable[[str], object] = lambda _: None) -> str:
-    """Write the cameras of a lift's scene, and the digests of its files, beside its request. Returns that of the masks.
-    What was baked with other masks or classes is moved out of the result before, with a warning. Raises PlgsError,
-    OSError."""
+    """Write the cameras of a lift's scene, and the digests of its files, beside its request. Returns the digest of the
+    masks. Passes that were baked with other masks or classes are first moved out of the result, with a warning. Raises
+    PlgsError, OSError."""
     masks, before = digest_of_masks(scene), read_known(folder)
     if (before is not None and masks_differ(before.masks, scene, masks)) or have_classes_changed(folder, scene):
         _move_baked(folder, warn)
@@ -93,7 +93,7 @@ def remember_scene(folder: LiftFolder, scene: Scene, warn: Callable[[str], objec
 
 
 def _move_baked(folder: LiftFolder, warn: Callable[[str], object]) -> None:
-    """Move what was baked of an earlier result into a folder of its own: it shows other objects than the next one."""
+    """Move the passes of an earlier result into their own folder, as the next result has other objects."""
     if not any(folder.passes_path.glob("*.exr")):
         return
     places = (folder.path / EARLIER / str(number) for number in count(1))
@@ -106,8 +106,8 @@ def _move_baked(folder: LiftFolder, warn: Callable[[str], object]) -> None:
 
 
 def refuse_changed(folder: LiftFolder, scene: Scene) -> None:
-    """Raise PlgsError where a lift cannot go on with a ``scene``, or stand for it: since the lift was last run, a
-    frame's photo, depth or camera has changed, or which frames there are and are held out. Masks may change."""
+    """Raise PlgsError if a lift cannot continue with a ``scene``: since the lift was last run, a frame's photo, depth
+    or camera has changed, or the set of frames or of held-out ones. Masks may change."""
     known = read_known(folder)
     if known is None:
         return
@@ -123,8 +123,8 @@ def refuse_changed(folder: LiftFolder, scene: Scene) -> None:
 
 
 def refuse_other_pictures(folder: LiftFolder, scene: Scene) -> None:
-    """Raise PlgsError where a frame's photo or depth is not that of when the lift was last run. What is not known, or
-    cannot be read, is left to others."""
+    """Raise PlgsError if a frame's photo or depth has changed since the lift was last run. Unknown and unreadable files
+    are ignored here."""
     known = read_known(folder)
     if known is not None:
         _refuse_other_pictures(known, scene)
@@ -139,23 +139,21 @@ def _refuse_other_pictures(known: StoredScene, scene: Scene) -> None:
 
 
 def another(differs: str, scene: Scene) -> PlgsError:
-    """The error for a scene that is not the one that a lift was made from."""
+    """The error for a scene other than the one that a lift was made from."""
     return PlgsError("other-scene", f"this is another scene: {differs}", scene.folder, _ANOTHER)
 
 
 def complete_known_scene(folder: LiftFolder, scene: Scene) -> None:
-    """Write scene.json again where an earlier version wrote it without what Blender needs, or not at all."""
+    """Write scene.json again if an earlier version left out what Blender needs, or the whole file."""
     known = read_known(folder)
     if os.path.exists(scene.folder) and (known is None or not known.layout):
         write_known(folder, stored_scene(scene, scene.frames, "" if known is None else known.masks))
 
 
 def is_done(folder: LiftFolder, masks: str = "") -> bool:
-    """Whether nothing is left to lift, for a caller who knows that no engine is at work: the result is there, as it was
-    written byte by byte, and the masks and their classes are those that it was lifted
-    from. ``masks`` is the `digest_of_masks` of the scene for a caller who has just read them. Raises PlgsError, also
-    for a scene that has changed otherwise.
-    """
+    """Whether nothing is left to lift, for a caller who knows that no engine is running: the result is complete and
+    unmodified, and the masks and classes are those that it was lifted from. ``masks`` is the `digest_of_masks` of the
+    scene, if the caller has just read them. Raises PlgsError, also for a scene that has changed otherwise."""
     if folder.state_at_rest() is not LiftState.FINISHED or not folder.is_whole():
         return False
     known = read_known(folder)
@@ -167,7 +165,7 @@ def is_done(folder: LiftFolder, masks: str = "") -> bool:
 
 
 def have_classes_changed(folder: LiftFolder, scene: Scene) -> bool:
-    """Whether a result is there, and the masks of its scene have other classes by now, whatever their colours."""
+    """Whether there is a result, and the masks of its scene now have other classes, ignoring their colours."""
     try:
         result, _ = read_instances(folder.result_path / INSTANCES)
     except PlgsError:  # there is none, or a damaged one, which is written again
@@ -179,21 +177,21 @@ def have_classes_changed(folder: LiftFolder, scene: Scene) -> bool:
 
 
 def masks_last_run(folder: LiftFolder) -> str:
-    """The digest of the masks when the lift was last run; empty where that is not known. Raises PlgsError."""
+    """The digest of the masks when the lift was last run; empty if unknown. Raises PlgsError."""
     known = read_known(folder)
     return "" if known is None else known.masks
 
 
 def digest_of_masks(scene: Scene) -> str:
-    """The start of the SHA-256 of the files of all masks and of what they are read as; no mask is decoded."""
+    """The start of the SHA-256 of all mask files and of how they are read, without decoding masks."""
     read = [(frame.name, reader) for frame in scene.frames for reader in (frame.read_mask, frame.read_detections)]
     digests = [(name, reader.digest()) for name, reader in read if isinstance(reader, MaskReader | EvidenceReader)]
     return sha256(repr(digests).encode()).hexdigest()[:16]
 
 
 def masks_differ(before: str, scene: Scene, now: str = "") -> bool:
-    """Whether the masks of a scene are others than those of the digest ``before`` ("": not known). ``now`` is their
-    `digest_of_masks` for a caller who has it. A digest of f11a2595 and before is compared as it was made. Raises
+    """Whether the masks of a scene differ from those of the digest ``before`` ("": unknown). ``now`` is their
+    `digest_of_masks`, if the caller has it. Digests of lifts up to f11a2595 are compared as decoded. Raises
     OtherClasses."""
     if not before:
         return False
@@ -221,10 +219,11 @@ def _digest_of_decoded(scene: Scene) -> str:
 
 
 def relink(folder: LiftFolder, place: Path) -> LiftFolder:
-    """Let a lift's request name its scene at another ``place``. Masks and depth maps that lay in it move along.
+    """Change the path of the scene in a lift's request to ``scene``. Paths of masks and depth maps inside it change
+    along.
 
-    Raises PlgsError when a program works on the lift, when what is there cannot be read, or has other frames: other
-    names, sizes, lenses or poses. Then the request stays as it was.
+    Raises PlgsError if a program works on the lift, the new scene cannot be read, or it has other frames (names, sizes,
+    lenses or poses). Then the request is unchanged.
     """
     if folder.is_running:
         what = "an engine is at work here"
@@ -242,7 +241,7 @@ def relink(folder: LiftFolder, place: Path) -> LiftFolder:
 
 
 def refuse_others(known: Sequence[PosedFrame], scene: Scene) -> None:
-    """Raise PlgsError where a scene has other frames than those that are known."""
+    """Raise PlgsError if a scene has other frames than the known ones."""
     there = {frame.name: frame for frame in scene.frames}
     for frame in known:
         if frame.name not in there:
@@ -252,7 +251,8 @@ def refuse_others(known: Sequence[PosedFrame], scene: Scene) -> None:
 
 
 def _digests_of(frames: Sequence[Frame]) -> list[tuple[str, str]]:
-    """Of a frame's photo and depth, and of its confidence and how they are read; empty where a file cannot be read."""
+    """The digests of a frame's photo and depth, of its confidence, and of how they are read; empty for unreadable
+    files."""
     files = digests_of_files([(frame.colour_path, frame.depth_path) for frame in frames])
     trusted = digests_of_files([(frame.confidence_path,) for frame in frames])
     return [
@@ -262,7 +262,7 @@ def _digests_of(frames: Sequence[Frame]) -> list[tuple[str, str]]:
 
 
 def _gone(scene: Path) -> Callable[[Any], NoReturn]:
-    """A reader of pixels that are not there."""
+    """A reader that raises, for pixels that are gone."""
 
     def read(size: Any = None) -> NoReturn:
         what = "the scene is not there, and this needs its pictures"

@@ -1,7 +1,7 @@
-"""Which scene is meant, and how it is read: what commands, requests and the panel pass on, and the names of formats.
+"""Names a scene and how to read it, for commands, requests and the panel; and the names of formats.
 
-A field's metadata holds the keywords of `argparse` for the ``option`` of the command line that sets it.
-``formats/`` and ``mask_formats/`` have a reader for each name; a test checks that these tables name them all.
+A field's metadata holds `argparse` keywords for the command-line ``option`` that sets it. ``formats/`` and
+``mask_formats/`` have a reader for each name; a test checks that these tables are complete.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from typing import Any, Literal, NamedTuple, get_args
 UpAxis = Literal["z", "y", "-y", "+z"]
 UPS: tuple[str, ...] = get_args(UpAxis)
 UP_OPTIONS: dict[str, UpAxis] = {"auto": "z", "z": "+z", "y": "y", "-y": "-y"}
-"""What --up may be, and what it means."""
+"""The values of --up, and their meanings."""
 
 
 def option(help: str, metavar: str, type: Any = str, **more: Any) -> dict[str, Any]:
@@ -23,26 +23,26 @@ def option(help: str, metavar: str, type: Any = str, **more: Any) -> dict[str, A
 
 
 def up_axis(text: str) -> str:
-    """What --up means; for argparse, so it raises ArgumentTypeError."""
+    """The meaning of a value of --up, for argparse: it raises ArgumentTypeError."""
     if text not in UP_OPTIONS:
         raise ArgumentTypeError(f"{text!r} is not one of {',  '.join(UP_OPTIONS)}")
     return UP_OPTIONS[text]
 
 
 def class_table(text: str) -> str:
-    """The name of a table of classes as it is, the path of a file as an absolute one."""
+    """The name of a table of classes unchanged, or the absolute path of a file."""
     return str(Path(text).resolve()) if text.endswith(".toml") else text
 
 
 @dataclass(frozen=True)
 class SceneSource:
-    """``scene`` is its folder or file; the rest says how it is read.
+    """``scene`` is its folder or file; the other fields say how to read it.
 
-    ``masks`` names panoptic masks outside the folder. ``up`` is the axis of the poses' world that points up; "z" leaves
-    it to formats that know, "+z" is the z axis whatever they say. ``scene_format`` and ``mask_format`` name formats
-    that are recognised otherwise. ``depth`` is a folder of monocular depth maps in place of the scene's depth.
-    ``classes`` is the name of a table of the masks' classes, or the path of a .toml file. ``detections`` is a JSON of
-    segments that may overlap, over the masks.
+    ``masks`` names panoptic masks outside the folder. ``up`` is the upward axis of the poses' world; "z" leaves it to
+    formats that know, "+z" is always the z axis. ``scene_format`` and ``mask_format`` name formats that are otherwise
+    recognised. ``depth`` is a folder of monocular depth maps to use instead of the scene's depth. ``classes`` is the
+    name of a table of the masks' classes, or the path of a .toml file. ``detections`` is a JSON of possibly overlapping
+    segments that are laid over the masks.
     """
 
     scene: Path
@@ -91,7 +91,7 @@ class SceneSource:
 
     @property
     def up_option(self) -> str:
-        """What --up has to be for this ``up``."""
+        """The --up value for this ``up``."""
         return next(option for option, up in UP_OPTIONS.items() if up == self.up)
 
     @property
@@ -157,4 +157,5 @@ NUMBERINGS = (
     "ade20k:0-149", "ade20k:1-150", "cityscapes:0-18", "cityscapes:0-33", "coco:0-132", "coco:90",
     "nyu40:1-40", "nyu40:0-39", "nyu13:1-13", "nyu13:0-12", "scannet:1-1357",
 )  # fmt: skip
-"""Tables whose files number classes in several ways, or as another table could, with the way: first the usual one."""
+"""Tables whose files number classes in several ways, or ambiguously with another table's, with these ways, the most
+usual first."""

@@ -1,12 +1,12 @@
-"""Masks by transformers' Mask2Former, for scenes that have none: all frames as COCO panoptic, frame by frame. Frames
-with a mask are not made again.
+"""Makes masks with transformers' Mask2Former for scenes without any: COCO panoptic, frame by frame. Existing masks are
+kept.
 
 ``panoptic/<frame>.png`` and ``.json`` are written one by one; ``panoptic/made_by.json`` names the model.
-``detections.json`` has every query that could be something, for ``lift --detections``: masks leave most out.
-``panoptic.json`` is written last, and without it there are no masks yet. The network comes from a folder or, with the
-user's consent, from Hugging Face's hub. Only safetensors are read: no pickles, and no code that comes with a model.
-transformers is imported late; its own post-processing works at 384x384 for pictures of any shape and does not fuse
-stuff by default. Asked to fuse, it gives one id to several segments.
+``detections.json`` has every query that could be something, for ``lift --detections``: masks omit most of these.
+``panoptic.json`` is written last; until then, the scene counts as having no masks. The network comes from a folder or,
+with the user's consent, from Hugging Face's hub. Only safetensors are read: no pickles, and no code that comes with a
+model. transformers is imported late. Its own post-processing is not used: it works at 384x384 for any aspect ratio, and
+its stuff fusion gives one id to several segments.
 """
 
 from __future__ import annotations
@@ -31,13 +31,13 @@ from .json_file import read_object, read_value
 from .scene import ClassLabel, Frame, Scene, digests_of_files, labels_of_config, size_within
 
 LEAST_SCORE = 0.5
-"""The least score of a query that is a segment."""
+"""Minimum score of a query to become a segment."""
 INSIDE = 0.5
-"""The least probability of a pixel of a query's mask."""
+"""Minimum probability of a pixel in a query's mask."""
 LEAST_DETECTION = 0.1
-"""The least score of a query that is kept beside the panoptic masks."""
+"""Minimum score of a query that is kept beside the panoptic masks."""
 VISIBLE = 0.8
-"""Share of a segment that the others must leave visible; else it is dropped."""
+"""Minimum share of a segment that others leave visible; otherwise it is dropped."""
 
 
 @dataclass(frozen=True)
@@ -117,7 +117,7 @@ def _mean(parts: list[tuple[float, int]]) -> float:
 
 
 _LARGEST_SIDE = 1280
-"""The largest number of pixels of a mask's longer side: networks see less than that anyway."""
+"""Maximum pixels of a mask's longer side; networks work at a lower resolution anyway."""
 
 
 @dataclass(frozen=True)
@@ -152,7 +152,7 @@ def _resized(masks: torch.Tensor, size: tuple[int, ...]) -> torch.Tensor:
 def load_model(name: str, *, download: bool) -> Mask2Former:
     """Load the network in the folder ``name``, or the one of this name on the hub. Raises PlgsError.
 
-    It is fetched only with ``download``; otherwise it has to be on this machine already.
+    It is fetched only with ``download``; otherwise it must be on this computer already.
     """
     _refuse_other_names(name)
     if not download:  # the library reads this when it is imported
@@ -196,8 +196,8 @@ _ANOTHER = "Name another one, or fetch it again."
 
 
 def _checked_labels(folder: Path, name: str) -> tuple[ClassLabel, ...]:
-    """The classes of the model in this folder, whose weights are safetensors in it, as they were on the hub. Raises
-    PlgsError."""
+    """The classes of the model in this folder. Raises PlgsError unless its weights are safetensors in the folder,
+    unchanged since their download."""
     config, index = folder / "config.json", folder / "model.safetensors.index.json"
     if not config.is_file() or not any(folder.glob("*.safetensors")):
         fix = "Name a folder that transformers' save_pretrained wrote, with config.json and safetensors."
@@ -215,7 +215,7 @@ def _checked_labels(folder: Path, name: str) -> tuple[ClassLabel, ...]:
 
 
 def _ask_hub(hub: Any, model: str, revision: str | None) -> None:
-    """Raise PlgsError if the hub does not answer or does not have the model: a download waits for a silent hub."""
+    """Raise PlgsError if the hub does not answer or lacks the model, as a download would wait for a silent hub."""
     try:
         hub.model_info(model, revision=revision, timeout=_HUB_S)
     except Exception as error:  # of httpx, or of whatever the hub's library uses in its place
@@ -225,7 +225,7 @@ def _ask_hub(hub: Any, model: str, revision: str | None) -> None:
 
 
 def _refuse_other_names(name: str) -> None:
-    """Raise PlgsError for what is neither a folder nor like OWNER/MODEL or OWNER/MODEL@REVISION."""
+    """Raise PlgsError for anything but a folder, OWNER/MODEL or OWNER/MODEL@REVISION."""
     if not Path(name).is_dir() and (name.count("/") != 1 or name.startswith((".", "/", "~"))):
         fix = "Name a folder, or a model as OWNER/NAME or OWNER/NAME@REVISION."
         raise PlgsError("no-model", "there is no such folder or model", name, fix)
@@ -243,7 +243,7 @@ def _not_loaded(name: str, download: bool, error: Exception) -> PlgsError:
 TABLE, FOLDER, MADE_BY, DETECTIONS = "panoptic.json", "panoptic", "made_by.json", "detections.json"
 _OTHER_MASKS = ("m2f_semantics", "m2f_notta_semantics", "masks")
 Progress = Callable[[int, int, int], object]
-"""Called after each frame with the numbers done, of all, and made in this run. Its errors end the work."""
+"""Called after each frame with the number done, the total, and the number made in this run. Its errors end the work."""
 
 
 class Segmenter(Protocol):
@@ -260,7 +260,7 @@ class Segmenter(Protocol):
 
 @dataclass(frozen=True)
 class Job:
-    """The folder of the masks, whether an earlier run began with them, and whether they are complete."""
+    """The folder of the masks, whether an earlier run began them, and whether they are complete."""
 
     folder: Path
     is_begun: bool
@@ -279,7 +279,7 @@ class Job:
 
 def begin_job(folder: Path, model: str, frames: Sequence[Frame]) -> Job:
     """Begin in ``folder``, or continue there. Raises PlgsError for masks of other programs, another model or other
-    photos: nothing is overwritten."""
+    photos, and overwrites nothing."""
     made_by, of_files = folder / FOLDER / MADE_BY, digests_of_files([(frame.colour_path,) for frame in frames])
     named = [*zip((frame.name for frame in frames), of_files, strict=True)]
     photos = sha256(repr(named).encode()).hexdigest() if all(of_files) else ""  # not known
@@ -304,7 +304,7 @@ def begin_job(folder: Path, model: str, frames: Sequence[Frame]) -> Job:
 
 
 def make_masks(scene: Scene, job: Job, network: Segmenter, progress: Progress) -> None:
-    """Make the masks that are missing, then the table. Raises PlgsError, OSError."""
+    """Make the missing masks, then the table. Raises PlgsError, OSError."""
     made = 0
     for done, frame in enumerate(scene.frames, start=1):
         segments, picture = (job.pictures / f"{frame.name}{suffix}" for suffix in (".json", ".png"))

@@ -1,2 +1,2 @@
-"""A finished lift in the forms that other programs read: COCO panoptic, label images, ScanNet's label files, points,
+"""Exports a finished lift in other programs' formats: COCO panoptic, label images, ScanNet's label files, points,
 boxes, meshes."""

@@ -24,7 +24,7 @@ MOST_COCO_IDS = 4096
 MOST_IDS = 1 << 16
 """Ids below this fit into 16 bits."""
 LEAST_COVERAGE = 0.5
-"""Alpha below which a pixel has no depth."""
+"""Alpha below which a pixel gets no depth."""
 
 
 def export_coco(lift: FinishedLift, output: Path) -> None:
@@ -80,8 +80,8 @@ def write_coco(
 
 
 def _segments(ids: NDArray[np.int32], classes: ClassTable, names: Mapping[int, str]) -> list[dict[str, object]]:
-    """The segments of one view in ascending order of id, with area and bounding box (x, y, width, height). Things that
-    no object owns are a crowd."""
+    """The segments of one view in ascending order of id, with area and bounding box (x, y, width, height). Unowned
+    things are a crowd."""
     segments: list[dict[str, object]] = []
     for segment in np.unique(ids[ids > 0]).tolist():
         rows, columns = np.nonzero(ids == segment)
@@ -127,8 +127,8 @@ def export_scannet(lift: FinishedLift, output: Path) -> None:
 
 
 def export_depth(lift: FinishedLift, output: Path) -> None:
-    """<frame>.npy: planar depth float32 [H, W] in metres, 0 = none. ``lift --depth`` reads such a folder where there is
-    no sensor. Raises OSError."""
+    """<frame>.npy: planar depth float32 [H, W] in metres, 0 = none. ``lift --depth`` reads such a folder for scenes
+    without a sensor. Raises OSError."""
     for frame, layers in lift.views():
         depth = np.where(layers.combined[..., 3] >= LEAST_COVERAGE, layers.depth, np.float32(0))
         content = io.BytesIO()

@@ -16,13 +16,12 @@ from ..scene import Camera, Frame
 VOXEL = 0.02
 """Side of a voxel in metres."""
 _STEP = 1.1
-"""The ratio of the depths around a pixel above which they are of different surfaces."""
+"""The ratio of neighbouring depths above which two pixels belong to different surfaces."""
 STRAIGHT = ((0.0, 4.0),)
 GRAZED = (*STRAIGHT, (2.0, 8.0), (4.0, 12.0))
-"""Slopes of a surface, and from each on how many voxels before and behind it a view changes, along the view's axis. A
-view that grazes a floor has to reach farther, or changes none beside it, and the floor has holes. What is round gets
-thicker by it.
-"""
+"""Slopes of a surface, and the number of voxels before and behind it, along the view's axis, that a view changes from
+that slope on. A view that grazes a floor must reach farther; otherwise the floor has holes. The cost is that round
+objects get thicker."""
 _STRIDE = 4
 """Open3D looks at every fourth row and column for the voxels that a view changes, and refuses views without any."""
 _BLOCKS = 20_000
@@ -41,17 +40,15 @@ class Surface:
     triangles: NDArray[np.int64]
 
     def of(self, triangles: Ints) -> tuple[Surface, Ints]:
-        """These of its triangles [T, 3] alone, and which of its vertices they have, [V]."""
+        """The surface with only these of its triangles [T, 3], and which of its vertices they use, [V]."""
         used, corners = np.unique(triangles, return_inverse=True)
         return Surface(self.xyz[used], self.rgb[used], self.normal[used], corners.reshape(-1, 3)), used
 
 
 @dataclass(frozen=True)
 class Grain:
-    """How views are fused: the side of a ``voxel`` in metres, metres beyond which depth is left out, how many views
-    have to see a voxel, how many times larger than the views their depth is, and how far they reach. Far floors need
-    depth between pixels, and GRAZED.
-    """
+    """How views are fused: the side of a ``voxel`` in metres, the maximum depth in metres, how many views must see a
+    voxel, the enlargement of the views' depth, and their reach. Far floors need depth between pixels, and GRAZED."""
 
     voxel: float = VOXEL
     farthest: float = 8.0
@@ -62,8 +59,8 @@ class Grain:
 
 @dataclass(frozen=True, eq=False)
 class SmallView:
-    """A view as it is fused: ``depth`` float32 [H, W] m, ``rgb`` uint8 [H, W, 3], ``label`` int64 [H, W], and the
-    ``frame`` whose photo shows the same."""
+    """A view for fusion: ``depth`` float32 [H, W] m, ``rgb`` uint8 [H, W, 3], ``label`` int64 [H, W], and the ``frame``
+    with the same photo."""
 
     camera: Camera
     depth: NDArray[np.float32]
@@ -72,8 +69,8 @@ class SmallView:
     frame: Frame | None = None
 
     def large_depth(self, times: int) -> NDArray[np.float32]:
-        """The depth with more pixels, float32 [H * times, W * times] m. What lies between pixels of one surface is
-        interpolated in inverse depth, in which planes are flat."""
+        """The enlarged depth, float32 [H * times, W * times] m. Between pixels of one surface, inverse depth is
+        interpolated, in which planes are flat."""
         if times == 1:
             return np.ascontiguousarray(self.depth)
         inverse, is_one = self._inverse
@@ -85,15 +82,16 @@ class SmallView:
 
     @cached_property
     def _inverse(self) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
-        """The inverse depth [H, W] 1/m, 0 for none, and 1 where all around a pixel are of one surface, uint8 [H, W]."""
+        """The inverse depth [H, W] 1/m, 0 for none, and, uint8 [H, W], 1 where a pixel's whole neighbourhood is one
+        surface."""
         inverse = np.divide(1.0, self.depth, out=np.zeros_like(self.depth), where=self.depth > 0)
         around = np.ones((3, 3), np.uint8)
         lowest, highest = cv2.erode(inverse, around), cv2.dilate(inverse, around)
         return inverse, ((lowest > 0) & (highest < _STEP * lowest)).astype(np.uint8)
 
     def slopes(self) -> NDArray[np.float32]:
-        """The depth over the camera's distance from the plane of each pixel's surface, float32 [H, W]: 1 for one that
-        faces the camera, more the more it is grazed, 0 for edges and where none is."""
+        """The depth divided by the camera's distance from the plane of each pixel's surface, float32 [H, W]: 1 for a
+        frontal surface, larger for grazing views, 0 for edges and missing depth."""
         inverse, is_one = self._inverse
         down, right = np.gradient(inverse)
         row, column = np.indices(inverse.shape, np.float32) + np.float32(0.5)
@@ -140,7 +138,7 @@ def fuse(views: Sequence[SmallView], grain: Grain = Grain()) -> Surface:
 
 
 def _by_slope(view: SmallView, large: NDArray[np.float32], grain: Grain) -> Iterator[tuple[NDArray[np.float32], float]]:
-    """The ``large`` depth [H, W] of the surfaces of each slope alone, with the voxels that it reaches."""
+    """The ``large`` depth [H, W], split by slope, with the number of voxels that each slope reaches."""
     if len(grain.reaches) == 1:
         yield np.where(large <= grain.farthest, large, np.float32(0)), grain.reaches[0][1]
         return
@@ -151,8 +149,8 @@ def _by_slope(view: SmallView, large: NDArray[np.float32], grain: Grain) -> Iter
 
 
 def _in_order(surface: Surface) -> Surface:
-    """The same surface with vertices and triangles sorted, as Open3D's threads return them in a different order each
-    time. Vertices in the same place, which it leaves where blocks of voxels meet, become one."""
+    """The same surface with sorted vertices and triangles, as Open3D's threads return them in a varying order.
+    Duplicate vertices, which it leaves between blocks of voxels, are merged."""
     order = np.lexsort(np.concatenate([surface.normal, surface.xyz], axis=1).T)
     xyz = surface.xyz[order]
     is_first = np.ones(len(xyz), bool)

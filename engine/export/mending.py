@@ -1,6 +1,8 @@
-"""A fused surface mended: small holes are closed, flakes that float and tatters at rims are left out, and crumbs are
-taken away from their object; and cut along the lines where its labels change, not along its triangles, so that its
-parts have no teeth where they meet."""
+"""Cleans up a fused surface and cuts it by label.
+
+Small holes are closed; floating flakes and tatters at rims are removed; crumbs are taken away from their object. The
+cut follows the smooth lines where labels change, not the triangles, so that parts meet without teeth.
+"""
 
 from __future__ import annotations
 
@@ -16,26 +18,25 @@ from .fusion import Ints, Surface
 HAND = 0.1
 """The largest size in metres, along each axis, of a hole that is closed. Its square is the largest crumb of stuff."""
 FLAKE = 0.03
-"""Square metres below which a piece of the whole surface is left out."""
+"""Area in square metres below which an isolated piece of the whole surface is dropped."""
 CRUMB = 0.1
 """Share of the largest piece's area below which a piece of a mesh is small."""
 SCRAP = 0.02
-"""Share of the largest piece's area below which a piece of an object's mesh is a crumb, however near."""
+"""Share of the largest piece's area below which a piece of an object's mesh is always a crumb."""
 FAR = 0.2
 """Metres from the large pieces beyond which a small one is a crumb."""
 FRINGE = 2
 """Half the width in vertices of a fringe."""
 THIN = 0.5
-"""Share of a label's vertices outside fringes below which the label is thin itself, and has no fringe."""
+"""Share of a label's vertices outside fringes below which the label itself is thin, and keeps its fringes."""
 KEYS = 1 << 32
 
 
 def close_holes(surface: Surface, label: Ints, largest: float = HAND) -> tuple[Surface, Ints]:
-    """The surface and its vertices' labels [V] with a fan in each hole of at most the ``largest`` size in metres,
-    around a new vertex in its middle.
+    """The surface and its vertices' labels [V] with a fan around a new central vertex in each hole of at most the
+    ``largest`` size in metres.
 
-    A hole is a ring of open edges. The rim of a scrap is one too, and stays open: there the surface does not extend
-    beyond the ring.
+    A hole is a ring of open edges that the surface surrounds. The rim of a scrap is a ring, too, but stays open.
     """
     rim = open_edges(surface.triangles)
     if not len(rim):
@@ -62,7 +63,7 @@ def close_holes(surface: Surface, label: Ints, largest: float = HAND) -> tuple[S
 
 
 def without_flakes(surface: Surface, label: Ints) -> tuple[Surface, Ints]:
-    """The surface and its vertices' labels [V] without pieces smaller than a FLAKE that hang together with nothing."""
+    """The surface and its vertices' labels [V] without isolated pieces smaller than FLAKE."""
     piece = pieces(surface.triangles, len(surface.xyz))
     of_triangle = piece[surface.triangles[:, 0]]
     area = np.bincount(of_triangle, _areas(surface.xyz, surface.triangles), len(surface.xyz))
@@ -71,9 +72,9 @@ def without_flakes(surface: Surface, label: Ints) -> tuple[Surface, Ints]:
 
 
 def without_fringe(surface: Surface, label: Ints) -> tuple[Surface, Ints]:
-    """The surface and its vertices' labels [V] without what is narrower than twice FRINGE vertices between open edges:
-    the tatters that views leave where one surface hides another. Tubes, such as legs, have no such edges, and what has
-    a THIN label stays."""
+    """The surface and its vertices' labels [V] without strips narrower than twice FRINGE vertices between open
+    edges, which views leave where one surface hides another. Tubes, such as legs, have no open edges; THIN labels
+    keep theirs."""
     near = np.zeros(len(label), np.bool_)
     near[open_edges(surface.triangles)] = True
     within = _grown(~_grown(near, surface.triangles, FRINGE - 1), surface.triangles, FRINGE)
@@ -115,7 +116,7 @@ def open_edges(triangles: Ints) -> Ints:
 
 
 def even_rim(surface: Surface, rounds: int = 4) -> NDArray[np.float32]:
-    """The places [V, 3] of the vertices, those of the rim between their neighbours on it, so that it has no teeth."""
+    """The positions [V, 3] of the vertices, with the rim smoothed along itself, so that it has no teeth."""
     xyz, rim = surface.xyz.copy(), open_edges(surface.triangles)
     rim = np.concatenate([rim, rim[:, ::-1]])
     count = np.bincount(rim[:, 0], minlength=len(xyz))
@@ -184,13 +185,13 @@ def _areas(xyz: NDArray[np.float32], triangles: Ints) -> NDArray[np.float64]:
 
 
 _ROUNDS = 4
-"""How often labels are mixed with those around them before the line between two is drawn."""
+"""Rounds of smoothing of the labels before the line between two is drawn."""
 _MARGIN = 0.15
-"""Least share of an edge on each side of a cut: slivers fold over when a rim is evened."""
+"""Minimum share of an edge on each side of a cut: slivers would fold over when a rim is smoothed."""
 
 
 def even_labels(triangles: Ints, label: Ints) -> Ints:
-    """The labels [V] with each vertex's own replaced by that which prevails around it: no lone vertices, no jags."""
+    """The labels [V] smoothed: each vertex takes the prevailing label around it, without lone vertices or jags."""
     known, place = np.unique(label, return_inverse=True)
     shares = _shares(triangles, place, len(known)).tocoo()
     order = np.lexsort([shares.data, shares.row])
@@ -200,8 +201,8 @@ def even_labels(triangles: Ints, label: Ints) -> Ints:
 
 
 def cut_by_label(surface: Surface, label: Ints) -> tuple[Surface, Ints]:
-    """The surface cut where its labels [V] change, and the new labels. All corners of a triangle then have one label,
-    as each side has vertices of its own along the cut, in the same places, and rims are even."""
+    """The surface cut where its labels [V] change, and the new labels. Each side has its own vertices along the cut, at
+    the same positions, so that the corners of a triangle share one label. Rims are smooth."""
     corners, count = label[surface.triangles], len(label)
     alike = (corners == np.roll(corners, -1, axis=1)).sum(axis=1)
     two, three = surface.triangles[alike == 1], surface.triangles[alike == 0]
@@ -242,7 +243,7 @@ def cut_by_label(surface: Surface, label: Ints) -> tuple[Surface, Ints]:
 
 
 def _along(triangles: Ints, label: Ints, own: Ints, other: Ints) -> NDArray[np.float64]:
-    """Where on each edge, from its ``own`` vertex [E] to the ``other``, the labels of both count the same, 0 to 1."""
+    """Where on each edge, from its ``own`` vertex [E] to the ``other``, both labels are equally strong, 0 to 1."""
     if not len(own):
         return np.zeros(0)
     known, place = np.unique(label, return_inverse=True)
@@ -255,7 +256,7 @@ def _along(triangles: Ints, label: Ints, own: Ints, other: Ints) -> NDArray[np.f
 
 
 def _shares(triangles: Ints, place: Ints, known: int) -> csr_matrix:
-    """How much each label counts around each vertex, [V, known], in sum 1."""
+    """The share of each label around each vertex, [V, known], with sum 1."""
     count = len(place)
     edges = triangles[:, [0, 1, 1, 2, 2, 0, 1, 0, 2, 1, 0, 2]].reshape(-1, 2)
     beside = coo_matrix((np.ones(len(edges)), tuple(edges.T)), (count, count)).tocsr()

@@ -1,9 +1,8 @@
 """The lifted scene as meshes: rendered depth fused into one surface, cut into one mesh per instance and stuff class.
 
-One truncated signed distance field collects all views (`fusion`). Its surface's vertices are then labelled by the views
-that see them: each votes with what it shows there. Small holes are closed, pieces far from their object are taken from
-it, and the meshes meet along the lines where the labels change (`mending`). They are written as binary glTF 2.0;
-open3d's own writer leaves the buffer out.
+One truncated signed distance field collects all views (`fusion`). Each view then votes on the labels of the vertices
+that it sees. `mending` closes small holes, removes pieces far from their object, and cuts along the lines where labels
+change. The meshes are written as binary glTF 2.0 by our own writer, as open3d's leaves the buffer out.
 """
 
 from __future__ import annotations
@@ -35,10 +34,10 @@ from .texture import Texture, jpeg_bytes, textured
 
 @dataclass(frozen=True, eq=False)
 class Part:
-    """The mesh of one instance, or of one stuff class (``instance_id`` 0), under a ``name`` that no other part has.
+    """The mesh of one instance, or of one stuff class (``instance_id`` 0), with a unique ``name``.
 
     ``xyz`` float32 [V, 3] metres, z up; ``normal`` float32 [V, 3]; ``rgb`` uint8 [V, 3]; ``triangles`` int64 [T, 3].
-    ``uv`` float32 [T, 3, 2] are the places of their corners in a ``picture`` uint8 [H, W, 3], as `Texture` has them.
+    ``uv`` float32 [T, 3, 2] are their corners' positions in a ``picture`` uint8 [H, W, 3], as in `Texture`.
     """
 
     name: str
@@ -53,7 +52,7 @@ class Part:
     picture: NDArray[np.uint8] | None = None
 
     def with_seams(self) -> tuple[Part, NDArray[np.float32]]:
-        """The same with one place in the picture for each vertex, which seams double, and these, float32 [V, 2]."""
+        """The same with one picture position per vertex, float32 [V, 2]; vertices at seams are duplicated."""
         assert self.uv is not None
         corners = np.column_stack([self.triangles.reshape(-1), self.uv.reshape(-1, 2).astype(np.float64)])
         rows, number = np.unique(corners, axis=0, return_inverse=True)
@@ -63,12 +62,12 @@ class Part:
 
 
 FLOAT, _WHOLE, VERTICES, _INDICES = 5126, 5125, 34962, 34963
-"""glTF's codes for float32, uint32, and what buffers hold."""
+"""glTF's codes for float32, uint32, and kinds of buffers."""
 _MAGIC, _JSON, _BIN = b"glTF", b"JSON", b"BIN\0"
 
 
 GENERATOR = "PLGS for Blender"
-"""What each file says of its maker, in its first 128 bytes."""
+"""The generator named in the first 128 bytes of each file."""
 
 
 def glb_bytes(parts: Sequence[Part]) -> bytes:
@@ -146,14 +145,14 @@ def _chunk(kind: bytes, content: bytes, padding: bytes) -> bytes:
 LEAST_ALPHA = 0.7
 """Alpha below which a pixel's depth is not a surface."""
 WIDEST, MOST_VIEWS = 480, 80
-"""Largest width in pixels of the views that are fused, and how many of all frames at most."""
+"""Maximum width in pixels, and number, of the views that are fused."""
 _AROUND, _OFF, _OFF_SHARE = 7, 0.1, 0.04
-"""The side in pixels of the square around a pixel whose depths are compared with what was measured there, and by how
-many metres, or what share, that may lie outside them."""
+"""The side in pixels of the square around a pixel whose depths are compared with the measured one, and by how many
+metres, or what share, the latter may lie outside their range."""
 SEEN_WITHIN = 0.05
-"""Metres between a vertex and a view's depth there within which the view votes."""
+"""A view votes on a vertex if its depth there differs by at most this many metres."""
 LONGEST, MOST_BYTES = 60, 180
-"""Characters and bytes of a name in that of a file."""
+"""Maximum characters and bytes of a name in a file name."""
 MOST_INSTANCES = 1 << 16
 """Factor of the class in a label, which is class * this + instance."""
 
@@ -184,8 +183,8 @@ def _file_at(path: Path) -> tuple[int, int]:
 def write_surface(
     lift: FinishedLift, path: Path, surface: Surface, label: NDArray[np.int64], texture: Texture | None = None
 ) -> None:
-    """Write a surface with the labels [V] of its vertices as PLY, and the pictures of its texture beside it, as
-    pictures/CLASS_INSTANCE.jpg by their ids. Raises OSError."""
+    """Write a labelled surface [V] as PLY, and the pictures of its texture beside it, as pictures/CLASS_INSTANCE.jpg by
+    their ids. Raises OSError."""
     class_id, instance_id = np.divmod(label, MOST_INSTANCES)
     columns = {
         **columns_of("x y z", surface.xyz),
@@ -202,7 +201,7 @@ def write_surface(
 
 
 def export_gltf(lift: FinishedLift, output: Path) -> None:
-    """lift.glb, the meshes of the wanted objects and stuff in one file, named. Raises as ``export_mesh``."""
+    """lift.glb: the named meshes of the wanted objects and stuff in one file. Raises as ``export_mesh``."""
     write_atomically(output / "lift.glb", glb_bytes(parts_of(lift)))
 
 
@@ -254,7 +253,7 @@ def mended(surface: Surface, label: NDArray[np.int64]) -> tuple[Surface, NDArray
 
 
 def views_of(lift: FinishedLift, width: int, most: int) -> list[SmallView]:
-    """At most ``most`` of the lift's views, as large as they are fused. Raises PlgsError, OSError."""
+    """At most ``most`` of the lift's views, scaled for fusion. Raises PlgsError, OSError."""
     views = []
     for frame, camera, layers in lift.small_views(width, most):
         depth = np.where(layers.combined[..., 3] >= LEAST_ALPHA, layers.depth, 0).astype(np.float32)
@@ -266,8 +265,8 @@ def views_of(lift: FinishedLift, width: int, most: int) -> list[SmallView]:
 
 
 def sharpened(depth: NDArray[np.float32], measured: NDArray[np.float32]) -> NDArray[np.float32]:
-    """A rendered depth [H, W] in metres with the measured one wherever that is among the depths rendered around there:
-    rendered depth is a mixture along the outlines of things, and measured depth may be wrong."""
+    """A rendered depth [H, W] in metres, replaced by the measured one where that lies among the rendered depths nearby:
+    rendered depth is blurred at outlines, and measured depth may be wrong."""
     around = np.ones((_AROUND, _AROUND), np.uint8)
     nearest = cv2.erode(np.where(depth > 0, depth, np.float32(np.inf)), around)
     off = np.maximum(_OFF, _OFF_SHARE * measured)
@@ -276,8 +275,8 @@ def sharpened(depth: NDArray[np.float32], measured: NDArray[np.float32]) -> NDAr
 
 
 def vertex_labels(xyz: NDArray[np.float32], views: list[SmallView], times: int = 1) -> NDArray[np.int64]:
-    """The label that most of the views whose depth, as `Grain.times` enlarges it, is there show at each vertex; 0 where
-    none is. int64 [V]."""
+    """The label that most views show at each vertex, int64 [V]; 0 for none. A view counts if its depth, enlarged by
+    `Grain.times`, matches the vertex."""
     known = np.unique(np.concatenate([np.unique(view.label) for view in views]))
     votes = np.zeros((len(xyz), len(known)), np.uint16)
     for view in views:

@@ -1,5 +1,5 @@
-"""The labelled points and Gaussians of a lift, as PLY, and the objects' oriented boxes, as JSON, as a table, and as
-labelCloud and CVAT read them."""
+"""Exports a lift's labelled points and Gaussians as PLY, and the objects' oriented boxes as JSON, as a table, and for
+labelCloud and CVAT."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def export_boxes(lift: FinishedLift, output: Path) -> None:
 
 
 def _for_labelcloud(boxes: Sequence[Instance]) -> dict[str, Any]:
-    """Its format centroid_abs: the centre in metres, angles in degrees."""
+    """labelCloud's format centroid_abs: the centre in metres, angles in degrees."""
     objects = [
         {
             "name": one.class_name,
@@ -100,7 +100,7 @@ def _for_cvat(boxes: Sequence[Instance], classes: ClassTable) -> dict[str, Any]:
 
 
 def _key(number: int) -> str:
-    """A key of 32 digits, as Supervisely has them."""
+    """A key of 32 digits, as in Supervisely's files."""
     return f"{number:032x}"
 
 
@@ -152,8 +152,8 @@ def export_splats(lift: FinishedLift, output: Path) -> None:
 
 
 def export_clouds(lift: FinishedLift, output: Path) -> None:
-    """<name>.npz: what a frame's camera, or any other, sees of the lift, pixel by pixel in the world, as semantic
-    points. Raises PlgsError for bad cameras, OSError."""
+    """<name>.npz: the pixels that a frame's camera, or any other, sees of the lift, as semantic points in the world.
+    Raises PlgsError for bad cameras, OSError."""
     for name, camera, layers in lift.shown():
         height, width = layers.depth.shape
         seen = (layers.combined[..., 3] >= LEAST_COVERAGE) & (layers.depth > 0)

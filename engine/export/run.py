@@ -17,7 +17,7 @@ from .source import FinishedLift, Progress
 from .view_surface import export_surface
 
 NOTE = "export.json"
-"""File in an export's folder that names its form, its lift and its frames."""
+"""The file in an export's folder that names its format, its lift and its frames."""
 
 
 def export(
@@ -31,13 +31,13 @@ def export(
     warn: Callable[[str], object] | None = None,
 ) -> None:
     """Write ``frames`` ("test", "all", names) of a finished lift as ``kind`` (of KINDS) into the folder ``output``.
-    With a file of ``cameras``, which only clouds take, write what these see instead. Of BY_OBJECT, write the
-    ``objects`` of these names (instances or classes) alone.
+    With a file of ``cameras``, which only clouds support, write what these see instead. The formats BY_OBJECT can be
+    limited to ``objects`` with these names (instances or classes).
 
     The folder must be new or empty, or hold this very export, complete or not, so that no other files are overwritten.
     An output in the lift's own folder ``exports`` is replaced.
 
-    Raises PlgsError for a lift that is not finished or is damaged, for bad cameras, and for an output that holds other
+    Raises PlgsError for a lift that is unfinished or damaged, for bad cameras, and for an output that holds other
     files; OSError.
     """
     if cameras is not None and kind != "clouds":
@@ -62,7 +62,8 @@ def export(
 
 
 def make_room(folder: LiftFolder, output: Path, export: Mapping[str, object]) -> None:
-    """Make the folder, with the facts of ``export`` in its note. Raises PlgsError where other files are, OSError."""
+    """Create the folder, with the facts of ``export`` in its note. Raises PlgsError if it holds other files,
+    OSError."""
     if output.exists() and not output.is_dir():
         raise PlgsError("file-not-folder", "the export needs a folder, but this is a file", output, "Name another one.")
     text, note = json.dumps(export, indent=1) + "\n", output / NOTE
@@ -81,7 +82,7 @@ def _export_usd(lift: FinishedLift, output: Path) -> None:
 
 
 BY_OBJECT = ("splats", "boxes", "gltf", "usd")
-"""The forms that can be of chosen objects."""
+"""Formats that accept --objects."""
 KINDS: Mapping[str, Callable[[FinishedLift, Path], None]] = {
     "coco": export_coco,
     "instances": export_label_images,
@@ -96,4 +97,4 @@ KINDS: Mapping[str, Callable[[FinishedLift, Path], None]] = {
     "depth": export_depth,
     "clouds": export_clouds,
 }
-"""What writes each form."""
+"""The function that writes each format."""

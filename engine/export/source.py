@@ -1,4 +1,4 @@
-"""What is exported: a finished lift, its labels, and its views, rendered where they are not baked."""
+"""The source of an export: a finished lift, its labels, and its views, which are rendered if they are not baked."""
 
 from __future__ import annotations
 
@@ -27,21 +27,20 @@ from ..scene import Camera, ClassTable, Frame, Scene, evenly_spread
 from ..scene_of_lift import scene_of_lift
 
 Progress = Callable[[int, int], object]
-"""Called after each view with the number of views done and of all. An error that it raises ends the work."""
+"""Called after each view with the number of views done and their total. An error that it raises ends the work."""
 
 
 @dataclass(frozen=True, eq=False)
 class FinishedLift:
-    """A lift and the frames of it to export. Each attribute is read when it is first used, and then raises PlgsError or
-    OSError."""
+    """A lift, and its frames to export. Each attribute is read on first use, which may raise PlgsError or OSError."""
 
     folder: LiftFolder
     names: Sequence[str]
     progress: Progress | None = None
     cameras: Path | None = None
-    """A file of cameras to export in place of the frames."""
+    """A file of cameras to export instead of the frames."""
     objects: Sequence[str] = ()
-    """The names of the instances and of the classes to export. Without them, everything is wanted."""
+    """The names of the instances and classes to export; empty for all."""
     warn: Callable[[str], object] | None = None
 
     @cached_property
@@ -50,8 +49,8 @@ class FinishedLift:
 
     @cached_property
     def has_photos(self) -> bool:
-        """Whether the scene is there. A surface without its photos has their colours as the lift shows them: then a
-        warning says so."""
+        """Whether the scene is available. Without its photos, a surface shows the colours of the lift, and a warning
+        says so."""
         found = os.path.exists(self.folder.request.scene)
         if not found and self.warn is not None:
             self.warn(f"The surface has no pictures: its scene is not at {self.folder.request.scene}.")
@@ -72,7 +71,7 @@ class FinishedLift:
 
     @cached_property
     def listed(self) -> tuple[Instance, ...]:
-        """The wanted instances as they are corrected."""
+        """The wanted instances, with corrections."""
         return tuple(each for each in self.corrected.instances if self.wants(each.class_id, each.id))
 
     @cached_property
@@ -121,7 +120,7 @@ class FinishedLift:
         return [] if self.cameras is None else [view_from(camera) for camera in read_cameras(self.cameras)]
 
     def shown(self) -> Iterator[tuple[str, Camera, PanopticLayers]]:
-        """What the cameras see, each with its name; without a file of them, what the frames see."""
+        """The named views of the cameras in the file; without a file, those of the frames."""
         if self.cameras is None:
             yield from ((frame.name, frame.camera, layers) for frame, layers in self.views())
         for number, view in enumerate(self.shots, start=1):
@@ -145,7 +144,7 @@ class FinishedLift:
                 self.progress(number, len(self.frames))
 
     def small_views(self, width: int, most: int) -> Iterator[tuple[Frame, Camera, PanopticLayers]]:
-        """At most ``most`` of the frames, evenly spread, as the lift shows them in pictures of at most this width."""
+        """At most ``most`` frames, evenly spread, as the lift shows them at no more than this width."""
         chosen = evenly_spread(self.frames, most)
         for number, frame in enumerate(chosen, start=1):
             shrunk = min(1.0, width / frame.camera.width)
@@ -156,7 +155,7 @@ class FinishedLift:
 
 
 def is_corrected(baked: Path, corrections: str) -> bool:
-    """Whether baked passes show these corrections. A damaged file is left to its reader."""
+    """Whether baked passes show these corrections. Damaged files count as corrected, as their reader reports them."""
     try:
         return (read_note(baked, CORRECTIONS_NOTE) or "") == corrections
     except ValueError:

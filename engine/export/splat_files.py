@@ -1,4 +1,4 @@
-"""Gaussians as other programs have them besides PLY: SPZ, and glTF with KHR_gaussian_splatting. Both have y up."""
+"""Gaussians in formats other than PLY: SPZ, and glTF with KHR_gaussian_splatting. Both have y up."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from ..passes.ply import SH_DEGREE_0
 from .mesh import FLOAT, GENERATOR, VERTICES, glb_file, upright
 
 _SPZ_MAGIC, _SPZ_VERSION, _FRACTIONAL_BITS = 0x5053474E, 3, 12
-"""Positions are whole numbers of 1/4096 m, of 24 bits: within 2048 m."""
+"""Positions are 24-bit multiples of 1/4096 m: within 2048 m."""
 _SPZ_COLOUR = 0.15
 _MOST_OF_THREE = float(np.sqrt(0.5))
-"""The largest value that three components of a unit quaternion have if the fourth is larger."""
+"""The largest value of the three smaller components of a unit quaternion."""
 _EXTENSION = "KHR_gaussian_splatting"
 _COLOUR_SPACE = "srgb_rec709_display"
 
@@ -76,8 +76,8 @@ def _smallest_three(turns: NDArray[np.float32]) -> NDArray[np.uint32]:
 
 
 def splats_glb(rows: NDArray[np.void]) -> bytes:
-    """One primitive of points with KHR_gaussian_splatting. COLOR_0 is for programs that draw points; the attributes
-    _CLASS_ID and _INSTANCE_ID are ours. There must be a Gaussian."""
+    """A points primitive with KHR_gaussian_splatting. COLOR_0 is for programs that draw points; the attributes
+    _CLASS_ID and _INSTANCE_ID are ours. Requires at least one Gaussian."""
     xyz, opacity, f_dc = upright(columns(rows, "x y z")), opacities(rows), columns(rows, "f_dc_0 f_dc_1 f_dc_2")
     colour = linear(np.clip(0.5 + np.float32(SH_DEGREE_0) * f_dc, 0, 1))
     arrays: dict[str, NDArray[Any]] = {

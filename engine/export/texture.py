@@ -1,8 +1,8 @@
-"""Pictures for a surface, cut out of the photos: each triangle shows the pixels of the one photo that sees it best.
+"""Textures for a surface, cut out of the photos: each triangle shows the pixels of the photo that sees it best.
 
-The way of "Let There Be Color!" (Waechter, Moehrle, Goesele, ECCV 2014), simplified: a view is chosen for each
-triangle, neighbours preferring the same; connected triangles of one view are a chart, a rectangle of its photo; and the
-seams between charts are levelled by least squares, here with an offset of each chart that is linear in its pixels.
+A simplified "Let There Be Color!" (Waechter, Moehrle, Goesele, ECCV 2014): each triangle chooses a view, and neighbours
+prefer the same one; connected triangles of one view form a chart, a rectangle of its photo; seams between charts are
+levelled by least squares, here with a linear offset for each chart.
 """
 
 from __future__ import annotations
@@ -22,42 +22,43 @@ from .fusion import Ints, SmallView, Surface
 from .mending import pieces
 
 LARGEST = 8192
-"""The pixels of all pictures together are at most the square of this, and photos are not wider."""
+"""The square of this limits the pixels of all pictures together; photos are at most this wide."""
 _FILLED = 0.6
-"""The share of a picture that its charts fill, about."""
+"""Approximate share of a picture that its charts fill."""
 _NEAR, _NEAR_SHARE = 0.05, 0.02
-"""A view sees a vertex if its depth there differs by at most so many metres, or this share of it."""
+"""A view sees a vertex if its depth there differs by at most this many metres, or this share."""
 _STEP, _BESIDE_STEP = 1.1, 0.02
-"""The ratio of depths above which one surface hides another; what a view counts beside such a place, where its photo
-may show the other."""
+"""The ratio of depths above which one surface hides another; the weight of a view beside such an edge, where its photo
+may show the other surface."""
 _ROUNDS = 12
-"""How often the qualities of views are mixed with those around them, so that neighbours choose the same."""
+"""Rounds of smoothing of the views' qualities, so that neighbours choose the same view."""
 DARK, BRIGHT, LARGEST_GAIN = 12, 243, 4.0
 """As `engine/train/photos.py` compares photos."""
 _OVEREXPOSED, _ENOUGH = 0.3, 100
-"""What an overexposed pixel counts, and how many pixels are enough to compare a photo's exposure with the room's."""
+"""The weight of an overexposed pixel, and the minimum number of pixels to compare a photo's exposure with the
+room's."""
 _ODD = 30.0
-"""The difference of values from which a photo shows something other than the vertex there."""
+"""Difference of values above which a photo shows something other than the vertex."""
 _COARSE, _SPREAD = 4, 0.025
-"""The side in pixels of a cell, and the share of a photo's width, over which its colours are brought to the vertices'.
-"""
+"""The side of a cell in pixels, and the radius, as a share of a photo's width, over which its colours are matched to
+the vertices'."""
 _MARGIN = 3
-"""Pixels around a chart that its picture has, too."""
+"""Pixels around a chart that are copied with it."""
 _CELL = 4
-"""The side of the square of pixels that a triangle without a view has in the picture."""
+"""The side in pixels of the square that a triangle without a view has in the picture."""
 
 
 @dataclass(frozen=True, eq=False)
 class Texture:
-    """``uv`` float32 [T, 3, 2], where in its label's picture each corner of a triangle is, in shares of its sides from
-    the upper left; ``pictures`` uint8 [H, W, 3] of each label."""
+    """``uv`` float32 [T, 3, 2]: each triangle corner's position in its label's picture, as fractions from the upper
+    left; ``pictures`` uint8 [H, W, 3] of each label."""
 
     uv: NDArray[np.float32]
     pictures: dict[int, NDArray[np.uint8]]
 
 
 def jpeg_bytes(picture: NDArray[np.uint8]) -> bytes:
-    """An RGB picture as JPEG with the colours of every pixel. Raises ValueError if it cannot be encoded."""
+    """An RGB picture as JPEG without chroma subsampling. Raises ValueError if it cannot be encoded."""
     ways = [cv2.IMWRITE_JPEG_QUALITY, 93, cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444]
     done, data = cv2.imencode(".jpg", np.ascontiguousarray(picture[..., ::-1]), ways)
     if not done:
@@ -66,9 +67,8 @@ def jpeg_bytes(picture: NDArray[np.uint8]) -> bytes:
 
 
 def textured(surface: Surface, label: Ints, views: Sequence[SmallView]) -> Texture:
-    """The pictures of a surface with labelled vertices [V] from the photos of the ``views``. What no photo shows has
-    the colours of its vertices. Raises PlgsError where a photo cannot be read.
-    """
+    """Textures of a surface with labelled vertices [V] from the photos of the ``views``. Triangles that no photo shows
+    have the colours of their vertices. Raises PlgsError if a photo cannot be read."""
     frames = [view.frame for view in views if view.frame is not None]
     quality, gains = _qualities(surface, views, frames)
     labels = labels_of_triangles(surface.triangles, label)
@@ -113,9 +113,8 @@ def textured(surface: Surface, label: Ints, views: Sequence[SmallView]) -> Textu
 def _qualities(
     surface: Surface, views: Sequence[SmallView], frames: Sequence[Frame]
 ) -> tuple[NDArray[np.float32], NDArray[np.float64]]:
-    """How well each view shows each vertex, float32 [V, N], 0 for not at all: the pixels that a square metre there
-    takes in its photo, less where it is blurred or overexposed; and how much brighter each photo is than the vertices,
-    [N, 3]."""
+    """How well each view shows each vertex, float32 [V, N], 0 for not at all: the pixels per square metre in its photo,
+    reduced for blur and overexposure; and how much brighter each photo is than the vertices, [N, 3]."""
     quality, gains = np.zeros((len(surface.xyz), len(views)), np.float32), np.ones((len(views), 3))
     detail = np.zeros(len(views))
     for number, (view, photo) in enumerate(zip(views, read_ahead(frames, _photo), strict=True)):
@@ -211,7 +210,7 @@ def _boxes(pixel: NDArray[np.float64], chart: Ints, size: Ints) -> Ints:
 
 
 def _evened(photo: NDArray[np.uint8], pixel: NDArray[np.float64], rgb: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """A photo whose colours at ``pixel`` [N, 2] are, broadly, those ``rgb`` [N, 3]; its details stay."""
+    """A photo with its colours at ``pixel`` [N, 2] shifted to ``rgb`` [N, 3] on average; its details stay."""
     height, width = photo.shape[:2]
     size = -(-width // _COARSE), -(-height // _COARSE)
     column, row = pixel.astype(np.int64).clip(0, (width - 1, height - 1)).T
@@ -227,8 +226,8 @@ def _evened(photo: NDArray[np.uint8], pixel: NDArray[np.float64], rgb: NDArray[n
 
 
 def _packed(crops: Sequence[NDArray[np.uint8]], cells: int) -> tuple[NDArray[np.uint8], NDArray[np.float64]]:
-    """A picture with all crops, on shelves from high to low, and below them so many cells of _CELL pixels; and where
-    each has its upper left corner, float64 [crops + cells, 2]."""
+    """A picture with all crops, on shelves of descending height, and ``cells`` squares of _CELL pixels below; and the
+    upper left corner of each, float64 [crops + cells, 2]."""
     area = sum(crop.shape[0] * crop.shape[1] for crop in crops) + cells * _CELL**2
     width = max(*(crop.shape[1] for crop in crops), round(np.sqrt(1.1 * area)), _CELL, 0)
     corner, x, y, height = np.zeros((len(crops) + cells, 2)), 0, 0, 0
@@ -247,7 +246,7 @@ def _packed(crops: Sequence[NDArray[np.uint8]], cells: int) -> tuple[NDArray[np.
 
 
 def _fill_cells(picture: NDArray[np.uint8], corner: NDArray[np.float64], rgb: NDArray[np.uint8]) -> NDArray[np.float32]:
-    """Draw triangles with the colours [N, 3, 3] of their corners into their cells. Where they are, [N, 3, 2]."""
+    """Draw triangles with the colours [N, 3, 3] of their corners into their cells. Returns the positions, [N, 3, 2]."""
     places = np.array([[0.5, 0.5], [_CELL - 0.5, 0.5], [0.5, _CELL - 0.5]])
     y, x = np.indices((_CELL, _CELL)) / (_CELL - 1)
     mixed = np.einsum("nkc,kyx->nyxc", rgb.astype(np.float32), np.stack([1 - x - y, x, y]))

@@ -1,4 +1,4 @@
-"""A lift as one OpenUSD file: Gaussians, meshes, boxes and cameras, with what each is."""
+"""A lift as one OpenUSD file: labelled Gaussians, meshes and boxes, and cameras."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ from .splat_files import columns, opacities, unit_turns
 from .texture import jpeg_bytes
 
 FOCAL_LENGTH = 24.0
-"""Of every camera, in millimetres; the apertures give the angle of view."""
+"""Millimetres, for every camera; the apertures give the angle of view."""
 _TO_USD = np.diag((1.0, -1.0, -1.0, 1.0))
-"""From OpenCV's axes of a camera to OpenUSD's (y up, looking along -z)."""
+"""From OpenCV's camera axes to OpenUSD's (y up, looking along -z)."""
 
 
 def export_usd(lift: FinishedLift, output: Path) -> None:
@@ -89,12 +89,12 @@ def _add_mesh(stage: Usd.Stage, path: str, part: Part) -> Usd.Prim:
 
 
 def _picture(path: str) -> str:
-    """The file of a mesh's picture, beside the stage."""
+    """The file of a mesh's picture, relative to the stage."""
     return f"pictures/{path.rpartition('/')[2]}.jpg"
 
 
 def _add_material(stage: Usd.Stage, path: str) -> UsdShade.Material:
-    """The picture of the mesh at this path, matt."""
+    """A matt material with the picture of the mesh at this path."""
     material = UsdShade.Material.Define(stage, f"{path}/Material")
     surface, picture, place = (
         UsdShade.Shader.Define(stage, f"{path}/Material/{name}") for name in ("Surface", "Picture", "Place")
@@ -113,7 +113,7 @@ def _add_material(stage: Usd.Stage, path: str) -> UsdShade.Material:
 
 
 def _add_splats(stage: Usd.Stage, lift: FinishedLift) -> None:
-    """A field for each instance and stuff class, and one for what has no class."""
+    """A field for each instance and stuff class, and one for the unlabelled rest."""
     splats = lift.splats
     label = splats["class_id"].astype(np.int64) * MOST_INSTANCES + splats["instance_id"]
     told = {}
@@ -127,7 +127,7 @@ def _add_splats(stage: Usd.Stage, lift: FinishedLift) -> None:
 
 
 def _add_field(stage: Usd.Stage, path: str, splats: NDArray[np.void]) -> Usd.Prim:
-    """Gaussians by the columns of a splat file. Their colours are sRGB, as training and all viewers have them."""
+    """Gaussians by the columns of a splat file. Their colours are sRGB, as in training and in all viewers."""
     field = UsdVol.ParticleField3DGaussianSplat.Define(stage, path)
     Usd.ColorSpaceAPI.Apply(field.GetPrim()).CreateColorSpaceNameAttr("srgb_rec709_display")
     xyz, scales = columns(splats, "x y z"), np.exp(columns(splats, "scale_0 scale_1 scale_2"))

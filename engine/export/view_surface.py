@@ -1,6 +1,6 @@
-"""The lifted scene as a surface to look at: the room closed and coarse, its objects finer.
+"""The lifted scene as a surface for viewing: the room closed and coarse, its objects finer.
 
-It is made in a fraction of the time of `mesh`, and in Blender it is shown in place of splats.
+It takes a fraction of the time of `mesh`; Blender shows it instead of splats.
 """
 
 from __future__ import annotations
@@ -29,20 +29,20 @@ from .source import FinishedLift
 from .texture import textured
 
 WIDEST, MOST_VIEWS = 320, 60
-"""Largest width in pixels of the views that are fused, and how many of all frames at most."""
+"""Maximum width in pixels, and number, of the views that are fused."""
 ROOM, OBJECTS = Grain(0.05, 15.0, 1, times=3, reaches=GRAZED), Grain(0.025, times=3)
 WINDOW = 0.5
 """The largest size in metres, along each axis, of a hole in the room that is closed."""
 _BESIDE = 0.075
-"""Metres from an object's own surface within which the room's surface has nothing of it."""
+"""Metres from an object's own surface within which the room's surface drops that object's triangles."""
 _AROUND = 0.3
-"""Metres within which a vertex that no view labels is what lies beside it."""
+"""Metres within which an unlabelled vertex takes a neighbour's label."""
 _RIM = 5
 """Side in pixels of the square around each pixel of an object that belongs to its surface."""
 
 
 def export_surface(lift: FinishedLift, output: Path) -> None:
-    """mesh.ply, as `mesh.export_mesh` writes it, to look at, and its pictures. Raises PlgsError where no surface was
+    """mesh.ply for viewing, as `mesh.export_mesh` writes it, and its pictures. Raises PlgsError if no surface was
     rendered, OSError."""
     views = views_of(lift, WIDEST, MOST_VIEWS)
     surface, label = surface_to_view(views)
@@ -53,7 +53,7 @@ def export_surface(lift: FinishedLift, output: Path) -> None:
 
 
 def surface_to_view(views: list[SmallView]) -> tuple[Surface, Ints]:
-    """The surface of the views, with the label of each vertex, int64 [V]: coarse where no object's own is."""
+    """The surface of the views, and the label of each vertex, int64 [V]: coarse except for objects."""
     room = _labelled(fuse(views, ROOM), views, WINDOW)
     objects = _labelled(fuse([_of_objects(view) for view in views], OBJECTS), views, HAND)
     coarse, coarse_label = cut_by_label(*_around(*room, ~_is_double(room, objects)))
@@ -83,7 +83,7 @@ def _labelled(surface: Surface, views: list[SmallView], largest: float) -> tuple
 
 
 def _of_objects(view: SmallView) -> SmallView:
-    """The view without what is no object."""
+    """The view with only its objects' depth."""
     near = cv2.dilate((view.label % MOST_INSTANCES > 0).astype(np.uint8), np.ones((_RIM, _RIM), np.uint8))
     return replace(view, depth=np.where(near > 0, view.depth, np.float32(0)))
 
@@ -103,8 +103,8 @@ def _is_double(room: tuple[Surface, Ints], objects: tuple[Surface, Ints]) -> NDA
 
 
 def _around(surface: Surface, label: Ints, kept: NDArray[np.bool_]) -> tuple[Surface, Ints]:
-    """A surface and its labels with the triangles that have a corner ``kept`` [V]. Their other corners get the label of
-    one that is."""
+    """A surface and its labels, limited to triangles with a corner ``kept`` [V]. Their other corners get the label of a
+    kept one."""
     is_kept = kept[surface.triangles]
     triangles, is_kept = (each[is_kept.any(axis=1)] for each in (surface.triangles, is_kept))
     first = np.take_along_axis(triangles, is_kept.argmax(axis=1)[:, None], axis=1)

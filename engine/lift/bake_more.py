@@ -49,11 +49,12 @@ WAIT_S = 0.2
 CAMERA_NOTE = "plgs/camera"
 """Attribute in the header of a view that does not belong to a frame: the fingerprint of its camera."""
 LIFT_NOTE = "plgs/lift"
-"""The attribute of the header that has the name of the lift's folder."""
+"""Header attribute with the name of the lift's folder."""
 MODEL_NOTE = "plgs/model"
 """Attribute in the header of a view in a folder of its own: the SHA-256 of the lift's model, and of its objects."""
 MOST_LOOKS, LOOK_WITHIN = 8, (96, 96)
-"""At most this many views are drawn before a bake, so small, to tell what the capture does not resolve of them."""
+"""The number of views that are drawn before a bake, and their maximum size, to estimate what the capture does not
+resolve."""
 
 
 @dataclass(frozen=True)
@@ -66,8 +67,8 @@ class BakeOptions:
 
 @dataclass(frozen=True, eq=False)
 class WantedView:
-    """A view to bake, and the ``name`` of its files. ``fingerprint`` is the camera's if it does not belong to a frame,
-    and empty for a frame, whose name in the capture is ``frame``. What is ``shown`` goes into its header."""
+    """A view to bake, and the ``name`` of its files. ``fingerprint`` is the camera's, empty for a frame; ``frame`` is
+    the frame's name in the capture. The header lists what is ``shown``."""
 
     name: str
     camera: Camera
@@ -86,8 +87,8 @@ def bake_frames(
 ) -> None:
     """Bake frames that are not baked yet: "test", "all", or names. The result is complete at every moment.
 
-    Raises PlgsError if the scene can no longer be read or lacks a frame, and Cancelled if stopped. What was baked
-    until then stays.
+    Raises PlgsError if the scene can no longer be read or lacks a frame, and Cancelled if stopped. Views that were
+    baked before that are kept.
     """
 
     def views_in(scene: Scene) -> list[WantedView]:
@@ -180,7 +181,7 @@ def _bake(
 
 
 def look_ahead(baker: FrameBaker, wanted: Sequence[WantedView], photos: Sequence[Camera], events: EventWriter) -> None:
-    """Tell how much the capture does not resolve of views that belong to no frame, by small pictures of some."""
+    """Report how much of the views without a frame the capture does not resolve, from small pictures of some."""
     free, found = [view for view in wanted if view.fingerprint], []
     for view in free[:: -(-len(free) // MOST_LOOKS) or 1]:
         small = view.camera.resized(*size_within(view.camera.size, LOOK_WITHIN))
@@ -200,10 +201,9 @@ def is_whole(passes: Path, notes: Mapping[str, str], layers: tuple[str, ...]) ->
 
 
 def frames_named(scene: Scene, names: Sequence[str]) -> list[Frame]:
-    """The named frames in recording order, each once. "10-200:2" and the like (see `frame_numbers`) are the last
-    numbers in the frames' names (0010 and frame_0010.colour have the number 10). A frame that is named "test" is one of
-    those. Raises PlgsError for a name or a range that matches no frame.
-    """
+    """The named frames in recording order, each once. "10-200:2" and the like (see `frame_numbers`) refer to the last
+    numbers in the frames' names (0010 and frame_0010.colour have the number 10). The group "test" includes a frame
+    of that name. Raises PlgsError for a name or a range that matches no frame."""
     groups: dict[str, tuple[Frame, ...]] = {frame.name: (frame,) for frame in scene.frames}
     for name, group in (("all", scene.frames), ("test", scene.test_frames)):
         groups[name] = group + groups.get(name, ())
@@ -241,7 +241,7 @@ class _OwnFolder:
         self._model = {MODEL_NOTE: f"{files[MODEL].sha256} {files[INSTANCES].sha256}"}
 
     def claim_of(self, view: WantedView) -> str:
-        """The name of what no other process may write at the same time."""
+        """The name of the claim that keeps other processes from writing this view."""
         return str(self._path_of(view).resolve())
 
     def _path_of(self, view: WantedView) -> Path:
@@ -306,7 +306,7 @@ class _Result:
         return self._read[1]
 
     def _add(self, view: WantedView, *, at_once: bool) -> None:
-        """``at_once``: add the view before another process looks for views that are left to bake."""
+        """Record a baked view; ``at_once``: before another process looks for views that are left to bake."""
         self._views.append(view)
         if at_once or time.monotonic() - self._kept_at > KEEP_EVERY_S:
             self.keep()

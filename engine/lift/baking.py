@@ -40,9 +40,9 @@ from .scene_files import LIFT_ANEW, read_model, read_shown_instances
 CORRECTIONS_NOTE = "plgs/corrections"
 """Attribute in the header of a view that shows corrections: their fingerprint."""
 DIGITS = 4
-"""Digits of a frame's number in the names of its files, at least."""
+"""Minimum number of digits of a frame's number in the names of its files."""
 _NUMBERED = re.compile(r"(?s)((?:.*[_-]|.*\D\.)?)(\d{1,9})")
-"""A name that is a number or ends in one, but not in a decimal, such as the seconds of a time."""
+"""A name that is a number or ends in one, except for a decimal such as the seconds of a timestamp."""
 
 
 class FrameBaker:
@@ -71,7 +71,7 @@ class FrameBaker:
 
     @property
     def notes(self) -> dict[str, str]:
-        """What a header says about the corrections; empty if there are none."""
+        """The header's notes on corrections; empty without corrections."""
         return {CORRECTIONS_NOTE: self.corrections} if self.corrections else {}
 
     def seen(self, camera: Camera) -> Seen:
@@ -133,9 +133,8 @@ def baked_files(folder: LiftFolder, frame: str) -> tuple[Path, Path, Path, Path]
 
 
 def names_of_files(folder: LiftFolder) -> dict[str, str]:
-    """The name of each frame's files: a number has as many digits as the longest needs, at least DIGITS ("3" is
-    "0003"). The frames keep their names if two files would have the same one. Empty if the frames are not known. Raises
-    PlgsError."""
+    """The name of each frame's files: numbers are padded to the longest, with at least DIGITS digits ("3" becomes
+    "0003"). Frames keep their names if two files would clash. Empty if the frames are not known. Raises PlgsError."""
     found = {name: _NUMBERED.fullmatch(name) for name in names_of_frames(folder)}
     digits = max([DIGITS, *(len(match[2]) for match in found.values() if match)])
     padded = {name: match[1] + match[2].zfill(digits) if match else name for name, match in found.items()}
@@ -166,8 +165,9 @@ def bake_and_evaluate(
     stages: StageReporter,
     findings: Sequence[Finding] = (),
 ) -> None:
-    """Let the masks of the training ``views`` and of those ``held_back`` judge the lift, which calibrates ``baker``;
-    bake ``wanted``, score the held-out frames, and write the contact sheet and metrics.json, with the ``findings``.
+    """Evaluate the lift with the masks of the training ``views`` and of those ``held_back``, which calibrates
+    ``baker``; bake ``wanted``, score the held-out frames, and write the contact sheet and metrics.json, with the
+    ``findings``.
 
     Ground truth is used for metrics.json only. Raises Cancelled, PlgsError, OSError.
     """
@@ -229,7 +229,7 @@ def score_corrected(
 
 
 KEPT = 6
-"""Labels that are corrected per Gaussian if decoders gave it a probability for every label."""
+"""Labels that are corrected per Gaussian if its labels come from the decoders."""
 CHUNK = 16384
 """Anchors that are decoded at once."""
 

@@ -12,11 +12,11 @@ from ..train.progress import StageReporter
 
 
 def usable_device(device: str, stages: StageReporter) -> str:
-    """The device that a lift takes: "cuda" if that was asked for, or if "auto" was and it works; otherwise "cpu".
+    """The device for a lift: "cuda" if it was requested, or if "auto" was and it works; otherwise "cpu".
 
-    Drawing is tried within the stage "check", before any work. Where gsplat compiles its code for that, *Cancel* ends
-    the process, and the next try begins anew. What "auto" chose, and why, is told as a stage. Raises PlgsError if
-    "cuda" was asked for and does not work.
+    The stage "check" tries to draw before any work. If gsplat compiles its code for that, *Cancel* ends the process,
+    and the next try begins anew. The stage also says what "auto" chose, and why. Raises PlgsError if "cuda" was
+    requested and does not work.
     """
     if device == "cpu":
         return device
@@ -55,8 +55,8 @@ def _refuse_missing(where: str, stages: StageReporter) -> None:
 
 
 def be_repeatable(device: str = "cpu") -> None:
-    """Make the same input give the same bits on the CPU. On a CUDA device gsplat's sums differ from run to run, and
-    torch's repeatable operators would only be slower there."""
+    """Make the same input give the same bits on the CPU. On a CUDA device gsplat's sums differ from run to run anyway,
+    and torch's deterministic operators would only be slower."""
     # torch.use_deterministic_algorithms also configures torch's compiler, which takes 3 s to import.
     torch.set_deterministic_debug_mode("default" if device == "cuda" else "error")
     torch.backends.cudnn.allow_tf32 = False  # SSIM's differences of moments would drown in its rounding

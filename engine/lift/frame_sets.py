@@ -1,5 +1,5 @@
-"""The frames of a lift by their purpose, as many as fit into memory. They are chosen when it begins, and stay the same
-on whichever machine it is resumed."""
+"""Divides a scene's frames by purpose, as many as fit into memory. The choice is made when a lift begins, and stays the
+same on whichever machine it is resumed."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ FRAMES = "frames"
 
 @dataclass(frozen=True, eq=False)
 class FrameSets:
-    """``all``: the scene with every frame. ``chosen``: the scene with those that are trained on or held out.
-    ``voting``: those that are neither, and vote; empty if the preset has no use for them. ``unreadable`` names frames
-    that were chosen to train on, and left out of ``all`` and ``chosen`` as their files cannot be read."""
+    """``all``: the scene with every frame. ``chosen``: the scene with the frames for training or held out. ``voting``:
+    the remaining frames, which only vote; empty if the preset does not use them. ``unreadable`` names frames that were
+    chosen for training, but left out of ``all`` and ``chosen`` as their files cannot be read."""
 
     all: Scene
     chosen: Scene
@@ -41,7 +41,7 @@ class FrameSets:
 
     @property
     def begun_with(self) -> list[str]:
-        """What a checkpoint notes: a resumed lift chooses, checks and leaves out the same frames."""
+        """The checkpoint's note that makes a resumed lift choose, check and leave out the same frames."""
         return [*(frame.name for frame in self.training), *self.unreadable]
 
     def only(self, readable: Scene) -> FrameSets:
@@ -114,7 +114,7 @@ LOOKED_AT = 8
 FEWEST_FRAMES = 50
 """The smallest number of frames that is proposed. A room needs about this many."""
 LEAST_PIXEL = 5.0
-"""Bytes per pixel that passes need in any case. The smallest file of the sample's passes has 11."""
+"""Minimum size of passes in bytes per pixel. The smallest file of the sample's passes has 11."""
 
 
 def frames_that_fit(scene: Scene, request: LiftRequest, memory: MainMemory | None, events: EventWriter) -> int:

@@ -1,5 +1,5 @@
-"""The masks judge the finished lift, as there may be no ground truth: how well it agrees with them, what they show
-clearly from nearby that it shows nowhere, and how likely its classes are right."""
+"""Evaluates a finished lift with the masks, as there may be no ground truth: how well the two agree, which objects the
+lift misses, and how likely its classes are right."""
 
 from __future__ import annotations
 
@@ -37,14 +37,14 @@ from ..scene import (
 log = logging.getLogger("plgs.lift")
 
 MOST_VIEWS = 100
-"""The most training views that judge, evenly chosen. Each is drawn once, at the size of training."""
+"""The most training views for the evaluation, evenly chosen. Each is drawn once, at the size of training."""
 MOST_NAMED = 5
 """The most missing objects that the warning names. metrics.json lists all."""
 
 
 @dataclass(frozen=True, eq=False)
 class Seen:
-    """What a camera sees of a lift: ``classes`` int32 [H, W] (0 = nothing), and the ``share`` float32 [H, W] of each
+    """A camera's view of a lift: ``classes`` int32 [H, W] (0 = nothing), and the ``share`` float32 [H, W] of each
     pixel's coverage that its class has."""
 
     classes: NDArray[np.int32]
@@ -53,9 +53,9 @@ class Seen:
 
 @dataclass(frozen=True, eq=False)
 class Judgement:
-    """How the masks judge a lift. ``trained`` and ``held_back``: the mean IoU with the masks over the masks' own
+    """The result of the evaluation. ``trained`` and ``held_back``: the mean IoU with the masks over the masks' own
     classes, for training views and for held-out views; None without such views. ``calibration``: how likely a class
-    with a share is right. ``doubt``: how likely a pixel's class is wrong, the mean of each frame that was judged."""
+    with a share is right. ``doubt``: the mean probability of each evaluated frame's pixels to have a wrong class."""
 
     trained: float | None
     held_back: float | None
@@ -71,7 +71,7 @@ class Judgement:
         return {"agreement": agreement, "not_shown": missed, "calibration": calibration, "doubt": dict(self.doubt)}
 
     def tell(self, events: EventWriter) -> None:
-        """Log the calibration and everything that the lift does not show, and give a warning with the first few."""
+        """Log the calibration and all missing objects, and warn of the first few."""
         log.info("confidence: %s", self.calibration)
         if self.held_back is None:
             log.info("no masks were held back: those that were trained on say how likely a class is right")
@@ -96,7 +96,7 @@ def judge(
     progress: Callable[[int, int], object],
     scratch: Path | None = None,
 ) -> Judgement:
-    """Judge the finished lift by the training ``views`` and those that were ``held_back``.
+    """Evaluate the finished lift with the training ``views`` and those that were ``held_back``.
 
     ``draw`` returns what a camera sees of it. Raises PlgsError, OSError, and what ``progress`` raises.
     """
@@ -154,18 +154,18 @@ def _agreement(judges: Sequence[JudgedView], classes: ClassTable) -> float | Non
 
 
 COARSER = 2.0
-"""A photo resolves a place whose pixels there are at most this many times as large as the picture's."""
+"""A photo resolves a surface if its pixels there are at most this many times as large as the picture's."""
 LEAST_ALPHA = 0.5
-"""A pixel that is covered less shows no surface."""
+"""Alpha below which a pixel shows no surface."""
 SAMPLES = 5000
-"""About this many pixels of a picture are looked at, evenly spread."""
+"""The approximate number of a picture's pixels that are checked, evenly spread."""
 TOLD = 0.1
-"""Share of the pixels from which on it is a warning."""
+"""Share of unresolved pixels above which a warning is given."""
 
 
 @dataclass(frozen=True)
 class Unresolved:
-    """Shares of a picture's pixels: ``coarse`` show what no photo resolves, ``empty`` show no surface."""
+    """Shares of a picture's pixels: ``coarse`` ones that no photo resolves, ``empty`` ones without a surface."""
 
     coarse: float
     empty: float
@@ -176,8 +176,8 @@ class Unresolved:
 
 
 def unresolved(layers: PanopticLayers, camera: Camera, photos: Sequence[Camera], reduced: float = 1.0) -> Unresolved:
-    """How much of a ``camera``'s picture the ``photos`` do not resolve. They see through walls here. The picture that
-    is meant may be this many times larger than the ``reduced`` one of the ``layers``."""
+    """How much of a ``camera``'s picture the ``photos`` do not resolve, ignoring occlusion. The real picture may be
+    ``reduced`` times larger than that of the ``layers``."""
     step = -int(-((camera.width * camera.height / SAMPLES) ** 0.5) // 1)
     first = (step - 1) // 2
     depth, alpha = (each[first::step, first::step] for each in (layers.depth, layers.combined[..., 3]))
@@ -191,7 +191,8 @@ def unresolved(layers: PanopticLayers, camera: Camera, photos: Sequence[Camera],
 
 
 def tell_unresolved(found: Sequence[tuple[str, Unresolved]], events: EventWriter, *, before: bool) -> None:
-    """Report the shares of views with their names: a warning if it is much of a view, and figures after the bake."""
+    """Report the shares of the named views: warn if much of a view is unresolved, and log the figures after the
+    bake."""
     if not found:
         return
     mean = {name: float(np.mean([getattr(each, name) for _, each in found])) for name in ("coarse", "empty")}

@@ -1,7 +1,6 @@
-"""Names that last: if a scene was lifted before, a new lift keeps the ids and names of the objects that are still
-there.
+"""Carries ids and names over from an earlier lift of the same scene, for objects that are still there.
 
-The changes are written to result/names.json, with the ids and numbers that the next lift must not use again.
+result/names.json lists the changes, and the ids and numbers that later lifts must not reuse.
 """
 
 from __future__ import annotations
@@ -35,9 +34,9 @@ log = logging.getLogger("plgs.names")
 FORMAT = 1
 NAMES = "names.json"
 MOST_NEW = 1 << 13
-"""Ids that must be left for new objects. No room has so many."""
+"""The number of ids that must remain for new objects. No room has so many."""
 LARGEST_NUMBER = 10**9
-"""No name of an object, as in "chair 3", has a larger number."""
+"""The largest number in an object's name, as in "chair 3"."""
 _FIX = "Name another finished lift with --names-from, or none."
 
 
@@ -118,7 +117,7 @@ def lasting_names(
     classes: ClassTable,
 ) -> LastingNames:
     """Objects that are still there keep their ids, and their names if their class is the same. New ones get numbers
-    after all those that were ever used."""
+    that were never used before."""
     overlap = object_overlap(earlier.xyz, earlier.instance_id, xyz, instance_of_point)
     found = lasting_objects(overlap)
     id_of, names, numbers, next_id = {}, {}, dict(earlier.last_numbers), earlier.largest_id
@@ -164,9 +163,9 @@ def _changes(
 def keep_names(
     earlier: EarlierLift, prepared: PreparedLift, seen: NDArray[np.bool_], lifted: StructuredScene, classes: ClassTable
 ) -> tuple[PreparedLift, LastingNames]:
-    """The lift with lasting ids, also in ``lifted``, and the names of its objects. The points that are ``seen`` bool
-    [N] are compared, as the earlier lift has only those. Training knows ids only by their places, so its result is the
-    same bit for bit."""
+    """The lift with lasting ids, also in ``lifted``, and the names of its objects. Only the points ``seen`` bool [N]
+    are compared, as the earlier lift has only those. Training knows ids only by their indices, so its result is
+    identical."""
     points = prepared.instance_of_point
     lasting = lasting_names(earlier, prepared.instances, prepared.cloud.xyz[seen], points[seen], classes)
     id_of = lasting.id_of

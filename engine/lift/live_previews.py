@@ -1,7 +1,6 @@
 """Pictures of the model during training, from a camera that the user chooses.
 
-They take a limited share of the time and do not change the training: no random number is drawn, and no sum of the
-training is touched.
+They take a limited share of the time and do not influence training: they draw no random numbers and change no sums.
 """
 
 from __future__ import annotations
@@ -26,12 +25,12 @@ from ..scene import Camera, Frame, Scene, size_within
 log = logging.getLogger("plgs.lift")
 
 EVERY_S = 2.0
-"""The least number of seconds from one preview to the next."""
+"""Minimum seconds between two previews."""
 LARGEST_SHARE = 0.05
-"""The largest share of the time that previews take. The pause after each one is long enough for that, but for the
-first, as it may compile what the next ones find compiled."""
+"""The largest share of the time for previews, which sets the pause after each. The first one is exempt, as it may
+compile code."""
 LONGEST_S = 15.0
-"""Seconds from the beginning of one preview to that of the next at most, whatever share they take."""
+"""Maximum seconds from one preview to the next, whatever share of the time they take."""
 SIZE_WITHIN = (480, 480)
 """The largest width and height of a preview in pixels."""
 

@@ -224,7 +224,7 @@ def pieces_in_space(
 
 
 def reach_of(cloud: SemanticPointCloud) -> float:
-    """The most metres between two neighbouring points of one thing."""
+    """The largest gap in metres between neighbouring points of one thing."""
     return max(LARGEST_GAP, 3 * cloud.spacing)
 
 
@@ -249,10 +249,10 @@ def masks_of_pieces(
 def without_fragments(
     owner: NDArray[np.int32], pieces: Sequence[SceneObject], seen: Sequence[ViewPoints]
 ) -> tuple[NDArray[np.int32], list[SceneObject]]:
-    """The pieces with enough masks, as objects renumbered from 1, and each point's object, int32 [N]. A piece needs
-    as many masks as an object seen by the same views. A piece of a split object needs as many as an object that all
-    views see; otherwise it is the ragged edge of a few masks. ``owner`` int32 [N]: the place of each point's piece,
-    from 1; the ``id`` of a piece is that of the object it belongs to."""
+    """The pieces with enough masks, as objects renumbered from 1, and each point's object, int32 [N]. A piece needs as
+    many masks as an object seen by the same views. A piece of a split object needs as many as an object that all views
+    see; otherwise it is the ragged edge of a few masks. ``owner`` int32 [N]: the number of each point's piece, from 1;
+    the ``id`` of a piece is that of the object it belongs to."""
     parts, size = Counter(one.id for one in pieces), np.bincount(owner, minlength=len(pieces) + 1)
     shares = (np.bincount(owner[one.row], minlength=len(size)) / np.maximum(size, 1) for one in seen)
     seeing = sum((share >= 0.5 for share in shares), np.zeros(len(size), np.int64))[1:]

@@ -78,24 +78,24 @@ STAGES = {
     "bake": "Baking and scoring panoptic passes",
 }
 CHECKPOINT_EVERY_S = 20.0
-"""Seconds between two checkpoints, unless that is too often. Checkpoints do not change the result."""
+"""Minimum seconds between two checkpoints. Checkpoints do not change the result."""
 CHECKPOINT_SHARE = 0.02
-"""The largest share of the time that checkpoints take: the longer one takes to write, the rarer they are."""
+"""The largest share of the time for checkpoints: slow ones become rarer."""
 NO_VOTES = (
     "the finished scene shows the label decoders, not the views' votes: "
     'votes need objects = "agreement" and one_class_an_object = true'
 )
 VOTED, SIFTED = 0.8, 0.83
-"""The share of the stage "result" after voting (67 of 92 s in a small lift), and after points were left out."""
+"""Shares of the stage "result" after voting (67 of 92 s in a small lift), and after points were left out."""
 CODE = "code"
 """The name, in checkpoints and manifest, of the digest of the code that did the lift."""
 MASKS = "masks"
 """The name, in checkpoints, of the digest of the masks that the lift was trained with."""
 LONG_S = 3600.0
-"""A lift that is predicted to take more seconds says so before it trains."""
+"""Predicted seconds above which a lift warns before it trains."""
 TRAINED_ANEW = "it is trained again, from the first step"
 LEAST_STEPS = 100
-"""The least number of steps for which the pace is remembered. Fewer measure the first compilation, not the computer."""
+"""Minimum steps for which the pace is remembered. Fewer would measure the first compilation, not the computer."""
 
 
 class Preparing(Protocol):
@@ -217,8 +217,8 @@ def finish(folder: LiftFolder, preset: Preset, stages: StageReporter, code: str,
 def checked_frames(
     folder: LiftFolder, preset: Preset, checkpoint: Checkpoint | None, progress: StageProgress, events: EventWriter
 ) -> tuple[FrameSets, bool, tuple[Finding, ...]]:
-    """The frames of the scene that the folder asks for, by their purpose; whether its masks have changed since the
-    lift was begun; and what seems wrong with it. Raises PlgsError."""
+    """The frames of the requested scene by their purpose, whether its masks have changed since the lift began, and the
+    problems found. Raises PlgsError."""
     request = folder.request
     if preset.labels == "votes" and not preset.can_vote:
         events.warning(NO_VOTES)
@@ -240,8 +240,8 @@ def checked_frames(
 def ask_what_is_wrong(
     folder: LiftFolder, scene: Scene, size: Size, events: EventWriter, *, stops: bool
 ) -> tuple[Finding, ...]:
-    """Warn of what is wrong with the scene. Raises PlgsError if a lift would be in vain, it ``stops`` and was not asked
-    for anyway."""
+    """Warn of problems with the scene. If one makes a lift pointless, raises PlgsError if it ``stops`` the lift and the
+    request does not insist."""
     asked = diagnose_quickly(scene, size)
     log.info("diagnosed: %d of %d frames compared, %d findings", asked.looked, asked.frames, len(asked.findings))
     for finding in asked.findings:
@@ -288,7 +288,7 @@ def tell_long(course: Course, events: EventWriter) -> None:
 
 
 def code_of(code: str, checkpoint: Checkpoint | None, events: EventWriter) -> str:
-    """The digest of the ``code`` that does the lift; where another began it, both, and a warning."""
+    """The digest of the ``code`` that does the lift. If other code began it, warn, and return both."""
     begun_by = "" if checkpoint is None else str(checkpoint.state.get(CODE, "unknown"))
     if not begun_by or code in begun_by.split("+"):
         return begun_by or code
@@ -331,11 +331,11 @@ def train(
     stages: StageReporter,
     show: Callable[[StructuredScene], object],
 ) -> list[float]:
-    """Do all remaining steps, and return the seconds that each took. ``facts`` about the run go into its checkpoints;
+    """Do all remaining steps, and return the seconds that each took. Checkpoints also hold ``facts`` about the run;
     ``show`` is called with the model after each step.
 
-    A checkpoint is written every CHECKPOINT_EVERY_S seconds or more, when stopped, and at the end. None is written if a
-    step fails, as half a step's changes would replace the last complete state.
+    A checkpoint is written every CHECKPOINT_EVERY_S seconds or more, when stopped, and at the end, but not if a step
+    fails: half a step's changes would replace the last complete state.
     """
     steps, paces = trainer.preset.steps, []
     with stages.stage("train") as progress, closing(TrainingLog(folder.training_path, trainer.step_number)) as losses:

@@ -42,8 +42,8 @@ from .preparation import PreparedLift
 
 MODEL = "model.safetensors"
 FILLED = 0.3
-"""Metres from what was measured within which filled holes count as seen: a dark screen does, a plane that was continued
-far from where a sensor saw something does not, and stands in rays around the room."""
+"""Metres from measured depth within which filled holes count as seen. This keeps dark screens, but not planes that were
+extended far beyond anything measured, which stand in rays around the room."""
 LIFT_ANEW = "Lift the scene again, into another folder."
 
 
@@ -59,11 +59,9 @@ def write_scene_files(
     names: Mapping[int, str],
     progress: Progress,
 ) -> None:
-    """Write every part of the result that needs no rendering. ``views`` are those it was lifted from, and those that
-    were ``held_back`` judge its points, of which ``seen`` bool [N] are written; ``names`` are those of the instances.
-    Gaussians and anchors far from all points are not written, but to the model. Raises OSError if the disk is full, and
-    what ``progress`` raises.
-    """
+    """Write every part of the result that needs no rendering. ``views`` were lifted, and those ``held_back`` judge the
+    points, of which ``seen`` bool [N] are written; ``names`` are the instances'. Gaussians and anchors far from all
+    points are written only to the model. Raises OSError if the disk is full, and what ``progress`` raises."""
     cloud, owner = prepared.cloud, prepared.instance_of_point
     judged, listed, baked = (part_of(progress, part / 3, (part + 1) / 3) for part in range(3))
     judging = watched(evenly(views), judged)
@@ -89,7 +87,7 @@ def write_scene_files(
 def points_to_write(
     cloud: SemanticPointCloud, owner: NDArray[np.int32], views: Sequence[View], progress: Progress
 ) -> NDArray[np.bool_]:
-    """Which points of the cloud are written, bool [N]: no planes that were continued far from what ``views`` measured.
+    """Which points of the cloud are written, bool [N]: all but planes extended far beyond what ``views`` measured.
     Raises what ``progress`` raises."""
     return is_near_measured(cloud, owner, shown_by_depth(cloud, views, progress))
 
@@ -109,8 +107,8 @@ def is_within(reach: float, xyz: NDArray[np.floating], others: NDArray[np.floati
 
 
 def shown_by_depth(cloud: SemanticPointCloud, views: Sequence[View], progress: Progress) -> NDArray[np.bool_]:
-    """Which points of the cloud the measured depth of at least one view shows, bool [N]. The others lie in its holes,
-    which were filled with planes. Raises what ``progress`` raises."""
+    """Which points of the cloud the measured depth of at least one view shows, bool [N]. The others lie in holes that
+    were filled with planes. Raises what ``progress`` raises."""
     left = np.arange(len(cloud))
     for view in watched(views, progress):
         left = np.delete(left, view.seen_of(cloud.xyz[left], max(NEAR, cloud.spacing))[0])

@@ -1,4 +1,4 @@
-"""Find the parts of an object that the masks of the views show apart. This splits it even if all its points touch."""
+"""Splits an object into the parts that the views' masks show separately, even if all its points touch."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ MOST_FRAMES = 80
 SEEN_WITHIN = 0.05
 """A frame sees a point if the point is within this many metres of the frame's depth there."""
 LEAST_SHARE = 0.05
-"""Share of the object's points: smaller parts join the nearest larger one, and smaller segments are ignored."""
+"""Share of the object's points below which a part joins the nearest larger one, and a segment is ignored."""
 ALIKE = 0.5
 """Segments of two frames show one part when they share more than this of the points that both frames show."""
 LEAST_FRAMES = 2
-"""Frames that must show two parts apart: a single mask may be wrong."""
+"""Minimum number of frames that show two parts apart, as a single mask may be wrong."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,8 +44,8 @@ NOTHING_SEEN = PartsSeen(np.zeros(0, np.int64), {}, 0)
 
 @dataclass(frozen=True, eq=False)
 class _Segment:
-    """What one segment of a frame holds of the object. ``holds``, ``seen`` float32 [n]: the weight of the frame's
-    evidence on each point in the segment, and on each point in any of the frame's segments."""
+    """A frame's segment on the object. ``holds``, ``seen`` float32 [n]: the weight of the frame's evidence on each
+    point in the segment, and on each point in any of the frame's segments."""
 
     frame: int
     class_id: int
@@ -54,8 +54,8 @@ class _Segment:
 
 
 Told = Callable[[int, int], object]
-"""Called before each frame is read, and after the last, with how many were and how many will be. It may raise, to
-stop."""
+"""Called before each frame is read, and after the last, with the number of frames read and their total. It may raise,
+to stop."""
 
 
 def split_by_views(

@@ -1,5 +1,5 @@
-"""After training: the views' labels are voted onto the finished Gaussians, at the masks' own resolution. Before it,
-frames that are not trained on are read to vote."""
+"""Assigns the views' labels to the finished Gaussians by a vote, at the masks' own resolution. Also reads the extra
+frames that only vote."""
 
 from __future__ import annotations
 
@@ -52,11 +52,11 @@ def vote_labels(
 ) -> GaussianLabels:
     """The labels of every Gaussian, by a vote of the training frames within ``vote_size``.
 
-    Where masks agree, they know outlines better than points do. In the first round, the segments of each mask take the
-    labels that its pixels got before training; in the second, those that the Gaussians of the first show. Where masks
-    contradict each other, that would take back what the points gained: each pixel votes once, with the label of the
-    point that lies there. What does not change between rounds is stored in temporary files in ``scratch``. Raises
-    PlgsError if a file is bad, and what ``progress`` raises.
+    Where masks agree, they outline objects better than points do. In the first round, the segments of each mask take
+    the labels that its pixels got before training; in the second, those that the Gaussians of the first show. Where
+    masks contradict each other, a second round would undo what the points gained: each pixel votes once, with the label
+    of its point. Data that both rounds need is stored in temporary files in ``scratch``. Raises PlgsError if a file is
+    bad, and what ``progress`` raises.
     """
     cloud, maps = prepared.cloud, prepared.label_maps
     assert maps is not None  # objects by agreement come with them
@@ -122,7 +122,7 @@ class _VotingFrames:
         self._stored: dict[int, tuple[list[int], tuple[Segment, ...]]] = {}
 
     def at(self, place: int) -> _VotingFrame:
-        """The frame at this place. Raises PlgsError, and OSError if the disk is full."""
+        """The frame with this index. Raises PlgsError, and OSError if the disk is full."""
         if place in self._stored:
             numbers, segments = self._stored[place]
             gaussian, weight, drawn, ids, depth = (self._arrays[number] for number in numbers)
@@ -143,7 +143,7 @@ def _rendered(scene: StructuredScene, frame: Frame, preset: Preset) -> _VotingFr
 
 
 SMALLER = 2
-"""The factor by which voters are smaller than the training frames, in width and in height."""
+"""The factor by which extra voting frames are smaller than training frames, in width and in height."""
 
 
 def read_voters(

@@ -1,4 +1,4 @@
-"""Compile what a lift runs, so that the first one starts at once. It lifts a wall, too small to be useful."""
+"""Compiles everything that a lift runs, by lifting a tiny wall, so that the first real lift starts at once."""
 
 from __future__ import annotations
 

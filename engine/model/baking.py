@@ -22,15 +22,15 @@ from .scene_labels import shown_labels, shown_probabilities
 from .structured import LabelChannels, StructuredScene
 
 CHUNK = 65536
-"""Anchors decoded at once, to bound the memory. There are fewer if there are more than USUAL_LABELS labels."""
+"""Anchors decoded at once, to bound memory; fewer for scenes with more than USUAL_LABELS labels."""
 USUAL_LABELS = 64
 FLOATS = 0.12
-"""Metres between a Gaussian and the next thing seen, or between two things, beyond which one floats."""
+"""Metres. A Gaussian farther than this from any observed surface, or from the next Gaussian, floats."""
 FAINTEST = 0.05
-"""Opacity of a Gaussian that can hardly be seen."""
+"""Opacity below which a Gaussian is practically invisible."""
 LEAST_COVER = 0.002
-"""Square metres that Gaussians that hang together have to cover, weighted by opacity; one covers its longest two
-standard deviations multiplied."""
+"""Minimum area of a connected group of Gaussians, in square metres weighted by opacity. A Gaussian's area is the
+product of its two longest standard deviations."""
 _NEIGHBOURS = 16
 """The number of Gaussians whose colours are blended, including the Gaussian itself."""
 
@@ -64,8 +64,8 @@ class BakedGaussians:
         return blended
 
     def without_floaters(self, seen: NDArray[np.floating]) -> BakedGaussians:
-        """Those that are opaque enough to be seen, lie near the points ``seen`` [P, 3] m, and hang together with
-        others. Photos do not tell where what they never saw is: it floats in the room, or far outside of it."""
+        """The Gaussians that are opaque enough to be visible, lie near the points ``seen`` [P, 3] m, and touch others.
+        Photos do not constrain geometry that they never saw: it floats in the room or far outside."""
         near, _ = cKDTree(seen).query(self.means, distance_upper_bound=FLOATS, workers=-1)
         kept = np.flatnonzero(np.isfinite(near) & (self.opacities >= FAINTEST))
         cell, places = np.floor(self.means[kept] / FLOATS).astype(np.int64), np.zeros(len(kept), np.int64)
@@ -84,7 +84,7 @@ def decided_labels(
     shown: NDArray[np.float32], channels: LabelChannels, thing_ids: frozenset[int]
 ) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
     """Class and instance ids, int32 [N] each, from the result of ``shown_probabilities`` [N, C + U]. They are decided
-    like a pixel of the passes: what no object owns has its own class and instance 0."""
+    like a pixel of the passes: unowned Gaussians get their own class and instance 0."""
     classes = len(channels.class_ids)
     by_class, owned = shown[:, :classes], shown[:, classes:]
     place, rows = by_class.argmax(axis=1), np.arange(len(shown))
@@ -112,9 +112,9 @@ def bake(
 ) -> tuple[BakedGaussians, Anchors]:
     """Decode every anchor as seen from ``viewpoint`` [3] metres. Raises what ``progress`` raises.
 
-    Colours and shapes depend slightly on the viewpoint, which a splat file cannot express. The middle of the cameras is
-    the fairest single choice. Gaussians have the blur with which the training pictures show them (see ``detail``):
-    without it a viewer shows cracks between those of a far wall.
+    Colours and shapes depend slightly on the viewpoint, which a splat file cannot express; the mean of the camera
+    centres is a fair compromise. Gaussians keep the blur of the training pictures (see ``detail``): without it, viewers
+    show cracks in distant walls.
     """
     centre = torch.from_numpy(viewpoint.copy()).float()
     parts: list[dict[str, NDArray]] = []
@@ -163,7 +163,7 @@ def _gaussian_columns(
 
 
 def _baked_anchors(scene: StructuredScene, means: dict[str, NDArray]) -> Anchors:
-    """The anchors from their ``_anchor_means`` and decided labels. An anchor that draws nothing shows no class."""
+    """The anchors from their ``_anchor_means`` and decided labels. An anchor without drawn Gaussians gets no class."""
     is_drawn = means["weight"] > 0
     return Anchors(
         xyz=scene.anchors.position.numpy(),

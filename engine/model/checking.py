@@ -1,4 +1,4 @@
-"""Checks of a model from a file, before any kernel uses it. Kernels do not check indices."""
+"""Validates a model that was read from a file, as the kernels do not check indices."""
 
 from __future__ import annotations
 
@@ -105,8 +105,7 @@ def check_model(tensors: Mapping[str, torch.Tensor], facts: Mapping[str, Any]) -
 
 
 def decoders_of(facts: Mapping[str, Any]) -> tuple[type[Decoders], DecoderShape]:
-    """The kind of decoders that a file names, and their shape. Raises ValueError for a kind that this version does not
-    know."""
+    """The kind of decoders that a file names, and their shape. Raises ValueError for an unknown kind."""
     kind = DECODERS.get(facts.get("kind", Decoders.kind))
     known = {name: value for name, value in facts.items() if name != "kind"}
     if kind is None or set(known) != {each.name for each in fields(DecoderShape)}:
@@ -134,15 +133,15 @@ def _ids(facts: Mapping[str, Any], name: str, least: int) -> list[int]:
 # Tensors from a .safetensors file of unknown origin.
 
 MOST_BYTES = 1 << 35
-"""The largest model (see `checking`) is smaller, and so is a checkpoint of it."""
+"""Upper limit for a model (see `checking`) or a checkpoint, in bytes."""
 
 
 def read_tensors(path: Path) -> tuple[dict[str, torch.Tensor], dict[str, str]]:
-    """The tensors by name, and the header's notes. Raises ValueError if it is not such a file, or takes more memory
-    than there is, and OSError.
+    """The tensors by name, and the notes in the header. Raises ValueError for a damaged file or one larger than memory,
+    and OSError.
 
-    safetensors checks that all their bytes are there, so a file takes no more memory than its length. A sparse file
-    may be longer than its space on disk.
+    safetensors verifies that the file is complete, so reading needs no more memory than the file's length. A sparse
+    file may be longer than its space on disk.
     """
     refuse_special(path)
     size, memory = path.stat().st_size, main_memory()

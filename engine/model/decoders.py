@@ -168,7 +168,7 @@ class Decoders(nn.Module):
         channels: torch.Tensor | None,
         known_labels: torch.Tensor | None,
     ) -> NeuralGaussians | None:
-        """The result of ``decode_rows``, for decoders with their own method; None otherwise."""
+        """The result of ``decode_rows``, for decoders that implement their own; otherwise None."""
         return None
 
 
@@ -177,5 +177,5 @@ DECODERS: Parts[type[Decoders]] = Parts("head", {Decoders.kind: Decoders})
 
 
 def register_head(kind: type[Decoders]) -> None:
-    """Add a kind of decoders, by the name in its ``kind``. Who reads its lifts needs it, too."""
+    """Register a kind of decoders under its ``kind``. Programs that read its lifts must register it, too."""
     DECODERS.register(kind.kind, kind)

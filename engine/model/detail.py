@@ -1,9 +1,9 @@
-"""How much detail a scene's training pictures have at each place, so that nothing is drawn with more than that.
+"""The finest detail that the training pictures show at each position, which limits the detail of what is drawn.
 
-Every picture blurs Gaussians by BLUR, and training fits them with this blur to the training pictures. In a picture with
-smaller pixels, from nearer or of a larger size, the same blur covers less of the world, and cracks open. So a Gaussian
-has everywhere at least the blur that it had in the training picture with the smallest pixels there, after the 3D
-smoothing filter of Mip-Splatting (arXiv 2311.16493).
+Every picture blurs Gaussians by BLUR, and training fits them under this blur. In a picture with smaller pixels, from
+nearby or of a larger size, the same blur covers less of the world, and cracks open. So a Gaussian keeps at least the
+blur that it had in the training picture with the smallest pixels there, after the 3D smoothing filter of Mip-Splatting
+(arXiv 2311.16493).
 """
 
 from __future__ import annotations
@@ -20,12 +20,12 @@ from ..raster.conventions import BLUR
 from ..scene import Camera
 
 NEAREST = 0.01
-"""Metres. What is nearer to a camera is not in its picture."""
+"""Metres. Anything nearer to a camera is not in its picture."""
 
 
 def finest_pixels(places: NDArray[np.floating], cameras: Sequence[Camera]) -> NDArray[np.float32]:
-    """The side in metres, float32 [N], of the smallest pixel that any of the cameras has at each of the ``places``
-    [N, 3], whatever stands before them. It is 0 where none of their pictures holds the place."""
+    """The side in metres, float32 [N], of the smallest pixel that any camera has at each of the ``places`` [N, 3],
+    ignoring occlusion; 0 where no picture contains the position."""
     rows = [[*camera.world_to_camera[:3].ravel(), *_lens(camera)] for camera in cameras]
     finest = np.zeros(len(places), np.float32)
     _find_finest(np.ascontiguousarray(places, np.float32), np.array(rows).reshape(-1, 18), finest)

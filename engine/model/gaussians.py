@@ -40,7 +40,7 @@ def decode(
     in_torch: bool = False,
 ) -> NeuralGaussians:
     """Decode the Gaussians of every anchor that ``camera`` can see, and drop those with opacity <= 0. The other
-    arguments are those of ``decode_rows``; ``in_torch``: without any kernel, even where there are some."""
+    arguments are those of ``decode_rows``; ``in_torch`` avoids all kernels."""
     position = anchors.position
     centre = torch.from_numpy(camera.centre.copy()).to(position.dtype).to(position.device, non_blocking=True)
     if decoders.decodes_all_anchors:

@@ -23,8 +23,8 @@ class GrowthRules:
 
     ``gradient`` is the first level's threshold on the mean gradient of the projected centre in NDC units. Level i takes
     2^i times that and cells of ``cell_voxels[i]`` voxels. An anchor with a mean summed opacity below ``opacity`` is
-    pruned. ``least_visits``: visits that suffice however many steps there are between two rounds. In a short lift of
-    many views, an anchor that few of them see would otherwise never be judged. None: only the shares count.
+    pruned. ``least_visits`` suffice for any number of steps between two rounds (None: only the shares count); otherwise
+    a short lift of many views would never judge anchors that few views see.
     """
 
     gradient: float = 2e-4

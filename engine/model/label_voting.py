@@ -34,7 +34,7 @@ DEPTH_GAP_M, DEPTH_GAP_SHARE = 0.15, 0.05
 """Metres and share of the depth. A pixel abstains if its rendered depth differs from the sensor's by more than
 both."""
 KEPT = 4
-"""The number of labels that a Gaussian keeps, the likeliest ones."""
+"""The number of labels that a Gaussian keeps."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,11 +77,11 @@ def contributors(scene: StructuredScene, camera: Camera, count: int = CONTRIBUTO
 
 
 class LabelVotes:
-    """Collects the votes of one view after another for the G Gaussians of a finished scene.
+    """Accumulates the votes of each view for the G Gaussians of a finished scene.
 
-    A Gaussian has votes for at most LABELS_HELD labels, so that memory does not grow with the number of labels. A
-    further label replaces the one with the fewest votes and inherits these (the "space saving" of Metwally et al.
-    2005). So a label with more than 1 / LABELS_HELD of a Gaussian's votes is never lost.
+    A Gaussian holds votes for at most LABELS_HELD labels, so that memory does not grow with the number of labels. A
+    further label replaces the one with the fewest votes and inherits these ("space saving", Metwally et al. 2005). So a
+    label with more than 1 / LABELS_HELD of a Gaussian's votes is never lost.
     """
 
     def __init__(self, scene: StructuredScene, voting: Voting, kind: EvidenceKind) -> None:

@@ -21,9 +21,9 @@ from .structured import LabelChannels, StructuredScene
 MOST_BYTES = 1 << 27
 """The most bytes of a band's label coverage. Larger bands are not faster; smaller ones are slower."""
 KEPT = 16
-"""Classes and instances of a pixel that come back from a device. A pixel seldom shows more than five."""
+"""Classes and instances of a pixel that are copied back from a device. A pixel seldom shows more than five."""
 TILE_ROWS = 16
-"""Bands begin with a row of the rasteriser's tiles."""
+"""Bands begin at a row of the rasteriser's tiles."""
 REACH = 3.5
 """Standard deviations within which a Gaussian's alpha can reach 1/255, rounded up a little."""
 
@@ -146,8 +146,8 @@ def _draw_rows(
 
 
 def likeliest(coverage: torch.Tensor) -> NDArray[np.float32]:
-    """Coverage [H, W, L] on a device as an array, of which only the KEPT largest of each pixel are copied; the others
-    are 0. Copying all of them would take longer than drawing them."""
+    """Coverage [H, W, L] on a device as an array. Only the KEPT largest values of each pixel are copied and the others
+    are 0, as copying all would take longer than drawing."""
     share, label = (each.numpy(force=True) for each in coverage.topk(min(KEPT, coverage.shape[-1]), dim=-1))
     kept = np.zeros(coverage.shape, np.float32)
     np.put_along_axis(kept, label, share, axis=-1)

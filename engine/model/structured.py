@@ -72,7 +72,7 @@ class StructuredScene:
     finest: torch.Tensor | None = None
 
     def on(self, device: torch.device | str) -> StructuredScene:
-        """A copy of the scene on ``device``; on the CPU, where it is made, the scene itself."""
+        """A copy of the scene on ``device``; the scene itself if that is the CPU."""
         if torch.device(device).type == "cpu":
             return self
         voted = None if self.voted is None else GaussianLabels(*(each.to(device) for each in vars(self.voted).values()))

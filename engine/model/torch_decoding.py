@@ -1,5 +1,5 @@
-"""Decoding in torch, on any device and in any precision: what the kernels of ``decoding`` compute, and the truth of
-their tests."""
+"""Reference implementation of decoding in torch, for any device and precision. Tests compare the kernels of
+``decoding`` with it."""
 
 from __future__ import annotations
 

@@ -1,7 +1,8 @@
-"""Where a training step has kernels for the CPU: the same in torch, for any device. Each is a set of a few functions.
+"""Interchangeable sets of the functions for which a training step has CPU kernels: the kernels, or torch for any
+device.
 
-All else of a step is torch in both. It leaves its tensors where they are: of a step on a device only the losses come
-back, and for the linear assignment one matrix [instances, slots].
+The rest of a step is torch in both. Tensors stay on their device: only the losses come back, and one matrix [instances,
+slots] for the linear assignment.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ from .targets import ViewTargets
 
 
 class Arithmetic(NamedTuple):
-    """The functions of a set, and the back end that draws. ``place`` puts a view's targets where steps need them."""
+    """A set of functions, and the back end that draws. ``place`` moves a view's targets to where steps need them."""
 
     decode: Callable[..., NeuralGaussians]
     backend: Backend

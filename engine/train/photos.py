@@ -11,13 +11,13 @@ from numpy.typing import NDArray
 from ..scene import photo_detail
 
 LARGEST_GAIN = 4.0
-"""A photo is at most this many times brighter or darker than the room."""
+"""Limit of a photo's exposure relative to the room's, as a factor or its inverse."""
 DARK, BRIGHT = 12, 243
-"""Values of 255 outside which a photo tells little about its exposure."""
+"""Values (of 255) outside which a pixel says little about its photo's exposure."""
 OUTLIER = 0.4
-"""The difference of log colours from which a pixel shows a highlight, or something other than its point."""
+"""Difference of log colours above which a pixel shows a highlight, or something other than its point."""
 NEIGHBOURS = 4
-"""The number of photos on either side with which a photo's sharpness is compared: they show about the same."""
+"""The number of photos on either side, of a similar view, with which a photo's sharpness is compared."""
 LEAST_WEIGHT = 0.1
 
 

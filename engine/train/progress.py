@@ -20,22 +20,23 @@ _SURE = 0.2
 
 
 class Course:
-    """How long a run still takes. ``seconds``: the predicted time of each stage, in order, from now to the end."""
+    """Estimates how long a run still takes. ``seconds``: the predicted time of each stage, in order, from now to the
+    end."""
 
     def __init__(self, seconds: Mapping[str, float]) -> None:
         self.began, self.seconds = time.monotonic(), dict(seconds)
 
     def leave_out(self, seconds: float) -> None:
-        """Ignore these seconds in the pace, as kernels were compiled."""
+        """Exclude these seconds from the pace, as kernels were compiled."""
         self.began += seconds
 
     def skip(self, stage: str, share: float) -> None:
-        """Ignore this share of a stage, which was done before the run, as a lift was resumed."""
+        """Count this share of a stage as done before the run, as a lift was resumed."""
         self.began -= share * self.seconds[stage]
 
     def left(self, stage: str, share: float, eta: float | None, now: float) -> float | None:
-        """Seconds left in the run when ``share`` of a stage is done and ``eta`` seconds of it are left; None in a stage
-        that was not predicted."""
+        """Seconds left in the run when ``share`` of a stage is done and ``eta`` seconds of it are left; None for a
+        stage without a prediction."""
         if stage not in self.seconds:
             return None
         values, place = [*self.seconds.values()], [*self.seconds].index(stage)
@@ -72,7 +73,7 @@ class StageProgress:
         self.events.progress(self.name, done, total, loss=loss, eta_s=eta, left_s=whole)
 
     def part(self, begin: float, end: float) -> Progress:
-        """Called with (done, total) of a part of the stage, which lasts from one share of the stage to another."""
+        """A progress callback (done, total) for the part of the stage between the shares ``begin`` and ``end``."""
         return part_of(self, begin, end)
 
     def _remaining(self, done: int, total: int, now: float) -> float | None:
@@ -103,7 +104,7 @@ class StageReporter:
 
 
 class StepClock:
-    """Called where a part of a training step ends. This one does nothing; ``research/bench_step.py`` measures."""
+    """Called at the end of each part of a training step. This one does nothing; ``research/bench_step.py`` measures."""
 
     def start(self) -> None:
         """Called when a step begins."""

@@ -1,5 +1,5 @@
-"""Structural similarity as a loss: 11x11 Gaussian window with sigma 1.5, zero padding, C1 = 0.01^2, C2 = 0.03^2; and
-L1, which is computed along with it."""
+"""Structural similarity as a loss (11x11 Gaussian window, sigma 1.5, zero padding, C1 = 0.01^2, C2 = 0.03^2), and L1,
+which is computed along with it."""
 
 from __future__ import annotations
 

@@ -19,7 +19,7 @@ from .trainer import Trainer
 
 
 class OtherLabels(ValueError):
-    """Raised for a state whose labels are not those that the masks give."""
+    """Raised for a state whose labels differ from those of the masks."""
 
 
 def trainer_state(trainer: Trainer) -> tuple[dict[str, torch.Tensor], dict[str, Any]]:

@@ -56,7 +56,7 @@ class ViewTargets:
 
 
 def columns_of(labels: NDArray[np.integer], ids: tuple[int, ...]) -> torch.Tensor:
-    """Labels of any shape as channel numbers, int64: the place of each in ``ids`` (all >= 0), -1 for 0 and for labels
+    """Labels of any shape as channel numbers, int64: the index of each in ``ids`` (all >= 0), -1 for 0 and for labels
     that are not in ``ids``."""
     return torch.from_numpy(_places(labels, ids, np.dtype(np.int64)))
 
@@ -71,8 +71,8 @@ def _places(labels: NDArray[np.integer], ids: tuple[int, ...], dtype: np.dtype[A
 
 
 def slots_of(instances: NDArray[np.integer], known: NDArray[np.bool_], channels: LabelChannels) -> torch.Tensor:
-    """Instance ids of any shape (0 = none) as slots, int16: "no object" where it is ``known`` that there is none, -1
-    where nothing is known."""
+    """Instance ids of any shape (0 = none) as slots, int16: "no object" for 0 where objects are ``known``,
+    otherwise -1."""
     instance_ids = tuple(max(slot, 0) for slot in channels.slot_ids)
     slots = _places(instances, instance_ids, np.dtype(np.int16))
     slots[known & (instances == 0)] = channels.slot_ids.index(NO_OBJECT)
@@ -90,7 +90,7 @@ def view_targets(
     gain: NDArray[np.float64] | None = None,
 ) -> ViewTargets:
     """Targets of ``view`` from class ids and instance ids, int32 [H, W] each. Where there is a class, instance 0 means
-    no object, which is a target if ``teach_no_object``; without instance ids nothing is known about objects."""
+    no object, which is a target if ``teach_no_object``. Without instance ids, objects are unknown."""
     matched = torch.full(projected_class.shape, -1, dtype=torch.int16)
     if matched_instance is not None:
         matched = slots_of(matched_instance, (projected_class != 0) & teach_no_object, channels)

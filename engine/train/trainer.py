@@ -1,4 +1,4 @@
-"""The inside of the training loop: one step, a round of growth, a round of pseudo labels, and the complete state."""
+"""The training loop's parts: one step, a round of growth, a round of pseudo labels, and the complete state."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ def depth_loss(depth: torch.Tensor, alpha: torch.Tensor, sensor: torch.Tensor) -
 
 
 SATURATED = 0.99
-"""A photo's value from which the room may be brighter than the photo can show."""
+"""Value above which a photo may be clipped, so that the room may be brighter."""
 LARGEST_SCALE = 1.0
 """Metres. Scales are reduced to this in each round of growth, as Scaffold-GS does in its own units."""
 
@@ -140,8 +140,8 @@ LOSSES: Parts[Callable[[Step], torch.Tensor]] = Parts("loss", {"depth": weighted
 
 
 def register_loss(name: str, loss: Callable[[Step], torch.Tensor]) -> None:
-    """Let presets name this function among their ``losses``, in lifts by this process. It returns a scalar with its
-    weight in it."""
+    """Let presets name this function among their ``losses``, in lifts by this process. It returns a scalar that
+    includes its weight."""
     LOSSES.register(name, loss)
 
 
@@ -153,7 +153,7 @@ class Trainer:
     growth_rules: ClassVar[GrowthRules] = GrowthRules()
     rates: ClassVar[Rates] = RATES
     preset: Any
-    """A Preset; subclasses may have presets with more options."""
+    """A Preset; subclasses may use presets with more options."""
 
     def __init__(
         self, scene: StructuredScene, targets: Sequence[ViewTargets], views: Sequence[View], preset: Preset, seed: int
@@ -174,7 +174,7 @@ class Trainer:
         self.follow_anchors()
 
     def move_to(self, device: torch.device | str) -> None:
-        """Do the steps that follow on this device. The targets of the views stay there, once they were needed."""
+        """Do the following steps on this device. A view's targets stay there once they were used."""
         self.device = torch.device(device)
         self.arithmetic = KERNELS if self.device.type == "cpu" else IN_TORCH
         self._placed.clear()
@@ -259,8 +259,8 @@ class Trainer:
         return self.arithmetic.decode(anchors, decoders, target.camera, known_labels=no_labels(anchors))
 
     def _columns_to_draw(self, target: ViewTargets) -> NDArray[np.int64]:
-        """The label channels in which the view is compared, ascending: those of its targets, as the losses use no
-        others; all of them if segments are assigned to slots by what is drawn."""
+        """The label channels in which the view is compared, ascending: those of its targets, as the losses need no
+        others; all channels if segments are assigned to slots by the rendering."""
         if target.columns is not None:
             return target.columns
         classes, total = self._channel_counts()
@@ -416,7 +416,8 @@ def _extent(views: Sequence[View]) -> float:
 
 
 def _of_columns(labels: torch.Tensor, columns: NDArray[np.int64]) -> torch.Tensor:
-    """These columns of labels [N, L]; all of them as they are, since a copy takes a quarter of the paper's step."""
+    """These columns of labels [N, L]. All columns are returned without a copy, which takes a quarter of the paper's
+    step."""
     if len(columns) == labels.shape[1]:
         return labels
     return labels.index_select(1, torch.from_numpy(columns).to(labels.device, non_blocking=True))

@@ -1,4 +1,4 @@
-"""Decoders that are fitted to the initial anchors before the first picture is rendered.
+"""Fits the decoders to the initial anchors before the first picture is rendered.
 
 The semantic point cloud already gives the colour, class and instance of each anchor. Fitting the decoders to these
 takes a second, since nothing is rendered; learning them through pictures takes thousands of steps. This is ours, not

@@ -1,6 +1,6 @@
-"""Exponential, sigmoid and tanh of sixteen float32 at a time, and the softmax of a run of them with its backward pass.
+"""Exponential, sigmoid and tanh of sixteen float32 at a time; softmax and its backward pass.
 
-NaN stays NaN, so that a diverged scene shows.
+NaN stays NaN, so that a diverged scene is noticed.
 """
 
 from __future__ import annotations
@@ -33,15 +33,15 @@ LOG2_E = F(1.0 / math.log(2.0))
 LARGEST_POWER = F(127.0)
 INFINITY = F(math.inf)
 SMALL = F(0.1)
-"""Below this, tanh is taken from its series: the quotient of exponentials would lose its digits."""
+"""Below this, tanh uses its series, as the quotient of exponentials would lose precision."""
 TANH_3, TANH_5 = F(-1.0 / 3.0), F(2.0 / 15.0)
 LOWEST = F(-3.0e38)
-"""What the lanes beyond a softmax hold."""
+"""Padding of a softmax's unused lanes."""
 
 
 @inlined
 def exponential(x: Any) -> Any:
-    """e^x of a number; infinite above 88, e^-44 below -44. NaN of what is not finite."""
+    """e^x, clamped: infinite above 88, e^-44 below -44. NaN for NaN and infinities."""
     power = x * broadcast(LOG2_E)
     value = exp2(minimum(power, broadcast(LARGEST_POWER)))
     value = select(power > broadcast(LARGEST_POWER), broadcast(INFINITY), value)
@@ -50,7 +50,7 @@ def exponential(x: Any) -> Any:
 
 @inlined
 def falling_exponential(x: Any) -> Any:
-    """e^x of a number <= 0; e^-44 below -44. NaN of what is not finite."""
+    """e^x for x <= 0, at least e^-44. NaN for NaN and infinities."""
     return fma(x, broadcast(ZERO), exp2(x * broadcast(LOG2_E)))
 
 
@@ -61,7 +61,7 @@ def sigmoid(x: Any) -> Any:
 
 @inlined
 def tanh(x: Any) -> Any:
-    """Exact sign, also next to zero: whether a Gaussian is drawn depends on it."""
+    """Keeps the exact sign near zero, which decides whether a Gaussian is drawn."""
     squared = x * x
     series = x * fma(squared, fma(squared, broadcast(TANH_5), broadcast(TANH_3)), broadcast(ONE))
     power = exponential(minimum(x + x, broadcast(F(40.0))))
@@ -71,7 +71,7 @@ def tanh(x: Any) -> Any:
 
 @inlined
 def copy(values: Array, at: int, out: Array, out_at: int, count: int) -> None:
-    """out = values, ``count`` of them from ``at`` and ``out_at`` on."""
+    """Copy ``count`` values from values[at:] to out[out_at:]."""
     whole = count - count % WIDTH
     for c in range(0, whole, WIDTH):
         store(out, out_at + c, load(values, at + c))
@@ -81,7 +81,7 @@ def copy(values: Array, at: int, out: Array, out_at: int, count: int) -> None:
 
 @device_function
 def softmax(values: Array, at: int, out: Array, out_at: int, count: int) -> Any:
-    """out[out_at:] = softmax of the ``count`` values[at:], which may be the same place. Returns the largest value m and
+    """out[out_at:] = softmax of the ``count`` values[at:]; the two may overlap exactly. Returns the largest value m and
     the sum of e^(value - m)."""
     whole = count - count % WIDTH
     inside = lane_numbers() < broadcast(F(count - whole))

@@ -1,6 +1,6 @@
-"""From the gradients of the drawn Gaussians, and of the cluster loss, to those of anchors and decoders.
+"""From the gradients of the drawn Gaussians and of the cluster loss to those of anchors and decoders.
 
-Hidden layers are decoded again: that is cheaper than keeping them.
+Hidden layers are recomputed, which is cheaper than keeping them.
 """
 
 from __future__ import annotations
@@ -103,7 +103,7 @@ def instances_backward(batch: Batch, head: Any, sizes: Any, mine: Array, gradien
 def classes_backward(
     batch: Batch, head: Any, visible: Array, labelling: Labelling, sizes: Any, mine: Array, gradients: Gradients
 ) -> None:
-    """Logits in their place become their gradients."""
+    """Replaces the logits in scratch by their gradients."""
     k, classes, channels = sizes.k, sizes.classes, sizes.classes + sizes.slots
     m = 0
     for row in range(batch.rows):
@@ -135,7 +135,7 @@ def batch_backward(
     d_weights: Array,
     gradients: Gradients,
 ) -> None:
-    """One batch of anchors; the gradient of the weights is added to ``d_weights``."""
+    """Process one batch of anchors; adds the gradient of the weights to ``d_weights``."""
     sizes = packed.sizes
     collect_inputs(batch.listed, batch.rows, anchors, sizes, mine)
     fill(mine, sizes.d_inputs_at, rounded_rows(batch.rows) * sizes.padded_features, ZERO)
@@ -175,8 +175,8 @@ def decode_backward(
     gradients: Gradients,
     work: Work,
 ) -> None:
-    """Gradients of the anchors and of the packed weights. There is a fixed number of chunks of batches: the sum of
-    their gradients does not depend on who did what."""
+    """Gradients of the anchors and of the packed weights. The number of chunks of batches is fixed, so that their sum
+    does not depend on the scheduling of threads."""
     mine, numbers = work.floats[worker], work.numbers[worker]
     count, chunks = batches.starts.shape[0], gradients.weights.shape[0]
     while True:

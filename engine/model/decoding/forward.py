@@ -1,4 +1,4 @@
-"""From visible anchors to the Gaussians to draw: opacities first, then everything else for what they leave."""
+"""From visible anchors to drawn Gaussians: opacities first, then everything else for the visible ones."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def decode_opacities(
 
 @device_function
 def through_sigmoid(rows: int, head: Any, sizes: Any, mine: Array) -> None:
-    """All outputs of a decoder, in their place."""
+    """All outputs of a decoder, in place."""
     for at in range(sizes.out_at, sizes.out_at + rows * head.padded, WIDTH):
         store(mine, at, sigmoid(load(mine, at)))
 
@@ -73,7 +73,8 @@ def through_sigmoid(rows: int, head: Any, sizes: Any, mine: Array) -> None:
 def write_shapes(
     batch: Batch, head: Any, anchors: AnchorArrays, opacities: Array, sizes: Any, mine: Array, drawn: Drawn
 ) -> None:
-    """Write all of the drawn Gaussians but colours and labels, from the covariance decoder and the anchors."""
+    """Write everything except colours and labels of the drawn Gaussians, from the covariance decoder and the
+    anchors."""
     k, scale = sizes.k, sizes.d_hidden_at  # room for a vector a row, of which six are the anchor's scales
     collect_scales(batch, anchors, mine, scale)
     for m in range(batch.gaussians):

@@ -1,5 +1,5 @@
-"""What both passes do with a batch of anchors: list them, collect their inputs, run a decoder's two layers, and go back
-through them."""
+"""Shared by both passes: list a batch of anchors, collect their inputs, and run a decoder's two layers forward and
+backward."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ ZERO = F(0.0)
 HIDDEN_64: Any = np.int64(HIDDEN)
 ONE_64: Any = np.int64(1)
 ZERO_64: Any = np.int64(0)
-"""For the arguments of ``add_product``: Numba would compile it anew for each plain number written there."""
+"""Typed argument of ``add_product``, as Numba would compile it again for every literal."""
 CLOSEST = F(1e-6)
-"""Metres: an anchor at the camera's centre is seen from a distance of at least this."""
+"""Minimum distance in metres between an anchor and the camera's centre."""
 
 
 @inlined
@@ -45,7 +45,7 @@ def fill(values: Array, at: int, count: int, value: Any) -> None:
 
 @device_function
 def wanted_class(place: int, visible: Array, labelling: Labelling) -> int:
-    """The channel of an anchor's class for the cluster loss, -1 where there is none; ``place`` in ``visible``."""
+    """The channel of an anchor's class for the cluster loss, or -1; ``row`` is the anchor's index in ``visible``."""
     return labelling.channels[visible[place]] if labelling.channels.shape[0] > 0 else -1
 
 
@@ -53,7 +53,7 @@ def wanted_class(place: int, visible: Array, labelling: Labelling) -> int:
 def list_anchors(
     number: int, k: int, visible: Array, opacities: Array, labelling: Labelling, listed: Array, owners: Array
 ) -> Any:
-    """Batch ``number``: fills ``listed`` and ``owners`` with the anchors that have work beyond their opacity. Returns
+    """Fill ``listed`` and ``owners`` with the anchors of batch ``number`` that need more than their opacity. Returns
     ``rows``, ``drawing`` and ``gaussians`` of ``Batch``."""
     start = number * BATCH
     end = min(start + BATCH, visible.shape[0])
@@ -80,7 +80,7 @@ def list_anchors(
 
 @inlined
 def list_batch(number: int, k: int, visible: Array, batches: Batches, labelling: Labelling, numbers: Array) -> Any:
-    """Batch ``number``; ``numbers`` int64 [BATCH * (1 + 2 k)] is the worker's."""
+    """List batch ``number``; ``numbers`` int64 [BATCH * (1 + 2 k)] is the worker's scratch."""
     listed, owners = numbers[:BATCH], numbers[BATCH:]
     rows, drawing, gaussians = list_anchors(number, k, visible, batches.opacities, labelling, listed, owners)
     return Batch(listed, rows, drawing, owners, batches.starts[number], gaussians)
@@ -88,7 +88,7 @@ def list_batch(number: int, k: int, visible: Array, batches: Batches, labelling:
 
 @device_function
 def collect_inputs(listed: Array, rows: int, anchors: AnchorArrays, sizes: Any, mine: Array) -> None:
-    """Rows of inputs (see ``Sizes``) of the listed anchors to the start of a worker's scratch."""
+    """Copy the inputs (see ``Sizes``) of the listed anchors to the start of a worker's scratch."""
     seen, position, centre = sizes.features, anchors.position, anchors.centre
     for i in range(rows):
         anchor = anchors.visible[listed[i]]
@@ -107,7 +107,7 @@ def collect_inputs(listed: Array, rows: int, anchors: AnchorArrays, sizes: Any, 
 
 @device_function
 def start_with(bias: int, columns: int, weights: Array, at: int, rows: int, mine: Array) -> None:
-    """Set every row of mine[at:] to the bias, which has ``columns`` columns."""
+    """Set every row of mine[at:] to the bias of length ``columns``."""
     for i in range(rounded_rows(rows)):
         for c in range(0, columns, WIDTH):
             store(mine, at + i * columns + c, load(weights, bias + c))
@@ -147,8 +147,8 @@ def add_columns(out: Array, out_at: int, values: Array, at: int, rows: int, colu
 
 @device_function
 def run_head_backward(head: Any, rows: int, packed: Packed, mine: Array, gradient: Array) -> None:
-    """From the gradient of the outputs in their place, and the hidden layer in its, to the gradients of the weights
-    (added to ``gradient``) and of the features (added to scratch)."""
+    """From the gradient of the outputs and the hidden layer, both in scratch, to the gradients of the weights (added to
+    ``gradient``) and of the features (added to scratch)."""
     sizes, weights, padded = packed.sizes, packed.weights, head.padded
     hidden, d_hidden, out, features = sizes.hidden_at, sizes.d_hidden_at, sizes.out_at, sizes.padded_features
     of_out, of_hidden = Rows(mine, out, padded), Rows(mine, d_hidden, HIDDEN_64)
@@ -174,7 +174,8 @@ def run_head_backward(head: Any, rows: int, packed: Packed, mine: Array, gradien
 
 @device_function
 def collect_scales(batch: Batch, anchors: AnchorArrays, mine: Array, room: int) -> None:
-    """The six scales of each drawing anchor into a vector of its own, from ``room`` in a worker's scratch on."""
+    """Copy the six scales of each drawing anchor into a vector of its own in a worker's scratch, starting at
+    ``room``."""
     for row in range(batch.drawing):
         six = lane_numbers() < broadcast(F(6.0))
         log_scale = masked_load(anchors.log_scale, 6 * anchors.visible[batch.listed[row]], six)

@@ -1,4 +1,4 @@
-"""The kernels strung together as a ``torch.autograd.Function``."""
+"""Combines the kernels into a ``torch.autograd.Function``."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ from .packing import (
 )
 
 CHUNKS = 32
-"""Chunks of batches whose weight gradients are summed apart. More workers than this find nothing to do."""
+"""Chunks of batches with separate sums of weight gradients; also the maximum number of useful workers."""
 
 
 def decode_natively(
@@ -44,7 +44,7 @@ def decode_natively(
     channels: Tensor | None,
     known_labels: Tensor | None,
 ) -> NeuralGaussians:
-    """As ``decode_rows``, for float32 tensors on the CPU. As many threads as ``torch.get_num_threads()``."""
+    """``decode_rows`` for float32 tensors on the CPU, with ``torch.get_num_threads()`` threads."""
     layout = layout_of(decoders.shape)
     labels = torch.empty(0, 0) if known_labels is None else known_labels
     wanted = torch.empty(0, dtype=torch.int64) if channels is None else channels
@@ -67,7 +67,7 @@ def decode_natively(
 
 
 class _Fixed(NamedTuple):
-    """What no gradient reaches."""
+    """Inputs without a gradient."""
 
     visible: NDArray[np.int64]
     position: NDArray[np.float32]
@@ -80,7 +80,7 @@ class _Fixed(NamedTuple):
         return AnchorArrays(self.visible, learnt[0], self.position, self.centre, *learnt[1:])
 
     def clustered(self) -> int:
-        """How many Gaussians the cluster loss is a mean over."""
+        """The number of Gaussians in the mean of the cluster loss."""
         channels = self.labelling.channels
         labelled = np.count_nonzero(channels[self.visible] >= 0) if len(channels) else 0
         return max(labelled * self.layout.sizes.k, 1)
@@ -101,7 +101,7 @@ def _new_work(workers: int, layout: Layout) -> Work:
 
 
 def _empty(shape: tuple[int, ...]) -> Tensor:
-    """A float32 tensor in memory that is used again."""
+    """A float32 tensor in reused memory."""
     return torch.from_numpy(memory.empty(shape, np.float32))
 
 

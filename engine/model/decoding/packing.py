@@ -1,7 +1,7 @@
-"""What the decoders' kernels take and fill: the weights in one flat array, laid out as they read them, and gradients
-back from it; and the named tuples of their other arrays.
+"""The data of the decoder kernels: the weights packed into one flat array, their gradients unpacked, and the named
+tuples of the other arrays.
 
-All arrays are flat; M anchors, V of them visible, k Gaussians each, of which N are drawn.
+All arrays are flat: M anchors, V of them visible, with k Gaussians each; N Gaussians are drawn.
 """
 
 from __future__ import annotations
@@ -18,19 +18,19 @@ from ...machine.compiled import Array
 from ..decoders import HIDDEN, Decoders, DecoderShape
 
 LANES = 16
-"""Columns of a vector. Columns are padded to whole vectors."""
+"""Columns of a SIMD vector. Columns are padded to whole vectors."""
 BATCH = 64
-"""Anchors that a kernel takes at once. Their inputs, hidden layers and outputs stay in the nearest caches."""
+"""Anchors that a kernel processes at once. Their inputs, hidden layers and outputs fit into the nearest caches."""
 ROUND_ROWS = 8
 """Rows of a block of the matrix product. Rows are padded to a multiple of it."""
 
 
 class Head(NamedTuple):
-    """One decoder: how many of the inputs it reads, its outputs, and where in the packed array its parts begin.
+    """One decoder: the number of its inputs and outputs, and the offsets of its parts in the packed array.
 
-    ``first`` [inputs, HIDDEN], ``first_bias`` [HIDDEN], ``last`` [HIDDEN, padded], ``last_bias`` [padded] are also the
-    places of their gradients. ``first_back`` [HIDDEN, padded features] and ``last_back`` [outputs, HIDDEN] are the same
-    weights transposed, for the backward pass.
+    ``first`` [inputs, HIDDEN], ``first_bias`` [HIDDEN], ``last`` [HIDDEN, padded] and ``last_bias`` [padded] are also
+    the offsets of their gradients. ``first_back`` [HIDDEN, padded features] and ``last_back`` [outputs, HIDDEN] are the
+    same weights transposed, for the backward pass.
     """
 
     inputs: int
@@ -53,14 +53,14 @@ class Heads(NamedTuple):
 
 
 OPACITY, COVARIANCE, COLOUR, SEMANTIC, INSTANCE = range(5)
-"""Places in ``Heads``."""
+"""Indices in ``Heads``."""
 
 
 class Sizes(NamedTuple):
-    """What the kernels need to know of the shapes, and where the parts of a worker's scratch begin, in floats.
+    """The sizes of the kernels' arrays, and the offsets of the parts of a worker's scratch, in floats.
 
-    A row of inputs, of which scratch holds a batch first, is feature, direction, distance (if wanted) and zeros:
-    ``inputs`` floats.
+    Scratch begins with a batch of input rows. A row has ``inputs`` floats: feature, direction, distance (if wanted) and
+    zeros.
     """
 
     features: int
@@ -78,7 +78,7 @@ class Sizes(NamedTuple):
 
 
 class Layout(NamedTuple):
-    """``parameters`` floats that have gradients come first in the packed array of ``size`` floats."""
+    """The packed array has ``size`` floats; the first ``parameters`` of them have gradients."""
 
     heads: Heads
     sizes: Sizes
@@ -92,7 +92,7 @@ def _rounded(count: int, unit: int) -> int:
 
 @cache
 def layout_of(shape: DecoderShape) -> Layout:
-    """Where everything lies, for decoders of ``shape``."""
+    """The layout of the packed array for decoders of ``shape``."""
     k, seen = shape.gaussians_per_anchor, shape.features + shape.view_inputs
     labelled = seen if shape.label_view_input else shape.features
     padded_features = _rounded(shape.features, LANES)
@@ -136,7 +136,7 @@ def parameters_of(decoders: Decoders) -> list[torch.Tensor]:
 
 
 def _views(packed: NDArray[Any], head: Head) -> Iterator[NDArray[Any]]:
-    """The four parts of a head that have gradients, shaped as torch has them (weights [outputs, inputs])."""
+    """The four parts of a head that have gradients, in torch's shapes (weights [outputs, inputs])."""
     yield packed[head.first : head.first_bias].reshape(-1, HIDDEN)[: head.inputs].T
     yield packed[head.first_bias : head.last]
     yield packed[head.last : head.last_bias].reshape(HIDDEN, head.padded)[:, : head.outputs].T
@@ -231,7 +231,7 @@ class Gradients(NamedTuple):
 
 
 class Work(NamedTuple):
-    """Room to work in. ``next_one`` int64 [1] is the next batch, or chunk of batches, to take. Each worker has
+    """Scratch memory. ``next_one`` int64 [1] is the next batch, or chunk of batches, to process. Each worker has
     ``floats`` float32 [workers, Sizes.scratch] and ``numbers`` int64 [workers, BATCH * (1 + 2 k)]."""
 
     next_one: Array
@@ -240,9 +240,9 @@ class Work(NamedTuple):
 
 
 class Batch(NamedTuple):
-    """Anchors decoded together: their ``rows`` places in ``visible``. The first ``drawing`` of them draw a Gaussian,
-    the rest only take part in the cluster loss. ``gaussians`` are drawn, numbered from ``first`` on; the one m places
-    after that is number owners[2 * m + 1] of row owners[2 * m]."""
+    """Anchors decoded together: ``rows`` indices into ``visible``. The first ``drawing`` of them draw a Gaussian; the
+    rest only take part in the cluster loss. ``gaussians`` are drawn, numbered from ``first`` on; the m-th of them is
+    number owners[2 * m + 1] of row owners[2 * m]."""
 
     listed: Array
     rows: int
