@@ -1,6 +1,6 @@
-"""What the user can do. Each operator checks the context, calls one function of `plgs_blender`, and reports.
+"""The user's actions. Each operator checks the context, calls one function of `plgs_blender`, and reports the outcome.
 
-All of them work from a script with the same arguments as from their buttons.
+From a script they take the same arguments as from their buttons.
 """
 
 from __future__ import annotations
@@ -12,10 +12,10 @@ _MODULES = (engine, lift, passes, scene, masks, inspect, corrections, pointing)
 
 
 def register() -> None:
-    """Called when the extension is switched on."""
+    """Called when the extension is enabled."""
     register_modules(_MODULES)
 
 
 def unregister() -> None:
-    """Called when the extension is switched off."""
+    """Called when the extension is disabled."""
     unregister_modules(_MODULES)

@@ -1,4 +1,4 @@
-"""What operators share: how they report errors, why their buttons are grey, and how they start and cancel tasks."""
+"""Shared by operators: how they report errors, explain grey buttons, and start and cancel tasks."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ Handle = Callable[[Any, bpy.types.Context, bpy.types.Event], set[str]]
 
 
 def panel_of(context: bpy.types.Context) -> Any | None:
-    """The settings of the panel that a button is in, for `poll`; None in a script, whose arguments decide."""
+    """The settings of the button's panel, for `poll`; None in a script, which passes its own arguments."""
     return getattr(context, "plgs_panel", None)
 
 
 def reporting(execute: Execute) -> Execute:
     """Decorates an operator's `execute`: an expected error becomes one line for the user and "cancelled".
 
-    Blender checks the number of arguments, so the wrapper has the same two.
+    Blender checks the number of arguments, so the wrapper takes the same two.
     """
 
     @wraps(execute)
@@ -43,7 +43,7 @@ def reporting(execute: Execute) -> Execute:
 
 
 def reporting_events(handle: Handle) -> Handle:
-    """Decorates an operator's `invoke` and `modal` in the same way."""
+    """Does the same for an operator's `invoke` and `modal`."""
 
     @wraps(handle)
     def answer(operator: Any, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
@@ -53,14 +53,14 @@ def reporting_events(handle: Handle) -> Handle:
 
 
 class Explained:
-    """An operator whose grey button says why it is grey."""
+    """An operator whose disabled button explains why."""
 
     poll_message_set: Callable[[str], None]
     report: Callable[[set[str], str], None]
 
     @classmethod
     def why_not(cls, context: bpy.types.Context) -> str | None:
-        """Why it cannot be called now; None when it can. Never reads the disk."""
+        """Why it cannot be called now, or None. Never reads the disk."""
         return None
 
     @classmethod
@@ -72,20 +72,20 @@ class Explained:
 
 
 class StartsTask(Explained):
-    """An operator that starts a task. Called from a button, it returns at once, and the panel shows the progress.
-    Called from a script, with EXEC_DEFAULT or in a Blender without a window, it waits for the end.
-    """
+    """An operator that starts a task. From a button it returns at once, and the panel shows the progress. From a
+    script, with EXEC_DEFAULT or in a Blender without a window, it waits for the end."""
 
     bl_label: str
     has_undo_step = False
-    """Whether a click on the button gets its own undo step, so that a later undo keeps what it set."""
+    """Whether a click gets its own undo step, so that a later undo keeps what it set."""
 
     def begin(self, context: bpy.types.Context) -> Task | None:
-        """Start the task; return None when there is nothing to wait for. Raises PlgsError, OSError."""
+        """Start the task; return None if there is nothing to wait for. Raises PlgsError, OSError."""
         raise NotImplementedError
 
     def tell(self, context: bpy.types.Context, task: Task | None) -> set[str]:
-        """Report the outcome, or that the task still runs, and return Blender's status. Raises PlgsError, OSError."""
+        """Report the outcome, or that the task is still running, and return Blender's status. Raises PlgsError,
+        OSError."""
         if task is None or task.is_running:
             return FINISHED
         if task.error is not None:
@@ -117,7 +117,7 @@ class StartsTask(Explained):
 
 
 class ChoosesFile(StartsTask):
-    """One whose button opens the file browser. A script, which names the file, waits for the end."""
+    """An operator whose button opens the file browser. A script passes the file and waits for the end."""
 
     was_invoked = False
 
@@ -132,7 +132,8 @@ class ChoosesFile(StartsTask):
 
 
 class CancelsTask(Explained):
-    """An operator that cancels the running tasks of one kind. A script waits until they have ended, within a second."""
+    """An operator that cancels the running tasks of one kind. A script waits until they have ended, less than a
+    second."""
 
     cancelled_kind: type[Task]
 
@@ -150,14 +151,14 @@ class CancelsTask(Explained):
 
 
 def cancels(kind: type[Task], about: str) -> type:
-    """The operator that a kind of task names to cancel it; ``about`` is what its button says."""
+    """Makes the operator that cancels tasks of a kind; ``about`` is its tooltip."""
     names = {"bl_idname": kind.cancel_operator, "bl_label": "Cancel", "bl_options": {"INTERNAL"}}
     name = f"PLGS_OT_{kind.cancel_operator.partition('.')[2]}"
     return type(name, (CancelsTask, bpy.types.Operator), {"__doc__": about, "cancelled_kind": kind, **names})
 
 
 class OnLiftFolder:
-    """An operator on a lift that is named by its folder."""
+    """An operator on a lift that its folder names."""
 
     lift_folder: StringProperty(  # type: ignore[valid-type]
         name="Lift Folder", subtype="DIR_PATH", options={"SKIP_SAVE"}, description="Empty: the panel's"

@@ -1,4 +1,4 @@
-"""Correcting what a lift got wrong: names, classes, which points belong to which object, and what is proposed."""
+"""Corrects what a lift got wrong: names, classes, which points belong to which object; and answers proposals."""
 
 from __future__ import annotations
 
@@ -32,11 +32,11 @@ from .inspect import OnInstance, OnInstances, OnLift
 
 _UNDOABLE = {"REGISTER", "UNDO"}
 _STEP = 1.2
-"""Factor by which one step of the wheel changes the brush."""
+"""Factor by which one step of the mouse wheel scales the brush."""
 
 
 def _class_choices(self: Any, context: bpy.types.Context, _text: str) -> list[str]:
-    """The classes that a dialog's field offers."""
+    """Suggestions for a dialog's class field."""
     try:
         root = find_lift(context.scene, self.lift, context.active_object)
         row = chosen_row(context.scene, context.active_object)
@@ -53,7 +53,7 @@ def _class_field() -> Any:
 
 
 class AsksForOne:
-    """An operator whose dialog asks only for the property ``asked``, ready for typing. The others are for scripts."""
+    """An operator whose dialog shows only the property ``asked``, ready for typing. The others are for scripts."""
 
     asked: str
     layout: bpy.types.UILayout
@@ -85,7 +85,7 @@ class PLGS_OT_rename_instance(AsksForOne, OnInstance, bpy.types.Operator):
 
 
 class PLGS_OT_reclass_instances(AsksForOne, OnInstances, bpy.types.Operator):
-    """Change the class of objects. Stuff has no objects: with a stuff class, the points simply become that stuff"""
+    """Change the class of the objects. A stuff class has no objects: their points simply become that stuff"""
 
     bl_idname, bl_label, bl_options = "plgs.reclass_instances", "Change Class", _UNDOABLE
     asked = "class_name"
@@ -102,7 +102,7 @@ class PLGS_OT_reclass_instances(AsksForOne, OnInstances, bpy.types.Operator):
 
 
 class PLGS_OT_merge_instances(OnInstances, bpy.types.Operator):
-    """Merge the selected objects into one, with the name and the class of the active object"""
+    """Merge the selected objects into one, with the name and class of the active object"""
 
     bl_idname, bl_label, bl_options = "plgs.merge_instances", "Merge Selected", _UNDOABLE
 
@@ -111,7 +111,7 @@ class PLGS_OT_merge_instances(OnInstances, bpy.types.Operator):
 
 
 class PLGS_OT_delete_instance(OnInstance, bpy.types.Operator):
-    """Dissolve an object that was found by mistake: what is seen of it becomes part of what is around it"""
+    """Dissolve an object that was found by mistake: its points become part of what is around it"""
 
     bl_idname, bl_label, bl_options = "plgs.delete_instance", "Dissolve Object", _UNDOABLE
 
@@ -162,7 +162,8 @@ class PLGS_OT_split_instance(OnInstance, bpy.types.Operator):
 
 
 class PLGS_OT_split_by_views(StartsTask, OnInstance, bpy.types.Operator):
-    """Split the object into the parts that masks of at least two frames separate, each with the class that they give"""
+    """Split the object into the parts that the masks of at least two frames separate, each with the class of its
+    masks"""
 
     bl_idname, bl_label = "plgs.split_by_views", "Split by Views"
 
@@ -179,7 +180,7 @@ class PLGS_OT_split_by_views(StartsTask, OnInstance, bpy.types.Operator):
 
 
 class PLGS_OT_place_cut(OnInstance, bpy.types.Operator):
-    """Add a plane through the object. Move and rotate it to where the object should be split"""
+    """Add a plane through the object. Move and rotate it to where you want to split the object"""
 
     bl_idname, bl_label, bl_options = "plgs.place_cut", "Add Cutting Plane", _UNDOABLE
 
@@ -188,7 +189,7 @@ class PLGS_OT_place_cut(OnInstance, bpy.types.Operator):
 
 
 class PLGS_OT_crop_instance(OnInstance, bpy.types.Operator):
-    """After you have moved or scaled the object's box: give the object the points of its class inside the box"""
+    """Give the object all points of its class inside its box. Move or scale the box first"""
 
     bl_idname, bl_label, bl_options = "plgs.crop_instance", "Crop to Its Box", _UNDOABLE
 
@@ -197,7 +198,7 @@ class PLGS_OT_crop_instance(OnInstance, bpy.types.Operator):
 
 
 class PLGS_OT_accept_instances(OnInstances, bpy.types.Operator):
-    """Mark these objects as correct: no change to them is proposed again"""
+    """Mark these objects as correct: they are not proposed for correction again"""
 
     bl_idname, bl_label, bl_options = "plgs.accept_instances", "Accept", _UNDOABLE
 
@@ -284,7 +285,7 @@ class PLGS_OT_assign_points(OnLift, bpy.types.Operator):
         return RUNNING
 
     def cancel(self, context: bpy.types.Context) -> None:
-        """Blender also calls this when it ends the painting itself."""
+        """Blender also calls this if it ends the painting itself."""
         correction_tools.now.clear()
         if context.window is not None:
             context.window.cursor_modal_restore()
@@ -307,7 +308,7 @@ class PLGS_OT_assign_points(OnLift, bpy.types.Operator):
 
 
 def _is_over(area: bpy.types.Area, event: bpy.types.Event) -> bool:
-    """Whether the mouse is over an area's view, not over a bar or the sidebar that covers it."""
+    """Whether the mouse is over an area's view, and not over a bar or sidebar that covers it."""
 
     def holds(region: bpy.types.Region) -> bool:
         inside = 0 <= event.mouse_x - region.x < region.width and 0 <= event.mouse_y - region.y < region.height
@@ -330,7 +331,7 @@ class PLGS_OT_propose_corrections(OnLift, bpy.types.Operator):
 
 
 class OnProposal(OnLift):
-    """An operator on the proposal for an instance."""
+    """An operator on an instance's proposal."""
 
     instance: IntProperty(  # type: ignore[valid-type]
         name="Instance", min=0, options={"SKIP_SAVE"}, description="Id of the instance; 0: the most doubtful one"

@@ -1,4 +1,4 @@
-"""Selecting, showing, colouring and looking at the instances and classes of a lift, and reusing them elsewhere."""
+"""Select, show, colour and view the instances and classes of a lift, and reuse them elsewhere."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class OnLift(Explained):
         return FINISHED
 
     def act(self, context: bpy.types.Context, root: bpy.types.Collection) -> None:
-        """What it does. Raises PlgsError, OSError."""
+        """The operator's action. Raises PlgsError, OSError."""
         raise NotImplementedError
 
 
@@ -219,8 +219,8 @@ class PLGS_OT_go_to_frame(OnLift, bpy.types.Operator):
 
 
 class PLGS_OT_make_objects(OnInstances, bpy.types.Operator):
-    """Turn each selected object into one mesh in its own collection, to be moved and used elsewhere, with its points
-    hidden under it. A hole is left where it stood"""
+    """Turn each selected object into one mesh in its own collection, with its points hidden under it, to be moved and
+    used elsewhere. It leaves a hole in the lift"""
 
     bl_idname, bl_label, bl_options = "plgs.make_objects", "Make Objects", {"REGISTER", "UNDO"}
 
@@ -239,7 +239,7 @@ class PLGS_OT_make_objects(OnInstances, bpy.types.Operator):
 
 
 class PLGS_OT_key_visibility(OnInstances, bpy.types.Operator):
-    """Key the selected objects to be visible only in the timeline's frames whose masks show them"""
+    """Key the selected objects to be visible only in the frames whose masks show them"""
 
     bl_idname, bl_label, bl_options = "plgs.key_visibility", "Key Visibility", {"REGISTER", "UNDO"}
 

@@ -1,4 +1,4 @@
-"""Starting, watching, stopping, resuming, showing and exporting a lift; its meshes in the scene."""
+"""Start, watch, stop, resume, show and export a lift, and make its meshes."""
 
 from __future__ import annotations
 
@@ -32,11 +32,11 @@ from .base import (
 )
 
 _PART_S = 0.02
-"""Seconds to pause between two parts while a lift is placed."""
+"""Seconds to pause between the parts of a lift that is being placed."""
 
 
 class PLGS_OT_lift_scene(LiftOptions, StartsTask, bpy.types.Operator):
-    """Lift the scene: an engine starts in the background. Options that are not given are as in the panel"""
+    """Start a lift of the scene in the background. Options that you do not set are taken from the panel"""
 
     bl_idname, bl_label = "plgs.lift_scene", "Start"
     has_undo_step = True
@@ -71,7 +71,7 @@ class PLGS_OT_resume_lift(OnLiftFolder, StartsTask, bpy.types.Operator):
 
 
 class PLGS_OT_find_scene(OnLiftFolder, ChoosesFile, bpy.types.Operator):
-    """Tell a lift where its scene is after it was moved. The frames there are compared with those of the lift"""
+    """Choose where the scene of a lift was moved to. The frames there are compared with those of the lift"""
 
     bl_idname, bl_label, bl_options = "plgs.find_scene", "Find Scene", {"UNDO"}
 
@@ -98,7 +98,7 @@ class PLGS_OT_watch_lift(OnLiftFolder, StartsTask, bpy.types.Operator):
 
 
 class PLGS_OT_open_lift(ChoosesFile, bpy.types.Operator):
-    """Choose the folder of a lift: its result is put into the scene, or the lift is followed while it runs"""
+    """Choose a lift's folder. A finished lift is put into the scene, and a running one is followed"""
 
     bl_idname, bl_label = "plgs.open_lift", "Open Lift"
     has_undo_step = True
@@ -144,7 +144,7 @@ class PLGS_OT_quit(bpy.types.Operator):
 
 
 class PLGS_OT_refresh_lifts(bpy.types.Operator):
-    """Update the list of running and finished lifts, of this Blender and others"""
+    """Update the list of running and finished lifts, including those of other Blenders"""
 
     bl_idname, bl_label, bl_options = "plgs.refresh_lifts", "Look Again", {"INTERNAL"}
 
@@ -159,7 +159,7 @@ class PLGS_OT_place_lift(OnLiftFolder, bpy.types.Operator):
     bl_idname, bl_label, bl_options = "plgs.place_lift", "Show Result", {"UNDO"}
 
     _at_work = False
-    """Whether a lift is being placed part by part on a timer: a second one would be mixed in between the parts."""
+    """Whether a timer is placing a lift part by part: the parts of a second one would mix with it."""
 
     @reporting
     def execute(self, context: bpy.types.Context) -> set[str]:
@@ -170,7 +170,7 @@ class PLGS_OT_place_lift(OnLiftFolder, bpy.types.Operator):
 
     @reporting_events
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        """Place the first part at once and the others on a timer, so that the window never waits long."""
+        """Place the first part at once and the rest on a timer, so that the window never freezes."""
         if bpy.app.background:
             return self.execute(context)
         if PLGS_OT_place_lift._at_work:
@@ -197,7 +197,7 @@ class PLGS_OT_place_lift(OnLiftFolder, bpy.types.Operator):
         return PASSED_ON if goes_on else FINISHED
 
     def has_more(self) -> bool:
-        """Place the next parts, as many as hardly anybody notices. Returns whether there may be more."""
+        """Place as many parts as fit in an unnoticeable pause. Returns whether more may be left."""
         began = time.monotonic()
         try:
             while time.monotonic() - began < _PART_S:
@@ -234,7 +234,7 @@ _FRAMES = [
 
 
 class Exports(OnLiftFolder, StartsTask):
-    """An operator that lets an engine export a lift."""
+    """An operator that exports a lift."""
 
     frames: EnumProperty(  # type: ignore[valid-type]
         name="Frames", items=_FRAMES, default="all", options={"SKIP_SAVE"}, description="Which frames to export"
@@ -245,7 +245,7 @@ class Exports(OnLiftFolder, StartsTask):
         return "Wait for the export that is running" if exports.is_busy() else why_no_engine()
 
     def lift_of(self, context: bpy.types.Context) -> str:
-        """The folder of the named lift, else of the panel's lift, else of the placed one; "" for none."""
+        """The folder of the named lift, else of the panel's lift, else of the placed one, else ""."""
         if self.lift_folder or chosen_lift(context.scene.plgs) is not None:
             return str(self.lift_folder)
         root = active_lift(context.scene, context.active_object)
@@ -253,7 +253,7 @@ class Exports(OnLiftFolder, StartsTask):
 
 
 class PLGS_OT_export_lift(Exports, ChoosesFile, bpy.types.Operator):
-    """Write a finished lift to a folder, in a format that other programs can read"""
+    """Write a finished lift to a folder, in a format that other programs read"""
 
     bl_idname, bl_label = "plgs.export_lift", "Export"
 
@@ -269,8 +269,8 @@ class PLGS_OT_export_lift(Exports, ChoosesFile, bpy.types.Operator):
 
 
 class PLGS_OT_make_meshes(Exports, bpy.types.Operator):
-    """Make meshes of what the lifted model shows, one for each instance and each stuff class, and put them into the
-    scene, for shadows, holdouts, collisions and measuring"""
+    """Make one mesh for each instance and each stuff class from the lifted model, and put them into the scene, for
+    shadows, holdouts, collisions and measuring"""
 
     bl_idname, bl_label = "plgs.make_meshes", "Make Meshes"
 
@@ -286,7 +286,7 @@ class PLGS_OT_make_meshes(Exports, bpy.types.Operator):
 
 
 class PLGS_OT_make_depth_cloud(Exports, bpy.types.Operator):
-    """Put what the active camera sees of the lift into the scene as points, one per pixel, with class and instance"""
+    """Add what the active camera sees of the lift as points, one per pixel, with class and instance"""
 
     bl_idname, bl_label = "plgs.make_depth_cloud", "Depth Cloud"
 

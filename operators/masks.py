@@ -1,4 +1,4 @@
-"""Before a lift: poses for photos, masks and their classes, diagnosing the scene, and writing a fixed copy of it."""
+"""Preparation of a lift: poses for photos, masks and their classes, diagnosing the scene, and writing a fixed copy."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from .base import CANCELLED, FINISHED, Explained, StartsTask, cancels, panel_of,
 
 
 class PLGS_OT_make_masks(StartsTask, bpy.types.Operator):
-    """Have a network make a panoptic mask of every frame. It is downloaded only if Blender may go online"""
+    """Make a panoptic mask of every frame with a network, which is downloaded only if Blender may go online"""
 
     bl_idname, bl_label = "plgs.make_masks", "Make Masks"
 
@@ -57,7 +57,7 @@ class PLGS_OT_make_masks(StartsTask, bpy.types.Operator):
 
 
 class PLGS_OT_make_poses(StartsTask, bpy.types.Operator):
-    """Have COLMAP find the poses of the scene's photos, or of a film's sharpest pictures, and write them beside it"""
+    """Find the poses of the scene's photos, or of a film's sharpest frames, with COLMAP, and write them beside it"""
 
     bl_idname, bl_label = "plgs.make_poses", "Find Poses"
 
@@ -112,7 +112,7 @@ _NOTHING = "Nothing was found that can safely be fixed"
 
 
 class Measures(StartsTask):
-    """An operator that has an engine measure the panel's scene."""
+    """An operator that measures the panel's scene."""
 
     @classmethod
     def why_not(cls, context: bpy.types.Context) -> str | None:
@@ -140,7 +140,7 @@ class PLGS_OT_diagnose(Measures, bpy.types.Operator):
 
 
 class PLGS_OT_fix_scene(Measures, bpy.types.Operator):
-    """Write a copy of the scene with all safe fixes into a new folder, and use that copy; your files do not change"""
+    """Write a copy of the scene with all safe fixes into a new folder, and use it; your files stay as they are"""
 
     bl_idname, bl_label, bl_options = "plgs.fix_scene", "Fix", {"INTERNAL"}
 
@@ -173,7 +173,7 @@ class PLGS_OT_fix_scene(Measures, bpy.types.Operator):
 
 
 class OnFinding(Explained):
-    """An operator on one finding of the panel's scene."""
+    """An operator on one finding about the panel's scene."""
 
     number: IntProperty(name="Number", min=0, options={"SKIP_SAVE"}, description="Number of the finding, from 0")  # type: ignore[valid-type]
 
@@ -191,7 +191,7 @@ class OnFinding(Explained):
 
 
 class PLGS_OT_show_finding(OnFinding, bpy.types.Operator):
-    """Show the picture of a finding in an Image Editor, beside the 3D view if there is none"""
+    """Show the finding's picture in an Image Editor, opened beside the 3D view if there is none"""
 
     bl_idname, bl_label, bl_options = "plgs.show_finding", "Show Picture", {"INTERNAL", "UNDO"}
 
@@ -225,8 +225,8 @@ class PLGS_OT_go_to_finding(OnFinding, bpy.types.Operator):
 
 
 class PLGS_OT_leave_out(OnFinding, bpy.types.Operator):
-    """Write the capture's splits.json so that a lift neither trains on these frames nor holds them out. A splits.json
-    of yours is kept as splits.before.json. To take the frames back, delete splits.json, and rename the kept one"""
+    """Exclude these frames from training and scoring by writing the capture's splits.json. An existing splits.json is
+    kept as splits.before.json. To undo this, delete splits.json and rename the kept file"""
 
     bl_idname, bl_label, bl_options = "plgs.leave_out", "Leave Out", {"INTERNAL"}
 

@@ -36,11 +36,11 @@ _FRAMES = [
     ("active", "Active Camera", "Bake the frame whose camera is the scene's active one"),
 ]
 _READ_S, _READ_EVERY_S = 0.04, 0.06
-"""Seconds for which Blender waits while part of a camera is read, and seconds between two such parts."""
+"""Seconds for which a camera is read before Blender may redraw, and seconds between two such parts."""
 
 
 class BakesFinishedLift(OnLiftFolder, StartsTask):
-    """An operator that needs an engine and a finished lift. It bakes the layers that the panel chooses."""
+    """An operator that needs an engine and a finished lift; it bakes the layers chosen in the panel."""
 
     has_undo_step = True
 
@@ -64,8 +64,8 @@ class PLGS_OT_bake_passes(BakesFinishedLift, bpy.types.Operator):
 
 
 class PLGS_OT_bake_camera(BakesFinishedLift, bpy.types.Operator):
-    """Render the passes of a finished lift as the animated active camera sees it over the frame range, in the
-    background. Frames already baked from the same camera are kept, so a cancelled bake continues"""
+    """Render the passes of a finished lift through the animated active camera over the frame range, in the background.
+    Frames already baked from the same camera are kept, so a cancelled bake continues"""
 
     bl_idname, bl_label = "plgs.bake_camera", "Bake Active Camera, Frame Range"
 
@@ -121,7 +121,7 @@ class PLGS_OT_bake_camera(BakesFinishedLift, bpy.types.Operator):
 
     @reporting_events
     def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        """Read the camera, part by part, until an engine can bake it."""
+        """Read the camera part by part, then start baking."""
         answer = CANCELLED
         try:
             assert self._shot is not None
@@ -144,7 +144,7 @@ class PLGS_OT_bake_camera(BakesFinishedLift, bpy.types.Operator):
         return RUNNING
 
     def cancel(self, context: bpy.types.Context) -> None:
-        """Clean up when another file is opened, or the camera has been read."""
+        """Clean up after another file was opened or the camera was read."""
         _show_progress(context, None)
         if self._timer is not None:
             context.window_manager.event_timer_remove(self._timer)
@@ -152,8 +152,8 @@ class PLGS_OT_bake_camera(BakesFinishedLift, bpy.types.Operator):
 
 
 class PLGS_OT_bake_on_farm(OnLiftFolder, Explained, bpy.types.Operator):
-    """Write a job for Flamenco that bakes the active camera over the frame range on a render farm. The lift and this
-    file must be where the farm can read them"""
+    """Write a Flamenco job that bakes the active camera over the frame range on a render farm. The farm must be able to
+    read the lift and this file"""
 
     bl_idname, bl_label = "plgs.bake_on_farm", "Bake on Farm"
 
@@ -170,13 +170,13 @@ class PLGS_OT_bake_on_farm(OnLiftFolder, Explained, bpy.types.Operator):
 
 
 def _show_progress(context: bpy.types.Context, text: str | None) -> None:
-    """Show a text in the status bar; None: show Blender's own text again."""
+    """Show a text in the status bar; None restores Blender's own."""
     if context.workspace is not None:
         context.workspace.status_text_set(text)
 
 
 class PLGS_OT_show_passes(Explained, bpy.types.Operator):
-    """Open the Compositing workspace with the passes of the active camera, or else those of the lift's frames"""
+    """Open the Compositing workspace with the passes of the active camera, if any, else those of the lift's frames"""
 
     bl_idname, bl_label, bl_options = "plgs.show_passes", "Open in Compositor", {"UNDO"}
 
@@ -212,7 +212,7 @@ class PLGS_OT_show_room(Explained, bpy.types.Operator):
 
 
 class PLGS_OT_matte_instance(OnInstance, bpy.types.Operator):
-    """Use this instance as the matte in the passes' compositor"""
+    """Use this instance as the matte in the compositor"""
 
     bl_idname, bl_label, bl_options = "plgs.matte_instance", "Matte", {"REGISTER", "UNDO"}
 
@@ -222,7 +222,7 @@ class PLGS_OT_matte_instance(OnInstance, bpy.types.Operator):
 
 
 class PLGS_OT_matte_class(OnClass, bpy.types.Operator):
-    """Use everything of this class as the matte in the passes' compositor"""
+    """Use everything of this class as the matte in the compositor"""
 
     bl_idname, bl_label, bl_options = "plgs.matte_class", "Matte", {"REGISTER", "UNDO"}
 

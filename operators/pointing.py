@@ -1,4 +1,4 @@
-"""What the mouse does in a 3D view that shows a lift: a click selects what is seen, and a name appears under it."""
+"""The mouse in a 3D view of a lift: a click selects what is under it, and hovering shows its name."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from .base import CANCELLED, FINISHED, PASSED_ON, reporting_events
 
 
 class InView:
-    """An operator of the mouse in a 3D view that shows a lift, in Object Mode. It has no button."""
+    """A mouse operator in a 3D view of a lift, in Object Mode. It has no button."""
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
@@ -27,7 +27,7 @@ class InView:
 
 
 class PLGS_OT_pick(InView, bpy.types.Operator):
-    """Select what is seen under the mouse: a name's object, or that of the points, splats or surface there"""
+    """Select what is under the mouse: an object by its name, points, splats or surface"""
 
     bl_idname, bl_label, bl_options = "plgs.pick", "Select What Is Seen", {"UNDO", "INTERNAL"}
 
@@ -58,7 +58,7 @@ def _middle_of(event: bpy.types.Event) -> tuple[float, float]:
 
 
 def _is_in_front(context: bpy.types.Context, mouse: tuple[int, int], *, extend: bool) -> bool:
-    """Let Blender select what it finds at a pixel, and tell whether that is no part of a lift's picture."""
+    """Let Blender select what it finds at a pixel, and return whether that is not part of a lift's picture."""
     layer = context.view_layer
     before, active = [ob for ob in layer.objects if ob is not None and ob.select_get()], layer.objects.active
     if "FINISHED" not in bpy.ops.view3d.select(location=mouse, toggle=extend):
@@ -76,7 +76,7 @@ def _is_in_front(context: bpy.types.Context, mouse: tuple[int, int], *, extend: 
 
 
 def _lift_of(ob: bpy.types.Object, scene: bpy.types.Scene) -> bpy.types.Collection | None:
-    """The lift that an object is part of. None for the user's objects, and copies are the user's."""
+    """The lift that an object is part of. None for the user's objects, including copies of ours."""
     if not text_of(ob, LIFT):
         return None
     own = (root for root in lifts_in(scene) if root[LIFT] == ob[LIFT] and ob in objects_by_key(root).values())
@@ -98,7 +98,7 @@ class PLGS_OT_point_at(InView, bpy.types.Operator):
 
 
 class OnSelected(InView):
-    """An operator of a key on the active object of a lift that is selected. On others the key is Blender's."""
+    """A key's operator on the selected active object of a lift. On other objects the key is Blender's."""
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
@@ -106,7 +106,7 @@ class OnSelected(InView):
 
     @staticmethod
     def chosen(context: bpy.types.Context) -> tuple[bpy.types.Collection, int] | None:
-        """The lift of the active object and its instance, while that is selected."""
+        """The lift and instance of the active object, if that is selected."""
         active = context.active_object
         root = None if active is None else _lift_of(active, context.scene)
         number = 0 if root is None else selection.selected_instance(root, active)
@@ -127,7 +127,7 @@ class PLGS_OT_rename_selected(OnSelected, bpy.types.Operator):
 
 
 class PLGS_OT_delete_selected(OnSelected, bpy.types.Operator):
-    """Hide or dissolve the selected objects of the lift, and hide or delete the user's selected ones with them"""
+    """Hide or dissolve the selected objects of the lift, and hide or delete your own selected objects with them"""
 
     bl_idname, bl_label, bl_options = "plgs.delete_selected", "Remove Objects", {"UNDO", "INTERNAL"}
 
@@ -194,12 +194,12 @@ _KEYS: tuple[tuple[str, str, str, dict[str, Any], dict[str, Any]], ...] = (
     ("plgs.delete_selected", "DEL", "PRESS", {}, {}),
     ("plgs.quit", "Q", "PRESS", {"ctrl": True}, {}),
 )
-"""Operator, key, event, modifiers, and the operator's properties: in Object Mode, or anywhere for Quit."""
+"""Operator, key, event, modifiers, and the operator's properties; in Object Mode, except Quit, which works anywhere."""
 _added: list[tuple[bpy.types.KeyMap, bpy.types.KeyMapItem]] = []
 
 
 def register() -> None:
-    """Add the keys where the preferences show them, and users change them. Blender without a window has none."""
+    """Add the keys where the preferences list them for editing. Blender without a window has no key maps."""
     keys = bpy.context.window_manager.keyconfigs.addon
     if keys is None:
         return

@@ -1,4 +1,4 @@
-"""Importing frames into Blender before anything is lifted: cameras, pictures and coloured points."""
+"""Imports frames into Blender before a lift: cameras, pictures and coloured points."""
 
 from __future__ import annotations
 
@@ -40,8 +40,7 @@ _PICTURES = [
 
 class ImportsScene(SceneOptions, StartsTask):
     """An operator that imports the panel's scene, with an engine for what Blender cannot read. Options that are not
-    given are as in the panel.
-    """
+    given are taken from the panel."""
 
     cloud: BoolProperty(  # type: ignore[valid-type]
         name="Coloured Cloud", default=True, options={"SKIP_SAVE"},
@@ -76,15 +75,14 @@ class ImportsScene(SceneOptions, StartsTask):
 
 
 def _forget_other_scene(settings: Any) -> None:
-    """Clear the panel's masks, detections, depth, up and format before another scene is chosen: they are the earlier
-    one's."""
+    """Clear the masks, detections, depth, up and format of the earlier scene before another one is chosen."""
     settings.scene_folder = ""  # otherwise each change would look at the earlier scene
     settings.masks, settings.detections, settings.depth = "", "", ""
     settings.up, settings.format = "z", AUTOMATIC
 
 
 class PLGS_OT_import_scene(ImportsScene, bpy.types.Operator):
-    """Add a camera with its picture for each frame, and coloured points. Nothing is lifted"""
+    """Add a camera with its picture for each frame, and coloured points, without lifting"""
 
     bl_idname, bl_label, bl_options = "plgs.import_scene", "Import Cameras and Images", {"UNDO"}
 
@@ -129,7 +127,7 @@ class PLGS_OT_browse_scene(ImportsScene, ChoosesFile, bpy.types.Operator):
 
 
 class PLGS_OT_show_picture(StartsTask, bpy.types.Operator):
-    """Show the photo, the depth or the masks in front of the views of the frames' cameras"""
+    """Show the photo, depth or masks in front of the frames' cameras"""
 
     bl_idname, bl_label, bl_options = "plgs.show_picture", "Show Picture", {"UNDO"}
 
@@ -166,7 +164,7 @@ class PLGS_OT_show_picture(StartsTask, bpy.types.Operator):
 
 
 class PLGS_OT_look_at_scene(Explained, bpy.types.Operator):
-    """Look again at what is in the scene's folder"""
+    """Read again what is in the scene's folder"""
 
     bl_idname, bl_label, bl_options = "plgs.look_at_scene", "Look Again", {"INTERNAL"}
 

@@ -1,7 +1,5 @@
-"""Panels, lists, preferences and what is drawn over the view. They read state and compute nothing.
-
-Nothing here looks at the disk while it draws.
-"""
+"""Panels, lists, preferences and view overlays. They only read state: no computing, and no disk access while
+drawing."""
 
 from __future__ import annotations
 
@@ -32,10 +30,10 @@ _MODULES = (
 
 
 def register() -> None:
-    """Called when the extension is switched on."""
+    """Called when the extension is enabled."""
     register_modules(_MODULES)
 
 
 def unregister() -> None:
-    """Called when the extension is switched off."""
+    """Called when the extension is disabled."""
     unregister_modules(_MODULES)

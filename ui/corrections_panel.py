@@ -1,4 +1,4 @@
-"""Correct: buttons that correct a lift's objects, below its list."""
+"""Correct: buttons for correcting a lift's objects, below its list."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from .result_panel import OfResult
 from .sidebar import draw_bar, draw_task, from_panel, tell
 
 _SHOWN = 4
-"""How many proposals the panel shows at a time."""
+"""Number of proposals shown at a time."""
 
 
 class PLGS_PT_corrections(OfResult, bpy.types.Panel):
     bl_idname, bl_label = "PLGS_PT_corrections", "Correct"
 
     def draw(self, context: bpy.types.Context) -> None:
-        """What an engine or an edit brings comes below the buttons, which stay where they are."""
+        """Results of an engine or an edit come below the buttons, which therefore never move."""
         root = active_lift(context.scene, context.active_object)
         layout = from_panel(self.layout.column(), context)
         column = layout.column(align=True)
@@ -72,7 +72,7 @@ class PLGS_PT_corrections(OfResult, bpy.types.Panel):
 def _draw_proposals(
     layout: bpy.types.UILayout, context: bpy.types.Context, root: bpy.types.Collection
 ) -> None:
-    """The most doubtful objects, each with its reason and its one-press answers."""
+    """Draw the most doubtful objects, each with its reason and a button for each answer."""
     found, progress = corrections.kept_proposals(root)
     layout.operator("plgs.propose_corrections", text=one_line(progress) or "What May Be Wrong?", icon="VIEWZOOM")
     layout.operator("plgs.next_uncertain_frame", icon="CAMERA_DATA")
@@ -88,7 +88,7 @@ def _draw_proposals(
 
 
 class OfClasses:
-    """A menu of the lift's classes, which the painted points go to."""
+    """A menu of the lift's classes, as targets of painted points."""
 
     to: str
     layout: bpy.types.UILayout

@@ -29,7 +29,7 @@ from .sidebar import (
 
 _LOG_LINES = 8
 _LABEL = 0.58
-"""The share of the row below *Start* that says how a lift ended; while one runs *Cancel* is there."""
+"""Fraction of the row below *Start* that says how a lift ended; while one runs, *Cancel* is there."""
 _ICONS = {LiftState.RUNNING: "RENDER_ANIMATION", LiftState.FINISHED: "CHECKMARK", LiftState.FAILED: "ERROR"}
 
 
@@ -115,7 +115,7 @@ class PLGS_MT_recent_lifts(bpy.types.Menu):
 
 
 def _draw_running(layout: bpy.types.UILayout, context: bpy.types.Context, followed: Lift) -> None:
-    """Draw a lift's progress in as many rows as `_draw_start` has, Cancel where no second or late click falls."""
+    """Draw a lift's progress in as many rows as `_draw_start`, with Cancel where no double or late click lands."""
     folder, progress = followed.folder, followed.progress
     stage = f"Stage {progress.stage_index} of {progress.stage_count}: " if progress.stage_count > 1 else ""
     name = one_line(f"{stage}{folder.path.name}, {folder.request.preset}")
@@ -129,7 +129,7 @@ def _draw_running(layout: bpy.types.UILayout, context: bpy.types.Context, follow
 
 
 def _draw_start(layout: bpy.types.UILayout, context: bpy.types.Context, followed: Lift | None) -> None:
-    """Draw Start, below it how the last lift ended, and last what comes and goes: the button stays where it is."""
+    """Draw Start, below it how the last lift ended, and temporary lines last, so that the button never moves."""
     settings = context.scene.plgs
     folder, estimate = chosen_lift(settings), estimate_of(settings)
     layout.prop(settings, "preset", expand=True)
@@ -156,7 +156,7 @@ def _draw_start(layout: bpy.types.UILayout, context: bpy.types.Context, followed
 
 
 def _draw_recent(layout: bpy.types.UILayout) -> None:
-    """Draw a button for each recent lift: it is shown, or followed while it runs."""
+    """Draw a button for each recent lift, which shows it, or follows it while it runs."""
     for lift in lifts.recent():
         text = f"{one_line(lift.folder.path.name)}: {lift.state.value}"
         button = layout.operator("plgs.watch_lift", text=text, icon=_ICONS.get(lift.state, "FILE_FOLDER"))
@@ -176,7 +176,7 @@ def _beside_quit(menu: bpy.types.Menu, context: bpy.types.Context) -> None:
 
 
 def _draw_used(column: bpy.types.UILayout, context: bpy.types.Context, name: str) -> None:
-    """Draw the value that a lift will use, with a way back to the preset's."""
+    """Draw the value that a lift will use, with a button that restores the preset's."""
     row = column.row(align=True)
     row.prop(context.scene.plgs_used, name)
     if getattr(context.scene.plgs, name):
@@ -185,7 +185,7 @@ def _draw_used(column: bpy.types.UILayout, context: bpy.types.Context, name: str
 
 
 def _draw_engine(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
-    """Draw what the engine lacks and buttons to where it is fixed, and to ask it again; else nothing."""
+    """Draw what the engine lacks, if anything, with buttons that open its settings and check it again."""
     reason = engine_environment.why_no_engine() or why_no_device(context.scene.plgs)
     if reason is None:
         return
@@ -197,7 +197,7 @@ def _draw_engine(layout: bpy.types.UILayout, context: bpy.types.Context) -> None
 
 
 def _draw_preview(row: bpy.types.UILayout, context: bpy.types.Context) -> None:
-    """Draw the switch of the live preview, and the button that looks through the camera, where alone it is seen."""
+    """Draw the switch of the live preview, and a button that looks through the camera, the only view that shows it."""
     settings, view = context.scene.plgs, getattr(context.space_data, "region_3d", None)
     row.prop(settings, "live_preview", text="Preview", toggle=True, icon="HIDE_OFF")
     see = row.row(align=True)
@@ -208,7 +208,7 @@ def _draw_preview(row: bpy.types.UILayout, context: bpy.types.Context) -> None:
 
 
 def _draw_ending(layout: bpy.types.UILayout, context: bpy.types.Context, followed: Lift) -> None:
-    """Draw how the panel's lift ended, and buttons for what can be done now."""
+    """Draw how the panel's lift ended, and buttons for the next steps."""
     path, error = str(followed.folder.path), followed.error
     if error is None:
         split = layout.split(factor=_LABEL, align=True)

@@ -1,4 +1,4 @@
-"""The menus of a lift: in the Object menu, where F3 finds every operator, and at a right click on an object or row."""
+"""A lift's menus: in the Object menu, where F3 finds every operator, and in the context menus of objects and rows."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from ..plgs_blender.errors import one_line
 from ..plgs_blender.inspecting.selection import active_lift, chosen_row, instance_of
 
 Entries = tuple[tuple[str, dict[str, Any], str], ...]
-"""Operators, their properties and their texts; an empty text stands for the operator's own."""
+"""Operators, their properties and their labels; an empty label means the operator's own."""
 
 _OBJECT: Entries = (
     ("plgs.frame_instance", {}, ""),
@@ -73,7 +73,7 @@ _WORK: Entries = (
 
 
 class OfEntries:
-    """A menu of operators that ask for what they need."""
+    """A menu of operators that open dialogs for their options."""
 
     entries: Entries
     layout: bpy.types.UILayout
@@ -87,7 +87,7 @@ class OfEntries:
 
 
 class PLGS_MT_object(OfEntries, bpy.types.Menu):
-    """What can be done with the active object of a lift"""
+    """Actions on the active object of a lift"""
 
     bl_idname, bl_label, entries = "PLGS_MT_object", "Lifted Object", _OBJECT
 
@@ -119,7 +119,7 @@ def _in_object_menu(menu: bpy.types.Menu, _context: bpy.types.Context) -> None:
 
 
 def _at_object(menu: bpy.types.Menu, context: bpy.types.Context) -> None:
-    """Before Blender's own entries, for the active object of a lift."""
+    """Draw our entries before Blender's own, for the active object of a lift."""
     if instance_of(context.active_object):
         _draw_named(menu, context)
         menu.layout.separator()

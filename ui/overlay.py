@@ -1,7 +1,7 @@
-"""What is drawn over the 3D views: the growing model in front of the camera, the path of the frames' cameras, the
-outline of the selected instance or of a mask, the cutting plane, what is painted, names and a legend.
+"""Overlays of the 3D views: the growing model in front of the camera, the path of the frames' cameras, the outline of
+the selected instance or of a mask, the cutting plane, painted points, names and a legend.
 
-Each view is drawn many times a second, so everything is read from Blender's data: no disk access, no writing.
+Each view is drawn many times a second, so everything comes from Blender's data: no disk access, no writing.
 """
 
 from __future__ import annotations
@@ -51,12 +51,12 @@ def _is_wanted(context: bpy.types.Context) -> bool:
 
 
 def _lifts(context: bpy.types.Context) -> list[bpy.types.Collection]:
-    """The lifts to draw for; none while the view's overlays are off."""
+    """The lifts to draw for; none if the view's overlays are off."""
     return lifts_in(context.scene) if _is_wanted(context) else []
 
 
 def _draw_in_space() -> None:
-    """POST_VIEW: in the scene's space, behind what is nearer."""
+    """POST_VIEW: in the scene's space, hidden by nearer things."""
     context = bpy.context
     for root in _lifts(context):
         objects = objects_by_key(root)
@@ -69,7 +69,8 @@ def _draw_in_space() -> None:
 def _draw_cameras_path(
     context: bpy.types.Context, root: bpy.types.Collection, objects: dict[str, bpy.types.Object]
 ) -> None:
-    """Draw the path of the visible frames' cameras, unless the view looks through a camera, or a result's are off."""
+    """Draw the path of the visible frames' cameras, unless the view looks through a camera or the lift's path is
+    off."""
     is_off = len(root.plgs.classes) > 0 and not root.plgs.show_cameras
     if is_off or context.region_data.view_perspective == "CAMERA":
         return
@@ -79,7 +80,7 @@ def _draw_cameras_path(
 
 
 def _draw_on_top() -> None:
-    """POST_PIXEL: in pixels of the region, over everything."""
+    """POST_PIXEL: in the region's pixels, on top of everything."""
     context = bpy.context
     if not _is_wanted(context):
         return
@@ -98,7 +99,7 @@ def _draw_on_top() -> None:
 
 
 def _draw_selected(context: bpy.types.Context, root: bpy.types.Collection) -> None:
-    """Draw the outline of the selected instance, unless it stands alone."""
+    """Draw the outline of the selected instance, unless it is isolated."""
     lists = root.plgs
     number = selected_instance(root, context.view_layer.objects.active)
     row = next((row for row in lists.instances if row.instance_id == number), None)
@@ -115,9 +116,8 @@ def _draw_selected(context: bpy.types.Context, root: bpy.types.Collection) -> No
 
 
 def legend_of(context: bpy.types.Context, root: bpy.types.Collection) -> list[tuple[str, Colour | None]]:
-    """What the colours in the view mean: those of a live preview or of masks in front of the camera, else those of the
-    lift; nothing where they mean nothing.
-    """
+    """The legend of the view's colours: those of a live preview or of masks in front of the camera, else of the lift;
+    empty if they mean nothing."""
     camera, lists = camera_of(context), root.plgs
     if camera is not None and camera == context.scene.camera:
         if lifts.picture_for(context.scene) is not None:
@@ -133,14 +133,15 @@ def legend_of(context: bpy.types.Context, root: bpy.types.Collection) -> list[tu
 
 
 def classes_of_scene(scene: bpy.types.Scene, *, stuff_only: bool = False) -> tuple[tuple[str, Colour], ...]:
-    """The classes of the scene that the panel shows, as far as they are known."""
+    """The classes of the panel's scene, as far as they are known."""
     survey = survey_of_panel(scene.plgs)
     classes = survey.classes if survey is not None else ()
     return tuple(each for each in classes if not stuff_only or (survey is not None and each[0] not in survey.things))
 
 
 def _draw_preview(context: bpy.types.Context) -> None:
-    """Draw the live preview over the frame of the scene's camera while the view looks through it, or over the view."""
+    """Draw the live preview over the frame of the scene's camera if the view looks through it, else over the whole
+    view."""
     space, scene = context.space_data, context.scene
     own = own_view(scene)
     if own is not None and own[0] == context.area and (picture := lifts.picture_for(scene)) is not None:

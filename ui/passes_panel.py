@@ -76,7 +76,7 @@ class PLGS_PT_panoptic(Sidebar, bpy.types.Panel):
 
 
 def _draw_cost(layout: bpy.types.UILayout, scene: bpy.types.Scene) -> None:
-    """Say which camera would be baked, over which frames, at which size, and what that costs at most."""
+    """Draw which camera would be baked, over which frames, at which size, and the upper limit of the cost."""
     render, camera = scene.render, scene.camera
     width, height = (side * render.resolution_percentage // 100 for side in (render.resolution_x, render.resolution_y))
     frames = len(range(scene.frame_start, scene.frame_end + 1, scene.frame_step))
@@ -90,7 +90,7 @@ class PLGS_PT_export(Step, bpy.types.Panel):
     bl_idname, bl_label, bl_order, bl_options = "PLGS_PT_export", "5  Export", 50, {"DEFAULT_CLOSED"}
 
     def draw(self, context: bpy.types.Context) -> None:
-        """The export that runs has its bar where its button was; what it tells comes below all buttons."""
+        """A running export's bar replaces its button; its messages come below all buttons."""
         layout, export = self.layout, registry.latest(Export)
         running = export if export is not None and export.is_running else None
         scene = running.form if running is not None and running.is_for_scene else ""

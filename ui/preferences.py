@@ -1,4 +1,4 @@
-"""The add-on's preferences: whether an engine answers, and the buttons that set one up."""
+"""The add-on's preferences: the engine's state, and the buttons that set it up."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def _ask_again(preferences: bpy.types.AddonPreferences, context: bpy.types.Conte
 
 
 class PLGS_AP_preferences(bpy.types.AddonPreferences):
-    """Blender keeps these with its own preferences."""
+    """Stored by Blender with its own preferences."""
 
     bl_idname = EXTENSION
 

@@ -25,7 +25,7 @@ _SORTS = [
 
 
 class Searchable:
-    """A list with a choice of orders. The lift's `<list>_search` holds the words that are searched for."""
+    """A list with a choice of orders. The lift's `<list>_search` holds the search words."""
 
     order: Any
     bitflag_filter_item: int
@@ -49,9 +49,8 @@ def shown_rows(names: list[str], search: str, flag: int) -> list[int]:
 
 
 def places_of(rows: Any, order: str) -> list[int]:
-    """The place of each row in the order NAME, COUNT or SCORE. Numbers in names count as numbers: 2 before 10. What is
-    of "other" classes comes last.
-    """
+    """Each row's position in the order NAME, COUNT or SCORE. Numbers in names sort as numbers: 2 before 10. "Other"
+    classes come last."""
     keys = {"NAME": _by_name, "COUNT": lambda row: -row.points, "SCORE": lambda row: -row.score}
     places = [0] * len(rows)
     in_order = sorted(range(len(rows)), key=lambda index: (_is_rest(rows[index]), keys[order](rows[index])))
@@ -70,7 +69,7 @@ def _by_name(row: Any) -> tuple[str, int]:
 
 
 def short_count(number: int) -> str:
-    """A count in at most four characters, up to ten million: 950, 9.5k, 27k, 1.2M."""
+    """A count below ten million in at most four characters: 950, 9.5k, 27k, 1.2M."""
     for unit, letter in ((1_000_000, "M"), (1_000, "k")):
         if number >= unit:
             return f"{number / unit:.1f}{letter}" if number < 9.95 * unit else f"{number / unit:.0f}{letter}"
@@ -78,7 +77,7 @@ def short_count(number: int) -> str:
 
 
 def _swatch_name_numbers(layout: Any, row: Any, coloured: Any, *, can_be_renamed: bool) -> Any:
-    """Draw a row's beginning, with the colour of `coloured`: itself or its class. Returns the rest's layout."""
+    """Draw a row's first cells with the colour of `coloured`: itself or its class. Returns the layout of the rest."""
     line = layout.row(align=True)
     swatch = line.row()
     swatch.ui_units_x = 0.9
@@ -95,7 +94,7 @@ def _swatch_name_numbers(layout: Any, row: Any, coloured: Any, *, can_be_renamed
 
 
 def swatch_of(lists: Any, row: Any) -> Any:
-    """The row whose colour an instance has in the view: its class's while classes are shown, else its own."""
+    """The row whose colour an instance has in the view: its class's if colours are by class, else its own."""
     if lists.look != BY_CLASS:
         return row
     return next((each for each in lists.classes if each.class_id == row.class_id), row)
@@ -133,7 +132,7 @@ class PLGS_UL_classes(Searchable, bpy.types.UIList):
 
 
 class PLGS_UL_masks(bpy.types.UIList):
-    """The masks that made an instance: a click on the frame looks through its camera."""
+    """The masks that made an instance; a click on a frame looks through its camera."""
 
     def draw_item(
         self, _context: Any, layout: Any, instance: Any, mask: Any, _icon: int, _active: Any, _name: str, index: int
@@ -162,17 +161,17 @@ class PLGS_UL_masks(bpy.types.UIList):
 
 
 _SURFACE_FROM = 0.55
-"""Where the button of the surface begins in its row: it also holds how far it is made, and a button at its end."""
+"""Where the surface's button begins in its row, leaving room for its progress and a button at its end."""
 
 
 def _lift(context: bpy.types.Context) -> bpy.types.Collection | None:
-    """The lift that the panels show, None when nothing has been lifted yet."""
+    """The lift shown in the panels, or None before the first lift."""
     root = active_lift(context.scene, context.active_object)
     return root if root is not None and len(root.plgs.classes) else None
 
 
 def _chosen(context: bpy.types.Context) -> Any | None:
-    """The row of the instance that is active in the list."""
+    """The active row in the list of instances."""
     return chosen_row(context.scene, context.active_object)
 
 
@@ -213,7 +212,7 @@ class PLGS_PT_result(Step, bpy.types.Panel):
 
 
 def _draw_heads(layout: bpy.types.UILayout, left: str, right: str) -> None:
-    """Say what the columns of the list below hold."""
+    """Draw the column headings of the list below."""
     heads = layout.row().split(factor=0.5)
     heads.label(text=left)
     numbers = heads.row()
@@ -222,7 +221,7 @@ def _draw_heads(layout: bpy.types.UILayout, left: str, right: str) -> None:
 
 
 def _draw_look(column: bpy.types.UILayout, context: bpy.types.Context, root: bpy.types.Collection) -> None:
-    """Draw what the colours mean, and how the lift is shown: a button makes what is not there yet."""
+    """Draw what the colours mean and how the lift is shown; what is missing has a button that makes it."""
     column.grid_flow(row_major=True, columns=2, even_columns=True, align=True).prop(root.plgs, "look", expand=True)
     row = column.split(factor=_SURFACE_FROM, align=True)
     others = row.row(align=True)
@@ -232,7 +231,7 @@ def _draw_look(column: bpy.types.UILayout, context: bpy.types.Context, root: bpy
 
 
 def _draw_surface(cell: bpy.types.UILayout, root: bpy.types.Collection) -> None:
-    """Draw the surface's button, or in its place how far the engine is: the list below stays where it is."""
+    """Draw the surface's button or, in its place, the engine's progress, so that the list below does not move."""
     making = making_meshes()
     if making is not None:
         draw_bar(cell, making, "Surface")
@@ -245,7 +244,7 @@ def _draw_surface(cell: bpy.types.UILayout, root: bpy.types.Collection) -> None:
 
 
 class OfResult(Sidebar):
-    """A part of the result's panel, closed at first, and shown once something has been lifted."""
+    """A part of the result's panel, closed at first and shown once something has been lifted."""
 
     bl_parent_id, bl_options = "PLGS_PT_result", {"DEFAULT_CLOSED"}
 
@@ -255,7 +254,7 @@ class OfResult(Sidebar):
 
 
 class PLGS_PT_name(bpy.types.Panel):
-    """What F2 opens: the chosen instance's name, to be typed over."""
+    """The popup of F2: the name of the chosen instance, ready for typing."""
 
     bl_idname, bl_label, bl_space_type, bl_region_type = "PLGS_PT_name", "Rename Object", "TOPBAR", "HEADER"
     bl_ui_units_x = 14
@@ -308,7 +307,7 @@ class PLGS_PT_classes(OfResult, bpy.types.Panel):
 
 
 class PLGS_PT_not_shown(OfResult, bpy.types.Panel):
-    """What the masks show well from close up and the lift does not: no lift is silently worse than its masks."""
+    """Objects that the masks show well from close up but the lift lacks: no lift is silently worse than its masks."""
 
     bl_idname, bl_label = "PLGS_PT_not_shown", "Not Shown"
 

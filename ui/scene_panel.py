@@ -1,4 +1,4 @@
-"""1 Scene: which folder, what is in it and what is wrong with it, its masks, and importing its cameras and images."""
+"""1 Scene: its folder, contents, problems and masks, and importing its cameras and images."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ from .sidebar import (
 )
 
 _FACTS = ("CAMERA_DATA", "IMAGE_DATA", "EMPTY_SINGLE_ARROW", "COLOR")
-"""The icons of what is always said of a scene: its frames, their size, depth and masks."""
+"""Icons of the facts shown for every scene: frames, size, depth and masks."""
 _MOST_LINKS, _LINKS_IN_A_ROW = 12, 4
 _PICTURES = ((PHOTO, "Photo", "IMAGE_DATA"), (DEPTH, "Depth", "EMPTY_SINGLE_ARROW"), (MASKS, "Masks", "COLOR"))
 
@@ -78,7 +78,7 @@ class PLGS_PT_scene_options(Sidebar, bpy.types.Panel):
 
 
 class PLGS_UL_mask_classes(bpy.types.UIList):
-    """Name of a class, the class that it counts as, and whether that is a thing."""
+    """The name of a class, the class that it counts as, and whether that is a thing."""
 
     def draw_item(
         self, context: bpy.types.Context, layout: bpy.types.UILayout, data: object, item: bpy.types.PropertyGroup,
@@ -136,9 +136,8 @@ class PLGS_PT_frames(Step, bpy.types.Panel):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        """Before an import or a lift brings frames, and while the active camera is none of them, its buttons are grey:
-        neither moves what is below, and what goes to a frame does not move itself away.
-        """
+        """The buttons are grey, not hidden, before an import or a lift brings frames and while the active camera is not
+        a frame's. So nothing below moves, and buttons that go to a frame stay under the mouse."""
         return bool(context.scene.plgs.scene_folder) or bool(lifts_in(context.scene))
 
     def draw(self, context: bpy.types.Context) -> None:
@@ -160,7 +159,7 @@ class PLGS_PT_frames(Step, bpy.types.Panel):
 
 
 def _draw_poses(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
-    """Draw the button that finds poses and what the engine lacks for it, or the progress."""
+    """Draw the button that finds poses with what the engine lacks for it, or the progress."""
     making = registry.latest(PoseMaking)
     if making is not None and making.is_running:
         layout.alert = False
@@ -173,7 +172,7 @@ def _draw_poses(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
 
 
 def _draw_survey(layout: bpy.types.UILayout, context: bpy.types.Context, survey: Survey | None) -> None:
-    """Draw what is known of a scene in rows that stand there while it is read, so that what is read moves nothing."""
+    """Draw the scene summary in a fixed number of rows, so that nothing moves as it is read."""
     known = survey if survey is not None and not survey.is_looking else None
     if survey is None:
         layout.label(text="Not read yet: press the arrows", icon="QUESTION")
@@ -197,7 +196,7 @@ def _draw_survey(layout: bpy.types.UILayout, context: bpy.types.Context, survey:
 
 
 def _facts(survey: Survey) -> tuple[str, ...]:
-    """A line for each of `_FACTS`, which fits the sidebar as Blender opens it."""
+    """One line for each of `_FACTS`, short enough for the default width of the sidebar."""
     frames = plural(survey.frames, "frame")
     if survey.left_out:
         frames += f", {survey.left_out} left out"
@@ -250,7 +249,7 @@ def _draw_findings(layout: bpy.types.UILayout, context: bpy.types.Context, known
 
 
 def _draw_links(layout: bpy.types.UILayout, frames: tuple[str, ...], number: int) -> None:
-    """Draw a button for each of a finding's first frames, which goes to its camera."""
+    """Draw a button for each of a finding's first frames that goes to its camera."""
     if not frames:
         return
     grid = layout.grid_flow(row_major=True, columns=_LINKS_IN_A_ROW, even_columns=True, align=True)
@@ -262,14 +261,14 @@ def _draw_links(layout: bpy.types.UILayout, frames: tuple[str, ...], number: int
 
 
 def _is_import(making: FrameMaking, context: bpy.types.Context) -> bool:
-    """Whether a task imports the panel's scene now. One frame's picture, or another scene's, takes no button away."""
+    """Whether a task imports the panel's scene now. Buttons stay while one frame's picture or another scene is made."""
     settings, order = context.scene.plgs, making.order
     is_of_scene = bool(settings.scene_folder) and order.chosen == chosen_scene(settings)
     return making.is_running and is_of_scene and not order.frame
 
 
 def _is_failure_of(making: FrameMaking, context: bpy.types.Context) -> bool:
-    """Whether a task failed to make frames of the panel's scene or of the active camera's."""
+    """Whether a task that makes frames failed for the panel's scene or the active camera's."""
     settings, ob = context.scene.plgs, context.scene.camera
     chosen = chosen_scene(settings) if settings.scene_folder else None
     return making.error_for(chosen, "" if ob is None else ob.get(LIFT, "")) is not None

@@ -1,4 +1,4 @@
-"""The Lift Panoptic Masks panel in the PLGS tab of the 3D view's sidebar, and what its parts share."""
+"""The Lift Panoptic Masks panel in the PLGS tab of the 3D view's sidebar, and what its subpanels share."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ from ..plgs_blender.running import lifts
 from ..plgs_blender.running.adding import ADDED, Adding, size_of, why_lacking, why_not_added
 
 _PIXELS_A_LETTER = 7.0
-"""Mean width in pixels of a letter in the interface's font at scale 1."""
+"""Mean width of a letter in the interface font at scale 1, in pixels."""
 _MENDING_OPERATORS = {
     ErrorCode.NO_ENGINE: "plgs.show_preferences",
     ErrorCode.NO_MASKS: "plgs.make_masks",
     ErrorCode.NOT_FINISHED: "plgs.resume_lift",
     ErrorCode.DAMAGED: "plgs.resume_lift",
 }
-"""The operator whose button fixes an error with this code."""
+"""The operator of the button that fixes an error with this code."""
 
 
 class Sidebar:
-    """Where our panels are."""
+    """Where our panels appear."""
 
     bl_space_type, bl_region_type, bl_category = "VIEW_3D", "UI", "PLGS"
 
@@ -34,7 +34,7 @@ class PLGS_PT_lift_panoptic_masks(Sidebar, bpy.types.Panel):
     bl_idname, bl_label = "PLGS_PT_lift_panoptic_masks", "Lift Panoptic Masks"
 
     def draw(self, context: bpy.types.Context) -> None:
-        """The steps below are panels of their own. A scene of passes has nothing for them."""
+        """The steps are panels of their own below. They do not apply to a passes scene."""
         self.layout.label(text="Makes objects of a filmed room")
         draw_way_back(self, context)
         if has_result(context.scene):
@@ -43,24 +43,24 @@ class PLGS_PT_lift_panoptic_masks(Sidebar, bpy.types.Panel):
 
 
 def has_result(scene: bpy.types.Scene) -> bool:
-    """Whether a lift's result is in a scene."""
+    """Whether the scene holds a lift's result."""
     return any(len(root.plgs.classes) for root in lifts_in(scene))
 
 
 def draw_way_back(bar: bpy.types.Panel | bpy.types.Header, context: bpy.types.Context) -> None:
-    """In a scene of passes, the button that shows the lift's own scene again."""
+    """In a passes scene, draw the button that returns to the lift's own scene."""
     if KEY in context.scene:
         bar.layout.operator("plgs.show_room", icon="LOOP_BACK")
 
 
 class Step(Sidebar):
-    """One step of the work, in order: set `bl_order`."""
+    """One step of the workflow; `bl_order` sorts them."""
 
     bl_parent_id = PLGS_PT_lift_panoptic_masks.bl_idname
 
 
 class StepBefore(Step):
-    """A step before the result, folded up once that is shown."""
+    """A step before the result, collapsed once the result is shown."""
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
@@ -70,26 +70,26 @@ class StepBefore(Step):
 def tell(
     layout: bpy.types.UILayout, context: bpy.types.Context, text: str | PlgsError | OSError, icon: str = "NONE"
 ) -> None:
-    """Draw a text of any length, wrapped to the sidebar's width, with the names of fields in place of options."""
+    """Draw a text of any length, wrapped to the sidebar's width, with field names in place of command-line options."""
     column = layout.column(align=True)
     for number, line in enumerate(lines_of(context, with_field_names(text))):
         column.label(text=line, icon=icon if number == 0 else "BLANK1" if icon != "NONE" else "NONE")
 
 
 def lines_of(context: bpy.types.Context, text: str) -> list[str]:
-    """A text in lines that fit the sidebar, at least one."""
+    """The text in lines that fit the sidebar, at least one."""
     scale = context.preferences.system.ui_scale
     return textwrap.wrap(text, max(20, int(context.region.width / (_PIXELS_A_LETTER * scale)) - 5)) or [""]
 
 
 def fitted(context: bpy.types.Context, text: str) -> str:
-    """The first of a text's lines, with a mark where there are more."""
+    """The text's first line, with an ellipsis if there are more."""
     first, *more = lines_of(context, text)
     return f"{first}…" if more else first
 
 
 def draw_task(layout: bpy.types.UILayout, context: bpy.types.Context, task: Task) -> None:
-    """Draw any task: its progress and Cancel while it runs; afterwards its error and what fixes it."""
+    """Draw any task: its progress and Cancel while it runs, then its error and the fix."""
     if task.is_running:
         draw_progress(layout, task)
         if task.cancel_operator:
@@ -98,7 +98,7 @@ def draw_task(layout: bpy.types.UILayout, context: bpy.types.Context, task: Task
 
 
 def draw_progress(layout: bpy.types.UILayout, task: Task) -> None:
-    """Draw a running task's one number, as high as the button that began it."""
+    """Draw a running task's progress bar, as high as the button that started it."""
     row = layout.row()
     row.scale_y = 1.4
     share, told = how_far(task)
@@ -112,16 +112,15 @@ def draw_cancel(layout: bpy.types.UILayout, task: Task) -> None:
 
 
 def draw_bar(cell: bpy.types.UILayout, task: Task, name: str) -> None:
-    """Draw how far a task is in the place of the button that began it, with a cross that cancels it at its end. What
-    varies in height is drawn by `draw_news`, below all buttons.
-    """
+    """Draw a task's progress bar in place of the button that started it, with a cross that cancels. Lines of varying
+    height are drawn by `draw_news`, below all buttons."""
     share, _ = how_far(task)
     cell.progress(factor=share, type="BAR", text=f"{name} {100 * share:.0f} %")
     cell.operator(task.cancel_operator, text="", icon="X")
 
 
 def draw_news(layout: bpy.types.UILayout, context: bpy.types.Context, task: Task) -> None:
-    """Draw what a running task tells beside its one number; afterwards its error and what fixes it."""
+    """Draw a running task's messages, or after its end its error and the fix."""
     if not task.is_running:
         if task.error is not None:
             draw_error(layout, context, task.error)
@@ -133,13 +132,13 @@ def draw_news(layout: bpy.types.UILayout, context: bpy.types.Context, task: Task
 
 
 def draw_warnings(layout: bpy.types.UILayout, context: bpy.types.Context, task: Task) -> None:
-    """Draw the last warnings of a running task."""
+    """Draw the latest warnings of a running task."""
     for warning in task.progress.warnings[-2:]:
         tell(layout, context, warning, "ERROR")
 
 
 def work_of(task: Task) -> str:
-    """What a running task does now."""
+    """What a running task is doing."""
     progress = task.progress
     if progress.stage == "train" and not progress.step:
         return "First step (may compile for 2 min)"  # which it does once per computer
@@ -148,7 +147,7 @@ def work_of(task: Task) -> str:
 
 
 def draw_error(layout: bpy.types.UILayout, context: bpy.types.Context, error: PlgsError) -> bpy.types.UILayout:
-    """Draw an error with the fields that it names and the button that fixes it, and return their box."""
+    """Draw an error with the fields that it names and the button that fixes it, and return the box."""
     box = layout.box()
     box.alert = True
     tell(box, context, error, "ERROR")
@@ -163,7 +162,7 @@ def draw_error(layout: bpy.types.UILayout, context: bpy.types.Context, error: Pl
 
 
 def draw_lacking(layout: bpy.types.UILayout, context: bpy.types.Context, name: str) -> None:
-    """Draw what the engine lacks for one of its capabilities, and the button that adds it; else nothing."""
+    """If the engine lacks something for a capability, draw what, and the button that adds it."""
     reason = why_lacking(name)
     if reason is not None:
         tell(layout, context, reason, "INFO")
@@ -171,7 +170,7 @@ def draw_lacking(layout: bpy.types.UILayout, context: bpy.types.Context, name: s
 
 
 def draw_adding(layout: bpy.types.UILayout, context: bpy.types.Context, name: str) -> None:
-    """Draw the button that adds a part to the engine, or the progress, and why it failed."""
+    """Draw the button that adds a part to the engine, or its progress, or why it failed."""
     adding = registry.latest(Adding)
     if adding is not None and adding.name == name:
         draw_task(layout, context, adding)
@@ -185,7 +184,7 @@ def draw_adding(layout: bpy.types.UILayout, context: bpy.types.Context, name: st
 
 
 def how_far(task: Task) -> tuple[float, str]:
-    """The share of a task that is done, of the whole where the engine foresees it, else of its stage; and in words."""
+    """A task's completed fraction, of the whole if the engine foresees it, else of the stage; and its text."""
     progress, took, left = task.progress, task.took_s, task.left_s
     if left is not None:
         share = took / max(took + left, 1e-9)
@@ -198,7 +197,7 @@ def how_far(task: Task) -> tuple[float, str]:
 
 
 def from_panel(layout: bpy.types.UILayout, context: bpy.types.Context) -> bpy.types.UILayout:
-    """Let the panel's settings decide whether buttons in a layout are grey. In a script, its arguments decide."""
+    """Let the panel's settings decide which buttons in a layout are grey. Scripts are judged by their arguments."""
     layout.context_pointer_set("plgs_panel", context.scene.plgs)
     return layout
 
@@ -213,7 +212,7 @@ def draw_log(layout: bpy.types.UILayout, lines: tuple[str, ...]) -> None:
 
 
 def duration(seconds: float) -> str:
-    """Such as "2 min 40 s" or "1 h 05 min"."""
+    """A duration such as "2 min 40 s" or "1 h 05 min"."""
     whole = max(0, round(seconds))
     if whole < 60:
         return f"{whole} s"
@@ -223,7 +222,7 @@ def duration(seconds: float) -> str:
 
 
 def amount(size: float) -> str:
-    """Bytes, such as "80 MB" or "2.1 GB"."""
+    """A number of bytes as "80 MB" or "2.1 GB"."""
     return f"{size / 1e9:.1f} GB" if size >= 1e9 else f"{size / 1e6:.0f} MB"
 
 
