@@ -10,14 +10,13 @@ import pytest
 import torch
 
 from engine.errors import Cancelled
-from engine.model.gaussians import decode
 from engine.model.structured import NO_OBJECT
 from engine.presets.preset import LossWeights
-from engine.raster import rasterize
 from engine.scene import Camera, ClassTable, View
 from engine.train.self_training import pseudo_label_steps
 from engine.train.state import restore, trainer_state
 from engine.train.trainer import Trainer, reconstruction_loss
+from tests.model.some_scene import mean_depth
 from tests.train.tiny_lift import STEPS, TINY, colour_error, trainer_of, views_of
 
 Input = tuple[list[View], ClassTable]
@@ -225,17 +224,6 @@ def test_the_rooms_colours_are_learnt_from_photos_of_many_exposures(tiny: Input,
     assert errors[True] < 0.85 * errors[False]
 
 
-def mean_depth(trainer: Trainer, camera: Camera) -> np.ndarray:
-    """The planar depth [H, W] in metres that blending all Gaussians of a pixel gives."""
-    scene = trainer.scene
-    with torch.no_grad():
-        drawn = decode(scene.anchors, scene.decoders, camera)
-        pose, lens = (torch.from_numpy(each).float() for each in (camera.camera_to_world, camera.K))
-        shapes = drawn.means, drawn.scales, drawn.quats, drawn.opacities, drawn.colours
-        picture = rasterize(*shapes, None, pose, lens, *camera.size)
-    return (picture.depth / picture.alpha.clamp_min(1e-3)).numpy()
-
-
 def test_depth_is_fitted_to_the_sensors(tiny: Input, tmp_path: Path) -> None:
     views, classes = tiny
     errors = {}
@@ -243,7 +231,7 @@ def test_depth_is_fitted_to_the_sensors(tiny: Input, tmp_path: Path) -> None:
         trainer = trainer_of(views, classes, replace(TINY, steps=42, weights=LossWeights(depth=weight)), tmp_path)
         while not trainer.finished:
             trainer.step()
-        drawn = [mean_depth(trainer, view.camera) for view in views]  # what the loss fits, not the surface's
+        drawn = [mean_depth(trainer.scene, view.camera) for view in views]  # what the loss fits, not the surface's
         errors[weight] = np.median([np.abs(one - view.depth) for one, view in zip(drawn, views, strict=True)])
     assert errors[0.5] < 0.8 * errors[0.0]
 
