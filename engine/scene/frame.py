@@ -17,7 +17,8 @@ from ..posed.plain_folders import left_out_warning
 
 @dataclass(frozen=True)
 class Inferred:
-    """What no file says: ``taken`` instead, for a ``reason``. Where it ``is_doubtful``, it is a warning, too."""
+    """Something that no file says: what was ``taken`` instead, and the ``reason``. If it ``is_doubtful``, it is a
+    warning, too."""
 
     about: Literal[
         "format", "lens", "principal point", "depth's lens", "units", "axes", "numbering", "split", "up axis",
@@ -33,7 +34,7 @@ class Inferred:
 
 @dataclass(frozen=True)
 class LeftOut:
-    """The ``names`` of frames that are left out, and what each of them ``lacks``."""
+    """The ``names`` of frames that are left out, and what they lack."""
 
     lacks: str
     names: tuple[str, ...]
@@ -43,17 +44,17 @@ class LeftOut:
 
 
 def counted(left_out: Iterable[LeftOut]) -> list[dict[str, object]]:
-    """Frames that are left out, for JSON."""
+    """The numbers of frames left out, for JSON."""
     return [{"lacks": each.lacks, "count": len(each.names), "names": list(each.names)} for each in left_out]
 
 
 def doubts(inferred: Iterable[Inferred]) -> tuple[str, ...]:
-    """The warnings of what was inferred."""
+    """The warnings about what was inferred."""
     return tuple(str(each) for each in inferred if each.is_doubtful)
 
 
 def left_out(lacks: str, names: Iterable[str]) -> tuple[LeftOut, ...]:
-    """A note that frames are left out; none where there are no ``names``."""
+    """A note that frames are left out; empty without ``names``."""
     found = tuple(names)
     return (LeftOut(lacks, found),) if found else ()
 
@@ -68,7 +69,7 @@ class Segment:
     """One region of a panoptic mask: its value ``id`` in the pixels, its class, and the detector's score in [0, 1].
 
     ``is_group`` marks a region of a thing's class without an instance. It may show several objects, so it gives its
-    pixels a class and founds no object. ``track`` is the object's id over all frames, None without a tracker.
+    pixels a class but founds no object. ``track`` is the object's id in all frames, None without a tracker.
     """
 
     id: int
@@ -81,7 +82,7 @@ class Segment:
 
 @dataclass(frozen=True, eq=False)
 class PanopticMask:
-    """Segment ids, int32 [H, W] with 0 = void, and what each id means. Ids say nothing across views; tracks do."""
+    """Segment ids, int32 [H, W] with 0 = void, and what each id means. Ids differ between views; tracks do not."""
 
     ids: NDArray[np.int32]
     segments: tuple[Segment, ...]
@@ -97,7 +98,7 @@ class PanopticMask:
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """What a network shows in a frame, as segments that may overlap: ``inside`` bool [S, H, W], the pixels of each. A
+    """What a network detects in a frame, as segments that may overlap: ``inside`` bool [S, H, W], the pixels of each. A
     panoptic picture is the case in which none overlap."""
 
     segments: tuple[Segment, ...]
@@ -105,13 +106,13 @@ class Evidence:
 
     @classmethod
     def of(cls, mask: PanopticMask) -> Evidence:
-        """What a panoptic picture shows."""
+        """The segments of a panoptic picture."""
         segments = tuple(one for one in mask.segments if (mask.ids == one.id).any())
         return cls(segments, np.array([mask.ids == one.id for one in segments]).reshape(-1, *mask.ids.shape))
 
     def layers(self) -> tuple[PanopticMask, ...]:
-        """The segments as panoptic pictures. The best come first, and each goes into the first picture in which it
-        overlaps none; their ids there count from 1."""
+        """The segments as panoptic pictures. In descending order of score, each goes into the first picture in which it
+        overlaps none; its id there counts from 1."""
         layers: list[tuple[NDArray[np.int32], list[Segment]]] = []
         for place in sorted(range(len(self.segments)), key=lambda place: -self.segments[place].score):
             inside = self.inside[place]
@@ -127,7 +128,7 @@ class Evidence:
 
 @dataclass(frozen=True, eq=False)
 class GroundTruth:
-    """True class ids and instance ids (0 = stuff or none), int32 [H, W] each. Serves metrics only."""
+    """True class ids and instance ids (0 = stuff or none), int32 [H, W] each. Used by metrics only."""
 
     semantic: NDArray[np.int32]
     instance: NDArray[np.int32]
@@ -137,12 +138,11 @@ class GroundTruth:
 class Frame(PosedFrame):
     """A frame whose pixels are read on demand: each reader is called with a size (width, height), or None for its own.
 
-    ``read_colour`` gives uint8 [H, W, 3] RGB, ``read_depth`` float32 [H, W] planar metres (0 = none), ``read_mask`` a
+    ``read_colour`` returns uint8 [H, W, 3] RGB, ``read_depth`` float32 [H, W] planar metres (0 = none), ``read_mask`` a
     PanopticMask, ``read_ground_truth`` a GroundTruth, ``read_detections`` the Evidence of segments that lie over the
-    mask. The last four may be None. Readers raise PlgsError.
-    ``confidence_path`` is the file that says which depth to trust. ``read_as`` are the distortion and the unit and lens
-    of depth, as text, where they are not the usual ones. ``read_kept`` gives bool [H, W], the pixels that count, where
-    not all do.
+    mask. The last four may be None. Readers raise PlgsError. ``confidence_path`` is the file that says which depth to
+    trust. ``read_as`` describes the distortion and the unit and lens of depth, as text, if unusual. ``read_kept``
+    returns bool [H, W], the pixels that count; None if all do.
     """
 
     read_colour: Callable[[Size | None], NDArray[np.uint8]]
@@ -173,7 +173,7 @@ class Frame(PosedFrame):
 
 @dataclass(frozen=True, eq=False)
 class Scene(PosedScene):
-    """Frames with their pixels, in recording order. ``warnings`` name what is ``left_out``, and what is doubtful of
+    """Frames with their pixels, in recording order. ``warnings`` name what is ``left_out``, and the doubtful part of
     what was ``inferred``."""
 
     frames: tuple[Frame, ...]
@@ -182,7 +182,7 @@ class Scene(PosedScene):
 
     @property
     def assumed_lens(self) -> str:
-        """The warning of a lens that no file says; empty where one does."""
+        """The warning that the lens is assumed; empty if a file describes it."""
         return next((str(each) for each in self.inferred if each.about == "lens" and each.is_doubtful), "")
 
     @property

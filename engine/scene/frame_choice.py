@@ -1,9 +1,8 @@
 """Which frames of a long capture are lifted: enough of them, evenly along the camera's path, and the sharpest.
 
 A hand-held camera takes more pictures than a room needs. As in Panoptic Lifting, the recording is cut into windows, and
-the sharpest frame of each is kept. Windows are equal in time and motion together: a camera that stands still needs few
-frames, and one that turns quickly needs all. The masks of the other frames vote all the same
-(``engine/lift/voting.py``).
+the sharpest frame of each is kept. Windows are equal in time and motion combined: a camera that stands still needs few
+frames, and one that turns quickly needs all. The masks of the other frames still vote (``engine/lift/voting.py``).
 """
 
 from __future__ import annotations
@@ -23,16 +22,16 @@ from .view import read_ahead
 Listed = TypeVar("Listed")
 
 STEP_METRES, STEP_DEGREES = 0.8, 15.0
-"""A step of this length changes a view as much as a turn by this angle."""
+"""Moving by this length changes a view as much as turning by this angle."""
 CANDIDATES = 3
-"""Frames of a window whose sharpness is measured, at most, so that reading does not grow with the recording."""
+"""Maximum frames per window whose sharpness is measured, so that reading does not grow with the recording."""
 LOOKED_AT_WITHIN = (480, 480)
-"""Pixels (width, height) that a picture is brought into to measure its sharpness."""
+"""Maximum (width, height) in pixels at which sharpness is measured."""
 
 
 def choose_frames(scene: Scene, most: int, progress: Callable[[int, int], object] | None = None) -> Scene:
-    """The scene with at most ``most`` of the frames to train on; those held out stay. ``progress`` is called with the
-    numbers of windows done and of all."""
+    """The scene with at most ``most`` training frames; those held out stay. ``progress`` is called with the number of
+    windows done and the total."""
     frames = scene.train_frames
     if len(frames) <= most:
         return scene
@@ -64,13 +63,13 @@ def windows(frames: Sequence[Frame], most: int) -> list[NDArray[np.intp]]:
 
 
 def evenly_spread(listed: Sequence[Listed], most: int) -> list[Listed]:
-    """At most so many, the first and the last among them."""
+    """At most ``most`` of the items, including the first and the last."""
     places = np.unique(np.linspace(0, len(listed) - 1, min(most, len(listed))).round().astype(int))
     return [listed[place] for place in places]
 
 
 def frame_detail(frame: Frame) -> float:
-    """How sharp a frame is; less than any other where its picture cannot be read."""
+    """A frame's sharpness; the lowest value if its picture cannot be read."""
     try:
         return photo_detail(frame.read_colour(size_within(frame.size, LOOKED_AT_WITHIN)))
     except PlgsError:  # whoever checks the chosen frames names it
@@ -78,8 +77,8 @@ def frame_detail(frame: Frame) -> float:
 
 
 def photo_detail(photo: NDArray[np.uint8]) -> float:
-    """The detail of a photo uint8 [H, W, 3]: the mean absolute Laplacian over the mean brightness. Exposure does not
-    matter. A blurred photo has less detail than its neighbours, which show about the same."""
+    """The detail of a photo uint8 [H, W, 3]: the mean absolute Laplacian over the mean brightness, so that exposure
+    does not matter. A blurred photo has less detail than its neighbours, which show about the same."""
     import cv2
 
     grey = photo.mean(axis=2, dtype=np.float32)

@@ -1,4 +1,4 @@
-"""Depth and masks of a frame as pictures for people. Plain numpy: Blender draws them as the engine does."""
+"""Depth and masks of a frame as pictures for people. Plain numpy, so that Blender draws them as the engine does."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ from .frame import PanopticMask
 _GRADIENT = np.array(
     [[255, 240, 190], [250, 170, 70], [220, 80, 90], [130, 40, 140], [45, 25, 110], [12, 10, 40]], np.float64
 )
-"""sRGB from near to far; each is darker than the one before, so that a grey print still shows near and far."""
+"""sRGB from near to far, each darker than the one before, so that depth stays readable in greyscale."""
 _LINE, _BORDER = 0.45, 0.4
-"""Brightness of the lines at whole metres and of the borders of segments, as a share of the pixel's own."""
+"""Brightness of the lines at whole metres and of segment borders, relative to the pixel's own."""
 _MOST_LINES = 40
-"""The largest number of lines in a picture; deeper scenes have none."""
+"""Maximum number of lines in a picture; deeper scenes get none."""
 _NONE = (60, 60, 60)
 """sRGB of pixels without depth or without a class."""
 
 
 class DepthColours(NamedTuple):
-    """``rgb`` uint8 [H, W, 3]: light is ``near``, dark is ``far`` (metres; 0 and 0 without depth). A line is drawn at
+    """``rgb`` uint8 [H, W, 3], from light (``near``) to dark (``far``), in metres; both 0 without depth. A line marks
     each whole metre."""
 
     rgb: NDArray[np.uint8]
@@ -58,7 +58,7 @@ def mask_colours(mask: PanopticMask, classes: ClassTable) -> NDArray[np.uint8]:
 
 
 def _borders(values: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Pixels whose right or lower neighbour has another value, bool [H, W]."""
+    """Pixels whose right or lower neighbour has a different value, bool [H, W]."""
     found = np.zeros(values.shape, np.bool_)
     found[:, :-1] |= values[:, 1:] != values[:, :-1]
     found[:-1] |= values[1:] != values[:-1]

@@ -1,7 +1,7 @@
 """Ground truth for the metrics, never read by the lift itself, and which classes its numbers mean.
 
-It may name its own table, whose numbering is told as that of masks. Else its numbers are the class ids of the masks,
-unless it agrees far better with the masks as another table: then it has that, and the scene says so.
+It may name its own table, whose numbering is found as for masks. Otherwise its numbers are the class ids of the masks,
+unless they agree far better with the masks when read with another table: then that table is used, with a note.
 """
 
 from __future__ import annotations
@@ -32,26 +32,27 @@ from .pixels import check_label_header, decode_single_channel, distinct_ids, rea
 _ANYTHING = 21
 """The last of the paper's classes: all other things."""
 LOOKED_AT = 6
-"""Frames in which a ground truth is compared with the masks."""
+"""Frames in which ground truth is compared with the masks."""
 _FEWEST = 500
-"""Pixels from which on agreement says something."""
+"""Minimum number of pixels for a meaningful agreement."""
 _POOR, _AGREES = 0.1, 0.2
-"""Shares of pixels that agree: less is hardly any, and the least of a table that is told by it."""
+"""Fractions of agreeing pixels: below the first there is hardly any agreement; a table is inferred from the second
+on."""
 _DOUBTED, _REFUTED, _EQUAL = 0.8, 0.6, 0.95
-"""How much of the best table's agreement the class ids of the masks have if they are doubted, or wrong; and another
-table if it is as good."""
+"""Agreement relative to the best table's. Below the first, reading the numbers as the masks' class ids is doubted;
+below the second, it is rejected. Other tables above the third count as equally good."""
 _ASKING = Asking("the ground truth's", 'table = "{}"', f"write {{}} into {FILE_NAME} beside its folder", "")
 _IN_FILES = "the numbers in the masks' files"
 
 Joint = Mapping[tuple[int, int], int]
-"""The number of pixels with each number of the ground truth and each class of the masks. What is or may be void is left
-out: a table whose 0 is a wall is told by its other numbers."""
+"""The number of pixels for each pair of a ground-truth number and a class of the masks. Possible void is left out: a
+table whose 0 is a wall is recognised by its other numbers."""
 
 
 @dataclass(frozen=True)
 class Numbers:
     """``class_of`` maps the ground truth's numbers to the masks' classes. ``names`` are those of its own table;
-    ``looks_like`` is its name if the numbers tell it."""
+    ``looks_like`` is that table's name if it was inferred from the numbers."""
 
     class_of: Mapping[int, int]
     names: Mapping[int, str] = field(default_factory=dict)
@@ -60,9 +61,9 @@ class Numbers:
 
 
 def numbers_of_truth(folder: Path, files: Mapping[str, Path], masks: MaskSet) -> Numbers:
-    """What the numbers in a ``folder`` mean, whose ``files`` have the names of frames. Its table is that of
-    ``classes.toml`` beside it or the one that its name ends with, such as ``semantic_nyu40``; in ``rs_semantics`` the
-    paper's 21. Raises PlgsError where it may be one of two."""
+    """What the numbers in a ``folder`` mean; its ``files`` are named like frames. Its table is that of ``classes.toml``
+    beside it or the one that its name ends with, such as ``semantic_nyu40``; in ``rs_semantics`` the paper's 21. Raises
+    PlgsError if two tables fit equally."""
     choice = _own_choice(folder)
     if choice is None:
         # Numbers in the masks' own files differ from class ids where they count from 0.
@@ -88,7 +89,7 @@ def _names(choice: ClassChoice | None, where: Path) -> dict[int, str]:
 
 
 def _compared(files: Mapping[str, Path], masks: MaskSet) -> Joint:
-    """How ground truth and masks agree in some frames. Files that cannot be read are left out."""
+    """How ground truth and masks agree in some frames. Unreadable files are skipped."""
     joint = Counter[tuple[int, int]]()
     for name in evenly_spread([name for name in masks.readers if name in files], LOOKED_AT):
         try:
@@ -101,7 +102,7 @@ def _compared(files: Mapping[str, Path], masks: MaskSet) -> Joint:
 
 
 def joined(numbers: NDArray[np.integer], classes: NDArray[np.integer]) -> Counter[tuple[int, int]]:
-    """The pixels of each pair out of a ground truth [H, W] and classes [H, W], where neither may be void."""
+    """Counts the pixels of each pair from a ground truth [H, W] and classes [H, W], where neither may be void."""
     pairs = numbers.astype(np.int64) << 32 | classes
     known = pairs[(classes != VOID) & ~np.isin(numbers, [*IGNORED])]
     values, counts = (found.tolist() for found in np.unique(known, return_counts=True))
@@ -112,7 +113,7 @@ def numbers_by_agreement(
     joint: Joint, classes: ClassTable, where: Path, in_files: Mapping[int, int] | None = None
 ) -> Numbers:
     """The numbers as ids of ``classes``, unless they agree far better with the masks as another table, or as the
-    numbers ``in_files``. Raises PlgsError where two tables agree as well."""
+    numbers ``in_files``. Raises PlgsError if two tables agree equally well."""
     usual = Numbers({number: number for number in classes.ids})
     total, own = sum(joint.values()), _agreement(joint, usual)
     numbers = {number for number, _ in joint}
@@ -155,7 +156,7 @@ def _agreement(joint: Joint, way: Numbers) -> int:
 def _ways(
     classes: ClassTable, where: Path, in_files: Mapping[int, int], numbers: set[int]
 ) -> Iterable[tuple[str, Numbers]]:
-    """All tables that have the ``numbers``, and the numbers in the masks' files."""
+    """All tables that have every one of the ``numbers``, and the numbers in the masks' files."""
     for table in (*NUMBERINGS, *(each for each in TABLES if each == numberings_of(each)[0])):
         names = _names(ClassChoice(table=table), where)
         if numbers <= names.keys():
@@ -165,7 +166,7 @@ def _ways(
 
 
 def in_classes(semantic: NDArray[np.integer], class_of: Mapping[int, int]) -> NDArray[np.int32]:
-    """Class ids [H, W] from 0 on, each as ``class_of`` maps it, and void where that lacks it."""
+    """Maps class ids [H, W] (>= 0) by ``class_of``; ids that it lacks become void."""
     known = np.zeros(int(semantic.max(initial=0)) + 1, np.int32)
     for number, class_id in class_of.items():
         if number < len(known):
@@ -174,9 +175,9 @@ def in_classes(semantic: NDArray[np.integer], class_of: Mapping[int, int]) -> ND
 
 
 def classes_by_name(names: Mapping[int, str], classes: ClassTable) -> dict[int, int]:
-    """The class in ``classes`` for each number of another table with ``names``; numbers without any are left out.
+    """The class in ``classes`` for each number of another table with ``names``; numbers without a match are left out.
 
-    Names match if they are the same, or else differ only in case and in endings such as COCO's "-merged". Else the
+    Names match if they are equal, or else differ only in case and in endings such as COCO's "-merged". Otherwise the
     paper's 21 classes decide: a class matches if it is the only one in ``classes`` with the same of the 21.
     """
     by_name = {spell(each.name): each.id for spell in (_plain, str) for each in reversed(classes.categories)}
@@ -210,8 +211,8 @@ _FIX = "Correct it, or remove the ground truth: only the metrics need it."
 
 @dataclass(frozen=True)
 class GroundTruthReader:
-    """Reads one frame's ground truth. ``class_of`` maps its class ids to the masks', void where they have none of the
-    same name; ids that it does not have become void, too. ``names`` are those of its own table, if it has one."""
+    """Reads one frame's ground truth. ``class_of`` maps its class ids to the masks', and to void if no class has the
+    same name; ids that it lacks become void, too. ``names`` are those of its own table, if it has one."""
 
     semantic: Path
     instance: Path
@@ -227,8 +228,8 @@ class GroundTruthReader:
         return GroundTruth(semantic, instance)
 
     def unknown(self) -> frozenset[int | str]:
-        """Classes in the file, void aside, that the masks' table does not have: names, or ids without one. Raises
-        PlgsError for a bad file."""
+        """Classes in the file, except void, that the masks' table lacks: names, or ids without one. Raises PlgsError
+        for a bad file."""
         check_image_file(self.instance)
         found, _ = distinct_ids(decode_single_channel(self.semantic))
         lacking = frozenset(found.tolist()) - frozenset(self.class_of) - (IGNORED if self.names else {VOID})
@@ -236,7 +237,7 @@ class GroundTruthReader:
 
 
 def read_label_pair(semantic: Path, instance: Path) -> GroundTruth:
-    """Class ids and instance ids out of two label images. Raises PlgsError when a file is bad."""
+    """Class ids and instance ids from two label images. Raises PlgsError for a bad file."""
     stored = GroundTruth(decode_single_channel(semantic), decode_single_channel(instance))
     if stored.semantic.shape != stored.instance.shape:
         raise PlgsError("other-size", "classes and instances differ in size", instance, "Make both the same size.")
@@ -248,9 +249,9 @@ def open_ground_truth(
 ) -> tuple[dict[str, GroundTruthReader], tuple[str, ...], tuple[Inferred, ...]]:
     """Ground truth in ``rs_semantics`` and ``rs_instance``, or ``gt/semantic*`` and ``gt/instance``; headers only.
 
-    The result has a reader for each frame with ground truth, warnings, and what was inferred. ``sizes`` are those of
-    the colour images by frame. Its classes become those of the ``masks``, see ``numbers_of_truth``. Raises PlgsError
-    when an image is not a label image or has another shape.
+    Returns a reader for each frame with ground truth, warnings, and what was inferred. ``sizes`` are those of the
+    colour images by frame. Its classes are mapped to those of the ``masks``, see ``numbers_of_truth``. Raises PlgsError
+    if an image is not a label image or has another shape.
     """
     folders = _find_folders(scene) if masks.readers else None
     if folders is None:
@@ -271,7 +272,7 @@ def open_ground_truth(
 
 
 def _find_folders(scene: Path) -> tuple[Path, Path] | None:
-    """The folders of classes and of instances; None when either is missing."""
+    """The folders of classes and of instances; None if either is missing."""
     if (scene / "rs_semantics").is_dir() and (scene / "rs_instance").is_dir():
         return scene / "rs_semantics", scene / "rs_instance"
     found = [path for path in shown_files(scene / "gt", "semantic*") if path.is_dir()]

@@ -1,9 +1,9 @@
-"""Filling the holes that a depth sensor leaves on dark, shiny, grazing and far surfaces.
+"""Fills the holes that a depth sensor leaves on dark, shiny, grazing and far surfaces.
 
-A surface without depth has no points, so no anchors and no labels. Most holes lie in a plane with what surrounds them:
-a screen on a wall, the far end of a floor. The inverse depth of a plane is an affine function of the pixel, so a hole
-is filled from the ring of measured pixels around it, of its own segment if that has enough of them. A hole whose
-ring is not a plane stays a hole.
+A surface without depth has no points, so no anchors and no labels. Most holes lie in a plane with their surroundings: a
+screen on a wall, the far end of a floor. The inverse depth of a plane is an affine function of the pixel, so a hole is
+filled from the ring of measured pixels around it, of its own segment if that has enough of them. A hole whose ring is
+not planar stays a hole.
 """
 
 from __future__ import annotations
@@ -18,10 +18,10 @@ from numpy.typing import NDArray
 class HoleFilling:
     """``ring`` is the width in pixels of the ring around a hole; at least ``least_ring`` of its pixels must have depth.
 
-    ``flatness`` is the largest median residual of the plane in shares of the depth; above it the hole stays. Filled
-    depth is within ``stretch`` times the ring's nearest and farthest. In a segment with more than ``many`` holes, those
-    of at most ``speck`` pixels take the mean of the pixels around them, if these are flat: a noisy sensor has thousands
-    of holes, and a plane for each would take long.
+    ``flatness`` is the largest allowed median residual of the plane relative to the depth. Filled depth is within
+    ``stretch`` times the ring's nearest and farthest. In a segment with more than ``many`` holes, those of at most
+    ``speck`` pixels take the mean of the pixels around them, if these are flat: a noisy sensor leaves thousands of
+    holes, and fitting a plane to each would take long.
     """
 
     ring: int = 6
@@ -62,7 +62,7 @@ def fill_holes(
 def _fill_specks(
     filled: NDArray[np.float32], depth: NDArray[np.float32], speck: NDArray[np.bool_], rules: HoleFilling
 ) -> None:
-    """Fill all of the small holes at once, in place: with the mean of the 5x5 pixels around, where these are flat."""
+    """Fill all small holes at once, in place, with the mean of the surrounding 5x5 pixels if these are flat."""
     import cv2
 
     if not speck.any():

@@ -1,4 +1,4 @@
-"""Folders of label images by any program: classes and instances of each frame, to be compared with others."""
+"""Folders of label images by any program: classes and instances of each frame, for comparison with others."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ PAIRS = (
     ("m2f_semantics", "m2f_instance"),
     *label_pairs.PAIRS,
 )
-"""Folders of classes and of instances, in the order in which they are looked for."""
+"""Folders of classes and of instances, in the order in which they are tried."""
 _FIX = (
     "Give a folder with panoptic.json and panoptic/ (COCO), or with PNGs of class ids and of instance ids in "
     f"{', '.join(' and '.join(pair) for pair in PAIRS)}."
@@ -40,7 +40,7 @@ _TABLE_FIX = 'Put COCO\'s panoptic.json, or a labels.json with its "classes", in
 
 @dataclass(frozen=True, eq=False)
 class LabelFolder:
-    """``readers`` read the labels of each frame at their own size. ``classes`` are None without a table."""
+    """``readers`` read each frame's labels at their own size. ``classes`` is None without a table."""
 
     folder: Path
     classes: ClassTable | None
@@ -55,8 +55,8 @@ def _as_labels(read: Callable[[], PanopticMask]) -> GroundTruth:
 
 
 def open_label_folder(folder: Path, *, is_truth: bool) -> LabelFolder:
-    """Find the labels in a folder; headers only. In a scene's folder, which may hold both, ``is_truth`` chooses. Raises
-    PlgsError when there are none, or a file is bad."""
+    """Find the labels in a folder; headers only. A scene's folder may hold both predictions and truth: ``is_truth``
+    chooses. Raises PlgsError if there are none, or a file is bad."""
     if not folder.is_dir():
         raise PlgsError("not-folder", "is not a folder", folder, _FIX)
     table = folder / "panoptic.json"
@@ -106,11 +106,11 @@ def _classes_of_export(path: Path) -> ClassTable:
 
 
 def in_one_table(predictions: LabelFolder, truth: LabelFolder) -> tuple[ClassTable, LabelFolder]:
-    """The class table of both, whose ids mean the same, and the predictions in it. Where an id has two names, the
-    truth's table counts: predicted classes become those of the same name there, and others stay, after them, as classes
-    that the truth never shows.
+    """One class table for both, in which ids mean the same, and the predictions in it. If an id has two names, the
+    truth's table wins: predicted classes become those of the same name there, and others are appended as classes that
+    the truth never shows.
 
-    Raises PlgsError if there is no table, if no class has its name in both, or if numbers look like another table.
+    Raises PlgsError if there is no table, if the two share no class name, or if numbers look like another table.
     """
     tables = [each.classes for each in (predictions, truth) if each.classes is not None]
     if not tables:

@@ -1,7 +1,7 @@
-"""Whether masks fit their pictures: paired with the right frames, upright as stored, straightened, without borders.
+"""Whether masks fit their pictures: paired with the right frames, upright as stored, undistorted, without borders.
 
-Programs number masks anew, turn photos as their EXIF tag says, see photos as the lens took them, or add borders that
-make a network's size. Names and sizes don't say so. The pictures do: a mask's outlines lie on their edges.
+Programs renumber masks, rotate photos by their EXIF tag, keep the photo's distortion, or pad to a network's input size.
+Names and sizes do not show it. The pictures do: a mask's outlines lie on their edges.
 """
 
 from __future__ import annotations
@@ -30,24 +30,24 @@ Read = Callable[[Size], NDArray[np.uint8]]
 """Reads a picture at a size."""
 _LOOKED_AT = 16
 _LONGEST = 320
-"""Pixels of the longer side of the pictures that are compared."""
+"""Pixels of the longer side at which pictures are compared."""
 _LEAST_OUTLINE = 30
 _BLACK = 12
 _SURE = 4.0
-"""Standard errors of the mean difference with which one reading fits better than another. On the sample, masks of the
-next frame are told by 15, masks that a lens bends by 5 pixels by 8, and by 2 pixels not at all."""
+"""Standard errors of the mean difference by which one reading must fit better than another. On the sample, masks of the
+next frame differ by 15, masks distorted by 5 pixels by 8, and those distorted by 2 pixels not at all."""
 _NETWORK_STEP = 32
 """Networks take pictures whose sides are multiples of this."""
 _FIX = "Give masks of these pictures with --masks FOLDER: python -m engine segment SCENE makes them."
 _TURNS = {3: 2, 6: 1, 8: 3}
-"""Quarter turns against the clock from the picture as its EXIF orientation shows it to the stored one."""
+"""Counter-clockwise quarter turns from the upright picture to the stored one, by EXIF orientation."""
 _BY_NAMES = "rename the masks after their pictures if that is wrong"
 
 
 @dataclass(frozen=True)
 class Placement:
-    """How a mask comes into the stored and straightened picture: the ``box`` (x, y, width, height) that it fills, its
-    quarter ``turns``, the lens that bent it, and the picture that is black where pixels do not count."""
+    """How a mask is mapped into the stored, undistorted picture: the ``box`` (x, y, width, height) that it fills, its
+    quarter ``turns``, the lens that distorted it, and the picture that is black where pixels do not count."""
 
     box: tuple[int, int, int, int] | None = None
     turns: int = 0
@@ -55,7 +55,7 @@ class Placement:
     kept: KeptPixels | None = None
 
     def __call__(self, ids: NDArray[Any]) -> NDArray[Any]:
-        """Ids, or other values [H, W], as they are stored to those of the picture. Raises PlgsError."""
+        """Maps stored ids, or other values [H, W], into the picture. Raises PlgsError."""
         if self.box is not None:
             x, y, width, height = self.box
             ids = ids[y : y + height, x : x + width]
@@ -67,14 +67,15 @@ class Placement:
         return np.ascontiguousarray(ids)
 
     def __repr__(self) -> str:
-        """For digests of masks."""
+        """A text for digests of masks."""
         lens = None if self.lens is None else (self.lens[0].K.tolist(), self.lens[1])
         return f"{self.box} {self.turns} {lens} {self.kept}"
 
 
 @dataclass(frozen=True)
 class KeptPixels:
-    """The pixels of a frame that count: a picture of the photo as taken, black elsewhere, and the photo's lens."""
+    """The pixels of a frame that count: a picture in the original photo's geometry, black elsewhere, and the photo's
+    lens."""
 
     path: Path
     lens: tuple[Camera, Distortion] | None = None
@@ -91,8 +92,8 @@ class KeptPixels:
 
 
 def edge_ranks(picture: NDArray[np.uint8]) -> NDArray[np.float32]:
-    """The share of a picture's pixels that have a weaker edge than each one, float32 [H, W]; NaN where it is black, as
-    beyond the edges of a straightened photo, and around."""
+    """The fraction of a picture's pixels with a weaker edge than each pixel, float32 [H, W]; NaN in and around black
+    areas, as beyond the edges of an undistorted photo."""
     import cv2
 
     grey = cv2.GaussianBlur(cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY).astype(np.float32), (0, 0), 1.0)
@@ -116,8 +117,8 @@ def on_edges(ids: Ids, ranks: NDArray[np.float32]) -> float:
 
 
 def fits_better(pairs: Iterable[tuple[Ids, Ids, Read, Size]]) -> bool | None:
-    """Of ids in two readings, with the picture of each frame and its size, whether the first fits the pictures better,
-    False if the second does, None if neither is sure."""
+    """Which of two readings of ids fits the pictures better: True for the first, False for the second, None if unsure.
+    Each pair comes with its frame's picture and size."""
     differences = []
     for one, other, read, size in pairs:
         if one.shape == other.shape and np.array_equal(one, other):
@@ -133,7 +134,7 @@ def fits_better(pairs: Iterable[tuple[Ids, Ids, Read, Size]]) -> bool | None:
 
 
 def _ids(source: MaskSource, name: str) -> Ids | None:
-    """A mask's ids; None where it cannot be read, which whoever reads it later says."""
+    """A mask's ids; None if it cannot be read, which later readers report."""
     try:
         return source.masks[name].read().ids
     except PlgsError:
@@ -145,8 +146,8 @@ def paired(
     open_source: Callable[[Sequence[str]], MaskSource],
     pictured: Mapping[str, Pictured],
 ) -> tuple[MaskSource, tuple[Inferred, ...]]:
-    """The masks of the frames ``names``, by their names, or by their numbers counted otherwise where more frames then
-    have a mask and these fit the pictures better; and what was inferred. Raises what ``open_source`` raises."""
+    """The masks of the frames ``names``: by name, or by a different count of their numbers if more frames then have a
+    mask and these fit the pictures better; and what was inferred. Raises what ``open_source`` raises."""
     try:
         usual, error = open_source(names), None
     except PlgsError as raised:
@@ -187,7 +188,7 @@ def paired(
 
 
 def other_numbers(names: Sequence[str]) -> list[tuple[str, dict[str, str]]]:
-    """Other ways to number the frames, and the name of each frame's mask in it."""
+    """Other ways to number the frames, and the name of each frame's mask by them."""
     last = [re.search(r"\d+(?=\D*$)", name) for name in names]
     found = [(name, match) for name, match in zip(names, last, strict=True) if match is not None]
     if len(found) < len(names):
@@ -213,8 +214,8 @@ def other_numbers(names: Sequence[str]) -> list[tuple[str, dict[str, str]]]:
 
 @dataclass(frozen=True)
 class Pictured:
-    """What masks are placed by: how a frame's picture is read, its size, the photo's EXIF orientation (1: upright), the
-    lens that bent it, if any, and the pixels that count, if not all."""
+    """What masks are aligned by: how to read a frame's picture, its size, the photo's EXIF orientation (1: upright),
+    the lens that distorted it, if any, and the pixels that count, if not all."""
 
     read: Read
     size: Size
@@ -224,14 +225,14 @@ class Pictured:
 
 
 def turns_of(orientation: int) -> int:
-    """The quarter turns that bring what was made of a photo turned upright to its stored pixels."""
+    """The quarter turns from a photo turned upright to its stored pixels."""
     return _TURNS.get(orientation, 0)
 
 
 def placements(
     source: MaskSource, pictured: Mapping[str, Pictured]
 ) -> tuple[dict[str, Placement], tuple[Inferred, ...]]:
-    """How the mask of each frame comes into its picture, and what was inferred. Raises PlgsError for a mask of another
+    """How to map each frame's mask into its picture, and what was inferred. Raises PlgsError if a mask has another
     shape than its picture."""
     found = {name: Placement(kept=pictured[name].kept) for name in source.masks}
     inferred: list[Inferred] = []
@@ -269,7 +270,7 @@ def placements(
 def _fits(
     source: MaskSource, ones: Mapping[str, Placement], others: Mapping[str, Placement], pictured: Mapping[str, Pictured]
 ) -> bool | None:
-    """``fits_better`` of two placements of masks."""
+    """``fits_better`` for two placements of the same masks."""
     names = evenly_spread([*ones], _LOOKED_AT)
     read = ((name, ids) for name in names if (ids := _ids(source, name)) is not None)
     ways = [{name: replace(way[name], kept=None) for name in names} for way in (ones, others)]
@@ -281,7 +282,8 @@ def _fits(
 def _boxes(
     source: MaskSource, found: Mapping[str, Placement], pictured: Mapping[str, Pictured]
 ) -> dict[str, tuple[int, int, int, int]]:
-    """The part of each mask that shows its picture, where a network's borders surround it, empty in all masks."""
+    """The part of each mask that shows its picture, if it is padded for a network and the padding is empty in all
+    masks."""
     ways: list[dict[str, tuple[int, int, int, int]]] = [{}, {}]
     for name, mask in source.masks.items():
         (width, height), (across, down) = mask.size, pictured[name].size
@@ -302,7 +304,7 @@ def _boxes(
 
 
 def _outside(ids: Ids, box: tuple[int, int, int, int]) -> Ids:
-    """The ids beyond a box, 0 in it."""
+    """The ids with 0 inside a box."""
     x, y, width, height = box
     beyond = ids.copy()
     beyond[y : y + height, x : x + width] = 0

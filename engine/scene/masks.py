@@ -1,4 +1,4 @@
-"""Finding a scene's panoptic masks: a format's reader gives numbered segments, the class table gives their classes."""
+"""Finds a scene's panoptic masks: a format's reader gives numbered segments, the class table gives their classes."""
 
 from __future__ import annotations
 
@@ -29,13 +29,13 @@ MASK_FOLDER = "masks"
 
 
 def no_masks(scene: Path) -> PlgsError:
-    """The error for a scene that has no masks."""
+    """The error for a scene without masks."""
     fix = "Give masks with --masks, such as COCO panoptic ones, or let the command segment make them."
     return PlgsError("no-masks", "there are no masks", scene, fix, code=ErrorCode.NO_MASKS, option="--masks")
 
 
 class OtherClasses(PlgsError):
-    """A mask can be read, but has classes that its table lacks: the table is wrong, not this one file."""
+    """A mask can be read, but has classes that its table lacks: the table is wrong, not this file."""
 
 
 @dataclass(frozen=True)
@@ -43,8 +43,8 @@ class MaskReader:
     """Reads one frame's mask and gives its segments the classes of ``known``.
 
     Labels in ``void`` mean nothing unless the table has them. ``fuses`` joins stuff of one class into one segment.
-    ``table`` is what messages call the classes' table, ``others`` what else to name. ``placement`` brings the mask into
-    the picture.
+    ``table`` is what messages call the classes' table, ``others`` what else they suggest. ``placement`` maps the mask
+    into the picture.
     """
 
     stored: StoredMask
@@ -77,7 +77,7 @@ class MaskReader:
         return PanopticMask(resize_nearest(ids, size) if size else ids, tuple(segments))
 
     def digest(self) -> str:
-        """The start of the SHA-256 of the mask's files and of what they are read as, without decoding them."""
+        """The start of the SHA-256 of the mask's files and of how they are read, without decoding them."""
         classes = [(each.id, each.is_thing) for each in self.known.classes.categories]
         read_as = (sorted(self.known.class_of.items()), self.known.others, classes, sorted(self.void), self.fuses)
         kept = None if self.placement is None or self.placement.kept is None else self.placement.kept.path
@@ -102,7 +102,7 @@ class MaskReader:
 
 @dataclass(frozen=True, eq=False)
 class KeptMask:
-    """A mask that was decoded before and is kept, ``packed``, at one ``size``; ``read`` reads it at others."""
+    """A decoded mask kept in memory, ``packed``, at one ``size``; ``read`` reads it at others."""
 
     size: Size
     packed: bytes
@@ -111,7 +111,7 @@ class KeptMask:
 
     @classmethod
     def of(cls, mask: PanopticMask, size: Size, read: Callable[[Size | None], PanopticMask]) -> KeptMask:
-        """``mask``, which is whole, as it is at ``size``."""
+        """Keeps the full-size ``mask`` reduced to ``size``."""
         return cls(size, compress(resize_nearest(mask.ids, size).tobytes(), 1), mask.segments, read)
 
     def __call__(self, size: Size | None = None) -> PanopticMask:
@@ -122,8 +122,8 @@ class KeptMask:
 
 
 def fused(segments: Sequence[Segment]) -> tuple[list[Segment], dict[int, int]]:
-    """Stuff and groups of one class as one segment each, which keeps the id and the score of the first one. The second
-    value is the new id of each segment."""
+    """Stuff and groups of one class as one segment each, with the id and score of the first; and the new id of each
+    segment."""
     first: dict[int, int] = {}
     new_id, kept = {}, []
     for one in segments:
@@ -136,7 +136,7 @@ def fused(segments: Sequence[Segment]) -> tuple[list[Segment], dict[int, int]]:
 @dataclass(frozen=True)
 class MaskSet:
     """The masks of a scene's frames: the class table, one reader per frame, warnings, and what no file says. ``over``
-    reads the detections that lie over the masks of some."""
+    reads the detections that lie over the masks, for frames that have some."""
 
     classes: ClassTable = ClassTable(())
     readers: Mapping[str, MaskReader] = field(default_factory=dict)
@@ -146,8 +146,8 @@ class MaskSet:
 
 
 def find_masks(source: SceneSource, scene: Path, pictured: Mapping[str, Pictured]) -> MaskSet:
-    """The masks of the frames, and the detections over them, as the ``source`` of the folder ``scene`` says; no masks
-    when none are named and the folder has none. Raises PlgsError."""
+    """The masks of the frames and the detections over them, as given by the ``source`` of the folder ``scene``; empty
+    if none are named and the folder has none. Raises PlgsError."""
     place = mask_place(scene, None if source.masks is None else Path(source.masks))
     kept = [each.kept.path for each in pictured.values() if each.kept is not None]
     are_kept = source.masks is None and place is not None and any(path.is_relative_to(place) for path in kept)
@@ -159,7 +159,7 @@ def find_masks(source: SceneSource, scene: Path, pictured: Mapping[str, Pictured
 
 
 def mask_place(scene: Path, masks: Path | None) -> Path | None:
-    """Where a scene's masks are: the named place, else the scene's own folder or the folder ``masks`` in it."""
+    """Where a scene's masks are: the named path, else the scene's own folder or its subfolder ``masks``."""
     if masks is not None:
         return masks
     if any(each.in_scene and each.recognises(scene) for each in MASK_FORMATS):
@@ -177,8 +177,8 @@ def open_masks(
     detections: Detections | None = None,
 ) -> MaskSet:
     """Open the masks at ``place`` of the frames ``names``; headers and tables only. Raises PlgsError. ``mask_format``
-    names their format, which is recognised otherwise. ``classes``: see ``find_class_choice``. With ``pictured``, some
-    masks and pictures are compared where names, sizes or lenses leave a doubt. ``detections`` lie over the masks."""
+    names their format; None recognises it. ``classes``: see ``find_class_choice``. With ``pictured``, some masks and
+    pictures are compared if names, sizes or lenses leave a doubt. ``detections`` lie over the masks."""
     told: tuple[Inferred, ...] = ()
     placed: dict[str, Placement] = {}
     if pictured is None:
@@ -217,7 +217,7 @@ def open_masks(
 
 
 def _named_otherwise(masks: Mapping[str, StoredMask]) -> list[str]:
-    """A warning of masks whose files do not have their frames' names; none of one file for several frames."""
+    """A warning about masks whose files are not named like their frames; none if one file serves several frames."""
     if len(masks) > len({mask.path for mask in masks.values()}):
         return []
     places = {name: f"{mask.path.parent.name}/{mask.path.name}" for name, mask in masks.items()}
@@ -226,7 +226,7 @@ def _named_otherwise(masks: Mapping[str, StoredMask]) -> list[str]:
 
 
 def open_mask_source(place: Path, names: Sequence[str], mask_format: str | None = None) -> MaskSource:
-    """The masks as their own files have them, without the user's table. Raises PlgsError."""
+    """The masks as stored, without the user's table. Raises PlgsError."""
     reader = find_mask_format(place, mask_format)
     try:
         return reader.read(place, names)

@@ -1,6 +1,6 @@
 """The formats of masks: one reader each, which recognises its files and reads segments.
 
-A new format is a module with a ``MaskFormat`` in this folder, its entry in ``MASK_FORMATS``, and its name in
+To add a format, put a module with a ``MaskFormat`` into this folder, add it to ``MASK_FORMATS``, and add its name to
 ``format_names.py``, from which the panel takes its list.
 """
 
@@ -33,7 +33,7 @@ _PICKLES = {".pkl", ".pickle", ".pt", ".pth", ".ptz", ".joblib"}
 
 def find_mask_format(place: Path, name: str | None = None) -> MaskFormat:
     """The format called ``name``, or the one that recognises ``place``, a folder or file. Raises PlgsError for an
-    unknown name, and when no format or more than one is recognised."""
+    unknown name, and if no format or more than one is recognised."""
     known = {each.name: each for each in MASK_FORMATS}
     if name is not None:
         if name not in known:

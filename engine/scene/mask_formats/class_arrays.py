@@ -1,8 +1,8 @@
 """A NumPy array of classes per frame: a picture of numbers, or the probability of each class at each pixel.
 
-``<frame>.npy`` or ``.npz``. Whole numbers [H, W] are classes; beside them an .npz may have instances (``instance``).
-Floats [C, H, W] or [H, W, C] are probabilities, or shares of any sum: the greatest wins. Channel k is the class k of
-the table that the user names. A segment's score is the mean share of its pixels.
+``<frame>.npy`` or ``.npz``. Whole numbers [H, W] are classes; an .npz may also hold instances (``instance``). Floats
+[C, H, W] or [H, W, C] are probabilities, not necessarily normalised: the greatest wins. Channel k is the class k of the
+table that the user names. A segment's score is the mean probability of its pixels.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ def _read_mask(path: Path, name: str, instances_name: str | None) -> FoundMask:
 
 
 def _most_probable(values: NDArray[Any], path: Path) -> FoundMask:
-    """The mask of probabilities [C, H, W] or [H, W, C]: channels are fewer than rows and columns."""
+    """The mask from probabilities [C, H, W] or [H, W, C]: there are fewer channels than rows and columns."""
     if _is_channels_last(values.shape):
         values = np.moveaxis(values, -1, 0)
     values = values.astype(np.float32)

@@ -34,7 +34,7 @@ _LARGEST_SEGMENT_ID = 256**3 - 1
 
 def _read_mask(png: Path, table: str, segments: tuple[FoundSegment, ...], crowd_ids: frozenset[int]) -> FoundMask:
     """One frame's mask. ``crowd_ids`` are regions of uncounted objects, which become void. Raises PlgsError for an id
-    that the JSON does not have."""
+    that the JSON lacks."""
     ids = _read_ids(png)
     found, _ = distinct_ids(ids)
     unknown = sorted({*found.tolist()} - {0} - {segment.id for segment in segments} - crowd_ids)
@@ -119,7 +119,7 @@ def _colour(entry: dict[str, Any], context: str, table: Path) -> tuple[int, int,
 
 
 def _entries_by_frame(content: dict[str, Any], table: Path, names: Sequence[str]) -> dict[str, dict[str, Any]]:
-    """The annotation of each frame. A frame is named after its image's file or, failing that, after the mask's."""
+    """The annotation of each frame, matched by its image's file name or, failing that, by the mask's."""
     images = images_of(content, table)
     wanted, found = {*names}, dict[str, dict[str, Any]]()
     for position, entry in enumerate(take_objects(content, "annotations", "the file", table)):
@@ -133,7 +133,7 @@ def _entries_by_frame(content: dict[str, Any], table: Path, names: Sequence[str]
 
 
 def images_of(content: dict[str, Any], table: Path) -> dict[str, str]:
-    """The name of each image's file without its ending, by the image's id as a text. Raises PlgsError."""
+    """The stem of each image's file, by the image's id as text. Raises PlgsError."""
     images: dict[str, str] = {}
     for position, image in enumerate(take_objects(content, "images", "the file", table) if "images" in content else ()):
         named = next((key for key in ("file_name", "coco_url") if key in image), None)
@@ -143,7 +143,7 @@ def images_of(content: dict[str, Any], table: Path) -> dict[str, str]:
 
 
 def stem_of(file_name: str) -> str:
-    """The name of a file without its folders, as Windows or others write them, and its ending."""
+    """A file name without its folders, in Windows or POSIX notation, and without its suffix."""
     return composed(file_name.replace("\\", "/").rsplit("/", 1)[-1].rsplit(".", 1)[0])
 
 

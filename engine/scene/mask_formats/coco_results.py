@@ -1,8 +1,8 @@
 """Detections as COCO writes them: the run lengths (RLE) or polygons of all frames in one JSON.
 
-Read are COCO's results, which detectron2 and ultralytics write, too; instance annotations of COCO and LVIS; SA-1B's and
-SAM's lists for one picture, in a folder of one JSON a frame; and SA-V's masklets, whose places are tracks. As masks by
-themselves, the best detection is on top. Over other masks, they overlap (``overlapping``).
+Supported are COCO's results, which detectron2 and ultralytics write, too; instance annotations of COCO and LVIS;
+SA-1B's and SAM's lists for one picture, in a folder with one JSON per frame; and SA-V's masklets, whose indices are
+tracks. Used alone, the best detection is on top. Over other masks, they overlap (``overlapping``).
 """
 
 from __future__ import annotations
@@ -39,15 +39,15 @@ _FIX = "Write run lengths with pycocotools' encode, as detectron2 and ultralytic
 _SIZE_FIX = "Give the image its width and height under images, or write run lengths."
 _KINDS = "Give COCO results, COCO or LVIS instances, or masklets of SA-V."
 _RLE = re.compile(rb"(?:[P-o]{0,6}[0-O])+")
-"""Compressed run lengths: six bits a character, of which the highest says that the number goes on."""
+"""Compressed run lengths: six bits per character, the highest of which says that the number continues."""
 _EVERY = 4
 """SA-V has masklets for every fourth frame of its videos."""
 
 
 @dataclass(frozen=True)
 class DetectedSegment:
-    """``label`` is the class's number in the file (None: it has no class), ``score`` in 0..1, ``runs`` compressed run
-    lengths as COCO has them in a picture of ``size`` (width, height). ``track``: see Segment."""
+    """``label`` is the class's number in the file (None: no class), ``score`` in 0..1, ``runs`` compressed run lengths
+    as in COCO for a picture of ``size`` (width, height). ``track``: see Segment."""
 
     label: int | None
     score: float
@@ -73,9 +73,9 @@ class DetectedSegment:
 
 @dataclass(frozen=True)
 class DetectionTable:
-    """The content of a file. ``entries`` pairs a picture's id with what the file says of a detection; ``names`` and
-    ``sizes`` are those of pictures by id, as texts; ``labels`` are its classes, None if it has no names for them. Where
-    ids are places in a video, this has ``video_frames``."""
+    """The content of a file. ``entries`` pairs a picture's id with the file's entry for a detection; ``names`` and
+    ``sizes`` are those of pictures by id, as text; ``labels`` are its classes, None if it does not name them. If ids
+    are indices in a video, ``video_frames`` is its number of frames."""
 
     path: Path
     entries: Sequence[tuple[str, dict[str, Any]]]
@@ -87,8 +87,8 @@ class DetectionTable:
     def of_frames(
         self, frames: Mapping[str, Size | None], images: Mapping[str, str]
     ) -> tuple[dict[str, tuple[DetectedSegment, ...]], tuple[str, ...]]:
-        """The detections of the ``frames``, which have these sizes where they are known, and a warning of pictures that
-        are no frames. ``images`` are more names of pictures by id. Raises PlgsError, also if no picture is a frame."""
+        """The detections of the ``frames``, whose sizes are given where known, and a warning about pictures that are
+        not frames. ``images`` are more names of pictures by id. Raises PlgsError, also if no picture is a frame."""
         frame_of = self._frames_of({image for image, _ in self.entries}, [*frames], {**images, **self.names})
         others = sorted({image for image, _ in self.entries} - frame_of.keys())
         if others and not frame_of:
@@ -104,7 +104,7 @@ class DetectionTable:
         return {name: tuple(each) for name, each in found.items()}, (told,) if others else ()
 
     def _frames_of(self, images: set[str], names: Sequence[str], stems: Mapping[str, str]) -> dict[str, str]:
-        """The frame of each picture's id: by the file's name, the id as name or as number of a frame, or a place."""
+        """The frame of each picture's id: by file name, by the id as a frame's name or number, or by index."""
         if self.video_frames:
             step = 1 if self.video_frames == len(names) else _EVERY
             return {image: names[int(image) * step] for image in images if int(image) * step < len(names)}
@@ -134,8 +134,8 @@ class DetectionTable:
 
 
 def compressed(given: Any, size: Size | None, context: str, path: Path) -> tuple[Size, bytes]:
-    """The size and the compressed run lengths of what COCO calls a segmentation: compressed or whole run lengths, or
-    polygons in a picture of this ``size``. Raises PlgsError."""
+    """The size and compressed run lengths of a COCO segmentation: run lengths, compressed or not, or polygons in a
+    picture of this ``size``. Raises PlgsError."""
     from pycocotools import mask as rle_tools  # late, as above
 
     if isinstance(given, dict):
@@ -247,7 +247,7 @@ def _masklets(frames: list[Any], path: Path) -> DetectionTable:
 
 
 def is_detections(place: Path) -> bool:
-    """Whether a file, or the first one of a folder of JSON alone, has detections. No JSON is parsed."""
+    """Whether a file, or the first one in a folder of JSON files, has detections. No JSON is parsed."""
     if place.is_dir():
         named = sorted(path for path in shown_files(place) if path.name != "classes.toml")
         return bool(named) and all(path.suffix == ".json" for path in named) and is_detections(named[0])

@@ -48,8 +48,8 @@ _MOST = 10_000
 
 @dataclass(frozen=True)
 class Detection:
-    """The class of one detection as the file has it, and its score. ``track``: its object's number, where it has one;
-    without classes, it is the ``word`` too."""
+    """The class of one detection as in the file, and its score. ``track`` is its object's number, if any; without
+    classes, it is also the ``word``."""
 
     word: str
     score: float
@@ -158,7 +158,7 @@ def _count(shape: tuple[int, ...], path: Path) -> int:
 
 
 def _labels(frames: Iterable[Sequence[Detection]]) -> tuple[dict[str, int], tuple[ClassLabel, ...] | None]:
-    """The label of each class, and the classes if they were named: numbers need a table that the user names."""
+    """The label of each class, and the classes if the file names them: numbers need a table that the user names."""
     words = {one.word for found in frames for one in found}
     if all(word.isdecimal() and int(word) < LARGEST_CLASS_ID for word in words):
         return {word: int(word) for word in words}, None

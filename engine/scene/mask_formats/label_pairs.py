@@ -61,7 +61,7 @@ def _read_palette(place: Path, names: Sequence[str]) -> MaskSource:
 
 
 def label_pairs(classes: Mapping[str, Path], instances: Mapping[str, Path]) -> dict[str, StoredMask]:
-    """Masks out of each frame's images of ``classes`` and, if there are any, ``instances``. Raises PlgsError."""
+    """Masks from each frame's images of ``classes`` and, if there are any, ``instances``. Raises PlgsError."""
     masks = {}
     for name, path in classes.items():
         size, instance = label_map_size(path), instances.get(name)
@@ -93,7 +93,7 @@ _BOTH = "masks with test-time augmentation are used; for those without, name m2f
 
 
 def _semantics_of(place: Path) -> Path | None:
-    """The folder of classes: ``place`` itself or one of those in it."""
+    """The folder of classes: ``place`` itself or a subfolder."""
     if place.name.endswith("_semantics"):
         return place if place.is_dir() else None
     return next((each for each in (place / "m2f_semantics", place / "m2f_notta_semantics") if each.is_dir()), None)

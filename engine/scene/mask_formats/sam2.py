@@ -1,11 +1,11 @@
-"""SAM's masks: of SAM 2, tracks through all frames; of SAM 1's ``amg.py``, regions of one picture. Neither has
-classes; Grounded-SAM-2's tracks have.
+"""SAM's masks. SAM 2 gives tracks through all frames, SAM 1's ``amg.py`` regions of one picture; neither has classes.
+Grounded-SAM-2's tracks have.
 
 * SAM 2: ``<frame>.png`` with a palette, index = object, 0 = none; or ``<object>/<frame>.png``, a mask of the object,
   whose number may be 0. The numbers are the same in all frames: ``classes.toml`` may give each one a class.
 * ``amg.py``: ``<frame>/<k>.png`` beside ``<frame>/metadata.csv``, which lists each k. A smaller region is on top.
 * Grounded-SAM-2: ``mask_data/mask_<frame>.npy`` (object numbers, 0 = none), ``json_data/mask_<frame>.json``. The
-  JSON's ``labels`` give each object's ``instance_id``, ``class_name`` (a free text, as it was prompted), box and
+  JSON's ``labels`` give each object's ``instance_id``, ``class_name`` (free text from the prompt), box and
   ``logit``, which is 0 if it was not set. Numbers are the same in all frames.
 """
 
@@ -39,11 +39,11 @@ from .source import (
 
 _FIX = "Name the folder that SAM 2 wrote for the video: one PNG per frame, or one folder per object."
 _LOOKED_AT = 8
-"""Folders whose first picture is looked at."""
+"""Maximum number of folders whose first picture is inspected."""
 _BY_COLOUR = "the masks have a palette each, so an object is known by its colour"
 _LIST_FIX = "Name the folder that SAM's amg.py wrote: one folder per picture, whole, with its metadata.csv."
 _NO_LABEL = -1
-"""No table has this number: a region's number says nothing about its class."""
+"""In no table: a region's number does not give its class."""
 
 
 def _recognises(place: Path) -> bool:
@@ -51,7 +51,7 @@ def _recognises(place: Path) -> bool:
 
 
 def _object_folders(place: Path) -> dict[int, Path]:
-    """The folders by their objects' numbers, if they hold PNGs of an object each, not of a picture or camera."""
+    """The folders by object number, if each holds one object's PNGs, not a picture's or a camera's."""
     if not place.is_dir():
         return {}
     pictures = {path: sorted(shown_files(path, "*.png")) for path in sorted(shown_files(place)) if path.is_dir()}
@@ -98,7 +98,7 @@ def _read_map(path: Path, numbers: Mapping[bytes, int] | None) -> FoundMask:
 
 
 def _pile(segments: Sequence[FoundSegment], paths: Sequence[Path], fix: str) -> StoredMask:
-    """A frame's mask out of a black and white PNG for each segment. Smaller ones are on top."""
+    """A frame's mask from one black-and-white PNG per segment. Smaller ones are on top."""
     size = label_header(paths[0]).size
     return StoredMask(paths[0], size, partial(painted_files, (*paths,), segments, size, fix))
 
@@ -116,7 +116,7 @@ def _read_pictures(place: Path, names: Sequence[str]) -> MaskSource:
 
 
 def _regions(folder: Path) -> StoredMask:
-    """A picture's mask out of the PNGs that its list names. Raises PlgsError unless all are there."""
+    """A picture's mask from the PNGs in its list. Raises PlgsError unless all exist."""
     files = files_by_stem(folder, {".png"}, _LIST_FIX)
     wanted = [row.words[0] for row in read_rows(folder / AMG_LIST, _LIST_FIX, ",") if row.words[0].isdecimal()]
     lacking = [f"{k}.png" for k in wanted if k not in files]
@@ -136,7 +136,7 @@ _LARGEST_OBJECT = 65535
 
 
 def _read_mask(array: Path, table: str, segments: Mapping[int, FoundSegment]) -> FoundMask:
-    """One frame; ``segments`` by the object's number. Raises PlgsError for an object that the JSON does not have."""
+    """One frame; ``segments`` by the object's number. Raises PlgsError for an object that the JSON lacks."""
     ids = read_label_map(array)
     present = [int(value) for value in np.unique(ids) if value]
     unknown = [value for value in present if value not in segments]

@@ -57,7 +57,7 @@ def _read_mask(picture: Path, table: str, segments: Mapping[int, FoundSegment]) 
 
 
 def _key_of(place: Path) -> str | None:
-    """The key of the segments' classes, None in other files. Without any segment it is transformers'."""
+    """The key of the segments' classes, None in other files. Without any segment, transformers' key is assumed."""
     if not place.is_dir():
         return None
     found = mask_files(place, ".json")
@@ -159,8 +159,8 @@ def _segment(info: dict[str, Any], key: str, name: str, table: Path) -> FoundSeg
 
 
 def _add(found: dict[int, FoundSegment], one: FoundSegment, name: str, table: Path) -> None:
-    """Number segments from 1 in their order. Fused stuff is listed once per piece. Raises PlgsError for two classes
-    with one number: the picture cannot tell them apart."""
+    """Adds segments, numbered from 1 in order. Fused stuff is listed once per piece. Raises PlgsError for two classes
+    with one number: the picture cannot distinguish them."""
     if one.id not in found:
         found[one.id] = FoundSegment(len(found) + 1, one.label, one.score)
     elif found[one.id].label != one.label:
@@ -169,7 +169,8 @@ def _add(found: dict[int, FoundSegment], one: FoundSegment, name: str, table: Pa
 
 
 def labels_of_config(config: Path, fused: Set[int] = frozenset()) -> tuple[ClassLabel, ...]:
-    """``id2label`` of a model's config.json. Public tables know things by name; other things are what was not fused."""
+    """``id2label`` from a model's config.json. Whether a class is a thing follows from its name in public tables, or
+    else from whether it was never fused."""
     names = read_json_object(config).get("id2label")
     fix = "Copy the model's config.json there, or remove it and name a table with --classes."
     if not isinstance(names, dict) or not names:

@@ -1,4 +1,4 @@
-"""Mask formats and the results of their readers: segments with the numbers and classes of the files."""
+"""Mask formats and the results of their readers: segments with the files' own numbers and classes."""
 
 from __future__ import annotations
 
@@ -24,8 +24,9 @@ IGNORED = frozenset({0, 255, 65535})
 
 @dataclass(frozen=True)
 class FoundSegment:
-    """A region: its value ``id`` >= 1 in the pixels, its class ``label`` in the masks' own numbers, its score in 0..1.
-    ``has_instance`` is False for the whole area of a class, which may be several objects. ``track``: see Segment."""
+    """A region: its value ``id`` >= 1 in the pixels, its class ``label`` in the masks' own numbering, its score in
+    0..1. ``has_instance`` is False for the whole area of a class, which may be several objects. ``track``: see
+    Segment."""
 
     id: int
     label: int
@@ -58,7 +59,7 @@ class StoredMask:
 
     @property
     def about(self) -> str:
-        """What else ``read`` is given, such as the segments that a table lists."""
+        """What ``read`` depends on besides files, such as the segments listed in a table."""
         return repr([one for one in self.read.args if not isinstance(one, Path) and not _is_paths(one)])
 
 
@@ -74,8 +75,8 @@ class MaskSource:
     number objects; without a table these are all of the class "object". Labels in ``void`` mean nothing unless the
     table has them. ``table`` is what messages call the classes' table.
 
-    ``kinds``: whether each label is a thing, where files say this and no name. ``apart`` are the same masks if their
-    files number stuff apart from things.
+    ``kinds`` says whether each label is a thing, for files that give this without names. ``apart`` are the same masks
+    read as if their files numbered stuff separately from things.
     """
 
     masks: Mapping[str, StoredMask]
@@ -95,7 +96,7 @@ class MaskFormat:
 
     ``recognises`` says whether a folder or file has it, by names, headers and first keys; no picture is decoded.
     ``read`` gets the frames' names and raises PlgsError. ``in_scene``: a scene's own folder is searched as well.
-    ``own_names``: its files have names of their own, so it comes before formats that its files resemble.
+    ``own_names``: its files have distinctive names, so it is tried before formats that its files resemble.
     """
 
     name: str
@@ -106,10 +107,9 @@ class MaskFormat:
 
 
 def segments_of_pairs(labels: NDArray[np.integer], instances: NDArray[np.integer]) -> FoundMask:
-    """A segment for each pair of a class in ``labels`` [H, W] (< 0 = void) and an instance in ``instances`` [H, W].
+    """One segment per pair of a class in ``labels`` [H, W] (< 0 = void) and an instance in ``instances`` [H, W].
 
-    Instances <= 0 are none. Segments are numbered from 1; those of the class 0, which is void in most tables, come
-    last.
+    Instances <= 0 are none. Segments are numbered from 1; those of class 0, which is void in most tables, come last.
     """
     pairs = labels.astype(np.int64) << 32 | np.maximum(instances, 0).astype(np.int64)
     present, inverse = np.unique(pairs, return_inverse=True)
@@ -134,8 +134,8 @@ def segments_of_objects(objects: NDArray[np.integer]) -> FoundMask:
 
 
 def painted(masks: Sequence[NDArray[np.bool_]], segments: Sequence[FoundSegment], size: Size) -> FoundMask:
-    """``masks``, bool [H, W] each, on top of each other, one per segment: the highest score, then the smallest, on top.
-    Segments that stay without pixels are left out."""
+    """Paints ``masks``, bool [H, W] each, one per segment, over each other: the highest score, then the smallest, on
+    top. Segments left without pixels are dropped."""
     ids = np.zeros(size[::-1], np.int32)
     areas = [int(mask.sum()) for mask in masks]
     for place in sorted(range(len(masks)), key=lambda place: (segments[place].score, -areas[place])):
@@ -145,7 +145,7 @@ def painted(masks: Sequence[NDArray[np.bool_]], segments: Sequence[FoundSegment]
 
 
 def painted_files(paths: Sequence[Path], segments: Sequence[FoundSegment], size: Size, fix: str) -> FoundMask:
-    """``painted`` of PNGs of one object each. Raises PlgsError, also for one that is not of ``size``."""
+    """``painted`` for PNGs of one object each. Raises PlgsError, also for one that is not of ``size``."""
     masks = [inside(read_indices(path), path) for path in paths]
     for path, mask in zip(paths, masks, strict=True):
         if mask.shape != size[::-1]:
@@ -154,7 +154,7 @@ def painted_files(paths: Sequence[Path], segments: Sequence[FoundSegment], size:
 
 
 def named_labels(words: Collection[str]) -> tuple[dict[str, int], tuple[ClassLabel, ...]]:
-    """Labels for classes that files know by name: the number of each word, from 1, and the classes."""
+    """Labels for classes given by name: the number of each word, from 1, and the classes."""
     label_of = {word: number for number, word in enumerate(sorted({*words}), start=1)}
     labels = (ClassLabel(n, shown(word), is_thing_by_name(word) is not False) for word, n in label_of.items())
     return label_of, tuple(labels)
