@@ -1,6 +1,5 @@
-"""Switching modules on and off, and ending a process. Each module lists its `CLASSES` and may have a `register` and
-`unregister` of its own.
-"""
+"""Registers and unregisters modules, and ends a process. Each module lists its `CLASSES` and may have a `register` and
+`unregister` of its own."""
 
 from __future__ import annotations
 
@@ -16,9 +15,9 @@ import bpy
 
 
 def register_modules(modules: Sequence[ModuleType]) -> None:
-    """Register each module's classes, then call its `register` where it has one.
+    """Register each module's classes, then call its `register`, if any.
 
-    Properties on Blender's types, handlers, timers and draw handlers are up to each module.
+    Each module registers its own properties on Blender's types, handlers, timers and draw handlers.
     """
     for module in modules:
         for each in getattr(module, "CLASSES", ()):
@@ -28,7 +27,7 @@ def register_modules(modules: Sequence[ModuleType]) -> None:
 
 
 def unregister_modules(modules: Sequence[ModuleType]) -> None:
-    """Undo `register_modules` in reverse order, so that nothing refers to a class that goes."""
+    """Undo `register_modules` in reverse order, so that nothing refers to a removed class."""
     for module in reversed(modules):
         if hasattr(module, "unregister"):
             module.unregister()
@@ -39,8 +38,8 @@ def unregister_modules(modules: Sequence[ModuleType]) -> None:
 def end_process(code: int) -> NoReturn:
     """End with this exit code, as `sys.exit` does within Blender's own program.
 
-    As a module, Blender is closed with the last reference to bpy. A reference that is left over, as by a traceback,
-    leaves it open. Then C++'s destructors run, and that of Blender's sound waits forever, so we skip them.
+    As a Python module, Blender closes with the last reference to bpy. A leftover reference, such as a traceback's,
+    keeps it open until C++'s destructors run, and the one of Blender's sound never returns, so we skip them.
     """
     if bpy.app.binary_path:
         sys.exit(code)
@@ -51,8 +50,7 @@ def end_process(code: int) -> NoReturn:
 
 
 def drop_session_folder(folder: Path) -> None:
-    """Delete Blender's folder for temporary files of this session, as closing Blender does. When Blender could not make
-    one, ``folder`` is that of all programs, and stays.
-    """
+    """Delete this session's folder for temporary files, as closing Blender does. If Blender could not make one,
+    ``folder`` is shared by all programs and stays."""
     if folder.name.startswith("blender_"):
         shutil.rmtree(folder, ignore_errors=True)

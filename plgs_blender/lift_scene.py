@@ -1,7 +1,7 @@
-"""A finished lift in Blender: `place_lift` into an open scene, `save_lift` into a file.
+"""Puts a finished lift into Blender: `place_lift` into an open scene, `save_lift` into a file.
 
-Only what is ours is touched: a collection "PLGS <scene>" and what is in it, our data-blocks, the timeline markers that
-are bound to our cameras, and scenes for the passes. Placing a lift of the same scene again replaces the earlier one.
+Only our own data is touched: a collection "PLGS <scene>" with its contents, our data-blocks, the timeline markers bound
+to our cameras, and scenes for the passes. Placing a lift of the same scene again replaces the earlier one.
 """
 
 from __future__ import annotations
@@ -69,18 +69,18 @@ from .viewport import all_views, show_materials_in, start_file
 _VIEWPOINTS = 200
 """At most this many cameras decide which side of a surface was seen; of more, every n-th is used."""
 _AT_ONCE, _MASKS_AT_ONCE = 100, 2000
-"""Boxes and masks that are placed without a pause: in a tenth of a second each."""
+"""Boxes and masks placed without a pause: a tenth of a second for each."""
 _WAS_ASKED = "plgs_show_as_asked"
 """Property of a lift's collection: whether the user chose what it is shown as."""
 _OVERVIEW_SIZE = 0.4
-"""Display size of the overview camera, metres."""
+"""Display size of the overview camera in metres."""
 
 
 def place_lift(lift: Path, scene: bpy.types.Scene) -> bpy.types.Collection:
-    """Put a finished lift into a scene, or update the one there, and return its collection.
+    """Put a finished lift into a scene, or update it there, and return its collection.
 
-    The collection is found again by the folder of the lift or of its scene. When `scene` holds passes, the scene with
-    their lift is filled. Raises PlgsError, before anything is changed, when the lift is not finished or cannot be read.
+    The collection is found by the folder of the lift or of its scene. If `scene` holds passes, the scene with their
+    lift is filled. Raises PlgsError, before anything changes, if the lift is not finished or cannot be read.
     """
     placed = place_room(result_of(reading_lift(lift)), scene)
     result_of(placed.rest)
@@ -89,9 +89,8 @@ def place_lift(lift: Path, scene: bpy.types.Scene) -> bpy.types.Collection:
 
 @dataclass(frozen=True, eq=False)
 class ReadLift:
-    """A result, and what is computed from its points [N]: their grid, their normals float32 [N, 3], and a camera
-    outside the room. ``gaussians`` are the rows of its splats, None where Blender reads them itself or there are none.
-    """
+    """A result and data derived from its points [N]: their grid, their normals float32 [N, 3], and a camera outside the
+    room. ``gaussians`` are the rows of its splats; None if there are none or Blender reads them itself."""
 
     result: LiftResult
     grid: SurfaceGrid
@@ -103,14 +102,14 @@ class ReadLift:
 
 @dataclass(frozen=True, eq=False)
 class PlacedRoom:
-    """Where a lift was placed, and the parts that are left: first its lists."""
+    """Where a lift was placed, and the remaining parts, its lists first."""
 
     at: Placed
     rest: Generator[None, None, None]
 
 
 def reading_lift(lift: Path) -> Generator[None, None, ReadLift]:
-    """Read a lift, in parts, for a window that must not wait. Raises PlgsError."""
+    """Read a lift in parts, so that the window does not freeze. Raises PlgsError."""
     result = yield from _reading(lift)
     yield
     splats = result.folder / "result" / "gaussians.ply"
@@ -126,7 +125,7 @@ def reading_lift(lift: Path) -> Generator[None, None, ReadLift]:
 
 
 def _placing_rest(read: ReadLift, placed: Placed) -> Generator[None, None, None]:
-    """The lists, the other boxes, the masks, the meshes, the splats and the passes, unless the lift is removed."""
+    """Place the lists, the other boxes, the masks, meshes, splats and passes, unless the lift is removed meanwhile."""
     for do in _objects_in_turn(read.result):
         found = placed.find()
         if found is None:
@@ -151,7 +150,7 @@ def _placing_rest(read: ReadLift, placed: Placed) -> Generator[None, None, None]
 
 
 def _objects_in_turn(result: LiftResult) -> Iterator[Callable[[bpy.types.Collection, bpy.types.Scene], None]]:
-    """What lists the objects, places the boxes that were not placed at once, and then lists the masks."""
+    """List the objects, place the boxes that were not placed at once, then list the masks."""
     yield partial(_list_objects, result)
     own, others = shared_out(result.instances)
     for at in range(_AT_ONCE, len(own), _AT_ONCE):
@@ -181,7 +180,7 @@ def _list_masks(
 def _place_late(
     place: Callable[..., object], instances: list[Instance], root: bpy.types.Collection, scene: bpy.types.Scene
 ) -> None:
-    """Place boxes, less those of objects that were corrected away in the meantime."""
+    """Place boxes, except those of objects that were corrected away meanwhile."""
     listed = {row.instance_id for row in root.plgs.instances}
     owned, parent = OwnedDataBlocks(root[LIFT], scene), child_collection(root, "Instances")
     place(owned, parent, [one for one in instances if one.id in listed])
@@ -213,7 +212,7 @@ def _placing_passes(read: ReadLift, root: bpy.types.Collection, scene: bpy.types
 
 
 def place_room(read: ReadLift, scene: bpy.types.Scene) -> PlacedRoom:
-    """Place cameras, points and the first boxes; the rest is left for later."""
+    """Place cameras, points and the first boxes; the rest comes later."""
     result, grid, normals = read.result, read.grid, read.normals
     scene = scene_to_fill(scene)
     root = root_collection(result.scene.folder, result.folder, scene)
@@ -247,9 +246,9 @@ def place_room(read: ReadLift, scene: bpy.types.Scene) -> PlacedRoom:
 
 
 def place_passes_anew(lift: Path, scene: bpy.types.Scene) -> None:
-    """After more frames were baked: refill the passes scenes of a lift that is placed in ``scene``, and nothing else.
+    """After more frames were baked, refill only the passes scenes of a lift that is placed in ``scene``.
 
-    Raises PlgsError when the lift cannot be read, or is not in the scene.
+    Raises PlgsError if the lift cannot be read or is not in the scene.
     """
     result, scene = result_of(_reading(lift)), scene_to_fill(scene)
     owned = OwnedDataBlocks(root_of_placed(result.folder, scene)[LIFT], scene)
@@ -258,8 +257,8 @@ def place_passes_anew(lift: Path, scene: bpy.types.Scene) -> None:
 
 
 def placing_meshes_anew(lift: Path, scene: bpy.types.Scene, *, asked: bool = True) -> Generator[None, None, int]:
-    """After meshes were made: put them beside the lift that is placed in `scene`, in parts, and show them if somebody
-    ``asked`` for them, or nobody asked for anything else. Returns their number. Raises PlgsError."""
+    """After meshes were made, put them into the lift that is placed in `scene`, in parts. Show them if a user ``asked``
+    for them or has not chosen anything else. Returns their number. Raises PlgsError."""
     scene = scene_to_fill(scene)
     placed = Placed(root_of_placed(lift, scene)[LIFT], scene.name)
     result = yield from _reading(lift)
@@ -283,7 +282,8 @@ def placing_meshes_anew(lift: Path, scene: bpy.types.Scene, *, asked: bool = Tru
 
 
 def _hide_surface_until_whole(placed: Placed) -> None:
-    """Unless it is what is shown: it and the splats are never seen both."""
+    """Hide the surface until all of it is placed, unless it is what is shown: it and the splats are never visible
+    together."""
     if (found := placed.find()) is not None:
         child_collection(found[0], SHOWN_IN[SURFACE])
         with registered():
@@ -291,8 +291,8 @@ def _hide_surface_until_whole(placed: Placed) -> None:
 
 
 def place_depth_clouds_anew(lift: Path, scene: bpy.types.Scene) -> int:
-    """After a depth cloud was made: put it beside the lift that is placed in `scene`, in place of an earlier one.
-    Returns the number of points. Raises PlgsError."""
+    """After a depth cloud was made, put it into the lift that is placed in `scene`, replacing an earlier one. Returns
+    the number of points. Raises PlgsError."""
     scene = scene_to_fill(scene)
     root = root_of_placed(lift, scene)
     owned = OwnedDataBlocks(root[LIFT], scene)
@@ -302,16 +302,16 @@ def place_depth_clouds_anew(lift: Path, scene: bpy.types.Scene) -> int:
 
 
 def _reading(lift: Path) -> Generator[None, None, LiftResult]:
-    """The lift's result, whose passes have the layers that we show. Raises PlgsError."""
+    """The lift's result, if its passes have the layers that we show. Raises PlgsError."""
     result = yield from reading_result(lift)
     check_layers([*result.passes.values(), *result.shots.values()])
     return result
 
 
 def save_lift(lift: Path, blend: Path) -> None:
-    """Put a finished lift into a .blend file, which is opened and saved again, or made when it does not exist.
+    """Put a finished lift into a .blend file, which is opened and saved again, or created.
 
-    Raises PlgsError for the lift, or when the file cannot be opened or written. Then the file is as it was.
+    Raises PlgsError for the lift, or if the file cannot be opened or written; the file is then unchanged.
     """
     blend = blend.absolute()
     read_result(lift)  # before another file is opened
@@ -342,7 +342,7 @@ def _save(blend: Path, keep_backup: bool = True) -> None:
 
 
 def relate_paths(root: bpy.types.Collection, base: Path) -> None:
-    """Write the paths of a lift's images and folder relative to the .blend's folder, where one drive holds both."""
+    """Make the paths of a lift's images and folder relative to the .blend's folder, if all are on one drive."""
     for image in bpy.data.images:
         if key_of(image, root[LIFT]) is not None and image.filepath:
             image.filepath_raw = _relative(image.filepath, base)  # setting `filepath` would read the file
@@ -359,9 +359,8 @@ def _relative(path: str, base: Path) -> str:
 
 
 def open_blend(blend: Path, lift: Path, named_by: str = "--save") -> bpy.types.Scene:
-    """Open a file with its screens, and return the scene that has the lift, else the scene that was worked in. Raises
-    PlgsError with ``named_by``, the option that named the file.
-    """
+    """Open a file with its screens, and return the scene with the lift, else the active scene. PlgsError mentions
+    ``named_by``, the option that named the file."""
     if not blend.is_file():  # Blender would wait for whoever writes into a FIFO
         raise PlgsError("not-a-file", "is not a file", blend, f"Name another with {named_by}.")
     try:
@@ -379,7 +378,7 @@ def open_blend(blend: Path, lift: Path, named_by: str = "--save") -> bpy.types.S
 
 
 def _dress(scene: bpy.types.Scene, root: bpy.types.Collection) -> None:
-    """Show the whole room of a file that we started from the overview camera, behind the last frame."""
+    """Show the whole room of a file that we created from the overview camera, behind the last frame."""
     overview = overview_of(root)
     assert overview is not None
     places = places_of(root, scene)
@@ -392,7 +391,7 @@ def _dress(scene: bpy.types.Scene, root: bpy.types.Collection) -> None:
 
 
 def _choose_what_is_shown(root: bpy.types.Collection) -> None:
-    """What was chosen before, or else the first of the surface, the splats and the points that is there."""
+    """Keep the earlier choice, else show the first available of surface, splats and points."""
     with registered():
         lists = root.plgs
         wanted = [lists.show_as] if lists.is_property_set("show_as") else []
@@ -400,9 +399,8 @@ def _choose_what_is_shown(root: bpy.types.Collection) -> None:
 
 
 def show_lift_as(root: bpy.types.Collection, scene: bpy.types.Scene, kind: str) -> None:
-    """Show a lift as POINTS, SPLATS or SURFACE. Splats are placed when they are not there, or are squares of a Blender
-    without splats of its own. Raises PlgsError when they cannot be placed, or when no meshes were made.
-    """
+    """Show a lift as POINTS, SPLATS or SURFACE. Splats are placed if they are missing, or are squares made by a Blender
+    without native splats. Raises PlgsError if they cannot be placed or no meshes were made."""
     if kind == SPLATS and (not has(root, SPLATS) or (are_outdated(root) and gaussians_of(root).is_file())):
         place_gaussians(root, scene)
         apply_visibility(root)

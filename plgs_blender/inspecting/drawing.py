@@ -1,4 +1,4 @@
-"""Drawing over 3D views with Blender's GPU module, and the places of labels at boxes and of the legend, in pixels."""
+"""Drawing over 3D views with Blender's GPU module, and laying out labels at boxes and the legend, in pixels."""
 
 from __future__ import annotations
 
@@ -20,23 +20,23 @@ from ..errors import one_line
 
 Colour = tuple[float, float, float]
 Rectangle = tuple[float, float, float, float]
-"""Left, low, right and high, in pixels."""
+"""Left, bottom, right and top, in pixels."""
 
 _TEXT = 11.0
 _PADDING = 5.0
 """Pixels at interface scale 1."""
 _MOST_COVERED = 0.03
-"""Share of the view that names may cover."""
+"""Maximum fraction of the view that names may cover."""
 _MOST_NAMES = 8
-"""More names than that tell nobody anything."""
+"""Maximum number of names; more would not be readable."""
 _APART = 0.5
-"""Heights of a label between two of them, at least."""
+"""Minimum gap between two labels, in label heights."""
 _DARK = (0.09, 0.095, 0.105)
 
 
 @dataclass(frozen=True, eq=False)
 class Mark:
-    """A picture float32 [H, W, 4] in sRGB, lowest row first, of an outline, and the pixels that it is drawn over."""
+    """An outline as a picture float32 [H, W, 4] in sRGB, lowest row first, and the pixels that it is drawn over."""
 
     key: tuple[Any, ...]
     pixels: NDArray[np.float32]
@@ -45,9 +45,8 @@ class Mark:
 
 @dataclass(frozen=True)
 class ViewRegion:
-    """A 3D view's region: `width` and `height` in pixels, the pixels that toolbars cover on the `left`, the matrix from
-    world to clip space, and the interface's scale.
-    """
+    """A 3D view's region: `width` and `height` in pixels, the pixels that toolbars cover at the `left`, the matrix from
+    world to clip space, and the interface's scale."""
 
     width: int
     height: int
@@ -65,16 +64,15 @@ class ViewRegion:
         return cls(region.width, region.height, left, context.region_data.perspective_matrix.copy(), scale)
 
     def pixel_of(self, point: Vector) -> tuple[float, float] | None:
-        """The pixel of a world point, counted from the lower left; None when the point is behind the eye."""
+        """The pixel of a world point, from the lower left; None if the point is behind the eye."""
         x, y, _, w = self.perspective @ Vector((*point, 1.0))
         return (self.width * (0.5 + 0.5 * x / w), self.height * (0.5 + 0.5 * y / w)) if w > 1e-6 else None
 
 
 @dataclass(frozen=True)
 class TextBox:
-    """A rectangle with a text. Its lower left corner, width, height and the text's size are in pixels, colours are sRGB
-    0..1. A swatch of colour stands before the text where `swatch` is not None. `instance`: whose name it is, or 0.
-    """
+    """A rectangle with a text. Its lower left corner, width, height and text size are in pixels, colours are sRGB 0..1.
+    A swatch of colour precedes the text unless `swatch` is None. `instance`: whose name it is, or 0."""
 
     x: float
     y: float
@@ -97,10 +95,9 @@ def label_text_boxes(
     hovered: int = 0,
     keep_free: Sequence[Rectangle] = (),
 ) -> list[TextBox]:
-    """Names above the boxes of instances, as many as have room and at most 8: the `active` one in its full colour, the
-    one that the mouse is over, and then those that look largest, of known classes first. None covers another or a
-    rectangle to `keep_free`. The active one says where it is out of view.
-    """
+    """Names above the boxes of instances, at most 8 and as many as fit: first the `active` one in its full colour, then
+    the one under the mouse, then those that look largest, known classes first. None covers another or a rectangle in
+    `keep_free`. The active name says so if its box is out of view."""
     size, padding = _TEXT * region.scale, _PADDING * region.scale
     height = size + 1.4 * padding
     found: list[tuple[tuple[bool, bool, bool, float], Any, str, tuple[float, float]]] = []
@@ -139,7 +136,7 @@ def label_text_boxes(
 
 
 def _is_out(box: bpy.types.Object, region: ViewRegion) -> bool:
-    """Whether no corner of a box is within the region."""
+    """Whether all corners of a box are outside the region."""
     seen = [region.pixel_of(box.matrix_world @ Vector(corner)) for corner in box.bound_box]
     return not any(at and 0.0 <= at[0] <= region.width and 0.0 <= at[1] <= region.height for at in seen)
 
@@ -151,10 +148,9 @@ def place_labels(
     space: tuple[float, float],
     keep_free: Sequence[Rectangle] = (),
 ) -> dict[int, tuple[float, float]]:
-    """The lower left corners of labels above their anchors [(x, y)], by the labels' indices, within a space (width,
-    height), all in pixels. The first come first: a label that would cover another, or a rectangle to `keep_free`, or
-    that is one too many, is left out. Anchors outside the space have no label.
-    """
+    """The lower left corners of labels above their anchors [(x, y)], by label index, within a space (width, height),
+    all in pixels. Earlier labels win: one that would cover another or a rectangle in `keep_free`, or exceed the
+    maximum, is left out. Anchors outside the space get no label."""
     placed: dict[int, tuple[float, float]] = {}
     taken, room = [*keep_free], _MOST_COVERED * space[0] * space[1]
     for index, ((x, y), width) in enumerate(zip(anchors, widths, strict=True)):
@@ -175,13 +171,13 @@ def place_labels(
 
 
 def shown_classes(rows: Any) -> list[tuple[str, Colour]]:
-    """The names and colours of the classes that are shown, those with most points first."""
+    """The names and colours of the visible classes, those with most points first."""
     shown = sorted((row for row in rows if row.visible), key=lambda row: (-row.points, row.name))
     return [(one_line(row.name), tuple(row.colour)) for row in shown]
 
 
 def legend_text_boxes(shown: Sequence[tuple[str, Colour | None]], region: ViewRegion) -> list[TextBox]:
-    """As many of the classes, names and colours, as fit into the lower left corner, in order."""
+    """As many of the classes (names and colours) as fit into the lower left corner, in order."""
     size, padding = _TEXT * region.scale, _PADDING * region.scale
     line = size + 1.2 * padding
     room = max(1, int((0.7 * region.height) / line))
@@ -199,12 +195,12 @@ def legend_text_boxes(shown: Sequence[tuple[str, Colour | None]], region: ViewRe
 
 
 def is_rest(class_name: str) -> bool:
-    """Whether a class is what data sets call all else, such as otherfurniture."""
+    """Whether a class is a data set's catch-all, such as otherfurniture."""
     return class_name.casefold().startswith("other")
 
 
 def top_of(box: bpy.types.Object) -> Vector:
-    """The middle of a box's upper face, world metres."""
+    """The centre of a box's upper face, in world metres."""
     corners = [box.matrix_world @ Vector(corner) for corner in box.bound_box]
     middle = sum(corners, Vector()) / 8.0
     return Vector((middle.x, middle.y, max(corner.z for corner in corners)))
@@ -217,16 +213,16 @@ def _text_width(text: str, size: float) -> float:
 
 _PATH_COLOUR = (1.0, 0.78, 0.3, 0.9)
 _JUMP = 6.0
-"""A path breaks where two frames are farther apart than this many times the usual distance."""
+"""A path breaks between frames that are more than this many times the usual distance apart."""
 
 _uploaded: list[tuple[NDArray[np.float32], gpu.types.GPUTexture]] = []
-"""The pictures drawn last, and their textures."""
+"""The last drawn pictures and their textures."""
 _KEPT = 3
-"""So many pictures are drawn at once: the live preview, what is selected and what is painted."""
+"""Number of pictures drawn at once: the live preview, the selection and the painted points."""
 
 
 def draw_outline(corners: Sequence[tuple[float, float]], colour: Colour) -> None:
-    """A closed line through corners in pixels, the colour on dark; nothing where there are fewer than three."""
+    """A closed line through corners in pixels, in this colour on a dark edge; nothing for fewer than three corners."""
     if len(corners) < 3:
         return
     edges = [end for first in range(len(corners)) for end in (first, (first + 1) % len(corners))]
@@ -237,7 +233,7 @@ def draw_outline(corners: Sequence[tuple[float, float]], colour: Colour) -> None
 
 
 def draw_face(corners: Sequence[Vector], colour: tuple[float, float, float, float]) -> None:
-    """A face with four corners in metres, over everything."""
+    """A face with four corners in metres, on top of everything."""
     shader = gpu.shader.from_builtin("UNIFORM_COLOR")
     shader.bind()
     shader.uniform_float("color", colour)
@@ -247,9 +243,8 @@ def draw_face(corners: Sequence[Vector], colour: tuple[float, float, float, floa
 
 
 def draw_path(points: Sequence[Vector]) -> None:
-    """A line through points in metres, one after the other, behind what is nearer. A step that is much longer than
-    usual is a jump to another part of a recording, and gets no line.
-    """
+    """A line through consecutive points in metres, hidden by nearer things. Steps much longer than usual are jumps to
+    another part of a recording and get no line."""
     steps = [(end - start).length for start, end in pairwise(points)]
     longest = _JUMP * float(np.median(steps)) if steps else 0.0
     edges = [end for number, step in enumerate(steps) if step <= longest for end in (number, number + 1)]
@@ -264,7 +259,7 @@ def draw_path(points: Sequence[Vector]) -> None:
 
 
 def draw_mark(mark: Mark | None) -> None:
-    """The outline of points, if any of them is in the view."""
+    """The outline of points, if any are in the view."""
     if mark is not None:
         left, low, right, high = mark.place
         draw_picture(mark.pixels, [(left, low), (right, high)], blend="ALPHA")
@@ -273,7 +268,7 @@ def draw_mark(mark: Mark | None) -> None:
 def draw_picture(
     pixels: NDArray[np.float32], corners: Sequence[tuple[float, float] | None], blend: str = "NONE"
 ) -> None:
-    """A picture (float32 [H, W, 4], sRGB, lowest row first) over the upright rectangle of these corners, in pixels."""
+    """A picture (float32 [H, W, 4], sRGB, lowest row first) over the upright rectangle with these corners in pixels."""
     seen = [corner for corner in corners if corner is not None]
     if len(seen) != len(corners):
         return
@@ -290,12 +285,12 @@ def draw_picture(
 
 
 def forget_pictures() -> None:
-    """Free the textures of the pictures drawn last."""
+    """Free the textures of the last drawn pictures."""
     _uploaded.clear()
 
 
 def _texture_of(pixels: NDArray[np.float32]) -> gpu.types.GPUTexture:
-    """The picture's texture. Blender's own texture of an image has mipmaps, which take ten times as long to make."""
+    """The picture's texture. Blender's own image textures have mipmaps, which make them ten times slower to create."""
     for picture, texture in _uploaded:
         if picture is pixels:
             return texture
@@ -357,7 +352,7 @@ def _draw_lines(
 
 
 def brightened(colour: Colour) -> Colour:
-    """The colour of a highlight: three parts the brightest colour of its hue, one part white."""
+    """A highlight colour: three parts the hue at full brightness, one part white."""
     strongest = max(*colour, 1e-3)
     red, green, blue = (0.25 + 0.75 * channel / strongest for channel in colour)
     return red, green, blue

@@ -1,7 +1,7 @@
-"""What is marked in a 3D view: the outline of the selected instance, and that of a mask.
+"""Highlights in a 3D view: the outline of the selected instance, and that of a mask.
 
-A view is drawn many times, so points are read from Blender's data once for each selection, the outline is computed once
-for each view, and both are kept.
+A view is drawn many times, so points are read from Blender's data once per selection and the outline is computed once
+per view.
 """
 
 from __future__ import annotations
@@ -20,22 +20,21 @@ from .selection import clouds_of, ids_of
 _LINE = 0.95
 """Opacity of the outline."""
 _KEPT = 2
-"""So many outlines are drawn at once: of what is selected, and of what is painted."""
+"""Number of outlines drawn at once: the selection and the painted points."""
 _WIDTH = 2.0
-"""Width of the outline, pixels."""
+"""Width of the outline in pixels."""
 _MOST_CELLS = 400 * 400
-"""The outline of what fills more pixels is computed with fewer cells."""
+"""An outline that covers more pixels is computed on a coarser grid."""
 _CELLS_A_POINT = 3.0
-"""Most cells from the middle of a point to its edge."""
+"""Maximum radius of a point, in cells."""
 _CLOSED = 2
 """Cells by which gaps between points are closed."""
 
 
 @dataclass(frozen=True, eq=False)
 class Highlight:
-    """Points `xyz` float32 [N, 3] in world metres, and their mean `radius` in metres. `key` says which instance and
-    clouds they were read from.
-    """
+    """Points `xyz` float32 [N, 3] in world metres and their mean `radius` in metres. `key` identifies the instance and
+    clouds that they come from."""
 
     key: tuple[Any, ...]
     xyz: NDArray[np.float32]
@@ -47,7 +46,7 @@ _last_marks: list[Mark] = []
 
 
 def highlight_of(root: bpy.types.Collection, instance: int, visible: Any) -> Highlight:
-    """The points of an instance in the clouds that are seen, as `visible(object)` says."""
+    """The points of an instance in the clouds for which `visible(object)` is true."""
     clouds = [cloud for cloud in clouds_of(root) if visible(cloud)]
     key = (root.session_uid, instance, *map(state_of, clouds))
     if not _last or _last[0].key != key:
@@ -58,18 +57,18 @@ def highlight_of(root: bpy.types.Collection, instance: int, visible: Any) -> Hig
 
 
 def state_of(cloud: bpy.types.Object) -> tuple[Any, ...]:
-    """What changes when a cloud's points move or are replaced."""
+    """A value that changes when a cloud's points move or are replaced."""
     return cloud.data.session_uid, len(cloud.data.points), tuple(value for row in cloud.matrix_world for value in row)
 
 
 def forget() -> None:
-    """Free what is kept."""
+    """Clear the cache."""
     _last.clear()
     _last_marks.clear()
 
 
 def _points_of(cloud: bpy.types.Object, instance: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """World positions [n, 3] and radii [n] of a cloud's points of an instance."""
+    """World positions [n, 3] and radii [n] of an instance's points in a cloud."""
     mine = ids_of(cloud.data, "instance_id") == instance
     xyz, radius = np.empty(3 * len(mine), np.float32), np.empty(len(mine), np.float32)
     cloud.data.attributes["position"].data.foreach_get("vector", xyz)
@@ -79,9 +78,8 @@ def _points_of(cloud: bpy.types.Object, instance: int) -> tuple[NDArray[np.float
 
 
 def mark_of(seen: Highlight, view: Any, size: tuple[int, int], colour: Colour, tint: float = 0.1) -> Mark | None:
-    """The outline of points in a view (a RegionView3D) of `size` pixels, in a colour (sRGB), over a `tint` of this
-    opacity; None where none of them is in the view. It shows behind nearer things too, as Blender's own outlines do.
-    """
+    """The outline of points in a view (a RegionView3D) of `size` pixels, in an sRGB colour, filled with this opacity
+    `tint`; None if no point is in the view. Nearer things do not hide it, as with Blender's own outlines."""
     lens, looks = np.array(view.window_matrix, np.float32), np.array(view.view_matrix, np.float32)
     key = (seen.key, lens.tobytes(), looks.tobytes(), size, colour)
     for mark in _last_marks:
@@ -111,7 +109,7 @@ def mark_of(seen: Highlight, view: Any, size: tuple[int, int], colour: Colour, t
 
 
 def _grown(mask: NDArray[np.bool_], times: int) -> NDArray[np.bool_]:
-    """A mask [H, W] that has grown by so many cells: by crosses and squares in turn, which keeps corners round."""
+    """A mask [H, W] grown by this many cells, by crosses and squares in turn, which keeps corners round."""
     for step in range(times):
         wide = mask.copy()
         wide[:, 1:] |= mask[:, :-1]
@@ -127,10 +125,9 @@ def _grown(mask: NDArray[np.bool_], times: int) -> NDArray[np.bool_]:
 def outline_in_space(
     camera: bpy.types.Object, outline: str, rectangle: tuple[float, float, float, float]
 ) -> list[list[Vector]]:
-    """The polygons of a mask's outline in the picture of a frame's camera, as world points one metre in front of the
-    camera; the rectangle around the mask where a lift has no outlines. Both are as `MatchedSegment` has them. Empty
-    when the user removed the lens properties from the camera.
-    """
+    """The polygons of a mask's outline in a frame camera's picture, as world points one metre in front of the camera;
+    the mask's rectangle if the lift has no outlines. Both are as in `MatchedSegment`. Empty if the user removed the
+    lens properties from the camera."""
     if any(name not in camera for name in ("width", "height", "fx", "fy", "cx", "cy")):
         return []
 

@@ -1,6 +1,6 @@
-"""The lists of instances, their masks, and classes that a lift's collection carries as `collection.plgs`.
+"""The lists of instances, their masks, and classes in a lift's collection, `collection.plgs`.
 
-They are kept in the .blend and undone with it. Rows are copies of the result's instances.json, so panels and overlays
+They are saved in the .blend and undone with it. Rows are copies of the result's instances.json, so panels and overlays
 never read a file.
 """
 
@@ -54,7 +54,7 @@ WAYS_TO_SHOW = [
     (SURFACE, "Surface", "Meshes, one for each instance and each stuff class"),
 ]
 NO_COST, NO_AGREEMENT = 1.0, -1.0
-"""Values of a mask's `cost` and `agreement` that say there is none."""
+"""Values of a mask's `cost` and `agreement` that mean "none"."""
 
 
 def _update_visibility(row: bpy.types.PropertyGroup, _context: bpy.types.Context) -> None:
@@ -98,7 +98,7 @@ def _update_cameras(lists: bpy.types.PropertyGroup, _context: bpy.types.Context)
 
 
 class PLGS_PG_mask(bpy.types.PropertyGroup):
-    """One mask that was matched to an instance. `rectangle` and `outline` are as `MatchedSegment` has them."""
+    """One mask that was matched to an instance. `rectangle` and `outline` are as in `MatchedSegment`."""
 
     frame: StringProperty(name="Frame")
     segment: IntProperty(name="Segment", description="Id of the segment in the frame's mask")
@@ -122,7 +122,7 @@ class PLGS_PG_mask(bpy.types.PropertyGroup):
 
 
 class PLGS_PG_instance(bpy.types.PropertyGroup):
-    """One object of the lift. `known_name` is the name that the lift gives it: another one renames it."""
+    """One object of the lift. `known_name` is its name in the lift; a different `name` is a rename."""
 
     name: StringProperty(name="Name", update=_update_name, description="Double-click to rename the object")
     known_name: StringProperty()
@@ -147,7 +147,7 @@ class PLGS_PG_instance(bpy.types.PropertyGroup):
 
 
 class PLGS_PG_class(bpy.types.PropertyGroup):
-    """One class that has points. `class_id` 0 stands for points without a class."""
+    """One class that has points. `class_id` 0 means no class."""
 
     name: StringProperty(name="Name")
     class_id: IntProperty(name="Id")
@@ -164,7 +164,7 @@ class PLGS_PG_class(bpy.types.PropertyGroup):
 
 
 class PLGS_PG_unshown(bpy.types.PropertyGroup):
-    """What the masks show well from close up and the lift does not."""
+    """An object that the masks show well from close up but the lift lacks."""
 
     name: StringProperty(name="What")
     frame: StringProperty(name="Frame", description="The frame that shows it best")
@@ -240,9 +240,8 @@ def unregister() -> None:
 
 @contextmanager
 def registered() -> Iterator[None]:
-    """Register `collection.plgs` where the extension is switched off, as in scripts. What is written stays in the file
-    either way.
-    """
+    """Register `collection.plgs` for a while if the extension is disabled, as in scripts. Written data stays in the
+    file."""
     if hasattr(bpy.types.Collection, "plgs"):
         yield
         return
@@ -254,9 +253,9 @@ def registered() -> Iterator[None]:
 
 
 def fill_lists(root: bpy.types.Collection, result: LiftResult | CorrectedResult, *, anew: bool = True) -> None:
-    """List the instances, whose masks are filled later, and the classes in the lift's collection. All of them are then
-    shown. Unless they are listed ``anew``, instances that are as they were keep their rows, as thousands of them take
-    long to list, and instances that were hidden stay hidden."""
+    """List the instances, whose masks are filled in later, and the classes in the lift's collection. Listed ``anew``,
+    all are visible. Otherwise unchanged instances keep their rows, because listing thousands takes long, and hidden
+    ones stay hidden."""
     with registered(), apply_colours.at_once(root), apply_visibility.at_once(root):
         lists = root.plgs
         if anew:
@@ -277,7 +276,7 @@ def fill_lists(root: bpy.types.Collection, result: LiftResult | CorrectedResult,
 
 
 def _fill_instances(rows: Any, instances: Sequence[Instance]) -> None:
-    """List instances, sorted by id, in rows that may list others."""
+    """Fill rows, which may hold other instances, with these, sorted by id."""
     wanted, before = {one.id for one in instances}, [row.instance_id for row in rows]
     if before != sorted({*before}):  # somebody else's file
         rows.clear()
@@ -296,19 +295,19 @@ def _fill_instances(rows: Any, instances: Sequence[Instance]) -> None:
 
 
 def _facts_of_row(row: Any) -> tuple[Any, ...]:
-    """What the row of an instance lists, in the form of ``_facts_of``."""
+    """The contents of an instance's row, in the form of ``_facts_of``."""
     masks = [(mask.frame, mask.segment) for mask in row.masks]
     return row.name, row.class_id, row.points, row.views, row.score, masks
 
 
 def _facts_of(one: Instance) -> tuple[Any, ...]:
-    """What the row of an instance should list. Blender keeps numbers in float32."""
+    """What an instance's row should contain; numbers are float32, as in Blender."""
     masks = [(mask.frame, mask.segment_id) for mask in one.segments]
     return one.name, one.class_id, one.points, one.views, float(np.float32(one.score)), masks
 
 
 def fill_masks(root: bpy.types.Collection, instances: Iterable[Instance], classes: ClassTable) -> None:
-    """List the masks of instances that are listed without them."""
+    """Fill in the masks of instances that were listed without them."""
     with registered():
         rows = {row.instance_id: row for row in root.plgs.instances if not len(row.masks)}
         for instance in instances:
@@ -317,7 +316,7 @@ def fill_masks(root: bpy.types.Collection, instances: Iterable[Instance], classe
 
 
 def fill_not_shown(root: bpy.types.Collection, result: LiftResult) -> None:
-    """List in the lift's collection what the masks show and the lift does not."""
+    """List in the lift's collection what the masks show and the lift lacks."""
     with registered():
         root.plgs.not_shown.clear()
         for text, frame in result.not_shown:
@@ -326,9 +325,8 @@ def fill_not_shown(root: bpy.types.Collection, result: LiftResult) -> None:
 
 
 def best_view(masks: Sequence[MatchedSegment]) -> int:
-    """The index of the mask that sees most of an instance: the one with the largest share of its picture. A mask that
-    the picture's edge cuts off counts half. The first of equals; -1 when shares are not known.
-    """
+    """The index of the mask with the best view of an instance: the one with the largest share of its picture. Masks cut
+    off by the picture's edge count half. The first of equals; -1 if shares are unknown."""
     worth = [mask.share * (0.5 if _is_cut_off(mask) else 1.0) for mask in masks]
     return int(np.argmax(worth)) if worth and max(worth) > 0.0 else -1
 
@@ -339,7 +337,7 @@ def _is_cut_off(mask: MatchedSegment) -> bool:
 
 
 def _reason(mask: MatchedSegment) -> str:
-    """Why a mask was matched to its instance, in the few words that fit into a list."""
+    """Why a mask was matched to its instance, short enough for a list."""
     if mask.agreement is not None:
         return f"{100 * mask.agreement:.0f} % agreement"
     if mask.cost is not None:

@@ -1,9 +1,9 @@
 """Which parts of a lift are shown, how, and in which colours.
 
-Everything is drawn with the attribute Col. The photo's colours are kept in the attribute `photo` while Col shows
-something else, so materials, Solid shading and renders need to know only one attribute. Boxes and the points of a class
-are objects, each with its own eye and colour. The points of an instance are part of its class's cloud: they carry the
-attribute `plgs_hidden`, and a modifier, there only while something is hidden, leaves them out of views and renders.
+Everything is drawn with the attribute Col. While Col shows something else, the photos' colours are kept in the
+attribute `photo`, so materials, Solid shading and renders need only one attribute. Boxes and the points of a class are
+objects with their own visibility and colour. An instance's points are part of its class's cloud: they carry the
+attribute `plgs_hidden`, and a modifier, present only while something is hidden, removes them from views and renders.
 """
 
 from __future__ import annotations
@@ -30,21 +30,21 @@ PHOTO, BY_CLASS, INSTANCES, UNCERTAINTY = "PHOTO", "CLASSES", "INSTANCES", "UNCE
 POINTS, SPLATS, SURFACE = "POINTS", "SPLATS", "SURFACE"
 """Values of a lift's `show_as`."""
 SHOWN_IN = {POINTS: "Semantic points", SPLATS: "Gaussians", SURFACE: "Meshes"}
-"""The collection of what each of them shows."""
+"""The collection that each of them shows."""
 COLOUR, KEPT = "Col", "photo"
 
 _GREY = np.array([0.3, 0.6, 0.1], np.float32)
-"""Weights of the channels in the grey of what is not an instance."""
+"""Channel weights of the grey for points that are not of an instance."""
 _RAMP = np.array([[0.02, 0.03, 0.09], [0.45, 0.05, 0.25], [1.0, 0.75, 0.15]], np.float32)
-"""Linear colours of confidence 1, 0.5 and 0."""
+"""Linear colours at confidence 1, 0.5 and 0."""
 SURENESS = (("sure", (0.15, 0.19, 0.33)), ("in doubt", (0.7, 0.25, 0.54)), ("unknown", (1.0, 0.88, 0.42)))
 """The legend of these colours, in sRGB."""
 _CELL = 0.1
-"""Metres: surfaces and splats are as sure as the points in their cell of this side."""
+"""Metres: surfaces and splats take the confidence of the points in their cell of this side."""
 
 
 def apply_look(root: bpy.types.Collection) -> None:
-    """Colour points, splats and meshes as the lift's `look` says."""
+    """Colour points, splats and meshes by the lift's `look`."""
     look = root.plgs.look
     objects = [ob for ob in objects_by_key(root).values() if ob.type in ("POINTCLOUD", "MESH")]
     coloured = [ob for ob in objects if {COLOUR, "class_id"} <= {*ob.data.attributes.keys()}]
@@ -74,13 +74,13 @@ def apply_look(root: bpy.types.Collection) -> None:
 
 
 def apply_lit(root: bpy.types.Collection) -> None:
-    """Let the scene's lights light the lift's meshes, or the photos' own light, as the lift's `lit` says."""
+    """Light the lift's meshes by the scene's lights or by the photos alone, as its `lit` says."""
     _set_in_materials(root, LIT, root.plgs.lit)
 
 
 def apply_catcher(root: bpy.types.Collection, scene: bpy.types.Scene) -> None:
-    """Let the lift's meshes catch shadows, or be seen, as the lift's `catch_shadows` says. What catches is in a picture
-    over another one, so the background is clear."""
+    """Make the lift's meshes shadow catchers or visible, as its `catch_shadows` says. Catchers are for compositing over
+    another picture, so the background becomes transparent."""
     catcher = catcher_material(OwnedDataBlocks(root[LIFT], scene), scene) if root.plgs.catch_shadows else None
     for key, ob in objects_by_key(root).items():
         if key.startswith("mesh:") and (catcher is not None or ob.is_shadow_catcher):
@@ -96,7 +96,7 @@ def _set_in_materials(root: bpy.types.Collection, label: str, value: float) -> N
 
 
 def apply_show_as(root: bpy.types.Collection) -> None:
-    """Show what the lift's `show_as` says, and hide the others, in views and in renders."""
+    """Show what the lift's `show_as` says and hide the rest, in views and renders."""
     for kind, name in SHOWN_IN.items():
         for child in root.children:
             if is_child(child, root, name):
@@ -104,12 +104,12 @@ def apply_show_as(root: bpy.types.Collection) -> None:
 
 
 def has(root: bpy.types.Collection, kind: str) -> bool:
-    """Whether the lift has what one of `show_as` shows."""
+    """Whether the lift has what a value of `show_as` shows."""
     return any(is_child(child, root, SHOWN_IN[kind]) and len(child.all_objects) for child in root.children)
 
 
 def _photo(data: Any) -> NDArray[np.float32]:
-    """The photo's linear colours float32 [N, 4]. From the first call on they are kept apart from Col."""
+    """The photos' linear colours float32 [N, 4], saved apart from Col on the first call."""
     if KEPT in data.attributes:
         return _read(data, KEPT)
     colours = _read(data, COLOUR)
@@ -129,7 +129,7 @@ def _read(data: Any, name: str) -> NDArray[np.float32]:
 def _by_id(
     ids: NDArray[np.int32], palette: dict[int, NDArray[np.float32]], photo: NDArray[np.float32]
 ) -> NDArray[np.float32]:
-    """The colours [N, 4] of ids [N]; a dark grey photo where the palette has none."""
+    """The colours [N, 4] of ids [N]; a dark grey photo for ids that are not in the palette."""
     colours = np.ones_like(photo)
     colours[:, :3] = 0.35 * (photo[:, :3] @ _GREY)[:, None]
     for number, colour in palette.items():
@@ -138,7 +138,7 @@ def _by_id(
 
 
 class _Sureness:
-    """How sure the views were of what is at a place."""
+    """How certain the views were of the label at a position."""
 
     def __init__(self, coloured: list[bpy.types.Object]) -> None:
         clouds = [ob for ob in coloured if "confidence" in ob.data.attributes]
@@ -148,7 +148,7 @@ class _Sureness:
         self._mean = np.bincount(rows.ravel(), sure, len(self._cells)) / np.maximum(count, 1)
 
     def colours(self, ob: bpy.types.Object) -> NDArray[np.float32]:
-        """Linear colours float32 [N, 4], brighter where the views were less sure; dark where there are no points."""
+        """Linear colours float32 [N, 4], brighter where the views were less certain; dark where there are no points."""
         if "confidence" in ob.data.attributes:
             sure = _confidence(ob.data)
         else:
@@ -176,22 +176,23 @@ def places(data: Any) -> NDArray[np.float32]:
 
 
 def _cells(xyz: NDArray[np.float32]) -> NDArray[np.int64]:
-    """The number of each place's cell, int64 [N]. Farther than 100 km from the origin, cells are shared."""
+    """The number of each position's cell, int64 [N]. Farther than 100 km from the origin, cells are shared."""
     x, y, z = (np.floor(xyz / _CELL).astype(np.int64) + (1 << 20)).T
     return (x << 42) | (y << 21) | z
 
 
 _CRUMBS = 0.1
-"""Share of its box's sides by which an instance that stands alone may reach out of it."""
+"""Fraction of its box's sides by which an isolated instance may extend beyond the box."""
 HIDDEN = "plgs_hidden"
 MODIFIER = "Hidden instances"
 _GROUP = "hidden instances"
 _WIRES, _DOTS = 0.15, 0.01
-"""Display sizes of the cameras in metres: to tell each one apart, and the smallest that Blender draws."""
+"""Display sizes of cameras in metres: large enough to tell them apart, and the smallest that Blender draws."""
 
 
 class _OnceForMany:
-    """Decorates what brings a lift's objects in line with its lists: within `at_once` it runs once, at the end."""
+    """Decorates functions that update a lift's objects from its lists: within `at_once` they run only once, at the
+    end."""
 
     def __init__(self, apply: Callable[[bpy.types.Collection], None]) -> None:
         self._apply = apply
@@ -204,7 +205,7 @@ class _OnceForMany:
 
     @contextmanager
     def at_once(self, root: bpy.types.Collection) -> Iterator[None]:
-        """Change many rows, and bring the objects in line afterwards."""
+        """Change many rows, then update the objects once."""
         self._waiting.append(root.name)
         try:
             yield
@@ -215,7 +216,7 @@ class _OnceForMany:
 
 @_OnceForMany
 def apply_visibility(root: bpy.types.Collection) -> None:
-    """Bring boxes and points in line with the lift's lists."""
+    """Update the visibility of boxes and points from the lift's lists."""
     lists, is_left_out = root.plgs, leaving_out(root.plgs)
     boxes, together = boxes_of(root), objects_by_key(root).get(TOGETHER)
     for box, hidden in zip(boxes.values(), instances_left_out(lists, boxes), strict=True):
@@ -233,7 +234,7 @@ def apply_visibility(root: bpy.types.Collection) -> None:
 
 
 def _is_crumb(ob: bpy.types.Object, box: bpy.types.Object) -> NDArray[np.bool_]:
-    """Whether each point or vertex, bool [N], lies away from an instance's box, and would be a crumb beside it."""
+    """Whether each point or vertex, bool [N], is a crumb: too far outside its instance's box."""
     to_box = np.array(box.matrix_world.inverted() @ ob.matrix_world, np.float32)
     corners = np.array(box.bound_box, np.float32)
     margin = _CRUMBS * np.ptp(corners, axis=0)
@@ -243,9 +244,8 @@ def _is_crumb(ob: bpy.types.Object, box: bpy.types.Object) -> NDArray[np.bool_]:
 
 @_OnceForMany
 def apply_colours(root: bpy.types.Collection) -> None:
-    """Colour the clouds by their classes, and the boxes by instances unless the lift's `look` is of classes. Solid
-    shading and renders both show the objects' colours.
-    """
+    """Colour the clouds by their classes, and the boxes by instance unless the lift's `look` is by class. Solid shading
+    and renders both show the objects' colours."""
     lists = root.plgs
     of_class = {row.class_id: _box_colour(row.colour) for row in lists.classes}
     for cloud in clouds_of(root):
@@ -266,8 +266,8 @@ def _box_colour(srgb: bpy.types.bpy_prop_array) -> tuple[float, float, float, fl
 
 
 def size_cameras(root: bpy.types.Collection, large: bool) -> None:
-    """Draw the frames' cameras and the moving one large, or so small that they do not look like dirt on the floor.
-    They are not hidden: a hidden camera shows no photo."""
+    """Draw the frames' cameras and the moving one large, or so small that they do not look like dirt on the floor. They
+    are not hidden, because a hidden camera shows no photo."""
     for key, ob in objects_by_key(root).items():
         if ob.type == "CAMERA" and (key == PATH or key.startswith("frame:")):
             ob.data.display_size = _WIRES if large else _DOTS
@@ -275,9 +275,8 @@ def size_cameras(root: bpy.types.Collection, large: bool) -> None:
 
 
 def isolate(root: bpy.types.Collection, instance: int = 0) -> None:
-    """Show only one instance (0: the list's active one), or what was shown before when it already stands alone. Raises
-    PlgsError.
-    """
+    """Show only one instance (0: the list's active one) or, if it is already isolated, what was shown before. Raises
+    PlgsError."""
     number = row_of(root, instance).instance_id
     root.plgs.isolated = 0 if root.plgs.isolated == number else number
 
@@ -300,7 +299,7 @@ def show_all(root: bpy.types.Collection) -> None:
 
 
 def leaving_out(lists: bpy.types.PropertyGroup) -> Callable[[NDArray[np.int32], NDArray[np.int32]], Any]:
-    """Says whether each thing of some instances and classes, int32 [N] each, is hidden: bool [N]."""
+    """Maps instances and classes, int32 [N] each, to whether each is hidden, bool [N]."""
     alone = lists.isolated
     if alone:
         return lambda instance_id, class_id: instance_id != alone
@@ -317,8 +316,8 @@ def instances_left_out(lists: bpy.types.PropertyGroup, instances: Collection[int
 
 
 def _show_object(ob: bpy.types.Object, shown: bool | None) -> None:
-    """Show or hide an object in all scenes that have it, and in renders unless it is a box. None: where it is selected.
-    """
+    """Show or hide an object in all its scenes and, unless it is a box, in renders. None: show it where it is
+    selected."""
     not_rendered = not shown or text_of(ob, KEY).startswith((INSTANCE, TOGETHER))
     if ob.hide_render != not_rendered:
         ob.hide_render = not_rendered
@@ -333,7 +332,7 @@ def _show_object(ob: bpy.types.Object, shown: bool | None) -> None:
 
 
 def _hide_points(root: bpy.types.Collection, cloud: bpy.types.Object, hidden: NDArray[np.bool_]) -> None:
-    """Leave out a cloud's points, `hidden` bool [N]."""
+    """Hide a cloud's points, `hidden` bool [N]."""
     attributes = cloud.data.attributes
     modifier, layer = cloud.modifiers.get(MODIFIER), attributes.get(HIDDEN)
     if not hidden.any():
@@ -353,7 +352,7 @@ def _hide_points(root: bpy.types.Collection, cloud: bpy.types.Object, hidden: ND
 
 
 def _node_group(lift: str, key: str, material: bpy.types.Material | None) -> bpy.types.NodeTree:
-    """The lift's node group that deletes the points whose attribute `plgs_hidden` is true, and sets a material."""
+    """The lift's node group that deletes points whose attribute `plgs_hidden` is true and sets a material."""
     for tree in bpy.data.node_groups:
         if key_of(tree, lift) == key:
             return tree

@@ -1,7 +1,7 @@
-"""The names that a 3D view shows, and what is under the mouse: a name's instance, or what the lift shows there.
+"""The names shown in a 3D view, and what is under the mouse: a name's instance, or what the lift shows there.
 
-Blender knows a lift's points as one object a class, its splats as one object, and boxes by their lines. So `rays` finds
-the instance.
+To Blender, a lift's points are one object per class, its splats one object, and its boxes lines. So `rays` finds the
+instance.
 """
 
 from __future__ import annotations
@@ -20,26 +20,26 @@ from .looks import instances_left_out
 from .selection import boxes_of, objects_by_key, selected_instance
 
 hovered: list[tuple[int, int]] = []
-"""The instance that the mouse is over, for its name, after the session uid of its lift's collection; at most one. One
-Blender has one mouse."""
+"""The instance under the mouse, preceded by the session uid of its lift's collection; at most one, as Blender has one
+mouse."""
 
 
 @dataclass(frozen=True)
 class DrawnNames:
-    """The names of a lift that a 3D view showed when it was drawn last."""
+    """The names of a lift in a 3D view when it was last drawn."""
 
     region: ViewRegion
     names: list[TextBox]
 
 
 _drawn: dict[tuple[int, int], DrawnNames] = {}
-"""By the pointer of the view's region and the session uid of the lift's collection. Blender draws a view again when
-what it shows changes. The mouse moves far more often, and its names come from here."""
+"""Names by the pointer of the view's region and the session uid of the lift's collection. Views are redrawn when they
+change; the mouse moves far more often and looks names up here."""
 _MOST_KEPT = 16
 
 
 def camera_of(context: bpy.types.Context) -> bpy.types.Object | None:
-    """The camera that a 3D view looks through; None when it looks through none."""
+    """The camera that a 3D view looks through, or None."""
     view = context.space_data
     if view.region_3d.view_perspective != "CAMERA":
         return None
@@ -60,7 +60,7 @@ def outlined(context: bpy.types.Context, root: bpy.types.Collection) -> Any:
 
 
 def outline_of(context: bpy.types.Context, row: Any, region: ViewRegion) -> list[list[tuple[float, float]]]:
-    """The polygons, in pixels, of the chosen mask of an `outlined` row."""
+    """The polygons, in pixels, of the chosen mask in an `outlined` row."""
     mask, found = row.masks[row.mask_index], []
     for polygon in outline_in_space(camera_of(context), mask.outline, tuple(mask.rectangle)):
         corners = [at for at in map(region.pixel_of, polygon) if at is not None]
@@ -70,9 +70,8 @@ def outline_of(context: bpy.types.Context, row: Any, region: ViewRegion) -> list
 
 
 def names_to_draw(context: bpy.types.Context, root: bpy.types.Collection, region: ViewRegion) -> list[TextBox]:
-    """The names at the boxes of a lift in the view of the context, which is being drawn. `shown_names` has them then.
-    None covers a mask that is outlined.
-    """
+    """The names at a lift's boxes in the context's view, which is being drawn; stored for `shown_names`. None covers an
+    outlined mask."""
     key = context.region.as_pointer(), root.session_uid
     _drawn.pop(key, None)
     _drawn[key] = DrawnNames(region, _names(context, root, region) if root.plgs.show_labels else [])
@@ -82,7 +81,7 @@ def names_to_draw(context: bpy.types.Context, root: bpy.types.Collection, region
 
 
 def shown_names(context: bpy.types.Context, root: bpy.types.Collection, region: ViewRegion) -> list[TextBox]:
-    """The names of a lift that the view of the context shows: those that were drawn last."""
+    """The names of a lift last drawn in the context's view."""
     if not context.space_data.overlay.show_overlays:
         return []
     drawn = _drawn.get((context.region.as_pointer(), root.session_uid))
@@ -101,7 +100,7 @@ def _names(context: bpy.types.Context, root: bpy.types.Collection, region: ViewR
 
 
 def _shown_boxes(context: bpy.types.Context, root: bpy.types.Collection) -> dict[int, bpy.types.Object]:
-    """The boxes, by instance, that are in the view, or would be if boxes were on."""
+    """The boxes, by instance, that are visible in the view, or would be if boxes were on."""
     boxes = boxes_of(root)
     if root.plgs.show_boxes:
         return {number: box for number, box in boxes.items() if box.visible_get(viewport=context.space_data)}
@@ -111,7 +110,7 @@ def _shown_boxes(context: bpy.types.Context, root: bpy.types.Collection) -> dict
 
 @dataclass(frozen=True)
 class Picked:
-    """What is under the mouse: an instance (0: none) and its class, of a lift."""
+    """What is under the mouse: an instance (0: none) of a lift, and its class."""
 
     root: bpy.types.Collection
     instance: int
@@ -119,16 +118,15 @@ class Picked:
 
 
 def forget() -> None:
-    """Free what is kept."""
+    """Clear the cache."""
     hovered.clear()
     _drawn.clear()
     rays.forget()
 
 
 def what_is_under(context: bpy.types.Context, mouse: tuple[float, float]) -> Picked | None:
-    """What a 3D view shows at a pixel, counted from the lower left: a name's instance, or the first thing that a lift
-    draws there. Where it draws nothing, the nearest instance within `rays.MISS` pixels. None where there is none.
-    """
+    """What a 3D view shows at a pixel, from the lower left: a name's instance, else the first thing that a lift draws
+    there, else the nearest instance within `rays.MISS` pixels, else None."""
     region, roots, space = ViewRegion.of(context), lifts_in(context.scene), context.space_data
     for root in roots:
         number = name_under(shown_names(context, root, region), mouse)
@@ -139,7 +137,7 @@ def what_is_under(context: bpy.types.Context, mouse: tuple[float, float]) -> Pic
 
 
 def name_under(names: list[TextBox], mouse: tuple[float, float]) -> int:
-    """The instance whose name is under the mouse, 0 when none is."""
+    """The instance whose name is under the mouse, or 0."""
     for box in names:
         if 0.0 <= mouse[0] - box.x < box.width and 0.0 <= mouse[1] - box.y < box.height:
             return box.instance
@@ -152,7 +150,7 @@ def drawn_under(
     mouse: tuple[float, float],
     space: bpy.types.SpaceView3D | None = None,
 ) -> Picked | None:
-    """What lifts draw at a pixel of a view; None where nothing is. Without a `space`, what the window shows counts."""
+    """What lifts draw at a pixel of a view, or None. Without a `space`, the window's visibility counts."""
     parts = [(root, part) for root in roots for part in rays.parts_near(root, view, mouse, space)]
     first = rays.first_drawn([part for _, part in parts], mouse)
     return None if first is None else Picked(parts[first[0]][0], *first[1:])

@@ -1,6 +1,6 @@
-"""What a 3D view draws of a lift at a pixel: the first triangle, square, splat or point there, as a ray meets them.
+"""What a 3D view draws of a lift at a pixel: the first triangle, square, splat or point that a ray meets.
 
-Each object is projected when the mouse comes near it, and kept until the view or the object changes.
+Each object is projected when the mouse comes near it, and cached until the view or the object changes.
 """
 
 from __future__ import annotations
@@ -22,24 +22,24 @@ from .looks import leaving_out
 from .selection import clouds_of, ids_of, surfaces_of
 
 NEAREST = 0.01
-"""Metres in front of the eye from which views of a lift draw."""
+"""Near clipping distance of views of a lift, in metres."""
 MISS = 8
-"""Pixels from the mouse within which an instance is taken where nothing is drawn under it."""
+"""If nothing is drawn under the mouse, an instance within this many pixels is taken."""
 _OFFSETS = np.stack(np.meshgrid(*[np.arange(-MISS, MISS + 1)] * 2), axis=-1).reshape(-1, 2).astype(np.float32)
 _OFFSETS = _OFFSETS[np.hypot(*_OFFSETS.T) <= MISS]
 _OFFSETS = _OFFSETS[np.argsort(np.hypot(*_OFFSETS.T), kind="stable")]
-"""The pixels within MISS, the nearest first."""
+"""Offsets of the pixels within MISS, nearest first."""
 _DRAWN = 0.5
-"""Opacity, summed from the front, from which something is drawn."""
+"""Opacity, accumulated from the front, at which something counts as drawn."""
 _COVER = 1.5
-"""Radii that a point covers: the points of a surface leave gaps otherwise, through which nobody means to click."""
+"""Radii that a point covers: surface points leave gaps otherwise, through which clicks would fall."""
 _NATIVE_EXTENT = 3.0
-"""Standard deviations to which Blender draws its own splats."""
+"""Extent of Blender's own splats, in standard deviations."""
 TRIANGLE, SQUARE, SPLAT, POINT = "TRIANGLE", "SQUARE", "SPLAT", "POINT"
 
 
 Rows = tuple[tuple[float, ...], ...]
-"""A matrix that can be compared and kept."""
+"""A hashable matrix."""
 
 
 def rows_of(matrix: Matrix) -> Rows:
@@ -48,9 +48,9 @@ def rows_of(matrix: Matrix) -> Rows:
 
 @dataclass(frozen=True)
 class View:
-    """How a view of `width` by `height` pixels draws: its matrices, as a RegionView3D has them; the place of the
-    scene's camera in the world, which decides what walls are left out of points; whether backs are left out, and
-    whether squares fade, which in Solid shading they do not."""
+    """How a view of `width` by `height` pixels draws: its matrices, as in RegionView3D; the world position of the
+    scene's camera, which decides which walls are removed from points; whether backs are hidden, and whether squares
+    fade, which they do not in Solid shading."""
 
     looks: Rows
     lens: Rows
@@ -70,9 +70,8 @@ class View:
         return cls(looks, lens, *size, tuple(eye), are_backs_open, not is_solid)
 
     def projected(self, xyz: NDArray[np.float32], world: Matrix) -> NDArray[np.float32]:
-        """Places [N, 3] as X, Y, W and Z, float32 [N, 4]: they are seen at the pixel X / W, Y / W, if W > 0, and Z is
-        their place along the view's own axis in metres, which points to the eye. All four are linear in space.
-        """
+        """Positions [N, 3] as X, Y, W and Z, float32 [N, 4]: they appear at the pixel X / W, Y / W, if W > 0, and Z is
+        their coordinate in metres along the view's axis, which points to the eye. All four are linear in space."""
         to_eye = Matrix(self.looks) @ world
         whole, along = np.array(Matrix(self.lens) @ to_eye, np.float32), np.array(to_eye[2], np.float32)
         x, y, _, w = whole[:, :3] @ xyz.T + whole[:, 3:]
@@ -82,10 +81,9 @@ class View:
 
 @dataclass(frozen=True, eq=False)
 class Projected:
-    """N flat things of one `form` in a view: `corners` int32 [N, 3], rows of `vertices` [M, 4], which `View.projected`
-    gave: the beginning of a thing and the ends of its two axes. `bounds` float32 [4, N] in pixels: left, low, right,
-    high. `ids` int32 [N, 2], instances and classes. `opacity` float32 [N], in its middle.
-    """
+    """N flat elements of one `form` in a view: `corners` int32 [N, 3] are rows of `vertices` [M, 4], from
+    `View.projected`: an element's origin and the ends of its two axes. `bounds` float32 [4, N] in pixels: left, bottom,
+    right, top. `ids` int32 [N, 2], instances and classes. `opacity` float32 [N], at the centre."""
 
     form: str
     vertices: NDArray[np.float32]
@@ -95,8 +93,8 @@ class Projected:
     opacity: NDArray[np.float32] | None = None
 
     def at(self, pixels: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.int32]]:
-        """The opacities and nearness float32 [P, n] at pixels [P, 2] of the things that may cover one of them, and the
-        ids [n, 2] of these."""
+        """The opacities and nearness, float32 [P, n], at pixels [P, 2] of the elements that may cover one of them, and
+        their ids [n, 2]."""
         (left, low), (right, high) = pixels.min(axis=0), pixels.max(axis=0)
         bounds = self.bounds
         rows = np.flatnonzero((bounds[0] <= right) & (bounds[2] >= left) & (bounds[1] <= high) & (bounds[3] >= low))
@@ -114,7 +112,7 @@ class Projected:
             return np.where(w > NEAREST, self._opacities(along, aside, rows), 0.0), near, self.ids[rows]
 
     def _opacities(self, first: Any, second: Any, rows: NDArray[np.int64]) -> Any:
-        """At places in a thing's own axes."""
+        """Opacities at positions in an element's own axes."""
         if self.form == TRIANGLE:
             return np.float32((first >= 0.0) & (second >= 0.0) & (first + second <= 1.0))
         if self.form == POINT:
@@ -128,9 +126,8 @@ class Projected:
 
 
 def first_drawn(parts: Sequence[Projected], mouse: tuple[float, float]) -> tuple[int, int, int] | None:
-    """The part, its index, that draws a pixel, and the instance and class there. Where nothing is drawn, those of the
-    nearest instance within MISS pixels, else None.
-    """
+    """The index of the part that draws a pixel, with the instance and class there. If none does, those of the nearest
+    instance within MISS pixels, else None."""
     for offsets in (_OFFSETS[:1], _OFFSETS[1:]) if parts else ():  # most often the mouse's own pixel is drawn
         found = [part.at(np.array(mouse, np.float32) + offsets) for part in parts]
         opacities, near = (np.concatenate([each[column] for each in found], axis=1) for column in (0, 1))
@@ -146,12 +143,12 @@ def first_drawn(parts: Sequence[Projected], mouse: tuple[float, float]) -> tuple
 
 
 _kept: dict[int, tuple[tuple[Any, ...], Projected]] = {}
-"""By the session uid of the object, after the state of its lift, of itself and of the view."""
+"""Projected objects by session uid, with the states of their lift, themselves and the view."""
 _MOST_KEPT = 64
 
 
 def forget() -> None:
-    """Free what is kept."""
+    """Clear the cache."""
     _kept.clear()
 
 
@@ -177,7 +174,7 @@ def parts_near(
 
 
 def _is_near(ob: bpy.types.Object, view: View, mouse: tuple[float, float]) -> bool:
-    """Whether the object's bounding box covers a pixel or one beside it. That of splats ends at their middles."""
+    """Whether the object's bounding box covers a pixel or its neighbour. The box of splats ends at their centres."""
     if _form_of(ob) == SPLAT:
         return True
     box = view.projected(np.array(ob.bound_box, np.float32), ob.matrix_world)
@@ -188,7 +185,7 @@ def _is_near(ob: bpy.types.Object, view: View, mouse: tuple[float, float]) -> bo
 
 
 def _projected(root: bpy.types.Collection, ob: bpy.types.Object, view: View) -> Projected:
-    """An object of a lift in a view, without what is hidden in it."""
+    """A lift's object in a view, without its hidden parts."""
     data, world = ob.data, ob.matrix_world
     xyz, opacity, form = _column(data, "position"), None, _form_of(ob)
     ids = np.stack([ids_of(data, "instance_id"), ids_of(data, "class_id")], axis=1)
@@ -243,7 +240,7 @@ def _form_of(ob: bpy.types.Object) -> str:
 
 
 def _with_axes(middle: NDArray[np.float32], first: NDArray[Any], second: NDArray[Any]) -> NDArray[np.float32]:
-    """Vertices [3 N, 4] of things that face the view, from their middles [N, 4] and axes [N, 2] in pixels times W."""
+    """Vertices [3 N, 4] of elements that face the view, from their centres [N, 4] and axes [N, 2] in pixels times W."""
     ends = [np.concatenate([middle[:, :2] + axis, middle[:, 2:]], axis=1) for axis in (first, second)]
     return np.concatenate([middle, *ends]).astype(np.float32)
 
@@ -251,7 +248,7 @@ def _with_axes(middle: NDArray[np.float32], first: NDArray[Any], second: NDArray
 def _axes_of_splats(
     view: View, world: Matrix, xyz: NDArray[np.float32], deviations: NDArray[np.float32], turns: NDArray[np.float32]
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """The axes in pixels times W [N, 2] whose squares sum up to the covariance of Gaussians in the view."""
+    """The axes, in pixels times W [N, 2], whose squares sum to the covariance of Gaussians in the view."""
     axes = axes_of(turns) * deviations[:, :, None]
     middle = view.projected(xyz, world)
     ends = np.stack([view.projected(xyz + axes[:, at], world) for at in range(3)], axis=1) - middle[:, None]

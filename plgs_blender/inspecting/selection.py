@@ -1,9 +1,9 @@
-"""Finding a lift and what belongs to it, by our custom properties, and one selection everywhere: the box or mesh that
-is active in the view and the row that is active in the list.
+"""Finds a lift and its parts by our custom properties, and keeps one selection everywhere: the active box or mesh in
+the view and the active row in the list.
 
-Blender's own selection of them decides. `follow_selected` moves the list's active row to it, `select_row` selects
-the box of the list's active row. Each does nothing when both agree, so they cannot chase each other. When what is
-selected has changed, the lists follow. Boxes that are not selected are hidden, unless the lift shows all.
+Blender's own selection decides. `follow_selected` moves the list's active row to it; `select_row` selects the box of
+the active row. Each does nothing when both agree, so they cannot chase each other. Lists follow changes of the
+selection. Boxes that are not selected are hidden, unless the lift shows all.
 """
 
 from __future__ import annotations
@@ -24,9 +24,8 @@ from ..owned import FOLDER, GAUSSIANS, KEY, LIFT, is_same_place, lifts_in, origi
 
 
 def find_lift(scene: bpy.types.Scene, lift: str = "", active: bpy.types.Object | None = None) -> bpy.types.Collection:
-    """The collection of the lift that `lift` names, by its folder or its collection's name. When `lift` is empty, as
-    `active_lift`. Raises PlgsError when there is none.
-    """
+    """The collection of the lift that `lift` names by its folder or its collection's name; if `lift` is empty, as
+    `active_lift`. Raises PlgsError if there is none."""
     roots = lifts_in(scene)
     if lift:
         named = [root for root in roots if lift == root.name or is_same_place(text_of(root, FOLDER), absolute(lift))]
@@ -40,7 +39,7 @@ def find_lift(scene: bpy.types.Scene, lift: str = "", active: bpy.types.Object |
 
 
 def active_lift(scene: bpy.types.Scene, active: bpy.types.Object | None) -> bpy.types.Collection | None:
-    """The lift that an object belongs to, else the scene's first with a result, else the scene's first, else None."""
+    """The lift of an object, else the scene's first lift with a result, else the scene's first, else None."""
     roots = lifts_in(scene)
     own = None if active is None else text_of(active, LIFT)
     of_object = [root for root in roots if root[LIFT] == own]
@@ -49,7 +48,7 @@ def active_lift(scene: bpy.types.Scene, active: bpy.types.Object | None) -> bpy.
 
 
 def chosen_row(scene: bpy.types.Scene, active: bpy.types.Object | None) -> Any | None:
-    """The active row in the list of the lift that the panels show; None when no row is active."""
+    """The active row in the list of the lift shown in the panels, or None."""
     root = active_lift(scene, active)
     if root is None or not 0 <= root.plgs.instance_index < len(root.plgs.instances):
         return None
@@ -57,20 +56,19 @@ def chosen_row(scene: bpy.types.Scene, active: bpy.types.Object | None) -> Any |
 
 
 def objects_by_key(root: bpy.types.Collection) -> dict[str, bpy.types.Object]:
-    """The lift's objects by their keys: "instance:3", "class:1", "frame:0012", "anchors". Objects that the user moved
-    to another collection of the scene are among them.
-    """
+    """The lift's objects by key: "instance:3", "class:1", "frame:0012", "anchors". They include objects that the user
+    moved to another collection of the scene."""
     scenes = [scene for scene in bpy.data.scenes if root in scene.collection.children_recursive]
     return originals(chain(root.all_objects, *(scene.objects for scene in scenes)), root[LIFT])
 
 
 def boxes_of(root: bpy.types.Collection) -> dict[int, bpy.types.Object]:
-    """The boxes by the id of their instance. Boxes that the user deleted are missing."""
+    """The boxes by instance id, without those that the user deleted."""
     return {instance_of(ob): ob for ob in objects_by_key(root).values() if is_box(ob)}
 
 
 def box_of(root: bpy.types.Collection, instance: int) -> bpy.types.Object:
-    """The box of an instance (0: the list's active one). Raises PlgsError where it has none."""
+    """The box of an instance (0: the list's active one). Raises PlgsError if it has none."""
     row, objects = row_of(root, instance), objects_by_key(root)
     box = objects.get(f"{INSTANCE}{row.instance_id}")
     if box is None and TOGETHER in objects:
@@ -101,13 +99,13 @@ def clouds_of(root: bpy.types.Collection) -> list[bpy.types.Object]:
 
 
 def surfaces_of(root: bpy.types.Collection) -> list[bpy.types.Object]:
-    """The splats and the meshes of the lift: those that have a class at each vertex."""
+    """The lift's splats and meshes: objects with a class at each vertex."""
     of_kind = {key: ob for key, ob in objects_by_key(root).items() if ob.type == "MESH" or key == GAUSSIANS}
     return [ob for ob in of_kind.values() if "class_id" in ob.data.attributes]
 
 
 def ids_of(cloud: Any, name: str) -> NDArray[np.int32]:
-    """The integer attribute `name` of a cloud's points or of a mesh's vertices, int32 [N]; zeros where it has none."""
+    """The integer attribute `name` of a cloud's points or a mesh's vertices, int32 [N]; zeros if it is missing."""
     values = np.zeros(len(cloud.attributes["position"].data), np.int32)
     if name in cloud.attributes:
         cloud.attributes[name].data.foreach_get("value", values)
@@ -115,7 +113,7 @@ def ids_of(cloud: Any, name: str) -> NDArray[np.int32]:
 
 
 def row_of(root: bpy.types.Collection, instance: int) -> Any:
-    """The row of an instance; of the one that is active in the list when `instance` is 0. Raises PlgsError."""
+    """The row of an instance (0: the list's active one). Raises PlgsError."""
     lists = root.plgs
     if instance == 0:
         if 0 <= lists.instance_index < len(lists.instances):
@@ -139,19 +137,19 @@ def class_row_of(root: bpy.types.Collection, class_id: int) -> Any:
 
 
 renaming: list[Callable[[bpy.types.Collection, int, str], None]] = []
-"""Called with an instance's id whose row or box was given another name: `corrections` makes an edit of it."""
+"""Called with an instance's id after its row or box was renamed: `corrections` makes an edit of it."""
 _MSGBUS_OWNER = object()
 
 
 def selected_instance(root: bpy.types.Collection, active: bpy.types.Object | None) -> int:
-    """The instance whose box or mesh is the active object and selected, 0 when none of this lift is."""
+    """The instance whose box or mesh is active and selected; 0 if it is not of this lift."""
     if active is None or not instance_of(active) or active[LIFT] != root[LIFT]:
         return 0
     return instance_of(active) if active.select_get() else 0
 
 
 def selected_instances(root: bpy.types.Collection, layer: bpy.types.ViewLayer) -> list[int]:
-    """The instances of the selected boxes and meshes, the active one first; empty when there are none."""
+    """The instances of the selected boxes and meshes, the active one first."""
     ours = [ob for ob in objects_by_key(root).values() if instance_of(ob) and ob.select_get(view_layer=layer)]
     ours.sort(key=lambda ob: ob != layer.objects.active)
     return [*dict.fromkeys(map(instance_of, ours))]
@@ -160,11 +158,11 @@ def selected_instances(root: bpy.types.Collection, layer: bpy.types.ViewLayer) -
 def select_instance(
     root: bpy.types.Collection, instance: int, layer: bpy.types.ViewLayer, *, extend: bool = False
 ) -> None:
-    """Make an instance (0: the list's active one) the active row, and its box the only selected object; with `extend`
-    one more, or one less where it is selected.
+    """Make an instance (0: the list's active one) the active row and its box the only selected object; with `extend`,
+    add its box to the selection, or remove it if it is selected.
 
-    Raises PlgsError when the lift has no such instance. A hidden box stays as it is; where there is none, no other
-    object of the lift stays selected.
+    Raises PlgsError if the lift has no such instance. A hidden box stays hidden; if there is no box, no other object of
+    the lift stays selected.
     """
     if extend and instance in selected_instances(root, layer):
         for ob in objects_by_key(root).values():
@@ -185,7 +183,7 @@ def select_instance(
 
 
 def select_nothing(root: bpy.types.Collection, class_id: int, layer: bpy.types.ViewLayer) -> None:
-    """Deselect all objects, also in the lift's list, and make a class the active row of the list of classes."""
+    """Deselect all objects, also in the lift's list, and make a class the active row in the list of classes."""
     deselect_all(layer)
     layer.objects.active, root.plgs.instance_index = None, -1
     hide_unselected(root, layer)
@@ -194,7 +192,7 @@ def select_nothing(root: bpy.types.Collection, class_id: int, layer: bpy.types.V
 
 
 def select_class(root: bpy.types.Collection, class_id: int, layer: bpy.types.ViewLayer) -> int:
-    """Select the boxes of a class and nothing else. Returns how many boxes that are."""
+    """Select only the boxes of a class, and return their number."""
     boxes = boxes_of(root)
     of_class = [boxes.get(row.instance_id) for row in root.plgs.instances if row.class_id == class_id]
     deselect_all(layer)
@@ -206,7 +204,7 @@ def select_class(root: bpy.types.Collection, class_id: int, layer: bpy.types.Vie
 
 
 def select_row(root: bpy.types.Collection, layer: bpy.types.ViewLayer) -> None:
-    """Select the box of the list's active row, unless it is selected."""
+    """Select the box of the list's active row, unless it is selected already."""
     lists = root.plgs
     if not 0 <= lists.instance_index < len(lists.instances):
         return
@@ -216,9 +214,8 @@ def select_row(root: bpy.types.Collection, layer: bpy.types.ViewLayer) -> None:
 
 
 def follow_selected(scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> None:
-    """Make the row of what is selected active in its lift's list. Where nothing of a lift is, no row stays active whose
-    box could be: those of hidden objects stay.
-    """
+    """Make the selected object's row active in its lift's list. If nothing of a lift is selected, no row stays active,
+    except rows of hidden objects, whose boxes cannot be selected."""
     for root in lifts_in(scene):
         lists = root.plgs
         number = next(iter(selected_instances(root, layer)), 0)
@@ -249,7 +246,7 @@ def _is_left_out(root: bpy.types.Collection, row: Any) -> bool:
 
 
 def _select(root: bpy.types.Collection, box: bpy.types.Object, layer: bpy.types.ViewLayer) -> bool:
-    """Show and select a box. Returns whether it is selected: that of a hidden object stays as it is."""
+    """Show and select a box. Returns whether it is selected now; the box of a hidden object is left alone."""
     row = next((row for row in root.plgs.instances if row.instance_id == instance_of(box)), None)
     if row is None or _is_left_out(root, row) or layer.objects.get(box.name) != box:
         return False
@@ -260,9 +257,8 @@ def _select(root: bpy.types.Collection, box: bpy.types.Object, layer: bpy.types.
 
 
 def _select_box(root: bpy.types.Collection, number: int, layer: bpy.types.ViewLayer) -> None:
-    """Select an instance's box and nothing else. Where that cannot be, no other object of the lift stays selected:
-    commands must not act on it.
-    """
+    """Select only an instance's box. If that is impossible, deselect the lift's other objects, so that no command acts
+    on them."""
     box, selected = boxes_of(root).get(number), [ob for ob in layer.objects if ob is not None and ob.select_get()]
     if box is not None and _select(root, box, layer):
         deselect_all(layer, but=box)
@@ -276,26 +272,25 @@ def _select_box(root: bpy.types.Collection, number: int, layer: bpy.types.ViewLa
 
 
 def deselect_all(layer: bpy.types.ViewLayer, *, but: bpy.types.Object | None = None) -> None:
-    """Deselect all objects; the active one stays active, as Blender has it."""
+    """Deselect all objects; the active one stays active, as in Blender."""
     for ob in layer.objects:
         if ob not in (None, but) and ob.select_get(view_layer=layer):  # removed ones leave holes until the next update
             ob.select_set(False, view_layer=layer)
 
 
 _followed: list[Any] = []
-"""The scene, the active object and what was selected when the lists followed last."""
+"""The scene, active object and selection when the lists last followed."""
 
 
 def follow() -> None:
-    """Move the lists of the windows' scenes to what is selected there. It is safe at any time."""
+    """Update the lists of the windows' scenes to the selection there. Safe to call at any time."""
     for window in bpy.context.window_manager.windows:
         follow_selected(window.scene, window.view_layer)
 
 
 def follow_name() -> None:
-    """Rename the instance whose box is the active object where that was renamed, as the outliner does. Blender calls
-    this. What Blender makes of a name, shorter or with a number, is no name.
-    """
+    """Rename the instance whose box is active if the user renamed the box, as in the outliner. Blender calls this. A
+    name that Blender only shortened or numbered is no rename."""
     context = bpy.context
     box = context.view_layer.objects.active if context.view_layer is not None else None
     if box is None or not is_box(box) or box.name == text_of(box, SHOWN):
@@ -318,7 +313,7 @@ def _after_undo(*_arguments: object) -> None:
 
 @bpy.app.handlers.persistent
 def _after_update(scene: bpy.types.Scene, *_arguments: object) -> None:
-    """Follow soon, where it is safe to change what is selected: Blender calls this in the midst of its own work."""
+    """Follow a moment later: Blender calls this during an update, when the selection must not change."""
     layer = bpy.context.view_layer
     if layer is None or layer.id_data != scene or bpy.app.background:
         return
@@ -332,7 +327,7 @@ def _after_update(scene: bpy.types.Scene, *_arguments: object) -> None:
 
 @bpy.app.handlers.persistent
 def _subscribe(*_arguments: object) -> None:
-    """Subscribe to changes of names, also after a file was loaded: loading ends all subscriptions."""
+    """Subscribe to name changes; loading a file ends all subscriptions, so this is called again afterwards."""
     bpy.msgbus.clear_by_owner(_MSGBUS_OWNER)
     key = bpy.types.Object, "name"
     bpy.msgbus.subscribe_rna(key=key, owner=_MSGBUS_OWNER, args=(), notify=follow_name, options={"PERSISTENT"})

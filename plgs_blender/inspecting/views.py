@@ -1,4 +1,4 @@
-"""Moving the view: to a whole lift, to an instance, and to the camera of a frame that saw it."""
+"""Moves the view: to a whole lift, to an instance, and to the camera of a frame that saw it."""
 
 from __future__ import annotations
 
@@ -20,15 +20,16 @@ from .looks import places
 from .selection import box_of, objects_by_key, row_of
 
 _VIEW_SENSOR = 72.0
-"""Width of a 3D view's sensor in millimetres: twice that of a camera."""
+"""Sensor width of a 3D view in millimetres: twice that of a camera."""
 _ROOM_AROUND = 1.6
-"""Radius of the ball that the view holds, in radii of the framed box."""
+"""Radius of the sphere that fits in the view, in radii of the framed box."""
 
 
 def frame_instance(root: bpy.types.Collection, instance: int, view: bpy.types.SpaceView3D, aspect: float = 1.0) -> None:
-    """Move a 3D view so that an instance's box (0: the list's active one) fills it. The view keeps its direction.
+    """Move a 3D view so that an instance's box (0: the list's active one) fills it, keeping its direction.
 
-    `aspect` is the view's width by its height. Raises PlgsError when there is no such instance or its box was deleted.
+    `aspect` is the view's width divided by its height. Raises PlgsError if there is no such instance or its box was
+    deleted.
     """
     box = box_of(root, instance)
     corners = np.array([box.matrix_world @ Vector(corner) for corner in box.bound_box])
@@ -45,11 +46,11 @@ def frame_instance(root: bpy.types.Collection, instance: int, view: bpy.types.Sp
 
 
 _before_alone: dict[int, tuple[Any, ...]] = {}
-"""How 3D views stood before an instance was isolated, by their address."""
+"""How 3D views stood before an instance was isolated, by address."""
 
 
 def show_alone(root: bpy.types.Collection, view: bpy.types.SpaceView3D, aspect: float) -> None:
-    """Frame the isolated instance in a 3D view; where none is isolated any more, let it stand as it did before."""
+    """Frame the isolated instance in a 3D view; if none is isolated any more, restore the view."""
     region, key = view.region_3d, view.as_pointer()
     if not root.plgs.isolated:
         if key in _before_alone:
@@ -64,9 +65,8 @@ def show_alone(root: bpy.types.Collection, view: bpy.types.SpaceView3D, aspect: 
 
 
 def best_frame(root: bpy.types.Collection, instance: int = 0) -> str:
-    """The frame that sees most of an instance (0: the list's active one), as `lists.best_view` says. Raises PlgsError
-    when masks are not known.
-    """
+    """The frame that sees most of an instance (0: the list's active one), by `lists.best_view`. Raises PlgsError if its
+    masks are unknown."""
     row = row_of(root, instance)
     if not 0 <= row.best_mask < len(row.masks):
         fix = "Lift again: lifts of older versions did not record where the masks lie."
@@ -76,10 +76,9 @@ def best_frame(root: bpy.types.Collection, instance: int = 0) -> str:
 
 
 def mask_frame(root: bpy.types.Collection, instance: int, frame: str, segment: int = 0) -> str:
-    """The frame of one of the masks that made an instance; that mask becomes the active one of the instance's list. It
-    is the mask of `frame` (with the id `segment`, unless that is 0), or the list's active mask when `frame` is empty.
-    Raises PlgsError.
-    """
+    """The frame of one of the masks that made an instance; that mask becomes the active one in the instance's list. It
+    is the mask of `frame` (with the id `segment`, unless that is 0), or the list's active mask if `frame` is empty.
+    Raises PlgsError."""
     row = row_of(root, instance)
     chosen = [
         index
@@ -96,10 +95,9 @@ def mask_frame(root: bpy.types.Collection, instance: int, frame: str, segment: i
 def look_from_frame(
     root: bpy.types.Collection, frame: str, scene: bpy.types.Scene, view: Any = None
 ) -> bpy.types.Object:
-    """Let a 3D view (if any) look through a frame's camera, and return the camera. It becomes the scene's, at its place
-    on the timeline, unless the scene has a camera of the user's: that and its frame stay, and only the view turns.
-    Raises PlgsError when the frame's camera was deleted.
-    """
+    """Let a 3D view (if any) look through a frame's camera, and return the camera. It becomes the scene's camera at its
+    frame of the timeline, unless the scene's camera is the user's: then only the view changes. Raises PlgsError if the
+    frame's camera was deleted."""
     camera = objects_by_key(root).get(f"frame:{frame}")
     if camera is None or camera.name not in scene.objects:
         what = f"has no camera of frame {frame} any more"
@@ -121,7 +119,7 @@ def look_from_frame(
 
 
 def look_at_placed(root: bpy.types.Collection, scene: bpy.types.Scene) -> None:
-    """Point the 3D views that show the scene at its lift, in the colours of what it is shown as."""
+    """Point the 3D views that show the scene at its lift, coloured for what it is shown as."""
     overview = overview_of(root)
     if overview is not None and len(root.plgs.classes):
         scene.view_layers[0].update()
@@ -129,12 +127,12 @@ def look_at_placed(root: bpy.types.Collection, scene: bpy.types.Scene) -> None:
 
 
 def look_at_room(root: bpy.types.Collection, overview: bpy.types.Object, areas: Iterable[bpy.types.Area]) -> None:
-    """Point these 3D views at a lift, turned as its overview camera is."""
+    """Point these 3D views at a lift, rotated as its overview camera."""
     show_room(areas, overview.matrix_world.to_quaternion(), _corners(root))
 
 
 def _corners(root: bpy.types.Collection) -> NDArray[np.float64]:
-    """The corners [8, 3], metres, of the box around all semantic points except a few stray ones."""
+    """The corners [8, 3], in metres, of the box around all semantic points except outliers."""
     # A hidden cloud has no bounding box.
     clouds = [ob for ob in root.all_objects if ob.type == "POINTCLOUD" and "class_id" in ob]
     low, high = np.percentile(np.concatenate([places(ob.data) for ob in clouds]), (1.0, 99.0), axis=0)
