@@ -23,7 +23,7 @@ def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path / "home" / ".cache"
 
 
-def test_what_is_made_is_readable_only_by_the_user(cache: Path) -> None:
+def test_new_cache_folder_is_private(cache: Path) -> None:
     before = os.umask(0)
     try:
         folder = choose_cache_folder("kernels")
@@ -34,7 +34,7 @@ def test_what_is_made_is_readable_only_by_the_user(cache: Path) -> None:
 
 
 @pytest.mark.parametrize("unsafe", ["kernels", "plgs", ".cache", "home"])
-def test_nothing_is_kept_where_others_may_write(cache: Path, unsafe: str, caplog: pytest.LogCaptureFixture) -> None:
+def test_cache_folder_writable_by_others_is_not_used(cache: Path, unsafe: str, caplog: pytest.LogCaptureFixture) -> None:
     folder = choose_cache_folder("kernels")
     next(each for each in (folder, *folder.parents) if each.name == unsafe).chmod(0o777)
     own = choose_cache_folder("kernels")
@@ -44,13 +44,13 @@ def test_nothing_is_kept_where_others_may_write(cache: Path, unsafe: str, caplog
 
 @pytest.mark.skipif(not hasattr(os, "geteuid") or os.geteuid() != 0, reason="only root gives folders away")
 @pytest.mark.parametrize("unsafe", ["kernels", "plgs", ".cache"])
-def test_what_another_user_owns_is_not_used(cache: Path, unsafe: str) -> None:
+def test_cache_folder_owned_by_another_user_is_not_used(cache: Path, unsafe: str) -> None:
     folder = choose_cache_folder("kernels")
     os.chown(next(each for each in (folder, *folder.parents) if each.name == unsafe), 12345, 12345)
     assert choose_cache_folder("kernels") != folder
 
 
-def test_a_link_to_a_folder_of_others_is_not_used(cache: Path, tmp_path: Path) -> None:
+def test_link_to_an_unsafe_folder_is_not_used(cache: Path, tmp_path: Path) -> None:
     theirs = tmp_path / "theirs"
     theirs.mkdir()
     theirs.chmod(0o777)

@@ -7,7 +7,7 @@ from pathlib import Path
 from engine.machine.code_digest import code_digest
 
 
-def test_what_changes_the_digest(tmp_path: Path) -> None:
+def test_digest_changes_only_with_sources_and_pins(tmp_path: Path) -> None:
     files = {
         "engine/lift.py": True,
         "engine/deep/new.py": True,

@@ -39,7 +39,7 @@ def twice(value: object) -> object:
     return value + value  # type: ignore[operator]
 
 
-def test_what_two_processes_compile_at_once_is_not_mixed_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_concurrent_compilation_keeps_versions_apart(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """One compiles the kernel for floats, the other for integers: neither sees what the other is about to list."""
     monkeypatch.setattr(compiled, "CACHE_FOLDER", tmp_path)
     ours, theirs, later = (compiled.compiled(twice)._cache._cache_file for _ in range(3))

@@ -17,7 +17,7 @@ SPREADS = st.sampled_from([1, 3, 10**6, 2**62])
         lambda far: arrays(np.int64, st.tuples(st.integers(0, 30), st.just(3)), elements=st.integers(-far, far))
     )
 )
-def test_as_numpy_sorts_rows(rows: np.ndarray) -> None:
+def test_distinct_rows_match_numpy_unique(rows: np.ndarray) -> None:
     distinct, index = distinct_rows(rows)
     expected, inverse = np.unique(rows, axis=0, return_inverse=True)
     np.testing.assert_array_equal(distinct, expected)

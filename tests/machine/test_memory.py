@@ -19,7 +19,7 @@ def test_blocks_are_aligned_and_distinct() -> None:
     assert len({array.ctypes.data for array in arrays}) == 4
 
 
-def test_what_nobody_holds_is_given_out_again() -> None:
+def test_released_block_is_reused() -> None:
     first = memory.empty((7, 11), np.float64)
     address = first.ctypes.data
     part = first[2:]
@@ -29,7 +29,7 @@ def test_what_nobody_holds_is_given_out_again() -> None:
     assert address in {memory.empty((7, 11), np.float64).ctypes.data for _ in range(2)}
 
 
-def test_several_arrays_in_one_block() -> None:
+def test_several_arrays_share_one_block() -> None:
     wanted = (((3, 5), np.float32), (7, np.bool_), (0, np.int64), ((2, 2), np.float64))
     arrays = memory.several(*wanted)
     assert [(array.shape, array.dtype) for array in arrays] == [
@@ -41,7 +41,7 @@ def test_several_arrays_in_one_block() -> None:
     assert [np.unique(array).tolist() for array in arrays] == [[0.0], [True], [], [3.0]]
 
 
-def test_several_arrays_are_given_out_again_when_none_is_held() -> None:
+def test_shared_block_is_reused_once_no_array_is_held() -> None:
     memory._blocks.clear()  # other tests' blocks of this size would be given out first
     first, second = memory.several((5000, np.float32), (6000, np.float32))
     address = first.ctypes.data
@@ -51,7 +51,7 @@ def test_several_arrays_are_given_out_again_when_none_is_held() -> None:
     assert address in {memory.several((5000, np.float32), (6000, np.float32))[0].ctypes.data for _ in range(2)}
 
 
-def test_a_scene_that_shrinks_a_little_finds_its_blocks_again() -> None:
+def test_slightly_smaller_requests_reuse_the_same_blocks() -> None:
     memory._blocks.clear()
     size, smaller = 3 << 20, 11 << 18
     address = memory.empty(size, np.uint8).ctypes.data
@@ -59,7 +59,7 @@ def test_a_scene_that_shrinks_a_little_finds_its_blocks_again() -> None:
     assert memory.empty(smaller, np.uint8).ctypes.data == address and held_bytes() == held
 
 
-def test_of_the_free_blocks_the_smallest_that_fits_is_given_out() -> None:
+def test_smallest_fitting_free_block_is_reused() -> None:
     memory._blocks.clear()
     small, large = (memory.empty(size << 20, np.uint8) for size in (4, 7))
     addresses = small.ctypes.data, large.ctypes.data
@@ -70,7 +70,7 @@ def test_of_the_free_blocks_the_smallest_that_fits_is_given_out() -> None:
     assert memory.empty(1 << 20, np.uint8).ctypes.data not in addresses and held_bytes() > held
 
 
-def test_a_block_that_has_become_too_small_gives_way_to_a_larger_one() -> None:
+def test_larger_block_replaces_one_that_is_too_small() -> None:
     memory._blocks.clear()
     for size in range(10, 25):
         assert memory.empty(size << 20, np.uint8).size == size << 20
@@ -87,7 +87,7 @@ def test_a_tensor_keeps_its_memory() -> None:
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="this system does not fork")
 @pytest.mark.filterwarnings("ignore:.*fork.*:DeprecationWarning")
-def test_a_fork_while_another_thread_takes_memory() -> None:
+def test_fork_survives_another_thread_taking_memory() -> None:
     with memory._lock:  # as if another thread held it, and did not follow
         child = os.fork()
         if child == 0:

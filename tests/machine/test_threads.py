@@ -58,7 +58,7 @@ def test_every_worker_runs_once(workers: int) -> None:
 
 
 @pytest.mark.parametrize("at_fault", [0, 2])
-def test_what_a_worker_raises_is_raised_when_all_have_ended(at_fault: int) -> None:
+def test_worker_error_is_raised_after_all_have_ended(at_fault: int) -> None:
     numbers = np.zeros(3, np.int64)
     with pytest.raises(ValueError, match="this worker fails"):
         parallel_for(3, write_numbers, numbers, at_fault)
@@ -79,7 +79,7 @@ def test_slower_workers_are_waited_for() -> None:
         assert (numbers >= 0).all()
 
 
-def test_several_threads_may_call() -> None:
+def test_parallel_for_can_be_called_from_several_threads() -> None:
     wrong: list[list[int]] = []
 
     def call(workers: int) -> None:
@@ -119,7 +119,7 @@ def test_an_impossible_number_of_workers_is_refused(workers: int) -> None:
         parallel_for(workers, write_numbers, np.zeros(1, np.int64), -1)
 
 
-def test_arrays_numbers_and_tuples_of_them_arrive_and_are_not_kept() -> None:
+def test_arguments_reach_kernels_and_are_released() -> None:
     random = np.random.default_rng(3)
     strided, values = random.random((8, 6))[::2, 1::3], random.random(5, np.float32)
     bytes_ = np.arange(7, dtype=np.uint8)

@@ -41,7 +41,7 @@ def shown(right: float, low: float = 0.6) -> Samples:
     return samples_of(view(np.full(SIZE[::-1], WALL), 1.0), classes, share.astype(np.float32), 10_000)
 
 
-def test_many_masks_that_are_often_wrong_know_together_what_is_right() -> None:
+def test_many_unreliable_masks_calibrate_together() -> None:
     views = noisy_views(15, score=0.7, wrong=0.3)
     found = calibrate(shown(right=0.8), views[3:], views[:3])
     sure, unsure = found(np.array([1.0, 0.6], np.float32)).tolist()
@@ -51,19 +51,19 @@ def test_many_masks_that_are_often_wrong_know_together_what_is_right() -> None:
 
 
 @pytest.mark.parametrize("held_back", [3, 0])
-def test_masks_that_agree_more_often_than_their_scores_allow_are_wrong_together(held_back: int) -> None:
+def test_agreement_beyond_the_scores_lowers_confidence(held_back: int) -> None:
     views = noisy_views(15, score=0.6, wrong=0.0)
     found = calibrate(shown(right=1.0), views[held_back:], views[:held_back])
     assert found.factor == pytest.approx(0.6) and set(found.right) == {0.0, 0.6}
     assert calibrate(shown(right=1.0), noisy_views(15, 1.0, 0.0), []).factor == 1, "without scores they are believed"
 
 
-def test_the_held_back_masks_say_how_far_masks_are_believed() -> None:
+def test_held_back_masks_set_how_far_masks_are_believed() -> None:
     trusted, doubtful = noisy_views(8, 1.0, 0.0), noisy_views(2, 0.5, 0.0)
     assert calibrate(shown(right=1.0), trusted, doubtful).factor == pytest.approx(0.5)
 
 
-def test_what_too_few_masks_judge_stays_as_it_is() -> None:
+def test_too_few_judged_points_calibrate_nothing() -> None:
     share = np.array([0.0, 0.3, 1.0], np.float32)
     few = Samples(*(each[:100] for each in shown(right=1.0)))
     behind = [replace(one, depth=one.depth - 1) for one in noisy_views(5, 0.5, 0.0)]
@@ -91,7 +91,7 @@ def test_a_damaged_calibration_is_refused(share: tuple[float, ...], right: tuple
         Calibration(share, right)
 
 
-def test_nothing_stays_nothing_and_doubt_is_what_is_left() -> None:
+def test_zero_share_stays_zero_and_doubt_is_the_rest() -> None:
     half = Calibration((0.0, 1.0), (0.5, 0.5))
     assert half(np.array([0.0, 0.2, 1.0], np.float32)).tolist() == [0.0, 0.5, 0.5]
     half_right, none = shown(right=1.0, low=0.5), Samples(*(each[:0] for each in shown(right=1.0)))

@@ -21,7 +21,7 @@ def test_psnr_of_a_known_error_and_of_equal_pictures() -> None:
     assert ssim(_picture(1), _picture(1)) == pytest.approx(1.0)
 
 
-def test_bytes_and_floats_mean_the_same() -> None:
+def test_bytes_and_floats_score_the_same() -> None:
     a, b = _picture(1), _picture(2)
     assert psnr(a, b) == pytest.approx(psnr(a / 255.0, b / 255.0))
     assert ssim(a, b) == pytest.approx(ssim(a / 255.0, b / 255.0))
@@ -87,7 +87,7 @@ def _plane(metres: float) -> np.ndarray:
     return np.full((4, 5), metres, np.float32)
 
 
-def test_median_and_share_over_all_pixels_of_all_views() -> None:
+def test_median_and_share_cover_all_pixels_of_all_views() -> None:
     errors, random = DepthErrors(), np.random.default_rng(0)
     every = []
     for _ in range(3):

@@ -84,7 +84,7 @@ def unstretched(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.usefixtures("unstretched")
 @pytest.mark.parametrize(("mode", "case"), [(m, c) for m in MODES for c in PL_COMPAT])
-def test_oracle(mode: str, case: str) -> None:
+def test_scores_match_the_published_evaluator(mode: str, case: str) -> None:
     rows, *expected = (PL_COMPAT if mode == "pl_compat" else STRICT)[case]
     evaluation = PanopticEvaluation(CLASSES, mode)
     evaluation.add(*lay_out(rows))
@@ -133,7 +133,7 @@ labels = st.lists(st.tuples(a_class, an_id, a_class, an_id, st.integers(1, 40)),
 @pytest.mark.parametrize("mode", MODES)
 @given(rows=labels)
 @settings(max_examples=25, deadline=None)
-def test_properties(mode: str, rows: list[tuple[int, int, int, int, int]]) -> None:
+def test_scores_hold_general_properties(mode: str, rows: list[tuple[int, int, int, int, int]]) -> None:
     maps = lay_out([*rows, (1, 0, 1, 0, 5)])
     scores = _scores(mode, *maps)
     values = (scores.miou, scores.miou_true, scores.pq, scores.sq, scores.rq)
@@ -179,14 +179,14 @@ def test_ids_that_change_between_frames_do_not_lower_per_frame_scores() -> None:
     assert changes.per_object == pytest.approx((1 + 2) / 2)
 
 
-def test_a_merged_object_is_found_once_and_tracked_to_its_place() -> None:
+def test_merged_object_counts_once_and_keeps_its_track() -> None:
     quality, changes = scores_of([[0, 0, 0, 1, 1, 2, 2, 2], [0, 0, 0, 2, 2, 2, 2, 2], [0, 0, 0, 1, 1, 2, 2, 2]])
     # Chairs: 5 found, one of them with IoU 3/5; the missed one is one error, the merged one none.
     assert quality.pq == pytest.approx((1 + 4.6 / (5 + 0.5)) / 2)
     assert changes.per_object == 0.0, "out of sight for a frame, and the same afterwards"
 
 
-def test_nothing_to_score() -> None:
+def test_scores_without_frames_are_none() -> None:
     quality, changes = scores_of([])
     assert quality.pq is None and changes.per_object is None
     assert scores_of([[0, 0, 0, 1, 1, 2, 2, 2]])[1].per_object is None, "seen once"
@@ -230,7 +230,7 @@ def panoptic_quality(pairs: list[tuple[NDArray[np.int32], NDArray[np.int32]]]) -
 
 
 @pytest.mark.parametrize("seed", range(12))
-def test_random_labels_have_the_same_scores(seed: int) -> None:
+def test_random_labels_score_like_torchmetrics(seed: int) -> None:
     from torchmetrics.classification import MulticlassJaccardIndex
 
     views = random_views(seed, frames=1 + seed % 4)

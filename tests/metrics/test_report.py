@@ -56,7 +56,7 @@ def _report_of_a_perfect_lift(scene: Scene) -> dict[str, object]:
     return report.to_json()
 
 
-def test_two_methods_in_two_modes() -> None:
+def test_report_scores_two_methods_in_two_modes() -> None:
     metrics = _report_of_a_perfect_lift(SCENE)
     tables = {(table["name"], table["mode"]): table for table in metrics["tables"]}  # type: ignore[attr-defined]
     assert list(tables) == [(n, m) for n in (INPUT_MASKS, LIFTED) for m in ("strict", "pl_compat")]
@@ -127,7 +127,7 @@ def strict(predictions: Path, truth: Path, **options: bool) -> dict[str, float]:
     "pair",
     [("class", "instance"), ("gt/semantic", "gt/instance"), ("label-filt", "instance-filt"), ("classes", "instances")],
 )
-def test_masks_against_pngs(pair: tuple[str, str], tmp_path: Path) -> None:
+def test_score_folders_compares_masks_with_pngs(pair: tuple[str, str], tmp_path: Path) -> None:
     predictions, truth = write_masks(tmp_path / "masks"), write_pngs(tmp_path / "truth", *pair, scale=2)
     scores = strict(predictions, truth)
     assert (scores["miou"], scores["pq"], scores["pq_frame"], scores["id_changes"]) == (1.0, 1.0, 1.0, 0.0)
@@ -136,7 +136,7 @@ def test_masks_against_pngs(pair: tuple[str, str], tmp_path: Path) -> None:
     assert detector["id_changes"] == 1.0
 
 
-def test_another_cut_of_the_picture_is_not_stretched_over_it(tmp_path: Path) -> None:
+def test_different_crop_is_refused(tmp_path: Path) -> None:
     """Square crops used to be scored as if they showed the whole picture."""
     truth, predictions = write_masks(tmp_path / "truth"), write_pngs(tmp_path / "cut", "class", "instance")
     for path in predictions.rglob("*.png"):
@@ -145,13 +145,13 @@ def test_another_cut_of_the_picture_is_not_stretched_over_it(tmp_path: Path) -> 
         strict(predictions, truth)
 
 
-def test_a_merged_chair(tmp_path: Path) -> None:
+def test_merged_chairs_lower_pq(tmp_path: Path) -> None:
     merged = write_masks(tmp_path / "masks", np.minimum(INSTANCE, 1))
     scores = strict(merged, write_masks(tmp_path / "truth"))
     assert scores["miou"] == 1.0 and scores["pq"] == pytest.approx(0.5), "neither half is more than half of both"
 
 
-def test_the_classes_of_an_export(tmp_path: Path) -> None:
+def test_classes_of_an_export_are_read(tmp_path: Path) -> None:
     predictions = write_pngs(tmp_path / "predictions", "class", "instance")
     truth = write_pngs(tmp_path / "truth", "semantic", "instance")
     with raises_key("no-table"):
@@ -184,7 +184,7 @@ def test_predictions_in_another_table_are_mapped_by_name(second: str, pq: float,
     assert strict(predictions, truth)["pq"] == pytest.approx(pq)
 
 
-def test_frames_that_are_not_there(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_missing_frames_are_counted_or_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     predictions = write_masks(tmp_path / "masks")
     few = write_pngs(tmp_path / "few", "class", "instance", frames=NAMES[:1])
     with raises_key("no-truth 0002"):

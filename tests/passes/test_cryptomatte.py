@@ -56,7 +56,7 @@ def test_an_object_of_one_class_has_its_own_coverage() -> None:
     assert not coverage_of(found, "CryptoInstance", "chair 2").any()  # what is stuff is not an object
 
 
-def test_ranks() -> None:
+def test_ranks_list_the_largest_coverages() -> None:
     found = mattes()
     assert len(found) == 24
     assert found["CryptoClass00.r"][0, 2] == np.float32(cryptomatte.name_float("chair"))
@@ -66,7 +66,7 @@ def test_ranks() -> None:
     assert not any(values[NOTHING].any() for values in found.values())
 
 
-def test_ranks_sum_to_what_is_covered() -> None:
+def test_ranks_sum_to_the_coverage() -> None:
     found, rendering = mattes({3: CHAIR, 70001: CHAIR}), made_rendering()
     shares = {layer: sum(found[f"{layer}0{k}.{c}"] for k in range(3) for c in "ga") for layer in LAYERS}
     np.testing.assert_allclose(shares["CryptoClass"], rendering.alpha, atol=RANKS * STEP)
@@ -76,7 +76,7 @@ def test_ranks_sum_to_what_is_covered() -> None:
         assert (np.diff(falling, axis=0) <= 0).all()  # the strongest first
 
 
-def test_every_id_is_in_the_manifest_and_the_manifest_is_blenders() -> None:
+def test_manifest_lists_every_id_as_blender_reads_it() -> None:
     rendering = made_rendering()
     view = bake_view([rendering], rendering.camera, CLASSES, ShownInstances(NAMES, None))
     for matte in view.mattes:
@@ -116,7 +116,7 @@ def sorted_pairs(shares: np.ndarray, ids: np.ndarray, limit: float | None) -> li
 
 @settings(max_examples=30, deadline=None)
 @given(st.integers(0, 10_000))
-def test_the_order_is_that_of_a_full_sort(seed: int) -> None:
+def test_ranks_match_a_full_sort(seed: int) -> None:
     random = np.random.default_rng(seed)
     height, width, count = 3, 5, int(random.integers(1, 20))
     coverage = random.choice(np.array([0, 1e-3, 0.05, 0.1, 0.2, 0.6], np.float32), (height, width, count))

@@ -29,7 +29,7 @@ def _baked() -> BakedView:
     return bake_view([rendering], rendering.camera, CLASSES, ShownInstances(NAMES))
 
 
-def test_round_trip(tmp_path: Path) -> None:
+def test_exr_round_trip_keeps_all_layers(tmp_path: Path) -> None:
     written, read = decide(made_rendering(), CLASSES), read_exr(write_layers(tmp_path / "a.exr"))
     for field in fields(written):
         expected = getattr(written, field.name)
@@ -39,7 +39,7 @@ def test_round_trip(tmp_path: Path) -> None:
     assert [path.name for path in tmp_path.iterdir()] == ["a.exr"]
 
 
-def test_single_part_zip_float(tmp_path: Path) -> None:
+def test_exr_is_single_part_zip_with_float_ids(tmp_path: Path) -> None:
     with OpenEXR.File(str(write_layers(tmp_path / "a.exr")), separate_channels=True) as file:
         assert len(file.parts) == 1
         assert file.header()["compression"] == OpenEXR.ZIP_COMPRESSION
@@ -53,7 +53,7 @@ def test_single_part_zip_float(tmp_path: Path) -> None:
     assert len(names) == 4 + 9 + 6 + 12 + 12
 
 
-def test_layers_that_follow_from_the_depth_are_there_when_they_are_chosen(tmp_path: Path) -> None:
+def test_further_layers_are_written_on_request(tmp_path: Path) -> None:
     path = tmp_path / "a.exr"
     for chosen in ((), ("normal",), ("position",)):
         write_exr(path, _baked(), layers=chosen)
@@ -73,7 +73,7 @@ def test_the_surface_is_in_the_world(tmp_path: Path) -> None:
     assert not position[~rendered].any() and not normal[~rendered].any()
 
 
-def test_what_is_invalid_is_refused(tmp_path: Path) -> None:
+def test_invalid_exr_is_refused(tmp_path: Path) -> None:
     view = _baked()
     layers = replace(view.layers, instance=np.full((6, 8), 1 << 24, np.int32))
     with pytest.raises(ValueError, match="exact"):
@@ -97,7 +97,7 @@ def test_what_is_invalid_is_refused(tmp_path: Path) -> None:
         ("wide", ShownFrame(display=(-1, 2, 4, 3)), {}),
     ],
 )
-def test_the_header_tells_frame_and_camera(name: str, shown: ShownFrame, noted: dict[str, Any], tmp_path: Path) -> None:
+def test_header_describes_frame_and_camera(name: str, shown: ShownFrame, noted: dict[str, Any], tmp_path: Path) -> None:
     view, path = _baked(), tmp_path / f"{name}.exr"
     camera = replace(view.camera, fy=view.camera.fy * 1.5)
     write_exr(path, replace(view, camera=camera), shown=shown)

@@ -43,7 +43,7 @@ def test_ply_round_trip(tmp_path: Path) -> None:
     assert (read.instance_id == splats.instance_id).all()
 
 
-def test_ply_is_what_splat_viewers_expect(tmp_path: Path) -> None:
+def test_ply_has_the_columns_of_splat_viewers(tmp_path: Path) -> None:
     write_splats(tmp_path / "a.ply", _splats())
     head = (tmp_path / "a.ply").read_bytes().split(b"end_header\n")[0].decode().splitlines()
     assert [line for line in head if line.startswith("property") and " float " not in line] == []

@@ -19,7 +19,7 @@ from engine.scene import Camera, Category, ClassTable
 from tests.passes.views import CHAIR, CLASSES, EDGE, LEFT, NOTHING, RIGHT, SOFA, WALL, made_rendering
 
 
-def test_classes_and_instances() -> None:
+def test_decide_gives_classes_and_instances() -> None:
     layers = decide(made_rendering(), CLASSES)
     assert layers.semantic[0].tolist() == [CHAIR, CHAIR, CHAIR, WALL, WALL, CHAIR, CHAIR, 0]
     assert layers.instance[0].tolist() == [3, 3, 3, 0, 0, 70001, 70001, 0]
@@ -77,13 +77,13 @@ def test_a_thing_that_no_object_owns_has_its_own_class_and_no_instance() -> None
     assert (layers.semantic[RIGHT] == CHAIR).all() and (layers.instance[RIGHT] == 3).all()
 
 
-def test_an_object_with_little_of_its_class_is_not_there() -> None:
+def test_object_with_little_of_its_class_is_not_shown() -> None:
     for share, shown in ((0.9, 0), (1.1, 3)):
         layers = decide(with_right_chair({3: share * LEAST_OF_CLASS * 0.75}), CLASSES, {3: CHAIR})
         assert (layers.instance[RIGHT] == shown).all() and (layers.semantic[RIGHT] == CHAIR).all()
 
 
-def test_if_every_pixel_decides_for_itself_no_object_is_one_of_the_choices() -> None:
+def test_no_object_competes_when_pixels_decide_alone() -> None:
     for instances, shown in (({3: 0.4, 70001: 0.1}, 0), ({3: 0.4, 70001: 0.3}, 3)):
         layers = decide(with_right_chair(instances), CLASSES)
         assert (layers.instance[RIGHT] == shown).all() and (layers.semantic[RIGHT] == CHAIR).all()
@@ -182,7 +182,7 @@ def test_a_rendering_without_classes_is_refused() -> None:
         decide(replace(made_rendering(), class_ids=(0,), class_coverage=np.zeros((6, 8, 1), np.float32)), CLASSES)
 
 
-def test_the_rest_of_a_class_is_its_largest_objects() -> None:
+def test_unowned_class_coverage_goes_to_the_largest_object() -> None:
     rendering, of_class = with_right_chair({3: 0.2, 70001: 0.1}), {3: CHAIR, 70001: CHAIR}
     align_mattes(rendering, CLASSES, of_class, decide(rendering, CLASSES, of_class))
     assert rendering.instance_coverage[RIGHT][0, 0].tolist() == pytest.approx([0.65, 0.1])
@@ -193,7 +193,7 @@ def test_the_rest_of_a_class_is_its_largest_objects() -> None:
 
 @settings(max_examples=25, deadline=None)
 @given(st.integers(0, 10_000))
-def test_what_is_decided_has_the_matte(seed: int) -> None:
+def test_decided_label_has_the_matte(seed: int) -> None:
     """And no other matte does, if objects have one class, whose coverage holds theirs."""
     rendering, classes = coarse_rendering(seed)
     random = np.random.default_rng(seed + 1)

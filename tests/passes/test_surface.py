@@ -18,7 +18,7 @@ def camera(index: int) -> Camera:
 
 
 @pytest.mark.parametrize("index", [0, 2, 5])
-def test_a_room_of_boxes(index: int) -> None:
+def test_surface_of_a_room_of_boxes_is_accurate(index: int) -> None:
     view, seen = trace_view(tiny_pose(index, 6), tiny_intrinsics(SIZE), SIZE), camera(index)
     surface = surface_of(view.depth, seen)
     np.testing.assert_allclose(np.moveaxis(surface.position, 0, -1), seen.unproject(view.depth), atol=1e-5)

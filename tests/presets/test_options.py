@@ -35,7 +35,7 @@ def request_of(*arguments: str) -> LiftRequest:
     return request_from(parser.parse_args(["/room", *arguments]))
 
 
-def test_texts_become_values() -> None:
+def test_option_texts_are_parsed() -> None:
     texts = ["objects=boxes", "weights.depth=0", "growth.least_visits=none", "size=64x48", "fill_holes=no"]
     assert parsed_options([*texts, "neighbours=3", "neighbours=4"]) == {
         "objects": "boxes",
@@ -68,7 +68,7 @@ def test_texts_become_values() -> None:
         ("", "no-option"),
     ],
 )
-def test_unknown_options_are_refused_with_the_nearest_name(text: str, key: str) -> None:
+def test_unknown_option_suggests_the_closest(text: str, key: str) -> None:
     with raises_key(key):
         parsed_options([text])
 
@@ -99,7 +99,7 @@ def test_a_bad_file_is_named(content: str, key: str, tmp_path: Path) -> None:
         read_preset_file(path)
 
 
-def test_a_request_from_a_file_and_from_options(tmp_path: Path) -> None:
+def test_preset_file_and_options_make_the_same_request(tmp_path: Path) -> None:
     path = tmp_path / "mine.toml"
     path.write_text('preset = "standard"\nsteps = 9\nsize = [64, 48]\nobjects = "boxes"\nneighbours = 2')
     request = request_of("--preset", str(path), "--set", "neighbours=4", "--set", "fill_holes=true")
@@ -136,7 +136,7 @@ def test_a_value_of_the_preset_overrides_an_earlier_one() -> None:
     assert preset == "preview" and changed_options(PRESETS[preset], options) == {}
 
 
-def test_the_offered_ones_are_those_that_exist() -> None:
+def test_offered_presets_exist_and_fit_json() -> None:
     assert get_args(PresetName) == tuple(PRESETS)
     for preset in PRESETS.values():
         json.dumps(asdict(preset))  # it goes into the manifest
@@ -175,7 +175,7 @@ class _Further(Preset):
     colour: bool = False
 
 
-def test_further_options_can_be_added(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_scripts_can_add_options(monkeypatch: pytest.MonkeyPatch) -> None:
     for name, preset in list(PRESETS.items()):
         monkeypatch.setitem(PRESETS, name, _Further(**vars(preset)))
     assert option_value(with_options(PRESETS["paper"], checked_options({"colour": True})), "colour") is True

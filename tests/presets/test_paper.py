@@ -51,13 +51,13 @@ def rows(root: Path) -> dict[str, tuple[str, str]]:
 
 
 @pytest.mark.parametrize("name", OF_THE_PAPER)
-def test_a_number_is_the_papers(name: str, rows: dict[str, tuple[str, str]]) -> None:
+def test_preset_paper_matches_the_paper(name: str, rows: dict[str, tuple[str, str]]) -> None:
     value, source = OF_THE_PAPER[name]
     assert option_value(PRESETS["paper"], name) == value
     assert rows[name][1].startswith(source)
 
 
-def test_the_page_has_every_number_and_every_way_that_no_other_preset_has(rows: dict[str, tuple[str, str]]) -> None:
+def test_page_lists_every_number_of_the_preset_paper(rows: dict[str, tuple[str, str]]) -> None:
     paper, preview = PRESETS["paper"], PRESETS["preview"]
     for name, option in preset_options().items():
         is_told = option.kind in ("int", "float", "ints") or option_value(paper, name) != option_value(preview, name)
@@ -66,7 +66,7 @@ def test_the_page_has_every_number_and_every_way_that_no_other_preset_has(rows: 
     assert {name for name, (_, source) in rows.items() if not source.startswith("not in the paper")} == {*OF_THE_PAPER}
 
 
-def test_the_papers_schedule() -> None:
+def test_schedule_matches_the_paper() -> None:
     """Section "Implementation Details"; growth is Scaffold-GS's, which judges by shares of the steps."""
     paper, schedule = PRESETS["paper"], Trainer.growth_schedule
     every = paper.schedule.self_training_every

@@ -61,7 +61,7 @@ def assert_as_the_reference(scene: Scene, device: str = "cpu") -> None:
 
 @pytest.mark.usefixtures("stand_in")
 @pytest.mark.parametrize("name", SCENES)
-def test_the_call_means_what_the_reference_means(name: str) -> None:
+def test_gsplat_call_matches_the_reference(name: str) -> None:
     assert_as_the_reference(SCENES[name])
 
 
@@ -103,12 +103,12 @@ def assert_rows_as_in_the_whole(device: str) -> None:
 
 
 @pytest.mark.usefixtures("stand_in")
-def test_rows_of_a_picture_are_those_of_the_whole() -> None:
+def test_drawing_some_rows_matches_the_whole_picture() -> None:
     assert_rows_as_in_the_whole("cpu")
 
 
 @needs_gpu
-def test_rows_of_a_gpus_picture_are_those_of_the_whole() -> None:
+def test_drawing_some_rows_on_a_gpu_matches_the_whole_picture() -> None:
     assert_rows_as_in_the_whole("cuda")
 
 
@@ -120,7 +120,7 @@ def test_no_gaussians_are_drawn_without_gsplat(monkeypatch: pytest.MonkeyPatch) 
     assert_as_the_reference(replace(scene, tensors=tuple(tensor[:0] for tensor in scene.tensors)))
 
 
-def test_what_keeps_gsplat_from_drawing_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_gsplat_failure_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     def rasterization(**arguments: object) -> None:
         raise RuntimeError("Error building extension 'gsplat_cuda': [1/30]\nnvcc: not found")
 
@@ -131,7 +131,7 @@ def test_what_keeps_gsplat_from_drawing_is_told(monkeypatch: pytest.MonkeyPatch)
 
 
 @pytest.mark.usefixtures("stand_in")
-def test_without_labels_and_without_gradients() -> None:
+def test_gsplat_draws_without_labels_and_without_gradients() -> None:
     scene = random_scene(7, 100, 4, 30, 20)
     where = (scene.pose, scene.intrinsics, 30, 20)
     bare = rasterize(*scene.tensors[:5], None, *where, backend="gsplat")
@@ -143,7 +143,7 @@ def test_without_labels_and_without_gradients() -> None:
     ("installed", "said"),
     [("1.4.0", "too old"), ("1.5.3+pt24cu124", None), ("1.6.0", None), ("1.7.0", "too new"), (None, "not installed")],
 )
-def test_it_names_the_gsplat_it_needs(installed: str | None, said: str | None, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_missing_or_wrong_gsplat_names_the_needed_version(installed: str | None, said: str | None, monkeypatch: pytest.MonkeyPatch) -> None:
     def version(name: str) -> str:
         if installed is None:
             raise metadata.PackageNotFoundError(name)
@@ -157,7 +157,7 @@ def test_it_names_the_gsplat_it_needs(installed: str | None, said: str | None, m
         assert missing is not None and said in missing and "gsplat>=1.5,<1.7" in missing
 
 
-def test_it_refuses_tensors_that_are_not_on_a_gpu() -> None:
+def test_tensors_on_the_cpu_are_refused() -> None:
     scene = random_scene(10, 5, 2, 8, 8)
     with pytest.raises(ValueError, match="on the device cuda, these are torch.float32 on cpu"):
         rasterize(*scene.tensors, scene.pose, scene.intrinsics, 8, 8, backend="gsplat")

@@ -138,7 +138,7 @@ def test_drawing_alone_does_not_wait_for_the_backward_pass(tmp_path: Path) -> No
 
 
 @pytest.mark.slow
-def test_it_needs_neither_a_home_nor_a_setting(read_only_code: Path, tmp_path: Path) -> None:
+def test_rasterizer_needs_neither_a_home_nor_a_setting(read_only_code: Path, tmp_path: Path) -> None:
     """Machine code goes to a temporary folder of this process if no other folder will do."""
     before = listing(read_only_code)
     run = render_in_a_process(read_only_code, HOME=NO_HOME, TMPDIR=str(tmp_path))

@@ -62,7 +62,7 @@ def worth_sharing(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatc
 @pytest.mark.usefixtures("worth_sharing")
 @pytest.mark.parametrize("workers", [1, 2, 5])
 @pytest.mark.parametrize("count", [0, 1, 700])
-def test_lists_are_those_of_a_stable_sort(count: int, workers: int) -> None:
+def test_tile_lists_match_a_stable_sort(count: int, workers: int) -> None:
     given = projected(count, seed=count)
     assert_lists_of_a_stable_sort(isect_tiles(workers, *given, WIDTH, HEIGHT), given)
 
@@ -91,7 +91,7 @@ def test_every_gaussian_is_in_one_chunk(count: int) -> None:
 
 
 @given(st.integers(0, 10**7), st.integers(0, 20))
-def test_latecomers_get_no_lease(count: int, later: int) -> None:
+def test_range_after_the_last_chunk_is_empty(count: int, later: int) -> None:
     chunks = chunk_count(count)
     assert chunk_range(chunks - 1, chunks, count)[1] == count
     first, end = chunk_range(chunks + later, chunks, count)

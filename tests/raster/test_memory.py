@@ -28,7 +28,7 @@ def test_a_kept_picture_is_not_overwritten() -> None:
     assert torch.equal(first.image, copy)
 
 
-def test_a_backward_pass_that_is_late_or_repeated_gives_the_same() -> None:
+def test_late_or_repeated_backward_pass_gives_the_same_gradients() -> None:
     """What the first picture keeps for its backward pass is overwritten neither by other pictures nor by that pass
     itself."""
     scene, other = random_scene(3, 200, 6, 50, 40), random_scene(4, 200, 6, 50, 40)
@@ -71,7 +71,7 @@ def step(work: Workload, change: int = 0) -> None:
 
 
 @pytest.mark.parametrize("count", [10_000, 50_000])
-def test_it_stays_within_its_bound(count: int) -> None:
+def test_memory_stays_within_its_bound(count: int) -> None:
     work = room_workload(count)
     memory._blocks.clear()
     step(work)
@@ -97,7 +97,7 @@ def test_steps_of_a_slowly_changing_scene_allocate_nothing(count: int) -> None:
     assert peak <= little
 
 
-def test_it_stays_within_its_bound_when_one_tile_has_everything() -> None:
+def test_memory_stays_bounded_with_one_crowded_tile() -> None:
     """Everything is seen from afar, with more threads than there is work for."""
     work, count = room_workload(4000), 4000
     memory._blocks.clear()
@@ -118,7 +118,7 @@ def test_it_stays_within_its_bound_when_one_tile_has_everything() -> None:
     assert held_bytes() <= 2500 * count + 450 * 48 * 48 + scratch
 
 
-def test_it_reads_nothing_that_was_left_behind() -> None:
+def test_stale_memory_is_never_read() -> None:
     """Filling free memory with NaN changes no bit."""
     for count in (1, 3, 17, 50, 130, 700):
         scene = random_scene(count, count, 5, 33, 18)

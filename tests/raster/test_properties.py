@@ -26,7 +26,7 @@ def draw(scene: Scene) -> Rendering:
 
 @settings(max_examples=25, deadline=None)
 @given(scenes)
-def test_weights_are_weights(scene: Scene) -> None:
+def test_blending_weights_sum_to_alpha(scene: Scene) -> None:
     ones = scene.changed(4, torch.ones_like(scene.tensors[4]))
     out = draw(ones)
     assert (out.alpha >= 0.0).all() and (out.alpha <= 1.0).all()

@@ -35,7 +35,7 @@ scenes together 1e-4 may miss."""
 
 
 @pytest.mark.parametrize("name", SCENES)
-def test_it_matches_the_reference(name: str, record_property: Callable[[str, object], None]) -> None:
+def test_numba_matches_the_reference(name: str, record_property: Callable[[str, object], None]) -> None:
     scene = SCENES[name]
     steady = steady_pixels(scene)
     near = int((~steady).sum())
@@ -55,7 +55,7 @@ def test_it_matches_the_reference(name: str, record_property: Callable[[str, obj
         assert missed <= max(1e-4 * count, MAY_MISS.get(name, 0)), f"{group}: {missed} of {count} elements"
 
 
-def test_gradients_over_all_scenes() -> None:
+def test_gradients_match_the_reference_over_all_scenes() -> None:
     missed, counts = dict.fromkeys(GROUPS, 0), dict.fromkeys(GROUPS, 0)
     for scene in SCENES.values():
         steady = steady_pixels(scene)
@@ -80,7 +80,7 @@ def test_scenes_are_what_their_names_say() -> None:
 
 @pytest.mark.parametrize("backend", ["numba", "reference"])
 @pytest.mark.parametrize("count", [0, 3])
-def test_nothing_to_see(backend: str, count: int) -> None:
+def test_empty_views_draw_nothing(backend: str, count: int) -> None:
     scene = random_scene(0, count, 4, 20, 20)
     means = scene.tensors[0].clone()
     means[:, 2] = -5.0
@@ -92,12 +92,12 @@ def test_nothing_to_see(backend: str, count: int) -> None:
 
 
 @pytest.mark.parametrize("channels", [1, 5, 20])
-def test_the_same_bits_with_any_number_of_threads(channels: int) -> None:
+def test_thread_count_changes_no_bit(channels: int) -> None:
     scene = random_scene(5, 1100, channels, 70, 50)
     assert_same_bits_with_any_threads(scene, "numba")
 
 
-def test_the_same_bits_on_a_room() -> None:
+def test_thread_count_changes_no_bit_of_a_room() -> None:
     """More Gaussians and tiles than the small scenes, so that the workers really do share everything."""
     work = room_workload(25_000, 320, 240)
     arrays = (work.means, work.scales, work.quats, work.opacities, work.colours, work.labels)
@@ -123,7 +123,7 @@ def test_a_loss_may_use_only_one_layer(layer: str) -> None:
         assert missed_elements(gradient, wanted) <= 1e-4 * gradient.numel(), group
 
 
-def test_labels_have_the_same_gradient_whichever_others_their_tile_compares() -> None:
+def test_label_gradients_do_not_depend_on_other_channels_of_the_tile() -> None:
     """Tiles copy and add up only the channels with a gradient in them: none, few or all."""
     scene, channels = random_scene(11, 900, 37, 70, 50), torch.arange(37)
     by = torch.randn(50, 70, 37, generator=torch.Generator().manual_seed(0))
@@ -143,7 +143,7 @@ def test_labels_have_the_same_gradient_whichever_others_their_tile_compares() ->
     assert alone.any()
 
 
-def test_without_labels() -> None:
+def test_rasterize_works_without_labels() -> None:
     scene = random_scene(7, 100, 4, 30, 20)
     bare = rasterize(*scene.tensors[:5], None, scene.pose, scene.intrinsics, 30, 20)
     full = rasterize(*scene.tensors, scene.pose, scene.intrinsics, 30, 20)
@@ -152,7 +152,7 @@ def test_without_labels() -> None:
 
 
 @pytest.mark.parametrize("top_k", [1, 3, 500])
-def test_top_contributors(top_k: int) -> None:
+def test_top_contributors_match_the_reference(top_k: int) -> None:
     scene = random_scene(8, 200, 2, 35, 21)
     steady = steady_pixels(scene)
     outs = [
@@ -179,7 +179,7 @@ def test_gradcheck_of_the_reference() -> None:
     assert torch.autograd.gradcheck(draw, inputs[:5] + [inputs[5].detach()], atol=1e-6)
 
 
-def test_it_refuses_what_does_not_fit() -> None:
+def test_bad_arguments_are_refused() -> None:
     scene = random_scene(10, 5, 2, 8, 8)
     where = (scene.pose, scene.intrinsics, 8, 8)
     with pytest.raises(ValueError, match="scales has shape"):
@@ -194,7 +194,7 @@ def test_it_refuses_what_does_not_fit() -> None:
         rasterize(*scene.tensors, scene.pose, scene.intrinsics, 0, 8)
 
 
-def test_rows_of_a_picture_are_those_of_the_whole() -> None:
+def test_drawing_some_rows_matches_the_whole_picture() -> None:
     room = room_workload(2000, 96, 72)
     inputs = [torch.from_numpy(each) for each in (room.means, room.scales, room.quats, room.opacities, room.colours)]
     labels, camera = torch.from_numpy(room.labels), (room.camera_to_world, room.intrinsics, room.width, room.height)

@@ -25,7 +25,7 @@ def test_help_imports_nothing_heavy(root: Path, command: list[str]) -> None:
     refuse_heavy_help(root, "research.command_line", command)
 
 
-def test_it_runs_as_a_module(root: Path) -> None:
+def test_research_runs_as_a_module(root: Path) -> None:
     said = subprocess.run(
         [sys.executable, "-m", "research", "experiments", "--list"],
         cwd=root, capture_output=True, text=True, timeout=120,
@@ -38,7 +38,7 @@ def test_wrong_arguments_are_refused(capsys: pytest.CaptureFixture[str]) -> None
     assert "'0,one' is not a list of whole numbers such as 0,1,2" in capsys.readouterr().err
 
 
-def test_the_last_words_of_ctrl_c(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_ctrl_c_says_how_to_continue(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
     def stopped(*_: object) -> None:
         signal.raise_signal(signal.SIGINT)
 
@@ -51,7 +51,7 @@ def test_the_last_words_of_ctrl_c(capsys: pytest.CaptureFixture[str], monkeypatc
     assert capsys.readouterr().err.splitlines() == ["Stopped. The same command continues."]
 
 
-def test_bench_measures_and_refuses_a_file_that_it_cannot_write_before_it_does(
+def test_bench_refuses_an_unwritable_file_before_measuring(
     capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     measured: list[str] = []

@@ -24,7 +24,7 @@ from tests.raises_key import raises_key
 from tests.research.experiments.made_up import KITCHEN, OFFICE
 
 
-def test_what_was_written_is_read(tmp_path: Path) -> None:
+def test_results_round_trip(tmp_path: Path) -> None:
     file = tmp_path / "results.json"
     file.write_text(results_text([*OFFICE, KITCHEN]))
     assert read_results(file) == (*OFFICE, KITCHEN)
@@ -89,7 +89,7 @@ def _events(*written: tuple[float, str, dict[str, str]]) -> list[Event]:
     return [Event(seq, time, kind, dict(data)) for seq, (time, kind, data) in enumerate(written, start=1)]
 
 
-def test_a_lift_takes_the_time_of_all_its_runs() -> None:
+def test_lifting_seconds_add_up_all_runs() -> None:
     """One run was killed while it trained, the next one finished, a third baked more frames."""
     events = _events(
         (100.0, "hello", {}),
@@ -107,7 +107,7 @@ def test_a_lift_takes_the_time_of_all_its_runs() -> None:
     assert lifting_seconds([]) is None
 
 
-def test_a_lift_on_disk(tmp_path: Path) -> None:
+def test_finished_lift_is_read(tmp_path: Path) -> None:
     lift = LiftFolder.create(tmp_path / "lift", LiftRequest(scene=tmp_path, preset="standard", seed=4))
     write_atomically(lift.result_path / "metrics.json", '{"format": 1, "test_frames": [], "tables": []}')
     write_manifest(lift.result_path, versions={}, seed=4, settings={"steps": 70}, timings={})

@@ -17,7 +17,7 @@ from tests.train.tiny_lift import TINY, lift_into, presets_as
 PRESET = replace(PRESETS["paper"], voxel_size=0.1)
 
 
-def test_each_stage_is_scored_on_the_scenes_masks_and_on_true_ones(tmp_path: Path) -> None:
+def test_stages_are_scored_on_predicted_and_true_masks(tmp_path: Path) -> None:
     scene = write_tiny_scene(tmp_path / "room", frames=8, size=(64, 48), noise=0.4)
     with presets_as(preview=TINY):
         lift = lift_into(tmp_path / "lift", LiftRequest(scene, bake="all"))

@@ -89,7 +89,7 @@ def test_ties_go_to_the_lower_class_and_unrendered_regions_have_no_loss() -> Non
     assert (pseudo_labels(mask, np.zeros((4, 8), np.int32), 16) == 0).all()
 
 
-def test_small_regions_keep_what_is_rendered() -> None:
+def test_small_regions_keep_the_rendered_classes() -> None:
     for width, is_small in ((15, True), (16, False)):
         mask = PanopticMask(np.full((1, width), 1, np.int32), (Segment(1, WALL, False),))
         rendered = np.where(np.arange(width) > 4, 7, 3).astype(np.int32)[None]

@@ -39,7 +39,7 @@ def test_rejected_pixels_give_geometry_without_a_label() -> None:
     assert (cloud.class_id[right] == WALL).all() and (cloud.class_id[cloud.xyz[:, 0] < -0.3] == 0).all()
 
 
-def test_no_majority_is_unknown_and_ties_go_to_the_lower_id() -> None:
+def test_point_without_majority_is_unknown_and_ties_go_to_the_lower_id() -> None:
     votes = np.array([[4.0, 3.0, 3.0], [2.0, 2.0, 0.0], [0.0, 0.0, 0.0], [0.0, 1.0, 9.0]])
     class_id, share = majority_vote(votes, (3, 5, 9), 0.5)
     assert class_id.tolist() == [0, 3, 0, 9]
@@ -56,13 +56,13 @@ def test_the_same_views_give_the_same_cloud_and_progress_counts_up() -> None:
     assert seen == [(i, 6) for i in range(1, 7)]
 
 
-def test_nothing_with_depth_is_refused() -> None:
+def test_views_without_depth_are_refused() -> None:
     views = [wall_view("a", 0.0, depth=0.0)]
     with pytest.raises(ValueError, match="depth"):
         build_point_cloud(views, everything(views), CLASS_IDS, OPTIONS)
 
 
-def test_a_room_too_large_for_an_even_cloud_has_its_points_where_labels_change() -> None:
+def test_large_room_has_dense_points_where_labels_change() -> None:
     """A wall, its right half of another class, and a fifth of the points that it would have."""
     views = [wall_view(name, 0.0, classes=square(SOFA, WALL, slice(20, 40), slice(0, 30))) for name in ("a", "b")]
     even = build_point_cloud(views, everything(views), CLASS_IDS, CloudOptions(spacing=0.075, cap=10_000))

@@ -22,7 +22,7 @@ def gather_by_vectors(chunk: Any, offsets: Any, isects: Any, channels: int, d_la
 
 
 @pytest.mark.parametrize("channels", [0, 1, 2, 5, 7, 8, 15, 16, 17, 46])
-def test_the_gaussians_of_a_chunk_and_no_others_are_written(channels: int) -> None:
+def test_gather_writes_only_its_chunk(channels: int) -> None:
     """Tile 0 has a gradient in no channel, tile 3 in all of them."""
     random = np.random.default_rng(channels)
     count, tile_count = 11, 4

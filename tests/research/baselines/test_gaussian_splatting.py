@@ -36,7 +36,7 @@ def some_gaussians(count: int = 30) -> StructuredScene:
     return StructuredScene(anchors, PlainDecoders(SHAPE), CHANNELS, 0.1)
 
 
-def test_they_start_with_the_clouds_colours_and_without_labels() -> None:
+def test_gaussians_start_with_the_clouds_colours_and_without_labels() -> None:
     positions, rgb = np.array([[0, 0, 2], [0.3, 0, 2]], np.float32), np.array([[255, 0, 51], [0, 0, 0]], np.uint8)
     anchors = plain_gaussians(positions, np.array([5, 0]), rgb, SHAPE)
     drawn = decode(anchors, PlainDecoders(SHAPE), CAMERA, channels=torch.tensor([1, -1]))
@@ -48,7 +48,7 @@ def test_they_start_with_the_clouds_colours_and_without_labels() -> None:
     assert drawn.cluster_loss.item() == pytest.approx(np.log(3))
 
 
-def test_each_is_learnt_on_its_own() -> None:
+def test_each_gaussian_is_learnt_independently() -> None:
     scene = some_gaussians(3)
     scene.anchors.feature.requires_grad_()
     scene.anchors.offset.requires_grad_()
@@ -68,7 +68,7 @@ def statistics_of(scene: StructuredScene, moved: list[int]) -> GrowthStatistics:
     return statistics
 
 
-def test_small_ones_are_cloned_large_ones_split_and_faint_ones_go() -> None:
+def test_small_gaussians_are_cloned_large_split_and_faint_removed() -> None:
     scene = some_gaussians(5)
     scene.anchors.feature[:, SCALE] = np.log(0.01) / SCALE_RATE
     scene.anchors.feature[1, SCALE] = np.log(0.5) / SCALE_RATE
@@ -86,7 +86,7 @@ def test_small_ones_are_cloned_large_ones_split_and_faint_ones_go() -> None:
     assert all(float(sums.sum()) == 0 for sums in statistics.tensors().values())
 
 
-def test_no_more_than_there_is_room_for() -> None:
+def test_growth_stops_at_the_limit() -> None:
     scene = some_gaussians(6)
     statistics = statistics_of(scene, list(range(6)))
     rules = PlainRules(gradient=0.5, dense_share=10.0)
@@ -102,7 +102,7 @@ def test_opacities_are_reset() -> None:
     assert opacity[[0, 2]].tolist() == pytest.approx([0.01, 0.01]) and opacity[1] < 1e-10
 
 
-def test_they_are_stored_and_drawn_again() -> None:
+def test_stored_gaussians_are_drawn_the_same() -> None:
     scene = some_gaussians()
     again = from_tensors(*to_tensors(scene))
     assert isinstance(again.decoders, PlainDecoders)

@@ -67,7 +67,7 @@ def test_a_restored_trainer_of_plain_gaussians_continues_bit_for_bit(tiny: Input
     assert [resumed.step().loss for _ in range(5, STEPS)] == [whole.step().loss for _ in range(5, STEPS)]
 
 
-def test_slots_that_mean_what_the_assignment_makes_of_them(tiny: Input, tmp_path: Path) -> None:
+def test_linear_assignment_gives_slots_their_meaning(tiny: Input, tmp_path: Path) -> None:
     trainer = trainer_of(*tiny, ALONE, tmp_path)
     assert trainer.scene.channels.slot_ids == (1, 2, 3, 4, 0) and not trainer.scene.channels.class_of_slot
     report = trainer.step()
@@ -79,7 +79,7 @@ def targets_with(tiny: Input, folder: Path, **changed: object) -> list[np.ndarra
     return [target.projected.numpy() for target in trainer.targets]
 
 
-def test_where_semantic_targets_come_from(tiny: Input, tmp_path: Path) -> None:
+def test_semantic_targets_come_from_the_chosen_source(tiny: Input, tmp_path: Path) -> None:
     views, _ = tiny
     masks = targets_with(tiny, tmp_path)
     assert all(np.array_equal(shown >= 0, view.mask.class_map() > 0) for shown, view in zip(masks, views, strict=True))
@@ -123,7 +123,7 @@ def loss_of(tiny: Input, folder: Path, preset: BaselinePreset) -> tuple[float, f
     return report.semantic, report.instance
 
 
-def test_the_parts_of_the_label_losses(tiny: Input, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_label_losses_have_their_parts(tiny: Input, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     boxes = replace(TINY, objects="boxes", one_class_an_object=False, linear_assignment=True, label_every=1)
     semantic, instance = loss_of(tiny, tmp_path, boxes)
     without = replace(boxes, weights=replace(boxes.weights, cluster=0.0))
@@ -135,7 +135,7 @@ def test_the_parts_of_the_label_losses(tiny: Input, tmp_path: Path, monkeypatch:
     assert loss_of(tiny, tmp_path, replace(boxes, linear_assignment=False))[1] < instance
 
 
-def test_starting_without_labels(tiny: Input, tmp_path: Path) -> None:
+def test_unlabelled_start_has_only_colours(tiny: Input, tmp_path: Path) -> None:
     labelled, bare = (
         prepared_for(*tiny, replace(TINY, labelled_start=known), tmp_path).scene for known in (True, False)
     )

@@ -72,7 +72,7 @@ def test_one_folder_for_several_scenes_is_refused(tmp_path: Path) -> None:
         run(experiment_of(tmp_path, f"theirs too={tmp_path}/true/office"))
 
 
-def test_what_is_not_a_name_and_a_folder() -> None:
+def test_malformed_predictions_are_refused() -> None:
     assert predictions_from("a b=x/{scene}:ids=frame").predicted == Predicted(Path("x/{scene}"), True)
     for text in ("x", "=x", "x=", "x=:ids=frame"):
         with raises_key("not-a-prediction"):

@@ -19,7 +19,7 @@ LETTER = "PLGS from zero features and random decoders"
 
 
 @pytest.mark.parametrize("row", [row for row in FOUND.rows if row.is_lift], ids=lambda row: row.slug)
-def test_each_row_is_a_lift(row) -> None:
+def test_each_row_has_valid_options(row) -> None:
     request = LiftRequest(scene=Path("/room"), options=row.options)
     is_as_the_preset = request.chosen_preset == LiftRequest(scene=Path("/room")).chosen_preset
     assert is_as_the_preset == (not row.options)

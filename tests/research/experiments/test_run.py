@@ -86,7 +86,7 @@ def test_every_scene_is_lifted_once(experiment: Experiment, behave: Behave, caps
     assert read_results(experiment.folder / "results.json") == first
 
 
-def test_rows_one_after_the_other(experiment: Experiment, behave: Behave) -> None:
+def test_rows_are_lifted_one_after_the_other(experiment: Experiment, behave: Behave) -> None:
     some = replace(experiment, scenes=experiment.scenes[:1], only=("ours", "parts", "input masks"), seeds=(0, 2))
     assert run(some) is ExitCode.FINISHED
     assert measured(some) == [
@@ -104,7 +104,7 @@ def test_rows_one_after_the_other(experiment: Experiment, behave: Behave) -> Non
     )
 
 
-def test_tables_of_what_is_finished_lift_nothing(experiment: Experiment, behave: Behave) -> None:
+def test_finished_only_tables_lift_nothing(experiment: Experiment, behave: Behave) -> None:
     assert run(replace(experiment, scenes=experiment.scenes[:1])) is ExitCode.FINISHED
     whole = replace(experiment, only=("ours", "parts"), only_finished=True)
     assert run(whole) is ExitCode.FINISHED
@@ -168,7 +168,7 @@ def test_scenes_are_read_as_the_options_say(experiment: Experiment, behave: Beha
         run(experiment)
 
 
-def test_depth_that_another_row_renders(
+def test_row_uses_the_depth_another_row_renders(
     experiment: Experiment, behave: Behave, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     exported: list[tuple[Path, str, list[str]]] = []
@@ -222,7 +222,7 @@ def test_bad_input_is_reported_before_any_lift(experiment: Experiment, behave: B
     assert not experiment.folder.exists()
 
 
-def test_a_scene_that_cannot_be_read_is_a_row(
+def test_unreadable_scene_becomes_a_failed_row(
     experiment: Experiment, behave: Behave, capsys: pytest.CaptureFixture[str]
 ) -> None:
     missing = SceneToLift("cellar", experiment.folder / "cellar")
@@ -308,7 +308,7 @@ def test_a_finished_lift_with_other_settings_is_not_reused(experiment: Experimen
         run(replace(with_steps, sets=("weights.depth=0",)))
 
 
-def test_a_row_is_what_its_name_says(experiment: Experiment, behave: Behave) -> None:
+def test_row_sets_the_options_of_its_name(experiment: Experiment, behave: Behave) -> None:
     some = replace(
         experiment, scenes=experiment.scenes[:1], only=("ours", "theirs"), sets=("objects=none", "neighbours=2")
     )
@@ -320,7 +320,7 @@ def test_a_row_is_what_its_name_says(experiment: Experiment, behave: Behave) -> 
     assert theirs.options == {"objects": "boxes", "neighbours": 2}
 
 
-def test_what_was_finished_before_stays_in_the_report(
+def test_earlier_finished_lifts_stay_in_the_report(
     experiment: Experiment, behave: Behave, capsys: pytest.CaptureFixture[str]
 ) -> None:
     page = experiment.folder / "page.md"
@@ -338,7 +338,7 @@ def test_what_was_finished_before_stays_in_the_report(
     assert rows == [*WITHOUT_A_LIFT, "without depth"], "lifts by other options are none of these"
 
 
-def test_damage_in_another_row_is_reported_and_stops_nothing(
+def test_damaged_other_row_is_reported_without_stopping(
     experiment: Experiment, behave: Behave, capsys: pytest.CaptureFixture[str]
 ) -> None:
     some = replace(experiment, scenes=experiment.scenes[:1], only=("ours", "theirs"))
@@ -368,7 +368,7 @@ def test_a_page_keeps_its_text(experiment: Experiment, behave: Behave, tmp_path:
     assert page.read_text() == mine
 
 
-def test_the_real_engine(
+def test_experiment_runs_with_the_real_engine(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, quick_python: Path
 ) -> None:
     """Two rows, few steps: proves that the command still works."""

@@ -10,7 +10,7 @@ from research.experiments.experiment import SceneToLift, scenes_from
 from tests.raises_key import raises_key
 
 
-def test_a_scene_with_its_axis() -> None:
+def test_scene_text_can_name_its_axis() -> None:
     rooms = Path("rooms").resolve()
     assert scenes_from(["rooms/office", "rooms/kitchen:up=-y"]) == (
         SceneToLift("office", rooms / "office", "z"),
@@ -33,7 +33,7 @@ def test_a_colon_may_be_part_of_a_path() -> None:
     assert (scene.folder.name, scene.up) == ("C:rooms", "y")
 
 
-def test_they_have_their_own_names() -> None:
+def test_scenes_take_given_names() -> None:
     scenes = scenes_from(["one/room", "two/room:up=y"], ["first", "second"])
     assert [(scene.name, scene.up) for scene in scenes] == [("first", "z"), ("second", "y")]
 
@@ -52,6 +52,6 @@ def test_they_have_their_own_names() -> None:
         ([""], None, "not-scene"),
     ],
 )
-def test_what_is_refused(texts: list[str], names: list[str] | None, key: str) -> None:
+def test_bad_scene_texts_are_refused(texts: list[str], names: list[str] | None, key: str) -> None:
     with raises_key(key):
         scenes_from(texts, names)

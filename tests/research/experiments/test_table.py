@@ -21,7 +21,7 @@ def of_table(name: str, results: Sequence[Result], earlier: Sequence[Result] = (
     return cells("\n".join(Tables(ROWS, ROWS.rows, tuple(results), tuple(earlier)).lines(results[0].scene, rows)))
 
 
-def test_a_table_next_to_the_papers_figures() -> None:
+def test_table_shows_the_papers_figures() -> None:
     heading, rule, *rows = of_table("systems", OFFICE)
     assert heading == [
         "", "mIoU %", "mIoU % true classes", "PQ-scene %", "mIoU % `pl_compat`", "mIoU % `pl_compat`, true classes",
@@ -61,7 +61,7 @@ def test_times_are_the_best_of_several_seeds() -> None:
     assert of_table("parts", results)[2][3:6] == ["500", "80", "3.0"]
 
 
-def test_before_and_after() -> None:
+def test_earlier_results_are_shown_before_new_ones() -> None:
     before = replace(OFFICE[0], figures=OFFICE[0].figures._replace(miou=0.6, ssim=None))
     _, _, ours, masks, theirs, _ = of_table("systems", OFFICE, [before])
     assert ours[1] == "60.0 -> 80.0" and ours[11] == "- -> 0.875"
@@ -97,7 +97,7 @@ def test_a_row_that_another_engine_lifted_is_marked() -> None:
     assert "†" not in Tables(ROWS, ROWS.rows, OFFICE, earlier=results).markdown()
 
 
-def test_only_some_rows() -> None:
+def test_table_shows_only_chosen_rows() -> None:
     text = Tables(ROWS, ROWS.chosen(["theirs"]), OFFICE).markdown()
     assert [row[0] for row in cells(text)[2:]] == ["theirs"]
 
