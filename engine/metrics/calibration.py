@@ -127,7 +127,8 @@ class _Named:
         """Whether most views name the class that each point shows, float64 [N]; a fraction of 1 where several tie."""
         most = self._votes.max(axis=1, initial=0)
         own = self._votes[np.arange(len(self._votes)), self._column]
-        wins = (own == most) & (own > 0) & (own >= self.views - self._votes.sum(axis=1))  # the classes that none shows
+        unseen = self.views - self._votes.sum(axis=1)  # votes for classes that no sample shows
+        wins = (own == most) & (own > 0) & (own >= unseen)
         return np.asarray(wins / np.maximum((self._votes == most[:, None]).sum(axis=1), 1), np.float64)
 
 

@@ -235,7 +235,7 @@ def _resized(picture: Picture, size: tuple[int, int], labels: bool) -> Picture:
 def _write(picture: Picture, text: str, at: tuple[int, int], colour: Colour, scale: float = 0.5) -> None:
     import cv2
 
-    # OpenCV draws ASCII only.
+    # OpenCV draws only ASCII.
     drawn = text.encode("ascii", "replace").decode()
     cv2.putText(picture, drawn, at, cv2.FONT_HERSHEY_SIMPLEX, scale, colour, 1, cv2.LINE_AA)
 

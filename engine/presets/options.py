@@ -138,7 +138,7 @@ def parsed_options(texts: Iterable[str]) -> dict[str, Json]:
 def checked_options(options: Mapping[str, Json]) -> dict[str, Json]:
     """Options as JSON values, in the order of the presets' fields. Raises PlgsError like ``parsed_options``, but
     accepts names of parts that this process lacks: reading a lift does not need the script that made it."""
-    checked = {name: checked_value(known_option(name), value, anybodys=True) for name, value in options.items()}
+    checked = {name: checked_value(known_option(name), value, any_part=True) for name, value in options.items()}
     return {name: checked[name] for name in preset_options() if name in checked}
 
 
@@ -156,19 +156,19 @@ def known_option(name: str) -> PresetOption:
     raise PlgsError("no-option", what, "--set", f"{hint}'{LISTING} preview' lists them all.")
 
 
-def checked_value(option: PresetOption, value: Json, *, anybodys: bool = False) -> Json:
+def checked_value(option: PresetOption, value: Json, *, any_part: bool = False) -> Json:
     """The checked value of a JSON value or a text, with floats where floats are wanted. Raises PlgsError for an invalid
-    value. ``anybodys``: a part may have any name."""
+    value. ``any_part``: unknown names of parts are valid."""
     found = _from_text(option, value) if isinstance(value, str) else value
     if found is None and option.can_be_none:
         return None
     checked: Json = None
     if option.kind == "bool" and isinstance(found, bool):
         checked = found
-    elif option.kind == "choice" and _is_name(option, found, anybodys):
+    elif option.kind == "choice" and _is_name(option, found, any_part):
         checked = found
     elif option.kind == "names" and isinstance(found, list | tuple):
-        checked = list(found) if all(_is_name(option, each, anybodys) for each in found) else None
+        checked = list(found) if all(_is_name(option, each, any_part) for each in found) else None
     elif option.kind in ("int", "float"):
         checked = _number(option, found)
     elif isinstance(found, list | tuple) and len(found) == option.length:
@@ -182,8 +182,8 @@ def checked_value(option: PresetOption, value: Json, *, anybodys: bool = False) 
     return checked
 
 
-def _is_name(option: PresetOption, value: Json, anybodys: bool) -> bool:
-    return value in option.allowed or bool(option.part and anybodys and is_name(value))
+def _is_name(option: PresetOption, value: Json, any_part: bool) -> bool:
+    return value in option.allowed or bool(option.part and any_part and is_name(value))
 
 
 def _number(option: PresetOption, value: Json) -> float | int | None:

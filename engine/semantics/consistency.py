@@ -59,7 +59,7 @@ def consistency_masks(views: Sequence[View], options: ConsistencyOptions) -> Ite
         window = {i: window[i] if i in window else views[i].mask.class_map() for i in wanted}
         agree, seen = _compare(view, window[index], [(views[i], window[i]) for i in others], options)
         kept = agree >= options.agreement * seen - 1e-9
-        # Without depth nothing was compared, and nothing can be placed in space either.
+        # Without depth nothing was compared, and no pixel can be unprojected either.
         yield kept & (window[index] != VOID) & (view.depth > 0)
 
 

@@ -34,7 +34,7 @@ def test_new_cache_folder_is_private(cache: Path) -> None:
 
 
 @pytest.mark.parametrize("unsafe", ["kernels", "plgs", ".cache", "home"])
-def test_cache_folder_writable_by_others_is_not_used(cache: Path, unsafe: str, caplog: pytest.LogCaptureFixture) -> None:
+def test_folder_writable_by_others_is_not_used(cache: Path, unsafe: str, caplog: pytest.LogCaptureFixture) -> None:
     folder = choose_cache_folder("kernels")
     next(each for each in (folder, *folder.parents) if each.name == unsafe).chmod(0o777)
     own = choose_cache_folder("kernels")
@@ -44,7 +44,7 @@ def test_cache_folder_writable_by_others_is_not_used(cache: Path, unsafe: str, c
 
 @pytest.mark.skipif(not hasattr(os, "geteuid") or os.geteuid() != 0, reason="only root gives folders away")
 @pytest.mark.parametrize("unsafe", ["kernels", "plgs", ".cache"])
-def test_cache_folder_owned_by_another_user_is_not_used(cache: Path, unsafe: str) -> None:
+def test_folder_owned_by_another_user_is_not_used(cache: Path, unsafe: str) -> None:
     folder = choose_cache_folder("kernels")
     os.chown(next(each for each in (folder, *folder.parents) if each.name == unsafe), 12345, 12345)
     assert choose_cache_folder("kernels") != folder

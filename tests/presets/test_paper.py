@@ -60,8 +60,8 @@ def test_preset_paper_matches_the_paper(name: str, rows: dict[str, tuple[str, st
 def test_page_lists_every_number_of_the_preset_paper(rows: dict[str, tuple[str, str]]) -> None:
     paper, preview = PRESETS["paper"], PRESETS["preview"]
     for name, option in preset_options().items():
-        is_told = option.kind in ("int", "float", "ints") or option_value(paper, name) != option_value(preview, name)
-        if is_told and not WITHOUT_EFFECT.match(name):
+        is_listed = option.kind in ("int", "float", "ints") or option_value(paper, name) != option_value(preview, name)
+        if is_listed and not WITHOUT_EFFECT.match(name):
             assert rows[name][0] == shown_value(option_value(paper, name)), name
     assert {name for name, (_, source) in rows.items() if not source.startswith("not in the paper")} == {*OF_THE_PAPER}
 

@@ -65,7 +65,7 @@ def test_surface_at_an_outline_lies_on_one_of_two_planes() -> None:
         ([1.9, 4, 4.1, 4.15, 8], [0.3, 0.4, 0.4, 0.5, 0.9], (0.28 * 4 + 0.168 * 4.1 + 0.126 * 4.15) / 0.574),
     ],
 )  # fmt: skip
-def test_surface_of_wide_layers_matches_hand_computed_depth(depths: list[float], alphas: list[float], expected: float) -> None:
+def test_surface_of_layers_is_exact(depths: list[float], alphas: list[float], expected: float) -> None:
     """Each Gaussian is so wide that its alpha is the same in the whole picture."""
     means = np.array([[0.0, 0.0, depth] for depth in depths])
     scene = seen_straight(means, 50.0, alphas, 5, 3)

@@ -68,13 +68,13 @@ AHEAD = 8
 """A record is fetched this many Gaussians before it is needed, as records may be anywhere in memory."""
 NEVER = F(-1e30)
 
-# fields of a batch, as offsets in floats from its start; each has a place for every member
+# fields of a batch, as offsets in floats from its start; each has a slot for every member
 ORIGIN_S1, ORIGIN_S2 = 0, BATCH  # s at the centre of the tile's first pixel
 SLOPE, SHEAR, DROP = 2 * BATCH, 3 * BATCH, 4 * BATCH  # L11, L12, L22
 LOG_OPACITIES = 5 * BATCH
 REDS, GREENS, BLUES, DEPTHS = 6 * BATCH, 7 * BATCH, 8 * BATCH, 9 * BATCH
 INDICES = 10 * BATCH  # in the tile's list
-BATCH_FIELDS = 11 * BATCH + TILE  # the last one has a place for PAD_INDEX too
+BATCH_FIELDS = 11 * BATCH + TILE  # the last one has a slot for PAD_INDEX too
 
 # fields of one strip, as offsets in floats from their start; a pair for every member, one for each row
 STRIP_S1 = 0  # s1 at the row's first pixel

@@ -83,7 +83,7 @@ def blend_tile(tile: Tile, size: tuple[int, int], flatten_ids: Array, records: A
         for r in range(rows):
             if (patches >> (r & -2)) & 3 == 0:
                 continue
-            # what no pixel has is overwritten
+            # an entry that no pixel shows is overwritten
             if blend_row(records, int(gaussian) * RECORD, r, floats, LISTED + count * TILE):
                 put(members, 2 * count, gaussian)
                 put(members, 2 * count + 1, np.int32(r))
@@ -132,8 +132,8 @@ def list_contributors(
 
 # The depth of the surface.
 #
-# At an outline a pixel is blended of what is in front and what is behind. The mean of all lies between the two, where
-# nothing is. The median, at which half of the pixel's weight is reached, lies on one of the two, but from pixel to
+# At an outline a pixel blends what is in front with what is behind. The mean depth lies between the two, where there
+# is nothing. The median, at which half of the weight is reached, lies on one of the two, but from pixel to
 # pixel it jumps between the Gaussians of a surface. So it only chooses the Gaussians whose mean is taken.
 
 

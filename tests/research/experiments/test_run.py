@@ -113,7 +113,7 @@ def test_finished_only_tables_lift_nothing(experiment: Experiment, behave: Behav
     assert run(whole) is ExitCode.BAD_INPUT
     (damaged,) = read_results(whole.folder / "results.json")
     assert "metrics.json" in damaged.failed and damaged.figures == Figures()
-    assert runs_of(whole, "office-preview") == [False], "what is damaged is told, not lifted"
+    assert runs_of(whole, "office-preview") == [False], "a damaged lift is reported, not lifted again"
     assert sorted(path.parent.name for path in whole.folder.glob("*/request.json")) == ["office-preview"]
 
 
@@ -381,7 +381,7 @@ def test_experiment_runs_with_the_real_engine(
     assert set(results) == {"ours", "3DGS", *WITHOUT_A_LIFT}
     ours, masks = results["ours"], results[INPUT_MASKS]
     lacking = {name for name, value in ours.figures._asdict().items() if value is None}
-    assert lacking <= {"id_changes", "peak_bytes"}, "one frame is held out; Windows tells no memory"
+    assert lacking <= {"id_changes", "peak_bytes"}, "one frame is held out; Windows does not report memory"
     assert (ours.steps, masks.figures.psnr) == (3, None) and results["3DGS"].figures.psnr is not None
     assert results[VOXEL_VOTE].figures.miou == results[VOXELS_ALONE].figures.miou
     assert cv2.imread(str(out / "sheet.png")).shape[1] > 1000
