@@ -1,4 +1,4 @@
-"""Where were the pictures taken? Cameras, classes, posed frames and plain folders; only numpy, for Blender's sake."""
+"""Cameras, classes, posed frames and plain folders. Uses only numpy, as Blender imports it."""
 
 from __future__ import annotations
 

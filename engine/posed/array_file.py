@@ -1,4 +1,4 @@
-"""NumPy's .npy and .npz: never pickled, never larger than a limit, whatever their bytes say."""
+"""Reads NumPy's .npy and .npz: never pickled, never larger than a limit, whatever their bytes claim."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ from ..errors import PlgsError
 from ..gates import open_plain, read_plain
 
 MOST_BYTES = 1 << 28
-"""The largest size of all unpacked arrays of a file in bytes: some five million labelled points."""
+"""Maximum bytes of all unpacked arrays of a file: some five million labelled points."""
 LARGEST_PICTURE = 1 << 30
-"""The largest size of an array with one frame's masks in bytes."""
+"""Maximum bytes of an array with one frame's masks."""
 _NO_ARRAYS = "this is not a NumPy file of numbers, or it is cut off"
 _SAVE_FIX = "Write it again with numpy.save."
 _DAMAGED = (
     ValueError, TypeError, EOFError, KeyError, SyntaxError, tokenize.TokenError, NotImplementedError, RuntimeError,
     BadZipFile, zlib.error,
 )  # fmt: skip
-"""What numpy and zipfile raise for a file that is damaged or something else."""
+"""Exceptions of numpy and zipfile for a damaged or unrelated file."""
 _HEADERS = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
 
 
@@ -64,7 +64,7 @@ def read_npy(path: Path, fix: str, most_bytes: int = MOST_BYTES) -> NDArray[Any]
 
 
 def _array(file: IO[bytes]) -> NDArray[Any]:
-    """The array in a .npy. Memory is only touched for numbers that are there. Raises errors of many kinds."""
+    """The array in a .npy. Memory is only touched for numbers that exist. Raises many kinds of errors."""
     values: NDArray[Any] = np.lib.format.read_array(file, allow_pickle=False)
     if not values.dtype.itemsize:
         raise ValueError("its numbers have no size")
@@ -78,7 +78,7 @@ def _reason(error: Exception) -> str:
 
 @dataclass(frozen=True)
 class ArrayHeader:
-    """What an array is, without its numbers. ``kind`` is numpy's letter: b, i, u, f, U."""
+    """An array's properties, without its numbers. ``kind`` is numpy's letter: b, i, u, f, U."""
 
     shape: tuple[int, ...]
     kind: str

@@ -1,4 +1,4 @@
-"""Which classes there are, and which of them are things (countable objects) or stuff (walls, floors)."""
+"""Classes, and which of them are things (countable objects) or stuff (walls, floors)."""
 
 from __future__ import annotations
 
@@ -10,20 +10,20 @@ from pathlib import Path
 from ..gates import one_line
 
 LARGEST_ID = 65535
-"""The largest id of a class or of a result's instance: tables by id (palettes, label images of 16 bits) stay small."""
+"""Maximum id of a class or of a result's instance, so that tables by id (palettes, 16-bit label images) stay small."""
 VOID = 0
 """Class id of pixels without a label. It is never predicted."""
 LARGEST_CLASS_ID = LARGEST_ID - 1
-"""Largest class id in mask files: a table that uses 0 is shifted by one."""
+"""Maximum class id in mask files: a table that uses 0 is shifted by one."""
 _WORDS = Path(__file__).with_name("palette.txt").read_text("ascii").split()
 PALETTE = tuple((red, green, blue) for red, green, blue in map(bytes.fromhex, _WORDS))
-"""Colours, sRGB bytes: each is as far from all before it as can be (CIEDE2000)."""
+"""Colours, sRGB bytes: each as distant as possible from all before it (CIEDE2000)."""
 
 
 @dataclass(frozen=True)
 class ClassLabel:
-    """A class with its number in the masks' own files: ``id`` may be 0 there, and ``colour`` None. The ``name`` is that
-    of the file in one printable line, wherever it is shown or written later."""
+    """A class with its number in the masks' own files: ``id`` may be 0 there, and ``colour`` None. The ``name`` is the
+    file's, on one printable line, so that it can be shown and written anywhere."""
 
     id: int
     name: str
@@ -36,7 +36,8 @@ class ClassLabel:
 
 @dataclass(frozen=True)
 class Category:
-    """One class: ``id`` >= 1 as in the masks' own table, an sRGB ``colour`` of three bytes. ``name`` as a label's."""
+    """One class: ``id`` >= 1 as in the masks' own table, an sRGB ``colour`` of three bytes, and a ``name`` as in
+    ClassLabel."""
 
     id: int
     name: str
@@ -70,7 +71,7 @@ class ClassTable:
         return {category.id: category for category in self.categories}
 
     def __getitem__(self, class_id: int) -> Category:
-        """The category of an id; KeyError when the table does not have it."""
+        """The category of an id; KeyError if the table lacks it."""
         return self._by_id[class_id]
 
     def __contains__(self, class_id: int) -> bool:
@@ -81,11 +82,11 @@ class ClassTable:
 
 
 def distinct_colour(instance: int) -> tuple[int, int, int]:
-    """The colour of an instance. It is none of the first 40, which the commonest classes beside it have."""
+    """The colour of an instance. It differs from the first 40, which the commonest classes beside it use."""
     return PALETTE[(39 + instance) % len(PALETTE)]
 
 
 def named(names: Mapping[int, str], text: str) -> list[int]:
-    """The ids whose name is ``text``, or, where there are none, whose name differs from it in case only."""
+    """The ids whose name is ``text``, or, if there are none, whose name differs from it only in case."""
     exact = [key for key, name in names.items() if name == text]
     return exact or [key for key, name in names.items() if name.casefold() == text.casefold()]

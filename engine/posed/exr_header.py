@@ -1,4 +1,4 @@
-"""Headers of OpenEXR files of one part, read with the standard library alone: Blender's Python has no OpenEXR."""
+"""Headers of single-part OpenEXR files, read with the standard library alone: Blender's Python has no OpenEXR."""
 
 from __future__ import annotations
 
@@ -16,20 +16,20 @@ from .layout import LARGEST_PIXELS
 
 _MAGIC = b"\x76\x2f\x31\x01"
 _HEADER_SIZES = (2**18, 2**26)
-"""Bytes of a header that are read at first, and at most. Cryptomatte's names of thousands of objects take megabytes."""
+"""Bytes of a header read at first, and at most. Cryptomatte's names of thousands of objects take megabytes."""
 _MOST_NUMBERS = 2**30
-"""The largest number of values in all channels, as the library reads them all."""
+"""Maximum number of values in all channels, as the library reads them all."""
 _TILED, _DEEP, _PARTS = 0x200, 0x800, 0x1000
 """Flags of the version."""
 _HALF = 1
-"""The kind of channels of half floats."""
+"""The channel type of half floats."""
 _FIX = "Write this file again."
 
 
 @dataclass(frozen=True)
 class ExrHeader:
-    """``size`` is (width, height) of the picture; ``channels`` are the bytes of a number of each, by name. ``start``
-    are the file's first eight bytes, ``attributes`` the kind and the value of each as stored."""
+    """``size`` is (width, height) of the picture; ``channels`` maps each channel to its bytes per number. ``start``
+    holds the file's first eight bytes, ``attributes`` the kind and the value of each as stored."""
 
     size: Size
     channels: Mapping[str, int]
@@ -38,13 +38,13 @@ class ExrHeader:
 
     @property
     def numbers(self) -> int:
-        """How many numbers are in all channels."""
+        """The number of values in all channels."""
         return self.size[0] * self.size[1] * len(self.channels)
 
 
 def read_exr_header(path: Path) -> ExrHeader:
-    """The header of a file. Raises PlgsError, also for a file of several parts, and where a part of the picture is
-    stored."""
+    """The header of a file. Raises PlgsError, also for a multi-part file, and for one that stores only part of the
+    picture."""
     start, attributes = _attributes_of(path)
     try:
         windows = [struct.unpack("<4i", attributes[name][1]) for name in (b"dataWindow", b"displayWindow")]
@@ -62,8 +62,8 @@ def read_exr_header(path: Path) -> ExrHeader:
 
 
 def one_pixel_of(path: Path) -> bytes:
-    """A file with one black pixel that has the channels and texts of another one. Raises PlgsError, also for a file of
-    tiles, which is not ours."""
+    """A file with one black pixel that has another one's channels and texts. Raises PlgsError, also for a tiled file,
+    which is not ours."""
     header = read_exr_header(path)
     if int.from_bytes(header.start[4:], "little") & _TILED:
         raise PlgsError("exr-tiles", "the passes have tiles", path, _FIX)
@@ -99,7 +99,7 @@ def _attributes_of(path: Path) -> tuple[bytes, dict[bytes, tuple[bytes, bytes]]]
 
 
 def _attributes(data: bytes) -> dict[bytes, tuple[bytes, bytes]]:
-    """Raises ValueError, IndexError or struct.error where the header is cut off."""
+    """Raises ValueError, IndexError or struct.error if the header is truncated."""
     found, position = {}, 0
     while data[position] != 0:
         name_end = data.index(b"\0", position)
@@ -114,7 +114,7 @@ def _attributes(data: bytes) -> dict[bytes, tuple[bytes, bytes]]:
 
 
 def _channels(data: bytes) -> dict[str, int]:
-    """The bytes of a number of each channel. Raises ValueError, IndexError."""
+    """Each channel's bytes per number. Raises ValueError, IndexError."""
     found, position = {}, 0
     while data[position] != 0:
         end = data.index(b"\0", position)

@@ -61,7 +61,7 @@ class Camera:
         return replace(self, camera_to_world=pose)
 
     def of_rows(self, first: int, end: int) -> Camera:
-        """The camera whose picture is rows ``first`` to ``end`` (not included) of this one's."""
+        """The camera whose picture is rows ``first`` to ``end`` (exclusive) of this one's."""
         return Camera(self.width, end - first, self.fx, self.fy, self.cx, self.cy - first, self.camera_to_world)
 
     def unproject(self, depth: NDArray[np.float32]) -> NDArray[np.float64]:
@@ -79,7 +79,7 @@ class Camera:
         return local @ self.camera_to_world[:3, :3].T + self.camera_to_world[:3, 3]
 
     def project(self, points: NDArray[np.floating]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """World points [..., 3] to continuous pixel coordinates float64 [..., 2] (x, y) and planar depth [...]. Where
+        """World points [..., 3] to continuous pixel coordinates float64 [..., 2] (x, y) and planar depth [...]. If
         depth <= 0 the coordinates are meaningless (but finite)."""
         local = (points - self.centre) @ self.camera_to_world[:3, :3]
         z = local[..., 2]
@@ -88,8 +88,8 @@ class Camera:
         return uv, z
 
     def seen(self, points: NDArray[np.floating]) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]:
-        """The rows [n] of the world points [N, 3] that lie within the picture, whatever stands before them, and the
-        continuous pixel coordinates (x, y), float64 [n, 2], and the planar depth [n] of each."""
+        """The rows [n] of the world points [N, 3] that project into the picture, occluded or not; their continuous
+        pixel coordinates (x, y), float64 [n, 2], and their planar depth [n]."""
         pixel, depth = self.project(points)
         rows = np.flatnonzero((depth > 0) & ((pixel >= 0) & (pixel < np.array(self.size))).all(axis=1))
         return rows, pixel[rows], depth[rows]
@@ -115,7 +115,7 @@ class SparsePoints:
         return len(self.xyz)
 
     def turned(self, turn: NDArray[np.float64]) -> SparsePoints:
-        """The same points in the world that the rotation ``turn``, float64 [3, 3], makes."""
+        """The same points in a world rotated by ``turn``, float64 [3, 3]."""
         return SparsePoints(self.xyz @ turn.T, self.rgb, self.seen_by)
 
 
@@ -123,9 +123,9 @@ class SparsePoints:
 class PosedFrame:
     """One picture and the camera that took it.
 
-    ``colour_path`` and ``depth_path`` are the files that hold the pixels; a frame without depth has no
-    ``depth_path``. ``file_shows_colour`` is true when the file at ``colour_path`` is an image that shows the frame as
-    it is. It is false for videos, archives, and pictures that are undistorted on reading.
+    ``colour_path`` and ``depth_path`` are the files that hold the pixels; a frame without depth has no ``depth_path``.
+    ``file_shows_colour`` is true if the file at ``colour_path`` is an image that shows the frame unmodified. It is
+    false for videos, archives, and pictures that are undistorted on reading.
     """
 
     name: str
@@ -144,7 +144,7 @@ class PosedFrame:
 class PosedScene:
     """Posed frames in recording order, the classes of their masks, and what a user should know about them.
 
-    ``folder`` is what the user named: a folder, or the one file that holds it all. ``format`` is the name of its
+    ``folder`` is what the user named: a folder, or the one file that holds everything. ``format`` is the name of its
     reader. ``points`` are those of the reconstruction that the poses come from, if the format has them. ``turn``,
     float64 [3, 3], is the rotation that made z point up, or None.
     """
@@ -159,7 +159,7 @@ class PosedScene:
 
 
 def size_within(size: Size, box: Size) -> Size:
-    """``size`` (width, height) reduced to fit into ``box`` with its aspect kept; never enlarged."""
+    """``size`` (width, height) reduced to fit into ``box`` at the same aspect ratio; never enlarged."""
     width, height = size
     scale = min(1.0, box[0] / width, box[1] / height)
     return max(1, round(width * scale)), max(1, round(height * scale))

@@ -1,6 +1,6 @@
-"""Size and kind of a PNG or JPEG without decoding it, and whether the file is whole. Standard library only.
+"""Size and kind of a PNG or JPEG without decoding it, and whether the file is complete. Standard library only.
 
-Scenes are also opened in Blender's Python, which has no OpenCV; and OpenCV itself fills the missing part of a cut-off
+Scenes are also opened in Blender's Python, which has no OpenCV; and OpenCV itself fills the missing part of a truncated
 image with grey instead of failing.
 """
 
@@ -25,9 +25,9 @@ _JPEG_END = b"\xff\xd9"
 _TAIL = 4096
 _ORIENTATION = 0x112
 _EXIF_LOOKED_AT = 4096
-"""Bytes of a segment in which the orientation is looked for: it is in its first directory."""
+"""Bytes of a segment searched for the orientation, which is in its first directory."""
 MOST_PIXELS = 160_000_000
-"""The largest number of pixels of an image. No camera has more; decoded, they take half a gigabyte."""
+"""Maximum number of pixels of an image. No camera has more; decoded, they take half a gigabyte."""
 _MOST_BYTES = 1 << 29
 
 
@@ -91,8 +91,8 @@ def _read(path: Path) -> bytes:
 
 
 def check_image_bytes(data: bytes, path: Path) -> None:
-    """``check_image_file`` for bytes out of the file ``path``. Raises PlgsError, also for kinds other than PNG and
-    JPEG, which no decoder may read, and for too many pixels."""
+    """``check_image_file`` for bytes from the file ``path``. Raises PlgsError, also for kinds other than PNG and JPEG,
+    which no decoder may read, and for too many pixels."""
     if not data:
         raise PlgsError("image-empty", "the image is empty", path, "Write this file again.")
     if data.startswith(_PNG_SIGNATURE):

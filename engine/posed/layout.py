@@ -1,7 +1,7 @@
-"""Files of a scene: reading them, which of them belong to which frame, and what they may claim.
+"""Files of a scene: reading them, matching them to frames, and limits on what they may claim.
 
-Every reader asks here with what it knows: a count in a header, the bytes left, the memory that one thing takes. Every
-format's frames pass here when a scene is opened, so that readers need no limits of their own.
+Readers check here what they know: a count in a header, the bytes left, the memory that one item takes. Every format's
+frames are checked here when a scene is opened, so readers need no limits of their own.
 """
 
 from __future__ import annotations
@@ -47,26 +47,26 @@ def composed(name: str) -> str:
 
 
 def natural_order(name: str) -> tuple[tuple[int, int, str], ...]:
-    """A sorting key by which frame 9 comes before frame 10."""
+    """A sort key that puts frame 9 before frame 10."""
     parts = re.findall(r"\d+|\D+", name)
     return (*((0, int(part), part) if part.isdecimal() else (1, 0, part) for part in parts),)
 
 
 def is_note(path: Path) -> bool:
-    """Whether a system left this beside somebody's files: ._0001.png and .DS_Store of macOS, Thumbs.db of Windows."""
+    """Whether the system created this file: ._0001.png and .DS_Store of macOS, Thumbs.db of Windows."""
     return path.name.startswith(".") or path.name.lower() in ("thumbs.db", "desktop.ini")
 
 
 def shown_files(folder: Path, pattern: str = "*") -> Iterator[Path]:
-    """What lies in ``folder`` and matches, in no order, without notes of the system (``is_note``). Raises OSError only
-    where all is asked for."""
+    """The entries of ``folder`` that match, in no order, without files of the system (``is_note``). Raises OSError only
+    if everything is requested."""
     found = folder.iterdir() if pattern == "*" else folder.glob(pattern)
     return (path for path in found if not is_note(path))
 
 
 def files_by_stem(folder: Path, suffixes: Collection[str], fix: str) -> dict[str, Path]:
     """Files of ``folder`` with one of ``suffixes`` (lower case, with the dot), by ``composed`` stem, in natural order.
-    Raises PlgsError, with ``fix`` as the advice, when there is no such folder or file, or when a stem occurs twice."""
+    Raises PlgsError, with ``fix`` as the advice, if there is no such folder or file, or if a stem occurs twice."""
     if not folder.is_dir():
         raise PlgsError("no-folder", "a folder is missing", folder, fix)
     try:
@@ -101,7 +101,7 @@ def require_all(names: Sequence[str], present: Collection[str], what: str, where
 
 
 def require_most(names: Sequence[str], present: Collection[str], what: str, where: Path, fix: str) -> list[str]:
-    """The frames of ``names`` that are ``present``. Raises as ``require_all`` when more than half of them are not."""
+    """The frames of ``names`` that are ``present``. Raises as ``require_all`` if more than half of them are missing."""
     there = [name for name in names if name in present]
     if 2 * len(there) < len(names):
         require_all(names, present, what, where, fix)
@@ -109,8 +109,8 @@ def require_most(names: Sequence[str], present: Collection[str], what: str, wher
 
 
 def of_most(names: Sequence[str], read: Callable[[str], Read]) -> dict[str, Read]:
-    """What ``read`` gives for each frame of ``names``, without those for which it raises PlgsError. When these are more
-    than half, or no memory is left, raises that error."""
+    """The result of ``read`` for each frame of ``names``, without those for which it raises PlgsError. If these are
+    more than half, or memory runs out, raises that error."""
     found: dict[str, Read] = {}
     errors: list[PlgsError] = []
     for name in names:
@@ -142,7 +142,7 @@ def file_inside(folder: Path, name: str, path: Path) -> Path:
 
 
 def plural(number: int, one: str, many: str = "") -> str:
-    """A number of things, such as "1 frame is" or "3 frames are"; ``many`` is ``one`` with an s if it is empty."""
+    """A count of things, such as "1 frame is" or "3 frames are"; ``many`` defaults to ``one`` with an s."""
     return f"{number} {one if number == 1 else many or one + 's'}"
 
 
@@ -154,7 +154,7 @@ def listed(names: Iterable[object], most: int = 5) -> str:
 
 
 def shown(name: object) -> str:
-    """A foreign file's name for something, fit for one line of a terminal."""
+    """A name from a foreign file, made fit for one line of a terminal."""
     text = "".join(character if character.isprintable() else "?" for character in str(name))
     return text if len(text) <= 60 else f"{text[:59]}…"
 
@@ -170,17 +170,17 @@ def shown_size(size: Size) -> str:
 
 
 _SHARE_OF_MEMORY = 0.5
-"""The share of the free memory that one file may take: the rest of the scene needs some as well."""
+"""The fraction of the free memory that one file may take: the rest of the scene needs some as well."""
 
 _SMALL = 1 << 25
-"""Bytes up to which the free memory is not asked for."""
+"""Bytes. Files smaller than this skip the free-memory check."""
 
 
 def check_count(count: int, things: str, path: Path, fix: str, *, most: int, room: int, made: int) -> None:
-    """Raise PlgsError for a ``count`` of ``things`` in the file ``path`` that cannot be true, or cannot be read here.
+    """Raise PlgsError for a ``count`` of ``things`` in the file ``path`` that is impossible, or too large to read.
 
-    ``room`` is the most that the bytes left in the file can hold; ``most`` how many are read within ten seconds;
-    ``made`` how many bytes of memory one of them takes.
+    ``room`` is how many fit into the rest of the file; ``most`` how many can be read within ten seconds; ``made`` the
+    bytes of memory that each takes.
     """
     if count > room:
         raise PlgsError("cut-off", "the file is cut off", path, fix)
@@ -195,7 +195,7 @@ def check_most(count: int, things: str, path: Path | str, fix: str, most: int) -
 
 
 def check_memory(size: int, path: Path) -> None:
-    """Raise PlgsError when what the file ``path`` becomes, ``size`` bytes, is more than half of the free memory."""
+    """Raise PlgsError if the ``size`` bytes that the file ``path`` unpacks to exceed half of the free memory."""
     memory = main_memory() if size > _SMALL else None
     if memory is not None and size > _SHARE_OF_MEMORY * memory.free:
         what = f"it takes {size / 1e9:.2g} GB of memory, but only {memory.free / 1e9:.2g} GB are free"
@@ -205,14 +205,14 @@ def check_memory(size: int, path: Path) -> None:
 LARGEST_PIXELS = 2**27
 _SMALLEST_SIDE = 4
 _LONGEST_SHAPE = 20
-"""The longer side of a picture by the shorter one."""
+"""Maximum ratio of a picture's sides."""
 _FOCAL_LENGTHS = (0.001, 1000.0)
-"""In longer sides of the picture: an angle of view of 179.9 degrees, and of 0.06."""
+"""Relative to the picture's longer side: angles of view of 179.9 degrees and of 0.06."""
 
 
 def check_camera(name: str, camera: Camera, path: Path) -> None:
     """Raise PlgsError, with the frame's ``name``, for a lens or picture that no camera has, or a name that cannot be
-    shown: it goes into panels, tables and logs as it is. ``path`` is its picture."""
+    shown, as panels, tables and logs show it unmodified. ``path`` is its picture."""
     if not name.isprintable():
         what = f"the name of frame {shown(name)} cannot be shown as text"
         raise PlgsError("frame-name", what, path.parent, "Rename it.")

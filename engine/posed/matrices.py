@@ -1,4 +1,4 @@
-"""Matrices from text files and JSON, the poses and intrinsics that they hold, and which axis points up."""
+"""Matrices in text files and JSON, the poses and intrinsics that they hold, and which axis points up."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _MOST_BYTES = 1 << 20
 _RIGID_TOLERANCE = 2e-3
 _NO_SKEW = 1e-3
 _FARTHEST = 10_000.0
-"""Metres from the origin up to which positions in 32-bit floats tell millimetres apart."""
+"""Maximum distance from the origin in metres. Farther away, 32-bit floats no longer resolve millimetres."""
 
 
 def read_matrix(path: Path, shapes: tuple[tuple[int, int], ...]) -> NDArray[np.float64]:
@@ -70,9 +70,9 @@ def _as_numbers(
 
 
 def read_poses(files: Mapping[str, Path]) -> dict[str, NDArray[np.float64] | None]:
-    """The camera-to-world pose, float64 [4, 4], in each frame's file. None where there is no file, where it holds no
-    matrix, and where it holds inf, which is how scanners mark lost tracking. Raises PlgsError as ``rigid`` does, and
-    when more than half of those that are there hold none."""
+    """The camera-to-world pose, float64 [4, 4], in each frame's file. None if there is no file, if it holds no matrix,
+    and if it holds inf, which is how scanners mark lost tracking. Raises PlgsError as ``rigid`` does, and if more than
+    half of the existing files hold none."""
     there = [name for name, path in files.items() if path.is_file()]
     found = of_most(there, lambda name: read_matrix(files[name], ((4, 4),)))
     lost = {name for name, pose in found.items() if np.isinf(pose).any()}
@@ -81,8 +81,8 @@ def read_poses(files: Mapping[str, Path]) -> dict[str, NDArray[np.float64] | Non
 
 
 def rigid(pose: NDArray[np.float64], path: Path) -> NDArray[np.float64]:
-    """A camera-to-world pose, float64 [4, 4], out of the file ``path``. Raises PlgsError for a matrix that is not
-    rigid. The rounding of text is corrected, so that the inverse is exact."""
+    """A camera-to-world pose, float64 [4, 4], from the file ``path``. Raises PlgsError for a matrix that is not rigid.
+    The rounding of text is corrected, so that the inverse is exact."""
     if not np.allclose(pose[3], [0.0, 0.0, 0.0, 1.0], atol=1e-4):
         what = "the last row of the pose is not 0 0 0 1"
         raise PlgsError("pose-last-row", what, path, "Write camera-to-world, one row per line.")
@@ -115,13 +115,13 @@ def _is_orthogonal(rotation: NDArray[np.float64]) -> bool:
 
 
 def read_intrinsics(path: Path, size: Size) -> Camera:
-    """Read K (3x3 or 4x4) of a ``size`` picture, see ``as_lens``. Raises PlgsError."""
+    """Read K (3x3 or 4x4) of a picture of this ``size``, see ``as_lens``. Raises PlgsError."""
     return as_lens(read_matrix(path, ((3, 3), (4, 4), (3, 4))), size, path)
 
 
 def as_lens(matrix: NDArray[np.float64], size: Size, path: Path) -> Camera:
-    """A camera at the origin, centres at +0.5, from K (integer pixel centres) of a ``size`` picture, out of ``path``.
-    Raises PlgsError for numbers that no camera has."""
+    """A camera at the origin, centres at +0.5, from K (integer pixel centres) for a picture of this ``size``, out of
+    ``path``. Raises PlgsError for numbers that no camera has."""
     if not np.isfinite(matrix).all():
         raise PlgsError("inf", "there is an inf", path, "Write the camera's fx, fy, cx and cy in pixels.")
     (fx, skew, cx), (row, fy, cy), last = matrix[0, :3], matrix[1, :3], matrix[2, :3]
@@ -142,10 +142,10 @@ TO_Z_UP = {
     "y": np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]]),
     "-y": np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]]),
 }
-"""The rotation of a world with this axis up into one with z up."""
+"""The rotation from a world with this axis up into one with z up."""
 _CLEARLY_UP = 0.6
 _NEARLY_UPRIGHT = 0.99
-"""Cosine of 8 degrees: z that is this close to the cameras' up was meant to be up."""
+"""Cosine of 8 degrees: if z is this close to the cameras' up, z was meant to be up."""
 _SPREAD = 0.3
 """Second over first singular value of the cameras' right axes. Below it all cameras look the same way."""
 
@@ -155,8 +155,8 @@ def upright_turn(
 ) -> tuple[NDArray[np.float64], list[str]]:
     """The rotation, float64 [3, 3], from a capture's world into one with z up, and warnings.
 
-    ``poses`` are its cameras, float64 [4, 4] camera-to-world each. ``own`` is the axis that its format says points up,
-    None if it says nothing; ``is_known`` means that it was measured.
+    ``poses`` are its cameras, float64 [4, 4] camera-to-world each. ``own`` is the axis that points up according to its
+    format, None if the format does not say; ``is_known`` means that it was measured.
     """
     axis: UpAxis | None = "z" if asked == "+z" else own if asked == "z" else asked
     if axis is None:
@@ -169,7 +169,7 @@ def upright_turn(
 
 
 def turned(pose: NDArray[np.float64], turn: NDArray[np.float64]) -> NDArray[np.float64]:
-    """A camera-to-world pose, float64 [4, 4], in the world that the rotation ``turn``, float64 [3, 3], makes."""
+    """A camera-to-world pose, float64 [4, 4], in a world rotated by ``turn``, float64 [3, 3]."""
     result = np.eye(4)
     result[:3, :3] = turn @ pose[:3, :3]
     result[:3, 3] = turn @ pose[:3, 3]
@@ -177,10 +177,10 @@ def turned(pose: NDArray[np.float64], turn: NDArray[np.float64]) -> NDArray[np.f
 
 
 def up_axis_warning(poses: Sequence[NDArray[np.float64]], up: UpAxis) -> str | None:
-    """A warning when cameras, float64 [4, 4] camera-to-world each, are upright about another axis than z, else None.
+    """A warning if cameras, float64 [4, 4] camera-to-world each, are upright about another axis than z, else None.
 
-    The mean of the cameras' own up axes is close to the world's. There is no warning when all of them look steeply up
-    or down, or lie on their side.
+    The mean of the cameras' own up axes is close to the world's. There is no warning if all of them look steeply up or
+    down, or lie on their side.
     """
     mean = -np.mean([pose[:3, 1] for pose in poses], axis=0)
     axis = int(np.abs(mean).argmax())
@@ -198,8 +198,8 @@ def up_axis_warning(poses: Sequence[NDArray[np.float64]], up: UpAxis) -> str | N
 def upright_rotation(poses: Sequence[NDArray[np.float64]]) -> NDArray[np.float64]:
     """The rotation, float64 [3, 3], into a world in which cameras, float64 [4, 4] camera-to-world each, stand upright.
 
-    The right axis of an upright camera is level in all directions. If all cameras look the same way, that
-    leaves their pitch open, and their mean up axis is taken. If z is about up already, the rotation is the identity.
+    The right axis of an upright camera is level, wherever it looks. If all cameras look the same way, that leaves their
+    pitch open, and their mean up axis is used. If z is roughly up already, the rotation is the identity.
     """
     rights = np.array([pose[:3, 0] for pose in poses])
     mean_up = -np.mean([pose[:3, 1] for pose in poses], axis=0)
@@ -216,7 +216,7 @@ def upright_rotation(poses: Sequence[NDArray[np.float64]]) -> NDArray[np.float64
 
 
 def shortest_rotation(one: NDArray[np.float64], other: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The rotation, float64 [3, 3], by the least angle from the unit vector ``one`` to ``other``."""
+    """The rotation, float64 [3, 3], by the smallest angle from the unit vector ``one`` to ``other``."""
     cosine = float(one @ other)
     if cosine < -1.0 + 1e-12:
         return np.diag([1.0, -1.0, -1.0])  # ``other`` is z in all calls

@@ -1,4 +1,4 @@
-"""Names that we make: of mattes, files and prims. No two objects ever share one."""
+"""Unique names for mattes, files and prims."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ _NOT_IN_MATTES = str.maketrans(dict.fromkeys(",\"'\\", " "))
 
 
 def unique_names(names: Mapping[int, str], mark: str = " #") -> dict[int, str]:
-    """The names, each different from all others: as it is, as a disk that ignores case and composition has it, and as
-    the number of a matte. ``mark`` and the key follow a name that several have, as often as it takes."""
+    """The names made unique: as text, on a disk that ignores case and composition, and as a matte's number. ``mark``
+    and the key are appended to duplicates, repeatedly if needed."""
     seen = Counter(form for name in names.values() for form in _forms(name))
     unique = {key: name for key, name in names.items() if all(seen[form] == 1 for form in _forms(name))}
     taken = {form for name in unique.values() for form in _forms(name)}
@@ -29,13 +29,13 @@ def _forms(name: str) -> set[str | int]:
 
 
 def matte_names(names: Mapping[int, str]) -> dict[int, str]:
-    """The unique names of classes or instances in Cryptomatte: without commas, quotes and backslashes."""
+    """Unique Cryptomatte names for classes or instances, without commas, quotes and backslashes."""
     clean = {key: " ".join(name.translate(_NOT_IN_MATTES).split()) or f"id {key}" for key, name in names.items()}
     return unique_names(clean)
 
 
 def name_bits(name: str) -> int:
-    """MurmurHash3_32 of the name in UTF-8, with one exponent bit flipped if it would not be an ordinary float."""
+    """MurmurHash3_32 of the name in UTF-8, with one exponent bit flipped if it would not be a normal float."""
     hashed = murmur3(name.encode())
     return hashed ^ (1 << 23) if (hashed >> 23 & 255) in (0, 255) else hashed
 

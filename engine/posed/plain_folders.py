@@ -25,7 +25,7 @@ NOTHING_MEASURED = "no frame is held out: nothing is measured on unseen views"
 _EVERY, _FIRST = 8, 4
 """Every 8th frame is held out, starting with the 5th."""
 _MOST = 40
-"""The largest number of held-out frames. More measure nothing better, and each is rendered and scored."""
+"""Maximum number of held-out frames. More improve no measurement, and each is rendered and scored."""
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,7 @@ def find_split(folder: Path, names: Sequence[str], lost: Sequence[str]) -> Split
 
 def default_split(names: Sequence[str]) -> Split:
     """Hold out every 8th frame: the 5th, the 13th, ..., at most 40. Fewer than five frames are all trained on. The
-    first frame, and often the last, shows most that no other does, so they are trained on."""
+    first frame, and often the last, shows the most that no other does, so they are trained on."""
     every = max(_EVERY, -(-len(names) // _MOST))
     test = names[_FIRST::every]
     train = tuple(name for index, name in enumerate(names) if index % every != _FIRST)
@@ -99,8 +99,8 @@ FOLDERS_FIX = "Give the folders color, depth, pose and intrinsic, or let COLMAP 
 @dataclass(frozen=True, eq=False)
 class PlainFolders:
     """What the folders hold: a camera and a picture for each frame of the ``split``, in recording order, by name; only
-    a picture that cannot be read has no camera. ``lost`` are the frames without a pose that can be read, ``names`` all
-    frames in recording order."""
+    unreadable pictures have no camera. ``lost`` lists the readable frames without a pose, ``names`` all frames in
+    recording order."""
 
     names: tuple[str, ...]
     cameras: Mapping[str, Camera]
@@ -110,12 +110,12 @@ class PlainFolders:
 
 
 def recognises(place: Path) -> bool:
-    """Two of the folders are enough, so that an error names a forgotten one."""
+    """Two of the folders are enough, so that an error can name a missing one."""
     return sum((place / name).is_dir() for name in ("color", "pose", "intrinsic")) >= 2
 
 
 def read_folders(folder: Path, lens_of: Callable[[Path], Camera] | None = None) -> PlainFolders:
-    """Read poses, headers of pictures, and lenses unless ``lens_of`` gives each picture's. Raises PlgsError."""
+    """Read poses, headers of pictures, and lenses unless ``lens_of`` supplies them. Raises PlgsError."""
     pictures = files_by_stem(folder / "color", {".jpg", ".jpeg", ".png"}, FOLDERS_FIX)
     pose_files = files_by_stem(folder / "pose", {".txt"}, FOLDERS_FIX)
     fix = "Add pose/<name>.txt, or remove their colour images."
@@ -158,8 +158,8 @@ def open_plain_folders(source: SceneSource) -> PosedScene:
 def complete_frames(
     frames: tuple[AnyFrame, ...], what: str, has: Callable[[AnyFrame], bool]
 ) -> tuple[tuple[AnyFrame, ...], tuple[str, ...]]:
-    """The frames that have ``what``, and warnings that name the others. All frames, where more than half, or all that
-    are trained on, lack it: a lift is then refused."""
+    """The frames that have ``what``, and warnings that name the others. Returns all frames if more than half, or all
+    training frames, lack it: a lift is then refused."""
     kept = tuple(frame for frame in frames if has(frame))
     lacking = [frame.name for frame in frames if not has(frame)]
     if not kept or not lacking:
@@ -171,7 +171,7 @@ def complete_frames(
 
 
 def left_out_warning(names: Sequence[str], what: str) -> str:
-    """The warning that frames which lack ``what`` are left out."""
+    """The warning that frames without ``what`` are left out."""
     return plural(len(names), f"frame without {what} is", f"frames without {what} are") + f" left out: {listed(names)}"
 
 

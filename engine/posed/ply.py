@@ -1,4 +1,4 @@
-"""PLY files that lifts write: Gaussians, whose format other programs use too, and the surface in mesh.ply."""
+"""PLY files that lifts write: Gaussians, in the format that other programs use, and the surface in mesh.ply."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from ..errors import PlgsError
 from ..gates import read_plain
 
 LEAST_TRIANGLES = 20
-"""Meshes of fewer triangles are fragments and are left out."""
+"""Meshes with fewer triangles are fragments and left out."""
 _KINDS = {"float": "<f4", "int": "<i4", "uchar": "u1"}
 _FACE: list[Any] = [("count", "u1"), ("corners", "<i4", 3)]
 _TEXTURED = [*_FACE, ("values", "u1"), ("uv", "<f4", (3, 2))]
@@ -24,7 +24,7 @@ _MESH_FIX, _SPLATS_FIX = "Delete it, then make the meshes again.", "Lift the sce
 _FARTHEST = 1e6
 """Metres, as for points."""
 _WHOLE = {"class_id": "<i4", "instance_id": "<i4", "red": "u1", "green": "u1", "blue": "u1"}
-"""Columns of splat files that hold whole numbers, whatever their type."""
+"""Columns of splat files that hold whole numbers, whatever their declared type."""
 _NEEDED = {"x", "y", "z", "f_dc_0", "f_dc_1", "f_dc_2", "opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1",
            "rot_2", "rot_3"}  # fmt: skip
 
@@ -32,8 +32,8 @@ _NEEDED = {"x", "y", "z", "f_dc_0", "f_dc_1", "f_dc_2", "opacity", "scale_0", "s
 @dataclass(frozen=True, eq=False)
 class LabelledSurface:
     """``xyz`` float32 [V, 3] metres, ``rgb`` uint8 [V, 3] sRGB, ``class_id`` and ``instance_id`` int32 [V],
-    ``triangles`` int32 [T, 3]; with pictures, ``uv`` float32 [T, 3, 2] is where in its (class, instance)'s each corner
-    is, in shares of its sides from the lower left."""
+    ``triangles`` int32 [T, 3]; with textures, ``uv`` float32 [T, 3, 2] is each corner's position in the picture of its
+    (class, instance), as fractions of its sides from the lower left."""
 
     xyz: NDArray[np.float32]
     rgb: NDArray[np.uint8]
@@ -60,7 +60,7 @@ class LabelledSurface:
 
 
 def labels_of_triangles(triangles: NDArray[np.integer], label: NDArray[np.int64]) -> NDArray[np.int64]:
-    """The labels [T] of triangles [T, 3] from those of the vertices [V]: that which two corners share, else the first
+    """The labels [T] of triangles [T, 3] from those of the vertices [V]: the one that two corners share, else the first
     corner's."""
     corners = label[triangles]
     return np.where(corners[:, 1] == corners[:, 2], corners[:, 1], corners[:, 0])
@@ -101,7 +101,7 @@ def read_surface(path: Path) -> LabelledSurface:
 
 def read_gaussians(path: Path) -> NDArray[np.void]:
     """The rows of a splat file, a structured array [N] by its columns' names. Raises PlgsError for other files. Rows
-    with numbers that are not finite, or that lie absurdly far away, are left out. Ids are int32, colours uint8."""
+    with non-finite or absurdly large positions are left out. Ids are int32, colours uint8."""
     content, end, columns, (count, _) = _read(path, _MOST_OF_SPLATS, _SPLATS_FIX)
     if not _NEEDED <= {*columns}:
         raise PlgsError("no-splats", "the file holds no splats", path, _SPLATS_FIX)
@@ -118,8 +118,8 @@ def read_gaussians(path: Path) -> NDArray[np.void]:
 
 
 def _read(path: Path, most_bytes: int, fix: str) -> tuple[bytes, int, dict[str, str], tuple[int, int]]:
-    """A file's bytes, where its header ends, the vertices' columns, and the numbers of vertices and faces. There are no
-    columns in a file of another kind, nor where a name occurs twice. Raises PlgsError, with ``fix`` as the advice."""
+    """A file's bytes, the end of its header, the vertices' columns, and the numbers of vertices and faces. There are no
+    columns in other kinds of files, nor if a name occurs twice. Raises PlgsError, with ``fix`` as the advice."""
     try:
         content = read_plain(path, most_bytes)
     except OSError as error:

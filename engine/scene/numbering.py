@@ -1,10 +1,10 @@
-"""Which numbering of a table masks have: told by what is in them, else the networks' own, and a warning says so.
+"""Finds the numbering that masks use: by their content, otherwise the networks' own, with a warning.
 
-A warning also tells where the numbers look far more like those of another table than of the named one.
+It also warns if the numbers look far more like those of another table than of the named one.
 
 ADE20K counts from 0 in networks and from 1 in its own files; COCO's 80 things are 0 to 79, or 1 to 90 with gaps;
 detectron2 may number COCO's stuff apart from its things. ScanNet's files have its raw ids, NYU40's or NYU13's numbers:
-masks that look like another of these than the named one are refused. The numbers of a ground truth are told likewise.
+masks that look like another of these than the named one are refused. Ground truth is treated likewise.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from .frame_choice import evenly_spread
 from .mask_formats import MaskSource
 
 _LOOKED_AT = 16
-"""Frames whose masks are read."""
+"""Maximum number of frames whose masks are inspected."""
 _ROOM = {"wall", "floor", "ceiling"}
 _USUAL = {
     "ade20k": _ROOM,
@@ -41,26 +41,27 @@ _USUAL = {
         "wall-other-merged", "floor-other-merged", "floor-wood", "ceiling-merged",
     },
 }  # fmt: skip
-"""What frames of these tables show nearly always."""
+"""Classes that frames with these tables nearly always show."""
 _ALIKE = ("scannet", "nyu40", "nyu13")
-"""Tables of the same scans: files of one are taken for those of another."""
+"""Tables of the same scans, whose files are easily confused."""
 _ENOUGH, _TIMES, _SEEN = 0.05, 2.0, 0.01
-"""A numbering is told if this share of the pixels is usual in it, so many times as in any other. Each usual class that
-has the third share counts once more: walls alone are less than walls and a floor."""
+"""A numbering is recognised if this fraction of the pixels has usual classes in it, and so many times more than in any
+other. The more usual classes with at least the third fraction, the better: walls alone are weaker evidence than walls
+and a floor."""
 _SKY = 0.01
-"""A share of sky with which a scene is no room, so it may lack wall and floor."""
+"""With more than this fraction of sky, a scene is not a room, so it may lack walls and floor."""
 _SKIES = {"sky", "sky-other-merged"}
 _HEIGHTS = {
     **dict.fromkeys(_SKIES, (2 / 3, 1.0)), **dict.fromkeys(("ceiling", "ceiling-merged"), (0.4, 1.0)),
     **dict.fromkeys(("floor", "floor-other-merged", "floor-wood", "road"), (0.0, 0.6)),
 }  # fmt: skip
-"""How much of these classes lies in the upper halves of pictures: in the sample 13 % of the floor, all of the ceiling.
-A floor that is read as sky, or a sofa as ceiling, is neither."""
+"""The fraction of each class that may lie in the upper halves of pictures: in the sample 13 % of the floor and all of
+the ceiling. It rules out a floor that is read as sky, or a sofa as ceiling."""
 _OTHER_TABLE = 0.2
-"""Masks look like another table than the named one if this share is usual there, and more than a third of the classes
-that are, or more than two: two of wall, floor and ceiling."""
+"""Masks look like another table if this fraction of the pixels has usual classes there, and more than a third of these
+classes occur, or more than two: two of wall, floor and ceiling."""
 _PANOPTIC = {"coco", "ade20k", "cityscapes"}
-"""Tables whose data sets say which classes are things. In others this is a matter of taste."""
+"""Tables whose data sets define which classes are things. In others this is a matter of taste."""
 _KIND = {True: "a thing", False: "stuff"}
 _UNNAMED = Inferred(
     "numbering", "classes are named by their numbers",
@@ -72,7 +73,7 @@ _CONTRADICTED = f"Name the network's table with --classes, or write {FILE_NAME} 
 
 @dataclass(frozen=True)
 class Asking:
-    """Words for a message: ``whose`` numbers they are, and what a user does (``how``) to name a ``table``."""
+    """Words for a message: ``whose`` numbers they are, and ``how`` a user names a ``table``."""
 
     whose: str = "the masks'"
     table: str = "--classes {}"
@@ -80,25 +81,26 @@ class Asking:
     option: str = "--classes"
 
     def advice(self, *tables: str) -> str:
-        """What to do to name one of the tables."""
+        """How to name one of the tables."""
         return self.how.format(" or ".join(map(self.table.format, tables)))
 
 
 @dataclass(frozen=True)
 class _Shown:
-    """What some frames show: the share of each number in their pixels, and how much of it is in the upper halves."""
+    """What some frames show: each number's fraction of their pixels, and how much of it lies in the upper halves."""
 
     shares: Mapping[int, float]
     upper: Mapping[int, float]
 
     def share(self, reading: _Reading, names: set[str]) -> float:
-        """The share of the pixels with a class of these ``names``, at a height where such a class is seen."""
+        """The fraction of the pixels with a class of these ``names``, if at a height where that class is usually
+        seen."""
         labels = (label for label in known_table(reading.table).labels if label.name in names)
         heights = ((label.id, *_HEIGHTS.get(label.name, (0.0, 1.0))) for label in labels if label.id in self.shares)
         return sum(self.shares[number] for number, least, most in heights if least <= self.upper[number] <= most)
 
     def share_anywhere(self, reading: _Reading, names: set[str]) -> float:
-        """The same at any height: pictures may lie on their side, and a sky may fill them."""
+        """The same at any height, as pictures may lie on their side, and a sky may fill them."""
         return sum(self.shares.get(label.id, 0.0) for label in known_table(reading.table).labels if label.name in names)
 
     def without(self, numbers: set[int]) -> _Shown:
@@ -107,7 +109,7 @@ class _Shown:
 
 @dataclass(frozen=True)
 class _Reading:
-    """One way to read the masks: their ``source`` and the name of a ``table``; ``what`` tells it in a message."""
+    """One way to read the masks: their ``source`` and a ``table``'s name; ``what`` describes it in a message."""
 
     source: MaskSource
     table: str
@@ -119,8 +121,8 @@ def numbered(
 ) -> tuple[MaskSource, ClassChoice | None, tuple[Inferred, ...]]:
     """The masks and the choice of classes with the numbering of the choice's table, and what was inferred.
 
-    Masks that number objects have no classes, so they take none from a table. Raises PlgsError where the files call
-    things what the table calls stuff, in each numbering, and where the numbers are those of another table.
+    Masks that number objects have no classes, so no table applies. Raises PlgsError if every numbering makes the files'
+    things stuff, or if the numbers are those of another table.
     """
     asking = asking or Asking()
     if choice is None:
@@ -161,19 +163,19 @@ def numbered(
 
 
 def other_numberings(choice: ClassChoice) -> str:
-    """What else a message can advise to name: such as " or name --classes coco:90"."""
+    """Alternatives for a message to suggest, such as " or name --classes coco:90"."""
     table, base = choice.table or "", base_of(choice.table or "")
     others = [each for each in (*numberings_of(base), *_tables_like(base)) if each != table]
     return f", or name --classes {' or '.join(others)}" if others and table else ""
 
 
 def _tables_like(table: str) -> tuple[str, ...]:
-    """The tables whose files are taken for those of a table."""
+    """The tables whose files are easily confused with a table's."""
     return tuple(each for each in _ALIKE if each != table) if table in (*_ALIKE, "scannet200") else ()
 
 
 def _as_rows_say(source: MaskSource, choice: ClassChoice) -> MaskSource:
-    """The masks whose things are nearest to those of rows with numbers, as an edited list of a table has them."""
+    """The masks in the reading whose things match the choice's numbered rows best, as in an edited class list."""
     rows = {row.id: row.thing for row in choice.rows}
     ways = [source] if source.apart is None else [source, source.apart]
     return min(ways, key=lambda way: sum(rows.get(n) != is_thing for n, is_thing in (way.kinds or {}).items()))
@@ -189,8 +191,8 @@ def _readings(source: MaskSource, table: str) -> list[_Reading]:
 
 
 def _disagreements(reading: _Reading, choice: ClassChoice, is_known: bool = False) -> list[str]:
-    """How the files' things and stuff differ from the table's; with ``is_known``, only of numbers that it has. The
-    user's own rows count for the files."""
+    """How the files' things and stuff differ from the table's; with ``is_known``, only for numbers in the table. The
+    user's own rows override the files."""
     labels = {label.id: label for label in known_table(reading.table).labels}
     own = {row.name.casefold() if row.id is None and row.name else row.id for row in choice.rows}
     wrong, kinds = [], reading.source.kinds or {}
@@ -207,7 +209,7 @@ def _disagreements(reading: _Reading, choice: ClassChoice, is_known: bool = Fals
 
 
 def _other_tables(chosen: _Reading, choice: ClassChoice, shown: _Shown) -> list[str]:
-    """The other tables or numberings that indoor masks look most like, although the chosen one was named."""
+    """The other tables or numberings that indoor masks resemble most, despite the named one."""
     if shown.share(chosen, _SKIES) >= _SKY:
         return []
     likeness: dict[str, float] = {}
@@ -224,7 +226,7 @@ def _other_tables(chosen: _Reading, choice: ClassChoice, shown: _Shown) -> list[
 
 
 def _told(readings: list[_Reading], choice: ClassChoice, shown: _Shown) -> tuple[_Reading, str | None, list[_Reading]]:
-    """The reading that the masks tell, the reason, and all that fit; no reason if nothing tells it from the others."""
+    """The reading that the masks point to, the reason, and all that fit; the reason is None if they are ambiguous."""
     if len(readings) == 1:
         return readings[0], "this alone fits what is a thing in the files", readings
     fitting = [each for each in readings if not _unknown(each, shown, choice)]
@@ -247,7 +249,7 @@ def _compared(best: _Reading, others: list[_Reading], shown: _Shown) -> str:
 
 
 def _is_likelier(one: _Reading, other: _Reading, shown: _Shown) -> bool:
-    """Whether the numbers that mean different classes in the two readings speak for the first."""
+    """Whether the numbers whose classes differ between the two readings favour the first."""
     names, others = _names(one), _names(other)
     telling = shown.without({number for number in shown.shares if names.get(number) == others.get(number)})
     own = _usual(one, telling)
@@ -255,12 +257,12 @@ def _is_likelier(one: _Reading, other: _Reading, shown: _Shown) -> bool:
 
 
 def _usual(reading: _Reading, shown: _Shown) -> float:
-    """The share of the pixels with a class that frames of this table show nearly always."""
+    """The fraction of the pixels with a class that frames of this table nearly always show."""
     return shown.share(reading, _USUAL[_base(reading)])
 
 
 def _seen(reading: _Reading, shown: _Shown) -> int:
-    """How many of these classes are seen."""
+    """How many of these classes occur."""
     return sum(shown.share(reading, {name}) >= _SEEN for name in _USUAL[_base(reading)])
 
 
@@ -269,8 +271,8 @@ def _names(reading: _Reading) -> dict[int, str]:
 
 
 def _shown(source: MaskSource, choice: ClassChoice) -> _Shown:
-    """What some frames show, without numbers that may mean nothing, as 0 often does where no other number does. Files
-    that cannot be read are left out."""
+    """What some frames show, without numbers that may mean nothing; 0 counts as such only if no other number does.
+    Unreadable files are skipped."""
     names, counts, upper = list(source.masks), Counter[int](), Counter[int]()
     for name in evenly_spread(names, _LOOKED_AT):
         try:
@@ -290,7 +292,7 @@ def _shown(source: MaskSource, choice: ClassChoice) -> _Shown:
 
 
 def _unknown(reading: _Reading, shown: _Shown, choice: ClassChoice) -> set[int]:
-    """Those of the numbers that mean nothing in this reading."""
+    """The numbers without a meaning in this reading."""
     table = known_table(reading.table)
     known = {label.id for label in table.labels} | table.void | reading.source.void
     return {*shown.shares} - known - {row.id for row in choice.rows if row.id is not None}
@@ -301,7 +303,7 @@ def _base(reading: _Reading) -> str:
 
 
 def _inferred(chosen: _Reading, others: list[str], reason: str | None, is_doubtful: bool, asking: Asking) -> Inferred:
-    """What the numbers are taken for, and what says otherwise."""
+    """The numbering assumed, and the alternatives."""
     why = "nothing in them tells" if reason is None else reason
     wrong = f"; if that is wrong, {asking.advice(*others)}" if others else ""
     return Inferred("numbering", f"{asking.whose} numbers are read as {chosen.what}", f"{why}{wrong}", is_doubtful)

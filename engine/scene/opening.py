@@ -1,7 +1,7 @@
-"""Opening a scene: a format's reader gives posed pictures, to which masks, ground truth and the split are added.
+"""Opens a scene: a format's reader gives posed pictures, to which masks, ground truth and the split are added.
 
 Formats: see ``formats/``. Masks: see ``masks.py``. Ground truth: see ``ground_truth.py``. ``splits.json`` in the folder
-is honoured in every format; a scene that is one file has these things in a folder of the same name beside it.
+applies to every format; for a scene that is one file, these are in a folder of the same name beside it.
 """
 
 from __future__ import annotations
@@ -52,14 +52,14 @@ def open_scene(
     classes: str | None = None,
     detections: Path | None = None,
 ) -> Scene:
-    """``open_asked`` of the scene in a folder or file; the arguments are the fields of a SceneSource."""
+    """``open_asked`` for the scene in a folder or file; the arguments are the fields of a SceneSource."""
     return open_asked(SceneSource(folder, masks, up, scene_format, depth, mask_format, classes, detections))
 
 
 def open_asked(source: SceneSource) -> Scene:
     """Open a scene; images are decoded only to settle doubts about masks and depth maps. Masks and depth may be
-    missing, see ``require_liftable``. Raises PlgsError for the first thing that is wrong; ``check_scene`` looks into
-    the pixels as well."""
+    missing, see ``require_liftable``. Raises PlgsError for the first problem; ``check_scene`` also inspects the
+    pixels."""
     place = Path(source.scene)
     for path in (place, source.masks, source.detections, source.depth):
         if path is not None:
@@ -142,14 +142,14 @@ def open_asked(source: SceneSource) -> Scene:
 
 
 def splits_path(place: Path) -> Path:
-    """Where the splits.json of a scene belongs: in its folder, or in one named like its file."""
+    """Where a scene's splits.json belongs: in its folder, or in one named like its file."""
     return (place if place.is_dir() else place.with_suffix("")) / "splits.json"
 
 
 def _inferred(
     source: SceneSource, reader: SceneFormat, capture: Capture, beside: Path, turn: NDArray[np.float64]
 ) -> Iterable[Inferred]:
-    """What neither the user nor a file says of the format, the split and the up axis."""
+    """What neither the user nor a file says about the format, the split and the up axis."""
     if source.scene_format is None:
         looks_for = next(each.looks_for for each in SCENE_FORMAT_NAMES if each.name == reader.name)
         yield Inferred("format", f"the format is {reader.name}", f"it looks for {looks_for}", is_doubtful=False)
@@ -164,7 +164,7 @@ def _inferred(
 def complete(
     frames: tuple[Frame, ...], lacks: str, has: Callable[[Frame], bool]
 ) -> tuple[tuple[Frame, ...], tuple[LeftOut, ...], tuple[str, ...]]:
-    """``complete_frames`` with a note of those that are left out, and the other warnings."""
+    """``complete_frames`` with a note of those left out, and the other warnings."""
     kept, told = complete_frames(frames, lacks, has)
     names = {frame.name for frame in kept}
     gone = left_out(lacks, (frame.name for frame in frames if frame.name not in names))
@@ -184,14 +184,14 @@ def _refuse_repeated_names(shots: Sequence[Shot], place: Path) -> None:
 
 
 def _readable_depth(shot: Shot) -> DepthMap | None:
-    """Raises PlgsError for a file that cannot be read."""
+    """The shot's depth map. Raises PlgsError for a file that cannot be read."""
     if shot.depth is not None and shot.depth.fault is not None:
         raise shot.depth.fault
     return shot.depth
 
 
 def _kept_pixels(shots: Sequence[Shot], beside: Path) -> dict[str, KeptPixels]:
-    """Which pixels of a shot count, where its own file or black and white pictures in the folder of masks say it."""
+    """Which pixels of a shot count, if its own file or black-and-white pictures in the folder of masks say so."""
     folder = beside / MASK_FOLDER
     paths = {shot.name: shot.kept_pixels for shot in shots if shot.kept_pixels is not None}
     if not paths and folder.is_dir() and says_what_counts(folder):
@@ -211,7 +211,7 @@ def _pictured(shot: Shot, frame: Frame, kept: KeptPixels | None) -> Pictured:
 
 
 def _frame(shot: Shot, camera: Camera, held_out: bool, depth: DepthMap | None, kept: KeptPixels | None) -> Frame:
-    """The frame of a shot, with ``depth`` where pixels are ``kept``, without mask and ground truth."""
+    """A shot's frame, with ``depth`` limited to the pixels that are ``kept``, without mask and ground truth."""
     path, bend = shot.colour_path, shot.distortion
     read = shot.read_colour or partial(decode, path, as_colour=True)
     if bend.bends:
@@ -248,7 +248,7 @@ def _lens_warnings(cameras: Mapping[str, Camera]) -> Iterable[str]:
 
 
 def _alike(frames: Iterable[str], classes: ClassTable) -> Iterable[str]:
-    """Warnings of names that are the same, or differ only in capitals."""
+    """Warnings about names that are equal, or differ only in case."""
     for found in _same_but_for_capitals((name, name) for name in frames):
         what = f"frames {listed(found)} have names that differ only in capitals"
         yield f"{what}: on a disk of Windows or macOS the passes of one take the place of the other's"
@@ -262,7 +262,7 @@ def _alike(frames: Iterable[str], classes: ClassTable) -> Iterable[str]:
 
 
 def _same_but_for_capitals(named: Iterable[tuple[str, str]]) -> list[list[str]]:
-    """What is ``named`` alike, each as its second text says it."""
+    """Groups of equal names, ignoring case, each by its second text."""
     found: dict[str, list[str]] = {}
     for name, told in named:
         found.setdefault(name.casefold(), []).append(told)
@@ -270,7 +270,7 @@ def _same_but_for_capitals(named: Iterable[tuple[str, str]]) -> list[list[str]]:
 
 
 def require_liftable(scene: Scene) -> None:
-    """Raise PlgsError when a scene has no masks or no depth, which a lift needs besides cameras and pictures."""
+    """Raise PlgsError if a scene lacks the masks or depth that a lift needs."""
     if not scene.has_depth:
         fix = "Give depth images in the scene, or a folder of depth maps with --depth."
         without = [frame.name for frame in scene.frames if frame.read_depth is None]
@@ -282,7 +282,7 @@ def require_liftable(scene: Scene) -> None:
 
 
 def open_scene_to_lift(source: SceneSource) -> Scene:
-    """``open_asked`` for a lift. Raises PlgsError also when masks or depth are missing."""
+    """``open_asked`` for a lift. Raises PlgsError also if masks or depth are missing."""
     scene = open_asked(source)
     require_liftable(scene)
     return scene

@@ -1,7 +1,7 @@
-"""Detections over a scene's masks: segments of a frame that may overlap each other and what lies under them.
+"""Detections over a scene's masks: segments of a frame that may overlap each other and the masks below them.
 
-A panoptic picture has one segment a pixel, and so loses what a network was less sure of: a chair that it took for a
-sofa from most places, a pillow on a bed. The rest may come as a JSON of detections (``coco_results``).
+A panoptic picture has one segment per pixel, so it loses what the network was less sure of: a chair that it took for a
+sofa from most viewpoints, a pillow on a bed. A JSON of detections can supply the rest (``coco_results``).
 """
 
 from __future__ import annotations
@@ -25,16 +25,16 @@ from .mask_formats.coco_results import DetectedSegment, read_table
 from .pixels import resize_nearest
 
 TABLE = "panoptic.json"
-"""The name of the masks' table, which may name pictures by id."""
+"""The file name of the masks' table, which may name pictures by id."""
 LEAST_SCORE = 0.1
-"""The least score of a detection that counts. A weak detection is evidence, too."""
+"""Minimum score of a detection. Weak detections are evidence, too."""
 _FIX = "Name their classes under categories, or name the table of their numbers in a classes.toml beside them."
 
 
 @dataclass(frozen=True)
 class EvidenceReader:
-    """Reads one frame's detections ``found`` in the file ``path``, of a frame of the size ``own`` (width, height).
-    ``number_of`` is the number that each of their labels has in ``known``."""
+    """Reads one frame's detections ``found`` in the file ``path``; the frame's own size is ``own`` (width, height).
+    ``number_of`` maps their labels to numbers in ``known``."""
 
     path: Path
     own: Size
@@ -57,15 +57,15 @@ class EvidenceReader:
         return Evidence(tuple(segments), inside[: len(segments)])
 
     def digest(self) -> str:
-        """The start of the SHA-256 of the detections and of what they are read as."""
+        """The start of the SHA-256 of the detections and of how they are read."""
         read_as = {label: self.known.class_of.get(number) for label, number in self.number_of.items()}
         return sha256(repr((self.found, sorted(read_as.items()))).encode()).hexdigest()[:16]
 
 
 @dataclass(frozen=True)
 class Detections:
-    """The detections of a scene's frames, which have these ``sizes`` (width, height). ``labels`` are their classes,
-    None if the file does not name them."""
+    """The detections of a scene's frames and the frames' ``sizes`` (width, height). ``labels`` are their classes, None
+    if the file does not name them."""
 
     path: Path
     sizes: Mapping[str, Size]
@@ -74,8 +74,8 @@ class Detections:
     warnings: tuple[str, ...] = ()
 
     def joined(self, labels: Sequence[ClassLabel]) -> tuple[dict[int, int], tuple[ClassLabel, ...]]:
-        """The number that each label of the detections has among the masks' ``labels``, which have the same names; and
-        the classes that these lack, with free numbers. Raises PlgsError where nothing says what a number means."""
+        """Maps each label of the detections to the masks' ``labels`` of the same name, and lists the classes that these
+        lack, with free numbers. Raises PlgsError if a number's meaning is unknown."""
         used = sorted({one.label for each in self.found.values() for one in each if one.label is not None})
         if not used and any(self.found.values()):
             raise PlgsError("no-class-names", "the detections have no classes", self.path, _FIX, option="--detections")
@@ -103,8 +103,8 @@ def _word(name: str) -> str:
 
 
 def open_detections(path: Path, masks: Path, sizes: Mapping[str, Size]) -> Detections:
-    """The detections in the file ``path``, over ``masks``, of the frames whose sizes these are. Raises PlgsError; run
-    lengths are decoded later."""
+    """The detections in the file ``path``, over ``masks``, for frames of these ``sizes``. Raises PlgsError; run lengths
+    are decoded later."""
     folder = masks if masks.is_dir() else masks.parent
     if not path.exists():
         raise PlgsError("no-detections", "there are no detections", path, "Name a JSON file.", option="--detections")

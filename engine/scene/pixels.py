@@ -1,5 +1,4 @@
-"""Decoding and resizing pictures. Pictures of ids are PNGs (grey, or a palette's indices), or arrays in .npy and .npz.
-"""
+"""Decodes and resizes pictures. Pictures of ids are PNGs (grey, or a palette's indices), or arrays in .npy and .npz."""
 
 from __future__ import annotations
 
@@ -22,9 +21,9 @@ from .values import checked_ids, inside
 
 @dataclass(frozen=True)
 class Alignment:
-    """The place of a point of the colour image in the depth image, in shares of their widths and heights.
+    """Maps a point of the colour image to the depth image, as fractions of their widths and heights.
 
-    depth_x = x_scale * colour_x + x_shift, and y alike. The identity unless the depth camera has a lens of its own.
+    depth_x = x_scale * colour_x + x_shift, and y likewise. The identity unless the depth camera has its own lens.
     """
 
     x_scale: float = 1.0
@@ -36,13 +35,13 @@ class Alignment:
 def decode(path: Path, as_colour: bool) -> NDArray[Any]:
     """Decode an image as uint8 [H, W, 3] RGB, or as it is stored (RGB order), uint8 or uint16 [H, W] or [H, W, C].
 
-    Orientation tags are ignored, as intrinsics refer to the stored pixels. Raises PlgsError when the file is damaged.
+    Orientation tags are ignored, as intrinsics refer to the stored pixels. Raises PlgsError for a damaged file.
     """
     return decode_bytes(check_image_file(path), path, as_colour)
 
 
 def decode_bytes(data: bytes, path: Path, as_colour: bool) -> NDArray[Any]:
-    """``decode`` for an image's bytes that come out of the file ``path``. Raises PlgsError when they are damaged."""
+    """``decode`` for an image's bytes from the file ``path``. Raises PlgsError for damaged ones."""
     import cv2
 
     check_image_bytes(data, path)
@@ -60,7 +59,7 @@ def decode_bytes(data: bytes, path: Path, as_colour: bool) -> NDArray[Any]:
 
 
 def largest_of_16_bits(path: Path) -> int | None:
-    """The largest value of the colours of a PNG of 16 bits, alpha left out; None for other images. Raises PlgsError."""
+    """The largest colour value of a 16-bit PNG, ignoring alpha; None for other images. Raises PlgsError."""
     if read_image_header(path).bit_depth != 16:
         return None
     pixels = decode(path, as_colour=False)
@@ -80,8 +79,8 @@ class ColourReader:
 
 
 def decode_depth(path: Path, fix: str) -> NDArray[Any]:
-    """Decode a depth picture, uint8 or uint16 [H, W] as it is stored; many tools write grey as three equal channels.
-    Raises PlgsError for colours, with ``fix`` as the advice."""
+    """Decode a depth picture, uint8 or uint16 [H, W] as stored; many tools write grey as three equal channels. Raises
+    PlgsError for colours, with ``fix`` as the advice."""
     pixels = equal_channels(decode(path, as_colour=False))
     if pixels is None:
         raise PlgsError("depth-colours", "a depth map must have one channel, not colours", path, fix)
@@ -89,7 +88,7 @@ def decode_depth(path: Path, fix: str) -> NDArray[Any]:
 
 
 def equal_channels(pixels: NDArray[Any]) -> NDArray[Any] | None:
-    """The one channel of a picture, or the first of equal colours, alpha aside; None for others."""
+    """A picture's only channel, or the first if all are equal, ignoring alpha; otherwise None."""
     if pixels.ndim == 2:
         return pixels
     are_equal = bool((pixels[..., :3] == pixels[..., :1]).all())
@@ -97,7 +96,7 @@ def equal_channels(pixels: NDArray[Any]) -> NDArray[Any] | None:
 
 
 def decode_single_channel(path: Path) -> NDArray[np.int32]:
-    """Decode a label image of 8 or 16 bits per pixel to int32 [H, W]. Raises PlgsError for a colour image."""
+    """Decode a label image with 8 or 16 bits per pixel to int32 [H, W]. Raises PlgsError for a colour image."""
     pixels = decode(path, as_colour=False)
     if pixels.ndim != 2:
         what = "a label image must have one channel, not colours"
@@ -106,7 +105,7 @@ def decode_single_channel(path: Path) -> NDArray[np.int32]:
 
 
 def resize_colour(pixels: NDArray[np.uint8], size: Size) -> NDArray[np.uint8]:
-    """Resize uint8 [H, W, 3]: with area averages when it shrinks, with Lanczos when it grows."""
+    """Resize uint8 [H, W, 3]: area averages to shrink, Lanczos to enlarge."""
     height, width = pixels.shape[:2]
     if (width, height) == size:
         return pixels
@@ -117,7 +116,7 @@ def resize_colour(pixels: NDArray[np.uint8], size: Size) -> NDArray[np.uint8]:
 
 
 def resize_nearest(pixels: NDArray[Any], size: Size) -> NDArray[Any]:
-    """Resize [H, W] without mixing values; the same array when the size is right already."""
+    """Resize [H, W] without mixing values; returns the same array if the size is right already."""
     height, width = pixels.shape
     if (width, height) == size:
         return pixels
@@ -127,7 +126,7 @@ def resize_nearest(pixels: NDArray[Any], size: Size) -> NDArray[Any]:
 
 
 def resize_aligned(pixels: NDArray[Any], size: Size, alignment: Alignment) -> NDArray[Any]:
-    """As ``resize_nearest`` into the colour image's frame, 0 beyond the source."""
+    """Like ``resize_nearest``, into the colour image's frame, 0 beyond the source."""
     if alignment == Alignment():
         return resize_nearest(pixels, size)
     height, width = pixels.shape
@@ -140,7 +139,7 @@ def resize_aligned(pixels: NDArray[Any], size: Size, alignment: Alignment) -> ND
 
 
 def distinct_ids(ids: NDArray[np.int32]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """The values that occur in int32 [H, W] (>= 0), ascending, and how many pixels each has. Void (0) included."""
+    """The distinct values in int32 [H, W] (>= 0), ascending, and each one's pixel count, void (0) included."""
     # Counting is faster than sorting, unless the table is much larger than the picture.
     if int(ids.max(initial=0)) > ids.size + 65536:
         values, counts = np.unique(ids, return_counts=True)
@@ -153,7 +152,7 @@ def distinct_ids(ids: NDArray[np.int32]) -> tuple[NDArray[np.intp], NDArray[np.i
 SUFFIXES = {".png", ".npy", ".npz"}
 _LARGEST_ID = 2**24
 _NEARLY = 12
-"""Steps of 8 bits by which JPEG changes black and white."""
+"""Steps of 8 bits by which JPEG alters black and white."""
 
 
 def label_map_size(path: Path) -> Size:
@@ -168,7 +167,7 @@ def label_map_size(path: Path) -> Size:
 
 
 def label_header(path: Path) -> ImageHeader:
-    """The header of a PNG with one channel, palettes included, or with equal ones. Raises PlgsError."""
+    """The header of a PNG with one channel, palettes included, or with equal channels. Raises PlgsError."""
     header = read_image_header(path)
     is_grey = header.channels == 1 or (header.format == "png" and equal_channels(decode(path, False)) is not None)
     if header.format != "png" or not is_grey:
@@ -181,7 +180,7 @@ def label_header(path: Path) -> ImageHeader:
 
 
 def check_label_header(path: Path) -> Size:
-    """(width, height) of a grey PNG of 8 or 16 bits. Raises PlgsError for palettes and others."""
+    """(width, height) of an 8- or 16-bit grey PNG. Raises PlgsError for palettes and others."""
     header = read_image_header(path)
     if header.format != "png" or header.channels != 1 or header.palette or header.bit_depth < 8:
         what = "a label image must be a PNG with one channel of 8 or 16 bits, without a palette"
@@ -231,7 +230,7 @@ def read_indices(path: Path) -> NDArray[np.int32]:
 
 
 def shows_one_object(path: Path) -> bool:
-    """Whether a PNG has one channel and two values, soft edges aside. False where it cannot be read."""
+    """Whether a PNG has one channel and two values, apart from soft edges. False if it cannot be read."""
     try:
         inside(values := read_indices(path), path)
     except PlgsError:
@@ -240,7 +239,8 @@ def shows_one_object(path: Path) -> bool:
 
 
 def is_black_and_white(path: Path) -> bool:
-    """Whether a PNG of one channel is 0 and 255, soft edges aside, and somewhere white. False where it is not read."""
+    """Whether a one-channel PNG contains only 0 and 255, apart from soft edges, and some white. False if it cannot be
+    read."""
     try:
         values = read_indices(path)
     except PlgsError:

@@ -40,12 +40,12 @@ class SceneReport:
     """Counts and ranges over all frames that a lift would use.
 
     ``format`` is the name of the scene's reader. ``sparse_points`` counts the points of the reconstruction behind the
-    poses, ``picture_files`` the frames whose picture is an image file as it is. Sizes are (width, height) with their
-    number of frames, the commonest first. ``depth_range`` is the nearest, the median and the farthest depth in metres,
+    poses, ``picture_files`` the frames whose picture is an unmodified image file. Sizes are (width, height) with their
+    number of frames, the commonest first. ``depth_range`` is the nearest, median and farthest depth in metres,
     ``segments_per_frame`` the fewest, the median and the most; they are None without depth or masks. ``void_share`` is
-    the share of mask pixels without a label. ``classes`` are those that occur. ``extent`` is the size of the box around
-    the cameras' centres, in metres along x, y, z. ``left_out`` are frames that a lift would not use, ``inferred`` is
-    what no file says; ``warnings`` are all others.
+    the fraction of mask pixels without a label. ``classes`` are those that occur. ``extent`` is the size of the box
+    around the cameras' centres, in metres along x, y, z. ``left_out`` are frames that a lift would not use,
+    ``inferred`` is what no file says; ``warnings`` are all others.
     """
 
     folder: Path
@@ -69,13 +69,13 @@ class SceneReport:
 
 
 def describe(scene: Scene) -> SceneReport:
-    """Survey a scene and sum it up. Decodes every frame and raises PlgsError as ``check_scene`` does. Depth and masks
-    may be missing."""
+    """Survey a scene and summarise it. Decodes every frame and raises PlgsError as ``check_scene`` does. Depth and
+    masks may be missing."""
     return report_of(survey_scene(scene))
 
 
 def report_of(survey: Survey) -> SceneReport:
-    """A survey summed up."""
+    """A survey's summary."""
     scene = survey.scene
     depths = [fact.depth for fact in survey.frames if fact.depth is not None]
     masks = [fact.mask for fact in survey.frames if fact.mask is not None]
@@ -118,8 +118,8 @@ _AGAIN = "Read the classes again."
 
 @dataclass(frozen=True)
 class ClassList:
-    """``rows`` in order of the masks' numbers, and numbers that mean nothing (``void``). ``path`` is that of the
-    classes.toml beside the masks, which may not be there yet."""
+    """``rows`` in order of the masks' numbers, and numbers that mean nothing (``void``). ``path`` is the classes.toml
+    beside the masks, which may not exist yet."""
 
     path: Path
     rows: tuple[NamedClass, ...]
@@ -128,7 +128,7 @@ class ClassList:
 
 def list_classes(source: SceneSource, table: str | None = None) -> ClassList:
     """The classes in the masks' files and in a classes.toml beside them. Opens the scene; raises PlgsError. ``table``
-    starts again with the classes of a table (see ``TABLES``), for masks whose files have none."""
+    starts over with a table's classes (see ``TABLES``), for masks whose files name none."""
     path = class_list_path(source.scene, source.masks)
     scene = open_asked(replace(source, up="z", classes=table))
     place, names = _place_of_masks(source.scene, source.masks), [frame.name for frame in scene.frames]
@@ -146,8 +146,9 @@ def list_classes(source: SceneSource, table: str | None = None) -> ClassList:
 
 
 def write_class_list(source: SceneSource, edited: Path) -> Path:
-    """Write the classes.toml beside a scene's masks from a ClassList that was edited, in a JSON file. Returns its path.
-    The colours in it stay. Raises PlgsError for a list of another scene, and for a class without a name."""
+    """Write the classes.toml beside a scene's masks from an edited ClassList in a JSON file. Returns its path.
+    Colours in an existing classes.toml are kept. Raises PlgsError for a list of another scene, and for a class
+    without a name."""
     content: dict[str, Any] = read_object(edited, _AGAIN)
     listed, path = record_of(ClassList, content, edited, _AGAIN), class_list_path(source.scene, source.masks)
     if not listed.rows:
@@ -165,7 +166,7 @@ def write_class_list(source: SceneSource, edited: Path) -> Path:
 
 
 def class_list_path(folder: Path, masks: Path | None = None) -> Path:
-    """The classes.toml beside a scene's masks, which may not be there yet. Raises PlgsError without masks, and when
+    """The classes.toml beside a scene's masks, which may not exist yet. Raises PlgsError without masks, and if
     something else has its name."""
     place = _place_of_masks(folder, masks)
     beside = place if place.is_dir() else place.parent

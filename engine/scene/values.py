@@ -1,7 +1,7 @@
-"""A look at the values of a picture before they become masks or ids: what programs do to them when they save again.
+"""Inspects a picture's values before they become masks or ids, to detect what programs do when they save it again.
 
-A mask of one object may have soft edges, JPEG's noise, or a network's shares in place of two values. A picture of ids
-may have been resized with a filter, which makes ids of the neighbours' mean. Palettes may differ between the frames.
+A mask of one object may have soft edges, JPEG noise, or a network's probabilities instead of two values. A picture of
+ids may have been resized with a filter, which averages neighbouring ids. Palettes may differ between frames.
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ from ..errors import PlgsError
 from ..gates import open_plain
 
 _MIXED = 0.12
-"""Share of the pixels at edges whose value lies between those of both neighbours. The sample's masks have up to 0.02,
-resized with a filter or saved as JPEG 0.19 to 0.5."""
+"""Fraction of the edge pixels whose value lies between those of both neighbours. The sample's masks reach 0.02; resized
+with a filter or saved as JPEG, they have 0.19 to 0.5."""
 _LEAST_EDGES = 100
 _MOST_COLOURS = 4096
 _BLACK = b"\0\0\0"
@@ -26,8 +26,8 @@ _PALETTE_FIX = "Save the ids themselves as grey values, or all frames with one p
 
 
 def are_mixed(values: NDArray[Any], every: int = 1) -> bool | None:
-    """Whether values [H, W] pass gradually into one another at edges, as no ids do; None where edges are too few to
-    tell. ``every`` so many rows and columns are looked at."""
+    """Whether values [H, W] change gradually at edges, as ids never do; None if there are too few edges to decide. Only
+    every ``every``-th row and column is inspected."""
     edges = between = 0
     for lines in (values[::every], values.T[::every]):
         before, here, after = lines[:, :-2], lines[:, 1:-1], lines[:, 2:]
@@ -37,8 +37,8 @@ def are_mixed(values: NDArray[Any], every: int = 1) -> bool | None:
 
 
 def inside(values: NDArray[Any], path: Path) -> NDArray[np.bool_]:
-    """Where the one object of a mask [H, W] is, bool [H, W]: its other value than 0 where there are two, else the half
-    of the range: of shares, of a network's logits, of bytes or of 16 bits. Raises PlgsError for several ids."""
+    """The pixels of the one object in a mask [H, W], bool [H, W]: those that are not 0 if there are two values, else
+    those above half of the range, whether of probabilities, logits, 8 or 16 bits. Raises PlgsError for several ids."""
     if values.dtype.kind == "b" or not values.size:
         return values.astype(np.bool_)
     least, most = values.min(), values.max()
@@ -54,7 +54,7 @@ def inside(values: NDArray[Any], path: Path) -> NDArray[np.bool_]:
 
 
 def checked_ids(ids: NDArray[Any], path: Path) -> NDArray[Any]:
-    """``ids`` [H, W]. Raises PlgsError where a filter has mixed them."""
+    """``ids`` [H, W]. Raises PlgsError if a filter has mixed them."""
     if are_mixed(ids, every=4):
         fix = "Resize ids with nearest neighbour, and save them as PNG."
         raise PlgsError("mixed-ids", "ids are mixed at edges, as by a resize with a filter or by JPEG", path, fix)
@@ -62,8 +62,8 @@ def checked_ids(ids: NDArray[Any], path: Path) -> NDArray[Any]:
 
 
 def numbers_of_colours(paths: Sequence[Path]) -> dict[bytes, int] | None:
-    """A number for each colour in the palettes of PNGs, 0 for black; None where all have one palette, or none. Raises
-    PlgsError where colours cannot serve as numbers."""
+    """A number for each colour in the palettes of PNGs, 0 for black; None if all have the same palette, or none. Raises
+    PlgsError if colours cannot serve as numbers."""
     palettes = {path: palette for path in paths if (palette := palette_of(path))}
     longest = max(palettes.values(), key=len, default=b"")
     if all(longest.startswith(each) for each in palettes.values()):
@@ -75,13 +75,13 @@ def numbers_of_colours(paths: Sequence[Path]) -> dict[bytes, int] | None:
 
 
 def require_one_palette(paths: Sequence[Path]) -> None:
-    """Raise PlgsError where an index means another colour in each file."""
+    """Raise PlgsError if indices mean different colours in different files."""
     if numbers_of_colours(paths) is not None:
         raise _palettes_differ(paths[0])
 
 
 def by_colour(indices: NDArray[np.int32], path: Path, numbers: Mapping[bytes, int]) -> NDArray[np.int32]:
-    """The ``numbers`` of the colours that ``indices`` [H, W] have in a PNG's own palette."""
+    """The ``numbers`` for the colours of ``indices`` [H, W] in a PNG's own palette."""
     palette = palette_of(path)
     table = [numbers[palette[i : i + 3]] for i in range(0, len(palette), 3)]
     return np.array(table + [0] * (256 - len(table)), np.int32)[indices]

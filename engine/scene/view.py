@@ -1,7 +1,7 @@
-"""Views: a frame's pixels, all brought to one size, for the lift; frames read ahead by threads, and sequences that hold
+"""Views: a frame's pixels at one common size, for the lift; threads that read frames ahead; and sequences that hold
 nothing: each item is made on demand, or read back from disk.
 
-Black borders that an undistortion leaves along a picture's sides are told: the camera saw nothing there.
+Black borders, which undistortion leaves along a picture's sides, are detected: the camera saw nothing there.
 """
 
 from __future__ import annotations
@@ -24,23 +24,23 @@ from .frame import Frame, PanopticMask, Segment, Size
 from .pixels import resize_colour, resize_nearest
 
 BLACK, JPEG_BLACK = 2, 12
-"""Largest median brightness of a border, and of its pixels: JPEG brightens those near the picture."""
+"""Maximum brightness of a border: of its median, and of each pixel, as JPEG brightens those near the picture."""
 THICKEST = 0.1
-"""Share of the picture that a border at most reaches inwards. Thicker dark areas are things in the picture."""
+"""Maximum border width, as a fraction of the image. Wider dark areas are things in the picture."""
 SHORTEST = 0.125
-"""The least share of a side that a border runs along."""
+"""Minimum border length, as a fraction of the side."""
 STEEPEST = 2
-"""Pixels by which the thickness of a border changes at most from one pixel along the side to the next: an undistortion
-is smooth, the outlines of furniture are not."""
+"""Maximum change of a border's width, in pixels, from one pixel along the side to the next: undistortion is smooth, the
+outlines of furniture are not."""
 SEAM = 2
-"""Pixels beside a border in which resampling and JPEG have mixed it with the picture."""
+"""Pixels beside a border that resampling and JPEG have blended with it."""
 
 
 def border_mask(colour: NDArray[np.uint8]) -> NDArray[np.bool_]:
     """The pixels of a picture uint8 [H, W, 3] that show only a black border; bool [H, W].
 
-    A border is thin, black, smooth and runs along a side, at full size: measure it before the picture is made smaller.
-    Dark things that touch the edge stay: they reach too far in, have ragged outlines or are not quite black.
+    A border is thin, black, smooth and runs along a side, at full size: detect it before reducing the picture. Dark
+    things that touch the edge are kept: they reach too far in, have ragged outlines or are not quite black.
     """
     import cv2
 
@@ -72,9 +72,10 @@ def _add_upper(border: NDArray[np.bool_], dark: NDArray[np.bool_], brightest: ND
 
 Read = TypeVar("Read")
 READERS = 2
-"""Threads that read ahead. With more, waiting pictures would fill the memory."""
+"""Threads that read ahead. More would fill the memory with waiting pictures."""
 NEAR, NEAR_SHARE = 0.05, 0.02
-"""A view sees a place if its depth there differs by at most so many metres, usually, or this share of it."""
+"""A view sees a point if its depth there differs by at most this many metres, or this fraction of it, whichever is
+larger."""
 
 Rows = NDArray[np.int64]
 
@@ -83,10 +84,10 @@ Rows = NDArray[np.int64]
 class View:
     """Colour uint8 [H, W, 3], depth float32 [H, W] metres (0 = none) and mask of a frame at the size of ``camera``.
 
-    ``border`` bool [H, W] marks the pixels of a black border, and those that do not count. It is None in pictures
-    without any. ``mask_scale`` is how many pixels of the frame's own mask the side of a pixel spans. ``layers`` are
-    the detections over the mask, in pictures in which none overlap (see ``Evidence``). ``frame`` is the frame's name,
-    if the view is one of its layers.
+    ``border`` bool [H, W] marks the pixels of a black border, and those that do not count; None if there are none.
+    ``mask_scale`` is how many pixels of the frame's own mask the side of a pixel spans. ``layers`` are the detections
+    over the mask, in pictures in which none overlap (see ``Evidence``). ``frame`` is the frame's name, if the view is
+    one of its layers.
     """
 
     name: str
@@ -105,15 +106,15 @@ class View:
         return replace(self, name=name, mask=self.layers[number], layers=(), frame=self.name)
 
     def places_in(self, xyz: NDArray[np.floating]) -> tuple[Rows, Rows, Rows, NDArray[np.float64]]:
-        """The rows [n] of the world's places ``xyz`` [N, 3] that lie within the picture, whatever stands before them;
-        the row and the column of each one's pixel, and its planar depth, float64 [n]."""
+        """The rows [n] of the world points ``xyz`` [N, 3] that project into the picture, occluded or not; the row and
+        column of each one's pixel, and its planar depth, float64 [n]."""
         number, pixel, depth = self.camera.seen(xyz)
         x, y = pixel.astype(np.int64).T
         return number, y, x, depth
 
     def seen_of(self, xyz: NDArray[np.floating], near: float = NEAR) -> tuple[Rows, Rows, Rows]:
-        """The rows [n] of those places ``xyz`` [N, 3] that the view's own depth shows, within ``near`` metres or
-        NEAR_SHARE of it, and the row and the column of each one's pixel."""
+        """The rows [n] of the points ``xyz`` [N, 3] that the view's own depth shows, within ``near`` metres or
+        NEAR_SHARE of it, and the row and column of each one's pixel."""
         number, y, x, depth = self.places_in(xyz)
         measured = self.depth[y, x]
         shows = (measured > 0) & (np.abs(measured - depth) <= np.maximum(near, NEAR_SHARE * measured))
@@ -121,8 +122,8 @@ class View:
 
 
 def load_view(frame: Frame, size: Size | None = None) -> View:
-    """Read a frame at ``size`` (width, height), or at its own size. Raises PlgsError when a file is bad, or when the
-    frame has no depth or no mask."""
+    """Read a frame at ``size`` (width, height), or at its own size. Raises PlgsError if a file is bad or the frame has
+    no depth or mask."""
     width, height = size or frame.size
     colour = frame.read_colour(None)
     border = border_mask(colour)
@@ -141,8 +142,8 @@ def load_view(frame: Frame, size: Size | None = None) -> View:
 
 
 def read_ahead(frames: Sequence[Frame], read: Callable[[Frame], Read]) -> Iterator[Read]:
-    """``read`` of each frame in its order, a few frames ahead. Decoding a picture does not hold Python's lock. Frames
-    of one file, such as a video, are read one after another. Errors of ``read`` come at the frame's own place."""
+    """``read`` of each frame in order, a few frames ahead. Decoding a picture releases Python's lock. Frames of one
+    file, such as a video, are read one after another. Errors of ``read`` are raised at the frame's turn."""
     if not all(frame.file_shows_colour for frame in frames):
         yield from map(read, frames)
         return
@@ -163,7 +164,7 @@ Item = TypeVar("Item", covariant=True)
 
 
 class OnDemand(Sequence[Item]):
-    """``count`` items, each made by ``make`` from its number (0..) at every access."""
+    """``count`` items, each made by ``make`` from its index (0..) at every access."""
 
     def __init__(self, count: int, make: Callable[[int], Item]) -> None:
         self._count, self._make = count, make
@@ -195,7 +196,8 @@ Progress = Callable[[int, int], object]
 
 
 def part_of(whole: Progress, begin: float, end: float) -> Progress:
-    """The progress of a part, which lasts from one share of the whole to another. The whole is told whole per cents."""
+    """The progress of a part, which lasts from one fraction of the whole to another. ``whole`` is called with whole
+    percents."""
     return lambda done, total: whole(round(100 * (begin + (end - begin) * done / max(total, 1))), 100)
 
 
@@ -207,8 +209,8 @@ def watched(items: Sequence[Item], progress: Progress) -> OnDemand[Item]:
 class StoredArrays:
     """Arrays on disk, read back by number. For one thread.
 
-    The file lies in ``folder`` (None: the system's for temporary files), has no name if the system allows that, and is
-    deleted with this object or at the end of the process. Raises OSError when the disk is full.
+    The file is in ``folder`` (None: the system's for temporary files), has no name if the system allows that, and is
+    deleted with this object or at the end of the process. Raises OSError if the disk is full.
     """
 
     def __init__(self, folder: Path | None = None) -> None:
@@ -248,8 +250,8 @@ def stored(arrays: Iterable[NDArray[Any]], folder: Path | None = None) -> OnDema
 
 
 class StoredViews(OnDemand[View]):
-    """Views on disk, in their order, each read back on demand, bit for bit: a long scan does not fit into memory. They
-    are stored one after another in ``folder`` (see StoredArrays). ``stored`` is called with their number so far."""
+    """Views on disk, in order, each read back on demand, bit for bit: a long scan does not fit into memory. They are
+    stored one after another in ``folder`` (see StoredArrays). ``stored`` is called with their number so far."""
 
     def __init__(
         self, views: Iterable[View], folder: Path | None = None, stored: Callable[[int], object] | None = None
