@@ -131,7 +131,7 @@ def parse(arguments: Sequence[str]) -> argparse.Namespace:
     )  # fmt: skip
     shot.add_argument(
         "--layers", nargs="+", choices=FURTHER_LAYERS, default=(), metavar="LAYER",
-        help=f"layers in addition to those that are always there: {', '.join(FURTHER_LAYERS)}",
+        help=f"layers to write in addition to the standard ones: {', '.join(FURTHER_LAYERS)}",
     )  # fmt: skip
     shot.add_argument(
         "--passes", type=Path, metavar="FOLDER",

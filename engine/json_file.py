@@ -160,7 +160,7 @@ def take_text(entry: dict[str, Any], key: str, context: str, path: Path) -> str:
     if not isinstance(value, str) or not value:
         raise wrong_type(key, "a text", value, context, path)
     if any(unicodedata.category(character) in ("Cc", "Cs") for character in value):  # nothing could show or store it
-        what = f'"{key}" of {context} has characters that no name can have'
+        what = f'"{key}" of {context} has characters that names cannot have'
         raise PlgsError("bad-characters", what, path, "Correct the file.")
     return value
 

@@ -110,8 +110,8 @@ def known_scene(folder: LiftFolder, classes: ClassTable | None = None) -> PosedS
     Raises PlgsError for a lift without a list of its frames, and for a damaged one."""
     scene, known = folder.request.scene, read_known(folder)
     if known is None:
-        fix = "Let an engine bake a frame of it, which writes the list."
-        raise PlgsError("early-lift", "an early version made this lift, without a list of its frames", folder.path, fix)
+        fix = "Bake one of its frames, which writes the list."
+        raise PlgsError("early-lift", "an early version made this lift, without its list of frames", folder.path, fix)
     classes = classes or read_instances(folder.result_path / INSTANCES)[0]
     frames, warnings = known.posed_frames(scene), known.warnings
     if not os.path.exists(scene):

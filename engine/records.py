@@ -154,7 +154,7 @@ class _Reader:
         if kind is Path:
             return Path(given)
         if any(unicodedata.category(character) in ("Cc", "Cs") for character in given):
-            raise PlgsError("bad-characters", f"'{key}' has characters that no name can have", self._path, self._fix)
+            raise PlgsError("bad-characters", f"'{key}' has characters that names cannot have", self._path, self._fix)
         return (one_line(given) if self._more.get("shown") else given) if kind is str else None
 
     def _inner(self, kind: Any, given: str, key: str) -> Path | PurePosixPath:
@@ -173,7 +173,7 @@ class _Reader:
 
     def wrong(self, kind: Any, given: Any, key: str) -> PlgsError:
         """The error for a value of another kind than ``kind``."""
-        what = f"'{key}' has to be {self._words(kind)}, not {shown_json(given)}"
+        what = f"'{key}' must be {self._words(kind)}, not {shown_json(given)}"
         return PlgsError("wrong-type", what, self._path, self._fix)
 
     def _words(self, kind: Any) -> str:

@@ -108,7 +108,7 @@ def refuse_old_system() -> None:
     """Stop where there are no wheels of Open3D for the system's C library."""
     name, release = platform.libc_ver()
     if name == "glibc" and tuple(int(part) for part in release.split(".")) < (2, 35):
-        stop(f"Open3D needs glibc 2.35 (Ubuntu 22.04, Debian 12, Fedora 36, RHEL 10), and this system has {release}")
+        stop(f"Open3D needs glibc 2.35 (Ubuntu 22.04, Debian 12, Fedora 36, RHEL 10), but this system has {release}")
 
 
 def install_packages(packages: list[str]) -> None:
@@ -170,7 +170,7 @@ def make(folder: Path) -> None:
     started = time.monotonic()
     refuse_old_system()
     if setting := uv_program.diverted(os.environ, ROOT / "requirements"):
-        stop(f"{setting} keeps packages out of {folder.name}. Take it out of uv's settings, then run make again.")
+        stop(f"{setting} keeps packages out of {folder.name}. Remove it from uv's settings, then run make again.")
     try:
         uv = uv_program.fetch(ROOT / "build", uv_variables())
     except OSError as error:

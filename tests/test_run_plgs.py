@@ -203,7 +203,7 @@ def test_bad_input_is_found_before_anything_is_made(
         ((scene, "-o", out, "--size", "640"), "640"),
         ((scene, "-o", out, "--size", "2x2"), "(2, 2)"),
         ((scene, "-o", out, "--preset", "best"), "best"),
-        ((scene, "-o", out, "--seed", "-1"), "'seed' has to be a whole number from 0 to 4294967295, not -1"),
+        ((scene, "-o", out, "--seed", "-1"), "'seed' must be a whole number from 0 to 4294967295, not -1"),
         ((scene, "-o", out, "--save", tmp_path / "a.txt"), ".blend"),
         ((scene, "-o", out, "--save", tmp_path / "no" / "a.blend"), str(tmp_path / "no")),
         ((scene, "-o", out, "--save", tmp_path / "notes.blend"), "not a Blender file"),

@@ -176,7 +176,7 @@ def slurm_cluster(farm_options: FarmOptions) -> Any:
     assert farm_options.slurm is not None
     if shutil.which("sbatch") is None:
         what = "Slurm is not installed here"
-        raise PlgsError("no-slurm", what, "sbatch", "Start the batch on a machine of the cluster.")
+        raise PlgsError("no-slurm", what, "sbatch", "Start the batch on a node of the cluster.")
     offered = ",".join(
         f"{name}={value:g}" for name, value in resources(farm_options.gigabytes, farm_options.threads).items()
     )
@@ -184,7 +184,7 @@ def slurm_cluster(farm_options: FarmOptions) -> Any:
     for name, value in options.items():
         if not value.isprintable() or " " in value:
             fix = f"Give --{name} without blanks and line breaks."
-            raise PlgsError("slurm-option", f"{value!r} cannot stand in a job of Slurm", name, fix, option=f"--{name}")
+            raise PlgsError("slurm-option", f"{value!r} cannot be used in a Slurm job", name, fix, option=f"--{name}")
     if farm_options.tls is not None:
         options |= {"security": farm_options.tls.security(in_a_shell=True), "protocol": "tls://"}
     try:

@@ -135,7 +135,7 @@ def do(piece: Piece, tell: Tell, threads: int = 0, worker: str = "", gigabytes: 
         return outcome(_ENDS.get(follower.error.code, Ended.FAILED), follower.error)
     if follower is not None and follower.exit_code is not ExitCode.FINISHED:
         if follower.kill_at is None and not (piece.lift / "cancel").exists():
-            what = "the engine was ended by a signal that asks programs to end"
+            what = "the engine was ended by a termination signal"
             fix = "Start the batch again."
             return outcome(Ended.KILLED, PlgsError("killed", what, piece.lift, fix, code=ErrorCode.KILLED))
         return outcome(Ended.CANCELLED)
@@ -220,7 +220,7 @@ class _Pulse:
             self.beat()
         elif time.monotonic() - self._last > STALL_S:
             minutes = STALL_S / 60
-            what = f"the engine did nothing for {minutes:.0f} minutes (stopped, or a silent disk?), so it was ended"
+            what = f"the engine did nothing for {minutes:.0f} minutes (suspended, or a silent disk?), so it was ended"
             fix = "Start the batch again: it resumes there."
             raise PlgsError("engine-stalled", what, piece.lift, fix, code=ErrorCode.KILLED)
 

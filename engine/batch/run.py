@@ -200,7 +200,7 @@ class _Batch:
             self._staffed, self._is_missed = now, False
         elif not self._is_missed and now > self._staffed + RETURN_S:
             self._is_missed = True
-            self._report.say(f"Waiting, as there is no worker. Start one: python -m engine worker {self._farm.address}")
+            self._report.say(f"Waiting for a worker. Start one: python -m engine worker {self._farm.address}")
         for future, pin in [*self._pins.items()]:
             if future not in self._out:
                 continue  # another piece of the scene could not be placed
@@ -220,7 +220,7 @@ class _Batch:
     def _take_in(self) -> None:
         """Take the pieces that ended. If the scheduler was lost, submit the others again; they continue from there."""
         if self._farm.client.status != "running" or any(future.cancelled() for future in self._out):
-            self._report.say("The scheduler is gone. Waiting for it to come back.")
+            self._report.say("The scheduler is gone. Waiting for it to return.")
             reconnected(self._farm)
             self._listen()
             pieces, self._out, self._pins = [*self._out.values()], {}, {}
@@ -235,7 +235,7 @@ class _Batch:
             self._pins.pop(future, None)
             scene = self._scenes[piece.scene]
             if future.status == "error":
-                what = f"it ended its workers ({type(future.exception()).__name__}: {future.exception()})"
+                what = f"it crashed its workers ({type(future.exception()).__name__}: {future.exception()})"
                 error = PlgsError("crashed", what, scene.job.lift, "Their logs may say more.", code=ErrorCode.INTERNAL)
                 self._fail(scene, error)
             else:
@@ -255,7 +255,7 @@ class _Batch:
         if outcome.ended is Ended.KILLED and not piece.is_resumed:
             fewer = outcome.lacked_memory and self._farm.use_fewer(outcome.worker)
             about = ", with a worker less, as memory was short" if fewer else ""
-            self._report.say(f"{piece.scene}: {outcome.reason} It is resumed once{about}.")
+            self._report.say(f"{piece.scene}: {outcome.reason} It will be resumed once{about}.")
             self._submit(replace(piece, is_resumed=True))
             return
         if outcome.ended is not Ended.DONE:

@@ -169,10 +169,10 @@ def _refuse_conflicts(options: argparse.Namespace) -> None:
         raise PlgsError("scheduler-workers", what, "--workers", "Leave out this option, or --scheduler.")
     for name, option in SLURM.items():
         if getattr(options, name) and not options.slurm:
-            raise PlgsError("slurm-only", "is for Slurm only", option, "Add --slurm, or leave it out.", option=option)
+            raise PlgsError("slurm-only", "needs Slurm", option, "Add --slurm, or leave it out.", option=option)
     if options.tls_ca and not (options.slurm or options.scheduler):
         fix = "Leave it out: without --slurm and --scheduler nothing listens beyond this machine."
-        raise PlgsError("farm-only", "is for other machines only", "--tls-ca", fix, option="--tls-ca")
+        raise PlgsError("farm-only", "applies only to other machines", "--tls-ca", fix, option="--tls-ca")
 
 
 def _job(own: argparse.Namespace, output: Path, name: str, bakes_all: bool) -> SceneJob:

@@ -29,7 +29,7 @@ def lift(options: argparse.Namespace) -> int:
     if options.output:
         if options.relink is not None:
             fix = "Give LIFT, --scene and --resume, without -o."
-            raise PlgsError("scene-option", "names the place of a lift folder's scene", "--scene", fix)
+            raise PlgsError("scene-option", "gives the scene of an existing lift folder", "--scene", fix)
         return _lift_in_terminal(options)
     from .run_engine import run_engine
 
@@ -70,7 +70,7 @@ def bake(options: argparse.Namespace) -> ExitCode:
     if options.cameras is not None:
         if not options.cameras.is_file():  # perhaps a camera's name, as "--camera NAME" is read as "--cameras"
             fix = "--help explains what such a file holds; run_plgs.py --bake camera bakes the cameras of a .blend."
-            raise PlgsError("no-cameras-file", "there is no such file of cameras", options.cameras, fix)
+            raise PlgsError("no-cameras-file", "the camera file does not exist", options.cameras, fix)
         read_cameras(options.cameras)  # so that errors are reported at once, not after the model was read
     files = None if options.events is None else TaskFiles.at(options.events)
     pipe = _parent_pipe(options, folder)

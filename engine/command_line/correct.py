@@ -30,19 +30,19 @@ def add_correct(parser: argparse.ArgumentParser, make_task: AddTask) -> None:
     rename = known.add_parser("rename", help="give an object another name")
     rename.add_argument("id", type=int, metavar="ID", help=one)
     rename.add_argument("name", metavar="NAME", help="the name")
-    reclass = known.add_parser("reclass", help="give objects another class; with stuff they become points of it")
+    reclass = known.add_parser("reclass", help="give objects another class; with a stuff class they become stuff")
     reclass.add_argument("id", type=int, nargs="+", metavar="ID", help=one)
     reclass.add_argument("class_name", metavar="CLASS", help="a class's name, or its id, or both: '3 chair'")
     merge = known.add_parser("merge", help="join objects into one, with the name and the class of the first")
     merge.add_argument("id", type=int, nargs="+", metavar="ID", help=one)
-    delete = known.add_parser("delete", help="delete a false object: its points become part of what is around them")
+    delete = known.add_parser("delete", help="delete a false object: its points join what surrounds them")
     delete.add_argument("id", type=int, metavar="ID", help=one)
-    delete.add_argument("--no-object", action="store_true", help="let its points keep their class, without an object")
+    delete.add_argument("--no-object", action="store_true", help="keep the points' class, but remove the object")
     split = known.add_parser("split", help="split an object into several")
     split.add_argument("id", type=int, metavar="ID", help=one)
     how = split.add_mutually_exclusive_group(required=True)
     how.add_argument("--parts", action="store_true", help="into its connected parts; the largest keeps the id")
-    how.add_argument("--views", action="store_true", help="into what the masks of at least two frames show apart")
+    how.add_argument("--views", action="store_true", help="into what the masks of two or more frames separate")
     how.add_argument(
         "--plane", type=float, nargs=6, metavar=("X", "Y", "Z", "NX", "NY", "NZ"),
         help="by the plane through a point in metres; the part in the direction of the normal is the new object",

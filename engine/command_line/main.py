@@ -51,18 +51,18 @@ def make_parser() -> argparse.ArgumentParser:
     _add_bake(known.add_parser("bake", help="render more frames of a finished lift, or any cameras, as passes"))
     add_batch(known.add_parser("batch", help="lift, bake and score many scenes, on one machine or many"), EXPORTS)
     add_worker(known.add_parser("worker", help="work for the scheduler of batches on this machine"))
-    add_correct(known.add_parser("correct", help="mend what a finished lift got wrong, without training"), _make_task)
-    _add_export(known.add_parser("export", help="write a finished lift in a form that other programs can read"))
+    add_correct(known.add_parser("correct", help="correct the labels of a finished lift, without training"), _make_task)
+    _add_export(known.add_parser("export", help="write a finished lift in a format that other programs read"))
     _add_evaluate(known.add_parser("evaluate", help="show how good a finished lift is"))
     _add_inspect(known.add_parser("inspect", help="read a scene and show what is in it and what is wrong with it"))
     _add_classes(known.add_parser("classes", help="list the classes of a scene's masks, or write an edited list"))
-    _add_find_scene(known.add_parser("find-scene", help="tell a lift where its scene is after it was moved"))
+    _add_find_scene(known.add_parser("find-scene", help="update a lift after its scene was moved"))
     _add_frames(known.add_parser("frames", help="write a scene's pictures, depth and masks as plain image files"))
     _add_poses(known.add_parser("poses", help="find the poses of photos or of a film's pictures, with COLMAP"))
     _add_segment(known.add_parser("segment", help="make masks for a scene that has none"))
     _add_presets(known.add_parser("presets", help="show the presets and all their options"))
     handshake = known.add_parser("handshake", help="show at once what this engine is and what it lacks")
-    handshake.description = "One line of JSON: versions, packages and their pins, what is missing, how to mend it."
+    handshake.description = "One line of JSON: versions, packages and their pins, what is missing, how to fix it."
     _make_task(handshake, commands.handshake)
     _add_set_up(known.add_parser("set-up", help="make a Python environment with everything that the engine needs"))
     _add_add(known.add_parser("add", help="add optional parts to this engine: making masks, poses, readers"))
@@ -107,7 +107,7 @@ def _add_bake(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--cameras", type=Path, metavar="FILE.json", help="cameras to bake from, see below")
     parser.add_argument(
         "--layers", nargs="+", choices=FURTHER_LAYERS, default=(), metavar="LAYER",
-        help=f"layers in addition to those that are always there: {', '.join(FURTHER_LAYERS)}",
+        help=f"layers to write in addition to the standard ones: {', '.join(FURTHER_LAYERS)}",
     )  # fmt: skip
     parser.add_argument(
         "-o", "--output", type=Path, metavar="FOLDER",
@@ -197,7 +197,7 @@ def _add_inspect(parser: argparse.ArgumentParser) -> None:
     add_scene_options(parser)
     parser.add_argument("--preset", choices=PRESETS, help="also predict what a lift with this preset would take")
     parser.add_argument("-o", "--output", type=Path, metavar="FOLDER", help="write findings and their pictures there")
-    parser.add_argument("--fix", type=Path, metavar="OUT", help="write the scene to a new folder, mended where safe")
+    parser.add_argument("--fix", type=Path, metavar="OUT", help="write the scene to a new folder, fixed where safe")
     _make_task(parser, commands.inspect)
 
 
@@ -324,7 +324,7 @@ def main(arguments: Sequence[str], parser: Callable[[], argparse.ArgumentParser]
     except RuntimeError as error:  # so says Python before 3.13, where later ones go on
         if not str(error).startswith("Symlink loop"):
             raise
-        print(printable(f"error: a link leads to itself: {error}. Mend or remove it."), file=sys.stderr)
+        print(printable(f"error: a link leads to itself: {error}. Fix or remove it."), file=sys.stderr)
         return ExitCode.BAD_INPUT
 
 

@@ -90,7 +90,7 @@ def split(
     class_of = {each: kind for each, kind in (class_of or {}).items() if kind != one.class_id}
     if len(parts) < 2:
         fix = "Split it by a plane, or by points that you choose."
-        raise PlgsError("split-one-part", f"object {number} ({one.name}) does not fall into parts", CORRECTIONS, fix)
+        raise PlgsError("split-one-part", f"object {number} ({one.name}) has only one part", CORRECTIONS, fix)
     kept, *parts = parts
     kinds = [class_of.get(each, one.class_id) for each in parts]
     made = tuple(
@@ -177,7 +177,7 @@ def crop(state: Replay, number: int, within: NDArray[np.bool_]) -> Edit:
     own = state.label == number
     inner, outer = within & (state.label == -kind), own & ~within
     if not (own & within).any() and not inner.any():
-        what = f"no point of {state.objects[number].name} is there"
+        what = f"no point of {state.objects[number].name} is in the box"
         raise PlgsError("crop-empty", what, CORRECTIONS, "Move its box back.")
     if not inner.any() and not outer.any():
         what = "it already has exactly the points in the box"

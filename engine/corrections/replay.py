@@ -117,7 +117,7 @@ class Replay:
             return f"there is no object {mark.id}"
         now = self.mark(mark.id)
         if mark.points and now.points and _overlap(mark, now) < LEAST_OVERLAP:
-            return f"object {mark.id} ({self.objects[mark.id].name}) is a different one here"
+            return f"object {mark.id} ({self.objects[mark.id].name}) is a different object in this lift"
         self._recognised.add(mark)
         return ""
 

@@ -118,7 +118,7 @@ def _holds(marker: str, version: Version, platform: str, path: Path) -> bool:
     """Whether a condition of our files holds. pip knows more kinds, but may not be installed."""
     match = _MARKER.fullmatch(marker)
     if match is None:
-        what = f"has a condition that is not understood ({marker})"
+        what = f"has an unknown condition ({marker})"
         raise PlgsError("odd-condition", what, path, "Write it like the other lines.")
     subject, operator, text = match.groups()
     if subject == "sys_platform":
@@ -132,4 +132,4 @@ def _text(path: Path) -> str:
         return path.read_text(encoding="utf-8")
     except OSError as error:
         what = f"cannot be read ({error.strerror})"
-        raise PlgsError("unreadable", what, path, "Install PLGS again: it is part of it.") from error
+        raise PlgsError("unreadable", what, path, "Reinstall PLGS.") from error

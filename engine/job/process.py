@@ -117,7 +117,7 @@ def missing_modules(python: Path, names: Sequence[str]) -> list[str]:
     except subprocess.TimeoutExpired as error:
         raise PlgsError("silent", f"does not answer within {_ANSWER_S:g} s", python, "Try it in a terminal.") from error
     except OSError as error:
-        raise PlgsError("not-runnable", f"cannot be run ({error.strerror})", python, "It must be a Python.") from error
+        raise PlgsError("not-runnable", f"cannot be run ({error.strerror})", python, "Choose a Python.") from error
     # Only the last line counts, as what a Python runs at its start may also print something.
     *_, line = ["", *answer.stdout.decode(errors="replace").splitlines()]
     if answer.returncode != 0 or not line.startswith(_MISSING):
@@ -162,10 +162,10 @@ class ChildProcess:
             )
         except OSError as error:
             what = f"cannot be run ({error.strerror})"
-            raise PlgsError("not-runnable", what, command[0], "It must be a Python.") from error
+            raise PlgsError("not-runnable", what, command[0], "Choose another Python.") from error
         except ValueError as error:
             fix = "Choose folders with different names."
-            raise PlgsError("bad-path", f"cannot be given such a path ({error})", command[0], fix) from error
+            raise PlgsError("bad-path", f"cannot take this path ({error})", command[0], fix) from error
 
     @property
     def pid(self) -> int:

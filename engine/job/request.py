@@ -123,7 +123,7 @@ class LiftRequest(SceneSource):
         content: dict[str, Any] = read_object(path, _FIX)
         refuse_other_format(content, path)
         for name in sorted(set(GONE) & set(content)):
-            raise PlgsError("option-gone", f"this lift was asked for with --{name}", path, f"{GONE[name]}.")
+            raise PlgsError("option-gone", f"this lift was requested with --{name}", path, f"{GONE[name]}.")
         overrides, relative = content.pop("overrides", None) or {}, content.pop("relative", {})
         if not isinstance(overrides, dict):
             raise PlgsError("bad-overrides", "'overrides' is not a JSON object", path, _FIX)

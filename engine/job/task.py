@@ -62,7 +62,7 @@ class TaskFiles:
         """The files beside ``events``, whose name ends in .jsonl. Raises PlgsError for one that a task cannot have."""
         events = events.absolute()
         if events.suffix != ".jsonl" or not events.parent.is_dir():
-            fix = "Give --events a name that ends in .jsonl, in a folder that is there."
+            fix = "Give --events a name that ends in .jsonl, in an existing folder."
             raise PlgsError("unwritable", "the events cannot be written there", events, fix, option="--events")
         return cls(events, events.with_suffix(".cancel"), events.with_suffix(".log"), ("--events", events))
 

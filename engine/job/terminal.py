@@ -278,7 +278,7 @@ def ask_engine(python: Path, interrupts: Interrupts, kind: str, *arguments: str 
         follower = TaskFollower.start([*engine_call(python), kind, *arguments], TaskFiles.temporary(), kind=kind)
         follow(follower, interrupts, LiveLine(sys.stderr))
     if follower.error is not None or follower.answer is None:
-        raise follower.error or PlgsError("silent", "the engine gave no answer", kind, "Give the same command again.")
+        raise follower.error or PlgsError("silent", "the engine gave no answer", kind, "Run the same command again.")
     return follower.answer
 
 

@@ -82,14 +82,14 @@ class Addition:
         except OSError as error:
             fix = "Make room on the disk, or let PLGS write there, then add it again. The engine is unchanged."
             where = error.filename or self.environment
-            raise PlgsError("nothing-added", f"nothing could be added ({error.strerror})", where, fix) from error
+            raise PlgsError("nothing-added", f"packages could not be added ({error.strerror})", where, fix) from error
         return folder
 
     def _refuse_foreign(self) -> None:
         """Only an environment gets packages: other Pythons belong to the system or to Blender."""
         if not (self.environment / "pyvenv.cfg").is_file():
             fix = "Set up the engine, or let your own Python install the packages that requirements/ pins."
-            what = "packages are only added to environments, and this is not one"
+            what = "packages can be added only to a virtual environment"
             raise PlgsError("not-environment", what, self.environment, fix)
 
     def _refuse_full_disk(self) -> None:

@@ -74,5 +74,5 @@ def complaint(output: str) -> str:
 def refuse_diverted(folder: Path) -> None:
     """Raise PlgsError if the user's settings of uv would send packages elsewhere. ``folder`` is where uv runs."""
     if setting := uv_program.diverted(os.environ, folder):
-        fix = "Take it out, or name a file without it in UV_CONFIG_FILE, then set up the engine again."
+        fix = "Remove it, or set UV_CONFIG_FILE to a file without it, then set up the engine again."
         raise PlgsError("uv-settings", "a setting of uv keeps packages out of the engine's environment", setting, fix)

@@ -128,7 +128,7 @@ def fetch(folder: Path, variables: Mapping[str, str]) -> Path:
         return program
     system = (sys.platform, platform.machine().replace("AMD64", "amd64"))
     if system not in _WHEELS:
-        raise OSError(f"there is no uv for {system[0]} on {system[1]} here")
+        raise OSError(f"uv is not available for {system[0]} on {system[1]}")
     ending, digest = _WHEELS[system]
     name = f"uv-{VERSION}-py3-none-{ending}"
     try:
@@ -136,7 +136,7 @@ def fetch(folder: Path, variables: Mapping[str, str]) -> Path:
     except (OSError, ValueError, HTTPException) as error:
         raise OSError(f"uv could not be downloaded ({error})") from error
     if hashlib.sha256(content).hexdigest() != digest:
-        raise OSError(f"the package index has no {name} as it is pinned here")
+        raise OSError(f"the package index has no {name} with the pinned hash")
     program.parent.mkdir(parents=True, exist_ok=True)
     part = program.with_suffix(".part")
     with zipfile.ZipFile(io.BytesIO(content)) as archive:

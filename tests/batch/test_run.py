@@ -146,7 +146,7 @@ def test_a_line_says_that_no_worker_is_there(tmp_path: Path, monkeypatch: pytest
     assert not batch.line.said
     for _ in range(2):
         batch.look(run.RETURN_S + 2.0)
-    assert batch.line.said == ["Waiting, as there is no worker. Start one: python -m engine worker tcp://here:1"]
+    assert batch.line.said == ["Waiting for a worker. Start one: python -m engine worker tcp://here:1"]
     batch.farm.there = gone
     batch.look()
     batch.farm.there = {}
@@ -178,7 +178,7 @@ def test_a_piece_whose_engine_was_killed_is_resumed_once(
     assert len(batch.farm.asked) == 2 and not batch.rows
     assert batch.farm.left == (["host one"] if lacked else [])
     about = ", with a worker less, as memory was short" if lacked else ""
-    assert batch.line.said == [f"a: why. It is resumed once{about}."]
+    assert batch.line.said == [f"a: why. It will be resumed once{about}."]
     batch.end(batch.farm.asked[1], Ended.KILLED, "host two", lacked)
     assert len(batch.farm.asked) == 2 and batch.rows["a"].state == "failed" and batch.rows["a"].exit_code
 

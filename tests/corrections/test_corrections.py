@@ -214,7 +214,7 @@ def test_corrections_of_another_scene(tmp_path: Path, lift: Path) -> None:
     other = write_result(tmp_path / "other", shift=7.0)
     shutil.copy(lift / CORRECTIONS, other)
     result = read_corrected(other)
-    assert "object 2 (table 1) is a different one here" in result.warnings[0] and not result.fingerprint
+    assert "object 2 (table 1) is a different object in this lift" in result.warnings[0] and not result.fingerprint
 
 
 def test_later_versions_are_refused_or_kept(lift: Path) -> None:

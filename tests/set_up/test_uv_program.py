@@ -66,7 +66,7 @@ def variables(index_url: str) -> dict[str, str]:
 
 def test_a_password_in_the_address_is_sent(host: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     known = variables(f"http://me:p%40ss@{host}/simple")
-    with pytest.raises(OSError, match="as it is pinned here"):
+    with pytest.raises(OSError, match="with the pinned hash"):
         uv_program.fetch(tmp_path, known)
     pin(monkeypatch, content("a wheel"))
     assert uv_program.fetch(tmp_path, known).read_text() == "a wheel"
