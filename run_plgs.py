@@ -39,7 +39,7 @@ ROOT = Path(__file__).resolve().parent
 BLEND_S = 600.0
 """Seconds that a command waits for its turn while others build the .blend of the same lift."""
 MOST_FRAMES = 1_000_000
-"""Frames of a shot, at most."""
+"""The most frames of a shot."""
 READER_GONE = 141
 """The shell's exit status of a command whose reader has ended, such as ``head``."""
 
@@ -189,7 +189,7 @@ def python_with_blender() -> Path | None:
 
 
 def run_again(python: Path, arguments: Sequence[str]) -> int:
-    """Run the whole command in another Python. On POSIX it takes this process's place, so that signals reach it."""
+    """Run the whole command in another Python. On POSIX that Python replaces this process, so that signals reach it."""
     command = [str(python), str(Path(__file__).resolve()), *arguments]
     if os.name == "nt":
         return subprocess.call(command, env=clean_environment())
@@ -221,7 +221,7 @@ def lift_to_blend(options: argparse.Namespace, interrupts: Interrupts) -> int:
 
 
 def finished_lift(folder: Path, scene: Path | None, interrupts: Interrupts) -> LiftFolder:
-    """The lift in a folder, with its scene in another place where ``scene`` names one. Raises PlgsError."""
+    """The lift in a folder; its scene is at ``scene``, if given. Raises PlgsError."""
     lift = LiftFolder.open(folder)
     read_manifest(lift.result_path)
     if scene is not None:

@@ -1,8 +1,8 @@
-"""What comes from other people passes through here first: files, paths, texts, addresses. Standard library only.
+"""Everything from other people passes through here first: files, paths, texts, addresses. Standard library only.
 
-Files are opened only when they are plain (regular) files, and read only up to a size. A FIFO would block whoever opens
-it, a device may do anything, a link leads elsewhere. A refusal is an OSError with a message of its own, so that code
-that reports system errors reports these too.
+Only plain (regular) files are opened, and they are read only up to a given size. A FIFO would block whoever opens it, a
+device may do anything, a link leads elsewhere. A refusal is an OSError with its own message, so it is reported like
+errors of the system.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ def open_to_append(path: Path) -> int:
 
 
 def create_plain(path: Path) -> BinaryIO:
-    """A new file, open for writing, in place of whatever had its name. Raises OSError."""
+    """A new file, open for writing, which replaces whatever had its name. Raises OSError."""
     path.unlink(missing_ok=True)
     return os.fdopen(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | _NO_LINK | _SAFE, 0o666), "wb")
 

@@ -15,9 +15,9 @@ from .errors import PlgsError
 from .gates import read_plain
 
 MOST_BYTES = 1 << 26
-"""The largest size of a file of ours in bytes. Parsed, it takes some twenty times as much memory."""
+"""Bytes: the largest file of ours that is read. Parsed, it takes some twenty times as much memory."""
 LARGEST_TABLE = 1 << 28
-"""The largest size of another program's table in bytes. Those of the longest recordings have a tenth of that."""
+"""Bytes: the largest table of another program that is read. Those of the longest recordings have a tenth of that."""
 _WRITE_AGAIN = "Write this file again."
 Json = None | bool | int | float | str | list["Json"] | dict[str, "Json"]
 

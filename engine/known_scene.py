@@ -1,7 +1,7 @@
-"""What is known of a scene's frames without reading the scene: scene.json of a lift, frames.json of made pictures.
+"""What is known of a scene's frames without reading the scene: scene.json of a lift, frames.json of extracted pictures.
 
-Blender's Python has no OpenCV, and reads no layout except plain folders: it takes the cameras of all other scenes, and
-pictures that lie in a video or an archive or have to be undistorted, from these files.
+Blender's Python has no OpenCV, and reads only plain folders itself. Cameras of all other scenes come from these files,
+as do pictures that are in a video or an archive or have to be undistorted.
 """
 
 from __future__ import annotations
@@ -177,7 +177,7 @@ class MadeFrames:
 
 
 def made_of(folder: Path, source: SceneSource) -> MadeFrames | None:
-    """What an earlier run made of this very scene in ``folder``; None when nothing is there. Raises PlgsError when the
+    """What an earlier run made of this very scene in ``folder``; None if there is nothing. Raises PlgsError if the
     folder holds something else."""
     if not folder.exists():
         return None

@@ -52,7 +52,7 @@ def read_record(kind: type[Record], path: Path, fix: str, version: int = 1, **ap
 
 
 def refuse_other_format(content: dict[str, Any], path: Path | str, version: int = 1) -> None:
-    """Take the number of the format out of a file's content. Raises PlgsError if it is not ``version``."""
+    """Remove the format number from a file's content. Raises PlgsError if it is not ``version``."""
     found = content.pop("format", None)
     if found != version or isinstance(found, bool):
         what = f"the file has format {found!r}, but this version reads {version}"
@@ -62,8 +62,8 @@ def refuse_other_format(content: dict[str, Any], path: Path | str, version: int 
 def record_of(
     kind: type[Record], content: Mapping[str, Any], path: Path | str, fix: str, context: str = "", **apart: Any
 ) -> Record:
-    """The record of a JSON object from the file ``path``. ``context`` is its place there, such as "files[3]". Raises a
-    PlgsError that names the file, the key and what it has to be."""
+    """The record of a JSON object from the file ``path``. ``context`` is its position there, such as "files[3]". Raises
+    a PlgsError that names the file, the key and the expected value."""
     declared, hints = _declared(cast(Any, kind)), _hints(cast(Any, kind))
     if unknown := sorted(content.keys() - declared.keys()):
         what = f"the file has {', '.join(map(repr, unknown))}{_of(context)}, which this version does not know"
@@ -84,7 +84,7 @@ def record_of(
 
 
 def check_record(record: Any, fix: str) -> None:
-    """Raise PlgsError for a field whose value is not what `read_record` would take."""
+    """Raise PlgsError for a field whose value `read_record` would refuse."""
     hints = _hints(cast(Any, type(record)))
     for each in _declared(cast(Any, type(record))).values():
         value = getattr(record, each.name)

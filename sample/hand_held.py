@@ -1,9 +1,9 @@
 """Make a scene look hand-held: ``python sample/hand_held.py SCENE OUT [--seed N]``.
 
-SCENE is a rendered scene, exact in colour, depth and poses. OUT is its twin from a hand-held camera with a
-structured-light sensor: exposure and white balance drift, some frames are blurred, undistortion leaves black borders,
-poses are slightly wrong, depth is coarse, noisy, quantised and full of holes. Ground truth, masks, split and intrinsics
-are copied. ``hand_held.json`` says what was done to each frame. ``capture_noise.CaptureNoise`` says how much.
+SCENE is a rendered scene, exact in colour, depth and poses. OUT shows it as a hand-held camera with a structured-light
+sensor would: exposure and white balance drift, some frames are blurred, undistortion leaves black borders, poses are
+slightly wrong, depth is coarse, noisy, quantised and full of holes. Ground truth, masks, split and intrinsics are
+copied. ``hand_held.json`` lists what was done to each frame, ``capture_noise.CaptureNoise`` how much.
 """
 
 from __future__ import annotations

@@ -204,7 +204,7 @@ def furnish() -> None:
 
 
 def light() -> None:
-    """Soft light from the ceiling and a little from everywhere, in place of the model's bulbs."""
+    """Soft light from the ceiling and a little from everywhere, instead of the model's bulbs."""
     for lamp in [item for item in bpy.data.objects if item.type == "LIGHT"]:
         bpy.data.objects.remove(lamp)
     for x, y, size, watts in LAMPS:

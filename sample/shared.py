@@ -1,4 +1,4 @@
-"""What the sample's programs share: named random streams, and pictures that are written or say why not."""
+"""What the sample's programs share: named random streams, and writing of pictures with clear errors."""
 
 from __future__ import annotations
 

@@ -67,7 +67,7 @@ class Farm:
                 self.own[number] = _start_worker(self.address, self.options)
 
     def use_fewer(self, name: str) -> bool:
-        """Go on with one of our own workers less, that of the name if it is one. False if there is only one."""
+        """Continue with one of our own workers fewer: the named one, if it is ours. False if only one is left."""
         if len(self.own) < 2:
             return False
         number = next((k for k, worker in enumerate(self.own) if f"plgs-{worker.pid}-" in name), -1)
@@ -219,7 +219,7 @@ def require_dask(name: str = "distributed") -> Any:
 
 
 def is_here(address: str) -> bool:
-    """Whether an address is only for programs on this machine."""
+    """Whether an address can be reached only from this machine."""
     host = address.rpartition("//")[2].rpartition(":")[0].strip("[]")
     return host in ("localhost", "::1") or host.startswith("127.")
 
@@ -306,7 +306,7 @@ def _end_with_parent(pipe: int, scratch: str) -> None:
 
 
 async def _serve(address: str, offered: dict[str, float], patience_s: float, scratch: str, security: Any) -> None:
-    """A worker whose scheduler is gone closes; a new one then waits for the scheduler to come back."""
+    """Serve a scheduler until it is gone; a new worker then waits for the scheduler to come back."""
     from distributed import Worker
 
     while True:

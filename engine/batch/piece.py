@@ -26,7 +26,7 @@ TELL_S = 1.0
 BUSY_S = 1.0
 """Seconds between two tries while another engine is at work, such as that of a worker that does not answer."""
 STALL_S = 300.0
-"""Seconds after which an engine is ended that neither reported anything nor used a processor, such as a stopped one."""
+"""Seconds without a report or CPU use after which an engine counts as hung and is killed."""
 _WORKER_CODES = (ErrorCode.DISK_FULL, ErrorCode.NO_ENGINE, ErrorCode.LACKS_PART, ErrorCode.NO_MEMORY)
 """Errors that concern the worker rather than the scene."""
 
@@ -97,14 +97,13 @@ Tell = Callable[[TaskProgress], object]
 
 
 def engine_tag() -> str:
-    """A name for this exact engine: its version and its code."""
+    """An identifier of this exact engine: its version and its code."""
     return f"plgs-{__version__}-{code_digest('engine')}"
 
 
 def do(piece: Piece, tell: Tell, threads: int = 0, worker: str = "", gigabytes: float = 0.0) -> Outcome:
-    """Do a piece with this many ``threads`` and ``gigabytes`` (0: all). If it is done already, return at once. What a
-    scene or a machine lacks is never raised: the outcome tells it.
-    """
+    """Do a piece with this many ``threads`` and ``gigabytes`` (0: all), or return at once if it is already done.
+    Problems of the scene or the machine are not raised but reported in the outcome."""
     began, kills = time.monotonic(), memory_kills()
     variables = {"OMP_NUM_THREADS": str(threads), "NUMBA_NUM_THREADS": str(threads)} if threads else {}
     if gigabytes:
@@ -145,7 +144,7 @@ def do(piece: Piece, tell: Tell, threads: int = 0, worker: str = "", gigabytes: 
 
 
 def memory_kills() -> int | None:
-    """How many processes Linux has killed here because memory was short; None where that is not counted."""
+    """How many processes Linux has killed here for lack of memory; None where that is not counted."""
     try:
         counts = dict(line.split() for line in Path("/proc/vmstat").read_text().splitlines())
         return int(counts["oom_kill"])
@@ -154,7 +153,7 @@ def memory_kills() -> int | None:
 
 
 def _refuse_unfit_worker(piece: Piece) -> None:
-    """Raise PlgsError, with a code that says that another worker may do the piece, if this one cannot."""
+    """Raise PlgsError if this worker cannot do the piece, with a code that says that another one may."""
     if engine_tag() != piece.engine:
         fix = f"Start workers of {piece.engine}."
         raise PlgsError("worker-other-engine", f"this worker has {engine_tag()}", ROOT, fix, code=ErrorCode.NO_ENGINE)
@@ -195,7 +194,8 @@ def _followed(piece: Piece, tell: Tell, variables: Mapping[str, str]) -> TaskFol
 
 
 class _Pulse:
-    """Whether an engine still works. A stopped engine, or one that waits for a disk for ever, would hold up a batch."""
+    """Watches whether an engine still works: a suspended engine, or one that waits for a dead disk, would hold up a
+    batch."""
 
     def __init__(self, follower: TaskFollower) -> None:
         from psutil import Process  # late: distributed brings it, which only batches have

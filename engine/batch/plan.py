@@ -1,4 +1,4 @@
-"""What a batch has to do: one job per scene, and which of them an earlier batch did; and its table."""
+"""The jobs of a batch, one per scene; which of them an earlier batch did; and the table."""
 
 from __future__ import annotations
 
@@ -27,9 +27,9 @@ SCENE = "{scene}"
 _WHOLE_SCENES = (".sens", ".r3d")
 """Suffixes of files that hold all of a scene. Any other file has its pictures in its folder, or below."""
 _NOTES_OF_SYSTEMS = ("thumbs.db", "desktop.ini")
-"""Files that Windows hides and rewrites as it likes, in lower case."""
+"""Files that Windows hides and rewrites at will, in lower case."""
 _LONGEST_NAME = 240
-"""The most bytes of a scene's name: files of its lift are beside it under the name and a few letters more."""
+"""Bytes: the longest name of a scene, as files of its lift have this name and a few more letters."""
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,7 @@ class BatchPlan:
     exports: tuple[str, ...] = ()
 
     def asked(self, job: SceneJob) -> str:
-        """A name for what is requested for a scene, as its files are."""
+        """A digest of the request for a scene and of the scene's files."""
         about = {
             "request": job.request.to_json(job.lift), "bakes": bool(self.chunk), "exports": sorted(self.exports),
             "files": job.files,
@@ -78,8 +78,8 @@ class Row:
 
 
 def state_of_files(request: LiftRequest, output: Path) -> str:
-    """A name for the names, sizes and times of all files that a lift may read, without those in the batch's ``output``.
-    None is opened: where the name is another one, the lift itself reads whether its scene has changed."""
+    """A digest of the paths, sizes and times of all files that a lift may read, except those in the batch's ``output``.
+    No file is opened: if the digest differs, the lift itself checks whether its scene has changed."""
     found, scene, masks, classes = hashlib.sha256(), request.scene, request.masks, request.classes or ""
     paths = [scene, masks, request.detections, request.depth, Path(classes) if classes.endswith(".toml") else None]
     if scene.is_file():
@@ -94,8 +94,8 @@ def state_of_files(request: LiftRequest, output: Path) -> str:
 
 
 def _files_in(top: Path, output: Path) -> Iterator[Path]:
-    """The file itself, or all files in a folder, also behind links, each folder once; none that systems hide, nor those
-    of lifts and of ``output`` inside it."""
+    """The file itself, or all files in a folder, also behind links, each folder once. Hidden files, lifts and
+    ``output`` are skipped."""
     seen = {os.path.realpath(output)} - {os.path.realpath(top)}
     if top.is_file():
         yield top
@@ -114,7 +114,7 @@ def of_scene(path: Path | None, name: str) -> Path | None:
 
 
 def refuse_shared(option: str, path: Path | str | None, scenes: int) -> None:
-    """Raise PlgsError for a path of files of one scene that is given for several."""
+    """Raise PlgsError if several scenes would use the same path for files of one scene."""
     if path is not None and SCENE not in str(path) and scenes > 1:
         fix = f"Write {SCENE} where the scene's name belongs, such as {option} 'predictions/{SCENE}'."
         raise PlgsError("shared-path", f"{option} names one path for {scenes} scenes", path, fix, option=option)
@@ -171,8 +171,8 @@ def done_before(plan: BatchPlan, job: SceneJob) -> Row | None:
 
 
 def rows_kept(plan: BatchPlan) -> Iterator[Row]:
-    """The rows of earlier batches in the same folder with other scenes, by name. A scene whose result is gone has none,
-    nor has one that failed and is gone. A result that has changed is no longer "done"."""
+    """The rows of earlier batches in the same folder with other scenes, by name. Scenes whose result is gone are left
+    out, as are failed scenes that no longer exist. A result that has changed is no longer "done"."""
     names = {job.name for job in plan.jobs}
     found = [_read(path) for path in sorted((plan.output / RECORDS).glob("*.json"))]
     for record, row in sorted(filter(None, found), key=lambda each: each[1].scene):
@@ -193,7 +193,7 @@ def remember(plan: BatchPlan, job: SceneJob, row: Row) -> None:
 
 
 def lifting_code(lift: Path) -> str:
-    """The digest of the code that made a result; empty if its manifest does not tell."""
+    """The digest of the code that made a result; empty if its manifest lacks it."""
     try:
         return str(read_manifest(lift / "result").versions.get("code", ""))
     except PlgsError:
@@ -205,7 +205,7 @@ def _record(output: Path, name: str) -> Path:
 
 
 def _read(path: Path) -> tuple[dict[str, Json], Row] | None:
-    """What `remember` wrote; None if there is nothing, or it is damaged: the pieces then find out what is done."""
+    """What `remember` wrote; None if it is missing or damaged: the pieces then find out what is done."""
     try:
         record = read_object(path, "Delete it.")
         row: Any = record["row"]
@@ -215,7 +215,7 @@ def _read(path: Path) -> tuple[dict[str, Json], Row] | None:
 
 
 def _result(lift: Path) -> str:
-    """A name for the result on disk and its corrections; empty without a result."""
+    """A digest of the result on disk and its corrections; empty without a result."""
     files = [lift / "result" / "manifest.json", lift / "corrections.json"]
     there = [path.read_bytes() for path in files if path.is_file()]
     return hashlib.sha256(b"\n".join(there)).hexdigest() if files[0].is_file() else ""

@@ -26,7 +26,7 @@ from .plan import RECORDS, BatchPlan, Row, SceneJob, done_before, lifting_code, 
 
 _POLL_S = 0.2
 _LOOK_S = 1.0
-"""Seconds between two checks of which workers are there."""
+"""Seconds between two checks of the workers."""
 _TABLE_S = 60.0
 """Seconds for which a batch waits while another writes the table."""
 _ENDING_S = 10.0
@@ -100,7 +100,7 @@ def run_batch(
 
 
 def _turn(plan: BatchPlan) -> FileLock:
-    """The right to write rows and tables, as another batch may write the same ones in this moment; for ``with``."""
+    """The right to write rows and tables, which another batch may be writing; for ``with``."""
     return FileLock(plan.output / RECORDS / "table.lock", _TABLE_S)
 
 
@@ -186,8 +186,8 @@ class _Batch:
             self._pins[future] = _Pin(fit, time.monotonic())
 
     def _look_at_workers(self) -> None:
-        """Say if there has been no worker for long. A piece whose workers have all left goes to those that came since,
-        also to the same ones with new addresses; if none has come for long, `_submit` says so."""
+        """Report if there has been no worker for long. A piece whose workers have all left goes to newer ones, also to
+        the same ones with new addresses; if none has come for long, `_submit` reports it."""
         now = time.monotonic()
         if now < self._looked + _LOOK_S or self._farm.client.status != "running":
             return
@@ -218,7 +218,8 @@ class _Batch:
         future.cancel()
 
     def _take_in(self) -> None:
-        """Take the pieces that ended. If the scheduler was lost, submit the others again; they continue from there."""
+        """Handle the pieces that ended. If the scheduler was lost, submit the others again; they continue from
+        there."""
         if self._farm.client.status != "running" or any(future.cancelled() for future in self._out):
             self._report.say("The scheduler is gone. Waiting for it to return.")
             reconnected(self._farm)
@@ -331,7 +332,7 @@ BATCH = "batch"
 
 
 class BatchReport:
-    """Says the same on a line of the terminal and in ``events``. ``threads`` are those of a worker."""
+    """Reports to a line of the terminal and to ``events`` alike. ``threads`` are those of a worker."""
 
     def __init__(self, events: EventWriter | None, threads: int) -> None:
         self._line, self._events = LiveLine(sys.stderr), events
@@ -341,13 +342,13 @@ class BatchReport:
             events.stage(BATCH, 1, 1, "Batch")
 
     def say(self, text: str) -> None:
-        """A line that stays."""
+        """Print a line that stays."""
         self._line.say(" ".join(text.splitlines()))
         if self._events is not None:
             self._events.warning(text)
 
     def show(self, done: int, scenes: int, running: str) -> None:
-        """How many of the scenes are done, and what is at work."""
+        """Show how many scenes are done, and what is running."""
         label = f"Batch ({running})" if running else "Batch"
         self._line.show(TaskProgress(label=label, step=done, steps=scenes))
         if self._events is not None and (done, scenes) != self._shown:
@@ -355,7 +356,7 @@ class BatchReport:
         self._shown = done, scenes
 
     def ended(self, row: Row) -> None:
-        """A scene has its row: the event "metric" with the name "scene"."""
+        """Report a scene's row: the event "metric" with the name "scene"."""
         about = f" in {row.seconds / 60:.1f} min" if row.state == Ended.DONE else ""
         about += f": {row.reason}" if row.reason else ""
         self._line.say(" ".join(f"{row.scene}: {row.state}{about}".splitlines()))
@@ -365,5 +366,5 @@ class BatchReport:
             self._events.metric("scene", figures | own)
 
     def end(self) -> None:
-        """What is printed next begins on a new line."""
+        """Begin a new line for what is printed next."""
         self._line.end()

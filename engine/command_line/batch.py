@@ -144,8 +144,7 @@ def batch(options: argparse.Namespace) -> int:
 
 
 def _asked_scenes(options: argparse.Namespace) -> list[argparse.Namespace]:
-    """The options of each scene, with its ``scene`` and its ``scene_name``, which is empty if it was not given. Raises
-    PlgsError."""
+    """The options of each scene, with its ``scene`` and its ``scene_name`` (empty if not given). Raises PlgsError."""
     from ..batch.plan import refuse_shared
 
     if options.poses is not None:
@@ -199,7 +198,8 @@ def _job(own: argparse.Namespace, output: Path, name: str, bakes_all: bool) -> S
 
 
 def _farm_options(options: argparse.Namespace, gigabytes: Sequence[float]) -> FarmOptions:
-    """As many workers on this machine as its memory and processors allow, unless the options give a number."""
+    """The farm that the options ask for; by default as many workers on this machine as its memory and processors
+    allow."""
     from ..batch.cluster import FarmOptions
     from ..job.system import main_memory, usable_cpus
 

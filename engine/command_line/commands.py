@@ -81,7 +81,7 @@ def bake(options: argparse.Namespace) -> ExitCode:
 
 
 def _opened(lift: Path, scene: Path | None) -> LiftFolder:
-    """The lift in a folder, with its scene in another place if ``scene`` names one."""
+    """The lift in a folder; its scene is at ``scene``, if given."""
     folder = LiftFolder.open(lift)
     if scene is None:
         return folder

@@ -57,7 +57,7 @@ def add_correct(parser: argparse.ArgumentParser, make_task: AddTask) -> None:
 
 
 def correct(options: argparse.Namespace, events: EventWriter, stop: StopSignal) -> None:
-    """Make the edit and answer with it, or list what there is."""
+    """Make the edit and answer with it, or list the edits or proposals."""
     from ..corrections import correct, proposals_of, read_corrected, undo
 
     folder = LiftFolder.open(options.lift)

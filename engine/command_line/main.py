@@ -329,9 +329,8 @@ def main(arguments: Sequence[str], parser: Callable[[], argparse.ArgumentParser]
 
 
 def _open_missing_streams() -> None:
-    """Let standard streams that were closed lead nowhere. Otherwise the next files to be opened get their numbers, and
-    what native code prints is written into them.
-    """
+    """Open closed standard streams on the null device. Otherwise the next opened files would get their numbers, and
+    native code would print into them."""
     while (number := os.open(os.devnull, os.O_RDWR)) <= 2:  # the lowest number that is free
         os.set_inheritable(number, True)
     os.close(number)

@@ -72,10 +72,9 @@ def run_at(
     also_stops: tuple[Path, ...] = (),
     echo: int | None = None,
 ) -> ExitCode:
-    """Run it with events in ``files``, whose lock this process holds and to whose log all output goes. ``terminal`` is
-    for the few lines for the user. The files ``also_stops`` stop it as its own cancel file does. Events also go to
-    the descriptor ``echo``.
-    """
+    """Run it with events in ``files``, whose lock this process holds; all output goes to their log. ``terminal`` is for
+    the few lines for the user. The files ``also_stops`` stop it as its own cancel file does. Events also go to the
+    descriptor ``echo``."""
     events = EventWriter(files.events, echo) if parent_pipe is not None else ShownWarnings(files.events, echo, terminal)
     try:
         given = os.environ.get("OMP_NUM_THREADS", "")
@@ -144,7 +143,7 @@ def _do(command: Command, events: EventWriter, stop: StopSignal, terminal: TextI
 
 
 def drop_output() -> None:
-    """Let standard output, which failed, lead nowhere: Python flushes the rest of it when it exits."""
+    """Redirect standard output, which failed, to the null device: Python flushes the rest of it when it exits."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
@@ -177,8 +176,8 @@ def failure_of(error: Exception, command: Command, files: TaskFiles | None = Non
 
 
 def _number_of(error: Exception) -> int | None:
-    """The system's number of an error. Libraries in Rust have that number in their errors' texts, those in C++ its
-    words."""
+    """The system's error number. Errors of Rust libraries have it in their text, those of C++ libraries only its
+    message."""
     if isinstance(error, OSError) and error.errno is not None:
         return error.errno
     found = re.search(r"\(os error (\d+)\)", str(error))
@@ -189,7 +188,7 @@ def _number_of(error: Exception) -> int | None:
 
 @contextmanager
 def _signals_ask(stop: StopSignal) -> Iterator[None]:
-    """Ctrl-C and SIGTERM stop the task like its cancel file, but with their own exit codes."""
+    """Let Ctrl-C and SIGTERM stop the task like its cancel file, but with their own exit codes."""
     if threading.current_thread() is not threading.main_thread():  # Python allows handlers only there
         yield
         return

@@ -132,7 +132,7 @@ def edit_of(entry: dict[str, Any], path: Path) -> Edit:
 
 
 def no_object(what: str, where: Path | str, known: list[int]) -> PlgsError:
-    """The error for an object that is not there."""
+    """The error for an object that does not exist."""
     ids = ", ".join(map(str, known)) or "none"
     return PlgsError("no-object", what, where, f"Its objects are {ids}.")
 

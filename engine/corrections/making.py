@@ -35,8 +35,8 @@ def rename(state: Replay, number: int, name: str) -> Edit:
 
 
 def class_of(classes: ClassTable, said: int | str) -> int:
-    """The id of the class with this number, or of the only one that a text says by its name, or else by its number, or
-    by both, as in "3 chair". Raises PlgsError."""
+    """The id of the class that a text names by its number, its unique name, or both, as in "3 chair". Raises
+    PlgsError."""
     names, text = {one.id: one.name for one in classes.categories}, str(said).strip()
     found = named(names, text) if isinstance(said, str) else []
     found = found or [number for number, name in names.items() if text in (str(number), f"{number} {name}")]
@@ -65,7 +65,7 @@ def merge(state: Replay, numbers: Sequence[int]) -> Edit:
 
 
 def delete(state: Replay, number: int, *, around: bool = True) -> Edit:
-    """Give the points the labels of what lies around, or else the object's class without an object."""
+    """Give the points the labels of their surroundings, or else the object's class without an object."""
     mark = _mark(state, number)
     xyz, other = state.points_of(number), (state.label != number) & (state.label != 0)
     moved: tuple[MovedPoints, ...] = ()
@@ -171,8 +171,8 @@ def assign(
 
 
 def crop(state: Replay, number: int, within: NDArray[np.bool_]) -> Edit:
-    """Give an object those points ``within``, bool [N], that are its own or have its class but no object. Its points
-    elsewhere keep the class but lose the object. Raises PlgsError where nothing changes."""
+    """Give an object the points ``within``, bool [N], that are its own or have its class but no object. Its points
+    elsewhere keep the class but lose the object. Raises PlgsError if nothing changes."""
     mark, kind = _mark(state, number), state.class_of(number)
     own = state.label == number
     inner, outer = within & (state.label == -kind), own & ~within

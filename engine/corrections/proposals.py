@@ -136,9 +136,9 @@ FITS = 0.5
 
 def class_of_parts(lift: Path, state: Replay, number: int, part: NDArray[np.integer]) -> dict[int, int]:
     """The class that most masks of an object give each ``part``, int [n] of its points in their order. A mask votes for
-    the part whose points fill its rectangle, weighted by its pixels; a part without votes is left out.
+    the part whose points fill its rectangle, weighted by its pixels; parts without votes are left out.
 
-    Raises PlgsError for a damaged list of the lift's frames.
+    Raises PlgsError if the list of the lift's frames is damaged.
     """
     folder = LiftFolder.open(lift)
     known = read_known(folder)

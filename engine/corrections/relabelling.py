@@ -1,6 +1,6 @@
-"""How edits change the label of anything that has a place: a point, an anchor, a Gaussian.
+"""How edits change the label of anything with a position: a point, an anchor, a Gaussian.
 
-An edit of whole objects maps labels to labels. An edit of points names the points alone; everything else follows the
+An edit of whole objects maps labels to labels. An edit of points names only the points; everything else follows the
 nearest point that had the same label before.
 """
 
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 _PAIRS = 1 << 22
 """The largest number of distances held at a time."""
 _MANY = 1 << 27
-"""The number of pairs from which importing a k-d tree pays off, where there is one."""
+"""Number of pairs above which a k-d tree, if available, is faster despite its import."""
 
 
 def nearest(

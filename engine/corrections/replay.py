@@ -20,7 +20,7 @@ PADDING = 0.05
 REACH = 0.04
 """Metres within which a point of another lift follows a point that was moved."""
 MOST_LOST = 0.1
-"""Share of an edit's points that may be missing if the lift is still the same."""
+"""Share of an edit's points that may be missing if the lift is still the same one."""
 INNER = (2.0, 98.0)
 """Percentiles of the points that span a mark's box, as single points stray."""
 OUTER = (0.5, 99.5)
@@ -100,7 +100,7 @@ class Replay:
         return ""
 
     def _no_label(self, edit: Edit) -> str:
-        """Why what an edit gives its points is not an object or a class; empty when it is."""
+        """Why an edit gives its points a label that is neither an object nor a class; empty if it is one."""
         rest = 0 if edit.rest is None else edit.rest
         classes = [-label for label in (rest, *(group.label for group in edit.moved)) if label < 0]
         classes += [edit.class_id] if edit.class_id else []
@@ -110,7 +110,7 @@ class Replay:
         return f"there is no object {rest}" if rest > 0 and rest not in self.objects else ""
 
     def _missing(self, mark: ObjectMark) -> str:
-        """Why the object that a mark means is not there; empty when it is."""
+        """Why the object that a mark refers to is missing; empty if it exists."""
         if mark in self._recognised:
             return ""
         if mark.id not in self.objects:
@@ -198,7 +198,7 @@ class Replay:
 
 
 def _take_moved(xyz: NDArray[np.float32], after: Labels, groups: Sequence[MovedPoints]) -> None:
-    """Give the points [N, 3] that were moved their labels: exactly these, or in another lift those close by."""
+    """Relabel the points [N, 3] that were moved: exactly these or, in another lift, those nearby."""
     if not groups or not len(xyz):
         return
     wanted = np.concatenate([np.array(group.millimetres, np.int64).reshape(-1, 3) for group in groups])

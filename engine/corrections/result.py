@@ -32,9 +32,9 @@ from .replay import Replay
 class CorrectedResult:
     """The objects and points of a result after the edits.
 
-    ``made`` are the objects as the engine made them. ``accepted`` are ids of objects that are right as they are.
-    ``not_applied``: the reasons, by the edits' uid. ``fingerprint`` is that of the edits that change what is shown;
-    it is empty where there are none.
+    ``made`` are the objects as the engine made them. ``accepted`` are ids of objects that a person confirmed.
+    ``not_applied``: the reasons, by the edits' uid. ``fingerprint`` identifies the edits that change what is shown; it
+    is empty without any.
     """
 
     folder: Path
@@ -155,7 +155,7 @@ class _Result:
 
 
 Make = Callable[[Replay, int], Edit]
-"""Makes an edit from the state and the first id that no object ever had."""
+"""Makes an edit from the state and the first unused object id."""
 
 
 def correct(lift: Path, make: Make, listed: Listed | None = None) -> tuple[Edit, CorrectedResult]:

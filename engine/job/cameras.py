@@ -39,13 +39,13 @@ from .atomic import PART
 
 Matrix = tuple[tuple[float, ...], ...]
 LARGEST_SIDE = 16384
-"""The most pixels of a picture's longest side."""
+"""Pixels: the longest side that a camera's picture may have."""
 _RIGID_TOLERANCE = 2e-3
 LONGEST_NAME = 100
-"""The most characters of a camera's name."""
+"""The maximum length of a camera's name, in characters."""
 _FORBIDDEN = re.compile(r'[<>:"/\\|?*\x00-\x1f]')
 _RESERVED = re.compile(r"(con|prn|aux|nul|com\d|lpt\d)(\..*)?", re.IGNORECASE)
-"""Names that files cannot have on Windows."""
+"""Names that Windows forbids for files."""
 _SIDE = {"least": 1, "most": LARGEST_SIDE}
 _FIX = "Correct the file; `python -m engine bake --help` explains its content."
 _PREVIEW_FIX = "Choose another camera for the preview."
@@ -62,7 +62,7 @@ class PreviewCamera:
 
     @property
     def fingerprint(self) -> str:
-        """A name for the camera. It stays the same when the camera is written and read again."""
+        """An identifier of the camera, which stays the same when the camera is written and read again."""
         numbers = ([*map(list, self.camera_to_world)], [*map(list, self.K)], self.width, self.height)
         return hashlib.sha256(json.dumps(numbers).encode()).hexdigest()[:16]
 
@@ -86,7 +86,7 @@ class BakeCamera:
 
     @property
     def fingerprint(self) -> str:
-        """A name for what the camera shows. Cameras that show the same have the same fingerprint."""
+        """An identifier of the view. Cameras that show the same have the same fingerprint."""
         shows = f"{self.pinhole.fingerprint} {self.near!r} {self.far!r}" + (f" {self.display}" if self.display else "")
         return hashlib.sha256(shows.encode()).hexdigest()[:16]
 
@@ -114,13 +114,13 @@ def write_cameras(path: Path, cameras: Sequence[BakeCamera]) -> None:
 
 
 def safe_name(text: str) -> str:
-    """A name that files can have on every system, as similar to ``text`` as possible."""
+    """A valid file name on every system, as similar to ``text`` as possible."""
     name = _FORBIDDEN.sub("_", text).strip(". ")[:LONGEST_NAME].rstrip(". ") or "camera"
     return f"_{name}" if _RESERVED.fullmatch(name) else name
 
 
 def refuse_equal_names(names: Sequence[str], path: Path, taken: Sequence[str] = ()) -> None:
-    """Raise PlgsError for a name that occurs twice, or that a frame has; case is ignored, as on Windows."""
+    """Raise PlgsError for a name that occurs twice or belongs to a frame. Case is ignored, as on Windows."""
     frames = {name.casefold() for name in taken}
     seen: set[str] = set()
     for name in names:

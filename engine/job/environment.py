@@ -68,7 +68,7 @@ Version = tuple[int, int]
 
 
 def module_of(package: str) -> str:
-    """The name under which a needed package is imported."""
+    """The name under which a package is imported."""
     return _MODULES.get(package, package)
 
 
@@ -99,7 +99,7 @@ def needed_packages(root: Path, version: Version, platform: str = sys.platform) 
 
 
 def digest(root: Path, version: Version) -> str:
-    """A name for an environment, which changes with the text of the requirements. Raises PlgsError."""
+    """An identifier of an environment, which changes with the text of the requirements. Raises PlgsError."""
     paths = [root / "requirements" / name for name in _FILES] + [constraints_path(root, version)]
     return hashlib.sha256("\n".join(_text(path) for path in paths).encode()).hexdigest()[:12]
 
@@ -115,7 +115,8 @@ def _pins(path: Path, version: Version, platform: str) -> dict[str, str]:
 
 
 def _holds(marker: str, version: Version, platform: str, path: Path) -> bool:
-    """Whether a condition of our files holds. pip knows more kinds, but may not be installed."""
+    """Whether a marker in our requirement files applies. We evaluate only the kinds that we use: pip may not be
+    installed."""
     match = _MARKER.fullmatch(marker)
     if match is None:
         what = f"has an unknown condition ({marker})"

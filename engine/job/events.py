@@ -30,17 +30,17 @@ _KEYS: Mapping[str, frozenset[str]] = {
 }
 """The kinds of events, with the keys that a reader may rely on."""
 TAIL_BYTES = 16384
-"""The number of bytes at a file's end that hold the last events of a run: an error, and the end."""
+"""Bytes at the end of a file that are read for the last events of a run: an error, and the end."""
 LONGEST_TAIL = 1 << 20
-"""The number of bytes at a file's end that are searched if those hold no event."""
+"""Bytes at the end of a file that are searched if those hold no event."""
 LONGEST_ANSWER = 1 << 22
-"""The most bytes of a line that a hurried reader accepts as an event."""
+"""Bytes: the longest line that a hurried reader accepts as an event."""
 MOST_AT_ONCE = 1 << 26
-"""At most this many bytes are read at once."""
+"""Bytes: the most that is read at once."""
 MOST_BYTES = 1 << 17
-"""The number of bytes that a hurried reader reads at once, in about a millisecond."""
+"""Bytes that a hurried reader reads at once, in about a millisecond."""
 MOST_CAUGHT_UP = 1 << 24
-"""At most this many bytes of older events are read by a hurried reader, counted from the end."""
+"""Bytes: older events farther from the end than this are skipped by a hurried reader."""
 _PROGRESS = b'"event": "progress"'
 
 
@@ -226,7 +226,7 @@ class EventReader:
 
 
 def _without_outdated(lines: list[bytes]) -> list[bytes]:
-    """The lines without progress that the next line replaces."""
+    """The lines, without progress that the next line supersedes."""
     is_progress = [_PROGRESS in line for line in lines] + [False]
     return [line for index, line in enumerate(lines) if not (is_progress[index] and is_progress[index + 1])]
 
@@ -247,9 +247,8 @@ def echoed(line: bytes, descriptor: int) -> bool:
 
 
 def at_work(path: Path) -> PlgsError:
-    """The error for a lock on the events ``path`` that another process holds: which process, on which machine, and
-    since when, if its events tell.
-    """
+    """The error for an events file that another process has locked: it names the process, its machine and its start, if
+    known."""
     try:
         hello = next((event for event in last_run(path) if event.kind == "hello"), None)
     except (OSError, PlgsError):  # a lock is valid even if its events cannot be read
@@ -263,7 +262,7 @@ def at_work(path: Path) -> PlgsError:
 
 
 def last_events(path: Path) -> list[Event]:
-    """The last events of the latest run, read only from the end of the file: enough to tell how the run ended.
+    """The last events of the latest run, enough to see how it ended. Only the end of the file is read.
 
     An error is a run's last event, or its second to last if the engine was cancelled in the meantime.
     """

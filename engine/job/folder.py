@@ -86,8 +86,8 @@ class LiftFolder:
         return cls(path, LiftRequest.read(path / "request.json"))
 
     def asked_again(self, request: LiftRequest) -> LiftFolder:
-        """This lift, for a command that asks for it once more, perhaps now ``anyway``. Raises PlgsError if the request
-        differs in more than that, and OSError."""
+        """This lift, for a command that requests it again, perhaps now ``anyway``. Raises PlgsError if the request
+        differs in anything else, and OSError."""
         differing = request.differences(self.request)
         if differing:
             fix = "Leave these options as they were, or choose another output folder."
@@ -159,9 +159,8 @@ class LiftFolder:
         return FileLock(self.events_path)
 
     def refuse_foreign(self) -> None:
-        """Raise PlgsError, before anything is written or deleted, if a link or anything else that no lift has is in the
-        place of one of its files.
-        """
+        """Raise PlgsError, before anything is written or deleted, if one of the lift's files is a link or of another
+        kind that no lift has."""
         refuse_foreign_below(self.path)
 
     def refuse_read_only(self) -> None:
@@ -242,7 +241,7 @@ class LiftFolder:
         remove_parts(self.path)
 
     def came_to_nothing(self) -> bool:
-        """Whether no engine got as far as a checkpoint: it never started, or it refused the input."""
+        """Whether no engine reached a checkpoint: it never started, or it refused the input."""
         if not self.path.is_dir():  # someone deleted it during the lift, as the error says
             return False
         if self.is_running or self.checkpoints.exists:
@@ -287,8 +286,8 @@ class LiftFolder:
 
 
 def refuse_used(path: Path) -> None:
-    """Raise PlgsError if no lift folder can be made at ``path`` because something is there already, and OSError if that
-    cannot be determined."""
+    """Raise PlgsError if ``path`` is taken, so that no lift folder can be made there, and OSError if that is
+    unknown."""
     if not path.exists():
         return
     if not path.is_dir():
@@ -303,7 +302,7 @@ def refuse_used(path: Path) -> None:
 
 
 def _write_new(path: Path, text: str) -> None:
-    """Write a complete file under an unused name, even if two processes want it. Raises FileExistsError."""
+    """Write a complete file under an unused name, even if two processes try to. Raises FileExistsError."""
     part = path.with_name(f"{PART}{os.getpid()}-{path.name}")
     try:
         with create_plain(part) as file:
@@ -327,8 +326,8 @@ FOLDERS = ("result", "bake", "checkpoint", "checkpoint.next", "checkpoint.old", 
 
 
 def refuse_foreign(lift: Path, *more: str) -> None:
-    """Raise PlgsError if one of the lift's own files or folders, or of ``more`` files in them, is something else. What
-    else the folders hold is not checked."""
+    """Raise PlgsError if one of the lift's own files or folders, or of ``more`` files in them, is of another kind.
+    Other entries are not checked."""
     for name in (*FILES, *more):
         _refuse(lift / name, S_ISREG)
     for name in FOLDERS:

@@ -204,7 +204,8 @@ class TaskFollower:
             self.kill_at = self._clock() + CANCEL_WAIT_S
 
     def _kill_if_deaf(self, process: Engine) -> None:
-        """Another process may have made the cancel file, and native code can prevent the engine's watchdog."""
+        """Kill an engine that does not stop: another process may have made the cancel file, and native code can block
+        its watchdog."""
         is_asked = self.files.cancel.exists() or (self.lift is not None and self.lift.task_files.cancel.exists())
         if is_asked:
             self._begin_waiting()
@@ -212,7 +213,7 @@ class TaskFollower:
             process.kill()
 
     def _end(self, code: int | None) -> None:
-        """``code`` is the exit code of the engine's process; None if another process started it."""
+        """The task has ended. ``code`` is the exit code of the engine's process; None if another process started it."""
         if not self.files.events.parent.is_dir():  # then the engine's own message does not tell what happened
             fix = "Restore it, or start again."
             where = self.files.events.parent

@@ -27,8 +27,8 @@ def damaged(key: str, what: str, path: Path) -> PlgsError:
 
 @dataclass(frozen=True)
 class Manifest:
-    """What a finished lift made and how. ``timings``: stage name to seconds. ``frames``: the capture's own names of the
-    frames whose files are named otherwise, by the file's name."""
+    """What a finished lift made and how. ``timings``: seconds by stage. ``frames``: the original names of frames whose
+    files have other names, by file name."""
 
     engine_version: str
     versions: _Facts

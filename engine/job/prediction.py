@@ -61,7 +61,7 @@ class Prediction:
 
 @dataclass(frozen=True)
 class _Speed:
-    """speed.json: how many times longer than the constants' machine this one took in recent lifts."""
+    """speed.json: how many times slower than the machine of the constants this one was in recent lifts."""
 
     slowness: tuple[float, ...] = field(metadata={"least": 0.001, "most": 1000})
 
@@ -142,7 +142,7 @@ def step_seconds(megapixels: float, millions_of_gaussians: float) -> float:
 
 
 def machine_slowness(cache: Path | None = None) -> float:
-    """How many times longer this machine takes, from its recent finished lifts; 1 before the first. Never raises."""
+    """How many times slower this machine is, according to its recent lifts; 1 before the first. Never raises."""
     measured = _measured(_speed_path(cache))
     return median(measured) if measured else 1.0
 
@@ -183,7 +183,7 @@ def _speed_path(cache: Path | None) -> Path:
 
 
 def _measured(path: Path) -> list[float]:
-    """The measured values; empty if there are none, or none that make sense."""
+    """The measured values; empty if there are none or they are implausible."""
     try:
         return [*read_record(_Speed, path, "Delete it.").slowness]
     except PlgsError:

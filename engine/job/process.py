@@ -68,7 +68,7 @@ def choose_python(
     """The first that exists of: PLGS_ENGINE_PYTHON, the ``chosen`` one from the preferences, the environment that "Set
     up engine" made, ``.venv`` beside the code, and this Python if it has torch.
 
-    Whether it has what the engine needs is not checked. Raises PlgsError if there is none. Takes milliseconds.
+    Its packages are not checked. Raises PlgsError if there is none. Takes milliseconds.
     """
     variable = environ.get("PLGS_ENGINE_PYTHON")
     if variable:  # not resolved, as a venv's Python finds its venv by the link
@@ -211,7 +211,7 @@ class EngineProcess(ChildProcess):
             raise
 
     def output_tail(self) -> str:
-        """The end of its output outside the log: empty, or the reason why it could not begin."""
+        """The end of its output outside the log: empty, or why it could not start."""
         length = self._output.seek(0, os.SEEK_END)
         self._output.seek(max(0, length - _OUTPUT_TAIL))
         return self._output.read().decode(errors="replace").strip()

@@ -1,4 +1,4 @@
-"""The figures of a finished lift and the places of its files, as text for a terminal."""
+"""The figures of a finished lift and the paths of its files, as text for a terminal."""
 
 from __future__ import annotations
 
@@ -49,20 +49,21 @@ def metrics_text(metrics: Mapping[str, Json], *, per_class: bool = False) -> str
 
 
 def wrong_with_scene(metrics: Mapping[str, Json]) -> list[str]:
-    """What was found wrong with the scene before it was lifted."""
+    """Problems that were found in the scene before it was lifted."""
     entries = [entry for entry in _list(metrics.get("findings")) if isinstance(entry, dict)]
     return [f"{entry.get('cause')}: {entry.get('text')}" for entry in entries if entry.get("severity") == "wrong"]
 
 
 def not_shown(metrics: Mapping[str, Json]) -> list[tuple[str, str]]:
-    """What the masks show clearly from nearby and the lift does not, as texts with the frames that show it best."""
+    """Objects that the masks show clearly in close-ups and the lift lacks, as texts with the frames that show them
+    best."""
     judges = metrics.get("masks_as_judges")
     entries = _list(judges.get("not_shown")) if isinstance(judges, dict) else []
     return [(_missed(entry), str(entry.get("frame"))) for entry in entries if isinstance(entry, dict)]
 
 
 def doubt_of_frames(metrics: Mapping[str, Json]) -> dict[str, float]:
-    """How likely classes are wrong in each frame that was drawn to score the lift."""
+    """The probability of wrong classes in each frame that was rendered to score the lift."""
     judges = metrics.get("masks_as_judges")
     entries = judges.get("doubt") if isinstance(judges, dict) else None
     known = entries.items() if isinstance(entries, dict) else ()

@@ -37,7 +37,7 @@ BAKES: tuple[str, ...] = get_args(Bake)
 DEVICES: tuple[str, ...] = get_args(Device)
 _NO_BLOCKS = "A long capture fits without blocks: lift anew without them, with fewer --frames if memory is short"
 GONE = {"blocks": _NO_BLOCKS, "block": _NO_BLOCKS}
-"""Fields of earlier versions' requests, which were options, too, and what to do instead."""
+"""Options of earlier versions that no longer exist, and what to do instead."""
 _PLACES = ("scene", "masks", "detections", "depth", "names_from")
 _FIX = "Fix it, or delete the folder and lift again."
 
@@ -145,8 +145,8 @@ class LiftRequest(SceneSource):
             raise PlgsError(error.key, what, path, error.fix) from error
 
     def differences(self, other: LiftRequest) -> list[str]:
-        """The names of what differs, including the options of the preset, but not ``anyway``, which changes nothing of
-        a result, and not the engine's version."""
+        """The names of what differs, including the options of the preset. ``anyway`` and the engine's version do not
+        count."""
         mine, theirs = self.chosen_preset, other.chosen_preset
         options = [name for name in preset_options() if option_value(mine, name) != option_value(theirs, name)]
         names = [each.name for each in fields(self) if each.name not in ("options", "anyway", "engine_version")]
@@ -178,7 +178,7 @@ def _current_path(path: str, relative: str, request: Path) -> str:
 
 _NONE: Mapping[str, str] = {}
 DEFAULTS = LiftRequest(scene=Path(Path(__file__).anchor))
-"""The request with the values of options that are not given; its scene is not a real one."""
+"""The request with all options at their defaults; its scene is a placeholder."""
 _OF_PRESET = ("steps", "size", "frames", "set")
 """The options that change those of the preset."""
 _FIELDS = {each.name: each.metadata["option"] for each in fields(LiftRequest) if "option" in each.metadata}

@@ -22,7 +22,7 @@ OPEN_FILES_KEEP_NAMES = WINDOWS
 LOCKED_BYTE = 2**30
 """On Windows others cannot read a locked range, so the locked byte is beyond the size that any log reaches."""
 LEAST_MEMORY = 2_000_000_000
-"""Bytes of address space that the engine needs at least."""
+"""Bytes of address space that the engine needs."""
 _NEW_GROUP, _NO_WINDOW = 0x200, 0x8000000
 """CREATE_NEW_PROCESS_GROUP and CREATE_NO_WINDOW, which `subprocess` has on Windows only."""
 
@@ -119,7 +119,7 @@ class MainMemory(NamedTuple):
 
 
 def main_memory(proc: Path = Path("/proc/meminfo"), cgroup: Path = CGROUP) -> MainMemory | None:
-    """The current memory; None if the system does not tell. Never raises."""
+    """The current memory; None if the system does not report it. Never raises."""
     try:
         if sys.platform == "win32":
             return _share(_of_windows())
@@ -154,7 +154,7 @@ def _within(memory: MainMemory, cgroup: Path) -> MainMemory:
 
 
 def _given_back(cgroup: Path) -> int:
-    """Bytes of files that the system keeps in a container's memory until it is needed."""
+    """Bytes of cached files in a container's memory, which the system frees when needed."""
     try:
         lines = (line.split() for line in (cgroup / "memory.stat").read_text().splitlines())
         return next((int(line[1]) for line in lines if line[:1] == ["inactive_file"]), 0)

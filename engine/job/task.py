@@ -28,7 +28,7 @@ LOG_BYTES = 1 << 16
 """At most this many bytes at a log's end are read for them."""
 _LONGEST_LINE = 500
 _MOST = 1 << 62
-"""No count and no number of seconds is larger."""
+"""The largest count and number of seconds that is accepted."""
 _NO_LINK: int = getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
 
 
@@ -42,9 +42,8 @@ class TaskState(StrEnum):
 @dataclass(frozen=True)
 class TaskFiles:
     """The three files that a task shares with its follower: its ``events``, the ``cancel`` file that stops it, and its
-    ``log``. ``arguments`` tell a command to use them; a lift's are those of its folder, which the command knows.
-    ``folder`` is a temporary one that goes with the task.
-    """
+    ``log``. ``arguments`` pass them to a command (none for a lift, whose folder implies them). ``folder`` is a
+    temporary one that is deleted with the task."""
 
     events: Path
     cancel: Path
@@ -59,7 +58,8 @@ class TaskFiles:
 
     @classmethod
     def at(cls, events: Path) -> TaskFiles:
-        """The files beside ``events``, whose name ends in .jsonl. Raises PlgsError for one that a task cannot have."""
+        """The files beside ``events``, whose name ends in .jsonl. Raises PlgsError if events cannot be written
+        there."""
         events = events.absolute()
         if events.suffix != ".jsonl" or not events.parent.is_dir():
             fix = "Give --events a name that ends in .jsonl, in an existing folder."

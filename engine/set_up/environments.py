@@ -12,7 +12,7 @@ from ..job.lock import is_locked
 
 LOG, LOCK = "set-up.log", "set-up.lock"
 DOWNLOADS, PYTHON = "downloads", "python"
-"""What uv has unpacked for an unfinished environment, and the Pythons that it downloaded."""
+"""The folders of uv: what it unpacked for an unfinished environment, and the Pythons that it downloaded."""
 _TRASH = "trash-"
 
 
@@ -33,7 +33,7 @@ def bytes_in(folder: Path) -> int:
 def throw_away(path: Path, folder: Path) -> None:
     """Move a file or folder aside in ``folder``, on the same disk, to be deleted by `empty_trash`. This is instant.
 
-    Nothing happens when it is not there. Raises OSError, on Windows also while a program in it still runs.
+    A missing file is ignored. Raises OSError, on Windows also while a program in it still runs.
     """
     if not path.exists() and not path.is_symlink():
         return
@@ -50,7 +50,7 @@ def empty_trash(folder: Path) -> None:
 
 
 def remove_environments(folder: Path) -> None:
-    """Delete all environments in ``folder`` that a set-up made and what it made them with, and nothing else.
+    """Delete all environments that a set-up made in ``folder``, with its downloads, and nothing else.
 
     Raises PlgsError while a set-up is running there, OSError.
     """

@@ -46,7 +46,7 @@ LABELS = (
     "Asking the engine",
 )
 PARTS = 1000
-"""How many parts the progress of the whole set-up is counted in."""
+"""The progress of the whole set-up is counted in this many parts."""
 _ANSWER_S = 10.0
 """Seconds within which a Python must answer. The first answer from a cold disk takes a few."""
 _POLL_S = 0.05
@@ -197,7 +197,7 @@ class SetUp:
             raise PlgsError("disk-full", what, self.folder, "Make room, then set up the engine again.")
 
     def _make_environment(self, uv: Path, environment: Path, python: str | Path, version: Version) -> None:
-        """Make it from nothing, which takes a moment: what was downloaded is kept apart."""
+        """Make it from scratch. This is quick, as downloads are kept elsewhere."""
         self._tell(2, f"Python {version[0]}.{version[1]}")
         throw_away(environment, self.folder)
         output, code = self._run(

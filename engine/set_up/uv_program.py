@@ -62,16 +62,16 @@ _LEFT_OUT = re.compile(
     r"PYTHON(PATH|HOME|DONTWRITEBYTECODE)$|VIRTUAL_ENV$|CONDA_PREFIX$|"
     r"UV_(PYTHON|SYSTEM_PYTHON|TARGET|PREFIX|CONSTRAINT|OVERRIDE|EXCLUDE|PROJECT|WORKING_DIR)$"
 )
-"""Variables that would send packages somewhere other than into the environment, or would bring others."""
+"""Variables that would send packages elsewhere than into the environment, or bring in others."""
 
 _DIVERTING = ("target", "prefix", "python", "system", "require-hashes")
 """Settings under [pip] in uv's files that change where packages go, or forbid what has no hash."""
 
 
 def variables(environ: Mapping[str, str], index_url: str = "") -> dict[str, str]:
-    """``environ`` for uv, with the user's settings of pip where he has none of uv.
+    """``environ`` for uv, with the user's pip settings where uv has none.
 
-    ``index_url`` takes the place of PyPI. It is no argument, as its password would show in the list of processes.
+    ``index_url`` replaces PyPI. It is no command-line argument, as its password would show in the list of processes.
     """
     kept = {name: value for name, value in environ.items() if not _LEFT_OUT.match(name)}
     for setting, name in _OF_PIP.items():
