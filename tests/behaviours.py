@@ -52,7 +52,7 @@ BEHAVIOURS = {
     "exports: boxes": "export/test_export.py::test_boxes_are_exported",
     "exports: depth maps": "export/test_export.py::test_depth_maps_are_exported",
     "exports: meshes": "export/test_export.py::test_meshes_are_exported",
-    "run_plgs.py lifts a scene into a .blend": "test_run_plgs.py::test_it_lifts_a_scene_into_a_blend",
+    "run_plgs.py lifts a scene into a .blend": "test_run_plgs.py::test_run_plgs_lifts_a_scene_into_a_blend",
     "run_plgs.py bakes a camera": "test_run_plgs_camera.py::test_frames_are_baked_and_those_that_are_done_are_kept",
     "the zip installs, registers and goes": "test_extension.py::test_the_zip_installs_and_registers_and_goes",
     "every button works with the engine that the set-up made": (

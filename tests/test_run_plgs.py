@@ -69,7 +69,7 @@ def has_begun(out: Path) -> Callable[[], bool]:
     return lambda: events.exists() and b'"step": 5' in events.read_bytes()
 
 
-def test_it_lifts_a_scene_into_a_blend(run: Run, tmp_path: Path) -> None:
+def test_run_plgs_lifts_a_scene_into_a_blend(run: Run, tmp_path: Path) -> None:
     out = tmp_path / "out"
     stdout, stderr = (process := run("short", tmp_path / "scene", "-o", out)).communicate(timeout=PATIENCE_S)
     assert process.returncode == 0, stderr
@@ -115,7 +115,9 @@ def test_resuming_a_finished_lift_only_repairs_the_blend(run: Run, tmp_path: Pat
         ("patient", signal.SIGTERM, 143),
     ],
 )
-def test_a_signal_ends_both(run: Run, tmp_path: Path, behaviour: str, number: signal.Signals, code: int) -> None:
+def test_signal_ends_both_processes(
+    run: Run, tmp_path: Path, behaviour: str, number: signal.Signals, code: int
+) -> None:
     out = tmp_path / "out"
     process = run(behaviour, tmp_path / "scene", "-o", out)
     wait_for(process, has_begun(out))
@@ -155,7 +157,7 @@ def test_resuming_a_running_lift_leaves_it_alone(run: Run, tmp_path: Path) -> No
     assert not (out / "cancel").exists() and first.poll() is None
 
 
-def test_the_cancel_file(run: Run, tmp_path: Path) -> None:
+def test_cancel_file_stops_the_lift(run: Run, tmp_path: Path) -> None:
     out = tmp_path / "out"
     process = run("patient", tmp_path / "scene", "-o", out)
     wait_for(process, has_begun(out))
@@ -230,7 +232,7 @@ def test_modules_in_a_scene_are_never_run_even_from_its_folder(root: Path, tmp_p
     assert not (tmp_path / "run").exists() and not (tmp_path / "out").exists()
 
 
-def test_it_says_when_the_engines_python_is_unfit(root: Path, tmp_path: Path) -> None:
+def test_unfit_engine_python_is_reported(root: Path, tmp_path: Path) -> None:
     scene = write_tiny_scene(tmp_path / "scene", frames=3)
     bare = tmp_path / "bare"
     subprocess.run([sys.executable, "-m", "venv", "--without-pip", bare], check=True, timeout=120)

@@ -101,7 +101,7 @@ def test_an_engine_that_is_stopped_is_ended_and_resumed(tmp_path: Path, farm: Fa
     assert [each["resumed"] for each in hellos(plan.output / "a")] == [False, True]
 
 
-def test_two_batches_in_one_folder(tmp_path: Path, farm: Farm, address: str) -> None:
+def test_two_batches_share_one_folder(tmp_path: Path, farm: Farm, address: str) -> None:
     """One waits for the lifts of the other, and the table has the scenes of both."""
     plan = plan_of(tmp_path, "a", "b", "c")
     farm.workers(address, *["usual"] * 3)
@@ -116,7 +116,7 @@ def test_two_batches_in_one_folder(tmp_path: Path, farm: Farm, address: str) -> 
 
 
 @pytest.mark.slow
-def test_a_worker_that_hangs(tmp_path: Path, farm: Farm) -> None:
+def test_hanging_worker_is_given_up(tmp_path: Path, farm: Farm) -> None:
     """The scheduler gives it up. Its engine lives, so the other worker waits for that, and finds the lift finished."""
     address = f"tcp://127.0.0.1:{farm.scheduler(ttl_s=5.0)[1]}"
     plan = plan_of(tmp_path, "a")
@@ -128,7 +128,7 @@ def test_a_worker_that_hangs(tmp_path: Path, farm: Farm) -> None:
     assert rows_of(plan)["a"]["state"] == "done" and len(hellos(plan.output / "a")) == 1
 
 
-def test_a_scheduler_that_is_restarted(tmp_path: Path, farm: Farm) -> None:
+def test_batch_survives_scheduler_restart(tmp_path: Path, farm: Farm) -> None:
     scheduler, port = farm.scheduler()
     address = f"tcp://127.0.0.1:{port}"
     plan = plan_of(tmp_path, "a", "b", "c")
@@ -165,7 +165,7 @@ def test_ctrl_c_leaves_everything_resumable(tmp_path: Path, farm: Farm, address:
 
 
 @pytest.mark.parametrize("unfit", ["unmounted", pytest.param("full", marks=pytest.mark.slow)])
-def test_what_one_worker_cannot_do_another_does(
+def test_unfit_worker_passes_piece_to_another(
     unfit: str, tmp_path: Path, farm: Farm, address: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     plan = plan_of(tmp_path, "a", "b")
@@ -178,7 +178,7 @@ def test_what_one_worker_cannot_do_another_does(
 
 
 @pytest.mark.slow
-def test_from_the_command_line_on_this_machine(tmp_path: Path, root: Path) -> None:
+def test_command_line_runs_local_batch(tmp_path: Path, root: Path) -> None:
     """Real lifts, bakes in pieces, an export and scores, by workers that the batch starts."""
     write_tiny_scene(tmp_path / "room", frames=8, noise=0.1)
     (tmp_path / "empty").mkdir()

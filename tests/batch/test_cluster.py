@@ -66,7 +66,7 @@ def certificates(folder: Path) -> tuple[Path, Path]:
 
 
 @pytest.mark.skipif(shutil.which("openssl") is None, reason="needs openssl to make certificates")
-def test_with_tls(tmp_path: Path, farm: Farm) -> None:
+def test_tls_is_required_on_both_sides(tmp_path: Path, farm: Farm) -> None:
     """With certificates of the same authority it works; without them, nobody gets in."""
     ca, own = certificates(tmp_path)
     options = f"--protocol tls:// --tls-ca-file {ca} --tls-cert {own} --tls-key {own}".split()
@@ -104,14 +104,14 @@ def test_workers_with_another_engine_get_nothing(
     assert not (plan.output / "a").exists()
 
 
-def test_no_scheduler(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_missing_scheduler_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(cluster, "CONNECT_S", 0.5)
     with raises_key("no-scheduler"):
         run(plan_of(tmp_path, "a"), FarmOptions(scheduler="tcp://127.0.0.1:9"))
 
 
 @pytest.mark.parametrize("address", ["nonsense", "machine:8786", "tcp://machine", "tcp://a b:1"])
-def test_an_invalid_address(address: str, tmp_path: Path) -> None:
+def test_invalid_address_is_refused(address: str, tmp_path: Path) -> None:
     with raises_key("scheduler-address"):
         run(plan_of(tmp_path, "a"), FarmOptions(scheduler=address))
     with raises_key("scheduler-address"):
@@ -124,7 +124,7 @@ def test_conflicting_options_are_refused(options: str, tmp_path: Path, capsys: p
     assert capsys.readouterr().err.count("\n") == 1 and not (tmp_path / "out").exists()
 
 
-def test_a_lift_for_which_no_worker_is_large_enough(tmp_path: Path, farm: Farm, address: str) -> None:
+def test_lift_too_large_for_all_workers_fails(tmp_path: Path, farm: Farm, address: str) -> None:
     plan = plan_of(tmp_path, "a")
     job = SceneJob("a", plan.jobs[0].lift, plan.jobs[0].request, gigabytes=1e6)
     farm.workers(address, "usual")

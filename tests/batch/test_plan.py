@@ -36,14 +36,14 @@ def test_a_name_that_is_not_a_folder_of_its_own_is_refused(name: str, tmp_path: 
         names_of([tmp_path / name])
 
 
-def test_a_scene_that_is_given_twice(tmp_path: Path) -> None:
+def test_scene_given_twice_is_refused(tmp_path: Path) -> None:
     (tmp_path / "room").mkdir()
     with raises_key("scene-twice room"):
         names_of([tmp_path / "room", tmp_path / "room" / ".." / "room"])
 
 
 @pytest.mark.parametrize("other", ["y/room", "y/Room", "y/ROOM.zip"])
-def test_two_scenes_with_the_same_name(other: str, tmp_path: Path) -> None:
+def test_two_scenes_with_same_name_are_refused(other: str, tmp_path: Path) -> None:
     for scene in (tmp_path / "x" / "room", tmp_path / other):
         scene.mkdir(parents=True) if not scene.suffix else (scene.parent.mkdir(), scene.touch())
     with raises_key("names-clash"):
@@ -113,7 +113,7 @@ def _changes_its_state(touched: str, request: LiftRequest, folder: Path) -> bool
         ("coco/a.png", False),
     ],
 )
-def test_of_masks_in_a_file_only_what_belongs_to_it_counts(
+def test_only_files_of_the_mask_file_count(
     touched: str, is_read: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """All of the folder around the file was walked, which may be a home, and one scene's masks counted for all; so was
@@ -143,7 +143,7 @@ def test_photos_beside_a_scene_in_a_file_count(scene: str, touched: str, is_read
 
 
 @pytest.mark.parametrize("touched", ["Thumbs.db", ".DS_Store", ".git/index", "lift/result/a.exr", "OUT/room/log.txt"])
-def test_what_no_reader_opens_does_not_count(touched: str, tmp_path: Path) -> None:
+def test_files_that_no_reader_opens_do_not_count(touched: str, tmp_path: Path) -> None:
     """A file that a system wrote, or the results of a lift or of the batch, had exports and scores written again."""
     for lift in ("scene", "scene/lift"):  # the scene itself counts, whatever is in it
         (tmp_path / lift).mkdir()
@@ -169,7 +169,7 @@ def test_a_link_to_a_scene_has_its_own_name(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["two\nlines", "\x1b[31mred", 300 * "x", "a/b", "..", "C:x", "\udcff"])
-def test_a_name_that_no_folder_should_have(name: str) -> None:
+def test_unusable_folder_name_is_refused(name: str) -> None:
     with raises_key("scene-unnamable") as error:
         names_of([Path("scene")], [name])
     assert "\n" not in str(error.value)
@@ -179,7 +179,7 @@ def test_scenes_of_one_name_can_be_given_others() -> None:
     assert names_of([Path("x/room"), Path("y/room")], ["", "room-y"]) == ["room", "room-y"]
 
 
-def test_one_place_for_the_files_of_several_scenes_is_refused() -> None:
+def test_shared_path_for_several_scenes_is_refused() -> None:
     refuse_shared("--masks", Path("masks"), 1)
     refuse_shared("--masks", Path("masks/{scene}"), 2)
     with raises_key("shared-path --masks masks {scene}"):
@@ -262,7 +262,7 @@ def test_a_bad_table_is_one_line(name: str, text: str, said: str, tmp_path: Path
     assert "\n" not in str(error.value)
 
 
-def test_a_missing_table(tmp_path: Path) -> None:
+def test_missing_table_is_refused(tmp_path: Path) -> None:
     options: Any = argparse.Namespace()
     with raises_key("unreadable"):
         read_scene_table(tmp_path / "none.csv", options)

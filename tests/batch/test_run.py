@@ -139,7 +139,7 @@ def test_a_piece_follows_its_worker_to_a_new_address(tmp_path: Path, monkeypatch
     assert worded("no-fit-worker").search(batch.rows["a"].reason)
 
 
-def test_a_line_says_that_no_worker_is_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_missing_worker_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     batch = Batch(tmp_path, monkeypatch, "one")
     gone, batch.farm.there = batch.farm.there, {}
     batch.look()
@@ -216,9 +216,7 @@ def test_a_scene_that_is_not_mounted_is_for_another_worker(kind: Kind, tmp_path:
     assert outcome.ended is Ended.ELSEWHERE and "unmounted" in outcome.reason
 
 
-def test_a_lift_that_another_batch_does_before_this_engine_begins(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_lift_done_meanwhile_by_another_batch_is_accepted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(piece, "engine_command", command_after_another)
     (tmp_path / "room").mkdir()
     lift = Piece(Kind.LIFT, "room", tmp_path / "lift", LiftRequest(scene=tmp_path / "room"), engine_tag())
@@ -226,7 +224,7 @@ def test_a_lift_that_another_batch_does_before_this_engine_begins(
     assert outcome.ended is Ended.DONE, outcome.reason
 
 
-def test_a_lift_that_is_cancelled_while_its_engine_starts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_lift_cancelled_while_starting_ends_as_cancelled(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """By another batch: the engine deletes the cancel file, as it takes it for an earlier run's."""
     cancel = "import sys, runpy, pathlib; pathlib.Path(sys.argv[3], 'cancel').touch(); sys.argv = sys.argv[1:]"
     begin = f"{cancel}; runpy.run_path(sys.argv[0], run_name='__main__')"

@@ -51,7 +51,7 @@ def slurm(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
             os.killpg(int(job), signal.SIGKILL)
 
 
-def test_the_job_script(slurm: Path, root: Path) -> None:
+def test_job_script_holds_options(slurm: Path, root: Path) -> None:
     options = FarmOptions(2, "", {"queue": "gpu", "account": "", "walltime": "02:00:00"}, gigabytes=16.0, threads=8)
     with slurm_cluster(options) as cluster:
         script = cluster.job_script()
@@ -62,13 +62,13 @@ def test_the_job_script(slurm: Path, root: Path) -> None:
     assert offered is not None and set(offered[1].split(",")) == {f"{engine_tag()}=1", "PLGS_GB=16", "PLGS_THREADS=8"}
 
 
-def test_no_slurm(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_missing_slurm_is_refused(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setenv("PATH", str(tmp_path))
     with raises_key("no-slurm"):
         slurm_cluster(FarmOptions(2, "", {}))
 
 
-def test_a_job_works(slurm: Path) -> None:
+def test_slurm_job_does_a_batch(slurm: Path) -> None:
     """It finds a lift that is finished, and scores it."""
     plan = plan_of(slurm, "a")
     lift = LiftFolder.create(plan.jobs[0].lift, plan.jobs[0].request)
@@ -82,7 +82,7 @@ def test_a_job_works(slurm: Path) -> None:
 
 @pytest.mark.parametrize("name", ["queue", "account", "walltime"])
 @pytest.mark.parametrize("value", ["gpu\nrm -rf /", "a b", "a\tb", "a\rb", "\u2028"])
-def test_options_are_one_word(name: str, value: str, slurm: Path) -> None:
+def test_options_with_blanks_are_refused(name: str, value: str, slurm: Path) -> None:
     with raises_key(f"slurm-option --{name}"):
         slurm_cluster(FarmOptions(1, "", {name: value}))
 
@@ -91,7 +91,7 @@ ODD = 'it\'s $(touch oops) "a" `touch oops` b;touch oops #%s'
 
 
 @pytest.mark.skipif(shutil.which("openssl") is None, reason="needs openssl to make certificates")
-def test_paths_are_words_of_the_shell(slurm: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_paths_are_quoted_for_the_shell(slurm: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """What the job runs is this Python with these files, whatever their folders are called; and nothing of the folder
     where it starts."""
     odd = slurm / ODD
@@ -124,7 +124,7 @@ def test_a_job_imports_nothing_of_the_folder_where_it_starts(
 
 
 @pytest.mark.skipif(shutil.which("openssl") is None, reason="needs openssl to make certificates")
-def test_a_job_with_tls(slurm: Path) -> None:
+def test_slurm_job_uses_tls(slurm: Path) -> None:
     ca, own = certificates(slurm)
     with slurm_cluster(FarmOptions(1, "", {}, 1.0, 1, Tls(ca, own))) as cluster:
         script, address = cluster.job_script(), cluster.scheduler_address

@@ -36,7 +36,7 @@ def test_help_imports_nothing_heavy(root: Path, command: list[str]) -> None:
 
 
 @pytest.mark.parametrize("command", ["lift {}", "export {}-gone --to points -o {}-out"])
-def test_what_is_not_there_is_told_before_torch_is_loaded(root: Path, tmp_path: Path, command: str) -> None:
+def test_missing_input_is_reported_before_torch_loads(root: Path, tmp_path: Path, command: str) -> None:
     folder = LiftFolder.create(tmp_path / "lift", LiftRequest(scene=tmp_path / "gone"))
     code = (
         "import sys\n"
@@ -66,7 +66,7 @@ def test_wrong_arguments_are_refused(capsys: pytest.CaptureFixture[str], tmp_pat
 
 
 @pytest.mark.parametrize("text", ["-5", "0", "5-2", "1e3", "many", "9" * 5000])
-def test_what_is_not_a_number_of_frames_is_a_one_line_error(
+def test_invalid_frame_number_is_a_one_line_error(
     text: str, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     assert code_of("lift", tmp_path, "-o", tmp_path / "out", "--frames", text) == 2
@@ -131,7 +131,7 @@ INTERRUPTED = (
 
 
 @pytest.mark.parametrize(("what", "arguments", "told"), INTERRUPTED)
-def test_the_last_words_of_ctrl_c(
+def test_ctrl_c_says_what_is_left(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch,
     what: str, arguments: list[str], told: str,
 ) -> None:  # fmt: skip
@@ -240,14 +240,14 @@ def test_a_camera_of_a_blend_is_not_a_camera_file(capsys: pytest.CaptureFixture[
 
 
 @pytest.mark.parametrize("command", [["frames"], ["inspect"]])
-def test_what_a_parent_started_ends_with_it(root: Path, tmp_path: Path, command: list[str]) -> None:
+def test_command_ends_with_its_parent(root: Path, tmp_path: Path, command: list[str]) -> None:
     room = write_tiny_scene(tmp_path / "room", frames=30)
     asked = [sys.executable, "-m", "engine", *command, room, "-o", tmp_path / "out", "--stay-with-parent"]
     ended = subprocess.run(asked, cwd=root, stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=120)
     assert ended.returncode == 3 and not ended.stdout and not (tmp_path / "out").exists()
 
 
-def test_events_on_standard_output(root: Path, tmp_path: Path) -> None:
+def test_progress_json_prints_events(root: Path, tmp_path: Path) -> None:
     """They are all that stands there, and the same as in a file of events."""
     file = tmp_path / "events.jsonl"
     command = [sys.executable, "-m", "engine", "handshake", "--progress", "json"]
@@ -260,7 +260,7 @@ def test_events_on_standard_output(root: Path, tmp_path: Path) -> None:
     assert file.read_text() == said.stdout
 
 
-def test_an_error_is_an_event_on_standard_output(root: Path, tmp_path: Path) -> None:
+def test_progress_json_prints_errors_as_events(root: Path, tmp_path: Path) -> None:
     command = [sys.executable, "-m", "engine", "inspect", str(tmp_path), "--progress", "json"]
     said = subprocess.run(command, cwd=root, capture_output=True, text=True, timeout=120)
     told = [json.loads(line) for line in said.stdout.splitlines()]

@@ -61,7 +61,7 @@ def test_no_room_on_standard_output_is_one_line(call: str, unbuffered: str, root
 
 
 @pytest.mark.parametrize("odd", [*VARIABLES, *SHELLS])
-def test_odd_surroundings_change_no_answer(odd: str, root: Path, tmp_path: Path, scene: Path) -> None:
+def test_odd_environment_changes_no_answer(odd: str, root: Path, tmp_path: Path, scene: Path) -> None:
     code, out, told = said_by(root, tmp_path, "inspect", scene, shell=SHELLS.get(odd, ""), **VARIABLES.get(odd, {}))
     assert code == 0 and b"Traceback" not in told
     assert b"frames    2 for training" in out or odd == "no streams"
@@ -99,7 +99,7 @@ def test_a_name_that_a_lift_refuses_is_refused_by_all(command: str, root: Path, 
         (b"room", b"file/lift", b"Not a directory"),
     ],
 )
-def test_what_a_lift_cannot_use_is_one_line(
+def test_unusable_paths_are_one_line(
     scene_name: bytes, lift_name: bytes, why: bytes, root: Path, tmp_path: Path, scene: Path
 ) -> None:
     names = [os.fsencode(tmp_path) + b"/" + name for name in (scene_name, lift_name)]
@@ -110,7 +110,7 @@ def test_what_a_lift_cannot_use_is_one_line(
 
 
 @pytest.mark.slow  # the kernels are compiled again, as there is no place to keep them
-def test_a_lift_where_everything_is_odd(root: Path, tmp_path: Path, scene: Path) -> None:
+def test_lift_works_in_odd_environment(root: Path, tmp_path: Path, scene: Path) -> None:
     shell, lift = "umask 077; ulimit -n 64; mkdir gone; cd gone; rmdir ../gone; exec <&-", tmp_path / "l\u00eft \u90e8"
     tiny = ("--steps", "2", "--set", "warm_start=false", "--bake", "all")
     odd = {**FILES, "NUMBA_CACHE_DIR": "FILE", "LC_ALL": "C"}

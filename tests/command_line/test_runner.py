@@ -87,7 +87,7 @@ def test_a_cancelled_command_says_so(tmp_path: Path) -> None:
     assert follower.state is TaskState.CANCELLED and follower.error is None
 
 
-def test_only_one_process_at_a_time_uses_a_place(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_task_files_are_used_by_one_process_at_a_time(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     files = TaskFiles.at(tmp_path / "events.jsonl")
     with FileLock(files.events):
         assert main(["handshake", "--events", str(files.events)]) == ExitCode.BUSY
@@ -122,7 +122,7 @@ def test_without_events_the_answer_is_printed(tmp_path: Path, capfd: pytest.Capt
         (errno.EDQUOT, ExitCode.INTERNAL_ERROR, "error: the disk is full: {file}. Make room there, "),
     ],
 )
-def test_a_disk_that_fails_as_a_file_is_flushed_is_a_line_that_names_the_file(
+def test_flush_failure_is_a_line_that_names_the_file(
     tmp_path: Path,
     capfd: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
@@ -156,7 +156,7 @@ def raising(error: BaseException) -> object:
     return lift
 
 
-def test_a_lift_that_works(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_successful_lift_is_recorded(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     folder = new_lift(tmp_path)
 
     def talkative(folder: LiftFolder, events: EventWriter, stop: StopSignal, *, resume: bool) -> None:
@@ -195,7 +195,7 @@ def test_a_lift_that_works(tmp_path: Path, capfd: pytest.CaptureFixture[str]) ->
         (RuntimeError("I/O error: File name too long (os error 36)"), 2, "this cannot be used (File name too long)"),
     ],
 )
-def test_a_lift_that_fails(
+def test_failed_lift_is_reported(
     tmp_path: Path, capfd: pytest.CaptureFixture[str], error: Exception, code: int, told: str
 ) -> None:
     folder = new_lift(tmp_path)
@@ -207,7 +207,9 @@ def test_a_lift_that_fails(
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full")
-def test_a_log_without_room(tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_full_log_is_a_one_line_error(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
     folder = new_lift(tmp_path)
     monkeypatch.setattr(runner, "open_to_append", lambda path: os.open("/dev/full", os.O_WRONLY))
     assert run_engine(folder, lift=raising(OSError(28, "No space left on device"))) == 1  # type: ignore[arg-type]
@@ -220,7 +222,7 @@ def test_a_lift_without_a_manifest_is_not_a_success(tmp_path: Path) -> None:
     assert run_engine(folder, lift=lambda folder, events, stop, *, resume: None) is ExitCode.INTERNAL_ERROR
 
 
-def test_cancelled_before_it_began(tmp_path: Path) -> None:
+def test_lift_cancelled_before_start_can_be_resumed(tmp_path: Path) -> None:
     folder = new_lift(tmp_path)
     folder.task_files.ask_to_cancel()
     assert run_engine(folder, lift=tiny_lift) is ExitCode.CANCELLED

@@ -18,7 +18,7 @@ from tests.train.tiny_lift import TINY, lift_into, presets_as
 Capture = pytest.CaptureFixture[str]
 
 
-def test_what_is_wrong_is_fixed_and_scored(tmp_path: Path, capsys: Capture) -> None:
+def test_errors_are_fixed_and_scored(tmp_path: Path, capsys: Capture) -> None:
     with presets_as(preview=TINY):
         lift = lift_into(tmp_path / "lift", LiftRequest(scene=write_tiny_scene(tmp_path / "room", frames=6))).path
     correct_by_truth(lift)
@@ -35,7 +35,7 @@ def test_what_is_wrong_is_fixed_and_scored(tmp_path: Path, capsys: Capture) -> N
     assert f"{one.name} is {one.class_name}" in said and f"-> {100 * best:.1f} %" in said
 
 
-def test_what_was_merged_is_split_and_what_was_deleted_is_painted(tmp_path: Path) -> None:
+def test_merged_objects_are_split_and_deleted_ones_painted(tmp_path: Path) -> None:
     with presets_as(preview=TINY):
         lift = lift_into(tmp_path / "lift", LiftRequest(scene=write_tiny_scene(tmp_path / "room", frames=6))).path
     correct_by_truth(lift)

@@ -79,7 +79,7 @@ def test_edits_cost_the_same_however_many_there_are(lift: Path, monkeypatch: pyt
     assert objects(lift)[DESK].name == "name 299" and sorted(looks) == [CHAIRS, DESK]
 
 
-def test_a_name_and_a_class(lift: Path) -> None:
+def test_rename_and_reclass_change_name_and_class(lift: Path) -> None:
     before = {path: path.read_bytes() for path in (lift / "result").iterdir()}
     correct(lift, lambda state, _: m.rename(state, DESK, " Anna's desk "))
     correct(lift, lambda state, _: m.reclass(state, [CHAIRS], SOFA))
@@ -119,7 +119,7 @@ def test_an_action_replays_the_edits_once(lift: Path, monkeypatch: pytest.Monkey
     assert len(replays) == 3 and not undone.fingerprint
 
 
-def test_together_again_is_one_object_with_all_points(lift: Path) -> None:
+def test_merged_parts_are_one_object_with_all_points(lift: Path) -> None:
     points = objects(lift)[CHAIRS].points
     correct(lift, split_chairs)
     correct(lift, merge(CHAIRS, 4))
@@ -157,7 +157,7 @@ def test_points_get_an_object_or_a_class(lift: Path) -> None:
     assert counts(result)[CHAIR, 0] == ground.sum() and not result.warnings
 
 
-def test_a_plane_and_views_of_labels_elsewhere(lift: Path) -> None:
+def test_split_by_plane_relabels_points_elsewhere(lift: Path) -> None:
     correct(
         lift,
         lambda state, free: m.split(state, DESK, m.sides_of(state.points_of(DESK), (2.6, 0, 0), (1, 0, 0)), free),
@@ -168,7 +168,7 @@ def test_a_plane_and_views_of_labels_elsewhere(lift: Path) -> None:
     assert instance_id.tolist() == [DESK, 4, 0] and class_id.tolist() == [TABLE, TABLE, FLOOR]
 
 
-def test_undo_after_everything_was_read_again(lift: Path) -> None:
+def test_undo_works_after_rereading(lift: Path) -> None:
     correct(lift, lambda state, _: m.rename(state, DESK, "desk"))
     first = read_corrected(lift).fingerprint
     correct(lift, merge(DESK, CRUMB))
@@ -190,7 +190,7 @@ def test_undo_after_everything_was_read_again(lift: Path) -> None:
         (lambda s, _: m.assign(s, np.zeros(len(s.xyz), bool), DESK), "no-points"),
     ],
 )  # fmt: skip
-def test_what_cannot_be_done_is_a_one_line_error_and_no_edit(lift: Path, make: object, line: str) -> None:
+def test_impossible_edit_is_a_one_line_error(lift: Path, make: object, line: str) -> None:
     with raises_key(line):
         correct(lift, make)  # type: ignore[arg-type]
     assert not (lift / CORRECTIONS).exists()
@@ -209,7 +209,7 @@ def test_another_lift_of_the_scene_keeps_what_it_can(tmp_path: Path, lift: Path)
     assert sorted(round(found[one].centre[0], 1) for one in (CHAIRS, 4)) == [0.2, 1.2]
 
 
-def test_corrections_of_another_scene(tmp_path: Path, lift: Path) -> None:
+def test_corrections_of_another_scene_are_not_applied(tmp_path: Path, lift: Path) -> None:
     correct(lift, lambda state, _: m.rename(state, DESK, "desk"))
     other = write_result(tmp_path / "other", shift=7.0)
     shutil.copy(lift / CORRECTIONS, other)
@@ -283,7 +283,7 @@ def test_a_class_that_is_likely_wrong_is_proposed_before_one_that_is_not(lift: P
         assert [one.doubt for one in found if one.answer == "reclass"] == [pytest.approx(doubt)]
 
 
-def test_nearest_is_the_nearest() -> None:
+def test_nearest_matches_brute_force() -> None:
     rng = np.random.default_rng(3)
     points, queries = rng.random((300, 3)).astype(np.float32) + 50, rng.random((200, 3)).astype(np.float32) + 50
     index, distance = nearest(queries, points)
@@ -300,7 +300,7 @@ ALIKE = ClassTable(tuple(Category(number, name, True, (1, 2, 3)) for number, nam
     [("chair", 7), ("Chair", 3), (" desk ", 8), ("DESK", 8), ("7", 7), ("lamp", 9), ("10", 10), ("11", 12), ("12", 13),
      ("12 11", 12), ("14", 14), ("15 mat", 15), (12, 12), (np.int64(3), 3)],
 )  # fmt: skip
-def test_a_class_by_its_name_or_number(text: int | str, found: int) -> None:
+def test_class_is_found_by_name_or_number(text: int | str, found: int) -> None:
     assert class_of(ALIKE, text) == found
 
 

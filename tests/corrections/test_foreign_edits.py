@@ -32,7 +32,7 @@ def test_the_report_of_an_unknown_edit_is_printable(lift: Path, original: bytes)
     read_corrections(lift.parent)
 
 
-def test_edits_of_another_lift(lift: Path, original: bytes) -> None:
+def test_edits_of_another_lift_are_reported(lift: Path, original: bytes) -> None:
     """Objects that are not there, or are others: each edit says why it is not applied."""
     content = json.loads(original)
     for edit in content["edits"]:
@@ -52,7 +52,7 @@ def test_edits_of_another_lift(lift: Path, original: bytes) -> None:
         (2, {"rest": 77}, "there is no object 77"),
     ],
 )
-def test_an_impossible_edit(
+def test_impossible_edit_is_a_warning(
     lift: Path, original: bytes, number: int, changed: dict[str, object], told: str
 ) -> None:
     content = json.loads(original)
@@ -61,7 +61,7 @@ def test_an_impossible_edit(
     assert any(line.endswith(told) for line in read_corrected(lift).warnings)
 
 
-def test_a_thousand_edits(lift: Path, original: bytes) -> None:
+def test_thousand_edits_are_read_quickly(lift: Path, original: bytes) -> None:
     content = json.loads(original)
     rename = content["edits"][0]
     content["edits"] += [{**rename, "uid": f"{number:032x}", "name": f"desk {number}"} for number in range(1000)]
@@ -72,7 +72,7 @@ def test_a_thousand_edits(lift: Path, original: bytes) -> None:
     assert "desk 999" in found.values()
 
 
-def test_a_huge_file(lift: Path) -> None:
+def test_huge_file_is_refused(lift: Path) -> None:
     with (lift / CORRECTIONS).open("wb") as file:
         file.truncate(1 << 31)  # of holes
     with raises_key("unreadable"):

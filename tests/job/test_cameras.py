@@ -30,7 +30,7 @@ def write(path: Path, content: object) -> Path:
     return path
 
 
-def test_cameras_are_read(tmp_path: Path) -> None:
+def test_cameras_file_is_read(tmp_path: Path) -> None:
     k = [[50, 0, 40], [0, 51.5, 22.5], [0, 0, 1]]
     with_k = {key: value for key, value in GOOD.items() if key not in LENS} | {"K": k, "name": "b", "clip": [0.1, 9]}
     first, second = read_cameras(write(tmp_path / "cameras.json", [GOOD, with_k]))
@@ -64,13 +64,13 @@ def test_cameras_are_read(tmp_path: Path) -> None:
         ([GOOD, {**GOOD, "name": "SHOT.0001"}], "same-name SHOT.0001"),
     ],
 )
-def test_what_is_invalid_is_refused(tmp_path: Path, content: object, says: str) -> None:
+def test_invalid_camera_is_refused(tmp_path: Path, content: object, says: str) -> None:
     path = write(tmp_path / "cameras.json", content)
     with raises_key(f"{says} cameras.json"):
         read_cameras(path)
 
 
-def test_a_frames_name_is_taken() -> None:
+def test_frame_name_is_refused_for_camera() -> None:
     with raises_key("camera-is-frame"):
         refuse_equal_names(["b", "A"], Path("cameras.json"), taken=["a"])
 
@@ -80,7 +80,7 @@ PINHOLE = ((300.0, 0.0, 160.0), (0.0, 310.0, 120.0), (0.0, 0.0, 1.0))
 CAMERA = PreviewCamera(SEEN_FROM, PINHOLE, 320, 240)
 
 
-def test_what_is_written_is_read_again(tmp_path: Path) -> None:
+def test_cameras_survive_round_trip(tmp_path: Path) -> None:
     path = tmp_path / "preview.json"
     assert read_preview_request(path) is None
     for wanted in ("0004", CAMERA):
@@ -105,7 +105,7 @@ def test_what_is_written_is_read_again(tmp_path: Path) -> None:
         {"frame": 4, "width": None},
     ],
 )
-def test_what_is_not_a_camera_is_refused(tmp_path: Path, change: dict[str, object]) -> None:
+def test_invalid_preview_request_is_refused(tmp_path: Path, change: dict[str, object]) -> None:
     path = tmp_path / "preview.json"
     whole = {"camera_to_world": SEEN_FROM, "K": PINHOLE, "width": 320, "height": 240}
     path.write_text(json.dumps(whole | change))
@@ -133,11 +133,11 @@ def test_a_broken_file_is_refused(tmp_path: Path, content: str) -> None:
         ("-3--1:2, -7", [-3, -1, -7]),
     ],
 )
-def test_lists_and_ranges(text: str, frames: list[int]) -> None:
+def test_frame_lists_and_ranges_are_parsed(text: str, frames: list[int]) -> None:
     assert [frame for each in frame_numbers(text) for frame in each] == frames
 
 
 @pytest.mark.parametrize("text", ["", "1-", "5-1", "1-5:0", "a", "1;2", "-3--5", "--3", "1,,2"])
-def test_what_is_no_list_of_frames_is_refused(text: str) -> None:
+def test_invalid_frame_list_is_refused(text: str) -> None:
     with pytest.raises(ValueError, match="such as|looks like"):
         frame_numbers(text)

@@ -27,7 +27,7 @@ def lines(path: Path) -> list[dict[str, object]]:
     return [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
 
 
-def test_it_writes_what_the_contract_says(tmp_path: Path) -> None:
+def test_events_match_the_documented_format(tmp_path: Path) -> None:
     path = tmp_path / "events.jsonl"
     writer = EventWriter(path)
     writer.hello(threads=2, resumed=False)
@@ -55,7 +55,7 @@ def test_it_writes_what_the_contract_says(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("torn", [b'{"seq": 3, "time": 1.0, "ev', b"\0\0\0\0", b'{"seq":3,"time":1.0,"event":"done"}'])
-def test_it_continues_after_a_torn_line(tmp_path: Path, torn: bytes) -> None:
+def test_writer_continues_after_torn_line(tmp_path: Path, torn: bytes) -> None:
     path = tmp_path / "events.jsonl"
     first = EventWriter(path)
     first.warning("one")
@@ -71,7 +71,7 @@ def test_it_continues_after_a_torn_line(tmp_path: Path, torn: bytes) -> None:
     assert [event.seq for event in reader.poll()] == [3]
 
 
-def test_it_reads_every_line_once_however_it_arrives(tmp_path: Path) -> None:
+def test_reader_yields_each_line_once(tmp_path: Path) -> None:
     path = tmp_path / "events.jsonl"
     source = tmp_path / "source.jsonl"
     writer = EventWriter(source)
@@ -86,7 +86,7 @@ def test_it_reads_every_line_once_however_it_arrives(tmp_path: Path) -> None:
     assert seen == [1, 2, 3, 4, 5]
 
 
-def test_it_leaves_out_what_it_does_not_know(tmp_path: Path) -> None:
+def test_reader_skips_unknown_events(tmp_path: Path) -> None:
     path = tmp_path / "events.jsonl"
     path.write_text(
         '{"seq":1,"time":0,"event":"warning","message":"a"}\nnonsense\n[1]\n{"seq":2}\n'
@@ -98,7 +98,7 @@ def test_it_leaves_out_what_it_does_not_know(tmp_path: Path) -> None:
     assert json.loads(path.read_text().splitlines()[-1])["seq"] == 5
 
 
-def test_it_begins_at_the_end_when_asked(tmp_path: Path) -> None:
+def test_reader_can_start_at_the_end(tmp_path: Path) -> None:
     path = tmp_path / "events.jsonl"
     writer = EventWriter(path)
     writer.warning("old")
@@ -107,7 +107,7 @@ def test_it_begins_at_the_end_when_asked(tmp_path: Path) -> None:
     assert [event.data["message"] for event in reader.poll()] == ["new"]
 
 
-def test_nothing_comes_after_done(tmp_path: Path) -> None:
+def test_writer_drops_events_after_done(tmp_path: Path) -> None:
     path = tmp_path / "events.jsonl"
     writer = EventWriter(path)
     writer.done("cancelled")
@@ -152,7 +152,7 @@ def a_long_run(path: Path) -> EventWriter:
     return writer
 
 
-def test_a_reader_in_a_hurry_reads_in_parts_and_gets_the_newest_progress(tmp_path: Path) -> None:
+def test_hurried_reader_reads_in_parts_and_gets_newest_progress(tmp_path: Path) -> None:
     path = tmp_path / "events.jsonl"
     writer = a_long_run(path)
     reader, polls, seen = EventReader(path, hurried=True), 0, []
@@ -168,7 +168,7 @@ def test_a_reader_in_a_hurry_reads_in_parts_and_gets_the_newest_progress(tmp_pat
     assert [event.data["step"] for event in reader.poll()] == [4000]
 
 
-def test_the_end_of_a_run_is_read_from_the_end(tmp_path: Path) -> None:
+def test_last_events_read_only_the_tail(tmp_path: Path) -> None:
     path = tmp_path / "events.jsonl"
     assert last_events(path) == []
     writer = a_long_run(path)
@@ -233,7 +233,7 @@ def test_a_full_disk_leaves_no_half_line_that_swallows_the_next(
     assert [(event.seq, event.kind) for event in last_events(path)] == [(1, "error"), (2, "error")]
 
 
-def test_a_huge_file_without_lines_is_neither_read_nor_cut(tmp_path: Path) -> None:
+def test_huge_file_without_lines_is_left_alone(tmp_path: Path) -> None:
     path = tmp_path / "events.jsonl"
     with path.open("wb") as file:
         file.truncate(1 << 32)
@@ -281,7 +281,7 @@ def test_a_poll_is_quick_however_much_was_reported(folder: LiftFolder) -> None:
     ("said", "state"),
     [("finished", TaskState.FINISHED), ("cancelled", TaskState.CANCELLED), (None, TaskState.FAILED)],
 )
-def test_the_end_of_a_bake_is_not_the_state_of_the_lift(
+def test_bake_end_does_not_change_lift_state(
     folder: LiftFolder, start: Start, said: str | None, state: TaskState
 ) -> None:
     follow(start("short"))
@@ -338,7 +338,7 @@ def test_a_lift_survives_a_disk_that_does_not_answer_for_a_moment(
         assert watcher.error.key == "unfollowed"
 
 
-def test_the_last_lines_that_say_something(tmp_path: Path) -> None:
+def test_last_lines_skip_blank_lines(tmp_path: Path) -> None:
     log = tmp_path / "log.txt"
     log.write_bytes(b"one\n\ntwo \r\n  three\n\xff four\n\n")
     assert last_lines(log, 3) == ("two", "  three", "\N{REPLACEMENT CHARACTER} four")
@@ -346,7 +346,7 @@ def test_the_last_lines_that_say_something(tmp_path: Path) -> None:
     assert last_lines(tmp_path / "missing") == ()
 
 
-def test_a_huge_log_is_not_read_whole(tmp_path: Path) -> None:
+def test_last_lines_read_only_the_tail_of_huge_log(tmp_path: Path) -> None:
     log = tmp_path / "log.txt"
     with log.open("wb") as file:
         file.truncate(1 << 30)  # sparse: takes no room

@@ -102,7 +102,7 @@ def rounds(request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.M
     return made
 
 
-def test_what_is_not_synced_is_lost(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_unsynced_writes_are_lost(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The harness itself: a file that is replaced without fsync may be empty."""
 
     def replace(folder: Path) -> None:
@@ -114,7 +114,7 @@ def test_what_is_not_synced_is_lost(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     assert {"old", "new", ""} <= {(folder / "file").read_text() for folder in left}
 
 
-def test_events(rounds: Rounds, request: pytest.FixtureRequest) -> None:
+def test_events_survive_every_fault(rounds: Rounds, request: pytest.FixtureRequest) -> None:
     told: list[int] = []
     loses_nothing = request.node.callspec.params["rounds"][0] is fault_rounds
 
@@ -168,7 +168,7 @@ def names_in(result: Path) -> set[str]:
     return {str(file.path) for file in verify(result).files}
 
 
-def test_a_first_manifest(rounds: Rounds) -> None:
+def test_first_manifest_survives_every_fault(rounds: Rounds) -> None:
     for result in rounds(lambda result: lay(result, "a", "b"), finish):
         if (result / "manifest.json").exists():
             assert names_in(result) == {"a", "b"}
@@ -216,7 +216,7 @@ def test_a_checkpoint_survives_every_fault(rounds: Rounds) -> None:
     assert found == {1, 2}
 
 
-def test_a_first_checkpoint(rounds: Rounds) -> None:
+def test_first_checkpoint_survives_every_fault(rounds: Rounds) -> None:
     for folder in rounds(lambda folder: None, lambda folder: save(folder, 1)):
         if CheckpointStore(folder).latest() is None:
             save(folder, 1)
@@ -224,7 +224,7 @@ def test_a_first_checkpoint(rounds: Rounds) -> None:
 
 
 @pytest.mark.parametrize("rounds", FAULTS, indirect=True)
-def test_reading_a_checkpoint(rounds: Rounds) -> None:
+def test_checkpoint_reading_survives_every_fault(rounds: Rounds) -> None:
     """What the disk does not give now is no reason to advise that it be deleted."""
 
     def read(folder: Path) -> None:
@@ -238,14 +238,14 @@ def test_reading_a_checkpoint(rounds: Rounds) -> None:
         assert saved(folder) == 1
 
 
-def test_the_list_of_lifts(rounds: Rounds) -> None:
+def test_recent_lifts_survive_every_fault(rounds: Rounds) -> None:
     for cache in rounds(lambda cache: remember_lift(Path("/a"), cache), lambda cache: remember_lift(Path("/b"), cache)):
         assert remembered_lifts(cache) in (["/a"], ["/b", "/a"])
         remember_lift(Path("/c"), cache)
         assert remembered_lifts(cache)[0] == "/c"
 
 
-def test_a_new_folder(rounds: Rounds) -> None:
+def test_new_folder_survives_every_fault(rounds: Rounds) -> None:
     request = LiftRequest(scene=Path("/scene"))
 
     def create(folder: Path) -> None:
@@ -271,7 +271,7 @@ def bake(folder: Path, views: tuple[str, ...]) -> None:
                         add_files(result, [result / view])
 
 
-def test_baking(rounds: Rounds) -> None:
+def test_bake_survives_every_fault(rounds: Rounds) -> None:
     def prepare(folder: Path) -> None:
         (folder / "result").mkdir()
         lay(folder / "result", "a")
@@ -284,7 +284,9 @@ def test_baking(rounds: Rounds) -> None:
 
 
 @pytest.mark.parametrize("rounds", FAULTS, indirect=True)
-def test_a_whole_run(rounds: Rounds, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_whole_run_survives_every_fault(
+    rounds: Rounds, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setenv("PLGS_CACHE_DIR", os.devnull + "/nowhere")
 
     def run(folder: Path) -> None:

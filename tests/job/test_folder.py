@@ -22,20 +22,20 @@ def run_tiny(folder: LiftFolder) -> None:
     events.close()
 
 
-def test_it_opens_what_was_created(tmp_path: Path) -> None:
+def test_created_folder_is_opened(tmp_path: Path) -> None:
     folder = new_lift(tmp_path / "deep")
     again = LiftFolder.open(folder.path)
     assert again == folder and again.state() is LiftState.NOT_STARTED
     assert [path.name for path in folder.path.iterdir()] == ["request.json"]
 
 
-def test_it_takes_an_empty_folder_even_after_a_kill_in_create(tmp_path: Path) -> None:
+def test_empty_folder_is_accepted_after_killed_create(tmp_path: Path) -> None:
     (tmp_path / "lift").mkdir()
     (tmp_path / "lift" / ".part-123-request.json").write_text("{")
     assert new_lift(tmp_path).state() is LiftState.NOT_STARTED
 
 
-def test_it_never_takes_over_a_folder(tmp_path: Path) -> None:
+def test_used_folder_is_refused(tmp_path: Path) -> None:
     folder = new_lift(tmp_path)
     before = (folder.path / "request.json").read_bytes()
     with raises_key("holds-lift --resume"):
@@ -53,19 +53,19 @@ def test_it_never_takes_over_a_folder(tmp_path: Path) -> None:
 
 
 @pytest.mark.skipif(os.name == "nt" or os.geteuid() == 0, reason="root may write everywhere")
-def test_it_says_when_it_may_not_write(tmp_path: Path) -> None:
+def test_read_only_folder_is_reported(tmp_path: Path) -> None:
     tmp_path.chmod(0o500)
     with raises_key("unwritable"):
         new_lift(tmp_path)
 
 
-def test_it_refuses_what_is_not_a_lift(tmp_path: Path) -> None:
+def test_other_folders_are_refused(tmp_path: Path) -> None:
     for path in (tmp_path, tmp_path / "missing"):
         with pytest.raises(PlgsError):
             LiftFolder.open(path)
 
 
-def test_the_state_is_what_happened(tmp_path: Path) -> None:
+def test_state_follows_events_and_result(tmp_path: Path) -> None:
     """A quick look finds the same, without reading the files."""
     folder = new_lift(tmp_path)
     events = EventWriter(folder.events_path)
@@ -101,7 +101,7 @@ def test_events_alone_never_make_it_finished(tmp_path: Path) -> None:
     assert folder.state() is LiftState.INTERRUPTED
 
 
-def test_preparing_a_run_clears_what_must_not_outlive_the_last_one(tmp_path: Path) -> None:
+def test_prepare_run_clears_leftovers_of_earlier_run(tmp_path: Path) -> None:
     folder = new_lift(tmp_path)
     run_tiny(folder)
     folder.checkpoints.save({"step": 1}, lambda path: (path / "m").write_bytes(b""))
@@ -126,7 +126,7 @@ def test_a_file_that_cannot_be_read_now_is_kept(tmp_path: Path, monkeypatch: pyt
     assert (folder.result_path / "metrics.json").exists() and folder.manifest_path.exists()
 
 
-def test_it_discards_only_what_was_never_started(tmp_path: Path) -> None:
+def test_discard_refuses_started_lift(tmp_path: Path) -> None:
     empty = new_lift(tmp_path, "empty")
     empty.log_path.write_text("bad input")
     empty.discard()
@@ -147,7 +147,7 @@ def test_it_discards_only_what_was_never_started(tmp_path: Path) -> None:
     assert [path.name for path in kept.path.iterdir()] == ["lift.blend"]
 
 
-def test_paths_that_no_folder_can_have(tmp_path: Path) -> None:
+def test_impossible_paths_are_refused(tmp_path: Path) -> None:
     request = LiftRequest(scene=tmp_path)
     for name in ("a" * 300, "a\0b"):
         with pytest.raises(PlgsError):

@@ -22,7 +22,7 @@ from tests.waiting import wait_until
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="POSIX signals")
 
 
-def test_it_follows_to_the_end(folder: LiftFolder, start: Start) -> None:
+def test_follower_follows_to_the_end(folder: LiftFolder, start: Start) -> None:
     follower = start("short")
     follow(follower)
     assert follower.error is None
@@ -157,7 +157,7 @@ def test_every_ending_is_reported(
     assert folder.state() in (LiftState.FAILED, LiftState.INTERRUPTED)
 
 
-def test_what_stops_it_before_it_begins_is_reported(folder: LiftFolder, start: Start) -> None:
+def test_failure_before_start_is_reported(folder: LiftFolder, start: Start) -> None:
     with folder.lock():
         follower = start("short")
         follow(follower)
@@ -193,7 +193,7 @@ def test_a_folder_that_vanishes_during_the_lift_is_reported(folder: LiftFolder, 
     assert "log" not in str(follower.error).replace(str(folder.path), "")
 
 
-def test_watching_somebody_elses_engine(folder: LiftFolder, start: Start) -> None:
+def test_follower_watches_engine_of_other_process(folder: LiftFolder, start: Start) -> None:
     own = start("patient")
     follow(own, step_reached(own, 2))
     watcher = watch(folder)
@@ -220,7 +220,7 @@ def reattached(folder: LiftFolder) -> TaskFollower:
     return watch(folder)
 
 
-def test_an_engine_that_outlives_its_parent(folder: LiftFolder, root: Path) -> None:
+def test_engine_can_outlive_its_parent(folder: LiftFolder, root: Path) -> None:
     with start_parent(root, folder, "patient") as parent:
         watcher = reattached(folder)
         follow(watcher, step_reached(watcher, 5))
@@ -281,7 +281,7 @@ def test_a_kill_is_reported_to_later_followers(folder: LiftFolder, start: Start)
     assert any("python talks" in line for line in watcher.log_lines)
 
 
-def test_ones_own_engine_that_keeps_running(folder: LiftFolder) -> None:
+def test_closed_follower_leaves_untied_engine_running(folder: LiftFolder) -> None:
     def start_one(behaviour: str, *more: str) -> TaskFollower:
         return start_fake(folder, behaviour, *more, stays_with_parent=False)
 

@@ -25,7 +25,7 @@ def result(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def test_it_lists_every_file(result: Path) -> None:
+def test_manifest_lists_every_file(result: Path) -> None:
     manifest = verify(result)
     assert [(str(file.path), file.bytes) for file in manifest.files] == [("anchors.npz", 7), ("passes/0001.exr", 6)]
     assert manifest.seed == 7 and manifest.settings == {"steps": 3}
@@ -39,7 +39,7 @@ def test_writing_it_again_changes_nothing(result: Path) -> None:
     assert (result / "manifest.json").read_bytes() == before
 
 
-def test_it_sees_what_changed(result: Path) -> None:
+def test_verify_finds_changed_files(result: Path) -> None:
     (result / "anchors.npz").write_bytes(b"ANCHORS")
     check_sizes(result)
     with raises_key("file-changed anchors.npz"):
@@ -52,7 +52,7 @@ def test_it_sees_what_changed(result: Path) -> None:
         check_sizes(result)
 
 
-def test_it_refuses_a_damaged_manifest(result: Path) -> None:
+def test_damaged_manifest_is_refused(result: Path) -> None:
     path = result / "manifest.json"
     whole = json.loads(path.read_text())
     for change in (
@@ -82,7 +82,7 @@ def test_it_refuses_a_damaged_manifest(result: Path) -> None:
         read_manifest(result)
 
 
-def test_it_writes_bytes_text_and_by_function(tmp_path: Path) -> None:
+def test_write_atomically_takes_bytes_text_and_function(tmp_path: Path) -> None:
     write_atomically(tmp_path / "deep" / "a.bin", b"\0\1")
     write_atomically(tmp_path / "b.txt", "für")
     write_atomically(tmp_path / "c.png", lambda path: path.write_bytes(path.suffix.encode()))
@@ -111,7 +111,7 @@ def test_a_writer_that_writes_nothing_is_an_error(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
-def test_it_clears_leftovers_away(tmp_path: Path) -> None:
+def test_remove_parts_deletes_leftovers(tmp_path: Path) -> None:
     (tmp_path / "deep" / (PART + "folder")).mkdir(parents=True)
     for path in (tmp_path / (PART + "x"), tmp_path / "deep" / (PART + "folder") / "y", tmp_path / "deep" / "kept"):
         path.write_bytes(b"")
@@ -120,7 +120,7 @@ def test_it_clears_leftovers_away(tmp_path: Path) -> None:
     assert not (tmp_path / "deep" / (PART + "folder")).exists()
 
 
-def test_a_part_that_another_process_removed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_part_removed_by_other_process_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "file"
     path.write_text("old")
     monkeypatch.setattr(atomic, "flush_to_disk", Path.unlink)
@@ -150,7 +150,7 @@ def step_of(store: CheckpointStore) -> int:
     return step
 
 
-def test_the_newest_counts(tmp_path: Path) -> None:
+def test_latest_returns_newest_checkpoint(tmp_path: Path) -> None:
     store = CheckpointStore(tmp_path)
     assert store.latest() is None and not store.exists
     for step in (1, 2, 3):
@@ -172,7 +172,7 @@ def test_a_failing_writer_leaves_the_last_checkpoint(tmp_path: Path) -> None:
     assert step_of(store) == 1
 
 
-def test_it_falls_back_to_an_older_complete_checkpoint(tmp_path: Path) -> None:
+def test_latest_falls_back_to_older_complete_checkpoint(tmp_path: Path) -> None:
     store = CheckpointStore(tmp_path)
     save(store, 1)
     shutil.copytree(tmp_path / "checkpoint", tmp_path / "checkpoint.old")

@@ -61,7 +61,7 @@ def test_nothing_outside_is_touched(name: str, make: Callable[[Path, Path], None
             LiftFolder.open(folder.path)
 
 
-def test_what_others_put_beside_a_lift_is_left_alone(tmp_path: Path) -> None:
+def test_foreign_files_beside_a_lift_are_left_alone(tmp_path: Path) -> None:
     folder = new_lift(tmp_path)
     (folder.path / "lift.blend").symlink_to(tmp_path / "elsewhere.blend")
     assert run_engine(folder, lift=tiny_lift) == 0

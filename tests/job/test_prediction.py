@@ -62,7 +62,7 @@ def test_a_broken_file_is_skipped(tmp_path: Path, content: str) -> None:
     assert machine_slowness(tmp_path) != 1.0
 
 
-def test_it_needs_neither_torch_nor_numpy(root: Path) -> None:
+def test_prediction_needs_neither_torch_nor_numpy(root: Path) -> None:
     code = "import engine.job.prediction, sys; assert not {'torch', 'numpy'} & set(sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], cwd=root, timeout=120).returncode == 0
 
@@ -91,7 +91,7 @@ LIFTS = (
 
 
 @pytest.mark.parametrize("lift", LIFTS, ids=lambda lift: f"{lift.frames[0]} in {lift.seconds:.0f} s")
-def test_it_is_close_to_what_lifts_took(lift: Measured) -> None:
+def test_prediction_is_close_to_measured_lifts(lift: Measured) -> None:
     """Within a factor of 1.5, once it is known how fast the machine was, which the training steps tell."""
     about = {"bake": "none", "masks_a_frame": lift.masks, "classes": 18}
     usual = predict(*lift.frames, lift.size, PRESETS["preview"], **about)  # type: ignore[arg-type]

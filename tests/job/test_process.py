@@ -148,7 +148,9 @@ def _lives(pid: int) -> bool:
 @pytest.mark.parametrize(
     ("body", "told"), [("true", "not-a-python"), ('echo "$@"', "not-a-python"), ("sleep 9", "silent")]
 )
-def test_what_is_not_a_python_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, body: str, told: str) -> None:
+def test_program_that_is_not_python_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, body: str, told: str
+) -> None:
     script = tmp_path / "python"
     script.write_text(f"#!/bin/sh\nexec {body}\n" if told == "silent" else f"#!/bin/sh\n{body}\n")
     script.chmod(0o755)
@@ -158,14 +160,14 @@ def test_what_is_not_a_python_is_refused(tmp_path: Path, monkeypatch: pytest.Mon
         missing_modules(script, ["torch"])
 
 
-def test_what_another_python_prints_at_its_start_is_not_an_answer(tmp_path: Path) -> None:
+def test_startup_output_is_not_an_answer(tmp_path: Path) -> None:
     script = tmp_path / "python"
     script.write_text(f'#!/bin/sh\necho hello\nexec {sys.executable} "$@"\n')
     script.chmod(0o755)
     assert missing_modules(script, ["json", "no_such_module"]) == ["no_such_module"]
 
 
-def test_a_path_that_cannot_be_passed_to_a_program(tmp_path: Path) -> None:
+def test_unpassable_path_is_refused(tmp_path: Path) -> None:
     with (tmp_path / "log").open("wb") as log, raises_key("bad-path"):
         ChildProcess([sys.executable, "a\0b"], cwd=tmp_path, environment={}, output=log)
 
@@ -201,7 +203,7 @@ def test_everything_that_a_lift_imports_is_pinned(root: Path) -> None:
 
 
 @pytest.mark.parametrize("platform", ["linux", "win32", "darwin"])
-def test_every_system_needs_the_same(root: Path, platform: str) -> None:
+def test_every_system_needs_the_same_packages(root: Path, platform: str) -> None:
     modules = {module_of(name): pin for name, pin in needed_packages(root, (3, 11), platform).items()}
     assert modules == {module_of(name): pin for name, pin in needed_packages(root, (3, 11)).items()}
 
@@ -240,18 +242,18 @@ def limit(folder: Path, most: str, held: int) -> Path:
     return folder
 
 
-def test_the_memory_of_the_machine(proc: Path, tmp_path: Path) -> None:
+def test_linux_memory_is_read(proc: Path, tmp_path: Path) -> None:
     assert main_memory(proc, tmp_path) == MainMemory(1_024_000, 614_400)
     assert main_memory(proc, limit(tmp_path, "max\n", 5)) == MainMemory(1_024_000, 614_400)
 
 
-def test_the_memory_limit_of_a_container(proc: Path, tmp_path: Path) -> None:
+def test_container_limit_counts_as_memory(proc: Path, tmp_path: Path) -> None:
     assert main_memory(proc, limit(tmp_path, "500000\n", 100_000)) == MainMemory(500_000, 400_000)
     assert main_memory(proc, limit(tmp_path, "500000", 900_000)) == MainMemory(500_000, 0)
     assert main_memory(proc, limit(tmp_path, "900000000", 0)) == MainMemory(1_024_000, 614_400)
 
 
-def test_a_part_of_the_memory(proc: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_memory_share_limits_memory(proc: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv(SHARE, "0.0005")
     assert main_memory(proc, tmp_path) == MainMemory(500_000, 500_000)
     monkeypatch.setenv(SHARE, "5")
@@ -259,11 +261,11 @@ def test_a_part_of_the_memory(proc: Path, tmp_path: Path, monkeypatch: pytest.Mo
 
 
 @pytest.mark.parametrize("text", ["", "MemTotal: 5 kB", "MemTotal: x\n", "MemTotal:\nMemAvailable:\n"])
-def test_what_cannot_be_read_is_unknown(proc: Path, tmp_path: Path, text: str) -> None:
+def test_unreadable_memory_is_unknown(proc: Path, tmp_path: Path, text: str) -> None:
     proc.write_text(text)
     assert main_memory(proc, tmp_path) is None
 
 
-def test_of_this_machine() -> None:
+def test_memory_of_this_machine_is_known() -> None:
     memory = main_memory()
     assert memory is None or memory.total >= memory.free > 0

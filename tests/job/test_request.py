@@ -31,13 +31,13 @@ FULL = LiftRequest(
 )
 
 
-def test_it_survives_a_round_trip(tmp_path: Path) -> None:
+def test_request_survives_round_trip(tmp_path: Path) -> None:
     for request in (FULL, LiftRequest(scene=Path("/scenes/Zimmer für zwei"))):
         (tmp_path / "request.json").write_text(request.to_json(), encoding="utf-8")
         assert LiftRequest.read(tmp_path / "request.json") == request
 
 
-def test_it_has_the_documented_form() -> None:
+def test_request_has_documented_form() -> None:
     content = json.loads(LiftRequest(scene=Path("/s")).to_json())
     assert content == {
         "format": 1,
@@ -95,7 +95,7 @@ def test_it_has_the_documented_form() -> None:
         ({"engine_version": 1}, "wrong-type engine_version"),
     ],
 )
-def test_it_refuses_bad_input(tmp_path: Path, change: dict[str, Any], told: str) -> None:
+def test_bad_values_are_refused(tmp_path: Path, change: dict[str, Any], told: str) -> None:
     path = tmp_path / "request.json"
     path.write_text(json.dumps(json.loads(FULL.to_json()) | change))
     with raises_key(f"{told} {path}") as caught:
@@ -104,14 +104,14 @@ def test_it_refuses_bad_input(tmp_path: Path, change: dict[str, Any], told: str)
 
 
 @pytest.mark.parametrize("content", [b"", b"{", b"[]", b"\xff\xfe{}", b"null"])
-def test_it_refuses_what_is_not_a_request(tmp_path: Path, content: bytes) -> None:
+def test_other_files_are_refused(tmp_path: Path, content: bytes) -> None:
     path = tmp_path / "request.json"
     path.write_bytes(content)
     with raises_key("* request.json"):
         LiftRequest.read(path)
 
 
-def test_it_says_what_differs() -> None:
+def test_differences_are_named() -> None:
     plain = LiftRequest(scene=FULL.scene, masks=FULL.masks, preset="paper", seed=3)
     reading = ["up", "scene_format", "depth", "mask_format", "classes"]
     assert FULL.differences(plain) == [*reading, "fit", "bake", "device", "steps", "size", "frames"]

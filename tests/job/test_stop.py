@@ -44,7 +44,7 @@ def test_a_check_raises_once_the_file_exists(tmp_path: Path) -> None:
         stop.check()
 
 
-def test_it_ends_a_hanging_engine(tmp_path: Path, events: EventWriter) -> None:
+def test_watchdog_ends_hanging_engine(tmp_path: Path, events: EventWriter) -> None:
     ended, stop = Ended(), StopSignal(tmp_path / "cancel")
     with Watchdog(stop, events, end_process=ended):
         time.sleep(0.15)
@@ -68,7 +68,7 @@ def test_a_full_disk_does_not_keep_a_hanging_engine_alive(tmp_path: Path, monkey
     events.close()
 
 
-def test_it_leaves_an_engine_alone_that_stops_on_its_own(tmp_path: Path, events: EventWriter) -> None:
+def test_watchdog_spares_engine_that_stops_itself(tmp_path: Path, events: EventWriter) -> None:
     ended, stop = Ended(), StopSignal(tmp_path / "cancel")
     with Watchdog(stop, events, end_process=ended, grace_s=PATIENCE_S):
         (tmp_path / "cancel").touch()
@@ -81,7 +81,7 @@ def test_it_leaves_an_engine_alone_that_stops_on_its_own(tmp_path: Path, events:
     assert not ended.when.is_set()
 
 
-def test_it_notices_the_end_of_the_parent(tmp_path: Path, events: EventWriter) -> None:
+def test_watchdog_notices_end_of_parent(tmp_path: Path, events: EventWriter) -> None:
     ended, stop = Ended(), StopSignal(tmp_path / "cancel")
     ours, parents = os.pipe()
     try:
@@ -97,7 +97,7 @@ def test_it_notices_the_end_of_the_parent(tmp_path: Path, events: EventWriter) -
         os.close(ours)
 
 
-def test_it_keeps_the_exit_code_of_the_signal_that_asked(tmp_path: Path, events: EventWriter) -> None:
+def test_watchdog_keeps_exit_code_of_signal(tmp_path: Path, events: EventWriter) -> None:
     ended, stop = Ended(), StopSignal(tmp_path / "cancel")
     with Watchdog(stop, events, end_process=ended, grace_s=0.1):
         stop.ask("Ctrl-C", ExitCode.INTERRUPTED)

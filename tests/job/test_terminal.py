@@ -33,7 +33,7 @@ class Terminal(io.StringIO):
         (replace(TRAINING, left_s=90.4), "[2/3] Training  5/10  loss 0.2500  1:01 left  1:30 to the end"),
     ],
 )
-def test_it_describes_progress(progress: TaskProgress, text: str) -> None:
+def test_describe_shows_progress(progress: TaskProgress, text: str) -> None:
     assert describe(progress) == text
 
 
@@ -83,7 +83,7 @@ def test_signals_interrupt_and_are_given_back() -> None:
         signal.signal(signal.SIGINT, before)
 
 
-def test_deferred_code_is_not_torn() -> None:
+def test_deferred_code_is_not_interrupted() -> None:
     before = signal.signal(signal.SIGTERM, signal.SIG_DFL)
     steps = []
     try:
@@ -110,7 +110,7 @@ def test_an_import_that_a_signal_cut_off_is_an_interruption() -> None:
         signal.signal(signal.SIGINT, before)
 
 
-def test_what_was_ignored_stays_ignored() -> None:
+def test_ignored_signal_stays_ignored() -> None:
     before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
     try:
         with Interrupts():
@@ -119,7 +119,7 @@ def test_what_was_ignored_stays_ignored() -> None:
         signal.signal(signal.SIGHUP, before)
 
 
-def test_numbers_that_were_not_measured_are_a_dash() -> None:
+def test_missing_numbers_become_a_dash() -> None:
     """JSON's integers have no end: one of them ended the engine and Blender's script with a traceback."""
     for number in (10**400, -(10**400), 1e308, float("nan"), float("inf"), "7", None, []):
         table = {"name": "lifted", "mode": "strict", "miou": number, "psnr": number, "pq": 0.5}
@@ -129,7 +129,7 @@ def test_numbers_that_were_not_measured_are_a_dash() -> None:
         assert lines[-1].split() == ["wall", "-", "-", "-", "-", "-", "3", "-"]
 
 
-def test_what_the_lift_does_not_show_is_reported() -> None:
+def test_missing_objects_are_reported() -> None:
     sink = {"name": "sink", "whole_class": True, "views": 4, "shown_as": "countertop", "frame": "0012"}
     chair = {"name": "chair", "whole_class": False, "views": 3, "shown_as": "", "frame": "0031"}
     metrics = {"tables": [{"name": "lifted"}], "masks_as_judges": {"not_shown": [sink, chair, "no entry"]}}

@@ -68,7 +68,7 @@ def says_to_lack(code: Path, environment: Path) -> tuple[str, ...]:
     return said.capabilities[NAME]
 
 
-def test_what_is_added_is_found_and_the_handshake_says_so(code: Path, environment: Path, part: PackageIndex) -> None:
+def test_added_packages_are_found_and_reported(code: Path, environment: Path, part: PackageIndex) -> None:
     assert "pycolmap" in says_to_lack(code, environment)
     before = files_of(environment)
     folder = addition(code, environment, part).run()
@@ -119,7 +119,7 @@ def test_a_python_of_the_system_is_left_alone(code: Path, tmp_path: Path, part: 
 
 
 @pytest.mark.parametrize("name", ADDED)
-def test_what_is_added_is_pinned_by_hash_for_every_system(name: str, root: Path) -> None:
+def test_added_packages_are_pinned_by_hash_for_every_system(name: str, root: Path) -> None:
     pins = [line.split("==")[0] for line in requirements_path(root, name).read_text().splitlines() if "==" in line]
     assert set(CAPABILITIES[name].packages) <= set(pins)
     entries = addition_hashes_path(root, name).read_text().split("\n")

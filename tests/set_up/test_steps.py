@@ -142,7 +142,7 @@ RunningSetUp(request, Path({str(code)!r}), Path({str(folder)!r})).wait()
 
 
 @pytest.mark.parametrize("mark", ["3.11.9 cpu\n", "3.11.9 cuda\n"])
-def test_what_does_not_answer_or_has_another_torch_is_made_again(begin: Begin, folder: Path, mark: str) -> None:
+def test_unfit_environment_is_made_again(begin: Begin, folder: Path, mark: str) -> None:
     begin().wait()
     environment = environment_in(folder)
     (environment / "complete").write_text(mark)
@@ -155,7 +155,7 @@ def test_what_does_not_answer_or_has_another_torch_is_made_again(begin: Begin, f
 @pytest.mark.parametrize(
     ("answer", "told"), [("exit 1", "failed with exit status"), ("echo hello", "invalid response")]
 )
-def test_a_given_python_that_does_not_serve_is_named(begin: Begin, tmp_path: Path, answer: str, told: str) -> None:
+def test_unusable_given_python_is_reported(begin: Begin, tmp_path: Path, answer: str, told: str) -> None:
     python = tmp_path / "none"
     python.write_text(f"#!/bin/sh\n{answer}\n")
     python.chmod(0o755)

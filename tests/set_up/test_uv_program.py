@@ -75,7 +75,7 @@ def test_a_password_in_the_address_is_sent(host: str, tmp_path: Path, monkeypatc
 
 
 @pytest.mark.parametrize("url", ["http://me:secret@bad host/simple", "http://me:secret@host:port/simple", "nonsense"])
-def test_an_address_that_is_none_is_one_line_without_its_password(url: str, tmp_path: Path) -> None:
+def test_invalid_address_is_one_line_without_password(url: str, tmp_path: Path) -> None:
     with pytest.raises(OSError, match="could not be downloaded") as error:
         uv_program.fetch(tmp_path, variables(url))
     assert "secret" not in str(error.value) and "\n" not in str(error.value)
