@@ -1,6 +1,6 @@
 """What a diagnosis says of faults that are planted one by one: ``python -m tests.diagnosis.matrix SCENE ...``.
 
-Each scene has the present layout. The table, in Markdown, is that of docs/captures.md.
+Each scene has the present layout. docs/captures.md sums the table up.
 """
 
 from __future__ import annotations

@@ -174,7 +174,7 @@ def test_two_parts_that_do_not_fit_are_found() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("hand_held", [False, True])
 def test_the_matrix_of_planted_faults(root: Path, tmp_path: Path, hand_held: bool) -> None:
-    """All but one in twenty are noticed, nine in ten rightly, and no mend harms. docs/captures.md has each row."""
+    """All but one in twenty are noticed, nine in ten rightly, and no mend harms. docs/captures.md sums the rows up."""
     scene = root / "sample/room"
     if hand_held:
         subprocess.run([sys.executable, root / "sample/hand_held.py", scene, tmp_path / "twin"], check=True)
