@@ -1,6 +1,6 @@
 """The colours and materials of a lift.
 
-They are unlit: photos bring their light with them.
+They are unlit: photos already contain their light.
 """
 
 from __future__ import annotations
@@ -18,25 +18,23 @@ from .compat import use_nodes
 from .owned import OwnedDataBlocks
 
 CLASS_COLOURS, RELIEF, LIT, PICTURE = "Class colours", "Relief", "Lit", "Picture"
-"""Labels of value nodes, 0..1. In the points' material: the share of the class's colour in place of the photo's, and
-the strength of shading by the normal; in the meshes': how far lights light them, instead of the photos' own light, and
-the share of their picture in place of Col.
-"""
+"""Labels of value nodes, 0..1. In the points' material: the class colour's share (the photo's has the rest), and the
+strength of shading by the normal. In the meshes' material: how much the scene's lights replace the photos' own light,
+and the share of their picture, else Col."""
 CATCHER, LIGHT_FROM = "Shadow", "Light from"
-"""Labels of the nodes of shadow catchers that depend on the lights."""
+"""Labels of the shadow catchers' nodes that depend on the lights."""
 _GLOSS, _MIRRORED = 0.3, 0.04
-"""The roughness of shadow catchers, and the share of light that they reflect in EEVEE."""
+"""Shadow catchers' roughness, and the fraction of light that they reflect in EEVEE."""
 UNKNOWN = (96, 96, 96)
 """sRGB colour of points without a class."""
 LIGHT = (0.35, -0.25, 0.9)
-"""Direction to the light that shades points, in the world."""
+"""Direction towards the light that shades points, in world space."""
 SHADE, SHADE_CONTRAST = 0.74, 0.3
 """Lightness of a point: SHADE + SHADE_CONTRAST * (LIGHT · normal)."""
 
 DENSER = 4.0
-"""How much more of a splat is seen than its opacity says. Blender draws half-transparent things at random, with few
-samples: nearly opaque ones look smooth.
-"""
+"""Factor on the visibility of a splat. Blender draws half-transparent splats stochastically with few samples; nearly
+opaque ones look smooth."""
 _BYTES = np.arange(256) / 255.0
 _LINEAR = np.where(_BYTES <= 0.04045, _BYTES / 12.92, ((_BYTES + 0.055) / 1.055) ** 2.4).astype(np.float32)
 
@@ -57,8 +55,7 @@ def object_colour(srgb: Sequence[int]) -> tuple[float, float, float, float]:
 
 def point_material(owned: OwnedDataBlocks) -> bpy.types.Material:
     """The points' material. It shows the attribute Col or, by CLASS_COLOURS, the object's colour. RELIEF shades it by
-    the attribute normal.
-    """
+    the attribute normal."""
     material = owned.block("materials", "points", lambda: bpy.data.materials.new("PLGS points"))
     tree = use_nodes(material)
     if value_node(material, CLASS_COLOURS) is None:  # else the user may have set it, or built upon it
@@ -67,7 +64,7 @@ def point_material(owned: OwnedDataBlocks) -> bpy.types.Material:
 
 
 def clear_material(owned: OwnedDataBlocks) -> bpy.types.Material:
-    """The material of the boxes' faces, which are invisible."""
+    """The invisible material of the boxes' faces."""
     material = owned.block("materials", "clear", lambda: bpy.data.materials.new("PLGS clear"))
     tree = use_nodes(material)
     if not any(node.bl_idname == "ShaderNodeBsdfTransparent" for node in tree.nodes):
@@ -81,10 +78,9 @@ def clear_material(owned: OwnedDataBlocks) -> bpy.types.Material:
 def surface_material(
     owned: OwnedDataBlocks, *, both_sides: bool = False, image: bpy.types.Image | None = None, of: str = ""
 ) -> bpy.types.Material:
-    """The meshes' material, in the colour of the attribute Col; with an ``image``, that ``of`` one mesh, in its
-    colours. It is unlit, as photos bring their light with them; its value node LIT gives it to the scene's lights
-    instead. Backs are clear, so a room lies open from outside, unless ``both_sides`` show.
-    """
+    """The meshes' material, in the colours of the attribute Col or, with an ``image`` ``of`` one mesh, of that image.
+    It is unlit, as photos contain their light; its value node LIT hands it over to the scene's lights. Backs are
+    transparent, so that a room is open from outside, unless ``both_sides`` show."""
     name = "PLGS objects" if both_sides else "PLGS surfaces"
     key = f"objects {of}" if both_sides else f"surfaces {of}"
     material = owned.block("materials", key.strip(), lambda: bpy.data.materials.new(name))
@@ -99,8 +95,8 @@ def surface_material(
 
 
 def let_catch(ob: bpy.types.Object, catcher: bpy.types.Material | None) -> None:
-    """Let an object's mesh catch shadows and reflections, with this material, or be seen again, without one. The
-    photo has the room's own shadows, and light comes in through walls: what catches throws none."""
+    """Make an object's mesh catch shadows and reflections with this material, or, without one, be visible again. The
+    photo has the room's own shadows, and light must come in through walls, so catchers cast none."""
     ob.is_shadow_catcher = catcher is not None
     ob.visible_shadow = catcher is None
     for slot in ob.material_slots:
@@ -146,16 +142,15 @@ def _mix_shaders(tree: bpy.types.NodeTree, column: int, factor: Any, first: Any,
 
 
 def _cast_no_light(material: bpy.types.Material) -> None:
-    """Let Cycles send no rays to what shines only to be seen."""
+    """Stop Cycles from sampling surfaces as lights that only glow to be seen."""
     if hasattr(material, "cycles"):  # not in builds without Cycles
         material.cycles.emission_sampling = "NONE"
 
 
 def catcher_material(owned: OwnedDataBlocks, scene: bpy.types.Scene) -> bpy.types.Material:
-    """What shadow catchers have, for the lights of the scene as they are now. Cycles takes its matt colours for bounced
-    light and reflections. EEVEE has no catchers: there it is clear, and black where less light arrives than would
-    without a shadow; its normal is the light's direction, so walls that are turned away are not dark.
-    """
+    """The material of shadow catchers, for the scene's current lights. Cycles takes its matt colours for bounced light
+    and reflections. EEVEE has no catchers: there it is transparent, and black where less light arrives than without a
+    shadow; its normal is the light's direction, so that walls facing away are not dark."""
     material = owned.block("materials", "catcher", lambda: bpy.data.materials.new("PLGS shadow catcher"))
     tree = use_nodes(material)
     if value_node(material, CATCHER) is None:
@@ -205,8 +200,8 @@ def catcher_material(owned: OwnedDataBlocks, scene: bpy.types.Scene) -> bpy.type
 
 
 def _light_of(scene: bpy.types.Scene) -> tuple[Vector, float]:
-    """The direction to the strongest light of a scene from the origin, and how bright it makes white that faces it. (A
-    sun of strength pi makes it 1; a lamp's power spreads over a sphere, an area's before it.)"""
+    """The direction from the origin to the scene's strongest light, and the brightness of a white surface facing it. (A
+    sun of strength pi gives 1; a lamp's power spreads over a sphere, an area light's over a hemisphere.)"""
     best, brightness = Vector((0.0, 0.0, 1.0)), 0.0
     for ob in scene.objects:
         if ob.type != "LIGHT" or ob.hide_render:
@@ -222,9 +217,8 @@ def _light_of(scene: bpy.types.Scene) -> tuple[Vector, float]:
 
 
 def splat_material(owned: OwnedDataBlocks) -> bpy.types.Material:
-    """The splats' material: unlit Col, which fades from the middle of each square by the attributes corner (places in
-    standard deviations) and opacity.
-    """
+    """The splats' material: unlit Col, fading from each square's middle by the attributes corner (in standard
+    deviations) and opacity."""
     material = owned.block("materials", "splats", lambda: bpy.data.materials.new("PLGS splats"))
     tree = use_nodes(material)
     if not any(node.bl_idname == "ShaderNodeAttribute" for node in tree.nodes):
@@ -264,7 +258,7 @@ def splat_material(owned: OwnedDataBlocks) -> bpy.types.Material:
 
 
 def value_node(material: bpy.types.Material, label: str) -> bpy.types.Node | None:
-    """The node to set CLASS_COLOURS, RELIEF or LIT on: `.outputs[0].default_value`."""
+    """The node whose `.outputs[0].default_value` sets CLASS_COLOURS, RELIEF or LIT."""
     nodes = material.node_tree.nodes if material.node_tree else ()
     return next((node for node in nodes if node.label == label), None)
 
@@ -291,7 +285,7 @@ def _build_points(tree: bpy.types.NodeTree) -> None:
 def _mix(
     tree: bpy.types.NodeTree, column: int, row: int, blend: str, factor: Any, first: Any, second: Any
 ) -> Any:
-    """Mix two colours and return the socket of the result."""
+    """Mix two colours and return the output socket."""
     node = _node(tree, "ShaderNodeMix", column, row)
     node.data_type, node.blend_type = "RGBA", blend
     for output, target in zip((factor, first, second), [s for s in node.inputs if s.enabled], strict=True):
@@ -300,7 +294,7 @@ def _mix(
 
 
 def _emit(tree: bpy.types.NodeTree, colour: Any) -> None:
-    """Let the surface emit this colour. The new nodes stand to the right of all others."""
+    """Make the surface emit this colour. The new nodes stand to the right of all others."""
     column = max(node.location.x for node in tree.nodes) // 220 + 1
     light = _node(tree, "ShaderNodeEmission", column, 0)
     end = _node(tree, "ShaderNodeOutputMaterial", column + 1, 0)

@@ -1,4 +1,4 @@
-"""The lifted surface as meshes: one for each instance and one for each stuff class, in a collection for each class."""
+"""The lifted surface as meshes: one for each instance and each stuff class, in one collection per class."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ from .owned import LIFT, OwnedDataBlocks, Placed, child_collection, text_of
 from .results import LiftResult
 
 CORRECTIONS, _OF_MESHES = "plgs_corrections", "plgs_meshes_of"
-"""Properties of a lift's collection: the fingerprint of the corrections that the scene shows, and of those that the
-meshes show."""
+"""Properties of a lift's collection: the fingerprints of the corrections that the scene shows, and that the meshes
+show."""
 SURFACE = "surface"
-"""The form in which the engine exports it."""
+"""The engine's export format for it."""
 _COMMENT = re.compile(rb"^comment corrections ([0-9a-f]+)$", re.MULTILINE)
 _LONGEST_HEADER = 8192
 
@@ -32,8 +32,8 @@ def mesh_folder(lift: Path) -> Path:
 
 @dataclass(frozen=True, eq=False)
 class ReadMeshes:
-    """The surface of each (class, instance) of a lift, the fingerprint of the corrections that they were made with, and
-    the folder of their pictures, CLASS_INSTANCE.jpg."""
+    """The surface of each (class, instance) of a lift, the fingerprint of the corrections that it was made with, and
+    the folder of its pictures, CLASS_INSTANCE.jpg."""
 
     parts: Mapping[tuple[int, int], LabelledSurface]
     corrections: str = ""
@@ -41,8 +41,7 @@ class ReadMeshes:
 
 
 def reading_meshes(lift: Path) -> Generator[None, None, ReadMeshes]:
-    """Read the surface that was made of the lift, for a window that must not wait. Raises PlgsError for a damaged
-    file."""
+    """Read the lift's surface in parts, so that the window does not freeze. Raises PlgsError for a damaged file."""
     path = mesh_folder(lift) / "mesh.ply"
     if not path.is_file():
         return ReadMeshes({})
@@ -57,8 +56,8 @@ def reading_meshes(lift: Path) -> Generator[None, None, ReadMeshes]:
 
 
 def placing_meshes(placed: Placed, result: LiftResult, read: ReadMeshes) -> Generator[None, None, int]:
-    """Place a lift's meshes, one for each part, and remove those that are no longer there. Returns their number, 0 also
-    where the lift is removed in the meantime."""
+    """Place a lift's meshes, one per part, and remove outdated ones. Returns their number; 0 if the lift is removed
+    meanwhile."""
     instances = {one.id: one for one in result.instances}
     keys: list[str] = []
     for (class_id, instance_id), surface in read.parts.items():
@@ -96,7 +95,7 @@ def are_stale(root: bpy.types.Collection) -> bool:
 
 
 def _image(owned: OwnedDataBlocks, key: str, path: Path) -> bpy.types.Image:
-    """The picture of our mesh `key`, as the file is now."""
+    """The current picture of our mesh `key`."""
     image: bpy.types.Image = owned.block("images", key, lambda: bpy.data.images.load(str(path)))
     image.filepath = str(path)
     image.reload()

@@ -1,9 +1,9 @@
-"""Which data-blocks are ours, and the collection of a lift in a scene, "PLGS <scene>", that holds them.
+"""Identifies our data-blocks, and the collection "PLGS <scene>" that holds those of a lift.
 
-Each block we make carries two custom properties: the lift it belongs to and its key there ("frame:0012", "instance:3").
-Names are only for people, who may change them. A second placement finds the blocks by these properties and fills them
-again. So whatever points at them (the active camera, a constraint, a marker) keeps pointing. `sweep` removes what the
-new result no longer has. Blocks without our properties are never touched.
+Each block we make carries two custom properties: its lift and its key there ("frame:0012", "instance:3"). Names are
+only for users, who may change them. A second placement finds the blocks by these properties and refills them, so
+whatever refers to them (the active camera, a constraint, a marker) stays valid. `sweep` removes what the new result no
+longer has. Blocks without our properties are never touched.
 """
 
 from __future__ import annotations
@@ -29,34 +29,32 @@ _DATA = ("cameras", "pointclouds", "meshes", "materials", "node_groups", "images
 
 
 def tag(block: Any, lift: str, key: str) -> None:
-    """Mark a data-block, or a node, as ours."""
+    """Mark a data-block or node as ours."""
     block[LIFT], block[KEY] = lift, key
 
 
 def untag(block: Any) -> None:
-    """Leave a block to the user."""
+    """Hand a block over to the user."""
     for name in (LIFT, KEY):
         if name in block:
             del block[name]
 
 
 def key_of(block: Any, lift: str) -> str | None:
-    """A block's key in this lift; None when it is not the lift's, or linked from another file."""
+    """A block's key in this lift; None if it is not the lift's or is linked from another file."""
     if getattr(block, "library", None) is not None or text_of(block, LIFT) != lift:
         return None
     return text_of(block, KEY) or None
 
 
 def text_of(block: Any, name: str) -> str:
-    """A custom property; empty when there is none, or when it is not text."""
+    """A custom property; empty if it is missing or not text."""
     value = block.get(name)
     return value if isinstance(value, str) else ""
 
 
 def originals(objects: Iterable[bpy.types.Object], lift: str) -> dict[str, bpy.types.Object]:
-    """The lift's objects by key. Duplicates carry the same properties as their original: they are the user's, and left
-    out.
-    """
+    """The lift's objects by key. Duplicates, which carry the same properties, are the user's and are left out."""
     found: dict[str, bpy.types.Object] = {}
     for ob in objects:
         key = text_of(ob, KEY)
@@ -68,7 +66,7 @@ def originals(objects: Iterable[bpy.types.Object], lift: str) -> dict[str, bpy.t
 
 
 def _age(ob: bpy.types.Object) -> tuple[bool, int, int, bool, int]:
-    """A rank that is smaller for an original than for its duplicates, also after loading numbered `session_uid`."""
+    """A rank, smaller for an original than for its duplicates, even after loading renumbered `session_uid`."""
     is_astray = not any(LIFT in collection for collection in ob.users_collection)
     data = _copy_number(ob.data.name) if ob.data is not None else 0
     return ob.library is not None, data, _copy_number(ob.name), is_astray, ob.session_uid
@@ -94,9 +92,8 @@ class OwnedDataBlocks:
                 untag(ob)
 
     def object(self, key: str, name: str, data: bpy.types.ID, parent: bpy.types.Collection) -> bpy.types.Object:
-        """Our object `key` with this name and data. It is put into our collection `parent` if it is in no collection of
-        the scene. If the user moved it to another, it stays there.
-        """
+        """Our object `key` with this name and data. It goes into our collection `parent` if it is in no collection of
+        the scene; if the user moved it to another, it stays there."""
         ob = self._objects.get(key)
         if ob is None or ob.type != _object_type(data):
             ob = bpy.data.objects.new(name, data)
@@ -110,17 +107,15 @@ class OwnedDataBlocks:
         return ob
 
     def is_in_scene(self, ob: bpy.types.Object) -> bool:
-        """Whether an object of ours was in a collection of the scene, or was put there."""
+        """Whether our object is in a collection of the scene, or has just been put there."""
         return ob in self._in_scene
 
     def known(self, key: str) -> bpy.types.Object | None:
-        """Our object `key`, None when there is none yet."""
+        """Our object `key`, or None."""
         return self._objects.get(key)
 
     def data(self, key: str, create: Callable[[], Any]) -> Any:
-        """The data of our object `key`, to be filled again; made by `create` when there is none, or when the user uses
-        it too.
-        """
+        """The data of our object `key`, to be refilled; made by `create` if there is none or the user uses it too."""
         ob = self._objects.get(key)
         if ob is not None and ob.data is not None and ob.data.users <= 1 and key_of(ob.data, self.lift) is not None:
             return ob.data
@@ -129,7 +124,7 @@ class OwnedDataBlocks:
         return data
 
     def drop_object(self, key: str) -> None:
-        """Remove our object `key` if it exists, with its data if nobody else uses it."""
+        """Remove our object `key`, if it exists, and its data, if nothing else uses it."""
         ob = self._objects.pop(key, None)
         if ob is not None:
             self._in_scene.discard(ob)
@@ -145,37 +140,36 @@ class OwnedDataBlocks:
         return known[key]
 
     def drop(self, kind: str, key: str) -> None:
-        """Remove our block `key` of `bpy.data.<kind>` if it exists, whoever uses it."""
+        """Remove our block `key` of `bpy.data.<kind>`, if it exists, even if something uses it."""
         block = self._blocks_of(kind).pop(key, None)
         if block is not None:
             getattr(bpy.data, kind).remove(block)
 
     def keep(self, block: Any) -> None:
-        """Spare a block of ours from `sweep`."""
+        """Protect one of our blocks from `sweep`."""
         self._kept.add(block)
 
     def keep_known(self, is_kept: Callable[[str], bool]) -> None:
-        """Spare our objects with such keys from `sweep`."""
+        """Protect our objects with such keys from `sweep`."""
         self._kept.update(ob for key, ob in self._objects.items() if is_kept(key))
 
     # All of a kind at once: each removal goes through the whole file, 20 ms with thousands of instances.
 
     def sweep(self) -> None:
-        """Remove the lift's objects that this placement did not use, then their data that nobody uses."""
+        """Remove the lift's objects that this placement did not use, then their unused data."""
         bpy.data.batch_remove([ob for ob in self._own_objects() if ob not in self._kept])
         self.sweep_data()
 
     def sweep_data(self) -> None:
-        """Remove the lift's data that this placement did not use and nobody else does."""
+        """Remove the lift's data that neither this placement nor anything else uses."""
         for kind in _DATA:
             for _ in range(2):  # a group of nodes may use another
                 own = [b for b in getattr(bpy.data, kind) if key_of(b, self.lift) is not None and b not in self._kept]
                 bpy.data.batch_remove([block for block in own if block.users - block.use_fake_user == 0])
 
     def sweep_only(self, *prefixes: str) -> None:
-        """Remove the lift's objects whose key begins so and that this placement did not use, then clouds and meshes
-        without users: `sweep` for a placement that leaves all else as it is.
-        """
+        """A `sweep` of only the objects whose key has one of these prefixes, and then of clouds and meshes without
+        users."""
         own = [ob for ob in self._own_objects() if ob[KEY].startswith(prefixes) and ob not in self._kept]
         theirs = {ob.data for ob in own if ob.data is not None and ob.data.users == 1}
         data = [each for each in (*bpy.data.pointclouds, *bpy.data.meshes) if key_of(each, self.lift) is not None]
@@ -189,7 +183,7 @@ class OwnedDataBlocks:
         return self._blocks[kind]
 
     def _own_objects(self) -> list[bpy.types.Object]:
-        """Ours in this scene or in none. A full copy of the scene keeps its copies of our objects."""
+        """Our objects in this scene or in none. A full copy of the scene keeps its copies of our objects."""
         ours = [ob for ob in bpy.data.objects if key_of(ob, self.lift) is not None]
         return [ob for ob in ours if ob in self._in_scene or not ob.users_scene]
 
@@ -199,14 +193,14 @@ def _object_type(data: bpy.types.ID) -> str:
 
 
 FOLDER, SCENE = "plgs_lift_folder", "plgs_scene_folder"
-"""Properties of a lift's collection: the folder of the lift, and that of the scene it was made from. The first is empty
-while the scene is only imported."""
+"""Properties of a lift's collection: the folders of the lift and of its scene. The first is empty while the scene is
+only imported."""
 
 PLACE = "plgs_place"
-"""Property of an imported scene's collection: how the scene was read (masks, up, format, depth), as texts."""
+"""Property of an imported scene's collection: how the scene was read (masks, up, format, depth), as text."""
 
 GAUSSIANS = "gaussians"
-"""The key of the object with a lift's splats."""
+"""Key of the object with a lift's splats."""
 _ROOT = "lift"
 
 
@@ -216,7 +210,7 @@ def lifts_in(scene: bpy.types.Scene) -> list[bpy.types.Collection]:
 
 
 def lift_of_scene(scene_folder: Path, scene: bpy.types.Scene) -> Path | None:
-    """The folder of the lift of `scene_folder` that is placed in a scene; None when none is."""
+    """The folder of the lift of `scene_folder` that is placed in a scene, or None."""
     for root in lifts_in(scene):
         if root.get(FOLDER) and is_same_place(root.get(SCENE, ""), scene_folder):
             return Path(bpy.path.abspath(root[FOLDER])).resolve()
@@ -229,7 +223,7 @@ def folder_of(root: bpy.types.Collection) -> Path:
 
 
 def overview_of(root: bpy.types.Collection) -> bpy.types.Object | None:
-    """A lift's overview camera, None when the user removed it."""
+    """A lift's overview camera; None if the user removed it."""
     return next((ob for ob in root.all_objects if key_of(ob, root[LIFT]) == "overview"), None)
 
 
@@ -248,13 +242,13 @@ def root_of_placed(lift: Path, scene: bpy.types.Scene) -> bpy.types.Collection:
 
 @dataclass(frozen=True)
 class Placed:
-    """Where a lift was placed, in words that stay valid after undo and after opening another file."""
+    """Where a lift was placed, by names that stay valid after undo and after opening another file."""
 
     lift: str
     scene: str
 
     def find(self) -> tuple[bpy.types.Collection, bpy.types.Scene] | None:
-        """The lift's collection and its scene; None when one of them is gone."""
+        """The lift's collection and its scene; None if either is gone."""
         scene = bpy.data.scenes.get(self.scene)
         for root in lifts_in(scene) if scene is not None else ():
             if root[LIFT] == self.lift:
@@ -265,7 +259,7 @@ class Placed:
 def root_collection(scene_folder: Path, lift_folder: Path | None, scene: bpy.types.Scene) -> bpy.types.Collection:
     """The collection of this lift or of an earlier one of the same scene, or a new one.
 
-    Raises PlgsError, before anything is changed, when Blender cannot name one of the folders.
+    Raises PlgsError, before anything changes, if Blender cannot store one of the folders.
     """
     _check_name(scene_folder)
     if lift_folder is not None:
@@ -288,9 +282,8 @@ def root_collection(scene_folder: Path, lift_folder: Path | None, scene: bpy.typ
 
 
 def scene_to_fill(scene: bpy.types.Scene) -> bpy.types.Scene:
-    """The scene with the lift when `scene` holds a lift's passes, else `scene` itself. Raises PlgsError when the lift's
-    scene is gone.
-    """
+    """If `scene` holds a lift's passes, the scene with the lift, else `scene` itself. Raises PlgsError if the lift's
+    scene is gone."""
     if KEY not in scene:
         return scene
     for other in bpy.data.scenes:
@@ -300,7 +293,7 @@ def scene_to_fill(scene: bpy.types.Scene) -> bpy.types.Scene:
 
 
 def _check_name(folder: Path) -> None:
-    """Raises PlgsError when Blender cannot keep the path: it knows UTF-8 only, and takes backslashes for slashes."""
+    """Raises PlgsError if Blender cannot store the path: it supports only UTF-8 and turns backslashes into slashes."""
     path = str(folder.absolute())
     is_text = path.isascii() or path.encode(errors="ignore") == os.fsencode(path)
     if not is_text or (os.sep == "/" and "\\" in path):
@@ -311,9 +304,8 @@ def _check_name(folder: Path) -> None:
 
 
 def is_same_place(stored: str, folder: Path) -> bool:
-    """Whether a path as it is stored in a .blend means this folder. The stored path is not looked up on the disk: it
-    may come from somebody else, and lie on a disk that never answers.
-    """
+    """Whether a path stored in a .blend means this folder. The stored path is not looked up on disk, as the file may
+    come from somebody else and name a disk that never answers."""
     return bool(stored) and _normal(bpy.path.abspath(stored)) in (_normal(folder), _normal(folder.resolve()))
 
 
@@ -324,7 +316,7 @@ def _normal(path: str | Path) -> str:
 def child_collection(
     root: bpy.types.Collection, name: str, scene: bpy.types.Scene | None = None, hidden: bool = False
 ) -> bpy.types.Collection:
-    """Our collection `name` under the root. One made `hidden` starts with its eye and camera off in the scene."""
+    """Our collection `name` under the root. A ``hidden`` one starts with its eye and camera off in the scene."""
     key = f"collection:{name}"
     for child in root.children:
         if key_of(child, root[LIFT]) == key:
@@ -344,7 +336,7 @@ def child_collection(
 
 
 def is_child(child: bpy.types.Collection, root: bpy.types.Collection, name: str) -> bool:
-    """Whether a collection is the one that `child_collection` made of this name."""
+    """Whether `child_collection` made this collection for this name."""
     return key_of(child, root[LIFT]) == f"collection:{name}"
 
 

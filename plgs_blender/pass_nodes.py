@@ -1,9 +1,9 @@
-"""The compositor nodes of a passes scene, and their group "PLGS Panoptic": a matte by class or instance, and what
-artists do with one.
+"""The compositor nodes of a passes scene, and their group "PLGS Panoptic": a matte by class or instance, and effects
+with it.
 
 Nodes are found by their tag, so users may move, rename and link them. The group lays the ids' colours over the picture,
-gives the matte's pixels another hue, draws a line around the matte, and cuts out the rest or the matte itself, in this
-order. All controls are inputs of the group, so they can be linked and animated.
+shifts the hue inside the matte, outlines it, and cuts out the rest or the matte itself, in this order. All controls are
+inputs of the group, so they can be linked and animated.
 """
 
 from __future__ import annotations
@@ -20,13 +20,13 @@ from .owned import KEY, tag
 NAME = "PLGS Panoptic"
 MARK = "panoptic group"
 LINE_PIXELS = 2
-"""Width of the outline, pixels."""
+"""Width of the outline in pixels."""
 _OUTLINE, _RECOLOUR = (1.0, 0.6, 0.05, 1.0), (0.05, 0.25, 0.9, 1.0)
 
 
 @dataclass(frozen=True)
 class Control:
-    """A factor of the group, 0 to 1, which begins as 0."""
+    """A factor of the group, 0 to 1, initially 0."""
 
     name: str
     description: str
@@ -46,7 +46,7 @@ COLOURS = {"Outline colour": _OUTLINE, "Recolour to": _RECOLOUR}
 
 
 def panoptic_group() -> bpy.types.NodeTree:
-    """The file's group, made where there is none. A group that was linked in, or that lacks an input, is left alone."""
+    """The file's group, made if there is none. A group that is linked in or lacks an input is left alone."""
     wanted = {*PICTURES, *MATTES, *COLOURS, *(control.name for control in CONTROLS)}
     for group in bpy.data.node_groups:
         if group.get(KEY) == MARK and group.library is None:
@@ -60,7 +60,7 @@ def panoptic_group() -> bpy.types.NodeTree:
 
 
 def _declare(group: bpy.types.NodeTree) -> None:
-    """Make the group's sockets, in the order in which they are shown."""
+    """Make the group's sockets in display order."""
     face = group.interface
     for name in ("Image", "Matte", "Outline"):
         kind = "NodeSocketColor" if name == "Image" else "NodeSocketFloat"
@@ -106,7 +106,7 @@ class _Wiring:
         return self._math("ADD", instances, self._product(difference, self._in["By class"]))
 
     def _ring(self, matte: Any) -> Any:
-        """The line around the matte: the grown matte less the matte."""
+        """The outline: the grown matte minus the matte."""
         node = self._place(compat.new_dilation(self._group, LINE_PIXELS))
         self._group.links.new(matte, node.inputs[0])
         return self._math("SUBTRACT", node.outputs[0], matte)
@@ -145,7 +145,7 @@ class _Wiring:
         return node.outputs[0]
 
     def _place(self, node: bpy.types.Node) -> bpy.types.Node:
-        """Move a node to its place. Nodes stand in rows of six, in the order in which they were made."""
+        """Arrange a node: rows of six, in the order of creation."""
         self._column += 1
         node.location = (200 * (self._column % 6), -220 * (self._column // 6))
         return node
@@ -156,7 +156,7 @@ PASSES, CRYPTO_INSTANCES, CRYPTO_CLASSES, PANOPTIC = "passes", "CryptoInstance",
 _STRENGTH = 0.55
 """Opacity of the instances' colours over the picture."""
 _LOWER = 240.0
-"""How many units lower the nodes stand than Blender's own would, so that the picture behind them stays visible."""
+"""Units by which the nodes stand lower than Blender's own would, so that the backdrop stays visible."""
 
 
 _OUTPUTS = {
@@ -168,11 +168,11 @@ _OUTPUTS = {
     "Matte": (PANOPTIC, "Matte"),
     "Outline": (PANOPTIC, "Outline"),
 }
-"""Node and socket of the outputs that are not layers."""
+"""Node and socket of outputs that are not layers."""
 
 
 def node_of(tree: bpy.types.NodeTree, key: str) -> bpy.types.Node:
-    """Our node `key`. KeyError when the user removed it."""
+    """Our node `key`. Raises KeyError if the user removed it."""
     for node in tree.nodes:
         if node.get(KEY) == key:
             return node
@@ -180,16 +180,15 @@ def node_of(tree: bpy.types.NodeTree, key: str) -> bpy.types.Node:
 
 
 def has_nodes(tree: bpy.types.NodeTree | None) -> bool:
-    """Whether these nodes were built there before, and no node that we fill is missing."""
+    """Whether our nodes were built before and none that we fill is missing."""
     keys = {node.get(KEY) for node in tree.nodes} if tree is not None else set()
     filled = {f"{what} {part}" for what in ("Instance", "Class") for part in ("palette", "scale")}
     return {PASSES, CRYPTO_INSTANCES, CRYPTO_CLASSES, *filled} <= keys
 
 
 def output_of(tree: bpy.types.NodeTree, name: str) -> Any:
-    """An output socket to link from: a layer ("Depth", "Semantic", ...), "Instance colours", "Class colours",
-    "Instance matte", "Class matte", "Overlay" (the group's picture), "Matte" or "Outline". KeyError when there is none.
-    """
+    """An output socket to link from: a layer ("Depth", "Semantic", ...), "Instance colours", "Class colours", "Instance
+    matte", "Class matte", "Overlay" (the group's picture), "Matte" or "Outline". Raises KeyError for others."""
     key, output = _OUTPUTS.get(name, (PASSES, name))
     for socket in node_of(tree, key).outputs:
         if socket.enabled and output == socket.name:
@@ -198,7 +197,7 @@ def output_of(tree: bpy.types.NodeTree, name: str) -> Any:
 
 
 def use_image(tree: bpy.types.NodeTree, image: bpy.types.Image) -> None:
-    """Let the passes node and both Cryptomatte nodes read an EXR's data-block."""
+    """Make the passes node and both Cryptomatte nodes read an EXR's image."""
     _ = image.size[:]  # Blender must read a file before a node can name one of its layers
     for node in reading_nodes(tree):
         node.image = image
@@ -213,7 +212,7 @@ def reading_nodes(tree: bpy.types.NodeTree) -> Iterator[bpy.types.Node]:
 
 
 class _NodeBuilder:
-    """Adds tagged nodes in a tidy arrangement: columns of 220 units."""
+    """Adds tagged nodes, arranged in columns of 220 units."""
 
     def __init__(self, tree: bpy.types.NodeTree, lift: str) -> None:
         self.tree, self._lift = tree, lift
@@ -231,7 +230,7 @@ class _NodeBuilder:
 
 
 def build(tree: bpy.types.NodeTree, lift: str, image: bpy.types.Image) -> None:
-    """Build all nodes and links, which read `image`. The result shows the instances' colours over the picture."""
+    """Build all nodes and links, which read `image`. The output shows the instances' colours over the picture."""
     make = _NodeBuilder(tree, lift)
     make.add(PASSES, "PLGS passes", 0, 200, "CompositorNodeImage")
     for key, label, row in ((CRYPTO_INSTANCES, "Matte of instances", -320), (CRYPTO_CLASSES, "Matte of classes", -720)):
@@ -245,7 +244,7 @@ def build(tree: bpy.types.NodeTree, lift: str, image: bpy.types.Image) -> None:
 
 
 def _colour_code(make: _NodeBuilder, what: str, layer: str, row: float) -> None:
-    """Turn ids into colours: the id is a place in a palette one pixel high, whose nearest pixel is the colour."""
+    """Turn ids into colours: the id is an index into a palette one pixel high, sampled without interpolation."""
     palette = make.add(f"{what} palette", f"{what} palette", 1.5, row - 170, "CompositorNodeImage")
     scale = make.add(f"{what} scale", "Id to place", 1.5, row, "ShaderNodeMath", "CompositorNodeMath")
     scale.operation = "MULTIPLY_ADD"
@@ -260,7 +259,7 @@ def _colour_code(make: _NodeBuilder, what: str, layer: str, row: float) -> None:
 
 
 def panoptic_node(tree: bpy.types.NodeTree) -> bpy.types.Node:
-    """The node with the group "PLGS Panoptic". KeyError when the user removed it."""
+    """The node of the group "PLGS Panoptic". Raises KeyError if the user removed it."""
     return node_of(tree, PANOPTIC)
 
 

@@ -1,9 +1,8 @@
-"""Scenes in which the baked passes are layers in the compositor: one for the lift's frames, and one for each camera of
-the user's that was baked.
+"""Scenes with the baked passes as compositor layers: one for the lift's frames, and one for each baked user camera.
 
-In the scene of the lift's frames, each frame of the timeline is one view. The EXR files are read as an image sequence
-whose numbers have gaps: a keyed offset leads from frame to file. Views whose names are not numbered cannot be a
-sequence; `show_view` then swaps images.
+In the scene of the lift's frames, each timeline frame is one view. The EXR files are read as an image sequence with
+gaps in its numbers: a keyed offset maps frames to files. Views whose names are not numbered cannot form a sequence;
+`show_view` then swaps images.
 """
 
 from __future__ import annotations
@@ -35,16 +34,16 @@ from .results import LiftResult
 
 SHOT = "shot:"
 NOTES = ".plgs"
-"""The hidden folder beside the frames that has what is noted of shots, their cameras and locks."""
+"""The hidden folder beside the frames with notes on shots, their cameras and locks."""
 VERSION = re.compile(r"[._-]?v(\d{1,6})(?=$|[._-])", re.IGNORECASE)
 """The version in a file's name, as in "shot_v012.blend"."""
 """Start of the key of a scene whose passes were baked from a camera of the user's."""
 _LAST_NUMBER = re.compile(r"(?s)(.*?)(\d+)(\D*)")
 _BEFORE_0 = re.compile(r"(?s)(.*)\.-\d+")
-"""The name of a shot's frame before 0. Blender counts only upwards from 0, so these are a sequence of their own."""
+"""The name of a shot's frame before 0. Blender counts only from 0 up, so these are a sequence of their own."""
 _LARGEST_NUMBER = 2**31 - 1
 _LONGEST_NAME = 80
-"""Characters of a shot's name, to which its views add a number."""
+"""Maximum length of a shot's name, to which each view adds a number."""
 _NEEDED = {"PLGS.Combined.R", "PLGS.Depth.V", "PLGS.Semantic.V", "PLGS.Instance.V"} | {
     "CryptoInstance00.r",
     "CryptoClass00.r",
@@ -52,9 +51,9 @@ _NEEDED = {"PLGS.Combined.R", "PLGS.Depth.V", "PLGS.Semantic.V", "PLGS.Instance.
 
 
 def check_layers(files: Iterable[Path]) -> None:
-    """Raise PlgsError when one of the passes' files is not an EXR or lacks a layer that the compositor reads.
+    """Raises PlgsError if one of the passes' files is not an EXR or lacks a layer that the compositor reads.
 
-    Blender itself only says that the image of a damaged file has no size, and its nodes then get no layer.
+    Blender itself only reports a damaged file's image as having no size, and its nodes get no layer.
     """
     for path in files:
         try:
@@ -66,7 +65,7 @@ def check_layers(files: Iterable[Path]) -> None:
 
 
 def size_of(path: Path) -> tuple[int, int]:
-    """Width and height in pixels of a passes' file; 0, 0 when it is not an EXR, or too large for a picture."""
+    """Width and height of a passes file in pixels; 0, 0 if it is not an EXR, or too large for a picture."""
     try:
         size = read_exr_header(path).size
     except PlgsError:
@@ -75,7 +74,7 @@ def size_of(path: Path) -> tuple[int, int]:
 
 
 def place_passes(owned: OwnedDataBlocks, result: LiftResult) -> bpy.types.Scene | None:
-    """Make or refill the scene "PLGS <name> passes". Without passes of the lift's frames there is no scene: None."""
+    """Make or refill the scene "PLGS <name> passes". None if the lift's frames have no passes."""
     if not result.passes:
         owned.drop("scenes", PASSES)
         return None
@@ -89,9 +88,8 @@ def place_passes(owned: OwnedDataBlocks, result: LiftResult) -> bpy.types.Scene 
 
 
 def place_shots(owned: OwnedDataBlocks, result: LiftResult, shot_scene: bpy.types.Scene) -> list[bpy.types.Scene]:
-    """Make or refill a scene "PLGS <name> <camera>" for each camera of the user's that was baked. It takes the frames,
-    the rate and the pixel aspect of `shot_scene`, in which the camera moves.
-    """
+    """Make or refill a scene "PLGS <name> <camera>" for each baked user camera. It takes its frame range, frame rate
+    and pixel aspect from `shot_scene`, in which the camera moves."""
     groups = sequences(list(result.shots))
     for scene in list(bpy.data.scenes):
         key = key_of(scene, owned.lift) or ""
@@ -113,7 +111,7 @@ def place_shots(owned: OwnedDataBlocks, result: LiftResult, shot_scene: bpy.type
 
 
 def _counting_through(names: Collection[str], sequence: NumberedNames | None) -> Callable[[Any, Any], None]:
-    """Lets frame k of the timeline show the k-th name."""
+    """Returns a function that makes timeline frame k show the k-th name."""
     numbers = () if sequence is None else sequence.numbers
     return partial(_count_through, len(names), [number - k for k, number in enumerate(numbers, start=1)])
 
@@ -126,7 +124,7 @@ def _fill_scene(
     sequence: NumberedNames | None,
     count: Callable[[bpy.types.Scene, bpy.types.NodeTree], None],
 ) -> bpy.types.Scene:
-    """The scene for these files and its nodes, made where they are missing; ``count`` leads from frames to files."""
+    """The scene for these files and its nodes, made if missing; ``count`` maps frames to files."""
     name = f"PLGS {result.name} {key.removeprefix(SHOT)}"
     scene = owned.block("scenes", key, lambda: _new_scene(name))
     scene.name = name
@@ -155,7 +153,7 @@ def _fill_scene(
 
 
 def _new_scene(name: str) -> bpy.types.Scene:
-    """A scene that only composites: no camera, nothing rendered, colours as they are."""
+    """A scene only for compositing: no camera, nothing rendered, colours unchanged."""
     scene = bpy.data.scenes.new(name)
     compat.show_stored_colours(scene)
     scene.render.use_compositing, scene.render.use_sequencer = True, False
@@ -167,7 +165,7 @@ def _new_scene(name: str) -> bpy.types.Scene:
 def _images(
     owned: OwnedDataBlocks, key: str, files: Mapping[str, Path], sequence: NumberedNames | None
 ) -> bpy.types.Image:
-    """The first of the files' images, of which none is read: one that counts through all files, or one each."""
+    """The first of the files' images, none of them loaded yet: one image for the whole sequence, or one per file."""
     if sequence is not None:
         files = {"": next(path for path in files.values() if path.stem == sequence.first)}
     images = []
@@ -182,7 +180,8 @@ def _images(
 
 @contextmanager
 def _one_pixel_of(image: bpy.types.Image) -> Iterator[None]:
-    """Meanwhile an image is one pixel with its file's layers: Blender reads it again for each layer a node names."""
+    """Temporarily give an image one pixel with its file's layers: Blender rereads it for every layer that a node
+    names."""
     path = image.filepath
     with tempfile.TemporaryDirectory(prefix="plgs-", dir=bpy.app.tempdir) as folder:
         pixel = Path(folder) / "0001.exr"
@@ -208,14 +207,15 @@ def _count_through(views: int, offsets: list[int], scene: bpy.types.Scene, tree:
 
 
 def _count_on(first: int, last: int, _scene: bpy.types.Scene, tree: bpy.types.NodeTree) -> None:
-    """Each timeline frame shows the file of its number."""
+    """Each timeline frame shows the file with its number."""
     for node in reading_nodes(tree):
         node.frame_start, node.frame_duration, node.frame_offset = first, last - first + 1, first - 1
     node_of(tree, PASSES).use_auto_refresh = True
 
 
 def _take_after(scene: bpy.types.Scene, shot: bpy.types.Scene, numbers: Sequence[int], size: tuple[int, int]) -> None:
-    """Take the frames, rate and pixel aspect of the shot's scene. Blender does not always know the files' size."""
+    """Take the shot's scene's frame range, frame rate and pixel aspect. Blender does not always know the files'
+    size."""
     scene.frame_start, scene.frame_end = min(numbers), max(numbers)
     scene.frame_step = math.gcd(*(number - min(numbers) for number in numbers)) or 1
     scene.frame_set(min(numbers))
@@ -258,7 +258,7 @@ def _mark_views(scene: bpy.types.Scene, names: Collection[str]) -> None:
 
 
 def open_passes(scene: bpy.types.Scene) -> bpy.types.Scene:
-    """The passes scene, brought to the view of the active camera where that was baked. Raises PlgsError."""
+    """The passes scene, at the active camera's view if that was baked. Raises PlgsError."""
     passes = passes_scene_of(scene)
     if passes is None:
         raise PlgsError("no-passes", "has no passes", scene.name, "Bake them in the Passes panel.")
@@ -272,13 +272,13 @@ def open_passes(scene: bpy.types.Scene) -> bpy.types.Scene:
 
 
 def is_shot(scene: bpy.types.Scene) -> bool:
-    """Whether a scene holds the passes of a camera of the user's."""
+    """Whether a scene holds the passes of a user camera."""
     return bool(text_of(scene, LIFT)) and (key_of(scene, scene[LIFT]) or "").startswith(SHOT)
 
 
 def passes_scene_of(scene: bpy.types.Scene) -> bpy.types.Scene | None:
-    """The scene itself when it holds passes; else that of the first lift in the scene that has passes. Of those that a
-    lift has, it is that of the active camera, or else that of its frames, or else any."""
+    """The scene itself if it holds passes, else the passes scene of its first lift that has one: the active camera's if
+    there is one, else the frames', else any."""
     if text_of(scene, LIFT) and (key_of(scene, scene[LIFT]) == PASSES or is_shot(scene)):
         return scene
     for root in lifts_in(scene):
@@ -293,12 +293,12 @@ def passes_scene_of(scene: bpy.types.Scene) -> bpy.types.Scene | None:
 
 
 def shot_name(camera: bpy.types.Object, given: str = "", later: int = 0) -> str:
-    """What the views of a camera are called, without their numbers: as ``given``, else after the .blend, if it has a
-    name, and the camera. Each of the two is short enough for a file's name.
+    """The name of a camera's views, without their numbers: ``given``, else made from the names of the .blend, if saved,
+    and the camera, both cut to fit a file name.
 
     ``given`` may have the fields of Python's format strings: {shot} (the .blend's name without its version), {camera},
-    {version} (the .blend's, "_v012" or 1, and ``later``), and at the end ".{frame:04d}", which all names have. Raises
-    PlgsError for others.
+    {version} (the .blend's, "_v012" or 1, plus ``later``), and at the end ".{frame:04d}", which all names have. Raises
+    PlgsError for other fields.
     """
     if "{" in given or "}" in given:
         given = _filled(given, camera, later)
@@ -324,7 +324,7 @@ def _filled(template: str, camera: bpy.types.Object, later: int) -> str:
 
 
 def show_view(scene: bpy.types.Scene, name: str) -> None:
-    """Bring the passes of the view `name` up in a passes scene. KeyError when it has no such view."""
+    """Show the passes of the view `name` in a passes scene. Raises KeyError if there is no such view."""
     frames = {marker.name: marker.frame for marker in scene.timeline_markers}
     tree = compat.compositor_tree(scene)
     scene.frame_set(frames[name])
@@ -339,19 +339,18 @@ def show_view(scene: bpy.types.Scene, name: str) -> None:
 
 @dataclass(frozen=True)
 class NumberedNames:
-    """Names that Blender can count through: `first` is the name to open, and `numbers[i]` in place of its number gives
-    the i-th name.
-    """
+    """Names that Blender can step through: `first` is the name to open; `numbers[i]` in place of its number gives the
+    i-th name."""
 
     first: str
     numbers: tuple[int, ...]
 
 
 def numbered(names: Sequence[str]) -> NumberedNames | None:
-    """The names as one numbered sequence, gaps allowed; None when they are not one.
+    """The names as one numbered sequence, possibly with gaps, or None.
 
-    Blender replaces the last number in a name, and pads it to the width that it has in the opened file. So all names
-    must have the same text around that number, and the padding of the shortest must give all the others.
+    Blender replaces the last number in a name, padded to its width in the opened file. So all names must have the same
+    text around that number, and padding to the shortest width must give all the others.
     """
     parts = [_LAST_NUMBER.fullmatch(name) for name in names]
     if not parts or any(part is None for part in parts):
@@ -366,9 +365,8 @@ def numbered(names: Sequence[str]) -> NumberedNames | None:
 
 
 def sequences(names: Sequence[str]) -> dict[str, list[str]]:
-    """Names in groups that Blender can count through, by the text before the number: "shot" of "shot.0001" and
-    "shot.0002", "shot before 0" of "shot.-0001". A name that fits in no group is a group by itself.
-    """
+    """Names in groups that Blender can step through, by the text before the number: "shot" of "shot.0001" and
+    "shot.0002", "shot before 0" of "shot.-0001". A name that fits no group is a group of its own."""
     groups: dict[str, list[str]] = {}
     for name in names:
         parts, before = _LAST_NUMBER.fullmatch(name), _BEFORE_0.fullmatch(name)

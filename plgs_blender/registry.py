@@ -1,8 +1,8 @@
-"""The tasks that this Blender follows, each an engine's command in a process of its own, and the timer that polls them.
+"""The tasks that this Blender follows, each an engine command in its own process, and the timer that polls them.
 
-A kind of task is a subclass of `Task` that takes its answer in `done`. Tasks live here, not in an operator or a file:
-so they survive undo and the opening of another .blend. The timer runs in Blender's main thread between redraws, so
-nothing here waits; no thread is used.
+A kind of task is a subclass of `Task` whose `done` takes the answer. Tasks live here, not in an operator or a file, so
+they survive undo and opening another .blend. The timer runs in Blender's main thread between redraws, so nothing here
+waits, and there are no threads.
 """
 
 from __future__ import annotations
@@ -24,37 +24,37 @@ from ..engine.job.task import TaskFiles, TaskProgress, TaskState
 
 _POLL_S = 0.05
 _PARTS_S = 0.05
-"""Seconds after which no further part of an answer is taken at one poll."""
+"""Seconds per poll after which no further part of an answer is taken."""
 
 
 class Task:
-    """A followed task, and its outcome after its end. A subclass says what its answer is for."""
+    """A followed task, and its outcome after its end. Subclasses handle its answer."""
 
     kind: ClassVar[str]
-    """The name of the kind. Tasks of one kind run one at a time, unless their `key` differs."""
+    """The name of the kind. Only one task of a kind runs at a time, unless their `key` differs."""
     label = ""
     """The work in words, such as "Making masks"."""
     cancel_operator: ClassVar[str] = ""
-    """The operator that cancels it; empty where none is needed."""
+    """The operator that cancels it, or empty."""
     counts_steps: ClassVar[bool] = True
-    """Whether its steps mean something to people. If not, they are shown in percent."""
+    """Whether its steps mean something to users; if not, they are shown in percent."""
     lift_folder: Path | None = None
-    """The lift folder that it works in, where it does in one."""
+    """The lift folder that it works in, if any."""
     undo_step = ""
-    """The name of the undo step for what `done` changed in the file; empty if it changed nothing."""
+    """The name of the undo step for the changes by `done`; empty if there were none."""
 
     def __init__(self, follower: TaskFollower) -> None:
         self.follower = follower
         self.began = self._told_at = time.monotonic()
         self._told_left: float | None = None
         self.is_taken = False
-        """Whether `done` was called, and did all its parts."""
+        """Whether `done` was called and completed all its parts."""
         self._parts: Iterator[object] | None = None
         self._problem: PlgsError | None = None
 
     @property
     def key(self) -> Hashable:
-        """The task that this one replaces has the same."""
+        """A new task replaces the one with the same key."""
         return self.kind
 
     @property
@@ -72,7 +72,7 @@ class Task:
 
     @property
     def has_finished(self) -> bool:
-        """Whether it ended well, and its answer was taken without an error."""
+        """Whether it succeeded and its answer was taken without an error."""
         return self.state is TaskState.FINISHED and self.error is None
 
     @property
@@ -85,13 +85,13 @@ class Task:
 
     @property
     def took_s(self) -> float:
-        """Seconds since it began, perhaps in another Blender, on a machine whose clock differs."""
+        """Seconds since it began, even in another Blender or on a machine with a different clock."""
         began = self.progress.began or time.time()
         return max(time.monotonic() - self.began, time.time() - began)
 
     @property
     def left_s(self) -> float | None:
-        """Seconds until its end, counted down since the engine told them; None where it told none."""
+        """Estimated seconds left, counted down since the engine's last estimate; None without one."""
         told = self.progress.left_s
         return None if told is None else max(0.0, told - (time.monotonic() - self._told_at))
 
@@ -101,11 +101,11 @@ class Task:
 
     @property
     def error(self) -> PlgsError | None:
-        """Why the engine failed, or else why its answer could not be taken."""
+        """Why the engine failed, else why its answer could not be taken."""
         return self.follower.error or self._problem
 
     def poll(self, scene: Any) -> bool:
-        """Process what happened, including `done`. Returns whether there is news."""
+        """Process new events, including `done`. Returns whether there is news."""
         has_news = self.follower.poll()
         if self.progress.left_s != self._told_left:
             self._told_left, self._told_at = self.progress.left_s, time.monotonic()
@@ -129,23 +129,23 @@ class Task:
         return has_news
 
     def done(self, scene: Any) -> Iterator[object] | None:
-        """Take the answer into Blender, whose current scene is ``scene``. It is called once, however the task ended.
-        What takes long comes in parts, and a poll does some of them: between two the user may change everything.
+        """Take the answer into Blender, whose current scene is ``scene``. Called once, however the task ended. Slow
+        work comes in parts, spread over several polls, between which the user may change everything.
 
         Raises PlgsError, OSError.
         """
         return None
 
     def watch(self, scenes: Sequence[Any], has_news: bool) -> bool:
-        """Called at every tick of the timer with all scenes of the file; whether 3D views have to be drawn again."""
+        """Called at every tick of the timer with all scenes of the file. Returns whether 3D views need redrawing."""
         return False
 
     def cancel(self) -> None:
-        """Ask the engine to stop: it does within a second. Raises OSError when it is somebody else's."""
+        """Ask the engine to stop, which takes less than a second. Raises OSError if it is somebody else's."""
         self.follower.cancel()
 
     def let_go(self) -> None:
-        """Follow it no longer, and end its engine."""
+        """Stop following it and end its engine."""
         if self.is_running:
             self.follower.kill()
             self.follower.close()
@@ -158,20 +158,20 @@ _tasks: dict[Hashable, Task] = {}
 def start_engine(
     kind: str, python: Path, *arguments: str | Path, variables: Mapping[str, str] | None = None
 ) -> TaskFollower:
-    """Start the engine's command ``kind``, which ends when this Blender does. Raises PlgsError, OSError."""
+    """Start the engine's command ``kind``; it ends when this Blender does. Raises PlgsError, OSError."""
     command = [*engine_call(python), kind, *arguments]
     return TaskFollower.start(command, TaskFiles.temporary(), kind=kind, variables=variables or {})
 
 
 def follow(task: Kind) -> Kind:
-    """Follow a task in place of the one with the same key."""
+    """Follow a task, replacing the one with the same key."""
     forget(task.key)
     _tasks[task.key] = task
     return task
 
 
 def latest(kind: type[Kind]) -> Kind | None:
-    """The task of a kind that was followed last, running or ended; None when there was none."""
+    """The last followed task of a kind, running or ended, or None."""
     return next((task for task in reversed(_tasks.values()) if isinstance(task, kind)), None)
 
 
@@ -181,7 +181,7 @@ def task_of(key: Hashable) -> Task | None:
 
 
 def running(kind: type[Kind]) -> list[Kind]:
-    """The tasks of a kind that are still running. `Task` stands for every kind."""
+    """The running tasks of a kind; `Task` stands for every kind."""
     return [task for task in _tasks.values() if isinstance(task, kind) and task.is_running]
 
 
@@ -191,7 +191,7 @@ def is_any_left() -> bool:
 
 
 def refuse_second(kind: type[Task]) -> None:
-    """Raise PlgsError when a task of this kind is running."""
+    """Raises PlgsError if a task of this kind is running."""
     for task in running(kind):
         raise PlgsError("at-work", "an engine is already running", task.label, "Wait until it is done, or cancel it.")
 
@@ -202,7 +202,7 @@ def poll_all(scene: Any) -> list[Task]:
 
 
 def wait_for(task: Task, scene: Any, tell: Callable[[str], object] = lambda line: None) -> None:
-    """Block until a task has ended and its answer is taken. Each new step is reported. Ctrl-C cancels it."""
+    """Block until a task has ended and its answer is taken, reporting each new step. Ctrl-C cancels it."""
     told = ""
     try:
         while task.is_running or not task.is_taken:
@@ -230,32 +230,32 @@ def forget(key: Hashable) -> None:
 
 
 def forget_all() -> None:
-    """Forget all tasks. Engines of our own end, unless they were started to outlive Blender."""
+    """Forget all tasks. Our own engines end, unless they were started to outlive Blender."""
     for key in list(_tasks):
         forget(key)
 
 
 TICK_S = 0.1
 _CLOCK_S = 1.0
-"""Seconds after which panels are drawn again without news, as they count the time."""
+"""Seconds after which panels are redrawn even without news, because they show elapsed time."""
 _drawn_at = 0.0
 
 
 def begin(task: Kind) -> Kind:
-    """Follow a task until its end. Without a window nothing polls it: then somebody has to wait for it."""
+    """Follow a task until its end. Without a window nothing polls it, so the caller must wait for it."""
     follow(task)
     go_on()
     return task
 
 
 def go_on() -> None:
-    """Start the timer where there is a window."""
+    """Start the timer if there is a window."""
     if not bpy.app.background and not bpy.app.timers.is_registered(tick):
         bpy.app.timers.register(tick, first_interval=TICK_S, persistent=True)
 
 
 def tick() -> float | None:
-    """Poll once. Returns the seconds until the next poll, None when nothing is left to follow."""
+    """Poll once. Returns the seconds until the next poll; None if nothing is left to follow."""
     try:
         _poll()
     except Exception:  # a defect of ours: the tasks are followed all the same
@@ -281,7 +281,8 @@ def _poll() -> None:
 
 
 def redraw_panels(*, views_too: bool = False) -> None:
-    """Redraw the sidebars of 3D views and the preferences. The views themselves take far longer: only if asked."""
+    """Redraw the sidebars of 3D views and the preferences; the views themselves, which take far longer, only on
+    request."""
     for window in bpy.context.window_manager.windows:
         for area in window.screen.areas:
             if area.type == "PREFERENCES":
@@ -304,12 +305,12 @@ def _in_window() -> Iterator[None]:
 
 
 def register() -> None:
-    """Engines of our own end with Blender too, which calls nothing else when it ends."""
+    """End our engines with Blender, which calls nothing else at exit."""
     atexit.register(forget_all)
 
 
 def unregister() -> None:
-    """Stop, and forget all tasks: their engines end, unless they were started to outlive Blender."""
+    """Stop, and forget all tasks; their engines end, unless they were started to outlive Blender."""
     atexit.unregister(forget_all)
     if bpy.app.timers.is_registered(tick):
         bpy.app.timers.unregister(tick)

@@ -1,6 +1,5 @@
-"""Reading a finished lift folder: what it holds is checked before any of it is used, as somebody else may have written
-it. instances.json is read in parts, for a window that must not wait.
-"""
+"""Reads a finished lift folder. Everything is checked before use, as somebody else may have written it. instances.json
+is read in parts, so that the window does not freeze."""
 
 from __future__ import annotations
 
@@ -35,10 +34,10 @@ from ..engine.result_files import (
 )
 
 MOST_INSTANCES = 5_000
-"""A lift finds at most 4000 objects. A file with more is not a lift's, and would keep Blender busy for minutes."""
+"""A lift finds at most 4000 objects. A file with more is not a lift's and would block Blender for minutes."""
 _USUAL, _LONGEST, _TABLE = 1 << 16, 1 << 23, 1 << 24
-"""Characters of one object with its masks, usually and at most (ten thousand masks), and of the table of classes, which
-may be 65 534. Four million are read in a fifth of a second."""
+"""Characters of one object with its masks, usually and at most (ten thousand masks), and of the table of up to 65 534
+classes. Four million are read in a fifth of a second."""
 _SPACE = re.compile(r"[ \t\n\r]*")
 
 
@@ -50,8 +49,8 @@ _DECODER = json.JSONDecoder(parse_constant=_refuse)
 
 
 def reading_instances(path: Path) -> Generator[None, None, Listed]:
-    """What `read_instances` reads, object by object, so that no part takes long. Raises PlgsError, also for a file that
-    lists more than MOST_INSTANCES objects, as soon as one too many is found."""
+    """What `read_instances` reads, object by object, so that no part takes long. Raises PlgsError, also as soon as
+    there are more than MOST_INSTANCES objects."""
     try:
         content: dict[str, Any] = {"instances": []}
         for key, value in _Reader(instances_text(path)).members():
@@ -69,20 +68,21 @@ def reading_instances(path: Path) -> Generator[None, None, Listed]:
 
 
 Version = tuple[Path, tuple[int, int] | None]
-"""The path of an instances.json, its time in nanoseconds and its bytes; None for these if there is no such file."""
+"""The path, time in nanoseconds and size in bytes of an instances.json; None for the latter two if there is no such
+file."""
 _kept: dict[Version, Listed] = {}  # what was read last
 _begun: dict[Version, Generator[None, None, Listed]] = {}  # what is being read
 
 
 def version_of(lift: Path) -> Version:
-    """The version of a lift's instances.json as it is now."""
+    """The current version of a lift's instances.json."""
     path = lift / "result" / INSTANCES
     at = path.stat() if path.is_file() else None
     return path, at and (at.st_mtime_ns, at.st_size)
 
 
 def reading_listed(version: Version) -> Generator[None, None, Listed]:
-    """What the file of this version lists, read in parts; it is kept, and nothing else. Raises PlgsError."""
+    """Parses an instances.json in parts; caches only the latest version. Raises PlgsError."""
     listed = yield from reading_instances(version[0])
     _kept.clear()
     _kept[version] = listed
@@ -90,15 +90,15 @@ def reading_listed(version: Version) -> Generator[None, None, Listed]:
 
 
 def listed_in(lift: Path) -> Listed:
-    """What the instances.json of a lift lists, kept or read now: an edit follows another, and thousands of objects take
-    half a second. Raises PlgsError."""
+    """The contents of a lift's instances.json, cached because edits come in series and thousands of objects take half a
+    second. Raises PlgsError."""
     version = begin_to_read(lift)
     read_on(math.inf)
     return _kept[version]
 
 
 def begin_to_read(lift: Path) -> Version:
-    """``read_on`` reads what the instances.json of this lift lists, unless it was read, and nothing else."""
+    """Make ``read_on`` read this lift's instances.json, and nothing else, unless it is cached."""
     version = version_of(lift)
     parts = _begun.get(version)
     _begun.clear()
@@ -108,7 +108,7 @@ def begin_to_read(lift: Path) -> Version:
 
 
 def read_on(seconds: float) -> bool:
-    """Read on for about so many seconds. Returns whether something is left. Raises PlgsError."""
+    """Read on for about this many seconds. Returns whether anything is left. Raises PlgsError."""
     until = time.monotonic() + seconds
     for version, parts in [*_begun.items()]:
         del _begun[version]
@@ -120,7 +120,7 @@ def read_on(seconds: float) -> bool:
 
 
 def refuse_too_many(instances: Sequence[object], path: Path) -> None:
-    """Raise PlgsError when these are more objects than Blender shows."""
+    """Raises PlgsError if there are more objects than Blender shows."""
     if len(instances) > MOST_INSTANCES:
         what = f"has more than {MOST_INSTANCES} objects, which are too many for Blender"
         raise PlgsError("too-many", what, path, "Lift it again with a smaller most_instances.")
@@ -133,7 +133,8 @@ class _Reader:
         self._text, self._at = text, 0
 
     def members(self) -> Iterator[tuple[str, Any]]:
-        """The keys and values of an object; of its list of instances each element, with the list's key."""
+        """The keys and values of an object; the elements of its list of instances come one by one, with the list's
+        key."""
         mark = self._mark("{") and ","
         while mark == ",":
             key = self._value()
@@ -150,7 +151,7 @@ class _Reader:
             raise ValueError("something follows the JSON object")
 
     def _mark(self, marks: str, *, needed: bool = True) -> str:
-        """The next character if it is one of these, which is then behind; empty if it is another and not ``needed``."""
+        """Consume and return the next character if it is one of these; empty if it is another and not ``needed``."""
         at = self._next()
         found = self._text[at : at + 1]
         if found and found in marks:
@@ -182,13 +183,13 @@ class _Reader:
 
 _READ = (SEMANTIC_POINTS, ANCHORS, INSTANCES)
 _MOST_HASHED = 1 << 26
-"""At most this many bytes are compared with the manifest's checksums, usually in a tenth of a second."""
+"""Maximum number of bytes compared with the manifest's checksums, usually in a tenth of a second."""
 
 Result = TypeVar("Result")
 
 
 def result_of(parts: Generator[None, None, Result]) -> Result:
-    """Do all parts at once, and return their result."""
+    """Run all parts at once, and return their result."""
     while True:
         try:
             next(parts)
@@ -198,10 +199,9 @@ def result_of(parts: Generator[None, None, Result]) -> Result:
 
 @dataclass(frozen=True, eq=False)
 class LiftResult:
-    """A finished lift with its corrections: the frames it was made from and what came out. `passes` are the EXR files
-    of frames, by frame name; `shots` are those of other cameras, by camera name. `not_shown`: what the masks show well
-    and the lift does not, in words, and the frame that shows it best. `fingerprint` is that of
-    the edits that change what is shown."""
+    """A finished lift with its corrections: its frames and its output. `passes` are the EXR files of frames, by frame
+    name; `shots` those of other cameras, by camera name. `not_shown`: what the masks show well and the lift lacks, in
+    words, with the frame that shows it best. `fingerprint` identifies the edits that change what is shown."""
 
     folder: Path
     scene: PosedScene
@@ -217,19 +217,18 @@ class LiftResult:
 
     @property
     def name(self) -> str:
-        """The scene's folder name: what people call it."""
+        """The scene's folder name, for display."""
         return self.scene.folder.name
 
 
 def read_result(folder: Path) -> LiftResult:
-    """Read the result of a finished lift, and the cameras of its frames. Raises PlgsError when the folder is not a
-    lift, is not finished, or was damaged.
-    """
+    """Read the result of a finished lift and its frames' cameras. Raises PlgsError if the folder is not a lift, is not
+    finished, or was damaged."""
     return result_of(reading_result(folder))
 
 
 def reading_result(folder: Path) -> Generator[None, None, LiftResult]:
-    """`read_result` in parts, for a window that must not wait. Raises PlgsError."""
+    """`read_result` in parts, so that the window does not freeze. Raises PlgsError."""
     lift = LiftFolder.open(folder)
     lift.refuse_foreign()
     manifest = check_sizes(lift.result_path)
@@ -261,7 +260,8 @@ def reading_result(folder: Path) -> Generator[None, None, LiftResult]:
 
 
 def _verify(lift: LiftFolder, paths: Iterable[str], listed: Mapping[str, ListedFile]) -> None:
-    """Compare what Blender opens with the manifest's checksums, of the passes up to _MOST_HASHED. Raises PlgsError."""
+    """Compare the files that Blender opens with the manifest's checksums, passes only up to _MOST_HASHED. Raises
+    PlgsError."""
     files, size = [], 0
     for path in paths:
         if path not in listed:

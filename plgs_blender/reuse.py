@@ -1,8 +1,8 @@
-"""Objects of a lift for use elsewhere: each in its own collection, which can be moved and be an asset.
+"""Extracts objects of a lift for use elsewhere, each into its own collection, which can be moved and be an asset.
 
-A collection has one clean object whose origin is the foot of the instance's box: its surface, with its semantic points
-hidden under it, or the points alone where no meshes were made. All of it is the user's: no lift touches it again, and
-making it again keeps its place. What the lift shows of the object is hidden, so a hole is left where it stood.
+A collection has one object with its origin at the foot of the instance's box: its surface with its semantic points
+hidden under it, or only the points if no meshes were made. All of it is the user's: no lift touches it, and extracting
+it again keeps its position. The lift's own version of the object is hidden, which leaves a hole.
 """
 
 from __future__ import annotations
@@ -27,21 +27,21 @@ from .owned import KEY, LIFT, OwnedDataBlocks, folder_of, text_of, untag
 from .timeline import places_of
 
 OBJECTS, INSTANCE, PLACED = "plgs_objects_of", "plgs_instance", "plgs_placed"
-"""Properties: of the collection of all made objects, the lift that they are of; of each object's collection, its
-instance; of each object, the pose that it was placed with."""
+"""Properties: the lift, of the collection of all extracted objects; the instance, of each object's collection; and the
+pose at which it was placed, of each object."""
 _COLUMNS = {"FLOAT": ("value", 1), "INT": ("value", 1), "FLOAT_VECTOR": ("vector", 3), "FLOAT_COLOR": ("color", 4)}
 _PICTURE = 128
 """Side of an asset's preview picture in pixels."""
 _DOT = 2
-"""Pixels around a point that its colour fills there."""
+"""Size in pixels of a point in the preview."""
 
 
 def make_objects(
     root: bpy.types.Collection, numbers: Sequence[int], *, as_assets: bool, catch_shadows: bool = False
 ) -> list[bpy.types.Collection]:
-    """Make these instances of a placed lift, or make them again, as collections, and select their objects. With
-    ``as_assets`` they are marked as assets with a preview picture; with ``catch_shadows`` they show nothing but others'
-    shadows. Raises PlgsError when one is not there."""
+    """Extract these instances of a placed lift, or extract them again, as collections, and select their objects. With
+    ``as_assets`` they become assets with a preview picture; with ``catch_shadows`` they show only the shadows of
+    others. Raises PlgsError if one does not exist."""
     known = {one.id: one for one in read_corrected(folder_of(root)).instances}
     lost = [number for number in numbers if number not in known]
     if lost:
@@ -60,7 +60,7 @@ def make_objects(
 
 
 def _select(objects: Sequence[bpy.types.Object]) -> None:
-    """Select these objects alone, the first of them active, where the scene that is worked in shows them."""
+    """Select only these objects, the first one active, if the current scene shows them."""
     layer = bpy.context.view_layer
     layer.update()
     for ob in layer.objects:
@@ -69,7 +69,7 @@ def _select(objects: Sequence[bpy.types.Object]) -> None:
 
 
 def leave_holes(root: bpy.types.Collection) -> None:
-    """Hide what the lift shows of instances that were made."""
+    """Hide the lift's own version of extracted instances."""
     made = {number for number, _ in _made(root)}
     if not made:
         return
@@ -80,9 +80,9 @@ def leave_holes(root: bpy.types.Collection) -> None:
 
 
 def key_visibility(root: bpy.types.Collection, numbers: Sequence[int], scene: bpy.types.Scene) -> int:
-    """Key instances to be visible, in views and renders, only in the timeline's frames whose masks show them: what was
-    made of them, else their boxes, which no render shows, and their meshes. Returns how many objects have keys. Raises
-    PlgsError without frames."""
+    """Key instances to be visible, in views and renders, only in the timeline's frames whose masks show them: their
+    extracted objects, else their boxes, which are never rendered, and their meshes. Returns the number of keyed
+    objects. Raises PlgsError if there are no frames."""
     place_of = {text_of(ob, "frame") or ob.name: place for ob, place in places_of(root, scene).items()}
     showing = {row.instance_id: {mask.frame for mask in row.masks} for row in root.plgs.instances}
     objects = {number: [box] for number, box in boxes_of(root).items()}
@@ -106,14 +106,14 @@ def key_visibility(root: bpy.types.Collection, numbers: Sequence[int], scene: bp
 
 
 def _made(root: bpy.types.Collection) -> Iterable[tuple[int, bpy.types.Collection]]:
-    """The instances of a lift that were made, with their collections."""
+    """The extracted instances of a lift, with their collections."""
     for top in bpy.data.collections:
         if text_of(top, OBJECTS) == root[LIFT]:
             yield from ((child[INSTANCE], child) for child in top.children if type(child.get(INSTANCE)) is int)
 
 
 def _top(root: bpy.types.Collection) -> bpy.types.Collection:
-    """The collection of what was made of a lift, in the scene that is worked in."""
+    """The collection of a lift's extracted objects in the current scene."""
     scene = bpy.context.scene
     for top in scene.collection.children_recursive:
         if text_of(top, OBJECTS) == root[LIFT]:
@@ -152,13 +152,13 @@ def _fill(root: bpy.types.Collection, top: bpy.types.Collection, one: Instance) 
 
 
 def foot_of(one: Instance) -> Matrix:
-    """The pose of an instance's pivot: the middle of its box's lower side, with the box's axes."""
+    """The pose of an instance's pivot: the centre of its box's lower face, with the box's axes."""
     turned = Matrix.LocRotScale(Vector(one.centre), Quaternion(one.rotation), None)
     return turned @ Matrix.Translation((0.0, 0.0, -one.size[2] / 2.0))
 
 
 def _points(root: bpy.types.Collection, one: Instance, inverse: Matrix) -> bpy.types.PointCloud | None:
-    """The instance's semantic points, with all their attributes, in the pivot's space."""
+    """The instance's semantic points with all their attributes, in the pivot's space."""
     for cloud in clouds_of(root):
         rows = ids_of(cloud.data, "instance_id") == one.id
         if "class_id" not in cloud or not rows.any():
@@ -188,7 +188,7 @@ def _column(data: bpy.types.PointCloud, name: str, kind: str) -> NDArray[Any]:
 
 
 def _surface(root: bpy.types.Collection, one: Instance, inverse: Matrix) -> bpy.types.Mesh | None:
-    """The instance's mesh, where meshes were made, in the pivot's space."""
+    """The instance's mesh in the pivot's space, if meshes were made."""
     for ob in surfaces_of(root):
         if ob.get("instance_id") == one.id:
             mesh = ob.data.copy()
@@ -227,8 +227,8 @@ def _mark_as_asset(collection: bpy.types.Collection, one: Instance) -> None:
 
 
 def picture_of_points(xyz: NDArray[np.floating], rgb: NDArray[np.floating]) -> NDArray[np.float32]:
-    """Points [N, 3] with linear colours [N, 3] as seen from above at the front and the right: a picture float32 [H, W,
-    4], sRGB, lowest row first, transparent where nothing is."""
+    """Points [N, 3] with linear colours [N, 3], seen from above at the front right: a picture float32 [H, W, 4], sRGB,
+    lowest row first, transparent where empty."""
     right, to_eye = np.array([[0.8, 0.6, 0.0], [0.54, -0.72, 0.44]])
     up = np.cross(to_eye, right)
     seen = (xyz - (xyz.min(axis=0) + xyz.max(axis=0)) / 2.0) @ np.stack([right, up, to_eye], axis=1)
