@@ -201,7 +201,7 @@ def catcher_material(owned: OwnedDataBlocks, scene: bpy.types.Scene) -> bpy.type
 
 def _light_of(scene: bpy.types.Scene) -> tuple[Vector, float]:
     """The direction from the origin to the scene's strongest light, and the brightness of a white surface facing it. (A
-    sun of strength pi gives 1; a lamp's power spreads over a sphere, an area light's over a hemisphere.)"""
+    sun of strength pi gives 1; a lamp's power spreads over a sphere, an area light's goes forwards only.)"""
     best, brightness = Vector((0.0, 0.0, 1.0)), 0.0
     for ob in scene.objects:
         if ob.type != "LIGHT" or ob.hide_render:

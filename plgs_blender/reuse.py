@@ -33,7 +33,7 @@ _COLUMNS = {"FLOAT": ("value", 1), "INT": ("value", 1), "FLOAT_VECTOR": ("vector
 _PICTURE = 128
 """Side of an asset's preview picture in pixels."""
 _DOT = 2
-"""Size in pixels of a point in the preview."""
+"""Pixels around a point that its colour fills in the preview."""
 
 
 def make_objects(

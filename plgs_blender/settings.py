@@ -1,4 +1,4 @@
-"""What the user chose in the panel, which is saved with the scene in the .blend and undone with it."""
+"""The user's settings in the panel, saved with the scene in the .blend and undone with it."""
 
 from __future__ import annotations
 
@@ -54,13 +54,13 @@ _FORMATS = {name for name, *_ in FORMAT_ITEMS}
 _MASK_FORMATS = {name for name, *_ in MASK_FORMAT_ITEMS}
 _PATHS = ("lift_folder", "scene_folder", "masks", "detections", "depth")
 _SKIP_SAVE = {"SKIP_SAVE"}
-"""So that an operator does not remember what a script once passed to it."""
+"""Keeps an operator from remembering what a script once passed to it."""
 
 Listener = Callable[["PLGS_PG_settings"], None]
 on_scene_chosen: list[Listener] = []
-"""Called with the settings when what they say about a scene has changed."""
+"""Called with the settings after their description of a scene has changed."""
 on_lift_chosen: list[Listener] = []
-"""Called with the settings when their lift folder has changed."""
+"""Called with the settings after their lift folder has changed."""
 
 
 def _tell_of_scene(settings: SceneOptions, context: bpy.types.Context) -> None:
@@ -110,9 +110,9 @@ class SceneOptions:
 
 
 class LiftOptions(SceneOptions):
-    """The options of a lift: properties of the settings and of the operator that starts one.
+    """The options of a lift, as properties of the settings and of the operator that starts one.
 
-    Zero for steps, width, height or frames means the preset's value.
+    Zero steps, width, height or frames means the preset's value.
     """
 
     scene_folder: StringProperty(  # type: ignore[valid-type]
@@ -200,12 +200,12 @@ class PLGS_PG_settings(LiftOptions, bpy.types.PropertyGroup):
 
 
 def option_names(options: type) -> list[str]:
-    """The names of the properties of such a class and of its base classes."""
+    """The names of such a class's properties, including those of its base classes."""
     return [name for each in reversed(options.__mro__) for name in each.__dict__.get("__annotations__", ())]
 
 
 def chosen_scene(settings: PLGS_PG_settings) -> ChosenScene:
-    """Which scene the settings name."""
+    """The scene that the settings name."""
     return ChosenScene.of(
         settings.scene_folder, masks=settings.masks, up=settings.up, format=settings.format, depth=settings.depth,
         mask_format=settings.mask_format, classes=settings.classes_table, detections=settings.detections,
@@ -213,12 +213,12 @@ def chosen_scene(settings: PLGS_PG_settings) -> ChosenScene:
 
 
 def chosen_lift(settings: PLGS_PG_settings) -> Path | None:
-    """The lift folder that the settings name, None when they name none."""
+    """The lift folder that the settings name, or None."""
     return absolute(settings.lift_folder) if settings.lift_folder else None
 
 
 def request_of(settings: PLGS_PG_settings) -> LiftRequest:
-    """What the settings ask for. Raises PlgsError when a value is out of range."""
+    """The lift request that the settings describe. Raises PlgsError if a value is out of range."""
     preset, options = asked_of_preset(settings)
     return LiftRequest(
         **vars(chosen_scene(settings)),
@@ -233,8 +233,8 @@ def request_of(settings: PLGS_PG_settings) -> LiftRequest:
 
 
 def asked_of_preset(settings: PLGS_PG_settings) -> tuple[Any, dict[str, Any]]:
-    """The name of the preset and its changed options. A field wins over the same option in the text. Raises PlgsError
-    for an unknown name or a bad value."""
+    """The preset's name and its changed options. A field wins over the same option in the text. Raises PlgsError for an
+    unknown name or a bad value."""
     changed = parsed_options(settings.preset_options.split())
     if settings.steps:
         changed["steps"] = settings.steps
@@ -247,7 +247,7 @@ def asked_of_preset(settings: PLGS_PG_settings) -> tuple[Any, dict[str, Any]]:
 
 
 def why_no_options(settings: PLGS_PG_settings) -> str | None:
-    """What is wrong with the options that the settings change; None when nothing is."""
+    """What is wrong with the changed options, or None."""
     try:
         asked_of_preset(settings)
     except PlgsError as error:
@@ -256,7 +256,7 @@ def why_no_options(settings: PLGS_PG_settings) -> str | None:
 
 
 def shown_preset(settings: PLGS_PG_settings) -> list[tuple[str, str, bool]]:
-    """Name and value of every option of the chosen preset, and whether the settings change it."""
+    """Every option of the chosen preset: name, value, and whether the settings change it."""
     try:
         changed = parsed_options(settings.preset_options.split())
     except PlgsError:
@@ -266,7 +266,7 @@ def shown_preset(settings: PLGS_PG_settings) -> list[tuple[str, str, bool]]:
 
 
 def adopt(settings: PLGS_PG_settings, request: LiftRequest, folder: Path) -> None:
-    """Set the settings to what the lift in `folder` was asked for."""
+    """Copy the options of the lift in `folder` to the settings."""
     options: dict[str, Any] = dict(request.options)
     steps, (width, height), frames = options.pop("steps", 0), options.pop("size", (0, 0)), options.pop("frames", None)
     asked: dict[str, str | int] = {

@@ -1,6 +1,6 @@
-"""A camera of the user's over a range of frames, as the engine or a farm bakes it: each frame is a separate camera.
+"""A user camera over a frame range, as the engine or a farm bakes it: each frame is a separate camera.
 
-The lift's world is Blender's: a camera sees the lifted scene from its place among the lift's objects.
+The lift's world is Blender's: a camera sees the lifted scene from its position among the lift's objects.
 """
 
 from __future__ import annotations
@@ -36,19 +36,19 @@ from .lift_scene import open_blend
 from .passes import NOTES, VERSION, shot_name
 
 DIGITS = 4
-"""Digits of a frame's number in the names of its files, at least."""
+"""Minimum digits of the frame number in a file name."""
 _CLAIM_S = 10.0
-"""Seconds that a bake waits while another one notes whose shot it is."""
+"""Seconds that a bake waits while another one records whose shot it is."""
 _MOST_LATER = 100
-"""Versions of a shot that are tried until one is free or shows the same."""
+"""Versions of a shot to try until one is free or shows the same."""
 _LISTED = 8
-"""At most this many cameras are named in an error: a lift has one for each frame."""
+"""At most this many cameras are named in an error, as a lift has one per frame."""
 
 
 @dataclass(frozen=True)
 class Shot:
     """``camera`` from frame ``first`` to ``last``, every ``step``-th, or ``only`` these frames. Its files are named
-    ``given``, else as the .blend and the camera are."""
+    ``given``, else after the .blend and the camera."""
 
     camera: bpy.types.Object
     first: int
@@ -62,7 +62,7 @@ class Shot:
         return self.named(0)
 
     def named(self, later: int) -> str:
-        """The shot's name, ``later`` versions after that of its .blend if the name given has a version."""
+        """The shot's name; if it has a version, ``later`` versions after that of the .blend."""
         return shot_name(self.camera, self.given, later)
 
     @property
@@ -71,7 +71,7 @@ class Shot:
 
     @property
     def not_baked(self) -> list[str]:
-        """What Blender would render and a bake leaves out, for a warning before it."""
+        """What Blender would render but a bake leaves out, as warnings before it."""
         scenes = self.camera.users_scene
         found = ["depth of field"] if self.camera.type == "CAMERA" and self.camera.data.dof.use_dof else []
         found += ["motion blur"] if any(scene.render.use_motion_blur for scene in scenes) else []
@@ -90,8 +90,8 @@ def shot_of(
     given: str = "",
     only: Sequence[int] = (),
 ) -> Shot:
-    """The camera of that name, or the scene's active one, over the range given or the scene's, or ``only`` these
-    frames. Raises PlgsError."""
+    """The named camera, or the scene's active one, over the given range, else the scene's, or ``only`` these frames.
+    Raises PlgsError."""
     ob = scene.objects.get(camera) if camera else scene.camera
     if ob is None or (camera and ob.type != "CAMERA"):
         what = f"has no camera named {camera!r}" if camera else "has no active camera"
@@ -112,7 +112,7 @@ def shot_of(
 
 
 def _cameras_to_choose(scene: bpy.types.Scene, wanted: str) -> str:
-    """What to do when ``wanted`` (empty: the active one) is no camera: those to choose from, the likeliest first."""
+    """The fix if ``wanted`` (empty: the active one) is not a camera: those to choose from, the likeliest first."""
     cameras = [ob for ob in scene.objects if ob.type == "CAMERA"]
     if not cameras:
         return "Add a camera, select it and press Ctrl+Numpad 0."
@@ -126,9 +126,8 @@ def _cameras_to_choose(scene: bpy.types.Scene, wanted: str) -> str:
 def write_shot(
     lift: Path, scene: bpy.types.Scene, shot: Shot, *, replace: bool = False, output: Path | None = None
 ) -> Path:
-    """Write the cameras that an engine bakes the shot from into the lift's folder, or into the folder ``output`` of its
-    passes, and return the file. Raises PlgsError, OSError.
-    """
+    """Write the shot's cameras for the engine into the lift's folder, or into the folder ``output`` of its passes, and
+    return the file. Raises PlgsError, OSError."""
     reader = ShotReader(scene, shot)
     reader.read_for(math.inf)
     return reader.write(lift, replace=replace, output=output)
@@ -136,8 +135,8 @@ def write_shot(
 
 @dataclass(frozen=True)
 class ShotSource:
-    """Where a shot of a lift comes from: its ``camera`` in ``blend``, and the fingerprint of what the camera shows by
-    the name of each ``frames``. A file that was never saved is its Blender's."""
+    """The origin of a lift's shot: its ``camera`` in ``blend``, and the fingerprint of the camera for the name of each
+    of its ``frames``. An unsaved file is identified by its Blender."""
 
     blend: str
     camera: str
@@ -150,8 +149,8 @@ class ShotSource:
 
 
 def _claim(folder: Path, name: str, source: ShotSource, *, replace: bool) -> None:
-    """Note in a folder whose shot ``name`` is and what its camera shows. Raises PlgsError if the shot is another's or
-    its camera showed something else, and nothing is to be replaced: a bake would overwrite it."""
+    """Record in a folder which shot has this ``name`` and what its camera shows. Raises PlgsError if the name is
+    another shot's, or its camera has changed, and replacing is not allowed: a bake would overwrite it."""
     path = folder / f"{name}.shot.json"
     path.parent.mkdir(parents=True, exist_ok=True)
     with FileLock(path.with_suffix(".lock"), _CLAIM_S):  # others may begin to bake the same shot
@@ -178,9 +177,8 @@ def _refuse_other(folder: Path, name: str, other: ShotSource, source: ShotSource
 
 
 def write_view(lift: Path, scene: bpy.types.Scene) -> Path:
-    """Write what the scene's active camera sees now, keyed or not, into the lift's folder, and return the file. Raises
-    PlgsError, OSError.
-    """
+    """Write the current view of the scene's active camera, keyed or not, into the lift's folder, and return the file.
+    Raises PlgsError, OSError."""
     now = scene.frame_current
     ob = shot_of(scene, first=now, last=now, step=1).camera
     bpy.context.view_layer.update()  # a script may just have moved it
@@ -190,17 +188,17 @@ def write_view(lift: Path, scene: bpy.types.Scene) -> Path:
 
 
 def numbered_name(name: str, frame: int, digits: int = DIGITS) -> str:
-    """The name of a frame's file, as Blender's own renders have it: "shot.0003" and "shot.-0003"."""
+    """A frame's file name, as in Blender's own renders: "shot.0003" and "shot.-0003"."""
     return f"{name}.{'-' * (frame < 0)}{abs(frame):0{digits}d}"
 
 
 class ShotReader:
-    """Reads what a shot's camera sees at each frame, as it is animated, in pictures of the scene's size: its lens,
-    shift, sensor, clip, and the scene's size, percentage and pixel aspect.
+    """Reads a shot's animated camera at each frame, at the scene's resolution: its lens, shift, sensor and clip, and
+    the scene's size, percentage and pixel aspect.
 
-    It reads some frames at a time: Blender evaluates the scene at each frame, and a long range would freeze its window.
-    Between two calls the scene stands where it stood. The scene and the camera are found again by their names, because
-    an undo meanwhile replaces them.
+    It reads a few frames at a time: Blender evaluates the scene at each frame, and a long range would freeze its
+    window. Between two calls the scene is at its original frame. The scene and the camera are looked up again by name,
+    because an undo in between replaces them.
     """
 
     def __init__(self, scene: bpy.types.Scene, shot: Shot) -> None:
@@ -219,22 +217,20 @@ class ShotReader:
 
     @property
     def progress(self) -> tuple[int, int]:
-        """The number of frames that are read, and of all frames."""
+        """The number of frames read, and of all frames."""
         return len(self._read), len(self._frames)
 
     @property
     def cameras(self) -> list[BakeCamera]:
-        """The cameras that were read. A camera that stands still, also before and after, over the scene's whole range,
-        is one camera under the name of the first frame there: so all parts of a shot name it alike.
-        """
+        """The cameras read. A camera that stands still over the scene's whole range becomes one camera, named after the
+        range's first frame, so that all parts of a shot name it alike."""
         still = [replace(self._read[0], frame=self._first)]
         read = still if self._stands_still else self._read
         return [replace(camera, name=self._name(camera.frame or 0)) for camera in read]
 
     def read_for(self, seconds: float) -> bool:
-        """Continue reading for at least a frame and about ``seconds``. Returns whether all frames are read. Raises
-        PlgsError for a camera that is no pinhole camera, or is gone.
-        """
+        """Continue reading for about ``seconds``, at least one frame. Returns whether all frames are read. Raises
+        PlgsError for a camera that is not a pinhole camera, or is gone."""
         end = time.monotonic() + seconds
         scene = bpy.data.scenes.get(self._scene)
         ob = None if scene is None else scene.objects.get(self._camera)
@@ -257,13 +253,13 @@ class ShotReader:
         return numbered_name(self._shot, frame, self._digits)
 
     def _stands_still_in(self, scene: bpy.types.Scene, ob: bpy.types.Object) -> bool:
-        """Frames outside of those that were read are looked at until one shows something else."""
+        """Look at frames outside those that were read, until one shows something else."""
         seen = {camera.fingerprint for camera in self._read}
         others = (frame for frame in range(self._first, self._last + 1) if frame not in self._frames)
         return len(seen) == 1 and all(_camera_at(scene, ob, frame, "").fingerprint in seen for frame in others)
 
     def write(self, lift: Path, *, replace: bool = False, output: Path | None = None) -> Path:
-        """As `write_shot`, once all frames are read."""
+        """Same as `write_shot`, once all frames are read."""
         source = self._source
         if Path(source.blend).parent == lift:  # so that the lift's own file stays its own where the folder is moved
             source = ShotSource(Path(source.blend).name, source.camera)
@@ -285,8 +281,8 @@ class ShotReader:
 
 
 def _may_move(scene: bpy.types.Scene, ob: bpy.types.Object) -> bool:
-    """Whether anything could change what a camera sees from frame to frame: animation, drivers, constraints, physics,
-    or a script."""
+    """Whether anything could change a camera's view from frame to frame: animation, drivers, constraints, physics, or a
+    script."""
     ours, handlers = __package__.rpartition(".")[0], bpy.app.handlers
     scripts = [*handlers.frame_change_pre, *handlers.frame_change_post, *handlers.depsgraph_update_post]
     if any(not script.__module__.startswith(ours) for script in scripts):
@@ -302,7 +298,7 @@ def _may_move(scene: bpy.types.Scene, ob: bpy.types.Object) -> bool:
 
 @contextmanager
 def _frame_kept(scene: bpy.types.Scene) -> Iterator[None]:
-    """Return to the current frame, and to its camera, at the end."""
+    """Restores the current frame and its camera at the end."""
     frame, part, camera = scene.frame_current, scene.frame_subframe, scene.camera
     try:
         yield
@@ -312,7 +308,7 @@ def _frame_kept(scene: bpy.types.Scene) -> Iterator[None]:
 
 
 def _check_pinhole(ob: bpy.types.Object, frame: int) -> None:
-    """Raises PlgsError for a camera whose picture no pinhole camera makes."""
+    """Raises PlgsError for a camera that no pinhole camera can reproduce."""
     at = f"{ob.name}, frame {frame}"
     if ob.type != "CAMERA":
         raise PlgsError("not-a-camera", "is not a camera", at, "Make a camera the scene's active one.")
@@ -340,11 +336,11 @@ def _camera_now(scene: bpy.types.Scene, ob: bpy.types.Object, frame: int, name: 
 
 
 def _rendered_part(camera: Camera, scene: bpy.types.Scene) -> tuple[Camera, tuple[int, int, int, int] | None]:
-    """The camera of what is baked: the render region if Blender crops to it, else the picture with EEVEE's overscan on
-    all sides and the window of the picture in that. Raises PlgsError.
+    """The camera of the baked picture: the render region if Blender crops to it, else the whole picture with EEVEE's
+    overscan on all sides; and the window of the picture within it. Raises PlgsError.
 
-    A region that is not cropped would be a data window within the picture. Blender's compositor misplaces these (in 4.5
-    in the middle, in 5.2 upside down), so the whole picture is baked then.
+    A region that is not cropped would be a data window within the picture. Blender's compositor misplaces those
+    (centred in 4.5, upside down in 5.2), so the whole picture is baked then.
     """
     render, (width, height) = scene.render, camera.size
     part, display = (0, 0, width, height), None
@@ -364,7 +360,7 @@ def _rendered_part(camera: Camera, scene: bpy.types.Scene) -> tuple[Camera, tupl
 
 
 def _pixels(share: float, size: int) -> int:
-    """The pixels of a render border, as Blender counts them: in single precision, cut off."""
+    """The pixels of a render border, as Blender counts them: in single precision, truncated."""
     return int(np.float32(share) * np.float32(size))
 
 
@@ -387,11 +383,11 @@ def bake_shot_in_terminal(
     output: Path | None = None,
 ) -> ExitCode:
     """Bake what a camera of ``blend`` sees of a finished lift over ``frames`` (none: the file's range), with these of
-    FURTHER_LAYERS, progress on stderr and events on the descriptor ``echo``. The file is only read. ``name`` is the
+    FURTHER_LAYERS, progress on stderr and events on the descriptor ``echo``. The .blend is only read. ``name`` is the
     shot's; with ``replace`` it may be that of another file's shot. The passes go into the lift's result, or into the
     folder ``output``.
 
-    Raises PlgsError, and Interrupted after Ctrl-C, when the engine has ended.
+    Raises PlgsError, and Interrupted after Ctrl-C, once the engine has ended.
     """
     python = engine_python()
     scene = open_blend(blend.absolute(), lift.path, named_by="--blend")
@@ -417,14 +413,13 @@ def bake_shot_in_terminal(
 
 JOB = "farm.json"
 _CHUNK = 50
-"""Frames that one task of the farm bakes."""
+"""Frames per farm task."""
 _PLATFORMS = {"win32": "windows", "darwin": "darwin"}
 
 
 def write_farm_job(scene: bpy.types.Scene, lift: LiftFolder, shot: Shot) -> Path:
-    """Write the job that bakes a shot of the scene, of a finished lift, into the lift's folder, and return the file.
-    The farm reads the camera from this .blend, as last saved. Raises PlgsError if it never was, OSError.
-    """
+    """Write the farm job that bakes a shot of the scene into a finished lift's folder, and return the file. The farm
+    reads the camera from this .blend, as last saved. Raises OSError, and PlgsError if it was never saved."""
     blend = bpy.data.filepath
     if not blend:
         fix = "Save it where the farm can read it, then try again."

@@ -1,7 +1,7 @@
-"""Splats as objects: points that Blender itself draws as splats, from 5.3 on, and points as one mesh of squares:
-imported clouds, and before 5.3 the lift's Gaussians. From outside, a room lies open, like a doll's house.
+"""Splats as objects: from 5.3 on, points that Blender itself draws as splats; and points as one mesh of squares, for
+imported clouds and, before 5.3, the lift's Gaussians. From outside, a room lies open, like a doll's house.
 
-The mesh has nothing but vertices: the points. A modifier makes each into a square, so squares take no room in the file.
+The mesh has only vertices: the points. A modifier turns each into a square, so squares take no space in the file.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ NAME = "Open room"
 
 
 def open_room(owned: OwnedDataBlocks, clouds: Iterable[bpy.types.Object]) -> None:
-    """Put the modifier on clouds that have the attribute `normal`; those that have it keep their settings."""
+    """Put the modifier on clouds that have the attribute `normal`; those that already have it keep their settings."""
     for cloud in clouds:
         material, of_splats = (point_material(owned), "") if cloud.data.materials else (None, " of splats")
         group = owned.block("node_groups", f"open room{of_splats}", partial(_group, material))
@@ -35,7 +35,7 @@ def open_room(owned: OwnedDataBlocks, clouds: Iterable[bpy.types.Object]) -> Non
 
 
 def _group(material: bpy.types.Material | None) -> bpy.types.NodeTree:
-    """Delete a point where normal · (position - camera) > 0. Points whose normal is zero stay."""
+    """Delete a point if normal · (position - camera) > 0. Points with a zero normal stay."""
     tree = bpy.data.node_groups.new("PLGS open room", "GeometryNodeTree")
     for direction in ("INPUT", "OUTPUT"):
         tree.interface.new_socket("Geometry", in_out=direction, socket_type="NodeSocketGeometry")
@@ -92,9 +92,9 @@ _FIELDS = {"FLOAT_VECTOR": "vector", "QUATERNION": "value", "FLOAT4": "vector", 
 
 @dataclass(frozen=True, eq=False)
 class Splats:
-    """``xyz`` float32 [N, 3] m; ``deviations`` float32 [N, 3] m along axes that are turned by ``turns`` float32 [N, 4],
-    quaternions wxyz; ``opacity`` float32 [N]; ``rgb`` uint8 [N, 3] sRGB; ``normal`` float32 [N, 3]: a splat is left out
-    where it points away from the camera; ``ids`` int32 [N] by the names of more attributes."""
+    """``xyz`` float32 [N, 3] m; ``deviations`` float32 [N, 3] m along axes rotated by ``turns`` float32 [N, 4],
+    quaternions wxyz; ``opacity`` float32 [N]; ``rgb`` uint8 [N, 3] sRGB; ``normal`` float32 [N, 3]: a splat is hidden
+    if it points away from the camera; ``ids`` int32 [N], by attribute name."""
 
     xyz: NDArray[np.float32]
     deviations: NDArray[np.float32]
@@ -106,7 +106,7 @@ class Splats:
 
 
 def are_known() -> bool:
-    """Whether this Blender has such clouds."""
+    """Whether this Blender has native splats."""
     kind = bpy.types.PointCloud.bl_rna.properties.get("type")
     return kind is not None and _KIND in kind.enum_items
 
@@ -114,7 +114,7 @@ def are_known() -> bool:
 def place_splats(
     owned: OwnedDataBlocks, parent: bpy.types.Collection, key: str, name: str, splats: Splats
 ) -> bpy.types.Object:
-    """Our object `key` with these splats, in the colours of their attribute Col: `dye` them after it changed."""
+    """Our object `key` with these splats, in the colours of their attribute Col; call `dye` after changing it."""
     cloud: Any = owned.data(key, lambda: bpy.data.pointclouds.new(name))
     cloud.resize(len(splats.xyz))
     cloud.type = _KIND
@@ -142,7 +142,7 @@ def place_splats(
 
 
 def axes_of(turns: NDArray[np.float32]) -> NDArray[np.float32]:
-    """The unit axes of Gaussians that are turned by quaternions wxyz [M, 4], float32 [M, axis, xyz]."""
+    """The unit axes of Gaussians rotated by quaternions wxyz [M, 4], float32 [M, axis, xyz]."""
     w, x, y, z = turns.T / np.maximum(np.linalg.norm(turns, axis=1), 1e-12)
     return np.array(
         [
@@ -155,7 +155,7 @@ def axes_of(turns: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 def dye(cloud: bpy.types.PointCloud) -> None:
-    """Give splats the colours of their attribute Col. Other clouds and meshes stay as they are."""
+    """Give splats the colours of their attribute Col. Other clouds and meshes are left alone."""
     base = cloud.attributes.get(_BASE)
     if base is None:
         return
@@ -168,9 +168,9 @@ def dye(cloud: bpy.types.PointCloud) -> None:
 
 
 EXTENT = 2.0
-"""Half the side of a square, in standard deviations of its colour's fading."""
+"""Half the side of a square, in standard deviations of its fading colour."""
 _SMALLEST, _LARGEST = 0.002, 0.03
-"""Limits to half the side of a point's square, metres."""
+"""Limits of half the side of a point's square, in metres."""
 Part = TypeVar("Part")
 _MODIFIER = "Squares"
 _KINDS = {"right": "FLOAT_VECTOR", "up": "FLOAT_VECTOR", "Col": "BYTE_COLOR", "opacity": "FLOAT"}
@@ -179,7 +179,7 @@ _KINDS = {"right": "FLOAT_VECTOR", "up": "FLOAT_VECTOR", "Col": "BYTE_COLOR", "o
 @dataclass(frozen=True, eq=False)
 class Squares:
     """``xyz`` float32 [N, 3] m; half sides ``right`` and ``up`` float32 [N, 3] m, whose cross product is the front's
-    normal; ``rgb`` uint8 [N, 3] sRGB; ``opacity`` float32 [N]; ``ids`` int32 [N] by the names of more attributes."""
+    normal; ``rgb`` uint8 [N, 3] sRGB; ``opacity`` float32 [N]; ``ids`` int32 [N], by attribute name."""
 
     xyz: NDArray[np.float32]
     right: NDArray[np.float32]
@@ -190,7 +190,7 @@ class Squares:
 
 
 def joined(parts: Sequence[Part]) -> Part:
-    """Records of arrays [N, ...], and of such arrays by names, as one: one after the other."""
+    """Concatenates records of arrays [N, ...], and of such arrays by name."""
     first: Any = parts[0]
     columns: dict[str, Any] = {each.name: [getattr(part, each.name) for part in parts] for each in fields(first)}
     for name, values in columns.items():
@@ -212,8 +212,7 @@ def place_points(
     viewpoints: NDArray[np.float64],
 ) -> bpy.types.Object:
     """Place points without classes, xyz [N, 3] metres and rgb [N, 3] sRGB, as squares that lie in their surfaces and
-    face the viewpoints [V, 3].
-    """
+    face the viewpoints [V, 3]."""
     xyz, rgb = points
     grid = SurfaceGrid.of(xyz)
     normal = grid.normals(viewpoints)
@@ -256,7 +255,8 @@ def place_squares(
 
 
 def across(normal: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Two unit vectors float32 [N, 3] across each unit normal [N, 3] and each other: first x second = normal."""
+    """Two unit vectors float32 [N, 3] perpendicular to each unit normal [N, 3] and each other: first x second =
+    normal."""
     aside = np.where(np.abs(normal[:, 2:]) < 0.9, [[0.0, 0.0, 1.0]], [[1.0, 0.0, 0.0]])
     right = np.cross(aside, normal)
     right /= np.maximum(np.linalg.norm(right, axis=1, keepdims=True), 1e-12)
@@ -264,7 +264,7 @@ def across(normal: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np
 
 
 def _new_group() -> bpy.types.NodeTree:
-    """Draw each vertex out to its square, up before right: so it shows its front. `corner` is in deviations."""
+    """Extrude each vertex to its square, up before right, so that it shows its front. `corner` is in deviations."""
     tree = new_geometry_group("PLGS squares")
     tree.is_modifier = True
     link = tree.links.new
@@ -323,7 +323,8 @@ def _new_group() -> bpy.types.NodeTree:
 
 
 def _away_in_renders(add: Any, maths: Any, normal: bpy.types.NodeSocket, link: Any) -> bpy.types.NodeSocket:
-    """Whether, in a render, a front faces away from the camera: Cycles follows rays through few clear layers."""
+    """Whether, in a render, a front faces away from the camera: Cycles follows rays through only a few transparent
+    layers."""
     place, viewport = add("GeometryNodeObjectInfo", 1, 5), add("GeometryNodeIsViewport", 1, 6)
     away, least = add("ShaderNodeMath", 3, 5), add("ShaderNodeMath", 2, 6)
     place.transform_space, away.operation = "RELATIVE", "GREATER_THAN"

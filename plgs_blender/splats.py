@@ -1,8 +1,8 @@
-"""The lift's Gaussians as splats: Blender's own from 5.3 on, and before that one square per Gaussian.
+"""The lift's Gaussians as splats: Blender's own from 5.3 on, before that one square per Gaussian.
 
-A square lies as its Gaussian does where that is flat, else it is the shadow on its surface. It shows its front alone,
-so a room lies open from outside. Objects that cameras have seen from both sides have a square for each. Material
-Preview, EEVEE and Cycles fade squares from the middle and mix what overlaps; Solid shading draws them opaque.
+A square lies as its Gaussian does if that is flat, else it is the Gaussian's shadow on the surface. Only its front is
+visible, so a room lies open from outside. Objects that cameras saw from both sides have a square for each. Material
+Preview, EEVEE and Cycles fade squares from the middle and blend overlaps; Solid shading draws them opaque.
 """
 
 from __future__ import annotations
@@ -24,24 +24,24 @@ from .owned import FOLDER, GAUSSIANS, KEY, LIFT, OwnedDataBlocks, Placed, child_
 from .splat_objects import EXTENT, HARMONIC, Splats, Squares, across, axes_of, joined, place_squares
 
 _FAINTEST, _FAINTEST_NATIVE = 0.1, 0.01
-"""Opacity below which a Gaussian has no square, and no splat of Blender's own, of which many faint ones add up."""
+"""Opacity below which a Gaussian gets no square, or no native splat; many faint native splats add up."""
 _EDGE_ON = 0.2
-"""Cosine to a square's normal below which a camera sees it from no side."""
+"""Cosine to a square's normal below which a camera counts as seeing neither side."""
 _CAMERAS = 60
-"""Cameras, evenly chosen, that are asked what they see from behind."""
+"""Number of cameras, evenly chosen, that are checked for what they see from behind."""
 _FLAT = 0.5
-"""Smallest standard deviation over the next one below which a Gaussian itself says how it lies."""
+"""A Gaussian is flat if its smallest standard deviation is below this fraction of the next one."""
 _LARGEST = 0.2
 """Largest standard deviation of a square in metres: stray Gaussians would hide the room."""
 _AT_ONCE = 50_000
-"""Gaussians whose squares are computed while the window waits."""
+"""Number of Gaussians whose squares are computed without a pause."""
 MOST_SPLATS = 600_000
-"""At most this many Gaussians are shown; of more, those that cover most."""
+"""Maximum number of Gaussians shown; of more, those that cover most."""
 
 
 @dataclass(frozen=True, eq=False)
 class Eyes:
-    """Where cameras [V] are: ``places`` float64 [V, 3] metres; ``ahead`` [V, 3], the unit vectors of where they look;
+    """Positions of cameras [V]: ``places`` float64 [V, 3] metres; ``ahead`` [V, 3], their unit viewing directions;
     ``reach`` [V], the cosine of the angle to the picture's nearer edge."""
 
     places: NDArray[np.float64]
@@ -56,12 +56,12 @@ class Eyes:
 
 
 def gaussians_of(root: bpy.types.Collection) -> Path:
-    """The file with the Gaussians of a placed lift, which need not be there."""
+    """The file with the Gaussians of a placed lift, which may not exist."""
     return Path(bpy.path.abspath(text_of(root, FOLDER))) / "result" / "gaussians.ply"
 
 
 def are_outdated(root: bpy.types.Collection) -> bool:
-    """Whether a lift's splats are of the kind that another Blender shows."""
+    """Whether a lift's splats are of a kind that this Blender does not use."""
     return any(
         key_of(ob, root[LIFT]) == GAUSSIANS and (ob.type == "POINTCLOUD") != splat_objects.are_known()
         for ob in root.all_objects
@@ -69,9 +69,9 @@ def are_outdated(root: bpy.types.Collection) -> bool:
 
 
 def place_gaussians(root: bpy.types.Collection, scene: bpy.types.Scene) -> None:
-    """Put the Gaussians of a lift into its collection as splats, in place of earlier ones.
+    """Put a lift's Gaussians into its collection as splats, replacing earlier ones.
 
-    Raises PlgsError when the file is missing or holds no splats.
+    Raises PlgsError if the file is missing or holds no splats.
     """
     path = gaussians_of(root)
     if not path.is_file():
@@ -83,9 +83,8 @@ def place_gaussians(root: bpy.types.Collection, scene: bpy.types.Scene) -> None:
 def placing_gaussians(
     root: bpy.types.Collection, scene: bpy.types.Scene, rows: NDArray[np.void]
 ) -> Iterator[None]:
-    """Put Gaussians, as `read_gaussians` has them, into a lift's collection in parts, for a window that must not wait.
-    It ends early when the collection is removed between two.
-    """
+    """Put Gaussians from `read_gaussians` into a lift's collection in parts, so that the window does not freeze. Ends
+    early if the collection is removed between two parts."""
     placed = Placed(root[LIFT], scene.name)
     eyes = Eyes.of([ob for ob in root.all_objects if text_of(ob, KEY).startswith("frame:")])
     are_native = splat_objects.are_known()
@@ -111,7 +110,7 @@ def placing_gaussians(
 
 @dataclass(frozen=True, eq=False)
 class SeenSurface:
-    """Where a lift's semantic points are, and their unit normals float32 [N, 3]."""
+    """The positions of a lift's semantic points, and their unit normals float32 [N, 3]."""
 
     grid: SurfaceGrid
     normals: NDArray[np.float32]
@@ -128,7 +127,7 @@ class SeenSurface:
         return cls(SurfaceGrid.of(xyz), normals)
 
     def facing(self, places: NDArray[np.float32], eyes: Eyes) -> NDArray[np.float32]:
-        """Unit normals float32 [M, 3] at these places [M, 3]: that of a point beside each, else towards an eye."""
+        """Unit normals float32 [M, 3] at these positions [M, 3]: of a nearby point, else towards an eye."""
         beside = self.grid.beside(places)
         normal = np.zeros((len(places), 3), np.float32)
         normal[beside >= 0] = self.normals[beside[beside >= 0]]
@@ -138,7 +137,7 @@ class SeenSurface:
 
 
 def seen(rows: NDArray[np.void], faintest: float) -> NDArray[np.int64]:
-    """Indices of the Gaussians that can be seen, of at least this opacity: at most MOST_SPLATS that cover most."""
+    """Indices of the visible Gaussians of at least this opacity: at most MOST_SPLATS, those that cover most."""
     opacity, size = _opacity(rows), _size(rows)
     chosen = np.flatnonzero((opacity >= faintest) & np.isfinite(size).all(axis=0))
     if len(chosen) > MOST_SPLATS:
@@ -150,8 +149,8 @@ def seen(rows: NDArray[np.void], faintest: float) -> NDArray[np.int64]:
 
 
 def splats_of(rows: NDArray[np.void], surface: SeenSurface, eyes: Eyes) -> Splats:
-    """Gaussians [M] for a Blender that draws them by itself. Only those of no object have normals: walls and ceilings
-    are left out where they face away."""
+    """Gaussians [M] for a Blender that draws them natively. Only those of no object have normals, so that walls and
+    ceilings are hidden if they face away."""
     xyz, size, ids = _places(rows), _size(rows).T, _ids(rows)
     normal = _fronts(_axes(rows), size, surface.facing(xyz, eyes))
     normal[ids["instance_id"] > 0] = 0.0
@@ -162,8 +161,7 @@ def splats_of(rows: NDArray[np.void], surface: SeenSurface, eyes: Eyes) -> Splat
 
 def squares(rows: NDArray[np.void], surface: SeenSurface, eyes: Eyes) -> Squares:
     """The squares of Gaussians [M], as large as EXTENT standard deviations: flat ones as they lie, others as shadows on
-    the surface. Those of objects that cameras see from behind follow, turned around.
-    """
+    the surface. Turned copies of those of objects that cameras see from behind follow."""
     middle, size = _places(rows), np.minimum(_size(rows), _LARGEST).T
     axes = _axes(rows)
     first, second = across(_fronts(axes, size, surface.facing(middle, eyes)))
@@ -186,7 +184,7 @@ def squares(rows: NDArray[np.void], surface: SeenSurface, eyes: Eyes) -> Squares
 def _fronts(
     axes: NDArray[np.float32], size: NDArray[np.float32], facing: NDArray[np.float32]
 ) -> NDArray[np.float32]:
-    """Unit normals float32 [M, 3]: a flat Gaussian's own, on the side that `facing` [M, 3] is on, else `facing`."""
+    """Unit normals float32 [M, 3]: a flat Gaussian's own, on the side of `facing` [M, 3]; otherwise `facing`."""
     # What is turned to the nearest eye shows others its back: a floor of such squares has holes.
     own = axes[np.arange(len(axes)), size.argmin(axis=1)]
     own = np.where(np.einsum("ij,ij->i", own, facing)[:, None] < 0.0, -own, own)
@@ -197,7 +195,7 @@ def _fronts(
 def seen_from_behind(
     middle: NDArray[np.float32], normal: NDArray[np.float32], eyes: Eyes
 ) -> NDArray[np.int64]:
-    """Indices of the places [M, 3] whose backs, opposite to the normals [M, 3], a camera has before it."""
+    """Indices of the positions [M, 3] whose backs, opposite to the normals [M, 3], a camera sees."""
     normal = normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), np.float32(1e-12))
     behind, count = np.zeros(len(middle), np.bool_), len(eyes.places)
     for number in np.linspace(0, count - 1, min(count, _CAMERAS)).astype(np.int64):
@@ -226,7 +224,7 @@ def _axes(rows: NDArray[np.void]) -> NDArray[np.float32]:
 
 
 def _srgb(rows: NDArray[np.void]) -> NDArray[np.uint8]:
-    """The colour around each Gaussian [M, 3] if the file has it, as squares are nearly opaque; else its own."""
+    """The colour around each Gaussian [M, 3] if the file has it, because squares are nearly opaque; else its own."""
     if {"red", "green", "blue"} <= {*(rows.dtype.names or ())}:
         return np.stack([rows[name] for name in ("red", "green", "blue")], axis=1)
     return _own_srgb(rows)

@@ -1,8 +1,8 @@
-"""The lift's markers on the timeline: each is bound to a camera of ours, so scrubbing walks through the frames.
+"""The lift's markers on the timeline: each is bound to one of our cameras, so scrubbing walks through the frames.
 
-Blender makes the camera of a bound marker the active one at each change of the frame. Our markers must not take over a
-camera of the user's: they are on the timeline only while one of their own cameras is active, and are kept as a property
-of these cameras while another is active.
+At every frame change, Blender activates the camera of the bound marker. Our markers must not take over from a user
+camera: they are on the timeline only while one of their own cameras is active, and otherwise wait as a property of
+these cameras.
 """
 
 from __future__ import annotations
@@ -16,14 +16,14 @@ import bpy
 from .owned import LIFT, key_of, lifts_in, originals, text_of
 
 _FIRST_FRAME = "plgs_first_frame"
-"""Property of a lift's collection: the place of its first marker on the timeline; 0: frames have their numbers."""
+"""Property of a lift's collection: the timeline frame of its first marker; 0 if frames keep their numbers."""
 _LAST_NUMBER = re.compile(r"\d+(?=\D*$)")
 _LARGEST = 1_000_000
-"""The timeline ends a little behind this frame."""
+"""The timeline ends shortly after this frame."""
 _ASIDE = "plgs_markers_aside"
-"""Property of a lift's collection that is there while its markers wait."""
+"""Property of a lift's collection, present while its markers wait."""
 _PLACE = "plgs_place"
-"""Property of a camera whose marker waits: its place on the timeline."""
+"""Property of a camera whose marker waits: its timeline frame."""
 
 
 def mark_timeline(
@@ -32,10 +32,10 @@ def mark_timeline(
     overview: bpy.types.Object | None,
     cameras: Sequence[bpy.types.Object],
 ) -> list[int]:
-    """Bind a marker to each frame's camera, at the number in the frame's name, and behind them one to the overview,
-    where there is one, in place of earlier ones of this lift. Returns the places of the frames on the timeline.
+    """Bind a marker to each frame's camera, at the number in the frame's name, and a last one to the overview, if any,
+    replacing earlier ones of this lift. Returns the timeline frames of the lift's frames.
 
-    In a scene that already has a camera of the user's, ours lie behind the end of its own frames.
+    If the scene already has a user camera, ours come after the end of the scene's own range.
     """
     markers, ours = scene.timeline_markers, _originals(scene, root[LIFT])
     for marker in [m for m in markers if m.camera in ours]:
@@ -57,7 +57,7 @@ def mark_timeline(
 
 
 def _numbers(names: Sequence[str]) -> list[int]:
-    """The last number in each name, where these rise and the timeline is long enough; else 0, 1, 2 and so on."""
+    """The last number in each name, if these rise and fit the timeline; else 0, 1, 2 and so on."""
     found = [_LAST_NUMBER.search(name) for name in names]
     numbers = [int(each[0]) for each in found if each is not None]
     rises = len(numbers) == len(names) and all(one < other for one, other in pairwise(numbers))
@@ -65,7 +65,7 @@ def _numbers(names: Sequence[str]) -> list[int]:
 
 
 def places_of(root: bpy.types.Collection, scene: bpy.types.Scene) -> dict[bpy.types.Object, int]:
-    """The places on the timeline of the lift's cameras, also while its markers wait."""
+    """The timeline frames of the lift's cameras, even while its markers wait."""
     own = _originals(scene, root[LIFT])
     ours = {m.camera: m.frame for m in scene.timeline_markers if m.camera in own}
     if not root.get(_ASIDE):
@@ -74,8 +74,8 @@ def places_of(root: bpy.types.Collection, scene: bpy.types.Scene) -> dict[bpy.ty
 
 
 def follow_camera(scene: bpy.types.Scene) -> None:
-    """Put our markers on the timeline unless another camera is the scene's: then take them off. Blender calls this
-    after each change; it is safe at any time."""
+    """Put our markers on the timeline if the scene's camera is one of ours, else remove them. Blender calls this after
+    each change; it is safe at any time."""
     camera, roots = scene.camera, {root[LIFT]: root for root in lifts_in(scene) if root.library is None}
     if not roots or scene.library is not None:
         return
@@ -97,7 +97,7 @@ def follow_camera(scene: bpy.types.Scene) -> None:
 
 
 def _waits(scene: bpy.types.Scene, lift: str) -> bool:
-    """Whether the marker of the scene's camera waits, and is this lift's. A copy of our camera is the user's."""
+    """Whether the marker of the scene's camera waits and is this lift's. A copy of our camera is the user's."""
     camera = scene.camera
     is_like_ours = camera is not None and _PLACE in camera and key_of(camera, lift) is not None
     return is_like_ours and camera in _waiting(scene, lift)
@@ -109,7 +109,7 @@ def _waiting(scene: bpy.types.Scene, lift: str) -> list[bpy.types.Object]:
 
 
 def is_of_lift(camera: bpy.types.Object, scene: bpy.types.Scene) -> bool:
-    """Whether a camera is one that a lift or an import of the scene placed. A copy of one is the user's."""
+    """Whether a lift or an import of the scene placed a camera. A copy of one is the user's."""
     return any(camera in _originals(scene, root[LIFT]) for root in lifts_in(scene))
 
 

@@ -1,5 +1,5 @@
-"""What editors show: the first look of a file that we start, 3D views that show a lift, a picture in an image editor,
-and what an import or a result changes in a startup file that nobody has touched.
+"""What editors show: the first look of a file that we create, 3D views that show a lift, a picture in an image editor,
+and changes to an untouched startup file by an import or a result.
 
 The user's own files keep their look, range, size, camera and objects.
 """
@@ -25,17 +25,17 @@ from .owned import KEY, LIFT, lifts_in
 from .timeline import places_of
 
 _VIEW_SENSOR = 72.0
-"""Width of a 3D view's sensor in millimetres: twice that of a camera."""
+"""Sensor width of a 3D view in millimetres: twice that of a camera."""
 _LEFT_TO_VIEW = 0.6
-"""Share of a 3D view's width that it keeps when a picture is shown beside it."""
+"""Fraction of a 3D view's width that is left when a picture opens beside it."""
 _FILLED = 0.92
-"""Share of the free part of a view that the room fills."""
+"""Fraction of a view's free part that the room fills."""
 _SAME = 1e-3
-"""Radians, and shares of its distance, by which a view may differ from where it was put."""
+"""Radians, and fractions of its distance, by which an unmoved view may differ from where it was put."""
 
 
 def start_file() -> bpy.types.Scene:
-    """Begin an empty file in metres. A lift is unlit, so Cycles is set to few rays."""
+    """Start an empty file in metres. A lift is unlit, so Cycles needs few rays."""
     bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
     scene = bpy.context.scene
     scene.unit_settings.system, scene.unit_settings.length_unit = "METRIC", "METERS"
@@ -66,16 +66,15 @@ def set_ground(world: bpy.types.World) -> None:
 
 
 def show_object_colours(shading: Any) -> None:
-    """Let Solid shading show clouds in the colour of their class and boxes in that of their instance."""
+    """Make Solid shading show clouds in their class's colour and boxes in their instance's."""
     # Flat: on a million little balls, light and shadow are nothing but noise.
     shading.light, shading.color_type, shading.show_backface_culling = "FLAT", "OBJECT", False
     shading.show_cavity = shading.show_shadows = shading.show_object_outline = False
 
 
 def show_lift_colours(view: bpy.types.SpaceView3D) -> None:
-    """Let a 3D view show a lift's colours in Solid shading, as a user asked: the attribute Col of splats and meshes,
-    with their backs open, points in their classes' colours, as they have no others there, and boxes in coloured lines.
-    """
+    """Show a lift's colours in a 3D view's Solid shading, on request: the attribute Col of splats and meshes, with open
+    backs; points in class colours, the only ones they have there; and boxes in coloured lines."""
     view.shading.type = "SOLID"
     show_object_colours(view.shading)
     view.shading.color_type, view.shading.show_backface_culling = "VERTEX", True
@@ -83,7 +82,7 @@ def show_lift_colours(view: bpy.types.SpaceView3D) -> None:
 
 
 def draws_in_software() -> bool:
-    """Whether the processor stands in for a graphics card: Material Preview then takes a minute to begin with."""
+    """Whether the CPU draws for lack of a graphics card: Material Preview then takes a minute to start."""
     try:
         return str(gpu.platform.device_type_get()) == "SOFTWARE"
     except SystemError:  # a Blender without a window has none
@@ -91,10 +90,9 @@ def draws_in_software() -> bool:
 
 
 def show_materials(view: bpy.types.SpaceView3D, *, always: bool = False) -> None:
-    """Let a 3D view that is as Blender starts it, or ``always``, show materials: our unlit ones have the photos'
-    colours, and other objects look as they always do there; and boxes in coloured lines. Without a graphics card it
-    shows the colours in Solid shading. Views that somebody has set keep their look, also those that were once here.
-    """
+    """Make a 3D view show materials and boxes in coloured lines, if it looks as Blender starts it, or ``always``: our
+    unlit materials have the photos' colours, and other objects look as usual. Without a graphics card, Solid shading
+    shows the colours. Views that the user has set up, even once, keep their look."""
     shading = view.shading
     is_as_started = shading.type == "SOLID" and shading.color_type == "MATERIAL" and shading.light == "STUDIO"
     if always or (is_as_started and shading.wireframe_color_type == "THEME"):
@@ -107,15 +105,14 @@ def show_materials(view: bpy.types.SpaceView3D, *, always: bool = False) -> None
 
 
 def show_materials_in(scene: bpy.types.Scene) -> None:
-    """The same in all 3D views of windows that show this scene."""
+    """The same for all 3D views of windows that show this scene."""
     for area in areas_of(scene):
         show_materials(area.spaces.active)
 
 
 def show_room(areas: Iterable[bpy.types.Area], rotation: Quaternion, corners: NDArray[np.float64]) -> None:
-    """Let these 3D views look at the room with these corners [N, 3], in metres, turned as a camera with this rotation
-    is, in the part that the sidebar leaves free. Views through a camera stay.
-    """
+    """Point these 3D views at the room with these corners [N, 3], in metres, with a camera's rotation, within the part
+    that the sidebar leaves free. Views through a camera are left alone."""
     for area in areas:
         space = area.spaces.active
         show_materials(space)
@@ -126,9 +123,7 @@ def show_room(areas: Iterable[bpy.types.Area], rotation: Quaternion, corners: ND
 def areas_that_show(
     scene: bpy.types.Scene, rotation: Quaternion, corners: NDArray[np.float64]
 ) -> list[bpy.types.Area]:
-    """The 3D views that stand where `show_room` puts them with this rotation and these corners [N, 3]: nobody has
-    moved them since.
-    """
+    """The 3D views that still stand where `show_room` puts them with this rotation and these corners [N, 3]."""
     return [area for area in areas_of(scene) if _stands(area.spaces.active.region_3d, *_place(area, rotation, corners))]
 
 
@@ -146,8 +141,8 @@ def areas_of(scene: bpy.types.Scene) -> list[bpy.types.Area]:
 
 
 def own_view(scene: bpy.types.Scene) -> tuple[bpy.types.Area, Camera] | None:
-    """The first 3D view of the windows with this scene, and what it sees, in a picture of its size. None where one of
-    them looks through a camera, and for views without perspective."""
+    """The first 3D view of the windows with this scene, and what it sees at its size. None if one of them looks through
+    a camera, or if it has no perspective."""
     areas = [area for area in areas_of(scene) if _free_of_sidebar(area)[0].width > 1]
     if not areas or any(area.spaces.active.region_3d.view_perspective == "CAMERA" for area in areas):
         return None
@@ -162,8 +157,8 @@ def own_view(scene: bpy.types.Scene) -> tuple[bpy.types.Area, Camera] | None:
 
 
 def show_gizmos(scene: bpy.types.Scene, shown: bool) -> bool:
-    """Let the 3D views of the windows with this scene show, or not, the arrows and rings that move the active object.
-    Whether that changed any view."""
+    """Show or hide the arrows and rings that move the active object in the 3D views of the windows with this scene.
+    Returns whether any view changed."""
     spaces = [area.spaces.active for area in areas_of(scene)]
     changed = [space for space in spaces if space.show_gizmo_object_translate != shown]
     for space in changed:
@@ -172,7 +167,7 @@ def show_gizmos(scene: bpy.types.Scene, shown: bool) -> bool:
 
 
 def frame_room(area: bpy.types.Area, rotation: Quaternion, corners: NDArray[np.float64]) -> None:
-    """Let a 3D view, turned so, hold all corners [N, 3] in what the sidebar leaves free."""
+    """Fit all corners [N, 3] into the part of a 3D view that the sidebar leaves free, with this rotation."""
     view = area.spaces.active.region_3d
     view.view_perspective = "PERSP"
     view.view_rotation, view.view_location, view.view_distance = _place(area, rotation, corners)
@@ -181,7 +176,7 @@ def frame_room(area: bpy.types.Area, rotation: Quaternion, corners: NDArray[np.f
 def _place(
     area: bpy.types.Area, rotation: Quaternion, corners: NDArray[np.float64]
 ) -> tuple[Quaternion, Vector, float]:
-    """Rotation, location and distance of a 3D view that holds all corners in what the sidebar leaves free."""
+    """Rotation, location and distance of a 3D view that fits all corners into the part that the sidebar leaves free."""
     space = area.spaces.active
     window, covered = _free_of_sidebar(area)
     axes = np.array(rotation.to_matrix())  # columns: right, up, towards the eye
@@ -199,7 +194,7 @@ def _place(
 
 
 def _free_of_sidebar(area: bpy.types.Area) -> tuple[bpy.types.Region, float]:
-    """A 3D view's main region, and the share of its width, at the right, that the sidebar covers."""
+    """A 3D view's main region, and the fraction of its width that the sidebar covers at the right."""
     window = next(region for region in area.regions if region.type == "WINDOW")
     bar = next((region for region in area.regions if region.type == "UI"), None)
     covered = bar.width / window.width if bar is not None and bar.width > 1 and bar.x >= window.x else 0.0
@@ -207,9 +202,8 @@ def _free_of_sidebar(area: bpy.types.Area) -> tuple[bpy.types.Region, float]:
 
 
 def look_through(space: bpy.types.SpaceView3D, scene: bpy.types.Scene) -> None:
-    """Let a 3D view look through its camera. Where its frame is as Blender puts it, half as wide as the view and partly
-    behind the sidebar, it fills what the bars at its sides leave free.
-    """
+    """Make a 3D view look through its camera. If the camera's frame is as Blender puts it, half as wide as the view and
+    partly behind the sidebar, it is enlarged to the part that the side bars leave free."""
     view = space.region_3d
     view.view_perspective = "CAMERA"
     area = next((each for each in all_views() if each.spaces.active == space), None)
@@ -229,7 +223,7 @@ def look_through(space: bpy.types.SpaceView3D, scene: bpy.types.Scene) -> None:
 
 
 def view_of(context: bpy.types.Context) -> tuple[bpy.types.SpaceView3D | None, float]:
-    """The 3D view that the user works in, else the largest of the screen, else None; and its width by its height."""
+    """The 3D view that the user works in, else the screen's largest, else None; and its width divided by its height."""
     areas = [area for area in context.screen.areas if area.type == "VIEW_3D"] if context.screen is not None else []
     if context.area is not None and context.area.type == "VIEW_3D":
         areas = [context.area]
@@ -242,9 +236,8 @@ def view_of(context: bpy.types.Context) -> tuple[bpy.types.SpaceView3D | None, f
 
 
 def load_finding(picture: Path) -> bpy.types.Image:
-    """Load the picture of a finding in place of an earlier one of that name. The image is packed, because the next
-    diagnosis deletes its file. Raises OSError when the file is gone.
-    """
+    """Load a finding's picture, replacing an earlier one of that name. It is packed, because the next diagnosis deletes
+    its file. Raises OSError if the file is gone."""
     if not picture.is_file():
         raise OSError(f"the picture is gone, diagnose again: {picture}")
     image = bpy.data.images.load(str(picture), check_existing=False)
@@ -259,7 +252,7 @@ def load_finding(picture: Path) -> bpy.types.Image:
 
 
 def show_beside(image: bpy.types.Image, context: bpy.types.Context) -> bool:
-    """Show an image in the largest image editor, or else in one that is split off the largest 3D view. Returns whether
+    """Show an image in the largest image editor, else in one that is split off the largest 3D view. Returns whether
     there is either."""
     areas = [(window, area) for window in context.window_manager.windows for area in window.screen.areas]
     editors = _largest_first(areas, "IMAGE_EDITOR")
@@ -292,16 +285,15 @@ _PLACES = {
     "CAMERA": (7.35889, -6.92579, 4.95831),
     "LIGHT": (4.07625, 1.00545, 5.90386),
 }
-"""Where Blender's startup file has its cube, camera and light, metres."""
+"""Positions of the cube, camera and light in Blender's startup file, in metres."""
 _RANGE, _SIZE, _ASPECT = (1, 250), (1920, 1080, 100), (1.0, 1.0)
 
 
 @contextmanager
 def taking_over(scene: bpy.types.Scene) -> Iterator[bool]:
-    """While a capture or a lift is placed: gives whether the scene is an untouched startup scene. If it is, it then
-    has the capture's range, size, pixel aspect, camera and colours, and its own objects are hidden. A range that
-    already was that of our frames follows them. When placing fails, all is as before.
-    """
+    """Wraps the placement of a capture or lift; yields whether the scene is an untouched startup scene. If so, the
+    scene then takes the capture's range, size, pixel aspect, camera and colours, and its own objects are hidden. A
+    range that matched our frames before follows them. If placing fails, everything is restored."""
     is_untouched = _is_untouched(scene)
     follows = is_untouched or _range(scene) == _span(scene)
     camera = scene.camera
@@ -328,7 +320,7 @@ def taking_over(scene: bpy.types.Scene) -> Iterator[bool]:
 
 
 def _is_untouched(scene: bpy.types.Scene) -> bool:
-    """Whether a scene is as Blender's startup file has it, with its three objects or without some of them."""
+    """Whether a scene is as in Blender's startup file, with all or some of its three objects."""
     render = scene.render
     size = (render.resolution_x, render.resolution_y, render.resolution_percentage)
     aspect = (render.pixel_aspect_x, render.pixel_aspect_y)
@@ -349,7 +341,7 @@ def _is_startup_object(ob: bpy.types.Object) -> bool:
 
 
 def _hide_startup_objects(scene: bpy.types.Scene) -> None:
-    """Hide what is not ours, in the views and, where it is in the way there too, in renders."""
+    """Hide what is not ours in the views and, if it is in the way there, in renders."""
     for ob in scene.objects:
         if LIFT in ob:
             continue
@@ -362,7 +354,7 @@ def _hide_startup_objects(scene: bpy.types.Scene) -> None:
 
 
 def _use_size(scene: bpy.types.Scene) -> None:
-    """Take size and pixel aspect of the first frame."""
+    """Take the size and pixel aspect of the first frame."""
     places = _places(scene)
     frame = next((ob for ob in sorted(places, key=places.__getitem__) if "frame" in ob), None)
     if frame is not None:
@@ -376,11 +368,11 @@ def _range(scene: bpy.types.Scene) -> tuple[int, int]:
 
 
 def _span(scene: bpy.types.Scene) -> tuple[int, int] | None:
-    """The first and the last place of our cameras on the timeline; None without any."""
+    """The first and last timeline frame of our cameras, or None."""
     places = _places(scene).values()
     return (min(places), max(places)) if places else None
 
 
 def _places(scene: bpy.types.Scene) -> dict[bpy.types.Object, int]:
-    """The places of our cameras on the timeline."""
+    """The timeline frames of our cameras."""
     return {ob: place for root in lifts_in(scene) for ob, place in places_of(root, scene).items()}

@@ -97,7 +97,7 @@ def label_text_boxes(
 ) -> list[TextBox]:
     """Names above the boxes of instances, at most 8 and as many as fit: first the `active` one in its full colour, then
     the one under the mouse, then those that look largest, known classes first. None covers another or a rectangle in
-    `keep_free`. The active name says so if its box is out of view."""
+    `keep_free`. An active box out of view has a label that says so."""
     size, padding = _TEXT * region.scale, _PADDING * region.scale
     height = size + 1.4 * padding
     found: list[tuple[tuple[bool, bool, bool, float], Any, str, tuple[float, float]]] = []

@@ -1,1 +1,1 @@
-"""What engines do for the panel, one kind of task per module. `lifting` starts from the panel's settings."""
+"""The panel's engine tasks, one kind per module. `lifting` starts them from the panel's settings."""

@@ -1,4 +1,4 @@
-"""What the engine lacks for a button, and adding it."""
+"""What the engine lacks for a capability, and adding it."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ ITEMS = [(name, CAPABILITIES[name].label, ", ".join(CAPABILITIES[name].packages)
 
 
 class Adding(Task):
-    """Adds packages to the engine. When it is cancelled or fails, the engine stays as it was."""
+    """Adds packages to the engine. After a cancel or a failure, the engine is unchanged."""
 
     kind, label, cancel_operator = "add", "Adding to the engine", "plgs.cancel_adding"
     counts_steps = False
@@ -42,30 +42,30 @@ class Adding(Task):
 
 
 def lacking(name: str) -> tuple[str, ...]:
-    """The packages that one of `CAPABILITIES` lacks, as far as the engine has answered. Never reads the disk."""
+    """The packages missing for one of `CAPABILITIES`, as far as the engine has answered. Never reads the disk."""
     answer = status().answer
     return () if answer is None else answer.capabilities.get(name, ())
 
 
 def why_lacking(name: str) -> str | None:
-    """Why the engine cannot do it; None when it can, or has not answered yet."""
+    """Why the engine cannot do it; None if it can or has not answered yet."""
     packages = lacking(name)
     label = CAPABILITIES[name].label
     return f"{label}: the engine lacks {', '.join(packages)}. Add it to the engine" if packages else None
 
 
 def size_of(name: str) -> int:
-    """About how many bytes on the disk adding it takes."""
+    """Approximate disk space that adding it takes, in bytes."""
     return CAPABILITIES[name].size
 
 
 def why_not_added() -> str | None:
-    """Why nothing can be added now; None when something can. Never reads the disk."""
+    """Why nothing can be added now, or None. Never reads the disk."""
     return "Something is already being added to the engine" if registry.running(Adding) else tasks.why_no_set_up()
 
 
 def add(name: str, python: Path, index_url: str = "") -> Adding:
-    """Begin to add one of `ADDED` to the environment of ``python``. Raises PlgsError, OSError."""
+    """Start adding one of `ADDED` to the environment of ``python``. Raises PlgsError, OSError."""
     reason = why_not_added()
     if reason is not None:
         raise PlgsError("adding-refused", "nothing can be added to the engine now", CAPABILITIES[name].label, reason)

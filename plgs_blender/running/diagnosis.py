@@ -1,4 +1,4 @@
-"""What is wrong with a scene, as an engine measures it, and the fixed scene that it writes.
+"""The problems that an engine finds in a scene, and the fixed scene that it writes.
 
 The panel draws from here.
 """
@@ -28,10 +28,10 @@ from . import looking
 
 @dataclass(frozen=True)
 class Finding:
-    """One finding: its ``cause`` in a word or two, what is wrong, with figures, what fixes it, and its picture.
+    """One finding: its ``cause`` in a word or two, a description with figures, its fix, and its picture.
 
-    When it ``is_wrong`` it should be fixed before a lift; else it is a note. When it ``is_mended``, "Fix" fixes it.
-    ``frames`` names the frames that it is about, none for all; a lift is better without those of ``leave_out``.
+    If it ``is_wrong``, fix it before a lift; otherwise it is a note. If it ``is_mended``, "Fix" fixes it. ``frames``
+    are the affected frames, none for all; a lift is better without those in ``leave_out``.
     """
 
     cause: str
@@ -46,7 +46,7 @@ class Finding:
 
 @dataclass(frozen=True)
 class FrameSplit:
-    """What a splits.json at ``path`` holds: the frames to train on, and those that are held out."""
+    """The contents of the splits.json at ``path``: the frames to train on, and the held-out ones."""
 
     path: Path
     train: tuple[str, ...]
@@ -63,9 +63,8 @@ class FrameSplit:
 
 
 class Diagnosis(Task):
-    """Measures what is wrong with a scene. There are no findings before its end; if there are none afterwards, its
-    error says why. ``mended`` is the folder that "Fix" writes, and `is_mended` says whether it did.
-    """
+    """Measures a scene for problems. There are no findings before its end; if there are none afterwards, its error says
+    why. ``mended`` is the folder that "Fix" writes, and `is_mended` says whether it did."""
 
     kind, label, cancel_operator = "diagnosis", "Measuring", "plgs.cancel_diagnosis"
 
@@ -84,7 +83,7 @@ class Diagnosis(Task):
         return self.is_taken and self.mended is not None and self.mended.is_dir()
 
     def done(self, scene: Any) -> None:
-        """A scene that a lift refuses has findings too, which say why."""
+        """A scene that cannot be lifted has findings too, which say why."""
         if self.answer is not None:
             self._read(self.answer)
         if self.is_mended and not self.was_cancelled:
@@ -113,15 +112,15 @@ class Diagnosis(Task):
 
 
 def diagnosis_of(chosen: ChosenScene) -> Diagnosis | None:
-    """What is known about this scene; None when it was not measured, or measuring was cancelled."""
+    """The diagnosis of this scene; None if it was not measured or measuring was cancelled."""
     known = registry.latest(Diagnosis)
     return known if known is not None and known.chosen == chosen and not known.was_cancelled else None
 
 
 def diagnose(settings: PLGS_PG_settings, mended: Path | None = None) -> Diagnosis:
-    """Let an engine measure the panel's scene, and with ``mended`` write it there with all safe fixes.
+    """Let an engine measure the panel's scene and, if ``mended`` is given, write it there with all safe fixes.
 
-    Raises PlgsError when no engine can be started, OSError.
+    Raises PlgsError if no engine can be started, and OSError.
     """
     registry.refuse_second(Diagnosis)
     chosen, python = chosen_scene(settings), usable_python()
@@ -137,14 +136,13 @@ def diagnose(settings: PLGS_PG_settings, mended: Path | None = None) -> Diagnosi
 
 
 _written: dict[Path, bytes] = {}
-"""What `leave_out` put into each splits.json."""
+"""What `leave_out` wrote into each splits.json."""
 
 
 def leave_out(known: Diagnosis, finding: Finding) -> tuple[Path, Path | None]:
-    """Write the capture's splits.json without a finding's frames. An earlier one that is not of this function is kept
-    beside it. Returns both, None where nothing was kept. Raises PlgsError where nothing would be left to train on,
-    OSError.
-    """
+    """Remove a finding's frames from the capture's splits.json. An earlier splits.json that this function did not write
+    is kept beside it. Returns both paths, the second None if nothing was kept. Raises OSError, and PlgsError if no
+    training frames would be left."""
     assert known.split is not None
     split = known.split.without(finding.leave_out)
     if not split.train:
@@ -161,7 +159,8 @@ def leave_out(known: Diagnosis, finding: Finding) -> tuple[Path, Path | None]:
 
 
 def _keep(path: Path) -> Path | None:
-    """Copy a splits.json that is not of `leave_out` to "splits.before.json" or the like, if any. Raises OSError."""
+    """Copy a splits.json that `leave_out` did not write, if any, to "splits.before.json" or the like. Raises
+    OSError."""
     before = path.read_bytes() if path.exists() else None
     if before is None or _written.get(path) == before:
         return None
@@ -174,7 +173,8 @@ def _keep(path: Path) -> Path | None:
 
 
 def _choose_mended(settings: PLGS_PG_settings, mended: Path) -> None:
-    """Let the panel show the fixed scene. Each assignment looks at the folder: only what differs, the folder last."""
+    """Switch the panel to the fixed scene. Each assignment reads the folder, so set only what differs, the folder
+    last."""
     values = {"masks": "", "depth": "", "up": "z", "format": AUTOMATIC, "scene_folder": str(mended)}
     for name, value in values.items():
         if getattr(settings, name) != value:

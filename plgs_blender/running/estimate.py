@@ -1,4 +1,4 @@
-"""What the lift that the panel is set to will take, and what it will use where the settings leave it to the preset."""
+"""The cost of the lift set up in the panel, and the values it will use where the settings leave them to the preset."""
 
 from __future__ import annotations
 
@@ -17,26 +17,23 @@ from ..settings import PLGS_PG_settings, asked_of_preset, why_no_options
 from .survey import survey_of_panel
 
 _slowness = 1.0
-"""How many times longer this computer takes than the one that the predictions were measured on."""
+"""This computer's time per task, relative to the one that the predictions were measured on."""
 
 
 def learn_slowness() -> None:
-    """Read from the disk how long earlier lifts took on this computer."""
+    """Read from disk how long earlier lifts took on this computer."""
     global _slowness
     _slowness = machine_slowness()
 
 
 def bake_estimate(frames: int, size: tuple[int, int], layers: Collection[str]) -> BakeCost:
-    """What it costs to bake these frames, of ``size`` (width, height) pixels, with further ``layers``, on this
-    computer.
-    """
+    """The cost, on this computer, of baking these frames at ``size`` (width, height) pixels with further ``layers``."""
     return predict_bake(frames, size, _slowness, layers)
 
 
 def estimate_of(settings: PLGS_PG_settings) -> Prediction | None:
-    """Time and memory of the lift that the settings ask for; None while the scene is not known, or the settings are
-    wrong. Never reads the disk: panels call it.
-    """
+    """Time and memory of the lift that the settings describe; None while the scene is unknown or the settings are
+    wrong. Never reads the disk, as panels call it."""
     survey = survey_of_panel(settings)
     if survey is None or survey.error is not None or not survey.sizes or why_no_options(settings):
         return None
@@ -54,12 +51,12 @@ def estimate_of(settings: PLGS_PG_settings) -> Prediction | None:
 
 
 NAMES = ("steps", "width", "height", "frames")
-"""The settings for which 0 is the preset's value."""
+"""The settings whose 0 means the preset's value."""
 
 
 @dataclass(frozen=True)
 class UsedOptions:
-    """Training steps, size of the frames in pixels, and number of frames to train on (0: all)."""
+    """Training steps, frame size in pixels, and number of training frames (0: all)."""
 
     steps: int
     width: int
@@ -68,7 +65,7 @@ class UsedOptions:
 
 
 def used_options(settings: PLGS_PG_settings) -> UsedOptions:
-    """What the lift will use, as far as it is known: without a survey, the preset's values. Never reads the disk."""
+    """The values that the lift will use, as far as known; the preset's if there is no survey. Never reads the disk."""
     try:
         name, options = asked_of_preset(settings)
     except PlgsError:
@@ -83,7 +80,7 @@ def used_options(settings: PLGS_PG_settings) -> UsedOptions:
 
 
 def _used(name: str, description: str, least: int = 0, **kinds: str) -> IntProperty:
-    """A property that shows what will be used. What is typed goes to the setting of its name."""
+    """A property that shows the value that will be used; typing into it sets the setting of that name."""
 
     def read(shown: PLGS_PG_used_options) -> int:
         return int(getattr(used_options(shown.id_data.plgs), name))
@@ -96,7 +93,7 @@ def _used(name: str, description: str, least: int = 0, **kinds: str) -> IntPrope
 
 
 class PLGS_PG_used_options(bpy.types.PropertyGroup):
-    """`scene.plgs_used`: the real values behind the zeros of `scene.plgs`."""
+    """`scene.plgs_used`: the actual values behind the zeros of `scene.plgs`."""
 
     steps: _used("steps", "Training steps")  # type: ignore[valid-type]
     width: _used("width", "Frames are scaled to fit this width", subtype="PIXEL")  # type: ignore[valid-type]

@@ -1,4 +1,4 @@
-"""Exports of finished lifts, and the meshes and clouds among them that are put into the scene."""
+"""Exports of finished lifts, including the meshes and clouds that are put into the scene."""
 
 from __future__ import annotations
 
@@ -31,13 +31,13 @@ FORMS = {
     "depth": ("Depth Maps", "The lifted surface's depth in metres, one NPY per frame"),
     "clouds": ("Depth Clouds", "Each frame's pixels as labelled points in the world, one NPZ per frame"),
 }
-"""Label and description of each format that the engine exports to."""
+"""Label and description of each export format."""
 
 
 class Export(Task):
-    """One export. What was written stays when it is cancelled. ``shown_in`` names the scene that its meshes or clouds
-    are put into; where nobody ``asked`` for them, they are shown unless the user chose otherwise, and an export that
-    is asked for ends this one."""
+    """One export. Files written before a cancel stay. ``shown_in`` names the scene that its meshes or clouds go into.
+    If no user ``asked`` for them, they are shown only unless the user chose otherwise, and an export that is asked for
+    ends this one."""
 
     kind, label, cancel_operator = "export", "Exporting", "plgs.cancel_export"
 
@@ -53,17 +53,17 @@ class Export(Task):
 
     @property
     def is_for_scene(self) -> bool:
-        """Whether its result is put into a scene."""
+        """Whether its result goes into a scene."""
         return bool(self._shown_in)
 
     @property
     def makes_meshes(self) -> bool:
-        """Whether its result is the surface that is put into a scene."""
+        """Whether its result is a scene's surface."""
         return self.is_for_scene and self.form == SURFACE
 
     @property
     def message(self) -> str:
-        """One line about its success, or that it was cancelled."""
+        """One line about its success or cancellation."""
         if self.was_cancelled:
             return "The export was cancelled"
         if self._shown_in:
@@ -96,8 +96,8 @@ def export(
     shown_in: str = "",
     asked: bool = True,
 ) -> Export:
-    """Start an export of a finished lift into the folder ``output``, of ``frames`` or of a file of ``cameras``. What
-    `Export` says of ``shown_in`` and ``asked`` holds. Raises PlgsError, OSError."""
+    """Start an export of a finished lift into the folder ``output``, of ``frames`` or of a file of ``cameras``.
+    ``shown_in`` and ``asked`` are as in `Export`. Raises PlgsError, OSError."""
     if not asked or is_busy():
         registry.refuse_second(Export)
     registry.forget(Export.kind)
@@ -108,24 +108,23 @@ def export(
 
 
 def make_meshes(lift: Path, scene: bpy.types.Scene, frames: str = "all", *, asked: bool = True) -> Export:
-    """Let an engine make the meshes of a finished lift that is placed in the scene, and put them there. Raises
-    PlgsError, OSError.
-    """
+    """Let an engine make the meshes of a finished lift that is placed in the scene, and place them there. Raises
+    PlgsError, OSError."""
     root_of_placed(lift, scene)  # raises now what would otherwise be raised when the meshes are made
     python = engine_environment.usable_python()
     return export(lift, SURFACE, mesh_folder(lift), python, [frames], shown_in=scene.name, asked=asked)
 
 
 def is_busy() -> bool:
-    """Whether an export runs that a user asked for."""
+    """Whether an export that a user asked for is running."""
     return any(task.asked for task in registry.running(Export))
 
 
 def can_make_meshes_unasked() -> bool:
-    """Whether there is a window that shows them, an engine, and no other export."""
+    """Whether there is a window to show them, an engine, and no other export."""
     return not bpy.app.background and engine_environment.why_no_engine() is None and not registry.running(Export)
 
 
 def making_meshes() -> Export | None:
-    """The running export whose meshes are put into a scene."""
+    """The running export whose meshes go into a scene."""
     return next((task for task in registry.running(Export) if task.makes_meshes), None)

@@ -1,9 +1,9 @@
-"""Importing the panel's scene into Blender, with an engine that makes what Blender cannot read of its frames, and one
-choice of photo, depth or masks for all of them.
+"""Imports the panel's scene into Blender, with an engine for what Blender cannot read, and keeps one choice of photo,
+depth or masks for all frames.
 
-An engine's files are shown when it is done, in the import or lift with the same key: so undo, another file or a removed
-camera do no harm. The picture of a frame is made when its camera has been the scene's for a moment, and neither an
-animation plays nor a render runs: so scrubbing is not held up, and a render shows what it began with.
+An engine's files are shown when it is done, in the import or lift with the same key, so undo, another file or a removed
+camera do no harm. A frame's picture is made once its camera has been the scene's for a moment and no animation plays or
+render runs: scrubbing stays fast, and a render keeps the pictures it began with.
 """
 
 from __future__ import annotations
@@ -49,12 +49,12 @@ _NAMES = {"colour": "pictures", "cloud": "a coloured cloud"}
 
 @dataclass(frozen=True)
 class FrameOrder:
-    """The files that an engine is to make of a scene, and where they are shown.
+    """The files of a scene that an engine should make, and where to show them.
 
-    ``kinds`` are as the engine's command calls them. ``lift`` is the key of the import or lift that they belong to;
-    without one the whole import waits for the engine, and ``scene`` names Blender's scene that it goes into. With
-    ``frame`` only that frame is made, and its picture ``shown_kind`` is shown in front of its camera's view. Where
-    nobody ``asked`` for it, there is no undo step.
+    ``kinds`` are as in the engine's command. ``lift`` is the key of the import or lift that they belong to; without one
+    the whole import waits for the engine, and ``scene`` names the Blender scene that it goes into. With ``frame``, only
+    that frame is made, and its picture ``shown_kind`` is shown in front of its camera's view. If no user ``asked`` for
+    it, there is no undo step.
     """
 
     chosen: ChosenScene
@@ -67,7 +67,7 @@ class FrameOrder:
 
 
 class FrameMaking(Task):
-    """An engine makes files of a scene's frames."""
+    """Makes files of a scene's frames with an engine."""
 
     kind, label, cancel_operator = "frames", "Making frames", "plgs.cancel_frames"
 
@@ -77,13 +77,13 @@ class FrameMaking(Task):
         self._folder = folder
 
     def watch(self, scenes: Sequence[Any], has_news: bool) -> bool:
-        """Place the cameras as soon as the engine has read them, while it makes pictures."""
+        """Place the cameras as soon as the engine has read them, while it still makes pictures."""
         if self.order.lift or not self.is_running or not self.progress.step:
             return False
         return self._place_cameras()
 
     def _place_cameras(self) -> bool:
-        """Whether they are placed now. Raises PlgsError."""
+        """Place the cameras, if they are ready. Returns whether it did. Raises PlgsError."""
         made, target = made_of(self._folder, self.order.chosen.resolved), bpy.data.scenes.get(self.order.scene)
         if made is None or target is None:
             return False
@@ -117,7 +117,7 @@ class FrameMaking(Task):
 
 
 def make_frames(order: FrameOrder, python: Path) -> FrameMaking:
-    """Start an engine. Raises PlgsError when one is already running or cannot be started, OSError."""
+    """Start an engine. Raises OSError, and PlgsError if one is already running or cannot be started."""
     registry.refuse_second(FrameMaking)
     folder = frames_folder(order.chosen.resolved)
     command: list[str | Path] = [*order.chosen.arguments(), "-o", folder, "--make", *order.kinds]
@@ -128,7 +128,7 @@ def make_frames(order: FrameOrder, python: Path) -> FrameMaking:
 def _place(
     chosen: ChosenScene, scene: bpy.types.Scene, made: MadeFrames | None, cloud: bool
 ) -> bpy.types.Collection:
-    """Place the scene. In an untouched startup file the views then look at it. Raises PlgsError."""
+    """Place the scene. In an untouched startup file, the views then turn to it. Raises PlgsError."""
     with taking_over(scene) as is_untouched:
         root = place_scene(chosen, scene, made, cloud=cloud)
     if is_untouched:
@@ -137,10 +137,10 @@ def _place(
 
 
 def begin_import(scene: bpy.types.Scene, *, cloud: bool = True) -> FrameMaking | None:
-    """Import the scene that the panel is set to. Plain folders are placed at once, and an engine, where there is one,
-    begins with what is missing. An engine reads all other layouts: their cameras come when it has.
+    """Import the panel's scene. Plain folders are placed at once, and an engine, if available, starts on what is
+    missing. Other layouts are read by an engine, and their cameras appear when it has done so.
 
-    Returns the engine's task, None where none was started. Raises PlgsError, OSError.
+    Returns the engine's task, or None. Raises PlgsError, OSError.
     """
     if not scene.plgs.scene_folder:
         raise PlgsError("no-scene", "no scene is chosen", "Scene", "Choose a capture's folder or file.")
@@ -164,13 +164,13 @@ def begin_import(scene: bpy.types.Scene, *, cloud: bool = True) -> FrameMaking |
 
 
 def imported(scene: bpy.types.Scene) -> bpy.types.Collection | None:
-    """The collection of the scene that the panel is set to; None where it is not imported."""
+    """The collection of the panel's scene, or None if it is not imported."""
     folder = chosen_scene(scene.plgs).scene
     return next((root for root in lifts_in(scene) if is_same_place(root.get(SCENE, ""), folder)), None)
 
 
 def what_is_missing(root: bpy.types.Collection) -> str:
-    """A line about what an engine would add to an import; empty where nothing is missing."""
+    """A line about what an engine would add to an import; empty if nothing is missing."""
     missing = [_NAMES[kind] for kind in root.get(MISSING, "").split()]
     if not missing:
         return ""
@@ -178,11 +178,9 @@ def what_is_missing(root: bpy.types.Collection) -> str:
 
 
 def show_picture(scene: bpy.types.Scene, shown_kind: str, *, asked: bool = True) -> FrameMaking | None:
-    """Show the photo, depth or masks of the active camera's frame in front of its view. If that takes an engine, its
-    task is returned, which shows it a moment later, and adds an undo step where a user ``asked``. Depth that was drawn
-    after its file last changed takes none, and without an engine, what was made before is shown. Raises PlgsError,
-    OSError.
-    """
+    """Show the photo, depth or masks of the active camera's frame in front of its view. If that needs an engine, its
+    task is returned; it shows the picture when done, with an undo step if a user ``asked``. Depth pictures newer than
+    their file need none, and without an engine an older picture is shown. Raises PlgsError, OSError."""
     reason = why_no_picture(scene)
     if reason is not None:
         raise PlgsError("other-camera", "the active camera is not a frame's", scene.name, f"{reason}.")
@@ -207,7 +205,7 @@ def show_picture(scene: bpy.types.Scene, shown_kind: str, *, asked: bool = True)
 def _picture_file(
     root: bpy.types.Collection, name: str, chosen: ChosenScene, made: MadeFrames | None
 ) -> Path | None:
-    """The image file of an import's or a lift's frame; None where an engine has to make it. Raises PlgsError."""
+    """The image file of a frame; None if an engine must make it. Raises PlgsError."""
     if text_of(root, FOLDER):
         opened = known_scene(LiftFolder.open(absolute(root[FOLDER])))
     elif chosen.is_plain:
@@ -223,17 +221,16 @@ def _picture_file(
 
 
 _CHOSEN = "plgs_picture"
-"""Property of an import's or a lift's collection: what was chosen to be in front of its cameras' views."""
+"""Property of an import's or lift's collection: the picture chosen for its cameras' views."""
 _REST_S = 0.4
-"""Seconds for which a camera must stay the scene's."""
+"""Seconds for which a camera must stay the scene's before its picture is made."""
 _tried: list[tuple[str, str]] = []
-"""The camera and the picture that was asked for last: what an engine cannot make is not asked for again."""
+"""The last requested camera and picture: if an engine cannot make it, it is not requested again."""
 
 
 def choose_picture(scene: bpy.types.Scene, kind: str, *, asked: bool = True) -> FrameMaking | None:
-    """Show this picture in front of the view of the active camera, and of each that becomes the active one later. If
-    that takes an engine, its task is returned. It adds an undo step where a user ``asked``. Raises PlgsError, OSError.
-    """
+    """Show this picture in front of the view of the active camera, and of every later active camera. If that needs an
+    engine, its task is returned, with an undo step if a user ``asked``. Raises PlgsError, OSError."""
     making = show_picture(scene, kind, asked=asked)
     root_of(scene, scene.camera)[_CHOSEN] = kind
     _tried[:] = [(scene.camera.name, kind)]
@@ -241,7 +238,7 @@ def choose_picture(scene: bpy.types.Scene, kind: str, *, asked: bool = True) -> 
 
 
 def wanted(scene: bpy.types.Scene) -> str:
-    """The picture that the scene's camera should show and does not; empty when all is as it was chosen."""
+    """The picture that the scene's camera should show but does not; empty if it shows what was chosen."""
     if why_no_picture(scene) is not None:
         return ""
     try:
@@ -253,9 +250,8 @@ def wanted(scene: bpy.types.Scene) -> str:
 
 
 def catch_up() -> float | None:
-    """Show what the camera should show. Returns the seconds to wait while an engine makes another picture, an animation
-    plays or a render runs.
-    """
+    """Show the picture that the camera should show. Returns the seconds to wait while an engine makes another picture,
+    an animation plays or a render runs."""
     scene = bpy.context.scene
     kind = wanted(scene)
     if not kind:
@@ -279,7 +275,7 @@ def _on_change(scene: bpy.types.Scene, *_arguments: object) -> None:
 
 
 def _is_moving() -> bool:
-    """Whether a render or an animation changes the frame."""
+    """Whether a render or an animation is changing the frame."""
     windows = bpy.context.window_manager.windows
     return bpy.app.is_job_running("RENDER") or any(window.screen.is_animation_playing for window in windows)
 

@@ -29,13 +29,13 @@ from .survey import survey_of_panel, why_not_liftable
 
 
 def followed_lift(settings: PLGS_PG_settings) -> Lift | None:
-    """The lift that the panel is set to, when it is followed."""
+    """The panel's lift, if it is followed."""
     folder = chosen_lift(settings)
     return None if folder is None else lifts.lift_of(folder)
 
 
 def why_no_scene(settings: PLGS_PG_settings) -> str | None:
-    """Why the panel's scene cannot be used; None when it can, or it is not known yet. Never reads the disk."""
+    """Why the panel's scene cannot be used; None if it can or is not known yet. Never reads the disk."""
     if not settings.scene_folder:
         return "Choose the scene's folder first"
     survey = survey_of_panel(settings)
@@ -43,7 +43,7 @@ def why_no_scene(settings: PLGS_PG_settings) -> str | None:
 
 
 def why_no_lift(settings: PLGS_PG_settings) -> str | None:
-    """Why the panel's lift cannot be started now; None when it can. Never reads the disk."""
+    """Why the panel's lift cannot be started now, or None. Never reads the disk."""
     followed = followed_lift(settings)
     if followed is not None and followed.is_running:
         return "Passes of this lift are being baked" if followed.is_baking else "This lift is already running"
@@ -58,8 +58,7 @@ def why_no_lift(settings: PLGS_PG_settings) -> str | None:
 
 
 def why_no_device(settings: PLGS_PG_settings) -> str | None:
-    """Why the engine, as it last answered, cannot lift on the panel's device; None when it can. Never reads the disk.
-    """
+    """Why the engine, by its last answer, cannot lift on the panel's device, or None. Never reads the disk."""
     lacks = lacking("cuda") if settings.device == "cuda" else ()
     needs_torch = "torch for CUDA" in lacks
     fix = "Set the engine up with Torch: CUDA" if needs_torch else "Install gsplat with the engine's own Python"
@@ -67,8 +66,8 @@ def why_no_device(settings: PLGS_PG_settings) -> str | None:
 
 
 def earlier_lift(settings: PLGS_PG_settings) -> Path | None:
-    """The lift whose objects keep their names: a whole lift of the same scene that Blender's scene shows. None where
-    the settings keep no names."""
+    """The lift whose objects keep their names: a complete lift of the same scene that Blender's scene shows. None if
+    the settings do not keep names."""
     if not settings.keep_names or not settings.scene_folder:
         return None
     found = lift_of_scene(absolute(settings.scene_folder), settings.id_data)
@@ -76,9 +75,9 @@ def earlier_lift(settings: PLGS_PG_settings) -> Path | None:
 
 
 def start_lift(settings: PLGS_PG_settings, *, in_that_folder: bool = False, names_from: str = "") -> Lift:
-    """Start the lift that the settings ask for in their lift folder. Where that holds a lift already, a new folder
-    beside the scene's is taken; with ``in_that_folder`` it is refused. Objects are called as in ``names_from``, or as
-    in `earlier_lift`.
+    """Start the lift that the settings describe, in their lift folder. If that already holds a lift, use a new folder
+    beside the scene, or, with ``in_that_folder``, refuse. Objects take their names from ``names_from``, else from
+    `earlier_lift`.
 
     Raises PlgsError, OSError; then no folder is left behind.
     """
@@ -101,9 +100,9 @@ def start_lift(settings: PLGS_PG_settings, *, in_that_folder: bool = False, name
 
 
 def resume_lift(settings: PLGS_PG_settings, folder: str = "") -> Lift:
-    """Continue the lift in `folder`, or in that of the settings, which then say what it was asked for.
+    """Continue the lift in `folder`, or in that of the settings, which then take over its options.
 
-    Raises PlgsError when there is none, it is running, or it is finished; OSError.
+    Raises OSError, and PlgsError if there is no lift or it is running or finished.
     """
     lift = lift_at(settings, folder)
     known = lifts.attach(lift.path)
@@ -116,7 +115,7 @@ def resume_lift(settings: PLGS_PG_settings, folder: str = "") -> Lift:
 
 
 class SceneFinding(Task):
-    """An engine compares the frames of a place with those of a lift, which then reads them from there."""
+    """Compares the frames of a folder with those of a lift, which reads them from there if they match."""
 
     kind, label, undo_step = "find_scene", "Comparing the frames", "Find Scene"
 
@@ -137,9 +136,8 @@ class SceneFinding(Task):
 
 
 def find_scene(scene: bpy.types.Scene, place: Path, folder: str = "") -> SceneFinding:
-    """Let an engine tell the lift in `folder`, or in that of the settings, where its scene now is. Where the lift is
-    shown, it is then shown with its photos. Raises PlgsError, also for another scene.
-    """
+    """Let an engine record where the scene of the lift in `folder`, or in that of the settings, is now. If the lift is
+    shown, its photos appear again. Raises PlgsError, also if it is another scene."""
     registry.refuse_second(SceneFinding)
     lift = lift_at(scene.plgs, folder)
     follower = start_engine("find-scene", engine_environment.usable_python(), lift.path, place)
@@ -147,9 +145,8 @@ def find_scene(scene: bpy.types.Scene, place: Path, folder: str = "") -> SceneFi
 
 
 def join_lift(scene: bpy.types.Scene, folder: str = "") -> Lift:
-    """Follow the lift in `folder`, or in that of the settings, which then say what was asked. At its next polls, one
-    that is finished is put into the scene if that wants it. Raises PlgsError.
-    """
+    """Follow the lift in `folder`, or in that of the settings, which then take over its options. A finished lift is put
+    into the scene at the next polls, if the scene wants it. Raises PlgsError."""
     lift = lift_at(scene.plgs, folder)
     followed = lifts.attach(lift.path)
     adopt(scene.plgs, lift.request, lift.path)
@@ -159,7 +156,7 @@ def join_lift(scene: bpy.types.Scene, folder: str = "") -> Lift:
 
 
 def cancel_lift(settings: PLGS_PG_settings, folder: str = "") -> None:
-    """Ask a lift to stop. Raises PlgsError when it is not running, or its folder cannot be written."""
+    """Ask a lift to stop. Raises PlgsError if it is not running or its folder cannot be written."""
     lift = lift_at(settings, folder)
     followed = lifts.lift_of(lift.path) or lifts.attach(lift.path)
     if not followed.is_running:
@@ -173,7 +170,7 @@ def cancel_lift(settings: PLGS_PG_settings, folder: str = "") -> None:
 
 
 def why_no_bake(settings: PLGS_PG_settings) -> str | None:
-    """Why no passes can be baked from the panel now; None when they can. Never reads the disk."""
+    """Why the panel cannot bake passes now, or None. Never reads the disk."""
     followed = followed_lift(settings)
     if followed is None or not (followed.is_finished or followed.is_running):
         return "Passes are baked from a finished lift: lift the scene first, or choose the folder of a lift"
@@ -183,9 +180,8 @@ def why_no_bake(settings: PLGS_PG_settings) -> str | None:
 
 
 def bake_passes(scene: bpy.types.Scene, frames: str, folder: str = "") -> Lift:
-    """Let an engine bake passes of a finished lift: of "all" frames, the held-out ones ("test"), or that of the scene's
-    "active" camera. Raises PlgsError, OSError.
-    """
+    """Let an engine bake passes of a finished lift: of "all" frames, the held-out ones ("test"), or the scene's
+    "active" camera. Raises PlgsError, OSError."""
     lift = lift_at(scene.plgs, folder)
     names = [frames]
     if frames == "active":
@@ -198,15 +194,15 @@ def bake_passes(scene: bpy.types.Scene, frames: str, folder: str = "") -> Lift:
 
 
 def read_camera(scene: bpy.types.Scene, shot: Shot) -> ShotReader:
-    """Begin to read a shot's camera. Raises PlgsError where there is no engine to bake it."""
+    """Start reading a shot's camera. Raises PlgsError if there is no engine to bake it."""
     engine_environment.usable_python()
     return ShotReader(scene, shot)
 
 
 def bake_shot(scene: bpy.types.Scene, shot: ShotReader, folder: str = "", *, replace: bool = False) -> Lift:
-    """Let an engine bake passes of a finished lift from a camera that is read. Views that were baked from the same
-    camera are kept. Raises PlgsError, also for the name of another file's shot unless that is replaced, OSError.
-    """
+    """Let an engine bake passes of a finished lift from a camera that was read. Views already baked from the same
+    camera are kept. Raises OSError, and PlgsError, also for a name that another file's shot has, unless that is
+    replaced."""
     lift = lift_at(scene.plgs, folder)
     cameras, python = shot.write(lift.path, replace=replace), engine_environment.usable_python()
     layers, keep_running = sorted(scene.plgs.layers), scene.plgs.keep_running
@@ -214,9 +210,8 @@ def bake_shot(scene: bpy.types.Scene, shot: ShotReader, folder: str = "", *, rep
 
 
 def bake_on_farm(scene: bpy.types.Scene, folder: str = "") -> Path:
-    """Write the job that bakes the scene's active camera over its frame range on a farm, and return the file. Raises
-    PlgsError, OSError.
-    """
+    """Write a farm job that bakes the scene's active camera over its frame range, and return the file. Raises
+    PlgsError, OSError."""
     lift = lift_at(scene.plgs, folder)
     read_manifest(lift.result_path)
     return write_farm_job(scene, lift, shot_of(scene, given=scene.plgs.shot))
@@ -232,7 +227,7 @@ def export_lift(settings: PLGS_PG_settings, form: str, output: str, frames: str,
 
 def make_depth_cloud(scene: bpy.types.Scene, frame: str, folder: str = "") -> exports.Export:
     """Let an engine unproject what a frame's camera sees of a placed lift, and put the labelled points into the scene.
-    Where ``frame`` is empty, what the active camera sees now, a frame's or any other. Raises PlgsError, OSError."""
+    If ``frame`` is empty, use the active camera's current view. Raises PlgsError, OSError."""
     lift = lift_at(scene.plgs, folder).path
     root, python = root_of_placed(lift, scene), engine_environment.usable_python()
     if not frame and scene.camera is not None:
@@ -244,8 +239,7 @@ def make_depth_cloud(scene: bpy.types.Scene, frame: str, folder: str = "") -> ex
 
 def showing_lift(scene: bpy.types.Scene, folder: str = "") -> Generator[None, None, Placed | None]:
     """Put the finished lift in `folder`, or in that of the scene's settings, into the scene, part by part. Returns
-    where it is, None when the scene is gone by then. Raises PlgsError.
-    """
+    where it is; None if the scene is gone by then. Raises PlgsError."""
     lift = lift_at(scene.plgs, folder)
     try:
         return (yield from lifts.showing_lift(scene, lift))
@@ -258,7 +252,7 @@ def showing_lift(scene: bpy.types.Scene, folder: str = "") -> Generator[None, No
 
 
 def log_of(settings: PLGS_PG_settings, folder: str = "") -> Path:
-    """The engine's log of the lift in `folder`, or in that of the settings. Raises PlgsError when there is none."""
+    """The engine's log of the lift in `folder`, or in that of the settings. Raises PlgsError if there is none."""
     log = lift_at(settings, folder).log_path
     if not log.is_file():
         raise PlgsError("no-log", "is not there: the engine never began", log, "Start it again.")
@@ -266,7 +260,7 @@ def log_of(settings: PLGS_PG_settings, folder: str = "") -> Path:
 
 
 def lift_at(settings: PLGS_PG_settings, folder: str = "") -> LiftFolder:
-    """The lift in `folder`, or in that of the settings. Raises PlgsError when there is none."""
+    """The lift in `folder`, or in that of the settings. Raises PlgsError if there is none."""
     path: Path | None = absolute(folder) if folder else chosen_lift(settings)
     if path is None:
         raise PlgsError("no-lift", "no lift is chosen", "Lift Folder", "Start a lift, or choose the folder of one.")

@@ -1,8 +1,8 @@
-"""The lifts that this Blender follows, by folder: started, watched, cancelled, resumed, and baked further, with the
-live preview of what the scene's active camera sees of the unfinished model.
+"""The lifts that this Blender follows, by folder: started, watched, cancelled, resumed and baked further; and the live
+preview of the unfinished model through the scene's active camera.
 
-The engine renders the view that `preview.json` in the lift folder asks for. The picture it leaves is drawn over the
-camera's frame in the 3D views: no camera is touched, and nothing stays in the file.
+The engine renders the view described in the lift folder's `preview.json`. Its picture is drawn over the camera's frame
+in the 3D views: no camera is touched, and nothing stays in the file.
 """
 
 from __future__ import annotations
@@ -38,25 +38,25 @@ from ..viewport import own_view, taking_over
 from . import exports
 
 _LARGEST = (1024, 1024)
-"""Width and height in pixels of the largest live preview that is asked for."""
+"""Largest width and height of a live preview in pixels."""
 
 
 @dataclass(frozen=True, eq=False)
 class Preview:
-    """A picture, float32 [H, W, 4] in sRGB, lowest row first, and the fingerprint of the camera that sees it."""
+    """A picture, float32 [H, W, 4] in sRGB, lowest row first, and its camera's fingerprint."""
 
     camera: str
     pixels: NDArray[np.float32]
 
 
 _asked: dict[Path, PreviewCamera] = {}
-"""The camera that was asked for last, by lift folder: a file is written only when the camera changes."""
+"""The last requested camera by lift folder: the request is written only if the camera changes."""
 _shown: dict[Path, Preview] = {}
 """The newest picture, by lift folder."""
 
 
 def follow_camera(lift: LiftFolder, scenes: Iterable[bpy.types.Scene]) -> None:
-    """Ask the engine for what the active camera sees of the first of these scenes that shows this lift."""
+    """Request a preview from the active camera of the first of these scenes that shows this lift."""
     wanted = next((view for scene in scenes if _shows(scene, lift.path) and (view := _view_of(scene))), None)
     if wanted is None or wanted == _asked.get(lift.path):
         return
@@ -68,9 +68,8 @@ def follow_camera(lift: LiftFolder, scenes: Iterable[bpy.types.Scene]) -> None:
 
 
 def show(lift: LiftFolder, picture: Path, camera: str) -> bool:
-    """Keep the engine's newest picture, as seen by the camera with this fingerprint, if it is what was asked for;
-    whether it is. Where another Blender asked for another one, ours asks again.
-    """
+    """Store the engine's newest picture, taken by the camera with this fingerprint, if it is the requested one; returns
+    whether it is. If another Blender requested another one, ours requests again."""
     asked = _asked.get(lift.path)
     if asked is None or not picture.is_file():
         return False
@@ -85,8 +84,8 @@ def show(lift: LiftFolder, picture: Path, camera: str) -> bool:
 
 
 def picture_for(scene: bpy.types.Scene) -> NDArray[np.float32] | None:
-    """The picture to draw over the frame of the scene's camera, or over its `own_view`; None while there is none of
-    what is seen now."""
+    """The picture to draw over the frame of the scene's camera or over its `own_view`; None if there is none of the
+    current view yet."""
     for lift, preview in _shown.items():
         view = _view_of(scene) if _shows(scene, lift) else None
         if view is not None and view.fingerprint == preview.camera:
@@ -102,8 +101,7 @@ def forget(lift: Path | None = None) -> None:
 
 
 def _view_of(scene: bpy.types.Scene) -> PreviewCamera | None:
-    """What a 3D view of the scene sees, or the scene's camera where one looks through it; None when neither can be
-    drawn."""
+    """What a 3D view of the scene sees, or the scene's camera if one looks through it; None if neither can be drawn."""
     own = own_view(scene)
     camera = own[1] if own is not None else camera_seen(scene)
     if camera is None:
@@ -115,14 +113,14 @@ def _view_of(scene: bpy.types.Scene) -> PreviewCamera | None:
 
 
 def _shows(scene: bpy.types.Scene, lift: Path) -> bool:
-    """Whether the scene's panel is set to this lift and wants to see it."""
+    """Whether the scene's panel shows this lift with a live preview."""
     settings = scene.plgs
     is_set = bool(settings.live_preview and settings.lift_folder) and scene.library is None
     return is_set and absolute(settings.lift_folder) == lift
 
 
 def _pixels_of(picture: Path) -> NDArray[np.float32] | None:
-    """The numbers in an image file, float32 [H, W, 4]; None when the engine has just taken it away."""
+    """An image file's pixels, float32 [H, W, 4]; None if the engine has just removed it."""
     try:
         image = bpy.data.images.load(str(picture), check_existing=False)
     except RuntimeError:
@@ -139,13 +137,13 @@ def _pixels_of(picture: Path) -> NDArray[np.float32] | None:
 
 
 _SHOWN_RECENT = 8
-"""At most this many recent lifts are listed in the panel."""
+"""Maximum number of recent lifts listed in the panel."""
 
 
 class Lift(Task):
-    """A followed lift, or a later bake of its frames, started here or by somebody else.
+    """A followed lift, or a later bake of its frames, started here or elsewhere.
 
-    ``lift_state`` is how far the lift was when its folder was last looked at.
+    ``lift_state`` is the lift's state when its folder was last read.
     """
 
     kind, cancel_operator = "lift", "plgs.cancel_lift"
@@ -166,22 +164,22 @@ class Lift(Task):
 
     @property
     def is_baking(self) -> bool:
-        """Whether it is not the lift itself, but a later bake of more frames."""
+        """Whether it is a later bake of more frames, not the lift itself."""
         return self.follower.kind == BAKE
 
     @property
     def is_finished(self) -> bool:
-        """Whether the lift has a whole result. That may be so while more of its passes are baked."""
+        """Whether the lift's result is complete, even if more passes are being baked."""
         return self.lift_state is LiftState.FINISHED
 
     @property
     def can_be_resumed(self) -> bool:
-        """Whether an engine could go on with it."""
+        """Whether an engine could resume it."""
         return self.lift_state not in (LiftState.RUNNING, LiftState.FINISHED)
 
     @property
     def message(self) -> str:
-        """One line about its success, or that it was cancelled."""
+        """One line about its success or cancellation."""
         if self.is_baking:
             return "The passes are baked" if self.state is TaskState.FINISHED else "Baking was cancelled"
         if self.is_finished:
@@ -189,11 +187,12 @@ class Lift(Task):
         return "The lift was not started" if self.lift_state is LiftState.NOT_STARTED else "The lift was cancelled"
 
     def _is_wanted(self, scene: Any) -> bool:
-        """Whether a scene is set to this lift, and wants its result."""
+        """Whether a scene's panel shows this lift and wants its result."""
         return bool(scene.plgs.place_when_done) and chosen_lift(scene.plgs) == self.folder.path
 
     def done(self, scene: Any) -> Iterator[object]:
-        """Put a finished result into the scene if that is still set to it and wants it; baked passes wherever it is."""
+        """Put a finished result into the scene if its panel still shows the lift and wants it; baked passes wherever
+        the lift is."""
         try:
             self.lift_state = self.folder.state_at_a_glance()
         except (PlgsError, OSError):  # its disk is gone, or the folder was deleted
@@ -212,7 +211,7 @@ class Lift(Task):
         self.undo_step = "Show Result"
 
     def watch(self, scenes: Sequence[Any], has_news: bool) -> bool:
-        """Bring the live preview up to date."""
+        """Update the live preview."""
         if not self.is_running:
             forget(self.folder.path)
             return True
@@ -224,7 +223,7 @@ class Lift(Task):
         return show(self.folder, progress.live_preview, progress.live_preview_camera)
 
     def let_go(self) -> None:
-        """An engine of our own ends within a second, unless it outlives Blender. The lift can be resumed."""
+        """Our own engine ends within a second, unless it outlives Blender. The lift can be resumed."""
         self.follower.close()
 
 
@@ -234,18 +233,18 @@ _recent: tuple[RecentLift, ...] = ()
 
 
 def lift_of(folder: Path) -> Lift | None:
-    """The lift in this folder (absolute), None when it is not followed."""
+    """The lift in this folder (absolute); None if it is not followed."""
     task = registry.task_of((Lift.kind, folder))
     return task if isinstance(task, Lift) else None
 
 
 def refusal_of(folder: Path) -> PlgsError | OSError | ValueError | None:
-    """Why the lift in this folder could not be looked at, None when it could."""
+    """Why the lift in this folder could not be read, or None."""
     return _refusals.get(folder)
 
 
 def is_nothing_there(folder: Path) -> bool:
-    """Whether there was no lift folder when it was chosen. Never reads the disk."""
+    """Whether the chosen folder did not exist when it was chosen. Never reads the disk."""
     return folder in _nothing_there
 
 
@@ -260,7 +259,7 @@ def running() -> list[Lift]:
 
 
 def stops_with_blender(scene: Any) -> bool:
-    """Whether a lift is running that would stop when Blender is quit."""
+    """Whether a lift is running that stops when Blender quits."""
     return not scene.plgs.keep_running and any(each.follower.is_own for each in running())
 
 
@@ -271,14 +270,14 @@ def refresh_recent() -> None:
 
 
 def recent() -> tuple[RecentLift, ...]:
-    """The recent lifts as they were at the last `refresh_recent`, the newest first. Never reads the disk."""
+    """The recent lifts as of the last `refresh_recent`, newest first. Never reads the disk."""
     return _recent
 
 
 def start(lift: LiftFolder, python: Path, *, resume: bool = False, keep_running: bool = False) -> Lift:
     """Start an engine on a lift folder and follow it. With ``keep_running`` it outlives this Blender.
 
-    Raises PlgsError when an engine is at work there already or does not start, OSError.
+    Raises OSError, and PlgsError if an engine is already at work there or does not start.
     """
     _refuse_running(lift)
     command = engine_command(python, lift.path, resume=resume)
@@ -295,10 +294,9 @@ def bake(
     layers: Sequence[str] = (),
     keep_running: bool = False,
 ) -> Lift:
-    """Let an engine bake more passes of a finished lift: of frames ("test", "all", or names), or of the ``cameras`` of
+    """Let an engine bake more passes of a finished lift: of frames ("test", "all", or names), or of the ``cameras`` in
     a file, with these of FURTHER_LAYERS. Another process may bake the same lift at the same time. Raises PlgsError,
-    OSError.
-    """
+    OSError."""
     known = lift_of(lift.path)
     if known is not None and known.is_running and known.follower.is_own:
         fix = "Wait for it, or cancel it first."
@@ -313,8 +311,7 @@ def bake(
 
 
 def attach(folder: Path) -> Lift:
-    """Follow a lift that somebody else started, or look at one that has ended. Raises PlgsError for any other
-    folder."""
+    """Follow a lift that was started elsewhere, or show one that has ended. Raises PlgsError for any other folder."""
     known = lift_of(folder)
     if known is not None and known.is_running:
         return known
@@ -332,7 +329,7 @@ def attach(folder: Path) -> Lift:
 
 
 def look_at(folder: Path) -> Lift | None:
-    """Follow the lift in a folder if there is one; `refusal_of` keeps what is wrong with it. Never raises."""
+    """Follow the lift in a folder, if there is one; `refusal_of` then says what is wrong with it. Never raises."""
     known = lift_of(folder)
     if known is not None:
         return known
@@ -349,9 +346,8 @@ def look_at(folder: Path) -> Lift | None:
 
 
 def show_lift(scene: Any, lift: LiftFolder) -> Any:
-    """Put a finished lift into the scene, let the panel say what it was asked for, and return its collection. The 3D
-    views look at it. Raises PlgsError.
-    """
+    """Put a finished lift into the scene, copy its options to the panel, turn the 3D views to it, and return its
+    collection. Raises PlgsError."""
     placed = result_of(showing_lift(scene, lift))
     found = placed.find() if placed is not None else None
     return found[0] if found is not None else None
@@ -360,9 +356,8 @@ def show_lift(scene: Any, lift: LiftFolder) -> Any:
 def showing_lift(
     scene: Any, lift: LiftFolder, is_wanted: Callable[[Any], bool] = lambda scene: True
 ) -> Generator[None, None, Placed | None]:
-    """`show_lift` in parts, for a window that must not wait. Returns where it is; None when the scene is gone once the
-    lift is read, or no longer wants it. Raises PlgsError.
-    """
+    """`show_lift` in parts, so that the window does not freeze. Returns where it is; None if the scene is gone once the
+    lift is read, or no longer wants it. Raises PlgsError."""
     name = scene.name
     read = yield from reading_lift(lift.path)
     scene = bpy.data.scenes.get(name)  # undo may have put another one in its place

@@ -1,4 +1,4 @@
-"""What is read without the user asking: the chosen scene, the chosen lift, the lifts of a file that is opened."""
+"""What is read without the user asking: the chosen scene, the chosen lift, and the lifts of an opened file."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _PARTS_S = 0.02
 
 
 def look_at_scene(chosen: ChosenScene) -> None:
-    """Look at what is in a scene's folder. `survey.survey_of` knows it then; in a window a moment later."""
+    """Read what is in a scene's folder. `survey.survey_of` then has it; in a window, a moment later."""
     estimate.learn_slowness()
     # Without a window nothing polls an engine, and reading it here keeps nobody waiting.
     survey.look(chosen, None if bpy.app.background else engine_python())
@@ -38,10 +38,10 @@ def look_at_lift(folder: Path) -> None:
 
 
 def find_own_lifts() -> None:
-    """Follow the lifts that the open file's scenes name, as far as they are in this user's list of lifts.
+    """Follow the lifts named by the open file's scenes that are in this user's list of lifts.
 
-    A file may come from somebody else and name any path: a FIFO, or a disk that never answers. Other paths are looked
-    at only when somebody asks for it, and so is the scene's folder.
+    A file may come from somebody else and name any path: a FIFO, or a disk that never answers. Other paths, and the
+    scene's folder, are read only when the user asks for it.
     """
     own = _own_lifts()
     for scene in bpy.data.scenes:
@@ -54,8 +54,8 @@ def _own_lifts() -> set[Path]:
 
 
 def begin_to_read_objects() -> None:
-    """Begin to read what the lift that the open file shows lists: an edit needs it, and would wait for half a second.
-    Only if it is one of this user's, or the file itself lies in its folder, and no link leads elsewhere."""
+    """Start reading the objects of the lift that the open file shows: an edit needs them and would wait half a second.
+    Only if the lift is one of this user's, or the file itself lies in its folder, and no link leads elsewhere."""
     known = _own_lifts() | {absolute("//")}
     roots = (root for scene in (bpy.context.scene, *bpy.data.scenes) for root in lifts_in(scene))
     folder = next((folder_of(root) for root in roots if text_of(root, FOLDER)), None)

@@ -1,6 +1,5 @@
-"""Engines that prepare a scene for its lift: they make masks, find the poses of photos or of a film, and list and write
-the classes of the masks, which the panel edits as the rows of `scene.plgs_masks`.
-"""
+"""Engine tasks that prepare a scene for its lift: making masks, finding the poses of photos or of a film, and listing
+and writing the masks' classes, which the panel edits as the rows of `scene.plgs_masks`."""
 
 from __future__ import annotations
 
@@ -30,7 +29,7 @@ TABLE_ITEMS = [
 
 
 class PLGS_PG_mask_class(bpy.types.PropertyGroup):
-    """One class of the masks. `into` names the class that it counts as; empty: itself."""
+    """One class of the masks. `into` names the class that it counts as; empty means itself."""
 
     label: IntProperty(name="Number", description="Its number in the masks")
     into: StringProperty(
@@ -42,7 +41,7 @@ class PLGS_PG_mask_class(bpy.types.PropertyGroup):
 
 
 class PLGS_PG_masks(bpy.types.PropertyGroup):
-    """`scene.plgs_masks`: the list of classes, the file that it goes into, and the network that makes masks."""
+    """`scene.plgs_masks`: the list of classes, its file, and the network that makes masks."""
 
     classes: CollectionProperty(type=PLGS_PG_mask_class)
     active: IntProperty()
@@ -54,7 +53,7 @@ class PLGS_PG_masks(bpy.types.PropertyGroup):
 
 
 def fill_classes(masks: PLGS_PG_masks, listed: Mapping[str, Any]) -> None:
-    """Put the answer of the engine's command ``classes`` into the rows. Raises ValueError, TypeError, KeyError."""
+    """Fill the rows from the answer of the engine's command ``classes``. Raises ValueError, TypeError, KeyError."""
     masks.classes.clear()
     masks.path, masks.active = str(listed["path"]), 0
     masks.void = " ".join(str(int(number)) for number in listed.get("void", ()))
@@ -65,7 +64,7 @@ def fill_classes(masks: PLGS_PG_masks, listed: Mapping[str, Any]) -> None:
 
 
 def edited_classes(masks: PLGS_PG_masks) -> dict[str, Any]:
-    """The rows as the engine's command ``classes --write`` takes them. Raises PlgsError."""
+    """The rows as input of the engine's command ``classes --write``. Raises PlgsError."""
     rows = [
         {"label": row.label, "name": row.name, "into": row.into or row.name, "is_thing": row.is_thing}
         for row in masks.classes
@@ -90,7 +89,7 @@ def unregister() -> None:
 
 
 class ClassListing(Task):
-    """The list goes into the rows of the scene called ``target``; after writing, the panel looks at the masks again."""
+    """Lists the classes in the rows of the scene named ``target``; after writing, the panel reads the masks again."""
 
     kind, label = "classes", "Reading the classes"
     undo_step = "PLGS Read Classes"
@@ -147,7 +146,7 @@ def write_classes(scene: bpy.types.Scene) -> ClassWriting:
 
 
 class Preparation(Task):
-    """When it has finished, the panel looks at the scene again, if it is still the chosen one."""
+    """When it has finished, the panel reads the scene again, if it is still the chosen one."""
 
     def __init__(self, chosen: ChosenScene, follower: TaskFollower) -> None:
         super().__init__(follower)
@@ -160,7 +159,7 @@ class Preparation(Task):
             looking.look_at_scene(chosen_scene(settings))
 
     def take_scene(self, settings: Any) -> None:
-        """Put the scene that it made, if it made one, into the settings."""
+        """Put the scene that it made, if any, into the settings."""
 
     def error_for(self, chosen: ChosenScene) -> PlgsError | None:
         """Its error, if it concerns this scene."""
@@ -168,19 +167,19 @@ class Preparation(Task):
 
 
 class MaskMaking(Preparation):
-    """What it made is kept when it is cancelled, and the next one continues."""
+    """Masks made before a cancel are kept, and the next run continues."""
 
     kind, label, cancel_operator = "masks", "Making masks", "plgs.cancel_masks"
 
 
 class PoseMaking(Preparation):
-    """The panel takes the scene that it made. When it is cancelled nothing is written."""
+    """The panel switches to the scene that it made. After a cancel, nothing is written."""
 
     kind, label, cancel_operator = "poses", "Finding poses", "plgs.cancel_poses"
 
     @property
     def message(self) -> str:
-        """What it made; empty before."""
+        """What it made; empty before that."""
         made = self.answer or {}
         return f"Poses of {made['posed']} of {made['photos']} photos" if "posed" in made else ""
 
@@ -189,9 +188,8 @@ class PoseMaking(Preparation):
 
 
 def make_masks(chosen: ChosenScene, python: Path, model: str, *, download: bool) -> MaskMaking:
-    """Start an engine. ``model`` is a folder or a name on Hugging Face's hub; empty leaves it to the engine.
-    ``download`` lets it fetch that. Raises PlgsError when one is already running or cannot be started, OSError.
-    """
+    """Start an engine. ``model`` is a folder or a name on the Hugging Face Hub; empty means the engine's default.
+    ``download`` allows fetching it. Raises OSError, and PlgsError if one is already running or cannot be started."""
     registry.refuse_second(MaskMaking)
     if model and absolute(model).is_dir():  # the engine's working folder is not Blender's
         model = str(absolute(model))
@@ -202,6 +200,6 @@ def make_masks(chosen: ChosenScene, python: Path, model: str, *, download: bool)
 
 
 def make_poses(chosen: ChosenScene, python: Path) -> PoseMaking:
-    """Start an engine. Raises PlgsError when one is already running or cannot be started, OSError."""
+    """Start an engine. Raises OSError, and PlgsError if one is already running or cannot be started."""
     registry.refuse_second(PoseMaking)
     return registry.begin(PoseMaking(chosen, start_engine("poses", python, chosen.scene)))

@@ -1,7 +1,7 @@
-"""What is in the scene that the panel is set to, and what can be done with it.
+"""What the panel's scene contains, and what can be done with it.
 
-An engine reads the pixels meanwhile; without one, the headers of plain folders are read. The panel draws from
-here and reads nothing while it draws.
+An engine reads the pixels in the background; without one, only the headers of plain folders are read. The panel draws
+from here and reads nothing while it draws.
 """
 
 from __future__ import annotations
@@ -29,15 +29,14 @@ _GIVE = {"depth": "give depth maps", "masks": "give or make masks"}
 
 @dataclass(frozen=True)
 class Survey:
-    """What is known about a scene. ``error`` says why it cannot be lifted; None when it can.
+    """What is known about a scene. ``error`` says why it cannot be lifted, or is None.
 
-    ``classes`` are names with their colours in sRGB, 0..1, the commonest first where an engine has counted, ``things``
-    the names of those that have instances. ``sizes`` holds the sizes of the colour images with how many have each, the
-    commonest first. ``depth_range`` is the nearest, middle and farthest depth in metres, None where no engine has read
-    the pixels. ``picture_files`` counts the frames whose picture is an image file that Blender can show as it is. While
-    an engine looks (``is_looking``), nothing else is known. ``has_masks`` is None where no engine has looked for them.
-    ``inferred`` is what no file says, each with whether that is doubtful. ``left_out`` counts the frames that a lift
-    would not use.
+    ``classes`` are names with their sRGB colours, 0..1, the commonest first if an engine has counted; ``things`` are
+    the names of those that have instances. ``sizes`` are the sizes of the colour images with their counts, the
+    commonest first. ``depth_range`` is the nearest, median and farthest depth in metres, None if no engine has read the
+    pixels. ``picture_files`` counts the frames whose picture is an image file that Blender can show. While an engine
+    looks (``is_looking``), nothing else is known. ``has_masks`` is None if no engine has looked for them. ``inferred``
+    is what no file states, each with whether it is doubtful. ``left_out`` counts the frames that a lift would not use.
     """
 
     chosen: ChosenScene
@@ -82,17 +81,17 @@ _latest: Survey | None = None
 
 
 def survey_of(chosen: ChosenScene) -> Survey | None:
-    """What is known about this scene; None when nobody has looked yet."""
+    """What is known about this scene; None if it was never read."""
     return _latest if _latest is not None and _latest.chosen == chosen else None
 
 
 def survey_of_panel(settings: PLGS_PG_settings) -> Survey | None:
-    """What is known about the scene that the panel is set to."""
+    """What is known about the panel's scene."""
     return survey_of(chosen_scene(settings)) if settings.scene_folder else None
 
 
 def look(chosen: ChosenScene, python: Path | None) -> Survey:
-    """Let an engine look at the scene if there is a ``python`` for one; else read plain folders now, 1 ms per frame.
+    """Let an engine read the scene if there is a ``python`` for one; else read plain folders now, 1 ms per frame.
 
     Never raises for a bad scene: the survey says what is wrong.
     """
@@ -108,7 +107,7 @@ def look(chosen: ChosenScene, python: Path | None) -> Survey:
 
 
 def _look_alone(chosen: ChosenScene) -> Survey | None:
-    """What Blender sees alone; None where only an engine can look, and there is one. Raises PlgsError."""
+    """What Blender sees without an engine; None if an engine is needed and available. Raises PlgsError."""
     for path in (chosen.scene, chosen.masks, chosen.depth):
         if path is not None and not os.path.exists(path):
             raise PlgsError("file-missing", "there is no such file or folder", path, "Choose another one.")
@@ -120,7 +119,7 @@ def _look_alone(chosen: ChosenScene) -> Survey | None:
 
 
 def _begin_look(chosen: ChosenScene, python: Path) -> bool:
-    """Whether an engine could be started. If not, its status says what is wrong with that Python."""
+    """Start an engine. Returns whether it started; if not, the engine's status says what is wrong with that Python."""
     global _latest
     try:
         registry.begin(SceneLook(chosen, start_engine("inspect", python, *chosen.arguments())))
@@ -189,13 +188,13 @@ def _colour(colour: Sequence[int]) -> Colour:
 
 
 def _is_of_all(answer: Mapping[str, Any], sizes: str) -> bool:
-    """Whether as many frames have it as there are."""
+    """Whether the counts cover all frames."""
     count = sum(int(count) for _, count in answer[sizes])
     return count == int(answer["train_frames"]) + int(answer["test_frames"])
 
 
 class Possibility(NamedTuple):
-    """One thing that can be done with a scene, whether it can be had, and how or why not."""
+    """One thing to do with a scene, whether it is possible, and how or why not."""
 
     what: str
     is_possible: bool
@@ -203,7 +202,7 @@ class Possibility(NamedTuple):
 
 
 def possibilities(survey: Survey, has_engine: bool) -> tuple[Possibility, ...]:
-    """What can be done with a scene that was looked at and has no error."""
+    """What can be done with a scene that was read without an error."""
     return (
         Possibility("Cameras", True, f"{survey.frames}, and one that moves along them"),
         _pictures(survey, has_engine),
@@ -213,7 +212,7 @@ def possibilities(survey: Survey, has_engine: bool) -> tuple[Possibility, ...]:
 
 
 def why_not_liftable(survey: Survey) -> str | None:
-    """Why a scene without an error cannot be lifted; None when it can, or it is not known yet."""
+    """Why a scene without an error cannot be lifted; None if it can or is not known yet."""
     if survey.is_looking or survey.error is not None:
         return None
     lift = _lift(survey)
