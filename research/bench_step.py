@@ -164,7 +164,7 @@ def typical(steps: Sequence[Mapping[str, float]]) -> dict[str, float]:
     steps.
     """
     if not steps:
-        raise ValueError("there is no step to report")
+        raise ValueError("no steps to report")
     ordered = sorted(steps, key=lambda parts: sum(parts.values()))
     cut = len(ordered) // 4
     middle = ordered[cut : len(ordered) - cut]

@@ -174,7 +174,7 @@ def bake_view(
         row += len(band.alpha)
         del band  # frees its memory before the next is made
     if not layers:
-        raise ValueError("there is no band to bake")
+        raise ValueError("no bands to bake")
     mattes = Matte(by_instance, of_instances), Matte(by_class, of_classes)
     return BakedView(camera, joined(layers), mattes)
 

@@ -41,7 +41,7 @@ class Parts(dict[str, Part]):
         """Add a part, or replace one that was added. Raises ValueError for the name of a built-in part, and for a name
         with anything but letters, digits and underscores."""
         if not is_name(name) or name in self._built_in:
-            raise ValueError(f"{name!r} cannot be the name of a {self.kind} of your own")
+            raise ValueError(f"{name!r} is not a valid name for an added {self.kind}")
         self[name] = part
         _ADDED.setdefault(self.kind, []).append(name)
 

@@ -95,7 +95,7 @@ def _pick(backend: Backend | None, means: Tensor) -> Backend:
     by_device: Backend = "numba" if means.device.type == "cpu" else "gsplat"
     name: Backend = backend if backend is not None else by_device
     if name not in BACKENDS:
-        raise ValueError(f"unknown back end {name!r}; there are {', '.join(BACKENDS)}")
+        raise ValueError(f"unknown back end {name!r}: choose one of {', '.join(BACKENDS)}")
     wanted, other = ("cuda", "numba") if name == "gsplat" else ("cpu", "reference")
     if name != "reference" and (means.device.type != wanted or means.dtype != torch.float32):
         raise ValueError(
@@ -127,7 +127,7 @@ def _check(gaussians: GaussianSet) -> None:
         if tensor.dtype != means.dtype or tensor.device != means.device:
             raise ValueError(
                 f"{name} is {tensor.dtype} on {tensor.device}, but means is {means.dtype} on {means.device}; "
-                "all must be alike"
+                "all must have the same dtype and device"
             )
 
 
@@ -143,7 +143,7 @@ def _pinhole(
         raise ValueError(f"the image is {width}x{height}; both must be at least 1")
     first, end = rows or (0, height)
     if not 0 <= first < end <= height:
-        raise ValueError(f"rows {first} to {end} are not in an image of {height} rows")
+        raise ValueError(f"rows {first} to {end} lie outside an image of {height} rows")
     pose = _rows(camera_to_world, "camera_to_world", (4, 4))
     (fx, skew, cx), (_, fy, cy), _ = _rows(intrinsics, "K", (3, 3))
     if skew != 0.0:

@@ -75,7 +75,7 @@ class PlainDecoders(Decoders):
     def check_shape(cls, shape: DecoderShape) -> None:
         """As ``Decoders.check_shape``."""
         if (shape.gaussians_per_anchor, shape.features) != (1, LABELS + shape.classes + shape.instance_slots):
-            raise ValueError("the columns of plain Gaussians do not fit their labels")
+            raise ValueError("the number of columns does not match the labels")
 
     def label_logits(self, feature: torch.Tensor, seen: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """As ``Decoders.label_logits``."""

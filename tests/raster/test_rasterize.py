@@ -204,5 +204,5 @@ def test_drawing_some_rows_matches_the_whole_picture() -> None:
         for layer in LAYERS:
             expected = getattr(whole, layer)[first:end]
             torch.testing.assert_close(getattr(some, layer), expected, atol=2e-4, rtol=1e-3)
-    with pytest.raises(ValueError, match="not in an image"):
+    with pytest.raises(ValueError, match="outside an image"):
         rasterize(*inputs, labels, *camera, rows=(3, 73))
