@@ -44,7 +44,7 @@ def test_a_clean_scene_is_not_measured_twice(good: Path, monkeypatch: pytest.Mon
 
 
 @pytest.mark.parametrize("fault", [*STOPPED, *TOLD])
-def test_what_is_wrong_for_certain_stops(good: Path, tmp_path: Path, fault: str) -> None:
+def test_certain_faults_are_found_quickly(good: Path, tmp_path: Path, fault: str) -> None:
     found = diagnose_quickly(open_scene(spoilt(good, tmp_path, fault)))
     assert {each.cause for each in found.findings} & {*FAULTS[fault].causes}
     assert (found.stopping is not None) == (fault in STOPPED)
@@ -79,7 +79,7 @@ def test_a_lift_stops_unless_it_is_asked_for_anyway(good: Path, tmp_path: Path, 
     events.close()
 
 
-def test_the_check_of_a_lift_asks(good: Path, tmp_path: Path) -> None:
+def test_lift_check_refuses_a_wrong_scene(good: Path, tmp_path: Path) -> None:
     folder = LiftFolder.create(tmp_path / "lift", LiftRequest(scene=spoilt(good, tmp_path, "OpenGL axes")))
     events = EventWriter(folder.events_path)
     stages = StageReporter(events, StopSignal(folder.cancel_path), run.STAGES)

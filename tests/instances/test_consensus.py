@@ -181,7 +181,7 @@ def test_a_view_that_missed_an_object_says_nothing_about_it() -> None:
     assert len(objects.objects) == 3 and (objects.object_of_point[LEFT] > 0).all()
 
 
-def test_what_may_be_several_objects_founds_no_object() -> None:
+def test_region_of_several_objects_founds_no_object() -> None:
     ids = np.full(POINTS, 7)
     ids[LEFT], ids[RIGHT] = 3, 3
     views = [strip(name, ids, {3: CHAIR, 7: WALL}, groups=[3]) for name in "abcd"]

@@ -92,7 +92,7 @@ def unit_box(x: float) -> OrientedBox:
 @pytest.mark.parametrize(
     ("terms", "same", "half"), [("IoU+IoM", -1.5, -0.25 - 0.5), ("IoU", -0.5, -0.25), ("IoM", -1.0, -0.5)]
 )
-def test_costs_of_all_kinds(terms: str, same: float, half: float) -> None:
+def test_costs_match_their_formulas(terms: str, same: float, half: float) -> None:
     assert pair_cost(unit_box(0), unit_box(0), terms) == pytest.approx(same)
     assert pair_cost(unit_box(0), unit_box(0.5), terms) == pytest.approx(half)
     assert pair_cost(unit_box(0), unit_box(2), terms) == 0.0

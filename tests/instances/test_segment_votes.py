@@ -111,7 +111,7 @@ def test_a_segment_over_two_things_votes_point_by_point(monkeypatch: pytest.Monk
     assert wrong(found.label) == 0 and [wrong(each) for each in found.maps] == [0, 0, 0]
 
 
-def test_what_no_view_labels_is_unknown() -> None:
+def test_unlabelled_points_are_unknown() -> None:
     view = drawn("a")
     found = voted([replace(view, mask=PanopticMask(np.zeros_like(view.mask.ids), ()))], set())
     assert (found.label == UNKNOWN_LABEL).all() and not found.confidence.any()

@@ -53,7 +53,7 @@ def test_a_header_that_makes_no_sense_is_refused(tmp_path: Path, change: Callabl
     [(".png", np.uint8, []), (".png", np.uint16, []), (".jpg", np.uint8, []),
      (".jpg", np.uint8, [cv2.IMWRITE_JPEG_PROGRESSIVE, 1])],
 )  # fmt: skip
-def test_a_header_tells_size_depth_and_channels(
+def test_header_gives_size_depth_and_channels(
     tmp_path: Path, suffix: str, kind: type, settings: list[int], channels: int
 ) -> None:
     path = tmp_path / f"image{suffix}"
@@ -82,7 +82,7 @@ def test_a_cut_off_image_is_found_without_decoding_it(image: Path, share: float)
         check_image_file(image)
 
 
-def test_where_a_jpeg_ends(tmp_path: Path) -> None:
+def test_end_of_a_jpeg_is_found(tmp_path: Path) -> None:
     """What a camera appends is harmless, and the end of a thumbnail is another."""
     path = tmp_path / "image.jpg"
     cv2.imwrite(str(path), np.random.default_rng(0).integers(0, 255, (48, 64, 3), np.uint8))

@@ -119,7 +119,7 @@ def test_counts_that_no_file_has_are_refused(
 
 
 @pytest.mark.parametrize("size", [(6500, 2), (2, 6500), (3, 3), (640, 16)])
-def test_pictures_that_no_camera_makes(tmp_path: Path, size: tuple[int, int]) -> None:
+def test_impossible_picture_sizes_are_refused(tmp_path: Path, size: tuple[int, int]) -> None:
     scene = write_tiny_scene(tmp_path, frames=3)
     for path in (scene / "color").iterdir():
         cv2.imwrite(str(path), np.zeros((size[1], size[0], 3), np.uint8))
@@ -130,7 +130,7 @@ def test_pictures_that_no_camera_makes(tmp_path: Path, size: tuple[int, int]) ->
 
 
 @pytest.mark.parametrize("focal", [1e299, 1e-30])
-def test_focal_lengths_that_no_lens_has(tmp_path: Path, focal: float) -> None:
+def test_impossible_focal_lengths_are_refused(tmp_path: Path, focal: float) -> None:
     scene = write_tiny_scene(tmp_path, frames=3)
     (scene / "intrinsic" / "intrinsic_color.txt").write_text(f"{focal} 0 8 0\n0 {focal} 6 0\n0 0 1 0\n0 0 0 1\n")
     refuses("focal-length", scene)
@@ -165,7 +165,7 @@ def test_class_names_are_one_printable_line() -> None:
         assert one.name.isprintable() and one.name.startswith("chair?gnp.exe")
 
 
-def test_what_a_file_becomes_fits_into_the_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_file_that_exceeds_the_memory_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     points = sparse(tmp_path / "points.bin", struct.pack("<Q", 1_000_000), 51 * 1_000_000 + 8)
     monkeypatch.setattr(layout, "main_memory", lambda: MainMemory(1 << 34, 101_000_000))
     with raises_key("no-memory 0.051 0.1"):
@@ -178,7 +178,7 @@ def test_what_a_file_becomes_fits_into_the_memory(tmp_path: Path, monkeypatch: p
         read_ply_points(sparse(tmp_path / "points.ply", head, 3 * 2_000_000 + 1000))
 
 
-def test_a_frame_whose_name_cannot_be_shown(tmp_path: Path) -> None:
+def test_frame_name_that_cannot_be_shown_is_refused(tmp_path: Path) -> None:
     camera = Camera(64, 48, 60.0, 60.0, 32.0, 24.0, np.eye(4))
     with raises_key("frame-name 0001?gpj"):
         check_camera("0001\u202egpj", camera, tmp_path / "a.png")

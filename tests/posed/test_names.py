@@ -17,7 +17,7 @@ NAMES = st.dictionaries(st.integers(1, 20), st.lists(PARTS, max_size=4).map("".j
 
 @given(NAMES, st.sampled_from([" #", "_"]), st.integers(2, 32))
 @example({1: "chair", 2: "Chair", 3: "chair #1"}, " #", 32)
-def test_no_two_names_are_one(given_names: dict[int, str], mark: str, bits: int) -> None:
+def test_names_are_unique(given_names: dict[int, str], mark: str, bits: int) -> None:
     """The matte's number has so few bits here that names share it often."""
     with pytest.MonkeyPatch.context() as patch:
         exact = names.name_bits

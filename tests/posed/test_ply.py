@@ -23,7 +23,7 @@ def original(tmp_path: Path) -> bytes:
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -1e30])
-def test_splats_that_are_nowhere_are_left_out(original: bytes, tmp_path: Path, value: float) -> None:
+def test_splats_with_impossible_positions_are_left_out(original: bytes, tmp_path: Path, value: float) -> None:
     path = tmp_path / "nowhere.ply"
     start = original.index(b"end_header\n") + len(b"end_header\n")
     path.write_bytes(original[:start] + np.float32(value).tobytes() + original[start + 4 :])

@@ -100,7 +100,7 @@ def in_16_bits(folder: Path, bits: int, names: str = "*") -> None:
         cv2.imwrite(str(path), np.concatenate([pixels, alpha], axis=-1) if "1" in path.stem else pixels)
 
 
-def test_photos_of_12_bits_in_16_are_told_and_not_made_brighter(tmp_path: Path) -> None:
+def test_12_bit_photos_are_reported_and_not_brightened(tmp_path: Path) -> None:
     folder = write_tiny_scene(tmp_path, frames=5)
     before = open_scene(folder).frames[1].read_colour(None)
     in_16_bits(folder, 12)
@@ -110,7 +110,7 @@ def test_photos_of_12_bits_in_16_are_told_and_not_made_brighter(tmp_path: Path) 
 
 
 @pytest.mark.parametrize("bits", [8, 10, 14])
-def test_photos_of_other_depths_are_told_by_their_brightest(tmp_path: Path, bits: int) -> None:
+def test_bit_depth_is_inferred_from_the_brightest_photo(tmp_path: Path, bits: int) -> None:
     folder = write_tiny_scene(tmp_path, frames=5)
     in_16_bits(folder, bits)
     how = "dark" if bits == 14 else "nearly black"
@@ -118,7 +118,7 @@ def test_photos_of_other_depths_are_told_by_their_brightest(tmp_path: Path, bits
 
 
 @pytest.mark.parametrize(("bits", "bits_of_one"), [(0, 0), (16, 12)], ids=["a covered lens", "a dark photo"])
-def test_dark_photos_that_say_nothing_of_their_bits(tmp_path: Path, bits: int, bits_of_one: int) -> None:
+def test_dark_photos_reveal_no_bit_depth(tmp_path: Path, bits: int, bits_of_one: int) -> None:
     folder = write_tiny_scene(tmp_path, frames=5)
     in_16_bits(folder, bits)
     in_16_bits(folder, bits_of_one, "0002.png")
@@ -207,7 +207,7 @@ def test_nothing_is_left_to_measure_when_the_held_out_frames_lack_depth(folder: 
 
 
 @pytest.mark.parametrize(("without", "told"), [("panoptic.json", "no-masks"), ("depth", "no-depth")])
-def test_it_opens_without_masks_but_does_not_lift(folder: Path, without: str, told: str) -> None:
+def test_scene_without_masks_opens_but_is_not_lifted(folder: Path, without: str, told: str) -> None:
     path = folder / without
     shutil.rmtree(path) if path.is_dir() else path.unlink()
     scene = open_scene(folder)

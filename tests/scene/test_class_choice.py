@@ -146,7 +146,7 @@ def test_classes_of_the_very_same_name_can_be_joined() -> None:
     assert classes_of("chair", joined, stool, to_reduced=True) == classes_of("chair", stool, to_reduced=True)
 
 
-def test_names_that_differ_in_capitals_are_told(tmp_path: Path) -> None:
+def test_names_that_differ_in_case_are_reported(tmp_path: Path) -> None:
     scene = open_scene(scene_with(tmp_path / "a", '[[class]]\nid = 3\nname = "Chair"\n'))
     assert any("classes 3 Chair, 5 chair have names that differ only in capitals" in told for told in scene.warnings)
     scene = open_scene(scene_with(tmp_path / "b", '[[class]]\nid = 3\nname = "chair"\n'))
@@ -237,7 +237,7 @@ def test_the_list_of_a_scene_is_edited_and_written(tmp_path: Path) -> None:
             write_class_list(source, edited)
 
 
-def test_a_table_can_be_named_if_the_files_do_not_tell(tmp_path: Path) -> None:
+def test_table_can_be_named_if_files_name_none(tmp_path: Path) -> None:
     write_pairs(tmp_path, ("semantic", "instance"))
     source, edited = SceneSource(tmp_path), tmp_path / "edited.json"
     with raises_key("no-class-names"):

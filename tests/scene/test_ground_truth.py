@@ -58,7 +58,7 @@ def check(folder: Path, before: list[np.ndarray], without: tuple[int, ...] = ())
         (RAW, 0, "scannet:1-1357", ()),
     ],
 )
-def test_numbers_of_another_table_are_told_by_the_masks(
+def test_numbers_of_another_table_are_recognised_by_the_masks(
     folder: Path, numbers: dict[int, int], void: int, table: str, without: tuple[int, ...]
 ) -> None:
     (warning,) = check(folder, renumber(folder, numbers, void), without)
@@ -69,7 +69,7 @@ def test_numbers_of_another_table_are_told_by_the_masks(
 
 
 @pytest.mark.parametrize("is_asked", [True, False])
-def test_what_may_be_two_tables_is_asked_for(is_asked: bool) -> None:
+def test_ambiguous_tables_are_refused(is_asked: bool) -> None:
     """The number 10 is a bookshelf or a counter."""
     names = {101: "wall", 102: "floor", 104: "counter"}
     classes = ClassTable(tuple(Category(n, name, False, (n, 0, 0)) for n, name in names.items()))
@@ -81,7 +81,7 @@ def test_what_may_be_two_tables_is_asked_for(is_asked: bool) -> None:
         numbers_by_agreement(joint, classes, Path("gt"))
 
 
-def test_a_truth_that_no_table_explains_is_told(folder: Path) -> None:
+def test_truth_that_no_table_explains_is_reported(folder: Path) -> None:
     renumber(folder, {1: 150, 2: 151, 3: 152, 5: 153, 13: 154})
     (warning,) = [one for one in open_scene(folder).warnings if "ground truth" in one]
     assert "numbers are read as class ids of the masks: 0% of the pixels agree" in warning
@@ -97,7 +97,7 @@ def test_a_truth_that_no_table_explains_is_told(folder: Path) -> None:
         ("", "semantic_scannet", RAW, ""),
     ],
 )
-def test_the_numbering_of_a_named_table_is_told(
+def test_numbering_of_a_named_table_is_recognised(
     folder: Path, text: str, name: str, numbers: dict[int, int], told: str
 ) -> None:
     before = renumber(folder, numbers, 255 if numbers is ADE else 0)

@@ -58,7 +58,7 @@ def thinned(scene: Path) -> Path:
         (thinned, lambda n: f"mask_{n + 1}"),
     ],
 )
-def test_masks_that_count_otherwise_are_told_by_the_pictures(
+def test_renumbered_masks_are_recognised_by_the_pictures(
     tmp_path: Path, change: Callable[[Path], Path], rename: Callable[[int], str]
 ) -> None:
     usual = open_scene(write_tiny_scene(tmp_path / "usual", frames=14, size=SIZE, ground_truth=False))
@@ -69,7 +69,7 @@ def test_masks_that_count_otherwise_are_told_by_the_pictures(
         np.testing.assert_array_equal(frame.mask().ids, right.mask().ids)
 
 
-def test_a_mask_that_is_missing_moves_no_other(tmp_path: Path) -> None:
+def test_missing_mask_shifts_no_other(tmp_path: Path) -> None:
     scene = write_tiny_scene(tmp_path, frames=8, size=SIZE, ground_truth=False)
     opened = open_scene(renamed(scene, lambda n: f"{n:04d}" if n else "0008"))  # frame 0 was masked last, as 8
     assert [frame.name for frame in opened.frames] == [f"{n:04d}" for n in range(1, 8)]
@@ -84,7 +84,7 @@ def tagged(path: Path, orientation: int) -> None:
 
 
 @pytest.mark.parametrize(("orientation", "turns"), [(3, 2), (6, -1), (8, 1)])
-def test_masks_of_photos_that_exif_turns(tmp_path: Path, orientation: int, turns: int) -> None:
+def test_masks_of_photos_rotated_by_exif_are_turned(tmp_path: Path, orientation: int, turns: int) -> None:
     """The network's reader turned the photos; poses and depth are of the stored pixels."""
     scene = write_tiny_scene(tmp_path, frames=6, size=SIZE, ground_truth=False, colour_format="jpg")
     right = [frame.mask().ids for frame in open_scene(scene).frames]
@@ -166,7 +166,7 @@ def test_the_borders_of_a_network_are_cut_off(height: int, is_centred: bool) -> 
 
 
 @pytest.mark.parametrize(("folder", "white"), [("keep", 255), ("masks", 255), ("masks", 1)])
-def test_pictures_of_what_counts_are_no_classes(tmp_path: Path, folder: str, white: int) -> None:
+def test_pictures_of_counting_pixels_are_not_classes(tmp_path: Path, folder: str, white: int) -> None:
     """As mask_path says, or by their values alone."""
     write_scene(tmp_path)
     table = tmp_path / "transforms.json"

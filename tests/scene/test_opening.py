@@ -14,7 +14,7 @@ from tests.scene.samples import WRITERS, opened
 from tests.tiny_scene import tiny_intrinsics, tiny_pose, trace_view, write_tiny_scene
 
 
-def test_what_cannot_be_read_is_not_known(tmp_path: Path) -> None:
+def test_digests_of_unreadable_files_are_empty(tmp_path: Path) -> None:
     photo, depth = tmp_path / "photo", tmp_path / "depth"
     photo.write_bytes(b"photo")
     whole, alone, gone, folder = digests_of_files([(photo, photo), (photo, None), (photo, depth), (tmp_path, None)])
@@ -35,7 +35,7 @@ def test_a_scene_comes_back_as_it_was_written(tmp_path: Path) -> None:
         np.testing.assert_array_equal(frame.read_colour(None), trace_view(tiny_pose(index, 6), K, (64, 48)).colour)
 
 
-def test_frames_whose_names_differ_in_capitals_are_told(tmp_path: Path) -> None:
+def test_frames_whose_names_differ_in_case_are_reported(tmp_path: Path) -> None:
     """Their passes are files of these names, and many disks keep one of the two."""
     folder = write_tiny_scene(tmp_path, frames=5)
     for path in [*folder.glob("color/000[12].*"), *folder.glob("depth/000[12].*"), *folder.glob("pose/000[12].*")]:
@@ -131,7 +131,7 @@ def report(folder: Path, name: str) -> tuple[object, ...]:
 
 
 @pytest.mark.parametrize("name", WRITERS)
-def test_what_macos_and_windows_leave_in_folders_is_no_file_of_the_scene(name: str, tmp_path: Path) -> None:
+def test_files_left_by_macos_and_windows_are_ignored(name: str, tmp_path: Path) -> None:
     """Each file has a twin ._NAME of other bytes, and each folder has .DS_Store and Thumbs.db."""
     WRITERS[name](tmp_path)
     before = report(tmp_path, name)

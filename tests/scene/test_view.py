@@ -288,7 +288,7 @@ def test_views_come_back_as_they_were(tmp_path: Path) -> None:
     ("kind", "expected"),
     [("views", [1, 1]), ("root", [3, 4]), ("resolution", [2, 0.5]), ("pixels", [9, 16]), ("density", [4, 0.25])],
 )
-def test_votes_of_each_kind(kind: EvidenceKind, expected: list[float]) -> None:
+def test_each_kind_of_evidence_weighs_votes(kind: EvidenceKind, expected: list[float]) -> None:
     np.testing.assert_allclose(evidence(kind, np.array([9.0, 16.0]), np.array([2.0, 0.5])), expected)
 
 

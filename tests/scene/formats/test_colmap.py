@@ -213,7 +213,7 @@ def test_the_test_pictures_of_gaussian_splatting_are_held_out(tmp_path: Path) ->
     assert [frame.name for frame in open_scene(tmp_path).test_frames] == ["img_6", "img_9"]
 
 
-def test_pictures_that_were_not_registered_are_told(tmp_path: Path) -> None:
+def test_unregistered_pictures_are_reported(tmp_path: Path) -> None:
     folder = write_text(tmp_path)
     first = folder / "images" / image_name(0)
     first.with_stem("extra").write_bytes(first.read_bytes())

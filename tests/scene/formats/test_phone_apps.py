@@ -156,7 +156,7 @@ def test_a_scan_without_depth_and_a_picture_without_a_pose(tmp_path: Path) -> No
         ({"cameraPoseARFrame": [0.0]}, "wrong-type cameraPoseARFrame 16"),
     ],
 )
-def test_what_is_not_written_row_by_row_is_refused(tmp_path: Path, changed: dict[str, object], told: str) -> None:
+def test_matrices_not_stored_row_by_row_are_refused(tmp_path: Path, changed: dict[str, object], told: str) -> None:
     write_scanner_app(tmp_path)
     (tmp_path / "frame_00002.json").write_text(json.dumps(table(views()[1]) | changed))
     refuses(told, tmp_path)
@@ -215,7 +215,7 @@ def test_stray_points_lie_on_the_room(tmp_path: Path, older: bool) -> None:
     assert not scene.frames[0].depth()[:5].any() and not scene.frames[0].file_shows_colour
 
 
-def test_todays_app_writes_two_more_columns_which_are_empty(tmp_path: Path) -> None:
+def test_empty_columns_of_the_current_app_are_ignored(tmp_path: Path) -> None:
     write_stray(tmp_path)
     path = tmp_path / "odometry.csv"
     head, *rows = path.read_text().splitlines()

@@ -54,7 +54,7 @@ def test_two_formats_in_one_folder_require_a_choice(tmp_path: Path) -> None:
         (["rtabmap_poses.txt", "rgb/1.jpg", "rgb/2.jpg", "rgb/3.jpg"], "rtabmap groundtruth.txt", False),
     ],
 )
-def test_what_is_no_scene_says_what_to_export(tmp_path: Path, files: list[str], told: str, code: bool) -> None:
+def test_folder_without_scene_suggests_an_export(tmp_path: Path, files: list[str], told: str, code: bool) -> None:
     for name in files:
         (tmp_path / name).parent.mkdir(exist_ok=True)
         (tmp_path / name).write_bytes(b"")
@@ -68,7 +68,7 @@ def test_a_folder_of_scenes_names_them(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("name", "told"), [("scan.zip", "archive"), ("Scaniverse.ply", "models-only")])
-def test_a_file_that_is_no_scene(tmp_path: Path, name: str, told: str) -> None:
+def test_file_without_scene_is_refused(tmp_path: Path, name: str, told: str) -> None:
     (tmp_path / name).write_bytes(b"")
     refuses(told, tmp_path / name)
 
