@@ -1,4 +1,5 @@
-"""What is wrong with a scene? Depth is projected into other views; edges, normals, pictures and labels are compared."""
+"""Finds what is wrong with a scene: projects depth into other views and compares edges, normals, pictures and
+labels."""
 
 from __future__ import annotations
 

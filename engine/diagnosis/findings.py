@@ -1,4 +1,5 @@
-"""What a diagnosis says: findings with their pictures, and what has to be done to the scene. findings.json on disk."""
+"""The results of a diagnosis: findings with their pictures, and the corrections that the scene needs. findings.json on
+disk."""
 
 from __future__ import annotations
 
@@ -22,7 +23,7 @@ Picture = NDArray[np.uint8]
 _WIDTH = 480
 _CAPTION = 22
 _WORST = 0.2
-"""Relative error of depth that is drawn in the strongest red."""
+"""Relative depth error drawn in the strongest red."""
 
 
 def depth_errors(views: Views, one: int, other: int, assumed: Sequence[tuple[str, Assumption]]) -> Picture:
@@ -53,7 +54,7 @@ def _error_colours(error: Floats) -> Picture:
 
 
 def edges_on(grey: NDArray[np.uint8], edges: Floats, moved: Floats) -> Picture:
-    """Depth's edges, float64 [N, 2] in shares of the picture, drawn where they lie and where they fit."""
+    """Depth's edges, float64 [N, 2] as fractions of the picture, drawn where they are and where they fit."""
     panels = []
     for caption, places in (("depth's edges as they lie", edges), ("where they fit", moved)):
         panel = np.repeat(_fitted(grey)[..., None] // 2 + 40, 3, axis=2)
@@ -131,19 +132,19 @@ def _captioned(picture: NDArray[np.uint8], caption: str) -> Picture:
 
 FINDINGS = "findings.json"
 FIX = "--fix OUT writes a scene in which it is mended"
-"""The end of ``Finding.option`` where a mended scene needs no decision by the user."""
+"""The end of ``Finding.option`` if a corrected scene needs no decision by the user."""
 
 Severity = Literal["wrong", "note"]
-""""wrong": mend it before a lift. "note": it is about pictures or labels, and a lift copes with it."""
+""""wrong": fix it before a lift. "note": it concerns pictures or labels, and a lift copes with it."""
 
 
 @dataclass(frozen=True, eq=False)
 class Finding:
     """One thing that is wrong with a scene.
 
-    ``cause`` names it in a word or two. ``text`` says what is wrong, with figures; ``figures`` has these for programs.
-    ``option`` says what mends it, and ``is_mended`` whether ``--fix`` does. ``frames`` names the frames concerned, and
-    is empty for all frames; those of ``leave_out`` are better left out of a lift. ``picture`` uint8 [H, W, 3] RGB shows
+    ``cause`` names it in a word or two. ``text`` says what is wrong, with numbers; ``figures`` has these for programs.
+    ``option`` says how to fix it, and ``is_mended`` whether ``--fix`` does. ``frames`` names the frames concerned, and
+    is empty for all frames; those in ``leave_out`` are better left out of a lift. ``picture`` uint8 [H, W, 3] RGB shows
     it. ``stops``: a lift of the scene would be in vain.
     """
 
@@ -174,10 +175,10 @@ class Finding:
 
 @dataclass(frozen=True, eq=False)
 class Mending:
-    """What has to be done to a scene.
+    """Corrections that a scene needs.
 
-    ``assumed`` says what its poses, depth and lenses mean. ``depth_shift`` moves depth (x, y in shares of the picture).
-    ``turn`` float64 [3, 3] rotates the world. The frames in ``dropped`` are left out.
+    ``assumed`` says what its poses, depth and lenses mean. ``depth_shift`` moves depth (x, y as fractions of the
+    picture). ``turn`` float64 [3, 3] rotates the world. The frames in ``dropped`` are left out.
     """
 
     assumed: Assumption = Assumption()
@@ -194,10 +195,9 @@ class Mending:
 
 @dataclass(frozen=True, eq=False)
 class Diagnosis:
-    """Findings, the worst first. ``looked`` of ``frames`` frames were examined. ``agreement`` tells how well the views
-    of the scene agree as it is; it is None for scenes without depth. ``untested``: the axes of the world along which
-    drift could not be tested.
-    """
+    """Findings, the worst first. ``looked`` of ``frames`` frames were examined. ``agreement`` is how well the views of
+    the unmodified scene agree, None without depth. ``untested`` lists the world axes along which drift could not be
+    tested."""
 
     findings: tuple[Finding, ...]
     mending: Mending
@@ -208,7 +208,7 @@ class Diagnosis:
 
     @property
     def stopping(self) -> Finding | None:
-        """The worst finding that makes a lift vain."""
+        """The worst of the findings that make a lift pointless."""
         return next((finding for finding in self.findings if finding.stops), None)
 
     def as_json(self) -> dict[str, Any]:

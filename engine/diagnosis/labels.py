@@ -1,5 +1,5 @@
-"""Are masks and class names right? All views give a surface the same class, and names fit surfaces: floors are level
-and seen from above, ceilings from below, walls are upright."""
+"""Whether masks and class names are right: all views should give a surface the same class, and names should fit
+surfaces: floors are level and seen from above, ceilings from below, walls are upright."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ from .reprojection import Assumption, Examined, Floats, values_at
 from .up import world_normals
 
 _SAME_SURFACE = 0.5
-"""Least agreement in depth, 0..1, of two views of one surface: about 2.7 % of the depth."""
+"""Minimum depth agreement, 0..1, of two views of one surface: about 2.7 % of the depth."""
 _FEWEST_POINTS, _FEWEST_OF_PAIR = 100, 30
 _UNRELATED, _ABOVE_CHANCE = 0.5, 0.1
-"""The share with the same class below which masks contradict each other, as weak networks' do; and how near to chance
-they are of no use."""
+"""Masks contradict each other below the first fraction of points with the same class, as weak networks' masks do;
+within the second of the chance level they are useless."""
 _FOREIGN, _PROBABLY_FOREIGN = 0.25, 0.35
-"""Shares of the median agreement beyond chance. A foreign mask also reaches some: floors are low in all pictures."""
+"""Fractions of the median agreement beyond chance. Even a foreign mask reaches some: floors are low in all pictures."""
 _LESS = 0.25
-"""A foreign mask is also this much below the median. Where masks have one class, or one has nearly all points, even
-foreign ones agree, and nothing is told of them."""
+"""A foreign mask is also this much below the median. If masks have one class, or one has nearly all points, even
+foreign ones agree, and no conclusion is possible."""
 
 
 class LabelAgreement(NamedTuple):
@@ -40,7 +40,7 @@ class LabelAgreement(NamedTuple):
 
     @property
     def share(self) -> float:
-        """The share of all points named by both views to which both give the same name."""
+        """The fraction of the points labelled by both views that get the same label from both."""
         return float(np.trace(self.counts) / max(self.counts.sum(), 1.0))
 
     @property
@@ -51,7 +51,7 @@ class LabelAgreement(NamedTuple):
 
     @property
     def chance(self) -> float:
-        """The share that two unrelated masks would have."""
+        """The fraction that two unrelated masks would reach."""
         return float(np.square(self.counts.sum(1) / max(self.counts.sum(), 1.0)).sum())
 
 
@@ -85,12 +85,12 @@ def measure_labels(examined: Examined, assumed: Assumption) -> LabelAgreement | 
 _LAGS = (-2, -1, 1, 2)
 _FEWEST_PAIRS, _FEWEST_LOOKS = 12, 6
 _LEAST_GAIN, _CERTAIN, _SUSPECT = 0.01, 5.0, 2.0
-"""Least gain of the share with the same class, and in its standard errors among the looks: for a finding, and for a
-closer look. Right masks lose by 2.7 or more."""
+"""Minimum gain in points with the same class; then the same in standard errors among the looks, for a finding and for a
+closer look. Correct masks lose by 2.7 or more."""
 
 
 class MaskLag(NamedTuple):
-    """Masks agree better if each look's is that of the frame ``lag`` places later: the ``share`` of points with the
+    """Masks agree better if each look uses the mask of the frame ``lag`` frames later: the fraction of points with the
     same class ``before`` and ``after``, and the gain in standard errors."""
 
     lag: int
@@ -100,7 +100,7 @@ class MaskLag(NamedTuple):
 
 
 def measure_mask_lag(examined: Examined, assumed: Assumption, certain: float = _CERTAIN) -> MaskLag | None:
-    """Whether masks are those of other frames, beyond ``certain`` standard errors. Raises PlgsError."""
+    """Whether masks belong to other frames, beyond ``certain`` standard errors. Raises PlgsError."""
     views, maps = examined.views, examined.class_maps
     if maps is None:
         return None
@@ -134,7 +134,7 @@ def measure_mask_lag(examined: Examined, assumed: Assumption, certain: float = _
 
 
 def label_findings(examined: Examined, assumed: Assumption, is_quick: bool = False) -> list[Finding]:
-    """Masks that contradict each other where views see the same surface. ``is_quick``: what is found is looked at more
+    """Masks that contradict each other where views see the same surface. With ``is_quick``, findings are examined more
     closely afterwards. Raises PlgsError."""
     lag = measure_mask_lag(examined, assumed, _SUSPECT if is_quick else _CERTAIN)
     if lag is not None:
@@ -149,7 +149,7 @@ def label_findings(examined: Examined, assumed: Assumption, is_quick: bool = Fal
 
 
 def odd_looks(labels: LabelAgreement) -> list[int]:
-    """The looks whose masks agree little more with the others' than by chance, where most agree well."""
+    """The looks whose masks agree with the others' hardly more than by chance, if most agree well."""
     middle = labels.middle
     kept = (labels.by_look - labels.chance) / max(middle - labels.chance, 1e-6)
     kept[~(labels.by_look < middle - _LESS)] = 1.0
@@ -211,20 +211,20 @@ def _masks_shown(examined: Examined, rows: list[int]) -> NDArray[np.uint8]:
 
 
 _KINDS = {"floor": ("floor", "flooring", "rug", "carpet"), "ceiling": ("ceiling",), "wall": ("wall",)}
-"""The first words of class names, by the kind of their surfaces."""
+"""The first words of class names, by kind of surface."""
 _FURTHER = {"other", "merged", "brick", "wood", "stone", "tile", "concrete", "panel", "marble", *_KINDS["floor"]}
-"""Words that may follow. A wall-cabinet is not a wall."""
+"""Words that may follow the first. A wall-cabinet is not a wall."""
 _WHAT = {"floor": "is level, seen from above", "ceiling": "is level, seen from below", "wall": "is upright"}
 _WITHIN = 25.0
-"""Degrees by which a surface may differ from level or upright, as clothes, shelves and noise do."""
+"""Maximum deviation in degrees from level or upright, as clothes, shelves and noise cause."""
 _FEWEST_OF_KIND = 200
 _CONTRADICTED = 0.05
-"""The share below which a table is wrong for certain: of tables off by one, 1 % fit; of far and noisy floors, 20 %."""
+"""Below this fraction a table is certainly wrong: 1 % fit tables that are off by one, 20 % distant and noisy floors."""
 _SUITS, _DIFFERS = 0.5, 0.25
-"""Shares of a kind's points that fit its name: the least in a right table, and the most in a wrong one."""
+"""Fractions of a kind's points that fit its name: the minimum in a right table, and the maximum in a wrong one."""
 _LARGE, _FEW, _LOOKS = 0.05, 0.2, 0.75
-"""Shares of all points: the least of large stuff, and the most of walls and ceilings in a room that nearly lacks them;
-and the least share of a class's points that look like a kind, if the class does."""
+"""Fractions of all points: the minimum of large stuff, and the maximum of walls and ceilings in a room that nearly
+lacks them; and the minimum fraction of a class's points that look like a kind, for the class to count as it."""
 _LEVEL_STUFF = set(
     "road pavement sidewalk grass earth ground path field sand dirt gravel snow land terrain runway water sea "
     "platform playingfield stage stairs stairway table counter desk bed cabinet shelf shelves bookshelf".split()
@@ -237,14 +237,14 @@ _OPTION = (
 
 
 class Suiting(NamedTuple):
-    """The points whose class has the name of a kind: how many there are, and which share of them fits the name."""
+    """The points whose class is named like a kind: their number, and the fraction that fits the name."""
 
     points: int
     share: float
 
 
 Counts = defaultdict[int, Counter[str]]
-"""For each class how many points it has ("all"), and how many look like each kind."""
+"""Per class, its number of points ("all"), and how many look like each kind."""
 
 
 def measure_table(examined: Examined, assumed: Assumption, up: Floats) -> Counts:
@@ -283,7 +283,7 @@ def _kind(name: str) -> str | None:
 
 
 def table_findings(examined: Examined, assumed: Assumption, up: Floats) -> list[Finding]:
-    """Class ids that mean something other than the table says. Raises PlgsError."""
+    """Class ids whose meaning differs from the table's. Raises PlgsError."""
     counts = measure_table(examined, assumed, up)
     classes = examined.scene.classes
     kind_of = {each.id: kind for each in classes.categories if (kind := _kind(each.name))}
@@ -292,12 +292,12 @@ def table_findings(examined: Examined, assumed: Assumption, up: Floats) -> list[
     is_enough = sum(each.points for each in wrong.values()) >= 2 * _FEWEST_OF_KIND
     if not is_enough or any(each.share >= _SUITS for each in found.values()):
         return _nameless(counts, found, {each.id: each.name for each in classes.categories if not each.is_thing})
-    told = "; ".join(f"{each.share:.0%} of what is called {kind} {_WHAT[kind]}" for kind, each in wrong.items())
+    reasons = "; ".join(f"{each.share:.0%} of what is called {kind} {_WHAT[kind]}" for kind, each in wrong.items())
     return [
         Finding(
             cause="class table",
             severity="wrong",
-            text=f"the names of the classes do not fit the surfaces: {told}",
+            text=f"the names of the classes do not fit the surfaces: {reasons}",
             option=_OPTION,
             figures={f"{kind}_share": each.share for kind, each in found.items()},
             stops=all(each.share < _CONTRADICTED for each in wrong.values()),
@@ -306,11 +306,11 @@ def table_findings(examined: Examined, assumed: Assumption, up: Floats) -> list[
 
 
 def _nameless(counts: Counts, found: Mapping[str, Suiting], stuff: Mapping[int, str]) -> list[Finding]:
-    """A room without a floor and nearly without walls, where other stuff is level."""
+    """A room without a floor and almost without walls, in which other stuff is level."""
     points = sum(each["all"] for each in counts.values())
     if "floor" in found or sum(each.points for each in found.values()) > _FEW * points:
         return []
-    told = [
+    reasons = [
         f"{name} {_WHAT[kind]}"
         for class_id, name in stuff.items()
         for kind in ("floor", "ceiling")
@@ -318,5 +318,5 @@ def _nameless(counts: Counts, found: Mapping[str, Suiting], stuff: Mapping[int, 
         and counts[class_id]["all"] >= max(_FEWEST_OF_KIND, _LARGE * points)
         and counts[class_id][kind] >= _LOOKS * counts[class_id]["all"]
     ]  # fmt: skip
-    text = f"no class is a floor, and {'; '.join(told)}"
-    return [Finding(cause="class table", severity="note", text=text, option=_OPTION)] if told else []
+    text = f"no class is a floor, and {'; '.join(reasons)}"
+    return [Finding(cause="class table", severity="note", text=text, option=_OPTION)] if reasons else []

@@ -1,5 +1,5 @@
-"""Writes a new scene folder, mended where a diagnosis is sure. The user's files stay as they are. What was written is
-read again and measured before it is handed over."""
+"""Writes a new scene folder with certain faults fixed. The user's files stay unchanged. The result is read again and
+measured before it is handed over."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from .reprojection import Assumption, Floats, assumed_poses, examine, lens_under
 from .trials import agreement, is_far_better
 
 _DEEPEST = 65535
-"""Largest depth of the layout, in millimetres."""
+"""Maximum depth in this layout, in millimetres."""
 
 
 def write_mended(scene: Scene, diagnosis: Diagnosis, out: Path) -> str | None:
@@ -111,7 +111,7 @@ def _mended_cameras(scene: Scene, frames: list[Frame], mending: Mending) -> list
 
 
 def _lens(camera: Camera, assumed: Assumption) -> tuple[float, float, float, float]:
-    """The corrected fx, fy, cx, cy, in shares of the picture."""
+    """The corrected fx, fy, cx, cy, as fractions of the picture."""
     given = np.array(
         [[camera.fx / camera.width, camera.fy / camera.height, camera.cx / camera.width, camera.cy / camera.height]]
     )
@@ -120,7 +120,7 @@ def _lens(camera: Camera, assumed: Assumption) -> tuple[float, float, float, flo
 
 
 def _matrix(camera: Camera) -> Floats:
-    """The intrinsics as the layout has them: float64 [4, 4], for pixel centres at integers."""
+    """The intrinsics in this layout: float64 [4, 4], for pixel centres at integers."""
     matrix = np.eye(4)
     matrix[:3, :3] = camera.K
     matrix[:2, 2] -= 0.5
@@ -136,7 +136,7 @@ def _write_colour(frame: Frame, folder: Path) -> None:
 
 
 def _link_or_copy(source: Path, target: Path) -> None:
-    """Make a hard link where the file system can, so that the first file may be deleted; otherwise copy."""
+    """Make a hard link if the file system supports it, so the original may be deleted; otherwise copy."""
     try:
         os.link(source, target)
     except OSError:
@@ -165,7 +165,7 @@ def _moved(depth: NDArray[np.float64], right: int, down: int) -> NDArray[np.floa
 
 
 def _link_group_masks(scene: Scene, frames: list[Frame], folder: Path) -> bool:
-    """Link masks whose segments may be several objects, which COCO panoptic cannot say. False if there are none."""
+    """Link masks whose segments may be several objects, which COCO panoptic cannot express. False if there are none."""
     theirs = [path for path in scene.folder.glob("m2f_*") if path.is_dir()] if scene.folder.is_dir() else []
     if not theirs or not any(segment.is_group for frame in frames for segment in frame.mask(None).segments):
         return False
@@ -209,9 +209,9 @@ def _write_image(path: Path, pixels: NDArray[np.integer[Any]]) -> None:
 _LOOKED_AT = 8
 """Frames whose depth is compared pixel by pixel."""
 _KEPT = 0.9
-"""Least share of the depth that a mended scene keeps."""
+"""Minimum fraction of the depth that a fixed scene keeps."""
 _NEAREST, _FARTHEST = 0.1, 50.0
-"""The median depth has to lie between these metres."""
+"""Bounds of the median depth in metres."""
 _NO_WORSE = 0.98
 
 
@@ -242,7 +242,7 @@ def harm_of(scene: Scene, diagnosis: Diagnosis, folder: Path) -> str | None:
 
 
 def _depth_left(scene: Scene, mended: Scene) -> tuple[float, float]:
-    """The share of the pixels with depth that still have it, and the median depth in metres."""
+    """The fraction of the pixels with depth that still have it, and the median depth in metres."""
     before = {frame.name: frame for frame in scene.frames}
     with_depth = [frame for frame in mended.frames if frame.read_depth is not None]
     chosen = evenly_spread(with_depth, _LOOKED_AT)

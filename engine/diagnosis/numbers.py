@@ -1,4 +1,4 @@
-"""Findings on poses, depth and intrinsics: causes that trials found, and numbers that a fit found a little off."""
+"""Findings on poses, depth and intrinsics: causes found by trials, and values that a fit found slightly off."""
 
 from __future__ import annotations
 
@@ -17,23 +17,23 @@ from .trials import Agreement, Calibration, FoundCause, agreement, calibrate, fi
 _OFF_UNIT, _OFF_FOCAL = 0.025, 0.03
 """Logarithms. Sensors' own scales and calibrations differ by one or two per cent."""
 _OFF_RAY = 0.3
-"""Part of the ray's length that is in depth."""
+"""The fraction of the ray's length contained in depth."""
 _OFF_PIXELS = 0.3
 _RUINED = 1.5
-"""Least factor by which views agree better without a cause that makes a lift vain."""
+"""Minimum factor by which views agree better without a cause that makes a lift pointless."""
 _ABOVE_NOISE = 2.0
 """A shift of the principal point must move surfaces by at least this many median errors."""
 _HALF, _NEARLY = 0.5, 0.1
-"""Pixels: a shift of half a pixel, and its tolerance."""
+"""Pixels: a half-pixel shift, and its tolerance."""
 _RAY = "the length of the ray ((u - cx) / fx, (v - cy) / fy, 1)"
 
 Figures = dict[str, float | str]
 
 
 class _CauseWords(NamedTuple):
-    """What a cause is called, the caption of the mended picture, the sentence, and what the user can do in the files.
+    """A cause's name, the caption of the corrected picture, the sentence, and how the user can fix the files.
 
-    ``text`` and ``option`` are empty where they need figures.
+    ``text`` and ``option`` are empty if they need numbers.
     """
 
     name: str
@@ -81,15 +81,15 @@ _WORDS = {
 }  # fmt: skip
 
 NUMBER_CAUSES = frozenset({*(words.name for words in _WORDS.values()), "principal point"})
-"""What findings on poses, depth and intrinsics are called."""
+"""The names of findings on poses, depth and intrinsics."""
 _OTHERS_FOLLOW = "what else is wrong with the numbers may follow from it"
 _ONLY_TOLD = ("lag", "mirrored")
-"""Causes that users mend in their own files, as only they can see which of the files are wrong."""
+"""Causes that users fix in their own files, as only they can see which of the files are wrong."""
 
 
 def lens_findings(scene: Scene, findings: list[Finding]) -> list[Finding]:
-    """A finding on a lens that no file says, the first hypothesis. It is "wrong" where a number is: then the lens is
-    likelier to be the cause than numbers that files say."""
+    """A finding that the lens is assumed, the first hypothesis. It is "wrong" if a value is off: then the lens is
+    likelier to be the cause than values given by files."""
     if not scene.assumed_lens:
         return []
     is_wrong = any(finding.severity == "wrong" and finding.cause in NUMBER_CAUSES for finding in findings)
@@ -99,7 +99,7 @@ def lens_findings(scene: Scene, findings: list[Finding]) -> list[Finding]:
 
 
 def number_findings(examined: Examined, lens_is_doubtful: bool = False) -> tuple[list[Finding], Assumption, Shift]:
-    """Findings, what the numbers mean, and the shift that depth needs, in shares of the picture."""
+    """Findings, what the numbers mean, and the shift that depth needs, as fractions of the picture."""
     causes, assumed = find_causes(examined.views, examined.pairs, lens_is_doubtful)
     befores = [Assumption(), *(cause.assumed for cause in causes)]
     findings = [_cause_finding(examined, cause, before) for cause, before in zip(causes, befores, strict=False)]
@@ -142,12 +142,12 @@ def _cause_finding(examined: Examined, cause: FoundCause, before: Assumption) ->
 
 
 def _off(factor: float) -> str:
-    """How far off a length is that has to be multiplied by ``factor``."""
+    """How far a length that must be multiplied by ``factor`` is off."""
     return f"{1 / factor:.4g} times too long" if factor < 1.0 else f"{factor:.4g} times too short"
 
 
 def _steps(examined: Examined, factor: float) -> str:
-    """In how many steps per metre depth was written and read; empty where its files hold no steps."""
+    """The steps per metre in which depth was written and read; empty if its files store no steps."""
     read = examined.scene.frames[0].read_depth
     if not isinstance(read, DepthMap) or read.step is None:
         return ""
@@ -160,7 +160,7 @@ def _round(steps: float) -> str:
 
 
 def _cause_texts(examined: Examined, cause: FoundCause, before: Assumption) -> tuple[str, str, Figures]:
-    """What is wrong, what to do about it in the user's files, and the figures."""
+    """What is wrong, how to fix it in the user's files, and the numbers."""
     now = cause.assumed
     width, height = examined.scene.frames[0].size
     if cause.cause == "unit":
@@ -186,7 +186,7 @@ def _cause_texts(examined: Examined, cause: FoundCause, before: Assumption) -> t
 
 
 def _agreement_figures(before: Agreement, after: Agreement) -> dict[str, float]:
-    """The shares of all points that agree, whether the other view shows them or not, and the errors."""
+    """The fractions of all points that agree, whether the other view shows them or not, and the errors."""
     return {
         "agreeing_before": before.seen * before.share,
         "agreeing_after": after.seen * after.share,
@@ -198,7 +198,7 @@ def _agreement_figures(before: Agreement, after: Agreement) -> dict[str, float]:
 def _calibration_findings(
     examined: Examined, found: Calibration, assumed: Assumption, may_move: bool
 ) -> tuple[list[Finding], Assumption]:
-    """What the fit says beyond the causes. ``may_move``: no shift of depth explains the principal point."""
+    """What the fit adds to the causes. ``may_move``: no shift of depth explains the principal point."""
     free = _values_off(examined, found, moved(assumed, found.values), may_move)
     again = calibrate(examined.views, examined.pairs, assumed, free, points=200) if free else None
     if again is None:
@@ -226,7 +226,7 @@ def _calibration_findings(
 
 
 def _doubtful_unit(found: Calibration) -> Finding:
-    """A note on a unit that the fit is sure of, where noise of depth and poses hides most of what it would mend."""
+    """A note on a unit that the fit is sure of, though noise of depth and poses hides most of the improvement."""
     factor = float(np.exp(found.of("unit")))
     return Finding(
         cause="depth unit",
@@ -239,7 +239,7 @@ def _doubtful_unit(found: Calibration) -> Finding:
 
 
 def _values_off(examined: Examined, found: Calibration, mended: Assumption, may_move: bool) -> tuple[str, ...]:
-    """The names of the values that are off beyond doubt."""
+    """The names of the values that are certainly off."""
     left = agreement(examined.views, examined.pairs, mended).error
     wrong = {
         "unit": found.is_sure_of("unit", _OFF_UNIT),

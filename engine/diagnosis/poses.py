@@ -1,4 +1,4 @@
-"""Are single poses wrong? Drift over time, frames whose pose is off, out of order or there twice."""
+"""Whether single poses are wrong: drift over time, and frames whose pose is off, out of order or duplicated."""
 
 from __future__ import annotations
 
@@ -16,29 +16,29 @@ from .findings import Finding, scatter, side_by_side
 from .reprojection import Assumption, Examined, Floats, Views, assumed_poses
 
 _WIDE = 0.15
-"""Share of the depth. A surface farther off is another surface."""
+"""A fraction of the depth. A surface farther off is a different one."""
 _LEAST_POINTS = 40
 _QUANTILE = 0.3
 """Quantile of a pair's distances. Some points of any two views lie on surfaces that only one of them sees."""
 _LEAST_PAIRS, _LEAST_LAGS, _LEAST_EACH = 30, 6, 8
 _LEAST_ACROSS = 20
-"""Least pairs of looks across a gap, and within each of the parts."""
+"""Minimum pairs of looks across a gap, and within each of the parts."""
 _NEAR = 3
 """Frames between two looks that count as neighbours."""
 _HALF, _ENOUGH = 0.5, 0.2
 _DRIFTED = 0.02
-"""Least metres of drift, or ..."""
+"""Minimum drift in metres, or ..."""
 _DRIFTED_SHARE = 0.0075
-"""... this share of the median depth where that is more. Sensors' own noise stays below."""
+"""... this fraction of the median depth if that is more. Sensors' own noise stays below."""
 _GROWN = 4.0
-"""Least factor between the distances of distant frames and of neighbours."""
+"""Minimum ratio of the distances of distant frames to those of neighbours."""
 _CERTAIN = 5.0
 """Standard errors."""
 _FACING = 0.85
-"""Least cosine between an axis of the world and the normal of a surface that faces it."""
+"""Minimum cosine between a world axis and the normal of a surface that faces it."""
 _AXIS_DRIFTED, _AXIS_GROWN, _AXIS_CERTAIN = 0.01, 8.0, 12.0
-"""The same limits for the surfaces that face one axis. They are fewer, so more is asked of them; the hand-held twin as
-it is reaches a factor of 9, but 8 standard errors."""
+"""The same limits for the surfaces that face one axis. There are fewer of them, so the limits are stricter; the
+synthetic hand-held capture without faults reaches a factor of 9, but 8 standard errors."""
 
 
 class Drift(NamedTuple):
@@ -192,7 +192,7 @@ def _axis_findings(drifts: Mapping[str, Drift]) -> list[Finding]:
 
 
 def _misplaced_looks(views: Views, pairs: NDArray[np.int64], assumed: Assumption) -> list[int]:
-    """Looks (rows) that agree with none of their neighbours, while these agree with each other."""
+    """Looks (rows) that agree with none of their neighbours, although these agree with each other."""
     comparison = views.compare(pairs, assumed)
     share = comparison.agrees.sum(1) / np.maximum(comparison.known.sum(1), 1)
     by_pair = {(min(pair), max(pair)): float(value) for pair, value in zip(pairs.tolist(), share, strict=True)}
@@ -223,16 +223,17 @@ def _misplaced_finding(examined: Examined, rows: list[int]) -> Finding:
 
 
 _FEWEST, _MOST = 12, 1500
-"""Frames whose order can be measured. The distances between all of them are computed."""
+"""Bounds of the number of frames whose order is measured. All pairwise distances are computed."""
 _REACH = 2.0
-"""Metres to what a camera looks at. Steps between frames are measured there, so that turns count."""
+"""Assumed distance in metres to what a camera looks at. Steps between frames are measured there, so that turns
+count."""
 
 
 class FrameOrder(NamedTuple):
-    """Steps between successive frames: the metres by which the place that they look at moves.
+    """Steps between successive frames: the metres by which the point that they look at moves.
 
     ``given`` is the median step in the order of the names, ``shortest`` the median step of ``path``: an order found by
-    always going to the nearest frame. ``rank`` is the median share of all frames that are nearer to a frame than its
+    always going to the nearest frame. ``rank`` is the median fraction of all frames that are nearer to a frame than its
     successor. ``smoothness`` is the median cosine between successive steps of ``path``: 1 if straight, 0 if random.
     """
 
@@ -249,7 +250,7 @@ class FrameOrder(NamedTuple):
 
 
 def measure_order(scene: Scene, assumed: Assumption) -> FrameOrder | None:
-    """The order of all frames under an assumption. None where there are too few or too many."""
+    """The order of all frames under an assumption. None with too few or too many."""
     count = len(scene.frames)
     if not _FEWEST <= count <= _MOST:
         return None
@@ -273,7 +274,7 @@ def measure_order(scene: Scene, assumed: Assumption) -> FrameOrder | None:
 
 
 def _walk(distances: Floats, start: int) -> list[int]:
-    """The order of a walk from each frame to the nearest one that is left."""
+    """The order of a walk from each frame to the nearest unvisited one."""
     left = distances.copy()
     path = [start]
     for _ in range(len(distances) - 1):

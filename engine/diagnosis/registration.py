@@ -1,5 +1,5 @@
-"""Do the pictures belong to depth and poses? Depth's edges are moved and scaled over the pictures' gradients, and a
-surface has the same grey in two pictures."""
+"""Whether the pictures belong to depth and poses: depth's edges are moved and scaled over the pictures' gradients, and
+a surface must have the same grey value in two pictures."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from .reprojection import Assumption, Examined, Floats, Look, Photo, values_at
 from .trials import Calibration
 
 _MOST = 32
-"""Looks that are used at most."""
+"""Maximum number of looks used."""
 _WIDTH = 160
 _FARTHEST = 0.12
-"""Largest shift that is tried, in shares of the width."""
+"""Largest shift tried, as a fraction of the width."""
 _SCALES = (1.0, 0.97, 1.03, 0.94, 1.06, 0.91, 1.1, 0.88, 1.14, 0.84, 1.19, 0.8, 1.25)
 _JUMP = 0.06
 """Least relative step of depth between two pixels at an edge, beyond the step of a slanted surface."""
@@ -28,24 +28,24 @@ _AHEAD, _APART = 2.0, 0.1
 _CERTAIN = 5.0
 """Standard errors among the frames."""
 _CORROBORATED = 4.0
-"""Standard errors that are enough where depth's own geometry says the same."""
+"""Standard errors that suffice if depth's own geometry agrees."""
 _MOVED, _SCALED = 0.0075, 0.03
-"""Shift in shares of the width, and scale. Sensors register colour and depth to a few pixels of 640."""
+"""Shift as a fraction of the width, and scale. Sensors register colour and depth to a few pixels of 640."""
 _GAIN = 0.1
 """Least gain of a fit, in standard deviations of the pictures' contrast."""
 
 SHIFT = "colour-to-depth shift"
-"""What the finding is called."""
+"""The name of the finding."""
 
 Shift = tuple[float, float]
-"""x, y in shares of the picture."""
+"""x, y as fractions of the picture."""
 
 
 class Registration(NamedTuple):
-    """Where depth's edges fit the pictures best: an edge at place p (shares of the picture) belongs to
-    (p - 0.5) * ``scale`` + 0.5 + ``shift``.
+    """Where depth's edges fit the pictures best: an edge at p (fractions of the picture) belongs to (p - 0.5) *
+    ``scale`` + 0.5 + ``shift``.
 
-    ``gain`` is how much stronger the pictures' contrast is there than where depth lies, in standard deviations.
+    ``gain`` is how much stronger the pictures' contrast is there than at depth's position, in standard deviations.
     ``certainty`` is the gain over its standard error among the ``frames`` that have edges.
     """
 
@@ -84,7 +84,7 @@ def _distinct(looks: list[Look]) -> list[Look]:
 
 
 def _depth_edges(depth: NDArray[np.float32]) -> Floats:
-    """Where depth jumps between two pixels, float64 [N, 2] in shares of the picture."""
+    """Where depth jumps between two pixels, float64 [N, 2] as fractions of the picture."""
     height, width = depth.shape
     found = []
     for axis in (0, 1):
@@ -161,7 +161,7 @@ def _fits(pairs: list[tuple[Floats, Floats]], scale: float, shift: Shift) -> Flo
 def registration_findings(
     examined: Examined, found: Registration | None, calibration: Calibration | None
 ) -> tuple[list[Finding], Shift]:
-    """Whether depth lies beside the pictures, and the shift that mends it where depth's own geometry agrees."""
+    """Whether depth is offset from the pictures, and the shift that corrects it, if depth's own geometry agrees."""
     if found is None:
         return [], (0.0, 0.0)
     shift = None if calibration is None else _depth_shift(examined, found, calibration)
@@ -174,9 +174,8 @@ def registration_findings(
 
 
 def _depth_shift(examined: Examined, found: Registration, calibration: Calibration) -> Shift | None:
-    """The shift that depth needs, where its geometry and the pictures' edges both say that it was moved: the edges fit
-    better near the place that geometry gives than where they lie.
-    """
+    """The shift that depth needs, if both its geometry and the pictures' edges say that it was moved: the edges fit
+    better near the position given by geometry than where they are."""
     if abs(found.scale - 1.0) >= _SCALED or found.certainty < _CORROBORATED:
         return None
     shift = -np.array([calibration.of("x"), calibration.of("y")])
@@ -217,7 +216,7 @@ def _registration_finding(examined: Examined, found: Registration, is_depth: boo
 _SAME_SURFACE = 0.5
 _FEWEST_POINTS, _FEWEST_PAIRS, _FEWEST_LOOKS = 30, 12, 6
 _LEAST_CONTRAST = 4.0
-"""Grey levels, as a deviation. A bare wall tells nothing."""
+"""Grey levels, as a deviation. A bare wall gives no information."""
 _BETTER = 0.1
 """Least gain of the mean correlation under another assumption about the pictures."""
 _CERTAIN_GAIN = 5.0
@@ -225,7 +224,7 @@ _CERTAIN_GAIN = 5.0
 
 
 class Taken(NamedTuple):
-    """Which picture is used for a look: that of the frame so many places later (``lag``), ``mirrored`` or not."""
+    """Which picture a look uses: that of the frame ``lag`` frames later, ``mirrored`` or not."""
 
     lag: int = 0
     mirrored: bool = False
@@ -235,7 +234,7 @@ _OTHERS = (Taken(mirrored=True), *(Taken(lag) for lag in (-2, -1, 1, 2)))
 
 
 class PictureFit(NamedTuple):
-    """How well pictures agree on surfaces, as a mean correlation of greys: as they are, and ``taken`` otherwise."""
+    """How well pictures agree on surfaces, as a mean correlation of greys: unmodified, and as ``taken``."""
 
     taken: Taken
     before: float
@@ -244,7 +243,7 @@ class PictureFit(NamedTuple):
 
 
 def measure_pictures(examined: Examined, assumed: Assumption) -> PictureFit | None:
-    """What makes the pictures agree clearly better than they do as they are. None where nothing does."""
+    """The change that makes the pictures agree clearly better than unmodified ones. None if there is none."""
     views, pairs = examined.views, examined.pairs
     comparison = views.compare(pairs, assumed)
     seen = [agrees > _SAME_SURFACE for agrees in comparison.agrees]
@@ -294,7 +293,7 @@ def _mirrored(places: Floats) -> Floats:
 
 
 def picture_findings(examined: Examined, assumed: Assumption) -> list[Finding]:
-    """Pictures that belong to other frames, or are mirrored, where depth and poses are not."""
+    """Pictures that belong to other frames or are mirrored, though depth and poses are not."""
     fit = measure_pictures(examined, assumed)
     if fit is None:
         return []

@@ -1,5 +1,5 @@
-"""What is loaded for a diagnosis, depth ("looks") and photos of at most 120 frames, and the looks' depth projected into
-each other under an assumption about what the scene's numbers mean."""
+"""The data of a diagnosis: depth ("looks") and photos of at most 120 frames, and the looks' depth projected into each
+other under an assumption about what the scene's numbers mean."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ Floats = NDArray[np.float64]
 
 
 class Sample(NamedTuple):
-    """Which frames are examined: all, or where there are more than ``most``, ``groups`` spread over the recording.
-    ``steps`` are the frames of a group, counted from its first.
+    """Which frames are examined: all, or if there are more than ``most``, ``groups`` spread over the recording.
+    ``steps`` are a group's frames, counted from its first.
 
     Neighbours show small errors. Distant views of the same surface show large ones.
     """
@@ -83,7 +83,7 @@ class Photo:
 
 
 def pairs_of(count: int) -> NDArray[np.int64]:
-    """The pairs (from, to) that are compared, int64 [P, 2]: each look with the next three, 24 looks with each other."""
+    """The pairs (from, to) to compare, int64 [P, 2]: each look with the next three, and 24 looks with each other."""
     spread = np.unique(np.linspace(0, count - 1, min(count, _SPREAD)).round().astype(int)).tolist()
     pairs = {(i, j) for i in range(count) for j in range(i + 1, min(i + 1 + _NEXT, count))}
     pairs |= {*combinations(spread, 2)}
@@ -127,7 +127,7 @@ def _load_photo(number: int, frame: Frame) -> Photo:
 
 
 def values_at(pixels: NDArray[Any], places: Floats) -> NDArray[Any]:
-    """The pixels of an array [H, W] at places, float64 [N, 2], in shares of its width and height."""
+    """The pixels of an array [H, W] at ``places``, float64 [N, 2], as fractions of its width and height."""
     height, width = pixels.shape
     columns = np.clip((places[:, 0] * width).astype(np.int64), 0, width - 1)
     rows = np.clip((places[:, 1] * height).astype(np.int64), 0, height - 1)
@@ -163,10 +163,10 @@ def _smooth_points(depth: NDArray[np.float32], random: np.random.Generator) -> N
 
 
 Lens = Floats
-"""fx, fy, cx, cy in shares of the picture's width and height: float64 [..., 4]."""
+"""fx, fy, cx, cy as fractions of the picture's width and height: float64 [..., 4]."""
 
 _AGREES_WITHIN = 0.05
-"""Share of the depth. A larger difference shows another surface, or an error."""
+"""A fraction of the depth. A larger difference shows another surface, or an error."""
 _SMOOTH = 1.1
 """Largest ratio of the depths between which depth is interpolated."""
 _NORMAL_GRAIN = 160
@@ -178,9 +178,9 @@ class Assumption(NamedTuple):
     """What the numbers of a scene might mean. The defaults are how the scene was read.
 
     ``inverted``: poses are world-to-camera. ``opengl``: cameras have y up and z backward. ``unit``: factor of depth.
-    ``ray``: 1 when depth is the distance to the camera. ``lens_scale``: factor of fx, fy, cx, cy. ``focal``: further
-    factor of fx and fy. ``aspect``: further factor of fx. ``shift``: added to the principal point, in shares of the
-    picture. ``length``: factor of the cameras' places. ``lag``: a frame's pose is that of the frame so many places
+    ``ray``: 1 if depth is the distance to the camera. ``lens_scale``: factor of fx, fy, cx, cy. ``focal``: further
+    factor of fx and fy. ``aspect``: further factor of fx. ``shift``: added to the principal point, as fractions of the
+    picture. ``length``: factor of the cameras' positions. ``lag``: a frame's pose is that of the frame this many frames
     later. ``mirrored``: pictures and depth have left and right exchanged.
     """
 

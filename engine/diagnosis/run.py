@@ -19,7 +19,7 @@ from .up import measure_tilt, tilt_finding, turn_to_z
 
 _Z = np.array([0.0, 0.0, 1.0])
 _CLIPPED = 0.5
-"""Share of black and white pixels above which a photo shows too little."""
+"""A photo with a larger fraction of black and white pixels shows too little."""
 
 
 def diagnose(scene: Scene) -> Diagnosis:
@@ -54,9 +54,9 @@ def diagnose(scene: Scene) -> Diagnosis:
 
 
 def diagnose_quickly(scene: Scene, masks_within: Size | None = None) -> Diagnosis:
-    """What a second or two shows of a scene before its lift: order, axes, units, lens, up, pictures and masks of other
-    frames, and the class table. `diagnose` measures again what seems wrong in these few frames. Masks are
-    read at the size that frames have ``masks_within``, or at their own. Raises PlgsError, OSError."""
+    """A check of a second or two before a lift: order, axes, units, lens, up, pictures and masks of other frames, and
+    the class table. `diagnose` measures again what seems wrong in these few frames. Masks are read at the size that
+    frames have ``masks_within``, or at their own. Raises PlgsError, OSError."""
     examined, order = examine(scene, FEW, masks_within), measure_order(scene, Assumption())
     findings = [*order_findings(scene, order), *repeat_findings(scene)]
     if examined is None:

@@ -1,5 +1,6 @@
-"""Which assumption about a scene's numbers makes its views agree best? Each is tried on the same points. How far off
-are the lens, the depth unit and the ray length? A robust least-squares fit to all reprojected depth says it.
+"""Finds the assumption about a scene's numbers under which its views agree best. Each is tried on the same points. How
+far off the lens, the depth unit and the ray length are follows from a robust least-squares fit to all reprojected
+depth.
 
 Every point that another view shows nearly where it is expected is one equation of the fit. An error in one frame's pose
 affects all of its pairs, so the uncertainty counts frames and not points.
@@ -23,7 +24,7 @@ _PRIOR = np.array([0.3, 0.3, 0.3, 0.1, 0.1, 1.0])
 _ROUNDS = 8
 _LEAST_TERMS = 200
 _FINEST = 2e-4
-"""Relative error of depth that rounding to millimetres makes. Smaller ones cannot be measured."""
+"""Relative depth error caused by rounding to millimetres. Smaller ones cannot be measured."""
 _STEEPEST = 5.0
 """Largest slope of a point on a surface. A larger one means that the point crossed an edge."""
 
@@ -143,19 +144,19 @@ _CERTAIN = 5.0
 """Least mean gain of the frames, in its standard errors."""
 _MOST_CAUSES = 4
 _POOR = 0.4
-"""Share of the points seen by two views. Where fewer agree, two causes at once are tried."""
+"""A fraction of the points seen by two views. If fewer agree, two causes at once are tried."""
 _POSE_CAUSES = ("inverted", "opengl", "inverted opengl")
 _LENS_CAUSES = ("lens size", "focal")
 _ASIDE = 0.1
-"""Share of the picture. A principal point farther from the middle may belong to pictures of another size."""
+"""A fraction of the picture. A principal point farther from the middle may belong to pictures of another size."""
 _KINDS_COMPARED = 4
 _RIVAL = 1.05
 """Least factor by which views must agree better under one cause than under the next, for a scene to be mended by it."""
 _ERROR_LEFT = 0.7
 _LEAST_SHARE, _LEAST_OF_ALL = 0.5, 0.15
-"""Least shares of points that agree under a cause: of those that both views see, and of all."""
+"""Minimum fractions of points that agree under a cause: of those that both views see, and of all."""
 _NEAREST, _FARTHEST = 0.4, 8.0
-"""Metres: the median depth of a room, as people record it. A cause of lengths has to lead there."""
+"""Metres: bounds of the median depth of a room recorded by people. A cause in lengths must lead there."""
 _LAGS = (-3, -2, -1, 1, 2, 3)
 
 
@@ -235,7 +236,7 @@ def find_causes(
 
 
 def _two_at_once(views: Views, pairs: NDArray[np.int64], before: Agreement) -> list[FoundCause]:
-    """Poses and another number may both be wrong. Then mending either one alone improves nothing."""
+    """Poses and another number may both be wrong. Then fixing either one alone improves nothing."""
     best: tuple[FoundCause, FoundCause] | None = None
     for pose in (trial for trial in _trials(views, Assumption()) if trial.cause in _POSE_CAUSES):
         found = _best(views, pairs, pose.assumed, before, {*_POSE_CAUSES})
@@ -245,7 +246,7 @@ def _two_at_once(views: Views, pairs: NDArray[np.int64], before: Agreement) -> l
 
 
 def is_far_better(after: Agreement, before: Agreement) -> bool:
-    """Whether a scene may be mended: half of what two views see agrees, and either 15 % more of it than before, or no
+    """Whether a scene may be fixed: half of what two views see agrees, and either 15 % more of it than before, or no
     less with 30 % less error."""
     more = after.mean > _BETTER * before.mean
     finer = after.mean >= _AS_GOOD * before.mean and after.error < _ERROR_LEFT * before.error
@@ -290,7 +291,7 @@ def _best(
 
 
 def _is_doubted(each: tuple[Agreement, Trial], best: float, lens_first: bool) -> bool:
-    """Whether a trial is of a lens that is doubtful, and explains the scene about as well as the ``best``."""
+    """Whether a trial concerns a doubtful lens, and explains the scene about as well as the ``best``."""
     return lens_first and each[1].cause in _LENS_CAUSES and each[0].mean * _RIVAL > best
 
 
@@ -307,7 +308,7 @@ def _whose_lengths(views: Views, before: Assumption, found: FoundCause) -> Found
 
 
 def _fitted(views: Views, pairs: NDArray[np.int64], after: Agreement, trial: Trial) -> tuple[Agreement, Trial]:
-    """A trial with its free values fitted, where that makes it no worse."""
+    """A trial with its free values fitted, unless that makes it worse."""
     calibration = calibrate(views, pairs, trial.assumed, trial.free, _POINTS) if trial.free else None
     if calibration is None:
         return after, trial

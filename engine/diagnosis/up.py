@@ -1,4 +1,4 @@
-"""Which way is up? Floors, ceilings and table tops show it: most of their normals point along it."""
+"""Finds which way is up: most normals of floors, ceilings and table tops point along it."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _LEVEL = 5.0
 _TILTED, _CERTAIN = 5.0, 5.0
 """Degrees and standard errors. Floors are level to within a degree, and so are scanners' worlds."""
 _NAMED_WITHIN = 8.0
-"""Degrees from an axis of the poses, within which the axis is named."""
+"""An axis of the poses within this many degrees is named."""
 _AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 
 
@@ -37,7 +37,7 @@ class UpAxis(NamedTuple):
 
 
 def measure_tilt(views: Views, assumed: Assumption) -> UpAxis | None:
-    """The axis that is up, if it clearly differs from z. None also where surfaces or cameras do not show it."""
+    """The up axis, if it clearly differs from z. None also if surfaces or cameras do not show it."""
     up = _measure_up(views, assumed)
     return up if up is not None and up.tilt > max(_TILTED, _CERTAIN * up.deviation) else None
 
@@ -81,7 +81,7 @@ def world_normals(views: Views, assumed: Assumption) -> list[tuple[Floats, NDArr
 
 
 def tilt_finding(examined: Examined, up: UpAxis, assumed: Assumption) -> Finding:
-    """That the world is tilted, with the option that mends it."""
+    """The finding that the world is tilted, with the option that fixes it."""
     turn = np.eye(3) if examined.scene.turn is None else examined.scene.turn
     written = turn.T @ up.axis  # in the poses' own world, as --up takes it
     axis = max(_AXES, key=lambda name: abs(float(written @ _AXES[name])))

@@ -16,7 +16,7 @@ from .records import ObjectMask
 from .segments import edge_distance
 
 PAIRS_AT_A_TIME = 8192
-"""Pairs of masks whose common points are looked up at once. This bounds the memory."""
+"""Pairs of masks whose common points are looked up at once, to bound the memory."""
 
 
 @dataclass(frozen=True, eq=False)

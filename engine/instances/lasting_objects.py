@@ -1,4 +1,4 @@
-"""Which objects of a lift are the same as in an earlier lift of the scene, by the overlap of their points."""
+"""Matches a lift's objects to those of an earlier lift of the scene, by the overlap of their points."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ CELL = 0.08
 LEAST_IOU = 0.2
 """Two objects are the same if their cells have at least this IoU. More frames may show twice as much of an object."""
 MOST_OF_IT = 0.5
-"""An object is a part of another if at least this share of its cells lies within it."""
+"""An object is a part of another if at least this fraction of its cells lies within it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,7 +93,7 @@ def lasting_objects(overlap: ObjectOverlap) -> LastingObjects:
 def _distinct(
     ids: NDArray[np.integer], cell: NDArray[np.int64]
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
-    """The distinct ids; and for each pair of object and cell, in the order of the cells, the id's place and the
+    """The distinct ids; and for each pair of object and cell, in the order of the cells, the id's index and the
     cell."""
     known, place = np.unique(ids.astype(np.int64), return_inverse=True)
     pairs, _ = distinct_rows(np.stack([cell, place.ravel()], axis=1))

@@ -1,8 +1,8 @@
-"""Whether detections that lie over the masks have a say (ours, beyond the paper).
+"""Whether detections that lie over the masks take part in votes (ours, beyond the paper).
 
-Weak detections win back what a network's panoptic picture lost, and spoil masks that are good. So the views decide:
-each is held back in turn, and compared with what the others say of its points. Shares of what a view shows cannot tell,
-as walls and floors fill it, on which bad masks agree, too. So each class counts alike.
+Weak detections win back what a network's panoptic picture lost, but spoil masks that are good. So the views decide:
+each is held back in turn and compared with what the others say of its points. Averages over a view's pixels decide
+nothing, as walls and floors fill it, on which bad masks agree, too. So each class counts alike.
 """
 
 from __future__ import annotations
@@ -38,8 +38,8 @@ def trusted_layers(seeing: ViewsOnCloud, points: int, class_ids: tuple[int, ...]
 
 
 def class_agreement(seeing: ViewsOnCloud, points: int, class_ids: tuple[int, ...], kind: EvidenceKind) -> float:
-    """The share of what a view's mask shows of a class that has this class by the votes of all other views, point by
-    point: the mean over the classes that masks show. Points that no other view sees are not asked."""
+    """The fraction of the points that a view's mask gives a class to which the votes of all other views give the same
+    class: the mean over the classes that masks show. Points that no other view sees do not count."""
     ids = np.asarray(class_ids)
     said = []
     total = np.zeros((points, len(ids)))  # float64: what is left after a view is taken out must be 0 where nothing is

@@ -27,8 +27,8 @@ from .agreement import ViewPoints
 from .records import SceneObject, fit_box
 
 LEAST_SHARE = 0.4
-"""Of the votes on an object, the share that its class needs. Masks that share a place and not a class are not one
-object: most often they are of several things that a network could not tell apart."""
+"""Minimum fraction of an object's votes for its class. Masks that share a position but no class are not one object:
+usually they belong to several things that a network could not distinguish."""
 
 
 def vote_classes(

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from ..machine.compiled import Array, compiled, device_function
 
 LEAST_OF_CLASS = 0.1
-"""Share of its class's coverage that an object needs to be shown."""
+"""Minimum fraction of its class's coverage for an object to be shown."""
 
 
 @device_function
@@ -74,7 +74,7 @@ class PanopticLabels:
 
     @property
     def class_column(self) -> NDArray[np.int64]:
-        """The place of each label's class in ``class_ids``, int64 [C + U]."""
+        """The index of each label's class in ``class_ids``, int64 [C + U]."""
         objects = np.searchsorted(self.class_ids, self.class_of_object)
         return np.concatenate([np.arange(len(self.class_ids)), objects]).astype(np.int64)
 

@@ -34,13 +34,13 @@ from .agreement import ViewPoints, ViewsOnCloud
 from .panoptic_labels import UNKNOWN_LABEL, PanopticLabels, decide_labels
 
 CELLS_AT_A_TIME = 1 << 23
-"""Votes of points on labels that are made dense at once. This bounds the memory."""
+"""Votes of points on labels made dense at once, to bound the memory."""
 VIEWS_AT_A_TIME = 32
 """Views whose votes are added at once."""
 AGREEMENT = 0.5
-"""Share of a segment's labelled points that must agree for the segment to take their label."""
+"""Minimum fraction of a segment's labelled points that must agree for the segment to take their label."""
 LEAST_SHARE = 0.1
-"""Share of its class's votes that an object needs (see ``decide_labels``)."""
+"""Minimum fraction of its class's votes for an object (see ``decide_labels``)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -190,7 +190,7 @@ def _added(total: list[Any], parts: list[tuple[NDArray[np.int64], NDArray[np.flo
 
 
 def is_whole(mask: PanopticMask) -> NDArray[np.bool_]:
-    """Which pixels are of segments that the picture's border does not cut, bool [H, W]."""
+    """Which pixels belong to segments that the picture's border does not cut, bool [H, W]."""
     ids = mask.ids
     return ~np.isin(ids, np.unique(np.concatenate([ids[0], ids[-1], ids[:, 0], ids[:, -1]])))
 
@@ -219,7 +219,7 @@ def _winners(
 
 
 NEIGHBOURS = 6
-"""The most neighbours of a point, as in a plane of cells that are packed closely."""
+"""Maximum number of a point's neighbours, as in a plane of closely packed cells."""
 REACH = 2.0
 """Neighbours are within this many spacings of the cloud."""
 

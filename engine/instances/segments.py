@@ -34,9 +34,9 @@ class SegmentOptions:
 
 
 OUTLINE_ERROR = 0.004
-"""The share of the picture's longer side by which an outline may be off."""
+"""Maximum error of an outline, as a fraction of the picture's longer side."""
 OUTLINE_PART = 0.1
-"""Parts smaller than this share of a mask's largest part have no outline."""
+"""Parts smaller than this fraction of a mask's largest part get no outline."""
 
 
 Rectangle = tuple[float, float, float, float]

@@ -27,18 +27,18 @@ from .agreement import ViewsOnCloud, shown_classes
 log = logging.getLogger("plgs.lift")
 
 LOOSENESS = 0.01
-"""How much an edge may bend beyond the bends within the pieces that it joins, divided by their sizes."""
+"""How much more an edge may bend than the pieces that it joins, divided by their sizes."""
 LEAST_POINTS = 20
-"""Smaller pieces join the neighbour that bends least."""
+"""Smaller pieces join the neighbour with the least bend."""
 REACH = 1.8
 """Points nearer than this times the cloud's spacing are neighbours."""
 PATCH = 12
 """The number of points that a normal is fitted to."""
 WEAK = 0.78
-"""Views that agree with the others on less than this share of what they show are weak evidence. Scenes with a network's
-masks had 0.52 to 0.77, those with good masks 0.81 to 0.89 (docs/experiments.md)."""
+"""Views that agree with the others on less than this fraction of what they show are weak evidence. Scenes with a
+network's masks had 0.52 to 0.77, those with good masks 0.81 to 0.89 (docs/experiments.md)."""
 TOLERANCE = 0.02
-"""The agreement that superpoints may lose and still be trusted: it is about what voxels and ragged masks cost."""
+"""The loss of agreement at which superpoints are still trusted: about what voxels and ragged masks cost."""
 
 
 def trusted_superpoints(
