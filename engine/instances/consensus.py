@@ -90,7 +90,9 @@ def with_masks_of(found: FoundObjects, others: ViewsOnCloud, rules: JudgingRules
     return FoundObjects(found.object_of_point, objects)
 
 
-def objects_of_masks(space: MasksInSpace, options: ConsensusOptions, told: Progress = lambda *_: None) -> FoundObjects:
+def objects_of_masks(
+    space: MasksInSpace, options: ConsensusOptions, progress: Progress = lambda *_: None
+) -> FoundObjects:
     """Cluster all masks, and give each point to the object with the most masks that hold it."""
     points = space.holds.shape[1]
     nothing = FoundObjects(np.zeros(points, np.int32), [])
@@ -98,9 +100,9 @@ def objects_of_masks(space: MasksInSpace, options: ConsensusOptions, told: Progr
         return nothing
     judgement, sound = judge_masks(space, options.rules)
     rows = np.flatnonzero(sound)
-    cluster = join_agreeing(space, judgement, rows, options, lambda done, all_: told(done, 3 * all_))
+    cluster = join_agreeing(space, judgement, rows, options, lambda done, all_: progress(done, 3 * all_))
     members = [rows[cluster == name] for name in np.unique(cluster)]
-    watching = watched(members, lambda done, all_: told(all_ + done, 3 * all_))
+    watching = watched(members, lambda done, all_: progress(all_ + done, 3 * all_))
     members = [each for each in watching if _is_supported(space, judgement, each, options)]
     if not members:
         return nothing
@@ -108,7 +110,7 @@ def objects_of_masks(space: MasksInSpace, options: ConsensusOptions, told: Progr
     most: NDArray[np.floating] = np.zeros(points)
     found: list[SceneObject] = []
     for number, each in enumerate(members, start=1):  # not in one array: thousands of objects have millions of points
-        told(2 * len(members) + number, 3 * len(members))
+        progress(2 * len(members) + number, 3 * len(members))
         votes = np.asarray(space.words(each).sum(0)).reshape(-1)
         more = votes > most
         owner[more], most[more] = number, votes[more]

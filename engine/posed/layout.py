@@ -79,7 +79,7 @@ def files_by_stem(folder: Path, suffixes: Collection[str], fix: str) -> dict[str
         if path.suffix.lower() not in suffixes or is_note(path):
             continue
         if path.is_symlink() and not path.exists():
-            what = "this link leads nowhere"
+            what = "the link is broken"
             raise PlgsError("dead-link", what, path, "Give the file it should lead to, or remove the link.")
         if not path.is_file():
             continue
@@ -228,4 +228,4 @@ def check_size(what: str, size: Size, path: Path) -> None:
     """Raise PlgsError, which begins with ``what``, for a size that no camera makes."""
     if min(size) < _SMALLEST_SIDE or max(size) > _LONGEST_SHAPE * min(size):
         fix = f"Use at least {_SMALLEST_SIDE} pixels a side, and no side over {_LONGEST_SHAPE} times the other."
-        raise PlgsError("impossible-size", f"{what} is {shown_size(size)}, which no camera makes", path, fix)
+        raise PlgsError("impossible-size", f"{what} is {shown_size(size)}, which no camera produces", path, fix)

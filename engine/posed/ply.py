@@ -101,7 +101,7 @@ def read_surface(path: Path) -> LabelledSurface:
 
 def read_gaussians(path: Path) -> NDArray[np.void]:
     """The rows of a splat file, a structured array [N] by its columns' names. Raises PlgsError for other files. Rows
-    with non-finite or absurdly large positions are left out. Ids are int32, colours uint8."""
+    with non-finite numbers or absurdly distant positions are left out. Ids are int32, colours uint8."""
     content, end, columns, (count, _) = _read(path, _MOST_OF_SPLATS, _SPLATS_FIX)
     if not _NEEDED <= {*columns}:
         raise PlgsError("no-splats", "the file holds no splats", path, _SPLATS_FIX)

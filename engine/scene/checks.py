@@ -181,7 +181,7 @@ def survey_scene(scene: Scene, progress: Progress | None = None, keep_within: Si
     Masks are kept at the size that frames have within ``keep_within``, so a later read at this size decodes no file.
     """
     tick = progress or (lambda done, total: None)
-    looks, scene, told = _readable(scene, tick, keep_within)
+    looks, scene, warnings = _readable(scene, tick, keep_within)
     facts = [fact for fact, *_ in looks]
     thumbnails = [thumbnail for _, thumbnail, _ in looks if thumbnail is not None]
     depths = [fact.depth for fact in facts if fact.depth is not None]
@@ -196,7 +196,7 @@ def survey_scene(scene: Scene, progress: Progress | None = None, keep_within: Si
         fix = "Give masks that have segments in the frames to train on."
         raise PlgsError("masks-empty", "the masks are empty", scene.folder, fix)
     overlap_warnings = _overlap_warnings(scene, thumbnails, tick) if depths else ()
-    return Survey(scene, tuple(facts), (*told, *_pixel_warnings(facts), *overlap_warnings))
+    return Survey(scene, tuple(facts), (*warnings, *_pixel_warnings(facts), *overlap_warnings))
 
 
 def _readable(scene: Scene, tick: Progress, keep_within: Size | None) -> tuple[list[_Look], Scene, tuple[str, ...]]:
@@ -224,12 +224,12 @@ def _readable(scene: Scene, tick: Progress, keep_within: Size | None) -> tuple[l
     if not errors:
         return list(looks.values()), replace(scene, frames=tuple(frame for *_, frame in looks.values())), ()
     first = next(iter(errors.values()))
-    _, gone, told = complete(scene.frames, "readable files", lambda frame: frame.name in looks)
+    _, gone, warnings = complete(scene.frames, "readable files", lambda frame: frame.name in looks)
     if not gone:
         raise first
     kept = tuple(frame for *_, frame in looks.values())
     scene = replace(scene, frames=kept, left_out=(*scene.left_out, *gone))
-    return list(looks.values()), scene, (f"{gone[0]} (the first: {first.what}: {first.where})", *told)
+    return list(looks.values()), scene, (f"{gone[0]} (the first: {first.what}: {first.where})", *warnings)
 
 
 def _look(frame: Frame, unknown_truth: frozenset[int | str], keep_within: Size | None, decode: bool) -> _Look:

@@ -87,7 +87,7 @@ def find_class_choice(named: str | None, beside: Path) -> ClassChoice | None:
         return ClassChoice(table=named)
     if not named.endswith(".toml"):
         fix = f"Name a .toml file, or one of {', '.join(_NAMES)}."
-        raise PlgsError("no-class-table", "there is no such table of classes", shown(named), fix)
+        raise PlgsError("no-class-table", "the class table is unknown", shown(named), fix)
     return read_class_choice(Path(named))
 
 

@@ -213,7 +213,7 @@ def open_depth(scene: Path, lenses: Mapping[str, Camera]) -> tuple[dict[str, Dep
     if not whole or (path is None and beside_path is None):
         return maps, ()
     extrinsics = [np.eye(4) if each is None else read_matrix(each, ((4, 4),)) for each in (beside_path, of_colour)]
-    beside, told = between_cameras(*extrinsics)
+    beside, warnings = between_cameras(*extrinsics)
     size = Counter(read_image_header(each).size for each in whole).most_common(1)[0][0]
     depth_lens = None if path is None else read_intrinsics(path, size)
     own = {name for name in lenses if (scene / "intrinsic" / f"{name}.txt").is_file()}
@@ -221,7 +221,7 @@ def open_depth(scene: Path, lenses: Mapping[str, Camera]) -> tuple[dict[str, Dep
         name: seen_by_colour(one, (None if name in own else depth_lens) or lenses[name], lenses[name], beside)
         for name, one in maps.items()
     }
-    parts = (warning.partition(": ") for warning in told)
+    parts = (warning.partition(": ") for warning in warnings)
     inferred = tuple(Inferred("depth's lens", taken, reason) for taken, _, reason in parts)
     fitting = {name: one for name, one in found.items() if one is not None}
     if len(fitting) == len(maps) or path is None:

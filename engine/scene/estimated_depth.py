@@ -188,19 +188,19 @@ def with_estimated_depth(
     for path in files.values():
         bits = read_image_header(path).bit_depth if path.suffix.lower() == ".png" else 16
         if bits < 16 and not has_points:
-            what = "a map of 8 bits holds no lengths, and there are no sparse points to fit it to"
+            what = "an 8-bit map holds no lengths, and there are no sparse points to fit it to"
             fix = "Give .png of 16 bits in millimetres or .npy in metres, or points of COLMAP."
             raise PlgsError("depth-bits", what, path, fix)
     usual = {name: Placement(lens=pictured[name].lens) for name in names}
     seen = {frame.name: _seen_points(frame, points) for frame in frames} if points is not None and has_points else {}
-    told: tuple[Inferred, ...] = ()
+    inferred: tuple[Inferred, ...] = ()
     if seen:
-        files, usual, told = _fitting(find, files, usual, pictured, seen)
+        files, usual, inferred = _fitting(find, files, usual, pictured, seen)
         if error is not None and not files:
             raise error
     else:
         _refuse_shares([*files.values()])
-        told = (_AS_METRES, *([_BENT] if any(each.lens for each in usual.values()) else []))
+        inferred = (_AS_METRES, *([_BENT] if any(each.lens for each in usual.values()) else []))
     mapless = left_out("a readable depth map", [name for name in names if name not in files])
     kept, blind = [], []
     for frame in (frame for frame in frames if frame.name in files):
@@ -217,7 +217,7 @@ def with_estimated_depth(
     if seen and not any(not frame.held_out for frame in kept):
         fix = f"Each needs {LEAST_POINTS} points of the reconstruction."
         raise PlgsError("few-points", "no frame to train on sees enough points to fit depth to", folder, fix)
-    return tuple(kept), (*mapless, *left_out(f"{LEAST_POINTS} points of the reconstruction in view", blind)), told
+    return tuple(kept), (*mapless, *left_out(f"{LEAST_POINTS} points of the reconstruction in view", blind)), inferred
 
 
 def _refuse_shares(paths: Sequence[Path]) -> None:
@@ -227,7 +227,7 @@ def _refuse_shares(paths: Sequence[Path]) -> None:
         values.dtype.kind == "f" and float(np.nanmin(values)) < _NEARLY_0 and float(np.nanmax(values)) <= 1.0
         for values in looked
     ):
-        what = "depth maps hold shares from 0 to 1, and there are no sparse points to fit them to"
+        what = "depth maps hold fractions from 0 to 1, and there are no sparse points to fit them to"
         raise PlgsError("depth-relative", what, paths[0], "Give maps in metres, or poses of COLMAP with its points.")
 
 

@@ -128,14 +128,14 @@ def numbers_by_agreement(
     equals = [name for name, pixels in found.items() if pixels >= _EQUAL * best]
     meanings = {tuple(ways[name].class_of.get(n, VOID) for n in sorted(numbers)): name for name in equals[::-1]}
     first, *others = [*meanings.values()][::-1]
-    told = f"{best / total:.0%} of the pixels agree with the masks then, and {own / total:.0%} as the masks' class ids"
+    shares = f"{best / total:.0%} of the pixels then agree with the masks, {own / total:.0%} as the masks' class ids"
     if own >= _REFUTED * best:
-        doubt = _read_as(f"class ids of the masks, but look like {first}", f"{told}; if they are, {_advice(first)}")
+        doubt = _read_as(f"class ids of the masks, but look like {first}", f"{shares}; if they are, {_advice(first)}")
         return replace(usual, looks_like=first, inferred=(doubt,))
     if others:
-        what = f"the ground truth's numbers look like {listed([first, *others], 3)}: {told}"
+        what = f"the ground truth's numbers look like {listed([first, *others], 3)}: {shares}"
         raise PlgsError("truth-numbers", what, where, f"{_advice(first, *others).capitalize()}.")
-    said = _read_as(first, f"{told}; if that is wrong, {_advice()}")
+    said = _read_as(first, f"{shares}; if that is wrong, {_advice()}")
     return replace(ways[first], looks_like=first, inferred=(said,))
 
 

@@ -114,7 +114,7 @@ def in_one_table(predictions: LabelFolder, truth: LabelFolder) -> tuple[ClassTab
     """
     tables = [each.classes for each in (predictions, truth) if each.classes is not None]
     if not tables:
-        raise PlgsError("no-table", "there is no table of classes that says which are things", truth.folder, _TABLE_FIX)
+        raise PlgsError("no-table", "no class table says which classes are things", truth.folder, _TABLE_FIX)
     if len(tables) == 1:
         _refuse_other_numbers(*((truth, predictions) if truth.classes is None else (predictions, truth)), tables[0])
     own, true = tables[0], tables[-1]

@@ -179,14 +179,14 @@ def open_masks(
     """Open the masks at ``place`` of the frames ``names``; headers and tables only. Raises PlgsError. ``mask_format``
     names their format; None recognises it. ``classes``: see ``find_class_choice``. With ``pictured``, some masks and
     pictures are compared if names, sizes or lenses leave a doubt. ``detections`` lie over the masks."""
-    told: tuple[Inferred, ...] = ()
+    inferred: tuple[Inferred, ...] = ()
     placed: dict[str, Placement] = {}
     if pictured is None:
         source = open_mask_source(place, names, mask_format)
     else:
         source, of_names = paired(names, lambda asked: open_mask_source(place, asked, mask_format), pictured)
         placed, of_pictures = placements(source, pictured)
-        told = (*of_names, *of_pictures)
+        inferred = (*of_names, *of_pictures)
     choice = find_class_choice(classes, place if place.is_dir() else place.parent)
     source, choice, of_numbers = numbered(source, choice, place)
     number_of: Mapping[int, int] = {}
@@ -213,7 +213,7 @@ def open_masks(
             for name, found in detections.found.items()
             if name in readers
         }
-    return MaskSet(known.classes, readers, tuple(warnings), (*told, *of_numbers), over)
+    return MaskSet(known.classes, readers, tuple(warnings), (*inferred, *of_numbers), over)
 
 
 def _named_otherwise(masks: Mapping[str, StoredMask]) -> list[str]:

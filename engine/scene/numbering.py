@@ -304,6 +304,6 @@ def _base(reading: _Reading) -> str:
 
 def _inferred(chosen: _Reading, others: list[str], reason: str | None, is_doubtful: bool, asking: Asking) -> Inferred:
     """The numbering assumed, and the alternatives."""
-    why = "nothing in them tells" if reason is None else reason
+    why = "their content does not show it" if reason is None else reason
     wrong = f"; if that is wrong, {asking.advice(*others)}" if others else ""
     return Inferred("numbering", f"{asking.whose} numbers are read as {chosen.what}", f"{why}{wrong}", is_doubtful)

@@ -165,10 +165,10 @@ def complete(
     frames: tuple[Frame, ...], lacks: str, has: Callable[[Frame], bool]
 ) -> tuple[tuple[Frame, ...], tuple[LeftOut, ...], tuple[str, ...]]:
     """``complete_frames`` with a note of those left out, and the other warnings."""
-    kept, told = complete_frames(frames, lacks, has)
+    kept, warnings = complete_frames(frames, lacks, has)
     names = {frame.name for frame in kept}
     gone = left_out(lacks, (frame.name for frame in frames if frame.name not in names))
-    return kept, gone, told[len(gone) :]
+    return kept, gone, warnings[len(gone) :]
 
 
 def _refuse_repeated_names(shots: Sequence[Shot], place: Path) -> None:
@@ -176,7 +176,7 @@ def _refuse_repeated_names(shots: Sequence[Shot], place: Path) -> None:
         has_photos = place.is_dir() and photos_in(place) is not None
         fix = f"Record again with an app that keeps poses, or {LET_COLMAP}."
         code = ErrorCode.NO_POSES if has_photos else ErrorCode.BAD_INPUT
-        raise PlgsError("no-poses", "there is no picture with a pose", place, fix, code=code)
+        raise PlgsError("no-poses", "no picture has a pose", place, fix, code=code)
     twice = [name for name, count in Counter(shot.name for shot in shots).items() if count > 1]
     if twice:
         what = f"frames share a name ({listed(twice)})"
@@ -223,7 +223,7 @@ def _frame(shot: Shot, camera: Camera, held_out: bool, depth: DepthMap | None, k
         depth = depth.through(depth_check(shot.name, depth.path))
     if depth is not None and kept is not None:
         depth = depth.through(lambda values: values * kept((values.shape[1], values.shape[0])))
-    told = (bend.is_fisheye, *bend.numbers) if bend.bends else ()
+    distortion = (bend.is_fisheye, *bend.numbers) if bend.bends else ()
     return Frame(
         name=shot.name,
         camera=camera,
@@ -234,7 +234,7 @@ def _frame(shot: Shot, camera: Camera, held_out: bool, depth: DepthMap | None, k
         read_depth=depth,
         read_mask=None,
         confidence_path=None if depth is None else depth.confidence,
-        read_as=" ".join(map(str, (*told, *(() if depth is None else depth.unusual)))),
+        read_as=" ".join(map(str, (*distortion, *(() if depth is None else depth.unusual)))),
         file_shows_colour=shot.read_colour is None and not bend.bends,
         read_kept=kept,
     )
@@ -253,7 +253,7 @@ def _alike(frames: Iterable[str], classes: ClassTable) -> Iterable[str]:
         what = f"frames {listed(found)} have names that differ only in capitals"
         yield f"{what}: on a disk of Windows or macOS the passes of one take the place of the other's"
     for found in _same_but_for_capitals((each.name, f"{each.id} {each.name}") for each in classes.categories):
-        if len({told.partition(" ")[2] for told in found}) == 1:
+        if len({named.partition(" ")[2] for named in found}) == 1:
             what, how = "the same name", "with its number in the masks as id"
         else:
             what, how = "names that differ only in capitals", "in the capitals of the other"
@@ -264,8 +264,8 @@ def _alike(frames: Iterable[str], classes: ClassTable) -> Iterable[str]:
 def _same_but_for_capitals(named: Iterable[tuple[str, str]]) -> list[list[str]]:
     """Groups of equal names, ignoring case, each by its second text."""
     found: dict[str, list[str]] = {}
-    for name, told in named:
-        found.setdefault(name.casefold(), []).append(told)
+    for name, text in named:
+        found.setdefault(name.casefold(), []).append(text)
     return [each for each in found.values() if len(each) > 1]
 
 

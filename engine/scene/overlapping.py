@@ -110,7 +110,7 @@ def open_detections(path: Path, masks: Path, sizes: Mapping[str, Size]) -> Detec
         raise PlgsError("no-detections", "there are no detections", path, "Name a JSON file.", option="--detections")
     table, panoptic = read_table(path), folder / TABLE
     images = images_of(read_json_object(panoptic), panoptic) if panoptic.is_file() else {}
-    found, told = table.of_frames(sizes, images)
+    found, warnings = table.of_frames(sizes, images)
     for name, each in found.items():
         for one in each:
             if not same_shape(one.size, sizes[name]):
@@ -122,4 +122,4 @@ def open_detections(path: Path, masks: Path, sizes: Mapping[str, Size]) -> Detec
         named_rows = (ClassLabel(row.id or 0, row.into or row.name or "", row.thing is not False) for row in rows)
         labels = (*(choice.labels or ()), *(label for label in named_rows if label.name))
     kept = {name: tuple(one for one in each if one.score >= LEAST_SCORE) for name, each in found.items()}
-    return Detections(path, sizes, kept, labels, told)
+    return Detections(path, sizes, kept, labels, warnings)

@@ -73,7 +73,7 @@ def warned(folder: Path, classes: str) -> list[str]:
         ("ade20k", ADE, 255, NAMES, "", ""),
         ("ade20k", ADE_DATA, 0, NAMES, "ade20k:1-150", "% of the pixels are then ceiling, floor, wall"),
         ("ade20k", ADE_DATA | {5: 150}, 0, NAMES | {5: "flag"}, "ade20k:1-150", "this alone has the numbers 150"),
-        ("ade20k", {3: 20}, 255, {3: "car"}, "ade20k:0-149", "nothing in them tells"),
+        ("ade20k", {3: 20}, 255, {3: "car"}, "ade20k:0-149", "their content does not show it"),
         ("ade20k:1-150", {3: 20}, 0, {3: "chair"}, "", ""),
         ("coco", COCO_NUMBERS, 255, COCO_NAMES, "", ""),
         ("coco", COCO_DATA, 0, COCO_NAMES, "coco:90", "this alone has the numbers 18"),
@@ -88,7 +88,7 @@ def warned(folder: Path, classes: str) -> list[str]:
         ("cityscapes", in_table("cityscapes", TRAFFIC), 255, TRAFFIC, "", ""),
     ],
 )  # fmt: skip
-def test_each_numbering_is_told_or_named_or_assumed_aloud(
+def test_numbering_is_recognised_named_or_assumed_with_a_warning(
     tmp_path: Path, classes: str, numbers: dict[int, int], void: int, names: dict[int, str], read_as: str, told: str
 ) -> None:
     truths = write_labels(tmp_path, numbers, void)
@@ -110,7 +110,7 @@ def test_each_numbering_is_told_or_named_or_assumed_aloud(
         ("scannet200", ADE_DATA | {1: 1, 2: 4, 3: 2}, 0, "ade20k:1-150"),
     ],
 )
-def test_a_table_that_is_named_against_all_evidence_is_used_and_told(
+def test_table_named_against_the_evidence_is_used_with_a_warning(
     tmp_path: Path, classes: str, numbers: dict[int, int], void: int, look_like: str
 ) -> None:
     """Each of these was silent: a number of walls and floors meant something else in the named table."""
@@ -120,7 +120,7 @@ def test_a_table_that_is_named_against_all_evidence_is_used_and_told(
     assert not [one for one in warned(tmp_path, look_like) if "but look like" in one]
 
 
-def test_a_sky_makes_no_room_of_a_street(tmp_path: Path) -> None:
+def test_sky_distinguishes_a_street_from_a_room(tmp_path: Path) -> None:
     """A building, the sky and trees in ADE20K have the numbers of a wall, a floor and a bed in NYU40."""
     scene, _ = write_frames(tmp_path)
     (scene / "masks").mkdir()
@@ -132,7 +132,7 @@ def test_a_sky_makes_no_room_of_a_street(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("turns", [1, 3])
-def test_a_street_in_pictures_that_lie_on_their_side_is_no_room(tmp_path: Path, turns: int) -> None:
+def test_sideways_street_is_not_taken_for_a_room(tmp_path: Path, turns: int) -> None:
     """As phones held upright record it. With one more, these numbers are a wall, a floor and a ceiling."""
     scene, _ = write_frames(tmp_path)
     (scene / "masks").mkdir()
@@ -159,7 +159,7 @@ def apart(class_id: int) -> int:
     return COCO_NUMBERS[class_id] - (0 if class_id == 5 else 79)
 
 
-def test_detectron2s_stuff_apart_is_told_by_the_table(tmp_path: Path) -> None:
+def test_detectron2s_separate_stuff_is_recognised_by_the_table(tmp_path: Path) -> None:
     """No number is both a thing's and stuff's: the wall is 52, a hot dog; the floor 43, a knife."""
     truths = write_detectron2(tmp_path, {class_id: apart(class_id) for class_id in COCO_NUMBERS}, {5})
     names, chairs = COCO_NAMES | {0: ""}, frozenset({"chair"})

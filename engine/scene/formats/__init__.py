@@ -65,7 +65,7 @@ def find_format(place: Path, name: str | None = None) -> SceneFormat:
     an unknown name, and if no other format or more than one is recognised.
     """
     if not place.exists():
-        raise PlgsError("no-folder", "there is no such folder", place, "Name the folder of a scene.")
+        raise PlgsError("no-folder", "the folder does not exist", place, "Name the folder of a scene.")
     known = {each.name: each for each in FORMATS}
     if name is not None:
         if name not in known:

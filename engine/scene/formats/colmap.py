@@ -82,7 +82,7 @@ def _read(place: Path) -> Capture:
     """Open the registered images; only headers of images are read. Raises PlgsError."""
     folder = _find_model(place)
     if folder is None:
-        raise PlgsError("no-colmap-model", "there is no COLMAP model", place, f"Give {_LOOKS_FOR}, or {LET_COLMAP}.")
+        raise PlgsError("no-colmap-model", "the COLMAP model is missing", place, f"Give {_LOOKS_FOR}, or {LET_COLMAP}.")
     depths, warnings = _measured_depth(place, folder), list[str]()
     others = [each.name for each in sorted(shown_files(folder.parent, "[0-9]*")) if each != folder and has_model(each)]
     if folder.name == "0" and others:
@@ -154,7 +154,7 @@ def _shot(
     name: str, image: ColmapImage, path: Path, model: ColmapModel, place: Path, depths: Mapping[str, Path]
 ) -> Shot:
     if image.camera not in model.cameras:
-        what = f"image {name} has camera {image.camera}, which is not there"
+        what = f"image {name} has camera {image.camera}, which is missing"
         raise PlgsError("no-camera", what, model.folder, EXPORT_AGAIN)
     lens, distortion = _lens(model.cameras[image.camera], model.folder)
     lens = fitted(lens, path, "Give COLMAP's own pictures.")

@@ -73,15 +73,15 @@ def _read_polycam(place: Path) -> Capture:
             _shot_polycam, name, entry, size, images[name], cameras[name], depths.get(name), levels.get(name)
         )
         found[name] = with_picture(images[name], make)
-    told = [] if is_corrected else [_NOT_OPTIMISED]
+    warnings = [] if is_corrected else [_NOT_OPTIMISED]
     if len(entries) < len(found):
         lost = len(found) - len(entries)
-        told.append(f"{lost} of {len(found)} keyframes are not in both {prefix}cameras and {prefix}images")
+        warnings.append(f"{lost} of {len(found)} keyframes are not in both {prefix}cameras and {prefix}images")
     sizeless = [name for name, entry in entries.items() if not _has_size(entry)]
     taken = f"the size of the pictures of {len(sizeless)} cameras, which do not say it, is inferred"
     reason = f"their principal points are nearest to its middle ({listed(sizeless)})"
     inferred = (Inferred("lens", taken, reason),) if sizeless else ()
-    return Capture([*found.items()], "y", tuple(told), up_is_known=True, inferred=inferred)
+    return Capture([*found.items()], "y", tuple(warnings), up_is_known=True, inferred=inferred)
 
 
 def _has_size(entry: dict[str, Any]) -> bool:

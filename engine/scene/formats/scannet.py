@@ -76,7 +76,7 @@ _LARGEST_NAME = 10_000
 
 @dataclass(frozen=True, eq=False)
 class _Header:
-    """Lenses stand at the origin; ``unit`` is a step of depth in metres. ``beside`` and ``told``: see
+    """Lenses stand at the origin; ``unit`` is a step of depth in metres. ``beside`` and ``warnings``: see
     ``between_cameras``."""
 
     colour: Camera
@@ -85,7 +85,7 @@ class _Header:
     unit: float
     frames: int
     beside: NDArray[np.float64]
-    told: tuple[str, ...]
+    warnings: tuple[str, ...]
 
 
 @dataclass(frozen=True)
@@ -128,7 +128,7 @@ def _read_sens(place: Path) -> Capture:
         fits = fitting_alignment(header.colour, header.depth) is not None
         found = list(_shots(file, path, header))
     ignored = "the depth camera's intrinsics do not fit the colour camera's and are ignored"
-    return Capture(found, "z", header.told if fits else (*header.told, ignored))
+    return Capture(found, "z", header.warnings if fits else (*header.warnings, ignored))
 
 
 def _shots(file: BinaryIO, path: Path, header: _Header) -> Iterator[tuple[str, Shot | None]]:
@@ -166,7 +166,7 @@ def _read_header(file: BinaryIO, path: Path) -> _Header:
         raise PlgsError("unknown-codec", "colour or depth is compressed in a way that is not known", path, fix)
     if not 0.0 < shift < 1e6 or max(depth_width, depth_height) > 2**14:
         raise PlgsError("bad-header", "the header makes no sense", path, _FIX)
-    beside, told = between_cameras(matrices[3], matrices[1])
+    beside, warnings = between_cameras(matrices[3], matrices[1])
     return _Header(
         colour=_lens(colour_width, colour_height, matrices[0], path),
         depth=_lens(depth_width, depth_height, matrices[2], path),
@@ -174,7 +174,7 @@ def _read_header(file: BinaryIO, path: Path) -> _Header:
         unit=1.0 / shift,
         frames=int(frames),
         beside=beside,
-        told=told,
+        warnings=warnings,
     )
 
 

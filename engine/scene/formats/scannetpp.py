@@ -115,7 +115,7 @@ class _DepthStream:
                 with self._lock:
                     return only_depth(self._from_stream(number))
             if number >= len(self._blocks):
-                raise PlgsError("no-depth", f"there is no depth of frame {number}", self.path, _FIX)
+                raise PlgsError("no-depth", f"frame {number} has no depth", self.path, _FIX)
             with open_plain(self.path) as file:
                 file.seek(self._blocks[number][0])
                 return only_depth(_unpack_block(file.read(self._blocks[number][1])))

@@ -83,7 +83,7 @@ def _read(place: Path) -> Capture:
     unit = 1.0 / _info_numbers(info, "m_depthShift", path, 1)[0]
     keys = ("m_calibrationDepthExtrinsic", "m_calibrationColorExtrinsic")
     extrinsics = [_info_numbers(info, key, path, 16).reshape(4, 4) if key in info else np.eye(4) for key in keys]
-    beside, told = between_cameras(*extrinsics)
+    beside, warnings = between_cameras(*extrinsics)
     if fitting_alignment(colour, depth) is None:
         fix = "Correct them; for depth that is registered to colour, write colour's lens and size for depth, too."
         raise PlgsError("lenses-differ", "the lenses of colour and depth are not of one sensor", path, fix)
@@ -93,7 +93,7 @@ def _read(place: Path) -> Capture:
         measured = png_depth(_depth_file(base), lens, unit)
         return Shot(name, lens.at(pose), picture, seen_by_colour(measured, depth, lens, beside))
 
-    return _capture(place, shot, told)
+    return _capture(place, shot, warnings)
 
 
 def _info_numbers(info: dict[str, str], key: str, path: Path, count: int) -> NDArray[np.float64]:

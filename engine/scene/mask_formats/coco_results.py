@@ -100,8 +100,9 @@ class DetectionTable:
                 name = frame_of[image]
                 size = self.sizes.get(image) or frames[name]
                 found.setdefault(name, []).append(self._detection(entry, f"detection {position}", size))
-        told = f"{len(others)} of {len(others) + len(frame_of)} images with detections are no frames: {listed(others)}"
-        return {name: tuple(each) for name, each in found.items()}, (told,) if others else ()
+        count = f"{len(others)} of {len(others) + len(frame_of)}"
+        warning = f"{count} images with detections are not frames: {listed(others)}"
+        return {name: tuple(each) for name, each in found.items()}, (warning,) if others else ()
 
     def _frames_of(self, images: set[str], names: Sequence[str], stems: Mapping[str, str]) -> dict[str, str]:
         """The frame of each picture's id: by file name, by the id as a frame's name or number, or by index."""
@@ -260,7 +261,7 @@ def is_detections(place: Path) -> bool:
 def _read(place: Path, names: Sequence[str]) -> MaskSource:
     """The detections as panoptic pictures. Raises PlgsError."""
     table = read_table(place)
-    found, told = table.of_frames(dict.fromkeys(names), {})
+    found, warnings = table.of_frames(dict.fromkeys(names), {})
     classless = all(one.label is None for each in found.values() for one in each)
     sizes = {one.size for each in found.values() for one in each}
     masks = {}
@@ -273,7 +274,7 @@ def _read(place: Path, names: Sequence[str]) -> MaskSource:
         if own:
             size = next(iter(own))
             masks[name] = StoredMask(place, size, partial(_painted, place, detected, size))
-    return MaskSource(masks, table.labels, told, tells_no_class=classless, void=frozenset())
+    return MaskSource(masks, table.labels, warnings, tells_no_class=classless, void=frozenset())
 
 
 def _painted(path: Path, detected: Sequence[DetectedSegment], size: Size) -> FoundMask:

@@ -49,7 +49,7 @@ def _read_pairs(place: Path, names: Sequence[str]) -> MaskSource:
     """Open both folders; headers only. Raises PlgsError."""
     pair = _pair_in(place)
     if pair is None:
-        what = "there is no pair of folders of classes and instances"
+        what = "there are no paired folders of classes and instances"
         raise PlgsError("no-label-pair", what, place, f"Looked for {_LOOKS_FOR}.")
     classes, instances = files_of_both(*pair, names, SUFFIXES, _FIX)
     return MaskSource(label_pairs(classes, instances), void=IGNORED)
