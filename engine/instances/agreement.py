@@ -148,9 +148,9 @@ def view_points(view: View, point_of_pixel: NDArray[np.int32]) -> ViewPoints:
     rows, segments = pairs >> 32, pairs & 0xFFFFFFFF
     order = np.lexsort((segments, -np.round(total, 6), rows))
     points, first = np.unique(rows[order], return_index=True)
-    place = np.searchsorted(points, row)
-    pixels = np.bincount(place, minlength=len(points))
-    resolution = np.bincount(place, resolution_of(view)[seen], len(points)) / np.maximum(pixels, 1)
+    index = np.searchsorted(points, row)
+    pixels = np.bincount(index, minlength=len(points))
+    resolution = np.bincount(index, resolution_of(view)[seen], len(points)) / np.maximum(pixels, 1)
     return ViewPoints(
         points.astype(np.int32),
         segments[order][first].astype(np.int32),

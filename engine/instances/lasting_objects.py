@@ -95,6 +95,6 @@ def _distinct(
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
     """The distinct ids; and for each pair of object and cell, in the order of the cells, the id's index and the
     cell."""
-    known, place = np.unique(ids.astype(np.int64), return_inverse=True)
-    pairs, _ = distinct_rows(np.stack([cell, place.ravel()], axis=1))
+    known, index = np.unique(ids.astype(np.int64), return_inverse=True)
+    pairs, _ = distinct_rows(np.stack([cell, index.ravel()], axis=1))
     return known, pairs[:, 1], pairs[:, 0]

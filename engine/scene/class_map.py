@@ -33,15 +33,15 @@ def coloured(labels: Iterable[ClassLabel]) -> ClassTable:
     does.
     """
     labels = sorted(labels, key=lambda label: label.id)
-    places = _places()
+    indices = _palette_indices()
     chosen = {label.id: label.colour for label in labels if label.colour is not None}
     unknown = []
     for label in labels:
-        place = next((places[word] for word in _words(label.name) if word in places), None)
-        if place is None:
+        index = next((indices[word] for word in _words(label.name) if word in indices), None)
+        if index is None:
             unknown.append(label)
         else:
-            chosen.setdefault(label.id, PALETTE[place])
+            chosen.setdefault(label.id, PALETTE[index])
     free = {*PALETTE}.difference(chosen.values())
     for label in sorted(unknown, key=lambda label: _words(label.name)):
         first = int.from_bytes(sha256(_words(label.name)[0].encode()).digest()[:4], "big") % _FAR
@@ -52,15 +52,15 @@ def coloured(labels: Iterable[ClassLabel]) -> ClassTable:
 
 
 @cache
-def _places() -> dict[str, int]:
+def _palette_indices() -> dict[str, int]:
     """The palette index of every name in a public table."""
     first, others = ([_words(label.name)[0] for table in tables for label in known_table(table).labels]
                      for tables in (_FIRST, _OTHERS))  # fmt: skip
     by_tables = sorted(dict.fromkeys(others), key=lambda name: -others.count(name))
     names = list(dict.fromkeys([*first, *by_tables]))
-    for name, place in _CALM.items():
-        names[names.index(name)], names[place] = names[place], name
-    return {name: place for place, name in enumerate(names)}
+    for name, index in _CALM.items():
+        names[names.index(name)], names[index] = names[index], name
+    return {name: index for index, name in enumerate(names)}
 
 
 def _words(name: str) -> tuple[str, ...]:

@@ -188,7 +188,7 @@ class OnDemand(Sequence[Item]):
 def chained(first: Sequence[Item], second: Sequence[Item]) -> OnDemand[Item]:
     """The items of ``first``, then those of ``second``, each fetched on demand."""
     start = len(first)
-    return OnDemand(start + len(second), lambda place: first[place] if place < start else second[place - start])
+    return OnDemand(start + len(second), lambda index: first[index] if index < start else second[index - start])
 
 
 Progress = Callable[[int, int], object]
@@ -203,7 +203,7 @@ def part_of(whole: Progress, begin: float, end: float) -> Progress:
 
 def watched(items: Sequence[Item], progress: Progress) -> OnDemand[Item]:
     """The items; ``progress`` is called with (number, count) before each is fetched."""
-    return OnDemand(len(items), lambda place: (progress(place, len(items)), items[place])[1])
+    return OnDemand(len(items), lambda index: (progress(index, len(items)), items[index])[1])
 
 
 class StoredArrays:
