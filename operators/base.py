@@ -83,7 +83,7 @@ class StartsTask(Explained):
         """Start the task; return None if there is nothing to wait for. Raises PlgsError, OSError."""
         raise NotImplementedError
 
-    def tell(self, context: bpy.types.Context, task: Task | None) -> set[str]:
+    def report_outcome(self, context: bpy.types.Context, task: Task | None) -> set[str]:
         """Report the outcome, or that the task is still running, and return Blender's status. Raises PlgsError,
         OSError."""
         if task is None or task.is_running:
@@ -107,12 +107,12 @@ class StartsTask(Explained):
         """Begin the task, wait for it if asked to, and report the outcome."""
         task = self.begin(context)
         if waits and task is not None:
-            registry.wait_for(task, context.scene, self.tell_step)
+            registry.wait_for(task, context.scene, self.report_step)
         elif self.has_undo_step:
             bpy.ops.ed.undo_push(message=self.bl_label)
-        return self.tell(context, task)
+        return self.report_outcome(context, task)
 
-    def tell_step(self, line: str) -> None:
+    def report_step(self, line: str) -> None:
         """Called for each new step while a script waits for the task."""
 
 

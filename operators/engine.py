@@ -13,7 +13,7 @@ from ..plgs_blender.running import adding
 from .base import CANCELLED, FINISHED, Explained, StartsTask, cancels, reporting, reporting_events
 
 _TORCH_BUILDS = [
-    ("preferences", "As in the Preferences", "What the add-on's preferences say"),
+    ("preferences", "As in the Preferences", "The build chosen in the add-on's preferences"),
     *choices.TORCH_BUILDS,
 ]
 
@@ -21,7 +21,7 @@ _TORCH_BUILDS = [
 class AsksEngine(StartsTask):
     """An operator that ends with the engine's answer."""
 
-    def tell(self, context: bpy.types.Context, task: Task | None) -> set[str]:
+    def report_outcome(self, context: bpy.types.Context, task: Task | None) -> set[str]:
         if task is not None and task.is_running:
             return FINISHED
         engine = status()
@@ -57,17 +57,17 @@ class PLGS_OT_set_up_engine(AsksEngine, bpy.types.Operator):
         build = "" if self.torch_build == "preferences" else self.torch_build
         return tasks.set_up(choices.set_up_choice(self.base_python, build, self.index_url))
 
-    def tell_step(self, line: str) -> None:
+    def report_step(self, line: str) -> None:
         print(f"Set Up Engine {line}", flush=True)
 
-    def tell(self, context: bpy.types.Context, task: Task | None) -> set[str]:
+    def report_outcome(self, context: bpy.types.Context, task: Task | None) -> set[str]:
         if task is None or task.is_running:
             return FINISHED
         if task.error is not None:
             raise task.error
         for check in registry.running(tasks.EngineCheck):
             registry.wait_for(check, context.scene)
-        return super().tell(context, task)
+        return super().report_outcome(context, task)
 
 
 class PLGS_OT_add_to_engine(StartsTask, bpy.types.Operator):

@@ -229,7 +229,7 @@ class PLGS_OT_make_objects(OnInstances, bpy.types.Operator):
     )
 
     catch_shadows: BoolProperty(  # type: ignore[valid-type]
-        name="Catch Shadows", options={"SKIP_SAVE"}, description="Let them show nothing but others' shadows"
+        name="Catch Shadows", options={"SKIP_SAVE"}, description="Show only the shadows that they catch"
     )
 
     def act(self, context: bpy.types.Context, root: bpy.types.Collection) -> None:

@@ -204,8 +204,8 @@ class PLGS_OT_place_lift(OnLiftFolder, bpy.types.Operator):
                 next(self._placing)
         except StopIteration as end:
             found = end.value.find() if end.value is not None else None
-            told = f"{one_line(found[0].name)} was placed" if found is not None else "The lift was removed meanwhile"
-            self.report({"INFO"}, told)
+            message = f"{one_line(found[0].name)} was placed" if found is not None else "The lift was removed meanwhile"
+            self.report({"INFO"}, message)
             return False
         return True
 

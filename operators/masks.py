@@ -51,7 +51,7 @@ class PLGS_OT_make_masks(StartsTask, bpy.types.Operator):
     def begin(self, context: bpy.types.Context) -> Task:
         model = self.model or context.scene.plgs_masks.model
         if context.scene.plgs.masks:
-            self.report({"WARNING"}, "The panel names other masks: the new ones are used once Masks is empty")
+            self.report({"WARNING"}, "The panel names other masks. Clear Masks to use the new ones")
         # Blender's own setting is the user's consent to downloads.
         return make_masks(chosen_scene(context.scene.plgs), usable_python(), model, download=bpy.app.online_access)
 
@@ -132,11 +132,11 @@ class PLGS_OT_diagnose(Measures, bpy.types.Operator):
     def begin(self, context: bpy.types.Context) -> Task:
         return diagnose(context.scene.plgs)
 
-    def tell(self, context: bpy.types.Context, task: Task | None) -> set[str]:
+    def report_outcome(self, context: bpy.types.Context, task: Task | None) -> set[str]:
         findings = task.findings if isinstance(task, Diagnosis) else ()
         for finding in findings:
             self.report({"WARNING" if finding.is_wrong else "INFO"}, f"{finding.cause}: {finding.text}")
-        return FINISHED if findings else super().tell(context, task)
+        return FINISHED if findings else super().report_outcome(context, task)
 
 
 class PLGS_OT_fix_scene(Measures, bpy.types.Operator):
@@ -160,7 +160,7 @@ class PLGS_OT_fix_scene(Measures, bpy.types.Operator):
         scene = chosen_scene(settings).scene
         return diagnose(settings, absolute(self.folder) if self.folder else free_folder(scene, "mended"))
 
-    def tell(self, context: bpy.types.Context, task: Task | None) -> set[str]:
+    def report_outcome(self, context: bpy.types.Context, task: Task | None) -> set[str]:
         assert isinstance(task, Diagnosis)
         if task.is_running:
             self.report({"INFO"}, f"An engine is writing {task.mended}")

@@ -88,7 +88,7 @@ class PLGS_OT_bake_camera(BakesFinishedLift, bpy.types.Operator):
     replace: BoolProperty(  # type: ignore[valid-type]
         name="Replace",
         options={"SKIP_SAVE"},
-        description="Replace a shot of this name whose file or camera is another one, or has changed",
+        description="Replace a shot of this name from another file or camera, or with a changed camera",
     )
 
     _shot: ShotReader | None = None
@@ -133,7 +133,7 @@ class PLGS_OT_bake_camera(BakesFinishedLift, bpy.types.Operator):
 
     def _read_on(self, context: bpy.types.Context, event: bpy.types.Event, shot: ShotReader) -> set[str]:
         if event.type == "ESC" and event.value == "PRESS":
-            self.report({"INFO"}, "Reading the camera was cancelled, and nothing is baked")
+            self.report({"INFO"}, "Reading the camera was cancelled; nothing was baked")
             return CANCELLED
         if event.type != "TIMER":
             return PASSED_ON

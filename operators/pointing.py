@@ -31,7 +31,7 @@ class PLGS_OT_pick(InView, bpy.types.Operator):
 
     bl_idname, bl_label, bl_options = "plgs.pick", "Select What Is Seen", {"UNDO", "INTERNAL"}
 
-    extend: BoolProperty(name="Extend", options={"SKIP_SAVE"}, description="Keep what is selected, or deselect it")  # type: ignore[valid-type]
+    extend: BoolProperty(name="Extend", options={"SKIP_SAVE"}, description="Add to the selection, or remove from it")  # type: ignore[valid-type]
 
     @reporting_events
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:

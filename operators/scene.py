@@ -44,7 +44,7 @@ class ImportsScene(SceneOptions, StartsTask):
 
     cloud: BoolProperty(  # type: ignore[valid-type]
         name="Coloured Cloud", default=True, options={"SKIP_SAVE"},
-        description="Have an engine make a coloured cloud from the scene's depth",
+        description="Make a coloured cloud from the scene's depth, with an engine",
     )  # fmt: skip
 
     properties: Any
@@ -58,7 +58,7 @@ class ImportsScene(SceneOptions, StartsTask):
     def begin(self, context: bpy.types.Context) -> Task | None:
         return begin_import(context.scene, cloud=self.cloud)
 
-    def tell(self, context: bpy.types.Context, task: Task | None) -> set[str]:
+    def report_outcome(self, context: bpy.types.Context, task: Task | None) -> set[str]:
         root = imported(context.scene)
         is_making = task is not None and task.is_running
         error = None if task is None else task.error
@@ -156,11 +156,11 @@ class PLGS_OT_show_picture(StartsTask, bpy.types.Operator):
         registry.refuse_second(FrameMaking)
         return choose_picture(context.scene, self.what)
 
-    def tell(self, context: bpy.types.Context, task: Task | None) -> set[str]:
+    def report_outcome(self, context: bpy.types.Context, task: Task | None) -> set[str]:
         span = range_shown(context.scene.camera)
         if (task is None or task.has_finished) and span is not None:
             self.report({"INFO"}, f"Depth from {span[0]:.2f} to {span[1]:.2f} m, with a line at each whole metre")
-        return super().tell(context, task)
+        return super().report_outcome(context, task)
 
 
 class PLGS_OT_look_at_scene(Explained, bpy.types.Operator):

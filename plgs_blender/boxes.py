@@ -124,7 +124,7 @@ def _describe(ob: bpy.types.Object, instance: Instance) -> None:
     ob["class"], ob["class_id"], ob["instance_id"] = instance.class_name, instance.class_id, instance.id
     ob["views"], ob["score"], ob["points"] = instance.views, instance.score, instance.points
     ob["size"], ob["colour"] = list(instance.size), [channel / 255.0 for channel in instance.colour]
-    ob.id_properties_ui("score").update(min=0.0, max=1.0, description="How sure the masks were of it")
-    ob.id_properties_ui("views").update(min=0, description="Number of frames in which a mask saw it")
+    ob.id_properties_ui("score").update(min=0.0, max=1.0, description="Confidence of its masks, 0 to 1")
+    ob.id_properties_ui("views").update(min=0, description="Number of frames with a mask of it")
     ob.id_properties_ui("size").update(subtype="XYZ", description="Metres along the box's own axes")
     ob.id_properties_ui("colour").update(subtype="COLOR_GAMMA", min=0.0, max=1.0)

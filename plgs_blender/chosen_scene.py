@@ -32,12 +32,12 @@ AUTOMATIC = "auto"
 """The choice that detects the format from the scene's files."""
 
 FORMAT_ITEMS = [
-    (AUTOMATIC, "Automatic", "Recognised by the names of the files"),
+    (AUTOMATIC, "Automatic", "Detected from the names of the files"),
     *map(tuple, SCENE_FORMAT_NAMES),
 ]
 """Items of an EnumProperty."""
 MASK_FORMAT_ITEMS = [
-    (AUTOMATIC, "Automatic", "Recognised by the names of the files"),
+    (AUTOMATIC, "Automatic", "Detected from the names of the files"),
     *map(tuple, MASK_FORMAT_NAMES),
 ]
 """Items of an EnumProperty."""

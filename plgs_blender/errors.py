@@ -43,10 +43,10 @@ def with_field_names(said: PlgsError | OSError | str) -> str:
     what, fix = (_OPTION.sub(_name_in_panel, text) for text in (said.what, said.fix))
     if _LACKS_SUBJECT.match(what):
         where = sentence(said.where) if said.where.startswith("the ") else said.where
-        told = f"{where} {what}".lstrip()
+        problem = f"{where} {what}".lstrip()
     else:
-        told = f"{sentence(what)}: {said.where}" if said.where else sentence(what)
-    return one_line(f"{told}. {fix}" if fix else told)
+        problem = f"{sentence(what)}: {said.where}" if said.where else sentence(what)
+    return one_line(f"{problem}. {fix}" if fix else problem)
 
 
 def sentence(text: str) -> str:

@@ -142,7 +142,7 @@ def root_of(scene: bpy.types.Scene, ob: bpy.types.Object) -> bpy.types.Collectio
     """The collection of the import or lift that a frame's camera belongs to. Raises PlgsError."""
     root = next((each for each in lifts_in(scene) if each[LIFT] == ob.get(LIFT)), None)
     if root is None:
-        raise PlgsError("scene-gone", "does not belong to any scene that is here", ob.name, "Import the scene again.")
+        raise PlgsError("scene-gone", "does not belong to any scene in this file", ob.name, "Import the scene again.")
     return root
 
 

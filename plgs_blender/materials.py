@@ -201,7 +201,7 @@ def catcher_material(owned: OwnedDataBlocks, scene: bpy.types.Scene) -> bpy.type
 
 def _light_of(scene: bpy.types.Scene) -> tuple[Vector, float]:
     """The direction from the origin to the scene's strongest light, and the brightness of a white surface facing it. (A
-    sun of strength pi gives 1; a lamp's power spreads over a sphere, an area light's goes forwards only.)"""
+    sun of strength pi gives 1; a lamp's power spreads over a sphere, an area light's only forwards.)"""
     best, brightness = Vector((0.0, 0.0, 1.0)), 0.0
     for ob in scene.objects:
         if ob.type != "LIGHT" or ob.hide_render:
@@ -282,9 +282,7 @@ def _build_points(tree: bpy.types.NodeTree) -> None:
     _emit(tree, _mix(tree, 3, 0, "MULTIPLY", relief.outputs[0], colour, shade.outputs[0]))
 
 
-def _mix(
-    tree: bpy.types.NodeTree, column: int, row: int, blend: str, factor: Any, first: Any, second: Any
-) -> Any:
+def _mix(tree: bpy.types.NodeTree, column: int, row: int, blend: str, factor: Any, first: Any, second: Any) -> Any:
     """Mix two colours and return the output socket."""
     node = _node(tree, "ShaderNodeMix", column, row)
     node.data_type, node.blend_type = "RGBA", blend

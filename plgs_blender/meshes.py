@@ -47,12 +47,12 @@ def reading_meshes(lift: Path) -> Generator[None, None, ReadMeshes]:
         return ReadMeshes({})
     surface, parts = read_surface(path), {}
     with path.open("rb") as file:
-        told = _COMMENT.search(file.read(_LONGEST_HEADER).partition(b"end_header")[0])
+        fingerprint = _COMMENT.search(file.read(_LONGEST_HEADER).partition(b"end_header")[0])
     yield
     for label, rows in surface.parts().items():
         yield
         parts[label] = surface.cut(rows)
-    return ReadMeshes(parts, told[1].decode() if told else "", path.parent / "pictures")
+    return ReadMeshes(parts, fingerprint[1].decode() if fingerprint else "", path.parent / "pictures")
 
 
 def placing_meshes(placed: Placed, result: LiftResult, read: ReadMeshes) -> Generator[None, None, int]:

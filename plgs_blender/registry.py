@@ -45,8 +45,8 @@ class Task:
 
     def __init__(self, follower: TaskFollower) -> None:
         self.follower = follower
-        self.began = self._told_at = time.monotonic()
-        self._told_left: float | None = None
+        self.began = self._estimated_at = time.monotonic()
+        self._estimated_left: float | None = None
         self.is_taken = False
         """Whether `done` was called and completed all its parts."""
         self._parts: Iterator[object] | None = None
@@ -92,8 +92,8 @@ class Task:
     @property
     def left_s(self) -> float | None:
         """Estimated seconds left, counted down since the engine's last estimate; None without one."""
-        told = self.progress.left_s
-        return None if told is None else max(0.0, told - (time.monotonic() - self._told_at))
+        estimate = self.progress.left_s
+        return None if estimate is None else max(0.0, estimate - (time.monotonic() - self._estimated_at))
 
     @property
     def answer(self) -> Mapping[str, Any] | None:
@@ -107,8 +107,8 @@ class Task:
     def poll(self, scene: Any) -> bool:
         """Process new events, including `done`. Returns whether there is news."""
         has_news = self.follower.poll()
-        if self.progress.left_s != self._told_left:
-            self._told_left, self._told_at = self.progress.left_s, time.monotonic()
+        if self.progress.left_s != self._estimated_left:
+            self._estimated_left, self._estimated_at = self.progress.left_s, time.monotonic()
         if not self.is_running and not self.is_taken:
             self.is_taken = True
             try:
@@ -201,17 +201,17 @@ def poll_all(scene: Any) -> list[Task]:
     return [task for task in list(_tasks.values()) if (task.is_running or not task.is_taken) and task.poll(scene)]
 
 
-def wait_for(task: Task, scene: Any, tell: Callable[[str], object] = lambda line: None) -> None:
+def wait_for(task: Task, scene: Any, report: Callable[[str], object] = lambda line: None) -> None:
     """Block until a task has ended and its answer is taken, reporting each new step. Ctrl-C cancels it."""
-    told = ""
+    reported = ""
     try:
         while task.is_running or not task.is_taken:
             task.poll(scene)
             progress = task.progress
             line = f"{progress.stage_index}/{progress.stage_count} {progress.label}"
-            if progress.stage_count and line != told:
-                told = line
-                tell(line)
+            if progress.stage_count and line != reported:
+                reported = line
+                report(line)
             time.sleep(_POLL_S if task.is_running else 0.0)
     except KeyboardInterrupt:
         with suppress(OSError):

@@ -30,7 +30,7 @@ _PRESETS = [
     ("paper", "Thorough", "Takes hours: the method and the number of steps of the paper"),
 ]
 UPS = [
-    ("z", "Automatic", "The axis that the capture's format says, else the poses' z axis"),
+    ("z", "Automatic", "The axis given by the capture's format, else the poses' z axis"),
     ("+z", "Z", "The poses' z axis points up, whatever the capture's format says"),
     ("y", "Y", "The poses' y axis points up"),
     ("-y", "-Y", "The poses' y axis points down, as in a camera"),
@@ -80,7 +80,7 @@ class SceneOptions:
 
     format: EnumProperty(  # type: ignore[valid-type]
         options=_SKIP_SAVE, name="Format", items=FORMAT_ITEMS, default=AUTOMATIC, update=_tell_of_scene,
-        description="How the scene is laid out, if its files do not tell",
+        description="The scene's layout, if it cannot be detected from its files",
     )  # fmt: skip
     masks: StringProperty(  # type: ignore[valid-type]
         options=_SKIP_SAVE, name="Masks", subtype="FILE_PATH", update=_tell_of_scene,
@@ -88,7 +88,7 @@ class SceneOptions:
     )  # fmt: skip
     mask_format: EnumProperty(  # type: ignore[valid-type]
         options=_SKIP_SAVE, name="Mask Format", items=MASK_FORMAT_ITEMS, default=AUTOMATIC, update=_tell_of_scene,
-        description="How the masks are laid out, if their files do not tell",
+        description="The masks' layout, if it cannot be detected from their files",
     )  # fmt: skip
     detections: StringProperty(  # type: ignore[valid-type]
         options=_SKIP_SAVE, name="Detections", subtype="FILE_PATH", update=_tell_of_scene,
@@ -189,7 +189,8 @@ class PLGS_PG_settings(LiftOptions, bpy.types.PropertyGroup):
         name="Shot", description="The name of the files of a camera's passes; empty: the .blend's and the camera's"
     )
     replace_shot: BoolProperty(  # type: ignore[valid-type]
-        name="Replace", description="Replace a shot of this name whose file or camera is another one, or has changed"
+        name="Replace",
+        description="Replace a shot of this name from another file or camera, or with a changed camera",
     )
     show_steps: BoolProperty(  # type: ignore[valid-type]
         name="Scene and Lift", description="Show the steps that led to the result, or begin the next lift"

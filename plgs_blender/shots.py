@@ -75,10 +75,10 @@ class Shot:
         scenes = self.camera.users_scene
         found = ["depth of field"] if self.camera.type == "CAMERA" and self.camera.data.dof.use_dof else []
         found += ["motion blur"] if any(scene.render.use_motion_blur for scene in scenes) else []
-        told = [f"{what} is not baked: {self.camera.name} is sharp in the passes" for what in found]
+        warnings = [f"{what} is not baked: {self.camera.name} is sharp in the passes" for what in found]
         if any(scene.render.use_border and not scene.render.use_crop_to_border for scene in scenes):
-            told.append("the render region is not cropped to, so whole pictures are baked")
-        return told
+            warnings.append("the render region is not cropped to, so whole pictures are baked")
+        return warnings
 
 
 def shot_of(

@@ -80,9 +80,7 @@ def place_gaussians(root: bpy.types.Collection, scene: bpy.types.Scene) -> None:
         pass
 
 
-def placing_gaussians(
-    root: bpy.types.Collection, scene: bpy.types.Scene, rows: NDArray[np.void]
-) -> Iterator[None]:
+def placing_gaussians(root: bpy.types.Collection, scene: bpy.types.Scene, rows: NDArray[np.void]) -> Iterator[None]:
     """Put Gaussians from `read_gaussians` into a lift's collection in parts, so that the window does not freeze. Ends
     early if the collection is removed between two parts."""
     placed = Placed(root[LIFT], scene.name)
@@ -181,9 +179,7 @@ def squares(rows: NDArray[np.void], surface: SeenSurface, eyes: Eyes) -> Squares
     return joined([made, back])
 
 
-def _fronts(
-    axes: NDArray[np.float32], size: NDArray[np.float32], facing: NDArray[np.float32]
-) -> NDArray[np.float32]:
+def _fronts(axes: NDArray[np.float32], size: NDArray[np.float32], facing: NDArray[np.float32]) -> NDArray[np.float32]:
     """Unit normals float32 [M, 3]: a flat Gaussian's own, on the side of `facing` [M, 3]; otherwise `facing`."""
     # What is turned to the nearest eye shows others its back: a floor of such squares has holes.
     own = axes[np.arange(len(axes)), size.argmin(axis=1)]
@@ -192,9 +188,7 @@ def _fronts(
     return np.where((thin < _FLAT * flat)[:, None], own, facing)
 
 
-def seen_from_behind(
-    middle: NDArray[np.float32], normal: NDArray[np.float32], eyes: Eyes
-) -> NDArray[np.int64]:
+def seen_from_behind(middle: NDArray[np.float32], normal: NDArray[np.float32], eyes: Eyes) -> NDArray[np.int64]:
     """Indices of the positions [M, 3] whose backs, opposite to the normals [M, 3], a camera sees."""
     normal = normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), np.float32(1e-12))
     behind, count = np.zeros(len(middle), np.bool_), len(eyes.places)

@@ -120,9 +120,7 @@ def show_room(areas: Iterable[bpy.types.Area], rotation: Quaternion, corners: ND
             frame_room(area, rotation, corners)
 
 
-def areas_that_show(
-    scene: bpy.types.Scene, rotation: Quaternion, corners: NDArray[np.float64]
-) -> list[bpy.types.Area]:
+def areas_that_show(scene: bpy.types.Scene, rotation: Quaternion, corners: NDArray[np.float64]) -> list[bpy.types.Area]:
     """The 3D views that still stand where `show_room` puts them with this rotation and these corners [N, 3]."""
     return [area for area in areas_of(scene) if _stands(area.spaces.active.region_3d, *_place(area, rotation, corners))]
 

@@ -12,7 +12,7 @@ from ..plgs_blender.inspecting.selection import active_lift, chosen_row
 from ..plgs_blender.meshes import are_stale
 from ..plgs_blender.running.exports import making_meshes
 from .result_panel import OfResult
-from .sidebar import draw_bar, draw_task, from_panel, tell
+from .sidebar import draw_bar, draw_task, draw_text, from_panel
 
 _SHOWN = 4
 """Number of proposals shown at a time."""
@@ -53,8 +53,8 @@ class PLGS_PT_corrections(OfResult, bpy.types.Panel):
         row.operator("plgs.undo_correction", text="Undo Last", icon="LOOP_BACK")
         if root is not None:
             shown = len(str(root.get(corrections.EDITS, "")).split())
-            told = f"{plural(shown, 'correction')}; bake again to update passes" if shown else "No corrections"
-            tell(layout, context, told)
+            summary = f"{plural(shown, 'correction')}; bake again to update passes" if shown else "No corrections"
+            draw_text(layout, context, summary)
             if has(root, SURFACE) and are_stale(root):
                 making, row = making_meshes(), layout.row(align=True)
                 if making is not None:
@@ -62,23 +62,21 @@ class PLGS_PT_corrections(OfResult, bpy.types.Panel):
                 else:
                     row.operator("plgs.make_meshes", text="Update Surface", icon="FILE_REFRESH")
         for line in corrections.failed:
-            tell(layout, context, line, "ERROR")
+            draw_text(layout, context, line, "ERROR")
         if split is not None and not split.is_running:
             draw_task(layout, context, split)
         if root is not None:
             _draw_proposals(self.layout.column(), context, root)
 
 
-def _draw_proposals(
-    layout: bpy.types.UILayout, context: bpy.types.Context, root: bpy.types.Collection
-) -> None:
+def _draw_proposals(layout: bpy.types.UILayout, context: bpy.types.Context, root: bpy.types.Collection) -> None:
     """Draw the most doubtful objects, each with its reason and a button for each answer."""
     found, progress = corrections.kept_proposals(root)
     layout.operator("plgs.propose_corrections", text=one_line(progress) or "What May Be Wrong?", icon="VIEWZOOM")
     layout.operator("plgs.next_uncertain_frame", icon="CAMERA_DATA")
     for one in found[:_SHOWN]:
         box = layout.box().column(align=True)
-        tell(box, context, f"{one.name}: {one.reason}")
+        draw_text(box, context, f"{one.name}: {one.reason}")
         look = box.operator("plgs.go_to_proposal", icon="VIEW_CAMERA")
         row = box.row(align=True)
         do = row.operator("plgs.answer_proposal", text=one_line(one.answer).capitalize())

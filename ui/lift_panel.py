@@ -19,11 +19,11 @@ from .sidebar import (
     draw_error,
     draw_log,
     draw_progress,
+    draw_text,
     draw_warnings,
     duration,
     fitted,
     from_panel,
-    tell,
     work_of,
 )
 
@@ -46,7 +46,7 @@ class PLGS_PT_lift(StepBefore, bpy.types.Panel):
         for other in lifts.running():
             if other is not followed:
                 # It continues while the panel is set to another, or to none after an undo.
-                tell(layout, context, f"{other.folder.path.name}: {other.progress.label}", "RENDER_ANIMATION")
+                draw_text(layout, context, f"{other.folder.path.name}: {other.progress.label}", "RENDER_ANIMATION")
                 layout.operator("plgs.watch_lift", text="Watch").lift_folder = str(other.folder.path)
 
 
@@ -88,7 +88,7 @@ class PLGS_PT_all_options(Sidebar, bpy.types.Panel):
         layout.prop(settings, "preset_options")
         refusal = why_no_options(settings)
         if refusal is not None:
-            tell(layout, context, refusal, "ERROR")
+            draw_text(layout, context, refusal, "ERROR")
         column = layout.column(align=True)
         column.scale_y = 0.7
         for name, value, is_changed in shown_preset(settings):
@@ -146,7 +146,7 @@ def _draw_start(layout: bpy.types.UILayout, context: bpy.types.Context, followed
     if followed is not None:
         _draw_ending(layout, context, followed)
     elif folder is not None and (refusal := lifts.refusal_of(folder)) is not None:
-        tell(layout, context, refusal if isinstance(refusal, PlgsError) else str(refusal), "ERROR")
+        draw_text(layout, context, refusal if isinstance(refusal, PlgsError) else str(refusal), "ERROR")
     elif folder is not None and not lifts.is_nothing_there(folder):
         # The opened file names it: nothing there is read unless the user asks.
         from_panel(layout.row(), context).operator("plgs.watch_lift", text="Look at the Lift", icon="VIEWZOOM")
@@ -190,7 +190,7 @@ def _draw_engine(layout: bpy.types.UILayout, context: bpy.types.Context) -> None
     if reason is None:
         return
     box = layout.box()
-    tell(box, context, reason, "INFO")
+    draw_text(box, context, reason, "INFO")
     row = box.row(align=True)
     row.operator("plgs.show_preferences", icon="PREFERENCES")
     row.operator("plgs.check_engine", text="Check Again", icon="FILE_REFRESH")

@@ -109,8 +109,9 @@ def _draw_selected(context: bpy.types.Context, root: bpy.types.Collection) -> No
     seen = highlight.highlight_of(
         root,
         number,
-        lambda cloud: (lists.show_as != POINTS and "class_id" in cloud)
-        or cloud.visible_in_viewport_get(context.space_data),
+        lambda cloud: (
+            (lists.show_as != POINTS and "class_id" in cloud) or cloud.visible_in_viewport_get(context.space_data)
+        ),
     )
     draw_mark(highlight.mark_of(seen, context.region_data, _size(context), brightened(tuple(row.colour))))
 

@@ -21,11 +21,11 @@ from .sidebar import (
     draw_bar,
     draw_news,
     draw_task,
+    draw_text,
     duration,
     from_panel,
     has_result,
     how_far,
-    tell,
 )
 
 
@@ -57,7 +57,7 @@ class PLGS_PT_passes(Step, bpy.types.Panel):
         if baking is not None and (baking.is_running or baking.error is not None):
             draw_task(self.layout, context, baking)  # below the buttons, which are grey until it ends
         elif baking is not None:
-            tell(self.layout, context, baking.message, "INFO")
+            draw_text(self.layout, context, baking.message, "INFO")
 
 
 class PLGS_PT_panoptic(Sidebar, bpy.types.Panel):
@@ -68,7 +68,7 @@ class PLGS_PT_panoptic(Sidebar, bpy.types.Panel):
         layout = self.layout
         node = panoptic_of(context.scene)
         if node is None:
-            tell(layout, context, "Bake passes first; a result's Matte button then chooses the matte", "INFO")
+            draw_text(layout, context, "Bake passes first; a result's Matte button then chooses the matte", "INFO")
             return
         layout.use_property_split, layout.use_property_decorate = True, False
         for name in (*(control.name for control in CONTROLS), *COLOURS):
@@ -111,11 +111,11 @@ class PLGS_PT_export(Step, bpy.types.Panel):
             cell.operator("plgs.make_depth_cloud", icon="OUTLINER_DATA_POINTCLOUD")
         _draw_forms(layout.column(align=True), None if scene else running)
         if running is not None:
-            tell(layout, context, how_far(running)[1], "TIME")
+            draw_text(layout, context, how_far(running)[1], "TIME")
         if export is not None:
             draw_news(layout, context, export)
             if not export.is_running and export.error is None:
-                tell(layout, context, export.message, "INFO")
+                draw_text(layout, context, export.message, "INFO")
 
 
 class PLGS_MT_export(bpy.types.Menu):

@@ -10,7 +10,7 @@ from ..plgs_blender.engine_environment import EngineState, status, tasks
 from ..plgs_blender.engine_environment.choices import EXTENSION, TORCH_BUILDS
 from ..plgs_blender.engine_environment.tasks import SetUp
 from ..plgs_blender.running.adding import ADDED
-from .sidebar import draw_lacking, draw_log, draw_task, tell
+from .sidebar import draw_lacking, draw_log, draw_task, draw_text
 
 _ICONS = {
     EngineState.UNKNOWN: "QUESTION",
@@ -85,17 +85,17 @@ class PLGS_AP_preferences(bpy.types.AddonPreferences):
 
 def _draw_status(layout: bpy.types.UILayout, context: bpy.types.Context, is_set_up_running: bool) -> None:
     engine = status()
-    tell(layout, context, engine.message, _ICONS[engine.state])
+    draw_text(layout, context, engine.message, _ICONS[engine.state])
     # Say why the button is grey, if the user needs that button.
     obstacle = None if engine.is_usable or is_set_up_running else tasks.why_no_set_up()
     fix = engine.fix.replace("in Preferences > Add-ons > PLGS", "below").replace("Python there", "Python")
     for text in (fix, engine.note, obstacle):
         if text:
-            tell(layout, context, text, "INFO")
+            draw_text(layout, context, text, "INFO")
     if obstacle is not None and not bpy.app.online_access:
         layout.prop(context.preferences.system, "use_online_access")
     if engine.python is not None:
-        tell(layout, context, str(engine.python), "BLANK1")
+        draw_text(layout, context, str(engine.python), "BLANK1")
 
 
 CLASSES = (PLGS_AP_preferences,)

@@ -15,7 +15,7 @@ from ..plgs_blender.inspecting.looks import BY_CLASS, POINTS, SPLATS, SURFACE, h
 from ..plgs_blender.inspecting.selection import active_lift, chosen_row
 from ..plgs_blender.meshes import are_stale
 from ..plgs_blender.running.exports import Export, making_meshes
-from .sidebar import Sidebar, Step, draw_bar, draw_task, fitted, from_panel, tell
+from .sidebar import Sidebar, Step, draw_bar, draw_task, draw_text, fitted, from_panel
 
 _SORTS = [
     ("NAME", "Name", "In alphabetical order"),
@@ -105,9 +105,7 @@ class PLGS_UL_instances(Searchable, bpy.types.UIList):
 
     order: EnumProperty(name="Order", items=_SORTS)  # type: ignore[valid-type]
 
-    def draw_item(
-        self, _context: Any, layout: Any, lists: Any, row: Any, _icon: int, _active: Any, _name: str
-    ) -> None:
+    def draw_item(self, _context: Any, layout: Any, lists: Any, row: Any, _icon: int, _active: Any, _name: str) -> None:
         line = _swatch_name_numbers(layout, row, swatch_of(lists, row), can_be_renamed=True)
         select = line.operator("plgs.select_instance", text="", icon="RESTRICT_SELECT_OFF", emboss=False)
         select.instance = row.instance_id
@@ -181,7 +179,7 @@ class PLGS_PT_result(Step, bpy.types.Panel):
     def draw(self, context: bpy.types.Context) -> None:
         layout, root = self.layout, _lift(context)
         if root is None:
-            tell(layout, context, "Nothing has been lifted yet. Start a lift above, or open a finished one", "INFO")
+            draw_text(layout, context, "Nothing has been lifted yet. Start a lift, or open a finished one", "INFO")
             layout.operator("plgs.open_lift", text="Open Lift…", icon="FILE_FOLDER")
             return
         lists, row = root.plgs, _chosen(context)
@@ -274,21 +272,21 @@ class PLGS_PT_masks(OfResult, bpy.types.Panel):
     def draw(self, context: bpy.types.Context) -> None:
         layout, row = self.layout, _chosen(context)
         if row is None:
-            tell(layout, context, "Click an object in the view, or a row of the list", "INFO")
+            draw_text(layout, context, "Click an object in the view, or a row of the list", "INFO")
             return
         if not len(row.masks):
-            tell(layout, context, "This lift did not record its masks: lift again to see them", "INFO")
+            draw_text(layout, context, "This lift did not record its masks: lift again to see them", "INFO")
             return
-        tell(layout, context, f"{row.name}: {plural(len(row.masks), 'mask')} in {plural(row.views, 'frame')}")
+        draw_text(layout, context, f"{row.name}: {plural(len(row.masks), 'mask')} in {plural(row.views, 'frame')}")
         _draw_heads(layout, "Frame, class", "Sureness, match")
         layout.template_list("PLGS_UL_masks", "", row, "masks", row, "mask_index", rows=5, maxrows=12)
         if row.best_mask < 0:
-            tell(layout, context, "Lift again to see where they lie and how sure the match was", "INFO")
+            draw_text(layout, context, "Lift again to see where they lie and how sure the match was", "INFO")
             return
         if 0 <= row.mask_index < len(row.masks):
             mask = row.masks[row.mask_index]
             share = f"{100.0 * mask.share:.1f} % of the picture"
-            tell(layout, context, f"Segment {mask.segment}, {plural(mask.pixels, 'pixel')}, {share}")
+            draw_text(layout, context, f"Segment {mask.segment}, {plural(mask.pixels, 'pixel')}, {share}")
 
 
 class PLGS_PT_classes(OfResult, bpy.types.Panel):
@@ -319,7 +317,7 @@ class PLGS_PT_not_shown(OfResult, bpy.types.Panel):
     def draw(self, context: bpy.types.Context) -> None:
         root = _lift(context)
         for row in () if root is None else root.plgs.not_shown:
-            tell(self.layout, context, row.name, "HIDE_ON")
+            draw_text(self.layout, context, row.name, "HIDE_ON")
             line = from_panel(self.layout.row(), context)
             go = line.operator("plgs.go_to_frame", text=f"Frame {one_line(row.frame)}")
             go.frame = row.frame
@@ -338,7 +336,7 @@ class PLGS_PT_result_display(OfResult, bpy.types.Panel):
         layout.prop(lists, "lit")
         layout.prop(lists, "catch_shadows")
         if context.scene.view_settings.view_transform not in STORED_COLOURS:
-            tell(layout, context, "This view transform changes the photos' colours:", "INFO")
+            draw_text(layout, context, "This view transform changes the photos' colours:", "INFO")
             layout.prop(context.scene.view_settings, "view_transform")
         column = layout.column(heading="Draw")
         for name in ("show_labels", "show_legend", "show_boxes", "show_cameras", "show_selected"):

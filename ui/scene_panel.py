@@ -25,11 +25,11 @@ from .sidebar import (
     draw_lacking,
     draw_news,
     draw_task,
+    draw_text,
     draw_warnings,
     fitted,
     from_panel,
     how_far,
-    tell,
 )
 
 _FACTS = ("CAMERA_DATA", "IMAGE_DATA", "EMPTY_SINGLE_ARROW", "COLOR")
@@ -55,7 +55,7 @@ class PLGS_PT_scene(StepBefore, bpy.types.Panel):
             row.operator("plgs.import_scene", icon="OUTLINER_OB_CAMERA")
         survey = survey_of_panel(settings)
         if not settings.scene_folder:
-            tell(layout, context, "Choose a capture's folder or file, or drop one of its files here", "INFO")
+            draw_text(layout, context, "Choose a capture's folder or file, or drop one of its files here", "INFO")
         elif survey is not None and survey.error is not None:
             box = draw_error(layout, context, survey.error)
             if survey.error.code is ErrorCode.NO_POSES:
@@ -124,7 +124,7 @@ class PLGS_PT_diagnosis(Sidebar, bpy.types.Panel):
         row.operator("plgs.diagnose", icon="VIEWZOOM")
         row.operator("plgs.fix_scene", icon="TOOL_SETTINGS")
         if known is None:
-            tell(layout, context, "Checks whether poses, depth and lens fit together", "INFO")
+            draw_text(layout, context, "Checks whether poses, depth and lens fit together", "INFO")
             return
         draw_task(layout, context, known)
         if not known.is_running:
@@ -214,32 +214,32 @@ def _facts(survey: Survey) -> tuple[str, ...]:
 def _draw_details(
     layout: bpy.types.UILayout, context: bpy.types.Context, survey: Survey, warnings: tuple[str, ...]
 ) -> None:
-    tell(layout, context, f"{plural(survey.test_frames, 'frame')} held out of training, to score the lift", "INFO")
+    draw_text(layout, context, f"{plural(survey.test_frames, 'frame')} held out of training, to score the lift", "INFO")
     known = possibilities(survey, status().is_usable)
     possible = ", ".join(each.what for each in known if each.is_possible)
-    tell(layout, context, f"Possible: {possible.lower()}", "CHECKMARK")
+    draw_text(layout, context, f"Possible: {possible.lower()}", "CHECKMARK")
     for each in known:
         if not each.is_possible:
-            tell(layout, context, f"{each.what}: {each.why}", "X")
+            draw_text(layout, context, f"{each.what}: {each.why}", "X")
     for warning in warnings:
-        tell(layout, context, sentence(warning), "ERROR")
+        draw_text(layout, context, sentence(warning), "ERROR")
     for text, is_doubtful in survey.inferred:
         if not is_doubtful:
-            tell(layout, context, text, "INFO")
+            draw_text(layout, context, text, "INFO")
 
 
 def _draw_findings(layout: bpy.types.UILayout, context: bpy.types.Context, known: Diagnosis) -> None:
     if not known.findings and known.error is None:
-        tell(layout, context, f"No problem found; checked {known.looked} of {known.frames} frames", "CHECKMARK")
+        draw_text(layout, context, f"No problem found; checked {known.looked} of {known.frames} frames", "CHECKMARK")
     for number, finding in enumerate(known.findings):
         box = layout.box()
         row = box.row()
-        tell(row, context, finding.cause.capitalize(), "ERROR" if finding.is_wrong else "INFO")
+        draw_text(row, context, finding.cause.capitalize(), "ERROR" if finding.is_wrong else "INFO")
         if finding.picture is not None:
             row.operator("plgs.show_finding", text="", icon="IMAGE_DATA").number = number
-        tell(box, context, finding.text)
+        draw_text(box, context, finding.text)
         _draw_links(box, finding.frames, number)
-        tell(box, context, finding.option, "TOOL_SETTINGS" if finding.is_mended else "BLANK1")
+        draw_text(box, context, finding.option, "TOOL_SETTINGS" if finding.is_mended else "BLANK1")
         if known.split is not None and finding.leave_out:
             if known.split.has_any(finding.leave_out):
                 text = f"Leave Out {plural(len(finding.leave_out), 'Frame')}"

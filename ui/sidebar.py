@@ -35,7 +35,7 @@ class PLGS_PT_lift_panoptic_masks(Sidebar, bpy.types.Panel):
 
     def draw(self, context: bpy.types.Context) -> None:
         """The steps are panels of their own below. They do not apply to a passes scene."""
-        self.layout.label(text="Makes objects of a filmed room")
+        self.layout.label(text="Turns a filmed room into objects")
         draw_way_back(self, context)
         if has_result(context.scene):
             icon = "DISCLOSURE_TRI_DOWN" if context.scene.plgs.show_steps else "DISCLOSURE_TRI_RIGHT"
@@ -67,7 +67,7 @@ class StepBefore(Step):
         return context.scene.plgs.show_steps or bool(lifts.running()) or not has_result(context.scene)
 
 
-def tell(
+def draw_text(
     layout: bpy.types.UILayout, context: bpy.types.Context, text: str | PlgsError | OSError, icon: str = "NONE"
 ) -> None:
     """Draw a text of any length, wrapped to the sidebar's width, with field names in place of command-line options."""
@@ -101,8 +101,8 @@ def draw_progress(layout: bpy.types.UILayout, task: Task) -> None:
     """Draw a running task's progress bar, as high as the button that started it."""
     row = layout.row()
     row.scale_y = 1.4
-    share, told = how_far(task)
-    row.progress(factor=share, type="BAR", text=told)
+    share, text = how_far(task)
+    row.progress(factor=share, type="BAR", text=text)
 
 
 def draw_cancel(layout: bpy.types.UILayout, task: Task) -> None:
@@ -127,14 +127,14 @@ def draw_news(layout: bpy.types.UILayout, context: bpy.types.Context, task: Task
         return
     progress = task.progress
     stages = f"{progress.stage_index}/{progress.stage_count}  " if progress.stage_count > 1 else ""
-    tell(layout, context, f"{stages}{work_of(task)}", "SORTTIME")
+    draw_text(layout, context, f"{stages}{work_of(task)}", "SORTTIME")
     draw_warnings(layout, context, task)
 
 
 def draw_warnings(layout: bpy.types.UILayout, context: bpy.types.Context, task: Task) -> None:
     """Draw the latest warnings of a running task."""
     for warning in task.progress.warnings[-2:]:
-        tell(layout, context, warning, "ERROR")
+        draw_text(layout, context, warning, "ERROR")
 
 
 def work_of(task: Task) -> str:
@@ -150,7 +150,7 @@ def draw_error(layout: bpy.types.UILayout, context: bpy.types.Context, error: Pl
     """Draw an error with the fields that it names and the button that fixes it, and return the box."""
     box = layout.box()
     box.alert = True
-    tell(box, context, error, "ERROR")
+    draw_text(box, context, error, "ERROR")
     if error.code is ErrorCode.LACKS_PART and error.option in ADDED:
         draw_adding(box, context, error.option)
         return box
@@ -165,7 +165,7 @@ def draw_lacking(layout: bpy.types.UILayout, context: bpy.types.Context, name: s
     """If the engine lacks something for a capability, draw what, and the button that adds it."""
     reason = why_lacking(name)
     if reason is not None:
-        tell(layout, context, reason, "INFO")
+        draw_text(layout, context, reason, "INFO")
         draw_adding(layout, context, name)
 
 
@@ -180,7 +180,7 @@ def draw_adding(layout: bpy.types.UILayout, context: bpy.types.Context, name: st
         button.capability = name
         row.operator("plgs.check_engine", text="", icon="FILE_REFRESH")  # who added it by hand
         if (obstacle := why_not_added()) is not None:
-            tell(layout, context, obstacle, "INFO")
+            draw_text(layout, context, obstacle, "INFO")
 
 
 def how_far(task: Task) -> tuple[float, str]:

@@ -214,9 +214,7 @@ class PLGS_PG_lift(bpy.types.PropertyGroup):
         name="Cameras", update=_update_cameras,
         description="Draw the frames' cameras and their path",
     )  # fmt: skip
-    show_labels: BoolProperty(
-        name="Labels", default=True, description="Draw the instances' names over the view"
-    )
+    show_labels: BoolProperty(name="Labels", default=True, description="Draw the instances' names over the view")
     show_legend: BoolProperty(name="Legend", description="Draw the classes and their colours over the view")
     show_selected: BoolProperty(
         name="Outline Selected", default=True, description="Outline the selected instance, unless it stands alone"

@@ -75,7 +75,7 @@ def box_of(root: bpy.types.Collection, instance: int) -> bpy.types.Object:
         fix = f"Choose one of the {MOST_BOXES} objects with the most points."
         raise PlgsError("no-box", "has no box of its own, as there are so many objects", row.name, fix)
     if box is None:
-        raise PlgsError("box-gone", "has no box any more", row.name, "Show the lift's result again.")
+        raise PlgsError("box-gone", "has lost its box", row.name, "Show the lift's result again.")
     return box
 
 

@@ -96,10 +96,10 @@ class Diagnosis(Task):
     def _read(self, answer: Mapping[str, Any]) -> None:
         """Raises PlgsError."""
         try:
-            told = answer["diagnosis"]
-            self.findings = tuple(_finding(entry, self._folder) for entry in told["findings"])
-            self.looked, self.frames = int(told["looked"]), int(told["frames"])
-            self.can_be_mended = bool(told["can_be_mended"])
+            diagnosis = answer["diagnosis"]
+            self.findings = tuple(_finding(entry, self._folder) for entry in diagnosis["findings"])
+            self.looked, self.frames = int(diagnosis["looked"]), int(diagnosis["frames"])
+            self.can_be_mended = bool(diagnosis["can_be_mended"])
             split = answer["split"]
             self.split = FrameSplit(Path(split["path"]), *(tuple(map(str, split[key])) for key in ("train", "test")))
         except (ValueError, TypeError, KeyError) as fault:

@@ -88,8 +88,8 @@ def _used(name: str, description: str, least: int = 0, **kinds: str) -> IntPrope
     def write(shown: PLGS_PG_used_options, value: int) -> None:
         setattr(shown.id_data.plgs, name, value)
 
-    told = f"{description}. 0: the preset's"
-    return IntProperty(name=name.capitalize(), description=told, get=read, set=write, min=least, **kinds)
+    explanation = f"{description}. 0: the preset's"
+    return IntProperty(name=name.capitalize(), description=explanation, get=read, set=write, min=least, **kinds)
 
 
 class PLGS_PG_used_options(bpy.types.PropertyGroup):

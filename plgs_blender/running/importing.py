@@ -125,9 +125,7 @@ def make_frames(order: FrameOrder, python: Path) -> FrameMaking:
     return registry.begin(FrameMaking(order, folder, start_engine("frames", python, *command)))
 
 
-def _place(
-    chosen: ChosenScene, scene: bpy.types.Scene, made: MadeFrames | None, cloud: bool
-) -> bpy.types.Collection:
+def _place(chosen: ChosenScene, scene: bpy.types.Scene, made: MadeFrames | None, cloud: bool) -> bpy.types.Collection:
     """Place the scene. In an untouched startup file, the views then turn to it. Raises PlgsError."""
     with taking_over(scene) as is_untouched:
         root = place_scene(chosen, scene, made, cloud=cloud)
@@ -202,9 +200,7 @@ def show_picture(scene: bpy.types.Scene, shown_kind: str, *, asked: bool = True)
     return make_frames(order, engine_environment.usable_python())
 
 
-def _picture_file(
-    root: bpy.types.Collection, name: str, chosen: ChosenScene, made: MadeFrames | None
-) -> Path | None:
+def _picture_file(root: bpy.types.Collection, name: str, chosen: ChosenScene, made: MadeFrames | None) -> Path | None:
     """The image file of a frame; None if an engine must make it. Raises PlgsError."""
     if text_of(root, FOLDER):
         opened = known_scene(LiftFolder.open(absolute(root[FOLDER])))
@@ -216,7 +212,7 @@ def _picture_file(
         return None
     frame = next((each for each in opened.frames if each.name == name), None)
     if frame is None:
-        raise PlgsError("frame-gone", "is not a frame of the scene any more", name, "Import the scene again.")
+        raise PlgsError("frame-gone", "is no longer a frame of the scene", name, "Import the scene again.")
     return picture_of(frame, photos(made, [frame]))
 
 

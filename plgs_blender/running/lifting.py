@@ -255,7 +255,7 @@ def log_of(settings: PLGS_PG_settings, folder: str = "") -> Path:
     """The engine's log of the lift in `folder`, or in that of the settings. Raises PlgsError if there is none."""
     log = lift_at(settings, folder).log_path
     if not log.is_file():
-        raise PlgsError("no-log", "is not there: the engine never began", log, "Start it again.")
+        raise PlgsError("no-log", "does not exist: the engine never started", log, "Start it again.")
     return log
 
 

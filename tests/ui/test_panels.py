@@ -202,7 +202,7 @@ def test_running_tasks_show_their_progress(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("step", "left_s", "ago_s", "told"),
+    ("step", "left_s", "ago_s", "expected"),
     [
         (5, None, 0.0, (0.5, "5 of 10, 1 min 30 s left")),
         (10, None, 0.0, (1.0, "40 s")),  # the stage goes on: what it counts is done
@@ -213,15 +213,15 @@ def test_running_tasks_show_their_progress(tmp_path: Path) -> None:
     ],
 )
 def test_progress_is_one_true_number(
-    step: int, left_s: float | None, ago_s: float, told: tuple[float, str], tmp_path: Path
+    step: int, left_s: float | None, ago_s: float, expected: tuple[float, str], tmp_path: Path
 ) -> None:
     task = tasks_with(Pretended(TaskState.RUNNING), tmp_path)[0]
     task.progress.step, task.progress.left_s = step, left_s
     task.poll(bpy.context.scene)
-    task._told_at -= ago_s
+    task._estimated_at -= ago_s
     task.began -= 40.0
     share, text = sidebar.how_far(task)
-    assert (round(share, 1), text) == told
+    assert (round(share, 1), text) == expected
 
 
 def test_a_lift_that_was_cancelled_is_resumed_first_and_a_running_one_ends_with_blender(tmp_path: Path) -> None:
@@ -246,7 +246,7 @@ def test_once_a_result_is_shown_the_steps_before_it_are_folded(tmp_path: Path) -
     folded = drawn(steps=False)
     assert "plgs.lift_scene" not in folded and "plgs.import_scene" not in folded and "Photo" in folded
     assert "plgs.lift_scene" in drawn()
-    assert folded.startswith("Makes objects of a filmed room")
+    assert folded.startswith("Turns a filmed room into objects")
 
 
 def test_what_is_of_other_classes_is_listed_last() -> None:
