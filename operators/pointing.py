@@ -134,7 +134,7 @@ class PLGS_OT_delete_selected(OnSelected, bpy.types.Operator):
     way: EnumProperty(  # type: ignore[valid-type]
         name="Way", options={"SKIP_SAVE"},
         items=[
-            ("HIDE", "Hide", "They are gone from the view, and Show All brings them back"),
+            ("HIDE", "Hide", "They leave the view. Show All brings back the lift's own, Alt H other objects"),
             ("DISSOLVE", "Dissolve into Surroundings", "They stay visible, as part of what is around them"),
         ],
     )  # fmt: skip

@@ -33,11 +33,11 @@ from .pass_nodes import CRYPTO_CLASSES, CRYPTO_INSTANCES, PASSES, build, has_nod
 from .results import LiftResult
 
 SHOT = "shot:"
-NOTES = ".plgs"
-"""The hidden folder beside the frames with notes on shots, their cameras and locks."""
-VERSION = re.compile(r"[._-]?v(\d{1,6})(?=$|[._-])", re.IGNORECASE)
-"""The version in a file's name, as in "shot_v012.blend"."""
 """Start of the key of a scene whose passes were baked from a camera of the user's."""
+NOTES = ".plgs"
+"""The hidden folder beside the frames that has what is noted of shots, their cameras and locks."""
+VERSION = re.compile(r"(?:^|[._-])v(\d{1,6})(?=$|[._-])", re.IGNORECASE)
+"""The version in a file's name, as in "shot_v012.blend"."""
 _LAST_NUMBER = re.compile(r"(?s)(.*?)(\d+)(\D*)")
 _BEFORE_0 = re.compile(r"(?s)(.*)\.-\d+")
 """The name of a shot's frame before 0. Blender counts only from 0 up, so these are a sequence of their own."""

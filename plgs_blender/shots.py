@@ -154,8 +154,10 @@ def _claim(folder: Path, name: str, source: ShotSource, *, replace: bool) -> Non
     path = folder / f"{name}.shot.json"
     path.parent.mkdir(parents=True, exist_ok=True)
     with FileLock(path.with_suffix(".lock"), _CLAIM_S):  # others may begin to bake the same shot
-        if path.exists():
-            other = read_record(ShotSource, path, "Delete it, if no other file bakes a shot of this name.")
+        beside = folder.parent / path.name  # where earlier versions noted shots of a folder of passes
+        noted = beside if folder.name == NOTES and not path.exists() else path
+        if noted.exists():
+            other = read_record(ShotSource, noted, "Delete it, if no other file bakes a shot of this name.")
             if not replace:
                 _refuse_other(folder, name, other, source)
             source = dataclasses.replace(source, frames=other.frames | source.frames)
@@ -290,9 +292,11 @@ def _may_move(scene: bpy.types.Scene, ob: bpy.types.Object) -> bool:
     owners: list[Any] = [scene, ob.data]
     while ob is not None:
         owners.append(ob)
-        if ob.constraints or ob.modifiers or ob.rigid_body is not None or ob.parent_type not in ("OBJECT", "BONE"):
+        if ob.constraints or ob.modifiers or ob.rigid_body is not None or ob.parent_type != "OBJECT":
             return True
         ob = ob.parent
+        if ob is not None and ob.type != "EMPTY":  # a curve may lead it, an armature may bend
+            return True
     return any(each.animation_data is not None for each in owners)
 
 

@@ -175,8 +175,8 @@ def _followed(piece: Piece, tell: Tell, variables: Mapping[str, str]) -> TaskFol
         follower = _started(piece, variables)
         if follower is None:
             return None
-        pulse = _Pulse(follower)
         try:
+            pulse = _Pulse(follower)
             while follower.is_running:
                 if follower.poll():
                     pulse.beat()
@@ -194,8 +194,8 @@ def _followed(piece: Piece, tell: Tell, variables: Mapping[str, str]) -> TaskFol
 
 
 class _Pulse:
-    """Watches whether an engine still works: a suspended engine, or one that waits for a dead disk, would hold up a
-    batch."""
+    """Whether an engine still runs. A stopped one would hold up a batch. Its watchdog alone counts as running, as an
+    engine may wait for what another one bakes."""
 
     def __init__(self, follower: TaskFollower) -> None:
         from psutil import Process  # late: distributed brings it, which only batches have
@@ -220,7 +220,7 @@ class _Pulse:
             self.beat()
         elif time.monotonic() - self._last > STALL_S:
             minutes = STALL_S / 60
-            what = f"the engine did nothing for {minutes:.0f} minutes (suspended, or a silent disk?), so it was ended"
+            what = f"the engine did nothing for {minutes:.0f} minutes (it was stopped), so it was ended"
             fix = "Start the batch again: it resumes there."
             raise PlgsError("engine-stalled", what, piece.lift, fix, code=ErrorCode.KILLED)
 

@@ -80,7 +80,7 @@ def held_back_agreement(
     the classes that they give each of its points, bool [objects + 1]. Arguments are those of ``vote_classes``;
     ``frames`` are the numbers of each frame's views. A point that no other frame sees follows its object."""
     ids, (points, classes, count) = np.asarray(class_ids), (len(object_of_point), len(class_ids), objects + 1)
-    of_points, of_objects = np.zeros((points, classes), np.float32), np.zeros((count, classes))
+    of_points, of_objects = np.zeros((points, classes)), np.zeros((count, classes))  # float64: residues must be 0
     said = []
     for view, shown in views:
         column = np.minimum(np.searchsorted(ids, shown), classes - 1)

@@ -63,7 +63,8 @@ class LivePreviews:
         self._draw(lifted)
         ended = self._clock()
         pause = 0.0 if self._is_first else (ended - began) * (1 - LARGEST_SHARE) / LARGEST_SHARE
-        self._due = ended + max(EVERY_S, min(pause, LONGEST_S - (ended - began)))
+        took = ended - began
+        self._due = ended + max(EVERY_S, min(pause, max(LONGEST_S - took, took)))  # at most half of the time
         self._is_first = False
 
     def clear_away(self) -> None:

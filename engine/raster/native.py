@@ -140,7 +140,8 @@ def surface_depth(state: ForwardState, shape: tuple[int, int]) -> Tensor:
 
 def _for_contributors(kernel: Any, state: ForwardState, *out: Any) -> None:
     """Run one of the kernels of ``blending/contributors.py``."""
-    workers, longest = worker_count(), int(np.diff(state.isects.isect_offsets).max(initial=0))
+    longest = int(np.diff(state.isects.isect_offsets).max(initial=0))
+    workers = blending_workers(worker_count(), state.isects, longest)
     floats, integers = scratch_sizes(longest)
     scratches = memory.several(((workers, floats), np.float32), ((workers, integers), np.int32))
     parallel_for(workers, kernel, state.isects, flat(state.records), scratches, *out)

@@ -175,7 +175,14 @@ def _with_addition(names: Sequence[str], files: Mapping[str, Value]) -> dict[str
         paired = {name: files[stem] for name, stem in stems.items() if stem in files}
         found_by.append((-len(paired), len(before) + len(after), before, after, paired))
     best = min(found_by, default=None, key=lambda each: each[:4])
+    if best is not None and any(each[0] == best[0] and not _extends(each[2:4], best[2:4]) for each in found_by):
+        return {}  # 0001_semantic and 0001_instance: a choice would be a guess
     return best[-1] if best is not None and 2 * len(best[-1]) >= len(names) else {}
+
+
+def _extends(one: tuple[str, str], other: tuple[str, str]) -> bool:
+    """Whether an addition before and after a name has all of another one."""
+    return one[0].endswith(other[0]) and one[1].startswith(other[1])
 
 
 def _without(words: Collection[str], stem: str) -> tuple[int | str, ...]:

@@ -36,6 +36,8 @@ _BLACK = 12
 _SURE = 4.0
 """Standard errors of the mean difference by which one reading must fit better than another. On the sample, masks of the
 next frame differ by 15, masks distorted by 5 pixels by 8, and those distorted by 2 pixels not at all."""
+_LEAST_PICTURES = 6
+"""Pictures that must differ in how the readings fit: chance alone makes so few as 3 differ surely in 6 % of cases."""
 _NETWORK_STEP = 32
 """Networks take pictures whose sides are multiples of this."""
 _FIX = "Give masks of these pictures with --masks FOLDER: python -m engine segment SCENE makes them."
@@ -127,7 +129,7 @@ def fits_better(pairs: Iterable[tuple[Ids, Ids, Read, Size]]) -> bool | None:
         ranks = edge_ranks(read((round(size[0] * scale), round(size[1] * scale))))
         differences.append(on_edges(one, ranks) - on_edges(other, ranks))
     found = np.array([each for each in differences if np.isfinite(each)])
-    if len(found) < 3:
+    if len(found) < _LEAST_PICTURES:
         return None
     error = max(float(found.std(ddof=1)) / np.sqrt(len(found)), 1e-6)
     return None if abs(found.mean()) < _SURE * error else bool(found.mean() > 0.0)
@@ -238,7 +240,12 @@ def placements(
     inferred: list[Inferred] = []
     turned = {name for name in found if turns_of(pictured[name].orientation)}
     turns = {name: replace(found[name], turns=turns_of(pictured[name].orientation)) for name in turned}
-    sideways = {n for n in turned if turns[n].turns % 2 and same_shape(source.masks[n].size[::-1], pictured[n].size)}
+    sideways = {  # a square one fits both ways, and is looked at
+        name for name in turned
+        if turns[name].turns % 2
+        and same_shape(source.masks[name].size[::-1], pictured[name].size)
+        and not same_shape(source.masks[name].size, pictured[name].size)
+    }  # fmt: skip
     fits = len(sideways) == len(turned) or _fits(source, turns, found, pictured)
     if turned and fits:
         found |= turns

@@ -205,6 +205,11 @@ def open_masks(
     over = {}
     if detections is not None:
         warnings += detections.warnings
+        placed_apart = [name for name in detections.found if placed.get(name, Placement()) != Placement()]
+        if placed_apart:
+            what = f"masks are turned, cut, straightened or ignored in part ({listed(placed_apart)}), detections not"
+            fix = "Give masks and detections of the stored pictures, or no detections."
+            raise PlgsError("detections-placed", what, detections.path, fix, option="--detections")
         if more:
             join = f"to join one with a class of the masks, give it a [[class]] with name and into in {FILE_NAME}"
             warnings.append(f"detections have classes that the masks lack: {listed(one.name for one in more)}; {join}")

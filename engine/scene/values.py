@@ -41,13 +41,15 @@ def inside(values: NDArray[Any], path: Path) -> NDArray[np.bool_]:
     those above half of the range, whether of probabilities, logits, 8 or 16 bits. Raises PlgsError for several ids."""
     if values.dtype.kind == "b" or not values.size:
         return values.astype(np.bool_)
+    if values.dtype.kind == "f":
+        values = np.nan_to_num(values, nan=0.0, posinf=0.0, neginf=0.0)
     least, most = values.min(), values.max()
     if values.dtype.kind == "f" and (least < 0.0 or most <= 1.5):
         return values > (0.0 if least < 0.0 else 0.5)
     if bool(((values == 0) | (values == most)).all()):
         return values != 0
-    half = 127 if most < 256 else 32767
-    if most <= half and are_mixed(values) is False:
+    half = 50 if most == 100 else 127 if most < 256 else 32767  # per cent, or 8 or 16 bits
+    if most <= half and not are_mixed(values):
         what = f"this is not the mask of one object: it has values up to {most}"
         raise PlgsError("not-one-object", what, path, "Save one object as 0 and 255, or all as a picture of ids.")
     return values > half

@@ -108,6 +108,9 @@ class DetectionTable:
         """The frame of each picture's id: by file name, by the id as a frame's name or number, or by index."""
         if self.video_frames:
             step = 1 if self.video_frames == len(names) else _EVERY
+            if step == _EVERY and not _EVERY * (self.video_frames - 1) < len(names) <= _EVERY * self.video_frames:
+                what = f"masklets of {self.video_frames} frames belong to other than these {len(names)} frames"
+                raise PlgsError("masklets-of-others", what, self.path, "Take all frames of the video, or each fourth.")
             return {image: names[int(image) * step] for image in images if int(image) * step < len(names)}
         known = {*names}
         numbers = {int(digits[-1]): name for name in names if (digits := re.findall(r"\d+", name))}
@@ -119,6 +122,11 @@ class DetectionTable:
             if name is not None:
                 found[image] = name
         return found
+
+    def is_by_number(self, names: Sequence[str]) -> bool:
+        """Whether some pictures are known by numbers alone, and some of these are no frames."""
+        images = {image for image, _ in self.entries} - self.names.keys() - {*names}
+        return bool(images) and not images <= self._frames_of(images, names, {}).keys()
 
     def _detection(self, entry: dict[str, Any], context: str, size: Size | None) -> DetectedSegment:
         label = None
@@ -152,6 +160,7 @@ def compressed(given: Any, size: Size | None, context: str, path: Path) -> tuple
         if sum(whole) != width * height:
             what = f"the run lengths of {context} do not fill its picture of {shown_size((width, height))}"
             raise PlgsError("bad-rle", what, path, _FIX)
+        whole = _without_empty_runs(whole)
         packed = rle_tools.frPyObjects({"size": [height, width], "counts": whole}, height, width)
         return (width, height), packed["counts"]
     if not isinstance(given, list):
@@ -163,6 +172,18 @@ def compressed(given: Any, size: Size | None, context: str, path: Path) -> tuple
     if not polygons:
         raise PlgsError("bad-polygon", f"{context} has no polygon", path, _FIX)
     return size, rle_tools.merge(rle_tools.frPyObjects(polygons, size[1], size[0]))["counts"]
+
+
+def _without_empty_runs(counts: list[int]) -> list[int]:
+    """Run lengths of the same pixels in which only the first may be 0, as pycocotools writes them."""
+    kept = counts[:1]
+    for count in counts[1:]:
+        if kept and len(kept) > 1 and kept[-1] == 0:
+            kept.pop()
+            kept[-1] += count
+        else:
+            kept.append(count)
+    return kept[:-1] if len(kept) > 1 and kept[-1] == 0 else kept
 
 
 def check_picture(size: Size, context: str, path: Path) -> None:
@@ -196,7 +217,12 @@ def read_table(place: Path) -> DetectionTable:
     if place.is_dir():
         tables = [(path.stem, _table_of(path)) for path in sorted(shown_files(place, "*.json"))]
         entries = [(name, entry) for name, table in tables for _, entry in table.entries]
-        return DetectionTable(place, entries)
+        sizes = {name: next(iter(table.sizes.values())) for name, table in tables if len(table.sizes) == 1}
+        labels = {table.labels for _, table in tables}
+        if len(labels) > 1:
+            fix = "Give all files the same list."
+            raise PlgsError("classes-differ", "the files name different classes", place, fix)
+        return DetectionTable(place, entries, {}, sizes, next(iter(labels), None))
     return _table_of(place)
 
 
@@ -265,9 +291,12 @@ def _read(place: Path, names: Sequence[str]) -> MaskSource:
     classless = all(one.label is None for each in found.values() for one in each)
     sizes = {one.size for each in found.values() for one in each}
     masks = {}
+    by_number = table.is_by_number(names)
     for name in names:  # where nothing was detected, nothing is shown
         detected = found.get(name, ())
         own = {one.size for one in detected} or sizes
+        if not detected and (by_number or len(sizes) > 1):
+            continue  # it lacks a mask: the file counts otherwise, or nobody knows the mask's size
         if len(own) > 1:
             what = f"detections of frame {name} are of pictures of several sizes"
             raise PlgsError("other-size", what, place, _FIX)
