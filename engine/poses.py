@@ -143,13 +143,13 @@ def map_photos(photos: Path, names: Sequence[str], workplace: Path, events: Even
     options = pycolmap.IncrementalPipelineOptions(random_seed=0)
     registered = 0
 
-    def told() -> None:
+    def on_registered() -> None:
         nonlocal registered
         registered = min(registered + 1, len(names))
         events.progress(STAGE, registered, len(names))
 
     found = step(4, "Finding poses", lambda: pycolmap.incremental_mapping(
-        database, photos, workplace, options=options, next_image_callback=told, cancellation_token=token,
+        database, photos, workplace, options=options, next_image_callback=on_registered, cancellation_token=token,
     ))  # fmt: skip
     return max(found.values(), key=lambda model: model.num_reg_images(), default=None)
 
@@ -288,36 +288,36 @@ class Made:
             raise PlgsError("not-made-poses", "this is not a record of made poses", path, fix) from error
 
 
-def make_poses(place: Path, events: EventWriter, stop: StopSignal, pictures: int | None = None) -> Made:
+def make_poses(source: Path, events: EventWriter, stop: StopSignal, pictures: int | None = None) -> Made:
     """Find the poses of the photos in a folder, or of a film's pictures, and write them beside the photos.
 
     A film's ``pictures`` (by default at most 150) go into a folder of the film's name. Existing files are never
     overwritten; poses of an earlier call are reused. Raises PlgsError, also if the input has changed since; OSError;
     Cancelled.
     """
-    made = Made.read(place.with_suffix("") if is_film(place) else place)
+    made = Made.read(source.with_suffix("") if is_film(source) else source)
     if made is not None:
-        _refuse_changed(made, place)
+        _refuse_changed(made, source)
         is_all = made.photos < made.asked  # the film has no more
-        if is_film(place) and pictures and (pictures < made.photos or pictures > made.photos and not is_all):
+        if is_film(source) and pictures and (pictures < made.photos or pictures > made.photos and not is_all):
             fix = f"move the folder {made.folder.name} away for others"
             events.warning(f"the poses of {made.photos} pictures that were found before are used: {fix}")
         return made
-    colmap(place)  # before minutes of work
-    asked = (pictures or FILM_PICTURES) if is_film(place) else 0
-    folder, photos = _photos_of(place, events, stop, asked)
+    colmap(source)  # before minutes of work
+    asked = (pictures or FILM_PICTURES) if is_film(source) else 0
+    folder, photos = _photos_of(source, events, stop, asked)
     try:
-        film = digests_of_files([(place,)])[0] if is_film(place) else _NO_FILM
+        film = digests_of_files([(source,)])[0] if is_film(source) else _NO_FILM
         return _map(folder, photos, film, asked, events, stop)
     except BaseException:
-        if is_film(place):  # its pictures, which this call wrote
+        if is_film(source):  # its pictures, which this call wrote
             shutil.rmtree(folder, ignore_errors=True)
         raise
 
 
-def _refuse_changed(made: Made, place: Path) -> None:
+def _refuse_changed(made: Made, source: Path) -> None:
     """Raise PlgsError if the photos, the measured depth that gave the unit, or the film have changed. OSError."""
-    if is_film(place) and made.film not in ("", *digests_of_files([(place,)])):
+    if is_film(source) and made.film not in ("", *digests_of_files([(source,)])):
         fix = f"Move the folder {made.folder.name} away to find this film's poses, or name that folder."
         raise PlgsError("other-photos", "the poses here were found for another film, or for photos", made.folder, fix)
     photos = photos_in(made.folder)
@@ -380,10 +380,10 @@ def _map(folder: Path, photos: Path, film: str, asked: int, events: EventWriter,
     return made
 
 
-def _photos_of(place: Path, events: EventWriter, stop: StopSignal, pictures: int) -> tuple[Path, Path]:
+def _photos_of(source: Path, events: EventWriter, stop: StopSignal, pictures: int) -> tuple[Path, Path]:
     """The scene's folder, and the folder of its photos. Raises PlgsError if there are no photos, or poses already."""
-    if is_film(place):
-        folder = place.with_suffix("")
+    if is_film(source):
+        folder = source.with_suffix("")
         if folder.exists():
             fix = "Make the poses of that folder, or move it away."
             raise PlgsError("exists", "the film's pictures would go into a folder that exists already", folder, fix)
@@ -396,16 +396,16 @@ def _photos_of(place: Path, events: EventWriter, stop: StopSignal, pictures: int
 
         events.stage(STAGE, 1, 4, "Taking the sharpest pictures of the film")
         try:
-            write_pictures(place, part / "images", pictures, progress)
+            write_pictures(source, part / "images", pictures, progress)
             part.rename(folder)
         finally:
             shutil.rmtree(part, ignore_errors=True)
         return folder, folder / "images"
-    photos = photos_in(place) if place.is_dir() else None
+    photos = photos_in(source) if source.is_dir() else None
     if photos is None:
         what = "there are no photos here, nor is this a film"
-        raise PlgsError("no-photos", what, place, "Name a folder of photos, or an .mp4.")
+        raise PlgsError("no-photos", what, source, "Name a folder of photos, or an .mp4.")
     for each in FORMATS:
-        if each.recognises(place):
-            raise PlgsError("has-poses", f"this scene has poses already ({each.name})", place, "Lift it as it is.")
-    return place, photos
+        if each.recognises(source):
+            raise PlgsError("has-poses", f"this scene has poses already ({each.name})", source, "Lift it as it is.")
+    return source, photos

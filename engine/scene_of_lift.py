@@ -96,13 +96,13 @@ def _move_baked(folder: LiftFolder, warn: Callable[[str], object]) -> None:
     """Move the passes of an earlier result into their own folder, as the next result has other objects."""
     if not any(folder.passes_path.glob("*.exr")):
         return
-    places = (folder.path / EARLIER / str(number) for number in count(1))
-    place = next(place for place in places if not place.exists())
-    place.mkdir(parents=True)
-    for path in (folder.previews_path, folder.passes_path):  # after a kill, passes tell that more is to be moved
+    candidates = (folder.path / EARLIER / str(number) for number in count(1))
+    earlier = next(earlier for earlier in candidates if not earlier.exists())
+    earlier.mkdir(parents=True)
+    for path in (folder.previews_path, folder.passes_path):  # passes last: until then, a retry moves the rest
         if path.exists():
-            path.rename(place / path.name)
-    warn(f"passes of the earlier result are in {place} now: bake again what the lift does not")
+            path.rename(earlier / path.name)
+    warn(f"passes of the earlier result were moved to {earlier}: bake again those that the lift does not bake")
 
 
 def refuse_changed(folder: LiftFolder, scene: Scene) -> None:
@@ -218,7 +218,7 @@ def _digest_of_decoded(scene: Scene) -> str:
     return found.hexdigest()
 
 
-def relink(folder: LiftFolder, place: Path) -> LiftFolder:
+def relink(folder: LiftFolder, scene: Path) -> LiftFolder:
     """Change the path of the scene in a lift's request to ``scene``. Paths of masks and depth maps inside it change
     along.
 
@@ -228,14 +228,14 @@ def relink(folder: LiftFolder, place: Path) -> LiftFolder:
     if folder.is_running:
         what = "an engine is at work here"
         raise PlgsError("at-work", what, folder.path, "Wait for it, or cancel it.", code=ErrorCode.BUSY)
-    request, place = folder.request, place.absolute()
+    request, scene = folder.request, scene.absolute()
     named = {name: getattr(request, name) for name in ("masks", "depth", "detections")}
-    moved: dict[str, Any] = {name: _moved(path, request.scene, place) for name, path in named.items()}
-    found = replace(request, scene=place, **moved)
-    scene = open_asked(found)
+    moved: dict[str, Any] = {name: _moved(path, request.scene, scene) for name, path in named.items()}
+    found = replace(request, scene=scene, **moved)
+    opened = open_asked(found)
     known = read_known(folder)
     if known is not None:
-        refuse_others(known.posed_frames(place), scene)
+        refuse_others(known.posed_frames(scene), opened)
     write_atomically(folder.path / "request.json", found.to_json(folder.path))
     return LiftFolder.open(folder.path)
 

@@ -167,7 +167,7 @@ def load_model(name: str, *, download: bool) -> Mask2Former:
     logging.set_verbosity_error()
     logging.disable_progress_bar()
     folder, (model, _, revision) = Path(name), name.partition("@")
-    place: dict[str, Any] = {"local_files_only": True, "trust_remote_code": False}
+    limits: dict[str, Any] = {"local_files_only": True, "trust_remote_code": False}
     try:
         if not folder.is_dir():
             wanted = {"revision": revision or None, "allow_patterns": ["*.json", "*.safetensors"]}
@@ -175,13 +175,13 @@ def load_model(name: str, *, download: bool) -> Mask2Former:
                 _ask_hub(HfApi(), model, revision or None)
             folder = Path(snapshot_download(model, local_files_only=not download, **wanted))
         labels = _checked_labels(folder, name)
-        processor = Mask2FormerImageProcessorPil.from_pretrained(folder, **place)
-        network, told = Mask2FormerForUniversalSegmentation.from_pretrained(
-            folder, use_safetensors=True, output_loading_info=True, **place
+        processor = Mask2FormerImageProcessorPil.from_pretrained(folder, **limits)
+        network, loading = Mask2FormerForUniversalSegmentation.from_pretrained(
+            folder, use_safetensors=True, output_loading_info=True, **limits
         )
     except (OSError, ValueError, KeyError, RuntimeError, TypeError, AttributeError, SafetensorError) as error:
         raise _not_loaded(name, download, error) from error
-    wrong = {key.partition("_")[0]: keys for key, keys in told.items() if keys}
+    wrong = {key.partition("_")[0]: keys for key, keys in loading.items() if keys}
     wrong["infinite"] = [key for key, one in network.state_dict().items() if not bool(torch.isfinite(one).all())]
     for kind, keys in wrong.items():
         if keys:
@@ -206,7 +206,8 @@ def _checked_labels(folder: Path, name: str) -> tuple[ClassLabel, ...]:
     files = [*parts.values()] if isinstance(parts, dict) else [parts]
     for file in (*files, read_object(config, _ANOTHER).get("transformers_weights") or "model.safetensors"):
         if not isinstance(file, str) or not re.fullmatch(r"[\w.-]+\.safetensors", file):
-            raise PlgsError("model-outside", f"{str(file)[:60]!r} is no safetensors in its folder", folder, _ANOTHER)
+            what = f"{str(file)[:60]!r} is not a safetensors file in the model's folder"
+            raise PlgsError("model-outside", what, folder, _ANOTHER)
     for path in folder.glob("*.safetensors"):
         digest = path.resolve().name  # the hub's cache links to files that are called by their SHA-256
         if path.is_symlink() and re.fullmatch("[0-9a-f]{64}", digest) and digest_of(path) != digest:

@@ -74,7 +74,7 @@ def test_a_damaged_lift_is_refused(lift: LiftFolder) -> None:
         engine.read_lift(lift.path)
 
 
-def test_it_needs_only_numpy(root: Path) -> None:
+def test_lift_arrays_need_only_numpy(root: Path) -> None:
     code = "import sys, engine; engine.read_lift; print({'torch', 'cv2', 'scipy', 'open3d'} & {*sys.modules})"
     run = subprocess.run([sys.executable, "-c", code], cwd=root, capture_output=True, text=True, check=True)
     assert run.stdout.strip() == "set()"

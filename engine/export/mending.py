@@ -78,9 +78,9 @@ def without_fringe(surface: Surface, label: Ints) -> tuple[Surface, Ints]:
     near = np.zeros(len(label), np.bool_)
     near[open_edges(surface.triangles)] = True
     within = _grown(~_grown(near, surface.triangles, FRINGE - 1), surface.triangles, FRINGE)
-    known, place = np.unique(label, return_inverse=True)
-    is_thin = (np.bincount(place, within) < THIN * np.bincount(place)) & (known > 0)
-    within |= _grown(is_thin[place], surface.triangles, 1)  # with lone vertices of other labels in it
+    known, index = np.unique(label, return_inverse=True)
+    is_thin = (np.bincount(index, within) < THIN * np.bincount(index)) & (known > 0)
+    within |= _grown(is_thin[index], surface.triangles, 1)  # with lone vertices of other labels in it
     kept, used = surface.of(surface.triangles[within[surface.triangles].all(axis=1)])
     return kept, label[used]
 
@@ -157,8 +157,8 @@ def without_crumbs(surface: Surface, label: Ints, is_stuff: NDArray[np.bool_]) -
 
 def most_frequent(group: Ints, label: Ints, groups: int) -> Ints:
     """The label that most members [N] of each group have, [groups]; 0 for a group without members."""
-    known, place = np.unique(label, return_inverse=True)
-    pairs, count = np.unique(group * max(len(known), 1) + place, return_counts=True)
+    known, index = np.unique(label, return_inverse=True)
+    pairs, count = np.unique(group * max(len(known), 1) + index, return_counts=True)
     pairs = pairs[np.argsort(count, kind="stable")]
     found = np.zeros(groups, np.int64)
     found[pairs // max(len(known), 1)] = known[pairs % max(len(known), 1)]
@@ -192,8 +192,8 @@ _MARGIN = 0.15
 
 def even_labels(triangles: Ints, label: Ints) -> Ints:
     """The labels [V] smoothed: each vertex takes the prevailing label around it, without lone vertices or jags."""
-    known, place = np.unique(label, return_inverse=True)
-    shares = _shares(triangles, place, len(known)).tocoo()
+    known, index = np.unique(label, return_inverse=True)
+    shares = _shares(triangles, index, len(known)).tocoo()
     order = np.lexsort([shares.data, shares.row])
     row, column = shares.row[order], shares.col[order]
     last = np.flatnonzero(np.diff(row, append=-1))
@@ -246,23 +246,23 @@ def _along(triangles: Ints, label: Ints, own: Ints, other: Ints) -> NDArray[np.f
     """Where on each edge, from its ``own`` vertex [E] to the ``other``, both labels are equally strong, 0 to 1."""
     if not len(own):
         return np.zeros(0)
-    known, place = np.unique(label, return_inverse=True)
-    shares = _shares(triangles, place, len(known))
+    known, index = np.unique(label, return_inverse=True)
+    shares = _shares(triangles, index, len(known))
     ours, theirs = (
-        np.maximum(np.asarray(shares[at, place[at]] - shares[at, place[beyond]]).ravel(), 1e-6)
+        np.maximum(np.asarray(shares[at, index[at]] - shares[at, index[beyond]]).ravel(), 1e-6)
         for at, beyond in ((own, other), (other, own))
     )
     return np.clip(ours / (ours + theirs), _MARGIN, 1 - _MARGIN)
 
 
-def _shares(triangles: Ints, place: Ints, known: int) -> csr_matrix:
+def _shares(triangles: Ints, index: Ints, known: int) -> csr_matrix:
     """The share of each label around each vertex, [V, known], with sum 1."""
-    count = len(place)
+    count = len(index)
     edges = triangles[:, [0, 1, 1, 2, 2, 0, 1, 0, 2, 1, 0, 2]].reshape(-1, 2)
     beside = coo_matrix((np.ones(len(edges)), tuple(edges.T)), (count, count)).tocsr()
     beside.data[:] = 1.0
     around = diags(1.0 / np.maximum(np.asarray(beside.sum(axis=1)).ravel(), 1.0)) @ beside
-    shares = csr_matrix((np.ones(count), (np.arange(count), place)), (count, known))
+    shares = csr_matrix((np.ones(count), (np.arange(count), index)), (count, known))
     for _ in range(_ROUNDS):
         shares = 0.5 * (shares + around @ shares)
     return shares

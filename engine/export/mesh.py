@@ -284,8 +284,8 @@ def vertex_labels(xyz: NDArray[np.float32], views: list[SmallView], times: int =
         column, row = pixel.astype(np.int64).T
         x, y = (times * pixel).astype(np.int64).T
         seen = np.abs(view.large_depth(times)[y, x] - depth) < SEEN_WITHIN
-        place = np.searchsorted(known, view.label[row[seen], column[seen]])
-        votes[vertex[seen], place] += 1
+        index = np.searchsorted(known, view.label[row[seen], column[seen]])
+        votes[vertex[seen], index] += 1
     return np.where(votes.any(axis=1), known[votes.argmax(axis=1)], 0)
 
 

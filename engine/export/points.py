@@ -49,8 +49,8 @@ def export_boxes(lift: FinishedLift, output: Path) -> None:
     write_ply_table(output / "labelcloud/pointclouds/points.ply", xyz | columns_of("red green blue", points.rgb))
     _write_json(output / "labelcloud/labels/points.json", _for_labelcloud(lift.listed))
     _write_pcd(output / "cvat/ds0/pointcloud/points.pcd", points.xyz, points.rgb)
-    for name, told in _for_cvat(lift.listed, lift.classes).items():
-        _write_json(output / "cvat" / name, told)
+    for name, content in _for_cvat(lift.listed, lift.classes).items():
+        _write_json(output / "cvat" / name, content)
 
 
 def _for_labelcloud(boxes: Sequence[Instance]) -> dict[str, Any]:
@@ -77,8 +77,8 @@ def _for_cvat(boxes: Sequence[Instance], classes: ClassTable) -> dict[str, Any]:
         tag = {"name": "instance", "value": one.name, "key": key}
         objects.append({"key": key, "classTitle": one.class_name, "tags": [tag]})
         turn = {"x": 0.0, "y": 0.0, "z": one.yaw}
-        place, size = (dict(zip("xyz", values, strict=True)) for values in (one.centre, one.size))
-        box = {"position": place, "rotation": turn, "dimensions": size}
+        position, size = (dict(zip("xyz", values, strict=True)) for values in (one.centre, one.size))
+        box = {"position": position, "rotation": turn, "dimensions": size}
         figures.append({"key": key, "objectKey": key, "geometryType": "cuboid_3d", "geometry": box})
     known = [{"title": each.name, "shape": "cuboid_3d", "color": "#" + bytes(each.colour).hex(), "geometry_config": {}}
              for each in classes.categories]  # fmt: skip

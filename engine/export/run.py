@@ -55,7 +55,7 @@ def export(
     shown = [view.name for view in lift.shots] or [frame.name for frame in lift.frames]
     facts = {"form": kind, "lift": str(folder.path), "frames": shown}
     if objects:
-        lift.wants(0, 0)  # an unknown name is told before anything is written
+        lift.wants(0, 0)  # reports an unknown name before anything is written
         facts["objects"] = [*objects]
     make_room(folder, output, facts)
     KINDS[kind](lift, output)

@@ -99,12 +99,12 @@ def textured(surface: Surface, label: Ints, views: Sequence[SmallView]) -> Textu
     for value in np.unique(labels).tolist():
         own, cells = np.flatnonzero(of_label == value), np.flatnonzero(bare & (labels == value))
         picture, corner = _packed([crops[each] for each in own], len(cells))
-        place = np.zeros((len(boxes), 2))
-        place[own] = corner[: len(own)]
+        origin = np.zeros((len(boxes), 2))
+        origin[own] = corner[: len(own)]
         rows = np.flatnonzero(~bare & (labels == value))
         at, number = wedge[rows], chart[wedge[rows]]
         inside = (pixel[at] - boxes[number, :2]) / sides[number] * sizes[number]
-        uv[rows] = (place[number] + inside) / picture.shape[1::-1]
+        uv[rows] = (origin[number] + inside) / picture.shape[1::-1]
         uv[cells] = _fill_cells(picture, corner[len(own) :], surface.rgb[surface.triangles[cells]])
         pictures[value] = picture
     return Texture(uv, pictures)
@@ -215,8 +215,8 @@ def _evened(photo: NDArray[np.uint8], pixel: NDArray[np.float64], rgb: NDArray[n
     size = -(-width // _COARSE), -(-height // _COARSE)
     column, row = pixel.astype(np.int64).clip(0, (width - 1, height - 1)).T
     away = np.clip(rgb - photo[row, column].astype(np.float64), -_ODD, _ODD)
-    place = row // _COARSE * size[0] + column // _COARSE
-    sums = [np.bincount(place, each, size[0] * size[1]) for each in (*away.T, np.ones(len(place)))]
+    cell = row // _COARSE * size[0] + column // _COARSE
+    sums = [np.bincount(cell, each, size[0] * size[1]) for each in (*away.T, np.ones(len(cell)))]
     spread = cv2.GaussianBlur(
         np.stack(sums, axis=-1).reshape(*size[::-1], 4).astype(np.float32), (0, 0), _SPREAD * width / _COARSE
     )
@@ -247,10 +247,10 @@ def _packed(crops: Sequence[NDArray[np.uint8]], cells: int) -> tuple[NDArray[np.
 
 def _fill_cells(picture: NDArray[np.uint8], corner: NDArray[np.float64], rgb: NDArray[np.uint8]) -> NDArray[np.float32]:
     """Draw triangles with the colours [N, 3, 3] of their corners into their cells. Returns the positions, [N, 3, 2]."""
-    places = np.array([[0.5, 0.5], [_CELL - 0.5, 0.5], [0.5, _CELL - 0.5]])
+    offsets = np.array([[0.5, 0.5], [_CELL - 0.5, 0.5], [0.5, _CELL - 0.5]])
     y, x = np.indices((_CELL, _CELL)) / (_CELL - 1)
     mixed = np.einsum("nkc,kyx->nyxc", rgb.astype(np.float32), np.stack([1 - x - y, x, y]))
     left, top = corner.astype(np.int64).T
     rows, columns = np.indices((_CELL, _CELL))
     picture[top[:, None, None] + rows, left[:, None, None] + columns] = np.rint(mixed.clip(0, 255))
-    return ((corner[:, None] + places) / picture.shape[1::-1]).astype(np.float32)
+    return ((corner[:, None] + offsets) / picture.shape[1::-1]).astype(np.float32)

@@ -82,8 +82,8 @@ def _add_mesh(stage: Usd.Stage, path: str, part: Part) -> Usd.Prim:
     mesh.CreateExtentAttr(_vectors([part.xyz.min(axis=0), part.xyz.max(axis=0)]))
     mesh.CreateDisplayColorPrimvar(UsdGeom.Tokens.vertex).Set(_vectors(linear(part.rgb / 255)))
     if part.uv is not None:
-        place = UsdGeom.PrimvarsAPI(mesh).CreatePrimvar("st", Sdf.ValueTypeNames.TexCoord2fArray, "faceVarying")
-        place.Set(Vt.Vec2fArray.FromNumpy(np.ascontiguousarray(part.uv.reshape(-1, 2) * (1, -1) + (0, 1), np.float32)))
+        st = UsdGeom.PrimvarsAPI(mesh).CreatePrimvar("st", Sdf.ValueTypeNames.TexCoord2fArray, "faceVarying")
+        st.Set(Vt.Vec2fArray.FromNumpy(np.ascontiguousarray(part.uv.reshape(-1, 2) * (1, -1) + (0, 1), np.float32)))
         UsdShade.MaterialBindingAPI.Apply(mesh.GetPrim()).Bind(_add_material(stage, path))
     return mesh.GetPrim()
 
@@ -96,15 +96,15 @@ def _picture(path: str) -> str:
 def _add_material(stage: Usd.Stage, path: str) -> UsdShade.Material:
     """A matt material with the picture of the mesh at this path."""
     material = UsdShade.Material.Define(stage, f"{path}/Material")
-    surface, picture, place = (
+    surface, picture, uv = (
         UsdShade.Shader.Define(stage, f"{path}/Material/{name}") for name in ("Surface", "Picture", "Place")
     )
-    for shader, kind in ((surface, "UsdPreviewSurface"), (picture, "UsdUVTexture"), (place, "UsdPrimvarReader_float2")):
+    for shader, kind in ((surface, "UsdPreviewSurface"), (picture, "UsdUVTexture"), (uv, "UsdPrimvarReader_float2")):
         shader.CreateIdAttr(kind)
-    place.CreateInput("varname", Sdf.ValueTypeNames.String).Set("st")
+    uv.CreateInput("varname", Sdf.ValueTypeNames.String).Set("st")
     picture.CreateInput("file", Sdf.ValueTypeNames.Asset).Set(f"./{_picture(path)}")
     picture.CreateInput("sourceColorSpace", Sdf.ValueTypeNames.Token).Set("sRGB")
-    picture.CreateInput("st", Sdf.ValueTypeNames.Float2).ConnectToSource(place.ConnectableAPI(), "result")
+    picture.CreateInput("st", Sdf.ValueTypeNames.Float2).ConnectToSource(uv.ConnectableAPI(), "result")
     colour = surface.CreateInput("diffuseColor", Sdf.ValueTypeNames.Color3f)
     colour.ConnectToSource(picture.ConnectableAPI(), "rgb")
     surface.CreateInput("roughness", Sdf.ValueTypeNames.Float).Set(1.0)
@@ -116,14 +116,14 @@ def _add_splats(stage: Usd.Stage, lift: FinishedLift) -> None:
     """A field for each instance and stuff class, and one for the unlabelled rest."""
     splats = lift.splats
     label = splats["class_id"].astype(np.int64) * MOST_INSTANCES + splats["instance_id"]
-    told = {}
+    names_of = {}
     for value in np.unique(label).tolist():
         class_id, instance_id = divmod(value, MOST_INSTANCES)
         class_name = lift.classes[class_id].name if class_id in lift.classes else ""
         instance = lift.instances.names.get(instance_id, "") if class_id != VOID else ""
-        told[value] = (instance or class_name or "unlabelled", class_name, instance)
-    for path, value in zip(_paths(stage, "Splats", (name for name, *_ in told.values())), told, strict=True):
-        _label(_add_field(stage, path, splats[label == value]), *told[value])
+        names_of[value] = (instance or class_name or "unlabelled", class_name, instance)
+    for path, value in zip(_paths(stage, "Splats", (name for name, *_ in names_of.values())), names_of, strict=True):
+        _label(_add_field(stage, path, splats[label == value]), *names_of[value])
 
 
 def _add_field(stage: Usd.Stage, path: str, splats: NDArray[np.void]) -> Usd.Prim:

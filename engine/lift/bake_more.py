@@ -38,7 +38,7 @@ from ..train.progress import StageReporter
 from .baking import CORRECTIONS_NOTE, FrameBaker, baked_files, names_of_files, read_baker
 from .device import be_repeatable
 from .frame_sets import check_disk
-from .judging import Unresolved, tell_unresolved, unresolved
+from .judging import Unresolved, report_unresolved, unresolved
 from .scene_files import MODEL
 
 STAGES = {"open": "Opening the lifted scene", "bake": "Baking panoptic passes"}
@@ -94,7 +94,7 @@ def bake_frames(
     def views_in(scene: Scene) -> list[WantedView]:
         lost = {*names_of_frames(folder)} - {frame.name for frame in scene.frames}
         if lost and {"all", "test"}.intersection(frames):
-            events.warning(f"the scene has no frame {listed(sorted(lost))} any more: what is baked lacks it")
+            events.warning(f"the scene no longer has frame {listed(sorted(lost))}, which is not baked")
         return _views_of(folder, frames_named(scene, frames))
 
     with BakeLocks(folder.path) as locks:
@@ -148,10 +148,10 @@ def _bake(
         scene = scene_of_lift(folder)
         corrected = read_corrected(folder.path)
         notes = {CORRECTIONS_NOTE: corrected.fingerprint}
-        place = _Result(folder, locks, options) if options.output is None else _OwnFolder(folder, options)
+        destination = _Result(folder, locks, options) if options.output is None else _OwnFolder(folder, options)
         if options.output is None:
             complete_known_scene(folder, scene)
-        wanted = [view for view in views_in(scene) if not place.has(view, notes)]
+        wanted = [view for view in views_in(scene) if not destination.has(view, notes)]
         check_disk(options.output or folder.path, (view.camera.size for view in wanted), events)
         baker = read_baker(folder, scene.classes, corrected)
         photos, found = [frame.camera for frame in scene.train_frames], list[tuple[str, Unresolved]]()
@@ -162,22 +162,22 @@ def _bake(
             while left:
                 others = list[WantedView]()
                 for number, view in enumerate(left, start=1):
-                    with locks.claim(place.claim_of(view)) as is_ours:
+                    with locks.claim(destination.claim_of(view)) as is_ours:
                         if not is_ours:
                             others.append(view)
-                        elif not place.has(view, notes):
+                        elif not destination.has(view, notes):
                             rendered = baker.render(view.camera, view.clip)
                             if view.fingerprint:
                                 found.append((view.name, unresolved(rendered.layers, view.camera, photos)))
-                            place.write(view, rendered, baker, events)
+                            destination.write(view, rendered, baker, events)
                     progress(len(wanted) - len(left) + number - len(others), len(wanted))
-                place.keep()
+                destination.keep()
                 # Only views on disk count as done: a process that is baking one of these may still be killed.
                 time.sleep(WAIT_S if others else 0.0)
                 left = others
         finally:
-            place.keep()
-            tell_unresolved(found, events, before=False)
+            destination.keep()
+            report_unresolved(found, events, before=False)
 
 
 def look_ahead(baker: FrameBaker, wanted: Sequence[WantedView], photos: Sequence[Camera], events: EventWriter) -> None:
@@ -187,7 +187,7 @@ def look_ahead(baker: FrameBaker, wanted: Sequence[WantedView], photos: Sequence
         small = view.camera.resized(*size_within(view.camera.size, LOOK_WITHIN))
         layers = baker.render(small, view.clip).layers
         found.append((view.name, unresolved(layers, small, photos, view.camera.width / small.width)))
-    tell_unresolved(found, events, before=True)
+    report_unresolved(found, events, before=True)
 
 
 def is_whole(passes: Path, notes: Mapping[str, str], layers: tuple[str, ...]) -> bool:

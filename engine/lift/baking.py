@@ -178,7 +178,7 @@ def bake_and_evaluate(
     with stages.stage("evaluate") as progress:
         add_input_masks(report, scene)
         judgement = judge(baker.seen, scene, views, held_back, progress, folder.path)
-        judgement.tell(events)
+        judgement.report(events)
         baker.calibration = judgement.calibration
     with stages.stage("bake") as progress:
         for done, frame in enumerate(frames, start=1):
@@ -246,7 +246,7 @@ def corrected_scene(scene: StructuredScene, corrected: CorrectedResult) -> Struc
     voted = scene.voted or _likeliest(scene, corrected)
     means, k = _means(scene).numpy(), voted.label.shape[1]
     before = codes[voted.label.numpy().astype(np.int64)]
-    after = np.stack([corrected.relabelling.of(means, before[:, place]) for place in range(k)], axis=1)
+    after = np.stack([corrected.relabelling.of(means, before[:, column]) for column in range(k)], axis=1)
     kinds = {one.id: one.class_id for one in corrected.instances}
     # An object without any point keeps its slot and its class.
     own = dict(zip(channels.shown_ids, _classes_of_slots(channels, corrected), strict=True))
@@ -254,9 +254,9 @@ def corrected_scene(scene: StructuredScene, corrected: CorrectedResult) -> Struc
     of_shown = [kinds.get(one, own.get(one, 0)) for one in shown]
     class_ids = tuple(sorted({*channels.class_ids, *of_shown, *(-after[after < 0]).tolist()} - {0}))
     changed = LabelChannels(class_ids, tuple(shown), tuple(of_shown))
-    places = {code: place for place, code in enumerate([*(-one for one in class_ids), *shown])}
-    known = np.array(sorted(places), np.int32)
-    label = np.array([places[code] for code in known.tolist()], np.int16)[np.searchsorted(known, after)]
+    index_of = {code: index for index, code in enumerate([*(-one for one in class_ids), *shown])}
+    known = np.array(sorted(index_of), np.int32)
+    label = np.array([index_of[code] for code in known.tolist()], np.int16)[np.searchsorted(known, after)]
     return replace(scene, channels=changed, voted=GaussianLabels(torch.from_numpy(label), voted.share))
 
 

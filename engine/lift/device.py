@@ -50,7 +50,7 @@ def _refuse_missing(where: str, stages: StageReporter) -> None:
     if fails is not None:
         find_out = f'{sys.executable} -c "from gsplat.cuda import _backend"'
         needs = "gsplat needs nvcc of the CUDA that torch is built for, ninja and a C++ compiler"
-        fix = f"{needs}; {find_out} tells more. Mend that, {on_cpu}"
+        fix = f"{needs}. Run {find_out} for details and install what is missing, {on_cpu}"
         raise PlgsError("gsplat-fails", f"gsplat cannot draw here ({fails})", where, fix, option="--device")
 
 

@@ -165,15 +165,15 @@ def check_disk(folder: Path, sizes: Iterable[tuple[int, int]], events: EventWrit
     there = next(each for each in (folder, *folder.absolute().parents) if each.exists())
     pixels, free = sum(width * height for width, height in sizes), shutil.disk_usage(there).free
     if free < pixels * LEAST_PIXEL:
-        what = f"the passes need at least {_gb(pixels * LEAST_PIXEL)}, and {_gb(free)} of the disk are free"
+        what = f"the passes need at least {_gb(pixels * LEAST_PIXEL)}, but only {_gb(free)} of the disk is free"
         raise PlgsError("disk-full", what, folder, "Make room there, or bake fewer frames.", code=ErrorCode.DISK_FULL)
     if free < pixels * PIXEL:
-        events.warning(f"the passes need about {_gb(pixels * PIXEL)}, and {_gb(free)} of the disk are free")
+        events.warning(f"the passes need about {_gb(pixels * PIXEL)}, but only {_gb(free)} of the disk is free")
 
 
 def _warn_of_other_programs(needed: int, memory: MainMemory, events: EventWriter) -> None:
     if needed > memory.free:
-        events.warning(f"the lift needs about {_gb(needed)} of memory, and only {_gb(memory.free)} are free")
+        events.warning(f"the lift needs about {_gb(needed)} of memory, but only {_gb(memory.free)} is free")
 
 
 def _too_much(needed: int, memory: MainMemory) -> str:

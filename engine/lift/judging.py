@@ -70,7 +70,7 @@ class Judgement:
         calibration: Json = asdict(self.calibration)
         return {"agreement": agreement, "not_shown": missed, "calibration": calibration, "doubt": dict(self.doubt)}
 
-    def tell(self, events: EventWriter) -> None:
+    def report(self, events: EventWriter) -> None:
         """Log the calibration and all missing objects, and warn of the first few."""
         log.info("confidence: %s", self.calibration)
         if self.held_back is None:
@@ -78,9 +78,9 @@ class Judgement:
         for line in _lines(self.not_shown):
             log.info("not shown: %s", line)
         lines = _lines(self.not_shown)
-        told = [*lines[:MOST_NAMED], *([f"and {len(lines) - MOST_NAMED} more"] if len(lines) > MOST_NAMED else [])]
-        if told:
-            events.warning(f"some masks show objects that the lift does not: {'; '.join(told)}")
+        named = [*lines[:MOST_NAMED], *([f"and {len(lines) - MOST_NAMED} more"] if len(lines) > MOST_NAMED else [])]
+        if named:
+            events.warning(f"some masks show objects that the lift does not: {'; '.join(named)}")
 
 
 def _lines(missed: Iterable[Unshown]) -> list[str]:
@@ -105,8 +105,8 @@ def judge(
     samples: list[Samples] = []
     most = MOST_SAMPLES // (len(held_back) or len(trained))
     classes = stored(_drawn(draw, every, most, samples, progress), scratch)
-    places = Samples(*map(np.concatenate, zip(*samples[len(trained) if len(held_back) else 0 :], strict=True)))
-    calibration = calibrate(places, trained, held_back)
+    judged = Samples(*map(np.concatenate, zip(*samples[len(trained) if len(held_back) else 0 :], strict=True)))
+    calibration = calibrate(judged, trained, held_back)
     judges = OnDemand(len(every), lambda number: JudgedView(every[number], classes[number]))
     return Judgement(
         trained=_agreement(judges[: len(trained)], scene.classes),
@@ -159,7 +159,7 @@ LEAST_ALPHA = 0.5
 """Alpha below which a pixel shows no surface."""
 SAMPLES = 5000
 """The approximate number of a picture's pixels that are checked, evenly spread."""
-TOLD = 0.1
+LEAST_UNRESOLVED = 0.1
 """Share of unresolved pixels above which a warning is given."""
 
 
@@ -184,13 +184,13 @@ def unresolved(layers: PanopticLayers, camera: Camera, photos: Sequence[Camera],
     v, u = np.indices(depth.shape) * step + first + 0.5
     local = np.stack([(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, np.ones(depth.shape)], axis=-1)
     shown = (depth > 0) & (alpha >= LEAST_ALPHA)
-    places = (local * depth[..., None])[shown] @ camera.camera_to_world[:3, :3].T + camera.centre
-    finest, own = finest_pixels(places, photos), depth[shown] / (reduced * np.sqrt(camera.fx * camera.fy))
+    points = (local * depth[..., None])[shown] @ camera.camera_to_world[:3, :3].T + camera.centre
+    finest, own = finest_pixels(points, photos), depth[shown] / (reduced * np.sqrt(camera.fx * camera.fy))
     coarse = (finest == 0) | (finest > COARSER * own)
     return Unresolved(np.count_nonzero(coarse) / depth.size, 1 - float(shown.mean()))
 
 
-def tell_unresolved(found: Sequence[tuple[str, Unresolved]], events: EventWriter, *, before: bool) -> None:
+def report_unresolved(found: Sequence[tuple[str, Unresolved]], events: EventWriter, *, before: bool) -> None:
     """Report the shares of the named views: warn if much of a view is unresolved, and log the figures after the
     bake."""
     if not found:
@@ -199,7 +199,7 @@ def tell_unresolved(found: Sequence[tuple[str, Unresolved]], events: EventWriter
     worst, most = max(found, key=lambda each: each[1].share)
     if not before:
         events.metric("unresolved", {"views": len(found), **mean, "worst": worst, "most": most.share})
-    if most.share >= TOLD:
+    if most.share >= LEAST_UNRESOLVED:
         coarse, empty, views = mean["coarse"], mean["empty"], "the views to bake" if before else "the baked views"
         events.warning(
             f"the capture does not resolve {coarse + empty:.0%} of {views} ({most.share:.0%} of {worst}): {coarse:.0%} "

@@ -207,8 +207,8 @@ def take_over_edits(folder: LiftFolder, earlier: EarlierLift, events: EventWrite
     corrected = read_corrected(folder.path)
     applied = sum(not edit.undone and edit.uid not in corrected.not_applied for edit in corrected.edits)
     some = plural(applied, "correction of the earlier lift applies", "corrections of the earlier lift apply")
-    told = f"{some} here; passes show them once they are baked again"
-    for line in (*corrected.warnings, told):
+    summary = f"{some} here; passes show them once they are baked again"
+    for line in (*corrected.warnings, summary):
         events.warning(line)
 
 

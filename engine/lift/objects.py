@@ -162,9 +162,11 @@ def labels_of(cloud: SemanticPointCloud, objects: Sequence[SceneObject]) -> Pano
     return PanopticLabels(cloud.class_ids, tuple(one.class_id for one in objects))
 
 
-def on_cloud(views: Sequence[View], cloud: SemanticPointCloud, scratch: Path | None, told: Progress) -> ViewsOnCloud:
+def on_cloud(
+    views: Sequence[View], cloud: SemanticPointCloud, scratch: Path | None, progress: Progress
+) -> ViewsOnCloud:
     """The views, and what they see of the cloud."""
-    return ViewsOnCloud.of(views, point_of_pixels(watched(views, told), cloud, scratch))
+    return ViewsOnCloud.of(views, point_of_pixels(watched(views, progress), cloud, scratch))
 
 
 def point_of_pixels(
@@ -259,5 +261,5 @@ def without_fragments(
     seeing[[parts[one.id] > 1 for one in pieces]] = len(seen)
     kept = [n for n, one in enumerate(pieces) if len(one.masks) >= CONSENSUS.least_masks(int(seeing[n]))]
     number = np.zeros(len(pieces) + 1, np.int32)
-    number[[place + 1 for place in kept]] = np.arange(1, len(kept) + 1)
-    return number[owner], [replace(pieces[place], id=new) for new, place in enumerate(kept, start=1)]
+    number[[index + 1 for index in kept]] = np.arange(1, len(kept) + 1)
+    return number[owner], [replace(pieces[index], id=new) for new, index in enumerate(kept, start=1)]

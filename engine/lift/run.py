@@ -146,7 +146,7 @@ def run_lift(
         frames, masks_changed, findings = checked_frames(folder, preset, checkpoint, progress, events)
         earlier = None if request.names_from is None else read_earlier(request.names_from)
     stages.course = expected_course(frames, preset, request.bake)
-    tell_long(stages.course, events)
+    warn_if_long(stages.course, events)
     check_disk(folder.path, (frame.size for frame in frames_to_bake(frames.all, request.bake)), events)
     with stages.stage("read") as progress:
         views, others = read_views(frames, preset, folder.path, progress, events)
@@ -166,18 +166,18 @@ def run_lift(
 
     with stages.stage("result") as progress:
         if preset.shows_votes:
-            told = progress.part(0.0, VOTED)
-            trainer.scene.voted = vote_labels(trainer.scene, frames.training, prepared, preset, told, folder.path)
+            part = progress.part(0.0, VOTED)
+            trainer.scene.voted = vote_labels(trainer.scene, frames.training, prepared, preset, part, folder.path)
         trainer.scene.finest = finest_of(trainer.scene, frames.training, preset)
         held_back = read_held_back(frames.chosen, preset.size, folder.path)
-        told = progress.part(VOTED, SIFTED)
-        seen = points_to_write(prepared.cloud, prepared.instance_of_point, chained(views, held_back), told)
+        part = progress.part(VOTED, SIFTED)
+        seen = points_to_write(prepared.cloud, prepared.instance_of_point, chained(views, held_back), part)
         if earlier is not None:
             prepared, lasting = keep_names(earlier, prepared, seen, trainer.scene, classes)
             names = lasting.names
             write_names(folder, lasting, events)
-        told, lifted = progress.part(SIFTED, 1.0), trainer.scene
-        write_scene_files(folder, frames.chosen, views, held_back, prepared, seen, lifted, events, names, told)
+        part, lifted = progress.part(SIFTED, 1.0), trainer.scene
+        write_scene_files(folder, frames.chosen, views, held_back, prepared, seen, lifted, events, names, part)
         if earlier is not None and earlier.edits:
             take_over_edits(folder, earlier, events)
     baker = FrameBaker(classes, trainer.scene.on(device), shown_instances(prepared, names))
@@ -279,7 +279,7 @@ def expected_course(frames: FrameSets, preset: Preset, bake: str) -> Course:
     return Course({name: slowness * value for name, value in seconds.items() if name not in ("start", "check")})
 
 
-def tell_long(course: Course, events: EventWriter) -> None:
+def warn_if_long(course: Course, events: EventWriter) -> None:
     """Warn of a lift that takes more than LONG_S."""
     seconds = sum(course.seconds.values())
     if seconds > LONG_S:
@@ -292,7 +292,7 @@ def code_of(code: str, checkpoint: Checkpoint | None, events: EventWriter) -> st
     begun_by = "" if checkpoint is None else str(checkpoint.state.get(CODE, "unknown"))
     if not begun_by or code in begun_by.split("+"):
         return begun_by or code
-    events.warning(f"the lift was begun by other code ({begun_by}, this is {code}): lift anew what is to be compared")
+    events.warning(f"other code began this lift ({begun_by}, this is {code}): lift anew before you compare results")
     return f"{begun_by}+{code}"
 
 
@@ -320,7 +320,7 @@ def refuse_empty(views: Sequence[View], scene: Scene) -> None:
         raise PlgsError("no-depth-left", "no depth is left at the size of training", scene.folder, fix, option="--size")
     if not any((view.mask.class_map() != VOID).any() for view in views):
         fix = "Lift at a larger --size, or provide masks with larger segments."
-        what = "nothing of the masks is left at the size of training"
+        what = "no mask is left at the size of training"
         raise PlgsError("no-masks-left", what, scene.folder, fix, option="--size")
 
 

@@ -179,7 +179,7 @@ def listed_instances(
     """The matched objects as instances.json lists them, with the masks that they were made from, and the number of
     points of each. Each view is read once."""
     used = {mask.key for instance in prepared.instances for mask in instance.masks}
-    places = {
+    extents = {
         (view.name, one): (*extent, outline_of(view.mask, one, extent[1]))
         for view in views
         for one, extent in mask_extents(view.mask).items()
@@ -199,7 +199,7 @@ def listed_instances(
                 mask.cost,
                 mask.agreement,
                 mask.pixels,
-                *places[mask.key],
+                *extents[mask.key],
             )
             for mask in instance.masks
         )

@@ -53,28 +53,28 @@ class _Segment:
     seen: NDArray[np.float32]
 
 
-Told = Callable[[int, int], object]
+Progress = Callable[[int, int], object]
 """Called before each frame is read, and after the last, with the number of frames read and their total. It may raise,
 to stop."""
 
 
 def split_by_views(
-    folder: LiftFolder, state: Replay, number: int, first_id: int, told: Told = lambda done, count: None
+    folder: LiftFolder, state: Replay, number: int, first_id: int, progress: Progress = lambda done, count: None
 ) -> Edit:
     """Split an object of a lift into the parts that its masks show apart. Each part gets the class that its masks give
     it. Raises PlgsError if they show one thing, or if the scene is gone."""
     frames = scene_of_lift(folder).train_frames
-    seen = parts_by_views(frames, state.points_of(number), told) if number in state.objects else NOTHING_SEEN
+    seen = parts_by_views(frames, state.points_of(number), progress) if number in state.objects else NOTHING_SEEN
     return making.split(state, number, seen.part, first_id, seen.class_of)
 
 
 def parts_by_views(
-    frames: Sequence[Frame], xyz: NDArray[np.floating], told: Told = lambda done, count: None
+    frames: Sequence[Frame], xyz: NDArray[np.floating], progress: Progress = lambda done, count: None
 ) -> PartsSeen:
     """The parts of an object with the points ``xyz`` [n, 3] that the masks of at least `LEAST_FRAMES` frames show as
     different things. Points that no such frame sees go to the nearest part. Raises PlgsError if pixels cannot be
     read."""
-    segments = _segments(frames, xyz, told)
+    segments = _segments(frames, xyz, progress)
     cluster = join(_likeness(segments)) if segments else np.zeros(0, np.int64)
     apart = _frames_apart(segments, cluster)
     members: dict[int, list[_Segment]] = {}
@@ -89,7 +89,7 @@ def parts_by_views(
     order = [each for each in np.argsort(-counts, kind="stable").tolist() if counts[each]]
     rank = np.zeros(len(shown), np.int64)
     rank[order] = np.arange(len(order))
-    return PartsSeen(rank[part], {place: _class_of(shown[each]) for place, each in enumerate(order)}, len(apart))
+    return PartsSeen(rank[part], {index: _class_of(shown[each]) for index, each in enumerate(order)}, len(apart))
 
 
 def _class_of(segments: Sequence[_Segment]) -> int:
@@ -100,7 +100,7 @@ def _class_of(segments: Sequence[_Segment]) -> int:
     return max(sorted(votes), key=lambda kind: votes[kind])
 
 
-def _segments(frames: Sequence[Frame], xyz: NDArray[np.floating], told: Told) -> list[_Segment]:
+def _segments(frames: Sequence[Frame], xyz: NDArray[np.floating], progress: Progress) -> list[_Segment]:
     """The segments of things that hold the object's points, from the frames that see most of them."""
     inside = []
     for number, frame in enumerate(frames):
@@ -108,9 +108,9 @@ def _segments(frames: Sequence[Frame], xyz: NDArray[np.floating], told: Told) ->
     best = sorted(number for count, number in sorted(inside)[:MOST_FRAMES] if count)
     found: list[_Segment] = []
     for done, number in enumerate(best):
-        told(done, len(best))
+        progress(done, len(best))
         found += _of_frame(number, frames[number], xyz)
-    told(len(best), len(best))
+    progress(len(best), len(best))
     return found
 
 

@@ -68,17 +68,17 @@ def vote_labels(
     voted: GaussianLabels | None = None
     for number in range(rounds):
         votes = LabelVotes(scene, preset.voting, preset.evidence.gaussians)
-        for place in range(len(frames)):
-            frame = voting_frames.at(place)
+        for index in range(len(frames)):
+            frame = voting_frames.at(index)
             if prepared.masks_agree:
-                shown = pixel_labels(scene, voted, frame.seen) if voted else resize_nearest(maps[place], frame.size)
+                shown = pixel_labels(scene, voted, frame.seen) if voted else resize_nearest(maps[index], frame.size)
                 shown = segment_labels(frame.mask, shown, len(labels))
             else:
                 shown = point_labels.of_pixels(frame)
             if number == 0:
                 named.add(frame.seen, frame.mask.ids > 0)
-            votes.add(frame.seen, shown, frame.depth, frames[place].size[0] / frame.size[0])
-            progress(number * len(frames) + place + 1, rounds * len(frames))
+            votes.add(frame.seen, shown, frame.depth, frames[index].size[0] / frame.size[0])
+            progress(number * len(frames) + index + 1, rounds * len(frames))
         voted = votes.result()
     assert voted is not None  # there is at least one round
     return settled(scene, voted, named.are_named, OwnedPoints(cloud.xyz, prepared.instance_of_point))
@@ -121,17 +121,17 @@ class _VotingFrames:
         self._arrays = StoredArrays(scratch)
         self._stored: dict[int, tuple[list[int], tuple[Segment, ...]]] = {}
 
-    def at(self, place: int) -> _VotingFrame:
+    def at(self, index: int) -> _VotingFrame:
         """The frame with this index. Raises PlgsError, and OSError if the disk is full."""
-        if place in self._stored:
-            numbers, segments = self._stored[place]
+        if index in self._stored:
+            numbers, segments = self._stored[index]
             gaussian, weight, drawn, ids, depth = (self._arrays[number] for number in numbers)
-            camera = self.frames[place].camera.resized(drawn.shape[1], drawn.shape[0])
+            camera = self.frames[index].camera.resized(drawn.shape[1], drawn.shape[0])
             return _VotingFrame(Contributors(gaussian, weight, drawn, camera), PanopticMask(ids, segments), depth)
-        frame = _rendered(self.scene, self.frames[place], self.preset)
+        frame = _rendered(self.scene, self.frames[index], self.preset)
         if self._arrays.nbytes < self.most_bytes:
             arrays = (frame.seen.gaussian, frame.seen.weight, frame.seen.depth, frame.mask.ids, frame.depth)
-            self._stored[place] = [self._arrays.append(array) for array in arrays], frame.mask.segments
+            self._stored[index] = [self._arrays.append(array) for array in arrays], frame.mask.segments
         return frame
 
 

@@ -87,13 +87,13 @@ def decided_labels(
     like a pixel of the passes: unowned Gaussians get their own class and instance 0."""
     classes = len(channels.class_ids)
     by_class, owned = shown[:, :classes], shown[:, classes:]
-    place, rows = by_class.argmax(axis=1), np.arange(len(shown))
-    class_id = np.array(channels.class_ids, np.int32)[place]
+    column, rows = by_class.argmax(axis=1), np.arange(len(shown))
+    class_id = np.array(channels.class_ids, np.int32)[column]
     if not owned.shape[1]:
         return class_id, np.zeros(len(class_id), np.int32)
     if channels.class_of_slot:
         own_class = np.array([channels.class_of_slot[slot] for slot in channels.instance_slots])
-        least = LEAST_OF_CLASS * by_class[rows, place]
+        least = LEAST_OF_CLASS * by_class[rows, column]
         best = objects_of_classes(owned, np.arange(owned.shape[1]), own_class, class_id, least)
         is_owned = best >= 0
     else:

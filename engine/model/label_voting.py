@@ -58,8 +58,8 @@ class HeldVotes(NamedTuple):
     def of_all_labels(self, start: int, stop: int, labels: int) -> NDArray[np.float32]:
         """The votes of the Gaussians from ``start`` to ``stop`` for each of the ``labels``, float32 [n, labels]."""
         dense = np.zeros((stop - start, labels), np.float32)
-        row, place = np.nonzero(self.label[start:stop] >= 0)
-        dense[row, self.label[start:stop][row, place]] = self.votes[start:stop][row, place]
+        row, column = np.nonzero(self.label[start:stop] >= 0)
+        dense[row, self.label[start:stop][row, column]] = self.votes[start:stop][row, column]
         return dense
 
 
@@ -137,10 +137,10 @@ def pixel_labels(scene: StructuredScene, voted: GaussianLabels, view: Contributo
     channels = scene.channels
     classes = len(channels.class_ids)
     of_instance = [channels.class_ids.index(channels.class_of_slot[slot]) for slot in channels.instance_slots]
-    class_of_object, places = np.array(of_instance, np.int64), np.arange(len(of_instance)) + classes
+    class_of_object, object_labels = np.array(of_instance, np.int64), np.arange(len(of_instance)) + classes
     out = np.full(view.depth.shape, -1, np.int16)
     few = voted.label.numpy(), voted.share.numpy()
-    _decide_pixels(view.gaussian, view.weight, *few, class_of_object, places, classes, out)
+    _decide_pixels(view.gaussian, view.weight, *few, class_of_object, object_labels, classes, out)
     return out
 
 
@@ -148,13 +148,13 @@ def pixel_labels(scene: StructuredScene, voted: GaussianLabels, view: Contributo
 def _add_vote(labels: Any, votes: Any, label: Any, amount: Any) -> None:
     """Add votes for a label to those that one Gaussian holds; ``labels`` and ``votes`` are [L] each."""
     least = 0
-    for place in range(len(labels)):
-        if labels[place] == label or labels[place] < 0:
-            labels[place] = label
-            votes[place] += amount
+    for column in range(len(labels)):
+        if labels[column] == label or labels[column] < 0:
+            labels[column] = label
+            votes[column] += amount
             return
-        if votes[place] < votes[least]:
-            least = place
+        if votes[column] < votes[least]:
+            least = column
     labels[least] = label
     votes[least] += amount
 
@@ -187,11 +187,11 @@ def _add_votes(gaussian: Any, weight: Any, label: Any, word: Any, power: Any, se
 
 @compiled
 def _decide_pixels(
-    gaussian: Any, weight: Any, label: Any, share: Any, class_of_object: Any, places: Any, classes: Any, out: Any
+    gaussian: Any, weight: Any, label: Any, share: Any, class_of_object: Any, object_labels: Any, classes: Any, out: Any
 ) -> None:
     """The loop behind ``pixel_labels``."""
     height, width, count = weight.shape
-    total = np.zeros(classes + len(places), np.float32)
+    total = np.zeros(classes + len(object_labels), np.float32)
     by_class = np.zeros(classes, np.float32)
     for y in range(height):
         for x in range(width):
@@ -208,5 +208,5 @@ def _decide_pixels(
             best = by_class.argmax()
             if by_class[best] <= 0:
                 continue
-            found = object_of_class(total, places, class_of_object, best, LEAST_SHARE * by_class[best])
+            found = object_of_class(total, object_labels, class_of_object, best, LEAST_SHARE * by_class[best])
             out[y, x] = best if found < 0 else classes + found

@@ -77,12 +77,12 @@ def within_reach(
     replaced by its class alone."""
     classes, found = len(channels.class_ids), label.copy()
     for number, slot in enumerate(channels.instance_slots, start=classes):
-        row, place = np.nonzero(label == number)
+        row, column = np.nonzero(label == number)
         own = points.xyz[points.instance == channels.slot_ids[slot]]
         if len(row) and len(own):
             distance, _ = cKDTree(own).query(centres[row], distance_upper_bound=REACH)
-            row, place = row[np.isinf(distance)], place[np.isinf(distance)]
-        found[row, place] = channels.class_ids.index(channels.class_of_slot[slot])
+            row, column = row[np.isinf(distance)], column[np.isinf(distance)]
+        found[row, column] = channels.class_ids.index(channels.class_of_slot[slot])
     return found
 
 

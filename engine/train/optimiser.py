@@ -91,9 +91,9 @@ def _move_rows(
     mean, square = moments
     keep_mean, add_mean, keep_square, add_square = factors[0], factors[1], factors[2], factors[3]
     rate, over_root, epsilon = broadcast(factors[4]), broadcast(factors[5]), broadcast(factors[6])
-    for place in range(len(rows) * worker // workers, len(rows) * (worker + 1) // workers):
+    for index in range(len(rows) * worker // workers, len(rows) * (worker + 1) // workers):
         for column in range(0, columns, WIDTH):
-            at, inside = rows[place] * columns + column, lane_numbers() < broadcast(np.float32(columns - column))
+            at, inside = rows[index] * columns + column, lane_numbers() < broadcast(np.float32(columns - column))
             slope = masked_load(gradient, at, inside)
             first = broadcast(keep_mean) * masked_load(mean, at, inside) + broadcast(add_mean) * slope
             second = broadcast(keep_square) * masked_load(square, at, inside) + broadcast(add_square) * (slope * slope)

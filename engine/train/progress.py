@@ -39,14 +39,14 @@ class Course:
         stage without a prediction."""
         if stage not in self.seconds:
             return None
-        values, place = [*self.seconds.values()], [*self.seconds].index(stage)
-        done = sum(values[:place]) + share * values[place]
+        values, index = [*self.seconds.values()], [*self.seconds].index(stage)
+        done = sum(values[:index]) + share * values[index]
         trusted = _TRUSTED * sum(values)
         pace = (now - self.began + trusted) / (done + trusted)
-        own = pace * (1.0 - share) * values[place]
+        own = pace * (1.0 - share) * values[index]
         if eta is not None:
             own += min(1.0, share / _SURE) * (eta - own)
-        return round(own + pace * sum(values[place + 1 :]), 1)
+        return round(own + pace * sum(values[index + 1 :]), 1)
 
 
 class StageProgress:

@@ -58,10 +58,10 @@ class ViewTargets:
 def columns_of(labels: NDArray[np.integer], ids: tuple[int, ...]) -> torch.Tensor:
     """Labels of any shape as channel numbers, int64: the index of each in ``ids`` (all >= 0), -1 for 0 and for labels
     that are not in ``ids``."""
-    return torch.from_numpy(_places(labels, ids, np.dtype(np.int64)))
+    return torch.from_numpy(_indices(labels, ids, np.dtype(np.int64)))
 
 
-def _places(labels: NDArray[np.integer], ids: tuple[int, ...], dtype: np.dtype[Any]) -> NDArray[Any]:
+def _indices(labels: NDArray[np.integer], ids: tuple[int, ...], dtype: np.dtype[Any]) -> NDArray[Any]:
     """``columns_of`` as an array."""
     table = np.full(max(int(labels.max(initial=0)), max(ids, default=0)) + 1, -1, dtype)
     for column, label in enumerate(ids):
@@ -74,7 +74,7 @@ def slots_of(instances: NDArray[np.integer], known: NDArray[np.bool_], channels:
     """Instance ids of any shape (0 = none) as slots, int16: "no object" for 0 where objects are ``known``,
     otherwise -1."""
     instance_ids = tuple(max(slot, 0) for slot in channels.slot_ids)
-    slots = _places(instances, instance_ids, np.dtype(np.int16))
+    slots = _indices(instances, instance_ids, np.dtype(np.int16))
     slots[known & (instances == 0)] = channels.slot_ids.index(NO_OBJECT)
     return torch.from_numpy(slots)
 
@@ -100,7 +100,7 @@ def view_targets(
         name=view.name,
         camera=view.camera,
         photo=PhotoMoments.of(torch.from_numpy(view.colour.astype(np.float32) / 255.0)),
-        projected=torch.from_numpy(_places(projected_class, channels.class_ids, np.dtype(np.int16))),
+        projected=torch.from_numpy(_indices(projected_class, channels.class_ids, np.dtype(np.int16))),
         matched=matched,
         things=ThingSegments.of(np.where(is_thing, view.mask.ids, 0)),
         depth=torch.from_numpy(view.depth if view.border is None else np.where(view.border, np.float32(0), view.depth)),

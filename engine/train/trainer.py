@@ -210,9 +210,9 @@ class Trainer:
 
     def _view_of_step(self, step: int) -> ViewTargets:
         """The view of a step. Each epoch has a new random order of all views."""
-        epoch, place = divmod(step, len(self.targets))
+        epoch, position = divmod(step, len(self.targets))
         order = np.random.default_rng([self.seed, 1, epoch]).permutation(len(self.targets))
-        return self.target(int(order[place]))
+        return self.target(int(order[position]))
 
     def step(self, check: Callable[[], None] = lambda: None) -> StepReport:
         """Make pseudo labels if they are due, do one optimisation step on one view, then grow if it is due.
@@ -343,17 +343,17 @@ class Trainer:
         """L_sem without L_cluster, and L_ins."""
         of_classes, total = self._channel_counts()
         classes = int(np.searchsorted(columns, of_classes))
-        place = torch.full((total + 1,), -1, dtype=torch.int16)  # the last means no target
-        place[columns] = torch.arange(len(columns), dtype=torch.int16)
-        place = place.to(target.slot.device, non_blocking=True)
+        drawn_column = torch.full((total + 1,), -1, dtype=torch.int16)  # the last means no target
+        drawn_column[columns] = torch.arange(len(columns), dtype=torch.int16)
+        drawn_column = drawn_column.to(target.slot.device, non_blocking=True)
         assert rendering.labels is not None  # drawn with labels
         assigned = torch.full_like(target.slot, -1)
         if self.preset.linear_assignment:
             no_object = self.scene.channels.slot_ids.index(NO_OBJECT)
             assigned = assigned_slots(rendering.labels, rendering.alpha, classes, target.things, no_object)
             self.clock.lap("linear assignment")
-        slot = torch.where(target.slot < 0, -1, place[target.slot.long() + of_classes] - classes).to(torch.int16)
-        semantic = place[target.semantic.long()]
+        slot = torch.where(target.slot < 0, -1, drawn_column[target.slot.long() + of_classes] - classes).to(torch.int16)
+        semantic = drawn_column[target.semantic.long()]
         losses = label_losses(rendering.labels, rendering.alpha, classes, semantic, (assigned, slot))
         self.clock.lap("label losses")
         return losses

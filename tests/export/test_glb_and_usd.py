@@ -157,7 +157,7 @@ def test_gaussians_and_cameras_in_usd(lift: LiftFolder, tmp_path: Path) -> None:
     assert ((x + 1) / 2 * camera.width, (1 - y) / 2 * camera.height) == pytest.approx(tuple(pixel), abs=1e-3)
 
 
-def test_usd_tells_what_the_engine_lacks(
+def test_usd_export_names_the_missing_package(
     lift: LiftFolder, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr("engine.export.run.find_spec", lambda name: None)

@@ -78,7 +78,7 @@ def test_larger_holes_and_rims_stay_open() -> None:
     assert len(closed.triangles) == len(torn.triangles) and len(labels) == len(label)
 
 
-def test_far_small_pieces_go_to_their_neighbours_or_to_none() -> None:
+def test_far_small_pieces_take_a_neighbours_label_or_none() -> None:
     surface = joined(sheet(60, 20), sheet(4, 4, x=3.0), sheet(5, 5, x=0.6 + 0.64))
     label = np.full(len(surface.xyz), 5, np.int64)
     on_sheet = surface.xyz[:, 0] < 1.19
@@ -135,7 +135,7 @@ def test_the_teeth_of_a_rim_are_evened_and_nothing_within_moves() -> None:
     np.testing.assert_array_equal(even[within], whole.xyz[within])
 
 
-def test_scraps_of_an_object_go_however_near_and_its_legs_stay() -> None:
+def test_near_scraps_of_an_object_are_removed_but_its_legs_stay() -> None:
     surface = joined(sheet(30, 30), sheet(4, 4, x=0.62), sheet(6, 6, x=0.72))  # 1.1 % and 3 % of the sheet
     label = np.full(len(surface.xyz), 3, np.int64)
     mended = without_crumbs(surface, label, np.zeros(len(label), np.bool_))
@@ -169,7 +169,7 @@ def test_a_thin_object_stays_alone_or_beside_others_and_with_lone_labels_in_it()
         assert np.isclose(*of_thin) and (labels == 7).sum() == (label == 7).sum()
 
 
-def test_where_nothing_is_left_there_is_nothing() -> None:
+def test_surface_without_remaining_pieces_is_empty() -> None:
     surface, label = mended(sheet(3, 3), np.full(9, 5))  # a flake
     assert not len(surface.triangles) and not len(label) and rows_by_label(surface.triangles, label) == {}
 

@@ -38,7 +38,7 @@ def image(path: Path | None) -> np.ndarray:
     return pixels[..., ::-1]
 
 
-def test_what_lies_in_an_archive(archive: Path, tmp_path: Path) -> None:
+def test_frames_in_an_archive_are_written(archive: Path, tmp_path: Path) -> None:
     scene, source = open_scene(archive), SceneSource(archive)
     done = []
     made = make_frames(scene, source, tmp_path / "out", progress=lambda *step: done.append(step))
@@ -74,7 +74,7 @@ def test_pictures_that_are_files_already_stay_where_they_are(tmp_path: Path) -> 
     assert colours & {tuple(colour) for colour in drawn.reshape(-1, 3).tolist()}
 
 
-def test_a_second_run_goes_on(archive: Path, tmp_path: Path) -> None:
+def test_second_run_continues(archive: Path, tmp_path: Path) -> None:
     scene, source, out = open_scene(archive), SceneSource(archive), tmp_path / "out"
     make_frames(scene, source, out, ["colour"], ["0", "1"])
     (out / "color" / "1.jpg").unlink()
@@ -87,7 +87,7 @@ def test_a_second_run_goes_on(archive: Path, tmp_path: Path) -> None:
     assert image(make_frames(scene, source, out, ["colour"], ["0"]).frames["0"].colour).size, "the scene is newer"
 
 
-def test_another_scene_in_the_place_of_one_is_not_shown_by_its_pictures(tmp_path: Path) -> None:
+def test_pictures_of_a_replaced_scene_are_not_reused(tmp_path: Path) -> None:
     """Its files may be older, as those that come out of an archive: then pictures and cloud of the first one stayed."""
     place, out = tmp_path / "scan.sens", tmp_path / "out"
     room = write_tiny_scene(tmp_path / "room", frames=6)
@@ -169,5 +169,5 @@ def test_a_cloud_stays_within_its_cap_and_keeps_its_mean() -> None:
     assert (cloud.xyz.min(0) >= points.min(0) - 1e-5).all() and (cloud.xyz.max(0) <= points.max(0) + 1e-5).all()
 
 
-def test_no_depth_no_points() -> None:
+def test_frames_without_depth_give_no_points() -> None:
     assert CloudBuilder().cloud().xyz.shape == (0, 3)

@@ -109,7 +109,7 @@ def test_numbers_in_the_names_of_files(frames: list[str], files: list[str], tmp_
     assert [*names_of_files(lift).values()] == files
 
 
-def test_as_a_run_of_the_engine(lift: LiftFolder, capfd: pytest.CaptureFixture[str]) -> None:
+def test_bake_reports_the_events_of_an_engine_run(lift: LiftFolder, capfd: pytest.CaptureFixture[str]) -> None:
     lift.task_files.ask_to_cancel()  # an old one
     seq = len(lift.events_path.read_bytes().splitlines())
     assert run_bake(lift, ["0000"]) is ExitCode.FINISHED
@@ -155,7 +155,7 @@ def test_the_result_is_complete_whenever_it_ends(
     assert names == {"0000", "0001", "0004"} and lift.state() is LiftState.FINISHED
 
 
-def test_a_kill_loses_little(lift: LiftFolder, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_killed_bake_loses_few_views(lift: LiftFolder, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(bake_more, "KEEP_EVERY_S", -1.0)
     listed = []
     add_files = bake_more.add_files
@@ -196,7 +196,7 @@ def test_any_camera_can_be_baked(lift: LiftFolder, tmp_path: Path, monkeypatch: 
     verify(lift.result_path)
 
 
-def test_into_a_folder_of_its_own(lift: LiftFolder, tmp_path: Path) -> None:
+def test_bake_into_its_own_folder_works(lift: LiftFolder, tmp_path: Path) -> None:
     before, output = files_of(lift), tmp_path / "shot" / "passes"
     assert run_bake(lift, ["0000"], layers=["normal"], output=output) is ExitCode.FINISHED
     assert files_of(lift) == before and [path.name for path in output.iterdir()] == ["0000.exr"]
@@ -234,7 +234,7 @@ def test_a_camera_does_not_take_a_frames_place(
     assert not (lift.passes_path / "shot.exr").exists()
 
 
-def test_beside_another_process(lift: LiftFolder, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_bake_works_beside_another_process(lift: LiftFolder, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     seen = lift.events_path.read_bytes()
     view = FrameBaker.render
 

@@ -52,7 +52,7 @@ def stages(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> StageReporter:
     return StageReporter(EventWriter(tmp_path / "events.jsonl"), StopSignal(), STAGES)
 
 
-def test_a_torch_for_cpus_is_told_from_a_computer_without_a_gpu(
+def test_cpu_torch_is_distinguished_from_a_missing_gpu(
     stages: StageReporter, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(torch.backends.cuda, "is_built", lambda: False)

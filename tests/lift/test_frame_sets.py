@@ -45,7 +45,7 @@ def warnings(folder: Path) -> list[str]:
     return [str(event.data["message"]) for event in last_run(folder / "events.jsonl") if event.kind == "warning"]
 
 
-def test_a_checkpoint_says_which_frames(scene: Scene, events: EventWriter, tmp_path: Path) -> None:
+def test_checkpoint_determines_the_frames(scene: Scene, events: EventWriter, tmp_path: Path) -> None:
     names = [frame.name for frame in scene.train_frames[1:7:2]]
     begun = chosen(scene, events, tmp_path, {"step": 3, "frames": names}, frames=5)
     assert [frame.name for frame in begun.train_frames] == names
@@ -114,7 +114,7 @@ def test_what_fits_is_lifted_as_requested(long_scene: Scene, events: EventWriter
     assert not warnings(tmp_path)
 
 
-def test_what_other_programs_hold_is_reported(long_scene: Scene, events: EventWriter, tmp_path: Path) -> None:
+def test_memory_held_by_other_programs_is_reported(long_scene: Scene, events: EventWriter, tmp_path: Path) -> None:
     needed = peak(long_scene, 0)
     assert frames_that_fit(long_scene, PAPER, MainMemory(2 * needed, needed // 2), events) == 0
     (told,) = warnings(tmp_path)
@@ -139,12 +139,12 @@ def test_with_consent_fewer_frames_are_used(long_scene: Scene, events: EventWrit
     assert str(frames) in warnings(tmp_path)[0]
 
 
-def test_it_says_when_nothing_can_help(long_scene: Scene, events: EventWriter) -> None:
+def test_error_says_when_no_option_can_help(long_scene: Scene, events: EventWriter) -> None:
     with raises_key("too-much"):
         frames_that_fit(long_scene, replace(PAPER, fit=True), MainMemory(10_000_000, 10_000_000), events)
 
 
-def test_passes_that_cannot_be_on_the_disk_are_refused(events: EventWriter, tmp_path: Path) -> None:
+def test_passes_that_exceed_the_disk_are_refused(events: EventWriter, tmp_path: Path) -> None:
     most = int(disk_usage(tmp_path).free / LEAST_PIXEL)
     check_disk(tmp_path / "later", [(most // 100, 1)], events)
     assert not warnings(tmp_path)
@@ -153,7 +153,7 @@ def test_passes_that_cannot_be_on_the_disk_are_refused(events: EventWriter, tmp_
     assert caught.value.code is ErrorCode.DISK_FULL
 
 
-def test_passes_that_may_not_be_on_the_disk_are_told(events: EventWriter, tmp_path: Path) -> None:
+def test_passes_that_may_fill_the_disk_give_a_warning(events: EventWriter, tmp_path: Path) -> None:
     check_disk(tmp_path, [(int(disk_usage(tmp_path).free / 8.0), 1)], events)
     (told,) = warnings(tmp_path)
     assert "the passes need about" in told

@@ -13,7 +13,7 @@ import pytest
 
 from engine.job import EventReader, EventWriter
 from engine.job.report import doubt_of_frames
-from engine.lift.judging import Judgement, Seen, Unresolved, judge, read_held_back, tell_unresolved, unresolved
+from engine.lift.judging import Judgement, Seen, Unresolved, judge, read_held_back, report_unresolved, unresolved
 from engine.passes.layers import PanopticLayers
 from engine.scene import Camera, load_view, open_scene
 from tests.tiny_scene import CHAIR_ID, WALL_ID, trace_view, write_tiny_scene
@@ -63,12 +63,12 @@ def test_a_true_lift_agrees_with_true_masks(scene_path: Path) -> None:
 
 def warning_of(found: Judgement, path: Path) -> str:
     with closing(EventWriter(path)) as events:
-        found.tell(events)
+        found.report(events)
     (warning,) = [event for event in EventReader(path).poll() if event.kind == "warning"]
     return str(warning.data["message"])
 
 
-def test_what_is_lost_is_reported_with_its_frame(
+def test_missing_object_is_reported_with_its_frame(
     scene_path: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     found = judged(scene_path, without_chair)
@@ -97,7 +97,7 @@ def seen(camera: Camera, depth: float, alpha: float = 1.0) -> PanopticLayers:
     ("forward", "coarse"),
     [(0.0, 0.0), (1.8, 0.0), (2.2, 0.75), (3.5, 0.75)],  # twice as near is at 2 m
 )
-def test_what_is_seen_from_nearer_than_the_photo(forward: float, coarse: float) -> None:
+def test_closeup_beyond_the_photos_is_coarse(forward: float, coarse: float) -> None:
     photo, pose = Camera(640, 480, 600.0, 600.0, 320.0, 240.0, np.eye(4)), np.eye(4)
     pose[2, 3] = forward
     shot = photo.at(pose)
@@ -107,16 +107,16 @@ def test_what_is_seen_from_nearer_than_the_photo(forward: float, coarse: float) 
     assert unresolved(seen(small, 4.0 - forward), small, [photo], reduced=8.0).coarse == pytest.approx(coarse, abs=0.02)
 
 
-def test_what_no_photo_shows_is_not_resolved_either() -> None:
+def test_surface_without_a_photo_is_unresolved() -> None:
     photo, pose = Camera(64, 48, 60.0, 60.0, 32.0, 24.0, np.eye(4)), np.diag([-1.0, 1.0, -1.0, 1.0])
     assert unresolved(seen(photo.at(pose), 2.0), photo.at(pose), [photo]).coarse == pytest.approx(0.75, abs=0.02)
 
 
-def test_a_large_share_is_a_warning(tmp_path: Path) -> None:
+def test_large_unresolved_share_gives_a_warning(tmp_path: Path) -> None:
     events = EventWriter(tmp_path / "events.jsonl")
-    tell_unresolved([], events, before=True)
-    tell_unresolved([("a", Unresolved(0.0, 0.05))], events, before=True)
-    tell_unresolved([("a", Unresolved(0.0, 0.02)), ("b", Unresolved(0.4, 0.18))], events, before=False)
+    report_unresolved([], events, before=True)
+    report_unresolved([("a", Unresolved(0.0, 0.05))], events, before=True)
+    report_unresolved([("a", Unresolved(0.0, 0.02)), ("b", Unresolved(0.4, 0.18))], events, before=False)
     events.close()
     figures, warning = map(json.loads, (tmp_path / "events.jsonl").read_text().splitlines())
     assert figures["values"]["most"] == pytest.approx(0.58)

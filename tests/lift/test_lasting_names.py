@@ -132,7 +132,7 @@ def test_an_object_that_was_hardly_measured_keeps_its_name(lifts: tuple[LiftFold
     assert "cabinet" in {one["name"].split()[0] for one in names_of(lifts[1])["kept"]}
 
 
-def test_the_request_contains_it_and_the_events_count(lifts: tuple[LiftFolder, LiftFolder]) -> None:
+def test_request_names_the_earlier_lift_and_events_count_objects(lifts: tuple[LiftFolder, LiftFolder]) -> None:
     first, again = lifts
     assert again.request.names_from == first.path
     lines = [json.loads(line) for line in again.events_path.read_text().splitlines()]
@@ -141,7 +141,7 @@ def test_the_request_contains_it_and_the_events_count(lifts: tuple[LiftFolder, L
     assert read_earlier(again.path).largest_id >= 12
 
 
-def test_what_is_not_a_finished_lift_is_refused(tmp_path: Path, lifts: tuple[LiftFolder, LiftFolder]) -> None:
+def test_unfinished_earlier_lift_is_refused(tmp_path: Path, lifts: tuple[LiftFolder, LiftFolder]) -> None:
     with raises_key("no-lift-folder"):
         read_earlier(tmp_path / "nothing")
     other = LiftFolder.create(tmp_path / "begun", LiftRequest(scene=lifts[0].request.scene))

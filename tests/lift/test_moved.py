@@ -33,7 +33,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
 
 
 @pytest.fixture
-def place(made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+def home(made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     """A folder with a copy of the lift. What it was made in is not there meanwhile."""
     shutil.copytree(made / "lift", tmp_path / "elsewhere" / "lift")
     shutil.copytree(made / "room", tmp_path / "found")
@@ -42,29 +42,29 @@ def place(made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterat
     away.rename(made)
 
 
-def test_with_its_scene(place: Path) -> None:
-    (place.parent / "found").rename(place / "room")
-    folder = LiftFolder.open(place / "lift")
-    assert folder.request.scene == place / "room"
+def test_lift_moved_with_its_scene_finds_it(home: Path) -> None:
+    (home.parent / "found").rename(home / "room")
+    folder = LiftFolder.open(home / "lift")
+    assert folder.request.scene == home / "room"
     assert all(frame.read_colour(None).any() for frame in scene_of_lift(folder).frames)
 
 
-def test_without_its_scene(place: Path) -> None:
-    lift = place / "lift"
+def test_lift_moved_without_its_scene_works(home: Path) -> None:
+    lift = home / "lift"
     folder = LiftFolder.open(lift)
     scene = scene_of_lift(folder)
     assert [frame.name for frame in scene.test_frames] == ["0004"] and "no photos" in scene.warnings[0]
-    assert main(["bake", str(lift), "--frames", "test", "-o", str(place / "out")]) == ExitCode.FINISHED
-    assert (place / "out" / "0004.exr").is_file()
-    export(folder, "boxes", place / "boxes", ["all"])
+    assert main(["bake", str(lift), "--frames", "test", "-o", str(home / "out")]) == ExitCode.FINISHED
+    assert (home / "out" / "0004.exr").is_file()
+    export(folder, "boxes", home / "boxes", ["all"])
     with raises_key("scene-gone"):
         scene.frames[0].read_colour(None)
 
 
-def test_the_scene_is_found(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    lift, found = place / "lift", place.parent / "found"
+def test_the_scene_is_found(home: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    lift, found = home / "lift", home.parent / "found"
     before = (lift / "request.json").read_bytes()
-    other = write_tiny_scene(place.parent / "other", frames=6, size=(80, 60))
+    other = write_tiny_scene(home.parent / "other", frames=6, size=(80, 60))
     assert main(["bake", str(lift), "--scene", str(other)]) == ExitCode.BAD_INPUT
     assert worded("other-scene").search(capsys.readouterr().err)
     assert (lift / "request.json").read_bytes() == before
@@ -74,25 +74,25 @@ def test_the_scene_is_found(place: Path, capsys: pytest.CaptureFixture[str]) -> 
 
 
 def test_edited_masks_are_used(
-    place: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    home: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setitem(PRESETS, "preview", TINY)
-    lift = relink(LiftFolder.open(place / "lift"), place.parent / "found").path
+    lift = relink(LiftFolder.open(home / "lift"), home.parent / "found").path
     assert main(["lift", str(lift), "--resume"]) == ExitCode.FINISHED
     assert "finished already" in capsys.readouterr().out
     before = {one.class_name for one in read_instances(lift / "result" / "instances.json")[1]}
-    reclass(place.parent / "found", CHAIR_ID, CABINET_ID)
+    reclass(home.parent / "found", CHAIR_ID, CABINET_ID)
     assert main(["lift", str(lift), "--resume"]) == ExitCode.FINISHED
     after = {one.class_name for one in read_instances(lift / "result" / "instances.json")[1]}
     assert before == {"chair", "cabinet"} and after == {"cabinet"}
     assert any("trained again" in line for line in warnings_of(lift))
 
 
-def test_masks_with_the_same_objects_reuse_the_checkpoint(place: Path) -> None:
-    lift = LiftFolder.open(relink(LiftFolder.open(place / "lift"), place.parent / "found").path)
+def test_masks_with_the_same_objects_reuse_the_checkpoint(home: Path) -> None:
+    lift = LiftFolder.open(relink(LiftFolder.open(home / "lift"), home.parent / "found").path)
     points, checkpoint = lift.result_path / "semantic_points.npz", lift.path / "checkpoint" / "trainer.safetensors"
     before, trained, told = points.read_bytes(), checkpoint.read_bytes(), len(read_events(lift.path))
-    for path in sorted((place.parent / "found" / "panoptic").glob("*.png"))[::2]:
+    for path in sorted((home.parent / "found" / "panoptic").glob("*.png"))[::2]:
         mask = cv2.imread(str(path))
         mask[:, : mask.shape[1] // 3] = 0  # void
         cv2.imwrite(str(path), mask)
@@ -112,13 +112,13 @@ CHANGES: dict[str, tuple[Callable[[Path], object], str]] = {
 
 
 @pytest.mark.parametrize("change", CHANGES)
-def test_a_result_does_not_stand_for_a_scene_that_has_changed(
-    change: str, place: Path, capfd: pytest.CaptureFixture[str]
+def test_result_is_not_reused_for_a_changed_scene(
+    change: str, home: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     """It was "finished already"; a lift that was stopped went on with what it had learnt of other photos."""
-    lift = relink(LiftFolder.open(place / "lift"), place.parent / "found")
+    lift = relink(LiftFolder.open(home / "lift"), home.parent / "found")
     act, told = CHANGES[change]
-    act(place.parent / "found")
+    act(home.parent / "found")
     for ended in (lift.manifest_path, lift.events_path):  # finished, then as if killed
         assert main(["lift", str(lift.path), "--resume"]) == ExitCode.BAD_INPUT
         line = capfd.readouterr().err
@@ -126,28 +126,28 @@ def test_a_result_does_not_stand_for_a_scene_that_has_changed(
         ended.unlink()
 
 
-def test_what_is_baked_of_other_cameras_is_not_the_lift(place: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    lift, scene = relink(LiftFolder.open(place / "lift"), place.parent / "found").path, place.parent / "found"
+def test_bake_and_export_refuse_changed_cameras(home: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    lift, scene = relink(LiftFolder.open(home / "lift"), home.parent / "found").path, home.parent / "found"
     moved(scene / "pose" / "0001.txt")
-    for command in (["bake"], ["export", "--to", "coco", "-o", str(place / "out")]):
+    for command in (["bake"], ["export", "--to", "coco", "-o", str(home / "out")]):
         assert main([command[0], str(lift), *command[1:]]) == ExitCode.BAD_INPUT
         assert "the camera of 0001 differs" in capfd.readouterr().err
-    assert not (place / "out").exists()
+    assert not (home / "out").exists()
 
 
-def test_a_frame_that_is_gone_is_told_by_a_bake_of_all(place: Path) -> None:
-    lift, scene = relink(LiftFolder.open(place / "lift"), place.parent / "found").path, place.parent / "found"
+def test_bake_of_all_reports_a_missing_frame(home: Path) -> None:
+    lift, scene = relink(LiftFolder.open(home / "lift"), home.parent / "found").path, home.parent / "found"
     (scene / "color" / "0001.png").unlink()
-    assert main(["bake", str(lift), "-o", str(place / "out")]) == ExitCode.FINISHED
-    assert len([*(place / "out").iterdir()]) == 5
-    assert any("no frame 0001 any more" in line for line in warnings_of(lift))
+    assert main(["bake", str(lift), "-o", str(home / "out")]) == ExitCode.FINISHED
+    assert len([*(home / "out").iterdir()]) == 5
+    assert any("no longer has frame 0001" in line for line in warnings_of(lift))
 
 
 def test_a_lift_does_not_go_on_without_a_frame_and_its_result_stays(
-    place: Path, capsys: pytest.CaptureFixture[str]
+    home: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """As *Leave Out* may have it after a lift."""
-    lift, scene = relink(LiftFolder.open(place / "lift"), place.parent / "found"), place.parent / "found"
+    lift, scene = relink(LiftFolder.open(home / "lift"), home.parent / "found"), home.parent / "found"
     names = [path.stem for path in sorted((scene / "color").iterdir())]
     (scene / "splits.json").write_text(json.dumps({"train": names[:1] + names[2:4] + names[5:], "test": ["0004"]}))
     assert main(["lift", str(lift.path), "--resume"]) == ExitCode.BAD_INPUT
@@ -156,15 +156,15 @@ def test_a_lift_does_not_go_on_without_a_frame_and_its_result_stays(
     assert lift.is_whole() and main(["bake", str(lift.path)]) == ExitCode.FINISHED
 
 
-def test_colours_of_classes_do_not_begin_a_lift(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    lift, table = relink(LiftFolder.open(place / "lift"), place.parent / "found"), place.parent / "found/panoptic.json"
+def test_changed_class_colours_do_not_start_a_lift(home: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    lift, table = relink(LiftFolder.open(home / "lift"), home.parent / "found"), home.parent / "found/panoptic.json"
     table.write_text(table.read_text().replace('"color": [210, 70, 60]', '"color": [10, 70, 60]'))
     assert main(["lift", str(lift.path), "--resume"]) == ExitCode.FINISHED
     assert "finished already" in capsys.readouterr().out
 
 
-def test_a_corrected_lift_is_not_scored_against_other_photos(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    lift, scene = relink(LiftFolder.open(place / "lift"), place.parent / "found"), place.parent / "found"
+def test_a_corrected_lift_is_not_scored_against_other_photos(home: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    lift, scene = relink(LiftFolder.open(home / "lift"), home.parent / "found"), home.parent / "found"
     assert main(["correct", str(lift.path), "rename", "1", "Seat"]) == ExitCode.FINISHED
     darker(scene / "color" / "0001.png")  # not held out
     assert main(["evaluate", str(lift.path)]) == ExitCode.FINISHED
@@ -173,10 +173,10 @@ def test_a_corrected_lift_is_not_scored_against_other_photos(place: Path, capsys
     assert "the photo or the depth of 0004 differs" in capsys.readouterr().err
 
 
-def test_views_of_earlier_masks_are_not_part_of_a_new_result(place: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_new_result_excludes_views_of_earlier_masks(home: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """They were listed, exported, and not baked again. What lies beside them is somebody's work."""
     monkeypatch.setitem(PRESETS, "preview", TINY)
-    lift, scene = relink(LiftFolder.open(place / "lift"), place.parent / "found"), place.parent / "found"
+    lift, scene = relink(LiftFolder.open(home / "lift"), home.parent / "found"), home.parent / "found"
     assert main(["bake", str(lift.path), "--frames", "0001"]) == ExitCode.FINISHED
     view = lift.passes_path / "0001.exr"
     before = view.read_bytes()
@@ -190,18 +190,18 @@ def test_views_of_earlier_masks_are_not_part_of_a_new_result(place: Path, monkey
     assert view.read_bytes() != before
 
 
-def test_classes_that_were_renamed_are_those_of_the_next_result(place: Path) -> None:
+def test_next_result_has_renamed_classes(home: Path) -> None:
     """Until then, what is baked and exported has the classes of the result."""
-    lift, scene = relink(LiftFolder.open(place / "lift"), place.parent / "found"), place.parent / "found"
+    lift, scene = relink(LiftFolder.open(home / "lift"), home.parent / "found"), home.parent / "found"
     table = scene / "panoptic.json"
     table.write_text(table.read_text().replace('"name": "chair"', '"name": "stool"'))
     assert "stool" not in [each.name for each in scene_of_lift(lift).classes.categories]
-    own = ["bake", str(lift.path), "--frames", "0001", "-o", str(place / "own")]
+    own = ["bake", str(lift.path), "--frames", "0001", "-o", str(home / "own")]
     assert main(own) == ExitCode.FINISHED
-    before = (place / "own" / "0001.exr").read_bytes()
+    before = (home / "own" / "0001.exr").read_bytes()
     assert main(["lift", str(lift.path), "--resume"]) == ExitCode.FINISHED
     assert main(own) == ExitCode.FINISHED
-    assert (place / "own" / "0001.exr").read_bytes() != before
+    assert (home / "own" / "0001.exr").read_bytes() != before
     classes, objects = read_instances(lift.result_path / "instances.json")
     assert "stool" in [each.name for each in classes.categories] and "chair" not in {one.class_name for one in objects}
     assert "stool" in [each.name for each in scene_of_lift(lift).classes.categories]

@@ -42,7 +42,7 @@ def piece(source: int, count: int) -> SceneObject:
         pytest.param(8, 0, 4, [1, 2], [0, 1], id="without masks there is no object"),
     ],
 )
-def test_fragments_of_a_few_masks_go(
+def test_fragments_with_few_masks_are_removed(
     views: int, of_first: int, of_second: int, origin: list[int], owners: list[int]
 ) -> None:
     owner = np.array([1, 1, 2, 2], np.int32)
@@ -79,7 +79,7 @@ def match(folder: Path, stop: StopSignal, scratch: Path | None = None) -> list[f
     return [each["step"] / each["steps"] for each in told]
 
 
-def test_all_parts_of_matching_tell_how_far_they_are(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_matching_reports_progress_in_all_parts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(progress, "REPORT_EVERY_S", 0.0)
     shares = match(tmp_path, StopSignal())
     assert shares == sorted(shares)

@@ -57,7 +57,7 @@ def steps_of(lift: LiftFolder) -> list[dict[str, str]]:
     return list(csv.DictReader(lift.training_path.open()))
 
 
-def test_they_take_part_and_are_recorded(tmp_path: Path) -> None:
+def test_registered_parts_are_used_and_recorded(tmp_path: Path) -> None:
     plain = lifted(tmp_path)
     own = lifted(tmp_path, losses=["depth", "transparent"], head="one_label", labels="decoders")
     steps, before = steps_of(own), steps_of(plain)

@@ -156,14 +156,14 @@ def test_a_result_names_the_code_that_made_it(tmp_path: Path) -> None:
     assert run.code_of("new", Checkpoint(tmp_path, {"code": "old+new"}), events) == "old+new"
     assert run.code_of("new", Checkpoint(tmp_path, {}), events) == "unknown+new"
     told = [str(event.data["message"]) for event in EventReader(tmp_path / "events.jsonl").poll()]
-    assert len(told) == 2 and "the lift was begun by other code (old, this is new)" in told[0]
+    assert len(told) == 2 and "other code began this lift (old, this is new)" in told[0]
     events.close()
 
 
 @pytest.mark.parametrize(("seconds", "said"), [(3599.0, None), (90000.0, "predicted to take 25.0 h in all here")])
 def test_a_long_lift_says_so_before_it_trains(seconds: float, said: str | None, tmp_path: Path) -> None:
     events = EventWriter(tmp_path / "events.jsonl")
-    run.tell_long(Course({"train": seconds - 1, "bake": 1.0}), events)
+    run.warn_if_long(Course({"train": seconds - 1, "bake": 1.0}), events)
     told = [str(event.data["message"]) for event in EventReader(tmp_path / "events.jsonl").poll()]
     assert [each for each in told if said and said in each] == told and bool(told) == bool(said)
     events.close()

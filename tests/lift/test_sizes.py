@@ -48,7 +48,7 @@ def one_class_with_high_ids(scene: Path) -> None:
     ("frames", "change"),
     [(1, as_they_are), (2, as_they_are), (FRAMES, equal_poses), (FRAMES, one_class_with_high_ids)],
 )
-def test_it_is_lifted(frames: int, change: Callable[[Path], None], tmp_path: Path) -> None:
+def test_scene_of_this_size_is_lifted(frames: int, change: Callable[[Path], None], tmp_path: Path) -> None:
     scene = write_tiny_scene(tmp_path / "scene", frames=frames, size=(32, 24))
     change(scene)
     with presets_as(preview=TINY):
@@ -84,7 +84,7 @@ def test_the_model_is_the_papers(lift: LiftFolder) -> None:
     assert scene.voted is None
 
 
-def test_it_is_baked_and_scored(lift: LiftFolder) -> None:
+def test_scene_of_this_size_is_baked_and_scored(lift: LiftFolder) -> None:
     assert [path.suffix for path in lift.passes_path.iterdir()] == [".exr"]
     tables = json.loads((lift.result_path / "metrics.json").read_text())["tables"]
     assert {"lifted"} <= {table["name"] for table in tables}

@@ -140,7 +140,7 @@ def called_a_cabinet(view: View) -> View:
     return replace(view, mask=replace(view.mask, segments=tuple(map(mistaken, view.mask.segments))))
 
 
-def test_all_frames_vote_that_are_neither_held_out_nor_trained_on(scene: Scene) -> None:
+def test_all_frames_except_held_out_and_training_ones_vote(scene: Scene) -> None:
     chosen = trained_on(scene)
     voting = frames_to_vote(scene, chosen, COARSE)
     assert len(voting) == len(scene.train_frames) - TRAINED_ON
@@ -150,7 +150,7 @@ def test_all_frames_vote_that_are_neither_held_out_nor_trained_on(scene: Scene) 
         assert frames_to_vote(scene, chosen, preset) == ()
 
 
-def test_they_are_small_and_contain_only_masks_and_depth(scene: Scene, tmp_path: Path) -> None:
+def test_extra_frames_are_small_and_contain_only_masks_and_depth(scene: Scene, tmp_path: Path) -> None:
     def nobody(size: Size | None) -> np.ndarray:
         raise AssertionError("no photo is read")
 
@@ -164,7 +164,7 @@ def test_they_are_small_and_contain_only_masks_and_depth(scene: Scene, tmp_path:
         assert set(np.unique(view.mask.ids)) <= {0, *(segment.id for segment in view.mask.segments)}
 
 
-def test_a_frame_that_cannot_be_read_does_not_vote_and_is_reported(scene: Scene, tmp_path: Path) -> None:
+def test_unreadable_frame_is_reported_and_does_not_vote(scene: Scene, tmp_path: Path) -> None:
     def bad(size: Size | None) -> PanopticMask:
         raise PlgsError(*BAD)
 
@@ -175,7 +175,7 @@ def test_a_frame_that_cannot_be_read_does_not_vote_and_is_reported(scene: Scene,
     assert told == [f"1 of {len(frames)} frames that are not trained on do not vote: {PlgsError(*BAD)}"]
 
 
-def test_they_outvote_the_frames_trained_on(scene: Scene, tmp_path: Path) -> None:
+def test_extra_frames_can_outvote_training_frames(scene: Scene, tmp_path: Path) -> None:
     chosen = trained_on(scene)
     views = [called_a_cabinet(load_view(frame)) for frame in chosen.train_frames]
     views[0] = load_view(chosen.train_frames[0])  # one tells of chairs: only classes that are known are voted for

@@ -47,7 +47,7 @@ def refused(tensors: dict[str, torch.Tensor], facts: dict[str, Any], match: str 
         from_tensors(tensors, facts)
 
 
-def test_missing_rows(tmp_path: Path) -> None:
+def test_missing_rows_are_refused(tmp_path: Path) -> None:
     """The file that crashed the engine: a position for each of three million anchors, one scale."""
     tensors, facts = a_model(voted=False)
     vast = tensors | {"anchors.position": torch.zeros(3_000_000, 3), "anchors.log_scale": torch.zeros(1, 6)}
@@ -74,7 +74,7 @@ def test_every_tensor_is_checked(name: str) -> None:
     refused(tensors | {"more": right}, facts, "more is not known")
 
 
-def test_labels_that_are_in_no_table() -> None:
+def test_labels_outside_the_tables_are_refused() -> None:
     tensors, facts = MODELS[True]
     for number in (-1, 5, 32767):
         refused(tensors | {"voted.label": torch.full((GAUSSIANS, 2), number, dtype=torch.int16)}, facts, "its range")
@@ -83,7 +83,7 @@ def test_labels_that_are_in_no_table() -> None:
 
 @examples(40)
 @given(data=st.data(), voted=st.booleans())
-def test_odd_facts_and_tensors(data: st.DataObject, voted: bool) -> None:
+def test_odd_facts_and_tensors_are_refused_or_drawable(data: st.DataObject, voted: bool) -> None:
     """What is not refused can be drawn."""
     draw_spoilt(data.draw, voted)
 
@@ -161,7 +161,7 @@ def test_a_model_with_bad_notes_is_a_one_line_error(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_with_kernels_that_know_their_bounds(root: Path, tmp_path: Path) -> None:
+def test_checked_models_stay_within_kernel_bounds(root: Path, tmp_path: Path) -> None:
     """The fuzz above once more, in a process whose kernels raise IndexError where they would read or write astray."""
     variables = os.environ | {"NUMBA_BOUNDSCHECK": "1", "NUMBA_CACHE_DIR": str(tmp_path), "PLGS_FUZZ": "10"}
     command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", __file__, "-k", "odd_facts"]

@@ -39,7 +39,7 @@ def find_poses(place: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.skipif(find_spec("pycolmap") is not None, reason="pycolmap is there")
-def test_without_pycolmap_the_part_is_named_and_nothing_is_written(
+def test_missing_pycolmap_is_named_and_nothing_is_written(
     photos: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     before = {path.name for path in photos.iterdir()}
@@ -51,7 +51,7 @@ def test_without_pycolmap_the_part_is_named_and_nothing_is_written(
     assert "engine add colmap" in capsys.readouterr().err and not (tmp_path / "lift").exists()
 
 
-def test_photos_are_refused_in_two_lines_with_the_way_to_poses(photos: Path, tmp_path: Path) -> None:
+def test_refusal_of_plain_photos_says_how_to_get_poses(photos: Path, tmp_path: Path) -> None:
     with raises_key("no-poses --poses") as caught:
         open_scene(photos)
     assert caught.value.code is ErrorCode.NO_POSES and len(caught.value.fix) < 200

@@ -52,7 +52,7 @@ def begun(folder: Path, model: str = "halves") -> Job:
     return begin_job(folder, model, open_scene(folder).frames)
 
 
-def test_masks_are_a_scenes_own(folder: Path) -> None:
+def test_made_masks_are_found_as_the_scenes_own(folder: Path) -> None:
     network = Halves()
     make_masks(open_scene(folder), begun(folder), network, silent)
     scene = open_scene(folder)
@@ -73,7 +73,7 @@ def test_masks_are_a_scenes_own(folder: Path) -> None:
     assert not [*(folder / "panoptic").glob("*.json")][1:], "made_by.json alone is left"
 
 
-def test_what_was_stopped_continues(folder: Path) -> None:
+def test_stopped_job_continues(folder: Path) -> None:
     def stop(done: int, frames: int, made: int) -> None:
         if done == 2:
             raise KeyboardInterrupt
@@ -157,7 +157,7 @@ def test_stuff_is_fused_and_things_are_not() -> None:
     np.testing.assert_allclose([one.score for one in found], [0.7, 0.9 / 1.0001, 0.7], rtol=1e-5)
 
 
-def test_what_others_hide_is_dropped() -> None:
+def test_hidden_segments_are_dropped() -> None:
     """Of the second chair only 2 of 4 columns are its own: too little."""
     ids, found = merge_queries(logits((0.1, 0.8, 0.1), (0.1, 0.7, 0.2)), strips(slice(0, 4), slice(2, 6)), STUFF)
     assert ids[0].tolist() == [1, 1, 1, 1, 0, 0, 0, 0, 0, 0] and len(found) == 1

@@ -94,7 +94,7 @@ def test_improbable_targets_have_the_right_loss() -> None:
     np.testing.assert_allclose([semantic.item(), instance.item()], -np.log(1e-8), rtol=1e-6)
 
 
-def test_what_is_not_a_number_stays_none() -> None:
+def test_nan_stays_nan() -> None:
     coverage, target = torch.full((4, 4, 2), 0.5), torch.zeros(4, 4, dtype=torch.int16)
     coverage[1, 1] = float("nan")
     assert all(loss.isnan() for loss in label_losses(coverage, torch.ones(4, 4), 1, target, (target, target)))
@@ -119,7 +119,7 @@ def test_the_number_of_threads_changes_no_bit() -> None:
 
 @settings(max_examples=40, deadline=None)
 @given(st.integers(0, 10_000), st.integers(0, 6), st.integers(0, 5), st.integers(0, 3))
-def test_it_is_the_plain_assignment(seed: int, slots: int, instances: int, first: int) -> None:
+def test_assigned_slots_match_plain_assignment(seed: int, slots: int, instances: int, first: int) -> None:
     random = np.random.default_rng(seed)
     coverage = random.random((90, 101, first + slots), dtype=np.float32)
     alpha = random.uniform(0.1, 1.0, (90, 101)).astype(np.float32)

@@ -45,7 +45,7 @@ def plainly(depth: np.ndarray, alpha: np.ndarray, sensor: np.ndarray) -> float:
 
 @settings(max_examples=40, deadline=None)
 @given(st.integers(0, 10_000))
-def test_it_is_the_formula(seed: int) -> None:
+def test_depth_loss_matches_the_formula(seed: int) -> None:
     random = np.random.default_rng(seed)
     alpha = random.uniform(0, 1, (5, 7))
     sensor = random.uniform(0.1, 8, (5, 7)) * (random.random((5, 7)) < random.choice([0.0, 0.5, 1.0]))
@@ -68,7 +68,7 @@ def gradient(drawn: float, measured: float) -> float:
     return float(depth.grad[0, 0])
 
 
-def test_it_pulls_towards_the_sensors_depth() -> None:
+def test_depth_loss_pulls_towards_the_sensors_depth() -> None:
     assert gradient(1.9, 2.0) < 0 < gradient(2.1, 2.0)
     assert gradient(1.9, 0.0) == 0, "a pixel without depth says nothing"
     assert gradient(5.0, 2.0) == 0, "what is wrong by more than its depth is an outlier"

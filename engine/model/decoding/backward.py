@@ -66,10 +66,10 @@ def shapes_backward(
         anchor, at = anchors.visible[batch.listed[row]], sizes.out_at + row * head.padded + 7 * g
         own = room + row * WIDTH
         for axis in range(3):
-            place, stretch = 3 * (anchor * sizes.k + g) + axis, 6 * anchor + axis
+            index, stretch = 3 * (anchor * sizes.k + g) + axis, 6 * anchor + axis
             d_offset = by.means[3 * n + axis] * mine[own + axis]
-            gradients.offset[place] = d_offset
-            d_log_scale[stretch] += d_offset * anchors.offset[place]
+            gradients.offset[index] = d_offset
+            d_log_scale[stretch] += d_offset * anchors.offset[index]
             scale = gradients.drawn.scales[3 * n + axis]
             slope = by.scales[3 * n + axis] * scale
             d_log_scale[stretch + 3] += slope
@@ -84,9 +84,9 @@ def colours_backward(batch: Batch, head: Any, sizes: Any, mine: Array, gradients
     for m in range(batch.gaussians):
         at = sizes.out_at + batch.owners[2 * m] * head.padded + 3 * batch.owners[2 * m + 1]
         for c in range(3):
-            place = 3 * (batch.first + m) + c
-            colour = gradients.drawn.colours[place]
-            mine[at + c] = gradients.by.colours[place] * colour * (ONE - colour)
+            index = 3 * (batch.first + m) + c
+            colour = gradients.drawn.colours[index]
+            mine[at + c] = gradients.by.colours[index] * colour * (ONE - colour)
 
 
 @device_function
@@ -140,20 +140,20 @@ def batch_backward(
     collect_inputs(batch.listed, batch.rows, anchors, sizes, mine)
     fill(mine, sizes.d_inputs_at, rounded_rows(batch.rows) * sizes.padded_features, ZERO)
     last = INSTANCE if labelling.known.shape[0] == 0 else COLOUR  # labels decoded before have no gradient
-    for place in range(OPACITY, last + 1):
-        head = head_of(packed.heads, place)
-        rows = batch.rows if place == SEMANTIC else batch.drawing
-        if place == SEMANTIC:
+    for kind in range(OPACITY, last + 1):
+        head = head_of(packed.heads, kind)
+        rows = batch.rows if kind == SEMANTIC else batch.drawing
+        if kind == SEMANTIC:
             run_head(head, rows, packed, mine)
             classes_backward(batch, head, anchors.visible, labelling, sizes, mine, gradients)
         else:
             run_first_layer(head, rows, packed, mine)
             fill(mine, sizes.out_at, rounded_rows(rows) * head.padded, ZERO)
-            if place == OPACITY:
+            if kind == OPACITY:
                 opacities_backward(batch, head, sizes, mine, gradients)
-            elif place == COVARIANCE:
+            elif kind == COVARIANCE:
                 shapes_backward(batch, head, anchors, sizes, mine, gradients)
-            elif place == COLOUR:
+            elif kind == COLOUR:
                 colours_backward(batch, head, sizes, mine, gradients)
             else:
                 instances_backward(batch, head, sizes, mine, gradients)

@@ -172,14 +172,14 @@ def decode_gaussians(
         if batch.rows == 0:
             continue
         collect_inputs(batch.listed, batch.rows, anchors, sizes, mine)
-        for place in range(COVARIANCE, decoded + 1):
-            head = head_of(heads, place)
-            run_head(head, batch.rows if place == SEMANTIC else batch.drawing, packed, mine)
-            if place == COVARIANCE:
+        for kind in range(COVARIANCE, decoded + 1):
+            head = head_of(heads, kind)
+            run_head(head, batch.rows if kind == SEMANTIC else batch.drawing, packed, mine)
+            if kind == COVARIANCE:
                 write_shapes(batch, head, anchors, batches.opacities, sizes, mine, drawn)
-            elif place == COLOUR:
+            elif kind == COLOUR:
                 write_colours(batch, head, sizes, mine, drawn.colours)
-            elif place == SEMANTIC:
+            elif kind == SEMANTIC:
                 batches.losses[number] = write_classes(batch, head, visible, labelling, sizes, mine, drawn.labels)
             else:
                 write_instances(batch, head, sizes, mine, drawn.labels)

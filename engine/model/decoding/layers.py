@@ -44,9 +44,9 @@ def fill(values: Array, at: int, count: int, value: Any) -> None:
 
 
 @device_function
-def wanted_class(place: int, visible: Array, labelling: Labelling) -> int:
+def wanted_class(row: int, visible: Array, labelling: Labelling) -> int:
     """The channel of an anchor's class for the cluster loss, or -1; ``row`` is the anchor's index in ``visible``."""
-    return labelling.channels[visible[place]] if labelling.channels.shape[0] > 0 else -1
+    return labelling.channels[visible[row]] if labelling.channels.shape[0] > 0 else -1
 
 
 @device_function
@@ -68,10 +68,10 @@ def list_anchors(
         if gaussians > before:
             listed[drawing] = v
             drawing += 1
-    rows, place = drawing, 0
+    rows, index = drawing, 0
     for v in range(start, end):
-        if place < drawing and listed[place] == v:
-            place += 1
+        if index < drawing and listed[index] == v:
+            index += 1
         elif wanted_class(v, visible, labelling) >= 0:
             listed[rows] = v
             rows += 1

@@ -98,20 +98,20 @@ def layout_of(shape: DecoderShape) -> Layout:
     padded_features = _rounded(shape.features, LANES)
     sides = [(seen, k), (seen, 7 * k), (seen, 3 * k)]
     sides += [(labelled, shape.classes * k), (labelled, shape.instance_slots * k)]
-    at, places = 0, []
+    at, offsets = 0, []
     for inputs, outputs in sides:
         padded = _rounded(outputs, LANES)
         counts = (_rounded(inputs, ROUND_ROWS) * HIDDEN, HIDDEN, HIDDEN * padded, padded)
-        starts = [at + sum(counts[:place]) for place in range(4)]
+        starts = [at + sum(counts[:part]) for part in range(4)]
         at += sum(counts)
-        places.append((inputs, outputs, padded, *starts))
+        offsets.append((inputs, outputs, padded, *starts))
     parameters, heads = at, []
-    for place in places:
-        heads.append(Head._make((*place, at, at + HIDDEN * padded_features)))
-        at += HIDDEN * (padded_features + place[1])
+    for one in offsets:
+        heads.append(Head._make((*one, at, at + HIDDEN * padded_features)))
+        at += HIDDEN * (padded_features + one[1])
     inputs = _rounded(seen, ROUND_ROWS)
     widths = (inputs, HIDDEN, HIDDEN, padded_features, max(head.padded for head in heads))
-    begins = [BATCH * sum(widths[:place]) for place in range(len(widths) + 1)]
+    begins = [BATCH * sum(widths[:part]) for part in range(len(widths) + 1)]
     sizes = Sizes(
         features=shape.features,
         padded_features=padded_features,
