@@ -85,7 +85,7 @@ def test_a_smaller_machine_cannot_continue(
         chosen(scene, events, tmp_path, {"frames": names})
     monkeypatch.setattr(frame_sets, "main_memory", lambda: MainMemory(10**12, 10**7))
     chosen(scene, events, tmp_path, {"frames": names})
-    assert "only 0.0 GB are free" in warnings(tmp_path)[0]
+    assert "only 0.0 GB is free" in warnings(tmp_path)[0]
 
 
 MANY = 3000
