@@ -174,9 +174,10 @@ def with_estimated_depth(
     """The frames with depth from the maps in ``folder``, those left out because they see too few points, and what was
     inferred. ``pictured``: see ``mask_fit``. Maps are read on demand, a few of them right away to inspect them. Raises
     PlgsError if a map is missing, or no frame is left."""
-    # Networks write pictures to look at beside their arrays.
-    kinds = _ARRAYS if mask_files(folder, *_ARRAYS) else {".png"}
     names = [frame.name for frame in frames]
+    # Networks write pictures to look at beside their arrays; a few arrays beside maps are something else.
+    arrays = mask_files(folder, *_ARRAYS)
+    kinds = _ARRAYS if arrays and (2 * len(arrays) >= len(names) or not mask_files(folder, ".png")) else {".png"}
     find = partial(files_of_frames, folder, suffixes=kinds, what="depth map", fix=_FIX)
     has_points, error = points is not None and len(points) > 0, None
     try:

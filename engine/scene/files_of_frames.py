@@ -54,10 +54,11 @@ def mask_files(folder: Path, *suffixes: str) -> list[Path]:
 
 
 def is_camera(folder: Path) -> bool:
-    """Whether another folder beside the masks' has a subfolder of the same name: the pictures of one camera of a
+    """Whether another folder beside the masks' has photos in a subfolder of the same name: those of one camera of a
     rig."""
-    beside = (path for path in folder.parent.parent.iterdir() if path.name != folder.parent.name)
-    return any((path / folder.name).is_dir() for path in beside)
+    beside = (path / folder.name for path in folder.parent.parent.iterdir() if path.name != folder.parent.name)
+    firsts = (next(iter(sorted(shown_files(path))), None) for path in beside if path.is_dir())
+    return any(first is not None and first.suffix.lower() in IMAGES and not shows_one_object(first) for first in firsts)
 
 
 def _is_of_one(folder: Path) -> bool:

@@ -101,6 +101,8 @@ def _own_split(content: dict[str, Any], frames: Mapping[str, Mapping[str, Any]],
     held_out = listed.get("test_filenames") or listed.get("val_filenames") or {
         name for name, frame in frames.items() if frame.get(_IS_HELD_OUT)
     }
+    if not held_out and "train_filenames" in listed:
+        held_out = frames.keys() - listed["train_filenames"]
     train = [name for name in listed.get("train_filenames", frames) if name not in held_out]
     if not held_out:
         return None
