@@ -122,8 +122,14 @@ class BakeLocks:
             self._own.unlink()
 
     def others_at_work(self) -> bool:
-        """Whether another process is baking this lift."""
-        return any(is_locked(path) for path in self._folder.glob("process-*.lock") if path != self._own)
+        """Whether another process is baking this lift. What killed ones left behind is deleted: one that is about to
+        lock its file makes it again (`FileLock`)."""
+        others = [path for path in self._folder.glob("process-*.lock") if path != self._own]
+        left_behind = [path for path in others if not is_locked(path)]
+        for path in left_behind:
+            with suppress(OSError):
+                path.unlink()
+        return len(left_behind) < len(others)
 
     @contextmanager
     def claim(self, view: str) -> Iterator[bool]:

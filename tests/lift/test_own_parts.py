@@ -78,7 +78,7 @@ def test_names_of_other_programs_are_read_and_not_lifted(tmp_path: Path) -> None
     with raises_key("no-part agreement"):
         lifted(tmp_path, objects="agrement")
     for name in ("boxes", "no name", ""):
-        with pytest.raises(ValueError, match="name of a matcher"):
+        with pytest.raises(ValueError, match="not a valid name for an added matcher"):
             register_matcher(name, no_objects)
 
 

@@ -90,7 +90,7 @@ def test_a_lift_without_its_scene_is_placed_and_finds_it(lift: Path, tmp_path: P
     assert frames and not any(ob.data.background_images for ob in frames)
     followed = lifts.attach(own)
     assert not followed.scene_is_there
-    with pytest.raises(RuntimeError, match="cannot|no such|not there|nothing"):
+    with pytest.raises(RuntimeError, match="does not exist"):
         bpy.ops.plgs.find_scene(filepath=str(tmp_path / "nowhere"), lift_folder=str(own))
     room = shutil.copytree(lift.parent / "tiny room", tmp_path / "found")
     assert bpy.ops.plgs.find_scene(filepath=str(room), lift_folder=str(own)) == {"FINISHED"}

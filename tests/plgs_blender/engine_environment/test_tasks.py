@@ -116,10 +116,10 @@ def test_what_is_not_an_engine_is_recognised(python: Python, tmp_path: Path, mon
     executable_picture.write_bytes(picture.read_bytes())
     executable_picture.chmod(0o755)
     for number, (chosen, told, mend) in enumerate((
-        (Path("/nowhere/python"), "/nowhere/python", "a Python"),
-        (picture, "picture.png", "a Python"),
-        (executable_picture, "run.png", "a Python"),
-        (tmp_path, str(tmp_path), "a Python"),
+        (Path("/nowhere/python"), "/nowhere/python", "another Python"),
+        (picture, "picture.png", "another Python"),
+        (executable_picture, "run.png", "another Python"),
+        (tmp_path, str(tmp_path), "another Python"),
         ("echo hello", "not as a Python", "Choose another Python"),
         ("echo No module named engine >&2; exit 1", "No module named", "Choose another Python"),
         (f"echo 'error: {TOO_OLD}, this is 3.9' >&2; exit 1", "3.9", "newer Python"),
