@@ -75,6 +75,7 @@ def test_one_mesh_per_instance_and_per_stuff_class(lift: Path) -> None:
 
 
 def test_meshes_show_their_pictures_in_photo_colours_alone(lift: Path) -> None:
+    pytest.importorskip("scipy", reason="the engine, which makes the pictures, runs in another Python")
     write_surface(mesh_folder(lift) / "mesh.ply", 40)
     floor = placed(lift)[f"mesh:{FLOOR_ID}:0"]
     mesh, image = floor.data, image_of(floor.data.materials[0])
