@@ -12,18 +12,24 @@ STEPS = 200
 LIFTS = "__import__('sys').modules[EXTENSION + '.plgs_blender.running.lifts']"
 RUNNING = f"{LIFTS}.running()"
 LIFT = "__import__('pathlib').Path(bpy.context.scene.plgs.lift_folder)"
-# Where on the screen each object's box has the corner that is nearest to the one who looks.
+# A pixel of the screen where each object is seen, near its box's middle: points leave gaps.
 BOXES = f"""
+import sys
 from bpy_extras.view3d_utils import location_3d_to_region_2d
+picking = next(each for name, each in sys.modules.items() if name.endswith('.plgs_blender.inspecting.picking'))
 area = next(each for each in bpy.context.window.screen.areas if each.type == 'VIEW_3D')
 region = next(each for each in area.regions if each.type == 'WINDOW')
-view = area.spaces.active.region_3d
 answer = {{}}
 for each in bpy.context.scene.objects:
-    if each.get('plgs_key', '').startswith('instance:'):
-        corners = [each.matrix_world @ corner.co for corner in each.data.vertices]
-        x, y = location_3d_to_region_2d(region, view, max(corners, key=lambda at: (view.view_matrix @ at).z))
-        answer[each.name] = round(region.x + x), {SIZE[1]} - round(region.y + y)
+    kind, _, number = each.get('plgs_key', '').partition(':')
+    if kind == 'instance':
+        x, y = location_3d_to_region_2d(region, area.spaces.active.region_3d, each.matrix_world.translation)
+        with bpy.context.temp_override(area=area, region=region):
+            for step in range(0, 200, 4):
+                for at in ((x + step, y), (x - step, y), (x, y + step), (x, y - step)):
+                    found = picking.what_is_under(bpy.context, at)
+                    if each.name not in answer and found is not None and found.instance == int(number):
+                        answer[each.name] = round(region.x + at[0]), {SIZE[1]} - round(region.y + at[1])
 """
 
 
