@@ -132,7 +132,8 @@ class _Reader:
         if inner[-1] is not Ellipsis and len(given) != len(inner):
             raise self.wrong(kind, given, key)
         least, most, exact = max(self._least, -1e300), min(self._most, 1e300), inner[0]
-        if exact in (int, float) and all(type(each) is exact and least <= each <= most for each in given):
+        are_alike = exact in (int, float) and not {*inner} - {exact, Ellipsis}
+        if are_alike and all(type(each) is exact and least <= each <= most for each in given):
             return tuple(given)  # there may be millions
         kinds = inner[:1] * len(given) if inner[-1] is Ellipsis else inner
         return tuple(

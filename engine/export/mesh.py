@@ -206,7 +206,7 @@ def export_gltf(lift: FinishedLift, output: Path) -> None:
 
 
 def parts_of(lift: FinishedLift) -> list[Part]:
-    """The meshes of the wanted instances and stuff classes. Raises PlgsError where there is none, OSError."""
+    """The meshes of the wanted instances and stuff classes. Raises PlgsError if there are none, OSError."""
     parts = _cut(lift, *finished(lift))
     parts = [each for each in parts if lift.wants(each.class_id, each.instance_id)]
     if not parts:
@@ -229,7 +229,7 @@ def _cut(lift: FinishedLift, surface: Surface, label: NDArray[np.int64], texture
 
 def finished(lift: FinishedLift) -> tuple[Surface, NDArray[np.int64], Texture | None]:
     """The surface of the lift's views, mended and cut, its labels, int64 [V], and its texture where there are photos.
-    Raises PlgsError where there is none, OSError."""
+    Raises PlgsError if there are none, OSError."""
     small = views_of(lift, WIDEST, MOST_VIEWS)
     surface = fuse(small)
     refuse_none(lift, surface)

@@ -166,6 +166,23 @@ def shown_classes(view: View, summary: ViewPoints) -> NDArray[np.int32]:
     return np.array([class_of.get(int(segment), 0) for segment in present], np.int32)[inverse.reshape(-1)]
 
 
+def words_of_views(
+    seeing: ViewsOnCloud, points: int, class_ids: NDArray[np.int64], kind: EvidenceKind
+) -> tuple[list[tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]], NDArray[np.float64]]:
+    """For each view, the rows of its points, the columns in ``class_ids`` [C] of the classes that it shows there, and
+    the weights of its votes, [n] each; and the sum of all votes, float64 [points, C]."""
+    said = []
+    total = np.zeros((points, len(class_ids)))  # float64: where a view is taken out, nothing must be left of it
+    for view, seen in zip(seeing.views, seeing.seen, strict=True):
+        shown = shown_classes(view, seen)
+        column = np.minimum(np.searchsorted(class_ids, shown), len(class_ids) - 1)
+        known = class_ids[column] == shown
+        word = evidence(kind, seen.pixels[known], seen.resolution[known]).astype(np.float64)
+        said.append((seen.row[known].astype(np.int64), column[known], word))
+        total[said[-1][:2]] += word  # a view has each point once
+    return said, total
+
+
 def masks_of_view(view: View, seen: ViewPoints, min_points: int) -> Iterator[tuple[Segment, NDArray[np.int32]]]:
     """The view's masks that have at least ``min_points`` points, and the rows int32 [n] of these points. Regions that
     may be several objects (a thing's class without an instance) are left out."""

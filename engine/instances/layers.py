@@ -12,8 +12,7 @@ import logging
 import numpy as np
 
 from ..presets.preset import EvidenceKind
-from ..scene import evidence
-from .agreement import ViewsOnCloud, shown_classes
+from .agreement import ViewsOnCloud, words_of_views
 
 log = logging.getLogger("plgs.lift")
 
@@ -41,15 +40,7 @@ def class_agreement(seeing: ViewsOnCloud, points: int, class_ids: tuple[int, ...
     """The fraction of the points that a view's mask gives a class to which the votes of all other views give the same
     class: the mean over the classes that masks show. Points that no other view sees do not count."""
     ids = np.asarray(class_ids)
-    said = []
-    total = np.zeros((points, len(ids)))  # float64: what is left after a view is taken out must be 0 where nothing is
-    for view, seen in zip(seeing.views, seeing.seen, strict=True):
-        shown = shown_classes(view, seen)
-        column = np.minimum(np.searchsorted(ids, shown), len(ids) - 1)
-        known = ids[column] == shown
-        word = evidence(kind, seen.pixels[known], seen.resolution[known])
-        said.append((seen.row[known], column[known], word))
-        total[said[-1][:2]] += word  # a view has each point once
+    said, total = words_of_views(seeing, points, ids, kind)
     asked, agreed = np.zeros(len(ids)), np.zeros(len(ids))
     for row, column, word in said:
         others = total[row]

@@ -21,8 +21,7 @@ from scipy.spatial import cKDTree
 from ..machine.compiled import compiled
 from ..machine.threads import worker_count
 from ..presets.preset import EvidenceKind
-from ..scene import evidence
-from .agreement import ViewsOnCloud, shown_classes
+from .agreement import ViewsOnCloud, words_of_views
 
 log = logging.getLogger("plgs.lift")
 
@@ -128,15 +127,7 @@ def held_back_agreement(
     """The share of what a frame shows that agrees with the votes of all other frames: with those on each point, and
     with those on its whole superpoint. A point that no other frame sees follows its superpoint."""
     ids, points = np.asarray(class_ids), len(part)
-    said = []
-    total = np.zeros((points, len(ids)))  # float64: what is left after a view is taken out must be 0 where nothing is
-    for view, seen in zip(seeing.views, seeing.seen, strict=True):
-        shown = shown_classes(view, seen)
-        column = np.minimum(np.searchsorted(ids, shown), len(ids) - 1)
-        known = ids[column] == shown
-        word = evidence(kind, seen.pixels[known], seen.resolution[known]).astype(np.float64)
-        said.append((seen.row[known], column[known], word))
-        total[said[-1][:2]] += word  # a view has each point once
+    said, total = words_of_views(seeing, points, ids, kind)
     of_part = sparse.csr_matrix((np.ones(points), (part, np.arange(points)))) @ total
     asked = by_point = by_part = 0.0
     for numbers in seeing.by_frame():

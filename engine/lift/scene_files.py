@@ -59,9 +59,9 @@ def write_scene_files(
     names: Mapping[int, str],
     progress: Progress,
 ) -> None:
-    """Write every part of the result that needs no rendering. ``views`` were lifted, and those ``held_back`` judge the
-    points, of which ``seen`` bool [N] are written; ``names`` are the instances'. Gaussians and anchors far from all
-    points are written only to the model. Raises OSError if the disk is full, and what ``progress`` raises."""
+    """Write every part of the result that needs no rendering. ``views`` were lifted. The views ``held_back`` judge the
+    points; ``seen`` bool [N] says which points are written. ``names`` are the instances'. Gaussians and anchors far
+    from all points are written only to the model. Raises OSError if the disk is full, and what ``progress`` raises."""
     cloud, owner = prepared.cloud, prepared.instance_of_point
     judged, listed, baked = (part_of(progress, part / 3, (part + 1) / 3) for part in range(3))
     judging = watched(evenly(views), judged)

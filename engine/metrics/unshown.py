@@ -139,8 +139,8 @@ def _unshown(one: _Candidate, named: int, near: int, classes: ClassTable, is_who
 
 
 def _segments(judged: JudgedView) -> tuple[list[_Candidate], set[int]]:
-    """The resolved segments of which the lift shows less than the share SHOWN in their own view, and the classes that
-    the lift shows on at least one of their segments."""
+    """The resolved segments that the lift does not show in their own view (less than the share SHOWN), and the classes
+    that it shows on at least one of their segments."""
     view, shown = judged
     seen, xyz_of_pixels = view.depth > 0, view.camera.unproject(view.depth)
     candidates, kept = [], set()

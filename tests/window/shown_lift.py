@@ -3,12 +3,17 @@ panel."""
 
 from __future__ import annotations
 
+import os
+import subprocess
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 from blender import SIZE, Window
+from tree import ROOT
 
+OTHER = os.environ.get("PLGS_PICTURES_LIFT", "")
+"""A finished lift below build, with its surface exported, in place of the sample's."""
 CHAIR, CABINET = 1, 2
 _OWN_TAB = """
 panel = bpy.types.{panel}
@@ -113,3 +118,15 @@ def upon(window: Window, number: int) -> tuple[int, int]:
     """Where an object, or the floor (0), is seen on the screen: points leave gaps."""
     x, y = window.ask(f"seen({number})")
     return x, SIZE[1] - y
+
+
+def large_lift(folder: Path) -> Path:
+    """The sample's lift as `make demo` makes it, in a folder, with the surface that a window makes after a lift; or the
+    other."""
+    if OTHER:
+        return (ROOT / OTHER).resolve()
+    lift, python = folder / "room lift", ROOT / ".venv" / "bin" / "python"
+    surface = lift / "exports" / "surface"
+    subprocess.run([python, "-m", "engine", "lift", "sample/room", "-o", lift], cwd=ROOT, check=True)
+    subprocess.run([python, "-m", "engine", "export", lift, "--to", "surface", "-o", surface], cwd=ROOT, check=True)
+    return lift

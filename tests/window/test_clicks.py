@@ -8,17 +8,14 @@ What Blender draws decides: each instance in a colour of its own, without smooth
 
 from __future__ import annotations
 
-import os
-import subprocess
 from pathlib import Path
 
 import numpy as np
 import pytest
 from blender import SIZE, Window
-from tree import ROOT
+from shown_lift import large_lift
 
 pytestmark = pytest.mark.slow
-OTHER = os.environ.get("PLGS_PICTURES_LIFT", "")
 RIGHT, WRONG = 0.97, 0.01
 """Least share of the pixels with an instance in front that pick it, and largest share that pick another one."""
 STEP = 9
@@ -66,13 +63,7 @@ view.show_region_header = view.show_region_tool_header = view.show_region_ui = F
 @pytest.fixture(scope="module")
 def lift(work_folder: Path) -> Path:
     """The sample's lift with its surface, or the other."""
-    if OTHER:
-        return (ROOT / OTHER).resolve()
-    folder, python = work_folder / "room lift", ROOT / ".venv" / "bin" / "python"
-    surface = folder / "exports" / "surface"
-    subprocess.run([python, "-m", "engine", "lift", "sample/room", "-o", folder], cwd=ROOT, check=True)
-    subprocess.run([python, "-m", "engine", "export", folder, "--to", "surface", "-o", surface], cwd=ROOT, check=True)
-    return folder
+    return large_lift(work_folder)
 
 
 @pytest.mark.parametrize(("kind", "shading"), [("SURFACE", "SOLID"), ("POINTS", "MATERIAL"), ("SPLATS", "MATERIAL")])

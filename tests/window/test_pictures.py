@@ -8,9 +8,7 @@ lift and named after its folder: look at them. The lift and its scene have to be
 
 from __future__ import annotations
 
-import os
 import shutil
-import subprocess
 from pathlib import Path
 
 import cv2
@@ -18,13 +16,13 @@ import numpy as np
 import pytest
 from blender import SIZE, Window
 from numpy.typing import NDArray
+from shown_lift import OTHER, large_lift
 from tree import ROOT
 
 from engine.job import LiftFolder
 from engine.scene_of_lift import scene_of_lift
 
 pytestmark = pytest.mark.slow
-OTHER = os.environ.get("PLGS_PICTURES_LIFT", "")
 of_the_sample = pytest.mark.skipif(bool(OTHER), reason="the lift is done")
 FRAME = "0014"
 LIKE_DB = 20.0
@@ -82,13 +80,7 @@ _RUNNING = f"{_LIFTS}.running()"
 @pytest.fixture(scope="module")
 def lift(work_folder: Path) -> Path:
     """The sample's lift as `make demo` makes it, with the surface that a window makes after a lift; or the other."""
-    if OTHER:
-        return (ROOT / OTHER).resolve()
-    folder, python = work_folder / "room lift", ROOT / ".venv" / "bin" / "python"
-    surface = folder / "exports" / "surface"
-    subprocess.run([python, "-m", "engine", "lift", "sample/room", "-o", folder], cwd=ROOT, check=True)
-    subprocess.run([python, "-m", "engine", "export", folder, "--to", "surface", "-o", surface], cwd=ROOT, check=True)
-    return folder
+    return large_lift(work_folder)
 
 
 @pytest.fixture(scope="module")
