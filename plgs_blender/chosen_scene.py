@@ -31,15 +31,9 @@ def free_folder(beside: Path, ending: str) -> Path:
 AUTOMATIC = "auto"
 """The choice that detects the format from the scene's files."""
 
-FORMAT_ITEMS = [
-    (AUTOMATIC, "Automatic", "Detected from the names of the files"),
-    *map(tuple, SCENE_FORMAT_NAMES),
-]
+FORMAT_ITEMS = [(AUTOMATIC, "Automatic", "Detected from the names of the files"), *map(tuple, SCENE_FORMAT_NAMES)]
 """Items of an EnumProperty."""
-MASK_FORMAT_ITEMS = [
-    (AUTOMATIC, "Automatic", "Detected from the names of the files"),
-    *map(tuple, MASK_FORMAT_NAMES),
-]
+MASK_FORMAT_ITEMS = [(AUTOMATIC, "Automatic", "Detected from the names of the files"), *map(tuple, MASK_FORMAT_NAMES)]
 """Items of an EnumProperty."""
 
 FILE_SUFFIXES = (".json", ".txt", ".jsonl", ".sens", ".r3d", ".log", ".bin", ".csv")

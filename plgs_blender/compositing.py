@@ -159,14 +159,15 @@ def _subscribe(*_arguments: object) -> None:
     bpy.msgbus.subscribe_rna(key=key, owner=_MSGBUS_OWNER, args=(), notify=_follow_soon, options={"PERSISTENT"})
 
 
+HANDLERS = (("load_post", _subscribe),)
+
+
 def register() -> None:
-    bpy.app.handlers.load_post.append(_subscribe)
     _subscribe()
 
 
 def unregister() -> None:
     bpy.msgbus.clear_by_owner(_MSGBUS_OWNER)
-    bpy.app.handlers.load_post.remove(_subscribe)
     if bpy.app.timers.is_registered(follow_workspace):
         bpy.app.timers.unregister(follow_workspace)
     _opened.clear()

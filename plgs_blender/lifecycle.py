@@ -1,5 +1,12 @@
-"""Registers and unregisters modules, and ends a process. Each module lists its `CLASSES` and may have a `register` and
-`unregister` of its own."""
+"""Registers and unregisters modules, and ends a process. A module may list:
+
+- `CLASSES`;
+- `PROPERTIES`: (type of bpy.types, name, property group), such as (bpy.types.Scene, "plgs", PLGS_PG_settings);
+- `MENUS`: (name of a menu or header, "append" or "prepend", draw function);
+- `HANDLERS`: (name in bpy.app.handlers, function).
+
+A module may also have a `register` and an `unregister` of its own.
+"""
 
 from __future__ import annotations
 
@@ -15,13 +22,16 @@ import bpy
 
 
 def register_modules(modules: Sequence[ModuleType]) -> None:
-    """Register each module's classes, then call its `register`, if any.
-
-    Each module registers its own properties on Blender's types, handlers, timers and draw handlers.
-    """
+    """Register what each module lists, then call its `register`, if any."""
     for module in modules:
         for each in getattr(module, "CLASSES", ()):
             bpy.utils.register_class(each)
+        for owner, name, group in getattr(module, "PROPERTIES", ()):
+            setattr(owner, name, bpy.props.PointerProperty(type=group))
+        for name, way, draw in getattr(module, "MENUS", ()):
+            getattr(getattr(bpy.types, name), way)(draw)
+        for name, handler in getattr(module, "HANDLERS", ()):
+            getattr(bpy.app.handlers, name).append(handler)
         if hasattr(module, "register"):
             module.register()
 
@@ -31,6 +41,13 @@ def unregister_modules(modules: Sequence[ModuleType]) -> None:
     for module in reversed(modules):
         if hasattr(module, "unregister"):
             module.unregister()
+        for name, handler in getattr(module, "HANDLERS", ()):
+            if handler in getattr(bpy.app.handlers, name):
+                getattr(bpy.app.handlers, name).remove(handler)
+        for name, _, draw in getattr(module, "MENUS", ()):
+            getattr(bpy.types, name).remove(draw)
+        for owner, name, _ in getattr(module, "PROPERTIES", ()):
+            delattr(owner, name)
         for each in reversed(getattr(module, "CLASSES", ())):
             bpy.utils.unregister_class(each)
 

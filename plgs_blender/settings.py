@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import bpy
-from bpy.props import BoolProperty, EnumProperty, IntProperty, PointerProperty, StringProperty
+from bpy.props import BoolProperty, EnumProperty, IntProperty, StringProperty
 
 from ..engine.errors import PlgsError
 from ..engine.job import LiftRequest
@@ -189,8 +189,7 @@ class PLGS_PG_settings(LiftOptions, bpy.types.PropertyGroup):
         name="Shot", description="The name of the files of a camera's passes; empty: the .blend's and the camera's"
     )
     replace_shot: BoolProperty(  # type: ignore[valid-type]
-        name="Replace",
-        description="Replace a shot of this name from another file or camera, or with a changed camera",
+        name="Replace", description="Replace a shot of this name from another file or camera, or with a changed camera"
     )
     show_steps: BoolProperty(  # type: ignore[valid-type]
         name="Scene and Lift", description="Show the steps that led to the result, or begin the next lift"
@@ -300,11 +299,4 @@ def adopt(settings: PLGS_PG_settings, request: LiftRequest, folder: Path) -> Non
 
 
 CLASSES = (PLGS_PG_settings,)
-
-
-def register() -> None:
-    bpy.types.Scene.plgs = PointerProperty(type=PLGS_PG_settings)
-
-
-def unregister() -> None:
-    del bpy.types.Scene.plgs
+PROPERTIES = ((bpy.types.Scene, "plgs", PLGS_PG_settings),)

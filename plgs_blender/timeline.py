@@ -132,13 +132,5 @@ def _follow(scene: bpy.types.Scene, *_arguments: object) -> None:
     follow_camera(scene)
 
 
-def register() -> None:
-    # Scripts may change the frame before Blender has told of their camera.
-    for handlers in (bpy.app.handlers.depsgraph_update_post, bpy.app.handlers.frame_change_pre):
-        handlers.append(_follow)
-
-
-def unregister() -> None:
-    for handlers in (bpy.app.handlers.depsgraph_update_post, bpy.app.handlers.frame_change_pre):
-        if _follow in handlers:
-            handlers.remove(_follow)
+# A script may change the frame before Blender reports its change of the camera.
+HANDLERS = (("depsgraph_update_post", _follow), ("frame_change_pre", _follow))

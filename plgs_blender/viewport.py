@@ -278,11 +278,7 @@ def _largest_first(
     return sorted(found, key=lambda each: -each[1].width * each[1].height)
 
 
-_PLACES = {
-    "MESH": (0.0, 0.0, 0.0),
-    "CAMERA": (7.35889, -6.92579, 4.95831),
-    "LIGHT": (4.07625, 1.00545, 5.90386),
-}
+_PLACES = {"MESH": (0.0, 0.0, 0.0), "CAMERA": (7.35889, -6.92579, 4.95831), "LIGHT": (4.07625, 1.00545, 5.90386)}
 """Positions of the cube, camera and light in Blender's startup file, in metres."""
 _RANGE, _SIZE, _ASPECT = (1, 250), (1920, 1080, 100), (1.0, 1.0)
 

@@ -230,13 +230,4 @@ def _draw_ending(layout: bpy.types.UILayout, context: bpy.types.Context, followe
 
 
 CLASSES = (PLGS_PT_lift, PLGS_PT_lift_options, PLGS_PT_all_options, PLGS_PT_recent_lifts, PLGS_MT_recent_lifts)
-
-
-def register() -> None:
-    bpy.types.TOPBAR_MT_file_import.append(_in_import_menu)
-    bpy.types.TOPBAR_MT_file.append(_beside_quit)
-
-
-def unregister() -> None:
-    bpy.types.TOPBAR_MT_file_import.remove(_in_import_menu)
-    bpy.types.TOPBAR_MT_file.remove(_beside_quit)
+MENUS = (("TOPBAR_MT_file_import", "append", _in_import_menu), ("TOPBAR_MT_file", "append", _beside_quit))

@@ -139,19 +139,9 @@ def _draw_named(menu: bpy.types.Menu, context: bpy.types.Context) -> None:
 
 
 CLASSES = (PLGS_MT_object, PLGS_MT_result, PLGS_MT_work)
-_ADDED = (
+MENUS = (
     ("VIEW3D_MT_object", "append", _in_object_menu),
     ("VIEW3D_MT_object_context_menu", "prepend", _at_object),
     ("OUTLINER_MT_object", "prepend", _at_object),
     ("UI_MT_list_item_context_menu", "append", _at_row),
 )
-
-
-def register() -> None:
-    for name, way, draw in _ADDED:
-        getattr(getattr(bpy.types, name), way)(draw)
-
-
-def unregister() -> None:
-    for name, _, draw in _ADDED:
-        getattr(bpy.types, name).remove(draw)

@@ -140,11 +140,4 @@ def _in_file_menu(menu: Any, context: bpy.types.Context) -> None:
 
 
 CLASSES = (PLGS_PT_passes, PLGS_PT_panoptic, PLGS_PT_export, PLGS_MT_export)
-
-
-def register() -> None:
-    bpy.types.TOPBAR_MT_file_export.append(_in_file_menu)
-
-
-def unregister() -> None:
-    bpy.types.TOPBAR_MT_file_export.remove(_in_file_menu)
+MENUS = (("TOPBAR_MT_file_export", "append", _in_file_menu),)

@@ -286,11 +286,4 @@ CLASSES = (
     PLGS_PT_scene_masks,
     PLGS_PT_diagnosis,
 )
-
-
-def register() -> None:
-    bpy.types.TOPBAR_MT_file_import.append(_draw_import_menu)
-
-
-def unregister() -> None:
-    bpy.types.TOPBAR_MT_file_import.remove(_draw_import_menu)
+MENUS = (("TOPBAR_MT_file_import", "append", _draw_import_menu),)

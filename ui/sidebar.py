@@ -227,11 +227,4 @@ def amount(size: float) -> str:
 
 
 CLASSES = (PLGS_PT_lift_panoptic_masks,)
-
-
-def register() -> None:
-    bpy.types.NODE_HT_header.append(draw_way_back)
-
-
-def unregister() -> None:
-    bpy.types.NODE_HT_header.remove(draw_way_back)
+MENUS = (("NODE_HT_header", "append", draw_way_back),)

@@ -20,7 +20,6 @@ from bpy.props import (
     FloatProperty,
     FloatVectorProperty,
     IntProperty,
-    PointerProperty,
     StringProperty,
 )
 
@@ -226,14 +225,7 @@ class PLGS_PG_lift(bpy.types.PropertyGroup):
 
 
 CLASSES = (PLGS_PG_mask, PLGS_PG_instance, PLGS_PG_class, PLGS_PG_unshown, PLGS_PG_lift)
-
-
-def register() -> None:
-    bpy.types.Collection.plgs = PointerProperty(type=PLGS_PG_lift)
-
-
-def unregister() -> None:
-    del bpy.types.Collection.plgs
+PROPERTIES = ((bpy.types.Collection, "plgs", PLGS_PG_lift),)
 
 
 @contextmanager

@@ -333,20 +333,17 @@ def _subscribe(*_arguments: object) -> None:
     bpy.msgbus.subscribe_rna(key=key, owner=_MSGBUS_OWNER, args=(), notify=follow_name, options={"PERSISTENT"})
 
 
-def _handlers() -> list[tuple[list, object]]:
-    at = bpy.app.handlers
-    after = [(at.undo_post, _after_undo), (at.redo_post, _after_undo), (at.depsgraph_update_post, _after_update)]
-    return [*after, (at.load_post, _subscribe)]
+HANDLERS = (
+    ("undo_post", _after_undo),
+    ("redo_post", _after_undo),
+    ("depsgraph_update_post", _after_update),
+    ("load_post", _subscribe),
+)
 
 
 def register() -> None:
-    for handlers, each in _handlers():
-        handlers.append(each)
     _subscribe()
 
 
 def unregister() -> None:
     bpy.msgbus.clear_by_owner(_MSGBUS_OWNER)
-    for handlers, each in _handlers():
-        if each in handlers:
-            handlers.remove(each)

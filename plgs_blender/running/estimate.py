@@ -6,7 +6,7 @@ from collections.abc import Collection
 from dataclasses import dataclass
 
 import bpy
-from bpy.props import IntProperty, PointerProperty
+from bpy.props import IntProperty
 
 from ...engine.errors import PlgsError
 from ...engine.job.prediction import USUAL_CLASSES, BakeCost, Prediction, machine_slowness, predict, predict_bake
@@ -104,11 +104,4 @@ class PLGS_PG_used_options(bpy.types.PropertyGroup):
 
 
 CLASSES = (PLGS_PG_used_options,)
-
-
-def register() -> None:
-    bpy.types.Scene.plgs_used = PointerProperty(type=PLGS_PG_used_options)
-
-
-def unregister() -> None:
-    del bpy.types.Scene.plgs_used
+PROPERTIES = ((bpy.types.Scene, "plgs_used", PLGS_PG_used_options),)

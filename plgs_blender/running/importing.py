@@ -276,16 +276,10 @@ def _is_moving() -> bool:
     return bpy.app.is_job_running("RENDER") or any(window.screen.is_animation_playing for window in windows)
 
 
-def register() -> None:
-    if not bpy.app.background:
-        bpy.app.handlers.depsgraph_update_post.append(_on_change)
-        bpy.app.handlers.frame_change_post.append(_on_change)
+HANDLERS = () if bpy.app.background else (("depsgraph_update_post", _on_change), ("frame_change_post", _on_change))
 
 
 def unregister() -> None:
-    for handlers in (bpy.app.handlers.depsgraph_update_post, bpy.app.handlers.frame_change_post):
-        if _on_change in handlers:
-            handlers.remove(_on_change)
     if bpy.app.timers.is_registered(catch_up):
         bpy.app.timers.unregister(catch_up)
     _tried.clear()

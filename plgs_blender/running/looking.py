@@ -95,10 +95,12 @@ def _on_load(*_: object) -> None:
         bpy.app.timers.register(_read_objects, first_interval=_PARTS_S)
 
 
+HANDLERS = (("load_post", _on_load),)
+
+
 def register() -> None:
     panel.on_scene_chosen.append(_on_scene_chosen)
     panel.on_lift_chosen.append(_on_lift_chosen)
-    bpy.app.handlers.load_post.append(_on_load)
     # A moment later: while extensions are switched on there is no file to look at.
     if not bpy.app.background:
         bpy.app.timers.register(_at_start, first_interval=0.0)
@@ -107,7 +109,6 @@ def register() -> None:
 def unregister() -> None:
     panel.on_scene_chosen.remove(_on_scene_chosen)
     panel.on_lift_chosen.remove(_on_lift_chosen)
-    bpy.app.handlers.load_post.remove(_on_load)
     for each in (_at_start, _read_objects):
         if bpy.app.timers.is_registered(each):
             bpy.app.timers.unregister(each)

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import bpy
-from bpy.props import BoolProperty, CollectionProperty, IntProperty, PointerProperty, StringProperty
+from bpy.props import BoolProperty, CollectionProperty, IntProperty, StringProperty
 
 from ...engine.errors import PlgsError
 from ...engine.job.follower import TaskFollower
@@ -78,14 +78,7 @@ def edited_classes(masks: PLGS_PG_masks) -> dict[str, Any]:
 
 
 CLASSES = (PLGS_PG_mask_class, PLGS_PG_masks)
-
-
-def register() -> None:
-    bpy.types.Scene.plgs_masks = PointerProperty(type=PLGS_PG_masks)
-
-
-def unregister() -> None:
-    del bpy.types.Scene.plgs_masks
+PROPERTIES = ((bpy.types.Scene, "plgs_masks", PLGS_PG_masks),)
 
 
 class ClassListing(Task):
