@@ -113,7 +113,7 @@ def make_frames(
     cloud = None if made is None or len(same) < len(stored.frames) else made.cloud
     made = MadeFrames(folder, source, stored, done, cloud, _points(scene, folder))
     made.write()
-    in_cloud = _cloud_frames(scene.frames) if "cloud" in kinds else {}
+    in_cloud = cloud_strides(scene.frames) if "cloud" in kinds else {}
     builder, problem = CloudBuilder(), None
     todo = [frame for frame in scene.frames if frame.name in chosen or frame.name in in_cloud]
     for position, frame in enumerate(todo):
@@ -121,7 +121,7 @@ def make_frames(
             done[frame.name] = _make(scene, frame, folder, kinds, done.get(frame.name, MadeFrame()))
         if frame.name in in_cloud and problem is None:
             try:
-                _add_to_cloud(builder, frame, in_cloud[frame.name])
+                add_to_cloud(builder, frame, in_cloud[frame.name])
             except PlgsError as error:
                 problem = error
         if progress is not None:
@@ -183,7 +183,7 @@ def _make(scene: Scene, frame: Frame, folder: Path, kinds: Collection[str], made
     return made
 
 
-def _cloud_frames(frames: Sequence[Frame]) -> dict[str, int]:
+def cloud_strides(frames: Sequence[Frame]) -> dict[str, int]:
     """The frames that the cloud is made of, evenly spread, with the stride of their pixels."""
     deep = [frame for frame in frames if frame.read_depth is not None]
     chosen = deep[:: -(-len(deep) // _CLOUD_FRAMES) or 1]
@@ -194,7 +194,8 @@ def _cloud_frames(frames: Sequence[Frame]) -> dict[str, int]:
     return strides
 
 
-def _add_to_cloud(builder: CloudBuilder, frame: Frame, stride: int) -> None:
+def add_to_cloud(builder: CloudBuilder, frame: Frame, stride: int) -> None:
+    """Add every ``stride``-th pixel, of the picture's width, of a frame with depth. Raises PlgsError, OSError."""
     depth = frame.depth(None)
     height, width = depth.shape
     # The stride is that of the picture; depth often has fewer pixels.
