@@ -113,14 +113,6 @@ def test_invalid_preview_request_is_refused(tmp_path: Path, change: dict[str, ob
         read_preview_request(path)
 
 
-@pytest.mark.parametrize("content", ["", "{", "[]", "{}", "\0\0"])
-def test_a_broken_file_is_refused(tmp_path: Path, content: str) -> None:
-    path = tmp_path / "preview.json"
-    path.write_text(content)
-    with pytest.raises(PlgsError):
-        read_preview_request(path)
-
-
 @pytest.mark.parametrize(
     ("text", "frames"),
     [

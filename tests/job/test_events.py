@@ -98,15 +98,6 @@ def test_reader_skips_unknown_events(tmp_path: Path) -> None:
     assert json.loads(path.read_text().splitlines()[-1])["seq"] == 5
 
 
-def test_reader_can_start_at_the_end(tmp_path: Path) -> None:
-    path = tmp_path / "events.jsonl"
-    writer = EventWriter(path)
-    writer.warning("old")
-    reader = EventReader(path, from_end=True)
-    writer.warning("new")
-    assert [event.data["message"] for event in reader.poll()] == ["new"]
-
-
 def test_writer_drops_events_after_done(tmp_path: Path) -> None:
     path = tmp_path / "events.jsonl"
     writer = EventWriter(path)
@@ -204,35 +195,6 @@ def test_bad_events_are_dropped(tmp_path: Path, line: str) -> None:
     EventWriter(path).warning("goes on")
 
 
-def test_a_full_disk_leaves_no_half_line_that_swallows_the_next(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    path, write = tmp_path / "events.jsonl", os.write
-    writer, room = EventWriter(path), [60]
-
-    def into_what_is_left(descriptor: int, data: bytes) -> int:
-        if not room[0]:
-            raise OSError(28, "No space left on device")
-        written = write(descriptor, data[: room[0]])
-        room[0] -= written
-        return written
-
-    monkeypatch.setattr(os, "write", into_what_is_left)
-    with pytest.raises(OSError):
-        writer.warning("x" * 200)
-    room[0] = 10_000
-    writer.error(PlgsError("made-up", "the disk is full", "there", "Make room."))
-    assert [(event.seq, event.kind) for event in last_events(path)] == [(1, "error")]
-    # the half of a line cannot be taken back: the next begins again
-    monkeypatch.setattr(os, "ftruncate", into_what_is_left)
-    room[0] = 60
-    with pytest.raises(OSError):
-        writer.warning("x" * 200)
-    room[0] = 10_000
-    writer.error(PlgsError("made-up", "the disk is full", "there", "Make room."))
-    assert [(event.seq, event.kind) for event in last_events(path)] == [(1, "error"), (2, "error")]
-
-
 def test_huge_file_without_lines_is_left_alone(tmp_path: Path) -> None:
     path = tmp_path / "events.jsonl"
     with path.open("wb") as file:
@@ -251,29 +213,6 @@ def test_texts_that_are_not_utf8_are_escaped(tmp_path: Path) -> None:
     writer = EventWriter(tmp_path / "events.jsonl")
     writer.warning("b\udce9d")
     assert [event.data["message"] for event in EventReader(tmp_path / "events.jsonl").poll()] == ["b\udce9d"]
-
-
-@posix
-def test_a_poll_is_quick_however_much_was_reported(folder: LiftFolder) -> None:
-    events = EventWriter(folder.events_path)
-    events.hello(threads=1, resumed=False)
-    events.stage("train", 1, 1, "Training")
-    events.close()
-    line = '{"seq": 3, "time": 1.5, "event": "%s", "stage": "train", "step": %d, "steps": 90000, "message": ""}\n'
-    with folder.events_path.open("a") as file:
-        file.writelines(line % ("warning" if step % 25 == 0 else "progress", step) for step in range(60000))
-    with folder.lock():
-        watcher = watch(folder)
-        while watcher.progress.step < 59999:
-            before, step = bytes_read(), watcher.progress.step
-            assert watcher.poll()
-            assert bytes_read() - before < 2 * MOST_BYTES
-            assert watcher.is_running and watcher.progress.step > step
-        before = bytes_read()
-        folder.state()
-        assert bytes_read() - before < 3 * TAIL_BYTES
-    watcher.poll()
-    assert not watcher.is_running and watcher.progress.label == "Training"
 
 
 @posix

@@ -29,12 +29,6 @@ def test_created_folder_is_opened(tmp_path: Path) -> None:
     assert [path.name for path in folder.path.iterdir()] == ["request.json"]
 
 
-def test_empty_folder_is_accepted_after_killed_create(tmp_path: Path) -> None:
-    (tmp_path / "lift").mkdir()
-    (tmp_path / "lift" / ".part-123-request.json").write_text("{")
-    assert new_lift(tmp_path).state() is LiftState.NOT_STARTED
-
-
 def test_used_folder_is_refused(tmp_path: Path) -> None:
     folder = new_lift(tmp_path)
     before = (folder.path / "request.json").read_bytes()
@@ -57,12 +51,6 @@ def test_read_only_folder_is_reported(tmp_path: Path) -> None:
     tmp_path.chmod(0o500)
     with raises_key("unwritable"):
         new_lift(tmp_path)
-
-
-def test_other_folders_are_refused(tmp_path: Path) -> None:
-    for path in (tmp_path, tmp_path / "missing"):
-        with pytest.raises(PlgsError):
-            LiftFolder.open(path)
 
 
 def test_state_follows_events_and_result(tmp_path: Path) -> None:

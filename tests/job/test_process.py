@@ -229,43 +229,31 @@ def test_what_cannot_be_read_is_reported(root: Path, tmp_path: Path) -> None:
 INFO = "MemTotal:       1000 kB\nMemFree:         100 kB\nMemAvailable:    600 kB\nHugePages_Total:   0\n"
 
 
-@pytest.fixture
-def proc(tmp_path: Path) -> Path:
-    path = tmp_path / "meminfo"
-    path.write_text(INFO)
-    return path
-
-
-def limit(folder: Path, most: str, held: int) -> Path:
-    (folder / "memory.max").write_text(most)
-    (folder / "memory.current").write_text(str(held))
-    return folder
-
-
-def test_linux_memory_is_read(proc: Path, tmp_path: Path) -> None:
-    assert main_memory(proc, tmp_path) == MainMemory(1_024_000, 614_400)
-    assert main_memory(proc, limit(tmp_path, "max\n", 5)) == MainMemory(1_024_000, 614_400)
-
-
-def test_container_limit_counts_as_memory(proc: Path, tmp_path: Path) -> None:
-    assert main_memory(proc, limit(tmp_path, "500000\n", 100_000)) == MainMemory(500_000, 400_000)
-    assert main_memory(proc, limit(tmp_path, "500000", 900_000)) == MainMemory(500_000, 0)
-    assert main_memory(proc, limit(tmp_path, "900000000", 0)) == MainMemory(1_024_000, 614_400)
-
-
-def test_memory_share_limits_memory(proc: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv(SHARE, "0.0005")
-    assert main_memory(proc, tmp_path) == MainMemory(500_000, 500_000)
-    monkeypatch.setenv(SHARE, "5")
-    assert main_memory(proc, tmp_path) == MainMemory(1_024_000, 614_400)
+@pytest.mark.parametrize(
+    ("limit", "held", "share", "memory"),
+    [
+        ("", 0, "", (1_024_000, 614_400)),
+        ("max\n", 5, "", (1_024_000, 614_400)),
+        ("500000\n", 100_000, "", (500_000, 400_000)),
+        ("500000", 900_000, "", (500_000, 0)),
+        ("900000000", 0, "", (1_024_000, 614_400)),
+        ("", 0, "0.0005", (500_000, 500_000)),
+        ("", 0, "5", (1_024_000, 614_400)),
+    ],
+)
+def test_memory_is_limited_by_container_and_share(
+    limit: str, held: int, share: str, memory: tuple[int, int], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "meminfo").write_text(INFO)
+    if limit:
+        (tmp_path / "memory.max").write_text(limit)
+        (tmp_path / "memory.current").write_text(str(held))
+    if share:
+        monkeypatch.setenv(SHARE, share)
+    assert main_memory(tmp_path / "meminfo", tmp_path) == MainMemory(*memory)
 
 
 @pytest.mark.parametrize("text", ["", "MemTotal: 5 kB", "MemTotal: x\n", "MemTotal:\nMemAvailable:\n"])
-def test_unreadable_memory_is_unknown(proc: Path, tmp_path: Path, text: str) -> None:
-    proc.write_text(text)
-    assert main_memory(proc, tmp_path) is None
-
-
-def test_memory_of_this_machine_is_known() -> None:
-    memory = main_memory()
-    assert memory is None or memory.total >= memory.free > 0
+def test_unreadable_memory_is_unknown(tmp_path: Path, text: str) -> None:
+    (tmp_path / "meminfo").write_text(text)
+    assert main_memory(tmp_path / "meminfo", tmp_path) is None

@@ -5,14 +5,13 @@ from __future__ import annotations
 import errno
 import os
 import threading
-import time
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 from engine.errors import Cancelled
-from engine.job import EventWriter, ExitCode, StopSignal, Watchdog, last_run
+from engine.job import EventWriter, ExitCode, StopSignal, Watchdog
 from tests.waiting import PATIENCE_S
 
 
@@ -34,24 +33,6 @@ def events(tmp_path: Path) -> Iterator[EventWriter]:
     writer.hello(threads=1, resumed=False)
     yield writer
     writer.close()
-
-
-def test_a_check_raises_once_the_file_exists(tmp_path: Path) -> None:
-    stop = StopSignal(tmp_path / "cancel")
-    stop.check()
-    (tmp_path / "cancel").touch()
-    with pytest.raises(Cancelled, match="cancel"):
-        stop.check()
-
-
-def test_watchdog_ends_hanging_engine(tmp_path: Path, events: EventWriter) -> None:
-    ended, stop = Ended(), StopSignal(tmp_path / "cancel")
-    with Watchdog(stop, events, end_process=ended):
-        time.sleep(0.15)
-        (tmp_path / "cancel").touch()
-        assert ended.when.wait(PATIENCE_S)
-    assert ended.code == ExitCode.CANCELLED
-    assert last_run(tmp_path / "events.jsonl")[-1].data["state"] == "cancelled"
 
 
 def test_a_full_disk_does_not_keep_a_hanging_engine_alive(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -79,22 +60,6 @@ def test_watchdog_spares_engine_that_stops_itself(tmp_path: Path, events: EventW
             thread.join(PATIENCE_S)
             assert not thread.is_alive()
     assert not ended.when.is_set()
-
-
-def test_watchdog_notices_end_of_parent(tmp_path: Path, events: EventWriter) -> None:
-    ended, stop = Ended(), StopSignal(tmp_path / "cancel")
-    ours, parents = os.pipe()
-    try:
-        with Watchdog(stop, events, parent_pipe=ours, end_process=ended, grace_s=0.2):
-            os.write(parents, b"anything")
-            time.sleep(0.1)
-            stop.check()
-            os.close(parents)
-            assert ended.when.wait(PATIENCE_S)
-        with pytest.raises(Cancelled, match="gone"):
-            stop.check()
-    finally:
-        os.close(ours)
 
 
 def test_watchdog_keeps_exit_code_of_signal(tmp_path: Path, events: EventWriter) -> None:

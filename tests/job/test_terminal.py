@@ -5,7 +5,10 @@ from __future__ import annotations
 import io
 import os
 import signal
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
+from typing import Any
 
 import pytest
 
@@ -72,32 +75,34 @@ def test_a_file_gets_few_and_whole_lines() -> None:
     ]
 
 
-def test_signals_interrupt_and_are_given_back() -> None:
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+@contextmanager
+def handled(number: signal.Signals, handler: Any) -> Iterator[None]:
+    before = signal.signal(number, handler)
     try:
+        yield
+    finally:
+        signal.signal(number, before)
+
+
+def test_signals_interrupt_and_are_given_back() -> None:
+    with handled(signal.SIGINT, signal.default_int_handler):
         with pytest.raises(Interrupted) as caught, Interrupts():
             os.kill(os.getpid(), signal.SIGINT)
         assert caught.value.exit_code == 130
         assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
-    finally:
-        signal.signal(signal.SIGINT, before)
 
 
 def test_deferred_code_is_not_interrupted() -> None:
-    before = signal.signal(signal.SIGTERM, signal.SIG_DFL)
     steps = []
-    try:
+    with handled(signal.SIGTERM, signal.SIG_DFL):
         with pytest.raises(Interrupted) as caught, Interrupts() as interrupts, interrupts.deferred():
             os.kill(os.getpid(), signal.SIGTERM)
             steps.append(interrupts.pending)
-        assert steps == [signal.SIGTERM] and caught.value.exit_code == 143
-    finally:
-        signal.signal(signal.SIGTERM, before)
+    assert steps == [signal.SIGTERM] and caught.value.exit_code == 143
 
 
 def test_an_import_that_a_signal_cut_off_is_an_interruption() -> None:
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)
-    try:
+    with handled(signal.SIGINT, signal.default_int_handler):
         with pytest.raises(Interrupted) as caught, Interrupts():
             try:
                 os.kill(os.getpid(), signal.SIGINT)
@@ -106,17 +111,11 @@ def test_an_import_that_a_signal_cut_off_is_an_interruption() -> None:
         assert caught.value.exit_code == 130
         with pytest.raises(ImportError), Interrupts():
             raise ImportError
-    finally:
-        signal.signal(signal.SIGINT, before)
 
 
 def test_ignored_signal_stays_ignored() -> None:
-    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
-    try:
-        with Interrupts():
-            os.kill(os.getpid(), signal.SIGHUP)
-    finally:
-        signal.signal(signal.SIGHUP, before)
+    with handled(signal.SIGHUP, signal.SIG_IGN), Interrupts():
+        os.kill(os.getpid(), signal.SIGHUP)
 
 
 def test_missing_numbers_become_a_dash() -> None:
