@@ -164,7 +164,7 @@ class PLGS_OT_show_preferences(Explained, bpy.types.Operator):
     @classmethod
     def why_not(cls, context: bpy.types.Context) -> str | None:
         missing = "PLGS is running without being installed as an extension, so it has no preferences"
-        return None if choices.are_in_preferences() else missing
+        return missing if choices.preferences() is None else None
 
     @reporting
     def execute(self, context: bpy.types.Context) -> set[str]:

@@ -12,28 +12,15 @@ from ..plgs_blender.running.estimate import NAMES, estimate_of
 from ..plgs_blender.running.lifting import followed_lift, why_no_device
 from ..plgs_blender.running.lifts import Lift, LiftState
 from ..plgs_blender.settings import chosen_lift, shown_preset, why_no_options
-from .sidebar import (
-    Sidebar,
-    StepBefore,
-    draw_cancel,
-    draw_error,
-    draw_log,
-    draw_progress,
-    draw_text,
-    draw_warnings,
-    duration,
-    fitted,
-    from_panel,
-    work_of,
-)
+from . import sidebar
 
 _LOG_LINES = 8
 _LABEL = 0.58
-"""Fraction of the row below *Start* that says how a lift ended; while one runs, *Cancel* is there."""
+"""Fraction of the row below *Start* for how the last lift ended; while one runs, for *Cancel*."""
 _ICONS = {LiftState.RUNNING: "RENDER_ANIMATION", LiftState.FINISHED: "CHECKMARK", LiftState.FAILED: "ERROR"}
 
 
-class PLGS_PT_lift(StepBefore, bpy.types.Panel):
+class PLGS_PT_lift(sidebar.StepBefore, bpy.types.Panel):
     bl_idname, bl_label, bl_order = "PLGS_PT_lift", "2  Lift", 20
 
     def draw(self, context: bpy.types.Context) -> None:
@@ -44,13 +31,13 @@ class PLGS_PT_lift(StepBefore, bpy.types.Panel):
         else:
             _draw_start(layout, context, followed)
         for other in lifts.running():
-            if other is not followed:
-                # It continues while the panel is set to another, or to none after an undo.
-                draw_text(layout, context, f"{other.folder.path.name}: {other.progress.label}", "RENDER_ANIMATION")
+            if other is not followed:  # the user chose another lift, or undid the choice of this one
+                text = f"{other.folder.path.name}: {other.progress.label}"
+                sidebar.draw_text(layout, context, text, "RENDER_ANIMATION")
                 layout.operator("plgs.watch_lift", text="Watch").lift_folder = str(other.folder.path)
 
 
-class PLGS_PT_lift_options(Sidebar, bpy.types.Panel):
+class PLGS_PT_lift_options(sidebar.Sidebar, bpy.types.Panel):
     bl_idname, bl_label = "PLGS_PT_lift_options", "Options"
     bl_parent_id, bl_options = "PLGS_PT_lift", {"DEFAULT_CLOSED"}
 
@@ -76,7 +63,7 @@ class PLGS_PT_lift_options(Sidebar, bpy.types.Panel):
         row.prop(settings, "keep_running")
 
 
-class PLGS_PT_all_options(Sidebar, bpy.types.Panel):
+class PLGS_PT_all_options(sidebar.Sidebar, bpy.types.Panel):
     bl_idname, bl_label = "PLGS_PT_all_options", "All Options"
     bl_parent_id, bl_options = "PLGS_PT_lift_options", {"DEFAULT_CLOSED"}
 
@@ -88,21 +75,20 @@ class PLGS_PT_all_options(Sidebar, bpy.types.Panel):
         layout.prop(settings, "preset_options")
         refusal = why_no_options(settings)
         if refusal is not None:
-            draw_text(layout, context, refusal, "ERROR")
+            sidebar.draw_text(layout, context, refusal, "ERROR")
         column = layout.column(align=True)
         column.scale_y = 0.7
         for name, value, is_changed in shown_preset(settings):
             column.label(text=one_line(f"{name}={value}"), icon="CHECKMARK" if is_changed else "BLANK1")
 
 
-class PLGS_PT_recent_lifts(Sidebar, bpy.types.Panel):
+class PLGS_PT_recent_lifts(sidebar.Sidebar, bpy.types.Panel):
     bl_idname, bl_label = "PLGS_PT_recent_lifts", "Recent Lifts"
     bl_parent_id, bl_options = "PLGS_PT_lift", {"DEFAULT_CLOSED"}
 
     def draw(self, context: bpy.types.Context) -> None:
-        layout = self.layout
-        _draw_recent(layout)
-        row = layout.row(align=True)
+        _draw_recent(self.layout)
+        row = self.layout.row(align=True)
         row.operator("plgs.open_lift", text="Open Lift…", icon="FILE_FOLDER")
         row.operator("plgs.refresh_lifts", text="", icon="FILE_REFRESH")
 
@@ -119,25 +105,25 @@ def _draw_running(layout: bpy.types.UILayout, context: bpy.types.Context, follow
     folder, progress = followed.folder, followed.progress
     stage = f"Stage {progress.stage_index} of {progress.stage_count}: " if progress.stage_count > 1 else ""
     name = one_line(f"{stage}{folder.path.name}, {folder.request.preset}")
-    layout.label(text=fitted(context, name), icon="RENDER_ANIMATION")
-    layout.label(text=fitted(context, one_line(work_of(followed))), icon="SORTTIME")
-    draw_progress(layout, followed)
+    layout.label(text=sidebar.fitted(context, name), icon="RENDER_ANIMATION")
+    layout.label(text=sidebar.fitted(context, one_line(sidebar.work_of(followed))), icon="SORTTIME")
+    sidebar.draw_progress(layout, followed)
     row = layout.split(factor=_LABEL, align=True)
-    draw_cancel(row, followed)
+    sidebar.draw_cancel(row, followed)
     _draw_preview(row.row(align=True), context)
-    draw_warnings(layout, context, followed)
+    sidebar.draw_warnings(layout, context, followed)
 
 
 def _draw_start(layout: bpy.types.UILayout, context: bpy.types.Context, followed: Lift | None) -> None:
-    """Draw Start, below it how the last lift ended, and temporary lines last, so that the button never moves."""
+    """Draw Start and how the last lift ended. What comes and goes is below, so that the button never moves."""
     settings = context.scene.plgs
     folder, estimate = chosen_lift(settings), estimate_of(settings)
     layout.prop(settings, "preset", expand=True)
     cost = "Time and memory are not known yet"
     if estimate is not None:
-        cost = f"About {duration(estimate.seconds)}, {estimate.peak_bytes / 1e9:.1f} GB memory"
-    layout.label(text=fitted(context, cost), icon="TIME")
-    row = from_panel(layout.row(), context)
+        cost = f"About {sidebar.duration(estimate.seconds)}, {estimate.peak_bytes / 1e9:.1f} GB memory"
+    layout.label(text=sidebar.fitted(context, cost), icon="TIME")
+    row = sidebar.from_panel(layout.row(), context)
     row.scale_y = 1.4
     if followed is not None and followed.can_be_resumed:
         row.operator("plgs.resume_lift", icon="FILE_REFRESH").lift_folder = str(followed.folder.path)
@@ -146,10 +132,10 @@ def _draw_start(layout: bpy.types.UILayout, context: bpy.types.Context, followed
     if followed is not None:
         _draw_ending(layout, context, followed)
     elif folder is not None and (refusal := lifts.refusal_of(folder)) is not None:
-        draw_text(layout, context, refusal if isinstance(refusal, PlgsError) else str(refusal), "ERROR")
+        sidebar.draw_text(layout, context, refusal if isinstance(refusal, PlgsError) else str(refusal), "ERROR")
     elif folder is not None and not lifts.is_nothing_there(folder):
-        # The opened file names it: nothing there is read unless the user asks.
-        from_panel(layout.row(), context).operator("plgs.watch_lift", text="Look at the Lift", icon="VIEWZOOM")
+        # The opened file names this folder. It may be somebody else's, so it is read only if the user asks.
+        sidebar.from_panel(layout.row(), context).operator("plgs.watch_lift", text="Look at the Lift", icon="VIEWZOOM")
     else:
         layout.label(text="Not lifted yet")
     _draw_engine(layout, context)
@@ -172,7 +158,7 @@ def _in_import_menu(menu: bpy.types.Menu, context: bpy.types.Context) -> None:
 
 def _beside_quit(menu: bpy.types.Menu, context: bpy.types.Context) -> None:
     if lifts.stops_with_blender(context.scene):
-        menu.layout.label(text="Quit stops the lift; it can be resumed", icon="INFO")
+        menu.layout.label(text="Quitting stops the lift; you can resume it", icon="INFO")
 
 
 def _draw_used(column: bpy.types.UILayout, context: bpy.types.Context, name: str) -> None:
@@ -190,14 +176,14 @@ def _draw_engine(layout: bpy.types.UILayout, context: bpy.types.Context) -> None
     if reason is None:
         return
     box = layout.box()
-    draw_text(box, context, reason, "INFO")
+    sidebar.draw_text(box, context, reason, "INFO")
     row = box.row(align=True)
     row.operator("plgs.show_preferences", icon="PREFERENCES")
     row.operator("plgs.check_engine", text="Check Again", icon="FILE_REFRESH")
 
 
 def _draw_preview(row: bpy.types.UILayout, context: bpy.types.Context) -> None:
-    """Draw the switch of the live preview, and a button that looks through the camera, the only view that shows it."""
+    """Draw the switch of the live preview, and a button that looks through the camera, where it appears."""
     settings, view = context.scene.plgs, getattr(context.space_data, "region_3d", None)
     row.prop(settings, "live_preview", text="Preview", toggle=True, icon="HIDE_OFF")
     see = row.row(align=True)
@@ -216,17 +202,17 @@ def _draw_ending(layout: bpy.types.UILayout, context: bpy.types.Context, followe
         split.label(text="Passes are being baked" if is_baking else followed.message)
         row = split.row(align=True)
     else:
-        box = draw_error(layout, context, error)
+        box = sidebar.draw_error(layout, context, error)
         row = box.row(align=True)
     if followed.is_finished:
         row.operator("plgs.place_lift", icon="IMPORT").lift_folder = path
     if followed.can_be_resumed:
-        from_panel(row, context).operator("plgs.lift_scene", text="Start Anew", icon="PLAY")
+        sidebar.from_panel(row, context).operator("plgs.lift_scene", text="Start Anew", icon="PLAY")
     if not followed.scene_is_there:
         layout.operator("plgs.find_scene", icon="VIEWZOOM").lift_folder = path
     if error is not None:
         row.operator("plgs.open_log", icon="TEXT").lift_folder = path
-        draw_log(box, followed.follower.log_lines[-_LOG_LINES:])
+        sidebar.draw_log(box, followed.follower.log_lines[-_LOG_LINES:])
 
 
 CLASSES = (PLGS_PT_lift, PLGS_PT_lift_options, PLGS_PT_all_options, PLGS_PT_recent_lifts, PLGS_MT_recent_lifts)

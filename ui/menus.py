@@ -1,4 +1,4 @@
-"""A lift's menus: in the Object menu, where F3 finds every operator, and in the context menus of objects and rows."""
+"""A lift's menus: in the Object menu, where F3 finds them, and in the context menus of objects and rows."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _OBJECT: Entries = (
     ("plgs.isolate_instance", {}, ""),
     ("plgs.toggle_instance_visibility", {}, ""),
     ("plgs.go_to_best_view", {}, ""),
-    ("plgs.matte_instance", {}, "Matte of the Object"),
+    ("plgs.matte_instance", {}, "Use Object as Matte"),
     ("plgs.rename_instance", {}, ""),
     ("plgs.reclass_instances", {}, ""),
     ("plgs.merge_instances", {}, ""),
@@ -53,7 +53,7 @@ _WORK: Entries = (
     ("plgs.read_classes", {}, ""),
     ("plgs.write_classes", {}, ""),
     ("plgs.diagnose", {}, ""),
-    ("plgs.fix_scene", {}, "Fix What Was Diagnosed"),
+    ("plgs.fix_scene", {}, "Fix Diagnosed Problems"),
     ("plgs.lift_scene", {}, "Start the Lift"),
     ("plgs.resume_lift", {}, "Resume the Lift"),
     ("plgs.cancel_lift", {}, "Cancel the Lift"),
@@ -119,13 +119,14 @@ def _in_object_menu(menu: bpy.types.Menu, _context: bpy.types.Context) -> None:
 
 
 def _at_object(menu: bpy.types.Menu, context: bpy.types.Context) -> None:
-    """Draw our entries before Blender's own, for the active object of a lift."""
+    """Draw the active object's menu before Blender's own entries."""
     if instance_of(context.active_object):
         _draw_named(menu, context)
         menu.layout.separator()
 
 
 def _at_row(menu: bpy.types.Menu, context: bpy.types.Context) -> None:
+    """Draw the row's menu in the list of instances."""
     rows = getattr(context, "ui_list", None)
     if rows is not None and rows.bl_idname == "PLGS_UL_instances":
         menu.layout.separator()

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import bpy
 
 from ..plgs_blender import registry
@@ -14,22 +12,10 @@ from ..plgs_blender.pass_nodes import COLOURS, CONTROLS
 from ..plgs_blender.running.estimate import bake_estimate
 from ..plgs_blender.running.exports import FORMS, Export
 from ..plgs_blender.running.lifting import followed_lift
-from .sidebar import (
-    Sidebar,
-    Step,
-    amount,
-    draw_bar,
-    draw_news,
-    draw_task,
-    draw_text,
-    duration,
-    from_panel,
-    has_result,
-    how_far,
-)
+from . import sidebar
 
 
-class PLGS_PT_passes(Step, bpy.types.Panel):
+class PLGS_PT_passes(sidebar.Step, bpy.types.Panel):
     bl_idname, bl_label, bl_order = "PLGS_PT_passes", "4  Passes", 40
 
     def draw(self, context: bpy.types.Context) -> None:
@@ -38,29 +24,25 @@ class PLGS_PT_passes(Step, bpy.types.Panel):
         row = self.layout.row(align=True)
         row.label(text="Also")
         row.prop(context.scene.plgs, "layers")
-        column = from_panel(self.layout.column(align=True), context)
-        for frames, label in (
-            ("all", "Bake All Frames"),
-            ("test", "Bake Test Frames"),
-            ("active", "Bake the Active Camera's Frame"),
-        ):
-            column.operator("plgs.bake_passes", text=label, icon="RENDERLAYERS").frames = frames
+        column = sidebar.from_panel(self.layout.column(align=True), context)
+        for frames, label in (("all", "All Frames"), ("test", "Test Frames"), ("active", "the Active Camera's Frame")):
+            column.operator("plgs.bake_passes", text=f"Bake {label}", icon="RENDERLAYERS").frames = frames
         row = column.row(align=True)
         row.prop(context.scene.plgs, "shot")
         row.prop(context.scene.plgs, "replace_shot", toggle=True)
         bake = column.operator("plgs.bake_camera", icon="CAMERA_DATA")
         bake.shot, bake.replace = context.scene.plgs.shot, context.scene.plgs.replace_shot
         column.operator("plgs.bake_on_farm", icon="NETWORK_DRIVE")
-        if has_result(context.scene):
+        if sidebar.has_result(context.scene):
             _draw_cost(column, context.scene)
         self.layout.operator("plgs.show_passes", icon="NODE_COMPOSITING")
         if baking is not None and (baking.is_running or baking.error is not None):
-            draw_task(self.layout, context, baking)  # below the buttons, which are grey until it ends
+            sidebar.draw_task(self.layout, context, baking)  # below the buttons, so that they do not move
         elif baking is not None:
-            draw_text(self.layout, context, baking.message, "INFO")
+            sidebar.draw_text(self.layout, context, baking.message, "INFO")
 
 
-class PLGS_PT_panoptic(Sidebar, bpy.types.Panel):
+class PLGS_PT_panoptic(sidebar.Sidebar, bpy.types.Panel):
     bl_idname, bl_label = "PLGS_PT_panoptic", "Matte in the Compositor"
     bl_parent_id, bl_options = "PLGS_PT_passes", {"DEFAULT_CLOSED"}
 
@@ -68,7 +50,9 @@ class PLGS_PT_panoptic(Sidebar, bpy.types.Panel):
         layout = self.layout
         node = panoptic_of(context.scene)
         if node is None:
-            draw_text(layout, context, "Bake passes first; a result's Matte button then chooses the matte", "INFO")
+            sidebar.draw_text(
+                layout, context, "Bake passes first, then choose a matte with a button Matte of the result", "INFO"
+            )
             return
         layout.use_property_split, layout.use_property_decorate = True, False
         for name in (*(control.name for control in CONTROLS), *COLOURS):
@@ -76,17 +60,17 @@ class PLGS_PT_panoptic(Sidebar, bpy.types.Panel):
 
 
 def _draw_cost(layout: bpy.types.UILayout, scene: bpy.types.Scene) -> None:
-    """Draw which camera would be baked, over which frames, at which size, and the upper limit of the cost."""
+    """Draw which camera would be baked, over which frames, at which size, and at most at what cost."""
     render, camera = scene.render, scene.camera
     width, height = (side * render.resolution_percentage // 100 for side in (render.resolution_x, render.resolution_y))
     frames = len(range(scene.frame_start, scene.frame_end + 1, scene.frame_step))
     cost = bake_estimate(frames, (width, height), scene.plgs.layers)
     layout.label(text=f"{'No camera' if camera is None else one_line(camera.name)}: {width} x {height}", icon="BLANK1")
-    layout.label(text=f"Frames {scene.frame_start} to {scene.frame_end}, {amount(cost.bytes)}", icon="BLANK1")
-    layout.label(text=f"About {duration(cost.seconds)}", icon="BLANK1")
+    layout.label(text=f"Frames {scene.frame_start} to {scene.frame_end}, {sidebar.amount(cost.bytes)}", icon="BLANK1")
+    layout.label(text=f"About {sidebar.duration(cost.seconds)}", icon="BLANK1")
 
 
-class PLGS_PT_export(Step, bpy.types.Panel):
+class PLGS_PT_export(sidebar.Step, bpy.types.Panel):
     bl_idname, bl_label, bl_order, bl_options = "PLGS_PT_export", "5  Export", 50, {"DEFAULT_CLOSED"}
 
     def draw(self, context: bpy.types.Context) -> None:
@@ -96,7 +80,7 @@ class PLGS_PT_export(Step, bpy.types.Panel):
         scene = running.form if running is not None and running.is_for_scene else ""
         row = layout.row(align=True)
         if running is not None and scene == SURFACE:
-            draw_bar(row, running, "Meshes")
+            sidebar.draw_bar(row, running, "Meshes")
         else:
             row.operator("plgs.make_meshes", icon="MESH_DATA")
         row = layout.row(align=True)
@@ -106,16 +90,16 @@ class PLGS_PT_export(Step, bpy.types.Panel):
         row.operator("plgs.key_visibility", icon="KEY_HLT")
         cell = row.row(align=True)
         if running is not None and scene == "clouds":
-            draw_bar(cell, running, "Cloud")
+            sidebar.draw_bar(cell, running, "Cloud")
         else:
             cell.operator("plgs.make_depth_cloud", icon="OUTLINER_DATA_POINTCLOUD")
         _draw_forms(layout.column(align=True), None if scene else running)
         if running is not None:
-            draw_text(layout, context, how_far(running)[1], "TIME")
+            sidebar.draw_text(layout, context, sidebar.how_far(running)[1], "TIME")
         if export is not None:
-            draw_news(layout, context, export)
+            sidebar.draw_news(layout, context, export)
             if not export.is_running and export.error is None:
-                draw_text(layout, context, export.message, "INFO")
+                sidebar.draw_text(layout, context, export.message, "INFO")
 
 
 class PLGS_MT_export(bpy.types.Menu):
@@ -130,12 +114,12 @@ def _draw_forms(layout: bpy.types.UILayout, running: Export | None = None) -> No
     for form, (label, _) in FORMS.items():
         cell = layout.row(align=True)
         if running is not None and running.form == form:
-            draw_bar(cell, running, label)
+            sidebar.draw_bar(cell, running, label)
         else:
             cell.operator("plgs.export_lift", text=f"{label}…").form = form
 
 
-def _in_file_menu(menu: Any, context: bpy.types.Context) -> None:
+def _in_file_menu(menu: bpy.types.Menu, context: bpy.types.Context) -> None:
     menu.layout.menu(PLGS_MT_export.bl_idname)
 
 

@@ -21,10 +21,6 @@ _ICONS = {
 }
 
 
-def _ask_again(preferences: bpy.types.AddonPreferences, context: bpy.types.Context) -> None:
-    tasks.ask_chosen()
-
-
 class PLGS_AP_preferences(bpy.types.AddonPreferences):
     """Stored by Blender with its own preferences."""
 
@@ -33,20 +29,20 @@ class PLGS_AP_preferences(bpy.types.AddonPreferences):
     engine_python: StringProperty(  # type: ignore[valid-type]
         name="Use This Python",
         subtype="FILE_PATH",
-        update=_ask_again,
+        update=lambda _preferences, _context: tasks.ask_chosen(),
         description="The Python that runs the engine. Empty: the one that 'Set Up Engine' made",
     )
     base_python: StringProperty(  # type: ignore[valid-type]
         name="Base Python",
         subtype="FILE_PATH",
-        description="The Python to make the engine's environment from. Empty: Blender's own, else the first that fits",
+        description="The Python that the engine's environment is made from. Empty: Blender's own, else another one",
     )
     torch_build: EnumProperty(  # type: ignore[valid-type]
         name="Torch", items=TORCH_BUILDS, default="cpu", description="The build of torch to download"
     )
     index_url: StringProperty(  # type: ignore[valid-type]
         name="Package Index",
-        description="URL of the package index to download from. Empty: where uv or pip is configured to look, "
+        description="URL of the package index to download from. Empty: the one that uv or pip is configured for, "
         "and PyTorch's public index for its CPU build",
     )
 

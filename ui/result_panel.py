@@ -18,9 +18,9 @@ from ..plgs_blender.running.exports import Export, making_meshes
 from .sidebar import Sidebar, Step, draw_bar, draw_task, draw_text, fitted, from_panel
 
 _SORTS = [
-    ("NAME", "Name", "In alphabetical order"),
-    ("COUNT", "Points", "Those with the most points first"),
-    ("SCORE", "Sureness", "The surest first: 1 is certain"),
+    ("NAME", "Name", "Alphabetical"),
+    ("COUNT", "Points", "Most points first"),
+    ("SCORE", "Confidence", "Most certain first; 1 is certain"),
 ]
 
 
@@ -49,18 +49,13 @@ def shown_rows(names: list[str], search: str, flag: int) -> list[int]:
 
 
 def places_of(rows: Any, order: str) -> list[int]:
-    """Each row's position in the order NAME, COUNT or SCORE. Numbers in names sort as numbers: 2 before 10. "Other"
-    classes come last."""
+    """Each row's position in the order NAME (2 before 10), COUNT or SCORE. "Other" classes come last."""
     keys = {"NAME": _by_name, "COUNT": lambda row: -row.points, "SCORE": lambda row: -row.score}
     places = [0] * len(rows)
-    in_order = sorted(range(len(rows)), key=lambda index: (_is_rest(rows[index]), keys[order](rows[index])))
-    for place, index in enumerate(in_order):
+    ranks = [(is_rest(getattr(row, "class_name", row.name)), keys[order](row)) for row in rows]
+    for place, index in enumerate(sorted(range(len(rows)), key=ranks.__getitem__)):
         places[index] = place
     return places
-
-
-def _is_rest(row: Any) -> bool:
-    return is_rest(getattr(row, "class_name", row.name))
 
 
 def _by_name(row: Any) -> tuple[str, int]:
@@ -93,6 +88,10 @@ def _swatch_name_numbers(layout: Any, row: Any, coloured: Any, *, can_be_renamed
     return line
 
 
+def _draw_eye(line: Any, row: Any) -> None:
+    line.prop(row, "visible", text="", icon="HIDE_OFF" if row.visible else "HIDE_ON", emboss=False)
+
+
 def swatch_of(lists: Any, row: Any) -> Any:
     """The row whose colour an instance has in the view: its class's if colours are by class, else its own."""
     if lists.look != BY_CLASS:
@@ -109,7 +108,7 @@ class PLGS_UL_instances(Searchable, bpy.types.UIList):
         line = _swatch_name_numbers(layout, row, swatch_of(lists, row), can_be_renamed=True)
         select = line.operator("plgs.select_instance", text="", icon="RESTRICT_SELECT_OFF", emboss=False)
         select.instance = row.instance_id
-        line.prop(row, "visible", text="", icon="HIDE_OFF" if row.visible else "HIDE_ON", emboss=False)
+        _draw_eye(line, row)
 
 
 class PLGS_UL_classes(Searchable, bpy.types.UIList):
@@ -126,7 +125,7 @@ class PLGS_UL_classes(Searchable, bpy.types.UIList):
             select.class_id = row.class_id
         else:  # stuff has no boxes
             line.label(text="", icon="BLANK1")
-        line.prop(row, "visible", text="", icon="HIDE_OFF" if row.visible else "HIDE_ON", emboss=False)
+        _draw_eye(line, row)
 
 
 class PLGS_UL_masks(bpy.types.UIList):
@@ -159,10 +158,10 @@ class PLGS_UL_masks(bpy.types.UIList):
 
 
 _SURFACE_FROM = 0.55
-"""Where the surface's button begins in its row, leaving room for its progress and a button at its end."""
+"""Where the surface's button begins in its row; there must be room for its progress and a button at its end."""
 
 
-def _lift(context: bpy.types.Context) -> bpy.types.Collection | None:
+def _lift(context: bpy.types.Context) -> Any:
     """The lift shown in the panels, or None before the first lift."""
     root = active_lift(context.scene, context.active_object)
     return root if root is not None and len(root.plgs.classes) else None
@@ -185,13 +184,13 @@ class PLGS_PT_result(Step, bpy.types.Panel):
         lists, row = root.plgs, _chosen(context)
         title = layout.row()
         title.label(text=one_line(root.name), icon="OUTLINER_COLLECTION")
-        if context.space_data is not None:  # all that is drawn over the view; its key is Shift Alt Z
+        if context.space_data is not None:  # hides all that is drawn over the view; its key is Shift Alt Z
             title.prop(context.space_data.overlay, "show_overlays", text="", icon="OVERLAY")
             if viewport.draws_in_software():
                 layout.label(text=fitted(context, "No GPU: Solid shading is fastest"), icon="INFO")
         _draw_look(from_panel(layout.column(align=True), context), context, root)
         layout.prop(lists, "instances_search", text="", icon="VIEWZOOM")
-        _draw_heads(layout, "Name", "Points, sureness")
+        _draw_heads(layout, "Name", "Points, confidence")
         layout.template_list("PLGS_UL_instances", "", lists, "instances", lists, "instance_index", rows=6)
         if not len(lists.instances):
             layout.label(text="No instances were found", icon="INFO")
@@ -275,15 +274,14 @@ class PLGS_PT_masks(OfResult, bpy.types.Panel):
             draw_text(layout, context, "Click an object in the view, or a row of the list", "INFO")
             return
         if not len(row.masks):
-            draw_text(layout, context, "This lift did not record its masks: lift again to see them", "INFO")
+            draw_text(layout, context, "This lift did not record its masks. Lift again to see them", "INFO")
             return
         draw_text(layout, context, f"{row.name}: {plural(len(row.masks), 'mask')} in {plural(row.views, 'frame')}")
-        _draw_heads(layout, "Frame, class", "Sureness, match")
+        _draw_heads(layout, "Frame, class", "Confidence, match")
         layout.template_list("PLGS_UL_masks", "", row, "masks", row, "mask_index", rows=5, maxrows=12)
         if row.best_mask < 0:
-            draw_text(layout, context, "Lift again to see where they lie and how sure the match was", "INFO")
-            return
-        if 0 <= row.mask_index < len(row.masks):
+            draw_text(layout, context, "Lift again to see where the masks are and why they were matched", "INFO")
+        elif 0 <= row.mask_index < len(row.masks):
             mask = row.masks[row.mask_index]
             share = f"{100.0 * mask.share:.1f} % of the picture"
             draw_text(layout, context, f"Segment {mask.segment}, {plural(mask.pixels, 'pixel')}, {share}")
@@ -293,19 +291,17 @@ class PLGS_PT_classes(OfResult, bpy.types.Panel):
     bl_idname, bl_label = "PLGS_PT_classes", "Classes"
 
     def draw(self, context: bpy.types.Context) -> None:
-        root = _lift(context)
-        if root is not None:
-            lists = root.plgs
-            self.layout.prop(lists, "classes_search", text="", icon="VIEWZOOM")
-            _draw_heads(self.layout, "Name", "Points, sureness")
-            self.layout.template_list("PLGS_UL_classes", "", lists, "classes", lists, "class_index", rows=6)
-            if 0 <= lists.class_index < len(lists.classes):
-                matte = self.layout.operator("plgs.matte_class", icon="IMAGE_ALPHA")
-                matte.class_id = lists.classes[lists.class_index].class_id
+        lists = _lift(context).plgs
+        self.layout.prop(lists, "classes_search", text="", icon="VIEWZOOM")
+        _draw_heads(self.layout, "Name", "Points, confidence")
+        self.layout.template_list("PLGS_UL_classes", "", lists, "classes", lists, "class_index", rows=6)
+        if 0 <= lists.class_index < len(lists.classes):
+            matte = self.layout.operator("plgs.matte_class", icon="IMAGE_ALPHA")
+            matte.class_id = lists.classes[lists.class_index].class_id
 
 
 class PLGS_PT_not_shown(OfResult, bpy.types.Panel):
-    """Objects that the masks show well from close up but the lift lacks: no lift is silently worse than its masks."""
+    """Objects that the masks show well from close up but the lift lacks."""
 
     bl_idname, bl_label = "PLGS_PT_not_shown", "Not Shown"
 
@@ -315,22 +311,17 @@ class PLGS_PT_not_shown(OfResult, bpy.types.Panel):
         return root is not None and len(root.plgs.not_shown) > 0
 
     def draw(self, context: bpy.types.Context) -> None:
-        root = _lift(context)
-        for row in () if root is None else root.plgs.not_shown:
+        for row in _lift(context).plgs.not_shown:
             draw_text(self.layout, context, row.name, "HIDE_ON")
             line = from_panel(self.layout.row(), context)
-            go = line.operator("plgs.go_to_frame", text=f"Frame {one_line(row.frame)}")
-            go.frame = row.frame
+            line.operator("plgs.go_to_frame", text=f"Frame {one_line(row.frame)}").frame = row.frame
 
 
 class PLGS_PT_result_display(OfResult, bpy.types.Panel):
     bl_idname, bl_label = "PLGS_PT_result_display", "Display"
 
     def draw(self, context: bpy.types.Context) -> None:
-        root = _lift(context)
-        if root is None:
-            return
-        layout, lists = self.layout, root.plgs
+        layout, lists = self.layout, _lift(context).plgs
         layout.operator("plgs.show_colours", icon="SHADING_SOLID")
         layout.use_property_split, layout.use_property_decorate = True, False
         layout.prop(lists, "lit")

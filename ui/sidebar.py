@@ -1,4 +1,4 @@
-"""The Lift Panoptic Masks panel in the PLGS tab of the 3D view's sidebar, and what its subpanels share."""
+"""The panel Lift Panoptic Masks in the sidebar's PLGS tab, and what its subpanels share."""
 
 from __future__ import annotations
 
@@ -34,7 +34,6 @@ class PLGS_PT_lift_panoptic_masks(Sidebar, bpy.types.Panel):
     bl_idname, bl_label = "PLGS_PT_lift_panoptic_masks", "Lift Panoptic Masks"
 
     def draw(self, context: bpy.types.Context) -> None:
-        """The steps are panels of their own below. They do not apply to a passes scene."""
         self.layout.label(text="Turns a filmed room into objects")
         draw_way_back(self, context)
         if has_result(context.scene):
@@ -112,8 +111,7 @@ def draw_cancel(layout: bpy.types.UILayout, task: Task) -> None:
 
 
 def draw_bar(cell: bpy.types.UILayout, task: Task, name: str) -> None:
-    """Draw a task's progress bar in place of the button that started it, with a cross that cancels. Lines of varying
-    height are drawn by `draw_news`, below all buttons."""
+    """Draw a task's progress bar and a cross that cancels it, in place of the button that started it."""
     share, _ = how_far(task)
     cell.progress(factor=share, type="BAR", text=f"{name} {100 * share:.0f} %")
     cell.operator(task.cancel_operator, text="", icon="X")
@@ -141,7 +139,7 @@ def work_of(task: Task) -> str:
     """What a running task is doing."""
     progress = task.progress
     if progress.stage == "train" and not progress.step:
-        return "First step (may compile for 2 min)"  # which it does once per computer
+        return "First step (may compile for 2 min)"  # once per computer
     loss = "" if progress.loss is None else f", loss {progress.loss:.4f}"
     return f"{progress.label if progress.stage else task.label}{loss}"
 
@@ -162,7 +160,7 @@ def draw_error(layout: bpy.types.UILayout, context: bpy.types.Context, error: Pl
 
 
 def draw_lacking(layout: bpy.types.UILayout, context: bpy.types.Context, name: str) -> None:
-    """If the engine lacks something for a capability, draw what, and the button that adds it."""
+    """If the engine lacks packages for a capability, draw which, and the button that adds them."""
     reason = why_lacking(name)
     if reason is not None:
         draw_text(layout, context, reason, "INFO")
@@ -170,7 +168,7 @@ def draw_lacking(layout: bpy.types.UILayout, context: bpy.types.Context, name: s
 
 
 def draw_adding(layout: bpy.types.UILayout, context: bpy.types.Context, name: str) -> None:
-    """Draw the button that adds a part to the engine, or its progress, or why it failed."""
+    """Draw the button that adds packages to the engine, or its progress, or why it failed."""
     adding = registry.latest(Adding)
     if adding is not None and adding.name == name:
         draw_task(layout, context, adding)
@@ -178,13 +176,13 @@ def draw_adding(layout: bpy.types.UILayout, context: bpy.types.Context, name: st
         row = layout.row(align=True)
         button = row.operator("plgs.add_to_engine", text=f"Add to Engine ({amount(size_of(name))})", icon="IMPORT")
         button.capability = name
-        row.operator("plgs.check_engine", text="", icon="FILE_REFRESH")  # who added it by hand
+        row.operator("plgs.check_engine", text="", icon="FILE_REFRESH")  # for users who added it by hand
         if (obstacle := why_not_added()) is not None:
             draw_text(layout, context, obstacle, "INFO")
 
 
 def how_far(task: Task) -> tuple[float, str]:
-    """A task's completed fraction, of the whole if the engine foresees it, else of the stage; and its text."""
+    """A task's completed fraction, of the whole if the engine estimates it, else of the stage; and its text."""
     progress, took, left = task.progress, task.took_s, task.left_s
     if left is not None:
         share = took / max(took + left, 1e-9)

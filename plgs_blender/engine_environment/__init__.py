@@ -1,8 +1,4 @@
-"""The engine's Python: which one it is, whether an engine answers in it, and how to make one.
-
-`status` returns what is known, for panels; `usable_python` is for starting an engine; `tasks` checks a Python and sets
-the engine up.
-"""
+"""The engine's Python: panels draw `status`, engines start with `usable_python`; `tasks` checks it and sets it up."""
 
 from __future__ import annotations
 
@@ -15,8 +11,7 @@ from ...engine.errors import ErrorCode, PlgsError
 from ...engine.job.process import ROOT, choose_python
 from ...engine.job.process import engine_python as find_engine_python
 from .choices import chosen_python
-from .status import EngineState, EngineStatus
-from .tasks import status
+from .tasks import EngineState, EngineStatus, status
 
 __all__ = ["EngineState", "EngineStatus", "engine_python", "status", "usable_python", "why_no_engine"]
 
@@ -28,10 +23,8 @@ def why_no_engine() -> str | None:
 
 
 def usable_python() -> Path:
-    """The Python to run the engine with. Raises PlgsError if none has what the engine needs.
-
-    In a window this returns the engine's last answer at once; without a window it takes 0.1 s to ask.
-    """
+    """The Python to run the engine with. In a window, it is the last one that answered; else one is asked now, in
+    0.1 s. Raises PlgsError if none has what the engine needs."""
     known = status()
     if known.state is EngineState.READY and known.python is not None:
         return known.python
@@ -43,7 +36,7 @@ def usable_python() -> Path:
 
 
 def engine_python() -> Path | None:
-    """The same, or None if no engine can be used; `status` then says why."""
+    """Same as `usable_python`, but None if there is none; `status` then says why."""
     known = status()
     try:
         if known.state is EngineState.CHECKING:  # the answer comes in a moment; a caller that needs it now may try

@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from dataclasses import dataclass
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import bpy
@@ -13,41 +14,32 @@ EXTENSION = __package__.rsplit(".", 2)[0]
 """The extension's name in Blender, under which its preferences are stored."""
 
 TORCH_BUILDS = [
-    ("cpu", "CPU", "The small build, which is all that a lift on the CPU uses"),
-    ("cuda", "CUDA", "Several GB more, for lifts with the device CUDA, which need gsplat, too"),
+    ("cpu", "CPU", "The small build; enough for lifts on the CPU"),
+    ("cuda", "CUDA", "Several GB more; for lifts on an NVIDIA GPU, which also need gsplat"),
 ]
 
 
 @dataclass(frozen=True)
 class SetUpChoice:
-    """What "Set Up Engine" installs, as arguments of the engine's command."""
+    """What "Set Up Engine" installs."""
 
     base_python: Path | None = None
     torch_build: str = "cpu"
     index_url: str = ""
 
     def arguments(self) -> list[str | Path]:
-        """The command's arguments."""
+        """The arguments of the engine's command."""
         arguments: list[str | Path] = ["--torch", self.torch_build]
         return arguments if self.base_python is None else [*arguments, "--base-python", self.base_python]
 
     def variables(self) -> dict[str, str]:
-        """The command's environment variables. The index's URL may hold a password, which an argument would expose in
-        the list of processes."""
+        """The command's environment variables."""
+        # The URL may hold a password, which an argument would show in the list of processes.
         return {"PLGS_INDEX_URL": self.index_url} if self.index_url else {}
 
 
-@dataclass
-class _SessionChoices:
-    """The choices of a session without preferences."""
-
-    engine_python: str = ""
-    base_python: str = ""
-    torch_build: str = "cpu"
-    index_url: str = ""
-
-
-_session = _SessionChoices()
+_session = SimpleNamespace(engine_python="", base_python="", torch_build="cpu", index_url="")
+"""The choices of a session without preferences."""
 
 
 def chosen_python() -> Path | None:
@@ -75,16 +67,12 @@ def own_python() -> Path:
     return Path(sys.executable)
 
 
-def are_in_preferences() -> bool:
-    """Whether the extension is installed, so that Blender stores its preferences."""
-    return _preferences() is not None
-
-
 def _choices() -> Any:
-    return _preferences() or _session
+    return preferences() or _session
 
 
-def _preferences() -> bpy.types.AddonPreferences | None:
+def preferences() -> bpy.types.AddonPreferences | None:
+    """The extension's preferences; None if it is not installed."""
     addon = bpy.context.preferences.addons.get(EXTENSION)
     return addon.preferences if addon is not None else None
 

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import os
 import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import Enum
 from pathlib import Path
 from typing import Any
 
@@ -12,24 +15,53 @@ import bpy
 from ...engine.errors import PlgsError
 from ...engine.job.environment import environments_folder
 from ...engine.job.follower import TaskFollower
-from ...engine.job.process import ROOT, ChosenPython, choose_python
+from ...engine.job.handshake import TOO_OLD, VERSION, EngineAnswer
+from ...engine.job.process import ROOT, ChosenPython, Origin, choose_python
 from ...engine.job.task import last_lines
 from .. import registry
 from ..registry import Task, start_engine
-from . import status as states
 from .choices import SetUpChoice, choose, chosen_python, own_python
-from .status import EngineStatus
 
 PATIENCE_S = 60.0
-"""Seconds within which a Python must answer: it takes tenths of a second, a few seconds from a cold disk, ten on a busy
-machine."""
+"""Seconds within which a Python must answer; it takes ten on a busy computer."""
 OFFLINE_FIX = "Allow online access in Preferences > System."
 _FIRST_CHECK_S = 0.5
 _LOG_NAME = "set-up.log"
 _LOG_LINES = 8
 _LOG_EVERY_S = 1.0
 
-_status = states.UNKNOWN
+_SET_UP = "Press 'Set Up Engine' in Preferences > Add-ons > PLGS, or choose a Python there that has what it needs."
+
+
+class EngineState(Enum):
+    """How much is known about the engine."""
+
+    UNKNOWN = "unknown"
+    CHECKING = "checking"
+    READY = "ready"
+    MISSING = "missing"
+    FAILED = "failed"
+
+
+@dataclass(frozen=True)
+class EngineStatus:
+    """One line for the user, and a fix if the engine cannot be used. ``note`` mentions what is unusual but may work."""
+
+    state: EngineState
+    message: str = ""
+    fix: str = ""
+    note: str = ""
+    python: Path | None = None
+    answer: EngineAnswer | None = None
+
+    @property
+    def is_usable(self) -> bool:
+        """Whether nothing known prevents its use."""
+        return self.state not in (EngineState.MISSING, EngineState.FAILED)
+
+
+_UNKNOWN = EngineStatus(EngineState.UNKNOWN, "The engine has not been checked yet", "Check the engine.")
+_status = _UNKNOWN
 
 
 def status() -> EngineStatus:
@@ -56,11 +88,46 @@ class EngineCheck(Task):
     def done(self, scene: Any) -> None:
         global _status
         if self._is_hung:
-            _status = states.without_answer(self._choice)
-        elif self.error is not None:
-            _status = states.of_error(self._choice, self.error)
+            fix = "Check the engine again, or choose another Python."
+            _status = _failed(self._choice, f"{self._choice.python} did not answer", fix)
+        elif self.error is None:
+            _status = _of_answer(self._choice, self.answer)
+        elif TOO_OLD in self.error.what:
+            _status = _failed(self._choice, self.error.what, "Choose a newer Python, or set the engine up.")
         else:
-            _status = states.of_answer(self._choice, self.answer)
+            message = f"{self._choice.python} does not run the engine ({str(self.error)[:200]})"
+            _status = _failed(self._choice, message, "Choose another Python, or set the engine up.")
+
+
+def _of_answer(choice: ChosenPython, answer: Mapping[str, Any] | None) -> EngineStatus:
+    """The status after a Python answered; None if it ended without an answer."""
+    engine = EngineAnswer.from_json(answer or {})
+    if engine is None:
+        message = f"{choice.python} answers, but not as a Python with this engine should"
+        return _failed(choice, message, "Choose another Python.")
+    if engine.engine != VERSION:
+        message = f"engine {engine.engine} does not match this PLGS, which is {VERSION}"
+        return _failed(choice, message, "Restart Blender: PLGS was updated while Blender was running.")
+    if engine.missing:
+        message = f"{choice.python} ({choice.origin}) lacks {', '.join(engine.missing)}"
+        fix = choice.fix if choice.origin is Origin.VARIABLE else _SET_UP
+        return EngineStatus(EngineState.MISSING, message, fix, "", choice.python, engine)
+    build = f"CUDA {engine.cuda}" if engine.cuda else "CPU"
+    torch = (engine.packages["torch"] or "").partition("+")[0]
+    cores = "1 core" if engine.cpus == 1 else f"{engine.cpus} cores"
+    message = f"Engine {engine.engine}, Python {engine.python}, torch {torch} ({build}), {cores}"
+    note = f"Versions that differ from the tested ones: {', '.join(engine.others)}" if engine.others else ""
+    return EngineStatus(EngineState.READY, message, "", note, choice.python, engine)
+
+
+def _failed(choice: ChosenPython, message: str, fix: str) -> EngineStatus:
+    """The status if no engine answers."""
+    fix = fix if choice.origin is Origin.CHOSEN else f"{fix} {choice.fix}"
+    return EngineStatus(EngineState.FAILED, _capital(message), fix, "", choice.python)
+
+
+def _capital(text: str) -> str:
+    return text[:1].upper() + text[1:]
 
 
 class SetUp(Task):
@@ -87,7 +154,7 @@ class SetUp(Task):
 
     def done(self, scene: Any) -> None:
         if self.has_finished:
-            choose(None)  # whoever sets up the engine wants to use that one
+            choose(None)  # use the environment just made
         check()
         if self._is_offline:
             raise PlgsError("offline", "online access was switched off", "Set Up Engine", OFFLINE_FIX)
@@ -113,20 +180,20 @@ def check() -> EngineCheck | None:
     try:
         choice = choose_python(ROOT, os.environ, chosen_python())
     except PlgsError as error:
-        _status = states.without_python(error)
+        _status = EngineStatus(EngineState.MISSING, _capital(error.what), _SET_UP)
         registry.redraw_panels()
         return None
-    _status = states.checking(choice)
+    _status = EngineStatus(EngineState.CHECKING, "Asking the engine", python=choice.python)
     try:
         return registry.begin(EngineCheck(choice, start_engine("handshake", choice.python)))
     except (PlgsError, OSError) as error:
         what, fix = (error.what, error.fix) if isinstance(error, PlgsError) else (str(error), "Try again.")
-        _status = states.failed(choice, f"{what}: {choice.python}", fix)
+        _status = _failed(choice, f"{what}: {choice.python}", fix)
         return None
 
 
 def ask_chosen() -> EngineCheck | None:
-    """`check` a newly chosen Python, and forget how the last set-up ended, which concerned the old one."""
+    """`check` a newly chosen Python, and forget how the last set-up ended: it concerned the old one."""
     if running_set_up() is None:
         registry.forget(SetUp.kind)
     return check()
@@ -154,9 +221,8 @@ def set_up(choice: SetUpChoice) -> SetUp:
     reason = why_no_set_up()
     if reason is not None:
         raise PlgsError("set-up-refused", "the engine cannot be set up now", "Set Up Engine", reason)
-    return registry.begin(SetUp(start_engine(
-        "set-up", own_python(), environments_folder(), *choice.arguments(), variables=choice.variables()
-    )))  # fmt: skip
+    arguments = environments_folder(), *choice.arguments()
+    return registry.begin(SetUp(start_engine("set-up", own_python(), *arguments, variables=choice.variables())))
 
 
 def remove() -> Removal:
@@ -179,7 +245,7 @@ def unregister() -> None:
         bpy.app.timers.unregister(_first_check)
     for kind in (EngineCheck, SetUp, Removal):
         registry.forget(kind.kind)
-    _status = states.UNKNOWN
+    _status = _UNKNOWN
 
 
 def _first_check() -> None:

@@ -47,14 +47,10 @@ def why_no_lift(settings: PLGS_PG_settings) -> str | None:
     followed = followed_lift(settings)
     if followed is not None and followed.is_running:
         return "Passes of this lift are being baked" if followed.is_baking else "This lift is already running"
+    reason = why_no_engine() or why_no_options(settings) or why_no_device(settings) or why_no_scene(settings)
     survey = survey_of_panel(settings)
-    return (
-        why_no_engine()
-        or why_no_options(settings)
-        or why_no_device(settings)
-        or why_no_scene(settings)
-        or (None if survey is None else why_not_liftable(survey))
-    )
+    obstacle = None if survey is None else why_not_liftable(survey)
+    return reason or (None if obstacle is None else f"No lift: {obstacle}")
 
 
 def why_no_device(settings: PLGS_PG_settings) -> str | None:

@@ -11,7 +11,7 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from ...engine.errors import PlgsError
 from ...engine.job.follower import TaskFollower
@@ -23,8 +23,7 @@ from ..inspecting.drawing import Colour
 from ..registry import Task, start_engine
 from ..settings import PLGS_PG_settings, chosen_scene
 
-_ENGINE_MAKES_THEM = "set up the engine, which makes them"
-_GIVE = {"depth": "give depth maps", "masks": "give or make masks"}
+_GIVE = {"depth": "choose depth maps", "masks": "choose or make masks"}
 
 
 @dataclass(frozen=True)
@@ -193,57 +192,23 @@ def _is_of_all(answer: Mapping[str, Any], sizes: str) -> bool:
     return count == int(answer["train_frames"]) + int(answer["test_frames"])
 
 
-class Possibility(NamedTuple):
-    """One thing to do with a scene, whether it is possible, and how or why not."""
-
-    what: str
-    is_possible: bool
-    why: str
-
-
-def possibilities(survey: Survey, has_engine: bool) -> tuple[Possibility, ...]:
-    """What can be done with a scene that was read without an error."""
-    return (
-        Possibility("Cameras", True, f"{survey.frames}, and one that moves along them"),
-        _pictures(survey, has_engine),
-        _cloud(survey, has_engine),
-        _lift(survey),
-    )
+def obstacles_to(survey: Survey, has_engine: bool) -> dict[str, str | None]:
+    """Why each thing cannot be done with a scene that was read without an error; None if it can be done."""
+    has_pictures = survey.picture_files == survey.frames or has_engine
+    has_cloud = survey.sparse_points > 0 or (survey.has_depth and has_engine)
+    no_cloud = "the engine makes it from the depth: set it up" if survey.has_depth else "there are no depth maps"
+    return {
+        "Cameras": None,
+        "Pictures": None if has_pictures else "they are in a video or an archive, or distorted: set up the engine",
+        "Coloured cloud": None if has_cloud else no_cloud,
+        "Lift": why_not_liftable(survey),
+    }
 
 
 def why_not_liftable(survey: Survey) -> str | None:
     """Why a scene without an error cannot be lifted; None if it can or is not known yet."""
-    if survey.is_looking or survey.error is not None:
+    has = {"depth": survey.has_depth, "masks": survey.has_masks}
+    lacks = [what for what in has if has[what] is False]
+    if not lacks or survey.is_looking or survey.error is not None:
         return None
-    lift = _lift(survey)
-    return None if lift.is_possible else f"No lift: {lift.why}"
-
-
-def _pictures(survey: Survey, has_engine: bool) -> Possibility:
-    if survey.picture_files == survey.frames:
-        return Possibility("Pictures", True, "as they are")
-    inside = "they lie in a video or an archive, or their lens bends"
-    return Possibility(
-        "Pictures", has_engine, f"{inside}: {'the engine makes them' if has_engine else _ENGINE_MAKES_THEM}"
-    )
-
-
-def _cloud(survey: Survey, has_engine: bool) -> Possibility:
-    if survey.has_depth and has_engine:
-        return Possibility("Coloured cloud", True, "of the depth, by the engine")
-    if survey.sparse_points:
-        return Possibility("Coloured cloud", True, f"{survey.sparse_points} points of the reconstruction")
-    if survey.has_depth:
-        return Possibility("Coloured cloud", False, "of the depth: set up the engine, which makes it")
-    return Possibility("Coloured cloud", False, "there is neither depth nor a reconstruction's points")
-
-
-def _lift(survey: Survey) -> Possibility:
-    lacks = [what for what, has in (("depth", survey.has_depth), ("masks", survey.has_masks)) if has is False]
-    if not lacks and survey.has_masks is None:
-        return Possibility("Lift", True, "an engine looks for the masks when it begins")
-    if not lacks:
-        return Possibility("Lift", True, "depth and masks are there")
-    verb = "are" if "masks" in lacks else "is"
-    why = f"there {verb} no {' and no '.join(lacks)}: {' and '.join(_GIVE[what] for what in lacks)} below"
-    return Possibility("Lift", False, why)
+    return f"no {' and no '.join(lacks)}; {' and '.join(_GIVE[what] for what in lacks)} below"

@@ -76,7 +76,7 @@ bpy.ops.preferences.addon_enable(module="bl_ext.plgsdev.plgs")
 preferences = bpy.context.preferences.addons["bl_ext.plgsdev.plgs"].preferences
 from bl_ext.plgsdev.plgs.plgs_blender.engine_environment import choices, tasks
 from bl_ext.plgsdev.plgs.plgs_blender import registry
-assert choices.are_in_preferences() and choices.chosen_python() is None
+assert choices.preferences() is not None and choices.chosen_python() is None
 preferences.engine_python = sys.argv[2]  # asks at once
 assert tasks.status().state.value == "checking", tasks.status()
 registry.wait_for(registry.latest(tasks.EngineCheck), bpy.context.scene)

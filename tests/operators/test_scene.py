@@ -13,7 +13,7 @@ from plgs.plgs_blender import registry
 from plgs.plgs_blender.cameras import SHOWN
 from plgs.plgs_blender.frame_pictures import MASKS
 from plgs.plgs_blender.owned import lifts_in
-from plgs.plgs_blender.running.survey import SceneLook, Survey, look, possibilities, survey_of
+from plgs.plgs_blender.running.survey import SceneLook, Survey, look, obstacles_to, survey_of
 from plgs.plgs_blender.settings import chosen_scene
 from plgs.ui import overlay
 
@@ -77,9 +77,11 @@ def test_the_panel_knows_what_is_in_the_folder(room: Path) -> None:
     }, "a live preview gives objects colours of their own"
     colours = {each.name: each.colour for each in open_scene(room).classes.categories}
     shown = dict(overlay.classes_of_scene(scene))
-    assert shown and shown.items() <= {
-        name: tuple(channel / 255.0 for channel in colour) for name, colour in colours.items()
-    }.items()
+    assert (
+        shown
+        and shown.items()
+        <= {name: tuple(channel / 255.0 for channel in colour) for name, colour in colours.items()}.items()
+    )
 
 
 def test_the_panel_says_what_is_possible(room: Path, tmp_path: Path) -> None:
@@ -87,13 +89,12 @@ def test_the_panel_says_what_is_possible(room: Path, tmp_path: Path) -> None:
     settings.scene_folder = str(room)
     survey = survey_of(chosen_scene(settings))
     assert survey is not None and survey.format == "scannet" and survey.picture_files == 8
-    assert all(each.is_possible for each in possibilities(survey, has_engine=True))
+    assert not any(obstacles_to(survey, has_engine=True).values())
     settings.scene_folder = str(write_text(tmp_path / "walk"))
     survey = looked_at(settings)
     assert survey.format == "colmap" and survey.sparse_points == 6
-    found = {each.what: each for each in possibilities(survey, has_engine=False)}
-    assert [name for name, each in found.items() if not each.is_possible] == ["Lift"]
-    assert found["Lift"].why == "there are no depth and no masks: give depth maps and give or make masks below"
+    found = {what: why_not for what, why_not in obstacles_to(survey, has_engine=False).items() if why_not is not None}
+    assert found == {"Lift": "no depth and no masks; choose depth maps and choose or make masks below"}
     with bpy.context.temp_override(plgs_panel=settings):
         assert bpy.ops.plgs.import_scene.poll() and not bpy.ops.plgs.lift_scene.poll()
     with pytest.raises(RuntimeError, match=worded("no-depth")):

@@ -147,17 +147,17 @@ def test_the_surface_that_is_made_by_itself_moves_no_list(tmp_path: Path) -> Non
     """It begins and ends when nobody expects it; it fails in sight."""
     lift = tiny_lift.write_tiny_lift(tmp_path / "lift").path
     place_lift(lift, bpy.context.scene)
-    before, heads = drawn(), rows_above("Points, sureness")
+    before, heads = drawn(), rows_above("Points, confidence")
     assert "plgs.make_meshes Surface" in before
     follower: Any = Pretended(TaskState.RUNNING)
     making = registry.follow(Export(lift, "surface", lift, bpy.context.scene.name, follower, asked=False))
     shown = drawn()
     assert "Surface 50 %" in shown and "plgs.cancel_export" in shown and "plgs.make_meshes Surface" not in shown
-    assert abs(rows_above("Points, sureness") - heads) <= 1, "a bar and its cross are in the place of the button"
+    assert abs(rows_above("Points, confidence") - heads) <= 1, "a bar and its cross are in the place of the button"
     follower.state, follower.is_running, making.is_taken = TaskState.FAILED, False, True
     follower.error = PlgsError("made-up", "is full", "the disk", "Make room.")
     shown = drawn()
-    assert rows_above("Points, sureness") == heads
+    assert rows_above("Points, confidence") == heads
     assert "The disk is full. Make room." in shown.partition("plgs.show_all")[2].partition("Source Masks")[0]
 
 

@@ -19,7 +19,7 @@ from plgs.engine.job.task import TaskFiles
 from plgs.plgs_blender import engine_environment, registry
 from plgs.plgs_blender.engine_environment import EngineState, choices, tasks
 from plgs.plgs_blender.engine_environment.choices import SetUpChoice
-from plgs.plgs_blender.engine_environment.status import EngineStatus
+from plgs.plgs_blender.engine_environment.tasks import EngineStatus
 from pretended_python import pretended_python
 
 from tests.raises_key import raises_key
