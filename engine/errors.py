@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import errno
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from enum import IntEnum, StrEnum
 from functools import partial
 from pathlib import Path
@@ -98,6 +100,16 @@ def lacks_part(what: str, where: Path | str, name: str) -> PlgsError:
     """The error for an engine that lacks the packages of ``name``, a part that `python -m engine add` knows."""
     fix = f"Add it to the engine: {sys.executable} -m engine add {name}."
     return PlgsError("lacks-part", what, where, fix, code=ErrorCode.LACKS_PART, option=name)
+
+
+@contextmanager
+def reading(path: Path, fix: str = "Check that it exists.") -> Iterator[None]:
+    """Turns an OSError into a PlgsError for ``path``, or for the file that the OSError names."""
+    try:
+        yield
+    except OSError as error:
+        what = f"this cannot be read ({error.strerror})"
+        raise PlgsError("unreadable", what, error.filename or path, fix) from error
 
 
 class Cancelled(Exception):

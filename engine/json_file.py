@@ -11,7 +11,7 @@ from numbers import Integral, Real
 from pathlib import Path
 from typing import Any, NoReturn
 
-from .errors import PlgsError
+from .errors import PlgsError, reading
 from .gates import read_plain
 
 MOST_BYTES = 1 << 26
@@ -52,7 +52,8 @@ def to_text(value: Mapping[str, object]) -> str:
 
 def read_value(path: Path, fix: str) -> Json:
     """The JSON value in a file of ours. Raises PlgsError, with ``fix`` as the advice."""
-    value: Json = _parsed(_read(path, MOST_BYTES, fix), path, fix)
+    with reading(path, fix):
+        value: Json = _parsed(read_plain(path, MOST_BYTES), path, fix)
     return value
 
 
@@ -63,7 +64,8 @@ def read_object(path: Path, fix: str) -> dict[str, Json]:
 
 def read_json(path: Path) -> Any:
     """The JSON value in a table that another program wrote. Raises PlgsError."""
-    return _parsed(_read(path, LARGEST_TABLE, "Check that it exists."), path, _WRITE_AGAIN)
+    with reading(path):
+        return _parsed(read_plain(path, LARGEST_TABLE), path, _WRITE_AGAIN)
 
 
 def read_json_object(path: Path) -> dict[str, Any]:
@@ -74,13 +76,6 @@ def read_json_object(path: Path) -> dict[str, Any]:
 def parse_json_object(data: bytes, path: Path) -> dict[str, Any]:
     """``read_json_object`` for bytes out of the file ``path``. Raises PlgsError."""
     return _object(_parsed(data, path, _WRITE_AGAIN), path, "Write it as {...}.")
-
-
-def _read(path: Path, most_bytes: int, fix: str) -> bytes:
-    try:
-        return read_plain(path, most_bytes)
-    except OSError as error:
-        raise PlgsError("unreadable", f"the file cannot be read ({error.strerror})", path, fix) from error
 
 
 def _parsed(data: bytes, path: Path, fix: str) -> Any:

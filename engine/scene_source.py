@@ -144,9 +144,7 @@ MASK_FORMAT_NAMES = (
     FormatName("sam2", "sam2", "<frame>.png with a palette, or <object number>/<frame>.png"),
     FormatName("palette", "palette", "<frame>.png with a palette, or grey, whose values are classes"),
     FormatName(
-        "detections",
-        "detections",
-        "<frame>.npz with masks, classes and scores, or <frame>/<k>_<class>_<score>.png",
+        "detections", "detections", "<frame>.npz with masks, classes and scores, or <frame>/<k>_<class>_<score>.png"
     ),  # fmt: skip
     FormatName("arrays", "arrays", "<frame>.npy or .npz with classes [H, W], or with probabilities [C, H, W]"),
 )

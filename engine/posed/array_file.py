@@ -14,7 +14,7 @@ from zipfile import BadZipFile, ZipFile
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import PlgsError
+from ..errors import PlgsError, reading
 from ..gates import open_plain, read_plain
 
 MOST_BYTES = 1 << 28
@@ -55,10 +55,10 @@ def read_npz(
 
 def read_npy(path: Path, fix: str, most_bytes: int = MOST_BYTES) -> NDArray[Any]:
     """The array of a .npy. Raises PlgsError as ``read_npz`` does."""
+    with reading(path, fix):
+        content = read_plain(path, most_bytes)
     try:
-        return _array(BytesIO(read_plain(path, most_bytes)))
-    except OSError as error:
-        raise PlgsError("unreadable", f"the file cannot be read ({error.strerror})", path, fix) from error
+        return _array(BytesIO(content))
     except Exception as error:
         raise PlgsError("not-array", f"this is not a NumPy array of numbers ({_reason(error)})", path, fix) from error
 
@@ -87,7 +87,7 @@ class ArrayHeader:
 def array_headers(path: Path) -> dict[str, ArrayHeader]:
     """The arrays of an .npz by name; the one of an .npy is called "". Raises PlgsError, also for pickles."""
     try:
-        with open_plain(path) as file:
+        with reading(path), open_plain(path) as file:
             if path.suffix.lower() == ".npy":
                 return {"": _header(file, path)}
             found = {}
@@ -97,9 +97,6 @@ def array_headers(path: Path) -> dict[str, ArrayHeader]:
                         with archive.open(info) as member:
                             found[info.filename.removesuffix(".npy")] = _header(member, path)
             return found
-    except OSError as error:
-        what = f"the file cannot be read ({error.strerror})"
-        raise PlgsError("unreadable", what, path, "Check that it exists.") from error
     except _DAMAGED as error:
         raise PlgsError("not-array", _NO_ARRAYS, path, _SAVE_FIX) from error
 

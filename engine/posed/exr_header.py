@@ -9,7 +9,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-from ..errors import PlgsError
+from ..errors import PlgsError, reading
 from ..gates import open_plain
 from .frames import Size
 from .layout import LARGEST_PIXELS
@@ -79,7 +79,7 @@ def one_pixel_of(path: Path) -> bytes:
 def _attributes_of(path: Path) -> tuple[bytes, dict[bytes, tuple[bytes, bytes]]]:
     """A file's first eight bytes, and its attributes. Raises PlgsError."""
     try:
-        with open_plain(path) as file:
+        with reading(path), open_plain(path) as file:
             start, size = file.read(8), os.fstat(file.fileno()).st_size
             if not start.startswith(_MAGIC) or len(start) < 8:
                 raise PlgsError("not-exr", "this is not an OpenEXR file", path, _FIX)
@@ -90,9 +90,6 @@ def _attributes_of(path: Path) -> tuple[bytes, dict[bytes, tuple[bytes, bytes]]]
                 data = file.read(min(most, size))
                 with suppress(ValueError, IndexError, struct.error):
                     return start, _attributes(data)
-    except OSError as error:
-        what = f"the file cannot be read ({error.strerror})"
-        raise PlgsError("unreadable", what, path, "Check that it exists.") from error
     except MemoryError as error:
         raise PlgsError("no-memory", "no memory is left for the OpenEXR file", path, "Close other programs.") from error
     raise PlgsError("exr-header", "the OpenEXR header is cut off or makes no sense", path, _FIX)

@@ -13,7 +13,7 @@ from io import BytesIO
 from pathlib import Path
 from typing import BinaryIO, Literal
 
-from ..errors import PlgsError
+from ..errors import PlgsError, reading
 from ..gates import open_plain, read_plain
 from .frames import Size
 
@@ -51,24 +51,18 @@ class ImageHeader:
 
 def read_image_header(path: Path) -> ImageHeader:
     """Read the header of a PNG or JPEG and check that the file has an end. Raises PlgsError."""
-    try:
-        with open_plain(path) as file:
-            start = file.read(33)
-            if not start:
-                raise PlgsError("image-empty", "the image is empty", path, "Write this file again.")
-            if start.startswith(_PNG_SIGNATURE):
-                header, end = _png_header(start, path), _PNG_END
-            elif start.startswith(_JPEG_START):
-                header, end = _jpeg_header(file, path), _JPEG_END
-            else:
-                raise _neither(path)
-            # A thumbnail in the metadata ends like a JPEG, but comes before the frame header.
-            after_header = file.tell()
-            file.seek(max(after_header, file.seek(0, 2) - _TAIL))
-            tail = file.read()
-    except OSError as error:
-        what = f"the image cannot be read ({error.strerror})"
-        raise PlgsError("unreadable", what, path, "Check that it exists.") from error
+    with reading(path), open_plain(path) as file:
+        start = file.read(33)
+        if start.startswith(_PNG_SIGNATURE):
+            header, end = _png_header(start, path), _PNG_END
+        elif start.startswith(_JPEG_START):
+            header, end = _jpeg_header(file, path), _JPEG_END
+        else:
+            raise _neither(start, path)
+        # A thumbnail in the metadata ends like a JPEG, but comes before the frame header.
+        after_header = file.tell()
+        file.seek(max(after_header, file.seek(0, 2) - _TAIL))
+        tail = file.read()
     # Some cameras append data after a JPEG's end; then the whole file has to be searched.
     if end not in tail and (header.format == "png" or not _jpeg_is_whole(_read(path))):
         raise _truncated(path)
@@ -83,18 +77,13 @@ def check_image_file(path: Path) -> bytes:
 
 
 def _read(path: Path) -> bytes:
-    try:
+    with reading(path):
         return read_plain(path, _MOST_BYTES)
-    except OSError as error:
-        what = f"the image cannot be read ({error.strerror})"
-        raise PlgsError("unreadable", what, path, "Check that it exists.") from error
 
 
 def check_image_bytes(data: bytes, path: Path) -> None:
     """``check_image_file`` for bytes from the file ``path``. Raises PlgsError, also for kinds other than PNG and JPEG,
     which no decoder may read, and for too many pixels."""
-    if not data:
-        raise PlgsError("image-empty", "the image is empty", path, "Write this file again.")
     if data.startswith(_PNG_SIGNATURE):
         _png_header(data[:33], path)
         _check_png_chunks(data, path)
@@ -103,10 +92,12 @@ def check_image_bytes(data: bytes, path: Path) -> None:
         if not _jpeg_is_whole(data):
             raise _truncated(path)
     else:
-        raise _neither(path)
+        raise _neither(data, path)
 
 
-def _neither(path: Path) -> PlgsError:
+def _neither(data: bytes, path: Path) -> PlgsError:
+    if not data:
+        return PlgsError("image-empty", "the image is empty", path, "Write this file again.")
     return PlgsError("not-png-or-jpeg", "this is neither a PNG nor a JPEG image", path, "Convert it to one of the two.")
 
 

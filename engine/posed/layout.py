@@ -12,7 +12,7 @@ from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from pathlib import Path, PureWindowsPath
 from typing import TypeVar
 
-from ..errors import MEMORY_IS_GONE, PlgsError
+from ..errors import MEMORY_IS_GONE, PlgsError, reading
 from ..gates import read_plain
 from ..job.system import main_memory
 from .frames import Camera, Size
@@ -24,13 +24,11 @@ _SAME_SHAPE = 0.02
 
 def read_file(path: Path, most_bytes: int, fix: str = "Check that it exists.") -> bytes:
     """The content of a regular file of at most ``most_bytes``. Raises PlgsError, with ``fix`` as the advice."""
-    try:
+    with reading(path, fix):
         size = path.stat().st_size
         if size <= most_bytes:
             check_memory(size, path)
         return read_plain(path, most_bytes)
-    except OSError as error:
-        raise PlgsError("unreadable", f"the file cannot be read ({error.strerror})", path, fix) from error
 
 
 def read_text(path: Path, most_bytes: int, fix: str) -> str:
@@ -69,11 +67,8 @@ def files_by_stem(folder: Path, suffixes: Collection[str], fix: str) -> dict[str
     Raises PlgsError, with ``fix`` as the advice, if there is no such folder or file, or if a stem occurs twice."""
     if not folder.is_dir():
         raise PlgsError("no-folder", "a folder is missing", folder, fix)
-    try:
+    with reading(folder, "Check its permissions."):
         paths = [*folder.iterdir()]
-    except OSError as error:
-        what = f"the folder cannot be read ({error.strerror})"
-        raise PlgsError("unreadable", what, folder, "Check its permissions.") from error
     found: dict[str, Path] = {}
     for path in sorted(paths, key=lambda path: (natural_order(path.stem), path.name)):
         if path.suffix.lower() not in suffixes or is_note(path):

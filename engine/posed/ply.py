@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import PlgsError
+from ..errors import PlgsError, reading
 from ..gates import read_plain
 
 LEAST_TRIANGLES = 20
@@ -120,10 +120,8 @@ def read_gaussians(path: Path) -> NDArray[np.void]:
 def _read(path: Path, most_bytes: int, fix: str) -> tuple[bytes, int, dict[str, str], tuple[int, int]]:
     """A file's bytes, the end of its header, the vertices' columns, and the numbers of vertices and faces. There are no
     columns in other kinds of files, nor if a name occurs twice. Raises PlgsError, with ``fix`` as the advice."""
-    try:
+    with reading(path, fix):
         content = read_plain(path, most_bytes)
-    except OSError as error:
-        raise PlgsError("unreadable", f"the file cannot be read ({error.strerror})", path, fix) from error
     end = content.find(b"end_header\n", 0, _LONGEST_HEADER) + len(b"end_header\n")
     columns, counts, properties = dict[str, str](), {"vertex": 0, "face": 0}, 0
     for line in content[:end].decode("ascii", "replace").splitlines():

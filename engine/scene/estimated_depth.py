@@ -166,10 +166,7 @@ def read_map(path: Path) -> NDArray[Any]:
 
 
 def with_estimated_depth(
-    frames: Sequence[Frame],
-    folder: Path,
-    points: SparsePoints | None,
-    pictured: Mapping[str, Pictured],
+    frames: Sequence[Frame], folder: Path, points: SparsePoints | None, pictured: Mapping[str, Pictured]
 ) -> tuple[tuple[Frame, ...], tuple[LeftOut, ...], tuple[Inferred, ...]]:
     """The frames with depth from the maps in ``folder``, those left out because they see too few points, and what was
     inferred. ``pictured``: see ``mask_fit``. Maps are read on demand, a few of them right away to inspect them. Raises

@@ -144,9 +144,7 @@ def _ids(source: MaskSource, name: str) -> Ids | None:
 
 
 def paired(
-    names: Sequence[str],
-    open_source: Callable[[Sequence[str]], MaskSource],
-    pictured: Mapping[str, Pictured],
+    names: Sequence[str], open_source: Callable[[Sequence[str]], MaskSource], pictured: Mapping[str, Pictured]
 ) -> tuple[MaskSource, tuple[Inferred, ...]]:
     """The masks of the frames ``names``: by name, or by a different count of their numbers if more frames then have a
     mask and these fit the pictures better; and what was inferred. Raises what ``open_source`` raises."""

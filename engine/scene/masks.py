@@ -10,7 +10,7 @@ from zlib import compress, decompress
 
 import numpy as np
 
-from ..errors import ErrorCode, PlgsError
+from ..errors import ErrorCode, PlgsError, reading
 from ..posed.classes import VOID, ClassLabel, ClassTable
 from ..posed.layout import listed
 from ..scene_source import SceneSource
@@ -233,9 +233,5 @@ def _named_otherwise(masks: Mapping[str, StoredMask]) -> list[str]:
 def open_mask_source(place: Path, names: Sequence[str], mask_format: str | None = None) -> MaskSource:
     """The masks as stored, without the user's table. Raises PlgsError."""
     reader = find_mask_format(place, mask_format)
-    try:
+    with reading(place, "Check that it exists, and its permissions."):
         return reader.read(place, names)
-    except OSError as error:
-        fix = "Check that it exists, and its permissions."
-        what = f"this cannot be read ({error.strerror})"
-        raise PlgsError("unreadable", what, error.filename or place, fix) from error

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import ErrorCode, PlgsError
+from ..errors import ErrorCode, PlgsError, reading
 from ..job.request import refuse_unwritable_name
 from ..posed.classes import ClassTable
 from ..posed.frames import Camera
@@ -39,7 +39,6 @@ from .pixels import ColourReader, decode
 _FAR_ASIDE = 0.2
 _ASIDE = "the principal point is far from the middle (are the intrinsics in pixels of the colour images?)"
 _KEPT = "some pixels do not count (mask_path, or black and white pictures in masks): they have no class and no depth"
-_READABLE = "Check that it exists, and its permissions."
 
 
 def open_scene(
@@ -65,11 +64,8 @@ def open_asked(source: SceneSource) -> Scene:
         if path is not None:
             refuse_unwritable_name(Path(path))
     reader = find_format(place, source.scene_format)
-    try:
+    with reading(place, "Check that it exists, and its permissions."):
         capture = reader.read(place)
-    except OSError as error:
-        what = f"this cannot be read ({error.strerror})"
-        raise PlgsError("unreadable", what, error.filename or place, _READABLE) from error
     unreadable = capture.unreadable
     if 2 * len(unreadable) > len(capture.shots) + len(unreadable):
         raise next(iter(unreadable.values()))

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import PlgsError
+from ..errors import PlgsError, reading
 from ..gates import open_plain
 
 _MIXED = 0.12
@@ -91,17 +91,13 @@ def by_colour(indices: NDArray[np.int32], path: Path, numbers: Mapping[bytes, in
 
 def palette_of(path: Path) -> bytes:
     """The colours of a PNG's palette, 3 bytes each; empty without one. Raises PlgsError."""
-    try:
-        with open_plain(path) as file:
-            file.seek(8)
-            while len(head := file.read(8)) == 8 and head[4:] not in (b"IDAT", b"IEND"):
-                length = int.from_bytes(head[:4], "big")
-                if head[4:] == b"PLTE" and length <= 768:
-                    return file.read(length)
-                file.seek(length + 4, 1)
-    except OSError as error:
-        what = f"the image cannot be read ({error.strerror})"
-        raise PlgsError("unreadable", what, path, "Check that it exists.") from error
+    with reading(path), open_plain(path) as file:
+        file.seek(8)
+        while len(head := file.read(8)) == 8 and head[4:] not in (b"IDAT", b"IEND"):
+            length = int.from_bytes(head[:4], "big")
+            if head[4:] == b"PLTE" and length <= 768:
+                return file.read(length)
+            file.seek(length + 4, 1)
     return b""
 
 

@@ -10,7 +10,7 @@ import os
 from collections.abc import Iterable
 from pathlib import Path
 
-from ...errors import ErrorCode, PlgsError
+from ...errors import ErrorCode, PlgsError, reading
 from ...posed.layout import listed, shown, shown_files
 from . import (
     arkitscenes,
@@ -72,11 +72,8 @@ def find_format(place: Path, name: str | None = None) -> SceneFormat:
             fix = f"Choose one of {', '.join(known)}."
             raise PlgsError("unknown-format", f'no format is called "{shown(name)}"', place, fix, option="--format")
         return known[name]
-    try:
+    with reading(place, "Check its permissions."):
         found = [each for each in FORMATS if each.recognises(place)]
-    except OSError as error:
-        what = f"the folder cannot be read ({error.strerror})"
-        raise PlgsError("unreadable", what, place, "Check its permissions.") from error
     if len(found) > 1 and found[0] is not FORMATS[0]:
         names = " and ".join(each.name for each in found)
         fix = f"Say which one it is, such as --format {found[0].name}."
@@ -97,7 +94,9 @@ def _unknown(place: Path, known: Iterable[str]) -> PlgsError:
         return PlgsError("archive", "this is an archive", place, f"Unpack it ({_UNPACK}), and name the folder.")
     if place.is_dir() and (place / "rgb").is_dir() and any(shown_files(place, "*poses.txt")):
         return PlgsError("rtabmap", "poses of RTAB-Map are here, but not as this layout has them", place, _RTABMAP)
-    if inner := _scenes_inside(place):
+    entries = sorted(shown_files(place)) if place.is_dir() else []
+    folders = [each for each in entries if each.is_dir() and os.access(each, os.R_OK | os.X_OK)][:_LOOKED_INTO]
+    if inner := [each for each in folders if any(known.recognises(each) for known in FORMATS)]:
         fix = f"Name one of them, such as {inner[0]}, or lift all: python -m engine batch {place}/* -o OUT."
         what = f"no scene is in this folder, but in {listed([each.name for each in inner])}"
         return PlgsError("inner-scenes", what, place, fix)
@@ -112,10 +111,3 @@ def _unknown(place: Path, known: Iterable[str]) -> PlgsError:
         f"them with COLMAP. Name a layout to see what it lacks: --format {',  '.join(known)}."
     )
     return PlgsError("no-format", what, place, fix, option="--format")
-
-
-def _scenes_inside(place: Path) -> list[Path]:
-    """The folders in ``place`` that hold a scene of a known format."""
-    inside = sorted(shown_files(place)) if place.is_dir() else []
-    folders = [each for each in inside if each.is_dir() and os.access(each, os.R_OK | os.X_OK)]
-    return [each for each in folders[:_LOOKED_INTO] if any(known.recognises(each) for known in FORMATS)]

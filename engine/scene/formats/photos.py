@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...errors import PlgsError
+from ...errors import PlgsError, reading
 from ...gates import open_plain
 from ...posed.image_header import read_image_header
 from ...posed.layout import shown_files
@@ -146,11 +146,8 @@ class Video:
 def _refuse_other_files(path: Path) -> None:
     """Raise PlgsError unless the first bytes are those of an MP4, MOV, Matroska or AVI. Otherwise the decoder would
     open whatever addresses a playlist lists."""
-    try:
-        with open_plain(path) as file:
-            start = file.read(12)
-    except OSError as error:
-        raise PlgsError("unreadable", f"the video cannot be read ({error.strerror})", path, _VIDEO_FIX) from error
+    with reading(path, _VIDEO_FIX), open_plain(path) as file:
+        start = file.read(12)
     is_avi = start[:4] == b"RIFF" and start[8:] == b"AVI "
     if start[4:8] not in _BOXES and not start.startswith(_MATROSKA) and not is_avi:
         raise PlgsError("not-video", "this is not an MP4, MOV, Matroska or AVI video", path, _VIDEO_FIX)

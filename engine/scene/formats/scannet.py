@@ -36,7 +36,7 @@ from typing import BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from ...errors import PlgsError
+from ...errors import PlgsError, reading
 from ...gates import open_plain
 from ...posed.frames import Camera
 from ...posed.image_header import read_image_header
@@ -98,13 +98,9 @@ class _Block:
 
     def read(self) -> bytes:
         """Raises PlgsError."""
-        try:
-            with open_plain(self.path) as file:
-                file.seek(self.start)
-                data = file.read(self.size)
-        except OSError as error:
-            fix = "Check that it exists."
-            raise PlgsError("unreadable", f"the file cannot be read ({error.strerror})", self.path, fix) from error
+        with reading(self.path), open_plain(self.path) as file:
+            file.seek(self.start)
+            data = file.read(self.size)
         if len(data) < self.size:
             raise PlgsError("cut-off", "the file is cut off", self.path, _FIX)
         return data

@@ -145,9 +145,7 @@ def _depth_file(base: Path) -> Path:
     return base.with_name(f"{base.name}.depth.png")
 
 
-def _own_lens_shot(
-    colour: Path, depth: Path, name: str, base: Path, pose: NDArray[np.float64], picture: Path
-) -> Shot:
+def _own_lens_shot(colour: Path, depth: Path, name: str, base: Path, pose: NDArray[np.float64], picture: Path) -> Shot:
     """A frame with one lens file for colour and one for depth, which may be the same. Raises PlgsError."""
     lens = read_intrinsics(colour, read_image_header(picture).size)
     measured = png_depth(_depth_file(base), lens)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from ...errors import PlgsError
+from ...errors import PlgsError, reading
 from ...posed.layout import listed, shown, shown_files
 from ...scene_source import MASK_FORMAT_NAMES
 from . import class_arrays, coco, coco_results, detections, label_pairs, sam2, segment_maps
@@ -43,12 +43,9 @@ def find_mask_format(place: Path, name: str | None = None) -> MaskFormat:
         return known[name]
     if not place.exists():
         raise PlgsError("no-masks", "there are no masks", place, "Name a folder of masks.")
-    try:
+    with reading(place, "Check its permissions."):
         seen = [each for each in MASK_FORMATS if each.recognises(place)]
-        found = [each for each in seen if each.own_names][:1] or seen
-    except OSError as error:
-        what = f"the folder cannot be read ({error.strerror})"
-        raise PlgsError("unreadable", what, place, "Check its permissions.") from error
+    found = [each for each in seen if each.own_names][:1] or seen
     if len(found) > 1:
         names = " and ".join(each.name for each in found)
         fix = f"Say which one it is, such as --mask-format {found[0].name}."

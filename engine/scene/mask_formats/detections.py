@@ -24,16 +24,7 @@ from ...posed.layout import listed, natural_order, require_most, shown_files
 from ..files_of_frames import DETECTION, files_of_frames, mask_files
 from ..pixels import label_header
 from ..values import inside
-from .source import (
-    FoundMask,
-    FoundSegment,
-    MaskFormat,
-    MaskSource,
-    StoredMask,
-    named_labels,
-    painted,
-    painted_files,
-)
+from .source import FoundMask, FoundSegment, MaskFormat, MaskSource, StoredMask, named_labels, painted, painted_files
 
 _KEYS = {
     "masks": ("masks", "pred_masks", "out_binary_masks"),

@@ -101,10 +101,7 @@ def _read_detectron2(place: Path, names: Sequence[str]) -> MaskSource:
 
 
 def _detectron2_source(
-    pictures: Mapping[str, Path],
-    tables: Mapping[str, Path],
-    infos: Mapping[str, list[dict[str, Any]]],
-    is_apart: bool,
+    pictures: Mapping[str, Path], tables: Mapping[str, Path], infos: Mapping[str, list[dict[str, Any]]], is_apart: bool
 ) -> MaskSource:
     """The masks; with ``is_apart``, stuff is numbered after COCO's things. Raises PlgsError."""
     kinds: dict[int, bool] = {}
