@@ -1,15 +1,10 @@
-"""Exports a scene's frames in formats that any program can open: undistorted pictures, coloured depth and masks, a
-cloud.
-
-Everything is written in one pass, so that pixels are read once.
-"""
+"""Writes a scene's frames for any program, in one pass: undistorted pictures, coloured depth and masks, a cloud."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +14,7 @@ from .job import write_atomically
 from .known_scene import MadeFrame, MadeFrames, is_newer, made_of, stored_scene
 from .scene import Camera, Frame, Scene
 from .scene.frame_colours import depth_colours, mask_colours
+from .scene.pixels import write_image
 from .scene_source import SceneSource
 
 _CELLS_DEEP = 200.0
@@ -48,8 +44,7 @@ class CloudBuilder:
 
     def add(self, camera: Camera, depth: NDArray[np.float32], colour: NDArray[np.uint8], stride: int = 1) -> None:
         """Add a frame: depth float32 [H, W] metres (0 = none) and colour uint8 [H, W, 3], of ``camera``'s size. Every
-        ``stride``-th row and column is taken.
-        """
+        ``stride``-th row and column is taken."""
         seen = depth[::stride, ::stride] > 0.0
         xyz = camera.unproject(depth)[::stride, ::stride][seen]
         if not len(xyz):
@@ -81,7 +76,6 @@ KINDS = ("colour", "depth", "masks", "cloud")
 Progress = Callable[[int, int], object]
 """Called after each frame with the number of frames done and their total. An error that it raises ends the work."""
 
-_JPEG_QUALITY = 95
 _CLOUD_FRAMES, _CLOUD_PIXELS = 300, 8_000_000
 """Approximate maximum numbers of frames, evenly spread, and of pixels for the cloud."""
 
@@ -111,7 +105,10 @@ def make_frames(
     same = set() if made is None else {frame.name for frame in {*stored.frames} & {*made.scene.frames}}
     done = {} if made is None else {name: each for name, each in made.frames.items() if name in same}
     cloud = None if made is None or len(same) < len(stored.frames) else made.cloud
-    made = MadeFrames(folder, source, stored, done, cloud, _points(scene, folder))
+    points = None
+    if scene.points is not None and len(scene.points):
+        points = _write_points(folder / "points.npz", scene.points.xyz.astype(np.float32), scene.points.rgb)
+    made = MadeFrames(folder, source, stored, done, cloud, points)
     made.write()
     in_cloud = cloud_strides(scene.frames) if "cloud" in kinds else {}
     builder, problem = CloudBuilder(), None
@@ -166,19 +163,19 @@ def _make(scene: Scene, frame: Frame, folder: Path, kinds: Collection[str], made
     if "colour" in kinds and not frame.file_shows_colour:
         path = folder / "color" / f"{frame.name}.jpg"
         if made.colour is None or not is_newer(path, frame.colour_path):
-            _write_image(path, frame.read_colour(None))
+            write_image(path, frame.read_colour(None))
         made = replace(made, colour=path)
     if "depth" in kinds and frame.read_depth is not None:
         path = folder / "depth" / f"{frame.name}.png"
         if made.depth_range is None or not is_newer(path, frame.depth_path or frame.colour_path):
             drawn = depth_colours(frame.read_depth(None))
-            _write_image(path, drawn.rgb)
+            write_image(path, drawn.rgb)
             made = replace(made, depth_range=(drawn.near, drawn.far))
         made = replace(made, depth=path)
     if "masks" in kinds and frame.read_mask is not None:
         # Only its reader knows the file of a mask, so masks are drawn again each time.
         path = folder / "masks" / f"{frame.name}.png"
-        _write_image(path, mask_colours(frame.read_mask(None), scene.classes))
+        write_image(path, mask_colours(frame.read_mask(None), scene.classes))
         made = replace(made, masks=path)
     return made
 
@@ -187,11 +184,8 @@ def cloud_strides(frames: Sequence[Frame]) -> dict[str, int]:
     """The frames that the cloud is made of, evenly spread, with the stride of their pixels."""
     deep = [frame for frame in frames if frame.read_depth is not None]
     chosen = deep[:: -(-len(deep) // _CLOUD_FRAMES) or 1]
-    strides = {}
-    for frame in chosen:
-        width, height = frame.size
-        strides[frame.name] = max(1, round((width * height * len(chosen) / _CLOUD_PIXELS) ** 0.5))
-    return strides
+    share = len(chosen) / _CLOUD_PIXELS
+    return {frame.name: max(1, round((frame.size[0] * frame.size[1] * share) ** 0.5)) for frame in chosen}
 
 
 def add_to_cloud(builder: CloudBuilder, frame: Frame, stride: int) -> None:
@@ -203,25 +197,7 @@ def add_to_cloud(builder: CloudBuilder, frame: Frame, stride: int) -> None:
     builder.add(frame.camera.resized(width, height), depth, frame.read_colour((width, height)), own)
 
 
-def _points(scene: Scene, folder: Path) -> Path | None:
-    """The file of the reconstruction's points, or None."""
-    if scene.points is None or not len(scene.points):
-        return None
-    return _write_points(folder / "points.npz", scene.points.xyz.astype(np.float32), scene.points.rgb)
-
-
 def _write_points(path: Path, xyz: NDArray[np.float32], rgb: NDArray[np.uint8]) -> Path:
     """``xyz`` [N, 3] metres, ``rgb`` [N, 3] sRGB."""
     write_atomically(path, lambda part: np.savez(part, xyz=xyz, rgb=rgb))
     return path
-
-
-def _write_image(path: Path, rgb: NDArray[Any]) -> None:
-    """uint8 [H, W, 3] as JPEG or PNG, by the suffix. Raises PlgsError when it cannot be encoded, OSError."""
-    import cv2
-
-    bgr = np.ascontiguousarray(rgb[..., ::-1])
-    good, data = cv2.imencode(path.suffix, bgr, [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])
-    if not good:
-        raise PlgsError("unencodable", "the picture cannot be encoded", path, "Check the size of the scene's pictures.")
-    write_atomically(path, data.tobytes())

@@ -29,8 +29,7 @@ class StoredFrame:
 
     ``camera_to_world`` has OpenCV's axes and metres. ``colour`` and ``depth`` are paths, relative where they lie in the
     scene's folder. ``is_picture`` says that the file at ``colour`` shows the frame as it is, ``files`` is the digest of
-    both when a lift was last run, ``read`` that of how they are read, confidence included. Lifts of earlier versions
-    lack some of these: their photos are left to an engine, and what is not known is not compared.
+    both when a lift was last run, ``read`` that of how they are read, confidence included; "" is not compared.
     """
 
     name: str = field(metadata={"shown": True})
@@ -47,10 +46,8 @@ class StoredFrame:
     def posed(self, scene: Path) -> PosedFrame:
         """The frame with paths below the ``scene``'s folder."""
         camera = Camera(*self.size, *self.lens, np.array(self.camera_to_world))
-        depth = None if self.depth is None else scene / self.depth
-        return PosedFrame(
-            self.name, camera, self.held_out, scene / self.colour, depth, file_shows_colour=self.is_picture
-        )
+        depth, colour = None if self.depth is None else scene / self.depth, scene / self.colour
+        return PosedFrame(self.name, camera, self.held_out, colour, depth, file_shows_colour=self.is_picture)
 
 
 @dataclass(frozen=True)
@@ -74,23 +71,12 @@ def stored_scene(scene: PosedScene, frames: Sequence[PosedFrame], masks: str = "
 
 
 def _stored(frame: PosedFrame, scene: Path) -> StoredFrame:
-    camera = frame.camera
-    depth = None if frame.depth_path is None else _relative(frame.depth_path, scene)
-    return StoredFrame(
-        frame.name,
-        frame.held_out,
-        camera.size,
-        (camera.fx, camera.fy, camera.cx, camera.cy),
-        _rows(camera),
-        _relative(frame.colour_path, scene),
-        depth,
-        frame.file_shows_colour,
-    )
-
-
-def _rows(camera: Camera) -> tuple[Row, Row, Row, Row]:
+    camera, colour = frame.camera, _relative(frame.colour_path, scene)
+    lens = (camera.fx, camera.fy, camera.cx, camera.cy)
     one, two, three, four = (tuple(row) for row in camera.camera_to_world.tolist())
-    return one, two, three, four
+    depth = None if frame.depth_path is None else _relative(frame.depth_path, scene)
+    pose = (one, two, three, four)
+    return StoredFrame(frame.name, frame.held_out, camera.size, lens, pose, colour, depth, frame.file_shows_colour)
 
 
 def _relative(path: Path, scene: Path) -> str:
@@ -128,11 +114,6 @@ def read_known(folder: LiftFolder) -> StoredScene | None:
 def write_known(folder: LiftFolder, known: StoredScene) -> None:
     """Write what is known of a lift's scene beside its request. Raises OSError."""
     write_atomically(folder.path / KNOWN_SCENE, record_text(known))
-
-
-def has_known(lift: Path) -> bool:
-    """Whether the folder of a lift has the list of its frames."""
-    return (lift / KNOWN_SCENE).is_file()
 
 
 FILE = "frames.json"

@@ -12,7 +12,7 @@ import tempfile
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass, field
 from hashlib import sha256
 from pathlib import Path
 from typing import Any
@@ -23,17 +23,16 @@ from numpy.typing import NDArray
 from .errors import PlgsError, lacks_part
 from .gates import open_plain
 from .job import EventWriter, StopSignal
-from .json_file import Json, read_object, to_line
+from .json_file import read_object, to_line
 from .posed.layout import listed
+from .records import record_of, to_json
 from .scene.depth import in_metres, read_depth_array
 from .scene.files_of_frames import digests_of_files, files_if_any
 from .scene.formats import FORMATS
 from .scene.formats.colmap_model import MADE_BY, read_model
 from .scene.formats.photos import LEAST, Video, is_film, photos_in, sorted_out
 from .scene.frame_choice import CANDIDATES, photo_detail
-from .scene.pixels import decode
-
-_QUALITY = 95
+from .scene.pixels import decode, write_image
 
 
 def write_pictures(film: Path, folder: Path, most: int, progress: Callable[[int, int], object]) -> None:
@@ -42,8 +41,6 @@ def write_pictures(film: Path, folder: Path, most: int, progress: Callable[[int,
 
     ``progress`` is called with the number of pictures done and their total. Raises PlgsError, OSError.
     """
-    import cv2
-
     video, encoded = Video(film), encoded_depth(film)
     count = video.count()
     edges = np.linspace(0, count, min(most, count) + 1).astype(int)
@@ -53,12 +50,7 @@ def write_pictures(film: Path, folder: Path, most: int, progress: Callable[[int,
         whole = {int(number): video.frame(int(number)) for number in numbers}
         pictures = whole if encoded is None else {at: both[:, both.shape[1] // 2 :] for at, both in whole.items()}
         sharpest = max(pictures, key=lambda number: photo_detail(pictures[number]))
-        options = [cv2.IMWRITE_JPEG_QUALITY, _QUALITY]
-        good, data = cv2.imencode(".jpg", np.ascontiguousarray(pictures[sharpest][..., ::-1]), options)
-        if not good:
-            what = f"picture {sharpest} of the film cannot be written"
-            raise PlgsError("unwritable", what, film, "Extract its pictures yourself.")
-        (folder / f"{sharpest:06d}.jpg").write_bytes(data.tobytes())
+        write_image(folder / f"{sharpest:06d}.jpg", pictures[sharpest])
         if encoded is not None:
             (folder / "depth").mkdir(exist_ok=True)
             left = whole[sharpest][:, : whole[sharpest].shape[1] // 2]
@@ -218,7 +210,8 @@ def metres_per_length(model: Any, depths: Mapping[str, Path]) -> Scale | None:
         world = np.array([model.points3D[point.point3D_id].xyz for point in seen])
         pose = image.cam_from_world().matrix()
         z = world @ pose[2, :3] + pose[2, 3]
-        depth = _read(path)
+        values = read_depth_array(path) if path.suffix.lower() == ".npy" else decode(path, as_colour=False)
+        depth = in_metres(values)
         height, width = depth.shape
         size = model.cameras[image.camera_id]
         pixels = np.array([point.xy for point in seen]) * [width / size.width, height / size.height]
@@ -226,7 +219,7 @@ def metres_per_length(model: Any, depths: Mapping[str, Path]) -> Scale | None:
         measured = depth[rows.clip(0, height - 1), columns.clip(0, width - 1)]
         good = (measured > 0.0) & (z > 0.0)
         ratios.append(measured[good] / z[good])
-    return _median(np.concatenate(ratios)) if ratios else None
+    return _median(np.concatenate([np.empty(0), *ratios]))
 
 
 def _median(ratios: NDArray[np.float64]) -> Scale | None:
@@ -235,10 +228,6 @@ def _median(ratios: NDArray[np.float64]) -> Scale | None:
     metres = float(np.median(ratios))
     spread = float(np.median(np.abs(ratios / metres - 1.0)))
     return Scale(metres, spread, len(ratios)) if spread <= _MOST_SPREAD else None
-
-
-def _read(path: Path) -> NDArray[np.float32]:
-    return in_metres(read_depth_array(path) if path.suffix.lower() == ".npy" else decode(path, as_colour=False))
 
 
 FILM_PICTURES = 150
@@ -255,10 +244,10 @@ _WITHOUT_DEPTH = (
 class Made:
     """``folder``: the scene. ``posed`` of ``photos`` pictures have a pose. ``scale`` is the metres per unit of the
     reconstruction, None without measured depth. ``files``, ``depth`` and ``film`` are digests of the photos, the depth
-    and the film, empty if an earlier version made the poses; ``film`` is "none" for photos. ``asked`` is the number of
-    pictures requested from a film, which may have fewer; 0 for photos, and if unknown."""
+    and the film ("none" for photos), empty if unknown. ``asked`` is the number of pictures requested from a film, which
+    may have fewer; 0 for photos."""
 
-    folder: Path
+    folder: Path = field(metadata={"apart": True})
     posed: int
     photos: int
     points: int
@@ -268,10 +257,6 @@ class Made:
     film: str = ""
     asked: int = 0
 
-    def to_json(self) -> dict[str, Json]:
-        """The record that is kept beside the model."""
-        return {name: value for name, value in asdict(self).items() if name != "folder"}
-
     @classmethod
     def read(cls, folder: Path) -> Made | None:
         """The record of an earlier call in a folder, or None. Raises PlgsError."""
@@ -279,13 +264,7 @@ class Made:
         if not path.is_file():
             return None
         fix = "Move the folder sparse away, then make the poses again."
-        data: Mapping[str, Any] = read_object(path, fix)
-        try:
-            counts = int(data["posed"]), int(data["photos"]), int(data["points"])
-            files, depth, film = (str(data.get(name, "")) for name in ("files", "depth", "film"))
-            return cls(folder, *counts, data["scale"], files, depth, film, int(data.get("asked", 0)))
-        except (KeyError, TypeError, ValueError) as error:
-            raise PlgsError("not-made-poses", "this is not a record of made poses", path, fix) from error
+        return record_of(cls, read_object(path, fix), path, fix, folder=folder)
 
 
 def make_poses(source: Path, events: EventWriter, stop: StopSignal, pictures: int | None = None) -> Made:
@@ -370,7 +349,7 @@ def _map(folder: Path, photos: Path, film: str, asked: int, events: EventWriter,
         metres = None if scale is None else scale.metres
         counts = model.num_reg_images(), len(names), model.num_points3D()
         made = Made(folder, *counts, metres, files, _digest_of([*depths.values()]), film, asked)
-        (out / MADE_BY).write_bytes(to_line(made.to_json()))
+        (out / MADE_BY).write_bytes(to_line(to_json(made)))
         read_model(out)  # what a lift will read
         if (folder / "sparse").exists():
             raise PlgsError("exists", "there is a folder of this name already", folder / "sparse", "Move it away.")

@@ -14,22 +14,10 @@ import numpy as np
 
 from .errors import ErrorCode, PlgsError
 from .job import LiftFolder, LiftState, write_atomically
-from .known_scene import FIND_SCENE, StoredScene, has_known, known_scene, read_known, stored_scene, write_known
+from .known_scene import FIND_SCENE, KNOWN_SCENE, StoredScene, known_scene, read_known, stored_scene, write_known
 from .result_files import INSTANCES, read_instances
-from .scene import (
-    Camera,
-    EvidenceReader,
-    Frame,
-    MaskReader,
-    OtherClasses,
-    PosedFrame,
-    Scene,
-    digests_of_files,
-    open_asked,
-)
+from .scene import Camera, EvidenceReader, Frame, MaskReader, PosedFrame, Scene, digests_of_files, open_asked
 
-DECODED_DIGEST = 64
-"""The length of a digest of decoded masks, as in lifts up to f11a2595."""
 EARLIER = "earlier"
 """The folder, within a lift's folder, for passes of earlier results."""
 _ALIKE = 1e-4
@@ -43,7 +31,7 @@ def scene_of_lift(folder: LiftFolder) -> Scene:
 
     Raises PlgsError for a scene that cannot be read, has been replaced by another, or is gone without a record.
     """
-    if os.path.exists(folder.request.scene) or not has_known(folder.path):
+    if os.path.exists(folder.request.scene) or not (folder.path / KNOWN_SCENE).is_file():
         scene = opened_scene(folder)
         result = folder.result_path / INSTANCES
         return replace(scene, classes=read_instances(result)[0]) if result.is_file() else scene
@@ -65,8 +53,7 @@ def opened_scene(folder: LiftFolder) -> Scene:
 
 
 def _refuse_another(known: StoredScene, scene: Scene) -> None:
-    """Raise PlgsError if a camera differs, or most of the known frames are gone. A few may have been left out or
-    lost."""
+    """Raise PlgsError if a camera differs, or most known frames are gone. A few may have been left out or lost."""
     there = {frame.name for frame in scene.frames}
     kept = [frame for frame in known.frames if frame.name in there]
     compared = kept if 2 * len(kept) >= len(known.frames) else known.frames
@@ -119,19 +106,14 @@ def refuse_changed(folder: LiftFolder, scene: Scene) -> None:
             raise PlgsError("frame-gone", f"the scene no longer has frame {frame.name}", scene.folder, fix)
         if frame.held_out != (is_held_out := there[frame.name].held_out):
             raise another(f"{frame.name} is {'' if is_held_out else 'not '}held out", scene)
-    _refuse_other_pictures(known, scene)
+    refuse_other_pictures(folder, scene)
 
 
 def refuse_other_pictures(folder: LiftFolder, scene: Scene) -> None:
     """Raise PlgsError if a frame's photo or depth has changed since the lift was last run. Unknown and unreadable files
     are ignored here."""
     known = read_known(folder)
-    if known is not None:
-        _refuse_other_pictures(known, scene)
-
-
-def _refuse_other_pictures(known: StoredScene, scene: Scene) -> None:
-    known_as = {frame.name: (frame.files, frame.read) for frame in known.frames}
+    known_as = {frame.name: (frame.files, frame.read) for frame in (known.frames if known else ())}
     for frame, now in zip(scene.frames, _digests_of(scene.frames), strict=True):
         before = known_as.get(frame.name, ("", ""))
         if any(one and other not in ("", one) for one, other in zip(now, before, strict=True)):
@@ -170,9 +152,8 @@ def have_classes_changed(folder: LiftFolder, scene: Scene) -> bool:
         result, _ = read_instances(folder.result_path / INSTANCES)
     except PlgsError:  # there is none, or a damaged one, which is written again
         return False
-    before, now = (
-        [(each.id, each.name, each.is_thing) for each in table.categories] for table in (result, scene.classes)
-    )
+    tables = (result.categories, scene.classes.categories)
+    before, now = ([(each.id, each.name, each.is_thing) for each in table] for table in tables)
     return before != now
 
 
@@ -191,46 +172,22 @@ def digest_of_masks(scene: Scene) -> str:
 
 def masks_differ(before: str, scene: Scene, now: str = "") -> bool:
     """Whether the masks of a scene differ from those of the digest ``before`` ("": unknown). ``now`` is their
-    `digest_of_masks`, if the caller has it. Digests of lifts up to f11a2595 are compared as decoded. Raises
-    OtherClasses."""
-    if not before:
-        return False
-    if len(before) == DECODED_DIGEST:
-        return before != _digest_of_decoded(scene)
-    return before != (now or digest_of_masks(scene))
-
-
-def _digest_of_decoded(scene: Scene) -> str:
-    """SHA-256 of the pixels and segments of all masks."""
-    found = sha256()
-    for frame in scene.frames:
-        if frame.read_mask is None:
-            continue
-        try:
-            mask = frame.mask()
-        except OtherClasses:
-            raise
-        except PlgsError:  # the check leaves this frame out
-            found.update(f"{frame.name} is unreadable".encode())
-            continue
-        found.update(f"{frame.name} {mask.segments}".encode())
-        found.update(np.ascontiguousarray(mask.ids).tobytes())
-    return found.hexdigest()
+    `digest_of_masks`, if the caller has it."""
+    return before != "" and before != (now or digest_of_masks(scene))
 
 
 def relink(folder: LiftFolder, scene: Path) -> LiftFolder:
-    """Change the path of the scene in a lift's request to ``scene``. Paths of masks and depth maps inside it change
-    along.
+    """Change the path of the scene in a lift's request to ``scene``, and the paths of masks and depth maps inside it.
 
-    Raises PlgsError if a program works on the lift, the new scene cannot be read, or it has other frames (names, sizes,
-    lenses or poses). Then the request is unchanged.
-    """
+    Raises PlgsError, with the request unchanged, if a program works on the lift, the new scene cannot be read, or it
+    has other frames (names, sizes, lenses or poses)."""
     if folder.is_running:
         what = "an engine is at work here"
         raise PlgsError("at-work", what, folder.path, "Wait for it, or cancel it.", code=ErrorCode.BUSY)
     request, scene = folder.request, scene.absolute()
-    named = {name: getattr(request, name) for name in ("masks", "depth", "detections")}
-    moved: dict[str, Any] = {name: _moved(path, request.scene, scene) for name, path in named.items()}
+    named: dict[str, Any] = {name: getattr(request, name) for name in ("masks", "depth", "detections")}
+    inside = {name: path for name, path in named.items() if path is not None and path.is_relative_to(request.scene)}
+    moved = {name: scene / path.relative_to(request.scene) for name, path in inside.items()}
     found = replace(request, scene=scene, **moved)
     opened = open_asked(found)
     known = read_known(folder)
@@ -251,8 +208,7 @@ def refuse_others(known: Sequence[PosedFrame], scene: Scene) -> None:
 
 
 def _digests_of(frames: Sequence[Frame]) -> list[tuple[str, str]]:
-    """The digests of a frame's photo and depth, of its confidence, and of how they are read; empty for unreadable
-    files."""
+    """Each frame's digests: of photo and depth, and of confidence and how they are read; empty if unreadable."""
     files = digests_of_files([(frame.colour_path, frame.depth_path) for frame in frames])
     trusted = digests_of_files([(frame.confidence_path,) for frame in frames])
     return [
@@ -274,7 +230,3 @@ def _gone(scene: Path) -> Callable[[Any], NoReturn]:
 def _is_same(one: Camera, other: Camera) -> bool:
     same_pose = np.allclose(one.camera_to_world, other.camera_to_world, rtol=0, atol=_ALIKE)
     return one.size == other.size and same_pose and np.allclose(one.K, other.K, rtol=0, atol=_ALIKE)
-
-
-def _moved(path: Path | None, old: Path, new: Path) -> Path | None:
-    return new / path.relative_to(old) if path is not None and path.is_relative_to(old) else path

@@ -14,7 +14,7 @@ from __future__ import annotations
 import json
 import os
 import re
-from collections.abc import Callable, Mapping, Sequence, Set
+from collections.abc import Callable, Sequence, Set
 from dataclasses import dataclass
 from hashlib import sha256
 from pathlib import Path
@@ -27,8 +27,9 @@ from numpy.typing import NDArray
 from .errors import PlgsError, lacks_part
 from .job import write_atomically
 from .job.atomic import sha256 as digest_of
-from .json_file import read_object, read_value
+from .json_file import read_object
 from .scene import ClassLabel, Frame, Scene, digests_of_files, labels_of_config, size_within
+from .scene.pixels import write_image
 
 LEAST_SCORE = 0.5
 """Minimum score of a query to become a segment."""
@@ -47,6 +48,10 @@ class MadeSegment:
     id: int
     label: int
     score: float
+
+    def to_json(self) -> dict[str, object]:
+        """Its entry in segments_info, for a table whose class ids count from 1."""
+        return {"id": self.id, "category_id": self.label + 1, "score": round(self.score, 4), "iscrowd": 0}
 
 
 def merge_queries(
@@ -154,7 +159,9 @@ def load_model(name: str, *, download: bool) -> Mask2Former:
 
     It is fetched only with ``download``; otherwise it must be on this computer already.
     """
-    _refuse_other_names(name)
+    if not Path(name).is_dir() and (name.count("/") != 1 or name.startswith((".", "/", "~"))):
+        fix = "Name a folder, or a model as OWNER/NAME or OWNER/NAME@REVISION."
+        raise PlgsError("no-model", "there is no such folder or model", name, fix)
     if not download:  # the library reads this when it is imported
         os.environ["HF_HUB_OFFLINE"] = "1"
     try:
@@ -223,13 +230,6 @@ def _ask_hub(hub: Any, model: str, revision: str | None) -> None:
         fix = "Check the name and the connection, or name a folder that holds the model."
         what = f"huggingface.co does not offer the model ({type(error).__name__})"
         raise PlgsError("hub-silent", what, model, fix) from error
-
-
-def _refuse_other_names(name: str) -> None:
-    """Raise PlgsError for anything but a folder, OWNER/MODEL or OWNER/MODEL@REVISION."""
-    if not Path(name).is_dir() and (name.count("/") != 1 or name.startswith((".", "/", "~"))):
-        fix = "Name a folder, or a model as OWNER/NAME or OWNER/NAME@REVISION."
-        raise PlgsError("no-model", "there is no such folder or model", name, fix)
 
 
 def _not_loaded(name: str, download: bool, error: Exception) -> PlgsError:
@@ -311,74 +311,27 @@ def make_masks(scene: Scene, job: Job, network: Segmenter, progress: Progress) -
         segments, picture = (job.pictures / f"{frame.name}{suffix}" for suffix in (".json", ".png"))
         if not (segments.is_file() and picture.is_file()):
             ids, found, detections = network.segment(frame.read_colour(None))
-            write_atomically(picture, _png(ids))
+            # R + 256 G + 65536 B
+            write_image(picture, np.stack([ids & 255, ids >> 8 & 255, ids >> 16 & 255], axis=-1).astype(np.uint8))
             seen = {"width": ids.shape[1], "height": ids.shape[0], "detections": [one.to_json() for one in detections]}
-            write_atomically(job.pictures / f"{frame.name}.detections.json", json.dumps(seen))
-            write_atomically(segments, json.dumps(_segments(ids, found)))
+            listed = [one.to_json() | {"area": int((ids == one.id).sum())} for one in found]
+            write_atomically(segments, json.dumps({"segments_info": listed, **seen}))
             made += 1
         progress(done, len(scene.frames), made)
     names = [frame.name for frame in scene.frames]
-    annotations = [
-        {"image_id": name, "file_name": f"{name}.png", "segments_info": read_list(job.pictures / f"{name}.json")}
-        for name in names
-    ]
+    masks, images, annotations = list[object](), list[object](), list[object]()
+    for number, name in enumerate(names, start=1):
+        content: Any = read_object(job.pictures / f"{name}.json", "Delete this file, then start again.")
+        masks.append({"image_id": name, "file_name": f"{name}.png", "segments_info": content["segments_info"]})
+        size = {"width": content["width"], "height": content["height"]}
+        images.append({"id": number, "file_name": f"{name}.png", **size})
+        first = len(annotations) + 1
+        annotations += [{"id": first + k, "image_id": number, **one} for k, one in enumerate(content["detections"])]
     categories = [  # ids count from 1, as 0 is void
         {"id": label.id + 1, "name": label.name, "isthing": int(label.is_thing)} for label in network.labels
     ]
-    _write_detections(job, names, categories)
-    content = {"annotations": annotations, "categories": categories}
-    write_atomically(job.folder / TABLE, json.dumps(content, ensure_ascii=False) + "\n")
+    over = {"images": images, "annotations": annotations, "categories": categories}
+    for file, table in ((DETECTIONS, over), (TABLE, {"annotations": masks, "categories": categories})):
+        write_atomically(job.folder / file, json.dumps(table, ensure_ascii=False) + "\n")
     for name in names:
         (job.pictures / f"{name}.json").unlink()
-        (job.pictures / f"{name}.detections.json").unlink(missing_ok=True)
-
-
-def _write_detections(job: Job, names: Sequence[str], categories: Sequence[Mapping[str, object]]) -> None:
-    """Write detections.json, unless an earlier version, which kept none, made masks of some frames. Raises PlgsError,
-    OSError."""
-    found = [job.pictures / f"{name}.detections.json" for name in names]
-    if not all(path.is_file() for path in found):
-        return
-    images: list[dict[str, object]] = []
-    annotations: list[dict[str, object]] = []
-    for name, path in zip(names, found, strict=True):
-        seen: Any = read_object(path, "Delete this file and the mask beside it, then start again.")
-        number = len(images) + 1
-        images.append({"id": number, "file_name": f"{name}.png", "width": seen["width"], "height": seen["height"]})
-        first = len(annotations) + 1
-        annotations += [{"id": first + k, "image_id": number, **one} for k, one in enumerate(seen["detections"])]
-    content = {"images": images, "annotations": annotations, "categories": [*categories]}
-    write_atomically(job.folder / DETECTIONS, json.dumps(content, ensure_ascii=False) + "\n")
-
-
-def read_list(path: Path) -> list[object]:
-    """The segments of a frame that was made before. Raises PlgsError when the file is damaged."""
-    fix = "Delete this file, then start again."
-    content = read_value(path, fix)
-    if not isinstance(content, list):
-        raise PlgsError("not-segments", "this frame's segments are not a list", path, fix)
-    return list(content)
-
-
-def _segments(ids: NDArray[np.int32], found: list[MadeSegment]) -> list[dict[str, object]]:
-    return [
-        {
-            "id": one.id,
-            "category_id": one.label + 1,
-            "score": round(one.score, 4),
-            "area": int((ids == one.id).sum()),
-            "iscrowd": 0,
-        }
-        for one in found
-    ]
-
-
-def _png(ids: NDArray[np.int32]) -> bytes:
-    """Ids int32 [H, W] as R + 256 G + 65536 B."""
-    import cv2
-
-    colours = np.stack([ids >> 16 & 255, ids >> 8 & 255, ids & 255], axis=-1).astype(np.uint8)  # OpenCV's B, G, R
-    done, data = cv2.imencode(".png", colours)
-    if not done:
-        raise ValueError(f"cannot encode ids of shape {ids.shape} as PNG")
-    return data.tobytes()

@@ -77,7 +77,7 @@ ENGINE_MAY_IMPORT: dict[str, set[str]] = {
         "lift",
     },
     "frames": {"errors", "scene_source", "job", "known_scene", "scene"},
-    "poses": {"gates", "errors", "json_file", "job", "posed", "scene"},
+    "poses": {"gates", "errors", "json_file", "records", "job", "posed", "scene"},
     "segment": {"errors", "json_file", "job", "scene"},
     "set_up": {"gates", "errors", "job"},
     "batch": {"gates", "errors", "json_file", "job", "scene_of_lift", "machine"},

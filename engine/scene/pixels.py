@@ -12,11 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import PlgsError
+from ..job.atomic import write_atomically
 from ..posed.array_file import array_headers, read_array
 from ..posed.image_header import ImageHeader, check_image_bytes, check_image_file, read_image_header
 from ..posed.layout import LARGEST_PIXELS
 from .frame import Size
 from .values import checked_ids, inside
+
+_JPEG_QUALITY = 95
 
 
 @dataclass(frozen=True)
@@ -56,6 +59,17 @@ def decode_bytes(data: bytes, path: Path, as_colour: bool) -> NDArray[Any]:
     if pixels.ndim == 3:
         pixels = cv2.cvtColor(pixels, cv2.COLOR_BGRA2RGBA if pixels.shape[2] == 4 else cv2.COLOR_BGR2RGB)
     return pixels
+
+
+def write_image(path: Path, rgb: NDArray[Any]) -> None:
+    """Write uint8 [H, W, 3] as JPEG or PNG, by the suffix. Raises PlgsError when it cannot be encoded, OSError."""
+    import cv2
+
+    bgr = np.ascontiguousarray(rgb[..., ::-1])
+    good, data = cv2.imencode(path.suffix, bgr, [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])
+    if not good:
+        raise PlgsError("unencodable", "the picture cannot be encoded", path, "Check the size of the scene's pictures.")
+    write_atomically(path, data.tobytes())
 
 
 def largest_of_16_bits(path: Path) -> int | None:

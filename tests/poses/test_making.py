@@ -18,6 +18,7 @@ from engine.command_line.main import main
 from engine.errors import ErrorCode, PlgsError
 from engine.job import EventWriter, StopSignal
 from engine.poses import Made, _digest_of, _median, make_poses, write_pictures
+from engine.records import to_json
 from engine.scene import open_scene
 from tests.raises_key import raises_key
 from tests.scene.formats.room import write_grey
@@ -77,7 +78,7 @@ def test_poses_of_photos_that_have_changed_are_not_used(photos: Path, tmp_path: 
     """Whatever lay there by now had the poses that were found for others."""
     (photos / "sparse" / "0").mkdir(parents=True)
     made = Made(photos, 6, 6, 100, None, _digest_of(sorted(photos.glob("*.png"))))
-    (photos / "sparse" / "0" / "made_by.json").write_text(json.dumps(made.to_json()))
+    (photos / "sparse" / "0" / "made_by.json").write_text(json.dumps(to_json(made)))
     assert make_poses(photos, EventWriter(tmp_path / "events.jsonl"), StopSignal()) == made
     (photos / "0001.png").write_bytes((photos / "0002.png").read_bytes())
     with raises_key("photos-changed"):

@@ -118,8 +118,9 @@ def test_a_damaged_frame_is_named(folder: Path) -> None:
     job = begun(folder)
     make_masks(open_scene(folder), job, Halves(), silent)
     (folder / "panoptic.json").unlink()
+    whole = '{"segments_info": [], "detections": [], "width": 32, "height": 24}'
     for name in ("0000", "0001", "0002", "0003"):
-        (folder / "panoptic" / f"{name}.json").write_text("[" if name == "0002" else "[]")
+        (folder / "panoptic" / f"{name}.json").write_text("[" if name == "0002" else whole)
     with raises_key("json-broken 0002.json"):
         make_masks(open_scene(folder), job, Halves(), silent)
 
