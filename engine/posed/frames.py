@@ -11,9 +11,21 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from .classes import ClassTable
+
+
+def as_pose(rotation: ArrayLike, position: ArrayLike) -> NDArray[np.float64]:
+    """The rigid float64 [4, 4] of a rotation [3, 3] and a position [3]."""
+    pose = np.eye(4)
+    pose[:3, :3], pose[:3, 3] = rotation, position
+    return pose
+
+
+def inverse(pose: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The inverse of a rigid float64 [4, 4]."""
+    return as_pose(pose[:3, :3].T, -pose[:3, :3].T @ pose[:3, 3])
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,11 +52,7 @@ class Camera:
     @property
     def world_to_camera(self) -> NDArray[np.float64]:
         """The inverse pose, float64 [4, 4]; exact for a rigid matrix."""
-        rotation = self.camera_to_world[:3, :3]
-        inverse = np.eye(4)
-        inverse[:3, :3] = rotation.T
-        inverse[:3, 3] = -rotation.T @ self.camera_to_world[:3, 3]
-        return inverse
+        return inverse(self.camera_to_world)
 
     @property
     def centre(self) -> NDArray[np.float64]:

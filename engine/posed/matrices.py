@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from ..errors import PlgsError
 from ..json_file import take_list, wrong_type
 from ..scene_source import UpAxis
-from .frames import Camera, Size
+from .frames import Camera, Size, as_pose
 from .layout import of_most, read_text
 
 _MOST_BYTES = 1 << 20
@@ -104,10 +104,7 @@ def rigid(pose: NDArray[np.float64], path: Path) -> NDArray[np.float64]:
         what = f"the camera is {far:.4g} m from the origin, too far for exact positions"
         raise PlgsError("camera-far", what, path, "Write metres, and move the scene close to the origin.")
     left, _, right = np.linalg.svd(rotation)
-    straight = np.eye(4)
-    straight[:3, :3] = left @ right
-    straight[:3, 3] = pose[:3, 3]
-    return straight
+    return as_pose(left @ right, pose[:3, 3])
 
 
 def _is_orthogonal(rotation: NDArray[np.float64]) -> bool:
@@ -170,10 +167,7 @@ def upright_turn(
 
 def turned(pose: NDArray[np.float64], turn: NDArray[np.float64]) -> NDArray[np.float64]:
     """A camera-to-world pose, float64 [4, 4], in a world rotated by ``turn``, float64 [3, 3]."""
-    result = np.eye(4)
-    result[:3, :3] = turn @ pose[:3, :3]
-    result[:3, 3] = turn @ pose[:3, 3]
-    return result
+    return as_pose(turn @ pose[:3, :3], turn @ pose[:3, 3])
 
 
 def up_axis_warning(poses: Sequence[NDArray[np.float64]], up: UpAxis) -> str | None:

@@ -1,7 +1,6 @@
 """The formats of scenes: one reader each, which recognises its files by their names and reads posed pictures.
 
-To add a format, put a module with a ``SceneFormat`` into this folder, add it to ``FORMATS``, and add its name to
-``format_names.py``, from which the panel takes its list.
+A new format's ``SceneFormat`` goes into ``FORMATS``, and its name into ``engine/scene_source.py``.
 """
 
 from __future__ import annotations

@@ -2,13 +2,11 @@
 
 * ``wide/``, ``vga_wide/`` or ``lowres_wide/``: pictures ``VIDEO_SECONDS.png``; the largest are read. Their lenses are
   in ``<kind>_intrinsics/VIDEO_SECONDS.pincam``: ``width height fx fy cx cy``.
-* ``lowres_wide.traj``: a pose on each line, seconds, the rotation (its axis times radians) and the translation in
-  metres, of world-to-camera, OpenCV axes; the world has z up. Poses come ten times a second, so pictures between two
-  get one in between.
+* ``lowres_wide.traj``: seconds, rotation (axis times radians) and translation in metres, ten times a second:
+  world-to-camera, OpenCV axes, z up. Poses between two are interpolated.
 * ``lowres_depth/``: 16-bit PNG in millimetres, 256x192; ``confidence/`` 0 to 2: pixels with 0 are dropped.
 
-See DATA.md of github.com/apple/ARKitScenes, and its ``TrajStringToMatrix``. It does not say where pixels count from;
-their corners are assumed.
+See DATA.md of github.com/apple/ARKitScenes. It does not say where pixels count from; their corners are assumed.
 """
 
 from __future__ import annotations
@@ -17,18 +15,21 @@ from bisect import bisect_left
 from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import PlgsError
+from ...posed.frames import as_pose, inverse
 from ...posed.layout import files_by_stem, shown_files
 from ..depth import png_depth, trusted
 from ..files_of_frames import files_if_any
-from .capture import Capture, SceneFormat, Shot, with_picture
+from .capture import Capture, Found, SceneFormat, Shot, with_picture
 from .lens import fitted, pinhole
-from .poses import inverse, numbers, read_rows
+from .poses import nearest, numbers, read_rows
 
+Value = TypeVar("Value")
 _FIX = "Download the video's wide or lowres_wide, its intrinsics, lowres_depth and lowres_wide.traj again."
 _KINDS, _TRAJECTORY = ("wide", "vga_wide", "lowres_wide"), "lowres_wide.traj"
 _SAME = 0.02
@@ -44,7 +45,6 @@ def _folder(place: Path) -> Path | None:
 
 
 def _read(place: Path) -> Capture:
-    """Open the frames; only headers of pictures are read. Raises PlgsError."""
     folder = _folder(place)
     kind = next((kind for kind in _KINDS if folder is not None and any(shown_files(folder / kind, "*.png"))), None)
     if folder is None or kind is None:
@@ -54,13 +54,11 @@ def _read(place: Path) -> Capture:
     lenses = _by_time(files_by_stem(folder / f"{kind}_intrinsics", {".pincam"}, _FIX))
     depths, levels = (_by_time(files_if_any(folder / name, {".png"}, _FIX)) for name in ("lowres_depth", "confidence"))
     poses = _read_trajectory(folder / _TRAJECTORY)
-    found: list[tuple[str, Shot | PlgsError | None]] = []
+    found: list[tuple[str, Found]] = []
     for seconds, picture in sorted(_by_time(pictures).items()):
         pose, lens = _pose_at(poses, seconds), _nearest(lenses, seconds)
-        if pose is None or lens is None:
-            found.append((picture.stem, None))
-            continue
-        make = partial(_shot, picture, lens, _nearest(depths, seconds), _nearest(levels, seconds), pose)
+        depth, level = _nearest(depths, seconds), _nearest(levels, seconds)
+        make = None if pose is None or lens is None else partial(_shot, picture, lens, depth, level, pose)
         found.append((picture.stem, with_picture(picture, make)))
     return Capture(found, "z", up_is_known=True)
 
@@ -76,12 +74,10 @@ def _by_time(files: Mapping[str, Path]) -> dict[float, Path]:
     return dict(sorted(found.items()))
 
 
-def _nearest(files: Mapping[float, Path], seconds: float) -> Path | None:
-    """The file closest to this time, within the tolerance."""
-    times = [*files]
-    after = bisect_left(times, seconds)
-    near = [time for time in times[max(after - 1, 0) : after + 1] if abs(time - seconds) <= _SAME]
-    return files[min(near, key=lambda time: abs(time - seconds))] if near else None
+def _nearest(of_times: Mapping[float, Value], seconds: float) -> Value | None:
+    times = [*of_times]
+    index = nearest(times, seconds, _SAME)
+    return None if index is None else of_times[times[index]]
 
 
 def _read_trajectory(path: Path) -> dict[float, NDArray[np.float64]]:
@@ -92,9 +88,7 @@ def _read_trajectory(path: Path) -> dict[float, NDArray[np.float64]]:
     for row in read_rows(path, _FIX):
         values = numbers(row, path, _FIX, 7)
         if np.isfinite(values).all():
-            pose = np.eye(4)
-            pose[:3, :3], pose[:3, 3] = cv2.Rodrigues(values[1:4])[0], values[4:]
-            found[float(values[0])] = inverse(pose)
+            found[float(values[0])] = inverse(as_pose(cv2.Rodrigues(values[1:4])[0], values[4:]))
     if not found:
         raise PlgsError("no-poses-left", "the file holds no pose", path, _FIX)
     return dict(sorted(found.items()))
@@ -113,8 +107,7 @@ def _pose_at(poses: Mapping[float, NDArray[np.float64]], seconds: float) -> NDAr
         turn = cv2.Rodrigues(poses[one][:3, :3].T @ poses[other][:3, :3])[0]
         between[:3, :3] = poses[one][:3, :3] @ cv2.Rodrigues(share * turn)[0]
         return between
-    near = [time for time in times[max(after - 1, 0) : after + 1] if abs(time - seconds) <= _SAME]
-    return poses[min(near, key=lambda time: abs(time - seconds))] if near else None
+    return _nearest(poses, seconds)
 
 
 def _shot(picture: Path, lens: Path, depth: Path | None, level: Path | None, pose: NDArray[np.float64]) -> Shot:

@@ -40,17 +40,20 @@ class Shot:
     kept_pixels: Path | None = None
 
 
+Found = Shot | PlgsError | None
+"""A picture as a reader found it: None without a pose, an error if it cannot be read."""
+
+
 @dataclass(frozen=True, eq=False)
 class Capture:
-    """All pictures in recording order: ``found`` pairs each name with a Shot, None if it has no pose, or the reason why
-    the picture cannot be read (``with_picture``).
+    """All pictures in recording order: ``found`` pairs each name with what was found.
 
     ``up`` is the axis of the format's world that points up, None if the format does not say. ``up_is_known`` means that
     it was measured, so sideways cameras cause no warning. ``split`` is set by readers whose format defines one.
     ``left_out`` lists frames besides those of ``found``, ``inferred`` what no file says.
     """
 
-    found: Sequence[tuple[str, Shot | PlgsError | None]]
+    found: Sequence[tuple[str, Found]]
     up: UpAxis | None
     warnings: tuple[str, ...] = ()
     points: SparsePoints | None = None
@@ -74,15 +77,15 @@ class Capture:
         return [name for name, shot in self.found if shot is None]
 
 
-def with_picture(picture: Path, make: Callable[[], Shot | None]) -> Shot | PlgsError | None:
-    """What ``make`` returns for the file ``picture``, or the reason why it cannot be read, judging by its header."""
-    return fault_of(picture) or make()
+def with_picture(picture: Path, make: Callable[[], Shot | None] | None) -> Found:
+    """What ``make`` (None: no pose) returns for the file ``picture``, or why it cannot be read, by its header."""
+    return None if make is None else fault_of(picture) or make()
 
 
 @dataclass(frozen=True)
 class SceneFormat:
     """A format of scenes by its ``name``, one of `SCENE_FORMAT_NAMES`. ``recognises`` says whether a folder or file has
-    it; nothing is decoded for that. ``read`` raises PlgsError."""
+    it, by names alone. ``read`` opens the frames; of pictures it reads headers only. It raises PlgsError."""
 
     name: str
     recognises: Callable[[Path], bool]

@@ -1,11 +1,9 @@
 """A COLMAP reconstruction: a sparse model beside the folder ``images``.
 
 World-to-camera poses, OpenCV axes, pixel centres at +0.5; the world keeps the reconstruction's rotation and scale.
-Distorted pictures are undistorted on reading. Pictures listed in ``test.txt`` beside the model are held out. A dense
-workspace has depth as well: ``stereo/depth_maps/<image>.geometric.bin`` (or ``.photometric.bin``), planar, in the
-reconstruction's unit. It may be in ``dense/0``, where COLMAP's automatic reconstruction puts it, or in ``dense``: then
-its model and its undistorted pictures are read. If `python -m engine poses` made the model, depth measured beside the
-photos, in ``depth``, is read as well.
+Pictures listed in ``test.txt`` beside the model are held out. A dense workspace, here or in ``dense/0`` or ``dense``,
+has depth as well: ``stereo/depth_maps/<image>.geometric.bin`` (or ``.photometric.bin``), planar, in the
+reconstruction's unit. If `python -m engine poses` made the model, depth beside the photos, in ``depth``, is read.
 """
 
 from __future__ import annotations
@@ -19,7 +17,7 @@ from numpy.typing import NDArray
 
 from ...errors import PlgsError
 from ...json_file import LARGEST_TABLE, read_object
-from ...posed.frames import Camera
+from ...posed.frames import Camera, inverse
 from ...posed.layout import file_inside, listed, natural_order, read_file, read_text, shown_files
 from ...posed.plain_folders import Split
 from ..depth import DepthMap, fault_of, npy_depth, only_depth, png_depth
@@ -38,7 +36,7 @@ from .colmap_model import (
 )
 from .lens import Distortion, fitted, of_colmap, pinhole
 from .photos import LET_COLMAP
-from .poses import inverse, quaternion_pose
+from .poses import quaternion_pose
 
 _LOOKS_FOR = "cameras and images, .bin or .txt, in sparse/0, sparse, model or colmap/sparse/0"
 _MODELS = ("sparse/0", "sparse", "model", "colmap/sparse/0", ".")
@@ -64,34 +62,28 @@ def _find_model(place: Path) -> Path | None:
     return next((place / name for name in _MODELS if has_model(place / name)), None)
 
 
-def _find_dense(place: Path) -> tuple[Path, Path] | None:
-    """The workspace with depth inside ``place``, and its model; None if ``place`` itself has depth, or no workspace
-    does."""
-    if _has_depth(place):
-        return None
-    found = ((place / name, _find_model(place / name)) for name in _DENSE if _has_depth(place / name))
-    return next(((dense, model) for dense, model in found if model is not None), None)
-
-
 def _has_depth(place: Path) -> bool:
     """Whether there are depth maps: COLMAP's image_undistorter creates empty folders for them."""
     return any((place / _DEPTH_MAPS).rglob("*.bin"))
 
 
 def _read(place: Path) -> Capture:
-    """Open the registered images; only headers of images are read. Raises PlgsError."""
     folder = _find_model(place)
     if folder is None:
         raise PlgsError("no-colmap-model", "the COLMAP model is missing", place, f"Give {_LOOKS_FOR}, or {LET_COLMAP}.")
-    depths, warnings = _measured_depth(place, folder), list[str]()
+    depths, warnings, made_by = dict[str, Path](), list[str](), folder / MADE_BY
+    # Depth beside the photos is read if it gave the model its unit, metres.
+    if made_by.is_file() and read_object(made_by, "Make the poses again.").get("scale") is not None:
+        depths = files_if_any(place / "depth", {".png", ".npy"}, "Give one map per photo.")
     others = [each.name for each in sorted(shown_files(folder.parent, "[0-9]*")) if each != folder and has_model(each)]
     if folder.name == "0" and others:
         warnings.append(f"only the model 0 is read, but there are others: {listed(others)}")
-    dense = None if depths else _find_dense(place)
-    if dense is not None:
-        name = dense[0].relative_to(place).as_posix()
+    workspaces = [] if depths or _has_depth(place) else [place / name for name in _DENSE if _has_depth(place / name)]
+    dense = ((workspace, own) for workspace in workspaces if (own := _find_model(workspace)) is not None)
+    if workspace := next(dense, None):
+        name = workspace[0].relative_to(place).as_posix()
         warnings.append(f"depth is in {name}, so its model and pictures are read: masks must be of these pictures")
-        place, folder = dense
+        place, folder = workspace
     model = read_model(folder)
     images = sorted(model.images, key=lambda image: natural_order(image.name))
     if not images:
@@ -105,23 +97,15 @@ def _read(place: Path) -> Capture:
         for name, image, path in zip(names, images, paths, strict=True)
     ]
     lost = left_out("a pose (COLMAP did not register them)", _unregistered(root, paths))
-    scale = () if depths else (_SCALE,)
-    points = _points(model, names, images)
-    held_out = _held_out(folder, names, images)
+    path = folder / "test.txt"  # of 3D Gaussian Splatting's programs
+    lines = read_text(path, LARGEST_TABLE, "Write a picture's name on each line.") if path.is_file() else ""
+    chosen = {line.strip() for line in lines.splitlines()}
+    held_out = {name for name, image in zip(names, images, strict=True) if image.name in chosen}
     posed = [name for name, shot in found if isinstance(shot, Shot)]
     split = Split(*(tuple(name for name in posed if (name in held_out) is is_test) for is_test in (False, True)))
-    return Capture(
-        found, None, tuple(warnings), points, split if split.train and split.test else None, left_out=lost,
-        inferred=scale,
-    )  # fmt: skip
-
-
-def _held_out(folder: Path, names: list[str], images: list[ColmapImage]) -> set[str]:
-    """The frames listed in test.txt beside the model, in the format of 3D Gaussian Splatting's programs."""
-    path = folder / "test.txt"
-    text = read_text(path, LARGEST_TABLE, "Write a picture's name on each line.") if path.is_file() else ""
-    chosen = {line.strip() for line in text.splitlines()}
-    return {name for name, image in zip(names, images, strict=True) if image.name in chosen}
+    own_split, scale = split if split.train and split.test else None, () if depths else (_SCALE,)
+    points = _points(model, names, images)
+    return Capture(found, None, tuple(warnings), points, own_split, left_out=lost, inferred=scale)
 
 
 def _unregistered(root: Path, registered: list[Path]) -> list[str]:
@@ -133,21 +117,13 @@ def _unregistered(root: Path, registered: list[Path]) -> list[str]:
 
 
 def _find_images(place: Path, images: list[ColmapImage]) -> Path:
-    """The folder that image names are relative to: the first that has the first image. Raises PlgsError."""
+    """The folder that image names are relative to: the first that has the first image."""
     first = images[0].name
     for name in _IMAGES:
         if file_inside(place / name, first, place).is_file():
             return place / name
     what = "the pictures are missing"
     raise PlgsError("no-pictures", what, place / "images" / first, "Copy the pictures that COLMAP had there.")
-
-
-def _measured_depth(place: Path, folder: Path) -> dict[str, Path]:
-    """The depth files beside the photos, by stem, if they were used to scale the model to metres; otherwise none."""
-    path = folder / MADE_BY
-    if not path.is_file() or read_object(path, "Make the poses again.").get("scale") is None:
-        return {}
-    return files_if_any(place / "depth", {".png", ".npy"}, "Give one map per photo.")
 
 
 def _shot(
@@ -170,7 +146,7 @@ def _shot(
 
 
 def _lens(camera: ColmapCamera, folder: Path) -> tuple[Camera, Distortion]:
-    """A camera at the origin with the lens's focal lengths, and its distortion. Raises PlgsError."""
+    """A camera at the origin with the lens's focal lengths, and its distortion."""
     model, values = camera.model, camera.parameters
     alone = 1 if model.startswith(("SIMPLE", "RADIAL")) else 2
     (*focal, cx, cy), rest = values[: alone + 2], values[alone + 2 :]
@@ -197,7 +173,7 @@ def _points(model: ColmapModel, names: list[str], images: list[ColmapImage]) -> 
 
 
 def _read_dense(path: Path) -> NDArray[np.float32]:
-    """A depth map of COLMAP's stereo: "width&height&channels&" and float32, row by row. Raises PlgsError."""
+    """A depth map of COLMAP's stereo: "width&height&channels&" and float32, row by row."""
     data = read_file(path, _MOST_DEPTH)
     head = data[:64].split(b"&", 3)
     if len(head) < 4 or not all(part.isdigit() for part in head[:3]):

@@ -2,21 +2,18 @@
 
 * ``_detail/cam_00/camera_keyframe_positions.hdf5`` (asset units) and ``..._orientations.hdf5`` (camera-to-world,
   OpenGL axes, z up); ``_detail/metadata_scene.csv`` says how many metres an asset unit has.
-* ``images/scene_cam_00_geometry_hdf5/frame.0000.depth_meters.hdf5``: the distance to the camera's centre, in metres;
-  NaN is none. It becomes planar depth.
+* ``images/scene_cam_00_geometry_hdf5/frame.0000.depth_meters.hdf5``: metres to the camera's centre; NaN is none.
 * ``images/scene_cam_00_final_preview/frame.0000.tonemap.jpg``, or ``scene_cam_00_final_hdf5/frame.0000.color.hdf5``,
   linear, which is tone mapped as the project's own tool does it.
 * ``metadata_camera_parameters.csv`` (of the project, for all scenes; in the scene's folder or one of the two above):
   the rays of each pixel, ``M_cam_from_uv``. More than half of the scenes have a tilted lens: they are straightened.
-
-All cameras of a scene are frames of it.
 """
 
 from __future__ import annotations
 
 import csv
 import re
-from collections.abc import Collection, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import lru_cache, partial
@@ -164,12 +161,7 @@ _GUESSED = Inferred(
 )
 
 
-def _recognises(place: Path) -> bool:
-    return (place / "_detail" / "metadata_scene.csv").is_file() and (place / "images").is_dir()
-
-
 def _read(place: Path) -> Capture:
-    """Open the frames of all cameras. Raises PlgsError."""
     metres = _metres_a_unit(place / "_detail" / "metadata_scene.csv")
     rays, inferred = _read_rays(place)
     found, blind = [], list[str]()
@@ -179,7 +171,9 @@ def _read(place: Path) -> Capture:
         if positions.shape[1:] != (3,) or turns.shape != (len(positions), 3, 3):
             raise PlgsError("poses-unpaired", "positions and orientations do not belong together", camera, _FIX)
         pictures = list(_pictures(place / "images", camera.name))
-        blind += _without_depth(place / "images", camera.name, {number for number, *_ in pictures})
+        previews = shown_files(place / "images" / f"scene_{camera.name}_final_preview", "frame.*.tonemap.jpg")
+        shown = {int(number) for path in previews if (number := path.name.split(".")[1]).isdecimal()}
+        blind += [f"{camera.name}_{number:04d}" for number in sorted(shown - {number for number, *_ in pictures})]
         for number, colour, depth in pictures:
             if number >= len(positions):
                 raise PlgsError("no-pose", f"frame {number} has no pose", camera, _FIX)
@@ -187,7 +181,7 @@ def _read(place: Path) -> Capture:
             pose = finite_pose(matrix, camera / "camera_keyframe_orientations.hdf5")
             name = f"{camera.name}_{number:04d}"
             make = None if pose is None else partial(_shot, name, colour, depth, from_opengl(pose), rays)
-            found.append((name, None if make is None else with_picture(colour, make)))
+            found.append((name, with_picture(colour, make)))
     return Capture(found, "z", up_is_known=True, left_out=left_out("depth", blind), inferred=inferred)
 
 
@@ -200,14 +194,6 @@ def _pictures(images: Path, camera: str) -> Iterator[tuple[int, Path, Path]]:
             preview = images / f"scene_{camera}_final_preview" / f"frame.{match[1]}.tonemap.jpg"
             colour = images / f"scene_{camera}_final_hdf5" / f"frame.{match[1]}.color.hdf5"
             yield int(match[1]), preview if preview.is_file() else colour, depth
-
-
-def _without_depth(images: Path, camera: str, with_depth: Collection[int]) -> list[str]:
-    """The names of a camera's frames that have a preview but no depth file."""
-    previews = shown_files(images / f"scene_{camera}_final_preview", "frame.*.tonemap.jpg")
-    numbers = (path.name.split(".")[1] for path in previews)
-    found = sorted(int(number) for number in numbers if number.isdecimal())
-    return [f"{camera}_{number:04d}" for number in found if number not in with_depth]
 
 
 def _shot(name: str, colour: Path, depth: Path, pose: NDArray[np.float64], rays: NDArray[np.float64]) -> Shot:
@@ -267,4 +253,8 @@ def _read_table(path: Path) -> list[dict[str, str]]:
         raise PlgsError("not-table", "this is not a table", path, _FIX) from error
 
 
-FORMAT = SceneFormat("hypersim", _recognises, _read)
+FORMAT = SceneFormat(
+    "hypersim",
+    lambda place: (place / "_detail" / "metadata_scene.csv").is_file() and (place / "images").is_dir(),
+    _read,
+)

@@ -4,14 +4,11 @@
 ``camera_angle_x``, and the distortion ``k1 k2 k3 k4 p1 p2`` with ``camera_model``, for all frames or for each; pixel
 centres at +0.5. ``depth_file_path`` (nerfstudio) or ``depth_path`` (instant-ngp): planar depth as 16-bit PNG, in
 millimetres or steps of ``integer_depth_scale`` or ``depth_unit_scale_factor``, or as .npy in metres.
-``ply_file_path``: the points of the reconstruction. The file says nothing about which way is up unless nerfstudio's own
-preparation did.
+``ply_file_path``: the points of the reconstruction. ``mask_path``: black are pixels that do not count. Frames with
+``is_bad`` are left out.
 
 ``train_filenames`` and ``test_filenames`` (or ``val_filenames``) say the split, or ``test_frames`` holds the frames
-that are held out. Frames with ``is_bad`` are left out. ``mask_path``: black are pixels that do not count.
-
-In place of one file there may be ``transforms_train.json`` and ``transforms_test.json`` (or ``_val``), as NeRF's
-synthetic scenes have them: the frames of the second are held out.
+that are held out, or ``transforms_test.json`` (or ``_val``) beside ``transforms_train.json`` (NeRF's synthetic scenes).
 """
 
 from __future__ import annotations
@@ -61,7 +58,6 @@ def _files(place: Path) -> list[Path]:
 
 
 def _read(place: Path) -> Capture:
-    """Open the frames; only headers of images are read. Raises PlgsError."""
     paths = _files(place) or [place]
     contents = [read_json_object(path) for path in paths]
     parts = [_frames(content, path) for content, path in zip(contents, paths, strict=True)]
@@ -80,12 +76,16 @@ def _read(place: Path) -> Capture:
     is_centred = any("fl_x" in entry and not ("cx" in entry and "cy" in entry) for entry in said)
     up: UpAxis | None = "z" if contents[0].get("orientation_override") == "none" else None
     posed = {name for name, shot in found if isinstance(shot, Shot)}
+    points = None
+    if contents[0].get("ply_file_path"):
+        ply = file_inside(paths[0].parent, take_text(contents[0], "ply_file_path", "the file", paths[0]), paths[0])
+        points = read_ply_points(ply) if ply.is_file() else None
     kept = [tuple(name for name in own if name in posed) for own in of_parts]
     own = {name: frame for name, frame in entries.items() if name in posed}
     split = Split(*kept) if len(kept) == 2 else _own_split(contents[0], own, paths[0])
     unused = [] if split is None else [name for name in posed if name not in (*split.train, *split.test)]
     return Capture(
-        found, up, (), _points(contents[0], paths[0]), split,
+        found, up, (), points, split,
         left_out=(
             *left_out("a picture", missing), *left_out("a good picture (is_bad)", bad),
             *left_out("a place in the file's split", sorted(unused, key=natural_order)),
@@ -97,10 +97,14 @@ def _read(place: Path) -> Capture:
 def _own_split(content: dict[str, Any], frames: Mapping[str, Mapping[str, Any]], path: Path) -> Split | None:
     """The split that the file defines for ``frames``, by name; None if it defines none. Raises PlgsError."""
     names = {_plain(frame["file_path"]): name for name, frame in frames.items()}
-    listed = {key: _listed(content, key, names, path) for key in _SPLIT if content.get(key)}
-    held_out = listed.get("test_filenames") or listed.get("val_filenames") or {
-        name for name, frame in frames.items() if frame.get(_IS_HELD_OUT)
-    }
+    listed = dict[str, set[str]]()
+    for key in filter(content.get, _SPLIT):
+        files = take_list(content, key, "the file", path)
+        if not all(isinstance(file, str) for file in files):
+            raise wrong_type(key, "a list of files", files, "the file", path)
+        listed[key] = {names[_plain(file)] for file in files if _plain(file) in names}  # others have no frame
+    marked = {name for name, frame in frames.items() if frame.get(_IS_HELD_OUT)}
+    held_out = listed.get("test_filenames") or listed.get("val_filenames") or marked
     if not held_out and "train_filenames" in listed:
         held_out = frames.keys() - listed["train_filenames"]
     train = [name for name in listed.get("train_filenames", frames) if name not in held_out]
@@ -111,32 +115,20 @@ def _own_split(content: dict[str, Any], frames: Mapping[str, Mapping[str, Any]],
     return Split(tuple(name for name in frames if name in train), tuple(name for name in frames if name in held_out))
 
 
-def _listed(content: dict[str, Any], key: str, names: Mapping[str, str], path: Path) -> set[str]:
-    """The frames whose pictures a list names; pictures without a frame are ignored. Raises PlgsError."""
-    files = take_list(content, key, "the file", path)
-    if not all(isinstance(file, str) for file in files):
-        raise wrong_type(key, "a list of files", files, "the file", path)
-    return {names[_plain(file)] for file in files if _plain(file) in names}
-
-
 def _plain(file: str) -> str:
     return "/".join(part for part in file.replace("\\", "/").split("/") if part not in ("", "."))
 
 
 def _frames(content: dict[str, Any], path: Path) -> tuple[list[dict[str, Any]], list[str]]:
-    """The frames whose pictures exist, in natural order, and those whose pictures do not. Raises PlgsError."""
+    """The frames whose pictures exist, in natural order, and the pictures that do not exist."""
     frames = take_objects(content, "frames", "the file", path)
     if "test_frames" in content:
         frames += [{**frame, _IS_HELD_OUT: True} for frame in take_objects(content, "test_frames", "the file", path)]
     for frame in frames:
         take_text(frame, "file_path", "a frame", path)
     frames.sort(key=lambda frame: natural_order(frame["file_path"]))
-    present, absent = list[dict[str, Any]](), list[str]()
-    for frame in frames:
-        if _image_path(path, frame["file_path"]).is_file():
-            present.append(frame)
-        else:
-            absent.append(frame["file_path"])
+    present = [frame for frame in frames if _image_path(path, frame["file_path"]).is_file()]
+    absent = [frame["file_path"] for frame in frames if frame not in present]
     if frames and not present:
         what = "the pictures are missing"
         raise PlgsError("no-pictures", what, _image_path(path, frames[0]["file_path"]), "Copy them there.")
@@ -216,7 +208,6 @@ def _focal_length(entry: dict[str, Any], key: str, side: float, context: str, pa
 
 
 def _distortion(entry: dict[str, Any], context: str, path: Path) -> Distortion:
-    """The lens's distortion. Raises PlgsError for an unknown model."""
     model = entry.get("camera_model", "OPENCV")
     if model not in (*_PINHOLES, *_OPENCV, _FISHEYE):
         fix = "Undistort the pictures, and give PINHOLE, OPENCV or OPENCV_FISHEYE."
@@ -236,7 +227,6 @@ def _distortion(entry: dict[str, Any], context: str, path: Path) -> Distortion:
 
 
 def _depth(entry: dict[str, Any], lens: Camera, context: str, path: Path) -> DepthMap | None:
-    """The frame's depth; None if it has none. Raises PlgsError."""
     key = next((key for key in ("depth_file_path", "depth_path") if entry.get(key)), None)
     if key is None:
         return None
@@ -252,13 +242,6 @@ def _depth(entry: dict[str, Any], lens: Camera, context: str, path: Path) -> Dep
         what = f'"{scale}" is not the length of a step in metres'
         raise PlgsError("bad-scale", what, path, fix, option="--depth")
     return png_depth(depth_path, lens, unit)
-
-
-def _points(content: dict[str, Any], path: Path) -> SparsePoints | None:
-    if not content.get("ply_file_path"):
-        return None
-    ply = file_inside(path.parent, take_text(content, "ply_file_path", "the file", path), path)
-    return read_ply_points(ply) if ply.is_file() else None
 
 
 FORMAT = SceneFormat("nerfstudio", lambda place: any(path.is_file() for path in _files(place)), _read)

@@ -1,25 +1,19 @@
 """Exports of phone apps that measure depth: Polycam, 3D Scanner App and Stray Scanner.
 
-Polycam's raw export: ``keyframes/`` with images, cameras, depth and confidence named by microseconds.
+All poses are camera-to-world in metres, in ARKit's world with y up. Depth is planar, a 16-bit PNG in millimetres,
+smaller than colour; pixels of the lowest confidence are dropped.
 
-A camera is a JSON file: ``t_00`` ... ``t_23``, the rows of camera-to-world, OpenGL axes, metres, y up; ``fx fy cx cy
-width height``; corrected ones may lack the last two. After Polycam's optimisation there are ``corrected_images`` and
-``corrected_cameras``, undistorted and better; they are preferred, and keyframes without them are left out. Depth is a
-16-bit PNG in millimetres, smaller than colour; pixels of the lowest confidence are dropped.
-
-3D Scanner App's *All Data*: ``frame_00000.jpg``, ``frame_00000.json``, ``depth_00000.png``, ``conf_00000.png``.
-
-A JSON file holds ``cameraPoseARFrame``, 4x4 row by row: camera-to-world, OpenGL axes, metres, ARKit's world with y up;
-and ``intrinsics``, 3x3 row by row, in pixels of the picture. There is one for each depth map; the app keeps a picture
-for every few of them, and only these are frames. Depth is a 16-bit PNG in millimetres, smaller than colour; pixels of
-the lowest confidence are dropped.
-
-Stray Scanner: ``rgb.mp4``, ``odometry.csv``, ``camera_matrix.csv``, ``depth/000000.png``, ``confidence/000000.png``.
-
-A line of the odometry describes a frame of the video: ``timestamp, frame, x, y, z, qx, qy, qz, qw``, camera-to-world,
-OpenCV axes, metres, ARKit's world with y up; newer files add ``fx, fy, cx, cy`` for each. The matrix is for the video's
-size. The current app writes two more columns without values; only the columns read here need numbers. Depth is planar,
-in millimetres (older scans: .npy), 256x192; pixels of the lowest confidence are dropped.
+* Polycam's raw export: ``keyframes/`` with images, cameras, depth and confidence named by microseconds. A camera is a
+  JSON file: ``t_00`` ... ``t_23``, the rows of the pose, OpenGL axes; ``fx fy cx cy width height``; corrected ones may
+  lack the last two. Polycam's optimisation writes ``corrected_images`` and ``corrected_cameras``, undistorted and
+  better; they are preferred, and keyframes without them are left out.
+* 3D Scanner App's *All Data*: ``frame_00000.jpg``, ``frame_00000.json``, ``depth_00000.png``, ``conf_00000.png``. A
+  JSON file holds ``cameraPoseARFrame``, 4x4 row by row, OpenGL axes; and ``intrinsics``, 3x3 row by row, in pixels of
+  the picture. There is one for each depth map, but a picture for every few: only these are frames.
+* Stray Scanner: ``rgb.mp4``, ``odometry.csv``, ``camera_matrix.csv``, ``depth/000000.png`` (older scans: .npy),
+  ``confidence/000000.png``. A line of the odometry describes a frame of the video: ``timestamp, frame, x, y, z, qx, qy,
+  qz, qw``, OpenCV axes; newer files add ``fx, fy, cx, cy``. The matrix is for the video's size. The current app writes
+  two more columns without values; only the columns read here need numbers.
 """
 
 from __future__ import annotations
@@ -40,7 +34,7 @@ from ...posed.matrices import read_matrix, take_numbers
 from ..depth import npy_depth, png_depth, trusted
 from ..files_of_frames import files_if_any
 from ..frame import Inferred
-from .capture import Capture, SceneFormat, Shot, with_picture
+from .capture import Capture, Found, SceneFormat, Shot, with_picture
 from .lens import fitted, pinhole
 from .photos import Video
 from .poses import Row, finite_pose, from_opengl, numbers, quaternion_pose, read_rows
@@ -54,7 +48,6 @@ _NOT_OPTIMISED = "the poses were not optimised (no corrected_cameras): they are 
 
 
 def _read_polycam(place: Path) -> Capture:
-    """Open the keyframes; only headers of images are read. Raises PlgsError."""
     folder = place / "keyframes"
     is_corrected = any(shown_files(folder, "corrected_cameras/*.json")) and (folder / "corrected_images").is_dir()
     prefix = "corrected_" if is_corrected else ""
@@ -66,13 +59,11 @@ def _read_polycam(place: Path) -> Capture:
     entries = of_most([name for name in cameras if name in images], lambda name: read_json_object(cameras[name]))
     if not entries:
         raise PlgsError("no-camera", "no image has a camera", folder, _POLYCAM_FIX)
-    found: dict[str, Shot | PlgsError | None] = dict.fromkeys(sorted({*raw, *cameras, *images}, key=natural_order))
+    found: dict[str, Found] = dict.fromkeys(sorted({*raw, *cameras, *images}, key=natural_order))
     for name, entry in entries.items():
         size = _size(entry, images[name], cameras[name], raw.get(name))
-        make = partial(
-            _shot_polycam, name, entry, size, images[name], cameras[name], depths.get(name), levels.get(name)
-        )
-        found[name] = with_picture(images[name], make)
+        files = (images[name], cameras[name], depths.get(name), levels.get(name))
+        found[name] = with_picture(images[name], partial(_shot_polycam, name, entry, size, *files))
     warnings = [] if is_corrected else [_NOT_OPTIMISED]
     if len(entries) < len(found):
         lost = len(found) - len(entries)
@@ -129,24 +120,22 @@ too."""
 
 def _recognises_scanner_app(place: Path) -> bool:
     tables = (path.with_suffix(".json") for path in shown_files(place, "frame_*.jpg"))
-    return any(_has_pose(path) for path in islice(filter(Path.is_file, tables), _LOOKED_AT))
-
-
-def _has_pose(path: Path) -> bool:
-    with open_plain(path) as file:
-        return _SCANNER_APP_POSE.encode() in file.read(1 << 16)
+    for path in islice(filter(Path.is_file, tables), _LOOKED_AT):
+        with open_plain(path) as file:
+            if _SCANNER_APP_POSE.encode() in file.read(1 << 16):
+                return True
+    return False
 
 
 def _read_scanner_app(place: Path) -> Capture:
-    """Open the pictures; only their headers are read. Raises PlgsError."""
     pictures = _files(place, ".jpg", "frame_")
     tables = _files(place, ".json", "frame_")
     depths, levels = _files(place, ".png", "depth_"), _files(place, ".png", "conf_")
-    found: list[tuple[str, Shot | PlgsError | None]] = []
+    found: list[tuple[str, Found]] = []
     for number, picture in pictures.items():
         table, depth, level = (files.get(number) for files in (tables, depths, levels))
         make = None if table is None else partial(_shot_scanner_app, picture, table, depth, level)
-        found.append((picture.stem, None if make is None else with_picture(picture, make)))
+        found.append((picture.stem, with_picture(picture, make)))
     if not any(shot for _, shot in found):
         what = "no picture frame_<number>.jpg has its frame_<number>.json"
         raise PlgsError("no-pictures", what, place, _SCANNER_APP_FIX)
@@ -154,7 +143,7 @@ def _read_scanner_app(place: Path) -> Capture:
 
 
 def _files(place: Path, suffix: str, kind: str) -> dict[str, Path]:
-    """Files of one kind by the number in their names; there may be none. Raises PlgsError."""
+    """Files of one kind by the number in their names; there may be none."""
     if place.is_dir() and not any(shown_files(place, f"{kind}*{suffix}")):
         return {}
     files = files_by_stem(place, {suffix}, _SCANNER_APP_FIX)
@@ -162,7 +151,6 @@ def _files(place: Path, suffix: str, kind: str) -> dict[str, Path]:
 
 
 def _shot_scanner_app(picture: Path, table: Path, depth: Path | None, level: Path | None) -> Shot | None:
-    """None where the pose is not finite. Raises PlgsError."""
     entry = read_json_object(table)
     matrix = take_numbers(entry, _SCANNER_APP_POSE, "the frame", table, 16).reshape(4, 4)
     K = take_numbers(entry, _SCANNER_APP_LENS, "the frame", table, 9).reshape(3, 3)
@@ -186,12 +174,7 @@ _STRAY_LENS = ("fx", "fy", "cx", "cy")
 _STRAY_FIX = "Copy the scan from the device again."
 
 
-def _recognises_stray(place: Path) -> bool:
-    return (place / "odometry.csv").is_file() and (place / "camera_matrix.csv").is_file()
-
-
 def _read_stray(place: Path) -> Capture:
-    """Open the frames; no picture is decoded. Raises PlgsError."""
     found = list[tuple[str, Shot | None]]()
     video = Video(place / "rgb.mp4")
     if not video.path.is_file():
@@ -219,7 +202,7 @@ def _read_stray(place: Path) -> Capture:
 
 
 def _read_odometry(path: Path) -> list[dict[str, float]]:
-    """The rows by the names of their columns. Raises PlgsError."""
+    """The rows by the names of their columns."""
     rows = read_rows(path, _STRAY_FIX, ",", titles=True)
     head = next(rows, None)
     if head is None or not {*_COLUMNS} <= {*head.words}:
@@ -239,4 +222,8 @@ def _read_odometry(path: Path) -> list[dict[str, float]]:
     return found
 
 
-STRAY = SceneFormat("stray", _recognises_stray, _read_stray)
+STRAY = SceneFormat(
+    "stray",
+    lambda place: (place / "odometry.csv").is_file() and (place / "camera_matrix.csv").is_file(),
+    _read_stray,
+)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 
 from ...errors import PlgsError
 from ...json_file import LARGEST_TABLE
+from ...posed.frames import as_pose
 from ...posed.layout import read_text
 from ...posed.matrices import rigid
 
@@ -39,22 +41,19 @@ def quaternion_pose(wxyz: Sequence[float], position: Sequence[float], path: Path
     if not square > 1e-12 or not np.isfinite(square):
         raise PlgsError("zero-quaternion", "a quaternion is zero", path, "Write the rotation as a unit quaternion.")
     s = 2.0 / square
-    pose = np.eye(4)
-    pose[:3, :3] = [
+    rotation = [
         [1.0 - s * (y * y + z * z), s * (x * y - z * w), s * (x * z + y * w)],
         [s * (x * y + z * w), 1.0 - s * (x * x + z * z), s * (y * z - x * w)],
         [s * (x * z - y * w), s * (y * z + x * w), 1.0 - s * (x * x + y * y)],
     ]
-    pose[:3, 3] = position
-    return rigid(pose, path)
+    return rigid(as_pose(rotation, position), path)
 
 
-def inverse(pose: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The inverse of a rigid float64 [4, 4]."""
-    result = np.eye(4)
-    result[:3, :3] = pose[:3, :3].T
-    result[:3, 3] = -pose[:3, :3].T @ pose[:3, 3]
-    return result
+def nearest(times: Sequence[float], time: float, most: float) -> int | None:
+    """The index of the closest of ascending ``times``; None if it is more than ``most`` away."""
+    after = bisect_left(times, time)
+    near = [i for i in (after - 1, after) if 0 <= i < len(times) and abs(times[i] - time) <= most]
+    return min(near, key=lambda i: abs(times[i] - time), default=None)
 
 
 @dataclass(frozen=True)

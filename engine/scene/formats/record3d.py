@@ -2,9 +2,8 @@
 
 ``metadata`` is JSON: ``K`` (column by column) for pictures of ``w`` x ``h``, or ``perFrameIntrinsicCoeffs`` (fx fy cx
 cy); ``poses`` (qx qy qz qw tx ty tz), camera-to-world, OpenGL axes, metres; ``dw`` and ``dh``, the size of depth.
-Depth is LZFSE of float32 metres, confidence LZFSE of bytes 0 to 2; pixels with 0 are dropped. LZFSE needs the package
-pyliblzfse. A stream is blocks, each with a header that claims an unpacked size. The library ignores the claim and takes
-as much memory as a stream asks for, so ``unpack_lzfse`` bounds it.
+Depth is LZFSE of float32 metres, confidence LZFSE of bytes 0 to 2; pixels with 0 are dropped. The library pyliblzfse
+takes as much memory as a stream asks for, so ``unpack_lzfse`` bounds it by the sizes that the stream's blocks claim.
 
 Its export "EXR + JPG sequence" is a folder ``EXR_RGBD`` of ``metadata.json``, ``rgb/N.jpg`` or ``.png``, and
 ``depth/N.exr`` with metres in the channel R.
@@ -31,11 +30,10 @@ from ...posed.exr_header import read_exr_header
 from ...posed.frames import Camera
 from ...posed.layout import files_by_stem, read_file, shown_files
 from ...posed.matrices import take_matrix, take_numbers, upright_rotation
-from ...scene_source import UpAxis
 from ..depth import DepthMap, drop_untrusted, fault_of, only_depth
 from ..frame import Size
 from ..pixels import decode_bytes
-from .capture import Capture, SceneFormat, Shot
+from .capture import Capture, Found, SceneFormat, Shot
 from .lens import pinhole
 from .poses import from_opengl, quaternion_pose
 
@@ -95,34 +93,34 @@ class _Archive:
             raise PlgsError("not-r3d", "this is not a .r3d file, or it is cut off", self.path, _FIX) from error
 
 
-def _recognises(place: Path) -> bool:
-    if place.is_file():
-        return place.suffix.lower() == ".r3d"
-    return _find(place) is not None or _exr_folder(place) is not None
-
-
 def _find(place: Path) -> Path | None:
     """The archive: ``place`` itself, or the only one in it."""
-    if place.is_file() or ((place / "metadata").is_file() and (place / "rgbd").is_dir()):
+    if place.is_file():
+        return place if place.suffix.lower() == ".r3d" else None
+    if (place / "metadata").is_file() and (place / "rgbd").is_dir():
         return place
     found = [path for path in shown_files(place, "*.r3d") if path.is_file()]
     return found[0] if len(found) == 1 else None
 
 
 def _read(place: Path) -> Capture:
-    """Open the frames; no picture is decoded. Raises PlgsError."""
     path, exported = _find(place), _exr_folder(place)
     if path is None and exported is None:
         raise PlgsError("not-one-file", "there is no .r3d file, or more than one", place, "Name the file.")
     found = list(_exr_shots(exported) if path is None and exported else _shots(_Archive(path or place), path or place))
-    return Capture(found, _up([shot for _, shot in found if isinstance(shot, Shot)]))
+    poses = [shot.camera.camera_to_world for _, shot in found if isinstance(shot, Shot)]
+    up = upright_rotation(poses)[2] if poses else np.zeros(3)
+    # ARKit's y, unless the cameras disagree: some recordings start from their first pose.
+    return Capture(found, "y" if up[1] > _CLEARLY_Y else None)
 
 
 def _shots(archive: _Archive, path: Path) -> Iterator[tuple[str, Shot | None]]:
     metadata = parse_json_object(archive.read("metadata"), path)
     names = {*archive.names()}
     numbers = sorted(int(match[1]) for name in names if (match := re.fullmatch(r"rgbd/(\d+)\.jpg", name)))
-    size = (int(metadata["dw"]), int(metadata["dh"])) if _has_depth_size(metadata) else None
+    width, height = (metadata.get(key) for key in ("dw", "dh"))
+    has_size = all(isinstance(side, int) and 0 < side < 2**14 for side in (width, height))
+    size = (int(width), int(height)) if has_size else None
     for number, camera in _cameras(metadata, numbers, path):
         if camera is None:
             yield str(number), None
@@ -136,7 +134,7 @@ def _shots(archive: _Archive, path: Path) -> Iterator[tuple[str, Shot | None]]:
 
 
 def _cameras(metadata: dict[str, Any], numbers: list[int], path: Path) -> Iterator[tuple[int, Camera | None]]:
-    """The camera of each picture, None where its pose is not finite. Raises PlgsError."""
+    """The camera of each picture, None where its pose is not finite."""
     count = len(take_list(metadata, "poses", "metadata", path))
     poses = take_matrix(metadata, "poses", "metadata", path, ((count, 7),))
     if not numbers or numbers[-1] >= count:
@@ -157,7 +155,7 @@ def _exr_folder(place: Path) -> Path | None:
     return None
 
 
-def _exr_shots(folder: Path) -> Iterator[tuple[str, Shot | PlgsError | None]]:
+def _exr_shots(folder: Path) -> Iterator[tuple[str, Found]]:
     path = folder / _EXPORTED
     found = files_by_stem(folder / "rgb", {".jpg", ".jpeg", ".png"}, _FIX)
     pictures = {int(stem): picture for stem, picture in found.items() if stem.isdecimal()}
@@ -169,7 +167,6 @@ def _exr_shots(folder: Path) -> Iterator[tuple[str, Shot | PlgsError | None]]:
 
 
 def _read_exr(path: Path) -> NDArray[np.float32]:
-    """The channel R of an OpenEXR file. Raises PlgsError."""
     read_exr_header(path)  # the library takes memory for all that a header claims
     try:
         import OpenEXR
@@ -184,16 +181,6 @@ def _read_exr(path: Path) -> NDArray[np.float32]:
         raise PlgsError("exr-unreadable", what, path, _FIX) from error
     except MemoryError as error:
         raise PlgsError("no-memory", "no memory is left for the OpenEXR file", path, "Close other programs.") from error
-
-
-def _up(shots: list[Shot]) -> UpAxis | None:
-    """ARKit's y, unless the cameras disagree: some recordings start from their first pose."""
-    up = upright_rotation([shot.camera.camera_to_world for shot in shots])[2] if shots else np.zeros(3)
-    return "y" if up[1] > _CLEARLY_Y else None
-
-
-def _has_depth_size(metadata: dict[str, Any]) -> bool:
-    return all(isinstance(metadata.get(key), int) and 0 < metadata[key] < 2**14 for key in ("dw", "dh"))
 
 
 def _lens(metadata: dict[str, Any], number: int, path: Path) -> Camera:
@@ -215,10 +202,15 @@ def _read_colour(archive: _Archive, name: str) -> NDArray[np.uint8]:
 def _read_depth(
     archive: _Archive, name: str, confidence: str | None, size: Size | None, camera: Camera
 ) -> NDArray[np.float32]:
-    """Planar depth, float32 [H, W] metres, 0 = none; ``size`` is None if the metadata lacks it. Raises PlgsError."""
+    """Planar depth, float32 [H, W] metres, 0 = none; ``size`` is None if the metadata lacks it."""
     width, height = size or max(_DEPTH_SIZES)
     values = np.frombuffer(_unpacked(archive, name, 4, min(width * height, _MOST_DEPTHS)), "<f4")
-    width, height = size or _guessed_size(len(values), camera, name, archive.path)
+    if size is None:  # that of a sensor, in the picture's orientation
+        upright = camera.height > camera.width
+        known = [each for each in _DEPTH_SIZES if each[0] * each[1] == len(values) and (each[1] > each[0]) is upright]
+        if not known:
+            raise PlgsError("unknown-size", f"{name} has a size that is not known", archive.path, _FIX)
+        width, height = known[0]
     if width * height != len(values):
         raise PlgsError("other-size", f"{name} does not hold {width}x{height} numbers", archive.path, _FIX)
     depth = only_depth(values.reshape(height, width))
@@ -227,15 +219,6 @@ def _read_depth(
         if len(level) == depth.size:
             depth = drop_untrusted(depth, level.reshape(depth.shape), archive.path)
     return depth
-
-
-def _guessed_size(count: int, camera: Camera, name: str, path: Path) -> Size:
-    """Which of the sensors' sizes has ``count`` pixels, in the picture's orientation. Raises PlgsError."""
-    upright = camera.height > camera.width
-    found = [size for size in _DEPTH_SIZES if size[0] * size[1] == count and (size[1] > size[0]) is upright]
-    if not found:
-        raise PlgsError("unknown-size", f"{name} has a size that is not known", path, _FIX)
-    return found[0]
 
 
 def _unpacked(archive: _Archive, name: str, step: int, most: int) -> bytes:
@@ -307,4 +290,4 @@ def _length(data: bytes, place: int, kind: bytes, claimed: int) -> int:
     return (third & 0xFFFFFFFF) + (first >> 20 & 0xFFFFF) + (second >> 40 & 0xFFFFF)
 
 
-FORMAT = SceneFormat("record3d", _recognises, _read)
+FORMAT = SceneFormat("record3d", lambda place: _find(place) is not None or _exr_folder(place) is not None, _read)

@@ -1,11 +1,8 @@
 """Replica as rendered by NICE-SLAM.
 
-``results/frame000000.jpg`` and ``results/depth000000.png``, ``traj.txt``; ``cam_params.json`` there or in the folder
-above gives fx fy cx cy and the depth's steps per metre, 6553.5.
-
-A trajectory has 16 numbers per line: camera-to-world, OpenCV axes, metres, z up; line n is picture n. Pixel centres are
-integers. Without a file of intrinsics, a field of view of 90 degrees is assumed: f = w / 2, c = (w - 1) / 2 and (h - 1)
-/ 2.
+``results/frame000000.jpg`` and ``results/depth000000.png``; ``traj.txt``, 16 numbers per line: camera-to-world, OpenCV
+axes, metres, z up; line n is picture n. ``cam_params.json`` there or in the folder above gives fx fy cx cy (integer
+pixel centres) and the depth's steps per metre, 6553.5. Without it, a field of view of 90 degrees is assumed.
 """
 
 from __future__ import annotations
@@ -24,7 +21,7 @@ from ...posed.image_header import read_image_header
 from ...posed.layout import files_by_stem, shown_files
 from ..depth import fault_of, png_depth
 from ..frame import Inferred
-from .capture import Capture, SceneFormat, Shot, with_picture
+from .capture import Capture, Found, SceneFormat, Shot, with_picture
 from .lens import assumed, fitted, pinhole
 from .poses import finite_pose, matrix_rows
 
@@ -36,7 +33,6 @@ _PARAMETERS = ("w", "h", "fx", "fy", "cx", "cy", "scale")
 
 
 def _read(place: Path) -> Capture:
-    """Open the frames; only headers of images are read. Raises PlgsError."""
     results, trajectory = place / "results", place / "traj.txt"
     colours = _numbered(results, _IMAGES, "frame")
     depths = _numbered(results, {".png"}, "depth") if any(shown_files(results, "depth*.png")) else {}
@@ -46,16 +42,14 @@ def _read(place: Path) -> Capture:
     if colours and max(colours) >= len(matrices):
         what = f"there are {len(matrices)} poses, but a picture {max(colours)}"
         raise PlgsError("unequal-counts", what, trajectory, "Number pictures from 0, and give each a pose.")
-    found: list[tuple[str, Shot | PlgsError | None]] = []
+    found: list[tuple[str, Found]] = []
     for number, path in colours.items():
         pose = finite_pose(matrices[number], trajectory)
-        if pose is None:
-            found.append((path.stem, None))
-            continue
         if lens is None and fault_of(path) is None:
             width, height = read_image_header(path).size
             lens = Camera(width, height, width / 2.0, width / 2.0, width / 2.0, height / 2.0, np.eye(4))
-        found.append((path.stem, with_picture(path, partial(_shot, path, depths.get(number), unit, lens, pose))))
+        make = None if pose is None else partial(_shot, path, depths.get(number), unit, lens, pose)
+        found.append((path.stem, with_picture(path, make)))
     if not is_assumed or lens is None:
         return Capture(found, "z")
     steps = Inferred("units", f"a step of depth is {unit:.4g} m", "no cam_params.json says another", is_doubtful=False)
@@ -63,12 +57,9 @@ def _read(place: Path) -> Capture:
 
 
 def _numbered(folder: Path, suffixes: set[str], kind: str) -> dict[int, Path]:
-    """Images by the number in their names, which begin with ``kind``. Raises PlgsError."""
-    found = {}
-    for stem, path in files_by_stem(folder, suffixes, f"Name pictures {kind} and a number.").items():
-        number = re.fullmatch(rf"{kind}_?(\d+)", stem)
-        if number:
-            found[int(number[1])] = path
+    """Images by the number in their names, which begin with ``kind``."""
+    files = files_by_stem(folder, suffixes, f"Name pictures {kind} and a number.").items()
+    found = {int(number[1]): path for stem, path in files if (number := re.fullmatch(rf"{kind}_?(\d+)", stem))}
     if not found:
         what = f"no picture is named {kind} and a number"
         raise PlgsError("unnumbered", what, folder, "Name them by their trajectory's lines.")
@@ -82,7 +73,7 @@ def _shot(path: Path, depth: Path | None, unit: float, lens: Camera | None, pose
 
 
 def _read_parameters(place: Path) -> tuple[Camera, float] | None:
-    """The lens and the length of a depth step, from a file there or in the folder above. Raises PlgsError."""
+    """The lens and the length of a depth step, from a file there or in the folder above."""
     files = (folder / "cam_params.json" for folder in (place, place.parent))
     path = next((path for path in files if path.is_file()), None)
     if path is None:

@@ -8,18 +8,15 @@ Folders ``color/ depth/ pose/ intrinsic/``:
 * ``pose/<name>.txt``, camera-to-world, 4x4, OpenCV axes, metres. A pose with inf (lost tracking) drops the frame.
 * ``intrinsic/intrinsic_color.txt``, 3x3 or 4x4, in pixels of the colour images with integer pixel centres. It belongs
   to the size that most colour images have (at a tie, to the first's) and is scaled for frames of another size and the
-  same shape. ``intrinsic/<name>.txt`` overrides it for one frame, at that frame's own size.
-* Where the folder ``intrinsic`` has no such file, ``intrinsics_color.txt`` beside the folders, as in ScanNet's
-  ``frames_25k``, in pixels of each picture.
-* ``intrinsic/intrinsic_depth.txt`` or ``intrinsics_depth.txt``, optional, in pixels of the depth images. If its lens
-  differs from the colour's, depth is read through it. Without it the two pictures coincide.
+  same shape. ``intrinsic/<name>.txt`` overrides it for one frame. ScanNet's ``frames_25k`` have
+  ``intrinsics_color.txt`` beside the folders instead, in pixels of each picture.
+* ``intrinsic/intrinsic_depth.txt`` or ``intrinsics_depth.txt``, optional: the depth's own lens in its images' pixels.
 * ``intrinsic/extrinsic_depth.txt``, optional, 4x4: from points of the depth camera to points of the colour camera.
 * ``splits.json``, optional: ``{"train": [...], "test": [...]}``; frames that it leaves out need no depth.
 
 The ``.sens`` is one file with a header, then frames of a pose, a JPEG or PNG, and compressed depth.
-Camera-to-world, OpenCV axes, metres, z up; -inf when tracking was lost. Intrinsics of colour and of depth, with
-integer pixel centres; depth is planar, 16 bits, ``depth_shift`` steps per metre, and read through its own lens and
-from its own place (the depth's extrinsic: from its points to those of the colour camera). Frames are named by their
+Camera-to-world, OpenCV axes, metres, z up; -inf when tracking was lost. Colour and depth have intrinsics, with integer
+pixel centres, and extrinsics; depth is planar, 16 bits, ``depth_shift`` steps per metre. Frames are named by their
 number, as ScanNet's labels are.
 """
 
@@ -51,15 +48,14 @@ from .poses import finite_pose
 
 
 def _read_folders(folder: Path) -> Capture:
-    """Open the frames; only headers of images are read. Raises PlgsError."""
     has_own, beside = any(shown_files(folder / "intrinsic", "*.txt")), folder / "intrinsics_color.txt"
     lens_of = lambda picture: read_intrinsics(beside, read_image_header(picture).size)  # noqa: E731
     found = read_folders(folder, None if has_own or not beside.is_file() else lens_of)
     depths, inferred = open_depth(folder, found.cameras) if (folder / "depth").is_dir() else ({}, ())
     shots = {name: Shot(name, camera, found.pictures[name], depths.get(name)) for name, camera in found.cameras.items()}
     faults = {name: fault_of(path) for name, path in found.pictures.items() if name not in shots}
-    kept = [(name, shots.get(name) or faults.get(name)) for name in found.names]
-    kept = [(name, shot) for name, shot in kept if shot is not None or name in found.lost]
+    found_as = ((name, shots.get(name) or faults.get(name)) for name in found.names)
+    kept = [(name, shot) for name, shot in found_as if shot is not None or name in found.lost]
     return Capture(kept, "z", split=found.split, inferred=inferred)
 
 
@@ -115,7 +111,6 @@ def _find(place: Path) -> Path | None:
 
 
 def _read_sens(place: Path) -> Capture:
-    """Open the frames; no picture is decoded. Raises PlgsError."""
     path = _find(place)
     if path is None:
         raise PlgsError("not-one-file", "there is no .sens file, or more than one", place, "Name the file.")
@@ -193,7 +188,7 @@ def _read_colour(block: _Block) -> NDArray[np.uint8]:
 
 
 def _read_depth(block: _Block, header: _Header) -> NDArray[np.float32]:
-    """Planar depth, float32 [H, W] metres, 0 = none. Raises PlgsError."""
+    """Planar depth, float32 [H, W] metres, 0 = none."""
     width, height = header.depth.size
     data, wanted = block.read(), 2 * width * height
     if header.depth_compression == _ZLIB:

@@ -2,12 +2,9 @@
 
 A frame has ``aligned_pose``, camera-to-world in the laser scan's frame, OpenCV axes, metres, z up, and ``intrinsic``,
 3x3. Pictures are ``rgb/frame_000000.jpg`` if they were extracted, else frames of ``rgb.mp4`` or ``rgb.mkv``. Depth
-is ``depth/frame_000000.png`` in millimetres if it was extracted, else ``depth.bin``: 256x192 per frame, planar, in one
-of two ways.
-
-* One raw deflate stream of float32 metres, frame after frame.
-* For each frame 4 bytes of size (little endian), then an LZ4 block of 16-bit millimetres or a raw deflate stream of
-  float32 metres.
+is ``depth/frame_000000.png`` in millimetres if it was extracted, else ``depth.bin``, 256x192 per frame, planar: one raw
+deflate stream of float32 metres; or for each frame 4 bytes of size (little endian), then an LZ4 block of 16-bit
+millimetres or a raw deflate stream of float32 metres.
 """
 
 from __future__ import annotations
@@ -25,13 +22,12 @@ from numpy.typing import NDArray
 from ...errors import PlgsError
 from ...gates import open_plain
 from ...json_file import read_json_object
-from ...posed.frames import Camera
 from ...posed.image_header import read_image_header
 from ...posed.layout import check_most, natural_order
 from ...posed.matrices import take_matrix
 from ..depth import DepthMap, fault_of, only_depth, png_depth
 from ..files_of_frames import files_if_any
-from .capture import Capture, SceneFormat, Shot
+from .capture import Capture, Found, SceneFormat, Shot
 from .lens import pinhole
 from .photos import Video
 from .poses import finite_pose
@@ -45,15 +41,9 @@ _MOST_FRAMES = 1 << 19
 """Two hours at 60 frames a second."""
 
 
-def _recognises(place: Path) -> bool:
-    return (place / _TABLE).is_file() or (place / "iphone" / _TABLE).is_file()
-
-
 def _read(place: Path) -> Capture:
-    """Open the frames; reads headers of images, and decodes at most one picture of the video. Raises PlgsError."""
     folder = place if (place / _TABLE).is_file() else place / "iphone"
-    found = list[tuple[str, Shot | PlgsError | None]]()
-    path = folder / _TABLE
+    found, path = list[tuple[str, Found]](), folder / _TABLE
     table = read_json_object(path)
     pictures = files_if_any(folder / "rgb", {".jpg", ".png"}, _FIX)
     films = [path for path in (folder / "rgb.mp4", folder / "rgb.mkv") if path.is_file()]
@@ -70,18 +60,16 @@ def _read(place: Path) -> Capture:
             raise PlgsError("not-a-frame", f'"{name[:40]}" is not a frame', path, _FIX)
         if pictures and name not in pictures:
             continue  # only some were extracted
-        pose = None
+        pose, number, picture = None, int(match[1]), video.path if video else pictures[name]
         if "aligned_pose" in entry:
             pose = finite_pose(take_matrix(entry, "aligned_pose", name, path, ((4, 4),)), path)
-        if pose is None:
-            found.append((name, None))
-            continue
-        number, picture = int(match[1]), video.path if video else pictures[name]
-        fault = None if video else fault_of(picture)
-        if fault is not None:
+        fault = None if video or pose is None else fault_of(picture)
+        if pose is None or fault is not None:
             found.append((name, fault))
             continue
-        lens = _lens(entry, name, size or read_image_header(picture).size, path)
+        # The file does not say where pixels are counted from; corners are assumed.
+        K, sides = take_matrix(entry, "intrinsic", name, path, ((3, 3),)), size or read_image_header(picture).size
+        lens = pinhole(*sides, K[0, 0], K[1, 1], K[0, 2], K[1, 2], path=path, fix=_FIX, whose=name)
         depth = None
         if stream is not None:
             depth = DepthMap(stream.path, partial(stream.frame, number))
@@ -89,12 +77,6 @@ def _read(place: Path) -> Capture:
             depth = png_depth(depths[name], lens)
         found.append((name, Shot(name, lens.at(pose), picture, depth, video.reader(number) if video else None)))
     return Capture(found, "z", up_is_known=True)
-
-
-def _lens(entry: dict[str, Any], name: str, size: tuple[int, int], path: Path) -> Camera:
-    """A camera at the origin. The file does not say where pixels are counted from; corners are assumed."""
-    K = take_matrix(entry, "intrinsic", name, path, ((3, 3),))
-    return pinhole(*size, K[0, 0], K[1, 1], K[0, 2], K[1, 2], path=path, fix=_FIX, whose=name)
 
 
 class _DepthStream:
@@ -178,4 +160,6 @@ def _unpack_block(data: bytes) -> NDArray[np.float32]:
     return np.frombuffer(metres, "<f4").reshape(_HEIGHT, _WIDTH)
 
 
-FORMAT = SceneFormat("scannetpp", _recognises, _read)
+FORMAT = SceneFormat(
+    "scannetpp", lambda place: any((each / _TABLE).is_file() for each in (place, place / "iphone")), _read
+)

@@ -3,11 +3,12 @@
 Frames lie in the folder or in its folders ``seq-01``, ... or ``data``. Poses are camera-to-world, 4x4, OpenCV axes,
 metres. Depth is a 16-bit PNG in millimetres; 0 and 65535 are none. The world stands as the first camera did.
 
-* With ``camera-intrinsics.txt`` there or in the folder above: 3x3, integer pixel centres, for colour and depth alike;
-  or ``colorIntrinsics.txt`` and ``depthIntrinsics.txt`` (Intrinsic3D).
-* With ``info.txt`` (BundleFusion, 12-Scenes) there or in the folder above: ``m_calibrationColorIntrinsic`` and
-  ``m_calibrationDepthIntrinsic``, 4x4, integer pixel centres, for pictures of the sizes that it says, and
-  ``m_depthShift`` steps of depth per metre.
+The lens is there or in the folder above, with integer pixel centres:
+
+* ``camera-intrinsics.txt``, 3x3, for colour and depth alike; or ``colorIntrinsics.txt`` and ``depthIntrinsics.txt``
+  (Intrinsic3D).
+* ``info.txt`` (BundleFusion, 12-Scenes): ``m_calibrationColorIntrinsic`` and ``m_calibrationDepthIntrinsic``, 4x4, for
+  pictures of the sizes that it says, and ``m_depthShift`` steps of depth per metre.
 * Without (7-Scenes): raw pictures of a Kinect. Poses and depth are the depth camera's, f 585; the colour camera, f
   525, stands 2.5 cm beside it. Depth is read from ``frame-000000.depth.proj.png`` if that exists: there it is
   registered to colour already. Else it is registered with a Kinect's calibration (LIRIS), as ACE does.
@@ -23,15 +24,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import PlgsError
-from ...posed.frames import Camera
+from ...posed.frames import Camera, inverse
 from ...posed.image_header import read_image_header
 from ...posed.layout import natural_order, read_text, shown_files
 from ...posed.matrices import as_lens, read_intrinsics, read_poses
 from ..depth import between_cameras, fitting_alignment, png_depth, registered, seen_by_colour
 from ..frame import Inferred
-from .capture import Capture, SceneFormat, Shot, with_picture
+from .capture import Capture, Found, SceneFormat, Shot, with_picture
 from .lens import assumed, fitted
-from .poses import inverse
 
 _MOST_INFO = 1 << 16
 _DEPTH_TO_COLOUR = np.array(
@@ -51,16 +51,6 @@ _Reader = Callable[[str, Path, NDArray[np.float64], Path], Shot]
 """Makes the shot of a name, the files that begin with a path, a pose, and a colour picture."""
 
 
-def _recognises(place: Path) -> bool:
-    return place.is_dir() and any(next(shown_files(folder, "frame-*.pose.txt"), None) for folder in _folders(place))
-
-
-def _find_info(place: Path) -> Path | None:
-    """The file about the sensor; ScanNet's own reader calls it _info.txt. Unrelated texts may have the same name."""
-    path = _find(place, "info.txt", "_info.txt")
-    return path if path is not None and b"m_calibration" in path.open("rb").read(_MOST_INFO) else None
-
-
 def _find(place: Path, *names: str) -> Path | None:
     found = (folder / name for folder in (place, place.parent) for name in names)
     return next((path for path in found if path.is_file()), None)
@@ -71,11 +61,12 @@ def _folders(place: Path) -> list[Path]:
 
 
 def _read(place: Path) -> Capture:
-    """Open the frames; only headers of images are read. Raises PlgsError."""
-    own, path = _find(place, _OWN_LENS, "colorIntrinsics.txt"), _find_info(place)
+    own = _find(place, _OWN_LENS, "colorIntrinsics.txt")
     if own is not None:
         return _capture(place, partial(_own_lens_shot, own, _find(place, "depthIntrinsics.txt") or own))
-    if path is None:
+    path = _find(place, "info.txt", "_info.txt")  # ScanNet's own reader writes the second
+    # Unrelated texts may have the same name.
+    if path is None or b"m_calibration" not in path.open("rb").read(_MOST_INFO):
         return _capture(place, _kinects_shot, inferred=(assumed("a Kinect's", _kinect(_COLOUR_F), _OWN_LENS),))
     parts = (line.partition("=") for line in read_text(path, _MOST_INFO, _INFO_FIX).splitlines())
     info = {key.strip(): value.strip() for key, _, value in parts}
@@ -109,7 +100,7 @@ def _info_numbers(info: dict[str, str], key: str, path: Path, count: int) -> NDA
 
 
 def _info_lens(info: dict[str, str], kind: str, path: Path) -> Camera:
-    """The lens of Color or Depth at the size given by the file, at the origin. Raises PlgsError."""
+    """The lens of Color or Depth at the size given by the file, at the origin."""
     width, height = (round(_info_numbers(info, f"m_{kind.lower()}{side}", path, 1)[0]) for side in ("Width", "Height"))
     matrix = _info_numbers(info, f"m_calibration{kind}Intrinsic", path, 16).reshape(4, 4)
     return as_lens(matrix, (width, height), path)
@@ -118,7 +109,7 @@ def _info_lens(info: dict[str, str], kind: str, path: Path) -> Camera:
 def _capture(
     place: Path, shot: _Reader, warnings: tuple[str, ...] = (), inferred: tuple[Inferred, ...] = ()
 ) -> Capture:
-    """All frames; those whose pose is missing or not finite have no shot. Raises PlgsError."""
+    """All frames; those whose pose is missing or not finite have no shot."""
     kinds = ("frame-*.pose.txt", "frame-*.color.*")
     files = {path for folder in _folders(place) for kind in kinds for path in shown_files(folder, kind)}
     bases = {path.with_name(path.name.partition(".")[0]) for path in files}
@@ -126,13 +117,13 @@ def _capture(
         base.name if base.parent in (place, place / "data") else f"{base.parent.name}_{base.name}": base
         for base in sorted(bases, key=lambda base: natural_order(base.relative_to(place).as_posix()))
     }
-    found: list[tuple[str, Shot | PlgsError | None]] = []
+    found: list[tuple[str, Found]] = []
     poses = read_poses({name: base.with_name(f"{base.name}.pose.txt") for name, base in named.items()})
     for name, base in named.items():
         colours = [base.with_name(f"{base.name}.color.{suffix}") for suffix in ("png", "jpg", "jpeg")]
         colour, pose = next((path for path in colours if path.is_file()), colours[0]), poses[name]
         make = None if pose is None else partial(shot, name, base, pose, colour)
-        found.append((name, None if make is None else with_picture(colour, make)))
+        found.append((name, with_picture(colour, make)))
     return Capture(found, None, warnings, inferred=inferred)
 
 
@@ -146,7 +137,7 @@ def _depth_file(base: Path) -> Path:
 
 
 def _own_lens_shot(colour: Path, depth: Path, name: str, base: Path, pose: NDArray[np.float64], picture: Path) -> Shot:
-    """A frame with one lens file for colour and one for depth, which may be the same. Raises PlgsError."""
+    """A frame with one lens file for colour and one for depth, which may be the same."""
     lens = read_intrinsics(colour, read_image_header(picture).size)
     measured = png_depth(_depth_file(base), lens)
     if depth != colour and measured.fault is None:
@@ -156,7 +147,6 @@ def _own_lens_shot(colour: Path, depth: Path, name: str, base: Path, pose: NDArr
 
 
 def _kinects_shot(name: str, base: Path, pose: NDArray[np.float64], colour: Path) -> Shot:
-    """A frame of 7-Scenes. Raises PlgsError."""
     lens = fitted(_kinect(_COLOUR_F), colour, f"Write the lens, 3x3, into {_OWN_LENS}.")
     projected = base.with_name(f"{base.name}.depth.proj.png")
     if projected.is_file():
@@ -172,4 +162,8 @@ def _kinect(focal_length: float) -> Camera:
     return Camera(640, 480, focal_length, focal_length, 320.5, 240.5, np.eye(4))
 
 
-FORMAT = SceneFormat("7scenes", _recognises, _read)
+FORMAT = SceneFormat(
+    "7scenes",
+    lambda place: place.is_dir() and any(any(shown_files(each, "frame-*.pose.txt")) for each in _folders(place)),
+    _read,
+)

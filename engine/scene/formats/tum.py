@@ -1,21 +1,18 @@
 """TUM RGB-D sequences, and those recorded in their layout (Bonn, ETH3D SLAM).
 
 * ``rgb.txt`` and ``depth.txt``: a time stamp and a file name per line; or ``associations.txt`` (``associated.txt``)
-  with a colour and a depth image per line. Without either, the names of the images in ``rgb/`` and ``depth/`` are the
-  stamps.
+  with a colour and a depth image per line. Without either, images in ``rgb/`` and ``depth/`` are named by their stamps.
 * ``groundtruth.txt``: ``t tx ty tz qx qy qz qw``, camera-to-world, OpenCV axes, metres.
   RTAB-Map adds a whole number, and optionally names pictures by it.
 * Depth: 16-bit PNG, registered to colour, planar, 5000 steps per metre, 0 = none.
-* Intrinsics are not in the files. TUM's documented ones are chosen by "freiburg1", "freiburg2" or "freiburg3" in the
-  folder's name; otherwise a Kinect's are assumed, with a warning. ETH3D has them in
-  ``calibration.txt``: ``fx fy cx cy``, with integer pixel centres; numbers after these are OpenCV's distortion.
+* ``calibration.txt`` (ETH3D): ``fx fy cx cy`` with integer pixel centres, then OpenCV's distortion. Without it, TUM's
+  lens is chosen by "freiburg1" to "freiburg3" in the folder's name; otherwise a Kinect's is assumed, with a warning.
 
 ICL-NUIM, whose stamps are whole numbers, is refused: its camera and world are mirrored in y.
 """
 
 from __future__ import annotations
 
-from bisect import bisect_left
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -31,9 +28,9 @@ from ...posed.layout import file_inside, files_by_stem
 from ...scene_source import UpAxis
 from ..depth import png_depth
 from ..frame import Inferred, Size, left_out
-from .capture import Capture, SceneFormat, Shot, frame_names, with_picture
+from .capture import Capture, Found, SceneFormat, Shot, frame_names, with_picture
 from .lens import OPENCV_COUNTS, assumed, fitted, of_opencv, pinhole
-from .poses import numbers, quaternion_pose, read_rows
+from .poses import nearest, numbers, quaternion_pose, read_rows
 
 _STEP = 1.0 / 5000.0
 _APART = 0.02
@@ -90,7 +87,6 @@ def _read_calibration(path: Path) -> _Lens:
 
 
 def _read(place: Path) -> Capture:
-    """Open a sequence; only headers of images are read. Raises PlgsError."""
     calibration, pairs, inferred = place / _CALIBRATION, _pairs(place), tuple[Inferred, ...]()
     if calibration.is_file():
         lens = _read_calibration(calibration)
@@ -98,27 +94,28 @@ def _read(place: Path) -> Capture:
         whose = next((name for name in _LENSES if name in place.resolve().name.lower()), "a Kinect")
         lens = _LENSES.get(whose, _KINECT)
         inferred = (assumed(f"{whose}'s", _camera(lens, lens.size or (640, 480), place), _CALIBRATION),)
-    poses = _named_by(pairs, _read_poses(place / "groundtruth.txt"))
+    poses = _read_poses(place / "groundtruth.txt")
+    if pairs and {colour.time for colour, _ in pairs} <= {number for _, _, number in poses}:  # pictures have numbers
+        poses = sorted(((number, pose, number) for _, pose, number in poses if number), key=lambda each: each[0])
     times = [time for time, _, _ in poses]
     names = frame_names([colour.path.relative_to(place).as_posix() for colour, _ in pairs])
-    found: list[tuple[str, Shot | PlgsError | None]] = []
+    found: list[tuple[str, Found]] = []
     for name, (colour, depth) in zip(names, pairs, strict=True):
-        nearest = _nearest(times, colour.time)
-        pose = None if nearest is None else poses[nearest][1]
+        index = nearest(times, colour.time, _APART)
+        pose = None if index is None else poses[index][1]
         beside = None if depth is None else depth.path
         make = None if pose is None else partial(_shot, name, colour.path, beside, lens, pose)
-        found.append((name, None if make is None else with_picture(colour.path, make)))
+        found.append((name, with_picture(colour.path, make)))
     blind = [name for name, shot in found if isinstance(shot, Shot) and shot.depth is None]
-    if any(isinstance(shot, Shot) and shot.depth is not None for _, shot in found):
-        found = [(name, shot) for name, shot in found if name not in blind]
-    else:
-        blind = []
+    if len(blind) == sum(isinstance(shot, Shot) for _, shot in found):
+        blind = []  # a sequence without depth
+    found = [(name, shot) for name, shot in found if name not in blind]
     without = left_out(f"depth within {_APART} s", blind)
     return Capture(found, lens.up, left_out=without, inferred=inferred)
 
 
 def _pairs(place: Path) -> list[tuple[_Stamped, _Stamped | None]]:
-    """Colour images in order of time, each with the depth image closest in time. Raises PlgsError."""
+    """Colour images in order of time, each with the depth image closest in time."""
     lists = [place / name for name in ("associations.txt", "associated.txt") if (place / name).is_file()]
     if lists:
         pairs = []
@@ -129,8 +126,8 @@ def _pairs(place: Path) -> list[tuple[_Stamped, _Stamped | None]]:
     colours = _stamped_images(place, "rgb")
     depths = _stamped_images(place, "depth") if (place / "depth").is_dir() else []
     times = [depth.time for depth in depths]
-    nearest = [_nearest(times, colour.time) for colour in colours]
-    return [(colour, None if i is None else depths[i]) for colour, i in zip(colours, nearest, strict=True)]
+    indices = [nearest(times, colour.time, _APART) for colour in colours]
+    return [(colour, None if i is None else depths[i]) for colour, i in zip(colours, indices, strict=True)]
 
 
 def _stamped_images(place: Path, kind: str) -> list[_Stamped]:
@@ -153,22 +150,8 @@ def _stamped(words: Sequence[str], line: int, path: Path) -> _Stamped:
     return _Stamped(stamp, file_inside(path.parent, name, path))
 
 
-def _nearest(times: Sequence[float], time: float) -> int | None:
-    """The index of the closest of ascending ``times``, None if it is too far away."""
-    after = bisect_left(times, time)
-    near = [i for i in (after - 1, after) if 0 <= i < len(times) and abs(times[i] - time) <= _APART]
-    return min(near, key=lambda i: abs(times[i] - time), default=None)
-
-
-def _named_by(pairs: Sequence[tuple[_Stamped, object]], poses: list[_Pose]) -> list[_Pose]:
-    """The poses with their numbers in place of times, if every picture's name is such a number."""
-    if not pairs or not {colour.time for colour, _ in pairs} <= {number for _, _, number in poses}:
-        return poses
-    return sorted(((number, pose, number) for _, pose, number in poses if number), key=lambda each: each[0])
-
-
 def _read_poses(path: Path) -> list[_Pose]:
-    """Poses by ascending time, with the numbers that RTAB-Map gives them. Raises PlgsError."""
+    """Poses by ascending time, with the numbers that RTAB-Map gives them."""
     poses: list[_Pose] = []
     for row in read_rows(path, _POSE_FIX):
         if row.words[0].isdecimal():
@@ -192,7 +175,6 @@ def _shot(name: str, colour: Path, depth: Path | None, lens: _Lens, pose: NDArra
 
 
 def _camera(lens: _Lens, size: Size, place: Path) -> Camera:
-    """A camera at the origin with a lens for pictures of ``size``. Raises PlgsError."""
     return pinhole(*size, lens.fx, lens.fy, lens.cx + 0.5, lens.cy + 0.5, path=place, fix=_LENS_FIX)
 
 

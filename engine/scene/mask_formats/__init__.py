@@ -1,7 +1,6 @@
 """The formats of masks: one reader each, which recognises its files and reads segments.
 
-To add a format, put a module with a ``MaskFormat`` into this folder, add it to ``MASK_FORMATS``, and add its name to
-``format_names.py``, from which the panel takes its list.
+A new format's ``MaskFormat`` goes into ``MASK_FORMATS``, and its name into ``engine/scene_source.py``.
 """
 
 from __future__ import annotations
