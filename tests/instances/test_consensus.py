@@ -27,7 +27,6 @@ from engine.instances.consensus import (
     objects_of_masks,
     with_masks_of,
 )
-from engine.instances.objects import placed_objects
 from engine.instances.records import ObjectMask
 from engine.scene import Camera, PanopticMask, Segment, View
 from tests.instances.two_chairs import CHAIR, SOFA, WALL
@@ -245,22 +244,6 @@ def test_joining_matches_the_greedy_algorithm(seed: int, count: int) -> None:
     assert all(cluster[name] == name for name in np.unique(cluster))
 
 
-def test_things_become_instances_with_boxes() -> None:
-    views = [good(name) for name in "abc"]
-    objects = objects_in(views)
-    left, right = owners(objects, LEFT, RIGHT)
-    xyz = np.zeros((POINTS, 3))
-    xyz[:, 0] = np.arange(POINTS)
-    owner = np.zeros(POINTS, np.int32)
-    owner[LEFT], owner[RIGHT] = 1, 2
-    kinds = ((left, CHAIR), (right, SOFA))
-    things = [replace(objects.objects[old - 1], id=new, class_id=c) for new, (old, c) in enumerate(kinds, start=1)]
-    instances = placed_objects(views, things, xyz, owner, 0.1)
-    assert [(one.id, one.class_id, one.views) for one in instances] == [(1, CHAIR, 3), (2, SOFA, 3)]
-    assert instances[0].masks[0].pixels == 30
-    assert instances[0].box.size[0] == pytest.approx(9.0)
-
-
 def with_tracks(view: View, tracks: dict[int, int]) -> View:
     """The same view, of whose masks a tracker followed some."""
     segments = tuple(replace(one, track=tracks.get(one.id)) for one in view.mask.segments)
@@ -397,18 +380,6 @@ def corridor(views: int, sight: int) -> MasksInSpace:
 
 def sightings(space: MasksInSpace, views: np.ndarray) -> np.ndarray:
     return np.asarray(space.sight[views].sum(0)).reshape(-1)
-
-
-@pytest.mark.parametrize("most_masks", [1, 40, 300])
-def test_few_keyframes_see_every_surface_of_a_scan_often_enough(most_masks: int) -> None:
-    space = corridor(400, 18)
-    chosen = choose_keyframes(space, most_masks)
-    everywhere = sightings(space, np.arange(400))
-    found = sightings(space, chosen)
-    # A view that would add little is left out, so a few surfaces lack a sighting; none lacks what an object needs.
-    assert (found >= np.minimum(everywhere, SIGHTINGS)).mean() > 0.95
-    assert (found[everywhere >= SIGHTINGS] >= ConsensusOptions().min_masks).all()
-    assert len(chosen) < 0.5 * 400, "views beside each other show the same"
 
 
 @settings(max_examples=30, deadline=None)

@@ -77,14 +77,6 @@ def test_a_split_segment_leaves_no_duplicate() -> None:
     assert found[0].class_id == CHAIR and len(found[0].masks) == 14 and found[0].views == 12
 
 
-@pytest.mark.parametrize(("erosion", "true_size"), [(2 / 160, True), (0.0, False)])
-def test_bleeding_masks_need_the_erosion(erosion: float, true_size: bool) -> None:
-    options = replace(SEGMENTS, erosion_share=erosion)
-    found = match_views(orbit(CHAIRS, bleed=1), THINGS, options, Matching())
-    sizes = [item.box.size[0] for item in found]
-    assert (len(found) == 2 and max(sizes) < 0.65) == true_size
-
-
 def unit_box(x: float) -> OrientedBox:
     return OrientedBox(np.array([x, 0.0, 0.0]), np.ones(3), 0.0)
 
@@ -190,8 +182,3 @@ def test_thin_things_have_a_least_thickness() -> None:
     assert flat.yaw == pytest.approx(0.0)
     with pytest.raises(ValueError, match="point"):
         fit_box(np.zeros((0, 3)), 0.05)
-
-
-def test_the_rotation_is_the_yaw_as_a_quaternion() -> None:
-    w, x, y, z = box((0, 0, 0), (1, 1, 1), math.pi / 2).rotation
-    assert (w, x, y, z) == pytest.approx((math.sqrt(0.5), 0, 0, math.sqrt(0.5)))

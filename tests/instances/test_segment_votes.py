@@ -16,7 +16,6 @@ from engine.instances.agreement import ViewPoints, ViewsOnCloud
 from engine.instances.panoptic_labels import UNKNOWN_LABEL, PanopticLabels
 from engine.instances.segment_votes import (
     VotedLabels,
-    member_labels,
     neighbours_on_a_thing,
     segment_labels,
     vote_panoptic_labels,
@@ -69,16 +68,6 @@ def voted(views: list[View], members: set[str], rounds: int = ROUNDS) -> VotedLa
 def wrong(found: np.ndarray) -> int:
     """Points, or pixels, that are not labelled as they should be."""
     return int((found.reshape(SIZE[::-1]) != square(OBJECT, WALL_LABEL, COLUMNS, ROWS)).sum())
-
-
-def test_a_view_says_which_objects_its_masks_belong_to() -> None:
-    view = drawn("a")
-    assert wrong(member_labels(view, LABELS, {("a", SOFA): 1})) == 0
-    plain = member_labels(view, LABELS, {("b", SOFA): 1})
-    assert plain[ROWS, COLUMNS].max() == plain[ROWS, COLUMNS].min() == LABELS.of_class(SOFA)
-    ids = np.where(view.mask.ids == WALL, 0, view.mask.ids)
-    void = replace(view, mask=PanopticMask(ids, (*view.mask.segments, Segment(90, CHAIR, True))))
-    assert (member_labels(void, LABELS, {})[0] == UNKNOWN_LABEL).all()
 
 
 def test_a_view_with_the_wrong_class_is_corrected_by_the_others() -> None:

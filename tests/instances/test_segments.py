@@ -8,12 +8,9 @@ import numpy as np
 
 from engine.instances.segments import (
     SegmentOptions,
-    edge_distance,
     local_instances,
     mask_extents,
     outline_of,
-    restrict_to_things,
-    thin,
     vote_instances,
 )
 from engine.scene import Camera, PanopticMask, Segment, View
@@ -43,19 +40,6 @@ def test_erosion_takes_the_bleed_but_spares_small_segments() -> None:
     assert local_instances(bleeding, THINGS, SegmentOptions(0.05, erosion_share=0.0))[0].box.size[0] > 1.5
     whole = local_instances(bleeding, THINGS, SegmentOptions(0.05, min_eroded=10**6))[0]
     assert whole.box.size[0] > 1.5
-
-
-def test_distance_to_other_segments_ignores_the_pictures_border() -> None:
-    ids = np.ones((7, 9), np.int32)
-    ids[:, 5:] = 2
-    distance = edge_distance(ids)
-    np.testing.assert_allclose(distance[3], [5, 4, 3, 2, 1, 1, 2, 3, 4], atol=0.1)
-    assert (edge_distance(np.ones((4, 4), np.int32)) >= 4).all()
-
-
-def test_thinning_keeps_one_mean_per_voxel() -> None:
-    points = np.array([[0.01, 0.0, 0.0], [0.03, 0.0, 0.0], [-0.01, 0.0, 0.0], [0.0, 0.0, 7.0]])
-    np.testing.assert_allclose(thin(points, 0.05), [[-0.01, 0, 0], [0.02, 0, 0], [0.0, 0.0, 7.0]])
 
 
 def test_the_outline_goes_around_all_but_small_parts() -> None:
@@ -104,8 +88,3 @@ def test_ties_go_to_the_lower_id_and_no_match_is_none() -> None:
     rows = np.array([[0, 0, 1, 1]], np.int32)
     assert vote_instances(views, lambda v: rows, 2, {("a", 9): 4, ("b", 9): 3}).tolist() == [3, 3]
     assert vote_instances(views, lambda v: rows, 2, {}).tolist() == [0, 0]
-
-
-def test_matched_masks_cover_things_only() -> None:
-    instance, classes = np.array([[1, 1, 2, 0]], np.int32), np.array([[5, 1, 0, 5]], np.int32)
-    assert restrict_to_things(instance, classes, {5}).tolist() == [[1, 0, 0, 0]]

@@ -27,7 +27,6 @@ from engine.job import (
     LiftFolder,
     LiftRequest,
     LiftState,
-    Manifest,
     StopSignal,
     read_manifest,
     verify,
@@ -345,19 +344,6 @@ def test_a_frame_with_the_name_of_a_group(finished: dict[str, LiftFolder]) -> No
     renamed = replace(scene, frames=tuple(replace(each, name=names.get(each.name, each.name)) for each in scene.frames))
     assert frames_named(renamed, ["all"]) == [*renamed.frames]
     assert [frame.name for frame in frames_named(renamed, ["test"])] == ["test", "0004"]
-
-
-def test_a_finished_shot_is_recognised_with_one_read(lift: LiftFolder, monkeypatch: pytest.MonkeyPatch) -> None:
-    bake(lift, "all")
-    reads = list[Path]()
-
-    def counted(result: Path) -> Manifest:
-        reads.append(result)
-        return read_manifest(result)
-
-    monkeypatch.setattr(bake_more, "read_manifest", counted)
-    bake(lift, "all")
-    assert len(reads) == 1
 
 
 def test_a_bake_is_done_when_all_views_are_there(lift: LiftFolder) -> None:

@@ -13,16 +13,14 @@ import cv2
 import numpy as np
 import OpenEXR
 import pytest
-from safetensors.torch import safe_open
 
 from engine.errors import Cancelled
 from engine.job import EventWriter, LiftFolder, LiftRequest, StopSignal, verify
 from engine.lift import frame_sets, run_lift, scene_files
 from engine.lift import run as lift_run
 from engine.lift.run import STAGES
-from engine.lift.scene_files import FILLED, is_near_measured, read_model, shown_by_depth
+from engine.lift.scene_files import read_model, shown_by_depth
 from engine.model.baking import FLOATS
-from engine.model.structured import from_tensors
 from engine.posed.ply import read_gaussians
 from engine.result_files import Anchors, SemanticPoints, read_arrays
 from engine.scene import load_view, open_scene
@@ -150,16 +148,6 @@ def test_the_instances_are_written(lifts: Lifts) -> None:
             assert segment["pixels"] > 0 and 0 < segment["share"] < 1
             left, top, right, bottom = segment["rectangle"]
             assert 0 <= left < right <= 1 and 0 <= top < bottom <= 1
-
-
-def test_the_model_can_be_read_again(lifts: Lifts) -> None:
-    with safe_open(lifts.done.result_path / "model.safetensors", "pt") as file:
-        facts = json.loads(file.metadata()["plgs"])
-        scene = from_tensors({name: file.get_tensor(name) for name in file.keys()}, facts)  # noqa: SIM118
-    with np.load(lifts.done.result_path / "anchors.npz") as anchors:
-        np.testing.assert_array_equal(scene.anchors.position.numpy(), anchors["xyz"])
-    assert scene.channels.class_ids == (1, 2, 3, 5)
-    assert scene.voted is not None and len(scene.voted.label) == len(scene.anchors) * TINY.gaussians_per_anchor
 
 
 def test_passes_have_the_frames_own_size_and_whole_labels(lifts: Lifts) -> None:
@@ -290,13 +278,3 @@ def test_places_in_holes_were_not_measured(tmp_path: Path) -> None:
     assert 0.4 < half.mean() < 0.6
     assert shown_by_depth(cloud_of(beyond, spacing=0.5), [first], lambda *_: None).all()  # means of so large cells
     assert not shown_by_depth(cloud, [], lambda *_: None).any()
-
-
-def test_planes_far_from_what_was_measured_are_not_shown() -> None:
-    """A row of points of which the first is measured; an object all of whose points lie far is kept."""
-    xyz = np.stack([np.arange(0, 1, 0.1) + 0.01, np.zeros(10), np.zeros(10)], axis=1)
-    owner = np.array([0, 0, 1, 1, 1, 1, 0, 0, 2, 2], np.int32)
-    seen = is_near_measured(cloud_of(xyz), owner, np.arange(10) == 0)
-    assert [*np.flatnonzero(seen)] == [0, 1, 2, 8, 9] and 0.2 < FILLED < 0.31
-    assert is_near_measured(cloud_of(xyz), owner, np.zeros(10, np.bool_)).sum() == 6  # the objects
-    assert is_near_measured(cloud_of(xyz, spacing=0.5), owner, np.arange(10) == 0).all()  # lie far apart

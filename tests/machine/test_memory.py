@@ -13,12 +13,6 @@ from engine.machine import memory
 from tests.machine.held_bytes import held_bytes
 
 
-def test_blocks_are_aligned_and_distinct() -> None:
-    arrays = [memory.empty((3, 5), np.float32) for _ in range(4)]
-    assert all(array.ctypes.data % 64 == 0 for array in arrays)
-    assert len({array.ctypes.data for array in arrays}) == 4
-
-
 def test_released_block_is_reused() -> None:
     first = memory.empty((7, 11), np.float64)
     address = first.ctypes.data
@@ -29,18 +23,6 @@ def test_released_block_is_reused() -> None:
     assert address in {memory.empty((7, 11), np.float64).ctypes.data for _ in range(2)}
 
 
-def test_several_arrays_share_one_block() -> None:
-    wanted = (((3, 5), np.float32), (7, np.bool_), (0, np.int64), ((2, 2), np.float64))
-    arrays = memory.several(*wanted)
-    assert [(array.shape, array.dtype) for array in arrays] == [
-        (shape if isinstance(shape, tuple) else (shape,), np.dtype(dtype)) for shape, dtype in wanted
-    ]
-    assert all(array.ctypes.data % memory.ALIGNMENT == 0 for array in arrays)
-    for number, array in enumerate(arrays):
-        array[...] = number
-    assert [np.unique(array).tolist() for array in arrays] == [[0.0], [True], [], [3.0]]
-
-
 def test_shared_block_is_reused_once_no_array_is_held() -> None:
     memory._blocks.clear()  # other tests' blocks of this size would be given out first
     first, second = memory.several((5000, np.float32), (6000, np.float32))
@@ -49,25 +31,6 @@ def test_shared_block_is_reused_once_no_array_is_held() -> None:
     assert memory.several((5000, np.float32), (6000, np.float32))[0].ctypes.data != address, "one of them is still held"
     del second
     assert address in {memory.several((5000, np.float32), (6000, np.float32))[0].ctypes.data for _ in range(2)}
-
-
-def test_slightly_smaller_requests_reuse_the_same_blocks() -> None:
-    memory._blocks.clear()
-    size, smaller = 3 << 20, 11 << 18
-    address = memory.empty(size, np.uint8).ctypes.data
-    held = held_bytes()
-    assert memory.empty(smaller, np.uint8).ctypes.data == address and held_bytes() == held
-
-
-def test_smallest_fitting_free_block_is_reused() -> None:
-    memory._blocks.clear()
-    small, large = (memory.empty(size << 20, np.uint8) for size in (4, 7))
-    addresses = small.ctypes.data, large.ctypes.data
-    del small, large
-    first, second = (memory.empty(size << 20, np.uint8) for size in (3, 3))
-    assert (first.ctypes.data, second.ctypes.data) == addresses
-    held = held_bytes()
-    assert memory.empty(1 << 20, np.uint8).ctypes.data not in addresses and held_bytes() > held
 
 
 def test_larger_block_replaces_one_that_is_too_small() -> None:

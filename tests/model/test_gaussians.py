@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from engine.model.anchors import Anchors, initial_anchors, seeded_features, spacing
+from engine.model.anchors import Anchors, initial_anchors, seeded_features
 from engine.model.decoders import Decoders, DecoderShape
 from engine.model.gaussians import decode, decode_rows, visible_anchors
 from engine.scene import Camera
@@ -43,15 +43,6 @@ def test_gaussians_without_opacity_are_dropped_and_labels_sum_to_one() -> None:
     torch.testing.assert_close(decoded.labels[:, 3:].sum(1), torch.ones(len(decoded.labels)))
 
 
-def test_equal_features_seen_from_the_same_direction_decode_alike() -> None:
-    """Scaffold-GS starts all features at zero: what an anchor shows then depends on the direction alone."""
-    anchors, decoders = some_anchors([[0, 0, 2], [0, 0, 3]]), some_decoders()
-    decoders.shape = DecoderShape(8, 4, 3, 5, distance_input=False, label_view_input=False)
-    anchors.feature = torch.zeros_like(anchors.feature)
-    seen = decoders.view_input(anchors.feature, anchors.position, torch.zeros(3))
-    torch.testing.assert_close(seen[0], seen[1])
-
-
 @pytest.mark.parametrize("label_view_input", [False, True])
 def test_labels_depend_on_the_view_only_when_asked(label_view_input: bool) -> None:
     anchors, decoders = some_anchors([[0, 0, 2], [0.2, 0.1, 3]]), some_decoders(label_view_input)
@@ -61,27 +52,6 @@ def test_labels_depend_on_the_view_only_when_asked(label_view_input: bool) -> No
     first = decode_rows(anchors, decoders, rows, torch.zeros(3)).labels
     second = decode_rows(anchors, decoders, rows, torch.tensor([0.0, 5.0, 1.0])).labels
     assert torch.equal(first, second) is not label_view_input
-
-
-def test_spacing_is_the_root_mean_square_of_three_neighbours() -> None:
-    points = np.array([[0, 0, 0], [1, 0, 0], [0, 2, 0], [0, 0, 3]], np.float32)
-    assert spacing(points)[0] == pytest.approx(np.sqrt((1 + 4 + 9) / 3))
-
-
-def test_selecting_keeps_all_rows_aligned() -> None:
-    positions = np.arange(30, dtype=np.float32).reshape(10, 3)
-    anchors = initial_anchors(
-        positions,
-        np.arange(10),
-        gaussians_per_anchor=4,
-        feature=np.repeat(np.arange(10, dtype=np.float32)[:, None], 8, axis=1),
-        voxel_size=0.1,
-    )
-    keep = torch.arange(10) % 3 == 0
-    both = anchors.select(keep).extended(anchors.select(~keep))
-    for row, label in enumerate(both.initial_class.tolist()):
-        assert both.position[row, 0] == positions[label, 0]
-        assert both.feature[row, 0] == label
 
 
 def features_of(labels: np.ndarray, features: int = 32, seed: int = 0) -> np.ndarray:

@@ -55,14 +55,6 @@ def test_transparent_anchors_go_and_the_others_stay() -> None:
     assert len(grown) == 0
 
 
-def test_an_anchor_is_judged_only_after_enough_visits() -> None:
-    anchors = grid()
-    statistics = watched(anchors, opacity=0.0)
-    statistics.visits[:] = 70
-    keep, _ = round_of(anchors, statistics)
-    assert keep.all()
-
-
 @pytest.mark.parametrize(("visits", "is_judged"), [(10, False), (11, True)])
 def test_an_anchor_that_few_views_see_is_judged_after_the_least_visits(visits: int, is_judged: bool) -> None:
     """In a short lift of many views a visit is rare: shares of the steps would never be reached."""
@@ -79,12 +71,6 @@ def test_an_anchor_that_few_views_see_is_judged_after_the_least_visits(visits: i
     assert bool(keep[5]) is not is_judged and int(keep.sum()) == len(anchors) - is_judged
     assert bool(len(grown)) is is_judged
     assert statistics.visits[5] == (0 if is_judged else visits)
-
-
-def test_the_least_visits_are_no_more_than_the_shares_ask_for() -> None:
-    rules = replace(RULES, least_visits=10)
-    assert [rules.enough(rules.visited_share, steps) for steps in (5, 100)] == [5 * rules.visited_share, 10]
-    assert RULES.enough(RULES.visited_share, 100) == 100 * RULES.visited_share
 
 
 def test_a_strong_gradient_grows_an_anchor_in_a_free_cell_with_the_greatest_feature() -> None:

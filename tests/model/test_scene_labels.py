@@ -62,13 +62,6 @@ def test_too_many_labels_are_not_kept(monkeypatch: pytest.MonkeyPatch) -> None:
     assert scene_labels(scene) is None
 
 
-def test_classes_sum_to_one_and_instances_leave_out_what_belongs_to_no_object() -> None:
-    labels = scene_labels(some_scene((1, 2, 3, 4, NO_OBJECT)))
-    assert labels is not None
-    torch.testing.assert_close(labels.probabilities[:, :3].sum(dim=1), torch.ones(GAUSSIANS))
-    assert (labels.probabilities[:, 3:].sum(dim=1) < 1).all()
-
-
 def softmaxed(random: np.random.Generator, shape: tuple[int, ...], alpha: torch.Tensor) -> torch.Tensor:
     logits = torch.from_numpy(random.normal(0, 3, shape))
     return logits.softmax(dim=-1) * alpha[..., None]

@@ -38,10 +38,6 @@ def test_a_scene_comes_back_as_it_was(scene: StructuredScene, voted: bool, tmp_p
     assert (back.voted is not None) is voted
 
 
-def test_slots_that_are_not_instances_are_not_shown(scene: StructuredScene) -> None:
-    assert scene.channels.instance_slots == (0, 2) and scene.channels.shown_ids == (4, 9)
-
-
 @pytest.mark.parametrize("number", [1, 3, None])
 def test_other_formats_are_refused(scene: StructuredScene, number: int | None) -> None:
     tensors, facts = to_tensors(scene)

@@ -7,7 +7,6 @@ from collections.abc import Iterator
 import pytest
 import torch
 
-from engine.model import gaussians as dispatch
 from engine.model.torch_decoding import cluster_loss
 from tests.model.decoding_cases import (
     OUTPUTS,
@@ -48,20 +47,6 @@ def test_a_camera_inside_an_anchor_and_huge_features_are_decode(decode: Decode) 
     case.anchors.position[case.visible[0]] = case.centre
     case.anchors.feature[case.visible[1:20]] *= 30.0
     assert_matches(decode, case)
-
-
-def test_each_network_gives_the_same_as_alone() -> None:
-    """Their first layers share one matrix product."""
-    for name, shape in SHAPES.items():
-        case = case_of(shape, 50)
-        given, networks = case.anchors, case.decoders
-        seen = networks.view_input(given.feature, given.position, case.centre)
-        together = (*networks.shape_outputs(seen), *networks.label_logits(given.feature, seen))
-        labelled = seen if shape.label_view_input else given.feature
-        alone = (*(networks.get_submodule(each)(seen) for each in ("opacity", "covariance", "colour")),)
-        alone += (networks.semantic(labelled), networks.instance(labelled))
-        for one, other in zip(together, alone, strict=True):
-            torch.testing.assert_close(one.flatten(1), other, rtol=1e-5, atol=1e-6, msg=name)
 
 
 def test_known_labels_are_shown(decode: Decode) -> None:
@@ -168,15 +153,3 @@ def test_what_one_step_keeps_the_next_does_not_overwrite() -> None:
     gradients(second, by_kernels(second))
     assert all(torch.equal(getattr(gaussians, name), kept[name]) for name in OUTPUTS)
     assert all(torch.equal(found[name], copies[name]) for name in found)
-
-
-@pytest.mark.parametrize("kind", ["float64", "plain"])
-def test_the_kernels_decode_probabilities_in_float32(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(dispatch, "decode_natively", lambda *asked: pytest.fail("by kernels"))
-    case = case_of(STANDARD, 20)
-    if kind == "plain":
-        with pytest.raises(pytest.fail.Exception, match="by kernels"):
-            by_kernels(case)
-        return
-    case = case.in_double()
-    assert torch.equal(by_kernels(case).labels, by_torch(case).labels)

@@ -2,16 +2,9 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-import pytest
 
 from engine.posed.classes import PALETTE
-from engine.scene import Category, ClassTable, distinct_colour
-
-
-@pytest.mark.parametrize("ids", [(0, 1), (2, 1), (1, 1), (-1,)])
-def test_ids_are_unique_ascending_and_above_void(ids: tuple[int, ...]) -> None:
-    with pytest.raises(ValueError, match="ascending"):
-        ClassTable(tuple(Category(class_id, "class", False, (1, 2, 3)) for class_id in ids))
+from engine.scene import distinct_colour
 
 
 def cielab(rgb: np.ndarray) -> np.ndarray:

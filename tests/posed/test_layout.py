@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import struct
 from collections.abc import Callable
 from pathlib import Path
@@ -15,8 +14,8 @@ from engine.job.system import MainMemory
 from engine.posed import layout
 from engine.posed.classes import Category, ClassLabel
 from engine.posed.frames import Camera
-from engine.posed.layout import check_camera, file_inside, files_by_stem, listed, natural_order, read_file, same_shape
-from engine.posed.plain_folders import default_split, read_split
+from engine.posed.layout import check_camera, file_inside, listed, natural_order, read_file, same_shape
+from engine.posed.plain_folders import default_split
 from engine.scene import open_scene
 from engine.scene.depth import depth_check
 from engine.scene.files_of_frames import of_same_name
@@ -34,13 +33,6 @@ def test_frames_come_in_natural_order() -> None:
     names = ["10", "9", "0_0010", "0_0009", "frame2", "frame10", "frame-000001.color"]
     ordered = ["0_0009", "0_0010", "9", "10", "frame2", "frame10", "frame-000001.color"]
     assert sorted(names, key=natural_order) == ordered
-
-
-def test_files_are_found_by_stem_whatever_the_case_of_their_suffix(tmp_path: Path) -> None:
-    for name in ("10.JPG", "9.png", "._9.png", ".DS_Store", "notes.txt"):
-        (tmp_path / name).touch()
-    (tmp_path / "8.png").mkdir()
-    assert list(files_by_stem(tmp_path, {".jpg", ".png"}, "Fix.")) == ["9", "10"]
 
 
 @pytest.mark.parametrize(
@@ -190,11 +182,3 @@ NAMES = tuple(f"{index:03d}" for index in range(20))
 def test_every_eighth_frame_is_held_out_beginning_with_the_fifth() -> None:
     split = default_split(NAMES)
     assert split.test == ("004", "012") and len(split.train) == 18 and split.warnings == ()
-
-
-def test_a_split_file_is_honoured_in_recording_order(tmp_path: Path) -> None:
-    path = tmp_path / "splits.json"
-    path.write_text(json.dumps({"train": ["003", "001", "lost"], "test": ["002"], "comment": "ours"}))
-    split = read_split(path, NAMES[:5], dropped=["lost"])
-    assert (split.train, split.test) == (("001", "003"), ("002",))
-    assert split.warnings == ("2 frames are left out by splits.json: 000, 004",)

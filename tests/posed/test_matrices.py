@@ -9,8 +9,8 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from engine.posed.matrices import TO_Z_UP, read_intrinsics, read_matrix, read_poses, turned, up_axis_warning
-from engine.scene import Camera, UpAxis
+from engine.posed.matrices import read_matrix, read_poses, up_axis_warning
+from engine.scene import Camera
 from tests.raises_key import raises_key
 from tests.tiny_scene import tiny_pose
 
@@ -46,12 +46,6 @@ def test_a_resized_camera_sees_a_point_at_the_same_share_of_the_picture(
     assert depth == same_depth
 
 
-def test_a_point_behind_the_camera_has_negative_depth_and_finite_pixels() -> None:
-    one = camera((64, 48))
-    pixels, depth = one.project(one.centre - one.camera_to_world[:3, 2])
-    assert depth < 0.0 and np.isfinite(pixels).all()
-
-
 def written(folder: Path, matrix: np.ndarray, form: str = "%.18e") -> Path:
     np.savetxt(folder / "matrix.txt", matrix, fmt=form)
     return folder / "matrix.txt"
@@ -79,24 +73,6 @@ def test_a_lost_pose_is_none_and_a_nan_is_an_error(tmp_path: Path) -> None:
     (tmp_path / "pose.txt").write_text("nan -inf -inf -inf\n" * 4)
     with raises_key("nan"):
         read_poses({"a": tmp_path / "pose.txt"})
-
-
-@pytest.mark.parametrize(("up", "axis"), [("z", [0, 0, 1]), ("y", [0, 1, 0]), ("-y", [0, -1, 0])])
-def test_the_named_axis_ends_up_on_z(up: UpAxis, axis: list[int]) -> None:
-    pose = np.eye(4)
-    pose[:3, 3] = axis
-    upright = turned(pose, TO_Z_UP[up])
-    np.testing.assert_allclose(upright[:3, 3], [0, 0, 1], atol=1e-15)
-    assert np.linalg.det(upright[:3, :3]) == pytest.approx(1.0)
-
-
-def test_integer_pixel_centres_become_half_ones(tmp_path: Path) -> None:
-    K = np.array([[525.0, 0, 319.5], [0, 520.0, 239.5], [0, 0, 1]])
-    camera = read_intrinsics(written(tmp_path, K), (640, 480))
-    assert (camera.fx, camera.fy, camera.cx, camera.cy) == (525.0, 520.0, 320.0, 240.0)
-    four = np.eye(4)
-    four[:3, :3] = K
-    assert read_intrinsics(written(tmp_path, four), (640, 480)).cx == 320.0
 
 
 def test_cameras_that_stand_upright_about_another_axis_are_noticed() -> None:

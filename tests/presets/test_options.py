@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import argparse
-import json
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
-from typing import get_args
 
 import pytest
 
 from engine.job import LiftRequest
-from engine.job.request import PresetName, add_lift_options, chosen_options, request_from
+from engine.job.request import add_lift_options, chosen_options, request_from
 from engine.presets.options import (
     changed_options,
     checked_options,
@@ -124,22 +122,11 @@ def test_steps_for_each_view_are_kept_beside_steps(tmp_path: Path) -> None:
     assert request_of("--preset", str(path)) == request_of()
 
 
-def test_steps_are_the_same_wherever_they_are_given() -> None:
-    assert request_of("--set", "steps=500") == request_of("--steps", "500")
-    assert request_of("--set", "steps=500").options == {"steps": 500}, "the preset's steps, whatever the views"
-
-
 def test_a_value_of_the_preset_overrides_an_earlier_one() -> None:
     earlier = LiftRequest(Path("/scene"), options={"steps": 600, "size": [100, 100], "frames": 7, "voxel_size": 0.1})
     texts = ["steps=500", "steps_a_view=5", "size=200,200", "frames=400", "voxel_size=0.06"]
     preset, options = chosen_options(None, parsed_options(texts), earlier)
     assert preset == "preview" and changed_options(PRESETS[preset], options) == {}
-
-
-def test_offered_presets_exist_and_fit_json() -> None:
-    assert get_args(PresetName) == tuple(PRESETS)
-    for preset in PRESETS.values():
-        json.dumps(asdict(preset))  # it goes into the manifest
 
 
 @pytest.mark.parametrize("name", PRESETS)

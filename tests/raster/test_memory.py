@@ -47,16 +47,6 @@ def test_late_or_repeated_backward_pass_gives_the_same_gradients() -> None:
     assert all(gradient.any() for gradient in gradients[0])
 
 
-def test_a_warm_step_allocates_nothing() -> None:
-    scene = random_scene(1, 300, 20, 64, 48)
-    for _ in range(3):
-        render(scene, "numba")
-    held = held_bytes()
-    for _ in range(3):
-        render(scene, "numba")
-    assert held_bytes() == held
-
-
 def step(work: Workload, change: int = 0) -> None:
     """Forward and backward; ``change`` moves and shrinks the Gaussians a little."""
     arrays = (work.means, work.scales, work.quats, work.opacities, work.colours, work.labels)

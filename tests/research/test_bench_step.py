@@ -8,9 +8,7 @@ from dataclasses import replace
 
 import pytest
 
-from engine.presets.preset import PRESETS, Preset
-from research import bench_step as step
-from research.bench_step import SAMPLE, StepProfile, profile_lift, typical
+from research.bench_step import StepProfile, profile_lift, typical
 from tests.train.tiny_lift import TINY, views_of
 
 WITHOUT_GROWTH = replace(TINY, steps=1000)
@@ -45,20 +43,3 @@ def test_a_disturbed_step_is_left_out_and_parts_add_up() -> None:
     assert parts == pytest.approx({"one": 4500.0, "two": 2000.0})
     with pytest.raises(ValueError, match="no step"):
         typical([])
-
-
-def test_the_figures_are_printed_and_written(
-    profile: StepProfile, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr(step, "load_view", lambda frame, size: frame)
-    asked: list[tuple[int, Preset]] = []
-    monkeypatch.setattr(
-        step, "profile_lift", lambda views, classes, preset: asked.append((len(views), preset)) or profile
-    )
-    preset = replace(PRESETS["paper"], voxel_size=0.04)
-    first, second = step.bench_step(), step.bench_step(preset)
-    assert first.keys() == second.keys() == profile.facts().keys() and first["core_ms"] == profile.cores
-    assert asked[0][1].size == step.SIZE and asked[1] == (63, preset)
-    said = capsys.readouterr().out
-    assert "whole step" in said and "processor time" in said and "a second" in said
-    assert SAMPLE.is_dir()

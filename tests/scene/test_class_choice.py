@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import json
-import time
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from engine.json_file import to_text
-from engine.posed.classes import LARGEST_CLASS_ID, PALETTE, ClassLabel
+from engine.posed.classes import PALETTE, ClassLabel
 from engine.records import to_json
 from engine.scene import list_classes, open_scene
 from engine.scene.class_choice import ClassChoice, ClassRow, class_choice_text, read_class_choice
@@ -51,14 +50,6 @@ def test_made_up_classes_are_far_apart_too() -> None:
         assert nearest_pair(list(colours.values()))[0] > 9.3
     many = colours_of(*(f"part {number}" for number in range(len(PALETTE) + 1)))
     assert len({*many.values()}) == len(PALETTE)
-
-
-def test_as_many_classes_as_ids_take_seconds() -> None:
-    """They took minutes."""
-    began = time.process_time()
-    table = coloured(ClassLabel(number, f"part {number}", True) for number in range(1, LARGEST_CLASS_ID + 1))
-    assert [table[number].id for number in table.ids] == [*table.ids]
-    assert time.process_time() - began < 10.0
 
 
 def test_a_class_keeps_its_colour() -> None:

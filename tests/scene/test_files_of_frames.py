@@ -69,23 +69,7 @@ def labels_of(number: int) -> np.ndarray:
     return labels
 
 
-def kept_of(number: int) -> np.ndarray:
-    kept = np.full((48, 64), 255, np.uint8)
-    kept[5 * number :][:5] = 0
-    return kept
-
-
 CAMERAS = [("front", "back"), ("0", "1")]
-
-
-@pytest.mark.parametrize("cameras", CAMERAS)
-def test_what_counts_for_a_rig_lies_in_a_folder_for_each_camera(tmp_path: Path, cameras: tuple[str, str]) -> None:
-    write_rig(tmp_path, cameras, kept_of)
-    scene = open_scene(tmp_path)
-    assert not scene.has_masks and len(scene.frames) == 6
-    for frame in scene.frames:
-        _, camera, number = frame.name.split("_")
-        np.testing.assert_array_equal(frame.depth() > 0, kept_of(2 * int(number) + cameras.index(camera)) > 0)
 
 
 @pytest.mark.parametrize("cameras", CAMERAS)

@@ -189,13 +189,6 @@ def test_a_true_class_is_that_of_its_very_name(folder: Path) -> None:
     assert classes_by_name({8: "Wall", 9: "wall", 10: "WALL"}, classes) == {8: 2, 9: 1, 10: 1}
 
 
-def test_unknown_classes_become_void_with_a_warning(folder: Path) -> None:
-    cv2.imwrite(str(folder / "gt" / "semantic" / "0001.png"), np.full((24, 32), 99, np.uint8))
-    scene = open_scene(folder)
-    assert not semantic(scene).any()
-    assert check_scene(scene)[-1] == "classes 99 of the ground truth are not in the masks' table and count as void"
-
-
 def test_frames_may_lack_ground_truth(folder: Path) -> None:
     (folder / "gt" / "instance" / "0001.png").unlink()
     scene = open_scene(folder)

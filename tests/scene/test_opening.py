@@ -9,18 +9,9 @@ import cv2
 import numpy as np
 import pytest
 
-from engine.scene import check_scene, digests_of_files, load_view, open_scene
+from engine.scene import check_scene, load_view, open_scene
 from tests.scene.samples import WRITERS, opened
 from tests.tiny_scene import tiny_intrinsics, tiny_pose, trace_view, write_tiny_scene
-
-
-def test_digests_of_unreadable_files_are_empty(tmp_path: Path) -> None:
-    photo, depth = tmp_path / "photo", tmp_path / "depth"
-    photo.write_bytes(b"photo")
-    whole, alone, gone, folder = digests_of_files([(photo, photo), (photo, None), (photo, depth), (tmp_path, None)])
-    assert whole and alone and whole != alone and gone == folder == ""
-    photo.write_bytes(b"another")
-    assert digests_of_files([(photo, None)]) != [alone]
 
 
 def test_a_scene_comes_back_as_it_was_written(tmp_path: Path) -> None:

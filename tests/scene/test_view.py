@@ -14,20 +14,15 @@ import pytest
 from numpy.typing import NDArray
 
 from engine.errors import PlgsError
-from engine.presets.preset import EvidenceKind
 from engine.scene import (
     Camera,
     Frame,
-    OnDemand,
     StoredArrays,
     StoredViews,
-    chained,
-    evidence,
     load_view,
     open_scene,
     resolution_of,
     size_within,
-    stored,
 )
 from engine.scene.view import READERS, SEAM, border_mask, read_ahead
 from tests.raises_key import raises_key
@@ -160,20 +155,6 @@ FRAMES = [
 ]
 
 
-def test_the_order_is_kept_whichever_comes_first() -> None:
-    """The second frame is done before the first one may be."""
-    second_is_done = threading.Event()
-
-    def read(frame: Frame) -> str:
-        if frame.name == "0":
-            assert second_is_done.wait(20)
-        if frame.name == "1":
-            second_is_done.set()
-        return frame.name
-
-    assert list(read_ahead(FRAMES, read)) == [frame.name for frame in FRAMES]
-
-
 def test_no_more_is_read_than_a_few_frames_ahead() -> None:
     begun: list[str] = []
 
@@ -221,37 +202,6 @@ def test_a_view_sees_what_its_own_depth_shows(folder: Path) -> None:
     assert [*number] == [0, 1] and [*rows] == [10, 60] and [*columns] == [20, 100]
 
 
-def test_items_are_made_on_demand() -> None:
-    made: list[int] = []
-    items = OnDemand(4, lambda number: (made.append(number), 10 * number)[1])
-    assert len(items) == 4 and len(both := chained(items, "ab")) == 6 and not made  # type: ignore[misc]
-    assert items[-1] == 30 and made == [3]
-    part = items[1:3]
-    assert len(part) == 2 and made == [3] and list(part) == [10, 20]
-    assert list(both) == [0, 10, 20, 30, "a", "b"] and list(both[3:5]) == [30, "a"] and both[-1] == "b"
-    with pytest.raises(IndexError):
-        items[4]
-
-
-def test_arrays_come_back_as_they_were(tmp_path: Path) -> None:
-    arrays = [
-        np.arange(12, dtype=np.int16).reshape(3, 4)[:, ::2],
-        np.array([[np.nan, -0.0]], np.float32),
-        np.zeros((0, 3), np.uint8),
-        np.array([True, False]),
-    ]
-    on_disk = stored(arrays, tmp_path)
-    assert not list(tmp_path.iterdir()) or sys.platform == "win32", "the file has no name"
-    for there, array in reversed(list(zip(on_disk, arrays, strict=True))):
-        assert there.dtype == array.dtype and there.shape == array.shape
-        assert there.tobytes() == np.ascontiguousarray(array).tobytes()
-    arrays_on_disk = StoredArrays(tmp_path)
-    first = arrays_on_disk.append(np.arange(1000))
-    assert arrays_on_disk[first].sum() == 499_500
-    second = arrays_on_disk.append(np.full((7, 7), 3.5))  # after another one was read
-    assert (arrays_on_disk[second] == 3.5).all() and (arrays_on_disk[first] == np.arange(1000)).all()
-
-
 @pytest.mark.skipif(sys.platform == "win32", reason="no limit on files here")
 @pytest.mark.parametrize("room", [0, 1, 3999, 4000, 4001, 11_999])
 def test_an_array_without_room_is_an_error_with_its_number(room: int, tmp_path: Path) -> None:
@@ -282,14 +232,6 @@ def test_views_come_back_as_they_were(tmp_path: Path) -> None:
             assert array.dtype == other.dtype and (array == other).all()
         assert (one.border is None) == (two.border is None)
     assert there[1].border is not None and (there[1].border == views[1].border).all()
-
-
-@pytest.mark.parametrize(
-    ("kind", "expected"),
-    [("views", [1, 1]), ("root", [3, 4]), ("resolution", [2, 0.5]), ("pixels", [9, 16]), ("density", [4, 0.25])],
-)
-def test_each_kind_of_evidence_weighs_votes(kind: EvidenceKind, expected: list[float]) -> None:
-    np.testing.assert_allclose(evidence(kind, np.array([9.0, 16.0]), np.array([2.0, 0.5])), expected)
 
 
 def test_the_resolution_is_that_of_the_masks_whatever_size_they_are_read_at(tmp_path) -> None:

@@ -11,7 +11,6 @@ from engine.semantics.point_cloud import (
     build_point_cloud,
     label_anchors,
     majority_vote,
-    voxelise,
 )
 from tests.semantics.plane_views import CLASS_IDS, SOFA, WALL, square, wall_view
 
@@ -46,16 +45,6 @@ def test_point_without_majority_is_unknown_and_ties_go_to_the_lower_id() -> None
     np.testing.assert_allclose(share, [0.4, 0.5, 0.0, 0.9], rtol=1e-6)
 
 
-def test_the_same_views_give_the_same_cloud_and_progress_counts_up() -> None:
-    views = [wall_view("a", 0.0), wall_view("b", 0.4, classes=square(SOFA, WALL, slice(5, 15)))]
-    seen: list[tuple[int, int]] = []
-    first = build_point_cloud(views, everything(views), CLASS_IDS, OPTIONS, lambda *step: seen.append(step))
-    second = build_point_cloud(views, everything(views), CLASS_IDS, OPTIONS)
-    np.testing.assert_array_equal(first.xyz, second.xyz)
-    np.testing.assert_array_equal(first.votes, second.votes)
-    assert seen == [(i, 6) for i in range(1, 7)]
-
-
 def test_views_without_depth_are_refused() -> None:
     views = [wall_view("a", 0.0, depth=0.0)]
     with pytest.raises(ValueError, match="depth"):
@@ -84,12 +73,6 @@ def cloud_of(xyz: np.ndarray, class_id: list[int]) -> SemanticPointCloud:
         xyz.astype(np.float32), np.zeros((count, 3), np.uint8), np.array(class_id, np.int32),
         np.ones(count, np.float32), np.zeros((count, 0), np.float32), (), 0.1,
     )  # fmt: skip
-
-
-def test_voxelisation_rounds_half_to_even_and_removes_duplicates() -> None:
-    points = np.array([[0.5, 1.5, 2.5], [0.49, 1.9, 2.1], [-0.5, 0.0, 0.0], [-0.2, 0.3, 0.0]])
-    np.testing.assert_array_equal(voxelise(points, 1.0), [[0, 0, 0], [0, 2, 2]])
-    np.testing.assert_allclose(voxelise(points * 0.02, 0.02), np.array([[0, 0, 0], [0, 2, 2]]) * 0.02, rtol=1e-6)
 
 
 def test_anchors_take_the_majority_of_their_voxel() -> None:

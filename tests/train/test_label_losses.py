@@ -58,16 +58,6 @@ def test_losses_and_gradients_are_those_of_the_formula(upstream: tuple[float, fl
     torch.testing.assert_close(ours.grad.double(), exact.grad, rtol=1e-5, atol=0.0)
 
 
-def test_one_backward_pass_gives_both_gradients() -> None:
-    coverage, alpha = picture(20, 30, 9)
-    semantic, *instance = random_targets(20, 30, 4, 5)
-    both, apart = coverage.clone().requires_grad_(), coverage.clone().requires_grad_()
-    sum(label_losses(both, alpha, 4, semantic, tuple(instance))).backward()
-    for loss in label_losses(apart, alpha, 4, semantic, tuple(instance)):
-        loss.backward(retain_graph=True)
-    assert torch.equal(both.grad, apart.grad)
-
-
 def test_unlabelled_pixels_do_not_count_and_alpha_is_never_reached() -> None:
     coverage = torch.full((2, 2, 3), 0.2, requires_grad=True)
     alpha = torch.full((2, 2), 0.8, requires_grad=True)
@@ -130,10 +120,3 @@ def test_assigned_slots_match_plain_assignment(seed: int, slots: int, instances:
     probability = coverage[..., first:].astype(np.float64) / (alpha[..., None].astype(np.float64) + 1e-8)
     assert got.dtype == torch.int16
     assert (got.numpy() == assign_slots(probability, ids)).all()
-
-
-def test_segments_are_counted() -> None:
-    things = ThingSegments.of(np.array([[0, 9, 9], [4, 0, 9]]))
-    assert things.row.tolist() == [[-1, 1, 1], [0, -1, 1]]
-    assert things.pixels.tolist() == [1, 3]
-    assert not len(ThingSegments.of(np.zeros((2, 2), np.int32)).pixels)

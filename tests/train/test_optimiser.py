@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 import torch
 
 from engine.model.anchors import Anchors, initial_anchors
@@ -26,11 +25,6 @@ def take_steps(optimiser: Optimiser, steps: int, start: int = 0, rows: torch.Ten
         for parameter in (*learnt, *optimiser.decoders.parameters()):
             (parameter * torch.rand(parameter.shape, generator=generator)).sum().backward()
         optimiser.step(step / 100, torch.arange(len(optimiser.anchors)) if rows is None else rows)
-
-
-def test_rates_decay_log_linearly() -> None:
-    assert learning_rate((1e-2, 1e-4), 0.5) == pytest.approx(1e-3)
-    assert learning_rate((1e-2, 1e-4), 0.0) == pytest.approx(1e-2)
 
 
 def test_a_restored_optimiser_continues_bit_for_bit() -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -53,21 +52,6 @@ def test_value_and_gradient_are_those_of_the_formula(height: int, width: int, se
         (3 * wanted).backward()
         size = exact.grad.square().mean().sqrt().item()
         torch.testing.assert_close(ours.grad.double(), exact.grad, rtol=1e-3, atol=2e-4 * size)
-
-
-def test_a_picture_is_like_itself() -> None:
-    _, photo = pictures(60, 70, 1)
-    same = photo.clone().requires_grad_()
-    similarity = compare(same, PhotoMoments.of(photo), 0.0, 1.0)
-    similarity.backward()
-    np.testing.assert_allclose(similarity.item(), 1.0, atol=1e-6)
-    assert same.grad.abs().max() < 1e-6
-
-
-def test_sizes_must_fit() -> None:
-    image, photo = pictures(10, 12, 0)
-    with pytest.raises(ValueError, match="picture"):
-        compare(image[:-1], PhotoMoments.of(photo), 1.0, 1.0)
 
 
 def test_pictures_may_have_any_memory_layout() -> None:

@@ -8,21 +8,10 @@ import numpy as np
 import torch
 
 from engine.model.structured import NO_OBJECT, SPARE, LabelChannels
-from engine.train.targets import columns_of, slots_of, view_targets
+from engine.train.targets import view_targets
 from tests.semantics.plane_views import CHAIR, CLASS_IDS, WALL, square, wall_view
 
 CHANNELS = LabelChannels(CLASS_IDS, (7, SPARE, NO_OBJECT, 3))
-
-
-def test_ids_that_have_no_column_are_minus_one() -> None:
-    assert columns_of(np.array([[5, 0], [99, 2]]), (2, 5)).tolist() == [[1, -1], [-1, 0]]
-    assert columns_of(np.array([3, 0]), ()).tolist() == [-1, -1]
-
-
-def test_no_object_is_a_slot_like_any_other() -> None:
-    instances, known = np.array([3, 7, 0, 0, 9]), np.array([True, True, True, False, True])
-    slots = slots_of(instances, known, CHANNELS)
-    assert slots.dtype == torch.int16 and slots.tolist() == [3, 0, 2, -1, -1]
 
 
 def test_stuff_is_taught_to_be_no_object_and_the_unknown_nothing() -> None:

@@ -13,7 +13,6 @@ from engine.errors import Cancelled
 from engine.model.structured import NO_OBJECT
 from engine.presets.preset import LossWeights
 from engine.scene import Camera, ClassTable, View
-from engine.train.self_training import pseudo_label_steps
 from engine.train.state import restore, trainer_state
 from engine.train.trainer import Trainer, reconstruction_loss
 from tests.model.some_scene import mean_depth
@@ -90,16 +89,6 @@ def test_label_losses_never_reach_opacity_or_shape(tiny: Input, tmp_path: Path) 
         assert all(p.grad is not None and p.grad.any() for p in taught.parameters())
 
 
-def test_without_label_losses_opacity_is_the_same(tiny: Input, tmp_path: Path) -> None:
-    """One step moves the opacity decoder by the reconstruction loss alone."""
-    moved = []
-    for weights in (LossWeights(), LossWeights(semantic=0.0, instance=0.0)):
-        trainer = trainer_of(*tiny, replace(TINY, weights=weights), tmp_path)
-        trainer.step()
-        moved.append([p.detach().clone() for p in trainer.scene.decoders.opacity.parameters()])
-    assert all(torch.equal(one, two) for one, two in zip(*moved, strict=True))
-
-
 def test_channels_without_a_target_need_not_be_drawn(
     tiny: Input, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -115,13 +104,6 @@ def test_channels_without_a_target_need_not_be_drawn(
         one, two = few.step(), all_.step()
         assert one.semantic == two.semantic and one.instance == two.instance
     assert_equal(whole_state(few)[0], whole_state(all_)[0])
-
-
-def test_pseudo_labels_are_made_at_sixths_of_the_lift() -> None:
-    assert sorted(pseudo_label_steps(1 / 6, 30_000)) == [5000, 10_000, 15_000, 20_000, 25_000]
-    assert sorted(pseudo_label_steps(1 / 6, 500)) == [83, 167, 250, 333, 417]  # and none two steps before the end
-    assert sorted(pseudo_label_steps(1 / 6, 2)) == [1]
-    assert not pseudo_label_steps(1 / 6, 1)
 
 
 def test_pseudo_labels_stopped_halfway_are_made_again(tiny: Input, tmp_path: Path) -> None:

@@ -12,14 +12,12 @@ from engine.model.render import render_view
 from engine.model.structured import LabelChannels, StructuredScene, from_tensors, to_tensors
 from engine.scene import Camera
 from research.baselines.gaussian_splatting import (
-    HARMONIC,
     SCALE,
     SCALE_RATE,
     PlainDecoders,
     PlainRules,
     clone_split_prune,
     plain_gaussians,
-    reset_opacities,
 )
 
 CAMERA = Camera(40, 30, 40.0, 40.0, 20.0, 15.0, np.eye(4))
@@ -48,19 +46,6 @@ def test_gaussians_start_with_the_clouds_colours_and_without_labels() -> None:
     assert drawn.cluster_loss.item() == pytest.approx(np.log(3))
 
 
-def test_each_gaussian_is_learnt_independently() -> None:
-    scene = some_gaussians(3)
-    scene.anchors.feature.requires_grad_()
-    scene.anchors.offset.requires_grad_()
-    drawn = decode(scene.anchors, scene.decoders, CAMERA)
-    (drawn.means[1].sum() + drawn.colours[1].sum() + drawn.labels[1, 0]).backward()
-    assert scene.anchors.feature.grad is not None and scene.anchors.offset.grad is not None
-    assert scene.anchors.feature.grad[[0, 2]].abs().sum() == 0
-    assert (scene.anchors.offset.grad[1] == 1).all()
-    assert (scene.anchors.feature.grad[1, 8:11] - HARMONIC).abs().max() < 1e-6
-    assert scene.anchors.feature.grad[1, 11:14].abs().min() > 0
-
-
 def statistics_of(scene: StructuredScene, moved: list[int]) -> GrowthStatistics:
     statistics = GrowthStatistics.empty(scene.anchors)
     statistics.drawn += 2
@@ -84,22 +69,6 @@ def test_small_gaussians_are_cloned_large_split_and_faint_removed() -> None:
     assert not torch.equal(round_.grown.offset[1], round_.grown.offset[2])
     assert (round_.grown.initial_class == 0).all() and (round_.grown.level == 1).all()
     assert all(float(sums.sum()) == 0 for sums in statistics.tensors().values())
-
-
-def test_growth_stops_at_the_limit() -> None:
-    scene = some_gaussians(6)
-    statistics = statistics_of(scene, list(range(6)))
-    rules = PlainRules(gradient=0.5, dense_share=10.0)
-    round_ = clone_split_prune(scene.anchors, statistics, rules, extent=3.0, random=np.random.default_rng(0), most=8)
-    assert bool(round_.keep.all()) and len(round_.grown) == 2
-
-
-def test_opacities_are_reset() -> None:
-    scene = some_gaussians(3)
-    scene.anchors.feature[1, 0] = -5.0
-    reset_opacities(scene.anchors, PlainRules(reset_to=0.01))
-    opacity = decode(scene.anchors, scene.decoders, CAMERA).opacities
-    assert opacity[[0, 2]].tolist() == pytest.approx([0.01, 0.01]) and opacity[1] < 1e-10
 
 
 def test_stored_gaussians_are_drawn_the_same() -> None:

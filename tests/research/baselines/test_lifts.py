@@ -67,13 +67,6 @@ def test_a_restored_trainer_of_plain_gaussians_continues_bit_for_bit(tiny: Input
     assert [resumed.step().loss for _ in range(5, STEPS)] == [whole.step().loss for _ in range(5, STEPS)]
 
 
-def test_linear_assignment_gives_slots_their_meaning(tiny: Input, tmp_path: Path) -> None:
-    trainer = trainer_of(*tiny, ALONE, tmp_path)
-    assert trainer.scene.channels.slot_ids == (1, 2, 3, 4, 0) and not trainer.scene.channels.class_of_slot
-    report = trainer.step()
-    assert report.instance > 0
-
-
 def targets_with(tiny: Input, folder: Path, **changed: object) -> list[np.ndarray]:
     trainer = trainer_of(*tiny, replace(ALONE, **changed), folder)  # type: ignore[arg-type]
     return [target.projected.numpy() for target in trainer.targets]
@@ -96,26 +89,6 @@ def test_without_matches_no_thing_is_taught_to_be_no_object(tiny: Input, tmp_pat
         for view, target in zip(views, trainer.targets, strict=True):
             things = [one.id for one in view.mask.segments if one.is_thing]
             assert things and not (target.slot.numpy()[np.isin(view.mask.ids, things)] == no_object).any()
-
-
-def test_the_warm_start_leaves_unmatched_things_their_slots(tiny: Input, tmp_path: Path) -> None:
-    scene = prepared_for(*tiny, ALONE, tmp_path).scene
-    no_object = scene.channels.slot_ids.index(NO_OBJECT)
-    seen = scene.decoders.view_input(scene.anchors.feature, scene.anchors.position, torch.zeros(1, 3))
-    _, slots = scene.decoders.label_logits(scene.anchors.feature, seen)
-    share = torch.softmax(slots.reshape(-1, len(scene.channels.slot_ids)), 1)[:, no_object].mean()
-    assert share < 0.5, "of five slots"
-
-
-def test_semantic_targets_do_not_change_what_is_no_object(tiny: Input, tmp_path: Path) -> None:
-    boxes = replace(ALONE, objects="boxes")
-    slots = [
-        [one.matched.numpy() for one in trainer_of(*tiny, replace(boxes, semantic_targets=source), tmp_path).targets]
-        for source in ("projected", "masks", "none")  # type: ignore[arg-type]
-    ]
-    assert any((one >= 0).any() for one in slots[0])
-    for view in zip(*slots, strict=True):
-        assert np.array_equal(view[0], view[1]) and np.array_equal(view[0], view[2])
 
 
 def loss_of(tiny: Input, folder: Path, preset: BaselinePreset) -> tuple[float, float]:
@@ -152,9 +125,3 @@ def test_a_segment_takes_the_class_that_it_shows_most_certainly() -> None:
     targets = segment_targets(torch.from_numpy(0.5 * shown), torch.full((2, 4), 0.5), 2, ThingSegments.of(ids))
     assert targets.dtype == torch.int16
     assert targets.tolist() == [[1, 1, 1, -1], [0, 0, 0, 0]]
-
-
-def test_without_segments_there_is_no_target() -> None:
-    nothing = ThingSegments.of(np.zeros((2, 2), np.int32))
-    targets = segment_targets(torch.ones(2, 2, 3), torch.ones(2, 2), 2, nothing)
-    assert targets.tolist() == [[-1, -1], [-1, -1]]

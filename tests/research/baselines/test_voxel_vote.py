@@ -39,16 +39,6 @@ def test_objects_that_do_not_touch_are_two_instances() -> None:
     assert not instance[semantic == WALL].any()
 
 
-def test_a_fragment_is_not_an_object() -> None:
-    labels = np.full((40, 80), WALL, np.int32)
-    labels[10:14, 10:14] = CHAIR
-    votes = VoxelVote(CLASSES)
-    votes.add(CAMERA, DEPTH, labels)
-    semantic, instance = votes.result().look_up(CAMERA, DEPTH)
-    assert (semantic == CHAIR).any()
-    assert not instance.any()
-
-
 def test_void_is_never_predicted() -> None:
     votes = VoxelVote(CLASSES)
     depth = DEPTH.copy()
@@ -60,13 +50,6 @@ def test_void_is_never_predicted() -> None:
     assert (semantic > 0).all()
     nothing, _ = votes.result().look_up(CAMERA, np.zeros_like(DEPTH))
     assert not nothing.any()
-
-
-def test_ties_go_to_the_lower_class() -> None:
-    votes = VoxelVote(CLASSES)
-    votes.add(CAMERA, DEPTH, np.full((40, 80), CHAIR, np.int32))
-    votes.add(CAMERA, DEPTH, np.full((40, 80), WALL, np.int32))
-    assert (votes.result().class_id == WALL).all()
 
 
 def test_an_empty_vote_has_no_winners() -> None:

@@ -308,18 +308,6 @@ def test_a_finished_lift_with_other_settings_is_not_reused(experiment: Experimen
         run(replace(with_steps, sets=("weights.depth=0",)))
 
 
-def test_row_sets_the_options_of_its_name(experiment: Experiment, behave: Behave) -> None:
-    some = replace(
-        experiment, scenes=experiment.scenes[:1], only=("ours", "theirs"), sets=("objects=none", "neighbours=2")
-    )
-    assert run(some) is ExitCode.FINISHED
-    ours, theirs = (
-        LiftRequest.read(some.folder / lift / "request.json") for lift in ("office-preview", "office-preview-theirs")
-    )
-    assert ours.options == {"objects": "none", "neighbours": 2}
-    assert theirs.options == {"objects": "boxes", "neighbours": 2}
-
-
 def test_earlier_finished_lifts_stay_in_the_report(
     experiment: Experiment, behave: Behave, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -336,23 +324,6 @@ def test_earlier_finished_lifts_stay_in_the_report(
     assert run(others) is ExitCode.FINISHED
     rows = [row for scene, row in measured(others) if scene == "office"]
     assert rows == [*WITHOUT_A_LIFT, "without depth"], "lifts by other options are none of these"
-
-
-def test_damaged_other_row_is_reported_without_stopping(
-    experiment: Experiment, behave: Behave, capsys: pytest.CaptureFixture[str]
-) -> None:
-    some = replace(experiment, scenes=experiment.scenes[:1], only=("ours", "theirs"))
-    assert run(some) is ExitCode.FINISHED
-    (some.folder / "office-preview-theirs" / "result" / "metrics.json").write_text("{")
-    assert run(replace(some, only=("ours",))) is ExitCode.FINISHED
-    assert "Not in the report: office: theirs: " in capsys.readouterr().err
-    assert measured(some) == [("office", "ours")]
-
-
-def test_results_can_be_compared(experiment: Experiment, behave: Behave, capsys: pytest.CaptureFixture[str]) -> None:
-    assert run(replace(experiment, earlier=(KITCHEN,))) is ExitCode.FINISHED
-    office, kitchen = capsys.readouterr().out.split("### kitchen")
-    assert "17.00 -> -" in kitchen and "->" not in office
 
 
 def test_a_page_keeps_its_text(experiment: Experiment, behave: Behave, tmp_path: Path) -> None:

@@ -52,15 +52,6 @@ def test_several_seeds_have_a_spread() -> None:
     assert of_table("parts", results)[2][:3] == ["all of it", "60.0 ± 0.0", "55.0 ± 7.1"]
 
 
-def test_times_are_the_best_of_several_seeds() -> None:
-    times = ((0, 90.0, 3.0), (1, 80.0, 2.0))
-    results = [
-        replace(OFFICE[2], seed=seed, figures=OFFICE[2].figures._replace(seconds=seconds, fps=fps))
-        for seed, seconds, fps in times
-    ]
-    assert of_table("parts", results)[2][3:6] == ["500", "80", "3.0"]
-
-
 def test_earlier_results_are_shown_before_new_ones() -> None:
     before = replace(OFFICE[0], figures=OFFICE[0].figures._replace(miou=0.6, ssim=None))
     _, _, ours, masks, theirs, _ = of_table("systems", OFFICE, [before])
@@ -79,12 +70,6 @@ def test_one_section_per_scene(earlier: Sequence[Result]) -> None:
     assert len({len(line) for line in office.splitlines() if line[:1] == "|"}) == 1
 
 
-def test_a_table_whose_rows_are_all_in_another_is_left_out() -> None:
-    parts = replace(OFFICE[2], row="without depth")
-    assert "**Its parts**" in Tables(ROWS, ROWS.rows, (*OFFICE, parts)).markdown()
-    assert "**Its parts**" not in Tables(ROWS, ROWS.rows, OFFICE).markdown()
-
-
 def test_a_row_that_another_engine_lifted_is_marked() -> None:
     own = replace(OFFICE[0], row="without depth")
     results = (OFFICE[0], OFFICE[1], replace(OFFICE[2], engine_version="0.0.9"), own)
@@ -95,11 +80,6 @@ def test_a_row_that_another_engine_lifted_is_marked() -> None:
     for table in (systems, parts):
         assert table.rstrip().splitlines()[-1] == f"† Lifted by the engine 0.0.9, not by this one, {this_engine()}."
     assert "†" not in Tables(ROWS, ROWS.rows, OFFICE, earlier=results).markdown()
-
-
-def test_table_shows_only_chosen_rows() -> None:
-    text = Tables(ROWS, ROWS.chosen(["theirs"]), OFFICE).markdown()
-    assert [row[0] for row in cells(text)[2:]] == ["theirs"]
 
 
 def test_means_are_over_the_scenes_that_have_the_figure() -> None:

@@ -152,12 +152,6 @@ class Library:
         return bytes(data.count(b"bvx2") * self._size)
 
 
-def test_valid_data_is_unpacked() -> None:
-    assert unpack_lzfse(stored(b"depth"), 5, unstored) == b"depth"
-    for blocks in (1, 4, 8, 9, 30):
-        assert len(unpack_lzfse(ONE * blocks + END, 48_000 * 30, Library(4800))) == 4800 * blocks
-
-
 def test_declared_sizes_above_the_limit_reach_no_library() -> None:
     library = Library(4800)
     vast = ONE[:4] + struct.pack("<I", 2**32 - 1) + ONE[8:] + END
