@@ -9,6 +9,8 @@ from ..plgs_blender.lifecycle import register_modules, unregister_modules
 from . import corrections, engine, inspect, lift, masks, passes, pointing, scene
 
 _MODULES = (engine, lift, passes, scene, masks, inspect, corrections, pointing)
+for _module in _MODULES:
+    vars(_module)["CLASSES"] = [each for name, each in vars(_module).items() if name.startswith("PLGS_")]
 
 
 def register() -> None:

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import wraps
-from typing import Any
+from functools import partial, wraps
+from typing import Any, TypeVar, cast
 
 import bpy
 from bpy.props import StringProperty
@@ -12,12 +12,22 @@ from bpy.props import StringProperty
 from ..plgs_blender import registry
 from ..plgs_blender.errors import EXPECTED, with_field_names
 from ..plgs_blender.registry import Task
+from ..plgs_blender.settings import option_names
 
 FINISHED, CANCELLED = {"FINISHED"}, {"CANCELLED"}
 RUNNING, PASSED_ON = {"RUNNING_MODAL"}, {"PASS_THROUGH"}
 
-Execute = Callable[[Any, bpy.types.Context], set[str]]
-Handle = Callable[[Any, bpy.types.Context, bpy.types.Event], set[str]]
+Method = TypeVar("Method", bound=Callable[..., set[str]])
+
+
+def argument(kind: Callable[..., Any], name: str, about: str = "", **more: Any) -> Any:
+    """An operator's property that Blender forgets after each call, as "not given" has a meaning of its own."""
+    return kind(name=name, description=about, options={"SKIP_SAVE"}, **more)
+
+
+text_argument = partial(argument, StringProperty)
+folder_argument = partial(argument, StringProperty, subtype="DIR_PATH")
+file_argument = partial(argument, StringProperty, subtype="FILE_PATH")
 
 
 def panel_of(context: bpy.types.Context) -> Any | None:
@@ -25,31 +35,32 @@ def panel_of(context: bpy.types.Context) -> Any | None:
     return getattr(context, "plgs_panel", None)
 
 
-def reporting(execute: Execute) -> Execute:
-    """Decorates an operator's `execute`: an expected error becomes one line for the user and "cancelled".
+def why_no_folder(context: bpy.types.Context) -> str | None:
+    """What is missing as long as the panel has no scene."""
+    return None if context.scene.plgs.scene_folder else "Choose the scene's folder first"
 
-    Blender checks the number of arguments, so the wrapper takes the same two.
-    """
 
-    @wraps(execute)
-    def answer(operator: Any, context: bpy.types.Context) -> set[str]:
+def reporting(method: Method) -> Method:
+    """Decorates an operator's `execute`, `invoke` or `modal`: an expected error becomes one line for the user and
+    "cancelled"."""
+
+    def answer(operator: Any, *given: Any) -> set[str]:
         try:
-            return execute(operator, context)
+            return method(operator, *given)
         except EXPECTED as error:
             operator.report({"ERROR"}, with_field_names(error))
             return CANCELLED
 
-    return answer
+    # Blender counts a method's arguments, so each wrapper takes as many as the method.
+    @wraps(method)
+    def execute(operator: Any, context: bpy.types.Context) -> set[str]:
+        return answer(operator, context)
 
+    @wraps(method)
+    def on_event(operator: Any, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        return answer(operator, context, event)
 
-def reporting_events(handle: Handle) -> Handle:
-    """Does the same for an operator's `invoke` and `modal`."""
-
-    @wraps(handle)
-    def answer(operator: Any, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        return reporting(lambda self, now: handle(self, now, event))(operator, context)
-
-    return answer
+    return cast(Method, execute if method.__code__.co_argcount == 2 else on_event)
 
 
 class Explained:
@@ -69,6 +80,21 @@ class Explained:
         if reason is not None:
             cls.poll_message_set(reason)
         return reason is None
+
+
+class Acts(Explained):
+    """An operator that does its work at once."""
+
+    def act(self, context: bpy.types.Context) -> str | None:
+        """Do it. Returns a line to report, if any. Raises PlgsError, OSError."""
+        raise NotImplementedError
+
+    @reporting
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        line = self.act(context)
+        if line:
+            self.report({"INFO"}, line)
+        return FINISHED
 
 
 class StartsTask(Explained):
@@ -95,7 +121,7 @@ class StartsTask(Explained):
             self.report({"INFO"}, message)
         return CANCELLED if task.was_cancelled else FINISHED
 
-    @reporting_events
+    @reporting
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         return self.run(context, waits=bpy.app.background)
 
@@ -157,9 +183,21 @@ def cancels(kind: type[Task], about: str) -> type:
     return type(name, (CancelsTask, bpy.types.Operator), {"__doc__": about, "cancelled_kind": kind, **names})
 
 
+def copy_given(operator: Any, options: type, settings: Any) -> None:
+    """Copy to the panel those of the options that a call gave."""
+    for name in option_names(options):
+        if operator.properties.is_property_set(name):
+            setattr(settings, name, getattr(operator, name))
+
+
+def start_timer(operator: Any, context: bpy.types.Context, seconds: float) -> bpy.types.Timer:
+    """Call an operator's `modal` for each event, and at least this often."""
+    manager = context.window_manager
+    manager.modal_handler_add(operator)
+    return manager.event_timer_add(seconds, window=context.window or manager.windows[0])
+
+
 class OnLiftFolder:
     """An operator on a lift that its folder names."""
 
-    lift_folder: StringProperty(  # type: ignore[valid-type]
-        name="Lift Folder", subtype="DIR_PATH", options={"SKIP_SAVE"}, description="Empty: the panel's"
-    )
+    lift_folder: folder_argument("Lift Folder", "Empty: the panel's")

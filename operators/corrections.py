@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 import bpy
 import numpy as np
-from bpy.props import BoolProperty, EnumProperty, FloatVectorProperty, IntProperty, StringProperty
+from bpy.props import BoolProperty, EnumProperty, FloatVectorProperty, IntProperty
 
 from ..plgs_blender import correction_tools, corrections, registry
 from ..plgs_blender.correction_tools import Painting, SplitByViews, split_by_views
@@ -23,10 +24,11 @@ from .base import (
     PASSED_ON,
     RUNNING,
     StartsTask,
+    argument,
     cancels,
     panel_of,
     reporting,
-    reporting_events,
+    text_argument,
 )
 from .inspect import OnInstance, OnInstances, OnLift
 
@@ -45,11 +47,12 @@ def _class_choices(self: Any, context: bpy.types.Context, _text: str) -> list[st
         return []
 
 
-def _class_field() -> Any:
-    return StringProperty(
-        name="Class", search=_class_choices, options={"SKIP_SAVE"},
-        description="Name of the class; the classes that the object's masks voted for come first",
-    )  # fmt: skip
+_class_argument = partial(
+    text_argument,
+    "Class",
+    "The class's name. Classes that the object's masks voted for come first",
+    search=_class_choices,
+)
 
 
 class AsksForOne:
@@ -70,9 +73,9 @@ class PLGS_OT_rename_instance(AsksForOne, OnInstance, bpy.types.Operator):
     bl_idname, bl_label, bl_options = "plgs.rename_instance", "Rename Object", _UNDOABLE
     asked = "name"
 
-    name: StringProperty(name="Name", options={"SKIP_SAVE"}, description="The name, up to 60 characters")  # type: ignore[valid-type]
+    name: text_argument("Name", "The name, up to 60 characters")
 
-    @reporting_events
+    @reporting
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         root = self.root(context)
         number = row_of(root, self.instance).instance_id
@@ -80,7 +83,7 @@ class PLGS_OT_rename_instance(AsksForOne, OnInstance, bpy.types.Operator):
         bpy.ops.wm.call_panel(name="PLGS_PT_name", keep_open=False)  # one Return ends it, as Blender's own F2
         return {"INTERFACE"}
 
-    def act(self, context: bpy.types.Context, root: bpy.types.Collection) -> None:
+    def act_on(self, context: bpy.types.Context, root: bpy.types.Collection) -> None:
         corrections.rename(root, row_of(root, self.instance).instance_id, self.name)
 
 
@@ -90,13 +93,13 @@ class PLGS_OT_reclass_instances(AsksForOne, OnInstances, bpy.types.Operator):
     bl_idname, bl_label, bl_options = "plgs.reclass_instances", "Change Class", _UNDOABLE
     asked = "class_name"
 
-    class_name: _class_field()  # type: ignore[valid-type]
+    class_name: _class_argument()
 
-    @reporting_events
+    @reporting
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         return set(context.window_manager.invoke_props_dialog(self))
 
-    def act(self, context: bpy.types.Context, root: bpy.types.Collection) -> None:
+    def act_on(self, context: bpy.types.Context, root: bpy.types.Collection) -> None:
         numbers = corrections.chosen_instances(root, self.instances, context)
         corrections.reclass(root, numbers, self.class_name)
 
@@ -106,7 +109,7 @@ class PLGS_OT_merge_instances(OnInstances, bpy.types.Operator):
 
     bl_idname, bl_label, bl_options = "plgs.merge_instances", "Merge Selected", _UNDOABLE
 
-    def act(self, context: bpy.types.Context, root: bpy.types.Collection) -> None:
+    def act_on(self, context: bpy.types.Context, root: bpy.types.Collection) -> None:
         corrections.merge(root, corrections.chosen_instances(root, self.instances, context))
 
 
@@ -115,7 +118,7 @@ class PLGS_OT_delete_instance(OnInstance, bpy.types.Operator):
 
     bl_idname, bl_label, bl_options = "plgs.delete_instance", "Dissolve Object", _UNDOABLE
 
-    becomes: EnumProperty(  # type: ignore[valid-type]
+    becomes: EnumProperty(
         name="Points Become",
         items=[
             ("AROUND", "Surroundings", "Each point takes the label of the nearest point outside the object"),
@@ -123,7 +126,7 @@ class PLGS_OT_delete_instance(OnInstance, bpy.types.Operator):
         ],
     )
 
-    def act(self, context: bpy.types.Context, root: bpy.types.Collection) -> None:
+    def act_on(self, context: bpy.types.Context, root: bpy.types.Collection) -> None:
         corrections.delete(root, row_of(root, self.instance).instance_id, around=self.becomes == "AROUND")
 
 
@@ -139,18 +142,17 @@ class PLGS_OT_split_instance(OnInstance, bpy.types.Operator):
 
     bl_idname, bl_label, bl_options = "plgs.split_instance", "Split", _UNDOABLE
 
-    by: EnumProperty(name="By", options={"SKIP_SAVE"}, items=_SPLITS)  # type: ignore[valid-type]
-    point: FloatVectorProperty(name="Point", subtype="XYZ", options={"SKIP_SAVE"}, description="On the plane, metres")  # type: ignore[valid-type]
-    normal: FloatVectorProperty(  # type: ignore[valid-type]
-        name="Normal", subtype="XYZ", default=(1, 0, 0), options={"SKIP_SAVE"},
-        description="Points towards the side that becomes a new object",
-    )  # fmt: skip
+    by: argument(EnumProperty, "By", items=_SPLITS)
+    point: argument(FloatVectorProperty, "Point", "On the plane, metres", subtype="XYZ")
+    normal: argument(
+        FloatVectorProperty, "Normal", "Towards the side that becomes a new object", subtype="XYZ", default=(1, 0, 0)
+    )
 
     @classmethod
     def description(cls, context: bpy.types.Context, properties: bpy.types.OperatorProperties) -> str:
         return next(text for way, _, text in _SPLITS if way == properties.by)
 
-    def act(self, context: bpy.types.Context, root: bpy.types.Collection) -> None:
+    def act_on(self, context: bpy.types.Context, root: bpy.types.Collection) -> str:
         number = row_of(root, self.instance).instance_id
         if self.by == "CUT":
             edit = correction_tools.split_by_cut(root, number)
@@ -158,7 +160,7 @@ class PLGS_OT_split_instance(OnInstance, bpy.types.Operator):
             edit = corrections.split_plane(root, number, (*self.point,), (*self.normal,))
         else:
             edit = corrections.split_parts(root, number)
-        self.report({"INFO"}, one_line(f"New: {', '.join(one.name for one in edit.made)}"))
+        return one_line(f"New: {', '.join(one.name for one in edit.made)}")
 
 
 class PLGS_OT_split_by_views(StartsTask, OnInstance, bpy.types.Operator):
@@ -184,7 +186,7 @@ class PLGS_OT_place_cut(OnInstance, bpy.types.Operator):
 
     bl_idname, bl_label, bl_options = "plgs.place_cut", "Add Cutting Plane", _UNDOABLE
 
-    def act(self, context: bpy.types.Context, root: bpy.types.Collection) -> None:
+    def act_on(self, context: bpy.types.Context, root: bpy.types.Collection) -> None:
         correction_tools.place_cut(root, row_of(root, self.instance).instance_id)
 
 
@@ -193,7 +195,7 @@ class PLGS_OT_crop_instance(OnInstance, bpy.types.Operator):
 
     bl_idname, bl_label, bl_options = "plgs.crop_instance", "Crop to Its Box", _UNDOABLE
 
-    def act(self, context: bpy.types.Context, root: bpy.types.Collection) -> None:
+    def act_on(self, context: bpy.types.Context, root: bpy.types.Collection) -> None:
         corrections.crop(root, row_of(root, self.instance).instance_id)
 
 
@@ -202,7 +204,7 @@ class PLGS_OT_accept_instances(OnInstances, bpy.types.Operator):
 
     bl_idname, bl_label, bl_options = "plgs.accept_instances", "Accept", _UNDOABLE
 
-    def act(self, context: bpy.types.Context, root: bpy.types.Collection) -> None:
+    def act_on(self, context: bpy.types.Context, root: bpy.types.Collection) -> None:
         corrections.accept(root, corrections.chosen_instances(root, self.instances, context))
 
 
@@ -211,9 +213,8 @@ class PLGS_OT_undo_correction(OnLift, bpy.types.Operator):
 
     bl_idname, bl_label, bl_options = "plgs.undo_correction", "Undo Last Correction", _UNDOABLE
 
-    def act(self, context: bpy.types.Context, root: bpy.types.Collection) -> None:
-        edit = corrections.undo_last(root)
-        self.report({"INFO"}, f"Undone: {edit.kind}")
+    def act_on(self, context: bpy.types.Context, root: bpy.types.Collection) -> str:
+        return f"Undone: {corrections.undo_last(root).kind}"
 
 
 class PLGS_OT_assign_points(OnLift, bpy.types.Operator):
@@ -221,7 +222,7 @@ class PLGS_OT_assign_points(OnLift, bpy.types.Operator):
 
     bl_idname, bl_label, bl_options = "plgs.assign_points", "Paint Points", _UNDOABLE
 
-    to: EnumProperty(  # type: ignore[valid-type]
+    to: EnumProperty(
         name="To",
         items=[
             ("INSTANCE", "Object", "The object that is selected in the list"),
@@ -229,13 +230,11 @@ class PLGS_OT_assign_points(OnLift, bpy.types.Operator):
             ("CLASS", "Class", "A class, but no object"),
         ],
     )
-    instance: IntProperty(name="Instance", min=0, options={"SKIP_SAVE"}, description="Id; 0: the selected object")  # type: ignore[valid-type]
-    class_name: _class_field()  # type: ignore[valid-type]
-    region: StringProperty(  # type: ignore[valid-type]
-        name="Region", options={"SKIP_SAVE"}, description="An object whose box contains the points; empty: paint them"
-    )
+    instance: argument(IntProperty, "Instance", "Id; 0: the selected object", min=0)
+    class_name: _class_argument()
+    region: text_argument("Region", "An object whose box contains the points; empty: paint them")
 
-    @reporting_events
+    @reporting
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         if self.region:
             return self.execute(context)
@@ -253,7 +252,7 @@ class PLGS_OT_assign_points(OnLift, bpy.types.Operator):
         self._say(context)
         return RUNNING
 
-    @reporting_events
+    @reporting
     def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         if not correction_tools.now or context.area is None:  # another file was opened, or the view closed
             self.cancel(context)
@@ -317,25 +316,20 @@ def _is_over(area: bpy.types.Area, event: bpy.types.Event) -> bool:
     return {region.type for region in area.regions if holds(region)} == {"WINDOW"}
 
 
-_UNDOABLE = {"REGISTER", "UNDO"}
-
-
 class PLGS_OT_propose_corrections(OnLift, bpy.types.Operator):
     """Find objects that may be wrong: views disagree on the class, parts do not touch, or few frames saw the object"""
 
     bl_idname, bl_label, bl_options = "plgs.propose_corrections", "What May Be Wrong?", _UNDOABLE
 
-    def act(self, context: bpy.types.Context, root: bpy.types.Collection) -> None:
+    def act_on(self, context: bpy.types.Context, root: bpy.types.Collection) -> str:
         found = corrections.propose(root)
-        self.report({"INFO"}, f"{plural(len(found.open), 'proposal')}, {found.progress}")
+        return f"{plural(len(found.open), 'proposal')}, {found.progress}"
 
 
 class OnProposal(OnLift):
     """An operator on an instance's proposal."""
 
-    instance: IntProperty(  # type: ignore[valid-type]
-        name="Instance", min=0, options={"SKIP_SAVE"}, description="Id of the instance; 0: the most doubtful one"
-    )
+    instance: argument(IntProperty, "Instance", "Id of the instance; 0: the most doubtful one", min=0)
 
 
 class PLGS_OT_go_to_proposal(OnProposal, bpy.types.Operator):
@@ -343,12 +337,12 @@ class PLGS_OT_go_to_proposal(OnProposal, bpy.types.Operator):
 
     bl_idname, bl_label, bl_options = "plgs.go_to_proposal", "Look at It", _UNDOABLE
 
-    def act(self, context: bpy.types.Context, root: bpy.types.Collection) -> None:
+    def act_on(self, context: bpy.types.Context, root: bpy.types.Collection) -> str:
         one = corrections.proposal_of(root, self.instance)
         selection.select_instance(root, one.instance, context.view_layer)
         if one.frame:
             views.look_from_frame(root, one.frame, context.scene, view_of(context)[0])
-        self.report({"INFO"}, one_line(f"{one.name}: {one.reason}"))
+        return one_line(f"{one.name}: {one.reason}")
 
 
 class PLGS_OT_answer_proposal(StartsTask, OnProposal, bpy.types.Operator):
@@ -356,7 +350,7 @@ class PLGS_OT_answer_proposal(StartsTask, OnProposal, bpy.types.Operator):
 
     bl_idname, bl_label, bl_options = "plgs.answer_proposal", "Answer", _UNDOABLE
 
-    keep: BoolProperty(name="Keep", options={"SKIP_SAVE"}, description="The object is correct as it is")  # type: ignore[valid-type]
+    keep: argument(BoolProperty, "Keep", "The object is correct as it is")
 
     def begin(self, context: bpy.types.Context) -> Task | None:
         root = self.root(context)
@@ -372,27 +366,10 @@ class PLGS_OT_next_uncertain_frame(OnLift, bpy.types.Operator):
 
     bl_idname, bl_label, bl_options = "plgs.next_uncertain_frame", "Next Uncertain Frame", _UNDOABLE
 
-    def act(self, context: bpy.types.Context, root: bpy.types.Collection) -> None:
+    def act_on(self, context: bpy.types.Context, root: bpy.types.Collection) -> str:
         frame, visited, frames = corrections.next_uncertain(root)
         views.look_from_frame(root, frame, context.scene, view_of(context)[0])
-        self.report({"INFO"}, f"Frame {one_line(frame)}, {visited} of {frames} looked at")
+        return f"Frame {one_line(frame)}, {visited} of {frames} looked at"
 
 
-CLASSES = (
-    PLGS_OT_rename_instance,
-    PLGS_OT_reclass_instances,
-    PLGS_OT_merge_instances,
-    PLGS_OT_delete_instance,
-    PLGS_OT_split_instance,
-    PLGS_OT_split_by_views,
-    cancels(SplitByViews, "Stop reading the masks; the object stays as it is, unless it is split already"),
-    PLGS_OT_place_cut,
-    PLGS_OT_crop_instance,
-    PLGS_OT_accept_instances,
-    PLGS_OT_undo_correction,
-    PLGS_OT_assign_points,
-    PLGS_OT_next_uncertain_frame,
-    PLGS_OT_propose_corrections,
-    PLGS_OT_go_to_proposal,
-    PLGS_OT_answer_proposal,
-)
+PLGS_OT_cancel_split = cancels(SplitByViews, "Stop reading the masks. An object that is not split yet stays whole")

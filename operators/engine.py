@@ -2,20 +2,37 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import bpy
-from bpy.props import EnumProperty, StringProperty
+from bpy.props import EnumProperty
 
 from ..plgs_blender import registry
 from ..plgs_blender.chosen_scene import absolute
 from ..plgs_blender.engine_environment import choices, status, tasks, usable_python, why_no_engine
 from ..plgs_blender.registry import Task
 from ..plgs_blender.running import adding
-from .base import CANCELLED, FINISHED, Explained, StartsTask, cancels, reporting, reporting_events
+from .base import (
+    CANCELLED,
+    FINISHED,
+    Explained,
+    StartsTask,
+    argument,
+    cancels,
+    file_argument,
+    reporting,
+    text_argument,
+)
 
 _TORCH_BUILDS = [
     ("preferences", "As in the Preferences", "The build chosen in the add-on's preferences"),
     *choices.TORCH_BUILDS,
 ]
+
+
+_index_argument = partial(
+    text_argument, "Package Index", "The package index to download from; empty: as in the preferences"
+)
 
 
 class AsksEngine(StartsTask):
@@ -34,20 +51,9 @@ class PLGS_OT_set_up_engine(AsksEngine, bpy.types.Operator):
 
     bl_idname, bl_label = "plgs.set_up_engine", "Set Up Engine"
 
-    base_python: StringProperty(  # type: ignore[valid-type]
-        name="Base Python",
-        subtype="FILE_PATH",
-        options={"SKIP_SAVE"},
-        description="The Python to make the environment from; empty: as in the preferences",
-    )
-    torch_build: EnumProperty(  # type: ignore[valid-type]
-        name="Torch", items=_TORCH_BUILDS, default="preferences", options={"SKIP_SAVE"}
-    )
-    index_url: StringProperty(  # type: ignore[valid-type]
-        name="Package Index",
-        options={"SKIP_SAVE"},
-        description="The package index to download from; empty: as in the preferences",
-    )
+    base_python: file_argument("Base Python", "The Python to make the environment from; empty: as in the preferences")
+    torch_build: argument(EnumProperty, "Torch", items=_TORCH_BUILDS, default="preferences")
+    index_url: _index_argument()
 
     @classmethod
     def why_not(cls, context: bpy.types.Context) -> str | None:
@@ -75,14 +81,8 @@ class PLGS_OT_add_to_engine(StartsTask, bpy.types.Operator):
 
     bl_idname, bl_label = "plgs.add_to_engine", "Add to Engine"
 
-    capability: EnumProperty(  # type: ignore[valid-type]
-        name="Purpose", items=adding.ITEMS, options={"SKIP_SAVE"}, description="What the packages are for"
-    )
-    index_url: StringProperty(  # type: ignore[valid-type]
-        name="Package Index",
-        options={"SKIP_SAVE"},
-        description="The package index to download from; empty: as in the preferences",
-    )
+    capability: argument(EnumProperty, "Purpose", "What the packages are for", items=adding.ITEMS)
+    index_url: _index_argument()
 
     @classmethod
     def why_not(cls, context: bpy.types.Context) -> str | None:
@@ -97,12 +97,7 @@ class PLGS_OT_use_this_python(AsksEngine, bpy.types.Operator):
 
     bl_idname, bl_label = "plgs.use_this_python", "Use This Python"
 
-    python: StringProperty(  # type: ignore[valid-type]
-        name="Python",
-        subtype="FILE_PATH",
-        options={"SKIP_SAVE"},
-        description="The Python's executable; empty: Blender's own",
-    )
+    python: file_argument("Python", "The Python's executable; empty: Blender's own")
 
     def begin(self, context: bpy.types.Context) -> Task | None:
         choices.choose(absolute(self.python) if self.python else choices.own_python())
@@ -143,7 +138,7 @@ class PLGS_OT_remove_engine(StartsTask, bpy.types.Operator):
     def why_not(cls, context: bpy.types.Context) -> str | None:
         return None if tasks.running_set_up() is None else "The engine is being set up"
 
-    @reporting_events
+    @reporting
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         self.is_confirmed = True
         return context.window_manager.invoke_confirm(self, event)
@@ -172,14 +167,5 @@ class PLGS_OT_show_preferences(Explained, bpy.types.Operator):
         return answer
 
 
-CLASSES = (
-    PLGS_OT_set_up_engine,
-    cancels(tasks.SetUp, "Stop setting up the engine. Finished downloads are kept, and the next set-up continues"),
-    PLGS_OT_add_to_engine,
-    cancels(adding.Adding, "Stop adding packages; the engine stays as it was"),
-    PLGS_OT_use_this_python,
-    PLGS_OT_check_engine,
-    PLGS_OT_open_set_up_log,
-    PLGS_OT_remove_engine,
-    PLGS_OT_show_preferences,
-)
+PLGS_OT_cancel_engine_set_up = cancels(tasks.SetUp, "Stop setting up the engine. The next set-up continues")
+PLGS_OT_cancel_adding = cancels(adding.Adding, "Stop adding packages; the engine stays as it was")

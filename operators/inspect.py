@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import bpy
-from bpy.props import BoolProperty, EnumProperty, IntProperty, StringProperty
+from bpy.props import BoolProperty, EnumProperty, IntProperty
 
 from ..plgs_blender import corrections, reuse
 from ..plgs_blender.errors import one_line, plural
@@ -13,16 +13,13 @@ from ..plgs_blender.inspecting.selection import chosen_row, class_row_of, find_l
 from ..plgs_blender.lift_scene import show_lift_as
 from ..plgs_blender.owned import lifts_in
 from ..plgs_blender.viewport import show_lift_colours, view_of
-from .base import CANCELLED, FINISHED, Explained, panel_of, reporting
+from .base import CANCELLED, FINISHED, Acts, Explained, argument, panel_of, reporting, text_argument
 
 
 class OnLift(Explained):
     """An operator on a lift of the scene. `lift` names it by its folder or its collection's name."""
 
-    lift: StringProperty(  # type: ignore[valid-type]
-        name="Lift", options={"SKIP_SAVE"},
-        description="Folder or collection of the lift; empty: the active object's, else the scene's first",
-    )  # fmt: skip
+    lift: text_argument("Lift", "Folder or collection of the lift; empty: the active object's, else the scene's first")
 
     @classmethod
     def why_not(cls, context: bpy.types.Context) -> str | None:
@@ -35,11 +32,13 @@ class OnLift(Explained):
 
     @reporting
     def execute(self, context: bpy.types.Context) -> set[str]:
-        self.act(context, self.root(context))
+        line = self.act_on(context, self.root(context))
+        if line:
+            self.report({"INFO"}, line)
         return FINISHED
 
-    def act(self, context: bpy.types.Context, root: bpy.types.Collection) -> None:
-        """The operator's action. Raises PlgsError, OSError."""
+    def act_on(self, context: bpy.types.Context, root: bpy.types.Collection) -> str | None:
+        """Do it. Returns a line to report, if any. Raises PlgsError, OSError."""
         raise NotImplementedError
 
 
@@ -52,24 +51,21 @@ class OnInstance(OnLift):
             return "Choose an instance: click it in the view, or its row in the list"
         return super().why_not(context)
 
-    instance: IntProperty(  # type: ignore[valid-type]
-        name="Instance", min=0, options={"SKIP_SAVE"}, description="Id of the instance; 0: the one selected in the list"
-    )
+    instance: argument(IntProperty, "Instance", "Id of the instance; 0: the one selected in the list", min=0)
 
 
 class OnInstances(OnLift):
     """An operator on several instances."""
 
-    instances: StringProperty(  # type: ignore[valid-type]
-        name="Instances", options={"SKIP_SAVE"},
-        description="Ids such as 3 5, or all; empty: the selected boxes, the active one first, else the list's row",
-    )  # fmt: skip
+    instances: text_argument(
+        "Instances", "Ids such as 3 5, or all; empty: the selected boxes, the active one first, else the list's row"
+    )
 
 
 class OnClass(OnLift):
     """An operator on one class of a lift."""
 
-    class_id: IntProperty(name="Class", min=0, options={"SKIP_SAVE"}, description="Id of the class")  # type: ignore[valid-type]
+    class_id: argument(IntProperty, "Class", "Id of the class", min=0)
 
 
 class PLGS_OT_select_instance(OnInstance, bpy.types.Operator):
@@ -77,7 +73,7 @@ class PLGS_OT_select_instance(OnInstance, bpy.types.Operator):
 
     bl_idname, bl_label, bl_options = "plgs.select_instance", "Select Instance", {"REGISTER", "UNDO"}
 
-    def act(self, context: bpy.types.Context, root: bpy.types.Collection) -> None:
+    def act_on(self, context: bpy.types.Context, root: bpy.types.Collection) -> None:
         selection.select_instance(root, self.instance, context.view_layer)
         row = row_of(root, self.instance)
         if selection.selected_instance(root, context.view_layer.objects.active) != row.instance_id:
@@ -104,7 +100,7 @@ class PLGS_OT_toggle_instance_visibility(OnInstance, bpy.types.Operator):
 
     bl_idname, bl_label, bl_options = "plgs.toggle_instance_visibility", "Hide or Show Instance", {"REGISTER", "UNDO"}
 
-    def act(self, context: bpy.types.Context, root: bpy.types.Collection) -> None:
+    def act_on(self, context: bpy.types.Context, root: bpy.types.Collection) -> None:
         row = row_of(root, self.instance)
         row.visible = not row.visible
 
@@ -119,7 +115,7 @@ class PLGS_OT_isolate_instance(OnInstance, bpy.types.Operator):
         is_alone = any(root.plgs.isolated for root in lifts_in(context.scene))
         return OnLift.why_not(context) if is_alone else super().why_not(context)
 
-    def act(self, context: bpy.types.Context, root: bpy.types.Collection) -> None:
+    def act_on(self, context: bpy.types.Context, root: bpy.types.Collection) -> None:
         nothing_chosen = chosen_row(context.scene, context.active_object) is None
         looks.isolate(root, self.instance or (root.plgs.isolated if nothing_chosen else 0))
         view, aspect = view_of(context)
@@ -132,7 +128,7 @@ class PLGS_OT_show_all(OnLift, bpy.types.Operator):
 
     bl_idname, bl_label, bl_options = "plgs.show_all", "Show All", {"REGISTER", "UNDO"}
 
-    def act(self, context: bpy.types.Context, root: bpy.types.Collection) -> None:
+    def act_on(self, context: bpy.types.Context, root: bpy.types.Collection) -> None:
         looks.show_all(root)
 
 
@@ -141,13 +137,13 @@ class PLGS_OT_show_as(OnLift, bpy.types.Operator):
 
     bl_idname, bl_label, bl_options = "plgs.show_as", "Show As", {"REGISTER", "UNDO"}
 
-    kind: EnumProperty(name="Kind", items=WAYS_TO_SHOW)  # type: ignore[valid-type]
+    kind: EnumProperty(name="Kind", items=WAYS_TO_SHOW)
 
-    def act(self, context: bpy.types.Context, root: bpy.types.Collection) -> None:
+    def act_on(self, context: bpy.types.Context, root: bpy.types.Collection) -> None:
         show_lift_as(root, context.scene, self.kind)
 
 
-class PLGS_OT_show_colours(Explained, bpy.types.Operator):
+class PLGS_OT_show_colours(Acts, bpy.types.Operator):
     """Show the lift's colours in this view's Solid shading: points by class, boxes by instance"""
 
     bl_idname, bl_label = "plgs.show_colours", "Show Colours in This View"
@@ -157,9 +153,8 @@ class PLGS_OT_show_colours(Explained, bpy.types.Operator):
         is_view = context.space_data is not None and context.space_data.type == "VIEW_3D"
         return None if is_view else "There is no 3D view here"
 
-    def execute(self, context: bpy.types.Context) -> set[str]:
+    def act(self, context: bpy.types.Context) -> None:
         show_lift_colours(context.space_data)
-        return FINISHED
 
 
 class PLGS_OT_frame_instance(OnInstance, bpy.types.Operator):
@@ -182,10 +177,10 @@ class PLGS_OT_go_to_best_view(OnInstance, bpy.types.Operator):
 
     bl_idname, bl_label, bl_options = "plgs.go_to_best_view", "Go to Its Best View", {"REGISTER", "UNDO"}
 
-    def act(self, context: bpy.types.Context, root: bpy.types.Collection) -> None:
+    def act_on(self, context: bpy.types.Context, root: bpy.types.Collection) -> str:
         frame = views.best_frame(root, self.instance)
         views.look_from_frame(root, frame, context.scene, view_of(context)[0])
-        self.report({"INFO"}, f"Frame {one_line(frame)}")
+        return f"Frame {one_line(frame)}"
 
 
 class PLGS_OT_go_to_mask(OnInstance, bpy.types.Operator):
@@ -193,16 +188,12 @@ class PLGS_OT_go_to_mask(OnInstance, bpy.types.Operator):
 
     bl_idname, bl_label, bl_options = "plgs.go_to_mask", "Go to Mask", {"REGISTER", "UNDO"}
 
-    frame: StringProperty(  # type: ignore[valid-type]
-        name="Frame", options={"SKIP_SAVE"},
-        description="Name of the frame; empty: that of the mask selected in the list",
-    )  # fmt: skip
-    segment: IntProperty(  # type: ignore[valid-type]
-        name="Segment", min=0, options={"SKIP_SAVE"},
-        description="Id of the segment in the frame's mask; 0: the first one that made the instance",
-    )  # fmt: skip
+    frame: text_argument("Frame", "Name of the frame; empty: that of the mask selected in the list")
+    segment: argument(
+        IntProperty, "Segment", "Id of the segment in the frame's mask; 0: the first one that made the instance", min=0
+    )
 
-    def act(self, context: bpy.types.Context, root: bpy.types.Collection) -> None:
+    def act_on(self, context: bpy.types.Context, root: bpy.types.Collection) -> None:
         frame = views.mask_frame(root, self.instance, self.frame, self.segment)
         views.look_from_frame(root, frame, context.scene, view_of(context)[0])
 
@@ -212,9 +203,9 @@ class PLGS_OT_go_to_frame(OnLift, bpy.types.Operator):
 
     bl_idname, bl_label, bl_options = "plgs.go_to_frame", "Go to Frame", {"REGISTER", "UNDO"}
 
-    frame: StringProperty(name="Frame", options={"SKIP_SAVE"})  # type: ignore[valid-type]
+    frame: text_argument("Frame")
 
-    def act(self, context: bpy.types.Context, root: bpy.types.Collection) -> None:
+    def act_on(self, context: bpy.types.Context, root: bpy.types.Collection) -> None:
         views.look_from_frame(root, self.frame, context.scene, view_of(context)[0])
 
 
@@ -224,18 +215,14 @@ class PLGS_OT_make_objects(OnInstances, bpy.types.Operator):
 
     bl_idname, bl_label, bl_options = "plgs.make_objects", "Make Objects", {"REGISTER", "UNDO"}
 
-    as_assets: BoolProperty(  # type: ignore[valid-type]
-        name="As Assets", options={"SKIP_SAVE"}, description="Mark them as assets, each with a preview picture"
-    )
+    as_assets: argument(BoolProperty, "As Assets", "Mark them as assets, each with a preview picture")
 
-    catch_shadows: BoolProperty(  # type: ignore[valid-type]
-        name="Catch Shadows", options={"SKIP_SAVE"}, description="Show only the shadows that they catch"
-    )
+    catch_shadows: argument(BoolProperty, "Catch Shadows", "Show only the shadows that they catch")
 
-    def act(self, context: bpy.types.Context, root: bpy.types.Collection) -> None:
+    def act_on(self, context: bpy.types.Context, root: bpy.types.Collection) -> str:
         numbers = corrections.chosen_instances(root, self.instances, context)
         made = reuse.make_objects(root, numbers, as_assets=self.as_assets, catch_shadows=self.catch_shadows)
-        self.report({"INFO"}, one_line(f"Made: {', '.join(each.name for each in made)}"))
+        return one_line(f"Made: {', '.join(each.name for each in made)}")
 
 
 class PLGS_OT_key_visibility(OnInstances, bpy.types.Operator):
@@ -243,24 +230,6 @@ class PLGS_OT_key_visibility(OnInstances, bpy.types.Operator):
 
     bl_idname, bl_label, bl_options = "plgs.key_visibility", "Key Visibility", {"REGISTER", "UNDO"}
 
-    def act(self, context: bpy.types.Context, root: bpy.types.Collection) -> None:
+    def act_on(self, context: bpy.types.Context, root: bpy.types.Collection) -> str:
         numbers = corrections.chosen_instances(root, self.instances, context)
-        keyed = reuse.key_visibility(root, numbers, context.scene)
-        self.report({"INFO"}, plural(keyed, "object has keys", "objects have keys"))
-
-
-CLASSES = (
-    PLGS_OT_select_instance,
-    PLGS_OT_select_class,
-    PLGS_OT_toggle_instance_visibility,
-    PLGS_OT_isolate_instance,
-    PLGS_OT_show_all,
-    PLGS_OT_show_as,
-    PLGS_OT_show_colours,
-    PLGS_OT_frame_instance,
-    PLGS_OT_go_to_best_view,
-    PLGS_OT_go_to_mask,
-    PLGS_OT_go_to_frame,
-    PLGS_OT_make_objects,
-    PLGS_OT_key_visibility,
-)
+        return plural(reuse.key_visibility(root, numbers, context.scene), "object has keys", "objects have keys")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 
 import bpy
-from bpy.props import EnumProperty, StringProperty
+from bpy.props import EnumProperty
 
 from ..plgs_blender.chosen_scene import absolute
 from ..plgs_blender.engine_environment import why_no_engine
@@ -16,19 +16,25 @@ from ..plgs_blender.meshes import are_stale
 from ..plgs_blender.owned import FOLDER
 from ..plgs_blender.registry import Task
 from ..plgs_blender.running import exports, lifting, lifts
-from ..plgs_blender.settings import LiftOptions, chosen_lift, option_names
+from ..plgs_blender.settings import LiftOptions, chosen_lift
 from .base import (
     CANCELLED,
     FINISHED,
     PASSED_ON,
     RUNNING,
+    Acts,
     ChoosesFile,
     OnLiftFolder,
     StartsTask,
+    argument,
     cancels,
+    copy_given,
+    file_argument,
+    folder_argument,
     panel_of,
     reporting,
-    reporting_events,
+    start_timer,
+    text_argument,
 )
 
 _PART_S = 0.02
@@ -41,10 +47,9 @@ class PLGS_OT_lift_scene(LiftOptions, StartsTask, bpy.types.Operator):
     bl_idname, bl_label = "plgs.lift_scene", "Start"
     has_undo_step = True
 
-    names_from: StringProperty(  # type: ignore[valid-type]
-        name="Names From", subtype="DIR_PATH", options={"SKIP_SAVE"},
-        description="An earlier lift whose objects keep their names; empty: the one in this scene, if names are kept",
-    )  # fmt: skip
+    names_from: folder_argument(
+        "Names From", "An earlier lift whose names are kept; empty: the one in this scene, if Keep Names is on"
+    )
 
     @classmethod
     def why_not(cls, context: bpy.types.Context) -> str | None:
@@ -53,9 +58,7 @@ class PLGS_OT_lift_scene(LiftOptions, StartsTask, bpy.types.Operator):
 
     def begin(self, context: bpy.types.Context) -> Task:
         settings = context.scene.plgs
-        for name in option_names(LiftOptions):
-            if self.properties.is_property_set(name):
-                setattr(settings, name, getattr(self, name))
+        copy_given(self, LiftOptions, settings)
         in_that_folder = self.properties.is_property_set("lift_folder")
         return lifting.start_lift(settings, in_that_folder=in_that_folder, names_from=self.names_from)
 
@@ -75,9 +78,7 @@ class PLGS_OT_find_scene(OnLiftFolder, ChoosesFile, bpy.types.Operator):
 
     bl_idname, bl_label, bl_options = "plgs.find_scene", "Find Scene", {"UNDO"}
 
-    filepath: StringProperty(  # type: ignore[valid-type]
-        name="Scene", subtype="FILE_PATH", options={"SKIP_SAVE"}, description="The scene's folder, or its one file"
-    )
+    filepath: file_argument("Scene", "The scene's folder, or its one file")
 
     @classmethod
     def why_not(cls, context: bpy.types.Context) -> str | None:
@@ -103,9 +104,7 @@ class PLGS_OT_open_lift(ChoosesFile, bpy.types.Operator):
     bl_idname, bl_label = "plgs.open_lift", "Open Lift"
     has_undo_step = True
 
-    directory: StringProperty(  # type: ignore[valid-type]
-        name="Lift Folder", subtype="DIR_PATH", options={"SKIP_SAVE"}, description="The folder of a lift"
-    )
+    directory: folder_argument("Lift Folder", "The folder of a lift")
 
     def begin(self, context: bpy.types.Context) -> Task:
         return lifting.join_lift(context.scene, str(absolute(self.directory)))
@@ -115,15 +114,13 @@ class PLGS_OT_open_lift(ChoosesFile, bpy.types.Operator):
         return self.run(context, waits=bpy.app.background)
 
 
-class PLGS_OT_cancel_lift(OnLiftFolder, bpy.types.Operator):
+class PLGS_OT_cancel_lift(OnLiftFolder, Acts, bpy.types.Operator):
     """Stop the lift at its next step, within a second; it can be resumed"""
 
     bl_idname, bl_label = "plgs.cancel_lift", "Cancel"
 
-    @reporting
-    def execute(self, context: bpy.types.Context) -> set[str]:
+    def act(self, context: bpy.types.Context) -> None:
         lifting.cancel_lift(context.scene.plgs, self.lift_folder)
-        return FINISHED
 
 
 class PLGS_OT_quit(bpy.types.Operator):
@@ -143,14 +140,13 @@ class PLGS_OT_quit(bpy.types.Operator):
         return set(bpy.ops.wm.quit_blender("INVOKE_DEFAULT"))
 
 
-class PLGS_OT_refresh_lifts(bpy.types.Operator):
+class PLGS_OT_refresh_lifts(Acts, bpy.types.Operator):
     """Update the list of running and finished lifts, including those of other Blenders"""
 
     bl_idname, bl_label, bl_options = "plgs.refresh_lifts", "Look Again", {"INTERNAL"}
 
-    def execute(self, context: bpy.types.Context) -> set[str]:
+    def act(self, context: bpy.types.Context) -> None:
         lifts.refresh_recent()
-        return FINISHED
 
 
 class PLGS_OT_place_lift(OnLiftFolder, bpy.types.Operator):
@@ -168,7 +164,7 @@ class PLGS_OT_place_lift(OnLiftFolder, bpy.types.Operator):
             pass
         return FINISHED
 
-    @reporting_events
+    @reporting
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         """Place the first part at once and the rest on a timer, so that the window never freezes."""
         if bpy.app.background:
@@ -178,13 +174,11 @@ class PLGS_OT_place_lift(OnLiftFolder, bpy.types.Operator):
             return CANCELLED
         self._placing = lifting.showing_lift(context.scene, self.lift_folder)
         self.has_more()
-        manager = context.window_manager
-        self._timer = manager.event_timer_add(_PART_S, window=context.window or manager.windows[0])
-        manager.modal_handler_add(self)
+        self._timer = start_timer(self, context, _PART_S)
         PLGS_OT_place_lift._at_work = True
         return RUNNING
 
-    @reporting_events
+    @reporting
     def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         if event.type != "TIMER":
             return PASSED_ON
@@ -215,15 +209,13 @@ class PLGS_OT_place_lift(OnLiftFolder, bpy.types.Operator):
         context.window_manager.event_timer_remove(self._timer)
 
 
-class PLGS_OT_open_log(OnLiftFolder, bpy.types.Operator):
+class PLGS_OT_open_log(OnLiftFolder, Acts, bpy.types.Operator):
     """Open the engine's log in the system's text editor"""
 
     bl_idname, bl_label, bl_options = "plgs.open_log", "Open Log", {"INTERNAL"}
 
-    @reporting
-    def execute(self, context: bpy.types.Context) -> set[str]:
+    def act(self, context: bpy.types.Context) -> None:
         bpy.ops.wm.path_open(filepath=str(lifting.log_of(context.scene.plgs, self.lift_folder)))
-        return FINISHED
 
 
 _FORMS = [(form, label, about) for form, (label, about) in exports.FORMS.items()]
@@ -236,9 +228,7 @@ _FRAMES = [
 class Exports(OnLiftFolder, StartsTask):
     """An operator that exports a lift."""
 
-    frames: EnumProperty(  # type: ignore[valid-type]
-        name="Frames", items=_FRAMES, default="all", options={"SKIP_SAVE"}, description="Which frames to export"
-    )
+    frames: argument(EnumProperty, "Frames", "Which frames to export", items=_FRAMES, default="all")
 
     @classmethod
     def why_not(cls, context: bpy.types.Context) -> str | None:
@@ -257,15 +247,12 @@ class PLGS_OT_export_lift(Exports, ChoosesFile, bpy.types.Operator):
 
     bl_idname, bl_label = "plgs.export_lift", "Export"
 
-    form: EnumProperty(name="Format", items=_FORMS, default="coco", options={"SKIP_SAVE"})  # type: ignore[valid-type]
-    directory: StringProperty(  # type: ignore[valid-type]
-        name="Folder", subtype="DIR_PATH", options={"SKIP_SAVE"}, description="Where the files go"
-    )
+    form: argument(EnumProperty, "Format", items=_FORMS, default="coco")
+    directory: folder_argument("Folder", "Where the files go")
 
     def begin(self, context: bpy.types.Context) -> Task:
-        return lifting.export_lift(
-            context.scene.plgs, self.form, self.directory, self.frames, self.lift_of(context)
-        )  # fmt: skip
+        lift = self.lift_of(context)
+        return lifting.export_lift(context.scene.plgs, self.form, self.directory, self.frames, lift)
 
 
 class PLGS_OT_make_meshes(Exports, bpy.types.Operator):
@@ -290,25 +277,10 @@ class PLGS_OT_make_depth_cloud(Exports, bpy.types.Operator):
 
     bl_idname, bl_label = "plgs.make_depth_cloud", "Depth Cloud"
 
-    frame: StringProperty(name="Frame", options={"SKIP_SAVE"}, description="Empty: what the active camera sees")  # type: ignore[valid-type]
+    frame: text_argument("Frame", "Empty: what the active camera sees")
 
     def begin(self, context: bpy.types.Context) -> Task:
         return lifting.make_depth_cloud(context.scene, self.frame, self.lift_of(context))
 
 
-CLASSES = (
-    PLGS_OT_lift_scene,
-    PLGS_OT_resume_lift,
-    PLGS_OT_find_scene,
-    PLGS_OT_watch_lift,
-    PLGS_OT_open_lift,
-    PLGS_OT_cancel_lift,
-    PLGS_OT_quit,
-    PLGS_OT_refresh_lifts,
-    PLGS_OT_place_lift,
-    PLGS_OT_open_log,
-    PLGS_OT_export_lift,
-    PLGS_OT_make_meshes,
-    PLGS_OT_make_depth_cloud,
-    cancels(exports.Export, "Stop the export; files that are already written stay"),
-)
+PLGS_OT_cancel_export = cancels(exports.Export, "Stop the export; files that are already written stay")

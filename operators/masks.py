@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import bpy
-from bpy.props import EnumProperty, IntProperty, StringProperty
+from bpy.props import EnumProperty, IntProperty
 
 from ..plgs_blender import registry
 from ..plgs_blender.chosen_scene import absolute, free_folder
@@ -26,7 +26,19 @@ from ..plgs_blender.running.preparation import (
 )
 from ..plgs_blender.settings import chosen_scene
 from ..plgs_blender.viewport import load_finding, show_beside, view_of
-from .base import CANCELLED, FINISHED, Explained, StartsTask, cancels, panel_of, reporting
+from .base import (
+    CANCELLED,
+    FINISHED,
+    Acts,
+    StartsTask,
+    argument,
+    cancels,
+    folder_argument,
+    panel_of,
+    reporting,
+    text_argument,
+    why_no_folder,
+)
 
 
 class PLGS_OT_make_masks(StartsTask, bpy.types.Operator):
@@ -34,9 +46,7 @@ class PLGS_OT_make_masks(StartsTask, bpy.types.Operator):
 
     bl_idname, bl_label = "plgs.make_masks", "Make Masks"
 
-    model: StringProperty(  # type: ignore[valid-type]
-        name="Model", options={"SKIP_SAVE"}, description="Folder or name of a Mask2Former; empty: the panel's"
-    )
+    model: text_argument("Model", "Folder or name of a Mask2Former; empty: the panel's")
 
     @classmethod
     def why_not(cls, context: bpy.types.Context) -> str | None:
@@ -44,9 +54,7 @@ class PLGS_OT_make_masks(StartsTask, bpy.types.Operator):
             return "The engine is already making masks"
         if panel_of(context) is None:
             return None
-        if not context.scene.plgs.scene_folder:
-            return "Choose the scene's folder first"
-        return why_no_engine() or why_lacking("segment")
+        return why_no_folder(context) or why_no_engine() or why_lacking("segment")
 
     def begin(self, context: bpy.types.Context) -> Task:
         model = self.model or context.scene.plgs_masks.model
@@ -65,9 +73,7 @@ class PLGS_OT_make_poses(StartsTask, bpy.types.Operator):
     def why_not(cls, context: bpy.types.Context) -> str | None:
         if registry.running(PoseMaking):
             return "The engine is already finding poses"
-        if not context.scene.plgs.scene_folder:
-            return "Choose the scene's folder first"
-        return why_no_engine() or why_lacking("colmap")
+        return why_no_folder(context) or why_no_engine() or why_lacking("colmap")
 
     def begin(self, context: bpy.types.Context) -> Task:
         return make_poses(chosen_scene(context.scene.plgs), usable_python())
@@ -78,16 +84,14 @@ class PLGS_OT_read_classes(StartsTask, bpy.types.Operator):
 
     bl_idname, bl_label, bl_options = "plgs.read_classes", "Read Classes", {"UNDO"}
 
-    table: EnumProperty(  # type: ignore[valid-type]
-        name="Table", options={"SKIP_SAVE"}, default=OWN_TABLE, items=TABLE_ITEMS,
-        description="Start from a public table, for masks whose files do not name their classes",
+    table: argument(
+        EnumProperty, "Table", "A public table to start from, if the masks' files do not name their classes",
+        items=TABLE_ITEMS, default=OWN_TABLE,
     )  # fmt: skip
 
     @classmethod
     def why_not(cls, context: bpy.types.Context) -> str | None:
-        if not context.scene.plgs.scene_folder:
-            return "Choose the scene's folder first"
-        return why_no_engine()
+        return why_no_folder(context) or why_no_engine()
 
     def begin(self, context: bpy.types.Context) -> Task:
         return read_classes(context.scene, self.table)
@@ -100,9 +104,8 @@ class PLGS_OT_write_classes(StartsTask, bpy.types.Operator):
 
     @classmethod
     def why_not(cls, context: bpy.types.Context) -> str | None:
-        if not context.scene.plgs.scene_folder or not len(context.scene.plgs_masks.classes):
-            return "Read the classes first"
-        return why_no_engine()
+        has_classes = context.scene.plgs.scene_folder and len(context.scene.plgs_masks.classes)
+        return why_no_engine() if has_classes else "Read the classes first"
 
     def begin(self, context: bpy.types.Context) -> Task:
         return write_classes(context.scene)
@@ -116,12 +119,10 @@ class Measures(StartsTask):
 
     @classmethod
     def why_not(cls, context: bpy.types.Context) -> str | None:
-        if not context.scene.plgs.scene_folder:
-            return "Choose the scene's folder first"
         if registry.running(Diagnosis):
-            return "The engine is already measuring"
+            return why_no_folder(context) or "The engine is already measuring"
         # A script waits for the engine's answer; a button is grey until there is one.
-        return None if panel_of(context) is None else why_no_engine()
+        return why_no_folder(context) or (None if panel_of(context) is None else why_no_engine())
 
 
 class PLGS_OT_diagnose(Measures, bpy.types.Operator):
@@ -144,10 +145,9 @@ class PLGS_OT_fix_scene(Measures, bpy.types.Operator):
 
     bl_idname, bl_label, bl_options = "plgs.fix_scene", "Fix", {"INTERNAL"}
 
-    folder: StringProperty(  # type: ignore[valid-type]
-        name="Folder", subtype="DIR_PATH", options={"SKIP_SAVE"},
-        description="Where the fixed scene goes: a folder that does not exist yet; empty: beside the scene's folder",
-    )  # fmt: skip
+    folder: folder_argument(
+        "Folder", "A folder for the fixed scene, which must not exist yet; empty: beside the scene's folder"
+    )
 
     @classmethod
     def why_not(cls, context: bpy.types.Context) -> str | None:
@@ -172,10 +172,10 @@ class PLGS_OT_fix_scene(Measures, bpy.types.Operator):
         return FINISHED
 
 
-class OnFinding(Explained):
+class OnFinding(Acts):
     """An operator on one finding about the panel's scene."""
 
-    number: IntProperty(name="Number", min=0, options={"SKIP_SAVE"}, description="Number of the finding, from 0")  # type: ignore[valid-type]
+    number: argument(IntProperty, "Number", "Number of the finding, from 0", min=0)
 
     @classmethod
     def why_not(cls, context: bpy.types.Context) -> str | None:
@@ -212,16 +212,15 @@ class PLGS_OT_go_to_finding(OnFinding, bpy.types.Operator):
 
     bl_idname, bl_label, bl_options = "plgs.go_to_finding", "Go to Frame", {"INTERNAL", "UNDO"}
 
-    frame: StringProperty(name="Frame", options={"SKIP_SAVE"})  # type: ignore[valid-type]
+    frame: text_argument("Frame")
 
-    @reporting
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        place = self.finding(context)[0].chosen.scene
-        for root in lifts_in(context.scene):
-            if is_same_place(text_of(root, SCENE), place):
-                look_from_frame(root, self.frame, context.scene, view_of(context)[0])
-                return FINISHED
-        raise PlgsError("no-cameras", "has no cameras in this scene", place, "Press Import Cameras and Images first.")
+    def act(self, context: bpy.types.Context) -> None:
+        folder = self.finding(context)[0].chosen.scene
+        root = next((each for each in lifts_in(context.scene) if is_same_place(text_of(each, SCENE), folder)), None)
+        if root is None:
+            fix = "Press Import Cameras and Images first."
+            raise PlgsError("no-cameras", "has no cameras in this scene", folder, fix)
+        look_from_frame(root, self.frame, context.scene, view_of(context)[0])
 
 
 class PLGS_OT_leave_out(OnFinding, bpy.types.Operator):
@@ -248,17 +247,6 @@ def _known(context: bpy.types.Context) -> Diagnosis | None:
     return diagnosis_of(chosen_scene(settings)) if settings.scene_folder else None
 
 
-CLASSES = (
-    PLGS_OT_make_poses,
-    cancels(PoseMaking, "Stop finding poses; nothing is written"),
-    PLGS_OT_make_masks,
-    cancels(MaskMaking, "Stop making masks; finished masks are kept, and the next run continues"),
-    PLGS_OT_read_classes,
-    PLGS_OT_write_classes,
-    PLGS_OT_diagnose,
-    PLGS_OT_fix_scene,
-    PLGS_OT_show_finding,
-    PLGS_OT_go_to_finding,
-    PLGS_OT_leave_out,
-    cancels(Diagnosis, "Stop measuring; your files do not change"),
-)
+PLGS_OT_cancel_poses = cancels(PoseMaking, "Stop finding poses; nothing is written")
+PLGS_OT_cancel_masks = cancels(MaskMaking, "Stop making masks; finished masks are kept, and the next run continues")
+PLGS_OT_cancel_diagnosis = cancels(Diagnosis, "Stop measuring; your files do not change")

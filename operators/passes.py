@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 import bpy
-from bpy.props import BoolProperty, EnumProperty, IntProperty, StringProperty
+from bpy.props import BoolProperty, EnumProperty, IntProperty
 
 from ..plgs_blender import compositing
 from ..plgs_blender.compositing import show_compositor, show_room
@@ -18,15 +18,16 @@ from ..plgs_blender.running import lifting
 from ..plgs_blender.shots import ShotReader, shot_of
 from .base import (
     CANCELLED,
-    FINISHED,
     PASSED_ON,
     RUNNING,
-    Explained,
+    Acts,
     OnLiftFolder,
     StartsTask,
+    argument,
     panel_of,
     reporting,
-    reporting_events,
+    start_timer,
+    text_argument,
 )
 from .inspect import OnClass, OnInstance
 
@@ -55,9 +56,7 @@ class PLGS_OT_bake_passes(BakesFinishedLift, bpy.types.Operator):
 
     bl_idname, bl_label = "plgs.bake_passes", "Bake Passes"
 
-    frames: EnumProperty(  # type: ignore[valid-type]
-        name="Frames", items=_FRAMES, default="all", options={"SKIP_SAVE"}, description="Which frames to bake"
-    )
+    frames: argument(EnumProperty, "Frames", "Which frames to bake", items=_FRAMES, default="all")
 
     def begin(self, context: bpy.types.Context) -> Task:
         return lifting.bake_passes(context.scene, self.frames, self.lift_folder)
@@ -69,26 +68,14 @@ class PLGS_OT_bake_camera(BakesFinishedLift, bpy.types.Operator):
 
     bl_idname, bl_label = "plgs.bake_camera", "Bake Active Camera, Frame Range"
 
-    camera: StringProperty(  # type: ignore[valid-type]
-        name="Camera", options={"SKIP_SAVE"}, description="Empty: the scene's active one"
-    )
-    frame_start: IntProperty(  # type: ignore[valid-type]
-        name="Start", options={"SKIP_SAVE"}, description="First frame; not given: the scene's"
-    )
-    frame_end: IntProperty(  # type: ignore[valid-type]
-        name="End", options={"SKIP_SAVE"}, description="Last frame; not given: the scene's"
-    )
-    frame_step: IntProperty(  # type: ignore[valid-type]
-        name="Step", options={"SKIP_SAVE"}, min=1, default=1, description="Not given: the scene's"
-    )
+    camera: text_argument("Camera", "Empty: the scene's active one")
+    frame_start: argument(IntProperty, "Start", "First frame; not given: the scene's")
+    frame_end: argument(IntProperty, "End", "Last frame; not given: the scene's")
+    frame_step: argument(IntProperty, "Step", "Not given: the scene's", min=1, default=1)
 
-    shot: StringProperty(  # type: ignore[valid-type]
-        name="Shot", options={"SKIP_SAVE"}, description="The name of its files; empty: the .blend's and the camera's"
-    )
-    replace: BoolProperty(  # type: ignore[valid-type]
-        name="Replace",
-        options={"SKIP_SAVE"},
-        description="Replace a shot of this name from another file or camera, or with a changed camera",
+    shot: text_argument("Shot", "The name of its files; empty: the .blend's and the camera's")
+    replace: argument(
+        BoolProperty, "Replace", "Replace a shot of this name from another file or camera, or with a changed camera"
     )
 
     _shot: ShotReader | None = None
@@ -109,19 +96,16 @@ class PLGS_OT_bake_camera(BakesFinishedLift, bpy.types.Operator):
             self.report({"WARNING"}, what)
         return lifting.read_camera(context.scene, shot)
 
-    @reporting_events
+    @reporting
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         self._shot = self._begin_reading(context)
         if self._shot.read_for(_READ_S):
             return self.run(context, waits=bpy.app.background)
-        manager = context.window_manager
-        self._timer = manager.event_timer_add(_READ_EVERY_S, window=context.window or manager.windows[0])
-        manager.modal_handler_add(self)
+        self._timer = start_timer(self, context, _READ_EVERY_S)
         return RUNNING
 
-    @reporting_events
+    @reporting
     def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        """Read the camera part by part, then start baking."""
         answer = CANCELLED
         try:
             assert self._shot is not None
@@ -132,6 +116,7 @@ class PLGS_OT_bake_camera(BakesFinishedLift, bpy.types.Operator):
         return answer
 
     def _read_on(self, context: bpy.types.Context, event: bpy.types.Event, shot: ShotReader) -> set[str]:
+        """Read a part of the camera. After the last one, start baking."""
         if event.type == "ESC" and event.value == "PRESS":
             self.report({"INFO"}, "Reading the camera was cancelled; nothing was baked")
             return CANCELLED
@@ -151,7 +136,7 @@ class PLGS_OT_bake_camera(BakesFinishedLift, bpy.types.Operator):
             self._timer = None
 
 
-class PLGS_OT_bake_on_farm(OnLiftFolder, Explained, bpy.types.Operator):
+class PLGS_OT_bake_on_farm(OnLiftFolder, Acts, bpy.types.Operator):
     """Write a Flamenco job that bakes the active camera over the frame range on a render farm. The farm must be able to
     read the lift and this file"""
 
@@ -162,11 +147,9 @@ class PLGS_OT_bake_on_farm(OnLiftFolder, Explained, bpy.types.Operator):
         panel = panel_of(context)
         return None if panel is None else lifting.why_no_bake(panel)
 
-    @reporting
-    def execute(self, context: bpy.types.Context) -> set[str]:
+    def act(self, context: bpy.types.Context) -> str:
         job = lifting.bake_on_farm(context.scene, self.lift_folder)
-        self.report({"INFO"}, f"Job written for the farm, which bakes this file as it was last saved: {job}")
-        return FINISHED
+        return f"Wrote the job, which bakes this file as it was last saved: {job}"
 
 
 def _show_progress(context: bpy.types.Context, text: str | None) -> None:
@@ -175,7 +158,7 @@ def _show_progress(context: bpy.types.Context, text: str | None) -> None:
         context.workspace.status_text_set(text)
 
 
-class PLGS_OT_show_passes(Explained, bpy.types.Operator):
+class PLGS_OT_show_passes(Acts, bpy.types.Operator):
     """Open the Compositing workspace with the passes of the active camera, if any, else those of the lift's frames"""
 
     bl_idname, bl_label, bl_options = "plgs.show_passes", "Open in Compositor", {"UNDO"}
@@ -185,15 +168,13 @@ class PLGS_OT_show_passes(Explained, bpy.types.Operator):
         has_passes = passes_scene_of(context.scene) is not None
         return None if has_passes else "This scene has no lift with passes: bake them first"
 
-    @reporting
-    def execute(self, context: bpy.types.Context) -> set[str]:
+    def act(self, context: bpy.types.Context) -> None:
         target = open_passes(context.scene)
         if context.window is not None:
             show_compositor(context.window, target)
-        return FINISHED
 
 
-class PLGS_OT_show_room(Explained, bpy.types.Operator):
+class PLGS_OT_show_room(Acts, bpy.types.Operator):
     """Show the lift's own scene again, in the workspace from which the compositor was opened"""
 
     bl_idname, bl_label, bl_options = "plgs.show_room", "Back to the Room", {"UNDO"}
@@ -202,13 +183,11 @@ class PLGS_OT_show_room(Explained, bpy.types.Operator):
     def why_not(cls, context: bpy.types.Context) -> str | None:
         return None if KEY in context.scene else "This is not a scene of passes"
 
-    @reporting
-    def execute(self, context: bpy.types.Context) -> set[str]:
+    def act(self, context: bpy.types.Context) -> None:
         if context.window is None:
             what = "there is no window to show it in"
             raise PlgsError("no-window", what, context.scene.name, "Open this file in a window.")
         show_room(context.window)
-        return FINISHED
 
 
 class PLGS_OT_matte_instance(OnInstance, bpy.types.Operator):
@@ -216,9 +195,8 @@ class PLGS_OT_matte_instance(OnInstance, bpy.types.Operator):
 
     bl_idname, bl_label, bl_options = "plgs.matte_instance", "Matte", {"REGISTER", "UNDO"}
 
-    def act(self, context: bpy.types.Context, root: bpy.types.Collection) -> None:
-        name = one_line(compositing.matte_instance(root, self.instance))
-        self.report({"INFO"}, f"The compositor's matte is {name}")
+    def act_on(self, context: bpy.types.Context, root: bpy.types.Collection) -> str:
+        return one_line(f"The compositor's matte is {compositing.matte_instance(root, self.instance)}")
 
 
 class PLGS_OT_matte_class(OnClass, bpy.types.Operator):
@@ -226,17 +204,5 @@ class PLGS_OT_matte_class(OnClass, bpy.types.Operator):
 
     bl_idname, bl_label, bl_options = "plgs.matte_class", "Matte", {"REGISTER", "UNDO"}
 
-    def act(self, context: bpy.types.Context, root: bpy.types.Collection) -> None:
-        name = one_line(compositing.matte_class(root, self.class_id))
-        self.report({"INFO"}, f"The compositor's matte is {name}")
-
-
-CLASSES = (
-    PLGS_OT_bake_passes,
-    PLGS_OT_bake_camera,
-    PLGS_OT_bake_on_farm,
-    PLGS_OT_show_passes,
-    PLGS_OT_show_room,
-    PLGS_OT_matte_instance,
-    PLGS_OT_matte_class,
-)
+    def act_on(self, context: bpy.types.Context, root: bpy.types.Collection) -> str:
+        return one_line(f"The compositor's matte is {compositing.matte_class(root, self.class_id)}")

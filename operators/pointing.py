@@ -14,7 +14,7 @@ from ..plgs_blender.inspecting import looks, picking, selection
 from ..plgs_blender.inspecting.picking import hovered
 from ..plgs_blender.inspecting.selection import objects_by_key
 from ..plgs_blender.owned import KEY, LIFT, lifts_in, text_of
-from .base import CANCELLED, FINISHED, PASSED_ON, reporting_events
+from .base import CANCELLED, FINISHED, PASSED_ON, argument, reporting
 
 
 class InView:
@@ -31,9 +31,9 @@ class PLGS_OT_pick(InView, bpy.types.Operator):
 
     bl_idname, bl_label, bl_options = "plgs.pick", "Select What Is Seen", {"UNDO", "INTERNAL"}
 
-    extend: BoolProperty(name="Extend", options={"SKIP_SAVE"}, description="Add to the selection, or remove from it")  # type: ignore[valid-type]
+    extend: argument(BoolProperty, "Extend", "Add to the selection, or remove from it")
 
-    @reporting_events
+    @reporting
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         keys = context.window_manager.keyconfigs.active.preferences
         if event.type != f"{getattr(keys, 'select_mouse', 'LEFT')}MOUSE":
@@ -131,7 +131,7 @@ class PLGS_OT_delete_selected(OnSelected, bpy.types.Operator):
 
     bl_idname, bl_label, bl_options = "plgs.delete_selected", "Remove Objects", {"UNDO", "INTERNAL"}
 
-    way: EnumProperty(  # type: ignore[valid-type]
+    way: EnumProperty(
         name="Way", options={"SKIP_SAVE"},
         items=[
             ("HIDE", "Hide", "They leave the view. Show All brings back the lift's own, Alt H other objects"),
@@ -180,8 +180,6 @@ class PLGS_OT_delete_selected(OnSelected, bpy.types.Operator):
         self.report({"INFO"}, one_line(f"Dissolved: {', '.join(names[number] for number in numbers)}{stays}"))
         return FINISHED
 
-
-CLASSES = (PLGS_OT_pick, PLGS_OT_point_at, PLGS_OT_rename_selected, PLGS_OT_delete_selected)
 
 _KEYS: tuple[tuple[str, str, str, dict[str, Any], dict[str, Any]], ...] = (
     ("plgs.point_at", "MOUSEMOVE", "ANY", {}, {}),

@@ -17,18 +17,22 @@ from ..plgs_blender.registry import Task
 from ..plgs_blender.running.importing import FrameMaking, begin_import, choose_picture, imported, what_is_missing
 from ..plgs_blender.running.lifting import why_no_scene
 from ..plgs_blender.running.looking import look_at_scene
-from ..plgs_blender.settings import SceneOptions, chosen_scene, option_names
+from ..plgs_blender.settings import SceneOptions, chosen_scene
 from ..plgs_blender.viewport import look_through, show_materials_in
 from .base import (
     CANCELLED,
     FINISHED,
+    Acts,
     ChoosesFile,
-    Explained,
     StartsTask,
+    argument,
     cancels,
+    copy_given,
+    file_argument,
+    folder_argument,
     panel_of,
     reporting,
-    reporting_events,
+    why_no_folder,
 )
 
 _PICTURES = [
@@ -42,18 +46,7 @@ class ImportsScene(SceneOptions, StartsTask):
     """An operator that imports the panel's scene, with an engine for what Blender cannot read. Options that are not
     given are taken from the panel."""
 
-    cloud: BoolProperty(  # type: ignore[valid-type]
-        name="Coloured Cloud", default=True, options={"SKIP_SAVE"},
-        description="Make a coloured cloud from the scene's depth, with an engine",
-    )  # fmt: skip
-
-    properties: Any
-
-    def into_settings(self, settings: Any) -> None:
-        """Copy the given options to the panel."""
-        for name in option_names(SceneOptions):
-            if self.properties.is_property_set(name):
-                setattr(settings, name, getattr(self, name))
+    cloud: argument(BoolProperty, "Coloured Cloud", "Make a coloured cloud of the scene's depth", default=True)
 
     def begin(self, context: bpy.types.Context) -> Task | None:
         return begin_import(context.scene, cloud=self.cloud)
@@ -86,10 +79,7 @@ class PLGS_OT_import_scene(ImportsScene, bpy.types.Operator):
 
     bl_idname, bl_label, bl_options = "plgs.import_scene", "Import Cameras and Images", {"UNDO"}
 
-    scene_folder: StringProperty(  # type: ignore[valid-type]
-        name="Scene", subtype="DIR_PATH", options={"SKIP_SAVE"},
-        description="The scene's folder or file; empty: the panel's",
-    )  # fmt: skip
+    scene_folder: folder_argument("Scene", "The scene's folder or file; empty: the panel's")
 
     @classmethod
     def why_not(cls, context: bpy.types.Context) -> str | None:
@@ -98,7 +88,7 @@ class PLGS_OT_import_scene(ImportsScene, bpy.types.Operator):
 
     def begin(self, context: bpy.types.Context) -> Task | None:
         settings = context.scene.plgs
-        self.into_settings(settings)
+        copy_given(self, SceneOptions, settings)
         if self.scene_folder:
             settings.scene_folder = self.scene_folder
         return super().begin(context)
@@ -109,20 +99,15 @@ class PLGS_OT_browse_scene(ImportsScene, ChoosesFile, bpy.types.Operator):
 
     bl_idname, bl_label, bl_options = "plgs.browse_scene", "PLGS Scene", {"UNDO", "PRESET"}
 
-    filepath: StringProperty(  # type: ignore[valid-type]
-        name="File", subtype="FILE_PATH", options={"SKIP_SAVE"},
-        description="The scene's file, any file in its folder, or the folder itself",
-    )  # fmt: skip
-    filter_glob: StringProperty(  # type: ignore[valid-type]
-        default=";".join(f"*{suffix}" for suffix in FILE_SUFFIXES), options={"HIDDEN", "SKIP_SAVE"}
-    )
+    filepath: file_argument("File", "The scene's file, any file in its folder, or the folder itself")
+    filter_glob: StringProperty(default=";".join(f"*{each}" for each in FILE_SUFFIXES), options={"HIDDEN", "SKIP_SAVE"})
 
     def begin(self, context: bpy.types.Context) -> Task | None:
         settings = context.scene.plgs
-        place = scene_at(Path(absolute(self.filepath)))
+        scene = scene_at(Path(absolute(self.filepath)))
         _forget_other_scene(settings)
-        self.into_settings(settings)
-        settings.scene_folder = str(place)
+        copy_given(self, SceneOptions, settings)
+        settings.scene_folder = str(scene)
         return super().begin(context)
 
 
@@ -131,9 +116,7 @@ class PLGS_OT_show_picture(StartsTask, bpy.types.Operator):
 
     bl_idname, bl_label, bl_options = "plgs.show_picture", "Show Picture", {"UNDO"}
 
-    what: EnumProperty(  # type: ignore[valid-type]
-        name="What", items=_PICTURES, default=DEPTH, options={"SKIP_SAVE"}, description="Which picture"
-    )
+    what: argument(EnumProperty, "What", "Which picture", items=_PICTURES, default=DEPTH)
 
     @classmethod
     def description(cls, context: bpy.types.Context, properties: bpy.types.OperatorProperties) -> str:
@@ -145,7 +128,7 @@ class PLGS_OT_show_picture(StartsTask, bpy.types.Operator):
         # the mouse looked.
         return why_no_picture(context.scene)
 
-    @reporting_events
+    @reporting
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         view = context.space_data
         if isinstance(view, bpy.types.SpaceView3D) and not view.use_local_camera:
@@ -163,32 +146,27 @@ class PLGS_OT_show_picture(StartsTask, bpy.types.Operator):
         return super().report_outcome(context, task)
 
 
-class PLGS_OT_look_at_scene(Explained, bpy.types.Operator):
-    """Read again what is in the scene's folder"""
+class PLGS_OT_look_at_scene(Acts, bpy.types.Operator):
+    """Read the scene's folder again"""
 
     bl_idname, bl_label, bl_options = "plgs.look_at_scene", "Look Again", {"INTERNAL"}
 
     @classmethod
     def why_not(cls, context: bpy.types.Context) -> str | None:
-        return None if context.scene.plgs.scene_folder else "Choose the scene's folder first"
+        return why_no_folder(context)
 
-    def execute(self, context: bpy.types.Context) -> set[str]:
+    def act(self, context: bpy.types.Context) -> None:
         look_at_scene(chosen_scene(context.scene.plgs))
-        return FINISHED
 
 
-class PLGS_OT_open_dropped(bpy.types.Operator):
+class PLGS_OT_open_dropped(Acts, bpy.types.Operator):
     """Open the scene or the lift that a file belongs to"""
 
     bl_idname, bl_label, bl_options = "plgs.open_dropped", "Open in PLGS", {"UNDO"}
 
-    filepath: StringProperty(  # type: ignore[valid-type]
-        name="File", subtype="FILE_PATH", options={"SKIP_SAVE"},
-        description="Any file in a scene's or a lift's folder, or the folder itself",
-    )  # fmt: skip
+    filepath: file_argument("File", "Any file in a scene's or a lift's folder, or the folder itself")
 
-    @reporting
-    def execute(self, context: bpy.types.Context) -> set[str]:
+    def act(self, context: bpy.types.Context) -> str:
         lift, scene = lift_or_scene(Path(absolute(self.filepath)))
         settings = context.scene.plgs
         if lift is not None:
@@ -197,8 +175,7 @@ class PLGS_OT_open_dropped(bpy.types.Operator):
             if not settings.scene_folder or absolute(settings.scene_folder) != scene:
                 _forget_other_scene(settings)
             settings.scene_folder = str(scene)
-        self.report({"INFO"}, f"Opened {lift or scene}")
-        return FINISHED
+        return f"Opened {lift or scene}"
 
 
 class PLGS_FH_scene(bpy.types.FileHandler):
@@ -212,12 +189,4 @@ class PLGS_FH_scene(bpy.types.FileHandler):
         return context.area is not None and context.area.type == "VIEW_3D"
 
 
-CLASSES = (
-    PLGS_OT_import_scene,
-    PLGS_OT_browse_scene,
-    PLGS_OT_show_picture,
-    cancels(FrameMaking, "Stop making pictures and the cloud. Finished ones are kept: importing again continues"),
-    PLGS_OT_look_at_scene,
-    PLGS_OT_open_dropped,
-    PLGS_FH_scene,
-)
+PLGS_OT_cancel_frames = cancels(FrameMaking, "Stop making pictures and the cloud. Importing again continues")
