@@ -30,9 +30,11 @@ from bpy_extras.view3d_utils import location_3d_to_region_2d
 area = next(each for each in bpy.context.window.screen.areas if each.type == 'VIEW_3D')
 region = next(each for each in area.regions if each.type == 'WINDOW')
 bpy.ops.wm.redraw_timer(type='DRAW_WIN_SWAP', iterations=1)
-camera = bpy.context.scene.camera
+camera, view = bpy.context.scene.camera, area.spaces.active.region_3d
 corners = [camera.matrix_world @ each for each in camera.data.view_frame(scene=bpy.context.scene)]
-spots = [location_3d_to_region_2d(region, area.spaces.active.region_3d, each) for each in corners]
+spots = [location_3d_to_region_2d(region, view, each) for each in corners]
+if view.view_perspective != 'CAMERA':
+    spots = [type(spots[0])(each) for each in ((0, 0), (region.width, region.height))]
 pixels = 255 * picture()[::-1, :, :3]
 answer = {{
     'columns': [region.x + pick(each.x for each in spots) for pick in (min, max)],
@@ -41,7 +43,7 @@ answer = {{
               for rows in np.array_split(pixels, {BLOCKS}, axis=0)],
 }}
 """
-"""Where the camera's frame is on the screen, and the mean colours of the blocks of the picture for it."""
+"""Where the camera's frame, or the whole view, is on the screen, and the mean colours of the blocks of its picture."""
 
 
 @pytest.fixture
@@ -117,8 +119,9 @@ def test_undo_and_another_file_leave_the_lift_in_the_panel(window: Window, scene
 
 def test_the_window_never_waits_while_it_lifts(window: Window, scene: Path) -> None:
     """Each call of Blender's into the extension, panels, timers and drawing included, with live previews before two
-    cameras: one of a frame, then the user's own. Only the drawing over the view is not counted until the first picture
-    is there: the processor, which stands in for a graphics card, compiles a shader for it (0.3 s).
+    cameras, one of a frame, then the user's own, and then of the view itself. Only the drawing over the view is not
+    counted until the first picture is there: the processor, which stands in for a graphics card, compiles a shader for
+    it (0.3 s).
     """
     window.open_sidebar()
     window.run(f"bpy.context.scene.plgs.scene_folder = {str(scene)!r}")
@@ -134,8 +137,10 @@ def test_the_window_never_waits_while_it_lifts(window: Window, scene: Path) -> N
     window.run("bpy.ops.wm.redraw_timer(type='DRAW_WIN_SWAP', iterations=1)")
     slow = {call: waits for call, waits in window.slow_calls(0.05).items() if "_draw_on_top" not in call}
     window.run("watch.begin()")
-    for camera, shot in ((frame, "of-a-frame"), ("Camera", "of-the-users")):
+    for camera, shot in ((frame, "of-a-frame"), ("Camera", "of-the-users"), ("Camera", "of-the-view")):
         window.run(f"bpy.context.scene.camera = bpy.data.objects[{camera!r}]")
+        if shot == "of-the-view":
+            window.key("KP_0")
         window.run("before = followed().progress.live_previews")
         window.wait_for("followed().progress.live_previews > before + 1 and picture() is not None")
         window.screenshot(f"live-preview-{shot}")
