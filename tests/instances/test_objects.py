@@ -72,7 +72,6 @@ def test_views_that_are_held_back_tell_one_object_from_two() -> None:
     assert not held_back_agreement(halves, owner, 1, CLASS_IDS, kinds, [[n] for n in range(len(halves))]).tolist()[1]
 
 
-
 RULES = PieceRules(reach=0.15)
 SIZE = 20
 """Points of each block."""

@@ -25,8 +25,7 @@ PICTURE = "images/frame_8"
 
 
 def changed(path: Path, change: Any) -> AbstractContextManager[None]:
-    """The file with a change, for a while: its content, a function of that, fields of a JSON object, or None: no file.
-    """
+    """The file with a change, for a while: content, a function of it, fields of a JSON object, or None for no file."""
     if callable(change):
         change = change(path.read_bytes())
     elif isinstance(change, dict):
@@ -73,7 +72,6 @@ def with_one_id_twice(data: bytes) -> bytes:
 # Sample, file, what becomes of it (other text; other values of its JSON; nothing), and what the line tells.
 BAD: list[tuple[str, str, Any, str]] = [
     ("colmap", "sparse/0/cameras.txt", "3 PINHOLE 128 96 1 2 3\n", "lens-model"),
-    ("colmap", "sparse/0/cameras.txt", "3 FOV 128 96 100 100 64 48 0.9", "lens-model"),
     ("colmap", "sparse/0/cameras.txt", "3 PINHOLE 128 96 -100 100 64 48", "bad-intrinsics"),
     ("colmap", "sparse/0/cameras.txt", "4 PINHOLE 128 96 100 100 64 48", "no-camera"),
     ("colmap", "sparse/0/cameras.txt", "3 PINHOLE 96 128 100 100 48 48", "other-size 128x96 96x128"),
@@ -92,8 +90,6 @@ BAD: list[tuple[str, str, Any, str]] = [
     ("hypersim", "ai_001_001/_detail/metadata_scene.csv", "parameter_name, parameter_value\n", "no-unit"),
     ("nerfstudio", "transforms.json", {"camera_model": "EQUIRECTANGULAR"}, "lens-model EQUIRECTANGULAR"),
     ("nerfstudio", "transforms.json", {"fl_x": None}, "wrong-type fl_x frame_8"),
-    ("nerfstudio", "transforms.json", {"fl_x": -3}, "bad-intrinsics"),
-    ("nerfstudio", "transforms.json", {"w": 48, "h": 64}, "other-size 64x48 48x64"),
     ("nerfstudio", "transforms.json", {"frames": []}, "no-poses"),
     ("nerfstudio", "transforms.json", {"frames": [{"file_path": PICTURE, "transform_matrix": [[1, 2], [3]]}]},
      "wrong-type transform_matrix"),
@@ -105,13 +101,10 @@ BAD: list[tuple[str, str, Any, str]] = [
      "pose-last-row"),
     ("nerfstudio", "transforms.json", {"ply_file_path": "transforms.json"}, "not-ply"),
     ("polycam", "keyframes/corrected_cameras/98765432107.json", {"t_03": "x"}, "wrong-type t_03"),
-    ("polycam", "keyframes/corrected_cameras/98765432107.json", {"fx": 0}, "bad-intrinsics"),
-    ("polycam", "keyframes/corrected_cameras/98765432107.json", {"width": 96, "height": 128}, "other-size 96x128"),
     ("record3d", "a.r3d", first(0.5), "not-r3d"),
     ("record3d-unpacked", "metadata", {"poses": [[0, 0, 0, 1, 0, 0, 0]]}, "unequal-counts 11"),
     ("record3d-unpacked", "metadata", {"poses": [[0, 0, 0, 1, 0, 0]] * 11}, "wrong-type poses metadata 11x7"),
     ("record3d-unpacked", "metadata", swapped('"K"', '"k"'), 'lacks-field metadata "K"'),
-    ("record3d-unpacked", "metadata", {"w": 10}, "bad-intrinsics"),
     ("record3d-unpacked", "metadata", {"perFrameIntrinsicCoeffs": [5] * 11}, "wrong-type coefficients"),
     ("replica", "traj.txt", first(0.7), "wrong-count"),
     ("replica", "traj.txt", ("inf " * 16 + "\n") * 6, "no-poses"),
@@ -120,21 +113,17 @@ BAD: list[tuple[str, str, Any, str]] = [
     ("scannetpp", "iphone/pose_intrinsic_imu.json", {"frame_000001": {"aligned_pose": [[1]]}},
      "wrong-type aligned_pose frame_000001 4x4"),
     ("scannetpp", "iphone/pose_intrinsic_imu.json", {"frame_000001": {"aligned_pose": EYE}}, "lacks-field intrinsic"),
-    ("scannetpp", "iphone/depth.bin", first(0.9), "depth-damaged"),
     *(("sens", "a.sens", first(share), "cut-off") for share in (0.0, 0.001, 0.01, 0.5, 0.999)),
     ("sens", "a.sens", lambda data: b"\5" + data[1:], "not-sens"),
     ("stray", "odometry.csv", "a, b\n", "no-columns"),
     ("stray", "odometry.csv", lambda data: data + b"1, 2\n", "wrong-count"),
     ("stray", "odometry.csv", swapped("000004", "-4"), "no-frame-number"),
-    ("stray", "camera_matrix.csv", "1, 0, 5000\n0, 1, 1\n0, 0, 1\n", "bad-intrinsics 256x192"),
     ("stray", "rgb.mp4", "no video", "not-video"),
     ("tum", "groundtruth.txt", "1.5 2 3\n", "wrong-count"),
     ("tum", "groundtruth.txt", "1.5 a 2 3 0 0 0 1\n", "not-numbers"),
-    ("tum", "groundtruth.txt", "1.5 1 2 3 0 0 0 0\n", "zero-quaternion"),
     ("tum", "groundtruth.txt", "1.5 1 2 3 0 0 0 1\n", "no-poses"),
     ("tum", "rgb.txt", "1305031102.17\n", "no-time-stamp"),
     ("tum", "rgb.txt", "1305031102.17 rgb/a.png\n", "unreadable"),
-    ("tum", "calibration.txt", "-3 1 1 1", "bad-intrinsics"),
     ("tum", "calibration.txt", "", "intrinsics-incomplete"),
     ("scannet", "gt/instance/0001.png", lambda data: data[:-30] + bytes(10) + data[-20:], "image-damaged"),
     ("panoptic-lifting", "m2f_semantics/0001.png", png(np.full((24, 32), 30, np.uint8)), "unknown-classes 30"),
@@ -178,23 +167,16 @@ LEFT_OUT: list[tuple[str, str, Any, str]] = [
     ("scannet", "panoptic/0001.png", None, "readable mask is left out: 0001"),
     ("scannet", "panoptic.json", swapped('"0001.png"', '"1.png"'), "readable mask is left out: 0001"),
     ("scannet", "pose/0001.txt", None, "pose is left out: 0001"),
-    ("nerfstudio", "depth/frame_9.png", None, "readable depth is left out: frame_9"),
     ("nerfstudio", "transforms.json", swapped('"depth/frame_9.png"', "null"), "readable depth is left out: frame_9"),
-    ("7scenes", "seq-01/frame-000002.depth.png", None, "readable depth is left out: seq-01_frame-000002"),
     ("7scenes", "seq-01/frame-000002.pose.txt", None, "pose is left out: seq-01_frame-000002"),
-    ("replica", "results/depth000003.png", None, "readable depth is left out: frame000003"),
     ("polycam", "keyframes/depth/98765432107.png", None, "readable depth is left out: 98765432107"),
-    ("polycam", "keyframes/corrected_cameras/98765432107.json", None, "pose is left out: 98765432107"),
     ("polycam", "keyframes/corrected_images/98765432107.png", None, "1 of 6 keyframes are not in both"),
     ("stray", "odometry.csv", swapped("000004", "000400"), "readable depth is left out: 000400"),
     ("record3d-unpacked", "rgbd/4.depth", None, "readable depth is left out: 4"),
     ("hypersim", "ai_001_001/images/scene_cam_00_geometry_hdf5/frame.0001.depth_meters.hdf5", None,
      "without depth is left out: cam_00_0001"),
-    ("panoptic-lifting", "m2f_instance/0001.png", None, "readable mask is left out: 0001"),
     ("arrays", "masks/0001.npy", b"", "readable mask is left out: 0001"),
-    ("detections", "masks/0001.npz", None, "readable mask is left out: 0001"),
     ("detectron2", "masks/0001.json", "", "readable mask is left out: 0001"),
-    ("transformers", "masks/0001.json", None, "readable mask is left out: 0001"),
     ("grounded-sam2", "masks/mask_data/mask_0001.npy", None, "readable mask is left out: 0001"),
 ]  # fmt: skip
 

@@ -13,7 +13,6 @@ import pytest
 from engine.errors import PlgsError
 from engine.posed.plain_folders import open_plain_folders
 from engine.scene import (
-    Scene,
     check_scene,
     describe,
     load_view,
@@ -22,44 +21,19 @@ from engine.scene import (
     report_of,
     survey_scene,
 )
-from engine.scene.checks import Thumbnail, measure_overlap
 from engine.scene_source import SceneSource
 from tests.raises_key import raises_key
 from tests.scene.refusing import refuses
+from tests.scene.test_bad_input import damaged
 from tests.tiny_scene import write_tiny_scene
 
 
-@pytest.fixture(scope="module")
-def scene(tmp_path_factory: pytest.TempPathFactory) -> Scene:
-    return open_scene(write_tiny_scene(tmp_path_factory.mktemp("scene"), frames=8))
-
-
-def thumbnails(scene: Scene, axes: np.ndarray | None = None, scale: float = 1.0) -> list[Thumbnail]:
-    found = []
-    for frame in scene.frames:
-        camera = frame.camera.resized(40, 30)
-        camera = camera.at(camera.camera_to_world @ (np.eye(4) if axes is None else axes))
-        found.append(Thumbnail(frame.name, camera, frame.read_depth((40, 30)) * np.float32(scale)))
-    return found
-
-
-def test_frames_of_one_room_agree(scene: Scene) -> None:
-    overlap = measure_overlap(thumbnails(scene))
-    assert overlap.overlaps and overlap.lonely == ()
-    assert overlap.in_view > 0.5 and overlap.agreement > 0.55
-
-
-@pytest.mark.parametrize("wrong", [{"axes": np.diag([1.0, -1.0, -1.0, 1.0])}, {"scale": 5.0}, {"scale": 0.1}])
-def test_wrong_axes_and_units_give_disagreement(scene: Scene, wrong: dict[str, object]) -> None:
-    assert measure_overlap(thumbnails(scene, **wrong)).agreement < 0.2  # type: ignore[arg-type]
-
-
-def test_a_frame_elsewhere_is_lonely(scene: Scene) -> None:
-    views = thumbnails(scene)
-    pose = views[3].camera.camera_to_world.copy()
-    pose[2, 3] += 50.0
-    views[3] = Thumbnail("far", views[3].camera.at(pose), views[3].depth)
-    assert measure_overlap(views).lonely == ("far",)
+def test_frames_that_overlap_no_other_are_named(tmp_path: Path) -> None:
+    folder = write_tiny_scene(tmp_path, frames=8)
+    for number, name in enumerate(("0003", "0005"), start=1):
+        path = folder / "pose" / f"{name}.txt"
+        np.savetxt(path, np.loadtxt(path) + np.eye(4, k=3) * 50.0 * number)
+    assert "2 frames hardly overlap with any other: 0003, 0005" in check_scene(open_scene(folder))
 
 
 def test_opengl_poses_get_two_warnings(tmp_path: Path) -> None:
@@ -151,16 +125,11 @@ def test_a_description_summarises_the_scene(tmp_path: Path) -> None:
     assert all(0.1 < length < 4.0 for length in report.extent)
 
 
-def broken_checksum(path: Path) -> None:
-    data = bytearray(path.read_bytes())
-    data[len(data) // 2] ^= 255
-    path.write_bytes(bytes(data))
-
-
 @pytest.mark.parametrize(
     ("kind", "damage"),
     [
-        ("color", broken_checksum), ("color", lambda path: path.write_bytes(b"")),
+        ("color", lambda path: path.write_bytes(damaged(path.read_bytes()))),
+        ("color", lambda path: path.write_bytes(b"")),
         ("depth", lambda path: cv2.imwrite(str(path), np.zeros((48, 64), np.uint16))),
         ("panoptic", lambda path: path.write_bytes(path.read_bytes()[:-20])),
     ],

@@ -12,14 +12,15 @@ import numpy as np
 import pytest
 
 from engine.scene import open_scene
+from engine.scene.formats.lens import of_nerfstudio
 from tests.scene.formats.room import (
     Lens,
-    cast,
     check_colours,
     check_on_room,
     elsewhere,
     in_steps,
     look,
+    look_bent,
     opengl_pose,
     views,
     write_colour,
@@ -119,27 +120,14 @@ def test_intrinsics_of_larger_pictures_and_npy_depth(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("model", ["OPENCV", "OPENCV_FISHEYE"])
 def test_lens_distortion_is_removed(tmp_path: Path, model: str) -> None:
-    """The sample shoots its rays through the bent lens: the inverse of the formula, found by iteration."""
-    k1, k2, p1, p2 = (-0.12, 0.05, 0.004, -0.003) if model == "OPENCV" else (0.05, -0.02, 0.01, 0.0)
-    lens = LENS.scaled(4)
-    bent = {"k1": k1, "k2": k2, **({"p1": p1, "p2": p2} if model == "OPENCV" else {"k3": p1, "k4": p2})}
+    """test_lens.py compares the formulas with OpenCV's and nerfstudio's own."""
+    bent = {"k1": -0.12, "k2": 0.05, "p1": 0.004, "p2": -0.003}
+    if model == "OPENCV_FISHEYE":
+        bent = {"k1": 0.05, "k2": -0.02, "k3": 0.01, "k4": 0.0}
+    lens, bend = LENS.scaled(4), of_nerfstudio(bent, model, model == "OPENCV_FISHEYE")
     write_scene(tmp_path, **bent, w=256, h=192, fl_x=lens.fx, fl_y=lens.fy, cx=lens.cx, cy=lens.cy, camera_model=model)
-    u = (np.arange(256) + 0.5 - lens.cx) / lens.fx
-    v = (np.arange(192) + 0.5 - lens.cy) / lens.fy
-    bent_x, bent_y = np.meshgrid(u, v)
-    x, y = bent_x.copy(), bent_y.copy()
-    for _ in range(100):
-        r = np.hypot(x, y)
-        if model == "OPENCV":
-            radial = 1 + k1 * r**2 + k2 * r**4
-            x = (bent_x - 2 * p1 * x * y - p2 * (r**2 + 2 * x**2)) / radial
-            y = (bent_y - p1 * (r**2 + 2 * y**2) - 2 * p2 * x * y) / radial
-        else:
-            angle = np.arctan(r)
-            scale = angle * (1 + k1 * angle**2 + k2 * angle**4 + p1 * angle**6 + p2 * angle**8) / np.maximum(r, 1e-9)
-            x, y = bent_x / scale, bent_y / scale
     for i, view in enumerate(views()):
-        picture = cast(view, view.forward + x[..., None] * view.right - y[..., None] * view.up)
+        picture = look_bent(view, lens, bend.bent)
         write_pair(tmp_path / "images" / f"frame_{i + 8}.png", tmp_path / "depth" / f"frame_{i + 8}.png", picture)
     scene = open_scene(tmp_path)
     assert any("undistorted" in warning for warning in scene.warnings)
