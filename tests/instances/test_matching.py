@@ -158,12 +158,6 @@ def test_the_intersection_agrees_with_monte_carlo(first: OrientedBox, second: Or
     assert intersection_volume(first, first) == pytest.approx(first.volume)
 
 
-def test_a_turned_square_cuts_an_octagon() -> None:
-    one, turned = box((0, 0, 0), (2, 2, 1), 0.0), box((0, 0, 0.5), (2, 2, 1), math.pi / 4)
-    assert intersection_volume(one, turned) == pytest.approx(0.5 * 8 * (math.sqrt(2) - 1))
-    assert intersection_volume(one, box((0, 0, 1.1), (2, 2, 1), 0.3)) == 0.0
-
-
 @settings(max_examples=40, deadline=None)
 @given(boxes, st.integers(0, 1000))
 def test_a_box_is_found_again_from_its_points(original: OrientedBox, seed: int) -> None:

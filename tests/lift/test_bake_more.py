@@ -13,8 +13,6 @@ from typing import Any
 import numpy as np
 import OpenEXR
 import pytest
-from safetensors import safe_open
-from safetensors.torch import load_file, save_file
 
 from engine.command_line.main import main
 from engine.command_line.run_engine import run_bake
@@ -253,18 +251,7 @@ def test_bake_works_beside_another_process(lift: LiftFolder, tmp_path: Path, mon
     verify(lift.result_path)
 
 
-def test_an_unreadable_model_is_a_one_line_error(lift: LiftFolder) -> None:
-    model = lift.result_path / "model.safetensors"
-    whole = model.read_bytes()
-    with safe_open(model, "pt") as file:
-        facts = json.loads(file.metadata()["plgs"])
-    save_file(load_file(model), model, metadata={"plgs": json.dumps(facts | {"format": 1})})
-    with raises_key("model-unreadable"):
-        bake(lift, "0002")
-    model.write_bytes(whole[:100])
-    with raises_key("model-unreadable"):
-        bake(lift, "0002")
-    model.write_bytes(whole)
+def test_a_bake_needs_the_manifests_kind_of_labels(lift: LiftFolder) -> None:
     manifest = json.loads(lift.manifest_path.read_text())
     del manifest["settings"]["one_class_an_object"]
     lift.manifest_path.write_text(json.dumps(manifest))

@@ -163,11 +163,11 @@ def with_instances(folder: LiftFolder, change: Callable[[list[dict[str, Any]]], 
 IMPOSSIBLE: dict[str, Callable[[LiftFolder], None]] = {
     **{
         f"largest id {given!r}": partial(with_history, history={"largest_id": given})
-        for given in (65535, 65536, 2**31, -5, 10**400, "x", None, [1], 1e300)
+        for given in (65535, 2**31, -5, "x")
     },
     **{
         f"last number {given!r}": partial(with_history, history={"last_numbers": given})
-        for given in ({"chair": -1}, {"chair": 10**30}, {"chair": "x"}, {"chair": None}, [3], 3)
+        for given in ({"chair": -1}, {"chair": 10**30}, [3])
     },
     "an object that is not listed": partial(with_instances, change=list.pop),
     "no object listed": partial(with_instances, change=list.clear),

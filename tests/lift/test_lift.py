@@ -195,16 +195,6 @@ def test_ground_truth_affects_only_the_metrics(lifts: Lifts) -> None:
     assert all(table.get("miou") is None for table in metrics["tables"])
 
 
-def test_every_frame_or_none_is_baked(lifts: Lifts) -> None:
-    everything = lifts.lift("all", bake="all")
-    names = {frame.name for frame in open_scene(lifts.scene, None, "z").frames}
-    assert {path.stem for path in everything.passes_path.iterdir()} == names
-    nothing = files_of(lifts.lift("nothing", bake="none"))
-    assert not any(name.startswith("passes/") for name in nothing)
-    assert nothing["model.safetensors"] == files_of(everything)["model.safetensors"]
-    assert nothing["metrics.json"] == files_of(lifts.done)["metrics.json"]
-
-
 def test_a_cancelled_lift_is_resumed(lifts: Lifts) -> None:
     folder = LiftFolder.create(lifts.root / "cancelled", LiftRequest(scene=lifts.scene))
     folder.cancel_path.touch()

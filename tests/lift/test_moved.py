@@ -52,6 +52,7 @@ def test_lift_moved_with_its_scene_finds_it(home: Path) -> None:
 def test_lift_moved_without_its_scene_works(home: Path) -> None:
     lift = home / "lift"
     folder = LiftFolder.open(lift)
+    assert not folder.passes_path.exists(), "bake=none"
     scene = scene_of_lift(folder)
     assert [frame.name for frame in scene.test_frames] == ["0004"] and "no photos" in scene.warnings[0]
     assert main(["bake", str(lift), "--frames", "test", "-o", str(home / "out")]) == ExitCode.FINISHED

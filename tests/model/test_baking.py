@@ -29,28 +29,18 @@ def decided(rows: list[list[float]], channels: LabelChannels = ONE_CLASS) -> lis
     return list(zip(class_id.tolist(), instance_id.tolist(), strict=True))
 
 
-def test_a_thing_that_no_object_owns_has_its_own_class_and_no_instance() -> None:
+def test_an_object_owns_a_thing_if_it_has_enough_of_its_class() -> None:
     # wall, chair, sofa; then the sofa 4 and the chair 9
     assert decided([[0.1, 0.9, 0, 0, 0], [0, 0.6, 0.4, 0.4, 0]]) == [(CHAIR, 0), (CHAIR, 0)]
     assert decided([[0, 0.6, 0.4, 0.4, 0.5]]) == [(CHAIR, 9)]
-
-
-def test_an_object_with_little_of_its_class_is_not_there() -> None:
     little, enough = 0.8 * LEAST_OF_CLASS - 0.001, 0.8 * LEAST_OF_CLASS + 0.001
     assert decided([[0.2, 0.8, 0, 0, little], [0.2, 0.8, 0, 0, enough]]) == [(CHAIR, 0), (CHAIR, 9)]
+    # Where every pixel decides for itself, "no object" is one of the choices.
+    assert decided([[0, 1, 0, 0.4, 0.1], [0, 1, 0, 0.6, 0.1]], OWN_CLASSES) == [(CHAIR, 0), (CHAIR, 4)]
 
 
-def test_stuff_has_no_instance() -> None:
-    stuff = LabelChannels(CLASS_IDS, (4, NO_OBJECT), (WALL, 0))
-    assert decided([[0.9, 0.1, 0, 0.9]], stuff) == [(WALL, 0)]
-
-
-def test_if_every_pixel_decides_for_itself_no_object_is_one_of_the_choices() -> None:
-    assert decided([[0, 1, 0, 0.4, 0.1]], OWN_CLASSES) == [(CHAIR, 0)]
-    assert decided([[0, 1, 0, 0.6, 0.1]], OWN_CLASSES) == [(CHAIR, 4)]
-
-
-def test_without_instances_there_are_classes() -> None:
+def test_stuff_and_lifts_without_objects_have_no_instance() -> None:
+    assert decided([[0.9, 0.1, 0, 0.9]], LabelChannels(CLASS_IDS, (4, NO_OBJECT), (WALL, 0))) == [(WALL, 0)]
     assert decided([[0, 1, 0], [1, 0, 0]], LabelChannels(CLASS_IDS, (NO_OBJECT, SPARE))) == [(CHAIR, 0), (WALL, 0)]
 
 

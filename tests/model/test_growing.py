@@ -97,12 +97,3 @@ def test_occupied_cells_grow_nothing() -> None:
     statistics.gradient += 100 * 1e-2
     _, grown = round_of(anchors, statistics)
     assert len(grown) == 0
-
-
-def test_growth_stops_at_the_cap() -> None:
-    anchors = grid()
-    anchors.offset += torch.randn(anchors.offset.shape, generator=torch.Generator().manual_seed(0)) * 40
-    statistics = watched(anchors)
-    statistics.gradient += 100 * 1e-2
-    _, grown = round_of(anchors, statistics, most=len(anchors) + 3)
-    assert len(grown) == 3

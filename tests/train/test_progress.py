@@ -35,11 +35,6 @@ def test_the_time_left_follows_the_measured_pace(slowness: float) -> None:
     assert left == 0.0
 
 
-def test_a_stage_that_was_not_predicted_has_no_time_left() -> None:
-    course = Course(PREDICTED)
-    assert course.left("check", 0.5, 1.0, course.began + 1.0) is None
-
-
 @pytest.mark.parametrize("slowness", [0.7, 1.0, 2.0])
 def test_the_time_left_of_a_recorded_lift_is_steady(slowness: float) -> None:
     course = Course({name: slowness * seconds for name, seconds in zip(STAGES, FORESEEN, strict=True)})

@@ -11,8 +11,6 @@ import numpy as np
 import pytest
 
 from engine.scene import open_scene
-from engine.scene.formats.photos import Video
-from tests.raises_key import raises_key
 from tests.scene.formats.room import (
     Lens,
     View,
@@ -235,11 +233,3 @@ def test_a_phone_held_upright_still_has_y_up(tmp_path: Path) -> None:
     scene = open_scene(write_stray(tmp_path, sideways=True))
     assert not any("up" in warning for warning in scene.warnings)
     check_on_room(scene, colour_step=60)
-
-
-def test_the_size_comes_from_the_header(tmp_path: Path) -> None:
-    write_stray(tmp_path)
-    assert Video(tmp_path / "rgb.mp4").size() == (STRAY_LENS.width, STRAY_LENS.height)
-    (tmp_path / "other.mkv").write_bytes(b"\x1a\x45\xdf\xa3" * 20)
-    with raises_key("video-unreadable"):
-        Video(tmp_path / "other.mkv").size()

@@ -156,13 +156,3 @@ def test_grounded_sam2_names_classes(tmp_path: Path) -> None:
     names = OBJECTS | {3: "cabinet", 5: "kitchen chair."}
     check_on_room(scene, truths, names, frozenset({"cabinet", "kitchen chair."}))
     assert tracks(scene, truths) == TRACKS
-
-
-def test_frames_without_a_mask_are_named(tmp_path: Path) -> None:
-    write_object_folders(tmp_path)
-    frames = len(open_scene(tmp_path).frames)
-    for name in [f"{number:04d}" for number in range(1, frames // 2 + 2)]:
-        assert len(open_scene(tmp_path).frames) == frames - int(name) + 1
-        for number in ("007", "012"):
-            (tmp_path / "masks" / number / f"{name}.png").unlink()
-    refuses(f"lacks-files {frames // 2 + 1} {frames} mask 0001", tmp_path)
