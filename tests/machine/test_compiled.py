@@ -1,4 +1,4 @@
-"""Compiled kernels are kept under a name that changes with everything compiled into them."""
+"""Digests of the code, and the names of compiled kernels, change with all that goes into them."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from engine.machine import compiled
+from engine.machine.code_digest import code_digest
 
 
 def test_the_cache_is_named_after_every_package_with_kernels(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -53,3 +54,26 @@ def test_concurrent_compilation_keeps_versions_apart(tmp_path: Path, monkeypatch
     monkeypatch.setattr(ours, "_save_data", save_late)
     ours.save("floats", b"for floats")
     assert later.load("integers") == b"for integers" and later.load("floats") in (None, b"for floats")
+
+
+def test_digest_changes_only_with_sources_and_pins(tmp_path: Path) -> None:
+    files = {
+        "engine/lift.py": True,
+        "engine/deep/new.py": True,
+        "engine/table.csv": True,
+        "engine/notes.txt": False,
+        "docs/page.py": False,
+        "requirements/constraints-3.11.txt": True,
+        "requirements/hashes-3.11.txt": True,
+        "requirements/test.txt": False,
+    }
+    for name in files:
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_text("1")
+    digests = [code_digest("engine", root=tmp_path)]
+    for name, changes in files.items():
+        code_digest.cache_clear()
+        (tmp_path / name).write_text("2")
+        digests.append(code_digest("engine", root=tmp_path))
+        assert (digests[-1] != digests[-2]) == changes, name
+    assert all(len(each) == 8 for each in digests)

@@ -1,4 +1,4 @@
-"""A model out of a file either is one, or is refused before a kernel sees it. Kernels have no bounds of their own."""
+"""model.safetensors: read back as it was, or refused before a kernel, which has no bounds of its own, sees it."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ import pytest
 import torch
 from hypothesis import given
 from hypothesis import strategies as st
-from safetensors.torch import save
+from safetensors.torch import load_file, save, save_file
 
 from engine.job import LiftFolder, LiftRequest
 from engine.lift.scene_files import read_model, write_model
@@ -167,3 +167,36 @@ def test_checked_models_stay_within_kernel_bounds(root: Path, tmp_path: Path) ->
     command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", __file__, "-k", "odd_facts"]
     said = subprocess.run(command, cwd=root, env=variables, capture_output=True, text=True, timeout=1800)
     assert said.returncode == 0, said.stdout
+
+
+SLOT_IDS, CLASS_OF_SLOT = (4, NO_OBJECT, 9, SPARE, SPARE), (7, 0, 5, 0, 0)
+
+
+@pytest.fixture
+def scene() -> StructuredScene:
+    return some_scene(SLOT_IDS, class_of_slot=CLASS_OF_SLOT)
+
+
+def stored(scene: StructuredScene, folder: Path) -> tuple[StructuredScene, dict[str, torch.Tensor]]:
+    tensors, facts = to_tensors(scene)
+    save_file(tensors, folder / "model.safetensors")
+    return from_tensors(load_file(folder / "model.safetensors"), facts), tensors
+
+
+@pytest.mark.parametrize("voted", [False, True])
+def test_a_scene_comes_back_as_it_was(scene: StructuredScene, voted: bool, tmp_path: Path) -> None:
+    if voted:
+        label = torch.arange(GAUSSIANS * 2, dtype=torch.int16).reshape(GAUSSIANS, 2) % 5
+        scene = replace(scene, voted=GaussianLabels(label, torch.rand(GAUSSIANS, 2)))
+    back, tensors = stored(scene, tmp_path)
+    again, _ = to_tensors(back)
+    assert again.keys() == tensors.keys() and all(torch.equal(again[name], tensors[name]) for name in tensors)
+    assert back.channels == scene.channels and back.voxel_size == scene.voxel_size
+    assert (back.voted is not None) is voted
+
+
+@pytest.mark.parametrize("number", [1, 3, None])
+def test_other_formats_are_refused(scene: StructuredScene, number: int | None) -> None:
+    tensors, facts = to_tensors(scene)
+    with pytest.raises(ValueError, match=f"model format {number} is not known to this version; lift again or update"):
+        from_tensors(tensors, facts | {"format": number})

@@ -1,12 +1,18 @@
-"""A view in bands of rows is the view, and what is clipped is not in it."""
+"""Views in bands of rows, clipped, and with smaller pixels than the training pictures have."""
 
 from __future__ import annotations
 
-import numpy as np
+from dataclasses import replace
 
+import numpy as np
+import pytest
+import torch
+
+from engine.model.detail import finest_pixels
 from engine.model.neural_gaussians import ClipRange, PanopticRendering
 from engine.model.render import render_bands, render_view, row_bands
 from engine.scene import Camera
+from tests.model.some_scene import CAMERA as SMALL
 from tests.model.some_scene import some_scene
 
 CAMERA = Camera(70, 90, 70.0, 75.0, 33.0, 47.0, np.eye(4))
@@ -44,3 +50,32 @@ def test_what_is_clipped_is_not_drawn() -> None:
     assert near.depth.max() < 2.0 and (far.depth[far.alpha > 1e-3] > 2.0 - 1e-5).all()
     (nothing,) = render_bands(scene, CAMERA, clip=ClipRange(near=90.0))
     assert not nothing.alpha.any() and not nothing.depth.any()
+
+
+def test_the_smallest_pixel_that_shows_a_place() -> None:
+    pose = np.eye(4)
+    pose[2, 3] = 1.0
+    near, narrow = SMALL.at(pose), Camera(10, 10, 80.0, 80.0, 5.0, 5.0, np.eye(4))
+    places = np.array([[0.0, 0, 2], [0.9, 0, 2], [0.9, 0, 3], [0, 0, 0.5], [0, 0, -1]])
+    found = finest_pixels(places, [SMALL, near, narrow])
+    by_near, by_narrow = 1 / 40, 0.5 / 80
+    np.testing.assert_allclose(found, [by_near, 2 / 40, 2 * by_near, by_narrow, 0.0], rtol=1e-6)
+    assert not finest_pixels(places, []).any()
+
+
+def test_a_picture_of_the_training_is_as_it_was() -> None:
+    scene = some_scene((4, 9, 0, 0, 0))
+    finest = torch.from_numpy(finest_pixels(scene.anchors.position.numpy(), [SMALL]))
+    for camera in (SMALL, SMALL.resized(20, 15)):
+        before, after = render_view(scene, camera), render_view(replace(scene, finest=finest), camera)
+        np.testing.assert_array_equal(after.image, before.image)
+
+
+def test_a_larger_picture_has_no_more_cracks_than_those_of_the_training() -> None:
+    scene = some_scene((4, 9, 0, 0, 0))
+    scene.anchors.log_scale[:, 3:] -= 2.5  # thinner than a pixel
+    finest = torch.from_numpy(finest_pixels(scene.anchors.position.numpy(), [SMALL]))
+    trained, large = render_view(scene, SMALL), SMALL.resized(160, 120)
+    cracked, whole = (render_view(each, large).alpha for each in (scene, replace(scene, finest=finest)))
+    assert cracked.mean() < 0.3 * trained.alpha.mean()
+    assert whole.mean() == pytest.approx(trained.alpha.mean(), rel=0.05)

@@ -1,19 +1,30 @@
-"""``python -m research``: its output and exit codes."""
+"""``python -m research``: its output and exit codes, and its smaller programs."""
 
 from __future__ import annotations
 
 import json
+import re
 import signal
 import subprocess
 import sys
+import tempfile
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from engine.job import LiftRequest
 from engine.presets.preset import PRESETS
+from research import reliability as r
+from research.bench_step import StepProfile, profile_lift, typical
 from research.command_line import main
+from research.experiments.experiment import SceneToLift
+from research.stages import stages_table
 from tests.commands import exit_code, refuse_heavy_help
+from tests.raises_key import raises_key
+from tests.tiny_scene import write_tiny_scene
+from tests.train.tiny_lift import TINY, lift_into, presets_as, views_of
 
 
 def code_of(*arguments: str | Path) -> int:
@@ -66,3 +77,78 @@ def test_bench_refuses_an_unwritable_file_before_measuring(
     assert code_of("bench", "step", "--set", "voxel_size=0.04") == 2
     assert main(["bench", "step", "--preset", "paper", "--set", "voxel_size=0.04"]) == 0
     assert measured[2] == replace(PRESETS["paper"], voxel_size=0.04)
+
+
+PRESET = replace(PRESETS["paper"], voxel_size=0.1)
+
+
+def test_stages_are_scored_on_predicted_and_true_masks(tmp_path: Path) -> None:
+    scene = write_tiny_scene(tmp_path / "room", frames=8, size=(64, 48), noise=0.4)
+    with presets_as(preview=TINY):
+        lift = lift_into(tmp_path / "lift", LiftRequest(scene, bake="all"))
+    rows = {}
+    for line in [*stages_table(SceneToLift("room", scene, "z"), PRESET, lift.path)][2:]:
+        name, *cells = (cell.strip() for cell in line.strip("|").split("|"))
+        rows[name] = [tuple(map(float, re.findall(r"[\d.]+", cell))) for cell in cells]
+    own, by_boxes, true_numbers, learnt, _, _, trained = rows.values()
+    assert true_numbers[1] == (100, 100) and own[1][0] == 100 and own[0][0] < 95
+    assert own[1][1] < by_boxes[1][1] > 95, "Algorithm 1 numbers true masks"
+    assert learnt[0][0] > 50 and learnt[1][0] > 90
+    assert 0 < trained[0][0] <= 100 and trained[1] == ()
+
+
+def test_a_scene_without_truth_is_refused(tmp_path: Path) -> None:
+    scene = write_tiny_scene(tmp_path / "room", frames=4, ground_truth=False)
+    with raises_key("no-truth"):
+        list(stages_table(SceneToLift("room", scene, "z"), PRESET, None))
+
+
+WITHOUT_GROWTH = replace(TINY, steps=1000)
+
+
+@pytest.fixture(scope="module")
+def profile(tmp_path_factory: pytest.TempPathFactory) -> StepProfile:
+    views, classes = views_of(tmp_path_factory.mktemp("step") / "scene")
+    folder = tmp_path_factory.mktemp("temporary")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(tempfile, "tempdir", str(folder))
+        measured = profile_lift(views, classes, WITHOUT_GROWTH, steps=6)
+    assert not list(folder.glob("tmp*"))  # torch keeps a folder of its own there
+    return measured
+
+
+def test_every_part_of_a_step_is_measured(profile: StepProfile) -> None:
+    assert set(profile.parts) == {
+        "decode, forward", "decode, backward", "rasterise, forward", "rasterise, backward", "SSIM, L1, volume",
+        "label losses", "further losses", "losses, backward", "growth statistics", "optimiser", "the rest",
+    }  # fmt: skip
+    assert all(milliseconds > 0 for milliseconds in profile.parts.values())
+    assert profile.cores > 0
+    assert profile.draw > 0 and profile.decide > 0 and 0 < profile.visible <= profile.anchors and profile.gaussians > 0
+    facts = json.loads(json.dumps(profile.facts()))
+    assert facts["step_ms"] == pytest.approx(sum(facts["parts_ms"].values()))
+
+
+def test_a_disturbed_step_is_left_out_and_parts_add_up() -> None:
+    steps = [{"one": 1.0 + k, "two": 2.0} for k in range(7)] + [{"one": 500.0, "two": 2.0}]
+    parts = typical(steps)
+    assert parts == pytest.approx({"one": 4500.0, "two": 2000.0})
+    with pytest.raises(ValueError, match="no step"):
+        typical([])
+
+
+def test_the_expected_error_is_the_gap_between_the_curve_and_the_diagonal() -> None:
+    probability, right = np.array([0.95] * 4 + [0.55] * 4), np.array([1, 1, 1, 0, 1, 1, 0, 0])
+    curve = r.reliability(probability, right)
+    assert np.allclose(curve[:, [5, 9]].T, [[4, 0.55, 0.5], [4, 0.95, 0.75]]) and curve.sum() == 8 + 1.5 + 1.25
+    assert r.error(curve) == pytest.approx((0.2 + 0.05) / 2)
+    assert r.error(r.reliability(probability[:0], right[:0])) == 0
+
+
+def test_the_table_and_the_diagram(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pixels = np.array([[1.0] * 4, [0.75] * 4, [1, 1, 1, 0]], np.float32)
+    monkeypatch.setattr(r, "pixels_of", lambda lift: pixels)
+    pytest.importorskip("matplotlib")
+    lines = list(r.reliability_table([tmp_path / "a", tmp_path / "b"], tmp_path / "curve.png"))
+    assert lines[2:] == [f"| {name} | 75.0 % | 0.250 | 0.000 |" for name in ("a", "b", "all together")]
+    assert (tmp_path / "curve.png").stat().st_size > 1000

@@ -1,10 +1,15 @@
-"""The semantic point cloud, and the labels that anchors take from it."""
+"""The semantic point cloud: its clusters, its labels, and its point nearest to a place or a pixel."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import numpy as np
 import pytest
+from scipy.spatial import cKDTree
 
+from engine.semantics.cloud_index import CloudIndex, LabelledPoints
+from engine.semantics.clustering import ColumnedPoints, adapted_centres, lloyd_step, seed_centres
 from engine.semantics.point_cloud import (
     CloudOptions,
     SemanticPointCloud,
@@ -84,3 +89,132 @@ def test_anchors_take_the_majority_of_their_voxel() -> None:
     # Voxel 0: two of three say 5, instances 7 and 8 tie. Voxel 1: a tie. Voxel 2: unknown. No voxel at 9.
     assert class_id.tolist() == [0, 5, 4, 0]
     assert instance_id.tolist() == [4, 7, 1, 0]
+
+
+@pytest.mark.parametrize("reach", [0.04, 0.1, 0.33])
+def test_nearest_is_exact_within_reach(reach: float) -> None:
+    generator = np.random.default_rng(3)
+    points = generator.uniform(-1, 1, (800, 3))
+    queries = generator.uniform(-1.2, 1.2, (500, 3))
+    distance, row = cKDTree(points).query(queries)
+    found = CloudIndex(points).nearest(queries, reach)
+    np.testing.assert_array_equal(found, np.where(distance <= reach, row, -1))
+
+
+def test_ties_go_to_the_lower_index_and_nan_finds_nothing() -> None:
+    index = CloudIndex(np.array([[0.1, 0.0, 0.0], [-0.1, 0.0, 0.0], [-0.1, 0.0, 0.0]]))
+    queries = np.array([[0.0, 0.0, 0.0], [-0.1, 0.0, 0.0], [np.nan, 0.0, 0.0], [0.0, 0.0, 1e30]])
+    assert index.nearest(queries, 0.2).tolist() == [0, 1, -1, -1]
+
+
+def test_pixels_take_the_nearest_labelled_point_within_reach() -> None:
+    view = wall_view("a", 0.0)
+    points = view.camera.unproject(view.depth)
+    xyz = np.array([points[5, 5], points[5, 8], points[5, 6] + [0.01, 0, 0]])
+    labels = np.array([WALL, SOFA, 0], np.int32)
+    found = LabelledPoints(xyz, labels).project(view.camera, view.depth, 0.1)
+    # Pixels are 0.075 m apart: the unknown point at column 6 is passed over, column 7 is nearer to the sofa.
+    assert found[5, 4:10].tolist() == [WALL, WALL, WALL, SOFA, SOFA, SOFA]
+    assert found[5, 11] == 0 and found[15, 5] == 0
+
+
+def test_pixels_without_depth_have_no_label() -> None:
+    view = wall_view("a", 0.0)
+    points = LabelledPoints(view.camera.unproject(view.depth).reshape(-1, 3), np.full(1200, WALL, np.int32))
+    depth = view.depth.copy()
+    depth[3, 4] = 0
+    found = points.project(view.camera, depth, 0.1)
+    assert found[3, 4] == 0 and (np.delete(found.reshape(-1), 3 * 40 + 4) == WALL).all()
+
+
+CLOUD = np.random.default_rng(1).uniform(0, 1, (4000, 3)) * [1.0, 1.0, 0.05]
+
+
+def batches() -> list[np.ndarray]:
+    return [CLOUD[:1500], CLOUD[1500:]]
+
+
+def test_seeds_are_the_means_of_the_cells_however_the_cloud_is_cut() -> None:
+    centres, spacing = seed_centres(batches, 0.25, 1000)
+    whole, _ = seed_centres(lambda: [CLOUD], 0.25, 1000)
+    assert spacing == 0.25 and len(centres) == 16
+    np.testing.assert_allclose(centres, whole, atol=1e-12)
+    first = CLOUD[(CLOUD < 0.25).all(1)].mean(0)
+    np.testing.assert_allclose(centres[0], first, atol=1e-12)
+
+
+def test_the_cap_enlarges_the_spacing() -> None:
+    centres, spacing = seed_centres(batches, 0.02, 100)
+    assert len(centres) <= 100 and spacing > 0.02
+
+
+def test_lloyd_steps_do_not_raise_the_quantisation_error() -> None:
+    def error(centres: np.ndarray) -> float:
+        return float(((CLOUD[:, None] - centres[None]) ** 2).sum(-1).min(1).mean())
+
+    centres, spacing = seed_centres(batches, 0.25, 1000)
+    moved = lloyd_step(batches, centres, spacing)
+    assert error(moved) < error(centres)
+
+
+SIDE, WANTED, CAP = 20.0, 0.05, 10_000
+RUG = ((4.0, 9.0), (11.0, 16.0))
+"""Corners of a rug on a floor of 20 x 20 m, metres."""
+
+
+def is_rug(points: np.ndarray) -> np.ndarray:
+    return np.logical_and.reduce(
+        [(low < points[:, axis]) & (points[:, axis] < high) for axis, (low, high) in enumerate(RUG)]
+    )
+
+
+def floor(seed: int) -> np.ndarray:
+    random = np.random.default_rng(seed)
+    return np.column_stack([SIDE * random.random((60_000, 2)), np.zeros(60_000)])
+
+
+def floor_views(rug: int) -> Iterable[ColumnedPoints]:
+    """Ten floor_views of the whole floor; the rug has the class with index ``rug``."""
+    for seed in range(10):
+        points = floor(seed)
+        yield points, np.where(is_rug(points), rug, 0)
+
+
+def even_centres() -> tuple[np.ndarray, float]:
+    return seed_centres(lambda: (points for points, _ in floor_views(1)), WANTED, CAP)
+
+
+def gaps(centres: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """The distance from each point to its nearest centre."""
+    return np.asarray(cKDTree(centres).query(points)[0])
+
+
+def test_points_are_dense_at_the_edge_of_a_label_and_nowhere_too_sparse() -> None:
+    centres, spacing = even_centres()
+    assert spacing > 2 * WANTED
+    adapted = adapted_centres(lambda: floor_views(1), centres, spacing, 2, WANTED, CAP)
+    assert len(adapted) <= CAP
+    points = floor(99)
+    inner = [np.abs(points[:, axis] - edge) < 0.1 for axis, bounds in enumerate(RUG) for edge in bounds]
+    within = np.logical_and.reduce(
+        [(low - 0.1 < points[:, axis]) & (points[:, axis] < high + 0.1) for axis, (low, high) in enumerate(RUG)]
+    )
+    edge = np.logical_or.reduce(inner) & within
+    assert gaps(adapted, points[edge]).mean() < 0.7 * gaps(centres, points[edge]).mean()
+    assert gaps(adapted, points).max() < 1.5 * spacing
+
+
+def test_where_labels_change_everywhere_the_spacing_stays_even() -> None:
+    centres, spacing = even_centres()
+
+    def noise() -> Iterable[ColumnedPoints]:
+        random = np.random.default_rng(0)
+        return ((points, random.integers(0, 2, len(points))) for points, _ in floor_views(0))
+
+    assert adapted_centres(noise, centres, spacing, 2, WANTED, CAP) is centres
+
+
+def test_points_are_never_denser_than_wanted() -> None:
+    centres, spacing = even_centres()
+    adapted = adapted_centres(lambda: floor_views(1), centres, spacing, 2, 0.9 * spacing, CAP)
+    assert len(adapted) < len(centres)

@@ -1,4 +1,4 @@
-"""The losses of picture, size and depth, against plain formulas."""
+"""The losses of picture, size, depth and labels, and their gradients, against plain formulas."""
 
 from __future__ import annotations
 
@@ -8,8 +8,10 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from engine.train.similarity import PhotoMoments
+from engine.train.label_losses import TINY, ThingSegments, assigned_slots, label_losses
+from engine.train.similarity import STRIP_ROWS, PhotoMoments, compare
 from engine.train.trainer import NEAR, NOISY, depth_loss, reconstruction_loss
+from tests.instances.assign_slots import assign_slots
 
 
 def test_a_photo_that_counts_half_leaves_the_volume_as_it_is() -> None:
@@ -66,3 +68,183 @@ def test_a_view_without_depth_costs_nothing_and_can_be_trained_on() -> None:
     loss = depth_loss(depth, torch.rand(3, 4), torch.zeros(3, 4))
     loss.backward()
     assert loss.item() == 0 and depth.grad is not None and not depth.grad.any()
+
+
+def blur(planes: torch.Tensor) -> torch.Tensor:
+    """[3, H, W] blurred by the 11x11 window of sigma 1.5 with zeros around."""
+    offsets = torch.arange(11, dtype=torch.float64) - 5
+    window = torch.exp(-(offsets**2) / (2 * 1.5**2))
+    window = torch.outer(window, window) / window.sum() ** 2
+    return torch.nn.functional.conv2d(planes[:, None], window[None, None], padding=5)[:, 0]
+
+
+def plain_similarity(image: torch.Tensor, photo: torch.Tensor, l1_weight: float, ssim_weight: float) -> torch.Tensor:
+    x, y = image.permute(2, 0, 1), photo.permute(2, 0, 1)
+    mean_x, mean_y = blur(x), blur(y)
+    variance_x, variance_y = blur(x * x) - mean_x**2, blur(y * y) - mean_y**2
+    covariance = blur(x * y) - mean_x * mean_y
+    ssim = (2 * mean_x * mean_y + 1e-4) * (2 * covariance + 9e-4)
+    ssim = ssim / ((mean_x**2 + mean_y**2 + 1e-4) * (variance_x + variance_y + 9e-4))
+    return l1_weight * (x - y).abs().mean() + ssim_weight * ssim.mean()
+
+
+def pictures(height: int, width: int, seed: int) -> tuple[torch.Tensor, torch.Tensor]:
+    """A smooth one with an edge, and a noisy copy; some of their values are equal."""
+    random = np.random.default_rng(seed)
+    rows, columns = np.mgrid[:height, :width]
+    photo = 0.5 + 0.4 * np.sin(rows / 7 + seed)[..., None] * np.cos(columns / 5)[..., None] * [1.0, 0.7, -0.8]
+    photo[:, width // 2 :] *= 0.3
+    image = np.clip(photo + 0.1 * random.standard_normal(photo.shape), 0, 1)
+    image[random.random(photo.shape) < 0.1] = 0.0
+    image[: height // 3] = photo[: height // 3]
+    return torch.from_numpy(image.astype(np.float32)), torch.from_numpy(photo.astype(np.float32))
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.integers(1, 2 * STRIP_ROWS + 15), st.integers(1, 40), st.integers(0, 99))
+def test_value_and_gradient_are_those_of_the_formula(height: int, width: int, seed: int) -> None:
+    image, photo = pictures(height, width, seed)
+    for weights in ((1.0, 0.0), (0.0, 1.0), (1.0, -0.2)):
+        ours, exact = image.clone().requires_grad_(), image.double().requires_grad_()
+        value, wanted = (
+            compare(ours, PhotoMoments.of(photo), *weights),
+            plain_similarity(exact, photo.double(), *weights),
+        )
+        np.testing.assert_allclose(value.item(), wanted.item(), atol=2e-6)
+        (3 * value).backward()
+        (3 * wanted).backward()
+        size = exact.grad.square().mean().sqrt().item()
+        torch.testing.assert_close(ours.grad.double(), exact.grad, rtol=1e-3, atol=2e-4 * size)
+
+
+def test_pictures_may_have_any_memory_layout() -> None:
+    image, photo = pictures(20, 31, 2)
+    turned = image.permute(2, 0, 1).contiguous().permute(1, 2, 0)
+    moments = PhotoMoments.of(photo.permute(2, 0, 1).contiguous().permute(1, 2, 0))
+    assert torch.equal(compare(turned, moments, 1.0, -0.2), compare(image, PhotoMoments.of(photo), 1.0, -0.2))
+
+
+def test_the_number_of_threads_changes_no_bit() -> None:
+    image, photo = pictures(3 * STRIP_ROWS + 7, 50, 4)
+    moments, results, threads = PhotoMoments.of(photo), [], torch.get_num_threads()
+    try:
+        for count in (1, 2, 3):
+            torch.set_num_threads(count)
+            leaf = image.clone().requires_grad_()
+            value = compare(leaf, moments, 1.0, -0.2)
+            value.backward()
+            results.append((value.item(), leaf.grad.numpy().tobytes()))
+    finally:
+        torch.set_num_threads(threads)
+    assert results[0] == results[1] == results[2]
+
+
+Targets = tuple[torch.Tensor, torch.Tensor, torch.Tensor]
+
+
+def picture(height: int, width: int, channels: int, seed: int = 0) -> tuple[torch.Tensor, torch.Tensor]:
+    generator = torch.Generator().manual_seed(seed)
+    coverage = torch.rand(height, width, channels, generator=generator) * 0.3
+    return coverage, 0.2 + 0.8 * torch.rand(height, width, generator=generator)
+
+
+def random_targets(height: int, width: int, classes: int, slots: int) -> Targets:
+    random = np.random.default_rng(3)
+    semantic, assigned, matched = (random.integers(-1, most, (height, width)) for most in (classes, slots, slots))
+    assigned[:2], matched[:, :3] = -1, -1
+    matched[-1] = assigned[-1]  # both name the same slot
+    return tuple(torch.from_numpy(each).to(torch.int16) for each in (semantic, assigned, matched))  # type: ignore[return-value]
+
+
+def plain_label_loss(coverage: torch.Tensor, alpha: torch.Tensor, first: int, *targets: torch.Tensor) -> torch.Tensor:
+    """-log of the target's probability, added over targets, mean over pixels that have any."""
+    total, known = coverage.new_zeros(()), torch.zeros(alpha.shape, dtype=torch.bool)
+    for target in targets:
+        rows, columns = (target >= 0).nonzero(as_tuple=True)
+        chosen = coverage[rows, columns, first + target[rows, columns].long()]
+        total = total - torch.log(chosen / (alpha[rows, columns] + TINY) + TINY).sum()
+        known |= target >= 0
+    return total / max(int(known.sum()), 1)
+
+
+@pytest.mark.parametrize("upstream", [(1.0, 1.0), (0.2, -3.5)])
+def test_losses_and_gradients_are_those_of_the_formula(upstream: tuple[float, float]) -> None:
+    height, width, classes, slots = 97, 131, 5, 7  # more than one band
+    coverage, alpha = picture(height, width, classes + slots)
+    semantic, assigned, matched = random_targets(height, width, classes, slots)
+    coverage[40, 50] = 0.0
+    ours, exact = coverage.clone().requires_grad_(), coverage.double().requires_grad_()
+    losses = label_losses(ours, alpha, classes, semantic, (assigned, matched))
+    wanted = (
+        plain_label_loss(exact, alpha.double(), 0, semantic),
+        plain_label_loss(exact, alpha.double(), classes, assigned, matched),
+    )
+    for one, two, scale in zip(losses, wanted, upstream, strict=True):
+        np.testing.assert_allclose(one.item(), two.item(), rtol=1e-6)
+        (scale * one).backward(retain_graph=True)
+        (scale * two).backward(retain_graph=True)
+    torch.testing.assert_close(ours.grad.double(), exact.grad, rtol=1e-5, atol=0.0)
+
+
+def test_unlabelled_pixels_do_not_count_and_alpha_is_never_reached() -> None:
+    coverage = torch.full((2, 2, 3), 0.2, requires_grad=True)
+    alpha = torch.full((2, 2), 0.8, requires_grad=True)
+    target, none = torch.tensor([[0, -1], [2, -1]]), torch.full((2, 2), -1)
+    semantic, instance = label_losses(coverage, alpha, 3, target, (none, none))
+    np.testing.assert_allclose(semantic.item(), -np.log(0.25), rtol=1e-5)
+    (semantic + instance).backward()
+    assert alpha.grad is None
+    assert (coverage.grad[:, 1] == 0).all() and (coverage.grad[:, 0] != 0).any()
+
+
+def test_without_any_target_losses_are_zero_with_a_gradient() -> None:
+    coverage, none = torch.rand(2, 2, 3, requires_grad=True), torch.full((2, 2), -1)
+    semantic, instance = label_losses(coverage, torch.ones(2, 2), 1, none, (none, none))
+    (semantic + instance).backward()
+    assert semantic.item() == 0 and instance.item() == 0 and (coverage.grad == 0).all()
+
+
+def test_improbable_targets_have_the_right_loss() -> None:
+    """Their product leaves float64 unless logarithms are taken on the way."""
+    zeros, none = torch.zeros(40, 40, 2), torch.full((40, 40), -1)
+    target = torch.zeros(40, 40, dtype=torch.int16)
+    semantic, instance = label_losses(zeros, torch.ones(40, 40), 1, target, (target, none))
+    np.testing.assert_allclose([semantic.item(), instance.item()], -np.log(1e-8), rtol=1e-6)
+
+
+def test_nan_stays_nan() -> None:
+    coverage, target = torch.full((4, 4, 2), 0.5), torch.zeros(4, 4, dtype=torch.int16)
+    coverage[1, 1] = float("nan")
+    assert all(loss.isnan() for loss in label_losses(coverage, torch.ones(4, 4), 1, target, (target, target)))
+
+
+def test_the_number_of_threads_changes_no_bit_of_label_losses() -> None:
+    coverage, alpha = picture(150, 170, 12)
+    semantic, *instance = random_targets(150, 170, 5, 7)
+    results = []
+    threads = torch.get_num_threads()
+    try:
+        for count in (1, 2, 3):
+            torch.set_num_threads(count)
+            leaf = coverage.clone().requires_grad_()
+            losses = label_losses(leaf, alpha, 5, semantic, tuple(instance))
+            (losses[0] + 0.3 * losses[1]).backward()
+            results.append((losses[0].item(), losses[1].item(), leaf.grad.numpy().tobytes()))
+    finally:
+        torch.set_num_threads(threads)
+    assert results[0] == results[1] == results[2]
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.integers(0, 10_000), st.integers(0, 6), st.integers(0, 5), st.integers(0, 3))
+def test_assigned_slots_match_plain_assignment(seed: int, slots: int, instances: int, first: int) -> None:
+    random = np.random.default_rng(seed)
+    coverage = random.random((90, 101, first + slots), dtype=np.float32)
+    alpha = random.uniform(0.1, 1.0, (90, 101)).astype(np.float32)
+    ids = random.integers(0, instances + 1, (90, 101)) * 1000
+    if seed % 2:
+        ids[ids == 0] = 7  # every pixel is of some instance
+    got = assigned_slots(torch.from_numpy(coverage), torch.from_numpy(alpha), first, ThingSegments.of(ids))
+    probability = coverage[..., first:].astype(np.float64) / (alpha[..., None].astype(np.float64) + 1e-8)
+    assert got.dtype == torch.int16
+    assert (got.numpy() == assign_slots(probability, ids)).all()
