@@ -10,8 +10,9 @@ from mathutils import Matrix, Quaternion, Vector
 from numpy.typing import NDArray
 
 from ..engine.result_files import Instance
+from .clouds import set_attributes
 from .materials import clear_material, object_colour
-from .owned import OwnedDataBlocks, text_of
+from .owned import OwnedDataBlocks, numbers_of, text_of
 
 _CORNERS = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
 _FACES = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
@@ -57,7 +58,7 @@ def corners_of(size: Sequence[float]) -> tuple[NDArray[np.float64], list[tuple[i
 def _place(owned: OwnedDataBlocks, parent: bpy.types.Collection, instance: Instance, anew: bool) -> bpy.types.Object:
     key, placed = f"{INSTANCE}{instance.id}", [*instance.centre, *instance.size, *instance.rotation]
     before, name, where = owned.known(key), instance.name, None
-    if before is not None and text_of(before, NAME) == instance.name and _numbers(before, PLACED) == placed:
+    if before is not None and text_of(before, NAME) == instance.name and numbers_of(before, PLACED) == placed:
         facts = instance.class_id, instance.points, instance.views
         listed = tuple(before.get(key) for key in ("class_id", "points", "views"))
         if not anew and facts == listed and owned.is_in_scene(before):
@@ -85,6 +86,16 @@ def _place(owned: OwnedDataBlocks, parent: bpy.types.Collection, instance: Insta
     return ob
 
 
+def set_faces(mesh: bpy.types.Mesh, xyz: NDArray[np.floating], faces: NDArray[np.integer]) -> None:
+    """Give an empty mesh vertices [N, 3] and faces of K corners each, int [F, K]."""
+    mesh.vertices.add(len(xyz))
+    mesh.vertices.foreach_set("co", xyz.astype(np.float32).ravel())
+    mesh.loops.add(faces.size)
+    mesh.loops.foreach_set("vertex_index", faces.astype(np.int32).ravel())
+    mesh.polygons.add(len(faces))
+    mesh.polygons.foreach_set("loop_start", np.arange(0, faces.size, faces.shape[1], dtype=np.int32))
+
+
 def place_together(
     owned: OwnedDataBlocks, parent: bpy.types.Collection, instances: Sequence[Instance]
 ) -> list[bpy.types.Object]:
@@ -97,27 +108,15 @@ def place_together(
     corners = (_CORNERS * np.array([one.size for one in instances])[:, None]) @ turned.transpose(0, 2, 1)
     corners += np.array([one.centre for one in instances])[:, None]
     faces = np.arange(len(instances))[:, None, None] * len(_CORNERS) + np.array(_FACES)
-    mesh.vertices.add(corners.size // 3)
-    mesh.vertices.foreach_set("co", corners.astype(np.float32).ravel())
-    mesh.loops.add(faces.size)
-    mesh.loops.foreach_set("vertex_index", faces.astype(np.int32).ravel())
-    mesh.polygons.add(faces.size // 4)
-    mesh.polygons.foreach_set("loop_start", np.arange(0, faces.size, 4, dtype=np.int32))
-    for name in ("instance_id", "class_id"):
-        ids = [one.id if name == "instance_id" else one.class_id for one in instances]
-        mesh.attributes.new(name, "INT", "POINT").data.foreach_set("value", np.repeat(ids, len(_CORNERS)))
+    set_faces(mesh, corners.reshape(-1, 3), faces.reshape(-1, 4))
+    ids = np.repeat([(one.id, one.class_id) for one in instances], len(_CORNERS), axis=0)
+    set_attributes(mesh, {"instance_id": ("INT", ids[:, 0]), "class_id": ("INT", ids[:, 1])})
     mesh.update(calc_edges=True)
     mesh.materials.clear()
     mesh.materials.append(clear_material(owned))
     ob = owned.object(TOGETHER, "Other boxes", mesh, parent)
     ob.display_type, ob.hide_render, ob.hide_select = "WIRE", True, True
     return [ob]
-
-
-def _numbers(ob: bpy.types.Object, name: str) -> list[float]:
-    """A custom property's numbers; empty if it is missing or not a list of numbers."""
-    value = ob.get(name)
-    return [*value] if getattr(value, "typecode", "") == "d" else []
 
 
 def _describe(ob: bpy.types.Object, instance: Instance) -> None:

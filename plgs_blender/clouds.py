@@ -8,7 +8,6 @@ of small cells instead of a neighbour search, so a million points take a moment.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -152,8 +151,20 @@ def towards_nearest(points: NDArray[np.float64], viewpoints: NDArray[np.floating
 
 _SMALLEST, _LARGEST = 0.002, 0.03
 """Limits of a point's radius in metres."""
-Attributes = list[tuple[str, str, NDArray[Any]]]
-_FOREACH = {"FLOAT_COLOR": "color", "FLOAT_VECTOR": "vector", "INT": "value", "FLOAT": "value"}
+Attributes = dict[str, tuple[str, NDArray[Any]]]
+"""The type and the values [N, ...] of each attribute of N points, by name."""
+_FIELDS = {
+    "FLOAT": "value", "INT": "value", "FLOAT_VECTOR": "vector", "FLOAT4": "vector", "QUATERNION": "value",
+    "FLOAT_COLOR": "color", "BYTE_COLOR": "color_srgb",
+}  # fmt: skip
+"""What `foreach_set` calls the values of a type."""
+
+
+def set_attributes(data: bpy.types.PointCloud | bpy.types.Mesh, attributes: Attributes) -> None:
+    """Fill attributes of a cloud's points or a mesh's vertices, and make those that are missing."""
+    for name, (kind, values) in attributes.items():
+        layer = data.attributes.get(name) or data.attributes.new(name, kind, "POINT")
+        layer.data.foreach_set(_FIELDS[kind], np.ascontiguousarray(values).ravel())
 
 
 def place_semantic_points(
@@ -167,11 +178,14 @@ def place_semantic_points(
     """One cloud for each class that has points, with Col, class_id, instance_id, confidence, entropy (in bits, between
     the winner and all other labels) and normal [N, 3]."""
     radius = grid.radii(_SMALLEST, _LARGEST)
-    placed, groups = [], [*_groups(points.class_id)]
+    placed = []
+    # Sorted once, each class is one run. Comparing every point with every class takes a second with a million.
+    order, (ids, counts) = np.argsort(points.class_id, kind="stable"), np.unique(points.class_id, return_counts=True)
+    groups = [*zip(ids.tolist(), np.split(order, np.cumsum(counts)), strict=False)]
     looks = [_name_and_colour(class_id, classes) for class_id, _ in groups]
     clouds = new_point_clouds([name for name, _ in looks], [points.xyz[chosen] for _, chosen in groups])
     for (class_id, chosen), (name, srgb), cloud in zip(groups, looks, clouds, strict=True):
-        attributes = [*_label_attributes(points, chosen), ("normal", "FLOAT_VECTOR", normals[chosen])]
+        attributes = _label_attributes(points, chosen) | {"normal": ("FLOAT_VECTOR", normals[chosen])}
         ob = _place(owned, parent, f"class:{class_id}", name, cloud, radius[chosen], attributes)
         ob.color = object_colour(srgb)
         ob["class"], ob["class_id"], ob["points"] = name, class_id, len(chosen)
@@ -182,13 +196,13 @@ def place_semantic_points(
 def place_anchors(owned: OwnedDataBlocks, parent: bpy.types.Collection, anchors: Anchors) -> bpy.types.Object:
     """One cloud of all anchors, with Col, class_id, instance_id, opacity and level."""
     radius = SurfaceGrid.of(anchors.xyz).radii(_SMALLEST, _LARGEST)
-    attributes = [
-        ("Col", "FLOAT_COLOR", linear_rgba(anchors.rgb)),
-        ("class_id", "INT", anchors.class_id),
-        ("instance_id", "INT", anchors.instance_id),
-        ("opacity", "FLOAT", anchors.opacity),
-        ("level", "INT", anchors.level),
-    ]
+    attributes: Attributes = {
+        "Col": ("FLOAT_COLOR", linear_rgba(anchors.rgb)),
+        "class_id": ("INT", anchors.class_id),
+        "instance_id": ("INT", anchors.instance_id),
+        "opacity": ("FLOAT", anchors.opacity),
+        "level": ("INT", anchors.level),
+    }
     (cloud,) = new_point_clouds(["Anchors"], [anchors.xyz])
     ob = _place(owned, parent, "anchors", "Anchors", cloud, radius, attributes)
     ob.color = (0.8, 0.8, 0.8, 1.0)
@@ -219,21 +233,13 @@ def place_depth_clouds(owned: OwnedDataBlocks, root: bpy.types.Collection, lift:
 
 def _label_attributes(points: SemanticPoints, rows: NDArray[np.int64] | slice = slice(None)) -> Attributes:
     """Attributes of every labelled point."""
-    return [
-        ("Col", "FLOAT_COLOR", linear_rgba(points.rgb[rows])),
-        ("class_id", "INT", points.class_id[rows]),
-        ("instance_id", "INT", points.instance_id[rows]),
-        ("confidence", "FLOAT", points.confidence[rows]),
-        ("entropy", "FLOAT", entropy_of(points.confidence[rows]).astype(np.float32)),
-    ]
-
-
-def _groups(values: NDArray[np.integer]) -> Iterator[tuple[int, NDArray[np.int64]]]:
-    """Each distinct value of an array [N] with the indices of its elements, both in ascending order."""
-    # Sorted once, each value is one run. Comparing every point with every value takes a second with a million.
-    order = np.argsort(values, kind="stable")
-    found, counts = np.unique(values, return_counts=True)
-    yield from zip(found.tolist(), np.split(order, np.cumsum(counts)), strict=False)
+    return {
+        "Col": ("FLOAT_COLOR", linear_rgba(points.rgb[rows])),
+        "class_id": ("INT", points.class_id[rows]),
+        "instance_id": ("INT", points.instance_id[rows]),
+        "confidence": ("FLOAT", points.confidence[rows]),
+        "entropy": ("FLOAT", entropy_of(points.confidence[rows]).astype(np.float32)),
+    }
 
 
 def _place(
@@ -245,13 +251,9 @@ def _place(
     radius: NDArray[np.float32],
     attributes: Attributes,
 ) -> bpy.types.Object:
-    """Our cloud object `key`: points, radii float32 [N] in metres, attributes (name, type, values [N, ...])."""
+    """Our cloud object `key`, whose points have radii float32 [N] in metres and these attributes."""
     tag(cloud, owned.lift, key)
-    sizes = cloud.attributes.get("radius") or cloud.attributes.new("radius", "FLOAT", "POINT")
-    sizes.data.foreach_set("value", radius)
-    for attribute, kind, values in attributes:
-        layer = cloud.attributes.new(attribute, kind, "POINT")
-        layer.data.foreach_set(_FOREACH[kind], np.ascontiguousarray(values).ravel())
+    set_attributes(cloud, {"radius": ("FLOAT", radius), **attributes})
     cloud.materials.append(point_material(owned))
     return owned.object(key, name, cloud, parent)
 

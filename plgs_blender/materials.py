@@ -69,8 +69,7 @@ def clear_material(owned: OwnedDataBlocks) -> bpy.types.Material:
     tree = use_nodes(material)
     if not any(node.bl_idname == "ShaderNodeBsdfTransparent" for node in tree.nodes):
         tree.nodes.clear()
-        clear, end = _node(tree, "ShaderNodeBsdfTransparent", 0, 0), _node(tree, "ShaderNodeOutputMaterial", 1, 0)
-        tree.links.new(clear.outputs[0], end.inputs["Surface"])
+        add_node(tree, "ShaderNodeOutputMaterial", 1, 0, add_node(tree, "ShaderNodeBsdfTransparent", 0, 0).outputs[0])
     material.surface_render_method = "DITHERED"  # needs no sorting
     return material
 
@@ -116,29 +115,25 @@ def _pictures(material: bpy.types.Material) -> list[Any]:
 
 def _build_surface(tree: bpy.types.NodeTree, both_sides: bool, has_image: bool) -> None:
     tree.nodes.clear()
-    colour, lit = _node(tree, "ShaderNodeAttribute", 0, 0), _node(tree, "ShaderNodeValue", 1, 200)
-    colour.attribute_name, lit.label, lit.outputs[0].default_value = "Col", LIT, 0.0
-    light, matt = _node(tree, "ShaderNodeEmission", 1, 0), _node(tree, "ShaderNodeBsdfPrincipled", 1, -160)
-    matt.inputs["Roughness"].default_value = 0.9
-    seen = colour.outputs["Color"]
+    seen = add_node(tree, "ShaderNodeAttribute", 0, 0, attribute_name="Col").outputs["Color"]
+    lit = _add_value(tree, 1, 200, LIT, 0.0)
     if has_image:
-        picture, share = _node(tree, "ShaderNodeTexImage", 0, -240), _node(tree, "ShaderNodeValue", 0, 200)
-        share.label, share.outputs[0].default_value = "" if both_sides else PICTURE, 1.0
-        seen = _mix(tree, 1, 300, "MIX", share.outputs[0], seen, picture.outputs["Color"])
-    tree.links.new(seen, light.inputs["Color"])
-    tree.links.new(seen, matt.inputs["Base Color"])
-    shown = _mix_shaders(tree, 2, lit.outputs[0], light.outputs[0], matt.outputs[0])
+        picture = add_node(tree, "ShaderNodeTexImage", 0, -240).outputs["Color"]
+        share = _add_value(tree, 0, 200, "" if both_sides else PICTURE, 1.0)
+        seen = _mix(tree, 1, 300, "MIX", share, seen, picture)
+    light = add_node(tree, "ShaderNodeEmission", 1, 0, seen)
+    matt = add_node(tree, "ShaderNodeBsdfPrincipled", 1, -160, seen)
+    matt.inputs["Roughness"].default_value = 0.9
+    shown = _mix_shaders(tree, 2, lit, light.outputs[0], matt.outputs[0])
     if not both_sides:
-        back, clear = _node(tree, "ShaderNodeNewGeometry", 2, 300), _node(tree, "ShaderNodeBsdfTransparent", 2, -200)
-        shown = _mix_shaders(tree, 3, back.outputs["Backfacing"], shown, clear.outputs[0])
-    tree.links.new(shown, _node(tree, "ShaderNodeOutputMaterial", 4, 0).inputs["Surface"])
+        back = add_node(tree, "ShaderNodeNewGeometry", 2, 300).outputs["Backfacing"]
+        clear = add_node(tree, "ShaderNodeBsdfTransparent", 2, -200).outputs[0]
+        shown = _mix_shaders(tree, 3, back, shown, clear)
+    add_node(tree, "ShaderNodeOutputMaterial", 4, 0, shown)
 
 
 def _mix_shaders(tree: bpy.types.NodeTree, column: int, factor: Any, first: Any, second: Any) -> Any:
-    mix = _node(tree, "ShaderNodeMixShader", column, 0)
-    for source, target in zip((factor, first, second), mix.inputs, strict=True):
-        tree.links.new(source, target)
-    return mix.outputs[0]
+    return add_node(tree, "ShaderNodeMixShader", column, 0, factor, first, second).outputs[0]
 
 
 def _cast_no_light(material: bpy.types.Material) -> None:
@@ -155,38 +150,24 @@ def catcher_material(owned: OwnedDataBlocks, scene: bpy.types.Scene) -> bpy.type
     tree = use_nodes(material)
     if value_node(material, CATCHER) is None:
         tree.nodes.clear()
-        colour, matt = _node(tree, "ShaderNodeAttribute", 0, 200), _node(tree, "ShaderNodeBsdfPrincipled", 1, 200)
-        colour.attribute_name = "Col"
-        white, lit, density = (
-            _node(tree, f"ShaderNode{kind}", column, -200)
-            for column, kind in enumerate(("BsdfDiffuse", "ShaderToRGB", "Math"))
-        )
-        density.operation, density.use_clamp, density.label = "MULTIPLY_ADD", True, CATCHER
-        white.inputs["Color"].default_value = (1.0, 1.0, 1.0, 1.0)
-        facing = _node(tree, "ShaderNodeCombineXYZ", -1, -200)
-        facing.label = LIGHT_FROM
-        clear, black = _node(tree, "ShaderNodeBsdfTransparent", 3, -200), _node(tree, "ShaderNodeEmission", 3, -320)
-        black.inputs["Strength"].default_value = 0.0
-        gloss, both = _node(tree, "ShaderNodeBsdfAnisotropic", 3, -440), _node(tree, "ShaderNodeAddShader", 5, -200)
-        gloss.inputs["Color"].default_value = (_MIRRORED, _MIRRORED, _MIRRORED, 1.0)
+        colour = add_node(tree, "ShaderNodeAttribute", 0, 200, attribute_name="Col").outputs["Color"]
+        matt = add_node(tree, "ShaderNodeBsdfPrincipled", 1, 200, colour)
+        facing = add_node(tree, "ShaderNodeCombineXYZ", -1, -200, label=LIGHT_FROM)
+        white = add_node(tree, "ShaderNodeBsdfDiffuse", 0, -200, (1.0, 1.0, 1.0, 1.0), None, facing.outputs[0])
+        lit = add_node(tree, "ShaderNodeShaderToRGB", 1, -200, white.outputs[0]).outputs["Color"]
+        settings = {"operation": "MULTIPLY_ADD", "use_clamp": True, "label": CATCHER}
+        density = add_node(tree, "ShaderNodeMath", 2, -200, lit, **settings).outputs[0]
+        clear = add_node(tree, "ShaderNodeBsdfTransparent", 3, -200).outputs[0]
+        black = add_node(tree, "ShaderNodeEmission", 3, -320, None, 0.0).outputs[0]
+        gloss = add_node(tree, "ShaderNodeBsdfAnisotropic", 3, -440, (_MIRRORED, _MIRRORED, _MIRRORED, 1.0))
         for node in (matt, gloss):
             node.inputs["Roughness"].default_value = _GLOSS
-        ends = [_node(tree, "ShaderNodeOutputMaterial", 6, row) for row in (200, -200)]
-        ends[0].target, ends[1].target = "CYCLES", "EEVEE"
-        back = _node(tree, "ShaderNodeNewGeometry", 2, 200)
-        front = _mix_shaders(tree, 4, back.outputs["Backfacing"], matt.outputs[0], clear.outputs[0])
-        shadow = _mix_shaders(tree, 4, density.outputs[0], clear.outputs[0], black.outputs[0])
-        for source, target in (
-            (colour.outputs["Color"], matt.inputs["Base Color"]),
-            (facing.outputs[0], white.inputs["Normal"]),
-            (white.outputs[0], lit.inputs[0]),
-            (lit.outputs["Color"], density.inputs[0]),
-            (shadow, both.inputs[0]),
-            (gloss.outputs[0], both.inputs[1]),
-            (front, ends[0].inputs["Surface"]),
-            (both.outputs[0], ends[1].inputs["Surface"]),
-        ):
-            tree.links.new(source, target)
+        back = add_node(tree, "ShaderNodeNewGeometry", 2, 200).outputs["Backfacing"]
+        front = _mix_shaders(tree, 4, back, matt.outputs[0], clear)
+        shadow = _mix_shaders(tree, 4, density, clear, black)
+        both = add_node(tree, "ShaderNodeAddShader", 5, -200, shadow, gloss.outputs[0]).outputs[0]
+        add_node(tree, "ShaderNodeOutputMaterial", 6, 200, front, target="CYCLES")
+        add_node(tree, "ShaderNodeOutputMaterial", 6, -200, both, target="EEVEE")
     direction, brightness = _light_of(scene)
     share, facing = value_node(material, CATCHER), value_node(material, LIGHT_FROM)
     assert share is not None and facing is not None
@@ -223,34 +204,20 @@ def splat_material(owned: OwnedDataBlocks) -> bpy.types.Material:
     tree = use_nodes(material)
     if not any(node.bl_idname == "ShaderNodeAttribute" for node in tree.nodes):
         tree.nodes.clear()
-        colour, corner, opacity = (_node(tree, "ShaderNodeAttribute", 0, row) for row in (0, -200, -400))
-        colour.attribute_name, corner.attribute_name, opacity.attribute_name = "Col", "corner", "opacity"
-        square = _node(tree, "ShaderNodeVectorMath", 1, -200)
-        square.operation = "DOT_PRODUCT"
-        half, power, alpha = (_node(tree, "ShaderNodeMath", column, -200) for column in (2, 3, 4))
-        half.operation, half.inputs[1].default_value = "MULTIPLY", -0.5
-        power.operation, alpha.operation = "EXPONENT", "MULTIPLY"
-        clear, light = _node(tree, "ShaderNodeBsdfTransparent", 6, 200), _node(tree, "ShaderNodeEmission", 6, 0)
-        mix, end = _node(tree, "ShaderNodeMixShader", 7, 0), _node(tree, "ShaderNodeOutputMaterial", 8, 0)
-        link = tree.links.new
-        link(corner.outputs["Vector"], square.inputs[0])
-        link(corner.outputs["Vector"], square.inputs[1])
-        link(square.outputs["Value"], half.inputs[0])
-        link(half.outputs[0], power.inputs[0])
-        link(power.outputs[0], alpha.inputs[0])
-        denser, front = (_node(tree, "ShaderNodeMath", column, -200) for column in (5, 6))
-        denser.operation, denser.inputs[1].default_value, denser.use_clamp = "MULTIPLY", DENSER, True
-        link(alpha.outputs[0], denser.inputs[0])
-        geometry = _node(tree, "ShaderNodeNewGeometry", 0, 200)
-        front.operation = "SUBTRACT"
-        link(denser.outputs[0], front.inputs[0])
-        link(geometry.outputs["Backfacing"], front.inputs[1])
-        front.use_clamp = True
-        link(opacity.outputs["Fac"], alpha.inputs[1])
-        link(colour.outputs["Color"], light.inputs["Color"])
-        for source, target in zip((front, clear, light), mix.inputs, strict=True):
-            link(source.outputs[0], target)
-        link(mix.outputs[0], end.inputs["Surface"])
+        colour, corner, opacity = (
+            add_node(tree, "ShaderNodeAttribute", 0, row, attribute_name=name).outputs
+            for row, name in ((0, "Col"), (-200, "corner"), (-400, "opacity"))
+        )
+        along = corner["Vector"]
+        square = add_node(tree, "ShaderNodeVectorMath", 1, -200, along, along, operation="DOT_PRODUCT").outputs["Value"]
+        fading = _maths(tree, 3, "EXPONENT", _maths(tree, 2, "MULTIPLY", square, -0.5))
+        alpha = _maths(tree, 4, "MULTIPLY", fading, opacity["Fac"])
+        denser = _maths(tree, 5, "MULTIPLY", alpha, DENSER, use_clamp=True)
+        back = add_node(tree, "ShaderNodeNewGeometry", 0, 200).outputs["Backfacing"]
+        front = _maths(tree, 6, "SUBTRACT", denser, back, use_clamp=True)
+        clear = add_node(tree, "ShaderNodeBsdfTransparent", 6, 200).outputs[0]
+        light = add_node(tree, "ShaderNodeEmission", 6, 0, colour["Color"]).outputs[0]
+        add_node(tree, "ShaderNodeOutputMaterial", 8, 0, _mix_shaders(tree, 7, front, clear, light))
     material.surface_render_method = "DITHERED"  # needs no sorting
     material.use_backface_culling = True
     _cast_no_light(material)
@@ -265,42 +232,46 @@ def value_node(material: bpy.types.Material, label: str) -> bpy.types.Node | Non
 
 def _build_points(tree: bpy.types.NodeTree) -> None:
     tree.nodes.clear()
-    photo, normal = _node(tree, "ShaderNodeAttribute", 0, 0), _node(tree, "ShaderNodeAttribute", 0, -400)
-    photo.attribute_name, normal.attribute_name = "Col", "normal"
-    own = _node(tree, "ShaderNodeObjectInfo", 0, -180)
-    switch, relief = _node(tree, "ShaderNodeValue", 0, 140), _node(tree, "ShaderNodeValue", 2, 140)
-    switch.label, relief.label = CLASS_COLOURS, RELIEF
-    switch.outputs[0].default_value = relief.outputs[0].default_value = 0.0
-    colour = _mix(tree, 1, 0, "MIX", switch.outputs[0], photo.outputs["Color"], own.outputs["Color"])
-    facing = _node(tree, "ShaderNodeVectorMath", 1, -400)
-    facing.operation, facing.inputs[1].default_value = "DOT_PRODUCT", LIGHT
-    tree.links.new(normal.outputs["Vector"], facing.inputs[0])
-    shade = _node(tree, "ShaderNodeMath", 2, -400)
-    shade.operation = "MULTIPLY_ADD"
-    shade.inputs[1].default_value, shade.inputs[2].default_value = SHADE_CONTRAST, SHADE
-    tree.links.new(facing.outputs["Value"], shade.inputs[0])
-    _emit(tree, _mix(tree, 3, 0, "MULTIPLY", relief.outputs[0], colour, shade.outputs[0]))
+    photo = add_node(tree, "ShaderNodeAttribute", 0, 0, attribute_name="Col").outputs["Color"]
+    normal = add_node(tree, "ShaderNodeAttribute", 0, -400, attribute_name="normal").outputs["Vector"]
+    own = add_node(tree, "ShaderNodeObjectInfo", 0, -180).outputs["Color"]
+    colour = _mix(tree, 1, 0, "MIX", _add_value(tree, 0, 140, CLASS_COLOURS, 0.0), photo, own)
+    facing = add_node(tree, "ShaderNodeVectorMath", 1, -400, normal, LIGHT, operation="DOT_PRODUCT").outputs["Value"]
+    shade = add_node(tree, "ShaderNodeMath", 2, -400, facing, SHADE_CONTRAST, SHADE, operation="MULTIPLY_ADD")
+    shown = _mix(tree, 3, 0, "MULTIPLY", _add_value(tree, 2, 140, RELIEF, 0.0), colour, shade.outputs[0])
+    light = add_node(tree, "ShaderNodeEmission", 4, 0, shown)
+    add_node(tree, "ShaderNodeOutputMaterial", 5, 0, light.outputs[0])
 
 
-def _mix(tree: bpy.types.NodeTree, column: int, row: int, blend: str, factor: Any, first: Any, second: Any) -> Any:
-    """Mix two colours and return the output socket."""
-    node = _node(tree, "ShaderNodeMix", column, row)
-    node.data_type, node.blend_type = "RGBA", blend
-    for output, target in zip((factor, first, second), [s for s in node.inputs if s.enabled], strict=True):
-        tree.links.new(output, target)
+def _mix(tree: bpy.types.NodeTree, column: int, row: int, blend: str, *colours: Any) -> Any:
+    """Mix two colours by a factor, which comes first, and return the output socket."""
+    node = add_node(tree, "ShaderNodeMix", column, row, *colours, data_type="RGBA", blend_type=blend)
     return next(socket for socket in node.outputs if socket.enabled)
 
 
-def _emit(tree: bpy.types.NodeTree, colour: Any) -> None:
-    """Make the surface emit this colour. The new nodes stand to the right of all others."""
-    column = max(node.location.x for node in tree.nodes) // 220 + 1
-    light = _node(tree, "ShaderNodeEmission", column, 0)
-    end = _node(tree, "ShaderNodeOutputMaterial", column + 1, 0)
-    tree.links.new(colour, light.inputs["Color"])
-    tree.links.new(light.outputs[0], end.inputs["Surface"])
+def _maths(tree: bpy.types.NodeTree, column: int, operation: str, *inputs: Any, use_clamp: bool = False) -> Any:
+    node = add_node(tree, "ShaderNodeMath", column, -200, *inputs, operation=operation, use_clamp=use_clamp)
+    return node.outputs[0]
 
 
-def _node(tree: bpy.types.NodeTree, kind: str, column: float, row: float) -> bpy.types.Node:
+def _add_value(tree: bpy.types.NodeTree, column: int, row: int, label: str, value: float) -> Any:
+    socket = add_node(tree, "ShaderNodeValue", column, row, label=label).outputs[0]
+    socket.default_value = value
+    return socket
+
+
+def add_node(
+    tree: bpy.types.NodeTree, kind: str, column: float, row: float, *inputs: Any, **settings: Any
+) -> bpy.types.Node:
+    """A new node with these settings. Each of its inputs is linked to the socket or set to the value given for it; None
+    leaves it as it is."""
     node = tree.nodes.new(kind)
     node.location = (220 * column, row)
+    for name, value in settings.items():  # first, because they decide which inputs there are
+        setattr(node, name, value)
+    for given, socket in zip(inputs, [each for each in node.inputs if each.enabled], strict=False):
+        if isinstance(given, bpy.types.NodeSocket):
+            tree.links.new(given, socket)
+        elif given is not None:
+            socket.default_value = given
     return node

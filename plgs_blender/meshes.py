@@ -11,6 +11,8 @@ import bpy
 import numpy as np
 
 from ..engine.posed.ply import LabelledSurface, read_surface
+from .boxes import set_faces
+from .clouds import set_attributes
 from .compat import forget_selection
 from .materials import object_colour, surface_material
 from .owned import LIFT, OwnedDataBlocks, Placed, child_collection, text_of
@@ -106,21 +108,13 @@ def _fill(owned: OwnedDataBlocks, key: str, name: str, part: LabelledSurface) ->
     """Our mesh `key` with smooth triangles, and Col, class_id and instance_id at its vertices."""
     mesh: bpy.types.Mesh = owned.data(key, lambda: bpy.data.meshes.new(name))
     mesh.clear_geometry()
-    count = len(part.triangles)
-    mesh.vertices.add(len(part.xyz))
-    mesh.vertices.foreach_set("co", np.ascontiguousarray(part.xyz).ravel())
-    mesh.loops.add(3 * count)
-    mesh.loops.foreach_set("vertex_index", part.triangles.ravel())
-    mesh.polygons.add(count)
-    mesh.polygons.foreach_set("loop_start", np.arange(0, 3 * count, 3, dtype=np.int32))
-    mesh.polygons.foreach_set("use_smooth", np.ones(count, bool))
+    set_faces(mesh, part.xyz, part.triangles)
+    mesh.polygons.foreach_set("use_smooth", np.ones(len(part.triangles), bool))
     rgba = np.full((len(part.rgb), 4), 255, np.uint8)
     rgba[:, :3] = part.rgb
-    colours = mesh.color_attributes.new("Col", "BYTE_COLOR", "POINT")
-    colours.data.foreach_set("color_srgb", (rgba / np.float32(255)).ravel())
-    for column in ("class_id", "instance_id"):
-        layer = mesh.attributes.new(column, "INT", "POINT")
-        layer.data.foreach_set("value", getattr(part, column))
+    mesh.color_attributes.new("Col", "BYTE_COLOR", "POINT")
+    ids = {name: ("INT", getattr(part, name)) for name in ("class_id", "instance_id")}
+    set_attributes(mesh, {"Col": ("BYTE_COLOR", rgba / np.float32(255)), **ids})
     mesh.color_attributes.active_color = mesh.color_attributes["Col"]
     if part.uv is not None:
         mesh.uv_layers.new(name="UVMap").uv.foreach_set("vector", np.ascontiguousarray(part.uv).ravel())

@@ -53,6 +53,12 @@ def text_of(block: Any, name: str) -> str:
     return value if isinstance(value, str) else ""
 
 
+def numbers_of(block: Any, name: str) -> list[float]:
+    """A custom property's numbers; empty if it is missing or not a list of numbers."""
+    value = block.get(name)
+    return [*value] if getattr(value, "typecode", "") == "d" else []
+
+
 def originals(objects: Iterable[bpy.types.Object], lift: str) -> dict[str, bpy.types.Object]:
     """The lift's objects by key. Duplicates, which carry the same properties, are the user's and are left out."""
     found: dict[str, bpy.types.Object] = {}

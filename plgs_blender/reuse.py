@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from ..engine.corrections import read_corrected
 from ..engine.errors import PlgsError
 from ..engine.result_files import Instance
+from .clouds import set_attributes
 from .compat import add_keys, new_point_clouds
 from .inspecting.lists import registered
 from .inspecting.looks import HIDDEN, apply_visibility
@@ -172,8 +173,7 @@ def _points(root: bpy.types.Collection, one: Instance, inverse: Matrix) -> bpy.t
             values = _column(cloud.data, layer.name, layer.data_type)[rows]
             if layer.name == "normal":
                 values = values @ turn[:3, :3].T
-            own = new.attributes.get(layer.name) or new.attributes.new(layer.name, layer.data_type, "POINT")
-            own.data.foreach_set(_COLUMNS[layer.data_type][0], np.ascontiguousarray(values).ravel())
+            set_attributes(new, {layer.name: (layer.data_type, values)})
         for material in cloud.data.materials:
             new.materials.append(material)
         return new

@@ -15,9 +15,9 @@ import bpy
 import numpy as np
 from numpy.typing import NDArray
 
-from .clouds import SurfaceGrid
+from .clouds import SurfaceGrid, set_attributes
 from .compat import forget_selection, new_geometry_group
-from .materials import point_material, splat_material
+from .materials import add_node, point_material, splat_material
 from .owned import OwnedDataBlocks
 
 NAME = "Open room"
@@ -36,58 +36,30 @@ def open_room(owned: OwnedDataBlocks, clouds: Iterable[bpy.types.Object]) -> Non
 
 def _group(material: bpy.types.Material | None) -> bpy.types.NodeTree:
     """Delete a point if normal · (position - camera) > 0. Points with a zero normal stay."""
-    tree = bpy.data.node_groups.new("PLGS open room", "GeometryNodeTree")
-    for direction in ("INPUT", "OUTPUT"):
-        tree.interface.new_socket("Geometry", in_out=direction, socket_type="NodeSocketGeometry")
+    tree = new_geometry_group("PLGS open room")
     tree.is_modifier = True
-    columns = {
-        "NodeGroupInput": 0,
-        "GeometryNodeInputActiveCamera": 0,
-        "GeometryNodeObjectInfo": 1,
-        "GeometryNodeInputPosition": 1,
-        "GeometryNodeInputNamedAttribute": 2,
-    }
-    nodes = {}
-    for row, (kind, column) in enumerate(columns.items()):
-        nodes[kind] = tree.nodes.new(kind)
-        nodes[kind].location = (220 * column, -160 * row)
-    start, camera, place, position, normal = nodes.values()
-    place.transform_space = "RELATIVE"
-    normal.data_type = "FLOAT_VECTOR"
-    normal.inputs["Name"].default_value = "normal"
-    away, facing = tree.nodes.new("ShaderNodeVectorMath"), tree.nodes.new("ShaderNodeVectorMath")
-    behind = tree.nodes.new("ShaderNodeMath")
-    remove, dye = tree.nodes.new("GeometryNodeDeleteGeometry"), tree.nodes.new("GeometryNodeSetMaterial")
-    end = tree.nodes.new("NodeGroupOutput")
-    for column, node in enumerate((away, facing, behind, remove, dye, end), start=3):
-        node.location = (220 * column, 0)
-    away.operation, facing.operation, behind.operation = "SUBTRACT", "DOT_PRODUCT", "GREATER_THAN"
-    behind.inputs[1].default_value = 0.0
-    remove.domain = "POINT"
-    link = tree.links.new
-    link(camera.outputs[0], place.inputs["Object"])
-    link(position.outputs[0], away.inputs[0])
-    link(place.outputs["Location"], away.inputs[1])
-    link(away.outputs["Vector"], facing.inputs[0])
-    link(
-        next(socket for socket in normal.outputs if socket.enabled and socket.name == "Attribute"),
-        facing.inputs[1],
-    )
-    link(facing.outputs["Value"], behind.inputs[0])
-    link(behind.outputs[0], remove.inputs["Selection"])
-    link(start.outputs[0], remove.inputs["Geometry"])
+    add = partial(add_node, tree)
+    start, position = add("NodeGroupInput", 0, 0).outputs[0], add("GeometryNodeInputPosition", 1, -480).outputs[0]
+    camera = add("GeometryNodeInputActiveCamera", 0, -160).outputs[0]
+    eye = add("GeometryNodeObjectInfo", 1, -320, camera, transform_space="RELATIVE").outputs["Location"]
+    normal = _read_vector(tree, "normal", 2, -640)
+    away = add("ShaderNodeVectorMath", 3, 0, position, eye, operation="SUBTRACT").outputs["Vector"]
+    facing = add("ShaderNodeVectorMath", 4, 0, away, normal, operation="DOT_PRODUCT").outputs["Value"]
+    behind = add("ShaderNodeMath", 5, 0, facing, 0.0, operation="GREATER_THAN").outputs[0]
+    kept = add("GeometryNodeDeleteGeometry", 6, 0, start, behind, domain="POINT").outputs[0]
     # Geometry nodes lose the materials of point clouds. Splats have none.
-    dye.inputs["Material"].default_value = material
-    dye.inputs["Selection"].default_value = material is not None
-    link(remove.outputs[0], dye.inputs["Geometry"])
-    link(dye.outputs[0], end.inputs[0])
+    dyed = add("GeometryNodeSetMaterial", 7, 0, kept, material is not None, material).outputs[0]
+    add("NodeGroupOutput", 8, 0, dyed)
     return tree
+
+
+def _read_vector(tree: bpy.types.NodeTree, attribute: str, column: int, row: int) -> bpy.types.NodeSocket:
+    node = add_node(tree, "GeometryNodeInputNamedAttribute", column, row, attribute, data_type="FLOAT_VECTOR")
+    return next(socket for socket in node.outputs if socket.enabled and socket.name == "Attribute")
 
 
 HARMONIC = 0.28209479177387814
 _KIND, _BASE = "GAUSSIAN_SPLAT", "radiance:base"
-_FIELDS = {"FLOAT_VECTOR": "vector", "QUATERNION": "value", "FLOAT4": "vector", "INT": "value",
-           "BYTE_COLOR": "color_srgb"}  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,9 +103,7 @@ def place_splats(
     }
     for old in {layer.name for layer in cloud.attributes} - columns.keys():  # such as what was hidden
         cloud.attributes.remove(cloud.attributes[old])
-    for attribute, (kind, values) in columns.items():
-        layer = cloud.attributes.get(attribute) or cloud.attributes.new(attribute, kind, "POINT")
-        layer.data.foreach_set(_FIELDS[kind], np.ascontiguousarray(values).ravel())
+    set_attributes(cloud, columns)
     dye(cloud)
     ob = owned.object(key, name, cloud, parent)
     open_room(owned, [ob])
@@ -173,7 +143,6 @@ _SMALLEST, _LARGEST = 0.002, 0.03
 """Limits of half the side of a point's square, in metres."""
 Part = TypeVar("Part")
 _MODIFIER = "Squares"
-_KINDS = {"right": "FLOAT_VECTOR", "up": "FLOAT_VECTOR", "Col": "BYTE_COLOR", "opacity": "FLOAT"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -232,14 +201,14 @@ def place_squares(
     mesh: bpy.types.Mesh = owned.data(key, lambda: bpy.data.meshes.new(name))
     mesh.clear_geometry()
     mesh.vertices.add(len(squares.xyz))
-    mesh.attributes["position"].data.foreach_set("vector", np.ascontiguousarray(squares.xyz, np.float32).ravel())
-    for each in ("right", "up"):
-        values = np.ascontiguousarray(getattr(squares, each), np.float32).ravel()
-        mesh.attributes.new(each, "FLOAT_VECTOR", "POINT").data.foreach_set("vector", values)
-    mesh.attributes.new("Col", "BYTE_COLOR", "POINT").data.foreach_set("color_srgb", rgba.ravel())
-    mesh.attributes.new("opacity", "FLOAT", "POINT").data.foreach_set("value", squares.opacity)
-    for each, numbers in squares.ids.items():
-        mesh.attributes.new(each, "INT", "POINT").data.foreach_set("value", numbers)
+    columns = {
+        "position": ("FLOAT_VECTOR", squares.xyz),
+        "right": ("FLOAT_VECTOR", squares.right),
+        "up": ("FLOAT_VECTOR", squares.up),
+        "Col": ("BYTE_COLOR", rgba),
+        "opacity": ("FLOAT", squares.opacity),
+    }
+    set_attributes(mesh, columns | {name: ("INT", numbers) for name, numbers in squares.ids.items()})
     mesh.color_attributes.active_color = mesh.color_attributes["Col"]
     mesh.materials.clear()
     mesh.materials.append(splat_material(owned))
@@ -267,71 +236,43 @@ def _new_group() -> bpy.types.NodeTree:
     """Extrude each vertex to its square, up before right, so that it shows its front. `corner` is in deviations."""
     tree = new_geometry_group("PLGS squares")
     tree.is_modifier = True
-    link = tree.links.new
 
-    def add(kind: str, column: int, row: int = 0) -> bpy.types.Node:
-        node = tree.nodes.new(kind)
-        node.location = (220 * column, -180 * row)
-        return node
-
-    def read(name: str, row: int) -> bpy.types.NodeSocket:
-        node = add("GeometryNodeInputNamedAttribute", 0, row)
-        node.data_type, node.inputs["Name"].default_value = "FLOAT_VECTOR", name
-        return next(socket for socket in node.outputs if socket.enabled and socket.name == "Attribute")
+    def add(kind: str, column: int, row: int = 0, *inputs: object, **settings: object) -> bpy.types.Node:
+        return add_node(tree, kind, column, -180 * row, *inputs, **settings)
 
     def maths(operation: str, column: int, row: int, *values: object) -> bpy.types.NodeSocket:
-        node = add("ShaderNodeVectorMath", column, row)
-        node.operation = operation
-        for value, socket in zip(values, [each for each in node.inputs if each.enabled], strict=False):
-            if isinstance(value, bpy.types.NodeSocket):
-                link(value, socket)
-            else:
-                socket.default_value = value
+        node = add("ShaderNodeVectorMath", column, row, *values, operation=operation)
         return next(each for each in node.outputs if each.enabled)
 
-    right, up, corner = (read(name, row) for row, name in enumerate(("right", "up", "corner"), 1))
-    first = maths("SCALE", 2, 1, maths("ADD", 1, 1, right, up))
-    first.node.inputs["Scale"].default_value = -1.0
+    right, up, corner = (
+        _read_vector(tree, name, 0, -180 * row) for row, name in enumerate(("right", "up", "corner"), 1)
+    )
+    first = maths("SCALE", 2, 1, maths("ADD", 1, 1, right, up), -1.0)
     sides = [maths("ADD", 1, 2 + row, each, each) for row, each in enumerate((up, right))]
-    places = [(-EXTENT, -EXTENT, 0.0), (0.0, 2 * EXTENT, 0.0), (2 * EXTENT, 0.0, 0.0)]
-    move = add("GeometryNodeSetPosition", 4)
-    link(first, move.inputs["Offset"])
-    last = move.outputs[0]
-    kept = add("GeometryNodeDeleteGeometry", 3)
-    link(add("NodeGroupInput", 2).outputs[0], kept.inputs[0])
-    link(_away_in_renders(add, maths, maths("CROSS_PRODUCT", 1, 4, right, up), link), kept.inputs["Selection"])
-    link(kept.outputs[0], move.inputs[0])
-    for step, place in enumerate(places):
+    corners = [(-EXTENT, -EXTENT, 0.0), (0.0, 2 * EXTENT, 0.0), (2 * EXTENT, 0.0, 0.0)]
+    away = _away_in_renders(add, maths, maths("CROSS_PRODUCT", 1, 4, right, up))
+    kept = add("GeometryNodeDeleteGeometry", 3, 0, add("NodeGroupInput", 2).outputs[0], away).outputs[0]
+    last = add("GeometryNodeSetPosition", 4, 0, kept, None, None, first).outputs[0]
+    for step, step_in_deviations in enumerate(corners):
         column, selection = 5 + 2 * step, None
         if step:
-            drawn = add("GeometryNodeExtrudeMesh", column - 1)
-            drawn.mode = ("VERTICES", "EDGES")[step - 1]
-            drawn.inputs["Offset Scale"].default_value = 1.0
-            link(last, drawn.inputs[0])
-            link(sides[step - 1], drawn.inputs["Offset"])
+            kind = ("VERTICES", "EDGES")[step - 1]
+            drawn = add("GeometryNodeExtrudeMesh", column - 1, 0, last, None, sides[step - 1], 1.0, mode=kind)
             last, selection = drawn.outputs[0], drawn.outputs["Top"]
-        store = add("GeometryNodeStoreNamedAttribute", column)
-        store.data_type, store.domain, store.inputs["Name"].default_value = "FLOAT_VECTOR", "POINT", "corner"
-        value = next(each for each in store.inputs if each.enabled and each.name == "Value")
-        link(maths("ADD", column, 2, corner, place), value)
-        link(last, store.inputs[0])
-        if selection is not None:
-            link(selection, store.inputs["Selection"])
-        last = store.outputs[0]
-    link(last, add("NodeGroupOutput", 11).inputs[0])
+        moved = maths("ADD", column, 2, corner, step_in_deviations)
+        store = partial(add, "GeometryNodeStoreNamedAttribute", data_type="FLOAT_VECTOR", domain="POINT")
+        last = store(column, 0, last, selection, "corner", moved).outputs[0]
+    add("NodeGroupOutput", 11, 0, last)
     return tree
 
 
-def _away_in_renders(add: Any, maths: Any, normal: bpy.types.NodeSocket, link: Any) -> bpy.types.NodeSocket:
+def _away_in_renders(add: Any, maths: Any, normal: bpy.types.NodeSocket) -> bpy.types.NodeSocket:
     """Whether, in a render, a front faces away from the camera: Cycles follows rays through only a few transparent
     layers."""
-    place, viewport = add("GeometryNodeObjectInfo", 1, 5), add("GeometryNodeIsViewport", 1, 6)
-    away, least = add("ShaderNodeMath", 3, 5), add("ShaderNodeMath", 2, 6)
-    place.transform_space, away.operation = "RELATIVE", "GREATER_THAN"
-    least.operation, least.inputs[1].default_value = "MULTIPLY", 1e9  # in views, which nothing reaches
-    link(add("GeometryNodeInputActiveCamera", 0, 5).outputs[0], place.inputs["Object"])
-    way = maths("SUBTRACT", 2, 5, add("GeometryNodeInputPosition", 0, 6).outputs[0], place.outputs["Location"])
-    link(maths("DOT_PRODUCT", 3, 4, normal, way), away.inputs[0])
-    link(viewport.outputs[0], least.inputs[0])
-    link(least.outputs[0], away.inputs[1])
-    return away.outputs[0]
+    camera = add("GeometryNodeInputActiveCamera", 0, 5).outputs[0]
+    eye = add("GeometryNodeObjectInfo", 1, 5, camera, transform_space="RELATIVE").outputs["Location"]
+    way = maths("SUBTRACT", 2, 5, add("GeometryNodeInputPosition", 0, 6).outputs[0], eye)
+    is_viewport = add("GeometryNodeIsViewport", 1, 6).outputs[0]
+    least = add("ShaderNodeMath", 2, 6, is_viewport, 1e9, operation="MULTIPLY").outputs[0]  # in views, never reached
+    facing = maths("DOT_PRODUCT", 3, 4, normal, way)
+    return add("ShaderNodeMath", 3, 5, facing, least, operation="GREATER_THAN").outputs[0]
