@@ -244,9 +244,12 @@ def set_up(options: argparse.Namespace, events: EventWriter, stop: StopSignal) -
         remove_environments(options.folder)
         events.answer({}, f"No environment is left in {options.folder}")
         return
-    request = SetUpRequest(options.base_python, options.torch, os.environ.get("PLGS_INDEX_URL", ""))
-    python = SetUp(request, events, stop, folder=options.folder).run()
-    events.answer({"python": python}, f"The engine's Python: {python}")
+    sources = (os.environ.get("PLGS_INDEX_URL", ""), options.wheels, options.download)
+    made = SetUp(SetUpRequest(options.base_python, options.torch, *sources), events, stop, folder=options.folder).run()
+    if options.download is not None:
+        events.answer({"wheels": made}, f"For set-up and add with --wheels: {made}")
+        return
+    events.answer({"python": made}, f"The engine's Python: {made}")
 
 
 def add(options: argparse.Namespace, events: EventWriter, stop: StopSignal) -> None:
@@ -254,7 +257,7 @@ def add(options: argparse.Namespace, events: EventWriter, stop: StopSignal) -> N
     from ..set_up import Addition
 
     index_url = os.environ.get("PLGS_INDEX_URL", "")
-    folder = Addition(options.name, events, stop, index_url=index_url).run()
+    folder = Addition(options.name, events, stop, index_url=index_url, wheels=options.wheels).run()
     events.answer({"folder": folder}, f"Added to the engine: {options.name}")
 
 

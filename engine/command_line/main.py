@@ -276,7 +276,13 @@ def _add_set_up(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("folder", type=Path, metavar="FOLDER", help="where environments, their log and lock are")
     parser.add_argument("--base-python", type=Path, metavar="PYTHON", help="make it from this Python")
     parser.add_argument("--torch", choices=("cpu", "cuda"), default="cpu", help="the build of torch (default: cpu)")
-    parser.add_argument("--remove", action="store_true", help="delete the environments in FOLDER instead")
+    either = parser.add_mutually_exclusive_group()
+    _add_wheels(either)
+    either.add_argument(
+        "--download", type=Path, metavar="DIR",
+        help="only collect in DIR the wheels of this and of all that 'add' knows, for this system and Python",
+    )  # fmt: skip
+    either.add_argument("--remove", action="store_true", help="delete the environments in FOLDER instead")
     _make_task(parser, commands.set_up, "What was downloaded is kept: the same command continues.")
 
 
@@ -287,7 +293,13 @@ def _add_add(parser: argparse.ArgumentParser) -> None:
         "If this is stopped or fails, the environment stays as it was."
     )
     parser.add_argument("name", choices=ADDED, metavar="NAME", help=f"one of {', '.join(ADDED)}")
+    _add_wheels(parser)
     _make_task(parser, commands.add, "The engine is unchanged.")
+
+
+def _add_wheels(parser: argparse._ActionsContainer) -> None:
+    about = "install the wheels in DIR, without a network; 'set-up FOLDER --download DIR' collects them"
+    parser.add_argument("--wheels", type=Path, metavar="DIR", help=about)
 
 
 def _add_presets(parser: argparse.ArgumentParser) -> None:

@@ -65,7 +65,7 @@ class EngineAnswer:
     def fix(self) -> str:
         """The command that installs what is missing; empty if nothing is."""
         pins = [f"{name}=={self.wanted[name]}" if self.wanted.get(name) else name for name in self.missing]
-        return f"{self.executable} -m pip install {' '.join(pins)}" if pins else ""
+        return f"uv pip install --python {self.executable} {' '.join(pins)}" if pins else ""
 
     def to_json(self) -> dict[str, object]:
         """The answer as the engine gives it. Further values for the user are derived from the others."""

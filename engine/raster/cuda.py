@@ -39,7 +39,8 @@ log = logging.getLogger("plgs.raster")
 
 def what_is_missing() -> str | None:
     """What to do before this back end can be used, or None."""
-    wanted = "install it with: {} -m pip install 'gsplat>={}.{},<{}.{}'".format(sys.executable, *OLDEST, *TOO_NEW)
+    package = "gsplat>={}.{},<{}.{}".format(*OLDEST, *TOO_NEW)
+    wanted = f"install it with: uv pip install --python {sys.executable} '{package}'"
     try:
         version = metadata.version("gsplat")
     except metadata.PackageNotFoundError:

@@ -6,7 +6,6 @@ is there, which is the last step, the environment is as it was.
 
 from __future__ import annotations
 
-import os
 import shutil
 import site
 import sys
@@ -45,15 +44,18 @@ class Addition:
         root: Path = ROOT,
         environment: Path = Path(sys.prefix),
         index_url: str = "",
+        wheels: Path | None = None,
         tools: Path | None = None,
     ) -> None:
         """``environment``: by default that of the Python that runs this; another environment's has the same version.
-        ``tools`` is the folder for uv; None: the user's cache. Raises PlgsError for an unknown name.
+        ``tools`` is the folder for uv; None: the user's cache. ``wheels``: as in `SetUpRequest`. Raises PlgsError for
+        an unknown name.
         """
         refuse_unknown(name)
         self.name, self.size = name, CAPABILITIES[name].size
         self.environment, self._python = environment, python_in(environment)
-        self._events, self._stop, self._root, self._index_url = events, stop, root, index_url
+        self._events, self._stop, self._root = events, stop, root
+        self._variables = programs.variables(index_url, wheels)
         self._site_packages = Path(site.getsitepackages([str(environment)])[0])
         self._tools = tools or environments_folder()
         self._part = environment / _FOLDER / f"{name}.part"
@@ -103,7 +105,7 @@ class Addition:
         shutil.rmtree(self._part, ignore_errors=True)
         packages, downloads = self._part / "packages", self._part / "downloads"
         packages.mkdir(parents=True)
-        variables = uv_program.variables(os.environ, self._index_url) | {"UV_CACHE_DIR": str(downloads)}
+        variables = self._variables | {"UV_CACHE_DIR": str(downloads)}
         programs.refuse_diverted(self._part)
         self.log_path.write_bytes(b"")
         uv = uv_program.program_in(self._tools)

@@ -16,6 +16,20 @@ _MOST_BYTES = 200_000
 """Bytes of a program's output that are kept, counted from its end."""
 
 
+def variables(index_url: str, wheels: Path | None) -> dict[str, str]:
+    """uv's variables. With a folder of ``wheels`` uv installs only these, and never uses the network. Raises
+    PlgsError if the folder is missing."""
+    found = uv_program.variables(os.environ, index_url)
+    if wheels is None:
+        return found
+    if not wheels.is_dir():
+        fix = "Make it on a computer with a network: python -m engine set-up FOLDER --download DIR."
+        raise PlgsError("no-wheels", "there is no such folder of wheels", wheels, fix, option="--wheels")
+    kept = {name: value for name, value in found.items() if name not in ("UV_DEFAULT_INDEX", "UV_INDEX")}
+    offline = {"UV_OFFLINE": "1", "UV_NO_INDEX": "1", "UV_PYTHON_DOWNLOADS": "never"}
+    return kept | offline | {"UV_FIND_LINKS": str(wheels.absolute())}
+
+
 def run(
     command: Sequence[str | Path],
     log_path: Path,

@@ -18,6 +18,7 @@ from pathlib import Path
 
 from ..errors import PlgsError
 from ..job import EventWriter, StopSignal, write_atomically
+from ..job.atomic import sha256
 from ..job.environment import (
     COMPLETE,
     Version,
@@ -30,7 +31,7 @@ from ..job.environment import (
     pinned_versions,
     python_in,
 )
-from ..job.handshake import EngineAnswer
+from ..job.handshake import ADDED, EngineAnswer, addition_hashes_path
 from ..job.lock import FileLock, is_locked
 from ..job.process import ROOT, clean_environment, engine_call
 from . import programs, uv_program
@@ -45,6 +46,7 @@ LABELS = (
     "Compiling for this computer",
     "Asking the engine",
 )
+DOWNLOAD_LABELS = (LABELS[0], "Finding a Python", "Downloading wheels")
 PARTS = 1000
 """The progress of the whole set-up is counted in this many parts."""
 _ANSWER_S = 10.0
@@ -58,18 +60,26 @@ _INSTALLED_BYTES = {"cpu": 1.8 * _GIGABYTE, "cuda": 7.0 * _GIGABYTE}
 """Bytes that the installed packages take on the disk."""
 _INSTALLED, _COMPILED = 0.8, 0.98
 """Parts of the whole that are done when the packages are installed, and when the kernels are compiled."""
+_TORCH_FOR_CPU = "https://download.pytorch.org/whl/cpu"
 _SYNC = "import os; getattr(os, 'sync', lambda: None)()"
 
 
 @dataclass(frozen=True)
 class SetUpRequest:
     """``base_python`` None takes this one, or another that the packages are pinned for. ``torch_build`` is "cpu" or
-    "cuda". An empty ``index_url`` lets packages come from where uv or pip is configured to look.
+    "cuda". An empty ``index_url`` lets packages come from where uv or pip is configured to look; ``wheels`` is a folder
+    that they come from instead, without a network. ``download`` is such a folder to make, instead of an environment.
     """
 
     base_python: Path | None = None
     torch_build: str = "cpu"
     index_url: str = ""
+    wheels: Path | None = None
+    download: Path | None = None
+
+    def torch_list(self, version: Version) -> str:
+        """The name of the file in a folder of wheels that lists torch's, with their hashes."""
+        return f"torch-{self.torch_build}-{version[0]}.{version[1]}.txt"
 
 
 class SetUp:
@@ -88,10 +98,11 @@ class SetUp:
         self.request, self.root = request, root
         self.folder = folder or environments_folder()
         self._events, self._stop = events, stop
-        self._variables = uv_program.variables(os.environ, request.index_url) | {
+        self._variables = programs.variables(request.index_url, request.wheels) | {
             "UV_CACHE_DIR": str(self.folder / DOWNLOADS),
             "UV_PYTHON_INSTALL_DIR": str(self.folder / PYTHON),
         }
+        self._labels = LABELS if request.download is None else DOWNLOAD_LABELS
         self._done, self._measured_at = 0.0, 0.0
         self._step, self._label = 0, ""
         self._lock: FileLock | None = None
@@ -102,7 +113,8 @@ class SetUp:
         return self.folder / LOG
 
     def run(self) -> Path:
-        """Do all steps and return the environment's Python. Raises PlgsError; Cancelled when it was asked to stop."""
+        """Do all steps and return the environment's Python, or the folder of wheels. Raises PlgsError; Cancelled when
+        it was asked to stop."""
         try:
             self.folder.mkdir(parents=True, exist_ok=True)
             while is_locked(self.folder / LOCK):
@@ -125,6 +137,11 @@ class SetUp:
             raise PlgsError("no-python", f"{given} cannot be run", self.log_path, fix)
         uv = self._get_uv()
         python, version = self._find_python(uv)
+        if self.request.download is not None:
+            self._collect_wheels(uv, python, version, self.request.download.absolute())
+            throw_away(self.folder / DOWNLOADS, self.folder)
+            empty_trash(self.folder)
+            return self.request.download
         environment = self.folder / environment_name(self.root, version)
         if not self._is_ready(environment):
             self._check_disk()
@@ -209,22 +226,61 @@ class SetUp:
 
     def _install_packages(self, uv: Path, environment: Path, version: Version) -> None:
         """Install torch, of which no hashes are kept, then all else by its hashes."""
-        torch, python = f"torch=={needed_packages(self.root, version)['torch']}", python_in(environment)
+        install = [uv, "pip", "install", "--no-build", "--python", python_in(environment)]
+        by_hash = ["--no-deps", "--require-hashes", "--requirement"]
         self._tell(3)
-        if self.request.torch_build == "cuda":
-            # With what torch needs of CUDA, and pip: gsplat is installed by hand.
-            options = ["--constraint", str(constraints_path(self.root, version)), "pip"]
+        if self.request.wheels is not None:
+            listed = self.request.wheels.absolute() / self.request.torch_list(version)
+            if not listed.is_file():
+                fix = "Give 'set-up --download' the same --torch and a --base-python of the same version."
+                raise PlgsError("no-wheels", f"there is no {listed.name} among the wheels", listed.parent, fix)
+            self._install("torch", [*install, *by_hash, listed])
         else:
-            # Where the user has an index or a folder of his own, torch's CPU build has to be there.
-            is_public = not self.request.index_url and "UV_FIND_LINKS" not in self._variables
-            options = ["--no-deps", *(["--torch-backend", "cpu"] if sys.platform == "linux" and is_public else [])]
-        self._install("torch", [uv, "pip", "install", "--no-build", "--python", python, *options, torch])
+            self._install("torch", [*install, *self._torch_options(version, "--torch-backend", "cpu")])
         self._tell(4)
-        options = ["--no-deps", "--require-hashes", "--requirement", str(hashes_path(self.root, version))]
-        self._install("packages", [uv, "pip", "install", "--no-build", "--python", python, *options])
+        self._install("packages", [*install, *by_hash, hashes_path(self.root, version)])
 
-    def _install(self, what: str, command: Sequence[str | Path]) -> None:
-        output, code = self._run(command, environment=self._variables)
+    def _torch_options(self, version: Version, *of_public_cpu_builds: str) -> list[str]:
+        torch = f"torch=={needed_packages(self.root, version)['torch']}"
+        if self.request.torch_build == "cuda":  # with what torch needs of CUDA
+            return ["--constraint", str(constraints_path(self.root, version)), torch]
+        # Where the user has an index or a folder of his own, torch's CPU build has to be there.
+        is_public = not self.request.index_url and "UV_FIND_LINKS" not in self._variables
+        return ["--no-deps", *(of_public_cpu_builds if sys.platform == "linux" and is_public else ()), torch]
+
+    def _collect_wheels(self, uv: Path, python: str | Path, version: Version, folder: Path) -> None:
+        """Download for this system and Python what a set-up and all additions install, and uv."""
+        self._tell(3)
+        pip, part = self.folder / DOWNLOADS / "pip", folder / "torch.part"
+        shutil.rmtree(part, ignore_errors=True)
+        part.mkdir(parents=True)
+        own = ["--python", python, "--no-deps", "--require-hashes", "--requirement", self.root / "requirements/pip.txt"]
+        self._install("pip", [uv, "pip", "install", "--target", pip, *own])
+        name, digest = uv_program.pinned_wheel()
+        (pip / "uv.txt").write_text(f"uv=={uv_program.VERSION} --hash=sha256:{digest}\n")
+        collect = [uv, "run", "--no-project", "--python", python, "--", "python", "-I", pip / "pip", "download"]
+        collect += ["--only-binary", ":all:", "--dest"]
+        options = self._torch_options(version, "--index-url", _TORCH_FOR_CPU)
+        self._install("torch", [*collect, part, *options], for_pip=True)
+        lines = []
+        for wheel in sorted(part.iterdir()):  # no hashes of torch's builds are pinned, so they are recorded here
+            name, number, _ = wheel.name.split("-", 2)
+            lines.append(f"{name}=={number} --hash=sha256:{sha256(wheel)}\n")
+            wheel.replace(folder / wheel.name)
+        part.rmdir()
+        by_hash: list[str | Path] = [*collect, folder, "--no-deps", "--require-hashes", "--requirement"]
+        pinned = [hashes_path(self.root, version), "--requirement", pip / "uv.txt"]
+        self._install("packages", [*by_hash, *pinned], for_pip=True)
+        for name in ADDED:
+            try:
+                self._install(name, [*by_hash, addition_hashes_path(self.root, name)], for_pip=True)
+            except PlgsError as error:
+                self._events.warning(f"The folder will lack {name}: {error.what}")
+        write_atomically(folder / self.request.torch_list(version), "".join(lines))
+
+    def _install(self, what: str, command: Sequence[str | Path], *, for_pip: bool = False) -> None:
+        variables = uv_program.pip_variables(self._variables) if for_pip else self._variables
+        output, code = self._run(command, environment=variables)
         if code != 0:
             fix = "Check the connection and the disk, then set up the engine again: it continues there."
             why = f"uv could not install {what} ({programs.complaint(output)})"
@@ -285,10 +341,10 @@ class SetUp:
 
     def _tell(self, step: int, detail: str = "") -> None:
         """Begin a step, or report more about it."""
-        label = f"{LABELS[step - 1]}: {detail}" if detail else LABELS[step - 1]
+        label = f"{self._labels[step - 1]}: {detail}" if detail else self._labels[step - 1]
         if (step, label) != (self._step, self._label):
             self._step, self._label = step, label
-            self._events.stage(STAGE, step, len(LABELS), label)
+            self._events.stage(STAGE, step, len(self._labels), label)
             self._tell_progress()
 
     def _pause(self) -> None:
@@ -297,7 +353,8 @@ class SetUp:
         time.sleep(_POLL_S)
         if time.monotonic() - self._measured_at > _MEASURE_S:
             self._measured_at = time.monotonic()
-            unpacked = bytes_in(self.folder / DOWNLOADS) / _INSTALLED_BYTES[self.request.torch_build]
+            downloads = self.request.download or self.folder / DOWNLOADS
+            unpacked = bytes_in(downloads) / _INSTALLED_BYTES[self.request.torch_build]
             self._done = max(self._done, _INSTALLED * min(1.0, unpacked))
             self._tell_progress()
 

@@ -116,6 +116,15 @@ def diverted(environ: Mapping[str, str], folder: Path) -> str:
     return ""
 
 
+def pip_variables(variables: Mapping[str, str]) -> dict[str, str]:
+    """uv's ``variables`` for pip, which then reads no settings of the user's."""
+    kept = {name: value for name, value in variables.items() if not name.startswith("PIP_")}
+    for setting, name in _OF_PIP.items():
+        if value := variables.get(name):
+            kept["PIP_" + setting.upper().replace("-", "_")] = " ".join(value.split(","))
+    return {**kept, "PIP_CONFIG_FILE": os.devnull}
+
+
 def program_in(folder: Path) -> Path:
     """Where `fetch` puts uv."""
     return folder / f"uv-{VERSION}" / ("uv.exe" if os.name == "nt" else "uv")
@@ -126,17 +135,13 @@ def fetch(folder: Path, variables: Mapping[str, str]) -> Path:
     program = program_in(folder)
     if program.exists():
         return program
-    system = (sys.platform, platform.machine().replace("AMD64", "amd64"))
-    if system not in _WHEELS:
-        raise OSError(f"uv is not available for {system[0]} on {system[1]}")
-    ending, digest = _WHEELS[system]
-    name = f"uv-{VERSION}-py3-none-{ending}"
+    name, digest = pinned_wheel()
     try:
         content = _wheel(name, variables)
     except (OSError, ValueError, HTTPException) as error:
         raise OSError(f"uv could not be downloaded ({error})") from error
     if hashlib.sha256(content).hexdigest() != digest:
-        raise OSError(f"the package index has no {name} with the pinned hash")
+        raise OSError(f"the package index, or the folder of wheels, has no {name} with the pinned hash")
     program.parent.mkdir(parents=True, exist_ok=True)
     part = program.with_suffix(".part")
     with zipfile.ZipFile(io.BytesIO(content)) as archive:
@@ -146,11 +151,22 @@ def fetch(folder: Path, variables: Mapping[str, str]) -> Path:
     return program
 
 
+def pinned_wheel() -> tuple[str, str]:
+    """The name and the SHA-256 of uv's wheel for this system. Raises OSError if there is none."""
+    system = (sys.platform, platform.machine().replace("AMD64", "amd64"))
+    if system not in _WHEELS:
+        raise OSError(f"uv is not available for {system[0]} on {system[1]}")
+    ending, digest = _WHEELS[system]
+    return f"uv-{VERSION}-py3-none-{ending}", digest
+
+
 def _wheel(name: str, variables: Mapping[str, str]) -> bytes:
     """The wheel's bytes, from a folder of the user's wheels or from the index; empty where neither has it."""
     for folder in variables.get("UV_FIND_LINKS", "").split(","):
         if folder and (Path(folder) / name).is_file():
             return (Path(folder) / name).read_bytes()
+    if variables.get("UV_NO_INDEX", "0").lower() not in ("", "0", "false"):
+        return b""
     index = variables.get("UV_DEFAULT_INDEX", _PUBLIC).rstrip("/") + "/uv/"
     page = _read(index, variables).decode(errors="replace")
     link = re.search(rf'href="((?:[^"]*/)?{re.escape(name)}[^"]*)"', page)

@@ -34,7 +34,7 @@ def test_what_is_missing_is_reported_with_the_command_that_fixes_it(root: Path) 
     facts = json.loads(said.stdout)
     assert {"torch", "numpy", "opencv-contrib-python-headless"} <= set(facts["missing"])
     assert all(version is None for version in facts["packages"].values())
-    assert f"-m pip install torch=={facts['wanted']['torch']} " in facts["fix"]
+    assert f"uv pip install --python {sys.executable} torch=={facts['wanted']['torch']} " in facts["fix"]
 
 
 def test_the_cuda_build_and_other_versions_are_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

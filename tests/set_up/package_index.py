@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import hashlib
+import importlib.metadata
 import threading
 import zipfile
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
@@ -30,6 +31,17 @@ def wheel(package: str, version: str, module: str) -> tuple[str, bytes]:
         for name, text in {**files, f"{stem}.dist-info/RECORD": record}.items():
             archive.writestr(name, text)
     return f"{stem}-py3-none-any.whl", content.getvalue()
+
+
+def installed(package: str) -> tuple[str, bytes]:
+    """Name and content of a wheel with the files of a package of this Python."""
+    distribution, content = importlib.metadata.distribution(package), BytesIO()
+    with zipfile.ZipFile(content, "w") as archive:
+        for path in distribution.files or []:
+            if ".." not in path.parts and path.name != "RECORD" and path.suffix != ".pyc":
+                archive.write(path.locate(), str(path))
+        archive.writestr(f"{package}-{distribution.version}.dist-info/RECORD", "")
+    return f"{package}-{distribution.version}-py3-none-any.whl", content.getvalue()
 
 
 class PackageIndex:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
 import shutil
 import signal
@@ -16,8 +17,8 @@ import pytest
 
 from engine.job.environment import is_complete, python_in
 from engine.set_up import SetUpRequest, remove_environments, steps, uv_program
-from tests.raises_key import worded
-from tests.set_up.package_index import PackageIndex, wheel
+from tests.raises_key import raises_key, worded
+from tests.set_up.package_index import PackageIndex, installed, wheel
 from tests.set_up.running import RunningSetUp
 from tests.waiting import PATIENCE_S
 
@@ -89,6 +90,39 @@ def test_another_wheel_is_refused(begin: Begin, index: PackageIndex, package: st
         index.fault[package] = fault
     told = error_of(begin())
     assert worded("uv-failed").search(told) and package in told and "\n" not in told
+
+
+def test_wheels_of_one_computer_serve_another_without_a_network(
+    folder: Path, code: Path, index: PackageIndex, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """pip collects tiny wheels; uv installs them while no index answers, and refuses a wheel that was changed."""
+    index.wheels |= {"pip": installed("pip"), "uv": wheel("uv", uv_program.VERSION, "uv")}
+    digests = {name: hashlib.sha256(index.wheels[name][1]).hexdigest() for name in ("pip", "uv")}
+    version = index.wheels["pip"][0].split("-")[1]
+    (code / "requirements/pip.txt").write_text(f"pip=={version} --hash=sha256:{digests['pip']}\n")
+    monkeypatch.setattr(uv_program, "pinned_wheel", lambda: (index.wheels["uv"][0], digests["uv"]))
+    monkeypatch.setattr(steps, "ADDED", ("usd",))  # which the index lacks
+    wheels = tmp_path / "wheels"
+    collecting = RunningSetUp(SetUpRequest(None, "cpu", index.url, download=wheels), code, folder).wait()
+    assert collecting.error is None and not list(folder.glob("engine-*"))
+    found = {path.name for path in wheels.glob("*.whl")}
+    assert found == {name for package, (name, _) in index.wheels.items() if package != "pip"}
+    (listed,) = wheels.glob("torch-cpu-*.txt")
+    index.downloads.clear()
+
+    offline = SetUpRequest(None, "cpu", "http://127.0.0.1:9/simple", wheels)
+    made = RunningSetUp(offline, code, folder).wait()
+    assert made.error is None and is_complete(environment_in(folder)) and index.downloads == []
+    for package in ("torch", "scipy"):
+        shutil.rmtree(environment_in(folder))
+        name, content = index.wheels[package]
+        (wheels / name).write_bytes(wheel(package, name.split("-")[1], "other")[1])
+        told = error_of(RunningSetUp(offline, code, folder))
+        assert worded("uv-failed").search(told) and package in told
+        (wheels / name).write_bytes(content)
+    listed.unlink()
+    with raises_key("no-wheels"):
+        raise RunningSetUp(offline, code, folder).wait().error or AssertionError
 
 
 def test_the_password_of_an_index_stays_out_of_log_and_message(begin: Begin, index: PackageIndex) -> None:

@@ -168,11 +168,8 @@ def _exr_shots(folder: Path) -> Iterator[tuple[str, Found]]:
 
 def _read_exr(path: Path) -> NDArray[np.float32]:
     read_exr_header(path)  # the library takes memory for all that a header claims
-    try:
-        import OpenEXR
-    except ImportError as error:
-        fix = "Install it with the engine's Python: python -m pip install -r requirements/engine.txt."
-        raise PlgsError("no-openexr", "EXR files need the package OpenEXR", path, fix) from error
+    import OpenEXR
+
     try:
         with OpenEXR.File(str(path), separate_channels=True) as file:
             return only_depth(file.channels()["R"].pixels.astype(np.float32))
