@@ -1,105 +1,28 @@
-"""Checks every frame's pixels before any work starts: a bad file is found in seconds, not after an hour.
-
-The cheapest test that poses, intrinsics and depth belong together: lift one frame's depth, project it into another and
-compare it with the depth there (equation "ProjectionEquation" of the paper, with a depth test).
-"""
+"""Checks every frame's pixels before any work starts: a bad file is found in seconds, not after an hour."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import MEMORY_IS_GONE, PlgsError
 from ..posed.classes import VOID
-from ..posed.frames import Camera, size_within
+from ..posed.frames import size_within
 from ..posed.image_header import check_image_file
 from ..posed.layout import listed, plural
+from .depth import Thumbnail, measure_overlap
 from .files_of_frames import IMAGES
 from .frame import Frame, PanopticMask, Scene, Size
 from .frame_choice import evenly_spread
 from .ground_truth import GroundTruthReader
 from .masks import KeptMask, OtherClasses
 from .opening import complete, require_liftable
-from .pixels import distinct_ids, largest_of_16_bits, resize_nearest
+from .pixels import distinct_ids, largest_of_16_bits
 from .view import Progress
 
-_TOLERANCE = 0.1
-"""Metres, or 5 % of the depth if that is more: thumbnails of slanted surfaces are coarse."""
-_NEXT = 3
-_SPREAD = 24
-_OVERLAPPING = 0.05
-_LOOKED_AT = 0.2
-
-
-@dataclass(frozen=True, eq=False)
-class Thumbnail:
-    """A frame's name, camera and depth, float32 [H, W] metres (0 = none), at a small size."""
-
-    name: str
-    camera: Camera
-    depth: NDArray[np.float32]
-
-
-@dataclass(frozen=True)
-class Overlap:
-    """How well frames fit together.
-
-    ``lonely`` names frames that share less than 5 % of their pixels with every frame they were compared with;
-    ``overlaps`` says whether any two frames share more. ``in_view`` and ``agreement`` are medians over the pairs in
-    which at least a fifth of one frame's points projects into the other: the fraction that does, and the fraction of
-    those with the depth expected there.
-    """
-
-    lonely: tuple[str, ...]
-    overlaps: bool
-    in_view: float
-    agreement: float
-
-
-def measure_overlap(thumbnails: Sequence[Thumbnail], tick: Callable[[], object] | None = None) -> Overlap:
-    """Compare every frame with the next three, and 24 frames spread over the scene with each other. ``tick`` is called
-    after each pair."""
-    count = len(thumbnails)
-    spread = np.unique(np.linspace(0, count - 1, min(count, _SPREAD)).round().astype(int)).tolist()
-    pairs = {(i, j) for i in range(count) for j in range(i + 1, min(i + 1 + _NEXT, count))}
-    pairs |= {*combinations(spread, 2)}
-    best = np.zeros(count)
-    looks: list[tuple[float, float]] = []
-    for i, j in sorted(pairs):
-        inside, agreeing = _share_seen(thumbnails[i], thumbnails[j])
-        best[i], best[j] = max(best[i], agreeing), max(best[j], agreeing)
-        if inside >= _LOOKED_AT:
-            looks.append((inside, agreeing / inside))
-        if tick is not None:
-            tick()
-    medians = np.median(np.array(looks), axis=0) if looks else np.zeros(2)
-    return Overlap(
-        lonely=tuple(thumbnail.name for thumbnail, share in zip(thumbnails, best, strict=True) if share < _OVERLAPPING),
-        overlaps=bool(best.max(initial=0.0) >= _OVERLAPPING),
-        in_view=float(medians[0]),
-        agreement=float(medians[1]),
-    )
-
-
-def _share_seen(one: Thumbnail, other: Thumbnail) -> tuple[float, float]:
-    """The fraction of one frame's points that projects onto depth of the other, and the fraction of those that
-    agrees."""
-    valid = one.depth > 0.0
-    points = one.camera.unproject(one.depth)[valid]
-    if not len(points):
-        return 0.0, 0.0
-    _, pixels, expected = other.camera.seen(points)
-    columns, rows = pixels.astype(np.int64).T
-    seen = other.depth[rows, columns]
-    agrees = (seen > 0.0) & (np.abs(seen - expected) <= np.maximum(_TOLERANCE, 0.05 * expected))
-    return float((seen > 0.0).sum() / len(points)), float(agrees.sum() / len(points))
-
-
-_THUMBNAIL_WIDTH = 40
 _COLOURS_DECODED = 16
 _MEDIAN_STEP = 7
 """Every seventh pixel is enough for the median depth."""
@@ -239,8 +162,7 @@ def _look(frame: Frame, unknown_truth: frozenset[int | str], keep_within: Size |
     if frame.read_depth is not None:
         depth = frame.read_depth(None)
         measured = _depth_facts(frame, depth)
-        size = (_THUMBNAIL_WIDTH, max(1, round(_THUMBNAIL_WIDTH * frame.camera.height / frame.camera.width)))
-        thumbnail = Thumbnail(frame.name, frame.camera.resized(*size), resize_nearest(depth, size))
+        thumbnail = Thumbnail.of(frame.name, frame.camera, depth)
     if frame.read_mask is not None:
         whole = frame.read_mask(None)
         mask = _mask_facts(whole)

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import astuple, dataclass, replace
 from functools import partial
+from itertools import combinations
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +21,7 @@ from ..posed.layout import check_size, files_by_stem, require_most, same_shape, 
 from ..posed.matrices import read_intrinsics, read_matrix
 from .files_of_frames import whole_file
 from .frame import Inferred, Size
-from .pixels import Alignment, decode_depth, decode_single_channel, resize_aligned
+from .pixels import Alignment, decode_depth, decode_single_channel, resize_aligned, resize_nearest
 
 MILLIMETRES = 0.001
 _DEPTHS = (0.0005, 10_000.0)
@@ -265,3 +266,84 @@ def fitting_alignment(colour: Camera, depth: Camera) -> Alignment | None:
     if moves < 1e-4:  # the same lens with other digits must not lose a row of pixels to rounding
         return Alignment()
     return Alignment(x_scale, x_shift, y_scale, y_shift) if moves < _NEARLY_ALIGNED else None
+
+
+_TOLERANCE = 0.1
+"""Metres, or 5 % of the depth if that is more: thumbnails of slanted surfaces are coarse."""
+_NEXT, _SPREAD = 3, 24
+_THUMBNAIL_WIDTH = 40
+_OVERLAPPING = 0.05
+_LOOKED_AT = 0.2
+
+
+@dataclass(frozen=True, eq=False)
+class Thumbnail:
+    """A frame's name, camera and depth, float32 [H, W] metres (0 = none), at a small size."""
+
+    name: str
+    camera: Camera
+    depth: NDArray[np.float32]
+
+    @classmethod
+    def of(cls, name: str, camera: Camera, depth: NDArray[np.float32]) -> Thumbnail:
+        """A frame's whole depth, made small."""
+        size = (_THUMBNAIL_WIDTH, max(1, round(_THUMBNAIL_WIDTH * camera.height / camera.width)))
+        return cls(name, camera.resized(*size), resize_nearest(depth, size))
+
+
+@dataclass(frozen=True)
+class Overlap:
+    """How well frames fit together: the cheapest test that poses, intrinsics and depth belong together (equation
+    "ProjectionEquation" of the paper, with a depth test).
+
+    ``lonely`` names frames that share less than 5 % of their pixels with every frame they were compared with;
+    ``overlaps`` says whether any two frames share more. ``in_view`` and ``agreement`` are medians over the pairs in
+    which at least a fifth of one frame's points projects into the other: the fraction that does, and the fraction of
+    those with the depth expected there.
+    """
+
+    lonely: tuple[str, ...]
+    overlaps: bool
+    in_view: float
+    agreement: float
+
+
+def measure_overlap(
+    thumbnails: Sequence[Thumbnail], tick: Callable[[], object] | None = None, tolerance: float = _TOLERANCE
+) -> Overlap:
+    """Compare every frame with the next three, and 24 frames spread over the scene with each other. Depths agree within
+    ``tolerance`` metres, or 5 %. ``tick`` is called after each pair."""
+    count = len(thumbnails)
+    spread = np.unique(np.linspace(0, count - 1, min(count, _SPREAD)).round().astype(int)).tolist()
+    pairs = {(i, j) for i in range(count) for j in range(i + 1, min(i + 1 + _NEXT, count))}
+    pairs |= {*combinations(spread, 2)}
+    best = np.zeros(count)
+    looks: list[tuple[float, float]] = []
+    for i, j in sorted(pairs):
+        inside, agreeing = _share_seen(thumbnails[i], thumbnails[j], tolerance)
+        best[i], best[j] = max(best[i], agreeing), max(best[j], agreeing)
+        if inside >= _LOOKED_AT:
+            looks.append((inside, agreeing / inside))
+        if tick is not None:
+            tick()
+    medians = np.median(np.array(looks), axis=0) if looks else np.zeros(2)
+    return Overlap(
+        lonely=tuple(thumbnail.name for thumbnail, share in zip(thumbnails, best, strict=True) if share < _OVERLAPPING),
+        overlaps=bool(best.max(initial=0.0) >= _OVERLAPPING),
+        in_view=float(medians[0]),
+        agreement=float(medians[1]),
+    )
+
+
+def _share_seen(one: Thumbnail, other: Thumbnail, tolerance: float) -> tuple[float, float]:
+    """The fraction of one frame's points that projects onto depth of the other, and the fraction of those that
+    agrees."""
+    valid = one.depth > 0.0
+    points = one.camera.unproject(one.depth)[valid]
+    if not len(points):
+        return 0.0, 0.0
+    _, pixels, expected = other.camera.seen(points)
+    columns, rows = pixels.astype(np.int64).T
+    seen = other.depth[rows, columns]
+    agrees = (seen > 0.0) & (np.abs(seen - expected) <= np.maximum(tolerance, 0.05 * expected))
+    return float((seen > 0.0).sum() / len(points)), float(agrees.sum() / len(points))

@@ -17,16 +17,14 @@ from numpy.typing import NDArray
 
 from ..errors import PlgsError
 from ..posed.image_header import read_image_header
-from .depth import DepthMap, depth_check, in_metres, read_depth_array
+from .depth import DepthMap, Thumbnail, depth_check, in_metres, measure_overlap, read_depth_array
 from .files_of_frames import files_of_frames, mask_files
 from .frame import Frame, Inferred, LeftOut, SparsePoints, left_out
 from .frame_choice import evenly_spread
 from .mask_fit import Pictured, Placement, other_numbers, turns_of
 from .pixels import decode_depth
 
-_AS_METRES = Inferred(
-    "units", "depth maps are read as metres (.png: millimetres)", "there are no sparse points to fit depth to"
-)
+_AS_METRES = "depth maps are read as metres (.png: millimetres)"
 _BENT = Inferred(
     "masks' lens", "depth maps are straightened as the photos are", "they are taken for maps of the photos as they are"
 )
@@ -34,9 +32,12 @@ _TURNED = Inferred(
     "orientation", "depth maps of photos with an EXIF orientation are turned to the stored pictures",
     "they fit the points so",
 )  # fmt: skip
-_CLEARLY, _NEARLY_0 = 0.7, 0.1
-"""An alternative reading of the maps is taken if its error is at most the first fraction of the usual one's. The second
-separates fractional maps: their smallest values lie below it."""
+_CLEARLY = 0.7
+"""An alternative reading of the maps is taken if its error is at most this fraction of the usual one's."""
+_AGREEING = 0.35
+"""Maps with values up to 1 are metres if this fraction of the points agrees between frames. Of two scenes shrunk to
+1 m, 0.57 and 0.92 agreed; as fractions of each frame's range, or in half or twice their unit, at most 0.21."""
+_COMPARED = 24
 _ARRAYS = {".npy", ".npz"}
 _LOOKED_AT = 8
 LEAST_POINTS = 12
@@ -197,8 +198,7 @@ def with_estimated_depth(
         if error is not None and not files:
             raise error
     else:
-        _refuse_shares([*files.values()])
-        inferred = (_AS_METRES, *([_BENT] if any(each.lens for each in usual.values()) else []))
+        inferred = (_as_metres(frames, files, usual), *([_BENT] if any(each.lens for each in usual.values()) else []))
     mapless = left_out("a readable depth map", [name for name in names if name not in files])
     kept, blind = [], []
     for frame in (frame for frame in frames if frame.name in files):
@@ -218,15 +218,22 @@ def with_estimated_depth(
     return tuple(kept), (*mapless, *left_out(f"{LEAST_POINTS} points of the reconstruction in view", blind)), inferred
 
 
-def _refuse_shares(paths: Sequence[Path]) -> None:
-    """Raise PlgsError for float maps of relative depth without a unit, from about 0 to at most 1 (Marigold)."""
-    looked = [read_map(path) for path in evenly_spread([path for path in paths if path.suffix in _ARRAYS], _LOOKED_AT)]
-    if looked and all(
-        values.dtype.kind == "f" and float(np.nanmin(values)) < _NEARLY_0 and float(np.nanmax(values)) <= 1.0
-        for values in looked
-    ):
-        what = "depth maps hold fractions from 0 to 1, and there are no sparse points to fit them to"
-        raise PlgsError("depth-relative", what, paths[0], "Give maps in metres, or poses of COLMAP with its points.")
+def _as_metres(frames: Sequence[Frame], files: Mapping[str, Path], placements: Mapping[str, Placement]) -> Inferred:
+    """A note that maps are read as metres. Float maps with values up to 1 may be of a tabletop, or relative depth
+    without a unit (Marigold): the latter, on which frames disagree, are refused."""
+    thumbnails = []
+    for frame in evenly_spread([frame for frame in frames if frame.name in files], _COMPARED):
+        values = read_map(files[frame.name])
+        depth = np.asarray(placements[frame.name](in_metres(values)))
+        if values.dtype.kind != "f" or depth.max() > 1.0:
+            return Inferred("units", _AS_METRES, "there are no sparse points to fit depth to")
+        thumbnails.append(Thumbnail.of(frame.name, frame.camera, depth))
+    share = measure_overlap(thumbnails, tolerance=0.0).agreement
+    if share < _AGREEING:
+        what = f"depth maps hold values from 0 to 1, and frames disagree about these as metres ({share:.0%} agree)"
+        fix = "Save metres as 16-bit .png in millimetres; for others, give poses of COLMAP with its points."
+        raise PlgsError("depth-relative", what, next(iter(files.values())), fix)
+    return Inferred("units", _AS_METRES, f"{share:.0%} of the points agree between frames then")
 
 
 def _fitting(

@@ -212,6 +212,40 @@ def test_the_split_and_the_bad_frames_of_a_file(tmp_path: Path) -> None:
     assert any("is_bad" in warning and "frame_12" in warning for warning in open_scene(tmp_path).warnings)
 
 
+@pytest.mark.parametrize(
+    ("values", "is_metric"),
+    [
+        (lambda depth: depth, True),
+        (lambda depth: np.where(np.arange(64) < 9, 0.0, depth), True),  # with holes
+        (lambda depth: np.where(np.arange(64) < 9, np.nan, depth), True),
+        (lambda depth: (depth - depth.min()) / np.ptp(depth), False),
+        (lambda depth: 0.3 + 0.7 * (depth - depth.min()) / np.ptp(depth), False),
+        (lambda depth: depth.min() / depth, False),
+        (lambda depth: depth / 2, False),
+    ],
+)
+def test_maps_of_a_tabletop_in_metres_differ_from_fractions(
+    tmp_path: Path, values: Callable[[np.ndarray], np.ndarray], is_metric: bool
+) -> None:
+    """A room shrunk to a fifth: all of its depths are below 1 m."""
+    table = write_scene(tmp_path, depth=False) / "transforms.json"
+    content = json.loads(table.read_text())
+    for frame in content["frames"]:
+        for row in frame["transform_matrix"][:3]:
+            row[3] /= 5
+    table.write_text(json.dumps(content))
+    (tmp_path / "maps").mkdir()
+    for i, view in enumerate(views()):
+        shown = values(look(view, LENS).depth / 5).astype(np.float32)
+        assert np.nanmax(shown) <= 1
+        np.save(tmp_path / "maps" / f"frame_{i + 8}.npy", shown)
+    if is_metric:
+        assert any("agree between frames" in told for told in open_scene(tmp_path, depth=tmp_path / "maps").warnings)
+        return
+    with raises_key("depth-relative"):
+        open_scene(tmp_path, depth=tmp_path / "maps")
+
+
 @pytest.mark.parametrize("as_taken", [True, False])
 @pytest.mark.parametrize(
     ("name", "first"),
@@ -237,7 +271,9 @@ def test_maps_are_paired_and_straightened_as_they_fit(tmp_path: Path, as_taken: 
     points = SparsePoints(xyz, np.zeros((len(xyz), 3), np.uint8), seen)
     lens = scene.frames[0].camera.at(np.eye(4))
     frames, _, told = with_estimated_depth(
-        scene.frames, tmp_path / "maps", points,
+        scene.frames,
+        tmp_path / "maps",
+        points,
         {frame.name: Pictured(frame.read_colour, frame.size, lens=(lens, BEND)) for frame in scene.frames},
     )
     assert len(told) == as_taken + (first != 8) and len(frames) == 6
