@@ -196,7 +196,7 @@ def poses(options: argparse.Namespace, events: EventWriter, stop: StopSignal) ->
     made = make_poses(options.scene, events, stop, options.pictures)
     unit = "" if made.scale is None else ", in metres by the depth beside them"
     text = f"Poses of {made.posed} of {made.photos} photos{unit}: {made.folder}"
-    events.answer({"folder": str(made.folder), **made.to_json()}, text)
+    events.answer(asdict(made) | {"folder": str(made.folder)}, text)
 
 
 def segment(options: argparse.Namespace, events: EventWriter, stop: StopSignal) -> None:

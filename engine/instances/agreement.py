@@ -23,12 +23,18 @@ PAIRS_AT_A_TIME = 8192
 class ViewPoints:
     """What one view shows at the points it sees: ``row`` int32 [n] in the cloud, ascending; ``segment`` int32 [n], the
     id of the segment that most of the point's pixels show (0 = void); ``pixels`` float32 [n] at the size of the frame's
-    own mask; ``resolution`` float32 [n], the mean number of pixels per centimetre."""
+    own mask; ``resolution`` float32 [n], the mean number of pixels per centimetre; ``share`` that of the segment."""
 
     row: NDArray[np.int32]
     segment: NDArray[np.int32]
     pixels: NDArray[np.float32]
     resolution: NDArray[np.float32]
+    share: NDArray[np.float32] | float = 1.0
+
+    @property
+    def shares(self) -> NDArray[np.float32]:
+        """``share`` of each point, float32 [n]."""
+        return np.broadcast_to(np.float32(self.share), self.row.shape)
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,11 +157,14 @@ def view_points(view: View, point_of_pixel: NDArray[np.int32]) -> ViewPoints:
     index = np.searchsorted(points, row)
     pixels = np.bincount(index, minlength=len(points))
     resolution = np.bincount(index, resolution_of(view)[seen], len(points)) / np.maximum(pixels, 1)
+    shown = segments[order][first].astype(np.int32)
+    shares = {segment.id: segment.share for segment in view.mask.segments if segment.share != 1.0}
     return ViewPoints(
         points.astype(np.int32),
-        segments[order][first].astype(np.int32),
+        shown,
         (pixels * view.mask_scale**2).astype(np.float32),
         resolution.astype(np.float32),
+        np.array([shares.get(each, 1.0) for each in shown.tolist()], np.float32) if shares else 1.0,
     )
 
 
@@ -177,7 +186,7 @@ def words_of_views(
         shown = shown_classes(view, seen)
         column = np.minimum(np.searchsorted(class_ids, shown), len(class_ids) - 1)
         known = class_ids[column] == shown
-        word = evidence(kind, seen.pixels[known], seen.resolution[known]).astype(np.float64)
+        word = evidence(kind, seen.pixels[known], seen.resolution[known]).astype(np.float64) * seen.shares[known]
         said.append((seen.row[known].astype(np.int64), column[known], word))
         total[said[-1][:2]] += word  # a view has each point once
     return said, total

@@ -53,7 +53,8 @@ def vote_classes(
         seen = np.bincount(owner * len(ids) + column, pixels, votes.size).reshape(votes.shape)
         whole = np.maximum(seen.sum(1), 1e-12)
         resolution = np.bincount(owner, pixels * view.resolution[voting], len(votes)) / whole
-        votes += seen * (evidence(kind, whole, resolution) / whole)[:, None]
+        said = np.bincount(owner * len(ids) + column, pixels * view.shares[voting], votes.size).reshape(votes.shape)
+        votes += said * (evidence(kind, whole, resolution) / whole)[:, None]
     return votes
 
 
@@ -86,12 +87,12 @@ def held_back_agreement(
         column = np.minimum(np.searchsorted(ids, shown), classes - 1)
         voting = (ids[column] == shown) & (object_of_point[view.row] > 0)
         row, column, pixels = view.row[voting], column[voting], view.pixels[voting].astype(np.float64)
-        word = evidence(kinds.segments, pixels, view.resolution[voting]).astype(np.float32)
+        word = evidence(kinds.segments, pixels, view.resolution[voting]).astype(np.float32) * view.shares[voting]
         of_points[row, column] += word  # a view has each point once
         owner = object_of_point[row]
         whole = np.maximum(np.bincount(owner, pixels, count), 1e-12)
         resolution = np.bincount(owner, pixels * view.resolution[voting], count) / whole
-        share = pixels * (evidence(kinds.objects, whole, resolution) / whole)[owner]
+        share = pixels * (evidence(kinds.objects, whole, resolution) / whole)[owner] * view.shares[voting]
         own = np.bincount(owner * classes + column, share, count * classes).reshape(count, classes)
         of_objects += own
         said.append((row, column, owner, word, share, own))

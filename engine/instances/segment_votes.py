@@ -167,8 +167,9 @@ def _votes(
         resolution = np.bincount(rows[seen], resolution_of(view)[seen], points) / safe
         voting = seen & (labels >= 0)
         pairs, place = np.unique(rows[voting].astype(np.int64) * count + labels[voting], return_inverse=True)
+        said = view.mask.share_map()
         shown, whole = (
-            np.bincount(place.reshape(-1), own[voting], len(pairs)) for own in (np.ones_like(seen), is_whole(view.mask))
+            np.bincount(place.reshape(-1), own[voting], len(pairs)) for own in (said, said * is_whole(view.mask))
         )
         point = pairs // count
         amount = pixels[point] * view.mask_scale**2, resolution[point]

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -69,7 +69,8 @@ class Segment:
     """One region of a panoptic mask: its value ``id`` in the pixels, its class, and the detector's score in [0, 1].
 
     ``is_group`` marks a region of a thing's class without an instance. It may show several objects, so it gives its
-    pixels a class but founds no object. ``track`` is the object's id in all frames, None without a tracker.
+    pixels a class but founds no object. ``track`` is the object's id in all frames, None without a tracker. A detection
+    with several classes is a segment for each; ``share`` is the part of its vote that this class gets.
     """
 
     id: int
@@ -78,6 +79,7 @@ class Segment:
     score: float = 1.0
     is_group: bool = False
     track: int | None = None
+    share: float = 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,10 +91,17 @@ class PanopticMask:
 
     def class_map(self) -> NDArray[np.int32]:
         """Class id of every pixel, int32 [H, W], 0 = void."""
-        table = np.zeros(int(self.ids.max(initial=0)) + 1, np.int32)
-        for segment in self.segments:
-            if segment.id < len(table):
-                table[segment.id] = segment.class_id
+        return self._map({segment.id: segment.class_id for segment in self.segments}, np.zeros(1, np.int32))
+
+    def share_map(self) -> NDArray[np.float32]:
+        """The ``share`` of every pixel's segment, float32 [H, W], 1 where there is none."""
+        return self._map({segment.id: segment.share for segment in self.segments}, np.ones(1, np.float32))
+
+    def _map(self, of_segment: Mapping[int, float], other: NDArray[Any]) -> NDArray[Any]:
+        table = np.repeat(other, int(self.ids.max(initial=0)) + 1)
+        for number, value in of_segment.items():
+            if number < len(table):
+                table[number] = value
         return table[self.ids]
 
 

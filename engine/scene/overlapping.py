@@ -43,8 +43,12 @@ class EvidenceReader:
     known: ClassMap
 
     def __call__(self, size: Size | None = None) -> Evidence:
-        """The evidence at ``size`` (width, height) or the frame's own. Raises PlgsError for damaged run lengths."""
+        """The evidence at ``size`` (width, height) or the frame's own. Detections of the same pixels share one vote by
+        their scores. Raises PlgsError for damaged run lengths."""
         width, height = size or self.own
+        total: dict[bytes, float] = {}
+        for one in self.found:
+            total[one.runs] = total.get(one.runs, 0.0) + one.score
         segments: list[Segment] = []
         inside = np.zeros((len(self.found), height, width), bool)
         for one in self.found:
@@ -53,7 +57,8 @@ class EvidenceReader:
             if class_id != VOID and pixels.any():
                 inside[len(segments)] = pixels
                 is_thing = self.known.classes[class_id].is_thing
-                segments.append(Segment(len(segments) + 1, class_id, is_thing, one.score, track=one.track))
+                number, share = len(segments) + 1, one.score / total[one.runs]
+                segments.append(Segment(number, class_id, is_thing, one.score, track=one.track, share=share))
         return Evidence(tuple(segments), inside[: len(segments)])
 
     def digest(self) -> str:

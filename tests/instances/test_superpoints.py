@@ -10,8 +10,10 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from engine.instances import superpoints as module
-from engine.instances.agreement import ViewPoints, ViewsOnCloud, view_points
+from engine.instances.agreement import ViewPoints, ViewsOnCloud, shown_classes, view_points, words_of_views
 from engine.instances.layers import class_agreement, trusted_layers
+from engine.instances.objects import vote_classes
+from engine.instances.segment_votes import _votes
 from engine.instances.superpoints import RestOfSuperpoint, held_back_agreement, superpoints, trusted_superpoints
 from engine.scene import Camera, Evidence, PanopticMask, Segment, View
 
@@ -118,6 +120,24 @@ def test_detections_vote_where_masks_are_weak_alone() -> None:
         for view, seen in zip(layers.views, layers.seen, strict=True):
             assert view.mask.segments[0].class_id == BOX and view.frame in {each.name for each in views.views}
             assert np.array_equal(seen.segment > 0, is_box[seen.row])
+
+
+def test_classes_of_one_detection_share_its_vote() -> None:
+    """Everywhere that views vote on classes: points, segments and objects."""
+    (views,) = [seeing(np.zeros((30, 3), np.float32), [np.full(30, FLOOR, np.int32)])]
+    inside = np.ones((2, *views.views[0].mask.ids.shape), bool)
+    segments = Segment(1, BOX, True, 0.6, share=0.75), Segment(2, WALL, False, 0.2, share=0.25)
+    layered = replace(views.views[0], layers=Evidence(segments, inside).layers())
+    layers = ViewsOnCloud([layered], views.point_of_pixel, views.seen).layers()
+    columns = [CLASS_IDS.index(BOX), CLASS_IDS.index(WALL)]
+    _, points = words_of_views(layers, 30, np.array(CLASS_IDS), "views")
+    np.testing.assert_allclose(points[:, columns], [[0.75, 0.25]] * 30)
+    shown = [(seen, shown_classes(view, seen)) for view, seen in zip(layers.views, layers.seen, strict=True)]
+    votes = vote_classes(shown, np.ones(30, np.int32), 1, CLASS_IDS, "views")
+    np.testing.assert_allclose(votes[1, columns], [0.75, 0.25])
+    maps = [np.full(view.mask.ids.shape, column, np.int16) for view, column in zip(layers.views, columns, strict=True)]
+    asked = _votes(layers.views, maps, layers.point_of_pixel, 30, len(CLASS_IDS), "views").asked.toarray()
+    np.testing.assert_allclose(asked[:, columns], [[0.75, 0.25]] * 30)
 
 
 def test_each_class_counts_alike() -> None:

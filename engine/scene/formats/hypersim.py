@@ -172,7 +172,7 @@ def _read(place: Path) -> Capture:
             raise PlgsError("poses-unpaired", "positions and orientations do not belong together", camera, _FIX)
         pictures = list(_pictures(place / "images", camera.name))
         previews = shown_files(place / "images" / f"scene_{camera.name}_final_preview", "frame.*.tonemap.jpg")
-        shown = {int(number) for path in previews if (number := path.name.split(".")[1]).isdecimal()}
+        shown = {int(digits) for path in previews if (digits := path.name.split(".")[1]).isdecimal()}
         blind += [f"{camera.name}_{number:04d}" for number in sorted(shown - {number for number, *_ in pictures})]
         for number, colour, depth in pictures:
             if number >= len(positions):

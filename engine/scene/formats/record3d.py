@@ -118,9 +118,8 @@ def _shots(archive: _Archive, path: Path) -> Iterator[tuple[str, Shot | None]]:
     metadata = parse_json_object(archive.read("metadata"), path)
     names = {*archive.names()}
     numbers = sorted(int(match[1]) for name in names if (match := re.fullmatch(r"rgbd/(\d+)\.jpg", name)))
-    width, height = (metadata.get(key) for key in ("dw", "dh"))
-    has_size = all(isinstance(side, int) and 0 < side < 2**14 for side in (width, height))
-    size = (int(width), int(height)) if has_size else None
+    has_size = all(isinstance(metadata.get(key), int) and 0 < metadata[key] < 2**14 for key in ("dw", "dh"))
+    size = (int(metadata["dw"]), int(metadata["dh"])) if has_size else None
     for number, camera in _cameras(metadata, numbers, path):
         if camera is None:
             yield str(number), None

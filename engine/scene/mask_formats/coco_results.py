@@ -2,7 +2,8 @@
 
 Supported are COCO's results, which detectron2 and ultralytics write, too; instance annotations of COCO and LVIS;
 SA-1B's and SAM's lists for one picture, in a folder with one JSON per frame; and SA-V's masklets, whose indices are
-tracks. Used alone, the best detection is on top. Over other masks, they overlap (``overlapping``).
+tracks. Several classes of a detection are several entries with the same mask, or ``scores`` by category id. Used alone,
+the best detection is on top. Over other masks, they overlap (``overlapping``).
 """
 
 from __future__ import annotations
@@ -98,8 +99,9 @@ class DetectionTable:
         for position, (image, entry) in enumerate(self.entries):
             if image in frame_of and entry.get("iscrowd") != 1:
                 name = frame_of[image]
-                size = self.sizes.get(image) or frames[name]
-                found.setdefault(name, []).append(self._detection(entry, f"detection {position}", size))
+                size, context = self.sizes.get(image) or frames[name], f"detection {position}"
+                detected = (self._detection(one, context, size) for one in self._each_class(entry, context))
+                found.setdefault(name, []).extend(detected)
         count = f"{len(others)} of {len(others) + len(frame_of)}"
         warning = f"{count} images with detections are not frames: {listed(others)}"
         return {name: tuple(each) for name, each in found.items()}, (warning,) if others else ()
@@ -127,6 +129,15 @@ class DetectionTable:
         """Whether some pictures are known by numbers alone, and some of these are no frames."""
         images = {image for image, _ in self.entries} - self.names.keys() - {*names}
         return bool(images) and not images <= self._frames_of(images, names, {}).keys()
+
+    def _each_class(self, entry: dict[str, Any], context: str) -> list[dict[str, Any]]:
+        """The entry, or one for each class if it has ``scores`` by category id."""
+        if "scores" not in entry:
+            return [entry]
+        scores = entry["scores"]
+        if not isinstance(scores, dict) or not scores or not all(key.isdecimal() for key in scores):
+            raise wrong_type("scores", "an object with a score for each category id", scores, context, self.path)
+        return [entry | {"category_id": int(key), "score": score} for key, score in scores.items()]
 
     def _detection(self, entry: dict[str, Any], context: str, size: Size | None) -> DetectedSegment:
         label = None

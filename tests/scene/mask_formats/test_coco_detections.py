@@ -143,6 +143,23 @@ def test_detections_over_masks_overlap_and_leave_them_alone(room: Path) -> None:
     assert len({digest_of_masks(each) for each in (before, scene, over_the_tiny_scene(room, found[:1]))}) == 3
 
 
+def test_several_classes_of_a_detection_share_its_vote(room: Path) -> None:
+    """As entries with the same mask, or as scores by category id."""
+    upper, left = np.zeros((2, 48, 64), bool)
+    upper[:30], left[:, :9] = True, True
+    one = a_detection(upper, score=0.6)
+    names = [{"id": 5, "name": "chair"}, {"id": 77, "name": "house plant"}]
+    for both in ([one, one | {"category_id": 77, "score": 0.2}], [one | {"scores": {"5": 0.6, "77": 0.2}}]):
+        scene = over_the_tiny_scene(room, {"annotations": [*both, a_detection(left)], "categories": names})
+        segments = [one for layer in scene.frames[1].layers() for one in layer.segments]
+        assert [one.score for one in segments] == [0.6, 0.4, 0.2]
+        assert [one.share for one in segments] == pytest.approx([0.75, 1.0, 0.25])
+        assert segments[0].class_id == segments[1].class_id != segments[2].class_id
+    for wrong in ([0.6, 0.2], {}, {"chair": 0.6}):
+        with raises_key("wrong-type scores"):
+            over_the_tiny_scene(room, {"annotations": [one | {"scores": wrong}], "categories": names})
+
+
 def test_pictures_that_are_no_frames_are_told(room: Path) -> None:
     upper = np.ones((48, 64), bool)
     scene = over_the_tiny_scene(room, [a_detection(upper), a_detection(upper, image_id=987)])
