@@ -72,15 +72,8 @@ def test_instances_are_read_back_in_the_order_of_their_ids(tmp_path: Path) -> No
         write_instances(path, CLASSES, [made_instance(1), made_instance(1)])
 
 
-def test_bad_instances_are_refused(tmp_path: Path) -> None:
+def test_bad_outlines_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "instances.json"
-    for field, value in (("id", 0), ("id", 1 << 20), ("centre", [0, 0]), ("score", 1e300), ("colour", [1, 2])):
-        write_instances(path, CLASSES, [made_instance(1)])
-        content = json.loads(path.read_text())
-        content["instances"][0][field] = value
-        path.write_text(json.dumps(content))
-        with raises_key("instances-damaged"):
-            read_instances(path)
     for outline in ("0.1,0.2", "0.100,0.200,", "0.100,0.200 " * 3, 7, ["0.100,0.200"], "9.000,0.000"):
         write_instances(path, CLASSES, [made_instance(1)])
         content = json.loads(path.read_text())

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import shutil
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -122,17 +121,6 @@ def test_corrections_are_seen_and_the_lifts_own_file_stays(shot: Path, blend: Pa
     command = ["-o", lift.path, "--bake", "camera", "--blend", blend, "--camera", "dolly", "--range", "1-1"]
     assert exit_code(run_plgs.main, *command) == 0
     assert not (read_exr(baked).instance == one).any() and own.read_bytes() == before
-
-
-def test_two_commands_at_once_both_end_with_all_frames(
-    lift: LiftFolder, blend: Path, root: Path, quick_python: Path
-) -> None:
-    command = ["-o", lift.path, "--bake", "camera", "--blend", blend, "--camera", "dolly", "--range", "1-4"]
-    with ThreadPoolExecutor(2) as pool:
-        ended = [*pool.map(lambda _: run_script(root, *command, engine=quick_python), range(2))]
-    assert [each.returncode for each in ended] == [0] * 2, [each.stderr for each in ended]
-    listed = [file.path.stem for file in verify(lift.result_path).files if file.path.suffix == ".exr"]
-    assert listed == [f"shot_dolly.{frame:04d}" for frame in range(1, 5)]
 
 
 def test_a_camera_that_cannot_be_baked_is_a_one_line_error(

@@ -76,18 +76,6 @@ def test_poses_are_a_little_wrong_and_rigid(exact: Path, captured: Path) -> None
     assert np.sqrt(np.mean(np.square(turns))) == pytest.approx(0.3, rel=0.01) and max(turns) < 1.2
 
 
-def test_depth_with_its_own_lens_is_aligned_with_the_colours(tmp_path: Path) -> None:
-    source = write_tiny_scene(tmp_path / "source", frames=6)
-    lens = np.loadtxt(source / "intrinsic/intrinsic_color.txt")
-    lens[0, 0] *= 1.1
-    np.savetxt(source / "intrinsic/intrinsic_depth.txt", lens)
-    hand_held.write_hand_held(source, tmp_path / "out", seed=0)
-    before, after = open_scene(source).frames[0], open_scene(tmp_path / "out").frames[0]
-    read, sensed = before.read_depth((32, 24)), after.read_depth((32, 24))
-    known = (read > 0.0) & (sensed > 0.0)
-    assert known.mean() > 0.5 and np.median(np.abs(sensed - read)[known]) < 0.03
-
-
 @pytest.mark.parametrize("bad", ["exists", "inside", "no scene", "few poses"])
 def test_bad_arguments_are_refused_in_one_line(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], bad: str

@@ -55,16 +55,6 @@ def test_the_constraints_agree_with_the_requirements(version: tuple[int, int], b
     assert all(line in locked for line in (name.lower() for name in requirement_lines("next.txt")))
 
 
-def test_a_python_without_a_blender_has_no_recipe() -> None:
-    with pytest.raises(ValueError, match="no Blender runs on Python 3.12"):
-        environment.recipe(".venv", (3, 12))
-
-
-def test_the_next_environment_has_no_torch() -> None:
-    calls = environment.recipe(".venv-next", (3, 13)).calls
-    assert [name for call in calls for name in call] == ["blender-5.3.txt", "next.txt"]
-
-
 def test_complete_means_stamped_with_exactly_these_requirements(tmp_path: Path) -> None:
     requirements = shutil.copytree(REQUIREMENTS, tmp_path / "requirements")
     folder = tmp_path / ".venv"
@@ -130,17 +120,6 @@ def test_the_index_of_cpu_builds_is_used_only_for_torch(
     environment.main(["make", ".venv"])
     asked = [("torch.txt" in command, "file:///cpu-builds" in command) for command in workshop if "pip" in command]
     assert asked == [(True, True), (True, False)], "the second brings what torch needs"
-
-
-def test_the_engine_is_compiled_where_it_runs(workshop: list[list[str]], monkeypatch: pytest.MonkeyPatch) -> None:
-    environment.main(["make", ".venv"])
-    assert workshop[-1][1:] == ["-m", "engine", "warm-up"]
-    monkeypatch.setattr(environment, "find_python", lambda uv, name: ("python", (3, 13)))
-    environment.main(["make", ".venv-next"])
-    assert workshop[-1][1] == "-c" and "torch" not in workshop[-1][2]
-    monkeypatch.setattr(environment, "find_python", lambda uv, name: ("", (3, 13)))
-    shutil.rmtree(environment.ROOT / ".venv-next")
-    assert environment.main(["make", ".venv-next"]) == 0 and not (environment.ROOT / ".venv-next").exists()
 
 
 def test_without_root_the_missing_packages_are_named_in_one_apt_line(

@@ -96,27 +96,21 @@ def hellos(lift: Path) -> list[dict[str, object]]:
     return [event for line in whole if (event := json.loads(line))["event"] == "hello"]
 
 
-def pause(job: SceneJob, runs: int = 1) -> Path:
-    """Let a lift wait in the middle of each of its first runs, until the test ends it or deletes that run's file. The
-    last one's is returned."""
-    files = [job.request.scene / f"pause {number}" for number in range(1, runs + 1)]
-    for each in files:
-        each.touch()
-    return files[-1]
+def pause(job: SceneJob) -> Path:
+    """Let a lift wait in the middle of its first run, until the test ends it or deletes this file."""
+    file = job.request.scene / "pause"
+    file.touch()
+    return file
 
 
-def in_the_middle(lift: Path, runs: int = 1) -> int:
-    """Wait until a lift pauses, in its run of this number, and return the number of the worker's process."""
-    wait_until(lambda: _is_training(lift, runs), lift)
+def in_the_middle(lift: Path) -> int:
+    """Wait until a lift pauses, and return the number of the worker's process."""
+    events = lift / "events.jsonl"
+    wait_until(
+        lambda: events.exists() and events.read_text().count('"event": "progress"') > farm_worker.PAUSE_AFTER, lift
+    )
     status = Path(f"/proc/{hellos(lift)[-1]['pid']}/status").read_text()
     return int(status.split("PPid:")[1].split()[0])
-
-
-def _is_training(lift: Path, runs: int) -> bool:
-    if len(hellos(lift)) < runs:
-        return False
-    *_, latest = (lift / "events.jsonl").read_text().split('"event": "hello"')
-    return latest.count('"event": "progress"') > farm_worker.PAUSE_AFTER
 
 
 def meanwhile(act: Callable[[], object]) -> threading.Thread:

@@ -33,15 +33,14 @@ def lift(folder: LiftFolder, events: EventWriter, stop: StopSignal, *, resume: b
     events.stage("train", 1, 2, "Training")
     checkpoint = folder.checkpoints.latest() if resume else None
     step = 0 if checkpoint is None else int(str(checkpoint.state["step"]))
-    run = folder.events_path.read_text().count('"event": "hello"')
-    pause, done = folder.request.scene / f"pause {run}", 0
+    pause, done = folder.request.scene / "pause", 0
     while step < STEPS:
         step, done = step + 1, done + 1
         events.progress("train", step, STEPS, loss=1.0 / step, eta_s=STEP_S * (STEPS - step))
         folder.checkpoints.save({"step": step}, lambda path: (path / "model").write_bytes(b"model"))
         stop.check()
         end = time.monotonic() + PATIENCE_S
-        while done > PAUSE_AFTER and pause.exists() and time.monotonic() < end:
+        while not resume and done > PAUSE_AFTER and pause.exists() and time.monotonic() < end:
             stop.check()
             time.sleep(STEP_S)
         time.sleep(STEP_S)

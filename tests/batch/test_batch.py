@@ -56,48 +56,21 @@ def test_a_killed_worker_loses_little_and_its_work_goes_elsewhere(tmp_path: Path
     verify(plan.output / "a" / "result")
 
 
-@pytest.mark.parametrize(
-    ("number", "kills", "state"),
-    [
-        pytest.param(signal.SIGKILL, 1, "done", marks=pytest.mark.slow),
-        (signal.SIGTERM, 1, "done"),
-        (signal.SIGKILL, 2, "failed"),
-    ],
-)
-def test_an_engine_that_is_killed_is_resumed_once(
-    number: signal.Signals, kills: int, state: str, tmp_path: Path, farm: Farm, address: str
+@pytest.mark.parametrize(("number", "kind"), [(signal.SIGTERM, "usual"), (signal.SIGSTOP, "impatient")])
+def test_an_engine_that_is_terminated_or_stopped_is_resumed(
+    number: signal.Signals, kind: str, tmp_path: Path, farm: Farm, address: str
 ) -> None:
-    plan = plan_of(tmp_path, "a", "b")
-    farm.workers(address, "usual", "usual")
-
-    pause(plan.jobs[0], kills)
-
-    def kill() -> None:
-        for runs in range(1, kills + 1):
-            in_the_middle(plan.output / "a", runs)
-            os.kill(int(str(hellos(plan.output / "a")[-1]["pid"])), number)
-
-    killing = meanwhile(kill)
-    code = run(plan, FarmOptions(scheduler=address))
-    killing.join()
-    assert [row["state"] for row in rows_of(plan).values()] == [state, "done", ""]
-    assert (code is ExitCode.FINISHED) == (state == "done")
-    assert [each["resumed"] for each in hellos(plan.output / "a")] == [False, True]
-    assert "signal" in rows_of(plan)["a"]["reason"] or state == "done"
-
-
-def test_an_engine_that_is_stopped_is_ended_and_resumed(tmp_path: Path, farm: Farm, address: str) -> None:
     plan = plan_of(tmp_path, "a")
-    farm.workers(address, "impatient")
+    farm.workers(address, kind)
     pause(plan.jobs[0])
 
-    def stop() -> None:
+    def disturb() -> None:
         in_the_middle(plan.output / "a")
-        os.kill(int(str(hellos(plan.output / "a")[-1]["pid"])), signal.SIGSTOP)
+        os.kill(int(str(hellos(plan.output / "a")[-1]["pid"])), number)
 
-    stopping = meanwhile(stop)
+    disturbing = meanwhile(disturb)
     assert run(plan, FarmOptions(scheduler=address)) is ExitCode.FINISHED
-    stopping.join()
+    disturbing.join()
     assert [each["resumed"] for each in hellos(plan.output / "a")] == [False, True]
 
 

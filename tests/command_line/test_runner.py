@@ -142,11 +142,6 @@ def test_flush_failure_is_a_line_that_names_the_file(
     assert said.startswith(told.format(file=file)) and said.count("\n") == 1 and not file.exists()
 
 
-def test_an_error_message_omits_empty_parts() -> None:
-    assert str(PlgsError("made-up", "no engine", "", "")) == "no engine"
-    assert PlgsError("made-up", "a", "b", "c", code=ErrorCode.BUSY).exit_code is ExitCode.BUSY
-
-
 def raising(error: BaseException) -> object:
     """A lift that fails like this."""
 

@@ -4,10 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
-import subprocess
-import sys
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -105,18 +102,6 @@ def test_two_chairs_in_one_box_are_separated(lift: Path) -> None:
     for one in (CHAIRS, 4):  # an anchor follows the nearest point
         assert np.ptp(anchors.xyz[anchors.instance_id == one], axis=0)[0] < 0.5
     assert found[DESK] == result.made[1]  # an untouched box never moves
-
-
-def test_an_action_replays_the_edits_once(lift: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    replays = list[int]()
-    apply_all = Replay.apply_all
-    monkeypatch.setattr(Replay, "apply_all", lambda state, edits: (replays.append(1), apply_all(state, edits))[1])
-    _, corrected = correct(lift, split_chairs)
-    assert len(replays) == 1
-    read = read_corrected(lift)
-    assert corrected.instances == read.instances and counts(corrected) == counts(read)
-    _, undone = undo(lift)
-    assert len(replays) == 3 and not undone.fingerprint
 
 
 def test_merged_parts_are_one_object_with_all_points(lift: Path) -> None:
@@ -240,18 +225,6 @@ def test_a_damaged_file_is_a_one_line_error_and_is_kept(lift: Path, text: str) -
         with raises_key("* corrections.json"):
             act(lift)
     assert (lift / CORRECTIONS).read_text() == text
-
-
-def test_two_programs_lose_no_edit(root: Path, lift: Path) -> None:
-    code = (
-        "import sys; from pathlib import Path; from engine.corrections import correct, making as m\n"
-        "for n in range(5): correct(Path(sys.argv[1]), lambda s, _: m.rename(s, 2, f'{sys.argv[2]} {n}'))"
-    )
-    run = partial(subprocess.Popen, cwd=root)
-    for process in [run([sys.executable, "-c", code, str(lift), name]) for name in ("one", "other")]:
-        assert process.wait(timeout=60) == 0
-    names = [edit.name for edit in read_edits(lift)]
-    assert sorted(names) == sorted(f"{name} {n}" for name in ("one", "other") for n in range(5))
 
 
 def test_masks_that_separate_an_object_are_proposed(lift: Path) -> None:

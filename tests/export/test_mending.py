@@ -93,19 +93,6 @@ def test_far_small_pieces_take_a_neighbours_label_or_none() -> None:
     np.testing.assert_array_equal(mended[others], label[others])
 
 
-def test_large_pieces_stay_however_far_away() -> None:
-    surface = joined(sheet(20, 20), sheet(10, 10, x=3.0))
-    label = np.full(len(surface.xyz), 3, np.int64)
-    np.testing.assert_array_equal(without_crumbs(surface, label, np.zeros(len(label), np.bool_)), label)
-
-
-def test_a_closed_surface_stays_as_it_is() -> None:
-    flat = sheet(2, 2)
-    pyramid = Surface(flat.xyz, flat.rgb, flat.normal, np.array([[0, 1, 2], [0, 3, 1], [1, 3, 2], [0, 2, 3]]))
-    assert len(open_edges(pyramid.triangles)) == 0
-    assert close_holes(pyramid, np.zeros(4, np.int64))[0] is pyramid
-
-
 def test_a_large_piece_of_stuff_is_not_given_to_a_neighbour() -> None:
     surface = sheet(120, 20)
     x = surface.xyz[:, 0]
@@ -224,16 +211,6 @@ def test_three_labels_meet_in_a_point() -> None:
     np.testing.assert_allclose(shares, [0.475, 0.2375, 0.2875], atol=0.03)
 
 
-def test_the_cut_lies_where_labels_count_the_same() -> None:
-    whole = sheet(30, 30)
-    across = np.array([0.3, 0.954])
-    beyond = (whole.xyz[:, :2] - whole.xyz[:, :2].mean(axis=0)) @ across
-    cut, _ = cut_by_label(whole, np.where(beyond < 0, 7, 3))
-    copies = cut.xyz[len(whole.xyz) :]
-    astray = (copies[:, :2] - whole.xyz[:, :2].mean(axis=0)) @ across
-    assert astray.std() < 0.12 * STEP  # 0.17 where edges are halved
-
-
 def test_normals_have_unit_length_and_colours_end_at_the_cut() -> None:
     whole = sheet(20, 20)
     label = np.where(whole.xyz[:, 0] > 0.2, 7, 3)  # on the two sides of a box's edge
@@ -242,17 +219,3 @@ def test_normals_have_unit_length_and_colours_end_at_the_cut() -> None:
     cut, labels = cut_by_label(replace(whole, normal=normal, rgb=rgb), label)
     np.testing.assert_allclose(np.linalg.norm(cut.normal, axis=1), 1.0, atol=1e-5)
     assert ((cut.rgb[:, 0] == 200) == (labels == 7)).all()
-
-
-def test_a_surface_of_one_label_keeps_its_triangles() -> None:
-    whole = sheet(5, 5)
-    cut, labels = cut_by_label(whole, np.full(25, 4))
-    np.testing.assert_array_equal(cut.triangles, whole.triangles)
-    assert (labels == 4).all()
-
-
-def test_a_vertex_among_others_takes_their_label() -> None:
-    whole = sheet(9, 9)
-    label = np.full(81, 5)
-    label[40] = 9
-    assert (even_labels(whole.triangles, label) == 5).all()

@@ -119,15 +119,6 @@ def test_the_coarse_triangles_at_the_rim_of_an_object_are_the_rooms() -> None:
     assert (areas(surface)[of_rug] > 0.7 * ROOM.voxel**2 / 2).sum() < 0.005 * of_rug.sum()
 
 
-def test_slopes_are_how_far_a_view_grazes_a_surface() -> None:
-    view = look_over_the_floor()
-    slope, depth = (each[:, SIZE[0] // 2] for each in (view.slopes(), view.depth))
-    assert np.allclose(slope[slope > 0], depth[slope > 0] / HEIGHT, rtol=0.01)
-    assert (slope > 0).sum() == (depth > 0).sum() - 1  # but for its far end
-    wall = SmallView(view.camera, np.full_like(view.depth, 3.0), view.rgb, view.label)
-    assert np.allclose(wall.slopes(), 1.0)
-
-
 def test_no_gap_where_the_surface_of_an_object_ends_before_the_object_does() -> None:
     whole = look_over_the_floor()
     partly = replace(whole, depth=np.where((whole.label == RUG) & (whole.depth > 2.5), np.float32(0), whole.depth))

@@ -167,7 +167,3 @@ def test_a_cloud_stays_within_its_cap_and_keeps_its_mean() -> None:
     assert 10 < len(cloud.xyz) <= 100 and (cloud.rgb == (10, 20, 30)).all()
     points = camera.unproject(depth).reshape(-1, 3)
     assert (cloud.xyz.min(0) >= points.min(0) - 1e-5).all() and (cloud.xyz.max(0) <= points.max(0) + 1e-5).all()
-
-
-def test_frames_without_depth_give_no_points() -> None:
-    assert CloudBuilder().cloud().xyz.shape == (0, 3)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import shutil
 import sys
@@ -24,7 +23,6 @@ from plgs.plgs_blender.settings import chosen_scene
 
 from tests.raises_key import raises_key, worded
 from tests.scene.formats.room import distance_to_room
-from tests.scene.formats.test_hypersim import USUAL, write_hypersim
 
 
 @pytest.fixture
@@ -278,20 +276,6 @@ def test_a_picture_waits_until_nothing_moves(room: Path, monkeypatch: pytest.Mon
     assert frames()["0004"]["plgs_shown"] == "DEPTH" and not making.undo_step, "nobody pressed a button"
 
 
-def test_lens_distortion_is_removed_from_pictures_and_depth(own: Path) -> None:
-    transforms = own / "studio" / "transforms.json"
-    transforms.write_text(json.dumps(json.loads(transforms.read_text()) | {"k1": -0.05}))
-    bpy.ops.plgs.import_scene(scene_folder=str(own / "studio"), cloud=False)
-    camera = frames()["frame_9"]
-    assert Path(camera.data.background_images[0].image.filepath) == own / "studio_frames" / "color" / "frame_9.jpg"
-    bpy.context.scene.camera = camera
-    assert bpy.ops.plgs.show_picture(what="DEPTH") == {"FINISHED"}
-    assert camera.data.background_images[0].image["far_metres"] > 1.0
-    assert shown(camera).shape == (48, 64, 3)
-    with pytest.raises(RuntimeError, match="no masks"):
-        bpy.ops.plgs.show_picture(what="MASKS")
-
-
 def test_what_an_engine_cannot_make_is_reported(own: Path, capfd: pytest.CaptureFixture[str]) -> None:
     """The last frame's depth is damaged: pictures come, the cloud does not."""
     place = own / "scans" / "one.sens"
@@ -312,25 +296,6 @@ def test_what_an_engine_cannot_make_is_reported(own: Path, capfd: pytest.Capture
     bpy.ops.plgs.import_scene(scene_folder=str(own / "studio"), cloud=False)
     other = registry.latest(FrameMaking)
     assert other is None or other.error is None, "another import"
-
-
-def test_what_the_engine_read_is_there_without_it_later(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    pytest.importorskip("h5py")
-    folder = write_hypersim(tmp_path / "ai_001_001", USUAL)
-    assert bpy.ops.plgs.import_scene(scene_folder=str(folder)) == {"FINISHED"}
-    scene = bpy.context.scene
-    assert len(frames()) == 6 and all(ob.data.background_images for ob in frames().values())
-    near = distance_to_room(positions()) < 0.05
-    assert near.mean() > 0.95
-    scene.camera = next(iter(frames().values()))
-    assert bpy.ops.plgs.show_picture(what="DEPTH") == {"FINISHED"}
-    bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
-    monkeypatch.setenv("PLGS_ENGINE_PYTHON", "/nowhere/python")
-    bpy.ops.plgs.import_scene(scene_folder=str(folder))
-    assert len(frames()) == 6, "what the engine made is still there"
-    shutil.rmtree(tmp_path / "ai_001_001_frames")
-    with pytest.raises(RuntimeError, match="Set up the engine"):
-        bpy.ops.plgs.import_scene(scene_folder=str(folder))
 
 
 def test_switching_off_ends_the_engine(captures: Path, tmp_path: Path, plgs: ModuleType) -> None:

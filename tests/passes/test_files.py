@@ -13,7 +13,6 @@ from engine.model.baking import BakedGaussians
 from engine.passes.layers import decide
 from engine.passes.ply import write_splats
 from engine.passes.previews import SheetRow, write_contact_sheet, write_previews
-from tests.passes.read_ply import read_ply
 from tests.passes.views import CLASSES, made_rendering
 
 RANDOM = np.random.default_rng(5)
@@ -31,16 +30,6 @@ def _splats() -> BakedGaussians:
         class_id=RANDOM.integers(0, 22, COUNT).astype(np.int32),
         instance_id=RANDOM.integers(0, 99, COUNT).astype(np.int32),
     )
-
-
-def test_ply_round_trip(tmp_path: Path) -> None:
-    splats = _splats()
-    write_splats(tmp_path / "a.ply", splats)
-    read = read_ply(tmp_path / "a.ply")
-    for name in ("means", "scales", "quats", "opacities", "colours"):
-        assert getattr(read, name) == pytest.approx(getattr(splats, name), rel=1e-5, abs=1e-6), name
-    assert (read.class_id == splats.class_id).all()
-    assert (read.instance_id == splats.instance_id).all()
 
 
 def test_ply_has_the_columns_of_splat_viewers(tmp_path: Path) -> None:

@@ -77,30 +77,6 @@ def test_a_thing_that_no_object_owns_has_its_own_class_and_no_instance() -> None
     assert (layers.semantic[RIGHT] == CHAIR).all() and (layers.instance[RIGHT] == 3).all()
 
 
-def test_object_with_little_of_its_class_is_not_shown() -> None:
-    for share, shown in ((0.9, 0), (1.1, 3)):
-        layers = decide(with_right_chair({3: share * LEAST_OF_CLASS * 0.75}), CLASSES, {3: CHAIR})
-        assert (layers.instance[RIGHT] == shown).all() and (layers.semantic[RIGHT] == CHAIR).all()
-
-
-def test_no_object_competes_when_pixels_decide_alone() -> None:
-    for instances, shown in (({3: 0.4, 70001: 0.1}, 0), ({3: 0.4, 70001: 0.3}, 3)):
-        layers = decide(with_right_chair(instances), CLASSES)
-        assert (layers.instance[RIGHT] == shown).all() and (layers.semantic[RIGHT] == CHAIR).all()
-
-
-def test_void_and_spare_slots_never_win_and_ties_go_to_the_lower_id() -> None:
-    rendering = made_rendering()
-    coverage = np.zeros((*rendering.alpha.shape, 3), np.float32)
-    coverage[...] = (0.8, 0.1, 0.1)
-    rendering = replace(rendering, class_ids=(0, SOFA, CHAIR), class_coverage=coverage, instance_ids=(0, 3))
-    layers = decide(rendering, CLASSES)
-    assert set(np.unique(layers.semantic)) == {0, CHAIR}
-    assert (layers.semantic[NOTHING] == 0).all()
-    assert set(np.unique(layers.instance)) <= {0, 3}
-    assert layers.confidence[0, 0] == pytest.approx(0.5)
-
-
 def test_combined_is_linear() -> None:
     layers = decide(made_rendering(), CLASSES)
     assert layers.combined[0, 0] == pytest.approx([0.2140411, 0.0508761, 1.0, 1.0], abs=1e-6)

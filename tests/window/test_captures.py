@@ -22,12 +22,6 @@ def test_the_zip_is_installed_and_switched_on(window: Window) -> None:
     assert window.ask("EXTENSION in bpy.context.preferences.addons and hasattr(bpy.context.scene, 'plgs')")
 
 
-def test_the_sidebar_has_the_tab_and_its_buttons(window: Window) -> None:
-    window.open_sidebar()
-    window.screenshot("sidebar")
-    window.find_button("plgs.import_scene")
-
-
 def test_switching_off_and_on_and_reloading_leaves_nothing_behind(window: Window) -> None:
     """By name, for add-ons of Blender's own do leave something; tests/test_register.py looks at everything."""
     window.open_sidebar()

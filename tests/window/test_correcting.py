@@ -82,26 +82,6 @@ def test_points_in_a_rectangle_become_a_new_object(window: Window, mine: Path) -
 
 
 @pytest.mark.slow
-def test_corrections_by_plane_box_and_class_and_without_an_object(window: Window, mine: Path) -> None:
-    whole = window.ask(f"points({CABINET})")
-    window.run(f"choose({CABINET})")
-    window.press("plgs.place_cut")
-    _, height = window.press("plgs.split_instance", contains="CUT")
-    assert window.ask("ids()") == [CHAIR, CABINET, 3]
-    assert window.ask(f"points({CABINET}) + points(3)") == whole
-    window.run(f"choose({CABINET})")
-    x, y = over(window, CABINET)
-    window.move(x, y)
-    window.key("s", "z", "0", "period", "5", "Return")  # scaled by hand
-    window.press("plgs.crop_instance", near=height)
-    assert 0 < window.ask(f"points({CABINET})") < whole and kinds(mine) == ["split", "assign"]
-    window.press("plgs.accept_instances", near=height)
-    window.run("choose(3)")
-    window.press("plgs.delete_instance", near=height)
-    assert window.ask("ids()") == [CHAIR, CABINET] and kinds(mine) == ["split", "assign", "accept", "delete"]
-
-
-@pytest.mark.slow
 def test_another_class_by_typing_its_name(window: Window, mine: Path) -> None:
     window.run(f"choose({CHAIR})")
     at, height = window.press("plgs.reclass_instances")

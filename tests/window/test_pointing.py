@@ -115,23 +115,6 @@ def test_keys_act_on_what_was_clicked(window: Window, mine: Path) -> None:
 
 
 @pytest.mark.slow
-def test_search_and_the_context_menu_find_the_commands(window: Window, mine: Path) -> None:
-    x, y = over(window, CHAIR)
-    window.click(x, y)
-    window.click(x, y, button=3)
-    window.settle()
-    window.screenshot("pointing-menu")
-    window.key("Escape")
-    window.move(x, y)
-    window.key("F3")
-    window.settle()
-    window.type("connected parts")
-    window.settle()
-    window.screenshot("pointing-search")
-    window.key("Escape", "Escape")
-
-
-@pytest.mark.slow
 def test_the_cutting_plane_is_ready_to_be_moved(window: Window, mine: Path) -> None:
     window.click(*over(window, CABINET))
     window.press("plgs.place_cut")

@@ -42,15 +42,3 @@ def test_objects_are_made_keyed_and_undone(window: Window, mine: Path) -> None:
     rows = f"{{mask.frame for row in lift().plgs.instances if row.instance_id == {CABINET} for mask in row.masks}}"
     masked, seen = set(window.ask(rows)), dict(window.run(KEYED.format(number=CABINET)))
     assert masked and all(visible == (name in masked) for name, visible in seen.items() if name != "Overview")
-
-
-@pytest.mark.slow
-def test_a_depth_cloud_of_the_frame_that_the_view_looks_from(window: Window, mine: Path) -> None:
-    frame = next(path.stem for path in sorted((mine / "result" / "passes").glob("*.exr")))
-    window.run(f"bpy.ops.plgs.go_to_frame(frame={frame!r})")
-    window.press("plgs.make_depth_cloud")
-    clouds = f"[ob for ob in bpy.data.objects if ob.get('plgs_key') == 'depth_cloud:{frame}']"
-    window.wait_for(clouds)
-    window.settle()
-    window.screenshot("reuse-depth-cloud")
-    assert window.ask(f"len({clouds}[0].data.points)") > 1000

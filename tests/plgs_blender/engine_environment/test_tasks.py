@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -65,11 +64,6 @@ def wait_for(task: registry.Task | None) -> None:
         registry.wait_for(task, bpy.context.scene)
 
 
-def test_at_first_nothing_is_known_and_nothing_prevents_its_use() -> None:
-    status = engine_environment.status()
-    assert status.state is EngineState.UNKNOWN and status.is_usable and engine_environment.why_no_engine() is None
-
-
 def test_the_chosen_python_is_asked_without_waiting(python: Python) -> None:
     chosen = python()
     choices.choose(chosen)
@@ -81,19 +75,6 @@ def test_the_chosen_python_is_asked_without_waiting(python: Python) -> None:
     assert status.state is EngineState.READY and status.python == chosen
     assert status.message == f"Engine {VERSION}, Python 3.11.9, torch 2.0 (CPU), 4 cores" and not status.fix
     assert engine_environment.usable_python() == chosen
-
-
-def test_this_python_answers() -> None:
-    status = answer_of(Path(sys.executable))
-    assert status.answer is not None and status.answer.python == sys.version.split()[0]
-    assert status.answer.packages["numpy"] is not None
-
-
-def test_a_python_without_torch_says_what_it_lacks(tmp_path: Path) -> None:
-    subprocess.run([sys.executable, "-m", "venv", "--without-pip", tmp_path / "bare"], check=True, timeout=120)
-    status = answer_of(tmp_path / "bare" / "bin" / "python")
-    assert status.state is EngineState.MISSING and status.answer is not None and "torch" in status.answer.missing
-    assert str(tmp_path / "bare") in status.answer.fix and " torch==" in status.answer.fix
 
 
 def test_a_window_relies_on_what_is_known(python: Python, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -136,9 +117,7 @@ def test_what_is_not_an_engine_is_recognised(python: Python, tmp_path: Path, mon
     assert "PLGS_ENGINE_PYTHON" in answer_of(None).fix
 
 
-def test_a_program_that_hangs_is_ended(
-    python: Python, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_program_that_hangs_is_ended(python: Python, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pid = tmp_path / "pid"
     choices.choose(python("hanging", f"echo $$ > {pid}.part; mv {pid}.part {pid}; exec sleep 600"))
     task = tasks.check()
@@ -205,17 +184,6 @@ def test_after_a_set_up_its_python_is_checked(online: None, python: Python, monk
     assert engine_environment.status().state is EngineState.CHECKING
 
 
-def test_an_error_stays_readable(online: None) -> None:
-    """The engine's own command, in this Python."""
-    wait_for(tasks.set_up(SetUpChoice(base_python=Path("/nowhere/python"))))
-    set_up = registry.latest(tasks.SetUp)
-    assert set_up is not None and set_up.error is not None and "/nowhere/python cannot be run" in set_up.error.what
-    assert any("/nowhere/python" in line for line in set_up.log_lines)
-    assert tasks.check() is not None and registry.latest(tasks.SetUp) is set_up
-    tasks.ask_chosen()
-    assert registry.latest(tasks.SetUp) is None, "of a Python that is no longer chosen"
-
-
 def test_switching_online_access_off_ends_it(online: None, monkeypatch: pytest.MonkeyPatch) -> None:
     pretend(monkeypatch, "import time; time.sleep(600)")
     set_up = tasks.set_up(SetUpChoice())
@@ -224,13 +192,6 @@ def test_switching_online_access_off_ends_it(online: None, monkeypatch: pytest.M
     bpy.context.preferences.system.use_online_access = False
     wait_for(set_up)
     assert tasks.running_set_up() is None and set_up.error.key == "offline"
-
-
-def test_the_timer_asks_and_then_stops(python: Python) -> None:
-    choices.choose(python())
-    tasks.check()
-    wait_until(lambda: registry.tick() is None)
-    assert engine_environment.status().state is EngineState.READY
 
 
 def test_switching_the_extension_off_ends_running_tasks(python: Python, tmp_path: Path) -> None:
