@@ -66,9 +66,9 @@ test-slow: set-up-next extension
 	@$(PYTHON) set_up/blender_window.py trixie
 	PLGS_WINDOW_TREE=build/blender-trixie $(PYTHON) $(PYTEST) tests/window
 
-# Each command while one of its calls to the file system fails; 0 faults are all of them. Its table is in docs/trust.md.
+# Each command while one of its calls to the file system fails (docs/trust.md); 0 faults are all of them.
 test-failing-calls: set-up
-	PLGS_FAULTS=$(PLGS_FAULTS) $(PYTHON) $(PYTEST) -s -m slow tests/test_failing_calls.py
+	PLGS_FAULTS=$(PLGS_FAULTS) $(PYTHON) $(PYTEST) -m slow tests/test_failing_calls.py
 
 # The extension's zip, built and validated by Blender's own tool.
 extension: set-up

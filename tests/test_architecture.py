@@ -18,108 +18,63 @@ from tests.behaviours import BEHAVIOURS
 ROOT = Path(__file__).resolve().parent.parent
 
 # Each part of the engine, the folder or file under engine/ of that name, and the parts that it may import.
-ENGINE_MAY_IMPORT: dict[str, set[str]] = {
-    "": set(),
-    "gates": set(),
-    "user_cache": set(),
-    "errors": {"gates"},
-    "json_file": {"gates", "errors"},
-    "records": {"gates", "errors", "json_file"},
-    "presets": {"gates", "errors", "json_file"},
-    "scene_source": set(),
-    "job": {"gates", "errors", "json_file", "records", "presets", "scene_source", "user_cache"},
-    "posed": {"gates", "errors", "json_file", "scene_source", "job"},
-    "result_files": {"gates", "errors", "json_file", "job", "posed"},
-    "known_scene": {"errors", "records", "scene_source", "job", "posed", "result_files"},
-    "lift_arrays": {"job", "json_file", "known_scene", "corrections", "posed", "result_files"},
-    "corrections": {"errors", "json_file", "records", "job", "posed", "result_files", "known_scene"},
-    "scene": {"gates", "errors", "json_file", "records", "presets", "scene_source", "job", "posed"},
-    "scene_of_lift": {"errors", "job", "result_files", "known_scene", "scene"},
-    "machine": {"user_cache"},
-    "raster": {"machine"},
-    "semantics": {"presets", "scene", "machine"},
-    "instances": {"presets", "scene", "machine"},
-    "metrics": {"errors", "posed", "scene"},
-    "model": {"gates", "presets", "job", "posed", "result_files", "scene", "machine", "raster", "instances"},
-    "train": {"presets", "job", "scene", "machine", "raster", "semantics", "instances", "model"},
-    "passes": {"gates", "errors", "job", "posed", "scene", "machine", "instances", "model"},
-    "lift": {
-        "errors",
-        "json_file",
-        "presets",
-        "job",
-        "posed",
-        "result_files",
-        "corrections",
-        "scene",
-        "scene_of_lift",
-        "machine",
-        "raster",
-        "semantics",
-        "instances",
-        "metrics",
-        "model",
-        "train",
-        "passes",
-        "diagnosis",
-    },
-    "diagnosis": {"errors", "job", "posed", "scene"},
-    "export": {
-        "gates",
-        "errors",
-        "job",
-        "posed",
-        "result_files",
-        "corrections",
-        "scene",
-        "scene_of_lift",
-        "passes",
-        "lift",
-    },
-    "frames": {"errors", "scene_source", "job", "known_scene", "scene"},
-    "poses": {"gates", "errors", "json_file", "records", "job", "posed", "scene"},
-    "segment": {"errors", "json_file", "job", "scene"},
-    "set_up": {"gates", "errors", "job"},
-    "batch": {"gates", "errors", "json_file", "job", "scene_of_lift", "machine"},
-    "command_line": {
-        "gates",
-        "errors",
-        "json_file",
-        "records",
-        "presets",
-        "scene_source",
-        "job",
-        "corrections",
-        "scene",
-        "scene_of_lift",
-        "metrics",
-        "lift",
-        "diagnosis",
-        "export",
-        "frames",
-        "poses",
-        "segment",
-        "set_up",
-        "batch",
-    },
-    "__main__": {"command_line"},
+ENGINE_MAY_IMPORT = {
+    part: set(names.split())
+    for part, names in {
+        "": "",
+        "gates": "",
+        "user_cache": "",
+        "errors": "gates",
+        "json_file": "gates errors",
+        "records": "gates errors json_file",
+        "presets": "gates errors json_file",
+        "scene_source": "",
+        "job": "gates errors json_file records presets scene_source user_cache",
+        "posed": "gates errors json_file scene_source job",
+        "result_files": "gates errors json_file job posed",
+        "known_scene": "errors records scene_source job posed result_files",
+        "lift_arrays": "job json_file known_scene corrections posed result_files",
+        "corrections": "errors json_file records job posed result_files known_scene",
+        "scene": "gates errors json_file records presets scene_source job posed",
+        "scene_of_lift": "errors job result_files known_scene scene",
+        "machine": "user_cache",
+        "raster": "machine",
+        "semantics": "presets scene machine",
+        "instances": "presets scene machine",
+        "metrics": "errors posed scene",
+        "model": "gates presets job posed result_files scene machine raster instances",
+        "train": "presets job scene machine raster semantics instances model",
+        "passes": "gates errors job posed scene machine instances model",
+        "lift": (
+            "errors json_file presets job posed result_files corrections scene scene_of_lift machine raster "
+            "semantics instances metrics model train passes diagnosis"
+        ),
+        "diagnosis": "errors job posed scene",
+        "export": "gates errors job posed result_files corrections scene scene_of_lift passes lift",
+        "frames": "errors scene_source job known_scene scene",
+        "poses": "gates errors json_file records job posed scene",
+        "segment": "errors json_file job scene",
+        "set_up": "gates errors job",
+        "batch": "gates errors json_file job scene_of_lift machine",
+        "command_line": (
+            "gates errors json_file records presets scene_source job corrections scene scene_of_lift metrics lift "
+            "diagnosis export frames poses segment set_up batch"
+        ),
+        "__main__": "command_line",
+    }.items()
 }
 # Each part of the extension, the same way. The engine's other parts run in a process of their own.
-EXTENSION_MAY_IMPORT: dict[str, set[str]] = {
-    "plgs_blender": {
-        "engine.errors",
-        "engine.records",
-        "engine.presets",
-        "engine.scene_source",
-        "engine.job",
-        "engine.posed",
-        "engine.result_files",
-        "engine.known_scene",
-        "engine.corrections",
-    },
-    "operators": {"plgs_blender"},
-    "ui": {"plgs_blender"},
-    "__init__": {"plgs_blender", "operators", "ui"},
+EXTENSION_MAY_IMPORT = {
+    part: set(names.split())
+    for part, names in {
+        "plgs_blender": (
+            "engine.errors engine.records engine.presets engine.scene_source engine.job engine.posed "
+            "engine.result_files engine.known_scene engine.corrections"
+        ),
+        "operators": "plgs_blender",
+        "ui": "plgs_blender",
+        "__init__": "plgs_blender operators ui",
+    }.items()
 }
 BLENDER_MODULES = {"bpy", "bpy_extras", "mathutils", "gpu", "gpu_extras", "bmesh", "blf", "bl_ext", "addon_utils"}
 PICKLES = {"pickle", "dill", "cloudpickle", "joblib", "shelve", "marshal"}
