@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Iterator
 from pathlib import Path
 from types import ModuleType
@@ -9,6 +10,7 @@ from types import ModuleType
 import bpy
 import pytest
 import tiny_lift
+from plgs.plgs_blender.lift_scene import place_lift
 from tiny_scene import write_tiny_scene
 
 from tests.scene.formats.test_colmap import write_text
@@ -36,6 +38,20 @@ def room(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def lift(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A finished lift. Only for reading."""
     return tiny_lift.write_tiny_lift(tmp_path_factory.mktemp("lifts") / "lift").path
+
+
+@pytest.fixture
+def mine(lift: Path, tmp_path: Path) -> Path:
+    """A lift to change."""
+    return Path(shutil.copytree(lift, tmp_path / "mine"))
+
+
+@pytest.fixture
+def root(mine: Path) -> bpy.types.Collection:
+    """Its collection in the open scene."""
+    placed = place_lift(mine, bpy.context.scene)
+    bpy.context.view_layer.update()
+    return placed
 
 
 @pytest.fixture(scope="session")

@@ -28,18 +28,6 @@ from tests.raises_key import raises_key, worded
 CHAIR, CABINET = 1, 2
 
 
-@pytest.fixture
-def mine(lift: Path, tmp_path: Path) -> Path:
-    return Path(shutil.copytree(lift, tmp_path / "mine"))
-
-
-@pytest.fixture
-def root(mine: Path) -> bpy.types.Collection:
-    placed = lift_scene.place_lift(mine, bpy.context.scene)
-    bpy.context.view_layer.update()
-    return placed
-
-
 def again() -> bpy.types.Collection:
     """The lift's collection: undo makes every reference stale."""
     return lifts_in(bpy.context.scene)[0]

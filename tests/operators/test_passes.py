@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-import shutil
 import sys
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -69,9 +68,8 @@ def test_passes_open_in_the_compositor_at_the_active_camera(lift: Path) -> None:
     assert {marker.name: marker.frame for marker in passes.timeline_markers}[baked[-1]] == passes.frame_current
 
 
-def test_the_frame_of_the_active_camera_is_baked(lift: Path, baked: Asked, tmp_path: Path) -> None:
-    lift = shutil.copytree(lift, tmp_path / "lift")
-    bpy.ops.plgs.place_lift(lift_folder=str(lift))
+def test_the_frame_of_the_active_camera_is_baked(mine: Path, baked: Asked) -> None:
+    bpy.ops.plgs.place_lift(lift_folder=str(mine))
     scene = bpy.context.scene
     scene.camera = next(ob for ob in scene.objects if "frame" in ob)
     before = {ob.name: ob.as_pointer() for ob in scene.objects}
@@ -100,9 +98,8 @@ def test_only_a_finished_lift_can_be_baked_from_the_panel(lift: Path) -> None:
         assert bpy.ops.plgs.bake_passes.poll()
 
 
-def test_the_active_camera_is_baked_over_the_frame_range(lift: Path, baked: Asked, tmp_path: Path) -> None:
-    lift = shutil.copytree(lift, tmp_path / "lift")
-    bpy.ops.plgs.place_lift(lift_folder=str(lift))
+def test_the_active_camera_is_baked_over_the_frame_range(mine: Path, baked: Asked) -> None:
+    bpy.ops.plgs.place_lift(lift_folder=str(mine))
     scene = bpy.context.scene
     scene.camera = bpy.data.objects.new("dolly", bpy.data.cameras.new("dolly"))
     scene.collection.objects.link(scene.camera)
@@ -120,18 +117,17 @@ def test_the_active_camera_is_baked_over_the_frame_range(lift: Path, baked: Aske
         bpy.ops.plgs.bake_camera(camera="dolly", frame_start=3, frame_end=-3)
 
 
-def test_a_job_for_a_farm_is_written_from_a_saved_file(lift: Path, tmp_path: Path) -> None:
-    lift = shutil.copytree(lift, tmp_path / "lift")
-    bpy.ops.plgs.place_lift(lift_folder=str(lift))
+def test_a_job_for_a_farm_is_written_from_a_saved_file(mine: Path, tmp_path: Path) -> None:
+    bpy.ops.plgs.place_lift(lift_folder=str(mine))
     scene = bpy.context.scene
     scene.camera = next(ob for ob in scene.objects if "frame" in ob)
     scene.frame_start, scene.frame_end, scene.frame_step = 3, 7, 2
     with pytest.raises(RuntimeError, match="Save it"):
-        bpy.ops.plgs.bake_on_farm(lift_folder=str(lift))
+        bpy.ops.plgs.bake_on_farm(lift_folder=str(mine))
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "shot.blend"))
-    assert bpy.ops.plgs.bake_on_farm(lift_folder=str(lift)) == {"FINISHED"}
-    job = json.loads((lift / "bake" / "farm.json").read_text())
+    assert bpy.ops.plgs.bake_on_farm(lift_folder=str(mine)) == {"FINISHED"}
+    job = json.loads((mine / "bake" / "farm.json").read_text())
     known = set(re.findall(r'key: "(\w+)"', (Path(__file__).parents[2] / "farm" / "plgs.js").read_text()))
     assert job["type"] == "plgs" and set(job["settings"]) == known
     assert job["settings"]["frames"] == "3,5,7" and job["settings"]["camera"] == scene.camera.name
-    assert (job["settings"]["output"], job["settings"]["blend"]) == (str(lift), str(tmp_path / "shot.blend"))
+    assert (job["settings"]["output"], job["settings"]["blend"]) == (str(mine), str(tmp_path / "shot.blend"))

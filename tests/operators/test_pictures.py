@@ -13,6 +13,7 @@ from types import ModuleType, SimpleNamespace
 import bpy
 import numpy as np
 import pytest
+from blender_helpers import values_of
 from plgs.engine.scene import open_scene
 from plgs.plgs_blender import import_scene, registry
 from plgs.plgs_blender.chosen_scene import ChosenScene
@@ -55,19 +56,8 @@ def clouds(key: str = "cloud") -> list[bpy.types.Object]:
     return [ob for ob in bpy.context.scene.objects if ob.get("plgs_key") == key]
 
 
-def points_of(ob: bpy.types.Object, name: str = "position", key: str = "vector", width: int = 3) -> np.ndarray:
-    return values_of(ob.data, name, key, width)
-
-
-def values_of(data: bpy.types.Mesh, name: str, key: str, width: int) -> np.ndarray:
-    points = data.attributes[name].data
-    values = np.empty(width * len(points), np.float32)
-    points.foreach_get(key, values)
-    return values.reshape(-1, width)
-
-
 def positions(key: str = "cloud") -> np.ndarray:
-    return np.concatenate([points_of(ob) for ob in clouds(key)])
+    return np.concatenate([values_of(ob.data, "position", "vector", 3) for ob in clouds(key)])
 
 
 def squares_of(ob: bpy.types.Object) -> tuple[np.ndarray, np.ndarray]:

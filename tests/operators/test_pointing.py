@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 from pathlib import Path
 
 import bpy
@@ -10,24 +9,16 @@ import pytest
 from plgs.engine.corrections import read_edits
 from plgs.engine.errors import PlgsError
 from plgs.operators import pointing
-from plgs.plgs_blender import corrections, lift_scene
+from plgs.plgs_blender import corrections
 from plgs.plgs_blender.inspecting.selection import boxes_of, clouds_of
 
 CHAIR, CABINET = 1, 2
 
 
-@pytest.fixture
-def mine(lift: Path, tmp_path: Path) -> Path:
-    return Path(shutil.copytree(lift, tmp_path / "mine"))
-
-
-@pytest.fixture
-def root(mine: Path, monkeypatch: pytest.MonkeyPatch) -> bpy.types.Collection:
-    """A placed lift. Blender without a window has no area, which the keys ask for."""
+@pytest.fixture(autouse=True)
+def _in_a_view(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Blender without a window has no area, which the keys ask for."""
     monkeypatch.setattr(pointing.InView, "poll", classmethod(lambda cls, context: True))
-    placed = lift_scene.place_lift(mine, bpy.context.scene)
-    bpy.context.view_layer.update()
-    return placed
 
 
 def choose(active: bpy.types.Object, *selected: bpy.types.Object) -> None:

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import shutil
 from pathlib import Path
 
 import bpy
 import numpy as np
 import pytest
+from blender_helpers import values_of
 from mathutils import Vector
 from plgs.engine.corrections import read_corrected
 from plgs.plgs_blender import lift_scene
@@ -21,17 +21,9 @@ CHAIR, CABINET = 1, 2
 
 
 @pytest.fixture
-def mine(lift: Path, tmp_path: Path) -> Path:
-    copy = Path(shutil.copytree(lift, tmp_path / "mine"))
-    write_surface(mesh_folder(copy) / "mesh.ply")
-    return copy
-
-
-@pytest.fixture
-def root(mine: Path) -> bpy.types.Collection:
-    placed = lift_scene.place_lift(mine, bpy.context.scene)
-    bpy.context.view_layer.update()
-    return placed
+def mine(mine: Path) -> Path:
+    write_surface(mesh_folder(mine) / "mesh.ply")
+    return mine
 
 
 def hidden(root: bpy.types.Collection, instance: int) -> bool:
@@ -39,10 +31,7 @@ def hidden(root: bpy.types.Collection, instance: int) -> bool:
     for cloud in clouds_of(root):
         own = ids_of(cloud.data, "instance_id") == instance
         if "class_id" in cloud and own.any():
-            flags = np.zeros(len(own), bool)
-            if HIDDEN in cloud.data.attributes:
-                cloud.data.attributes[HIDDEN].data.foreach_get("value", flags)
-            return bool(flags[own].all())
+            return HIDDEN in cloud.data.attributes and bool(values_of(cloud.data, HIDDEN)[own].all())
     raise AssertionError("it has no points")
 
 

@@ -7,6 +7,7 @@ from pathlib import Path
 import bpy
 import numpy as np
 import pytest
+from blender_helpers import values_of
 from plgs.engine.result_files import Anchors, SemanticPoints
 from plgs.engine.scene import Category, ClassTable
 from plgs.plgs_blender import lift_scene
@@ -54,21 +55,15 @@ def place(points: SemanticPoints) -> list[bpy.types.Object]:
     return clouds
 
 
-def read(cloud: bpy.types.Object, name: str, key: str, width: int, dtype: type) -> np.ndarray:
-    values = np.zeros(len(cloud.data.points) * width, dtype)
-    cloud.data.attributes[name].data.foreach_get(key, values)
-    return values.reshape(-1, width)
-
-
 def test_each_class_has_its_own_points_in_their_order() -> None:
     points = many_points(2000)
     clouds = place(points)
     assert [cloud["class_id"] for cloud in clouds] == list(range(22))
     for cloud in clouds:
         mine = points.class_id == cloud["class_id"]
-        assert np.array_equal(read(cloud, "position", "vector", 3, np.float32), points.xyz[mine])
-        assert np.array_equal(read(cloud, "instance_id", "value", 1, np.int32)[:, 0], points.instance_id[mine])
-        assert np.array_equal(read(cloud, "confidence", "value", 1, np.float32)[:, 0], points.confidence[mine])
+        assert np.array_equal(values_of(cloud.data, "position", "vector", 3), points.xyz[mine])
+        assert np.array_equal(values_of(cloud.data, "instance_id"), points.instance_id[mine])
+        assert np.array_equal(values_of(cloud.data, "confidence"), points.confidence[mine])
 
 
 def room(step: float = 0.05) -> tuple[np.ndarray, np.ndarray]:

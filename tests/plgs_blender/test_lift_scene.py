@@ -10,7 +10,7 @@ from types import SimpleNamespace
 import bpy
 import numpy as np
 import pytest
-from blender_helpers import DATA, contents, counts
+from blender_helpers import DATA, contents, counts, values_of
 from plgs.engine.scene import open_scene
 from plgs.plgs_blender import lift_scene
 from plgs.plgs_blender.cameras import object_matrix
@@ -27,13 +27,6 @@ from tests.raises_key import raises_key
 
 def child(root: bpy.types.Collection, name: str) -> bpy.types.Collection:
     return next(each for each in root.children if each.name == name)
-
-
-def values(ob: bpy.types.Object, name: str, key: str = "value", width: int = 1) -> np.ndarray:
-    data = ob.data.attributes[name].data
-    array = np.zeros(len(data) * width, np.int32 if name.endswith("_id") or name == "level" else np.float32)
-    data.foreach_get(key, array)
-    return array.reshape(-1, width) if width > 1 else array
 
 
 def test_one_collection_with_everything(lift: Path) -> None:
@@ -67,11 +60,11 @@ def test_points_keep_their_attributes_through_a_file(lift: Path, tmp_path: Path)
     stored = np.load(lift / "result" / "semantic_points.npz")
     chair = bpy.data.objects["chair"]
     mine = stored["class_id"] == CHAIR_ID
-    assert np.array_equal(values(chair, "position", "vector", 3), stored["xyz"][mine])
-    assert np.array_equal(values(chair, "class_id"), stored["class_id"][mine])
-    assert np.array_equal(values(chair, "instance_id"), stored["instance_id"][mine])
-    assert np.array_equal(values(chair, "confidence"), stored["confidence"][mine])
-    assert np.allclose(values(chair, "Col", "color", 4), linear_rgba(stored["rgb"][mine]), atol=1e-6)
+    assert np.array_equal(values_of(chair.data, "position", "vector", 3), stored["xyz"][mine])
+    assert np.array_equal(values_of(chair.data, "class_id"), stored["class_id"][mine])
+    assert np.array_equal(values_of(chair.data, "instance_id"), stored["instance_id"][mine])
+    assert np.array_equal(values_of(chair.data, "confidence"), stored["confidence"][mine])
+    assert np.allclose(values_of(chair.data, "Col", "color", 4), linear_rgba(stored["rgb"][mine]), atol=1e-6)
     assert np.allclose(chair.color, linear_rgba([210, 70, 60]), atol=1e-6)
     clouds = [ob for ob in bpy.data.objects if ob.type == "POINTCLOUD" and ob.name != "Anchors"]
     assert sum(len(ob.data.points) for ob in clouds) == len(stored["xyz"])
@@ -79,7 +72,7 @@ def test_points_keep_their_attributes_through_a_file(lift: Path, tmp_path: Path)
     stored = np.load(lift / "result" / "anchors.npz")
     anchors = bpy.data.objects["Anchors"]
     for name in ("class_id", "instance_id", "level", "opacity"):
-        assert np.array_equal(values(anchors, name), stored[name])
+        assert np.array_equal(values_of(anchors.data, name), stored[name])
     assert not anchors.visible_get()
     assert anchors.hide_render or anchors.users_collection[0].hide_render
 
@@ -218,7 +211,7 @@ def test_a_new_file_opens_with_a_view_that_the_room_fills(lift: Path, tmp_path: 
     bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "lift.blend"))
     area = next(area for area in bpy.data.screens["Layout"].areas if area.type == "VIEW_3D")
     region, view = next(each for each in area.regions if each.type == "WINDOW"), area.spaces.active
-    xyz = np.concatenate([values(ob, "position", "vector", 3) for ob in bpy.data.objects if "class_id" in ob])
+    xyz = np.concatenate([values_of(ob.data, "position", "vector", 3) for ob in bpy.data.objects if "class_id" in ob])
     local = (xyz - np.array(view.region_3d.view_location)) @ np.array(view.region_3d.view_rotation.to_matrix())
     scale = view.lens / 36.0 / (view.region_3d.view_distance - local[:, 2])  # 72 mm along the longer side
     filled = np.ptp(local[:, :2] * scale[:, None], axis=0) / 2.0 * max(region.width, region.height)

@@ -9,13 +9,13 @@ from pathlib import Path
 import bpy
 import cv2
 import numpy as np
-import OpenEXR
 import pytest
+from blender_helpers import rendered
 from plgs.plgs_blender import compat, compositing, lift_scene
 from plgs.plgs_blender.inspecting.lists import registered
 from plgs.plgs_blender.materials import linear_rgba
 from plgs.plgs_blender.owned import lifts_in
-from plgs.plgs_blender.pass_nodes import LINE_PIXELS, NAME, output_of, panoptic_node
+from plgs.plgs_blender.pass_nodes import LINE_PIXELS, NAME, panoptic_node
 from plgs.plgs_blender.passes import show_view
 from tiny_lift import FRAMES
 from tiny_scene import CABINET_ID, TinyView, tiny_intrinsics, tiny_pose, trace_view
@@ -49,20 +49,11 @@ def view(scene: bpy.types.Scene) -> TinyView:
     return trace_view(tiny_pose(int(name), FRAMES), tiny_intrinsics((64, 48)), (64, 48))
 
 
-def rendered(scene: bpy.types.Scene, output: str, folder: Path, **controls: float | tuple[float, ...]) -> np.ndarray:
-    """What an output of the group gives: float32 [H, W, 4], with these of its inputs set."""
-    tree = compat.compositor_tree(scene)
+def shown(scene: bpy.types.Scene, output: str, folder: Path, **controls: float | tuple[float, ...]) -> np.ndarray:
+    """What an output of the group gives, float32 [H, W, 4], with these of its inputs set."""
     for name, value in controls.items():
-        panoptic_node(tree).inputs[name.replace("_", " ")].default_value = value
-    result = next(node for node in tree.nodes if node.bl_idname == compat.COMPOSITE_OUTPUT)
-    tree.links.new(output_of(tree, output), result.inputs[0])
-    settings = scene.render.image_settings
-    settings.file_format, settings.color_mode, settings.color_depth = "OPEN_EXR", "RGBA", "32"
-    scene.render.filepath = str(folder / "shown.exr")
-    with bpy.context.temp_override(scene=scene):
-        bpy.ops.render.render(write_still=True)
-    with OpenEXR.File(scene.render.filepath, separate_channels=True) as file:
-        return np.stack([file.channels()[c].pixels for c in "RGBA"], axis=-1)
+        panoptic_node(compat.compositor_tree(scene)).inputs[name.replace("_", " ")].default_value = value
+    return rendered(scene, output, folder, "RGBA")
 
 
 def picture(view: TinyView) -> np.ndarray:
@@ -81,12 +72,12 @@ def test_a_matte_by_instance_and_by_class(
 ) -> None:
     for number in (CABINET, CHAIR):
         compositing.matte_instance(root, number)
-        assert np.array_equal(rendered(scene, "Matte", tmp_path)[..., 0], view.instance == number)
+        assert np.array_equal(shown(scene, "Matte", tmp_path)[..., 0], view.instance == number)
     for class_id in (CABINET_ID, 2):
         compositing.matte_class(root, class_id)
-        assert np.array_equal(rendered(scene, "Matte", tmp_path)[..., 0], view.semantic == class_id)
+        assert np.array_equal(shown(scene, "Matte", tmp_path)[..., 0], view.semantic == class_id)
     compositing.matte_instance(root, CHAIR)
-    assert np.array_equal(rendered(scene, "Matte", tmp_path)[..., 0], view.instance == CHAIR)
+    assert np.array_equal(shown(scene, "Matte", tmp_path)[..., 0], view.instance == CHAIR)
 
 
 def test_isolate_and_hold_out(
@@ -94,21 +85,21 @@ def test_isolate_and_hold_out(
 ) -> None:
     compositing.matte_instance(root, CHAIR)
     matte = (view.instance == CHAIR)[..., None]
-    alone = rendered(scene, "Overlay", tmp_path, Outline=0.0, Isolate=1.0)
+    alone = shown(scene, "Overlay", tmp_path, Outline=0.0, Isolate=1.0)
     assert np.allclose(alone, picture(view) * matte, atol=1e-5)
-    half = rendered(scene, "Overlay", tmp_path, Isolate=0.0, Hold_out=0.5)
+    half = shown(scene, "Overlay", tmp_path, Isolate=0.0, Hold_out=0.5)
     assert np.allclose(half, picture(view) * np.where(matte, 0.5, 1.0), atol=1e-5)
 
 
 def test_outline(root: bpy.types.Collection, scene: bpy.types.Scene, view: TinyView, tmp_path: Path) -> None:
     compositing.matte_instance(root, CHAIR)  # which turns the outline on, as nothing else shows the matte
     matte, colour = view.instance == CHAIR, (0.2, 0.7, 0.1, 1.0)
-    shown = rendered(scene, "Overlay", tmp_path, Outline_colour=colour)
+    seen = shown(scene, "Overlay", tmp_path, Outline_colour=colour)
     line = ring(matte)
-    assert 20 < line.sum() and np.array_equal(rendered(scene, "Outline", tmp_path)[..., 0], line)
-    assert np.allclose(shown, np.where(line[..., None], colour, picture(view)), atol=1e-5)
-    cut = rendered(scene, "Overlay", tmp_path, Isolate=1.0)
-    assert np.allclose(cut, np.where((line | matte)[..., None], shown, 0.0), atol=1e-5)
+    assert 20 < line.sum() and np.array_equal(shown(scene, "Outline", tmp_path)[..., 0], line)
+    assert np.allclose(seen, np.where(line[..., None], colour, picture(view)), atol=1e-5)
+    cut = shown(scene, "Overlay", tmp_path, Isolate=1.0)
+    assert np.allclose(cut, np.where((line | matte)[..., None], seen, 0.0), atol=1e-5)
 
 
 def test_recolour_keeps_light_and_shade(
@@ -116,29 +107,29 @@ def test_recolour_keeps_light_and_shade(
 ) -> None:
     compositing.matte_instance(root, CHAIR)
     matte, colour = view.instance == CHAIR, (0.1, 0.3, 0.8, 1.0)
-    shown = rendered(scene, "Overlay", tmp_path, Outline=0.0, Recolour=1.0, Recolour_to=colour)
+    seen = shown(scene, "Overlay", tmp_path, Outline=0.0, Recolour=1.0, Recolour_to=colour)
     before = picture(view)
-    assert np.allclose(shown[~matte], before[~matte], atol=1e-5)
+    assert np.allclose(seen[~matte], before[~matte], atol=1e-5)
     hue, saturation, _ = colorsys.rgb_to_hsv(*colour[:3])
     expected = [colorsys.hsv_to_rgb(hue, saturation, max(pixel)) for pixel in before[matte][:, :3]]
-    assert np.allclose(shown[matte][:, :3], expected, atol=1e-4)
+    assert np.allclose(seen[matte][:, :3], expected, atol=1e-4)
 
 
 def test_overlay_of_instances_and_of_classes(
     root: bpy.types.Collection, scene: bpy.types.Scene, view: TinyView, tmp_path: Path
 ) -> None:
     before = picture(view)
-    shown = rendered(scene, "Overlay", tmp_path, Overlay=0.4)
-    assert_mixed(shown, before, view.instance == CABINET, (20, 190, 220))
-    assert np.allclose(shown[view.instance == 0], before[view.instance == 0], atol=1e-5)
-    shown = rendered(scene, "Overlay", tmp_path, By_class=1.0)
-    assert_mixed(shown, before, view.semantic == 2, (120, 90, 60))
+    seen = shown(scene, "Overlay", tmp_path, Overlay=0.4)
+    assert_mixed(seen, before, view.instance == CABINET, (20, 190, 220))
+    assert np.allclose(seen[view.instance == 0], before[view.instance == 0], atol=1e-5)
+    seen = shown(scene, "Overlay", tmp_path, By_class=1.0)
+    assert_mixed(seen, before, view.semantic == 2, (120, 90, 60))
 
 
-def assert_mixed(shown: np.ndarray, before: np.ndarray, where: np.ndarray, srgb: tuple[int, int, int]) -> None:
+def assert_mixed(seen: np.ndarray, before: np.ndarray, where: np.ndarray, srgb: tuple[int, int, int]) -> None:
     """Of the colour 0.4, of the picture the rest."""
     expected = 0.6 * before[where][:, :3] + 0.4 * linear_rgba(srgb)[:3]
-    assert np.allclose(shown[where][:, :3], expected, atol=1e-5)
+    assert np.allclose(seen[where][:, :3], expected, atol=1e-5)
 
 
 def test_there_is_one_group_per_file_and_it_stays_as_the_user_set_it(lift: Path, root: bpy.types.Collection) -> None:

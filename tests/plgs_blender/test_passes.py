@@ -6,8 +6,8 @@ from pathlib import Path
 
 import bpy
 import numpy as np
-import OpenEXR
 import pytest
+from blender_helpers import rendered
 from plgs.engine.job import LiftFolder, write_manifest
 from plgs.engine.scene import open_scene
 from plgs.plgs_blender import compat, compositing, lift_scene, passes
@@ -20,22 +20,6 @@ from tiny_scene import CHAIR_ID, TinyView, tiny_intrinsics, tiny_pose, trace_vie
 
 def truth(name: str, size: tuple[int, int] = (64, 48), frames: int = FRAMES) -> TinyView:
     return trace_view(tiny_pose(int(name), frames), tiny_intrinsics(size), size)
-
-
-def rendered(scene: bpy.types.Scene, output: str, folder: Path) -> np.ndarray:
-    """What an output gives at the scene's current frame: float32 [H, W, 3], written and read as EXR."""
-    tree = compat.compositor_tree(scene)
-    result = next(node for node in tree.nodes if node.bl_idname == compat.COMPOSITE_OUTPUT)
-    tree.links.new(output_of(tree, output), result.inputs[0])
-    settings = scene.render.image_settings
-    settings.file_format, settings.color_mode, settings.color_depth = "OPEN_EXR", "RGB", "32"
-    path = folder / f"{output}.exr"
-    scene.render.filepath = str(path)
-    with bpy.context.temp_override(scene=scene):
-        bpy.ops.render.render(write_still=True)
-    with OpenEXR.File(str(path), separate_channels=True) as file:
-        channels = file.channels()
-        return np.stack([channels[c].pixels for c in "RGB"], axis=-1)
 
 
 def set_matte(scene: bpy.types.Scene, node: str, *names: str) -> None:

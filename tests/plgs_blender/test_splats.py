@@ -9,6 +9,7 @@ from typing import Any
 import bpy
 import numpy as np
 import pytest
+from blender_helpers import values_of
 from mathutils import Matrix
 from plgs.engine.passes.ply import columns_of, write_ply_table
 from plgs.engine.posed.ply import read_gaussians
@@ -105,12 +106,6 @@ def evaluated() -> Any:
     return bpy.data.objects["Gaussians"].evaluated_get(bpy.context.evaluated_depsgraph_get()).data
 
 
-def values_of(data: Any, name: str, field: str, width: int) -> np.ndarray:
-    values = np.zeros(width * len(data.attributes[name].data), np.float32)
-    data.attributes[name].data.foreach_get(field, values)
-    return values.reshape(-1, width)
-
-
 @pytest.mark.skipif(splat_objects.are_known(), reason="this Blender has splats of its own")
 def test_a_square_is_drawn_for_each_gaussian(lift: Path) -> None:
     lift_scene.place_lift(lift, bpy.context.scene)
@@ -127,7 +122,7 @@ def test_blenders_own_splats_are_as_its_importer_makes_them(lift: Path) -> None:
     bpy.ops.wm.ply_import(filepath=str(lift / "result" / "gaussians.ply"))
     theirs = bpy.context.object.data
     assert ours.type == theirs.type == "GAUSSIAN_SPLAT" and len(ours.points) == 2 == len(theirs.points) - 1
-    base_of = partial(values_of, name="radiance:base", field="vector", width=4)
+    base_of = partial(values_of, name="radiance:base", key="vector", width=4)
     assert base_of(ours) == pytest.approx(base_of(theirs)[:2], abs=1e-5)
     for column in (("position", "vector", 3), ("scale", "vector", 3), ("rotation", "value", 4)):
         assert values_of(ours, *column) == pytest.approx(values_of(theirs, *column)[:2], abs=1e-5), column
@@ -164,9 +159,7 @@ def test_splats_that_are_placed_again_have_the_new_colours_and_holes(lift: Path)
         mend_manifest(lift)
         root = lift_scene.place_lift(lift, bpy.context.scene)
         data = bpy.data.objects["Gaussians"].data
-        hidden = np.zeros(3, bool)
-        data.attributes["plgs_hidden"].data.foreach_get("value", hidden)
-        assert hidden.tolist() == [False, False, True]
+        assert values_of(data, "plgs_hidden").tolist() == [False, False, True]
         root.plgs.look = "PHOTO"
         assert values_of(data, "Col", "color", 4) == pytest.approx(np.tile([0.0, 1.0, 0.0, 1.0], (3, 1)), abs=1e-3)
 

@@ -7,10 +7,12 @@ from types import SimpleNamespace
 from typing import Any
 
 import bpy
+import tiny_lift
 from plgs.engine.errors import PlgsError
 from plgs.engine.job.task import LIFT, TaskProgress, TaskState
 from plgs.plgs_blender.engine_environment.tasks import SetUp
 from plgs.plgs_blender.registry import Task
+from plgs.plgs_blender.running import lifts
 from plgs.plgs_blender.running.exports import Export
 from plgs.plgs_blender.running.importing import FrameMaking, FrameOrder
 from plgs.plgs_blender.running.preparation import MaskMaking
@@ -116,6 +118,15 @@ class Pretended:
     def close(self) -> None: ...
     def poll(self) -> bool:
         return False
+
+
+def followed_lift(folder: Path, state: TaskState = TaskState.RUNNING) -> tuple[lifts.Lift, Any]:
+    """A finished lift in a new folder, to which the panel is set, and its follower, which is in this state."""
+    bpy.context.scene.plgs.lift_folder = str(tiny_lift.write_tiny_lift(folder).path)
+    followed = lifts.lift_of(folder)
+    assert followed is not None
+    followed.follower = follower = Pretended(state)  # type: ignore[assignment]
+    return followed, follower
 
 
 def tasks_with(follower: Any, folder: Path) -> list[Task]:

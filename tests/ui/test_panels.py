@@ -30,7 +30,7 @@ from plgs.plgs_blender.settings import chosen_scene
 from plgs.ui import lift_panel, result_panel, sidebar
 from pretended_python import pretended_python
 
-from tests.ui.drawn_panels import Layout, Pretended, drawn, tasks_with
+from tests.ui.drawn_panels import Layout, Pretended, drawn, followed_lift, tasks_with
 
 pytestmark = pytest.mark.usefixtures("extension")
 
@@ -76,13 +76,8 @@ def test_texts_of_a_strangers_file_are_printable_lines(tmp_path: Path, monkeypat
 
 
 def test_a_lift_that_another_blender_began_shows_its_progress(tmp_path: Path) -> None:
-    lift = tiny_lift.write_tiny_lift(tmp_path / "lift").path
-    bpy.context.scene.plgs.lift_folder = str(lift)
-    followed = lifts.lift_of(lift)
-    assert followed is not None
-    follower: Any = Pretended(TaskState.RUNNING)
+    _, follower = followed_lift(tmp_path / "lift")
     follower.progress.began, follower.progress.left_s = time.time() - 300.0, 100.0
-    followed.follower = follower
     shown = drawn()
     assert "All: 75 %" not in shown and "Loss" not in shown, "one bar, one number"
     bar = shown.index("75 %, 1 min 40 s left")
@@ -95,12 +90,8 @@ def test_no_text_of_a_lift_is_cut_without_a_mark(tmp_path: Path, monkeypatch: py
     estimate = SimpleNamespace(seconds=3580.0, peak_bytes=110.4e9)
     monkeypatch.setattr(lift_panel, "estimate_of", lambda settings: estimate)
     assert "About 59 min 40 s, 110.4 GB memory" in drawn(width=280)
-    lift = tiny_lift.write_tiny_lift(tmp_path / "a lift of the long name of a room").path
-    bpy.context.scene.plgs.lift_folder = str(lift)
-    followed = lifts.lift_of(lift)
-    assert followed is not None
-    follower: Any = Pretended(TaskState.RUNNING)
-    follower.progress.stage, follower.progress.step, followed.follower = "train", 0, follower
+    _, follower = followed_lift(tmp_path / "a lift of the long name of a room")
+    follower.progress.stage, follower.progress.step = "train", 0
     shown = drawn(width=280)
     assert "Stage 2 of 3: a lift of the long…" in shown and "First step (may compile for 2 min)" in shown
 
@@ -225,12 +216,8 @@ def test_progress_is_one_true_number(
 
 
 def test_a_lift_that_was_cancelled_is_resumed_first_and_a_running_one_ends_with_blender(tmp_path: Path) -> None:
-    lift = tiny_lift.write_tiny_lift(tmp_path / "lift").path
-    bpy.context.scene.plgs.lift_folder = str(lift)
-    followed = lifts.lift_of(lift)
-    assert followed is not None
-    follower: Any = Pretended(TaskState.RUNNING)
-    followed.follower, follower.is_own = follower, True
+    followed, follower = followed_lift(tmp_path / "lift")
+    follower.is_own = True
     assert lifts.stops_with_blender(bpy.context.scene) and bpy.ops.plgs.quit.poll()
     bpy.context.scene.plgs.keep_running = True
     assert not bpy.ops.plgs.quit.poll()

@@ -10,6 +10,7 @@ from types import ModuleType
 import bpy
 import numpy as np
 import pytest
+from blender_helpers import values_of
 from bpy_extras.object_utils import world_to_camera_view
 from mathutils import Vector
 from plgs.engine.result_files import MatchedSegment
@@ -177,8 +178,7 @@ def test_an_instance_takes_its_box_points_and_anchors_with_it(root: bpy.types.Co
     left = sum(count for name, count in after.items())
     assert sum(before.values()) - left == (instance_id == 1).sum()
     anchors = next(cloud for cloud in clouds_of(root) if cloud.name == "Anchors")
-    hidden = np.zeros(len(anchors.data.points), bool)
-    anchors.data.attributes[looks.HIDDEN].data.foreach_get("value", hidden)
+    hidden = values_of(anchors.data, looks.HIDDEN)
     assert np.array_equal(hidden, np.load(lift / "result" / "anchors.npz")["instance_id"] == 1)
     row.visible = True
     assert seen(root) == before
@@ -199,13 +199,11 @@ def test_what_is_isolated_is_framed_without_crumbs(root: bpy.types.Collection) -
     view = next(s for screen in bpy.data.screens for a in screen.areas for s in a.spaces if s.type == "VIEW_3D")
     before = view.region_3d.view_location.copy(), view.region_3d.view_distance
     cloud = next(ob for ob in clouds_of(root) if ob.get("class_id") == CHAIR_ID)
-    points = len(cloud.data.points)
     stray = int(np.flatnonzero(ids(cloud.data, "instance_id") == 1)[0])
     cloud.data.points[stray].co = (30.0, 0.0, 0.0)
     looks.isolate(root, 1)
     views.show_alone(root, view, 1.5)
-    hidden = np.empty(points, bool)
-    cloud.data.attributes[looks.HIDDEN].data.foreach_get("value", hidden)
+    hidden = values_of(cloud.data, looks.HIDDEN)
     assert hidden[stray] and not hidden.all()
     assert (view.region_3d.view_location - boxes_of(root)[1].matrix_world.translation).length < 1e-3
     looks.isolate(root, 1)
