@@ -85,8 +85,7 @@ class _Raw(io.FileIO):
 
 
 class Faults(_Watched):
-    """Counts what reaches the file system below ``folder`` inside `failing`, in this thread or, ``everywhere``, in all
-    of this process."""
+    """Counts the calls below ``folder`` inside `failing`, in this thread or, ``everywhere``, in the whole process."""
 
     def __init__(self, folder: Path, patch: pytest.MonkeyPatch, everywhere: bool = False) -> None:
         super().__init__(folder, patch)
@@ -149,9 +148,8 @@ class Faults(_Watched):
 
 
 def every_fault(faults: Faults, thoroughly: bool) -> Iterator[tuple[int, int, bool]]:
-    """``at``, ``error``, ``for_good``, until nothing failed in the caller's last round. Each call fails with one kind
-    of error, in turn; ``thoroughly`` with each.
-    """
+    """Yields ``at``, ``error``, ``for_good`` until a round passes without a fault; ``thoroughly`` with each kind of
+    error."""
     at, kinds = 0, (*ERRORS, SHORT)
     while at == 0 or faults.has_failed or len(faults.calls) >= at:
         at += 1

@@ -106,8 +106,8 @@ class Engines:
         return self._said.read_text(errors="replace")
 
     def counted(self) -> Any:
-        """Of the last engine that was not killed: its changes to files in each stage, or with a `Fault` the calls, each
-        a kind and a file, and which failed."""
+        """The last engine's changes to files in each stage; with a `Fault`, its calls (kind and file) and those that
+        failed."""
         return json.loads(self._counted.read_text())
 
     def close(self) -> None:
@@ -148,8 +148,7 @@ def serve(scene: Path, lift: Path) -> None:
 
 
 def run_forked(asked: Mapping[str, Any]) -> None:
-    """The ``arguments`` of a command, which prints into the file ``said`` and writes what was ``counted``, ``at`` a
-    `Moment` or with a ``fault``. Does not return."""
+    """Run a command; its output goes to the file ``said``, what was counted to ``counted``. Does not return."""
     from engine.command_line.main import main as engine
 
     output = os.open(asked["said"], os.O_WRONLY | os.O_CREAT | os.O_TRUNC)

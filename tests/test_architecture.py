@@ -286,9 +286,7 @@ def test_the_extension_needs_nothing_but_blender_numpy_and_the_standard_library(
 
 
 def test_blender_imports_no_more_of_the_engine_than_today() -> None:
-    """What Blender imports may use the standard library and NumPy alone: the protocol, the result's files, and plain
-    folders, without readers of foreign formats. This limit may only be lowered.
-    """
+    """Only with NumPy, and no readers of foreign formats. This limit may only be lowered."""
     core = _core_of_the_extension()
     allowed = {target.removeprefix("engine.") for target in EXTENSION_MAY_IMPORT["plgs_blender"]}
     allowed |= {"", "gates", "json_file", "records", "user_cache"}

@@ -1,8 +1,4 @@
-"""The wording of every PlgsError stands in errors.golden.txt, by key, for a person to read.
-
-`python tests/test_error_texts.py` writes the file anew. Other tests name keys and places (`tests/refused.py`), so that
-a sentence can be worded better without them.
-"""
+"""errors.golden.txt lists the wording of every PlgsError by key. `python tests/test_error_texts.py` writes it anew."""
 
 from __future__ import annotations
 

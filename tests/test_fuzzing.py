@@ -1,7 +1,4 @@
-"""Every reader of files that may be somebody else's: whatever stands in them, they are read, or refused by one line.
-
-The table `READERS` has a writer of good files and the reader for each; the harness spoils one of the files.
-"""
+"""Whatever stands in a file of somebody else's, its reader reads it or refuses it in one line. `READERS` lists them."""
 
 from __future__ import annotations
 
@@ -52,9 +49,8 @@ Spoil = Callable[[Any, bytes], bytes]
 
 
 class Reader(NamedTuple):
-    """``write`` fills a folder, ``read`` looks into it, with PlgsError or ``allowed`` for what is refused. One of the
-    files that ``files`` matches is spoilt in each of so many ``examples``.
-    """
+    """``write`` fills a folder; one of its ``files`` is spoilt in each of so many ``examples``, and ``read`` refuses it
+    with PlgsError or ``allowed``."""
 
     write: Callable[[Path], object]
     read: Callable[[Path], object]

@@ -49,9 +49,7 @@ def moments(chance: random.Random, changes: dict[int, int], count: int) -> list[
 
 @pytest.mark.parametrize("kills_in_all", [17, pytest.param(MANY, marks=pytest.mark.slow)])
 def test_a_lift_that_is_killed_and_resumed_has_the_same_bytes(tmp_path: Path, kills_in_all: int) -> None:
-    """This covers all stages, the result, its manifest, and a bake of more frames. Each lift is killed a dozen times on
-    its way, each bake five times, and each time it is resumed.
-    """
+    """All stages, the result, its manifest, and a bake of more frames: 12 kills a lift and 5 a bake, each resumed."""
     scene = write_tiny_scene(tmp_path / "scene", frames=5, size=(32, 24))
     chance = random.Random(SEED)
     engines = Engines(scene, tmp_path)

@@ -119,12 +119,11 @@ def write_tiny_scene(
     seen: Callable[[TinyView, int], TinyView] = lambda view, number: view,
     categories: list[dict[str, Any]] = CATEGORIES,
 ) -> Path:
-    """Write a scene into ``folder`` (made when missing) and return it. Frames are named 0000, 0001, ...
+    """Write a scene into ``folder`` and return it. Frames are named 0000, 0001, ...
 
-    ``noise`` 0..1 is the share of thing segments whose class is wrong, and also how ragged the mask edges are.
-    Segment ids are new in every view. ``depth_noise`` is a share of the depth. ``up`` says which axis of the written
-    poses points up; the room itself stays the same. ``poses`` are others than those of the orbit. ``shown`` makes of a
-    view at a pose what is there, ``seen`` what the masks see of the view of that number.
+    ``noise`` (0 to 1) is the share of things with a wrong class, and how ragged mask edges are; ``depth_noise`` is a
+    share of the depth. ``up`` is the axis of the written poses that points up. ``poses`` replace the orbit. ``shown``
+    changes a view at a pose, ``seen`` what the masks see of the view of that number.
     """
     folder = Path(folder)
     random = np.random.default_rng(seed)

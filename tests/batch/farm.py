@@ -1,7 +1,5 @@
-"""A farm on this machine: schedulers, workers and batches in processes of their own, and what they leave in folders.
-
-Its processes are forks of one that has imported Dask and the engine, which takes three seconds each time otherwise.
-"""
+"""A farm on this machine: schedulers, workers and batches as forks of one process that has imported Dask and the
+engine."""
 
 from __future__ import annotations
 

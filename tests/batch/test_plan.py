@@ -116,8 +116,7 @@ def _changes_its_state(touched: str, request: LiftRequest, folder: Path) -> bool
 def test_only_files_of_the_mask_file_count(
     touched: str, is_read: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """All of the folder around the file was walked, which may be a home, and one scene's masks counted for all; so was
-    a folder that is called as the table of classes."""
+    """The whole folder around the mask file, or a folder named like the class table, does not count."""
     monkeypatch.chdir(tmp_path)
     (tmp_path / "scene").mkdir()
     (tmp_path / "preds.json").write_text("{}")

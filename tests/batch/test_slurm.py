@@ -92,8 +92,7 @@ ODD = 'it\'s $(touch oops) "a" `touch oops` b;touch oops #%s'
 
 @pytest.mark.skipif(shutil.which("openssl") is None, reason="needs openssl to make certificates")
 def test_paths_are_quoted_for_the_shell(slurm: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """What the job runs is this Python with these files, whatever their folders are called; and nothing of the folder
-    where it starts."""
+    """The job runs this Python with these files whatever their folders are called, and nothing of its start folder."""
     odd = slurm / ODD
     odd.mkdir()
     ca, own = certificates(odd)

@@ -1,7 +1,4 @@
-"""Commands in odd surroundings: homes, temporary folders, streams, rights, names and limits that few users have.
-
-Each one works or ends with one line, and never with a traceback.
-"""
+"""In odd surroundings that few users have, each command works or ends with one line, never with a traceback."""
 
 from __future__ import annotations
 

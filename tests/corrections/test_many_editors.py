@@ -1,7 +1,5 @@
-"""Whoever edits a lift at once, is killed, or sleeps: an edit that was answered with success stays in the file.
-
-PLGS_EDITS is the number of edits that are made amid kills.
-"""
+"""However editors of one lift meet, are killed or sleep, a successful edit stays. PLGS_EDITS edits are made amid
+kills."""
 
 from __future__ import annotations
 

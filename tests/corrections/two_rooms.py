@@ -38,8 +38,7 @@ def block(low: tuple[float, float, float], high: tuple[float, float, float], ste
 
 
 def write_result(lift: Path, shift: float = 0.0, without: int = 0) -> Path:
-    """Write the result into a lift folder. ``shift``: metres that its points lie beside those of another lift of the
-    scene; ``without``: an object that it lacks."""
+    """Write the result into a lift folder, its points shifted by metres, and ``without`` one object."""
     parts = [
         (FLOOR, 0, block((-1, -1, 0), (4, 2, 0), 0.1)),
         (CHAIR, CHAIRS, np.concatenate([block((0, 0, 0.1), (0.4, 0.4, 0.8)), block((1, 0, 0.1), (1.4, 0.4, 0.8))])),

@@ -24,8 +24,7 @@ def pattern(x: np.ndarray, y: np.ndarray) -> np.ndarray:
 
 
 def wall() -> tuple[Surface, np.ndarray]:
-    """A wall of 2 by 2 m at FAR metres that looks at the cameras, its right half of another label; its vertices have
-    the mean of the pattern."""
+    """A 2 by 2 m wall at FAR metres in the pattern's mean colour; its right half has another label."""
     x, y = (each.ravel() for each in np.meshgrid(*[np.linspace(-1, 1, STEPS)] * 2))
     xyz = np.stack([x, y, np.full_like(x, FAR)], axis=1).astype(np.float32)
     first = (np.arange(STEPS - 1)[:, None] * STEPS + np.arange(STEPS - 1)).ravel()
@@ -36,8 +35,8 @@ def wall() -> tuple[Surface, np.ndarray]:
 
 
 def view(number: int, shift: float) -> SmallView:
-    """A photo of 400 pixels from a camera that is moved aside, as bright as GAINS says; the view is smaller. A board
-    hides the left fifth of the second."""
+    """A photo of 400 pixels from a shifted camera, with a smaller view. A board hides the left fifth of the second
+    one."""
     pose = np.eye(4)
     pose[0, 3] = shift
     camera = Camera(400, 400, 360.0, 360.0, 200.0, 200.0, pose)

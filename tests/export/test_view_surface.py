@@ -20,8 +20,8 @@ SIZE, FOCAL, MIDDLE = (320, 240), 280.0, 40.0
 
 
 def look_over_the_floor(hole: bool = False) -> SmallView:
-    """A floor, as wide to each side as WIDE, seen along it from HEIGHT; an object lies on it at 2 to 3 m, and a hole of
-    0.3 m at 4 m. Its end, six times its height away, is grazed."""
+    """A floor that reaches WIDE to each side, seen along it from HEIGHT, with an object at 2 to 3 m and a hole at 4
+    m."""
     width, height = SIZE
     camera = Camera(width, height, FOCAL, FOCAL, width / 2, MIDDLE, np.array(
         [[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, HEIGHT], [0, 0, 0, 1]]))  # fmt: skip

@@ -1,7 +1,4 @@
-"""How tests follow engines that only pretend.
-
-Nothing here measures time: an engine that nobody ends goes on for longer than `follow` has patience.
-"""
+"""How tests follow pretended engines. Nothing here measures time: such an engine outlasts the patience of `follow`."""
 
 from __future__ import annotations
 

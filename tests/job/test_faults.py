@@ -1,5 +1,4 @@
-"""Whatever call of the file system fails, and whenever the power is cut: the old state or the new one is whole, and
-the next run continues."""
+"""Whichever call fails and whenever the power is cut, the old or the new state is whole, and the next run continues."""
 
 from __future__ import annotations
 

@@ -62,8 +62,8 @@ def test_a_broken_file_is_skipped(tmp_path: Path, content: str) -> None:
 
 @dataclass(frozen=True)
 class Measured:
-    """What a lift with ``preview`` took, on two cores that others used as well: ``seconds`` and ``peak_mb`` in all, of
-    which training ``train`` seconds. Frames to train on and held out, their size, segments a frame and classes."""
+    """What a ``preview`` lift took on two busy cores: seconds, of which ``train``, and ``peak_mb``; frames trained and
+    held out."""
 
     frames: tuple[int, int]
     size: tuple[int, int]

@@ -1,5 +1,4 @@
-"""Two processes at one lift folder: starting, resuming, baking, cancelling, removing at once. One of them has its way,
-the other is told so in a line, and in the end a resume finishes the lift."""
+"""Two processes race at one lift folder: one wins, the other says so in a line, and a resume finishes the lift."""
 
 from __future__ import annotations
 

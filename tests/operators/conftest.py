@@ -56,9 +56,8 @@ def root(mine: Path) -> bpy.types.Collection:
 
 @pytest.fixture(scope="session")
 def captures(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with captures in other layouts: COLMAP in walk, transforms.json in studio, two .sens in scans. Only for
-    reading, but engines put what they make of them beside them.
-    """
+    """Captures in other layouts: COLMAP in walk, transforms.json in studio, two .sens in scans. Engines write beside
+    them."""
     folder = tmp_path_factory.mktemp("captures")
     write_text(folder / "walk")
     write_scene(folder / "studio")

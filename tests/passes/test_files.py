@@ -1,5 +1,4 @@
-"""PLY, COCO, npz, instances.json and pictures: reading returns what was written, and writing twice gives the same
-bytes."""
+"""The columns of PLY files, previews and contact sheets."""
 
 from __future__ import annotations
 

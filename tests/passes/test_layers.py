@@ -86,8 +86,7 @@ def test_combined_is_linear() -> None:
 
 
 def coarse_rendering(seed: int, height: int = 23, width: int = 29) -> tuple[PanopticRendering, ClassTable]:
-    """Coverages with few distinct values, so that ties abound, and of few bits, so that sums are exact in any order;
-    void and spare channels, unordered ids, some pixels empty."""
+    """Coverages with many ties and exact sums; void and spare channels, unordered ids, some pixels empty."""
     random = np.random.default_rng(seed)
     classes, slots = int(random.integers(1, 12)), int(random.integers(0, 9))
     class_ids = random.permutation(20)[:classes] + (0 if seed % 3 else 1)

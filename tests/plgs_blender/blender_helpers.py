@@ -27,9 +27,8 @@ def contents() -> dict[str, Any]:
 
 
 def look_through(scene: bpy.types.Scene, ob: bpy.types.Object) -> None:
-    """Make one of our cameras the scene's, with the size and pixel aspect of its frame: what is rendered then lies on
-    the photo pixel by pixel.
-    """
+    """Make a frame's camera the scene's, with its size and pixel aspect, so that renders match the photo pixel by
+    pixel."""
     render = scene.render
     scene.camera = ob
     render.resolution_x, render.resolution_y, render.resolution_percentage = ob["width"], ob["height"], 100

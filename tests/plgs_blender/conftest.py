@@ -19,7 +19,5 @@ def empty_file() -> Iterator[None]:
 
 @pytest.fixture(scope="session")
 def lift(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A finished lift of the tiny room with tiny_lift.FRAMES frames, two of them held out. Only for
-    reading.
-    """
+    """A finished lift of the tiny room with tiny_lift.FRAMES frames, two of them held out. Only for reading."""
     return tiny_lift.write_tiny_lift(tmp_path_factory.mktemp("lifts") / "lift").path

@@ -14,9 +14,7 @@ WANTED = {"torch": "2.0", "numba": "1.0"}
 def pretended_python(
     path: Path, instead: str = "", *, version: str = VERSION, lacks: str = "", **packages: str | None
 ) -> Path:
-    """Write a program that answers a handshake; ``instead`` is a line of shell that it does in place of that. ``lacks``
-    names one of `CAPABILITIES` that it lacks a package for.
-    """
+    """Write a program that answers a handshake, ``lacks`` a capability's package, or runs a shell line ``instead``."""
     capabilities = {name: ("a-package",) if name == lacks else () for name in CAPABILITIES}
     answer = EngineAnswer(version, "3.11.9", path, {**WANTED, **packages}, WANTED, 4, None, capabilities)
     events = [

@@ -14,8 +14,8 @@ SIDE = 8
 
 
 def write_surface(path: Path, shade: int | None = None) -> None:
-    """A floor of 4 by 3 m, and above it a patch of 1 by 1 m that is the chair; with a ``shade``, each with a picture
-    that has it on its left, and white on its right."""
+    """A floor of 4 by 3 m below a 1 by 1 m patch, the chair. ``shade``: each has a picture, shaded left and white
+    right."""
     floor, chair = net((0.0, 0.0, 0.0), (4.0, 3.0)), net((1.0, 1.0, 0.5), (1.0, 1.0))
     xyz = np.concatenate([floor, chair])
     triangles = np.concatenate([net_triangles(), net_triangles() + len(floor)])

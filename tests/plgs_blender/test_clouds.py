@@ -22,9 +22,7 @@ CLASSES = ClassTable(tuple(Category(k, f"class {k}", k > 3, (10 * k, 250 - 9 * k
 
 
 def many_points(count: int) -> SemanticPoints:
-    """Points on the faces of a room of 8 x 6 x 2.7 metres, in no order, of 22 classes (0 = unknown) and 60
-    instances.
-    """
+    """Unordered points on the faces of a room of 8 x 6 x 2.7 m, of 22 classes (0 = unknown) and 60 instances."""
     random = np.random.default_rng(0)
     size = np.array([8.0, 6.0, 2.7])
     face, xyz = random.integers(0, 6, count), random.random((count, 3)) * size

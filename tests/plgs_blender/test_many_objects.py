@@ -136,8 +136,7 @@ def parts_read() -> list[float]:
 
 
 def seconds_at_once(many: Path, few: Path) -> list[float]:
-    """What a window waits for to open a lift, show it again, show fewer objects in its place, delete one and take that
-    back, for the first edit after the file is opened and each part of what is read before, and for Blender's longest
+    """Seconds for: open, show again, show fewer, delete, undo; then longest read, first edit, and Blender's longest
     look."""
     bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
     shown = [longest_parts(each) for each in (many, many, few, many)]
@@ -153,8 +152,7 @@ def seconds_at_once(many: Path, few: Path) -> list[float]:
 
 @pytest.mark.slow
 def test_no_part_takes_long(lift: Path, tmp_path: Path) -> None:
-    """The figures in docs/trust.md. Other work on the machine makes some of them longer: the shortest of a few tries
-    counts."""
+    """The figures in docs/trust.md. The shortest of a few tries counts, since other work slows some of them."""
     few = lift_of(lift, tmp_path / "few", 10)
     for count in (50, boxes.MOST_BOXES, 2000, MOST_INSTANCES):
         many, least = lift_of(lift, tmp_path / str(count), count), np.full(8, np.inf)

@@ -1,8 +1,4 @@
-"""A finished lift folder of the tiny room, made from its ground truth: what an engine would leave that makes
-no errors.
-
-The held-out views have passes, under names that are numbered with gaps.
-"""
+"""A finished lift of the tiny room, made from its ground truth. Held-out views have passes, numbered with gaps."""
 
 from __future__ import annotations
 

@@ -10,8 +10,7 @@ NAMES = ["wall-other-merged", "floor-other-merged", "chair", "potted plant"]
 
 
 def save_tiny_mask2former(folder: Path, sure: float = 30.0) -> Path:
-    """Write config.json, model.safetensors and preprocessor_config.json. ``sure`` multiplies what the class head says,
-    so that queries are confident of something."""
+    """Write a network's files. ``sure`` multiplies the class logits, so that some queries are confident."""
     from transformers import (
         Mask2FormerConfig,
         Mask2FormerForUniversalSegmentation,

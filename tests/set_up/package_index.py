@@ -45,9 +45,8 @@ def installed(package: str) -> tuple[str, bytes]:
 
 
 class PackageIndex:
-    """``fault`` maps a package to "stall" (half, then nothing until `go_on` is set), "cut" (half), "garbage", or
-    "elsewhere" (sent on to another file).
-    """
+    """``fault`` maps a package to "stall" (at half, until `go_on`), "cut" (at half), "garbage" or "elsewhere"
+    (redirected)."""
 
     def __init__(self, packages: dict[str, tuple[str, str]]) -> None:
         """``packages``: version and module of each name."""

@@ -87,8 +87,8 @@ def _context(width: int) -> Any:
 
 
 def drawn(*, opened: bool = True, width: int = 10_000, steps: bool = True) -> str:
-    """What all panels and the preferences show now, in a sidebar so many pixels wide. ``opened`` as in `Layout`;
-    ``steps``: whether those before the result are open."""
+    """What all panels and the preferences show in a sidebar of this width. ``steps``: whether those before the result
+    are open."""
     context = _context(width)
     bpy.context.scene.plgs.show_steps = steps
     seen: list[str] = []

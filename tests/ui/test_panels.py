@@ -1,7 +1,4 @@
-"""Every panel draws in every state: nothing chosen, a task that runs, one that failed, a finished lift.
-
-Blender draws panels only in a window: here a layout notes what it is told.
-"""
+"""Every panel draws in every state: nothing chosen, a task that runs, one that failed, a finished lift."""
 
 from __future__ import annotations
 
@@ -36,8 +33,7 @@ pytestmark = pytest.mark.usefixtures("extension")
 
 
 def test_texts_of_a_strangers_file_are_printable_lines(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A .blend, a folder and an engine's log may hold characters that turn a line around, break it or command a
-    terminal."""
+    """Files, folders and logs may hold characters that reverse or break a line, or command a terminal."""
     odd = "a\u202eb\u2028c\x1b[31md"
     lift = tiny_lift.write_tiny_lift(tmp_path / odd).path
     settings = bpy.context.scene.plgs

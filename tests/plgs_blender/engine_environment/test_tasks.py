@@ -43,8 +43,7 @@ def nothing_known(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[N
 
 @pytest.fixture
 def python(tmp_path: Path) -> Python:
-    """Makes programs that answer as a Python with this engine does, or otherwise. Each is written once: a program that
-    is written again while it starts may fail."""
+    """Makes pretended Pythons. Each is written once: a program that is rewritten while it starts may fail."""
 
     def make(name: str = "python", instead: str = "", **others: str | None) -> Path:
         return pretended_python(tmp_path / name, instead, **others)  # type: ignore[arg-type]

@@ -42,8 +42,7 @@ def read(monkeypatch: pytest.MonkeyPatch) -> Read:
 
 
 def opened(lift: Path, folder: Path, blend: str, read: Read, *, linked: bool = False) -> Path:
-    """A copy of a lift, after a file that shows it was opened as in a Blender that had read nothing. The list of its
-    objects is elsewhere if it is ``linked``."""
+    """A copy of a lift in a newly opened file that shows it. If ``linked``, its list of objects lies elsewhere."""
     shutil.copytree(lift, folder)
     lift_scene.place_lift(folder, bpy.context.scene)
     bpy.ops.wm.save_as_mainfile(filepath=str(folder / blend))
