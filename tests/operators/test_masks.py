@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import importlib.util
 import json
-import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -30,11 +29,9 @@ def folder(tmp_path: Path) -> Path:
 
 
 @pytest.fixture
-def bare(folder: Path) -> Path:
+def bare(tmp_path: Path) -> Path:
     """Without masks."""
-    shutil.rmtree(folder / "panoptic")
-    (folder / "panoptic.json").unlink()
-    return folder
+    return write_tiny_scene(tmp_path / "room", frames=3, size=(64, 48), ground_truth=False, masks="none")
 
 
 def test_classes_are_read_merged_and_written(folder: Path) -> None:

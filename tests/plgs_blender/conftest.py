@@ -4,17 +4,28 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
+from types import ModuleType
 
 import bpy
 import pytest
 import tiny_lift
+from plgs.plgs_blender import registry
 
 
 @pytest.fixture(autouse=True)
 def empty_file() -> Iterator[None]:
     bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
     yield
+    registry.forget_all()
     bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
+
+
+@pytest.fixture
+def extension(plgs: ModuleType, empty_file: None) -> Iterator[None]:
+    """Switched on."""
+    plgs.register()
+    yield
+    plgs.unregister()
 
 
 @pytest.fixture(scope="session")

@@ -5,10 +5,9 @@ from __future__ import annotations
 import json
 import shutil
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from types import ModuleType
 
 import bpy
 import numpy as np
@@ -25,6 +24,8 @@ from tiny_lift import mend_manifest
 from tiny_scene import CHAIR_ID
 
 from tests.raises_key import raises_key
+
+pytestmark = pytest.mark.usefixtures("extension")
 
 
 def test_parts_and_the_whole_are_the_same(lift: Path) -> None:
@@ -70,13 +71,6 @@ OTHERS_S = 0.06
 TRIES = 4
 MANY, MOST = 250, 120
 """Objects of a lift, and those of them that have a box of their own here."""
-
-
-@pytest.fixture(autouse=True)
-def extension(plgs: ModuleType, empty_file: None) -> Iterator[None]:
-    plgs.register()
-    yield
-    plgs.unregister()
 
 
 @pytest.fixture

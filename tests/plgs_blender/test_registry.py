@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -41,12 +40,6 @@ class Pretended(Task):
         self.taken = (scene, self.answer)
         if self.raises is not None:
             raise self.raises
-
-
-@pytest.fixture(autouse=True)
-def nothing_followed() -> Iterator[None]:
-    yield
-    registry.forget_all()
 
 
 def begin(program: str) -> Pretended:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import shutil
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -38,10 +37,7 @@ class Halves:
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    folder = write_tiny_scene(tmp_path / "scene", frames=4, size=(32, 24), ground_truth=False)
-    shutil.rmtree(folder / "panoptic")
-    (folder / "panoptic.json").unlink()
-    return folder
+    return write_tiny_scene(tmp_path / "scene", frames=4, size=(32, 24), ground_truth=False, masks="none")
 
 
 def silent(done: int, frames: int, made: int) -> None:

@@ -33,10 +33,7 @@ def model(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    folder = write_tiny_scene(tmp_path / "scene", frames=3, size=(64, 48), ground_truth=False)
-    shutil.rmtree(folder / "panoptic")
-    (folder / "panoptic.json").unlink()
-    return folder
+    return write_tiny_scene(tmp_path / "scene", frames=3, size=(64, 48), ground_truth=False, masks="none")
 
 
 def test_a_model_in_a_folder(model: Path) -> None:

@@ -36,7 +36,6 @@ def nothing_known(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[N
     tasks.register()
     yield
     tasks.unregister()
-    registry.forget_all()
     choices.choose(None)
     bpy.context.preferences.system.use_online_access = False
 

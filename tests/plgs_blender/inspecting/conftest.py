@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from pathlib import Path
-from types import ModuleType
 
 import bpy
 import pytest
@@ -12,14 +10,7 @@ from plgs.plgs_blender import lift_scene
 
 
 @pytest.fixture
-def extension(plgs: ModuleType) -> Iterator[None]:
-    plgs.register()
-    yield
-    plgs.unregister()
-
-
-@pytest.fixture
-def root(extension: None, empty_file: None, lift: Path) -> bpy.types.Collection:
+def root(extension: None, lift: Path) -> bpy.types.Collection:
     """The collection of the tiny lift in the open scene."""
     placed = lift_scene.place_lift(lift, bpy.context.scene)
     bpy.context.view_layer.update()

@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
 from pathlib import Path
 
 import bpy
-import plgs
 import pytest
 from plgs.engine.errors import PlgsError
 from plgs.engine.job import LiftFolder, LiftRequest
 from plgs.engine.known_scene import MadeFrames, StoredScene
-from plgs.plgs_blender import registry
 from plgs.plgs_blender.errors import field_of_option, with_field_names
 from plgs.plgs_blender.running import lifting
 from plgs.plgs_blender.settings import (
@@ -25,13 +22,7 @@ from plgs.plgs_blender.settings import (
 
 from tests.raises_key import raises_key
 
-
-@pytest.fixture(autouse=True)
-def extension() -> Iterator[None]:
-    plgs.register()
-    yield
-    registry.forget_all()
-    plgs.unregister()
+pytestmark = pytest.mark.usefixtures("extension")
 
 
 def test_the_advice_about_a_running_lift(tmp_path: Path) -> None:

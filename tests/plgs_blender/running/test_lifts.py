@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -19,12 +18,6 @@ ENGINE = Path(__file__).resolve().parents[2] / "job" / "fake_engine.py"
 PYTHON = Path(sys.executable)
 SCENE = SimpleNamespace(plgs=SimpleNamespace(place_when_done=False))
 """In the place of Blender's scene: a pretended lift has nothing to show."""
-
-
-@pytest.fixture(autouse=True)
-def nothing_followed() -> Iterator[None]:
-    yield
-    registry.forget_all()
 
 
 @pytest.fixture

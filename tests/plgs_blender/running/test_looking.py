@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import shutil
 import sys
-from collections.abc import Iterator
 from dataclasses import asdict
 from pathlib import Path
-from types import ModuleType, SimpleNamespace
+from types import SimpleNamespace
 
 import bpy
 import pytest
 from plgs.engine.job.recent import remember_lift
 from plgs.engine.presets.preset import PRESETS
-from plgs.plgs_blender import corrections, lift_scene, registry, results
+from plgs.plgs_blender import corrections, lift_scene, results
 from plgs.plgs_blender.chosen_scene import ChosenScene
 from plgs.plgs_blender.inspecting.selection import find_lift
 from plgs.plgs_blender.running import estimate, looking, survey
@@ -22,14 +21,8 @@ from plgs.plgs_blender.settings import request_of
 from engine.scene import counted, describe, open_scene
 from tests.tiny_scene import write_tiny_scene
 
+pytestmark = pytest.mark.usefixtures("extension")
 Read = list[Path]
-
-
-@pytest.fixture(autouse=True)
-def extension(plgs: ModuleType, empty_file: None) -> Iterator[None]:
-    plgs.register()
-    yield
-    plgs.unregister()
 
 
 @pytest.fixture
@@ -78,12 +71,6 @@ def test_a_path_that_a_file_names_is_read_only_if_it_is_ones_own(lift: Path, tmp
 def test_a_link_in_its_place_is_left_alone(lift: Path, tmp_path: Path, read: Read) -> None:
     opened(lift, tmp_path / "mine", "lift.blend", read, linked=True)
     assert looking._read_objects() is None and not read
-
-
-@pytest.fixture(autouse=True)
-def no_inspector() -> Iterator[None]:
-    yield
-    registry.forget_all()
 
 
 @pytest.mark.parametrize("name", ["a" * 300, "a\0b", "a\ud800b"], ids=["long", "null", "surrogate"])
