@@ -37,8 +37,7 @@ from engine.scene.checks import survey_scene
 from tests.conftest import HAS_BLENDER
 from tests.corrections.two_rooms import CHAIRS, DESK, SOFA, TABLE, write_result
 from tests.fuzzing import damaged, examples, with_odd_value
-from tests.job.following import watch
-from tests.job.lift_folders import tiny_lift
+from tests.job.following import tiny_lift, watch
 from tests.passes.test_exr import write_layers
 from tests.scene.formats.test_record3d import lzfse  # noqa: F401 - a fixture
 from tests.scene.samples import WRITERS, look_into, with_content

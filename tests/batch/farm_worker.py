@@ -21,7 +21,7 @@ from engine.command_line.run_engine import run_engine
 from engine.errors import ErrorCode, PlgsError
 from engine.job import EventWriter, LiftFolder, LiftRequest, StopSignal
 from engine.job.terminal import Interrupts
-from tests.job.lift_folders import tiny_lift
+from tests.job.following import tiny_lift
 from tests.waiting import PATIENCE_S
 
 STEPS, STEP_S, PAUSE_AFTER = 60, 0.03, 10

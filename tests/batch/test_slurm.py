@@ -22,7 +22,7 @@ from engine.errors import ExitCode
 from engine.job import EventWriter, LiftFolder, StopSignal
 from tests.batch.farm import plan_of, rows_of, run
 from tests.batch.test_cluster import certificates
-from tests.job.lift_folders import tiny_lift
+from tests.job.following import tiny_lift
 from tests.raises_key import raises_key
 
 SBATCH = """#!/bin/sh

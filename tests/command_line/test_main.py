@@ -18,7 +18,7 @@ from engine.job import LiftFolder, LiftRequest, write_atomically, write_manifest
 from engine.job.request import add_options
 from engine.scene_source import SceneSource, UpAxis
 from tests.commands import exit_code, refuse_heavy_help
-from tests.job.lift_folders import new_lift
+from tests.job.following import new_lift
 from tests.raises_key import worded
 from tests.tiny_scene import write_tiny_scene
 

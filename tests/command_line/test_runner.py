@@ -22,8 +22,7 @@ from engine.job.follower import TaskFollower
 from engine.job.lock import FileLock
 from engine.job.process import engine_call
 from engine.job.task import TaskFiles, TaskState
-from tests.job.following import follow
-from tests.job.lift_folders import new_lift, tiny_lift
+from tests.job.following import follow, new_lift, tiny_lift
 from tests.raises_key import raises_key, worded
 from tests.tiny_scene import write_tiny_scene
 

@@ -9,8 +9,7 @@ import pytest
 
 from engine.job import LiftFolder
 from engine.job.follower import TaskFollower
-from tests.job.following import Start, start_fake
-from tests.job.lift_folders import new_lift
+from tests.job.following import Start, new_lift, start_fake
 
 
 @pytest.fixture

@@ -16,7 +16,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 from engine.command_line.run_engine import run_engine
 from engine.errors import PlgsError
 from engine.job import EventWriter, LiftFolder, StopSignal
-from tests.job.lift_folders import tiny_lift
+from tests.job.following import tiny_lift
 from tests.waiting import OUTLASTS_S
 
 STEP_S = 0.02

@@ -1,4 +1,4 @@
-"""How tests follow pretended engines. Nothing here measures time: such an engine outlasts the patience of `follow`."""
+"""Lift folders, and how tests follow pretended engines, which outlast the patience of `follow`."""
 
 from __future__ import annotations
 
@@ -10,14 +10,27 @@ import pytest
 
 from engine.command_line.run_engine import run_engine
 from engine.errors import ExitCode
-from engine.job import LiftFolder
+from engine.job import EventWriter, LiftFolder, LiftRequest, StopSignal, write_atomically, write_manifest
 from engine.job.follower import TaskFollower
 from engine.job.task import LIFT
-from tests.job.lift_folders import tiny_lift
 from tests.waiting import wait_until
 
 FAKE = Path(__file__).parent / "fake_engine.py"
 Start = Callable[..., TaskFollower]
+
+
+def new_lift(tmp_path: Path, name: str = "lift") -> LiftFolder:
+    """A folder that asks for a lift of a scene that need not be there."""
+    return LiftFolder.create(tmp_path / name, LiftRequest(scene=tmp_path / "scene"))
+
+
+def tiny_lift(folder: LiftFolder, events: EventWriter, stop: StopSignal, *, resume: bool) -> None:
+    """A lift that is over at once."""
+    events.stage("train", 1, 1, "Training")
+    stop.check()
+    events.progress("train", 1, 1, loss=0.5, eta_s=0.0)
+    write_atomically(folder.result_path / "metrics.json", '{"format": 1, "test_frames": [], "tables": []}')
+    write_manifest(folder.result_path, versions={}, seed=folder.request.seed, settings={}, timings={"train": 0.0})
 
 
 def follow(follower: TaskFollower, until: Callable[[], bool] = lambda: False) -> None:

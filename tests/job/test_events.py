@@ -17,8 +17,7 @@ from engine.job.events import MOST_BYTES, TAIL_BYTES, last_events
 from engine.job.follower import TaskFollower
 from engine.job.lock import FileLock
 from engine.job.task import LOG_BYTES, TaskState, last_lines
-from tests.job.following import Start, bytes_read, follow, watch
-from tests.job.lift_folders import new_lift
+from tests.job.following import Start, bytes_read, follow, new_lift, watch
 
 posix = pytest.mark.skipif(sys.platform == "win32", reason="POSIX signals")
 

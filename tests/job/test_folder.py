@@ -10,7 +10,7 @@ import pytest
 
 from engine.errors import PlgsError
 from engine.job import EventWriter, LiftFolder, LiftRequest, LiftState, StopSignal
-from tests.job.lift_folders import new_lift, tiny_lift
+from tests.job.following import new_lift, tiny_lift
 from tests.raises_key import raises_key
 
 

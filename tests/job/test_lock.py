@@ -18,7 +18,7 @@ from engine.errors import ErrorCode, ExitCode, PlgsError
 from engine.job import BakeLocks, LiftState, lock
 from engine.job.lock import FileLock, is_locked
 from engine.job.system import OPEN_FILES_KEEP_NAMES
-from tests.job.lift_folders import new_lift
+from tests.job.following import new_lift
 from tests.raises_key import raises_key
 
 posix = pytest.mark.skipif(sys.platform == "win32", reason="POSIX signals")

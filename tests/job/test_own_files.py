@@ -10,10 +10,9 @@ import pytest
 
 from engine.command_line.run_engine import run_bake, run_engine
 from engine.export.run import export
-from engine.job import EventReader, EventWriter, LiftFolder, LiftState, write_atomically
+from engine.job import EventReader, EventWriter, LiftFolder, LiftState
 from engine.job.lock import FileLock
-from tests.job.following import watch
-from tests.job.lift_folders import new_lift, tiny_lift
+from tests.job.following import new_lift, tiny_lift, watch
 from tests.raises_key import raises_key
 
 pytestmark = pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no FIFOs here")
@@ -65,23 +64,6 @@ def test_foreign_files_beside_a_lift_are_left_alone(tmp_path: Path) -> None:
     folder = new_lift(tmp_path)
     (folder.path / "lift.blend").symlink_to(tmp_path / "elsewhere.blend")
     assert run_engine(folder, lift=tiny_lift) == 0
-
-
-def test_a_log_with_a_second_name_is_not_appended_to(tmp_path: Path) -> None:
-    folder, outside = new_lift(tmp_path), folder_of_theirs(tmp_path)
-    os.link(outside / "precious", folder.log_path)
-    with pytest.raises(OSError, match="second name"):
-        run_engine(folder, lift=tiny_lift)
-    assert (outside / "precious").read_text() == "content"
-
-
-def test_a_link_that_was_waiting_for_a_part_is_replaced(tmp_path: Path) -> None:
-    outside = folder_of_theirs(tmp_path)
-    (tmp_path / ".part-file.json").symlink_to(outside / "precious")
-    write_atomically(tmp_path / "file.json", "new")
-    (tmp_path / ".part-file.json").symlink_to(outside / "precious")
-    write_atomically(tmp_path / "file.json", lambda part: part.write_text("newer"))
-    assert (tmp_path / "file.json").read_text() == "newer" and (outside / "precious").read_text() == "content"
 
 
 WAYS_IN: list[Callable[[Path], object]] = [

@@ -13,7 +13,7 @@ import pytest
 from engine.command_line.run_engine import run_engine
 from engine.job import EventReader, ExitCode, LiftFolder, LiftRequest, verify
 from engine.job.folder import FILES, FOLDERS
-from tests.job.lift_folders import tiny_lift
+from tests.job.following import tiny_lift
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="POSIX signals")
 RACER = """
@@ -24,7 +24,7 @@ from engine.command_line.run_engine import run_engine
 from engine.errors import PlgsError
 from engine.job import EventReader, LiftFolder, LiftRequest
 from tests.job.fake_engine import Pretence
-from tests.job.lift_folders import tiny_lift
+from tests.job.following import tiny_lift
 from tests.job.test_faults import bake
 
 def lift(resume):

@@ -14,7 +14,7 @@ import pytest
 from engine.job import EventWriter, LiftState, StopSignal
 from engine.job.environment import notes_folder
 from engine.job.recent import MOST, recent_lifts, remember_lift
-from tests.job.lift_folders import new_lift, tiny_lift
+from tests.job.following import new_lift, tiny_lift
 
 
 def test_the_newest_comes_first_and_once(tmp_path: Path) -> None:

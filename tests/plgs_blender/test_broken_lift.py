@@ -21,7 +21,7 @@ from plgs.plgs_blender.import_scene import place_scene
 from plgs.plgs_blender.inspecting import views
 from plgs.plgs_blender.inspecting.lists import registered
 from plgs.plgs_blender.inspecting.selection import boxes_of
-from plgs.plgs_blender.results import MOST_INSTANCES, read_result, reading_instances, result_of
+from plgs.plgs_blender.results import read_result, reading_instances, result_of
 from plgs.plgs_blender.viewport import all_views
 from tiny_lift import mend_manifest, write_tiny_lift
 
@@ -61,17 +61,6 @@ def test_absurd_instances_change_nothing(lift: Path, tmp_path: Path, name: str, 
     content = json.loads((lift / "result" / "instances.json").read_text())
     content["instances"][0][name] = value
     with_instances(lift, tmp_path, json.dumps(content))
-
-
-def test_more_objects_than_a_lift_finds_change_nothing(lift: Path, tmp_path: Path) -> None:
-    content = json.loads((lift / "result" / "instances.json").read_text())
-    one = content["instances"][0] | {"segments": []}
-    content["instances"] = [one | {"id": number} for number in range(1, MOST_INSTANCES + 2)]
-    with_instances(lift, tmp_path, json.dumps(content))
-
-
-def test_endless_brackets_change_nothing(lift: Path, tmp_path: Path) -> None:
-    with_instances(lift, tmp_path, "[" * 100_000)
 
 
 @pytest.mark.parametrize(

@@ -1,7 +1,8 @@
-"""Followed tasks: started, told apart by their keys, cancelled, and ended with Blender."""
+"""Followed tasks: started, told apart by their keys, cancelled, and ended with Blender; and how Blender itself ends."""
 
 from __future__ import annotations
 
+import subprocess
 import sys
 from pathlib import Path
 from typing import Any
@@ -15,6 +16,7 @@ from plgs.engine.job.task import TaskFiles
 from plgs.plgs_blender import registry
 from plgs.plgs_blender.registry import Task
 
+from plgs_blender.lifecycle import drop_session_folder
 from tests.raises_key import raises_key
 from tests.waiting import wait_until
 
@@ -99,3 +101,28 @@ def test_a_defect_stops_no_other_task(monkeypatch: pytest.MonkeyPatch, capfd: py
 def test_a_program_that_cannot_be_run_is_reported(tmp_path: Path) -> None:
     with raises_key("not-runnable"):
         registry.start_engine("inspect", tmp_path / "no python")
+
+
+LEFT_OVER = """
+import ctypes, sys, bpy
+ctypes.pythonapi.Py_IncRef(ctypes.py_object(bpy))
+from plgs_blender.lifecycle import end_process
+print(bpy.app.tempdir)
+end_process(3)
+"""
+
+
+def test_a_leftover_reference_does_not_delay_the_end(root: Path) -> None:
+    said = subprocess.run([sys.executable, "-c", LEFT_OVER], cwd=root, capture_output=True, text=True, timeout=60)
+    assert said.returncode == 3, said.stderr
+    folder = Path(said.stdout.splitlines()[-1])
+    assert folder.is_absolute() and not folder.exists()
+
+
+def test_only_the_folder_of_the_session_is_deleted(tmp_path: Path) -> None:
+    session, shared = tmp_path / "blender_a1b2", tmp_path / "all"
+    for folder in (session, shared):
+        folder.mkdir()
+        (folder / "file").touch()
+        drop_session_folder(folder)
+    assert not session.exists() and (shared / "file").exists()

@@ -71,12 +71,6 @@ def test_a_file_of_a_lift(window: Window, scene: Path) -> None:
     assert folders(window) == ["", str(lift.path)]
 
 
-def test_blender_never_asks_extensions_about_a_folder(window: Window, scene: Path) -> None:
-    """By its rule that a handler is found by the ending of a name. Were that to change, README.md could say so."""
-    window.drop(*IN_THE_VIEW, scene)
-    assert folders(window) == ["", ""]
-
-
 MODULES = """
 import sys
 registry = sys.modules[EXTENSION + '.plgs_blender.registry']

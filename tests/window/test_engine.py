@@ -60,14 +60,3 @@ def test_a_set_up_is_followed_and_cancelled(preferences: Window) -> None:
         preferences.wait_for("not set_up().is_running")
     assert preferences.ask("set_up().was_cancelled and set_up().error is None")
     assert not preferences.slow_calls(0.05)
-
-
-def test_a_missing_index_is_told(preferences: Window) -> None:
-    preferences.run("bpy.context.preferences.system.use_online_access = True")
-    preferences.run("bpy.ops.plgs.set_up_engine('INVOKE_DEFAULT', index_url='http://127.0.0.1:9/simple')")
-    preferences.wait_for("not set_up().is_running")
-    told = preferences.ask("str(set_up().error)")
-    assert "uv could not be downloaded" in told and "Check the connection and the package index" in told
-    preferences.wait_for("engine.status().state.value == 'ready'")
-    preferences.settle()
-    preferences.screenshot("preferences-failed")
