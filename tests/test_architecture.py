@@ -6,9 +6,10 @@ import ast
 import re
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cache
+from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 import pytest
@@ -162,6 +163,11 @@ def _is_type_checking(node: ast.AST) -> bool:
     return isinstance(node, ast.If) and ast.unparse(node.test) in ("TYPE_CHECKING", "typing.TYPE_CHECKING")
 
 
+def lines_where(is_wrong: Callable[[Import], bool], *names: str) -> list[str]:
+    """The imports in these packages or files for which something holds."""
+    return [found.line for path in modules_under(*names) for found in imports_of(path) if is_wrong(found)]
+
+
 def part_of_engine(module: str) -> str:
     """`engine.scene.camera` belongs to `scene`, the engine's own `__init__` to ``."""
     return module.split(".")[1] if "." in module else ""
@@ -182,8 +188,7 @@ MOST_LINES_OF_THE_CORE = 8_900
 
 
 def test_no_bpy_under_engine() -> None:
-    found = [i.line for path in modules_under("engine") for i in imports_of(path) if first(i.module) in BLENDER_MODULES]
-    assert found == []
+    assert lines_where(lambda i: first(i.module) in BLENDER_MODULES, "engine") == []
 
 
 def test_dependencies_between_the_parts_of_the_engine_run_one_way() -> None:
@@ -214,16 +219,8 @@ def test_every_allowed_dependency_exists() -> None:
 def test_nothing_imports_the_engine_from_inside_by_its_own_name() -> None:
     """In Blender the engine is `plgs.engine`: only relative imports find it there; and it has to stay inside itself."""
     ours = {"engine", "plgs_blender", "operators", "ui", "plgs", "run_plgs"}
-    absolute = [
-        i.line for path in modules_under("engine", *EXTENSION) for i in imports_of(path)
-        if first(i.module) in ours and not i.is_relative
-    ]  # fmt: skip
-    assert absolute == []
-    outside = [
-        i.line for path in modules_under("engine") for i in imports_of(path)
-        if i.is_relative and first(i.module) != "engine"
-    ]  # fmt: skip
-    assert outside == []
+    assert lines_where(lambda i: first(i.module) in ours and not i.is_relative, "engine", *EXTENSION) == []
+    assert lines_where(lambda i: i.is_relative and first(i.module) != "engine", "engine") == []
 
 
 def test_no_cycles() -> None:
@@ -253,17 +250,11 @@ def test_no_cycles_between_folders_and_files() -> None:
 
 def _cycle_in(arrows: dict[str, list[str]]) -> list[str]:
     """The names along a cycle; none where there is no cycle."""
-    done: set[str] = set()
-
-    def visit(name: str, way: list[str]) -> list[str]:
-        if name in way:
-            return [*way[way.index(name) :], name]
-        if name in done:
-            return []
-        done.add(name)
-        return next((cycle for target in arrows.get(name, []) if (cycle := visit(target, [*way, name]))), [])
-
-    return next((cycle for name in arrows if (cycle := visit(name, []))), [])
+    try:
+        TopologicalSorter(arrows).prepare()
+    except CycleError as error:
+        return list(error.args[1])
+    return []
 
 
 def test_dependencies_between_the_parts_of_the_extension_run_one_way() -> None:
@@ -278,11 +269,7 @@ def test_dependencies_between_the_parts_of_the_extension_run_one_way() -> None:
 
 def test_the_extension_needs_nothing_but_blender_numpy_and_the_standard_library() -> None:
     allowed = BLENDER_MODULES | {"numpy"} | set(sys.stdlib_module_names)
-    wrong = [
-        i.line for path in modules_under(*EXTENSION) for i in imports_of(path)
-        if not i.is_relative and first(i.module) not in allowed
-    ]  # fmt: skip
-    assert wrong == []
+    assert lines_where(lambda i: not i.is_relative and first(i.module) not in allowed, *EXTENSION) == []
 
 
 def test_blender_imports_no_more_of_the_engine_than_today() -> None:
@@ -316,26 +303,22 @@ def test_the_page_on_the_architecture_names_what_exists() -> None:
 
 
 def test_no_threads_in_blender() -> None:
-    wrong = [i.line for path in modules_under(*EXTENSION) for i in imports_of(path) if first(i.module) in THREADS]
-    assert wrong == []
+    assert lines_where(lambda i: first(i.module) in THREADS, *EXTENSION) == []
 
 
 def test_job_needs_only_the_standard_library() -> None:
-    wrong = [
-        i.line for path in modules_under("engine/job", "engine/presets") for i in imports_of(path)
-        if not i.is_relative and first(i.module) not in sys.stdlib_module_names
-    ]  # fmt: skip
+    library = sys.stdlib_module_names
+    wrong = lines_where(lambda i: not i.is_relative and first(i.module) not in library, "engine/job", "engine/presets")
     assert wrong == []
 
 
 def test_a_scene_needs_only_numpy_until_it_reads_pixels_or_a_special_format() -> None:
-    wrong = []
-    for path in modules_under("engine/scene"):
-        for found in imports_of(path):
-            late = {"numpy", "cv2", "liblzfse", "lz4", "h5py", "OpenEXR", "pycocotools"}
-            allowed = {"numpy"} if found.is_at_top else late
-            if not found.is_relative and first(found.module) not in allowed | set(sys.stdlib_module_names):
-                wrong.append(found.line)
+    late = {"cv2", "liblzfse", "lz4", "h5py", "OpenEXR", "pycocotools"}
+    always = {"numpy", *sys.stdlib_module_names}
+    wrong = lines_where(
+        lambda i: not i.is_relative and first(i.module) not in (always if i.is_at_top else always | late),
+        "engine/scene",
+    )
     assert wrong == []
 
 
@@ -359,13 +342,11 @@ def test_what_only_one_system_has_is_behind_one_module() -> None:
 def test_research_imports_the_engine_and_nothing_imports_research() -> None:
     """It runs from the repository alone, so the engine has its own name there."""
     ours = {"plgs_blender", "operators", "ui", "plgs", "run_plgs"}
-    wrong = [
-        i.line for path in modules_under("research") for i in imports_of(path)
-        if first(i.module) in ours or (i.is_relative and first(i.module) != "research")
-    ]  # fmt: skip
-    others = modules_under("engine", *EXTENSION, "run_plgs.py", "sample", "set_up")
-    wrong += [i.line for path in others for i in imports_of(path) if first(i.module) == "research"]
-    assert wrong == []
+    wrong = lines_where(
+        lambda i: first(i.module) in ours or (i.is_relative and first(i.module) != "research"), "research"
+    )
+    others = ("engine", *EXTENSION, "run_plgs.py", "sample", "set_up")
+    assert wrong + lines_where(lambda i: first(i.module) == "research", *others) == []
 
 
 def test_no_pickles() -> None:

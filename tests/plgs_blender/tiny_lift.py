@@ -10,6 +10,7 @@ import numpy as np
 import OpenEXR
 from numpy.typing import NDArray
 from plgs.engine.job import LiftFolder, LiftRequest, write_manifest
+from plgs.engine.posed.names import murmur3, name_bits
 from plgs.engine.scene import Frame, Scene, open_scene
 from plgs.engine.scene_of_lift import remember_scene
 
@@ -79,7 +80,7 @@ def write_passes(path: Path, frame: Frame, size: tuple[int, int]) -> None:
             table[number] = _float_hash(name)
         ranks = {"r": table[ids], "g": (ids > 0), "b": np.zeros_like(ids), "a": np.zeros_like(ids)}
         channels |= {f"{layer}00.{c}": plane for c, plane in ranks.items()}
-        prefix = f"cryptomatte/{_murmur(layer):08x}"[:19] + "/"
+        prefix = f"cryptomatte/{murmur3(layer.encode()):08x}"[:19] + "/"
         manifest = {name: struct.pack(">f", _float_hash(name)).hex() for name in names.values()}
         header |= {prefix + "name": layer, prefix + "hash": "MurmurHash3_32"}
         header |= {prefix + "conversion": "uint32_to_float32", prefix + "manifest": json.dumps(manifest)}
@@ -150,31 +151,7 @@ def _masks_of(number: int, class_id: int, scene: Scene, size: tuple[int, int]) -
 
 
 def _float_hash(name: str) -> float:
-    """Cryptomatte's id of a name: its hash as a float that is neither tiny nor infinite."""
-    number = _murmur(name)
-    if (number >> 23) & 255 in (0, 255):
-        number ^= 1 << 23
-    return struct.unpack(">f", struct.pack(">I", number))[0]
-
-
-def _murmur(name: str) -> int:
-    """MurmurHash3, 32 bits, seed 0."""
-    data, whole = name.encode(), 0xFFFFFFFF
-
-    def scrambled(block: int) -> int:
-        block = block * 0xCC9E2D51 & whole
-        return ((block << 15 | block >> 17) & whole) * 0x1B873593 & whole
-
-    state, body = 0, len(data) - len(data) % 4
-    for start in range(0, body, 4):
-        state ^= scrambled(int.from_bytes(data[start : start + 4], "little"))
-        state = ((state << 13 | state >> 19) & whole) * 5 + 0xE6546B64 & whole
-    if body < len(data):
-        state ^= scrambled(int.from_bytes(data[body:], "little"))
-    state ^= len(data)
-    for shift, factor in ((16, 0x85EBCA6B), (13, 0xC2B2AE35)):
-        state = (state ^ state >> shift) * factor & whole
-    return state ^ state >> 16
+    return struct.unpack(">f", struct.pack(">I", name_bits(name)))[0]
 
 
 def mend_manifest(lift: Path) -> None:
