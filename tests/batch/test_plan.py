@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import shutil
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -259,9 +258,3 @@ def test_a_bad_table_is_one_line(name: str, text: str, said: str, tmp_path: Path
     with raises_key(said) as error:
         options_of(tmp_path, name, text)
     assert "\n" not in str(error.value)
-
-
-def test_missing_table_is_refused(tmp_path: Path) -> None:
-    options: Any = argparse.Namespace()
-    with raises_key("unreadable"):
-        read_scene_table(tmp_path / "none.csv", options)

@@ -120,11 +120,3 @@ def test_a_job_imports_nothing_of_the_folder_where_it_starts(
         (slurm / "job.sh").write_text(re.sub(r"tcp://\S+", "--version", cluster.job_script()))
     assert subprocess.run(["sh", "job.sh"], cwd=slurm, capture_output=True, timeout=60).returncode == 0
     assert not (slurm / "oops").exists()
-
-
-@pytest.mark.skipif(shutil.which("openssl") is None, reason="needs openssl to make certificates")
-def test_slurm_job_uses_tls(slurm: Path) -> None:
-    ca, own = certificates(slurm)
-    with slurm_cluster(FarmOptions(1, "", {}, 1.0, 1, Tls(ca, own))) as cluster:
-        script, address = cluster.job_script(), cluster.scheduler_address
-    assert address.startswith("tls://") and f"--tls-ca-file {ca} --tls-cert {own} --tls-key {own}" in script

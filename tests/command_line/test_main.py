@@ -110,16 +110,6 @@ def test_bad_input_is_one_line(capsys: pytest.CaptureFixture[str], tmp_path: Pat
         assert said.startswith("error: ") and said.count("\n") == 1 and told in said
 
 
-def test_a_bad_scene_leaves_no_folder(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("PLGS_ENGINE_PYTHON", sys.executable)
-    (tmp_path / "scene").mkdir()
-    assert code_of("lift", tmp_path / "scene", "-o", tmp_path / "out") == 2
-    assert capsys.readouterr().err.splitlines()[-1].startswith("error: no scene of a known format")
-    assert os.listdir(tmp_path) == ["scene"]
-
-
 INTERRUPTED = (
     (
         "job.terminal.lift_in_terminal",

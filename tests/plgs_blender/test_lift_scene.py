@@ -194,30 +194,6 @@ def test_the_users_camera_keeps_its_frames(lift: Path) -> None:
     assert len(scene.timeline_markers) == FRAMES + 1
 
 
-def test_the_users_file_keeps_its_look(lift: Path, tmp_path: Path) -> None:
-    blend = tmp_path / "shot.blend"
-    scene = bpy.context.scene
-    scene.name, scene.frame_end, scene.render.resolution_x = "Shot", 77, 999
-    bpy.ops.wm.save_as_mainfile(filepath=str(blend))
-    lift_scene.save_lift(lift, blend)
-    bpy.ops.wm.open_mainfile(filepath=str(blend))
-    scene = bpy.data.scenes["Shot"]
-    assert (scene.frame_end, scene.render.resolution_x) == (77, 999)
-    assert len(lift_scene.lifts_in(scene)) == 1
-
-
-def test_a_new_file_opens_with_a_view_that_the_room_fills(lift: Path, tmp_path: Path) -> None:
-    lift_scene.save_lift(lift, tmp_path / "lift.blend")
-    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "lift.blend"))
-    area = next(area for area in bpy.data.screens["Layout"].areas if area.type == "VIEW_3D")
-    region, view = next(each for each in area.regions if each.type == "WINDOW"), area.spaces.active
-    xyz = np.concatenate([values_of(ob.data, "position", "vector", 3) for ob in bpy.data.objects if "class_id" in ob])
-    local = (xyz - np.array(view.region_3d.view_location)) @ np.array(view.region_3d.view_rotation.to_matrix())
-    scale = view.lens / 36.0 / (view.region_3d.view_distance - local[:, 2])  # 72 mm along the longer side
-    filled = np.ptp(local[:, :2] * scale[:, None], axis=0) / 2.0 * max(region.width, region.height)
-    assert 0.6 < (filled / (region.width, region.height)).max() < 1.0
-
-
 def test_a_lift_can_move_with_its_file(lift: Path, tmp_path: Path) -> None:
     shutil.copytree(lift.parent, tmp_path / "a")
     request = tmp_path / "a" / "lift" / "request.json"

@@ -27,26 +27,6 @@ def kinds(lift: Path) -> list[str]:
     return [edit["kind"] for edit in edits if not edit.get("undone")]
 
 
-def test_merged_split_by_views_and_undone(window: Window, mine: Path) -> None:
-    before = window.ask("points(1), points(2)")
-    window.run(f"choose({CABINET}, {CHAIR})")
-    window.press("plgs.merge_instances")
-    assert window.ask("ids()") == [CABINET] and window.ask(f"points({CABINET})") == sum(before)
-    _, height = window.press("plgs.split_by_views")
-    window.wait_for("len(ids()) == 2")
-    window.settle()
-    window.screenshot("correcting-split")
-    assert kinds(mine) == ["merge", "split"]
-    window.move(*over(window, CABINET))
-    window.key("ctrl+z")
-    assert window.ask("ids()") == [CABINET] and kinds(mine) == ["merge"]
-    window.key("ctrl+shift+z")
-    assert len(window.ask("ids()")) == 2 and kinds(mine) == ["merge", "split"]
-    window.press("plgs.undo_correction", near=height)
-    window.press("plgs.undo_correction", near=height)
-    assert kinds(mine) == [] and window.ask("points(1), points(2)") == before
-
-
 def test_points_are_painted(window: Window, mine: Path) -> None:
     before = window.ask("points(1), points(2)")
     window.run(f"choose({CHAIR})")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import signal
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +10,7 @@ from blender import SIZE, Window
 from numpy.typing import NDArray
 from tiny_scene import write_tiny_scene
 
-from engine.job import EventReader, LiftFolder
+from engine.job import LiftFolder
 
 MODULES = """
 import sys, pathlib
@@ -65,11 +64,6 @@ def begin(window: Window, scene: Path, name: str, **settings: object) -> LiftFol
     window.run("bpy.ops.plgs.lift_scene('INVOKE_DEFAULT')")
     window.wait_for("followed() is not None and followed().progress.loss is not None")
     return LiftFolder.open(folder)
-
-
-def engine_of(lift: LiftFolder) -> int:
-    """The process that works on a lift, by its number inside the tree."""
-    return int(str(next(event.data["pid"] for event in EventReader(lift.events_path).poll() if event.kind == "hello")))
 
 
 def off_by(window: Window, lift: LiftFolder) -> tuple[float, float]:
@@ -150,20 +144,6 @@ def test_the_window_never_waits_while_it_lifts(window: Window, scene: Path) -> N
     slow |= window.slow_calls(0.05)
     end(window)
     assert not slow
-
-
-def test_an_engine_that_is_killed_leaves_a_message_and_resume(window: Window, scene: Path) -> None:
-    lift = begin(window, scene, "killed")
-    killed = int(signal.SIGKILL)
-    window.run(f"import os; os.kill({engine_of(lift)}, {killed})")  # there, where processes have other numbers
-    window.wait_for("not lifts.running()")
-    window.settle()
-    window.screenshot("engine-killed")
-    window.key("Escape")  # the message goes: in 4.3 by itself, in 5.2 it would take all keys
-    window.settle()
-    assert f"signal {killed}" in window.ask("str(followed().error)")
-    window.find_button("plgs.resume_lift")
-    window.find_button("plgs.open_log")
 
 
 def test_closing_blender_ends_the_lift_unless_it_is_to_outlive_it(window: Window, scene: Path) -> None:

@@ -14,7 +14,6 @@ from blender_helpers import values_of
 from bpy_extras.object_utils import world_to_camera_view
 from mathutils import Vector
 from plgs.engine.result_files import MatchedSegment
-from plgs.engine.scene import open_scene
 from plgs.plgs_blender import lift_scene
 from plgs.plgs_blender.cameras import PATH
 from plgs.plgs_blender.inspecting import looks, views
@@ -22,7 +21,7 @@ from plgs.plgs_blender.inspecting.highlight import outline_in_space
 from plgs.plgs_blender.inspecting.lists import _fill_instances, best_view, fill_masks
 from plgs.plgs_blender.inspecting.selection import boxes_of, class_row_of, clouds_of, objects_by_key, row_of
 from plgs.plgs_blender.inspecting.selection import ids_of as ids
-from plgs.plgs_blender.owned import SCENE, lifts_in
+from plgs.plgs_blender.owned import lifts_in
 from plgs.plgs_blender.results import reading_result, result_of
 from tiny_lift import CABINET_NAME, CHAIR_NAME
 from tiny_scene import CHAIR_ID
@@ -85,16 +84,6 @@ def test_the_best_view_sees_much_and_all_of_it() -> None:
     assert best_view([small, large, cut]) == 1
     assert best_view([small, cut]) == 1, "half of what is cut off is still more"
     assert best_view([]) == best_view([mask(0.0, 0.0, 0.0, 0.0, 0.0)]) == -1
-
-
-def test_the_best_view_is_that_of_the_largest_mask(root: bpy.types.Collection) -> None:
-    row = row_of(root, 1)
-    frame = views.best_frame(root, 1)
-    assert frame == row.masks[row.best_mask].frame == row.masks[row.mask_index].frame
-    whole = [m.share for m in row.masks if min(m.rectangle[:2]) > 0.0 and max(m.rectangle[2:]) < 1.0]
-    assert row.masks[row.best_mask].share == max(whole)
-    held_out = {frame.name for frame in open_scene(root[SCENE]).test_frames}  # type: ignore[arg-type]
-    assert frame not in held_out
 
 
 def test_looking_from_a_frame_goes_there_on_the_timeline(root: bpy.types.Collection) -> None:
