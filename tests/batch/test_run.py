@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import pickle
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -16,14 +15,12 @@ from engine.batch.piece import Ended, Kind, Outcome, Piece, do, engine_tag
 from engine.batch.plan import RECORDS, BatchPlan, SceneJob
 from engine.errors import ErrorCode, PlgsError
 from engine.job import LiftFolder, LiftRequest
-from engine.job.lock import FileLock
 from engine.job.terminal import Interrupts
 from engine.scene import open_scene
 from engine.scene_of_lift import remember_scene
 from tests.job.following import FAKE, command_after_another
 from tests.raises_key import raises_key, worded
 from tests.tiny_scene import write_tiny_scene
-from tests.waiting import PATIENCE_S
 
 
 @dataclass(eq=False)
@@ -154,20 +151,6 @@ def test_missing_worker_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     assert len(batch.line.said) == 2
 
 
-def test_when_no_fit_worker_is_left_all_pieces_of_the_scene_are_withdrawn(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    batch = Batch(tmp_path, monkeypatch, "one", "two")
-    batch.end(batch.farm.asked[0], Ended.ELSEWHERE, "host one")
-    batch.end(batch.farm.asked[1], Ended.DONE, frames=["1", "2", "3"])
-    del batch.farm.there["two"]
-    batch.look()
-    batch.look(run.RETURN_S + 2.0)
-    reason = batch.rows["a"].reason
-    assert worded("no-fit-worker").search(reason) and not batch.batch._out and not batch.batch._pins
-    assert ".." not in reason, "the sentence of each worker ends once"
-
-
 @pytest.mark.parametrize("lacked", [False, True])
 def test_a_piece_whose_engine_was_killed_is_resumed_once(
     lacked: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -181,21 +164,6 @@ def test_a_piece_whose_engine_was_killed_is_resumed_once(
     assert batch.line.said == [f"a: why. It will be resumed once{about}."]
     batch.end(batch.farm.asked[1], Ended.KILLED, "host two", lacked)
     assert len(batch.farm.asked) == 2 and batch.rows["a"].state == "failed" and batch.rows["a"].exit_code
-
-
-def test_a_row_is_written_while_no_other_batch_writes_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    (tmp_path / RECORDS).mkdir()
-    batch = Batch(tmp_path, monkeypatch, "one")
-    scene = batch.batch._scenes["a"]
-    record = run._row(scene, Ended.DONE, "", 0)
-    with ThreadPoolExecutor() as another:
-        with FileLock(tmp_path / RECORDS / "table.lock"):
-            ending = another.submit(batch.batch._end, scene, record)
-            with pytest.raises(TimeoutError):
-                ending.result(0.2)
-            assert not [*(tmp_path / RECORDS).glob("*.json")]
-        ending.result(PATIENCE_S)
-    assert len([*(tmp_path / RECORDS).glob("*.json")]) == 1
 
 
 @pytest.mark.parametrize("name", [RECORDS, f"{RECORDS}/table.lock", f"{RECORDS}/row.json"])

@@ -233,26 +233,13 @@ def test_nodes_that_the_user_deleted_are_made_again(lift: Path, key: str) -> Non
         (["100", "80", "1200"], "80", (100, 80, 1200)),
         (["frame-0003.color", "frame-0011.color"], "frame-0003.color", (3, 11)),
         (["b2_7"], "b2_7", (7,)),
+        *((names, "", None) for names in ([], ["left", "right"], ["a1", "b2"], ["01", "2"], ["99999999999"])),
+        (["1305031102.175304", "1305031103.2"], "", None),
     ],
 )
-def test_numbered_names(names: list[str], first: str, numbers: tuple[int, ...]) -> None:
+def test_numbered_names(names: list[str], first: str, numbers: tuple[int, ...] | None) -> None:
     found = numbered(names)
-    assert found is not None and (found.first, found.numbers) == (first, numbers)
-
-
-@pytest.mark.parametrize(
-    "names",
-    [
-        [],
-        ["left", "right"],
-        ["a1", "b2"],
-        ["01", "2"],
-        ["1305031102.175304", "1305031103.2"],
-        ["99999999999"],
-    ],
-)
-def test_names_that_are_not_a_sequence(names: list[str]) -> None:
-    assert numbered(names) is None
+    assert found is None if numbers is None else found is not None and (found.first, found.numbers) == (first, numbers)
 
 
 def test_names_in_groups_that_can_be_counted_through() -> None:

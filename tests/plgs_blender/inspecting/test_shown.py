@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
 
@@ -18,11 +17,10 @@ from plgs.plgs_blender import lift_scene
 from plgs.plgs_blender.cameras import PATH
 from plgs.plgs_blender.inspecting import looks, views
 from plgs.plgs_blender.inspecting.highlight import outline_in_space
-from plgs.plgs_blender.inspecting.lists import _fill_instances, best_view, fill_masks
+from plgs.plgs_blender.inspecting.lists import best_view
 from plgs.plgs_blender.inspecting.selection import boxes_of, class_row_of, clouds_of, objects_by_key, row_of
 from plgs.plgs_blender.inspecting.selection import ids_of as ids
 from plgs.plgs_blender.owned import lifts_in
-from plgs.plgs_blender.results import reading_result, result_of
 from tiny_lift import CABINET_NAME, CHAIR_NAME
 from tiny_scene import CHAIR_ID
 
@@ -62,17 +60,6 @@ def test_they_stay_in_the_file_even_if_a_script_placed_it(lift: Path, tmp_path: 
         assert all(len(row.masks) for row in root.plgs.instances)
     finally:
         plgs.unregister()
-
-
-def test_another_split_with_as_many_masks_lists_its_own(root: bpy.types.Collection, lift: Path) -> None:
-    result = result_of(reading_result(lift))
-    first, *others = result.instances
-    moved = replace(first, score=0.125, segments=tuple(replace(each, segment_id=77) for each in first.segments))
-    _fill_instances(root.plgs.instances, [moved, *others])
-    fill_masks(root, [moved, *others], result.classes)
-    row, other = root.plgs.instances[0], root.plgs.instances[1]
-    assert row.score == 0.125 and {mask.segment for mask in row.masks} == {77}
-    assert {mask.segment for mask in other.masks} == {each.segment_id for each in others[0].segments}
 
 
 def mask(share: float, *rectangle: float) -> MatchedSegment:

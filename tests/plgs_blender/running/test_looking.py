@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import shutil
 import sys
-from dataclasses import asdict
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -17,9 +16,6 @@ from plgs.plgs_blender.chosen_scene import ChosenScene
 from plgs.plgs_blender.inspecting.selection import find_lift
 from plgs.plgs_blender.running import estimate, looking, survey
 from plgs.plgs_blender.settings import request_of
-
-from engine.scene import counted, describe, open_scene
-from tests.tiny_scene import write_tiny_scene
 
 pytestmark = pytest.mark.usefixtures("extension")
 Read = list[Path]
@@ -80,16 +76,6 @@ def test_paths_that_cannot_be(tmp_path: Path, name: str) -> None:
         assert seen.error is not None and seen.error.fix and not seen.is_looking
     if name.isascii() and "\0" in name:  # no program can be told it
         assert survey.look(ChosenScene(tmp_path / name, None, "z"), Path(sys.executable)).error
-
-
-def test_the_panel_has_what_the_engine_inferred_and_left_out(tmp_path: Path) -> None:
-    broken = sorted((write_tiny_scene(tmp_path, frames=5) / "depth").iterdir())[1]
-    broken.write_bytes(broken.read_bytes()[:-30] + bytes(30))
-    report = describe(open_scene(tmp_path))
-    answer = {**asdict(report), "left_out": counted(report.left_out)}
-    found = survey._with_answer(survey.Survey(ChosenScene(tmp_path, None, "z")), answer, None)
-    assert found.error is None and found.left_out == 1
-    assert [text.split(":")[0] for text, doubtful in found.inferred if not doubtful] == ["Format", "Split"]
 
 
 @pytest.fixture
