@@ -45,7 +45,7 @@ BEHAVIOURS = {
     "frames of TUM": "scene/formats/test_tum.py::test_points_lie_on_the_room",
     "bad scenes and masks are one line": "scene/test_bad_input.py",
     "a scene is diagnosed and mended": "diagnosis/test_mend.py::test_the_command_reports_shows_and_fixes",
-    "exports: clouds": "export/test_export.py::test_clouds_hold_each_pixel_in_the_world",
+    "exports: clouds": "export/test_export.py::test_clouds_hold_pixels",
     "exports: COCO panoptic": "export/test_export.py::test_coco_is_exported",
     "exports: label images": "export/test_export.py::test_labels_are_exported",
     "exports: ScanNet": "export/test_export.py::test_scannet_is_exported",
@@ -53,7 +53,7 @@ BEHAVIOURS = {
     "exports: depth maps": "export/test_export.py::test_depth_maps_are_exported",
     "exports: meshes": "export/test_export.py::test_meshes_are_exported",
     "run_plgs.py lifts a scene into a .blend": "test_run_plgs.py::test_run_plgs_lifts_a_scene_into_a_blend",
-    "run_plgs.py bakes a camera": "test_run_plgs_camera.py::test_frames_are_baked_and_those_that_are_done_are_kept",
+    "run_plgs.py bakes a camera": "test_run_plgs_camera.py::test_done_frames_are_kept",
     "the zip installs, registers and goes": "test_extension.py::test_the_zip_installs_and_registers_and_goes",
     "every button works with the engine that the set-up made": (
         "operators/test_every_action.py::test_every_action_works_with_the_engine_that_the_buttons_made"
@@ -61,7 +61,7 @@ BEHAVIOURS = {
     "the panel's buttons: import": "operators/test_scene.py::test_importing_cameras_lifts_nothing",
     "the panel's buttons: lift": "operators/test_lift.py::test_a_script_waits_for_the_lift",
     "the panel's buttons: resume": "operators/test_lift.py::test_resuming",
-    "the panel's buttons: masks": "operators/test_masks.py::test_masks_are_made_and_shown",
+    "the panel's buttons: masks": "operators/test_masks.py::test_masks_are_made",
     "the panel's buttons: corrections": ("operators/test_corrections.py::test_deleted_and_undone_by_blenders_own_undo"),
     "the panel's buttons: passes": (
         "operators/test_passes.py::test_passes_open_in_the_compositor_at_the_active_camera"

@@ -65,9 +65,7 @@ def test_the_script_lifts_a_scene_and_lists_its_objects(root: Path, tmp_path: Pa
     assert "8 frames" in process.stdout and "chair 1" in process.stdout and "0004 {" in process.stdout
 
 
-def test_the_scripts_of_a_researcher_lift_with_a_matcher_and_measure_objects(
-    root: Path, tmp_path: Path, quick_python: Path
-) -> None:
+def test_scripts_of_a_researcher_run(root: Path, tmp_path: Path, quick_python: Path) -> None:
     text = (root / "docs/scripting.md").read_text(encoding="utf-8")
     matcher, statistics = re.findall(r"```python\n(\"\"\"(?:Lift with|Statistics).*?)```", text, re.DOTALL)[::-1]
     write_tiny_scene(tmp_path / "scene", 8, (64, 48))

@@ -110,9 +110,7 @@ def test_resuming_a_finished_lift_only_repairs_the_blend(run: Run, tmp_path: Pat
         ("patient", signal.SIGTERM, 143),
     ],
 )
-def test_signal_ends_both_processes(
-    run: Run, tmp_path: Path, behaviour: str, number: signal.Signals, code: int
-) -> None:
+def test_signal_ends_all_processes(run: Run, tmp_path: Path, behaviour: str, number: signal.Signals, code: int) -> None:
     out = tmp_path / "out"
     process = run(behaviour, tmp_path / "scene", "-o", out)
     wait_for(process, has_begun(out))

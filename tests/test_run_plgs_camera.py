@@ -73,9 +73,7 @@ def shot(finished: Path, blend: Path, root: Path, tmp_path_factory: pytest.TempP
     return lift
 
 
-def test_frames_are_baked_and_those_that_are_done_are_kept(
-    shot: Path, blend: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_done_frames_are_kept(shot: Path, blend: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     lift = LiftFolder.open(shutil.copytree(shot, tmp_path / "lift"))
     baked = [lift.passes_path / f"shot_dolly.{frame:04d}.exr" for frame in (1, 2, 3)]
     assert sorted(lift.passes_path.iterdir()) == baked
@@ -93,9 +91,7 @@ def test_frames_are_baked_and_those_that_are_done_are_kept(
     assert listed == {*(path.name for path in baked), "shot_dolly.0004.exr"}
 
 
-def test_passes_of_a_moved_scene_go_into_a_folder_of_ones_own(
-    lift: LiftFolder, blend: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_passes_go_elsewhere(lift: LiftFolder, blend: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     moved = Path(shutil.copytree(lift.request.scene, tmp_path / "moved"))
     command = ["-o", lift.path, "--bake", "camera", "--blend", blend, "--camera", "dolly", "--range", "-1-1", "--scene"]
     before = lift.manifest_path.read_bytes()
@@ -123,9 +119,7 @@ def test_corrections_are_seen_and_the_lifts_own_file_stays(shot: Path, blend: Pa
     assert not (read_exr(baked).instance == one).any() and own.read_bytes() == before
 
 
-def test_a_camera_that_cannot_be_baked_is_a_one_line_error(
-    lift: LiftFolder, blend: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_bad_camera_refused(lift: LiftFolder, blend: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     text, cut = tmp_path / "notes.blend", tmp_path / "cut.blend"
     text.write_text("no blend")
     cut.write_bytes(blend.read_bytes()[:100])

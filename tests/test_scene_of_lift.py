@@ -63,9 +63,7 @@ def test_a_lift_of_an_earlier_version_goes_on(sample: Sample, name: str, tmp_pat
         ("nerfstudio", "transforms.json", in_json(k1=0.2)),
     ],
 )
-def test_a_lift_does_not_go_on_with_other_pixels(
-    sample: Sample, name: str, file: str, change: Change, tmp_path: Path
-) -> None:
+def test_lift_refuses_other_pixels(sample: Sample, name: str, file: str, change: Change, tmp_path: Path) -> None:
     scene, path = sample(name), min(sample(name).glob(file))
     folder = LiftFolder.create(tmp_path / "lift", LiftRequest(scene=scene))
     remember_scene(folder, opened(scene, name))

@@ -87,9 +87,7 @@ def workshop(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[list[str]]
     return commands
 
 
-def test_an_interrupted_set_up_is_repaired(
-    tmp_path: Path, workshop: list[list[str]], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_broken_set_up_is_repaired(tmp_path: Path, workshop: list[list[str]], monkeypatch: pytest.MonkeyPatch) -> None:
     note: Callable[..., None] = environment.run
 
     def cut_off(command: list[str], failure: str, **options: object) -> None:
@@ -113,18 +111,14 @@ def test_an_interrupted_set_up_is_repaired(
     assert workshop == []
 
 
-def test_the_index_of_cpu_builds_is_used_only_for_torch(
-    workshop: list[list[str]], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_cpu_index_is_used_only_for_torch(workshop: list[list[str]], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("TORCH_INDEX", "file:///cpu-builds")
     environment.main(["make", ".venv"])
     asked = [("torch.txt" in command, "file:///cpu-builds" in command) for command in workshop if "pip" in command]
     assert asked == [(True, True), (True, False)], "the second brings what torch needs"
 
 
-def test_without_root_the_missing_packages_are_named_in_one_apt_line(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_missing_packages_are_one_apt_line(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     monkeypatch.setattr(os, "geteuid", lambda: 1000)
     monkeypatch.setattr(shutil, "which", lambda name: f"/usr/bin/{name}")
     with pytest.raises(SystemExit) as stopped:
@@ -141,9 +135,7 @@ def pretended_uv(path: Path, *found: str) -> Path:
     return path
 
 
-def test_the_python_is_the_first_that_is_here_else_one_to_download(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_first_python_found_is_used_else_downloaded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(environment, "ROOT", tmp_path)
     monkeypatch.setenv("PYENV_ROOT", str(tmp_path / "pyenv"))
     hidden = tmp_path / "pyenv/versions/3.13.9/bin/python3.13"
@@ -178,18 +170,14 @@ def test_without_any_python_one_line_says_what_to_install(tmp_path: Path) -> Non
 
 
 @pytest.mark.parametrize("program", ["dnf", "zypper"])
-def test_on_rpm_systems_libraries_are_named_by_their_files(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], program: str
-) -> None:
+def test_rpm_names_are_files(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], program: str) -> None:
     monkeypatch.setattr(shutil, "which", lambda name: f"/usr/bin/{name}" if name == program else None)
     with pytest.raises(SystemExit):
         environment.install_packages(["libgl1", "libegl1"])
     assert f"\n    sudo {program} install 'libGL.so.1()(64bit)' 'libEGL.so.1()(64bit)'\n" in capsys.readouterr().err
 
 
-def test_a_system_that_is_too_old_for_open3d_is_told_so(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_too_old_system_is_refused(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     monkeypatch.setattr(environment.platform, "libc_ver", lambda: ("glibc", "2.34"))
     with pytest.raises(SystemExit):
         environment.refuse_old_system()

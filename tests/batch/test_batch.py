@@ -26,9 +26,7 @@ from tests.waiting import PATIENCE_S
 distributed = pytest.importorskip("distributed", reason="distributed is not installed: python -m engine add farm")
 
 
-def test_scenes_are_shared_and_a_failed_one_is_a_row(
-    tmp_path: Path, farm: Farm, address: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_scenes_are_shared(tmp_path: Path, farm: Farm, address: str, capsys: pytest.CaptureFixture[str]) -> None:
     plan = plan_of(tmp_path, "a", "b", "dark", "c")
     farm.workers(address, "usual", "usual")
     assert run(plan, FarmOptions(scheduler=address)) is ExitCode.BAD_INPUT
@@ -57,9 +55,7 @@ def test_a_killed_worker_loses_little_and_its_work_goes_elsewhere(tmp_path: Path
 
 
 @pytest.mark.parametrize(("number", "kind"), [(signal.SIGTERM, "usual"), (signal.SIGSTOP, "impatient")])
-def test_an_engine_that_is_terminated_or_stopped_is_resumed(
-    number: signal.Signals, kind: str, tmp_path: Path, farm: Farm, address: str
-) -> None:
+def test_ended_engine_resumes(number: signal.Signals, kind: str, tmp_path: Path, farm: Farm, address: str) -> None:
     plan = plan_of(tmp_path, "a")
     farm.workers(address, kind)
     pause(plan.jobs[0])

@@ -91,9 +91,7 @@ def test_a_scheduler_without_workers_says_so(tmp_path: Path, address: str, monke
         run(plan_of(tmp_path, "a"), FarmOptions(scheduler=address))
 
 
-def test_workers_with_another_engine_get_nothing(
-    tmp_path: Path, farm: Farm, address: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_other_engine_gets_nothing(tmp_path: Path, farm: Farm, address: str, monkeypatch: pytest.MonkeyPatch) -> None:
     farm.workers(address, "another-engine")
     with distributed.Client(address) as client:
         client.wait_for_workers(1, timeout=PATIENCE_S)

@@ -112,9 +112,7 @@ def _changes_its_state(touched: str, request: LiftRequest, folder: Path) -> bool
         ("coco/a.png", False),
     ],
 )
-def test_only_files_of_the_mask_file_count(
-    touched: str, is_read: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_only_mask_files_count(touched: str, is_read: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The whole folder around the mask file, or a folder named like the class table, does not count."""
     monkeypatch.chdir(tmp_path)
     (tmp_path / "scene").mkdir()

@@ -108,9 +108,7 @@ class Batch:
         self.batch._look_at_workers()
 
 
-def test_the_other_pieces_of_a_failed_scene_are_no_longer_requested(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_failed_scene_cancels_its_other_pieces(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     batch = Batch(tmp_path, monkeypatch, "one")
     batch.end(batch.farm.asked[0], Ended.DONE, frames=["1", "2", "3"])
     bakes = batch.farm.asked[1:]
@@ -152,9 +150,7 @@ def test_missing_worker_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPa
 
 
 @pytest.mark.parametrize("lacked", [False, True])
-def test_a_piece_whose_engine_was_killed_is_resumed_once(
-    lacked: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_killed_piece_is_resumed_once(lacked: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Where memory was short, with a worker less."""
     batch = Batch(tmp_path, monkeypatch, "one", "two")
     batch.end(batch.farm.asked[0], Ended.KILLED, "host one", lacked)
@@ -207,9 +203,7 @@ def test_lift_cancelled_while_starting_ends_as_cancelled(tmp_path: Path, monkeyp
     assert outcome.ended is Ended.CANCELLED, outcome.reason
 
 
-def test_a_finished_lift_is_lifted_again_when_its_masks_have_changed(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_changed_masks_are_lifted_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     started = []
 
     def command(python: Path, lift: Path, *, resume: bool) -> list[str | Path]:

@@ -110,9 +110,7 @@ def test_paths_are_quoted_for_the_shell(slurm: Path, monkeypatch: pytest.MonkeyP
     assert {str(ca), str(own), f"PYTHONPATH={odd}"} < {*said} and "PYTHONHOME=/nowhere" not in said
 
 
-def test_a_job_imports_nothing_of_the_folder_where_it_starts(
-    slurm: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+def test_job_imports_nothing_of_its_folder(slurm: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     for name in ("dask", "distributed", "engine"):
         (tmp_path / name).mkdir()
         (tmp_path / name / "__init__.py").write_text("open('oops', 'w')\nraise SystemExit(9)\n")

@@ -66,9 +66,7 @@ def test_wrong_arguments_are_refused(capsys: pytest.CaptureFixture[str], tmp_pat
 
 
 @pytest.mark.parametrize("text", ["-5", "0", "5-2", "1e3", "many", "9" * 5000])
-def test_invalid_frame_number_is_a_one_line_error(
-    text: str, capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
+def test_invalid_frame_number_is_refused(text: str, capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     assert code_of("lift", tmp_path, "-o", tmp_path / "out", "--frames", text) == 2
     *_, told = capsys.readouterr().err.strip().splitlines()
     assert "argument --frames" in told and "number" in told
@@ -138,9 +136,7 @@ def test_ctrl_c_says_what_is_left(
 
 
 @pytest.mark.parametrize("form", [["--up", "-y"], ["--up=-y"]])
-def test_up_may_be_an_axis_that_points_down(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path, form: list[str]
-) -> None:
+def test_up_may_point_down(capsys: pytest.CaptureFixture[str], tmp_path: Path, form: list[str]) -> None:
     assert code_of("inspect", *form, write_tiny_scene(tmp_path / "scene", frames=6)) == 0
     assert "not -y" in capsys.readouterr().out
 
@@ -201,9 +197,7 @@ def test_evaluate_prints_the_scores(capsys: pytest.CaptureFixture[str], tmp_path
 
 @pytest.mark.parametrize("name", ["model.safetensors", "instances.json"])
 @pytest.mark.parametrize("change", [None, b"cut", b"as long, but rotten"])
-def test_every_command_gives_the_same_advice_about_a_damaged_lift(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path, name: str, change: bytes | None
-) -> None:
+def test_damage_is_named(capsys: pytest.CaptureFixture[str], tmp_path: Path, name: str, change: bytes | None) -> None:
     lift = new_lift(tmp_path)
     for each in ("model.safetensors", "instances.json"):
         write_atomically(lift.result_path / each, b"as long, yet whole.")
@@ -259,9 +253,7 @@ def test_progress_json_prints_errors_as_events(root: Path, tmp_path: Path) -> No
 
 
 @pytest.mark.parametrize("command", ["lift", "inspect", "batch"])
-def test_a_link_that_leads_to_itself_is_one_line(
-    command: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_looping_link_is_one_line(command: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "loop").symlink_to(tmp_path / "loop")
     output = [] if command == "inspect" else ["-o", tmp_path / "out"]
     assert code_of(command, tmp_path / "loop", *output) == 2

@@ -201,9 +201,7 @@ def test_failed_lift_is_reported(
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full")
-def test_full_log_is_a_one_line_error(
-    tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_full_log_is_a_line(tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
     folder = new_lift(tmp_path)
     monkeypatch.setattr(runner, "open_to_append", lambda path: os.open("/dev/full", os.O_WRONLY))
     assert run_engine(folder, lift=raising(OSError(28, "No space left on device"))) == 1  # type: ignore[arg-type]

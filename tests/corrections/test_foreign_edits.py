@@ -50,9 +50,7 @@ def test_edits_of_another_lift_are_reported(lift: Path, original: bytes) -> None
         (2, {"rest": 77}, "there is no object 77"),
     ],
 )
-def test_impossible_edit_is_a_warning(
-    lift: Path, original: bytes, number: int, changed: dict[str, object], told: str
-) -> None:
+def test_impossible_edit_warns(lift: Path, original: bytes, number: int, changed: dict[str, object], told: str) -> None:
     content = json.loads(original)
     content["edits"][number].update(changed)
     (lift / CORRECTIONS).write_text(json.dumps(content))

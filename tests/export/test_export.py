@@ -27,9 +27,7 @@ def test_the_command_knows_every_kind() -> None:
     assert tuple(KINDS) == EXPORTS
 
 
-def test_clouds_hold_each_pixel_in_the_world(
-    lift: LiftFolder, truth: dict[str, tuple[np.ndarray, np.ndarray]], tmp_path: Path
-) -> None:
+def test_clouds_hold_pixels(lift: LiftFolder, truth: dict[str, tuple[np.ndarray, np.ndarray]], tmp_path: Path) -> None:
     run(lift, "clouds", tmp_path, "--frames", "test")
     (path,) = tmp_path.glob("*.npz")
     points = read_arrays(path, SemanticPoints)
@@ -203,9 +201,7 @@ def test_all_objects_of_a_name_are_exported(lift: LiftFolder, tmp_path: Path) ->
     assert len(ids) > 1 and [one.id for one in FinishedLift(own, ["all"], objects=["seat"]).listed] == ids
 
 
-def test_unknown_objects_are_refused_before_anything_is_written(
-    lift: LiftFolder, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_unknown_objects_are_refused(lift: LiftFolder, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     common = ["export", str(lift.path), "-o", str(tmp_path / "out"), "--objects"]
     assert main([*common, "throne", "--to", "splats"]) == 2 and main([*common, "floor", "--to", "coco"]) == 2
     told = capsys.readouterr().err
@@ -258,9 +254,7 @@ def test_meshes_of_objects_that_are_gone_do_not_stay(lift: LiftFolder, tmp_path:
     assert {path.name for path in meshes.iterdir()} == before - {f"{chair.name}.glb"} | {"mine.glb"}
 
 
-def test_a_mesh_that_the_disk_lists_under_another_form_of_its_name_stays(
-    lift: LiftFolder, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_mesh_in_another_form_stays(lift: LiftFolder, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """As macOS does with umlauts. Here a second name of each file stands for it."""
     glob = Path.glob
 
@@ -311,9 +305,7 @@ def test_no_existing_file_is_overwritten(lift: LiftFolder, tmp_path: Path, capsy
 
 
 @pytest.mark.parametrize("kind", EXPORTS)
-def test_an_unknown_frame_is_refused_before_anything_is_written(
-    kind: str, lift: LiftFolder, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_unknown_frame_refused(kind: str, lift: LiftFolder, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Also where all of the lift is exported, whatever frames are named."""
     output = tmp_path / "out"
     assert main(["export", str(lift.path), "--to", kind, "-o", str(output), "--frames", "0001", "nosuch"]) == 2

@@ -219,9 +219,7 @@ def test_texts_that_are_not_utf8_are_escaped(tmp_path: Path) -> None:
     ("said", "state"),
     [("finished", TaskState.FINISHED), ("cancelled", TaskState.CANCELLED), (None, TaskState.FAILED)],
 )
-def test_bake_end_does_not_change_lift_state(
-    folder: LiftFolder, start: Start, said: str | None, state: TaskState
-) -> None:
+def test_bake_end_keeps_lift_state(folder: LiftFolder, start: Start, said: str | None, state: TaskState) -> None:
     follow(start("short"))
     events = EventWriter(folder.events_path)
     events.hello(threads=1, resumed=False, task="bake")
@@ -248,9 +246,7 @@ def test_invalid_numbers_are_skipped(folder: LiftFolder, number: str) -> None:
 
 @posix
 @pytest.mark.parametrize("number", [errno.EIO, errno.ESTALE])
-def test_a_lift_survives_a_disk_that_does_not_answer_for_a_moment(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: int
-) -> None:
+def test_lift_survives_a_disk_that_hangs_briefly(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: int) -> None:
     folder, now = new_lift(tmp_path), [0.0]
     writer = EventWriter(folder.events_path)
     writer.hello(threads=1, resumed=False)

@@ -287,9 +287,7 @@ def test_bake_survives_every_fault(rounds: Rounds) -> None:
 
 
 @pytest.mark.parametrize("rounds", FAULTS, indirect=True)
-def test_whole_run_survives_every_fault(
-    rounds: Rounds, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_run_survives_fault(rounds: Rounds, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PLGS_CACHE_DIR", os.devnull + "/nowhere")
 
     def run(folder: Path) -> None:

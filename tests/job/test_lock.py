@@ -76,9 +76,7 @@ def test_only_one_of_many_takes_over_after_a_kill(holder: subprocess.Popen[str],
 
 
 @pytest.mark.parametrize("number", [errno.ENOLCK, errno.EOPNOTSUPP, errno.ENOSYS])
-def test_a_disk_without_locks_is_refused_in_one_line(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: int
-) -> None:
+def test_disk_without_locks_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: int) -> None:
     """Such as NFS 3 without lockd. Nothing is begun there."""
     lift = new_lift(tmp_path / "lift")
     lift.events_path.touch()

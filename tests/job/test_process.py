@@ -60,9 +60,7 @@ def environ(tmp_path: Path) -> dict[str, str]:
 
 
 @pytest.mark.skipif(sys.platform == "darwin", reason="the cache folder cannot be chosen there")
-def test_the_order_in_which_pythons_are_chosen(
-    code: Path, environ: dict[str, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_order_of_pythons(code: Path, environ: dict[str, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
     with raises_key("no-python"):
         choose_python(code, environ)
@@ -148,9 +146,7 @@ def _lives(pid: int) -> bool:
 @pytest.mark.parametrize(
     ("body", "told"), [("true", "not-a-python"), ('echo "$@"', "not-a-python"), ("sleep 9", "silent")]
 )
-def test_program_that_is_not_python_is_refused(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, body: str, told: str
-) -> None:
+def test_other_program_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, body: str, told: str) -> None:
     script = tmp_path / "python"
     script.write_text(f"#!/bin/sh\nexec {body}\n" if told == "silent" else f"#!/bin/sh\n{body}\n")
     script.chmod(0o755)
@@ -172,9 +168,7 @@ def test_unpassable_path_is_refused(tmp_path: Path) -> None:
         ChildProcess([sys.executable, "a\0b"], cwd=tmp_path, environment={}, output=log)
 
 
-def test_a_module_in_the_current_folder_is_never_run(
-    root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_modules_in_current_folder_are_never_run(root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A scene of somebody else's may hold a folder `importlib`, and be where the engine is started."""
     for name in ("importlib", "json", "engine", "argparse", "torch"):
         (tmp_path / name).mkdir()

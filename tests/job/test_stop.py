@@ -71,7 +71,7 @@ def test_watchdog_keeps_exit_code_of_signal(tmp_path: Path, events: EventWriter)
 
 
 @pytest.mark.parametrize("number", [errno.EIO, errno.ESTALE])
-def test_a_disk_that_does_not_answer_ends_neither_the_lift_nor_the_watchdog(
+def test_slow_disk_ends_nothing(
     tmp_path: Path, events: EventWriter, monkeypatch: pytest.MonkeyPatch, number: int
 ) -> None:
     looked = threading.Event()

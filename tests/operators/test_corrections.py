@@ -222,9 +222,7 @@ def test_the_next_uncertain_frame(root: bpy.types.Collection, mine: Path) -> Non
 
 
 @pytest.mark.skipif(find_spec("torch") is None, reason="the engine runs in another Python")
-def test_masks_split_what_was_merged(
-    lift: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, quick_python: Path
-) -> None:
+def test_masks_split_a_merge(lift: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, quick_python: Path) -> None:
     monkeypatch.setattr(engine_environment, "usable_python", lambda: quick_python)
     mine = Path(shutil.copytree(lift.parent, tmp_path / "both")) / lift.name
     root = lift_scene.place_lift(mine, bpy.context.scene)

@@ -101,9 +101,7 @@ def test_a_bad_scene_leaves_no_folder(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("how", "events_of_bake"), [("watch", 0), ("open", 0), ("open after a bake", 0), ("open after a bake", 20_000)]
 )
-def test_watching_or_opening_a_finished_lift_places_it(
-    how: str, events_of_bake: int, lift: Path, tmp_path: Path
-) -> None:
+def test_watched_or_opened_lift_is_placed(how: str, events_of_bake: int, lift: Path, tmp_path: Path) -> None:
     """Events of a real lift are too many to be read at once."""
     if how == "open after a bake":
         lift = shutil.copytree(lift, tmp_path / "lift")
@@ -129,9 +127,7 @@ def test_opening_a_file_finds_its_lift_again(lift: Path, tmp_path: Path) -> None
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no FIFOs here")
-def test_opening_a_file_reads_no_path_of_somebody_else(
-    lift: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_opened_file_reads_no_foreign_path(lift: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     theirs = tmp_path / "theirs"
     theirs.mkdir()
     os.mkfifo(theirs / "request.json")

@@ -86,9 +86,7 @@ def test_a_missing_model_is_reported(bare: Path) -> None:
 
 
 @pytest.mark.skipif(not HAS_TRANSFORMERS, reason="needs transformers (requirements/segment.txt)")
-def test_masks_are_made_and_shown(
-    bare: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, quick_python: Path
-) -> None:
+def test_masks_are_made(bare: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, quick_python: Path) -> None:
     from tests.segment.tiny_mask2former import NAMES, save_tiny_mask2former
 
     monkeypatch.setattr(engine_environment, "usable_python", lambda: quick_python)

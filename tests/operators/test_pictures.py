@@ -94,9 +94,7 @@ def test_an_archive_comes_with_pictures_and_a_cloud(own: Path) -> None:
     assert {each.name for each in (own / "scans").iterdir()} == {"one.sens", "two.sens", "one_frames"}
 
 
-def test_without_an_engine_only_plain_folders_are_imported(
-    room: Path, own: Path, no_engine: None, tmp_path: Path
-) -> None:
+def test_plain_folder_imports_without_engine(room: Path, own: Path, no_engine: None, tmp_path: Path) -> None:
     copy = shutil.copytree(room, tmp_path / "room")  # engines of other tests put clouds beside `room`
     assert bpy.ops.plgs.import_scene(scene_folder=str(copy)) == {"FINISHED"}
     assert len(frames()) == 8 and all(ob.data.background_images for ob in frames().values()) and not clouds()
@@ -141,9 +139,7 @@ def test_the_cloud_of_other_poses_is_not_placed(room: Path, tmp_path: Path, monk
     assert not clouds() and "cloud" in bpy.data.collections["PLGS room"]["plgs_missing"]
 
 
-def test_the_cloud_of_a_scene_of_which_the_engine_leaves_out_frames_is_placed_again(
-    room: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_cloud_of_scene_with_bad_frames_returns(room: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Blender knows nothing of masks, and does not read depth, so it keeps these frames."""
     place = Path(shutil.copytree(room, tmp_path / "room"))
     (place / "panoptic" / "0002.png").unlink()

@@ -59,9 +59,7 @@ def test_x_hides_what_is_selected_and_all_can_be_shown_again(root: bpy.types.Col
 
 
 @pytest.mark.parametrize("shows_boxes", [True, False])
-def test_the_keys_are_blenders_where_the_chosen_object_is_not_selected(
-    root: bpy.types.Collection, shows_boxes: bool
-) -> None:
+def test_keys_are_blenders_without_selection(root: bpy.types.Collection, shows_boxes: bool) -> None:
     root.plgs.show_boxes = shows_boxes
     cube, box = own("Cube"), boxes_of(root)[CHAIR]
     choose(box, cube)
@@ -98,7 +96,7 @@ def cabinet_stays(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.parametrize("chosen", [(CHAIR, CABINET), (CABINET,)])
-def test_undo_takes_back_what_was_deleted_before_an_error_and_nothing_else(
+def test_undo_after_error_is_exact(
     root: bpy.types.Collection, mine: Path, cabinet_stays: None, chosen: tuple[int, ...]
 ) -> None:
     bpy.ops.ed.undo_push(message="placed")

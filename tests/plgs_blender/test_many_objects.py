@@ -159,9 +159,7 @@ def test_no_part_takes_long(lift: Path, tmp_path: Path) -> None:
         assert (least[:-1] <= LONGEST_S).all()
 
 
-def test_the_window_waits_for_no_more_than_some_boxes_and_masks(
-    lift: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_window_waits_for_few_boxes_and_masks(lift: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(lift_scene, "_AT_ONCE", 20)
     monkeypatch.setattr(lift_scene, "_MASKS_AT_ONCE", 60)
     many = lift_of(lift, tmp_path / "many", MANY)
@@ -225,9 +223,7 @@ def test_an_undo_between_two_parts_leaves_earlier_edits(lift: Path, tmp_path: Pa
     assert [edit.undone for edit in read_edits(few)] == [False] and not corrections.failed
 
 
-def test_what_is_corrected_between_two_parts_stays_corrected(
-    lift: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_edit_between_two_parts_stays(lift: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(lift_scene, "_AT_ONCE", 20)
     many = lift_of(lift, tmp_path / "many", 50)
     placed = lift_scene.place_room(lift_scene.result_of(lift_scene.reading_lift(many)), bpy.context.scene)
@@ -240,9 +236,7 @@ def test_what_is_corrected_between_two_parts_stays_corrected(
     assert {row.class_id for row in root.plgs.instances} == {CHAIR_ID}
 
 
-def test_an_edit_leaves_the_other_objects_as_they_are(
-    lift: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_edit_keeps_the_other_objects(lift: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     root = lift_scene.place_lift(lift_of(lift, tmp_path / "some", 20), bpy.context.scene)
     root.plgs.instances[10].mask_index, root.plgs.instances[12].visible = 3, False
     box = box_of(root, 11)

@@ -67,9 +67,7 @@ def ring(matte: np.ndarray) -> np.ndarray:
     return cv2.dilate(matte.astype(np.uint8), np.ones((side, side), np.uint8)).astype(bool) & ~matte
 
 
-def test_a_matte_by_instance_and_by_class(
-    root: bpy.types.Collection, scene: bpy.types.Scene, view: TinyView, tmp_path: Path
-) -> None:
+def test_mattes_match_ids(root: bpy.types.Collection, scene: bpy.types.Scene, view: TinyView, tmp_path: Path) -> None:
     for number in (CABINET, CHAIR):
         compositing.matte_instance(root, number)
         assert np.array_equal(shown(scene, "Matte", tmp_path)[..., 0], view.instance == number)
@@ -80,9 +78,7 @@ def test_a_matte_by_instance_and_by_class(
     assert np.array_equal(shown(scene, "Matte", tmp_path)[..., 0], view.instance == CHAIR)
 
 
-def test_isolate_and_hold_out(
-    root: bpy.types.Collection, scene: bpy.types.Scene, view: TinyView, tmp_path: Path
-) -> None:
+def test_matte_isolates(root: bpy.types.Collection, scene: bpy.types.Scene, view: TinyView, tmp_path: Path) -> None:
     compositing.matte_instance(root, CHAIR)
     matte = (view.instance == CHAIR)[..., None]
     alone = shown(scene, "Overlay", tmp_path, Outline=0.0, Isolate=1.0)
@@ -102,9 +98,7 @@ def test_outline(root: bpy.types.Collection, scene: bpy.types.Scene, view: TinyV
     assert np.allclose(cut, np.where((line | matte)[..., None], seen, 0.0), atol=1e-5)
 
 
-def test_recolour_keeps_light_and_shade(
-    root: bpy.types.Collection, scene: bpy.types.Scene, view: TinyView, tmp_path: Path
-) -> None:
+def test_recolour_is_shaded(root: bpy.types.Collection, scene: bpy.types.Scene, view: TinyView, tmp_path: Path) -> None:
     compositing.matte_instance(root, CHAIR)
     matte, colour = view.instance == CHAIR, (0.1, 0.3, 0.8, 1.0)
     seen = shown(scene, "Overlay", tmp_path, Outline=0.0, Recolour=1.0, Recolour_to=colour)
@@ -115,9 +109,7 @@ def test_recolour_keeps_light_and_shade(
     assert np.allclose(seen[matte][:, :3], expected, atol=1e-4)
 
 
-def test_overlay_of_instances_and_of_classes(
-    root: bpy.types.Collection, scene: bpy.types.Scene, view: TinyView, tmp_path: Path
-) -> None:
+def test_overlay_is_mixed(root: bpy.types.Collection, scene: bpy.types.Scene, view: TinyView, tmp_path: Path) -> None:
     before = picture(view)
     seen = shown(scene, "Overlay", tmp_path, Overlay=0.4)
     assert_mixed(seen, before, view.instance == CABINET, (20, 190, 220))

@@ -83,9 +83,7 @@ def projected(camera: BakeCamera, points: np.ndarray) -> tuple[np.ndarray, np.nd
         ("VERTICAL", (1.0, 1.8)),
     ],
 )
-def test_what_is_rendered_lies_on_the_same_pixels(
-    scene: bpy.types.Scene, fit: str, aspect: tuple[float, float], tmp_path: Path
-) -> None:
+def test_render_and_camera_agree(scene: bpy.types.Scene, fit: str, aspect: tuple[float, float], tmp_path: Path) -> None:
     data = scene.camera.data
     data.sensor_fit, data.sensor_width, data.sensor_height, data.shift_y = fit, 30.0, 21.0, -0.11
     scene.render.pixel_aspect_x, scene.render.pixel_aspect_y = aspect
@@ -214,9 +212,7 @@ def test_parts_of_a_shot_name_a_camera_that_stands_still_alike(scene: bpy.types.
         assert [camera.name for camera in cameras_of(scene, shot_of(scene, "", first, last))] == ["dolly.0001"]
 
 
-def test_a_camera_that_cannot_move_is_looked_at_once(
-    scene: bpy.types.Scene, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_camera_that_cannot_move_is_looked_at_once(scene: bpy.types.Scene, monkeypatch: pytest.MonkeyPatch) -> None:
     scene.camera.animation_data_clear()
     scene.camera.data.animation_data_clear()
     scene.frame_end = 1_000_000
@@ -249,9 +245,7 @@ def test_shots_of_two_files_do_not_replace_each_other(scene: bpy.types.Scene, tm
 
 
 @pytest.mark.parametrize("change", ["camera", "lens", "size"])
-def test_a_changed_camera_is_another_version_or_is_refused(
-    change: str, scene: bpy.types.Scene, tmp_path: Path
-) -> None:
+def test_a_changed_camera_is_another_version_or_is_refused(change: str, scene: bpy.types.Scene, tmp_path: Path) -> None:
     lift = tmp_path / "lift"
     lift.mkdir()
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "night_v003.blend"))

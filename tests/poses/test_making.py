@@ -40,9 +40,7 @@ def find_poses(place: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.skipif(find_spec("pycolmap") is not None, reason="pycolmap is there")
-def test_missing_pycolmap_is_named_and_nothing_is_written(
-    photos: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_missing_pycolmap_is_named(photos: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     before = {path.name for path in photos.iterdir()}
     with raises_key("lacks-part") as caught:
         find_poses(photos, tmp_path)
@@ -62,9 +60,7 @@ def test_refusal_of_plain_photos_says_how_to_get_poses(photos: Path, tmp_path: P
     assert other.value.code is ErrorCode.BAD_INPUT
 
 
-def test_a_scene_with_poses_and_one_without_photos_are_left_alone(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_scene_with_poses_or_without_photos_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(poses, "colmap", lambda photos: None)  # it is not asked for anything
     write_text(tmp_path / "walk")
     with raises_key("has-poses"):
@@ -173,9 +169,7 @@ def test_poses_in_metres_of_other_depth_are_not_used(mapped: None, photos: Path,
 
 
 @pytest.mark.parametrize("name", ["depth_{}", "conf_{}", "{}.depth", "frame-{}.depth.proj", "{}_DepthMap", "{}_mm"])
-def test_depth_and_confidence_are_no_photos(
-    name: str, photos: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_depth_maps_are_not_photos(name: str, photos: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """As 3D Scanner App, NeRFCapture and others keep them, beside the photos; the last is known by its 16 bits."""
     given: list[str] = []
     monkeypatch.setattr(poses, "colmap", lambda photos: None)

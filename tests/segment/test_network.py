@@ -130,9 +130,7 @@ BROKEN: dict[str, tuple[str, Callable[[Path], object]]] = {
 
 
 @pytest.mark.parametrize(("told", "spoil"), BROKEN.values(), ids=BROKEN)
-def test_a_network_that_is_not_whole_makes_no_masks(
-    told: str, spoil: Callable[[Path], object], model: Path, folder: Path, tmp_path: Path
-) -> None:
+def test_broken_network(told: str, spoil: Callable[[Path], object], model: Path, folder: Path, tmp_path: Path) -> None:
     shutil.copytree(model, tmp_path / "broken")
     spoil(tmp_path / "broken")
     with raises_key(told):
@@ -148,9 +146,7 @@ def test_an_index_of_parts_in_its_folder_is_read(model: Path, tmp_path: Path) ->
 
 
 @pytest.mark.parametrize("revision", ["", "@" + 40 * "a"])
-def test_weights_that_were_garbled_on_their_way_are_refused(
-    revision: str, model: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_garbled_weights_refused(revision: str, model: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """As the hub's cache has them: a link in a snapshot to a file that is called by its digest."""
     import huggingface_hub
 

@@ -193,17 +193,13 @@ def test_unusable_given_python_is_reported(begin: Begin, tmp_path: Path, answer:
     assert worded("no-python").search(error) and told in error
 
 
-def test_a_full_disk_is_reported_before_anything_is_made(
-    begin: Begin, folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_full_disk_is_reported_first(begin: Begin, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(steps, "NEEDED_BYTES", {"cpu": 10**18})
     told = error_of(begin())
     assert worded("disk-full").search(told) and "Make room" in told and not list(folder.glob("engine-*"))
 
 
-def test_settings_of_uv_that_send_packages_elsewhere_are_refused_before_anything_is_fetched(
-    begin: Begin, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_diverted_uv_is_refused(begin: Begin, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "uv.toml").write_text('pip = {target = "/somewhere/else"}')
     monkeypatch.setenv("UV_CONFIG_FILE", str(tmp_path / "uv.toml"))
     assert worded("uv-settings").search(error_of(begin())) and not list(folder.glob("*engine*"))

@@ -186,9 +186,7 @@ def test_what_edits_and_their_engines_bring_moves_no_button_that_edits(tmp_path:
     ],
 )
 @pytest.mark.parametrize("asked", [True, False])
-def test_an_export_shows_how_far_it_is_where_it_was_begun(
-    form: str, shown_in: str, button: str, bar: str, asked: bool, tmp_path: Path
-) -> None:
+def test_export_has_its_bar(form: str, shown_in: str, button: str, bar: str, asked: bool, tmp_path: Path) -> None:
     """The other buttons stay in sight, and where they are: what the export tells comes below the last one."""
     idle, last = drawn(), f"plgs.export_lift {FORMS['clouds'][0]}"
     follower: Any = Pretended(TaskState.RUNNING)

@@ -34,9 +34,7 @@ WIDTH, HEIGHT = 480, 300
     st.lists(st.tuples(st.floats(-50, 700), st.floats(-50, 500), st.floats(10, 200)), max_size=40),
     st.lists(st.tuples(st.floats(0, 600), st.floats(0, 400)), max_size=2),
 )
-def test_names_cover_neither_each_other_nor_what_stays_free(
-    labels: list[tuple[float, float, float]], corners: list[tuple[float, float]]
-) -> None:
+def test_names_cover_no_others(labels: list[tuple[float, float, float]], corners: list[tuple[float, float]]) -> None:
     anchors, widths = [(x, y) for x, y, _ in labels], [width for _, _, width in labels]
     free = [(x, y, x + 80.0, y + 60.0) for x, y in corners]
     placed = place_labels(anchors, widths, 18.0, (640.0, 480.0), free)
@@ -85,9 +83,7 @@ def test_labels_stand_at_their_boxes(root: bpy.types.Collection, seen: Seen) -> 
     assert [text_box.text for text_box in text_boxes] == ["cabinet 1"]
 
 
-def test_the_selected_one_says_where_it_is_out_of_view_and_the_one_under_the_mouse_has_a_name(
-    root: bpy.types.Collection, seen: Seen
-) -> None:
+def test_selected_name_says_out_of_view_and_hovered_has_a_name(root: bpy.types.Collection, seen: Seen) -> None:
     boxes, region = boxes_of(root), seen.region
     at = region.pixel_of(bpy.data.objects["chair 1"].matrix_world.translation)
     assert at is not None

@@ -71,9 +71,7 @@ def test_the_middle_of_an_object_is_it(root: bpy.types.Collection, is_perspectiv
 
 
 @pytest.mark.parametrize("is_perspective", [True, False])
-def test_a_ray_hits_the_first_surface_and_a_miss_takes_the_nearest_object(
-    extension: None, empty_file: None, lift: Path, tmp_path: Path, is_perspective: bool
-) -> None:
+def test_ray_hits_surface(extension: None, empty_file: None, lift: Path, tmp_path: Path, is_perspective: bool) -> None:
     """Against the plane of the floor and of the square above it, seen from afar; from below, backs are open."""
     mine = Path(shutil.copytree(lift, tmp_path / "mine"))
     write_surface(mesh_folder(mine) / "mesh.ply")
@@ -106,9 +104,7 @@ def test_a_ray_hits_the_first_surface_and_a_miss_takes_the_nearest_object(
 
 
 @pytest.mark.parametrize("is_perspective", [True, False])
-def test_a_ray_stops_where_splats_have_become_dense(
-    extension: None, empty_file: None, lift: Path, tmp_path: Path, is_perspective: bool
-) -> None:
+def test_splats_stop_a_ray(extension: None, empty_file: None, lift: Path, tmp_path: Path, is_perspective: bool) -> None:
     """Squares, or Blender's own splats: a faint one of the cabinet is seen through, down to the chair's."""
     mine = Path(shutil.copytree(lift, tmp_path / "mine"))
     instance = np.array([CHAIR_ID, CABINET_ID], np.int32) == CHAIR_ID

@@ -93,9 +93,7 @@ def test_without_a_scene_they_are_the_presets(shown: bpy.types.PropertyGroup) ->
         assert values(shown) == (preset.steps, *preset.size, preset.frames)
 
 
-def test_of_a_known_scene_they_are_what_the_lift_takes(
-    shown: bpy.types.PropertyGroup, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_known_scene_shows_used_options(shown: bpy.types.PropertyGroup, monkeypatch: pytest.MonkeyPatch) -> None:
     known = SimpleNamespace(error=None, sizes=[((640, 480), 300)], train_frames=300)
     monkeypatch.setattr(estimate, "survey_of_panel", lambda settings: known)
     settings = bpy.context.scene.plgs
