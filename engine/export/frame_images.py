@@ -29,7 +29,8 @@ LEAST_COVERAGE = 0.5
 
 def export_coco(lift: FinishedLift, output: Path) -> None:
     """See ``write_coco``. Raises PlgsError for ids that do not fit, OSError."""
-    views = ((frame.name, layers.semantic, layers.instance, frame.camera) for frame, layers in lift.views())
+    shown = lift.views("semantic", "instance")
+    views = ((frame.name, layers.semantic, layers.instance, frame.camera) for frame, layers in shown)
     try:
         write_coco(output, lift.classes, views, {each.id: each.name for each in lift.corrected.instances})
     except ValueError as error:
@@ -66,9 +67,10 @@ def write_coco(
         })  # fmt: skip
         segments = _segments(ids, classes, names)
         annotations.append({"image_id": number, "file_name": f"{name}.png", "segments_info": segments})
+        by_columns = np.asfortranarray(ids)  # as run lengths are counted
         for one in segments:
             if one["instance_id"]:
-                runs = rle_tools.encode(np.asfortranarray(ids == one["id"], np.uint8))
+                runs = rle_tools.encode((by_columns == one["id"]).view(np.uint8))
                 packed = {"size": runs["size"], "counts": runs["counts"].decode()}
                 instances.append({**one, "id": len(instances) + 1, "image_id": number, "segmentation": packed})
     categories = [
@@ -84,14 +86,14 @@ def _segments(ids: NDArray[np.int32], classes: ClassTable, names: Mapping[int, s
     things are a crowd."""
     segments: list[dict[str, object]] = []
     for segment in np.unique(ids[ids > 0]).tolist():
-        rows, columns = np.nonzero(ids == segment)
-        left, top = int(columns.min()), int(rows.min())
-        box = [left, top, int(columns.max()) - left + 1, int(rows.max()) - top + 1]
+        shown = ids == segment
+        rows, columns = (np.flatnonzero(shown.any(axis=axis)).tolist() for axis in (1, 0))
+        box = [columns[0], rows[0], columns[-1] - columns[0] + 1, rows[-1] - rows[0] + 1]
         category, instance = divmod(segment, MOST_COCO_IDS)
         crowd = int(category in classes.thing_ids and not instance)
         name = names.get(instance) or classes[category].name
         segments.append({
-            "id": segment, "category_id": category, "area": len(rows), "bbox": box, "iscrowd": crowd,
+            "id": segment, "category_id": category, "area": int(np.count_nonzero(shown)), "bbox": box, "iscrowd": crowd,
             "instance_id": instance, "name": name,
         })  # fmt: skip
     return segments
@@ -101,7 +103,7 @@ def export_label_images(lift: FinishedLift, output: Path) -> None:
     """class/<frame>.png and instance/<frame>.png (16 bits, 0 = none), the same in colours in class_colour/ and
     instance_colour/, and labels.json with the meaning of the ids. Raises PlgsError for ids that do not fit, OSError.
     """
-    for frame, layers in lift.views():
+    for frame, layers in lift.views("semantic", "instance"):
         pictures = {
             "class": id_bytes(layers.semantic, output),
             "instance": id_bytes(layers.instance, output),
@@ -119,7 +121,7 @@ def export_scannet(lift: FinishedLift, output: Path) -> None:
 
     ScanNet's instance images count the objects of a scene from 1, stuff included; here stuff has no instances.
     """
-    for frame, layers in lift.views():
+    for frame, layers in lift.views("semantic", "instance"):
         write_atomically(output / "label-filt" / f"{frame.name}.png", id_bytes(layers.semantic, output))
         write_atomically(output / "instance-filt" / f"{frame.name}.png", id_bytes(layers.instance, output))
     lines = ["id\traw_category\tcategory", *(f"{c.id}\t{c.name}\t{c.name}" for c in lift.classes.categories)]
@@ -129,7 +131,7 @@ def export_scannet(lift: FinishedLift, output: Path) -> None:
 def export_depth(lift: FinishedLift, output: Path) -> None:
     """<frame>.npy: planar depth float32 [H, W] in metres, 0 = none. ``lift --depth`` reads such a folder for scenes
     without a sensor. Raises OSError."""
-    for frame, layers in lift.views():
+    for frame, layers in lift.views("combined", "depth"):
         depth = np.where(layers.combined[..., 3] >= LEAST_COVERAGE, layers.depth, np.float32(0))
         content = io.BytesIO()
         np.save(content, depth.astype(np.float32), allow_pickle=False)

@@ -154,12 +154,12 @@ def export_splats(lift: FinishedLift, output: Path) -> None:
 def export_clouds(lift: FinishedLift, output: Path) -> None:
     """<name>.npz: the pixels that a frame's camera, or any other, sees of the lift, as semantic points in the world.
     Raises PlgsError for bad cameras, OSError."""
-    for name, camera, layers in lift.shown():
+    for name, camera, layers in lift.shown("combined", "depth", "semantic", "instance", "confidence"):
         height, width = layers.depth.shape
         seen = (layers.combined[..., 3] >= LEAST_COVERAGE) & (layers.depth > 0)
         xyz = camera.resized(width, height).unproject(layers.depth)[seen].astype(np.float32)
         labels = (layers.semantic[seen], layers.instance[seen], layers.confidence[seen])
-        write_arrays(output / f"{name}.npz", SemanticPoints(xyz, colour_picture(layers)[seen], *labels))
+        write_arrays(output / f"{name}.npz", SemanticPoints(xyz, colour_picture(layers)[seen], *labels), fast=True)
 
 
 def point_normals(xyz: NDArray[np.float32], centres: NDArray[np.float64]) -> NDArray[np.float32]:

@@ -119,17 +119,19 @@ class FinishedLift:
         """The cameras of the file, or none."""
         return [] if self.cameras is None else [view_from(camera) for camera in read_cameras(self.cameras)]
 
-    def shown(self) -> Iterator[tuple[str, Camera, PanopticLayers]]:
-        """The named views of the cameras in the file; without a file, those of the frames."""
+    def shown(self, *wanted: str) -> Iterator[tuple[str, Camera, PanopticLayers]]:
+        """The named views of the cameras in the file; without a file, those of the frames. Each has at least the
+        ``wanted`` layers (none: all)."""
         if self.cameras is None:
-            yield from ((frame.name, frame.camera, layers) for frame, layers in self.views())
+            yield from ((frame.name, frame.camera, layers) for frame, layers in self.views(*wanted))
         for number, view in enumerate(self.shots, start=1):
-            yield view.name, view.camera, self._baker.layers(view.camera, view.clip)
+            yield view.name, view.camera, self._baker.layers(view.camera, view.clip, wanted)
             if self.progress is not None:
                 self.progress(number, len(self.shots))
 
-    def views(self) -> Iterator[tuple[Frame, PanopticLayers]]:
-        """Every frame as the lift shows it, at the frame's own size. Progress is reported after each."""
+    def views(self, *wanted: str) -> Iterator[tuple[Frame, PanopticLayers]]:
+        """Every frame as the lift shows it, at the frame's own size, with at least the ``wanted`` layers (none: all).
+        Progress is reported after each."""
         result = self.folder.result_path
         listed = {result / file.path: file for file in read_manifest(result).files}
         names = names_of_files(self.folder)
@@ -139,7 +141,7 @@ class FinishedLift:
                 verify_files(result, [listed[baked]])
                 yield frame, _read(baked)
             else:
-                yield frame, self._baker.layers(frame.camera)
+                yield frame, self._baker.layers(frame.camera, wanted=wanted)
             if self.progress is not None:
                 self.progress(number, len(self.frames))
 
@@ -149,7 +151,7 @@ class FinishedLift:
         for number, frame in enumerate(chosen, start=1):
             shrunk = min(1.0, width / frame.camera.width)
             camera = frame.camera.resized(*(round(shrunk * side) for side in (frame.camera.width, frame.camera.height)))
-            yield frame, camera, self._baker.decided(camera)
+            yield frame, camera, self._baker.decided(camera, wanted=("combined", "depth", "semantic", "instance"))
             if self.progress is not None:
                 self.progress(number, len(chosen))
 

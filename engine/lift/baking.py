@@ -24,11 +24,11 @@ from ..metrics.calibration import UNCALIBRATED, Calibration
 from ..metrics.report import LIFTED, PredictedView, Report, add_input_masks
 from ..model.neural_gaussians import ClipRange
 from ..model.render import render_bands
-from ..model.scene_labels import shown_labels
+from ..model.scene_labels import SceneLabels, shown_labels
 from ..model.structured import GaussianLabels, LabelChannels, StructuredScene
 from ..passes.baked_view import BakedView, ShownInstances, bake_view, joined
 from ..passes.exr import NOTHING_SHOWN, ShownFrame, write_exr
-from ..passes.layers import PanopticLayers, decide
+from ..passes.layers import FROM_LABELS, PanopticLayers, decide
 from ..passes.previews import SheetRow, chosen, colour_picture, preview_paths, write_contact_sheet, write_previews
 from ..scene import Camera, ClassTable, Frame, Scene, View, counted
 from ..scene_of_lift import another, have_classes_changed, names_of_frames, opened_scene, refuse_other_pictures
@@ -76,18 +76,22 @@ class FrameBaker:
 
     def seen(self, camera: Camera) -> Seen:
         """The classes that a camera sees, and their shares before they are calibrated."""
-        layers = self.decided(camera)
+        layers = self.decided(camera, wanted=("semantic", "confidence"))
         return Seen(layers.semantic, layers.confidence)
 
-    def layers(self, camera: Camera, clip: ClipRange | None = None) -> PanopticLayers:
-        """The layers of ``render`` without its mattes, which take two thirds of its time."""
-        layers = self.decided(camera, clip)
+    def layers(self, camera: Camera, clip: ClipRange | None = None, wanted: Collection[str] = ()) -> PanopticLayers:
+        """The ``wanted`` layers of ``render`` (see `decide`), without its mattes. Labels are drawn only if needed."""
+        layers = self.decided(camera, clip, wanted)
         return replace(layers, confidence=self.calibration(layers.confidence))
 
-    def decided(self, camera: Camera, clip: ClipRange | None = None) -> PanopticLayers:
+    def decided(self, camera: Camera, clip: ClipRange | None = None, wanted: Collection[str] = ()) -> PanopticLayers:
         """``layers`` before the classes' shares are calibrated."""
-        bands = render_bands(self.lifted, camera, self.labels, clip)
-        return joined([decide(band, self.classes, self.instances.class_of) for band in bands])
+        scene, labels = self.lifted, self.labels
+        if wanted and FROM_LABELS.isdisjoint(wanted):
+            gaussians = len(scene.anchors) * scene.anchors.gaussians_per_anchor
+            scene, labels = replace(scene, channels=LabelChannels((), ())), SceneLabels(torch.empty(gaussians, 0))
+        bands = render_bands(scene, camera, labels, clip, want_surface=not wanted or "depth" in wanted)
+        return joined([decide(band, self.classes, self.instances.class_of, wanted) for band in bands])
 
     def write(
         self,

@@ -45,10 +45,12 @@ def render_bands(
     labels: ShownLabels | None = None,
     clip: ClipRange | None = None,
     most_bytes: int | None = MOST_BYTES,
+    want_surface: bool = True,
 ) -> Iterator[PanopticRendering]:
     """Render the view in bands of rows, from the top, so that the memory does not grow with labels times pixels.
 
-    ``most_bytes`` limits a band's label coverage; None: all rows at once. ``labels`` is as for ``render_view``.
+    ``most_bytes`` limits a band's label coverage; None: all rows at once. ``labels`` is as for ``render_view``. A depth
+    that is not wanted is 0.
     """
     if labels is None and scene.voted is not None:
         labels = shown_labels(scene)
@@ -59,12 +61,13 @@ def render_bands(
     seen = _see(drawn, rows, None if scene.finest is None else scene.finest[rows // k], camera, clip or ClipRange())
     bands = row_bands(camera, len(scene.channels.class_ids) + len(scene.channels.slot_ids), most_bytes)
     for each in bands:
-        yield _draw_rows(seen if len(bands) == 1 else seen.reaching(each), labels, scene.channels, camera, each)
+        reaching = seen if len(bands) == 1 else seen.reaching(each)
+        yield _draw_rows(reaching, labels, scene.channels, camera, each, want_surface)
 
 
 def row_bands(camera: Camera, channels: int, most_bytes: int | None) -> list[tuple[int, int]]:
     """The first and one past the last row of each band. All have the same height except the last."""
-    fitting = camera.height if most_bytes is None else most_bytes // (4 * channels * camera.width)
+    fitting = camera.height if most_bytes is None else most_bytes // (4 * max(channels, 1) * camera.width)
     count = -(-camera.height // max(fitting, TILE_ROWS))
     height = -(-camera.height // (count * TILE_ROWS)) * TILE_ROWS
     return [(first, min(first + height, camera.height)) for first in range(0, camera.height, height)]
@@ -109,7 +112,12 @@ def _see(
 
 
 def _draw_rows(
-    seen: _Seen, labels: ShownLabels | None, channels: LabelChannels, camera: Camera, rows: tuple[int, int]
+    seen: _Seen,
+    labels: ShownLabels | None,
+    channels: LabelChannels,
+    camera: Camera,
+    rows: tuple[int, int],
+    want_surface: bool,
 ) -> PanopticRendering:
     drawn = seen.drawn
     rendering = rasterize(
@@ -125,10 +133,10 @@ def _draw_rows(
         camera.height,
         near=seen.near,
         rows=rows,
-        want_surface=True,
+        want_surface=want_surface,
     )
     alpha = rendering.alpha.numpy(force=True)
-    assert rendering.labels is not None and rendering.surface is not None  # as requested
+    assert rendering.labels is not None  # as requested
     classes, shown = len(channels.class_ids), rendering.labels
     if labels is None:
         shown = shown_probabilities(shown[..., :classes], shown[..., classes:], channels)
@@ -137,7 +145,7 @@ def _draw_rows(
         camera=camera.of_rows(*rows),
         image=rendering.image.clamp_(0.0, 1.0).numpy(force=True),
         alpha=alpha,
-        depth=rendering.surface.numpy(force=True),
+        depth=np.zeros_like(alpha) if rendering.surface is None else rendering.surface.numpy(force=True),
         class_coverage=coverage[..., :classes],
         instance_coverage=coverage[..., classes:],
         class_ids=channels.class_ids,

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..machine.compiled import Array, compiled, parallel_kernel
+from ..machine.compiled import Array, device_function, parallel_kernel
 from ..machine.threads import parallel_for, worker_count
 from ..posed.names import matte_names, murmur3, name_bits
 from ..scene import VOID, ClassTable
@@ -90,7 +90,7 @@ def rank_pixels(
                 out[2 * rank + 1, first + pixel] = steps / STEPS
 
 
-@compiled
+@device_function
 def largest_first(coverage: Array, columns: Array, ids: Array, own_ids: Array, own_shares: Array) -> np.float32:
     """Insert the coverages of a pixel into the ranks, largest first; returns the sum of all that count."""
     total, last = ZERO, RANKS - 1
@@ -111,7 +111,7 @@ def largest_first(coverage: Array, columns: Array, ids: Array, own_ids: Array, o
     return total
 
 
-@compiled
+@device_function
 def fill(own_ids: Array, own_shares: Array, limit: float) -> None:
     """Limit the sum of the ranks to ``limit``, the largest first."""
     left = limit

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, fields
 from functools import cache
 from typing import Any, NamedTuple
 
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ..instances.panoptic_labels import LEAST_OF_CLASS, object_of_class
 from ..machine import memory
-from ..machine.compiled import Array, compiled, parallel_kernel
+from ..machine.compiled import Array, device_function, parallel_kernel
 from ..machine.threads import parallel_for, worker_count
 from ..model.neural_gaussians import PanopticRendering
 from ..scene import VOID, ClassTable
@@ -26,6 +26,8 @@ LEAST_SHARE_OF_CLASS = np.float32(LEAST_OF_CLASS)
 
 FAINT, LEAST_TOTAL, LEAST_SHARE = np.float32(NOTHING), np.float32(1e-8), np.float32(1e-12)
 ZERO, ONE = np.float32(0), np.float32(1)
+FROM_LABELS = frozenset({"semantic", "instance", "confidence", "entropy"})
+"""The layers that need the Gaussians' labels."""
 STEPS, STEPS_OF_DEPTH = np.float32(1024), np.float32(4096)
 """Shares and metres are whole multiples of 1 / these. Finer digits would be noise, which does not compress."""
 OVER_HALF = np.float32(0.5 + 1 / 256)
@@ -59,7 +61,7 @@ class Pixels(NamedTuple):
 
 
 class Decided(NamedTuple):
-    """The fields of ``PanopticLayers``: ``combined`` [P, 4], the others [P]."""
+    """The fields of ``PanopticLayers``: ``combined`` [P, 4], the others [P]; none of P for those not wanted."""
 
     combined: NDArray[np.float32]
     depth: NDArray[np.float32]
@@ -74,17 +76,28 @@ def decide_pixels(worker: int, workers: int, pixels: Any, columns: Any, linear_l
     """Decide every ``workers``-th chunk of pixels. ``linear_light`` float32 [N + 1]: linear values of 0, 1/N, ... 1
     (sRGB-encoded)."""
     count = len(pixels.alpha)
+    has_labels, has_colour = len(decided.semantic) > 0, len(decided.combined) > 0
     for start in range(worker * CHUNK, count, workers * CHUNK):
         for pixel in range(start, min(start + CHUNK, count)):
-            decide_labels(pixels, columns, pixel, decided)
-            combine(pixels, pixel, linear_light, decided.combined)
+            if len(decided.depth) > 0:
+                depth = pixels.depth[pixel] if pixels.alpha[pixel] >= FAINT else ZERO
+                decided.depth[pixel] = np.rint(STEPS_OF_DEPTH * depth) / STEPS_OF_DEPTH
+            if has_labels:
+                decide_labels(pixels, columns, pixel, decided)
+            if has_colour:
+                combine(pixels, pixel, linear_light, decided.combined)
 
 
-@compiled
+@device_function
 def decide_labels(pixels: Any, columns: Any, pixel: int, decided: Any) -> None:
-    """Decide class, instance, confidence, normalised entropy and depth of a pixel; all 0 if nothing was rendered."""
+    """Decide class and instance of a pixel and, if wanted, confidence and normalised entropy; all 0 if nothing was
+    rendered."""
+    has_share, has_entropy = len(decided.confidence) > 0, len(decided.entropy) > 0
     decided.semantic[pixel] = decided.instance[pixel] = 0
-    decided.confidence[pixel] = decided.entropy[pixel] = decided.depth[pixel] = ZERO
+    if has_share:
+        decided.confidence[pixel] = ZERO
+    if has_entropy:
+        decided.entropy[pixel] = ZERO
     if pixels.alpha[pixel] < FAINT:
         return
     coverage, classes = pixels.classes[pixel], len(columns.of_class)
@@ -94,22 +107,23 @@ def decide_labels(pixels: Any, columns: Any, pixel: int, decided: Any) -> None:
         total += value
         if value > most:
             winner, most = number, value
-        if value > LEAST_SHARE:
+        if has_entropy and value > LEAST_SHARE:
             weighted += value * np.log(value)
     total = max(total, LEAST_TOTAL)
-    # the sum of -p log p for p = value / total
-    entropy = (np.log(total) - weighted / total) / np.float32(np.log(max(classes, 2)))
     decided.semantic[pixel] = columns.class_ids[winner]
-    decided.confidence[pixel] = np.rint(STEPS * most / total) / STEPS
-    decided.entropy[pixel] = np.rint(STEPS * max(entropy, ZERO)) / STEPS
-    decided.depth[pixel] = np.rint(STEPS_OF_DEPTH * pixels.depth[pixel]) / STEPS_OF_DEPTH
+    if has_share:
+        decided.confidence[pixel] = np.rint(STEPS * most / total) / STEPS
+    if has_entropy:
+        # the sum of -p log p for p = value / total
+        entropy = (np.log(total) - weighted / total) / np.float32(np.log(max(classes, 2)))
+        decided.entropy[pixel] = np.rint(STEPS * max(entropy, ZERO)) / STEPS
     if columns.is_thing[winner]:
         slot = best_slot(pixels, columns, pixel, winner)
         if slot >= 0:
             decided.instance[pixel] = columns.slot_ids[slot]
 
 
-@compiled
+@device_function
 def best_slot(pixels: Any, columns: Any, pixel: int, winner: int) -> int:
     """The slot that a pixel of the class with index ``winner`` shows (the first if several tie), -1 for no object.
 
@@ -146,7 +160,7 @@ def align_pixels(
                     raise_over_half(pixels.slots[pixel], columns.of_slot, slot, pixels.alpha[pixel])
 
 
-@compiled
+@device_function
 def give_to_owners(pixels: Any, columns: Any, pixel: int, largest: Array, total: Array) -> None:
     """Give the coverage of a class that no object has to the pixel's largest object of that class. Scratch, [C] each:
     ``largest`` is a class's largest slot, ``total`` the coverage of all its slots."""
@@ -166,7 +180,7 @@ def give_to_owners(pixels: Any, columns: Any, pixel: int, largest: Array, total:
                 coverage[column] += max(shown - total[number], ZERO)
 
 
-@compiled
+@device_function
 def raise_over_half(coverage: Array, columns: Array, winner: int, alpha: Any) -> None:
     """Raise the winner to more than half of a pixel, at the expense of all other columns."""
     own = coverage[columns[winner]]
@@ -177,7 +191,7 @@ def raise_over_half(coverage: Array, columns: Array, winner: int, alpha: Any) ->
         coverage[columns[winner]] = wanted
 
 
-@compiled
+@device_function
 def combine(pixels: Any, pixel: int, linear_light: Array, combined: Array) -> None:
     """Fill in the colour in linear light, interpolated in the table, and alpha."""
     steps = len(linear_light) - 1
@@ -215,8 +229,9 @@ def decide(
     rendering: PanopticRendering,
     classes: ClassTable,
     instance_classes: Mapping[int, int] | None = None,
+    wanted: Collection[str] = (),
 ) -> PanopticLayers:
-    """Decide every pixel of a rendering.
+    """Decide every pixel of a rendering. ``wanted``: the layers to make (none: all); the others are empty.
 
     The class is the one with the largest coverage (never void; ties go to the lower id). Its probability is its share
     of the classes' coverage. A pixel of a thing class shows the instance with the largest coverage, unless "no object"
@@ -224,16 +239,18 @@ def decide(
     then part of its class's (see ``scene_labels``), and a pixel shows only an instance of its class with LEAST_OF_CLASS
     of that class's coverage. So pixels that no object owns show their own class and no instance.
     """
-    height, width = rendering.alpha.shape
-    columns = _columns(rendering, classes, instance_classes or {})
-    layers = PanopticLayers(
-        combined=memory.empty((height, width, 4), np.float32),
-        depth=memory.empty((height, width), np.float32),
-        semantic=memory.empty((height, width), np.int32),
-        instance=memory.empty((height, width), np.int32),
-        confidence=memory.empty((height, width), np.float32),
-        entropy=memory.empty((height, width), np.float32),
-    )
+    columns, made = _columns(rendering, classes, instance_classes or {}), {}
+    names = [field.name for field in fields(PanopticLayers)]
+    needed = {*(wanted or names)}
+    if not needed.isdisjoint(FROM_LABELS):
+        needed |= {"semantic", "instance"}
+        if not len(columns.of_class):
+            raise ValueError("the rendering has no classes")
+    for name in names:
+        shape = rendering.alpha.shape if name in needed else (0, 0)
+        dtype = np.int32 if name in ("semantic", "instance") else np.float32
+        made[name] = memory.empty((*shape, 4) if name == "combined" else shape, dtype)
+    layers = PanopticLayers(**made)
     parallel_for(worker_count(), decide_pixels, _pixels(rendering), columns, _linear_light(), _flat(layers))
     return layers
 
@@ -278,10 +295,8 @@ def _pixels(rendering: PanopticRendering) -> Pixels:
 
 
 def _columns(rendering: PanopticRendering, classes: ClassTable, instance_classes: Mapping[int, int]) -> Columns:
-    """The channels to choose from, by ascending id. Raises ValueError if the rendering has no class."""
+    """The channels to choose from, by ascending id."""
     of_class, of_slot = _by_id(rendering.class_ids), _by_id(rendering.instance_ids)
-    if not of_class:
-        raise ValueError("the rendering has no classes")
     class_ids = [rendering.class_ids[column] for column in of_class]
     slot_ids = [rendering.instance_ids[column] for column in of_slot]
     index_of = {class_id: number for number, class_id in enumerate(class_ids)}

@@ -40,6 +40,15 @@ def test_clouds_hold_pixels(lift: LiftFolder, truth: dict[str, tuple[np.ndarray,
     assert np.allclose(depth, layers.depth[row, column], atol=1e-4)
 
 
+def test_layers_drawn_alone_are_those_of_a_bake(lift: LiftFolder) -> None:
+    baker = FinishedLift(lift, ["test"])._baker
+    camera = FinishedLift(lift, ["test"]).frames[0].camera
+    whole = baker.render(camera).layers
+    for wanted in (("combined", "depth"), ("semantic", "instance")):
+        drawn = baker.layers(camera, wanted=wanted)
+        assert all((getattr(drawn, name) == getattr(whole, name)).all() for name in wanted)
+
+
 def test_clouds_of_any_camera(lift: LiftFolder, tmp_path: Path) -> None:
     frame, layers = next(iter(FinishedLift(lift, ["test"]).views()))
     (width, height), pose = frame.size, frame.camera.camera_to_world

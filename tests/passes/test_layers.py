@@ -37,6 +37,14 @@ def test_entropy_runs_from_sure_to_no_idea() -> None:
     assert not layers.entropy[NOTHING].any()
 
 
+@pytest.mark.parametrize("wanted", [("semantic",), ("combined", "depth"), ("depth", "confidence")])
+def test_layers_that_are_not_wanted_stay_empty(wanted: tuple[str, ...]) -> None:
+    whole, part = decide(made_rendering(), CLASSES), decide(made_rendering(), CLASSES, wanted=wanted)
+    for name in vars(whole):
+        assert name not in wanted or (getattr(part, name) == getattr(whole, name)).all()
+    assert not part.entropy.size and bool(part.combined.size) == ("combined" in wanted)
+
+
 def test_alpha_does_not_change_what_is_decided() -> None:
     rendering = made_rendering()
     thin = replace(
