@@ -5,8 +5,6 @@
 tests/test_architecture.py checks that each is there. A test that is renamed or moved is renamed here.
 """
 
-from __future__ import annotations
-
 BEHAVIOURS = {
     "a lift writes the files of docs/lift-folder.md": ("lift/test_lift.py::test_the_files_are_those_of_the_design"),
     "a lift's arrays: points and anchors": "lift/test_lift.py::test_the_points_and_anchors_are_written",

@@ -1,7 +1,5 @@
 """Commands as the tests of `engine` and `research` run them."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from collections.abc import Callable, Sequence

@@ -3,8 +3,6 @@
 Blender comes first: bpy crashes when it is imported after open3d in one process.
 """
 
-from __future__ import annotations
-
 import atexit
 import faulthandler
 import importlib.util

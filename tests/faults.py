@@ -6,8 +6,6 @@ fsync of its folder on. Of the rest anything may be lost: names of one folder fr
 folders and bytes in any order.
 """
 
-from __future__ import annotations
-
 import copy
 import errno
 import fcntl

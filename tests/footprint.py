@@ -1,7 +1,5 @@
 """What an extension could leave behind in Blender. Runs in the tests' own Blender and, as text, in a window's."""
 
-from __future__ import annotations
-
 import sys
 from collections import Counter
 from collections.abc import Iterator

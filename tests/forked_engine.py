@@ -4,8 +4,6 @@ takes three seconds of a processor otherwise, more than all else of a tiny lift.
 forked_engine.py SOCKET is that process. It is not for tests of how an engine starts, or of what kills it.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import signal

@@ -1,7 +1,5 @@
 """How long files are fuzzed. PLGS_FUZZ=100 makes a hundred times as many examples: for an hour by hand."""
 
-from __future__ import annotations
-
 import copy
 import os
 from collections.abc import Iterable

@@ -6,8 +6,6 @@ killed_engine.py SCENE LIFT
     start a Python with torch takes longer than a tiny lift.
 """
 
-from __future__ import annotations
-
 import faulthandler
 import gc
 import json
@@ -93,7 +91,6 @@ class Engines:
 
     def run(self, *arguments: str | Path, at: Moment | None = None, fault: Fault | None = None) -> int:
         """The exit code of an engine that is killed at a moment, or of which a call fails."""
-        assert self._server.stdin is not None
         self._counted.unlink(missing_ok=True)
         asked = {"arguments": [str(part) for part in arguments], "at": at, "fault": fault,
                  "counted": str(self._counted), "said": str(self._said)}  # fmt: skip
@@ -115,7 +112,6 @@ class Engines:
         self._server.wait()
 
     def _answer(self) -> int:
-        assert self._server.stdout is not None
         return int(self._server.stdout.readline())
 
 

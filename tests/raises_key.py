@@ -1,7 +1,5 @@
 """Errors that a user can mend, by their key: how they are worded is the business of test_error_texts alone."""
 
-from __future__ import annotations
-
 import re
 import sys
 from collections.abc import Iterator

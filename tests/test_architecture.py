@@ -1,7 +1,5 @@
 """The import rules of the architecture, read from the source: arrows run one way, the engine stays free of Blender."""
 
-from __future__ import annotations
-
 import ast
 import re
 import subprocess

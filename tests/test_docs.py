@@ -1,7 +1,5 @@
 """The documentation is true: its links lead somewhere, and its script runs."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import os
@@ -57,7 +55,6 @@ def test_every_command_is_named(root: Path) -> None:
 
 def test_the_script_lifts_a_scene_and_lists_its_objects(root: Path, tmp_path: Path, quick_python: Path) -> None:
     script = re.search(r"```python\n(\"\"\"Lift a scene.*?)```", (root / "docs/scripting.md").read_text(), re.DOTALL)
-    assert script is not None
     scene, lift = write_tiny_scene(tmp_path / "scene", 8, (64, 48)), tmp_path / "lift"
     command = [quick_python, "-c", script[1], str(scene), str(lift), "--steps", "5", "--set", "warm_start=false"]
     process = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=300)

@@ -1,7 +1,5 @@
 """errors.golden.txt lists the wording of every PlgsError by key. `python tests/test_error_texts.py` writes it anew."""
 
-from __future__ import annotations
-
 import ast
 import re
 from collections.abc import Iterator, Sequence

@@ -1,7 +1,5 @@
 """The extension as users get it: the zip that Blender's own tool builds, installed in a Blender without settings."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import os

@@ -5,8 +5,6 @@ PLGS_FAULTS is the number of calls that fail for each command (0: all), spread o
 and file.
 """
 
-from __future__ import annotations
-
 import errno
 import os
 import shutil

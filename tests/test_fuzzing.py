@@ -1,7 +1,5 @@
 """Whatever stands in a file of somebody else's, its reader reads it or refuses it in one line. `READERS` lists them."""
 
-from __future__ import annotations
-
 import io
 import json
 import re

@@ -1,7 +1,5 @@
 """The real engine, killed again and again and resumed, makes the very bytes that an undisturbed one makes."""
 
-from __future__ import annotations
-
 import os
 import random
 import shutil

@@ -1,7 +1,5 @@
 """A lift as arrays: what its files hold, in plain units, with corrections, also from Pythons that have only NumPy."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The extension itself: on, off, and without Blender."""
 
-from __future__ import annotations
-
 import re
 import subprocess
 import sys

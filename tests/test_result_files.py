@@ -1,7 +1,5 @@
 """instances.json, semantic_points.npz and anchors.npz: what was written is what is read, and twice the same bytes."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

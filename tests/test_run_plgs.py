@@ -1,7 +1,5 @@
 """run_plgs.py from outside: arguments, exit codes, Ctrl-C, and what is left behind."""
 
-from __future__ import annotations
-
 import os
 import platform
 import signal
@@ -247,7 +245,6 @@ def test_a_lift_continues_without_its_terminal_and_says_so_in_its_log(root: Path
     script = root / "tests" / "job" / "run_plgs_with_fake_engine.py"
     command = [sys.executable, script, "patient", tmp_path / "scene", "-o", out]
     process = subprocess.Popen(command, text=True, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, env=env())
-    assert process.stdout is not None
     process.stdout.readline()
     process.stdout.close()  # as `2>&1 | head -1` does
     wait_for(process, has_begun(out))

@@ -1,7 +1,5 @@
 """run_plgs.py --bake camera from outside: a camera of a .blend, a finished lift, and what is refused."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from pathlib import Path

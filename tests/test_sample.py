@@ -1,7 +1,5 @@
 """The sample's programs: the hand-held twin of a scene, and masks as a network would draw them."""
 
-from __future__ import annotations
-
 import importlib
 import json
 import sys

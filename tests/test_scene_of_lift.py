@@ -1,7 +1,5 @@
 """What a lift's scene was made of is compared, whatever file says it."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """The set-up: which Python it takes, what it installs, when an environment counts as complete."""
 
-from __future__ import annotations
-
 import importlib.util
 import os
 import shutil

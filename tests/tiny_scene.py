@@ -8,8 +8,6 @@ every layout: 1 wall, 2 floor, 3 cabinet, 5 chair, 13 ceiling. True instances: 1
 in the COCO masks and in the ground truth).
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

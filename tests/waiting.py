@@ -1,7 +1,5 @@
 """How tests wait for what other processes and threads do: no longer than it takes, however busy the machine is."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 

@@ -1,8 +1,6 @@
 """A farm on this machine: schedulers, workers and batches as forks of one process that has imported Dask and the
 engine."""
 
-from __future__ import annotations
-
 import csv
 import json
 import multiprocessing

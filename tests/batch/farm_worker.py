@@ -4,8 +4,6 @@ as a script, it is such a lift:
 farm_worker.py lift LIFT [--resume] [--stay-with-parent]
 """
 
-from __future__ import annotations
-
 import os
 import sys
 import time

@@ -1,7 +1,5 @@
 """Batches on a real scheduler and real workers, in processes of their own. Most lifts are pretended: `farm_worker`."""
 
-from __future__ import annotations
-
 import csv
 import os
 import signal

@@ -1,7 +1,5 @@
 """Where a batch finds its workers, and who may reach them."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import socket

@@ -1,7 +1,5 @@
 """A batch writes nowhere but into its own folders, and what an earlier one did counts only while all of it is there."""
 
-from __future__ import annotations
-
 import argparse
 import shutil
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Workers as jobs of Slurm: the job script as text, and as a fake sbatch runs it."""
 
-from __future__ import annotations
-
 import os
 import re
 import shutil

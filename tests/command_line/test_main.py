@@ -1,7 +1,5 @@
 """``python -m engine``: what it answers, and with which exit code."""
 
-from __future__ import annotations
-
 import argparse
 import json
 import os

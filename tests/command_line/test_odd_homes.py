@@ -1,7 +1,5 @@
 """In odd surroundings that few users have, each command works or ends with one line, never with a traceback."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import subprocess

@@ -1,7 +1,5 @@
 """Commands as tasks: the same events whatever the command, its answer among them, and one way to end."""
 
-from __future__ import annotations
-
 import errno
 import io
 import json

@@ -1,7 +1,5 @@
 """The truth finds what was made wrong, and its edits bring the score back."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

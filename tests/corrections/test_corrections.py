@@ -1,7 +1,5 @@
 """Edits of a result: what they change, what survives, and what is told."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from dataclasses import replace

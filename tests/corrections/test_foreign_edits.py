@@ -1,7 +1,5 @@
 """A corrections.json of somebody else, of another lift, or vast."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

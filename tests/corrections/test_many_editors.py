@@ -1,8 +1,6 @@
 """However editors of one lift meet, are killed or sleep, a successful edit stays. PLGS_EDITS edits are made amid
 kills."""
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess

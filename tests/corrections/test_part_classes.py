@@ -1,7 +1,5 @@
 """The parts of a split are of the classes that their own masks give them."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """A result made by hand: two chairs that are one object, a table, crumbs on the table, and the floor."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

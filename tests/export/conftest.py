@@ -1,7 +1,5 @@
 """A small lift to export."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Every export of a small lift, read back by another reader where there is one."""
 
-from __future__ import annotations
-
 import csv
 import json
 import os

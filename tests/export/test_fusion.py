@@ -1,7 +1,5 @@
 """Surfaces fused of made-up depth: where they lie, how they are turned, and that they are whole."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Exports that hold a whole scene in one file, read back by Blender and by OpenUSD."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys

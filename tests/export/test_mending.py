@@ -1,7 +1,5 @@
 """Surfaces mended and cut: no flakes, tatters and small holes; straight where labels end, nothing lost."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

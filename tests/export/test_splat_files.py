@@ -1,7 +1,5 @@
 """Gaussians in the files of other programs, read back by gsply and, for glTF, by the extension's own text."""
 
-from __future__ import annotations
-
 import json
 import struct
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The pictures of a surface: sharp where a photo shows it, and the vertices' colours where none does."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import cv2

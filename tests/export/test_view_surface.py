@@ -1,7 +1,5 @@
 """The surface to look at: far floors are whole, holes of the room are closed, objects are finer than the room."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 

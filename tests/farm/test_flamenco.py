@@ -1,7 +1,5 @@
 """farm/plgs.js: compiled as Flamenco 3's manager does it, by its documented API, and run as its workers would."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """Frames as plain files: what a video, an archive or a bent lens hides, and what depth shows."""
 
-from __future__ import annotations
-
 import json
 import os
 from dataclasses import replace
@@ -32,7 +30,6 @@ def archive(tmp_path: Path) -> Path:
 
 def image(path: Path | None) -> np.ndarray:
     """uint8 [H, W, 3] RGB."""
-    assert path is not None
     pixels = cv2.imread(str(path), cv2.IMREAD_COLOR)
     assert pixels is not None, path
     return pixels[..., ::-1]
@@ -50,7 +47,6 @@ def test_frames_in_an_archive_are_written(archive: Path, tmp_path: Path) -> None
         assert np.abs(shown.astype(int) - frame.read_colour(None)).mean() < 3.0  # JPEG
         depth = frame.depth()
         assert image(files.depth).shape[:2] == depth.shape
-        assert files.depth_range is not None
         assert depth.min() <= files.depth_range[0] < files.depth_range[1] <= depth.max()
 
 

@@ -1,7 +1,5 @@
 """What comes from outside: files, and texts."""
 
-from __future__ import annotations
-
 import os
 import socket
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """A lift folder, and an engine that pretends to lift in it."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from pathlib import Path
 

@@ -3,8 +3,6 @@
 fake_engine.py BEHAVIOUR LIFT [--resume] [--stay-with-parent]: what `engine lift LIFT` would be.
 """
 
-from __future__ import annotations
-
 import ctypes
 import os
 import sys

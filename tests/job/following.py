@@ -1,7 +1,5 @@
 """Lift folders, and how tests follow pretended engines, which outlast the patience of `follow`."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Callable
 from pathlib import Path

@@ -3,8 +3,6 @@
 run_plgs_with_fake_engine.py BEHAVIOUR ARGS...: for the behaviours see fake_engine.py.
 """
 
-from __future__ import annotations
-
 import argparse
 import importlib
 import signal

@@ -1,7 +1,5 @@
 """Files of cameras: what is read, and what is refused with a line that says why."""
 
-from __future__ import annotations
-
 import json
 import math
 from pathlib import Path

@@ -1,7 +1,5 @@
 """events.jsonl: one whole line after another, across kills."""
 
-from __future__ import annotations
-
 import errno
 import json
 import os

@@ -1,7 +1,5 @@
 """Whichever call fails and whenever the power is cut, the old or the new state is whole, and the next run continues."""
 
-from __future__ import annotations
-
 import errno
 import os
 import shutil
@@ -204,7 +202,6 @@ def save(folder: Path, step: int) -> None:
 
 def saved(folder: Path) -> int:
     checkpoint = CheckpointStore(folder).latest()
-    assert checkpoint is not None
     step = int(str(checkpoint.state["step"]))
     assert (checkpoint.path / "model").read_bytes() == bytes([step]) * 100
     return step

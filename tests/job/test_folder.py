@@ -1,7 +1,5 @@
 """The lift folder: made once, never taken over, and its state is what happened."""
 
-from __future__ import annotations
-
 import errno
 import os
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Two processes: whatever happens to one, the other does the right thing."""
 
-from __future__ import annotations
-
 import shutil
 import signal
 import subprocess
@@ -38,8 +36,7 @@ def test_cancel_stops_it_and_resume_continues_it(folder: LiftFolder, start: Star
     follower.cancel()
     follow(follower)
     assert follower.state is TaskState.CANCELLED and folder.state() is LiftState.CANCELLED
-    checkpoint = folder.checkpoints.latest()
-    assert checkpoint is not None
+    assert folder.checkpoints.latest() is not None
     again = start("short", resume=True)
     follow(again)
     assert again.state is TaskState.FINISHED and not folder.cancel_path.exists()

@@ -1,7 +1,5 @@
 """``python -m engine handshake``: at once, whatever is missing."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys

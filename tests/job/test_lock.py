@@ -1,7 +1,5 @@
 """Locks of a lift between processes: while a holder lives, others are busy; after its end, the next has its turn."""
 
-from __future__ import annotations
-
 import errno
 import os
 import signal

@@ -1,7 +1,5 @@
 """manifest.json: no manifest, no result; and nothing in the result can change unseen."""
 
-from __future__ import annotations
-
 import json
 import os
 import shutil

@@ -1,7 +1,5 @@
 """A lift of somebody else's cannot make an engine write, delete or wait outside of it."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Predicted time and memory: near what lifts took, and nearer once this machine is known."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from pathlib import Path
 

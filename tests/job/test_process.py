@@ -1,7 +1,5 @@
 """Which Python runs the engine, and how a program is ended."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import subprocess

@@ -1,7 +1,5 @@
 """Two processes race at one lift folder: one wins, the other says so in a line, and a resume finishes the lift."""
 
-from __future__ import annotations
-
 import random
 import shutil
 import subprocess
@@ -57,7 +55,6 @@ def test_two_racing_commands_leave_a_resumable_lift(root: Path, tmp_path: Path, 
         command = [sys.executable, "-c", RACER, root, path, *orders]
         racers.append(subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE))
     for racer in racers:
-        assert racer.stdin is not None
         racer.stdin.write(b"go\n")
         racer.stdin.flush()
     for racer in racers:

@@ -1,7 +1,5 @@
 """The list of recent lifts: found again, in order, whatever became of them or of the list."""
 
-from __future__ import annotations
-
 import json
 import shutil
 import subprocess

@@ -1,7 +1,5 @@
 """request.json: what goes in comes out, and everything else is refused with a reason."""
 
-from __future__ import annotations
-
 import json
 import os
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Cancelling: by the file, by the parent's end, and against a main thread that does not listen."""
 
-from __future__ import annotations
-
 import errno
 import os
 import threading

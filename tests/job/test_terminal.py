@@ -1,7 +1,5 @@
 """The live line, and the signals around a lift."""
 
-from __future__ import annotations
-
 import io
 import os
 import signal

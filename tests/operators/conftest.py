@@ -1,7 +1,5 @@
 """Operators are called as scripts call them: in Blender without a window, with the extension switched on."""
 
-from __future__ import annotations
-
 import shutil
 from collections.abc import Iterator
 from pathlib import Path

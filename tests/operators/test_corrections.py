@@ -1,7 +1,5 @@
 """Correcting a lift in Blender: each edit is seen at once, undone with Blender's own undo, and kept on disk."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """The engine's operators, as scripts call them."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from collections.abc import Iterator

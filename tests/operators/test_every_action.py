@@ -1,7 +1,5 @@
 """Everything that the panel offers, with an engine that the panel's own buttons made: nothing is missing in it."""
 
-from __future__ import annotations
-
 import importlib.util
 import shutil
 import sys

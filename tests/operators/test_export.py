@@ -1,7 +1,5 @@
 """Exports from a script: the engine's own command, and meshes that arrive in the scene."""
 
-from __future__ import annotations
-
 import csv
 import json
 import re

@@ -1,7 +1,5 @@
 """Inspecting a lift from a script, with the same arguments as from the buttons."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

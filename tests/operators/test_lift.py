@@ -1,7 +1,5 @@
 """Starting, watching, cancelling and resuming from a script, where operators wait for the lift."""
 
-from __future__ import annotations
-
 import json
 import os
 import shutil

@@ -1,7 +1,5 @@
 """Before a lift, from a script: masks and their classes, Diagnose and Fix."""
 
-from __future__ import annotations
-
 import importlib.util
 import json
 from dataclasses import replace
@@ -136,7 +134,6 @@ def test_frames_of_a_finding_are_gone_to_and_left_out(tmp_path: Path) -> None:
     scene.plgs.scene_folder = str(folder)
     bpy.ops.plgs.diagnose()
     known = diagnosis_of(chosen_scene(scene.plgs))
-    assert known is not None
     number, finding = next((n, each) for n, each in enumerate(known.findings) if each.cause == "exposure")
     assert finding.frames == finding.leave_out == (photo.stem,)
     with pytest.raises(RuntimeError, match="Import Cameras and Images"):

@@ -1,7 +1,5 @@
 """Passes from a script: opening them in the compositor, and what cannot be baked."""
 
-from __future__ import annotations
-
 import json
 import re
 import sys

@@ -1,7 +1,5 @@
 """Captures of other layouts into Blender, with what only an engine can make of them, and pictures on demand."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import sys
@@ -158,7 +156,6 @@ def test_sparse_points_come_with_the_cameras(own: Path) -> None:
     assert bpy.ops.plgs.import_scene(scene_folder=str(own / "walk")) == {"FINISHED"}
     assert len(frames()) == 6 and all(ob.data.background_images for ob in frames().values())
     points = open_scene(own / "walk").points
-    assert points is not None
     np.testing.assert_allclose(positions("sparse_points"), points.xyz, atol=1e-5)
     for frame in open_scene(own / "walk").frames:
         assert Path(frames()[frame.name].data.background_images[0].image.filepath) == frame.colour_path
@@ -230,7 +227,6 @@ def test_depth_that_was_drawn_is_shown_until_its_file_changes(room: Path, tmp_pa
     assert importing.choose_picture(scene, "DEPTH") is None and frames()["0003"]["plgs_shown"] == "DEPTH"
     os.utime(room / "depth" / "0003.png", (2**32, 2**32))
     making = importing.choose_picture(scene, "DEPTH")
-    assert making is not None
     registry.wait_for(making, scene)
     assert making.undo_step
 

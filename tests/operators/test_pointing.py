@@ -1,7 +1,5 @@
 """Keys that act on the selected objects of a lift, and leave Blender's own objects to Blender."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import bpy

@@ -1,7 +1,5 @@
 """Objects of a lift as collections of their own: their parts, where they stand, the hole, assets, and keys."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import bpy

@@ -1,7 +1,5 @@
 """Importing a scene's cameras, and what a dropped file opens."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 from types import SimpleNamespace
@@ -49,7 +47,6 @@ def looked_at(settings: object) -> Survey:
     """What an engine finds in the panel's scene."""
     look(chosen_scene(settings), Path(sys.executable))
     looking = registry.latest(SceneLook)
-    assert looking is not None
     registry.wait_for(looking, bpy.context.scene)
     survey = survey_of(chosen_scene(settings))
     assert survey is not None

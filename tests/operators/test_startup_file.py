@@ -1,7 +1,5 @@
 """In an untouched startup file the view becomes the capture's; what somebody has set or made there stays."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import bpy

@@ -1,7 +1,5 @@
 """Do the instance pass and Cryptomatte agree?"""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import NamedTuple
 

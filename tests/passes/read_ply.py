@@ -1,7 +1,5 @@
 """The inverse of ``write_splats``: the oracle of its tests."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Soft coverage as ranks, hashes against published values, names that Blender can take."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np

@@ -1,7 +1,5 @@
 """EXR round trip, and what Blender's compositor makes of the file."""
 
-from __future__ import annotations
-
 from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """The columns of PLY files, previews and contact sheets."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import cv2

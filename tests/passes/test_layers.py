@@ -1,7 +1,5 @@
 """Deciding pixels: classes, instances, how sure, and colour in linear light."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import replace
 

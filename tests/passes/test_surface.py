@@ -1,7 +1,5 @@
 """Positions and normals of planes that are known exactly."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

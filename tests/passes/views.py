@@ -1,7 +1,5 @@
 """A rendering made by hand: a wall, two chairs and a corner where nothing was rendered."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from engine.model.neural_gaussians import PanopticRendering

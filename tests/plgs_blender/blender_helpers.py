@@ -1,7 +1,5 @@
 """What the open Blender file holds and renders."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

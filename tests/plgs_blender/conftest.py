@@ -1,7 +1,5 @@
 """Every test here begins with an empty file, and leaves one."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from pathlib import Path
 from types import ModuleType

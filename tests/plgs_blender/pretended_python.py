@@ -1,7 +1,5 @@
 """Programs that answer as a Python with this engine does."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

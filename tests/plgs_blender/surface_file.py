@@ -1,7 +1,5 @@
 """A mesh.ply of two squares, as the engine exports it."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

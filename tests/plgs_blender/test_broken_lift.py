@@ -1,7 +1,5 @@
 """A lift, a scene or a lift.blend of somebody else, or damaged, changes nothing in the open file, and runs nothing."""
 
-from __future__ import annotations
-
 import json
 import os
 import shutil

@@ -1,7 +1,5 @@
 """Blender's cameras see what the engine's cameras see, also the one that moves along the frames."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import bpy

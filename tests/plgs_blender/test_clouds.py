@@ -1,7 +1,5 @@
 """Points become clouds, each class its own, with normals, an overview, and colours in pixels."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import bpy

@@ -1,7 +1,5 @@
 """A lift in Blender: what is there, what stays after saving, and what a second lift leaves alone."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A result is placed in parts, and a lift with thousands of objects does not keep the window waiting."""
 
-from __future__ import annotations
-
 import json
 import shutil
 import time

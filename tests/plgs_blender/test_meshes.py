@@ -1,7 +1,5 @@
 """The lifted surface in Blender: real meshes, labelled, found again, and exported by Blender."""
 
-from __future__ import annotations
-
 import shutil
 from pathlib import Path
 

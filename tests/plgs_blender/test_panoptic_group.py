@@ -1,7 +1,5 @@
 """The compositor's group "PLGS Panoptic", rendered without a window, against the same sums in numpy."""
 
-from __future__ import annotations
-
 import colorsys
 from collections.abc import Iterator
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The passes in the compositor, rendered without a window, against the arrays that were baked."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import bpy

@@ -1,7 +1,5 @@
 """Followed tasks: started, told apart by their keys, cancelled, and ended with Blender; and how Blender itself ends."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A camera of the user's is baked as Blender renders it, frame by frame."""
 
-from __future__ import annotations
-
 import math
 import shutil
 from contextlib import nullcontext

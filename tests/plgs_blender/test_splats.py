@@ -1,7 +1,5 @@
 """The Gaussians as squares, and what colours they have."""
 
-from __future__ import annotations
-
 from functools import partial
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """What a file shows: a view that holds the room, colours of any OCIO configuration, markers on the timeline."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

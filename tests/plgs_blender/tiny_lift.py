@@ -1,7 +1,5 @@
 """A finished lift of the tiny room, made from its ground truth. Held-out views have passes, numbered with gaps."""
 
-from __future__ import annotations
-
 import json
 import struct
 from pathlib import Path

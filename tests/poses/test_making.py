@@ -1,7 +1,5 @@
 """Poses of photos: with pycolmap the sample's own, to some centimetres; without it, what is missing is said."""
 
-from __future__ import annotations
-
 import json
 import shutil
 import subprocess

@@ -1,7 +1,5 @@
 """Masks made of a network's queries, frame by frame."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import dataclass, field
 from pathlib import Path

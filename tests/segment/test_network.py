@@ -1,7 +1,5 @@
 """Mask2Former itself, with random weights: transformers' own loading, no download."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """A Mask2Former with random weights, small enough for unit tests, as transformers itself saves one."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import torch

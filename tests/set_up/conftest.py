@@ -1,7 +1,5 @@
 """An index of tiny packages, a copy of the code whose engine is quick to warm up, and a folder for environments."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import sys

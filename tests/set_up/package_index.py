@@ -1,7 +1,5 @@
 """A package index on this machine: tiny wheels, and downloads that stall, break off or are garbage."""
 
-from __future__ import annotations
-
 import base64
 import hashlib
 import importlib.metadata

@@ -1,7 +1,5 @@
 """Adding a part to an engine's environment with a real uv: to the end, cut off, cancelled."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 import tempfile
@@ -64,7 +62,6 @@ def files_of(environment: Path) -> set[str]:
 def says_to_lack(code: Path, environment: Path) -> tuple[str, ...]:
     command = [*engine_call(python_in(environment), code), "handshake"]
     said = EngineAnswer.from_line(subprocess.run(command, capture_output=True, text=True, check=True).stdout)
-    assert said is not None
     return said.capabilities[NAME]
 
 

@@ -1,7 +1,5 @@
 """Whatever call of the file system fails while the engine is set up, or whenever it is killed: the next one goes on."""
 
-from __future__ import annotations
-
 import os
 import random
 import shutil

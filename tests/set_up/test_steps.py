@@ -1,7 +1,5 @@
 """Setting the engine up with a real uv from an index on this machine: to the end, cut off, and gone on with."""
 
-from __future__ import annotations
-
 import hashlib
 import os
 import shutil

@@ -1,7 +1,5 @@
 """uv's wheel, from wherever the user's packages come from, and the variables that uv gets."""
 
-from __future__ import annotations
-
 import hashlib
 import io
 import os

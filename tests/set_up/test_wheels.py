@@ -1,7 +1,5 @@
 """Every package that a set-up installs has a wheel for Windows and macOS, and its hash is listed."""
 
-from __future__ import annotations
-
 import json
 import re
 import subprocess

@@ -124,7 +124,6 @@ def followed_lift(folder: Path, state: TaskState = TaskState.RUNNING) -> tuple[l
     """A finished lift in a new folder, to which the panel is set, and its follower, which is in this state."""
     bpy.context.scene.plgs.lift_folder = str(tiny_lift.write_tiny_lift(folder).path)
     followed = lifts.lift_of(folder)
-    assert followed is not None
     followed.follower = follower = Pretended(state)  # type: ignore[assignment]
     return followed, follower
 

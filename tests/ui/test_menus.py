@@ -1,7 +1,5 @@
 """Searching and sorting the lists; the menus, where F3 finds what the panels have."""
 
-from __future__ import annotations
-
 from types import ModuleType, SimpleNamespace
 
 import bpy

@@ -1,7 +1,5 @@
 """Every panel draws in every state: nothing chosen, a task that runs, one that failed, a finished lift."""
 
-from __future__ import annotations
-
 import sys
 import time
 from pathlib import Path
@@ -51,7 +49,6 @@ def test_texts_of_a_strangers_file_are_printable_lines(tmp_path: Path, monkeypat
             mask.frame = mask.class_name = mask.reason = odd
     root.plgs.instance_index = 0
     followed = lifts.lift_of(lift)
-    assert followed is not None
     follower: Any = Pretended(TaskState.FAILED, PlgsError("made-up", "is bad", odd, odd))
     follower.log_lines = (odd,)
     follower.progress.label = odd
@@ -248,7 +245,6 @@ def test_a_finished_lift_is_shown(tmp_path: Path) -> None:
     shown = drawn()
     assert "plgs.isolate_instance" in shown and "plgs.bake_camera" in shown
     followed = lifts.lift_of(lift)
-    assert followed is not None
     followed.follower = Pretended(TaskState.RUNNING)
     assert "plgs.cancel_lift" in drawn() and "view3d.view_camera" in drawn()
     followed.follower.kind = BAKE

@@ -1,7 +1,5 @@
 """What is pressed stays where it is when an engine has news: nothing moves under the pointer."""
 
-from __future__ import annotations
-
 import json
 import sys
 from dataclasses import asdict, replace
@@ -113,7 +111,6 @@ def test_no_news_of_an_engine_moves_what_starts_a_lift(tmp_path: Path) -> None:
     settings.device = "cpu"
     settings.lift_folder = str(lift)
     followed = lifts.lift_of(lift)
-    assert followed is not None
     passes = rows_above("plgs.bake_passes")
     follower: Any = Pretended(TaskState.RUNNING)
     followed.follower, follower.kind = follower, BAKE

@@ -1,7 +1,5 @@
 """What this Blender knows of the engine: a Python is asked, the engine is set up, and both end with the extension."""
 
-from __future__ import annotations
-
 import os
 import sys
 from collections.abc import Callable, Iterator

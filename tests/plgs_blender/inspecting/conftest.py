@@ -1,7 +1,5 @@
 """A placed lift, with the extension switched on."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import bpy

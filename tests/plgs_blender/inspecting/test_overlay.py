@@ -1,7 +1,5 @@
 """Labels, the legend and the highlight: where they stand, and that they are seen."""
 
-from __future__ import annotations
-
 import os
 
 import bpy
@@ -86,7 +84,6 @@ def test_labels_stand_at_their_boxes(root: bpy.types.Collection, seen: Seen) -> 
 def test_selected_name_says_out_of_view_and_hovered_has_a_name(root: bpy.types.Collection, seen: Seen) -> None:
     boxes, region = boxes_of(root), seen.region
     at = region.pixel_of(bpy.data.objects["chair 1"].matrix_world.translation)
-    assert at is not None
     free = [(at[0] - 80.0, 0.0, at[0] + 80.0, float(HEIGHT))]
     assert "chair 1" not in {each.text for each in label_text_boxes(root.plgs.instances, boxes, 0, region, 0, free)}
     one_only = ViewRegion(WIDTH, 24, 0, region.perspective, 1.0)
@@ -157,7 +154,6 @@ def test_what_is_drawn_is_seen(root: bpy.types.Collection, seen: Seen) -> None:
 
     drawn = picture(draw)[..., :3].astype(int)
     at = seen.region.pixel_of(box.matrix_world.translation)
-    assert at is not None
     row, column = HEIGHT - int(at[1]), int(at[0])
     inside = drawn[row - 3 : row + 4, column - 3 : column + 4]
     assert (np.abs(inside - 128) < 40).all() and (inside[..., 0] > inside[..., 1]).all(), "tinted, not painted over"

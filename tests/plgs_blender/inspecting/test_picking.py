@@ -1,7 +1,5 @@
 """A click picks what is seen, however the lift is shown."""
 
-from __future__ import annotations
-
 import shutil
 from pathlib import Path
 from types import SimpleNamespace

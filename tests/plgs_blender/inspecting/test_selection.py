@@ -1,7 +1,5 @@
 """A box, its row and its points are selected together."""
 
-from __future__ import annotations
-
 import shutil
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The lists that a lift's collection carries, where to look from, and what the eyes in the lists hide."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from types import ModuleType

@@ -1,7 +1,5 @@
 """From the panel to a lift: what is refused, and the advice that comes with it."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Lifts that this Blender follows, with a real engine process around a pretended lift."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 from types import SimpleNamespace

@@ -1,7 +1,5 @@
 """The growing model before the scene's camera: asked for, shown, and taken away without a trace."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from pathlib import Path
 from types import ModuleType

@@ -1,7 +1,5 @@
 """What Blender reads before anybody asks: the objects of an opened file's lift, and what is in the panel's scene."""
 
-from __future__ import annotations
-
 import shutil
 import sys
 from pathlib import Path
