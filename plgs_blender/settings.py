@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
+from fnmatch import fnmatch
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +24,7 @@ from ..engine.presets.options import (
 )
 from ..engine.presets.preset import LONGEST_SIDE, PRESETS, SHORTEST_SIDE
 from .chosen_scene import AUTOMATIC, FORMAT_ITEMS, MASK_FORMAT_ITEMS, ChosenScene, absolute
+from .engine_environment import studio
 from .errors import with_field_names
 
 _PRESETS = [
@@ -67,6 +70,22 @@ def _tell_of_scene(settings: SceneOptions, context: bpy.types.Context) -> None:
     if isinstance(settings, PLGS_PG_settings) and settings.scene_folder:
         for listener in on_scene_chosen:
             listener(settings)
+
+
+def _take_defaults(settings: SceneOptions, context: bpy.types.Context) -> None:
+    """Show the studio's defaults in the fields that the user has left alone. Its file is checked when a lift starts."""
+    if isinstance(settings, PLGS_PG_settings) and settings.scene_folder:
+        with suppress(PlgsError):
+            defaults = studio()
+            masks, every = (str(defaults.masks_of(path) or "") for path in (absolute(settings.scene_folder), None))
+            if masks and (not settings.masks or fnmatch(settings.masks, every.replace("{scene}", "*"))):
+                settings.masks = masks
+            if defaults.device and not settings.is_property_set("device"):
+                settings.device = defaults.device
+            if defaults.preset and not settings.is_property_set("preset"):
+                settings.preset, options = chosen_options(defaults.preset, {})
+                settings.preset_options = " ".join(shown_options(options))
+    _tell_of_scene(settings, context)
 
 
 def _tell_of_lift(settings: SceneOptions, context: bpy.types.Context) -> None:
@@ -116,7 +135,7 @@ class LiftOptions(SceneOptions):
     """
 
     scene_folder: StringProperty(  # type: ignore[valid-type]
-        options=_SKIP_SAVE, name="Scene", subtype="DIR_PATH", update=_tell_of_scene,
+        options=_SKIP_SAVE, name="Scene", subtype="DIR_PATH", update=_take_defaults,
         description="A capture's folder or file: ScanNet, transforms.json, COLMAP, Polycam, .r3d, .sens and others",
     )  # fmt: skip
     preset: EnumProperty(  # type: ignore[valid-type]

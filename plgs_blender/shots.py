@@ -32,6 +32,7 @@ from ..engine.job.terminal import Interrupts, LiveLine, follow
 from ..engine.posed import Camera
 from ..engine.records import read_record, record_text
 from .cameras import seen_by
+from .engine_environment import studio
 from .lift_scene import open_blend
 from .passes import NOTES, VERSION, shot_name
 
@@ -91,7 +92,7 @@ def shot_of(
     only: Sequence[int] = (),
 ) -> Shot:
     """The named camera, or the scene's active one, over the given range, else the scene's, or ``only`` these frames.
-    Raises PlgsError."""
+    ``given`` names it, else the studio's default. Raises PlgsError."""
     ob = scene.objects.get(camera) if camera else scene.camera
     if ob is None or (camera and ob.type != "CAMERA"):
         what = f"has no camera named {camera!r}" if camera else "has no active camera"
@@ -101,7 +102,7 @@ def shot_of(
         scene.frame_start if first is None else first,
         scene.frame_end if last is None else last,
         scene.frame_step if step is None else step,
-        given,
+        given or studio().names or "",
         tuple(only),
     )
     fix = "Set the range in the Output properties: it must end no earlier than it starts."

@@ -46,6 +46,12 @@ class PLGS_AP_preferences(bpy.types.AddonPreferences):
         "and PyTorch's public index for its CPU build",
     )
 
+    defaults_file: StringProperty(  # type: ignore[valid-type]
+        name="Studio Defaults",
+        subtype="FILE_PATH",
+        description="TOML file with the studio's preset, masks, names, device and memory. PLGS_DEFAULTS comes first",
+    )
+
     def draw(self, context: bpy.types.Context) -> None:
         layout = self.layout
         set_up = registry.latest(SetUp)
@@ -67,6 +73,7 @@ class PLGS_AP_preferences(bpy.types.AddonPreferences):
         column = layout.column()
         column.use_property_split = True
         column.prop(self, "engine_python")
+        column.prop(self, "defaults_file")
         header, body = layout.panel("plgs_engine_details", default_closed=True)
         header.label(text="Set-Up Options")
         if body is None:

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 from ..errors import ExitCode, PlgsError
 from ..gates import read_plain
 from ..job.request import add_lift_options, add_progress_option, readable, request_from
+from ..job.studio import filled_in
 
 if TYPE_CHECKING:
     from ..batch import SceneJob
@@ -110,6 +111,7 @@ def batch(options: argparse.Namespace) -> int:
     from ..job.task import TaskFiles
     from ..job.terminal import Interrupted, Interrupts
 
+    options = filled_in(options)
     scenes = _asked_scenes(options)
     names = names_of([each.scene for each in scenes], [each.scene_name for each in scenes])
     if ".." in options.output.parts:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Protocol
@@ -10,6 +11,8 @@ from typing import Protocol
 from ..errors import ErrorCode, ExitCode, PlgsError
 from ..job import EventWriter, LiftFolder, LiftState, StopSignal, verify_lifted
 from ..job.recent import remember_lift
+from ..job.studio import studio_defaults
+from ..job.system import SHARE
 from ..job.task import BAKE, LIFT, TaskFiles
 from .runner import Command, Work, output_to, run_at, run_task
 
@@ -57,6 +60,11 @@ def run_engine(
                 folder.prepare_run()
 
             def work(events: EventWriter, stop: StopSignal) -> None:
+                studio = studio_defaults()
+                if studio.file is not None:
+                    log.info("defaults of %s: %s", studio.file, studio)
+                if studio.memory is not None:
+                    os.environ.setdefault(SHARE, f"{studio.memory:g}")
                 if lift is not None:
                     return lift(folder, events, stop, resume=resume)
                 if state is LiftState.NOT_STARTED:  # refused at once, not only after torch was loaded

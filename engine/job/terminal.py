@@ -22,6 +22,7 @@ from .folder import LiftFolder, LiftState
 from .follower import TaskFollower
 from .process import engine_call, engine_command, engine_python
 from .request import request_from
+from .studio import filled_in
 from .task import LIFT, TaskFiles, TaskProgress, TaskState
 
 _POLL_S = 0.05
@@ -239,7 +240,7 @@ def lift_in_terminal(
     is_new, finished_at = lift is None, None
     if lift is None:
         try:
-            lift = LiftFolder.create(options.output, request_from(options))
+            lift = LiftFolder.create(options.output, request_from(filled_in(options)))
         except PlgsError:
             lift, is_new = resumable(options), False  # the same command may have been given twice at once
             if lift is None:

@@ -240,14 +240,19 @@ MOST_BYTES = 1 << 20
 _FIX = "'python -m engine presets preview' prints one that can be changed."
 
 
+def read_toml(path: Path, fix: str) -> dict[str, Any]:
+    """The content of a small TOML file. Raises PlgsError."""
+    try:
+        return tomllib.loads(read_plain(path, MOST_BYTES).decode("utf-8"))
+    except OSError as error:
+        raise PlgsError("unreadable", f"cannot be read ({error.strerror})", path, fix) from error
+    except (ValueError, RecursionError) as error:  # broken TOML, broken UTF-8, nested too deeply
+        raise PlgsError("not-toml", f"is not TOML ({error})", path, fix) from error
+
+
 def read_preset_file(path: Path) -> tuple[str, dict[str, Json]]:
     """The preset that a file changes, and its options. Raises PlgsError, which names the file and the option."""
-    try:
-        content = tomllib.loads(read_plain(path, MOST_BYTES).decode("utf-8"))
-    except OSError as error:
-        raise PlgsError("unreadable", f"cannot be read ({error.strerror})", path, _FIX) from error
-    except (ValueError, RecursionError) as error:  # broken TOML, broken UTF-8, nested too deeply
-        raise PlgsError("not-toml", f"is not TOML ({error})", path, _FIX) from error
+    content = read_toml(path, _FIX)
     base = content.pop(BASE, None)
     if base not in PRESETS:
         what = f"does not name a preset: {BASE} = {base!r}"

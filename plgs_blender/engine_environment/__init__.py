@@ -10,10 +10,10 @@ import bpy
 from ...engine.errors import ErrorCode, PlgsError
 from ...engine.job.process import ROOT, choose_python
 from ...engine.job.process import engine_python as find_engine_python
-from .choices import chosen_python
+from .choices import chosen_python, studio
 from .tasks import EngineState, EngineStatus, status
 
-__all__ = ["EngineState", "EngineStatus", "engine_python", "status", "usable_python", "why_no_engine"]
+__all__ = ["EngineState", "EngineStatus", "engine_python", "status", "studio", "usable_python", "why_no_engine"]
 
 
 def why_no_engine() -> str | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,6 +10,8 @@ from types import SimpleNamespace
 from typing import Any
 
 import bpy
+
+from ...engine.job.studio import VARIABLE, StudioDefaults, studio_defaults
 
 EXTENSION = __package__.rsplit(".", 2)[0]
 """The extension's name in Blender, under which its preferences are stored."""
@@ -38,8 +41,9 @@ class SetUpChoice:
         return {"PLGS_INDEX_URL": self.index_url} if self.index_url else {}
 
 
-_session = SimpleNamespace(engine_python="", base_python="", torch_build="cpu", index_url="")
+_session = SimpleNamespace(engine_python="", base_python="", torch_build="cpu", index_url="", defaults_file="")
 """The choices of a session without preferences."""
+_file_of_preferences = ""
 
 
 def chosen_python() -> Path | None:
@@ -60,6 +64,15 @@ def set_up_choice(base_python: str = "", torch_build: str = "", index_url: str =
         torch_build or choices.torch_build,
         (index_url or choices.index_url).strip(),
     )
+
+
+def studio() -> StudioDefaults:
+    """The studio's defaults, from the file that the variable names, else from the one in the preferences, which engines
+    that start later read, too. Raises PlgsError."""
+    global _file_of_preferences
+    if os.environ.get(VARIABLE, "") == _file_of_preferences:
+        _file_of_preferences = os.environ[VARIABLE] = str(_path(_choices().defaults_file) or "")
+    return studio_defaults()
 
 
 def own_python() -> Path:

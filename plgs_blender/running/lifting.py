@@ -80,6 +80,7 @@ def start_lift(settings: PLGS_PG_settings, *, in_that_folder: bool = False, name
     if not settings.scene_folder:
         what = "no scene is chosen"
         raise PlgsError("no-scene", what, "Scene", "Choose a folder with color, depth, pose and intrinsic.")
+    engine_environment.studio()
     python = engine_environment.usable_python()
     request = replace(request_of(settings), names_from=absolute(names_from) if names_from else earlier_lift(settings))
     folder = chosen_lift(settings)

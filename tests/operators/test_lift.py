@@ -6,15 +6,17 @@ import shutil
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 
 import bpy
 import pytest
 from plgs.engine.job import EventWriter, LiftFolder
 from plgs.engine.job.recent import remember_lift
 from plgs.plgs_blender import engine_environment, registry
-from plgs.plgs_blender.running import lifts, survey
+from plgs.plgs_blender.engine_environment import choices
+from plgs.plgs_blender.running import lifting, lifts, survey
 
-from tests.raises_key import worded
+from tests.raises_key import raises_key, worded
 
 ENGINE = Path(__file__).resolve().parents[1] / "job" / "fake_engine.py"
 Behaves = Callable[[str], None]
@@ -175,3 +177,31 @@ def test_a_scene_that_was_lifted_before_keeps_its_names(behaves: Behaves, lift: 
     ):
         bpy.ops.plgs.lift_scene(lift_folder=str(tmp_path / f"again {number}"), **given)
         assert LiftFolder.open(tmp_path / f"again {number}").request.names_from == expected
+
+
+def test_studio_defaults_fill_in_untouched_fields(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    settings = bpy.context.scene.plgs
+    settings.device = "cpu"
+    for name in ("a", "b"):
+        (tmp_path / name).mkdir()
+    file = tmp_path / "plgs.toml"
+    file.write_text('preset = "standard"\nmasks = "masks/{scene}"\ndevice = "auto"\n')
+    monkeypatch.setenv("PLGS_DEFAULTS", str(file))
+    for name in ("a", "b"):
+        settings.scene_folder = str(tmp_path / name)
+        assert settings.masks == str(tmp_path / "masks" / name)
+    assert settings.preset == "standard" and settings.device == "cpu"
+    file.write_text("quality = 1\n")
+    with raises_key("unknown-field plgs.toml"):
+        lifting.start_lift(settings)
+
+
+def test_studio_defaults_can_be_named_in_preferences(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    file = tmp_path / "plgs.toml"
+    file.write_text('device = "auto"\n')
+    monkeypatch.setenv("PLGS_DEFAULTS", "")
+    monkeypatch.setattr(choices, "_choices", lambda: SimpleNamespace(defaults_file=str(file)))
+    bpy.context.scene.plgs.scene_folder = str(tmp_path)
+    assert bpy.context.scene.plgs.device == "auto" and os.environ["PLGS_DEFAULTS"] == str(file)
+    monkeypatch.setattr(choices, "_choices", lambda: SimpleNamespace(defaults_file=""))
+    assert engine_environment.studio().file is None

@@ -1,0 +1,72 @@
+"""A studio's defaults: one TOML file for the command line, batches and Blender. Standard library only."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
+from pathlib import Path
+
+from ..presets.options import read_toml
+from ..presets.preset import PRESETS
+from ..records import record_of
+from .request import Device
+
+VARIABLE = "PLGS_DEFAULTS"
+"""The variable that names the file. Blender's preferences can name it, too."""
+_FIX = "Correct it, or let PLGS_DEFAULTS and the preferences name another file."
+
+
+@dataclass(frozen=True)
+class StudioDefaults:
+    """The values in the ``file``. ``preset`` is a name or a preset file; ``masks`` a path, with {scene} for the scene's
+    name; ``names`` what --shot takes. ``memory`` is the GB that a lift, or a worker of a batch, may use."""
+
+    preset: str | None = None
+    masks: str | None = None
+    names: str | None = None
+    device: Device | None = None
+    memory: float | None = field(default=None, metadata={"least": 0.1, "most": 1e6})
+    file: Path | None = field(default=None, metadata={"apart": True})
+
+    def __post_init__(self) -> None:
+        if self.preset is None or self.preset in PRESETS:
+            return
+        if not self.preset.endswith(".toml"):
+            raise ValueError(f"'preset' is neither one of {', '.join(PRESETS)} nor a FILE.toml")
+        assert self.file is not None
+        object.__setattr__(self, "preset", str(self.file.parent / self.preset))
+
+    def __str__(self) -> str:
+        given = {each.name: getattr(self, each.name) for each in fields(self) if each.name != "file"}
+        return ", ".join(f"{name} {value}" for name, value in given.items() if value is not None)
+
+    def masks_of(self, scene: Path | None) -> Path | None:
+        """The masks of a scene; None without a default. Without a scene {scene} stays."""
+        if self.masks is None or self.file is None:
+            return None
+        name = "{scene}" if scene is None else scene.name if scene.is_dir() else scene.stem
+        return self.file.parent / self.masks.replace("{scene}", name)
+
+
+def studio_defaults(environ: Mapping[str, str] = os.environ) -> StudioDefaults:
+    """The defaults in the file that the variable names; without one all are None. Raises PlgsError, also for a key that
+    is not known."""
+    if not (named := environ.get(VARIABLE)):
+        return StudioDefaults()
+    file = Path(named).absolute()
+    return record_of(StudioDefaults, read_toml(file, _FIX), file, _FIX, file=file)
+
+
+def filled_in(options: argparse.Namespace) -> argparse.Namespace:
+    """The options of a command, with defaults for those that were not given. A line on standard error says what was
+    taken from which file. Raises PlgsError."""
+    studio, given = studio_defaults(), vars(options)
+    defaults = {"preset": studio.preset, "masks": studio.masks_of(given.get("scene")), "device": studio.device}
+    defaults["memory"] = studio.memory
+    taken = {name: value for name, value in defaults.items() if value and name in given and not given[name]}
+    if taken:
+        print(f"From {studio.file}: {', '.join(f'{name} {value}' for name, value in taken.items())}", file=sys.stderr)
+    return argparse.Namespace(**given | taken)
