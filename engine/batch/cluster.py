@@ -7,6 +7,7 @@ import os
 import re
 import shutil
 import ssl
+import subprocess
 import sys
 import tempfile
 import threading
@@ -21,7 +22,7 @@ from typing import Any
 from ..errors import ExitCode, PlgsError, lacks_part
 from ..job.process import ROOT, EngineProcess, engine_call
 from ..job.system import main_memory, usable_cpus
-from ..job.task import await_end
+from ..job.task import await_end, last_lines
 from .piece import GIGABYTES, THREADS, engine_tag
 
 NO_WORKER_S = 5.0
@@ -39,7 +40,7 @@ class FarmOptions:
     """``workers`` on this machine, unless the address of a ``scheduler``, or ``slurm`` with its options, is given.
 
     ``gigabytes`` and ``threads`` are those of one worker. Without scheduler or Slurm nothing listens on the network;
-    with one of them ``tls`` keeps others out.
+    with one of them ``tls`` keeps others out. Slurm's jobs write to files in the folder ``logs``.
     """
 
     workers: int = 1
@@ -48,16 +49,19 @@ class FarmOptions:
     gigabytes: float = 1.0
     threads: int = 1
     tls: Tls | None = None
+    logs: Path | None = None
 
 
 @dataclass
 class Farm:
-    """A connection. ``own`` are the workers that this process started; a worker that ends is started again."""
+    """A connection. ``own`` are the workers that this process started; a worker that ends is started again. ``slurm``
+    is dask-jobqueue's cluster, if Slurm starts the workers."""
 
     client: Any
     address: str
     options: FarmOptions
     own: list[EngineProcess] = field(default_factory=list)
+    slurm: Any = None
 
     def tend(self) -> None:
         """Restart our own workers that have ended. Raises PlgsError."""
@@ -86,12 +90,36 @@ class Farm:
         return max((worker["resources"].get(GIGABYTES, 0.0) for worker in self.workers().values()), default=0.0)
 
 
+    def refuse_dead_jobs(self) -> None:
+        """Raise PlgsError if Slurm refuses our jobs, or all of them have ended. dask-jobqueue would wait for ever."""
+        if self.slurm is None:
+            return
+        why = self.slurm.refusals[-1] if self.slurm.refusals else ""
+        jobs = [job.job_id for job in self.slurm.workers.values() if job.job_id]
+        if jobs and not why:
+            try:
+                command = ["squeue", "--noheader", "--format=%i", "--jobs", ",".join(jobs)]
+                asked = subprocess.run(command, capture_output=True, text=True, timeout=CONNECT_S, check=False)
+            except (OSError, subprocess.TimeoutExpired):  # not known
+                return
+            # Slurm forgets a job some minutes after its end.
+            if asked.stdout.strip() or (asked.returncode and "Invalid job id" not in asked.stderr):
+                return
+            logs = sorted(self.options.logs.glob("*.log"), key=os.path.getmtime) if self.options.logs else []
+            why = (last_lines(logs[-1], 1) or ("it wrote nothing",))[0] if logs else "it has no log"
+        if why:
+            fix = "Correct the options of --slurm or the machines, then start the batch again."
+            what = f"Slurm's jobs have ended without a worker ({why})"
+            raise PlgsError("slurm-jobs", what, self.options.logs or "sbatch", fix, option="--slurm")
+
+
 @contextmanager
 def opened(farm_options: FarmOptions) -> Iterator[Farm]:
     """Connect, and start the workers that the options ask for. Raises PlgsError, also if no worker comes within
     NO_WORKER_S (on Slurm a job may wait in the queue for any time)."""
     distributed = require_dask()
     with ExitStack() as stack:
+        cluster = None
         if farm_options.scheduler:
             address = farm_options.scheduler
         elif farm_options.slurm is not None:
@@ -103,7 +131,7 @@ def opened(farm_options: FarmOptions) -> Iterator[Farm]:
                 n_workers=0, host=LOOPBACK, protocol="tcp://", dashboard_address=f"{LOOPBACK}:0", silence_logs=50
             )
             address = stack.enter_context(local).scheduler_address
-        farm = Farm(_client(address, farm_options.tls), address, farm_options)
+        farm = Farm(_client(address, farm_options.tls), address, farm_options, slurm=cluster)
         stack.callback(_close, farm)
         if not farm_options.scheduler and farm_options.slurm is None:
             farm.own += [_start_worker(address, farm_options) for _ in range(farm_options.workers)]
@@ -171,8 +199,9 @@ def _close(farm: Farm) -> None:
 
 
 def slurm_cluster(farm_options: FarmOptions) -> Any:
-    """dask-jobqueue's cluster, whose jobs run one worker each. Raises PlgsError."""
-    jobqueue = require_dask("dask_jobqueue")
+    """dask-jobqueue's cluster, whose jobs run one worker each; its ``refusals`` are what sbatch said. Raises
+    PlgsError."""
+    jobqueue, distributed = require_dask("dask_jobqueue"), require_dask()
     assert farm_options.slurm is not None
     if shutil.which("sbatch") is None:
         what = "Slurm is not installed here"
@@ -187,8 +216,25 @@ def slurm_cluster(farm_options: FarmOptions) -> Any:
             raise PlgsError("slurm-option", f"{value!r} cannot be used in a Slurm job", name, fix, option=f"--{name}")
     if farm_options.tls is not None:
         options |= {"security": farm_options.tls.security(in_a_shell=True), "protocol": "tls://"}
+    prologue = ["unset PYTHONHOME", f"export PYTHONNOUSERSITE=1 PYTHONPATH={quote(str(ROOT))}"]
+    if farm_options.logs is not None:
+        farm_options.logs.mkdir(parents=True, exist_ok=True)
+        logs = quote(str(farm_options.logs))
+        prologue.append(f"if [ -w {logs} ]; then exec >{logs}/${{SLURM_JOB_ID:-$$}}.log 2>&1; fi")
+    refusals: list[str] = []
+    of_slurm: Any = jobqueue.SLURMCluster.job_cls
+
+    class Job(of_slurm):
+        async def start(self) -> None:
+            try:
+                await super().start()
+            except (OSError, RuntimeError, ValueError) as error:
+                refusals.append([line for line in str(error).splitlines() if line.strip()][-1])
+                self.status = distributed.Status.running  # else Dask cannot close it
+
     try:
-        return jobqueue.SLURMCluster(
+        cluster = jobqueue.SLURMCluster(
+            job_cls=Job,
             cores=1,
             job_cpu=farm_options.threads,
             processes=1,
@@ -196,13 +242,15 @@ def slurm_cluster(farm_options: FarmOptions) -> Any:
             python=f"{quote(sys.executable)} -P",  # nothing is imported from the folder where a job starts
             nanny=False,
             worker_extra_args=["--resources", offered, "--no-dashboard"],
-            job_script_prologue=["unset PYTHONHOME", f"export PYTHONNOUSERSITE=1 PYTHONPATH={quote(str(ROOT))}"],
+            job_script_prologue=prologue,
             job_directives_skip=["--mem"] if not farm_options.gigabytes else [],
             **options,
         )
     except (OSError, ValueError) as error:
         what = f"Slurm cannot be used ({error})"
         raise PlgsError("bad-slurm", what, "sbatch", "Correct the options of --slurm.") from error
+    cluster.refusals = refusals
+    return cluster
 
 
 LOOPBACK = "127.0.0.1"

@@ -27,6 +27,8 @@ from .plan import RECORDS, BatchPlan, Row, SceneJob, done_before, lifting_code, 
 _POLL_S = 0.2
 _LOOK_S = 1.0
 """Seconds between two checks of the workers."""
+_JOBS_S = 10.0
+"""Seconds between two questions to Slurm whether jobs without a worker still wait or run."""
 _TABLE_S = 60.0
 """Seconds for which a batch waits while another writes the table."""
 _ENDING_S = 10.0
@@ -113,7 +115,7 @@ class _Batch:
         self._out: dict[Any, Piece] = {}
         self._pins: dict[Any, _Pin] = {}
         self._progress_texts: dict[str, str] = {}
-        self._looked = self._staffed = time.monotonic()
+        self._looked = self._staffed = self._asked = time.monotonic()
         self._is_missed = False
 
     def run(self, jobs: Sequence[SceneJob], interrupts: Interrupts) -> None:
@@ -197,8 +199,16 @@ class _Batch:
         except (OSError, KeyError):  # the scheduler is gone: `_take_in` waits for its return
             return
         if there:
-            self._staffed, self._is_missed = now, False
-        elif not self._is_missed and now > self._staffed + RETURN_S:
+            self._staffed, self._asked, self._is_missed = now, now, False
+        elif now > self._asked + _JOBS_S:
+            self._asked = now
+            try:
+                self._farm.refuse_dead_jobs()
+            except PlgsError as error:
+                for scene in [each for name, each in self._scenes.items() if name not in self._rows]:
+                    self._fail(scene, error)
+                return
+        if not there and not self._is_missed and now > self._staffed + RETURN_S:
             self._is_missed = True
             self._report.say(f"Waiting for a worker. Start one: python -m engine worker {self._farm.address}")
         for future, pin in [*self._pins.items()]:

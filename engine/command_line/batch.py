@@ -106,7 +106,7 @@ def worker(options: argparse.Namespace) -> ExitCode:
 
 def batch(options: argparse.Namespace) -> int:
     from ..batch import BatchPlan, run_batch
-    from ..batch.plan import names_of
+    from ..batch.plan import RECORDS, names_of
     from ..job import EventWriter
     from ..job.task import TaskFiles
     from ..job.terminal import Interrupted, Interrupts
@@ -120,7 +120,7 @@ def batch(options: argparse.Namespace) -> int:
     _refuse_conflicts(options)
     jobs = tuple(_job(own, options.output.absolute(), name, bakes_all) for own, name in zip(scenes, names, strict=True))
     plan = BatchPlan(options.output.absolute(), jobs, options.chunk if bakes_all else 0, tuple(options.export))
-    farm_options = _farm_options(options, [job.gigabytes for job in jobs])
+    farm_options = _farm_options(options, [job.gigabytes for job in jobs], plan.output / RECORDS / "jobs")
     own = TaskFiles.temporary() if options.echo is not None else None
     events = EventWriter(own.events, options.echo) if own is not None else None
     state = ""
@@ -199,7 +199,7 @@ def _job(own: argparse.Namespace, output: Path, name: str, bakes_all: bool) -> S
     return SceneJob(name, lift, request, round(peak / 1e9, 2), files=files)
 
 
-def _farm_options(options: argparse.Namespace, gigabytes: Sequence[float]) -> FarmOptions:
+def _farm_options(options: argparse.Namespace, gigabytes: Sequence[float], logs: Path) -> FarmOptions:
     """The farm that the options ask for; by default as many workers on this machine as its memory and processors
     allow."""
     from ..batch.cluster import FarmOptions
@@ -213,7 +213,8 @@ def _farm_options(options: argparse.Namespace, gigabytes: Sequence[float]) -> Fa
     is_here = slurm is None and not options.scheduler
     share = total / workers if is_here else max([*gigabytes, 4.0])
     threads = options.threads or (max(1, cpus // workers) if is_here else 4)
-    return FarmOptions(workers, options.scheduler, slurm, round(options.memory or share, 2), threads, _tls(options))
+    share = round(options.memory or share, 2)
+    return FarmOptions(workers, options.scheduler, slurm, share, threads, _tls(options), logs)
 
 
 _MOST_BYTES = 1 << 26

@@ -38,8 +38,13 @@ def inspect_scene(
     events.stage("inspect", 1, 2, "Looking at the scene")
     scene = opened = open_asked(asked)
     report, refusal = None, None
+
+    def looked(done: int, frames: int) -> None:
+        stop.check()
+        events.progress("inspect", done, frames)
+
     try:
-        survey = survey_scene(scene)
+        survey = survey_scene(scene, looked)
         report, scene = report_of(survey), survey.scene
     except PlgsError as error:
         refusal = error

@@ -64,8 +64,8 @@ def filled_in(options: argparse.Namespace) -> argparse.Namespace:
     """The options of a command, with defaults for those that were not given. A line on standard error says what was
     taken from which file. Raises PlgsError."""
     studio, given = studio_defaults(), vars(options)
-    defaults = {"preset": studio.preset, "masks": studio.masks_of(given.get("scene")), "device": studio.device}
-    defaults["memory"] = studio.memory
+    masks = studio.masks_of(given.get("scene"))
+    defaults = {"preset": studio.preset, "masks": masks, "device": studio.device, "memory": studio.memory}
     taken = {name: value for name, value in defaults.items() if value and name in given and not given[name]}
     if taken:
         print(f"From {studio.file}: {', '.join(f'{name} {value}' for name, value in taken.items())}", file=sys.stderr)

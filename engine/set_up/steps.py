@@ -60,6 +60,7 @@ _INSTALLED_BYTES = {"cpu": 1.8 * _GIGABYTE, "cuda": 7.0 * _GIGABYTE}
 """Bytes that the installed packages take on the disk."""
 _INSTALLED, _COMPILED = 0.8, 0.98
 """Parts of the whole that are done when the packages are installed, and when the kernels are compiled."""
+_BY_HASH = ("--no-deps", "--require-hashes", "--requirement")
 _TORCH_FOR_CPU = "https://download.pytorch.org/whl/cpu"
 _SYNC = "import os; getattr(os, 'sync', lambda: None)()"
 
@@ -226,19 +227,18 @@ class SetUp:
 
     def _install_packages(self, uv: Path, environment: Path, version: Version) -> None:
         """Install torch, of which no hashes are kept, then all else by its hashes."""
-        install = [uv, "pip", "install", "--no-build", "--python", python_in(environment)]
-        by_hash = ["--no-deps", "--require-hashes", "--requirement"]
+        install: list[str | Path] = [uv, "pip", "install", "--no-build", "--python", python_in(environment)]
         self._tell(3)
         if self.request.wheels is not None:
             listed = self.request.wheels.absolute() / self.request.torch_list(version)
             if not listed.is_file():
                 fix = "Give 'set-up --download' the same --torch and a --base-python of the same version."
                 raise PlgsError("no-wheels", f"there is no {listed.name} among the wheels", listed.parent, fix)
-            self._install("torch", [*install, *by_hash, listed])
+            self._install("torch", [*install, *_BY_HASH, listed])
         else:
             self._install("torch", [*install, *self._torch_options(version, "--torch-backend", "cpu")])
         self._tell(4)
-        self._install("packages", [*install, *by_hash, hashes_path(self.root, version)])
+        self._install("packages", [*install, *_BY_HASH, hashes_path(self.root, version)])
 
     def _torch_options(self, version: Version, *of_public_cpu_builds: str) -> list[str]:
         torch = f"torch=={needed_packages(self.root, version)['torch']}"
@@ -254,12 +254,12 @@ class SetUp:
         pip, part = self.folder / DOWNLOADS / "pip", folder / "torch.part"
         shutil.rmtree(part, ignore_errors=True)
         part.mkdir(parents=True)
-        own = ["--python", python, "--no-deps", "--require-hashes", "--requirement", self.root / "requirements/pip.txt"]
-        self._install("pip", [uv, "pip", "install", "--target", pip, *own])
+        command: list[str | Path] = [uv, "pip", "install", "--python", python, "--target", pip, *_BY_HASH]
+        self._install("pip", [*command, self.root / "requirements/pip.txt"])
         name, digest = uv_program.pinned_wheel()
         (pip / "uv.txt").write_text(f"uv=={uv_program.VERSION} --hash=sha256:{digest}\n")
-        collect = [uv, "run", "--no-project", "--python", python, "--", "python", "-I", pip / "pip", "download"]
-        collect += ["--only-binary", ":all:", "--dest"]
+        collect: list[str | Path] = [uv, "run", "--no-project", "--python", python, "--", "python", "-I", pip / "pip"]
+        collect += ["download", "--only-binary", ":all:", "--dest"]
         options = self._torch_options(version, "--index-url", _TORCH_FOR_CPU)
         self._install("torch", [*collect, part, *options], for_pip=True)
         lines = []
@@ -268,12 +268,12 @@ class SetUp:
             lines.append(f"{name}=={number} --hash=sha256:{sha256(wheel)}\n")
             wheel.replace(folder / wheel.name)
         part.rmdir()
-        by_hash: list[str | Path] = [*collect, folder, "--no-deps", "--require-hashes", "--requirement"]
-        pinned = [hashes_path(self.root, version), "--requirement", pip / "uv.txt"]
-        self._install("packages", [*by_hash, *pinned], for_pip=True)
+        collect += [folder, *_BY_HASH]
+        packages = hashes_path(self.root, version)
+        self._install("packages", [*collect, packages, "--requirement", pip / "uv.txt"], for_pip=True)
         for name in ADDED:
             try:
-                self._install(name, [*by_hash, addition_hashes_path(self.root, name)], for_pip=True)
+                self._install(name, [*collect, addition_hashes_path(self.root, name)], for_pip=True)
             except PlgsError as error:
                 self._events.warning(f"The folder will lack {name}: {error.what}")
         write_atomically(folder / self.request.torch_list(version), "".join(lines))

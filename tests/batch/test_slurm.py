@@ -14,6 +14,7 @@ import pytest
 pytest.importorskip("dask_jobqueue", reason="dask-jobqueue is not installed: python -m engine add farm")
 # ruff: noqa: E402 - without it the rest is not tested
 from engine.batch import cluster as cluster_module
+from engine.batch import run as run_module
 from engine.batch.cluster import FarmOptions, Tls, slurm_cluster
 from engine.batch.piece import engine_tag
 from engine.errors import ExitCode
@@ -76,6 +77,27 @@ def test_slurm_job_does_a_batch(slurm: Path) -> None:
     assert run(plan, FarmOptions(1, "", {}, 1.0, 1)) is ExitCode.FINISHED, (slurm / "job.log").read_text()
     assert rows_of(plan)["a"]["state"] == "done"
     assert "distributed.cli.dask_worker" in (slurm / "job.sh").read_text()
+
+
+@pytest.mark.parametrize("refuses", [True, False])
+def test_jobs_that_die_are_rows_of_the_table(refuses: bool, slurm: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """sbatch refuses the job, or the job ends before its worker begins: the batch does not wait for ever."""
+    monkeypatch.setattr(run_module, "_JOBS_S", 0.5)
+    squeue = slurm / "bin" / "squeue"
+    squeue.write_text("#!/bin/sh\necho slurm_load_jobs error: Invalid job id specified >&2\nexit 1\n")
+    squeue.chmod(0o755)
+    python = slurm / "python"
+    python.write_text("#!/bin/sh\necho no such library >&2\nexit 1\n")
+    python.chmod(0o755)
+    monkeypatch.setattr(cluster_module.sys, "executable", str(python))
+    if refuses:
+        (slurm / "bin" / "sbatch").write_text("#!/bin/sh\necho sbatch: error: invalid partition >&2\nexit 1\n")
+    plan = plan_of(slurm, "a", "b")
+    farm_options = FarmOptions(1, "", {}, 1.0, 1, logs=plan.output / ".batch" / "jo bs")
+    assert run(plan, farm_options) is ExitCode.BAD_INPUT
+    for row in (rows_of(plan)[name] for name in "ab"):
+        assert row["state"] == "failed"
+        assert ("invalid partition" if refuses else "no such library") in row["reason"]
 
 
 @pytest.mark.parametrize("name", ["queue", "account", "walltime"])
