@@ -35,7 +35,7 @@ BEHAVIOURS = {
     "frames of Nerfstudio": "scene/formats/test_nerfstudio.py::test_points_lie_on_the_room",
     "frames of Polycam": "scene/formats/test_phone_apps.py::test_polycam_points_lie_on_the_room",
     "frames of Record3D": "scene/formats/test_record3d.py::test_points_lie_on_the_room",
-    "frames of Replica": "scene/formats/test_replica.py::test_nice_slams_layout_is_read",
+    "frames of Replica": "scene/formats/test_seven_scenes.py::test_nice_slams_layout_is_read",
     "frames of ScanNet's archives": "scene/formats/test_scannet.py::test_sens_points_lie_on_the_room",
     "frames of ScanNet++": "scene/formats/test_scannetpp.py::test_points_lie_on_the_room",
     "frames of 7-Scenes": "scene/formats/test_seven_scenes.py::test_raw_depth_is_registered_to_colour",

@@ -56,6 +56,11 @@ def tiny_pose(index: int, frames: int) -> NDArray[np.float64]:
     angle = np.radians(200.0 + step * index)
     target = np.array([2.1, 1.45, 0.55])
     eye = np.array([2.0 + 1.75 * np.cos(angle), 1.5 + 1.3 * np.sin(angle), 1.5 + 0.15 * np.sin(2.0 * angle)])
+    return looking_at(target, eye)
+
+
+def looking_at(target: NDArray[np.float64], eye: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Camera-to-world, float64 [4, 4], of an upright camera at ``eye``: x right, y down, z forward."""
     forward = (target - eye) / np.linalg.norm(target - eye)
     right = np.cross(forward, [0.0, 0.0, 1.0])
     right /= np.linalg.norm(right)

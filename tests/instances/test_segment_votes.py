@@ -14,12 +14,7 @@ from scipy.sparse import csr_matrix
 from engine.instances import segment_votes
 from engine.instances.agreement import ViewPoints, ViewsOnCloud
 from engine.instances.panoptic_labels import UNKNOWN_LABEL, PanopticLabels
-from engine.instances.segment_votes import (
-    VotedLabels,
-    neighbours_on_a_thing,
-    segment_labels,
-    vote_panoptic_labels,
-)
+from engine.instances.segment_votes import VotedLabels, neighbours_on_a_thing, segment_labels, vote_panoptic_labels
 from engine.presets.preset import EvidenceKind, SegmentVoting
 from engine.scene import PanopticMask, Segment, View
 from tests.semantics.plane_views import CHAIR, CLASS_IDS, SIZE, SOFA, WALL, square, wall_view

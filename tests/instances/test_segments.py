@@ -6,13 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from engine.instances.segments import (
-    SegmentOptions,
-    local_instances,
-    mask_extents,
-    outline_of,
-    vote_instances,
-)
+from engine.instances.segments import SegmentOptions, local_instances, mask_extents, outline_of, vote_instances
 from engine.scene import Camera, PanopticMask, Segment, View
 from tests.instances.two_chairs import THINGS, WALL, look, view_of
 

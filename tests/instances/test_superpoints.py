@@ -141,7 +141,6 @@ def test_classes_of_one_detection_share_its_vote() -> None:
 
 
 def test_each_class_counts_alike() -> None:
-    """Against counting point by point."""
     random = np.random.default_rng(1)
     shown = [random.choice([0, FLOOR, FLOOR, BOX, WALL], 50).astype(np.int32) for _ in range(5)]
     views = seeing(np.zeros((50, 3), np.float32), shown)

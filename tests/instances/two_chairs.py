@@ -1,12 +1,12 @@
-"""A ray-traced floor and back wall with boxes for chairs, seen from where a test likes: views for matching
-tests.
-"""
+"""A ray-traced floor and back wall with boxes for chairs, seen from where a test likes."""
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
 
 from engine.scene import Camera, PanopticMask, Segment, View
+from tests.tiny_scene import looking_at
 
 WALL, CHAIR, SOFA = 1, 5, 6
 THINGS = frozenset({CHAIR, SOFA})
@@ -15,23 +15,14 @@ Box = tuple[tuple[float, float, float], tuple[float, float, float]]
 
 def look(eye: tuple[float, float, float], target: tuple[float, float, float], size: tuple[int, int]) -> Camera:
     """A camera 60 degrees wide at ``eye``."""
-    forward = np.subtract(target, eye) / np.linalg.norm(np.subtract(target, eye))
-    right = np.cross(forward, [0.0, 0.0, 1.0])
-    right /= np.linalg.norm(right)
-    pose = np.eye(4)
-    pose[:3, :3] = np.column_stack([right, np.cross(forward, right), forward])
-    pose[:3, 3] = eye
+    pose = looking_at(np.array(target), np.array(eye))
     width, height = size
     focal = width / 2 / np.tan(np.radians(30))
     return Camera(width, height, focal, focal, width / 2, height / 2, pose)
 
 
 def view_of(name: str, camera: Camera, boxes: list[Box], bleed: int = 0, scores: float = 0.9) -> View:
-    """Depth of a 10 m room with ``boxes``; segment i + 2 is box i (a chair), 1 all else; masks grown by
-    ``bleed``.
-    """
-    import cv2
-
+    """Depth of a 10 m room with ``boxes``; segment i + 2 is box i (a chair), 1 all else; masks grown by ``bleed``."""
     rays = camera.unproject(np.ones((camera.height, camera.width), np.float32)) - camera.centre
     best, ids = _exit(rays, camera.centre), np.ones(rays.shape[:2], np.int32)
     for i, (low, high) in enumerate(boxes):

@@ -52,9 +52,7 @@ def stages(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> StageReporter:
     return StageReporter(EventWriter(tmp_path / "events.jsonl"), StopSignal(), STAGES)
 
 
-def test_cpu_torch_is_distinguished_from_a_missing_gpu(
-    stages: StageReporter, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_cpu_torch_is_distinguished_from_a_missing_gpu(stages: StageReporter, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(torch.backends.cuda, "is_built", lambda: False)
     with raises_key("cpu-torch --device"):
         usable_device("cuda", stages)
@@ -97,7 +95,6 @@ def test_auto_takes_what_works_and_says_so(
 
 
 def test_a_whole_lift_on_a_device(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """In torch on the CPU, and with a stand-in for gsplat. It gives what a lift with the kernels gives."""
     scene = write_tiny_scene(tmp_path / "scene", frames=6, size=(40, 30))
     with presets_as(preview=TINY):
         plain = lift_into(tmp_path / "plain", LiftRequest(scene=scene))

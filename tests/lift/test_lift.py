@@ -86,7 +86,6 @@ def test_the_manifest_says_how_it_came_about(lifts: Lifts) -> None:
 
 
 def test_the_points_and_anchors_are_written(lifts: Lifts) -> None:
-    """``read_arrays`` checks names, types and shapes."""
     points = read_arrays(lifts.done.result_path / "semantic_points.npz", SemanticPoints)
     assert set(np.unique(points.instance_id)) == {0, 1, 2}
     assert ((points.confidence >= 0) & (points.confidence <= 1)).all()
@@ -117,9 +116,7 @@ def test_splats_lie_near_what_was_measured(lifts: Lifts, monkeypatch: pytest.Mon
     assert [one["points"] for one in listed] == [np.count_nonzero(points.instance_id == one["id"]) for one in listed]
 
 
-def test_a_mask_is_decoded_once_before_training_and_once_to_vote(
-    lifts: Lifts, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_mask_is_decoded_once_before_training_and_once_to_vote(lifts: Lifts, monkeypatch: pytest.MonkeyPatch) -> None:
     decoded, before = Counter[str](), Counter[str]()
     read, train = coco._read_ids, lift_run.train
     monkeypatch.setattr(coco, "_read_ids", lambda png: decoded.update([png.stem]) or read(png))

@@ -74,9 +74,7 @@ def test_the_scene_is_found(home: Path, capsys: pytest.CaptureFixture[str]) -> N
     assert json.loads((lift / "request.json").read_text())["relative"]["scene"] == "../../found"
 
 
-def test_edited_masks_are_used(
-    home: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_edited_masks_are_used(home: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     monkeypatch.setitem(PRESETS, "preview", TINY)
     lift = relink(LiftFolder.open(home / "lift"), home.parent / "found").path
     assert main(["lift", str(lift), "--resume"]) == ExitCode.FINISHED
@@ -113,10 +111,7 @@ CHANGES: dict[str, tuple[Callable[[Path], object], str]] = {
 
 
 @pytest.mark.parametrize("change", CHANGES)
-def test_result_is_not_reused_for_a_changed_scene(
-    change: str, home: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
-    """It was "finished already"; a lift that was stopped went on with what it had learnt of other photos."""
+def test_result_is_not_reused_for_a_changed_scene(change: str, home: Path, capfd: pytest.CaptureFixture[str]) -> None:
     lift = relink(LiftFolder.open(home / "lift"), home.parent / "found")
     act, told = CHANGES[change]
     act(home.parent / "found")

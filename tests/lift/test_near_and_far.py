@@ -21,6 +21,7 @@ from tests.tiny_scene import (
     CHAIR,
     CHAIR_ID,
     TinyView,
+    looking_at,
     tiny_intrinsics,
     write_tiny_scene,
 )
@@ -33,16 +34,6 @@ HELD_OUT = {"0001", "0010", "0013", "0016", "0019", "0022", "0025"}
 """A near view and six far ones."""
 SENSOR_NOISE = 0.015
 """Share of the depth."""
-
-
-def looking_at(target: np.ndarray, eye: np.ndarray) -> np.ndarray:
-    forward = (target - eye) / np.linalg.norm(target - eye)
-    right = np.cross(forward, [0.0, 0.0, 1.0])
-    right /= np.linalg.norm(right)
-    pose = np.eye(4)
-    pose[:3, :3] = np.stack([right, np.cross(forward, right), forward], axis=1)
-    pose[:3, 3] = eye
-    return pose
 
 
 def poses() -> list[np.ndarray]:

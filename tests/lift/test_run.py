@@ -125,12 +125,7 @@ def test_names_are_not_kept_if_no_objects_are_searched_for(tmp_path: Path) -> No
 
 
 @pytest.mark.parametrize(
-    ("changed", "shown"),
-    [
-        ({}, True),
-        ({"objects": "boxes"}, False),
-        ({"one_class_an_object": False}, False),
-    ],
+    ("changed", "shown"), [({}, True), ({"objects": "boxes"}, False), ({"one_class_an_object": False}, False)]
 )
 def test_votes_need_objects_by_agreement_of_one_class(
     changed: dict[str, object], shown: bool, stages: StageReporter, tmp_path: Path

@@ -45,8 +45,7 @@ def one_class_with_high_ids(scene: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("frames", "change"),
-    [(1, as_they_are), (2, as_they_are), (FRAMES, equal_poses), (FRAMES, one_class_with_high_ids)],
+    ("frames", "change"), [(1, as_they_are), (2, as_they_are), (FRAMES, equal_poses), (FRAMES, one_class_with_high_ids)]
 )
 def test_scene_of_this_size_is_lifted(frames: int, change: Callable[[Path], None], tmp_path: Path) -> None:
     scene = write_tiny_scene(tmp_path / "scene", frames=frames, size=(32, 24))

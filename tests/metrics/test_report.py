@@ -137,7 +137,6 @@ def test_score_folders_compares_masks_with_pngs(pair: tuple[str, str], tmp_path:
 
 
 def test_different_crop_is_refused(tmp_path: Path) -> None:
-    """Square crops used to be scored as if they showed the whole picture."""
     truth, predictions = write_masks(tmp_path / "truth"), write_pngs(tmp_path / "cut", "class", "instance")
     for path in predictions.rglob("*.png"):
         cv2.imwrite(str(path), cv2.imread(str(path), cv2.IMREAD_UNCHANGED)[:, 2:14])

@@ -84,7 +84,6 @@ def test_labels_outside_the_tables_are_refused() -> None:
 @examples(40)
 @given(data=st.data(), voted=st.booleans())
 def test_odd_facts_and_tensors_are_refused_or_drawable(data: st.DataObject, voted: bool) -> None:
-    """What is not refused can be drawn."""
     draw_spoilt(data.draw, voted)
 
 

@@ -41,6 +41,7 @@ def every_label(monkeypatch: pytest.MonkeyPatch) -> None:
     """Gaussians keep all labels."""
     monkeypatch.setattr(label_voting, "KEPT", LABELS)
 
+
 UNKNOWN_DEPTH = np.zeros(SIZE, np.float32)
 
 

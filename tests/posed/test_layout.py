@@ -103,7 +103,6 @@ def ply(count: int, form: str = "ascii", kind: str = "float") -> bytes:
 def test_counts_that_no_file_has_are_refused(
     tmp_path: Path, read: Callable[[Path], object], content: bytes | tuple[bytes, int], told: str
 ) -> None:
-    """A file is its bytes, or the bytes that it begins with and its size."""
     path = tmp_path / "file"
     path.write_bytes(content) if isinstance(content, bytes) else sparse(path, *content)
     with raises_key(told):

@@ -152,13 +152,7 @@ def render(
     """The rendering, and the gradients of a fixed random loss over these layers of the pixels ``where``."""
     tensors = [tensor.clone().requires_grad_() for tensor in scene.tensors]
     out = rasterize(
-        *tensors,
-        scene.pose,
-        scene.intrinsics,
-        scene.width,
-        scene.height,
-        backend=backend,
-        want_means2d_grad=True,
+        *tensors, scene.pose, scene.intrinsics, scene.width, scene.height, backend=backend, want_means2d_grad=True
     )
     generator = torch.Generator().manual_seed(1)
     kept = torch.ones(scene.height, scene.width) if where is None else where.float()

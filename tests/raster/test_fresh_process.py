@@ -19,14 +19,16 @@ ROOT = Path(__file__).resolve().parents[2]
 NO_HOME = "/dev/null/home"  # cannot be made by anybody, root included
 COLD_SECONDS, WARM_SECONDS = 30.0, 1.0
 ANNOUNCEMENT = "compiling the forward pass of the rasteriser for this machine, about 10 s, once"
-RENDER = """
-import json, logging, os, sys, time
-import numba, torch
+LISTEN = """
+import json, logging, time
+import numba, numpy as np, torch
 lines = []
 handler = logging.Handler()
 handler.emit = lambda record: lines.append(record.getMessage())
 logging.getLogger("plgs").addHandler(handler)
 logging.getLogger("plgs").setLevel(logging.INFO)
+"""
+RENDER = f"""{LISTEN}
 start = time.process_time()
 from engine.machine import compiled
 from engine.raster import rasterize
@@ -37,16 +39,9 @@ tensors = [torch.from_numpy(array).requires_grad_() for array in
 out = rasterize(*tensors, work.camera_to_world, work.intrinsics, work.width, work.height)
 (out.image.sum() + out.labels.sum()).backward()
 seconds = time.process_time() - start
-print(json.dumps({"seconds": seconds, "lines": lines, "cache": str(compiled.CACHE_FOLDER)}))
+print(json.dumps({{"seconds": seconds, "lines": lines, "cache": str(compiled.CACHE_FOLDER)}}))
 """
-DRAW = """
-import json, logging
-import numpy as np, torch
-lines = []
-handler = logging.Handler()
-handler.emit = lambda record: lines.append(record.getMessage())
-logging.getLogger("plgs").addHandler(handler)
-logging.getLogger("plgs").setLevel(logging.INFO)
+DRAW = f"""{LISTEN}
 from engine.raster import rasterize
 from engine.raster.blending import backward
 one = [torch.ones(shape) for shape in ((1, 3), (1, 3), (1, 4), (1,), (1, 3))]
@@ -126,13 +121,8 @@ def test_a_warm_start_is_quick(cold: Run, read_only_code: Path) -> None:
 
 @pytest.mark.slow
 def test_drawing_alone_does_not_wait_for_the_backward_pass(tmp_path: Path) -> None:
-    done = subprocess.run(
-        [sys.executable, "-c", DRAW],
-        env=environment(NUMBA_CACHE_DIR=str(tmp_path)),
-        capture_output=True,
-        text=True,
-        timeout=300,
-    )
+    variables = environment(NUMBA_CACHE_DIR=str(tmp_path))
+    done = subprocess.run([sys.executable, "-c", DRAW], env=variables, capture_output=True, text=True, timeout=300)
     assert done.returncode == 0, done.stderr
     assert ANNOUNCEMENT in done.stdout
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -246,13 +247,7 @@ def test_labels_are_blended_as_colours(scene: Scene) -> None:
 def test_order_of_the_input_does_not_matter(scene: Scene, random: object) -> None:
     count = scene.tensors[0].shape[0]
     order = torch.from_numpy(np.random.default_rng(0).permutation(count))
-    shuffled = Scene(
-        tuple(tensor[order] for tensor in scene.tensors),
-        scene.pose,
-        scene.intrinsics,
-        scene.width,
-        scene.height,
-    )
+    shuffled = replace(scene, tensors=tuple(tensor[order] for tensor in scene.tensors))
     assert torch.equal(draw(scene).image, draw(shuffled).image)
 
 

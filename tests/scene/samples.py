@@ -17,18 +17,12 @@ from tests.scene.formats import (
     test_nerfstudio,
     test_phone_apps,
     test_record3d,
-    test_replica,
     test_scannet,
     test_scannetpp,
     test_seven_scenes,
     test_tum,
 )
-from tests.scene.mask_formats import (
-    test_detections,
-    test_label_images,
-    test_segment_maps,
-    test_tracks,
-)
+from tests.scene.mask_formats import test_detections, test_label_images, test_segment_maps, test_tracks
 from tests.tiny_scene import write_tiny_scene
 
 
@@ -54,7 +48,7 @@ WRITERS: dict[str, Callable[[Path], object]] = {
     "colmap-binary": test_colmap.binary,
     "tum": test_tum.write_tum,
     "7scenes": test_seven_scenes.write_seven,
-    "replica": test_replica.write_nice,
+    "replica": test_seven_scenes.write_nice,
     "sens": lambda folder: (folder / "a.sens").write_bytes(test_scannet.sens()),
     "polycam": test_phone_apps.write_polycam,
     "scanner-app": test_phone_apps.write_scanner_app,

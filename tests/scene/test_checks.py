@@ -12,15 +12,7 @@ import pytest
 
 from engine.errors import PlgsError
 from engine.posed.plain_folders import open_plain_folders
-from engine.scene import (
-    check_scene,
-    describe,
-    load_view,
-    open_scene,
-    open_scene_to_lift,
-    report_of,
-    survey_scene,
-)
+from engine.scene import check_scene, describe, load_view, open_scene, open_scene_to_lift, report_of, survey_scene
 from engine.scene_source import SceneSource
 from tests.raises_key import raises_key
 from tests.scene.refusing import refuses

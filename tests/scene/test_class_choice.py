@@ -117,7 +117,6 @@ def classes_of(first: str, *rows: ClassRow, to_reduced: bool = False) -> list[in
 
 
 def test_names_that_differ_in_capitals_are_two_classes_that_can_be_joined() -> None:
-    """The first, or the last, stood for both, and joining them did nothing."""
     assert classes_of("Chair") == [3, 7, 8]
     assert classes_of("Chair", ClassRow(name="Chair", into="chair")) == [7, 7, 8]
     into_chair = ClassRow(name="chair", into="Chair"), ClassRow(name="stool", into="CHAIR")
@@ -129,7 +128,6 @@ def test_names_that_differ_in_capitals_are_two_classes_that_can_be_joined() -> N
 
 
 def test_classes_of_the_very_same_name_can_be_joined() -> None:
-    """What is said of them can be done."""
     stool, joined = ClassRow(name="stool", into="chair"), ClassRow(id=3, into="chair")
     with raises_key("class-twice chair"):
         classes_of("chair", stool)

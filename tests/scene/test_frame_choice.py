@@ -57,7 +57,6 @@ def test_frames_held_out_stay_and_order_is_kept() -> None:
 
 @pytest.mark.parametrize("turns", [True, False], ids=["turning", "going"])
 def test_more_frames_are_used_where_the_camera_moves_more(turns: bool) -> None:
-    """Half of the recording stands still."""
     frames = [frame(number, 0.0) for number in range(100)]
     for number in range(100):
         moved = 2.0 * number

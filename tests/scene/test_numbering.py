@@ -15,7 +15,14 @@ from engine.scene import list_classes, open_scene
 from engine.scene.class_tables import known_table
 from engine.scene.report import write_class_list
 from engine.scene_source import SceneSource
-from tests.scene.mask_formats.labelled_room import COCO_NAMES, COCO_NUMBERS, NAMES, Truth, check_on_room, write_frames
+from tests.scene.mask_formats.labelled_room import (
+    COCO_NAMES,
+    COCO_NUMBERS,
+    NAMES,
+    Truth,
+    check_on_room,
+    write_masked_frames,
+)
 from tests.scene.mask_formats.test_segment_maps import write_detectron2
 from tests.scene.refusing import refuses
 
@@ -38,12 +45,11 @@ def in_table(table: str, names: Mapping[int, str]) -> dict[int, int]:
 
 def write_labels(folder: Path, numbers: Mapping[int, int], void: int = 255) -> list[Truth]:
     """Arrays of classes; those without a number, and the uppermost rows, are void."""
-    scene, truths = write_frames(folder)
-    (scene / "masks").mkdir()
+    masks, truths = write_masked_frames(folder)
     for truth in truths:
         truth.semantic[:2], truth.instance[:2] = 0, 0
         shown = np.vectorize(lambda class_id: numbers.get(class_id, void))(truth.semantic)
-        np.save(scene / "masks" / f"{truth.name}.npy", shown.astype(np.uint8))
+        np.save(masks / f"{truth.name}.npy", shown.astype(np.uint8))
         truth.semantic[~np.isin(truth.semantic, [*numbers])] = 0
     return truths
 
@@ -113,7 +119,6 @@ def test_numbering_is_recognised_named_or_assumed_with_a_warning(
 def test_table_named_against_the_evidence_is_used_with_a_warning(
     tmp_path: Path, classes: str, numbers: dict[int, int], void: int, look_like: str
 ) -> None:
-    """Each of these was silent: a number of walls and floors meant something else in the named table."""
     write_labels(tmp_path, numbers, void)
     (told,) = warned(tmp_path, classes)
     assert f", but look like {look_like}" in told and f"if that is right, name --classes {look_like}" in told
@@ -122,23 +127,21 @@ def test_table_named_against_the_evidence_is_used_with_a_warning(
 
 def test_sky_distinguishes_a_street_from_a_room(tmp_path: Path) -> None:
     """A building, the sky and trees in ADE20K have the numbers of a wall, a floor and a bed in NYU40."""
-    scene, _ = write_frames(tmp_path)
-    (scene / "masks").mkdir()
+    masks, _ = write_masked_frames(tmp_path)
     street = np.repeat(np.array([2, 1, 4], np.uint8), (24, 12, 12))[:, None].repeat(64, 1)
     for shown, name in ((street, "street"), (street[::-1], "room")):
-        for path in sorted((scene / "color").iterdir()):
-            np.save(scene / "masks" / f"{path.stem}.npy", shown)
+        for path in sorted((tmp_path / "color").iterdir()):
+            np.save(masks / f"{path.stem}.npy", shown)
         assert ("look like nyu40:1-40" in str(warned(tmp_path, "ade20k:0-149"))) == (name == "room")
 
 
 @pytest.mark.parametrize("turns", [1, 3])
 def test_sideways_street_is_not_taken_for_a_room(tmp_path: Path, turns: int) -> None:
     """As phones held upright record it. With one more, these numbers are a wall, a floor and a ceiling."""
-    scene, _ = write_frames(tmp_path)
-    (scene / "masks").mkdir()
+    masks, _ = write_masked_frames(tmp_path)
     street = np.rot90(np.repeat(np.array([2, 1, 4, 6], np.uint8), 16)[:, None].repeat(48, 1), turns)
-    for path in sorted((scene / "color").iterdir()):
-        np.save(scene / "masks" / f"{path.stem}.npy", street)
+    for path in sorted((tmp_path / "color").iterdir()):
+        np.save(masks / f"{path.stem}.npy", street)
     opened = open_scene(tmp_path, classes="ade20k")
     shown = {opened.classes[one.class_id].name for one in opened.frames[0].mask().segments}
     assert shown == {"sky", "building", "tree", "road"}

@@ -10,11 +10,7 @@ from hypothesis import strategies as st
 
 from engine.scene import Category, ClassTable, PanopticMask, Segment
 from engine.scene.frame_colours import depth_colours, mask_colours
-from engine.scene.pixels import (
-    decode,
-    resize_colour,
-    resize_nearest,
-)
+from engine.scene.pixels import decode, resize_colour, resize_nearest
 from tests.raises_key import raises_key
 
 sizes = st.tuples(st.integers(1, 30), st.integers(1, 30))

@@ -12,7 +12,7 @@ import pytest
 from engine.scene import Scene, open_scene
 from engine.scene.values import are_mixed, inside
 from tests.raises_key import raises_key
-from tests.scene.mask_formats.labelled_room import Truth, write_frames
+from tests.scene.mask_formats.labelled_room import Truth, write_masked_frames
 from tests.scene.mask_formats.test_tracks import palette_png
 from tests.scene.refusing import refuses
 
@@ -55,20 +55,18 @@ def test_ids_are_not_the_mask_of_one_object() -> None:
 
 
 def test_ids_that_a_filter_mixed_are_refused(tmp_path: Path) -> None:
-    scene, truths = write_frames(tmp_path)
-    (scene / "masks").mkdir()
+    masks, truths = write_masked_frames(tmp_path)
     for truth in truths:
         ids = cv2.resize(truth.semantic.astype(np.uint8), (256, 192), interpolation=cv2.INTER_NEAREST)
         assert not are_mixed(ids)
-        cv2.imwrite(str(scene / "masks" / f"{truth.name}.png"), soft(ids))
+        cv2.imwrite(str(masks / f"{truth.name}.png"), soft(ids))
     with raises_key("mixed-ids 0000.png"):
-        open_scene(scene, mask_format="palette", classes="reduced").frames[0].mask()
+        open_scene(tmp_path, mask_format="palette", classes="reduced").frames[0].mask()
 
 
 def write_palettes(folder: Path, which: str) -> tuple[Path, list[Truth]]:
     """Each frame has a palette of its own, in which an object keeps its colour, as after another program's save."""
-    scene, truths = write_frames(folder)
-    (scene / "masks").mkdir()
+    masks, truths = write_masked_frames(folder)
     colours = np.array([[0, 0, 0], [20, 200, 90], [200, 40, 60], [9, 90, 230], [120, 120, 0]], np.uint8)
     for number, truth in enumerate(truths):
         of_ids = np.zeros(14, int)
@@ -79,8 +77,8 @@ def write_palettes(folder: Path, which: str) -> tuple[Path, list[Truth]]:
         at = whole.index(b"PLTE") + 4
         data = whole[at - 4 : at] + colours[order].tobytes() + whole[at + 15 : at + 768]
         crc = zlib.crc32(data).to_bytes(4, "big")
-        (scene / "masks" / f"{truth.name}.png").write_bytes(whole[: at - 4] + data + crc + whole[at + 772 :])
-    return scene, truths
+        (masks / f"{truth.name}.png").write_bytes(whole[: at - 4] + data + crc + whole[at + 772 :])
+    return folder, truths
 
 
 def tracks_on(scene: Scene, truths: list[Truth]) -> dict[int, set[int | None]]:
@@ -106,20 +104,18 @@ def test_classes_whose_palettes_differ_are_refused(tmp_path: Path) -> None:
 
 
 def test_ids_in_equal_channels_are_ids(tmp_path: Path) -> None:
-    scene, truths = write_frames(tmp_path)
-    (scene / "masks").mkdir()
+    masks, truths = write_masked_frames(tmp_path)
     for truth in truths:
-        cv2.imwrite(str(scene / "masks" / f"{truth.name}.png"), np.stack([truth.semantic] * 3, -1))
-    mask = open_scene(scene, mask_format="palette", classes="reduced").frames[1].mask()
+        cv2.imwrite(str(masks / f"{truth.name}.png"), np.stack([truth.semantic] * 3, -1))
+    mask = open_scene(tmp_path, mask_format="palette", classes="reduced").frames[1].mask()
     np.testing.assert_array_equal(mask.class_map(), truths[1].semantic)
 
 
 def test_soft_bytes_of_detections(tmp_path: Path) -> None:
-    scene, truths = write_frames(tmp_path)
-    (scene / "masks").mkdir()
+    masks, truths = write_masked_frames(tmp_path)
     chairs = [cv2.resize((truth.instance == 1) * np.uint8(255), (256, 192), interpolation=0) for truth in truths]
     for truth, chair in zip(truths, chairs, strict=True):
         blurred = cv2.GaussianBlur(chair, (0, 0), 3)[None]
-        np.savez(scene / "masks" / f"{truth.name}.npz", masks=blurred, classes=np.array(["chair"]), scores=np.ones(1))
-    for frame, chair in zip(open_scene(scene).frames, chairs, strict=True):
+        np.savez(masks / f"{truth.name}.npz", masks=blurred, classes=np.array(["chair"]), scores=np.ones(1))
+    for frame, chair in zip(open_scene(tmp_path).frames, chairs, strict=True):
         assert ((frame.mask().ids > 0) == (chair > 0)).mean() > 0.99

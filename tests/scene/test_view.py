@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import errno
-import sys
 import threading
 from dataclasses import replace
 from pathlib import Path
@@ -14,16 +12,7 @@ import pytest
 from numpy.typing import NDArray
 
 from engine.errors import PlgsError
-from engine.scene import (
-    Camera,
-    Frame,
-    StoredArrays,
-    StoredViews,
-    load_view,
-    open_scene,
-    resolution_of,
-    size_within,
-)
+from engine.scene import Camera, Frame, StoredViews, load_view, open_scene, resolution_of, size_within
 from engine.scene.view import READERS, SEAM, border_mask, read_ahead
 from tests.raises_key import raises_key
 from tests.tiny_scene import write_tiny_scene
@@ -200,23 +189,6 @@ def test_a_view_sees_what_its_own_depth_shows(folder: Path) -> None:
     places = view.camera.unproject(moved)[y, x]
     number, rows, columns = replace(view, depth=depth).seen_of(places)
     assert [*number] == [0, 1] and [*rows] == [10, 60] and [*columns] == [20, 100]
-
-
-@pytest.mark.skipif(sys.platform == "win32", reason="no limit on files here")
-@pytest.mark.parametrize("room", [0, 1, 3999, 4000, 4001, 11_999])
-def test_an_array_without_room_is_an_error_with_its_number(room: int, tmp_path: Path) -> None:
-    """As the disk that is full tells it, so that whoever reads the error knows what it is."""
-    import resource
-
-    before, arrays = resource.getrlimit(resource.RLIMIT_FSIZE), StoredArrays(tmp_path)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (room, before[1]))
-    try:
-        with pytest.raises(OSError) as caught:
-            for _ in range(3):
-                arrays.append(np.ones((10, 100), np.float32))
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, before)
-    assert caught.value.errno == errno.EFBIG
 
 
 def test_views_come_back_as_they_were(tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""The training loop: it learns, it keeps labels away from opacity, and a restored one goes on bit for bit."""
+"""The training loop: its warm start, what it learns and keeps apart, and that a restored one goes on bit for bit."""
 
 from __future__ import annotations
 
@@ -10,13 +10,15 @@ import pytest
 import torch
 
 from engine.errors import Cancelled
-from engine.model.structured import NO_OBJECT
+from engine.model.gaussians import decode_rows
+from engine.model.structured import NO_OBJECT, StructuredScene
 from engine.presets.preset import LossWeights
 from engine.scene import Camera, ClassTable, View
+from engine.train import warm_start
 from engine.train.state import restore, trainer_state
 from engine.train.trainer import Trainer, reconstruction_loss
 from tests.model.some_scene import mean_depth
-from tests.train.tiny_lift import STEPS, TINY, colour_error, trainer_of, views_of
+from tests.train.tiny_lift import STEPS, TINY, WARM_STEPS, colour_error, prepared_for, trainer_of, views_of
 
 Input = tuple[list[View], ClassTable]
 
@@ -293,3 +295,44 @@ def test_a_stored_state_that_does_not_fit_is_refused(tiny: Input, tmp_path: Path
         restore(trainer, tensors, facts | {"model": other})
     restore(trainer, tensors, facts)
     trainer.step()
+
+
+@pytest.fixture(scope="module")
+def scenes(tmp_path_factory: pytest.TempPathFactory) -> list[StructuredScene]:
+    """Warm, and cold; then warm in few steps from seeds 0, 0 and 1."""
+    folder = tmp_path_factory.mktemp("warm")
+    views, classes = views_of(folder / "scene")
+    cold = replace(TINY, warm_start=False)
+    chosen = ((TINY, 0, warm_start.STEPS), (cold, 0, 0), *((TINY, seed, WARM_STEPS) for seed in (0, 0, 1)))
+    return [prepared_for(views, classes, preset, folder, seed, steps).scene for preset, seed, steps in chosen]
+
+
+def share_right(scene: StructuredScene) -> float:
+    """Share of the anchors with a known class whose every Gaussian shows that class first."""
+    with torch.no_grad():
+        logits, _ = scene.decoders.label_logits(scene.anchors.feature, scene.anchors.feature)
+    class_ids = torch.tensor(scene.channels.class_ids)
+    known = scene.anchors.initial_class > 0
+    shown = class_ids[logits.argmax(dim=2)]
+    return float((shown == scene.anchors.initial_class[:, None]).all(dim=1)[known].float().mean())
+
+
+def test_decoders_predict_the_anchors_classes(scenes: list[StructuredScene]) -> None:
+    assert share_right(scenes[0]) > 0.97
+    assert share_right(scenes[1]) < 0.5
+
+
+def test_the_same_seed_gives_the_same_decoders(scenes: list[StructuredScene]) -> None:
+    first, again, other = (scene.decoders.state_dict() for scene in scenes[2:])
+    assert all(torch.equal(first[name], again[name]) for name in first)
+    assert not all(torch.equal(first[name], other[name]) for name in first)
+
+
+def test_more_gaussians_start_visible(scenes: list[StructuredScene]) -> None:
+    def visible(scene: StructuredScene) -> float:
+        rows = torch.arange(len(scene.anchors))
+        with torch.no_grad():
+            gaussians = decode_rows(scene.anchors, scene.decoders, rows, torch.tensor([2.0, 1.5, 1.5]))
+        return float(np.mean(gaussians.all_opacities.numpy() > 0))
+
+    assert visible(scenes[0]) > visible(scenes[1])

@@ -12,7 +12,7 @@ import torch
 
 from engine.job import EventWriter, LiftFolder, LiftRequest, StopSignal
 from engine.lift.preparation import PreparedLift, prepare
-from engine.lift.run import STAGES, run_lift
+from engine.lift.run import STAGES, Preparing, run_lift
 from engine.model.growing import GrowthRules
 from engine.presets.preset import PRESETS, Growth, Preset, Schedule
 from engine.scene import ClassTable, View, load_view, open_scene
@@ -84,13 +84,14 @@ def views_of(folder: Path, **options: object) -> tuple[list[View], ClassTable]:
 
 
 def prepared_for(
-    views: list[View], classes: ClassTable, preset: Preset, folder: Path, seed: int = 0, warm_steps: int = WARM_STEPS
-) -> PreparedLift:
+    views: list[View], classes: ClassTable, preset: Preset, folder: Path, seed: int = 0, warm_steps: int = WARM_STEPS,
+    preparing: Preparing = prepare,
+) -> PreparedLift:  # fmt: skip
     events = EventWriter(folder / "events.jsonl")
     try:
         stages = StageReporter(events, StopSignal(folder / "cancel"), STAGES)
         with short_warm_start(warm_steps):
-            return prepare(views, classes, preset, seed, stages)
+            return preparing(views, classes, preset, seed, stages)
     finally:
         events.close()
 

@@ -290,15 +290,6 @@ def test_a_foreign_folder_is_reported_before_any_lift(experiment: Experiment, be
     assert not (experiment.folder / "office-preview").exists()
 
 
-def test_figures_that_cannot_be_read_are_measured_again(experiment: Experiment, behave: Behave) -> None:
-    assert run(experiment) is ExitCode.FINISHED
-    figures = experiment.folder / "kitchen-preview" / "result" / "metrics.json"
-    figures.write_bytes(b"x" * figures.stat().st_size)
-    assert run(experiment) is ExitCode.FINISHED
-    assert runs_of(experiment, "kitchen-preview") == [False, True]
-    assert measured(experiment) == [("office", "ours"), ("kitchen", "ours")]
-
-
 def test_a_finished_lift_with_other_settings_is_not_reused(experiment: Experiment, behave: Behave) -> None:
     with_steps = replace(experiment, steps=7)
     assert run(with_steps) is ExitCode.FINISHED
@@ -342,7 +333,6 @@ def test_a_page_keeps_its_text(experiment: Experiment, behave: Behave, tmp_path:
 def test_experiment_runs_with_the_real_engine(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, quick_python: Path
 ) -> None:
-    """Two rows, few steps: proves that the command still works."""
     monkeypatch.setenv("PLGS_ENGINE_PYTHON", str(quick_python))
     room, out = write_tiny_scene(tmp_path / "room", frames=6, noise=0.1), tmp_path / "out"
     arguments = ["--scenes", str(room), "--steps", "3", "--set", "warm_start=false", "-o", str(out)]

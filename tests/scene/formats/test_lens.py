@@ -13,7 +13,7 @@ import pytest
 from engine.posed.frames import Camera
 from engine.scene import open_scene
 from engine.scene.formats.lens import Distortion, of_colmap, of_nerfstudio, of_opencv
-from tests.scene.formats import test_nerfstudio, test_replica, test_seven_scenes, test_tum
+from tests.scene.formats import test_nerfstudio, test_seven_scenes, test_tum
 from tests.scene.formats.room import check_on_room, look_bent, views, write_pair
 from tests.scene.refusing import refuses
 
@@ -29,7 +29,7 @@ ASSUMED: list[tuple[Callable[[Path], Path], str, str, str]] = [
         "53.54 53.92 31.56 24.31",
     ),
     (
-        lambda folder: test_replica.write_nice(folder, test_replica.HALF, 1000),
+        lambda folder: test_seven_scenes.write_nice(folder, test_seven_scenes.HALF, 1000),
         "Replica's lens is assumed (32 32 31.5 23.5 for 64x48)",
         "cam_params.json",
         json.dumps({"camera": CAMERA}),

@@ -48,6 +48,12 @@ def write_frames(folder: Path, frames: int = 3) -> tuple[Path, list[Truth]]:
     return folder, [Truth(f"{number:04d}", view.semantic, view.instance) for number, view in enumerate(views)]
 
 
+def write_masked_frames(folder: Path) -> tuple[Path, list[Truth]]:
+    """The same with an empty folder for the masks, which is returned."""
+    (folder / "masks").mkdir(parents=True)
+    return folder / "masks", write_frames(folder)[1]
+
+
 def mask_of(scene: Scene, place: int = 0) -> PanopticMask:
     return scene.frames[place].mask()
 

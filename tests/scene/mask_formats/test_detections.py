@@ -10,7 +10,14 @@ import numpy as np
 import pytest
 
 from engine.scene import open_scene
-from tests.scene.mask_formats.labelled_room import NAMES, Truth, check_on_room, mask_of, write_frames
+from tests.scene.mask_formats.labelled_room import (
+    NAMES,
+    Truth,
+    check_on_room,
+    mask_of,
+    write_frames,
+    write_masked_frames,
+)
 
 COCO = {3: 72, 5: 56}
 """Of COCO's things: the cabinet seen as a refrigerator, the chair."""
@@ -31,15 +38,14 @@ KEYS = ("masks", "classes", "scores")
 
 
 def write_stacks(folder: Path, as_names: bool = False, keys: tuple[str, str, str] = KEYS) -> list[Truth]:
-    scene, truths = write_frames(folder)
-    (scene / "masks").mkdir()
+    masks, truths = write_masked_frames(folder)
     for truth in truths:
         found = list(detected(truth))
         classes = [NAMES[one] if as_names else COCO[one] for one, _, _ in found]
-        masks = np.array([mask for _, _, mask in found]).reshape(-1, 48, 64)
+        stack = np.array([mask for _, _, mask in found]).reshape(-1, 48, 64)
         scores = np.array([score for _, score, _ in found], np.float32)
-        arrays = dict(zip(keys, (masks, np.array(classes, None if classes else np.int64), scores), strict=True))
-        np.savez(scene / "masks" / f"{truth.name}.npz", boxes=np.zeros((len(found), 4)), **arrays)
+        arrays = dict(zip(keys, (stack, np.array(classes, None if classes else np.int64), scores), strict=True))
+        np.savez(masks / f"{truth.name}.npz", boxes=np.zeros((len(found), 4)), **arrays)
     return truths
 
 
@@ -75,8 +81,7 @@ def test_one_picture_per_detection(tmp_path: Path) -> None:
 
 def write_tracks(folder: Path, keys: Mapping[str, str], names: bool) -> list[Truth]:
     """The arrays that SAM 3 gives for each frame of a video, saved as they are."""
-    scene, truths = write_frames(folder)
-    (scene / "masks").mkdir()
+    masks, truths = write_masked_frames(folder)
     for truth in truths:
         found = [(class_id, number, region) for class_id, number, region in truth.regions() if number]
         arrays = {
@@ -86,7 +91,7 @@ def write_tracks(folder: Path, keys: Mapping[str, str], names: bool) -> list[Tru
         }
         if names:
             arrays["classes"] = np.array([NAMES[class_id] for class_id, _, _ in found], None if found else "U1")
-        np.savez(scene / "masks" / f"{truth.name}.npz", **arrays)
+        np.savez(masks / f"{truth.name}.npz", **arrays)
     return truths
 
 

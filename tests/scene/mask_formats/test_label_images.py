@@ -13,7 +13,14 @@ import pytest
 from engine.scene import Scene, check_scene, open_scene, open_scene_to_lift
 from engine.scene_source import SceneSource
 from tests.raises_key import raises_key
-from tests.scene.mask_formats.labelled_room import NAMES, Truth, check_on_room, mask_of, write_frames
+from tests.scene.mask_formats.labelled_room import (
+    NAMES,
+    Truth,
+    check_on_room,
+    mask_of,
+    write_frames,
+    write_masked_frames,
+)
 from tests.scene.mask_formats.test_tracks import palette_png
 from tests.scene.refusing import refuses
 from tests.tiny_scene import write_tiny_scene
@@ -83,20 +90,18 @@ def test_things_without_an_instance_are_groups(tmp_path: Path) -> None:
 
 def test_a_palettes_indices_are_classes(tmp_path: Path) -> None:
     """255 is void, as in Pascal VOC; ADE20K's 0 is a wall."""
-    scene, truths = write_frames(tmp_path)
-    (scene / "masks").mkdir()
+    masks, truths = write_masked_frames(tmp_path)
     for truth in truths:
         values = in_table(truth, ADE)
         values[:4], truth.semantic[:4], truth.instance[:4] = 255, 0, 0
-        (scene / "masks" / f"{truth.name}.png").write_bytes(palette_png(values))
+        (masks / f"{truth.name}.png").write_bytes(palette_png(values))
     check_on_room(open_scene(tmp_path, mask_format="palette", classes="ade20k"), truths, NAMES | {0: ""}, frozenset())
 
 
 def write_arrays(folder: Path, save: Any) -> list[Truth]:
-    scene, truths = write_frames(folder)
-    (scene / "masks").mkdir()
+    masks, truths = write_masked_frames(folder)
     for truth in truths:
-        save(scene / "masks" / truth.name, truth)
+        save(masks / truth.name, truth)
     return truths
 
 
@@ -133,15 +138,13 @@ def header_of(shape: tuple[int, ...]) -> bytes:
 
 @pytest.mark.parametrize("name", ["0000.pkl", "0000.pt", "panoptic.ptz"])
 def test_pickles_are_named_and_never_read(tmp_path: Path, name: str) -> None:
-    scene, _ = write_frames(tmp_path)
-    (scene / "masks").mkdir()
-    (scene / "masks" / name).write_bytes(b"\x80\x04cos\nsystem\n")
+    masks, _ = write_masked_frames(tmp_path)
+    (masks / name).write_bytes(b"\x80\x04cos\nsystem\n")
     refuses(f"pickled {name} numpy.save", tmp_path)
 
 
 def test_an_unknown_format_is_answered_with_the_known_ones(tmp_path: Path) -> None:
-    scene, _ = write_frames(tmp_path)
-    (scene / "masks").mkdir()
+    write_masked_frames(tmp_path)
     refuses("no-known-masks coco arrays", tmp_path)
     refuses("unknown-format yolo coco", tmp_path, mask_format="yolo")
 

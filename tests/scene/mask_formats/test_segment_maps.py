@@ -12,14 +12,7 @@ import pytest
 
 from engine.scene import check_scene, open_scene
 from engine.scene.class_tables import known_table
-from tests.scene.mask_formats.labelled_room import (
-    COCO_NAMES,
-    COCO_NUMBERS,
-    Truth,
-    check_on_room,
-    mask_of,
-    write_frames,
-)
+from tests.scene.mask_formats.labelled_room import COCO_NAMES, COCO_NUMBERS, Truth, check_on_room, mask_of, write_frames
 from tests.scene.refusing import refuses
 
 CONFIG = {"id2label": {str(COCO_NUMBERS[one]): COCO_NAMES[one] for one in COCO_NUMBERS}}
@@ -91,7 +84,6 @@ def test_transformers_finding_nothing_is_void(tmp_path: Path) -> None:
 
 
 def test_transformers_in_pngs_with_a_named_table(tmp_path: Path) -> None:
-    """A PNG of bytes holds 255 for -1."""
     truths = write_transformers(tmp_path, first=0, void=-1)
     (tmp_path / "masks" / "config.json").unlink()
     for path in sorted((tmp_path / "masks").glob("*.npy")):

@@ -13,7 +13,7 @@ import pytest
 from engine.scene import list_classes, open_scene
 from engine.scene_source import SceneSource
 from tests.raises_key import raises_key
-from tests.scene.mask_formats.labelled_room import Truth, check_on_room, tracks, write_frames
+from tests.scene.mask_formats.labelled_room import Truth, check_on_room, tracks, write_frames, write_masked_frames
 from tests.scene.refusing import refuses
 
 OBJECTS = {1: "", 2: "", 3: "object", 5: "object", 13: ""}
@@ -42,10 +42,9 @@ def numbers_of(truth: Truth) -> np.ndarray:
 
 
 def write_palettes(folder: Path, bits: int = 8) -> list[Truth]:
-    scene, truths = write_frames(folder)
-    (scene / "masks").mkdir()
+    masks, truths = write_masked_frames(folder)
     for truth in truths:
-        (scene / "masks" / f"{truth.name}.png").write_bytes(palette_png(numbers_of(truth), bits))
+        (masks / f"{truth.name}.png").write_bytes(palette_png(numbers_of(truth), bits))
     return truths
 
 
