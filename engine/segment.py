@@ -14,7 +14,8 @@ from __future__ import annotations
 import json
 import os
 import re
-from collections.abc import Callable, Sequence, Set
+from collections.abc import Callable, Mapping, Sequence, Set
+from contextlib import suppress
 from dataclasses import dataclass
 from hashlib import sha256
 from pathlib import Path
@@ -165,7 +166,7 @@ def load_model(name: str, *, download: bool) -> Mask2Former:
     if not download:  # the library reads this when it is imported
         os.environ["HF_HUB_OFFLINE"] = "1"
     try:
-        from huggingface_hub import HfApi, snapshot_download
+        from huggingface_hub import HfApi, constants, snapshot_download
         from safetensors import SafetensorError
         from transformers import Mask2FormerForUniversalSegmentation, Mask2FormerImageProcessorPil
         from transformers.utils import logging
@@ -177,10 +178,15 @@ def load_model(name: str, *, download: bool) -> Mask2Former:
     limits: dict[str, Any] = {"local_files_only": True, "trust_remote_code": False}
     try:
         if not folder.is_dir():
-            wanted = {"revision": revision or None, "allow_patterns": ["*.json", "*.safetensors"]}
+            pin = Path(constants.HF_HUB_CACHE) / f"models--{model.replace('/', '--')}" / "plgs.json"
+            pins: dict[str, Any] = read_object(pin, "Delete it.") if pin.is_file() else {}
+            # What a name stands for may change on the hub: the revision that was downloaded first stays.
+            pinned = revision or next(iter(pins), None)
+            wanted = {"revision": pinned, "allow_patterns": ["*.json", "*.safetensors"]}
             if download:
-                _ask_hub(HfApi(), model, revision or None)
+                _ask_hub(HfApi(), model, pinned)
             folder = Path(snapshot_download(model, local_files_only=not download, **wanted))
+            _check_pin(pin, pins, folder)
         labels = _checked_labels(folder, name)
         processor = Mask2FormerImageProcessorPil.from_pretrained(folder, **limits)
         network, loading = Mask2FormerForUniversalSegmentation.from_pretrained(
@@ -220,6 +226,17 @@ def _checked_labels(folder: Path, name: str) -> tuple[ClassLabel, ...]:
         if path.is_symlink() and re.fullmatch("[0-9a-f]{64}", digest) and digest_of(path) != digest:
             raise PlgsError("model-broken", "the model is not as it is on the hub", path.resolve(), "Delete this file.")
     return labels_of_config(config)
+
+
+def _check_pin(pin: Path, pins: Mapping[str, Any], folder: Path) -> None:
+    """Record the SHA-256 of a new revision's weights in the file ``pin``. Raises PlgsError if recorded ones differ."""
+    weights = {path.name: digest_of(path) for path in sorted(folder.glob("*.safetensors"))}
+    if (known := pins.get(folder.name)) is None:
+        with suppress(OSError):  # a cache that others share may be read-only
+            write_atomically(pin, json.dumps({**pins, folder.name: weights}, indent=1) + "\n")
+    elif known != weights:
+        what = f"the weights of revision {folder.name} are not those that were downloaded first"
+        raise PlgsError("model-broken", what, pin, f"Delete {pin.parent}, then fetch it again with --download.")
 
 
 def _ask_hub(hub: Any, model: str, revision: str | None) -> None:

@@ -165,5 +165,14 @@ def test_garbled_weights_refused(revision: str, model: Path, tmp_path: Path, mon
     blob.write_bytes(content)
     with raises_key("model-broken"):
         load_model(f"owner/tiny{revision}", download=False)
+    renamed = blob.with_name(sha256(content).hexdigest())  # other weights, of the same revision
+    blob.rename(renamed)
+    weights.unlink()
+    weights.symlink_to(renamed)
+    with raises_key("model-broken plgs.json"):
+        load_model(f"owner/tiny{revision}", download=False)
+    (cached / "refs" / "main").write_text(40 * "b")  # a later revision is not taken for the first
+    with raises_key("model-broken plgs.json"):
+        load_model(f"owner/tiny{revision}", download=False)
     with raises_key("not-downloaded"):
         load_model("owner/tiny@" + 40 * "b", download=False)
